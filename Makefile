@@ -1,0 +1,39 @@
+# Everything a checkout needs; each target sets up what it uses.
+SHELL := /bin/bash
+PY := .venv/bin/python
+export NACRE_PROJECT := $(CURDIR)
+
+.PHONY: setup demo test test-full lint docs bench validate wheel clean
+
+setup:
+	@bash tools/setup.sh
+
+demo: setup
+	@$(PY) -m nacre demo $(if $(QUICK),--quick) $(if $(OUT),--out $(OUT))
+
+test: setup lint
+	@$(PY) -m pytest -q -m "not full and not gpu" -n 2 --dist loadfile
+
+test-full: setup
+	@$(PY) -m pytest -q -m "full and not gpu" -n 2 --dist loadfile
+
+lint: setup
+	@$(PY) -m ruff check src tests benchmarks validation tools examples
+	@$(PY) -m mypy
+
+bench: setup
+	@bash tools/bench_env.sh
+	@$(PY) -m benchmarks
+
+validate: setup
+	@$(PY) -m validation
+
+wheel: setup
+	@$(PY) -m build --wheel --no-isolation
+
+docs: setup
+	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	@$(PY) -m sphinx -W --keep-going -b html docs docs/_build/html
+
+clean:
+	rm -rf .venv .llvm .venv-bench build dist docs/_build
