@@ -6,7 +6,7 @@ numerics behind trust what they are given.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,20 @@ LENGTH_UNITS_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
 
 @dataclass(frozen=True)
 class RecipeContext:
-    """Where a recipe stands: its file's name for messages, the folder its paths are relative to, its text."""
+    """Where a recipe stands.
+
+    Attributes:
+        source: the file's name, for messages.
+        folder: paths in the recipe are relative to it.
+        text: the recipe itself, for provenance.
+        load_recipe: loads another recipe by its path (a film under a pearl stratum); the wing that uses it
+            gets a material with `.bsdf()` and need not know its family.
+    """
 
     source: str = "recipe"
     folder: Path = field(default_factory=Path)
     text: str = ""
+    load_recipe: Callable[[str], Any] | None = None
 
     def path(self, name: str) -> Path:
         """Resolve a path of the recipe against the recipe's own folder."""
