@@ -49,7 +49,8 @@ def family_model(family: object, source: str) -> type[RecipeModel]:
             f"{source}: family = {show_value(family)} is not known.{hint} Families: {', '.join(FAMILIES)}"
         )
     module, name = FAMILIES[family].split(":")
-    return getattr(importlib.import_module(module), name)  # type: ignore[no-any-return]
+    model: type[RecipeModel] = getattr(importlib.import_module(module), name)
+    return model
 
 
 @dataclass(frozen=True)
@@ -220,7 +221,7 @@ def material(data: Mapping[str, Any], folder: str | Path = ".") -> Material:
     Raises:
         RecipeError: naming key, value and what is allowed.
 
-    Example: `nacre.material({"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 300}]})`.
+    Example: `nacre.material({"family": "film", "substrate": "Si"})` is a bare silicon wafer.
     """
     folder = Path(folder)
     context = RecipeContext(

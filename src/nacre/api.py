@@ -1,0 +1,116 @@
+"""The verbs of nacre for Python: the same words as on the command line.
+
+`nacre.load`, `nacre.material`, `nacre.evaluate`, `nacre.spectrum`; pictures come from `nacre.render`, figures
+from `nacre.plot`, structures from `nacre.design`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nacre.bsdf import Bsdf
+from nacre.errors import UnsupportedError
+from nacre.recipe import Material
+
+Array = NDArray[np.float64]
+DEFAULT_SAMPLES = 4096  # paths a direction pair of a stochastic lobe: about 2 % noise for a broad lobe
+
+
+class HasBsdf(Protocol):
+    """Anything that answers with a Bsdf: a material, or a wing's own object."""
+
+    def bsdf(self) -> Bsdf:
+        """Return the arrays."""
+        ...
+
+
+def as_bsdf(thing: HasBsdf | Bsdf | str | Path) -> Bsdf:
+    """Return the Bsdf of a material, a Bsdf, a recipe's path or a `.nacre` file.
+
+    Raises:
+        NacreError: the file is not a material.
+    """
+    if isinstance(thing, Bsdf):
+        return thing
+    if isinstance(thing, str | Path):
+        from nacre.recipe import load
+
+        return load(thing).bsdf()
+    return thing.bsdf()
+
+
+def evaluate(
+    thing: HasBsdf | Bsdf | str | Path,
+    wi: ArrayLike,
+    wo: ArrayLike,
+    *,
+    uv: ArrayLike | None = None,
+    samples: int | None = None,
+    seed: int = 0,
+) -> Array:
+    """Return the non-delta BSDF, `[..., wavelength]`, in 1/sr, without the cosine.
+
+    Args:
+        thing: a material, a Bsdf, or the path of a recipe or `.nacre` file.
+        wi: unit vectors to the light, `[..., 3]`, in the local frame (z is the normal).
+        wo: unit vectors to the eye, `[..., 3]`; on the other side of the surface: the radiance BTDF.
+        uv: surface coordinates `[..., 2]` for materials that vary over the surface; default: (0.5, 0.5).
+        samples: paths a pair, for lobes that are evaluated by a random walk; seed: of that walk.
+
+    Raises:
+        UnsupportedError: a stochastic lobe, and no LLVM on this machine.
+    """
+    return evaluate_with_error(as_bsdf(thing), wi, wo, uv=uv, samples=samples, seed=seed)[0]
+
+
+def evaluate_with_error(
+    bsdf: Bsdf,
+    wi: ArrayLike,
+    wo: ArrayLike,
+    *,
+    uv: ArrayLike | None = None,
+    samples: int | None = None,
+    seed: int = 0,
+) -> tuple[Array, Array | None]:
+    """Return the values of `evaluate` and, where a lobe is stochastic, their standard error (else None).
+
+    Raises:
+        UnsupportedError: as `evaluate`.
+    """
+    wi_array, wo_array = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
+    if wi_array.shape[-1:] != (3,):
+        raise UnsupportedError(f"wi and wo have shape {list(wi_array.shape)}; the last axis must be 3")
+    uv_array = None if uv is None else np.asarray(uv, dtype=float)
+    total = np.zeros((*wi_array.shape[:-1], len(bsdf.wavelengths_nm)))
+    variance: Array | None = None
+    for lobe in bsdf.lobes:
+        if lobe.is_stochastic:
+            from nacre.render.plugins.layered import evaluate_layered
+
+            values, error = evaluate_layered(lobe, wi_array, wo_array, samples=samples or DEFAULT_SAMPLES, seed=seed)
+            variance = error**2 if variance is None else variance + error**2
+            total = total + values
+        else:
+            total = total + lobe.evaluate(wi_array, wo_array, uv_array)
+    return total, None if variance is None else np.sqrt(variance)
+
+
+def spectrum(
+    thing: Material | str | Path,
+    angles_deg: ArrayLike = 0.0,
+    wavelengths_nm: ArrayLike | None = None,
+    polarisation: str = "both",
+) -> Any:
+    """Return reflectance and transmittance of a material as a `Spectrum`, each part `[angle, wavelength]`.
+
+    Raises:
+        NacreError: the recipe is wrong, or an optical constant is not known at a wavelength.
+    """
+    from nacre.recipe import load
+
+    material = load(thing) if isinstance(thing, str | Path) else thing
+    return material.spectrum(np.radians(np.atleast_1d(angles_deg)), wavelengths_nm, polarisation)

@@ -1,0 +1,152 @@
+"""Options that commands share, and the small languages in which people write lists and sizes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.errors import NacreError
+
+F = TypeVar("F", bound=Callable[..., Any])
+MAX_LIST = 100_000
+
+
+def numbers(text: str, option: str) -> NDArray[np.float64]:
+    """Read `0,30,60` or `380:780:5` (both ends included) or a mixture of both.
+
+    Raises:
+        NacreError: naming the option, the text and the form.
+
+    Example: `numbers("0,10:30:10", "--angles-deg")` is [0, 10, 20, 30].
+    """
+    values: list[float] = []
+    for part in text.split(","):
+        try:
+            fields = [float(f) for f in part.split(":")]
+        except ValueError:
+            raise NacreError(f'{option} = "{text}" cannot be read; write numbers like 0,30,60 or a:b:step') from None
+        if not all(np.isfinite(fields)):
+            raise NacreError(f'{option} = "{text}" holds a number that is not finite')
+        if len(fields) == 1:
+            values.append(fields[0])
+        elif len(fields) == 3 and fields[2] > 0 and fields[1] >= fields[0]:
+            count = int((fields[1] - fields[0]) / fields[2] + 1e-9) + 1
+            if count > MAX_LIST:
+                raise NacreError(f'{option} = "{text}" asks for {count} values; at most {MAX_LIST} are allowed')
+            values += list(fields[0] + fields[2] * np.arange(count))
+        else:
+            raise NacreError(f'{option} = "{text}" cannot be read; a range is start:end:step with a step above 0')
+    return np.array(values)
+
+
+def wavelengths(text: str | None) -> NDArray[np.float64] | None:
+    """Read `--wavelengths-nm`; None leaves the choice to the material.
+
+    Raises:
+        NacreError: not positive or not ascending.
+    """
+    if text is None:
+        return None
+    grid = numbers(text, "--wavelengths-nm")
+    if grid[0] <= 0 or np.any(np.diff(grid) <= 0):
+        raise NacreError(f'--wavelengths-nm = "{text}" must be positive and ascending')
+    return grid
+
+
+def angles(text: str) -> NDArray[np.float64]:
+    """Read `--angles-deg`, in the ambient medium.
+
+    Raises:
+        NacreError: outside [0, 90] degrees.
+    """
+    grid = numbers(text, "--angles-deg")
+    if grid.min() < 0 or grid.max() > 90:
+        raise NacreError(f'--angles-deg = "{text}" must lie in [0, 90]')
+    return grid
+
+
+def size(text: str) -> tuple[int, int]:
+    """Read `--size WxH`.
+
+    Raises:
+        NacreError: not two positive numbers, or more than 16384 pixels on a side.
+    """
+    parts = text.lower().replace("×", "x").split("x")
+    if len(parts) == 1:
+        parts = parts * 2
+    if len(parts) != 2 or not all(p.isascii() and p.isdigit() for p in parts):
+        raise NacreError(f'--size = "{text}" cannot be read; write it like 512x512')
+    width, height = int(parts[0]), int(parts[1])
+    if not (1 <= width <= 16384 and 1 <= height <= 16384):
+        raise NacreError(f'--size = "{text}" must lie between 1x1 and 16384x16384')
+    return width, height
+
+
+def set_jobs(jobs: int | None) -> None:
+    """Limit the threads of every numeric library; must run before they are imported."""
+    if jobs is None:
+        return
+    if jobs < 1:
+        raise NacreError(f"--jobs = {jobs} must be at least 1")
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NACRE_JOBS"):
+        os.environ[name] = str(jobs)
+    os.environ["NUMBA_NUM_THREADS"] = str(min(jobs, os.cpu_count() or 1))
+
+
+def _jobs_callback(ctx: click.Context, param: click.Parameter, value: int | None) -> None:
+    set_jobs(value)
+
+
+def jobs_option(function: F) -> F:
+    """Add `--jobs N`, which takes effect before anything heavy is imported."""
+    return click.option(
+        "--jobs", type=int, metavar="N", is_eager=True, expose_value=False, callback=_jobs_callback,
+        help="Threads to use; default: all cores.",
+    )(function)  # fmt: skip
+
+
+def set_option(function: F) -> F:
+    """Add `--set PATH=VALUE`, which changes a number of the recipe for this run."""
+    return click.option(
+        "--set", "changes", multiple=True, metavar="PATH=VALUE",
+        help="Change one value of the recipe, such as layers[0].thickness_nm=420. May be repeated.",
+    )(function)  # fmt: skip
+
+
+def load_material(recipe: str, changes: tuple[str, ...] = ()) -> Any:
+    """Load a recipe, a .nacre file or a design folder, and apply `--set` changes.
+
+    Raises:
+        NacreError: as `nacre.load`, or a change that cannot be read.
+    """
+    from nacre.recipe import load
+
+    material = load(recipe)
+    return material.vary(dict(parse_change(change) for change in changes)) if changes else material
+
+
+def parse_change(text: str) -> tuple[str, Any]:
+    """Split `PATH=VALUE`; the value is read as TOML, and as a plain string where that fails.
+
+    Raises:
+        NacreError: no equals sign.
+    """
+    import tomllib
+
+    path, equals, value = text.partition("=")
+    if not equals or not path.strip():
+        raise NacreError(f'--set "{text}" cannot be read; write it like layers[0].thickness_nm=420')
+    try:
+        return path.strip(), tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return path.strip(), value.strip()
+
+
+def note(message: str) -> None:
+    """Say something to the person; machine-readable output keeps stdout for itself."""
+    click.echo(message, err=True)

@@ -1,0 +1,86 @@
+"""Commands about the machine and the data: `nacre doctor`, `nacre indices`."""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+from nacre.cli.common import jobs_option
+
+
+@click.command()
+@click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
+@jobs_option
+def doctor(as_json: bool) -> None:
+    """Say what works on this machine and what to do if something does not."""
+    from nacre.doctor import examine
+
+    findings = examine()
+    if as_json:
+        click.echo(json.dumps([finding.__dict__ for finding in findings], indent=2))
+        return
+    width = max(len(finding.what) for finding in findings)
+    for finding in findings:
+        mark = {"ok": "ok  ", "note": "note", "bad": "BAD "}[finding.state]
+        click.echo(f"{mark}  {finding.what.ljust(width)}  {finding.found}")
+        if finding.advice:
+            click.echo(f"      {''.ljust(width)}  -> {finding.advice}")
+    bad = [finding for finding in findings if finding.state == "bad"]
+    click.echo("everything works" if not bad else f"{len(bad)} thing{'s' * (len(bad) > 1)} to mend, see above")
+
+
+@click.group()
+def indices() -> None:
+    """Search and show optical constants."""
+
+
+@indices.command("search")
+@click.argument("text")
+@click.option("--limit", type=click.IntRange(1, 1000), default=20, show_default=True)
+def indices_search(text: str, limit: int) -> None:
+    """List the materials whose name or database entry contains TEXT."""
+    from nacre.matter import indices as library
+
+    found = library.search(text)
+    for name, description in found[:limit]:
+        click.echo(f"{name:36s} {description}")
+    if len(found) > limit:
+        click.echo(f"... and {len(found) - limit} more; use --limit", err=True)
+    if not found:
+        click.echo(f'nothing is called "{text}"', err=True)
+
+
+@indices.command("show")
+@click.argument("name")
+@click.option("-o", "output", metavar="FILE", help="Also draw n and k to FILE (.png or .pdf).")
+@click.option("--json", "as_json", is_flag=True, help="Print the values as JSON.")
+def indices_show(name: str, output: str | None, as_json: bool) -> None:
+    """Show where an optical constant comes from, its range and its values."""
+    import numpy as np
+
+    from nacre.matter import indices as library
+
+    constant = library.index(name)
+    low, high = constant.range_nm
+    grid = (
+        np.linspace(max(low, 360.0), min(high, 830.0), 11) if low < 830 and high > 360 else np.linspace(low, high, 11)
+    )
+    values = constant.n_complex(grid)
+    if as_json:
+        click.echo(json.dumps({
+            "name": name, "source": constant.source, "range_nm": [low, high],
+            "wavelengths_nm": grid.tolist(), "n": values.real.tolist(), "k": values.imag.tolist(),
+        }))  # fmt: skip
+    else:
+        click.echo(f"{name}: {constant.source}\nrange: {low:g} to {high:g} nm\n\n  nm        n         k")
+        for wavelength, value in zip(grid, values, strict=True):
+            click.echo(f"{wavelength:6.1f}  {value.real:8.4f}  {value.imag:8.4f}")
+    if output:
+        from nacre import plot
+
+        plot.save_index(constant, output, title=name)
+        click.echo(output, err=True)
+
+
+commands = {"doctor": doctor, "indices": indices}

@@ -1,0 +1,189 @@
+"""Commands that answer with numbers or a figure: spectrum, evaluate, plot, compile."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from nacre.cli import common
+from nacre.errors import NacreError, UnsupportedError
+
+PLOT_KINDS = (
+    "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity",
+    "field", "scattering", "structure", "platelet", "microscope",
+)  # fmt: skip
+
+
+@click.command()
+@click.argument("recipe")
+@click.option("--angles-deg", default="0", show_default=True, help="Incidence, such as 0,30,60 or 0:80:5.")
+@click.option("--wavelengths-nm", default=None, help="Such as 380:780:5; default: chosen by the material.")
+@click.option("--polarisation", type=click.Choice(["s", "p", "both"]), default="both", show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON to stdout.")
+@click.option("-o", "output", metavar="FILE.csv", help="Write CSV (or JSON, by the suffix) to a file.")
+@common.set_option
+@common.jobs_option
+def spectrum(
+    recipe: str, angles_deg: str, wavelengths_nm: str | None, polarisation: str, as_json: bool, output: str | None,
+    changes: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Print reflectance and transmittance of RECIPE over angle and wavelength."""
+    from nacre.files import check_writable, write_text
+
+    if output:
+        if Path(output).suffix not in (".csv", ".json"):
+            raise NacreError(f"-o {output}: the suffix must be .csv or .json")
+        check_writable(output)
+    angles = common.angles(angles_deg)
+    grid = common.wavelengths(wavelengths_nm)
+    material = common.load_material(recipe, changes)
+    result = material.spectrum(np.radians(angles), grid, polarisation)
+    parts = result.parts()
+    document: dict[str, Any] = {
+        "wavelengths_nm": result.wavelengths_nm.tolist(),
+        "angles_deg": angles.tolist(),
+        "polarisation": polarisation,
+        **{name: value.tolist() for name, value in parts.items()},
+    }
+    document["provenance"] = _provenance(material)
+    text_csv = _csv(result.wavelengths_nm, angles, parts)
+    if output:
+        write_text(output, text_csv if output.endswith(".csv") else json.dumps(document) + "\n")
+        common.note(output)
+    if as_json:
+        click.echo(json.dumps(document))
+    elif not output:
+        click.echo(text_csv, nl=False)
+
+
+def _csv(wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np.ndarray]) -> str:
+    lines = ["wavelength_nm,angle_deg," + ",".join(parts)]
+    for a, angle in enumerate(angles_deg):
+        for w, wavelength in enumerate(wavelengths_nm):
+            row = [f"{wavelength:.6g}", f"{angle:.6g}", *(f"{value[a, w]:.9g}" for value in parts.values())]
+            lines.append(",".join(row))
+    return "\n".join(lines) + "\n"
+
+
+def _provenance(material: Any) -> dict[str, Any]:
+    from nacre._version import __version__
+
+    return {"nacre": __version__, "source": Path(material.context.source).name, "recipe": material.context.text}
+
+
+@click.command()
+@click.argument("recipe")
+@click.option("--directions", required=True, metavar="DIRS.npz", help="Arrays wi[N,3] and wo[N,3].")
+@click.option("--wavelengths-nm", default=None, help="Such as 380:780:5; default: chosen by the material.")
+@click.option(
+    "--samples", type=click.IntRange(1, 10**8), default=None, help="Paths a direction pair (stochastic lobes)."
+)
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
+@click.option("-o", "output", required=True, metavar="VALUES.npz")
+@common.set_option
+@common.jobs_option
+def evaluate(
+    recipe: str, directions: str, wavelengths_nm: str | None, samples: int | None, seed: int, output: str,
+    changes: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Evaluate the BSDF of RECIPE for given directions (the non-delta part, 1/sr, without the cosine)."""
+    from nacre.api import evaluate_with_error
+    from nacre.files import atomic_path, check_writable
+
+    if Path(output).suffix != ".npz":
+        raise NacreError(f"-o {output}: the suffix must be .npz")
+    check_writable(output)
+    wi, wo, uv = _read_directions(directions)
+    grid = common.wavelengths(wavelengths_nm)
+    material = common.load_material(recipe, changes)
+    bsdf = material.bsdf(grid)
+    values, error = evaluate_with_error(bsdf, wi, wo, uv=uv, samples=samples, seed=seed)
+    arrays: dict[str, Any] = {"f": values, "wavelengths_nm": bsdf.wavelengths_nm}
+    if error is not None:
+        arrays["f_std"] = error
+    arrays["provenance"] = np.array(json.dumps({**_provenance(material), "seed": seed}))
+    with atomic_path(output) as temporary, open(temporary, "wb") as file:
+        np.savez(file, **arrays)
+    common.note(output)
+
+
+def _read_directions(path: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            arrays = {name: np.asarray(data[name], dtype=float) for name in ("wi", "wo", "uv") if name in data}
+    except FileNotFoundError:
+        raise NacreError(f"{path}: does not exist") from None
+    except Exception as error:
+        raise NacreError(f"{path}: is not an .npz file of numbers ({type(error).__name__})") from None
+    for name in ("wi", "wo"):
+        if name not in arrays:
+            raise NacreError(f"{path}: the array {name}[N,3] is missing")
+        array = arrays[name]
+        if array.ndim != 2 or array.shape[1] != 3:
+            raise NacreError(f"{path}: {name} has shape {list(array.shape)}; it should be [N, 3]")
+        norm = np.linalg.norm(array, axis=1)
+        if not np.all(np.isfinite(array)) or np.any(np.abs(norm - 1) > 1e-3):
+            raise NacreError(f"{path}: {name} must hold unit vectors")
+        arrays[name] = array / norm[:, None]
+    if arrays["wi"].shape != arrays["wo"].shape:
+        raise NacreError(f"{path}: wi has {len(arrays['wi'])} rows and wo has {len(arrays['wo'])}; they must agree")
+    uv = arrays.get("uv")
+    if uv is not None and uv.shape != (len(arrays["wi"]), 2):
+        raise NacreError(f"{path}: uv has shape {list(uv.shape)}; it should be [{len(arrays['wi'])}, 2]")
+    return arrays["wi"], arrays["wo"], uv
+
+
+@click.command()
+@click.argument("recipe")
+@click.option("--kind", required=True, type=click.Choice(PLOT_KINDS))
+@click.option("--angles-deg", default=None, help="Incidence, such as 0,30,60; the default depends on the kind.")
+@click.option("--wavelengths-nm", default=None, help="Such as 380:780:5; default: chosen by the material.")
+@click.option("--illuminant", default="D65", show_default=True)
+@click.option("-o", "output", default=None, metavar="FILE.png|.pdf", help="Default: RECIPE-KIND.png.")
+@common.set_option
+@common.jobs_option
+def plot(
+    recipe: str, kind: str, angles_deg: str | None, wavelengths_nm: str | None, illuminant: str, output: str | None,
+    changes: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Draw a figure of RECIPE, fit for a paper."""
+    from nacre.api import plot_material
+    from nacre.files import check_writable
+
+    path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}-{kind}.png")
+    if path.suffix not in (".png", ".pdf", ".svg"):
+        raise NacreError(f"-o {path}: the suffix must be .png, .pdf or .svg")
+    check_writable(path)
+    angles = None if angles_deg is None else common.angles(angles_deg)
+    grid = common.wavelengths(wavelengths_nm)
+    material = common.load_material(recipe, changes)
+    plot_material(material, kind, path, angles_deg=angles, wavelengths_nm=grid, illuminant=illuminant)
+    common.note(str(path))
+
+
+@click.command(name="compile")
+@click.argument("recipe")
+@click.option("--wavelengths-nm", default=None, help="Such as 380:780:5; default: chosen by the material.")
+@click.option("-o", "output", default=None, metavar="FILE.nacre", help="Default: beside the current folder's name.")
+@common.set_option
+@common.jobs_option
+def compile_(recipe: str, wavelengths_nm: str | None, output: str | None, changes: tuple[str, ...]) -> None:
+    """Solve RECIPE once and store the answer, to be rendered many times."""
+    from nacre.files import check_writable
+
+    path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}.nacre")
+    if path.suffix != ".nacre":
+        raise NacreError(f"-o {path}: the suffix must be .nacre")
+    check_writable(path)
+    if path.exists() and Path(recipe).exists() and path.samefile(recipe):
+        raise UnsupportedError(f"{recipe}: is compiled already")
+    material = common.load_material(recipe, changes)
+    material.bsdf(common.wavelengths(wavelengths_nm)).save(path)
+    common.note(str(path))
+
+
+commands = {"spectrum": spectrum, "evaluate": evaluate, "plot": plot, "compile": compile_}
