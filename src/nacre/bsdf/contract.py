@@ -57,11 +57,25 @@ def lobe_class(kind: str) -> type[Lobe]:
 
 @dataclass(frozen=True)
 class ParameterAxis:
-    """One material number that varies over the surface: its tabulated values and the texture that drives it."""
+    """One material number that varies over the surface: its tabulated values and the texture that drives it.
+
+    Attributes:
+        name: what varies, as users know it, such as "layers[0].thickness_nm".
+        values: `[node]`, ascending and uniform; tables are interpolated linearly between them.
+        texture: gives the number at uv, within [values[0], values[-1]].
+    """
 
     name: str
     values: Array
     texture: Texture
+
+    def coordinate(self, value: Array) -> Array:
+        """Return the node coordinate of `value`: 0 at the first node, clamped to the axis."""
+        first, last = float(self.values[0]), float(self.values[-1])
+        if last <= first:
+            return np.zeros_like(np.asarray(value, dtype=float))
+        unit = (np.asarray(value, dtype=float) - first) / (last - first)
+        return np.clip(unit, 0.0, 1.0) * (len(self.values) - 1)
 
 
 @dataclass(frozen=True)
@@ -76,7 +90,8 @@ class Lobe(abc.ABC):
     """One term of a Bsdf: a frozen dataclass of arrays, strings and numbers.
 
     Subclasses are dataclasses decorated with `register_lobe`; every field is an ndarray, a number, a bool, a
-    string, None, or a tuple of `ParameterAxis`, so that one generic writer stores them all.
+    string, None, a `Texture`, a tuple of `ParameterAxis` or a frozen dataclass of such fields, so that one generic
+    writer (`nacre.bsdf.file`) stores them all.
     """
 
     kind: ClassVar[str]
@@ -90,6 +105,11 @@ class Lobe(abc.ABC):
     @property
     def transmits(self) -> bool:
         """Whether light passes to the other side."""
+        return False
+
+    @property
+    def is_stochastic(self) -> bool:
+        """Whether values come from a random walk on the renderer's side (the layered lobe)."""
         return False
 
     @property

@@ -1,13 +1,14 @@
 """Reflectance and transmittance of an interface as smooth tables over angle, from both sides.
 
-Both sides are tabulated over the cosine OUTSIDE (in the ambient medium): by the inside cosine the square-root
-kink at the critical angle costs up to 655 %. Beyond the critical angle no real outside cosine exists; there
-the signed coordinate `-sqrt(sin_o^2 - 1)`, with `sin_o = eta sin_inside > 1`, continues the axis smoothly.
+Both sides are tabulated over the cosine in the RARER medium, called outside: by the cosine in the denser one
+the square-root kink at the critical angle costs up to 655 %. Beyond the critical angle no real outside cosine
+exists; there `x = (2/pi) acos(cos_inside / cos_critical)` in [0, 1] takes over, smooth at both of its ends.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,18 +22,24 @@ Array = NDArray[np.float64]
 class InterfaceResponse:
     """Power tables of one interface; leading axes are the parameter axes, if any.
 
+    All axes have uniform nodes that include both ends, and are interpolated linearly.
+
     Attributes:
         wavelengths_nm: `[wavelength]`, ascending.
-        cos_outside: `[cos]`, ascending nodes in [0, 1] (node 0 at 0, last at 1), uniform.
-        reflectance: `[*params, cos, wavelength]`, light from the ambient, unpolarised power.
-        transmittance: same shape, power into the substrate (zeros for an opaque one).
-        reflectance_inside: same shape, light from the substrate at the conjugate angle.
-        total: `[*params, kappa, wavelength]`, reflectance from the substrate beyond the critical angle, at
-            uniform nodes of `sqrt(sin_o^2 - 1)` in [0, sqrt(eta_max^2 - 1)]; empty axis if eta <= 1.
-        eta: one relative index n_substrate/n_ambient that bends all directions (dispersion of the bending
-            is left out: it would split rays); 1 for a free film.
+        cos_outside: `[cos]`, ascending uniform nodes from 0 to 1.
+        reflectance: `[*params, cos, wavelength]`, light from outside, unpolarised power.
+        transmittance: same shape, power to the other side (the same from either side at conjugate angles);
+            zeros for an opaque interface.
+        reflectance_inside: same shape, light from inside at the conjugate angle; zeros if nothing comes from there.
+        total: `[*params, x, wavelength]`, reflectance from inside beyond the critical angle, uniform nodes of
+            `x = (2/pi) acos(cos_inside / cos_critical)` from 0 (critical) to 1 (grazing); its `x` axis is empty
+            where eta = 1.
+        eta: n_inside/n_outside >= 1, one number that bends all directions (dispersion of the bending is left
+            out: it would split rays); 1 for a free film.
         transmits: whether light passes to the other side.
-        parameters: the axes that textures drive.
+        flipped: False: outside is the side of +z (the ambient); True: the ambient is the denser medium, so
+            outside is the side of -z. A user of the tables negates the z of all directions first if True.
+        parameters: the axes that textures drive, in the order of the leading axes.
     """
 
     wavelengths_nm: Array
@@ -43,4 +50,111 @@ class InterfaceResponse:
     total: Array
     eta: float
     transmits: bool
+    flipped: bool = False
     parameters: tuple[ParameterAxis, ...] = ()
+
+    @property
+    def cos_critical(self) -> float:
+        """Cosine of the critical angle inside; 0 for a free film."""
+        return float(np.sqrt(max(0.0, 1.0 - 1.0 / self.eta**2)))
+
+    def outside_cosine(self, cos_inside: Array) -> Array:
+        """Return the conjugate cosine outside; 0 beyond the critical angle."""
+        return np.sqrt(np.maximum(0.0, 1.0 - self.eta**2 * (1.0 - np.square(cos_inside))))
+
+    def inside_cosine(self, cos_outside: Array) -> Array:
+        """Return the conjugate cosine inside."""
+        return np.sqrt(1.0 - (1.0 - np.square(cos_outside)) / self.eta**2)
+
+    def lookup(self, cos: Array, inside: NDArray[np.bool_], uv: Array | None = None) -> tuple[Array, Array]:
+        """Interpolate reflectance and transmittance for light at `cos` (> 0) in its own medium.
+
+        Args:
+            cos: `[...]` cosine between the light and the (micro-)normal, in the medium where the light is.
+            inside: `[...]` whether that is the inside.
+            uv: `[..., 2]`, needed only where a texture drives a parameter.
+
+        Returns:
+            `(R, T)`, each `[..., wavelength]`.
+        """
+        cos, inside = np.broadcast_arrays(np.clip(np.abs(cos), 0.0, 1.0), inside)
+        coords = parameter_coordinates(self.parameters, uv, cos.shape)
+        outer = np.where(inside, self.outside_cosine(cos), cos)
+        at = (*coords, outer * (len(self.cos_outside) - 1))
+        transmitted = interpolate(self.transmittance, at)
+        reflected = interpolate(self.reflectance, at)
+        if np.any(inside):
+            behind = interpolate(self.reflectance_inside, at)
+            if self.eta > 1.0:
+                x = 2.0 / np.pi * np.arccos(np.clip(cos / self.cos_critical, 0.0, 1.0))
+                beyond = interpolate(self.total, (*coords, x * (self.total.shape[-2] - 1)))
+                is_total = (inside & (cos < self.cos_critical))[..., None]
+                behind = np.where(is_total, beyond, behind)
+                transmitted = np.where(is_total, 0.0, transmitted)
+            reflected = np.where(inside[..., None], behind, reflected)
+        return reflected, transmitted
+
+    @cached_property
+    def hemispherical(self) -> tuple[Array, Array, Array, Array]:
+        """Cosine-weighted means `(R, T)` from outside and `(R, T)` from inside, each `[*params, wavelength]`."""
+        nodes, weights = np.polynomial.legendre.leggauss(64)
+        cos, weights = 0.5 * (nodes + 1), weights * 0.5
+        outside = [
+            np.einsum("c,...cl->...l", 2 * weights * cos, _take(table, cos, -2))
+            for table in (self.reflectance, self.transmittance)
+        ]
+        # mu_in dmu_in = mu_out dmu_out / eta^2 below the critical angle
+        inside = [
+            np.einsum("c,...cl->...l", 2 * weights * cos, _take(table, cos, -2)) / self.eta**2
+            for table in (self.reflectance_inside, self.transmittance)
+        ]
+        if self.eta > 1.0:
+            mu = cos * self.cos_critical
+            beyond = _take(self.total, 2.0 / np.pi * np.arccos(cos), -2)
+            inside[0] = inside[0] + np.einsum("c,...cl->...l", 2 * weights * mu * self.cos_critical, beyond)
+        return outside[0], outside[1], inside[0], inside[1]
+
+
+def _take(table: Array, unit: Array, axis: int) -> Array:
+    """Interpolate linearly along one axis whose nodes are uniform on [0, 1]."""
+    position = np.clip(unit, 0.0, 1.0) * (table.shape[axis] - 1)
+    low = np.minimum(position.astype(int), max(table.shape[axis] - 2, 0))
+    fraction = (position - low)[:, None]
+    high = np.minimum(low + 1, table.shape[axis] - 1)
+    return np.asarray(np.take(table, low, axis) * (1 - fraction) + np.take(table, high, axis) * fraction)
+
+
+def parameter_coordinates(
+    parameters: tuple[ParameterAxis, ...], uv: Array | None, shape: tuple[int, ...]
+) -> tuple[Array, ...]:
+    """Return, for each parameter, the node coordinate (0 at the first value) at `uv`, broadcast to `shape`.
+
+    Without `uv` the texture is read at the middle of the surface, (0.5, 0.5).
+    """
+    if not parameters:
+        return ()
+    where = np.full((*shape, 2), 0.5) if uv is None else np.broadcast_to(np.asarray(uv, dtype=float), (*shape, 2))
+    return tuple(axis.coordinate(axis.texture(where)) for axis in parameters)
+
+
+def interpolate(table: Array, coordinates: tuple[Array, ...]) -> Array:
+    """Interpolate multilinearly over the leading axes of `table`, at node coordinates of equal shape `[...]`.
+
+    Coordinates are clamped to the axis; the trailing axis (wavelength) is kept: `[..., wavelength]`.
+    """
+    sizes = table.shape[: len(coordinates)]
+    lows, fractions = [], []
+    for coordinate, size in zip(coordinates, sizes, strict=True):
+        clamped = np.clip(coordinate, 0.0, size - 1.0)
+        low = np.minimum(clamped.astype(np.intp), max(size - 2, 0))
+        lows.append(low)
+        fractions.append(clamped - low)
+    total = np.zeros((*np.shape(coordinates[0]), *table.shape[len(coordinates) :]))
+    for corner in range(2 ** len(coordinates)):
+        index, weight = [], np.ones(np.shape(coordinates[0]))
+        for axis, size in enumerate(sizes):
+            up = (corner >> axis) & 1
+            index.append(np.minimum(lows[axis] + up, size - 1))
+            weight = weight * (fractions[axis] if up else 1.0 - fractions[axis])
+        total += weight[..., None] * table[tuple(index)]
+    return total

@@ -1,0 +1,139 @@
+"""Distributions of microfacet normals and their masking: GGX, Beckmann, Blinn, Ashikhmin-Shirley.
+
+Widths are alpha_x, alpha_y for all four; the exponents of Blinn and Ashikhmin-Shirley follow as
+e = 2/alpha^2 - 2. Directions are in a frame whose x axis is that of alpha_x. Sources: Walter et al. 2007
+(GGX, Beckmann, refraction), Blinn 1977 with Torrance-Sparrow V-cavities, Ashikhmin & Shirley 2000, Heitz 2014.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+DISTRIBUTIONS = ("ggx", "beckmann", "blinn", "ashikhmin-shirley")
+TINY = 1e-30
+
+
+def exponent_from_alpha(alpha: Array | float) -> Array | float:
+    """Return the exponent e = 2/alpha^2 - 2 of a cosine lobe as wide as a Beckmann one of `alpha`."""
+    return 2.0 / np.square(alpha) - 2.0
+
+
+def alpha_from_exponent(exponent: float) -> float:
+    """Return alpha = sqrt(2/(e + 2))."""
+    return float(np.sqrt(2.0 / (exponent + 2.0)))
+
+
+def normal_density(distribution: str, m: Array, alpha_x: Array | float, alpha_y: Array | float) -> Array:
+    """Return D(m), `[...]`, for unit normals `m` of shape `[..., 3]`; zero for m_z <= 0.
+
+    GGX, Beckmann and Blinn are normalised so that the integral of D m_z is 1; Ashikhmin-Shirley, as in its
+    source, so that the integral of D is 1: constant sqrt((ex+1)(ey+1))/2pi in place of sqrt((ex+2)(ey+2))/2pi.
+    """
+    z = np.maximum(m[..., 2], 1e-12)
+    slope2 = np.square(m[..., 0] / alpha_x) + np.square(m[..., 1] / alpha_y)
+    with np.errstate(under="ignore", over="ignore"):
+        if distribution == "ggx":
+            value = 1.0 / (np.pi * alpha_x * alpha_y * np.square(slope2 + np.square(z)))
+        elif distribution == "beckmann":
+            value = np.exp(-slope2 / np.square(z)) / (np.pi * alpha_x * alpha_y * z**4)
+        else:
+            ex, ey = exponent_from_alpha(alpha_x), exponent_from_alpha(alpha_y)
+            flat = np.maximum(np.square(m[..., 0]) + np.square(m[..., 1]), TINY)
+            power = (ex * np.square(m[..., 0]) + ey * np.square(m[..., 1])) / flat
+            add = 2.0 if distribution == "blinn" else 1.0
+            value = np.sqrt((ex + add) * (ey + add)) / (2.0 * np.pi) * np.power(z, power)
+    return np.where(m[..., 2] > 0, value, 0.0)
+
+
+def smith_masking(distribution: str, w: Array, alpha_x: Array | float, alpha_y: Array | float) -> Array:
+    """Return Smith's G1 of GGX (exact) or Beckmann (rational fit of Walter et al., error under 0.35 %), `[...]`."""
+    flat2 = np.square(alpha_x * w[..., 0]) + np.square(alpha_y * w[..., 1])
+    tan2 = flat2 / np.maximum(np.square(w[..., 2]), TINY)
+    if distribution == "ggx":
+        return np.asarray(2.0 / (1.0 + np.sqrt(1.0 + tan2)))
+    a = 1.0 / np.sqrt(np.maximum(tan2, TINY))
+    fit = (3.535 * a + 2.181 * a * a) / (1.0 + 2.276 * a + 2.577 * a * a)
+    return np.where(a >= 1.6, 1.0, np.minimum(fit, 1.0))
+
+
+def masking(distribution: str, wi: Array, wo: Array, m: Array, alpha_x: Array | float, alpha_y: Array | float) -> Array:
+    """Return G(wi, wo, m), `[...]`, symmetric in `wi` and `wo`; zero where a direction sees the back of `m`.
+
+    GGX, Beckmann: Smith, separable, G1(wi) G1(wo). Blinn: V-cavities, min(1, 2 m_z |cos_i|/|wi.m|,
+    2 m_z |cos_o|/|wo.m|). Ashikhmin-Shirley: min(|cos_i|/|wi.m|, |cos_o|/|wo.m|), which for reflection is the
+    1/max(cos_i, cos_o) of the source and carries over to refraction without gaining energy.
+    """
+    i_m, o_m = np.sum(wi * m, axis=-1), np.sum(wo * m, axis=-1)
+    cos_i, cos_o = wi[..., 2], wo[..., 2]
+    if distribution in ("ggx", "beckmann"):
+        value = smith_masking(distribution, wi, alpha_x, alpha_y) * smith_masking(distribution, wo, alpha_x, alpha_y)
+    else:
+        ratio_i = np.abs(cos_i) / np.maximum(np.abs(i_m), TINY)
+        ratio_o = np.abs(cos_o) / np.maximum(np.abs(o_m), TINY)
+        value = np.minimum(ratio_i, ratio_o)
+        if distribution == "blinn":
+            value = np.minimum(1.0, 2.0 * m[..., 2] * value)
+    return np.where((i_m * cos_i > 0) & (o_m * cos_o > 0), value, 0.0)
+
+
+def visible_normals(
+    distribution: str, w: Array, alpha_x: float, alpha_y: float, nodes: int = 64
+) -> tuple[Array, Array]:
+    """Return a quadrature over the facets that one direction sees.
+
+    A facet seen from `w` counts D(m) g(w, m) |w.m| / |w_z| with g the distribution's single-sided masking,
+    so the weights sum to 1 (Smith, V-cavities), or to the visible part of it (Ashikhmin-Shirley, whose facets
+    are drawn from D alone).
+
+    Args:
+        w: one unit direction `[3]`, z > 0.
+        nodes: points along each of two coordinates.
+
+    Returns:
+        `(m, weight)`: `[nodes^2, 3]`, `[nodes^2]`.
+    """
+    # polar nodes follow the distribution's own quantiles, so that narrow lobes are resolved as well as wide ones
+    radial, radial_weight = np.polynomial.legendre.leggauss(nodes)
+    xi, dxi = 0.5 * (radial + 1.0), 0.5 * radial_weight
+    xi, dxi = xi * xi * (3 - 2 * xi), dxi * 6 * xi * (1 - xi)  # cluster at both ends: the tail is long
+    phi: Array = (np.arange(nodes, dtype=np.float64) + 0.5) * (2.0 * np.pi / nodes)
+    alpha2 = 1.0 / (np.square(np.cos(phi) / alpha_x) + np.square(np.sin(phi) / alpha_y))
+    if distribution == "ggx":
+        tan2 = alpha2[:, None] * xi / np.maximum(1.0 - xi, TINY)
+        cos = 1.0 / np.sqrt(1.0 + tan2)
+    elif distribution == "beckmann":
+        cos = 1.0 / np.sqrt(1.0 - alpha2[:, None] * np.log(np.maximum(1.0 - xi, TINY)))
+    else:
+        exponent = exponent_from_alpha(alpha_x) * np.cos(phi) ** 2 + exponent_from_alpha(alpha_y) * np.sin(phi) ** 2
+        cos = np.power(np.maximum(1.0 - xi, TINY), 1.0 / (np.asarray(exponent)[:, None] + 2.0))
+    cos = np.broadcast_to(cos, (nodes, nodes))
+    sin = np.sqrt(np.maximum(0.0, 1.0 - cos * cos))
+    m = np.stack([np.cos(phi)[:, None] * sin, np.sin(phi)[:, None] * sin, cos], axis=-1).reshape(-1, 3)
+    # per azimuth xi(cos) is the cumulative distribution of D cos sin, up to the share of the azimuth
+    share = _azimuth_share(distribution, phi, alpha_x, alpha_y)
+    measure = (share[:, None] * dxi[None, :] * (2.0 * np.pi / nodes)).reshape(-1)  # = D m_z dm
+    if distribution == "ashikhmin-shirley":
+        add = np.asarray(exponent_from_alpha(alpha_x)), np.asarray(exponent_from_alpha(alpha_y))
+        measure = measure * float(np.sqrt((add[0] + 1) * (add[1] + 1) / ((add[0] + 2) * (add[1] + 2))))
+    measure = measure / np.maximum(m[:, 2], 1e-12)
+    w_m = m @ w
+    seen = np.maximum(w_m, 0.0)
+    if distribution in ("ggx", "beckmann"):
+        weight = measure * smith_masking(distribution, w, alpha_x, alpha_y) * seen / w[2]
+    elif distribution == "blinn":
+        weight = measure * np.minimum(seen / w[2], 2.0 * m[:, 2])
+    else:
+        weight = measure * (w_m > 0)
+    return m, weight
+
+
+def _azimuth_share(distribution: str, phi: Array, alpha_x: float, alpha_y: float) -> Array:
+    """Return the density over azimuth of normals weighted by D m_z."""
+    if distribution in ("ggx", "beckmann"):
+        alpha2 = 1.0 / (np.square(np.cos(phi) / alpha_x) + np.square(np.sin(phi) / alpha_y))
+        return np.asarray(alpha2 / (2.0 * np.pi * alpha_x * alpha_y))
+    ex, ey = float(exponent_from_alpha(alpha_x)), float(exponent_from_alpha(alpha_y))
+    exponent = ex * np.cos(phi) ** 2 + ey * np.sin(phi) ** 2
+    return np.asarray(np.sqrt((ex + 2) * (ey + 2)) / (2.0 * np.pi * (exponent + 2.0)))
