@@ -1,1 +1,83 @@
-"""To be filled by its first commit."""
+"""Light: wavelengths, illuminants, and the way from spectra to colours.
+
+Colours are `[..., 3]` arrays. XYZ has Y = 1 for a perfect white under the illuminant; defaults are D65 and
+the CIE 1931 2 degree observer. sRGB outputs of other illuminants are adapted to sRGB's white by Bradford's
+transform unless asked otherwise, so a white sheet stays white under every lamp.
+"""
+
+from nacre.light.adaptation import (
+    ADAPTATIONS,
+    SRGB_WHITE_XYZ,
+    Adaptation,
+    IlluminantShift,
+    adapt_xyz,
+    adaptation_matrix,
+    illuminant_shift,
+    metamerism,
+)
+from nacre.light.difference import delta_e_76, delta_e_2000
+from nacre.light.gamut import Clipped, clip_to_srgb
+from nacre.light.spaces import (
+    lab_to_lch,
+    lab_to_xyz,
+    lch_to_lab,
+    srgb_decode,
+    srgb_encode,
+    srgb_linear_to_xyz,
+    srgb_to_hex,
+    xyy_to_xyz,
+    xyz_to_lab,
+    xyz_to_srgb_linear,
+    xyz_to_xyy,
+)
+from nacre.light.tables import ILLUMINANTS, OBSERVERS, Illuminant, illuminant, observer, table_wavelengths_nm
+from nacre.light.tristimulus import (
+    spectrum_to_rgb_linear,
+    spectrum_to_rgb_matrix,
+    spectrum_to_srgb,
+    spectrum_to_xyz,
+    white_xyz,
+    xyz_weights,
+)
+from nacre.light.wavelengths import WAVELENGTH_RANGE_NM, colour_step_nm, default_wavelengths
+
+__all__ = [
+    "ADAPTATIONS",
+    "ILLUMINANTS",
+    "OBSERVERS",
+    "SRGB_WHITE_XYZ",
+    "WAVELENGTH_RANGE_NM",
+    "Adaptation",
+    "Clipped",
+    "Illuminant",
+    "IlluminantShift",
+    "adapt_xyz",
+    "adaptation_matrix",
+    "clip_to_srgb",
+    "colour_step_nm",
+    "default_wavelengths",
+    "delta_e_76",
+    "delta_e_2000",
+    "illuminant",
+    "illuminant_shift",
+    "lab_to_lch",
+    "lab_to_xyz",
+    "lch_to_lab",
+    "metamerism",
+    "observer",
+    "spectrum_to_rgb_linear",
+    "spectrum_to_rgb_matrix",
+    "spectrum_to_srgb",
+    "spectrum_to_xyz",
+    "srgb_decode",
+    "srgb_encode",
+    "srgb_linear_to_xyz",
+    "srgb_to_hex",
+    "table_wavelengths_nm",
+    "white_xyz",
+    "xyy_to_xyz",
+    "xyz_to_lab",
+    "xyz_to_srgb_linear",
+    "xyz_to_xyy",
+    "xyz_weights",
+]

@@ -1,0 +1,118 @@
+"""Illuminants and observers: the 1 nm tables on which every colour of nacre stands.
+
+The tables ship with the package (`tools/make_light_tables.py` writes them from colour-science) and are read on
+first use.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import resources
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.errors import NacreError, did_you_mean
+
+Array = NDArray[np.float64]
+
+ILLUMINANTS = ("A", "D50", "D65", "E", "F2", "F11", "LED-B3")
+OBSERVERS = ("2deg", "10deg")
+
+
+@dataclass(frozen=True, eq=False)
+class Illuminant:
+    """A light's relative spectral power; unpacks as `wavelengths_nm, power = illuminant("D65")`.
+
+    Attributes:
+        wavelengths_nm: `[wavelength]`, ascending.
+        power: `[wavelength]`, relative power per nanometre, never negative; its scale cancels in every colour.
+        name: how outputs state it.
+    """
+
+    wavelengths_nm: Array
+    power: Array
+    name: str = "custom"
+
+    def __post_init__(self) -> None:
+        wavelengths = np.asarray(self.wavelengths_nm, dtype=float)
+        power = np.asarray(self.power, dtype=float)
+        if wavelengths.ndim != 1 or wavelengths.shape != power.shape or len(wavelengths) < 2:
+            raise NacreError(
+                f"illuminant {self.name}: wavelengths_nm and power must be lists of one length, at least 2; "
+                f"got shapes {wavelengths.shape} and {power.shape}"
+            )
+        if not (np.isfinite(wavelengths).all() and (np.diff(wavelengths) > 0).all()):
+            raise NacreError(f"illuminant {self.name}: wavelengths_nm must ascend")
+        if not (np.isfinite(power).all() and (power >= 0).all() and power.max() > 0):
+            raise NacreError(f"illuminant {self.name}: power must be finite, nowhere negative and somewhere positive")
+        object.__setattr__(self, "wavelengths_nm", wavelengths)
+        object.__setattr__(self, "power", power)
+
+    def __iter__(self) -> Iterator[Array]:
+        return iter((self.wavelengths_nm, self.power))
+
+    def at(self, wavelengths_nm: Array) -> Array:
+        """Return the power at any wavelengths, linear between samples and held beyond the ends."""
+        return np.interp(wavelengths_nm, self.wavelengths_nm, self.power)
+
+
+@functools.cache
+def _tables() -> dict[str, Array]:
+    with resources.files("nacre.light").joinpath("data/cie_1nm.npz").open("rb") as file, np.load(file) as arrays:
+        tables = {name: arrays[name] for name in arrays.files}
+    for table in tables.values():
+        table.setflags(write=False)  # shared by every caller
+    return tables
+
+
+def table_wavelengths_nm() -> Array:
+    """Return the wavelengths of the tables: 360, 361, ..., 830."""
+    return _tables()["wavelengths_nm"]
+
+
+@functools.cache
+def _standard_illuminant(name: str) -> Illuminant:
+    return Illuminant(table_wavelengths_nm(), _tables()[f"illuminant {name}"], name)
+
+
+def illuminant(name: str | Illuminant = "D65") -> Illuminant:
+    """Return a standard illuminant on 360-830 nm in steps of 1 nm; an `Illuminant` passes through.
+
+    Source: CIE 15:2018 (A, D50, D65, E, the fluorescent F2 and F11, the white LED-B3); interpolated to 1 nm
+    with Sprague's formula, the last published value held up to 830 nm.
+
+    Raises:
+        NacreError: no such illuminant.
+
+    Example: `illuminant("D65").at(560.0)` is 100.
+    """
+    if isinstance(name, Illuminant):
+        return name
+    by_lower = {known.lower(): known for known in ILLUMINANTS}
+    key = by_lower.get(str(name).lower())
+    if key is None:
+        raise NacreError(
+            f'illuminant "{name}" is not known.{did_you_mean(str(name), ILLUMINANTS)} '
+            f"Choose from {', '.join(ILLUMINANTS)}"
+        )
+    return _standard_illuminant(key)
+
+
+def observer(name: str = "2deg") -> Array:
+    """Return the colour matching functions `[wavelength, 3]` (x, y, z) on 360-830 nm in steps of 1 nm.
+
+    Source: CIE 1931 standard observer ("2deg") and CIE 1964 standard observer ("10deg"), CIE 15:2018.
+
+    Raises:
+        NacreError: no such observer.
+
+    Example: the y column of "2deg" is 1.0 at 555 nm.
+    """
+    if name not in OBSERVERS:
+        raise NacreError(
+            f'observer "{name}" is not known.{did_you_mean(str(name), OBSERVERS)} Choose from {", ".join(OBSERVERS)}'
+        )
+    return _tables()[f"observer {name}"]

@@ -1,0 +1,199 @@
+"""From spectra to tristimulus values, on any wavelength samples.
+
+A spectrum is taken as piecewise linear between its samples and constant beyond them, and integrated against
+the 1 nm tables. As that is linear in the samples, it is done once per grid: a weight per sample and
+tristimulus value, so a million spectra cost one matrix product.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nacre.errors import NacreError
+from nacre.light.adaptation import SRGB_WHITE_XYZ, Adaptation, adaptation_matrix
+from nacre.light.spaces import XYZ_TO_RGB, srgb_encode
+from nacre.light.tables import Illuminant, illuminant, observer, table_wavelengths_nm
+
+Array = NDArray[np.float64]
+
+# Samples that end inside the visible say nothing about the rest; beyond 400-700 nm less than 1 % of any
+# tristimulus value of a white is left, so holding the end values there is no guess.
+NEEDED_RANGE_NM = (400.0, 700.0)
+GRID_TOLERANCE_NM = 1e-9
+
+
+def check_wavelengths(wavelengths_nm: ArrayLike) -> Array:
+    """Return the wavelengths as an array, or say what is wrong with them.
+
+    Raises:
+        NacreError: not an ascending list of finite, positive numbers that spans 400-700 nm.
+    """
+    wavelengths = np.asarray(wavelengths_nm, dtype=float)
+    if wavelengths.ndim != 1 or len(wavelengths) < 2 or not np.isfinite(wavelengths).all():
+        raise NacreError(f"wavelengths_nm must be a list of at least 2 finite numbers; got shape {wavelengths.shape}")
+    if not (np.diff(wavelengths) > 0).all():
+        raise NacreError("wavelengths_nm must ascend")
+    low, high = NEEDED_RANGE_NM
+    if wavelengths[0] > low or wavelengths[-1] < high:
+        raise NacreError(
+            f"a colour needs samples over {low:g}-{high:g} nm at least; got {wavelengths[0]:g}-{wavelengths[-1]:g} nm"
+        )
+    return wavelengths
+
+
+def _quadrature(wavelengths: Array) -> tuple[Array, Array]:
+    """Return nodes and widths: the table's own 1 nm points, and the samples too where those are finer.
+
+    Samples 1 nm apart or wider add no nodes, so the sum is the CIE's 1 nm summation exactly. Finer samples
+    (thick films) would be skipped by it; with their nodes added the trapezoid sees them all.
+    """
+    table = table_wavelengths_nm()
+    if np.diff(wavelengths).min() >= 1.0 - GRID_TOLERANCE_NM:
+        return table, np.ones_like(table)
+    inside = wavelengths[(wavelengths > table[0]) & (wavelengths < table[-1])]
+    nodes = np.union1d(table, inside)
+    gaps = np.diff(nodes)
+    # half a nanometre beyond each end, as the 1 nm summation has it
+    widths = 0.5 * (np.concatenate([[1.0], gaps]) + np.concatenate([gaps, [1.0]]))
+    return nodes, widths
+
+
+def _interpolation_sum(nodes: Array, weights: Array, wavelengths: Array) -> Array:
+    """Spread weights `[node, 3]` onto the samples: the transpose of linear interpolation, ends held."""
+    right = np.clip(np.searchsorted(wavelengths, nodes, side="right"), 1, len(wavelengths) - 1)
+    left = right - 1
+    share = np.clip((nodes - wavelengths[left]) / (wavelengths[right] - wavelengths[left]), 0.0, 1.0)
+    spread = np.zeros((len(wavelengths), weights.shape[1]))
+    np.add.at(spread, left, weights * (1.0 - share)[:, None])
+    np.add.at(spread, right, weights * share[:, None])
+    return spread
+
+
+@functools.lru_cache(maxsize=64)
+def _standard_weights(samples: bytes, name: str, observer_name: str) -> Array:
+    weights = _weights(np.frombuffer(samples), illuminant(name), observer_name)
+    weights.setflags(write=False)  # shared by every caller
+    return weights
+
+
+def _weights(wavelengths: Array, light: Illuminant, observer_name: str) -> Array:
+    nodes, widths = _quadrature(wavelengths)
+    functions = observer(observer_name)
+    table = table_wavelengths_nm()
+    matching = np.stack([np.interp(nodes, table, functions[:, i]) for i in range(3)], axis=-1)
+    density = (light.at(nodes) * widths)[:, None] * matching
+    return _interpolation_sum(nodes, density / density[:, 1].sum(), wavelengths)
+
+
+def xyz_weights(wavelengths_nm: ArrayLike, illuminant: str | Illuminant = "D65", observer: str = "2deg") -> Array:
+    """Return `[wavelength, 3]` weights with `xyz = values @ weights`; Y is 1 for a perfect white.
+
+    Integrates the linear interpolation of the samples against the 1 nm products of illuminant and colour
+    matching functions over 360-830 nm. With samples 1 nm apart this is the CIE's own summation; samples beyond
+    360-830 nm have no weight; where the samples end earlier, the end value is held (CIE 15:2018, 7.2.3).
+
+    Args:
+        wavelengths_nm: `[wavelength]`, ascending, any spacing, spanning 400-700 nm at least.
+        illuminant: a name of `nacre.light.ILLUMINANTS` or an `Illuminant`.
+        observer: "2deg" or "10deg".
+
+    Raises:
+        NacreError: unusable wavelengths, unknown illuminant or observer.
+
+    Example: the columns of `xyz_weights(numpy.arange(380, 781, 5))` sum to 0.9505, 1, 1.0888, the white of D65.
+    """
+    wavelengths = check_wavelengths(wavelengths_nm)
+    if isinstance(illuminant, Illuminant):
+        return _weights(wavelengths, illuminant, observer)
+    return _standard_weights(np.ascontiguousarray(wavelengths).tobytes(), illuminant, observer)
+
+
+def white_xyz(illuminant: str | Illuminant = "D65", observer: str = "2deg") -> Array:
+    """Return the tristimulus values `[3]` of a perfect white under an illuminant, with Y = 1.
+
+    Example: `white_xyz("A")` is (1.0985, 1, 0.3558).
+    """
+    return xyz_weights(table_wavelengths_nm(), illuminant, observer).sum(axis=0)
+
+
+def spectrum_to_xyz(
+    values: ArrayLike, wavelengths_nm: ArrayLike, illuminant: str | Illuminant = "D65", observer: str = "2deg"
+) -> Array:
+    """Return the tristimulus values `[..., 3]` of reflectances or transmittances `[..., wavelength]`.
+
+    Y is 1 for a perfect white. For a radiance that already holds its light's spectrum, take illuminant "E".
+    Linear in `values`; see `xyz_weights` for the integration.
+
+    Raises:
+        NacreError: unusable wavelengths, unknown illuminant or observer, or lengths that do not match.
+
+    Example: a constant 0.5 gives (0.4752, 0.5, 0.5444) under D65.
+    """
+    return _apply(values, xyz_weights(wavelengths_nm, illuminant, observer))
+
+
+def _apply(values: ArrayLike, matrix: Array) -> Array:
+    spectra = np.asarray(values, dtype=float)
+    if spectra.ndim == 0 or spectra.shape[-1] != len(matrix):
+        raise NacreError(
+            f"the last axis of values must be the wavelength: {len(matrix)} samples, got shape {spectra.shape}"
+        )
+    return spectra @ matrix
+
+
+def spectrum_to_rgb_matrix(
+    wavelengths_nm: ArrayLike,
+    illuminant: str | Illuminant = "D65",
+    observer: str = "2deg",
+    adaptation: Adaptation = "bradford",
+) -> Array:
+    """Return `[wavelength, 3]` with `linear_srgb = values @ matrix`, unclipped.
+
+    The white policy of every sRGB output of nacre is here: an illuminant other than D65 (or the 10 degree
+    observer) is adapted to sRGB's white by Bradford's transform, so a perfect white is (1, 1, 1) under every
+    light, as an eye that has settled to the light sees it. `adaptation="none"` leaves the light's cast in.
+    D65 with the 2 degree observer is sRGB's own white and is never changed.
+
+    Example: each column of the matrix for "A" sums to 1; with `adaptation="none"` they sum to 1.85, 0.83, 0.23.
+    """
+    weights = xyz_weights(wavelengths_nm, illuminant, observer)
+    name = illuminant if isinstance(illuminant, str) else illuminant.name
+    if adaptation != "none" and (name.upper(), observer) == ("D65", "2deg"):
+        return weights @ XYZ_TO_RGB.T
+    adapt = adaptation_matrix(white_xyz(illuminant, observer), SRGB_WHITE_XYZ, adaptation)
+    return weights @ adapt.T @ XYZ_TO_RGB.T
+
+
+def spectrum_to_rgb_linear(
+    values: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    illuminant: str | Illuminant = "D65",
+    observer: str = "2deg",
+    adaptation: Adaptation = "bradford",
+) -> Array:
+    """Return linear sRGB `[..., 3]` of reflectances or transmittances, unclipped; see `spectrum_to_rgb_matrix`."""
+    return _apply(values, spectrum_to_rgb_matrix(wavelengths_nm, illuminant, observer, adaptation))
+
+
+def spectrum_to_srgb(
+    values: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    illuminant: str | Illuminant = "D65",
+    observer: str = "2deg",
+    adaptation: Adaptation = "bradford",
+) -> Array:
+    """Return the displayable, encoded sRGB `[..., 3]` in [0, 1] of reflectances or transmittances.
+
+    Colours outside the gamut are clipped at constant hue and lightness; where their number matters, take
+    `clip_to_srgb(spectrum_to_rgb_linear(...))`, which reports it.
+
+    Example: a constant 0.5 gives (0.735, 0.735, 0.735).
+    """
+    from nacre.light.gamut import clip_to_srgb
+
+    return srgb_encode(
+        clip_to_srgb(spectrum_to_rgb_linear(values, wavelengths_nm, illuminant, observer, adaptation)).rgb
+    )
