@@ -1,1 +1,1 @@
-"""To be filled by its first commit."""
+"""What people do with a material once they can see it: report, fit, tolerance, sweep."""

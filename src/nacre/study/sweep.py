@@ -1,0 +1,295 @@
+"""Sweeps: a material over many values of its numbers, resumable at any moment.
+
+The store is a Zarr group with labelled axes, one chunk a point, that xarray opens. A point is finished when
+its status says so, and the status is written after the values; each write is a rename. So a killed sweep
+keeps every finished point, and the next run computes what is missing and nothing else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre._version import __version__
+from nacre.errors import NacreError, RecipeError
+from nacre.files import parse_toml, read_text
+from nacre.recipe import FAMILIES, Material, load
+from nacre.specs import RecipeContext, RecipeModel, validate
+from nacre.study.measure import PARTS, Measurement
+from nacre.study.points import Points, batches, read_points
+
+MISSING, DONE, FAILED = 0, 1, 2
+BATCH_SECONDS = 0.5  # a batch should be long against its transport and short against a user's patience
+MAX_BATCH = 256
+Progress = Callable[[int, int, int], None]  # done, failed, total
+
+
+class MeasureSpec(RecipeModel):
+    """The `[measure]` table: what is stored of each point."""
+
+    angles_deg: list[float] = [0.0, 15.0, 30.0, 45.0, 60.0]
+    illuminant: str = "D65"
+    observer: str = "2deg"
+    wavelengths_nm: list[float] | None = None
+    parts: list[str] | None = None
+
+
+class SweepSpec(RecipeModel):
+    """A sweep file: a recipe, the axes, how to fill them, what to measure."""
+
+    recipe: str
+    axes: dict[str, Any]
+    mode: str = "grid"
+    count: int = 256
+    seed: int = 0
+    measure: MeasureSpec = MeasureSpec()
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A checked sweep: the material, its points and the measurement of each."""
+
+    material: Material
+    points: Points
+    measurement: Measurement
+    source: str
+
+    @property
+    def identity(self) -> str:
+        """A hash of everything that decides the results; a store of another identity is refused."""
+        axes = [[a.path, a.values, a.low, a.high, a.is_logarithmic] for a in self.points.axes]
+        fractions = (
+            None if self.points.fractions is None else hashlib.sha256(self.points.fractions.tobytes()).hexdigest()
+        )
+        what = [self.material.context.text, axes, fractions, self.points.mode, asdict(self.measurement)]
+        return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def load_sweep(path: str | Path) -> Sweep:
+    """Read and check a sweep file; every axis must exist in the recipe and its first point must build.
+
+    Raises:
+        RecipeError: naming file, key, value and what is allowed.
+    """
+    path = Path(path)
+    text = read_text(path, "sweep")
+    context = RecipeContext(str(path), path.parent.resolve(), text)
+    spec: SweepSpec = validate(SweepSpec, parse_toml(text, str(path)), context)
+    material = load(path.parent / spec.recipe)
+    points = read_points(spec.axes, spec.mode, spec.count, spec.seed, str(path))
+    measurement = _measurement(spec.measure, material, str(path))
+    try:
+        material.vary(points.changes(0))
+    except NacreError as error:
+        # a later point may fail and is recorded; when the first one does, the sweep is probably mistyped
+        raise RecipeError(f"{path}: the first point cannot be built: {error}") from None
+    return Sweep(material, points, measurement, str(path))
+
+
+def _measurement(spec: MeasureSpec, material: Material, source: str) -> Measurement:
+    from nacre.errors import did_you_mean
+    from nacre.light import ILLUMINANTS, OBSERVERS
+
+    for key, value, allowed in (("illuminant", spec.illuminant, ILLUMINANTS), ("observer", spec.observer, OBSERVERS)):
+        if value not in allowed:
+            hint = did_you_mean(value, allowed)
+            raise RecipeError(f'{source}: measure.{key} = "{value}" is not known.{hint} Known: {", ".join(allowed)}')
+    if not spec.angles_deg or not all(0 <= a <= 90 for a in spec.angles_deg):
+        raise RecipeError(f"{source}: measure.angles_deg must hold angles in [0, 90]")
+    parts = spec.parts
+    if parts is None:
+        parts = ["specular_reflectance"] + (["diffuse_reflectance"] if material.family != "film" else [])
+    for part in parts:
+        if part not in PARTS:
+            hint = did_you_mean(part, PARTS)
+            raise RecipeError(f'{source}: measure.parts: "{part}" is not known.{hint} Parts: {", ".join(PARTS)}')
+    grid = spec.wavelengths_nm
+    if grid is not None and (len(grid) < 2 or min(grid) <= 0 or any(b <= a for a, b in zip(grid, grid[1:]))):
+        raise RecipeError(f"{source}: measure.wavelengths_nm must be positive and ascending, at least two")
+    return Measurement(
+        tuple(spec.angles_deg), spec.illuminant, spec.observer, None if grid is None else tuple(grid), tuple(parts)
+    )
+
+
+class Store:
+    """The Zarr group of a sweep: values, status and errors of its points."""
+
+    def __init__(self, path: Path, sweep: Sweep) -> None:
+        self.path = path
+        self._shape = sweep.points.shape
+        self._clean_leftovers()
+        import zarr
+
+        self._group = zarr.open_group(str(path), mode="r+")
+        if self._group.attrs.get("identity") != sweep.identity:
+            raise NacreError(f"{path}: holds another sweep; choose another -o, or remove it to start anew")
+        self._names = list(sweep.measurement.layout())
+        self._arrays: dict[str, Any] = {name: self._group[name] for name in [*self._names, "status"]}
+
+    @classmethod
+    def open(cls, path: Path, sweep: Sweep) -> Store:
+        """Open the store of a sweep, making it first where there is none.
+
+        Raises:
+            NacreError: the folder cannot be written, or the path holds something else.
+        """
+        if not path.exists():
+            _create(path, sweep)
+        elif not (path / "zarr.json").exists():
+            raise NacreError(f"{path}: exists and is not a sweep; choose another -o")
+        return cls(path, sweep)
+
+    def missing(self) -> list[int]:
+        """Return the numbers of the points that are not finished, failed ones included."""
+        status = np.asarray(self._arrays["status"][...]).ravel()
+        return [int(i) for i in np.flatnonzero(status != DONE)]
+
+    def counts(self) -> tuple[int, int]:
+        """Return how many points are finished and how many have failed."""
+        status = np.asarray(self._arrays["status"][...])
+        return int(np.sum(status == DONE)), int(np.sum(status == FAILED))
+
+    def write(self, number: int, result: dict[str, NDArray[np.float64]] | str) -> None:
+        """Store one point: its values, or the error that it raised; the status comes last."""
+        place = tuple(int(i) for i in np.unravel_index(number, self._shape))
+        if isinstance(result, str):
+            line = json.dumps({"point": number, "error": result[:500]})
+            with open(self.path / "errors.jsonl", "a", encoding="utf-8") as file:
+                file.write(line + "\n")
+            self._arrays["status"][place] = FAILED
+            return
+        for name in self._names:
+            self._arrays[name][place] = result[name]
+        self._arrays["status"][place] = DONE
+
+    def _clean_leftovers(self) -> None:
+        """Remove half-written files of a killed run; they were never renamed, so nothing points to them."""
+        for leftover in self.path.rglob("*.partial"):
+            with contextlib.suppress(OSError):
+                leftover.unlink()
+
+
+def _create(path: Path, sweep: Sweep) -> None:
+    """Make an empty store beside `path` and give it its name when it is whole."""
+    import zarr
+
+    from nacre.files import check_writable
+
+    folder = check_writable(path)
+    temporary = Path(tempfile.mkdtemp(prefix=f".{path.stem[:40]}-", dir=folder))
+    try:
+        group = zarr.open_group(str(temporary), mode="w")
+        points, measurement = sweep.points, sweep.measurement
+        axis_names = [_dimension(axis.path) for axis in points.axes] if points.mode == "grid" else ["point"]
+        attributes: dict[str, Any] = {
+            "identity": sweep.identity, "nacre": __version__, "recipe": sweep.material.context.text,
+            "sweep": Path(sweep.source).name, "mode": points.mode, "illuminant": measurement.illuminant,
+            "observer": measurement.observer, "axes": {_dimension(a.path): a.path for a in points.axes},
+        }  # fmt: skip
+        group.attrs.update(attributes)
+        for position, axis in enumerate(points.axes):
+            name = _dimension(axis.path)
+            values = list(axis.values or ()) if points.mode == "grid" else [c[axis.path] for c in points]
+            _coordinate(group, name, values, [axis_names[position if points.mode == "grid" else 0]])
+        if points.mode != "grid":
+            _coordinate(group, "point", list(range(points.count)), ["point"])
+        _coordinate(group, "angle_deg", list(measurement.angles_deg), ["angle_deg"])
+        _coordinate(group, "lab", ["L*", "a*", "b*"], ["lab"])
+        _coordinate(group, "xyz", ["X", "Y", "Z"], ["xyz"])
+        if measurement.wavelengths_nm is not None:
+            _coordinate(group, "wavelength_nm", list(measurement.wavelengths_nm), ["wavelength_nm"])
+        ones = (1,) * len(points.shape)
+        for name, (dimensions, shape) in measurement.layout().items():
+            group.create_array(
+                name, shape=(*points.shape, *shape), chunks=(*ones, *shape), dtype="f8", fill_value=np.nan,
+                dimension_names=[*axis_names, *dimensions], compressors=None,
+            )  # fmt: skip
+        status = group.create_array(
+            "status", shape=points.shape, chunks=ones, dtype="u1", fill_value=MISSING,
+            dimension_names=axis_names, compressors=None,
+        )  # fmt: skip
+        status.attrs["meaning"] = "0 missing, 1 done, 2 failed (see errors.jsonl)"
+        os.replace(temporary, path)
+    except OSError as error:
+        raise NacreError(f"{path}: cannot be written: {error.strerror or error}") from None
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _dimension(path: str) -> str:
+    """Make a dimension name of a recipe path: `layers[0].thickness_nm` is `layers.0.thickness_nm`."""
+    return path.replace("[", ".").replace("]", "")
+
+
+def _coordinate(group: Any, name: str, values: list[Any], dimensions: list[str]) -> None:
+    """Store a coordinate; words become numbers with their labels in the attributes."""
+    numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+    data = np.asarray(values, dtype=float) if numeric else np.arange(len(values), dtype=float)
+    if not numeric and len({json.dumps(v, default=str) for v in values}) < len(values):
+        distinct = list(dict.fromkeys(json.dumps(v, default=str) for v in values))
+        data = np.array([distinct.index(json.dumps(v, default=str)) for v in values], dtype=float)
+        values = [json.loads(v) for v in distinct]
+    array = group.create_array(name, data=data, dimension_names=dimensions, compressors=None)
+    if not numeric:
+        array.attrs["labels"] = [v if isinstance(v, str) else json.dumps(v, default=str) for v in values]
+
+
+def run_sweep(
+    sweep: Sweep,
+    output: str | Path,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Progress | None = None,
+) -> tuple[int, int]:
+    """Compute what is missing of a sweep and return (finished, failed).
+
+    Args:
+        sweep: from `load_sweep`.
+        output: the Zarr folder; an earlier, interrupted run of the same sweep goes on.
+        workers: processes of the local cluster; 1 computes in this process; default: one a core.
+        scheduler: address of a Dask scheduler (`tcp://host:port`) to use instead; its workers must have nacre.
+        progress: called with (finished, failed, total) after every batch.
+
+    Raises:
+        NacreError: the store holds another sweep or cannot be written, or the scheduler cannot be reached.
+    """
+    store = Store.open(Path(output), sweep)
+    total = sweep.points.count
+    todo = store.missing()
+    finished = total - len(todo)
+    failed = 0
+    if progress:
+        progress(finished, failed, total)
+    if todo:
+        from nacre.study.workers import results
+
+        for number, result in results(sweep, todo, workers, scheduler):
+            store.write(number, result)
+            if isinstance(result, str):
+                failed += 1
+            else:
+                finished += 1
+            if progress:
+                progress(finished, failed, total)
+    return finished, failed
+
+
+def chunked(todo: Sequence[int], seconds_a_point: float) -> Iterator[list[int]]:
+    """Cut the missing points into batches of about `BATCH_SECONDS`."""
+    size = int(np.clip(BATCH_SECONDS / max(seconds_a_point, 1e-6), 1, MAX_BATCH))
+    return batches(todo, size)
+
+
+__all__ = ["FAMILIES", "Store", "Sweep", "SweepSpec", "load_sweep", "run_sweep"]

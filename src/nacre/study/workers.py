@@ -1,0 +1,157 @@
+"""Who computes the points of a sweep: this process, a local Dask cluster, or anybody's scheduler.
+
+A batch is plain data (recipe text, folder, changes), so that a worker needs nothing but nacre. Results come
+back to the one process that writes the store: no point can be written twice.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.errors import NacreError
+from nacre.study.measure import measurement_from
+from nacre.study.points import batches, point_seed
+
+if TYPE_CHECKING:
+    from nacre.study.sweep import Sweep
+
+Result = dict[str, NDArray[np.float64]] | str
+ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "NACRE_JOBS")}
+IN_FLIGHT_PER_WORKER = 3  # enough to hide the transport, few enough that a kill loses little
+CONNECT_TIMEOUT_S = 10
+
+
+def results(
+    sweep: Sweep, todo: Sequence[int], workers: int | None, scheduler: str | None
+) -> Iterator[tuple[int, Result]]:
+    """Yield (point number, result) as they come; an error of a point is its message.
+
+    Raises:
+        NacreError: the scheduler cannot be reached, or `workers` is not positive.
+    """
+    if workers is not None and workers < 1:
+        raise NacreError(f"--workers = {workers} must be at least 1")
+    job = {
+        "data": dict(sweep.material.data),
+        "folder": str(sweep.material.context.folder.resolve()),
+        "measurement": asdict(sweep.measurement),
+    }
+    count = workers or os.cpu_count() or 1
+    if scheduler is None and (count == 1 or len(todo) == 1):
+        yield from _here(sweep, job, todo)
+    else:
+        yield from _on_dask(sweep, job, todo, count, scheduler)
+
+
+def compute_batch(job: Mapping[str, Any], points: Sequence[tuple[int, Mapping[str, Any]]]) -> list[tuple[int, Result]]:
+    """Compute some points of a sweep; runs in a worker."""
+    return [(number, _compute(job, changes)) for number, changes in points]
+
+
+def _compute(job: Mapping[str, Any], changes: Mapping[str, Any]) -> Result:
+    try:
+        material = _material(job["folder"], _frozen(job["data"]))
+        return measurement_from(dict(job["measurement"])).take(material.vary(changes), point_seed(changes))
+    except NacreError as error:
+        return str(error)
+    except (ArithmeticError, ValueError, MemoryError, np.linalg.LinAlgError) as error:
+        # one impossible point must not stop the thousands beside it
+        return f"{type(error).__name__}: {error}"
+
+
+def _frozen(data: Mapping[str, Any]) -> str:
+    import json
+
+    return json.dumps(data, sort_keys=True)
+
+
+@functools.lru_cache(maxsize=4)
+def _material(folder: str, data: str) -> Any:
+    import json
+
+    from nacre.recipe import material
+
+    return material(json.loads(data), folder)
+
+
+def _here(sweep: Sweep, job: dict[str, Any], todo: Sequence[int]) -> Iterator[tuple[int, Result]]:
+    for number in todo:
+        yield from compute_batch(job, [(number, sweep.points.changes(number))])
+
+
+def _on_dask(
+    sweep: Sweep, job: dict[str, Any], todo: Sequence[int], workers: int, scheduler: str | None
+) -> Iterator[tuple[int, Result]]:
+    try:
+        import dask
+        from distributed import Client, LocalCluster, as_completed
+    except ImportError:
+        raise NacreError("several workers need Dask: pip install 'nacre[study]', or use --workers 1") from None
+    start = time.perf_counter()
+    first = todo[0]
+    yield from compute_batch(job, [(first, sweep.points.changes(first))])
+    once = time.perf_counter() - start  # includes the first imports, so batches start small
+    from nacre.study.sweep import chunked
+
+    quiet = {
+        "distributed.nanny.pre-spawn-environ": ONE_THREAD,
+        "distributed.comm.timeouts.connect": f"{CONNECT_TIMEOUT_S}s",
+        "distributed.logging": {"distributed": "error", "bokeh": "error"},
+        "distributed.scheduler.allowed-failures": 20,  # a killed worker is no fault of the points that it held
+    }
+    with dask.config.set(quiet):
+        cluster = None
+        if scheduler is None:
+            folder = Path(os.environ.get("TMPDIR", "/tmp"))
+            cluster = LocalCluster(
+                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
+                silence_logs=40, local_directory=str(folder), memory_limit=0,
+            )  # fmt: skip
+        try:
+            try:
+                client = Client(cluster if cluster is not None else scheduler, timeout=CONNECT_TIMEOUT_S)
+            except (OSError, TimeoutError, ValueError) as error:
+                raise NacreError(f"--scheduler {scheduler}: cannot be reached: {error}") from None
+            with client:
+                limit = IN_FLIGHT_PER_WORKER * max(1, len(client.scheduler_info(n_workers=-1)["workers"]) or workers)
+                pieces = chunked(list(todo[1:]), min(once, 0.02))
+                pending = as_completed()
+                running = 0
+                shared = client.scatter(job, broadcast=True, hash=False)
+                for piece in pieces:
+                    pending.add(_submit(client, shared, sweep, piece))
+                    running += 1
+                    if running >= limit:
+                        future = next(pending)
+                        running -= 1
+                        yield from _gather(future)
+                while running:
+                    future = next(pending)
+                    running -= 1
+                    yield from _gather(future)
+        finally:
+            if cluster is not None:
+                cluster.close(timeout=5)
+
+
+def _submit(client: Any, job: Any, sweep: Sweep, piece: list[int]) -> Any:
+    points = [(number, sweep.points.changes(number)) for number in piece]
+    return client.submit(compute_batch, job, points, pure=False, retries=3)
+
+
+def _gather(future: Any) -> list[tuple[int, Result]]:
+    found: list[tuple[int, Result]] = future.result()
+    future.release()
+    return found
+
+
+__all__ = ["batches", "compute_batch", "results"]
