@@ -1,0 +1,44 @@
+"""How far light interferes: the coherence window, stated as sigma or as the angular size of the lamp.
+
+The window is a Gaussian of standard deviation s = `width_in_wavelengths` x lambda. Its spectrum smooths the
+diffraction lines by the same angle at every wavelength (physics/relief.md, sections 2, 3 and 11.3).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+PUBLISHED_REFERENCE_UM = 0.5  # the source quotes sigma, in um, at this wavelength
+
+
+@dataclass(frozen=True)
+class Coherence:
+    """The coherence window: s / lambda, dimensionless."""
+
+    width_in_wavelengths: float
+
+    @classmethod
+    def from_sigma(cls, sigma_um: float) -> Coherence:
+        """Build from the published parameter: s = (sigma / 0.5) lambda, lambda in um."""
+        return cls(sigma_um / PUBLISHED_REFERENCE_UM)
+
+    @classmethod
+    def from_source_angle(cls, full_angle_rad: float) -> Coherence:
+        """Build from the full angle of a uniform disc: its rms angle is a quarter of the diameter."""
+        return cls(1.0 / (2.0 * math.sqrt(2.0) * math.pi * (full_angle_rad / 4.0)))
+
+    @property
+    def blur(self) -> float:
+        """Standard deviation of the smoothing in direction cosines; 0.0216 for sigma 2.6."""
+        return 1.0 / (2.0 * math.sqrt(2.0) * math.pi * self.width_in_wavelengths)
+
+    @property
+    def source_angle_rad(self) -> float:
+        """Full angle of the uniform disc with the same rms size; 5.0 degrees for sigma 2.6."""
+        return 4.0 * self.blur
+
+    @property
+    def sigma_um(self) -> float:
+        """The published parameter."""
+        return self.width_in_wavelengths * PUBLISHED_REFERENCE_UM
