@@ -1,0 +1,441 @@
+"""The numba kernel of stratified media: amplitudes of s and p for many stacks, angles and wavelengths.
+
+Physics (own derivation, in the form of an admittance recursion with scaled exponentials): let `f` be the
+tangential E field (s) or H field (p) and `g` its partner, so that `g = q f` for a wave that travels inward,
+with `q = kz` (s) or `kz / n^2` (p), all wavevectors in units of k0. Start in the substrate with u = 1,
+v = q_s and carry (u, v) upward through each layer of phase x = k0 kz d:
+
+    u' = c u - i a v,   v' = c v - i b u,   c = e^{ix} cos x,   a = e^{ix} sin x / q,   b = e^{ix} q sin x
+
+The factor e^{ix} keeps every term finite: only decaying exponentials occur. At the top
+r = (q_0 u - v) / (q_0 u + v) and t = 2 q_0 prod(e^{ix}) / (q_0 u + v).
+
+Two ways through a layer give the same numbers. The fast one works on blocks of wavelengths that stay in the
+first-level cache and whose loops the compiler turns into vector instructions; its sine, cosine and exponential
+are polynomials for that reason. Its u and v come from A = u + v/q and B = (u - v/q) e^{2ix}, which loses digits
+as q -> 0, so a block that meets a small kz takes the robust way, in which q occurs only as q^2 and sin x / x.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba.extending import intrinsic
+
+from nacre.matter.jit import compiled
+
+BLOCK = 64  # wavelengths a block: 20 rows of 64 doubles are 10 kB, a third of a first-level cache
+LANES = 8  # rows are filled up to a multiple of the widest vector, so that no scalar remainder is left
+SMALL_KZ2 = 1e-3  # below this |kz^2| a block goes the robust way; above, the fast one keeps 14 digits
+RESCALE_EVERY = 16  # layers; growth per layer is below (n_high / n_low) < 1e3, so 16 stay far from 1e308
+TWO_PI = 2.0 * math.pi
+TWO_PI_OVER_LN2 = 2.0 * math.pi / math.log(2.0)
+ROUNDER = 6755399441055744.0  # 1.5 * 2^52: adding and subtracting it rounds a double to an integer
+
+# Rows of the scratch, in units of BLOCK.
+_ZR, _ZI = 0 * BLOCK, 1 * BLOCK  # kz^2 of the ambient
+_KR, _KI, _INV = 2 * BLOCK, 3 * BLOCK, 4 * BLOCK  # kz of the layer and 1 / |kz|^2
+_ER, _EI = 5 * BLOCK, 6 * BLOCK  # e^{2ix}
+_NR, _NI, _JR, _JI = 7 * BLOCK, 8 * BLOCK, 9 * BLOCK, 10 * BLOCK  # n^2 and 1 / n^2 of the layer
+_US, _VS = 11 * BLOCK, 13 * BLOCK  # u and v of s: real row, imaginary row
+_UP, _VP = 15 * BLOCK, 17 * BLOCK  # the same of p
+_TURNS, _DECAY = 19 * BLOCK, 20 * BLOCK  # sum of kz d / wavelength, real and imaginary part
+_DL = 21 * BLOCK  # 2 d / wavelength of the layer
+_SCALE_S, _SCALE_P = 22 * BLOCK, 23 * BLOCK  # logarithm of what rescaling took out of u and v
+ROWS = 24
+
+
+@intrinsic
+def _power_of_two(typing_context: Any, exponent: Any) -> Any:
+    """2.0**exponent of an int64 in -1022..1023, from the bits of a double (no library call, so it vectorises)."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        biased = builder.add(arguments[0], ir.Constant(ir.IntType(64), 1023))
+        return builder.bitcast(builder.shl(biased, ir.Constant(ir.IntType(64), 52)), ir.DoubleType())
+
+    return numba.float64(numba.int64), generate
+
+
+@compiled(error_model="numpy", fastmath={"contract"}, inline="always")
+def _sin_half_turn(f: float, s: float) -> float:
+    """sin(pi f) for |f| <= 1/2, s = f^2; Chebyshev fit, error 7e-19 before rounding."""
+    p = 7.6978267682241906454e-7
+    p = p * s - 2.1903497074626017191e-5
+    p = p * s + 4.6629981618983938014e-4
+    p = p * s - 7.3704305059169434047e-3
+    p = p * s + 0.08214588657310289502
+    p = p * s - 0.59926452932894468132
+    p = p * s + 2.5501640398773004745
+    p = p * s - 5.1677127800499696077
+    p = p * s + 3.1415926535897932378
+    return p * f
+
+
+@compiled(error_model="numpy", fastmath={"contract"}, inline="always")
+def _cos_half_turn(s: float) -> float:
+    """cos(pi f) for |f| <= 1/2, s = f^2; Chebyshev fit, error 4e-18 before rounding."""
+    p = 4.1495643539425855122e-6
+    p = p * s - 1.0456655338748738169e-4
+    p = p * s + 1.9295562724817131482e-3
+    p = p * s - 0.02580688873700220327
+    p = p * s + 0.23533063012953285391
+    p = p * s - 1.3352627688434470934
+    p = p * s + 4.0587121264164969995
+    p = p * s - 4.9348022005446767673
+    return p * s + 1.0
+
+
+@compiled(error_model="numpy", fastmath={"contract"}, inline="always")
+def _exp2_minus(y: float) -> float:
+    """2^-y for y >= 0; below 2^-1000 it stays at 2^-1000, which no result can tell from zero."""
+    y = min(y, 1000.0)
+    k = (y + ROUNDER) - ROUNDER
+    g = k - y
+    p = 4.455817908336064493e-10
+    p = p * g + 7.0741942972885210056e-9
+    p = p * g + 1.0178057087733941105e-7
+    p = p * g + 1.3215432535912376166e-6
+    p = p * g + 1.5252733841556772589e-5
+    p = p * g + 1.5403530463724354209e-4
+    p = p * g + 1.3333558146406470697e-3
+    p = p * g + 9.6181291075872566681e-3
+    p = p * g + 0.055504108664821627039
+    p = p * g + 0.24022650695910159567
+    p = p * g + 0.69314718055994530925
+    p = p * g + 1.0
+    # mypy cannot see that numba passes the typing context itself
+    return p * _power_of_two(-np.int64(k))  # type: ignore[call-arg]
+
+
+@compiled(error_model="numpy")
+def sqrt_decaying(z: complex) -> complex:
+    """Square root with Im >= 0, and Re >= 0 where Im = 0: the wave that travels or decays inward."""
+    w = np.sqrt(z)
+    if w.imag < 0.0 or (w.imag == 0.0 and w.real < 0.0):
+        w = -w
+    return w
+
+
+@compiled(error_model="numpy")
+def robust_factors(kz2: complex, k0d: float) -> tuple[complex, complex, complex]:
+    """Return (c, m, ix) of a layer: c = e^{ix} cos x, m = k0 d e^{ix} sin x / x; regular at kz = 0 and d = 0.
+
+    a = w m and b = kz^2 m / w, with w = 1 (s) or n^2 (p).
+    """
+    x = sqrt_decaying(kz2) * k0d
+    z = 2j * x
+    if abs(z.real) + abs(z.imag) < 0.5:
+        # the series of expm1(z)/z; 15 terms leave 0.5^15/16! = 1.5e-18
+        g = 0.0j
+        for j in range(15, 0, -1):
+            g = (g + 1.0) * z / (j + 1.0)
+        g += 1.0
+        c = 1.0 + 0.5 * z * g
+    else:
+        e = np.exp(z)
+        c = 0.5 + 0.5 * e
+        g = (e - 1.0) / z
+    return c, k0d * g, 0.5 * z
+
+
+@compiled(error_model="numpy")
+def _robust_layer(w: Any, count: int, l0: int, wavelengths: Any, thickness: float, n02r: Any, n02i: Any) -> None:
+    for i in range(count):
+        n2 = complex(w[_NR + i], w[_NI + i])
+        kz2 = n2 - complex(n02r[l0 + i], n02i[l0 + i]) + complex(w[_ZR + i], w[_ZI + i])
+        c, m, ix = robust_factors(kz2, TWO_PI * thickness / wavelengths[l0 + i])
+        u = complex(w[_US + i], w[_US + BLOCK + i])
+        v = complex(w[_VS + i], w[_VS + BLOCK + i])
+        un = c * u - 1j * m * v
+        vn = c * v - 1j * kz2 * m * u
+        w[_US + i], w[_US + BLOCK + i], w[_VS + i], w[_VS + BLOCK + i] = un.real, un.imag, vn.real, vn.imag
+        u = complex(w[_UP + i], w[_UP + BLOCK + i])
+        v = complex(w[_VP + i], w[_VP + BLOCK + i])
+        un = c * u - 1j * n2 * m * v
+        vn = c * v - 1j * kz2 * m / n2 * u
+        w[_UP + i], w[_UP + BLOCK + i], w[_VP + i], w[_VP + BLOCK + i] = un.real, un.imag, vn.real, vn.imag
+        w[_TURNS + i] += ix.imag / TWO_PI
+        w[_DECAY + i] -= ix.real / TWO_PI
+
+
+@compiled(error_model="numpy", fastmath={"contract"})
+def _wavevector(w: Any, count: int, l0: int, n02r: Any, n02i: Any) -> int:
+    """Fill kz and 1/|kz|^2 of the layer; return how many points have a small kz."""
+    small = 0
+    for i in range(count):
+        zr = w[_NR + i] - n02r[l0 + i] + w[_ZR + i]
+        zi = w[_NI + i] - n02i[l0 + i] + w[_ZI + i]
+        size = math.sqrt(zr * zr + zi * zi)
+        small += size < SMALL_KZ2
+        large = math.sqrt(0.5 * (size + abs(zr)))
+        other = zi / (2.0 * max(large, 1e-150))
+        re = large if zr >= 0.0 else other
+        im = other if zr >= 0.0 else large
+        sign = -1.0 if im < 0.0 else 1.0
+        w[_KR + i] = re * sign
+        w[_KI + i] = im * sign
+        w[_INV + i] = 1.0 / max(size, 1e-300)
+    return small
+
+
+@compiled(error_model="numpy", fastmath={"contract"})
+def _lossless_wavevector(w: Any, count: int, l0: int, n02r: Any) -> int:
+    """The same where all is real; return how many points do not propagate safely (the caller then starts anew)."""
+    small = 0
+    for i in range(count):
+        zr = w[_NR + i] - n02r[l0 + i] + w[_ZR + i]
+        small += zr < SMALL_KZ2
+        kz = math.sqrt(max(zr, SMALL_KZ2))
+        w[_KR + i] = kz
+        w[_INV + i] = 1.0 / kz
+    return small
+
+
+@compiled(error_model="numpy", fastmath={"contract"})
+def _lossless_layer(w: Any, count: int) -> None:
+    for i in range(count):
+        kz = w[_KR + i]
+        turns = kz * w[_DL + i]
+        f = turns - ((turns + ROUNDER) - ROUNDER)
+        s = _sin_half_turn(f, f * f)
+        c = _cos_half_turn(f * f)
+        w[_ER + i] = c * c - s * s
+        w[_EI + i] = 2.0 * s * c
+        w[_TURNS + i] += 0.5 * turns
+    for i in range(count):
+        q = w[_KR + i]
+        p = w[_INV + i]
+        er, ei = w[_ER + i], w[_EI + i]
+        ur, ui, vr, vi = w[_US + i], w[_US + BLOCK + i], w[_VS + i], w[_VS + BLOCK + i]
+        br, bi = ur - vr * p, ui - vi * p
+        cr, ci = br * er - bi * ei, br * ei + bi * er
+        ar, ai = ur + vr * p, ui + vi * p
+        w[_US + i] = 0.5 * (ar + cr)
+        w[_US + BLOCK + i] = 0.5 * (ai + ci)
+        w[_VS + i] = 0.5 * q * (ar - cr)
+        w[_VS + BLOCK + i] = 0.5 * q * (ai - ci)
+    for i in range(count):
+        q = w[_KR + i] * w[_JR + i]
+        p = w[_INV + i] * w[_NR + i]
+        er, ei = w[_ER + i], w[_EI + i]
+        ur, ui, vr, vi = w[_UP + i], w[_UP + BLOCK + i], w[_VP + i], w[_VP + BLOCK + i]
+        br, bi = ur - vr * p, ui - vi * p
+        cr, ci = br * er - bi * ei, br * ei + bi * er
+        ar, ai = ur + vr * p, ui + vi * p
+        w[_UP + i] = 0.5 * (ar + cr)
+        w[_UP + BLOCK + i] = 0.5 * (ai + ci)
+        w[_VP + i] = 0.5 * q * (ar - cr)
+        w[_VP + BLOCK + i] = 0.5 * q * (ai - ci)
+
+
+@compiled(error_model="numpy", fastmath={"contract"})
+def _lossy_layer(w: Any, count: int) -> None:
+    for i in range(count):
+        turns = w[_KR + i] * w[_DL + i]
+        decay = w[_KI + i] * w[_DL + i]
+        f = turns - ((turns + ROUNDER) - ROUNDER)
+        s = _sin_half_turn(f, f * f)
+        c = _cos_half_turn(f * f)
+        e = _exp2_minus(decay * TWO_PI_OVER_LN2)
+        w[_ER + i] = e * (c * c - s * s)
+        w[_EI + i] = 2.0 * e * s * c
+        w[_TURNS + i] += 0.5 * turns
+        w[_DECAY + i] += 0.5 * decay
+    for i in range(count):
+        qr, qi = w[_KR + i], w[_KI + i]
+        pr, pi = qr * w[_INV + i], -qi * w[_INV + i]
+        er, ei = w[_ER + i], w[_EI + i]
+        ur, ui, vr, vi = w[_US + i], w[_US + BLOCK + i], w[_VS + i], w[_VS + BLOCK + i]
+        xr, xi = vr * pr - vi * pi, vr * pi + vi * pr
+        br, bi = ur - xr, ui - xi
+        cr, ci = br * er - bi * ei, br * ei + bi * er
+        ar, ai = ur + xr, ui + xi
+        dr, di = 0.5 * (ar - cr), 0.5 * (ai - ci)
+        w[_US + i] = 0.5 * (ar + cr)
+        w[_US + BLOCK + i] = 0.5 * (ai + ci)
+        w[_VS + i] = qr * dr - qi * di
+        w[_VS + BLOCK + i] = qr * di + qi * dr
+    for i in range(count):
+        kr, ki, inv = w[_KR + i], w[_KI + i], w[_INV + i]
+        nr, ni, jr, ji = w[_NR + i], w[_NI + i], w[_JR + i], w[_JI + i]
+        qr, qi = kr * jr - ki * ji, kr * ji + ki * jr
+        pr, pi = inv * (kr * nr + ki * ni), inv * (kr * ni - ki * nr)
+        er, ei = w[_ER + i], w[_EI + i]
+        ur, ui, vr, vi = w[_UP + i], w[_UP + BLOCK + i], w[_VP + i], w[_VP + BLOCK + i]
+        xr, xi = vr * pr - vi * pi, vr * pi + vi * pr
+        br, bi = ur - xr, ui - xi
+        cr, ci = br * er - bi * ei, br * ei + bi * er
+        ar, ai = ur + xr, ui + xi
+        dr, di = 0.5 * (ar - cr), 0.5 * (ai - ci)
+        w[_UP + i] = 0.5 * (ar + cr)
+        w[_UP + BLOCK + i] = 0.5 * (ai + ci)
+        w[_VP + i] = qr * dr - qi * di
+        w[_VP + BLOCK + i] = qr * di + qi * dr
+
+
+@compiled(error_model="numpy")
+def _rescale(w: Any, count: int, row_u: int, row_v: int, row_scale: int) -> None:
+    for i in range(count):
+        size = max(abs(w[row_u + i]) + abs(w[row_u + BLOCK + i]), abs(w[row_v + i]) + abs(w[row_v + BLOCK + i]), 1e-290)
+        w[row_scale + i] += math.log(size)
+        for row in (row_u, row_u + BLOCK, row_v, row_v + BLOCK):
+            w[row + i] /= size
+
+
+@compiled(error_model="numpy")
+def _finish(q0: complex, qs: complex, u: complex, v: complex, turns: float, log_size: float) -> Any:
+    """Return r, t, R, T from the fields at the top; `log_size` is the log of |prod e^{ix}| over the rescaling."""
+    below = q0 * u + v
+    if abs(below) == 0.0:
+        # grazing incidence on a stack that is matched throughout: the wave goes straight on
+        return 0.0j, 1.0 + 0.0j, 0.0, 1.0
+    r = (q0 * u - v) / below
+    size = math.exp(max(log_size, -740.0))
+    phase = TWO_PI * (turns - np.rint(turns))
+    t = 2.0 * q0 * size / below * complex(math.cos(phase), math.sin(phase))
+    transmitted = 0.0
+    if q0.real > 0.0:
+        transmitted = (t.real * t.real + t.imag * t.imag) * max(qs.real, 0.0) / q0.real
+    return r, t, r.real * r.real + r.imag * r.imag, transmitted
+
+
+@compiled(error_model="numpy")
+def _load_medium(w: Any, j: int, l0: int, count: int, n2r: Any, n2i: Any, i2r: Any, i2i: Any) -> None:
+    for i in range(count):
+        w[_NR + i] = n2r[j, l0 + i]
+        w[_NI + i] = n2i[j, l0 + i]
+        w[_JR + i] = i2r[j, l0 + i]
+        w[_JI + i] = i2i[j, l0 + i]
+
+
+@compiled(error_model="numpy", nogil=True)
+def solve_range(
+    n: Any,
+    thicknesses: Any,
+    wavelengths: Any,
+    normal: Any,
+    times_n0: bool,
+    start: int,
+    stop: int,
+    angle_start: int,
+    angle_stop: int,
+    amplitudes: Any,
+    powers: Any,
+) -> None:
+    """Solve the stacks start..stop of a batch at the angles angle_start..angle_stop.
+
+    Args:
+        n: complex `[batch or 1, medium, wavelength]`, medium 0 the ambient, the last the substrate.
+        thicknesses: `[batch or 1, layer]`, nm.
+        wavelengths: `[wavelength]`, nm.
+        normal: complex `[batch or 1, angle, wavelength or 1]`, cos in the ambient or kz/k0 there.
+        times_n0: whether `normal` is the cosine (then kz = n_0 cos).
+        start, stop, angle_start, angle_stop: ranges, so that threads share the work without views.
+        amplitudes: output complex `[4, batch, angle, wavelength]`: r_s, r_p, t_s, t_p (t_p of the H field); or
+            an empty batch axis if not wanted.
+        powers: output `[4, batch, angle, wavelength]`: R_s, R_p, T_s, T_p; or an empty batch axis.
+    """
+    media, count_l = n.shape[1], wavelengths.shape[0]
+    layers = media - 2
+    padded = (count_l + LANES - 1) // LANES * LANES
+    wants_r, wants_power = amplitudes.shape[1] > 0, powers.shape[1] > 0
+    n2r, n2i = np.empty((media, padded)), np.empty((media, padded))
+    i2r, i2i = np.empty((media, padded)), np.empty((media, padded))
+    lossless = np.empty(media, dtype=np.bool_)
+    lam = np.empty(padded)
+    for l in range(padded):
+        lam[l] = wavelengths[min(l, count_l - 1)]
+    w = np.zeros(ROWS * BLOCK)
+    qs_s, qs_p = np.empty(BLOCK, dtype=np.complex128), np.empty(BLOCK, dtype=np.complex128)
+    for b in range(start, stop):
+        bn = min(b, n.shape[0] - 1)
+        if b == start or n.shape[0] > 1:
+            for j in range(media):
+                lossless[j] = True
+                for l in range(padded):
+                    value = n[bn, j, min(l, count_l - 1)]
+                    square = value * value
+                    inverse = 1.0 / square
+                    n2r[j, l], n2i[j, l] = square.real, square.imag
+                    i2r[j, l], i2i[j, l] = inverse.real, inverse.imag
+                    if square.imag != 0.0:
+                        lossless[j] = False
+        n02r, n02i = n2r[0], n2i[0]
+        d = thicknesses[min(b, thicknesses.shape[0] - 1)]
+        for angle in range(angle_start, angle_stop):
+            row = normal[min(b, normal.shape[0] - 1), angle]
+            for l0 in range(0, padded, BLOCK):
+                count = min(BLOCK, padded - l0)
+                is_real = lossless[0]
+                for i in range(count):
+                    l = min(l0 + i, count_l - 1)
+                    kz0 = row[min(l, row.shape[0] - 1)]
+                    if times_n0:
+                        kz0 = kz0 * n[bn, 0, l]
+                    square = kz0 * kz0
+                    w[_ZR + i], w[_ZI + i] = square.real, square.imag
+                    if square.imag != 0.0:
+                        is_real = False
+                    w[_US + i] = w[_UP + i] = 1.0
+                    w[_US + BLOCK + i] = w[_UP + BLOCK + i] = 0.0
+                    w[_TURNS + i] = w[_DECAY + i] = w[_SCALE_S + i] = w[_SCALE_P + i] = 0.0
+                _load_medium(w, media - 1, l0, count, n2r, n2i, i2r, i2i)
+                _wavevector(w, count, l0, n02r, n02i)
+                for i in range(count):
+                    q = complex(w[_KR + i], w[_KI + i])
+                    qs_s[i] = q
+                    w[_VS + i], w[_VS + BLOCK + i] = q.real, q.imag
+                    q = q * complex(w[_JR + i], w[_JI + i])
+                    qs_p[i] = q
+                    w[_VP + i], w[_VP + BLOCK + i] = q.real, q.imag
+                for j in range(layers, 0, -1):
+                    thickness = d[j - 1]
+                    if thickness != 0.0:  # nothing happens in a layer of no thickness
+                        _load_medium(w, j, l0, count, n2r, n2i, i2r, i2i)
+                        for i in range(count):
+                            w[_DL + i] = 2.0 * thickness / lam[l0 + i]
+                        if is_real and lossless[j] and _lossless_wavevector(w, count, l0, n02r) == 0:
+                            _lossless_layer(w, count)
+                        elif _wavevector(w, count, l0, n02r, n02i) == 0:
+                            _lossy_layer(w, count)
+                        else:
+                            _robust_layer(w, count, l0, lam, thickness, n02r, n02i)
+                    if j % RESCALE_EVERY == 0:
+                        _rescale(w, count, _US, _VS, _SCALE_S)
+                        _rescale(w, count, _UP, _VP, _SCALE_P)
+                for i in range(min(count, count_l - l0)):
+                    l = l0 + i
+                    kz0 = row[min(l, row.shape[0] - 1)]
+                    if times_n0:
+                        kz0 = kz0 * n[bn, 0, l]
+                    decay = -TWO_PI * w[_DECAY + i]
+                    r_s, t_s, big_r_s, big_t_s = _finish(
+                        kz0,
+                        qs_s[i],
+                        complex(w[_US + i], w[_US + BLOCK + i]),
+                        complex(w[_VS + i], w[_VS + BLOCK + i]),
+                        w[_TURNS + i],
+                        decay - w[_SCALE_S + i],
+                    )
+                    r_p, t_p, big_r_p, big_t_p = _finish(
+                        kz0 * complex(i2r[0, l], i2i[0, l]),
+                        qs_p[i],
+                        complex(w[_UP + i], w[_UP + BLOCK + i]),
+                        complex(w[_VP + i], w[_VP + BLOCK + i]),
+                        w[_TURNS + i],
+                        decay - w[_SCALE_P + i],
+                    )
+                    if wants_r:
+                        amplitudes[0, b, angle, l] = r_s
+                        amplitudes[1, b, angle, l] = r_p
+                        amplitudes[2, b, angle, l] = t_s
+                        amplitudes[3, b, angle, l] = t_p
+                    if wants_power:
+                        powers[0, b, angle, l] = big_r_s
+                        powers[1, b, angle, l] = big_r_p
+                        powers[2, b, angle, l] = big_t_s
+                        powers[3, b, angle, l] = big_t_p
