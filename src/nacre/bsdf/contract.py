@@ -12,6 +12,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -121,6 +122,27 @@ class Lobe(abc.ABC):
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Return the non-delta part, `[..., wavelength]`, for unit vectors `wi`, `wo` of shape `[..., 3]`."""
 
+    def check(self) -> None:
+        """Check that the arrays fit together; a stored file may hold anything.
+
+        Raises:
+            ValueError: saying which array does not fit.
+        """
+        if self.wavelengths_nm.ndim != 1 or np.any(np.diff(self.wavelengths_nm) <= 0):
+            raise ValueError("wavelengths_nm must ascend along one axis")
+
+    def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
+        """Integrate the non-delta part over all exits, for light along one `wi[3]`.
+
+        A product rule by default; a lobe that is narrow or has many peaks brings its own.
+
+        Returns:
+            power `(to the side of wi, to the other side)`, each `[wavelength]`.
+        """
+        from nacre.bsdf.hemisphere import product_rule
+
+        return product_rule(lambda wo: self.evaluate(np.broadcast_to(wi, wo.shape), wo, uv), wi, nodes, self.transmits)
+
     def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
         """Return the delta part for light arriving at `cos_i` (> 0 from the ambient, < 0 from behind)."""
         cos_i = np.asarray(cos_i, dtype=float)
@@ -149,6 +171,27 @@ class Bsdf:
     def transmits(self) -> bool:
         """Whether any lobe lets light through."""
         return any(lobe.transmits for lobe in self.lobes)
+
+    def save(self, path: str | Path) -> None:
+        """Write one `.nacre` file, whole or not at all.
+
+        Raises:
+            NacreError: the file cannot be written.
+        """
+        from nacre.bsdf.file import save_bsdf
+
+        save_bsdf(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Bsdf:
+        """Read a `.nacre` file.
+
+        Raises:
+            NacreError: in one line, if it is missing, damaged, too large or of a newer format.
+        """
+        from nacre.bsdf.file import load_bsdf
+
+        return load_bsdf(path)
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Sum the lobes' non-delta values: `[..., wavelength]`, 1/sr, without the cosine, never NaN."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.contract import Lobe, ParameterAxis, register_lobe
-from nacre.bsdf.response import interpolate, parameter_coordinates
+from nacre.bsdf.response import check_parameters, check_wavelengths, interpolate, parameter_coordinates
 
 Array = NDArray[np.float64]
 
@@ -37,6 +37,25 @@ class Diffuse(Lobe):
     scale: Array
     entry: Array
     parameters: tuple[ParameterAxis, ...] = ()
+
+    AXES: ClassVar[dict[str, str]] = {
+        "wavelengths_nm": "wavelength",
+        "scale": "*params wavelength",
+        "entry": "*params cos wavelength",
+    }
+
+    def check(self) -> None:
+        """Check that the tables fit together.
+
+        Raises:
+            ValueError: saying which does not.
+        """
+        check_wavelengths(self.wavelengths_nm)
+        leading, count = check_parameters(self.parameters), len(self.wavelengths_nm)
+        if self.scale.shape != (*leading, count):
+            raise ValueError(f"scale has the shape {self.scale.shape}, not {(*leading, count)}")
+        if self.entry.shape[:-2] != leading or self.entry.shape[-1] != count or self.entry.shape[-2] < 1:
+            raise ValueError(f"entry has the shape {self.entry.shape}")
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Return the value `[..., wavelength]` in 1/sr."""

@@ -78,14 +78,67 @@ def masking(distribution: str, wi: Array, wo: Array, m: Array, alpha_x: Array | 
     return np.where((i_m * cos_i > 0) & (o_m * cos_o > 0), value, 0.0)
 
 
+def exits(w: Array, m: Array, eta: float) -> tuple[Array, Array]:
+    """Return the mirrored and the refracted direction of light along `w` at each facet `m`.
+
+    Args:
+        w: `[3]`, z > 0.
+        m: `[facet, 3]` with w.m > 0.
+        eta: index of the other side over that of this side.
+
+    Returns:
+        `(back, through)`, `[facet, 3]` each, pointing away; beyond the critical angle `through` points
+        sideways into the surface's own side (z = 0), which every masking turns into zero.
+    """
+    w_m = np.sum(w * m, axis=-1, keepdims=True)
+    back = 2.0 * w_m * m - w
+    sin2 = (1.0 - np.square(w_m)) / eta**2
+    cos_t = np.sqrt(np.maximum(0.0, 1.0 - sin2))
+    through = (w_m / eta - cos_t) * m - w / eta
+    return back, np.where(sin2 < 1.0, through, np.array([1.0, 0.0, 0.0]))
+
+
+def normal_quadrature(distribution: str, alpha_x: float, alpha_y: float, nodes: int = 64) -> tuple[Array, Array]:
+    """Return normals and their weights D(m) dm, `[nodes^2, 3]` and `[nodes^2]`, dense where D is.
+
+    Polar nodes follow the quantiles of D m_z, clustered at both ends; azimuth nodes follow those of its share.
+    """
+    radial, radial_weight = np.polynomial.legendre.leggauss(nodes)
+    xi, dxi = 0.5 * (radial + 1.0), 0.5 * radial_weight
+    xi, dxi = xi * xi * (3 - 2 * xi), dxi * 6 * xi * (1 - xi)
+    # an azimuth stretched by the anisotropy: tan(phi) = (alpha_y/alpha_x) tan(phi'); uniform nodes in phi' are
+    # exact for an elliptic distribution, and a good start for the others
+    turned: Array = (np.arange(nodes, dtype=np.float64) + 0.5) * (2.0 * np.pi / nodes)
+    x, y = alpha_x * np.cos(turned), alpha_y * np.sin(turned)
+    phi = np.arctan2(y, x)
+    stretch = alpha_x * alpha_y / (x * x + y * y)  # d phi / d phi'
+    alpha2 = 1.0 / (np.square(np.cos(phi) / alpha_x) + np.square(np.sin(phi) / alpha_y))
+    if distribution == "ggx":
+        cos = 1.0 / np.sqrt(1.0 + alpha2[:, None] * xi / np.maximum(1.0 - xi, TINY))
+    elif distribution == "beckmann":
+        cos = 1.0 / np.sqrt(1.0 - alpha2[:, None] * np.log(np.maximum(1.0 - xi, TINY)))
+    else:
+        exponent = exponent_from_alpha(alpha_x) * np.cos(phi) ** 2 + exponent_from_alpha(alpha_y) * np.sin(phi) ** 2
+        cos = np.power(np.maximum(1.0 - xi, TINY), 1.0 / (np.asarray(exponent)[:, None] + 2.0))
+    sin = np.sqrt(np.maximum(0.0, 1.0 - cos * cos))
+    m = np.stack([np.cos(phi)[:, None] * sin, np.sin(phi)[:, None] * sin, cos], axis=-1).reshape(-1, 3)
+    # at one azimuth xi is the cumulative distribution of D m_z, up to the share of the azimuth
+    share = _azimuth_share(distribution, phi, alpha_x, alpha_y) * stretch
+    measure = (share[:, None] * dxi[None, :] * (2.0 * np.pi / nodes)).reshape(-1)
+    if distribution == "ashikhmin-shirley":
+        ex, ey = float(exponent_from_alpha(alpha_x)), float(exponent_from_alpha(alpha_y))
+        measure = measure * np.sqrt((ex + 1) * (ey + 1) / ((ex + 2) * (ey + 2)))
+    return m, measure / np.maximum(m[:, 2], 1e-12)
+
+
 def visible_normals(
     distribution: str, w: Array, alpha_x: float, alpha_y: float, nodes: int = 64
 ) -> tuple[Array, Array]:
     """Return a quadrature over the facets that one direction sees.
 
-    A facet seen from `w` counts D(m) g(w, m) |w.m| / |w_z| with g the distribution's single-sided masking,
-    so the weights sum to 1 (Smith, V-cavities), or to the visible part of it (Ashikhmin-Shirley, whose facets
-    are drawn from D alone).
+    A facet seen from `w` counts D(m) g(w, m) |w.m| / |w_z| with g the distribution's one-sided masking, so the
+    weights sum to 1 (Smith, V-cavities), or to the visible part of it (Ashikhmin-Shirley, whose facets are
+    drawn from D alone).
 
     Args:
         w: one unit direction `[3]`, z > 0.
@@ -94,30 +147,7 @@ def visible_normals(
     Returns:
         `(m, weight)`: `[nodes^2, 3]`, `[nodes^2]`.
     """
-    # polar nodes follow the distribution's own quantiles, so that narrow lobes are resolved as well as wide ones
-    radial, radial_weight = np.polynomial.legendre.leggauss(nodes)
-    xi, dxi = 0.5 * (radial + 1.0), 0.5 * radial_weight
-    xi, dxi = xi * xi * (3 - 2 * xi), dxi * 6 * xi * (1 - xi)  # cluster at both ends: the tail is long
-    phi: Array = (np.arange(nodes, dtype=np.float64) + 0.5) * (2.0 * np.pi / nodes)
-    alpha2 = 1.0 / (np.square(np.cos(phi) / alpha_x) + np.square(np.sin(phi) / alpha_y))
-    if distribution == "ggx":
-        tan2 = alpha2[:, None] * xi / np.maximum(1.0 - xi, TINY)
-        cos = 1.0 / np.sqrt(1.0 + tan2)
-    elif distribution == "beckmann":
-        cos = 1.0 / np.sqrt(1.0 - alpha2[:, None] * np.log(np.maximum(1.0 - xi, TINY)))
-    else:
-        exponent = exponent_from_alpha(alpha_x) * np.cos(phi) ** 2 + exponent_from_alpha(alpha_y) * np.sin(phi) ** 2
-        cos = np.power(np.maximum(1.0 - xi, TINY), 1.0 / (np.asarray(exponent)[:, None] + 2.0))
-    cos = np.broadcast_to(cos, (nodes, nodes))
-    sin = np.sqrt(np.maximum(0.0, 1.0 - cos * cos))
-    m = np.stack([np.cos(phi)[:, None] * sin, np.sin(phi)[:, None] * sin, cos], axis=-1).reshape(-1, 3)
-    # per azimuth xi(cos) is the cumulative distribution of D cos sin, up to the share of the azimuth
-    share = _azimuth_share(distribution, phi, alpha_x, alpha_y)
-    measure = (share[:, None] * dxi[None, :] * (2.0 * np.pi / nodes)).reshape(-1)  # = D m_z dm
-    if distribution == "ashikhmin-shirley":
-        add = np.asarray(exponent_from_alpha(alpha_x)), np.asarray(exponent_from_alpha(alpha_y))
-        measure = measure * float(np.sqrt((add[0] + 1) * (add[1] + 1) / ((add[0] + 2) * (add[1] + 2))))
-    measure = measure / np.maximum(m[:, 2], 1e-12)
+    m, measure = normal_quadrature(distribution, alpha_x, alpha_y, nodes)
     w_m = m @ w
     seen = np.maximum(w_m, 0.0)
     if distribution in ("ggx", "beckmann"):

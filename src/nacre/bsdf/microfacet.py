@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.contract import Lobe, ParameterAxis, register_lobe
-from nacre.bsdf.facets import masking, normal_density
+from nacre.bsdf.facets import DISTRIBUTIONS, exits, masking, normal_density, normal_quadrature
 from nacre.bsdf.response import InterfaceResponse, interpolate, parameter_coordinates
 from nacre.bsdf.texture import Texture
 
@@ -57,6 +57,29 @@ class Microfacet(Lobe):
     rotation: Texture | None = None
     loss: Array | None = None
     exchange: Array | None = None
+
+    AXES: ClassVar[dict[str, str]] = {"loss": "side s t wavelength", "exchange": "*params side side wavelength"}
+
+    def check(self) -> None:
+        """Check that the tables fit together.
+
+        Raises:
+            ValueError: saying which does not.
+        """
+        self.response.check()
+        if self.distribution not in DISTRIBUTIONS:
+            raise ValueError(f'distribution "{self.distribution}" is not one of {", ".join(DISTRIBUTIONS)}')
+        if not (0 < self.alpha_x <= 1 and 0 < self.alpha_y <= 1):
+            raise ValueError("alpha_x and alpha_y must lie in (0, 1]")
+        if (self.loss is None) != (self.exchange is None):
+            raise ValueError("loss and exchange come together")
+        if self.loss is not None and self.exchange is not None:
+            sides, count = self.loss.shape[0], len(self.wavelengths_nm)
+            lead = tuple(len(axis.values) for axis in self.parameters)
+            if self.loss.ndim != 4 or sides not in (1, 2) or self.loss.shape[3] not in (1, count):
+                raise ValueError(f"loss has the shape {self.loss.shape}")
+            if self.exchange.shape != (*lead, sides, sides, count):
+                raise ValueError(f"exchange has the shape {self.exchange.shape}")
 
     @property
     def wavelengths_nm(self) -> Array:  # type: ignore[override]  # the base declares a plain attribute
@@ -120,6 +143,46 @@ class Microfacet(Lobe):
         if self.loss is not None:
             value = value + self._between_facets(wi, wo, inside_i, inside_o, uv)
         return np.where(grazing[..., None], 0.0, value)
+
+    def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
+        """Integrate over all exits, for light along one `wi[3]`; see `Lobe.hemispherical`.
+
+        Exits follow the facets' normals, so that narrow lobes need no more nodes than wide ones.
+        """
+        from nacre.bsdf.hemisphere import product_rule
+
+        w = self.local_frame(np.asarray(wi, dtype=float), uv)
+        inside = bool(w[2] < 0)
+        factor = 1.0 if self.alpha_texture is None else float(self.alpha_texture(_where(uv, ())))
+        alpha_x, alpha_y = self.alpha_x * factor, self.alpha_y * factor
+        w = w * np.array([1.0, 1.0, -1.0]) if inside else w
+        m, measure = normal_quadrature(self.distribution, alpha_x, alpha_y, nodes)
+        seen = m @ w > 0
+        m, measure = m[seen], measure[seen]
+        w_m = m @ w
+        reflected, transmitted = self.response.lookup(w_m, np.full(w_m.shape, inside), uv)
+        back, through = exits(
+            w, m, 1.0 if not self.transmits else 1 / self.response.eta if inside else self.response.eta
+        )
+        base = measure * w_m / w[2]
+        ways = np.broadcast_to(w, m.shape)
+        total = []
+        for power, wo in ((reflected, back), (transmitted, through)):
+            total.append((base * masking(self.distribution, ways, wo, m, alpha_x, alpha_y)) @ power)
+        if not self.transmits:
+            total[1] = np.zeros_like(total[1])
+        if self.loss is not None:
+            local = self.local_frame(np.asarray(wi, dtype=float), uv)
+
+            def between(wo: Array) -> Array:
+                w_o = self.local_frame(wo, uv)
+                return self._between_facets(
+                    np.broadcast_to(local, w_o.shape), w_o, np.full(len(w_o), inside), w_o[:, 2] < 0, uv
+                )
+
+            more = product_rule(between, np.asarray(wi, dtype=float), nodes, self.transmits)
+            total = [total[0] + more[0], total[1] + more[1]]
+        return total[0], total[1]
 
     def _between_facets(
         self, wi: Array, wo: Array, inside_i: NDArray[np.bool_], inside_o: NDArray[np.bool_], uv: Array | None

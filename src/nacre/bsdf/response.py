@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,32 @@ class InterfaceResponse:
     transmits: bool
     flipped: bool = False
     parameters: tuple[ParameterAxis, ...] = ()
+
+    AXES: ClassVar[dict[str, str]] = {
+        "wavelengths_nm": "wavelength",
+        "cos_outside": "cos",
+        "reflectance": "*params cos wavelength",
+        "transmittance": "*params cos wavelength",
+        "reflectance_inside": "*params cos wavelength",
+        "total": "*params x wavelength",
+    }
+
+    def check(self) -> None:
+        """Check that the tables fit together.
+
+        Raises:
+            ValueError: saying which table does not fit.
+        """
+        check_wavelengths(self.wavelengths_nm)
+        leading = check_parameters(self.parameters)
+        full = (*leading, len(self.cos_outside), len(self.wavelengths_nm))
+        for name in ("reflectance", "transmittance", "reflectance_inside"):
+            if getattr(self, name).shape != full:
+                raise ValueError(f"{name} has the shape {getattr(self, name).shape}, not {full}")
+        if len(self.cos_outside) < 2 or self.total.shape[:-2] != leading or self.total.shape[-1] != full[-1]:
+            raise ValueError("cos_outside or total has a wrong shape")
+        if not 1.0 <= self.eta < 100.0 or (self.eta > 1.0 and self.total.shape[-2] < 2):
+            raise ValueError("eta is below 1, or total has no nodes")
 
     @property
     def cos_critical(self) -> float:
@@ -113,6 +140,32 @@ class InterfaceResponse:
             beyond = _take(self.total, 2.0 / np.pi * np.arccos(cos), -2)
             inside[0] = inside[0] + np.einsum("c,...cl->...l", 2 * weights * mu * self.cos_critical, beyond)
         return outside[0], outside[1], inside[0], inside[1]
+
+
+def check_wavelengths(wavelengths_nm: Array) -> None:
+    """Check a wavelength grid: one axis, positive, ascending.
+
+    Raises:
+        ValueError: if it is not.
+    """
+    if wavelengths_nm.ndim != 1 or not len(wavelengths_nm) or wavelengths_nm[0] <= 0:
+        raise ValueError("wavelengths_nm must be a list of positive wavelengths")
+    if np.any(np.diff(wavelengths_nm) <= 0):
+        raise ValueError("wavelengths_nm must ascend")
+
+
+def check_parameters(parameters: tuple[ParameterAxis, ...]) -> tuple[int, ...]:
+    """Check the parameter axes and return their lengths.
+
+    Raises:
+        ValueError: there are more than two, or the nodes of one do not ascend.
+    """
+    if len(parameters) > 2:
+        raise ValueError("at most two numbers may vary over the surface")
+    for axis in parameters:
+        if axis.values.ndim != 1 or not len(axis.values) or np.any(np.diff(axis.values) <= 0):
+            raise ValueError(f"the nodes of {axis.name} must ascend")
+    return tuple(len(axis.values) for axis in parameters)
 
 
 def _take(table: Array, unit: Array, axis: int) -> Array:

@@ -51,6 +51,22 @@ class Ridge(Lobe):
     norm: Array
     rotation: Texture | None = None
 
+    AXES: ClassVar[dict[str, str]] = {"norm": "wavelength"}
+
+    def check(self) -> None:
+        """Check that the tables fit together.
+
+        Raises:
+            ValueError: saying which does not.
+        """
+        self.response.check()
+        if self.norm.shape != self.wavelengths_nm.shape or np.any(self.norm <= 0):
+            raise ValueError("norm must be positive, one number a wavelength")
+        if not (self.pitch_nm > 0 and self.width_nm > 0 and self.height_deviation_nm >= 0 and self.count >= 1):
+            raise ValueError("pitch_nm, width_nm and count must be positive")
+        if not (self.spread_along > 0 and 0 <= self.fill <= 1):
+            raise ValueError("spread_along must be positive and fill in [0, 1]")
+
     @property
     def wavelengths_nm(self) -> Array:  # type: ignore[override]  # the base declares a plain attribute
         """The wavelength grid of the tables."""

@@ -49,6 +49,10 @@ class Specular(Lobe):
         """The axes that textures drive."""
         return self.response.parameters
 
+    def check(self) -> None:
+        """Check the tables; see `InterfaceResponse.check`."""
+        self.response.check()
+
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Return zeros `[..., wavelength]`: two directions chosen freely never meet a delta."""
         shape = np.broadcast_shapes(np.shape(wi), np.shape(wo))[:-1]

@@ -1,0 +1,198 @@
+"""What a rough interface loses between its facets, and how to give it back without breaking reciprocity.
+
+One bounce on the facets loses the light that the masking blocks. Kulla and Conty (2017) return it as a product
+of what each of the two directions loses. Here that form is carried over to interfaces that transmit: light lost
+on side a returns to side b in proportion `exchange[a, b]`, chosen so that energy is exact without absorption
+and f(wi, wo)/n_o^2 is symmetric; absorption follows the spectrum of the facets' mean reflectance.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.bsdf.facets import exits, masking, normal_quadrature, visible_normals
+from nacre.bsdf.microfacet import Microfacet
+from nacre.bsdf.response import InterfaceResponse
+from nacre.errors import UnsupportedError
+
+Array = NDArray[np.float64]
+LOSS_NODES = 49  # over sqrt(cos): 3e-4 of energy at alpha 0.1 ... 1
+AZIMUTH_NODES = 9  # over cos^2 of the azimuth, anisotropic only
+FACET_NODES = 48
+SMALLEST_COSINE = 1e-4
+
+
+def compensate(lobe: Microfacet) -> Microfacet:
+    """Return the rough lobe with the light between its facets added.
+
+    Raises:
+        UnsupportedError: the roughness varies over the surface, or a thickness does where light passes.
+    """
+    if lobe.alpha_texture is not None:
+        raise UnsupportedError(
+            "compensate = true needs one roughness; a roughness texture, a thickness texture on an opaque substrate "
+            "or a rotation texture may vary"
+        )
+    if lobe.transmits and lobe.parameters:
+        raise UnsupportedError("compensate = true with light passing through needs one thickness; rotation may vary")
+    return _two_sides(lobe) if lobe.transmits else _reflecting(lobe)
+
+
+def _reflecting(lobe: Microfacet) -> Microfacet:
+    """Nothing passes (or passes straight): the loss is the geometry's alone, the colour that of further bounces."""
+    response = lobe.response
+    is_lit_inside = bool(np.any(response.reflectance_inside > 0))
+    directions, shape = _loss_directions(lobe)
+    albedo = _albedo(lobe, directions, None, inside=False)
+    loss = np.maximum(0.0, 1.0 - albedo).reshape(1, *shape, 1)
+    mean = _mean(loss)[0, 0]
+    escaping = 1.0 - mean
+    sides = 2 if is_lit_inside else 1
+    outside, _, inside, _ = response.hemispherical
+    exchange = np.zeros((*outside.shape[:-1], sides, sides, outside.shape[-1]))
+    for side, colour in enumerate((outside, inside)[:sides]):
+        bounces = np.square(colour) * escaping / (1.0 - colour * (1.0 - escaping))
+        exchange[..., side, side, :] = bounces / (np.pi * max(mean, 1e-12))
+    return dataclasses.replace(lobe, loss=np.repeat(loss, sides, axis=0), exchange=exchange)
+
+
+def _two_sides(lobe: Microfacet) -> Microfacet:
+    response, eta = lobe.response, lobe.response.eta
+    directions, shape = _loss_directions(lobe)
+    count = len(response.wavelengths_nm)
+    loss = np.stack(
+        [
+            np.maximum(0.0, 1.0 - _albedo(lobe, directions, _lossless(response), inside)).reshape(*shape, count)
+            for inside in (False, True)
+        ]
+    )
+    mean_outside, mean_inside = np.maximum(_mean(loss), 1e-12)
+    r_out, t_out, r_in, t_in = response.hemispherical
+    kept_out, kept_in = r_out + t_out, r_in + t_in
+    # how freely light changes sides: 0 between perfect mirrors, 1 where nothing reflects
+    ratio = np.sqrt(r_out * r_in / np.maximum(kept_out * kept_in, 1e-12))
+    crossing = (1.0 - ratio) / (np.pi * (mean_outside + eta**2 * mean_inside))
+    # light lost on a side comes back in full: the sum over sides b of exchange[a, b] pi mean[b] is 1
+    exchange = np.empty((2, 2, count))
+    exchange[0, 1] = eta**2 * crossing
+    exchange[1, 0] = crossing
+    exchange[0, 0] = (1.0 - np.pi * mean_inside * exchange[0, 1]) / (np.pi * mean_outside)
+    exchange[1, 1] = (1.0 - np.pi * mean_outside * exchange[1, 0]) / (np.pi * mean_inside)
+    kept = np.sqrt(kept_out * kept_in)
+    mean = 0.5 * (mean_outside + mean_inside)
+    colour = np.square(kept) * (1.0 - mean) / (1.0 - kept * mean)
+    return dataclasses.replace(lobe, loss=loss, exchange=exchange * colour)
+
+
+def facet_transmittance(
+    response: InterfaceResponse, distribution: str, alpha_x: float, alpha_y: float, nodes: int = 33
+) -> Array:
+    """Return the transmittance averaged over the facets that a direction sees, `[*params, cos, wavelength]`.
+
+    Nodes are uniform in the cosine outside, 0 to 1. Where the roughness is anisotropic, the azimuth that lets
+    least through counts: what is left to reflect then never makes the sum exceed one.
+    """
+    azimuths = [0.0] if alpha_x == alpha_y else list(np.linspace(0.0, np.pi / 2, 7))
+    cosines = np.maximum(np.linspace(0.0, 1.0, nodes), SMALLEST_COSINE)
+    size = len(response.cos_outside)
+    spread = np.empty((len(azimuths), nodes, size))
+    for i, phi in enumerate(azimuths):
+        for j, cos in enumerate(cosines):
+            sin = np.sqrt(1.0 - cos * cos)
+            w = np.array([sin * np.cos(phi), sin * np.sin(phi), cos])
+            m, weight = visible_normals(distribution, w, alpha_x, alpha_y, FACET_NODES)
+            # the fit of Beckmann's masking is 0.3 % off one either way
+            weight = weight / max(weight.sum(), 1.0)
+            spread[i, j] = _histogram(np.clip(m @ w, 0.0, 1.0), weight, size)
+    values = np.einsum("ajk,...kl->a...jl", spread, response.transmittance)
+    return np.asarray(values.min(axis=0))
+
+
+def _loss_directions(lobe: Microfacet) -> tuple[Array, tuple[int, int]]:
+    azimuths = 1 if lobe.alpha_x == lobe.alpha_y else AZIMUTH_NODES
+    cos = np.maximum(np.square(np.linspace(0.0, 1.0, LOSS_NODES)), SMALLEST_COSINE)
+    t = np.linspace(0.0, 1.0, azimuths) if azimuths > 1 else np.array([0.5])
+    cos, t = np.meshgrid(cos, t, indexing="ij")
+    sin = np.sqrt(1.0 - cos * cos)
+    w = np.stack([sin * np.sqrt(t), sin * np.sqrt(1.0 - t), cos], axis=-1)
+    return w.reshape(-1, 3), (LOSS_NODES, azimuths)
+
+
+def _lossless(response: InterfaceResponse) -> tuple[Array, Array, Array, Array]:
+    """Return the four tables scaled to R + T = 1, so that what is missing is the geometry's doing."""
+    from_outside = np.maximum(response.reflectance + response.transmittance, 1e-12)
+    from_inside = np.maximum(response.reflectance_inside + response.transmittance, 1e-12)
+    return (
+        response.reflectance / from_outside,
+        response.transmittance / from_outside,
+        response.reflectance_inside / from_inside,
+        response.transmittance / from_inside,
+    )
+
+
+def _albedo(
+    lobe: Microfacet, directions: Array, tables: tuple[Array, Array, Array, Array] | None, inside: bool
+) -> Array:
+    """Return the directional albedo `[direction, 1 or wavelength]` of one bounce, from one side.
+
+    Args:
+        tables: R, T outside and R, T inside `[cos, wavelength]`; None: facets that reflect everything.
+    """
+    response = lobe.response
+    m, measure = normal_quadrature(lobe.distribution, lobe.alpha_x, lobe.alpha_y, FACET_NODES)
+    size = len(response.cos_outside)
+    rows = []
+    for w in directions:
+        seen = m @ w > 0
+        facets, weight = m[seen], measure[seen]
+        w_m = np.clip(facets @ w, 0.0, 1.0)
+        weight = weight * w_m / w[2]
+        eta = 1.0 if tables is None else (1.0 / response.eta if inside else response.eta)
+        back, through = exits(w, facets, eta)
+        ways = np.broadcast_to(w, facets.shape)
+        returned = weight * masking(lobe.distribution, ways, back, facets, lobe.alpha_x, lobe.alpha_y)
+        if tables is None:
+            rows.append(np.array([returned.sum()]))
+            continue
+        passed = weight * masking(lobe.distribution, ways, through, facets, lobe.alpha_x, lobe.alpha_y)
+        outer = response.outside_cosine(w_m) if inside else w_m
+        # beyond the critical angle everything returns, whatever the table's first node says
+        beyond = (w_m <= response.cos_critical) if inside else np.zeros(w_m.shape, dtype=bool)
+        row = _histogram(outer, np.where(beyond, 0.0, returned), size) @ tables[2 if inside else 0]
+        row = row + _histogram(outer, np.where(beyond, 0.0, passed), size) @ tables[3 if inside else 1]
+        rows.append(row + returned[beyond].sum())
+    return np.array(rows)
+
+
+def _histogram(unit: Array, weight: Array, size: int) -> Array:
+    """Return the weights gathered on `size` uniform nodes of [0, 1] as linear interpolation would share them."""
+    position = np.clip(unit, 0.0, 1.0) * (size - 1)
+    low = np.minimum(position.astype(int), size - 2)
+    fraction = position - low
+    counts = np.bincount(low, weight * (1 - fraction), size) + np.bincount(low + 1, weight * fraction, size)
+    return np.asarray(counts)
+
+
+def _mean(loss: Array) -> Array:
+    """Return the cosine-weighted hemispherical mean `[side, wavelength]` of tables `[side, s, t, wavelength]`.
+
+    Integrates the linear interpolant itself, so that what the lobe loses and returns cancels to rounding.
+    """
+    x, weight = np.polynomial.legendre.leggauss(256)
+    s, weight = 0.5 * (x + 1.0), 0.5 * weight
+    position = s * (loss.shape[1] - 1)
+    low = np.minimum(position.astype(int), loss.shape[1] - 2)
+    f = (position - low)[:, None, None]
+    at = loss[:, low] * (1 - f) + loss[:, low + 1] * f
+    # 2 mu dmu = 4 s^3 ds
+    along = np.einsum("q,aqtl->atl", 4.0 * weight * s**3, at)
+    if loss.shape[2] == 1:
+        return np.asarray(along[:, 0])
+    phi = (np.arange(256) + 0.5) * (np.pi / 2 / 256)
+    position = np.square(np.cos(phi)) * (loss.shape[2] - 1)
+    low = np.minimum(position.astype(int), loss.shape[2] - 2)
+    f = (position - low)[:, None]
+    return np.asarray(np.mean(along[:, low] * (1 - f) + along[:, low + 1] * f, axis=1))

@@ -1,0 +1,277 @@
+"""One `.nacre` file: a zip of .npy arrays (never pickles) and a JSON header.
+
+The header names format and version, the tree of lobes, each array's shape, type, axes and checksum, the units
+and the provenance. What a file declares is checked before memory is taken for it, and nothing in it is run.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import json
+import math
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre._version import __version__
+from nacre.bsdf.contract import LOBE_KINDS, Bsdf, Lobe, ParameterAxis, lobe_class
+from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.texture import Texture, parse_formula
+from nacre.errors import NacreError
+from nacre.files import atomic_path
+
+FORMAT = "nacre-bsdf"
+VERSION = 1
+HEADER = "header.json"
+MAX_HEADER_BYTES = 16 << 20
+MAX_TOTAL_BYTES = 4 << 30  # of arrays, unpacked
+MAX_ARRAYS = 1000
+MAX_DEPTH = 12
+DTYPES = ("<f8", "<f4", "<i8", "<i4", "|u1", "|b1", "<c16", "<c8")
+UNITS = {
+    "wavelengths_nm": "nm",
+    "*_nm": "nm",
+    "*_rad": "rad",
+    "bsdf": "1/sr",
+    "power ratios": "1",
+}
+_PARTS: dict[str, type] = {
+    "interface-response": InterfaceResponse,
+    "parameter-axis": ParameterAxis,
+    "texture": Texture,
+}
+
+
+def register_part(name: str, cls: type) -> None:
+    """Make a frozen dataclass that lobes hold storable under `name`; call it where the lobe is defined."""
+    _PARTS[name] = cls
+
+
+def save_bsdf(bsdf: Bsdf, path: str | Path) -> None:
+    """Write a Bsdf, whole or not at all.
+
+    Raises:
+        NacreError: the folder cannot be written, or a lobe holds something that has no place in the format.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    axes: dict[str, str] = {}
+    lobes = [_encode(lobe, f"lobe{i}", arrays, axes, str(path)) for i, lobe in enumerate(bsdf.lobes)]
+    described = {
+        name: {
+            "shape": list(array.shape),
+            "dtype": array.dtype.str,
+            "sha256": hashlib.sha256(array.tobytes()).hexdigest(),
+            **({"axes": axes[name]} if name in axes else {}),
+        }
+        for name, array in arrays.items()
+    }
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "nacre": __version__,
+        "units": UNITS,
+        "provenance": _plain(bsdf.provenance),
+        "lobes": lobes,
+        "arrays": described,
+    }
+    text = json.dumps(header, indent=1, allow_nan=False)
+    with (
+        atomic_path(path) as temporary,
+        zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as zipped,
+    ):
+        _write_entry(zipped, HEADER, text.encode())
+        for name, array in arrays.items():
+            buffer = io.BytesIO()
+            np.lib.format.write_array(buffer, array, version=(1, 0), allow_pickle=False)
+            _write_entry(zipped, f"{name}.npy", buffer.getvalue())
+
+
+def _write_entry(zipped: zipfile.ZipFile, name: str, content: bytes) -> None:
+    # a fixed date: the same material gives the same bytes
+    entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
+    entry.compress_type = zipfile.ZIP_DEFLATED
+    zipped.writestr(entry, content)
+
+
+def _type_name(value: Any) -> str | None:
+    if isinstance(value, Lobe):
+        return value.kind
+    return next((name for name, cls in _PARTS.items() if type(value) is cls), None)
+
+
+def _encode(value: Any, where: str, arrays: dict[str, NDArray[Any]], axes: dict[str, str], path: str) -> Any:
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        if not math.isfinite(value):
+            raise NacreError(f"{path}: {where} is not finite and cannot be stored")
+        return float(value)
+    if isinstance(value, np.ndarray):
+        array = np.ascontiguousarray(value)
+        array = array.astype(array.dtype.newbyteorder("<"), copy=False)
+        if array.dtype.str not in DTYPES:
+            raise NacreError(f"{path}: {where} is an array of {array.dtype}, which cannot be stored")
+        if not np.all(np.isfinite(array)):
+            raise NacreError(f"{path}: {where} holds values that are not finite and cannot be stored")
+        arrays[where] = array.reshape(value.shape)
+        return {"array": where}
+    if isinstance(value, tuple):
+        return {"tuple": [_encode(v, f"{where}.{i}", arrays, axes, path) for i, v in enumerate(value)]}
+    name = _type_name(value)
+    if name is None:
+        raise NacreError(f"{path}: {where} is a {type(value).__name__}, which cannot be stored")
+    fields = {}
+    named = getattr(type(value), "AXES", {})
+    for field in dataclasses.fields(value):
+        inner, at = getattr(value, field.name), f"{where}.{field.name}"
+        if isinstance(value, Texture) and field.name == "formula":
+            fields[field.name] = None if inner is None else inner.text
+            continue
+        fields[field.name] = _encode(inner, at, arrays, axes, path)
+        if at in arrays and field.name in named:
+            axes[at] = named[field.name]
+    return {"type": name, "fields": fields}
+
+
+def _plain(value: Any) -> Any:
+    """Turn provenance into what JSON can hold."""
+    if isinstance(value, dict) or hasattr(value, "items"):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+
+
+def load_bsdf(path: str | Path) -> Bsdf:
+    """Read a Bsdf.
+
+    Raises:
+        NacreError: in one line, if the file is missing, broken, too large, not of this format or too new.
+    """
+    path = Path(path)
+    try:
+        with zipfile.ZipFile(path) as zipped:
+            return _read(zipped, path)
+    except NacreError:
+        raise
+    except FileNotFoundError:
+        raise NacreError(f"{path}: does not exist") from None
+    except IsADirectoryError:
+        raise NacreError(f"{path}: is a folder, not a .nacre file") from None
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError):
+        raise NacreError(f"{path}: is not a .nacre file, or it is damaged or cut short") from None
+    except OSError as error:
+        raise NacreError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def _read(zipped: zipfile.ZipFile, path: Path) -> Bsdf:
+    entries = {entry.filename: entry for entry in zipped.infolist()}
+    if HEADER not in entries:
+        raise NacreError(f"{path}: is not a .nacre file: it has no {HEADER}")
+    if entries[HEADER].file_size > MAX_HEADER_BYTES or len(entries) > MAX_ARRAYS:
+        raise NacreError(f"{path}: its header or its number of arrays is larger than any .nacre file needs")
+    try:
+        header = json.loads(zipped.read(HEADER).decode())
+    except (ValueError, RecursionError):
+        raise NacreError(f"{path}: its header is not readable JSON") from None
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise NacreError(f"{path}: is not a .nacre file: its header does not say {FORMAT}")
+    version = header.get("version")
+    if not isinstance(version, int) or version < 1:
+        raise NacreError(f"{path}: its header has no valid format version")
+    if version > VERSION:
+        made = str(header.get("nacre", "?"))[:40]
+        raise NacreError(
+            f"{path}: format version {version} (written by nacre {made}) is newer than {VERSION}, "
+            f"which nacre {__version__} reads; upgrade nacre"
+        )
+    try:
+        arrays = _read_arrays(zipped, entries, header["arrays"], path)
+        lobes = tuple(_decode(lobe, arrays, path, 0) for lobe in header["lobes"])
+        if not lobes or not all(isinstance(lobe, Lobe) for lobe in lobes):
+            raise NacreError(f"{path}: holds no lobes")
+        for lobe in lobes:
+            lobe.check()
+            if not np.array_equal(lobe.wavelengths_nm, lobes[0].wavelengths_nm):
+                raise ValueError("its lobes have different wavelengths")
+        provenance = header.get("provenance")
+        return Bsdf(lobes, provenance if isinstance(provenance, dict) else {})
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise NacreError(f"{path}: its header does not describe a Bsdf: {reason}") from None
+
+
+def _read_arrays(
+    zipped: zipfile.ZipFile, entries: dict[str, zipfile.ZipInfo], described: dict[str, Any], path: Path
+) -> dict[str, NDArray[Any]]:
+    total, expected = 0, {}
+    for name, info in described.items():
+        shape, dtype = info["shape"], info["dtype"]
+        if dtype not in DTYPES or not all(isinstance(n, int) and 0 <= n < 2**31 for n in shape) or len(shape) > 8:
+            raise ValueError(f"array {name[:60]} has no allowed shape and type")
+        size = math.prod(shape) * np.dtype(dtype).itemsize
+        total += size
+        entry = entries.get(f"{name}.npy")
+        if entry is None:
+            raise NacreError(f"{path}: array {name[:60]} is missing; the file is damaged")
+        if not 0 <= entry.file_size - size <= 4096:  # what remains is the .npy header
+            raise NacreError(f"{path}: array {name[:60]} is not as large as the header says; the file is damaged")
+        expected[name] = (tuple(shape), dtype, info["sha256"])
+    if total > MAX_TOTAL_BYTES:
+        raise NacreError(f"{path}: holds {total} bytes of arrays; at most {MAX_TOTAL_BYTES} are read")
+    arrays = {}
+    for name, (shape, dtype, digest) in expected.items():
+        with zipped.open(f"{name}.npy") as stream:
+            try:
+                array = np.lib.format.read_array(stream, allow_pickle=False, max_header_size=4096)
+            except ValueError:
+                raise NacreError(f"{path}: array {name[:60]} is damaged") from None
+        if array.shape != shape or array.dtype.str != dtype:
+            raise NacreError(f"{path}: array {name[:60]} is not as the header says; the file is damaged")
+        if hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest() != digest:
+            raise NacreError(f"{path}: array {name[:60]} does not match its checksum; the file is damaged")
+        if not np.all(np.isfinite(array)):
+            raise NacreError(f"{path}: array {name[:60]} holds values that are not finite")
+        array.flags.writeable = False
+        arrays[name] = array
+    return arrays
+
+
+def _decode(node: Any, arrays: dict[str, NDArray[Any]], path: Path, depth: int) -> Any:
+    if depth > MAX_DEPTH:
+        raise ValueError("its lobes are nested too deep")
+    if not isinstance(node, dict):
+        if isinstance(node, list):
+            raise ValueError("a bare list stands where a value should")
+        return node
+    if "array" in node:
+        return arrays[node["array"]]
+    if "tuple" in node:
+        return tuple(_decode(inner, arrays, path, depth + 1) for inner in node["tuple"])
+    name = node["type"]
+    if depth == 0 and name in LOBE_KINDS:
+        lobe_class(name)  # its module makes the parts known that only this lobe holds
+    if name in _PARTS:
+        cls: Any = _PARTS[name]
+    elif depth == 0 and name in LOBE_KINDS:
+        cls = lobe_class(name)
+    else:
+        raise NacreError(f"{path}: holds a {str(name)[:40]}, which nacre {__version__} does not know")
+    fields = {str(key): _decode(value, arrays, path, depth + 1) for key, value in node["fields"].items()}
+    if cls is Texture and fields.get("formula") is not None:
+        fields["formula"] = parse_formula(fields["formula"])
+    return cls(**fields)
