@@ -33,6 +33,7 @@ FAMILIES = {
     "relief": "nacre.relief.spec:ReliefSpec",
 }
 MAX_NESTED_RECIPES = 8
+STUDY_TABLES = ("fit", "tolerance")  # read by nacre.study: which numbers are free, which vary in manufacture
 
 
 def family_model(family: object, source: str) -> type[RecipeModel]:
@@ -237,7 +238,7 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
         RecipeError: naming file, key, value and what is allowed.
     """
     model = family_model(data.get("family"), context.source)
-    spec = validate(model, data, context)
+    spec = validate(model, {key: value for key, value in data.items() if key not in STUDY_TABLES}, context)
     return Material(spec.build(context), copy.deepcopy(dict(data)), context)
 
 

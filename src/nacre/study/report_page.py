@@ -74,16 +74,14 @@ def report_text(reports: list[Report]) -> str:
         for table in _tables(report):
             lines += [f"  {table.what}", "    angle      L*       a*       b*       C*       h   sRGB"]
             for angle, lab, lch, swatch in zip(table.angles_deg, table.lab, table.lch, table.hex, strict=True):
-                lines.append(
-                    f"    {angle:5.0f}  {lab[0]:7.2f}  {lab[1]:7.2f}  {lab[2]:7.2f}  {lch[1]:7.2f}  {lch[2]:6.1f}   {swatch}"
-                )
+                numbers = "  ".join(f"{v:7.2f}" for v in (*lab, lch[1]))
+                lines.append(f"    {angle:5.0f}  {numbers}  {lch[2]:6.1f}   {swatch}")
             lines += [f"    travel in a*b*: {table.travel:.1f}", ""]
         lines += [f"  {name:34s} {value}" for name, value in _numbers(report)] + [""]
     for report in reports[1:]:
         lines.append(f"dE00 of {report.name} to {reports[0].name}")
         for name, values in differences(report, reports[0]).items():
-            table = report.aspecular if name == "aspecular" else report.specular
-            assert table is not None
+            table = _named_table(report, name)
             row = "  ".join(f"{a:g}: {v:.2f}" for a, v in zip(table.angles_deg, values, strict=True))
             lines.append(f"  {name:10s} {row}")
     return "\n".join(lines).rstrip() + "\n"
@@ -91,6 +89,10 @@ def report_text(reports: list[Report]) -> str:
 
 def _tables(report: Report) -> list[ColourTable]:
     return [report.aspecular] + ([report.specular] if report.specular is not None else [])
+
+
+def _named_table(report: Report, name: str) -> ColourTable:
+    return report.aspecular if name == "aspecular" or report.specular is None else report.specular
 
 
 def _numbers(report: Report) -> list[tuple[str, str]]:
@@ -115,7 +117,8 @@ def report_html(reports: list[Report], figures: dict[str, str] | None = None) ->
     columns = "".join(f"<section>{_section(report)}</section>" for report in reports)
     compare = "".join(_difference_table(report, reports[0]) for report in reports[1:])
     pictures = "".join(
-        f'<figure><img alt="{html.escape(caption)}" src="{uri}"><figcaption>{html.escape(caption)}</figcaption></figure>'
+        f'<figure><img alt="{html.escape(caption)}" src="{uri}">'
+        f"<figcaption>{html.escape(caption)}</figcaption></figure>"
         for caption, uri in (figures or {}).items()
     )
     recipes = "".join(
@@ -150,8 +153,7 @@ def _section(report: Report) -> str:
 def _difference_table(report: Report, standard: Report) -> str:
     rows = ""
     for name, values in differences(report, standard).items():
-        table = report.aspecular if name == "aspecular" else report.specular
-        assert table is not None
+        table = _named_table(report, name)
         heads = "".join(f"<th>{a:g}</th>" for a in table.angles_deg)
         cells = "".join(f"<td>{v:.2f}</td>" for v in values)
         rows += f"<table><tr><th>{name}</th>{heads}</tr><tr><th>dE00</th>{cells}</tr></table>"

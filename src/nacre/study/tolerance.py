@@ -1,0 +1,280 @@
+"""From manufacturing spreads to colour spread: how often does a coating come out right, and what decides it?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.api import evaluate_with_error
+from nacre.errors import NacreError, RecipeError
+from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
+from nacre.recipe import Material
+from nacre.specs import show_value
+from nacre.study import geometry
+from nacre.study.report import SPECULAR_ANGLES_DEG
+
+Array = NDArray[np.float64]
+DISTRIBUTIONS = ("gaussian", "uniform")
+MAX_DRAWS = 1_000_000
+SENSITIVITY_STEP = 0.5  # of a standard deviation: inside the spread, and far above rounding
+
+
+@dataclass(frozen=True)
+class Spread:
+    """The manufacturing spread of one recipe number.
+
+    Attributes:
+        path: the number's place in the recipe.
+        nominal: the recipe's value.
+        deviation: standard deviation (gaussian) or half width (uniform), in the number's own unit.
+        distribution: "gaussian" or "uniform".
+    """
+
+    path: str
+    nominal: float
+    deviation: float
+    distribution: str = "gaussian"
+
+    @property
+    def standard_deviation(self) -> float:
+        """The standard deviation of either distribution."""
+        return self.deviation / np.sqrt(3) if self.distribution == "uniform" else self.deviation
+
+    def draw(self, generator: np.random.Generator, count: int) -> Array:
+        """Draw values; a spread that reaches below zero is cut there when the nominal value is positive."""
+        if self.distribution == "uniform":
+            values = self.nominal + self.deviation * generator.uniform(-1, 1, count)
+        else:
+            values = self.nominal + self.deviation * generator.standard_normal(count)
+        return np.maximum(values, 0.0) if self.nominal >= 0 else values
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """The outcome of a tolerance study.
+
+    Attributes:
+        geometry: "aspecular, 45 degree incidence" or "mirror direction".
+        angles_deg: `[angle]`.
+        nominal_lab: `[angle, 3]`.
+        lab: `[draw, angle, 3]`.
+        delta_e: `[draw, angle]`, dE00 to the nominal colour.
+        limit: the dE00 limit of the yield.
+        yield_share: share of draws within the limit at every angle; its 95 % interval is `yield_interval`.
+        sensitivities: (path, dE00 of one standard deviation at the worst angle, share of variance), largest first.
+        failed: draws that could not be computed, counted as outside the limit.
+    """
+
+    geometry: str
+    angles_deg: Array
+    nominal_lab: Array
+    lab: Array
+    delta_e: Array
+    limit: float
+    yield_share: float
+    yield_interval: tuple[float, float]
+    sensitivities: tuple[tuple[str, float, float], ...]
+    failed: int
+
+
+def read_spreads(material: Material, options: tuple[str, ...] = ()) -> tuple[Spread, ...]:
+    """Collect the spreads of the recipe's `[tolerance]` table and of `PATH=SPREAD` options, which win.
+
+    A spread is a number (standard deviation), a percentage ("2%"), or in the recipe a table
+    `{deviation = 5}`, `{percent = 2}`, each with `distribution = "uniform"` if wanted.
+
+    Raises:
+        RecipeError: naming the path and what is allowed.
+    """
+    source = material.context.source
+    table = dict(_flat(material.data.get("tolerance", {}), source))
+    for option in options:
+        path, equals, text = option.rpartition("=")
+        if not equals:
+            raise RecipeError(f'--spread "{option}" cannot be read; write it like layers[0].thickness_nm=2% or =5')
+        table[path.strip()] = text.strip()
+    if not table:
+        raise RecipeError(f"{source}: no spread is given; add a [tolerance] table or use --spread PATH=VALUE")
+    return tuple(_spread(material, path, value, source) for path, value in table.items())
+
+
+def _flat(table: Any, source: str, prefix: str = "") -> list[tuple[str, Any]]:
+    if not isinstance(table, Mapping):
+        raise RecipeError(f"{source}: tolerance = {show_value(table)} should be a table")
+    found: list[tuple[str, Any]] = []
+    for key, value in table.items():
+        is_spread = not isinstance(value, Mapping) or set(value) & {"deviation", "percent"}
+        found += [(f"{prefix}{key}", value)] if is_spread else _flat(value, source, f"{prefix}{key}.")
+    return found
+
+
+def _spread(material: Material, path: str, value: Any, source: str) -> Spread:
+    nominal = material.get(path) if _has(material, path) else None
+    if isinstance(nominal, bool) or not isinstance(nominal, int | float):
+        raise RecipeError(f'{source}: tolerance."{path}": the recipe\'s value {show_value(nominal)} is not a number')
+    distribution = "gaussian"
+    if isinstance(value, Mapping):
+        distribution = value.get("distribution", "gaussian")
+        if distribution not in DISTRIBUTIONS:
+            known = ", ".join(DISTRIBUTIONS)
+            raise RecipeError(f'{source}: tolerance."{path}".distribution = {show_value(distribution)}; known: {known}')
+        value = value["deviation"] if "deviation" in value else f"{value['percent']}%"
+    text = str(value).strip()
+    try:
+        number = float(text.removesuffix("%"))
+    except ValueError:
+        number = np.nan
+    if not (np.isfinite(number) and number >= 0):
+        raise RecipeError(f'{source}: tolerance."{path}" = {show_value(value)} should be a number >= 0 or a percentage')
+    deviation = abs(nominal) * number / 100 if text.endswith("%") else number
+    return Spread(path, float(nominal), deviation, str(distribution))
+
+
+def _has(material: Material, path: str) -> bool:
+    try:
+        material.get(path)
+    except (RecipeError, KeyError, IndexError, TypeError):
+        return False
+    return True
+
+
+def run_tolerance(
+    material: Material,
+    spreads: tuple[Spread, ...],
+    *,
+    draws: int = 500,
+    limit: float = 1.0,
+    seed: int = 0,
+    illuminant: str = "D65",
+    observer: str = "10deg",
+    samples: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Tolerance:
+    """Draw materials within their spreads and measure their colours.
+
+    Stochastic families are measured with one seed for all draws, so that noise does not pass for spread.
+
+    Args:
+        material: the nominal material.
+        spreads: from `read_spreads`.
+        draws: number of materials.
+        limit: the dE00 within which a material counts as right, at every angle.
+        progress: called with (done, draws).
+
+    Raises:
+        NacreError: the nominal material cannot be computed, or a number is out of its range.
+    """
+    if not 1 <= draws <= MAX_DRAWS:
+        raise NacreError(f"--draws = {draws} must lie in [1, {MAX_DRAWS}]")
+    if not limit > 0:
+        raise NacreError(f"--limit = {limit} must be above 0")
+    measure = ColourProbe(material, illuminant, observer, samples, seed)
+    nominal = measure(material)
+    generator = np.random.default_rng(seed)
+    values = {spread.path: spread.draw(generator, draws) for spread in spreads}
+    lab = np.full((draws, *nominal.shape), np.nan)
+    for i in range(draws):
+        try:
+            lab[i] = measure(material.vary({path: float(v[i]) for path, v in values.items()}))
+        except NacreError:
+            pass  # stays NaN and counts as failed: an impossible draw is a finding, not an end
+        if progress:
+            progress(i + 1, draws)
+    delta = np.asarray(delta_e_2000(np.broadcast_to(nominal, lab.shape), lab))
+    failed = int(np.sum(np.isnan(delta).any(axis=1)))
+    good = int(np.sum(np.nan_to_num(delta, nan=np.inf).max(axis=1) <= limit))
+    return Tolerance(
+        measure.what, np.asarray(measure.angles_deg), nominal, lab, delta, limit, good / draws, _wilson(good, draws),
+        _sensitivities(material, spreads, measure, nominal), failed,
+    )  # fmt: skip
+
+
+class ColourProbe:
+    """Measures the Lab of a material at fixed angles: aspecular where it scatters, mirror-like where it does not."""
+
+    def __init__(self, material: Material, illuminant: str, observer: str, samples: int | None, seed: int) -> None:
+        self._light = (illuminant, observer)
+        self._samples, self._seed = samples, seed
+        scatters = any(not lobe.is_delta for lobe in material.bsdf().lobes)
+        self.what = "aspecular, 45 degree incidence" if scatters else "mirror direction"
+        self.angles_deg: tuple[float, ...] = geometry.ASPECULAR_DEG if scatters else SPECULAR_ANGLES_DEG
+        self._wo = np.stack([geometry.aspecular_direction(45.0, a) for a in geometry.ASPECULAR_DEG])
+        self._scatters = scatters
+
+    def __call__(self, material: Material) -> Array:
+        """Return Lab, `[angle, 3]`."""
+        if self._scatters:
+            bsdf = material.bsdf()
+            wi = np.broadcast_to(geometry.direction(45.0), self._wo.shape)
+            values = np.pi * evaluate_with_error(bsdf, wi, self._wo, samples=self._samples, seed=self._seed)[0]
+            grid = bsdf.wavelengths_nm
+        else:
+            # a smooth material needs no table over angles, only its stack at these
+            spectrum = material.spectrum(np.radians(self.angles_deg))
+            reflectance = spectrum.specular_reflectance
+            values = (
+                np.zeros((len(self.angles_deg), len(spectrum.wavelengths_nm))) if reflectance is None else reflectance
+            )
+            grid = spectrum.wavelengths_nm
+        return np.asarray(xyz_to_lab(spectrum_to_xyz(values, grid, *self._light), white_xyz(*self._light)))
+
+
+def _sensitivities(
+    material: Material, spreads: tuple[Spread, ...], measure: ColourProbe, nominal: Array
+) -> tuple[tuple[str, float, float], ...]:
+    """Rank the spreads by the colour change of one standard deviation, from a central difference."""
+    changes = []
+    for spread in spreads:
+        sigma = spread.standard_deviation
+        step = SENSITIVITY_STEP * sigma
+        low = max(spread.nominal - step, 0.0) if spread.nominal >= 0 else spread.nominal - step
+        high = spread.nominal + step
+        if high <= low:
+            changes.append(0.0)
+            continue
+        below, above = (measure(material.vary({spread.path: v})) for v in (low, high))
+        slope = (above - below) / (high - low) * sigma
+        changes.append(float(np.max(delta_e_2000(nominal, nominal + slope))))
+    total = sum(change**2 for change in changes) or 1.0
+    ranked = sorted(zip(spreads, changes, strict=True), key=lambda pair: -pair[1])
+    return tuple((spread.path, change, change**2 / total) for spread, change in ranked)
+
+
+def _wilson(good: int, count: int, z: float = 1.96) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a share; it behaves at 0 and 1, where the normal one does not."""
+    share = good / count
+    centre = (share + z**2 / (2 * count)) / (1 + z**2 / count)
+    half = z / (1 + z**2 / count) * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2))
+    return max(0.0, float(centre - half)), min(1.0, float(centre + half))
+
+
+def tolerance_document(result: Tolerance, spreads: tuple[Spread, ...]) -> dict[str, Any]:
+    """Return the outcome as JSON-able data: statistics an angle, yield, sensitivities."""
+    lab = result.lab[~np.isnan(result.lab).any(axis=(1, 2))]
+    percentiles = np.percentile(result.delta_e, [50, 95], axis=0) if len(lab) else np.zeros((2, len(result.angles_deg)))
+    return {
+        "geometry": result.geometry,
+        "angles_deg": result.angles_deg.tolist(),
+        "nominal_lab": result.nominal_lab.tolist(),
+        "mean_lab": lab.mean(axis=0).tolist() if len(lab) else None,
+        "deviation_lab": lab.std(axis=0).tolist() if len(lab) else None,
+        "delta_e_2000_median": percentiles[0].tolist(),
+        "delta_e_2000_95": percentiles[1].tolist(),
+        "limit": result.limit,
+        "yield": result.yield_share,
+        "yield_interval_95": list(result.yield_interval),
+        "draws": len(result.lab),
+        "failed_draws": result.failed,
+        "sensitivities": [
+            {"path": path, "delta_e_of_one_deviation": change, "share_of_variance": share}
+            for path, change, share in result.sensitivities
+        ],
+        "spreads": [spread.__dict__ for spread in spreads],
+    }
+
+
+__all__ = ["ColourProbe", "Spread", "Tolerance", "read_spreads", "run_tolerance", "tolerance_document"]
