@@ -1,0 +1,84 @@
+"""What stands round the subject: backdrop, curved chessboard, flat and rolled panels, tiles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nacre.render.shapes.surface import Array, Surface, parametric
+
+
+def sweep(half_width: float, front: float, back: float, radius: float, height: float) -> Surface:
+    """A backdrop: a floor from y = -front to y = back that bends up with `radius` into a wall of `height`.
+
+    u runs across, v along the floor and up the wall, both in lengths, so that a chessboard keeps its squares.
+    """
+    floor = front + back
+    arc = 0.5 * np.pi * radius
+    total = floor + arc + (height - radius)
+
+    def position(u: Array, v: Array) -> Array:
+        s = v * total
+        angle = np.clip((s - floor) / radius, 0, 0.5 * np.pi)
+        beyond = np.maximum(s - floor - arc, 0)
+        y = -front + np.minimum(s, floor) + radius * np.sin(angle)
+        return np.stack([(2 * u - 1) * half_width, y, radius * (1 - np.cos(angle)) + beyond], axis=-1)
+
+    surface = parametric(position, 2, 400)
+    return Surface(surface.vertices, surface.normals, surface.uv * np.array([2 * half_width, total]), surface.faces)
+
+
+def bowl(flat: float, reach: float, rise: float) -> Surface:
+    """A chessboard floor that curls up around the subject: flat within `flat`, up to `rise` at distance `reach`.
+
+    The curl follows (r - flat)^2; uv are x and y laid flat, in lengths.
+    """
+
+    def position(u: Array, v: Array) -> Array:
+        x, y = (2 * u - 1) * reach, (2 * v - 1) * reach
+        r = np.sqrt(x * x + y * y + 1e-12)
+        lift = rise * (np.maximum(r - flat, 0) / (reach - flat)) ** 2
+        return np.stack([x, y, lift], axis=-1)
+
+    surface = parametric(position, 200, 200)
+    return Surface(surface.vertices, surface.normals, (surface.uv * 2 - 1) * reach, surface.faces)
+
+
+def sheet(width: float, depth: float, thickness: float = 0.02) -> Surface:
+    """A flat panel with rounded rim lying on z = 0, u across, v along; closed."""
+
+    def position(u: Array, v: Array) -> Array:
+        # a superellipsoid: flat faces, soft rim; u runs across the top and back below
+        angle = 2 * np.pi * u
+        c, s = _power(np.cos(angle), 0.05), _power(np.sin(angle), 0.3)
+        edge = _power(np.sin(np.pi * v), 0.05)
+        return np.stack(
+            [-0.5 * width * c * edge, -0.5 * depth * _power(np.cos(np.pi * v), 0.05), 0.5 * thickness * (1 + s * edge)],
+            axis=-1,
+        )
+
+    return parametric(position, 400, 200)
+
+
+def rolled(width: float, radius: float, arc_deg: float) -> Surface:
+    """A panel rolled about an axis along x, bulging up, its lowest edges on z = 0; u along x, v around the arc."""
+    half = 0.5 * np.radians(arc_deg)
+
+    def position(u: Array, v: Array) -> Array:
+        angle = (2 * v - 1) * half
+        z = radius * (np.cos(angle) - np.cos(half))
+        return np.stack([(u - 0.5) * width, radius * np.sin(angle), z], axis=-1)
+
+    return parametric(position, 2, 240)
+
+
+def tile(width: float, depth: float) -> Surface:
+    """A flat rectangle at z = 0, facing up, uv over its extent."""
+
+    def position(u: Array, v: Array) -> Array:
+        return np.stack([(u - 0.5) * width, (v - 0.5) * depth, 0 * u], axis=-1)
+
+    return parametric(position, 1, 1)
+
+
+def _power(value: Array, exponent: float) -> Array:
+    return np.sign(value) * np.abs(value) ** exponent
