@@ -101,9 +101,8 @@ def surface_net(f: Implicit, low: Array, high: Array, spacing: float, uv: Callab
 
     faces = []
     for axis in range(3):
-        a, b = [slice(None)] * 3, [slice(None)] * 3
-        a[axis], b[axis] = slice(None, -1), slice(1, None)
-        enters, leaves = inside[tuple(a)], inside[tuple(b)]
+        enters = inside.take(range(count[axis] - 1), axis)
+        leaves = inside.take(range(1, count[axis]), axis)
         j, k = (axis + 1) % 3, (axis + 2) % 3
         for flag, flipped in ((enters & ~leaves, False), (~enters & leaves, True)):
             at = np.argwhere(flag)
