@@ -255,7 +255,8 @@ def _wilson(good: int, count: int, z: float = 1.96) -> tuple[float, float]:
 def tolerance_document(result: Tolerance, spreads: tuple[Spread, ...]) -> dict[str, Any]:
     """Return the outcome as JSON-able data: statistics an angle, yield, sensitivities."""
     lab = result.lab[~np.isnan(result.lab).any(axis=(1, 2))]
-    percentiles = np.percentile(result.delta_e, [50, 95], axis=0) if len(lab) else np.zeros((2, len(result.angles_deg)))
+    delta = result.delta_e[~np.isnan(result.delta_e).any(axis=1)]
+    percentiles = np.percentile(delta, [50, 95], axis=0) if len(delta) else np.zeros((2, len(result.angles_deg)))
     return {
         "geometry": result.geometry,
         "angles_deg": result.angles_deg.tolist(),

@@ -1,0 +1,146 @@
+"""Goniometric measurements as CSV: theta_i, phi_i, theta_o, phi_o (degrees), wavelength (nm), value (1/sr)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.errors import NacreError
+from nacre.files import atomic_path
+
+Array = NDArray[np.float64]
+COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "wavelength", "value")
+MAX_BYTES = 1 << 30
+ROUND_TRIP_DIGITS = 9  # float32 survives a decimal round trip with nine significant digits
+
+
+@dataclass(frozen=True)
+class GonioData:
+    """A measurement on a grid of direction pairs.
+
+    Attributes:
+        angles_deg: `[pair, 4]`: theta_i, phi_i, theta_o, phi_o; theta above 90 is the other side.
+        wavelengths_nm: `[wavelength]`, ascending.
+        values: `[pair, wavelength]`, the BSDF in 1/sr, without the cosine.
+    """
+
+    angles_deg: Array
+    wavelengths_nm: Array
+    values: Array
+
+    @property
+    def wi(self) -> Array:
+        """Unit vectors to the light, `[pair, 3]`."""
+        return _direction(self.angles_deg[:, 0], self.angles_deg[:, 1])
+
+    @property
+    def wo(self) -> Array:
+        """Unit vectors to the eye, `[pair, 3]`."""
+        return _direction(self.angles_deg[:, 2], self.angles_deg[:, 3])
+
+
+def _direction(theta_deg: Array, phi_deg: Array) -> Array:
+    theta, phi = np.radians(theta_deg), np.radians(phi_deg)
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def write_gonio_csv(path: str | Path, data: GonioData, comment: str = "") -> None:
+    """Write the measurement, one row a pair and wavelength; comment lines start with #.
+
+    Raises:
+        NacreError: the file cannot be written.
+    """
+    pairs, waves = data.values.shape
+    table = np.empty((pairs * waves, 6))
+    table[:, :4] = np.repeat(data.angles_deg, waves, axis=0)
+    table[:, 4] = np.tile(data.wavelengths_nm, pairs)
+    table[:, 5] = data.values.ravel()
+    with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        for line in comment.splitlines():
+            file.write(f"# {line}\n")
+        file.write(",".join(COLUMNS) + "\n")
+        np.savetxt(file, table, fmt=f"%.{ROUND_TRIP_DIGITS}g", delimiter=",")
+
+
+def read_gonio_csv(path: str | Path) -> GonioData:
+    """Read a measurement; the columns may stand in any order, more columns are ignored.
+
+    Every direction pair must be given at the same wavelengths.
+
+    Raises:
+        NacreError: naming the file, the line and what is wrong.
+    """
+    names, table = read_table(path)
+    missing = [name for name in COLUMNS if name not in names]
+    if missing:
+        raise NacreError(f"{path}: column {missing[0]} is missing; a gonio CSV has {', '.join(COLUMNS)}")
+    columns = table[:, [names.index(name) for name in COLUMNS]]
+    if np.any(columns[:, 4] <= 0):
+        raise NacreError(f"{path}: wavelength = {columns[:, 4].min():g} should be above 0 (nm)")
+    for name, index in (("theta_i", 0), ("theta_o", 2)):
+        bad = (columns[:, index] < 0) | (columns[:, index] > 180)
+        if np.any(bad):
+            raise NacreError(f"{path}: {name} = {columns[bad][0, index]:g} should lie in [0, 180] degrees")
+    waves = np.unique(columns[:, 4])
+    pairs, inverse = np.unique(columns[:, :4], axis=0, return_inverse=True)
+    values = np.full((len(pairs), len(waves)), np.nan)
+    place = (np.ravel(inverse), np.searchsorted(waves, columns[:, 4]))
+    values[place] = columns[:, 5]
+    if len(columns) != values.size or np.isnan(values).any():
+        raise NacreError(
+            f"{path}: has {len(columns)} rows for {len(pairs)} direction pairs and {len(waves)} wavelengths; "
+            "every pair must be given once at every wavelength"
+        )
+    first = np.full(len(pairs), len(columns))
+    np.minimum.at(first, np.ravel(inverse), np.arange(len(columns)))
+    order = np.argsort(first)  # keep the file's own order of pairs
+    return GonioData(pairs[order], waves, values[order])
+
+
+def read_table(path: str | Path) -> tuple[list[str], Array]:
+    """Read a CSV of numbers with a header line; lines starting with # are comments.
+
+    Raises:
+        NacreError: missing, too large, without header or rows, or with a cell that is not a finite number.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
+        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+    except FileNotFoundError:
+        raise NacreError(f"{path}: does not exist") from None
+    except UnicodeDecodeError:
+        raise NacreError(f"{path}: is not text") from None
+    except OSError as error:
+        raise NacreError(f"{path}: cannot be read: {error.strerror}") from None
+    lines = [line for line in lines if not line.lstrip().startswith("#")]
+    if len(lines) < 2:
+        raise NacreError(f"{path}: holds no data; a header line and rows of numbers are needed")
+    names = [name.strip().strip('"').lower() for name in lines[0].split(",")]
+    try:
+        table = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
+    except ValueError:
+        table = np.empty((0, 0))
+    if table.ndim != 2 or table.shape[1:] != (len(names),) or not np.all(np.isfinite(table)):
+        raise NacreError(f"{path}: {_first_bad_line(lines, len(names))}")
+    return names, table
+
+
+def _first_bad_line(lines: list[str], width: int) -> str:
+    """Say which row is not `width` finite numbers."""
+    for number, line in enumerate(lines[1:], start=2):
+        cells = line.split(",")
+        if len(cells) != width:
+            return f"row {number} has {len(cells)} cells, the header has {width}"
+        for cell in cells:
+            try:
+                finite = np.isfinite(float(cell))
+            except ValueError:
+                finite = False
+            if not finite:
+                return f'row {number}: "{cell.strip()[:40]}" is not a finite number'
+    return "cannot be read as a table of numbers"

@@ -1,0 +1,347 @@
+"""Fit a recipe's free numbers to a measurement, and say how well the data fix each of them.
+
+The residuals of a measurement are differentiable in the recipe's numbers, so each start is refined by a
+bounded trust-region least-squares step with finite differences (a stochastic family keeps one seed, so that
+its noise is the same function every time). Interference makes many valleys: the starts are the best of a
+Sobol sample of the bounds, and a CMA-ES search takes over where least squares stalls on noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.errors import NacreError, RecipeError
+from nacre.exchange.gonio_csv import COLUMNS, GonioData, read_gonio_csv, read_table
+from nacre.recipe import Material
+from nacre.specs import show_value
+
+Array = NDArray[np.float64]
+PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
+MAX_FREE = 12
+SCOUTS_PER_NUMBER = 24
+UNDETERMINED_SHARE = 0.5  # a 95 % half width of half the bounds says nothing that the bounds did not
+STEP = 1e-4  # of the bounds: far above rounding, far below an interference fringe
+STOCHASTIC_STEP = 1e-2
+
+
+@dataclass(frozen=True)
+class FreeNumber:
+    """A number of the recipe that the fit may change: its path and bounds."""
+
+    path: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A measurement in the form that a material can be asked for.
+
+    Attributes:
+        kind: "spectrum" (parts over angle and wavelength) or "gonio" (BSDF values of direction pairs).
+        wavelengths_nm: `[wavelength]`.
+        values: "spectrum": `[part, angle, wavelength]`; "gonio": `[pair, wavelength]`.
+        parts: the spectrum's parts; angles_deg: its angles; gonio: the direction pairs.
+    """
+
+    kind: str
+    wavelengths_nm: Array
+    values: Array
+    parts: tuple[str, ...] = ()
+    angles_deg: Array | None = None
+    gonio: GonioData | None = None
+
+    def model(self, material: Material, samples: int | None, seed: int) -> Array:
+        """Return what the material would have measured, in the shape of `values`.
+
+        Raises:
+            NacreError: the material cannot be computed.
+        """
+        if self.kind == "spectrum":
+            assert self.angles_deg is not None
+            found = material.spectrum(np.radians(self.angles_deg), self.wavelengths_nm).parts()
+            zero = np.zeros(self.values.shape[1:])
+            return np.stack([found.get(part, zero) for part in self.parts])
+        assert self.gonio is not None
+        from nacre.api import evaluate_with_error
+
+        bsdf = material.bsdf(self.wavelengths_nm)
+        return evaluate_with_error(bsdf, self.gonio.wi, self.gonio.wo, samples=samples, seed=seed)[0]
+
+
+@dataclass(frozen=True)
+class FittedNumber:
+    """A fitted number: value, 95 % half width, and whether the data determine it."""
+
+    path: str
+    value: float
+    half_width: float
+    is_determined: bool
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The outcome of a fit.
+
+    Attributes:
+        numbers: the fitted numbers.
+        material: the recipe with them.
+        residual: model minus measurement, in the measurement's shape.
+        rms: root mean square of the residual; relative_rms: over the rms of the measurement.
+        starts: the loss each start ended at, best first; several equal ones speak for a global minimum.
+        evaluations: how often the material was computed.
+    """
+
+    numbers: tuple[FittedNumber, ...]
+    material: Material
+    residual: Array
+    rms: float
+    relative_rms: float
+    starts: tuple[float, ...]
+    evaluations: int
+
+
+def read_measurement(path: str | Path) -> Measured:
+    """Read a measurement: a spectrum CSV as `nacre spectrum` writes it, or a gonio CSV.
+
+    Raises:
+        NacreError: naming the file and what is wrong.
+    """
+    names, table = read_table(path)
+    if "theta_i" in names or "value" in names:
+        gonio = read_gonio_csv(path)
+        return Measured("gonio", gonio.wavelengths_nm, gonio.values, gonio=gonio)
+    parts = tuple(part for part in PARTS if part in names)
+    if "wavelength_nm" not in names or not parts:
+        raise NacreError(
+            f"{path}: is neither a gonio CSV ({', '.join(COLUMNS)}) nor a spectrum CSV "
+            f"(wavelength_nm, angle_deg, and one of {', '.join(PARTS)})"
+        )
+    waves = np.unique(table[:, names.index("wavelength_nm")])
+    angle_column = table[:, names.index("angle_deg")] if "angle_deg" in names else np.zeros(len(table))
+    angles = np.unique(angle_column)
+    values = np.full((len(parts), len(angles), len(waves)), np.nan)
+    place = (np.searchsorted(angles, angle_column), np.searchsorted(waves, table[:, names.index("wavelength_nm")]))
+    for i, part in enumerate(parts):
+        values[i][place] = table[:, names.index(part)]
+    if np.isnan(values).any() or len(table) != values[0].size:
+        raise NacreError(f"{path}: every angle must be given once at every wavelength")
+    if angles.min() < 0 or angles.max() > 90:
+        raise NacreError(f"{path}: angle_deg must lie in [0, 90]")
+    return Measured("spectrum", waves, values, parts, angles)
+
+
+def read_free(material: Material, options: tuple[str, ...] = ()) -> tuple[FreeNumber, ...]:
+    """Collect the free numbers of the recipe's `[fit]` table and of `PATH=LOW:HIGH` options, which win.
+
+    Raises:
+        RecipeError: naming the path and what is allowed.
+    """
+    source = material.context.source
+    table = dict(_flat(material.data.get("fit", {}), source))
+    for option in options:
+        path, equals, text = option.rpartition("=")
+        bounds = text.split(":")
+        if not equals or len(bounds) != 2:
+            raise RecipeError(f'--free "{option}" cannot be read; write it like layers[0].thickness_nm=100:600')
+        table[path.strip()] = {"min": _number(bounds[0]), "max": _number(bounds[1])}
+    if not table:
+        raise RecipeError(f"{source}: nothing is free; add a [fit] table or use --free PATH=LOW:HIGH")
+    if len(table) > MAX_FREE:
+        raise RecipeError(f"{source}: {len(table)} numbers are free; at most {MAX_FREE} are allowed")
+    free = []
+    for path, bounds_ in table.items():
+        low, high = (bounds_.get("min"), bounds_.get("max")) if isinstance(bounds_, Mapping) else (None, None)
+        if not all(isinstance(b, int | float) and math.isfinite(b) for b in (low, high)) or not low < high:  # type: ignore[operator]  # checked finite numbers
+            raise RecipeError(f'{source}: fit."{path}" = {show_value(bounds_)} should be {{min = ..., max = ...}}')
+        free.append(FreeNumber(path, float(low), float(high)))  # type: ignore[arg-type]  # as above
+    for number in free:
+        material.vary({number.path: (number.low + number.high) / 2})  # an unknown path fails here, with its name
+    return tuple(free)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _flat(table: Any, source: str, prefix: str = "") -> list[tuple[str, Any]]:
+    if not isinstance(table, Mapping):
+        raise RecipeError(f"{source}: fit = {show_value(table)} should be a table")
+    found: list[tuple[str, Any]] = []
+    for key, value in table.items():
+        is_bounds = not isinstance(value, Mapping) or set(value) & {"min", "max"}
+        found += [(f"{prefix}{key}", value)] if is_bounds else _flat(value, source, f"{prefix}{key}.")
+    return found
+
+
+def run_fit(
+    material: Material,
+    measured: Measured,
+    free: tuple[FreeNumber, ...],
+    *,
+    starts: int = 4,
+    samples: int | None = None,
+    seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+) -> Fit:
+    """Fit the free numbers.
+
+    Args:
+        material: the recipe; its own values are the first start.
+        measured: from `read_measurement`.
+        free: from `read_free`.
+        starts: refined starts beside the recipe's own values.
+        progress: called with (what, best relative rms).
+
+    Raises:
+        NacreError: no start can be computed.
+    """
+    problem = _Problem(material, measured, free, samples, seed)
+    candidates = problem.scout(starts)
+    ends: list[tuple[float, Array, Any]] = []
+    for number, start in enumerate(candidates):
+        solution = problem.refine(start)
+        if solution is not None:
+            ends.append(solution)
+            if progress:
+                progress(f"start {number + 1} of {len(candidates)}", problem.relative(min(e[0] for e in ends)))
+    if not ends:
+        raise NacreError(f"{material.context.source}: the recipe cannot be computed anywhere in its bounds")
+    ends.sort(key=lambda end: end[0])
+    loss, unit, jacobian = ends[0]
+    numbers = problem.confidence(unit, jacobian)
+    fitted = problem.build(unit)
+    residual = measured.model(fitted, samples, seed) - measured.values
+    rms = float(np.sqrt(np.mean(residual**2)))
+    losses = tuple(float(problem.relative(end[0])) for end in ends)
+    return Fit(numbers, fitted, residual, rms, problem.relative(loss), losses, problem.evaluations)
+
+
+class _Problem:
+    """Residuals over the unit cube of the bounds."""
+
+    def __init__(
+        self, material: Material, measured: Measured, free: tuple[FreeNumber, ...], samples: int | None, seed: int
+    ) -> None:
+        self._material, self._measured, self._free = material, measured, free
+        self._samples, self._seed = samples, seed
+        self._low = np.array([n.low for n in free])
+        self._span = np.array([n.high - n.low for n in free])
+        self.evaluations = 0
+        self._scale = float(np.sqrt(np.mean(measured.values**2))) or 1.0
+
+    def build(self, unit: Array) -> Material:
+        values = self._low + np.clip(unit, 0.0, 1.0) * self._span
+        return self._material.vary({n.path: float(v) for n, v in zip(self._free, values, strict=True)})
+
+    def residual(self, unit: Array) -> Array:
+        """Return (model - measurement)/rms(measurement), flat; a material that cannot be is far away."""
+        self.evaluations += 1
+        try:
+            model = self._measured.model(self.build(unit), self._samples, self._seed)
+        except NacreError:
+            return np.full(self._measured.values.size, 10.0)
+        return np.asarray((model - self._measured.values).ravel() / self._scale)
+
+    def relative(self, loss: float) -> float:
+        """Turn a sum of squares into a relative rms."""
+        return float(np.sqrt(loss / self._measured.values.size))
+
+    def scout(self, starts: int) -> list[Array]:
+        """Return the recipe's own place and the best of a Sobol sample, well apart from one another."""
+        from scipy.stats import qmc
+
+        count = 2 ** math.ceil(math.log2(max(2, SCOUTS_PER_NUMBER * len(self._free))))
+        sample = qmc.Sobol(len(self._free), scramble=True, seed=self._seed).random(count)
+        losses = np.array([np.sum(self.residual(unit) ** 2) for unit in sample])
+        chosen: list[Array] = []
+        own = self._own()
+        if own is not None:
+            chosen.append(own)
+        for index in np.argsort(losses):
+            if len(chosen) >= starts + (own is not None):
+                break
+            if all(np.max(np.abs(sample[index] - other)) > 0.02 for other in chosen):
+                chosen.append(sample[index])
+        return chosen
+
+    def _own(self) -> Array | None:
+        try:
+            values = np.array([float(self._material.get(n.path)) for n in self._free])
+        except (RecipeError, TypeError, ValueError, KeyError, IndexError):
+            return None
+        unit = (values - self._low) / self._span
+        return unit if np.all((unit >= 0) & (unit <= 1)) else None
+
+    def refine(self, start: Array) -> tuple[float, Array, Array] | None:
+        """Refine one start; CMA-ES goes on where finite differences see only noise."""
+        from scipy.optimize import least_squares
+
+        step = STOCHASTIC_STEP if self._samples is not None else STEP
+        begin = float(np.sum(self.residual(start) ** 2))
+        found = least_squares(
+            self.residual, np.clip(start, 1e-6, 1 - 1e-6), bounds=(0.0, 1.0), diff_step=np.full(len(start), step), x_scale=1.0,
+            xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=60,
+        )  # fmt: skip
+        unit, loss, jacobian = found.x, float(2 * found.cost), np.asarray(found.jac)
+        if loss > 0.999 * begin and self.relative(loss) > 0.02:
+            unit, loss = self._cma(unit, loss)
+            jacobian = self._jacobian(unit, step)
+        if not np.isfinite(loss) or self.relative(loss) >= 9.9:
+            return None
+        return loss, unit, jacobian
+
+    def _cma(self, unit: Array, loss: float) -> tuple[Array, float]:
+        import cma
+
+        if len(self._free) == 1:  # CMA-ES needs two dimensions; one is a line search
+            from scipy.optimize import minimize_scalar
+
+            line = minimize_scalar(
+                lambda x: np.sum(self.residual(np.array([x])) ** 2),
+                bounds=(max(0.0, unit[0] - 0.1), min(1.0, unit[0] + 0.1)), method="bounded",
+            )  # fmt: skip
+            return (np.array([line.x]), float(line.fun)) if line.fun < loss else (unit, loss)
+        options = {"bounds": [0, 1], "seed": self._seed + 1, "verbose": -9, "maxfevals": 60 * len(self._free)}
+        result = cma.fmin2(lambda x: float(np.sum(self.residual(np.asarray(x)) ** 2)), unit, 0.1, options)[1].result
+        return (np.asarray(result.xbest), float(result.fbest)) if result.fbest < loss else (unit, loss)
+
+    def _jacobian(self, unit: Array, step: float) -> Array:
+        columns = []
+        for i in range(len(unit)):
+            low, high = unit.copy(), unit.copy()
+            low[i], high[i] = max(0.0, unit[i] - step), min(1.0, unit[i] + step)
+            columns.append((self.residual(high) - self.residual(low)) / (high[i] - low[i]))
+        return np.stack(columns, axis=1)
+
+    def confidence(self, unit: Array, jacobian: Array) -> tuple[FittedNumber, ...]:
+        """Return each number with its 95 % half width, from the Gauss-Newton covariance of the residuals.
+
+        The errors are taken as independent and equal; a direction that the data do not see has no half width.
+        """
+        from scipy.stats import t
+
+        residual = self.residual(unit)
+        freedom = max(1, residual.size - len(unit))
+        variance = float(np.sum(residual**2)) / freedom
+        _, singular, rotation = np.linalg.svd(jacobian, full_matrices=False)
+        floor = np.finfo(float).eps * jacobian.shape[0] * (singular.max() if singular.size else 0.0)
+        inverse = np.where(singular > floor, 1.0 / np.maximum(singular, 1e-300), np.inf)
+        with np.errstate(invalid="ignore"):
+            spread = np.sqrt(variance * np.nansum((rotation * inverse[:, None]) ** 2, axis=0))
+        half = spread * float(t.ppf(0.975, freedom))
+        values = self._low + unit * self._span
+        return tuple(
+            FittedNumber(n.path, float(v), float(h * s), bool(np.isfinite(h) and h < UNDETERMINED_SHARE))
+            for n, v, h, s in zip(self._free, values, half, self._span, strict=True)
+        )
