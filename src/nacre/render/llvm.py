@@ -1,0 +1,223 @@
+"""Find a libLLVM that Dr.Jit can use, and prove it in a process of its own.
+
+Mitsuba on the CPU compiles its kernels with whatever LLVM it finds when drjit is imported. LLVM 14 is refused
+by drjit and 15 and 16 abort the whole process at the first minimum or maximum, so a library is never trusted
+by its name: a child process loads it, compiles a small kernel and compares the numbers. The verdict is kept in
+the user's cache folder under the file's path, size and time, so that only the first start pays for it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import glob
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+ENVIRONMENT_VARIABLE = "DRJIT_LIBLLVM_PATH"
+PREFERRED_VERSIONS = (19, 20, 21, 22)
+UNTRIED_VERSIONS = (18, 17)
+PROBE_TIMEOUT_S = 120
+ADVICE = (
+    "On Debian or Ubuntu: `apt-get install libllvm19` or, without root, `apt-get download libllvm19` and "
+    "`dpkg -x libllvm19*.deb .llvm` in the project's folder (`make setup` does it where apt has its lists); "
+    f"elsewhere install LLVM 19 or newer and set {ENVIRONMENT_VARIABLE} to its libLLVM.so"
+)
+
+# The kernel uses what kills old versions (minimum, maximum) and what the plugins live on: a gather, a loop.
+_PROBE = """
+import sys
+import drjit as dr
+from drjit.llvm.ad import Float, UInt32
+x = dr.arange(Float, 37) * 0.25
+y = dr.gather(Float, dr.minimum(dr.maximum(x, 2.0), 7.0), UInt32(dr.arange(UInt32, 37)))
+i, s = dr.while_loop((UInt32(0), Float(y)), lambda i, s: i < 3, lambda i, s: (i + 1, dr.fma(s, 2.0, 1.0)))
+good = all(abs(float(s[k]) - (8 * min(max(k * 0.25, 2.0), 7.0) + 7)) < 1e-3 for k in range(37))
+version = ".".join(str(v) for v in dr.detail.llvm_version())
+print(version if good else "wrong numbers")
+sys.exit(0 if good else 3)
+"""
+
+
+@dataclass(frozen=True)
+class Probe:
+    """The verdict on one library: its path ("" is drjit's own search), version, and why it fails, if it does."""
+
+    path: str
+    version: str
+    reason: str
+
+    @property
+    def works(self) -> bool:
+        """Whether a kernel compiled and gave the right numbers."""
+        return not self.reason
+
+
+@functools.cache
+def find_llvm() -> tuple[Probe | None, tuple[Probe, ...]]:
+    """Return the library to use, or None, and every verdict on the way to it.
+
+    The library of the environment variable comes first; when it fails, the search goes on and the report
+    keeps the reason, since a picture from another LLVM is better than no picture.
+    """
+    tried: list[Probe] = []
+    for path in candidates():
+        probe = probe_library(path)
+        tried.append(probe)
+        if probe.works:
+            return probe, tuple(tried)
+    return None, tuple(tried)
+
+
+def use_llvm() -> Probe | None:
+    """Point drjit to a working library; call it before drjit is imported.
+
+    When drjit is already in memory its choice is fixed, so that choice is judged instead.
+    """
+    if "drjit" in sys.modules:
+        return _judge_loaded()
+    found, _ = find_llvm()
+    if found is not None and found.path:
+        os.environ[ENVIRONMENT_VARIABLE] = found.path
+    return found
+
+
+def _judge_loaded() -> Probe | None:
+    """Judge the LLVM that drjit loaded before nacre could choose one."""
+    path = os.environ.get(ENVIRONMENT_VARIABLE, "")
+    probe = probe_library(path)
+    return probe if probe.works else None
+
+
+def candidates() -> list[str]:
+    """Return the libraries worth a probe, best first, without duplicates; "" is drjit's own search."""
+    given = os.environ.get(ENVIRONMENT_VARIABLE)
+    found: dict[str, str] = {}
+    for path in _installed():
+        found.setdefault(os.path.realpath(path), path)
+    ranked = sorted((rank, path) for path in found.values() if (rank := _rank(path)) is not None)
+    listed = ([given] if given else []) + [path for _, path in ranked]
+    return list(dict.fromkeys(listed)) + [""]
+
+
+def _installed() -> Iterator[str]:
+    """Yield every libLLVM in the project's own folder and the usual places."""
+    project = Path(__file__).resolve().parents[3]
+    for folder in dict.fromkeys((project, Path.cwd())):
+        yield from glob.glob(str(folder / ".llvm" / "**" / "libLLVM*.so*"), recursive=True)
+    for pattern in (
+        "/usr/lib/llvm-*/lib/libLLVM*.so*",
+        "/usr/lib/*-linux-gnu/libLLVM*.so*",
+        "/usr/lib64/libLLVM*.so*",
+        "/usr/lib64/llvm*/lib*/libLLVM*.so*",
+        "/usr/lib/libLLVM*.so*",
+        "/usr/local/lib/libLLVM*.so*",
+        os.path.join(sys.prefix, "lib", "libLLVM*.so*"),
+        "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
+        "/usr/local/opt/llvm*/lib/libLLVM*.dylib",
+    ):
+        yield from glob.glob(pattern)
+
+
+def _rank(path: str) -> int | None:
+    """Order a library by the version in its name; None for those known to fail, unknown ones last."""
+    match = re.search(r"(?:libLLVM[-.](?:so\.|dylib\.)?|llvm[-@]?)(\d+)", os.path.realpath(path))
+    version = int(match.group(1)) if match else None
+    order = (*PREFERRED_VERSIONS, None, *UNTRIED_VERSIONS)
+    if version in order:
+        return order.index(version)
+    return len(order) if version is not None and version > max(PREFERRED_VERSIONS) else None
+
+
+def probe_library(path: str) -> Probe:
+    """Try one library in a child process, or recall the verdict of an earlier trial."""
+    key = _cache_key(path)
+    cache = _read_cache()
+    if key in cache:
+        return Probe(path, *cache[key])
+    probe = _run_probe(path)
+    _write_cache(key, probe)
+    return probe
+
+
+def _run_probe(path: str) -> Probe:
+    if path and not os.path.exists(path):
+        return Probe(path, "", "the file does not exist")
+    environment = {name: value for name, value in os.environ.items() if name != ENVIRONMENT_VARIABLE}
+    if path:
+        environment[ENVIRONMENT_VARIABLE] = path
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _PROBE], env=environment, capture_output=True, text=True, timeout=PROBE_TIMEOUT_S
+        )
+    except subprocess.TimeoutExpired:
+        return Probe(path, "", f"it gave no answer within {PROBE_TIMEOUT_S} s")
+    except OSError as error:
+        return Probe(path, "", f"it could not be tried: {error}")
+    if done.returncode == 0:
+        return Probe(path, done.stdout.strip(), "")
+    return Probe(path, "", _reason(done.returncode, done.stderr))
+
+
+def _reason(status: int, message: str) -> str:
+    """Put a failed probe into a few words."""
+    if "No module named 'drjit'" in message:
+        return "drjit is not installed"
+    if match := re.search(r"LLVM ERROR: (Cannot select): .*?= (\w+)", message):
+        return f"it cannot compile {match.group(2)}; LLVM 17 or newer is needed"
+    if "backend is inactive" in message:
+        return "drjit does not accept it (too old, or not an LLVM library)"
+    lines = [line for line in message.strip().splitlines() if line.strip()]
+    cause = f"signal {-status}" if status < 0 else f"status {status}"
+    return f"a test kernel failed with {cause}" + (f": {lines[-1].strip()[:120]}" if lines else "")
+
+
+def _cache_key(path: str) -> str:
+    """Key by everything that may change the verdict: the file, drjit and the interpreter."""
+    try:
+        drjit_version = metadata.version("drjit")
+    except metadata.PackageNotFoundError:
+        drjit_version = "none"
+    stamp = ""
+    if path and os.path.exists(path):
+        status = os.stat(path)
+        stamp = f"{status.st_size}:{status.st_mtime_ns}"
+    if not path:  # drjit's own search: any installed file may change its outcome
+        stamp = ";".join(sorted(_installed()))
+    return "|".join((path, stamp, drjit_version, sys.executable))
+
+
+def _cache_file() -> Path:
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    return Path(base) / "nacre" / "llvm.json"
+
+
+def _read_cache() -> dict[str, list[str]]:
+    try:
+        data = json.loads(_cache_file().read_text())
+    except (OSError, ValueError):
+        return {}
+    good = isinstance(data, dict)
+    return {k: v for k, v in data.items() if isinstance(v, list) and len(v) == 2} if good else {}
+
+
+def _write_cache(key: str, probe: Probe) -> None:
+    """Keep a verdict; a cache that cannot be written costs a second at each start and nothing else."""
+    if probe.reason.startswith(("it gave no answer", "it could not be tried")):
+        return  # the machine's fault perhaps, not the library's
+    with contextlib.suppress(OSError):
+        file = _cache_file()
+        file.parent.mkdir(parents=True, exist_ok=True)
+        data = {**_read_cache(), key: [probe.version, probe.reason]}
+        descriptor, name = tempfile.mkstemp(dir=file.parent, prefix=".llvm-")
+        with os.fdopen(descriptor, "w") as out:
+            json.dump(data, out, indent=1)
+        os.replace(name, file)

@@ -1,0 +1,210 @@
+"""The one Mitsuba BSDF around one or several lobes: mixing, two sides, component masks, updates."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from nacre.bsdf.contract import Bsdf
+from nacre.errors import UnsupportedError
+from nacre.render.plugins.base import LobePlugin, logger, with_wi
+from nacre.render.plugins.registry import make_plugin
+
+# The renderer draws wavelengths from 360 to 830 nm; nearly all that the eye weighs lies within this.
+SEEN_NM = (400.0, 700.0)
+
+
+def make_bsdf(bsdf: Bsdf, two_sided: bool = False, properties: Any = None) -> Any:
+    """Turn a Bsdf into a `mi.BSDF` of the current variant.
+
+    Args:
+        bsdf: the material's lobes.
+        two_sided: an opaque material looks the same from behind instead of black; a transmitting one has its
+            own back anyway.
+        properties: Mitsuba's properties when called by the scene loader.
+
+    Raises:
+        UnsupportedError: a lobe kind has no plugin, or the variant carries no spectra.
+
+    Example: `mi.load_dict({"type": "sphere", "bsdf": make_bsdf(nacre.load("soap.toml").bsdf())})`.
+    """
+    from nacre.render.variant import VARIANTS
+
+    if mi.variant() not in VARIANTS:
+        raise UnsupportedError(f"Mitsuba variant {mi.variant()} cannot carry spectral materials; use {VARIANTS[0]}")
+    grid = bsdf.wavelengths_nm
+    if grid[0] > SEEN_NM[0] or grid[-1] < SEEN_NM[1]:
+        logger.warning(
+            "the material is known from %g to %g nm only; its ends go on beyond, so colours are not exact",
+            grid[0],
+            grid[-1],
+        )
+    cls = _bsdf_class(mi.variant())
+    return cls(mi.Properties() if properties is None else properties, bsdf, two_sided)
+
+
+def update_bsdf(target: Any, bsdf: Bsdf) -> None:
+    """Give a BSDF in a built scene the numbers of another Bsdf of the same structure; no new kernel is compiled.
+
+    Raises:
+        UnsupportedError: number, kinds or shapes of the lobes differ: build the scene again.
+    """
+    if [lobe.kind for lobe in bsdf.lobes] != [plugin.kind for plugin in target.plugins]:
+        raise UnsupportedError("the material's lobes changed in number or kind; build the scene again")
+    for plugin, lobe in zip(target.plugins, bsdf.lobes, strict=True):
+        plugin.update(lobe)
+
+
+@functools.cache
+def _bsdf_class(variant: str) -> type:
+    """Define the class for a variant: Mitsuba's base class differs from variant to variant."""
+
+    class NacreBSDF(mi.BSDF):
+        """A sum of lobes."""
+
+        def __init__(self, properties: Any, bsdf: Bsdf, two_sided: bool) -> None:
+            super().__init__(properties)
+            self.plugins: list[LobePlugin[Any]] = [make_plugin(lobe) for lobe in bsdf.lobes]
+            self.mirrors_back = two_sided and not bsdf.transmits
+            back = int(mi.BSDFFlags.BackSide) if self.mirrors_back else 0
+            words = [word | back for plugin in self.plugins for word in plugin.components]
+            self.words = words
+            self.m_components = words
+            self.m_flags = functools.reduce(lambda a, b: a | b, words)
+            self.delta = [all(word & _DELTA == word & _ALL for word in plugin.components) for plugin in self.plugins]
+
+        # -- what Mitsuba calls -------------------------------------------------------------------------
+
+        def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+            si, turned = self._front(si)
+            enabled = self._enabled(ctx)
+            if len(self.plugins) == 1:
+                bs, weight = self.plugins[0].sample(ctx, si, sample1, sample2, active, enabled[0])
+            else:
+                bs, weight = self._sample_sum(ctx, si, sample1, sample2, active, enabled)
+            if turned is not None:
+                bs.wo = mi.Vector3f(bs.wo.x, bs.wo.y, dr.select(turned, -bs.wo.z, bs.wo.z))
+            return bs, weight
+
+        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            si, wo = self._front_pair(si, wo)
+            total = mi.Spectrum(0.0)
+            for plugin, enabled, delta in zip(self.plugins, self._enabled(ctx), self.delta, strict=True):
+                if not delta:
+                    total = total + plugin.eval(ctx, si, wo, active, enabled)
+            return total
+
+        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            si, wo = self._front_pair(si, wo)
+            enabled = self._enabled(ctx)
+            if len(self.plugins) == 1:
+                return self.plugins[0].pdf(ctx, si, wo, active, enabled[0])
+            return self._eval_pdf_sum(ctx, si, wo, active, enabled)[1]
+
+        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            si, wo = self._front_pair(si, wo)
+            enabled = self._enabled(ctx)
+            if len(self.plugins) == 1:
+                return self.plugins[0].eval_pdf(ctx, si, wo, active, enabled[0])
+            return self._eval_pdf_sum(ctx, si, wo, active, enabled)
+
+        def eval_null_transmission(self, si: Any, active: Any = True) -> Any:
+            total = mi.Spectrum(0.0)
+            for plugin in self.plugins:
+                null = getattr(plugin, "null_transmission", None)
+                if null is not None:
+                    total = total + null(si, active)
+            return total
+
+        def traverse(self, callback: Any) -> None:
+            for i, plugin in enumerate(self.plugins):
+                plugin.traverse(callback, "" if len(self.plugins) == 1 else f"lobe_{i}_")
+
+        def parameters_changed(self, keys: Any) -> None:
+            for plugin in self.plugins:
+                plugin.parameters_changed()
+
+        def to_string(self) -> str:
+            return f"NacreBSDF[{', '.join(plugin.kind for plugin in self.plugins)}]"
+
+        # -- one side or two ----------------------------------------------------------------------------
+
+        def _front(self, si: Any) -> tuple[Any, Any]:
+            if not self.mirrors_back:
+                return si, None
+            turned = si.wi.z < 0
+            return with_wi(si, mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))), turned
+
+        def _front_pair(self, si: Any, wo: Any) -> tuple[Any, Any]:
+            si, turned = self._front(si)
+            if turned is not None:
+                wo = mi.Vector3f(wo.x, wo.y, dr.select(turned, -wo.z, wo.z))
+            return si, wo
+
+        # -- sums ---------------------------------------------------------------------------------------
+
+        def _enabled(self, ctx: Any) -> list[tuple[bool, ...]]:
+            """Tell each lobe which of its components the caller wants."""
+            masks, index = [], 0
+            for plugin in self.plugins:
+                mask = []
+                for _ in plugin.components:
+                    mask.append(bool(ctx.is_enabled(mi.BSDFFlags(self.words[index] & _ALL), index)))
+                    index += 1
+                masks.append(tuple(mask))
+            return masks
+
+        def _shares(self, si: Any, active: Any, enabled: list[tuple[bool, ...]]) -> list[Any]:
+            """Return each lobe's share of the samples."""
+            weights = [
+                plugin.choice_weight(si, active) if any(mask) else mi.Float(0.0)
+                for plugin, mask in zip(self.plugins, enabled, strict=True)
+            ]
+            total = sum(weights[1:], weights[0])
+            inverse = dr.select(total > 0.0, 1.0 / dr.maximum(total, 1e-20), 0.0)
+            return [weight * inverse for weight in weights]
+
+        def _sample_sum(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: Any) -> Any:
+            shares = self._shares(si, active, enabled)
+            bs, weight = dr.zeros(mi.BSDFSample3f), mi.Spectrum(0.0)
+            below, first = mi.Float(0.0), 0
+            is_delta = mi.Bool(False)
+            for k, (plugin, share) in enumerate(zip(self.plugins, shares, strict=True)):
+                above = below + share
+                chosen = active & (sample1 >= below) & (share > 0.0)
+                if k + 1 < len(self.plugins):  # rounding may leave the last bound below 1
+                    chosen = chosen & (sample1 < above)
+                rest = dr.clip((sample1 - below) / dr.maximum(share, 1e-20), 0.0, 0.99999994)
+                one, value = plugin.sample(ctx, si, rest, sample2, chosen, enabled[k])
+                one.pdf = one.pdf * share
+                one.sampled_component = one.sampled_component + first
+                bs = dr.select(chosen, one, bs)
+                weight = dr.select(chosen, value / dr.maximum(share, 1e-20), weight)
+                is_delta = dr.select(chosen, (one.sampled_type & _DELTA) != 0, is_delta)
+                below, first = above, first + len(plugin.components)
+            if sum(not delta for delta in self.delta) > 1:
+                # two broad lobes may overlap: weigh by the whole sum, as multiple importance sampling would
+                value, pdf = self._eval_pdf_sum(ctx, si, bs.wo, active & ~is_delta, enabled, shares)
+                broad = active & ~is_delta & (pdf > 0.0) & (bs.pdf > 0.0)
+                weight = dr.select(broad, value / dr.maximum(pdf, 1e-20), weight)
+                bs.pdf = dr.select(broad, pdf, bs.pdf)
+            return bs, weight & active
+
+        def _eval_pdf_sum(
+            self, ctx: Any, si: Any, wo: Any, active: Any, enabled: Any, shares: list[Any] | None = None
+        ) -> Any:
+            shares = self._shares(si, active, enabled) if shares is None else shares
+            total, density = mi.Spectrum(0.0), mi.Float(0.0)
+            for plugin, mask, share, delta in zip(self.plugins, enabled, shares, self.delta, strict=True):
+                if delta:
+                    continue
+                value, pdf = plugin.eval_pdf(ctx, si, wo, active, mask)
+                total, density = total + value, density + share * pdf
+            return total, density
+
+    _ALL = int(mi.BSDFFlags.All)
+    _DELTA = int(mi.BSDFFlags.Delta | mi.BSDFFlags.Null)
+    return NacreBSDF

@@ -1,0 +1,73 @@
+"""From a scene's `{"type": "nacre", ...}` to a BSDF: the only door through which recipes enter rendering.
+
+`render` may not import a wing, and `nacre.recipe` joins them all; so the recipe loader is a hook, by default
+`nacre.recipe.load` looked up by name at the moment a scene asks for a recipe.
+"""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+import weakref
+from collections.abc import Callable
+from typing import Any
+
+from nacre.bsdf.contract import Bsdf
+from nacre.errors import RecipeError
+
+_recipe_loader: Callable[[str], Bsdf] | None = None
+_handed_over: weakref.WeakValueDictionary[str, Bsdf] = weakref.WeakValueDictionary()
+_numbers = itertools.count()
+
+
+def set_recipe_loader(loader: Callable[[str], Bsdf]) -> None:
+    """Replace what turns a path (recipe, .nacre file or design folder) into a Bsdf."""
+    global _recipe_loader
+    _recipe_loader = loader
+
+
+def load_bsdf(path: str) -> Bsdf:
+    """Load a recipe, a compiled file or a design folder.
+
+    Raises:
+        NacreError: the file cannot be read or is not valid.
+    """
+    if _recipe_loader is not None:
+        return _recipe_loader(path)
+    if path.endswith(".nacre"):
+        return Bsdf.load(path)
+    bsdf: Bsdf = importlib.import_module("nacre.recipe").load(path).bsdf()
+    return bsdf
+
+
+def hand_over(bsdf: Bsdf) -> str:
+    """Return a key under which a scene dictionary may name a Bsdf object: `{"type": "nacre", "bsdf": key}`.
+
+    The table holds the object weakly: it lives as long as the caller keeps it.
+    """
+    key = f"bsdf-{next(_numbers)}"
+    _handed_over[key] = bsdf
+    return key
+
+
+def from_properties(properties: Any) -> Any:
+    """Build the BSDF of a scene entry; keys: one of recipe, file, bsdf, and two_sided (default false).
+
+    Raises:
+        RecipeError: none or several sources are given, or the key of a handed-over Bsdf is not known.
+    """
+    from nacre.render.plugins.bsdf import make_bsdf
+
+    given = [key for key in ("recipe", "file", "bsdf") if key in properties]
+    if len(given) != 1:
+        got = f"got {', '.join(given)}" if given else "got none"
+        raise RecipeError(f'scene: a "nacre" BSDF needs exactly one of recipe, file, bsdf; {got}')
+    value = str(properties[given[0]])
+    two_sided = bool(properties.get("two_sided", False))
+    if given[0] == "bsdf":
+        if value not in _handed_over:
+            raise RecipeError(f'scene: bsdf = "{value}" was not handed over, or its Bsdf object is gone')
+        bsdf = _handed_over[value]
+    else:
+        bsdf = load_bsdf(value)
+    return make_bsdf(bsdf, two_sided=two_sided, properties=properties)
