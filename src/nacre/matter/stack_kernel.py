@@ -34,6 +34,7 @@ SMALL_KZ2 = 1e-3  # below this |kz^2| a block goes the robust way; above, the fa
 RESCALE_EVERY = 16  # layers; growth per layer is below (n_high / n_low) < 1e3, so 16 stay far from 1e308
 TWO_PI = 2.0 * math.pi
 TWO_PI_OVER_LN2 = 2.0 * math.pi / math.log(2.0)
+ROUNDING = 1e-15  # a sum of three terms is exact to this, relative to their sizes
 ROUNDER = 6755399441055744.0  # 1.5 * 2^52: adding and subtracting it rounds a double to an integer
 
 # Rows of the scratch, in units of BLOCK.
@@ -120,6 +121,19 @@ def sqrt_decaying(z: complex) -> complex:
     return w
 
 
+@compiled(error_model="numpy", fastmath={"contract"})
+def kz_squared(n2: complex, n02: complex, kz0sq: complex) -> complex:
+    """kz^2 of a medium, n^2 - n_0^2 + kz_0^2; an imaginary part that is mere rounding is 0.
+
+    Without that, light that enters glass from an absorbing medium could meet Im kz^2 = -1e-20, and the rule
+    Im kz >= 0 would pick the wave that runs the wrong way.
+    """
+    z = n2 - n02 + kz0sq
+    if abs(z.imag) <= ROUNDING * (abs(n2.imag) + abs(n02.imag) + abs(kz0sq.imag)):
+        z = complex(z.real, 0.0)
+    return z
+
+
 @compiled(error_model="numpy")
 def robust_factors(kz2: complex, k0d: float) -> tuple[complex, complex, complex]:
     """Return (c, m, ix) of a layer: c = e^{ix} cos x, m = k0 d e^{ix} sin x / x; regular at kz = 0 and d = 0.
@@ -146,7 +160,7 @@ def robust_factors(kz2: complex, k0d: float) -> tuple[complex, complex, complex]
 def _robust_layer(w: Any, count: int, l0: int, wavelengths: Any, thickness: float, n02r: Any, n02i: Any) -> None:
     for i in range(count):
         n2 = complex(w[_NR + i], w[_NI + i])
-        kz2 = n2 - complex(n02r[l0 + i], n02i[l0 + i]) + complex(w[_ZR + i], w[_ZI + i])
+        kz2 = kz_squared(n2, complex(n02r[l0 + i], n02i[l0 + i]), complex(w[_ZR + i], w[_ZI + i]))
         c, m, ix = robust_factors(kz2, TWO_PI * thickness / wavelengths[l0 + i])
         u = complex(w[_US + i], w[_US + BLOCK + i])
         v = complex(w[_VS + i], w[_VS + BLOCK + i])
@@ -169,6 +183,8 @@ def _wavevector(w: Any, count: int, l0: int, n02r: Any, n02i: Any) -> int:
     for i in range(count):
         zr = w[_NR + i] - n02r[l0 + i] + w[_ZR + i]
         zi = w[_NI + i] - n02i[l0 + i] + w[_ZI + i]
+        rounding = ROUNDING * (abs(w[_NI + i]) + abs(n02i[l0 + i]) + abs(w[_ZI + i]))
+        zi = 0.0 if abs(zi) <= rounding else zi  # as kz_squared does
         size = math.sqrt(zr * zr + zi * zi)
         small += size < SMALL_KZ2
         large = math.sqrt(0.5 * (size + abs(zr)))

@@ -113,7 +113,7 @@ def solve(
 
     Example: 300 nm of n = 1.33 between air at 550 nm and normal incidence reflect 0.0754.
     """
-    case = _prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
+    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
     (r_s, r_p, t_s, t_p), (R_s, R_p, T_s, T_p) = _run(case, True, True, jobs)
     A_s = A_p = None
     if absorption:
@@ -133,7 +133,7 @@ def powers(
     jobs: int | None = None,
 ) -> Powers:
     """R and T alone: `solve` without the amplitudes, a third of the memory. Arguments and errors as there."""
-    case = _prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
+    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
     return Powers(*_run(case, False, True, jobs)[1])
 
 
@@ -164,7 +164,7 @@ def amplitudes(
 
     Example: glass (n = 1.5) at kz = 1 + 2i: r_s = 0.0340 + 0.0578i.
     """
-    case = _prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa, kz=kz)
+    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa, kz=kz)
     return Amplitudes(*_run(case, True, False, jobs)[0])
 
 
@@ -175,7 +175,7 @@ class Case:
     n: Complex  # [batch or 1, medium, wavelength]
     thicknesses_nm: Real  # [batch or 1, layer]
     wavelengths_nm: Real  # [wavelength]
-    normal: Complex  # [1, angle, wavelength or 1]
+    normal: Complex  # [batch or 1, angle, wavelength or 1]
     times_n0: bool
     batch: tuple[int, ...]
     angle_shape: tuple[int, ...]
@@ -186,7 +186,7 @@ class Case:
         return int(np.prod(self.batch, dtype=int)), self.normal.shape[1], len(self.wavelengths_nm)
 
 
-def _prepare(
+def prepare(
     n: ArrayLike,
     thicknesses_nm: ArrayLike,
     wavelengths_nm: ArrayLike,
@@ -196,6 +196,7 @@ def _prepare(
     kappa: ArrayLike | None = None,
     kz: ArrayLike | None = None,
 ) -> Case:
+    """Check the arguments of `solve` or `amplitudes` and lay them out for a kernel; errors as there."""
     lam = _owned(wavelengths_nm, np.float64)
     if lam.ndim != 1 or lam.size == 0 or not np.all(np.isfinite(lam)) or np.any(lam <= 0):
         raise NacreError("wavelengths_nm must be a list of positive numbers")
@@ -264,6 +265,13 @@ def _decaying_root(z: Complex) -> Complex:
     """Square root with Im >= 0, and Re >= 0 where Im = 0."""
     w = np.sqrt(z)
     return np.where((w.imag < 0) | ((w.imag == 0) & (w.real < 0)), -w, w)
+
+
+def normal_component(n2: Complex, n02: Complex, kz0sq: Complex) -> Complex:
+    """kz / k0 in a medium of squared index `n2`, from that of the ambient: the wave that travels or decays."""
+    z = n2 - n02 + kz0sq
+    rounding = 1e-15 * (np.abs(n2.imag) + np.abs(n02.imag) + np.abs(kz0sq.imag))
+    return _decaying_root(np.where(np.abs(z.imag) <= rounding, z.real, z))
 
 
 def check_indices(n: Complex) -> None:
@@ -341,6 +349,21 @@ def _run(case: Case, wants_amplitudes: bool, wants_powers: bool, jobs: int | Non
     if wants_powers:
         power = power.reshape(full)
     return amplitude, power
+
+
+def kernel_powers(case: Case, n: Complex, thicknesses_nm: Real, normal: Complex, jobs: int | None) -> tuple[Real, Real]:
+    """R and T, each `[s or p, batch, angle, wavelength]`, of part of a case met with `normal` = kz / k0."""
+    part = Case(
+        _owned(n, np.complex128),
+        _owned(thicknesses_nm, np.float64),
+        case.wavelengths_nm,
+        _owned(normal, np.complex128),
+        False,
+        (case.shape[0],),
+        case.normal.shape[1:2],
+    )
+    power = _run(part, False, True, jobs)[1]
+    return power[:2], power[2:]
 
 
 def _join_axes(case: Case) -> Case:
