@@ -290,8 +290,8 @@ class _Problem:
         step = STOCHASTIC_STEP if self._samples is not None else STEP
         begin = float(np.sum(self.residual(start) ** 2))
         found = least_squares(
-            self.residual, np.clip(start, 1e-6, 1 - 1e-6), bounds=(0.0, 1.0), diff_step=np.full(len(start), step), x_scale=1.0,
-            xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=60,
+            self.residual, np.clip(start, 1e-6, 1 - 1e-6), bounds=(0.0, 1.0), diff_step=np.full(len(start), step),
+            x_scale=1.0, xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=60,
         )  # fmt: skip
         unit, loss, jacobian = found.x, float(2 * found.cost), np.asarray(found.jac)
         if loss > 0.999 * begin and self.relative(loss) > 0.02:
