@@ -20,8 +20,8 @@ from nacre.errors import UnsupportedError
 
 Array = NDArray[np.float64]
 LOSS_NODES = 49  # over sqrt(cos): 3e-4 of energy at alpha 0.1 ... 1
-AZIMUTH_NODES = 9  # over cos^2 of the azimuth, anisotropic only
-FACET_NODES = 48
+AZIMUTH_NODES = 17  # over cos^2 of the azimuth, anisotropic only; 9 gave up to 1.003 inside glass at (0.1, 0.5)
+FACET_NODES = 64
 SMALLEST_COSINE = 1e-4
 
 

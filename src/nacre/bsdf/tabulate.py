@@ -1,0 +1,203 @@
+"""From a stratified medium to the tables of an interface, with the errors of the tables kept in hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.bsdf.contract import ParameterAxis
+from nacre.bsdf.response import InterfaceResponse, interpolate
+from nacre.errors import UnsupportedError
+from nacre.light import delta_e_2000, spectrum_to_xyz, xyz_to_lab
+from nacre.matter import stratified
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+TRANSPARENT_K = 1e-4  # a millimetre of the substrate then passes more than a tenth at 550 nm
+SAME_INDEX = 1e-3  # relative indices this close to one bend nothing that can be seen
+TABLE_ERROR = 1e-4  # absolute error of R and T at the worst angle and wavelength, where node counts allow
+COS_NODES = (129, 257, 513)
+COS_NODES_VARYING = 65
+TOTAL_NODES = 129
+COLOUR_ERROR = 0.5  # dE00 between neighbouring nodes of a parameter
+PARAMETER_NODES = (9, 17, 33, 65, 129, 257, 513)
+MAX_TABLE_VALUES = 60_000_000  # of one table; 480 MB
+
+
+class StackTables:
+    """One stack of layers, solved from both sides on one wavelength grid.
+
+    Attributes:
+        n: complex indices `[medium, wavelength]`, ambient first.
+        incoherent: one flag a layer.
+    """
+
+    def __init__(self, n: Complex, incoherent: Sequence[bool], wavelengths_nm: Array, transmits: bool) -> None:
+        self.wavelengths_nm = np.asarray(wavelengths_nm, dtype=float)
+        self.n = np.array(n, dtype=np.complex128)
+        self.n[0] = self.n[0].real
+        if transmits:
+            # the absorption of a clear substrate belongs to its volume
+            self.n[-1] = self.n[-1].real
+        self.incoherent = list(incoherent)
+        self.transmits = transmits
+        ratio = self.n[-1].real / self.n[0].real
+        relative = float(np.interp(570.0, self.wavelengths_nm, ratio)) if transmits else 1.0
+        self.flipped = relative < 1.0 - SAME_INDEX
+        relative = 1.0 / relative if self.flipped else relative
+        self.eta = relative if relative > 1.0 + SAME_INDEX else 1.0
+
+    def outside(self, thicknesses_nm: Array, cos_outside: Array) -> tuple[Array, Array]:
+        """Return R and T `[*params, cos, wavelength]` for light in the rarer medium."""
+        n, d = self._from_outside(thicknesses_nm)
+        if not any(self.incoherent):
+            powers = stratified.powers(n, d, self.wavelengths_nm, cos_i=cos_outside)
+            return powers.reflectance, powers.transmittance if self.transmits else np.zeros_like(powers.reflectance)
+        from nacre.matter.stack_incoherent import incoherent_powers
+
+        flags = self.incoherent[::-1] if self.flipped else self.incoherent
+        solved = [
+            incoherent_powers(n, row, flags, self.wavelengths_nm, np.arccos(cos_outside))
+            for row in d.reshape(-1, d.shape[-1])
+        ]
+        shape = (*d.shape[:-1], len(cos_outside), len(self.wavelengths_nm))
+        reflected = np.reshape([p.reflectance for p in solved], shape)
+        passed = np.reshape([p.transmittance for p in solved], shape)
+        return reflected, passed if self.transmits else np.zeros(shape)
+
+    def inside(self, thicknesses_nm: Array, in_plane: Array) -> Array:
+        """Return R `[*params, angle, wavelength]` for light in the denser medium.
+
+        Args:
+            in_plane: kx/k0 `[angle, wavelength]`.
+        """
+        n, d = self._from_outside(thicknesses_nm)
+        n, d = n[::-1], d[..., ::-1]
+        if not any(self.incoherent):
+            solved = stratified.amplitudes(n, d, self.wavelengths_nm, kappa=in_plane)
+            return np.asarray(0.5 * (np.abs(solved.r_s) ** 2 + np.abs(solved.r_p) ** 2))
+        from nacre.matter.stack_incoherent import incoherent_powers
+
+        flags = self.incoherent if self.flipped else self.incoherent[::-1]
+        sin = np.clip(in_plane / n[0].real, 0.0, 1.0)
+        rows = []
+        for row in d.reshape(-1, d.shape[-1]):
+            columns = [
+                # each wavelength has its own angle inside, since one angle outside is shared
+                incoherent_powers(n[:, [l]], row, flags, self.wavelengths_nm[[l]], np.arcsin(sin[:, l])).reflectance
+                for l in range(len(self.wavelengths_nm))
+            ]
+            rows.append(np.concatenate(columns, axis=-1))
+        return np.reshape(rows, (*d.shape[:-1], *in_plane.shape))
+
+    def _from_outside(self, thicknesses_nm: Array) -> tuple[Complex, Array]:
+        return (self.n[::-1], thicknesses_nm[..., ::-1]) if self.flipped else (self.n, thicknesses_nm)
+
+    def build(self, thicknesses_nm: Array, nodes: int, parameters: tuple[ParameterAxis, ...] = ()) -> InterfaceResponse:
+        """Tabulate both sides on `nodes` cosines.
+
+        Args:
+            thicknesses_nm: `[*params, layer]`.
+        """
+        d = np.asarray(thicknesses_nm, dtype=float)
+        cos = np.linspace(0.0, 1.0, nodes)
+        reflectance, transmittance = self.outside(d, cos)
+        zero = np.zeros_like(reflectance)
+        total = np.zeros((*d.shape[:-1], 0, len(self.wavelengths_nm)))
+        behind = zero
+        if self.transmits:
+            rare = (self.n[-1] if self.flipped else self.n[0]).real
+            dense = (self.n[0] if self.flipped else self.n[-1]).real
+            behind = self.inside(d, np.sqrt(1.0 - cos * cos)[:, None] * rare)
+            if self.eta == 1.0:
+                behind = np.where(cos[:, None] == 0.0, reflectance[..., :1, :], behind)
+            else:
+                # in-plane wavevectors run from the critical one to grazing at every wavelength, though one eta
+                # bends all: the squares are stretched to the index of each
+                share = np.square(np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, TOTAL_NODES)))[:, None]
+                square = rare**2 + np.maximum(dense**2 - rare**2, 0.0) * share
+                total = self.inside(d, np.sqrt(square))
+                total[..., -1, :] = 1.0  # grazing inside
+        return InterfaceResponse(
+            wavelengths_nm=self.wavelengths_nm,
+            cos_outside=cos,
+            reflectance=np.clip(reflectance, 0.0, 1.0),
+            transmittance=np.clip(transmittance, 0.0, 1.0),
+            reflectance_inside=np.clip(behind, 0.0, 1.0),
+            total=np.clip(total, 0.0, 1.0),
+            eta=self.eta,
+            transmits=self.transmits,
+            flipped=self.flipped,
+            parameters=parameters,
+        )
+
+    def adaptive(self, thicknesses_nm: Array) -> InterfaceResponse:
+        """Tabulate on as many cosines as keep the error of R and T below `TABLE_ERROR`, within `COS_NODES`."""
+        for nodes in COS_NODES[:-1]:
+            middle = (np.arange(nodes - 1) + 0.5) / (nodes - 1)
+            response = self.build(thicknesses_nm, nodes)
+            exact = self.outside(np.asarray(thicknesses_nm, dtype=float), middle)
+            tables = (response.reflectance, response.transmittance)
+            at = (middle * (nodes - 1),)
+            error = max(float(np.max(np.abs(interpolate(t, at) - e))) for t, e in zip(tables, exact, strict=True))
+            if error <= TABLE_ERROR:
+                return response
+        return self.build(thicknesses_nm, COS_NODES[-1])
+
+
+def is_transparent(n: Complex) -> bool:
+    """Whether a half-space of index `n` `[wavelength]` lets light pass through a body of visible size."""
+    return bool(np.max(n.imag) < TRANSPARENT_K)
+
+
+def reflected_lab(reflectance: Array, wavelengths_nm: Array) -> Array:
+    """Return Lab under D65 of spectra `[..., wavelength]`."""
+    return np.asarray(xyz_to_lab(spectrum_to_xyz(reflectance, wavelengths_nm)))
+
+
+def interpolation_colour_error(spectra: Callable[[Array], Array], values: Array, wavelengths_nm: Array) -> float:
+    """Return the largest dE00 midway between nodes.
+
+    Args:
+        spectra: power `[value, ..., wavelength]` of the material at the values given.
+    """
+    nodes = spectra(values)
+    exact = spectra(0.5 * (values[1:] + values[:-1]))
+    between = 0.5 * (nodes[1:] + nodes[:-1])
+    difference = delta_e_2000(reflected_lab(between, wavelengths_nm), reflected_lab(exact, wavelengths_nm))
+    return float(np.max(difference))
+
+
+def choose_nodes(
+    spectra: Callable[[Array], Array], low: float, high: float, wavelengths_nm: Array
+) -> tuple[Array, float]:
+    """Return uniform nodes of a varying number, fine enough for `COLOUR_ERROR`, and the dE00 reached.
+
+    Args:
+        spectra: power `[value, ..., wavelength]` of the material at the values given.
+        low, high: range of the number.
+    """
+    values, worst = np.array([low, high]), 0.0
+    for count in PARAMETER_NODES:
+        values = np.linspace(low, high, count)
+        worst = interpolation_colour_error(spectra, values, wavelengths_nm)
+        if worst <= COLOUR_ERROR:
+            break
+    return values, worst
+
+
+def check_size(counts: Sequence[int], cos_nodes: int, wavelengths: int) -> None:
+    """Refuse tables that would not fit in memory, before they are computed.
+
+    Raises:
+        UnsupportedError: naming the sizes.
+    """
+    size = int(np.prod(counts)) * cos_nodes * wavelengths
+    if size > MAX_TABLE_VALUES:
+        raise UnsupportedError(
+            f"the varying numbers need {' x '.join(map(str, counts))} nodes x {cos_nodes} angles x {wavelengths} "
+            f"wavelengths = {size} values; at most {MAX_TABLE_VALUES} fit: narrow the ranges or let one number vary"
+        )

@@ -1,0 +1,104 @@
+"""Recipe form of a number that varies over the surface: an image with a range, or a formula of uv."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pydantic
+from numpy.typing import NDArray
+
+from nacre.bsdf.texture import Texture, parse_formula
+from nacre.errors import NacreError, RecipeError
+from nacre.specs import RecipeContext, RecipeModel
+
+MAX_IMAGE_PIXELS = 64_000_000
+FORMULA_SAMPLES = 257
+
+
+class TextureSpec(RecipeModel):
+    """`{texture = "t.png", min = 100, max = 700}` or `{formula = "100 + 600*v"}`, there with optional min and max.
+
+    An image's grey values run linearly from min (black) to max (white). A formula gives the number itself, and is
+    clipped to min and max where they are given.
+    """
+
+    texture: str | None = None
+    formula: str | None = None
+    min: float | None = None
+    max: float | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _one_of_two(self) -> TextureSpec:
+        if (self.texture is None) == (self.formula is None):
+            raise ValueError("give either texture = an image file or formula = an expression of u and v")
+        if self.texture is not None and (self.min is None or self.max is None):
+            raise ValueError("a texture needs min and max: the values of black and of white")
+        if self.min is not None and self.max is not None and self.min > self.max:
+            raise ValueError(f"min = {self.min:g} is above max = {self.max:g}")
+        if self.formula is not None:
+            try:
+                parse_formula(self.formula)
+            except NacreError as error:
+                raise ValueError(str(error)) from None
+        return self
+
+    def build(self, context: RecipeContext, key: str) -> Texture:
+        """Read the image or parse the formula.
+
+        Args:
+            key: the recipe's key, for messages.
+
+        Raises:
+            RecipeError: the image is missing, broken or too large, or the formula has no finite range.
+        """
+        if self.texture is not None:
+            assert self.min is not None and self.max is not None
+            image = read_grey(context.path(self.texture), f"{context.source}: {key}.texture")
+            return Texture(self.min, self.max, image=image)
+        assert self.formula is not None
+        formula = parse_formula(self.formula)
+        axis = np.linspace(0.0, 1.0, FORMULA_SAMPLES)
+        u, v = np.meshgrid(axis, axis)
+        with np.errstate(all="ignore"):
+            values = np.asarray(formula(u, v), dtype=float)
+        values = values[np.isfinite(values)]
+        if not values.size:
+            raise context.fail(f"{key}.formula", self.formula, "has no finite value anywhere")
+        low = self.min if self.min is not None else float(values.min())
+        high = self.max if self.max is not None else float(values.max())
+        if low > high:
+            raise context.fail(f"{key}.formula", self.formula, f"leaves no range between {low:g} and {high:g}")
+        return Texture(low, high, formula=formula)
+
+
+def read_grey(path: Path, where: str) -> NDArray[np.float64]:
+    """Read an image as grey values in [0, 1], `[row, column]`; 8 and 16 bit, colours by their mean luma.
+
+    Args:
+        where: file and key of the recipe, for messages.
+
+    Raises:
+        RecipeError: missing, not an image, or larger than `MAX_IMAGE_PIXELS`.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit below is stricter
+            opened = Image.open(path)
+        with opened as image:
+            size = image.width * image.height
+            if size > MAX_IMAGE_PIXELS:
+                raise RecipeError(f"{where}: {path.name} has {size} pixels; at most {MAX_IMAGE_PIXELS} are read")
+            if image.mode.startswith("I") or image.mode == "F":
+                values = np.asarray(image, dtype=float)
+                scale = 1.0 if image.mode == "F" else 65535.0
+            else:
+                values, scale = np.asarray(image.convert("L"), dtype=float), 255.0
+    except FileNotFoundError:
+        raise RecipeError(f'{where} = "{path.name}" does not exist') from None
+    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError, ValueError):
+        raise RecipeError(f'{where} = "{path.name}" is not a readable image') from None
+    return np.clip(np.nan_to_num(values / scale), 0.0, 1.0)
