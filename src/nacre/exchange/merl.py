@@ -1,0 +1,107 @@
+"""MERL binary files: isotropic RGB reflectance in half and difference angles (Matusik et al. 2003).
+
+Three int32 sizes (90, 90, 180), then three planes of float64: red, green, blue, scaled by 1/1500, 1.15/1500 and
+1.66/1500. Bins: theta_half by its square root, theta_diff and phi_diff (mod pi, by reciprocity) evenly.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.bsdf import Bsdf
+from nacre.errors import NacreError, UnsupportedError
+from nacre.files import atomic_path
+from nacre.light import spectrum_to_rgb_linear
+
+Array = NDArray[np.float64]
+SHAPE = (90, 90, 180)
+SCALE = np.array([1.0, 1.15, 1.66]) / 1500.0
+MIN_COS = 1e-4  # a bin whose directions lie at or below the horizon holds 0
+
+
+def bin_directions() -> tuple[Array, Array]:
+    """Return wi and wo at the bins' centres, each `[theta_half, theta_diff, phi_diff, 3]`."""
+    half = ((np.arange(SHAPE[0]) + 0.5) / SHAPE[0]) ** 2 * (np.pi / 2)
+    diff = (np.arange(SHAPE[1]) + 0.5) / SHAPE[1] * (np.pi / 2)
+    phi = (np.arange(SHAPE[2]) + 0.5) / SHAPE[2] * np.pi
+    return from_half_difference(*np.meshgrid(half, diff, phi, indexing="ij"))
+
+
+def from_half_difference(theta_half: Array, theta_diff: Array, phi_diff: Array) -> tuple[Array, Array]:
+    """Return (wi, wo) of half and difference angles, the half vector in the plane phi = 0."""
+    d = np.stack([np.sin(theta_diff) * np.cos(phi_diff), np.sin(theta_diff) * np.sin(phi_diff), np.cos(theta_diff)], -1)
+    sin_h, cos_h = np.sin(theta_half), np.cos(theta_half)
+    wi = np.stack([cos_h * d[..., 0] + sin_h * d[..., 2], d[..., 1], -sin_h * d[..., 0] + cos_h * d[..., 2]], axis=-1)
+    h = np.stack([sin_h, np.zeros_like(sin_h), cos_h], axis=-1)
+    return wi, 2 * np.sum(wi * h, axis=-1, keepdims=True) * h - wi
+
+
+def to_half_difference(wi: Array, wo: Array) -> tuple[Array, Array, Array]:
+    """Return (theta_half, theta_diff, phi_diff), phi_diff in [0, pi) by reciprocity."""
+    h = wi + wo
+    h = h / np.maximum(np.linalg.norm(h, axis=-1, keepdims=True), 1e-12)
+    cos_h = np.clip(h[..., 2], -1.0, 1.0)
+    sin_h = np.sqrt(1 - cos_h**2)
+    phi_h = np.arctan2(h[..., 1], h[..., 0])
+    x = wi[..., 0] * np.cos(phi_h) + wi[..., 1] * np.sin(phi_h)
+    y = -wi[..., 0] * np.sin(phi_h) + wi[..., 1] * np.cos(phi_h)
+    dx, dz = cos_h * x - sin_h * wi[..., 2], sin_h * x + cos_h * wi[..., 2]
+    return np.arccos(cos_h), np.arccos(np.clip(dz, -1.0, 1.0)), np.mod(np.arctan2(y, dx), np.pi)
+
+
+def merl_table(bsdf: Bsdf, block: int = 1 << 16) -> Array:
+    """Return the linear sRGB reflectance (white under D65 is 1, 1, 1) in MERL's bins, `[half, diff, phi, 3]`.
+
+    Raises:
+        UnsupportedError: nothing but deltas, or a stochastic lobe.
+    """
+    if any(lobe.is_stochastic for lobe in bsdf.lobes):
+        raise UnsupportedError('a MERL file needs arrays, not a random walk; set quality = "fast" in the recipe')
+    if all(lobe.is_delta for lobe in bsdf.lobes):
+        raise UnsupportedError("a MERL file cannot hold a smooth material: mirror directions are delta functions")
+    wi, wo = (a.reshape(-1, 3) for a in bin_directions())
+    up = np.flatnonzero((wi[:, 2] > MIN_COS) & (wo[:, 2] > MIN_COS))
+    table = np.zeros((len(wi), 3))
+    for start in range(0, len(up), block):
+        some = up[start : start + block]
+        table[some] = spectrum_to_rgb_linear(bsdf.evaluate(wi[some], wo[some]), bsdf.wavelengths_nm)
+    return table.reshape(*SHAPE, 3)
+
+
+def write_merl(path: str | Path, table: Array) -> None:
+    """Write linear RGB reflectance `[90, 90, 180, 3]` as a MERL file.
+
+    Raises:
+        NacreError: the file cannot be written.
+    """
+    planes = np.moveaxis(np.asarray(table, dtype=float), -1, 0) / SCALE[:, None, None, None]
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        file.write(np.array(SHAPE, "<i4").tobytes())
+        file.write(planes.astype("<f8").tobytes())
+
+
+def read_merl(path: str | Path) -> Array:
+    """Read a MERL file as linear RGB reflectance `[90, 90, 180, 3]`; bins marked invalid (negative) become 0.
+
+    Raises:
+        NacreError: not a MERL file, or damaged.
+    """
+    path = Path(path)
+    expected = 12 + 8 * 3 * SHAPE[0] * SHAPE[1] * SHAPE[2]
+    try:
+        size = path.stat().st_size
+        if size != expected:
+            raise NacreError(f"{path}: has {size} bytes; a MERL file of 90 x 90 x 180 bins has {expected}")
+        data = path.read_bytes()
+    except OSError as error:
+        raise NacreError(f"{path}: cannot be read: {error.strerror}") from None
+    shape = tuple(int(n) for n in np.frombuffer(data, "<i4", 3))
+    if shape != SHAPE:
+        raise NacreError(f"{path}: has {shape} bins; only the standard {SHAPE} is known")
+    planes = np.frombuffer(data, "<f8", offset=12).reshape(3, *SHAPE)
+    if not np.all(np.isfinite(planes)):
+        raise NacreError(f"{path}: holds values that are not finite")
+    return np.maximum(np.moveaxis(planes * SCALE[:, None, None, None], 0, -1), 0.0)
