@@ -1,0 +1,218 @@
+"""The one page that tells whether a design is good: pictures, losses, spectra, heights, slopes, warnings."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.design.loss import GAMMA, Losses
+from nacre.design.problem import MEASURE_NODE_ERROR, Array, Evaluator, Measurement, Problem
+from nacre.design.spec import TargetSpec
+from nacre.files import atomic_path, write_text
+from nacre.relief.surface import Tile, slopes
+
+PICTURE_PIXELS = 256  # side of each picture on the page
+LIT_SHARE = 0.1  # a direction belongs to the target where the target is above this part of its maximum
+# where facets begin to hide each other at the angles of a slice; the scalar model does not see it
+STEEP_DEG, VERY_STEEP_DEG = 30.0, 45.0
+
+
+def display(rgb: Array, scale: float) -> Array:
+    """Return display-referred colours in [0, 1] of linear ones."""
+    return np.clip(np.maximum(scale * rgb, 0.0) ** (1.0 / GAMMA), 0.0, 1.0)
+
+
+def comparison(problem: Problem, rgb: NDArray[Any], losses: Losses) -> NDArray[np.uint8]:
+    """Return target | fixed scale | free scale of the first view and incidence, side by side, `[row, column, 3]`."""
+    _, nx, ny, _ = problem.views[0].target.shape
+    seen = np.asarray(rgb[: nx * ny], dtype=float).reshape(nx, ny, 3)
+    parts = [
+        np.clip(problem.views[0].target[0], 0.0, 1.0),
+        display(seen, losses.scale_fixed),
+        display(seen, losses.scale_free),
+    ]
+    gap = np.ones((nx, max(ny // 16, 1), 3))
+    row = np.concatenate([parts[0], gap, parts[1], gap, parts[2]], axis=1)
+    return np.round(255.0 * row).astype(np.uint8)
+
+
+def write_picture(path: Path, pixels: NDArray[np.uint8], enlarge: int = 4) -> None:
+    """Write an 8-bit PNG, each pixel enlarged."""
+    from PIL import Image
+
+    big = np.repeat(np.repeat(pixels, enlarge, axis=0), enlarge, axis=1)
+    with atomic_path(path) as temporary:
+        Image.fromarray(big).save(temporary)
+
+
+def efficiency(problem: Problem, heights_nm: Array) -> float:
+    """Return the share of the incident light that leaves in the target's directions, first view, all wavelengths.
+
+    The integral of f cos(theta_o) over the directions where the target is brighter than a tenth of its maximum.
+    """
+    view = problem.views[0]
+    judge = Evaluator(problem, problem.search_upsamplings()[1], node_error=MEASURE_NODE_ERROR)
+    values, _ = judge.plans[0].forward(judge.surface(heights_nm))
+    lit = view.target[0].max(axis=-1) > LIT_SHARE * view.target[0].max()
+    cell = np.diff(view.geometry.psi_x[:2])[0] * np.diff(view.geometry.psi_y[:2])[0]
+    return float(np.mean(values[0][:, lit].sum(axis=-1)) * cell)
+
+
+def slope_summary(problem: Problem, heights_nm: Array) -> tuple[Array, dict[str, float]]:
+    """Return the slope angles of the surface in degrees, and their rms, 99 % point and maximum."""
+    upsampling = max(problem.search_upsamplings()[1], 8)
+    surface = Tile(heights_nm, problem.feature_nm, problem.blur_nm).surface_nm(upsampling)
+    dx, dy = slopes(surface, problem.feature_nm / upsampling)
+    angles = np.degrees(np.arctan(np.hypot(dx, dy))).ravel()
+    return angles, {
+        "slope_rms_deg": float(np.sqrt(np.mean(angles**2))),
+        "slope_99_percent_deg": float(np.percentile(angles, 99)),
+        "slope_max_deg": float(angles.max()),
+    }
+
+
+def warnings_of(summary: dict[str, Any], facts: dict[str, float]) -> list[str]:
+    """Return what a user should know before making the relief."""
+    notes = []
+    if facts["slope_99_percent_deg"] > VERY_STEEP_DEG:
+        notes.append(
+            f"1 % of the surface is steeper than {facts['slope_99_percent_deg']:.0f} degrees: facets hide each other "
+            "and light bounces twice there, which the scalar model does not see. Reduce the height or widen the blur."
+        )
+    elif facts["slope_99_percent_deg"] > STEEP_DEG:
+        notes.append(
+            f"1 % of the surface is steeper than {facts['slope_99_percent_deg']:.0f} degrees; expect some shadowing."
+        )
+    if summary["loss_black"] <= summary["loss_fixed"]:
+        notes.append(
+            f"At the intensity scale {summary['scale_fixed']:g} an all-black image has a lower loss "
+            f"({summary['loss_black']:.4f}) than this design: judge it by the free loss, or change the scale."
+        )
+    if summary["status"] != "done":
+        notes.append(f"The search was stopped ({summary['status']}); resume it to finish.")
+    return notes
+
+
+def write_report(
+    path: Path,
+    spec: TargetSpec,
+    problem: Problem,
+    heights_nm: Array,
+    measured: Measurement,
+    summary: dict[str, Any],
+) -> None:
+    """Write a self-contained HTML page."""
+    angles, facts = slope_summary(problem, heights_nm)
+    share = efficiency(problem, heights_nm)
+    notes = warnings_of(summary, facts)
+    losses = measured.losses
+    shape = problem.views[0].target.shape[1:]
+    seen = measured.rgb[: shape[0] * shape[1]].reshape(shape)
+    span = max(float(np.ptp(heights_nm)), 1e-9)
+    grey = np.repeat(((heights_nm - heights_nm.min()) / span)[..., None], 3, axis=-1)
+    pictures = [
+        ("target", np.clip(problem.views[0].target[0], 0, 1)),
+        (f"achieved, scale {losses.scale_fixed:.4g}: loss {losses.fixed:.5f}", display(seen, losses.scale_fixed)),
+        (f"achieved, best scale {losses.scale_free:.4g}: loss {losses.free:.5f}", display(seen, losses.scale_free)),
+        (f"heights, 0 to {span / 1e3:.3f} um", grey),
+    ]
+    rows = {
+        "loss, fixed scale": f"{losses.fixed:.5f} (scale {losses.scale_fixed:.4g})",
+        "loss, free scale": f"{losses.free:.5f} (scale {losses.scale_free:.4g})",
+        "loss of an all-black image": f"{losses.black:.5f}",
+        "efficiency (share of the light inside the target)": f"{100 * share:.1f} %",
+        "slope: rms, 99 %, maximum": f"{facts['slope_rms_deg']:.1f}, {facts['slope_99_percent_deg']:.1f}, "
+        f"{facts['slope_max_deg']:.1f} degrees",
+        "sampling of the measurement": f"{measured.upsampling} per feature, "
+        f"largest phase step {measured.phase_step_rad:.2f} rad",
+        "search": f"{summary['seconds']:.1f} s, {summary['evaluations']} evaluations, {spec.search.starts} starts, "
+        f"seed {spec.search.seed}, {summary['status']}",
+        "tile": f"{problem.features} x {problem.features} features of {problem.feature_nm / 1e3:g} um, "
+        f"blur {problem.blur_nm / 1e3:g} um, heights up to {problem.height_max_nm / 1e3:g} um",
+    }
+    body = [
+        "<h1>Relief design</h1>",
+        "".join(f'<p class="warning">{html.escape(note)}</p>' for note in notes),
+        '<div class="row">' + "".join(_figure(title, image) for title, image in pictures) + "</div>",
+        "<table>" + "".join(f"<tr><td>{k}</td><td>{html.escape(v)}</td></tr>" for k, v in rows.items()) + "</table>",
+        '<div class="row">',
+        _spectra_chart(problem, heights_nm),
+        _bar_chart("slope angle, degrees", *np.histogram(angles, bins=np.arange(0.0, 92.0, 2.0))),
+        "</div>",
+        f"<details><summary>design.json</summary><pre>{html.escape(json.dumps(summary, indent=2))}</pre></details>",
+    ]
+    write_text(path, _PAGE.replace("BODY", "\n".join(body)))
+
+
+_PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>nacre: relief design</title><style>
+body{font:15px/1.5 system-ui,sans-serif;max-width:1180px;margin:2em auto;padding:0 1em;color:#222}
+.row{display:flex;flex-wrap:wrap;gap:18px}figure{margin:0}figcaption{font-size:13px;max-width:256px}
+img{image-rendering:pixelated;width:256px;height:256px;background:#000}
+td{padding:2px 18px 2px 0;border-bottom:1px solid #ddd}.warning{background:#fff2cc;padding:8px 12px}
+</style></head><body>BODY</body></html>
+"""
+
+
+def _figure(title: str, image: Array) -> str:
+    from PIL import Image
+
+    pixels = np.round(255.0 * image).astype(np.uint8)
+    factor = max(1, PICTURE_PIXELS // pixels.shape[0])
+    stream = io.BytesIO()
+    Image.fromarray(np.repeat(np.repeat(pixels, factor, axis=0), factor, axis=1)).save(stream, "PNG")
+    data = base64.b64encode(stream.getvalue()).decode()
+    return (
+        f'<figure><img alt="" src="data:image/png;base64,{data}"><figcaption>{html.escape(title)}</figcaption></figure>'
+    )
+
+
+def _spectra_chart(problem: Problem, heights_nm: Array) -> str:
+    """Chart the mean BRDF over the target's directions, and in the mirror direction, against wavelength."""
+    view = problem.views[0]
+    judge = Evaluator(problem, problem.search_upsamplings()[1], node_error=MEASURE_NODE_ERROR)
+    values, _ = judge.plans[0].forward(judge.surface(heights_nm))
+    target = view.target[0].max(axis=-1)
+    lit = target > LIT_SHARE * target.max()
+    centre = np.add.outer(view.geometry.psi_x**2, view.geometry.psi_y**2)
+    mirror = centre <= centre.min() * 1.01
+    curves = [
+        ("inside the target", values[0][:, lit].mean(axis=-1), "#2266cc"),
+        ("mirror direction", values[0][:, mirror].mean(axis=-1), "#cc5522"),
+    ]
+    nm = view.geometry.wavelengths_nm
+    top = max(float(c[1].max()) for c in curves) or 1.0
+    lines = []
+    for k, (name, curve, colour) in enumerate(curves):
+        x = 45 + 400 * (nm - nm[0]) / (nm[-1] - nm[0])
+        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, 200 - 180 * curve / top))
+        lines.append(f'<polyline fill="none" stroke="{colour}" stroke-width="2" points="{points}"/>')
+        lines.append(f'<text x="60" y="{28 + 16 * k}" fill="{colour}" font-size="13">{name}</text>')
+    return _chart(lines, f"{nm[0]:.0f}", f"{nm[-1]:.0f} nm", f"{top:.3g} /sr", "BRDF")
+
+
+def _bar_chart(title: str, counts: NDArray[Any], edges: Array) -> str:
+    top = max(int(counts.max()), 1)
+    width = 400 / len(counts)
+    bars = [
+        f'<rect x="{45 + k * width:.1f}" y="{200 - 180 * c / top:.1f}" width="{width - 1:.1f}" '
+        f'height="{180 * c / top:.1f}" fill="#667"/>'
+        for k, c in enumerate(counts)
+    ]
+    return _chart(bars, f"{edges[0]:.0f}", f"{edges[-1]:.0f}", f"{100 * top / max(counts.sum(), 1):.0f} %", title)
+
+
+def _chart(marks: list[str], left: str, right: str, top: str, title: str) -> str:
+    return (
+        '<svg width="480" height="250" viewBox="0 0 480 250" font-family="system-ui">'
+        '<path d="M45 15V200H450" fill="none" stroke="#999"/>'
+        + "".join(marks)
+        + f'<text x="40" y="216" font-size="12">{left}</text><text x="400" y="216" font-size="12">{right}</text>'
+        f'<text x="2" y="14" font-size="12">{top}</text><text x="180" y="240" font-size="13">{title}</text></svg>'
+    )

@@ -1,0 +1,268 @@
+"""The search: several starts, the better ones continued at a finer sampling, then hardened.
+
+Bounded L-BFGS-B straight on the features (physics/relief.md, section 10). The work is a fixed list of stages, so the
+same seed gives the same design whatever the machine; a time limit only cuts the list short. Starts run side by
+side in threads, each on its own, so the number of threads does not change a digit.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import minimize
+
+from nacre.design.levels import round_to_levels, settle_on_levels
+from nacre.design.problem import Array, Evaluator, Problem
+
+# height spreads of the random starts, in parts of the allowed range about its middle (section 11.9)
+AMPLITUDES = (0.5, 0.25, 1.0, 0.12)
+NOISE_DRAWS = 6
+CORRECTIONS = 20
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of the search: the best `keep` candidates, `iterations` more each, at one sampling."""
+
+    name: str
+    keep: int
+    iterations: int
+    fine: bool
+    robust: bool = False
+
+
+EXPLORE = Stage("explore", 0, 30, fine=False)
+STAGES = (
+    EXPLORE,
+    Stage("improve", 3, 60, fine=False),
+    Stage("refine", 2, 60, fine=True),
+    Stage("finish", 2, 240, fine=True),
+)
+HARDEN = Stage("harden", 2, 60, fine=True, robust=True)
+
+
+def stages(problem: Problem) -> tuple[Stage, ...]:
+    """Return the list of work of a problem; robustness adds a stage at the end."""
+    robust = problem.noise > 0 or problem.blur_error > 0
+    return (*STAGES, HARDEN) if robust else STAGES
+
+
+@dataclass
+class Candidate:
+    """One start on its way.
+
+    Attributes:
+        x: heights over the allowed range, flat.
+        value: objective at `x` in the present stage; infinite before its first evaluation.
+        stage, done: the stage it is in, and the iterations it has made there.
+    """
+
+    x: Array
+    value: float = np.inf
+    stage: int = 0
+    done: int = 0
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a caller is told while the search runs."""
+
+    stage: str
+    stage_number: int
+    stage_count: int
+    best_value: float
+    evaluations: int
+    seconds: float
+    seconds_left: float | None
+    best_x: Array = field(repr=False)
+
+
+class Stopped(Exception):
+    """Raised inside a worker to leave the optimiser at once; the candidate keeps its best point."""
+
+
+class Search:
+    """A resumable search.
+
+    Attributes:
+        problem: what is wanted.
+        candidates: the starts still in the race.
+        stage: index into `stages(problem)`.
+        seconds, evaluations: spent so far, earlier runs included.
+        stop_reason: "" while running or when all stages are done, else "time limit" or "interrupted".
+    """
+
+    def __init__(self, problem: Problem, starts: int, seed: int, workers: int = 1) -> None:
+        self.problem = problem
+        self.workers = workers
+        self.seed = seed
+        self.stage = 0
+        self.seconds = 0.0
+        self.evaluations = 0
+        self.stop_reason = ""
+        self.candidates = [Candidate(x) for x in starting_points(problem.features, starts, seed)]
+        self._stop = threading.Event()
+        self._lock = threading.Lock()
+        self._deadline = np.inf
+        self._begun = 0.0
+        self._progress: Callable[[Progress], None] | None = None
+
+    @property
+    def best(self) -> Candidate:
+        """The candidate with the lowest objective."""
+        # of equal values the first one, so that threads finishing in another order change nothing
+        return min(self.candidates, key=lambda c: (-c.stage, c.value))
+
+    def stop(self) -> None:
+        """Ask the workers to leave; safe from any thread or signal handler."""
+        self._stop.set()
+
+    def run(self, time_limit_s: float | None = None, progress: Callable[[Progress], None] | None = None) -> Array:
+        """Run to the end, the time limit or an interrupt; return the best heights over the range, `[n, n]`.
+
+        A KeyboardInterrupt stops the workers and counts as a clean stop.
+        """
+        begun = time.monotonic() - self.seconds
+        self._deadline = np.inf if time_limit_s is None else time.monotonic() + time_limit_s
+        self._begun = begun
+        self._progress = progress
+        plan = stages(self.problem)
+        with one_thread_each():
+            while self.stage < len(plan):
+                self._run_stage(plan[self.stage], len(plan))
+                if self._stop.is_set() or time.monotonic() > self._deadline:
+                    self.stop_reason = self.stop_reason or ("interrupted" if self._stop.is_set() else "time limit")
+                    break
+                self.stage += 1
+            best = self.best.x.reshape(self.problem.features, -1)
+            if self.problem.levels:
+                best = self._settle(best)
+        self.seconds = time.monotonic() - begun
+        return best
+
+    def _run_stage(self, stage: Stage, count: int) -> None:
+        if stage.keep:
+            self.candidates = sorted(self.candidates, key=lambda c: c.value)[: stage.keep]
+        waiting = [c for c in self.candidates if c.stage <= self.stage]
+        for candidate in waiting:
+            if candidate.stage < self.stage or candidate.done == 0:
+                # another sampling, another objective: values of the last stage do not compare
+                candidate.stage, candidate.done, candidate.value = self.stage, 0, np.inf
+        coarse, fine = self.problem.search_upsamplings()
+        with ThreadPoolExecutor(self.workers) as pool:
+            tasks = [
+                pool.submit(self._descend, c, Evaluator(self.problem, fine if stage.fine else coarse), stage, count)
+                for c in waiting
+                if c.done < stage.iterations
+            ]
+            try:
+                wait(tasks, return_when=FIRST_EXCEPTION)
+            except KeyboardInterrupt:
+                self.stop_reason = "interrupted"
+                self.stop()
+        for task in tasks:
+            if not task.cancelled():
+                task.result()
+
+    def _descend(self, candidate: Candidate, evaluator: Evaluator, stage: Stage, count: int) -> None:
+        """Continue one candidate; it always holds the best point seen in this stage."""
+        evaluate = robust_objective(evaluator, self.seed) if stage.robust else evaluator.value_and_gradient
+        best_value = np.inf
+
+        def value_and_gradient(x: Array) -> tuple[float, Array]:
+            nonlocal best_value
+            if self._stop.is_set() or time.monotonic() > self._deadline:
+                raise Stopped
+            value, gradient = evaluate(x)
+            with self._lock:
+                self.evaluations += 1
+            if value < best_value:
+                best_value = value
+                candidate.x, candidate.value = x.copy(), value
+            return value, gradient
+
+        def callback(_: Array) -> None:
+            candidate.done += 1
+            self._tell(stage, count)
+
+        try:
+            minimize(
+                value_and_gradient,
+                candidate.x,
+                jac=True,
+                method="L-BFGS-B",
+                bounds=[(0.0, 1.0)] * len(candidate.x),
+                callback=callback,
+                options={"maxiter": stage.iterations - candidate.done, "maxcor": CORRECTIONS, "ftol": 1e-7},
+            )
+            candidate.done = stage.iterations
+        except Stopped:
+            pass
+
+    def _tell(self, stage: Stage, count: int) -> None:
+        if self._progress is None:
+            return
+        now = time.monotonic()
+        with self._lock:
+            best = self.best
+            self.seconds = now - self._begun
+            left = None if not np.isfinite(self._deadline) else max(self._deadline - now, 0.0)
+            report = Progress(
+                stage.name, self.stage, count, best.value, self.evaluations, self.seconds, left, best.x.copy()
+            )
+            self._progress(report)
+
+    def _settle(self, heights: Array) -> Array:
+        levels = self.problem.levels
+        if self.stop_reason == "interrupted":
+            return round_to_levels(heights, levels)
+        evaluator = Evaluator(self.problem, self.problem.search_upsamplings()[1])
+        result = settle_on_levels(
+            evaluator, heights, levels, lambda: self._stop.is_set() or time.monotonic() > self._deadline
+        )
+        self.evaluations += evaluator.evaluations
+        return result
+
+
+def starting_points(features: int, starts: int, seed: int) -> Iterator[Array]:
+    """Yield random height maps about the middle of the range, with spreads that take turns."""
+    for k in range(starts):
+        generator = np.random.default_rng([seed, k])
+        yield 0.5 + AMPLITUDES[k % len(AMPLITUDES)] * (generator.random(features * features) - 0.5)
+
+
+def robust_objective(evaluator: Evaluator, seed: int) -> Callable[[Array], tuple[float, Array]]:
+    """Return the objective averaged over fixed draws of height noise and blur error.
+
+    The draws are fixed so that the optimiser sees one smooth function.
+    """
+    problem = evaluator.problem
+    generator = np.random.default_rng([seed, 7919])
+    shape = (problem.features, problem.features)
+    draws = [problem.noise * generator.standard_normal(shape) for _ in range(NOISE_DRAWS)]
+    # blur errors at equal steps over +-1 standard deviation, in a fixed order
+    factors = 1.0 + problem.blur_error * np.linspace(-1.0, 1.0, NOISE_DRAWS)
+
+    def evaluate(x: Array) -> tuple[float, Array]:
+        pairs = [evaluator.value_and_gradient(x, noise, float(f)) for noise, f in zip(draws, factors)]
+        return float(np.mean([p[0] for p in pairs])), np.mean([p[1] for p in pairs], axis=0)
+
+    return evaluate
+
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Keep linear algebra to one thread: the starts share the cores, and two thread pools would fight for them."""
+    try:
+        from threadpoolctl import threadpool_limits
+    except ImportError:  # only speed is lost
+        yield
+        return
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield

@@ -1,0 +1,286 @@
+"""The target file: what a relief must look like, and how long to search for it.
+
+The keys are a promise to users: add, do not rename.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pydantic
+
+from nacre.design import pictures
+from nacre.design.pictures import Array
+from nacre.design.problem import Problem, View
+from nacre.design.spectra import Spectrum, default_spectrum, published_spectrum
+from nacre.errors import RecipeError, did_you_mean
+from nacre.matter.spec import IndexSpec
+from nacre.relief.coherence_spec import CoherenceSpec
+from nacre.relief.fresnel import coating_reflectance, fresnel_reflectance
+from nacre.relief.geometry import direction
+from nacre.relief.slice import SliceGeometry
+from nacre.specs import RecipeContext, RecipeModel
+
+Positive = Annotated[float, pydantic.Field(gt=0.0)]
+KINDS = ("anti-mirror", "anisotropic-anti-mirror", "gaussian", "uniform", "image", "inverted-image", "array")
+# the source's own names are accepted too
+KIND_ALIASES = {
+    "anti_mirror": "anti-mirror",
+    "aniso_anti_mirror": "anisotropic-anti-mirror",
+    "diffuse": "gaussian",
+    "image_scale": "image",
+    "image_inverse": "inverted-image",
+}
+INVERTED_WIDTH = 0.20  # the soft disc that a picture is cut out of
+# widths of each kind when the target does not give its own, in rad (kinds) or half-vector units (anisotropic)
+WIDTHS = {"anti-mirror": 0.12, "gaussian": 0.15, "inverted-image": INVERTED_WIDTH}
+HOLES = {"anti-mirror": 0.05, "anisotropic-anti-mirror": 0.7}
+LARGEST_TARGET_VALUES = 64_000_000
+LARGEST_TILE_FEATURES = 512
+VISIBLE_THRESHOLD = 1e-3  # target values under this may lie beyond the horizon
+
+
+class ColourSource(RecipeModel):
+    """A colour taken from a file: an image over the slice, or a reflectance spectrum (CSV: nm, value)."""
+
+    image: str | None = None
+    spectrum: str | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _exactly_one(self) -> ColourSource:
+        if (self.image is None) == (self.spectrum is None):
+            raise ValueError("target.colour: give exactly one of image and spectrum")
+        return self
+
+
+class TargetTable(RecipeModel):
+    """One wanted picture over the directions of a slice."""
+
+    kind: str
+    image: str | None = None
+    image_scale: Positive = 1.5
+    file: str | None = None
+    colour: str | ColourSource = "white"
+    iridescent_range: Positive = 0.06
+    width: Positive | None = None
+    hole: Positive | None = None
+    cone: Positive | None = None
+    range: Annotated[float, pydantic.Field(gt=0.0, le=2.0)]
+    resolution: Annotated[int, pydantic.Field(ge=4, le=1024)] = 64
+    intensity_scale: Positive | Literal["free"] = "free"
+    brightness_floor: Annotated[float, pydantic.Field(ge=0.0)] = 0.0
+    incidence_deg: tuple[tuple[float, float], ...] | None = None
+
+    @pydantic.field_validator("kind")
+    @classmethod
+    def _known_kind(cls, kind: str) -> str:
+        name = KIND_ALIASES.get(kind, kind)
+        if name not in KINDS:
+            raise ValueError(
+                f'target.kind = "{kind}" is not known.{did_you_mean(kind, [*KINDS, *KIND_ALIASES])} '
+                f"Kinds: {', '.join(KINDS)}"
+            )
+        return name
+
+    @pydantic.model_validator(mode="after")
+    def _needs_its_file(self) -> TargetTable:
+        if self.kind in ("image", "inverted-image") and self.image is None:
+            raise ValueError(f'target.image is missing; kind = "{self.kind}" needs one')
+        if self.kind == "array" and self.file is None:
+            raise ValueError('target.file is missing; kind = "array" needs a .npy of [x, y] or [x, y, 3] in 0..1')
+        return self
+
+    def build(self, wi: Array, context: RecipeContext) -> Array:
+        """Return the display-referred target `[x, y, 3]` for light from `wi`.
+
+        Raises:
+            RecipeError: an image, array or colour cannot be used, or the target lies below the horizon.
+        """
+        axis = pictures.slice_axis(self.range, self.resolution)
+        u, v = np.broadcast_arrays(axis[:, None], axis[None, :])
+        picture = self._shape(u, v, wi, context) * self._colour(u, v, context)
+        hidden = (u - wi[0]) ** 2 + (v - wi[1]) ** 2 >= 1.0
+        if (picture[hidden] > VISIBLE_THRESHOLD).any():
+            worst = float(np.degrees(np.arcsin(np.hypot(wi[0], wi[1]))))
+            raise context.fail(
+                "target.range",
+                self.range,
+                f"reaches outside the hemisphere for light at {worst:.3g} degrees; reduce it",
+            )
+        return np.where(hidden[..., None], 0.0, picture)
+
+    def _shape(self, u: Array, v: Array, wi: Array, context: RecipeContext) -> Array:
+        width, hole = self.width or WIDTHS.get(self.kind, 0.0), self.hole or HOLES.get(self.kind, 0.0)
+        if self.kind == "anti-mirror":
+            return pictures.anti_mirror(u, v, wi, hole, width)[..., None]
+        if self.kind == "anisotropic-anti-mirror":
+            return pictures.anisotropic_anti_mirror(u, v, wi, hole)[..., None]
+        if self.kind == "gaussian":
+            return pictures.gaussian(pictures.mirror_angle(u, v, wi), width)[..., None]
+        if self.kind == "uniform":
+            inside = np.ones_like(u) if self.cone is None else (np.hypot(u, v) <= self.cone).astype(float)
+            return inside[..., None]
+        if self.kind == "array":
+            return self._array(context)
+        assert self.image is not None
+        image = pictures.load_picture(context.path(self.image), context.source)
+        shape = pictures.picture_on_directions(image, u, v, self.image_scale)
+        if self.kind == "image":
+            return shape
+        return pictures.gaussian(pictures.mirror_angle(u, v, wi), width)[..., None] * (1.0 - shape)
+
+    def _array(self, context: RecipeContext) -> Array:
+        assert self.file is not None
+        path = context.path(self.file)
+        try:
+            values = np.load(path, allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            reason = "does not exist" if not path.exists() else f"is not a .npy array: {error}"
+            raise context.fail("target.file", self.file, reason) from None
+        size = self.resolution
+        if values.shape not in ((size, size), (size, size, 3)) or values.dtype.kind not in "fiub":
+            raise context.fail(
+                "target.file",
+                self.file,
+                f"holds {values.dtype}{list(values.shape)}; it should be [{size}, {size}(, 3)]",
+            )
+        values = values.astype(float)
+        if not np.isfinite(values).all() or values.min() < 0.0:
+            raise context.fail("target.file", self.file, "holds values that are negative or not finite")
+        return values if values.ndim == 3 else values[..., None]
+
+    def _colour(self, u: Array, v: Array, context: RecipeContext) -> Array:
+        if isinstance(self.colour, str):
+            return pictures.colour_on_directions(self.colour, u, v, self.iridescent_range, context.source)
+        if self.colour.image is not None:
+            image = pictures.load_picture(context.path(self.colour.image), context.source)
+            # a colour image spans the slice
+            scale = self.range / 2.0 / pictures.HALF_VECTOR_PER_SCALE
+            return pictures.picture_on_directions(image, u, v, scale)
+        assert self.colour.spectrum is not None
+        return np.broadcast_to(_spectrum_colour(self.colour.spectrum, context), (*u.shape, 3))
+
+
+class SearchTable(RecipeModel):
+    """How to search; all optional."""
+
+    starts: Annotated[int, pydantic.Field(ge=1, le=256)] = 8
+    seed: Annotated[int, pydantic.Field(ge=0)] = 1
+    time_limit_s: Positive | None = 60.0
+    noise: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = 0.0
+    blur_error: Annotated[float, pydantic.Field(ge=0.0, le=0.9)] = 0.0
+    levels: Annotated[int, pydantic.Field(ge=0, le=256)] = 0
+    incidence_deg: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
+
+    @pydantic.model_validator(mode="after")
+    def _levels_are_two_or_more(self) -> SearchTable:
+        if self.levels == 1:
+            raise ValueError("search.levels = 1 is not allowed; it should be 0 (any height) or at least 2")
+        return self
+
+
+class TargetSpec(RecipeModel):
+    """A target file for the relief family."""
+
+    family: Literal["relief"] = "relief"
+    features: Annotated[int, pydantic.Field(ge=2, le=LARGEST_TILE_FEATURES)] = 32
+    feature_um: Positive
+    blur_um: Positive
+    height_max_um: Positive
+    coating: IndexSpec = pydantic.Field(default_factory=lambda: IndexSpec.model_validate("Al"))
+    coherence: CoherenceSpec
+    spectrum: Literal["published-8", "default"] = "default"
+    prefactor: Literal["kirchhoff", "published"] | None = None
+    target: TargetTable
+    targets: tuple[TargetTable, ...] = ()
+    search: SearchTable = SearchTable()
+
+    @property
+    def chosen_prefactor(self) -> Literal["kirchhoff", "published"]:
+        """The prefactor: the source's with its spectrum, the one that conserves energy otherwise."""
+        return self.prefactor or ("published" if self.spectrum == "published-8" else "kirchhoff")
+
+    def build(self, context: RecipeContext) -> Problem:
+        """Turn the target into numbers.
+
+        Raises:
+            RecipeError: a file, colour, direction or window cannot be used.
+        """
+        coherence = self.coherence.build()
+        spectrum = self._spectrum()
+        self._check_window(coherence.width_in_wavelengths, spectrum, context)
+        tables = (self.target, *self.targets)
+        if sum(t.resolution**2 for t in tables) * len(spectrum.wavelengths_nm) > LARGEST_TARGET_VALUES:
+            raise context.fail("target.resolution", self.target.resolution, "asks for too many directions at once")
+        scale = self.target.intensity_scale
+        return Problem(
+            features=self.features,
+            feature_nm=1e3 * self.feature_um,
+            blur_nm=1e3 * self.blur_um,
+            height_max_nm=1e3 * self.height_max_um,
+            coherence=coherence,
+            views=tuple(self._view(table, spectrum, context) for table in tables),
+            intensity_scale=None if scale == "free" else scale,
+            prefactor=self.chosen_prefactor,
+            brightness_floor=self.target.brightness_floor,
+            noise=self.search.noise,
+            blur_error=self.search.blur_error,
+            levels=self.search.levels,
+        )
+
+    def _spectrum(self) -> Spectrum:
+        if self.spectrum == "default":
+            return default_spectrum()
+        if self.coating.name == "Al":
+            return published_spectrum(None)
+        constant = self.coating.build()
+        return published_spectrum(lambda nm: fresnel_reflectance(np.ones(()), constant.n_complex(nm)))
+
+    def _check_window(self, width: float, spectrum: Spectrum, context: RecipeContext) -> None:
+        window_um = width * float(spectrum.wavelengths_nm.max()) / 1e3
+        period_um = self.features * self.feature_um
+        if window_um > period_um / 2.0:
+            raise context.fail(
+                "coherence",
+                self.coherence.model_dump(exclude_none=True),
+                f"gives a window of {window_um:.3g} um, more than half the tile of {period_um:.3g} um: the tile's own "
+                "repetition would show; take a larger tile or a smaller window",
+            )
+
+    def _view(self, table: TargetTable, spectrum: Spectrum, context: RecipeContext) -> View:
+        directions = [
+            _incidence(theta, phi, context) for theta, phi in (table.incidence_deg or self.search.incidence_deg)
+        ]
+        axis = pictures.slice_axis(table.range, table.resolution)
+        geometry = SliceGeometry(axis, axis, np.stack(directions), spectrum.wavelengths_nm)
+        target = np.stack([table.build(wi, context) for wi in directions])
+        if not target.any():
+            raise RecipeError(f"{context.source}: the target is black everywhere; nothing can be designed for it")
+        reflectance = None
+        if not spectrum.has_fresnel:
+            reflectance = coating_reflectance(self.coating.build().n_complex(spectrum.wavelengths_nm))
+        return View(geometry, target, spectrum.rgb_weights, reflectance)
+
+
+def _incidence(theta_deg: float, phi_deg: float, context: RecipeContext) -> Array:
+    if not 0.0 <= theta_deg < 90.0:
+        raise context.fail(
+            "search.incidence_deg", [theta_deg, phi_deg], "is outside the hemisphere; theta is in [0, 90)"
+        )
+    return direction(math.radians(theta_deg), math.radians(phi_deg))
+
+
+def _spectrum_colour(name: str, context: RecipeContext) -> Array:
+    """Return the display-referred colour of a reflectance spectrum under D65."""
+    from nacre.light import spectrum_to_rgb_linear
+
+    try:
+        table: Any = np.loadtxt(context.path(name), delimiter=",", comments="#", ndmin=2)
+    except (OSError, ValueError) as error:
+        raise context.fail("target.colour.spectrum", name, f"cannot be read as CSV of nm, value: {error}") from None
+    if table.shape[1] != 2 or len(table) < 2 or not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
+        raise context.fail("target.colour.spectrum", name, "should hold two columns, ascending nm and reflectance")
+    rgb = spectrum_to_rgb_linear(table[:, 1], table[:, 0])
+    return np.clip(rgb, 0.0, 1.0) ** (1.0 / 2.2)
