@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -192,7 +193,8 @@ class Search:
             self._tell(stage, count)
 
         try:
-            minimize(
+            descend: Any = minimize  # its stubs know no value-and-gradient with keyword arguments
+            descend(
                 value_and_gradient,
                 candidate.x,
                 jac=True,
