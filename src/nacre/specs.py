@@ -125,9 +125,13 @@ def _first_line(error: pydantic.ValidationError, model: type[RecipeModel], conte
     if problem["type"] == "missing":
         return f"{context.source}: {key} is missing"
     if problem["type"] == "value_error":
+        if message.startswith(("= ", ".")):  # a validator that goes on behind its key: `= "TiO3" is not known`
+            tail = f" {message}" if message.startswith("=") else message
+            return f"{context.source}: {(key + tail).lstrip(' .=')}"
         where = f"{key}: " if key and not message.startswith(key) else ""
         return f"{context.source}: {where}{message}"
-    return f"{context.source}: {key} = {show_value(problem['input'])} is not allowed; it should be {message}"
+    wish = message.partition(" should ")[2] or f"be {message}"  # "Tuple should have at least 1 item" or "a number"
+    return f"{context.source}: {key} = {show_value(problem['input'])} is not allowed; it should {wish}"
 
 
 def _key(location: tuple[int | str, ...]) -> str:

@@ -114,7 +114,7 @@ def xyz_weights(wavelengths_nm: ArrayLike, illuminant: str | Illuminant = "D65",
 def white_xyz(illuminant: str | Illuminant = "D65", observer: str = "2deg") -> Array:
     """Return the tristimulus values `[3]` of a perfect white under an illuminant, with Y = 1.
 
-    Example: `white_xyz("A")` is (1.0985, 1, 0.3558).
+    Example: `white_xyz("A")` is (1.0985, 1, 0.3559).
     """
     return xyz_weights(table_wavelengths_nm(), illuminant, observer).sum(axis=0)
 
