@@ -127,17 +127,17 @@ class InterfaceResponse:
         nodes, weights = np.polynomial.legendre.leggauss(64)
         cos, weights = 0.5 * (nodes + 1), weights * 0.5
         outside = [
-            np.einsum("c,...cl->...l", 2 * weights * cos, _take(table, cos, -2))
+            np.einsum("c,...cl->...l", 2 * weights * cos, take_uniform(table, cos, -2))
             for table in (self.reflectance, self.transmittance)
         ]
         # mu_in dmu_in = mu_out dmu_out / eta^2 below the critical angle
         inside = [
-            np.einsum("c,...cl->...l", 2 * weights * cos, _take(table, cos, -2)) / self.eta**2
+            np.einsum("c,...cl->...l", 2 * weights * cos, take_uniform(table, cos, -2)) / self.eta**2
             for table in (self.reflectance_inside, self.transmittance)
         ]
         if self.eta > 1.0:
             mu = cos * self.cos_critical
-            beyond = _take(self.total, 2.0 / np.pi * np.arccos(cos), -2)
+            beyond = take_uniform(self.total, 2.0 / np.pi * np.arccos(cos), -2)
             inside[0] = inside[0] + np.einsum("c,...cl->...l", 2 * weights * mu * self.cos_critical, beyond)
         return outside[0], outside[1], inside[0], inside[1]
 
@@ -168,7 +168,7 @@ def check_parameters(parameters: tuple[ParameterAxis, ...]) -> tuple[int, ...]:
     return tuple(len(axis.values) for axis in parameters)
 
 
-def _take(table: Array, unit: Array, axis: int) -> Array:
+def take_uniform(table: Array, unit: Array, axis: int) -> Array:
     """Interpolate linearly along one axis whose nodes are uniform on [0, 1]."""
     position = np.clip(unit, 0.0, 1.0) * (table.shape[axis] - 1)
     low = np.minimum(position.astype(int), max(table.shape[axis] - 2, 0))

@@ -99,6 +99,32 @@ class Ridge(Lobe):
         seen = ((wi[..., 2] > 0) & (wo[..., 2] > 0))[..., None]
         return np.where(seen, self.fill * reflected * spread / self.norm, 0.0)
 
+    def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
+        """Integrate over all exits, for light along one `wi[3]`; see `Lobe.hemispherical`.
+
+        The measure cos_o d(omega_o) = ds_x ds_y makes a plain grid in sines the natural one; it resolves the comb.
+        """
+        wi = np.asarray(wi, dtype=float)
+        nothing = np.zeros(len(self.wavelengths_nm))
+        if wi[2] <= 0:
+            return nothing, nothing
+        angle = 0.0 if self.rotation is None else float(self.rotation(np.array([0.5, 0.5]) if uv is None else uv))
+        cos, sin = np.cos(angle), np.sin(angle)
+        along_i = cos * wi[1] - sin * wi[0]
+        count = int(np.clip(16 * self.count * self.pitch_nm / self.wavelengths_nm[0], 4 * nodes, 8000))
+        across = -1.0 + (np.arange(count) + 0.5) * (2.0 / count)
+        spread = np.linspace(-4.5, 4.5, 28) * self.spread_along
+        total = nothing
+        for along in spread - along_i:
+            square = across**2 + along**2
+            kept = across[square < 1.0]
+            if not kept.size:
+                continue
+            z = np.sqrt(1.0 - square[square < 1.0])
+            wo = np.stack([cos * kept - sin * along, sin * kept + cos * along, z], axis=-1)
+            total = total + self.evaluate(np.broadcast_to(wi, wo.shape), wo, uv).sum(axis=0)
+        return total * (2.0 / count) * (spread[1] - spread[0]), nothing
+
 
 def gaussian(q: Array, width: float) -> Array:
     """Return the unit-area Gaussian D_y(q) of standard deviation `width`."""

@@ -1,0 +1,189 @@
+"""Strata of scattering flakes between interfaces: what the position-free walk needs, as arrays.
+
+No physics is left to do here, but the transport itself is: `nacre.render` walks through the strata when it
+samples or evaluates the lobe, and `nacre.evaluate` calls it there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.bsdf.contract import Lobe, SpecularResponse, register_lobe
+from nacre.errors import UnsupportedError
+
+Array = NDArray[np.float64]
+
+BASES = ("none", "diffuse", "specular")
+QUALITIES = ("reference", "fast")
+
+
+@register_lobe
+@dataclass(frozen=True)
+class Layered(Lobe):
+    """Any number of strata, each a resin with flakes and dye, over a base or open below.
+
+    Depths are counted in units of the stratum, so every extinction is an optical thickness along the normal.
+    Interface i lies above stratum i; interface `strata` is the bottom (towards the ambient again, or the base's
+    own surface). Power is transported; refraction factors of entry and exit cancel between equal ambients.
+
+    Attributes:
+        wavelengths_nm: `[wavelength]`, ascending.
+        index: `[stratum]`, real refractive index over the ambient's, one for all wavelengths.
+        alpha: `[interface, 2]`, roughness along x and y; 0 is smooth.
+        is_beckmann: `[interface]`, Beckmann normals instead of GGX.
+        loss: `[interface, side, cos]` share of the light lost by single scattering at a rough interface, over
+            uniform nodes of sqrt(cos), side 0 above; zeros where it is not given back. None: nowhere.
+        flake_stratum: `[kind]`, the stratum each kind of flake lies in, ascending.
+        flake_number: `[kind]`, flakes met along their mean normal while crossing the stratum.
+        flake_axes: `[kind, 3]`, semi-axes of the SGGX ellipsoid; the third is 1.
+        flake_frame: `[kind, 3, 3]`, columns are the ellipsoid's axes in the surface frame.
+        flake_response: `[kind, cos, wavelength, 2]`, R and T of a flake over uniform nodes of sqrt|cos|.
+        flake_extinction: `[kind, azimuth, elevation, wavelength]`, mean of 1 - T over the normals that a
+            direction of the flake frame sees; azimuth uniform over a quarter turn, elevation uniform in
+            sqrt|z|; one azimuth where isotropic.
+        dye: `[stratum, wavelength, 2]`, extinction and scattering of a dye across the stratum; None: no dye.
+        dye_phase: `[stratum, cos, wavelength]`, phase function, 1/sr, uniform nodes of cos in [-1, 1]; None if no
+            dye scatters.
+        dye_quantile: `[stratum, u, wavelength]`, cos by cumulative share u, uniform nodes in [0, 1]; with `dye_phase`.
+        base: "none" (open), "diffuse" or "specular".
+        base_reflectance: `[cos, wavelength]`, albedo (one row) or reflectance by the cosine in the last
+            resin, uniform nodes in [0, 1]; ignored without base.
+        quality: "reference" walks; "fast" uses `fast_table`.
+        fast_table: noise-free part of the fast route, or None.
+        fast_error: relative L2 error of the fast route, `[wavelength]`, or None.
+    """
+
+    kind: ClassVar[str] = "layered"
+    wavelengths_nm: Array
+    index: Array
+    alpha: Array
+    is_beckmann: NDArray[np.int64]
+    flake_stratum: NDArray[np.int64]
+    flake_number: Array
+    flake_axes: Array
+    flake_frame: Array
+    flake_response: Array
+    flake_extinction: Array
+    base: str
+    base_reflectance: Array
+    loss: Array | None = None
+    dye: Array | None = None
+    dye_phase: Array | None = None
+    dye_quantile: Array | None = None
+    quality: str = "reference"
+    fast_table: Array | None = None
+    fast_error: Array | None = None
+
+    AXES: ClassVar[dict[str, str]] = {
+        "index": "stratum",
+        "alpha": "interface 2",
+        "is_beckmann": "interface",
+        "loss": "interface side cos",
+        "flake_stratum": "kind",
+        "flake_number": "kind",
+        "flake_axes": "kind axis",
+        "flake_frame": "kind component axis",
+        "flake_response": "kind cos wavelength channel",
+        "flake_extinction": "kind azimuth elevation wavelength",
+        "dye": "stratum wavelength channel",
+        "dye_phase": "stratum cos wavelength",
+        "dye_quantile": "stratum u wavelength",
+        "base_reflectance": "cos wavelength",
+        "fast_error": "wavelength",
+    }
+
+    @property
+    def strata(self) -> int:
+        """Number of strata."""
+        return len(self.index)
+
+    @property
+    def kinds(self) -> int:
+        """Number of flake kinds in all strata."""
+        return len(self.flake_number)
+
+    @property
+    def transmits(self) -> bool:
+        """Whether light passes to the other side."""
+        return self.base == "none"
+
+    @property
+    def is_stochastic(self) -> bool:
+        """Whether values come from the random walk."""
+        return self.quality == "reference"
+
+    def check(self) -> None:
+        """Check that the arrays fit together.
+
+        Raises:
+            ValueError: saying which does not.
+        """
+        super().check()
+        s, k, count = self.strata, self.kinds, len(self.wavelengths_nm)
+        if self.base not in BASES:
+            raise ValueError(f'base "{self.base}" is not one of {", ".join(BASES)}')
+        if self.quality not in QUALITIES:
+            raise ValueError(f'quality "{self.quality}" is not one of {", ".join(QUALITIES)}')
+        if s < 1 or self.index.shape != (s,) or not np.all(self.index >= 1):
+            raise ValueError("index needs one number of at least 1 a stratum")
+        shapes = {
+            "alpha": (self.alpha, (s + 1, 2)),
+            "is_beckmann": (self.is_beckmann, (s + 1,)),
+            "flake_stratum": (self.flake_stratum, (k,)),
+            "flake_axes": (self.flake_axes, (k, 3)),
+            "flake_frame": (self.flake_frame, (k, 3, 3)),
+        }
+        for name, (array, shape) in shapes.items():
+            if array.shape != shape:
+                raise ValueError(f"{name} has the shape {array.shape}, not {shape}")
+        if self.flake_response.ndim != 4 or self.flake_response.shape[::2] != (k, count):
+            raise ValueError(f"flake_response has the shape {self.flake_response.shape}")
+        if self.flake_extinction.ndim != 4 or self.flake_extinction.shape[::3] != (k, count):
+            raise ValueError(f"flake_extinction has the shape {self.flake_extinction.shape}")
+        if self.base_reflectance.ndim != 2 or self.base_reflectance.shape[1] != count:
+            raise ValueError(f"base_reflectance has the shape {self.base_reflectance.shape}")
+        if self.dye is not None and self.dye.shape != (s, count, 2):
+            raise ValueError(f"dye has the shape {self.dye.shape}")
+        if self.loss is not None and (self.loss.ndim != 3 or self.loss.shape[:2] != (s + 1, 2)):
+            raise ValueError(f"loss has the shape {self.loss.shape}")
+        if k and (np.any(self.flake_stratum < 0) or np.any(self.flake_stratum >= s)):
+            raise ValueError("flake_stratum names a stratum that is not there")
+
+    def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
+        """Refuse: the value is a random walk on the renderer's side (`nacre.evaluate` runs it there).
+
+        Raises:
+            UnsupportedError: always.
+        """
+        raise UnsupportedError(
+            "a pearl is evaluated by a random walk in the renderer (needs LLVM): call nacre.evaluate, or "
+            "nacre.render.layered.evaluate_layered"
+        )
+
+    def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
+        """Return the mirror reflection of a smooth uppermost interface; what comes from deeper is not counted."""
+        cos_i = np.asarray(cos_i, dtype=float)
+        shape = (*cos_i.shape, len(self.wavelengths_nm))
+        side = 0 if not self.transmits else None
+        reflect = np.zeros(cos_i.shape)
+        upper = cos_i > 0
+        if np.all(self.alpha[0] == 0):
+            reflect = np.where(upper, fresnel(np.abs(cos_i), float(self.index[0])), reflect)
+        if side is None and np.all(self.alpha[-1] == 0):
+            reflect = np.where(~upper, fresnel(np.abs(cos_i), float(self.index[-1])), reflect)
+        return SpecularResponse(np.broadcast_to(reflect[..., None], shape).copy(), np.zeros(shape))
+
+
+def fresnel(cos_i: Array, eta: float) -> Array:
+    """Unpolarised reflectance of a bare interface of relative index `eta`, met at `cos_i` in (0, 1]."""
+    cos_i = np.asarray(cos_i, dtype=float)
+    cos_t = np.sqrt(np.maximum(0.0, 1 - (1 - cos_i**2) / eta**2))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        r_s = (cos_i - eta * cos_t) / (cos_i + eta * cos_t)
+        r_p = (eta * cos_i - cos_t) / (eta * cos_i + cos_t)
+    value = np.where(1 - cos_i**2 >= eta**2, 1.0, (r_s**2 + r_p**2) / 2)
+    return np.asarray(np.nan_to_num(value, nan=1.0))
