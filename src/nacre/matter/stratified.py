@@ -306,7 +306,7 @@ def _flat(array: NDArray[Any], batch: tuple[int, ...], core: int) -> NDArray[Any
     tail = array.shape[array.ndim - core :]
     if int(np.prod(own, dtype=int)) == 1:
         return array.reshape(1, *tail)
-    return np.broadcast_to(array, (*batch, *tail)).reshape(-1, *tail)
+    return np.broadcast_to(array, (*batch, *tail)).reshape(int(np.prod(batch, dtype=int)), *tail)
 
 
 def _owned(array: ArrayLike, dtype: Any) -> NDArray[Any]:
