@@ -134,7 +134,7 @@ def mie_efficiencies(a: ComplexArray, b: ComplexArray, size_parameter: ArrayLike
     """Return the efficiencies of a free sphere from its coefficients `[l, ...]` (Bohren & Huffman, sec. 4.4)."""
     x = np.asarray(size_parameter, dtype=float)
     l = np.arange(1, a.shape[0] + 1).reshape(-1, *([1] * (a.ndim - 1)))
-    scale = 2.0 / x**2
+    scale: Array = 2.0 / x**2
     extinction = scale * np.sum((2 * l + 1) * (a + b).real, axis=0)
     scattering = scale * np.sum((2 * l + 1) * (np.abs(a) ** 2 + np.abs(b) ** 2), axis=0)
     back = np.abs(np.sum((2 * l + 1) * (-1.0) ** l * (a - b), axis=0)) ** 2 / x**2
