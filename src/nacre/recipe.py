@@ -31,6 +31,7 @@ FAMILIES = {
     "pearl": "nacre.pearl.spec:PearlSpec",
     "metasurface": "nacre.metasurface.spec:MetasurfaceSpec",
     "relief": "nacre.relief.spec:ReliefSpec",
+    "measured": "nacre.measured.spec:MeasuredSpec",
 }
 MAX_NESTED_RECIPES = 8
 STUDY_TABLES = ("fit", "tolerance")  # read by nacre.study: which numbers are free, which vary in manufacture

@@ -53,15 +53,29 @@ class Warp:
         target = x * blended[:, -1]
         column = np.clip((blended <= target[:, None]).sum(axis=1) - 1, 0, columns - 2)
         everyone = np.arange(len(x))
-        # densities in the units of the running integrals
-        unit = (1 - v) * 1.0
-        left = (unit * self.density[row, column] + v * self.density[row + 1, column]) * self._unit
-        right = (unit * self.density[row, column + 1] + v * self.density[row + 1, column + 1]) * self._unit
+        left = ((1 - v) * self.density[row, column] + v * self.density[row + 1, column]) * self._unit
+        right = ((1 - v) * self.density[row, column + 1] + v * self.density[row + 1, column + 1]) * self._unit
         u = _solve(left, right, target - blended[everyone, column])
         return (column + u) / (columns - 1), (row + v) / (rows - 1)
 
+    def invert(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """Map a position back to the uniform (x, y) that `sample` takes there."""
+        rows, columns = self.density.shape
+        cu, cv = np.clip(u, 0.0, 1.0) * (columns - 1), np.clip(v, 0.0, 1.0) * (rows - 1)
+        column, row = np.minimum(cu.astype(int), columns - 2), np.minimum(cv.astype(int), rows - 2)
+        fu, fv = cu - column, cv - row
+        totals = self.conditional[:, -1]
+        y = self.marginal[row] + fv * (totals[row] + 0.5 * fv * (totals[row + 1] - totals[row]))
+        left = ((1 - fv) * self.density[row, column] + fv * self.density[row + 1, column]) * self._unit
+        right = ((1 - fv) * self.density[row, column + 1] + fv * self.density[row + 1, column + 1]) * self._unit
+        below = (1 - fv) * self.conditional[row, column] + fv * self.conditional[row + 1, column]
+        whole = (1 - fv) * totals[row] + fv * totals[row + 1]
+        x = (below + fu * (left + 0.5 * fu * (right - left))) / np.maximum(whole, 1e-300)
+        return np.clip(x, 0.0, 1.0), np.clip(y, 0.0, 1.0)
+
     @property
     def _unit(self) -> float:
+        """Turn the density into the units of the running integrals."""
         rows, columns = self.density.shape
         return 1.0 / ((rows - 1) * (columns - 1))
 

@@ -1,0 +1,78 @@
+"""Commands that trade files with other programs: export and import."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from nacre.cli import common
+from nacre.errors import NacreError
+
+FORMATS = {
+    "rgl": ".bsdf", "merl": ".binary", "csv": ".csv", "zemax": ".bsdf", "gltf": ".gltf", "materialx": ".mtlx",
+    "exr": ".exr", "nacre": ".nacre",
+}  # fmt: skip
+
+
+@click.command()
+@click.argument("recipe")
+@click.option("--to", "target", required=True, type=click.Choice(sorted(FORMATS)))
+@click.option("-o", "output", default=None, metavar="FILE", help="Default: RECIPE with the format's suffix.")
+@click.option("--angle-step-deg", type=click.FloatRange(0.5, 30), default=10.0, show_default=True, help="csv: grid.")
+@click.option("--wavelength-nm", type=float, default=None, help="zemax: one wavelength instead of XYZ.")
+@click.option("--json", "as_json", is_flag=True, help="Print what was written and what was lost, as JSON.")
+@common.set_option
+@common.jobs_option
+def export(
+    recipe: str, target: str, output: str | None, angle_step_deg: float, wavelength_nm: float | None, as_json: bool,
+    changes: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Write RECIPE in another program's format and say what the format cannot hold."""
+    from nacre.files import check_writable
+    from nacre.study.trade import export_material
+
+    path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}{FORMATS[target]}")
+    check_writable(path)
+    material = common.load_material(recipe, changes)
+    facts = export_material(material, target, path, angle_step_deg=angle_step_deg, wavelength_nm=wavelength_nm)
+    if as_json:
+        click.echo(json.dumps(facts))
+        return
+    common.note(str(path))
+    for line in _lines(facts):
+        common.note(line)
+
+
+def _lines(facts: dict[str, Any]) -> list[str]:
+    lines = []
+    if "residual_delta_e_2000" in facts:
+        film = facts["film"]
+        lines.append(
+            f"one film of {film['thickness_nm']:.1f} nm, n = {film['film_ior']:.3f}; "
+            f"dE00 {facts['residual_delta_e_2000']:.2f} on the mean of the angles"
+        )
+    return lines + [f"not held: {what}" for what in facts["lost"]]
+
+
+@click.command(name="import")
+@click.argument("file", metavar="FILE")
+@click.option("-o", "output", default=None, metavar="RECIPE.toml", help="Default: FILE with the suffix .toml.")
+@common.jobs_option
+def import_(file: str, output: str | None) -> None:
+    """Read a measurement or another program's material and write a recipe for it."""
+    from nacre.files import check_writable
+    from nacre.study.trade import import_material
+
+    path = Path(output) if output else Path(f"{Path(file).stem}.toml")
+    if path.suffix != ".toml":
+        raise NacreError(f"-o {path}: the suffix must be .toml")
+    check_writable(path)
+    for line in import_material(Path(file), path):
+        common.note(line)
+    common.note(str(path))
+
+
+commands = {"export": export, "import": import_}
