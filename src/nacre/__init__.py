@@ -10,20 +10,45 @@ from typing import TYPE_CHECKING, Any
 from nacre._version import __version__
 
 if TYPE_CHECKING:
+    from nacre import design, plot, render
+    from nacre.api import evaluate, spectrum
     from nacre.bsdf import Bsdf
+    from nacre.errors import NacreError
+    from nacre.recipe import Material, load, material
 
 _LAZY = {
     "Bsdf": ("nacre.bsdf", "Bsdf"),
+    "Material": ("nacre.recipe", "Material"),
     "NacreError": ("nacre.errors", "NacreError"),
+    "evaluate": ("nacre.api", "evaluate"),
+    "load": ("nacre.recipe", "load"),
+    "material": ("nacre.recipe", "material"),
+    "spectrum": ("nacre.api", "spectrum"),
 }
+# packages that are verbs too: nacre.render(material), nacre.plot(material, "ribbon"), nacre.design("target.toml")
+_CALLABLE = ("design", "plot", "render")
 
-__all__ = ["Bsdf", "NacreError", "__version__"]
+__all__ = [
+    "Bsdf",
+    "Material",
+    "NacreError",
+    "__version__",
+    "design",
+    "evaluate",
+    "load",
+    "material",
+    "plot",
+    "render",
+    "spectrum",
+]
 
 
 def __getattr__(name: str) -> Any:
-    if name in _LAZY:
-        import importlib
+    import importlib
 
+    if name in _CALLABLE:
+        return importlib.import_module(f"nacre.{name}")
+    if name in _LAZY:
         module, attribute = _LAZY[name]
         return getattr(importlib.import_module(module), attribute)
     raise AttributeError(f"module 'nacre' has no attribute '{name}'")

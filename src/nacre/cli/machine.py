@@ -6,12 +6,12 @@ import json
 
 import click
 
-from nacre.cli.common import jobs_option
+from nacre.cli import common
 
 
 @click.command()
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
-@jobs_option
+@common.jobs_option
 def doctor(as_json: bool) -> None:
     """Say what works on this machine and what to do if something does not."""
     from nacre.doctor import examine
@@ -43,12 +43,18 @@ def indices_search(text: str, limit: int) -> None:
     from nacre.matter import indices as library
 
     found = library.search(text)
-    for name, description in found[:limit]:
-        click.echo(f"{name:36s} {description}")
+    for entry in found[:limit]:
+        reach = "" if entry.range_nm is None else f"  {_range(entry.range_nm)}"
+        click.echo(f"{entry.name:32s} {entry.title}{reach}")
     if len(found) > limit:
-        click.echo(f"... and {len(found) - limit} more; use --limit", err=True)
+        common.note(f"... and {len(found) - limit} more; use --limit")
     if not found:
-        click.echo(f'nothing is called "{text}"', err=True)
+        common.note(f'nothing is called "{text}"')
+
+
+def _range(range_nm: tuple[float, float]) -> str:
+    low, high = range_nm
+    return "any wavelength" if low <= 0 and high > 1e9 else f"{low:g} to {high:g} nm"
 
 
 @indices.command("show")
@@ -59,28 +65,35 @@ def indices_show(name: str, output: str | None, as_json: bool) -> None:
     """Show where an optical constant comes from, its range and its values."""
     import numpy as np
 
+    from nacre.files import check_writable
     from nacre.matter import indices as library
 
-    constant = library.index(name)
+    if output:
+        check_writable(output)
+    constant = library.index({"rii": name} if "/" in name else name)
+    entry = constant.describe()
     low, high = constant.range_nm
-    grid = (
-        np.linspace(max(low, 360.0), min(high, 830.0), 11) if low < 830 and high > 360 else np.linspace(low, high, 11)
-    )
+    visible = low < 830 and high > 360
+    grid = np.linspace(max(low, 360.0), min(high, 830.0), 11) if visible else np.linspace(low, high, 11)
     values = constant.n_complex(grid)
     if as_json:
         click.echo(json.dumps({
-            "name": name, "source": constant.source, "range_nm": [low, high],
+            "name": name, "title": entry.title, "source": entry.source, "splice": entry.splice,
+            "range_nm": [low, high if np.isfinite(high) else None],
             "wavelengths_nm": grid.tolist(), "n": values.real.tolist(), "k": values.imag.tolist(),
         }))  # fmt: skip
     else:
-        click.echo(f"{name}: {constant.source}\nrange: {low:g} to {high:g} nm\n\n  nm        n         k")
+        click.echo(f"{name}: {entry.title}\nsource: {entry.source}\nrange:  {_range((low, high))}")
+        if entry.splice:
+            click.echo(f"splice: {entry.splice}")
+        click.echo("\n    nm         n         k")
         for wavelength, value in zip(grid, values, strict=True):
             click.echo(f"{wavelength:6.1f}  {value.real:8.4f}  {value.imag:8.4f}")
     if output:
-        from nacre import plot
+        from nacre.plot import save_index
 
-        plot.save_index(constant, output, title=name)
-        click.echo(output, err=True)
+        save_index(constant, output, title=name)
+        common.note(output)
 
 
 commands = {"doctor": doctor, "indices": indices}

@@ -1,0 +1,108 @@
+"""`nacre render`: a material on an object, as a picture or an animation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from nacre.cli import common
+from nacre.errors import NacreError
+
+STILLS = (".png", ".exr")
+MOVIES = (".gif", ".mp4")
+SCENES = "sphere|probe|speedshape|panel|butterfly|bottle|knob|body|screen|SCENE.xml"
+
+
+@click.command()
+@click.argument("recipe", metavar="RECIPE|FILE.nacre|DESIGN_DIR")
+@click.option("--scene", default="sphere", show_default=True, metavar=SCENES)
+@click.option("--shape", default=None, metavar="MESH", help="Another subject: a scene's name or a mesh file.")
+@click.option(
+    "--light", default=None, metavar="NAME|ENVMAP", help="studio, line, sun, sky, directional, interior, street."
+)
+@click.option("--illuminant", default="D65", show_default=True, help="Spectrum of the lamps.")
+@click.option("--size", default=None, metavar="WxH", help="Pixels; default: the scene's own.")
+@click.option("--spp", type=int, default=None, help="Samples a pixel; default: the scene's own.")
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
+@click.option("--quality", type=click.Choice(["reference", "fast"]), default=None, help="For families that know both.")
+@click.option("--components", type=click.Choice(["sum", "specular", "diffuse"]), default="sum", show_default=True)
+@click.option("--exposure", default="auto", show_default=True, help='"auto", or stops.')
+@click.option("--animate", default=None, metavar="light|view|PATH=A:B", help="Turn light or view, or vary a number.")
+@click.option("--frames", type=click.IntRange(2, 100_000), default=48, show_default=True)
+@click.option("-o", "output", default=None, metavar="FILE.png|.exr|.gif|.mp4", help="Default: RECIPE.png (or .gif).")
+@common.set_option
+@common.jobs_option
+def render(
+    recipe: str, scene: str, shape: str | None, light: str | None, illuminant: str, size: str | None, spp: int | None,
+    seed: int, quality: str | None, components: str, exposure: str, animate: str | None, frames: int,
+    output: str | None, changes: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Render a material on an object."""
+    from nacre.files import check_writable
+
+    suffixes = MOVIES if animate else STILLS
+    path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}{suffixes[0]}")
+    if path.suffix.lower() not in suffixes:
+        what = "an animation" if animate else "a picture"
+        raise NacreError(f"-o {path}: {what} is written as {' or '.join(suffixes)}")
+    check_writable(path)
+    options: dict[str, Any] = {
+        "scene": scene, "shape": shape, "light": light, "illuminant": illuminant, "components": components,
+        "size": None if size is None else common.size(size), "spp": spp, "seed": seed, "quality": quality,
+        "exposure": _exposure(exposure),
+    }  # fmt: skip
+    material = common.load_material(recipe, changes)
+    if animate:
+        _animate(material, animate, frames, path, options)
+        return
+    from nacre.render.render import render as render_picture
+
+    result = render_picture(material, output=path, **options)
+    common.note(_summary(path, result.stats))
+    if result.stats.get("interrupted"):
+        raise KeyboardInterrupt
+
+
+def _animate(material: Any, what: str, frames: int, path: Path, options: dict[str, Any]) -> None:
+    from nacre.render.animate import animate
+
+    parameter = None
+    if what not in ("light", "view"):
+        name, equals, interval = what.partition("=")
+        ends = interval.split(":")
+        try:
+            low, high = (float(end) for end in ends)
+        except ValueError:
+            raise NacreError(f'--animate "{what}" cannot be read; write light, view or PATH=A:B') from None
+        if not equals:
+            raise NacreError(f'--animate "{what}" cannot be read; write light, view or PATH=A:B')
+        material.vary({name: low})  # a mistyped path fails here, before the first frame
+        parameter = (name, low, high)
+    if parameter is None:
+        animate(material, what, frames=frames, output=path, **options)
+    else:
+        name, low, high = parameter
+        animate(lambda value: material.vary({name: value}), (low, high), frames=frames, output=path, **options)
+    common.note(str(path))
+
+
+def _exposure(text: str) -> Any:
+    if text == "auto":
+        return "auto"
+    try:
+        return float(text)
+    except ValueError:
+        raise NacreError(f'--exposure = "{text}" should be "auto" or a number of stops') from None
+
+
+def _summary(path: Path, stats: Mapping[str, Any]) -> str:
+    width, height = stats.get("size", ("?", "?"))
+    line = f"{path}: {width}x{height}, {stats.get('spp', '?')} samples a pixel, {stats.get('illuminant', '?')}"
+    clipped = stats.get("clipped_pixels", 0)
+    return line + (f", {clipped} pixels clipped into sRGB" if clipped else "")
+
+
+commands = {"render": render}
