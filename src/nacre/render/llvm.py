@@ -9,6 +9,7 @@ the user's cache folder under the file's path, size and time, so that only the f
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import functools
 import glob
 import json
@@ -23,6 +24,7 @@ from importlib import metadata
 from pathlib import Path
 
 ENVIRONMENT_VARIABLE = "DRJIT_LIBLLVM_PATH"
+PROJECT_VARIABLE = "NACRE_PROJECT"  # the checkout, set by make
 PREFERRED_VERSIONS = (19, 20, 21, 22)
 UNTRIED_VERSIONS = (18, 17)
 PROBE_TIMEOUT_S = 120
@@ -49,11 +51,19 @@ sys.exit(0 if good else 3)
 
 @dataclass(frozen=True)
 class Probe:
-    """The verdict on one library: its path ("" is drjit's own search), version, and why it fails, if it does."""
+    """The verdict on one library.
+
+    Attributes:
+        path: the library; "" is drjit's own search.
+        version: what drjit says of it, such as "19.1.7".
+        reason: why it fails; empty if it works.
+        needs: libraries that must be loaded before it (see `companions`).
+    """
 
     path: str
     version: str
     reason: str
+    needs: tuple[str, ...] = ()
 
     @property
     def works(self) -> bool:
@@ -87,7 +97,36 @@ def use_llvm() -> Probe | None:
     found, _ = find_llvm()
     if found is not None and found.path:
         os.environ[ENVIRONMENT_VARIABLE] = found.path
+        for name in found.needs:
+            ctypes.CDLL(name)
     return found
+
+
+def companions(path: str) -> list[str]:
+    """Return the libraries that must be in memory before `path` loads, in order.
+
+    An LLVM that was unpacked without installing it stands beside its own libz3, libedit and so on, where the
+    system's loader does not look; a library already in memory is taken by its name instead.
+    """
+    if ".llvm" not in Path(path).parts:
+        return []  # an installed LLVM finds its libraries by itself
+    root = Path(*Path(path).parts[: Path(path).parts.index(".llvm") + 1])
+    needed: list[str] = []
+    for _ in range(20):
+        missing = _missing_library([*needed, path])
+        found = next(iter(sorted(root.rglob(missing))), None) if missing else None
+        if found is None or str(found) in needed:
+            break
+        needed.insert(0, str(found))  # what a companion needs must come before it
+    return needed
+
+
+def _missing_library(paths: list[str]) -> str | None:
+    """Return the file name of the first library that cannot be found when `paths` are loaded in a child process."""
+    script = "import ctypes, sys\nfor name in sys.argv[1:]: ctypes.CDLL(name)"
+    done = subprocess.run([sys.executable, "-c", script, *paths], capture_output=True, text=True)
+    match = re.search(r"OSError: (\S+): cannot open shared object file", done.stderr)
+    return os.path.basename(match.group(1)) if done.returncode and match else None
 
 
 def _judge_loaded() -> Probe | None:
@@ -110,8 +149,9 @@ def candidates() -> list[str]:
 
 def _installed() -> Iterator[str]:
     """Yield every libLLVM in the project's own folder and the usual places."""
-    project = Path(__file__).resolve().parents[3]
-    for folder in dict.fromkeys((project, Path.cwd())):
+    project = os.environ.get(PROJECT_VARIABLE)
+    checkout = Path(__file__).resolve().parents[3]
+    for folder in dict.fromkeys((Path(project) if project else checkout, checkout, Path.cwd())):
         yield from glob.glob(str(folder / ".llvm" / "**" / "libLLVM*.so*"), recursive=True)
     for pattern in (
         "/usr/lib/llvm-*/lib/libLLVM*.so*",
@@ -142,7 +182,8 @@ def probe_library(path: str) -> Probe:
     key = _cache_key(path)
     cache = _read_cache()
     if key in cache:
-        return Probe(path, *cache[key])
+        version, reason, *needs = cache[key]
+        return Probe(path, version, reason, tuple(needs))
     probe = _run_probe(path)
     _write_cache(key, probe)
     return probe
@@ -154,16 +195,21 @@ def _run_probe(path: str) -> Probe:
     environment = {name: value for name, value in os.environ.items() if name != ENVIRONMENT_VARIABLE}
     if path:
         environment[ENVIRONMENT_VARIABLE] = path
+    needs = companions(path)
     try:
         done = subprocess.run(
-            [sys.executable, "-c", _PROBE], env=environment, capture_output=True, text=True, timeout=PROBE_TIMEOUT_S
+            [sys.executable, "-c", _PROBE, *needs],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=PROBE_TIMEOUT_S,
         )
     except subprocess.TimeoutExpired:
         return Probe(path, "", f"it gave no answer within {PROBE_TIMEOUT_S} s")
     except OSError as error:
         return Probe(path, "", f"it could not be tried: {error}")
     if done.returncode == 0:
-        return Probe(path, done.stdout.strip(), "")
+        return Probe(path, done.stdout.strip(), "", tuple(needs))
     return Probe(path, "", _reason(done.returncode, done.stderr))
 
 
@@ -206,7 +252,7 @@ def _read_cache() -> dict[str, list[str]]:
     except (OSError, ValueError):
         return {}
     good = isinstance(data, dict)
-    return {k: v for k, v in data.items() if isinstance(v, list) and len(v) == 2} if good else {}
+    return {k: v for k, v in data.items() if isinstance(v, list) and len(v) >= 2} if good else {}
 
 
 def _write_cache(key: str, probe: Probe) -> None:
@@ -216,8 +262,12 @@ def _write_cache(key: str, probe: Probe) -> None:
     with contextlib.suppress(OSError):
         file = _cache_file()
         file.parent.mkdir(parents=True, exist_ok=True)
-        data = {**_read_cache(), key: [probe.version, probe.reason]}
+        data = {**_read_cache(), key: [probe.version, probe.reason, *probe.needs]}
         descriptor, name = tempfile.mkstemp(dir=file.parent, prefix=".llvm-")
         with os.fdopen(descriptor, "w") as out:
             json.dump(data, out, indent=1)
         os.replace(name, file)
+
+
+if __name__ == "__main__":  # the set-up asks this way whether an LLVM works
+    sys.exit(0 if find_llvm()[0] is not None else 1)

@@ -93,13 +93,13 @@ def _why_not(name: str, mi: ModuleType) -> str:
     if name not in mi.variants():
         return "this build of mitsuba does not contain it"
     if name.startswith("cuda"):
-        return _why_no_cuda()
+        return why_no_cuda()
     if name.startswith("llvm"):
         return why_no_llvm()
     return ""
 
 
-def _why_no_cuda() -> str:
+def why_no_cuda() -> str:
     """Try one small kernel on the GPU."""
     import drjit as dr
 

@@ -70,9 +70,12 @@ class Compensation:
         return share, mi.Vector3f(wo.x, wo.y, dr.select(stays, wo.z, -wo.z))
 
     def eval_pdf(
-        self, si: Any, wi: Any, wo: Any, inside: Any, active: Any, enabled: tuple[bool, ...]
+        self, radiance: bool, si: Any, wi: Any, wo: Any, inside: Any, active: Any, enabled: tuple[bool, ...]
     ) -> tuple[Any, Any, Any]:
-        """Return `(share, value * |cos wo|, density)` of this term, `wi` being above."""
+        """Return `(share, value * |cos wo|, density)` of this term, `wi` being above.
+
+        Radiance is traced from the eye: then `wo` is the light's side, the first of `exchange`.
+        """
         crosses = wo.z < 0.0
         cos = dr.abs(wo.z)
         seen = active & (cos > MIN_COS)
@@ -84,9 +87,10 @@ class Compensation:
         loss_i = self._loss_at(si, wi, inside, active)
         loss_o = self._loss_at(si, wo, goes_inside, seen)
         corners = self.parameters.corners(si.uv, active) or [(mi.UInt32(0), None)]
-        side_i = mi.UInt32(dr.select(inside, 1, 0)) if self.sides == 2 else mi.UInt32(0)
-        corners = [(index * self.sides + side_i, weight) for index, weight in corners]
-        to = dr.select(goes_inside, mi.Float(1.0), 0.0) if self.sides == 2 else mi.Float(0.0)
+        light_inside, eye_inside = (goes_inside, inside) if radiance else (inside, goes_inside)
+        light = mi.UInt32(dr.select(light_inside, 1, 0)) if self.sides == 2 else mi.UInt32(0)
+        corners = [(index * self.sides + light, weight) for index, weight in corners]
+        to = dr.select(eye_inside, mi.Float(1.0), 0.0) if self.sides == 2 else mi.Float(0.0)
         where = self.axis.locate(si.wavelengths, active)
         (exchange,) = self.exchange.look_up(mi.UInt32(0), to, where, corners, seen)
         stay = self._stay(inside, enabled)
@@ -120,5 +124,9 @@ class Compensation:
 
 def _clipped(part: float, whole: float) -> float:
     """Return a probability that leaves neither side unsampled."""
-    share = part / whole if whole > 0.0 and math.isfinite(whole) else 0.5
+    if whole <= 0.0 or not math.isfinite(whole):
+        return 0.5
+    share = part / whole
+    if share > 1.0 - 1e-9:
+        return 1.0  # nothing crosses at all
     return min(max(share, 0.05), 0.95)

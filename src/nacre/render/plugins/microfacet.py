@@ -145,7 +145,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         value, pdf = self._eval_facets(ctx, si, facets, wi, wo, inside, active, enabled)
         if self.compensation is None:
             return value, pdf
-        share, added, added_pdf = self.compensation.eval_pdf(si, wi, wo, inside, active, enabled)
+        share, added, added_pdf = self.compensation.eval_pdf(is_radiance(ctx), si, wi, wo, inside, active, enabled)
         return value + added, (1.0 - share) * pdf + share * added_pdf
 
     def _eval_facets(

@@ -1,0 +1,85 @@
+"""What all tests share: threads, and what becomes of tests whose machinery this machine lacks.
+
+Tests marked `render` need Mitsuba with a working LLVM. Without one they do not run, and the session then FAILS
+with one line that says why: a picture that nobody checked must not look like a pass. Tests marked `gpu` skip
+where there is no NVIDIA GPU.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+# small matrices: threads of BLAS would only fight with those of numba and Dr.Jit
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+os.environ.setdefault("NUMBA_NUM_THREADS", str(min(8, os.cpu_count() or 1)))
+
+NO_RENDER = "cannot render:"
+_not_rendered: list[str] = []
+_why: dict[str, str] = {}
+
+
+def _why_no_render() -> str:
+    if "render" not in _why:
+        from nacre.errors import NacreError
+        from nacre.render.variant import import_mitsuba, why_no_llvm
+
+        try:
+            import_mitsuba()
+            _why["render"] = why_no_llvm()
+        except NacreError as error:
+            _why["render"] = str(error)
+    return _why["render"]
+
+
+def _why_no_gpu() -> str:
+    if "gpu" not in _why:
+        from nacre.errors import NacreError
+        from nacre.render.variant import import_mitsuba, why_no_cuda
+
+        try:
+            import_mitsuba()
+            _why["gpu"] = why_no_cuda()
+        except NacreError as error:
+            _why["gpu"] = str(error)
+    return _why["gpu"]
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Stop a test before its fixtures when the machine cannot run it."""
+    if item.get_closest_marker("render") and (reason := _why_no_render()):
+        pytest.skip(f"{NO_RENDER} {reason}")
+    if item.get_closest_marker("gpu") and (reason := _why_no_gpu()):
+        pytest.skip(reason)
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Count what could not be rendered; under xdist this runs in the process that decides the exit status."""
+    if report.skipped and isinstance(report.longrepr, tuple) and NO_RENDER in report.longrepr[2]:
+        _not_rendered.append(report.longrepr[2].split(NO_RENDER, 1)[1].strip())
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Fail the session if rendering tests could not run."""
+    if _not_rendered:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Say in one line at the very end why the session failed."""
+    if _not_rendered:
+        terminalreporter.write_line(
+            f"FAILED: {len(_not_rendered)} rendering tests could not run: {_not_rendered[0]}", red=True
+        )
+
+
+@pytest.fixture(scope="session")
+def mi() -> Iterator[Any]:
+    """Return mitsuba in `llvm_ad_spectral`, with the `nacre` plugin registered; for tests marked `render`."""
+    from nacre.render.variant import use_variant
+
+    yield use_variant("llvm_ad_spectral")

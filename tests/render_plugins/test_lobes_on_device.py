@@ -1,0 +1,245 @@
+"""Every lobe on the device, asked the same questions: does it sample what it claims, and what the arrays say?
+
+A new lobe joins with one line in `CASES`: a name, a function that makes a Bsdf, and how to look at it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nacre.bsdf.compensation import compensate
+from nacre.bsdf.contract import Bsdf, Lobe, ParameterAxis
+from nacre.bsdf.diffuse import Diffuse, bare_base
+from nacre.bsdf.microfacet import Microfacet
+from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.ridge import Ridge
+from nacre.bsdf.specular import Specular
+from nacre.bsdf.table import TableLobe, directions_of
+from nacre.bsdf.tabulate import StackTables
+from nacre.bsdf.texture import Texture, parse_formula
+
+pytestmark = pytest.mark.render
+
+ARRAY_TOLERANCE = 1e-4  # the issue's bar, of the maximum; single precision reaches 1e-5
+RECIPROCITY_TOLERANCE = 1e-4  # single precision at both ends
+WEIGHT_TOLERANCE = 2e-3  # of 99.9 % of the draws; narrow combs round at the per-mille level
+CHI_SQUARE_LEVEL = 0.01  # the issue's bar, after Sidak
+FURNACE_TOP = 1.002  # the issue's bar
+GRID = np.arange(360.0, 831.0, 10.0)
+
+
+def stack(n: tuple[complex, ...], d: tuple[float, ...], transmits: bool) -> InterfaceResponse:
+    """Tabulate a stack of constant indices, ambient first."""
+    media = np.repeat(np.array(n, dtype=complex)[:, None], len(GRID), axis=1)
+    return StackTables(media, [False] * len(d), GRID, transmits).build(np.array(d), 129)
+
+
+def drained(transmits: bool) -> InterfaceResponse:
+    """Tabulate a film whose thickness a texture drives."""
+    values = np.linspace(100.0, 500.0, 9)
+    axis = ParameterAxis("layers[0].thickness_nm", values, Texture(100.0, 500.0, parse_formula("100 + 400*v^2 + 30*u")))
+    n = np.repeat(np.array([1.0, 1.33, 1.0 if transmits else 1.6 + 3j])[:, None], len(GRID), axis=1)
+    return StackTables(n, [False], GRID, transmits).build(values[:, None], 65, (axis,))
+
+
+METAL = (1.0, 1.5, 1.2 + 7.0j), (250.0,)
+GLASS = (1.0, 2.0, 1.5), (400.0,)
+ROTATION = Texture(-7.0, 7.0, parse_formula("0.7 + u"))
+PATCHES = Texture(0.5, 2.0, image=np.random.default_rng(5).uniform(0.0, 1.0, (5, 4)))
+
+
+def metal(distribution: str, x: float, y: float | None = None, **more: Any) -> Lobe:
+    """Return a rough coated metal."""
+    return Microfacet(stack(*METAL, False), distribution, x, x if y is None else y, **more)
+
+
+def glass(distribution: str, x: float, y: float | None = None, **more: Any) -> Lobe:
+    """Return a rough coated glass."""
+    return Microfacet(stack(*GLASS, True), distribution, x, x if y is None else y, **more)
+
+
+def ridge(deviation_nm: float, **more: Any) -> Lobe:
+    """Return a Morpho-like ridge lobe; its norm is a bound of the diffraction integral, not the sharpest one."""
+    return Ridge(stack(*METAL, False), 700.0, 300.0, deviation_nm, 4, 0.15, 0.8, np.full(len(GRID), 1.6), **more)
+
+
+def under_film() -> Lobe:
+    """Return a diffuse base seen through a film."""
+    response = stack(*GLASS, True)
+    return Diffuse(GRID, np.linspace(0.1, 0.4, len(GRID)), response.transmittance)
+
+
+def table(coordinates: str) -> Lobe:
+    """Return a measured-like reflection, glossy and broad, in three channels or one a wavelength."""
+    wi, wo = directions_of(coordinates, (24, 24, 25))
+    flat = np.sum((wi + wo)[..., :2] ** 2, axis=-1)
+    values = 0.3 * np.exp(-flat / 0.15) / (np.maximum(wi[..., 2], 0) + np.maximum(wo[..., 2], 0) + 0.3) + 0.05
+    basis = (
+        np.eye(len(GRID)) if coordinates == "direction" else np.random.default_rng(2).uniform(0, 0.6, (3, len(GRID)))
+    )
+    slope = np.linspace(0.5, 1.0, len(basis))
+    return TableLobe(GRID, values[..., None] * slope, basis, coordinates)
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """How to look at a lobe.
+
+    Attributes:
+        make: builds the lobes.
+        views_deg: (theta, phi) of the eye for the chi-square tests; none for a pure delta.
+        eta: index below over index above.
+        chi: resolution and integration steps of the chi-square test.
+        is_continuous: False: delta only.
+        width: slopes of the facets about which half of the light directions are drawn.
+        conserves: False: a sum of parts that know nothing of each other may give back more than comes in.
+    """
+
+    make: Callable[[], tuple[Lobe, ...]]
+    views_deg: tuple[tuple[float, float], ...] = ((25.0, 40.0), (70.0, 200.0))
+    eta: float = 1.0
+    chi: tuple[int, int] = (100, 16)
+    is_continuous: bool = True
+    width: float = 0.3
+    conserves: bool = True
+
+
+BOTH = ((25.0, 40.0), (72.0, 200.0), (160.0, 10.0), (118.0, 100.0))
+CASES: dict[str, Case] = {
+    "mirror": Case(lambda: (Specular(stack(*METAL, False)),), (), is_continuous=False),
+    "coated glass": Case(lambda: (Specular(stack(*GLASS, True)),), (), 1.5, is_continuous=False),
+    "soap film": Case(lambda: (Specular(stack((1.0, 1.33, 1.0), (300.0,), True)),), (), is_continuous=False),
+    "drained film": Case(lambda: (Specular(drained(True)),), (), is_continuous=False),
+    "ggx metal": Case(lambda: (metal("ggx", 0.3),)),
+    "narrow ggx metal": Case(lambda: (metal("ggx", 0.05),), ((40.0, 10.0),), chi=(160, 32), width=0.05),
+    "anisotropic ggx metal": Case(lambda: (metal("ggx", 0.15, 0.5, rotation=ROTATION),)),
+    "beckmann metal": Case(lambda: (metal("beckmann", 0.25),)),
+    "anisotropic beckmann metal": Case(lambda: (metal("beckmann", 0.5, 0.2),)),
+    "blinn metal": Case(lambda: (metal("blinn", 0.3),)),
+    "anisotropic blinn metal": Case(lambda: (metal("blinn", 0.2, 0.4, rotation=ROTATION),)),
+    "ashikhmin-shirley metal": Case(lambda: (metal("ashikhmin-shirley", 0.3),)),
+    "anisotropic ashikhmin-shirley metal": Case(lambda: (metal("ashikhmin-shirley", 0.4, 0.2),)),
+    "compensated metal": Case(lambda: (compensate(metal("ggx", 0.5)),), width=0.6),
+    "compensated anisotropic metal": Case(lambda: (compensate(metal("beckmann", 0.2, 0.6)),), width=0.6),
+    "patchy metal": Case(lambda: (metal("ggx", 0.2, alpha_texture=PATCHES),)),
+    "drained metal": Case(lambda: (Microfacet(drained(False), "ggx", 0.3, 0.3),)),
+    "ggx glass": Case(lambda: (glass("ggx", 0.25),), BOTH, 1.5),
+    "anisotropic ggx glass": Case(lambda: (glass("ggx", 0.4, 0.15, rotation=ROTATION),), BOTH[:2], 1.5),
+    "beckmann glass": Case(lambda: (glass("beckmann", 0.3),), BOTH, 1.5),
+    "blinn glass": Case(lambda: (glass("blinn", 0.3),), BOTH[1:3], 1.5),
+    "ashikhmin-shirley glass": Case(lambda: (glass("ashikhmin-shirley", 0.3),), BOTH[::2], 1.5),
+    "compensated glass": Case(lambda: (compensate(glass("ggx", 0.5)),), BOTH[::3], 1.5, width=0.6),
+    "bubble in water": Case(  # the ambient is the denser side
+        lambda: (Microfacet(stack((1.33, 1.4, 1.0), (200.0,), True), "ggx", 0.25, 0.25),), BOTH, 1.0 / 1.33
+    ),
+    "rough free film": Case(
+        lambda: (Microfacet(stack((1.0, 1.4, 1.0), (300.0,), True), "ggx", 0.3, 0.3),), BOTH[:3], 1.0
+    ),
+    "diffuse": Case(lambda: (bare_base(GRID, np.linspace(0.2, 0.9, len(GRID))),)),
+    "diffuse under a film": Case(lambda: (under_film(),)),
+    "irregular ridges": Case(lambda: (ridge(120.0),), width=0.4),
+    "level ridges": Case(lambda: (ridge(0.0, rotation=ROTATION),), ((10.0, 0.0),), chi=(100, 32), width=0.4),
+    "table": Case(lambda: (table("direction"),), width=0.5),
+    "half-angle table": Case(lambda: (table("half"),), width=0.5),
+    "rough film over a base": Case(
+        lambda: (metal("ggx", 0.2), bare_base(GRID, np.full(len(GRID), 0.3))), conserves=False
+    ),
+    "film over a base": Case(lambda: (Specular(stack(*GLASS, False)), under_film()), ((30.0, 0.0),)),
+}
+CONTINUOUS = [name for name, case in CASES.items() if case.is_continuous]
+CHI_SQUARES = [(name, view) for name in CONTINUOUS for view in CASES[name].views_deg]
+
+
+@cache
+def bsdf_of(name: str) -> Bsdf:
+    """Build a case's Bsdf once."""
+    return Bsdf(CASES[name].make())
+
+
+def pairs(name: str, n: int, seed: int) -> tuple[Any, Any, Any]:
+    """Return light, eye and uv: half of the pairs anywhere, half near the mirror or refracted image."""
+    from nacre.render.testing import directions, near_mirror
+
+    case = CASES[name]
+    both = bsdf_of(name).transmits or case.eta != 1.0
+    eye = directions(n, seed, both)
+    eta = case.eta if case.eta > 1 else 1.0
+    near = near_mirror(eye[n // 2 :], seed + 1, case.width, eta)
+    light = np.concatenate([directions(n // 2, seed + 2, both), near])
+    return light, eye, np.random.default_rng(seed).uniform(-0.4, 1.4, (n, 2))
+
+
+@pytest.mark.parametrize("name", CONTINUOUS)
+def test_plugin_gives_the_values_of_the_arrays(mi: Any, name: str) -> None:
+    """Eye and light in their places, textures and all."""
+    from nacre.render.testing import array_mismatch
+
+    light, eye, uv = pairs(name, 2000, 11)
+    assert array_mismatch(bsdf_of(name), light, eye, uv, every=12) <= ARRAY_TOLERANCE
+
+
+@pytest.mark.parametrize("name", CONTINUOUS)
+def test_plugin_gives_the_same_physics_traced_from_the_light(mi: Any, name: str) -> None:
+    """f(light, eye) does not depend on which end a ray starts from."""
+    from nacre.render.testing import plugin_values
+
+    light, eye, uv = pairs(name, 1000, 12)
+    seen = plugin_values(bsdf_of(name), light, eye, np.array([480.0]), uv, radiance=True)
+    sent = plugin_values(bsdf_of(name), light, eye, np.array([480.0]), uv, radiance=False)
+    assert np.max(np.abs(seen - sent)) <= ARRAY_TOLERANCE * np.max(seen)
+
+
+@pytest.mark.parametrize("name", CONTINUOUS)
+def test_plugin_is_reciprocal(mi: Any, name: str) -> None:
+    """f(a, b)/n_b^2 = f(b, a)/n_a^2."""
+    from nacre.render.testing import reciprocity_mismatch
+
+    light, eye, uv = pairs(name, 1000, 13)
+    assert reciprocity_mismatch(bsdf_of(name), light, eye, CASES[name].eta, uv) <= RECIPROCITY_TOLERANCE
+
+
+@pytest.mark.parametrize("name", CONTINUOUS)
+def test_weight_times_density_is_the_value(mi: Any, name: str) -> None:
+    """sample() and eval_pdf() agree on weight and density of what was drawn."""
+    from nacre.render.testing import direction, draw, weight_mismatch
+
+    for theta, phi in CASES[name].views_deg:
+        draws = draw(bsdf_of(name), direction(theta, phi), 20_000, seed=3)
+        assert weight_mismatch(draws) <= WEIGHT_TOLERANCE
+        drawn = (draws.pdf > 0) & ~draws.is_delta
+        assert drawn.mean() > 0.05
+        ratio = draws.density[drawn] / draws.pdf[drawn]
+        # in a sum with a delta both hold the lobe's own density times the share of samples
+        assert np.quantile(np.abs(ratio - 1.0), 0.999) <= WEIGHT_TOLERANCE
+
+
+@pytest.mark.parametrize(("name", "view"), CHI_SQUARES)
+def test_draws_follow_the_density(mi: Any, name: str, view: tuple[float, float]) -> None:
+    """Chi-square, one million draws."""
+    from nacre.render.testing import chi_square
+
+    resolution, steps = CASES[name].chi
+    outcome = chi_square(bsdf_of(name), *view, resolution=resolution, steps=steps, uv=(0.3, 0.6))
+    assert outcome.passes(CHI_SQUARE_LEVEL, len(CHI_SQUARES)), outcome.messages
+
+
+def test_chi_square_is_asked_of_at_least_twenty_cases() -> None:
+    """The issue's count."""
+    assert len(CHI_SQUARES) >= 20
+
+
+@pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.conserves])
+def test_no_lobe_creates_light(mi: Any, name: str) -> None:
+    """A white furnace gives back at most 1.002, seen from both sides, steep and grazing."""
+    from nacre.render.testing import furnace
+
+    behind = bsdf_of(name).transmits or name == "rough free film"
+    for theta in (0.5, 45.0, 80.0, *((100.0, 135.0, 179.5) if behind else ())):
+        mean, error = furnace(bsdf_of(name), theta, 100_000)
+        assert np.all(mean - 3.0 * error <= FURNACE_TOP), (theta, mean, error)
