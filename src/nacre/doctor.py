@@ -62,20 +62,21 @@ def _packages() -> list[Finding]:
 
 
 def _rendering() -> list[Finding]:
-    from nacre.render import llvm, variant
+    from nacre.render import variant
 
-    state = llvm.report()
-    findings = []
-    if state.path is not None:
-        findings.append(Finding("LLVM", "ok", f"{state.path} (version {state.version or 'unknown'})"))
+    state = variant.report()
+    if state.llvm_used:
+        findings = [Finding("LLVM", "ok", f"{state.llvm_used} (version {state.llvm_version or 'unknown'})")]
     else:
-        findings.append(Finding("LLVM", "bad", state.reason, state.advice))
-    name = variant.choose()
-    if name.startswith("scalar"):
+        why = "; ".join(f"{probe.path or 'default'}: {probe.reason}" for probe in state.llvm_tried) or "none found"
+        findings = [Finding("LLVM", "bad", why, state.advice)]
+    if state.variant is None:
+        findings.append(Finding("Mitsuba", "bad", "cannot be loaded", state.advice))
+    elif state.variant.startswith("scalar"):
         advice = "rendering runs some 780 times slower and the pearl walk not at all; get LLVM as said above"
-        findings.append(Finding("Mitsuba variant", "bad", name, advice))
+        findings.append(Finding("Mitsuba", "bad", f"{state.mitsuba_version}, {state.variant}", advice))
     else:
-        findings.append(Finding("Mitsuba variant", "ok", name))
+        findings.append(Finding("Mitsuba", "ok", f"{state.mitsuba_version}, {state.variant}"))
     return findings
 
 
