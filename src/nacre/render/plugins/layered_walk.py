@@ -1,0 +1,560 @@
+"""The position-free walk through the strata: every weight is 1, and four wavelengths go together.
+
+Free flights follow the flakes' projected area, which has no wavelength; at a flake the light is reflected,
+goes straight on or is absorbed, with probabilities from R and T weighted by what the four wavelengths carry.
+Their sum then never changes, so no single wavelength can exceed four times the mean and no firefly is born.
+(Flights by the true extinction make each event's weight scatter about 1; over hundreds of events the variance
+of the product has no bound, whatever the roulette.)
+
+`sample_walk` follows the light until it leaves. `eval_walk` connects each vertex to the wanted exit: the exit
+direction is refracted inward once, and its importance in each stratum, up- and downward, includes all mirror
+reflections between smooth interfaces, solved like a one-dimensional layer stack.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from nacre.render.plugins.layered_device import Strata
+from nacre.render.plugins.layered_interface import interface_event, interface_value, refract
+from nacre.render.plugins.tables import Located
+
+MAX_EVENTS = 20_000  # a lane that is still inside after so many events is given up; its share is below 1e-6
+MIN_COS = 1e-4  # of connections inside; flatter ones carry nothing
+TINY = 1e-12
+
+
+def make_rng(*numbers: Any) -> Any:
+    """Seed a generator by a hash of the bits of floats (tiny encryption algorithm)."""
+    a, b = mi.UInt32(0x9E3779B9), mi.UInt32(0x7F4A7C15)
+    bits = [dr.reinterpret_array(mi.UInt32, mi.Float(x)) for x in numbers]
+    if len(bits) % 2:
+        bits.append(mi.UInt32(0))
+    for first, second in zip(bits[::2], bits[1::2], strict=True):
+        a, b = mi.sample_tea_32(a ^ first, b ^ second, 4)
+    return mi.PCG32(size=1, initstate=mi.UInt64(a), initseq=mi.UInt64(b))
+
+
+@dataclass
+class Importance:
+    """What light in a stratum is worth to the exit, by the two directions that mirror reflections connect.
+
+    Attributes:
+        up_direction, down_direction: per stratum, unit, the direction of travel.
+        up, down: per stratum, importance when travelling up at its top, down at its bottom; None where zero.
+        up_extinction, down_extinction: per stratum, optical thickness along the direction over the stratum.
+    """
+
+    up_direction: list[Any]
+    down_direction: list[Any]
+    up: list[Any]
+    down: list[Any]
+    up_extinction: list[Any]
+    down_extinction: list[Any]
+
+
+def uses_both_directions(strata: Strata) -> bool:
+    """Whether light may reach the exit by way of a mirror, or leave below."""
+    inner_mirror = any(not rough for rough in strata.is_rough[1 : strata.count])
+    specular_base = strata.base == "specular" and not strata.is_rough[-1]
+    return strata.base == "none" or specular_base or inner_mirror
+
+
+def inner_interfaces_scatter(strata: Strata) -> bool:
+    """Whether a rough interface must be connected to the exit as a scattering vertex."""
+    if any(strata.is_rough[1:]):
+        return True
+    return strata.is_rough[0] and uses_both_directions(strata)
+
+
+def rough_one(strata: Strata, interface: Any) -> Any:
+    """Tell whether an interface is a rough one."""
+    if strata.all_rough:
+        return mi.Bool(True)
+    found = mi.Bool(False)
+    for i, is_rough in enumerate(strata.is_rough):
+        if is_rough:
+            found |= interface == i
+    return found
+
+
+# -- the exit ------------------------------------------------------------------------------------------------
+
+
+def exit_importance(strata: Strata, rng: Any, wo: Any, where: Located, active: Any) -> Importance:
+    """Refract the exit direction inward and spread its importance over the strata.
+
+    Where the exit, or an interface on the way to it, is rough, a facet is drawn from those that are seen from
+    outside. The importance is that of f |cos_o|: power by power, so cos_o / (n^2 |b_z|) times the shares passed.
+    """
+    from_above = wo.z > 0
+    travel_a, passed_a, entered_a = _inward(strata, rng, wo, True, active & from_above)
+    if strata.base == "none":
+        travel_b, passed_b, entered_b = _inward(strata, rng, wo, False, active & ~from_above)
+        travel = [dr.select(from_above, a, b) for a, b in zip(travel_a, travel_b, strict=True)]
+        entered = dr.select(from_above, entered_a, entered_b)
+    else:
+        travel, passed_b, entered = travel_a, passed_a, entered_a
+    entered = dr.select(active, entered * dr.abs(wo.z), 0.0)
+    chain = _chain(strata, travel, passed_a, passed_b, entered, from_above, where, active)
+    for s in range(strata.count):
+        cos = chain.up_direction[s].z
+        scale = dr.select(cos > MIN_COS, 1 / (dr.square(strata.indices[s + 1]) * cos), 0.0)
+        chain.up[s] = None if chain.up[s] is None else chain.up[s] * scale
+        chain.down[s] = None if chain.down[s] is None else chain.down[s] * scale
+    return chain
+
+
+def _inward(strata: Strata, rng: Any, wo: Any, downward: bool, active: Any) -> tuple[list[Any], list[Any], Any]:
+    """Trace the exit direction inward from the top (or the bottom).
+
+    Returns:
+        the direction of travel towards the exit in each stratum; the share passed at each inner interface
+        (by interface number); the share passed at the outer one.
+    """
+    count = strata.count
+    order = list(range(count)) if downward else list(range(count - 1, -1, -1))
+    travel: list[Any] = [None] * count
+    passed: list[Any] = [None] * (count + 1)
+    current, entered = wo, mi.Float(1.0)
+    for step, s in enumerate(order):
+        interface = s if downward else s + 1
+        inner, weight = refract(strata, rng, current, mi.UInt32(interface), active)
+        if step == 0:
+            entered = weight
+        else:
+            passed[interface] = weight
+        current = -inner
+        travel[s] = current
+    return travel, passed, entered
+
+
+def _chain(
+    strata: Strata, travel: list[Any], passed_a: list[Any], passed_b: list[Any], entered: Any, exits_above: Any,
+    where: Located, active: Any,
+) -> Importance:  # fmt: skip
+    """Solve for the importance, as power, in all strata: mirrors couple the two directions, media attenuate them."""
+    count, both = strata.count, uses_both_directions(strata)
+    ups, downs, sig_up, sig_down, t_up, t_down, cosines = [], [], [], [], [], [], []
+    for s in range(count):
+        cos = dr.maximum(dr.abs(travel[s].z), MIN_COS)
+        ups.append(mi.Vector3f(travel[s].x, travel[s].y, cos))
+        downs.append(mi.Vector3f(travel[s].x, travel[s].y, -cos))
+        cosines.append(cos)
+        sig_up.append(strata.medium_extinction(s, ups[s], where, active) / cos)
+        different = both and not strata.upright
+        sig_down.append(strata.medium_extinction(s, downs[s], where, active) / cos if different else sig_up[s])
+        t_up.append(dr.exp(-sig_up[s]))
+        t_down.append(dr.exp(-sig_down[s]))
+    above = mi.Spectrum(dr.select(exits_above, entered, 0.0))
+    below = mi.Spectrum(dr.select(exits_above, 0.0, entered))
+    up: list[Any] = [None] * count
+    down: list[Any] = [None] * count
+    if not both:
+        up[0] = above
+        for s in range(1, count):
+            up[s] = passed_a[s] * t_up[s - 1] * up[s - 1]
+        return Importance(ups, downs, up, down, sig_up, sig_down)
+    # of each interface: mirror reflectance, share passed going up, going down. A rough one has no mirror
+    # reflection and is crossed towards the exit only: the other crossing is a vertex of its own.
+    mirror, rising, sinking = [], [], []
+    for i in range(count + 1):
+        reflect, rise, sink = mi.Spectrum(0.0), mi.Float(0.0), mi.Float(0.0)
+        if not (strata.is_rough[i] or (i == count and strata.base == "diffuse")):
+            if i == count and strata.base == "specular":
+                reflect = strata.base_at(cosines[-1], where, active)
+            else:
+                side = min(i, count - 1)
+                other = strata.indices[i] if side == i else strata.indices[i + 1]
+                bare = mi.fresnel(cosines[side], other / strata.indices[side + 1])[0]
+                reflect, rise, sink = mi.Spectrum(bare), 1 - bare, 1 - bare
+        elif 0 < i < count:
+            rise = dr.select(exits_above, passed_a[i], 0.0)
+            if strata.base == "none":
+                sink = dr.select(exits_above, 0.0, passed_b[i])
+        mirror.append(reflect)
+        rising.append(rise)
+        sinking.append(sink)
+    # from the bottom: down_s = rho_s up_s + kappa_s
+    rho, kappa = [mi.Spectrum(0.0)] * count, [mi.Spectrum(0.0)] * count
+    rho[-1], kappa[-1] = mirror[count] * t_up[-1], below
+    for s in range(count - 2, -1, -1):
+        lower = s + 1
+        inner = 1 / dr.maximum(1 - mirror[lower] * t_down[lower] * rho[lower], 1e-6)
+        fall = sinking[lower] * t_down[lower] * inner
+        rho[s] = mirror[lower] * t_up[s] + fall * rho[lower] * rising[lower] * t_up[s]
+        kappa[s] = fall * kappa[lower]
+    up[0] = (mirror[0] * t_down[0] * kappa[0] + above) / dr.maximum(1 - mirror[0] * t_down[0] * rho[0], 1e-6)
+    down[0] = rho[0] * up[0] + kappa[0]
+    for s in range(1, count):
+        inner = 1 / dr.maximum(1 - mirror[s] * t_down[s] * rho[s], 1e-6)
+        up[s] = (mirror[s] * t_down[s] * kappa[s] + rising[s] * t_up[s - 1] * up[s - 1]) * inner
+        down[s] = rho[s] * up[s] + kappa[s]
+    return Importance(ups, downs, up, down, sig_up, sig_down)
+
+
+class Exit:
+    """Connects a vertex, at a stratum that differs from lane to lane, to the exit."""
+
+    def __init__(self, strata: Strata, importance: Importance) -> None:
+        self.strata = strata
+        self.given = importance
+        self.has_down = uses_both_directions(strata)
+
+    def _pick(self, values: list[Any], stratum: Any, zero: Any) -> Any:
+        result = zero if values[0] is None else values[0]
+        for s in range(1, self.strata.count):
+            result = dr.select(stratum == s, zero if values[s] is None else values[s], result)
+        return result
+
+    def upward(self, stratum: Any, depth: Any) -> tuple[Any, Any]:
+        """Return the direction of travel and what it is worth from `depth` of a stratum."""
+        zero = mi.Spectrum(0.0)
+        worth = self._pick(self.given.up, stratum, zero)
+        worth = worth * dr.exp(-self._pick(self.given.up_extinction, stratum, zero) * depth)
+        return self._pick(self.given.up_direction, stratum, None), worth
+
+    def downward(self, stratum: Any, depth: Any) -> tuple[Any, Any]:
+        """The same for light that goes down first."""
+        zero = mi.Spectrum(0.0)
+        worth = self._pick(self.given.down, stratum, zero)
+        worth = worth * dr.exp(-self._pick(self.given.down_extinction, stratum, zero) * (1 - depth))
+        return self._pick(self.given.down_direction, stratum, None), worth
+
+
+# -- one step ------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Light:
+    """A walker: direction of travel, stratum, depth in it, what each wavelength carries."""
+
+    d: Any
+    stratum: Any
+    depth: Any
+    f: Any
+
+
+class Stepper:
+    """Moves walkers by one flight and one event."""
+
+    def __init__(self, strata: Strata, where: Located, connection: Exit | None = None, wo: Any = None) -> None:
+        self.strata, self.where, self.exit, self.wo = strata, where, connection, wo
+        self.last = mi.UInt32(strata.count - 1)
+        self.inner_vertices = connection is not None and inner_interfaces_scatter(strata)
+        # light that has met only mirrors so far has no vertex behind it that was connected through a rough exit
+        self.late = connection is not None and strata.any_rough and not strata.all_rough
+
+    def step(self, light: Light, rng: Any, alive: Any, seen: Any) -> tuple[Light, Any, Any, Any, Any]:
+        """Return the moved light, whether it is still inside, whether it left, what the exit got, vertex seen."""
+        strata = self.strata
+        v = -light.d
+        areas, rows, locals_ = [], [], []
+        total = mi.Float(0.0)
+        for slot in range(strata.slots):
+            row = strata.flake_row(light.stratum, slot, alive)
+            local = strata.into_flake(row, v)
+            stretched = mi.Vector3f(row[1] * local.x, row[2] * local.y, row[3] * local.z)
+            areas.append(row[0] * dr.norm(stretched))
+            rows.append(row)
+            locals_.append(local)
+            total += areas[-1]
+        majorant = strata.dye_majorant.read(light.stratum, alive)[0] if strata.has_dye else mi.Float(0.0)
+        total += majorant
+        flight = -dr.log(1 - rng.next_float32(alive)) / dr.maximum(total, 1e-9)
+        depth = light.depth - light.d.z * flight
+        goes_up, goes_down = alive & (depth <= 0), alive & (depth >= 1)
+        inside = alive & ~goes_up & ~goes_down
+        gained = mi.Spectrum(0.0)
+
+        new_d, new_f = mi.Vector3f(light.d), mi.Spectrum(light.f)
+        lives = mi.Bool(alive)
+        if strata.slots:
+            at_flake = inside
+            if strata.has_dye:
+                at_dye = inside & (rng.next_float32(inside) * total < majorant)
+                at_flake = inside & ~at_dye
+            d, f, lives_f, got, turned = self._flake(
+                light, areas, rows, locals_, total - majorant, depth, rng, at_flake
+            )
+            new_d, new_f = dr.select(at_flake, d, new_d), dr.select(at_flake, f, new_f)
+            lives &= ~at_flake | lives_f
+            seen = seen | (at_flake & turned)
+            gained += dr.select(at_flake, got, 0.0)
+        else:
+            at_dye = inside
+        if strata.has_dye:
+            d, f, lives_d, got, turned = self._dye(light, majorant, depth, rng, at_dye)
+            new_d, new_f = dr.select(at_dye, d, new_d), dr.select(at_dye, f, new_f)
+            lives &= ~at_dye | lives_d
+            seen = seen | (at_dye & turned)
+            gained += dr.select(at_dye, got, 0.0)
+
+        at_base = goes_down & (light.stratum == self.last) if strata.base != "none" else mi.Bool(False)
+        at_interface = (goes_up | goes_down) & ~at_base
+        interface = dr.select(goes_up, light.stratum, light.stratum + 1)
+        if self.inner_vertices or self.late:
+            gained += self._interface_gain(light, v, interface, at_interface, seen)
+        w, through = interface_event(strata, rng, v, interface, at_interface)
+        crosses = (w.z > 0) != (v.z > 0)
+        seen = seen | (at_interface & rough_one(strata, interface))
+        outer = interface == 0
+        if strata.base == "none":
+            outer |= interface == strata.count
+        leaves = at_interface & through & crosses & outer
+        new_d = dr.select(at_interface, w, new_d)
+        lives &= ~at_interface | through
+        depth = dr.select(at_interface, dr.select(w.z < 0, mi.Float(0.0), 1.0), depth)
+        stratum = light.stratum
+        if strata.count > 1:
+            moved = dr.select(w.z < 0, interface, interface - 1)
+            stratum = dr.select(at_interface & ~leaves, moved, stratum)
+        if strata.base != "none":
+            d, f, lives_b, got = self._base(light, v, rng, at_base)
+            new_d, new_f = dr.select(at_base, d, new_d), dr.select(at_base, f, new_f)
+            lives &= ~at_base | lives_b
+            gained += dr.select(at_base, got, 0.0)
+            depth = dr.select(at_base, 1.0, depth)
+            if strata.base == "diffuse" or strata.base_rough:
+                seen = seen | at_base
+        moved_light = Light(new_d, stratum, depth, dr.select(lives, new_f, 0.0))
+        return moved_light, lives & ~leaves, leaves & lives, gained, seen
+
+    def _flake(
+        self, light: Light, areas: list[Any], rows: list[Any], locals_: list[Any], total: Any, depth: Any, rng: Any,
+        active: Any,
+    ) -> tuple[Any, Any, Any, Any, Any]:  # fmt: skip
+        strata = self.strata
+        row, v, slot = list(rows[0]), locals_[0], mi.UInt32(0)
+        if strata.slots > 1:
+            left = rng.next_float32(active) * total - areas[0]
+            for i in range(1, strata.slots):
+                take = (left >= 0) & (areas[i] > 0)
+                row = [dr.select(take, new, old) for new, old in zip(rows[i], row, strict=True)]
+                v = dr.select(take, locals_[i], v)
+                slot = dr.select(take, mi.UInt32(i), slot)
+                left -= areas[i]
+        axes = mi.Vector3f(row[1], row[2], row[3])
+        stretched = axes * v
+        area = dr.norm(stretched)
+        start = strata.response_start(light.stratum, slot, active)
+        point = mi.warp.square_to_uniform_sphere(mi.Point2f(rng.next_float32(active), rng.next_float32(active)))
+        m = dr.normalize(axes * (stretched / area * (1 + 1e-6) + point))
+        v_m = dr.dot(v, m)
+        reflect, transmit = strata.flake_response(start, dr.abs(v_m), self.where, active)
+        gained = mi.Spectrum(0.0)
+        if self.exit is not None:
+            to, worth = self.exit.upward(light.stratum, depth)
+            gained += worth * self._flake_phase(row, v, axes, area, start, to, active)
+            if self.exit.has_down:
+                to, worth = self.exit.downward(light.stratum, depth)
+                gained += worth * self._flake_phase(row, v, axes, area, start, to, active)
+            gained *= light.f
+        carried = dr.maximum(dr.sum(light.f), TINY)
+        p_reflect = dr.sum(light.f * reflect) / carried
+        p_transmit = dr.sum(light.f * transmit) / carried
+        choice = rng.next_float32(active)
+        reflects = choice < p_reflect
+        lives = choice < p_reflect + p_transmit
+        turned = strata.from_flake(row, dr.fma(m, 2 * v_m, -v))
+        d = dr.select(reflects, dr.normalize(turned), light.d)
+        f = light.f * dr.select(
+            reflects, reflect / dr.maximum(p_reflect, TINY), transmit / dr.maximum(p_transmit, TINY)
+        )
+        return d, f, lives, gained, reflects
+
+    def _flake_phase(self, row: list[Any], v: Any, axes: Any, area: Any, start: Any, to: Any, active: Any) -> Any:
+        """Return D(h) R(|v.h|) / (4 sigma(v)) towards the direction of travel `to`."""
+        strata = self.strata
+        half = v + strata.into_flake(row, to)
+        length = dr.norm(half)
+        h = half / dr.maximum(length, 1e-6)
+        slope = dr.squared_norm(h / axes)
+        density = dr.inv_pi / (axes.x * axes.y * axes.z * dr.square(slope))
+        reflect = strata.flake_response(start, dr.abs(dr.dot(v, h)), self.where, active)[0]
+        return reflect * (0.25 * density / area)
+
+    def _dye(self, light: Light, majorant: Any, depth: Any, rng: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+        strata = self.strata
+        extinction, scattering = strata.dye_at(light.stratum, self.where, active)
+        passes = dr.maximum(1 - extinction / dr.maximum(majorant, TINY), 0.0)
+        scatters = scattering / dr.maximum(majorant, TINY)
+        carried = dr.maximum(dr.sum(light.f), TINY)
+        p_pass = dr.sum(light.f * passes) / carried
+        p_scatter = dr.sum(light.f * scatters) / carried
+        gained = mi.Spectrum(0.0)
+        choice = rng.next_float32(active)
+        goes_on = choice < p_pass
+        lives = choice < p_pass + p_scatter
+        f = light.f * dr.select(goes_on, passes / dr.maximum(p_pass, TINY), scatters / dr.maximum(p_scatter, TINY))
+        d = mi.Vector3f(light.d)
+        if not strata.dye_scatters:
+            return d, f, lives & goes_on, gained, mi.Bool(False)
+        if self.exit is not None:
+            to, worth = self.exit.upward(light.stratum, depth)
+            gained += worth * strata.dye_phase(light.stratum, dr.dot(light.d, to), self.where, active)
+            if self.exit.has_down:
+                to, worth = self.exit.downward(light.stratum, depth)
+                gained += worth * strata.dye_phase(light.stratum, dr.dot(light.d, to), self.where, active)
+            gained *= light.f * scatters
+        cosines = strata.dye_cos(light.stratum, rng.next_float32(active), self.where, active)
+        left = rng.next_float32(active) * dr.sum(f)
+        cos = cosines[0]
+        for k in range(1, dr.size_v(mi.Spectrum)):
+            left -= f[k - 1]
+            cos = dr.select(left >= 0, cosines[k], cos)
+        azimuth = dr.two_pi * rng.next_float32(active)
+        sine = dr.safe_sqrt(1 - cos * cos)
+        turned = mi.Frame3f(light.d).to_world(mi.Vector3f(sine * dr.cos(azimuth), sine * dr.sin(azimuth), cos))
+        phase = strata.dye_phase(light.stratum, cos, self.where, active)
+        mixed = dr.sum(f * phase) / dr.maximum(dr.sum(f), TINY)
+        f = dr.select(goes_on, f, f * phase / dr.maximum(mixed, TINY))
+        return dr.select(goes_on, d, dr.normalize(turned)), f, lives, gained, lives & ~goes_on
+
+    def _interface_gain(self, light: Light, v: Any, interface: Any, active: Any, seen: Any) -> Any:
+        strata = self.strata
+        assert self.exit is not None
+        total = mi.Spectrum(0.0)
+        if self.inner_vertices:
+            total += connect_interface(strata, self.exit, v, interface, active, ~seen, self.wo.z > 0)
+        if self.late:
+            outer = ((interface == 0) & (self.wo.z > 0)) | ((interface == strata.count) & (self.wo.z < 0))
+            first = outer & ~seen & active
+            total += dr.select(first, interface_value(strata, v, self.wo, interface, first), 0.0)
+        return total * light.f
+
+    def _base(self, light: Light, v: Any, rng: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+        strata = self.strata
+        gained = mi.Spectrum(0.0)
+        point = mi.Point2f(rng.next_float32(active), rng.next_float32(active))
+        if strata.base == "diffuse":
+            albedo = strata.base_at(mi.Float(0.0), self.where, active)
+            d = mi.warp.square_to_cosine_hemisphere(point)
+            if self.exit is not None:
+                to, worth = self.exit.upward(light.stratum, mi.Float(1.0))
+                gained = light.f * worth * albedo * (dr.inv_pi * to.z)
+            masked = mi.Bool(True)
+        else:
+            m, masked = mi.Vector3f(0, 0, 1), mi.Bool(True)
+            if strata.base_rough:
+                row = strata.interfaces.read(mi.UInt32(strata.count), active)
+                facets = strata.facets(row)
+                m = facets.sample(v, point)
+            d = mi.reflect(v, m)
+            albedo = strata.base_at(dr.dot(v, m), self.where, active)
+            if strata.base_rough:
+                masked = (d.z > 0) & (rng.next_float32(active) < facets.weight(v, d, m, dr.dot(v, m), dr.dot(d, m)))
+                if self.exit is not None:
+                    to, worth = self.exit.upward(light.stratum, mi.Float(1.0))
+                    h = dr.normalize(v + to)
+                    v_h = dr.dot(v, h)
+                    value = 0.25 * facets.spread(v, h, v_h) * facets.weight(v, to, h, v_h, v_h)
+                    gained = light.f * worth * strata.base_at(v_h, self.where, active) * value
+        carried = dr.maximum(dr.sum(light.f), TINY)
+        p = dr.sum(light.f * albedo) / carried
+        lives = masked & (rng.next_float32(active) < p)
+        return dr.normalize(d), light.f * albedo / dr.maximum(p, TINY), lives, gained
+
+
+def connect_interface(
+    strata: Strata, connection: Exit, v: Any, interface: Any, active: Any, first: Any, exits_above: Any
+) -> Any:
+    """Return what light from `v` sends through or off a rough interface towards the exit, as a vertex.
+
+    A crossing towards the exit belongs to the vertex before, which was connected through this interface; it
+    counts here only where there was none (`first`).
+    """
+    total = mi.Spectrum(0.0)
+    has_above, has_below = active & (interface > 0), active & (interface < strata.count)
+    above = dr.select(has_above, interface - 1, mi.UInt32(0))
+    below = dr.select(has_below, interface, mi.UInt32(strata.count - 1))
+    wanted = has_above & ((v.z > 0) | first | ~exits_above)
+    to, worth = connection.upward(above, mi.Float(1.0))
+    total += dr.select(wanted, worth * interface_value(strata, v, to, interface, wanted), 0.0)
+    if connection.has_down:
+        wanted = has_below & ((v.z < 0) | first | exits_above)
+        to, worth = connection.downward(below, mi.Float(0.0))
+        total += dr.select(wanted, worth * interface_value(strata, v, to, interface, wanted), 0.0)
+    return total
+
+
+# -- the two walks -------------------------------------------------------------------------------------------
+
+
+def first_light(strata: Strata, w: Any, f: Any) -> Light:
+    """Place light just inside the interface it came through."""
+    down = w.z < 0
+    stratum = dr.select(down, mi.UInt32(0), mi.UInt32(strata.count - 1)) if strata.count > 1 else mi.UInt32(0)
+    return Light(mi.Vector3f(w), stratum, dr.select(down, mi.Float(0.0), 1.0), f)
+
+
+def sample_walk(strata: Strata, rng: Any, wi: Any, where: Located, active: Any) -> tuple[Any, Any, Any]:
+    """Follow light from `wi` until it leaves.
+
+    Returns:
+        the exit direction, the weight of each wavelength (0 if absorbed), whether only mirrors were met.
+    """
+    entry = dr.select(wi.z > 0, mi.UInt32(0), mi.UInt32(strata.count))
+    active = mi.Bool(active) & (mi.Bool(strata.base == "none") | (wi.z > 0))
+    w, alive = interface_event(strata, rng, wi, entry, active)
+    alive &= active
+    reflected = (w.z > 0) == (wi.z > 0)
+    light = first_light(strata, w, dr.select(alive, mi.Spectrum(1.0), 0.0))
+    inside = alive & ~reflected
+    stepper = Stepper(strata, where)
+
+    def body(*state: Any) -> tuple[Any, ...]:
+        d, stratum, depth, f, rng, inside, seen, events = state
+        moved, still, _, _, seen_now = stepper.step(Light(d, stratum, depth, f), rng, inside, seen)
+        f = dr.select(inside, moved.f, f)
+        return (
+            dr.select(inside, moved.d, d), dr.select(inside, moved.stratum, stratum),
+            dr.select(inside, moved.depth, depth), f, rng, still & (events < MAX_EVENTS), seen_now, events + 1,
+        )  # fmt: skip
+
+    state = (light.d, light.stratum, light.depth, light.f, rng, inside, rough_one(strata, entry), mi.UInt32(0))
+    names = ("d", "stratum", "depth", "f", "rng", "inside", "seen", "events")
+    result = dr.while_loop(state, lambda *s: s[5], body, names, label="pearl sample")
+    return result[0], dr.select(result[7] < MAX_EVENTS, result[3], 0.0), ~result[6]
+
+
+def eval_walk(strata: Strata, rng: Any, wi: Any, wo: Any, where: Located, active: Any) -> Any:
+    """Estimate f |cos_o| of the non-delta part for each wavelength."""
+    opens = strata.base == "none"
+    active = mi.Bool(active) & (dr.abs(wo.z) > 1e-4) & (dr.abs(wi.z) > 1e-4)
+    if not opens:
+        active &= (wi.z > 0) & (wo.z > 0)
+    entry = dr.select(wi.z > 0, mi.UInt32(0), mi.UInt32(strata.count))
+    importance = exit_importance(strata, rng, wo, where, active)
+    connection = Exit(strata, importance)
+    total = mi.Spectrum(0.0)
+    if strata.any_rough:
+        direct = interface_value(strata, wi, wo, entry, active)
+        total += mi.Spectrum(dr.select(((wi.z > 0) == (wo.z > 0)) & active, direct, 0.0))
+    stepper = Stepper(strata, where, connection, wo)
+    if stepper.inner_vertices:
+        total += connect_interface(strata, connection, wi, entry, active, mi.Bool(True), wo.z > 0)
+    w, weight = refract(strata, rng, wi, entry, active)
+    inside = active & (weight > 0)
+    light = first_light(strata, w, dr.select(inside, mi.Spectrum(weight), 0.0))
+    seen = rough_one(strata, entry)
+
+    def body(*state: Any) -> tuple[Any, ...]:
+        d, stratum, depth, f, rng, inside, got, seen, events = state
+        moved, still, _, gained, seen_now = stepper.step(Light(d, stratum, depth, f), rng, inside, seen)
+        got = got + dr.select(inside, gained, 0.0)
+        return (
+            dr.select(inside, moved.d, d), dr.select(inside, moved.stratum, stratum),
+            dr.select(inside, moved.depth, depth), dr.select(inside, moved.f, f), rng,
+            still & (events < MAX_EVENTS), got, seen_now, events + 1,
+        )  # fmt: skip
+
+    state = (light.d, light.stratum, light.depth, light.f, rng, inside, total, seen, mi.UInt32(0))
+    names = ("d", "stratum", "depth", "f", "rng", "inside", "got", "seen", "events")
+    result = dr.while_loop(state, lambda *s: s[5], body, names, label="pearl eval")
+    value = dr.select(dr.isfinite(result[6]), result[6], 0.0)
+    return dr.select(active, value, 0.0)
