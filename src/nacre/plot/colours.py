@@ -1,0 +1,144 @@
+"""Figures of colour itself: colour maps over two parameters, and tracks in chromaticity diagrams."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
+
+from nacre import light
+from nacre.errors import NacreError
+from nacre.plot.spectra import _edges
+from nacre.plot.style import (
+    COLUMN_IN,
+    FAINT,
+    INK,
+    WIDE_IN,
+    house_style,
+    new_figure,
+    panel_title,
+    remark,
+    shown_colours,
+    small_print,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+LOCUS_LABELS_NM = (460, 480, 500, 520, 540, 560, 580, 600, 620)
+SRGB_PRIMARIES = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06], [0.64, 0.33]])  # IEC 61966-2-1
+
+
+def colour_map_figure(
+    x: ArrayLike,
+    y: ArrayLike,
+    values: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    x_label: str = "Angle of incidence (degrees)",
+    y_label: str = "Thickness (nm)",
+    illuminant: str = "D65",
+    title: str = "",
+) -> Figure:
+    """Draw the colours of spectra over two parameters as an image.
+
+    Args:
+        x, y: `[x]` and `[y]`, ascending.
+        values: `[y, x, wavelength]`, reflectances or transmittances.
+        wavelengths_nm: `[wavelength]`.
+        x_label, y_label, title: words.
+        illuminant: under which the colours are seen.
+    """
+    x, y, spectra = (np.asarray(v, dtype=float) for v in (x, y, values))
+    if len(x) < 2 or len(y) < 2 or spectra.shape[:2] != (len(y), len(x)):
+        raise NacreError(f"a colour map needs values[y, x, wavelength]; got {spectra.shape} for {len(y)} y, {len(x)} x")
+    colours, exposure, clipped = shown_colours(spectra, wavelengths_nm, illuminant)
+    with house_style():
+        figure = new_figure(COLUMN_IN, 2.75)
+        axes = figure.add_subplot()
+        axes.pcolormesh(_edges(x), _edges(y), colours, rasterized=True)
+        axes.set_xlim(x[0], x[-1])
+        axes.set_ylim(y[0], y[-1])
+        axes.set_xlabel(x_label)
+        axes.set_ylabel(y_label)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(True)
+        panel_title(axes, title)
+        small_print(figure, remark(illuminant, exposure, clipped, colours[..., 0].size))
+    return figure
+
+
+def chromaticity_figure(
+    values: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    labels: list[str] | None = None,
+    illuminant: str = "D65",
+    title: str = "",
+) -> Figure:
+    """Draw the way of a colour through CIE xy and through CIELAB's a*, b*, as a parameter moves.
+
+    Args:
+        values: `[step, wavelength]`, spectra in order.
+        wavelengths_nm: `[wavelength]`.
+        labels: `[step]`, of which the first and the last are written beside the track.
+        illuminant: under which the colours are seen; its white is marked.
+        title: over the first panel.
+    """
+    spectra = np.atleast_2d(np.asarray(values, dtype=float))
+    xyz = light.spectrum_to_xyz(spectra, wavelengths_nm, illuminant)
+    white = light.white_xyz(illuminant)
+    colours, exposure, clipped = shown_colours(spectra, wavelengths_nm, illuminant)
+    lab = light.xyz_to_lab(xyz, white)
+    with house_style():
+        figure = new_figure(WIDE_IN, 2.75)
+        left, right = figure.subplots(1, 2)
+        _locus(left)
+        left.plot(*light.xyz_to_xyy(white)[:2], "+", color=INK, markersize=5, markeredgewidth=0.7)
+        _track(left, light.xyz_to_xyy(xyz)[:, :2], colours, labels)
+        panel_title(left, title or "CIE 1931 chromaticity")
+        reach = 10.0 * np.ceil(max(30.0, 1.12 * float(np.abs(lab[:, 1:]).max())) / 10.0)
+        _hue_circle(right, reach)
+        _track(right, lab[:, 1:], colours, labels)
+        panel_title(right, "CIELAB")
+        small_print(figure, remark(illuminant, exposure, clipped, len(spectra)))
+    return figure
+
+
+def _track(axes: Axes, points: Array, colours: Array, labels: list[str] | None) -> None:
+    axes.plot(points[:, 0], points[:, 1], color=INK, linewidth=0.6, zorder=2)
+    axes.scatter(points[:, 0], points[:, 1], s=13, c=colours, edgecolors=INK, linewidths=0.35, zorder=3)
+    if labels and len(labels) == len(points):
+        for i in sorted({0, len(points) - 1}):
+            axes.annotate(
+                labels[i], points[i], xytext=(4, 4), textcoords="offset points", fontsize=6.5, zorder=4,
+                bbox={"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.75},
+            )  # fmt: skip
+
+
+def _locus(axes: Axes) -> None:
+    nm = np.arange(390, 701)
+    matching = light.observer()[nm - 360]
+    locus = matching[:, :2] / matching.sum(axis=1, keepdims=True)
+    closed = np.concatenate([locus, locus[:1]])
+    axes.fill(closed[:, 0], closed[:, 1], color="#f4f4f4", zorder=0)
+    axes.plot(closed[:, 0], closed[:, 1], color=FAINT, linewidth=0.8, zorder=1)
+    axes.plot(SRGB_PRIMARIES[:, 0], SRGB_PRIMARIES[:, 1], color=FAINT, linewidth=0.6, linestyle=(0, (3, 2)), zorder=1)
+    axes.annotate("sRGB", (0.405, 0.522), fontsize=5.8, color="#7a7a7a", rotation=-38, ha="center", va="center")
+    centre = np.array([1 / 3, 1 / 3])
+    for label in LOCUS_LABELS_NM:
+        point = locus[label - 390]
+        out = (point - centre) / np.linalg.norm(point - centre)
+        axes.plot(*zip(point, point + 0.012 * out), color=FAINT, linewidth=0.6)
+        axes.annotate(str(label), point + 0.05 * out, fontsize=5.5, color="#7a7a7a", ha="center", va="center")
+    axes.set(xlim=(-0.04, 0.8), ylim=(-0.03, 0.9), xlabel="$x$", ylabel="$y$", aspect="equal")
+
+
+def _hue_circle(axes: Axes, reach: float) -> None:
+    turn = np.linspace(0, 2 * np.pi, 181)
+    for radius in np.arange(20 if reach <= 80 else 40, reach + 1, 20 if reach <= 80 else 40):
+        axes.plot(radius * np.cos(turn), radius * np.sin(turn), color="#e0e0e0", linewidth=0.5, zorder=0)
+    axes.axhline(0, color="#d0d0d0", linewidth=0.5, zorder=0)
+    axes.axvline(0, color="#d0d0d0", linewidth=0.5, zorder=0)
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="$a^*$", ylabel="$b^*$", aspect="equal")

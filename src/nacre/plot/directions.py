@@ -1,0 +1,281 @@
+"""Figures of scattering over directions: image slices of a BRDF, lobes in the plane of incidence, one particle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from nacre import light
+from nacre.bsdf import Bsdf
+from nacre.errors import NacreError
+from nacre.plot.style import (
+    COLUMN_IN,
+    FAINT,
+    INK,
+    LINES,
+    house_style,
+    need,
+    new_figure,
+    panel_title,
+    remark,
+    small_print,
+)
+
+Array = NDArray[np.float64]
+DECADES = 4.0  # lightness of a slice spans this much of f: what a print can still tell apart
+SLICE_NODES = 181
+
+
+def slice_directions(nodes: int = SLICE_NODES, phi_d_deg: float = 90.0) -> tuple[Array, Array, Array]:
+    """Return the half and difference angles of a slice in degrees, and its pairs `wi, wo` stacked `[2, d, h, 3]`.
+
+    Rusinkiewicz's coordinates with phi_h = 0: theta_h tilts the half vector from the normal, theta_d opens the
+    pair about it, phi_d turns it. At phi_d = 90 degrees both directions stay above the surface.
+    """
+    degrees = np.linspace(0.0, 89.5, nodes)
+    theta_h = np.radians(degrees)[None, :]
+    theta_d, phi_d = np.radians(degrees)[:, None], np.radians(phi_d_deg)
+    pair = []
+    for sign in (1.0, -1.0):
+        x, y = sign * np.sin(theta_d) * np.cos(phi_d), sign * np.sin(theta_d) * np.sin(phi_d)
+        z = np.cos(theta_d)
+        pair.append(
+            np.stack(
+                np.broadcast_arrays(
+                    x * np.cos(theta_h) + z * np.sin(theta_h), y + 0.0 * theta_h,
+                    z * np.cos(theta_h) - x * np.sin(theta_h),
+                ), axis=-1,
+            )
+        )  # fmt: skip
+    return degrees, degrees, np.stack(pair)
+
+
+def slice_figure(
+    values: Array,
+    wavelengths_nm: Array,
+    theta_h_deg: Array,
+    theta_d_deg: Array,
+    illuminant: str = "D65",
+    title: str = "",
+) -> Figure:
+    """Draw a BRDF over half and difference angle as an image: hue from the spectrum, lightness from log f.
+
+    Args:
+        values: `[theta_d, theta_h, wavelength]`, f in 1/sr.
+        wavelengths_nm: `[wavelength]`.
+        theta_h_deg, theta_d_deg: the axes.
+        illuminant: under which the colours are seen.
+        title: over the image.
+
+    Raises:
+        NacreError: f is zero everywhere (a mirror has no image: its lobe is a delta).
+    """
+    xyz = light.spectrum_to_xyz(np.maximum(values, 0.0), wavelengths_nm, illuminant)
+    strength = xyz[..., 1]
+    top = float(strength.max())
+    if top <= 0.0:
+        raise NacreError("figure slice: f is zero everywhere; a mirror-smooth material has a delta lobe only")
+    level = np.clip(1.0 + np.log10(np.maximum(strength, 1e-30) / top) / DECADES, 0.0, 1.0)
+    wanted = light.lab_to_xyz(np.stack([100.0 * level, 0.0 * level, 0.0 * level], axis=-1))[..., 1]
+    rgb = light.spectrum_to_rgb_linear(np.maximum(values, 0.0), wavelengths_nm, illuminant)
+    rgb *= (wanted / np.maximum(strength, 1e-30))[..., None]
+    clipped = light.clip_to_srgb(rgb)
+    with house_style():
+        figure = new_figure(COLUMN_IN, 2.75)
+        grid = figure.add_gridspec(1, 2, width_ratios=(1.0, 0.045))
+        axes, key = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
+        axes.imshow(
+            light.srgb_encode(clipped.rgb), origin="lower", aspect="equal",
+            extent=(theta_h_deg[0], theta_h_deg[-1], theta_d_deg[0], theta_d_deg[-1]),
+        )  # fmt: skip
+        ticks = [0, 15, 30, 45, 60, 75, 90]
+        axes.set(xlabel=r"Half angle $\theta_h$ (degrees)", ylabel=r"Difference angle $\theta_d$ (degrees)",
+                 xticks=ticks[:-1], yticks=ticks[:-1])  # fmt: skip
+        panel_title(axes, title)
+        ramp = light.lab_to_xyz(np.stack([np.linspace(0, 100, 256), *np.zeros((2, 256))], axis=-1))[:, 1]
+        grey = light.srgb_encode(np.repeat(ramp[:, None, None], 3, axis=2))
+        high = np.log10(top)
+        key.imshow(grey, origin="lower", aspect="auto", extent=(0, 1, high - DECADES, high))
+        whole = np.arange(np.ceil(high - DECADES), np.floor(high) + 1)
+        key.set_yticks(whole, [f"$10^{{{int(v)}}}$" for v in whole])
+        key.set_xticks([])
+        key.yaxis.tick_right()
+        key.set_title("$f$ (1/sr)", fontsize=6.5, pad=3)
+        small_print(figure, remark(illuminant, 1.0, clipped.count, clipped.is_clipped.size))
+    return figure
+
+
+def bsdf_slice_figure(
+    bsdf: Bsdf, illuminant: str = "D65", title: str = "", nodes: int = SLICE_NODES, phi_d_deg: float = 90.0
+) -> Figure:
+    """Draw the slice of a Bsdf; see `slice_figure`. Delta lobes do not show.
+
+    Raises:
+        NacreError: nothing but delta lobes.
+    """
+    theta_h, theta_d, (wi, wo) = slice_directions(nodes, phi_d_deg)
+    above = (wi[..., 2] > 0) & (wo[..., 2] > 0)
+    values = np.zeros((*above.shape, len(bsdf.wavelengths_nm)))
+    values[above] = bsdf.evaluate(wi[above], wo[above])
+    return slice_figure(values, bsdf.wavelengths_nm, theta_h, theta_d, illuminant, title)
+
+
+def lobe_figure(
+    bsdf: Bsdf,
+    angles_deg: Sequence[float] | Array = (10.0, 30.0, 60.0),
+    illuminant: str = "D65",
+    title: str = "",
+    azimuth_deg: float = 0.0,
+    nodes: int = 721,
+) -> Figure:
+    """Draw the light scattered in the plane of incidence, one polar diagram an angle, in its own colours.
+
+    The radius is luminance of f cos(theta_o), relative to the diagram's largest; a dashed spoke is the incident
+    direction, a solid one with a dot the mirror's delta lobe with its luminous reflectance (and transmittance).
+
+    Args:
+        bsdf: any, also with transmission: the circle is then full.
+        angles_deg: incidence; at most 6.
+        illuminant: under which the colours are seen.
+        title: over the first diagram.
+        azimuth_deg: of the plane of incidence, from the surface's x axis.
+        nodes: exit angles over a half circle.
+    """
+    incidence = np.atleast_1d(np.asarray(angles_deg, dtype=float))[:6]
+    exits = np.radians(
+        np.linspace(-179.875, 180.0, 2 * (nodes - 1)) if bsdf.transmits else np.linspace(-89.75, 89.75, nodes)
+    )
+    turn = np.radians(azimuth_deg)
+    across = np.array([np.cos(turn), np.sin(turn), 0.0])
+    wo = np.sin(exits)[:, None] * across + np.cos(exits)[:, None] * np.array([0.0, 0.0, 1.0])
+    rows = len(incidence)
+    height = (1.95 if bsdf.transmits else 1.25) * rows + 0.25
+    clipped = total = 0
+    with house_style():
+        figure = new_figure(COLUMN_IN, height)
+        for row, angle in enumerate(incidence):
+            axes = figure.add_subplot(rows, 1, row + 1)
+            theta = np.radians(angle)
+            wi = -np.sin(theta) * across + np.array([0.0, 0.0, np.cos(theta)])
+            values = bsdf.evaluate(np.broadcast_to(wi, wo.shape), wo) * np.abs(wo[:, 2:])
+            specular = bsdf.specular(np.array([theta]))
+            clipped_here, total_here = _polar(axes, exits, values, bsdf.wavelengths_nm, illuminant)
+            clipped, total = clipped + clipped_here, total + total_here
+            _spokes(axes, theta, specular, bsdf, illuminant)
+            _circle(axes, bsdf.transmits)
+            panel_title(axes, f"{angle:.3g}\u00b0 incidence" + (f", {title}" if title and row == 0 else ""))
+        small_print(figure, remark(illuminant, 1.0, clipped, total))
+    return figure
+
+
+def _polar(axes: Any, exits: Array, values: Array, nm: Array, illuminant: str) -> tuple[int, int]:
+    """Fill the diagram with wedges in the colour of each direction, all at one lightness scale."""
+    xyz = light.spectrum_to_xyz(np.maximum(values, 0.0), nm, illuminant)
+    top = float(xyz[:, 1].max())
+    if top <= 0.0:
+        return 0, 0
+    radius = xyz[:, 1] / top
+    # colour at mid lightness: the radius tells the strength, the tile the hue
+    rgb = light.spectrum_to_rgb_linear(np.maximum(values, 0.0), nm, illuminant)
+    clipped = light.clip_to_srgb(rgb * (0.4 / np.maximum(xyz[:, 1], 1e-30))[:, None])
+    x, y = radius * np.sin(exits), radius * np.cos(exits)
+    wedges = [((0, 0), (x[i], y[i]), (x[i + 1], y[i + 1])) for i in range(len(exits) - 1)]
+    tiles = light.srgb_encode(0.5 * (clipped.rgb[1:] + clipped.rgb[:-1]))
+    axes.add_collection(PolyCollection(wedges, facecolors=tiles, edgecolors=tiles, linewidths=0.25, zorder=2))
+    axes.plot(x, y, color=INK, linewidth=0.7, zorder=3)
+    axes.annotate(
+        f"max. $f\\,\\cos\\theta_o$ = {top:.3g} / sr",
+        (0.99, 0.98),
+        xycoords="axes fraction",
+        ha="right",
+        va="top",
+        fontsize=6,
+    )
+    visible = radius > 1e-3
+    return int(np.count_nonzero(clipped.is_clipped & visible)), int(np.count_nonzero(visible))
+
+
+def _spokes(axes: Any, theta: float, specular: Any, bsdf: Bsdf, illuminant: str) -> None:
+    axes.plot([0, -np.sin(theta)], [0, np.cos(theta)], color=INK, linewidth=0.7, linestyle=(0, (3, 2)), zorder=4)
+    mirror = light.spectrum_to_xyz(specular.reflectance[0], bsdf.wavelengths_nm, illuminant)[1]
+    if mirror > 1e-9:
+        _spoke(axes, np.sin(theta), np.cos(theta), f"R = {mirror:.3g}")
+    through = light.spectrum_to_xyz(specular.transmittance[0], bsdf.wavelengths_nm, illuminant)[1]
+    if through > 1e-9:
+        eta = next((float(e) for e in (getattr(lobe, "eta", None) for lobe in bsdf.lobes) if e is not None), 1.0)
+        sine = np.clip(np.sin(theta) / eta, -1.0, 1.0)
+        _spoke(axes, sine, -np.sqrt(1 - sine**2), f"T = {through:.3g}")
+
+
+def _spoke(axes: Any, x: float, y: float, text: str) -> None:
+    axes.plot([0, x], [0, y], color=LINES[1], linewidth=1.0, zorder=5)
+    axes.plot([x], [y], "o", color=LINES[1], markersize=2.5, zorder=5)
+    side = 1 if x >= 0 else -1
+    axes.annotate(text, (x, y), xytext=(4 * side, 0), textcoords="offset points", fontsize=6,
+                  ha="left" if side > 0 else "right", va="center")  # fmt: skip
+
+
+def _circle(axes: Any, is_full: bool) -> None:
+    turn = np.linspace(-np.pi, np.pi, 361) if is_full else np.linspace(-np.pi / 2, np.pi / 2, 181)
+    for radius in (0.5, 1.0):
+        axes.plot(radius * np.sin(turn), radius * np.cos(turn), color="#dddddd", linewidth=0.5, zorder=0)
+    for degrees in range(-90, 91, 30):
+        spoke = np.radians(degrees)
+        for flip in (1, -1) if is_full else (1,):
+            axes.plot([0, np.sin(spoke)], [0, flip * np.cos(spoke)], color="#ebebeb", linewidth=0.5, zorder=0)
+        axes.text(1.07 * np.sin(spoke), 1.07 * np.cos(spoke), f"{abs(degrees)}\u00b0", fontsize=5.8, color="#7a7a7a",
+                  ha="center", va="center")  # fmt: skip
+    axes.plot([-1.02, 1.02], [0, 0], color=FAINT, linewidth=0.8, zorder=1)
+    axes.set(xlim=(-1.5, 1.5), ylim=(-1.12 if is_full else -0.04, 1.16), aspect="equal")
+    axes.axis("off")
+
+
+def scattering_figure(data: Mapping[str, Any]) -> Figure:
+    """Draw one particle's scattering as a polar diagram: s in the upper half, p in the lower, one curve a wavelength.
+
+    Args:
+        data: `theta_deg[t]`, 0 (forward) ... 180 (back); `s[..., t]` and `p[..., t]`, intensities, with a leading
+            axis of `wavelengths_nm[l]` if there are several; optional `title`. The radius is logarithmic over
+            `decades` (default 3) below the largest value.
+
+    Raises:
+        NacreError: an array is missing.
+    """
+    theta, s, p = need(data, "scattering", "theta_deg", "s", "p")
+    decades = float(data.get("decades", 3.0))
+    s, p = np.atleast_2d(s), np.atleast_2d(p)
+    labels = [f"{float(w):.0f} nm" for w in np.atleast_1d(data["wavelengths_nm"])] if "wavelengths_nm" in data else [""]
+    top = max(float(s.max()), float(p.max()))
+    if top <= 0.0:
+        raise NacreError("figure scattering: the intensities are zero everywhere")
+    with house_style():
+        figure = new_figure(COLUMN_IN, 2.9)
+        axes: Any = figure.add_subplot(projection="polar")  # a PolarAxes, which the stubs do not know
+        for row in range(min(len(s), len(LINES))):
+            for values, side, style in ((s[row], 1.0, "-"), (p[row], -1.0, "-")):
+                radius = np.clip(decades + np.log10(np.maximum(values, 1e-300) / top), 0.0, None)
+                label = labels[row] if side > 0 and row < len(labels) else None
+                axes.plot(side * np.radians(theta), radius, style, color=LINES[row], label=label or None)
+        axes.set_rticks(np.arange(0, decades + 0.5), [""] * len(np.arange(0, decades + 0.5)))
+        axes.set_rmax(decades)
+        axes.set_xticks(
+            np.radians(np.arange(0, 360, 30)), [f"{a if a <= 180 else 360 - a}\u00b0" for a in range(0, 360, 30)]
+        )
+        axes.spines["polar"].set_color("#cccccc")
+        axes.text(np.pi / 2, decades * 0.9, "s", ha="center", fontsize=8)
+        axes.text(-np.pi / 2, decades * 0.9, "p", ha="center", va="center", fontsize=8)
+        if any(labels):
+            figure.legend(loc="outside right upper", handlelength=1.2)
+        panel_title(axes, str(data.get("title", "")))
+        small_print(figure, f"radius: log intensity, one decade a ring, {decades:g} in all")
+    return figure
+
+
+__all__ = [
+    "bsdf_slice_figure", "lobe_figure", "scattering_figure", "slice_directions", "slice_figure",
+]  # fmt: skip

@@ -1,0 +1,192 @@
+"""From a material to a figure, by the kind's name: what `nacre plot` does, without knowing any family."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
+
+from nacre.bsdf import Bsdf
+from nacre.bsdf.spectrum import Spectrum
+from nacre.errors import NacreError, UnsupportedError, did_you_mean
+from nacre.plot.colours import chromaticity_figure, colour_map_figure
+from nacre.plot.directions import bsdf_slice_figure, lobe_figure, scattering_figure
+from nacre.plot.spectra import index_figure, parts_of, ribbon_figure, spectrum_figure
+from nacre.plot.structures import field_figure, microscope_figure, platelet_figure, structure_figure
+from nacre.plot.style import save_figure
+
+Array = NDArray[np.float64]
+KINDS = (
+    "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity",
+    "field", "scattering", "structure", "platelet", "microscope",
+)  # fmt: skip
+SPECTRUM_ANGLES_DEG = (0.0, 30.0, 60.0)
+LOBE_ANGLES_DEG = (10.0, 30.0, 60.0)
+TRACK_ANGLES_DEG = np.linspace(0.0, 85.0, 35)
+RIBBON_ANGLES_DEG = np.linspace(0.0, 89.0, 179)
+
+
+class Plottable(Protocol):
+    """What a material must offer; `nacre.recipe.Material` does."""
+
+    @property
+    def name(self) -> str:
+        """A short name."""
+        ...
+
+    def bsdf(self, wavelengths_nm: ArrayLike | None = None) -> Bsdf:
+        """Return the optics."""
+        ...
+
+    def spectrum(
+        self, theta_rad: ArrayLike, wavelengths_nm: ArrayLike | None = None, polarisation: str = "both"
+    ) -> Spectrum:
+        """Return reflectance and transmittance."""
+        ...
+
+    def figure_data(self, kind: str, **options: Any) -> dict[str, NDArray[Any]]:
+        """Return the arrays of a figure of the family's own."""
+        ...
+
+
+def material_figure(
+    material: Plottable,
+    kind: str,
+    *,
+    angles_deg: ArrayLike | None = None,
+    wavelengths_nm: ArrayLike | None = None,
+    illuminant: str = "D65",
+) -> Figure:
+    """Draw a figure of a material.
+
+    Args:
+        material: anything with `bsdf`, `spectrum` and `figure_data`.
+        kind: one of `KINDS`.
+        angles_deg: of incidence, where the kind has such an axis; sensible ones by default.
+        wavelengths_nm: ascending; default: chosen by the material.
+        illuminant: under which colours are seen.
+
+    Raises:
+        UnsupportedError: no such kind, or the family has no such figure.
+        NacreError: what the material itself refuses.
+    """
+    if kind not in KINDS:
+        raise UnsupportedError(
+            f'no figure is of kind "{kind}".{did_you_mean(kind, KINDS)} There are {", ".join(KINDS)}'
+        )
+    if kind in ("spectrum", "ribbon", "chromaticity"):
+        defaults = {"spectrum": SPECTRUM_ANGLES_DEG, "ribbon": RIBBON_ANGLES_DEG, "chromaticity": TRACK_ANGLES_DEG}
+        angles = np.atleast_1d(np.asarray(defaults[kind] if angles_deg is None else angles_deg, dtype=float))
+        spectrum = material.spectrum(np.radians(angles), wavelengths_nm)
+        return _over_angles(kind, spectrum, illuminant, material.name)
+    if kind in ("slice", "lobe"):
+        bsdf = material.bsdf(wavelengths_nm)
+        if kind == "slice":
+            return bsdf_slice_figure(bsdf, illuminant, material.name)
+        angles = np.atleast_1d(np.asarray(LOBE_ANGLES_DEG if angles_deg is None else angles_deg, dtype=float))
+        return lobe_figure(bsdf, angles, illuminant, material.name)
+    options: dict[str, Any] = {}
+    if wavelengths_nm is not None:
+        options["wavelengths_nm"] = wavelengths_nm
+    if angles_deg is not None:
+        angles = np.atleast_1d(np.asarray(angles_deg, dtype=float))
+        options.update({"theta_deg": float(angles[0])} if kind == "field" else {"angles_deg": angles})
+    return data_figure(kind, _family_data(material, kind, options), illuminant, material.name)
+
+
+def _over_angles(kind: str, spectrum: Spectrum, illuminant: str, name: str) -> Figure:
+    if kind == "spectrum":
+        return spectrum_figure(spectrum, illuminant, name)
+    if kind == "ribbon":
+        return ribbon_figure(spectrum, illuminant, name)
+    values = next(iter(parts_of(spectrum).values()))
+    labels = [f"{angle:.3g}\u00b0" for angle in spectrum.angles_deg]
+    return chromaticity_figure(values, spectrum.wavelengths_nm, labels, illuminant, name)
+
+
+def _family_data(material: Plottable, kind: str, options: dict[str, Any]) -> dict[str, Any]:
+    try:
+        return dict(material.figure_data(kind, **options))
+    except TypeError as error:
+        # the family's figure has no such axis (a structure has no angles): say so instead of a traceback
+        refused = [name for name in options if name in str(error)]
+        if not refused:
+            raise
+        words = {"theta_deg": "angles", "angles_deg": "angles", "wavelengths_nm": "wavelengths"}
+        raise UnsupportedError(f'the figure of kind "{kind}" takes no {words[refused[0]]} for this material') from None
+
+
+def data_figure(kind: str, data: Mapping[str, Any], illuminant: str = "D65", title: str = "") -> Figure:
+    """Draw a figure of plain arrays: "field", "structure", "platelet", "scattering", "microscope", "colour-map".
+
+    The arrays of each kind are described by its own function, and all together in `nacre.plot`.
+
+    Raises:
+        NacreError: an array is missing.
+        UnsupportedError: no such kind.
+    """
+    data = {"title": title, **data}
+    if kind == "colour-map":
+        return _colour_map(data, illuminant)
+    makers = {"field": field_figure, "structure": structure_figure, "scattering": scattering_figure}
+    if kind in makers:
+        return makers[kind](data)
+    coloured = {"platelet": platelet_figure, "microscope": microscope_figure}
+    if kind in coloured:
+        return coloured[kind](data, illuminant)
+    known = ["colour-map", *makers, *coloured]
+    raise UnsupportedError(f'no figure of arrays is of kind "{kind}".{did_you_mean(kind, known)}')
+
+
+def _colour_map(data: Mapping[str, Any], illuminant: str) -> Figure:
+    """Draw reflectance over a first axis (thickness, density ...) and the angle."""
+    missing = [name for name in ("angles_deg", "wavelengths_nm", "reflectance") if name not in data]
+    if missing:
+        raise NacreError(f"figure colour-map: {missing[0]} is missing")
+    if "thicknesses_nm" in data:
+        y, label = data["thicknesses_nm"], "Thickness (nm)"
+    else:
+        y, label = data["y"], str(data.get("y_label", ""))
+    return colour_map_figure(
+        data["angles_deg"], y, data["reflectance"], data["wavelengths_nm"], y_label=label, illuminant=illuminant,
+        title=str(data["title"]),
+    )  # fmt: skip
+
+
+def save_material(
+    material: Plottable,
+    kind: str,
+    path: str | Path,
+    *,
+    angles_deg: ArrayLike | None = None,
+    wavelengths_nm: ArrayLike | None = None,
+    illuminant: str = "D65",
+    provenance: Mapping[str, Any] | None = None,
+) -> None:
+    """Draw a figure of a material into a file with its provenance; see `material_figure` and `save_figure`."""
+    figure = material_figure(
+        material, kind, angles_deg=angles_deg, wavelengths_nm=wavelengths_nm, illuminant=illuminant
+    )
+    save_figure(figure, path, {"figure": kind, "illuminant": illuminant, **(provenance or {})})
+
+
+def save_index(constant: Any, path: str | Path, title: str = "", wavelengths_nm: ArrayLike | None = None) -> None:
+    """Draw n and k of an optical constant (`nacre.matter.OpticalConstant`) into a file.
+
+    Over 360-830 nm, or what of it is known; over the whole range where that lies elsewhere.
+    """
+    low, high = constant.range_nm
+    if wavelengths_nm is None:
+        overlaps = low < 830.0 and high > 360.0
+        wavelengths_nm = (
+            np.linspace(max(low, 360.0), min(high, 830.0), 471) if overlaps else np.linspace(low, high, 471)
+        )
+    nm = np.asarray(wavelengths_nm, dtype=float)
+    heading = " \u2014 ".join(text for text in (title or constant.name, constant.title) if text)
+    figure = index_figure(nm, constant.n_complex(nm), heading, constant.source)
+    save_figure(figure, path, {"figure": "index", "material": constant.name, "source": constant.source,
+                               "splice": constant.splice})  # fmt: skip
