@@ -20,7 +20,7 @@ from nacre.metasurface.structure import Structure
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-HARMONICS = 10  # kept of |X||Y| over dphi: degree 8 is exact for |F|^2, the geometric mean adds a small tail
+HARMONICS = 11  # kept of |X||Y| over dphi: degree 8 is exact for |F|^2, the geometric mean adds a small tail
 BALANCE_TOLERANCE = 1e-13
 BALANCE_STEPS = 500
 
@@ -103,7 +103,7 @@ def _pair_powers(  # type: ignore[no-untyped-def]  # numba
     x, shares, two_sided, s_harmonics, samples, coherent, varying, kernel, target
 ):
     """Fill, for all pairs, the harmonics of the pair power and its sums with S; see `pair_powers`."""
-    sizes, orders, _, count, _, _ = x.shape
+    _, count, _, _, sizes, orders = x.shape
     kept = coherent.shape[-1]
     total = s_harmonics.shape[-1]
     points = samples + 1
@@ -129,8 +129,8 @@ def _pair_powers(  # type: ignore[no-untyped-def]  # numba
                             xr, xi, yr, yi = 0.0, 0.0, 0.0, 0.0
                             for m in range(orders):
                                 c = basis[m, j]
-                                a = x[size, m, q, s, p, i]
-                                b = x[size, m, p, i, q, s]
+                                a = x[q, s, p, i, size, m]
+                                b = x[p, i, q, s, size, m]
                                 xr += c * a.real
                                 xi += c * a.imag
                                 yr += c * b.real
@@ -211,8 +211,9 @@ def pair_powers(
         kept: harmonics to return.
     """
     sizes, orders, _, count, _, _ = fields.shape
+    fields = fields.transpose(2, 3, 4, 5, 0, 1)
     shares = np.ones(1) if shares is None else np.asarray(shares, dtype=float)
-    samples = max(2 * s_harmonics.shape[-1], 4 * orders) + 4
+    samples = max(s_harmonics.shape[-1] + 4, 2 * orders + 8)
     coherent = np.empty((count, count, 2, 2, kept))
     varying = np.empty((count, count, 2, 2, kept) if sizes > 1 else (0, 0, 2, 2, kept))
     kernel, target = np.empty((2, count, 2, count)), np.empty((2, count, 2, count))
@@ -241,3 +242,22 @@ def balance(kernel: Array, target: Array, weights: Array) -> Array:
         if change < BALANCE_TOLERANCE:
             break
     return np.asarray(target / np.maximum(weighted @ g, 1e-300))
+
+
+def balance_across(kernel: Array, up: Array, down: Array, w_up: Array, w_down: Array) -> tuple[Array, Array]:
+    """The same between two sides: g_u, g_d with g_u sum_d w K g_d = t_u for each direction above.
+
+    Args:
+        kernel: `[below, above]`.
+        up, down: targets t_u, t_d; sum w t must be the same on both sides.
+        w_up, w_down: weights.
+    """
+    g_up, g_down = np.ones(len(up)), np.ones(len(down))
+    for _ in range(BALANCE_STEPS):
+        g_down = down / np.maximum(kernel @ (w_up * g_up), 1e-300)
+        updated = up / np.maximum((w_down * g_down) @ kernel, 1e-300)
+        change = np.max(np.abs(updated - g_up) / np.maximum(updated, 1e-300))
+        g_up = updated
+        if change < BALANCE_TOLERANCE:
+            break
+    return g_up, g_down

@@ -229,11 +229,11 @@ def _direct_wave(
 ) -> ComplexArray:
     """Half the sheet's own plane waves in both directions, `[angle, n, n']`; grows as 1/cos, so taken out of Q."""
     factor = 4 * np.pi * structure.density_per_nm2 / (surface.wavenumber**2 * w)
-    out = 0
+    out = np.zeros((w.size, len(index.m), len(index.m)), dtype=complex)
     for vectors in (b, mirrored(b)):
         left = with_negative_orders(adjoint(vectors), index).transpose(2, 1, 0)
         right = with_negative_orders(vectors, index).transpose(2, 0, 1)
-        out = out + left @ right
+        out += left @ right
     return out * factor[:, None, None]
 
 

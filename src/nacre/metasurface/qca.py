@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.metasurface.neighbours import multipole_index, neighbour_sums, plane_wave_sums, with_negative_orders
-from nacre.metasurface.sphere import Directions, SphereOnStack
+from nacre.metasurface.sphere import Directions
 from nacre.metasurface.structure import Structure
 from nacre.metasurface.surface import Surface
 
@@ -26,7 +26,9 @@ def _chebyshev(count: int, low: float, high: float) -> tuple[Array, Array]:
     """Chebyshev nodes of the first kind in (low, high) and their barycentric weights."""
     j = np.arange(count)
     angle = (2 * j + 1) * np.pi / (2 * count)
-    return low + (high - low) * (1 - np.cos(angle)) / 2, (-1.0) ** j * np.sin(angle)
+    nodes: Array = low + (high - low) * (1 - np.cos(angle)) / 2
+    weights: Array = (-1.0) ** j * np.sin(angle)
+    return nodes, weights
 
 
 def _barycentric(nodes: Array, weights: Array, x: Array) -> Array:
@@ -98,25 +100,22 @@ class NeighbourTable:
         )
 
 
-def mean_excitation(table: NeighbourTable, dressed: ComplexArray, directions: Directions) -> ComplexArray:
-    """Return the excitation v + Q b, `[m, pol, n, angle]`, that each particle meets in the mean.
+def mean_excitation(
+    table: NeighbourTable, dressed: ComplexArray, directions: Directions, own: ComplexArray
+) -> ComplexArray:
+    """Return Q b, what the neighbours add to the excitation of each particle, `[m, pol, n, angle]`.
 
     Args:
         table: the neighbour sums.
-        dressed: M_m of the (mean) particle, `[m, n, n']`, of any multipole order; the interaction keeps
-            multipoles up to `table.order`.
+        dressed: M_m, averaged over the particle sizes, `[m, n, n']`, of any multipole order; the interaction
+            keeps multipoles up to `table.order`.
         directions: of incidence.
+        own: M_m v averaged over the sizes, the answer to the incident wave alone, `[m, pol, n, angle]`.
     """
-    mcount, n = dressed.shape[:2]
-    lmax = n // 2
-    order = min(table.order, lmax, mcount - 1)
-    if order < table.order:
-        raise ValueError("the interaction order exceeds the particle's own")
+    lmax, order = dressed.shape[1] // 2, table.order
     index = multipole_index(order)
     rows = index.tau * lmax + index.l - 1
     kept = np.concatenate([np.arange(order), lmax + np.arange(order)])
-    excitation = directions.excitation
-    own = np.matmul(dressed[:, None], excitation)
     free = with_negative_orders(own[: order + 1][:, :, kept], index)  # pol, n, angle
     same_m = index.m[:, None] == index.m[None, :]
     sign = np.where((index.m[:, None] < 0) & (index.tau[:, None] != index.tau[None, :]), -1.0, 1.0)
@@ -125,7 +124,7 @@ def mean_excitation(table: NeighbourTable, dressed: ComplexArray, directions: Di
     system = np.eye(len(index.m)) - block @ q
     b = np.linalg.solve(system, free.transpose(2, 1, 0))  # angle, n, pol
     from_neighbours = q @ b
-    out = excitation.copy()
+    out = np.zeros_like(own)
     positive = index.m >= 0
-    out[index.m[positive], :, rows[positive], :] += from_neighbours[:, positive].transpose(1, 2, 0)
+    out[index.m[positive], :, rows[positive], :] = from_neighbours[:, positive].transpose(1, 2, 0)
     return out

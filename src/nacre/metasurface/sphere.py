@@ -140,7 +140,9 @@ class SphereOnStack:
 
         F_qp = sum_m G_m (cos m dphi if q == p else i sin m dphi), see `amplitude`.
         """
-        return emission_harmonics(scattered, apply_response(self.dressed, incident.excitation), self.surface.wavenumber)
+        return emission_harmonics(
+            scattered.emission, apply_response(self.dressed, incident.excitation), self.surface.wavenumber
+        )
 
 
 @dataclass(frozen=True)
@@ -221,15 +223,14 @@ def apply_response(dressed: ComplexArray, excitation: ComplexArray) -> ComplexAr
     return np.matmul(dressed[:, None], excitation)
 
 
-def emission_harmonics(scattered: Directions, response: ComplexArray, wavenumber: float) -> ComplexArray:
-    """Return eps_m u_m . x_m / k in nm, `[m, pol_s, scattered, pol_i, incident]`, for multipoles x `[m, pol, n, i]`."""
+def emission_harmonics(emission: ComplexArray, response: ComplexArray, wavenumber: float) -> ComplexArray:
+    """Return eps_m u_m . x_m / k in nm, `[m, pol_s, s, pol_i, i]`, for u `[m, pol, n, s]` and x `[m, pol, n, i]`."""
     mcount, _, n, incident = response.shape
-    u = scattered.emission
-    left = u.transpose(0, 1, 3, 2).reshape(mcount, -1, n)
+    left = emission.transpose(0, 1, 3, 2).reshape(mcount, -1, n)
     right = response.transpose(0, 2, 1, 3).reshape(mcount, n, -1)
     weight = np.full((mcount, 1, 1), 2.0 / wavenumber)
     weight[0] = 1.0 / wavenumber
-    return ((left @ right) * weight).reshape(mcount, 2, u.shape[3], 2, incident)
+    return ((left @ right) * weight).reshape(mcount, 2, emission.shape[3], 2, incident)
 
 
 def amplitude(harmonics: ComplexArray, dphi_rad: ArrayLike) -> ComplexArray:
@@ -273,32 +274,54 @@ def beam_extinction(
     return -4 * np.pi / (wavenumber * incident_index) * (beam.conj() * forward).real
 
 
-def cross_sections(sphere: SphereOnStack, cosines: ArrayLike, nodes: int = 48) -> CrossSections:
-    """Return extinction and scattering of a sphere lit from the ambient at `cosines`, each `[pol, angle]`.
+def _beam_parts(sphere: SphereOnStack, incident: Directions) -> tuple[Array, Array]:
+    """Extinction of the reflected and of the transmitted beam, `[pol, angle]`; see `CrossSections`."""
+    k, index = sphere.surface.wavenumber, incident.index
+    solved = apply_response(sphere.dressed, incident.excitation)
+    reflected = beam_extinction(emission_harmonics(incident.emission, solved, k), incident.reflection, k, index)
+    if not sphere.surface.is_transparent:
+        return reflected, np.zeros_like(reflected)
+    passes = incident.transverse < min(1.0, sphere.surface.index_below)
+    transmitted = np.zeros_like(reflected)
+    if incident.below:
+        sines = incident.transverse[passes]
+        out = sphere.directions(np.sqrt((1 - sines) * (1 + sines)), sines=sines)
+        assert incident.transmission_up is not None  # set for every direction below
+        beam = incident.transmission_up[:, passes]
+    else:
+        sines = incident.transverse[passes] / sphere.surface.index_below
+        out = sphere.directions(np.sqrt((1 - sines) * (1 + sines)), True, sines)
+        assert out.transmission_up is not None
+        beam = out.transmission_up * incident.cosines[passes] / (out.index * out.cosines)
+    transmitted[:, passes] = beam_extinction(emission_harmonics(out.emission, solved[..., passes], k), beam, k, index)
+    return reflected, transmitted
+
+
+def extinction(sphere: SphereOnStack, incident: Directions) -> Array:
+    """Power that a sphere takes from both coherent beams per incident irradiance, nm^2, `[pol, angle]`."""
+    reflected, transmitted = _beam_parts(sphere, incident)
+    return reflected + transmitted
+
+
+def cross_sections(sphere: SphereOnStack, cosines: ArrayLike, below: bool = False, nodes: int = 48) -> CrossSections:
+    """Return extinction and scattering of a sphere lit at `cosines`, each `[pol, angle]`.
 
     The downward parts are zero where the substrate absorbs. Scattering is integrated by `nodes` Gauss points on
     each side (and on each side of the critical angle).
     """
-    incident = sphere.directions(cosines)
+    incident = sphere.directions(cosines, below)
     k = sphere.surface.wavenumber
     solved = apply_response(sphere.dressed, incident.excitation)
-    reflected = beam_extinction(emission_harmonics(incident, solved, k), incident.reflection, k)
+    reflected, transmitted = _beam_parts(sphere, incident)
     mu, weight = _path_rule(nodes)
-    up = _azimuth_integral(emission_harmonics(sphere.directions(mu), solved, k))
-    scattered_up = np.einsum("s,qspi->pi", weight, up)
+    up = _azimuth_integral(emission_harmonics(sphere.directions(mu).emission, solved, k))
+    scattered_up = np.einsum("s,qspi->pi", weight, up) / incident.index
     if not sphere.surface.is_transparent:
-        zero = np.zeros_like(reflected)
-        return CrossSections(reflected, zero, scattered_up, zero)
+        return CrossSections(reflected, transmitted, scattered_up, np.zeros_like(scattered_up))
     index = sphere.surface.index_below
-    sine = np.sqrt(1 - incident.cosines**2) / index
-    refracted = sphere.directions(np.sqrt(1 - sine**2), below=True, sines=sine)
-    cos_below = index * refracted.cosines
-    assert refracted.transmission_up is not None  # set for every direction below
-    t_down = refracted.transmission_up * incident.cosines / cos_below
-    transmitted = beam_extinction(emission_harmonics(refracted, solved, k), t_down, k)
     mu, weight = hemisphere_rule(nodes, index)
-    down = _azimuth_integral(emission_harmonics(sphere.directions(mu, below=True), solved, k))
-    scattered_down = np.einsum("s,qspi->pi", weight, down) * index
+    down = _azimuth_integral(emission_harmonics(sphere.directions(mu, below=True).emission, solved, k))
+    scattered_down = np.einsum("s,qspi->pi", weight, down) * index / incident.index
     return CrossSections(reflected, transmitted, scattered_up, scattered_down)
 
 

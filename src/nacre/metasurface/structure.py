@@ -162,8 +162,8 @@ def hard_disk_structure(density_per_nm2: float, packing: float, q_max_per_nm: fl
     if packing <= 0 or packing > PACKING_LIMIT:
         raise NacreError(f"packing = {packing:g} is not allowed; it should be over 0 and at most {PACKING_LIMIT:g}")
     a = float(np.sqrt(4 * packing / (np.pi * density_per_nm2)))
-    q = np.arange(0, int(q_max_per_nm * a / 0.01) + 202) * 0.01
-    x = np.linspace(1.0, RANGE_IN_DIAMETERS, 385)
+    q: Array = np.arange(0, int(q_max_per_nm * a / 0.01) + 202) * 0.01
+    x: Array = np.linspace(1.0, RANGE_IN_DIAMETERS, 385)
     return Structure(
         "hard-disk",
         density_per_nm2,

@@ -16,7 +16,7 @@ from nacre.matter import stratified
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-LOSSLESS_K = 1e-6  # a substrate with k below this (1 dB in 70 um) lets light through for our purposes
+LOSSLESS_K = 1e-4  # a substrate with k below this lets light through, as for films
 
 
 @dataclass(frozen=True)
