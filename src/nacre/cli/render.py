@@ -58,7 +58,7 @@ def render(
     if animate:
         _animate(material, animate, frames, path, options)
         return
-    from nacre.render.render import render as render_picture
+    from nacre.render.picture import render as render_picture
 
     result = render_picture(material, output=path, **options)
     common.note(_summary(path, result.stats))
@@ -67,7 +67,7 @@ def render(
 
 
 def _animate(material: Any, what: str, frames: int, path: Path, options: dict[str, Any]) -> None:
-    from nacre.render.animate import animate
+    from nacre.render.animation import animate
 
     parameter = None
     if what not in ("light", "view"):

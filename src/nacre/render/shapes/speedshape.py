@@ -23,6 +23,7 @@ def speedshape() -> Surface:
         phi = -2 * np.pi * v
         along = -np.cos(np.pi * u)  # crowds the ends, so that they close round
         swell = np.sin(np.pi * u)
+        swell = np.sign(swell) * np.abs(swell) ** 0.8  # blunter ends than an ellipsoid's
         table = bspline(np.stack([_WIDTH, _HEIGHT, _SPINE_Z], axis=1), 0.5 + 0.5 * along)
         width, height, spine = table[..., 0], table[..., 1], table[..., 2]
         c, s = np.cos(phi), np.sin(phi)

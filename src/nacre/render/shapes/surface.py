@@ -90,7 +90,7 @@ def parametric(position: Callable[[Array, Array], Array], cells_u: int, cells_v:
     u, v = np.meshgrid(np.linspace(0, 1, cells_u + 1), np.linspace(0, 1, cells_v + 1), indexing="ij")
     points = position(u, v)
     normals = _normals(position, u, v)
-    bad = ~np.isfinite(normals).all(axis=-1)
+    bad = np.asarray(~np.isfinite(normals).all(axis=-1))
     if bad.any():
         inside_v = np.clip(v, 0.2 / cells_v, 1 - 0.2 / cells_v)
         inside_u = np.clip(u, 0.2 / cells_u, 1 - 0.2 / cells_u)
@@ -116,7 +116,7 @@ def _normals(position: Callable[[Array, Array], Array], u: Array, v: Array) -> A
     dv = position(u, v + _STEP) - position(u, v - _STEP)
     normal = np.cross(du, dv)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    typical = np.median(length)
+    typical = length.mean()
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(length > 1e-6 * typical, normal / length, np.nan)
 

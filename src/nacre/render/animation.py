@@ -1,0 +1,244 @@
+"""Pictures in motion: the light or the camera walks round, or a number of the recipe runs from A to B.
+
+Each frame is a numbered PNG, written whole or not at all. A run that was stopped goes on where it ended:
+frames made with the same settings are kept. The last step joins the frames into a GIF or MP4.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nacre.errors import NacreError, UnsupportedError
+from nacre.files import atomic_path, check_writable
+from nacre.render.images import RenderResult, read_provenance
+from nacre.render.picture import render, resolve_material
+from nacre.render.progress import ProgressCallback, progress_bar
+
+MOTIONS = ("light", "view")
+MOVIE_SUFFIXES = (".gif", ".mp4")
+MAX_FRAMES = 10_000
+FRAMES_PER_SECOND = 20
+VIEW_SWING_DEG = 32.0  # the camera swings in front of the backdrop; it does not walk behind it
+# settings of `render` that change a picture and so belong to a frame's key
+_SETTINGS = ("scene", "shape", "light", "illuminant", "size", "spp", "seed", "quality", "components", "exposure")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What moves: "light", "view", or a parameter's name with its first and last value."""
+
+    name: str
+    first: float = 0.0
+    last: float = 0.0
+
+    @property
+    def is_parameter(self) -> bool:
+        """Whether a number of the material changes, so that it is solved anew for each frame."""
+        return self.name not in MOTIONS
+
+    def at(self, index: int, frames: int) -> float:
+        """Value in frame `index`: an angle in degrees, or the parameter; turns end one step before they began."""
+        if self.name == "light":
+            return 360.0 * index / frames
+        if self.name == "view":
+            return VIEW_SWING_DEG * float(np.sin(2 * np.pi * index / frames))
+        return self.first + (self.last - self.first) * (index / max(frames - 1, 1))
+
+
+@dataclass(frozen=True)
+class Animation:
+    """What an animation wrote.
+
+    Attributes:
+        path: the movie, or None if it was interrupted.
+        frames: the numbered pictures.
+        kept: how many of them an earlier run had made.
+    """
+
+    path: Path | None
+    frames: tuple[Path, ...]
+    kept: int
+    interrupted: bool
+
+
+def parse_motion(text: str) -> Motion:
+    """Read "light", "view" or "PARAMETER=A:B".
+
+    Raises:
+        NacreError: it is none of these.
+    """
+    if text in MOTIONS:
+        return Motion(text)
+    name, equals, values = text.partition("=")
+    first, colon, last = values.partition(":")
+    try:
+        motion = Motion(name.strip(), float(first), float(last))
+    except ValueError:
+        motion = Motion("")
+    if not (equals and colon and motion.name and np.isfinite([motion.first, motion.last]).all()):
+        raise NacreError(
+            f'animate = "{text}" is not allowed; give light, view or PARAMETER=A:B, '
+            "such as layers[0].thickness_nm=100:600"
+        )
+    return motion
+
+
+def animate(
+    material: Any,
+    motion: str | tuple[float, float] | Motion,
+    output: str | Path,
+    *,
+    frames: int = 48,
+    progress: bool | ProgressCallback | None = None,
+    **settings: Any,
+) -> Animation:
+    """Render an animation to numbered frames and a movie.
+
+    Args:
+        material: as for `render`; where a number moves, a function from its value to the material, or a material
+            whose `vary` knows it.
+        motion: "light", "view", "PARAMETER=A:B", or (A, B) for a function's value.
+        output: .gif or .mp4; the frames lie beside it in a folder of its name with "_frames".
+        frames: how many.
+        progress: as for `render`, by frames.
+        settings: the other arguments of `render`. "auto" exposure is metered on the first frame and kept.
+
+    Raises:
+        NacreError: a bad motion, count, suffix or folder, or anything `render` refuses.
+    """
+    if isinstance(motion, str):
+        motion = parse_motion(motion)
+    elif not isinstance(motion, Motion):
+        motion = Motion("value", float(motion[0]), float(motion[1]))
+    path = Path(output)
+    if path.suffix.lower() not in MOVIE_SUFFIXES:
+        raise NacreError(f"{path}: animations are written as {' or '.join(MOVIE_SUFFIXES)}")
+    if isinstance(frames, bool) or int(frames) != frames or not 1 <= frames <= MAX_FRAMES:
+        raise NacreError(f"frames = {frames!r} is not allowed; give a whole number from 1 to {MAX_FRAMES}")
+    unknown = set(settings) - set(_SETTINGS)
+    if unknown:
+        raise NacreError(f"animate does not take {', '.join(sorted(unknown))}")
+    material_at = _material_at(material, motion) if motion.is_parameter else None
+    if str(settings.get("scene", "")).lower().endswith(".xml") and not motion.is_parameter:
+        raise UnsupportedError("animate: a Mitsuba scene keeps its own light and camera; only a parameter can move")
+    check_writable(path)
+    folder = path.with_name(path.stem + "_frames")
+    folder.mkdir(exist_ok=True)
+    names = tuple(folder / f"frame_{index:04d}.png" for index in range(frames))
+
+    if not motion.is_parameter:
+        material, _ = resolve_material(material, settings.get("quality"), settings.get("components", "sum"))
+        settings = {**settings, "quality": None, "components": "sum"}
+    exposure = settings.pop("exposure", "auto")
+    kept, made = 0, 0
+    with progress_bar("animating", progress) as report:
+        for index, name in enumerate(names):
+            value = motion.at(index, frames)
+            subject = material if material_at is None else material_at(value)
+            key = _frame_key(subject, motion, value, {**settings, "exposure": exposure})
+            old = _finished(name)
+            if old.get("frame_key") == key:
+                kept += 1
+                stops = float(old["exposure_stops"])
+            else:
+                arguments: dict[str, Any] = {**settings, "exposure": exposure, "progress": False}
+                if not motion.is_parameter:
+                    arguments[f"{motion.name}_turn_deg"] = value
+                try:
+                    result = render(subject, **arguments)
+                except KeyboardInterrupt:
+                    return Animation(None, names[:index], kept, True)
+                if result.stats["interrupted"]:
+                    return Animation(None, names[:index], kept, True)
+                stops = float(result.stats["exposure_stops"])
+                moving = {"frame_key": key, "motion": motion.name, "value": value, "frame": index}
+                RenderResult(result.xyz, result.rgb, None, {**result.stats, **moving}).save(name)
+                made += 1
+            exposure = stops if index == 0 else exposure
+            report(index + 1, frames, 0.0)
+    join(names, path)
+    return Animation(path, names, kept, False)
+
+
+def _material_at(material: Any, motion: Motion) -> Callable[[float], Any]:
+    """The function from a moving number to the material.
+
+    Raises:
+        UnsupportedError: the material is fixed.
+    """
+    if hasattr(material, "vary"):
+        return lambda value: material.vary({motion.name: value})
+    if not callable(material):
+        raise UnsupportedError(f"animate: {motion.name} cannot move; the material was not built from a recipe")
+    function: Callable[[float], Any] = material
+    return function
+
+
+def _frame_key(material: Any, motion: Motion, value: float, settings: dict[str, Any]) -> str:
+    """A fingerprint of all that makes a frame: two equal ones mean equal pictures."""
+    text = getattr(getattr(material, "context", None), "text", None)
+    provenance = getattr(material, "provenance", None)
+    what = text or (dict(provenance) if provenance else str(material))
+    settled = json.dumps([what, motion.name, value, settings], default=str, sort_keys=True)
+    return hashlib.sha256(settled.encode()).hexdigest()[:24]
+
+
+def _finished(path: Path) -> dict[str, Any]:
+    """What a finished frame says about itself; empty where there is none or it is broken."""
+    try:
+        return read_provenance(path)
+    except (OSError, ValueError, SyntaxError):
+        return {}
+
+
+def join(frames: tuple[Path, ...], path: Path) -> None:
+    """Join frames of one size into a GIF or MP4, written whole or not at all.
+
+    Raises:
+        NacreError: the movie cannot be written.
+    """
+    from PIL import Image
+
+    with atomic_path(path) as temporary:
+        if path.suffix.lower() == ".gif":
+            pictures = [
+                Image.open(name).convert("RGB").quantize(255, dither=Image.Dither.FLOYDSTEINBERG) for name in frames
+            ]
+            pictures[0].save(
+                temporary,
+                format="GIF",
+                save_all=True,
+                append_images=pictures[1:],
+                duration=round(1000 / FRAMES_PER_SECOND),
+                loop=0,
+            )
+            return
+        import imageio_ffmpeg
+
+        with Image.open(frames[0]) as first:
+            width, height = first.width - first.width % 2, first.height - first.height % 2
+        if width < 2 or height < 2:
+            raise NacreError(f"{path}: an MP4 needs at least 2 x 2 pixels")
+        writer = imageio_ffmpeg.write_frames(
+            str(temporary),
+            (width, height),
+            fps=FRAMES_PER_SECOND,
+            quality=8,
+            macro_block_size=2,
+            ffmpeg_log_level="error",
+        )
+        writer.send(None)
+        try:
+            for name in frames:
+                with Image.open(name) as picture:
+                    pixels = np.asarray(picture.convert("RGB"))[:height, :width]
+                writer.send(np.ascontiguousarray(pixels))
+        finally:
+            writer.close()

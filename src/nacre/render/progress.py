@@ -1,0 +1,53 @@
+"""Progress of long renders: a bar with the time left on a terminal, nothing elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+# done passes, all passes, seconds left
+ProgressCallback = Callable[[int, int, float], None]
+
+
+class Clock:
+    """Estimates the time left from the passes done; the first pass, which compiles, counts only until the second."""
+
+    def __init__(self) -> None:
+        self._start = time.perf_counter()
+        self._after_first: float | None = None
+
+    def left(self, done: int, total: int) -> float:
+        """Return the seconds left after `done` of `total` passes."""
+        now = time.perf_counter()
+        if done <= 1 or self._after_first is None:
+            self._after_first = now
+            return (now - self._start) * (total - done) / max(done, 1)
+        return (now - self._after_first) / (done - 1) * (total - done)
+
+
+def silent(done: int, total: int, seconds_left: float) -> None:
+    """Report nothing."""
+
+
+@contextmanager
+def progress_bar(title: str, wanted: bool | ProgressCallback | None) -> Iterator[ProgressCallback]:
+    """Yield a callback; True shows a bar on stderr, None does so only where stderr is a terminal."""
+    if callable(wanted):
+        yield wanted
+        return
+    if wanted is False or (wanted is None and not sys.stderr.isatty()):
+        yield silent
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+    columns = (TextColumn(title), BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[left]}"))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=1, left="")
+
+        def show(done: int, total: int, seconds_left: float) -> None:
+            bar.update(task, total=total, completed=done, left=f"{seconds_left:.0f} s left")
+
+        yield show
