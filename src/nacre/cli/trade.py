@@ -33,7 +33,7 @@ def _progress_bar(description: str) -> Any:
 @common.jobs_option
 def sweep(sweep_file: str, output: str | None, workers: int | None, scheduler: str | None) -> None:
     """Compute a material over many values of its numbers; run again to go on after an interruption."""
-    from nacre.study.sweep import load_sweep, run_sweep
+    from nacre.study.sweep import errors_file, load_sweep, run_sweep
 
     plan = load_sweep(sweep_file)
     path = Path(output) if output else Path(f"{Path(sweep_file).stem}.zarr")
@@ -46,7 +46,7 @@ def sweep(sweep_file: str, output: str | None, workers: int | None, scheduler: s
         finished, failed = run_sweep(plan, path, workers=workers, scheduler=scheduler, progress=show)
     common.note(f"{path}: {finished} of {plan.points.count} points" + (f", {failed} failed" if failed else ""))
     if failed:
-        common.note(f"{path / 'errors.jsonl'} says why")
+        common.note(f"{errors_file(path)} says why")
 
 
 @click.command()

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre.bsdf.spectrum import Spectrum
 from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab, xyz_to_srgb_linear
 from nacre.recipe import Material
 
@@ -49,20 +50,24 @@ class Measurement:
         Raises:
             NacreError: the material cannot be computed.
         """
-        grid = None if self.wavelengths_nm is None else np.asarray(self.wavelengths_nm)
-        result = material.spectrum(np.radians(self.angles_deg), grid)
-        found = result.parts()
+        theta = np.radians(self.angles_deg)
+        colours = material.spectrum(theta)  # on the material's own grid: fine enough, and wide enough for a colour
+        stored = None if self.wavelengths_nm is None else material.spectrum(theta, np.asarray(self.wavelengths_nm))
+        white = white_xyz(self.illuminant, self.observer)
         arrays: dict[str, Array] = {}
         for part in self.parts:
-            values = found.get(part)
-            if values is None:
-                values = np.zeros((len(self.angles_deg), len(result.wavelengths_nm)))
-            xyz = spectrum_to_xyz(values, result.wavelengths_nm, illuminant=self.illuminant, observer=self.observer)
+            xyz = spectrum_to_xyz(_part(colours, part), colours.wavelengths_nm, self.illuminant, self.observer)
             arrays[f"xyz_{part}"] = xyz
-            arrays[f"lab_{part}"] = xyz_to_lab(xyz, white_xyz(self.illuminant, self.observer))
-            if grid is not None:
-                arrays[part] = values
+            arrays[f"lab_{part}"] = xyz_to_lab(xyz, white)
+            if stored is not None:
+                arrays[part] = _part(stored, part)
         return arrays
+
+
+def _part(spectrum: Spectrum, name: str) -> Array:
+    """Return a part of a spectrum, zeros where the material has none of it."""
+    values = spectrum.parts().get(name)
+    return np.zeros((len(spectrum.angles_deg), len(spectrum.wavelengths_nm))) if values is None else values
 
 
 def swatch(xyz: Array) -> Array:

@@ -122,6 +122,14 @@ def _measurement(spec: MeasureSpec, material: Material, source: str) -> Measurem
     )
 
 
+def errors_file(store: Path) -> Path:
+    """Return the file of the failed points' errors, a JSON object a line.
+
+    It lies beside the store, not in it: Zarr warns of files that it does not know.
+    """
+    return store.with_suffix(".errors.jsonl")
+
+
 class Store:
     """The Zarr group of a sweep: values, status and errors of its points."""
 
@@ -165,7 +173,7 @@ class Store:
         place = tuple(int(i) for i in np.unravel_index(number, self._shape))
         if isinstance(result, str):
             line = json.dumps({"point": number, "error": result[:500]})
-            with open(self.path / "errors.jsonl", "a", encoding="utf-8") as file:
+            with open(errors_file(self.path), "a", encoding="utf-8") as file:
                 file.write(line + "\n")
             self._arrays["status"][place] = FAILED
             return
@@ -219,7 +227,7 @@ def _create(path: Path, sweep: Sweep) -> None:
             "status", shape=points.shape, chunks=ones, dtype="u1", fill_value=MISSING,
             dimension_names=axis_names, compressors=None,
         )  # fmt: skip
-        status.attrs["meaning"] = "0 missing, 1 done, 2 failed (see errors.jsonl)"
+        status.attrs["meaning"] = "0 missing, 1 done, 2 failed (see the .errors.jsonl file beside the folder)"
         os.replace(temporary, path)
     except OSError as error:
         raise NacreError(f"{path}: cannot be written: {error.strerror or error}") from None

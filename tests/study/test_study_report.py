@@ -1,0 +1,73 @@
+"""The trade's report: geometry, gloss and dE00 against hand-checked cases and colour-science."""
+
+from __future__ import annotations
+
+import json
+
+import colour
+import numpy as np
+import pytest
+
+import nacre
+from nacre.study import geometry
+from nacre.study.report import differences, flop_index, gloss, make_report
+from nacre.study.report_page import dump_json, report_html, report_text
+
+GLASS = {"family": "film", "substrate": {"n": geometry.GLOSS_BLACK_GLASS_INDEX, "k": 1e-6}}
+GOLD = {"family": "film", "substrate": "Au", "surface": {"roughness": 0.2}}
+
+
+@pytest.mark.parametrize(
+    ("aspecular", "theta", "side"), [(45, 0, 0), (15, 30, -1), (-15, 60, -1), (110, 65, 1), (75, 30, 1)]
+)
+def test_aspecular_angles_are_counted_from_the_mirror_towards_the_light(
+    aspecular: float, theta: float, side: int
+) -> None:
+    wo = geometry.aspecular_direction(45.0, aspecular)
+    assert np.degrees(np.arccos(wo[2])) == pytest.approx(theta, abs=1e-9)
+    assert np.sign(np.round(wo[0], 12)) == side
+
+
+def test_black_glass_has_the_reflectances_of_the_gloss_standard() -> None:
+    # Fresnel by hand for n = 1.567: 4.91 % at 20 degrees, 10.01 % at 60, 61.9 % at 85 (ISO 2813 quotes the same)
+    expected = {20.0: 0.0491, 60.0: 0.1001, 85.0: 0.6191}
+    for angle, value in expected.items():
+        assert geometry.black_glass_reflectance(angle) == pytest.approx(value, abs=2e-4)
+
+
+@pytest.mark.parametrize("angle", [20.0, 60.0, 85.0])
+def test_black_glass_has_one_hundred_gloss_units(angle: float) -> None:
+    assert gloss(nacre.material(GLASS).bsdf(), angle, "D65", "2deg") == pytest.approx(100.0, abs=0.2)
+
+
+def test_a_very_slightly_rough_surface_keeps_its_gloss() -> None:
+    nearly = GLASS | {"surface": {"roughness": 0.0005}}
+    assert gloss(nacre.material(nearly).bsdf(), 20.0, "D65", "2deg") == pytest.approx(100.0, abs=1.0)
+
+
+def test_flop_index_is_the_published_formula() -> None:
+    assert flop_index(120.0, 60.0, 30.0) == pytest.approx(2.69 * 90**1.11 / 60**0.86)
+    assert flop_index(10.0, 0.0, 5.0) is None
+
+
+def test_differences_are_ciede2000_as_colour_science_gives_it() -> None:
+    first = make_report(nacre.material(GOLD))
+    second = make_report(nacre.material(GOLD | {"substrate": "Cu"}))
+    ours = differences(second, first)["aspecular"]
+    theirs = colour.delta_E(first.aspecular.lab, second.aspecular.lab, method="CIE 2000")
+    np.testing.assert_allclose(ours, theirs, rtol=1e-6)
+
+
+def test_a_mirror_shows_in_the_specular_table_only() -> None:
+    report = make_report(nacre.material({"family": "film", "substrate": "Ag"}))
+    assert report.specular is not None and report.specular.lab[0, 0] > 95
+    assert np.all(report.aspecular.xyz == 0)
+
+
+def test_the_report_says_the_same_as_text_json_and_html() -> None:
+    reports = [make_report(nacre.material(GOLD)), make_report(nacre.material(GOLD | {"substrate": "Cu"}))]
+    document = json.loads(dump_json(reports))
+    lightness = document["reports"][0]["aspecular"]["lab"][2][0]
+    assert f"{lightness:7.2f}" in report_text(reports)
+    assert f"{lightness:.2f}" in report_html(reports)
+    assert len(document["delta_e_2000_to_first"][0]["aspecular"]) == len(geometry.ASPECULAR_DEG)

@@ -1,0 +1,189 @@
+"""Sweeps: right numbers, resumable at any moment, nothing doubled, errors recorded."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nacre.errors import NacreError
+from nacre.study.points import point_seed, read_points
+from nacre.study.sweep import Store, load_sweep, run_sweep
+
+RECIPE = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n'
+
+
+def write_sweep(folder: Path, count: int = 12, extra: str = "") -> Path:
+    (folder / "film.toml").write_text(RECIPE)
+    path = folder / "sweep.toml"
+    path.write_text(
+        f'recipe = "film.toml"\n{extra}\n[axes]\n'
+        f'"layers[0].thickness_nm" = {{start = 100, stop = 400, count = {count}}}\n'
+        'substrate = ["Si", "Ag"]\n[measure]\nangles_deg = [0, 45]\nwavelengths_nm = [450, 550, 650]\n'
+    )
+    return path
+
+
+def read_all(path: Path) -> dict[str, np.ndarray]:
+    import xarray
+
+    with xarray.open_zarr(path, consolidated=False) as data:
+        return {name: data[name].values.copy() for name in data.variables}
+
+
+def test_a_sweep_holds_what_a_single_run_gives(tmp_path: Path) -> None:
+    sweep = load_sweep(write_sweep(tmp_path, 3))
+    assert run_sweep(sweep, tmp_path / "s.zarr", workers=1) == (6, 0)
+    found = read_all(tmp_path / "s.zarr")
+    material = sweep.material.vary({"layers[0].thickness_nm": 250.0, "substrate": "Ag"})
+    alone = material.spectrum(np.radians([0, 45]), [450, 550, 650]).specular_reflectance
+    np.testing.assert_allclose(found["specular_reflectance"][1, 1], alone, rtol=1e-12)
+    np.testing.assert_allclose(found["layers.0.thickness_nm"], [100, 250, 400])
+    assert np.all(found["status"] == 1)
+
+
+def test_the_axes_are_labelled_for_xarray(tmp_path: Path) -> None:
+    import xarray
+
+    run_sweep(load_sweep(write_sweep(tmp_path, 2)), tmp_path / "s.zarr", workers=1)
+    with xarray.open_zarr(tmp_path / "s.zarr", consolidated=False) as data:
+        assert data["lab_specular_reflectance"].dims == ("layers.0.thickness_nm", "substrate", "angle_deg", "lab")
+        assert data["substrate"].attrs["labels"] == ["Si", "Ag"]
+        assert data["angle_deg"].values.tolist() == [0, 45]
+
+
+def test_a_finished_sweep_computes_nothing_again(tmp_path: Path) -> None:
+    sweep = load_sweep(write_sweep(tmp_path, 2))
+    run_sweep(sweep, tmp_path / "s.zarr", workers=1)
+    stamps = {p: p.stat().st_mtime_ns for p in (tmp_path / "s.zarr").rglob("*") if p.is_file()}
+    assert run_sweep(sweep, tmp_path / "s.zarr", workers=1) == (4, 0)
+    assert stamps == {p: p.stat().st_mtime_ns for p in (tmp_path / "s.zarr").rglob("*") if p.is_file()}
+
+
+def test_a_store_of_another_sweep_is_refused(tmp_path: Path) -> None:
+    run_sweep(load_sweep(write_sweep(tmp_path, 2)), tmp_path / "s.zarr", workers=1)
+    with pytest.raises(NacreError, match="another sweep"):
+        run_sweep(load_sweep(write_sweep(tmp_path, 3)), tmp_path / "s.zarr", workers=1)
+
+
+def test_a_failed_point_records_its_error_and_stops_nothing(tmp_path: Path) -> None:
+    path = write_sweep(tmp_path, 2)
+    path.write_text(path.read_text().replace('["Si", "Ag"]', '["Si", "Unobtainium"]'))
+    assert run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=1) == (2, 2)
+    assert "Unobtainium" in (tmp_path / "s.errors.jsonl").read_text()
+    assert np.sum(read_all(tmp_path / "s.zarr")["status"] == 2) == 2
+
+
+@pytest.mark.parametrize("mode", ["random", "sobol"])
+def test_random_points_are_the_same_for_the_same_seed(mode: str) -> None:
+    axes = {"a": {"low": 1.0, "high": 100.0, "log": True}, "b": {"low": 0.0, "high": 1.0}}
+    first, second = (read_points(axes, mode, 20, 7, "s") for _ in range(2))
+    assert list(first) == list(second)
+    assert list(first) != list(read_points(axes, mode, 20, 8, "s"))
+    assert all(1 <= p["a"] <= 100 and 0 <= p["b"] <= 1 for p in first)
+
+
+def test_a_points_seed_depends_on_its_parameters_alone() -> None:
+    assert point_seed({"a": 1.0, "b": 2}) == point_seed({"b": 2, "a": 1.0})
+    assert point_seed({"a": 1.0}) != point_seed({"a": 1.0000001})
+
+
+@pytest.mark.parametrize(
+    ("extra", "what"),
+    [
+        ('mode = "gird"', "gird"),
+        ("count = -1\nmode = 'random'", "count"),
+        ("speed = 3", "speed"),
+        ("[measure]\nangles_deg = [95]", "twice|angles|measure"),
+    ],
+)
+def test_a_wrong_sweep_is_refused_in_one_line(tmp_path: Path, extra: str, what: str) -> None:
+    path = write_sweep(tmp_path, 2, extra)
+    with pytest.raises(NacreError, match=what) as caught:
+        load_sweep(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_axis_that_the_recipe_lacks_is_named(tmp_path: Path) -> None:
+    path = write_sweep(tmp_path, 2)
+    path.write_text(path.read_text().replace("layers[0].thickness", "layers[3].thickness"))
+    with pytest.raises(NacreError, match=r"layers\[3\]"):
+        load_sweep(path)
+
+
+def _kill_and_resume(tmp_path: Path, moments: list[float], workers: int) -> None:
+    path = write_sweep(tmp_path, 150)
+    reference = tmp_path / "reference.zarr"
+    run_sweep(load_sweep(path), reference, workers=1)
+    expected = read_all(reference)
+    store = tmp_path / "killed.zarr"
+    code = (
+        "import sys; from nacre.study.sweep import load_sweep, run_sweep\n"
+        f"run_sweep(load_sweep(sys.argv[1]), sys.argv[2], workers={workers})"
+    )
+    kept: dict[Path, bytes] = {}
+    for moment in moments:
+        process = subprocess.Popen([sys.executable, "-c", code, str(path), str(store)], start_new_session=True)
+        time.sleep(moment)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        if store.exists():
+            for file, content in kept.items():
+                assert file.read_bytes() == content, f"a finished point changed: {file}"
+            finished = {p for p in store.rglob("status/c/**/*") if p.is_file() and p.suffix != ".partial"}
+            kept = {p: p.read_bytes() for p in finished}
+    finished_before = len(kept)
+    sweep = load_sweep(path)
+    assert finished_before == 0 or len(Store.open(store, sweep).missing()) == sweep.points.count - finished_before
+    run_sweep(sweep, store, workers=1)
+    found = read_all(store)
+    assert found.keys() == expected.keys()
+    for name, values in expected.items():
+        np.testing.assert_array_equal(found[name], values)
+
+
+def test_a_killed_sweep_loses_no_finished_point(tmp_path: Path) -> None:
+    generator = random.Random(4)
+    _kill_and_resume(tmp_path, [1.0 + generator.random() for _ in range(3)], workers=1)
+
+
+@pytest.mark.full
+def test_twenty_kills_lose_double_and_change_no_point(tmp_path: Path) -> None:
+    generator = random.Random(5)
+    _kill_and_resume(tmp_path, [0.9 + 0.8 * generator.random() for _ in range(20)], workers=1)
+
+
+@pytest.mark.full
+def test_a_killed_worker_costs_no_point(tmp_path: Path) -> None:
+    import psutil
+
+    path = write_sweep(tmp_path, 600)
+    sweep = load_sweep(path)
+    run_sweep(sweep, tmp_path / "reference.zarr", workers=1)
+    killed = 0
+    generator = random.Random(6)
+
+    def progress(done: int, failed: int, total: int) -> None:
+        nonlocal killed
+        if killed < 3 and done > 100 * (killed + 1):
+            children = [
+                c for c in psutil.Process().children(recursive=True) if "forkserver" not in " ".join(c.cmdline())
+            ]
+            workers = [c for c in children if "resource_tracker" not in " ".join(c.cmdline())]
+            if workers:
+                generator.choice(workers).kill()
+                killed += 1
+
+    finished, failed = run_sweep(sweep, tmp_path / "two.zarr", workers=2, progress=progress)
+    assert (finished, failed) == (sweep.points.count, 0)
+    assert killed > 0
+    expected, found = read_all(tmp_path / "reference.zarr"), read_all(tmp_path / "two.zarr")
+    for name, values in expected.items():
+        np.testing.assert_allclose(found[name], values, rtol=1e-12)
