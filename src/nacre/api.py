@@ -114,3 +114,27 @@ def spectrum(
 
     material = load(thing) if isinstance(thing, str | Path) else thing
     return material.spectrum(np.radians(np.atleast_1d(angles_deg)), wavelengths_nm, polarisation)
+
+
+def plot_material(
+    material: Material,
+    kind: str,
+    path: str | Path,
+    *,
+    angles_deg: ArrayLike | None = None,
+    wavelengths_nm: ArrayLike | None = None,
+    illuminant: str = "D65",
+) -> None:
+    """Draw a figure of a material into a PNG, PDF or SVG that carries the recipe; kinds: `nacre.plot.KINDS`.
+
+    Raises:
+        UnsupportedError: the material has no such figure.
+        NacreError: the recipe is wrong, or the file cannot be written.
+    """
+    from nacre.plot import save_material
+
+    provenance = {"source": Path(material.context.source).name, "recipe": material.context.text}
+    save_material(
+        material, kind, path, angles_deg=angles_deg, wavelengths_nm=wavelengths_nm, illuminant=illuminant,
+        provenance=provenance,
+    )  # fmt: skip

@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from nacre import light
 from nacre.errors import NacreError
-from nacre.plot.spectra import _edges
 from nacre.plot.style import (
     COLUMN_IN,
     FAINT,
     INK,
     WIDE_IN,
+    cell_edges,
     house_style,
     new_figure,
     panel_title,
@@ -58,7 +58,7 @@ def colour_map_figure(
     with house_style():
         figure = new_figure(COLUMN_IN, 2.75)
         axes = figure.add_subplot()
-        axes.pcolormesh(_edges(x), _edges(y), colours, rasterized=True)
+        axes.pcolormesh(cell_edges(x), cell_edges(y), colours, rasterized=True)
         axes.set_xlim(x[0], x[-1])
         axes.set_ylim(y[0], y[-1])
         axes.set_xlabel(x_label)
@@ -110,11 +110,21 @@ def _track(axes: Axes, points: Array, colours: Array, labels: list[str] | None) 
     axes.plot(points[:, 0], points[:, 1], color=INK, linewidth=0.6, zorder=2)
     axes.scatter(points[:, 0], points[:, 1], s=13, c=colours, edgecolors=INK, linewidths=0.35, zorder=3)
     if labels and len(labels) == len(points):
-        for i in sorted({0, len(points) - 1}):
+        apart = points[-1] - points[0]
+        out = apart / max(float(np.linalg.norm(apart)), 1e-9) if len(points) > 1 else np.array([1.0, 1.0])
+        for i, way in {0: -out, len(points) - 1: out}.items():
             axes.annotate(
-                labels[i], points[i], xytext=(4, 4), textcoords="offset points", fontsize=6.5, zorder=4,
-                bbox={"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.75},
-            )  # fmt: skip
+                labels[i],
+                points[i],
+                xytext=(16.0 * float(way[0]), 16.0 * float(way[1]) + 6.0),
+                textcoords="offset points",
+                fontsize=6.5,
+                zorder=4,
+                ha="center",
+                va="center",
+                arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.4},
+                bbox={"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+            )
 
 
 def _locus(axes: Axes) -> None:
@@ -132,7 +142,7 @@ def _locus(axes: Axes) -> None:
         out = (point - centre) / np.linalg.norm(point - centre)
         axes.plot(*zip(point, point + 0.012 * out), color=FAINT, linewidth=0.6)
         axes.annotate(str(label), point + 0.05 * out, fontsize=5.5, color="#7a7a7a", ha="center", va="center")
-    axes.set(xlim=(-0.04, 0.8), ylim=(-0.03, 0.9), xlabel="$x$", ylabel="$y$", aspect="equal")
+    axes.set(xlim=(-0.09, 0.8), ylim=(-0.03, 0.9), xlabel="$x$", ylabel="$y$", aspect="equal")
 
 
 def _hue_circle(axes: Axes, reach: float) -> None:
@@ -141,4 +151,4 @@ def _hue_circle(axes: Axes, reach: float) -> None:
         axes.plot(radius * np.cos(turn), radius * np.sin(turn), color="#e0e0e0", linewidth=0.5, zorder=0)
     axes.axhline(0, color="#d0d0d0", linewidth=0.5, zorder=0)
     axes.axvline(0, color="#d0d0d0", linewidth=0.5, zorder=0)
-    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="$a^*$", ylabel="$b^*$", aspect="equal")
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="a*", ylabel="b*", aspect="equal")

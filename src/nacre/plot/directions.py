@@ -18,6 +18,7 @@ from nacre.plot.style import (
     FAINT,
     INK,
     LINES,
+    cell_edges,
     house_style,
     need,
     new_figure,
@@ -27,7 +28,8 @@ from nacre.plot.style import (
 )
 
 Array = NDArray[np.float64]
-DECADES = 4.0  # lightness of a slice spans this much of f: what a print can still tell apart
+DECADES = 5.0  # lightness of a slice spans this much of f: what a print can still tell apart
+TICKS_H_DEG = (0, 5, 15, 30, 45, 60, 90)
 SLICE_NODES = 181
 
 
@@ -35,11 +37,13 @@ def slice_directions(nodes: int = SLICE_NODES, phi_d_deg: float = 90.0) -> tuple
     """Return the half and difference angles of a slice in degrees, and its pairs `wi, wo` stacked `[2, d, h, 3]`.
 
     Rusinkiewicz's coordinates with phi_h = 0: theta_h tilts the half vector from the normal, theta_d opens the
-    pair about it, phi_d turns it. At phi_d = 90 degrees both directions stay above the surface.
+    pair about it, phi_d turns it. At phi_d = 90 degrees both directions stay above the surface. The half angle is
+    sampled by its square root, as Matusik's tables are, since highlights are narrow.
     """
-    degrees = np.linspace(0.0, 89.5, nodes)
-    theta_h = np.radians(degrees)[None, :]
-    theta_d, phi_d = np.radians(degrees)[:, None], np.radians(phi_d_deg)
+    half_deg = 89.5 * np.linspace(0.0, 1.0, nodes) ** 2
+    difference_deg = np.linspace(0.0, 89.5, nodes)
+    theta_h = np.radians(half_deg)[None, :]
+    theta_d, phi_d = np.radians(difference_deg)[:, None], np.radians(phi_d_deg)
     pair = []
     for sign in (1.0, -1.0):
         x, y = sign * np.sin(theta_d) * np.cos(phi_d), sign * np.sin(theta_d) * np.sin(phi_d)
@@ -52,7 +56,7 @@ def slice_directions(nodes: int = SLICE_NODES, phi_d_deg: float = 90.0) -> tuple
                 ), axis=-1,
             )
         )  # fmt: skip
-    return degrees, degrees, np.stack(pair)
+    return half_deg, difference_deg, np.stack(pair)
 
 
 def slice_figure(
@@ -68,7 +72,7 @@ def slice_figure(
     Args:
         values: `[theta_d, theta_h, wavelength]`, f in 1/sr.
         wavelengths_nm: `[wavelength]`.
-        theta_h_deg, theta_d_deg: the axes.
+        theta_h_deg, theta_d_deg: the axes, ascending from 0; the half angle is drawn by its square root.
         illuminant: under which the colours are seen.
         title: over the image.
 
@@ -89,13 +93,15 @@ def slice_figure(
         figure = new_figure(COLUMN_IN, 2.75)
         grid = figure.add_gridspec(1, 2, width_ratios=(1.0, 0.045))
         axes, key = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
-        axes.imshow(
-            light.srgb_encode(clipped.rgb), origin="lower", aspect="equal",
-            extent=(theta_h_deg[0], theta_h_deg[-1], theta_d_deg[0], theta_d_deg[-1]),
+        x_edges, y_edges = cell_edges(np.sqrt(theta_h_deg)), cell_edges(theta_d_deg)
+        axes.pcolormesh(x_edges, y_edges, light.srgb_encode(clipped.rgb), rasterized=True)
+        axes.set_xticks(np.sqrt(TICKS_H_DEG), [str(t) for t in TICKS_H_DEG])
+        axes.set_yticks([0, 15, 30, 45, 60, 75, 90])
+        axes.set(
+            xlim=(0.0, np.sqrt(90.0)), ylim=(0.0, 90.0), facecolor="#000000",
+            xlabel=r"Half angle $\theta_h$ (degrees, square-root axis)",
+            ylabel=r"Difference angle $\theta_d$ (degrees)",
         )  # fmt: skip
-        ticks = [0, 15, 30, 45, 60, 75, 90]
-        axes.set(xlabel=r"Half angle $\theta_h$ (degrees)", ylabel=r"Difference angle $\theta_d$ (degrees)",
-                 xticks=ticks[:-1], yticks=ticks[:-1])  # fmt: skip
         panel_title(axes, title)
         ramp = light.lab_to_xyz(np.stack([np.linspace(0, 100, 256), *np.zeros((2, 256))], axis=-1))[:, 1]
         grey = light.srgb_encode(np.repeat(ramp[:, None, None], 3, axis=2))
@@ -207,7 +213,8 @@ def _spokes(axes: Any, theta: float, specular: Any, bsdf: Bsdf, illuminant: str)
         _spoke(axes, np.sin(theta), np.cos(theta), f"R = {mirror:.3g}")
     through = light.spectrum_to_xyz(specular.transmittance[0], bsdf.wavelengths_nm, illuminant)[1]
     if through > 1e-9:
-        eta = next((float(e) for e in (getattr(lobe, "eta", None) for lobe in bsdf.lobes) if e is not None), 1.0)
+        tables = [lobe.response for lobe in bsdf.lobes if hasattr(lobe, "response")]
+        eta = float(tables[0].eta) if tables else 1.0
         sine = np.clip(np.sin(theta) / eta, -1.0, 1.0)
         _spoke(axes, sine, -np.sqrt(1 - sine**2), f"T = {through:.3g}")
 
@@ -228,8 +235,9 @@ def _circle(axes: Any, is_full: bool) -> None:
         spoke = np.radians(degrees)
         for flip in (1, -1) if is_full else (1,):
             axes.plot([0, np.sin(spoke)], [0, flip * np.cos(spoke)], color="#ebebeb", linewidth=0.5, zorder=0)
-        axes.text(1.07 * np.sin(spoke), 1.07 * np.cos(spoke), f"{abs(degrees)}\u00b0", fontsize=5.8, color="#7a7a7a",
-                  ha="center", va="center")  # fmt: skip
+        lift = 0.07 if abs(degrees) == 90 else 0.0  # clear of the horizon
+        place = (1.07 * np.sin(spoke), 1.07 * np.cos(spoke) + lift)
+        axes.text(*place, f"{abs(degrees)}\u00b0", fontsize=5.8, color="#7a7a7a", ha="center", va="center")
     axes.plot([-1.02, 1.02], [0, 0], color=FAINT, linewidth=0.8, zorder=1)
     axes.set(xlim=(-1.5, 1.5), ylim=(-1.12 if is_full else -0.04, 1.16), aspect="equal")
     axes.axis("off")

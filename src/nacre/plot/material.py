@@ -186,7 +186,11 @@ def save_index(constant: Any, path: str | Path, title: str = "", wavelengths_nm:
             np.linspace(max(low, 360.0), min(high, 830.0), 471) if overlaps else np.linspace(low, high, 471)
         )
     nm = np.asarray(wavelengths_nm, dtype=float)
-    heading = " \u2014 ".join(text for text in (title or constant.name, constant.title) if text)
-    figure = index_figure(nm, constant.n_complex(nm), heading, constant.source)
+    what = constant.title.partition(" (")[0].partition(";")[0]
+    heading = (
+        what if what.lower().startswith(constant.name.lower()) else ", ".join(t for t in (constant.name, what) if t)
+    )
+    print_ = "; ".join(text for text in (constant.source, constant.splice) if text)
+    figure = index_figure(nm, constant.n_complex(nm), title or heading, print_)
     save_figure(figure, path, {"figure": "index", "material": constant.name, "source": constant.source,
                                "splice": constant.splice})  # fmt: skip

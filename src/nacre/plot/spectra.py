@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from nacre.plot.style import (
     INK,
     LINES,
     angle_colours,
+    cell_edges,
     exposure_of,
     house_style,
     new_figure,
@@ -123,7 +125,7 @@ def ribbon_figure(spectrum: Spectrum, illuminant: str = "D65", title: str = "") 
     exposure = _common_exposure(parts, nm, illuminant)
     white = light.white_xyz(illuminant)
     clipped = 0
-    edges = _edges(angles)
+    edges = cell_edges(angles)
     with house_style():
         figure = new_figure(COLUMN_IN, 1.55 + 0.62 * len(parts))
         grid = figure.add_gridspec(len(parts) + 1, 1, height_ratios=[*([0.42] * len(parts)), 1.0])
@@ -140,21 +142,19 @@ def ribbon_figure(spectrum: Spectrum, illuminant: str = "D65", title: str = "") 
             lch = light.lab_to_lch(light.xyz_to_lab(light.spectrum_to_xyz(values, nm, illuminant), white))
             style = ("-", "--", ":", "-.")[row]
             suffix = f" {name.split('_')[1][0].upper()}" if len(parts) > 1 else ""
-            below.plot(angles, lch[:, 0], style, color=LINES[6], label=f"$L^*${suffix}")
-            below.plot(angles, lch[:, 1], style, color=LINES[0], label=f"$C^*${suffix}")
+            below.plot(angles, lch[:, 0], style, color=LINES[6], label=f"L*{suffix}")
+            below.plot(angles, lch[:, 1], style, color=LINES[0], label=f"C*{suffix}")
         below.set_xlim(angles[0], angles[-1])
         below.set_ylim(bottom=0)
         below.set_xlabel("Angle of incidence (degrees)")
-        below.set_ylabel("$L^*$, $C^*_{ab}$")
+        below.set_ylabel("L*, C*")
         below.grid(axis="y")
-        below.legend(ncols=len(parts), loc="best", handlelength=1.6, columnspacing=1.0)
+        below.legend(
+            ncols=2 * len(parts), loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handlelength=1.6,
+            columnspacing=1.0,
+        )  # fmt: skip
         small_print(figure, remark(illuminant, exposure, clipped, len(angles) * len(parts)))
     return figure
-
-
-def _edges(centres: Array) -> Array:
-    middle = 0.5 * (centres[1:] + centres[:-1])
-    return np.concatenate([[centres[0]], middle, [centres[-1]]])
 
 
 def index_figure(
@@ -193,7 +193,7 @@ def index_figure(
             axes.axvline(splice_nm, color=INK, linewidth=0.5, linestyle=":")
         spectral_strip(axes, nm[0], nm[-1])
         panel_title(axes, title)
-        small_print(figure, source if len(source) < 90 else source[:87] + "...")
+        small_print(figure, "\n".join(textwrap.wrap(source, 84)[:3]))
     return figure
 
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from nacre import light
 from nacre.errors import NacreError
-from nacre.plot.spectra import _edges
 from nacre.plot.style import (
     COLUMN_IN,
     INK,
     LINES,
+    cell_edges,
     exposure_of,
     house_style,
     need,
@@ -139,7 +139,7 @@ def _points(axes: Any, data: Mapping[str, Any]) -> None:
     discs.set(facecolor=INK, linewidth=0)
     axes.add_collection(discs)
     low, high = xy.min(axis=0), xy.max(axis=0)
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x (um)", ylabel="y (um)")
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x (\u00b5m)", ylabel="y (\u00b5m)")
 
 
 def _stack(data: Mapping[str, Any]) -> Figure:
@@ -167,7 +167,7 @@ def _stack(data: Mapping[str, Any]) -> Figure:
         left.spines["bottom"].set_visible(False)
         depth = np.repeat(bounds, 2)[1:-1]
         right.plot(np.repeat(n, 2), depth, color=LINES[0], label="$n$", solid_capstyle="butt")
-        if k.max() > 0.0:
+        if k.max() > 1e-4:
             right.plot(np.repeat(k, 2), depth, "--", color=LINES[1], label="$k$", dash_capstyle="butt")
         right.set(xlim=(0, 1.1 * max(float(n.max()), float(k.max()))), xlabel="$n$, $k$")
         right.grid(axis="x")
@@ -205,7 +205,7 @@ def platelet_figure(data: Mapping[str, Any], illuminant: str = "D65") -> Figure:
         for axes, (name, part, values) in zip(all_axes, rows):
             colours, _, count = shown_colours(values, nm, illuminant, exposure if part == "reflected" else 1.0)
             clipped += count
-            axes.pcolormesh(_edges(angles), [0, 1], colours[None], rasterized=True)
+            axes.pcolormesh(cell_edges(angles), [0, 1], colours[None], rasterized=True)
             axes.set_yticks([])
             axes.spines[["left", "bottom"]].set_visible(False)
             panel_title(axes, ", ".join(t for t in (name, part) if t))

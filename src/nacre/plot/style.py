@@ -6,7 +6,7 @@ Figures are made without pyplot, so drawing changes no global state and works in
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,7 +44,7 @@ STYLE: dict[str, Any] = {
     "xtick.major.size": 2.5, "ytick.major.size": 2.5, "xtick.direction": "out", "ytick.direction": "out",
     "legend.fontsize": 7, "legend.frameon": False, "lines.linewidth": 1.2, "lines.solid_capstyle": "round",
     "grid.color": "#e4e4e4", "grid.linewidth": 0.5, "figure.facecolor": "white", "savefig.facecolor": "white",
-    "savefig.dpi": 300, "pdf.fonttype": 42, "svg.fonttype": "none", "mathtext.default": "regular",
+    "savefig.dpi": 300, "pdf.fonttype": 42, "svg.fonttype": "none",
     "image.interpolation": "nearest", "image.resample": True,
 }  # fmt: skip
 
@@ -143,20 +143,21 @@ def spectral_strip(axes: Axes, low_nm: float, high_nm: float, height: float = 0.
     if len(nm) < 2:
         return
     matching = np.stack([np.interp(nm, light.table_wavelengths_nm(), c) for c in light.observer().T], axis=-1)
-    # a pure spectral colour has no sRGB: mixed with grey of its own strength it keeps its hue
-    rgb = light.xyz_to_srgb_linear(matching / matching.sum(axis=-1).max() * 0.55 + 0.0)
-    rgb = light.clip_to_srgb(rgb + 0.12).rgb
-    sight = np.clip(matching.sum(axis=-1) / 0.25, 0.0, 1.0)[:, None]
-    pixels = light.srgb_encode(rgb * sight + (1.0 - sight))
+    # a pure spectral colour has no sRGB: an ornament may cut what is missing, and be as bright as the screen
+    rgb = np.maximum(light.xyz_to_srgb_linear(matching), 0.0)
+    rgb /= rgb.max(axis=-1, keepdims=True)
+    sight = np.clip(np.minimum((nm - 385.0) / 45.0, (715.0 - nm) / 60.0), 0.0, 1.0)[:, None]
+    pixels = (0.18 + 0.82 * light.srgb_encode(rgb)) * sight + (1.0 - sight)
     strip = axes.inset_axes((0.0, 0.0, 1.0, height), transform=axes.transAxes, zorder=0.5)
     strip.imshow(pixels[None], extent=(nm[0], nm[-1], 0, 1), aspect="auto", interpolation="bilinear")
     strip.set_xlim(*axes.get_xlim())
     strip.axis("off")
 
 
-def as_sequence(value: Any) -> Sequence[Any]:
-    """Return a list of one where one was given."""
-    return value if isinstance(value, list | tuple) else [value]
+def cell_edges(centres: Array) -> Array:
+    """Return the edges of image cells around ascending centres; the outer edges are the outer centres."""
+    middle = 0.5 * (centres[1:] + centres[:-1])
+    return np.concatenate([[centres[0]], middle, [centres[-1]]])
 
 
 def need(data: Mapping[str, Any], kind: str, *names: str) -> list[Array]:
