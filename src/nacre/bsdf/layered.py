@@ -6,8 +6,10 @@ samples or evaluates the lobe, and `nacre.evaluate` calls it there.
 
 from __future__ import annotations
 
+import importlib
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,10 @@ from nacre.bsdf.contract import Lobe, SpecularResponse, register_lobe
 from nacre.errors import UnsupportedError
 
 Array = NDArray[np.float64]
+
+# The walk runs where Mitsuba is. It is looked up by name when called: nothing below the renderer imports it.
+WALKS = "nacre.render.plugins.layered"
+DEFAULT_SAMPLES = 4096
 
 BASES = ("none", "diffuse", "specular")
 QUALITIES = ("reference", "fast")
@@ -154,15 +160,22 @@ class Layered(Lobe):
             raise ValueError("flake_stratum names a stratum that is not there")
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
-        """Refuse: the value is a random walk on the renderer's side (`nacre.evaluate` runs it there).
+        """Return the value from the walk, with its noise; `nacre.api.evaluate_with_error` tells how large that is.
 
         Raises:
-            UnsupportedError: always.
+            UnsupportedError: no LLVM for the walk.
         """
-        raise UnsupportedError(
-            "a pearl is evaluated by a random walk in the renderer (needs LLVM): call nacre.evaluate, or "
-            "nacre.render.layered.evaluate_layered"
-        )
+        values: Array = _walk("evaluate_layered")(self, wi, wo, samples=DEFAULT_SAMPLES, seed=0)[0]
+        return values
+
+    def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
+        """Return the power that leaves on either side, mirror reflection left out, from `nodes`^2 walks a wavelength.
+
+        Raises:
+            UnsupportedError: no LLVM for the walk.
+        """
+        result: tuple[Array, Array] = _walk("hemispherical_layered")(self, wi, samples=nodes * nodes, seed=0)
+        return result
 
     def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
         """Return the mirror reflection of a smooth uppermost interface; what comes from deeper is not counted."""
@@ -176,6 +189,14 @@ class Layered(Lobe):
         if side is None and np.all(self.alpha[-1] == 0):
             reflect = np.where(~upper, fresnel(np.abs(cos_i), float(self.index[-1])), reflect)
         return SpecularResponse(np.broadcast_to(reflect[..., None], shape).copy(), np.zeros(shape))
+
+
+def _walk(name: str) -> Callable[..., Any]:
+    try:
+        found: Callable[..., Any] = getattr(importlib.import_module(WALKS), name)
+        return found
+    except ImportError as error:
+        raise UnsupportedError(f"a pearl is evaluated by a random walk that needs mitsuba ({error})") from None
 
 
 def fresnel(cos_i: Array, eta: float) -> Array:

@@ -154,7 +154,7 @@ def mie_amplitudes(a: ComplexArray, b: ComplexArray, mu: ArrayLike) -> tuple[Com
     for l in range(2, lmax + 1):
         pi[l] = (2 * l - 1) / (l - 1) * mu * pi[l - 1] - (l / (l - 1)) * pi[l - 2]
         tau[l] = l * mu * pi[l] - (l + 1) * pi[l - 1]
-    l = np.arange(1, lmax + 1)
-    weight = (2 * l + 1) / (l * (l + 1))
+    order = np.arange(1, lmax + 1)
+    weight = (2 * order + 1) / (order * (order + 1))
     a_w, b_w = np.moveaxis(a, 0, -1) * weight, np.moveaxis(b, 0, -1) * weight
     return a_w @ pi[1:] + b_w @ tau[1:], a_w @ tau[1:] + b_w @ pi[1:]

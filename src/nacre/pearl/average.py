@@ -33,16 +33,19 @@ def _interpolate(table: Any, position: float) -> complex:
         return 0.0j
     base = int(position)
     f = position - base
-    total = 0.0j
-    for j in range(-2, 4):
-        weight = 1.0
-        for k in range(-2, 4):
-            if k != j:
-                weight *= (f - k) / (j - k)
-        index = base + j
-        value = table[index] if index >= 0 else table[-index].conjugate()
-        total += weight * value
-    return total
+    a, b, c, d, e = f + 2.0, f + 1.0, f - 1.0, f - 2.0, f - 3.0
+    cde = c * d * e
+    low = a * b * f
+    first = table[base - 2] if base >= 2 else table[2 - base].conjugate()
+    second = table[base - 1] if base >= 1 else table[1 - base].conjugate()
+    return (
+        (-b * f * cde / 120.0) * first
+        + (a * f * cde / 24.0) * second
+        + (-a * b * cde / 12.0) * table[base]
+        + (low * d * e / 12.0) * table[base + 1]
+        + (-low * c * e / 24.0) * table[base + 2]
+        + (low * c * d / 120.0) * table[base + 3]
+    )
 
 
 @compiled(error_model="numpy")

@@ -28,6 +28,7 @@ ComplexArray = NDArray[np.complex128]
 LADDER = tuple(8 * 2**i for i in range(7))  # panels of 16 points: 128 ... 8192 nodes
 GRAZING = 1e-9  # cosine below which R = 1, T = 0 is the limit
 MAX_COATING_SETS = 4096  # combinations of coating thicknesses that are worth averaging
+SERIES_REACH = 150  # terms of the series that the characteristic function is tabulated for; more only at grazing
 SINGULAR = 1e-7  # |kz of the substrate| below this is moved away from 0, where its amplitudes are not defined
 
 
@@ -178,7 +179,7 @@ def _one_face(
     if not thickness.is_fixed:
         if not thickness.is_uncut:
             kind = average.TABULATED
-            x_max = float(np.max(np.abs(p.real))) * 400
+            x_max = float(np.max(np.abs(p.real))) * SERIES_REACH
             table, step, centre = thickness.characteristic(x_max)
         if np.any(p.imag != 0.0):
             ladder = [thickness.nodes(panels) for panels in LADDER]

@@ -18,7 +18,10 @@ from nacre.errors import UnsupportedError
 from nacre.render.plugins.base import MIN_COS, LobePlugin, flag, opaque
 from nacre.render.plugins.facets import Ggx
 from nacre.render.plugins.layered_device import Strata
+from nacre.render.plugins.layered_evaluate import evaluate_layered, hemispherical_layered
 from nacre.render.plugins.layered_walk import eval_walk, make_rng, sample_walk
+
+__all__ = ["LayeredPlugin", "Proxy", "evaluate_layered", "hemispherical_layered"]
 
 # Shares of the proxy density: the interface's own reflection, the flakes' lobe, the diffuse rest.
 SHARES = (0.15, 0.5, 0.35)
