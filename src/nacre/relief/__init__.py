@@ -1,1 +1,1 @@
-"""To be filled by its first commit."""
+"""Relief: height maps, diffraction under finite coherence."""

@@ -1,0 +1,147 @@
+"""A relief as a material: its parameters and the ways to ask it for light."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.bsdf.contract import Bsdf
+from nacre.bsdf.hemisphere import bsdf_spectrum
+from nacre.bsdf.spectrum import Spectrum
+from nacre.errors import UnsupportedError
+from nacre.matter.indices import OpticalConstant
+from nacre.relief.coherence import Coherence
+from nacre.relief.fresnel import coating_reflectance
+from nacre.relief.geometry import Prefactor, direction
+from nacre.relief.local import local_response
+from nacre.relief.sampling import choose_sampling
+from nacre.relief.spectrum_map import MapReport, spectrum_map
+from nacre.relief.surface import Array, Tile, slopes
+
+# the relief's spectra change over about lambda / 10 at most (a blurred line sweeping past): 30 nm resolve that
+WAVELENGTH_COUNT = 17
+FIGURES = ("structure", "microscope")
+
+
+@dataclass(frozen=True)
+class Relief:
+    """A periodic height map with an opaque coating, lit with finite coherence.
+
+    Attributes:
+        tile: heights and process.
+        coherence: the window.
+        coating: optical constant of the opaque coating.
+        prefactor: "kirchhoff" conserves energy, "published" compares with the source.
+        error: wanted relative error of sampling and interpolation.
+        bounded: keep the albedo within Fresnel.
+    """
+
+    tile: Tile
+    coherence: Coherence
+    coating: OpticalConstant
+    prefactor: Prefactor = "kirchhoff"
+    error: float = 3e-3
+    bounded: bool = True
+
+    def default_wavelengths(self) -> Array:
+        """Return 360-830 nm in about 30 nm, finer for reliefs deeper than 2 um."""
+        deep = max(1.0, self.tile.height_range_nm / 2000.0)
+        return np.linspace(360.0, 830.0, int(np.ceil(WAVELENGTH_COUNT * deep)))
+
+    def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
+        """Return the four-dimensional lobe; the provenance says what was chosen.
+
+        Raises:
+            MaterialRangeError: the coating is not known at a wavelength.
+            UnsupportedError: the table would be too large.
+        """
+        grid = self.default_wavelengths() if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        lobe, report = self._map(tuple(grid.tolist()))
+        return Bsdf((lobe,), {"relief": report_summary(report)})
+
+    @functools.lru_cache(maxsize=2)  # noqa: B019  (a relief is immutable and its lobe takes seconds)
+    def _map(self, wavelengths: tuple[float, ...]) -> tuple[Any, MapReport]:
+        grid = np.array(wavelengths)
+        reflectance = coating_reflectance(self.coating.n_complex(grid))
+        return spectrum_map(self.tile, self.coherence, grid, reflectance, self.prefactor, self.error, self.bounded)
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    def report(self, wavelengths_nm: Array | None = None) -> dict[str, Any]:
+        """Return what was chosen and found: sampling, nodes, and the energy bound, in plain numbers."""
+        grid = self.default_wavelengths() if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        return report_summary(self._map(tuple(grid.tolist()))[1])
+
+    def spectrum(self, theta_rad: Array, wavelengths_nm: Array | None = None, polarisation: str = "both") -> Spectrum:
+        """Return the directional-hemispherical reflectance, light in the plane y = 0.
+
+        Raises:
+            UnsupportedError: s or p is asked for; scalar diffraction knows no polarisation.
+        """
+        if polarisation != "both":
+            raise UnsupportedError(
+                "a relief is computed by scalar diffraction, which has no polarisation; ask for both"
+            )
+        return bsdf_spectrum(self.bsdf(wavelengths_nm), theta_rad)
+
+    def figure_data(self, kind: str, **options: Any) -> dict[str, NDArray[Any]]:
+        """Return the arrays of a figure.
+
+        "structure": `heights_nm` `[x, y]` of the blurred surface, `x_nm`, `slope` (magnitude).
+        "microscope": `brdf` `[x, y, wavelength]` of every window position, seen through an aperture of half angle
+        `aperture_deg` (5) about the direction `view_deg` = (theta, phi) (0, 0), light along `light_deg` (0, 0).
+
+        Raises:
+            UnsupportedError: no such figure.
+        """
+        if kind == "structure":
+            return self._structure()
+        if kind == "microscope":
+            return self._microscope(**options)
+        raise UnsupportedError(f'a relief has no figure of kind "{kind}"; it has {", ".join(FIGURES)}')
+
+    def _structure(self) -> dict[str, NDArray[Any]]:
+        upsampling = 8
+        surface = self.tile.surface_nm(upsampling)
+        dx, dy = slopes(surface, self.tile.feature_nm / upsampling)
+        x = (np.arange(surface.shape[0]) + 0.5) * self.tile.feature_nm / upsampling
+        return {"heights_nm": surface, "x_nm": x, "slope": np.hypot(dx, dy)}
+
+    def _microscope(
+        self,
+        light_deg: tuple[float, float] = (0.0, 0.0),
+        view_deg: tuple[float, float] = (0.0, 0.0),
+        aperture_deg: float = 5.0,
+        wavelengths_nm: Array | None = None,
+        exits: int = 7,
+    ) -> dict[str, NDArray[Any]]:
+        grid = np.linspace(400.0, 700.0, 7) if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        wi = direction(*np.radians(light_deg))
+        centre = direction(*np.radians(view_deg))
+        # exits over the aperture: the middle and a ring at the radius that holds half its area
+        ring = np.radians(aperture_deg) / np.sqrt(2.0)
+        around = np.arange(exits - 1) * (2.0 * np.pi / max(exits - 1, 1))
+        offsets = np.stack([ring * np.cos(around), ring * np.sin(around)], axis=-1)
+        lateral = np.concatenate([centre[None, :2], centre[None, :2] + offsets])
+        lateral = lateral[(lateral**2).sum(axis=-1) < 0.999]
+        wo = np.concatenate([lateral, np.sqrt(1.0 - (lateral**2).sum(axis=-1, keepdims=True))], axis=-1)
+        highest = int(np.ceil(self.tile.period_nm * (np.abs(lateral + wi[:2]).max() + 0.2) / grid.min()))
+        sampling = choose_sampling(self.tile, 2.0 / float(grid.min()), highest, 1e-2)
+        brdf = local_response(self.tile, self.coherence, wi, wo, grid, sampling.samples_per_feature, self.prefactor)
+        cosine = float(np.linalg.norm(wi + centre) / 2.0)
+        brdf = brdf * coating_reflectance(self.coating.n_complex(grid))(np.array(cosine))
+        step = self.tile.feature_nm / sampling.samples_per_feature
+        x = (np.arange(brdf.shape[0]) + 0.5) * step
+        return {"brdf": brdf, "wavelengths_nm": grid, "x_nm": x}
+
+
+def report_summary(report: MapReport) -> dict[str, Any]:
+    """Return a report as plain numbers."""
+    summary = asdict(report)
+    sampling = summary.pop("sampling")
+    return {**sampling, **summary, "excess_angles_deg": [0, 30, 60, 75, 85]}
