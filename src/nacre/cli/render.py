@@ -56,7 +56,10 @@ def render(
     }  # fmt: skip
     material = common.load_material(recipe, changes)
     if animate:
-        _animate(material, animate, frames, path, options)
+        from nacre.render.animation import animate as render_animation
+
+        render_animation(material, animate, path, frames=frames, **options)
+        common.note(str(path))
         return
     from nacre.render.picture import render as render_picture
 
@@ -64,29 +67,6 @@ def render(
     common.note(_summary(path, result.stats))
     if result.stats.get("interrupted"):
         raise KeyboardInterrupt
-
-
-def _animate(material: Any, what: str, frames: int, path: Path, options: dict[str, Any]) -> None:
-    from nacre.render.animation import animate
-
-    parameter = None
-    if what not in ("light", "view"):
-        name, equals, interval = what.partition("=")
-        ends = interval.split(":")
-        try:
-            low, high = (float(end) for end in ends)
-        except ValueError:
-            raise NacreError(f'--animate "{what}" cannot be read; write light, view or PATH=A:B') from None
-        if not equals:
-            raise NacreError(f'--animate "{what}" cannot be read; write light, view or PATH=A:B')
-        material.vary({name: low})  # a mistyped path fails here, before the first frame
-        parameter = (name, low, high)
-    if parameter is None:
-        animate(material, what, frames=frames, output=path, **options)
-    else:
-        name, low, high = parameter
-        animate(lambda value: material.vary({name: value}), (low, high), frames=frames, output=path, **options)
-    common.note(str(path))
 
 
 def _exposure(text: str) -> Any:

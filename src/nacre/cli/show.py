@@ -151,8 +151,8 @@ def plot(
     changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Draw a figure of RECIPE, fit for a paper."""
-    from nacre.api import plot_material
     from nacre.files import check_writable
+    from nacre.plot import save_material
 
     path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}-{kind}.png")
     if path.suffix not in (".png", ".pdf", ".svg"):
@@ -161,7 +161,10 @@ def plot(
     angles = None if angles_deg is None else common.angles(angles_deg)
     grid = common.wavelengths(wavelengths_nm)
     material = common.load_material(recipe, changes)
-    plot_material(material, kind, path, angles_deg=angles, wavelengths_nm=grid, illuminant=illuminant)
+    save_material(
+        material, kind, path, angles_deg=angles, wavelengths_nm=grid, illuminant=illuminant,
+        provenance=_provenance(material),
+    )  # fmt: skip
     common.note(str(path))
 
 

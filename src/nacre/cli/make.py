@@ -1,0 +1,111 @@
+"""Commands that lead to something made: design and fabricate."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from nacre.cli import common
+from nacre.errors import NacreError
+
+TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "sheet")
+
+
+@click.command()
+@click.argument("target", metavar="TARGET.toml")
+@click.option("-o", "output", default=None, metavar="DIR", help="Default: the target's name.")
+@click.option("--resume", is_flag=True, help="Go on where a stopped run of the same target ended.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result's numbers as JSON.")
+@common.jobs_option
+def design(target: str, output: str | None, resume: bool, as_json: bool) -> None:
+    """Find the structure that gives the look of TARGET; the best so far is always on disk."""
+    import os
+
+    from nacre.design.run import run
+    from nacre.files import check_writable
+
+    folder = Path(output) if output else Path(Path(target).stem)
+    check_writable(folder / "x") if folder.exists() else check_writable(folder)
+    jobs = os.environ.get("NACRE_JOBS")
+    with _Screen() as screen:
+        result = run(target, folder, resume=resume, progress=screen.show, jobs=int(jobs) if jobs else None)
+    if as_json:
+        click.echo(json.dumps(result.summary, default=str))
+    else:
+        s = result.summary
+        click.echo(
+            f"loss {s['loss_fixed']:.5f} at the fixed scale, {s['loss_free']:.5f} at the best one "
+            f"(scale {s['scale_free']:.4g}); {s['evaluations']} evaluations in {s['seconds']:.1f} s"
+        )
+    common.note(f"{folder}: nacre render {folder}; nacre fabricate {folder} --to png16")
+    if result.summary.get("interrupted"):
+        raise KeyboardInterrupt
+
+
+class _Screen:
+    """One line on the terminal that follows a design: loss, iteration, time left."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+
+        self._console = Console(stderr=True)
+        self._status = self._console.status("designing") if self._console.is_terminal else None
+
+    def __enter__(self) -> _Screen:
+        if self._status:
+            self._status.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._status:
+            self._status.stop()
+
+    def show(self, progress: Any) -> None:
+        """Show what the search says of itself."""
+        if self._status:
+            left = "" if progress.seconds_left is None else f", {progress.seconds_left:.0f} s left"
+            self._status.update(
+                f"{progress.stage} ({progress.stage_number} of {progress.stage_count}): loss {progress.best_value:.5f}, "
+                f"{progress.evaluations} evaluations, {progress.seconds:.0f} s{left}"
+            )
+
+
+@click.command()
+@click.argument("source", metavar="DESIGN_DIR|RECIPE")
+@click.option("--to", "target", required=True, type=click.Choice(TARGETS))
+@click.option("-o", "output", default=None, metavar="FILE", help="Default: the source's name with the target's suffix.")
+@click.option("--calibration", default=None, metavar="CSV", help="png16, tiff16: grey value against depth.")
+@click.option("--size-mm", default=None, metavar="WxH", help="Tile the pattern over an area.")
+@click.option("--levels", type=click.IntRange(2, 256), default=None, help="gds, oas: height levels.")
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True, help="Of a point pattern.")
+@common.jobs_option
+def fabricate(
+    source: str, target: str, output: str | None, calibration: str | None, size_mm: str | None, levels: int | None,
+    seed: int,
+) -> None:  # fmt: skip
+    """Write the files to make a design or a material."""
+    from nacre.design.fabricate import SUFFIXES
+    from nacre.design.fabricate import fabricate as write
+    from nacre.files import check_writable
+
+    name = Path(source).resolve().stem
+    path = Path(output) if output else Path(f"{name}{SUFFIXES[target]}")
+    check_writable(path)
+    area = None
+    if size_mm is not None:
+        try:
+            width, height = (float(v) for v in size_mm.lower().split("x"))
+        except ValueError:
+            raise NacreError(f'--size-mm = "{size_mm}" cannot be read; write it like 50x50') from None
+        if not (0 < width <= 1000 and 0 < height <= 1000):
+            raise NacreError(f'--size-mm = "{size_mm}" must lie between 0 and 1000 mm')
+        area = (width, height)
+    written = write(source, target, path, calibration=calibration, size_mm=area, levels=levels, seed=seed)
+    for file in written:
+        common.note(str(file))
+
+
+commands = {"design": design, "fabricate": fabricate}
