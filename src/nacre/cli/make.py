@@ -67,8 +67,9 @@ class _Screen:
         """Show what the search says of itself."""
         if self._status:
             left = "" if progress.seconds_left is None else f", {progress.seconds_left:.0f} s left"
+            stage = f"{progress.stage} ({progress.stage_number} of {progress.stage_count})"
             self._status.update(
-                f"{progress.stage} ({progress.stage_number} of {progress.stage_count}): loss {progress.best_value:.5f}, "
+                f"{stage}: loss {progress.best_value:.5f}, "
                 f"{progress.evaluations} evaluations, {progress.seconds:.0f} s{left}"
             )
 

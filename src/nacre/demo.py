@@ -1,0 +1,253 @@
+"""Everything nacre shows in one run: pictures, figures, animations, a design, and a sheet with all of them.
+
+What is shown is data: `examples/gallery.toml` names the recipes and the scenes.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from nacre.errors import NacreError
+from nacre.files import atomic_path, parse_toml, read_text
+from nacre.specs import RecipeContext, RecipeModel, validate
+
+FULL_SIZE, QUICK_SIZE = 768, 224
+FULL_FRAME, QUICK_FRAME = 384, 128
+FULL_FRAMES, QUICK_FRAMES = 48, 8
+FULL_SPP, QUICK_SPP = 96, 24
+FULL_FRAME_SPP, QUICK_FRAME_SPP = 32, 16
+CELL, GAP, CAPTION = 320, 16, 40
+Report = Callable[["Item", int, int, float, float], None]  # item, number, total, seconds spent, seconds left
+
+
+class PictureSpec(RecipeModel):
+    """A still of the gallery."""
+
+    recipe: str
+    title: str
+    scene: str = "sphere"
+    shape: str | None = None
+    light: str | None = None
+    illuminant: str = "D65"
+    components: str = "sum"
+    exposure: float | Literal["auto"] = "auto"
+    view_turn_deg: float = 0.0
+    light_turn_deg: float = 0.0
+    spp: float = 1.0  # times the usual number of samples
+    quick: bool = False
+    name: str | None = None
+
+
+class AnimationSpec(PictureSpec):
+    """An animation: what moves."""
+
+    animate: str
+
+
+class PlotSpec(RecipeModel):
+    """A figure of the gallery."""
+
+    recipe: str
+    title: str
+    kind: str
+    quick: bool = False
+
+
+class DesignSpec(RecipeModel):
+    """A design: its target file, and the seconds that it may take."""
+
+    target: str
+    title: str
+    seconds: float = 15.0
+    quick: bool = False
+
+
+class GallerySpec(RecipeModel):
+    """`gallery.toml`."""
+
+    picture: list[PictureSpec] = []
+    animation: list[AnimationSpec] = []
+    plot: list[PlotSpec] = []
+    design: list[DesignSpec] = []
+
+
+@dataclass(frozen=True)
+class Item:
+    """One thing to make: its title, its file, its cost in arbitrary units, and how to make it."""
+
+    title: str
+    path: Path
+    cost: float
+    make: Callable[[], None] = field(repr=False)
+
+
+def examples_folder() -> Path:
+    """Return the folder of the example recipes: of the checkout, or of the installed package.
+
+    Raises:
+        NacreError: neither is there.
+    """
+    places = [Path(__file__).resolve().parents[2] / "examples", Path(sys.prefix) / "share" / "nacre" / "examples"]
+    for place in places:
+        if (place / "gallery.toml").is_file():
+            return place
+    raise NacreError(f"the example recipes are not installed; looked in {places[0]} and {places[1]}")
+
+
+def load_gallery(folder: Path) -> GallerySpec:
+    """Read `gallery.toml` of a folder of recipes.
+
+    Raises:
+        RecipeError: it is not what it should be.
+    """
+    path = folder / "gallery.toml"
+    text = read_text(path, "gallery")
+    gallery: GallerySpec = validate(GallerySpec, parse_toml(text, str(path)), RecipeContext(str(path), folder, text))
+    return gallery
+
+
+def plan(folder: Path, out: Path, is_quick: bool) -> list[Item]:
+    """Return what the demo makes, in order."""
+    gallery = load_gallery(folder)
+    items = [_picture(folder, out, p, is_quick) for p in gallery.picture if p.quick or not is_quick]
+    for design in gallery.design:
+        if design.quick or not is_quick:
+            items += _design(folder, out, design, is_quick)
+    items += [_plot(folder, out, p) for p in gallery.plot if p.quick or not is_quick]
+    items += [_animation(folder, out, a, is_quick) for a in gallery.animation if a.quick or not is_quick]
+    return items
+
+
+def run_demo(out: Path, is_quick: bool, report: Report) -> list[Path]:
+    """Make everything and the contact sheet; return the files.
+
+    Args:
+        out: folder, made if it does not exist.
+        is_quick: small pictures of the quick items only.
+        report: called before each item with (item, number, total, seconds spent, seconds left).
+
+    Raises:
+        NacreError: an item cannot be made, or the folder cannot be written.
+    """
+    folder = examples_folder()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise NacreError(f"{out}: cannot be made: {error.strerror}") from None
+    items = plan(folder, out, is_quick)
+    start = time.monotonic()
+    spent, total = 0.0, sum(item.cost for item in items)
+    for number, item in enumerate(items):
+        seconds = time.monotonic() - start
+        # before anything is finished the cost units are seconds of a common two-core machine
+        left = (total - spent) * (seconds / spent if spent > 0 else 1.0)
+        report(item, number + 1, len(items), seconds, left)
+        item.make()
+        spent += item.cost
+    sheet = out / "contact-sheet.png"
+    stills = [item for item in items if item.path.suffix == ".png"]
+    contact_sheet([(item.title, item.path) for item in stills], sheet)
+    return [sheet, *(item.path for item in items)]
+
+
+def _picture(folder: Path, out: Path, spec: PictureSpec, is_quick: bool) -> Item:
+    side = QUICK_SIZE if is_quick else FULL_SIZE
+    spp = max(4, round((QUICK_SPP if is_quick else FULL_SPP) * spec.spp))
+    path = out / f"{spec.name or Path(spec.recipe).stem}.png"
+
+    def make() -> None:
+        from nacre.recipe import load
+        from nacre.render.picture import render
+
+        render(_find(load, folder, out, spec.recipe), output=path, size=(side, side), spp=spp, progress=False,
+               view_turn_deg=spec.view_turn_deg, light_turn_deg=spec.light_turn_deg, **_look(spec))  # fmt: skip
+
+    return Item(spec.title, path, 2.0 + side * side * spp / 2.5e6, make)
+
+
+def _animation(folder: Path, out: Path, spec: AnimationSpec, is_quick: bool) -> Item:
+    side = QUICK_FRAME if is_quick else FULL_FRAME
+    frames = QUICK_FRAMES if is_quick else FULL_FRAMES
+    spp = max(4, round((QUICK_FRAME_SPP if is_quick else FULL_FRAME_SPP) * spec.spp))
+    path = out / f"{spec.name or Path(spec.recipe).stem}-moving.mp4"
+
+    def make() -> None:
+        from nacre.recipe import load
+        from nacre.render.animation import animate
+
+        material = _find(load, folder, out, spec.recipe)
+        animate(material, spec.animate, path, frames=frames, size=(side, side), spp=spp, progress=False, **_look(spec))
+
+    return Item(spec.title, path, 3.0 + frames * side * side * spp / 2.0e6, make)
+
+
+def _plot(folder: Path, out: Path, spec: PlotSpec) -> Item:
+    path = out / f"{Path(spec.recipe).stem}-{spec.kind}.png"
+
+    def make() -> None:
+        from nacre.plot import save_material
+        from nacre.recipe import load
+
+        save_material(_find(load, folder, out, spec.recipe), spec.kind, path)
+
+    return Item(spec.title, path, 2.0, make)
+
+
+def _design(folder: Path, out: Path, spec: DesignSpec, is_quick: bool) -> list[Item]:
+    path = out / Path(spec.target).stem
+
+    def make() -> None:
+        from nacre.design.run import design, load_target
+
+        target, context = load_target(folder / spec.target)
+        search = target.search.model_copy(update={"time_limit_s": spec.seconds / (3 if is_quick else 1)})
+        design(target.model_copy(update={"search": search}), context, path)
+
+    return [Item(spec.title, path, spec.seconds / (3 if is_quick else 1) + 3, make)]
+
+
+def _find(load: Any, folder: Path, out: Path, recipe: str) -> Any:
+    """Load a recipe of the examples, or a design that this run has made."""
+    made = out / recipe
+    return load(made if (made / "recipe.toml").is_file() else folder / recipe)
+
+
+def _look(spec: PictureSpec) -> dict[str, Any]:
+    return {
+        "scene": spec.scene, "shape": spec.shape, "light": spec.light, "illuminant": spec.illuminant,
+        "components": spec.components, "exposure": spec.exposure,
+    }  # fmt: skip
+
+
+def contact_sheet(pictures: list[tuple[str, Path]], path: Path) -> None:
+    """Lay pictures out in rows with their titles.
+
+    Raises:
+        NacreError: the file cannot be written.
+    """
+    from PIL import Image, ImageDraw, ImageFont
+
+    columns = max(1, min(5, round(len(pictures) ** 0.5 + 0.5)))
+    rows = -(-len(pictures) // columns)
+    width, height = columns * (CELL + GAP) + GAP, rows * (CELL + CAPTION + GAP) + GAP
+    sheet = Image.new("RGB", (width, height), (250, 250, 249))
+    draw = ImageDraw.Draw(sheet)
+    font = ImageFont.load_default(size=15)
+    for index, (title, file) in enumerate(pictures):
+        x = GAP + (index % columns) * (CELL + GAP)
+        y = GAP + (index // columns) * (CELL + CAPTION + GAP)
+        with Image.open(file) as picture:
+            small = picture.convert("RGB")
+            small.thumbnail((CELL, CELL), Image.Resampling.LANCZOS)
+        sheet.paste(small, (x + (CELL - small.width) // 2, y + (CELL - small.height) // 2))
+        words = title
+        while draw.textlength(words, font=font) > CELL and " " in words:
+            words = words.rsplit(" ", 1)[0]
+        draw.text((x, y + CELL + 8), words, fill=(60, 60, 60), font=font)
+    with atomic_path(path) as temporary:
+        sheet.save(temporary, format="PNG")
