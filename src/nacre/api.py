@@ -17,6 +17,7 @@ from nacre.errors import UnsupportedError
 from nacre.recipe import Material
 
 Array = NDArray[np.float64]
+PLOT_SAMPLES = 1024  # the same for a pixel of a figure
 DEFAULT_SAMPLES = 4096  # paths a direction pair of a stochastic lobe: about 2 % noise for a broad lobe
 
 
@@ -133,8 +134,11 @@ def plot_material(
     """
     from nacre.plot import save_material
 
+    def walk(bsdf: Bsdf, wi: Array, wo: Array) -> Array:
+        return evaluate_with_error(bsdf, wi, wo, samples=PLOT_SAMPLES)[0]
+
     provenance = {"source": Path(material.context.source).name, "recipe": material.context.text}
     save_material(
         material, kind, path, angles_deg=angles_deg, wavelengths_nm=wavelengths_nm, illuminant=illuminant,
-        provenance=provenance,
+        provenance=provenance, evaluate=walk,
     )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from nacre.plot.style import (
 )
 
 Array = NDArray[np.float64]
+Evaluate = Callable[[Array, Array], Array]
 DECADES = 5.0  # lightness of a slice spans this much of f: what a print can still tell apart
 TICKS_H_DEG = (0, 5, 15, 30, 45, 60, 90)
 SLICE_NODES = 181
@@ -117,9 +118,19 @@ def slice_figure(
 
 
 def bsdf_slice_figure(
-    bsdf: Bsdf, illuminant: str = "D65", title: str = "", nodes: int = SLICE_NODES, phi_d_deg: float = 90.0
+    bsdf: Bsdf,
+    illuminant: str = "D65",
+    title: str = "",
+    nodes: int = SLICE_NODES,
+    phi_d_deg: float = 90.0,
+    evaluate: Evaluate | None = None,
 ) -> Figure:
     """Draw the slice of a Bsdf; see `slice_figure`. Delta lobes do not show.
+
+    Args:
+        bsdf: any; illuminant, title: as for `slice_figure`.
+        nodes: pixels a side; phi_d_deg: the slice's azimuth of the pair about the half vector.
+        evaluate: replaces `bsdf.evaluate(wi, wo)`, for lobes that only a renderer can walk.
 
     Raises:
         NacreError: nothing but delta lobes.
@@ -127,7 +138,7 @@ def bsdf_slice_figure(
     theta_h, theta_d, (wi, wo) = slice_directions(nodes, phi_d_deg)
     above = (wi[..., 2] > 0) & (wo[..., 2] > 0)
     values = np.zeros((*above.shape, len(bsdf.wavelengths_nm)))
-    values[above] = bsdf.evaluate(wi[above], wo[above])
+    values[above] = (evaluate or bsdf.evaluate)(wi[above], wo[above])
     return slice_figure(values, bsdf.wavelengths_nm, theta_h, theta_d, illuminant, title)
 
 
@@ -138,6 +149,7 @@ def lobe_figure(
     title: str = "",
     azimuth_deg: float = 0.0,
     nodes: int = 721,
+    evaluate: Evaluate | None = None,
 ) -> Figure:
     """Draw the light scattered in the plane of incidence, one polar diagram an angle, in its own colours.
 
@@ -151,6 +163,7 @@ def lobe_figure(
         title: over the first diagram.
         azimuth_deg: of the plane of incidence, from the surface's x axis.
         nodes: exit angles over a half circle.
+        evaluate: replaces `bsdf.evaluate(wi, wo)`, for lobes that only a renderer can walk.
     """
     incidence = np.atleast_1d(np.asarray(angles_deg, dtype=float))[:6]
     exits = np.radians(
@@ -168,7 +181,7 @@ def lobe_figure(
             axes = figure.add_subplot(rows, 1, row + 1)
             theta = np.radians(angle)
             wi = -np.sin(theta) * across + np.array([0.0, 0.0, np.cos(theta)])
-            values = bsdf.evaluate(np.broadcast_to(wi, wo.shape), wo) * np.abs(wo[:, 2:])
+            values = (evaluate or bsdf.evaluate)(np.broadcast_to(wi, wo.shape).copy(), wo) * np.abs(wo[:, 2:])
             specular = bsdf.specular(np.array([theta]))
             clipped_here, total_here = _polar(axes, exits, values, bsdf.wavelengths_nm, illuminant)
             clipped, total = clipped + clipped_here, total + total_here

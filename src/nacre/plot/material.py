@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -14,7 +15,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.plot.colours import chromaticity_figure, colour_map_figure
-from nacre.plot.directions import bsdf_slice_figure, lobe_figure, scattering_figure
+from nacre.plot.directions import SLICE_NODES, bsdf_slice_figure, lobe_figure, scattering_figure
 from nacre.plot.spectra import index_figure, parts_of, ribbon_figure, spectrum_figure
 from nacre.plot.structures import field_figure, microscope_figure, platelet_figure, structure_figure
 from nacre.plot.style import save_figure
@@ -27,6 +28,7 @@ KINDS = (
 SPECTRUM_ANGLES_DEG = (0.0, 30.0, 60.0)
 LOBE_ANGLES_DEG = (10.0, 30.0, 60.0)
 TRACK_ANGLES_DEG = np.linspace(0.0, 85.0, 35)
+WALK_NODES = 46  # a side of a slice whose pixels are random walks: 2,000 pixels instead of 33,000
 RIBBON_ANGLES_DEG = np.linspace(0.0, 89.0, 179)
 
 
@@ -60,6 +62,7 @@ def material_figure(
     angles_deg: ArrayLike | None = None,
     wavelengths_nm: ArrayLike | None = None,
     illuminant: str = "D65",
+    evaluate: Callable[[Bsdf, Array, Array], Array] | None = None,
 ) -> Figure:
     """Draw a figure of a material.
 
@@ -69,6 +72,7 @@ def material_figure(
         angles_deg: of incidence, where the kind has such an axis; sensible ones by default.
         wavelengths_nm: ascending; default: chosen by the material.
         illuminant: under which colours are seen.
+        evaluate: evaluates a Bsdf with lobes that need a renderer's random walk; such a slice is drawn coarser.
 
     Raises:
         UnsupportedError: no such kind, or the family has no such figure.
@@ -85,10 +89,15 @@ def material_figure(
         return _over_angles(kind, spectrum, illuminant, material.name)
     if kind in ("slice", "lobe"):
         bsdf = material.bsdf(wavelengths_nm)
+        is_walk = any(lobe.is_stochastic for lobe in bsdf.lobes)
+        walk = None
+        if is_walk and evaluate is not None:
+            walk = functools.partial(evaluate, bsdf)
         if kind == "slice":
-            return bsdf_slice_figure(bsdf, illuminant, material.name)
+            nodes = WALK_NODES if is_walk else SLICE_NODES
+            return bsdf_slice_figure(bsdf, illuminant, material.name, nodes, evaluate=walk)
         angles = np.atleast_1d(np.asarray(LOBE_ANGLES_DEG if angles_deg is None else angles_deg, dtype=float))
-        return lobe_figure(bsdf, angles, illuminant, material.name)
+        return lobe_figure(bsdf, angles, illuminant, material.name, nodes=181 if is_walk else 721, evaluate=walk)
     options: dict[str, Any] = {}
     if wavelengths_nm is not None:
         options["wavelengths_nm"] = wavelengths_nm
@@ -166,10 +175,11 @@ def save_material(
     wavelengths_nm: ArrayLike | None = None,
     illuminant: str = "D65",
     provenance: Mapping[str, Any] | None = None,
+    evaluate: Callable[[Bsdf, Array, Array], Array] | None = None,
 ) -> None:
     """Draw a figure of a material into a file with its provenance; see `material_figure` and `save_figure`."""
     figure = material_figure(
-        material, kind, angles_deg=angles_deg, wavelengths_nm=wavelengths_nm, illuminant=illuminant
+        material, kind, angles_deg=angles_deg, wavelengths_nm=wavelengths_nm, illuminant=illuminant, evaluate=evaluate
     )
     save_figure(figure, path, {"figure": kind, "illuminant": illuminant, **(provenance or {})})
 
