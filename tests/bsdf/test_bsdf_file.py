@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import pickle
 import zipfile
@@ -22,6 +23,7 @@ from nacre.errors import NacreError
 from nacre.film import Ridges
 
 
+@functools.cache
 def bsdf() -> Bsdf:
     """Return one Bsdf with every lobe of the films, textures of both kinds and a parameter axis."""
     axis = ParameterAxis("layers[0].thickness_nm", np.linspace(0, 10, 3), Texture(0, 10, parse_formula("10*u")))

@@ -124,17 +124,24 @@ def test_compensation_returns_the_light_between_facets(
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
-@pytest.mark.parametrize(("ax", "ay"), [(0.1, 0.5), (0.02, 1.0), (1.0, 1.0)])
 @pytest.mark.parametrize(
-    ("response", "side"), [(mirror(), 1), (dielectric(1.5), 1), (dielectric(1.5), -1), (dielectric(2.4), -1)]
+    ("distribution", "ax", "ay", "response", "side"),
+    [
+        ("beckmann", 0.02, 1.0, dielectric(1.5), -1),
+        ("blinn", 0.02, 1.0, dielectric(1.5), 1),
+        ("ggx", 0.1, 0.5, dielectric(1.5), -1),
+        ("ashikhmin-shirley", 0.1, 0.5, dielectric(1.5), -1),
+        ("ggx", 1.0, 1.0, mirror(), 1),
+        ("ggx", 1.0, 1.0, dielectric(1.5), -1),
+        ("beckmann", 1.0, 1.0, dielectric(2.4), -1),
+    ],
 )
 def test_compensation_at_extremes(
     distribution: str, ax: float, ay: float, response: InterfaceResponse, side: int
 ) -> None:
     lobe = compensate(Microfacet(response, distribution, ax, ay))
-    for azimuth in (0.0, 0.7, 1.4):
-        total = furnace(lobe, azimuth, side, nodes=96)
+    for azimuth in (0.0, 0.7):
+        total = furnace(lobe, azimuth, side, nodes=128)
         assert np.min(total) > 0.98
         assert np.max(total) <= FURNACE_LIMIT
 
@@ -167,7 +174,7 @@ def test_the_facets_own_quadrature_agrees_with_a_plain_one() -> None:
     lobe = compensate(Microfacet(dielectric(1.5), "ggx", 0.5, 0.7))
     wi = direction(0.8, 0.3)
     narrow = lobe.hemispherical(wi, nodes=96)
-    plain = product_rule(lambda wo: lobe.evaluate(np.broadcast_to(wi, wo.shape), wo), wi, 400, True)
+    plain = product_rule(lambda wo: lobe.evaluate(np.broadcast_to(wi, wo.shape), wo), wi, 200, True)
     np.testing.assert_allclose(narrow[0], plain[0], rtol=2e-3)
     np.testing.assert_allclose(narrow[1], plain[1], rtol=2e-3)
 

@@ -99,32 +99,36 @@ def exits(w: Array, m: Array, eta: float) -> tuple[Array, Array]:
 
 
 def normal_quadrature(distribution: str, alpha_x: float, alpha_y: float, nodes: int = 64) -> tuple[Array, Array]:
-    """Return normals and their weights D(m) dm, `[nodes^2, 3]` and `[nodes^2]`, dense where D is.
+    """Return normals and their weights D(m) dm, `[count, 3]` and `[count]`, dense where D is; count ~ nodes^2.
 
-    Polar nodes follow the quantiles of D m_z, clustered at both ends; azimuth nodes follow those of its share.
+    A Fibonacci lattice over the quantiles of D m_z and the azimuth: at normal incidence every point has another
+    polar angle, so that the kink of total reflection is met finely (a product rule of as many points errs by 1 %).
     """
-    radial, radial_weight = np.polynomial.legendre.leggauss(nodes)
-    xi, dxi = 0.5 * (radial + 1.0), 0.5 * radial_weight
-    xi, dxi = xi * xi * (3 - 2 * xi), dxi * 6 * xi * (1 - xi)
-    # an azimuth stretched by the anisotropy: tan(phi) = (alpha_y/alpha_x) tan(phi'); uniform nodes in phi' are
-    # exact for an elliptic distribution, and a good start for the others
-    turned: Array = (np.arange(nodes, dtype=np.float64) + 0.5) * (2.0 * np.pi / nodes)
+    before, count = 1, 1
+    while count < nodes * nodes:
+        before, count = count, before + count
+    lattice = np.arange(count, dtype=np.float64)
+    unit = (lattice + 0.5) / count
+    # clustered at both ends, where the weight vanishes: the lattice wants a periodic integrand
+    xi, dxi = unit * unit * (3 - 2 * unit), 6 * unit * (1 - unit) / count
+    # an azimuth stretched by the anisotropy: uniform points in phi' are exact for an elliptic distribution
+    turned: Array = 2.0 * np.pi * np.mod(lattice * before / count, 1.0)
     x, y = alpha_x * np.cos(turned), alpha_y * np.sin(turned)
     phi = np.arctan2(y, x)
     stretch = alpha_x * alpha_y / (x * x + y * y)  # d phi / d phi'
     alpha2 = 1.0 / (np.square(np.cos(phi) / alpha_x) + np.square(np.sin(phi) / alpha_y))
     if distribution == "ggx":
-        cos = 1.0 / np.sqrt(1.0 + alpha2[:, None] * xi / np.maximum(1.0 - xi, TINY))
+        cos = 1.0 / np.sqrt(1.0 + alpha2 * xi / np.maximum(1.0 - xi, TINY))
     elif distribution == "beckmann":
-        cos = 1.0 / np.sqrt(1.0 - alpha2[:, None] * np.log(np.maximum(1.0 - xi, TINY)))
+        cos = 1.0 / np.sqrt(1.0 - alpha2 * np.log(np.maximum(1.0 - xi, TINY)))
     else:
         exponent = exponent_from_alpha(alpha_x) * np.cos(phi) ** 2 + exponent_from_alpha(alpha_y) * np.sin(phi) ** 2
-        cos = np.power(np.maximum(1.0 - xi, TINY), 1.0 / (np.asarray(exponent)[:, None] + 2.0))
+        cos = np.power(np.maximum(1.0 - xi, TINY), 1.0 / (exponent + 2.0))
     sin = np.sqrt(np.maximum(0.0, 1.0 - cos * cos))
-    m = np.stack([np.cos(phi)[:, None] * sin, np.sin(phi)[:, None] * sin, cos], axis=-1).reshape(-1, 3)
+    m = np.stack([np.cos(phi) * sin, np.sin(phi) * sin, cos], axis=-1)
     # at one azimuth xi is the cumulative distribution of D m_z, up to the share of the azimuth
     share = _azimuth_share(distribution, phi, alpha_x, alpha_y) * stretch
-    measure = (share[:, None] * dxi[None, :] * (2.0 * np.pi / nodes)).reshape(-1)
+    measure = share * dxi * 2.0 * np.pi
     if distribution == "ashikhmin-shirley":
         ex, ey = float(exponent_from_alpha(alpha_x)), float(exponent_from_alpha(alpha_y))
         measure = measure * np.sqrt((ex + 1) * (ey + 1) / ((ex + 2) * (ey + 2)))
@@ -145,7 +149,7 @@ def visible_normals(
         nodes: points along each of two coordinates.
 
     Returns:
-        `(m, weight)`: `[nodes^2, 3]`, `[nodes^2]`.
+        `(m, weight)`: `[count, 3]`, `[count]`; see `normal_quadrature`.
     """
     m, measure = normal_quadrature(distribution, alpha_x, alpha_y, nodes)
     w_m = m @ w

@@ -238,7 +238,7 @@ def _read_arrays(
         with zipped.open(f"{name}.npy") as stream:
             try:
                 array = np.lib.format.read_array(stream, allow_pickle=False, max_header_size=4096)
-            except ValueError:
+            except Exception:  # numpy's header parser fails in many ways: token, syntax, value, type errors
                 raise NacreError(f"{path}: array {name[:60]} is damaged") from None
         if array.shape != shape or array.dtype.str != dtype:
             raise NacreError(f"{path}: array {name[:60]} is not as the header says; the file is damaged")

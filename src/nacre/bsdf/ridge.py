@@ -111,19 +111,27 @@ class Ridge(Lobe):
         angle = 0.0 if self.rotation is None else float(self.rotation(np.array([0.5, 0.5]) if uv is None else uv))
         cos, sin = np.cos(angle), np.sin(angle)
         along_i = cos * wi[1] - sin * wi[0]
-        count = int(np.clip(16 * self.count * self.pitch_nm / self.wavelengths_nm[0], 4 * nodes, 8000))
-        across = -1.0 + (np.arange(count) + 0.5) * (2.0 / count)
+        count = int(np.clip(24 * self.count * self.pitch_nm / self.wavelengths_nm[0], 4 * nodes, 8000))
         spread = np.linspace(-4.5, 4.5, 28) * self.spread_along
         total = nothing
         for along in spread - along_i:
-            square = across**2 + along**2
-            kept = across[square < 1.0]
-            if not kept.size:
+            if abs(along) >= 1.0:
                 continue
-            z = np.sqrt(1.0 - square[square < 1.0])
-            wo = np.stack([cos * kept - sin * along, sin * kept + cos * along, z], axis=-1)
-            total = total + self.evaluate(np.broadcast_to(wi, wo.shape), wo, uv).sum(axis=0)
-        return total * (2.0 / count) * (spread[1] - spread[0]), nothing
+            across, weight = chord(float(along), count)
+            z = np.sqrt(np.maximum(0.0, 1.0 - across**2 - along**2))
+            wo = np.stack([cos * across - sin * along, sin * across + cos * along, z], axis=-1)
+            total = total + weight @ self.evaluate(np.broadcast_to(wi, wo.shape), wo, uv)
+        return total * (spread[1] - spread[0]), nothing
+
+
+def chord(along: float, count: int) -> tuple[Array, Array]:
+    """Return `count` points and weights over the exits s_x at one s_y, denser towards the rim of the unit disc.
+
+    The rim, where grating orders appear, is met exactly; a plain grid errs there by half a per cent.
+    """
+    edge = np.sqrt(1.0 - along * along)
+    turn = np.pi * ((np.arange(count, dtype=np.float64) + 0.5) / count - 0.5)
+    return edge * np.sin(turn), edge * np.cos(turn) * (np.pi / count)
 
 
 def gaussian(q: Array, width: float) -> Array:

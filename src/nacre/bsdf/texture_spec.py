@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 import pydantic
@@ -71,6 +73,17 @@ class TextureSpec(RecipeModel):
         if low > high:
             raise context.fail(f"{key}.formula", self.formula, f"leaves no range between {low:g} and {high:g}")
         return Texture(low, high, formula=formula)
+
+
+def texture_or_number(value: Any) -> str:
+    """Return the union member a recipe's value is meant for, so that its own message reaches the user."""
+    return "Texture" if isinstance(value, Mapping | TextureSpec) else "Number"
+
+
+NumberOrTexture = Annotated[
+    Annotated[float, pydantic.Tag("Number")] | Annotated[TextureSpec, pydantic.Tag("Texture")],
+    pydantic.Discriminator(texture_or_number),
+]
 
 
 def read_grey(path: Path, where: str) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nacre.bsdf.diffuse import Diffuse
 from nacre.bsdf.hemisphere import direction
 from nacre.bsdf.response import InterfaceResponse
-from nacre.bsdf.ridge import Ridge, gaussian, ridge_interference
+from nacre.bsdf.ridge import Ridge, chord, gaussian, ridge_interference
 from nacre.bsdf.texture import Texture
 
 Array = NDArray[np.float64]
@@ -72,29 +72,29 @@ class Ridges:
         largest = np.zeros(len(lam))
         # ten points across the narrowest peak of the comb
         peak = lam.min() / (self.count * self.pitch_nm) if self.height_deviation_nm < lam.max() else 1.0
-        across = _midpoints(int(np.clip(20.0 / peak, 200, 8000)))
+        count = int(np.clip(10.0 * np.pi / peak, 200, 8000))
         along = np.linspace(-4.0, 4.0, 13) * self.spread_along
-        weight = gaussian(along, self.spread_along) * (along[1] - along[0]) * (across[1] - across[0])
+        weight = gaussian(along, self.spread_along) * (along[1] - along[0])
         for s_x in SCAN_ACROSS:
             for s_y in SCAN_ALONG:
                 if s_x**2 + s_y**2 >= 0.99:
                     continue
                 cos_i = np.sqrt(1.0 - s_x**2 - s_y**2)
-                out_y = along - s_y
-                square = across[:, None] ** 2 + out_y[None, :] ** 2
-                cos_o = np.sqrt(np.maximum(0.0, 1.0 - square))
                 total = np.zeros(len(lam))
-                for j in range(len(along)):
+                for y, share in zip(along - s_y, weight, strict=True):
+                    if abs(y) >= 1.0:
+                        continue
+                    across, step = chord(float(y), count)
                     k = ridge_interference(
                         across + s_x,
-                        cos_i + cos_o[:, j],
+                        cos_i + np.sqrt(np.maximum(0.0, 1.0 - across**2 - y**2)),
                         lam,
                         self.pitch_nm,
                         self.width_nm,
                         self.height_deviation_nm,
                         self.count,
                     )
-                    total += weight[j] * np.sum(k * (square[:, j] < 1.0)[:, None], axis=0)
+                    total += share * (step @ k)
                 largest = np.maximum(largest, total)
         return np.asarray(np.interp(grid, lam, largest)) * SAFETY
 
@@ -136,8 +136,3 @@ def _stride(wavelengths_nm: Array, step_nm: float = 10.0) -> int:
     if len(wavelengths_nm) < 3:
         return 1
     return max(1, round(step_nm / float(wavelengths_nm[1] - wavelengths_nm[0])))
-
-
-def _midpoints(count: int) -> Array:
-    """Return the midpoints of `count` equal intervals of [-1, 1]."""
-    return np.asarray(-1.0 + (np.arange(count, dtype=np.float64) + 0.5) * (2.0 / count))

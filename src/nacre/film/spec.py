@@ -9,7 +9,7 @@ import pydantic
 
 from nacre.bsdf.facets import alpha_from_exponent
 from nacre.bsdf.texture import Texture, parse_formula
-from nacre.bsdf.texture_spec import TextureSpec
+from nacre.bsdf.texture_spec import NumberOrTexture, TextureSpec, texture_or_number
 from nacre.film.material import Film, FilmLayer, Surface
 from nacre.film.ridges import Ridges
 from nacre.matter.spec import IndexSpec
@@ -58,15 +58,25 @@ def _unit(value: Any) -> Any:
     return value
 
 
-Varying = Annotated[float | TextureSpec, pydantic.BeforeValidator(_thickness)]
-Positive = Annotated[float, pydantic.Field(gt=0.0)]
+def _width_form(value: Any) -> str:
+    return "Pair" if isinstance(value, list | tuple) else texture_or_number(value)
+
+
+Thickness = Annotated[NumberOrTexture, pydantic.BeforeValidator(_thickness)]
+Width = Annotated[
+    Annotated[float, pydantic.Tag("Number")]
+    | Annotated[tuple[float, ...], pydantic.Tag("Pair")]
+    | Annotated[TextureSpec, pydantic.Tag("Texture")],
+    pydantic.Discriminator(_width_form),
+    pydantic.BeforeValidator(_unit),
+]
 
 
 class LayerSpec(RecipeModel):
     """One layer: a material, a thickness that may vary over the surface, and whether it is too thick to interfere."""
 
     material: IndexSpec
-    thickness_nm: Varying
+    thickness_nm: Thickness
     incoherent: bool = False
 
 
@@ -74,14 +84,14 @@ class SurfaceSpec(RecipeModel):
     """Roughness: a distribution and its width, as alpha or as exponents e = 2/alpha^2 - 2."""
 
     distribution: Literal["ggx", "beckmann", "blinn", "ashikhmin-shirley"] = "ggx"
-    roughness: Annotated[float | tuple[float, ...] | TextureSpec, pydantic.BeforeValidator(_unit)] | None = None
+    roughness: Width = 0.0
     exponent: float | tuple[float, ...] | None = None
-    rotation_deg: float | TextureSpec = 0.0
+    rotation_deg: NumberOrTexture = 0.0
     compensate: bool = False
 
     @pydantic.model_validator(mode="after")
     def _one_width(self) -> SurfaceSpec:
-        if self.roughness is not None and self.exponent is not None:
+        if "roughness" in self.model_fields_set and self.exponent is not None:
             raise ValueError("roughness and exponent give the same width twice; keep one")
         if self.exponent is not None:
             values = self.exponent if isinstance(self.exponent, tuple) else (self.exponent,)
@@ -104,8 +114,7 @@ class SurfaceSpec(RecipeModel):
                 raise context.fail("surface.roughness", got, "is not allowed; it should be in [0.001, 1]")
             widths = (1.0,)
         else:
-            rough = self.roughness if self.roughness is not None else 0.0
-            widths = rough if isinstance(rough, tuple) else (rough,)
+            widths = self.roughness if isinstance(self.roughness, tuple) else (self.roughness,)
         return Surface(
             distribution=self.distribution,
             alpha_x=widths[0],
@@ -125,7 +134,7 @@ class RidgesSpec(RecipeModel):
     count: Annotated[int, pydantic.Field(ge=1, le=200)] = 7
     along_deviation_deg: Annotated[float, pydantic.Field(ge=0.1, le=30.0)] = 4.0
     fill: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = 1.0
-    rotation_deg: float | TextureSpec = 0.0
+    rotation_deg: NumberOrTexture = 0.0
 
     @pydantic.model_validator(mode="after")
     def _width_fits(self) -> RidgesSpec:
@@ -211,7 +220,7 @@ class FilmSpec(RecipeModel):
                 raise ValueError(
                     f"layers[{i}].thickness_nm = {thickness:g} is too thick to interfere; write incoherent = true"
                 )
-        if self.ridges is not None and self.surface.roughness not in (None, 0.0):
+        if self.ridges is not None and self.surface.roughness != 0.0:
             raise ValueError("surface.roughness has no effect beside ridges; keep one of the two")
         return self
 
