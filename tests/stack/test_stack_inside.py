@@ -7,7 +7,7 @@ import pytest
 import tmm
 
 from nacre.errors import NacreError
-from nacre.matter import Layer, Stack, solve
+from nacre.matter import Layer, Stack, powers, solve
 from nacre.matter.polarisation import ellipsometry, jones_reflection, jones_transmission, mueller
 from nacre.matter.stack_field import field_profile
 from nacre.matter.stack_incoherent import incoherent_powers
@@ -129,3 +129,23 @@ def test_gold_has_the_ellipsometric_angles_that_instruments_print() -> None:
 def test_a_stack_with_an_incoherent_layer_refuses_amplitudes() -> None:
     with pytest.raises(NacreError, match="incoherent"):
         Stack(1.0, [Layer(1.5, 1e6, incoherent=True)], 1.0).solve(0.0, [LAM])
+
+
+def test_batches_and_in_plane_wavevectors_of_incoherent_stacks_are_those_of_single_ones() -> None:
+    lam = np.array([450.0, 600.0])
+    n = np.array([[1.5, 1.48], [2.2, 2.1], [1.5 + 1e-5j, 1.48 + 1e-5j], [1.0, 1.0]])
+    d = np.array([[80.0, 2e4], [130.0, 5e4], [0.0, 1e5]])
+    kappa = np.array([[0.0, 0.0], [0.7, 0.71], [1.2, 1.2]])
+    whole = incoherent_powers(n, d, [False, True], lam, kappa=kappa)
+    assert whole.R_s.shape == (3, 3, 2)
+    for i, j, l in ((0, 1, 0), (1, 2, 1), (2, 0, 0)):
+        angle = np.arcsin(kappa[j, l] / n[0, l].real)
+        one = incoherent_powers(n[:, [l]], d[i], [False, True], lam[[l]], angle)
+        assert abs(one.R_p[0] - whole.R_p[i, j, l]) <= ENERGY
+        assert abs(one.T_s[0] - whole.T_s[i, j, l]) <= ENERGY
+
+
+def test_powers_need_a_wave_that_arrives() -> None:
+    with pytest.raises(NacreError, match="kappa"):
+        powers([[1.0], [1.5]], [], [LAM], kappa=[1.1])
+    assert powers([[1.0], [1.5]], [], [LAM], kappa=[1.0]).R_s[0, 0] == pytest.approx(1.0)

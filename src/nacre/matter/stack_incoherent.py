@@ -28,14 +28,17 @@ def incoherent_powers(
     thicknesses_nm: ArrayLike,
     incoherent: Sequence[bool],
     wavelengths_nm: ArrayLike,
-    theta_rad: ArrayLike,
+    theta_rad: ArrayLike | None = None,
     *,
+    cos_i: ArrayLike | None = None,
+    kappa: ArrayLike | None = None,
     jobs: int | None = None,
 ) -> Powers:
     """R and T of a stack some of whose layers are incoherent.
 
     Args:
-        n, thicknesses_nm, wavelengths_nm, theta_rad, jobs: as in `nacre.matter.stratified.solve`.
+        n, thicknesses_nm, wavelengths_nm, theta_rad, cos_i, kappa, jobs: as in `nacre.matter.stratified.powers`,
+            batches included.
         incoherent: `[layer]`, which layers do not interfere.
 
     R + T + A = 1 is exact where the incoherent layers absorb over their thickness but little over a wavelength
@@ -44,7 +47,7 @@ def incoherent_powers(
     Raises:
         NacreError: as `solve`, or flags that do not fit the layers.
     """
-    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad)
+    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa)
     layers = case.n.shape[1] - 2
     if len(incoherent) != layers:
         raise NacreError(f"incoherent must hold one flag for each of the {layers} layers, not {len(incoherent)}")

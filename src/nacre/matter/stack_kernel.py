@@ -33,6 +33,7 @@ LANES = 8  # rows are filled up to a multiple of the widest vector, so that no s
 SMALL_KZ2 = 1e-3  # below this |kz^2| a block goes the robust way; above, the fast one keeps 14 digits
 RESCALE_EVERY = 16  # layers; growth per layer is below (n_high / n_low) < 1e3, so 16 stay far from 1e308
 TWO_PI = 2.0 * math.pi
+TWO_OVER_LN2 = 2.0 / math.log(2.0)
 TWO_PI_OVER_LN2 = 2.0 * math.pi / math.log(2.0)
 ROUNDING = 1e-15  # a sum of three terms is exact to this, relative to their sizes
 ROUNDER = 6755399441055744.0  # 1.5 * 2^52: adding and subtracting it rounds a double to an integer
@@ -47,7 +48,9 @@ _UP, _VP = 15 * BLOCK, 17 * BLOCK  # the same of p
 _TURNS, _DECAY = 19 * BLOCK, 20 * BLOCK  # sum of kz d / wavelength, real and imaginary part
 _DL = 21 * BLOCK  # 2 d / wavelength of the layer
 _SCALE_S, _SCALE_P = 22 * BLOCK, 23 * BLOCK  # logarithm of what rescaling took out of u and v
-ROWS = 24
+_QS, _QP = 24 * BLOCK, 26 * BLOCK  # q of the ambient, s and p: real row, imaginary row
+_OUT = 28 * BLOCK  # Re q of the substrate, s and p; the end turns them into T, and puts R beside
+ROWS = 32
 
 
 @intrinsic
@@ -92,8 +95,8 @@ def _cos_half_turn(s: float) -> float:
 
 @compiled(error_model="numpy", fastmath={"contract"}, inline="always")
 def _exp2_minus(y: float) -> float:
-    """2^-y for y >= 0; below 2^-1000 it stays at 2^-1000, which no result can tell from zero."""
-    y = min(y, 1000.0)
+    """2^-y; beyond 2^-1000 it stays there, which no result can tell from zero, and likewise at 2^1000."""
+    y = max(min(y, 1000.0), -1000.0)
     k = (y + ROUNDER) - ROUNDER
     g = k - y
     p = 4.455817908336064493e-10
@@ -303,20 +306,32 @@ def _rescale(w: Any, count: int, row_u: int, row_v: int, row_scale: int) -> None
 
 
 @compiled(error_model="numpy")
-def _finish(q0: complex, qs: complex, u: complex, v: complex, turns: float, log_size: float) -> Any:
-    """Return r, t, R, T from the fields at the top; `log_size` is the log of |prod e^{ix}| over the rescaling."""
+def _finish(q0: complex, u: complex, v: complex, turns: float, log_size: float) -> tuple[complex, complex]:
+    """Return r and t from the fields at the top; `log_size` is the log of |prod e^{ix}| over the rescaling."""
     below = q0 * u + v
     if abs(below) == 0.0:
         # grazing incidence on a stack that is matched throughout: the wave goes straight on
-        return 0.0j, 1.0 + 0.0j, 0.0, 1.0
-    r = (q0 * u - v) / below
+        return 0.0j, 1.0 + 0.0j
     size = math.exp(max(log_size, -740.0))
     phase = TWO_PI * (turns - np.rint(turns))
-    t = 2.0 * q0 * size / below * complex(math.cos(phase), math.sin(phase))
-    transmitted = 0.0
-    if q0.real > 0.0:
-        transmitted = (t.real * t.real + t.imag * t.imag) * max(qs.real, 0.0) / q0.real
-    return r, t, r.real * r.real + r.imag * r.imag, transmitted
+    return (q0 * u - v) / below, 2.0 * q0 * size / below * complex(math.cos(phase), math.sin(phase))
+
+
+@compiled(error_model="numpy", fastmath={"contract"})
+def _power_end(w: Any, count: int, row_u: int, row_v: int, row_q: int, row_scale: int, row_t: int, row_r: int) -> None:
+    """R and T of a block without the phases: what `_finish` does, in a loop that vectorises."""
+    for i in range(count):
+        qr, qi = w[row_q + i], w[row_q + BLOCK + i]
+        ur, ui, vr, vi = w[row_u + i], w[row_u + BLOCK + i], w[row_v + i], w[row_v + BLOCK + i]
+        xr, xi = qr * ur - qi * ui, qr * ui + qi * ur
+        below = (xr + vr) * (xr + vr) + (xi + vi) * (xi + vi)
+        above = (xr - vr) * (xr - vr) + (xi - vi) * (xi - vi)
+        over = 1.0 / max(below, 1e-300)
+        size = _exp2_minus((TWO_PI * w[_DECAY + i] + w[row_scale + i]) * TWO_OVER_LN2)
+        passed = 4.0 * (qr * qr + qi * qi) * over * size * max(w[row_t + i], 0.0) / max(qr, 1e-300)
+        passed = passed if qr > 0.0 else 0.0
+        w[row_r + i] = above * over if below > 0.0 else 0.0
+        w[row_t + i] = passed if below > 0.0 else 1.0
 
 
 @compiled(error_model="numpy")
@@ -394,6 +409,9 @@ def solve_range(
                         kz0 = kz0 * n[bn, 0, l]
                     square = kz0 * kz0
                     w[_ZR + i], w[_ZI + i] = square.real, square.imag
+                    w[_QS + i], w[_QS + BLOCK + i] = kz0.real, kz0.imag
+                    kz0 = kz0 * complex(i2r[0, l], i2i[0, l])
+                    w[_QP + i], w[_QP + BLOCK + i] = kz0.real, kz0.imag
                     if square.imag != 0.0:
                         is_real = False
                     w[_US + i] = w[_UP + i] = 1.0
@@ -423,35 +441,32 @@ def solve_range(
                     if j % RESCALE_EVERY == 0:
                         _rescale(w, count, _US, _VS, _SCALE_S)
                         _rescale(w, count, _UP, _VP, _SCALE_P)
-                for i in range(min(count, count_l - l0)):
-                    l = l0 + i
-                    kz0 = row[min(l, row.shape[0] - 1)]
-                    if times_n0:
-                        kz0 = kz0 * n[bn, 0, l]
-                    decay = -TWO_PI * w[_DECAY + i]
-                    r_s, t_s, big_r_s, big_t_s = _finish(
-                        kz0,
-                        qs_s[i],
-                        complex(w[_US + i], w[_US + BLOCK + i]),
-                        complex(w[_VS + i], w[_VS + BLOCK + i]),
-                        w[_TURNS + i],
-                        decay - w[_SCALE_S + i],
-                    )
-                    r_p, t_p, big_r_p, big_t_p = _finish(
-                        kz0 * complex(i2r[0, l], i2i[0, l]),
-                        qs_p[i],
-                        complex(w[_UP + i], w[_UP + BLOCK + i]),
-                        complex(w[_VP + i], w[_VP + BLOCK + i]),
-                        w[_TURNS + i],
-                        decay - w[_SCALE_P + i],
-                    )
-                    if wants_r:
-                        amplitudes[0, b, angle, l] = r_s
-                        amplitudes[1, b, angle, l] = r_p
-                        amplitudes[2, b, angle, l] = t_s
-                        amplitudes[3, b, angle, l] = t_p
-                    if wants_power:
-                        powers[0, b, angle, l] = big_r_s
-                        powers[1, b, angle, l] = big_r_p
-                        powers[2, b, angle, l] = big_t_s
-                        powers[3, b, angle, l] = big_t_p
+                valid = min(count, count_l - l0)
+                if wants_power:
+                    for i in range(count):
+                        w[_OUT + i], w[_OUT + BLOCK + i] = qs_s[i].real, qs_p[i].real
+                    _power_end(w, count, _US, _VS, _QS, _SCALE_S, _OUT, _OUT + 2 * BLOCK)
+                    _power_end(w, count, _UP, _VP, _QP, _SCALE_P, _OUT + BLOCK, _OUT + 3 * BLOCK)
+                    for i in range(valid):
+                        powers[0, b, angle, l0 + i] = w[_OUT + 2 * BLOCK + i]
+                        powers[1, b, angle, l0 + i] = w[_OUT + 3 * BLOCK + i]
+                        powers[2, b, angle, l0 + i] = w[_OUT + i]
+                        powers[3, b, angle, l0 + i] = w[_OUT + BLOCK + i]
+                if wants_r:
+                    for i in range(valid):
+                        l = l0 + i
+                        decay = -TWO_PI * w[_DECAY + i]
+                        amplitudes[0, b, angle, l], amplitudes[2, b, angle, l] = _finish(
+                            complex(w[_QS + i], w[_QS + BLOCK + i]),
+                            complex(w[_US + i], w[_US + BLOCK + i]),
+                            complex(w[_VS + i], w[_VS + BLOCK + i]),
+                            w[_TURNS + i],
+                            decay - w[_SCALE_S + i],
+                        )
+                        amplitudes[1, b, angle, l], amplitudes[3, b, angle, l] = _finish(
+                            complex(w[_QP + i], w[_QP + BLOCK + i]),
+                            complex(w[_UP + i], w[_UP + BLOCK + i]),
+                            complex(w[_VP + i], w[_VP + BLOCK + i]),
+                            w[_TURNS + i],
+                            decay - w[_SCALE_P + i],
+                        )

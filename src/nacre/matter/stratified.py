@@ -130,10 +130,18 @@ def powers(
     theta_rad: ArrayLike | None = None,
     *,
     cos_i: ArrayLike | None = None,
+    kappa: ArrayLike | None = None,
     jobs: int | None = None,
 ) -> Powers:
-    """R and T alone: `solve` without the amplitudes, a third of the memory. Arguments and errors as there."""
-    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
+    """R and T alone: `solve` without the amplitudes, faster and in a third of the memory.
+
+    Args:
+        kappa: in-plane wavevectors kx / k0 instead of angles, real, `[angle]` or `[angle, wavelength]`, up to the
+            index of the ambient: one direction outside a dispersive medium is another angle inside at each wavelength.
+
+    Other arguments and errors as in `solve`.
+    """
+    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa)
     return Powers(*_run(case, False, True, jobs)[1])
 
 
@@ -164,7 +172,9 @@ def amplitudes(
 
     Example: glass (n = 1.5) at kz = 1 + 2i: r_s = 0.0340 + 0.0578i.
     """
-    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa, kz=kz)
+    case = prepare(
+        n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa, kz=kz, waves_only=True
+    )
     return Amplitudes(*_run(case, True, False, jobs)[0])
 
 
@@ -195,6 +205,7 @@ def prepare(
     cos_i: ArrayLike | None = None,
     kappa: ArrayLike | None = None,
     kz: ArrayLike | None = None,
+    waves_only: bool = False,
 ) -> Case:
     """Check the arguments of `solve` or `amplitudes` and lay them out for a kernel; errors as there."""
     lam = _owned(wavelengths_nm, np.float64)
@@ -216,7 +227,7 @@ def prepare(
         raise NacreError(f"the batches of n {index.shape[:-2]} and thicknesses {d.shape[:-1]} do not fit") from None
     flat_n = _owned(_flat(index, batch, 2), np.complex128)
     flat_d = _owned(_flat(d, batch, 1), np.float64)
-    normal, times_n0, angle_shape = _normal(flat_n, lam.size, theta_rad, cos_i, kappa, kz)
+    normal, times_n0, angle_shape = _normal(flat_n, lam.size, theta_rad, cos_i, kappa, kz, waves_only)
     return Case(flat_n, flat_d, lam, normal, times_n0, batch, angle_shape)
 
 
@@ -227,6 +238,7 @@ def _normal(
     cos_i: ArrayLike | None,
     kappa: ArrayLike | None,
     kz: ArrayLike | None,
+    waves_only: bool,
 ) -> tuple[Complex, bool, tuple[int, ...]]:
     """Return what the kernel needs of the direction: `normal`, `times_n0` and the shape of the angle axis."""
     if sum(x is not None for x in (theta_rad, cos_i, kappa, kz)) != 1:
@@ -255,6 +267,8 @@ def _normal(
         raise NacreError(f"kappa or kz must have the shape [angle] or [angle, {count}], not {list(given.shape)}")
     if not np.all(np.isfinite(given)):
         raise NacreError("kappa and kz must be finite")
+    if not waves_only and (np.any(given.imag) or np.any(np.abs(given) > n[:, 0].real.min())):
+        raise NacreError("powers need a real kappa up to the index of the ambient: beyond, no light arrives")
     grid = given.reshape(1, -1, 1) if given.ndim < 2 else given[None]
     if kz is None:
         grid = _decaying_root(n[:, 0][:, None, :] ** 2 - grid**2)
