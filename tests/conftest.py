@@ -8,7 +8,7 @@ where there is no NVIDIA GPU.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from typing import Any
 
 import pytest
@@ -63,18 +63,16 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
         _not_rendered.append(report.longrepr[2].split(NO_RENDER, 1)[1].strip())
 
 
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Fail the session if rendering tests could not run."""
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_sessionfinish(session: pytest.Session) -> Generator[None, Any, Any]:
+    """Fail the session if rendering tests could not run, and say why in the very last line."""
     if _not_rendered:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
-
-
-def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """Say in one line at the very end why the session failed."""
-    if _not_rendered:
-        terminalreporter.write_line(
-            f"FAILED: {len(_not_rendered)} rendering tests could not run: {_not_rendered[0]}", red=True
-        )
+    result = yield
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if _not_rendered and reporter is not None:
+        reporter.write_line(f"FAILED: {len(_not_rendered)} rendering tests could not run: {_not_rendered[0]}", red=True)
+    return result
 
 
 @pytest.fixture(scope="session")

@@ -104,6 +104,11 @@ def flag(*names: str) -> int:
     return word
 
 
+def negated(mask: Any) -> Any:
+    """Return the opposite of a mask; `~` would make a number of a plain bool in scalar variants."""
+    return mask ^ True
+
+
 def opaque(value: float) -> Any:
     """Return a Float that is data, not a literal: another value needs no new kernel."""
     number = mi.Float(float(value))

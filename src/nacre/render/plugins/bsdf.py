@@ -10,7 +10,7 @@ import mitsuba as mi
 
 from nacre.bsdf.contract import Bsdf
 from nacre.errors import UnsupportedError
-from nacre.render.plugins.base import LobePlugin, logger, with_wi
+from nacre.render.plugins.base import LobePlugin, logger, negated, with_wi
 from nacre.render.plugins.registry import make_plugin
 
 # The renderer draws wavelengths from 360 to 830 nm; nearly all that the eye weighs lies within this.
@@ -187,8 +187,8 @@ def _bsdf_class(variant: str) -> type:
                 below, first = above, first + len(plugin.components)
             if sum(not delta for delta in self.delta) > 1:
                 # two broad lobes may overlap: weigh by the whole sum, as multiple importance sampling would
-                value, pdf = self._eval_pdf_sum(ctx, si, bs.wo, active & ~is_delta, enabled, shares)
-                broad = active & ~is_delta & (pdf > 0.0) & (bs.pdf > 0.0)
+                value, pdf = self._eval_pdf_sum(ctx, si, bs.wo, active & negated(is_delta), enabled, shares)
+                broad = active & negated(is_delta) & (pdf > 0.0) & (bs.pdf > 0.0)
                 weight = dr.select(broad, value / dr.maximum(pdf, 1e-20), weight)
                 bs.pdf = dr.select(broad, pdf, bs.pdf)
             return bs, weight & active

@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from nacre.bsdf.microfacet import Microfacet
-from nacre.render.plugins.base import MIN_COS, opaque
+from nacre.render.plugins.base import MIN_COS, negated, opaque
 from nacre.render.plugins.tables import DeviceTable, WavelengthAxis
 from nacre.render.plugins.textures import DeviceParameters
 
@@ -80,7 +80,7 @@ class Compensation:
         cos = dr.abs(wo.z)
         seen = active & (cos > MIN_COS)
         if self.sides == 1:
-            seen = seen & ~crosses
+            seen = seen & negated(crosses)
         if not all(enabled):
             seen = seen & dr.select(crosses, mi.Bool(len(enabled) > 1 and enabled[1]), mi.Bool(enabled[0]))
         goes_inside = inside ^ crosses

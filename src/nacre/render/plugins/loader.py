@@ -6,18 +6,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import itertools
+import os
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from nacre.bsdf.contract import Bsdf
-from nacre.errors import RecipeError
+from nacre.errors import NacreError, RecipeError
 
 _recipe_loader: Callable[[str], Bsdf] | None = None
 _handed_over: weakref.WeakValueDictionary[str, Bsdf] = weakref.WeakValueDictionary()
 _numbers = itertools.count()
+_failures: list[NacreError] = []
 
 
 def set_recipe_loader(loader: Callable[[str], Bsdf]) -> None:
@@ -50,12 +53,40 @@ def hand_over(bsdf: Bsdf) -> str:
     return key
 
 
+@contextlib.contextmanager
+def clear_errors() -> Iterator[None]:
+    """Turn what Mitsuba makes of an error while loading a scene back into one line.
+
+    Mitsuba wraps an error of a plugin into a RuntimeError that holds the whole traceback.
+
+    Raises:
+        NacreError: the error of our own plugin, else the first line of what Mitsuba said.
+    """
+    _failures.clear()
+    try:
+        yield
+    except RuntimeError as error:
+        if _failures:
+            raise _failures[0] from None
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        raise RecipeError(f"scene: {' '.join(lines[:2]) or 'cannot be loaded'}") from None
+
+
 def from_properties(properties: Any) -> Any:
     """Build the BSDF of a scene entry; keys: one of recipe, file, bsdf, and two_sided (default false).
 
     Raises:
         RecipeError: none or several sources are given, or the key of a handed-over Bsdf is not known.
+        NacreError: the file cannot be read or is not valid.
     """
+    try:
+        return _from_properties(properties)
+    except NacreError as error:
+        _failures.append(error)
+        raise
+
+
+def _from_properties(properties: Any) -> Any:
     from nacre.render.plugins.bsdf import make_bsdf
 
     given = [key for key in ("recipe", "file", "bsdf") if key in properties]
@@ -69,5 +100,15 @@ def from_properties(properties: Any) -> Any:
             raise RecipeError(f'scene: bsdf = "{value}" was not handed over, or its Bsdf object is gone')
         bsdf = _handed_over[value]
     else:
-        bsdf = load_bsdf(value)
+        bsdf = load_bsdf(_resolved(value))
     return make_bsdf(bsdf, two_sided=two_sided, properties=properties)
+
+
+def _resolved(path: str) -> str:
+    """Find a relative path from the working folder, else as Mitsuba finds textures: beside the scene's file."""
+    if os.path.isabs(path) or os.path.exists(path):
+        return path
+    import mitsuba as mi
+
+    found = str(mi.file_resolver().resolve(path))
+    return found if os.path.exists(found) else path

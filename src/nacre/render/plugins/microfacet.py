@@ -13,7 +13,7 @@ import mitsuba as mi
 
 from nacre.bsdf.microfacet import Microfacet
 from nacre.errors import UnsupportedError
-from nacre.render.plugins.base import MIN_COS, LobePlugin, flag, is_radiance, opaque
+from nacre.render.plugins.base import MIN_COS, LobePlugin, flag, is_radiance, negated, opaque
 from nacre.render.plugins.compensation import Compensation
 from nacre.render.plugins.facets import Facets, facets_class
 from nacre.render.plugins.response import DeviceResponse, share_reflected
@@ -52,7 +52,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         wi, sign, inside = self._from_above(frame(si.wi, forward=True))
         active = active & any(enabled) & (wi.z > MIN_COS)
         if not self.response.transmits:
-            active = active & ~inside
+            active = active & negated(inside)
         facets = self._facets(si, active)
         if self.compensation is None:
             wo, reflects, weight, pdf = self._sample_facets(
@@ -136,7 +136,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         wo = frame(wo, forward=True) * sign
         active = active & (wi.z > MIN_COS)
         if not self.response.transmits:
-            active = active & ~inside
+            active = active & negated(inside)
         return self._eval_pdf(ctx, si, self._facets(si, active), wi, wo, inside, active, enabled)
 
     def _eval_pdf(

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from nacre.bsdf.response import InterfaceResponse
 from nacre.errors import UnsupportedError
 from nacre.render.plugins.base import opaque
-from nacre.render.plugins.tables import DeviceTable, WavelengthAxis
+from nacre.render.plugins.tables import DeviceTable, Located, WavelengthAxis
 from nacre.render.plugins.textures import DeviceParameters
+
+LOSSLESS = 1e-6  # of the power; single precision can hardly tell it from zero
 
 
 class DeviceResponse:
@@ -22,9 +24,11 @@ class DeviceResponse:
 
     All angles live in one table, its rows in regions one after another: light from outside (R, T), from inside
     below the critical angle (R_inside, T), from inside beyond it (total, 0). So the region is chosen first and
-    a single look-up brings both numbers. An opaque interface keeps the first region and R alone.
+    a single look-up brings both numbers. An opaque interface keeps the first region and R alone; so does one
+    that absorbs nothing, where T = 1 - R, R is the same from both sides, and all is reflected beyond.
 
     Attributes:
+        is_lossless: whether R + T = 1 to single precision, from both sides.
         eta: n_inside/n_outside, opaque; `bends` says whether it differs from 1.
         transmits: whether there are an inside and a T.
         flipped: whether outside lies at -z.
@@ -34,6 +38,7 @@ class DeviceResponse:
         self.transmits = bool(response.transmits)
         self.flipped = bool(response.flipped)
         self.bends = response.eta > 1.0
+        self.is_lossless = _is_lossless(response)
         self.axis = WavelengthAxis(response.wavelengths_nm)
         self.parameters = DeviceParameters(response.parameters)
         self.table = DeviceTable(_stacked(response))
@@ -60,9 +65,9 @@ class DeviceResponse:
         Raises:
             UnsupportedError: the structure (sides, parameters, sizes) differs.
         """
-        structure = (bool(response.transmits), bool(response.flipped), response.eta > 1.0)
-        if structure != (self.transmits, self.flipped, self.bends):
-            raise UnsupportedError("transmission or the denser side changed; build the scene again")
+        structure = (bool(response.transmits), bool(response.flipped), response.eta > 1.0, _is_lossless(response))
+        if structure != (self.transmits, self.flipped, self.bends, self.is_lossless):
+            raise UnsupportedError("absorption, transmission or the denser side changed; build the scene again")
         self.parameters.update(response.parameters)
         self.table.update(_stacked(response))
         self.axis.update(response.wavelengths_nm)
@@ -90,9 +95,26 @@ class DeviceResponse:
             low = dr.minimum(dr.floor(position), self.max_low)
             (reflected,) = self.table.look_up(mi.UInt32(low), position - low, where, corners, active)
             return reflected, None
+        if self.is_lossless:
+            return self._look_up_lossless(cos, inside, where, corners, active)
         row, fraction = self._row(cos, inside)
         reflected, transmitted = self.table.look_up(row, fraction, where, corners, active)
         return reflected, transmitted
+
+    def _look_up_lossless(
+        self, cos: Any, inside: Any, where: Located, corners: list[tuple[Any, Any]] | None, active: Any
+    ) -> tuple[Any, Any]:
+        if self.bends:
+            outside2 = 1.0 - self.eta * self.eta * (1.0 - cos * cos)
+            outer = dr.select(inside, dr.sqrt(dr.maximum(outside2, 0.0)), cos)
+        else:
+            outer = cos
+        position = outer * self.top
+        low = dr.minimum(dr.floor(position), self.max_low)
+        (reflected,) = self.table.look_up(mi.UInt32(low), position - low, where, corners, active)
+        if self.bends:
+            reflected = dr.select(inside & (cos < self.critical), mi.Spectrum(1.0), reflected)
+        return reflected, 1.0 - reflected
 
     def _row(self, cos: Any, inside: Any) -> tuple[Any, Any]:
         """Find the row of a transmitting interface."""
@@ -110,9 +132,21 @@ class DeviceResponse:
         return mi.UInt32(low + start), position - low
 
 
+def _is_lossless(response: InterfaceResponse) -> bool:
+    """Whether the tables of a transmitting interface follow from its reflectance alone."""
+    if not response.transmits:
+        return False
+    missing = max(
+        float(np.max(np.abs(response.reflectance + response.transmittance - 1.0))),
+        float(np.max(np.abs(response.reflectance_inside - response.reflectance))),
+        float(np.max(np.abs(response.total - 1.0), initial=0.0)),
+    )
+    return missing <= LOSSLESS
+
+
 def _stacked(response: InterfaceResponse) -> NDArray[np.float64]:
     """Lay the regions one after another: `[*params, row, wavelength, channel]`."""
-    if not response.transmits:
+    if not response.transmits or _is_lossless(response):
         return np.asarray(response.reflectance[..., None], dtype=float)
     regions = [
         (response.reflectance, response.transmittance),

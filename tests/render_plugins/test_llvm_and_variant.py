@@ -1,0 +1,269 @@
+"""Finding an LLVM, choosing a variant, and what is said where none works."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from nacre.errors import UnsupportedError
+from nacre.render import llvm, variant
+
+PLAIN_SCENE = """
+import warnings
+import nacre
+import nacre.render
+mi = nacre.render.use_variant()
+bsdf = nacre.material({"family": "film", "substrate": "Si"}).bsdf()
+sphere = {"type": "sphere", "bsdf": nacre.render.make_bsdf(bsdf)}
+film = {"type": "hdrfilm", "width": 4, "height": 4}
+sensor = {"type": "perspective", "film": film, "to_world": mi.ScalarTransform4f().translate([0, 0, -3])}
+light = {"type": "constant"}
+scene = mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "a": sphere, "b": light, "c": sensor})
+import numpy as np
+print(mi.variant(), np.isfinite(np.array(mi.render(scene, spp=2))).all())
+"""
+
+
+@pytest.fixture
+def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Give the verdicts on libraries a folder of their own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def refuse_all(folder: Path, reason: str = "refused by the test") -> dict[str, str]:
+    """Write a verdict against every library of this machine; return the environment that believes it."""
+    (folder / "nacre").mkdir(parents=True)
+    verdicts = {llvm._cache_key(path): ["", reason] for path in llvm.candidates()}
+    (folder / "nacre" / "llvm.json").write_text(json.dumps(verdicts))
+    return {**os.environ, "XDG_CACHE_HOME": str(folder)}
+
+
+def python(code: str, environment: dict[str, str], *options: str) -> subprocess.CompletedProcess[str]:
+    """Run a script in a fresh process."""
+    return subprocess.run(
+        [sys.executable, *options, "-c", code], env=environment, capture_output=True, text=True, timeout=300
+    )
+
+
+def test_a_file_that_is_no_llvm_is_refused_with_a_reason(tmp_path: Path, empty_cache: Path) -> None:
+    """Neither a missing file nor a text file brings the process down."""
+    fake = tmp_path / "libLLVM-19.so"
+    fake.write_text("not a library")
+    assert "drjit does not accept it" in llvm.probe_library(str(fake)).reason
+    assert "does not exist" in llvm.probe_library(str(tmp_path / "libLLVM-20.so")).reason
+
+
+def test_verdicts_are_kept_until_the_file_changes(
+    tmp_path: Path, empty_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second start asks no child process."""
+    fake = tmp_path / "libLLVM-19.so"
+    fake.write_text("not a library")
+    first = llvm.probe_library(str(fake))
+    calls: list[str] = []
+    monkeypatch.setattr(llvm, "_run_probe", lambda path: calls.append(path) or llvm.Probe(path, "", "asked again"))
+    assert llvm.probe_library(str(fake)) == first and not calls
+    os.utime(fake, ns=(1, 1))
+    assert llvm.probe_library(str(fake)).reason == "asked again" and len(calls) == 1
+
+
+def test_a_broken_cache_is_no_obstacle(tmp_path: Path, empty_cache: Path) -> None:
+    """Rubbish in the cache, or a cache that cannot be written, costs a probe and nothing else."""
+    (empty_cache / "nacre").mkdir(parents=True)
+    (empty_cache / "nacre" / "llvm.json").write_text("{rubbish")
+    assert "does not exist" in llvm.probe_library(str(tmp_path / "libLLVM-19.so")).reason
+    (empty_cache / "nacre" / "llvm.json").write_text('{"a": 3, "b": ["19", ""]}')
+    assert llvm._read_cache() == {"b": ["19", ""]}
+
+
+@pytest.mark.parametrize(
+    ("name", "rank"),
+    [
+        ("/usr/lib/llvm-19/lib/libLLVM.so.19.1", 0),
+        ("/usr/lib/x86_64-linux-gnu/libLLVM-20.so", 1),
+        ("/x/libLLVM.so.22.1", 3),
+        ("/x/libLLVM-18.so.1", 5),
+        ("/x/libLLVM-17.so", 6),
+        ("/x/libLLVM.so.23.1", 7),
+        ("/x/libLLVM-16.so.1", None),
+        ("/usr/lib/llvm-15/lib/libLLVM.so.1", None),
+        ("/x/libLLVM.so", 4),
+    ],
+)
+def test_libraries_are_tried_best_first(name: str, rank: int | None) -> None:
+    """19 to 22 first, then unknown ones, then 18 and 17; those known to abort not at all."""
+    assert llvm._rank(name) == rank
+
+
+def test_the_environment_is_tried_first_and_the_search_goes_on_if_it_fails(
+    tmp_path: Path, empty_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A wrong DRJIT_LIBLLVM_PATH is reported, not fatal."""
+    monkeypatch.setenv(llvm.ENVIRONMENT_VARIABLE, "/nowhere/libLLVM.so")
+    monkeypatch.setattr(llvm, "_installed", lambda: iter(["/x/libLLVM-19.so"]))
+    verdicts = {"/x/libLLVM-19.so": llvm.Probe("/x/libLLVM-19.so", "19.1.0", "")}
+    monkeypatch.setattr(
+        llvm, "_run_probe", lambda path: verdicts.get(path, llvm.Probe(path, "", "the file does not exist"))
+    )
+    llvm.find_llvm.cache_clear()
+    try:
+        found, tried = llvm.find_llvm()
+    finally:
+        llvm.find_llvm.cache_clear()
+    assert found is not None and found.path == "/x/libLLVM-19.so"
+    assert [probe.path for probe in tried] == ["/nowhere/libLLVM.so", "/x/libLLVM-19.so"]
+    assert tried[0].reason == "the file does not exist"
+
+
+def test_libraries_unpacked_beside_llvm_are_loaded_before_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """libLLVM needs libedit, which needs libbsd; all lie in the project's own folder."""
+    folder = tmp_path / ".llvm" / "usr" / "lib"
+    folder.mkdir(parents=True)
+    for name in ("libLLVM-19.so", "libedit.so.2", "libbsd.so.0"):
+        (folder / name).write_text("")
+    wanted = {"libLLVM-19.so": "libedit.so.2", "libedit.so.2": "libbsd.so.0"}
+
+    def missing(paths: list[str]) -> str | None:
+        seen: list[str] = []
+        for path in paths:
+            need = wanted.get(Path(path).name)
+            if need is not None and need not in seen:
+                return need
+            seen.append(Path(path).name)
+        return None
+
+    monkeypatch.setattr(llvm, "_missing_library", missing)
+    found = [Path(path).name for path in llvm.companions(str(folder / "libLLVM-19.so"))]
+    assert found == ["libbsd.so.0", "libedit.so.2"]
+    assert llvm.companions("/usr/lib/libLLVM-19.so") == []
+
+
+@pytest.mark.parametrize("name", ["llvm_ad_rgb", "scalar_rgb", "llvm_ad_spectral_polarized", "spectral"])
+def test_variants_without_plain_spectra_are_refused(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Structural colour is a spectrum."""
+    monkeypatch.setenv(variant.ENVIRONMENT_VARIABLE, name)
+    with pytest.raises(UnsupportedError, match="cannot carry spectral materials"):
+        variant.use_variant()
+
+
+def test_without_llvm_a_tiny_picture_still_comes_with_a_warning(tmp_path: Path) -> None:
+    """scalar_spectral is the fallback, and says how slow it is."""
+    done = python(PLAIN_SCENE, {**refuse_all(tmp_path), variant.ENVIRONMENT_VARIABLE: ""})
+    assert done.returncode == 0, done.stderr
+    assert "RuntimeWarning: no usable LLVM was found" in done.stderr
+    assert done.stdout.split() == ["scalar_spectral", "True"]
+
+
+def test_the_report_tells_what_to_do_without_llvm(tmp_path: Path) -> None:
+    """`nacre doctor` gets the reason of each library and the way out."""
+    code = (
+        "import json; from nacre.render.variant import report, why_no_llvm\n"
+        "print(json.dumps([report().as_dict(), why_no_llvm()]))"
+    )
+    done = python(code, {**refuse_all(tmp_path), variant.ENVIRONMENT_VARIABLE: ""})
+    assert done.returncode == 0, done.stderr
+    report, reason = json.loads(done.stdout)
+    assert "refused by the test" in report["variants"]["llvm_ad_spectral"] and "libllvm19" in reason
+    assert report["variant"] in ("scalar_spectral", "cuda_ad_spectral")
+    if report["variant"] == "scalar_spectral":
+        assert "apt-get" in report["advice"]
+    assert all(tried["reason"] == "refused by the test" for tried in report["llvm_tried"])
+
+
+def test_render_tests_fail_the_session_without_llvm(tmp_path: Path) -> None:
+    """Never skipped in silence: one line at the end, and a failing status."""
+    folder = tmp_path / "suite"
+    folder.mkdir()
+    (folder / "conftest.py").write_text((Path(__file__).parents[1] / "conftest.py").read_text())
+    (folder / "test_a.py").write_text(
+        "import pytest\n\n@pytest.mark.render\ndef test_picture(mi):\n    pass\n\ndef test_plain():\n    pass\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder)],
+        env=refuse_all(tmp_path / "cache"),
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 1
+    assert "1 passed, 1 skipped" in done.stdout
+    line = done.stdout.strip().splitlines()[-1]
+    assert line.startswith("FAILED: 1 rendering tests could not run: no usable LLVM")
+
+
+@pytest.mark.render
+def test_an_own_variant_is_kept_and_the_plugin_follows_it(tmp_path: Path) -> None:
+    """A user's own mi.set_variant, before or after importing nacre.render, is all that is needed."""
+    (tmp_path / "a.toml").write_text('family = "film"\nsubstrate = "Si"\n')
+    code = (
+        "import nacre.render, mitsuba as mi\n"
+        "mi.set_variant('llvm_ad_spectral')\n"
+        f"print(mi.load_dict({{'type': 'nacre', 'recipe': {str(tmp_path / 'a.toml')!r}}}))\n"
+        "mi.set_variant('scalar_spectral')\n"
+        f"print(mi.load_dict({{'type': 'nacre', 'recipe': {str(tmp_path / 'a.toml')!r}}}))\n"
+        "assert nacre.render.use_variant() is mi and mi.variant() == 'scalar_spectral'\n"
+    )
+    done = python(code, dict(os.environ))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["NacreBSDF[specular]"] * 2
+
+
+VALUES = """
+import numpy as np
+import nacre
+import nacre.render
+from nacre.render.testing import directions
+mi = nacre.render.use_variant()
+import drjit as dr
+recipes = (
+    {"substrate": "Al", "layers": [{"material": "SiO2", "thickness_nm": 300}], "surface": {"roughness": [0.2, 0.4]}},
+    {"substrate": "BK7", "layers": [{"material": "Ag", "thickness_nm": 10}], "surface": {"roughness": 0.3,
+     "distribution": "beckmann", "compensate": True}},
+    {"substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": {"formula": "100 + 300*v", "min": 100,
+     "max": 400}}], "surface": {"roughness": 0.3, "distribution": "blinn"}},
+    {"preset": "morpho"},
+)
+worst = 0.0
+for recipe in recipes:
+    bsdf = nacre.material({"family": "film", **recipe}).bsdf()
+    plugin = nacre.render.make_bsdf(bsdf)
+    eye, light = directions(6, 1, bsdf.transmits), directions(6, 2, bsdf.transmits)
+    uv = np.array([0.3, 0.4])
+    expected = bsdf.evaluate(light, eye, np.broadcast_to(uv, (6, 2)))
+    nodes = np.linspace(0, len(bsdf.wavelengths_nm) - 1, 4).astype(int)
+    for k in range(6):
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.wi = mi.Vector3f(*map(float, eye[k]))
+        si.wavelengths = mi.Spectrum(*map(float, bsdf.wavelengths_nm[nodes]))
+        si.uv = mi.Point2f(*uv)
+        wo = mi.Vector3f(*map(float, light[k]))
+        value = np.array(plugin.eval(mi.BSDFContext(), si, wo)) / abs(light[k, 2])
+        worst = max(worst, np.abs(value - expected[k, nodes]).max() / expected.max())
+        bs, weight = plugin.sample(mi.BSDFContext(), si, 0.3, mi.Point2f(0.4, 0.7))
+        assert np.isfinite(np.array(weight)).all()
+print(mi.variant(), worst)
+"""
+
+
+def test_scalar_variant_gives_the_same_values() -> None:
+    """The fallback is slow, not different."""
+    done = python(VALUES, {**os.environ, variant.ENVIRONMENT_VARIABLE: "scalar_spectral"})
+    assert done.returncode == 0, done.stderr
+    name, worst = done.stdout.split()
+    assert name == "scalar_spectral" and float(worst) <= 1e-4
+
+
+@pytest.mark.gpu
+def test_gpu_renders_what_the_arrays_say() -> None:
+    """The same plugins run in cuda_ad_spectral."""
+    done = python(VALUES, {**os.environ, variant.ENVIRONMENT_VARIABLE: "cuda_ad_spectral"})
+    assert done.returncode == 0, done.stderr
+    name, worst = done.stdout.split()
+    assert name == "cuda_ad_spectral" and float(worst) <= 1e-4
