@@ -139,10 +139,11 @@ def _key(location: tuple[int | str, ...]) -> str:
     for part in location:
         if isinstance(part, int):
             key += f"[{part}]"
-        elif part.isidentifier() and not part[0].isupper():  # capitalised parts are names of union members
+        elif part.isidentifier() and not part[:1].isupper():  # capitalised parts are names of union members
             key += f".{part}" if key else part
-        elif not part[0].isupper() and "[" not in part:
-            key += f'."{part}"' if key else f'"{part}"'
+        elif not part[:1].isupper() and "[" not in part:
+            shown = " ".join(part.split())[:60]  # a key may be any text; the message stays one line
+            key += f'."{shown}"' if key else f'"{shown}"'
     return key
 
 

@@ -79,7 +79,8 @@ class OpticalConstant:
         ):
             if self.extrapolate == "error":
                 raise MaterialRangeError(self._range_message(wavelengths))
-        values = np.asarray(self.model(np.clip(wavelengths, low, high)), dtype=np.complex128)
+        with np.errstate(all="ignore"):  # absurd coefficients overflow; the check below tells it in words
+            values = np.asarray(self.model(np.clip(wavelengths, low, high)), dtype=np.complex128)
         self._check(values, wavelengths)
         return values
 
@@ -188,7 +189,9 @@ def _named(name: str) -> OpticalConstant:
         return OpticalConstant(default.name, default.build(), default.source, default.splice, default.title)
     if name.count("/") >= 2:
         return database_index(name)
-    raise UnknownMaterialError(f'material "{name}" {unknown_material(name)}')
+    from nacre.specs import show_value  # pydantic comes with it: only on the way to an error
+
+    raise UnknownMaterialError(f"material {show_value(name)} {unknown_material(name)}")
 
 
 def database_index(key: str) -> OpticalConstant:
@@ -213,7 +216,7 @@ def unknown_material(name: str) -> str:
         return f"has no default entry. Choose one for {{rii = ...}}: nacre indices search {name}"
     names = [d.name for d in DEFAULTS] + [alias for d in DEFAULTS for alias in d.aliases]
     element = re.match(r"[A-Z][a-z]?(?=[A-Z0-9]|$)", name)
-    word = element[0] if element else (name.split() or ["..."])[0]
+    word = element[0] if element else (name.split() or ["..."])[0][:40]
     return f"is not known.{did_you_mean(name, names)} List: nacre indices search {word}"
 
 

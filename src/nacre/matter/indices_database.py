@@ -128,8 +128,9 @@ def find_page(key: str) -> Page:
     book = rest.partition("/")[0]
     in_book = [known for known in pages if known.startswith(f"{shelf}/{book}/")]
     hint = did_you_mean(key, in_book or pages)
+    shown, word = " ".join(key.split())[:80], " ".join((book or key).split())[:40]
     raise UnknownMaterialError(
-        f'"{key}" is not in the refractiveindex.info database.{hint} List: nacre indices search {book or key}'
+        f'"{shown}" is not in the refractiveindex.info database.{hint} List: nacre indices search {word}'
     )
 
 

@@ -118,9 +118,9 @@ class Oscillators:
         energy = EV_NM / np.asarray(wavelengths_nm, dtype=float)
         eps = np.full(energy.shape, complex(self.eps_inf))
         if self.plasma_ev > 0.0:
-            eps = eps - self.plasma_ev**2 / (energy**2 + 1j * energy * self.damping_ev)
+            eps = eps - np.square(self.plasma_ev) / (energy**2 + 1j * energy * self.damping_ev)
         for strength, resonance, damping in self.oscillators:
-            eps = eps + strength * resonance**2 / (resonance**2 - energy**2 - 1j * energy * damping)
+            eps = eps + strength * np.square(resonance) / (np.square(resonance) - energy**2 - 1j * energy * damping)
         # a lossless metal has eps < 0 with an imaginary part of either zero; numpy's root of -0j would be -ik
         root = np.sqrt(eps)
         return np.where(root.imag < 0.0, -root, root)

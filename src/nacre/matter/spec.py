@@ -185,11 +185,16 @@ def index_spec(data: Any, context: RecipeContext | None = None) -> IndexSpec:
         RecipeError: the first fault in one line.
     """
     context = context or RecipeContext(source="material")
-    if isinstance(data, Mapping):
+    if isinstance(data, str):
+        data = {"name": data}
+    elif isinstance(data, int | float) and not isinstance(data, bool):
+        data = {"n": data}
+    elif not isinstance(data, Mapping):
+        raise context.fail("material", data, f"is not a material; write {EXAMPLES}")
+    else:
         unknown = next((key for key in data if key not in IndexSpec.model_fields), None)
         if unknown is not None:
-            raise context.fail(
-                str(unknown), data[unknown], f"is not a key of a material.{did_you_mean(str(unknown), FORMS)}"
-            )
+            shown = " ".join(str(unknown).split())[:40]
+            raise context.fail(shown, data[unknown], f"is not a key of a material.{did_you_mean(shown, FORMS)}")
     made: IndexSpec = validate(IndexSpec, data, context)
     return made
