@@ -22,7 +22,7 @@ lint: setup
 	@$(PY) -m mypy
 
 bench: setup
-	@bash tools/bench_env.sh
+	@$(PY) tools/bench_env.py
 	@$(PY) -m benchmarks
 
 validate: setup
