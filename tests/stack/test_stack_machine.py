@@ -1,0 +1,76 @@
+"""Behaviour that depends on the machine: no folder for compiled code, a set number of threads."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import nacre
+from nacre.matter import stratified
+
+SOURCE = Path(nacre.__file__).resolve().parent
+
+
+def test_kernels_work_where_no_cache_can_be_written(tmp_path: Path) -> None:
+    # a copy of the package whose __pycache__ cannot be made, and no home: permissions would not stop root, a file
+    # in the folder's place does
+    copy = tmp_path / "nacre"
+    (copy / "matter").mkdir(parents=True)
+    for name in ("errors.py", "matter/jit.py"):
+        shutil.copy(SOURCE / name, copy / name)
+    (copy / "__init__.py").touch()
+    (copy / "matter" / "__init__.py").touch()
+    (copy / "matter" / "kernel.py").write_text(
+        "from nacre.matter.jit import compiled\n\n@compiled(error_model='numpy')\ndef twice(x):\n    return 2 * x\n"
+    )
+    (copy / "matter" / "__pycache__").write_text("not a folder")
+    blocked = tmp_path / "blocked"
+    blocked.write_text("not a folder")
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(tmp_path),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "HOME": str(blocked),
+        "XDG_CACHE_HOME": str(blocked),
+    }
+    environment.pop("NUMBA_CACHE_DIR", None)
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", "from nacre.matter.kernel import twice; print(twice(21))"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "42"
+    assert done.stderr == ""
+
+
+def test_the_number_of_threads_can_be_set_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
+    assert stratified.available_jobs() == 3
+    monkeypatch.delenv("NUMBA_NUM_THREADS")
+    assert stratified.available_jobs() >= 1
+
+
+def test_work_is_shared_without_gaps_or_overlaps() -> None:
+    for batch, angles, jobs in ((7, 2, 3), (1, 11, 4), (1, 1, 8), (5, 5, 1), (0, 3, 2)):
+        done: list[tuple[int, int]] = []
+        stratified.share(
+            lambda a, b, c, d: done.extend((i, j) for i in range(a, b) for j in range(c, d)), batch, angles, 10**9, jobs
+        )
+        assert sorted(done) == [(i, j) for i in range(batch) for j in range(angles)]
+
+
+def test_an_error_in_a_thread_reaches_the_caller() -> None:
+    def fail(*_: int) -> None:
+        raise ValueError("lost")
+
+    with pytest.raises(ValueError, match="lost"):
+        stratified.share(fail, 8, 1, 10**9, 2)
