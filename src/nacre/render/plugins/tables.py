@@ -90,33 +90,32 @@ class DeviceTable:
     """`[*params, row, wavelength, channel]` on the device.
 
     Attributes:
-        rows: number of rows; channels: 1 or 2.
+        shape: that of the values; channels: 1 or 2.
         values: the tensor itself, for `traverse`; call `repack()` after a change.
     """
 
     def __init__(self, values: Array) -> None:
         values = _padded(np.asarray(values, dtype=float))
-        self.shape = values.shape
-        *params, self.rows, self.columns, self.channels = values.shape
-        self.param_sizes = tuple(int(n) for n in params)
-        cells = int(np.prod([*params, self.rows, self.columns - 1])) * 16 * self.channels
-        self.is_packed = cells <= MAX_CELL_BYTES
-        self.row_stride = opaque_int(self.columns - 1 if self.is_packed else self.columns)
-        self.rows_opaque = opaque_int(self.rows)
+        self.channels = values.shape[-1]
+        self.is_packed = _fits_as_cells(values.shape)
         self._set(values)
 
     def update(self, values: Array) -> None:
-        """Replace all values.
+        """Replace all values; their number may change, since sizes are data, too.
 
         Raises:
-            UnsupportedError: the shape differs.
+            UnsupportedError: the number of axes or channels, or the layout for their size, differs.
         """
         values = _padded(np.asarray(values, dtype=float))
-        if values.shape != self.shape:
-            raise UnsupportedError(f"a table of shape {self.shape} cannot be updated with {values.shape}")
+        same = len(values.shape) == len(self.shape) and values.shape[-1] == self.channels
+        if not same or _fits_as_cells(values.shape) != self.is_packed:
+            raise UnsupportedError(f"a table of shape {self.shape} cannot become one of {values.shape}")
         self._set(values)
 
     def _set(self, values: Array) -> None:
+        self.shape = values.shape
+        self.row_stride = opaque_int(values.shape[-2] - 1 if self.is_packed else values.shape[-2])
+        self.rows_opaque = opaque_int(values.shape[-3])
         if dr.is_jit_v(mi.Float):
             self.values = mi.TensorXf(np.ascontiguousarray(values, dtype=np.float32))
         else:
@@ -181,6 +180,11 @@ class DeviceTable:
             dr.lerp(dr.lerp(c[0][i], c[1][i], part), dr.lerp(c[2][i], c[3][i], part), fraction)
             for i in range(self.channels)
         ]
+
+
+def _fits_as_cells(shape: tuple[int, ...]) -> bool:
+    """Whether four single-precision corners for each value stay within `MAX_CELL_BYTES`."""
+    return int(np.prod(shape)) * 16 <= MAX_CELL_BYTES
 
 
 def _padded(values: Array) -> Array:

@@ -123,10 +123,12 @@ class DeviceParameters:
         """Take over other ranges and textures of the same structure.
 
         Raises:
-            UnsupportedError: number or size of the axes differ.
+            UnsupportedError: the number of axes differs, or one became or ceased to be a single node.
         """
-        if tuple(len(axis.values) for axis in parameters) != self.sizes:
-            raise UnsupportedError("the texture-driven parameters changed their number or size; build the scene again")
+        sizes = tuple(len(axis.values) for axis in parameters)
+        if [n > 1 for n in sizes] != [n > 1 for n in self.sizes]:
+            raise UnsupportedError("the texture-driven parameters changed in number; build the scene again")
+        self.sizes = sizes
         for device, axis in zip(self.textures, parameters, strict=True):
             device.update(axis.texture)
         self._set_ranges(parameters)

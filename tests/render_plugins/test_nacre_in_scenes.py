@@ -1,0 +1,304 @@
+"""The `nacre` plugin as users of Mitsuba meet it: scene entries, errors, updates, both sides, many renders."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.bsdf.contract import Bsdf
+from nacre.errors import RecipeError, UnsupportedError
+
+pytestmark = pytest.mark.render
+
+SOAP = 'family = "film"\nsubstrate = "air"\nlayers = [{material = "water", thickness_nm = 300}]\n'
+RECIPES: dict[str, dict[str, Any]] = {
+    "smooth metal": {"substrate": "Al", "layers": [{"material": "SiO2", "thickness_nm": 200.0}]},
+    "rough metal": {
+        "substrate": "Al",
+        "layers": [{"material": "SiO2", "thickness_nm": 200.0}],
+        "surface": {"roughness": 0.2},
+    },
+    "rough glass": {
+        "substrate": "BK7",
+        "layers": [{"material": "TiO2", "thickness_nm": 90.0}],
+        "surface": {"roughness": 0.2, "distribution": "beckmann"},
+    },
+    "film over a base": {
+        "substrate": {"n": 1.5},
+        "layers": [{"material": "TiO2", "thickness_nm": 90.0}],
+        "base": {"albedo": 0.5},
+    },
+    "ridges": {"preset": "morpho"},
+}
+
+
+def bsdf_of(name: str, **changes: Any) -> Bsdf:
+    """Build one of `RECIPES`, with recipe values changed by path."""
+    return nacre.material({"family": "film", **RECIPES[name]}).vary(changes).bsdf()
+
+
+def scene(mi: Any, bsdf: Any, size: int = 16) -> Any:
+    """Put a BSDF on a sphere under a constant emitter."""
+    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}
+    view = mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 6},
+            "ball": {"type": "sphere", "bsdf": bsdf},
+            "light": {"type": "constant"},
+            "sensor": {"type": "perspective", "fov": 35, "to_world": view, "film": film},
+        }
+    )
+
+
+def test_scene_entries_take_recipes_files_and_objects(mi: Any, tmp_path: Path) -> None:
+    """{"type": "nacre", ...} by recipe, by compiled file, by an object handed over."""
+    from nacre.render.plugins.loader import hand_over
+
+    (tmp_path / "soap.toml").write_text(SOAP)
+    bsdf = nacre.load(tmp_path / "soap.toml").bsdf()
+    bsdf.save(tmp_path / "soap.nacre")
+    entries = (
+        {"recipe": str(tmp_path / "soap.toml")},
+        {"file": str(tmp_path / "soap.nacre")},
+        {"bsdf": hand_over(bsdf), "two_sided": True},
+    )
+    pictures = [np.array(mi.render(scene(mi, {"type": "nacre", **entry}), spp=4, seed=1)) for entry in entries]
+    assert np.isfinite(pictures[0]).all() and pictures[0].max() > 0
+    for picture in pictures[1:]:
+        assert np.allclose(picture, pictures[0], rtol=1e-5)
+
+
+def test_a_scene_file_finds_recipes_beside_itself(mi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A relative path counts from the XML file when the working folder has no such file."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "inner" / "soap.toml").write_text(SOAP)
+    (tmp_path / "inner" / "scene.xml").write_text(
+        '<scene version="3.0.0"><shape type="sphere"><bsdf type="nacre"><string name="recipe" value="soap.toml"/>'
+        "</bsdf></shape></scene>"
+    )
+    assert "NacreBSDF[specular]" in str(mi.load_file(str(tmp_path / "inner" / "scene.xml")))
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ({}, "needs exactly one of recipe, file, bsdf; got none"),
+        ({"recipe": "a.toml", "file": "a.nacre"}, "got recipe, file"),
+        ({"recipe": "missing.toml"}, "missing.toml: does not exist"),
+        ({"recipe": "bad.toml"}, 'substrate = "aar" is not known. Did you mean "air"?'),
+        ({"bsdf": "nobody"}, 'bsdf = "nobody" was not handed over'),
+        ({"recipe": "good.toml", "colour": 3.0}, "unreferenced property"),
+    ],
+)
+def test_errors_in_a_scene_are_one_line(
+    mi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, entry: dict[str, Any], message: str
+) -> None:
+    """Mitsuba wraps errors into pages of traceback; `clear_errors` gets the line back."""
+    from nacre.render.plugins.loader import clear_errors
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "good.toml").write_text(SOAP)
+    (tmp_path / "bad.toml").write_text(SOAP.replace("air", "aar"))
+    with pytest.raises(RecipeError) as caught, clear_errors():
+        mi.load_dict({"type": "nacre", **entry})
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_opaque_material_is_black_from_behind_unless_two_sided(mi: Any) -> None:
+    """two_sided mirrors the whole lobe."""
+    from nacre.render.plugins.bsdf import make_bsdf
+    from nacre.render.testing import direction, draw, plugin_values
+
+    bsdf = bsdf_of("rough metal")
+    light, eye = direction(30, 10)[None], direction(40, 200)[None]
+    down = np.array([1.0, 1.0, -1.0])
+    nodes = bsdf.wavelengths_nm[::12]
+    front = plugin_values(bsdf, light, eye, nodes)
+    both = make_bsdf(bsdf, two_sided=True)
+    assert front.max() > 0
+    assert np.all(plugin_values(make_bsdf(bsdf), light * down, eye * down, nodes) == 0)
+    assert np.allclose(plugin_values(both, light * down, eye * down, nodes), front, rtol=1e-6)
+    assert np.all(plugin_values(both, light * down, eye, nodes) == 0)
+    below = draw(both, direction(140, 5), 1000)
+    assert np.all(below.wo[below.pdf > 0][:, 2] < 0)
+    assert np.all(draw(make_bsdf(bsdf), direction(140, 5), 1000).weight == 0)
+
+
+@pytest.mark.parametrize("name", list(RECIPES))
+def test_another_material_needs_no_new_kernel(mi: Any, name: str) -> None:
+    """Numbers are data: a second material of the same structure finds every kernel compiled."""
+    import drjit as dr
+
+    changes: dict[str, Any] = {"layers[0].thickness_nm": 333.0}
+    if "rough" in name:
+        changes["surface.roughness"] = 0.31
+    if name == "ridges":
+        changes = {"ridges.height_deviation_nm": 90.0}
+    mi.render(scene(mi, _made(bsdf_of(name))), spp=1)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        picture = mi.render(scene(mi, _made(bsdf_of(name, **changes))), spp=1)
+        dr.eval(picture)
+        history = dr.kernel_history([dr.KernelType.JIT])
+    assert history and all(kernel["cache_hit"] for kernel in history)
+
+
+def _made(bsdf: Bsdf) -> Any:
+    from nacre.render.plugins.bsdf import make_bsdf
+
+    return make_bsdf(bsdf)
+
+
+@pytest.mark.parametrize("name", list(RECIPES))
+def test_numbers_change_without_building_the_scene_again(mi: Any, name: str) -> None:
+    """update_bsdf gives the picture that a new scene gives."""
+    from nacre.render.plugins.bsdf import update_bsdf
+
+    changes: dict[str, Any] = {"layers[0].thickness_nm": 350.0}
+    if "rough" in name:
+        changes["surface.roughness"] = 0.4
+    if name == "ridges":
+        changes = {"ridges.pitch_nm": 900.0}
+    changed = bsdf_of(name, **changes)
+    target = _made(bsdf_of(name))
+    built = scene(mi, target)
+    before = np.array(mi.render(built, spp=8, seed=3))
+    update_bsdf(target, changed)
+    after = np.array(mi.render(built, spp=8, seed=3))
+    anew = np.array(mi.render(scene(mi, _made(changed)), spp=8, seed=3))
+    assert np.allclose(after, anew, rtol=1e-4, atol=1e-6)
+    assert not np.allclose(before, after, rtol=1e-3)
+
+
+def test_an_update_of_another_structure_is_refused(mi: Any) -> None:
+    """What needs another kernel or other shapes says so."""
+    from nacre.render.plugins.bsdf import update_bsdf
+
+    rough = _made(bsdf_of("rough metal"))
+    with pytest.raises(UnsupportedError, match="number or kind"):
+        update_bsdf(rough, bsdf_of("smooth metal"))
+    with pytest.raises(UnsupportedError, match="kind of roughness"):
+        update_bsdf(rough, bsdf_of("rough metal", **{"surface.roughness": [0.1, 0.3]}))
+    with pytest.raises(UnsupportedError, match="absorption, transmission"):
+        update_bsdf(_made(bsdf_of("rough glass")), bsdf_of("rough glass", substrate="Si"))
+
+
+def test_roughness_and_tables_are_scene_parameters_with_gradients(mi: Any) -> None:
+    """mi.traverse exposes them; a gradient with respect to roughness agrees with finite differences."""
+    import drjit as dr
+
+    built = scene(mi, _made(bsdf_of("rough metal")), size=8)
+    parameters = mi.traverse(built)
+    assert {"ball.bsdf.alpha_x", "ball.bsdf.response"} <= set(parameters.keys())
+
+    def brightness(alpha: Any) -> Any:
+        from nacre.render.testing import direction, interaction
+
+        parameters["ball.bsdf.alpha_x"] = alpha
+        parameters.update()
+        bsdf = built.shapes()[0].bsdf()
+        si = interaction(direction(30.0, 0.0)[None])
+        wo = mi.Vector3f(*(float(c) for c in direction(45.0, 170.0)))
+        return dr.sum(bsdf.eval(mi.BSDFContext(), si, wo))
+
+    alpha = mi.Float(0.3)
+    dr.enable_grad(alpha)
+    value = brightness(alpha)
+    dr.backward(value)
+    slope = float(dr.grad(alpha)[0])
+    step = 1e-2
+    numeric = (float(brightness(mi.Float(0.3 + step))[0]) - float(brightness(mi.Float(0.3 - step))[0])) / (2 * step)
+    assert abs(slope - numeric) <= 5e-3 * abs(numeric)
+
+
+def test_a_changed_table_changes_the_picture(mi: Any) -> None:
+    """The exposed response is the one that is read."""
+    built = scene(mi, _made(bsdf_of("smooth metal")), size=8)
+    parameters = mi.traverse(built)
+    before = np.array(mi.render(built, spp=4, seed=1))
+    parameters["ball.bsdf.response"] = parameters["ball.bsdf.response"] * 0.5
+    parameters.update()
+    after = np.array(mi.render(built, spp=4, seed=1))
+    centre = (4, 4)
+    assert np.allclose(after[centre], 0.5 * before[centre], rtol=1e-3)
+
+
+@pytest.mark.full
+def test_a_hundred_renders_take_no_more_memory_or_time_than_ten(mi: Any) -> None:
+    """Reusing the scene stays flat (mitsuba3 issue 563 grew with each render)."""
+    import time
+
+    import drjit as dr
+
+    target = _made(bsdf_of("rough glass"))
+    built = scene(mi, target)
+    bsdfs = [bsdf_of("rough glass", **{"layers[0].thickness_nm": t}) for t in (90.0, 120.0)]
+    from nacre.render.plugins.bsdf import update_bsdf
+
+    def run(n: int) -> float:
+        start = time.process_time()
+        for k in range(n):
+            update_bsdf(target, bsdfs[k % 2])
+            dr.eval(mi.render(built, spp=2, seed=k))
+        dr.sync_thread()
+        gc.collect()
+        return (time.process_time() - start) / n
+
+    run(10)
+    registered = len(dr.kernel_history()) if dr.flag(dr.JitFlag.KernelHistory) else 0
+    memory, early = _resident(), min(run(10), run(10))
+    run(80)
+    late = min(run(10), run(10))
+    assert registered == 0
+    assert _resident() - memory <= 20e6
+    assert late <= 1.5 * early
+
+
+def _resident() -> float:
+    """Return the bytes of memory in use now."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmRSS"):
+            return float(line.split()[1]) * 1024
+    pytest.skip("the memory in use cannot be read on this system")
+
+
+def test_irregular_wavelengths_are_interpolated_between_their_nodes(mi: Any) -> None:
+    """A grid of measured wavelengths need not be uniform; between nodes the values are linear."""
+    from nacre.render.testing import direction, plugin_values
+
+    bsdf = bsdf_of("rough metal")
+    keep = np.sort(np.random.default_rng(1).choice(len(bsdf.wavelengths_nm), 17, replace=False))
+    (lobe,) = bsdf.lobes
+    response = lobe.response  # type: ignore[attr-defined]  # a rough metal is one Microfacet
+    fewer = dataclasses.replace(
+        response,
+        wavelengths_nm=response.wavelengths_nm[keep],
+        **{
+            name: getattr(response, name)[..., keep]
+            for name in ("reflectance", "transmittance", "reflectance_inside", "total")
+        },
+    )
+    irregular = Bsdf((dataclasses.replace(lobe, response=fewer),))
+    light, eye = direction(30, 10)[None], direction(40, 200)[None]
+    expected = irregular.evaluate(light, eye)[0]
+    grid = irregular.wavelengths_nm
+    asked = np.linspace(350.0, 840.0, 40)
+    got = plugin_values(irregular, light, eye, asked)[0]
+    assert np.allclose(got, np.interp(asked, grid, expected), rtol=1e-4)
+
+
+def test_a_narrow_range_of_wavelengths_is_announced(mi: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """Beyond a material's range its ends go on, which is not done in silence."""
+    bsdf = nacre.material({"family": "film", "substrate": "Si"}).bsdf(np.arange(450.0, 651.0, 10.0))
+    with caplog.at_level("WARNING", logger="nacre"):
+        _made(bsdf)
+    assert "known from 450 to 650 nm only" in caplog.text
