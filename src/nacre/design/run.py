@@ -166,6 +166,7 @@ class _Keeper:
             rgb, losses, upsampling = measured.rgb, measured.losses, measured.upsampling
         summary = {
             "status": status,
+            "interrupted": status == "interrupted",
             "loss_fixed": losses.fixed,
             "loss_free": losses.free,
             "loss_black": losses.black,

@@ -72,7 +72,15 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Progress:
-    """What a caller is told while the search runs."""
+    """What a caller is told while the search runs.
+
+    Attributes:
+        stage, stage_number, stage_count: what is being done; numbers from 1.
+        best_value: the loss that is searched, a weighted geometric mean of the fixed and the free one.
+        evaluations, seconds: spent.
+        seconds_left: until the time limit, or None.
+        best_x: the best heights so far, over the allowed range, flat.
+    """
 
     stage: str
     stage_number: int
@@ -216,7 +224,14 @@ class Search:
             self.seconds = now - self._begun
             left = None if not np.isfinite(self._deadline) else max(self._deadline - now, 0.0)
             report = Progress(
-                stage.name, self.stage, count, best.value, self.evaluations, self.seconds, left, best.x.copy()
+                stage.name,
+                self.stage + 1,
+                count,
+                float(np.exp(best.value)),
+                self.evaluations,
+                self.seconds,
+                left,
+                best.x.copy(),
             )
             self._progress(report)
 

@@ -1,0 +1,187 @@
+"""Fabrication files: reading back gives the heights, large wafers stream, bad input is refused."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nacre.design.fabricate import fabricate as fabricate_all
+from nacre.design.fabricate import heights_from_grey
+from nacre.errors import NacreError, UnsupportedError
+from nacre.exchange.calibration import PUBLISHED_CALIBRATION, read_calibration
+from nacre.exchange.gds_levels import read_levels
+from nacre.exchange.height_image import read_grey16
+from nacre.exchange.stl import read_stl_heights
+from nacre.matter.indices import index
+from nacre.relief.coherence import Coherence
+from nacre.relief.material import Relief
+from nacre.relief.surface import Tile
+
+
+def fabricate(*arguments: object, **options: object) -> Path:
+    path, beside = fabricate_all(*arguments, **options)
+    assert beside.is_file()
+    return path
+
+
+def relief(features: int = 12, levels: int = 0, height_nm: float = 700.0, feature_nm: float = 1600.0) -> Relief:
+    x = np.random.default_rng(1).random((features, features))
+    x[0, 0], x[0, 1] = 0.0, 1.0
+    if levels:
+        x = np.round(x * (levels - 1)) / (levels - 1)
+    return Relief(Tile(height_nm * x, feature_nm, 400.0), Coherence.from_sigma(2.6), index("Al"))
+
+
+@pytest.mark.parametrize("to", ["png16", "tiff16"])
+def test_a_grey_image_read_back_gives_the_heights_within_one_level(tmp_path: Path, to: str) -> None:
+    material = relief()
+    path = fabricate(material, to, tmp_path / f"map.{to[:3]}")
+    grey, inside = read_grey16(path)
+    facts = json.loads(path.with_name(path.name + ".json").read_text())
+    assert inside == facts
+    error_nm = np.abs(
+        heights_from_grey(grey, facts) * 1e3 - (material.tile.heights_nm - material.tile.heights_nm.min())
+    )
+    assert error_nm.max() <= facts["nm_per_level"]
+    assert facts["pitch_um"] == 1.6 and grey.min() >= 201 and grey.max() <= 989
+
+
+@pytest.mark.parametrize("to", ["png16", "tiff16"])
+def test_a_wafer_repeats_the_tile_also_over_a_broken_edge(tmp_path: Path, to: str) -> None:
+    one, _ = read_grey16(fabricate(relief(), to, tmp_path / f"one.{to[:3]}"))
+    many, facts = read_grey16(fabricate(relief(), to, tmp_path / f"many.{to[:3]}", size_mm=(0.16, 0.24)))
+    assert many.shape == (100, 150) == tuple(facts["pixels"])
+    rows, columns = np.arange(100) % 12, np.arange(150) % 12
+    assert np.array_equal(many, one[np.ix_(rows, columns)])
+
+
+@pytest.mark.full
+def test_a_50_mm_wafer_at_1600_nm_streams(tmp_path: Path) -> None:
+    """31 250 x 31 250 pixels are 1.95 GB; the process must stay far below."""
+    code = (
+        "import resource, sys; sys.path.insert(0, sys.argv[2])\n"
+        "import numpy as np\n"
+        "from nacre.exchange.height_image import write_tiff16, write_png16\n"
+        "tile = np.random.default_rng(0).integers(201, 989, (32, 32)).astype(np.uint16)\n"
+        "write_png16(sys.argv[1] + '/wafer.png', tile, {}, 1.6, 31250, 31250)\n"
+        "write_tiff16(sys.argv[1] + '/wafer.tif', tile, {}, 1.6, 31250, 31250)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)\n"
+    )
+    source = str(Path(__file__).resolve().parents[2] / "src")
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path), source], capture_output=True, text=True, timeout=500, check=True
+    )
+    assert int(done.stdout) < 400, "peak memory in MB"
+
+
+@pytest.mark.parametrize("to", ["gds", "oas"])
+@pytest.mark.parametrize("levels", [2, 4, 8, 16])
+def test_a_mask_read_back_gives_the_levels(tmp_path: Path, to: str, levels: int) -> None:
+    material = relief(levels=levels)
+    path = fabricate(material, to, tmp_path / f"mask.{to}", size_mm=(0.1, 0.05))
+    facts = json.loads(path.with_name(path.name + ".json").read_text())
+    index_map, tiles = read_levels(path, 1.6)
+    assert tiles == tuple(facts["tiles"]) == (6, 3)
+    heights = np.array(facts["level_heights_um"])[index_map]
+    truth = (material.tile.heights_nm - material.tile.heights_nm.min()) / 1e3
+    assert len(facts["level_heights_um"]) == levels and np.abs(heights - truth).max() < 1e-6
+
+
+def test_a_mask_of_a_continuous_relief_stays_within_half_a_level(tmp_path: Path) -> None:
+    path = fabricate(relief(), "gds", tmp_path / "mask.gds", levels=8)
+    facts = json.loads(path.with_name(path.name + ".json").read_text())
+    assert facts["largest_rounding_um"] <= 0.5 * 0.7 / 7 + 1e-9
+
+
+def test_an_stl_is_watertight_and_holds_the_heights(tmp_path: Path) -> None:
+    import trimesh
+
+    material = relief(features=5)
+    path = fabricate(material, "stl", tmp_path / "relief_um.stl", base_um=2.0)
+    mesh = trimesh.load(path)
+    assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0
+    heights = read_stl_heights(path, 1.6, 5) - 2.0
+    assert np.abs(heights - (material.tile.heights_nm - material.tile.heights_nm.min()) / 1e3).max() < 1e-5
+    repeated = trimesh.load(fabricate(material, "stl", tmp_path / "many_um.stl", size_mm=(0.016, 0.016)))
+    assert np.allclose(repeated.extents[:2], 16.0)
+
+
+def test_a_csv_holds_the_heights(tmp_path: Path) -> None:
+    material = relief()
+    heights = np.loadtxt(fabricate(material, "csv", tmp_path / "h.csv"), delimiter=",")
+    assert np.abs(heights * 1e3 - (material.tile.heights_nm - material.tile.heights_nm.min())).max() < 1e-3
+
+
+def test_a_falling_calibration_works_too(tmp_path: Path) -> None:
+    curve = tmp_path / "curve.csv"
+    curve.write_text("grey,depth_um\n0,2.0\n1000,1.0\n4000,0.1\n")
+    material = relief()
+    grey, facts = read_grey16(fabricate(material, "png16", tmp_path / "x.png", calibration=curve))
+    error = np.abs(heights_from_grey(grey, facts) * 1e3 - material.tile.heights_nm + material.tile.heights_nm.min())
+    assert error.max() <= facts["nm_per_level"]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("1,0.1\n2,0.3\n3,0.2\n", "not monotonic"),
+        ("1,0.1\n1,0.3\n", "not monotonic"),
+        ("1,0.1\n", "at least two"),
+        ("1,0.1\n99999,0.3\n", "0 to 65535"),
+        ("1,0.1\nzwei,0.3\n3;x\n", "line 3"),
+        ("1,nan\n2,1\n", "finite"),
+    ],
+)
+def test_a_bad_calibration_is_refused(tmp_path: Path, text: str, says: str) -> None:
+    path = tmp_path / "curve.csv"
+    path.write_text(text)
+    with pytest.raises(NacreError, match=says):
+        read_calibration(path)
+
+
+def test_a_calibration_that_does_not_cover_the_heights_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(NacreError, match="covers depths"):
+        fabricate(relief(height_nm=900.0), "png16", tmp_path / "x.png")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("to", "options", "says"),
+    [
+        ("png8", {}, "Did you mean"),
+        ("png16", {"size_mm": (1e7, 1.0)}, "pixels"),
+        ("png16", {"pixels_per_feature": 0}, "1 or more"),
+        ("gds", {"levels": 1000}, "levels"),
+        ("stl", {"size_mm": (100.0, 100.0)}, "triangles"),
+    ],
+)
+def test_impossible_requests_are_refused(tmp_path: Path, to: str, options: dict, says: str) -> None:
+    with pytest.raises(UnsupportedError, match=says):
+        fabricate(relief(), to, tmp_path / "x.gds", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    with pytest.raises(NacreError, match="does not exist"):
+        fabricate(relief(), "png16", tmp_path / "nowhere" / "x.png")
+
+
+def test_a_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import nacre.exchange.height_image as module
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(module, "_chunk", full)
+    with pytest.raises(NacreError, match="No space left"):
+        fabricate(relief(), "png16", tmp_path / "x.png")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_published_calibration_is_the_published_range() -> None:
+    assert PUBLISHED_CALIBRATION.depth_of(np.array([201, 989], dtype=np.uint16)).tolist() == [0.376, 1.185]
