@@ -161,6 +161,15 @@ def test_the_default_step_keeps_the_colour_of_a_film(name):
         assert light.delta_e_2000(*labs) < STEP_BAR, optical_thickness
 
 
+def test_the_default_step_keeps_the_colour_of_a_cavity():
+    fine = np.arange(360, 830.001, 0.05)
+    for spacer in np.geomspace(100, 20000, 40):
+        indices, thicknesses = (1, 0.05 + 3.2j, 1.46, 0.05 + 3.2j, 1.5), (25.0, spacer / 1.46, 100.0)
+        labs = [light.xyz_to_lab(light.spectrum_to_xyz(normal_reflectance(indices, thicknesses, nm), nm))
+                for nm in (light.default_wavelengths(spacer, finesse=8), fine)]  # fmt: skip
+        assert light.delta_e_2000(*labs) < STEP_BAR, spacer
+
+
 @pytest.mark.parametrize("pairs", [5, 10, 20])
 def test_the_default_step_keeps_the_colour_of_a_mirror(pairs):
     fine = np.arange(360, 830.001, 0.05)
@@ -217,3 +226,17 @@ def test_importing_light_loads_neither_scipy_nor_matplotlib_nor_colour():
     code = f"import sys, nacre.light; print([m for m in {names} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.strip() == "[]"
+
+
+def test_the_examples_of_the_docstrings_hold():
+    grid = light.default_wavelengths()
+    np.testing.assert_allclose(light.white_xyz("A"), [1.0985, 1, 0.3559], atol=5e-5)
+    np.testing.assert_allclose(light.spectrum_to_xyz(np.full(48, 0.5), grid), [0.4752, 0.5, 0.5444], atol=5e-5)
+    np.testing.assert_allclose(light.spectrum_to_srgb(np.full(48, 0.5), grid), 0.735, atol=5e-4)
+    np.testing.assert_allclose(light.spectrum_to_rgb_matrix(grid, "A").sum(axis=0), 1.0, atol=1e-9)
+    cast = light.spectrum_to_rgb_matrix(grid, "A", adaptation="none").sum(axis=0)
+    np.testing.assert_allclose(cast, [1.85, 0.83, 0.23], atol=6e-3)
+    assert light.xyz_to_lab(0.184 * light.white_xyz())[0] == pytest.approx(49.98, abs=5e-3)
+    np.testing.assert_allclose(light.clip_to_srgb([0, 1.1, -0.2]).rgb, [0.617, 0.896, 0.0], atol=6e-4)
+    assert (light.colour_step_nm(300 * 1.33), light.colour_step_nm(2000 * 1.5)) == (10.0, 2.0)
+    assert (len(light.default_wavelengths()), len(light.default_wavelengths(3000))) == (48, 236)

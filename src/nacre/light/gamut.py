@@ -41,7 +41,8 @@ class Clipped:
 def clip_to_srgb(rgb_linear: ArrayLike) -> Clipped:
     """Bring linear sRGB `[..., 3]` into [0, 1] at constant CIELAB hue and lightness, by lowering the chroma.
 
-    Along the line from the grey of the same L* the colour is taken back to where it first leaves the gamut.
+    Along the line from the grey of the same L* the colour is taken back to where the line leaves the gamut (one
+    line in some thousand leaves it twice; then it is one of the two).
     L* >= 100 (brighter than the display's white) has only white left, L* <= 0 only black. Colours within the
     gamut are returned unchanged, to rounding. About 0.5 s for a million colours outside; most images have few.
 

@@ -55,7 +55,7 @@ def xyz_to_lab(xyz: ArrayLike, white: ArrayLike | None = None) -> Array:
 
     Source: CIE 15:2018, 8.2.1. Give `white_xyz(illuminant, observer)` of the light the XYZ were made with.
 
-    Example: a grey of reflectance 0.184 has L* = 50.
+    Example: a grey of reflectance 0.184 has L* = 49.98.
     """
     f = lab_f(np.asarray(xyz, dtype=float) / _white(white))
     return np.stack(

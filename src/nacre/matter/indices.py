@@ -95,7 +95,8 @@ class OpticalConstant:
     def _range_message(self, wavelengths: Array) -> str:
         low, high = self.range_nm
         asked = sorted({f"{wavelengths.min():g}", f"{wavelengths.max():g}"}, key=float)
-        source = f" ({self.source})" if self.source else ""
+        where = self.source.removeprefix(f"{self.name}: ")
+        source = f" ({where})" if where and where != self.name else ""
         return (
             f'"{self.name}" is known from {low:g} to {high:g} nm{source}, but {"-".join(asked)} nm was asked for. '
             'Choose another entry, fewer wavelengths, or extrapolate = "edge" to hold the end values'

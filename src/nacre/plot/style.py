@@ -118,7 +118,8 @@ def shown_colours(
 
 def remark(illuminant: str | None, exposure: float = 1.0, clipped: int = 0, total: int = 0) -> str:
     """Return the small print: light, brightening, colours that the screen cannot show."""
-    parts = [f"illuminant {illuminant}"] if illuminant else []
+    adapted = "" if illuminant == "D65" else ", eye adapted to it"  # the white policy of nacre.light
+    parts = [f"illuminant {illuminant}{adapted}"] if illuminant else []
     if exposure != 1.0:
         parts.append(f"shown {exposure:g}\u00d7 brighter")
     if clipped:
