@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from nacre.matter.jit import compiled
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -34,7 +35,7 @@ def _recurrence(lmax: int, mmax: int) -> tuple[Array, Array, Array, Array]:
     return start, a, b, t
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _fill(w, sine, start, a, b, t, tau, mpi):  # type: ignore[no-untyped-def]  # numba specialises real and complex
     mcount, lmax, count = tau.shape
     for j in range(count):
@@ -60,7 +61,7 @@ def _fill(w, sine, start, a, b, t, tau, mpi):  # type: ignore[no-untyped-def]  #
             power = power * s
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _next(a, b, l, m, x, now, before):  # type: ignore[no-untyped-def]  # see _fill
     return a[m, l] * (x * now - b[m, l] * before)
 

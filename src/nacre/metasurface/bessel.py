@@ -6,16 +6,17 @@ wavelength, which one downward (Miller) or one asymptotic start gives together.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from nacre.matter.jit import compiled
 
 ComplexArray = NDArray[np.complex128]
 
 ASYMPTOTIC_FROM = 28.0  # beyond, Hankel's expansion has 13 digits
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _asymptotic(nu, z):  # type: ignore[no-untyped-def]  # numba
     mu = 4.0 * nu * nu
     p, q, term = 1.0 + 0.0j, 0.0 + 0.0j, 1.0 + 0.0j
@@ -32,7 +33,7 @@ def _asymptotic(nu, z):  # type: ignore[no-untyped-def]  # numba
     return np.sqrt(2.0 / (np.pi * z)) * (p * np.cos(chi) - q * np.sin(chi))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _fill(z, out):  # type: ignore[no-untyped-def]  # numba
     top = out.shape[0] - 1
     for i in range(z.size):

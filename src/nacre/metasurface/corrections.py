@@ -30,18 +30,15 @@ class DiffuseTerm:
         coherent: `[s, i, pol_s, pol_i, k]`, harmonics over dphi of rho |F|^2 C / (n_s n_i), to be multiplied by S.
         varying: the same of the size variance, without S; empty for equal particles.
         above, below: `[pol, i]`, power per incident irradiance sent to either side, S included.
-        index: `[angle]`, index of each direction's side over the ambient's.
-        cosines: `[angle]`.
-        is_below: `[angle]`.
+        unpolarised: `[s, i]`, the same power between two directions, azimuth-integrated, per n_s^2 of solid
+            angle, S included, polarisations averaged; symmetric where the correction is.
     """
 
     coherent: Array
     varying: Array
     above: Array
     below: Array
-    index: Array
-    cosines: Array
-    is_below: NDArray[np.bool_]
+    unpolarised: Array
 
 
 def diffuse_term(
@@ -103,9 +100,7 @@ def diffuse_term(
         powers.varying * spread if powers.varying.size else powers.varying,
         sent[~is_below].sum(axis=0),
         sent[is_below].sum(axis=0),
-        joined.index,
-        joined.cosines,
-        is_below,
+        0.5 * np.einsum("qspi,qpsi->si", kernel, both),
     )
 
 

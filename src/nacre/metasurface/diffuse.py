@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre.matter.jit import compiled
 from nacre.metasurface.sphere import Directions
 from nacre.metasurface.structure import Structure
 
@@ -58,7 +58,7 @@ class DirectionSet:
         )
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@compiled(nogil=True, fastmath=True)
 def _structure_harmonics(kappa, wavenumber, step, table, count, samples, out):  # type: ignore[no-untyped-def]  # numba
     """int_0^2pi S(|q|) cos(k phi) dphi for every pair, `[s, i, k]`, by the trapezoid rule (even, periodic)."""
     cosines = np.empty((count, samples + 1))
@@ -98,7 +98,7 @@ def structure_harmonics(directions: DirectionSet, structure: Structure, wavenumb
     return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@compiled(nogil=True, fastmath=True)
 def _pair_powers(  # type: ignore[no-untyped-def]  # numba
     x, shares, two_sided, s_harmonics, samples, coherent, varying, kernel, target
 ):

@@ -27,7 +27,7 @@ def _chebyshev(count: int, low: float, high: float) -> tuple[Array, Array]:
     j = np.arange(count)
     angle = (2 * j + 1) * np.pi / (2 * count)
     nodes: Array = low + (high - low) * (1 - np.cos(angle)) / 2
-    weights: Array = (-1.0) ** j * np.sin(angle)
+    weights = np.asarray((-1.0) ** j * np.sin(angle), dtype=np.float64)
     return nodes, weights
 
 

@@ -118,7 +118,7 @@ def baus_colot_pair_correlation(r_reduced: ArrayLike, packing: float) -> Array:
     return np.where(x >= 1.0, 1.0 + gamma.reshape(x.shape), 0.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Structure:
     """An arrangement of particles as the optics sees it.
 
@@ -162,7 +162,7 @@ def hard_disk_structure(density_per_nm2: float, packing: float, q_max_per_nm: fl
     if packing <= 0 or packing > PACKING_LIMIT:
         raise NacreError(f"packing = {packing:g} is not allowed; it should be over 0 and at most {PACKING_LIMIT:g}")
     a = float(np.sqrt(4 * packing / (np.pi * density_per_nm2)))
-    q: Array = np.arange(0, int(q_max_per_nm * a / 0.01) + 202) * 0.01
+    q = np.asarray(np.arange(0, int(q_max_per_nm * a / 0.01) + 202) * 0.01, dtype=np.float64)
     x: Array = np.linspace(1.0, RANGE_IN_DIAMETERS, 385)
     return Structure(
         "hard-disk",

@@ -1,0 +1,113 @@
+"""Structure factor, pair correlation and point patterns."""
+
+import numpy as np
+import pytest
+from helpers_metasurface import reference
+from scipy.special import j0, j1
+
+from nacre.errors import NacreError
+from nacre.metasurface import patterns
+from nacre.metasurface.structure import (
+    _compressibility,
+    baus_colot,
+    baus_colot_pair_correlation,
+    baus_colot_scale,
+    hard_disk_structure,
+)
+
+MONTE_CARLO_BAR = 0.02
+
+
+@pytest.mark.parametrize("packing, at_zero, scale", [(0.1, 0.6605, 1.838), (0.3, 0.2581, 1.566), (0.5, 0.0801, 1.352)])
+def test_baus_colot_meets_its_published_numbers(packing, at_zero, scale):
+    assert abs(float(baus_colot(0.0, packing)) - at_zero) < 6e-5
+    assert abs(baus_colot_scale(packing) - scale) < 6e-4
+    assert abs(float(baus_colot(0.0, packing)) * _compressibility(packing) - 1) <= 1e-10
+
+
+@pytest.mark.parametrize("packing", [0.1, 0.3, 0.5])
+def test_baus_colot_agrees_with_monte_carlo_disks(packing):
+    data = reference("hard_disk_structure.npz")
+    ours = baus_colot(data[f"q_{packing}"], packing)
+    assert np.sqrt(np.mean((ours - data[f"mc_{packing}"]) ** 2)) <= MONTE_CARLO_BAR
+
+
+def test_structure_factor_goes_to_one_when_disks_vanish():
+    q = np.linspace(0, 20, 50)
+    assert np.abs(baus_colot(q, 1e-5) - 1).max() < 1e-4
+    assert np.all(baus_colot(q, 0.0) == 1)
+
+
+def test_pair_correlation_gives_the_structure_factor_back():
+    """At low packing, where Baus-Colot keeps the core empty, S - 1 is the transform of g - 1."""
+    x, weight = np.polynomial.legendre.leggauss(400)
+    r = 4.5 + 3.5 * x
+    h = baus_colot_pair_correlation(r, 0.1) - 1
+    for q in (0.3, 1.5, 4.0):
+        back = 1 + 0.8 * (-j1(q) / q + 3.5 * np.sum(weight * h * r * j0(q * r)))
+        assert abs(back - float(baus_colot(q, 0.1))) < 2e-3
+
+
+def test_packing_beyond_freezing_is_refused():
+    for wrong in (0.71, -0.1):
+        with pytest.raises(NacreError, match="packing"):
+            baus_colot(1.0, wrong)
+    with pytest.raises(NacreError, match="packing"):
+        hard_disk_structure(1e-6, 0.8, 0.05)
+
+
+@pytest.mark.parametrize("maker, packing", [("hard_disks", 0.5), ("random_sequential", 0.4), ("poisson_disk", 0.4)])
+def test_patterns_keep_their_distance_their_density_and_their_seed(maker, packing):
+    make = getattr(patterns, maker)
+    pattern = make(2000, 5e-6, packing, seed=3)
+    a = np.sqrt(4 * packing / np.pi / 5e-6)
+    assert patterns.least_distance(pattern) >= a * (1 - 1e-12)
+    assert abs(len(pattern.xy_nm) / pattern.box_nm**2 / 5e-6 - 1) < 1e-12
+    assert np.array_equal(pattern.xy_nm, make(2000, 5e-6, packing, seed=3).xy_nm)
+    assert not np.array_equal(pattern.xy_nm, make(2000, 5e-6, packing, seed=4).xy_nm)
+
+
+@pytest.mark.parametrize("packing", [0.3, 0.5])
+def test_monte_carlo_disks_have_the_structure_of_baus_colot(packing):
+    pattern = patterns.hard_disks(30_000, 1.0, packing, seed=1, sweeps=80)
+    a = np.sqrt(4 * packing / np.pi)
+    edges = np.arange(0.4, 12.01, 0.2) / a
+    ours = patterns.measured_structure_factor(pattern, edges)
+    assert np.sqrt(np.mean((ours - baus_colot((edges[1:] + edges[:-1]) / 2 * a, packing)) ** 2)) <= 0.025
+    r, g = patterns.measured_pair_correlation(pattern, 4 * a, 160)
+    assert np.all(g[r < a * 0.99] == 0)
+    far = r > 1.2 * a
+    assert np.sqrt(np.mean((g - baus_colot_pair_correlation(r / a, packing))[far] ** 2)) < 0.03
+
+
+def test_mesh_structure_factor_is_the_direct_sum():
+    pattern = patterns.random_sequential(300, 1.0, 0.3)
+    n = np.array([3, 5])
+    q = 2 * np.pi / pattern.box_nm * n
+    direct = [abs(np.exp(1j * pattern.xy_nm @ q)[...].sum()) ** 2 / 300]
+    size = float(np.hypot(*q))
+    # all eight modes of that length (and their signs) share the bin
+    modes = [(s * a, t * b) for a, b in ((3, 5), (5, 3)) for s in (1, -1) for t in (1, -1)]
+    direct = (
+        np.mean([abs(np.exp(2j * np.pi / pattern.box_nm * pattern.xy_nm @ np.array(m)).sum()) ** 2 for m in modes])
+        / 300
+    )
+    found = patterns.measured_structure_factor(pattern, np.array([size * 0.9999, size * 1.0001]))
+    assert abs(found[0] / direct - 1) < 1e-3
+
+
+def test_jittered_lattice_has_its_density_and_its_disorder():
+    for kind in ("square", "hexagonal"):
+        perfect = patterns.lattice(900, 4e-6, kind)
+        spacing = np.sqrt(1 / 4e-6) if kind == "square" else np.sqrt(2 / np.sqrt(3) / 4e-6)
+        assert abs(patterns.least_distance(perfect) / spacing - 1) < 0.03
+        assert patterns.least_distance(patterns.lattice(900, 4e-6, kind, 0.1)) < 0.9 * spacing
+
+
+def test_too_dense_patterns_are_refused():
+    with pytest.raises(NacreError, match="rsa"):
+        patterns.random_sequential(1000, 1.0, 0.6)
+    with pytest.raises(NacreError, match="poisson"):
+        patterns.poisson_disk(1000, 1.0, 0.6)
+    with pytest.raises(NacreError, match="at most 0.7"):
+        patterns.hard_disks(1000, 1.0, 0.75)
