@@ -343,6 +343,46 @@ def _load_medium(w: Any, j: int, l0: int, count: int, n2r: Any, n2i: Any, i2r: A
         w[_JI + i] = i2i[j, l0 + i]
 
 
+@compiled(error_model="numpy", fastmath={"contract"})
+def _times_ambient(w: Any, count: int, l0: int, n0r: Any, n0i: Any) -> None:
+    """Turn cosines into kz = n_0 cos."""
+    for i in range(count):
+        cr, ci = w[_QS + i], w[_QS + BLOCK + i]
+        nr, ni = n0r[l0 + i], n0i[l0 + i]
+        w[_QS + i] = cr * nr - ci * ni
+        w[_QS + BLOCK + i] = cr * ni + ci * nr
+
+
+@compiled(error_model="numpy", fastmath={"contract"})
+def _enter(w: Any, count: int, l0: int, i2r: Any, i2i: Any) -> int:
+    """From kz of the ambient in the rows of q_s: fill kz^2 and q_p, clear the sums; count complex kz^2."""
+    complex_ones = 0
+    for i in range(count):
+        kr, ki = w[_QS + i], w[_QS + BLOCK + i]
+        jr, ji = i2r[0, l0 + i], i2i[0, l0 + i]
+        w[_ZR + i] = kr * kr - ki * ki
+        w[_ZI + i] = 2.0 * kr * ki
+        complex_ones += kr * ki != 0.0
+        w[_QP + i] = kr * jr - ki * ji
+        w[_QP + BLOCK + i] = kr * ji + ki * jr
+        w[_TURNS + i] = w[_DECAY + i] = w[_SCALE_S + i] = w[_SCALE_P + i] = 0.0
+    return complex_ones
+
+
+@compiled(error_model="numpy", fastmath={"contract"})
+def _leave(w: Any, count: int) -> None:
+    """Start the recursion in the substrate: u = 1, v = q."""
+    for i in range(count):
+        kr, ki = w[_KR + i], w[_KI + i]
+        qr = kr * w[_JR + i] - ki * w[_JI + i]
+        w[_US + i] = w[_UP + i] = 1.0
+        w[_US + BLOCK + i] = w[_UP + BLOCK + i] = 0.0
+        w[_VS + BLOCK + i] = ki
+        w[_VP + BLOCK + i] = kr * w[_JI + i] + ki * w[_JR + i]
+        w[_VS + i] = w[_OUT + i] = kr
+        w[_VP + i] = w[_OUT + BLOCK + i] = qr
+
+
 @compiled(error_model="numpy", nogil=True)
 def solve_range(
     n: Any,
@@ -381,7 +421,7 @@ def solve_range(
     for l in range(padded):
         lam[l] = wavelengths[min(l, count_l - 1)]
     w = np.zeros(ROWS * BLOCK)
-    qs_s, qs_p = np.empty(BLOCK, dtype=np.complex128), np.empty(BLOCK, dtype=np.complex128)
+    n0r, n0i = np.empty(padded), np.empty(padded)
     for b in range(start, stop):
         bn = min(b, n.shape[0] - 1)
         if b == start or n.shape[0] > 1:
@@ -395,37 +435,25 @@ def solve_range(
                     i2r[j, l], i2i[j, l] = inverse.real, inverse.imag
                     if square.imag != 0.0:
                         lossless[j] = False
+            for l in range(padded):
+                value = n[bn, 0, min(l, count_l - 1)]
+                n0r[l], n0i[l] = value.real, value.imag
         n02r, n02i = n2r[0], n2i[0]
         d = thicknesses[min(b, thicknesses.shape[0] - 1)]
         for angle in range(angle_start, angle_stop):
             row = normal[min(b, normal.shape[0] - 1), angle]
+            last = row.shape[0] - 1
             for l0 in range(0, padded, BLOCK):
                 count = min(BLOCK, padded - l0)
-                is_real = lossless[0]
                 for i in range(count):
-                    l = min(l0 + i, count_l - 1)
-                    kz0 = row[min(l, row.shape[0] - 1)]
-                    if times_n0:
-                        kz0 = kz0 * n[bn, 0, l]
-                    square = kz0 * kz0
-                    w[_ZR + i], w[_ZI + i] = square.real, square.imag
-                    w[_QS + i], w[_QS + BLOCK + i] = kz0.real, kz0.imag
-                    kz0 = kz0 * complex(i2r[0, l], i2i[0, l])
-                    w[_QP + i], w[_QP + BLOCK + i] = kz0.real, kz0.imag
-                    if square.imag != 0.0:
-                        is_real = False
-                    w[_US + i] = w[_UP + i] = 1.0
-                    w[_US + BLOCK + i] = w[_UP + BLOCK + i] = 0.0
-                    w[_TURNS + i] = w[_DECAY + i] = w[_SCALE_S + i] = w[_SCALE_P + i] = 0.0
+                    value = row[min(l0 + i, last)]
+                    w[_QS + i], w[_QS + BLOCK + i] = value.real, value.imag
+                if times_n0:
+                    _times_ambient(w, count, l0, n0r, n0i)
+                is_real = _enter(w, count, l0, i2r, i2i) == 0 and lossless[0]
                 _load_medium(w, media - 1, l0, count, n2r, n2i, i2r, i2i)
                 _wavevector(w, count, l0, n02r, n02i)
-                for i in range(count):
-                    q = complex(w[_KR + i], w[_KI + i])
-                    qs_s[i] = q
-                    w[_VS + i], w[_VS + BLOCK + i] = q.real, q.imag
-                    q = q * complex(w[_JR + i], w[_JI + i])
-                    qs_p[i] = q
-                    w[_VP + i], w[_VP + BLOCK + i] = q.real, q.imag
+                _leave(w, count)
                 for j in range(layers, 0, -1):
                     thickness = d[j - 1]
                     if thickness != 0.0:  # nothing happens in a layer of no thickness
@@ -443,8 +471,6 @@ def solve_range(
                         _rescale(w, count, _UP, _VP, _SCALE_P)
                 valid = min(count, count_l - l0)
                 if wants_power:
-                    for i in range(count):
-                        w[_OUT + i], w[_OUT + BLOCK + i] = qs_s[i].real, qs_p[i].real
                     _power_end(w, count, _US, _VS, _QS, _SCALE_S, _OUT, _OUT + 2 * BLOCK)
                     _power_end(w, count, _UP, _VP, _QP, _SCALE_P, _OUT + BLOCK, _OUT + 3 * BLOCK)
                     for i in range(valid):

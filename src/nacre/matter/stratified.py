@@ -28,7 +28,7 @@ Complex = NDArray[np.complex128]
 
 GRAZING_COS = 1e-12  # below this the angle counts as exactly 90 degrees, where R = 1 and T = 0
 FEW_WAVELENGTHS = 16  # the kernel runs along the wavelengths; shorter axes are joined with the angles
-SMALL_WORK = 100_000  # layers x points below which a second thread costs more than it gives
+SMALL_WORK = 500_000  # layers x points, some 4 ms, below which threads cost as much as they give
 GATHER_LIMIT = 1_000_000  # complex values that joining the axes may copy
 
 
