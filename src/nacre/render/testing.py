@@ -194,9 +194,7 @@ def chi_square(
     return ChiSquare(float(test.p_value), bool(test.fail), test.messages)
 
 
-def draw(
-    bsdf: Bsdf | Any, wi: Array, n: int, seed: int = 0, uv: Array | None = None, radiance: bool = True
-) -> Draws:
+def draw(bsdf: Bsdf | Any, wi: Array, n: int, seed: int = 0, uv: Array | None = None, radiance: bool = True) -> Draws:
     """Draw `n` samples for one direction `wi[3]`, and evaluate the directions drawn."""
     plugin = make_bsdf(bsdf) if isinstance(bsdf, Bsdf) else bsdf
     sampler = mi.load_dict({"type": "independent"})
@@ -214,9 +212,7 @@ def draw(
         return np.broadcast_to(np.array(v, dtype=float), (n,))
 
     is_delta = (np.broadcast_to(np.array(bs.sampled_type), (n,)) & int(mi.BSDFFlags.Delta)) != 0
-    return Draws(
-        rows(bs.wo, 3), line(bs.pdf), rows(weight, 4), is_delta, line(bs.eta), rows(value, 4), line(density)
-    )
+    return Draws(rows(bs.wo, 3), line(bs.pdf), rows(weight, 4), is_delta, line(bs.eta), rows(value, 4), line(density))
 
 
 def weight_mismatch(draws: Draws) -> float:
