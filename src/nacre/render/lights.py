@@ -23,6 +23,7 @@ TURNING_LIGHTS = ("studio", "interior", "street")
 MAP_SUFFIXES = (".exr", ".hdr", ".pfm")
 MAX_MAP_BYTES = 1 << 30
 _WHITE = 0.6
+PLACE_FLOORS = {"street": "ground", "interior": "boards"}
 
 
 @dataclass(frozen=True)
@@ -34,12 +35,14 @@ class Light:
         illuminant: the white that the picture is balanced to.
         is_surrounding: whether the light is a place that should be seen behind the subject.
         note: how outputs state it.
+        floor: material of the floor where it is a place (`nacre.render.scenes.MATERIALS`).
     """
 
     emitters: dict[str, Any]
     illuminant: str
     is_surrounding: bool
     note: str
+    floor: str = "ground"
 
 
 def check_light(name: str) -> str:
@@ -92,7 +95,7 @@ def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0) -> Lig
         from nacre.render import places
 
         place = places.interior() if name == "interior" else places.street()
-        return Light({name: make_environment(place, 1.0, turn_deg)}, "D65", True, place.name)
+        return Light({name: make_environment(place, 1.0, turn_deg)}, "D65", True, place.name, PLACE_FLOORS[name])
     return Light({"map": _map(Path(name), turn_deg)}, "D65", True, f"environment map {Path(name).name}, RGB up-sampled")
 
 
@@ -106,16 +109,16 @@ def _emission(white: str, level: float) -> Any:
 
 
 def _tubes(white: str, turn_deg: float) -> dict[str, Any]:
-    """A row of seven long tubes above and behind the samples, parallel to x, and a weak fill."""
+    """A row of five long tubes above and behind the samples, parallel to x, and a weak fill."""
     mi = use_variant()
     parts: dict[str, Any] = {}
-    for k in range(7):
-        y = -3.9 + 1.55 * k
-        place = mi.ScalarTransform4f().translate([0, y, 4.4]).rotate([1, 0, 0], 180.0).scale([4.2, 0.11, 1.0])
+    for k in range(5):
+        y = -3.6 + 2.2 * k
+        place = mi.ScalarTransform4f().translate([0, y, 4.4]).rotate([1, 0, 0], 180.0).scale([4.2, 0.17, 1.0])
         parts[f"tube{k}"] = {
             "type": "rectangle",
             "to_world": _turn(turn_deg) @ place,
-            "emitter": {"type": "area", "radiance": _emission(white, 9.0)},
+            "emitter": {"type": "area", "radiance": _emission(white, 6.0)},
         }
     parts["fill"] = {"type": "constant", "radiance": _emission(white, 0.10)}
     return parts

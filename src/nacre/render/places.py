@@ -17,6 +17,7 @@ from nacre.light import Illuminant, illuminant, table_wavelengths_nm
 from nacre.render.environments import Array, Environment, directions, smooth_step, tinted, unit_spectrum
 
 ROWS = 512
+STREET_TURN_DEG = 30.0
 _GRID = table_wavelengths_nm()
 
 
@@ -64,9 +65,12 @@ class _Canvas:
 
 @functools.lru_cache(maxsize=1)
 def street(rows: int = ROWS) -> Environment:
-    """A street of brick and plaster houses under a clear sky, the sun over one side; the street runs along y."""
-    d = directions(rows)
-    x, y, z = d[..., 0], d[..., 1], d[..., 2]
+    """A street of brick and plaster houses under a clear sky, the sun over one side; the street runs near y."""
+    # turned so that a camera at the front right looks down the street
+    turned = directions(rows)
+    c, s = np.cos(np.radians(STREET_TURN_DEG)), np.sin(np.radians(STREET_TURN_DEG))
+    x, y, z = c * turned[..., 0] + s * turned[..., 1], c * turned[..., 1] - s * turned[..., 0], turned[..., 2]
+    d = np.stack([x, y, z], axis=-1)
     half, eye = 8.5, 1.3
     sun_direction = np.array([-0.52, -0.42, 0.74])
     sun_direction /= np.linalg.norm(sun_direction)
@@ -90,7 +94,7 @@ def street(rows: int = ROWS) -> Environment:
     glow = 0.55 * np.exp(-to_sun / 0.22) + 0.25 * np.exp(-to_sun / 0.7)
     haze_weight = 0.10 + 0.55 * np.exp(-up / 0.12) + glow
     blue_weight = 0.34 * (1 - 0.75 * np.exp(-up / 0.18)) * (1 + 0.4 * np.cos(to_sun) ** 2)
-    disc = (to_sun < np.radians(1.2)).astype(float)
+    disc = (to_sun < np.radians(2.0)).astype(float)  # wider than the sun, of its power: calmer glints
 
     # light on surfaces: sun on the side it reaches, sky by the share of it in view
     lit_side = side * np.sign(sun_direction[0]) < 0
@@ -138,7 +142,7 @@ def street(rows: int = ROWS) -> Environment:
     kerb = 1 - 0.5 * (np.abs(np.abs(ground_x) - 5.5) < 0.08)
     grain = 0.94 + 0.12 * _hash(np.floor(ground_x * 8), np.floor(ground_y * 8))
     ground = asphalt * kerb * np.where(np.hypot(ground_x, ground_y) < 25, grain, 1.0)
-    canvas.add(sun, is_sky * keep * disc * 900.0 + ground * sun_on_ground * power_sun * keep)
+    canvas.add(sun, is_sky * keep * disc * 324.0 + ground * sun_on_ground * power_sun * keep)
     canvas.add(haze, (is_sky * haze_weight + mirrored * 0.5 + ground * 0.2) * keep)
     canvas.add(blue, (is_sky * blue_weight + mirrored * 0.35 + ground * 0.35) * keep)
     return canvas.finish("street under a clear sky: D50 sun, D65 haze, blue sky, brick, plaster, leaves", 0.6)

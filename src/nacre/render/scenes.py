@@ -57,6 +57,7 @@ class Scene:
         max_depth: path length that the scene needs (opaque subjects; see-through ones get more).
         size: width and height of a default picture.
         spp: samples per pixel of a default picture.
+        place_view: the camera where the light is a place to be seen (street, room, sky); None: the same.
     """
 
     name: str
@@ -66,12 +67,12 @@ class Scene:
     light: str = "studio"
     max_depth: int = 6
     size: tuple[int, int] = (640, 640)
-    spp: int = 64
+    spp: int = 100
+    place_view: View | None = None
 
 
 # reflectances and simple models of everything that is not the subject
 MATERIALS: dict[str, dict[str, Any]] = {
-    "backdrop": {"type": "diffuse", "reflectance": 0.2},
     "board": {"type": "diffuse", "reflectance": 0.32},
     "ground": {"type": "diffuse", "reflectance": 0.16},
     "dark": {"type": "plastic", "int_ior": 1.5, "diffuse_reflectance": 0.015},
@@ -79,9 +80,20 @@ MATERIALS: dict[str, dict[str, Any]] = {
     "rubber": {"type": "roughplastic", "int_ior": 1.5, "alpha": 0.35, "diffuse_reflectance": 0.018},
     "glass": {"type": "plastic", "int_ior": 1.45, "diffuse_reflectance": 0.008},
     "lamp": {"type": "plastic", "int_ior": 1.5, "diffuse_reflectance": 0.55},
-    "chrome": {"type": "roughconductor", "material": "Cr", "alpha": 0.06},
+    "chrome": {"type": "roughconductor", "material": "Cr", "alpha": 0.18},
     "white": {"type": "diffuse", "reflectance": 0.8},
 }
+
+
+def floor_material(name: str) -> dict[str, Any]:
+    """A floor by name: one of `MATERIALS`, or the room's own boards with their spectrum."""
+    if name != "boards":
+        return MATERIALS[name]
+    from nacre.light import table_wavelengths_nm
+    from nacre.render.environment_plugin import spectrum_texture
+    from nacre.render.places import WOOD
+
+    return {"type": "diffuse", "reflectance": spectrum_texture(table_wavelengths_nm(), WOOD)}
 
 
 def chessboard(square: float, dark: float = 0.035, bright: float = 0.6) -> dict[str, Any]:
@@ -99,6 +111,26 @@ def chessboard(square: float, dark: float = 0.035, bright: float = 0.6) -> dict[
     }
 
 
+def graded(across: float, along: float, centre: float) -> dict[str, Any]:
+    """A matt backdrop for uv in lengths, lightest under the subject and darker towards its edges and up the wall."""
+    import mitsuba as mi
+
+    u, v = np.meshgrid((np.arange(128) + 0.5) / 128 * across, (np.arange(128) + 0.5) / 128 * along)
+    distance = np.hypot((u - 0.5 * across) / 1.5, v - centre)
+    reflectance = 0.035 + 0.14 * np.exp(-((distance / 5.5) ** 2))
+    return {
+        "type": "diffuse",
+        "reflectance": {
+            "type": "bitmap",
+            "data": mi.TensorXf(np.ascontiguousarray(reflectance[..., None], dtype=np.float32)),
+            "raw": True,
+            "wrap_mode": "clamp",
+            "to_uv": mi.ScalarTransform4f().scale([1 / across, 1 / along, 1.0]),
+        },
+    }
+
+
+@functools.cache
 def _sphere() -> list[Part]:
     return [Part({"type": "sphere", "center": [0.0, 0.0, 1.0], "radius": 1.0})]
 
@@ -165,11 +197,17 @@ SCENES: dict[str, Scene] = {
         Scene("sphere", _sphere, View((0.0, -8.6, 2.7), (0.0, 0.0, 0.93), 19.0)),
         Scene("probe", _sphere, View((0.0, -7.6, 4.2), (0.0, 0.0, 0.85), 24.0), "bowl", "directional"),
         Scene("speedshape", _speedshape, View((-4.6, -7.6, 4.1), (0.0, 0.0, 0.5), 26.0), size=(800, 520)),
-        Scene("panel", _panel, View((0.0, -8.2, 4.6), (0.0, 0.05, 0.42), 28.0), light="line", size=(800, 520)),
+        Scene("panel", _panel, View((0.0, -8.2, 4.6), (0.0, 0.05, 0.42), 28.0), light="line", size=(800, 520), spp=196),
         Scene("butterfly", _butterfly, View((0.0, -4.4, 9.4), (0.0, 0.12, 0.1), 29.0), "board", size=(800, 600)),
         Scene("bottle", _bottle, View((0.0, -11.5, 3.6), (0.0, 0.0, 1.6), 17.5), max_depth=8, size=(512, 640)),
         Scene("knob", _knob, View((1.3, -8.8, 4.0), (0.0, 0.0, 1.18), 20.5), max_depth=8),
-        Scene("body", _body, View((6.4, -7.6, 2.3), (0.05, 0.0, 0.56), 26.5), size=(960, 540)),
+        Scene(
+            "body",
+            _body,
+            View((6.4, -7.6, 2.3), (0.05, 0.0, 0.56), 26.5),
+            size=(960, 540),
+            place_view=View((6.9, -7.6, 1.35), (0.05, 0.0, 0.86), 30.0),
+        ),  # fmt: skip
     )
 }
 # shapes that `shape=` knows: the subjects of the scenes above
@@ -191,7 +229,7 @@ def scene(name: str) -> Scene:
     return SCENES[name]
 
 
-def backdrop_parts(kind: Backdrop, see_through: bool, outdoors: bool) -> list[tuple[Surface, dict[str, Any]]]:
+def backdrop_parts(kind: Backdrop, see_through: bool, place_floor: str | None) -> list[tuple[Surface, dict[str, Any]]]:
     """The stage: a sweep, a chessboard bowl, a board; a plain ground where an environment is to be seen.
 
     A see-through subject gets a chequered sweep, since glass shows itself by what it bends.
@@ -200,9 +238,11 @@ def backdrop_parts(kind: Backdrop, see_through: bool, outdoors: bool) -> list[tu
         return []
     if kind == "bowl":
         return [(stages.bowl(1.4, 9.0, 4.2), chessboard(0.62))]
-    if outdoors:
-        return [(stages.sweep(30.0, 30.0, 30.0, 0.5, 0.5), MATERIALS["ground"])]
+    if place_floor is not None:
+        return [(stages.sweep(30.0, 30.0, 30.0, 0.5, 0.5), floor_material(place_floor))]
     if kind == "board":
         return [(stages.sweep(12.0, 12.0, 12.0, 2.0, 3.0), MATERIALS["board"])]
     surface = stages.sweep(20.0, 16.0, 5.0, 4.5, 5.2)
-    return [(surface, chessboard(0.55, 0.06, 0.38) if see_through else MATERIALS["backdrop"])]
+    if see_through:  # dark, so that the faint colours of a film on glass stand before it
+        return [(surface, chessboard(0.55, 0.012, 0.11))]
+    return [(surface, graded(40.0, float(surface.uv[:, 1].max()), 16.0))]

@@ -69,7 +69,8 @@ class Stage:
             content[f"part{index}"] = _shape(part, material(part.material), f"{part.material}{index}")
             if part.material == SUBJECT:
                 subjects.append(content[f"part{index}"])
-        for index, (surface, look) in enumerate(backdrop_parts(scene.backdrop, see_through, light.is_surrounding)):
+        floor = light.floor if light.is_surrounding else None
+        for index, (surface, look) in enumerate(backdrop_parts(scene.backdrop, see_through, floor)):
             content[f"backdrop{index}"] = make_mesh(surface, mi.load_dict(look))
         content.update({f"light_{name}": emitter for name, emitter in light.emitters.items()})
         self.subjects = subjects
@@ -119,7 +120,7 @@ class Stage:
                 "far_clip": 1e4,
                 "to_world": mi.ScalarTransform4f().look_at(list(view.origin), list(view.target), [0, 0, 1]),
                 "film": {**film, "width": size[0], "height": size[1]},
-                "sampler": {"type": "independent"},
+                "sampler": {"type": "multijitter"},
             }
         )
 

@@ -71,7 +71,7 @@ class UserStage:
             "type": "perspective",
             "to_world": mi.ScalarTransform4f(transform.matrix.numpy().reshape(4, 4)),
             "film": {**film, "width": size[0], "height": size[1]},
-            "sampler": {"type": "independent"},
+            "sampler": {"type": "multijitter"},
         }
         try:
             settings |= {"fov": float(values["x_fov"].numpy()[0]), "fov_axis": "x"}

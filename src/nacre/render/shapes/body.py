@@ -16,15 +16,15 @@ from nacre.render.shapes.implicit import smooth_max, smooth_min, superellipse, s
 from nacre.render.shapes.surface import Array, Surface, curve, merge, parametric, revolve, rotation, split
 
 FRONT_AXLE, REAR_AXLE = 1.32, -1.30
-WHEEL_RADIUS, WHEEL_WIDTH, TRACK = 0.34, 0.23, 0.80
-_ARCH = 0.378
+WHEEL_RADIUS, WHEEL_WIDTH, TRACK = 0.33, 0.23, 0.80
+_ARCH = 0.362
 _SILL = 0.17
 
 # silhouettes (x, value); the ends are closed by the caps of `_hull`
 _DECK = [(-2.3, 0.80), (-2.1, 0.885), (-1.8, 0.915), (-1.3, 0.925), (-0.6, 0.875), (0.1, 0.85), (0.7, 0.845),
-         (1.2, 0.825), (1.6, 0.765), (1.95, 0.675), (2.2, 0.585), (2.35, 0.53)]  # fmt: skip
+         (1.2, 0.845), (1.6, 0.785), (1.95, 0.675), (2.2, 0.585), (2.35, 0.53)]  # fmt: skip
 _PLAN = [(-2.3, 0.76), (-2.1, 0.82), (-1.7, 0.905), (-1.3, 0.945), (-0.8, 0.92), (-0.1, 0.885), (0.6, 0.885),
-         (1.1, 0.915), (1.45, 0.92), (1.8, 0.875), (2.05, 0.79), (2.3, 0.66)]  # fmt: skip
+         (1.1, 0.925), (1.45, 0.935), (1.8, 0.885), (2.05, 0.79), (2.3, 0.66)]  # fmt: skip
 _ROOF = [(-2.7, 0.2), (-2.3, 0.66), (-2.0, 0.86), (-1.6, 1.00), (-1.1, 1.15), (-0.65, 1.245), (-0.2, 1.275),
          (0.15, 1.25), (0.5, 1.12), (0.85, 0.96), (1.2, 0.81), (1.5, 0.68), (1.95, 0.2)]  # fmt: skip
 _CABIN = [(-2.1, 0.42), (-1.7, 0.58), (-1.2, 0.70), (-0.6, 0.765), (0.0, 0.775), (0.5, 0.745), (0.9, 0.68), (1.3, 0.56)]
@@ -67,7 +67,7 @@ def _hull(x: Array, y: Array, z: Array) -> Array:
     for axle, swell in ((FRONT_AXLE, 0.04), (REAR_AXLE, 0.045)):
         over = np.exp(-(((x - axle) / 0.45) ** 2))
         shell = shell - swell * over * np.exp(-(((z - 0.55) / 0.28) ** 2))
-        shell = shell - 0.035 * over * np.exp(-(((np.abs(y) - 0.74) / 0.2) ** 2) - ((z - 0.8) / 0.15) ** 2)
+        shell = shell - 0.05 * over * np.exp(-(((np.abs(y) - 0.78) / 0.2) ** 2) - ((z - 0.78) / 0.15) ** 2)
     car = smooth_min(shell, smooth_max(_cabin(x, y, z), tail + 0.06, 0.1), 0.16)
     for axle in (FRONT_AXLE, REAR_AXLE):
         well = np.hypot(x - axle, z - WHEEL_RADIUS) - _ARCH
@@ -119,7 +119,7 @@ def _panes(p: Array, n: Array) -> Array:
     belt = curve([(-2.0, 0.985), (-1.2, 0.985), (-0.4, 0.955), (0.4, 0.925), (1.2, 0.89)], x)
     rail = curve(_ROOF, x) - 0.075
     side = -smooth_max(belt - z, z - rail, 0.03)
-    side = -smooth_max(-side, _leaning(x, z, 0.74, -1.15), 0.08)  # in front: the A pillar
+    side = -smooth_max(-side, _leaning(x, z, 0.64, -1.15), 0.05)  # in front: the A pillar
     side = -smooth_max(-side, -_leaning(x, z, -1.22, 0.75), 0.10)  # behind: the C pillar
     side = -smooth_max(-side, 0.45 - wide, 0.02)
     screen = -smooth_max(wide - (curve(_CABIN, x) - 0.42 * (z - 0.85) - 0.075), 0.885 - z, 0.05)

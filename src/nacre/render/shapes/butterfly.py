@@ -88,7 +88,7 @@ def butterfly_veins() -> Surface:
     return _pair(merge(tubes))
 
 
-def tube(path: Array, radius: Array, around: int = 12) -> Surface:
+def tube(path: Array, radius: Array, around: int = 24) -> Surface:
     """A round tube along a B-spline through `path` `[N, 3]`, with `radius` `[N]` at its points."""
     control = np.concatenate([path, np.asarray(radius)[:, None]], axis=1)
 
@@ -102,7 +102,7 @@ def tube(path: Array, radius: Array, around: int = 12) -> Surface:
         angle = 2 * np.pi * u[..., None]
         return here[..., :3] + here[..., 3:] * (np.cos(angle) * side - np.sin(angle) * up) * -1
 
-    return parametric(position, around, 4 * len(path))
+    return parametric(position, around, 2 * len(path))
 
 
 def butterfly_body() -> Surface:
@@ -130,7 +130,7 @@ def butterfly_body() -> Surface:
     def uv(points: Array) -> Array:
         return points[:, :2].copy()
 
-    solid = surface_net(body, np.array([-0.25, -1.2, -0.1]), np.array([0.25, 0.78, 0.38]), 0.0125, uv)
+    solid = surface_net(body, np.array([-0.25, -1.2, -0.1]), np.array([0.25, 0.78, 0.38]), 0.008, uv)
     t = np.linspace(0, 1, 16)
     feeler = np.stack([0.035 + 0.36 * t**1.2, 0.6 + 0.75 * t - 0.06 * t**3, 0.2 + 0.16 * t - 0.06 * t**2], axis=1)
     thickness = 0.009 + 0.016 * np.exp(-(((t - 0.97) / 0.06) ** 2))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nacre.render.shapes.surface import Array, Surface, parametric
+from nacre.render.shapes.surface import Array, Surface, merge, parametric
 
 
 def sweep(half_width: float, front: float, back: float, radius: float, height: float) -> Surface:
@@ -43,20 +43,33 @@ def bowl(flat: float, reach: float, rise: float) -> Surface:
     return Surface(surface.vertices, surface.normals, (surface.uv * 2 - 1) * reach, surface.faces)
 
 
-def sheet(width: float, depth: float, thickness: float = 0.02) -> Surface:
-    """A flat panel with rounded rim lying on z = 0, u across, v along; closed."""
+def sheet(width: float, depth: float, thickness: float = 0.04) -> Surface:
+    """A flat panel with a rounded rim, lying on z = 0; closed; u runs across, v along, above and below."""
+    half = 0.5 * thickness
+    rim = 0.12  # share of the parameter that the rim's quarter round takes
+
+    def across(t: Array, extent: float) -> tuple[Array, Array]:
+        """Place along one side, and the rim's height there, for t in [-1, 1]."""
+        angle = 0.5 * np.pi * np.maximum((np.abs(t) - (1 - rim)) / rim, 0.0)
+        flat = np.minimum(np.abs(t) / (1 - rim), 1.0) * (extent - half)
+        return np.sign(t) * (flat + half * np.sin(angle)), np.cos(angle)
 
     def position(u: Array, v: Array) -> Array:
-        # a superellipsoid: flat faces, soft rim; u runs across the top and back below
-        angle = 2 * np.pi * u
-        c, s = _power(np.cos(angle), 0.05), _power(np.sin(angle), 0.3)
-        edge = _power(np.sin(np.pi * v), 0.05)
-        return np.stack(
-            [-0.5 * width * c * edge, -0.5 * depth * _power(np.cos(np.pi * v), 0.05), 0.5 * thickness * (1 + s * edge)],
-            axis=-1,
-        )
+        x, height_x = across(2 * u - 1, 0.5 * width)
+        y, height_y = across(2 * v - 1, 0.5 * depth)
+        # the outline itself lies at half height, exactly, so that both faces meet
+        inside = (np.abs(2 * u - 1) < 1) & (np.abs(2 * v - 1) < 1)
+        return np.stack([x, y, half + np.where(inside, half * height_x * height_y, 0.0)], axis=-1)
 
-    return parametric(position, 400, 200)
+    def smooth(u: Array, v: Array) -> Array:
+        x, height_x = across(2 * u - 1, 0.5 * width)
+        y, height_y = across(2 * v - 1, 0.5 * depth)
+        return np.stack([x, y, half + half * height_x * height_y], axis=-1)
+
+    top = parametric(smooth, 100, 100)
+    outline = position(top.uv[:, 0], top.uv[:, 1])
+    top = Surface(outline, top.normals, top.uv, top.faces)
+    return merge([top, top.moved(np.diag([1.0, 1.0, -1.0]), (0.0, 0.0, thickness))])
 
 
 def rolled(width: float, radius: float, arc_deg: float) -> Surface:
@@ -78,7 +91,3 @@ def tile(width: float, depth: float) -> Surface:
         return np.stack([(u - 0.5) * width, (v - 0.5) * depth, 0 * u], axis=-1)
 
     return parametric(position, 1, 1)
-
-
-def _power(value: Array, exponent: float) -> Array:
-    return np.sign(value) * np.abs(value) ** exponent

@@ -1,0 +1,224 @@
+"""Pictures: reproducible, honest about themselves, written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.errors import NacreError
+from nacre.render import picture
+from nacre.render.exr import spectral_channel
+from nacre.render.images import AUTO_STOPS, RenderResult, auto_stops, develop, encode, read_provenance
+from nacre.render.scenes import SCENES
+
+SMALL = {"size": (24, 20), "spp": 2}
+
+pytestmark = pytest.mark.render
+
+
+@pytest.fixture(scope="module")
+def gold() -> Any:
+    from nacre.render.variant import use_variant
+
+    return use_variant().load_dict({"type": "roughconductor", "material": "Au", "alpha": 0.2})
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_every_scene_renders_its_subject(scene: str, gold: Any) -> None:
+    """The subject is in the picture: with another material the picture changes, in the middle above all."""
+    first = nacre.render(gold, scene, size=(24, 20), spp=4, exposure=0.0)
+    black = nacre.render({"type": "diffuse", "reflectance": 0.0}, scene, size=(24, 20), spp=4, exposure=0.0)
+    assert np.isfinite(first.xyz).all() and first.stats["not_finite_pixels"] == 0
+    change = np.abs(first.xyz[..., 1] - black.xyz[..., 1])
+    assert (change > 0.02).mean() > 0.04
+    assert change[6:14, 6:18].mean() > change.mean()
+
+
+@pytest.mark.parametrize("light", ["street", "interior", "sun", "sky", "line"])
+def test_every_light_shines(light: str, gold: Any) -> None:
+    result = nacre.render(gold, "sphere", light=light, **SMALL)
+    assert result.xyz[..., 1].mean() > 0.02 and result.stats["illuminant"] == "D65"
+
+
+def test_the_same_seed_gives_the_same_picture(gold: Any) -> None:
+    first, again = (nacre.render(gold, seed=5, **SMALL).xyz for _ in range(2))
+    other = nacre.render(gold, seed=6, **SMALL).xyz
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_a_stage_remembers_nothing_of_the_last_material(gold: Any) -> None:
+    first = nacre.render(gold, seed=1, **SMALL).xyz
+    nacre.render({"type": "diffuse", "reflectance": 0.9}, seed=2, **SMALL)
+    assert np.array_equal(nacre.render(gold, seed=1, **SMALL).xyz, first)
+
+
+def test_turning_the_light_there_and_back_changes_nothing(gold: Any) -> None:
+    first = nacre.render(gold, **SMALL).xyz
+    turned = nacre.render(gold, light_turn_deg=120.0, **SMALL).xyz
+    assert not np.allclose(turned, first, rtol=0.05)
+    assert np.array_equal(nacre.render(gold, **SMALL).xyz, first)
+
+
+def test_passes_add_up_to_the_asked_spp() -> None:
+    for spp in (1, 2, 5, 16, 100, 997):
+        for most in (1, 7, 64, 4096):
+            plan = picture.pass_plan(spp, most)
+            assert sum(plan) == spp and max(plan) <= most
+
+
+def test_a_grey_sheet_is_grey_under_every_lamp() -> None:
+    for lamp in ("D65", "A", "F11"):
+        result = nacre.render({"type": "diffuse", "reflectance": 0.5}, illuminant=lamp, size=(16, 16), spp=36)
+        mean = result.rgb.mean(axis=(0, 1))
+        assert mean / mean.mean() == pytest.approx(np.ones(3), abs=0.01)
+
+
+def test_a_png_tells_how_it_was_made(tmp_path: Path, gold: Any) -> None:
+    path = tmp_path / "gold.png"
+    result = nacre.render(gold, illuminant="A", seed=7, output=path, **SMALL)
+    said = read_provenance(path)
+    assert (said["seed"], said["illuminant"], said["spp"], said["scene"]) == (7, "A", 2, "sphere")
+    assert said["nacre"] == nacre.__version__
+    assert result.path == path and list(tmp_path.iterdir()) == [path]
+
+
+def test_an_exr_holds_linear_light_and_fichet_s_spectral_layout(tmp_path: Path, gold: Any) -> None:
+    import OpenEXR
+
+    path = tmp_path / "gold.spectral.exr"
+    result = nacre.render(gold, output=path, **SMALL)
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        header = dict(file.header())
+        channels = {name: np.array(c.pixels) for name, c in file.channels().items()}
+    assert header["spectralLayoutVersion"] == "1.0" and header["emissiveUnits"] == "W.m^-2.sr^-1"
+    assert json.loads(header["nacre"])["scene"] == "sphere"
+    assert result.spectral is not None and result.bands_nm is not None
+    for index, wavelength in enumerate(result.bands_nm):
+        assert np.array_equal(channels[spectral_channel(wavelength)], result.spectral[..., index])
+    assert {"R", "G", "B"} <= set(channels)
+
+
+def test_spectral_channels_parse_as_the_layout_s_own_pattern() -> None:
+    """The grammar of Fichet et al. 2021: S0, a dot, a number with a decimal comma, a unit of length."""
+    pattern = re.compile(r"^(S[0-3])\.(\d*,?\d*([eE][-+]?\d+)?)(n)(m)$")
+    for wavelength in (365.0, 550.5, 825.0):
+        match = pattern.match(spectral_channel(wavelength))
+        assert match is not None and float(match.group(2).replace(",", ".")) == wavelength
+
+
+def test_spectra_and_direct_xyz_agree(gold: Any) -> None:
+    settings: dict[str, Any] = {"size": (16, 16), "spp": 256, "exposure": 0.0}
+    direct = nacre.render(gold, **settings).xyz.mean(axis=(0, 1))
+    spectral = nacre.render(gold, spectral=True, **settings).xyz.mean(axis=(0, 1))
+    assert spectral == pytest.approx(direct, rel=0.015)
+
+
+def test_a_plain_exr_is_unexposed_linear_rgb(tmp_path: Path, gold: Any) -> None:
+    import OpenEXR
+
+    path = tmp_path / "gold.exr"
+    result = nacre.render(gold, exposure=2.0, output=path, **SMALL)
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        red = file.channels()["R"].pixels
+        assert "spectralLayoutVersion" not in file.header()
+    assert np.allclose(red * 4.0, result.rgb[..., 0], rtol=1e-5, atol=1e-6)
+
+
+def test_exposure_is_bounded_and_fixed_exposures_compare() -> None:
+    bright, dark = np.full((4, 4, 3), 50.0), np.full((4, 4, 3), 1e-5)
+    assert (auto_stops(bright), auto_stops(dark)) == AUTO_STOPS
+    rgb, stops = develop(np.full((2, 2, 3), 0.25), "E", 1.0)
+    assert stops == 1.0 and rgb == pytest.approx(np.full((2, 2, 3), 0.5), rel=1e-3)
+    picture8, count = encode(np.array([[[0.2, 0.9, -0.4], [0.5, 0.5, 0.5]]]))
+    assert count == 1 and picture8.dtype == np.uint8
+
+
+def test_ctrl_c_keeps_the_finished_passes(tmp_path: Path, gold: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(picture, "PASS_SAMPLES", 24 * 20)
+
+    def stop(done: int, total: int, seconds_left: float) -> None:
+        if done == 3:
+            raise KeyboardInterrupt
+
+    path = tmp_path / "part.png"
+    result = nacre.render(gold, size=(24, 20), spp=50, progress=stop, output=path)
+    assert result.stats["interrupted"] and result.stats["spp"] == 3
+    assert read_provenance(path)["spp"] == 3
+    monkeypatch.setattr(picture, "PASS_SAMPLES", 1 << 20)
+    whole = nacre.render(gold, size=(24, 20), spp=3)
+    assert not whole.stats["interrupted"]
+
+
+def test_ctrl_c_before_the_first_pass_writes_nothing(
+    tmp_path: Path, gold: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from nacre.render.variant import use_variant
+
+    def refuse(*arguments: Any, **settings: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(use_variant(), "render", refuse)
+    with pytest.raises(KeyboardInterrupt):
+        nacre.render(gold, output=tmp_path / "none.png", **SMALL)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_twenty_pictures_keep_to_one_stage(gold: Any) -> None:
+    picture.forget_stages()
+    stages = set()
+    for seed in range(20):
+        nacre.render(gold, size=(8, 8), spp=1, seed=seed)
+        stages.add(id(next(iter(picture._stages.values()))))
+    assert len(stages) == 1 and len(picture._stages) == 1
+    for scene in ("sphere", "knob", "bottle", "speedshape", "panel"):
+        nacre.render(gold, scene, size=(8, 8), spp=1)
+    assert len(picture._stages) == picture.KEPT_STAGES
+
+
+def test_a_picture_shows_itself_in_a_notebook() -> None:
+    result = RenderResult(np.zeros((2, 3, 3)), np.zeros((2, 3, 3)))
+    assert result._repr_png_().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"scene": "spere"}, 'Did you mean "sphere"'),
+        ({"scene": "missing.xml"}, "does not exist"),
+        ({"shape": "teapot"}, "not known"),
+        ({"shape": "missing.ply"}, "does not exist"),
+        ({"light": "stduio"}, 'Did you mean "studio"'),
+        ({"light": "missing.exr"}, "does not exist"),
+        ({"illuminant": "D66"}, 'Did you mean "D65"'),
+        ({"size": "128"}, "WIDTHxHEIGHT"),
+        ({"size": (0, 10)}, "not allowed"),
+        ({"size": (10**6, 10**6)}, "not allowed"),
+        ({"size": (16384, 16384)}, "million pixels"),
+        ({"spp": 0}, "not allowed"),
+        ({"spp": 10**9}, "not allowed"),
+        ({"spp": 1.5}, "not allowed"),
+        ({"seed": -1}, "not allowed"),
+        ({"exposure": float("nan")}, "not allowed"),
+        ({"exposure": "bright"}, "not allowed"),
+        ({"components": "both"}, "not known"),
+        ({"quality": "best"}, "not known"),
+        ({"output": "picture.jpg"}, "written as .png or .exr"),
+        ({"output": "no/such/folder/picture.png"}, "does not exist"),
+    ],
+)
+def test_bad_input_is_one_line(settings: dict[str, Any], words: str, gold: Any) -> None:
+    with pytest.raises(NacreError) as caught:
+        nacre.render(gold, **{**SMALL, **settings})
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_what_is_no_material_is_refused() -> None:
+    with pytest.raises(NacreError, match="cannot render"):
+        nacre.render(42)

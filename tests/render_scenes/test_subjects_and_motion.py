@@ -1,0 +1,165 @@
+"""A user's own meshes and scenes; animations; the screen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.errors import NacreError
+from nacre.render import animation
+from nacre.render.images import read_provenance
+from nacre.render.screen import BEAM_DEG, screen_directions
+from nacre.render.subjects import read_mesh, stand_on_floor, subject_parts
+
+SMALL: dict[str, Any] = {"size": (16, 14), "spp": 1}
+
+pytestmark = pytest.mark.render
+
+SCENE = """<scene version="3.0.0"><integrator type="path"/>
+<sensor type="perspective"><float name="fov" value="30"/>
+<transform name="to_world"><lookat origin="0,-6,0" target="0,0,0" up="0,0,1"/></transform>
+<film type="hdrfilm"><integer name="width" value="20"/><integer name="height" value="10"/></film></sensor>
+<emitter type="constant"/>
+<shape type="sphere"><bsdf type="diffuse" id="{name}"/></shape></scene>"""
+
+
+@pytest.fixture(scope="module")
+def grey() -> Any:
+    from nacre.render.variant import use_variant
+
+    return use_variant().load_dict({"type": "diffuse", "reflectance": 0.5})
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".glb", ".off"])
+def test_a_mesh_of_any_format_becomes_a_subject(tmp_path: Path, suffix: str, grey: Any) -> None:
+    import trimesh
+
+    path = tmp_path / f"mesh{suffix}"
+    trimesh.creation.box(extents=(1.0, 2.0, 3.0)).export(path)
+    surface = stand_on_floor(read_mesh(path))
+    low, high = surface.bounds
+    height = high[2] - low[2]
+    assert low[2] == pytest.approx(0.0, abs=1e-6)
+    assert max(height, *(high - low)[:2]) == pytest.approx(2.0, rel=0.8)
+    assert nacre.render(grey, shape=path, **SMALL).xyz[..., 1].mean() > 0
+
+
+@pytest.mark.parametrize(
+    ("suffix", "content"), [(".ply", b"ply\nnonsense"), (".stl", b""), (".obj", b"# nothing\n"), (".glb", b"\0" * 64)]
+)
+def test_a_broken_mesh_is_one_line(tmp_path: Path, suffix: str, content: bytes) -> None:
+    path = tmp_path / f"broken{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(NacreError) as caught:
+        subject_parts(path)
+    assert path.name in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_our_shapes_go_by_name_in_any_scene(grey: Any) -> None:
+    assert nacre.render(grey, "probe", shape="knob", **SMALL).stats["shape"] == "knob"
+
+
+def test_a_mitsuba_scene_takes_the_material(tmp_path: Path) -> None:
+    path = tmp_path / "mine.xml"
+    path.write_text(SCENE.format(name="nacre"))
+    dark, bright = (
+        nacre.render({"type": "diffuse", "reflectance": r}, str(path), spp=16, exposure=0.0).xyz for r in (0.1, 0.8)
+    )
+    assert dark.shape == (10, 20, 3)
+    assert bright[5, 10, 1] == pytest.approx(8 * dark[5, 10, 1], rel=0.1)
+    assert bright[0, 0, 1] == pytest.approx(dark[0, 0, 1])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [(SCENE.format(name="other"), 'id "nacre"'), ("<scene", "cannot load"), ("<scene version='3.0.0'/>", "no camera")],
+)
+def test_a_useless_scene_is_one_line(tmp_path: Path, text: str, words: str, grey: Any) -> None:
+    path = tmp_path / "bad.xml"
+    path.write_text(text)
+    with pytest.raises(NacreError) as caught:
+        nacre.render(grey, str(path), **SMALL)
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_an_environment_map_lights_and_a_broken_one_is_one_line(tmp_path: Path, grey: Any) -> None:
+    import OpenEXR
+
+    path = tmp_path / "sky.exr"
+    pixels = np.full((8, 16), 0.5, dtype=np.float32)
+    OpenEXR.File({}, {name: pixels for name in "RGB"}).write(str(path))
+    assert nacre.render(grey, light=str(path), **SMALL).xyz[..., 1].mean() > 0.01
+    broken = tmp_path / "broken.exr"
+    broken.write_bytes(b"not an image")
+    with pytest.raises(NacreError) as caught:
+        nacre.render(grey, light=str(broken), **SMALL)
+    assert "broken.exr" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_an_animation_resumes_where_it_was_stopped(tmp_path: Path, grey: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[int] = []
+    real = animation.render
+
+    def counting(*arguments: Any, **settings: Any) -> Any:
+        if len(made) == 2:
+            raise KeyboardInterrupt
+        made.append(1)
+        return real(*arguments, **settings)
+
+    monkeypatch.setattr(animation, "render", counting)
+    first = nacre.render.animate(grey, "light", tmp_path / "turn.gif", frames=4, **SMALL)
+    assert first.interrupted and first.path is None and len(first.frames) == 2
+    assert not (tmp_path / "turn.gif").exists()
+    monkeypatch.setattr(animation, "render", real)
+    done = nacre.render.animate(grey, "light", tmp_path / "turn.gif", frames=4, **SMALL)
+    assert done.kept == 2 and not done.interrupted
+    exposures = {read_provenance(name)["exposure_stops"] for name in done.frames}
+    assert len(exposures) == 1
+    again = nacre.render.animate(grey, "light", tmp_path / "turn.gif", frames=4, **{**SMALL, "seed": 9})
+    assert again.kept == 0
+
+    from PIL import Image
+
+    with Image.open(tmp_path / "turn.gif") as movie:
+        assert getattr(movie, "n_frames", 1) == 4
+
+
+def test_a_parameter_moves_from_its_first_to_its_last_value(tmp_path: Path) -> None:
+    seen: list[float] = []
+
+    def material(value: float) -> dict[str, Any]:
+        seen.append(value)
+        return {"type": "diffuse", "reflectance": value}
+
+    result = nacre.render.animate(material, (0.1, 0.9), tmp_path / "grey.mp4", frames=3, **SMALL)
+    assert seen == pytest.approx([0.1, 0.5, 0.9])
+    assert result.path is not None and result.path.stat().st_size > 500
+
+
+@pytest.mark.parametrize("text", ["lihgt", "x=", "x=1", "x=a:b", "=1:2", "x=1:inf"])
+def test_a_bad_motion_is_one_line(tmp_path: Path, text: str, grey: Any) -> None:
+    with pytest.raises(NacreError) as caught:
+        nacre.render.animate(grey, text, tmp_path / "a.gif", frames=2, **SMALL)
+    assert text in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_fixed_material_cannot_move_a_parameter(tmp_path: Path) -> None:
+    with pytest.raises(NacreError, match="cannot move"):
+        nacre.render.animate(nacre.Bsdf(()), "thickness=1:2", tmp_path / "a.gif", frames=2, **SMALL)
+
+
+def test_the_screen_is_centred_on_the_mirror_direction() -> None:
+    d, on_screen = screen_directions((101, 101))
+    assert d[50, 50] == pytest.approx([-np.sin(np.radians(BEAM_DEG)), 0.0, np.cos(np.radians(BEAM_DEG))], abs=1e-6)
+    assert on_screen[50, 50] and not on_screen[0, 0]
+
+
+def test_a_matt_tile_throws_the_fourth_power_of_the_cosine(grey: Any) -> None:
+    result = nacre.render(grey, "screen", size=(41, 41), exposure=0.0)
+    d, on_screen = screen_directions((41, 41))
+    cos_i = np.cos(np.radians(BEAM_DEG))
+    assert result.xyz[on_screen][:, 1] == pytest.approx(0.5 * cos_i * d[on_screen][:, 2] ** 4, rel=1e-4)
