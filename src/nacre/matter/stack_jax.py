@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 SERIES_BELOW = 1e-3  # |x^2| below which cos x and sin x / x are summed as series: 4 terms leave 1e-12 / 8! = 2e-17;
-# above, the gradient of sin x / x loses the digits of x^2, 3 of 16
+# above, cos x - sin x / x, which the gradient needs, loses the digits of x^2, 3 of 16
 GRAZING_COS = 1e-12  # as in `stratified`
 
 
@@ -93,7 +93,8 @@ def solve(n: Any, thicknesses_nm: Any, wavelengths_nm: Any, cos_i: Any) -> JaxRe
     k0d = 2 * jnp.pi / lam * jnp.moveaxis(thicknesses, -1, 0)[..., None, None]
 
     # all transcendental work is done for all layers at once; the scan is left with four products a step
-    c, m, decay = _layer_factors(kz2[:-1], k0d)
+    c, g, decay = _cos_sinc(kz2[:-1] * (k0d * k0d))
+    m = k0d * g
     weight = jnp.stack([jnp.ones_like(square), square], axis=1)  # [medium, s or p, ..., 1, wavelength]
     inverse = jnp.stack([jnp.ones_like(square), _inverse(square)], axis=1)
     across = -1j * m[:, None] * weight[1:-1]
@@ -106,25 +107,41 @@ def solve(n: Any, thicknesses_nm: Any, wavelengths_nm: Any, cos_i: Any) -> JaxRe
     return JaxResponse(r[0], r[1], t[0], t[1] * n[0] * _inverse(n[-1]), _size(r[0]), _size(r[1]), power[0], power[1])
 
 
-def _layer_factors(kz2: jax.Array, k0d: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return e^{-b} cos x, e^{-b} k0 d sin x / x and b, with x = sqrt(kz2) k0 d = a + i b, b >= 0."""
-    y = kz2 * (k0d * k0d)
-    small = _size(y) < SERIES_BELOW**2
-    # the series see 0 where they are not used and the root sees 1: no branch makes a NaN that the other's gradient
-    # would inherit
-    near = jnp.where(small, y, 0.0)
+@jax.custom_jvp
+def _cos_sinc(y: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return e^{-b} cos x, e^{-b} sin x / x and b, with x = sqrt(y) = a + i b, b >= 0.
+
+    The scale e^{-b} counts as a constant for gradients: r and t do not depend on it.
+    """
+    near = jnp.where(_is_small(y), y, 0.0)
     c_near, g_near = jnp.ones_like(y), jnp.ones_like(y)
     for j in range(3, 0, -1):
         c_near = 1.0 - c_near * near / ((2 * j - 1) * (2 * j))
         g_near = 1.0 - g_near * near / ((2 * j) * (2 * j + 1))
-    x = _decaying_root(jnp.where(small, 1.0, y))
+    x = _decaying_root(jnp.where(_is_small(y), 1.0, y))
     a, b = x.real, x.imag
     decay = jnp.exp(-2.0 * b)
     even, odd = 0.5 * (1.0 + decay), 0.5 * (1.0 - decay)
     cos_a, sin_a = jnp.cos(a), jnp.sin(a)
-    c = jnp.where(small, c_near, jax.lax.complex(cos_a * even, -sin_a * odd))
-    g = jnp.where(small, g_near, jax.lax.complex(sin_a * even, cos_a * odd) * _inverse(x))
-    return c, k0d * g, jnp.where(small, 0.0, b)
+    c = jnp.where(_is_small(y), c_near, jax.lax.complex(cos_a * even, -sin_a * odd))
+    g = jnp.where(_is_small(y), g_near, jax.lax.complex(sin_a * even, cos_a * odd) * _inverse(x))
+    return c, g, jnp.where(_is_small(y), 0.0, b)
+
+
+@_cos_sinc.defjvp
+def _cos_sinc_jvp(primals: tuple[jax.Array], tangents: tuple[jax.Array]) -> Any:
+    # d cos x / dy = -(sin x / x) / 2 and d (sin x / x) / dy = (cos x - sin x / x) / (2 y): no root, no sine, and so
+    # nothing that XLA would compute a second time in the backward pass
+    (y,), (dy,) = primals, tangents
+    c, g, b = _cos_sinc(y)
+    near = jnp.where(_is_small(y), y, 0.0)
+    slope = (c - g) * (0.5 * _inverse(jnp.where(_is_small(y), 1.0, y)))
+    slope = jnp.where(_is_small(y), -1.0 / 6.0 + near * (1.0 / 60.0 - near * (1.0 / 1680.0 - near / 90720.0)), slope)
+    return (c, g, b), (-0.5 * g * dy, slope * dy, jnp.zeros_like(b))
+
+
+def _is_small(y: jax.Array) -> jax.Array:
+    return _size(y) < SERIES_BELOW**2
 
 
 def _recursion(
