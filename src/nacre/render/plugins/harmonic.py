@@ -1,0 +1,303 @@
+"""The diffuse light of a monolayer on the device: harmonics over the azimuth times the sharp structure factor.
+
+The harmonics of one pair of angles and one wavelength lie side by side, so that a corner of the look-up costs a few
+packet loads; S is read at the exact |q| of each wavelength node, as the array evaluation does.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.bsdf.harmonic import Harmonic
+from nacre.errors import UnsupportedError
+from nacre.render.plugins.base import (
+    MIN_COS,
+    LobePlugin,
+    device_array,
+    flag,
+    is_radiance,
+    opaque,
+    opaque_int,
+    read,
+    read4,
+)
+from nacre.render.plugins.tables import WavelengthAxis
+
+Array = NDArray[np.float64]
+
+COSINE_SHARE = 0.1  # of the draws: no direction is left out, and no weight grows without bound
+VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 32, 64, 64  # for each side
+
+
+class HarmonicPlugin(LobePlugin[Harmonic]):
+    """Broad reflection, and transmission if the lobe transmits."""
+
+    kind = "harmonic"
+
+    def __init__(self, lobe: Harmonic) -> None:
+        sides = ("FrontSide", "BackSide") if lobe.transmits else ("FrontSide",)
+        self.transmits = lobe.transmits
+        self.components = (flag("GlossyReflection", *sides),)
+        if lobe.transmits:
+            self.components += (flag("GlossyTransmission", *sides),)
+        self.axis = WavelengthAxis(lobe.wavelengths_nm)
+        self.packets = (lobe.above.shape[1] + 3) // 4
+        self.has_free = lobe.above_free.shape[0] > 0
+        self._set(lobe)
+
+    def _set(self, lobe: Harmonic) -> None:
+        self.shape = (lobe.above.shape, lobe.below.shape, lobe.across.shape)
+        wavelengths = self.axis.size
+        self.wavelengths = opaque_int(wavelengths)
+        self.values = self._pack([lobe.above, lobe.below, lobe.across])
+        self.free = self._pack([lobe.above_free, lobe.below_free, lobe.across_free]) if self.has_free else None
+        self.starts = (opaque_int(len(lobe.above)), opaque_int(len(lobe.above) + len(lobe.below)))
+        self.count_above = opaque_int(lobe.count_above)
+        self.edge_above, self.top_above = opaque(lobe.count_above - 0.5), opaque(lobe.count_above - 1)
+        if lobe.transmits:
+            size = lobe.count_below + lobe.count_beyond
+            self.edge_below, self.top_below = opaque(lobe.count_below - 0.5), opaque(size - 1)
+            self.beyond = opaque(lobe.count_beyond)
+            self.critical = opaque(lobe.grid_below.critical_rad)
+            self.per_beyond = opaque(1.0 / max(math.pi / 2 - lobe.grid_below.critical_rad, 1e-6))
+        self.eta = opaque(lobe.eta)
+        # wavenumber over the table's step, and the index below, at each wavelength node
+        per_step, index = lobe.wavenumbers / lobe.q_step, lobe.index_below
+        if len(per_step) < wavelengths:
+            per_step, index = np.repeat(per_step, 2), np.repeat(index, 2)
+        self.per_step, self.index = device_array(per_step), device_array(index)
+        self.s_values = device_array(lobe.structure)
+        self.s_last = opaque(len(lobe.structure) - 1)
+        self._set_sampling(lobe)
+
+    def _pack(self, tables: list[NDArray[np.float32]]) -> Any:
+        """Join tables as `[row, wavelength, harmonic]`, harmonics filled up to whole packets."""
+        rows = np.concatenate([t for t in tables if t.shape[0]])
+        rows = np.moveaxis(rows, 1, 2)
+        if rows.shape[1] == 1:
+            rows = np.repeat(rows, 2, axis=1)
+        padded = np.zeros((*rows.shape[:2], 4 * self.packets), dtype=np.float32)
+        padded[..., : rows.shape[2]] = rows
+        if padded.size >= 2**32:
+            raise UnsupportedError("the harmonic table is too large to be rendered; give fewer wavelengths")
+        return device_array(padded)
+
+    def _set_sampling(self, lobe: Harmonic) -> None:
+        """Tabulate f |cos_o| sin_o, averaged over wavelengths, on (theta_i; theta_o, |dphi|)."""
+        hemispheres = 2 if self.transmits else 1
+        views, exits = VIEW_NODES * hemispheres, EXIT_NODES * hemispheres
+        span = math.pi * (1.0 if self.transmits else 0.5)
+        ti = np.clip(np.linspace(0.0, span, views), 1e-3, span - 1e-3)
+        to = np.linspace(0.0, span, exits)
+        dphi = np.linspace(0.0, math.pi, AZIMUTH_NODES)
+        wo = _directions(to[None, :], dphi[:, None])
+        weight = np.abs(np.cos(to)) * np.sin(to)
+        thin = _thinned(lobe)
+        densities = np.empty((views, AZIMUTH_NODES, exits), dtype=np.float32)
+        means = np.empty(views)
+        for k, angle in enumerate(ti):
+            # the eye is `wi` of the device, the light `wo`; their roles differ by a factor only
+            mean = thin.evaluate(wo, np.broadcast_to(_directions(angle, 0.0), wo.shape)).mean(axis=-1)
+            densities[k] = np.maximum(mean, 1e-3 * mean.max() + 1e-9) * weight
+            means[k] = 2.0 * math.pi * float(np.mean(mean * weight)) * span
+        self.exits = mi.MarginalContinuous2D1(densities, [np.linspace(0.0, 1.0, views).tolist()], True, True)
+        self.span = span
+        self.albedo = device_array(means)
+        self.view_top, self.view_max = opaque(views - 1), opaque(views - 2)
+
+    def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Draw from the table of exits, now and then by the cosine on either side."""
+        active = active & self._visible(si.wi)
+        by_cosine = sample1 < COSINE_SHARE
+        rest = dr.clip((sample1 - COSINE_SHARE) / (1.0 - COSINE_SHARE), 0.0, 1.0)
+        place, _ = self.exits.sample(sample2, [self._view(si.wi)], active)
+        theta = place[0] * self.span
+        azimuth = dr.select(rest < 0.5, -place[1], place[1]) * math.pi
+        sin_theta, cos_theta = dr.sincos(theta)
+        sin_phi, cos_phi = dr.sincos(azimuth)
+        x, y = _unit(si.wi)
+        drawn = mi.Vector3f(sin_theta * (cos_phi * x - sin_phi * y), sin_theta * (cos_phi * y + sin_phi * x), cos_theta)
+        flat = mi.warp.square_to_cosine_hemisphere(sample2)
+        if self.transmits:
+            flat.z = dr.select(sample1 < 0.5 * COSINE_SHARE, flat.z, -flat.z)
+        wo = dr.select(by_cosine, flat, drawn)
+        value, pdf = self.eval_pdf(ctx, si, wo, active, enabled)
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo, bs.pdf, bs.eta = wo, pdf, mi.Float(1.0)
+        bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
+        if self.transmits:
+            reflects = si.wi.z * wo.z > 0.0
+            bs.eta = dr.select(reflects, 1.0, dr.select(si.wi.z > 0.0, self.eta, 1.0 / self.eta))
+            bs.sampled_component = dr.select(reflects, mi.UInt32(0), mi.UInt32(1))
+            bs.sampled_type = dr.select(
+                reflects, mi.UInt32(int(mi.BSDFFlags.GlossyReflection)), mi.UInt32(int(mi.BSDFFlags.GlossyTransmission))
+            )
+        return bs, (value / dr.maximum(pdf, 1e-20)) & (active & (pdf > 0.0))
+
+    def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Return `(f |cos wo|, pdf)`."""
+        active = active & self._visible(si.wi) & self._visible(wo)
+        if self.transmits:
+            active = active & dr.select(si.wi.z * wo.z > 0.0, mi.Bool(enabled[0]), mi.Bool(enabled[1]))
+        else:
+            active = active & enabled[0]
+        light, eye = (wo, si.wi) if is_radiance(ctx) else (si.wi, wo)
+        value = self._look_up(si, light, eye, active) * dr.abs(wo.z)
+        theta = dr.acos(dr.clip(wo.z, -1.0, 1.0))
+        cross = si.wi.x * wo.y - si.wi.y * wo.x
+        azimuth = dr.abs(dr.atan2(cross, si.wi.x * wo.x + si.wi.y * wo.y))
+        place = mi.Point2f(theta * (1.0 / self.span), azimuth * dr.inv_pi)
+        density = self.exits.eval(place, [self._view(si.wi)], active)
+        sin_theta = dr.sqrt(dr.maximum(1.0 - wo.z * wo.z, 1e-12))
+        # unit square -> theta in [0, span], dphi in [-pi, pi] -> solid angle
+        spread = density / (2.0 * math.pi * self.span * sin_theta)
+        cosine = dr.abs(wo.z) * dr.inv_pi * (0.5 if self.transmits else 1.0)
+        return value & active, dr.select(active, dr.lerp(spread, cosine, COSINE_SHARE), 0.0)
+
+    def _visible(self, w: Any) -> Any:
+        return dr.abs(w.z) > MIN_COS if self.transmits else w.z > MIN_COS
+
+    def _view(self, wi: Any) -> Any:
+        return dr.acos(dr.clip(wi.z, -1.0, 1.0)) * (1.0 / self.span)
+
+    def _coordinate(self, w: Any, sine: Any) -> tuple[Any, Any]:
+        """Return the lower node and the fraction of a direction's polar angle; see `PolarGrid`."""
+        angle = dr.atan2(sine, dr.abs(w.z))
+        x = dr.minimum(angle * (2.0 / math.pi) * self.edge_above, self.top_above)
+        top = self.top_above
+        if self.transmits:
+            outer = self.eta * sine
+            inner = dr.asin(dr.minimum(outer, 1.0)) * (2.0 / math.pi) * self.edge_below
+            past = dr.sqrt(dr.maximum(angle - self.critical, 0.0) * self.per_beyond) * self.beyond
+            below = dr.minimum(inner + dr.select(outer >= 1.0, past, 0.0), self.top_below)
+            x = dr.select(w.z > 0.0, x, below)
+            top = dr.select(w.z > 0.0, self.top_above, self.top_below)
+        low = dr.minimum(dr.floor(x), top - 1.0)
+        return mi.UInt32(low), x - low
+
+    def _row(self, a: Any, b: Any, a_above: Any, b_above: Any) -> Any:
+        """Return the row of the pair of nodes a (of the light) and b (of the eye)."""
+        high, low = dr.maximum(a, b), dr.minimum(a, b)
+        row = ((high * (high + 1)) >> 1) + low
+        if not self.transmits:
+            return row
+        below, above = dr.select(a_above, b, a), dr.select(a_above, a, b)
+        across = self.starts[1] + below * self.count_above + above
+        return dr.select(a_above == b_above, dr.select(a_above, row, self.starts[0] + row), across)
+
+    def _look_up(self, si: Any, light: Any, eye: Any, active: Any) -> Any:
+        """Interpolate f at the four wavelengths."""
+        sin_l = dr.sqrt(light.x * light.x + light.y * light.y)
+        sin_e = dr.sqrt(eye.x * eye.x + eye.y * eye.y)
+        dot = light.x * eye.x + light.y * eye.y
+        size = sin_l * sin_e
+        cos_phi = dr.select(size > 1e-12, dr.clip(-dot / dr.maximum(size, 1e-12), -1.0, 1.0), 1.0)
+        cosines = [mi.Float(1.0), cos_phi]
+        for _ in range(2, 4 * self.packets):
+            cosines.append(2.0 * cos_phi * cosines[-1] - cosines[-2])
+        low_l, part_l = self._coordinate(light, sin_l)
+        low_e, part_e = self._coordinate(eye, sin_e)
+        up_l, up_e = light.z > 0.0, eye.z > 0.0
+        where = self.axis.locate(si.wavelengths, active)
+        count = len(where.low)
+        smooth = [[mi.Float(0.0), mi.Float(0.0)] for _ in range(count)]
+        bare = [[mi.Float(0.0), mi.Float(0.0)] for _ in range(count)]
+        for corner in range(4):
+            i, j = corner >> 1, corner & 1
+            weight = (part_l if i else 1.0 - part_l) * (part_e if j else 1.0 - part_e)
+            row = self._row(low_l + i, low_e + j, up_l, up_e) * self.wavelengths
+            for k, low in enumerate(where.low):
+                for node in range(2):
+                    at = (row + low + node) * self.packets
+                    smooth[k][node] = dr.fma(weight, self._series(self.values, at, cosines, active), smooth[k][node])
+                    if self.has_free:
+                        bare[k][node] = dr.fma(weight, self._series(self.free, at, cosines, active), bare[k][node])
+        result = mi.Spectrum(0.0)
+        for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
+            ends = []
+            for node in range(2):
+                s = self._structure(low + node, sin_l, sin_e, dot, up_l, up_e, active)
+                ends.append(dr.fma(dr.maximum(smooth[k][node], 0.0), s, dr.maximum(bare[k][node], 0.0)))
+            result[k] = dr.lerp(ends[0], ends[1], part)
+        if self.transmits:
+            result = result * dr.select(up_e, 1.0, dr.square(self.eta))
+        return result
+
+    def _series(self, source: Any, at: Any, cosines: list[Any], active: Any) -> Any:
+        total = mi.Float(0.0)
+        for j in range(self.packets):
+            packet = read4(source, at + j, active)
+            for i in range(4):
+                total = dr.fma(packet[i], cosines[4 * j + i], total)
+        return total
+
+    def _structure(self, node: Any, sin_l: Any, sin_e: Any, dot: Any, up_l: Any, up_e: Any, active: Any) -> Any:
+        """Read S at |q| of a wavelength node."""
+        scale = read(self.per_step, node, active)
+        if self.transmits:
+            index = read(self.index, node, active)
+            n_l, n_e = dr.select(up_l, 1.0, index), dr.select(up_e, 1.0, index)
+            square = dr.square(n_l * sin_l) + dr.square(n_e * sin_e) + 2.0 * n_l * n_e * dot
+        else:
+            square = dr.square(sin_l) + dr.square(sin_e) + 2.0 * dot
+        x = scale * dr.sqrt(dr.maximum(square, 0.0))
+        inside = x < self.s_last
+        x = dr.minimum(x, self.s_last - 1e-3)
+        low = dr.floor(x)
+        at = mi.UInt32(low)
+        value = dr.lerp(read(self.s_values, at, active), read(self.s_values, at + 1, active), x - low)
+        return dr.select(inside, value, 1.0)
+
+    def choice_weight(self, si: Any, active: Any) -> Any:
+        """Return the albedo from this direction, averaged over wavelengths."""
+        position = self._view(si.wi) * self.view_top
+        low = dr.minimum(dr.floor(position), self.view_max)
+        at = mi.UInt32(low)
+        value = dr.lerp(read(self.albedo, at, active), read(self.albedo, at + 1, active), position - low)
+        return dr.select(self._visible(si.wi), value, 0.0)
+
+    def update(self, lobe: Harmonic) -> None:
+        """Take over the numbers of another monolayer.
+
+        Raises:
+            UnsupportedError: the shape of its tables differs.
+        """
+        shape = (lobe.above.shape, lobe.below.shape, lobe.across.shape)
+        if shape != self.shape or (lobe.above_free.shape[0] > 0) != self.has_free:
+            raise UnsupportedError("the harmonic tables changed their shape; build the scene again")
+        self.axis.update(lobe.wavelengths_nm)
+        self._set(lobe)
+
+
+def _thinned(lobe: Harmonic) -> Harmonic:
+    """The lobe at some dozen wavelengths: sampling needs the shape, not the colour."""
+    import dataclasses
+
+    step = max(1, len(lobe.wavelengths_nm) // 12)
+    changes: dict[str, Any] = {
+        name: np.ascontiguousarray(getattr(lobe, name)[..., ::step])
+        for name in ("above", "below", "across", "above_free", "below_free", "across_free")
+    }
+    for name in ("wavelengths_nm", "wavenumbers", "index_below"):
+        changes[name] = np.ascontiguousarray(getattr(lobe, name)[::step])
+    return dataclasses.replace(lobe, **changes)
+
+
+def _directions(theta: Any, phi: Any) -> Array:
+    """Return unit vectors `[..., 3]`."""
+    theta, phi = np.broadcast_arrays(np.asarray(theta, dtype=float), np.asarray(phi, dtype=float))
+    sin = np.sin(theta)
+    return np.stack([sin * np.cos(phi), sin * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def _unit(wi: Any) -> tuple[Any, Any]:
+    """Return cosine and sine of the azimuth; any will do at the pole."""
+    flat = wi.x * wi.x + wi.y * wi.y
+    inverse = dr.rsqrt(dr.maximum(flat, 1e-20))
+    return dr.select(flat > 1e-14, wi.x * inverse, 1.0), dr.select(flat > 1e-14, wi.y * inverse, 0.0)
