@@ -120,12 +120,12 @@ def opaque_int(value: int) -> Any:
     return dr.opaque(mi.UInt32, int(value)) if dr.is_jit_v(mi.Float) else int(value)
 
 
-def set_opaque(number: Any, value: float) -> Any:
-    """Give an opaque Float a new value in place where the variant allows, and return it."""
-    if dr.is_jit_v(mi.Float):
-        number.assign(opaque(value))
-        return number
-    return mi.Float(float(value))
+def replaced(old: Any, new: Any) -> Any:
+    """Put `new` into the object `old`, which `mi.traverse` may have handed out, and return it; None: just `new`."""
+    if old is None or not dr.is_jit_v(mi.Float):
+        return new
+    mi.set_property(old, new)
+    return old
 
 
 def device_array(values: NDArray[Any]) -> Any:

@@ -13,7 +13,7 @@ import mitsuba as mi
 
 from nacre.bsdf.microfacet import Microfacet
 from nacre.errors import UnsupportedError
-from nacre.render.plugins.base import MIN_COS, LobePlugin, flag, is_radiance, negated, opaque
+from nacre.render.plugins.base import MIN_COS, LobePlugin, flag, is_radiance, negated, opaque, replaced
 from nacre.render.plugins.compensation import Compensation
 from nacre.render.plugins.facets import Facets, facets_class
 from nacre.render.plugins.response import DeviceResponse, share_reflected
@@ -33,6 +33,8 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         self.alpha_texture = DeviceTexture(lobe.alpha_texture) if lobe.alpha_texture else None
         self.rotation = DeviceTexture(lobe.rotation) if lobe.rotation else None
         self.compensation = Compensation(lobe) if lobe.loss is not None else None
+        self.alpha_x: Any = None
+        self.alpha_y: Any = None
         self._set_alpha(lobe)
         sides = ("FrontSide", "BackSide") if lobe.response.transmits else ("FrontSide",)
         kinds = sides if self.is_isotropic else ("Anisotropic", *sides)
@@ -41,8 +43,9 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
             self.components += (flag("GlossyTransmission", *kinds),)
 
     def _set_alpha(self, lobe: Microfacet) -> None:
-        self.alpha_x = opaque(lobe.alpha_x)
-        self.alpha_y = self.alpha_x if self.is_isotropic else opaque(lobe.alpha_y)
+        self.alpha_x = replaced(self.alpha_x, opaque(lobe.alpha_x))
+        # one object for both keeps an isotropic kernel shorter
+        self.alpha_y = self.alpha_x if self.is_isotropic else replaced(self.alpha_y, opaque(lobe.alpha_y))
 
     # -- sampling ---------------------------------------------------------------------------------------
 

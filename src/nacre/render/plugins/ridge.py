@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.ridge import Ridge
 from nacre.errors import UnsupportedError
-from nacre.render.plugins.base import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read
+from nacre.render.plugins.base import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read, replaced
 from nacre.render.plugins.response import DeviceResponse
 from nacre.render.plugins.tables import DeviceTable, WavelengthAxis
 from nacre.render.plugins.textures import DeviceTexture
@@ -41,12 +41,15 @@ class RidgePlugin(LobePlugin[Ridge]):
         self.axis = WavelengthAxis(lobe.wavelengths_nm)
         self.inverse_norm = DeviceTable(_row(lobe.norm))
         self.rotation = DeviceTexture(lobe.rotation) if lobe.rotation else None
+        self.deviation: Any = None
+        self.fill: Any = None
         self._set_numbers(lobe)
 
     def _set_numbers(self, lobe: Ridge) -> None:
         self.pitch, self.width = opaque(lobe.pitch_nm), opaque(lobe.width_nm)
-        self.deviation, self.count = opaque(lobe.height_deviation_nm), opaque(lobe.count)
-        self.spread, self.fill = opaque(lobe.spread_along), opaque(lobe.fill)
+        self.count, self.spread = opaque(lobe.count), opaque(lobe.spread_along)
+        self.deviation = replaced(self.deviation, opaque(lobe.height_deviation_nm))
+        self.fill = replaced(self.fill, opaque(lobe.fill))
         # the envelope in t = u b/2, over all that any wavelength of the renderer (360 nm on) can reach
         shortest = min(float(lobe.wavelengths_nm[0]), 360.0)
         self.envelope = StepDensity(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.errors import UnsupportedError
-from nacre.render.plugins.base import device_array, opaque, opaque_int, read, read2, read4
+from nacre.render.plugins.base import device_array, opaque, opaque_int, read, read2, read4, replaced
 
 Array = NDArray[np.float64]
 
@@ -98,6 +98,7 @@ class DeviceTable:
         values = _padded(np.asarray(values, dtype=float))
         self.channels = values.shape[-1]
         self.is_packed = _fits_as_cells(values.shape)
+        self.values: Any = None
         self._set(values)
 
     def update(self, values: Array) -> None:
@@ -117,7 +118,7 @@ class DeviceTable:
         self.row_stride = opaque_int(values.shape[-2] - 1 if self.is_packed else values.shape[-2])
         self.rows_opaque = opaque_int(values.shape[-3])
         if dr.is_jit_v(mi.Float):
-            self.values = mi.TensorXf(np.ascontiguousarray(values, dtype=np.float32))
+            self.values = replaced(self.values, mi.TensorXf(np.ascontiguousarray(values, dtype=np.float32)))
         else:
             self.values = np.ascontiguousarray(values, dtype=np.float32)
         self.repack()
