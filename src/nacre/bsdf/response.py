@@ -81,6 +81,11 @@ class InterfaceResponse:
             raise ValueError("eta is below 1, or total has no nodes")
 
     @property
+    def size(self) -> int:
+        """The number of wavelengths."""
+        return len(self.wavelengths_nm)
+
+    @property
     def cos_critical(self) -> float:
         """Cosine of the critical angle inside; 0 for a free film."""
         return float(np.sqrt(max(0.0, 1.0 - 1.0 / self.eta**2)))
@@ -108,7 +113,7 @@ class InterfaceResponse:
         coords = parameter_coordinates(self.parameters, uv, cos.shape)
         outer = np.where(inside, self.outside_cosine(cos), cos)
         at = (*coords, outer * (len(self.cos_outside) - 1))
-        transmitted = interpolate(self.transmittance, at)
+        transmitted = interpolate(self.transmittance, at) if self.transmits else np.zeros((*cos.shape, self.size))
         reflected = interpolate(self.reflectance, at)
         if np.any(inside):
             behind = interpolate(self.reflectance_inside, at)

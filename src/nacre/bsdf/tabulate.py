@@ -24,6 +24,7 @@ COS_NODES_VARYING = 65
 TOTAL_NODES = 129
 COLOUR_ERROR = 0.5  # dE00 between neighbouring nodes of a parameter
 PARAMETER_NODES = (9, 17, 33, 65, 129, 257, 513)
+MAX_STILL_VALUES = 2_000_000  # of one table without varying numbers; only films of tens of um come near it
 MAX_TABLE_VALUES = 60_000_000  # of one table; 480 MB
 
 
@@ -136,7 +137,10 @@ class StackTables:
 
     def adaptive(self, thicknesses_nm: Array) -> InterfaceResponse:
         """Tabulate on as many cosines as keep the error of R and T below `TABLE_ERROR`, within `COS_NODES`."""
-        for nodes in COS_NODES[:-1]:
+        allowed = [nodes for nodes in COS_NODES if nodes * len(self.wavelengths_nm) <= MAX_STILL_VALUES] or COS_NODES[
+            :1
+        ]
+        for nodes in allowed[:-1]:
             middle = (np.arange(nodes - 1) + 0.5) / (nodes - 1)
             response = self.build(thicknesses_nm, nodes)
             exact = self.outside(np.asarray(thicknesses_nm, dtype=float), middle)
@@ -145,7 +149,7 @@ class StackTables:
             error = max(float(np.max(np.abs(interpolate(t, at) - e))) for t, e in zip(tables, exact, strict=True))
             if error <= TABLE_ERROR:
                 return response
-        return self.build(thicknesses_nm, COS_NODES[-1])
+        return self.build(thicknesses_nm, allowed[-1])
 
 
 def is_transparent(n: Complex) -> bool:

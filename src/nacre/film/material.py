@@ -246,7 +246,8 @@ class Film:
         """Return what passes a rough free film.
 
         Both faces follow the same bumps, so every facet is a plane-parallel sheet and bends no ray: light goes
-        straight on, weighted by the mean transmittance of the facets that it sees.
+        straight on, weighted by the mean transmittance of the facets that it sees (of the roughness at the middle of
+        the surface, where a texture varies it).
         """
         passed = facet_transmittance(response, self.surface.distribution, *self._mean_alpha())
         zero = np.zeros_like(passed)

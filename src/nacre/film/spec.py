@@ -17,7 +17,7 @@ from nacre.specs import RecipeContext, RecipeModel, show_value
 
 MAX_LAYERS = 1000
 MAX_THICKNESS_NM = 1e8  # ten centimetres, for incoherent panes
-MAX_COHERENT_NM = 1e5  # a tenth of a millimetre: thicker layers have no fringes left to see
+MAX_COHERENT_NM = 3e4  # thicker layers have no fringes left to see: 30 um already need 0.1 nm of resolution
 MAX_VARYING = 2
 
 # A scale of Morpho rhetenor: nine lamellae of cuticle, n = 1.56 + 0.06i (Vukusic et al. 1999), air between, in
