@@ -23,7 +23,8 @@ STRANGE: list[Any] = [
     "TiO3", "a" * 3000, "../../etc/passwd", "/dev/zero", "/", ".", "x.png", "\x00", "ggx", "nan", [], [[]], [1, 2],
     [0.1, 0.2], {}, {"n": 1.5}, {"n": -1}, {"k": 1}, {"n": 1.5, "k": -1}, {"cauchy": []}, {"cauchy": ["a"]},
     {"file": "none.csv"}, {"rii": "main/Ag/Nobody"}, {"formula": "u"}, {"formula": "1/0"}, {"formula": "("},
-    {"texture": "x.png"}, {"recipe": "self.toml"}, {"sellmeier": [1, 2, 3]}, {"abbe": 0, "n_d": 1.5}, {"min": 3, "max": 1}, "\u2603",
+    {"texture": "x.png"}, {"recipe": "self.toml"}, {"sellmeier": [1, 2, 3]}, {"abbe": 0, "n_d": 1.5},
+    {"min": 3, "max": 1}, "\u2603",
     [{}] * 50,
 ]  # fmt: skip
 
