@@ -163,3 +163,40 @@ def test_a_matt_tile_throws_the_fourth_power_of_the_cosine(grey: Any) -> None:
     d, on_screen = screen_directions((41, 41))
     cos_i = np.cos(np.radians(BEAM_DEG))
     assert result.xyz[on_screen][:, 1] == pytest.approx(0.5 * cos_i * d[on_screen][:, 2] ** 4, rel=1e-4)
+
+
+def test_the_screen_by_arrays_equals_the_screen_by_plugin() -> None:
+    from nacre.render.screen import beam_direction, evaluate_arrays, evaluate_plugin
+    from nacre.render.variant import use_variant
+
+    recipe = {
+        "family": "film",
+        "substrate": {"n": 1.5, "k": 2.0},
+        "layers": [{"material": {"n": 2.0}, "thickness_nm": 300}],
+        "surface": {"roughness": 0.3},
+    }
+    bsdf = nacre.material(recipe).bsdf()
+    eye = screen_directions((9, 9))[0].reshape(-1, 3)
+    grid = np.arange(400.0, 701.0, 20.0)
+    arrays = evaluate_arrays(bsdf, eye, beam_direction(), grid)
+    plugin = evaluate_plugin(use_variant(), nacre.render.make_bsdf(bsdf), eye, beam_direction(), grid)
+    assert np.abs(arrays - plugin).max() < 1e-3 * plugin.max()
+
+
+def test_without_llvm_small_previews_still_render(tmp_path: Path) -> None:
+    """scalar_spectral, in a process of its own: the variant of this one is chosen already."""
+    import os
+    import subprocess
+    import sys
+
+    code = (
+        "import nacre\n"
+        "r = nacre.render({'type': 'diffuse', 'reflectance': 0.5}, size=(6, 6), spp=1, output='p.png')\n"
+        "assert r.stats['variant'] == 'scalar_spectral' and r.xyz.mean() > 0.01\n"
+    )
+    environment = {**os.environ, "NACRE_VARIANT": "scalar_spectral"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert (tmp_path / "p.png").exists()

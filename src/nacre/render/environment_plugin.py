@@ -100,14 +100,14 @@ def _emitter_class(variant: str) -> type:
             pdf = density / (2.0 * dr.square(dr.pi) * dr.maximum(sin_theta, 1e-6))
             active = active & (density > 0.0)
             distance = 2.0 * (self.radius + dr.norm(it.p - self.centre))
-            ds = dr.zeros(mi.DirectionSample3f)
+            ds = mi.DirectionSample3f()
             ds.p = it.p + d * distance
             ds.n = -d
             ds.uv = uv
             ds.time = it.time
             ds.pdf = dr.select(active, pdf, 0.0)
             ds.delta = mi.Bool(False)
-            ds.emitter = mi.EmitterPtr(self)
+            ds.emitter = self if variant.startswith("scalar") else mi.EmitterPtr(self)
             ds.d = d
             ds.dist = distance
             weight = self._radiance(d, it.wavelengths, active) / dr.maximum(ds.pdf, 1e-12)
@@ -143,7 +143,7 @@ def _emitter_class(variant: str) -> type:
             half = 0.5 / self.rows
             uv = mi.Point2f(uv.x, dr.clip(uv.y, half, 1.0 - half))
             weights = self.texture.eval(uv, active)
-            here = dr.zeros(mi.SurfaceInteraction3f)
+            here = mi.SurfaceInteraction3f()
             here.wavelengths = wavelengths
             total = mi.Spectrum(0.0)
             for weight, spectrum in zip(weights, self.spectra, strict=True):

@@ -1,7 +1,7 @@
 """From XYZ to pictures: exposure, white balance, hue-constant clipping, PNG with provenance.
 
 Exposure policy. Lights are scaled so that white paper on the floor has a luminance of about 0.6 (`lights`).
-"auto", the default, moves the picture so that luminance percentile 98.5 lies at 0.9, but by no more than
+"auto", the default, moves the picture so that luminance percentile 98.5 lies at 0.7, but by no more than
 -0.5 to +2.5 stops, so that a dark material stays darker than a bright one. A number fixes it, in stops; 0 shows
 the scene as lit, and any two pictures at one number compare. Outputs state the stops used.
 
@@ -28,7 +28,7 @@ from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, clip_to_srgb, srgb_encode, wh
 Array = NDArray[np.float64]
 Exposure = float | Literal["auto"]
 AUTO_PERCENTILE = 98.5
-AUTO_LEVEL = 0.9
+AUTO_LEVEL = 0.7
 AUTO_STOPS = (-0.5, 2.5)
 PROVENANCE_KEY = "nacre"
 

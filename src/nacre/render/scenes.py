@@ -197,7 +197,7 @@ SCENES: dict[str, Scene] = {
         Scene("sphere", _sphere, View((0.0, -8.6, 2.7), (0.0, 0.0, 0.93), 19.0)),
         Scene("probe", _sphere, View((0.0, -7.6, 4.2), (0.0, 0.0, 0.85), 24.0), "bowl", "directional"),
         Scene("speedshape", _speedshape, View((-4.6, -7.6, 4.1), (0.0, 0.0, 0.5), 26.0), size=(800, 520)),
-        Scene("panel", _panel, View((0.0, -8.2, 4.6), (0.0, 0.05, 0.42), 28.0), light="line", size=(800, 520), spp=196),
+        Scene("panel", _panel, View((0.0, -8.2, 4.6), (0.0, 0.1, 0.36), 25.0), light="line", size=(800, 520), spp=196),
         Scene("butterfly", _butterfly, View((0.0, -4.4, 9.4), (0.0, 0.12, 0.1), 29.0), "board", size=(800, 600)),
         Scene("bottle", _bottle, View((0.0, -11.5, 3.6), (0.0, 0.0, 1.6), 17.5), max_depth=8, size=(512, 640)),
         Scene("knob", _knob, View((1.3, -8.8, 4.0), (0.0, 0.0, 1.18), 20.5), max_depth=8),

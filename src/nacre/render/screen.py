@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
+from nacre.errors import UnsupportedError
 from nacre.light import illuminant as find_illuminant
 from nacre.light import xyz_weights
 from nacre.render.images import AUTO_LEVEL, Exposure, RenderResult, develop, encode
@@ -28,6 +29,7 @@ WAVELENGTH_STEP_NM = 5.0
 _BRIGHT_PERCENTILE = 99.5
 _ROOM = 0.004  # the dark room round the screen
 _MARGIN = 0.03
+_BLOCK = 4096  # directions evaluated at a time by arrays
 
 
 def screen_directions(size: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -70,14 +72,17 @@ def render_screen(
     mi = use_variant()
     size = size or DEFAULT_SIZE
     light = find_illuminant(illuminant)
-    if isinstance(material, Bsdf):
-        from nacre.render.plugins.bsdf import make_bsdf
-
-        material = make_bsdf(material, two_sided=True)
     d, on_screen = screen_directions(size)
     eye = d[on_screen]
     wavelengths = np.arange(360.0, 830.0 + WAVELENGTH_STEP_NM, WAVELENGTH_STEP_NM)
-    values = evaluate_plugin(mi, material, eye, beam_direction(), wavelengths)
+    if mi.variant().startswith("scalar"):
+        values = evaluate_arrays(material, eye, beam_direction(), wavelengths)
+    else:
+        if isinstance(material, Bsdf):
+            from nacre.render.plugins.bsdf import make_bsdf
+
+            material = make_bsdf(material, two_sided=True)
+        values = evaluate_plugin(mi, material, eye, beam_direction(), wavelengths)
     luminous = values @ xyz_weights(wavelengths, light)
     thrown = np.pi * luminous * (eye[:, 2] ** 4)[:, None]
     xyz = np.full((*on_screen.shape, 3), _ROOM) * (np.ones(len(wavelengths)) @ xyz_weights(wavelengths, light))
@@ -123,3 +128,22 @@ def evaluate_plugin(
         count = min(4, len(wavelengths_nm) - start)
         result[:, start : start + count] = part[:, :count]
     return np.where(np.isfinite(result), result, 0.0)
+
+
+def evaluate_arrays(
+    material: Any, eye: NDArray[np.float64], light: NDArray[np.float64], wavelengths_nm: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The same by the Bsdf's own arrays, for variants without vectors.
+
+    Raises:
+        UnsupportedError: a Mitsuba BSDF, or a lobe that only its plugin evaluates.
+    """
+    if not isinstance(material, Bsdf):
+        raise UnsupportedError("scene screen: without LLVM only nacre's own materials can be shown")
+    result = np.empty((len(eye), len(wavelengths_nm)))
+    for start in range(0, len(eye), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        values = material.evaluate(light, eye[block])
+        for row, spectrum in enumerate(values):
+            result[start + row] = np.interp(wavelengths_nm, material.wavelengths_nm, spectrum)
+    return result * light[2]
