@@ -4,6 +4,9 @@ Floor: per layer and point one complex square root, one sine and cosine, one exp
 multiply-adds. Vectorised for 8 doubles that is about 12 cycles, 4 ns at 3 GHz: 5 x 42,390 points, 0.9 ms of CPU.
 Prediction (before the first run): 5 ms of CPU, of which half goes to the scalar end of each point; tmm_fast forms
 matrices of 7 x 64 bytes a point and some 60 passes over memory: 0.5 s, so 100 x; pyElli 90 evaluations of 1 ms: 20 x.
+Outcome: 7.6 ms of CPU at first; with the ends of each block vectorised too, 2.0 ms alone and 3.4 ms beside other work
+(10-16 ns per layer and point). tmm_fast 0.14 s at best (40-60 x) and up to 7 s where its threads wait for a core;
+pyElli 0.19 s (55 x).
 """
 
 from __future__ import annotations
