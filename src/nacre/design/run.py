@@ -124,7 +124,7 @@ def design(
     search.seconds += time.monotonic() - closing
     summary = keeper.write(best, search.stop_reason or "done", measured)
     write_report(folder / "report.html", spec, problem, heights_nm, measured, summary)
-    return DesignResult(folder, heights_nm / 1e3, summary)
+    return DesignResult(folder, best * (problem.height_max_nm / 1e3), summary)
 
 
 class _Keeper:

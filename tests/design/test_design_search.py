@@ -1,0 +1,235 @@
+"""The search: repeatable, resumable, always on disk; losses, levels, robustness."""
+
+from __future__ import annotations
+
+import json
+import threading
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nacre.design.loss import measure, objective
+from nacre.design.problem import Evaluator, Problem, measure_design
+from nacre.design.run import load_target, run
+from nacre.design.search import Search, robust_objective
+from nacre.design.spectra import default_spectrum
+from nacre.errors import NacreError, RecipeError
+
+GRADIENT = 1e-5  # the issue's bar against finite differences
+TARGET = """
+family = "relief"
+features = 8
+feature_um = 1.5
+blur_um = 0.5
+height_max_um = 0.6
+coating = "Al"
+coherence = {sigma = 0.8}
+spectrum = "published-8"
+[target]
+kind = "anti-mirror"
+colour = "white"
+range = 0.3
+resolution = 12
+intensity_scale = 0.2
+[search]
+starts = 3
+seed = 4
+"""
+
+
+def write(folder: Path, text: str = TARGET, **changes: str) -> Path:
+    """Write a target file with some lines replaced, `key="value"`; `search` lines are appended."""
+    for key, value in changes.items():
+        lines = [line for line in text.splitlines() if not line.startswith(f"{key} =")]
+        changed = len(lines) < len(text.splitlines())
+        text = "\n".join(lines)
+        if changed and not key.startswith(("starts", "seed", "levels", "noise", "time", "blur_error", "incidence")):
+            where = (
+                "[target]" if key in ("kind", "colour", "range", "resolution", "intensity_scale", "image") else "family"
+            )
+            head, mark, tail = text.partition(where)
+            line_end = tail.partition("\n")
+            text = f"{head}{mark}{line_end[0]}\n{key} = {value}\n{line_end[2]}"
+        else:
+            text += f"\n{key} = {value}\n"
+    path = folder / "target.toml"
+    path.write_text(text)
+    return path
+
+
+def problem_of(folder: Path, **changes: str) -> Problem:
+    spec, context = load_target(write(folder, **changes))
+    return spec.build(context)
+
+
+@pytest.mark.parametrize("scale", ["0.2", '"free"'])
+@pytest.mark.parametrize("incidence", ["[[0, 0]]", "[[0, 0], [25, 30]]"])
+def test_gradient_of_the_design_loss_agrees_with_finite_differences(tmp_path: Path, scale: str, incidence: str) -> None:
+    problem = replace(problem_of(tmp_path, intensity_scale=scale, incidence_deg=incidence), brightness_floor=3.0)
+    evaluator = Evaluator(problem, 5, dtype=np.float64)
+    generator = np.random.default_rng(1)
+    x = generator.random(64)
+    noise = 0.05 * generator.standard_normal((8, 8))
+    _, gradient = evaluator.value_and_gradient(x, noise, 1.1)
+    for seed in range(3):
+        change = np.random.default_rng(seed).standard_normal(64)
+        up, down = (evaluator.value_and_gradient(x + s * 1e-5 * change, noise, 1.1)[0] for s in (1, -1))
+        assert abs((up - down) / 2e-5 - gradient @ change) <= GRADIENT * np.linalg.norm(gradient) * 8
+
+
+def test_a_free_scale_is_the_best_scale() -> None:
+    generator = np.random.default_rng(2)
+    rgb, target = generator.random((50, 3)) * 5, generator.random((50, 3))
+    best = measure(rgb, target, None)
+    assert best.fixed == pytest.approx(best.free)
+    for factor in (0.9, 1.1):
+        assert measure(rgb, target, best.scale_free * factor).fixed > best.free
+    assert measure(rgb, target, 0.1).black == pytest.approx(float((target**2).mean()))
+
+
+def test_the_brightness_floor_makes_a_dark_answer_worse() -> None:
+    generator = np.random.default_rng(3)
+    rgb, target = generator.random((50, 3)), generator.random((50, 3))
+    scale = measure(rgb, target, None).scale_free
+    plain = objective(rgb, target, None)[0]
+    assert objective(rgb, target, None, brightness_floor=0.5 / scale)[0] == pytest.approx(plain)
+    assert objective(rgb, target, None, brightness_floor=2.0 / scale)[0] > plain + 0.1
+
+
+def test_result_folder_holds_what_was_promised(tmp_path: Path) -> None:
+    seen: list[Any] = []
+    result = run(write(tmp_path), tmp_path / "out", progress=seen.append, jobs=2)
+    folder = tmp_path / "out"
+    summary = json.loads((folder / "design.json").read_text())
+    for key in ("loss_fixed", "loss_free", "scale_fixed", "scale_free", "seconds", "evaluations", "loss_black"):
+        assert np.isfinite(summary[key])
+    assert summary["status"] == "done" and summary["scale_fixed"] == 0.2
+    heights = np.load(folder / "height.npy")
+    assert heights.shape == (8, 8) and heights.min() >= 0 and heights.max() <= 0.6
+    assert np.array_equal(heights, result.heights_um)
+    assert {"recipe.toml", "report.html", "preview.png"} <= {p.name for p in folder.iterdir()}
+    assert seen and seen[-1].evaluations > 0 and {p.stage for p in seen} == {"explore", "improve", "refine", "finish"}
+    page = (folder / "report.html").read_text()
+    assert "efficiency" in page and page.count("<img") == 4 and page.count("<svg") == 2
+
+    problem = problem_of(tmp_path)
+    again = measure_design(problem, heights * 1e3)
+    assert again.losses.fixed == pytest.approx(summary["loss_fixed"], rel=1e-6)
+    twice = Evaluator(problem, 2 * again.upsampling, node_error=1e-4).losses(heights * 1e3)
+    assert abs(twice.fixed / summary["loss_fixed"] - 1) < 0.01 and abs(twice.free / summary["loss_free"] - 1) < 0.01
+    start = Search(problem, 3, 4).candidates[0].x.reshape(8, 8)
+    assert summary["loss_fixed"] < 0.7 * measure_design(problem, start * 600.0).losses.fixed
+
+    import nacre
+
+    material = nacre.load(folder)
+    assert material.family == "relief"
+    assert np.allclose(material.model.tile.heights_nm, heights * 1e3)
+
+
+def test_the_same_seed_gives_the_same_design_on_any_number_of_cores(tmp_path: Path) -> None:
+    path = write(tmp_path, starts="2")
+    maps = [run(path, tmp_path / f"out{k}", jobs=jobs).heights_um for k, jobs in enumerate((1, 2))]
+    assert np.array_equal(*maps)
+    other = run(write(tmp_path, starts="2", seed="5"), tmp_path / "other").heights_um
+    assert not np.array_equal(maps[0], other)
+
+
+def test_a_stopped_search_leaves_its_best_and_goes_on(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    searches: list[Search] = []
+    original = Search.run
+
+    def spy(self: Search, *arguments: Any) -> Any:
+        searches.append(self)
+        return original(self, *arguments)
+
+    def stop_soon(progress: Any) -> None:
+        if progress.evaluations > 60:
+            searches[-1].stop()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Search, "run", spy)
+        first = run(path, tmp_path / "out", progress=stop_soon)
+        assert first.summary["status"] == "interrupted"
+        assert (tmp_path / "out" / "report.html").exists()
+        second = run(path, tmp_path / "out", resume=True)
+    assert second.summary["status"] == "done"
+    assert second.summary["evaluations"] > first.summary["evaluations"]
+    assert second.summary["loss_fixed"] <= first.summary["loss_fixed"] * 1.001
+    with pytest.raises(RecipeError, match="another target"):
+        run(write(tmp_path, colour='"red"'), tmp_path / "out", resume=True)
+
+
+def test_an_interrupt_from_the_keyboard_is_a_clean_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import nacre.design.search as module
+
+    calls = threading.Event()
+
+    def interrupted(tasks: Any, **_: Any) -> None:
+        calls.set()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "wait", interrupted)
+    result = run(write(tmp_path), tmp_path / "out")
+    assert calls.is_set() and result.summary["interrupted"]
+    assert np.load(tmp_path / "out" / "height.npy").shape == (8, 8)
+
+
+def test_files_are_complete_before_the_search_ends(tmp_path: Path) -> None:
+    found: list[set[str]] = []
+
+    def look(_: Any) -> None:
+        if not found:
+            found.append({p.name for p in (tmp_path / "out").iterdir()})
+            json.loads((tmp_path / "out" / "design.json").read_text())
+            np.load(tmp_path / "out" / "height.npy")
+
+    run(write(tmp_path, starts="1"), tmp_path / "out", progress=look)
+    assert {"height.npy", "recipe.toml", "design.json"} <= found[0]
+
+
+def test_a_time_limit_is_kept(tmp_path: Path) -> None:
+    result = run(write(tmp_path, features="24", resolution="48", time_limit_s="2.0"), tmp_path / "out")
+    assert result.summary["status"] == "time limit"
+    assert result.summary["seconds"] < 4.0  # the machine may be shared
+
+
+@pytest.mark.parametrize("levels", [2, 4, 16])
+def test_levels_are_kept_and_beat_plain_rounding(tmp_path: Path, levels: int) -> None:
+    free = run(write(tmp_path, starts="2"), tmp_path / "free")
+    result = run(write(tmp_path, starts="2", levels=str(levels)), tmp_path / "out")
+    steps = result.heights_um / 0.6 * (levels - 1)
+    assert np.abs(steps - np.round(steps)).max() < 1e-9
+    rounded = np.round(free.heights_um / 0.6 * (levels - 1)) / (levels - 1)
+    plain = measure_design(problem_of(tmp_path), rounded * 600.0).losses
+    assert np.log([result.summary["loss_fixed"], result.summary["loss_free"]]) @ [0.8, 0.2] <= (
+        np.log([plain.fixed, plain.free]) @ [0.8, 0.2] + 1e-3
+    )
+
+
+def test_a_robust_design_stands_noise_better(tmp_path: Path) -> None:
+    problem = problem_of(tmp_path)
+    x = {}
+    for name, noise in (("plain", "0.0"), ("robust", "0.3")):
+        x[name] = run(write(tmp_path, starts="2", noise=noise), tmp_path / name).heights_um.ravel() / 0.6
+    judge = Evaluator(replace(problem, noise=0.3), 6)
+    draws = [float(np.mean([robust_objective(judge, seed)(x[name])[0] for seed in range(100, 106)])) for name in x]
+    assert draws[1] < draws[0]
+
+
+def test_a_full_disk_is_one_clear_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "save", full)
+    with pytest.raises(NacreError, match="No space left on device"):
+        run(write(tmp_path), tmp_path / "out")
+
+
+def test_default_spectrum_gives_a_white_mirror_its_white() -> None:
+    spectrum = default_spectrum()
+    assert np.abs(spectrum.rgb_weights.sum(axis=1) - 1.0).max() < 5e-3

@@ -1,0 +1,164 @@
+"""Target files: every published family is accepted, everything bad is refused in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from nacre.design import pictures
+from nacre.design.run import load_target
+from nacre.errors import RecipeError
+
+BASE = """
+family = "relief"
+features = 16
+feature_um = 0.8
+blur_um = 0.13
+height_max_um = 0.8
+coating = "Al"
+coherence = {sigma = 0.9}
+[target]
+"""
+EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples" / "targets").glob("*.toml"))
+
+
+def built(folder: Path, target: str, search: str = "", base: str = BASE) -> np.ndarray:
+    path = folder / "t.toml"
+    path.write_text(f"{base}{target}\n[search]\n{search}\n")
+    spec, context = load_target(path)
+    problem = spec.build(context)
+    return problem.views[0].target
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=[p.stem for p in EXAMPLES])
+def test_example_targets_are_valid(path: Path) -> None:
+    spec, context = load_target(path)
+    assert spec.build(context).target.max() > 0.3
+
+
+def test_every_published_kind_has_an_example() -> None:
+    kinds = {load_target(path)[0].target.kind for path in EXAMPLES}
+    assert {"anti-mirror", "anisotropic-anti-mirror", "gaussian", "uniform", "image", "inverted-image"} <= kinds
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs"),
+    [
+        ("anti-mirror", "anti_mirror"),
+        ("anisotropic-anti-mirror", "aniso_anti_mirror"),
+        ("gaussian", "diffuse"),
+        ("uniform", "uniform"),
+    ],
+)
+def test_published_names_mean_the_same(tmp_path: Path, ours: str, theirs: str) -> None:
+    a, b = (built(tmp_path, f'kind = "{kind}"\nrange = 0.3') for kind in (ours, theirs))
+    assert np.array_equal(a, b)
+
+
+def test_published_colours_are_not_css() -> None:
+    assert pictures.parse_colour("green", "x").tolist() == [0, 1, 0]
+    assert pictures.parse_colour("purple", "x").tolist() == [0.5, 0, 1]
+    assert np.allclose(pictures.parse_colour("#ff8000", "x"), [1, 128 / 255, 0])
+    assert np.allclose(pictures.parse_colour("#f80", "x"), [1, 136 / 255, 0])
+
+
+def test_iridescent_colours_change_with_direction(tmp_path: Path) -> None:
+    half = built(tmp_path, 'kind = "uniform"\ncolour = "iridescent-half"\nrange = 0.3')[0]
+    assert half[0, -1].tolist() == [0, 0, 1] and half[0, 0].tolist() == [1, 0, 0]
+    disk = built(tmp_path, 'kind = "uniform"\ncolour = "iridescent-disk"\niridescent_range = 0.1\nrange = 0.3')[0]
+    inverted = built(
+        tmp_path, 'kind = "uniform"\ncolour = "inverted-iridescent-disk"\niridescent_range = 0.1\nrange = 0.3'
+    )[0]
+    assert disk[32, 32].tolist() == [1, 0, 0] and disk[0, 0].tolist() == [0, 0, 1]
+    assert np.allclose(disk + inverted, [1, 0, 1])
+
+
+def test_an_image_lies_with_its_rows_along_x(tmp_path: Path) -> None:
+    pixels = np.zeros((512, 512, 3), dtype=np.uint8)
+    pixels[:256] = [255, 0, 0]
+    Image.fromarray(pixels).save(tmp_path / "half.png")
+    target = built(tmp_path, 'kind = "image"\nimage = "half.png"\nimage_scale = 2.0\nrange = 0.2')[0]
+    assert target[20, 20].tolist() == [1, 0, 0] and target[44, 20].max() == 0
+
+
+def test_an_array_target_is_taken_as_it_is(tmp_path: Path) -> None:
+    wanted = np.random.default_rng(1).random((16, 16, 3))
+    np.save(tmp_path / "wanted.npy", wanted)
+    target = built(tmp_path, 'kind = "array"\nfile = "wanted.npy"\nrange = 0.2\nresolution = 16')
+    assert np.array_equal(target[0], wanted)
+
+
+def test_a_spectrum_is_a_colour(tmp_path: Path) -> None:
+    nm = np.arange(380, 781, 5)
+    np.savetxt(tmp_path / "red.csv", np.stack([nm, (nm > 600) * 1.0], axis=1), delimiter=",")
+    target = built(tmp_path, 'kind = "uniform"\ncolour = {spectrum = "red.csv"}\nrange = 0.2')[0]
+    assert target[0, 0, 0] > 0.7 > target[0, 0, 1]
+
+
+def test_several_incidences_get_a_target_each(tmp_path: Path) -> None:
+    target = built(tmp_path, 'kind = "anti-mirror"\nrange = 0.2', "incidence_deg = [[0, 0], [30, 90]]")
+    assert target.shape == (2, 64, 64, 3) and not np.allclose(target[0], target[1])
+
+
+def test_a_length_may_carry_any_unit(tmp_path: Path) -> None:
+    base = BASE.replace("feature_um = 0.8", "feature_nm = 800")
+    path = tmp_path / "t.toml"
+    path.write_text(base + 'kind = "uniform"\nrange = 0.2\n')
+    assert load_target(path)[0].feature_um == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize(
+    ("target", "says"),
+    [
+        ('kind = "imaeg"\nrange = 0.3', "Did you mean"),
+        ('kind = "image"\nrange = 0.3', "target.image is missing"),
+        ('kind = "image"\nimage = "none.png"\nrange = 0.3', "does not exist"),
+        ('kind = "image"\nimage = "broken.png"\nrange = 0.3', "cannot be read as an image"),
+        ('kind = "image"\nimage = "blank.png"\nrange = 0.3', "blank"),
+        ('kind = "array"\nfile = "text.npy"\nrange = 0.3', "not a .npy array"),
+        ('kind = "uniform"\ncolour = "mauve-ish"\nrange = 0.3', "target.colour"),
+        ('kind = "uniform"\ncolour = "#12345"\nrange = 0.3', "target.colour"),
+        ('kind = "uniform"\nrange = 1.2', "outside the hemisphere"),
+        ('kind = "uniform"\nrange = -0.1', "target.range"),
+        ('kind = "uniform"\nrange = 0.3\nresolution = 2', "target.resolution"),
+        ('kind = "uniform"\nrange = 0.3\nintensity_scale = 0.0', "target.intensity_scale"),
+        ('kind = "uniform"\nrange = 0.3\ncolor = "red"', "color is not known. Did you mean"),
+    ],
+)
+def test_a_bad_target_is_one_clear_line(tmp_path: Path, target: str, says: str) -> None:
+    (tmp_path / "broken.png").write_bytes(b"\x89PNG nothing")
+    (tmp_path / "text.npy").write_text("hello")
+    Image.fromarray(np.full((9, 9, 3), 77, dtype=np.uint8)).save(tmp_path / "blank.png")
+    with pytest.raises(RecipeError, match=says) as caught:
+        built(tmp_path, target)
+    assert "\n" not in str(caught.value) and "t.toml" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("feature_um = 0.8", "feature_um = 0.0", "feature_um"),
+        ("blur_um = 0.13", "blur_um = -0.1", "blur_um"),
+        ("blur_um = 0.13", "blur_um = nan", "blur_um"),
+        ("features = 16", "features = 100000", "features"),
+        ("coherence = {sigma = 0.9}", "coherence = {sigma = 9.0}", "half the tile"),
+        ("coherence = {sigma = 0.9}", "coherence = {sigma = 0.9, source_angle_deg = 3}", "exactly one"),
+        ('coating = "Al"', 'coating = "Alu"', "coating"),
+        ('family = "relief"', 'family = "film"', "family"),
+    ],
+)
+def test_a_bad_process_is_one_clear_line(tmp_path: Path, old: str, new: str, says: str) -> None:
+    with pytest.raises(RecipeError, match=says) as caught:
+        built(tmp_path, 'kind = "uniform"\nrange = 0.3', base=BASE.replace(old, new))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "search", ["levels = 1", "starts = 0", "incidence_deg = [[95, 0]]", "noise = 2.0", "speed = 1"]
+)
+def test_a_bad_search_is_one_clear_line(tmp_path: Path, search: str) -> None:
+    with pytest.raises(RecipeError):
+        built(tmp_path, 'kind = "uniform"\nrange = 0.3', search)
