@@ -28,7 +28,7 @@ def main(out_dir: str | Path) -> list[dict[str, Any]]:
         n = index(metal).n_complex(LAM)
         bulk = np.abs((1 - n) / (1 + n)) ** 2
         depth = float(np.max(LAM / (4 * np.pi * n.imag)))
-        axes[line, 0].plot(LAM, bulk, "k--", lw=1, label="bulk (Fresnel)")
+        axes[line, 0].plot(LAM, bulk, "k--", lw=1, label="bulk (Fresnel)", zorder=10)
         last, passed = None, None
         for thickness in THICKNESSES_NM:
             made = film(substrate="BK7", layers=[{"material": metal, "thickness_nm": thickness}])
@@ -40,7 +40,7 @@ def main(out_dir: str | Path) -> list[dict[str, Any]]:
                 passed = spectrum.specular_transmittance[0]
         axes[line, 0].set(title=f"{name}: R, 10 to 300 nm on glass", xlabel="wavelength (nm)", ylim=(0, 1))
         axes[line, 0].legend(fontsize=7, frameon=False)
-        axes[line, 1].set(title="T", xlabel="wavelength (nm)", ylim=(0, 0.7))
+        axes[line, 1].set(title="T", xlabel="wavelength (nm)", ylim=(0, 0.85))
         axes[line, 1].legend(fontsize=6, frameon=False)
         error = float(np.max(np.abs(last - bulk)))
         bound = 4 * float(np.exp(-300.0 / depth))

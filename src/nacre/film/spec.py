@@ -22,13 +22,14 @@ MAX_VARYING = 2
 
 # A scale of Morpho rhetenor: nine lamellae of cuticle, n = 1.56 + 0.06i (Vukusic et al. 1999), air between, in
 # ridges above a dark membrane. Pitch, width and a height deviation near a quarter wave follow Kinoshita et al. 2002.
-# The pair is chosen so that the back-scattered peak stands at 460 nm.
+# Lamellae of some 70 nm fill about half of the tapered ridge, so each enters as 35 nm of solid cuticle: the whole
+# thickness would give a band 150 nm wide, which is cyan. The period puts the back-scattered peak near 464 nm.
 CUTICLE = {"n": 1.56, "k": 0.06}
 MORPHO: dict[str, Any] = {
     "ambient": "air",
     "substrate": CUTICLE,
-    "layers": [{"material": CUTICLE, "thickness_nm": 70.0}, {"material": "air", "thickness_nm": 145.0}] * 8
-    + [{"material": CUTICLE, "thickness_nm": 70.0}],
+    "layers": [{"material": CUTICLE, "thickness_nm": 35.0}, {"material": "air", "thickness_nm": 190.0}] * 8
+    + [{"material": CUTICLE, "thickness_nm": 35.0}],
     "ridges": {"pitch_nm": 700.0, "width_nm": 300.0, "height_deviation_nm": 120.0},
 }
 
