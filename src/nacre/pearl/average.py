@@ -22,6 +22,7 @@ from nacre.matter.jit import compiled
 MAX_TERMS = 4000
 GAUSSIAN, TABULATED = 0, 1
 RHO_FLOOR = 1e-15
+SHORT_PHASE = 0.7  # rad over the support: near the critical angle the series dies too slowly, the integrand is smooth
 PANEL_PER_DISTANCE = 2.4  # 16 Gauss points on a panel 2.4 pole distances wide leave about 1e-11
 
 
@@ -133,7 +134,7 @@ def average_platelet(
                 out_r[pol, i], out_t[pol, i] = _point(big_c[pol, i], r_a[pol, i], transfer[pol, i], reflection, y)
                 continue
             size = min(abs(reflection), 1.0 - RHO_FLOOR)
-            if p[i].imag == 0.0:
+            if p[i].imag == 0.0 and p[i].real * (high - low) > SHORT_PHASE:
                 s1, s2 = _series(reflection, p[i].real, kind, mean, deviation, table, step)
                 r0, c0 = r_a[pol, i], big_c[pol, i]
                 airy = (1.0 + 2.0 * s1.real) / (1.0 - size * size)

@@ -119,6 +119,8 @@ class Pearl:
     def notes(self) -> tuple[str, ...]:
         """Remarks on settings that work but may surprise."""
         found = []
+        if self.quality == "fast":
+            found.append('quality = "fast" is not built for this material: it is rendered by the reference walk')
         for i, stratum in enumerate(self.strata):
             kinds = len(stratum.flakes)
             if kinds > 8:
