@@ -90,7 +90,8 @@ def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0) -> Lig
     if name == "directional":
         return Light(_directional(white, turn_deg), white, False, f"directional, {white}")
     if name in ("sun", "sky"):
-        return Light({"sky": _sunsky(name == "sun", turn_deg)}, "D65", True, f"{name}, Mitsuba sunsky, turbidity 3")
+        note = f"{name}, Mitsuba sunsky, turbidity 3"
+        return Light({"sky": _sunsky(name == "sun", turn_deg)}, "D65", True, note, "plain")
     if name in ("interior", "street"):
         from nacre.render import places
 
@@ -109,16 +110,16 @@ def _emission(white: str, level: float) -> Any:
 
 
 def _tubes(white: str, turn_deg: float) -> dict[str, Any]:
-    """A row of five long tubes above and behind the samples, parallel to x, and a weak fill."""
+    """A row of seven broad tubes above and behind the samples, parallel to x, and a weak fill."""
     mi = use_variant()
     parts: dict[str, Any] = {}
-    for k in range(5):
-        y = -3.6 + 2.2 * k
-        place = mi.ScalarTransform4f().translate([0, y, 4.4]).rotate([1, 0, 0], 180.0).scale([4.2, 0.17, 1.0])
+    for k in range(7):
+        y = -4.2 + 1.6 * k
+        place = mi.ScalarTransform4f().translate([0, y, 4.4]).rotate([1, 0, 0], 180.0).scale([4.2, 0.38, 1.0])
         parts[f"tube{k}"] = {
             "type": "rectangle",
             "to_world": _turn(turn_deg) @ place,
-            "emitter": {"type": "area", "radiance": _emission(white, 6.0)},
+            "emitter": {"type": "area", "radiance": _emission(white, 1.7)},
         }
     parts["fill"] = {"type": "constant", "radiance": _emission(white, 0.10)}
     return parts

@@ -67,7 +67,7 @@ class Scene:
     light: str = "studio"
     max_depth: int = 6
     size: tuple[int, int] = (640, 640)
-    spp: int = 100
+    spp: int = 64
     place_view: View | None = None
 
 
@@ -75,6 +75,7 @@ class Scene:
 MATERIALS: dict[str, dict[str, Any]] = {
     "board": {"type": "diffuse", "reflectance": 0.32},
     "ground": {"type": "diffuse", "reflectance": 0.16},
+    "plain": {"type": "diffuse", "reflectance": 0.16},
     "dark": {"type": "plastic", "int_ior": 1.5, "diffuse_reflectance": 0.015},
     "matt-dark": {"type": "diffuse", "reflectance": 0.02},
     "rubber": {"type": "roughplastic", "int_ior": 1.5, "alpha": 0.35, "diffuse_reflectance": 0.018},
@@ -197,7 +198,7 @@ SCENES: dict[str, Scene] = {
         Scene("sphere", _sphere, View((0.0, -8.6, 2.7), (0.0, 0.0, 0.93), 19.0)),
         Scene("probe", _sphere, View((0.0, -7.6, 4.2), (0.0, 0.0, 0.85), 24.0), "bowl", "directional"),
         Scene("speedshape", _speedshape, View((-4.6, -7.6, 4.1), (0.0, 0.0, 0.5), 26.0), size=(800, 520)),
-        Scene("panel", _panel, View((0.0, -8.2, 4.6), (0.0, 0.1, 0.36), 25.0), light="line", size=(800, 520), spp=196),
+        Scene("panel", _panel, View((0.0, -8.2, 4.6), (0.0, 0.1, 0.36), 27.5), light="line", size=(800, 520), spp=196),
         Scene("butterfly", _butterfly, View((0.0, -4.4, 9.4), (0.0, 0.12, 0.1), 29.0), "board", size=(800, 600)),
         Scene("bottle", _bottle, View((0.0, -11.5, 3.6), (0.0, 0.0, 1.6), 17.5), max_depth=8, size=(512, 640)),
         Scene("knob", _knob, View((1.3, -8.8, 4.0), (0.0, 0.0, 1.18), 20.5), max_depth=8),
@@ -239,7 +240,9 @@ def backdrop_parts(kind: Backdrop, see_through: bool, place_floor: str | None) -
     if kind == "bowl":
         return [(stages.bowl(1.4, 9.0, 4.2), chessboard(0.62))]
     if place_floor is not None:
-        return [(stages.sweep(30.0, 30.0, 30.0, 0.5, 0.5), floor_material(place_floor))]
+        # a place paints its own ground beyond the subject's surroundings; a bare sky has none below the horizon
+        side = 8000.0 if place_floor == "plain" else 60.0
+        return [(stages.tile(side, side), floor_material(place_floor))]
     if kind == "board":
         return [(stages.sweep(12.0, 12.0, 12.0, 2.0, 3.0), MATERIALS["board"])]
     surface = stages.sweep(20.0, 16.0, 5.0, 4.5, 5.2)
