@@ -47,8 +47,9 @@ def parse_formula(text: str) -> Formula:
     """
     if len(text) > MAX_FORMULA_LENGTH:
         raise RecipeError(f"formula is {len(text)} characters long; at most {MAX_FORMULA_LENGTH} are allowed")
+    text = " ".join(text.split())  # one line, also in messages
     try:
-        body = ast.parse(text.strip().replace("^", "**"), mode="eval").body
+        body = ast.parse(text.replace("^", "**"), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError):
         raise RecipeError(f'formula "{text[:80]}" cannot be read; write an expression of u and v') from None
     if sum(1 for _ in ast.walk(body)) > MAX_FORMULA_NODES:
