@@ -5,14 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nacre.design.run import DesignResult, design, run
+    from nacre.design.run import DesignResult, design
 
-__all__ = ["DesignResult", "design", "run"]
+__all__ = ["DesignResult", "design"]
 
 
 def __getattr__(name: str) -> Any:
     if name in __all__:
-        from nacre.design import run as module
+        import importlib
 
-        return getattr(module, name)
+        # not `from nacre.design import run`, which would ask this function for "run" again
+        return getattr(importlib.import_module("nacre.design.run"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -63,6 +63,18 @@ def write_png16(
         UnsupportedError: the size is out of range.
     """
     rows, columns = rows or tile.shape[0], columns or tile.shape[1]
+    write_png16_rows(path, repeated_rows(tile, rows, columns), metadata, pitch_um, rows, columns)
+
+
+def write_png16_rows(
+    path: str | Path, lines: Iterable[Grey], metadata: Mapping[str, Any], pitch_um: float, rows: int, columns: int
+) -> None:
+    """Write a 16-bit grey PNG from `rows` lines of `columns` pixels, as they come.
+
+    Raises:
+        NacreError: the file cannot be written.
+        UnsupportedError: the size is out of range.
+    """
     check_size(rows, columns)
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         stream.write(PNG_SIGNATURE)
@@ -73,7 +85,7 @@ def write_png16(
         # level 1: rows of a repeated tile are long-range copies, which deflate's 32 kB window cannot reach anyway
         packer = zlib.compressobj(1)
         pending = bytearray()
-        for row in repeated_rows(tile, rows, columns):
+        for row in lines:
             pending += packer.compress(b"\0" + row.astype(">u2").tobytes())
             if len(pending) > CHUNK_BYTES:
                 _chunk(stream, b"IDAT", bytes(pending))
