@@ -46,8 +46,8 @@ def test_noise_is_smooth_bounded_and_the_same_every_time() -> None:
     "text",
     [
         "", "u +", "w", "u.real", "u[0]", "lambda: u", "(u, v)", "[u]", "u if v else 1", "u and v", "u < v", "'a'",
-        "f'{u}'", "__import__('os').system('true')", "exec('1')", "().__class__", "sin(u, v)", "sin()", "max(u)", "sin(x=u)",
-        "u := 1", "1j", "True", "None", "1e999", "u" * 1001, "u" + "+u" * 300, "(" * 300 + "u" + ")" * 300,
+        "f'{u}'", "__import__('os').system('true')", "exec('1')", "().__class__", "sin(u, v)", "sin()", "max(u)",
+        "sin(x=u)", "u := 1", "1j", "True", "None", "1e999", "u" * 1001, "u" + "+u" * 300, "(" * 300 + "u" + ")" * 300,
         "u\n+v;import os", "import os", "u\x00",
     ],
 )  # fmt: skip
