@@ -135,6 +135,12 @@ CASES: dict[str, Case] = {
     "blinn glass": Case(lambda: (glass("blinn", 0.3),), BOTH[1:3], 1.5),
     "ashikhmin-shirley glass": Case(lambda: (glass("ashikhmin-shirley", 0.3),), BOTH[::2], 1.5),
     "compensated glass": Case(lambda: (compensate(glass("ggx", 0.5)),), BOTH[::3], 1.5, width=0.6),
+    "rough silvered glass": Case(  # absorbs, so that T is not 1 - R
+        lambda: (Microfacet(stack((1.0, 0.1 + 3.0j, 1.5), (20.0,), True), "ggx", 0.3, 0.3),), BOTH, 1.5
+    ),
+    "silvered glass": Case(
+        lambda: (Specular(stack((1.0, 0.1 + 3.0j, 1.5), (20.0,), True)),), (), 1.5, is_continuous=False
+    ),
     "bubble in water": Case(  # the ambient is the denser side
         lambda: (Microfacet(stack((1.33, 1.4, 1.0), (200.0,), True), "ggx", 0.25, 0.25),), BOTH, 1.0 / 1.33
     ),

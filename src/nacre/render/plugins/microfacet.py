@@ -16,7 +16,7 @@ from nacre.errors import UnsupportedError
 from nacre.render.plugins.base import MIN_COS, LobePlugin, flag, is_radiance, negated, opaque, replaced
 from nacre.render.plugins.compensation import Compensation
 from nacre.render.plugins.facets import Facets, facets_class
-from nacre.render.plugins.response import DeviceResponse, share_reflected
+from nacre.render.plugins.response import DeviceResponse
 from nacre.render.plugins.textures import DeviceTexture
 
 
@@ -102,15 +102,16 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         m = facets.sample(wi, sample2)
         wi_m = dr.dot(wi, m)
         active = active & (wi_m > 0.0)
-        reflected, transmitted = self.response.look_up(wi_m, inside, si, active)
         spread = facets.spread(wi, m, wi_m)
         wo = dr.fma(m, 2.0 * wi_m, -wi)
         if not self.refracts:
+            reflected, _ = self.response.look_up(wi_m, inside, si, active)
             good = active & (wo.z > MIN_COS)
             weight = reflected * facets.weight(wi, wo, m, wi_m, wi_m)
             return wo, mi.Bool(True), weight & good, dr.select(good, 0.25 * spread, 0.0)
 
-        share = self._share(reflected, transmitted, enabled)
+        share, amount = self.response.split(wi_m, inside, si, active)
+        share = self._share(share, enabled)
         reflects = sample1 < share
         eta = self._eta(inside)
         inverse = dr.rcp(eta)
@@ -126,7 +127,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         stretch = dr.square(dr.fma(-eta, cos_t, wi_m))
         bend = wi_m * cos_t * dr.square(eta) / dr.maximum(stretch, 1e-20)
         pdf = chance * spread * dr.select(reflects, mi.Float(0.25), bend)
-        value = dr.select(reflects, reflected, transmitted * squeeze)
+        value = amount(reflects) * dr.select(reflects, mi.Float(1.0), squeeze)
         weight = value * (facets.weight(wi, wo, m, wi_m, wo_m) / dr.maximum(chance, 1e-20))
         return wo, reflects, weight & good, dr.select(good, pdf, 0.0)
 
@@ -170,14 +171,14 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         active = active & (dr.abs(wo.z) > MIN_COS) & (wi_h > 0.0) & (wo_h * wo.z > 0.0)
         if not all(enabled):
             active = active & dr.select(reflects, mi.Bool(enabled[0]), mi.Bool(enabled[1]))
-        reflected, transmitted = self.response.look_up(wi_h, inside, si, active)
-        share = self._share(reflected, transmitted, enabled)
+        share, amount = self.response.split(wi_h, inside, si, active)
+        share = self._share(share, enabled)
         chance = dr.select(reflects, share, 1.0 - share)
         stretch = dr.square(dr.fma(eta, wo_h, wi_h))
         bend = wi_h * dr.abs(wo_h) * dr.square(eta) / dr.maximum(stretch, 1e-20)
         density = facets.spread(wi, h, wi_h) * dr.select(reflects, mi.Float(0.25), bend)
         squeeze = dr.rcp(dr.square(eta)) if is_radiance(ctx) else mi.Float(1.0)
-        value = dr.select(reflects, reflected, transmitted * squeeze)
+        value = amount(reflects) * dr.select(reflects, mi.Float(1.0), squeeze)
         value = value * (facets.weight(wi, wo, h, wi_h, dr.abs(wo_h)) * density)
         return value & active, dr.select(active, chance * density, 0.0)
 
@@ -190,10 +191,9 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
 
     # -- helpers ----------------------------------------------------------------------------------------
 
-    def _share(self, reflected: Any, transmitted: Any, enabled: tuple[bool, ...]) -> Any:
-        if all(enabled):
-            return share_reflected(reflected, transmitted)
-        return mi.Float(1.0 if enabled[0] else 0.0)
+    def _share(self, share: Any, enabled: tuple[bool, ...]) -> Any:
+        """Keep the probability to reflect, unless the caller wants one component only."""
+        return share if all(enabled) else mi.Float(1.0 if enabled[0] else 0.0)
 
     def _eta(self, inside: Any) -> Any:
         """Return the index beyond the surface over the index here."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -16,6 +17,7 @@ from nacre.render.plugins.base import opaque
 from nacre.render.plugins.tables import DeviceTable, Located, WavelengthAxis
 from nacre.render.plugins.textures import DeviceParameters
 
+MIN_SHARE = 0.1  # bounds the weight of a wavelength that differs much from the mean
 LOSSLESS = 1e-6  # of the power; single precision can hardly tell it from zero
 
 
@@ -42,6 +44,7 @@ class DeviceResponse:
         self.axis = WavelengthAxis(response.wavelengths_nm)
         self.parameters = DeviceParameters(response.parameters)
         self.table = DeviceTable(_stacked(response))
+        self.shares = DeviceTable(_shares(response)) if self.transmits and not self.is_lossless else None
         self._set_numbers(response)
 
     def _set_numbers(self, response: InterfaceResponse) -> None:
@@ -70,6 +73,8 @@ class DeviceResponse:
             raise UnsupportedError("absorption, transmission or the denser side changed; build the scene again")
         self.parameters.update(response.parameters)
         self.table.update(_stacked(response))
+        if self.shares is not None:
+            self.shares.update(_shares(response))
         self.axis.update(response.wavelengths_nm)
         self._set_numbers(response)
 
@@ -100,6 +105,29 @@ class DeviceResponse:
         row, fraction = self._row(cos, inside)
         reflected, transmitted = self.table.look_up(row, fraction, where, corners, active)
         return reflected, transmitted
+
+    def split(self, cos: Any, inside: Any, si: Any, active: Any) -> tuple[Any, Callable[[Any], Any]]:
+        """Return the probability to reflect, and a function of the mask of reflections that gives R there, T elsewhere.
+
+        Without absorption both numbers come from R, and the probability follows the ray's own wavelengths. With
+        it, a second spectrum would double the cost: the probability then follows the mean over all wavelengths.
+        """
+        if self.shares is None:
+            reflected, transmitted = self.look_up(cos, inside, si, active)
+            share = share_reflected(reflected, transmitted)
+            return share, lambda reflects: dr.select(reflects, reflected, transmitted)
+        where = self.axis.locate(si.wavelengths, active)
+        corners = self.parameters.corners(si.uv, active)
+        row, fraction = self._row(dr.minimum(cos, 1.0), inside)
+        lines = dr.size_v(mi.Spectrum)
+        grey = Located([mi.UInt32(0)] * lines, [mi.Float(0.0)] * lines)
+        share = self.shares.look_up(row, fraction, grey, corners, active)[0][0]
+
+        def value(reflects: Any) -> Any:
+            channel = dr.select(reflects, mi.UInt32(0), mi.UInt32(1))
+            return self.table.look_up_channel(row, fraction, where, corners, channel, active)
+
+        return share, value
 
     def _look_up_lossless(
         self, cos: Any, inside: Any, where: Located, corners: list[tuple[Any, Any]] | None, active: Any
@@ -155,6 +183,16 @@ def _stacked(response: InterfaceResponse) -> NDArray[np.float64]:
     if response.eta > 1.0:
         regions.append((response.total, np.zeros_like(response.total)))
     return np.concatenate([np.stack(pair, axis=-1) for pair in regions], axis=-3)
+
+
+def _shares(response: InterfaceResponse) -> NDArray[np.float64]:
+    """Return the probability to reflect `[*params, row, 1, 1]`, neither chance below `MIN_SHARE` where both occur."""
+    stacked = _stacked(response).mean(axis=-2, keepdims=True)
+    reflected, transmitted = stacked[..., :1], stacked[..., 1:]
+    whole = reflected + transmitted
+    share = np.where(whole > 0.0, reflected / np.where(whole > 0.0, whole, 1.0), 1.0)
+    low, high = np.where(reflected > 0.0, MIN_SHARE, 0.0), np.where(transmitted > 0.0, 1.0 - MIN_SHARE, 1.0)
+    return np.asarray(np.clip(share, low, high))
 
 
 def share_reflected(reflected: Any, transmitted: Any) -> Any:

@@ -158,6 +158,31 @@ class DeviceTable:
         assert totals is not None
         return totals
 
+    def look_up_channel(
+        self,
+        row: Any,
+        fraction: Any,
+        where: Located,
+        corners: list[tuple[Any, Any]] | None,
+        channel: Any,
+        active: Any = True,
+    ) -> Any:
+        """Interpolate one channel, chosen for each lane: one `mi.Spectrum` at the cost of a one-channel table."""
+        total = mi.Spectrum(0.0)
+        for index, weight in corners or [(None, None)]:
+            start = (row if index is None else index * self.rows_opaque + row) * self.row_stride
+            found = mi.Spectrum(0.0)
+            for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
+                cell = start + low
+                if self.is_packed:
+                    c = read4(self.packed, cell * self.channels + channel, active)
+                else:
+                    cells = (cell, cell + 1, cell + self.row_stride, cell + self.row_stride + 1)
+                    c = [read(self.packed, at * self.channels + channel, active) for at in cells]
+                found[k] = dr.lerp(dr.lerp(c[0], c[1], part), dr.lerp(c[2], c[3], part), fraction)
+            total = total + (found if weight is None else found * weight)
+        return total
+
     def _bilinear(self, row: Any, fraction: Any, where: Located, active: Any) -> list[Any]:
         results = [mi.Spectrum(0.0) for _ in range(self.channels)]
         start = row * self.row_stride
