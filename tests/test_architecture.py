@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 SRC = Path(__file__).resolve().parents[1] / "src" / "nacre"
-WINGS = ("film", "pearl", "metasurface", "relief", "measured")
+WINGS = ("film", "pearl", "metasurface", "relief", "measured", "blend")
 FACES = ("cli", "recipe", "api", "design", "study", "render", "plot", "exchange", "notebook", "doctor")
 MAX_LINES = 500
 LONGER_FILES: dict[str, str] = {}  # path -> reason

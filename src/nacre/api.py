@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nacre.bsdf import Bsdf
+from nacre.bsdf.masked import MaskedLobe
 from nacre.errors import UnsupportedError
 from nacre.recipe import Material
 
@@ -90,11 +91,19 @@ def evaluate_with_error(
     variance: Array | None = None
     for lobe in bsdf.lobes:
         if lobe.is_stochastic:
+            # a masked walk is walked bare and dimmed after
+            share: Array | float = 1.0
+            while isinstance(lobe, MaskedLobe):
+                share = share * lobe.share(uv_array, wi_array.shape[:-1])[..., None]
+                lobe = lobe.inner
+            from nacre.bsdf.layered import Layered
             from nacre.render.plugins.layered import evaluate_layered
 
+            assert isinstance(lobe, Layered)  # the only walk there is
             values, error = evaluate_layered(lobe, wi_array, wo_array, samples=samples or DEFAULT_SAMPLES, seed=seed)
+            error = error * share
             variance = error**2 if variance is None else variance + error**2
-            total = total + values
+            total = total + values * share
         else:
             total = total + lobe.evaluate(wi_array, wo_array, uv_array)
     return total, None if variance is None else np.sqrt(variance)

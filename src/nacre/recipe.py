@@ -32,6 +32,7 @@ FAMILIES = {
     "metasurface": "nacre.metasurface.spec:MetasurfaceSpec",
     "relief": "nacre.relief.spec:ReliefSpec",
     "measured": "nacre.measured.spec:MeasuredSpec",
+    "blend": "nacre.blend.spec:BlendSpec",
 }
 MAX_NESTED_RECIPES = 8
 STUDY_TABLES = ("fit", "tolerance")  # read by nacre.study: which numbers are free, which vary in manufacture

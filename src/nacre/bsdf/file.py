@@ -263,11 +263,11 @@ def _decode(node: Any, arrays: dict[str, NDArray[Any]], path: Path, depth: int) 
     if "tuple" in node:
         return tuple(_decode(inner, arrays, path, depth + 1) for inner in node["tuple"])
     name = node["type"]
-    if depth == 0 and name in LOBE_KINDS:
+    if name in LOBE_KINDS:
         lobe_class(name)  # its module makes the parts known that only this lobe holds
     if name in _PARTS:
         cls: Any = _PARTS[name]
-    elif depth == 0 and name in LOBE_KINDS:
+    elif name in LOBE_KINDS:
         cls = lobe_class(name)
     else:
         raise NacreError(f"{path}: holds a {str(name)[:40]}, which nacre {__version__} does not know")

@@ -1,0 +1,90 @@
+"""A lobe that is there only in part: multiplied by a texture over the surface, for blending two materials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.bsdf.contract import Lobe, SpecularResponse, register_lobe
+from nacre.bsdf.texture import Texture
+
+Array = NDArray[np.float64]
+
+
+@register_lobe
+@dataclass(frozen=True)
+class MaskedLobe(Lobe):
+    """`mask(uv)` times another lobe, or `1 - mask(uv)` times it.
+
+    Attributes:
+        wavelengths_nm: of the inner lobe.
+        inner: the lobe that is masked.
+        mask: the share of the surface that it covers, within [0, 1].
+        inverted: take 1 - mask: the other material of a blend.
+    """
+
+    wavelengths_nm: Array
+    inner: Lobe
+    mask: Texture
+    inverted: bool = False
+
+    kind: ClassVar[str] = "masked"
+
+    def check(self) -> None:
+        """Check the inner lobe and the mask's range.
+
+        Raises:
+            ValueError: saying what does not fit.
+        """
+        self.inner.check()
+        if not np.array_equal(self.inner.wavelengths_nm, self.wavelengths_nm):
+            raise ValueError("a masked lobe has other wavelengths than its inner one")
+        if not 0.0 <= self.mask.low <= self.mask.high <= 1.0:
+            raise ValueError(f"a mask reaches from {self.mask.low} to {self.mask.high}, not within [0, 1]")
+
+    @property
+    def is_delta(self) -> bool:
+        """Whether the inner lobe is a delta distribution only."""
+        return self.inner.is_delta
+
+    @property
+    def transmits(self) -> bool:
+        """Whether the inner lobe lets light through."""
+        return self.inner.transmits
+
+    @property
+    def is_stochastic(self) -> bool:
+        """Whether the inner lobe comes from a random walk."""
+        return self.inner.is_stochastic
+
+    @property
+    def varying(self) -> tuple[str, ...]:
+        """The mask, and what varies inside."""
+        return ("mask", *self.inner.varying)
+
+    def share(self, uv: Array | None, shape: tuple[int, ...]) -> Array:
+        """Return the covered share at uv, `shape`; without uv that of the middle of the surface."""
+        place = np.full((*shape, 2), 0.5) if uv is None else np.broadcast_to(uv, (*shape, 2))
+        value = self.mask(place)
+        return 1.0 - value if self.inverted else value
+
+    def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
+        """Return the inner lobe's value times the share, `[..., wavelength]`."""
+        shape = np.broadcast_shapes(wi.shape, wo.shape)[:-1]
+        return self.inner.evaluate(wi, wo, uv) * self.share(uv, shape)[..., None]
+
+    def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
+        """Return the inner lobe's delta part times the share."""
+        cos_i = np.asarray(cos_i, dtype=float)
+        inner = self.inner.specular(cos_i, uv)
+        share = self.share(uv, cos_i.shape)[..., None]
+        return SpecularResponse(inner.reflectance * share, inner.transmittance * share)
+
+    def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
+        """Return the inner lobe's reflected and transmitted sums times the share."""
+        share = float(self.share(uv, ()))
+        reflected, transmitted = self.inner.hemispherical(wi, uv, nodes)
+        return reflected * share, transmitted * share
