@@ -102,3 +102,10 @@ def test_metal_touching_silicon_is_refused():
     with pytest.raises(ConvergenceRefusal, match="does not converge"):
         choose_order(below, 90.0, lambda lmax: t_matrix(lmax, below.wavenumber * 90.0, 0.04 + 2.66j))
     assert choose_order(below, 92.0, lambda lmax: t_matrix(lmax, below.wavenumber * 90.0, 0.04 + 2.66j)) <= 40
+
+
+@pytest.mark.parametrize("radius", [20.0, 70.0])
+def test_small_particles_do_not_overflow_on_the_way_to_high_orders(radius):
+    below = surface(800.0, 3.7 + 0.005j)
+    order = choose_order(below, radius, lambda lmax: t_matrix(lmax, below.wavenumber * radius, 3.5 + 0.01j))
+    assert 4 <= order <= 40

@@ -86,7 +86,7 @@ def _coordinate(sine, cosine, count, beyond, eta):  # type: ignore[no-untyped-de
 @compiled(nogil=True, fastmath=True)
 def _accumulate(table, row, weight, cosines, out):  # type: ignore[no-untyped-def]  # numba
     for k in range(table.shape[1]):
-        c = np.float32(weight * cosines[k])
+        c = weight * cosines[k]  # double: single sums would break reciprocity at 1e-7
         for l in range(table.shape[2]):
             out[l] += c * table[row, k, l]
 
@@ -95,7 +95,7 @@ def _accumulate(table, row, weight, cosines, out):  # type: ignore[no-untyped-de
 def _evaluate(wi, wo, above, below, across, free, grids, eta, wavenumbers, index, step, s, out):  # type: ignore[no-untyped-def]  # numba
     kept, count = above.shape[1], above.shape[2]
     cosines = np.empty(kept)
-    smooth, bare = np.empty(count, np.float32), np.empty(count, np.float32)
+    smooth, bare = np.empty(count), np.empty(count)
     last = s.size - 1
     for n in range(wi.shape[0]):
         up_i, up_o = wi[n, 2] > 0.0, wo[n, 2] > 0.0

@@ -14,7 +14,6 @@ from nacre.metasurface.patterns import (
     Pattern,
     hard_disks,
     lattice,
-    least_distance,
     measured_pair_correlation,
     measured_structure_factor,
     nearest_distances,
@@ -130,14 +129,14 @@ def points_structure(context: RecipeContext, name: str, diameter_nm: float, q_ma
     if len(rows) < 50:
         raise context.fail(key, name, f"holds {len(rows)} points; a list needs at least 50 to have a structure")
     low, high = rows.min(axis=0), rows.max(axis=0)
-    # the period is not in the list: a margin of half a mean spacing on each side closes it
-    area = np.prod(high - low)
+    area = float(np.prod(high - low))
     if area <= 0:
         raise context.fail(key, name, "holds points on one line")
-    side = float(np.max(high - low)) * 1e3
-    side += np.sqrt(side**2 / len(rows))
-    pattern = Pattern((rows - low) * 1e3 % side, side)
-    nearest = least_distance(pattern)
+    # the period is not in the list; N random points leave 2/(N+1) of a side free at its ends
+    side = float(np.max(high - low)) * 1e3 * (len(rows) + 1) / (len(rows) - 1)
+    pattern = Pattern((rows - low) * 1e3, side)
+    # overlaps are looked for in the list alone: its guessed repetition may bring edges too close
+    nearest = float(nearest_distances(Pattern(pattern.xy_nm, 3 * side)).min())
     if nearest < diameter_nm * (1 - 1e-6):
         raise context.fail(
             key, name, f"has particles {nearest:.4g} nm apart, which overlap: they are {diameter_nm:.4g} nm wide"

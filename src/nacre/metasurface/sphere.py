@@ -7,6 +7,7 @@ that stays balanced at large multipole orders. Lengths in nm, z = 0 at the top o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -24,6 +25,7 @@ ComplexArray = NDArray[np.complex128]
 AZIMUTHAL_ORDERS = 4  # |m| <= 4 is converged below 2e-5 for radii up to 95 nm in the visible
 ORDER_LADDER = (4, 6, 8, 10, 12, 15, 18, 22, 27, 32, 40)
 ORDER_TOLERANCE = 1e-3
+LARGEST_LOG = 660.0  # of 709, where double ends
 Coefficients = Callable[[int], ComplexArray]
 
 
@@ -359,7 +361,7 @@ def choose_order(
     Raises:
         ConvergenceRefusal: no order up to 40 does, as for a metal sphere touching a high-index solid.
     """
-    for top in (24, 2 * ORDER_LADDER[-1]):
+    for top in (24, _representable(surface.wavenumber * centre_nm, 2 * ORDER_LADDER[-1])):
         t_top = coefficients(top)
         blocks = reflection_operator(surface, centre_nm, top, mmax)
         incident = Directions.build(surface, centre_nm, top, mmax, np.cos(np.radians([0.0, 30.0, 60.0, 80.0])))
@@ -376,6 +378,13 @@ def choose_order(
         f"the multipole series does not converge to {tolerance:g} below order {ORDER_LADDER[-1]}: a metal sphere "
         "that touches a high-index solid squeezes the field into the contact point"
     )
+
+
+def _representable(kd: float, top: int) -> int:
+    """Return the highest even order, at most `top`, whose W_m ~ (2l)! 4^l / (2kd)^(2l+1) is no overflow in double."""
+    while math.lgamma(2 * top + 1) + 2 * top * math.log(2) - (2 * top + 1) * math.log(2 * kd) > LARGEST_LOG:
+        top -= 2
+    return top
 
 
 def _probe_pattern(

@@ -1,0 +1,56 @@
+"""Metasurfaces against Mitsuba's own rough conductor: samples a second, same scene, same run.
+
+Scene: that of bench_render_plugins (a sphere under a constant emitter, path tracer). Floor: a diffuse sphere.
+Prediction (before the first run): 0.5 x roughconductor: 96 packet loads a look-up against its complex Fresnel terms.
+Ratios are of CPU time, since the loads of a shared machine disturb the clock more.
+Outcome: see RESULTS.md.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from bench_render_plugins import ALPHA, SIZE, SPP, scene
+from common import Row, interleaved, parser, report, timed
+
+import nacre
+from nacre.render import make_bsdf, use_variant
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "metasurface"
+BAR = 0.5
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the benchmark; 0 if the bar is reached."""
+    options = parser(__doc__, repeats=7).parse_args(arguments)
+    mi = use_variant("llvm_ad_spectral")
+    import drjit as dr
+
+    contestants = {
+        "roughconductor": {"type": "roughconductor", "material": "Al", "alpha": ALPHA, "distribution": "ggx"},
+        "opaque metasurface": make_bsdf(nacre.load(EXAMPLES / "silver_on_oxide.toml").bsdf()),
+        "metasurface on glass": make_bsdf(nacre.load(EXAMPLES / "silver_halo.toml").bsdf()),
+    }
+    scenes = {name: scene(mi, bsdf) for name, bsdf in contestants.items()}
+    seeds = iter(range(10**6))
+
+    def render(name: str) -> None:
+        dr.eval(mi.render(scenes[name], spp=SPP, seed=next(seeds)))
+        dr.sync_thread()
+
+    times = interleaved({name: (lambda name=name: timed(lambda: render(name))) for name in scenes}, options.repeats)
+    rows = []
+    for name in ("opaque metasurface", "metasurface on glass"):
+        # light goes through the sphere on glass and meets it twice, so only the opaque one has the bar
+        ratio = times["roughconductor"].median_cpu / times[name].median_cpu
+        clock = times["roughconductor"].median_wall / times[name].median_wall
+        bar = BAR if name.startswith("opaque") else None
+        rows.append(Row(f"{name} / roughconductor", ratio, "x", bar, note=f"{clock:.2f} x by the clock"))
+    samples = SIZE * SIZE * SPP / 1e6
+    rows += [Row(name, samples / spent.median_cpu, "Msamples a CPU second") for name, spent in times.items()]
+    return report(f"metasurface_plugin: sphere, {SIZE}^2, {SPP} samples a pixel", rows, options.json)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,146 @@
+"""Point patterns for fabrication: GDSII and OASIS with referenced cells, CSV, and reading them back.
+
+A pattern of up to a few million points is one cell of references to one particle cell; a larger field repeats that
+cell in a rectangular array, so that 1 cm^2 streams in a file of the size of one period.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.errors import NacreError
+from nacre.files import atomic_path
+
+Array = NDArray[np.float64]
+
+PRECISION_M = 1e-9  # database unit of 1 nm
+MAX_COORDINATE_UM = 2.0e6  # 32-bit database units of 1 nm
+TOLERANCE_UM = 5e-4
+MAX_ROWS = 50_000_000
+
+
+def write_layout(
+    path: str | Path,
+    xy_um: Array,
+    radius_um: float,
+    box_um: float | None = None,
+    field_um: float | None = None,
+    square: bool = False,
+) -> int:
+    """Write particles as .gds or .oas; return how many particles the file stands for.
+
+    Args:
+        path: ends in .gds or .oas.
+        xy_um: `[point, 2]` centres of one period.
+        radius_um: of the circles; with `square` half of the side.
+        box_um: period of the pattern; needed with `field_um`.
+        field_um: side of the field to fill by repeating the period; default: one period.
+        square: squares instead of circles.
+
+    Raises:
+        NacreError: an unknown ending, a field that 32-bit coordinates cannot hold, particles that are nothing.
+    """
+    import gdstk
+
+    path = Path(path)
+    if path.suffix.lower() not in (".gds", ".oas"):
+        raise NacreError(f"{path}: a layout ends in .gds or .oas")
+    xy = np.asarray(xy_um, dtype=float)
+    if xy.ndim != 2 or xy.shape[1] != 2 or len(xy) == 0 or not np.all(np.isfinite(xy)):
+        raise NacreError(f"{path}: a pattern is a list of finite points [point, 2]")
+    if not radius_um > 0:
+        raise NacreError(f"{path}: radius_um = {radius_um:g} is not allowed; it should be over 0")
+    repeats = 1
+    if field_um is not None:
+        if box_um is None or not box_um > 0:
+            raise NacreError(f"{path}: a field is filled by repeating a period; give box_um")
+        repeats = max(1, round(field_um / box_um))
+    extent = float(np.abs(xy).max()) + (repeats - 1) * (box_um or 0.0)
+    if extent > MAX_COORDINATE_UM:
+        raise NacreError(f"{path}: the field reaches {extent:.4g} um; at most {MAX_COORDINATE_UM:g} um can be written")
+    library = gdstk.Library("nacre", unit=1e-6, precision=PRECISION_M)
+    particle = library.new_cell("PARTICLE")
+    if square:
+        particle.add(gdstk.rectangle((-radius_um, -radius_um), (radius_um, radius_um)))
+    else:
+        particle.add(gdstk.ellipse((0, 0), radius_um, tolerance=min(TOLERANCE_UM, radius_um / 20)))
+    period = library.new_cell("PERIOD")
+    for x, y in np.round(xy, 3):
+        period.add(gdstk.Reference(particle, (x, y)))
+    if repeats > 1 and box_um is not None:
+        field = library.new_cell("FIELD")
+        field.add(gdstk.Reference(period, columns=repeats, rows=repeats, spacing=(box_um, box_um)))
+    with atomic_path(path) as temporary:
+        if path.suffix.lower() == ".gds":
+            library.write_gds(str(temporary))
+        else:
+            library.write_oas(str(temporary))
+    return len(xy) * repeats**2
+
+
+def read_layout(path: str | Path) -> tuple[Array, float]:
+    """Read the particle centres of one period, `[point, 2]` in um, and their radius in um.
+
+    Raises:
+        NacreError: the file is missing or is not a layout with referenced particles.
+    """
+    import gdstk
+
+    path = Path(path)
+    if not path.is_file():
+        raise NacreError(f"{path}: does not exist")
+    try:
+        library = gdstk.read_gds(str(path)) if path.suffix.lower() == ".gds" else gdstk.read_oas(str(path))
+    except (RuntimeError, OSError, ValueError) as error:
+        raise NacreError(f"{path}: is not a readable layout: {error}") from None
+    cells = {cell.name: cell for cell in library.cells}
+    if "PERIOD" not in cells or "PARTICLE" not in cells:
+        raise NacreError(f"{path}: has no cells PERIOD and PARTICLE, which nacre writes")
+    period, particle = cells["PERIOD"], cells["PARTICLE"]
+    extent = particle.bounding_box() if isinstance(particle, gdstk.Cell) else None
+    if not isinstance(period, gdstk.Cell) or extent is None:
+        raise NacreError(f"{path}: its cell PARTICLE is empty")
+    xy = np.array([reference.origin for reference in period.references])
+    low, high = extent
+    return xy.reshape(-1, 2), float(high[0] - low[0]) / 2
+
+
+def write_points_csv(path: str | Path, xy_um: Array) -> None:
+    """Write centres as CSV with a heading, in um to a tenth of a nanometre."""
+    with atomic_path(path) as temporary:
+        np.savetxt(
+            temporary, np.asarray(xy_um, dtype=float), fmt="%.4f", delimiter=",", header="x_um,y_um", comments=""
+        )
+
+
+def read_points_csv(path: str | Path) -> Array:
+    """Read centres in um, `[point, 2]`.
+
+    Raises:
+        NacreError: the file is missing or does not hold two finite numbers a line.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(errors="replace").splitlines()
+    except OSError as error:
+        raise NacreError(f"{path}: cannot be read: {error.strerror or error}") from None
+    rows = []
+    for number, line in enumerate(lines, start=1):
+        fields = line.replace(",", " ").replace(";", " ").split()
+        if not fields or line.lstrip().startswith("#"):
+            continue
+        try:
+            rows.append((float(fields[0]), float(fields[1])))
+        except (ValueError, IndexError):
+            if number == 1:
+                continue  # the heading
+            raise NacreError(f"{path}: line {number} does not hold two numbers") from None
+        if len(rows) > MAX_ROWS:
+            raise NacreError(f"{path}: holds more than {MAX_ROWS} points")
+    xy = np.array(rows, dtype=float).reshape(-1, 2)
+    if len(xy) == 0 or not np.all(np.isfinite(xy)):
+        raise NacreError(f"{path}: holds no finite points")
+    return xy

@@ -1,0 +1,221 @@
+"""The material from its recipe: lobes, energy, file, spectrum, figures; bad input in one line."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from nacre.bsdf.file import load_bsdf, save_bsdf
+from nacre.errors import NacreError, RecipeError
+from nacre.exchange.point_pattern import read_layout, read_points_csv, write_layout, write_points_csv
+from nacre.metasurface.material import MetasurfaceWarning
+from nacre.recipe import material
+
+WAVELENGTHS = np.array([450.0, 550.0, 650.0])
+EDGE_OF_ENERGY = 1.002
+
+
+def recipe(substrate="glass", layers=(), monolayer=None, model=None, **particle):
+    data = {
+        "family": "metasurface",
+        "substrate": substrate,
+        "layers": list(layers),
+        "particle": {"material": {"n": 3.5, "k": 0.01}, "radius_nm": 70, **particle},
+        "monolayer": monolayer or {"coverage": 0.1, "packing": 0.3},
+    }
+    return {**data, "model": model} if model else data
+
+
+def vectors(n, seed, both):
+    rng = np.random.default_rng(seed)
+    v = rng.normal(size=(n, 3))
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    return v if both else v * np.sign(v[:, 2:])
+
+
+@pytest.fixture(scope="module")
+def on_glass():
+    return material(recipe()).bsdf(WAVELENGTHS)
+
+
+def test_final_bsdf_is_reciprocal_and_never_negative(on_glass):
+    a, b = vectors(3000, 0, True), vectors(3000, 1, True)
+    eta = 1.5
+    n2 = lambda w: np.where(w[:, 2] < 0, eta**2, 1.0)[:, None]
+    there, back = on_glass.evaluate(a, b) / n2(b), on_glass.evaluate(b, a) / n2(a)
+    assert np.abs(there - back).max() <= 1e-10 * there.max()
+    assert there.min() >= 0 and np.all(np.isfinite(there))
+
+
+@pytest.mark.parametrize("below", [False, True])
+def test_stored_bsdf_gives_back_no_more_than_it_gets(on_glass, below):
+    for theta in (0.05, 0.6, 1.0, 1.4):
+        wi = np.array([np.sin(theta), 0.0, -np.cos(theta) if below else np.cos(theta)])
+        here, there = on_glass.lobes[1].hemispherical(wi)
+        delta = on_glass.specular(np.pi - theta if below else theta)
+        total = here + there + delta.reflectance + delta.transmittance
+        assert np.all(total <= EDGE_OF_ENERGY) and np.all(total > 0.9)  # a percent or so is absorbed
+
+
+def test_bsdf_agrees_with_the_spectrum(on_glass):
+    theta = np.array([0.2, 0.9])
+    found = material(recipe()).spectrum(theta, WAVELENGTHS)
+    for i, t in enumerate(theta):
+        here, there = on_glass.lobes[1].hemispherical(np.array([np.sin(t), 0.0, np.cos(t)]))
+        assert np.abs(here - found.diffuse_reflectance[i]).max() < 6e-3
+        assert np.abs(there - found.diffuse_transmittance[i]).max() < 6e-3
+        delta = on_glass.specular(t)
+        assert np.abs(delta.reflectance - found.specular_reflectance[i]).max() < 2e-3
+        assert np.abs(delta.transmittance - found.specular_transmittance[i]).max() < 2e-3
+
+
+def test_bsdf_survives_its_file(on_glass, tmp_path):
+    save_bsdf(on_glass, tmp_path / "m.nacre")
+    again = load_bsdf(tmp_path / "m.nacre")
+    a, b = vectors(100, 0, True), vectors(100, 1, True)
+    assert np.array_equal(again.evaluate(a, b), on_glass.evaluate(a, b))
+    assert again.provenance["energy_excess"] == on_glass.provenance["energy_excess"]
+
+
+def test_rings_of_the_structure_factor_stay_sharp(on_glass):
+    """f / S is smooth: the ring is multiplied at the exact q, however coarse the angles are."""
+    made = material(recipe()).model.structure
+    theta = np.linspace(0.05, 1.2, 400)
+    wi = np.array([0.0, 0.0, 1.0])
+    wo = np.stack([np.sin(theta), 0 * theta, np.cos(theta)], axis=1)
+    f = on_glass.evaluate(np.broadcast_to(wi, wo.shape), wo)[:, 0]
+    smooth = f / made.structure_factor(2 * np.pi / WAVELENGTHS[0] * np.sin(theta))
+    coarse = np.interp(theta, theta[::25], smooth[::25])
+    assert np.abs(coarse[:376] / smooth[:376] - 1).max() < 0.02
+
+
+def test_polarisations_average_to_unpolarised_light():
+    made = material(recipe("Si"))
+    parts = [made.spectrum([0.7], [500.0], p).diffuse_reflectance for p in ("s", "p", "both")]
+    assert abs((parts[0] + parts[1]) / 2 - parts[2]).max() < 1e-12
+
+
+def test_opaque_substrate_reflects_only():
+    made = material(recipe("Si", [{"material": "SiO2", "thickness_nm": 100}])).bsdf([500.0])
+    assert not made.transmits
+    assert np.all(made.evaluate(np.array([0, 0, 1.0]), np.array([0.6, 0, -0.8])) == 0)
+    assert np.all(made.evaluate(np.array([0, 0, -1.0]), np.array([0.6, 0, -0.8])) == 0)
+
+
+def test_shell_without_contrast_is_no_shell():
+    plain = material(recipe("Si", deviation_nm=0.0)).spectrum([0.3], [500.0])
+    shelled = material(
+        recipe(
+            "Si",
+            monolayer={"coverage": 0.1, "packing": 0.3},
+            radius_nm=50,
+            shell={"material": {"n": 3.5, "k": 0.01}, "thickness_nm": 20},
+        )
+    ).spectrum([0.3], [500.0])
+    assert np.abs(plain.diffuse_reflectance - shelled.diffuse_reflectance).max() < 1e-12
+
+
+def test_spread_radii_keep_both_tables():
+    lobe = material(recipe(deviation_nm=7)).bsdf([500.0, 600.0]).lobes[1]
+    lobe.check()
+    assert lobe.above_free.max() > 0 and lobe.across_free.max() > 0
+
+
+@pytest.mark.parametrize("structure", ["rsa", {"name": "lattice", "jitter": 0.08}])
+def test_measured_arrangements_make_materials(structure):
+    made = material(recipe("Si", monolayer={"coverage": 0.1, "packing": 0.3, "structure": structure}))
+    assert np.all(np.isfinite(made.spectrum([0.3], [500.0]).diffuse_reflectance))
+
+
+def test_points_and_sq_files_make_materials(tmp_path):
+    from nacre.metasurface.patterns import random_sequential
+
+    pattern = random_sequential(3000, 6.5e-6, 0.3)
+    write_points_csv(tmp_path / "xy.csv", pattern.xy_nm * 1e-3)
+    data = recipe("Si", monolayer={"structure": {"points": "xy.csv"}})
+    assert material(data, tmp_path).model.structure.density_per_nm2 == pytest.approx(6.5e-6, rel=0.03)
+    q = np.linspace(0, 40, 200)
+    np.savetxt(tmp_path / "s.csv", np.stack([q, 1 - 0.7 * np.exp(-((q / 8) ** 2))], axis=1), delimiter=",")
+    data = recipe("Si", monolayer={"coverage": 0.1, "packing": 0.3, "structure": {"sq": "s.csv"}})
+    made = material(data, tmp_path).model.structure
+    assert abs(float(made.structure_factor(8e-3)) - (1 - 0.7 / np.e)) < 1e-3
+
+
+@pytest.mark.parametrize("kind", ["scattering", "structure"])
+def test_figures_are_fed(kind):
+    data = material(recipe()).figure_data(kind)
+    assert all(np.all(np.isfinite(v)) for v in data.values() if v.dtype.kind == "f")
+
+
+def test_colour_map_covers_density_and_angle():
+    data = material(recipe("Si")).figure_data("colour-map", densities_per_um2=[2.0, 6.0], angles_deg=[0.0, 40.0])
+    assert data["reflectance"].shape == (2, 2, len(data["wavelengths_nm"]))
+    assert data["reflectance"][1].mean() > data["reflectance"][0].mean()
+
+
+BAD = {
+    "p below f": ({"monolayer": {"coverage": 0.3, "packing": 0.1}}, "monolayer.packing = 0.1 is below the coverage"),
+    "p too high": ({"monolayer": {"coverage": 0.1, "packing": 0.75}}, "at most 0.7"),
+    "f too high": ({"monolayer": {"density_per_um2": 60}}, "covers"),
+    "no density": ({"monolayer": {"packing": 0.3}}, "coverage or density_per_um2"),
+    "two densities": ({"monolayer": {"coverage": 0.1, "density_per_um2": 3}}, "coverage or density_per_um2"),
+    "radius": ({"radius_nm": 0}, "radius_nm = 0"),
+    "density": ({"monolayer": {"density_per_um2": -1}}, "density_per_um2 = -1"),
+    "structure": ({"monolayer": {"coverage": 0.1, "structure": "hard-disc"}}, 'Did you mean "hard-disk"'),
+    "correction": ({"model": {"correction": "qca"}}, "correction"),
+    "typo": ({"radios_nm": 50}, "radios_nm"),
+    "wide spread": ({"deviation_nm": 60}, "deviation_nm"),
+    "lighter substrate": ({"substrate": {"n": 0.9}}, "less dense"),
+    "missing points": ({"monolayer": {"structure": {"points": "no.csv"}}}, "no.csv"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_clear_line(case, tmp_path):
+    change, words = BAD[case]
+    with pytest.raises(RecipeError) as caught:
+        material(recipe(**change), tmp_path)
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_overlapping_points_are_named(tmp_path):
+    xy = np.random.default_rng(0).uniform(0, 10, (300, 2))
+    write_points_csv(tmp_path / "xy.csv", xy)
+    with pytest.raises(RecipeError, match="overlap"):
+        material(recipe(monolayer={"structure": {"points": "xy.csv"}}), tmp_path)
+
+
+def test_metal_touching_silicon_is_refused_with_the_remedy():
+    data = recipe("Si")
+    data["particle"] = {"material": "Ag", "radius_nm": 90}
+    with pytest.raises(NacreError, match="native oxide") as caught:
+        material(data).spectrum([0.0], [450.0])
+    assert "\n" not in str(caught.value)
+    data["particle"]["gap_nm"] = 2
+    assert np.all(np.isfinite(material(data).spectrum([0.0], [450.0]).diffuse_reflectance))
+
+
+def test_coverage_beyond_the_tested_warns():
+    with pytest.warns(MetasurfaceWarning, match="coverage"):
+        material(recipe("Si", monolayer={"coverage": 0.2})).spectrum([0.0], [500.0])
+
+
+@pytest.mark.parametrize("ending", ["gds", "oas"])
+def test_layout_keeps_every_particle_and_repeats_by_reference(tmp_path, ending):
+    xy = np.random.default_rng(1).uniform(0, 20, (500, 2))
+    path = tmp_path / f"pattern.{ending}"
+    assert write_layout(path, xy, 0.09, box_um=20.0, field_um=10_000.0) == 500 * 500**2
+    back, radius = read_layout(path)
+    order = lambda p: p[np.lexsort(np.round(p, 3).T)]
+    assert np.abs(order(back) - order(np.round(xy, 3))).max() < 1e-3 and abs(radius - 0.09) < 1.5e-3
+    assert path.stat().st_size < 100_000  # 1.25e8 particles in the size of one period
+    assert dataclasses.is_dataclass(material(recipe()).model)
+
+
+def test_points_csv_comes_back(tmp_path):
+    xy = np.random.default_rng(1).uniform(0, 20, (50, 2))
+    write_points_csv(tmp_path / "p.csv", xy)
+    assert np.abs(read_points_csv(tmp_path / "p.csv") - xy).max() < 1e-4
+    (tmp_path / "bad.csv").write_text("x,y\n1,2\n3,a\n")
+    with pytest.raises(NacreError, match="line 3"):
+        read_points_csv(tmp_path / "bad.csv")
