@@ -112,6 +112,7 @@ def test_result_folder_holds_what_was_promised(tmp_path: Path) -> None:
     assert np.array_equal(heights, result.heights_um)
     assert {"recipe.toml", "report.html", "preview.png"} <= {p.name for p in folder.iterdir()}
     assert seen and seen[-1].evaluations > 0 and {p.stage for p in seen} == {"explore", "improve", "refine", "finish"}
+    assert 0 < summary["efficiency"] <= 1 and 0 < summary["slope_rms_deg"] < summary["slope_max_deg"] < 90
     page = (folder / "report.html").read_text()
     assert "efficiency" in page and page.count("<img") == 4 and page.count("<svg") == 2
 

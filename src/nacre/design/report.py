@@ -107,8 +107,8 @@ def write_report(
     heights_nm: Array,
     measured: Measurement,
     summary: dict[str, Any],
-) -> None:
-    """Write a self-contained HTML page."""
+) -> dict[str, Any]:
+    """Write a self-contained HTML page; return what it found: efficiency, slopes, phase step, warnings."""
     angles, facts = slope_summary(problem, heights_nm)
     share = efficiency(problem, heights_nm)
     notes = warnings_of(summary, facts)
@@ -149,6 +149,7 @@ def write_report(
         f"<details><summary>design.json</summary><pre>{html.escape(json.dumps(summary, indent=2))}</pre></details>",
     ]
     write_text(path, _PAGE.replace("BODY", "\n".join(body)))
+    return {"efficiency": share, **facts, "phase_step_rad": measured.phase_step_rad, "warnings": notes}
 
 
 _PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>nacre: relief design</title><style>

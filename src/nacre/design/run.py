@@ -123,7 +123,8 @@ def design(
         measured = measure_design(problem, heights_nm, workers)
     search.seconds += time.monotonic() - closing
     summary = keeper.write(best, search.stop_reason or "done", measured)
-    write_report(folder / "report.html", spec, problem, heights_nm, measured, summary)
+    summary |= write_report(folder / "report.html", spec, problem, heights_nm, measured, summary)
+    write_text(folder / "design.json", json.dumps(summary, indent=2) + "\n")
     return DesignResult(folder, best * (problem.height_max_nm / 1e3), summary)
 
 
@@ -142,6 +143,7 @@ class _Keeper:
         self.folder, self.spec, self.problem, self.search = folder, spec, problem, search
         self.fingerprint, self.progress = fingerprint, progress
         self.last = time.monotonic()
+        self._judge: Evaluator | None = None
 
     def tell(self, report: Progress) -> None:
         """Pass progress on, and save now and then."""
@@ -159,7 +161,9 @@ class _Keeper:
         heights_um = best.reshape(n, n) * (problem.height_max_nm / 1e3)
         if measured is None:
             # a quick measure at the search's own sampling; the final one doubles the sampling until it is safe
-            judge = Evaluator(problem, problem.search_upsamplings()[0])
+            if self._judge is None:
+                self._judge = Evaluator(problem, problem.search_upsamplings()[0])
+            judge = self._judge
             rgb, _ = judge.rgb(judge.surface(heights_um * 1e3))
             losses, upsampling = measure(rgb, problem.target, problem.intensity_scale), judge.upsampling
         else:
