@@ -73,7 +73,7 @@ class Scene:
 
 # reflectances and simple models of everything that is not the subject
 MATERIALS: dict[str, dict[str, Any]] = {
-    "board": {"type": "diffuse", "reflectance": 0.32},
+    "board": {"type": "diffuse", "reflectance": 0.14},
     "ground": {"type": "diffuse", "reflectance": 0.16},
     "plain": {"type": "diffuse", "reflectance": 0.16},
     "dark": {"type": "plastic", "int_ior": 1.5, "diffuse_reflectance": 0.015},

@@ -23,7 +23,7 @@ from nacre.render.images import AUTO_LEVEL, Exposure, RenderResult, develop, enc
 from nacre.render.variant import use_variant
 
 BEAM_DEG = 10.0
-HALF_WIDTH = 0.75  # of the screen, in units of its distance: 37 degrees to each side of the mirror direction
+HALF_WIDTH = 0.42  # of the screen, in units of its distance: 23 degrees to each side of the mirror direction
 DEFAULT_SIZE = (640, 640)
 WAVELENGTH_STEP_NM = 5.0
 _BRIGHT_PERCENTILE = 99.5
@@ -98,6 +98,7 @@ def render_screen(
         "light": f"beam at {BEAM_DEG:g} degrees, {light.name}",
         "illuminant": light.name,
         "size": list(size),
+        "spp": 1,
         "exposure_stops": stops,
         "clipped_pixels": encode(rgb)[1],
         "delta_lobes": "left out: a point on the screen",
