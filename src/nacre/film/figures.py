@@ -13,6 +13,7 @@ from nacre.matter import stratified
 
 if TYPE_CHECKING:
     from nacre.film.material import Film
+    from nacre.matter.indices import OpticalConstant
 
 KINDS = ("field", "colour-map", "structure")
 
@@ -59,6 +60,7 @@ def field(
         "s": profile.s[:, 0],
         "p": profile.p[:, 0],
         "interfaces_nm": edges,
+        "names": np.array([medium.name for medium in _media(film)]),
         "theta_deg": np.array(theta_deg),
     }
 
@@ -108,7 +110,7 @@ def colour_map(
 def structure(film: Film, wavelength_nm: float = 550.0) -> dict[str, NDArray[Any]]:
     """Return the stack as drawn: `names[medium]`, `thicknesses_nm[layer]`, `n[medium]`, `k[medium]`."""
     at = np.array([float(np.clip(wavelength_nm, *film.range_nm))])
-    media = [film.ambient, *(layer.material for layer in film.layers), film.substrate]
+    media = _media(film)
     index = np.array([medium.n_complex(at)[0] for medium in media])
     return {
         "names": np.array([medium.name for medium in media]),
@@ -118,3 +120,7 @@ def structure(film: Film, wavelength_nm: float = 550.0) -> dict[str, NDArray[Any
         "wavelength_nm": at[0] * np.ones(()),
         "incoherent": np.array([layer.incoherent for layer in film.layers], dtype=bool),
     }
+
+
+def _media(film: Film) -> list[OpticalConstant]:
+    return [film.ambient, *(layer.material for layer in film.layers), film.substrate]
