@@ -1,0 +1,65 @@
+"""The harmonic lobe on the device: the questions that every lobe is asked."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from nacre.bsdf import Bsdf
+from nacre.recipe import material
+
+pytestmark = pytest.mark.render
+
+ARRAY_BAR = 1e-4
+CHI_SQUARE_LEVEL = 0.01
+FURNACE_TOP = 1.002
+CASES = {
+    "opaque": ({"substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 200}]}, {}, 1.0),
+    "on glass": ({"substrate": "glass"}, {}, 1.5),
+    "free, spread radii": ({"substrate": "air"}, {"deviation_nm": 6}, 1.0),
+}
+
+
+@cache
+def lobe(name):
+    stack, particle, _ = CASES[name]
+    data = {
+        "family": "metasurface",
+        **stack,
+        "particle": {"material": {"n": 3.5, "k": 0.02}, "radius_nm": 65, **particle},
+        "monolayer": {"coverage": 0.1, "packing": 0.4},
+        "model": {"multipole_order": 4},
+    }
+    made = material(data).bsdf(np.array([400.0, 480.0, 560.0, 640.0, 720.0]))
+    return Bsdf((made.lobes[1],))
+
+
+@pytest.fixture(scope="module")
+def trials():
+    from nacre.render import use_variant
+
+    use_variant("llvm_ad_spectral")
+    from nacre.render import testing
+
+    return testing
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_device_and_arrays_agree(trials, name):
+    both = lobe(name).transmits
+    a, b = trials.directions(3000, 1, both), trials.directions(3000, 2, both)
+    assert trials.array_mismatch(lobe(name), a, b) <= ARRAY_BAR
+    assert trials.reciprocity_mismatch(lobe(name), a, b, CASES[name][2]) <= ARRAY_BAR
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_directions_are_drawn_as_their_density_says(trials, name):
+    views = [(25.0, 40.0), (72.0, 200.0)]
+    if lobe(name).transmits:
+        views += [(160.0, 10.0), (118.0, 100.0)]
+    for view in views:
+        assert trials.chi_square(lobe(name), *view, samples=400_000).passes(CHI_SQUARE_LEVEL, 10), view
+        draws = trials.draw(lobe(name), trials.direction(*view), 20_000)
+        assert trials.weight_mismatch(draws) <= 2e-3
+        mean, error = trials.furnace(lobe(name), view[0], n=50_000)
+        assert np.all(mean - 3 * error <= FURNACE_TOP) and np.all(mean > 0)
