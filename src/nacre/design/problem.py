@@ -87,12 +87,12 @@ class Problem:
     def search_upsamplings(self) -> tuple[int, int]:
         """Return samples per feature for exploring and for finishing.
 
-        A sample as wide as the blur is the coarsest that still resembles the truth; the finish takes 1.6 times more.
+        Samples a little narrower than the blur are the coarsest that still resemble the truth.
         """
         ratio = self.feature_nm / self.blur_nm if self.blur_nm > 0 else 4.0
         least = self.least_upsampling()
-        coarse = max(least, 4, int(np.ceil(ratio - 0.25)))
-        fine = max(coarse + 2, int(np.ceil(1.6 * ratio - 0.25)))
+        coarse = max(least, 4, int(np.ceil(1.25 * ratio - 0.25)))
+        fine = max(coarse + 2, int(np.ceil(1.75 * ratio - 0.25)))
         return min(coarse, MAX_UPSAMPLING // 2), min(fine, MAX_UPSAMPLING)
 
 
