@@ -1,0 +1,116 @@
+"""Render the pictures that README and gallery show, and store them small in docs/images.
+
+`python docs/make_images.py` makes all; names after it make some: `hero`, `gallery`, or names of the gallery.
+They are committed, so that the documentation builds in minutes; make them anew when a picture has changed.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+import nacre
+from nacre.demo import PictureSpec, examples_folder, load_gallery
+
+IMAGES = Path(__file__).parent / "images"
+THUMBNAIL = (256, 256)
+PANEL = (400, 320)
+GAP = 6
+GROUND = (18, 18, 20)
+SPP = 96
+MAX_BYTES = 300_000
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One picture of the README's six: a recipe (or target) of examples/ and how it is shown."""
+
+    recipe: str
+    scene: str
+    light: str | None = None
+    spp: int = SPP
+
+
+# a bubble, a wing, a bottle / a car, a metasurface, a relief on a screen: all families, no two shapes alike
+HERO = (
+    Panel("soap.toml", "sphere", spp=224),
+    Panel("morpho.toml", "butterfly"),
+    Panel("pearl/bottle3.toml", "bottle", spp=192),
+    Panel("anodised-titanium.toml", "panel"),
+    Panel("metasurface/silver_on_oxide.toml", "speedshape"),
+    Panel("targets/star.toml", "screen"),
+)
+
+
+def _pixels(panel: Panel, folder: Path, scratch: Path) -> Image.Image:
+    """Render one panel; a target is designed first."""
+    source = folder / panel.recipe
+    if panel.recipe.startswith("targets/"):
+        from nacre.design.run import run
+
+        design = scratch / source.stem
+        if not design.exists():
+            run(source, design)
+        source = design
+    result = nacre.render(nacre.load(source), panel.scene, light=panel.light, size=PANEL, spp=panel.spp, progress=False)
+    return Image.fromarray(np.asarray(result.srgb8))
+
+
+def make_hero(folder: Path, scratch: Path) -> Path:
+    """Set the six panels three by two on a dark ground."""
+    width, height = PANEL
+    sheet = Image.new("RGB", (3 * width + 2 * GAP, 2 * height + GAP), GROUND)
+    for number, panel in enumerate(HERO):
+        print(f"hero: {panel.recipe}", flush=True)
+        kept = scratch / f"hero-{number}.png"  # so that a stopped run goes on
+        if not kept.exists():
+            _pixels(panel, folder, scratch).save(kept)
+        row, column = divmod(number, 3)
+        sheet.paste(Image.open(kept), (column * (width + GAP), row * (height + GAP)))
+    return _save(sheet, IMAGES / "families.jpg")
+
+
+def make_thumbnail(picture: PictureSpec, folder: Path) -> Path:
+    """Render one picture of the gallery, small."""
+    result = nacre.render(
+        nacre.load(folder / picture.recipe), picture.scene, shape=picture.shape, light=picture.light,
+        illuminant=picture.illuminant, components=picture.components, exposure=picture.exposure, size=THUMBNAIL,
+        spp=int(40 * picture.spp), light_turn_deg=picture.light_turn_deg, view_turn_deg=picture.view_turn_deg,
+        progress=False,
+    )  # fmt: skip
+    return _save(Image.fromarray(np.asarray(result.srgb8)), IMAGES / "gallery" / f"{thumbnail_name(picture)}.jpg")
+
+
+def thumbnail_name(picture: PictureSpec) -> str:
+    """Return the name of a gallery picture: its own, or its recipe's."""
+    return picture.name or Path(picture.recipe).stem
+
+
+def _save(image: Image.Image, path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image.save(path, quality=90, optimize=True)
+    if path.stat().st_size > MAX_BYTES:
+        raise SystemExit(f"{path} is larger than {MAX_BYTES} bytes")
+    print(path, flush=True)
+    return path
+
+
+def main(names: list[str]) -> None:
+    """Make the pictures that are named; all, where none is."""
+    folder = examples_folder()
+    scratch = Path(tempfile.gettempdir()) / "nacre-docs-images"
+    scratch.mkdir(exist_ok=True)
+    for picture in load_gallery(folder).picture:
+        if not names or "gallery" in names or thumbnail_name(picture) in names:
+            make_thumbnail(picture, folder)
+    if not names or "hero" in names:
+        make_hero(folder, scratch)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,111 @@
+"""Every snippet of the README and the documentation runs, in the order of its page, in an empty folder.
+
+What a fence is for stands in its language: `toml` and `csv` are files whose first line is a comment with their
+name, `bash` are commands, `python` is one program a page. Anything else (`text`) is only shown. To be quick the
+same commands run with small pictures, few frames and short searches; nothing else is changed.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import nacre
+from nacre.cli import COMMANDS, run
+
+ROOT = Path(__file__).resolve().parents[2]
+GENERATED = ("_build", "tutorials", "reference", "gallery", "reports")
+FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+NAME = re.compile(r"#\s*([\w./-]+\.(?:toml|csv))\s*$")
+QUICK_RENDER = ["--size", "24x24", "--spp", "1"]
+QUICK_FRAMES = ["--frames", "2"]
+QUICK_SEARCH_S = 2
+NOT_RUN_HERE = ("nacre demo",)  # it has tests of its own
+
+
+def _pages() -> list[Path]:
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+    pages += sorted((ROOT / "docs").rglob("*.md"))
+    return [p for p in pages if p.is_file() and p.relative_to(ROOT).parts[:2][-1] not in GENERATED]
+
+
+def _blocks(page: Path) -> list[tuple[str, str]]:
+    return [(m[1], m[2]) for m in FENCE.finditer(page.read_text(encoding="utf-8"))]
+
+
+def _parameters() -> list[object]:
+    found = []
+    for page in _pages():
+        blocks = [(kind, text) for kind, text in _blocks(page) if kind in ("toml", "csv", "bash", "python")]
+        needs_llvm = any("render" in text or '"pearl"' in text for _, text in blocks)
+        marks = [pytest.mark.render] if needs_llvm else []
+        if blocks:
+            found.append(pytest.param(page, marks=marks, id=str(page.relative_to(ROOT))))
+    return found
+
+
+def _commands(text: str) -> list[str]:
+    lines = text.replace("\\\n", " ").splitlines()
+    return [line for line in (line.split("  #")[0].strip() for line in lines) if line and not line.startswith("#")]
+
+
+def _write(text: str) -> None:
+    first = text.splitlines()[0]
+    match = NAME.match(first)
+    assert match, f'a file\'s first line should be a comment with its name, not "{first}"'
+    text = re.sub(r"time_limit_s = \d+", f"time_limit_s = {QUICK_SEARCH_S}", text)
+    Path(match[1]).parent.mkdir(parents=True, exist_ok=True)
+    Path(match[1]).write_text(text, encoding="utf-8")
+    if match[1].endswith(".toml"):
+        data = tomllib.loads(text)
+        if "family" in data and "target" not in data:
+            nacre.load(match[1])
+
+
+def _run_line(line: str) -> None:
+    words = shlex.split(line)
+    if words[0] == "make":
+        targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+        wanted = [w for w in words[1:] if "=" not in w]
+        assert set(wanted) <= set(targets), f"{line}: the Makefile has {targets}"
+        return
+    assert words[0] == "nacre", f"{line}: only nacre and make commands can be shown as bash; use text"
+    assert words[1] in COMMANDS
+    if line.startswith(NOT_RUN_HERE):
+        return
+    if words[1] == "render":
+        words = [w for i, w in enumerate(words) if w not in ("--size", "--spp", "--frames") and
+                 words[i - 1] not in ("--size", "--spp", "--frames")]  # fmt: skip
+        words += QUICK_RENDER + (QUICK_FRAMES if "--animate" in words else [])
+    assert run(words[1:]) == 0, line
+
+
+@pytest.mark.parametrize("page", _parameters())
+def test_the_snippets_of_a_page_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    namespace: dict[str, object] = {}
+    for kind, text in _blocks(page):
+        if kind in ("toml", "csv"):
+            _write(text)
+        elif kind == "bash":
+            for line in _commands(text):
+                _run_line(line)
+        elif kind == "python":
+            exec(compile(text, str(page), "exec"), namespace)  # the page's own program
+
+
+def test_the_readme_lists_every_command() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `nacre (\w+)`", text, re.MULTILINE)
+    assert sorted(listed) == sorted(COMMANDS)
+
+
+def test_the_links_of_the_root_pages_lead_to_files() -> None:
+    for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "NOTICE.md"):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        for link in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
+            assert link.startswith("http") or (ROOT / link).exists(), f"{name}: {link}"
