@@ -19,7 +19,16 @@ from nacre.exchange.stl import write_stl
 from nacre.files import atomic_path, write_text
 from nacre.relief.material import Relief
 
-SUFFIXES = {"png16": ".png", "tiff16": ".tif", "stl": ".stl", "gds": ".gds", "oas": ".oas", "csv": ".csv"}
+# a sheet lists layers, which a relief does not have; the name is known so that the refusal can say so
+SUFFIXES = {
+    "png16": ".png",
+    "tiff16": ".tif",
+    "stl": ".stl",
+    "gds": ".gds",
+    "oas": ".oas",
+    "csv": ".csv",
+    "sheet": ".csv",
+}
 DEFAULT_LEVELS = 16
 
 
@@ -56,7 +65,7 @@ def fabricate(
         NacreError: the calibration does not fit, or the file cannot be written.
     """
     relief, name, folder = _relief(source)
-    if to not in SUFFIXES:
+    if to not in SUFFIXES or to == "sheet":
         hint = did_you_mean(to, SUFFIXES)
         raise UnsupportedError(f"--to {to} is not known for a relief.{hint} Formats: {', '.join(SUFFIXES)}")
     if pixels_per_feature < 1:
