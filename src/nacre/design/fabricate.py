@@ -66,8 +66,9 @@ def fabricate(
     """
     relief, name, folder = _relief(source)
     if to not in SUFFIXES or to == "sheet":
-        hint = did_you_mean(to, SUFFIXES)
-        raise UnsupportedError(f"--to {to} is not known for a relief.{hint} Formats: {', '.join(SUFFIXES)}")
+        known = [name for name in SUFFIXES if name != "sheet"]
+        hint = did_you_mean(to, known)
+        raise UnsupportedError(f"--to {to} is not known for a relief.{hint} Formats: {', '.join(known)}")
     if pixels_per_feature < 1:
         raise UnsupportedError(f"pixels_per_feature = {pixels_per_feature} is not allowed; it should be 1 or more")
     path = Path(path) if path is not None else folder / f"relief{SUFFIXES[to]}"
