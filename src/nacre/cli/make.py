@@ -95,6 +95,12 @@ def fabricate(
     name = Path(source).resolve().stem
     path = Path(output) if output else Path(f"{name}{SUFFIXES[target]}")
     check_writable(path)
+    if target == "sheet":
+        from nacre.design.sheet import write_sheet
+
+        write_sheet(common.load_material(source), path)
+        common.note(str(path))
+        return
     area = None
     if size_mm is not None:
         try:
