@@ -16,6 +16,8 @@ PLOT_KINDS = (
     "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity",
     "field", "scattering", "structure", "platelet", "microscope",
 )  # fmt: skip
+SWEEP_ONLY_KINDS = ("gamut", "parallel")
+SWEEP_KINDS = ("gamut", "colour-map", "parallel")
 
 
 @click.command()
@@ -138,27 +140,44 @@ def _read_directions(path: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | No
 
 
 @click.command()
-@click.argument("recipe")
-@click.option("--kind", required=True, type=click.Choice(PLOT_KINDS))
+@click.argument("recipe", metavar="RECIPE|SWEEP.zarr")
+@click.option("--kind", default=None, type=click.Choice(PLOT_KINDS + SWEEP_ONLY_KINDS), help="Needed for a RECIPE.")
 @click.option("--angles-deg", default=None, help="Incidence, such as 0,30,60; the default depends on the kind.")
 @click.option("--wavelengths-nm", default=None, help="Such as 380:780:5; default: chosen by the material.")
 @click.option("--illuminant", default="D65", show_default=True)
+@click.option("--part", default=None, metavar="NAME", help="Of a sweep's spectrum; default: the brightest stored.")
 @click.option("-o", "output", default=None, metavar="FILE.png|.pdf", help="Default: RECIPE-KIND.png.")
 @common.set_option
 @common.jobs_option
 def plot(
-    recipe: str, kind: str, angles_deg: str | None, wavelengths_nm: str | None, illuminant: str, output: str | None,
-    changes: tuple[str, ...],
+    recipe: str, kind: str | None, angles_deg: str | None, wavelengths_nm: str | None, illuminant: str,
+    part: str | None, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
-    """Draw a figure of RECIPE, fit for a paper."""
+    """Draw a figure of RECIPE, fit for a paper, or of a sweep: its gamut, a colour-map or parallel coordinates."""
     from nacre.files import check_writable
     from nacre.plot import save_material
 
+    is_sweep = Path(recipe).suffix == ".zarr"
+    allowed = SWEEP_KINDS if is_sweep else PLOT_KINDS
+    kind = kind or ("gamut" if is_sweep else None)
+    if kind is None or kind not in allowed:
+        given = "--kind is missing" if kind is None else f"--kind {kind} is not for {Path(recipe).name}"
+        raise NacreError(f"{given}; choose one of {', '.join(allowed)}")
     path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}-{kind}.png")
     if path.suffix not in (".png", ".pdf", ".svg"):
         raise NacreError(f"-o {path}: the suffix must be .png, .pdf or .svg")
     check_writable(path)
     angles = None if angles_deg is None else common.angles(angles_deg)
+    if is_sweep:
+        from nacre.study.sweep_figures import save_sweep_figure
+
+        if changes or wavelengths_nm:
+            raise NacreError("--set and --wavelengths-nm are for recipes; a sweep holds finished colours")
+        save_sweep_figure(recipe, kind, path, angles, part)
+        common.note(str(path))
+        return
+    if part is not None:
+        raise NacreError("--part is for sweeps; a recipe's figure shows every part")
     grid = common.wavelengths(wavelengths_nm)
     material = common.load_material(recipe, changes)
     save_material(

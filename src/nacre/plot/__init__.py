@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from nacre.plot.spectra import index_figure, ribbon_figure, spectrum_figure
     from nacre.plot.structures import field_figure, microscope_figure, platelet_figure, structure_figure
     from nacre.plot.style import house_style, new_figure, save_figure
+    from nacre.plot.sweeps import gamut_figure, parallel_figure, sweep_map_figure
 
 _LAZY = {
     "KINDS": "material",
@@ -35,12 +36,14 @@ _LAZY = {
     "colour_map_figure": "colours",
     "data_figure": "material",
     "field_figure": "structures",
+    "gamut_figure": "sweeps",
     "house_style": "style",
     "index_figure": "spectra",
     "lobe_figure": "directions",
     "material_figure": "material",
     "microscope_figure": "structures",
     "new_figure": "style",
+    "parallel_figure": "sweeps",
     "platelet_figure": "structures",
     "ribbon_figure": "spectra",
     "save_figure": "style",
@@ -50,6 +53,7 @@ _LAZY = {
     "slice_figure": "directions",
     "spectrum_figure": "spectra",
     "structure_figure": "structures",
+    "sweep_map_figure": "sweeps",
 }
 
 __all__ = [
@@ -59,12 +63,14 @@ __all__ = [
     "colour_map_figure",
     "data_figure",
     "field_figure",
+    "gamut_figure",
     "house_style",
     "index_figure",
     "lobe_figure",
     "material_figure",
     "microscope_figure",
     "new_figure",
+    "parallel_figure",
     "platelet_figure",
     "ribbon_figure",
     "save_figure",
@@ -74,6 +80,7 @@ __all__ = [
     "slice_figure",
     "spectrum_figure",
     "structure_figure",
+    "sweep_map_figure",
 ]
 
 
