@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import json
+import re
+from pathlib import Path
 
 import colour
 import numpy as np
 import pytest
+from PIL import Image
 
 import nacre
 from nacre.study import geometry
 from nacre.study.report import differences, flop_index, gloss, make_report
+from nacre.study.report_figures import travel_figure
 from nacre.study.report_page import dump_json, report_html, report_text
 
 GLASS = {"family": "film", "substrate": {"n": geometry.GLOSS_BLACK_GLASS_INDEX, "k": 1e-6}}
@@ -71,3 +77,27 @@ def test_the_report_says_the_same_as_text_json_and_html() -> None:
     assert f"{lightness:7.2f}" in report_text(reports)
     assert f"{lightness:.2f}" in report_html(reports)
     assert len(document["delta_e_2000_to_first"][0]["aspecular"]) == len(geometry.ASPECULAR_DEG)
+
+
+def test_the_page_is_one_file_with_its_pictures_inside(tmp_path: Path) -> None:
+    from nacre.cli import run
+    from nacre.recipe import dump_toml
+
+    for name, data in (("gold", GOLD), ("copper", GOLD | {"substrate": "Cu"})):
+        (tmp_path / f"{name}.toml").write_text(dump_toml(data))
+    page = tmp_path / "page.html"
+    assert run(["report", str(tmp_path / "gold.toml"), str(tmp_path / "copper.toml"), "-o", str(page)]) == 0
+    text = page.read_text()
+    pictures = re.findall(r'src="data:image/png;base64,([^"]+)"', text)
+    assert len(pictures) == 5  # spectra and ribbon of each, the travel of both
+    for picture in pictures:
+        with Image.open(io.BytesIO(base64.b64decode(picture))) as image:
+            assert np.asarray(image.convert("RGB")).std() > 5
+    assert "http" not in re.sub(r"base64,[^\"]+", "", text)
+
+
+def test_a_mirror_travels_by_its_mirror_direction() -> None:
+    report = make_report(nacre.material({"family": "film", "substrate": "Cu"}))
+    assert report.specular is not None
+    drawn = np.asarray(travel_figure([report]).axes[0].collections[-1].get_offsets())
+    np.testing.assert_allclose(drawn, report.specular.lab[:, 1:], atol=1e-9)

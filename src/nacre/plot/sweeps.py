@@ -62,7 +62,12 @@ def _swatches(xyz: Array, illuminant: str, observer: str) -> tuple[Array, str]:
 
 
 def gamut_figure(
-    xyz: ArrayLike, illuminant: str = "D65", observer: str = "2deg", title: str = "", labels: Sequence[str] = ()
+    xyz: ArrayLike,
+    illuminant: str = "D65",
+    observer: str = "2deg",
+    title: str = "",
+    labels: Sequence[str] = (),
+    tracks: bool = False,
 ) -> Figure:
     """Draw the colours that a sweep reaches: a* over b*, and lightness over chroma.
 
@@ -70,6 +75,7 @@ def gamut_figure(
         xyz: `[group, point, 3]`, Y = 1 for white; NaN where a point is missing. Each group (an angle) has its mark.
         illuminant, observer: of the colours.
         title: over the first panel; labels: `[group]`.
+        tracks: whether the points of a group are joined, in their order.
 
     Raises:
         NacreError: no finite colour.
@@ -91,6 +97,9 @@ def gamut_figure(
             style = {"s": 11, "c": colours[is_there], "marker": marks[number % len(marks)],
                      "edgecolors": INK, "linewidths": 0.3, "rasterized": len(points) > 2000}  # fmt: skip
             points = points[is_there]
+            if tracks:
+                left.plot(points[:, 1], points[:, 2], color=FAINT, linewidth=0.6, zorder=0.9)
+                right.plot(np.hypot(points[:, 1], points[:, 2]), points[:, 0], color=FAINT, linewidth=0.6, zorder=0.9)
             left.scatter(points[:, 1], points[:, 2], **style)
             right.scatter(np.hypot(points[:, 1], points[:, 2]), points[:, 0], **style)
             if number < len(labels):
@@ -217,7 +226,9 @@ def parallel_figure(
         for place, (column, (low, high)) in enumerate(zip(columns, ranges)):
             axes.axvline(place, color=INK if place < len(axes_values) else FAINT, linewidth=0.7, zorder=3)
             span = high - low
-            ticks = [(float(i), w) for i, w in enumerate(column.words)] or [(v, f"{v:.4g}") for v in sorted({low, high})]
+            ticks = [(float(i), w) for i, w in enumerate(column.words)] or [
+                (v, f"{v:.4g}") for v in sorted({low, high})
+            ]
             for value, word in ticks:
                 height = (value - low) / span if span > 0 else 0.5
                 axes.annotate(

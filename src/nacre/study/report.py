@@ -17,6 +17,8 @@ from nacre._version import __version__
 from nacre.api import evaluate_with_error
 from nacre.bsdf import Bsdf
 from nacre.light import (
+    SRGB_WHITE_XYZ,
+    adapt_xyz,
     clip_to_srgb,
     delta_e_2000,
     lab_to_lch,
@@ -139,7 +141,8 @@ def colour_table(
     """Turn reflectance factors `[angle, wavelength]` into a table of colours."""
     xyz = spectrum_to_xyz(factors, bsdf.wavelengths_nm, illuminant, observer)
     lab = xyz_to_lab(xyz, white_xyz(illuminant, observer))
-    rgb = clip_to_srgb(xyz_to_srgb_linear(np.clip(xyz, 0.0, None))).rgb
+    adapted = adapt_xyz(xyz, white_xyz(illuminant, observer), SRGB_WHITE_XYZ)  # a white stays white under any lamp
+    rgb = clip_to_srgb(xyz_to_srgb_linear(np.clip(adapted, 0.0, None))).rgb
     swatches = tuple(srgb_to_hex(srgb_encode(row)) for row in rgb)
     return ColourTable(what, np.asarray(angles_deg), np.asarray(xyz), np.asarray(lab), swatches)
 
