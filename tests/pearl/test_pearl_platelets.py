@@ -104,7 +104,7 @@ def test_a_coating_that_varies_is_averaged_too():
     found = platelet_response(
         Platelet(MICA, Thickness(400, 40), (coating(TIO2, 80, 8.0),)), np.full(1, PET), COS[2:], LAM[:1]
     )
-    nodes, weights = Thickness(80, 8.0).nodes(16)
+    nodes, weights = Thickness(80, 8.0).nodes(32)
     total = sum(
         w
         * platelet_response(
@@ -113,9 +113,7 @@ def test_a_coating_that_varies_is_averaged_too():
         for t, w in zip(nodes, weights, strict=True)
     )
     error = np.abs(found.reflectance - total).max(axis=(0, 2))
-    # resonances of the coating narrow towards grazing: its 64 nodes keep 1e-8 from cos 0.3 on
-    assert error[COS[2:] >= 0.3].max() < AWAY_FROM_GRAZING
-    assert error.max() < EVERYWHERE
+    assert error.max() < AWAY_FROM_GRAZING
 
 
 def test_a_narrow_distribution_tends_to_one_thickness():

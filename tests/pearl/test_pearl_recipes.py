@@ -10,7 +10,7 @@ import pytest
 
 import nacre
 from nacre.bsdf import Bsdf
-from nacre.errors import NacreError, RecipeError
+from nacre.errors import NacreError, RecipeError, UnsupportedError
 from nacre.recipe import load, material
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "pearl").glob("*.toml"))
@@ -121,9 +121,14 @@ def test_more_than_eight_kinds_work_with_a_note():
     assert bsdf.lobes[0].kinds == 9 and "9 kinds" in bsdf.provenance["notes"][0]
 
 
-def test_the_fast_quality_says_that_it_falls_back():
-    bsdf = material(changed("quality", "fast")).bsdf(COARSE)
-    assert bsdf.lobes[0].quality == "reference" and "fast" in bsdf.provenance["notes"][0]
+def test_the_fast_quality_is_refused_rather_than_replaced():
+    with pytest.raises(UnsupportedError, match='use "reference"'):
+        material(changed("quality", "fast"))
+
+
+def test_a_diameter_says_that_glints_are_not_rendered():
+    notes = material(changed("strata.0.platelets.0.diameter_um", 30.0)).bsdf(COARSE).provenance["notes"]
+    assert len(notes) == 1 and "glints are not rendered" in notes[0]
 
 
 def test_free_platelets_powders_and_dyes_build():

@@ -46,7 +46,8 @@ class Flakes:
         platelet: its layers.
         volume_fraction: of the stratum's volume.
         normals: distribution of the normals in the surface frame.
-        diameter_um: face diameter for glints; None: too small to be seen.
+        diameter_um: face diameter. Kept for glints, which are not rendered: the flakes count as too small to be
+            seen one by one.
     """
 
     platelet: Platelet
@@ -97,11 +98,20 @@ class Base:
 
 @dataclass(frozen=True)
 class Pearl:
-    """Strata from the light's side inward, and the base."""
+    """Strata from the light's side inward, and the base.
+
+    Raises:
+        UnsupportedError: quality "fast", for which there is no noise-free route.
+    """
 
     strata: tuple[Stratum, ...]
     base: Base
     quality: str = "reference"
+
+    def __post_init__(self) -> None:
+        # the walk in its place would be right, but not what was asked for: noise-free
+        if self.quality == "fast":
+            raise UnsupportedError('quality = "fast" is not available for a pearl; use "reference", the random walk')
 
     @property
     def wavelengths_nm(self) -> Array:
@@ -119,13 +129,13 @@ class Pearl:
     def notes(self) -> tuple[str, ...]:
         """Remarks on settings that work but may surprise."""
         found = []
-        if self.quality == "fast":
-            found.append('quality = "fast" is not built for this material: it is rendered by the reference walk')
         for i, stratum in enumerate(self.strata):
             kinds = len(stratum.flakes)
             if kinds > 8:
                 found.append(f"strata[{i}]: {kinds} kinds of platelets work, but rendering gets slower with each")
             for j, flakes in enumerate(stratum.flakes):
+                if flakes.diameter_um is not None:
+                    found.append(f"strata[{i}].platelets[{j}]: diameter_um is kept, but single glints are not rendered")
                 if abs(flakes.normals.frame[2, 2]) < EDGE_ON:
                     found.append(f"strata[{i}].platelets[{j}]: the rotation turns the flakes nearly edge-on")
         return tuple(found)

@@ -128,7 +128,10 @@ def platelet_response(platelet: Platelet, container_n: Array, cos_i: Array, wave
 def _coating_sets(platelet: Platelet, wavelengths_nm: Array) -> list[tuple[float, Array, Array]]:
     """Combine the thickness nodes of all coatings that vary: (weight, upper thicknesses, lower thicknesses)."""
     choices = []
-    for coating in (*platelet.upper, *(platelet.lower or ())):
+    coatings = (*platelet.upper, *(platelet.lower or ()))
+    # 10 panels of 16 nodes keep 1e-8 up to 84 degrees; two coatings that vary must do with fewer, being multiplied
+    panels = 10 if sum(not c.thickness.is_fixed for c in coatings) == 1 else 4
+    for coating in coatings:
         thickness = coating.thickness
         if thickness.is_fixed:
             choices.append([(1.0, thickness.mean_nm)])
@@ -137,7 +140,7 @@ def _coating_sets(platelet: Platelet, wavelengths_nm: Array) -> list[tuple[float
         low, high = thickness.support
         index = float(np.max(np.abs(coating.material.n_complex(wavelengths_nm))))
         phase = 4 * np.pi * index * (high - low) / float(wavelengths_nm[0])
-        nodes, weights = thickness.nodes(max(4, int(np.ceil(phase / 4.0))))
+        nodes, weights = thickness.nodes(max(panels, int(np.ceil(phase / 4.0))))
         choices.append(list(zip(weights.tolist(), nodes.tolist(), strict=True)))
     if np.prod([float(len(c)) for c in choices]) > MAX_COATING_SETS:
         raise NacreError("the coatings vary too much or too many at once: average over at most one or two of them")
