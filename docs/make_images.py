@@ -22,7 +22,7 @@ THUMBNAIL = (256, 256)
 PANEL = (400, 320)
 GAP = 6
 GROUND = (18, 18, 20)
-SPP = 96
+SPP = 64
 MAX_BYTES = 300_000
 
 
@@ -40,7 +40,7 @@ class Panel:
 HERO = (
     Panel("soap.toml", "sphere", spp=224),
     Panel("morpho.toml", "butterfly"),
-    Panel("pearl/bottle3.toml", "bottle", spp=192),
+    Panel("pearl/bottle3.toml", "bottle", spp=40),
     Panel("anodised-titanium.toml", "panel"),
     Panel("metasurface/silver_on_oxide.toml", "speedshape"),
     Panel("targets/star.toml", "screen"),
