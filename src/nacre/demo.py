@@ -5,6 +5,7 @@ What is shown is data: `examples/gallery.toml` names the recipes and the scenes.
 
 from __future__ import annotations
 
+import functools
 import sys
 import time
 from collections.abc import Callable
@@ -21,7 +22,7 @@ FULL_FRAME, QUICK_FRAME = 384, 128
 FULL_FRAMES, QUICK_FRAMES = 48, 8
 FULL_SPP, QUICK_SPP = 96, 24
 FULL_FRAME_SPP, QUICK_FRAME_SPP = 32, 16
-CELL, GAP, CAPTION = 320, 16, 40
+CELL, GAP, CAPTION = 320, 16, 46
 Report = Callable[["Item", int, int, float, float], None]  # item, number, total, seconds spent, seconds left
 
 
@@ -114,10 +115,8 @@ def load_gallery(folder: Path) -> GallerySpec:
 def plan(folder: Path, out: Path, is_quick: bool) -> list[Item]:
     """Return what the demo makes, in order."""
     gallery = load_gallery(folder)
-    items = [_picture(folder, out, p, is_quick) for p in gallery.picture if p.quick or not is_quick]
-    for design in gallery.design:
-        if design.quick or not is_quick:
-            items += _design(folder, out, design, is_quick)
+    items = [_design(folder, out, d, is_quick) for d in gallery.design if d.quick or not is_quick]
+    items += [_picture(folder, out, p, is_quick) for p in gallery.picture if p.quick or not is_quick]
     items += [_plot(folder, out, p) for p in gallery.plot if p.quick or not is_quick]
     items += [_animation(folder, out, a, is_quick) for a in gallery.animation if a.quick or not is_quick]
     return items
@@ -161,10 +160,9 @@ def _picture(folder: Path, out: Path, spec: PictureSpec, is_quick: bool) -> Item
     path = out / f"{spec.name or Path(spec.recipe).stem}.png"
 
     def make() -> None:
-        from nacre.recipe import load
         from nacre.render.picture import render
 
-        render(_find(load, folder, out, spec.recipe), output=path, size=(side, side), spp=spp, progress=False,
+        render(_solved(folder, out, spec.recipe), output=path, size=(side, side), spp=spp, progress=False,
                view_turn_deg=spec.view_turn_deg, light_turn_deg=spec.light_turn_deg, **_look(spec))  # fmt: skip
 
     return Item(spec.title, path, 2.0 + side * side * spp / 2.5e6, make)
@@ -177,10 +175,10 @@ def _animation(folder: Path, out: Path, spec: AnimationSpec, is_quick: bool) -> 
     path = out / f"{spec.name or Path(spec.recipe).stem}-moving.mp4"
 
     def make() -> None:
-        from nacre.recipe import load
         from nacre.render.animation import animate
 
-        material = _find(load, folder, out, spec.recipe)
+        moving = spec.animate in ("light", "view")
+        material = _solved(folder, out, spec.recipe) if moving else _find(folder, out, spec.recipe)
         animate(material, spec.animate, path, frames=frames, size=(side, side), spp=spp, progress=False, **_look(spec))
 
     return Item(spec.title, path, 3.0 + frames * side * side * spp / 2.0e6, make)
@@ -191,14 +189,13 @@ def _plot(folder: Path, out: Path, spec: PlotSpec) -> Item:
 
     def make() -> None:
         from nacre.plot import save_material
-        from nacre.recipe import load
 
-        save_material(_find(load, folder, out, spec.recipe), spec.kind, path)
+        save_material(_find(folder, out, spec.recipe), spec.kind, path)
 
     return Item(spec.title, path, 2.0, make)
 
 
-def _design(folder: Path, out: Path, spec: DesignSpec, is_quick: bool) -> list[Item]:
+def _design(folder: Path, out: Path, spec: DesignSpec, is_quick: bool) -> Item:
     path = out / Path(spec.target).stem
 
     def make() -> None:
@@ -208,13 +205,21 @@ def _design(folder: Path, out: Path, spec: DesignSpec, is_quick: bool) -> list[I
         search = target.search.model_copy(update={"time_limit_s": spec.seconds / (3 if is_quick else 1)})
         design(target.model_copy(update={"search": search}), context, path)
 
-    return [Item(spec.title, path, spec.seconds / (3 if is_quick else 1) + 3, make)]
+    return Item(spec.title, path, spec.seconds / (3 if is_quick else 1) + 3, make)
 
 
-def _find(load: Any, folder: Path, out: Path, recipe: str) -> Any:
+def _find(folder: Path, out: Path, recipe: str) -> Any:
     """Load a recipe of the examples, or a design that this run has made."""
+    from nacre.recipe import load
+
     made = out / recipe
     return load(made if (made / "recipe.toml").is_file() else folder / recipe)
+
+
+@functools.lru_cache(maxsize=2)
+def _solved(folder: Path, out: Path, recipe: str) -> Any:
+    """Solve a recipe once for the pictures that follow one another; a few materials fill much memory."""
+    return _find(folder, out, recipe).bsdf()
 
 
 def _look(spec: PictureSpec) -> dict[str, Any]:
@@ -243,11 +248,22 @@ def contact_sheet(pictures: list[tuple[str, Path]], path: Path) -> None:
         y = GAP + (index // columns) * (CELL + CAPTION + GAP)
         with Image.open(file) as picture:
             small = picture.convert("RGB")
-            small.thumbnail((CELL, CELL), Image.Resampling.LANCZOS)
+        scale = CELL / max(small.size)
+        small = small.resize((round(small.width * scale), round(small.height * scale)), Image.Resampling.LANCZOS)
         sheet.paste(small, (x + (CELL - small.width) // 2, y + (CELL - small.height) // 2))
-        words = title
-        while draw.textlength(words, font=font) > CELL and " " in words:
-            words = words.rsplit(" ", 1)[0]
-        draw.text((x, y + CELL + 8), words, fill=(60, 60, 60), font=font)
+        for line, words in enumerate(_wrapped(title, lambda words: draw.textlength(words, font=font) <= CELL)[:2]):
+            draw.text((x, y + CELL + 6 + 19 * line), words, fill=(60, 60, 60), font=font)
     with atomic_path(path) as temporary:
         sheet.save(temporary, format="PNG")
+
+
+def _wrapped(text: str, fits: Callable[[str], bool]) -> list[str]:
+    """Break a caption into lines that fit."""
+    lines = [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}".strip()
+        if fits(longer) or not lines[-1]:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines

@@ -1,0 +1,59 @@
+"""The demo's plan: every recipe and target of the gallery exists and is allowed; the sheet holds every picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from nacre.cli import run
+from nacre.demo import CELL, contact_sheet, examples_folder, load_gallery, plan
+from nacre.design.run import load_target
+from nacre.recipe import load
+from nacre.render.scenes import SCENE_NAMES
+
+FAMILIES = ("film", "pearl", "metasurface", "relief")
+
+
+def test_every_entry_of_the_gallery_can_be_made() -> None:
+    folder = examples_folder()
+    gallery = load_gallery(folder)
+    designs = {Path(d.target).stem for d in gallery.design}
+    for entry in [*gallery.picture, *gallery.animation, *gallery.plot]:
+        assert entry.recipe in designs or load(folder / entry.recipe)
+    for entry in [*gallery.picture, *gallery.animation]:
+        assert entry.scene in SCENE_NAMES
+    for design in gallery.design:
+        load_target(folder / design.target)
+
+
+@pytest.mark.parametrize("is_quick", [True, False])
+def test_the_demo_shows_every_family(tmp_path: Path, is_quick: bool) -> None:
+    folder = examples_folder()
+    gallery = load_gallery(folder)
+    recipes = [folder / p.recipe for p in gallery.picture if (p.quick or not is_quick) and p.recipe.endswith(".toml")]
+    shown = {load(recipe).family for recipe in recipes}
+    shown |= {"relief"} if any(d.quick or not is_quick for d in gallery.design) else set()
+    assert shown >= set(FAMILIES)
+    items = plan(folder, tmp_path, is_quick)
+    assert len({item.path for item in items}) == len(items)
+
+
+def test_the_contact_sheet_holds_every_picture(tmp_path: Path) -> None:
+    pictures = []
+    for number, colour in enumerate(("red", "lime", "blue")):
+        path = tmp_path / f"{number}.png"
+        Image.new("RGB", (64, 48), colour).save(path)
+        pictures.append((f"A title that is long enough to need a second line, number {number}", path))
+    contact_sheet(pictures, tmp_path / "sheet.png")
+    with Image.open(tmp_path / "sheet.png") as sheet:
+        counts = {colour: count for count, colour in sheet.convert("RGB").getcolors(1 << 22)}
+    for colour in ((255, 0, 0), (0, 255, 0), (0, 0, 255)):
+        assert counts[colour] > 0.6 * CELL * CELL
+
+
+def test_an_out_folder_that_cannot_be_made_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    assert run(["demo", "--quick", "--out", str(tmp_path / "file" / "demo")]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
