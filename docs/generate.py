@@ -1,7 +1,7 @@
 """Make the pages of the documentation that the code itself knows: keys, commands, API, gallery, reports, tutorials.
 
 `conf.py` calls `main` before each build. What is written here is not committed: `docs/reference`, `docs/gallery`,
-`docs/reports`, `docs/tutorials`.
+`docs/reports`, `docs/project`, `docs/tutorials`.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import generate_commands
 import generate_keys
 
 ROOT = Path(__file__).resolve().parents[1]
+PROJECT_PAGES = ("CHANGELOG", "CONTRIBUTING", "NOTICE")
 FAMILIES = ("film", "pearl", "metasurface", "relief")
 
 
@@ -25,6 +26,11 @@ def main(docs: Path) -> None:
     write(docs / "gallery" / "index.md", gallery(docs))
     report(docs, "validation", "REPORT.md", "Validation", "make validate")
     report(docs, "benchmarks", "RESULTS.md", "Benchmarks", "make bench")
+    for name in PROJECT_PAGES:
+        text = (ROOT / f"{name}.md").read_text(encoding="utf-8")
+        for other in PROJECT_PAGES:
+            text = text.replace(f"]({other}.md)", f"]({other.lower()}.md)")
+        write(docs / "project" / f"{name.lower()}.md", text)
     for family in FAMILIES:
         source = ROOT / "examples" / "notebooks" / f"{family}.ipynb"
         write(docs / "tutorials" / f"{family}.ipynb", source.read_text(encoding="utf-8"))

@@ -1,7 +1,7 @@
 """Every snippet of the README and the documentation runs, in the order of its page, in an empty folder.
 
-What a fence is for stands in its language: `toml` and `csv` are files whose first line is a comment with their
-name, `bash` are commands, `python` is one program a page. Anything else (`text`) is only shown. To be quick the
+What a fence is for stands in its language: `toml` is a file whose first line is a comment with its name, as is `text`
+with such a line, `bash` are commands, `python` is one program a page. Anything else is only shown. To be quick the
 same commands run with small pictures, few frames and short searches; nothing else is changed.
 """
 
@@ -18,7 +18,7 @@ import nacre
 from nacre.cli import COMMANDS, run
 
 ROOT = Path(__file__).resolve().parents[2]
-GENERATED = ("_build", "tutorials", "reference", "gallery", "reports")
+GENERATED = ("_build", "tutorials", "reference", "gallery", "reports", "project")
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 NAME = re.compile(r"#\s*([\w./-]+\.(?:toml|csv))\s*$")
 QUICK_RENDER = ["--size", "24x24", "--spp", "1"]
@@ -34,13 +34,14 @@ def _pages() -> list[Path]:
 
 
 def _blocks(page: Path) -> list[tuple[str, str]]:
-    return [(m[1], m[2]) for m in FENCE.finditer(page.read_text(encoding="utf-8"))]
+    blocks = [(m[1], m[2]) for m in FENCE.finditer(page.read_text(encoding="utf-8"))]
+    return [("toml" if kind == "text" and NAME.match(text.splitlines()[0]) else kind, text) for kind, text in blocks]
 
 
 def _parameters() -> list[object]:
     found = []
     for page in _pages():
-        blocks = [(kind, text) for kind, text in _blocks(page) if kind in ("toml", "csv", "bash", "python")]
+        blocks = [(kind, text) for kind, text in _blocks(page) if kind in ("toml", "bash", "python")]
         needs_llvm = any("render" in text or '"pearl"' in text for _, text in blocks)
         marks = [pytest.mark.render] if needs_llvm else []
         if blocks:
@@ -89,7 +90,7 @@ def test_the_snippets_of_a_page_run(page: Path, tmp_path: Path, monkeypatch: pyt
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, object] = {}
     for kind, text in _blocks(page):
-        if kind in ("toml", "csv"):
+        if kind == "toml":
             _write(text)
         elif kind == "bash":
             for line in _commands(text):
