@@ -12,11 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers_study import dask_over_tcp
 
 from nacre.errors import NacreError
 from nacre.study.points import point_seed, read_points
 from nacre.study.sweep import Store, load_sweep, run_sweep
 
+ACROSS_PROCESSES = 1e-12  # the same code on the same machine; a sum may be ordered differently
 RECIPE = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n'
 
 
@@ -137,7 +139,7 @@ def _kill_and_resume(tmp_path: Path, moments: list[float], workers: int) -> None
         if store.exists():
             for file, content in kept.items():
                 assert file.read_bytes() == content, f"a finished point changed: {file}"
-            finished = {p for p in store.rglob("status/c/**/*") if p.is_file() and p.suffix != ".partial"}
+            finished = {p for p in store.glob("status/c.*") if p.suffix != ".partial"}
             kept = {p: p.read_bytes() for p in finished}
     finished_before = len(kept)
     sweep = load_sweep(path)
@@ -187,3 +189,24 @@ def test_a_killed_worker_costs_no_point(tmp_path: Path) -> None:
     expected, found = read_all(tmp_path / "reference.zarr"), read_all(tmp_path / "two.zarr")
     for name, values in expected.items():
         np.testing.assert_allclose(found[name], values, rtol=1e-12)
+
+
+@pytest.mark.full
+def test_two_workers_over_tcp_give_what_one_gives(tmp_path: Path) -> None:
+    sweep = load_sweep(write_sweep(tmp_path, 100))
+    run_sweep(sweep, tmp_path / "one.zarr", workers=1)
+    with dask_over_tcp(tmp_path, 2) as address:
+        assert address.startswith("tcp://127.0.0.1:")
+        assert run_sweep(sweep, tmp_path / "two.zarr", scheduler=address) == (200, 0)
+    expected, found = read_all(tmp_path / "one.zarr"), read_all(tmp_path / "two.zarr")
+    assert expected.keys() == found.keys()
+    for name, values in expected.items():
+        np.testing.assert_allclose(found[name], values, rtol=ACROSS_PROCESSES, atol=ACROSS_PROCESSES)
+
+
+def test_a_scheduler_that_is_not_there_is_said_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nacre.study.workers.CONNECT_TIMEOUT_S", 1)
+    sweep = load_sweep(write_sweep(tmp_path, 2))
+    with pytest.raises(NacreError, match="tcp://127.0.0.1:1") as caught:
+        run_sweep(sweep, tmp_path / "s.zarr", scheduler="tcp://127.0.0.1:1")
+    assert "\n" not in str(caught.value)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -176,10 +175,3 @@ def _grid_values(low: float, high: float, value: Mapping[str, Any], logarithmic:
     if count > MAX_POINTS:
         raise RecipeError(f"{where} has {count} values; at most {MAX_POINTS} are allowed")
     return tuple(low + step * i for i in range(count))
-
-
-def batches(numbers: Sequence[int], size: int) -> Iterator[list[int]]:
-    """Cut a list of point numbers into pieces of at most `size`."""
-    iterator = iter(numbers)
-    while piece := list(itertools.islice(iterator, size)):
-        yield piece

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from nacre.errors import NacreError
 from nacre.study.measure import measurement_from
-from nacre.study.points import batches, point_seed
+from nacre.study.points import point_seed
 
 if TYPE_CHECKING:
     from nacre.study.sweep import Sweep
@@ -28,6 +28,8 @@ Result = dict[str, NDArray[np.float64]] | str
 ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "NACRE_JOBS")}
 IN_FLIGHT_PER_WORKER = 3  # enough to hide the transport, few enough that a kill loses little
 CONNECT_TIMEOUT_S = 10
+BATCH_SECONDS = 0.5  # a batch should be long against its transport and short against a user's patience
+MAX_BATCH = 256
 
 
 def results(
@@ -52,9 +54,12 @@ def results(
         yield from _on_dask(sweep, job, todo, count, scheduler)
 
 
-def compute_batch(job: Mapping[str, Any], points: Sequence[tuple[int, Mapping[str, Any]]]) -> list[tuple[int, Result]]:
-    """Compute some points of a sweep; runs in a worker."""
-    return [(number, _compute(job, changes)) for number, changes in points]
+def compute_batch(
+    job: Mapping[str, Any], points: Sequence[tuple[int, Mapping[str, Any]]]
+) -> tuple[list[tuple[int, Result]], float]:
+    """Compute some points of a sweep and tell how many seconds that took; runs in a worker."""
+    start = time.perf_counter()
+    return [(number, _compute(job, changes)) for number, changes in points], time.perf_counter() - start
 
 
 def _compute(job: Mapping[str, Any], changes: Mapping[str, Any]) -> Result:
@@ -85,7 +90,7 @@ def _material(folder: str, data: str) -> Any:
 
 def _here(sweep: Sweep, job: dict[str, Any], todo: Sequence[int]) -> Iterator[tuple[int, Result]]:
     for number in todo:
-        yield from compute_batch(job, [(number, sweep.points.changes(number))])
+        yield from compute_batch(job, [(number, sweep.points.changes(number))])[0]
 
 
 def _on_dask(
@@ -96,12 +101,6 @@ def _on_dask(
         from distributed import Client, LocalCluster, as_completed
     except ImportError:
         raise NacreError("several workers need Dask: pip install 'nacre[study]', or use --workers 1") from None
-    start = time.perf_counter()
-    first = todo[0]
-    yield from compute_batch(job, [(first, sweep.points.changes(first))])
-    once = time.perf_counter() - start  # includes the first imports, so batches start small
-    from nacre.study.sweep import chunked
-
     quiet = {
         "distributed.nanny.pre-spawn-environ": ONE_THREAD,
         "distributed.comm.timeouts.connect": f"{CONNECT_TIMEOUT_S}s",
@@ -122,22 +121,25 @@ def _on_dask(
             except (OSError, TimeoutError, ValueError) as error:
                 raise NacreError(f"--scheduler {scheduler}: cannot be reached: {error}") from None
             with client:
+                try:
+                    client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
+                except TimeoutError:
+                    raise NacreError(f"--scheduler {scheduler}: has no worker; start dask worker {scheduler}") from None
                 limit = IN_FLIGHT_PER_WORKER * max(1, len(client.scheduler_info(n_workers=-1)["workers"]) or workers)
-                pieces = chunked(list(todo[1:]), min(once, 0.02))
                 pending = as_completed()
-                running = 0
-                shared = client.scatter(job, broadcast=True, hash=False)
-                for piece in pieces:
-                    pending.add(_submit(client, shared, sweep, piece))
-                    running += 1
-                    if running >= limit:
-                        future = next(pending)
-                        running -= 1
-                        yield from _gather(future)
-                while running:
+                begun = running = 0
+                size = 1  # grows with what the workers report: a batch of slow points would keep a user waiting
+                while running or begun < len(todo):
+                    while running < limit and begun < len(todo):
+                        pending.add(_submit(client, job, sweep, list(todo[begun : begun + size])))
+                        begun, running = begun + size, running + 1
                     future = next(pending)
                     running -= 1
-                    yield from _gather(future)
+                    found, seconds = future.result()
+                    future.release()
+                    wanted = BATCH_SECONDS * len(found) / max(seconds, 1e-6)
+                    size = int(np.clip(wanted, 1, min(MAX_BATCH, 2 * size)))
+                    yield from found
         finally:
             if cluster is not None:
                 cluster.close(timeout=5)
@@ -148,10 +150,4 @@ def _submit(client: Any, job: Any, sweep: Sweep, piece: list[int]) -> Any:
     return client.submit(compute_batch, job, points, pure=False, retries=3)
 
 
-def _gather(future: Any) -> list[tuple[int, Result]]:
-    found: list[tuple[int, Result]] = future.result()
-    future.release()
-    return found
-
-
-__all__ = ["batches", "compute_batch", "results"]
+__all__ = ["compute_batch", "results"]

@@ -1,0 +1,52 @@
+"""A Dask scheduler and its workers as separate processes on loopback, as a user starts them by hand."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from nacre.study.workers import ONE_THREAD
+
+START_TIMEOUT_S = 60.0
+
+
+@contextlib.contextmanager
+def dask_over_tcp(folder: Path, workers: int) -> Iterator[str]:
+    """Yield the address of a scheduler with single-threaded workers; all end with the block."""
+    processes: list[subprocess.Popen[bytes]] = []
+    told = folder / f"scheduler-{workers}.json"
+    quiet = {**os.environ, **ONE_THREAD, "DASK_LOGGING__DISTRIBUTED": "error"}
+
+    def start(module: str, *arguments: str) -> None:
+        command = [sys.executable, "-m", f"distributed.cli.{module}", *arguments]
+        with (folder / f"{module}.log").open("ab") as log:
+            processes.append(subprocess.Popen(command, env=quiet, stdout=log, stderr=log))
+
+    try:
+        start("dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(told))
+        address = ""
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while not address:
+            assert time.monotonic() < deadline and processes[0].poll() is None, "the scheduler did not start"
+            with contextlib.suppress(FileNotFoundError, ValueError, KeyError):
+                address = json.loads(told.read_text())["address"]
+            time.sleep(0.1)
+        for _ in range(workers):
+            start("dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--memory-limit", "0",
+                  "--local-directory", str(folder))  # fmt: skip
+        yield address
+    finally:
+        for process in reversed(processes):
+            process.terminate()
+        for process in processes:
+            try:
+                process.wait(timeout=10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
