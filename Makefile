@@ -12,10 +12,10 @@ demo: setup
 	@$(PY) -m nacre demo $(if $(QUICK),--quick) $(if $(OUT),--out $(OUT))
 
 test: setup lint
-	@$(PY) -m pytest -q -m "not full and not gpu" -n 2 --dist loadfile
+	@$(PY) -m pytest -q -m "not full and not gpu" -n 2 --dist worksteal
 
 test-full: setup
-	@$(PY) -m pytest -q -m "full and not gpu" -n 2 --dist loadfile
+	@$(PY) -m pytest -q -m "full and not gpu" -n 2 --dist worksteal
 
 lint: setup
 	@$(PY) -m ruff check src tests benchmarks validation tools examples

@@ -1,0 +1,175 @@
+"""Random materials of every family: finite everywhere, never more light out than in, reciprocal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.api import evaluate_with_error
+from nacre.bsdf.hemisphere import directional_hemispherical
+
+QUICK, FULL = 10, 200
+GRID_NM = np.array([420.0, 550.0, 680.0])  # physics is tested at a few wavelengths; colours are tested elsewhere
+ENERGY_BAR = 1.002
+RECIPROCITY_BAR = 1e-6  # of the largest value; tables are interpolated in double precision
+DIELECTRICS = ("SiO2", "TiO2", "MgF2", "Al2O3", "Si3N4", "ZnS")
+ANYTHING = (*DIELECTRICS, "Ag", "Au", "Cr", "Si", "Ti", "Fe2O3")
+
+
+def random_film(g: np.random.Generator) -> dict[str, Any]:
+    layers = [
+        {"material": str(g.choice(ANYTHING)), "thickness_nm": float(g.uniform(0, 600))} for _ in range(g.integers(0, 6))
+    ]
+    surface = {
+        "distribution": str(g.choice(["ggx", "beckmann", "blinn", "ashikhmin-shirley"])),
+        "roughness": [float(v) for v in g.uniform(0.02, 0.6, 2)],
+        "compensate": bool(g.integers(2)),
+    }
+    substrate: Any = {"n": float(g.uniform(1.2, 2.2))} if g.random() < 0.5 else str(g.choice(ANYTHING))
+    return {"family": "film", "substrate": substrate, "layers": layers, "surface": surface}
+
+
+def random_relief(g: np.random.Generator, folder: Path) -> dict[str, Any]:
+    np.save(folder / "h.npy", g.uniform(0, g.uniform(0.05, 0.5), (8, 8)))
+    return {
+        "family": "relief",
+        "heights": "h.npy",
+        "feature_um": float(g.uniform(1.0, 2.0)),
+        "blur_um": float(g.uniform(0.3, 0.6)),
+        "coating": str(g.choice(["Al", "Ag", "Cr", "Cu"])),
+        "coherence": {"sigma": float(g.uniform(1.5, 3.0))},
+    }
+
+
+def random_metasurface(g: np.random.Generator) -> dict[str, Any]:
+    coverage = float(g.uniform(0.01, 0.1))
+    return {
+        "family": "metasurface",
+        "substrate": {"n": float(g.uniform(1.4, 1.8))},
+        "particle": {
+            "material": str(g.choice(["Ag", "Si", "TiO2"])),
+            "radius_nm": float(g.uniform(40, 90)),
+            "gap_nm": 2,
+        },
+        "monolayer": {"coverage": coverage, "packing": float(min(0.5, coverage * g.uniform(1.0, 4.0)))},
+    }
+
+
+def random_pearl(g: np.random.Generator) -> dict[str, Any]:
+    flakes = {
+        "volume_fraction": float(g.uniform(0.005, 0.03)),
+        "substrate": {"material": "mica", "thickness_nm": 400.0, "deviation_nm": float(g.uniform(0, 100))},
+        "coatings": [{"material": str(g.choice(["TiO2", "Fe2O3", "SiO2"])), "thickness_nm": float(g.uniform(40, 150))}],
+        "normal_deviation": float(g.uniform(0.05, 0.3)),
+    }
+    stratum = {"resin": {"n": 1.5}, "thickness_um": 100, "roughness": float(g.uniform(0, 0.3)), "platelets": [flakes]}
+    return {"family": "pearl", "strata": [stratum], "base": {"albedo": float(g.uniform(0, 1))}}
+
+
+def pairs(g: np.random.Generator, count: int, both_sides: bool) -> tuple[np.ndarray, np.ndarray]:
+    z, phi = g.uniform(0.05, 1, (2, count)), g.uniform(0, 2 * np.pi, (2, count))
+    r = np.sqrt(1 - z**2)
+    if both_sides:
+        z = z * g.choice([-1.0, 1.0], z.shape)
+    wi, wo = np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=-1)
+    return wi, wo
+
+
+def check(material: nacre.Material, eta: float, seed: int) -> None:
+    """Check one deterministic material."""
+    g = np.random.default_rng(1000 + seed)
+    bsdf = material.bsdf(GRID_NM)
+    wi, wo = pairs(g, 40, bsdf.transmits)
+    there, back = bsdf.evaluate(wi, wo), bsdf.evaluate(wo, wi)
+    assert np.all(np.isfinite(there)) and np.all(there >= 0), seed
+    n_i, n_o = (np.where(w[:, 2:] < 0, eta, 1.0) for w in (wi, wo))
+    scale = max(float(there.max()), 1e-12)
+    assert np.max(abs(there / n_o**2 - back / n_i**2)) <= RECIPROCITY_BAR * scale, seed
+    some = pairs(g, 2, bsdf.transmits)[0]
+    reflected, transmitted = directional_hemispherical(bsdf, some)
+    assert np.all(np.isfinite(reflected)) and np.all(np.isfinite(transmitted))
+    assert np.max(reflected + transmitted) <= ENERGY_BAR, seed
+
+
+def check_films(seeds: range) -> None:
+    for seed in seeds:
+        data = random_film(np.random.default_rng(seed))
+        substrate = data["substrate"]
+        clear = isinstance(substrate, dict)
+        index = substrate["n"] if clear else None
+        material = nacre.material(data)
+        # a named substrate may be clear too; its bending is that of the contract's one relative index
+        response = getattr(material.bsdf(GRID_NM).lobes[0], "response", None)
+        eta = index if index is not None else (response.eta if response is not None else 1.0)
+        check(material, float(eta), seed)
+
+
+def check_reliefs(seeds: range, folder: Path) -> None:
+    for seed in seeds:
+        check(nacre.material(random_relief(np.random.default_rng(seed), folder), folder), 1.0, seed)
+
+
+def check_metasurfaces(seeds: range) -> None:
+    for seed in seeds:
+        data = random_metasurface(np.random.default_rng(seed))
+        check(nacre.material(data), data["substrate"]["n"], seed)
+
+
+def check_pearls(seeds: range, samples: int) -> None:
+    """Check pearls by their walk: values finite, reciprocal within their own standard error."""
+    scores = []
+    for seed in seeds:
+        g = np.random.default_rng(seed)
+        bsdf = nacre.material(random_pearl(g)).bsdf(GRID_NM)
+        wi, wo = pairs(g, 2, False)
+        there, error = evaluate_with_error(bsdf, wi, wo, samples=samples, seed=seed)
+        back, other = evaluate_with_error(bsdf, wo, wi, samples=samples, seed=seed + 1)
+        assert error is not None and other is not None
+        assert np.all(np.isfinite(there)) and np.all(there >= 0)
+        scores.append((there - back) / np.sqrt(error**2 + other**2 + 1e-30))
+    z = np.stack(scores)
+    # the mean over hundreds of scores, each near unit variance, lies within a few standard errors of zero
+    assert abs(z.mean()) < 4.0 / np.sqrt(z.size / len(GRID_NM))
+    assert np.mean(abs(z) > 4.0) < 0.02
+
+
+def test_ten_random_films() -> None:
+    check_films(range(QUICK))
+
+
+def test_ten_random_reliefs(tmp_path: Path) -> None:
+    check_reliefs(range(QUICK), tmp_path)
+
+
+def test_ten_random_metasurfaces() -> None:
+    check_metasurfaces(range(QUICK))
+
+
+@pytest.mark.render
+def test_ten_random_pearls() -> None:
+    check_pearls(range(QUICK), 2000)
+
+
+@pytest.mark.full
+def test_two_hundred_random_films() -> None:
+    check_films(range(QUICK, FULL))
+
+
+@pytest.mark.full
+def test_two_hundred_random_reliefs(tmp_path: Path) -> None:
+    check_reliefs(range(QUICK, FULL), tmp_path)
+
+
+@pytest.mark.full
+def test_two_hundred_random_metasurfaces() -> None:
+    check_metasurfaces(range(QUICK, FULL))
+
+
+@pytest.mark.full
+@pytest.mark.render
+def test_two_hundred_random_pearls() -> None:
+    check_pearls(range(QUICK, FULL), 1000)
