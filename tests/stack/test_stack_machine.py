@@ -62,9 +62,11 @@ def test_the_number_of_threads_can_be_set_from_outside(monkeypatch: pytest.Monke
 def test_work_is_shared_without_gaps_or_overlaps() -> None:
     for batch, angles, jobs in ((7, 2, 3), (1, 11, 4), (1, 1, 8), (5, 5, 1), (0, 3, 2)):
         done: list[tuple[int, int]] = []
-        stratified.share(
-            lambda a, b, c, d: done.extend((i, j) for i in range(a, b) for j in range(c, d)), batch, angles, 10**9, jobs
-        )
+
+        def visit(a: int, b: int, c: int, d: int, done: list[tuple[int, int]] = done) -> None:
+            done.extend((i, j) for i in range(a, b) for j in range(c, d))
+
+        stratified.share(visit, batch, angles, 10**9, jobs)
         assert sorted(done) == [(i, j) for i in range(batch) for j in range(angles)]
 
 

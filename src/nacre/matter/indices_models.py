@@ -83,7 +83,7 @@ class Cauchy:
     def __call__(self, wavelengths_nm: Array) -> ComplexArray:
         """Sum the even inverse powers."""
         inverse_square = (1000.0 / np.asarray(wavelengths_nm, dtype=float)) ** 2
-        return np.polynomial.polynomial.polyval(inverse_square, self.coefficients) + 0j
+        return np.asarray(np.polynomial.polynomial.polyval(inverse_square, self.coefficients), dtype=np.complex128)
 
 
 @dataclass(frozen=True)

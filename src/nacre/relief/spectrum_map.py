@@ -89,7 +89,7 @@ def spectrum_map(
     xi_nodes = max(6, int(np.ceil(2.0 * np.pi * height * 2.0 / shortest / phase)) + 1)
     xi_step = 2.0 / (xi_nodes - 1)
     # two nodes beyond each end keep the spline's end conditions away from the values that are used
-    xi: Array = (np.arange(xi_nodes + 4) - 2) * xi_step
+    xi: Array = np.arange(-2.0, xi_nodes + 2.0) * xi_step
     size = (2 * half + 1) ** 2 * len(xi) * len(wavelengths_nm) * 4
     if size > MAX_TABLE_BYTES:
         raise UnsupportedError(
@@ -136,7 +136,7 @@ def _table(
     surface = tile.surface_nm(sampling.samples_per_feature).astype(np.float32)
     held = min(highest, (surface.shape[0] - 1) // 2)
     basis = line_basis(surface.shape[0], held, np.float32) if 2 * held + 1 < FFT_SHARE * surface.shape[0] else None
-    psi: Array = np.arange(-half, half + 1) * step
+    psi: Array = np.arange(-half, half + 1, dtype=float) * step
     # the spline adds step^2/4 of variance, so the coefficients are smoothed by the rest
     rest = float(np.sqrt(coherence.blur**2 - SPLINE_VARIANCE * step**2))
     gain = np.float32(window_norm(coherence) * (coherence.blur / rest) ** 2)

@@ -34,7 +34,8 @@ class SpectrumMapPlugin(LobePlugin[SpectrumMap]):
         if power.size > MAX_VALUES:
             raise UnsupportedError(f"a spectrum map of {power.size} values is too large to be rendered")
         if len(lobe.wavelengths_nm) == 1:  # the device interpolates between two
-            power, reflectance, guard = (np.repeat(t, 2, axis=-1) for t in (power, reflectance, guard))
+            power = np.repeat(power, 2, axis=-1)
+            reflectance, guard = np.repeat(reflectance, 2, axis=-1), np.repeat(guard, 2, axis=-1)
         self.shape = power.shape
         self.is_kirchhoff = lobe.prefactor == "kirchhoff"
         self.power = device_array(power)
