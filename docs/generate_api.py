@@ -46,7 +46,7 @@ def _entry(module: str, name: str, thing: Any) -> list[str]:
     if inspect.isclass(thing):
         return _class(path, thing)
     if callable(thing):
-        return [*_signature(path, thing), *_quote(_doc(inspect.getdoc(thing) or "")), ""]
+        return [f"### {path}", "", *_signature(path, thing), *_doc(inspect.getdoc(thing) or ""), ""]
     return ["```python", f"{path}: {type(thing).__name__}", "```", ""]
 
 
@@ -76,7 +76,8 @@ def _signature(path: str, thing: Any) -> list[str]:
         signature = str(inspect.signature(thing))
     except (TypeError, ValueError):
         signature = "(...)"
-    signature = re.sub(r"'([^']*)'", r"\1", signature).replace("self, ", "").replace("(self)", "()")
+    signature = re.sub(r"'([^']*)'", r"\1", signature)
+    signature = signature.replace("self, ", "").replace("(self)", "()").replace("(cls, ", "(").replace("(cls)", "()")
     text = f"{path}{signature}"
     if len(text) > 100:
         head, _, tail = text.partition("(")

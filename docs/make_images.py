@@ -40,7 +40,7 @@ class Panel:
 HERO = (
     Panel("soap.toml", "sphere", spp=224),
     Panel("morpho.toml", "butterfly"),
-    Panel("pearl/bottle3.toml", "bottle", spp=40),
+    Panel("pearl/bottle1.toml", "bottle", spp=176),
     Panel("anodised-titanium.toml", "panel"),
     Panel("metasurface/silver_on_oxide.toml", "speedshape"),
     Panel("targets/star.toml", "screen"),

@@ -20,6 +20,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from nacre.callable_module import make_callable
+
 if TYPE_CHECKING:
     from nacre.plot.colours import chromaticity_figure, colour_map_figure
     from nacre.plot.directions import bsdf_slice_figure, lobe_figure, scattering_figure, slice_figure
@@ -94,3 +96,6 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
+
+
+make_callable(__name__, "nacre.api:plot_material")  # nacre.plot(material, "ribbon", "ribbon.png")
