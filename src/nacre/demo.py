@@ -20,8 +20,12 @@ from nacre.specs import RecipeContext, RecipeModel, validate
 FULL_SIZE, QUICK_SIZE = 768, 224
 FULL_FRAME, QUICK_FRAME = 384, 128
 FULL_FRAMES, QUICK_FRAMES = 48, 8
-FULL_SPP, QUICK_SPP = 96, 24
+FULL_SPP, QUICK_SPP = 128, 32
 FULL_FRAME_SPP, QUICK_FRAME_SPP = 32, 16
+# seconds that a still and an animation may take on the machine at hand, in full and in quick runs
+STILL_S = {False: 26.0, True: 5.0}
+MOVIE_S = {False: 110.0, True: 6.0}
+PROBE_SPP, LEAST_SPP = 4, 8
 CELL, GAP, CAPTION = 320, 16, 46
 Report = Callable[["Item", int, int, float, float], None]  # item, number, total, seconds spent, seconds left
 
@@ -39,7 +43,7 @@ class PictureSpec(RecipeModel):
     exposure: float | Literal["auto"] = "auto"
     view_turn_deg: float = 0.0
     light_turn_deg: float = 0.0
-    spp: float = 1.0  # times the usual number of samples
+    spp: float = 1.0  # times the usual number of samples and the usual time
     quick: bool = False
     name: str | None = None
 
@@ -162,10 +166,12 @@ def _picture(folder: Path, out: Path, spec: PictureSpec, is_quick: bool) -> Item
     def make() -> None:
         from nacre.render.picture import render
 
-        render(_solved(folder, out, spec.recipe), output=path, size=(side, side), spp=spp, progress=False,
-               view_turn_deg=spec.view_turn_deg, light_turn_deg=spec.light_turn_deg, **_look(spec))  # fmt: skip
+        bsdf = _solved(folder, out, spec.recipe)
+        look = {**_look(spec), "view_turn_deg": spec.view_turn_deg, "light_turn_deg": spec.light_turn_deg}
+        affordable = _affordable_spp(bsdf, look, side, spp, STILL_S[is_quick] * spec.spp)
+        render(bsdf, output=path, size=(side, side), spp=affordable, progress=False, **look)
 
-    return Item(spec.title, path, 2.0 + side * side * spp / 2.5e6, make)
+    return Item(spec.title, path, 2.0 + STILL_S[is_quick] * spec.spp, make)
 
 
 def _animation(folder: Path, out: Path, spec: AnimationSpec, is_quick: bool) -> Item:
@@ -179,9 +185,28 @@ def _animation(folder: Path, out: Path, spec: AnimationSpec, is_quick: bool) -> 
 
         moving = spec.animate in ("light", "view")
         material = _solved(folder, out, spec.recipe) if moving else _find(folder, out, spec.recipe)
-        animate(material, spec.animate, path, frames=frames, size=(side, side), spp=spp, progress=False, **_look(spec))
+        look = _look(spec)
+        budget = MOVIE_S[is_quick] * spec.spp / frames
+        affordable = _affordable_spp(material, look, side, spp, budget)
+        animate(material, spec.animate, path, frames=frames, size=(side, side), spp=affordable, progress=False, **look)
 
-    return Item(spec.title, path, 3.0 + frames * side * side * spp / 2.0e6, make)
+    return Item(spec.title, path, 3.0 + MOVIE_S[is_quick] * spec.spp, make)
+
+
+def _affordable_spp(material: Any, look: dict[str, Any], side: int, wanted: int, seconds: float) -> int:
+    """Return the samples a pixel that fit into the time: families differ a hundredfold in cost.
+
+    A small picture compiles the kernels; a second one at few samples is timed. Too few samples make no picture, so a
+    still or frame gets `LEAST_SPP` whatever it takes.
+    """
+    from nacre.render.picture import render
+
+    small = max(16, side // 4)
+    for spp in (1, PROBE_SPP):
+        start = time.monotonic()
+        render(material, size=(small, small), spp=spp, progress=False, **look)
+    a_sample = (time.monotonic() - start) / (PROBE_SPP * small * small)
+    return int(min(max(seconds / (a_sample * side * side), LEAST_SPP), wanted))
 
 
 def _plot(folder: Path, out: Path, spec: PlotSpec) -> Item:
