@@ -48,7 +48,9 @@ def gallery(docs: Path) -> str:
     from nacre.demo import examples_folder, load_gallery
 
     folder = examples_folder()
-    pictures = load_gallery(folder).picture
+    shows = load_gallery(folder)
+    pictures = shows.picture
+    targets = {Path(design.target).stem: design.target for design in shows.design}
     lines = [
         "# Gallery", "",
         "The pictures of `nacre demo`, small, each with its recipe. The recipes are in `examples/`; "
@@ -65,8 +67,11 @@ def gallery(docs: Path) -> str:
         options += [f"--light {picture.light}"] if picture.light else []
         options += [f"--illuminant {picture.illuminant}"] if picture.illuminant != "D65" else []
         options += [f"--components {picture.components}"] if picture.components != "sum" else []
-        lines += ["```text", f"nacre render examples/{picture.recipe} {' '.join(options)}", "```", ""]
-        recipe = folder / picture.recipe
+        target = targets.get(picture.recipe)
+        made = [f"nacre design examples/{target} -o {picture.recipe}"] if target else []
+        source = picture.recipe if target else f"examples/{picture.recipe}"
+        lines += ["```text", *made, f"nacre render {source} {' '.join(options)}", "```", ""]
+        recipe = folder / (target or picture.recipe)
         if picture.recipe not in shown and recipe.is_file() and recipe.suffix == ".toml":
             lines += ["```toml", recipe.read_text(encoding="utf-8").strip(), "```", ""]
             shown.add(picture.recipe)

@@ -51,14 +51,16 @@ def _pixels(panel: Panel, folder: Path, scratch: Path) -> Image.Image:
     """Render one panel; a target is designed first."""
     source = folder / panel.recipe
     if panel.recipe.startswith("targets/"):
-        from nacre.design.run import run
-
-        design = scratch / source.stem
-        if not design.exists():
-            run(source, design)
-        source = design
+        source = _designed(source, scratch)
     result = nacre.render(nacre.load(source), panel.scene, light=panel.light, size=PANEL, spp=panel.spp, progress=False)
     return Image.fromarray(np.asarray(result.srgb8))
+
+
+def _designed(target: Path, scratch: Path) -> Path:
+    design = scratch / target.stem
+    if not design.exists():
+        nacre.design(target, design)
+    return design
 
 
 def make_hero(folder: Path, scratch: Path) -> Path:
@@ -72,13 +74,17 @@ def make_hero(folder: Path, scratch: Path) -> Path:
             _pixels(panel, folder, scratch).save(kept)
         row, column = divmod(number, 3)
         sheet.paste(Image.open(kept), (column * (width + GAP), row * (height + GAP)))
+    for kept in scratch.glob("hero-*.png"):
+        kept.unlink()
     return _save(sheet, IMAGES / "families.jpg")
 
 
-def make_thumbnail(picture: PictureSpec, folder: Path) -> Path:
-    """Render one picture of the gallery, small."""
+def make_thumbnail(picture: PictureSpec, folder: Path, scratch: Path) -> Path:
+    """Render one picture of the gallery, small; a recipe that is a design's name is designed first."""
+    target = folder / "targets" / f"{picture.recipe}.toml"
+    source = _designed(target, scratch) if target.is_file() else folder / picture.recipe
     result = nacre.render(
-        nacre.load(folder / picture.recipe), picture.scene, shape=picture.shape, light=picture.light,
+        nacre.load(source), picture.scene, shape=picture.shape, light=picture.light,
         illuminant=picture.illuminant, components=picture.components, exposure=picture.exposure, size=THUMBNAIL,
         spp=int(40 * picture.spp), light_turn_deg=picture.light_turn_deg, view_turn_deg=picture.view_turn_deg,
         progress=False,
@@ -107,7 +113,7 @@ def main(names: list[str]) -> None:
     scratch.mkdir(exist_ok=True)
     for picture in load_gallery(folder).picture:
         if not names or "gallery" in names or thumbnail_name(picture) in names:
-            make_thumbnail(picture, folder)
+            make_thumbnail(picture, folder, scratch)
     if not names or "hero" in names:
         make_hero(folder, scratch)
 

@@ -9,7 +9,7 @@ import pytest
 
 NOTEBOOKS = Path(__file__).resolve().parents[2] / "examples" / "notebooks"
 CELL_LIMIT_S = 400
-HEAVY = ("metasurface", "pearl")  # half a minute of optics each; they run with the heavy bars
+HEAVY = ("metasurface", "pearl", "relief")  # half a minute of optics each; they run with the heavy bars
 
 
 def _parameters() -> list[Any]:
@@ -51,3 +51,24 @@ def test_notebooks_are_stored_without_outputs() -> None:
     for path in NOTEBOOKS.glob("*.ipynb"):
         notebook = nbformat.read(path, as_version=4)
         assert not [cell for cell in notebook.cells if cell.cell_type == "code" and cell.outputs], path.name
+
+
+def test_a_render_shows_its_progress_in_a_notebook_and_cleans_up(tmp_path: Path) -> None:
+    import nbclient
+    import nbformat
+
+    notebook = nbformat.v4.new_notebook()
+    notebook.cells = [
+        nbformat.v4.new_code_cell(
+            "from nacre.render.progress import progress_bar\n"
+            "bar = progress_bar('render', None)\nshow = bar.__enter__()\nshow(1, 2, 3.0)"
+        )
+    ]
+    client = nbclient.NotebookClient(notebook, timeout=CELL_LIMIT_S, resources={"metadata": {"path": str(tmp_path)}})
+    client.execute()
+    shown = notebook.cells[0].outputs[0]["data"]["text/html"]
+    assert '<progress value="1" max="2">' in shown and "3 s left" in shown
+
+    notebook.cells[0].source += "\nbar.__exit__(None, None, None)"
+    client.execute()
+    assert notebook.cells[0].outputs[0]["data"]["text/html"] == ""

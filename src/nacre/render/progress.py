@@ -1,7 +1,8 @@
-"""Progress of long renders: a bar with the time left on a terminal, nothing elsewhere."""
+"""Progress of long renders: a bar with the time left on a terminal and in a notebook, nothing elsewhere."""
 
 from __future__ import annotations
 
+import html
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -33,9 +34,12 @@ def silent(done: int, total: int, seconds_left: float) -> None:
 
 @contextmanager
 def progress_bar(title: str, wanted: bool | ProgressCallback | None) -> Iterator[ProgressCallback]:
-    """Yield a callback; True shows a bar on stderr, None does so only where stderr is a terminal."""
+    """Yield a callback; True shows a bar, None does so in a notebook and where stderr is a terminal."""
     if callable(wanted):
         yield wanted
+        return
+    if wanted is not False and _is_notebook():
+        yield from _notebook_bar(title)
         return
     if wanted is False or (wanted is None and not sys.stderr.isatty()):
         yield silent
@@ -51,3 +55,28 @@ def progress_bar(title: str, wanted: bool | ProgressCallback | None) -> Iterator
             bar.update(task, total=total, completed=done, left=f"{seconds_left:.0f} s left")
 
         yield show
+
+
+def _is_notebook() -> bool:
+    """Whether this process is the kernel of a notebook, without importing anything of its."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    return type(shell).__name__ == "ZMQInteractiveShell"
+
+
+def _notebook_bar(title: str) -> Iterator[ProgressCallback]:
+    """Yield a callback that redraws one bar in the cell's output, which is empty again at the end."""
+    from IPython.display import HTML, display
+
+    def bar(done: int, total: int, words: str) -> HTML:
+        return HTML(f'<progress value="{done}" max="{max(total, 1)}"></progress> <small>{html.escape(words)}</small>')
+
+    handle = display(bar(0, 1, title), display_id=True)
+
+    def show(done: int, total: int, seconds_left: float) -> None:
+        handle.update(bar(done, total, f"{title}, {seconds_left:.0f} s left"))
+
+    try:
+        yield show
+    finally:
+        handle.update(HTML(""))
