@@ -32,7 +32,8 @@ wheel: setup
 	@$(PY) -m build --wheel --no-isolation
 
 docs: setup
-	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	@$(PY) -c 'import furo, myst_nb' 2>/dev/null || \
+		$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	@$(PY) -m sphinx -W --keep-going -b html docs docs/_build/html
 
 clean:
