@@ -223,3 +223,42 @@ def test_a_scene_of_strata_renders(mi):
     )  # fmt: skip
     picture = np.array(mi.render(scene, spp=16))
     assert np.all(np.isfinite(picture)) and 0.1 < picture[8, 8].mean() < 1.0
+
+
+def test_the_proxy_density_divides_no_value(mi):
+    """Two lobes together draw one of them with its own weight: twice the light of one."""
+    from nacre.bsdf import Bsdf
+    from nacre.render.testing import draw as draw_bsdf
+
+    lobe = layered_lobe()
+    one, two = (draw_bsdf(Bsdf((lobe,) * n), direction(40.0), 100_000).weight for n in (1, 2))
+    error = np.hypot(2 * one.std(axis=0), two.std(axis=0)) / np.sqrt(len(one))
+    assert np.all(np.abs(two.mean(axis=0) - 2 * one.mean(axis=0)) < MAX_Z * error)
+    assert np.all(error < 0.02)
+
+
+@pytest.mark.full
+def test_the_trust_in_sample_moves_noise_but_no_light(mi):
+    """A ball of flakes so dense that the trust is capped, with and without multiple importance sampling."""
+    from nacre.bsdf import Bsdf
+    from nacre.render.plugins.bsdf import make_bsdf
+
+    bsdf = make_bsdf(Bsdf((layered_lobe(number=25.0, deviation=(0.05, 0.05), alpha=(0.2, 0.2)),)))
+    lamp = mi.ScalarTransform4f().look_at([3, 0, 4], [0, 0, 0], [0, 1, 0]).scale(1.5)
+    parts = {
+        "type": "scene",
+        "light": {"type": "rectangle", "to_world": lamp, "emitter": {"type": "area"}},
+        "ball": {"type": "sphere", "bsdf": bsdf},
+        "sensor": {
+            "type": "perspective", "to_world": mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0]),
+            "fov": 16, "film": {"type": "hdrfilm", "width": 4, "height": 4, "pixel_format": "luminance"},
+        },
+    }  # fmt: skip
+    means, variances = [], []
+    for integrator in ({"type": "path", "max_depth": 2}, {"type": "direct", "emitter_samples": 0, "bsdf_samples": 1}):
+        scene = mi.load_dict({**parts, "integrator": integrator})
+        totals = [float(np.array(mi.render(scene, spp=1024, seed=s)).mean()) for s in range(16)]
+        means.append(np.mean(totals))
+        variances.append(np.var(totals, ddof=1) / len(totals))
+    assert abs(means[0] - means[1]) < MAX_Z * np.sqrt(sum(variances))
+    assert np.sqrt(sum(variances)) < 0.02 * means[0]

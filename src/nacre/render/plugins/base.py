@@ -38,10 +38,12 @@ class LobePlugin(abc.ABC, Generic[LobeT]):
 
     Attributes:
         components: one Mitsuba flag word for each part, such as a reflection and a transmission.
+        pdf_is_exact: whether the density is that of `sample`; else it may weigh strategies, but not divide values.
     """
 
     kind: ClassVar[str]
     components: tuple[int, ...]
+    pdf_is_exact: bool = True
 
     @abc.abstractmethod
     def __init__(self, lobe: LobeT) -> None:

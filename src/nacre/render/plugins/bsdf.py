@@ -185,7 +185,7 @@ def _bsdf_class(variant: str) -> type:
                 weight = dr.select(chosen, value / dr.maximum(share, 1e-20), weight)
                 is_delta = dr.select(chosen, (one.sampled_type & _DELTA) != 0, is_delta)
                 below, first = above, first + len(plugin.components)
-            if sum(not delta for delta in self.delta) > 1:
+            if sum(not delta for delta in self.delta) > 1 and all(p.pdf_is_exact for p in self.plugins):
                 # two broad lobes may overlap: weigh by the whole sum, as multiple importance sampling would
                 value, pdf = self._eval_pdf_sum(ctx, si, bs.wo, active & negated(is_delta), enabled, shares)
                 broad = active & negated(is_delta) & (pdf > 0.0) & (bs.pdf > 0.0)

@@ -58,7 +58,7 @@ class Light:
 
 
 class Stepper:
-    """Moves walkers by one flight and one event."""
+    """Moves walkers by a few flights and one boundary."""
 
     def __init__(self, strata: Strata, where: Located, connection: Exit | None = None, wo: Any = None) -> None:
         self.strata, self.where, self.exit, self.wo = strata, where, connection, wo
@@ -68,50 +68,17 @@ class Stepper:
         self.late = connection is not None and strata.any_rough and not strata.all_rough
 
     def step(self, light: Light, rng: Any, alive: Any, seen: Any) -> tuple[Light, Any, Any, Any, Any]:
-        """Return the moved light, whether it is still inside, whether it left, what the exit got, vertex seen."""
+        """Move on by a few flights, until a boundary is met, and by the event there.
+
+        Lanes of a packet wait for each other: that several flights share one boundary saves its arithmetic.
+
+        Returns:
+            the moved light, whether it is still inside, whether it left, what the exit got, vertex seen.
+        """
         strata = self.strata
+        light, lives, gained, goes_up, goes_down, seen = self._flights(light, rng, alive, seen)
         v = -light.d
-        areas, rows, locals_ = [], [], []
-        total = mi.Float(0.0)
-        for slot in range(strata.slots):
-            row = strata.flake_row(light.stratum, slot, alive)
-            local = strata.into_flake(row, v)
-            stretched = mi.Vector3f(row[1] * local.x, row[2] * local.y, row[3] * local.z)
-            areas.append(row[0] * dr.norm(stretched))
-            rows.append(row)
-            locals_.append(local)
-            total += areas[-1]
-        majorant = strata.dye_majorant.read(light.stratum, alive)[0] if strata.has_dye else mi.Float(0.0)
-        total += majorant
-        flight = -dr.log(1 - rng.next_float32(alive)) / dr.maximum(total, 1e-9)
-        depth = light.depth - light.d.z * flight
-        goes_up, goes_down = alive & (depth <= 0), alive & (depth >= 1)
-        inside = alive & ~goes_up & ~goes_down
-        gained = mi.Spectrum(0.0)
-
-        new_d, new_f = mi.Vector3f(light.d), mi.Spectrum(light.f)
-        lives = mi.Bool(alive)
-        if strata.slots:
-            at_flake = inside
-            if strata.has_dye:
-                at_dye = inside & (rng.next_float32(inside) * total < majorant)
-                at_flake = inside & ~at_dye
-            d, f, lives_f, got, turned = self._flake(
-                light, areas, rows, locals_, total - majorant, depth, rng, at_flake
-            )
-            new_d, new_f = dr.select(at_flake, d, new_d), dr.select(at_flake, f, new_f)
-            lives &= ~at_flake | lives_f
-            seen = seen | (at_flake & turned)
-            gained += dr.select(at_flake, got, 0.0)
-        else:
-            at_dye = inside
-        if strata.has_dye:
-            d, f, lives_d, got, turned = self._dye(light, majorant, depth, rng, at_dye)
-            new_d, new_f = dr.select(at_dye, d, new_d), dr.select(at_dye, f, new_f)
-            lives &= ~at_dye | lives_d
-            seen = seen | (at_dye & turned)
-            gained += dr.select(at_dye, got, 0.0)
-
+        new_d, new_f, depth = mi.Vector3f(light.d), mi.Spectrum(light.f), light.depth
         at_base = goes_down & (light.stratum == self.last) if strata.base != "none" else mi.Bool(False)
         at_interface = (goes_up | goes_down) & ~at_base
         interface = dr.select(goes_up, light.stratum, light.stratum + 1)
@@ -141,6 +108,78 @@ class Stepper:
                 seen = seen | at_base
         moved_light = Light(new_d, stratum, depth, dr.select(lives, new_f, 0.0))
         return moved_light, lives & ~leaves, leaves & lives, gained, seen
+
+    def _flights(self, light: Light, rng: Any, alive: Any, seen: Any) -> tuple[Light, Any, Any, Any, Any, Any]:
+        """Fly until a boundary is met, or for `Strata.flights` flights; returns what `_fly` does."""
+        limit = self.strata.flights
+        if limit == 1:
+            return self._fly(light, rng, alive, seen)
+
+        def body(*state: Any) -> tuple[Any, ...]:
+            d, depth, f, rng, flying, lives, gained, goes_up, goes_down, seen, count = state
+            moved, survives, got, up, down, seen = self._fly(Light(d, light.stratum, depth, f), rng, flying, seen)
+            return (
+                moved.d, moved.depth, moved.f, rng, survives & ~up & ~down, survives, gained + got,
+                up, down, seen, count + 1,
+            )  # fmt: skip
+
+        no = alive & mi.Bool(False)
+        state = (light.d, light.depth, light.f, rng, alive, alive, mi.Spectrum(0.0), no, no, seen, mi.UInt32(0))
+        names = ("d", "depth", "f", "rng", "flying", "lives", "gained", "goes_up", "goes_down", "seen", "count")
+        end = dr.while_loop(state, lambda *s: s[4] & (s[10] < limit), body, names, label="pearl flights")
+        rng.state, rng.inc = end[3].state, end[3].inc
+        return Light(end[0], light.stratum, end[1], end[2]), end[5], end[6], end[7], end[8], end[9]
+
+    def _fly(self, light: Light, rng: Any, alive: Any, seen: Any) -> tuple[Light, Any, Any, Any, Any, Any]:
+        """Fly to a flake, to dye or to a boundary.
+
+        Returns:
+            the light after what it met, whether it survived, what the exit got, whether it is at the upper or the
+            lower boundary, vertex seen.
+        """
+        strata = self.strata
+        v = -light.d
+        areas, rows, locals_ = [], [], []
+        total = mi.Float(0.0)
+        for slot in range(strata.slots):
+            row = strata.flake_row(light.stratum, slot, alive)
+            local = strata.into_flake(row, v)
+            stretched = mi.Vector3f(row[1] * local.x, row[2] * local.y, row[3] * local.z)
+            areas.append(row[0] * dr.norm(stretched))
+            rows.append(row)
+            locals_.append(local)
+            total += areas[-1]
+        majorant = strata.dye_majorant.read(light.stratum, alive)[0] if strata.has_dye else mi.Float(0.0)
+        total += majorant
+        flight = -dr.log(1 - rng.next_float32(alive)) / dr.maximum(total, 1e-9)
+        depth = light.depth - light.d.z * flight
+        goes_up, goes_down = alive & (depth <= 0), alive & (depth >= 1)
+        inside = alive & ~goes_up & ~goes_down
+        gained = mi.Spectrum(0.0)
+
+        new_d, new_f = mi.Vector3f(light.d), mi.Spectrum(light.f)
+        lives = mi.Bool(alive)
+        at_dye = inside
+        if strata.slots:
+            at_flake = inside
+            if strata.has_dye:
+                at_dye = inside & (rng.next_float32(inside) * total < majorant)
+                at_flake = inside & ~at_dye
+            d, f, lives_f, got, turned = self._flake(
+                light, areas, rows, locals_, total - majorant, depth, rng, at_flake
+            )
+            new_d, new_f = dr.select(at_flake, d, new_d), dr.select(at_flake, f, new_f)
+            lives &= ~at_flake | lives_f
+            seen = seen | (at_flake & turned)
+            gained += dr.select(at_flake, got, 0.0)
+        if strata.has_dye:
+            d, f, lives_d, got, turned = self._dye(light, majorant, depth, rng, at_dye)
+            new_d, new_f = dr.select(at_dye, d, new_d), dr.select(at_dye, f, new_f)
+            lives &= ~at_dye | lives_d
+            seen = seen | (at_dye & turned)
+            gained += dr.select(at_dye, got, 0.0)
+        moved = Light(new_d, light.stratum, dr.select(inside, depth, light.depth), new_f)
+        return moved, lives, gained, goes_up, goes_down, seen
 
     def _flake(
         self, light: Light, areas: list[Any], rows: list[Any], locals_: list[Any], total: Any, depth: Any, rng: Any,

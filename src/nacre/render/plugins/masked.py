@@ -24,6 +24,7 @@ class MaskedPlugin(LobePlugin[MaskedLobe]):
         self._mask = DeviceTexture(lobe.mask)
         self._inverted = lobe.inverted
         self.components = self._inner.components
+        self.pdf_is_exact = self._inner.pdf_is_exact
 
     def _share(self, si: Any) -> Any:
         value = self._mask(si.uv)
