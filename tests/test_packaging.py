@@ -21,7 +21,9 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     subprocess.run([*pip, "wheel", ".", "--no-deps", "--no-build-isolation", "--no-index", "-w", str(folder)], **quiet)
     (wheel,) = folder.glob("nacre-*.whl")
     target = folder / "prefix"
-    subprocess.run([*pip, "install", "--no-index", "--no-deps", "--prefix", str(target), str(wheel)], **quiet)
+    # without --ignore-installed pip would first remove the checkout's own installation, prefix or not
+    apart = ["--no-index", "--no-deps", "--ignore-installed", "--prefix", str(target)]
+    subprocess.run([*pip, "install", *apart, str(wheel)], **quiet)
     return target
 
 
