@@ -197,7 +197,11 @@ def load(path: str | Path) -> Material:
 def _load(path: Path, depth: int) -> Material:
     if depth > MAX_NESTED_RECIPES:
         raise RecipeError(f"{path}: recipes are nested more than {MAX_NESTED_RECIPES} deep; is there a circle?")
-    if path.is_dir():
+    try:
+        is_folder = path.is_dir()
+    except OSError as error:  # a name that no file system takes
+        raise RecipeError(f"{str(path)[:80]}: cannot be read: {error.strerror}") from None
+    if is_folder:
         if not (path / "recipe.toml").is_file():
             raise RecipeError(
                 f"{path}: is a folder without a recipe.toml; give a recipe, a .nacre file or a design folder"

@@ -152,6 +152,13 @@ def tolerance(
 @click.argument("recipe")
 @click.option("--free", "free", multiple=True, metavar="PATH=LOW:HIGH", help="Free a number between bounds.")
 @click.option("--starts", type=click.IntRange(1, 1000), default=4, show_default=True)
+@click.option(
+    "--weights",
+    type=click.Choice(["equal", "relative"]),
+    default="equal",
+    show_default=True,
+    help="Whether the noise is the same for all values or a share of each.",
+)
 @click.option("--samples", type=click.IntRange(1, 10**8), default=None, help="Paths a direction (stochastic families).")
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
@@ -159,8 +166,8 @@ def tolerance(
 @click.option("-o", "output", default=None, metavar="FITTED.toml", help="Default: RECIPE-fitted.toml.")
 @common.jobs_option
 def fit(
-    measurement: str, recipe: str, free: tuple[str, ...], starts: int, samples: int | None, seed: int, as_json: bool,
-    residual: str | None, output: str | None,
+    measurement: str, recipe: str, free: tuple[str, ...], starts: int, weights: str, samples: int | None, seed: int,
+    as_json: bool, residual: str | None, output: str | None,
 ) -> None:  # fmt: skip
     """Fit the free numbers of RECIPE to MEASUREMENT (spectrum or gonio CSV)."""
     from nacre.files import atomic_path, check_writable, write_text
@@ -177,7 +184,7 @@ def fit(
     material = common.load_material(recipe)
     numbers = read_free(material, free)
     result = run_fit(
-        material, measured, numbers, starts=starts, samples=samples, seed=seed,
+        material, measured, numbers, starts=starts, weights=weights, samples=samples, seed=seed,
         progress=lambda what, best: common.note(f"{what}: relative rms {best:.4g}"),
     )  # fmt: skip
     write_text(path, dump_toml(dict(result.material.data)))

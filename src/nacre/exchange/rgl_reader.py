@@ -15,6 +15,9 @@ from nacre.exchange.warp import Warp
 
 Array = NDArray[np.float64]
 NEEDED = ("theta_i", "phi_i", "ndf", "sigma", "vndf", "spectra", "wavelengths", "jacobian")
+LARGEST = 1e12  # no BSDF, density or area is near it; a damaged file is, and overflows where it is used
+
+SMALLEST = 1e-12
 
 
 @dataclass(frozen=True)
@@ -52,9 +55,10 @@ class RglBsdf:
         if len(fields["phi_i"]) > 2:
             raise NacreError(f"{path}: is anisotropic; only isotropic tensor files are imported")
         try:
-            return cls._from(fields)
+            with np.errstate(invalid="ignore"):  # a signalling NaN warns when it is read; _from refuses it
+                return cls._from(fields)
         except (ValueError, IndexError):
-            raise NacreError(f"{path}: the fields of the tensor file do not fit together") from None
+            raise NacreError(f"{path}: the fields of the tensor file do not fit together or are impossible") from None
 
     @classmethod
     def _from(cls, fields: dict[str, NDArray[Any]]) -> RglBsdf:
@@ -65,6 +69,15 @@ class RglBsdf:
             raise ValueError("shapes")
         if vndf.shape[1] != len(theta) or fields["ndf"].ndim != 2 or fields["sigma"].ndim != 2 or len(theta) < 2:
             raise ValueError("shapes")
+        arrays = (theta, spectra, vndf, waves, fields["ndf"], fields["sigma"])
+        if not all(np.isfinite(a).all() and np.max(np.abs(a), initial=0.0) < LARGEST for a in arrays):
+            raise ValueError("values")
+        if min(*vndf.shape[2:], *spectra.shape[3:], *fields["ndf"].shape, *fields["sigma"].shape) < 2:
+            raise ValueError("nodes")
+        if np.any(np.maximum(vndf, 0.0).max(axis=(2, 3)) < SMALLEST) or np.any(np.asarray(fields["sigma"]) < SMALLEST):
+            raise ValueError("nothing to divide by")
+        if np.any(np.diff(theta) <= 0) or len(waves) < 1 or waves[0] <= 0 or np.any(np.diff(waves) <= 0):
+            raise ValueError("axes")
         warps = tuple(Warp.of(np.maximum(table, 0.0)) for table in vndf[0])
         ndf, sigma = np.asarray(fields["ndf"], float), np.asarray(fields["sigma"], float)
         return cls(waves, theta, ndf, sigma, warps, spectra[0], bool(fields["jacobian"][0]))

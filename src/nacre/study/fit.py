@@ -29,6 +29,8 @@ SCOUTS_PER_NUMBER = 24
 UNDETERMINED_SHARE = 0.5  # a 95 % half width of half the bounds says nothing that the bounds did not
 STEP = 1e-4  # of the bounds: far above rounding, far below an interference fringe
 STOCHASTIC_STEP = 1e-2
+RELATIVE_FLOOR = 0.01
+WEIGHTS = ("equal", "relative")
 
 
 @dataclass(frozen=True)
@@ -190,6 +192,8 @@ def run_fit(
     free: tuple[FreeNumber, ...],
     *,
     starts: int = 4,
+    scouts: int = SCOUTS_PER_NUMBER,
+    weights: str = "equal",
     samples: int | None = None,
     seed: int = 0,
     progress: Callable[[str, float], None] | None = None,
@@ -200,14 +204,19 @@ def run_fit(
         material: the recipe; its own values are the first start.
         measured: from `read_measurement`.
         free: from `read_free`.
-        starts: refined starts beside the recipe's own values.
+        starts: refined starts beside the recipe's own values; 0 trusts those to lie in the right valley.
+        scouts: materials computed a free number to find the starts; fewer where one takes seconds.
+        weights: "equal", where the noise is the same for all values, or "relative", where it is a share of each
+            (as of counts and of BSDF values over decades); the intervals are honest for noise of that kind.
         progress: called with (what, best relative rms).
 
     Raises:
         NacreError: no start can be computed.
     """
-    problem = _Problem(material, measured, free, samples, seed)
-    candidates = problem.scout(starts)
+    if weights not in WEIGHTS:
+        raise NacreError(f'weights = "{weights}" is not known; choose one of {", ".join(WEIGHTS)}')
+    problem = _Problem(material, measured, free, samples, seed, weights)
+    candidates = problem.scout(starts, scouts)
     ends: list[tuple[float, Array, Any]] = []
     for number, start in enumerate(candidates):
         solution = problem.refine(start)
@@ -231,41 +240,52 @@ class _Problem:
     """Residuals over the unit cube of the bounds."""
 
     def __init__(
-        self, material: Material, measured: Measured, free: tuple[FreeNumber, ...], samples: int | None, seed: int
+        self,
+        material: Material,
+        measured: Measured,
+        free: tuple[FreeNumber, ...],
+        samples: int | None,
+        seed: int,
+        weights: str = "equal",
     ) -> None:
         self._material, self._measured, self._free = material, measured, free
         self._samples, self._seed = samples, seed
         self._low = np.array([n.low for n in free])
         self._span = np.array([n.high - n.low for n in free])
         self.evaluations = 0
-        self._scale = float(np.sqrt(np.mean(measured.values**2))) or 1.0
+        rms = float(np.sqrt(np.mean(measured.values**2))) or 1.0
+        # a value near zero must not decide the fit, so its share of the noise has a floor
+        shares = np.maximum(np.abs(measured.values), RELATIVE_FLOOR * rms)
+        self._scale = shares if weights == "relative" else np.full(measured.values.shape, rms)
 
     def build(self, unit: Array) -> Material:
         values = self._low + np.clip(unit, 0.0, 1.0) * self._span
         return self._material.vary({n.path: float(v) for n, v in zip(self._free, values, strict=True)})
 
     def residual(self, unit: Array) -> Array:
-        """Return (model - measurement)/rms(measurement), flat; a material that cannot be is far away."""
+        """Return (model - measurement) over the scale of the noise, flat; a material that cannot be is far away."""
         self.evaluations += 1
         try:
             model = self._measured.model(self.build(unit), self._samples, self._seed)
         except NacreError:
             return np.full(self._measured.values.size, 10.0)
-        return np.asarray((model - self._measured.values).ravel() / self._scale)
+        return np.asarray(((model - self._measured.values) / self._scale).ravel())
 
     def relative(self, loss: float) -> float:
         """Turn a sum of squares into a relative rms."""
         return float(np.sqrt(loss / self._measured.values.size))
 
-    def scout(self, starts: int) -> list[Array]:
+    def scout(self, starts: int, scouts: int) -> list[Array]:
         """Return the recipe's own place and the best of a Sobol sample, well apart from one another."""
         from scipy.stats import qmc
 
-        count = 2 ** math.ceil(math.log2(max(2, SCOUTS_PER_NUMBER * len(self._free))))
+        own = self._own()
+        if own is not None and starts == 0:
+            return [own]
+        count = 2 ** math.ceil(math.log2(max(2, scouts * len(self._free))))
         sample = qmc.Sobol(len(self._free), scramble=True, seed=self._seed).random(count)
         losses = np.array([np.sum(self.residual(unit) ** 2) for unit in sample])
         chosen: list[Array] = []
-        own = self._own()
         if own is not None:
             chosen.append(own)
         for index in np.argsort(losses):
@@ -291,7 +311,7 @@ class _Problem:
         begin = float(np.sum(self.residual(start) ** 2))
         found = least_squares(
             self.residual, np.clip(start, 1e-6, 1 - 1e-6), bounds=(0.0, 1.0), diff_step=np.full(len(start), step),
-            x_scale=1.0, xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=60,
+            x_scale=1.0, xtol=1e-8, ftol=1e-8, gtol=1e-10, max_nfev=60,
         )  # fmt: skip
         unit, loss, jacobian = found.x, float(2 * found.cost), np.asarray(found.jac)
         if loss > 0.999 * begin and self.relative(loss) > 0.02:
