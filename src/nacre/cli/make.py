@@ -81,11 +81,13 @@ class _Screen:
 @click.option("--calibration", default=None, metavar="CSV", help="png16, tiff16: grey value against depth.")
 @click.option("--size-mm", default=None, metavar="WxH", help="Tile the pattern over an area.")
 @click.option("--levels", type=click.IntRange(2, 256), default=None, help="gds, oas: height levels.")
-@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True, help="Of a point pattern.")
+@click.option(
+    "--seed", type=click.IntRange(0, 2**32 - 1), default=None, help="Of a metasurface's points; default: the recipe's."
+)
 @common.jobs_option
 def fabricate(
     source: str, target: str, output: str | None, calibration: str | None, size_mm: str | None, levels: int | None,
-    seed: int,
+    seed: int | None,
 ) -> None:  # fmt: skip
     """Write the files to make a design or a material."""
     from nacre.design.fabricate import SUFFIXES
@@ -95,10 +97,11 @@ def fabricate(
     name = Path(source).resolve().stem
     path = Path(output) if output else Path(f"{name}{SUFFIXES[target]}")
     check_writable(path)
-    if target == "sheet":
+    material = common.load_material(source) if target == "sheet" else None
+    if material is not None and material.family != "metasurface":
         from nacre.design.sheet import write_sheet
 
-        write_sheet(common.load_material(source), path)
+        write_sheet(material, path)
         common.note(str(path))
         return
     area = None

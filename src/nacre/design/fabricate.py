@@ -42,20 +42,21 @@ def fabricate(
     levels: int | None = None,
     pixels_per_feature: int = 1,
     base_um: float = 1.0,
-    seed: int = 0,
+    seed: int | None = None,
 ) -> tuple[Path, ...]:
-    """Write the fabrication file of a relief, and a JSON beside it that says how to read it.
+    """Write the fabrication file of a relief or a metasurface, and a JSON beside it that says how to read it.
 
     Args:
         source: a design folder, a recipe's path, or a material.
-        to: "png16", "tiff16", "stl", "gds", "oas" or "csv".
+        to: "png16", "tiff16", "stl", "gds", "oas" or "csv" of a relief; "gds", "oas", "csv" or "sheet" of a
+            metasurface.
         path: where; default: `relief` with the format's ending, in the design folder or the present one.
         size_mm: repeat the tile over an area (x, y); default: one tile.
         calibration: CSV of grey value and depth in um, for images; default: the published process.
         levels: number of heights of a mask; default: as many as the heights have, or 16.
         pixels_per_feature: pixels along a feature's side, for images.
         base_um: thickness of an STL's base.
-        seed: of random patterns; a relief has none.
+        seed: of a metasurface's points; default: the recipe's.
 
     Returns:
         the files' paths, the one asked for first.
@@ -64,6 +65,11 @@ def fabricate(
         UnsupportedError: another format, or a material that is no relief.
         NacreError: the calibration does not fit, or the file cannot be written.
     """
+    pattern = _metasurface(source)
+    if pattern is not None:
+        from nacre.design.fabricate_pattern import write_pattern
+
+        return write_pattern(*pattern, to, path, size_mm, seed)
     relief, name, folder = _relief(source)
     if to not in SUFFIXES or to == "sheet":
         known = [name for name in SUFFIXES if name != "sheet"]
@@ -97,6 +103,22 @@ def fabricate(
     beside = path.with_name(path.name + ".json")
     write_text(beside, json.dumps(facts, indent=2) + "\n")
     return path, beside
+
+
+def _metasurface(source: Any) -> tuple[Any, str] | None:
+    """Return the metasurface behind a path or a material and its recipe's name; None for other families."""
+    from nacre.metasurface.material import Metasurface
+
+    if isinstance(source, str | Path):
+        if Path(source).suffix != ".toml":
+            return None  # a design folder; designs are reliefs
+        from nacre.recipe import load
+
+        source = load(source)
+    model = getattr(source, "model", source)
+    if not isinstance(model, Metasurface):
+        return None
+    return model, Path(str(getattr(getattr(source, "context", None), "source", model.source))).name
 
 
 def _relief(source: Any) -> tuple[Relief, str, Path]:

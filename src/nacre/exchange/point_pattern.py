@@ -29,6 +29,7 @@ def write_layout(
     box_um: float | None = None,
     field_um: float | None = None,
     square: bool = False,
+    periods: tuple[int, int] | None = None,
 ) -> int:
     """Write particles as .gds or .oas; return how many particles the file stands for.
 
@@ -36,9 +37,10 @@ def write_layout(
         path: ends in .gds or .oas.
         xy_um: `[point, 2]` centres of one period.
         radius_um: of the circles; with `square` half of the side.
-        box_um: period of the pattern; needed with `field_um`.
+        box_um: period of the pattern; needed with `field_um` and `periods`.
         field_um: side of the field to fill by repeating the period; default: one period.
         square: squares instead of circles.
+        periods: how often to repeat along x and y, instead of `field_um`.
 
     Raises:
         NacreError: an unknown ending, a field that 32-bit coordinates cannot hold, particles that are nothing.
@@ -53,12 +55,13 @@ def write_layout(
         raise NacreError(f"{path}: a pattern is a list of finite points [point, 2]")
     if not radius_um > 0:
         raise NacreError(f"{path}: radius_um = {radius_um:g} is not allowed; it should be over 0")
-    repeats = 1
-    if field_um is not None:
+    columns, rows = periods or (1, 1)
+    if field_um is not None or columns * rows > 1:
         if box_um is None or not box_um > 0:
             raise NacreError(f"{path}: a field is filled by repeating a period; give box_um")
-        repeats = max(1, round(field_um / box_um))
-    extent = float(np.abs(xy).max()) + (repeats - 1) * (box_um or 0.0)
+    if field_um is not None and box_um is not None:
+        columns = rows = max(1, round(field_um / box_um))
+    extent = float(np.abs(xy).max()) + (max(columns, rows) - 1) * (box_um or 0.0)
     if extent > MAX_COORDINATE_UM:
         raise NacreError(f"{path}: the field reaches {extent:.4g} um; at most {MAX_COORDINATE_UM:g} um can be written")
     library = gdstk.Library("nacre", unit=1e-6, precision=PRECISION_M)
@@ -70,15 +73,15 @@ def write_layout(
     period = library.new_cell("PERIOD")
     for x, y in np.round(xy, 3):
         period.add(gdstk.Reference(particle, (x, y)))
-    if repeats > 1 and box_um is not None:
+    if columns * rows > 1 and box_um is not None:
         field = library.new_cell("FIELD")
-        field.add(gdstk.Reference(period, columns=repeats, rows=repeats, spacing=(box_um, box_um)))
+        field.add(gdstk.Reference(period, columns=columns, rows=rows, spacing=(box_um, box_um)))
     with atomic_path(path) as temporary:
         if path.suffix.lower() == ".gds":
             library.write_gds(str(temporary))
         else:
             library.write_oas(str(temporary))
-    return len(xy) * repeats**2
+    return len(xy) * columns * rows
 
 
 def read_layout(path: str | Path) -> tuple[Array, float]:

@@ -118,7 +118,7 @@ def jittered_structure(
     return measured_structure("lattice", pattern, a, q_max_per_nm)
 
 
-def points_structure(context: RecipeContext, name: str, diameter_nm: float, q_max_per_nm: float) -> Structure:
+def points_pattern(context: RecipeContext, name: str, diameter_nm: float) -> Pattern:
     """Read a list of points, x and y in um, one a line, taken as one period of a square.
 
     Raises:
@@ -141,6 +141,12 @@ def points_structure(context: RecipeContext, name: str, diameter_nm: float, q_ma
         raise context.fail(
             key, name, f"has particles {nearest:.4g} nm apart, which overlap: they are {diameter_nm:.4g} nm wide"
         )
+    return pattern
+
+
+def points_structure(pattern: Pattern, q_max_per_nm: float) -> Structure:
+    """Measure a list of points; its least distance is the one within the list, see `points_pattern`."""
+    nearest = float(nearest_distances(Pattern(pattern.xy_nm, 3 * pattern.box_nm)).min())
     return measured_structure("points", pattern, nearest, q_max_per_nm)
 
 

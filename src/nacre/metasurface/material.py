@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import warnings
 from dataclasses import dataclass
@@ -16,10 +17,12 @@ from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import UnsupportedError
 from nacre.light import default_wavelengths
 from nacre.matter.indices import OpticalConstant
+from nacre.metasurface.arrangement import Arrangement
 from nacre.metasurface.compile import choose_grids, tabulate
 from nacre.metasurface.corrections import diffuse_term
 from nacre.metasurface.mie import mie_coefficients
 from nacre.metasurface.monolayer import Monolayer, Particle
+from nacre.metasurface.patterns import Pattern
 from nacre.metasurface.qca import INTERACTION_ORDER
 from nacre.metasurface.sphere import ORDER_LADDER, ConvergenceRefusal, choose_order, hemisphere_rule
 from nacre.metasurface.structure import Structure
@@ -86,6 +89,7 @@ class Metasurface:
         multipole_order: of the spheres; None: chosen at each wavelength for 1e-3.
         interaction_order: of the exchange between neighbours.
         source: name of the recipe, for messages.
+        arrangement: how to make the points, or the points; None where only S(q) is known.
     """
 
     ambient: OpticalConstant
@@ -101,6 +105,28 @@ class Metasurface:
     interaction_order: int = INTERACTION_ORDER
     source: str = "recipe"
     range_nm: tuple[float, float] = (360.0, 830.0)
+    arrangement: Arrangement | Pattern | None = None
+
+    def pattern(self, count: int, seed: int | None = None) -> Pattern:
+        """Return about `count` particles on a periodic square; of a list of points, the list itself.
+
+        Args:
+            count: particles.
+            seed: of the random numbers; default: the recipe's.
+
+        Raises:
+            UnsupportedError: only S(q) is known.
+            NacreError: the packing cannot be made.
+        """
+        if isinstance(self.arrangement, Pattern):
+            return self.arrangement
+        if self.arrangement is None:
+            raise UnsupportedError(
+                f"{self.source}: monolayer.structure.sq says how particles scatter, not where they lie; "
+                "name an arrangement (hard-disk, rsa, poisson-disk, lattice) or give points"
+            )
+        made = self.arrangement if seed is None else dataclasses.replace(self.arrangement, seed=seed)
+        return made.pattern(count)
 
     @property
     def outer_radius_nm(self) -> float:

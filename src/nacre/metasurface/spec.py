@@ -15,10 +15,12 @@ from nacre.metasurface.arrangement import (
     Arrangement,
     jittered_structure,
     pattern_structure,
+    points_pattern,
     points_structure,
     sq_structure,
 )
 from nacre.metasurface.material import Metasurface, Shell, Sizes
+from nacre.metasurface.patterns import Pattern
 from nacre.metasurface.structure import PACKING_LIMIT, Structure, hard_disk_structure
 from nacre.specs import RecipeContext, RecipeModel, show_value
 
@@ -167,7 +169,7 @@ class MetasurfaceSpec(RecipeModel):
                 "is clear and less dense than the ambient, which the tables cannot hold",
             )
         index = max(1.0, n_substrate.real if n_substrate.imag < 1e-4 else 1.0, n_ambient.real)
-        structure = self._structure(context, outer, 4.2 * np.pi * index / 360.0)
+        structure, arrangement = self._structure(context, outer, 4.2 * np.pi * index / 360.0)
         return Metasurface(
             ambient=ambient,
             layers=tuple((self._index(layer.material), layer.thickness_nm) for layer in self.layers),
@@ -181,16 +183,20 @@ class MetasurfaceSpec(RecipeModel):
             multipole_order=self.model.multipole_order,
             interaction_order=self.model.interaction_order,
             source=context.source,
+            arrangement=arrangement,
         )
 
     def _index(self, spec: IndexSpec) -> OpticalConstant:
         made = spec.build()
         return made.with_extrapolation("edge") if self.extrapolate == "edge" else made
 
-    def _structure(self, context: RecipeContext, outer_nm: float, q_max: float) -> Structure:
+    def _structure(
+        self, context: RecipeContext, outer_nm: float, q_max: float
+    ) -> tuple[Structure, Arrangement | Pattern | None]:
         layer, kind = self.monolayer, self.monolayer.structure
         if kind.points is not None:
-            return points_structure(context, kind.points, 2 * outer_nm, q_max)
+            pattern = points_pattern(context, kind.points, 2 * outer_nm)
+            return points_structure(pattern, q_max), pattern
         if layer.coverage is not None:
             density = layer.coverage / (np.pi * outer_nm**2)
         else:
@@ -212,15 +218,11 @@ class MetasurfaceSpec(RecipeModel):
                 f"{PACKING_LIMIT:g}",
             )
         if kind.sq is not None:
-            return sq_structure(context, kind.sq, float(density), packing, q_max)
-        if kind.name == "hard-disk":
-            return hard_disk_structure(float(density), packing, q_max)
-        if kind.name == "lattice":
-            return jittered_structure(
-                context,
-                Arrangement("lattice", float(density), packing, kind.seed, kind.lattice, kind.jitter),
-                2 * outer_nm,
-                q_max,
-            )
+            return sq_structure(context, kind.sq, float(density), packing, q_max), None
         assert kind.name is not None  # StructureSpec takes one of name, points, sq
-        return pattern_structure(context, Arrangement(kind.name, float(density), packing, kind.seed), q_max)
+        made = Arrangement(kind.name, float(density), packing, kind.seed, kind.lattice, kind.jitter)
+        if kind.name == "hard-disk":
+            return hard_disk_structure(float(density), packing, q_max), made
+        if kind.name == "lattice":
+            return jittered_structure(context, made, 2 * outer_nm, q_max), made
+        return pattern_structure(context, made, q_max), made
