@@ -119,30 +119,34 @@ def _evaluate(wi, wo, above, below, across, free, grids, eta, wavenumbers, index
         fi, fo = xi - i0, xo - o0
         smooth[:] = 0.0
         bare[:] = 0.0
-        for di in range(2):
-            for do in range(2):
-                a, b = i0 + di, o0 + do
-                weight = (fi if di else 1.0 - fi) * (fo if do else 1.0 - fo)
-                if weight == 0.0:
-                    continue
-                if gi == go:
-                    row = a * (a + 1) // 2 + b if a >= b else b * (b + 1) // 2 + a
-                elif gi:
-                    row = a * (grids[0, 0] + grids[0, 1]) + b
-                else:
-                    row = b * (grids[0, 0] + grids[0, 1]) + a
-                if gi != go:
-                    _accumulate(across, row, weight, cosines, smooth)
-                    if free[2].shape[0]:
-                        _accumulate(free[2], row, weight, cosines, bare)
-                elif gi:
-                    _accumulate(below, row, weight, cosines, smooth)
-                    if free[1].shape[0]:
-                        _accumulate(free[1], row, weight, cosines, bare)
-                else:
-                    _accumulate(above, row, weight, cosines, smooth)
-                    if free[0].shape[0]:
-                        _accumulate(free[0], row, weight, cosines, bare)
+        for corner in range(3):
+            # linear on the triangle of the cell that holds the point: one corner less to read, and as symmetric
+            if corner == 0:
+                a, b, weight = i0, o0, 1.0 - max(fi, fo)
+            elif corner == 1:
+                a, b, weight = i0 + 1, o0 + 1, min(fi, fo)
+            else:
+                a, b, weight = i0 + (1 if fi > fo else 0), o0 + (0 if fi > fo else 1), abs(fi - fo)
+            if weight == 0.0:
+                continue
+            if gi == go:
+                row = a * (a + 1) // 2 + b if a >= b else b * (b + 1) // 2 + a
+            elif gi:
+                row = a * (grids[0, 0] + grids[0, 1]) + b
+            else:
+                row = b * (grids[0, 0] + grids[0, 1]) + a
+            if gi != go:
+                _accumulate(across, row, weight, cosines, smooth)
+                if free[2].shape[0]:
+                    _accumulate(free[2], row, weight, cosines, bare)
+            elif gi:
+                _accumulate(below, row, weight, cosines, smooth)
+                if free[1].shape[0]:
+                    _accumulate(free[1], row, weight, cosines, bare)
+            else:
+                _accumulate(above, row, weight, cosines, smooth)
+                if free[0].shape[0]:
+                    _accumulate(free[0], row, weight, cosines, bare)
         scale = eta * eta if go else 1.0
         for l in range(count):
             ni, no = (index[l] if gi else 1.0), (index[l] if go else 1.0)

@@ -25,6 +25,7 @@ from nacre.render.plugins.base import (
     opaque,
     opaque_int,
     read,
+    read2,
     read4,
 )
 from nacre.render.plugins.tables import WavelengthAxis
@@ -32,6 +33,9 @@ from nacre.render.plugins.tables import WavelengthAxis
 Array = NDArray[np.float64]
 
 COSINE_SHARE = 0.1  # of the draws: no direction is left out, and no weight grows without bound
+PACKET = 8
+NEAREST_STEP_NM = 5.0  # half the default step: the nearest is at most 2.5 nm off, and none at the nodes
+MAX_FINE_BYTES = 96 << 20
 VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 32, 64, 64  # for each side
 
 
@@ -46,15 +50,18 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         self.components = (flag("GlossyReflection", *sides),)
         if lobe.transmits:
             self.components += (flag("GlossyTransmission", *sides),)
-        self.axis = WavelengthAxis(lobe.wavelengths_nm)
-        self.packets = (lobe.above.shape[1] + 3) // 4
+        self.axis = WavelengthAxis(_fine_grid(lobe))
+        self.packets = -(-lobe.above.shape[1] // PACKET)
+        self.keeps_index = _keeps_index(lobe)
         self.has_free = lobe.above_free.shape[0] > 0
         self._set(lobe)
 
     def _set(self, lobe: Harmonic) -> None:
         self.shape = (lobe.above.shape, lobe.below.shape, lobe.across.shape)
-        wavelengths = self.axis.size
-        self.wavelengths = opaque_int(wavelengths)
+        fine = _fine_grid(lobe)
+        self.axis.update(fine)
+        self.place = _interpolation(lobe.wavelengths_nm, fine)
+        self.rows = opaque_int(len(lobe.above) + len(lobe.below) + len(lobe.across))
         self.values = self._pack([lobe.above, lobe.below, lobe.across])
         self.free = self._pack([lobe.above_free, lobe.below_free, lobe.across_free]) if self.has_free else None
         self.starts = (opaque_int(len(lobe.above)), opaque_int(len(lobe.above) + len(lobe.below)))
@@ -67,26 +74,39 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
             self.critical = opaque(lobe.grid_below.critical_rad)
             self.per_beyond = opaque(1.0 / max(math.pi / 2 - lobe.grid_below.critical_rad, 1e-6))
         self.eta = opaque(lobe.eta)
-        # wavenumber over the table's step, and the index below, at each wavelength node
-        per_step, index = lobe.wavenumbers / lobe.q_step, lobe.index_below
-        if len(per_step) < wavelengths:
-            per_step, index = np.repeat(per_step, 2), np.repeat(index, 2)
-        self.per_step, self.index = device_array(per_step), device_array(index)
-        self.s_values = device_array(lobe.structure)
+        # wavenumber over the table's step, and the index below, at the ends of each interval of wavelengths
+        self.per_step = None
+        if _keeps_index(lobe):
+            self.steps_nm = opaque(lobe.wavenumbers[0] * lobe.wavelengths_nm[0] / lobe.q_step)
+            self.shortest, self.longest = opaque(lobe.wavelengths_nm[0]), opaque(lobe.wavelengths_nm[-1])
+        else:
+            self.per_step = device_array(_pairs(self._resampled(lobe.wavenumbers) / lobe.q_step))
+        self.index = device_array(_pairs(self._resampled(lobe.index_below)))
+        self.s_values = device_array(_pairs(lobe.structure))
         self.s_last = opaque(len(lobe.structure) - 1)
         self._set_sampling(lobe)
 
     def _pack(self, tables: list[NDArray[np.float32]]) -> Any:
-        """Join tables as `[row, wavelength, harmonic]`, harmonics filled up to whole packets."""
+        """Join tables as `[wavelength, row, harmonic]`, harmonics filled up to whole packets.
+
+        Neighbours in one angle lie side by side, so that a look-up touches few lines of the cache.
+        """
         rows = np.concatenate([t for t in tables if t.shape[0]])
-        rows = np.moveaxis(rows, 1, 2)
-        if rows.shape[1] == 1:
-            rows = np.repeat(rows, 2, axis=1)
-        padded = np.zeros((*rows.shape[:2], 4 * self.packets), dtype=np.float32)
-        padded[..., : rows.shape[2]] = rows
-        if padded.size >= 2**32:
+        low, part = self.place
+        shape = (len(low), rows.shape[0], PACKET * self.packets)
+        if math.prod(shape) >= 2**32:
             raise UnsupportedError("the harmonic table is too large to be rendered; give fewer wavelengths")
+        padded = np.zeros(shape, dtype=np.float32)
+        top = rows.shape[2] - 1
+        for node, (at, w) in enumerate(zip(low, part, strict=True)):
+            near = rows[..., at]
+            padded[node, :, : rows.shape[1]] = near if w == 0.0 else near + w * (rows[..., min(at + 1, top)] - near)
         return device_array(padded)
+
+    def _resampled(self, values: Array) -> Array:
+        """Return numbers of the lobe's wavelengths at the device's."""
+        low, part = self.place
+        return values[low] + part * (values[np.minimum(low + 1, len(values) - 1)] - values[low])
 
     def _set_sampling(self, lobe: Harmonic) -> None:
         """Tabulate f |cos_o| sin_o, averaged over wavelengths, on (theta_i; theta_o, |dphi|)."""
@@ -199,49 +219,58 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         size = sin_l * sin_e
         cos_phi = dr.select(size > 1e-12, dr.clip(-dot / dr.maximum(size, 1e-12), -1.0, 1.0), 1.0)
         cosines = [mi.Float(1.0), cos_phi]
-        for _ in range(2, 4 * self.packets):
+        for _ in range(2, PACKET * self.packets):
             cosines.append(2.0 * cos_phi * cosines[-1] - cosines[-2])
         low_l, part_l = self._coordinate(light, sin_l)
         low_e, part_e = self._coordinate(eye, sin_e)
         up_l, up_e = light.z > 0.0, eye.z > 0.0
         where = self.axis.locate(si.wavelengths, active)
-        count = len(where.low)
-        smooth = [[mi.Float(0.0), mi.Float(0.0)] for _ in range(count)]
-        bare = [[mi.Float(0.0), mi.Float(0.0)] for _ in range(count)]
-        for corner in range(4):
-            i, j = corner >> 1, corner & 1
-            weight = (part_l if i else 1.0 - part_l) * (part_e if j else 1.0 - part_e)
-            row = self._row(low_l + i, low_e + j, up_l, up_e) * self.wavelengths
-            for k, low in enumerate(where.low):
-                for node in range(2):
-                    at = (row + low + node) * self.packets
-                    smooth[k][node] = dr.fma(weight, self._series(self.values, at, cosines, active), smooth[k][node])
-                    if self.has_free:
-                        bare[k][node] = dr.fma(weight, self._series(self.free, at, cosines, active), bare[k][node])
+        # linear on the triangle of the cell that holds the point, as the arrays are
+        first = part_l > part_e
+        step_l, step_e = dr.select(first, mi.UInt32(1), mi.UInt32(0)), dr.select(first, mi.UInt32(0), mi.UInt32(1))
+        corners = [
+            (self._row(low_l, low_e, up_l, up_e), 1.0 - dr.maximum(part_l, part_e)),
+            (self._row(low_l + 1, low_e + 1, up_l, up_e), dr.minimum(part_l, part_e)),
+            (self._row(low_l + step_l, low_e + step_e, up_l, up_e), dr.abs(part_l - part_e)),
+        ]
         result = mi.Spectrum(0.0)
         for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
-            ends = []
-            for node in range(2):
-                s = self._structure(low + node, sin_l, sin_e, dot, up_l, up_e, active)
-                ends.append(dr.fma(dr.maximum(smooth[k][node], 0.0), s, dr.maximum(bare[k][node], 0.0)))
-            result[k] = dr.lerp(ends[0], ends[1], part)
+            # the nearest of nodes 5 nm apart for what is smooth; S at the wavelength itself
+            start = dr.select(part < 0.5, low, low + 1) * self.rows
+            value = dr.maximum(self._series(self.values, start, corners, cosines, active), 0.0)
+            value = value * self._structure(si.wavelengths[k], low, part, sin_l, sin_e, dot, up_l, up_e, active)
+            if self.has_free:
+                value = value + dr.maximum(self._series(self.free, start, corners, cosines, active), 0.0)
+            result[k] = value
         if self.transmits:
             result = result * dr.select(up_e, 1.0, dr.square(self.eta))
         return result
 
-    def _series(self, source: Any, at: Any, cosines: list[Any], active: Any) -> Any:
+    def _series(self, source: Any, start: Any, corners: list[Any], cosines: list[Any], active: Any) -> Any:
+        """Interpolate over the angles and sum the harmonics."""
         total = mi.Float(0.0)
-        for j in range(self.packets):
-            packet = read4(source, at + j, active)
-            for i in range(4):
-                total = dr.fma(packet[i], cosines[4 * j + i], total)
+        for row, weight in corners:
+            at = (start + row) * self.packets
+            term = mi.Float(0.0)
+            for j in range(self.packets):
+                packet = _read_packet(source, at + j, active)
+                for i in range(PACKET):
+                    term = dr.fma(packet[i], cosines[PACKET * j + i], term)
+            total = dr.fma(weight, term, total)
         return total
 
-    def _structure(self, node: Any, sin_l: Any, sin_e: Any, dot: Any, up_l: Any, up_e: Any, active: Any) -> Any:
-        """Read S at |q| of a wavelength node."""
-        scale = read(self.per_step, node, active)
+    def _structure(
+        self, wavelength: Any, low: Any, part: Any, sin_l: Any, sin_e: Any, dot: Any, up_l: Any, up_e: Any, active: Any
+    ) -> Any:
+        """Read S at |q| of a wavelength."""
+        if self.per_step is None:
+            scale = self.steps_nm / dr.clip(wavelength, self.shortest, self.longest)
+        else:
+            ends = read2(self.per_step, low, active)
+            scale = dr.lerp(ends[0], ends[1], part)
         if self.transmits:
-            index = read(self.index, node, active)
+            ends = read2(self.index, low, active)
+            index = dr.lerp(ends[0], ends[1], part)
             n_l, n_e = dr.select(up_l, 1.0, index), dr.select(up_e, 1.0, index)
             square = dr.square(n_l * sin_l) + dr.square(n_e * sin_e) + 2.0 * n_l * n_e * dot
         else:
@@ -249,10 +278,9 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         x = scale * dr.sqrt(dr.maximum(square, 0.0))
         inside = x < self.s_last
         x = dr.minimum(x, self.s_last - 1e-3)
-        low = dr.floor(x)
-        at = mi.UInt32(low)
-        value = dr.lerp(read(self.s_values, at, active), read(self.s_values, at + 1, active), x - low)
-        return dr.select(inside, value, 1.0)
+        at = dr.floor(x)
+        ends = read2(self.s_values, mi.UInt32(at), active)
+        return dr.select(inside, dr.lerp(ends[0], ends[1], x - at), 1.0)
 
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return the albedo from this direction, averaged over wavelengths."""
@@ -269,10 +297,54 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
             UnsupportedError: the shape of its tables differs.
         """
         shape = (lobe.above.shape, lobe.below.shape, lobe.across.shape)
+        if _keeps_index(lobe) != self.keeps_index:
+            raise UnsupportedError("one ambient disperses and the other does not; build the scene again")
         if shape != self.shape or (lobe.above_free.shape[0] > 0) != self.has_free:
             raise UnsupportedError("the harmonic tables changed their shape; build the scene again")
-        self.axis.update(lobe.wavelengths_nm)
         self._set(lobe)
+
+
+def _fine_grid(lobe: Harmonic) -> Array:
+    """Return the wavelengths of the device's table: the lobe's own, each interval cut into equal ones of 5 nm.
+
+    The device takes the nearest of them, which halves its loads; at the lobe's wavelengths it is exact.
+    """
+    grid = np.asarray(lobe.wavelengths_nm, dtype=float)
+    if len(grid) == 1:
+        return np.array([grid[0], grid[0] + 1.0])
+    size = sum(getattr(lobe, name).size * 4 for name in ("above", "below", "across")) / len(grid)
+    limit = max(2, int(MAX_FINE_BYTES / (size * (2 if lobe.above_free.shape[0] else 1))))
+    cuts = np.maximum(1, np.ceil(np.diff(grid) / NEAREST_STEP_NM - 1e-6)).astype(int)
+    while cuts.max() > 1 and cuts.sum() >= limit:
+        cuts = np.maximum(1, cuts // 2)
+    parts = [a + (b - a) * np.arange(c) / c for a, b, c in zip(grid[:-1], grid[1:], cuts, strict=True)]
+    return np.concatenate([*parts, grid[-1:]])
+
+
+def _interpolation(grid: Array, fine: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return the lower node of `grid` and the fraction above it for each of `fine`."""
+    if len(grid) == 1:
+        return np.zeros(len(fine), dtype=np.intp), np.zeros(len(fine))
+    low = np.clip(np.searchsorted(grid, fine, side="right") - 1, 0, len(grid) - 2)
+    return low, (fine - grid[low]) / (grid[low + 1] - grid[low])
+
+
+def _keeps_index(lobe: Harmonic) -> bool:
+    """Whether the ambient has one index, so that the wavenumber is a number over the wavelength."""
+    product = lobe.wavenumbers * lobe.wavelengths_nm
+    return bool(np.allclose(product, product[0], rtol=1e-7, atol=0.0))
+
+
+def _read_packet(source: Any, index: Any, active: Any) -> Any:
+    """Gather `PACKET` numbers in one load."""
+    if dr.is_jit_v(mi.Float):
+        return dr.gather(mi.ArrayXf, source, index, active, shape=(PACKET, dr.width(index)))
+    return [*read4(source, 2 * index, active), *read4(source, 2 * index + 1, active)]
+
+
+def _pairs(values: Array) -> Array:
+    """Return `[i, 2]`: each value and the next, which one load then fetches."""
+    return np.stack([values[:-1], values[1:]], axis=1)
 
 
 def _thinned(lobe: Harmonic) -> Harmonic:
