@@ -219,3 +219,35 @@ def test_points_csv_comes_back(tmp_path):
     (tmp_path / "bad.csv").write_text("x,y\n1,2\n3,a\n")
     with pytest.raises(NacreError, match="line 3"):
         read_points_csv(tmp_path / "bad.csv")
+
+
+@pytest.mark.parametrize("deviation_nm", [0.0, 6.0])
+def test_the_dense_grid_averages_to_the_bsdf(deviation_nm):
+    from nacre.bsdf.harmonic import PolarGrid
+    from nacre.metasurface.dense import stream_dense
+
+    made = material(
+        {
+            "family": "metasurface",
+            "substrate": "Si",
+            "particle": {"material": {"n": 2.0}, "radius_nm": 60, "deviation_nm": deviation_nm},
+            "monolayer": {"coverage": 0.05, "packing": 0.4},
+            "model": {"multipole_order": 4},
+        }
+    )
+    lobe = made.bsdf(np.array([500.0])).lobes[1]
+    theta, dphi = PolarGrid(lobe.count_above).nodes, np.radians(np.arange(0.0, 181.0, 30.0))
+    ((_, dense),) = stream_dense(made.model, [500.0], theta, dphi)
+    i, o = 70, np.array([5, 40, 90])
+    wi = np.array([-np.sin(theta[i]), 0.0, np.cos(theta[i])])
+    wo = np.stack(
+        np.broadcast_arrays(
+            np.sin(theta[o])[:, None] * np.cos(dphi),
+            np.sin(theta[o])[:, None] * np.sin(dphi),
+            np.cos(theta[o])[:, None],
+        ),
+        axis=-1,
+    )
+    expected = lobe.evaluate(np.broadcast_to(wi, wo.shape), wo)[..., 0]
+    got = 0.5 * dense.sum(axis=(0, 1))[o][:, i]
+    assert np.max(np.abs(got - expected)) <= 1e-4 * expected.max()
