@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pydantic
 
@@ -62,6 +62,8 @@ class RecipeModel(pydantic.BaseModel):
     A field named `<quantity>_nm` (or `_um`, `_mm`) may be written with any of the three suffixes.
     """
 
+    varies: ClassVar[str] = ""  # of a family: which numbers a texture or formula may give, for messages
+
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 
     @pydantic.model_validator(mode="before")
@@ -100,6 +102,9 @@ def _scale(value: Any, factor: float) -> Any:
     return value
 
 
+TEXTURE_KEYS = ("formula", "texture")  # what a recipe writes where a number varies over the surface
+
+
 def validate(model: type[RecipeModel], data: Mapping[str, Any], context: RecipeContext) -> Any:
     """Check `data` against `model`; the first problem becomes one `RecipeError` line.
 
@@ -117,6 +122,15 @@ def _first_line(error: pydantic.ValidationError, model: type[RecipeModel], conte
     # the deepest location is the most telling one when a union of forms was tried
     problem = max(problems, key=lambda p: (p["type"] == "extra_forbidden", len(p["loc"])))
     key = _key(problem["loc"])
+    is_form = key.rpartition(".")[2] in TEXTURE_KEYS and problem["type"] == "extra_forbidden"
+    is_number = problem["type"] in ("float_type", "int_type") and isinstance(problem["input"], Mapping)
+    if is_form or (is_number and set(problem["input"]) & set(TEXTURE_KEYS)):
+        what = key.rpartition(".")[0] if is_form else key
+        varies = model.varies or "nothing by itself"
+        return (
+            f"{context.source}: {what} cannot vary over the surface; of this family can: {varies}; "
+            'and family = "blend" mixes two recipes by a mask'
+        )
     if problem["type"] == "extra_forbidden":
         allowed = sorted(_known_keys(model))
         word = str(problem["loc"][-1])

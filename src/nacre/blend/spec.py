@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
@@ -28,6 +28,8 @@ class PartSpec(RecipeModel):
 
 class BlendSpec(RecipeModel):
     """`first` where the mask is 1 (white), `second` where it is 0 (black)."""
+
+    varies: ClassVar[str] = "mask"
 
     family: Literal["blend"]
     first: PartSpec

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
 
@@ -180,6 +180,8 @@ class WavelengthsSpec(RecipeModel):
 
 class FilmSpec(RecipeModel):
     """A film recipe. `preset = "morpho"` fills in what is not given."""
+
+    varies: ClassVar[str] = "layers[].thickness_nm, surface.roughness, surface.rotation_deg"
 
     family: Literal["film"] = "film"
     title: str = ""
