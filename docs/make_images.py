@@ -40,7 +40,7 @@ class Panel:
 HERO = (
     Panel("soap.toml", "sphere", spp=224),
     Panel("morpho.toml", "butterfly"),
-    Panel("pearl/bottle1.toml", "bottle", spp=176),
+    Panel("pearl/bottle1.toml", "bottle", spp=256),
     Panel("anodised-titanium.toml", "panel"),
     Panel("metasurface/silver_on_oxide.toml", "speedshape"),
     Panel("targets/star.toml", "screen"),
