@@ -4,7 +4,8 @@ Scene: that of bench_render_plugins (a sphere under a constant emitter, path tra
 Prediction (before the first run): 0.25 x roughconductor for bottle 2, whose walks are short; less for the dense
 ones, since a walk has as many steps as the light meets flakes. Tables: 0.45 s of CPU for mica, from a profile.
 Ratios are of CPU time, since the loads of a shared machine disturb the clock more.
-Outcome: see RESULTS.md.
+Outcome: see RESULTS.md. While the walk met one flight and one boundary a step, bottle 1 stood at 0.037, bottle 5 at
+0.059 and bottle 2 at 0.26; with up to eight flights before a boundary at 0.067, 0.114 and 0.36.
 """
 
 from __future__ import annotations

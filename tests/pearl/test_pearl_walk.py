@@ -106,7 +106,7 @@ def test_single_weights_stay_at_one_in_a_furnace(mi):
     assert weight.max() <= 4.0 + 1e-4  # grey light: 1; four colours may share at most four
 
 
-@pytest.mark.parametrize("angle", [18.0, 60.0, 78.0])
+@pytest.mark.parametrize("angle", [pytest.param(18.0, marks=pytest.mark.full), 60.0, 78.0])
 def test_smooth_lossless_furnace_gives_all_light_back(mi, angle):
     lobe = layered_lobe(5.0, (0.2, 0.2), (0, 0), lossless_flakes, albedo=1.0)
     _, weight, mirror = draw(mi, lobe, direction(angle), 200_000)
@@ -116,8 +116,8 @@ def test_smooth_lossless_furnace_gives_all_light_back(mi, angle):
     assert estimate.mean() + (weight * mirror).mean() == pytest.approx(1, abs=FURNACE_BAR + 4 * error)
 
 
-@pytest.mark.parametrize("alpha", [0.1, 0.3, 0.6])
-@pytest.mark.parametrize("beckmann", [False, True])
+@pytest.mark.parametrize("alpha", [pytest.param(0.1, marks=pytest.mark.full), 0.3, 0.6])
+@pytest.mark.parametrize("beckmann", [False, pytest.param(True, marks=pytest.mark.full)])
 def test_a_compensated_rough_furnace_loses_nothing(mi, alpha, beckmann):
     lobe = layered_lobe(
         3.0, (0.2, 0.2), (alpha, alpha), lossless_flakes, albedo=1.0, compensate=True, beckmann=beckmann
@@ -144,7 +144,12 @@ def reciprocity(lobe, pairs, samples, seed=0):
 
 
 @pytest.mark.parametrize(
-    "name", ["rotated and anisotropic", "compensated", "two strata", "open, rough, two strata", "rough metal base"]
+    "name",
+    [
+        "rotated and anisotropic",
+        "open, rough, two strata",
+        *(pytest.param(n, marks=pytest.mark.full) for n in ("compensated", "two strata", "rough metal base")),
+    ],
 )
 def test_the_value_is_reciprocal(mi, name):
     import dataclasses
