@@ -251,3 +251,16 @@ def test_the_dense_grid_averages_to_the_bsdf(deviation_nm):
     expected = lobe.evaluate(np.broadcast_to(wi, wo.shape), wo)[..., 0]
     got = 0.5 * dense.sum(axis=(0, 1))[o][:, i]
     assert np.max(np.abs(got - expected)) <= 1e-4 * expected.max()
+
+
+@pytest.mark.parametrize("eta", [None, 1.0, 1.5, 2.4])
+@pytest.mark.parametrize("polydisperse", [False, True])
+@pytest.mark.parametrize("thick", [False, True])
+def test_tables_of_every_stack_stay_under_100_megabytes(eta, polydisperse, thick):
+    from nacre.metasurface.compile import HARMONICS, choose_grids
+
+    grids = choose_grids(eta, polydisperse, thick)
+    n, m = grids.above.size, grids.below.size if grids.below else 0
+    rows = n * (n + 1) // 2 + m * (m + 1) // 2 + n * m
+    device_wavelengths = 95  # 360 to 830 nm in steps of 5 nm
+    assert rows * HARMONICS * 4 * device_wavelengths * (2 if polydisperse else 1) <= 100e6

@@ -63,3 +63,12 @@ def test_directions_are_drawn_as_their_density_says(trials, name):
         assert trials.weight_mismatch(draws) <= 2e-3
         mean, error = trials.furnace(lobe(name), view[0], n=50_000)
         assert np.all(mean - 3 * error <= FURNACE_TOP) and np.all(mean > 0)
+
+
+def test_the_device_knows_wavelengths_5_nm_apart_and_all_of_the_lobe(trials):
+    from nacre.render.plugins.harmonic import NEAREST_STEP_NM, _fine_grid
+
+    made = lobe("free, spread radii").lobes[0]
+    fine = _fine_grid(made)
+    assert np.max(np.diff(fine)) <= NEAREST_STEP_NM + 1e-9
+    assert np.all(np.isin(made.wavelengths_nm, fine))

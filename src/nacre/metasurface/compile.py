@@ -37,19 +37,21 @@ class Grids:
 def choose_grids(eta: float | None, polydisperse: bool, thick: bool) -> Grids:
     """Return grids fine enough for the stack that keep a material of 48 wavelengths under 100 MB.
 
+    The device's table, of twice as many wavelengths, stays under it as well.
+
     Args:
         eta: index of a transparent substrate over the ambient's; None for an opaque one.
         polydisperse: whether the tables without S are needed as well.
         thick: whether films of more than 200 nm draw fringes over the angle (0.5 degree steps then).
     """
     if eta is None:
-        count = 120 if polydisperse else (180 if thick else 120)
+        count = (170 if polydisperse else 180) if thick else 120
         return Grids(PolarGrid(count), None)
     if eta == 1.0:
         count = 72 if polydisperse else 100
         return Grids(PolarGrid(count), PolarGrid(count))
     scale = 0.7 if polydisperse else 1.0
-    above = int((140 if thick else 100) * scale)
+    above = int((130 if thick else 100) * scale)
     return Grids(PolarGrid(above), PolarGrid(int(0.62 * above), int(0.26 * above), eta))
 
 
