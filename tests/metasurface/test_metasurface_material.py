@@ -264,3 +264,17 @@ def test_tables_of_every_stack_stay_under_100_megabytes(eta, polydisperse, thick
     rows = n * (n + 1) // 2 + m * (m + 1) // 2 + n * m
     device_wavelengths = 95  # 360 to 830 nm in steps of 5 nm
     assert rows * HARMONICS * 4 * device_wavelengths * (2 if polydisperse else 1) <= 100e6
+
+
+def test_the_figure_of_the_structure_shows_points_of_the_pattern():
+    made = material(
+        {
+            "family": "metasurface",
+            "substrate": "glass",
+            "particle": {"material": {"n": 2.0}, "radius_nm": 60},
+            "monolayer": {"density_per_um2": 5, "packing": 0.4},
+        }
+    )
+    data = made.figure_data("structure")
+    xy = data["xy_um"]
+    assert 400 <= len(xy) <= 700 and len(xy) / np.prod(np.ptp(xy, axis=0)) == pytest.approx(5.0, rel=0.1)

@@ -16,6 +16,7 @@ from nacre.metasurface.structure import PACKING_LIMIT, hard_disk_structure
 Array = NDArray[np.float64]
 KINDS = ("scattering", "structure", "colour-map")
 MAP_DENSITIES = 13
+SHOWN_POINTS = 600
 
 
 def figure_data(material: Metasurface, kind: str, **options: Any) -> dict[str, NDArray[Any]]:
@@ -57,10 +58,16 @@ def scattering(material: Metasurface, wavelength_nm: float = 400.0, theta_deg: f
 
 
 def structure(material: Metasurface) -> dict[str, NDArray[Any]]:
-    """S over q a of the material's own arrangement."""
+    """S over q a of the material's own arrangement, and a piece of its pattern where it has one."""
     made = material.structure
     q = np.linspace(0.0, 20.0, 801)
-    return {
+    points = {}
+    if material.arrangement is not None:
+        pattern = material.pattern(SHOWN_POINTS)
+        xy = pattern.xy_nm
+        side = (SHOWN_POINTS / made.density_per_nm2) ** 0.5
+        points["xy_um"] = xy[np.all(xy < side, axis=1)] * 1e-3
+    return points | {
         "q": q,
         "sq": made.structure_factor(q / made.diameter_nm)[None],
         "labels": np.array([f"{made.name}, p = {made.packing:.3g}"]),
