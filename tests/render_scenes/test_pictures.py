@@ -29,6 +29,10 @@ def gold() -> Any:
     return use_variant().load_dict({"type": "roughconductor", "material": "Au", "alpha": 0.2})
 
 
+# Threads add their samples to a pixel in any order, in single precision: 3e-7 seen over 25 renders.
+ORDER_OF_ADDITION = 1e-5
+
+
 @pytest.mark.parametrize("scene", SCENES)
 def test_every_scene_renders_its_subject(scene: str, gold: Any) -> None:
     """The subject is in the picture: with another material the picture changes, in the middle above all."""
@@ -49,21 +53,21 @@ def test_every_light_shines(light: str, gold: Any) -> None:
 def test_the_same_seed_gives_the_same_picture(gold: Any) -> None:
     first, again = (nacre.render(gold, seed=5, **SMALL).xyz for _ in range(2))
     other = nacre.render(gold, seed=6, **SMALL).xyz
-    assert np.array_equal(first, again)
-    assert not np.array_equal(first, other)
+    np.testing.assert_allclose(again, first, rtol=ORDER_OF_ADDITION)
+    assert not np.allclose(first, other, rtol=0.01)
 
 
 def test_a_stage_remembers_nothing_of_the_last_material(gold: Any) -> None:
     first = nacre.render(gold, seed=1, **SMALL).xyz
     nacre.render({"type": "diffuse", "reflectance": 0.9}, seed=2, **SMALL)
-    assert np.array_equal(nacre.render(gold, seed=1, **SMALL).xyz, first)
+    np.testing.assert_allclose(nacre.render(gold, seed=1, **SMALL).xyz, first, rtol=ORDER_OF_ADDITION)
 
 
 def test_turning_the_light_there_and_back_changes_nothing(gold: Any) -> None:
     first = nacre.render(gold, **SMALL).xyz
     turned = nacre.render(gold, light_turn_deg=120.0, **SMALL).xyz
     assert not np.allclose(turned, first, rtol=0.05)
-    assert np.array_equal(nacre.render(gold, **SMALL).xyz, first)
+    np.testing.assert_allclose(nacre.render(gold, **SMALL).xyz, first, rtol=ORDER_OF_ADDITION)
 
 
 def test_passes_add_up_to_the_asked_spp() -> None:

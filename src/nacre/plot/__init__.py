@@ -23,6 +23,8 @@ from typing import TYPE_CHECKING, Any
 from nacre.callable_module import make_callable
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Figure  # so that others name what they draw without matplotlib
+
     from nacre.plot.colours import chromaticity_figure, colour_map_figure
     from nacre.plot.directions import bsdf_slice_figure, lobe_figure, scattering_figure, slice_figure
     from nacre.plot.material import KINDS, data_figure, material_figure, save_index, save_material

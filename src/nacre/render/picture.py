@@ -73,7 +73,8 @@ def render(
         illuminant: spectrum of the lamps (D65, A, F11, ...).
         size: (width, height) in pixels or "800x600"; None: the scene's own.
         spp: samples per pixel; None: the scene's own.
-        seed: the same seed gives the same picture, bit by bit, on one machine and variant.
+        seed: the same seed takes the same samples; on one machine and variant the picture is the same up to the
+            order in which threads add them (some 1e-7 of a pixel).
         quality: "reference" or "fast", for materials that know the choice.
         components: "sum", "specular" (mirror and microfacet lobes) or "diffuse" (all others).
         exposure: "auto" or stops (see `nacre.render.images`).

@@ -14,7 +14,7 @@ from nacre.recipe import Material
 from nacre.study.report import Report
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from nacre.plot import Figure
 
 CURVE_ANGLES_DEG = (0.0, 30.0, 60.0)
 RIBBON_ANGLES_DEG = tuple(np.linspace(0.0, 88.0, 45))

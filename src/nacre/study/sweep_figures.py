@@ -12,7 +12,7 @@ from nacre.errors import NacreError
 from nacre.study.sweep_reader import SweepColours, read_sweep
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from nacre.plot import Figure
 
 Array = NDArray[np.float64]
 SWEEP_KINDS = ("gamut", "colour-map", "parallel")
