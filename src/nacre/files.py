@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import tempfile
 import tomllib
@@ -75,6 +76,18 @@ def write_text(path: str | Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def plain(path: str | Path) -> Path:
+    """Return the path of what is read next, refusing devices and pipes: /dev/zero has size 0 and never ends.
+
+    Raises:
+        OSError: so that it joins the reader's own errors of a file that cannot be read.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise OSError(errno.EINVAL, "is a device or a pipe, not a file", str(path))
+    return path
+
+
 def read_text(path: str | Path, what: str = "file") -> str:
     """Read a small UTF-8 text file.
 
@@ -83,9 +96,12 @@ def read_text(path: str | Path, what: str = "file") -> str:
     """
     path = Path(path)
     try:
-        if path.stat().st_size > MAX_TOML_BYTES:
-            raise RecipeError(f"{path}: is {path.stat().st_size} bytes; a {what} has at most {MAX_TOML_BYTES}")
-        return path.read_text(encoding="utf-8")
+        with open(path, "rb") as file:
+            # bounded, since a device such as /dev/zero has size 0 and never ends
+            data = file.read(MAX_TOML_BYTES + 1)
+        if len(data) > MAX_TOML_BYTES:
+            raise RecipeError(f"{path}: is larger than {MAX_TOML_BYTES} bytes, the most that a {what} may have")
+        return data.decode("utf-8")
     except FileNotFoundError:
         raise RecipeError(f"{path}: does not exist") from None
     except IsADirectoryError:

@@ -196,3 +196,22 @@ def test_an_interrupted_render_stops_cleanly(tmp_path: Path) -> None:
     _, said = process.communicate(timeout=60)
     assert process.returncode in (130, 2)
     assert "Traceback" not in said
+
+
+@pytest.mark.parametrize(
+    "recipe",
+    [
+        'family = "film"\nsubstrate = {file = "/dev/zero"}\n',
+        GOOD.replace("= 300", '= {texture = "/dev/zero", min = 1, max = 2}'),
+        'family = "relief"\nheights = "/dev/zero"\nfeature_um = 1\nblur_um = 0.3\ncoating = "Al"\n'
+        "coherence = {sigma = 2}\n",
+        'family = "blend"\nmask = 0.5\nfirst = {recipe = "/dev/zero"}\nsecond = {recipe = "/dev/zero"}\n',
+    ],
+)
+def test_an_endless_device_is_not_read(tmp_path: Path, capsys: pytest.CaptureFixture[str], recipe: str) -> None:
+    (tmp_path / "endless.toml").write_text(recipe)
+    fails(capsys, ["spectrum", str(tmp_path / "endless.toml")], "zero")
+
+
+def test_an_endless_recipe_is_not_read(capsys: pytest.CaptureFixture[str]) -> None:
+    fails(capsys, ["spectrum", "/dev/zero"], "/dev/zero")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.errors import NacreError, RecipeError
+from nacre.files import plain
 from nacre.specs import RecipeContext, RecipeModel
 
 MAX_IMAGE_PIXELS = 64_000_000
@@ -100,7 +101,7 @@ def read_grey(path: Path, where: str) -> NDArray[np.float64]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit below is stricter
-            opened = Image.open(path)
+            opened = Image.open(plain(path))
         with opened as image:
             size = image.width * image.height
             if size > MAX_IMAGE_PIXELS:

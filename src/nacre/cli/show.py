@@ -114,8 +114,10 @@ def evaluate(
 
 
 def _read_directions(path: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    from nacre.files import plain
+
     try:
-        with np.load(path, allow_pickle=False) as data:
+        with np.load(plain(path), allow_pickle=False) as data:
             arrays = {name: np.asarray(data[name], dtype=float) for name in ("wi", "wo", "uv") if name in data}
     except FileNotFoundError:
         raise NacreError(f"{path}: does not exist") from None

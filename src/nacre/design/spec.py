@@ -16,6 +16,7 @@ from nacre.design.pictures import Array
 from nacre.design.problem import Problem, View
 from nacre.design.spectra import Spectrum, default_spectrum, published_spectrum
 from nacre.errors import RecipeError, did_you_mean
+from nacre.files import plain
 from nacre.matter.spec import IndexSpec
 from nacre.relief.coherence_spec import CoherenceSpec
 from nacre.relief.fresnel import coating_reflectance, fresnel_reflectance
@@ -135,7 +136,7 @@ class TargetTable(RecipeModel):
         assert self.file is not None
         path = context.path(self.file)
         try:
-            values = np.load(path, allow_pickle=False)
+            values = np.load(plain(path), allow_pickle=False)
         except (OSError, ValueError, EOFError) as error:
             reason = "does not exist" if not path.exists() else f"is not a .npy array: {error}"
             raise context.fail("target.file", self.file, reason) from None
@@ -277,7 +278,7 @@ def _spectrum_colour(name: str, context: RecipeContext) -> Array:
     from nacre.light import spectrum_to_rgb_linear
 
     try:
-        table: Any = np.loadtxt(context.path(name), delimiter=",", comments="#", ndmin=2)
+        table: Any = np.loadtxt(plain(context.path(name)), delimiter=",", comments="#", ndmin=2)
     except (OSError, ValueError) as error:
         raise context.fail("target.colour.spectrum", name, f"cannot be read as CSV of nm, value: {error}") from None
     if table.shape[1] != 2 or len(table) < 2 or not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():

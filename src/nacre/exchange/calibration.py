@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.errors import NacreError
+from nacre.files import plain
 
 Array = NDArray[np.float64]
 LARGEST_GREY = 65535
@@ -65,7 +66,7 @@ def read_calibration(path: str | Path) -> Calibration:
     """
     path = Path(path)
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = plain(path).read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise NacreError(f"{path}: cannot be read as a calibration curve: {error}") from None
     rows = []

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from nacre.errors import NacreError
 from nacre.exchange.thin_film import ThinFilm
-from nacre.files import atomic_path
+from nacre.files import atomic_path, plain
 
 FLOAT, UNSIGNED_SHORT = 5126, 5123
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
@@ -90,7 +90,7 @@ def read_gltf(path: str | Path) -> ThinFilm:
     """
     path = Path(path)
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(plain(path).read_text(encoding="utf-8"))
         for material in document.get("materials", []):
             extensions = material.get("extensions", {})
             if "KHR_materials_iridescence" not in extensions:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.errors import NacreError
-from nacre.files import atomic_path
+from nacre.files import atomic_path, plain
 
 Array = NDArray[np.float64]
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "wavelength", "value")
@@ -110,7 +110,7 @@ def read_table(path: str | Path) -> tuple[list[str], Array]:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
-        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+        lines = [line for line in plain(path).read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     except FileNotFoundError:
         raise NacreError(f"{path}: does not exist") from None
     except UnicodeDecodeError:

@@ -12,7 +12,7 @@ import numpy as np
 
 from nacre.errors import NacreError
 from nacre.exchange.thin_film import ThinFilm
-from nacre.files import atomic_path
+from nacre.files import atomic_path, plain
 
 MAX_BYTES = 16 << 20
 
@@ -59,7 +59,7 @@ def read_materialx(path: str | Path) -> ThinFilm:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
-        text = path.read_text(encoding="utf-8")
+        text = plain(path).read_text(encoding="utf-8")
         if "<!DOCTYPE" in text or "<!ENTITY" in text:
             # entities can blow a small file up to gigabytes, and no MaterialX document needs them
             raise NacreError(f"{path}: holds a document type declaration, which MaterialX does not use")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.errors import NacreError
-from nacre.files import atomic_path
+from nacre.files import atomic_path, plain
 
 Array = NDArray[np.float64]
 
@@ -127,7 +127,7 @@ def read_points_csv(path: str | Path) -> Array:
     """
     path = Path(path)
     try:
-        lines = path.read_text(errors="replace").splitlines()
+        lines = plain(path).read_text(errors="replace").splitlines()
     except OSError as error:
         raise NacreError(f"{path}: cannot be read: {error.strerror or error}") from None
     rows = []

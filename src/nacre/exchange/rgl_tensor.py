@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from nacre.bsdf import Bsdf
 from nacre.errors import NacreError, UnsupportedError
 from nacre.exchange.warp import Warp
-from nacre.files import atomic_path
+from nacre.files import atomic_path, plain
 
 Array = NDArray[np.float64]
 MAGIC = b"tensor_file\0"
@@ -60,7 +60,7 @@ def read_tensor(path: str | Path) -> dict[str, NDArray[Any]]:
     """
     path = Path(path)
     try:
-        data = path.read_bytes()
+        data = plain(path).read_bytes()
     except OSError as error:
         raise NacreError(f"{path}: cannot be read: {error.strerror}") from None
     if data[: len(MAGIC)] != MAGIC:

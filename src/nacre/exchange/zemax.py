@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
 from nacre.errors import NacreError, UnsupportedError
-from nacre.files import atomic_path
+from nacre.files import atomic_path, plain
 from nacre.light import spectrum_to_xyz
 
 Array = NDArray[np.float64]
@@ -141,7 +141,7 @@ def read_zemax(path: str | Path) -> ZemaxBsdf:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
-        lines = [line.strip() for line in path.read_text(encoding="latin-1").splitlines()]
+        lines = [line.strip() for line in plain(path).read_text(encoding="latin-1").splitlines()]
     except OSError as error:
         raise NacreError(f"{path}: cannot be read: {error.strerror}") from None
     words = iter([w for line in lines if line and not line.startswith("#") for w in line.split()])

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 from nacre.errors import NacreError
+from nacre.files import plain
 from nacre.matter.indices_models import Table
 
 MAX_BYTES = 20_000_000
@@ -48,7 +49,7 @@ def _read(path: Path) -> str:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise NacreError(f"{path.name}: is larger than {MAX_BYTES // 1_000_000} MB; is it a table of n and k?")
-        return path.read_text(encoding="utf-8-sig")
+        return plain(path).read_text(encoding="utf-8-sig")
     except OSError as error:
         raise NacreError(f"{path.name}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import j0
 
 from nacre.errors import NacreError
+from nacre.files import plain
 from nacre.metasurface.patterns import (
     Pattern,
     hard_disks,
@@ -185,7 +186,7 @@ def read_columns(context: RecipeContext, key: str, name: str) -> Array:
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise context.fail(key, name, f"is larger than {MAX_FILE_BYTES >> 20} MB")
-        lines = path.read_text(errors="replace").replace(",", " ").replace(";", " ").splitlines()
+        lines = plain(path).read_text(errors="replace").replace(",", " ").replace(";", " ").splitlines()
     except OSError as error:
         raise context.fail(key, name, f"cannot be read: {error.strerror or error}") from None
     lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]

@@ -9,6 +9,7 @@ import numpy as np
 import pydantic
 
 from nacre.errors import RecipeError
+from nacre.files import plain
 from nacre.matter.spec import IndexSpec
 from nacre.relief.coherence_spec import CoherenceSpec
 from nacre.relief.material import Relief
@@ -72,7 +73,7 @@ def read_heights(path: Path, name: str, context: RecipeContext) -> Array:
         RecipeError: not a numeric array, or too large.
     """
     try:
-        mapped = np.load(path, mmap_mode="r", allow_pickle=False)
+        mapped = np.load(plain(path), mmap_mode="r", allow_pickle=False)
         shape, kind = mapped.shape, mapped.dtype.kind
         if kind not in "fiub" or max(shape, default=0) > MAX_FEATURES:
             raise context.fail("heights", name, f"holds {mapped.dtype}{list(shape)}; at most {MAX_FEATURES} a side")
@@ -90,7 +91,7 @@ def read_grey(path: Path, name: str, context: RecipeContext) -> Array:
     from PIL import Image
 
     try:
-        with Image.open(path) as image:
+        with Image.open(plain(path)) as image:
             if max(image.size) > MAX_FEATURES:
                 raise context.fail("heights", name, f"is {image.size} pixels; at most {MAX_FEATURES} a side")
             deep = image.mode.startswith("I")
