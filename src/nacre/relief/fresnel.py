@@ -27,9 +27,14 @@ def fresnel_reflectance(cos_d: Array, n: NDArray[np.complex128], n_ambient: floa
     cosine = np.asarray(cos_d, dtype=float)[..., None]
     ratio = np.asarray(n) / n_ambient
     root = np.sqrt(ratio**2 - (1.0 - cosine**2) + 0j)
-    s = (cosine - root) / (cosine + root)
-    p = (ratio**2 * cosine - root) / (ratio**2 * cosine + root)
+    s, p = _ratio(cosine, root), _ratio(ratio**2 * cosine, root)
     return np.asarray(0.5 * (np.abs(s) ** 2 + np.abs(p) ** 2))
+
+
+def _ratio(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return (a - b)/(a + b); both are 0 only where a coating has the ambient's index, which reflects nothing."""
+    total = a + b
+    return np.asarray((a - b) / np.where(total == 0, 1.0, total))
 
 
 def coating_reflectance(n: NDArray[np.complex128], n_ambient: float = 1.0) -> Callable[[Array], Array]:
