@@ -197,3 +197,13 @@ def test_a_window_too_fine_to_store_is_refused_before_memory_is_taken() -> None:
     sharp = Relief(tile(), Coherence.from_source_angle(1e-4), index("Al"))
     with pytest.raises(UnsupportedError, match="GiB"):
         sharp.bsdf()
+
+
+@pytest.mark.parametrize("kind", ["structure", "microscope"])
+def test_the_figures_of_a_relief_are_drawn(tmp_path: Path, kind: str) -> None:
+    from nacre.cli import run
+
+    recipe = Path(__file__).resolve().parents[2] / "examples" / "relief" / "star.toml"
+    output = tmp_path / "figure.png"
+    assert run(["plot", str(recipe), "--kind", kind, "-o", str(output)]) == 0
+    assert output.stat().st_size > 5000

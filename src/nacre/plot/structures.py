@@ -98,18 +98,21 @@ def _bands(axes: Any, interfaces: Array, names: Any) -> None:
 
 
 def structure_figure(data: Mapping[str, Any]) -> Figure:
-    """Draw the structure of a material: a stack of layers, or the structure factor of a monolayer.
+    """Draw the structure of a material: a stack of layers, the structure factor of a monolayer, or a height map.
 
     Args:
         data: of a stack, `names[medium]` from the light's side, `thicknesses_nm[layer]`, `n[medium]`, `k[medium]`,
             optional `wavelength_nm` of these. Of a monolayer, `q[q]` (dimensionless, or with `q_label`),
-            `sq[..., q]` with optional `labels`, and optional points `xy_um[point, 2]` with `radius_um`.
+            `sq[..., q]` with optional `labels`, and optional points `xy_um[point, 2]` with `radius_um`. Of a relief,
+            `heights_nm[x, y]` and `x_nm[x]`.
 
     Raises:
         NacreError: an array is missing.
     """
     if "thicknesses_nm" in data:
         return _stack(data)
+    if "heights_nm" in data:
+        return _heights(data)
     q, sq = need(data, "structure", "q", "sq")
     sq = np.atleast_2d(sq)
     labels = list(np.atleast_1d(data.get("labels", [""] * len(sq))))
@@ -126,6 +129,21 @@ def structure_figure(data: Mapping[str, Any]) -> Figure:
         panel_title(axes, str(data.get("title", "Structure factor")))
         if has_points:
             _points(figure.add_subplot(2, 1, 2), data)
+    return figure
+
+
+def _heights(data: Mapping[str, Any]) -> Figure:
+    heights, x = need(data, "structure", "heights_nm", "x_nm")
+    heights = heights - heights.min()
+    width = float(x[-1] + x[0]) / 1e3
+    with house_style():
+        figure = new_figure(COLUMN_IN, COLUMN_IN * 0.85)
+        axes = figure.add_subplot()
+        picture = axes.imshow(heights.T, origin="lower", extent=(0, width, 0, width), cmap="cividis")
+        axes.set(xlabel="$x$ (\u00b5m)", ylabel="$y$ (\u00b5m)")
+        bar = figure.colorbar(picture, ax=axes, shrink=0.9)
+        bar.set_label("Height (nm)")
+        panel_title(axes, str(data.get("title", "Relief")))
     return figure
 
 

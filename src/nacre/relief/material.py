@@ -93,7 +93,8 @@ class Relief:
         """Return the arrays of a figure.
 
         "structure": `heights_nm` `[x, y]` of the blurred surface, `x_nm`, `slope` (magnitude).
-        "microscope": `brdf` `[x, y, wavelength]` of every window position, seen through an aperture of half angle
+        "microscope": `brdf` `[x, y, wavelength]` of every window position (`spectra`: the same as a picture, with
+        `extent_um`), seen through an aperture of half angle
         `aperture_deg` (5) about the direction `view_deg` = (theta, phi) (0, 0), light along `light_deg` (0, 0).
 
         Raises:
@@ -137,7 +138,10 @@ class Relief:
         brdf = brdf * coating_reflectance(self.coating.n_complex(grid))(np.array(cosine))
         step = self.tile.feature_nm / sampling.samples_per_feature
         x = (np.arange(brdf.shape[0]) + 0.5) * step
-        return {"brdf": brdf, "wavelengths_nm": grid, "x_nm": x}
+        extent_um = np.array(self.tile.period_nm / 1e3)
+        # a picture's rows run along y
+        picture = np.swapaxes(brdf, 0, 1)
+        return {"brdf": brdf, "wavelengths_nm": grid, "x_nm": x, "spectra": picture, "extent_um": extent_um}
 
 
 def report_summary(report: MapReport) -> dict[str, Any]:
