@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 import nacre
+from nacre.bsdf.table import from_half_difference, half_difference
 from nacre.cli import run
 from nacre.errors import NacreError, UnsupportedError
 from nacre.exchange.gltf import read_gltf, write_gltf
 from nacre.exchange.gonio_csv import read_gonio_csv, write_gonio_csv
 from nacre.exchange.materialx import read_materialx, write_materialx
-from nacre.exchange.merl import SHAPE, from_half_difference, read_merl, to_half_difference, write_merl
+from nacre.exchange.merl import SHAPE, read_merl, write_merl
 from nacre.exchange.rgl_reader import RglBsdf
 from nacre.exchange.rgl_tensor import read_tensor, rgl_fields, write_tensor
 from nacre.exchange.slice_exr import read_slice, slice_values, write_slice
@@ -129,7 +130,7 @@ def test_half_and_difference_angles_invert_each_other() -> None:
     generator = np.random.default_rng(1)
     th, td, pd = generator.uniform(0.05, 1.2, 200), generator.uniform(0.05, 1.2, 200), generator.uniform(0, 3.1, 200)
     wi, wo = from_half_difference(th, td, pd)
-    np.testing.assert_allclose(to_half_difference(wi, wo), (th, td, pd), atol=1e-9)
+    np.testing.assert_allclose(half_difference(wi, wo), (th, td, pd), atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(wo, axis=-1), 1)
 
 

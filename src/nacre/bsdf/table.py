@@ -100,31 +100,44 @@ def to_direction(wi: Array, wo: Array) -> tuple[Array, Array, Array]:
 
 
 def to_half(wi: Array, wo: Array) -> tuple[Array, Array, Array]:
-    """Return the "half" coordinates in [0, 1]; phi_diff is taken mod pi, by reciprocity."""
+    """Return the "half" coordinates in [0, 1]."""
+    theta_half, theta_diff, phi_diff = half_difference(wi, wo)
+    return np.sqrt(theta_half / HALF_PI), theta_diff / HALF_PI, phi_diff / np.pi
+
+
+def half_difference(wi: Array, wo: Array) -> tuple[Array, Array, Array]:
+    """Return theta_half, theta_diff and phi_diff (radians), phi_diff in [0, pi) by reciprocity.
+
+    Source: Rusinkiewicz 1998: the half vector's polar angle, and `wi` seen from the half vector.
+    """
     h = wi + wo
     h = h / np.maximum(np.linalg.norm(h, axis=-1, keepdims=True), 1e-12)
     cos_h = np.clip(h[..., 2], -1.0, 1.0)
     sin_h = np.sqrt(1 - cos_h**2)
-    flat = sin_h < 1e-9
+    flat = sin_h < 1e-9  # at the normal the half vector has no azimuth; phi = 0 is taken
     cos_p = np.where(flat, 1.0, h[..., 0] / np.where(flat, 1.0, sin_h))
     sin_p = np.where(flat, 0.0, h[..., 1] / np.where(flat, 1.0, sin_h))
     x = wi[..., 0] * cos_p + wi[..., 1] * sin_p
     y = -wi[..., 0] * sin_p + wi[..., 1] * cos_p
     dx, dz = cos_h * x - sin_h * wi[..., 2], sin_h * x + cos_h * wi[..., 2]
-    phi = np.mod(np.arctan2(y, dx), np.pi)
-    return np.sqrt(np.arccos(cos_h) / HALF_PI), np.arccos(np.clip(dz, -1.0, 1.0)) / HALF_PI, phi / np.pi
+    return np.arccos(cos_h), np.arccos(np.clip(dz, -1.0, 1.0)), np.mod(np.arctan2(y, dx), np.pi)
+
+
+def from_half_difference(theta_half: Array, theta_diff: Array, phi_diff: Array) -> tuple[Array, Array]:
+    """Return (wi, wo) of half and difference angles, the half vector in the plane phi = 0."""
+    sin_d, cos_d = np.sin(theta_diff), np.cos(theta_diff)
+    d = np.stack([sin_d * np.cos(phi_diff), sin_d * np.sin(phi_diff), cos_d], axis=-1)
+    sin_h, cos_h = np.sin(theta_half), np.cos(theta_half)
+    wi = np.stack([cos_h * d[..., 0] + sin_h * d[..., 2], d[..., 1], -sin_h * d[..., 0] + cos_h * d[..., 2]], axis=-1)
+    h = np.stack([sin_h, np.zeros_like(sin_h), cos_h], axis=-1)
+    return wi, 2 * np.sum(wi * h, axis=-1, keepdims=True) * h - wi
 
 
 def directions_of(coordinates: str, shape: tuple[int, int, int]) -> tuple[Array, Array]:
     """Return wi and wo at all nodes of a table, each `[a, b, c, 3]`, for filling one."""
     a, b, c = np.meshgrid(*(np.linspace(0, 1, n) for n in shape), indexing="ij")
-    if coordinates == "direction":
-        ti, to, phi = a * HALF_PI, b * HALF_PI, c * np.pi
-        wi = np.stack([np.sin(ti), np.zeros_like(ti), np.cos(ti)], axis=-1)
-        return wi, np.stack([np.sin(to) * np.cos(phi), np.sin(to) * np.sin(phi), np.cos(to)], axis=-1)
-    th, td, phi = a**2 * HALF_PI, b * HALF_PI, c * np.pi
-    d = np.stack([np.sin(td) * np.cos(phi), np.sin(td) * np.sin(phi), np.cos(td)], axis=-1)
-    sin_h, cos_h = np.sin(th), np.cos(th)
-    wi = np.stack([cos_h * d[..., 0] + sin_h * d[..., 2], d[..., 1], -sin_h * d[..., 0] + cos_h * d[..., 2]], axis=-1)
-    h = np.stack([sin_h, np.zeros_like(sin_h), cos_h], axis=-1)
-    return wi, 2 * np.sum(wi * h, axis=-1, keepdims=True) * h - wi
+    if coordinates == "half":
+        return from_half_difference(a**2 * HALF_PI, b * HALF_PI, c * np.pi)
+    ti, to, phi = a * HALF_PI, b * HALF_PI, c * np.pi
+    wi = np.stack([np.sin(ti), np.zeros_like(ti), np.cos(ti)], axis=-1)
+    return wi, np.stack([np.sin(to) * np.cos(phi), np.sin(to) * np.sin(phi), np.cos(to)], axis=-1)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
+from nacre.bsdf.table import from_half_difference
 from nacre.errors import NacreError, UnsupportedError
 from nacre.files import atomic_path
 from nacre.light import spectrum_to_rgb_linear
@@ -28,28 +29,6 @@ def bin_directions() -> tuple[Array, Array]:
     diff = (np.arange(SHAPE[1]) + 0.5) / SHAPE[1] * (np.pi / 2)
     phi = (np.arange(SHAPE[2]) + 0.5) / SHAPE[2] * np.pi
     return from_half_difference(*np.meshgrid(half, diff, phi, indexing="ij"))
-
-
-def from_half_difference(theta_half: Array, theta_diff: Array, phi_diff: Array) -> tuple[Array, Array]:
-    """Return (wi, wo) of half and difference angles, the half vector in the plane phi = 0."""
-    d = np.stack([np.sin(theta_diff) * np.cos(phi_diff), np.sin(theta_diff) * np.sin(phi_diff), np.cos(theta_diff)], -1)
-    sin_h, cos_h = np.sin(theta_half), np.cos(theta_half)
-    wi = np.stack([cos_h * d[..., 0] + sin_h * d[..., 2], d[..., 1], -sin_h * d[..., 0] + cos_h * d[..., 2]], axis=-1)
-    h = np.stack([sin_h, np.zeros_like(sin_h), cos_h], axis=-1)
-    return wi, 2 * np.sum(wi * h, axis=-1, keepdims=True) * h - wi
-
-
-def to_half_difference(wi: Array, wo: Array) -> tuple[Array, Array, Array]:
-    """Return (theta_half, theta_diff, phi_diff), phi_diff in [0, pi) by reciprocity."""
-    h = wi + wo
-    h = h / np.maximum(np.linalg.norm(h, axis=-1, keepdims=True), 1e-12)
-    cos_h = np.clip(h[..., 2], -1.0, 1.0)
-    sin_h = np.sqrt(1 - cos_h**2)
-    phi_h = np.arctan2(h[..., 1], h[..., 0])
-    x = wi[..., 0] * np.cos(phi_h) + wi[..., 1] * np.sin(phi_h)
-    y = -wi[..., 0] * np.sin(phi_h) + wi[..., 1] * np.cos(phi_h)
-    dx, dz = cos_h * x - sin_h * wi[..., 2], sin_h * x + cos_h * wi[..., 2]
-    return np.arccos(cos_h), np.arccos(np.clip(dz, -1.0, 1.0)), np.mod(np.arctan2(y, dx), np.pi)
 
 
 def merl_table(bsdf: Bsdf, block: int = 1 << 16) -> Array:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
+from nacre.bsdf.table import from_half_difference
 from nacre.errors import NacreError, UnsupportedError
-from nacre.exchange.merl import from_half_difference
 from nacre.files import atomic_path
 from nacre.light import spectrum_to_rgb_linear
 
