@@ -93,7 +93,7 @@ def test_invariances(change: str) -> None:
     }[change]
     after = forward(replace(tile, heights_nm=other), geometry, upsampling)
     expected = {"transpose": before.swapaxes(2, 3), "conjugate": before[:, :, ::-1, ::-1]}.get(change, before)
-    assert np.abs(after - expected).max() <= 10 * EXACT * before.max()
+    assert np.abs(after - expected).max() <= EXACT * before.max()
 
 
 def test_a_mirror_has_the_closed_form() -> None:
@@ -105,7 +105,7 @@ def test_a_mirror_has_the_closed_form() -> None:
     s = coherence.width_in_wavelengths
     power = 4 * np.pi * s**2 * np.exp(-4 * np.pi**2 * s**2 * (u**2 + v**2))
     factor = brdf_factor(u, v, geometry.wi[:, 2, None, None], geometry.cos_o[0], "published")
-    assert np.abs(ours - (factor * power)[:, None]).max() <= 1e-11 * ours.max()
+    assert np.abs(ours - (factor * power)[:, None]).max() <= EXACT * ours.max()
 
 
 @pytest.mark.parametrize("prefactor", ["kirchhoff", "published"])
@@ -118,17 +118,28 @@ def test_swapping_light_and_eye_changes_nothing(prefactor: str) -> None:
     assert abs(values[0] / values[1] - 1.0).max() <= EXACT
 
 
-def test_kappa_nodes_keep_their_stated_error() -> None:
-    height = 800.0
-    low, high = 1.7 / 700.0, 2.0 / 400.0
-    surface = helpers.random_tile(6, height=height).surface_nm(5)
-    for error in (1e-2, 1e-4, 1e-8):
-        nodes = chebyshev_nodes(low, high, node_count(height, low, high, error))
+@pytest.mark.parametrize("error", [1e-2, 1e-4, 1e-8])
+def test_kappa_nodes_keep_their_stated_error(error: float, maps: int = 5) -> None:
+    missed = 0
+    for seed in range(maps):
+        generator = np.random.default_rng(seed)
+        tile = helpers.random_tile(seed, 6, 900.0, generator.uniform(0.12, 0.4), generator.uniform(100, 1500))
+        low, high = generator.uniform(0.1, 1.7) / 700.0, 2.0 / generator.uniform(380.0, 500.0)
+        surface = tile.surface_nm(5)
+        nodes = chebyshev_nodes(low, high, node_count(tile.height_range_nm, low, high, error))
         points = np.linspace(low, high, 17)
-        values = np.stack([line_power(surface, kappa, 15) for kappa in nodes])
+        values = np.stack([line_power(surface, kappa, 14) for kappa in nodes])
         interpolated = np.tensordot(interpolation_weights(nodes, points).T, values, 1)
-        truth = np.stack([line_power(surface, kappa, 15) for kappa in points])
-        assert np.abs(interpolated - truth).max() <= error
+        truth = np.stack([line_power(surface, kappa, 14) for kappa in points])
+        # stated relative to the sum of all powers, which is 1: so for the sum of all deviations at a point
+        missed += np.abs(interpolated - truth).sum(axis=(1, 2)).max() > error
+    assert missed <= maps // 100
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("error", [1e-2, 1e-4])
+def test_kappa_nodes_keep_their_stated_error_on_100_maps(error: float) -> None:
+    test_kappa_nodes_keep_their_stated_error(error, maps=100)
 
 
 @pytest.mark.parametrize("error", [1e-2, 1e-3])
@@ -160,7 +171,7 @@ def test_gradient_agrees_with_finite_differences() -> None:
     values, tape = plan.forward(surface, keep=True)
     cotangent = generator.standard_normal(values.shape)
     gradient = plan.pullback(surface, tape, cotangent)
-    for _ in range(3):
+    for _ in range(5):
         change = generator.standard_normal(surface.shape)
         step = 1e-3
         up, down = (plan.forward(surface + sign * step * change)[0] for sign in (1, -1))

@@ -1,8 +1,8 @@
 """From a tile to its four-dimensional lobe: the xi cache of physics/relief.md, section 4, and its energy bound.
 
 The spectra of a few kappa nodes give those of every (xi, wavelength). On the psi grid a quadratic B-spline takes over
-part of the Gaussian smoothing: coefficients are smoothed by what is left, so the sum is the wanted Gaussian, always
-positive and with its integral kept exactly.
+part of the Gaussian smoothing: coefficients are smoothed by what is left, a narrower Gaussian with its fourth and sixth
+cumulants set so that the sum is the wanted Gaussian, positive and with its integral kept exactly.
 """
 
 from __future__ import annotations
@@ -20,14 +20,18 @@ from nacre.relief.geometry import Prefactor
 from nacre.relief.lines import FFT_SHARE, line_basis, line_power
 from nacre.relief.nodes import chebyshev_nodes, interpolation_weights, node_count
 from nacre.relief.sampling import Sampling, choose_sampling
-from nacre.relief.slice import Reflectance, smoothing_matrix, window_norm
+from nacre.relief.slice import Reflectance, window_norm
 from nacre.relief.surface import Array, Tile
 
-# step of the psi grid in units of the smoothing; the spline's variance, step^2 / 4, must stay well under 1
-PSI_STEP = 0.9
-SPLINE_VARIANCE = 0.25
-# phase between xi nodes, rad, by the wanted error: a quadratic spline's error grows as its third power
+# steps of the grids for an error of 1e-3: of psi in units of the smoothing, of xi in radians of the highest wall's
+# phase; a quadratic spline's error grows as the third power of its step (both measured, tests hold them)
+PSI_STEP_AT_1E_3 = 0.36
 XI_PHASE_AT_1E_3 = 0.8
+# the spline's variance, step^2 / 4, must stay well under the smoothing's
+WIDEST_PSI_STEP, COARSE_PSI_STEP = 0.65, 0.9
+SPLINE_VARIANCE = 0.25
+# sums over the smoothed map are exact to 1e-7 with nodes this far apart
+GUARD_PSI_STEP = 1.05
 MAX_TABLE_BYTES = 3 << 30
 TABLE_BLOCK = 512
 GUARD_COSINES, GUARD_AZIMUTHS, GUARD_WAVELENGTHS = 21, 48, 8
@@ -47,6 +51,7 @@ class MapReport:
         sampling: of the surface.
         kappa_nodes: spectra computed.
         xi_nodes, psi_nodes: size of the table.
+        psi_error: relative L2 error of the grid in psi; above the wanted one where memory sets the step.
         excess: `[angle]`, largest albedo over Fresnel before the guard at 0, 30, 60, 75 and 85 degrees.
     """
 
@@ -54,6 +59,7 @@ class MapReport:
     kappa_nodes: int
     xi_nodes: int
     psi_nodes: int
+    psi_error: float
     excess: tuple[float, ...]
 
 
@@ -82,15 +88,20 @@ def spectrum_map(
     """
     shortest = float(wavelengths_nm[0])
     blur = coherence.blur
-    step = PSI_STEP * blur
-    half = int(np.ceil(2.0 / step)) + 2
     height = max(tile.height_range_nm, 1e-3)
-    phase = XI_PHASE_AT_1E_3 * (error / 1e-3) ** (1.0 / 3.0)
+    coarser = (error / 1e-3) ** (1.0 / 3.0)
+    phase = XI_PHASE_AT_1E_3 * coarser
     xi_nodes = max(6, int(np.ceil(2.0 * np.pi * height * 2.0 / shortest / phase)) + 1)
     xi_step = 2.0 / (xi_nodes - 1)
     # two nodes beyond each end keep the spline's end conditions away from the values that are used
     xi: Array = np.arange(-2.0, xi_nodes + 2.0) * xi_step
-    size = (2 * half + 1) ** 2 * len(xi) * len(wavelengths_nm) * 4
+    node_bytes = len(xi) * len(wavelengths_nm) * 4
+    # a small lamp may not fit at the wanted error: then the widest step that does, and the report says what it costs
+    fitting = 4.0 / blur / max(np.sqrt(MAX_TABLE_BYTES / node_bytes) - 7.0, 1e-9)
+    step_in_blurs = float(min(max(min(PSI_STEP_AT_1E_3 * coarser, WIDEST_PSI_STEP), fitting), COARSE_PSI_STEP))
+    step = step_in_blurs * blur
+    half = int(np.ceil(2.0 / step)) + 2
+    size = (2 * half + 1) ** 2 * node_bytes
     if size > MAX_TABLE_BYTES:
         raise UnsupportedError(
             f"coherence sigma = {coherence.sigma_um:.3g} ({np.degrees(coherence.source_angle_rad):.3g} degrees) "
@@ -116,9 +127,10 @@ def spectrum_map(
     )
     excess: tuple[float, ...] = ()
     if bounded:
-        guard, before = energy_guard(lobe)
+        guard, before = energy_guard(lobe, blur)
         lobe, excess = replace(lobe, guard=guard), tuple(float(a) for a in before)
-    return lobe, MapReport(sampling, len(kappas), xi_nodes, 2 * half + 1, excess)
+    grid_error = 1e-3 * (step_in_blurs / PSI_STEP_AT_1E_3) ** 3
+    return lobe, MapReport(sampling, len(kappas), xi_nodes, 2 * half + 1, float(grid_error), excess)
 
 
 def _table(
@@ -143,7 +155,7 @@ def _table(
     matrices = []
     for wavelength in wavelengths_nm:
         reach = min(held, int(np.ceil(tile.period_nm * (2.0 + 6.0 * coherence.blur) / wavelength)))
-        matrices.append(smoothing_matrix(psi, reach, tile.period_nm, float(wavelength), rest).astype(np.float32))
+        matrices.append(_rest_matrix(psi, reach, tile.period_nm * rest / float(wavelength), rest, step))
     smooth = np.empty((len(wavelengths_nm), len(kappas), len(psi) ** 2), dtype=np.float32)
     for q, kappa in enumerate(kappas):
         power = line_power(surface, float(kappa), held, basis)
@@ -163,11 +175,29 @@ def _table(
     return table.reshape(len(psi), len(psi), len(xi), -1)
 
 
-def energy_guard(lobe: SpectrumMap) -> tuple[Array, Array]:
+def _rest_matrix(psi: Array, highest: int, lines_per_rest: float, rest: float, step: float) -> NDArray[np.float32]:
+    """Return the kernel `[direction, line]` that the quadratic spline of `step` completes to the Gaussian.
+
+    The spline is no Gaussian: its fourth and sixth cumulants are -step^4/40 and step^6/84. Hermite terms of the
+    narrower Gaussian take them back; without them a lone line is 0.2 % wrong at its peak and 10 % at four widths.
+    """
+    x = psi[:, None] / rest - np.arange(-highest, highest + 1)[None, :] / lines_per_rest
+    square = x * x
+    ratio = (step / rest) ** 2
+    fourth = ratio**2 / (24.0 * 40.0) * ((square - 6.0) * square + 3.0)
+    sixth = ratio**3 / (720.0 * 84.0) * (((square - 15.0) * square + 45.0) * square - 15.0)
+    return np.asarray(np.exp(-0.5 * square) * (1.0 + fourth - sixth), dtype=np.float32)
+
+
+def energy_guard(lobe: SpectrumMap, blur: float) -> tuple[Array, Array]:
     """Return the guard g `[t, azimuth, wavelength]` and the excess before it at `EXCESS_ANGLES_DEG`.
 
     g starts at 1 and is divided by the root of the excess, g <- g / sqrt(max(1, a)), until the albedo exceeds Fresnel
     at none of its nodes and half way between them; the scaling is the same for both directions, so reciprocity stays.
+
+    Args:
+        lobe: with its guard still 1.
+        blur: the smoothing that its spectrum has, in direction cosines.
     """
     from nacre.bsdf.spectrum_map_kernel import albedo_shares
 
@@ -175,10 +205,14 @@ def energy_guard(lobe: SpectrumMap) -> tuple[Array, Array]:
     # the albedo is smooth in wavelength: a few nodes are enough, the rest follows linearly
     chosen = np.unique(np.linspace(0, count - 1, min(count, GUARD_WAVELENGTHS)).round().astype(int))
     wi = _guard_rows()
+    # a finer map is summed over every second or third node, which gives the same integrals; the middle one stays
+    skip = max(1, int(GUARD_PSI_STEP * blur / lobe.psi_step))
+    first = (len(lobe.power) // 2) % skip
+    psi_first, psi_step = lobe.psi_first + first * lobe.psi_step, skip * lobe.psi_step
     shares = albedo_shares(
-        np.ascontiguousarray(lobe.power[..., chosen]),
-        np.array([lobe.psi_first, lobe.psi_first, lobe.xi_first]),
-        np.array([lobe.psi_step, lobe.psi_step, lobe.xi_step]),
+        np.ascontiguousarray(lobe.power[first::skip, first::skip, :, chosen]),
+        np.array([psi_first, psi_first, lobe.xi_first]),
+        np.array([psi_step, psi_step, lobe.xi_step]),
         np.ascontiguousarray(lobe.reflectance[:, chosen]),
         wi,
         GUARD_COSINES,
@@ -188,7 +222,7 @@ def energy_guard(lobe: SpectrumMap) -> tuple[Array, Array]:
     cosine_nodes = np.linspace(0.0, 1.0, len(lobe.reflectance))
     fresnel = np.stack([np.interp(wi[:, 2], cosine_nodes, lobe.reflectance[:, k]) for k in chosen], axis=-1)
     own, own_part = _guard_cells(wi)
-    first = shares.sum(axis=1, dtype=float) / fresnel
+    before = shares.sum(axis=1, dtype=float) / fresnel
     guard = np.ones((GUARD_COSINES * GUARD_AZIMUTHS, len(chosen)))
     for _ in range(GUARD_ROUNDS):
         here = np.einsum("rc,rck->rk", own_part, guard[own])
@@ -206,7 +240,7 @@ def energy_guard(lobe: SpectrumMap) -> tuple[Array, Array]:
     grid[-1] = grid[-1].min(axis=0)  # azimuths mean nothing at the pole
     nm = lobe.wavelengths_nm
     full = np.apply_along_axis(lambda g: np.interp(nm, nm[chosen], g), 2, grid)
-    by_cosine = first.reshape(-1, GUARD_AZIMUTHS, len(chosen)).max(axis=(1, 2))
+    by_cosine = before.reshape(-1, GUARD_AZIMUTHS, len(chosen)).max(axis=(1, 2))
     rows = wi[::GUARD_AZIMUTHS, 2]
     return full, np.interp(np.cos(np.radians(EXCESS_ANGLES_DEG)), rows, by_cosine)
 
