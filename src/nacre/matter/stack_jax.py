@@ -199,8 +199,8 @@ def _root_jvp(primals: tuple[jax.Array], tangents: tuple[jax.Array]) -> tuple[ja
 def _decaying_root(z: jax.Array) -> jax.Array:
     """Square root with Im >= 0; 0 with zero gradient at z = 0. Passive media at real angles have Im z >= 0."""
     zero = _size(z) == 0.0
-    # an imaginary part of -0.0 or of rounding size would choose the growing wave
-    z = jax.lax.complex(z.real, jnp.where(z.imag <= 0.0, 0.0, z.imag))
+    # an imaginary part of rounding size would choose the growing wave; at exactly 0 the slope by k must pass
+    z = jax.lax.complex(z.real, jnp.where(z.imag < 0.0, 0.0, z.imag))
     return jnp.where(zero, 0.0, _root(jnp.where(zero, 1.0, z)))
 
 

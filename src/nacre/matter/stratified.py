@@ -141,7 +141,11 @@ def powers(
 
     Other arguments and errors as in `solve`.
     """
-    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa)
+    return powers_of(prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa), jobs)
+
+
+def powers_of(case: Case, jobs: int | None = None) -> Powers:
+    """R and T of a case that `prepare` made."""
     return Powers(*_run(case, False, True, jobs)[1])
 
 
