@@ -90,6 +90,40 @@ def test_incoherent_layers_agree_with_tmm() -> None:
             assert abs(theirs["T"] - getattr(ours, f"T_{pol}")[0]) <= AGAINST_TMM
 
 
+def test_absorption_beside_incoherent_layers_agrees_with_tmm() -> None:
+    rng = np.random.default_rng(16)
+    for trial in range(60):
+        layers = int(rng.integers(1, 7))
+        flags = rng.random(layers) < 0.5
+        # thin layers absorb like metals, thick ones little over a wavelength or not at all
+        thick_k = 3e-4 * (trial % 2)
+        k = np.where(flags, thick_k, 1.0) * rng.random(layers) * (rng.random(layers) < 0.7)
+        n = np.array([1.2, *(rng.uniform(1.2, 3, layers) + 1j * k), 1.5])
+        d = np.where(flags, rng.uniform(1e4, 1e5, layers), rng.uniform(10, 60, layers))
+        theta = float(rng.uniform(0, 1.5))
+        stack = Stack(n[0], [Layer(n[j + 1], d[j], incoherent=bool(flags[j])) for j in range(layers)], n[-1])
+        ours = dict(zip("sp", stack.absorption([theta], [LAM])))
+        seen = stack.powers([theta], [LAM])
+        kinds = ["i", *np.where(flags, "i", "c"), "i"]
+        for pol in "sp":
+            data = tmm.inc_tmm(pol, n, [np.inf, *d, np.inf], kinds, theta, LAM)
+            theirs = np.array(tmm.inc_absorp_in_each_layer(data))[1:-1]
+            # tmm counts the mixed terms of a wave that enters from an absorbing medium, of the size of its k / n
+            assert np.abs(theirs - ours[pol][:, 0, 0]).max() <= 10 * AGAINST_TMM + thick_k
+            total = getattr(seen, f"R_{pol}") + getattr(seen, f"T_{pol}") + ours[pol].sum(axis=0)
+            assert abs(total[0, 0] - 1.0) <= ENERGY + thick_k
+
+
+def test_absorption_of_a_coated_window_closes_the_energy() -> None:
+    window = Stack(1.0, [Layer(0.06 + 3.6j, 12.0), Layer(1.52, 4e6, incoherent=True), Layer(2 + 0.1j, 50.0)], 1.0)
+    theta = [0.0, 0.7, 1.4]
+    seen, (absorbed_s, absorbed_p) = window.powers(theta, [450.0, LAM]), window.absorption(theta, [450.0, LAM])
+    assert absorbed_s.shape == (3, 3, 2)
+    assert absorbed_s[1].max() <= ENERGY and absorbed_p[1].max() <= ENERGY  # the clear pane takes nothing
+    assert np.abs(seen.R_s + seen.T_s + absorbed_s.sum(axis=0) - 1).max() <= ENERGY
+    assert np.abs(seen.R_p + seen.T_p + absorbed_p.sum(axis=0) - 1).max() <= ENERGY
+
+
 def test_an_opaque_incoherent_layer_and_total_reflection_stay_finite() -> None:
     pane = Stack(1.0, [Layer(1.5 + 0.1j, 1e7, incoherent=True)], 1.0)
     seen = pane.powers([0.0, 1.0, np.pi / 2], [LAM])

@@ -123,6 +123,24 @@ class Stack:
         flags = [layer.incoherent for layer in self.layers]
         return incoherent_powers(n, self.thicknesses_nm, flags, wavelengths_nm, theta_rad, jobs=jobs)
 
+    def absorption(
+        self, theta_rad: ArrayLike, wavelengths_nm: ArrayLike, *, jobs: int | None = None
+    ) -> tuple[Real, Real]:
+        """Power absorbed in each layer over incident power, for s and for p, each `[layer, angle, wavelength]`.
+
+        Incoherent layers included; there R + T + A = 1 holds as far as they absorb little over a wavelength.
+        """
+        n = self.indices(wavelengths_nm)
+        if self.is_coherent:
+            seen = stratified.solve(n, self.thicknesses_nm, wavelengths_nm, theta_rad, absorption=True, jobs=jobs)
+            assert seen.A_s is not None and seen.A_p is not None  # they were asked for
+            return seen.A_s, seen.A_p
+        from nacre.matter.stack_incoherent import incoherent_absorption
+
+        flags = [layer.incoherent for layer in self.layers]
+        absorbed = incoherent_absorption(n, self.thicknesses_nm, flags, wavelengths_nm, theta_rad, jobs=jobs)
+        return absorbed[0], absorbed[1]
+
     def amplitudes(
         self,
         wavelengths_nm: ArrayLike,

@@ -12,15 +12,37 @@ from the bottom upward (Katsidis & Siapkas 2002 and Byrnes, arXiv 1603.02720, se
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nacre.errors import NacreError
-from nacre.matter.stratified import Powers, kernel_powers, normal_component, prepare
+from nacre.matter.stratified import Case, Powers, kernel_powers, normal_component, part_of, prepare
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class _Group:
+    """What stands between two thick media: its response from either side, each `[s or p, batch, angle, wavelength]`.
+
+    Attributes:
+        down, up: the group alone as a case, met from above and from below (None under the lowest group).
+        down_r, down_t, up_r, up_t: its powers.
+        passage: intensity that one passage through the thick medium above leaves (1 in the ambient).
+        first: number of its first medium above, so that its layers are first .. first + count - 1 (from 0).
+    """
+
+    down: Case
+    up: Case | None
+    down_r: Real
+    down_t: Real
+    up_r: Real
+    up_t: Real
+    passage: Real
+    first: int
 
 
 def incoherent_powers(
@@ -48,32 +70,88 @@ def incoherent_powers(
         NacreError: as `solve`, or flags that do not fit the layers.
     """
     case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa)
+    groups = _groups(case, incoherent, jobs)
+    total_r, total_t = groups[-1].down_r, groups[-1].down_t
+    for group, below in zip(groups[-2::-1], groups[:0:-1]):
+        gain = _gain(group, below, total_r)
+        total_r, total_t = (
+            group.down_r + gain * group.up_t * below.passage**2 * total_r,
+            gain * below.passage * total_t,
+        )
+    shape = (*case.batch, *case.angle_shape, case.shape[2])
+    return Powers(*(part.reshape(shape) for part in (*total_r, *total_t)))
+
+
+def incoherent_absorption(
+    n: ArrayLike,
+    thicknesses_nm: ArrayLike,
+    incoherent: Sequence[bool],
+    wavelengths_nm: ArrayLike,
+    theta_rad: ArrayLike | None = None,
+    *,
+    cos_i: ArrayLike | None = None,
+    jobs: int | None = None,
+) -> Real:
+    """Power absorbed in each layer over incident power, `[s or p, layer, ..., angle, wavelength]`.
+
+    Arguments, errors and the limit k << n of the incoherent layers as in `incoherent_powers`. A thick layer absorbs
+    the difference of the net fluxes at its faces; a thin one what it takes of the light that meets its group from
+    above and from below.
+    """
+    from nacre.matter.stack_field import absorbed_power
+
+    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
+    groups = _groups(case, incoherent, jobs)
+    totals = [groups[-1].down_r]  # reflectance of all that lies under each thick medium, from the top downward
+    for group, below in zip(groups[-2::-1], groups[:0:-1]):
+        totals.insert(0, group.down_r + _gain(group, below, totals[0]) * group.up_t * below.passage**2 * totals[0])
+    absorbed = np.zeros((2, case.n.shape[1] - 2, *case.shape))
+    arriving: Real = np.ones((2, *case.shape))  # on the group from above
+    for i, group in enumerate(groups):
+        count = group.down.n.shape[1] - 2
+        own = slice(group.first, group.first + count)
+        if count:
+            absorbed[:, own] += absorbed_power(group.down, jobs).reshape(2, count, *case.shape) * arriving[:, None]
+        if group.up is None:
+            break
+        below, total = groups[i + 1], totals[i + 1]
+        leaving = arriving * _gain(group, below, total)  # what enters the thick medium under the group
+        returning = below.passage**2 * total * leaving
+        if count:
+            from_below = absorbed_power(group.up, jobs).reshape(2, count, *case.shape)[:, ::-1]
+            absorbed[:, own] += from_below * returning[:, None]
+        arriving = below.passage * leaving
+        absorbed[:, group.first + count] = leaving - returning - arriving * (1.0 - total)
+    return absorbed.reshape(2, -1, *case.batch, *case.angle_shape, case.shape[2])
+
+
+def _gain(group: _Group, below: _Group, total_r: Real) -> Real:
+    """Light that goes down under a group over light that arrives on it, all echoes included."""
+    bounce = group.up_r * below.passage**2 * total_r
+    # 1 - bounce vanishes only for light that is trapped for good, and none of that gets in: down_t is 0 there
+    return np.where(group.down_t > 0, group.down_t / np.where(bounce < 1, 1 - bounce, 1.0), 0.0)
+
+
+def _groups(case: Case, incoherent: Sequence[bool], jobs: int | None) -> list[_Group]:
+    """The coherent groups from the top downward."""
     layers = case.n.shape[1] - 2
     if len(incoherent) != layers:
         raise NacreError(f"incoherent must hold one flag for each of the {layers} layers, not {len(incoherent)}")
     n02 = case.n[:, 0][:, None, :] ** 2
     kz0sq = (case.normal * case.n[:, :1] if case.times_n0 else case.normal) ** 2  # [batch or 1, angle, wavelength]
-    thick = [j + 1 for j in range(layers) if incoherent[j]]
-    edges = [0, *thick, layers + 1]
-
-    total_r: Real | None = None
-    total_t: Real | None = None
-    # from the substrate upward: the group between two incoherent media, then the passage through the upper one
-    for top, bottom in reversed(list(zip(edges[:-1], edges[1:]))):
-        media = case.n[:, top : bottom + 1]
-        d = case.thicknesses_nm[:, top : bottom - 1]
-        down_r, down_t = kernel_powers(case, media, d, normal_component(case.n[:, top, None, :] ** 2, n02, kz0sq), jobs)
-        if total_r is None or total_t is None:
-            total_r, total_t = down_r, down_t
-            continue
-        back_normal = normal_component(case.n[:, bottom, None, :] ** 2, n02, kz0sq)
-        up_r, up_t = kernel_powers(case, media[:, ::-1], d[:, ::-1], back_normal, jobs)
-        thickness = case.thicknesses_nm[:, bottom - 1][:, None, None]
-        passage = np.exp(-4 * np.pi * back_normal.imag * thickness / case.wavelengths_nm)
-        bounce = up_r * passage**2 * total_r
-        # 1 - bounce vanishes only for light that is trapped for good, and none of that gets in: down_t is 0 there
-        gain = np.where(down_t > 0, down_t / np.where(bounce < 1, 1 - bounce, 1.0), 0.0)
-        total_r, total_t = down_r + gain * up_t * passage**2 * total_r, gain * passage * total_t
-    assert total_r is not None and total_t is not None  # the loop runs at least once
-    shape = (*case.batch, *case.angle_shape, case.shape[2])
-    return Powers(*(part.reshape(shape) for part in (*total_r, *total_t)))
+    edges = [0, *(j + 1 for j in range(layers) if incoherent[j]), layers + 1]
+    groups = []
+    for top, bottom in zip(edges[:-1], edges[1:]):
+        media, d = case.n[:, top : bottom + 1], case.thicknesses_nm[:, top : bottom - 1]
+        normal = normal_component(case.n[:, top, None, :] ** 2, n02, kz0sq)
+        thickness = 0.0 if top == 0 else case.thicknesses_nm[:, top - 1][:, None, None]
+        passage = np.exp(-4 * np.pi * normal.imag * thickness / case.wavelengths_nm)
+        down = part_of(case, media, d, normal)
+        down_r, down_t = kernel_powers(down, jobs)
+        up, up_r, up_t = None, down_r, down_t
+        if bottom <= layers:
+            back = normal_component(case.n[:, bottom, None, :] ** 2, n02, kz0sq)
+            up = part_of(case, media[:, ::-1], d[:, ::-1], back)
+            up_r, up_t = kernel_powers(up, jobs)
+        groups.append(_Group(down, up, down_r, down_t, up_r, up_t, passage, top))
+    return groups

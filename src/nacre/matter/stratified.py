@@ -369,9 +369,9 @@ def _run(case: Case, wants_amplitudes: bool, wants_powers: bool, jobs: int | Non
     return amplitude, power
 
 
-def kernel_powers(case: Case, n: Complex, thicknesses_nm: Real, normal: Complex, jobs: int | None) -> tuple[Real, Real]:
-    """R and T, each `[s or p, batch, angle, wavelength]`, of part of a case met with `normal` = kz / k0."""
-    part = Case(
+def part_of(case: Case, n: Complex, thicknesses_nm: Real, normal: Complex) -> Case:
+    """A part of a case, as a case of its own that is met with `normal` = kz / k0."""
+    return Case(
         _owned(n, np.complex128),
         _owned(thicknesses_nm, np.float64),
         case.wavelengths_nm,
@@ -380,6 +380,10 @@ def kernel_powers(case: Case, n: Complex, thicknesses_nm: Real, normal: Complex,
         (case.shape[0],),
         case.normal.shape[1:2],
     )
+
+
+def kernel_powers(part: Case, jobs: int | None) -> tuple[Real, Real]:
+    """R and T of a part of a case, each `[s or p, batch, angle, wavelength]`."""
     power = _run(part, False, True, jobs)[1]
     return power[:2], power[2:]
 
