@@ -72,7 +72,7 @@ def _hull(x: Array, y: Array, z: Array) -> Array:
     for axle in (FRONT_AXLE, REAR_AXLE):
         well = np.hypot(x - axle, z - WHEEL_RADIUS) - _ARCH
         well = smooth_max(well, 0.56 - np.abs(y), 0.05)
-        car = smooth_max(car, -well, 0.03)
+        car = smooth_max(car, -well, 0.06)
     return car
 
 
@@ -151,7 +151,7 @@ def _trim_field(p: Array, n: Array) -> Array:
     under = 0.215 - z
     well = np.full_like(x, -1.0)
     for axle in (FRONT_AXLE, REAR_AXLE):
-        well = np.maximum(well, np.where(z < 0.85, _ARCH + 0.012 - np.hypot(x - axle, z - WHEEL_RADIUS), -1.0))
+        well = np.maximum(well, np.where(z < 0.85, _ARCH - 0.004 - np.hypot(x - axle, z - WHEEL_RADIUS), -1.0))
     intake = -smooth_max(np.abs(z - 0.335) - 0.07, wide - 0.52 + 0.5 * np.abs(z - 0.335), 0.03)
     intake = np.where(x > 1.9, intake, -1.0)
     apron = np.where((x < -1.9) & (n[:, 0] < 0), -smooth_max(z - 0.40, wide - 0.60, 0.05), -1.0)
