@@ -36,6 +36,7 @@ resolution = 12
 intensity_scale = 0.2
 [search]
 starts = 3
+shakes = 4
 seed = 4
 """
 
@@ -46,7 +47,9 @@ def write(folder: Path, text: str = TARGET, **changes: str) -> Path:
         lines = [line for line in text.splitlines() if not line.startswith(f"{key} =")]
         changed = len(lines) < len(text.splitlines())
         text = "\n".join(lines)
-        if changed and not key.startswith(("starts", "seed", "levels", "noise", "time", "blur_error", "incidence")):
+        if changed and not key.startswith(
+            ("starts", "shakes", "seed", "levels", "noise", "time", "blur_error", "incidence")
+        ):
             where = (
                 "[target]" if key in ("kind", "colour", "range", "resolution", "intensity_scale", "image") else "family"
             )
@@ -122,7 +125,11 @@ def test_result_folder_holds_what_was_promised(tmp_path: Path) -> None:
     assert heights.shape == (8, 8) and heights.min() >= 0 and heights.max() <= 0.6
     assert np.array_equal(heights, result.heights_um)
     assert {"recipe.toml", "report.html", "preview.png"} <= {p.name for p in folder.iterdir()}
-    assert seen and seen[-1].evaluations > 0 and {p.stage for p in seen} == {"explore", "improve", "refine", "finish"}
+    assert (
+        seen
+        and seen[-1].evaluations > 0
+        and {p.stage for p in seen} == {"explore", "improve", "refine", "finish", "shake"}
+    )
     assert 0 < summary["efficiency"] <= 1 and 0 < summary["slope_rms_deg"] < summary["slope_max_deg"] < 90
     page = (folder / "report.html").read_text()
     assert "efficiency" in page and page.count("<img") == 4 and page.count("<svg") == 2
@@ -148,6 +155,16 @@ def test_the_same_seed_gives_the_same_design_on_any_number_of_cores(tmp_path: Pa
     assert np.array_equal(*maps)
     other = run(write(tmp_path, starts="2", seed="5"), tmp_path / "other").heights_um
     assert not np.array_equal(maps[0], other)
+
+
+def test_shaking_a_finished_design_only_makes_it_better(tmp_path: Path) -> None:
+    problem = problem_of(tmp_path)
+    plain, shaken = Search(problem, 2, 4), Search(problem, 2, 4, shakes=6)
+    values = []
+    for search in (plain, shaken):
+        search.run()
+        values.append(search.best.value)
+    assert values[1] < values[0] - 1e-4
 
 
 def test_a_stopped_search_leaves_its_best_and_goes_on(tmp_path: Path) -> None:

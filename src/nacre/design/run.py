@@ -106,7 +106,7 @@ def design(
     except OSError as error:
         raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
     workers = jobs or os.cpu_count() or 1
-    search = Search(problem, spec.search.starts, spec.search.seed, workers)
+    search = Search(problem, spec.search.starts, spec.search.seed, workers, spec.search.shakes)
     fingerprint = target_fingerprint(spec, problem)
     if resume:
         load_state(search, folder, fingerprint)

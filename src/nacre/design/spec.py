@@ -165,9 +165,10 @@ class TargetTable(RecipeModel):
 
 
 class SearchTable(RecipeModel):
-    """How to search; all optional."""
+    """How to search; all optional. `shakes` is how often the finished design is disturbed and descended again."""
 
     starts: Annotated[int, pydantic.Field(ge=1, le=256)] = 8
+    shakes: Annotated[int, pydantic.Field(ge=0, le=10_000)] = 40
     seed: Annotated[int, pydantic.Field(ge=0)] = 1
     time_limit_s: Positive | None = 60.0
     noise: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = 0.0
