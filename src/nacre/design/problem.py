@@ -50,7 +50,7 @@ class Problem:
         coherence, prefactor: the optics.
         views: what must be seen where.
         intensity_scale: factor before the gamma, or None for the best one.
-        brightness_floor: with a free scale, the least brightness (1 / scale) that goes unpunished.
+        brightness_floor: with a free scale, the least brightness (1 / scale) that goes unpunished; else unused.
         noise: standard deviation of each height, relative to itself.
         blur_error: relative error of the process blur to be robust against.
         levels: number of heights the process can make; 0 for any.

@@ -6,6 +6,7 @@ import base64
 import html
 import io
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from nacre.design.loss import GAMMA, Losses
 from nacre.design.problem import MEASURE_NODE_ERROR, Array, Evaluator, Measurement, Problem
+from nacre.design.robustness import Robustness, robustness
 from nacre.design.spec import TargetSpec
 from nacre.files import atomic_path, write_text
 from nacre.relief.surface import Tile, slopes
@@ -22,6 +24,9 @@ PICTURE_PIXELS = 256  # side of each picture on the page
 LIT_SHARE = 0.1  # a direction belongs to the target where the target is above this part of its maximum
 # where facets begin to hide each other at the angles of a slice; the scalar model does not see it
 STEEP_DEG, VERY_STEEP_DEG = 30.0, 45.0
+# draws of the process by the samples along the tile: a second of work at most
+DRAWS = ((512, 40), (1024, 12), (4096, 3))
+HEIGHT_ERROR, BLUR_ERROR, NOISE = 0.03, 0.1, 0.05
 
 
 def display(rgb: Array, scale: float) -> Array:
@@ -78,7 +83,18 @@ def slope_summary(problem: Problem, heights_nm: Array) -> tuple[Array, dict[str,
     }
 
 
-def warnings_of(summary: dict[str, Any], facts: dict[str, float]) -> list[str]:
+def process_spread(problem: Problem, heights_nm: Array) -> Robustness | None:
+    """Return what a typical process costs; None where a draw would take long."""
+    samples = problem.features * problem.search_upsamplings()[1]
+    for most, draws in DRAWS:
+        if samples <= most:
+            return robustness(
+                problem, heights_nm, height_error=HEIGHT_ERROR, blur_error=BLUR_ERROR, noise=NOISE, draws=draws
+            )
+    return None
+
+
+def warnings_of(problem: Problem, summary: dict[str, Any], facts: dict[str, float]) -> list[str]:
     """Return what a user should know before making the relief."""
     notes = []
     if facts["slope_99_percent_deg"] > VERY_STEEP_DEG:
@@ -95,6 +111,11 @@ def warnings_of(summary: dict[str, Any], facts: dict[str, float]) -> list[str]:
             f"At the intensity scale {summary['scale_fixed']:g} an all-black image has a lower loss "
             f"({summary['loss_black']:.4f}) than this design: judge it by the free loss, or change the scale."
         )
+    if problem.intensity_scale is None and summary["brightness"] < problem.brightness_floor:
+        notes.append(
+            f"The design is dark: its brightness {summary['brightness']:.3g} is under the floor of "
+            f"{problem.brightness_floor:.3g} (1 / scale). Ask for a smaller picture or a larger height."
+        )
     if summary["status"] != "done":
         notes.append(f"The search was stopped ({summary['status']}); resume it to finish.")
     return notes
@@ -108,10 +129,11 @@ def write_report(
     measured: Measurement,
     summary: dict[str, Any],
 ) -> dict[str, Any]:
-    """Write a self-contained HTML page; return what it found: efficiency, slopes, phase step, warnings."""
+    """Write a self-contained HTML page; return what it found: efficiency, slopes, robustness, warnings."""
     angles, facts = slope_summary(problem, heights_nm)
     share = efficiency(problem, heights_nm)
-    notes = warnings_of(summary, facts)
+    notes = warnings_of(problem, summary, facts)
+    spread = process_spread(problem, heights_nm)
     losses = measured.losses
     shape = problem.views[0].target.shape[1:]
     seen = measured.rgb[: shape[0] * shape[1]].reshape(shape)
@@ -127,6 +149,8 @@ def write_report(
         "loss, fixed scale": f"{losses.fixed:.5f} (scale {losses.scale_fixed:.4g})",
         "loss, free scale": f"{losses.free:.5f} (scale {losses.scale_free:.4g})",
         "loss of an all-black image": f"{losses.black:.5f}",
+        "brightness (1 / scale) at the free scale": f"{1.0 / max(losses.scale_free, 1e-30):.4g}"
+        + ("" if problem.intensity_scale else f", floor {problem.brightness_floor:.4g}"),
         "efficiency (share of the light inside the target)": f"{100 * share:.1f} %",
         "slope: rms, 99 %, maximum": f"{facts['slope_rms_deg']:.1f}, {facts['slope_99_percent_deg']:.1f}, "
         f"{facts['slope_max_deg']:.1f} degrees",
@@ -137,6 +161,14 @@ def write_report(
         "tile": f"{problem.features} x {problem.features} features of {problem.feature_nm / 1e3:g} um, "
         f"blur {problem.blur_nm / 1e3:g} um, heights up to {problem.height_max_nm / 1e3:g} um",
     }
+    if spread is not None:
+        rows |= {
+            f"made {spread.draws} times, heights +-{100 * HEIGHT_ERROR:g} %, blur +-{100 * BLUR_ERROR:g} %, "
+            f"noise {100 * NOISE:g} %": f"fixed loss mean {spread.loss_fixed.mean:.5f}, 95 % under "
+            f"{spread.loss_fixed.percentile_95:.5f}; free loss mean {spread.loss_free.mean:.5f}, 95 % under "
+            f"{spread.loss_free.percentile_95:.5f}; dE00 from the design mean {spread.delta_e.mean:.1f}, 95 % under "
+            f"{spread.delta_e.percentile_95:.1f}"
+        }
     body = [
         "<h1>Relief design</h1>",
         "".join(f'<p class="warning">{html.escape(note)}</p>' for note in notes),
@@ -149,7 +181,8 @@ def write_report(
         f"<details><summary>design.json</summary><pre>{html.escape(json.dumps(summary, indent=2))}</pre></details>",
     ]
     write_text(path, _PAGE.replace("BODY", "\n".join(body)))
-    return {"efficiency": share, **facts, "phase_step_rad": measured.phase_step_rad, "warnings": notes}
+    found = {"efficiency": share, **facts, "phase_step_rad": measured.phase_step_rad, "warnings": notes}
+    return found if spread is None else {**found, "robustness": asdict(spread)}
 
 
 _PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>nacre: relief design</title><style>

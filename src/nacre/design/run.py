@@ -123,7 +123,8 @@ def design(
         measured = measure_design(problem, heights_nm, workers)
     search.seconds += time.monotonic() - closing
     summary = keeper.write(best, search.stop_reason or "done", measured)
-    summary |= write_report(folder / "report.html", spec, problem, heights_nm, measured, summary)
+    with one_thread_each():
+        summary |= write_report(folder / "report.html", spec, problem, heights_nm, measured, summary)
     write_text(folder / "design.json", json.dumps(summary, indent=2) + "\n")
     return DesignResult(folder, best * (problem.height_max_nm / 1e3), summary)
 
@@ -176,6 +177,8 @@ class _Keeper:
             "loss_black": losses.black,
             "scale_fixed": losses.scale_fixed,
             "scale_free": losses.scale_free,
+            "brightness": 1.0 / max(losses.scale_fixed, 1e-30),
+            "brightness_floor": problem.brightness_floor if problem.intensity_scale is None else None,
             "seconds": round(self.search.seconds, 3),
             "evaluations": self.search.evaluations,
             "samples_per_feature": upsampling,

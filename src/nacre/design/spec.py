@@ -12,6 +12,7 @@ import numpy as np
 import pydantic
 
 from nacre.design import pictures
+from nacre.design.loss import GAMMA
 from nacre.design.pictures import Array
 from nacre.design.problem import Problem, View
 from nacre.design.spectra import Spectrum, default_spectrum, published_spectrum
@@ -40,6 +41,8 @@ WIDTHS = {"anti-mirror": 0.12, "gaussian": 0.15, "inverted-image": INVERTED_WIDT
 HOLES = {"anti-mirror": 0.05, "anisotropic-anti-mirror": 0.7}
 LARGEST_TARGET_VALUES = 64_000_000
 LARGEST_TILE_FEATURES = 512
+# a free scale may darken a design until its picture holds this share of the light; the published ones hold 6 % or more
+LEAST_LIGHT = 0.05
 VISIBLE_THRESHOLD = 1e-3  # target values under this may lie beyond the horizon
 
 
@@ -71,7 +74,7 @@ class TargetTable(RecipeModel):
     range: Annotated[float, pydantic.Field(gt=0.0, le=2.0)]
     resolution: Annotated[int, pydantic.Field(ge=4, le=1024)] = 64
     intensity_scale: Positive | Literal["free"] = "free"
-    brightness_floor: Annotated[float, pydantic.Field(ge=0.0)] = 0.0
+    brightness_floor: Annotated[float, pydantic.Field(ge=0.0)] | None = None
     incidence_deg: tuple[tuple[float, float], ...] | None = None
 
     @pydantic.field_validator("kind")
@@ -92,6 +95,17 @@ class TargetTable(RecipeModel):
         if self.kind == "array" and self.file is None:
             raise ValueError('target.file is missing; kind = "array" needs a .npy of [x, y] or [x, y, 3] in 0..1')
         return self
+
+    def least_brightness(self, picture: Array) -> float:
+        """Return the floor of 1 / scale: as given, or where the picture would hold `LEAST_LIGHT` of the light.
+
+        A perfect reflector sends its light over the hemisphere so that the integral of the BRDF over (u, v) is 1; a
+        picture of mean m over a slice of area A, shown at a scale, therefore holds m A / scale of it.
+        """
+        if self.brightness_floor is not None:
+            return self.brightness_floor
+        mean = float(np.mean(np.asarray(picture) ** GAMMA))
+        return LEAST_LIGHT / max(mean * (2.0 * self.range) ** 2, 1e-12)
 
     def build(self, wi: Array, context: RecipeContext) -> Array:
         """Return the display-referred target `[x, y, 3]` for light from `wi`.
@@ -217,16 +231,17 @@ class TargetSpec(RecipeModel):
         if sum(t.resolution**2 for t in tables) * len(spectrum.wavelengths_nm) > LARGEST_TARGET_VALUES:
             raise context.fail("target.resolution", self.target.resolution, "asks for too many directions at once")
         scale = self.target.intensity_scale
+        views = tuple(self._view(table, spectrum, context) for table in tables)
         return Problem(
             features=self.features,
             feature_nm=1e3 * self.feature_um,
             blur_nm=1e3 * self.blur_um,
             height_max_nm=1e3 * self.height_max_um,
             coherence=coherence,
-            views=tuple(self._view(table, spectrum, context) for table in tables),
+            views=views,
             intensity_scale=None if scale == "free" else scale,
             prefactor=self.chosen_prefactor,
-            brightness_floor=self.target.brightness_floor,
+            brightness_floor=self.target.least_brightness(views[0].target),
             noise=self.search.noise,
             blur_error=self.search.blur_error,
             levels=self.search.levels,
