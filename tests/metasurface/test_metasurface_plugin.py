@@ -1,5 +1,6 @@
 """The harmonic lobe on the device: the questions that every lobe is asked."""
 
+import dataclasses
 from functools import cache
 
 import numpy as np
@@ -65,10 +66,30 @@ def test_directions_are_drawn_as_their_density_says(trials, name):
         assert np.all(mean - 3 * error <= FURNACE_TOP) and np.all(mean > 0)
 
 
-def test_the_device_knows_wavelengths_5_nm_apart_and_all_of_the_lobe(trials):
-    from nacre.render.plugins.harmonic import NEAREST_STEP_NM, _fine_grid
-
+def test_the_device_is_linear_between_wavelengths(trials):
+    """H is interpolated as the arrays would be, S is exact: so with one S for all, f is linear too."""
     made = lobe("free, spread radii").lobes[0]
-    fine = _fine_grid(made)
-    assert np.max(np.diff(fine)) <= NEAREST_STEP_NM + 1e-9
-    assert np.all(np.isin(made.wavelengths_nm, fine))
+    flat = dataclasses.replace(made, structure=np.ones_like(made.structure))
+    a, b = trials.directions(500, 1, True), trials.directions(500, 2, True)
+    at, grid = np.array([400.0, 433.0, 541.5, 715.0]), made.wavelengths_nm
+    nodes = flat.evaluate(a.astype(np.float32), b.astype(np.float32))
+    expected = np.stack([[np.interp(w, grid, row) for w in at] for row in nodes])
+    got = trials.plugin_values(Bsdf((flat,)), a, b, at)
+    assert np.max(np.abs(got - expected)) <= ARRAY_BAR * expected.max()
+
+
+def test_the_device_takes_one_wavelength_and_more_than_eight_harmonics(trials):
+    made = lobe("opaque").lobes[0]
+    widened = np.concatenate([made.above, 0.03 * made.above[:, ::-1]], axis=1)
+    for changed in (
+        dataclasses.replace(made, above=widened, below=widened[:0], across=widened[:0], above_free=widened[:0]),
+        _at_one_wavelength(made),
+    ):
+        a, b = trials.directions(300, 1, False), trials.directions(300, 2, False)
+        assert trials.array_mismatch(Bsdf((changed,)), a, b) <= ARRAY_BAR
+
+
+def _at_one_wavelength(made):
+    tables = {n: getattr(made, n)[..., 2:3] for n in ("above", "below", "across", "above_free", "below_free")}
+    numbers = {n: getattr(made, n)[2:3] for n in ("wavelengths_nm", "wavenumbers", "index_below")}
+    return dataclasses.replace(made, across_free=made.across_free[..., 2:3], **tables, **numbers)

@@ -37,7 +37,7 @@ class Grids:
 def choose_grids(eta: float | None, polydisperse: bool, thick: bool) -> Grids:
     """Return grids fine enough for the stack that keep a material of 48 wavelengths under 100 MB.
 
-    The device's table, of twice as many wavelengths, stays under it as well.
+    The device's table, two wavelengths of 16 bits for each of 32, stays under it as well.
 
     Args:
         eta: index of a transparent substrate over the ambient's; None for an opaque one.

@@ -1,7 +1,8 @@
 """The diffuse light of a monolayer on the device: harmonics over the azimuth times the sharp structure factor.
 
-The harmonics of one pair of angles and one wavelength lie side by side, so that a corner of the look-up costs a few
-packet loads; S is read at the exact |q| of each wavelength node, as the array evaluation does.
+A look-up is bound by the cache lines that it touches, not by its arithmetic. So the harmonics of one pair of angles at
+two neighbouring wavelengths lie side by side as 16-bit integers: a corner is one load of half a line, and the table is
+no larger than the lobe's own. S is read at the exact |q| of each wavelength.
 """
 
 from __future__ import annotations
@@ -26,16 +27,14 @@ from nacre.render.plugins.base import (
     opaque_int,
     read,
     read2,
-    read4,
 )
 from nacre.render.plugins.tables import WavelengthAxis
 
 Array = NDArray[np.float64]
 
 COSINE_SHARE = 0.1  # of the draws: no direction is left out, and no weight grows without bound
-PACKET = 8
-NEAREST_STEP_NM = 5.0  # half the default step: the nearest is at most 2.5 nm off, and none at the nodes
-MAX_FINE_BYTES = 96 << 20
+PACKET = 8  # harmonics of a load, of each of two wavelengths
+LEVELS = 32767  # of 16-bit integers; their rounding is 1.5e-5 of each harmonic's largest value
 VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 32, 64, 64  # for each side
 
 
@@ -50,7 +49,7 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         self.components = (flag("GlossyReflection", *sides),)
         if lobe.transmits:
             self.components += (flag("GlossyTransmission", *sides),)
-        self.axis = WavelengthAxis(_fine_grid(lobe))
+        self.axis = WavelengthAxis(lobe.wavelengths_nm)
         self.packets = -(-lobe.above.shape[1] // PACKET)
         self.keeps_index = _keeps_index(lobe)
         self.has_free = lobe.above_free.shape[0] > 0
@@ -58,12 +57,12 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
 
     def _set(self, lobe: Harmonic) -> None:
         self.shape = (lobe.above.shape, lobe.below.shape, lobe.across.shape)
-        fine = _fine_grid(lobe)
-        self.axis.update(fine)
-        self.place = _interpolation(lobe.wavelengths_nm, fine)
-        self.rows = opaque_int(len(lobe.above) + len(lobe.below) + len(lobe.across))
-        self.values = self._pack([lobe.above, lobe.below, lobe.across])
-        self.free = self._pack([lobe.above_free, lobe.below_free, lobe.across_free]) if self.has_free else None
+        self.axis.update(lobe.wavelengths_nm)
+        self.intervals = opaque_int(max(1, len(lobe.wavelengths_nm) - 1))
+        self.values = _Packed([lobe.above, lobe.below, lobe.across], self.packets)
+        self.free = None
+        if self.has_free:
+            self.free = _Packed([lobe.above_free, lobe.below_free, lobe.across_free], self.packets)
         self.starts = (opaque_int(len(lobe.above)), opaque_int(len(lobe.above) + len(lobe.below)))
         self.count_above = opaque_int(lobe.count_above)
         self.edge_above, self.top_above = opaque(lobe.count_above - 0.5), opaque(lobe.count_above - 1)
@@ -80,33 +79,11 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
             self.steps_nm = opaque(lobe.wavenumbers[0] * lobe.wavelengths_nm[0] / lobe.q_step)
             self.shortest, self.longest = opaque(lobe.wavelengths_nm[0]), opaque(lobe.wavelengths_nm[-1])
         else:
-            self.per_step = device_array(_pairs(self._resampled(lobe.wavenumbers) / lobe.q_step))
-        self.index = device_array(_pairs(self._resampled(lobe.index_below)))
+            self.per_step = device_array(_pairs(lobe.wavenumbers / lobe.q_step))
+        self.index = device_array(_pairs(lobe.index_below))
         self.s_values = device_array(_pairs(lobe.structure))
         self.s_last = opaque(len(lobe.structure) - 1)
         self._set_sampling(lobe)
-
-    def _pack(self, tables: list[NDArray[np.float32]]) -> Any:
-        """Join tables as `[wavelength, row, harmonic]`, harmonics filled up to whole packets.
-
-        Neighbours in one angle lie side by side, so that a look-up touches few lines of the cache.
-        """
-        rows = np.concatenate([t for t in tables if t.shape[0]])
-        low, part = self.place
-        shape = (len(low), rows.shape[0], PACKET * self.packets)
-        if math.prod(shape) >= 2**32:
-            raise UnsupportedError("the harmonic table is too large to be rendered; give fewer wavelengths")
-        padded = np.zeros(shape, dtype=np.float32)
-        top = rows.shape[2] - 1
-        for node, (at, w) in enumerate(zip(low, part, strict=True)):
-            near = rows[..., at]
-            padded[node, :, : rows.shape[1]] = near if w == 0.0 else near + w * (rows[..., min(at + 1, top)] - near)
-        return device_array(padded)
-
-    def _resampled(self, values: Array) -> Array:
-        """Return numbers of the lobe's wavelengths at the device's."""
-        low, part = self.place
-        return values[low] + part * (values[np.minimum(low + 1, len(values) - 1)] - values[low])
 
     def _set_sampling(self, lobe: Harmonic) -> None:
         """Tabulate f |cos_o| sin_o, averaged over wavelengths, on (theta_i; theta_o, |dphi|)."""
@@ -233,31 +210,32 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
             (self._row(low_l + 1, low_e + 1, up_l, up_e), dr.minimum(part_l, part_e)),
             (self._row(low_l + step_l, low_e + step_e, up_l, up_e), dr.abs(part_l - part_e)),
         ]
+        kinds = [self.values] if self.free is None else [self.values, self.free]
+        series = [[c * unit for c, unit in zip(cosines, kind.units, strict=True)] for kind in kinds]
         result = mi.Spectrum(0.0)
         for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
-            # the nearest of nodes 5 nm apart for what is smooth; S at the wavelength itself
-            start = dr.select(part < 0.5, low, low + 1) * self.rows
-            value = dr.maximum(self._series(self.values, start, corners, cosines, active), 0.0)
+            value = self._series(self.values, low, part, corners, series[0], active)
             value = value * self._structure(si.wavelengths[k], low, part, sin_l, sin_e, dot, up_l, up_e, active)
-            if self.has_free:
-                value = value + dr.maximum(self._series(self.free, start, corners, cosines, active), 0.0)
+            if self.free is not None:
+                value = value + self._series(self.free, low, part, corners, series[1], active)
             result[k] = value
         if self.transmits:
             result = result * dr.select(up_e, 1.0, dr.square(self.eta))
         return result
 
-    def _series(self, source: Any, start: Any, corners: list[Any], cosines: list[Any], active: Any) -> Any:
-        """Interpolate over the angles and sum the harmonics."""
-        total = mi.Float(0.0)
+    def _series(self, source: _Packed, low: Any, part: Any, corners: list[Any], cosines: list[Any], active: Any) -> Any:
+        """Interpolate over the angles and between two wavelengths, and sum the harmonics."""
+        near, far = mi.Float(0.0), mi.Float(0.0)
         for row, weight in corners:
-            at = (start + row) * self.packets
-            term = mi.Float(0.0)
+            at = (row * self.intervals + low) * self.packets
             for j in range(self.packets):
-                packet = _read_packet(source, at + j, active)
-                for i in range(PACKET):
-                    term = dr.fma(packet[i], cosines[PACKET * j + i], term)
-            total = dr.fma(weight, term, total)
-        return total
+                packet = source.read(at + j, active)
+                harmonics = cosines[PACKET * j : PACKET * (j + 1)]
+                near = dr.fma(weight, _dot(packet[:PACKET], harmonics), near)
+                far = dr.fma(weight, _dot(packet[PACKET:], harmonics), far)
+        ends = read2(source.scales, low, active)
+        # a cut cosine series may dip below zero where the light is next to nothing
+        return dr.maximum(dr.lerp(near * ends[0], far * ends[1], part), 0.0)
 
     def _structure(
         self, wavelength: Any, low: Any, part: Any, sin_l: Any, sin_e: Any, dot: Any, up_l: Any, up_e: Any, active: Any
@@ -304,29 +282,55 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         self._set(lobe)
 
 
-def _fine_grid(lobe: Harmonic) -> Array:
-    """Return the wavelengths of the device's table: the lobe's own, each interval cut into equal ones of 5 nm.
+class _Packed:
+    """A table `[row, harmonic, wavelength]` as 16-bit integers `[row, interval, packet, end of interval, harmonic]`.
 
-    The device takes the nearest of them, which halves its loads; at the lobe's wavelengths it is exact.
+    Attributes:
+        units: of each harmonic, to be multiplied by the cosines; the higher ones are small.
+        scales: of the two ends of each interval of wavelengths.
     """
-    grid = np.asarray(lobe.wavelengths_nm, dtype=float)
-    if len(grid) == 1:
-        return np.array([grid[0], grid[0] + 1.0])
-    size = sum(getattr(lobe, name).size * 4 for name in ("above", "below", "across")) / len(grid)
-    limit = max(2, int(MAX_FINE_BYTES / (size * (2 if lobe.above_free.shape[0] else 1))))
-    cuts = np.maximum(1, np.ceil(np.diff(grid) / NEAREST_STEP_NM - 1e-6)).astype(int)
-    while cuts.max() > 1 and cuts.sum() >= limit:
-        cuts = np.maximum(1, cuts // 2)
-    parts = [a + (b - a) * np.arange(c) / c for a, b, c in zip(grid[:-1], grid[1:], cuts, strict=True)]
-    return np.concatenate([*parts, grid[-1:]])
+
+    def __init__(self, tables: list[NDArray[np.float32]], packets: int) -> None:
+        rows = np.concatenate([t for t in tables if t.shape[0]])
+        if rows.shape[2] == 1:
+            rows = np.repeat(rows, 2, axis=2)
+        count, kept, wavelengths = rows.shape
+        shape = (count, wavelengths - 1, packets, 2, PACKET)
+        if math.prod(shape) >= 2**32:
+            raise UnsupportedError("the harmonic table is too large to be rendered; give fewer wavelengths")
+        largest = np.maximum(np.abs(rows).max(axis=0), np.float32(1e-30)).astype(float)
+        units = (largest / largest[0]).max(axis=1)
+        scale = largest[0]
+        packed = np.zeros(shape, dtype=np.int16)
+        for node in range(wavelengths):
+            levels = np.zeros((count, packets * PACKET), dtype=np.int16)
+            levels[:, :kept] = np.rint(rows[..., node] * (LEVELS / (units * scale[node])))
+            for interval, end in ((node, 0), (node - 1, 1)):
+                if 0 <= interval < wavelengths - 1:
+                    packed[:, interval, :, end] = levels.reshape(count, packets, PACKET)
+        self.units = [opaque(unit) for unit in units] + [opaque(0.0)] * (packets * PACKET - kept)
+        self.scales = device_array(_pairs(scale / LEVELS))
+        self.on_device = dr.is_jit_v(mi.Float)
+        flat = packed.reshape(-1, 2 * PACKET)
+        self.values = mi.UInt32(flat.view(np.uint32).ravel()) if self.on_device else flat
+
+    def read(self, index: Any, active: Any) -> list[Any]:
+        """Return the integers of a packet: `PACKET` of the lower wavelength, then as many of the upper."""
+        if not self.on_device:
+            return [float(v) for v in self.values[int(index)]] if active else [0.0] * (2 * PACKET)
+        words = dr.gather(mi.ArrayXu, self.values, index, active, shape=(PACKET, dr.width(index)))
+        numbers = []
+        for word in words:
+            signed = mi.Int32(word)  # the lower half of a word is the first of its two numbers
+            numbers += [mi.Float((signed << 16) >> 16), mi.Float(signed >> 16)]
+        return numbers
 
 
-def _interpolation(grid: Array, fine: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the lower node of `grid` and the fraction above it for each of `fine`."""
-    if len(grid) == 1:
-        return np.zeros(len(fine), dtype=np.intp), np.zeros(len(fine))
-    low = np.clip(np.searchsorted(grid, fine, side="right") - 1, 0, len(grid) - 2)
-    return low, (fine - grid[low]) / (grid[low + 1] - grid[low])
+def _dot(numbers: list[Any], cosines: list[Any]) -> Any:
+    total = mi.Float(0.0)
+    for number, cosine in zip(numbers, cosines, strict=True):
+        total = dr.fma(number, cosine, total)
+    return total
 
 
 def _keeps_index(lobe: Harmonic) -> bool:
@@ -335,16 +339,9 @@ def _keeps_index(lobe: Harmonic) -> bool:
     return bool(np.allclose(product, product[0], rtol=1e-7, atol=0.0))
 
 
-def _read_packet(source: Any, index: Any, active: Any) -> Any:
-    """Gather `PACKET` numbers in one load."""
-    if dr.is_jit_v(mi.Float):
-        return dr.gather(mi.ArrayXf, source, index, active, shape=(PACKET, dr.width(index)))
-    return [*read4(source, 2 * index, active), *read4(source, 2 * index + 1, active)]
-
-
 def _pairs(values: Array) -> Array:
     """Return `[i, 2]`: each value and the next, which one load then fetches."""
-    return np.stack([values[:-1], values[1:]], axis=1)
+    return np.stack([values[:-1], values[1:]], axis=1) if len(values) > 1 else np.stack([values, values], axis=1)
 
 
 def _thinned(lobe: Harmonic) -> Harmonic:
