@@ -27,7 +27,7 @@ layers = [{material = {n = 1.33}, thickness_nm = {formula = "120 + 700*v*v"}}]
 """
 COMMAND_BAR_S = 5.0
 RENDERS = 50
-GROWTH_BAR = 1.10
+GROWTH_BAR = 1.05
 
 
 def command(folder: Path) -> tuple[float, float]:
