@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 _VIRIAL = (0.1280, 0.0018, -0.0507, -0.0533, -0.0410)
 PACKING_LIMIT = 0.7  # hard disks freeze at 0.70; the closed form knows the fluid only
+SMALLEST_MENDED = 0.02  # packing below which the closed form's core is empty to 1e-5
 RANGE_IN_DIAMETERS = 9.0  # g - 1 beyond this many diameters changes no figure in its third digit
 
 
@@ -111,11 +112,66 @@ def baus_colot_pair_correlation(r_reduced: ArrayLike, packing: float) -> Array:
     x = np.asarray(r_reduced, dtype=float)
     if packing < 1e-6:
         return (x >= 1.0).astype(float)
+    return np.where(x >= 1.0, 1.0 + _indirect_correlation(x, packing), 0.0)
+
+
+def _indirect_correlation(x: Array, packing: float) -> Array:
+    """gamma(r/a), which is smooth through the contact."""
     q, weight = _indirect_spectrum(float(packing))
-    gamma = np.empty(x.size)
-    for i, value in enumerate(x.ravel()):
-        gamma[i] = j0(q * value) @ weight
-    return np.where(x >= 1.0, 1.0 + gamma.reshape(x.shape), 0.0)
+    return np.array([j0(q * value) @ weight for value in x.ravel()]).reshape(x.shape)
+
+
+@dataclass(frozen=True)
+class CoreCorrection:
+    """What makes Baus-Colot's g(r) and S(q) a pair again once the core is emptied; lengths in diameters.
+
+    The closed form leaves a little of g inside the core (0.001 at packing 0.1, up to 0.12 at 0.5), which no disk may
+    have. Setting it to zero while S stays breaks S = 1 + rho FT(g - 1): the mean field and
+    the diffuse light then disagree, by 0.7 % of the energy at packing 0.5. The area taken from the core goes into a
+    layer `amplitude e^(-decay (r - 1))` outside, which keeps S(0) = 1/D; its height is the step from the closed form's
+    contact value to that of the equation of state, Z = 1 + 2 eta g(1), as Verlet and Weis did in three dimensions.
+
+    Attributes:
+        amplitude, decay: of the layer; amplitude 0: nothing to mend.
+        inside: nodes, and weights that carry what is taken away, `[node]`.
+        layer: nodes and weights of the layer.
+    """
+
+    amplitude: float
+    decay: float
+    inside: tuple[Array, Array]
+    layer: tuple[Array, Array]
+
+    def excess(self, x: Array) -> Array:
+        """What is added to g at x >= 1."""
+        return np.asarray(self.amplitude * np.exp(-self.decay * (np.maximum(x, 1.0) - 1.0)))
+
+    def spectrum(self, q_reduced: Array, packing: float) -> Array:
+        """What is added to S at Q."""
+        nodes = np.concatenate([self.inside[0], self.layer[0]])
+        weights = np.concatenate([-self.inside[1], self.layer[1]])
+        parts = [j0(np.outer(q, nodes)) @ weights for q in np.array_split(q_reduced, 1 + q_reduced.size // 2000)]
+        return np.asarray(8 * packing * np.concatenate(parts))
+
+
+@lru_cache(maxsize=64)
+def core_correction(packing: float) -> CoreCorrection:
+    """Return the correction at a packing; without effect where the closed form keeps the core empty by itself."""
+    x, weight = np.polynomial.legendre.leggauss(60)
+    x, weight = (x + 1) / 2, weight / 2
+    d, a = _compressibility(packing), baus_colot_scale(packing)
+    direct = -d * (1 - a * a * packing + a * a * packing * _overlap(x / a))
+    inside = weight * x * (1.0 + _indirect_correlation(x, packing) + direct)
+    moved = float(inside.sum())
+    z = (1.0 + sum(c * packing**k for k, c in enumerate(_VIRIAL, start=2))) / (1 - packing) ** 2
+    step = (z - 1) / (2 * packing) - float(baus_colot_pair_correlation(1.0, packing))
+    if moved < 1e-6 or step < 1e-6:
+        return CoreCorrection(0.0, 1.0, (x, 0.0 * x), (x, 0.0 * x))
+    # int_1^inf step e^{-decay (r-1)} r dr = moved
+    decay = (step + np.sqrt(step**2 + 4 * step * moved)) / (2 * moved)
+    t, w = np.polynomial.laguerre.laggauss(40)
+    nodes, layer = 1.0 + t / decay, w * step / decay * (1.0 + t / decay)
+    return CoreCorrection(step, float(decay), (x, inside), (nodes, layer * moved / layer.sum()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +183,7 @@ class Structure:
         density_per_nm2: particles per area.
         diameter_nm: the least distance a between centres.
         q_per_nm, s: `[q]`, uniform from 0, the structure factor; 1 beyond the table.
-        r_nm, h: `[r]`, uniform from `diameter_nm`, g(r) - 1; -1 inside, 0 beyond the table.
+        r_nm, h: `[r]`, ascending from `diameter_nm`, g(r) - 1; -1 inside, 0 beyond the table.
     """
 
     name: str
@@ -156,6 +212,9 @@ class Structure:
 def hard_disk_structure(density_per_nm2: float, packing: float, q_max_per_nm: float) -> Structure:
     """Tabulate hard disks in equilibrium; `q_max_per_nm` is the largest |q| the optics will ask for.
 
+    S is that of Baus and Colot but for what an empty core changes, see `CoreCorrection`: less than 1e-4 at packing
+    0.1, 0.023 at 0.5, nearer to Monte-Carlo disks.
+
     Raises:
         NacreError: a packing outside 0..0.7.
     """
@@ -163,13 +222,11 @@ def hard_disk_structure(density_per_nm2: float, packing: float, q_max_per_nm: fl
         raise NacreError(f"packing = {packing:g} is not allowed; it should be over 0 and at most {PACKING_LIMIT:g}")
     a = float(np.sqrt(4 * packing / (np.pi * density_per_nm2)))
     q = np.asarray(np.arange(0, int(q_max_per_nm * a / 0.01) + 202) * 0.01, dtype=np.float64)
-    x: Array = np.linspace(1.0, RANGE_IN_DIAMETERS, 385)
-    return Structure(
-        "hard-disk",
-        density_per_nm2,
-        a,
-        q / a,
-        baus_colot(q, packing),
-        x * a,
-        baus_colot_pair_correlation(x, packing) - 1.0,
-    )
+    # finer steps near contact, where the layer of `CoreCorrection` falls off within a twentieth of a diameter
+    x = np.concatenate([np.linspace(1.0, 1.25, 126)[:-1], np.linspace(1.25, RANGE_IN_DIAMETERS, 373)])
+    mend = core_correction(packing) if packing > SMALLEST_MENDED else None
+    s, h = baus_colot(q, packing), baus_colot_pair_correlation(x, packing) - 1.0
+    if mend is not None and mend.amplitude > 0.0:
+        s, h = s + mend.spectrum(q, packing), h + mend.excess(x)
+    # near freezing the sum dips to -0.014
+    return Structure("hard-disk", density_per_nm2, a, q / a, np.maximum(s, 0.0), x * a, h)
