@@ -8,10 +8,12 @@ from __future__ import annotations
 import functools
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+import pydantic
 
 from nacre.errors import NacreError
 from nacre.files import atomic_path, parse_toml, read_text
@@ -54,6 +56,20 @@ class AnimationSpec(PictureSpec):
     animate: str
 
 
+class RowSpec(RecipeModel):
+    """An animation of several materials at once, in rows, under one light and one exposure."""
+
+    recipes: list[str] = pydantic.Field(min_length=1)
+    columns: Annotated[int, pydantic.Field(ge=1)]
+    title: str
+    name: str
+    scene: str
+    animate: Literal["light", "view"]
+    cell: tuple[int, int]  # width and height of one material's picture
+    spp: float = 1.0
+    quick: bool = False
+
+
 class PlotSpec(RecipeModel):
     """A figure of the gallery."""
 
@@ -77,6 +93,7 @@ class GallerySpec(RecipeModel):
 
     picture: list[PictureSpec] = []
     animation: list[AnimationSpec] = []
+    row: list[RowSpec] = []
     plot: list[PlotSpec] = []
     design: list[DesignSpec] = []
 
@@ -123,6 +140,7 @@ def plan(folder: Path, out: Path, is_quick: bool) -> list[Item]:
     items += [_picture(folder, out, p, is_quick) for p in gallery.picture if p.quick or not is_quick]
     items += [_plot(folder, out, p) for p in gallery.plot if p.quick or not is_quick]
     items += [_animation(folder, out, a, is_quick) for a in gallery.animation if a.quick or not is_quick]
+    items += [_row(folder, out, r, is_quick) for r in gallery.row if r.quick or not is_quick]
     return items
 
 
@@ -191,6 +209,63 @@ def _animation(folder: Path, out: Path, spec: AnimationSpec, is_quick: bool) -> 
         animate(material, spec.animate, path, frames=frames, size=(side, side), spp=affordable, progress=False, **look)
 
     return Item(spec.title, path, 3.0 + MOVIE_S[is_quick] * spec.spp, make)
+
+
+def _row(folder: Path, out: Path, spec: RowSpec, is_quick: bool) -> Item:
+    frames = QUICK_FRAMES if is_quick else FULL_FRAMES
+    path = out / f"{spec.name}-moving.mp4"
+    size = tuple(side // (2 if is_quick else 1) for side in spec.cell)
+    seconds = MOVIE_S[is_quick] * spec.spp
+
+    def make() -> None:
+        from nacre.render.animation import animate, join
+        from nacre.render.images import read_provenance
+
+        exposure: Any = "auto"
+        parts = []
+        for recipe in spec.recipes:
+            bsdf = _solved(folder, out, recipe)
+            look = {"scene": spec.scene}
+            budget = seconds / (frames * len(spec.recipes))
+            spp = _affordable_spp(bsdf, look, round((size[0] * size[1]) ** 0.5), FULL_FRAME_SPP, budget)
+            part = path.with_name(f"{spec.name}-parts") / f"{Path(recipe).stem}.mp4"
+            part.parent.mkdir(exist_ok=True)
+            made = animate(
+                bsdf, spec.animate, part, frames=frames, size=size, spp=spp, exposure=exposure, progress=False, **look
+            )
+            if made.interrupted:
+                raise KeyboardInterrupt
+            # one exposure for all, or the pairs could not be compared
+            exposure = float(read_provenance(made.frames[0])["exposure_stops"])
+            parts.append(made.frames)
+        folder_of_frames = path.with_name(f"{path.stem}_frames")
+        folder_of_frames.mkdir(exist_ok=True)
+        whole = tuple(folder_of_frames / f"frame_{index:04d}.png" for index in range(frames))
+        for index, name in enumerate(whole):
+            tile([part[index] for part in parts], spec.columns, name)
+        join(whole, path)
+
+    return Item(spec.title, path, 3.0 + seconds, make)
+
+
+def tile(pictures: Sequence[Path], columns: int, path: Path) -> None:
+    """Put pictures of one size beside each other, row by row.
+
+    Raises:
+        NacreError: the file cannot be written.
+    """
+    from PIL import Image
+
+    loaded = []
+    for file in pictures:
+        with Image.open(file) as picture:
+            loaded.append(picture.convert("RGB"))
+    width, height = loaded[0].size
+    sheet = Image.new("RGB", (min(columns, len(loaded)) * width, -(-len(loaded) // columns) * height))
+    for index, part in enumerate(loaded):
+        sheet.paste(part, (index % columns * width, index // columns * height))
+    with atomic_path(path) as temporary:
+        sheet.save(temporary, format="PNG")
 
 
 def _affordable_spp(material: Any, look: dict[str, Any], side: int, wanted: int, seconds: float) -> int:

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from nacre.cli import run
-from nacre.demo import CELL, contact_sheet, examples_folder, load_gallery, plan
+from nacre.demo import CELL, contact_sheet, examples_folder, load_gallery, plan, tile
 from nacre.design.run import load_target
 from nacre.recipe import load
 from nacre.render.scenes import SCENE_NAMES
@@ -24,6 +24,9 @@ def test_every_entry_of_the_gallery_can_be_made() -> None:
         assert entry.recipe in designs or load(folder / entry.recipe)
     for entry in [*gallery.picture, *gallery.animation]:
         assert entry.scene in SCENE_NAMES
+    for row in gallery.row:
+        assert row.scene in SCENE_NAMES
+        assert all(load(folder / recipe) for recipe in row.recipes)
     for design in gallery.design:
         load_target(folder / design.target)
 
@@ -51,6 +54,18 @@ def test_the_contact_sheet_holds_every_picture(tmp_path: Path) -> None:
         counts = {colour: count for count, colour in sheet.convert("RGB").getcolors(1 << 22)}
     for colour in ((255, 0, 0), (0, 255, 0), (0, 0, 255)):
         assert counts[colour] > 0.6 * CELL * CELL
+
+
+def test_pictures_are_tiled_row_by_row(tmp_path: Path) -> None:
+    files = []
+    for number, colour in enumerate(("red", "lime", "blue")):
+        files.append(tmp_path / f"{number}.png")
+        Image.new("RGB", (6, 4), colour).save(files[-1])
+    tile(files, 2, tmp_path / "tiled.png")
+    with Image.open(tmp_path / "tiled.png") as sheet:
+        assert sheet.size == (12, 8)
+        seen = [sheet.getpixel(place) for place in ((3, 2), (9, 2), (3, 6), (9, 6))]
+    assert seen == [(255, 0, 0), (0, 255, 0), (0, 0, 255), (0, 0, 0)]
 
 
 def test_an_out_folder_that_cannot_be_made_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
