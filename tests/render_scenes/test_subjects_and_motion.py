@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import nacre
 from nacre.errors import NacreError
@@ -163,6 +164,34 @@ def test_a_matt_tile_throws_the_fourth_power_of_the_cosine(grey: Any) -> None:
     d, on_screen = screen_directions((41, 41))
     cos_i = np.cos(np.radians(BEAM_DEG))
     assert result.xyz[on_screen][:, 1] == pytest.approx(0.5 * cos_i * d[on_screen][:, 2] ** 4, rel=1e-4)
+
+
+def test_the_pattern_turns_on_the_screen_and_tips_with_the_tile() -> None:
+    from nacre.render.screen import beam_direction, turned_directions
+
+    for turn, tip in ((0.0, 0.0), (90.0, 0.0), (30.0, 20.0)):
+        d, _, lamp = turned_directions((51, 51), turn, tip)
+        # the middle of the screen stays in the mirror direction
+        assert d[25, 25] == pytest.approx([-lamp[0], -lamp[1], lamp[2]], abs=1e-12)
+        assert lamp[2] == pytest.approx(np.cos(np.radians(BEAM_DEG + tip)))
+    turned = turned_directions((51, 51), 90.0, 0.0)[0]
+    plain = screen_directions((51, 51))[0]
+    assert turned[..., 0] == pytest.approx(-plain[..., 1]) and turned[..., 1] == pytest.approx(plain[..., 0])
+    assert beam_direction() == pytest.approx(turned_directions((9, 9), 0.0, 0.0)[2])
+    with pytest.raises(NacreError, match="up to 60 degrees"):
+        turned_directions((9, 9), 0.0, 70.0)
+
+
+def test_a_relief_moves_on_the_screen(tmp_path: Path) -> None:
+    star = nacre.load(Path(__file__).resolve().parents[2] / "examples" / "relief" / "star.toml").bsdf(
+        np.array([420.0, 550.0, 680.0])
+    )
+    frames = nacre.render.animate(star, "light", tmp_path / "a.gif", frames=4, scene="screen", size=(64, 64)).frames
+    seen = [np.asarray(Image.open(name).convert("RGB"), dtype=float) for name in frames]
+    # a quarter turn of the beam turns the pattern, up to the beam's 10 degrees
+    assert np.abs(seen[0] - seen[1]).mean() > 2.0
+    turned = min(np.abs(np.rot90(seen[0], k) - seen[1]).mean() for k in (1, 3))
+    assert turned < 0.6 * np.abs(seen[0] - seen[1]).mean()
 
 
 def test_the_screen_by_arrays_equals_the_screen_by_plugin() -> None:

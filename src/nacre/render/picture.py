@@ -80,7 +80,8 @@ def render(
         exposure: "auto" or stops (see `nacre.render.images`).
         output: .png or .exr file to write.
         spectral: keep spectra too (10 nm bands); None: only for an output that ends in .spectral.exr.
-        light_turn_deg, view_turn_deg: turns light or camera round the subject.
+        light_turn_deg, view_turn_deg: turns light or camera round the subject; of the screen: turns the beam round
+            the tile's normal, tips the tile.
         progress: True, False, None (a bar where stderr is a terminal) or a function(done, total, seconds_left).
 
     Returns:
@@ -103,7 +104,10 @@ def render(
     if scene == "screen":
         from nacre.render.screen import render_screen
 
-        result = render_screen(bsdf, illuminant=illuminant, size=check_size(size), exposure=exposure, notes=notes)
+        result = render_screen(
+            bsdf, illuminant=illuminant, size=check_size(size), exposure=exposure, notes=notes,
+            light_turn_deg=light_turn_deg, view_turn_deg=view_turn_deg,
+        )  # fmt: skip
         return result.save(output) if output is not None else result
 
     use_variant()

@@ -23,6 +23,7 @@ from nacre.render.images import AUTO_LEVEL, Exposure, RenderResult, develop, enc
 from nacre.render.variant import use_variant
 
 BEAM_DEG = 10.0
+STEEPEST_DEG = 60.0  # of the beam on a tipped tile; beyond, the screen's edge would pass behind it
 HALF_WIDTH = 0.42  # of the screen, in units of its distance: 23 degrees to each side of the mirror direction
 DEFAULT_SIZE = (640, 640)
 WAVELENGTH_STEP_NM = 5.0
@@ -47,9 +48,34 @@ def screen_directions(size: tuple[int, int]) -> tuple[NDArray[np.float64], NDArr
     return d / np.linalg.norm(d, axis=-1, keepdims=True), on_screen
 
 
-def beam_direction() -> NDArray[np.float64]:
+def beam_direction(incidence_deg: float = BEAM_DEG) -> NDArray[np.float64]:
     """Unit vector from the tile to the lamp."""
-    return np.array([np.sin(np.radians(BEAM_DEG)), 0.0, np.cos(np.radians(BEAM_DEG))])
+    return np.array([np.sin(np.radians(incidence_deg)), 0.0, np.cos(np.radians(incidence_deg))])
+
+
+def turned_directions(
+    size: tuple[int, int], light_turn_deg: float, view_turn_deg: float
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
+    """Return directions to the pixels, which are on the screen, and the lamp's direction, all as the tile sees them.
+
+    The beam walks round the tile's normal by the light's turn, the screen with it: on the screen the pattern turns.
+    The tile tips by the view's turn, so that the beam meets it at 10 degrees and that; the screen stays in the mirror
+    direction and faces it.
+
+    Raises:
+        UnsupportedError: the beam would graze the tile.
+    """
+    d, on_screen = screen_directions(size)
+    incidence_deg = BEAM_DEG + view_turn_deg
+    if abs(incidence_deg) > STEEPEST_DEG:
+        raise UnsupportedError(
+            f"scene screen: a turn of {view_turn_deg:g} degrees leaves a beam at {incidence_deg:g}; "
+            f"up to {STEEPEST_DEG:g} degrees are shown"
+        )
+    tip, turn = np.radians(-view_turn_deg), np.radians(light_turn_deg)
+    about_y = np.array([[np.cos(tip), 0.0, np.sin(tip)], [0.0, 1.0, 0.0], [-np.sin(tip), 0.0, np.cos(tip)]])
+    about_z = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    return d @ (about_z @ about_y).T, on_screen, about_z @ beam_direction(incidence_deg)
 
 
 def render_screen(
@@ -59,6 +85,8 @@ def render_screen(
     size: tuple[int, int] | None = None,
     exposure: Exposure = "auto",
     notes: Mapping[str, Any] | None = None,
+    light_turn_deg: float = 0.0,
+    view_turn_deg: float = 0.0,
 ) -> RenderResult:
     """Render the pattern that a material throws.
 
@@ -67,24 +95,26 @@ def render_screen(
 
     Args:
         material: a `Bsdf` or a ready `mi.BSDF`.
+        light_turn_deg, view_turn_deg: see `turned_directions`.
     """
     started = time.perf_counter()
     mi = use_variant()
     size = size or DEFAULT_SIZE
     light = find_illuminant(illuminant)
-    d, on_screen = screen_directions(size)
+    d, on_screen, lamp = turned_directions(size, light_turn_deg, view_turn_deg)
     eye = d[on_screen]
+    slant = screen_directions(size)[0][on_screen][:, 2]  # the screen does not tip with the tile
     wavelengths = np.arange(360.0, 830.0 + WAVELENGTH_STEP_NM, WAVELENGTH_STEP_NM)
     if mi.variant().startswith("scalar"):
-        values = evaluate_arrays(material, eye, beam_direction(), wavelengths)
+        values = evaluate_arrays(material, eye, lamp, wavelengths)
     else:
         if isinstance(material, Bsdf):
             from nacre.render.plugins.bsdf import make_bsdf
 
             material = make_bsdf(material, two_sided=True)
-        values = evaluate_plugin(mi, material, eye, beam_direction(), wavelengths)
+        values = evaluate_plugin(mi, material, eye, lamp, wavelengths)
     luminous = values @ xyz_weights(wavelengths, light)
-    thrown = np.pi * luminous * (eye[:, 2] ** 4)[:, None]
+    thrown = np.pi * luminous * (np.maximum(eye[:, 2], 0.0) * slant**3)[:, None]
     xyz = np.full((*on_screen.shape, 3), _ROOM) * (np.ones(len(wavelengths)) @ xyz_weights(wavelengths, light))
     if exposure == "auto":
         bright = float(np.percentile(thrown[:, 1], _BRIGHT_PERCENTILE))
@@ -95,7 +125,8 @@ def render_screen(
     stats = {
         **(notes or {}),
         "scene": "screen",
-        "light": f"beam at {BEAM_DEG:g} degrees, {light.name}",
+        "light": f"beam at {BEAM_DEG + view_turn_deg:g} degrees, {light.name}",
+        "light_turn_deg": light_turn_deg % 360.0,
         "illuminant": light.name,
         "size": list(size),
         "spp": 1,
