@@ -1,6 +1,7 @@
 """The material from its recipe: lobes, energy, file, spectrum, figures; bad input in one line."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,10 @@ from nacre.bsdf.file import load_bsdf, save_bsdf
 from nacre.errors import NacreError, RecipeError
 from nacre.exchange.point_pattern import read_layout, read_points_csv, write_layout, write_points_csv
 from nacre.metasurface.material import MetasurfaceWarning
-from nacre.recipe import material
+from nacre.metasurface.sphere import ConvergenceRefusal
+from nacre.recipe import load, material
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "metasurface"
 
 WAVELENGTHS = np.array([450.0, 550.0, 650.0])
 EDGE_OF_ENERGY = 1.002
@@ -193,6 +197,44 @@ def test_metal_touching_silicon_is_refused_with_the_remedy():
     assert "\n" not in str(caught.value)
     data["particle"]["gap_nm"] = 2
     assert np.all(np.isfinite(material(data).spectrum([0.0], [450.0]).diffuse_reflectance))
+
+
+SILVER_ON_GLASS = {
+    "family": "metasurface",
+    "substrate": "glass",
+    "particle": {"material": "Ag", "radius_nm": 90},
+    "monolayer": {"density_per_um2": 5, "packing": 0.5},
+}
+
+
+def test_an_unconverged_order_is_refused_in_the_ultraviolet_too():
+    """Order 40 leaves 0.36 % at 360 nm: refused with its number, unless the recipe accepts that much."""
+    with pytest.raises(
+        ConvergenceRefusal, match="at 360 nm .*does not converge to 0.001.*model.tolerance = 0.004"
+    ) as e:
+        material(SILVER_ON_GLASS).bsdf()
+    assert "\n" not in str(e.value) and 1e-3 < e.value.change < 4e-3
+    accepted = material({**SILVER_ON_GLASS, "model": {"tolerance": 4e-3}})
+    assert accepted.model.order(accepted.model.surface(360.0)) == 40
+    assert accepted.bsdf([360.0]).provenance["multipole_tolerance"] == 4e-3
+    apart = material({**SILVER_ON_GLASS, "particle": {"material": "Ag", "radius_nm": 90, "gap_nm": 2}}).model
+    assert apart.order(apart.surface(360.0)) <= 40
+
+
+def test_a_series_without_a_limit_cannot_be_accepted():
+    touching = {**SILVER_ON_GLASS, "substrate": "Si"}
+    with pytest.raises(RecipeError, match="tolerance"):
+        material({**touching, "model": {"tolerance": 0.5}})
+    with pytest.raises(ConvergenceRefusal) as e:
+        material({**touching, "model": {"tolerance": 0.02}}).spectrum([0.0], [450.0])
+    assert "accept" not in str(e.value)
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda p: p.stem)
+def test_the_examples_converge_over_the_whole_default_range(path):
+    made = load(path).model
+    if hasattr(made, "order"):
+        assert all(made.order(made.surface(w)) <= 40 for w in made.wavelengths_nm[::2])
 
 
 def test_coverage_beyond_the_tested_warns():

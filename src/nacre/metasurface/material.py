@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,16 +23,15 @@ from nacre.metasurface.mie import mie_coefficients
 from nacre.metasurface.monolayer import Monolayer, Particle
 from nacre.metasurface.patterns import Pattern
 from nacre.metasurface.qca import INTERACTION_ORDER
-from nacre.metasurface.sphere import ORDER_LADDER, ConvergenceRefusal, choose_order, hemisphere_rule
+from nacre.metasurface.sphere import ORDER_TOLERANCE, ConvergenceRefusal, choose_order, hemisphere_rule
 from nacre.metasurface.structure import Structure
 from nacre.metasurface.surface import LOSSLESS_K, Surface
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-logger = logging.getLogger("nacre")
 
 VALIDATED_COVERAGE = 0.13
-REFUSED_FROM_NM = 380.0  # below, the eye's response is under 0.4 % of its peak: an unconverged order is only noted
+LOOSEST_TOLERANCE = 0.02  # of the change on doubling: above it the series has no limit to speak of
 THICK_FILM_NM = 200.0
 SAME_INDEX = 1e-3
 SIZE_NODES = 5
@@ -86,7 +84,8 @@ class Metasurface:
         gap_nm: between the particles and the stack.
         structure: density, S(q), g(r).
         correction: one of `nacre.metasurface.monolayer.CORRECTIONS`.
-        multipole_order: of the spheres; None: chosen at each wavelength for 1e-3.
+        multipole_order: of the spheres; None: chosen at each wavelength for `multipole_tolerance`.
+        multipole_tolerance: largest change of the far field when the order is doubled.
         interaction_order: of the exchange between neighbours.
         source: name of the recipe, for messages.
         arrangement: how to make the points, or the points; None where only S(q) is known.
@@ -102,6 +101,7 @@ class Metasurface:
     gap_nm: float = 0.0
     correction: str = "qca-balanced"
     multipole_order: int | None = None
+    multipole_tolerance: float = ORDER_TOLERANCE
     interaction_order: int = INTERACTION_ORDER
     source: str = "recipe"
     range_nm: tuple[float, float] = (360.0, 830.0)
@@ -191,21 +191,28 @@ class Metasurface:
         return {}
 
     def order(self, surface: Surface) -> int:
-        """Return the multipole order at the wavelength of `surface`."""
+        """Return the multipole order at the wavelength of `surface`.
+
+        Raises:
+            ConvergenceRefusal: no order keeps within the tolerance; it names the remedies.
+        """
         if self.multipole_order is not None:
             return self.multipole_order
         mean = float(np.dot(self.sizes.radii_nm, self.sizes.shares))
         centre = self.outer_radius_nm + self.gap_nm
         try:
-            return choose_order(surface, centre, lambda lmax: self.t_matrix(lmax, surface, mean))
+            return choose_order(
+                surface, centre, lambda lmax: self.t_matrix(lmax, surface, mean), self.multipole_tolerance
+            )
         except ConvergenceRefusal as refusal:
-            if surface.wavelength_nm < REFUSED_FROM_NM:
-                logger.info("%s at %g nm: %s", self.source, surface.wavelength_nm, refusal)
-                return ORDER_LADDER[-1]
+            accept = ""
+            if refusal.change < LOOSEST_TOLERANCE:
+                accept = f", or accept model.tolerance = {_rounded_up(refusal.change):g}"
             raise ConvergenceRefusal(
                 f"{self.source}: particle.gap_nm = {self.gap_nm:g}: at {surface.wavelength_nm:g} nm {refusal}; "
                 'put 2 nm of native oxide (layers = [{material = "SiO2", thickness_nm = 2}]) and a gap_nm = 1 '
-                "under it, or a gap_nm of 2"
+                f"under it, or a gap_nm of 2{accept}",
+                refusal.change,
             ) from None
 
     @property
@@ -243,6 +250,8 @@ class Metasurface:
             "correction": self.correction,
             "structure": self.structure.name,
         }
+        if self.multipole_order is None:
+            notes["multipole_tolerance"] = self.multipole_tolerance
         return Bsdf((specular, harmonic), notes)
 
     def _warn(self) -> None:
@@ -305,3 +314,9 @@ class Metasurface:
         from nacre.metasurface.figures import figure_data
 
         return figure_data(self, kind, **options)
+
+
+def _rounded_up(value: float) -> float:
+    """The next number of one digit."""
+    unit = 10.0 ** np.floor(np.log10(value))
+    return float(np.ceil(value / unit) * unit)

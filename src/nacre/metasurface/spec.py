@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
@@ -19,8 +19,9 @@ from nacre.metasurface.arrangement import (
     points_structure,
     sq_structure,
 )
-from nacre.metasurface.material import Metasurface, Shell, Sizes
+from nacre.metasurface.material import LOOSEST_TOLERANCE, Metasurface, Shell, Sizes
 from nacre.metasurface.patterns import Pattern
+from nacre.metasurface.sphere import ORDER_TOLERANCE
 from nacre.metasurface.structure import PACKING_LIMIT, Structure, hard_disk_structure
 from nacre.specs import RecipeContext, RecipeModel, show_value
 
@@ -129,12 +130,23 @@ class ModelSpec(RecipeModel):
     """The model, where its own choice is not wanted."""
 
     multipole_order: Annotated[int, pydantic.Field(ge=1, le=60)] | None = None
+    tolerance: Annotated[float, pydantic.Field(ge=1e-5, le=LOOSEST_TOLERANCE)] = ORDER_TOLERANCE
     interaction_order: Annotated[int, pydantic.Field(ge=1, le=4)] = 3
     correction: Literal["qca-balanced", "gv-balanced", "optical-depth", "in-only", "in-out", "none"] = "qca-balanced"
 
 
 class MetasurfaceSpec(RecipeModel):
     """A metasurface recipe."""
+
+    varies_by_nodes: ClassVar[tuple[str, ...]] = (
+        "particle.radius_nm",
+        "particle.shell.thickness_nm",
+        "particle.gap_nm",
+        "monolayer.coverage",
+        "monolayer.density_per_um2",
+        "monolayer.packing",
+        "layers[].thickness_nm",
+    )
 
     family: Literal["metasurface"] = "metasurface"
     title: str = ""
@@ -181,6 +193,7 @@ class MetasurfaceSpec(RecipeModel):
             gap_nm=particle.gap_nm,
             correction=self.model.correction,
             multipole_order=self.model.multipole_order,
+            multipole_tolerance=self.model.tolerance,
             interaction_order=self.model.interaction_order,
             source=context.source,
             arrangement=arrangement,

@@ -30,7 +30,11 @@ Coefficients = Callable[[int], ComplexArray]
 
 
 class ConvergenceRefusal(UnsupportedError):
-    """The multipole series of this particle on this stack does not converge."""
+    """The multipole series of this particle on this stack does not converge; `change` is what the last order left."""
+
+    def __init__(self, message: str, change: float) -> None:
+        super().__init__(message)
+        self.change = change
 
 
 @lru_cache(maxsize=64)
@@ -367,16 +371,19 @@ def choose_order(
         incident = Directions.build(surface, centre_nm, top, mmax, np.cos(np.radians([0.0, 30.0, 60.0, 80.0])))
         scattered = Directions.build(surface, centre_nm, top, mmax, np.cos(np.radians(np.arange(5.0, 90.0, 12.0))))
         solved: dict[int, Array] = {}
+        worst = np.inf
         for order in (o for o in ORDER_LADDER if 2 * o <= top):
             for l in (order, 2 * order):
                 if l not in solved:
                     solved[l] = _probe_pattern(t_top, blocks, incident, scattered, l)
             change = np.sqrt(np.sum((solved[order] - solved[2 * order]) ** 2, axis=(0, 1, 2)))
-            if np.max(change / np.sqrt(np.sum(solved[2 * order] ** 2, axis=(0, 1, 2)))) <= tolerance:
+            worst = float(np.max(change / np.sqrt(np.sum(solved[2 * order] ** 2, axis=(0, 1, 2)))))
+            if worst <= tolerance:
                 return order
     raise ConvergenceRefusal(
-        f"the multipole series does not converge to {tolerance:g} below order {ORDER_LADDER[-1]}: a metal sphere "
-        "that touches a high-index solid squeezes the field into the contact point"
+        f"the multipole series does not converge to {tolerance:g} (order {order} still changes by {worst:.2g} when "
+        "doubled): a metal sphere that touches a solid squeezes the field into the contact point",
+        worst,
     )
 
 
