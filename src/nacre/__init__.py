@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from nacre.bsdf import Bsdf
     from nacre.errors import NacreError
     from nacre.recipe import Material, load, material
+    from nacre.verbs import export, fabricate, fit, import_, report, sweep, tolerance
 
 _LAZY = {
     "Bsdf": ("nacre.bsdf", "Bsdf"),
@@ -24,6 +25,10 @@ _LAZY = {
     "load": ("nacre.recipe", "load"),
     "material": ("nacre.recipe", "material"),
     "spectrum": ("nacre.api", "spectrum"),
+    **{
+        verb: ("nacre.verbs", verb)
+        for verb in ("export", "fabricate", "fit", "import_", "report", "sweep", "tolerance")
+    },
 }
 # packages that are verbs too: nacre.render(material), nacre.plot(material, "ribbon"), nacre.design("target.toml")
 _CALLABLE = ("design", "plot", "render")
@@ -35,11 +40,18 @@ __all__ = [
     "__version__",
     "design",
     "evaluate",
+    "export",
+    "fabricate",
+    "fit",
+    "import_",
     "load",
     "material",
     "plot",
     "render",
+    "report",
     "spectrum",
+    "sweep",
+    "tolerance",
 ]
 
 
