@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,24 @@ def test_mosaic_is_written_as_one_map(tmp_path: Path) -> None:
     assert np.abs(heights - np.stack(list(made.rows_um()))).max() * 1e3 <= PUBLISHED_CALIBRATION.nm_per_level
     with pytest.raises(NacreError, match="covers depths"):
         write_mosaic(tmp_path / "n.png", mosaic(wanted(4), 3 * PALETTE, COLOURS), 1.6, PUBLISHED_CALIBRATION, {})
+
+
+def test_the_example_designs_patches_and_mixes_a_colour_wheel(tmp_path: Path) -> None:
+    path = Path(__file__).resolve().parents[2] / "examples" / "mosaic.py"
+    spec = importlib.util.spec_from_file_location("example_mosaic", path)
+    assert spec is not None and spec.loader is not None
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    made = example.main(tmp_path, quick=True)
+    # each patch shows its own colour most: red and blue clearly, green as far as so small a relief can
+    assert made.colours[1].argmax() == 0 and made.colours[2].argmax() == 1 and made.colours[3].argmax() == 2
+    wanted, seen = example.colour_wheel(12), made.seen() / made.exposure
+    assert np.corrcoef(wanted.ravel(), seen.ravel())[0, 1] > 0.75
+    grey, facts = read_grey16(tmp_path / "mosaic.png")
+    heights = facts["top_um"] - PUBLISHED_CALIBRATION.depth_of(grey)
+    assert heights.shape == made.shape
+    assert np.abs(heights - np.stack(list(made.rows_um()))).max() * 1e3 <= PUBLISHED_CALIBRATION.nm_per_level
+    assert (tmp_path / "mosaic-seen.png").stat().st_size > 500
 
 
 @pytest.mark.parametrize("image", [np.zeros((4, 4, 3)), np.ones((4, 4)), np.full((4, 4, 3), np.nan)])

@@ -41,8 +41,14 @@ seed = 4
 """
 
 
+TARGET_KEYS = ("kind", "colour", "range", "resolution", "intensity_scale", "image")
+
+
 def write(folder: Path, text: str = TARGET, **changes: str) -> Path:
     """Write a target file with some lines replaced, `key="value"`; `search` lines are appended."""
+    floor = changes.pop("brightness_floor", None)
+    if floor is not None:
+        text = text.replace("[target]", f"[target]\nbrightness_floor = {floor}")
     for key, value in changes.items():
         lines = [line for line in text.splitlines() if not line.startswith(f"{key} =")]
         changed = len(lines) < len(text.splitlines())
@@ -50,9 +56,7 @@ def write(folder: Path, text: str = TARGET, **changes: str) -> Path:
         if changed and not key.startswith(
             ("starts", "shakes", "seed", "levels", "noise", "time", "blur_error", "incidence")
         ):
-            where = (
-                "[target]" if key in ("kind", "colour", "range", "resolution", "intensity_scale", "image") else "family"
-            )
+            where = "[target]" if key in TARGET_KEYS else "family"
             head, mark, tail = text.partition(where)
             line_end = tail.partition("\n")
             text = f"{head}{mark}{line_end[0]}\n{key} = {value}\n{line_end[2]}"
@@ -113,6 +117,16 @@ def test_the_brightness_floor_makes_a_dark_answer_worse() -> None:
     assert objective(rgb, target, None, brightness_floor=2.0 / scale)[0] > plain + 0.1
 
 
+def test_a_dark_free_design_is_lifted_to_the_floor_and_reported(tmp_path: Path) -> None:
+    plain, lifted = (
+        run(write(tmp_path, intensity_scale='"free"', brightness_floor=floor, starts="1"), tmp_path / floor).summary
+        for floor in ("0.0", "120.0")
+    )
+    assert plain["brightness"] < lifted["brightness"] and lifted["brightness_floor"] == 120.0
+    if lifted["brightness"] < 120.0:
+        assert any("dark" in note for note in lifted["warnings"])
+
+
 def test_result_folder_holds_what_was_promised(tmp_path: Path) -> None:
     seen: list[Any] = []
     result = run(write(tmp_path), tmp_path / "out", progress=seen.append, jobs=2)
@@ -131,7 +145,12 @@ def test_result_folder_holds_what_was_promised(tmp_path: Path) -> None:
         and {p.stage for p in seen} == {"explore", "improve", "refine", "finish", "shake"}
     )
     assert 0 < summary["efficiency"] <= 1 and 0 < summary["slope_rms_deg"] < summary["slope_max_deg"] < 90
+    assert summary["brightness"] == pytest.approx(1 / 0.2) and summary["brightness_floor"] is None
+    cost = summary["robustness"]
+    assert cost["draws"] >= 3 and cost["loss_fixed"]["percentile_95"] >= cost["loss_fixed"]["mean"] > 0
+    assert cost["delta_e"]["mean"] > 0
     page = (folder / "report.html").read_text()
+    assert "brightness" in page and f"made {cost['draws']} times" in page
     assert "efficiency" in page and page.count("<img") == 4 and page.count("<svg") == 2
 
     problem = problem_of(tmp_path)

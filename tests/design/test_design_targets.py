@@ -103,6 +103,18 @@ def test_several_incidences_get_a_target_each(tmp_path: Path) -> None:
     assert target.shape == (2, 64, 64, 3) and not np.allclose(target[0], target[1])
 
 
+def test_a_free_scale_has_a_brightness_floor_of_its_own(tmp_path: Path) -> None:
+    def floor(more: str) -> float:
+        path = tmp_path / "t.toml"
+        path.write_text(f'{BASE}kind = "uniform"\nrange = 0.25\n{more}\n')
+        spec, context = load_target(path)
+        return spec.build(context).brightness_floor
+
+    # a white slice of 0.5 x 0.5 that holds 5 % of the light has a BRDF of 0.05 / 0.25
+    assert floor("") == pytest.approx(0.2)
+    assert floor("brightness_floor = 0.7") == 0.7 and floor("brightness_floor = 0.0") == 0.0
+
+
 def test_a_length_may_carry_any_unit(tmp_path: Path) -> None:
     base = BASE.replace("feature_um = 0.8", "feature_nm = 800")
     path = tmp_path / "t.toml"
