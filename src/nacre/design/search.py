@@ -116,7 +116,8 @@ class Search:
         plan: the stages.
         stage: index into the plan.
         seconds, evaluations: spent so far, earlier runs included.
-        stop_reason: "" while running or when all stages are done, else "time limit" or "interrupted".
+        stop_reason: "" while running or when all stages before the shakes are done, else "time limit" or
+            "interrupted".
     """
 
     def __init__(self, problem: Problem, starts: int, seed: int, workers: int = 1, shakes: int = 0) -> None:
@@ -159,7 +160,9 @@ class Search:
             while self.stage < len(self.plan):
                 self._run_stage(self.plan[self.stage])
                 if self._stop.is_set() or time.monotonic() > self._deadline:
-                    self.stop_reason = self.stop_reason or ("interrupted" if self._stop.is_set() else "time limit")
+                    # a design that only ran out of time to be shaken is finished
+                    cut = "" if self.plan[self.stage].shakes else "time limit"
+                    self.stop_reason = self.stop_reason or ("interrupted" if self._stop.is_set() else cut)
                     break
                 self.stage += 1
             best = self.best.x.reshape(self.problem.features, -1)
