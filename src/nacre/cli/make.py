@@ -25,6 +25,7 @@ def design(target: str, output: str | None, resume: bool, as_json: bool) -> None
     import os
 
     from nacre.design.run import run
+    from nacre.exchange.calibration import PUBLISHED_CALIBRATION
     from nacre.files import check_writable
 
     folder = Path(output) if output else Path(Path(target).stem)
@@ -40,7 +41,11 @@ def design(target: str, output: str | None, resume: bool, as_json: bool) -> None
             f"loss {s['loss_fixed']:.5f} at the fixed scale, {s['loss_free']:.5f} at the best one "
             f"(scale {s['scale_free']:.4g}); {s['evaluations']} evaluations in {s['seconds']:.1f} s"
         )
-    common.note(f"{folder}: nacre render {folder}; nacre fabricate {folder} --to png16")
+    # the published grey scale reaches only so deep; a deeper relief needs the user's own calibration
+    depth = PUBLISHED_CALIBRATION.depth_um
+    reachable = float(result.heights_um.max() - result.heights_um.min()) <= float(depth.max() - depth.min())
+    target_format = "png16" if reachable else "png16 --calibration CURVE.csv"
+    common.note(f"{folder}: nacre render {folder}; nacre fabricate {folder} --to {target_format}")
     if result.summary.get("interrupted"):
         raise KeyboardInterrupt
 

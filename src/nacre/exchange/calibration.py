@@ -43,7 +43,8 @@ class Calibration:
         if depth_um.min() < low - slack or depth_um.max() > high + slack:
             raise NacreError(
                 f"the calibration curve covers depths {low:.3f}-{high:.3f} um, a range of {high - low:.3f} um; "
-                f"the relief needs {depth_um.min():.3f}-{depth_um.max():.3f} um"
+                f"the relief needs {depth_um.min():.3f}-{depth_um.max():.3f} um: give --calibration, the CSV of "
+                f"your process, or design with height_max_um up to {np.floor(1e3 * (high - low)) / 1e3:g}"
             )
         order = np.argsort(self.depth_um)
         grey = np.interp(depth_um, self.depth_um[order], self.grey[order])
