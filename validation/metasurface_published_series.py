@@ -22,6 +22,7 @@ DISK_NM = (175.0, 145.0)  # side and height of the fabricated silicon squares
 WAVELENGTHS = np.arange(380.0, 781.0, 20.0)
 DIP_DEG = 4.0  # the middle of the dark disk lies within this of the specular direction
 VIVID = 15.0  # CIELAB chroma of a colour that nobody calls grey
+PALE = 20.0  # chroma below which a bluish colour is still called a bluish grey
 
 
 def metasurface(substrate: str, core: str, radius_nm: float, monolayer: dict[str, Any], **more: Any) -> Any:
@@ -81,7 +82,7 @@ def oxide_rows(axes: Any) -> list[tuple[str, str, str, bool]]:
         lobes.append(len(find_peaks(total, prominence=0.05 * total.max())[0]))
         axes[0].plot(data["theta_deg"], total / total.max() + len(lobes), label=f"{h:g} nm")
         diffuse = made.spectrum(np.radians([30.0]), WAVELENGTHS).diffuse_reflectance[0]
-        colours.append(float(chroma(hue(diffuse))))
+        colours.append(hue(diffuse))
         axes[1].plot(WAVELENGTHS, diffuse, label=f"h = {h:g} nm")
     axes[0].set(xlabel="scattering angle / degrees", ylabel="400 nm, scaled, set apart")
     axes[1].set(xlabel="wavelength / nm", ylabel="diffuse reflectance, 30 degrees")
@@ -90,8 +91,11 @@ def oxide_rows(axes: Any) -> list[tuple[str, str, str, bool]]:
     return [
         ("Ag on SiO2 on Si: scattering diagrams at 400 nm gain lobes with h", "more lobes",
          f"{lobes} lobes (over 5 % of the largest) at h = {[int(h) for h in OXIDES_NM]} nm", grows),
-        ("vivid diffuse colour from h = 0 (native oxide) to 600 nm", "vivid",
-         f"C* at equal Y: {[round(c) for c in colours]}, vivid: over {VIVID:g}", min(colours) > VIVID),
+        ("vivid diffuse colours appear out of a pale bluish grey as h grows from 0 (native oxide) to 600 nm",
+         "pale and bluish, then vivid",
+         f"C* at equal Y: {[round(float(chroma(c))) for c in colours]}, vivid: over {VIVID:g}; b* at h = 0: "
+         f"{colours[0][2]:.0f}", bool(chroma(colours[0]) < PALE and colours[0][2] < 0
+                                      and min(float(chroma(c)) for c in colours[2:]) > VIVID)),
     ]  # fmt: skip
 
 
