@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from nacre.bsdf.file import load_bsdf, save_bsdf
-from nacre.errors import NacreError, RecipeError
+from nacre.errors import MaterialRangeError, NacreError, RecipeError
 from nacre.exchange.point_pattern import read_layout, read_points_csv, write_layout, write_points_csv
 from nacre.metasurface.material import MetasurfaceWarning
 from nacre.metasurface.sphere import ConvergenceRefusal
@@ -235,6 +235,43 @@ def test_the_examples_converge_over_the_whole_default_range(path):
     made = load(path).model
     if hasattr(made, "order"):
         assert all(made.order(made.surface(w)) <= 40 for w in made.wavelengths_nm[::2])
+
+
+def test_a_wavelength_outside_a_materials_range_is_named():
+    data = {**SILVER_ON_GLASS, "particle": {"material": "Si", "radius_nm": 60}}
+    with pytest.raises(MaterialRangeError) as e:
+        material(data).spectrum([0.0], [150.0])
+    assert "\n" not in str(e.value) and "150" in str(e.value)
+
+
+@pytest.mark.parametrize("deviation_nm", [0.0, 7.0])
+def test_packing_goes_over_into_the_coverage(deviation_nm):
+    """p -> f: particles kept apart by no more than their own diameter, of equal or of spread sizes."""
+    alone, near = (
+        material(recipe("Si", monolayer={"coverage": 0.1, **more}, deviation_nm=deviation_nm)).spectrum([0.4], [500.0])
+        for more in ({}, {"packing": 0.1 * (1 + 1e-7)})
+    )
+    assert np.abs(alone.diffuse_reflectance - near.diffuse_reflectance).max() < 1e-6 * alone.diffuse_reflectance.max()
+    apart = material(recipe("Si", monolayer={"coverage": 0.1, "packing": 0.4}, deviation_nm=deviation_nm))
+    assert apart.spectrum([0.4], [500.0]).diffuse_reflectance < 0.9 * alone.diffuse_reflectance
+
+
+def test_energy_beyond_one_is_scaled_away_symmetrically():
+    """A monolayer that would send back 1.4 times what it gets: the factors leave no direction above 1."""
+    from nacre.metasurface.compile import _energy_scale
+    from nacre.metasurface.corrections import DiffuseTerm
+
+    layer = material(recipe("Si")).model.monolayer(500.0)
+    mu, weights = np.polynomial.legendre.leggauss(12)
+    mu, weights = (mu + 1) / 2, weights / 2
+    pairs = mu[:, None] * mu * (1.0 + 0.3 * np.cos(3 * mu[:, None]) * np.cos(3 * mu))
+    pairs *= 1.4 / np.max(weights @ pairs / mu)
+    none = np.zeros(0)
+    term = DiffuseTerm(none, none, none, none, pairs)
+    specular = np.full(12, 0.2)
+    c, excess = _energy_scale(term, [(layer.light(mu), weights)], specular, 1.0)
+    assert excess == pytest.approx(0.6)
+    assert np.max(c * ((weights * c) @ pairs) / mu + specular) <= 1 + 1e-8 and c.min() > 0.3
 
 
 def test_coverage_beyond_the_tested_warns():
