@@ -10,7 +10,7 @@ import pytest
 
 import nacre
 from nacre.bsdf import Bsdf
-from nacre.errors import NacreError, RecipeError, UnsupportedError
+from nacre.errors import NacreError, RecipeError
 from nacre.recipe import load, material
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "pearl").glob("*.toml"))
@@ -119,11 +119,6 @@ def test_more_than_eight_kinds_work_with_a_note():
     flake = {**GOOD["strata"][0]["platelets"][0], "volume_fraction": 0.01}
     bsdf = material(changed("strata.0.platelets", [flake] * 9)).bsdf(COARSE)
     assert bsdf.lobes[0].kinds == 9 and "9 kinds" in bsdf.provenance["notes"][0]
-
-
-def test_the_fast_quality_is_refused_rather_than_replaced():
-    with pytest.raises(UnsupportedError, match='use "reference"'):
-        material(changed("quality", "fast"))
 
 
 def test_a_diameter_says_that_glints_are_not_rendered():

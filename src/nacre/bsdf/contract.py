@@ -33,6 +33,7 @@ LOBE_KINDS: dict[str, str] = {
     "harmonic": "nacre.bsdf.harmonic",
     "spectrum-map": "nacre.bsdf.spectrum_map",
     "layered": "nacre.bsdf.layered",
+    "flaked": "nacre.bsdf.flaked",
     "masked": "nacre.bsdf.masked",
 }
 _LOBES: dict[str, type[Lobe]] = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
+from nacre.bsdf.contract import Lobe
 from nacre.bsdf.layered import Layered
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import UnsupportedError
@@ -30,6 +32,7 @@ from nacre.pearl.medium import (
 from nacre.pearl.platelet import Platelet, PlateletResponse, platelet_response
 
 Array = NDArray[np.float64]
+logger = logging.getLogger("nacre")
 
 INDEX_NM = 550.0  # directions are refracted with the index at this wavelength, for all colours alike
 STEP_NM = 5.0  # wavelength step where thickness varies over the flakes and washes fringes out
@@ -100,18 +103,14 @@ class Base:
 class Pearl:
     """Strata from the light's side inward, and the base.
 
-    Raises:
-        UnsupportedError: quality "fast", for which there is no noise-free route.
+    Attributes:
+        strata, base: see there.
+        quality: "reference", the walk, or "fast", noise-free tables of it where they can be made.
     """
 
     strata: tuple[Stratum, ...]
     base: Base
     quality: str = "reference"
-
-    def __post_init__(self) -> None:
-        # the walk in its place would be right, but not what was asked for: noise-free
-        if self.quality == "fast":
-            raise UnsupportedError('quality = "fast" is not available for a pearl; use "reference", the random walk')
 
     @property
     def wavelengths_nm(self) -> Array:
@@ -153,7 +152,7 @@ class Pearl:
         return np.clip(np.stack(tables), 0.0, 1.0) if tables else np.zeros((0, 2, len(wavelengths_nm), 2))
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
-        """Solve platelets, media and interfaces into one layered lobe.
+        """Solve platelets, media and interfaces into one layered lobe, and bake it if `quality` is "fast".
 
         Args:
             wavelengths_nm: `[wavelength]`, ascending; default: `self.wavelengths_nm`.
@@ -194,7 +193,23 @@ class Pearl:
             dye_quantile=quantile,
         )
         lobe.check()
-        return Bsdf((lobe,), {"notes": list(self.notes)} if self.notes else {})
+        notes = list(self.notes)
+        found: Lobe = lobe
+        if self.quality == "fast":
+            from nacre.pearl.fast import bake, obstacle
+
+            reason = obstacle(lobe)
+            if reason is None:
+                found = baked = bake(lobe)
+                notes.append(
+                    f"fast route: error {100 * baked.error.mean():.2f} % on average over wavelengths, at most "
+                    f"{100 * baked.error.max():.2f} % (L2 of f cos, three incidences, against the walk)"
+                )
+                logger.info("%s", notes[-1])
+            else:
+                notes.append(f"fast route: not made, since {reason}; this is the reference")
+                logger.warning("the fast route cannot be made, since %s; the reference is used", reason)
+        return Bsdf((found,), {"notes": notes} if notes else {})
 
     def _dyes(self, lam: Array) -> tuple[Array | None, Array | None, Array | None]:
         """Extinction of dye and resin, and the dye's phase function, all `[stratum, ...]`."""

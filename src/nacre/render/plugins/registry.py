@@ -25,6 +25,7 @@ PLUGINS: dict[str, str] = {
     "harmonic": "nacre.render.plugins.harmonic:HarmonicPlugin",
     "spectrum-map": "nacre.render.plugins.spectrum_map:SpectrumMapPlugin",
     "layered": "nacre.render.plugins.layered:LayeredPlugin",
+    "flaked": "nacre.render.plugins.flaked:FlakedPlugin",
     "masked": "nacre.render.plugins.masked:MaskedPlugin",
 }
 _installed = False
