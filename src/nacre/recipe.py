@@ -24,7 +24,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import RecipeError, UnsupportedError, did_you_mean
 from nacre.files import parse_toml, read_text
-from nacre.specs import RecipeContext, RecipeModel, show_value, validate
+from nacre.specs import TEXTURE_KEYS, RecipeContext, RecipeModel, show_value, validate
 
 FAMILIES = {
     "film": "nacre.film.spec:FilmSpec",
@@ -244,8 +244,38 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
         RecipeError: naming file, key, value and what is allowed.
     """
     model = family_model(data.get("family"), context.source)
+    if model.varies_by_nodes and (numbers := varying_numbers(data, model.varies_by_nodes)):
+        from nacre.varying import Varying
+
+        def fixed(values: Mapping[str, float]) -> Material:
+            even = copy.deepcopy(dict(data))
+            for path, value in values.items():
+                set_by_path(even, path, value, context.source)
+            return material_from_data(even, context)
+
+        return Material(Varying.read(numbers, fixed, context), copy.deepcopy(dict(data)), context)
     spec = validate(model, {key: value for key, value in data.items() if key not in STUDY_TABLES}, context)
     return Material(spec.build(context), copy.deepcopy(dict(data)), context)
+
+
+def varying_numbers(data: Any, patterns: tuple[str, ...], path: str = "") -> dict[str, Mapping[str, Any]]:
+    """Find the textures and formulas of a recipe that stand at one of the patterns: path -> table.
+
+    Args:
+        patterns: such as `strata[].platelets[].volume_fraction`; lengths end in `_nm`, whatever unit a recipe takes.
+    """
+    if isinstance(data, list):
+        inner = [varying_numbers(value, patterns, f"{path}[{i}]") for i, value in enumerate(data)]
+        return {key: table for found in inner for key, table in found.items()}
+    if not isinstance(data, Mapping):
+        return {}
+    if set(data) & set(TEXTURE_KEYS):
+        pattern = re.sub(r"_(um|mm)$", "_nm", re.sub(r"\[\d+\]", "[]", path))
+        return {path: data} if pattern in patterns else {}
+    found = {}
+    for key, value in data.items():
+        found.update(varying_numbers(value, patterns, f"{path}.{key}" if path else str(key)))
+    return found
 
 
 _PATH_PART = re.compile(r"([A-Za-z_][A-Za-z_0-9-]*)((?:\[\d+\])*)$")

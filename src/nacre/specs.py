@@ -63,6 +63,7 @@ class RecipeModel(pydantic.BaseModel):
     """
 
     varies: ClassVar[str] = ""  # of a family: which numbers a texture or formula may give, for messages
+    varies_by_nodes: ClassVar[tuple[str, ...]] = ()  # paths solved at some values and blended between (nacre.varying)
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 
@@ -126,7 +127,7 @@ def _first_line(error: pydantic.ValidationError, model: type[RecipeModel], conte
     is_number = problem["type"] in ("float_type", "int_type") and isinstance(problem["input"], Mapping)
     if is_form or (is_number and set(problem["input"]) & set(TEXTURE_KEYS)):
         what = key.rpartition(".")[0] if is_form else key
-        varies = model.varies or "nothing by itself"
+        varies = ", ".join(filter(None, (model.varies, *model.varies_by_nodes))) or "nothing by itself"
         return (
             f"{context.source}: {what} cannot vary over the surface; of this family can: {varies}; "
             'and family = "blend" mixes two recipes by a mask'

@@ -16,13 +16,12 @@ METASURFACE: dict[str, Any] = {"family": "metasurface", "substrate": "glass"}
 @pytest.mark.parametrize(
     ("recipe", "what"),
     [
-        (METASURFACE | {"particle": {"material": "Ag", "radius_nm": TEXTURE}, "monolayer": {"coverage": 0.1}},
-         "particle.radius_nm cannot vary"),
-        ({"family": "pearl", "strata": [{"resin": "PET", "thickness_nm": TEXTURE}]},
-         "strata[0].thickness_nm cannot vary"),
-        ({"family": "pearl", "strata": [{"resin": "PET", "thickness_um": 5}], "base": {"albedo": TEXTURE}},
-         "base.albedo cannot vary"),
-        ({"family": "film", "substrate": "glass", "base": {"albedo": TEXTURE}}, "layers[].thickness_nm"),
+        (METASURFACE | {"particle": {"material": "Ag", "radius_nm": 50, "deviation_nm": TEXTURE},
+                        "monolayer": {"coverage": 0.1}},
+         "particle.deviation_nm cannot vary"),
+        ({"family": "pearl", "strata": [{"resin": {"n": TEXTURE}, "thickness_um": 5}]},
+         "strata[0].resin.n cannot vary"),
+        ({"family": "film", "substrate": {"n": 1.5, "k": TEXTURE}}, "layers[].thickness_nm"),
         ({"family": "film", "substrate": {"n": TEXTURE}}, "surface.rotation_deg"),
     ],
 )  # fmt: skip

@@ -1,4 +1,8 @@
-"""A lobe that is there only in part: multiplied by a texture over the surface, for blending two materials."""
+"""A lobe that is there only in part: multiplied by a texture over the surface.
+
+That blends two materials by a mask, and it carries a number that varies over the surface for any family: the
+material is solved at some values of the number, and each of these nodes is there by a hat function of the texture.
+"""
 
 from __future__ import annotations
 
@@ -17,19 +21,25 @@ Array = NDArray[np.float64]
 @register_lobe
 @dataclass(frozen=True)
 class MaskedLobe(Lobe):
-    """`mask(uv)` times another lobe, or `1 - mask(uv)` times it.
+    """`mask(uv)` times another lobe, or `1 - mask(uv)` times it, or a hat function of `mask(uv)` times it.
 
     Attributes:
         wavelengths_nm: of the inner lobe.
         inner: the lobe that is masked.
-        mask: the share of the surface that it covers, within [0, 1].
+        mask: the share of the surface that it covers, within [0, 1]; with `nodes`, a number in their range.
         inverted: take 1 - mask: the other material of a blend.
+        nodes: `[node]`, ascending, or None: values of the number at which materials are known.
+        node: which of them this lobe stands for; its share falls from 1 there to 0 at its neighbours.
+        name: of the number that the texture gives, as users know it.
     """
 
     wavelengths_nm: Array
     inner: Lobe
     mask: Texture
     inverted: bool = False
+    nodes: Array | None = None
+    node: int = 0
+    name: str = "mask"
 
     kind: ClassVar[str] = "masked"
 
@@ -42,7 +52,12 @@ class MaskedLobe(Lobe):
         self.inner.check()
         if not np.array_equal(self.inner.wavelengths_nm, self.wavelengths_nm):
             raise ValueError("a masked lobe has other wavelengths than its inner one")
-        if not 0.0 <= self.mask.low <= self.mask.high <= 1.0:
+        if self.nodes is not None:
+            if self.nodes.ndim != 1 or len(self.nodes) < 2 or np.any(np.diff(self.nodes) <= 0):
+                raise ValueError("the nodes of a varying number must be two or more and ascend")
+            if not 0 <= self.node < len(self.nodes):
+                raise ValueError(f"node {self.node} is none of {len(self.nodes)}")
+        elif not 0.0 <= self.mask.low <= self.mask.high <= 1.0:
             raise ValueError(f"a mask reaches from {self.mask.low} to {self.mask.high}, not within [0, 1]")
 
     @property
@@ -63,12 +78,14 @@ class MaskedLobe(Lobe):
     @property
     def varying(self) -> tuple[str, ...]:
         """The mask, and what varies inside."""
-        return ("mask", *self.inner.varying)
+        return (self.name, *self.inner.varying)
 
     def share(self, uv: Array | None, shape: tuple[int, ...]) -> Array:
         """Return the covered share at uv, `shape`; without uv that of the middle of the surface."""
         place = np.full((*shape, 2), 0.5) if uv is None else np.broadcast_to(uv, (*shape, 2))
         value = self.mask(place)
+        if self.nodes is not None:
+            return hat(value, self.nodes, self.node)
         return 1.0 - value if self.inverted else value
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
@@ -88,3 +105,8 @@ class MaskedLobe(Lobe):
         share = float(self.share(uv, ()))
         reflected, transmitted = self.inner.hemispherical(wi, uv, nodes)
         return reflected * share, transmitted * share
+
+
+def hat(value: Array, nodes: Array, node: int) -> Array:
+    """Return the weight of a node in linear interpolation at `value`, clamped to the ends of `nodes`."""
+    return np.interp(value, nodes, np.arange(len(nodes)) == node)

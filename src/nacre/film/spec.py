@@ -182,6 +182,7 @@ class FilmSpec(RecipeModel):
     """A film recipe. `preset = "morpho"` fills in what is not given."""
 
     varies: ClassVar[str] = "layers[].thickness_nm, surface.roughness, surface.rotation_deg"
+    varies_by_nodes: ClassVar[tuple[str, ...]] = ("base.albedo",)
 
     family: Literal["film"] = "film"
     title: str = ""

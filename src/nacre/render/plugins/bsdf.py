@@ -152,7 +152,7 @@ def _bsdf_class(variant: str) -> type:
             for plugin in self.plugins:
                 mask = []
                 for _ in plugin.components:
-                    mask.append(bool(ctx.is_enabled(mi.BSDFFlags(self.words[index] & _ALL), index)))
+                    mask.append(_is_enabled(ctx, self.words[index] & _ALL, index))
                     index += 1
                 masks.append(tuple(mask))
             return masks
@@ -204,6 +204,11 @@ def _bsdf_class(variant: str) -> type:
                 value, pdf = plugin.eval_pdf(ctx, si, wo, active, mask)
                 total, density = total + value, density + share * pdf
             return total, density
+
+    def _is_enabled(ctx: Any, word: int, index: int) -> bool:
+        """Tell whether any kind of light of a component is wanted: a walk's own may be glossy and mirror-like."""
+        kinds = [1 << bit for bit in range(word.bit_length()) if word >> bit & 1]
+        return any(bool(ctx.is_enabled(mi.BSDFFlags(kind), index)) for kind in kinds)
 
     _ALL = int(mi.BSDFFlags.All)
     _DELTA = int(mi.BSDFFlags.Delta | mi.BSDFFlags.Null)
