@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.varying import COLOUR_ERROR, MAX_NODES, Varying, choose_nodes, judged_colours
 from nacre.bsdf.masked import hat
 from nacre.errors import NacreError, RecipeError, UnsupportedError
 from nacre.light import delta_e_2000, xyz_to_lab
 from nacre.recipe import dump_toml, varying_numbers
+from nacre.varying import COLOUR_ERROR, MAX_NODES, Varying, choose_nodes, judged_colours
 
 WAVES = np.array([430.0, 550.0, 650.0])
 FILM: dict[str, Any] = {
@@ -26,7 +26,7 @@ FILM: dict[str, Any] = {
 METASURFACE: dict[str, Any] = {
     "family": "metasurface",
     "substrate": "glass",
-    "particle": {"material": "Ag", "radius_nm": 55.0},
+    "particle": {"material": "Ag", "radius_nm": 55.0, "gap_nm": 2.0},
     "monolayer": {"density_per_um2": 8.0, "packing": 0.3},
 }
 PEARL: dict[str, Any] = {
@@ -158,7 +158,7 @@ def test_an_image_drives_a_number_in_the_recipes_own_unit(tmp_path: Path) -> Non
 
     Image.fromarray(np.array([[0, 255]], dtype=np.uint8)).save(tmp_path / "t.png")
     data = METASURFACE | {
-        "particle": {"material": "Ag", "radius_um": {"texture": "t.png", "min": 0.053, "max": 0.055}},
+        "particle": {"material": "Ag", "gap_nm": 2.0, "radius_um": {"texture": "t.png", "min": 0.053, "max": 0.055}},
     }
     (tmp_path / "m.toml").write_text(dump_toml(data))
     bsdf = nacre.load(tmp_path / "m.toml").bsdf(WAVES)

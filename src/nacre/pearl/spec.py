@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
@@ -264,6 +264,19 @@ class BaseSpec(RecipeModel):
 
 class PearlSpec(RecipeModel):
     """A pearl recipe."""
+
+    varies_by_nodes: ClassVar[tuple[str, ...]] = (
+        "strata[].thickness_nm",
+        "strata[].roughness",
+        "strata[].platelets[].volume_fraction",
+        "strata[].platelets[].normal_deviation",
+        "strata[].platelets[].substrate.thickness_nm",
+        "strata[].platelets[].coatings[].thickness_nm",
+        "strata[].platelets[].rotation_deg[]",
+        "strata[].dye.volume_fraction",
+        "base.albedo",
+        "base.roughness",
+    )
 
     family: Literal["pearl"] = "pearl"
     title: str = ""
