@@ -6,6 +6,7 @@ numerics behind trust what they are given.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -133,9 +134,15 @@ def _first_line(error: pydantic.ValidationError, model: type[RecipeModel], conte
             'and family = "blend" mixes two recipes by a mask'
         )
     if problem["type"] == "extra_forbidden":
-        allowed = sorted(_known_keys(model))
+        places = _known_keys(model)
         word = str(problem["loc"][-1])
-        return f"{context.source}: key {key} is not known.{did_you_mean(word, allowed)}"
+        hint = did_you_mean(word, sorted(places))
+        table = re.sub(r"\[\d+\]", "[]", key).rpartition(".")[0]
+        for name in places:
+            if hint == did_you_mean(name, [name]):  # the same name in another table is no use without its place
+                if f"{table}.{name}".lstrip(".") not in places[name]:
+                    hint = hint.replace(name, places[name][0])
+        return f"{context.source}: key {key} is not known.{hint}"
     message = problem["msg"].removeprefix("Value error, ").removeprefix("Input should be ").strip()
     if problem["type"] == "missing":
         return f"{context.source}: {key} is missing"
@@ -162,18 +169,25 @@ def _key(location: tuple[int | str, ...]) -> str:
     return key
 
 
-def _known_keys(model: type[pydantic.BaseModel], seen: set[type] | None = None) -> set[str]:
-    """All keys of a model and of the models inside it, for the did-you-mean."""
-    seen = set() if seen is None else seen
-    if model in seen:
-        return set()
-    seen.add(model)
-    keys: set[str] = set()
+def _known_keys(model: type[pydantic.BaseModel], prefix: str = "", seen: tuple[type, ...] = ()) -> dict[str, list[str]]:
+    """All keys of a model and of the models inside it, each with the places where it may stand."""
+    places: dict[str, list[str]] = {}
     for name, info in model.model_fields.items():
-        keys.add(info.alias or name)
+        word = info.alias or name
+        places.setdefault(word, []).append(f"{prefix}{word}")
+    for name, info in model.model_fields.items():
+        is_list = any(getattr(part, "__origin__", None) in (list, tuple) for part in _parts(info.annotation))
         for inner in _models_in(info.annotation):
-            keys |= _known_keys(inner, seen)
-    return keys
+            if inner not in seen and inner is not model:
+                below = f"{prefix}{info.alias or name}{'[]' if is_list else ''}."
+                for word, found in _known_keys(inner, below, (*seen, model)).items():
+                    places.setdefault(word, []).extend(found)
+    return places
+
+
+def _parts(annotation: Any) -> list[Any]:
+    """An annotation and all that it is made of."""
+    return [annotation, *(p for arg in getattr(annotation, "__args__", ()) for p in _parts(arg))]
 
 
 def _models_in(annotation: Any) -> list[type[pydantic.BaseModel]]:

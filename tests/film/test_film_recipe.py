@@ -161,3 +161,8 @@ def test_examples_are_many() -> None:
 def test_a_recipe_error_is_the_class_that_is_raised() -> None:
     with pytest.raises(RecipeError):
         build(surface={"roughness": 7})
+
+
+def test_a_key_of_another_table_is_named_with_its_place() -> None:
+    with pytest.raises(RecipeError, match=r'key roughness is not known\. Did you mean "surface\.roughness"\?'):
+        material({"family": "film", "substrate": "Si", "roughness": 0.2})
