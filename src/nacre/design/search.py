@@ -87,7 +87,7 @@ class Progress:
 
     Attributes:
         stage, stage_number, stage_count: what is being done; numbers from 1.
-        best_value: the loss that is searched, a weighted geometric mean of the fixed and the free one.
+        best_value: the loss that is searched, a weighted mean of the fixed and the free one.
         evaluations, seconds: spent.
         seconds_left: until the time limit, or None.
         best_x: the best heights so far, over the allowed range, flat.
