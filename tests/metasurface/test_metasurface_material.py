@@ -345,6 +345,29 @@ def test_tables_of_every_stack_stay_under_100_megabytes(eta, polydisperse, thick
     assert rows * HARMONICS * 4 * wavelengths * (2 if polydisperse else 1) <= 100e6
 
 
+@pytest.mark.parametrize("oxide_nm", [400, 950])
+def test_the_stored_angles_resolve_films_up_to_a_micrometre(oxide_nm):
+    from nacre.bsdf.harmonic import PolarGrid
+    from nacre.metasurface.compile import Grids, tabulate
+
+    made = material(
+        {
+            "family": "metasurface",
+            "substrate": "Si",
+            "layers": [{"material": "SiO2", "thickness_nm": oxide_nm}],
+            "particle": {"material": "Ag", "radius_nm": 90},
+            "monolayer": {"coverage": 0.1},
+            "model": {"multipole_order": 12},
+        }
+    ).model
+    a, b = vectors(1500, 0, False), vectors(1500, 1, False)
+    stored = made.bsdf([450.0]).lobes[1]
+    fine = tabulate(np.array([450.0]), made.monolayer, made.structure, Grids(PolarGrid(300), None), 1.0)[1]
+    f, best = stored.evaluate(a, b), fine.evaluate(a, b)
+    assert stored.count_above == 120
+    assert np.linalg.norm(f - best) <= 5e-3 * np.linalg.norm(best)
+
+
 def test_the_figure_of_the_structure_shows_points_of_the_pattern():
     made = material(
         {

@@ -42,7 +42,7 @@ def choose_grids(eta: float | None, polydisperse: bool, thick: bool) -> Grids:
     Args:
         eta: index of a transparent substrate over the ambient's; None for an opaque one.
         polydisperse: whether the tables without S are needed as well.
-        thick: whether films of more than 200 nm draw fringes over the angle (0.5 degree steps then).
+        thick: whether films of more than a micrometre draw fringes over the angle (0.5 degree steps then).
     """
     if eta is None:
         count = (170 if polydisperse else 180) if thick else 120
