@@ -103,10 +103,11 @@ def spectrum_map(
     half = int(np.ceil(2.0 / step)) + 2
     size = (2 * half + 1) ** 2 * node_bytes
     if size > MAX_TABLE_BYTES:
+        least = np.degrees(coherence.source_angle_rad) * np.sqrt(1.02 * size / MAX_TABLE_BYTES)
         raise UnsupportedError(
             f"coherence sigma = {coherence.sigma_um:.3g} ({np.degrees(coherence.source_angle_rad):.3g} degrees) "
-            f"needs a table of {size / 2**30:.1f} GiB; at most {MAX_TABLE_BYTES / 2**30:.0f} GiB are allowed: "
-            "take a larger source angle or fewer wavelengths"
+            f"needs a table of {size / 2**30:.1f} GiB; at most {MAX_TABLE_BYTES / 2**30:.0f} GiB are allowed: take a "
+            f"source angle of {least:.2g} degrees or more, fewer wavelengths, or accuracy = 0.01 in the recipe"
         )
     kappa_low, kappa_high = xi[0] / shortest, xi[-1] / shortest
     highest = int(np.ceil(tile.period_nm * (2.0 + 6.0 * blur) / shortest))
