@@ -48,6 +48,7 @@ class PictureSpec(RecipeModel):
     spp: float = 1.0  # times the usual number of samples and the usual time
     quick: bool = False
     name: str | None = None
+    quality: Literal["reference", "fast"] | None = None
 
 
 class AnimationSpec(PictureSpec):
@@ -68,6 +69,7 @@ class RowSpec(RecipeModel):
     cell: tuple[int, int]  # width and height of one material's picture
     spp: float = 1.0
     quick: bool = False
+    quality: Literal["reference", "fast"] | None = None
 
 
 class PlotSpec(RecipeModel):
@@ -184,7 +186,7 @@ def _picture(folder: Path, out: Path, spec: PictureSpec, is_quick: bool) -> Item
     def make() -> None:
         from nacre.render.picture import render
 
-        bsdf = _solved(folder, out, spec.recipe)
+        bsdf = _solved(folder, out, spec.recipe, spec.quality)
         look = {**_look(spec), "view_turn_deg": spec.view_turn_deg, "light_turn_deg": spec.light_turn_deg}
         affordable = _affordable_spp(bsdf, look, side, spp, STILL_S[is_quick] * spec.spp)
         render(bsdf, output=path, size=(side, side), spp=affordable, progress=False, **look)
@@ -202,7 +204,7 @@ def _animation(folder: Path, out: Path, spec: AnimationSpec, is_quick: bool) -> 
         from nacre.render.animation import animate
 
         moving = spec.animate in ("light", "view")
-        material = _solved(folder, out, spec.recipe) if moving else _find(folder, out, spec.recipe)
+        material = _solved(folder, out, spec.recipe, spec.quality) if moving else _find(folder, out, spec.recipe)
         look = _look(spec)
         budget = MOVIE_S[is_quick] * spec.spp / frames
         affordable = _affordable_spp(material, look, side, spp, budget)
@@ -224,7 +226,7 @@ def _row(folder: Path, out: Path, spec: RowSpec, is_quick: bool) -> Item:
         exposure: Any = "auto"
         parts = []
         for recipe in spec.recipes:
-            bsdf = _solved(folder, out, recipe)
+            bsdf = _solved(folder, out, recipe, spec.quality)
             look = {"scene": spec.scene}
             budget = seconds / (frames * len(spec.recipes))
             spp = _affordable_spp(bsdf, look, round((size[0] * size[1]) ** 0.5), FULL_FRAME_SPP, budget)
@@ -316,10 +318,11 @@ def _find(folder: Path, out: Path, recipe: str) -> Any:
     return load(made if (made / "recipe.toml").is_file() else folder / recipe)
 
 
-@functools.lru_cache(maxsize=2)
-def _solved(folder: Path, out: Path, recipe: str) -> Any:
+@functools.lru_cache(maxsize=4)
+def _solved(folder: Path, out: Path, recipe: str, quality: str | None) -> Any:
     """Solve a recipe once for the pictures that follow one another; a few materials fill much memory."""
-    return _find(folder, out, recipe).bsdf()
+    material = _find(folder, out, recipe)
+    return (material.vary({"quality": quality}) if quality else material).bsdf()
 
 
 def _look(spec: PictureSpec) -> dict[str, Any]:
