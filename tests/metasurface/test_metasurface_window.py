@@ -41,7 +41,7 @@ def test_a_clear_window_in_uniform_light_cannot_be_seen(tmp_path, y):
         if shape.bsdf().id() == "nacre":
             shape.set_bsdf(bsdf)
     luminance = float(np.array(mi.render(scene, spp=512, seed=1))[..., 1].mean())
-    hole = mi.load_dict({"type": "scene", "e": {"type": "constant", "radiance": {"type": "uniform", "value": 0.25}},
+    hole = mi.load_dict({"type": "scene", "e": {"type": "constant", "radiance": {"type": "rgb", "value": 0.25}},
                          "integrator": {"type": "path"}, "sensor": scene.sensors()[0]})  # fmt: skip
     empty = float(np.array(mi.render(hole, spp=512, seed=2))[..., 1].mean())
     assert abs(luminance / empty - 1) <= LIGHT_BAR
