@@ -151,50 +151,28 @@ def test_recipes_that_hold_each_other_end(tmp_path: Path, capsys: pytest.Capture
     fails(capsys, ["spectrum", str(tmp_path / "a.toml")], "a.toml")
 
 
+def stopped_render(folder: Path, after_s: float, stop: signal.Signals, spp: int) -> tuple[int, str]:
+    """Start a render far too long to end, stop it after a while; return its exit status and what it said."""
+    (folder / "film.toml").write_text(GOOD)
+    options = ["--size", "256x256", "--spp", str(spp), "-o", "x.png"]
+    command = [sys.executable, "-m", "nacre", "render", "film.toml", *options]
+    process = subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True)
+    time.sleep(after_s)
+    process.send_signal(stop)
+    _, said = process.communicate(timeout=60)
+    return process.returncode, said
+
+
 @pytest.mark.render
 def test_a_killed_render_leaves_nothing_half_written(tmp_path: Path) -> None:
-    (tmp_path / "film.toml").write_text(GOOD)
-    command = [
-        sys.executable,
-        "-m",
-        "nacre",
-        "render",
-        "film.toml",
-        "--size",
-        "256x256",
-        "--spp",
-        "4096",
-        "-o",
-        "x.png",
-    ]
-    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE)
-    time.sleep(4)
-    process.kill()
-    process.communicate()
+    stopped_render(tmp_path, 4, signal.SIGKILL, 4096)
     assert [p.name for p in tmp_path.iterdir() if not p.name.startswith(".")] == ["film.toml"]
 
 
 @pytest.mark.render
 def test_an_interrupted_render_stops_cleanly(tmp_path: Path) -> None:
-    (tmp_path / "film.toml").write_text(GOOD)
-    command = [
-        sys.executable,
-        "-m",
-        "nacre",
-        "render",
-        "film.toml",
-        "--size",
-        "256x256",
-        "--spp",
-        "60000",
-        "-o",
-        "x.png",
-    ]
-    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    time.sleep(8)
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60)
-    assert process.returncode in (130, 2)
+    status, said = stopped_render(tmp_path, 8, signal.SIGINT, 60_000)
+    assert status in (130, 2)
     assert "Traceback" not in said
 
 

@@ -20,7 +20,7 @@ METASURFACE_BARS = {RADIUS: 0.05, DENSITY: 0.05}
 METASURFACE = {
     "family": "metasurface",
     "substrate": "glass",
-    "particle": {"material": "Ag", "radius_nm": 55.0},
+    "particle": {"material": "Ag", "radius_nm": 55.0, "gap_nm": 2.0},
     "monolayer": {"density_per_um2": 6.0, "packing": 0.3},
     "fit": {RADIUS: {"min": 45.0, "max": 65.0}, DENSITY: {"min": 3.0, "max": 9.0}},
 }

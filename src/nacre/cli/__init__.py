@@ -126,6 +126,9 @@ def run(argv: list[str]) -> int:
     except Exception as error:
         if debug:
             raise
+        if _was_interrupted(error):
+            click.echo("nacre: stopped; what was finished is kept", err=True)
+            return STATUS_INTERRUPTED
         click.echo(
             f"nacre: this is a bug in nacre, please report it: {type(error).__name__}: "
             f"{' '.join(str(error).split())[:300]} (run again with --debug for the details)",
@@ -133,6 +136,15 @@ def run(argv: list[str]) -> int:
         )
         return 1
     return 0
+
+
+def _was_interrupted(error: BaseException | None) -> bool:
+    """Whether an interrupt lies behind an error: the renderer wraps one that comes while it works."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def _os_line(error: OSError) -> str:

@@ -21,6 +21,7 @@ from nacre.errors import NacreError, RecipeError
 from nacre.exchange.gonio_csv import COLUMNS, GonioData, read_gonio_csv, read_table
 from nacre.recipe import Material
 from nacre.specs import show_value
+from nacre.study.tables import by_path
 
 Array = NDArray[np.float64]
 PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
@@ -147,7 +148,7 @@ def read_free(material: Material, options: tuple[str, ...] = ()) -> tuple[FreeNu
         RecipeError: naming the path and what is allowed.
     """
     source = material.context.source
-    table = dict(_flat(material.data.get("fit", {}), source))
+    table = by_path(material.data.get("fit", {}), {"min", "max"}, source, "fit")
     for option in options:
         path, equals, text = option.rpartition("=")
         bounds = text.split(":")
@@ -174,16 +175,6 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         return math.nan
-
-
-def _flat(table: Any, source: str, prefix: str = "") -> list[tuple[str, Any]]:
-    if not isinstance(table, Mapping):
-        raise RecipeError(f"{source}: fit = {show_value(table)} should be a table")
-    found: list[tuple[str, Any]] = []
-    for key, value in table.items():
-        is_bounds = not isinstance(value, Mapping) or set(value) & {"min", "max"}
-        found += [(f"{prefix}{key}", value)] if is_bounds else _flat(value, source, f"{prefix}{key}.")
-    return found
 
 
 def run_fit(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.spectrum import Spectrum
-from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab, xyz_to_srgb_linear
+from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.recipe import Material
 
 Array = NDArray[np.float64]
@@ -68,11 +68,6 @@ def _part(spectrum: Spectrum, name: str) -> Array:
     """Return a part of a spectrum, zeros where the material has none of it."""
     values = spectrum.parts().get(name)
     return np.zeros((len(spectrum.angles_deg), len(spectrum.wavelengths_nm))) if values is None else values
-
-
-def swatch(xyz: Array) -> Array:
-    """Return linear sRGB of XYZ for pictures of a sweep, unclipped."""
-    return np.asarray(xyz_to_srgb_linear(xyz))
 
 
 def measurement_from(data: dict[str, Any]) -> Measurement:

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from nacre.errors import RecipeError
 from nacre.specs import show_value
+from nacre.study.tables import by_path
 
 MAX_POINTS = 10_000_000
 MAX_AXES = 12
+AXIS_KEYS = {"values", "start", "stop", "low", "high"}
 MODES = ("grid", "random", "sobol")
 
 
@@ -101,7 +103,8 @@ def read_points(axes: Mapping[str, Any], mode: str, count: int, seed: int, sourc
         raise RecipeError(f"{source}: axes has {len(axes)} entries; at most {MAX_AXES} are allowed")
     if mode not in MODES:
         raise RecipeError(f'{source}: mode = "{mode}" is not known; modes: {", ".join(MODES)}')
-    parsed = tuple(_read_axis(path, value, mode, source) for path, value in _flatten(axes))
+    named = by_path(axes, AXIS_KEYS, source, "axes")
+    parsed = tuple(_read_axis(path, value, mode, source) for path, value in named.items())
     if mode == "grid":
         total = math.prod(len(axis.values or ()) for axis in parsed)
         if total > MAX_POINTS:
@@ -117,18 +120,6 @@ def read_points(axes: Mapping[str, Any], mode: str, count: int, seed: int, sourc
         power = max(0, math.ceil(math.log2(count)))
         fractions = qmc.Sobol(len(parsed), scramble=True, seed=seed).random_base2(power)[:count]
     return Points(parsed, mode, count, fractions)
-
-
-def _flatten(axes: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield (path, axis); a TOML writer may have written `surface.roughness` unquoted, as a table in a table."""
-    for key, value in axes.items():
-        path = f"{prefix}{key}"
-        if isinstance(value, Mapping) and not (set(value) & {"values", "start", "stop", "low", "high"}):
-            if not value:
-                raise RecipeError(f"axes.{path} is empty")
-            yield from _flatten(value, f"{path}.")
-        else:
-            yield path, value
 
 
 def _read_axis(path: str, value: Any, mode: str, source: str) -> Axis:

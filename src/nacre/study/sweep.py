@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from nacre._version import __version__
 from nacre.errors import NacreError, RecipeError
 from nacre.files import parse_toml, read_text
-from nacre.recipe import FAMILIES, Material, load
+from nacre.recipe import Material, load
 from nacre.specs import RecipeContext, RecipeModel, validate
 from nacre.study.measure import PARTS, Measurement
 from nacre.study.points import Points, read_points
@@ -327,4 +327,4 @@ def run_sweep(
     return finished, failed
 
 
-__all__ = ["FAMILIES", "Store", "Sweep", "SweepSpec", "load_sweep", "run_sweep"]
+__all__ = ["Store", "Sweep", "SweepSpec", "load_sweep", "run_sweep"]

@@ -16,6 +16,7 @@ from nacre.recipe import Material
 from nacre.specs import show_value
 from nacre.study import geometry
 from nacre.study.report import SPECULAR_ANGLES_DEG
+from nacre.study.tables import by_path
 
 Array = NDArray[np.float64]
 DISTRIBUTIONS = ("gaussian", "uniform")
@@ -91,7 +92,7 @@ def read_spreads(material: Material, options: tuple[str, ...] = ()) -> tuple[Spr
         RecipeError: naming the path and what is allowed.
     """
     source = material.context.source
-    table = dict(_flat(material.data.get("tolerance", {}), source))
+    table = by_path(material.data.get("tolerance", {}), {"deviation", "percent"}, source, "tolerance")
     for option in options:
         path, equals, text = option.rpartition("=")
         if not equals:
@@ -100,16 +101,6 @@ def read_spreads(material: Material, options: tuple[str, ...] = ()) -> tuple[Spr
     if not table:
         raise RecipeError(f"{source}: no spread is given; add a [tolerance] table or use --spread PATH=VALUE")
     return tuple(_spread(material, path, value, source) for path, value in table.items())
-
-
-def _flat(table: Any, source: str, prefix: str = "") -> list[tuple[str, Any]]:
-    if not isinstance(table, Mapping):
-        raise RecipeError(f"{source}: tolerance = {show_value(table)} should be a table")
-    found: list[tuple[str, Any]] = []
-    for key, value in table.items():
-        is_spread = not isinstance(value, Mapping) or set(value) & {"deviation", "percent"}
-        found += [(f"{prefix}{key}", value)] if is_spread else _flat(value, source, f"{prefix}{key}.")
-    return found
 
 
 def _spread(material: Material, path: str, value: Any, source: str) -> Spread:
