@@ -204,10 +204,12 @@ class Ablations:
             null = [float(p[MIDDLE, MIDDLE].mean() / np.percentile(p, 99)) for p in (power, ray)]
             alike = float(np.corrcoef(power.ravel(), ray.ravel())[0, 1])
             short = name.split("/")[1].split("__")[0]
-            blue = float(np.maximum(wave, 0)[..., 2].sum() / np.maximum(wave, 0).sum())
+            axis = self.model.axis(i)
+            inner = np.maximum(wave, 0)[np.hypot(axis[:, None], axis[None, :]) < 0.1]
+            blue = float(inner[:, 2].sum() / inner.sum())
             words.append(
                 f"{short}: correlation {alike:.2f}, middle over maximum {null[0]:.2f} and {null[1]:.2f}, "
-                f"share of blue {100 * blue:.0f} and 33 %"
+                f"blue within 0.1 {100 * blue:.0f} and 33 %"
             )
             hold.append(null[1] > 2.0 * null[0] if "anti" in name else blue > 0.5)
             grey = np.repeat(ray[..., None], 3, axis=-1)
