@@ -136,13 +136,32 @@ def test_samples_follow_the_density_and_the_values(baked, name):
         outcome = testing.chi_square(bsdf, theta, 30.0, samples=400_000, resolution=151, steps=12)
         assert outcome.passes(CHI_SQUARE_LEVEL, 2 * len(CASES)), outcome.messages
         draws = testing.draw(bsdf, testing.direction(theta, 30.0), 200_000)
-        wo, weight = hemisphere_nodes(192)
-        wi = np.broadcast_to(direction(theta, 30.0), wo.shape)
-        power = weight @ testing.plugin_values(bsdf, wo, wi.copy(), np.array(testing.HERO_WAVELENGTHS_NM))
+        power, below = baked[name][1].hemispherical(direction(theta, 30.0))  # grey: one value for all wavelengths
+        assert np.all(below == 0)
         broad = np.where(draws.is_delta[:, None], 0.0, draws.weight)
         error = broad.std(axis=0) / np.sqrt(len(broad))
         assert np.all(np.abs(broad.mean(axis=0) / power - 1) < SAMPLE_BAR + 3 * error / power)
         assert draws.weight.max() < 20
+
+
+@pytest.mark.full
+@pytest.mark.render
+def test_fifty_renders_take_even_time_and_memory(baked):
+    """Both routes and three scenes in turn, each time another material; the first ones compile."""
+    import resource
+    import time
+
+    from nacre.render import render
+
+    seconds, memory = [], []
+    for i in range(50):
+        bsdf = Bsdf((thinned(layered_lobe(number=1.0 + 0.1 * i)) if i % 2 else baked["rough"][1],))
+        start = time.process_time()
+        render(bsdf, scene=("sphere", "knob", "bottle")[i % 3], size=(48, 48), spp=4, seed=i)
+        seconds.append(time.process_time() - start)
+        memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)  # the peak so far
+    assert np.median(seconds[35:]) < 1.5 * np.median(seconds[15:30])
+    assert memory[-1] < memory[19] + 50e6
 
 
 def test_a_file_gives_the_same_values(baked, tmp_path):

@@ -232,6 +232,27 @@ class Flaked(Lobe):
         )  # fmt: skip
         return out.reshape(*wi.shape[:-1], -1)
 
+    def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
+        """Integrate over all exits in the plane of q, where area is solid angle times cosine, dense about the mirror.
+
+        Returns:
+            power `(to the side of wi, to the other side)`, each `[wavelength]`.
+        """
+        zero = np.zeros(len(self.wavelengths_nm))
+        if wi[2] <= MIN_COS:
+            return zero, zero.copy()
+        rings, turns = 4 * nodes, nodes
+        width = min(self.spread, 2.0 * self.alpha) if self.alpha > 0 else self.spread
+        u = np.linspace(0.0, np.arcsinh(2.0 / width), 2 * rings + 1)
+        q, edges = width * np.sinh(u[1::2]), width * np.sinh(u[::2])
+        psi = (np.arange(turns) + 0.5) * (2.0 * np.pi / turns)
+        xy = q[:, None, None] * np.stack([np.cos(psi), np.sin(psi)], axis=-1) - wi[:2]
+        area = np.repeat(np.diff(edges**2) * (np.pi / turns), turns)
+        cos2 = 1.0 - np.sum(xy**2, axis=-1).ravel()
+        keep = cos2 > MIN_COS
+        wo = np.concatenate([xy.reshape(-1, 2)[keep], np.sqrt(cos2[keep])[:, None]], axis=1)
+        return np.asarray(area[keep] @ self.evaluate(np.broadcast_to(wi, wo.shape), wo)), zero
+
     def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
         """Return the mirror reflection of a smooth interface; nothing from below."""
         from nacre.bsdf.layered import fresnel
