@@ -23,6 +23,8 @@ MAX_TERMS = 4000
 GAUSSIAN, TABULATED = 0, 1
 RHO_FLOOR = 1e-15
 SHORT_PHASE = 0.7  # rad over the support: near the critical angle the series dies too slowly, the integrand is smooth
+POINTS_PER_PANEL = 16
+SAME_WIDTH = 1e-12
 PANEL_PER_DISTANCE = 2.4  # 16 Gauss points on a panel 2.4 pole distances wide leave about 1e-11
 
 
@@ -80,13 +82,20 @@ def _series(rho: complex, p: float, kind: int, mean: float, deviation: float, ta
     return s1, s2
 
 
+@compiled(error_model="numpy", inline="always")
+def _wave(p: complex, tau: float) -> complex:
+    """exp(i p tau)."""
+    x = p.real * tau
+    return complex(math.cos(x), math.sin(x)) * math.exp(-p.imag * tau)
+
+
 @compiled(error_model="numpy")
 def _point(big_c: complex, r_a: complex, transfer: float, rho: complex, y: complex) -> Any:
     """R and T of one thickness."""
     denominator = 1.0 - rho * y
-    r = r_a + big_c * y / denominator
-    size = denominator.real * denominator.real + denominator.imag * denominator.imag
-    return r.real * r.real + r.imag * r.imag, transfer * abs(y) / size
+    over = 1.0 / (denominator.real * denominator.real + denominator.imag * denominator.imag)
+    r = r_a + big_c * y * complex(denominator.real * over, -denominator.imag * over)
+    return r.real * r.real + r.imag * r.imag, transfer * math.sqrt(y.real * y.real + y.imag * y.imag) * over
 
 
 @compiled(error_model="numpy")
@@ -112,8 +121,9 @@ def _pole_distance(rho: complex, p: complex, low: float, high: float) -> float:
 def average_platelet(
     p: Any, r_a: Any, big_c: Any, rho: Any, transfer: Any, is_fixed: bool, kind: int, mean: float, deviation: float,
     table: Any, step: float, low: float, high: float, nodes: Any, weights: Any, starts: Any, out_r: Any, out_t: Any,
+    first_point: int, last_point: int,
 ) -> None:  # fmt: skip
-    """Fill <R> and <T>.
+    """Fill <R> and <T> of the points first_point..last_point, so that threads can share the work.
 
     Args:
         p: complex `[point]`, 2 k0 kz of the substrate, 1/nm; shared by both polarisations.
@@ -126,11 +136,12 @@ def average_platelet(
         out_r, out_t: output `[polarisation, point]`.
     """
     levels = starts.shape[0] - 1
-    for i in range(p.shape[0]):
+    inside, shared_width = np.empty(POINTS_PER_PANEL, np.complex128), 0.0
+    for i in range(first_point, last_point):
         for pol in range(r_a.shape[0]):
             reflection = rho[pol, i]
             if is_fixed:
-                y = complex(math.cos(p[i].real * mean), math.sin(p[i].real * mean)) * math.exp(-p[i].imag * mean)
+                y = _wave(p[i], mean)
                 out_r[pol, i], out_t[pol, i] = _point(big_c[pol, i], r_a[pol, i], transfer[pol, i], reflection, y)
                 continue
             size = min(abs(reflection), 1.0 - RHO_FLOOR)
@@ -146,14 +157,20 @@ def average_platelet(
                 continue
             panels = (high - low) / (PANEL_PER_DISTANCE * _pole_distance(reflection, p[i], low, high)) + 8.0
             level = 0
-            while level < levels - 1 and starts[level + 1] - starts[level] < 16 * panels:
+            while level < levels - 1 and starts[level + 1] - starts[level] < POINTS_PER_PANEL * panels:
                 level += 1
             total_r, total_t = 0.0, 0.0
-            for q in range(starts[level], starts[level + 1]):
-                x = p[i].real * nodes[q]
-                y = complex(math.cos(x), math.sin(x)) * math.exp(-p[i].imag * nodes[q])
-                r, t = _point(big_c[pol, i], r_a[pol, i], transfer[pol, i], reflection, y)
-                total_r += weights[q] * r
-                total_t += weights[q] * t
+            for panel in range(starts[level], starts[level + 1], POINTS_PER_PANEL):
+                # panels of equal width share exp(ip (tau - tau_first)), so that a node costs a product
+                width = nodes[panel + POINTS_PER_PANEL - 1] - nodes[panel]
+                if panel == starts[level] or abs(width - shared_width) > SAME_WIDTH * width:
+                    shared_width = width
+                    for k in range(POINTS_PER_PANEL):
+                        inside[k] = _wave(p[i], nodes[panel + k] - nodes[panel])
+                first = _wave(p[i], nodes[panel])
+                for k in range(POINTS_PER_PANEL):
+                    r, t = _point(big_c[pol, i], r_a[pol, i], transfer[pol, i], reflection, first * inside[k])
+                    total_r += weights[panel + k] * r
+                    total_t += weights[panel + k] * t
             out_r[pol, i] = total_r
             out_t[pol, i] = total_t

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.errors import NacreError
-from nacre.matter.stratified import Amplitudes, amplitudes
+from nacre.matter.stratified import Amplitudes, amplitudes, share
 from nacre.pearl import average
 from nacre.pearl.thickness import Thickness
 
@@ -190,12 +190,17 @@ def _one_face(
             nodes, weights = (np.concatenate([level[i] for level in ladder]) for i in (0, 1))
             starts = np.concatenate([[0], np.cumsum([len(level[0]) for level in ladder])])
     low, high = thickness.support
-    average.average_platelet(
-        p, r_a.reshape(shape), (t_a * back * r_b).reshape(shape), (into * r_b).reshape(shape),
-        (np.abs(t_a * t_b) ** 2).reshape(shape), thickness.is_fixed, kind, float(centre),
-        float(thickness.deviation_nm), table, float(step), float(low), float(high), nodes, weights, starts,
-        big_r, big_t,
-    )  # fmt: skip
+    factors = r_a.reshape(shape), (t_a * back * r_b).reshape(shape), (into * r_b).reshape(shape)
+    transfer = (np.abs(t_a * t_b) ** 2).reshape(shape)
+
+    def task(_: int, __: int, first: int, last: int) -> None:
+        average.average_platelet(
+            p, *factors, transfer, thickness.is_fixed, kind, float(centre), float(thickness.deviation_nm), table,
+            float(step), float(low), float(high), nodes, weights, starts, big_r, big_t, first, last,
+        )  # fmt: skip
+
+    # an absorbing point costs some hundred nodes of the quadrature, any other a few terms of a series
+    share(task, 1, p.size, p.size * (1000 if nodes.size > 1 else 50), None)
     full = (2, *kz_s.shape)
     result_r, result_t = big_r.reshape(full), big_t.reshape(full)
     lossless = ~absorbs

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.errors import NacreError
+from nacre.pearl.average import POINTS_PER_PANEL
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 DISTRIBUTIONS = ("gaussian", "truncated", "lognormal", "histogram")
 SPREAD = 8.3  # half-widths, in deviations, beyond which a Gaussian has less than 1e-16 of its weight
-POINTS_PER_PANEL = 16
 
 
 @dataclass(frozen=True)
