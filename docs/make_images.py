@@ -87,7 +87,7 @@ def make_thumbnail(picture: PictureSpec, folder: Path, scratch: Path) -> Path:
         nacre.load(source), picture.scene, shape=picture.shape, light=picture.light,
         illuminant=picture.illuminant, components=picture.components, exposure=picture.exposure, size=THUMBNAIL,
         spp=int(40 * picture.spp), light_turn_deg=picture.light_turn_deg, view_turn_deg=picture.view_turn_deg,
-        progress=False,
+        quality=picture.quality, progress=False,
     )  # fmt: skip
     return _save(Image.fromarray(np.asarray(result.srgb8)), IMAGES / "gallery" / f"{thumbnail_name(picture)}.jpg")
 
