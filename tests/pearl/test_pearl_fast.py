@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import resource
 
 import numpy as np
 import pytest
@@ -146,21 +147,15 @@ def test_samples_follow_the_density_and_the_values(baked, name):
 
 @pytest.mark.full
 @pytest.mark.render
-def test_fifty_renders_take_even_time_and_memory(baked):
-    """Both routes and three scenes in turn, each time another material; the first ones compile."""
-    import resource
-    import time
-
+def test_fifty_renders_leave_memory_even(baked):
+    """Both routes and three scenes in turn, each time another material; `bench_many_renders` holds the time."""
     from nacre.render import render
 
-    seconds, memory = [], []
+    memory = []
     for i in range(50):
         bsdf = Bsdf((thinned(layered_lobe(number=1.0 + 0.1 * i)) if i % 2 else baked["rough"][1],))
-        start = time.process_time()
         render(bsdf, scene=("sphere", "knob", "bottle")[i % 3], size=(48, 48), spp=4, seed=i)
-        seconds.append(time.process_time() - start)
         memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)  # the peak so far
-    assert np.median(seconds[35:]) < 1.5 * np.median(seconds[15:30])
     assert memory[-1] < memory[19] + 50e6
 
 
