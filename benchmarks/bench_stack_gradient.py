@@ -6,9 +6,9 @@ of some 10 us a step); compile 3 s; tmm_fast's autograd 150 ms, so 75 x.
 Outcome: 4 ms of CPU and 7 s at first. Taking roots and sines out of the scan and putting s and p in one array gave
 0.9 ms; gradients of cos x and sin x / x from their own values, 0.6 ms alone and 1.5 ms beside another process. On an
 idle machine tmm_fast needs 15-20 ms, not the 132 ms that the issue saw: the twin alone then stands at 13-30 x. Hence
-the adjoint kernel: 0.40 ms, of which 0.15 ms are the kernel, 0.08 ms the forward solve with its checks and 0.15 ms what
-JAX needs to call the colour part. A turn is a short descent of 10 gradients for each contestant, since nobody takes one
-alone; a single call after 15 ms of another process finds cold caches and costs 1.2 ms.
+the adjoint kernel: 0.3 ms, half of it the kernel, the rest the forward solve and what JAX needs to call the colour
+part. A turn is a descent of 50 gradients for each contestant, since nobody takes one alone; a single call after 15 ms
+of another process finds cold caches and costs 1.2 ms.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from nacre.light import illuminant, white_xyz, xyz_weights
 from nacre.matter import Powers, stack_gradient, stack_jax
 
 LAYERS = 20
-CALLS = 10  # gradients a turn, as an optimiser takes them
+CALLS = 50  # gradients a turn: an optimiser takes hundreds in a row
 
 
 def problem() -> dict[str, np.ndarray]:

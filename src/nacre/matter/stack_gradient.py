@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nacre.errors import NacreError
-from nacre.matter.stratified import Case, Powers, powers_of, prepare
+from nacre.matter.stratified import Case, Powers, power_array, prepare, with_thicknesses
 
 Real = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ def value_and_grad(
         theta_rad: `[angle]`.
 
     Raises:
-        NacreError: when called: as `pull_back`.
+        NacreError: as `pull_back`, here and when called.
 
     Example: `value_and_grad(lambda seen: ((seen.reflectance - wanted) ** 2).sum(), n, lam, [0.0])(thicknesses)`.
     """
@@ -95,17 +95,16 @@ def value_and_grad(
 
     from nacre.matter.stack_jax import double_precision
 
-    def of_arrays(seen: tuple[Any, ...]) -> Any:
-        return loss(Powers(*seen))
-
-    compiled = jax.jit(jax.value_and_grad(of_arrays))
+    # one array in and one out: each array costs JAX as much as the kernel's whole block
+    compiled = jax.jit(jax.value_and_grad(lambda seen: loss(Powers(*seen))))
+    media = np.asarray(n, dtype=np.complex128).shape[-2]
+    fixed = prepare(n, np.zeros(media - 2), wavelengths_nm, theta_rad=np.atleast_1d(np.asarray(theta_rad, dtype=float)))
 
     def call(thicknesses_nm: ArrayLike) -> tuple[float, Real]:
-        case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=np.atleast_1d(np.asarray(theta_rad, dtype=float)))
-        seen = powers_of(case)
+        case = with_thicknesses(fixed, thicknesses_nm)
         with double_precision():
-            value, bars = compiled((seen.R_s, seen.R_p, seen.T_s, seen.T_p))
-        return float(value), _pull_back(case, bars, False).thicknesses_nm
+            value, bars = compiled(power_array(case))
+        return float(value), _pull_back(case, np.asarray(bars), False).thicknesses_nm
 
     return call
 

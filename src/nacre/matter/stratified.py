@@ -15,7 +15,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -146,7 +146,21 @@ def powers(
 
 def powers_of(case: Case, jobs: int | None = None) -> Powers:
     """R and T of a case that `prepare` made."""
-    return Powers(*_run(case, False, True, jobs)[1])
+    return Powers(*power_array(case, jobs))
+
+
+def power_array(case: Case, jobs: int | None = None) -> Real:
+    """R_s, R_p, T_s and T_p of a case in one array, `[4, ..., angle, wavelength]`."""
+    return _run(case, False, True, jobs)[1]
+
+
+def with_thicknesses(case: Case, thicknesses_nm: ArrayLike) -> Case:
+    """The same case with other thicknesses `[layer]`, for loops that change nothing else; errors as `prepare`."""
+    d = _owned(np.atleast_1d(np.asarray(thicknesses_nm, dtype=np.float64))[None], np.float64)
+    if case.batch or d.shape != (1, case.n.shape[1] - 2):
+        raise NacreError(f"thicknesses_nm must have the shape [{case.n.shape[1] - 2}], not {list(d.shape[1:])}")
+    check_thicknesses(d[0])
+    return replace(case, thicknesses_nm=d)
 
 
 def amplitudes(
