@@ -3,7 +3,7 @@
 Scene: that of bench_render_plugins (a sphere under a constant emitter, path tracer). Floor: a diffuse sphere.
 Prediction (before the first run): 0.5 x roughconductor: 96 packet loads a look-up against its complex Fresnel terms.
 It was 0.13 to 0.17. With 12 loads of eight a look-up, 0.3: with all loads from one cached line it was 0.85, so what
-remained was memory, 50 MB read at random. With 16-bit numbers and 120 angles, 11 MB, it is 0.5 to 0.66, less where
+remained was memory, 50 MB read at random. With 16-bit numbers and 120 angles, 11 MB, it is 0.53 idle, 0.38 where
 others use the cache too. A layout in which neighbouring angles share lines, not wavelengths, was slower (0.5).
 Ratios are of CPU time, since the loads of a shared machine disturb the clock more.
 Outcome: see RESULTS.md.
