@@ -9,12 +9,10 @@ Outcome: see RESULTS.md.
 from __future__ import annotations
 
 import gc
-import os
 import sys
 import time
-from pathlib import Path
 
-from common import ROOT, Row, parser, report
+from common import ROOT, Row, parser, report, resident_mb
 
 import nacre
 
@@ -25,11 +23,6 @@ RECIPES = (
     "metasurface/silicon_on_glass.toml", "pearl/bottle1.toml", "pearl/bottle3.toml", "pearl/car_front.toml",
     "relief/star.toml",
 )  # fmt: skip
-
-
-def resident_mb() -> float:
-    """Memory of this process."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def one_round(index: int, bsdfs: dict[str, nacre.bsdf.contract.Bsdf]) -> tuple[float, float]:

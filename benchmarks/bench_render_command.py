@@ -8,7 +8,6 @@ Outcome: see RESULTS.md.
 
 from __future__ import annotations
 
-import os
 import resource
 import subprocess
 import sys
@@ -16,7 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from common import Row, interleaved, parser, report
+from common import Row, interleaved, parser, report, resident_mb
 
 import nacre
 
@@ -37,11 +36,6 @@ def command(folder: Path) -> tuple[float, float]:
     subprocess.run(arguments, cwd=folder, check=True, capture_output=True)
     wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
     return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-
-
-def resident_mb() -> float:
-    """Memory of this process."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def fifty(folder: Path) -> tuple[float, float]:

@@ -168,6 +168,11 @@ def report(name: str, rows: list[Row], as_json: bool, notes: Mapping[str, Any] |
     return 0 if passed else 1
 
 
+def resident_mb() -> float:
+    """Memory that this process has in use."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
 def machine() -> dict[str, Any]:
     """What the figures were measured on."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()

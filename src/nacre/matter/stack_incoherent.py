@@ -71,13 +71,10 @@ def incoherent_powers(
     """
     case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa)
     groups = _groups(case, incoherent, jobs)
-    total_r, total_t = groups[-1].down_r, groups[-1].down_t
-    for group, below in zip(groups[-2::-1], groups[:0:-1]):
-        gain = _gain(group, below, total_r)
-        total_r, total_t = (
-            group.down_r + gain * group.up_t * below.passage**2 * total_r,
-            gain * below.passage * total_t,
-        )
+    totals = _reflected(groups)
+    total_r, total_t = totals[0], groups[-1].down_t
+    for group, below, reflected in zip(groups[:-1], groups[1:], totals[1:]):
+        total_t = total_t * _gain(group, below, reflected) * below.passage
     shape = (*case.batch, *case.angle_shape, case.shape[2])
     return Powers(*(part.reshape(shape) for part in (*total_r, *total_t)))
 
@@ -102,9 +99,7 @@ def incoherent_absorption(
 
     case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
     groups = _groups(case, incoherent, jobs)
-    totals = [groups[-1].down_r]  # reflectance of all that lies under each thick medium, from the top downward
-    for group, below in zip(groups[-2::-1], groups[:0:-1]):
-        totals.insert(0, group.down_r + _gain(group, below, totals[0]) * group.up_t * below.passage**2 * totals[0])
+    totals = _reflected(groups)
     absorbed = np.zeros((2, case.n.shape[1] - 2, *case.shape))
     arriving: Real = np.ones((2, *case.shape))  # on the group from above
     for i, group in enumerate(groups):
@@ -123,6 +118,15 @@ def incoherent_absorption(
         arriving = below.passage * leaving
         absorbed[:, group.first + count] = leaving - returning - arriving * (1.0 - total)
     return absorbed.reshape(2, -1, *case.batch, *case.angle_shape, case.shape[2])
+
+
+def _reflected(groups: list[_Group]) -> list[Real]:
+    """Reflectance of each group with all that lies under it, from the top downward."""
+    totals = [groups[-1].down_r]
+    for group, below in zip(groups[-2::-1], groups[:0:-1]):
+        echoes = _gain(group, below, totals[0]) * group.up_t * below.passage**2 * totals[0]
+        totals.insert(0, group.down_r + echoes)
+    return totals
 
 
 def _gain(group: _Group, below: _Group, total_r: Real) -> Real:
