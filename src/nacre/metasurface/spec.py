@@ -21,7 +21,6 @@ from nacre.metasurface.arrangement import (
 )
 from nacre.metasurface.material import LOOSEST_TOLERANCE, Metasurface, Shell, Sizes
 from nacre.metasurface.patterns import Pattern
-from nacre.metasurface.sphere import ORDER_TOLERANCE
 from nacre.metasurface.structure import PACKING_LIMIT, Structure, hard_disk_structure
 from nacre.specs import RecipeContext, RecipeModel, show_value
 
@@ -130,7 +129,7 @@ class ModelSpec(RecipeModel):
     """The model, where its own choice is not wanted."""
 
     multipole_order: Annotated[int, pydantic.Field(ge=1, le=60)] | None = None
-    tolerance: Annotated[float, pydantic.Field(ge=1e-5, le=LOOSEST_TOLERANCE)] = ORDER_TOLERANCE
+    tolerance: Annotated[float, pydantic.Field(ge=1e-5, le=LOOSEST_TOLERANCE)] | None = None
     interaction_order: Annotated[int, pydantic.Field(ge=1, le=4)] = 3
     correction: Literal["qca-balanced", "gv-balanced", "optical-depth", "in-only", "in-out", "none"] = "qca-balanced"
 

@@ -30,11 +30,11 @@ Coefficients = Callable[[int], ComplexArray]
 
 
 class ConvergenceRefusal(UnsupportedError):
-    """The multipole series of this particle on this stack does not converge; `change` is what the last order left."""
+    """The multipole series of this particle on this stack does not converge; `change` is what the last `order` left."""
 
-    def __init__(self, message: str, change: float) -> None:
+    def __init__(self, message: str, change: float, order: int) -> None:
         super().__init__(message)
-        self.change = change
+        self.change, self.order = change, order
 
 
 @lru_cache(maxsize=64)
@@ -384,6 +384,7 @@ def choose_order(
         f"the multipole series does not converge to {tolerance:g} (order {order} still changes by {worst:.2g} when "
         "doubled): a metal sphere that touches a solid squeezes the field into the contact point",
         worst,
+        order,
     )
 
 
