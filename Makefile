@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PY := .venv/bin/python
 export NACRE_PROJECT := $(CURDIR)
 
-.PHONY: setup demo test test-full lint docs bench validate wheel clean
+.PHONY: setup demo test test-full coverage lint docs bench validate wheel clean
 
 setup:
 	@bash tools/setup.sh
@@ -16,6 +16,13 @@ test: setup lint
 
 test-full: setup
 	@$(PY) -m pytest -q -m "full and not gpu" -n 2 --dist worksteal
+
+# lines of src/nacre that the quick suite reaches, in all its processes; fails below the bar of pyproject.toml
+coverage: setup
+	@rm -rf build/coverage && mkdir -p build/coverage
+	@$(PY) -W ignore -m coverage run -m pytest -q -m "not full and not gpu" -n 2 --dist worksteal
+	@$(PY) -m coverage combine -q
+	@$(PY) -m coverage report --skip-covered --sort=cover
 
 lint: setup
 	@$(PY) -m ruff check src tests benchmarks validation tools examples
