@@ -82,7 +82,7 @@ class _Screen:
 @click.command()
 @click.argument("source", metavar="DESIGN_DIR|RECIPE")
 @click.option("--to", "target", required=True, type=click.Choice(TARGETS))
-@click.option("-o", "output", default=None, metavar="FILE", help="Default: the source's name with the target's suffix.")
+@click.option("-o", "output", default=None, metavar="FILE", help="Default: SOURCE-TO and the suffix.")
 @click.option("--calibration", default=None, metavar="CSV", help="png16, tiff16: grey value against depth.")
 @click.option("--size-mm", default=None, metavar="WxH", help="Tile the pattern over an area.")
 @click.option("--levels", type=click.IntRange(2, 256), default=None, help="gds, oas: height levels.")
@@ -100,7 +100,7 @@ def fabricate(
     from nacre.files import check_writable
 
     name = Path(source).resolve().stem
-    path = Path(output) if output else Path(f"{name}{SUFFIXES[target]}")
+    path = Path(output) if output else Path(f"{name}-{target}{SUFFIXES[target]}")
     check_writable(path)
     material = common.load_material(source) if target == "sheet" else None
     if material is not None and material.family != "metasurface":
