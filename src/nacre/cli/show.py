@@ -206,7 +206,10 @@ def compile_(recipe: str, wavelengths_nm: str | None, output: str | None, change
     if path.exists() and Path(recipe).exists() and path.samefile(recipe):
         raise UnsupportedError(f"{recipe}: is compiled already")
     material = common.load_material(recipe, changes)
-    material.bsdf(common.wavelengths(wavelengths_nm)).save(path)
+    solved = material.bsdf(common.wavelengths(wavelengths_nm))
+    solved.save(path)
+    for remark in solved.provenance.get("notes", ()):
+        common.note(remark)
     common.note(str(path))
 
 
