@@ -1,7 +1,8 @@
 """Run every validation script and write REPORT.md: what was claimed, what we get, the verdict; the misses first.
 
 `python -m validation [NAME ...]` runs the scripts whose names contain one of the words; all by default. A script is a
-module with `main(out_dir) -> rows`; a row has claim, claimed, ours, verdict and figure.
+module with `main(out_dir) -> rows`; a row has claim, claimed, ours, verdict and figure. Each script's rows are kept
+beside its figures, so that the report of a partial run, in any clone, still holds the others.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 FIGURES = HERE / "figures"
+ROWS = "rows.json"
 GOOD = ("holds", "ok", "pass", "reached", "agrees", "yes", "true", "reproduced")
 
 
@@ -34,6 +36,21 @@ def run_script(name: str) -> tuple[list[dict[str, Any]], float]:
         rows = [{"claim": "the script runs", "claimed": "", "ours": f"{type(error).__name__}: {error}",
                  "verdict": "fails", "figure": ""}]  # fmt: skip
     return list(rows), time.monotonic() - start
+
+
+def write_rows(name: str, rows: list[dict[str, Any]], seconds: float) -> None:
+    """Keep a script's rows beside its figures."""
+    document = {"seconds": round(seconds), "rows": rows}
+    (FIGURES / name / ROWS).write_text(json.dumps(document, indent=1, default=str) + "\n", encoding="utf-8")
+
+
+def read_rows(name: str) -> tuple[list[dict[str, Any]], float] | None:
+    """Return the rows of a script's last run, or None if it never ran."""
+    path = FIGURES / name / ROWS
+    if not path.exists():
+        return None
+    document = json.loads(path.read_text(encoding="utf-8"))
+    return document["rows"], document["seconds"]
 
 
 def write_report(results: dict[str, tuple[list[dict[str, Any]], float]]) -> None:
@@ -71,17 +88,14 @@ def main() -> int:
     words = [word for word in sys.argv[1:] if not word.startswith("-")]
     names = sorted(p.stem for p in HERE.glob("*_*.py") if not p.stem.startswith("_"))
     chosen = [name for name in names if not words or any(word in name for word in words)]
-    store = FIGURES / "rows.json"
-    results: dict[str, Any] = {}
-    if words and store.exists():
-        # scripts that are not run again keep their last rows in the report
-        results = {name: tuple(value) for name, value in json.loads(store.read_text()).items() if name in names}
+    results: dict[str, tuple[list[dict[str, Any]], float]] = {}
     for number, name in enumerate(chosen):
         print(f"== [{number + 1}/{len(chosen)}] {name}", flush=True)
         (FIGURES / name).mkdir(parents=True, exist_ok=True)
         results[name] = run_script(name)
-        store.write_text(json.dumps(results, default=str))
-        write_report({n: results[n] for n in names if n in results})
+        write_rows(name, *results[name])
+        # the rows of scripts that are not run, or that run in another process, come from their last run
+        write_report({n: found for n in names if (found := results.get(n) or read_rows(n)) is not None})
     return int(any(row["verdict"] == "fails" for name in chosen for row in results[name][0]))
 
 
