@@ -40,7 +40,8 @@ def run_script(name: str) -> tuple[list[dict[str, Any]], float]:
 
 def write_rows(name: str, rows: list[dict[str, Any]], seconds: float) -> None:
     """Keep a script's rows beside its figures."""
-    document = {"seconds": round(seconds), "rows": rows}
+    named = [{**row, "figure": Path(str(row.get("figure", ""))).name} for row in rows]  # no folder of this machine
+    document = {"seconds": round(seconds), "rows": named}
     (FIGURES / name / ROWS).write_text(json.dumps(document, indent=1, default=str) + "\n", encoding="utf-8")
 
 
