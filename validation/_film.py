@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,19 +52,6 @@ def hue_name(values: Array, wavelengths_nm: Array) -> str:
     return [name for start, name in HUES if angle >= start][-1]
 
 
-def row(claim: str, claimed: object, ours: object, holds: bool, figure: str) -> dict[str, Any]:
-    """One line of the report, printed as it is made."""
-    line = {
-        "claim": claim,
-        "claimed": str(claimed),
-        "ours": str(ours),
-        "verdict": "holds" if holds else "DOES NOT HOLD",
-        "figure": figure,
-    }
-    print(f"{claim}: {claimed} | {ours} | {line['verdict']}", flush=True)
-    return line
-
-
 def picture(made: Material, scene: str = "sphere", size: int = 160, spp: int = 32, **settings: Any) -> Any:
     """Render a small picture `[row, column, 3]`, or return None on a machine that cannot."""
     try:
@@ -96,13 +82,3 @@ def canvas(rows: int, columns: int, width: float = 7.0, height: float | None = N
 
     size = (width, height if height is not None else width * rows / columns)
     return pyplot.subplots(rows, columns, figsize=size, squeeze=False, constrained_layout=True)
-
-
-def finish(figure: Any, out_dir: str | Path, name: str) -> None:
-    """Write the figure and close it."""
-    from matplotlib import pyplot
-
-    out = Path(out_dir)
-    out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / name, dpi=150)
-    pyplot.close(figure)

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from nacre.bsdf.hemisphere import direction, directional_hemispherical
-from validation._film import canvas, film, finish, picture, row, show
+from validation._film import canvas, film, picture, show
+from validation._rows import finish, row
 
 FIGURE = "film_anisotropy.png"
 LAM = np.array([450.0, 550.0, 650.0])

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from nacre.matter import index
-from validation._film import canvas, film, finish, hue_name, picture, reflectance, row, show, srgb
+from validation._film import canvas, film, hue_name, picture, reflectance, show, srgb
+from validation._rows import finish, row
 
 FIGURE = "film_metals.png"
 LAM = np.linspace(400.0, 800.0, 201)

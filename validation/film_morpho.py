@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from nacre.bsdf.hemisphere import direction
-from validation._film import canvas, film, finish, hue_name, picture, reflectance, row, show, srgb
+from validation._film import canvas, film, hue_name, picture, reflectance, show, srgb
+from validation._rows import finish, row
 
 FIGURE = "film_morpho.png"
 LAM = np.arange(350.0, 731.0, 2.0)

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from validation._film import canvas, film, finish, picture, reflectance, row, show, srgb
+from validation._film import canvas, film, picture, reflectance, show, srgb
+from validation._rows import finish, row
 
 FIGURE = "film_opaque_body.png"
 N_FILM, N_BODY = 1.5, 1.25 + 2e-4j

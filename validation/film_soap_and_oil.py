@@ -16,7 +16,8 @@ import numpy as np
 
 from nacre.light import spectrum_to_xyz
 from nacre.recipe import load
-from validation._film import canvas, film, finish, hue_name, picture, row, show, srgb
+from validation._film import canvas, film, hue_name, picture, show, srgb
+from validation._rows import finish, row
 
 FIGURE = "film_soap_and_oil.png"
 LAM = np.linspace(380.0, 780.0, 401)

@@ -22,6 +22,7 @@ from nacre.metasurface.sphere import SphereOnStack, amplitude, choose_order, hem
 from nacre.metasurface.structure import hard_disk_structure
 from nacre.metasurface.surface import Surface
 from nacre.recipe import material
+from validation._rows import finish, row
 
 Array = NDArray[np.float64]
 Row = tuple[str, str, str, bool]
@@ -217,18 +218,9 @@ def main(out_dir: str | Path = ".") -> list[dict[str, Any]]:
     axes[1, 3].set_axis_off()
     table = hemisphere_rows(axes[0, :3]) + backscatter_rows(axes[0, 3])
     table += map_rows(axes[1, :2]) + interaction_rows(axes[1, 2])
-    Path(out_dir).mkdir(parents=True, exist_ok=True)
-    path = Path(out_dir) / "metasurface_order_and_model.png"
     figure.tight_layout()
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-    rows = [
-        {"claim": c, "claimed": w, "ours": o, "verdict": "agrees" if good else "differs", "figure": str(path)}
-        for c, w, o, good in table
-    ]
-    for row in rows:
-        print(f"{row['claim']} | {row['claimed']} | {row['ours']} | {row['verdict']}", flush=True)
-    return rows
+    path = finish(figure, out_dir, "metasurface_order_and_model.png", dpi=110)
+    return [row(*line, path) for line in table]
 
 
 if __name__ == "__main__":

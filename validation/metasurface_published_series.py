@@ -15,6 +15,7 @@ from scipy.signal import find_peaks
 
 from nacre.light import spectrum_to_xyz, xyz_to_lab
 from nacre.recipe import material
+from validation._rows import finish, row
 
 OXIDES_NM = (2.0, 100.0, 200.0, 400.0, 600.0)
 INCIDENCES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
@@ -106,10 +107,10 @@ def silicon_rows(axes: Any) -> list[tuple[str, str, str, bool]]:
     found = {}
     for axis, part in zip(axes, ("diffuse", "specular"), strict=True):
         data = made.figure_data("colour-map", part=part, densities_per_um2=densities, angles_deg=angles)
-        lab = np.array([hue(row) for row in data["reflectance"]])
+        lab = np.array([hue(values) for values in data["reflectance"]])
         found[part] = spread(lab)
-        for row, density in zip(lab, densities, strict=True):
-            axis.plot(row[:, 1], row[:, 2], "o-", ms=3, label=f"{density:g} /um$^2$")
+        for colours, density in zip(lab, densities, strict=True):
+            axis.plot(colours[:, 1], colours[:, 2], "o-", ms=3, label=f"{density:g} /um$^2$")
         axis.set(xlabel="a*", ylabel="b*", title=part, aspect="equal", xlim=(-90, 90), ylim=(-90, 90))
         axis.legend(fontsize=6)
     return [
@@ -237,18 +238,9 @@ def main(out_dir: str | Path = ".") -> list[dict[str, Any]]:
     figure, axes = plt.subplots(2, 4, figsize=(15, 6.5))
     table = oxide_rows(axes[0, :2]) + silicon_rows(axes[0, 2:])
     table += [*halo_rows(axes[1, :2]), polydisperse_colour_row(), *experiment_rows(axes[1, 2:])]
-    Path(out_dir).mkdir(parents=True, exist_ok=True)
-    path = Path(out_dir) / "metasurface_published_series.png"
     figure.tight_layout()
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-    rows = [
-        {"claim": c, "claimed": w, "ours": o, "verdict": "agrees" if good else "differs", "figure": str(path)}
-        for c, w, o, good in table
-    ]
-    for row in rows:
-        print(f"{row['claim']} | {row['claimed']} | {row['ours']} | {row['verdict']}", flush=True)
-    return rows
+    path = finish(figure, out_dir, "metasurface_published_series.png", dpi=110)
+    return [row(*line, path) for line in table]
 
 
 if __name__ == "__main__":

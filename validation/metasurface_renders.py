@@ -17,6 +17,7 @@ import nacre
 from nacre.bsdf import Bsdf
 from nacre.bsdf.harmonic import PolarGrid, pack_triangle
 from nacre.light import delta_e_2000, xyz_to_lab
+from validation._rows import finish, row
 
 Array = NDArray[np.float64]
 Row = tuple[str, str, str, bool]
@@ -276,8 +277,6 @@ def main(out_dir: str | Path = ".") -> list[dict[str, Any]]:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    out_dir = Path(out_dir)
-    out_dir.mkdir(parents=True, exist_ok=True)
     rows = []
     cars, axes = plt.subplots(2, 4, figsize=(14, 4.6))
     table = car_rows(axes)
@@ -287,16 +286,9 @@ def main(out_dir: str | Path = ".") -> list[dict[str, Any]]:
         (cars, "metasurface_cars.png", table),
         (more, "metasurface_window_and_grids.png", rest),
     ):
-        path = out_dir / name
         figure.tight_layout()
-        figure.savefig(path, dpi=110)
-        plt.close(figure)
-        rows += [
-            {"claim": c, "claimed": w, "ours": o, "verdict": "agrees" if good else "differs", "figure": str(path)}
-            for c, w, o, good in part
-        ]
-    for row in rows:
-        print(f"{row['claim']} | {row['claimed']} | {row['ours']} | {row['verdict']}", flush=True)
+        path = finish(figure, out_dir, name, dpi=110)
+        rows += [row(*line, path) for line in part]
     return rows
 
 

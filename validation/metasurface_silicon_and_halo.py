@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from nacre.recipe import material
+from validation._rows import finish, row
 
 
 def silicon(radius_nm: float) -> Any:
@@ -80,11 +81,8 @@ def main(out_dir: str | Path = ".") -> list[dict[str, Any]]:
     left.set(xlabel="wavelength / nm", ylabel="diffuse reflectance")
     right.set(xlabel="view / degrees", ylabel="BRDF / sr$^{-1}$")
     left.legend(), right.legend()
-    Path(out_dir).mkdir(parents=True, exist_ok=True)
-    path = Path(out_dir) / "metasurface_silicon_and_halo.png"
     figure.tight_layout()
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
+    path = finish(figure, out_dir, "metasurface_silicon_and_halo.png", dpi=120)
     steps = np.diff(peaks)
     table = [
         ("Si resonance shifts about linearly with r", "linear", f"{peaks} nm, {bend:.0f} nm off a line",
@@ -96,13 +94,7 @@ def main(out_dir: str | Path = ".") -> list[dict[str, Any]]:
         ("the ring shrinks as density falls", "smaller",
          f"{ring[2.5, 0.5]:.0f} against {ring[5.0, 0.5]:.0f} degrees", ring[2.5, 0.5] < ring[5.0, 0.5]),
     ]  # fmt: skip
-    rows = [
-        {"claim": c, "claimed": w, "ours": o, "verdict": "agrees" if good else "differs", "figure": str(path)}
-        for c, w, o, good in table
-    ]
-    for row in rows:
-        print(f"{row['claim']} | {row['claimed']} | {row['ours']} | {row['verdict']}")
-    return rows
+    return [row(*line, path) for line in table]
 
 
 if __name__ == "__main__":
