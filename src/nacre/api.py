@@ -6,6 +6,7 @@ from `nacre.plot`, structures from `nacre.design`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -14,11 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.masked import MaskedLobe
-from nacre.errors import UnsupportedError
+from nacre.errors import RecipeError, UnsupportedError
 from nacre.recipe import Material
 
 Array = NDArray[np.float64]
-PLOT_SAMPLES = 1024  # the same for a pixel of a figure
+PLOT_SAMPLES = 1024  # the same for a pixel of a figure, the least; a figure of few pairs takes more ...
+PLOT_WALKS = 1 << 16  # ... up to so many together
+MOST_SAMPLES = 1 << 14
+DIRECTIONAL_KINDS = ("slice", "lobe", "tracks")
 DEFAULT_SAMPLES = 4096  # paths a direction pair of a stochastic lobe: about 2 % noise for a broad lobe
 
 
@@ -134,8 +138,12 @@ def plot_material(
     angles_deg: ArrayLike | None = None,
     wavelengths_nm: ArrayLike | None = None,
     illuminant: str = "D65",
+    over: tuple[str, Sequence[float]] | None = None,
 ) -> None:
     """Draw a figure of a material into a PNG, PDF or SVG that carries the recipe; kinds: `nacre.plot.KINDS`.
+
+    `over` names a number of the recipe and its values, for "tracks". Figures over directions show the noise-free
+    form (`quality = "fast"`) of a material that has one, unless its recipe names a quality.
 
     Raises:
         UnsupportedError: the material has no such figure.
@@ -143,11 +151,27 @@ def plot_material(
     """
     from nacre.plot import save_material
 
-    def walk(bsdf: Bsdf, wi: Array, wo: Array) -> Array:
-        return evaluate_with_error(bsdf, wi, wo, samples=PLOT_SAMPLES)[0]
-
     provenance = {"source": Path(material.context.source).name, "recipe": material.context.text}
     save_material(
-        material, kind, path, angles_deg=angles_deg, wavelengths_nm=wavelengths_nm, illuminant=illuminant,
-        provenance=provenance, evaluate=walk,
+        as_drawn(material, kind, over), kind, path, angles_deg=angles_deg, wavelengths_nm=wavelengths_nm,
+        illuminant=illuminant, over=over, provenance=provenance, evaluate=plot_walk,
     )  # fmt: skip
+
+
+def as_drawn(material: Material, kind: str, over: object = None) -> Material:
+    """Return the material as a figure shows it: over directions noise-free, where its family and recipe allow it.
+
+    Over a number every step would be baked anew; there the few walks are the shorter way.
+    """
+    if kind not in DIRECTIONAL_KINDS or over is not None or "quality" in material.data:
+        return material
+    try:
+        return material.vary({"quality": "fast"})
+    except RecipeError:  # a family that knows no such choice
+        return material
+
+
+def plot_walk(bsdf: Bsdf, wi: Array, wo: Array) -> Array:
+    """Evaluate for a figure: lobes that are random walks get the fewer samples the more pairs there are."""
+    pairs = max(1, int(np.prod(np.shape(wi)[:-1])))
+    return evaluate_with_error(bsdf, wi, wo, samples=int(np.clip(PLOT_WALKS // pairs, PLOT_SAMPLES, MOST_SAMPLES)))[0]

@@ -162,7 +162,7 @@ def test_a_stored_pearl_comes_back_the_same(tmp_path):
 
 
 def test_the_platelet_figure_has_its_arrays():
-    data = material(GOOD).figure_data("platelet", angles=10)
+    data = material(GOOD).figure_data("platelet", angles_deg=np.linspace(0, 90, 10))
     assert data["reflectance"].shape == (1, 10, len(data["wavelengths_nm"]))
     assert np.abs(data["reflectance"] + data["transmittance"] - 1).max() < 1e-9
 

@@ -13,7 +13,7 @@ from nacre.cli import common
 from nacre.errors import NacreError, UnsupportedError
 
 PLOT_KINDS = (
-    "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity",
+    "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity", "tracks",
     "field", "scattering", "structure", "platelet", "microscope",
 )  # fmt: skip
 SWEEP_ONLY_KINDS = ("gamut", "parallel")
@@ -147,15 +147,17 @@ def _read_directions(path: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | No
 @click.option("--angles-deg", default=None, help="Incidence, such as 0,30,60; the default depends on the kind.")
 @click.option("--wavelengths-nm", default=None, help="Such as 380:780:5; default: chosen by the material.")
 @click.option("--illuminant", default="D65", show_default=True)
+@click.option("--over", default=None, metavar="PATH=A:B:STEP", help="Number of the recipe that tracks run over.")
 @click.option("--part", default=None, metavar="NAME", help="Of a sweep's spectrum; default: the brightest stored.")
 @click.option("-o", "output", default=None, metavar="FILE.png|.pdf", help="Default: RECIPE-KIND.png.")
 @common.set_option
 @common.jobs_option
 def plot(
     recipe: str, kind: str | None, angles_deg: str | None, wavelengths_nm: str | None, illuminant: str,
-    part: str | None, output: str | None, changes: tuple[str, ...],
+    over: str | None, part: str | None, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Draw a figure of RECIPE, fit for a paper, or of a sweep: its gamut, a colour-map or parallel coordinates."""
+    from nacre.api import as_drawn, plot_walk
     from nacre.files import check_writable
     from nacre.plot import save_material
 
@@ -173,8 +175,8 @@ def plot(
     if is_sweep:
         from nacre.study.sweep_figures import save_sweep_figure
 
-        if changes or wavelengths_nm:
-            raise NacreError("--set and --wavelengths-nm are for recipes; a sweep holds finished colours")
+        if changes or wavelengths_nm or over:
+            raise NacreError("--set, --over and --wavelengths-nm are for recipes; a sweep holds finished colours")
         save_sweep_figure(recipe, kind, path, angles, part)
         common.note(str(path))
         return
@@ -182,11 +184,24 @@ def plot(
         raise NacreError("--part is for sweeps; a recipe's figure shows every part")
     grid = common.wavelengths(wavelengths_nm)
     material = common.load_material(recipe, changes)
+    steps = _over(over)
     save_material(
-        material, kind, path, angles_deg=angles, wavelengths_nm=grid, illuminant=illuminant,
-        provenance=_provenance(material),
+        as_drawn(material, kind, steps), kind, path, angles_deg=angles, wavelengths_nm=grid, illuminant=illuminant,
+        over=steps, provenance=_provenance(material), evaluate=plot_walk,
     )  # fmt: skip
     common.note(str(path))
+
+
+def _over(text: str | None) -> tuple[str, np.ndarray] | None:
+    """Read `--over PATH=VALUES`."""
+    if text is None:
+        return None
+    path, equals, values = text.rpartition("=")
+    if not equals or not path:
+        raise NacreError(
+            f'--over "{text}" cannot be read; write PATH=A:B:STEP, such as layers[0].thickness_nm=100:500:50'
+        )
+    return path, common.numbers(values, "--over")
 
 
 @click.command(name="compile")

@@ -38,6 +38,7 @@ INDEX_NM = 550.0  # directions are refracted with the index at this wavelength, 
 STEP_NM = 5.0  # wavelength step where thickness varies over the flakes and washes fringes out
 BASE_NODES = 129
 EDGE_ON = 0.2  # cosine between mean flake normal and surface normal below which a note is made
+PLATELET_DEG = np.linspace(0.0, 90.0, 91)
 NO_SPREAD = 1e-3  # a smaller deviation would be a mirror; issue's narrowest pigment has 0.01
 
 
@@ -281,35 +282,34 @@ class Pearl:
 
         Args:
             kind: "platelet".
-            options: `angles` (number of angles, default 91).
+            options: `angles_deg` in the resin (default 0 to 90), `wavelengths_nm` (default: the material's).
 
         Returns:
             `wavelengths_nm[wavelength]`, `angles_deg[angle]` in the resin, `reflectance[kind, angle, wavelength]`,
-            `transmittance[...]`, `labels[kind]`.
+            `transmittance[...]`, `names[kind]`.
 
         Raises:
             UnsupportedError: another kind.
         """
         if kind != "platelet":
             raise UnsupportedError(f'a pearl has no figure of kind "{kind}" of its own; it has "platelet"')
-        lam = self.wavelengths_nm
-        angles = np.linspace(0.0, 90.0, int(options.get("angles", 91)))
-        cos = np.cos(np.deg2rad(angles))
-        cos[-1] = 0.0
-        reflect, transmit, labels = [], [], []
+        lam = np.asarray(options.get("wavelengths_nm", self.wavelengths_nm), dtype=float)
+        angles = np.atleast_1d(np.asarray(options.get("angles_deg", PLATELET_DEG), dtype=float))
+        cos = np.where(angles == 90.0, 0.0, np.cos(np.deg2rad(angles)))
+        reflect, transmit, names = [], [], []
         for i, stratum in enumerate(self.strata):
             for j, flakes in enumerate(stratum.flakes):
                 found = platelet_response(flakes.platelet, stratum.resin.n_complex(lam).real, cos, lam).unpolarised()
                 reflect.append(found[0])
                 transmit.append(found[1])
-                labels.append(f"strata[{i}].platelets[{j}]")
+                names.append(f"strata[{i}].platelets[{j}]")
         empty = np.zeros((0, len(angles), len(lam)))
         return {
             "wavelengths_nm": lam,
             "angles_deg": angles,
             "reflectance": np.stack(reflect) if reflect else empty,
             "transmittance": np.stack(transmit) if transmit else empty,
-            "labels": np.array(labels),
+            "names": np.array(names),
         }
 
 

@@ -32,9 +32,12 @@ if TYPE_CHECKING:
     from nacre.plot.structures import field_figure, microscope_figure, platelet_figure, structure_figure
     from nacre.plot.style import house_style, new_figure, save_figure
     from nacre.plot.sweeps import gamut_figure, parallel_figure, sweep_map_figure
+    from nacre.plot.tracks import Track, angle_tracks, number_tracks, tracks_figure
 
 _LAZY = {
     "KINDS": "material",
+    "Track": "tracks",
+    "angle_tracks": "tracks",
     "bsdf_slice_figure": "directions",
     "chromaticity_figure": "colours",
     "colour_map_figure": "colours",
@@ -47,6 +50,7 @@ _LAZY = {
     "material_figure": "material",
     "microscope_figure": "structures",
     "new_figure": "style",
+    "number_tracks": "tracks",
     "parallel_figure": "sweeps",
     "platelet_figure": "structures",
     "ribbon_figure": "spectra",
@@ -58,10 +62,13 @@ _LAZY = {
     "spectrum_figure": "spectra",
     "structure_figure": "structures",
     "sweep_map_figure": "sweeps",
+    "tracks_figure": "tracks",
 }
 
 __all__ = [
     "KINDS",
+    "Track",
+    "angle_tracks",
     "bsdf_slice_figure",
     "chromaticity_figure",
     "colour_map_figure",
@@ -74,6 +81,7 @@ __all__ = [
     "material_figure",
     "microscope_figure",
     "new_figure",
+    "number_tracks",
     "parallel_figure",
     "platelet_figure",
     "ribbon_figure",
@@ -85,6 +93,7 @@ __all__ = [
     "spectrum_figure",
     "structure_figure",
     "sweep_map_figure",
+    "tracks_figure",
 ]
 
 

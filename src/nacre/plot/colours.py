@@ -94,20 +94,21 @@ def chromaticity_figure(
     with house_style():
         figure = new_figure(WIDE_IN, 2.75)
         left, right = figure.subplots(1, 2)
-        _locus(left)
+        draw_locus(left)
         left.plot(*light.xyz_to_xyy(white)[:2], "+", color=INK, markersize=5, markeredgewidth=0.7)
-        _track(left, light.xyz_to_xyy(xyz)[:, :2], colours, labels)
+        draw_track(left, light.xyz_to_xyy(xyz)[:, :2], colours, labels)
         panel_title(left, title or "CIE 1931 chromaticity")
         reach = 10.0 * np.ceil(max(30.0, 1.12 * float(np.abs(lab[:, 1:]).max())) / 10.0)
-        _hue_circle(right, reach)
-        _track(right, lab[:, 1:], colours, labels)
+        draw_hue_circle(right, reach)
+        draw_track(right, lab[:, 1:], colours, labels)
         panel_title(right, "CIELAB")
         small_print(figure, remark(illuminant, exposure, clipped, len(spectra)))
     return figure
 
 
-def _track(axes: Axes, points: Array, colours: Array, labels: list[str] | None) -> None:
-    axes.plot(points[:, 0], points[:, 1], color=INK, linewidth=0.6, zorder=2)
+def draw_track(axes: Axes, points: Array, colours: Array, labels: list[str] | None, ink: str = INK) -> None:
+    """Draw points in their colours along a line; of the labels, the first and the last are written."""
+    axes.plot(points[:, 0], points[:, 1], color=ink, linewidth=0.6, zorder=2)
     axes.scatter(points[:, 0], points[:, 1], s=13, c=colours, edgecolors=INK, linewidths=0.35, zorder=3)
     if labels and len(labels) == len(points):
         apart = points[-1] - points[0]
@@ -127,7 +128,8 @@ def _track(axes: Axes, points: Array, colours: Array, labels: list[str] | None) 
             )
 
 
-def _locus(axes: Axes) -> None:
+def draw_locus(axes: Axes) -> None:
+    """Draw the spectral locus and the sRGB triangle in xy."""
     nm = np.arange(390, 701)
     matching = light.observer()[nm - 360]
     locus = matching[:, :2] / matching.sum(axis=1, keepdims=True)
@@ -145,7 +147,8 @@ def _locus(axes: Axes) -> None:
     axes.set(xlim=(-0.09, 0.8), ylim=(-0.03, 0.9), xlabel="$x$", ylabel="$y$", aspect="equal")
 
 
-def _hue_circle(axes: Axes, reach: float) -> None:
+def draw_hue_circle(axes: Axes, reach: float) -> None:
+    """Draw rings of equal chroma in a*, b* out to `reach`."""
     turn = np.linspace(0, 2 * np.pi, 181)
     for radius in np.arange(20 if reach <= 80 else 40, reach + 1, 20 if reach <= 80 else 40):
         axes.plot(radius * np.cos(turn), radius * np.sin(turn), color="#e0e0e0", linewidth=0.5, zorder=0)

@@ -32,6 +32,15 @@ Evaluate = Callable[[Array, Array], Array]
 DECADES = 5.0  # lightness of a slice spans this much of f: what a print can still tell apart
 TICKS_H_DEG = (0, 5, 15, 30, 45, 60, 90)
 SLICE_NODES = 181
+WALK_NM = np.arange(380.0, 781.0, 20.0)  # of lobes that are random walks: enough for a colour, a quarter of the work
+
+
+def solve_for_figure(material: Any, wavelengths_nm: Any = None) -> Bsdf:
+    """Solve a material; one that is a random walk on a coarse grid, unless a grid is asked for."""
+    bsdf: Bsdf = material.bsdf(wavelengths_nm)
+    if wavelengths_nm is None and any(lobe.is_stochastic for lobe in bsdf.lobes):
+        bsdf = material.bsdf(WALK_NM)
+    return bsdf
 
 
 def slice_directions(nodes: int = SLICE_NODES, phi_d_deg: float = 90.0) -> tuple[Array, Array, Array]:
@@ -298,5 +307,5 @@ def scattering_figure(data: Mapping[str, Any]) -> Figure:
 
 
 __all__ = [
-    "bsdf_slice_figure", "lobe_figure", "scattering_figure", "slice_directions", "slice_figure",
+    "bsdf_slice_figure", "lobe_figure", "scattering_figure", "slice_directions", "slice_figure", "solve_for_figure",
 ]  # fmt: skip

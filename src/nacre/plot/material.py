@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -15,14 +15,15 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.plot.colours import chromaticity_figure, colour_map_figure
-from nacre.plot.directions import SLICE_NODES, bsdf_slice_figure, lobe_figure, scattering_figure
+from nacre.plot.directions import SLICE_NODES, bsdf_slice_figure, lobe_figure, scattering_figure, solve_for_figure
 from nacre.plot.spectra import index_figure, parts_of, ribbon_figure, spectrum_figure
 from nacre.plot.structures import field_figure, microscope_figure, platelet_figure, structure_figure
 from nacre.plot.style import save_figure
+from nacre.plot.tracks import material_tracks
 
 Array = NDArray[np.float64]
 KINDS = (
-    "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity",
+    "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity", "tracks",
     "field", "scattering", "structure", "platelet", "microscope",
 )  # fmt: skip
 SPECTRUM_ANGLES_DEG = (0.0, 30.0, 60.0)
@@ -62,6 +63,7 @@ def material_figure(
     angles_deg: ArrayLike | None = None,
     wavelengths_nm: ArrayLike | None = None,
     illuminant: str = "D65",
+    over: tuple[str, Sequence[float] | Array] | None = None,
     evaluate: Callable[[Bsdf, Array, Array], Array] | None = None,
 ) -> Figure:
     """Draw a figure of a material.
@@ -72,6 +74,7 @@ def material_figure(
         angles_deg: of incidence, where the kind has such an axis; sensible ones by default.
         wavelengths_nm: ascending; default: chosen by the material.
         illuminant: under which colours are seen.
+        over: for "tracks", a number of the recipe by its path and the values that it takes; default: the angle.
         evaluate: evaluates a Bsdf with lobes that need a renderer's random walk; such a slice is drawn coarser.
 
     Raises:
@@ -82,13 +85,18 @@ def material_figure(
         raise UnsupportedError(
             f'no figure is of kind "{kind}".{did_you_mean(kind, KINDS)} There are {", ".join(KINDS)}'
         )
+    if over is not None and kind != "tracks":
+        raise UnsupportedError(f'only "tracks" run over a number; "{kind}" does not')
+    if kind == "tracks":
+        angles = None if angles_deg is None else np.atleast_1d(np.asarray(angles_deg, dtype=float))
+        return material_tracks(material, angles, over, wavelengths_nm, illuminant, evaluate)
     if kind in ("spectrum", "ribbon", "chromaticity"):
         defaults = {"spectrum": SPECTRUM_ANGLES_DEG, "ribbon": RIBBON_ANGLES_DEG, "chromaticity": TRACK_ANGLES_DEG}
         angles = np.atleast_1d(np.asarray(defaults[kind] if angles_deg is None else angles_deg, dtype=float))
         spectrum = material.spectrum(np.radians(angles), wavelengths_nm)
         return _over_angles(kind, spectrum, illuminant, material.name)
     if kind in ("slice", "lobe"):
-        bsdf = material.bsdf(wavelengths_nm)
+        bsdf = solve_for_figure(material, wavelengths_nm)
         is_walk = any(lobe.is_stochastic for lobe in bsdf.lobes)
         walk = None
         if is_walk and evaluate is not None:
@@ -174,13 +182,15 @@ def save_material(
     angles_deg: ArrayLike | None = None,
     wavelengths_nm: ArrayLike | None = None,
     illuminant: str = "D65",
+    over: tuple[str, Sequence[float] | Array] | None = None,
     provenance: Mapping[str, Any] | None = None,
     evaluate: Callable[[Bsdf, Array, Array], Array] | None = None,
 ) -> None:
     """Draw a figure of a material into a file with its provenance; see `material_figure` and `save_figure`."""
     figure = material_figure(
-        material, kind, angles_deg=angles_deg, wavelengths_nm=wavelengths_nm, illuminant=illuminant, evaluate=evaluate
-    )
+        material, kind, angles_deg=angles_deg, wavelengths_nm=wavelengths_nm, illuminant=illuminant, over=over,
+        evaluate=evaluate,
+    )  # fmt: skip
     save_figure(figure, path, {"figure": kind, "illuminant": illuminant, **(provenance or {})})
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nacre import light
 from nacre.errors import NacreError
-from nacre.plot.colours import _hue_circle
+from nacre.plot.colours import draw_hue_circle
 from nacre.plot.style import (
     COLUMN_IN,
     FAINT,
@@ -91,7 +91,7 @@ def gamut_figure(
         figure = new_figure(WIDE_IN, 2.75)
         left, right = figure.subplots(1, 2)
         reach = 10.0 * np.ceil(max(30.0, 1.12 * float(np.nanmax(np.abs(lab[..., 1:])))) / 10.0)
-        _hue_circle(left, reach)
+        draw_hue_circle(left, reach)
         for number, (colours, points) in enumerate(zip(rgb, lab)):
             is_there = np.isfinite(points).all(axis=-1)
             style = {"s": 11, "c": colours[is_there], "marker": marks[number % len(marks)],

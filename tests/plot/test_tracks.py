@@ -1,0 +1,74 @@
+"""Tracks of gloss and diffuse colour: where they are looked at, what they show, what they refuse."""
+
+import numpy as np
+import pytest
+
+from nacre import plot
+from nacre.cli import main
+from nacre.errors import NacreError, UnsupportedError
+from nacre.recipe import material
+
+NM = np.arange(400.0, 701.0, 20.0)
+
+
+def film(roughness=0.2, thickness=300):
+    return material({"family": "film", "substrate": "Al", "layers": [{"material": "SiO2", "thickness_nm": thickness}],
+                     "surface": {"roughness": roughness}})  # fmt: skip
+
+
+class Lambertian:
+    """A white diffuser: pi f = 1 in all directions."""
+
+    wavelengths_nm = NM
+    lobes = ()
+
+    def evaluate(self, wi, wo):
+        assert np.all(wi[:, 2] > 0) and np.all(wo[:, 2] > 0)
+        return np.full((len(wi), len(NM)), 1 / np.pi)
+
+
+def test_a_white_diffuser_is_perfect_white_on_both_tracks():
+    tracks = plot.angle_tracks(Lambertian())
+    assert set(tracks) == {"gloss", "diffuse"}
+    for track in tracks.values():
+        assert np.allclose(track.values, 1.0)
+    assert tracks["diffuse"].steps.min() == 15.0
+
+
+def test_the_gloss_of_a_mirror_is_its_reflectance_and_it_has_no_diffuse_track():
+    mirror = film(roughness=0).bsdf(NM)
+    tracks = plot.angle_tracks(mirror, [10.0, 40.0])
+    assert set(tracks) == {"gloss"}
+    assert np.array_equal(tracks["gloss"].values, mirror.specular(np.radians([10.0, 40.0])).reflectance)
+
+
+def test_a_number_moves_through_its_values():
+    tracks, nm = plot.number_tracks([film(thickness=t) for t in (200, 300)], [200, 300], wavelengths_nm=NM)
+    alone = plot.angle_tracks(film(thickness=300).bsdf(NM), [10.0])["gloss"].values[0]
+    assert np.array_equal(nm, NM) and np.allclose(tracks["gloss"].values[1], alone)
+    assert not np.allclose(tracks["gloss"].values[0], alone)
+
+
+def test_the_command_draws_tracks_over_a_number(tmp_path):
+    recipe = tmp_path / "film.toml"
+    recipe.write_text('family = "film"\nsubstrate = "Al"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n'
+                      "[surface]\nroughness = 0.2\n")  # fmt: skip
+    out = tmp_path / "tracks.png"
+    words = ["plot", str(recipe), "--kind", "tracks", "--over", "layers[0].thickness_nm=200:300:50", "-o", str(out)]
+    with pytest.raises(SystemExit) as end:
+        main(words)
+    assert not end.value.code and out.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "words"),
+    [
+        ("tracks", {"over": ("layers[0].thickness_nm", [200.0])}, "at least two values"),
+        ("tracks", {"over": ("layers[9].thickness_nm", [200.0, 300.0])}, "layers"),
+        ("tracks", {"over": ("layers[0].thickness_nm", [200.0, 300.0]), "angles_deg": [10]}, "not both"),
+        ("ribbon", {"over": ("layers[0].thickness_nm", [200.0, 300.0])}, "only \"tracks\""),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_drawn_is_one_clear_line(kind, options, words):
+    with pytest.raises((NacreError, UnsupportedError), match=words):
+        plot.material_figure(film(), kind, **options)
