@@ -15,15 +15,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib import pyplot
-from numpy.typing import NDArray
 
-from nacre.bsdf.layered import Layered
-from nacre.bsdf.table import from_half_difference
-from nacre.light import spectrum_to_xyz, xyz_to_lab, xyz_to_xyy
-from nacre.pearl.fast import tables
-from nacre.recipe import material
+from nacre.light import xyz_to_xyy
+from validation._pearl import Array, baked, chroma, hue_distance, seen, track
+from validation._rows import row
 
-Array = NDArray[np.float64]
 EFFORT = 0.12
 SUBSTRATES: dict[str, dict[str, Any]] = {
     "C1": {"material": "SiO2", "thickness_nm": 80},
@@ -35,42 +31,19 @@ DEVIATIONS = (0.01, 0.03, 0.1, 0.2)
 FLAT = 0.01
 GLOSS_DEG, DIFFUSE_DEG = (2.5, 10.0), (40.0, 10.0)  # (theta_h, theta_d)
 COMPLEMENTARY_DEG = 60.0  # within which of 180 degrees two hues count as complementary
-SRGB = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06], [0.64, 0.33]])
 
 
 @functools.cache
 def pearl(kind: str, coating_nm: float, density: float, deviation: float) -> Any:
     """The baked lobe of a material."""
-    layered = material(
-        {
-            "family": "pearl",
-            "strata": [
-                {
-                    "resin": {"n": 1.575},
-                    "thickness_um": 150,
-                    "roughness": 0.01,
-                    "platelets": [
-                        {
-                            "volume_fraction": density,
-                            "substrate": SUBSTRATES[kind],
-                            "coatings": [{"material": "TiO2", "thickness_nm": coating_nm}],
-                            "normal_deviation": deviation,
-                        }
-                    ],
-                }
-            ],
-            "base": {"albedo": 0.7},
-        }
-    ).bsdf()
-    (lobe,) = [lobe for lobe in layered.lobes if isinstance(lobe, Layered)]
-    return tables(lobe, EFFORT)
-
-
-def seen(lobe: Any, half_deg: Any, difference_deg: Any) -> Array:
-    """XYZ of pi f, `[..., 3]`, at half and difference angles; the difference across the half vector's plane."""
-    half, difference = np.broadcast_arrays(np.radians(half_deg), np.radians(difference_deg))
-    wi, wo = from_half_difference(half, difference, np.full(half.shape, 0.5 * np.pi))
-    return np.asarray(spectrum_to_xyz(np.pi * lobe.evaluate(wi, wo), lobe.wavelengths_nm))
+    flake = {
+        "volume_fraction": density,
+        "substrate": SUBSTRATES[kind],
+        "coatings": [{"material": "TiO2", "thickness_nm": coating_nm}],
+        "normal_deviation": deviation,
+    }
+    stratum = {"resin": {"n": 1.575}, "thickness_um": 150, "roughness": 0.01, "platelets": [flake]}
+    return baked({"family": "pearl", "strata": [stratum], "base": {"albedo": 0.7}}, EFFORT)
 
 
 def gloss(*key: Any) -> Array:
@@ -83,32 +56,12 @@ def diffuse(*key: Any) -> Array:
     return seen(pearl(*key), *DIFFUSE_DEG)
 
 
-def chroma(xyz: Array) -> float:
-    """CIELAB chroma at lightness 50, so that brightness does not pass for saturation."""
-    lab = np.asarray(xyz_to_lab(0.1842 * xyz / xyz[1]))
-    return float(np.hypot(lab[1], lab[2]))
-
-
-def hue_distance(a: Array, b: Array) -> float:
-    """Degrees between two hues, 0 to 180."""
-    hues = [np.arctan2(lab[2], lab[1]) for lab in (np.asarray(xyz_to_lab(0.1842 * x / x[1])) for x in (a, b))]
-    return float(abs((np.degrees(hues[0] - hues[1]) + 180.0) % 360.0 - 180.0))
-
-
-def row(claim: str, claimed: str, ours: str, holds: bool, figure: Path) -> dict[str, Any]:
-    """One line of the report, printed as it is made."""
-    line = {"claim": claim, "claimed": claimed, "ours": ours, "verdict": "holds" if holds else "DOES NOT HOLD",
-            "figure": figure.name}  # fmt: skip
-    print(f"{claim}: {claimed} | {ours} | {line['verdict']}", flush=True)
-    return line
-
-
 def falling(values: Array) -> bool:
     """Whether a curve never rises by more than 2 % of its range (the bakes' own noise)."""
     return bool(np.all(np.diff(values) <= 0.02 * (values.max() - values.min())))
 
 
-def trends(figure: Path) -> list[dict[str, Any]]:
+def trends(figure: str) -> list[dict[str, Any]]:
     """Test what the source says."""
     rows = []
     for kind in SUBSTRATES:
@@ -229,22 +182,12 @@ def spectrum_rgb(xyz: Array) -> Array:
     return np.asarray(srgb_encode(np.clip(clip_to_srgb(xyz_to_srgb_linear(xyz * scale)).rgb, 0.0, 1.0)))
 
 
-def track(axis: Any, xyz: list[Array], style: str, label: str, colour: str) -> None:
-    """Draw a chromaticity track with the sRGB triangle."""
-    xy = np.array([xyz_to_xyy(value)[:2] for value in xyz])
-    axis.plot(*SRGB.T, color="0.8", linewidth=1)
-    axis.plot(*xy.T, style, color=colour, marker="o", markersize=3, label=label)
-    axis.plot(*xy[0], marker="s", color=colour)  # the first value
-    axis.set(xlim=(0.05, 0.6), ylim=(0.0, 0.6), xlabel="x", ylabel="y")
-    axis.legend(frameon=False, fontsize=8)
-
-
 def main(out_dir: Path) -> list[dict[str, Any]]:
     """Test the trends, draw the panels, return the rows."""
     out_dir = Path(out_dir)
     out_dir.mkdir(parents=True, exist_ok=True)
     figure = out_dir / "pearl_trends.png"
-    rows = trends(figure)
+    rows = trends(figure.name)
     draw(figure)
     return rows
 

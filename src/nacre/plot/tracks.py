@@ -145,7 +145,7 @@ def tracks_figure(
             even = MIDDLE_GREY / xyz[:, 1:2]
             colours = shown_colours(track.values * even, nm, illuminant, 1.0)[0]
             lab[name] = light.xyz_to_lab(xyz * even, white)
-            ends = [f"{name} {track.steps[0]:g}", *[""] * (len(colours) - 2), f"{track.steps[-1]:g}"][: len(colours)]
+            ends = [f"{track.steps[0]:g}", *[""] * (len(colours) - 2), f"{track.steps[-1]:g}"][: len(colours)]
             draw_track(left, light.xyz_to_xyy(xyz)[:, :2], colours, None, LINES[number])
             draw_track(middle, lab[name][:, 1:], colours, ends, LINES[number])
             right.plot(track.steps, xyz[:, 1], color=LINES[number], linewidth=0.8, zorder=2)
