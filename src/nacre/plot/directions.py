@@ -29,18 +29,10 @@ from nacre.plot.style import (
 
 Array = NDArray[np.float64]
 Evaluate = Callable[[Array, Array], Array]
+TOP_DEG = 60.0  # the largest f up to this difference angle is white: towards grazing f grows without bound
 DECADES = 5.0  # lightness of a slice spans this much of f: what a print can still tell apart
 TICKS_H_DEG = (0, 5, 15, 30, 45, 60, 90)
 SLICE_NODES = 181
-WALK_NM = np.arange(380.0, 781.0, 20.0)  # of lobes that are random walks: enough for a colour, a quarter of the work
-
-
-def solve_for_figure(material: Any, wavelengths_nm: Any = None) -> Bsdf:
-    """Solve a material; one that is a random walk on a coarse grid, unless a grid is asked for."""
-    bsdf: Bsdf = material.bsdf(wavelengths_nm)
-    if wavelengths_nm is None and any(lobe.is_stochastic for lobe in bsdf.lobes):
-        bsdf = material.bsdf(WALK_NM)
-    return bsdf
 
 
 def slice_directions(nodes: int = SLICE_NODES, phi_d_deg: float = 90.0) -> tuple[Array, Array, Array]:
@@ -91,7 +83,8 @@ def slice_figure(
     """
     xyz = light.spectrum_to_xyz(np.maximum(values, 0.0), wavelengths_nm, illuminant)
     strength = xyz[..., 1]
-    top = float(strength.max())
+    steep = strength[np.asarray(theta_d_deg) <= TOP_DEG]
+    top = float(steep.max(initial=0.0)) or float(strength.max())
     if top <= 0.0:
         raise NacreError("figure slice: f is zero everywhere; a mirror-smooth material has a delta lobe only")
     level = np.clip(1.0 + np.log10(np.maximum(strength, 1e-30) / top) / DECADES, 0.0, 1.0)
@@ -307,5 +300,5 @@ def scattering_figure(data: Mapping[str, Any]) -> Figure:
 
 
 __all__ = [
-    "bsdf_slice_figure", "lobe_figure", "scattering_figure", "slice_directions", "slice_figure", "solve_for_figure",
+    "bsdf_slice_figure", "lobe_figure", "scattering_figure", "slice_directions", "slice_figure",
 ]  # fmt: skip

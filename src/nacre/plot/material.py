@@ -12,10 +12,11 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from nacre.bsdf import Bsdf
+from nacre.bsdf.coarse import solve_coarse_walk
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.plot.colours import chromaticity_figure, colour_map_figure
-from nacre.plot.directions import SLICE_NODES, bsdf_slice_figure, lobe_figure, scattering_figure, solve_for_figure
+from nacre.plot.directions import SLICE_NODES, bsdf_slice_figure, lobe_figure, scattering_figure
 from nacre.plot.spectra import index_figure, parts_of, ribbon_figure, spectrum_figure
 from nacre.plot.structures import field_figure, microscope_figure, platelet_figure, structure_figure
 from nacre.plot.style import save_figure
@@ -96,7 +97,7 @@ def material_figure(
         spectrum = material.spectrum(np.radians(angles), wavelengths_nm)
         return _over_angles(kind, spectrum, illuminant, material.name)
     if kind in ("slice", "lobe"):
-        bsdf = solve_for_figure(material, wavelengths_nm)
+        bsdf = solve_coarse_walk(material, wavelengths_nm)
         is_walk = any(lobe.is_stochastic for lobe in bsdf.lobes)
         walk = None
         if is_walk and evaluate is not None:

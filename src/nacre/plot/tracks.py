@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from nacre import light
 from nacre.bsdf import Bsdf
+from nacre.bsdf.coarse import solve_coarse_walk
 from nacre.bsdf.table import from_half_difference
 from nacre.errors import NacreError, UnsupportedError
 from nacre.plot.colours import draw_hue_circle, draw_locus, draw_track
-from nacre.plot.directions import solve_for_figure
 from nacre.plot.style import INK, LINES, house_style, new_figure, panel_title, shown_colours, small_print
 
 Array = NDArray[np.float64]
@@ -80,7 +80,7 @@ def number_tracks(
     """
     gloss, diffuse = [], []
     for material in materials:
-        bsdf = solve_for_figure(material, wavelengths_nm)
+        bsdf = solve_coarse_walk(material, wavelengths_nm)
         wavelengths_nm = bsdf.wavelengths_nm
         gloss.append(_gloss(bsdf, STEP_GLOSS_DEG[0], np.array([STEP_GLOSS_DEG[1]]), evaluate)[0])
         half, difference = (np.array([angle]) for angle in STEP_DIFFUSE_DEG)
@@ -172,7 +172,7 @@ def material_tracks(
 ) -> Figure:
     """Draw the tracks of a material, over the angle or `over` a number of its recipe."""
     if over is None:
-        bsdf = solve_for_figure(material, wavelengths_nm)
+        bsdf = solve_coarse_walk(material, wavelengths_nm)
         found = angle_tracks(bsdf, angles_deg, evaluate)
         return tracks_figure(found, bsdf.wavelengths_nm, illuminant=illuminant, title=material.name)
     if angles_deg is not None:
@@ -185,4 +185,4 @@ def material_tracks(
     made = [material.vary({path: float(step)}) for step in steps]
     grid = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
     found, nm = number_tracks(made, steps, evaluate, grid)
-    return tracks_figure(found, nm, path.replace("platelets", "pl."), illuminant, material.name)
+    return tracks_figure(found, nm, ".".join(path.split(".")[-2:]), illuminant, material.name)

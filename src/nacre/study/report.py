@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from nacre._version import __version__
 from nacre.api import evaluate_with_error
 from nacre.bsdf import Bsdf
+from nacre.bsdf.coarse import solve_coarse_walk
 from nacre.light import (
     SRGB_WHITE_XYZ,
     adapt_xyz,
@@ -36,6 +37,7 @@ Array = NDArray[np.float64]
 SPECULAR_ANGLES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 FLOP_FACTOR, FLOP_POWER, FLOP_BASE = 2.69, 1.11, 0.86  # Alman's flop index
 MIRROR_THRESHOLD = 1e-6
+APERTURE_WALKS, LEAST_SAMPLES = 1 << 15, 64  # walks over an aperture of the gloss meter, and at each of its nodes
 
 
 @dataclass(frozen=True)
@@ -103,14 +105,14 @@ def make_report(
     Raises:
         NacreError: the material cannot be computed.
     """
-    bsdf = material.bsdf()
+    bsdf = solve_coarse_walk(material)
     light = (illuminant, observer)
     wi = geometry.direction(45.0)
     wo = np.stack([geometry.aspecular_direction(45.0, a) for a in geometry.ASPECULAR_DEG])
     factor, error = evaluate_with_error(bsdf, np.broadcast_to(wi, wo.shape), wo, samples=samples, seed=seed)
     aspecular = colour_table("aspecular, 45 degree incidence", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *light)
     mirror = bsdf.specular(np.radians(SPECULAR_ANGLES_DEG)).reflectance
-    spectrum = material.spectrum(np.radians([0.0, 45.0]))
+    spectrum = material.spectrum(np.radians([0.0, 45.0]), bsdf.wavelengths_nm)
     parts = {name: _luminous(value, spectrum.wavelengths_nm, *light) for name, value in spectrum.parts().items()}
     totals = {}
     for name, values in parts.items():
@@ -164,7 +166,9 @@ def _luminous(values: Array, wavelengths_nm: Array, illuminant: str, observer: s
 def aperture_flux(bsdf: Bsdf, theta_deg: float, aperture: geometry.Aperture, samples: int | None, seed: int) -> Array:
     """Return the share of the incident flux that falls into an aperture, `[wavelength]`, delta part left out."""
     wi = np.broadcast_to(geometry.direction(theta_deg), aperture.wo.shape)
-    values, _ = evaluate_with_error(bsdf, wi, aperture.wo, samples=samples, seed=seed)
+    # a walk is asked at so many nodes that each needs a few samples only
+    fair = max(LEAST_SAMPLES, APERTURE_WALKS // len(aperture.wo)) if samples is None else samples
+    values, _ = evaluate_with_error(bsdf, wi, aperture.wo, samples=fair, seed=seed)
     return np.asarray((aperture.weight * aperture.wo[:, 2]) @ values)
 
 
