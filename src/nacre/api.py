@@ -104,7 +104,9 @@ def evaluate_with_error(
             from nacre.render.plugins.layered import evaluate_layered
 
             assert isinstance(lobe, Layered)  # the only walk there is
-            values, error = evaluate_layered(lobe, wi_array, wo_array, samples=samples or DEFAULT_SAMPLES, seed=seed)
+            values, error = evaluate_layered(
+                lobe, wi_array, wo_array, samples=samples or DEFAULT_SAMPLES, seed=seed, uv=uv_array
+            )
             error = error * share
             variance = error**2 if variance is None else variance + error**2
             total = total + values * share

@@ -194,7 +194,7 @@ def load(path: str | Path) -> Material:
     return _load(Path(path), depth=0)
 
 
-def _load(path: Path, depth: int) -> Material:
+def _load(path: Path, depth: int, ambient: Any = None) -> Material:
     if depth > MAX_NESTED_RECIPES:
         raise RecipeError(f"{path}: recipes are nested more than {MAX_NESTED_RECIPES} deep; is there a circle?")
     try:
@@ -212,9 +212,11 @@ def _load(path: Path, depth: int) -> Material:
         text = str(bsdf.provenance.get("recipe", ""))
         return Material(StoredBsdf(bsdf), {}, RecipeContext(str(path), path.parent, text))
     text = read_text(path, "recipe")
-    context = RecipeContext(
-        str(path), path.parent.resolve(), text, load_recipe=lambda other: _load(_resolve(path, other), depth + 1)
-    )
+
+    def load_recipe(other: str, ambient: Any = ambient) -> Material:
+        return _load(_resolve(path, other), depth + 1, ambient)
+
+    context = RecipeContext(str(path), path.parent.resolve(), text, load_recipe, ambient)
     return material_from_data(parse_toml(text, str(path)), context)
 
 
@@ -231,9 +233,11 @@ def material(data: Mapping[str, Any], folder: str | Path = ".") -> Material:
     Example: `nacre.material({"family": "film", "substrate": "Si"})` is a bare silicon wafer.
     """
     folder = Path(folder)
-    context = RecipeContext(
-        "recipe", folder.resolve(), dump_toml(data), load_recipe=lambda other: _load(folder / other, depth=1)
-    )
+
+    def load_recipe(other: str, ambient: Any = None) -> Material:
+        return _load(folder / other, 1, ambient)
+
+    context = RecipeContext("recipe", folder.resolve(), dump_toml(data), load_recipe)
     return material_from_data(data, context)
 
 

@@ -28,13 +28,16 @@ class RecipeContext:
         folder: paths in the recipe are relative to it.
         text: the recipe itself, for provenance.
         load_recipe: loads another recipe by its path (a film under a pearl stratum); the wing that uses it
-            gets a material with `.bsdf()` and need not know its family.
+            gets a material with `.bsdf()` and need not know its family. With `ambient = `, the recipe is built in
+            that medium.
+        ambient: the medium that another recipe puts this one into (an optical constant), or None.
     """
 
     source: str = "recipe"
     folder: Path = field(default_factory=Path)
     text: str = ""
-    load_recipe: Callable[[str], Any] | None = None
+    load_recipe: Callable[..., Any] | None = None
+    ambient: Any = None
 
     def path(self, name: str) -> Path:
         """Resolve a path of the recipe against the recipe's own folder."""

@@ -12,6 +12,9 @@ came from, so all that has met it is a product of two functions of one angle eac
 M is read at q = wi + wo and c = (wi - wo)/2, both in the surface's plane: q vanishes for mirror reflection, c for
 light sent straight back. |q| is taken on an asinh scale of the lobe's width, |c| as a share of the largest that
 both directions allow, and phi is the angle between the two, folded: f(wi, wo) = f(wo, wi) holds by construction.
+
+Where single flakes are seen (`nacre.bsdf.glints`), the part of M that one flake reflects is multiplied by the factor
+g of the point of the surface, whose mean over the surface is 1.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.contract import Lobe, SpecularResponse, register_lobe
+from nacre.bsdf.glints import check_glints, factor
 from nacre.matter.jit import compiled
 
 Array = NDArray[np.float64]
@@ -64,6 +68,23 @@ def flake_lobe(ax, ay, cos_a, bx, by, cos_b, index, alpha, number, deviation):  
     if total == 0.0:
         return 0.0
     return density / total * 0.25 / (index * index * inner_a * inner_b)
+
+
+@compiled(nogil=True)
+def sparkle(ax, ay, cos_a, bx, by, cos_b, index, number, deviation, glints, radii, ratio, u, v):  # type: ignore[no-untyped-def]  # numba
+    """Return g of two directions at a point, the kinds weighted by their densities at the half vector."""
+    inner_a = math.sqrt(1.0 - (1.0 - cos_a * cos_a) / (index * index))
+    inner_b = math.sqrt(1.0 - (1.0 - cos_b * cos_b) / (index * index))
+    tall = index * (inner_a + inner_b)
+    sx, sy = (ax + bx) / tall, (ay + by) / tall
+    total, weights = 0.0, 0.0
+    for k in range(number.size):
+        ratio2 = 1.0 / (1.0 + (sx * sx + sy * sy) / (deviation[k] * deviation[k]))
+        weight = number[k] * ratio2 * ratio2 / (deviation[k] * deviation[k])
+        tx, ty = sx / deviation[k], sy / deviation[k]
+        total += weight * factor(glints[k], radii[k], ratio[k], u, v, tx, ty)
+        weights += weight
+    return total / weights
 
 
 @compiled(nogil=True)
@@ -109,7 +130,9 @@ def _row(values, position, out, weight):  # type: ignore[no-untyped-def]  # numb
 
 
 @compiled(nogil=True)
-def _evaluate(wi, wo, index, alpha, number, deviation, spread, entry, flakes, base, out):  # type: ignore[no-untyped-def]  # numba
+def _evaluate(  # type: ignore[no-untyped-def]  # numba
+    wi, wo, uv, index, alpha, number, deviation, spread, entry, flakes, base, single, glints, radii, ratio, out
+):
     count = flakes.shape[3]
     x = np.empty(3)
     low, part = np.empty(3, np.int64), np.empty(3)
@@ -134,6 +157,12 @@ def _evaluate(wi, wo, index, alpha, number, deviation, spread, entry, flakes, ba
         sharp = passes * flake_lobe(
             wi[n, 0], wi[n, 1], cos_i, wo[n, 0], wo[n, 1], cos_o, index, alpha, number, deviation
         )
+        more = 0.0
+        if len(uv):
+            more = -1.0 + sparkle(
+                wi[n, 0], wi[n, 1], cos_i, wo[n, 0], wo[n, 1], cos_o, index, number, deviation,
+                glints, radii, ratio, uv[n, 0], uv[n, 1],
+            )  # fmt: skip
         place(wi[n, 0], wi[n, 1], wo[n, 0], wo[n, 1], spread, x)
         for axis in range(3):
             at = x[axis] * (flakes.shape[axis] - 1)
@@ -145,6 +174,8 @@ def _evaluate(wi, wo, index, alpha, number, deviation, spread, entry, flakes, ba
             weight *= (part[2] if c else 1.0 - part[2]) * sharp
             for l in range(count):
                 out[n, l] += weight * flakes[low[0] + a, low[1] + b, low[2] + c, l]
+                if more != 0.0:
+                    out[n, l] += weight * more * single[low[0] + a, low[1] + b, low[2] + c, l]
 
 
 @compiled(nogil=True)
@@ -174,6 +205,9 @@ class Flaked(Lobe):
         albedo: `[cos, 3]`, power of the interface, the flakes and the base, averaged over wavelengths, over uniform
             nodes of sqrt(cos): shares of the samples.
         error: `[wavelength]`, stated error: L2 of f cos over three incidences against the walk, relative.
+        single: `[q, c, phi, wavelength]`, the part of M that has met one flake; only with glints.
+        glint_numbers, glint_radii, glint_ratio: `[kind, number]`, `[kind, quantile]`, `[kind, node]`, see
+            `nacre.bsdf.glints`; None: flakes too small to be seen.
     """
 
     kind: ClassVar[str] = "flaked"
@@ -188,6 +222,10 @@ class Flaked(Lobe):
     base: Array
     albedo: Array
     error: Array
+    single: Single | None = None
+    glint_numbers: Array | None = None
+    glint_radii: Array | None = None
+    glint_ratio: Array | None = None
 
     AXES: ClassVar[dict[str, str]] = {
         "wavelengths_nm": "wavelength",
@@ -198,6 +236,10 @@ class Flaked(Lobe):
         "base": "cos wavelength",
         "albedo": "cos part",
         "error": "wavelength",
+        "single": "q c phi wavelength",
+        "glint_numbers": "kind number",
+        "glint_radii": "kind quantile",
+        "glint_ratio": "kind node",
     }
 
     def check(self) -> None:
@@ -220,15 +262,27 @@ class Flaked(Lobe):
             raise ValueError("entry or albedo does not fit")
         if len(self.albedo) < 2 or self.error.shape != (count,):
             raise ValueError("albedo or error does not fit")
+        if self.glint_numbers is not None:
+            check_glints(self.glint_numbers, self.glint_radii, self.glint_ratio, len(self.number))
+            if self.single is None or self.single.shape != self.flakes.shape:
+                raise ValueError("single does not fit flakes")
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
-        """Return f, `[..., wavelength]`, 1/sr, for unit vectors `[..., 3]`; zero from and to below."""
+        """Return f, `[..., wavelength]`, 1/sr, for unit vectors `[..., 3]`; zero from and to below.
+
+        Without `uv`, `[..., 2]`, glints are left out: the answer is the mean over the surface.
+        """
         wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
         flat = (np.ascontiguousarray(wi).reshape(-1, 3), np.ascontiguousarray(wo).reshape(-1, 3))
         out = np.zeros((len(flat[0]), len(self.wavelengths_nm)))
+        points, single, glints = np.zeros((0, 2)), np.zeros((0, 0, 0, 0), np.float32), (np.zeros((0, 0)),) * 3
+        if self.glint_numbers is not None and uv is not None:
+            assert self.single is not None and self.glint_radii is not None and self.glint_ratio is not None
+            points = np.ascontiguousarray(np.broadcast_to(uv, (*wi.shape[:-1], 2)), dtype=float).reshape(-1, 2)
+            single, glints = self.single, (self.glint_numbers, self.glint_radii, self.glint_ratio)
         _evaluate(
-            *flat, float(self.index), float(self.alpha), self.number, self.deviation, float(self.spread), self.entry,
-            self.flakes, self.base, out,
+            *flat, points, float(self.index), float(self.alpha), self.number, self.deviation, float(self.spread),
+            self.entry, self.flakes, self.base, single, *glints, out,
         )  # fmt: skip
         return out.reshape(*wi.shape[:-1], -1)
 

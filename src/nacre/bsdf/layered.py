@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.contract import Lobe, SpecularResponse, register_lobe
+from nacre.bsdf.glints import check_glints
 from nacre.errors import UnsupportedError
 
 Array = NDArray[np.float64]
@@ -55,6 +56,8 @@ class Layered(Lobe):
         dye_phase: `[stratum, cos, wavelength]`, phase function, 1/sr, uniform nodes of cos in [-1, 1]; None if no
             dye scatters.
         dye_quantile: `[stratum, u, wavelength]`, cos by cumulative share u, uniform nodes in [0, 1]; with `dye_phase`.
+        glint_numbers, glint_radii, glint_ratio: of the uppermost stratum's kinds, `[kind, number]`, `[kind, quantile]`,
+            `[kind, node]`, see `nacre.bsdf.glints`; None: flakes too small to be seen.
         base: "none" (open), "diffuse" or "specular".
         base_reflectance: `[cos, wavelength]`, albedo (one row) or reflectance by the cosine in the last
             resin, uniform nodes in [0, 1]; ignored without base.
@@ -80,6 +83,9 @@ class Layered(Lobe):
     dye: Array | None = None
     dye_phase: Array | None = None
     dye_quantile: Array | None = None
+    glint_numbers: Array | None = None
+    glint_radii: Array | None = None
+    glint_ratio: Array | None = None
     quality: str = "reference"
     fast_table: Array | None = None
     fast_error: Array | None = None
@@ -98,6 +104,9 @@ class Layered(Lobe):
         "dye": "stratum wavelength channel",
         "dye_phase": "stratum cos wavelength",
         "dye_quantile": "stratum u wavelength",
+        "glint_numbers": "kind number",
+        "glint_radii": "kind quantile",
+        "glint_ratio": "kind node",
         "base_reflectance": "cos wavelength",
         "fast_error": "wavelength",
     }
@@ -156,6 +165,9 @@ class Layered(Lobe):
             raise ValueError(f"dye has the shape {self.dye.shape}")
         if self.loss is not None and (self.loss.ndim != 3 or self.loss.shape[:2] != (s + 1, 2)):
             raise ValueError(f"loss has the shape {self.loss.shape}")
+        if self.glint_numbers is not None:
+            upper = int(np.count_nonzero(self.flake_stratum == 0))
+            check_glints(self.glint_numbers, self.glint_radii, self.glint_ratio, upper)
         if k and (np.any(self.flake_stratum < 0) or np.any(self.flake_stratum >= s)):
             raise ValueError("flake_stratum names a stratum that is not there")
 

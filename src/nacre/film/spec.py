@@ -12,7 +12,7 @@ from nacre.bsdf.texture import Texture, parse_formula
 from nacre.bsdf.texture_spec import NumberOrTexture, TextureSpec, texture_or_number
 from nacre.film.material import Film, FilmLayer, Surface
 from nacre.film.ridges import Ridges
-from nacre.matter.spec import IndexSpec
+from nacre.matter.spec import IndexSpec, ambient_in
 from nacre.specs import RecipeContext, RecipeModel, show_value
 
 MAX_LAYERS = 1000
@@ -26,7 +26,6 @@ MAX_VARYING = 2
 # thickness would give a band 150 nm wide, which is cyan. The period puts the back-scattered peak near 464 nm.
 CUTICLE = {"n": 1.56, "k": 0.06}
 MORPHO: dict[str, Any] = {
-    "ambient": "air",
     "substrate": CUTICLE,
     "layers": [{"material": CUTICLE, "thickness_nm": 35.0}, {"material": "air", "thickness_nm": 190.0}] * 8
     + [{"material": CUTICLE, "thickness_nm": 35.0}],
@@ -250,7 +249,7 @@ class FilmSpec(RecipeModel):
                 thickness = float(layer.thickness_nm)
             layers.append(FilmLayer(self._index(layer.material, context), thickness, layer.incoherent))
         return Film(
-            ambient=self._index(self.ambient, context),
+            ambient=self._edge(ambient_in(self.ambient, "ambient" in self.model_fields_set, context)),
             layers=tuple(layers),
             substrate=self._index(self.substrate, context),
             surface=self.surface.build(context),
@@ -261,7 +260,9 @@ class FilmSpec(RecipeModel):
         )
 
     def _index(self, spec: IndexSpec, context: RecipeContext) -> Any:
-        made = spec.build(context)
+        return self._edge(spec.build(context))
+
+    def _edge(self, made: Any) -> Any:
         return made.with_extrapolation("edge") if self.extrapolate == "edge" else made
 
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from nacre.errors import MaterialRangeError, NacreError, UnknownMaterialError, did_you_mean
 from nacre.matter.indices_database import Page, catalogue, find_page, load_entry
 from nacre.matter.indices_defaults import BY_ANY_NAME, DEFAULTS, Default, find_default
-from nacre.matter.indices_models import Constant, Dispersion
+from nacre.matter.indices_models import Clear, Constant, Dispersion
 
 if TYPE_CHECKING:
     from nacre.matter.spec import IndexSpec
@@ -87,6 +87,10 @@ class OpticalConstant:
     def with_extrapolation(self, extrapolate: Extrapolation) -> OpticalConstant:
         """Return the same constant with another rule outside its range."""
         return self if extrapolate == self.extrapolate else replace(self, extrapolate=extrapolate)
+
+    def without_absorption(self) -> OpticalConstant:
+        """Return the same constant with k = 0."""
+        return replace(self, model=Clear(self.model))
 
     def describe(self) -> IndexDescription:
         """Return what `nacre indices show` prints."""

@@ -48,6 +48,22 @@ class Constant:
 
 
 @dataclass(frozen=True, eq=False)
+class Clear:
+    """Another model without its absorption: the medium that a surface inside an absorbing resin looks into."""
+
+    model: Dispersion
+
+    @property
+    def range_nm(self) -> tuple[float, float]:
+        """The wavelengths in which the other model is known."""
+        return self.model.range_nm
+
+    def __call__(self, wavelengths_nm: Array) -> ComplexArray:
+        """Return n."""
+        return np.asarray(self.model(wavelengths_nm).real, dtype=np.complex128)
+
+
+@dataclass(frozen=True, eq=False)
 class Table:
     """Tabulated n and k, linear in wavelength between the points as the database's own plots are."""
 

@@ -20,6 +20,8 @@ EXAMPLES = (
     '"Ag", {n = 1.5}, {n = 1.5, k = 0.1}, {cauchy = [1.5, 0.005]}, {file = "nk.csv"} or {rii = "main/Ag/Johnson"}'
 )
 PROBE_NM = (360.0, 550.0, 830.0)
+JUDGED_NM = (450.0, 550.0, 650.0)
+SAME_INDEX = 2e-3  # media closer than this reflect less than 1e-6 of the light between them
 
 NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
@@ -176,6 +178,33 @@ def _after_key(error: NacreError, spec: IndexSpec) -> str:
 
 
 MediumSpec = IndexSpec
+
+
+def ambient_in(spec: IndexSpec, is_named: bool, context: RecipeContext) -> OpticalConstant:
+    """Return a recipe's ambient: its own, or the medium that another recipe puts it into.
+
+    Args:
+        spec: the recipe's key `ambient`, or its default.
+        is_named: whether the recipe gives it.
+        context: knows the medium.
+
+    Raises:
+        RecipeError: the recipe names an ambient that is not the medium it lies in.
+    """
+    own, medium = spec.build(context), context.ambient
+    if medium is None:
+        return own
+    found: OpticalConstant = medium
+    if is_named:
+        here, there = (constant.n_complex(JUDGED_NM).real for constant in (own, found))
+        if max(abs(here - there)) > SAME_INDEX:
+            raise context.fail(
+                "ambient",
+                own.name,
+                f'has n = {here[1]:.4g}, but lies in "{found.name}" with n = {there[1]:.4g}; leave ambient out, and '
+                "it is what lies above",
+            )
+    return found
 
 
 def index_spec(data: Any, context: RecipeContext | None = None) -> IndexSpec:

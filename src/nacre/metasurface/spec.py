@@ -9,7 +9,7 @@ import numpy as np
 import pydantic
 
 from nacre.matter.indices import OpticalConstant
-from nacre.matter.spec import IndexSpec
+from nacre.matter.spec import IndexSpec, ambient_in
 from nacre.metasurface.arrangement import (
     ARRANGEMENTS,
     Arrangement,
@@ -165,7 +165,8 @@ class MetasurfaceSpec(RecipeModel):
         """
         particle = self.particle
         outer = particle.radius_nm + (particle.shell.thickness_nm if particle.shell else 0.0)
-        ambient, substrate = self._index(self.ambient), self._index(self.substrate)
+        ambient = self._edge(ambient_in(self.ambient, "ambient" in self.model_fields_set, context))
+        substrate = self._index(self.substrate)
         probe = np.array([570.0])
         n_ambient = complex(ambient.n_complex(probe)[0])
         n_substrate = complex(substrate.n_complex(probe)[0])
@@ -199,7 +200,9 @@ class MetasurfaceSpec(RecipeModel):
         )
 
     def _index(self, spec: IndexSpec) -> OpticalConstant:
-        made = spec.build()
+        return self._edge(spec.build())
+
+    def _edge(self, made: OpticalConstant) -> OpticalConstant:
         return made.with_extrapolation("edge") if self.extrapolate == "edge" else made
 
     def _structure(

@@ -119,13 +119,18 @@ def tables(lobe: Layered, effort: float = 1.0, seed: int = 1) -> Flaked:
     medium = Medium.of(lobe)
     entry, surface = _interface(medium)
     spread = _spread(medium)
-    arrived, returned, flakes = _solve(medium, entry, spread, effort, seed)
+    arrived, returned, flakes, single = _solve(medium, entry, spread, effort, seed)
     albedo = lobe.base_reflectance[0]
     base = arrived / medium.index * np.sqrt(albedo / (np.pi * (1.0 - albedo * returned)))
     made = Flaked(
         lobe.wavelengths_nm, medium.index, medium.alpha, medium.number, medium.sigma, spread, entry,
         flakes.astype(np.float32), base, np.zeros((2, 3)), np.zeros(len(lobe.wavelengths_nm)),
     )  # fmt: skip
+    if lobe.glint_numbers is not None:
+        made = dataclasses.replace(
+            made, single=np.minimum(single, flakes).astype(np.float32), glint_numbers=lobe.glint_numbers,
+            glint_radii=lobe.glint_radii, glint_ratio=lobe.glint_ratio,
+        )  # fmt: skip
     return dataclasses.replace(made, albedo=_powers(made, surface))
 
 
@@ -179,8 +184,10 @@ def _interface(medium: Medium) -> tuple[Array, Array]:
     return entry, surface
 
 
-def _solve(medium: Medium, entry: Array, spread: float, effort: float, seed: int) -> tuple[Array, Array, Array]:
-    """Run the loops and fit: A/t `[cos, wavelength]`, r `[wavelength]`, M `[q, c, phi, wavelength]`."""
+def _solve(
+    medium: Medium, entry: Array, spread: float, effort: float, seed: int
+) -> tuple[Array, Array, Array, Array]:
+    """Run the loops and fit: A/t `[cos, wavelength]`, r `[wavelength]`, M and its part of one flake, as M is."""
     bands = medium.reflect.shape[2]
     shape = np.array(SHAPE)
     cells = int(np.prod(SHAPE))
@@ -207,15 +214,15 @@ def _solve(medium: Medium, entry: Array, spread: float, effort: float, seed: int
         parts = list(pool.map(chunk, range(CHUNKS)))
     many, base, back, one, hats, number = (sum(part[i] for part in parts) / CHUNKS for i in range(6))
     arrived = _fit_base(base, entry)
-    table = np.zeros((*SHAPE, bands))
+    table, alone = np.zeros((2, *SHAPE, bands))
     if flakes:
         stiffness = float(hats.sum()) / (CHUNKS * ROUGHNESS_OF_TABLE**2)
         table = _fit(hats, many, stiffness / max(number, 1.0))
         if medium.alpha == 0:
-            table += _single(medium, spread)
+            alone = _single(medium, spread)
         else:
-            table += _fit(hats, one, stiffness / singles)
-    return arrived, back, np.maximum(table, 0.0)
+            alone = np.maximum(_fit(hats, one, stiffness / singles), 0.0)
+    return arrived, back, np.maximum(table + alone, 0.0), alone
 
 
 def check(lobe: Layered, table: Flaked, effort: float = 1.0, seed: int = 77) -> tuple[Array, Array]:

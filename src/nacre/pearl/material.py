@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.contract import Lobe
 from nacre.bsdf.layered import Layered
 from nacre.bsdf.spectrum import Spectrum
-from nacre.errors import UnsupportedError
+from nacre.errors import NacreError, UnsupportedError
 from nacre.light import default_wavelengths
 from nacre.matter.indices import OpticalConstant
 from nacre.matter.stratified import powers
@@ -86,11 +88,13 @@ class Base:
     """What lies below.
 
     Attributes:
-        kind: "none", "diffuse" or "specular".
+        kind: "none", "diffuse", "specular" or "lobes".
         albedo: of a diffuse base: a number, or (wavelengths_nm, albedo) of a coloured one.
         metal: material of a specular base.
         film: a solved opaque film as base: (wavelengths_nm, cos, reflectance[cos, wavelength]).
         surface: roughness of a specular base, or of the lower face of an open stack.
+        other: of "lobes", an opaque material of any family, built with the last resin as its ambient.
+        refuse: makes the error of an `other` that cannot serve, from the reason.
     """
 
     kind: str = "diffuse"
@@ -98,6 +102,28 @@ class Base:
     metal: OpticalConstant | None = None
     film: tuple[Array, Array, Array] | None = None
     surface: Interface = Interface()
+    other: Any = None
+    refuse: Callable[[str], NacreError] = UnsupportedError
+
+    @cached_property
+    def default_lobes(self) -> tuple[Lobe, ...]:
+        """The other material's lobes on wavelengths of its own choice."""
+        return self.lobes(None)
+
+    def lobes(self, wavelengths_nm: Array | None) -> tuple[Lobe, ...]:
+        """Return the other material's lobes at given wavelengths.
+
+        Raises:
+            NacreError: it lets light through, or is a random walk itself.
+        """
+        if self.other is None:
+            return ()
+        lobes: tuple[Lobe, ...] = self.other.bsdf(wavelengths_nm).lobes
+        if any(_is_pearl(lobe) for lobe in lobes):
+            raise self.refuse("holds a pearl; a pearl cannot be a base: write its strata below these ones instead")
+        if any(lobe.transmits for lobe in lobes):
+            raise self.refuse("lets light through; a base should be opaque, on a metal or with a base of its own")
+        return lobes
 
 
 @dataclass(frozen=True)
@@ -123,7 +149,13 @@ class Pearl:
             if flakes.platelet.thickness.is_fixed
         ]
         grid = default_wavelengths(max(fixed, default=0.0))
-        return grid if grid[1] - grid[0] <= STEP_NM else default_wavelengths(step_nm=STEP_NM)
+        grid = grid if grid[1] - grid[0] <= STEP_NM else default_wavelengths(step_nm=STEP_NM)
+        if self.base.other is None:
+            return grid
+        # a base that is known in less than the whole range, such as a measurement, sets the ends
+        known = self.base.default_lobes[0].wavelengths_nm
+        low, high = max(float(known[0]), grid[0]), min(float(known[-1]), grid[-1])
+        return np.concatenate([[low], grid[(grid > low + 1e-6) & (grid < high - 1e-6)], [high]])
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -192,6 +224,7 @@ class Pearl:
             dye=dye,
             dye_phase=phase,
             dye_quantile=quantile,
+            base_lobes=self.base.default_lobes if wavelengths_nm is None else self.base.lobes(lam),
         )
         lobe.check()
         notes = list(self.notes)
@@ -238,7 +271,7 @@ class Pearl:
 
     def _base_table(self, lam: Array) -> Array:
         base = self.base
-        if base.kind == "none":
+        if base.kind in ("none", "lobes"):
             return np.zeros((1, len(lam)))
         if base.kind == "diffuse":
             if isinstance(base.albedo, tuple):
@@ -311,6 +344,12 @@ class Pearl:
             "transmittance": np.stack(transmit) if transmit else empty,
             "names": np.array(names),
         }
+
+
+def _is_pearl(lobe: Lobe) -> bool:
+    """Tell whether a lobe is a pearl's, masked or not."""
+    inner = getattr(lobe, "inner", None)
+    return lobe.kind in ("layered", "flaked") or (inner is not None and _is_pearl(inner))
 
 
 def _index(resin: OpticalConstant) -> float:

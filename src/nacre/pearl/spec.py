@@ -213,7 +213,7 @@ class AlbedoSpec(RecipeModel):
 
 
 class BaseSpec(RecipeModel):
-    """What lies below: a diffuse albedo, a metal, an opaque film (a recipe whose ambient is the resin), or nothing."""
+    """What lies below: a diffuse albedo, a metal, another opaque recipe of any family, or nothing."""
 
     albedo: Albedo | AlbedoSpec | None = None
     material: IndexSpec | None = None
@@ -241,8 +241,8 @@ class BaseSpec(RecipeModel):
             raise ValueError("roughness of a base recipe stands in that recipe")
         return self
 
-    def build(self, context: RecipeContext) -> Base:
-        """Return the base.
+    def build(self, context: RecipeContext, resin: OpticalConstant) -> Base:
+        """Return the base, which lies in a resin.
 
         Raises:
             RecipeError: the albedo file or the base's recipe cannot serve.
@@ -253,7 +253,7 @@ class BaseSpec(RecipeModel):
         if self.material is not None:
             return Base("specular", metal=self.material.build(context), surface=surface)
         if self.recipe is not None:
-            return _film_base(self.recipe, context)
+            return _recipe_base(self.recipe, resin, context)
         if isinstance(self.albedo, AlbedoSpec):
             table = _two_columns(context, "base.albedo.file", self.albedo.file)
             if not (np.all(np.diff(table[:, 0]) > 0) and np.all((table[:, 1] >= 0) & (table[:, 1] <= 1))):
@@ -291,7 +291,7 @@ class PearlSpec(RecipeModel):
             RecipeError: a file is missing or holds what it should not.
         """
         strata = tuple(s.build(context, f"strata[{i}]") for i, s in enumerate(self.strata))
-        return Pearl(strata, self.base.build(context), self.quality)
+        return Pearl(strata, self.base.build(context, strata[-1].resin), self.quality)
 
 
 def _interface(roughness: float | tuple[float, ...], distribution: str, compensate: bool) -> Interface:
@@ -329,21 +329,25 @@ def _two_columns(context: RecipeContext, key: str, name: str) -> NDArray[np.floa
     return table
 
 
-def _film_base(name: str, context: RecipeContext) -> Base:
-    """Take the reflectance of an opaque film of any family that gives a smooth or rough interface."""
+def _recipe_base(name: str, resin: OpticalConstant, context: RecipeContext) -> Base:
+    """Take another recipe as the base, built in the resin: an even film as its reflectance, all else as lobes."""
     if context.load_recipe is None:
         raise context.fail("base.recipe", name, "cannot be loaded here; load the recipe from its file")
-    lobes = context.load_recipe(name).bsdf().lobes
-    if len(lobes) != 1 or lobes[0].transmits or not hasattr(lobes[0], "response"):
-        raise context.fail("base.recipe", name, "cannot be a base; it should be one opaque film on a metal")
-    response = lobes[0].response
-    table = response.reflectance
-    if table.ndim != 2:
-        raise context.fail("base.recipe", name, "varies over its surface; a base should be even")
-    surface = Interface()
-    if hasattr(lobes[0], "alpha_x"):
-        if lobes[0].distribution not in ("ggx", "beckmann"):
-            raise context.fail("base.recipe", name, "has a distribution that a base cannot have; use ggx or beckmann")
-        surface = Interface(lobes[0].alpha_x, lobes[0].alpha_y, lobes[0].distribution)
-    film = (lobes[0].wavelengths_nm, response.cos_outside, table)
-    return Base("specular", film=film, surface=surface)
+    other = context.load_recipe(name, ambient=resin.without_absorption())
+    if other.family == "pearl":
+        raise context.fail("base.recipe", name, "is a pearl; write its strata below these ones instead")
+    if other.family == "stored":
+        raise context.fail("base.recipe", name, "is compiled, and does not tell in which medium; give its recipe")
+    base = Base("lobes", other=other, refuse=lambda why: context.fail("base.recipe", name, why))
+    if other.family != "film":  # a film is solved at once; others may take seconds, and are solved when asked
+        return base
+    first: Any = base.default_lobes[0]
+    if len(base.default_lobes) > 1 or first.kind not in ("specular", "microfacet") or first.varying:
+        return base
+    film = (first.wavelengths_nm, first.response.cos_outside, first.response.reflectance)
+    if first.kind == "specular":
+        return Base("specular", film=film)
+    is_plain = first.alpha_texture is None and first.rotation is None and first.loss is None
+    if not is_plain or first.distribution not in ("ggx", "beckmann"):
+        return base
+    return Base("specular", film=film, surface=Interface(first.alpha_x, first.alpha_y, first.distribution))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from nacre.relief.surface import Array, Tile, slopes
 # the relief's spectra change over about lambda / 10 at most (a blurred line sweeping past): 30 nm resolve that
 WAVELENGTH_COUNT = 17
 FIGURES = ("structure", "microscope")
+INDEX_NM = 550.0  # where the medium's index is taken for the window, one for all colours
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,7 @@ class Relief:
         prefactor: "kirchhoff" conserves energy, "published" compares with the source.
         error: wanted relative error of sampling and interpolation.
         bounded: keep the albedo within Fresnel.
+        ambient: what lies above, with directions as they are inside it; None: vacuum.
     """
 
     tile: Tile
@@ -46,6 +48,7 @@ class Relief:
     prefactor: Prefactor = "kirchhoff"
     error: float = 3e-3
     bounded: bool = True
+    ambient: OpticalConstant | None = None
 
     def default_wavelengths(self) -> Array:
         """Return 360-830 nm in about 30 nm, finer for reliefs deeper than 2 um."""
@@ -66,8 +69,13 @@ class Relief:
     @functools.lru_cache(maxsize=2)  # noqa: B019  (a relief is immutable and its lobe takes seconds)
     def _map(self, wavelengths: tuple[float, ...]) -> tuple[Any, MapReport]:
         grid = np.array(wavelengths)
-        reflectance = coating_reflectance(self.coating.n_complex(grid))
-        return spectrum_map(self.tile, self.coherence, grid, reflectance, self.prefactor, self.error, self.bounded)
+        n = np.ones(len(grid)) if self.ambient is None else self.ambient.n_complex(grid).real
+        reflectance = coating_reflectance(self.coating.n_complex(grid) / n)
+        # waves are shorter inside a medium by its index, and so are the angles of the light's source
+        middle = 1.0 if self.ambient is None else float(self.ambient.n_complex(np.array([INDEX_NM])).real[0])
+        window = Coherence(self.coherence.width_in_wavelengths * middle)
+        lobe, report = spectrum_map(self.tile, window, grid / n, reflectance, self.prefactor, self.error, self.bounded)
+        return replace(lobe, wavelengths_nm=grid), report
 
     def __hash__(self) -> int:
         return id(self)

@@ -48,8 +48,9 @@ class ReliefSpec(RecipeModel):
         heights_um = self._heights(context)
         tile = Tile(1e3 * heights_um, 1e3 * self.feature_um, 1e3 * self.blur_um)
         return Relief(
-            tile, self.coherence.build(), self.coating.build(context), self.prefactor, self.accuracy, self.bounded
-        )
+            tile, self.coherence.build(), self.coating.build(context), self.prefactor, self.accuracy, self.bounded,
+            context.ambient,
+        )  # fmt: skip
 
     def _heights(self, context: RecipeContext) -> Array:
         path = context.path(self.heights)

@@ -42,7 +42,7 @@ def make_bsdf(bsdf: Bsdf, two_sided: bool = False, properties: Any = None) -> An
             grid[0],
             grid[-1],
         )
-    cls = _bsdf_class(mi.variant())
+    cls = bsdf_class(mi.variant())
     return cls(mi.Properties() if properties is None else properties, bsdf, two_sided)
 
 
@@ -59,7 +59,7 @@ def update_bsdf(target: Any, bsdf: Bsdf) -> None:
 
 
 @functools.cache
-def _bsdf_class(variant: str) -> type:
+def bsdf_class(variant: str) -> type:
     """Define the class for a variant: Mitsuba's base class differs from variant to variant."""
 
     class NacreBSDF(mi.BSDF):

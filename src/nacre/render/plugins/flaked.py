@@ -17,6 +17,7 @@ from nacre.bsdf.flaked import Flaked
 from nacre.errors import UnsupportedError
 from nacre.render.plugins.base import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read, read2
 from nacre.render.plugins.facets import Ggx
+from nacre.render.plugins.glints import DeviceGlints
 from nacre.render.plugins.tables import DeviceTable, WavelengthAxis
 
 Array = NDArray[np.float64]
@@ -41,6 +42,7 @@ class FlakedPlugin(LobePlugin[Flaked]):
         self.axis = WavelengthAxis(lobe.wavelengths_nm)
         self.flakes = DeviceTable(_rows(lobe))
         self.base = DeviceTable(lobe.base[..., None])
+        self.glints: DeviceGlints | None = None
         self._set(lobe)
 
     def _set(self, lobe: Flaked) -> None:
@@ -57,6 +59,9 @@ class FlakedPlugin(LobePlugin[Flaked]):
         self.q_low, self.c_low, self.phi_low = (opaque_int(n - 2) for n in self.shape[:3])
         self.phi_size = opaque_int(self.shape[2])
         self.base_top, self.base_low = opaque(len(lobe.base) - 1), opaque_int(len(lobe.base) - 2)
+        if lobe.glint_numbers is not None:
+            assert lobe.glint_radii is not None and lobe.glint_ratio is not None
+            self.glints = DeviceGlints(lobe.glint_numbers, lobe.glint_radii, lobe.glint_ratio)
         self.entry = device_array(np.stack([lobe.entry[:-1], lobe.entry[1:]], axis=-1))
         self.entry_top, self.entry_low = opaque(len(lobe.entry) - 1), opaque_int(len(lobe.entry) - 2)
         shares = np.maximum(lobe.albedo, 0.0)
@@ -140,7 +145,11 @@ class FlakedPlugin(LobePlugin[Flaked]):
         entry = self._entry(wi.z, active) * self._entry(wo.z, active)
         rest = (self._base(wi.z, where, active) * self._base(wo.z, where, active)) * entry
         if self.kinds:
-            rest = rest + self._flakes(wi, wo, where, active) * (entry * self._lobe(wi, wo))
+            flakes = self._flakes(wi, wo, where, active)
+            smooth = flakes[0]
+            if self.glints is not None:
+                smooth = smooth + flakes[1] * (self._sparkle(si.uv, wi, wo, active) - 1.0)
+            rest = rest + smooth * (entry * self._lobe(wi, wo))
         value = rest * wo.z
         surface_share, lobe_share, mirror = shares
         pdf = (1.0 - surface_share - lobe_share - mirror) * dr.inv_pi * wo.z
@@ -183,8 +192,24 @@ class FlakedPlugin(LobePlugin[Flaked]):
             density += fraction * width2 * dr.square((1.0 + slope2) / (width2 + slope2))
         return density * (0.25 * dr.inv_pi) * self.inverse2 / (inner_i * inner_o)
 
+    def _sparkle(self, uv: Any, wi: Any, wo: Any, active: Any) -> Any:
+        """Return g at the half vector inside, the kinds weighted by their densities there."""
+        assert self.glints is not None
+        inner_i = dr.sqrt(1.0 - (1.0 - dr.square(wi.z)) * self.inverse2)
+        inner_o = dr.sqrt(1.0 - (1.0 - dr.square(wo.z)) * self.inverse2)
+        per_tall = dr.rcp(self.index * (inner_i + inner_o))
+        sx, sy = (wi.x + wo.x) * per_tall, (wi.y + wo.y) * per_tall
+        slope2 = sx * sx + sy * sy
+        total, weights = mi.Float(0.0), mi.Float(0.0)
+        for k, (fraction, deviation2) in enumerate(zip(self.fractions, self.deviation2, strict=True)):
+            weight = fraction * deviation2 * dr.square(dr.rcp(deviation2 + slope2))
+            per = dr.rsqrt(deviation2)
+            total += weight * self.glints.factor(k, uv, sx * per, sy * per, active)
+            weights += weight
+        return total / weights
+
     def _flakes(self, wi: Any, wo: Any, where: Any, active: Any) -> Any:
-        """Read M at q, c and phi."""
+        """Read M at q, c and phi, and with glints its part of one flake."""
         qx, qy = wi.x + wo.x, wi.y + wo.y
         cx, cy = 0.5 * (wi.x - wo.x), 0.5 * (wi.y - wo.y)
         q2, c2 = qx * qx + qy * qy, cx * cx + cy * cy
@@ -206,7 +231,7 @@ class FlakedPlugin(LobePlugin[Flaked]):
             (first + self.phi_size, a * (1.0 - b)),
             (first + self.phi_size + 1, a * b),
         ]
-        return self.flakes.look_up(i, u - mi.Float(i), where, nodes, active)[0]
+        return self.flakes.look_up(i, u - mi.Float(i), where, nodes, active)
 
     # -- the rest ---------------------------------------------------------------------------------------
 
@@ -221,6 +246,7 @@ class FlakedPlugin(LobePlugin[Flaked]):
             UnsupportedError: smooth became rough, or kinds or shapes changed.
         """
         same = (lobe.alpha > 0) == self.is_rough and len(lobe.number) == self.kinds
+        same = same and (lobe.glint_numbers is None) == (self.glints is None)
         if not same or len(_widths(lobe)) != len(self.widths) or lobe.flakes.shape[:3] != self.shape[:3]:
             raise UnsupportedError("the flakes changed in kind; build the scene again")
         self.axis.update(lobe.wavelengths_nm)
@@ -246,6 +272,7 @@ def _widths(lobe: Flaked) -> list[float]:
 
 
 def _rows(lobe: Flaked) -> Array:
-    """Return M as `[c * phi, q, wavelength, 1]`: the table's rows run along q."""
-    values = np.transpose(np.asarray(lobe.flakes, dtype=float), (1, 2, 0, 3))
-    return np.ascontiguousarray(values.reshape(-1, *values.shape[2:])[..., None])
+    """Return M, and with glints its part of one flake, as `[c * phi, q, wavelength, 1 or 2]`: rows run along q."""
+    parts = [lobe.flakes] if lobe.single is None else [lobe.flakes, lobe.single]
+    values = np.transpose(np.stack(parts, axis=-1).astype(float), (1, 2, 0, 3, 4))
+    return np.ascontiguousarray(values.reshape(-1, *values.shape[2:]))

@@ -33,6 +33,7 @@ __all__ = ["LayeredPlugin", "Proxy", "evaluate_layered", "hemispherical_layered"
 MAX_TRUST = 20.0
 # Shares of the proxy density: the interface's own reflection, the flakes' lobe, the diffuse rest.
 SHARES = (0.15, 0.5, 0.35)
+BASE_SHARE = 0.7  # of a bare base of lobes; what the interfaces spread and throw back is the rest
 NO_SCALAR = (
     "a pearl is a random walk that needs an LLVM or CUDA variant of Mitsuba; scalar_spectral cannot run it "
     "(`nacre doctor` tells how to get LLVM)"
@@ -64,7 +65,7 @@ class LayeredPlugin(LobePlugin):
         """Follow the light through the strata; the weight is what the four wavelengths still carry."""
         active = mi.Bool(active) & (dr.abs(si.wi.z) > MIN_COS)
         rng = make_rng(sample1, sample2.x, sample2.y, si.p.x, si.p.y, si.p.z, si.wavelengths[0])
-        where = self.strata.axis.locate(si.wavelengths, active)
+        where = self.strata.locate(si, active)
         wo, weight, mirror = sample_walk(self.strata, rng, si.wi, where, active)
         bs = dr.zeros(mi.BSDFSample3f)
         bs.wo = wo
@@ -77,7 +78,7 @@ class LayeredPlugin(LobePlugin):
         if len(enabled) > 1:
             wanted = dr.select(reflected, mi.Bool(enabled[0]), mi.Bool(enabled[1]))
         alive = active & wanted & (dr.max(weight) > 0)
-        bs.pdf = dr.select(alive, self.proxy.trusted(si.wi, wo), 0.0)
+        bs.pdf = dr.select(alive, self._density(si, wo, active), 0.0)
         if self.has_mirror:
             bs.sampled_type = dr.select(mirror, _words("DeltaReflection", "DeltaTransmission", reflected), glossy)
             bs.pdf = dr.select(mirror & alive, 1.0, bs.pdf)
@@ -91,13 +92,24 @@ class LayeredPlugin(LobePlugin):
         """Estimate value * |cos wo|."""
         active = mi.Bool(active) & self._wanted(si.wi, wo, enabled)
         rng = make_rng(si.p.x, si.p.y, si.p.z, si.wi.x, si.wi.y, si.wi.z, wo.x, wo.y, wo.z, si.wavelengths[0])
-        where = self.strata.axis.locate(si.wavelengths, active)
+        where = self.strata.locate(si, active)
         return eval_walk(self.strata, rng, si.wi, wo, where, active)
 
     def pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return the proxy density times the trust in `sample`."""
         active = mi.Bool(active) & self._wanted(si.wi, wo, enabled)
-        return dr.select(active, self.proxy.trusted(si.wi, wo), 0.0)
+        return dr.select(active, self._density(si, wo, active), 0.0)
+
+    def _density(self, si: Any, wo: Any, active: Any) -> Any:
+        """Return the proxy's density times the trust; a base of lobes adds its own, seen through flat interfaces."""
+        density = self.proxy.trusted(si.wi, wo)
+        lobes = self.strata.lobes
+        if lobes is None or not lobes.scatters:
+            return density
+        scale = 1.0 / self.strata.indices[self.strata.count]
+        v, to = _refracted(si.wi, scale), _refracted(wo, scale)
+        own = lobes.pdf(v, to, self.strata.locate(si, active), active & (si.wi.z > 0.0) & (wo.z > 0.0))
+        return dr.lerp(density, self.proxy.trust * own * dr.square(scale) * wo.z / to.z, self.proxy.base_share)
 
     def _wanted(self, wi: Any, wo: Any, enabled: tuple[bool, ...]) -> Any:
         reflected = (wo.z > 0) == (wi.z > 0)
@@ -142,7 +154,9 @@ class Proxy:
         alpha = float(np.mean(lobe.alpha[0]))
         deviation = float(np.min(np.mean(lobe.flake_axes[:, :2], axis=1))) if lobe.kinds else 1.0
         lobe_alpha = np.hypot(n * deviation, (n - 1) * alpha)
-        self.trust = opaque(min(1.0 + float(np.sum(lobe.flake_number)), MAX_TRUST))
+        number = float(np.sum(lobe.flake_number))
+        self.trust = opaque(min(1.0 + number, MAX_TRUST))
+        self.base_share = opaque(BASE_SHARE * float(np.exp(-number)))  # less where flakes cover it
         self.alphas = [opaque(max(alpha, 0.01)), opaque(float(np.clip(lobe_alpha, 0.01, 1.0)))]
         tilt = lobe.flake_frame[0, :, 2] if lobe.kinds else np.array([0.0, 0.0, 1.0])
         tilt = tilt * np.array([n, n, 1.0]) * (1 if tilt[2] >= 0 else -1)
@@ -172,6 +186,11 @@ class Proxy:
         facets = Ggx(alpha, alpha)
         value = 0.25 * facets.spread(up, h, cos)
         return dr.select((cos > 1e-6) & (h.z > 1e-6) & (up.z > 1e-6) & (out.z > 0), value, 0.0)
+
+
+def _refracted(w: Any, scale: Any) -> Any:
+    """Return an outer direction as it goes on inside, through flat interfaces; `scale` is outside over inside."""
+    return mi.Vector3f(w.x * scale, w.y * scale, dr.sqrt(dr.maximum(1.0 - (1.0 - w.z * w.z) * scale * scale, 1e-8)))
 
 
 def _words(reflection: str, transmission: str, reflected: Any) -> Any:

@@ -13,6 +13,7 @@ from nacre.bsdf.layered import Layered
 from nacre.errors import UnsupportedError
 from nacre.render.plugins.base import device_array, opaque
 from nacre.render.plugins.facets import Beckmann, Facets, Ggx
+from nacre.render.plugins.layered_base import BaseLobes
 from nacre.render.plugins.tables import DeviceTable, Located, WavelengthAxis
 
 Array = NDArray[np.float64]
@@ -80,6 +81,11 @@ class Strata:
         self.count = lobe.strata
         self.base = lobe.base
         self.base_rough = lobe.base == "specular" and bool(np.any(lobe.alpha[-1] > 0))
+        self.lobes = BaseLobes(lobe.base_lobes) if lobe.base_lobes else None
+        self.base_mirrors = lobe.base == "specular" and not self.base_rough
+        self.base_scatters = lobe.base == "diffuse" or self.base_rough
+        if self.lobes is not None:
+            self.base_mirrors, self.base_scatters = self.lobes.has_mirror, self.lobes.scatters
         rough = roughness(lobe)
         self.is_rough = [bool(r) for r in rough]
         self.any_rough = any(self.is_rough)
@@ -106,7 +112,16 @@ class Strata:
         if structure(lobe) != self.structure:
             raise UnsupportedError("strata, kinds, interfaces or base changed in kind; build the scene again")
         self.axis.update(lobe.wavelengths_nm)
+        if self.lobes is not None:
+            self.lobes.update(lobe.base_lobes)
         self._set(lobe)
+
+    def locate(self, si: Any, active: Any) -> Located:
+        """Locate the wavelengths of an interaction, and keep it where the base asks for it."""
+        where = self.axis.locate(si.wavelengths, active)
+        if self.lobes is not None:
+            where.site = si
+        return where
 
     def _set(self, lobe: Layered) -> None:
         rough = roughness(lobe)
@@ -290,6 +305,10 @@ class Strata:
         start = mi.UInt32(stratum) * self.quantile_rows + low
         return self.quantile.look_up(start, position - mi.Float(low), where, None, active)[0]
 
+    def base_mirror(self, cos: Any, where: Located, active: Any) -> Any:
+        """Return the reflectance of the base's mirror part at a cosine."""
+        return self.base_at(cos, where, active) if self.lobes is None else self.lobes.mirror(cos, where, active)
+
     def base_at(self, cos: Any, where: Located, active: Any) -> Any:
         """Return the base's reflectance at a cosine."""
         position = dr.clip(cos, 0.0, 1.0) * self.base_cells
@@ -302,7 +321,7 @@ def roughness(lobe: Layered) -> NDArray[np.bool_]:
     n = np.concatenate([[1.0], lobe.index, [1.0]])
     rough = np.any(lobe.alpha > 0, axis=1)
     contrast = np.abs(np.diff(n)) > MATCHED
-    if lobe.base == "diffuse":
+    if lobe.base in ("diffuse", "lobes"):
         contrast[-1] = False
     if lobe.base == "specular":
         contrast[-1] = True
@@ -316,4 +335,5 @@ def structure(lobe: Layered) -> tuple[Any, ...]:
         lobe.strata, lobe.base, tuple(roughness(lobe).tolist()), tuple(lobe.is_beckmann.tolist()),
         tuple(lobe.flake_stratum.tolist()), bool(np.all(lobe.flake_frame == np.eye(3))), shapes,
         lobe.dye is not None, lobe.dye_phase is not None, lobe.loss is not None, lobe.quality,
+        tuple(inner.kind for inner in lobe.base_lobes),
     )  # fmt: skip

@@ -19,9 +19,12 @@ Array = NDArray[np.float64]
 
 LANES = 1 << 20  # walks in one launch
 TOGETHER = 4  # wavelengths in one walk
+MIDDLE = np.array([0.5, 0.5])
 
 
-def evaluate_layered(lobe: Layered, wi: Array, wo: Array, samples: int = 4096, seed: int = 0) -> tuple[Array, Array]:
+def evaluate_layered(
+    lobe: Layered, wi: Array, wo: Array, samples: int = 4096, seed: int = 0, uv: Array | None = None
+) -> tuple[Array, Array]:
     """Estimate the non-delta values and their standard errors.
 
     Args:
@@ -29,6 +32,7 @@ def evaluate_layered(lobe: Layered, wi: Array, wo: Array, samples: int = 4096, s
         wi, wo: unit vectors `[..., 3]`.
         samples: walks for each pair and wavelength.
         seed: another one gives independent noise.
+        uv: `[..., 2]`, where on the surface, for a base that varies over it; default: its middle.
 
     Returns:
         `(f, f_std)`, each `[..., wavelength]`, 1/sr, without the cosine.
@@ -40,6 +44,7 @@ def evaluate_layered(lobe: Layered, wi: Array, wo: Array, samples: int = 4096, s
     shape = wi.shape[:-1]
     count = len(lobe.wavelengths_nm)
     pairs_i, pairs_o = wi.reshape(-1, 3), wo.reshape(-1, 3)
+    places = np.broadcast_to(MIDDLE if uv is None else np.asarray(uv, dtype=float), (*shape, 2)).reshape(-1, 2)
     strata = _strata(lobe)
     jobs = _wavelength_jobs(count)
 
@@ -48,7 +53,7 @@ def evaluate_layered(lobe: Layered, wi: Array, wo: Array, samples: int = 4096, s
         start, end = lanes.vector(pairs_i, pair), lanes.vector(pairs_o, pair)
         wavelengths = lanes.wavelengths(lobe.wavelengths_nm, jobs, device_index(job[:, 1]))
         rng = make_rng(mi.Float(lanes.index), mi.Float(seed), wavelengths[0], start.x, end.x, end.y)
-        where = strata.axis.locate(wavelengths)
+        where = strata.locate(_site(wavelengths, lanes.vector(places, pair)), mi.Bool(True))
         value = eval_walk(strata, rng, start, end, where, mi.Bool(True))
         return [value / dr.maximum(dr.abs(end.z), 1e-6)]
 
@@ -56,7 +61,9 @@ def evaluate_layered(lobe: Layered, wi: Array, wo: Array, samples: int = 4096, s
     return mean.reshape(*shape, count), error.reshape(*shape, count)
 
 
-def hemispherical_layered(lobe: Layered, wi: Array, samples: int = 4096, seed: int = 0) -> tuple[Array, Array]:
+def hemispherical_layered(
+    lobe: Layered, wi: Array, samples: int = 4096, seed: int = 0, uv: Array | None = None
+) -> tuple[Array, Array]:
     """Estimate the power that leaves on the side of one `wi[3]` and on the other, `[wavelength]`, deltas left out.
 
     Raises:
@@ -66,12 +73,14 @@ def hemispherical_layered(lobe: Layered, wi: Array, samples: int = 4096, seed: i
     strata = _strata(lobe)
     jobs = _wavelength_jobs(count)
     direction = np.asarray(wi, dtype=float).reshape(1, 3)
+    place = mi.Point2f(*(MIDDLE if uv is None else np.asarray(uv, dtype=float).reshape(2)).tolist())
 
     def walk(job: NDArray[np.int64], lanes: _Lanes) -> Any:
         start = lanes.vector(direction, device_index(job[:, 0]))
         wavelengths = lanes.wavelengths(lobe.wavelengths_nm, jobs, device_index(job[:, 1]))
         rng = make_rng(mi.Float(lanes.index), mi.Float(seed), wavelengths[0], start.x, start.y)
-        out, weight, mirror = sample_walk(strata, rng, start, strata.axis.locate(wavelengths), mi.Bool(True))
+        where = strata.locate(_site(wavelengths, place), mi.Bool(True))
+        out, weight, mirror = sample_walk(strata, rng, start, where, mi.Bool(True))
         same = (out.z > 0) == (start.z > 0)
         spread = dr.select(mirror, 0.0, weight)
         return [dr.select(same, spread, 0.0), dr.select(same, 0.0, spread)]
@@ -89,14 +98,23 @@ class _Lanes:
         self.index = lane + np.uint32(first * samples % (1 << 24))
 
     def vector(self, values: Array, row: Any) -> Any:
+        """Return each lane's row of `[row, 3]` or `[row, 2]`."""
         row = dr.gather(mi.UInt32, row, self.job)
         flat = device_array(values)
-        return mi.Vector3f(*[dr.gather(mi.Float, flat, 3 * row + i) for i in range(3)])
+        parts = [dr.gather(mi.Float, flat, values.shape[1] * row + i) for i in range(values.shape[1])]
+        return mi.Vector3f(*parts) if len(parts) == 3 else mi.Point2f(*parts)
 
     def wavelengths(self, grid: Array, jobs: NDArray[np.int64], row: Any) -> Any:
         row = dr.gather(mi.UInt32, row, self.job)
         flat = device_array(grid[jobs])
         return mi.Spectrum(*[dr.gather(mi.Float, flat, TOGETHER * row + k) for k in range(TOGETHER)])
+
+
+def _site(wavelengths: Any, uv: Any) -> Any:
+    """Return an interaction that knows its wavelengths and its place on the surface."""
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.wavelengths, si.uv = wavelengths, uv
+    return si
 
 
 def device_index(values: NDArray[np.int64]) -> Any:

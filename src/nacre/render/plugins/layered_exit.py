@@ -41,8 +41,7 @@ class Importance:
 def uses_both_directions(strata: Strata) -> bool:
     """Whether light may reach the exit by way of a mirror, or leave below."""
     inner_mirror = any(not rough for rough in strata.is_rough[1 : strata.count])
-    specular_base = strata.base == "specular" and not strata.is_rough[-1]
-    return strata.base == "none" or specular_base or inner_mirror
+    return strata.base == "none" or strata.base_mirrors or inner_mirror
 
 
 def inner_interfaces_scatter(strata: Strata) -> bool:
@@ -142,14 +141,14 @@ def _chain(
     mirror, rising, sinking = [], [], []
     for i in range(count + 1):
         reflect, rise, sink = mi.Spectrum(0.0), mi.Float(0.0), mi.Float(0.0)
-        if not (strata.is_rough[i] or (i == count and strata.base == "diffuse")):
-            if i == count and strata.base == "specular":
-                reflect = strata.base_at(cosines[-1], where, active)
-            else:
-                side = min(i, count - 1)
-                other = strata.indices[i] if side == i else strata.indices[i + 1]
-                bare = mi.fresnel(cosines[side], other / strata.indices[side + 1])[0]
-                reflect, rise, sink = mi.Spectrum(bare), 1 - bare, 1 - bare
+        if i == count and strata.base != "none":
+            if strata.base_mirrors:
+                reflect = strata.base_mirror(cosines[-1], where, active)
+        elif not strata.is_rough[i]:
+            side = min(i, count - 1)
+            other = strata.indices[i] if side == i else strata.indices[i + 1]
+            bare = mi.fresnel(cosines[side], other / strata.indices[side + 1])[0]
+            reflect, rise, sink = mi.Spectrum(bare), 1 - bare, 1 - bare
         elif 0 < i < count:
             rise = dr.select(exits_above, passed_a[i], 0.0)
             if strata.base == "none":

@@ -3,6 +3,8 @@
 Free flights follow the flakes' projected area, which has no wavelength; at a flake the light is reflected,
 goes straight on or is absorbed, with probabilities from R and T weighted by what the four wavelengths carry.
 Their sum then never changes, so no single wavelength can exceed four times the mean and no firefly is born.
+At a base of lobes the weight is that of the lobes' own draws. Where it is above 1 the sum may rise, by as much as
+those draws miss the lobe's shape; roulette at the base counts such a rise, so that it does not add up.
 (Flights by the true extinction make each event's weight scatter about 1; over hundreds of events the variance
 of the product has no bound, whatever the roulette.)
 
@@ -19,6 +21,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from nacre.render.plugins.layered_base import BaseLobes
 from nacre.render.plugins.layered_device import Strata
 from nacre.render.plugins.layered_exit import (
     Exit,
@@ -31,6 +34,7 @@ from nacre.render.plugins.tables import Located
 
 MAX_EVENTS = 20_000  # a lane that is still inside after so many events is given up; its share is below 1e-6
 TINY = 1e-12
+FULL = 4.0  # what the four wavelengths carry together when light enters
 
 
 def make_rng(*numbers: Any) -> Any:
@@ -99,13 +103,13 @@ class Stepper:
             moved = dr.select(w.z < 0, interface, interface - 1)
             stratum = dr.select(at_interface & ~leaves, moved, stratum)
         if strata.base != "none":
-            d, f, lives_b, got = self._base(light, v, rng, at_base)
+            d, f, lives_b, got, turned = self._base(light, v, rng, at_base)
             new_d, new_f = dr.select(at_base, d, new_d), dr.select(at_base, f, new_f)
             lives &= ~at_base | lives_b
             gained += dr.select(at_base, got, 0.0)
             depth = dr.select(at_base, 1.0, depth)
-            if strata.base == "diffuse" or strata.base_rough:
-                seen = seen | at_base
+            if strata.base_scatters:
+                seen = seen | (at_base & turned)
         moved_light = Light(new_d, stratum, depth, dr.select(lives, new_f, 0.0))
         return moved_light, lives & ~leaves, leaves & lives, gained, seen
 
@@ -284,8 +288,10 @@ class Stepper:
             total += dr.select(first, interface_value(strata, v, self.wo, interface, first), 0.0)
         return total * light.f
 
-    def _base(self, light: Light, v: Any, rng: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+    def _base(self, light: Light, v: Any, rng: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
         strata = self.strata
+        if strata.lobes is not None:
+            return self._base_lobes(strata.lobes, light, v, rng, active)
         gained = mi.Spectrum(0.0)
         point = mi.Point2f(rng.next_float32(active), rng.next_float32(active))
         if strata.base == "diffuse":
@@ -314,7 +320,23 @@ class Stepper:
         carried = dr.maximum(dr.sum(light.f), TINY)
         p = dr.sum(light.f * albedo) / carried
         lives = masked & (rng.next_float32(active) < p)
-        return dr.normalize(d), light.f * albedo / dr.maximum(p, TINY), lives, gained
+        turned = mi.Bool(strata.base_scatters)
+        return dr.normalize(d), light.f * albedo / dr.maximum(p, TINY), lives, gained, turned
+
+    def _base_lobes(
+        self, lobes: BaseLobes, light: Light, v: Any, rng: Any, active: Any
+    ) -> tuple[Any, Any, Any, Any, Any]:
+        gained = mi.Spectrum(0.0)
+        if self.exit is not None and lobes.scatters:
+            to, worth = self.exit.upward(light.stratum, mi.Float(1.0))
+            gained = light.f * worth * lobes.eval(v, to, self.where, active)
+        d, weight, mirror = lobes.sample(v, rng, self.where, active)
+        f = light.f * weight
+        # light that carries no more than it came with lives on with its new share; a rise is taken back first
+        kept = dr.sum(f) / dr.maximum(dr.sum(light.f), TINY) * dr.maximum(dr.sum(light.f) / FULL, 1.0)
+        p = dr.minimum(kept, 1.0)
+        lives = rng.next_float32(active) < p
+        return dr.normalize(d), f / dr.maximum(p, TINY), lives, gained, ~mirror
 
 
 def connect_interface(

@@ -26,10 +26,14 @@ COVERAGE_TOLERANCE_NM = 1e-3
 
 @dataclass
 class Located:
-    """Where the wavelengths of the rays fall in a grid: the lower node and the fraction above it, for each."""
+    """Where the wavelengths of the rays fall in a grid: the lower node and the fraction above it, for each.
+
+    `site` is the surface interaction, for a base whose lobes have grids of their own.
+    """
 
     low: list[Any]
     fraction: list[Any]
+    site: Any = None
 
 
 class WavelengthAxis:

@@ -1,0 +1,138 @@
+"""Glints: flakes large enough to be seen, as a factor on the light that one flake reflects.
+
+The surface is a grid of cells with K flakes each, discs of random centre, radius and normal, all by an integer
+hash of the cell. With t the slope of the wanted normal over the flakes' deviation, the factor at a point is
+
+    g(point, t) = sum over discs that hold the point of exp(-|t - t_j|^2 / 2 w^2)  /  (coverage M(|t|)),
+
+where M is the mean of that kernel over the flakes' own slopes. Over positions g has the mean 1 at every t, so a
+material with glints is the smooth one in the mean; samples spread over a pixel average over the flakes in it.
+Slopes follow p(t) = 1 / (pi (1 + t^2)^2), which is SGGX seen along its axis (and GGX).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ive, ndtr, ndtri
+
+from nacre.matter.jit import compiled
+
+Array = NDArray[np.float64]
+
+# numbers of a row, one row a kind of flake
+CELLS_U, CELLS_V, COUNT, COVERAGE, WIDTH, SEED = range(6)
+NODES = 65  # of both tables
+CUT = 2.0  # sizes beyond so many standard deviations of the logarithm do not occur
+# steps of the hash between a flake's numbers: x, y, two of the slope, radius
+DRAWS = tuple((0x9E3779B9 * (i + 1)) & 0xFFFFFFFF for i in range(5))
+FLAKE_STEP = 0x85EBCA6B
+
+
+def kind_of_flake(
+    uv_mm: tuple[float, float], diameter_um: float, spread: float, seen: float, width: float, seed: int
+) -> tuple[Array, Array, Array]:
+    """Return what `factor` needs of one kind: numbers `[6]`, radii by quantile `[65]`, ratio of means `[65]`.
+
+    Args:
+        uv_mm: length on the surface of one unit of u and v.
+        diameter_um: median of the discs.
+        spread: standard deviation of the logarithm of the diameter.
+        seen: flakes over each other that are seen, on average: sum of their areas over that of the surface.
+        width: of a flake's own lobe, as a slope over the flakes' deviation.
+        seed: of the hash, below 2^24.
+    """
+    low = float(ndtr(-CUT))
+    radii_mm = 0.5e-3 * diameter_um * np.exp(spread * ndtri(np.linspace(low, 1.0 - low, NODES)))
+    # the mean square of what is linear between nodes
+    square = float(np.mean(radii_mm[:-1] ** 2 + radii_mm[:-1] * radii_mm[1:] + radii_mm[1:] ** 2)) / 3.0
+    # discs reach into the neighbouring cells at most: a cell is as wide as the widest of them
+    count = max(1, math.ceil(seen * (2.0 * radii_mm[-1]) ** 2 / (math.pi * square) - 1e-9))
+    cell_mm = math.sqrt(count * math.pi * square / seen)
+    numbers = np.array([uv_mm[0] / cell_mm, uv_mm[1] / cell_mm, count, seen, width, seed])
+    return numbers, radii_mm / cell_mm, mean_ratio(width)
+
+
+def check_glints(numbers: Array, radii: Array | None, ratio: Array | None, kinds: int) -> None:
+    """Check the arrays of a lobe's glints.
+
+    Raises:
+        ValueError: saying what does not fit.
+    """
+    if numbers.shape != (kinds, SEED + 1) or np.any(numbers[:, :SEED] <= 0):
+        raise ValueError(f"glint_numbers has the shape {numbers.shape} or a number that is not above 0")
+    for name, table in (("glint_radii", radii), ("glint_ratio", ratio)):
+        if table is None or table.ndim != 2 or len(table) != kinds or table.shape[1] < 2:
+            raise ValueError(f"{name} does not fit glint_numbers")
+
+
+def mean_ratio(width: float) -> Array:
+    """Return M over its limit 2 pi w^2 p(t) for narrow kernels, `[node]`, over uniform nodes of t / (1 + t)."""
+    share = np.linspace(0.0, 1.0, NODES)[:-1]
+    t = share / (1.0 - share)
+    # Gauss nodes of the other slope within ten widths, and the whole range where the kernel is wide
+    x, weight = np.polynomial.legendre.leggauss(400)
+    low, high = np.maximum(t - 10.0 * width, 0.0), t + 10.0 * width
+    other = low[:, None] + 0.5 * (high - low)[:, None] * (x + 1.0)
+    density = 1.0 / (np.pi * (1.0 + other**2) ** 2)
+    kernel = np.exp(-0.5 * ((t[:, None] - other) / width) ** 2) * ive(0, t[:, None] * other / width**2)
+    mean = 0.5 * (high - low) * np.sum(weight * kernel * density * 2.0 * np.pi * other, axis=1)
+    ratio = mean / (2.0 * np.pi * width**2) * np.pi * (1.0 + t**2) ** 2
+    return np.append(ratio, 1.0)
+
+
+@compiled(nogil=True)
+def mix(x):  # type: ignore[no-untyped-def]  # numba
+    """Scatter the bits of a 32-bit number (held in 64 bits)."""
+    x = (x ^ (x >> 16)) * 0x7FEB352D & 0xFFFFFFFF
+    x = (x ^ (x >> 15)) * 0x846CA68B & 0xFFFFFFFF
+    return x ^ (x >> 16)
+
+
+@compiled(nogil=True)
+def _uniform(key, step):  # type: ignore[no-untyped-def]  # numba
+    return (mix((key + step) & 0xFFFFFFFF) >> 8) * 5.9604644775390625e-08
+
+
+@compiled(nogil=True)
+def _read(table, share):  # type: ignore[no-untyped-def]  # numba
+    at = share * (table.size - 1)
+    low = min(int(at), table.size - 2)
+    return table[low] + (at - low) * (table[low + 1] - table[low])
+
+
+@compiled(nogil=True)
+def factor(numbers, radii, ratio, u, v, tx, ty):  # type: ignore[no-untyped-def]  # numba
+    """Return g at a point of the surface for the slope (tx, ty) over the flakes' deviation."""
+    x, y = u * numbers[CELLS_U], v * numbers[CELLS_V]
+    column, line = int(math.floor(x - 0.5)), int(math.floor(y - 0.5))
+    count, width = int(numbers[COUNT]), numbers[WIDTH]
+    total = 0.0
+    for n in range(4 * count):
+        i, j = column + (n & 1), line + ((n >> 1) & 1)
+        key = mix((int(numbers[SEED]) + (n >> 2) * FLAKE_STEP) & 0xFFFFFFFF)
+        key = mix((key ^ (i & 0xFFFFFFFF)) & 0xFFFFFFFF)
+        key = mix((key + (j & 0xFFFFFFFF)) & 0xFFFFFFFF)
+        dx, dy = x - i - _uniform(key, DRAWS[0]), y - j - _uniform(key, DRAWS[1])
+        if dx * dx + dy * dy > _read(radii, _uniform(key, DRAWS[4])) ** 2:
+            continue
+        share = _uniform(key, DRAWS[2])
+        t = math.sqrt(share / (1.0 - share))
+        turn = 6.283185307179586 * _uniform(key, DRAWS[3])
+        away = (tx - t * math.cos(turn)) ** 2 + (ty - t * math.sin(turn)) ** 2
+        total += math.exp(-0.5 * away / (width * width))
+    t2 = tx * tx + ty * ty
+    t = math.sqrt(t2)
+    mean = _read(ratio, t / (1.0 + t)) * 2.0 * width * width / (1.0 + t2) ** 2
+    return total / (numbers[COVERAGE] * mean)
+
+
+@compiled(nogil=True)
+def factors(numbers, radii, ratio, uv, slopes):  # type: ignore[no-untyped-def]  # numba
+    """Return g for points `uv[n, 2]` and slopes `[n, 2]`."""
+    out = np.empty(len(uv))
+    for n in range(len(uv)):
+        out[n] = factor(numbers, radii, ratio, uv[n, 0], uv[n, 1], slopes[n, 0], slopes[n, 1])
+    return out
