@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 WALKS = "nacre.render.plugins.layered"
 DEFAULT_SAMPLES = 4096
 
-BASES = ("none", "diffuse", "specular")
+BASES = ("none", "diffuse", "specular", "lobes")
 QUALITIES = ("reference", "fast")
 
 
@@ -58,12 +58,14 @@ class Layered(Lobe):
         dye_quantile: `[stratum, u, wavelength]`, cos by cumulative share u, uniform nodes in [0, 1]; with `dye_phase`.
         glint_numbers, glint_radii, glint_ratio: of the uppermost stratum's kinds, `[kind, number]`, `[kind, quantile]`,
             `[kind, node]`, see `nacre.bsdf.glints`; None: flakes too small to be seen.
-        base: "none" (open), "diffuse" or "specular".
+        base: "none" (open), "diffuse", "specular" or "lobes".
         base_reflectance: `[cos, wavelength]`, albedo (one row) or reflectance by the cosine in the last
             resin, uniform nodes in [0, 1]; ignored without base.
         quality: "reference" walks; "fast" uses `fast_table`.
         fast_table: noise-free part of the fast route, or None.
         fast_error: relative L2 error of the fast route, `[wavelength]`, or None.
+        base_lobes: of a base of "lobes": another opaque material, on wavelengths of its own, whose directions are
+            those inside the last resin.
     """
 
     kind: ClassVar[str] = "layered"
@@ -89,6 +91,7 @@ class Layered(Lobe):
     quality: str = "reference"
     fast_table: Array | None = None
     fast_error: Array | None = None
+    base_lobes: tuple[Lobe, ...] = ()
 
     AXES: ClassVar[dict[str, str]] = {
         "index": "stratum",
@@ -131,6 +134,11 @@ class Layered(Lobe):
         """Whether values come from the random walk."""
         return self.quality == "reference"
 
+    @property
+    def varying(self) -> tuple[str, ...]:
+        """What varies over the base."""
+        return tuple(dict.fromkeys(f"base.{name}" for lobe in self.base_lobes for name in lobe.varying))
+
     def check(self) -> None:
         """Check that the arrays fit together.
 
@@ -141,6 +149,12 @@ class Layered(Lobe):
         s, k, count = self.strata, self.kinds, len(self.wavelengths_nm)
         if self.base not in BASES:
             raise ValueError(f'base "{self.base}" is not one of {", ".join(BASES)}')
+        if (self.base == "lobes") != bool(self.base_lobes):
+            raise ValueError('base_lobes belong to the base "lobes", and only to it')
+        for inner in self.base_lobes:
+            inner.check()
+            if inner.transmits or inner.is_stochastic or inner.kind in ("layered", "flaked"):
+                raise ValueError(f'a lobe of kind "{inner.kind}" that is open or a pearl cannot be a base')
         if self.quality not in QUALITIES:
             raise ValueError(f'quality "{self.quality}" is not one of {", ".join(QUALITIES)}')
         if s < 1 or self.index.shape != (s,) or not np.all(self.index >= 1):
@@ -177,7 +191,7 @@ class Layered(Lobe):
         Raises:
             UnsupportedError: no LLVM for the walk.
         """
-        values: Array = _walk("evaluate_layered")(self, wi, wo, samples=DEFAULT_SAMPLES, seed=0)[0]
+        values: Array = _walk("evaluate_layered")(self, wi, wo, samples=DEFAULT_SAMPLES, seed=0, uv=uv)[0]
         return values
 
     def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
@@ -186,7 +200,7 @@ class Layered(Lobe):
         Raises:
             UnsupportedError: no LLVM for the walk.
         """
-        result: tuple[Array, Array] = _walk("hemispherical_layered")(self, wi, samples=nodes * nodes, seed=0)
+        result: tuple[Array, Array] = _walk("hemispherical_layered")(self, wi, samples=nodes * nodes, seed=0, uv=uv)
         return result
 
     def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
