@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -20,6 +20,7 @@ from nacre.light import default_wavelengths
 from nacre.matter.indices import OpticalConstant
 from nacre.matter.stratified import powers
 from nacre.pearl.dye import Dye, DyeResponse, dye_response
+from nacre.pearl.glints import Glints, glint_arrays
 from nacre.pearl.interface import interface_loss
 from nacre.pearl.medium import (
     COS_NODES,
@@ -52,8 +53,7 @@ class Flakes:
         platelet: its layers.
         volume_fraction: of the stratum's volume.
         normals: distribution of the normals in the surface frame.
-        diameter_um: face diameter. Kept for glints, which are not rendered: the flakes count as too small to be
-            seen one by one.
+        diameter_um: median face diameter, for glints; without them the flakes are too small to be seen one by one.
     """
 
     platelet: Platelet
@@ -133,11 +133,13 @@ class Pearl:
     Attributes:
         strata, base: see there.
         quality: "reference", the walk, or "fast", noise-free tables of it where they can be made.
+        glints: flakes of the uppermost stratum seen one by one, or None.
     """
 
     strata: tuple[Stratum, ...]
     base: Base
     quality: str = "reference"
+    glints: Glints | None = None
 
     @property
     def wavelengths_nm(self) -> Array:
@@ -166,8 +168,8 @@ class Pearl:
             if kinds > 8:
                 found.append(f"strata[{i}]: {kinds} kinds of platelets work, but rendering gets slower with each")
             for j, flakes in enumerate(stratum.flakes):
-                if flakes.diameter_um is not None:
-                    found.append(f"strata[{i}].platelets[{j}]: diameter_um is kept, but single glints are not rendered")
+                if flakes.diameter_um is not None and (self.glints is None or i > 0):
+                    found.append(f"strata[{i}].platelets[{j}]: diameter_um has no effect without glints")
                 if abs(flakes.normals.frame[2, 2]) < EDGE_ON:
                     found.append(f"strata[{i}].platelets[{j}]: the rotation turns the flakes nearly edge-on")
         return tuple(found)
@@ -226,6 +228,8 @@ class Pearl:
             dye_quantile=quantile,
             base_lobes=self.base.default_lobes if wavelengths_nm is None else self.base.lobes(lam),
         )
+        if self.glints is not None:
+            lobe = self._with_glints(lobe)
         lobe.check()
         notes = list(self.notes)
         found: Lobe = lobe
@@ -244,6 +248,16 @@ class Pearl:
                 notes.append(f"fast route: not made, since {reason}; this is the reference")
                 logger.warning("the fast route cannot be made, since %s; the reference is used", reason)
         return Bsdf((found,), {"notes": notes} if notes else {})
+
+    def _with_glints(self, lobe: Layered) -> Layered:
+        assert self.glints is not None
+        upper = lobe.flake_stratum == 0
+        # met along the normal, averaged over wavelengths
+        extinct = lobe.flake_extinction[upper, 0, -1].mean(axis=-1)
+        numbers, radii, ratio = glint_arrays(
+            self.glints, self.strata[0], float(lobe.index[0]), lobe.flake_number[upper], extinct
+        )
+        return replace(lobe, glint_numbers=numbers, glint_radii=radii, glint_ratio=ratio)
 
     def _dyes(self, lam: Array) -> tuple[Array | None, Array | None, Array | None]:
         """Extinction of dye and resin, and the dye's phase function, all `[stratum, ...]`."""

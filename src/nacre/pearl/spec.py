@@ -9,11 +9,12 @@ import numpy as np
 import pydantic
 from numpy.typing import NDArray
 
-from nacre.errors import NacreError
+from nacre.errors import NacreError, RecipeError
 from nacre.files import read_text
 from nacre.matter.indices import OpticalConstant
 from nacre.matter.spec import IndexSpec
 from nacre.pearl.dye import Dye
+from nacre.pearl.glints import Glints
 from nacre.pearl.material import NO_SPREAD, Base, Flakes, Interface, Pearl, Stratum
 from nacre.pearl.medium import FlakeNormals, rotation_matrix
 from nacre.pearl.platelet import Coating, Platelet
@@ -206,6 +207,32 @@ class StratumSpec(RecipeModel):
         )
 
 
+class GlintsSpec(RecipeModel):
+    """Flakes of the uppermost stratum seen one by one; each of its platelets needs `diameter_um`.
+
+    `surface_mm` is the length on the object of one unit of its texture coordinates, or of [u, v].
+    """
+
+    surface_mm: Positive | tuple[Positive, Positive]
+    diameter_spread: Annotated[float, pydantic.Field(ge=0.0, le=0.6)] = 0.3
+    flatness_deg: Annotated[float, pydantic.Field(ge=0.05, le=20.0)] = 0.5
+    seed: Annotated[int, pydantic.Field(ge=0, lt=1 << 24)] = 0
+
+    def build(self, upper: Stratum, context: RecipeContext) -> Glints:
+        """Return the glints of the uppermost stratum.
+
+        Raises:
+            RecipeError: it has no platelets, or one without a diameter.
+        """
+        if not upper.flakes:
+            raise context.fail("glints.surface_mm", self.surface_mm, "has no use: strata[0] holds no platelets")
+        for k, flakes in enumerate(upper.flakes):
+            if flakes.diameter_um is None:
+                raise RecipeError(f"{context.source}: strata[0].platelets[{k}].diameter_um is missing; glints need it")
+        size = self.surface_mm if isinstance(self.surface_mm, tuple) else (self.surface_mm, self.surface_mm)
+        return Glints(size, self.diameter_spread, self.flatness_deg, self.seed)
+
+
 class AlbedoSpec(RecipeModel):
     """A coloured base: a file of two columns, wavelength in nm and albedo."""
 
@@ -283,6 +310,7 @@ class PearlSpec(RecipeModel):
     quality: Literal["reference", "fast"] = "reference"
     strata: tuple[StratumSpec, ...] = pydantic.Field(min_length=1, max_length=MAX_STRATA)
     base: BaseSpec = BaseSpec()
+    glints: GlintsSpec | None = None
 
     def build(self, context: RecipeContext) -> Pearl:
         """Return the material.
@@ -291,7 +319,8 @@ class PearlSpec(RecipeModel):
             RecipeError: a file is missing or holds what it should not.
         """
         strata = tuple(s.build(context, f"strata[{i}]") for i, s in enumerate(self.strata))
-        return Pearl(strata, self.base.build(context, strata[-1].resin), self.quality)
+        glints = None if self.glints is None else self.glints.build(strata[0], context)
+        return Pearl(strata, self.base.build(context, strata[-1].resin), self.quality, glints)
 
 
 def _interface(roughness: float | tuple[float, ...], distribution: str, compensate: bool) -> Interface:
