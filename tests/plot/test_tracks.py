@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from nacre import plot
+from nacre.api import plot_walk
+from nacre.bsdf.coarse import WALK_NM, solve_coarse_walk
 from nacre.cli import main
 from nacre.errors import NacreError, UnsupportedError
+from nacre.light import spectrum_to_xyz
 from nacre.recipe import material
 
 NM = np.arange(400.0, 701.0, 20.0)
@@ -47,6 +50,31 @@ def test_a_number_moves_through_its_values():
     alone = plot.angle_tracks(film(thickness=300).bsdf(NM), [10.0])["gloss"].values[0]
     assert np.array_equal(nm, NM) and np.allclose(tracks["gloss"].values[1], alone)
     assert not np.allclose(tracks["gloss"].values[0], alone)
+
+
+PEARL = {
+    "family": "pearl",
+    "strata": [{"resin": {"n": 1.575}, "thickness_um": 50, "roughness": 0.02, "platelets": [{
+        "volume_fraction": 0.02, "substrate": {"material": "SiO2", "thickness_nm": 80},
+        "coatings": [{"material": "TiO2", "thickness_nm": 100}], "normal_deviation": 0.05}]}],
+    "base": {"albedo": 0.5},
+}  # fmt: skip
+
+
+@pytest.mark.render
+def test_the_gloss_of_a_pearl_is_brighter_than_its_body_and_of_another_colour():
+    tracks, nm = plot.number_tracks([material(PEARL)] * 2, [0, 1], plot_walk, NM)
+    gloss, body = (spectrum_to_xyz(tracks[name].values[0], nm) for name in ("gloss", "diffuse"))
+    assert gloss[1] > 3 * body[1]
+    assert np.linalg.norm(gloss / gloss.sum() - body / body.sum()) > 0.05
+    assert np.array_equal(tracks["gloss"].values[0], tracks["gloss"].values[1])  # the walk's seed is fixed
+
+
+def test_a_walk_is_solved_on_a_coarse_grid_unless_one_is_asked_for():
+    pearl = material({**PEARL, "base": {"none": True}, "quality": "fast"})  # cannot be baked: a walk after all
+    assert np.array_equal(solve_coarse_walk(pearl).wavelengths_nm, WALK_NM)
+    assert np.array_equal(solve_coarse_walk(pearl, NM).wavelengths_nm, NM)
+    assert len(solve_coarse_walk(film()).wavelengths_nm) > len(WALK_NM)
 
 
 def test_the_command_draws_tracks_over_a_number(tmp_path):

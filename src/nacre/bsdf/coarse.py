@@ -20,5 +20,7 @@ def solve_coarse_walk(material: Any, wavelengths_nm: Any = None) -> Bsdf:
     """
     bsdf: Bsdf = material.bsdf(wavelengths_nm)
     if wavelengths_nm is None and any(lobe.is_stochastic for lobe in bsdf.lobes):
+        if "quality" in getattr(material, "data", {}):  # what could not be made noise-free is not tried again
+            material = material.vary({"quality": "reference"})
         bsdf = material.bsdf(WALK_NM)
     return bsdf
