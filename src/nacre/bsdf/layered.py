@@ -204,17 +204,14 @@ class Layered(Lobe):
         return result
 
     def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
-        """Return the mirror reflection of a smooth uppermost interface; what comes from deeper is not counted."""
+        """Return what meets nothing but smooth interfaces, on its way in and out; light lies in the plane y = 0."""
+        from nacre.bsdf.layered_mirror import mirror_powers
+
         cos_i = np.asarray(cos_i, dtype=float)
+        places = None if uv is None else np.broadcast_to(uv, (*cos_i.shape, 2)).reshape(-1, 2)
         shape = (*cos_i.shape, len(self.wavelengths_nm))
-        side = 0 if not self.transmits else None
-        reflect = np.zeros(cos_i.shape)
-        upper = cos_i > 0
-        if np.all(self.alpha[0] == 0):
-            reflect = np.where(upper, fresnel(np.abs(cos_i), float(self.index[0])), reflect)
-        if side is None and np.all(self.alpha[-1] == 0):
-            reflect = np.where(~upper, fresnel(np.abs(cos_i), float(self.index[-1])), reflect)
-        return SpecularResponse(np.broadcast_to(reflect[..., None], shape).copy(), np.zeros(shape))
+        reflected, transmitted = mirror_powers(self, cos_i.reshape(-1), places)
+        return SpecularResponse(reflected.reshape(shape), transmitted.reshape(shape))
 
 
 def _walk(name: str) -> Callable[..., Any]:
