@@ -15,6 +15,7 @@ from nacre.render.plugins.base import device_array, opaque, opaque_int, read
 Array = NDArray[np.float64]
 
 WORD = 0xFFFFFFFF
+FLATTEST = 1e-4  # a normal in the plane of the flakes has no slope
 
 
 class DeviceGlints:
@@ -50,6 +51,17 @@ class DeviceGlints:
         t = dr.sqrt(t2)
         mean = row.read(row.ratio, t / (1.0 + t), active) * row.area / dr.square(1.0 + t2)
         return total / mean
+
+
+    def factor_of(self, slot: Any, axes: Any, m: Any, uv: Any, active: Any) -> Any:
+        """Return g for a normal in its flake's frame, `axes` being the semi-axes of that kind, lane by lane."""
+        z = dr.select(dr.abs(m.z) < FLATTEST, FLATTEST, m.z)
+        tx, ty = m.x / (z * axes.x), m.y / (z * axes.y)
+        total = mi.Float(1.0)
+        for k in range(len(self.kinds)):
+            mine = active & (slot == k)
+            total = dr.select(mine, self.factor(k, uv, tx, ty, mine), total)
+        return total
 
 
 class _Kind:

@@ -13,6 +13,7 @@ from nacre.bsdf.layered import Layered
 from nacre.errors import UnsupportedError
 from nacre.render.plugins.base import device_array, opaque
 from nacre.render.plugins.facets import Beckmann, Facets, Ggx
+from nacre.render.plugins.glints import DeviceGlints
 from nacre.render.plugins.layered_base import BaseLobes
 from nacre.render.plugins.tables import DeviceTable, Located, WavelengthAxis
 
@@ -101,6 +102,7 @@ class Strata:
         self.dye_scatters = lobe.dye_phase is not None
         self.compensates = lobe.loss is not None
         self.axis = WavelengthAxis(lobe.wavelengths_nm)
+        self.glints: DeviceGlints | None = None
         self._set(lobe)
 
     def update(self, lobe: Layered) -> None:
@@ -117,9 +119,9 @@ class Strata:
         self._set(lobe)
 
     def locate(self, si: Any, active: Any) -> Located:
-        """Locate the wavelengths of an interaction, and keep it where the base asks for it."""
+        """Locate the wavelengths of an interaction, and keep it where the base or glints ask for it."""
         where = self.axis.locate(si.wavelengths, active)
-        if self.lobes is not None:
+        if self.lobes is not None or self.glints is not None:
             where.site = si
         return where
 
@@ -163,6 +165,9 @@ class Strata:
             self.quantile = DeviceTable(lobe.dye_quantile.reshape(-1, count, 1))
         if lobe.loss is not None:
             self._set_loss(lobe.loss, n)
+        if lobe.glint_numbers is not None:
+            assert lobe.glint_radii is not None and lobe.glint_ratio is not None
+            self.glints = DeviceGlints(lobe.glint_numbers, lobe.glint_radii, lobe.glint_ratio)
 
     def _set_loss(self, loss: Array, n: Array) -> None:
         """Prepare the light given back: where it leaves is independent of where it came from.
@@ -226,6 +231,11 @@ class Strata:
     def flake_row(self, stratum: Any, slot: int, active: Any) -> list[Any]:
         """Return number, axes and frame of a stratum's flake kind."""
         return self.flakes.read(mi.UInt32(stratum) * self.slots + slot, active)
+
+    def flake_axes(self, slot: Any, active: Any) -> Any:
+        """Return the semi-axes of a kind of the uppermost stratum."""
+        row = self.flakes.read(slot, active)
+        return mi.Vector3f(row[1], row[2], row[3])
 
     def into_flake(self, row: list[Any], w: Any) -> Any:
         """Turn a direction into the flake frame."""
@@ -335,5 +345,6 @@ def structure(lobe: Layered) -> tuple[Any, ...]:
         lobe.strata, lobe.base, tuple(roughness(lobe).tolist()), tuple(lobe.is_beckmann.tolist()),
         tuple(lobe.flake_stratum.tolist()), bool(np.all(lobe.flake_frame == np.eye(3))), shapes,
         lobe.dye is not None, lobe.dye_phase is not None, lobe.loss is not None, lobe.quality,
+        lobe.glint_numbers is not None,
         tuple(inner.kind for inner in lobe.base_lobes),
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import drjit as dr
@@ -32,7 +33,8 @@ def evaluate_layered(
         wi, wo: unit vectors `[..., 3]`.
         samples: walks for each pair and wavelength.
         seed: another one gives independent noise.
-        uv: `[..., 2]`, where on the surface, for a base that varies over it; default: its middle.
+        uv: `[..., 2]`, where on the surface, for glints and a base that varies over it; default: the mean over glints,
+            and the middle of the base.
 
     Returns:
         `(f, f_std)`, each `[..., wavelength]`, 1/sr, without the cosine.
@@ -45,7 +47,7 @@ def evaluate_layered(
     count = len(lobe.wavelengths_nm)
     pairs_i, pairs_o = wi.reshape(-1, 3), wo.reshape(-1, 3)
     places = np.broadcast_to(MIDDLE if uv is None else np.asarray(uv, dtype=float), (*shape, 2)).reshape(-1, 2)
-    strata = _strata(lobe)
+    strata = _strata(lobe, uv)
     jobs = _wavelength_jobs(count)
 
     def walk(job: NDArray[np.int64], lanes: _Lanes) -> Any:
@@ -70,7 +72,7 @@ def hemispherical_layered(
         UnsupportedError: no LLVM (or GPU) for the walk.
     """
     count = len(lobe.wavelengths_nm)
-    strata = _strata(lobe)
+    strata = _strata(lobe, uv)
     jobs = _wavelength_jobs(count)
     direction = np.asarray(wi, dtype=float).reshape(1, 3)
     place = mi.Point2f(*(MIDDLE if uv is None else np.asarray(uv, dtype=float).reshape(2)).tolist())
@@ -122,7 +124,7 @@ def device_index(values: NDArray[np.int64]) -> Any:
     return mi.UInt32(np.ascontiguousarray(values, dtype=np.uint32))
 
 
-def _strata(lobe: Layered) -> Strata:
+def _strata(lobe: Layered, uv: Array | None) -> Strata:
     from nacre.render.variant import use_variant
 
     use_variant()
@@ -130,7 +132,7 @@ def _strata(lobe: Layered) -> Strata:
         raise UnsupportedError(
             "a pearl is evaluated by a random walk that needs LLVM, and none was found; see `nacre doctor`"
         )
-    return Strata(lobe)
+    return Strata(lobe if uv is not None else dataclasses.replace(lobe, glint_numbers=None))
 
 
 def _wavelength_jobs(count: int) -> NDArray[np.int64]:

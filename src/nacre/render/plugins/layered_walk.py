@@ -34,6 +34,8 @@ from nacre.render.plugins.tables import Located
 
 MAX_EVENTS = 20_000  # a lane that is still inside after so many events is given up; its share is below 1e-6
 TINY = 1e-12
+BY_NOTHING, BY_FLAKE, BY_MORE = range(3)
+TURN = ("turned", "turned_x", "turned_y", "turned_z", "turned_slot")
 FULL = 4.0  # what the four wavelengths carry together when light enters
 
 
@@ -53,12 +55,26 @@ def make_rng(*numbers: Any) -> Any:
 
 @dataclass
 class Light:
-    """A walker: direction of travel, stratum, depth in it, what each wavelength carries."""
+    """A walker: direction of travel, stratum, depth in it, what each wavelength carries.
+
+    With glints `turn` tells what turned it: nothing yet, one flake of the uppermost stratum (with its normal in its
+    own frame and its kind), or anything else; without glints it is empty.
+    """
 
     d: Any
     stratum: Any
     depth: Any
     f: Any
+    turn: tuple[Any, ...] = ()
+
+
+def _spoilt(turn: tuple[Any, ...], by: Any) -> tuple[Any, ...]:
+    """Return `Light.turn` after something that is no single flake turned the light."""
+    return (dr.select(by, mi.UInt32(BY_MORE), turn[0]), *turn[1:]) if turn else ()
+
+
+def _select(mask: Any, new: tuple[Any, ...], old: tuple[Any, ...]) -> tuple[Any, ...]:
+    return tuple(dr.select(mask, a, b) for a, b in zip(new, old, strict=True))
 
 
 class Stepper:
@@ -102,6 +118,7 @@ class Stepper:
         if strata.count > 1:
             moved = dr.select(w.z < 0, interface, interface - 1)
             stratum = dr.select(at_interface & ~leaves, moved, stratum)
+        turn = _spoilt(light.turn, at_interface & ~crosses & rough_one(strata, interface))
         if strata.base != "none":
             d, f, lives_b, got, turned = self._base(light, v, rng, at_base)
             new_d, new_f = dr.select(at_base, d, new_d), dr.select(at_base, f, new_f)
@@ -110,7 +127,8 @@ class Stepper:
             depth = dr.select(at_base, 1.0, depth)
             if strata.base_scatters:
                 seen = seen | (at_base & turned)
-        moved_light = Light(new_d, stratum, depth, dr.select(lives, new_f, 0.0))
+                turn = _spoilt(turn, at_base & turned)
+        moved_light = Light(new_d, stratum, depth, dr.select(lives, new_f, 0.0), turn)
         return moved_light, lives & ~leaves, leaves & lives, gained, seen
 
     def _flights(self, light: Light, rng: Any, alive: Any, seen: Any) -> tuple[Light, Any, Any, Any, Any, Any]:
@@ -120,19 +138,25 @@ class Stepper:
             return self._fly(light, rng, alive, seen)
 
         def body(*state: Any) -> tuple[Any, ...]:
-            d, depth, f, rng, flying, lives, gained, goes_up, goes_down, seen, count = state
-            moved, survives, got, up, down, seen = self._fly(Light(d, light.stratum, depth, f), rng, flying, seen)
+            d, depth, f, rng, flying, lives, gained, goes_up, goes_down, seen, count, *turn = state
+            now = Light(d, light.stratum, depth, f, tuple(turn))
+            moved, survives, got, up, down, seen = self._fly(now, rng, flying, seen)
             return (
                 moved.d, moved.depth, moved.f, rng, survives & ~up & ~down, survives, gained + got,
-                up, down, seen, count + 1,
+                up, down, seen, count + 1, *moved.turn,
             )  # fmt: skip
 
         no = alive & mi.Bool(False)
-        state = (light.d, light.depth, light.f, rng, alive, alive, mi.Spectrum(0.0), no, no, seen, mi.UInt32(0))
-        names = ("d", "depth", "f", "rng", "flying", "lives", "gained", "goes_up", "goes_down", "seen", "count")
+        got, count = mi.Spectrum(0.0), mi.UInt32(0)
+        state = (light.d, light.depth, light.f, rng, alive, alive, got, no, no, seen, count, *light.turn)
+        names = (
+            "d", "depth", "f", "rng", "flying", "lives", "gained", "goes_up", "goes_down", "seen", "count",
+            *TURN[: len(light.turn)],
+        )  # fmt: skip
         end = dr.while_loop(state, lambda *s: s[4] & (s[10] < limit), body, names, label="pearl flights")
         rng.state, rng.inc = end[3].state, end[3].inc
-        return Light(end[0], light.stratum, end[1], end[2]), end[5], end[6], end[7], end[8], end[9]
+        moved = Light(end[0], light.stratum, end[1], end[2], tuple(end[11:]))
+        return moved, end[5], end[6], end[7], end[8], end[9]
 
     def _fly(self, light: Light, rng: Any, alive: Any, seen: Any) -> tuple[Light, Any, Any, Any, Any, Any]:
         """Fly to a flake, to dye or to a boundary.
@@ -161,7 +185,7 @@ class Stepper:
         inside = alive & ~goes_up & ~goes_down
         gained = mi.Spectrum(0.0)
 
-        new_d, new_f = mi.Vector3f(light.d), mi.Spectrum(light.f)
+        new_d, new_f, turn = mi.Vector3f(light.d), mi.Spectrum(light.f), light.turn
         lives = mi.Bool(alive)
         at_dye = inside
         if strata.slots:
@@ -169,7 +193,7 @@ class Stepper:
             if strata.has_dye:
                 at_dye = inside & (rng.next_float32(inside) * total < majorant)
                 at_flake = inside & ~at_dye
-            d, f, lives_f, got, turned = self._flake(
+            d, f, lives_f, got, turned, turn = self._flake(
                 light, areas, rows, locals_, total - majorant, depth, rng, at_flake
             )
             new_d, new_f = dr.select(at_flake, d, new_d), dr.select(at_flake, f, new_f)
@@ -181,14 +205,15 @@ class Stepper:
             new_d, new_f = dr.select(at_dye, d, new_d), dr.select(at_dye, f, new_f)
             lives &= ~at_dye | lives_d
             seen = seen | (at_dye & turned)
+            turn = _spoilt(turn, at_dye & turned)
             gained += dr.select(at_dye, got, 0.0)
-        moved = Light(new_d, light.stratum, dr.select(inside, depth, light.depth), new_f)
+        moved = Light(new_d, light.stratum, dr.select(inside, depth, light.depth), new_f, turn)
         return moved, lives, gained, goes_up, goes_down, seen
 
     def _flake(
         self, light: Light, areas: list[Any], rows: list[Any], locals_: list[Any], total: Any, depth: Any, rng: Any,
         active: Any,
-    ) -> tuple[Any, Any, Any, Any, Any]:  # fmt: skip
+    ) -> tuple[Any, Any, Any, Any, Any, tuple[Any, ...]]:  # fmt: skip
         strata = self.strata
         row, v, slot = list(rows[0]), locals_[0], mi.UInt32(0)
         if strata.slots > 1:
@@ -208,12 +233,14 @@ class Stepper:
         v_m = dr.dot(v, m)
         reflect, transmit = strata.flake_response(start, dr.abs(v_m), self.where, active)
         gained = mi.Spectrum(0.0)
+        # of glints only light that nothing has turned before
+        fresh = active & (light.turn[0] == BY_NOTHING) & (light.stratum == 0) if light.turn else None
         if self.exit is not None:
             to, worth = self.exit.upward(light.stratum, depth)
-            gained += worth * self._flake_phase(row, v, axes, area, start, to, active)
+            gained += worth * self._flake_phase(row, v, axes, area, start, to, active, slot, fresh)
             if self.exit.has_down:
                 to, worth = self.exit.downward(light.stratum, depth)
-                gained += worth * self._flake_phase(row, v, axes, area, start, to, active)
+                gained += worth * self._flake_phase(row, v, axes, area, start, to, active, slot, fresh)
             gained *= light.f
         carried = dr.maximum(dr.sum(light.f), TINY)
         p_reflect = dr.sum(light.f * reflect) / carried
@@ -226,10 +253,16 @@ class Stepper:
         f = light.f * dr.select(
             reflects, reflect / dr.maximum(p_reflect, TINY), transmit / dr.maximum(p_transmit, TINY)
         )
-        return d, f, lives, gained, reflects
+        turn = light.turn
+        if turn:
+            first = (mi.UInt32(BY_FLAKE), m.x, m.y, m.z, slot)
+            turn = _select(active & reflects & fresh, first, _spoilt(turn, active & reflects))
+        return d, f, lives, gained, reflects, turn
 
-    def _flake_phase(self, row: list[Any], v: Any, axes: Any, area: Any, start: Any, to: Any, active: Any) -> Any:
-        """Return D(h) R(|v.h|) / (4 sigma(v)) towards the direction of travel `to`."""
+    def _flake_phase(
+        self, row: list[Any], v: Any, axes: Any, area: Any, start: Any, to: Any, active: Any, slot: Any, fresh: Any
+    ) -> Any:
+        """Return D(h) R(|v.h|) / (4 sigma(v)) towards the direction of travel `to`, with glints times their factor."""
         strata = self.strata
         half = v + strata.into_flake(row, to)
         length = dr.norm(half)
@@ -237,6 +270,8 @@ class Stepper:
         slope = dr.squared_norm(h / axes)
         density = dr.inv_pi / (axes.x * axes.y * axes.z * dr.square(slope))
         reflect = strata.flake_response(start, dr.abs(dr.dot(v, h)), self.where, active)[0]
+        if fresh is not None and strata.glints is not None:
+            density *= strata.glints.factor_of(slot, axes, h, self.where.site.uv, fresh)
         return reflect * (0.25 * density / area)
 
     def _dye(self, light: Light, majorant: Any, depth: Any, rng: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
@@ -368,7 +403,9 @@ def first_light(strata: Strata, w: Any, f: Any) -> Light:
     """Place light just inside the interface it came through."""
     down = w.z < 0
     stratum = dr.select(down, mi.UInt32(0), mi.UInt32(strata.count - 1)) if strata.count > 1 else mi.UInt32(0)
-    return Light(mi.Vector3f(w), stratum, dr.select(down, mi.Float(0.0), 1.0), f)
+    nothing = mi.UInt32(BY_NOTHING)
+    turn = () if strata.glints is None else (nothing, mi.Float(0.0), mi.Float(0.0), mi.Float(1.0), mi.UInt32(0))
+    return Light(mi.Vector3f(w), stratum, dr.select(down, mi.Float(0.0), 1.0), f, turn)
 
 
 def sample_walk(strata: Strata, rng: Any, wi: Any, where: Located, active: Any) -> tuple[Any, Any, Any]:
@@ -387,18 +424,27 @@ def sample_walk(strata: Strata, rng: Any, wi: Any, where: Located, active: Any) 
     stepper = Stepper(strata, where)
 
     def body(*state: Any) -> tuple[Any, ...]:
-        d, stratum, depth, f, rng, inside, seen, events = state
-        moved, still, _, _, seen_now = stepper.step(Light(d, stratum, depth, f), rng, inside, seen)
+        d, stratum, depth, f, rng, inside, seen, events, *turn = state
+        now = Light(d, stratum, depth, f, tuple(turn))
+        moved, still, _, _, seen_now = stepper.step(now, rng, inside, seen)
         f = dr.select(inside, moved.f, f)
         return (
             dr.select(inside, moved.d, d), dr.select(inside, moved.stratum, stratum),
             dr.select(inside, moved.depth, depth), f, rng, still & (events < MAX_EVENTS), seen_now, events + 1,
+            *_select(inside, moved.turn, now.turn),
         )  # fmt: skip
 
-    state = (light.d, light.stratum, light.depth, light.f, rng, inside, rough_one(strata, entry), mi.UInt32(0))
-    names = ("d", "stratum", "depth", "f", "rng", "inside", "seen", "events")
+    seen = rough_one(strata, entry)
+    state = (light.d, light.stratum, light.depth, light.f, rng, inside, seen, mi.UInt32(0), *light.turn)
+    names = ("d", "stratum", "depth", "f", "rng", "inside", "seen", "events", *TURN[: len(light.turn)])
     result = dr.while_loop(state, lambda *s: s[5], body, names, label="pearl sample")
-    return result[0], dr.select(result[7] < MAX_EVENTS, result[3], 0.0), ~result[6]
+    weight = dr.select(result[7] < MAX_EVENTS, result[3], 0.0)
+    if strata.glints is not None:
+        turned, x, y, z, slot = result[8:]
+        by_flake = active & (turned == BY_FLAKE) & (dr.max(weight) > 0)
+        axes = strata.flake_axes(slot, by_flake)
+        weight *= strata.glints.factor_of(slot, axes, mi.Vector3f(x, y, z), where.site.uv, by_flake)
+    return result[0], weight, ~result[6]
 
 
 def eval_walk(strata: Strata, rng: Any, wi: Any, wo: Any, where: Located, active: Any) -> Any:
@@ -423,17 +469,18 @@ def eval_walk(strata: Strata, rng: Any, wi: Any, wo: Any, where: Located, active
     seen = rough_one(strata, entry)
 
     def body(*state: Any) -> tuple[Any, ...]:
-        d, stratum, depth, f, rng, inside, got, seen, events = state
-        moved, still, _, gained, seen_now = stepper.step(Light(d, stratum, depth, f), rng, inside, seen)
+        d, stratum, depth, f, rng, inside, got, seen, events, *turn = state
+        now = Light(d, stratum, depth, f, tuple(turn))
+        moved, still, _, gained, seen_now = stepper.step(now, rng, inside, seen)
         got = got + dr.select(inside, gained, 0.0)
         return (
             dr.select(inside, moved.d, d), dr.select(inside, moved.stratum, stratum),
             dr.select(inside, moved.depth, depth), dr.select(inside, moved.f, f), rng,
-            still & (events < MAX_EVENTS), got, seen_now, events + 1,
+            still & (events < MAX_EVENTS), got, seen_now, events + 1, *_select(inside, moved.turn, now.turn),
         )  # fmt: skip
 
-    state = (light.d, light.stratum, light.depth, light.f, rng, inside, total, seen, mi.UInt32(0))
-    names = ("d", "stratum", "depth", "f", "rng", "inside", "got", "seen", "events")
+    state = (light.d, light.stratum, light.depth, light.f, rng, inside, total, seen, mi.UInt32(0), *light.turn)
+    names = ("d", "stratum", "depth", "f", "rng", "inside", "got", "seen", "events", *TURN[: len(light.turn)])
     result = dr.while_loop(state, lambda *s: s[5], body, names, label="pearl eval")
     value = dr.select(dr.isfinite(result[6]), result[6], 0.0)
     return dr.select(active, value, 0.0)
