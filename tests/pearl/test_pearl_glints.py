@@ -1,4 +1,4 @@
-"""Glints: single flakes that are seen leave the mean as it was, are the same on both routes, and stay where they lie."""
+"""Glints: single flakes that are seen leave the mean as it was, are alike on both routes, and stay where they lie."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_the_mean_over_the_surface_is_one(width: float, slope: tuple[float, floa
 
 
 def test_the_variance_is_that_of_the_flakes_that_answer() -> None:
-    """Place and slope are independent: flakes that hold a point are about Poisson, so var g = E[k^2] / (E[k]^2 seen)."""
+    """Place and slope are independent, flakes at a point about Poisson: var g = E[k^2] / (E[k]^2 seen)."""
     points, width, seen = 2_000_000, 0.3, 0.8
     numbers, radii, ratio = kind_of_flake((300.0, 300.0), 40.0, 0.0, seen, width, 5)
     g = factors(numbers, radii, ratio, np.random.default_rng(1).random((points, 2)), np.zeros((points, 2)))
@@ -145,7 +145,8 @@ def test_more_of_a_thin_layer_is_seen_and_roughness_widens_a_flake() -> None:
         return made.glint_numbers[0]
 
     thin, thick = numbers(thickness_um=5), numbers(thickness_um=200)
-    assert thin[COVERAGE] < thick[COVERAGE] < 0.75  # opaque flakes: half a layer at most returns light both ways, in the mean
+    # of opaque flakes half a layer at most returns light both ways
+    assert thin[COVERAGE] < thick[COVERAGE] < 0.75
     assert numbers(roughness=0.2)[WIDTH] > 1.5 * numbers()[WIDTH]
 
 
