@@ -17,18 +17,19 @@ from nacre.pearl.fast import tables
 Array = NDArray[np.float64]
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "pearl"
 SRGB = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06], [0.64, 0.33]])
+GRID_NM = np.arange(360.0, 831.0, 10.0)
 MIDDLE_GREY = 0.1842  # luminance of L* = 50: chroma is compared there, so that brightness does not pass for it
 
 
 def baked(recipe: Any, effort: float) -> Any:
-    """The noise-free form of a pearl, made with a share of its usual walks.
+    """The noise-free form of a pearl at 10 nm, made with a share of its usual walks.
 
     Args:
         recipe: a file or a dictionary.
         effort: 1 for the usual number of walks.
     """
     material = nacre.load(recipe) if isinstance(recipe, str | Path) else nacre.material(recipe)
-    (lobe,) = [lobe for lobe in material.bsdf().lobes if isinstance(lobe, Layered)]
+    (lobe,) = [lobe for lobe in material.bsdf(GRID_NM).lobes if isinstance(lobe, Layered)]
     return tables(lobe, effort)
 
 

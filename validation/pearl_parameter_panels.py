@@ -124,10 +124,10 @@ def draw(out: Path, figure: str) -> None:
             axis.set_title(f"{kind}, {'diffuse' if name == 'theta_h' else 'gloss'} over the coating, 50 to 150 nm")
         gamut[kind] = {"gloss": shiny, "diffuse": matt}
     for axis, keys, title in (
-        (axes[0, 2], [[("C1", t, c, FLAT) for c in DENSITIES] for t in (60, 100, 140)], "C1, density 1 to 16.5 %"),
-        (axes[1, 2], [[("C1", t, DENSITY, s) for s in DEVIATIONS] for t in (60, 100, 140)], "C1, deviation .01 to .2"),
+        (axes[0, 2], [[("C1", t, c, FLAT) for c in DENSITIES] for t in (60, 100)], "C1, density 1 to 16.5 %"),
+        (axes[1, 2], [[("C1", t, DENSITY, s) for s in DEVIATIONS] for t in (60, 100)], "C1, deviation .01 to .2"),
     ):
-        for line, style, thickness in zip(keys, ("-", "--", ":"), (60, 100, 140), strict=True):
+        for line, style, thickness in zip(keys, ("-", "--"), (60, 100), strict=True):
             track(axis, [gloss(*key) for key in line], style, f"gloss, {thickness} nm", "0.5")
             track(axis, [diffuse(*key) for key in line], style, f"diffuse, {thickness} nm", "black")
         axis.set_title(title)

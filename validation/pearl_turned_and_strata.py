@@ -15,7 +15,7 @@ import nacre
 from nacre.bsdf import Bsdf
 from nacre.bsdf.hemisphere import bsdf_spectrum
 from nacre.light import spectrum_to_xyz
-from validation._pearl import EXAMPLES, hue_distance
+from validation._pearl import EXAMPLES, GRID_NM, hue_distance
 from validation._rows import finish, row
 from validation.pearl_renders import BOTTLE, SUBSTRATES, WALK_SPP, c1, difference, picture, sheet, walked, where
 
@@ -73,7 +73,7 @@ def strata_and_foil(out: Path) -> list[dict[str, Any]]:
     for name, strata in (("both strata", [0, 1]), ("upper alone", [0]), ("lower alone", [1])):
         bsdf = walked({**data, "strata": [data["strata"][i] for i in strata]})
         line.append((name, picture(bsdf, "knob", SIZE, WALK_SPP)))
-    foil = nacre.load(EXAMPLES / "foil.toml").bsdf(np.arange(360.0, 831.0, 10.0))
+    foil = nacre.load(EXAMPLES / "foil.toml").bsdf(GRID_NM)
     bottle = picture(foil, "bottle", BOTTLE, WALK_SPP, exposure=1.5)
     finish(sheet([[*line, ("foil as a bottle, no base", bottle)]], 8.0), out, figure, dpi=120)
     change = min(difference(line[0][1], other, on) for _, other in line[1:])
