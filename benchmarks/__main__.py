@@ -1,7 +1,12 @@
-"""Run every benchmark, one process each, and write RESULTS.md with the machine and the versions."""
+"""Run every benchmark, one process each, and write RESULTS.md with the machine and the versions.
+
+`python -m benchmarks [NAME ...]` runs those whose names contain one of the words; all by default. Each answer is kept
+in `results/`, so that RESULTS.md after a partial run still holds the others.
+"""
 
 from __future__ import annotations
 
+import datetime
 import importlib.metadata
 import json
 import subprocess
@@ -11,12 +16,24 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
+KEPT = HERE / "results"
 PACKAGES = ("numpy", "numba", "jax", "mitsuba", "drjit", "scipy")
 TIME_LIMIT_S = 1800
 
 
 def run_one(script: Path) -> dict[str, Any]:
-    """Run one benchmark; a crash or a time-out is a result of its own."""
+    """Run one benchmark and keep what it says; a crash or a time-out is a result of its own."""
+    result = {**_answer(script), "script": script.name, "on": datetime.date.today().isoformat()}
+    KEPT.mkdir(exist_ok=True)
+    _kept(script).write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    return result
+
+
+def _kept(script: Path) -> Path:
+    return KEPT / f"{script.stem}.json"
+
+
+def _answer(script: Path) -> dict[str, Any]:
     command = [sys.executable, str(script), "--json"]
     start = time.monotonic()
     try:
@@ -26,7 +43,7 @@ def run_one(script: Path) -> dict[str, Any]:
     lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
     if not lines:
         return {"benchmark": script.stem, "rows": [], "error": done.stderr.strip().splitlines()[-1:] or "no output"}
-    return {**json.loads(lines[-1]), "seconds": time.monotonic() - start, "script": script.name}
+    return {**json.loads(lines[-1]), "seconds": round(time.monotonic() - start)}
 
 
 def write_results(results: list[dict[str, Any]]) -> None:
@@ -36,6 +53,7 @@ def write_results(results: list[dict[str, Any]]) -> None:
     barred = [row for _, row in rows if row.get("passed") is not None]
     versions = ", ".join(f"{p} {importlib.metadata.version(p)}" for p in PACKAGES)
     machine = next((r["machine"] for r in results if "machine" in r), {})
+    machine = {key: value for key, value in machine.items() if key != "load"}
     lines = [
         "# Benchmarks", "",
         f"{len(barred) - len(missed)} of {len(barred)} bars reached. Made by `make bench`: contestants take turns in "
@@ -50,7 +68,9 @@ def write_results(results: list[dict[str, Any]]) -> None:
             continue
         lines += _table(result["rows"])
         lines += [f"- {key}: {value}" for key, value in result.get("notes", {}).items()]
-        lines += ["", f"`python benchmarks/{result['script']}`, {result['seconds']:.0f} s"]
+        load = result.get("machine", {}).get("load")
+        calm = "" if load is None else f", load {load:.1f} at the end"
+        lines += ["", f"`python benchmarks/{result['script']}`, {result['seconds']:.0f} s on {result['on']}{calm}"]
     (HERE / "RESULTS.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -68,13 +88,15 @@ def _table(rows: list[dict[str, Any]]) -> list[str]:
 def main() -> int:
     """Run the benchmarks whose names contain one of the words given; all by default."""
     words = sys.argv[1:]
-    scripts = [s for s in sorted(HERE.glob("bench_*.py")) if not words or any(w in s.stem for w in words)]
-    results = []
-    for number, script in enumerate(scripts):
-        print(f"== [{number + 1}/{len(scripts)}] {script.stem}", flush=True)
-        results.append(run_one(script))
-        write_results(results)
-    return int(any("error" in result for result in results))
+    scripts = sorted(HERE.glob("bench_*.py"))
+    chosen = [s for s in scripts if not words or any(w in s.stem for w in words)]
+    results = {}
+    for number, script in enumerate(chosen):
+        print(f"== [{number + 1}/{len(chosen)}] {script.stem}", flush=True)
+        results[script] = run_one(script)
+        # those that are not run now, or not yet, come from their last run
+        write_results([json.loads(_kept(s).read_text(encoding="utf-8")) for s in scripts if _kept(s).exists()])
+    return int(any("error" in result for result in results.values()))
 
 
 if __name__ == "__main__":
