@@ -20,6 +20,7 @@ from nacre.files import atomic_path, plain
 
 FLOAT, UNSIGNED_SHORT = 5126, 5123
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+READ = ("KHR_materials_iridescence", "KHR_materials_ior", "KHR_materials_transmission")
 
 
 def gltf_material(film: ThinFilm, name: str) -> dict[str, Any]:
@@ -97,6 +98,8 @@ def read_gltf(path: str | Path) -> ThinFilm:
                 continue
             film, base = extensions["KHR_materials_iridescence"], material.get("pbrMetallicRoughness", {})
             red, green, blue = (float(c) for c in base.get("baseColorFactor", [1, 1, 1, 1])[:3])
+            textures = [key for part in (base, film, material) for key in part if key.endswith("Texture")]
+            others = [key for key in extensions if key not in READ]
             return ThinFilm(
                 thickness_nm=float(film.get("iridescenceThicknessMaximum", 400.0)),
                 film_ior=float(film.get("iridescenceIor", 1.3)),
@@ -105,6 +108,7 @@ def read_gltf(path: str | Path) -> ThinFilm:
                 is_metal=float(base.get("metallicFactor", 1.0)) >= 0.5,
                 roughness=float(base.get("roughnessFactor", 1.0)) ** 2,
                 transmits=float(extensions.get("KHR_materials_transmission", {}).get("transmissionFactor", 0.0)) > 0,
+                not_read=tuple(textures + others),
             )
     except OSError as error:
         raise NacreError(f"{path}: cannot be read: {error.strerror}") from None

@@ -15,6 +15,10 @@ from nacre.exchange.thin_film import ThinFilm
 from nacre.files import atomic_path, plain
 
 MAX_BYTES = 16 << 20
+READ = (
+    "base_color", "base_metalness", "base_weight", "specular_ior", "specular_roughness", "transmission_weight",
+    "thin_film_weight", "thin_film_thickness", "thin_film_ior",
+)  # fmt: skip
 
 
 def write_materialx(path: str | Path, film: ThinFilm, name: str, comment: str = "") -> None:
@@ -69,14 +73,19 @@ def read_materialx(path: str | Path) -> ThinFilm:
             if float(inputs.get("thin_film_weight", "0")) <= 0:
                 continue
             red, green, blue = (float(c) for c in inputs.get("base_color", "0.8, 0.8, 0.8").split(","))
+            metal, clear = (float(inputs.get(key, "0")) for key in ("base_metalness", "transmission_weight"))
+            not_read = sorted(str(name) for name in inputs if name not in READ)
+            if metal < 0.5 and clear <= 0 and float(inputs.get("base_weight", "1")) > 0:
+                not_read.insert(0, "base_color")  # what scatters below a dielectric surface
             return ThinFilm(
                 thickness_nm=1000 * float(inputs.get("thin_film_thickness", "0.5")),
                 film_ior=float(inputs.get("thin_film_ior", "1.4")),
                 base_rgb=(red, green, blue),
                 base_ior=float(inputs.get("specular_ior", "1.5")),
-                is_metal=float(inputs.get("base_metalness", "0")) >= 0.5,
+                is_metal=metal >= 0.5,
                 roughness=float(inputs.get("specular_roughness", "0.3")) ** 2,
-                transmits=float(inputs.get("transmission_weight", "0")) > 0,
+                transmits=clear > 0,
+                not_read=tuple(not_read),
             )
     except OSError as error:
         raise NacreError(f"{path}: cannot be read: {error.strerror}") from None

@@ -17,6 +17,7 @@ class ThinFilm:
         is_metal: whether the base is a metal.
         roughness: GGX alpha of the surface.
         transmits: whether light passes through the (dielectric) base.
+        not_read: names of what a file says of the material beyond this.
     """
 
     thickness_nm: float
@@ -26,3 +27,4 @@ class ThinFilm:
     is_metal: bool = True
     roughness: float = 0.0
     transmits: bool = False
+    not_read: tuple[str, ...] = ()

@@ -19,6 +19,7 @@ from nacre.light import default_wavelengths, spectrum_to_rgb_matrix
 from nacre.recipe import Material, dump_toml
 
 Array = NDArray[np.float64]
+MAX_F0 = 0.96  # a real index of 98, which a recipe still takes; a perfect mirror would need an endless one
 TENSOR_MAGIC = b"tensor_file\0"
 IMPORTS = ".csv (goniometer), .binary (MERL), .bsdf (RGL tensor or Zemax), .gltf, .mtlx"
 TABLE_NODES = (46, 46, 37)  # theta_i, theta_o, dphi of a table made from scattered measurements
@@ -173,9 +174,11 @@ def _import_film(source: Path, recipe: Path) -> list[str]:
     remarks = []
     base = film.base_ior
     if film.is_metal:
-        f0 = min(max(float(np.dot(film.base_rgb, (0.2126, 0.7152, 0.0722))), 0.0), 0.98)
+        f0 = min(max(float(np.dot(film.base_rgb, (0.2126, 0.7152, 0.0722))), 0.0), MAX_F0)
         base = (1 + f0**0.5) / (1 - f0**0.5)
         remarks.append("the metal's RGB became one real index of the same luminance; name the metal for its own colour")
+    if film.not_read:
+        remarks.append(f"not carried over: {', '.join(film.not_read)}")
     # a metal lets nothing through: a trace of absorption makes the base opaque without changing its reflection
     substrate = {"n": base} if film.transmits else {"n": base, "k": 1e-4}
     data: dict[str, Any] = {
