@@ -16,8 +16,8 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.hemisphere import bsdf_spectrum
 from nacre.light import spectrum_to_xyz
 from validation._pearl import EXAMPLES, GRID_NM, hue_distance
+from validation._pearl_pictures import BOTTLE, SUBSTRATES, WALK_SPP, c1, difference, picture, sheet, walked, where
 from validation._rows import finish, row
-from validation.pearl_renders import BOTTLE, SUBSTRATES, WALK_SPP, c1, difference, picture, sheet, walked, where
 
 SIZE = (128, 128)
 TURNS_DEG = (0, 5, 10)
