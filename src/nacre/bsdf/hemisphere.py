@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,13 +85,14 @@ def reciprocity_error(bsdf: Bsdf, wi: Array, wo: Array, eta: float = 1.0, uv: Ar
     return float(np.max(np.abs(there - back), initial=0.0)) / largest if largest > 0 else 0.0
 
 
-def bsdf_spectrum(bsdf: Bsdf, theta_rad: Array, uv: Array | None = None) -> Spectrum:
+def bsdf_spectrum(bsdf: Bsdf, theta_rad: Array, uv: Array | None = None, seed: int = 0) -> Spectrum:
     """Return a Bsdf's spectra: delta parts (of rough films the values of their stack), and the rest integrated.
 
     The light comes in the plane y = 0, where that matters.
 
     Args:
         theta_rad: `[angle]`, in the ambient.
+        seed: of random walks; another one gives independent noise.
     """
     from nacre.bsdf.microfacet import Microfacet
 
@@ -109,9 +111,11 @@ def bsdf_spectrum(bsdf: Bsdf, theta_rad: Array, uv: Array | None = None) -> Spec
     if rest:
         # exactly at 90 degrees no light arrives on the surface; just before it the integrals have their limit
         directions = direction(np.minimum(theta, np.radians(89.99)))
-        sums = [[lobe.hemispherical(w, uv) for lobe in rest] for w in directions]
+        walks: list[dict[str, Any]] = [{"seed": seed} if lobe.is_stochastic else {} for lobe in rest]
+        sums = [[lobe.hemispherical(w, uv, **walk) for lobe, walk in zip(rest, walks, strict=True)] for w in directions]
         diffuse = np.array([[sum(part[side] for part in parts) for parts in sums] for side in (0, 1)])
-    has_delta = len(rest) < len(bsdf.lobes)
+    # a walk is no delta lobe, but reflects as mirrors do where its interfaces are smooth
+    has_delta = len(rest) < len(bsdf.lobes) or bool(np.any(reflected > 0))
     return Spectrum(
         bsdf.wavelengths_nm,
         np.degrees(theta),
