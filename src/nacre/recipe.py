@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import importlib
+import inspect
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -95,7 +96,12 @@ class Material:
         return dataclasses.replace(bsdf, provenance={**bsdf.provenance, **provenance})
 
     def spectrum(
-        self, theta_rad: ArrayLike, wavelengths_nm: ArrayLike | None = None, polarisation: str = "both"
+        self,
+        theta_rad: ArrayLike,
+        wavelengths_nm: ArrayLike | None = None,
+        polarisation: str = "both",
+        *,
+        seed: int = 0,
     ) -> Spectrum:
         """Return reflectance and transmittance, specular and diffuse, each `[angle, wavelength]`.
 
@@ -103,12 +109,16 @@ class Material:
             theta_rad: angles of incidence in the ambient medium, in [0, pi/2].
             wavelengths_nm: vacuum wavelengths; default: chosen by the material.
             polarisation: "s", "p" or "both" (unpolarised).
+            seed: of a pearl's random walk; another one gives independent noise.
 
         Raises:
             UnsupportedError: the material has no such spectrum.
         """
         grid = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
-        result: Spectrum = self.model.spectrum(np.atleast_1d(np.asarray(theta_rad, dtype=float)), grid, polarisation)
+        # only families of random walks have a seed
+        walk = {"seed": seed} if "seed" in inspect.signature(self.model.spectrum).parameters else {}
+        theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
+        result: Spectrum = self.model.spectrum(theta, grid, polarisation, **walk)
         return result
 
     def figure_data(self, kind: str, **options: Any) -> dict[str, NDArray[Any]]:
@@ -168,9 +178,13 @@ class StoredBsdf:
         return self.stored
 
     def spectrum(
-        self, theta_rad: NDArray[np.float64], wavelengths_nm: NDArray[np.float64] | None, polarisation: str
+        self,
+        theta_rad: NDArray[np.float64],
+        wavelengths_nm: NDArray[np.float64] | None,
+        polarisation: str,
+        seed: int = 0,
     ) -> Spectrum:
-        """Integrate the stored arrays.
+        """Integrate the stored arrays; `seed` is of a pearl's random walk.
 
         Raises:
             UnsupportedError: polarisation asked for, or another wavelength grid.
@@ -179,7 +193,7 @@ class StoredBsdf:
             raise UnsupportedError("a compiled .nacre file holds unpolarised values; give its recipe for s or p")
         from nacre.bsdf.hemisphere import bsdf_spectrum
 
-        return bsdf_spectrum(self.bsdf(wavelengths_nm), theta_rad)
+        return bsdf_spectrum(self.bsdf(wavelengths_nm), theta_rad, seed=seed)
 
 
 def load(path: str | Path) -> Material:

@@ -210,3 +210,49 @@ def test_a_scheduler_that_is_not_there_is_said_in_one_line(tmp_path: Path, monke
     with pytest.raises(NacreError, match="tcp://127.0.0.1:1") as caught:
         run_sweep(sweep, tmp_path / "s.zarr", scheduler="tcp://127.0.0.1:1")
     assert "\n" not in str(caught.value)
+
+
+PEARL = (
+    'family = "pearl"\nstrata = [{resin = {n = 1.5}, thickness_um = 20, platelets = [{volume_fraction = 0.02, '
+    'substrate = {material = "mica", thickness_nm = 400}, coatings = [{material = "TiO2", thickness_nm = 60}]}]}]\n'
+    "base = {albedo = 0.2}\n"
+)
+
+
+def write_pearl_sweep(folder: Path) -> Path:
+    (folder / "pearl.toml").write_text(PEARL)
+    path = folder / "sweep.toml"
+    path.write_text(
+        'recipe = "pearl.toml"\n[axes]\n"base.albedo" = [0.2, 0.5]\n[measure]\nangles_deg = [30]\n'
+        'wavelengths_nm = [450, 650]\nparts = ["diffuse_reflectance"]\n'
+    )
+    return path
+
+
+@pytest.mark.render
+def test_a_points_seed_reaches_the_random_walk(tmp_path: Path) -> None:
+    from nacre.study.points import point_seed
+
+    sweep = load_sweep(write_pearl_sweep(tmp_path))
+    lam = np.array([450.0, 650.0])
+    material = sweep.material.vary({"base.albedo": 0.5})
+    once, again, other = (material.spectrum([0.5], lam, seed=s).diffuse_reflectance for s in (1, 1, 2))
+    np.testing.assert_array_equal(once, again)
+    assert np.all(once != other)
+    np.testing.assert_allclose(once, other, rtol=0.1)
+    found = sweep.measurement.take(material, point_seed({"base.albedo": 0.5}))["diffuse_reflectance"]
+    same = material.spectrum([np.radians(30)], lam, seed=point_seed({"base.albedo": 0.5})).diffuse_reflectance
+    np.testing.assert_array_equal(found, same)
+
+
+@pytest.mark.full
+@pytest.mark.render
+def test_two_workers_over_tcp_walk_a_pearl_as_one_does(tmp_path: Path) -> None:
+    sweep = load_sweep(write_pearl_sweep(tmp_path))
+    run_sweep(sweep, tmp_path / "one.zarr", workers=1)
+    with dask_over_tcp(tmp_path, 2) as address:
+        assert run_sweep(sweep, tmp_path / "two.zarr", scheduler=address) == (2, 0)
+    expected, found = read_all(tmp_path / "one.zarr"), read_all(tmp_path / "two.zarr")
+    assert expected.keys() == found.keys()
+    for name, values in expected.items():
+        np.testing.assert_allclose(found[name], values, rtol=ACROSS_PROCESSES, atol=ACROSS_PROCESSES)

@@ -92,8 +92,8 @@ class Blend:
         )
         return Bsdf(lobes, {"first": dict(parts[0].provenance), "second": dict(parts[1].provenance)})
 
-    def spectrum(self, theta_rad: Array, wavelengths_nm: Array | None, polarisation: str) -> Spectrum:
-        """Return the spectra of both, weighed by the mask's mean over the surface.
+    def spectrum(self, theta_rad: Array, wavelengths_nm: Array | None, polarisation: str, seed: int = 0) -> Spectrum:
+        """Return the spectra of both, weighed by the mask's mean over the surface; `seed` is of a pearl among them.
 
         Raises:
             NacreError: as either material.
@@ -101,8 +101,8 @@ class Blend:
         axis = (np.arange(64) + 0.5) / 64
         uv = np.stack(np.meshgrid(axis, axis), axis=-1)
         share = float(self.mask(uv).mean())
-        one = self.first.spectrum(theta_rad, wavelengths_nm, polarisation)
-        other = self.second.spectrum(theta_rad, one.wavelengths_nm, polarisation)
+        one = self.first.spectrum(theta_rad, wavelengths_nm, polarisation, seed=seed)
+        other = self.second.spectrum(theta_rad, one.wavelengths_nm, polarisation, seed=seed)
         names = {**one.parts(), **other.parts()}
         zero = np.zeros((len(one.angles_deg), len(one.wavelengths_nm)))
         mixed = {n: share * one.parts().get(n, zero) + (1 - share) * other.parts().get(n, zero) for n in names}

@@ -194,13 +194,15 @@ class Layered(Lobe):
         values: Array = _walk("evaluate_layered")(self, wi, wo, samples=DEFAULT_SAMPLES, seed=0, uv=uv)[0]
         return values
 
-    def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
+    def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64, seed: int = 0) -> tuple[Array, Array]:
         """Return the power that leaves on either side, mirror reflection left out, from `nodes`^2 walks a wavelength.
+
+        Another `seed` gives independent noise.
 
         Raises:
             UnsupportedError: no LLVM for the walk.
         """
-        result: tuple[Array, Array] = _walk("hemispherical_layered")(self, wi, samples=nodes * nodes, seed=0, uv=uv)
+        result: tuple[Array, Array] = _walk("hemispherical_layered")(self, wi, samples=nodes * nodes, seed=seed, uv=uv)
         return result
 
     def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:

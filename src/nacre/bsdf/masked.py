@@ -7,7 +7,7 @@ material is solved at some values of the number, and each of these nodes is ther
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,10 +100,11 @@ class MaskedLobe(Lobe):
         share = self.share(uv, cos_i.shape)[..., None]
         return SpecularResponse(inner.reflectance * share, inner.transmittance * share)
 
-    def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
-        """Return the inner lobe's reflected and transmitted sums times the share."""
+    def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64, seed: int = 0) -> tuple[Array, Array]:
+        """Return the inner lobe's reflected and transmitted sums times the share; `seed` is a walk's."""
         share = float(self.share(uv, ()))
-        reflected, transmitted = self.inner.hemispherical(wi, uv, nodes)
+        walk: dict[str, Any] = {"seed": seed} if self.inner.is_stochastic else {}
+        reflected, transmitted = self.inner.hemispherical(wi, uv, nodes, **walk)
         return reflected * share, transmitted * share
 
 

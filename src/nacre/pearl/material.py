@@ -312,8 +312,8 @@ class Pearl:
             tables.append(interface_loss(face, float(n[i]), float(n[i + 1])) if wanted else np.zeros((2, 65)))
         return np.stack(tables)
 
-    def spectrum(self, theta_rad: Array, wavelengths_nm: Array | None, polarisation: str) -> Spectrum:
-        """Reflectance and transmittance of the whole, from the walk.
+    def spectrum(self, theta_rad: Array, wavelengths_nm: Array | None, polarisation: str, seed: int = 0) -> Spectrum:
+        """Reflectance and transmittance of the whole, from the walk; another `seed` gives independent noise.
 
         Raises:
             UnsupportedError: s or p light (the walk carries unpolarised light), or no LLVM for the walk.
@@ -322,7 +322,7 @@ class Pearl:
             raise UnsupportedError("a pearl scatters light many times and is known for unpolarised light only")
         from nacre.bsdf.hemisphere import bsdf_spectrum
 
-        return bsdf_spectrum(self.bsdf(wavelengths_nm), theta_rad)
+        return bsdf_spectrum(self.bsdf(wavelengths_nm), theta_rad, seed=seed)
 
     def figure_data(self, kind: str, **options: Any) -> dict[str, NDArray[Any]]:
         """Arrays of a figure: "platelet" gives R and T of each kind of flake in its resin.

@@ -51,8 +51,10 @@ class Measurement:
             NacreError: the material cannot be computed.
         """
         theta = np.radians(self.angles_deg)
-        colours = material.spectrum(theta)  # on the material's own grid: fine enough, and wide enough for a colour
-        stored = None if self.wavelengths_nm is None else material.spectrum(theta, np.asarray(self.wavelengths_nm))
+        # on the material's own grid: fine enough, and wide enough for a colour
+        colours, stored = material.spectrum(theta, seed=seed), None
+        if self.wavelengths_nm is not None:
+            stored = material.spectrum(theta, np.asarray(self.wavelengths_nm), seed=seed)
         white = white_xyz(self.illuminant, self.observer)
         arrays: dict[str, Array] = {}
         for part in self.parts:
