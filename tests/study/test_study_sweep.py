@@ -19,6 +19,7 @@ from nacre.study.points import point_seed, read_points
 from nacre.study.sweep import Store, load_sweep, run_sweep
 
 ACROSS_PROCESSES = 1e-12  # the same code on the same machine; a sum may be ordered differently
+KILLS = 20
 RECIPE = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n'
 
 
@@ -172,20 +173,26 @@ def test_a_killed_worker_costs_no_point(tmp_path: Path) -> None:
     killed = 0
     generator = random.Random(6)
 
+    def is_worker(process: psutil.Process) -> bool:
+        try:
+            words = " ".join(process.cmdline())
+        except psutil.Error:  # killed before, and not yet buried
+            return False
+        return "forkserver" not in words and "resource_tracker" not in words
+
+    due = sorted(generator.uniform(0, 0.95 * sweep.points.count) for _ in range(KILLS))
+
     def progress(done: int, failed: int, total: int) -> None:
         nonlocal killed
-        if killed < 3 and done > 100 * (killed + 1):
-            children = [
-                c for c in psutil.Process().children(recursive=True) if "forkserver" not in " ".join(c.cmdline())
-            ]
-            workers = [c for c in children if "resource_tracker" not in " ".join(c.cmdline())]
+        if killed < KILLS and done > due[killed]:
+            workers = [c for c in psutil.Process().children(recursive=True) if is_worker(c)]
             if workers:
                 generator.choice(workers).kill()
                 killed += 1
 
     finished, failed = run_sweep(sweep, tmp_path / "two.zarr", workers=2, progress=progress)
     assert (finished, failed) == (sweep.points.count, 0)
-    assert killed > 0
+    assert killed == KILLS
     expected, found = read_all(tmp_path / "reference.zarr"), read_all(tmp_path / "two.zarr")
     for name, values in expected.items():
         np.testing.assert_allclose(found[name], values, rtol=1e-12)
