@@ -53,6 +53,13 @@ def draw(mi, lobe, wi, count, seed=5):
     return np.array(d).T.astype(float), np.array(f[0]).astype(float), np.array(mirror | mi.Bool(mi.Float(f[0]) < 0))
 
 
+def dr_where(mask, value):
+    """The value where the mask holds, else 0."""
+    import drjit as dr
+
+    return dr.select(mask, value, 0.0)
+
+
 def values(mi, lobe, wi, count, below, seed=6):
     """Directions drawn by their cosine and f cos / pdf there."""
     from nacre.render.plugins.layered_device import Strata
@@ -98,6 +105,30 @@ def test_sample_and_eval_agree_within_half_a_percent(mi, name):
         assert z < MAX_Z
         if i % 2 == 0:
             assert difference < max(ALBEDO_BAR, 3 * error)
+
+
+@pytest.mark.parametrize("name", ["smooth top", "compensated", "open, rough, two strata"])
+def test_one_walk_for_both_gives_what_two_walks_give(mi, name):
+    """A path tracer asks for value and sample together; the walk that serves both must have the means of both."""
+    from nacre.render.plugins.layered_device import Strata
+    from nacre.render.plugins.layered_walk import eval_walk, joint_walk, sample_walk
+
+    strata, count, wi = Strata(layered_lobe(**CASES[name])), 200_000, mi.Vector3f(*direction(40, 30).tolist())
+    where = strata.axis.locate(mi.Spectrum(450.0, 520.0, 580.0, 650.0))
+    wo = mi.Vector3f(*direction(50, 190).tolist())
+    yes = mi.Bool(True)
+    value, d, weight, mirror = joint_walk(strata, mi.PCG32(size=count, initstate=1), wi, wo, where, yes, yes)
+    alone = eval_walk(strata, mi.PCG32(size=count, initstate=2), wi, wo, where, yes)
+    d_alone, weight_alone, mirror_alone = sample_walk(strata, mi.PCG32(size=count, initstate=3), wi, where, yes)
+    pairs = [(value[0], alone[0])]
+    for image in (False, True):  # mirror images, and the rest
+        parts = ((d, weight, mirror), (d_alone, weight_alone, mirror_alone))
+        pairs.append(tuple(dr_where(m if image else ~m, w[0] * (2 + x.z + x.x)) for x, w, m in parts))
+    for one, two in pairs:
+        a, b = np.array(one).astype(float), np.array(two).astype(float)
+        error = np.sqrt((a.var() + b.var()) / count)
+        assert abs(a.mean() - b.mean()) <= MAX_Z * error
+        assert error <= 0.02 * max(abs(b.mean()), 1e-3)
 
 
 def test_single_weights_stay_at_one_in_a_furnace(mi):

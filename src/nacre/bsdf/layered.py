@@ -25,7 +25,6 @@ WALKS = "nacre.render.plugins.layered"
 DEFAULT_SAMPLES = 4096
 
 BASES = ("none", "diffuse", "specular", "lobes")
-QUALITIES = ("reference", "fast")
 
 
 @register_lobe
@@ -61,9 +60,6 @@ class Layered(Lobe):
         base: "none" (open), "diffuse", "specular" or "lobes".
         base_reflectance: `[cos, wavelength]`, albedo (one row) or reflectance by the cosine in the last
             resin, uniform nodes in [0, 1]; ignored without base.
-        quality: "reference" walks; "fast" uses `fast_table`.
-        fast_table: noise-free part of the fast route, or None.
-        fast_error: relative L2 error of the fast route, `[wavelength]`, or None.
         base_lobes: of a base of "lobes": another opaque material, on wavelengths of its own, whose directions are
             those inside the last resin.
     """
@@ -88,9 +84,6 @@ class Layered(Lobe):
     glint_numbers: Array | None = None
     glint_radii: Array | None = None
     glint_ratio: Array | None = None
-    quality: str = "reference"
-    fast_table: Array | None = None
-    fast_error: Array | None = None
     base_lobes: tuple[Lobe, ...] = ()
 
     AXES: ClassVar[dict[str, str]] = {
@@ -111,7 +104,6 @@ class Layered(Lobe):
         "glint_radii": "kind quantile",
         "glint_ratio": "kind node",
         "base_reflectance": "cos wavelength",
-        "fast_error": "wavelength",
     }
 
     @property
@@ -132,7 +124,7 @@ class Layered(Lobe):
     @property
     def is_stochastic(self) -> bool:
         """Whether values come from the random walk."""
-        return self.quality == "reference"
+        return True
 
     @property
     def varying(self) -> tuple[str, ...]:
@@ -155,8 +147,6 @@ class Layered(Lobe):
             inner.check()
             if inner.transmits or inner.is_stochastic or inner.kind in ("layered", "flaked"):
                 raise ValueError(f'a lobe of kind "{inner.kind}" that is open or a pearl cannot be a base')
-        if self.quality not in QUALITIES:
-            raise ValueError(f'quality "{self.quality}" is not one of {", ".join(QUALITIES)}')
         if s < 1 or self.index.shape != (s,) or not np.all(self.index >= 1):
             raise ValueError("index needs one number of at least 1 a stratum")
         shapes = {

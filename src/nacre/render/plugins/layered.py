@@ -23,7 +23,7 @@ from nacre.render.plugins.base import MIN_COS, LobePlugin, flag, opaque
 from nacre.render.plugins.facets import Ggx
 from nacre.render.plugins.layered_device import Strata
 from nacre.render.plugins.layered_evaluate import evaluate_layered, hemispherical_layered
-from nacre.render.plugins.layered_walk import eval_walk, make_rng, sample_walk
+from nacre.render.plugins.layered_walk import eval_walk, joint_walk, make_rng, sample_walk
 
 __all__ = ["LayeredPlugin", "Proxy", "evaluate_layered", "hemispherical_layered"]
 
@@ -60,13 +60,15 @@ class LayeredPlugin(LobePlugin):
         if self.has_mirror and lobe.transmits:
             self.components = (*self.components[:-1], self.components[-1] | int(mi.BSDFFlags.DeltaTransmission))
         self.proxy = Proxy(lobe)
+        self._waiting: Any = None
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Follow the light through the strata; the weight is what the four wavelengths still carry."""
         active = mi.Bool(active) & (dr.abs(si.wi.z) > MIN_COS)
         rng = make_rng(sample1, sample2.x, sample2.y, si.p.x, si.p.y, si.p.z, si.wavelengths[0])
         where = self.strata.locate(si, active)
-        wo, weight, mirror = sample_walk(self.strata, rng, si.wi, where, active)
+        drawn = self._take(si)
+        wo, weight, mirror = sample_walk(self.strata, rng, si.wi, where, active) if drawn is None else drawn
         bs = dr.zeros(mi.BSDFSample3f)
         bs.wo = wo
         bs.eta = mi.Float(1.0)
@@ -85,8 +87,28 @@ class LayeredPlugin(LobePlugin):
         return bs, dr.select(alive, weight, 0.0)
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Walk with a connection to `wo` at each vertex; the density is the proxy's."""
-        return self.eval(ctx, si, wo, active, enabled), self.pdf(ctx, si, wo, active, enabled)
+        """Walk with a connection to `wo` at each vertex; the density is the proxy's.
+
+        A path tracer asks for value and sample together, and Mitsuba passes this on as `eval_pdf`, then `sample`,
+        of the same interaction: one walk serves both. It is connected to `wo` on its way and leaves by itself.
+        Their noise is correlated, which adds no bias, since what they bring is added up.
+        """
+        if not dr.flag(dr.JitFlag.SymbolicScope):  # calls by hand may repeat their arguments: no draw of theirs
+            return self.eval(ctx, si, wo, active, enabled), self.pdf(ctx, si, wo, active, enabled)
+        seen = mi.Bool(active) & (dr.abs(si.wi.z) > MIN_COS)
+        wanted = seen & self._wanted(si.wi, wo, enabled)
+        rng = make_rng(si.p.x, si.p.y, si.p.z, si.wi.x, si.wi.y, si.wi.z, wo.x, wo.y, wo.z, si.wavelengths[0])
+        where = self.strata.locate(si, seen)
+        value, *drawn = joint_walk(self.strata, rng, si.wi, wo, where, seen, wanted)
+        self._waiting = (si, drawn)
+        return value, dr.select(wanted, self._density(si, wo, wanted), 0.0)
+
+    def _take(self, si: Any) -> Any:
+        """Return the draw of the walk that `eval_pdf` has just made for this interaction; None if there is none."""
+        waiting, self._waiting = self._waiting, None
+        if waiting is None or _identity(waiting[0]) != _identity(si):
+            return None
+        return waiting[1]
 
     def eval(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Estimate value * |cos wo|."""
@@ -186,6 +208,11 @@ class Proxy:
         facets = Ggx(alpha, alpha)
         value = 0.25 * facets.spread(up, h, cos)
         return dr.select((cos > 1e-6) & (h.z > 1e-6) & (up.z > 1e-6) & (out.z > 0), value, 0.0)
+
+
+def _identity(si: Any) -> tuple[int, ...]:
+    """Tell interactions apart while they are recorded; who holds one keeps its numbers from being given away."""
+    return (si.p.x.index, si.p.y.index, si.wi.x.index, si.wi.y.index, si.wavelengths[0].index)
 
 
 def _refracted(w: Any, scale: Any) -> Any:

@@ -344,7 +344,7 @@ def structure(lobe: Layered) -> tuple[Any, ...]:
     return (
         lobe.strata, lobe.base, tuple(roughness(lobe).tolist()), tuple(lobe.is_beckmann.tolist()),
         tuple(lobe.flake_stratum.tolist()), bool(np.all(lobe.flake_frame == np.eye(3))), shapes,
-        lobe.dye is not None, lobe.dye_phase is not None, lobe.loss is not None, lobe.quality,
+        lobe.dye is not None, lobe.dye_phase is not None, lobe.loss is not None,
         lobe.glint_numbers is not None,
         tuple(inner.kind for inner in lobe.base_lobes),
     )  # fmt: skip
