@@ -8,9 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.layered import Layered
+from nacre.matter.spec import IndexSpec
+from nacre.pearl.dye import Dye, DyeResponse, dye_response
 from nacre.pearl.interface import interface_loss
 from nacre.pearl.material import Interface
 from nacre.pearl.medium import FlakeNormals, cos_nodes, mean_extinction, rotation_matrix, visible_weights
+from nacre.pearl.thickness import Thickness
 
 Array = NDArray[np.float64]
 WAVELENGTHS_NM = np.arange(360.0, 831.0, 10.0)
@@ -27,6 +30,18 @@ def lossless_flakes(cos: Array) -> tuple[Array, Array]:
     return 0.7 - 0.4 * cos, 0.3 + 0.4 * cos
 
 
+def dissolved_dye(strength: float = 1.0) -> DyeResponse:
+    """A dye that only absorbs: blue ten times as much as red."""
+    return DyeResponse(strength * np.geomspace(1.5, 0.15, len(WAVELENGTHS_NM)), np.zeros(len(WAVELENGTHS_NM)))
+
+
+def sphere_dye(radius_nm: float = 150.0, fraction: float = 0.002) -> DyeResponse:
+    """Spheres of many sizes that absorb and scatter (Mie), in 10 um of resin."""
+    pigment = IndexSpec.model_validate({"n": 2.4, "k": 0.03}).build()
+    dye = Dye(pigment, fraction, Thickness(radius_nm, 0.2 * radius_nm, "lognormal"))
+    return dye_response(dye, np.full(len(WAVELENGTHS_NM), 1.575), 10_000.0, WAVELENGTHS_NM)
+
+
 def layered_lobe(
     number: float = 3.0,
     deviation: Sequence[float] = (0.2, 0.2),
@@ -40,6 +55,7 @@ def layered_lobe(
     bottom: float = 0.0,
     beckmann: bool = False,
     compensate: bool = False,
+    dye: DyeResponse | None = None,
 ) -> Layered:
     """Build a grey layered lobe; `index` may list several strata, `alpha` one row a stratum."""
     n = np.atleast_1d(np.asarray(index, dtype=float))
@@ -81,6 +97,9 @@ def layered_lobe(
         base=base,
         base_reflectance=np.full((1, count), albedo),
         loss=loss,
+        dye=None if dye is None else np.tile(np.stack([dye.extinction, dye.scattering], axis=-1), (strata, 1, 1)),
+        dye_phase=None if dye is None or dye.phase is None else np.tile(dye.phase, (strata, 1, 1)),
+        dye_quantile=None if dye is None or dye.quantile is None else np.tile(dye.quantile, (strata, 1, 1)),
     )
 
 

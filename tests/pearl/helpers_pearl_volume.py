@@ -77,7 +77,7 @@ def _interface(v: Any, eta: float, ax: float, ay: float) -> tuple[Any, bool]:
 @numba.njit(cache=False)
 def trace_slab(
     count: int, seed: int, number: float, root: Any, coefficients: Any, ax: float, ay: float, index: float,
-    albedo: float, wi: Any,
+    albedo: float, wi: Any, dye_extinction: float, dye_scattering: float, dye_phase: Any,
 ) -> Any:  # fmt: skip
     """Trace `count` paths from `wi`.
 
@@ -85,6 +85,8 @@ def trace_slab(
         number: flakes along the mean normal.
         root: A with A A^T = S.
         coefficients: r0, r1, t0, t1 of R = r0 + r1 c, T = t0 + t1 c.
+        dye_extinction, dye_scattering: optical thicknesses of a dye along the normal.
+        dye_phase: its phase function over uniform nodes of the cosine in [-1, 1], drawn by rejection.
 
     Returns:
         exit directions `[count, 3]`, zero where absorbed.
@@ -100,7 +102,7 @@ def trace_slab(
             total += math.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
     total *= 4 / (2 * grid * grid)
     result = np.zeros((count, 3))
-    rate = 0.5 * number * total
+    rate = 0.5 * number * total + dye_extinction
     r0, r1, t0, t1 = coefficients
     for path in range(count):
         w, good = _interface(wi, index, ax, ay)
@@ -128,6 +130,22 @@ def trace_slab(
                     break
                 r, phi = math.sqrt(np.random.random()), 2 * math.pi * np.random.random()
                 w = np.array([r * math.cos(phi), r * math.sin(phi), math.sqrt(max(1e-12, 1 - r * r))])
+            elif np.random.random() * rate < dye_extinction:
+                if np.random.random() * dye_extinction >= dye_scattering:
+                    break
+                while True:
+                    c = 2 * np.random.random() - 1
+                    at = 0.5 * (c + 1) * (len(dye_phase) - 1)
+                    low = min(int(at), len(dye_phase) - 2)
+                    here = dye_phase[low] + (at - low) * (dye_phase[low + 1] - dye_phase[low])
+                    if np.random.random() * dye_phase.max() < here:
+                        break
+                s, phi = math.sqrt(1 - c * c), 2 * math.pi * np.random.random()
+                side = np.array([1.0, 0.0, 0.0]) if abs(w[2]) > 0.5 else np.array([0.0, 0.0, 1.0])
+                a = np.cross(w, side)
+                a /= math.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2)
+                w = c * w + s * math.cos(phi) * a + s * math.sin(phi) * np.cross(w, a)
+                w /= math.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2)
             else:
                 while True:  # a normal from D: uniform n, kept in proportion to |A n| (at most 1)
                     c, phi = 2 * np.random.random() - 1, 2 * math.pi * np.random.random()
