@@ -8,7 +8,7 @@ import resource
 
 import numpy as np
 import pytest
-from helpers_pearl import direction, layered_lobe, lossless_flakes
+from helpers_pearl import direction, dissolved_dye, layered_lobe, lossless_flakes, sphere_dye
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.hemisphere import hemisphere_nodes
@@ -18,6 +18,7 @@ from nacre.recipe import material
 
 MEAN_BAR = 0.02  # of the stated error, issue's bar
 SAMPLE_BAR = 0.005
+REFERENCE_NOISE_BAR = 0.003  # of the walks that the stated error is held against, in the same measure
 CHI_SQUARE_LEVEL = 0.01
 EFFORT = 0.1  # of a bake in the plain tests
 
@@ -37,6 +38,7 @@ def thinned(lobe: Layered, every: int = 12) -> Layered:
         flake_response=lobe.flake_response[:, :, ::every],
         flake_extinction=lobe.flake_extinction[..., ::every],
         base_reflectance=lobe.base_reflectance[:, ::every],
+        dye=None if lobe.dye is None else lobe.dye[:, ::every],
     )
 
 
@@ -44,6 +46,7 @@ CASES = {
     "smooth": dict(alpha=(0.0, 0.0), deviation=(0.1, 0.1)),
     "rough": dict(alpha=(0.2, 0.2), deviation=(0.05, 0.05), number=10.0),
     "two kinds": dict(kinds=2, number=4.0),
+    "dye": dict(dye=dissolved_dye(0.5), number=2.0, albedo=0.8),
 }
 
 
@@ -122,8 +125,23 @@ def test_a_smooth_lossless_furnace_is_white(effort, bar):
         assert np.all(total == pytest.approx(1.0, abs=bar))
 
 
+def test_a_dye_takes_from_the_base_what_beer_and_lambert_say():
+    """Without flakes, under a smooth face: light crosses the dye once each way, and again for each return."""
+    lobe = thinned(layered_lobe(0.0, alpha=(0, 0), albedo=0.7, dye=dissolved_dye()))
+    table = tables(lobe, EFFORT)
+    depth, mu = lobe.dye[0, :, 0], (np.arange(20_000) + 0.5) / 20_000
+    # diffuse light that rises, is reflected by the face and comes down again
+    inside = np.array([np.mean(2 * mu * fresnel(mu, 1 / 1.575) * np.exp(-2 * d / mu)) for d in depth])
+    outer = np.array([0.9, 0.4])
+    inner = np.sqrt(1 - (1 - outer**2) / 1.575**2)
+    passes = np.prod(1 - fresnel(outer, 1.575)) * np.exp(-depth * np.sum(1 / inner))
+    expected = passes * 0.7 / (np.pi * 1.575**2 * (1 - 0.7 * inside))
+    value = table.evaluate(*(direction(np.degrees(np.arccos(c)), 70.0 * i) for i, c in enumerate(outer)))
+    assert value == pytest.approx(expected, rel=0.01)
+
+
 @pytest.mark.render
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [name for name in CASES if name != "dye"])
 def test_samples_follow_the_density_and_the_values(baked, name):
     from nacre.render import use_variant
 
@@ -171,6 +189,7 @@ OBSTACLES = {
     "rotated": dict(rotation_deg=(10, 0, 0)),
     "several strata": dict(index=[1.575, 1.4], number=1.0),
     "base": dict(base="none"),
+    "dye scatters": dict(dye=sphere_dye()),
     "Beckmann": dict(beckmann=True),
     "compensated": dict(alpha=(0.3, 0.3), compensate=True),
     "interface is anisotropic": dict(alpha=(0.1, 0.3)),
@@ -227,16 +246,28 @@ def random_material(seed: int) -> Layered:
         "platelets": flakes,
     }  # fmt: skip
     recipe = {"family": "pearl", "strata": [stratum], "base": {"albedo": float(rng.uniform(0.0, 0.9))}}
-    return material(recipe).bsdf(np.arange(400.0, 701.0, 50.0)).lobes[0]
+    return material(recipe).bsdf(np.array([450.0, 550.0, 650.0])).lobes[0]
 
 
 @pytest.mark.full
-def test_the_stated_error_holds_for_nineteen_of_twenty_random_materials():
+def test_the_stated_error_holds_for_nineteen_of_twenty_random_materials(monkeypatch):
+    """Against walks of their own, in the bins of the check, where noise is taken off in the mean; and in bins so
+    large, and so many walks, that the noise itself is below 0.3 % of the light."""
+    import nacre.pearl.fast as fast
+
+    made = [(lobe := random_material(seed), bake(lobe, 0.35, seed=1)) for seed in range(20)]
+    fine = [check(lobe, table, 0.7, seed=9000 + seed)[0] for seed, (lobe, table) in enumerate(made)]
+    assert sum(error.mean() <= table.error.mean() for error, (_, table) in zip(fine, made, strict=True)) >= 19
+    monkeypatch.setattr(fast, "RINGS", np.array([6, 2]))
+    monkeypatch.setattr(fast, "MIDPOINTS", np.array([40, 18]))
     held, stated = 0, []
-    for seed in range(20):
-        lobe = random_material(seed)
-        table = bake(lobe, 0.35, seed=1)
-        error, _ = check(lobe, table, 0.7, seed=5000 + seed)
+    for seed, (lobe, table) in enumerate(made):
+        for walks in (400_000, 800_000, 1_600_000, 3_200_000):
+            monkeypatch.setattr(fast, "CHECK_WALKS", walks)
+            error, noise = check(lobe, table, 1.0, seed=5000 + seed)
+            if noise.mean() < REFERENCE_NOISE_BAR:
+                break
+        assert noise.mean() < REFERENCE_NOISE_BAR
         held += bool(error.mean() <= table.error.mean())
         stated.append(table.error.mean())
     assert held >= 19
