@@ -74,6 +74,9 @@ def test_there_are_nine_bottles_three_cars_and_three_fits():
     [
         (FLAKE + "volume_fraction", 0.0, "volume_fraction"),
         (FLAKE + "volume_fraction", 0.31, "volume_fraction"),
+        (FLAKE + "volume_fraction", -0.1, "volume_fraction"),
+        (FLAKE + "coatings.0.thickness_nm", -140, "thickness_nm"),
+        (FLAKE + "coatings.0.deviation_nm", -3, "deviation_nm"),
         (FLAKE + "substrate.deviation_nm", -5, "deviation_nm"),
         (FLAKE + "normal_deviation", -0.1, "normal_deviation"),
         (FLAKE + "normal_deviation", [0.1, 2.0], "normal_deviation"),
@@ -81,7 +84,10 @@ def test_there_are_nine_bottles_three_cars_and_three_fits():
         (FLAKE + "substrate.material", "mcia", "mica"),
         (FLAKE + "substrat", 1, "substrate"),
         ("strata.0.thickness_um", 0.0, "thickness_um"),
+        ("strata.0.thickness_um", -3, "thickness_um"),
         ("strata.0.thickness_um", None, "thickness"),
+        ("strata.0.dye", {"material": {"n": 2.0}, "volume_fraction": -0.1}, "volume_fraction"),
+        ("strata.0.dye", {"material": {"n": 2.0}, "volume_fraction": 0.01, "radius_nm": -3}, "radius_nm"),
         ("strata.0.resin", {"n": 1.5, "k": -0.1}, "k"),
         ("strata.0.roughness", 1.5, "roughness"),
         ("strata", [], "strata"),
@@ -95,6 +101,16 @@ def test_bad_input_is_one_clear_line(path, value, words):
     with pytest.raises(NacreError, match=words) as caught:
         material(changed(path, value))
     assert "\n" not in str(caught.value)
+
+
+def test_a_resin_thinner_than_air_is_refused_in_one_line():
+    with pytest.raises(NacreError, match=r"strata\[0\]\.resin has an index of 0\.5") as caught:
+        material(changed("strata.0.resin", {"n": 0.5})).bsdf(COARSE)
+    assert "\n" not in str(caught.value)
+
+
+def test_platelets_may_fill_three_tenths():
+    assert material(changed(FLAKE + "volume_fraction", 0.3)).bsdf(COARSE).lobes[0].flake_number[0] > 50
 
 
 def test_a_histogram_that_does_not_sum_is_refused_with_its_key(tmp_path):

@@ -273,6 +273,32 @@ def test_flat_opaque_flakes_are_kubelka_and_munks_limit_under_a_coat(mi, reflect
         assert abs(weight.mean() - expected) < 0.01 * expected + 2 * error
 
 
+def test_nine_kinds_alike_are_one_of_nine_times_the_number(mi):
+    means, errors = [], []
+    for kinds in (1, 9):
+        lobe = first_wavelengths(layered_lobe(number=3.0, kinds=kinds))
+        wo, estimate = values(mi, lobe, direction(40), 100_000, False)
+        means.append([estimate.mean(), (estimate * wo[:, 2] ** 4).mean()])
+        errors.append([estimate.std(), (estimate * wo[:, 2] ** 4).std()])
+    error = np.hypot(*errors) / np.sqrt(100_000)
+    assert np.all(error < 0.02 * np.array(means[0]))
+    assert np.all(np.abs(np.subtract(*means)) < MAX_Z * error)
+
+
+def test_flakes_on_edge_let_light_pass_and_stay_finite(mi):
+    """Turned by 90 degrees the flakes show their edges to light from above: little of it is turned back."""
+    flat, edge = (
+        layered_lobe(6.0, (0.05, 0.05), (0, 0), albedo=0.0, base="none", rotation_deg=(turn, 0, 0)) for turn in (0, 90)
+    )
+    passed = []
+    for lobe in (flat, edge):
+        d, weight, _ = draw(mi, lobe, direction(0.0), 100_000)
+        _, estimate = values(mi, lobe, direction(0.0), 100_000, False)
+        assert np.all(np.isfinite(weight)) and np.all(np.isfinite(estimate))
+        passed.append((weight * (d[:, 2] < 0)).mean())
+    assert passed[1] > passed[0] + 0.1
+
+
 def test_the_plugin_needs_an_llvm_variant(mi):
     from nacre.errors import UnsupportedError
     from nacre.render.plugins.layered import LayeredPlugin

@@ -205,7 +205,7 @@ class Pearl:
         extinctions = _same_azimuths(extinctions)
         interfaces = [stratum.surface for stratum in self.strata] + [self.base.surface]
         alpha = np.array([[face.alpha_x, face.alpha_y] for face in interfaces])
-        index = np.array([_index(stratum.resin) for stratum in self.strata])
+        index = np.array([_index(stratum.resin, i) for i, stratum in enumerate(self.strata)])
         dye, phase, quantile = self._dyes(lam)
         lobe = Layered(
             wavelengths_nm=lam,
@@ -366,8 +366,13 @@ def _is_pearl(lobe: Lobe) -> bool:
     return lobe.kind in ("layered", "flaked") or (inner is not None and _is_pearl(inner))
 
 
-def _index(resin: OpticalConstant) -> float:
-    return float(resin.n_complex(np.array([INDEX_NM]))[0].real)
+def _index(resin: OpticalConstant, stratum: int) -> float:
+    found = float(resin.n_complex(np.array([INDEX_NM]))[0].real)
+    if found < 1:  # a metal, or a slip: light is not followed in what is thinner than the air around
+        raise NacreError(
+            f"strata[{stratum}].resin has an index of {found:.4g} at {INDEX_NM:g} nm; it must be at least 1"
+        )
+    return found
 
 
 def _response(stratum: Stratum, flakes: Flakes, count: int, lam: Array) -> PlateletResponse:
