@@ -151,15 +151,26 @@ def test_recipes_that_hold_each_other_end(tmp_path: Path, capsys: pytest.Capture
     fails(capsys, ["spectrum", str(tmp_path / "a.toml")], "a.toml")
 
 
+# a job that a shell puts into the background ignores the keyboard's interrupt; this one shall not
+AT_A_TERMINAL = """
+import signal, runpy
+signal.signal(signal.SIGINT, signal.default_int_handler)
+runpy.run_module("nacre", run_name="__main__", alter_sys=True)
+"""
+
+
 def stopped_render(folder: Path, after_s: float, stop: signal.Signals, spp: int) -> tuple[int, str]:
     """Start a render far too long to end, stop it after a while; return its exit status and what it said."""
     (folder / "film.toml").write_text(GOOD)
     options = ["--size", "256x256", "--spp", str(spp), "-o", "x.png"]
-    command = [sys.executable, "-m", "nacre", "render", "film.toml", *options]
-    process = subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True)
-    time.sleep(after_s)
-    process.send_signal(stop)
-    _, said = process.communicate(timeout=60)
+    command = [sys.executable, "-c", AT_A_TERMINAL, "render", "film.toml", *options]
+    with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            time.sleep(after_s)
+            process.send_signal(stop)
+            _, said = process.communicate(timeout=60)
+        finally:
+            process.kill()  # if it did not stop
     return process.returncode, said
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -234,7 +235,10 @@ def join(frames: tuple[Path, ...], path: Path) -> None:
             macro_block_size=2,
             ffmpeg_log_level="error",
         )
-        writer.send(None)
+        with warnings.catch_warnings():
+            # JAX, if it was used before, warns of any fork; this one becomes ffmpeg at once
+            warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
+            writer.send(None)
         try:
             for name in frames:
                 with Image.open(name) as picture:
