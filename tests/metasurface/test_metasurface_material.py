@@ -233,6 +233,15 @@ def test_a_series_without_a_limit_cannot_be_accepted():
     assert "accept" not in str(e.value)
 
 
+def test_a_layer_of_almost_no_particles_is_refused():
+    data = {**SILVER_ON_GLASS, "monolayer": {"density_per_um2": 1e-300, "packing": 0.5}}
+    with pytest.raises(RecipeError, match=r"density_per_um2 = 1e-300 covers .* from 0.0001 to 0.7"):
+        material(data)
+    data["monolayer"]["density_per_um2"] = 0.01
+    with pytest.raises(RecipeError, match=r"packing = 0.5 keeps particles 7.98 um apart .* at most 0.126"):
+        material(data)
+
+
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda p: p.stem)
 def test_the_examples_converge_over_the_whole_default_range(path):
     made = load(path).model

@@ -24,6 +24,8 @@ from nacre.metasurface.patterns import Pattern
 from nacre.metasurface.structure import PACKING_LIMIT, Structure, hard_disk_structure
 from nacre.specs import RecipeContext, RecipeModel, show_value
 
+LEAST_COVERAGE = 1e-4
+LARGEST_REACH_UM = 4.0  # beyond ten wavelengths S(q) has more rings than light can tell apart, and takes minutes
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
 MAX_THICKNESS_NM = 1e4
@@ -218,11 +220,11 @@ class MetasurfaceSpec(RecipeModel):
             assert layer.density_per_um2 is not None  # one of the two is given, see MonolayerSpec
             density = layer.density_per_um2 * 1e-6
         coverage = float(density * np.pi * outer_nm**2)
-        if coverage > PACKING_LIMIT:
+        if not LEAST_COVERAGE <= coverage <= PACKING_LIMIT:
             raise context.fail(
                 "monolayer.density_per_um2" if layer.coverage is None else "monolayer.coverage",
                 layer.density_per_um2 if layer.coverage is None else layer.coverage,
-                f"covers {coverage:.3g} of the area; it should be at most {PACKING_LIMIT:g}",
+                f"covers {coverage:.3g} of the area; it should be from {LEAST_COVERAGE:g} to {PACKING_LIMIT:g}",
             )
         packing = coverage if layer.packing is None else layer.packing
         if packing < coverage * (1 - 1e-9):
@@ -231,6 +233,14 @@ class MetasurfaceSpec(RecipeModel):
                 packing,
                 f"is below the coverage f = {coverage:.4g}: the particles would overlap; it should be from f to "
                 f"{PACKING_LIMIT:g}",
+            )
+        reach_um = 1e-3 * float(np.sqrt(4.0 * packing / (np.pi * density)))
+        if reach_um > LARGEST_REACH_UM:
+            raise context.fail(
+                "monolayer.packing",
+                packing,
+                f"keeps particles {reach_um:.3g} um apart at this density; it should be at most "
+                f"{packing * (LARGEST_REACH_UM / reach_um) ** 2:.3g}, for {LARGEST_REACH_UM:g} um",
             )
         if kind.sq is not None:
             return sq_structure(context, kind.sq, float(density), packing, q_max), None
