@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from nacre._version import __version__
 from nacre.bsdf import Bsdf
 from nacre.bsdf.masked import MaskedLobe
 from nacre.errors import RecipeError, UnsupportedError
@@ -140,7 +141,7 @@ def plot_material(
     angles_deg: ArrayLike | None = None,
     wavelengths_nm: ArrayLike | None = None,
     illuminant: str = "D65",
-    over: tuple[str, Sequence[float]] | None = None,
+    over: tuple[str, Sequence[float] | Array] | None = None,
 ) -> None:
     """Draw a figure of a material into a PNG, PDF or SVG that carries the recipe; kinds: `nacre.plot.KINDS`.
 
@@ -153,11 +154,15 @@ def plot_material(
     """
     from nacre.plot import save_material
 
-    provenance = {"source": Path(material.context.source).name, "recipe": material.context.text}
     save_material(
         as_drawn(material, kind, over), kind, path, angles_deg=angles_deg, wavelengths_nm=wavelengths_nm,
-        illuminant=illuminant, over=over, provenance=provenance, evaluate=plot_walk,
+        illuminant=illuminant, over=over, provenance=recipe_provenance(material), evaluate=plot_walk,
     )  # fmt: skip
+
+
+def recipe_provenance(material: Material) -> dict[str, Any]:
+    """Return what a file made from a recipe tells of its origin."""
+    return {"nacre": __version__, "source": Path(material.context.source).name, "recipe": material.context.text}
 
 
 def as_drawn(material: Material, kind: str, over: object = None) -> Material:

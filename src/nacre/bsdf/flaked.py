@@ -52,13 +52,20 @@ def place(ax, ay, bx, by, spread, out):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True)
-def flake_lobe(ax, ay, cos_a, bx, by, cos_b, index, alpha, number, deviation):  # type: ignore[no-untyped-def]  # numba
-    """Return K of two directions above the surface, given by their parts in the plane and their cosines."""
+def inner_half(ax, ay, cos_a, bx, by, cos_b, index):  # type: ignore[no-untyped-def]  # numba
+    """Return both cosines inside the resin, the half vector's length along the normal there, and its slope (x, y)."""
     inner_a = math.sqrt(1.0 - (1.0 - cos_a * cos_a) / (index * index))
     inner_b = math.sqrt(1.0 - (1.0 - cos_b * cos_b) / (index * index))
     tall = index * (inner_a + inner_b)
+    return inner_a, inner_b, tall, (ax + bx) / tall, (ay + by) / tall
+
+
+@compiled(nogil=True)
+def flake_lobe(ax, ay, cos_a, bx, by, cos_b, index, alpha, number, deviation):  # type: ignore[no-untyped-def]  # numba
+    """Return K of two directions above the surface, given by their parts in the plane and their cosines."""
+    inner_a, inner_b, tall, sx, sy = inner_half(ax, ay, cos_a, bx, by, cos_b, index)
     bend = ((index * inner_a - cos_a) ** 2 + (index * inner_b - cos_b) ** 2) * (alpha / tall) ** 2
-    slope2 = ((ax + bx) ** 2 + (ay + by) ** 2) / (tall * tall)
+    slope2 = sx * sx + sy * sy
     density, total = 0.0, 0.0
     for k in range(number.size):
         width2 = deviation[k] * deviation[k] + bend
@@ -73,10 +80,7 @@ def flake_lobe(ax, ay, cos_a, bx, by, cos_b, index, alpha, number, deviation):  
 @compiled(nogil=True)
 def sparkle(ax, ay, cos_a, bx, by, cos_b, index, number, deviation, glints, radii, ratio, u, v):  # type: ignore[no-untyped-def]  # numba
     """Return g of two directions at a point, the kinds weighted by their densities at the half vector."""
-    inner_a = math.sqrt(1.0 - (1.0 - cos_a * cos_a) / (index * index))
-    inner_b = math.sqrt(1.0 - (1.0 - cos_b * cos_b) / (index * index))
-    tall = index * (inner_a + inner_b)
-    sx, sy = (ax + bx) / tall, (ay + by) / tall
+    _, _, _, sx, sy = inner_half(ax, ay, cos_a, bx, by, cos_b, index)
     total, weights = 0.0, 0.0
     for k in range(number.size):
         ratio2 = 1.0 / (1.0 + (sx * sx + sy * sy) / (deviation[k] * deviation[k]))

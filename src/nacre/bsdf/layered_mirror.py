@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from nacre.bsdf.layered import Layered
 
 Array = NDArray[np.float64]
-MATCHED = 1e-4  # resins closer in index than this have no interface between them
+MATCHED = 1e-4  # resins closer in index than this have no interface between them, for mirrors and for walks
 
 
 def mirror_powers(lobe: Layered, cos_i: Array, uv: Array | None) -> tuple[Array, Array]:

@@ -34,6 +34,7 @@ def spectrum(
     changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Print reflectance and transmittance of RECIPE over angle and wavelength."""
+    from nacre.api import recipe_provenance
     from nacre.files import check_writable, write_text
 
     if output:
@@ -51,7 +52,7 @@ def spectrum(
         "polarisation": polarisation,
         **{name: value.tolist() for name, value in parts.items()},
     }
-    document["provenance"] = _provenance(material)
+    document["provenance"] = recipe_provenance(material)
     text_csv = _csv(result.wavelengths_nm, angles, parts)
     if output:
         write_text(output, text_csv if output.endswith(".csv") else json.dumps(document) + "\n")
@@ -71,12 +72,6 @@ def _csv(wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np
     return "\n".join(lines) + "\n"
 
 
-def _provenance(material: Any) -> dict[str, Any]:
-    from nacre._version import __version__
-
-    return {"nacre": __version__, "source": Path(material.context.source).name, "recipe": material.context.text}
-
-
 @click.command()
 @click.argument("recipe")
 @click.option("--directions", required=True, metavar="DIRS.npz", help="Arrays wi[N,3] and wo[N,3].")
@@ -93,7 +88,7 @@ def evaluate(
     changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Evaluate the BSDF of RECIPE for given directions (the non-delta part, 1/sr, without the cosine)."""
-    from nacre.api import evaluate_with_error
+    from nacre.api import evaluate_with_error, recipe_provenance
     from nacre.files import atomic_path, check_writable
 
     if Path(output).suffix != ".npz":
@@ -107,7 +102,7 @@ def evaluate(
     arrays: dict[str, Any] = {"f": values, "wavelengths_nm": bsdf.wavelengths_nm}
     if error is not None:
         arrays["f_std"] = error
-    arrays["provenance"] = np.array(json.dumps({**_provenance(material), "seed": seed}))
+    arrays["provenance"] = np.array(json.dumps({**recipe_provenance(material), "seed": seed}))
     with atomic_path(output) as temporary, open(temporary, "wb") as file:
         np.savez(file, **arrays)
     common.note(output)
@@ -157,9 +152,8 @@ def plot(
     over: str | None, part: str | None, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Draw a figure of RECIPE, fit for a paper, or of a sweep: its gamut, a colour-map or parallel coordinates."""
-    from nacre.api import as_drawn, plot_walk
+    from nacre.api import plot_material
     from nacre.files import check_writable
-    from nacre.plot import save_material
 
     is_sweep = Path(recipe).suffix == ".zarr"
     allowed = SWEEP_KINDS if is_sweep else PLOT_KINDS
@@ -184,11 +178,7 @@ def plot(
         raise NacreError("--part is for sweeps; a recipe's figure shows every part")
     grid = common.wavelengths(wavelengths_nm)
     material = common.load_material(recipe, changes)
-    steps = _over(over)
-    save_material(
-        as_drawn(material, kind, steps), kind, path, angles_deg=angles, wavelengths_nm=grid, illuminant=illuminant,
-        over=steps, provenance=_provenance(material), evaluate=plot_walk,
-    )  # fmt: skip
+    plot_material(material, kind, path, angles_deg=angles, wavelengths_nm=grid, illuminant=illuminant, over=_over(over))
     common.note(str(path))
 
 

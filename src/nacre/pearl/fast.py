@@ -29,6 +29,7 @@ from nacre.bsdf.flaked import Flaked, surface_values
 from nacre.bsdf.layered import Layered, fresnel
 from nacre.pearl import fast_walk
 from nacre.pearl.fast_walk import ANY_ANGLE, FROM_BASE
+from nacre.pearl.glints import interface_bend
 
 Array = NDArray[np.float64]
 
@@ -161,8 +162,7 @@ def _based(table: Flaked, cos: Array) -> Array:
 def _spread(medium: Medium) -> float:
     if not len(medium.number):
         return 1.0
-    bend = medium.alpha * (medium.index - 1.0) / (np.sqrt(2.0) * medium.index)
-    return float(2.0 * medium.index * np.hypot(medium.sigma.min(), bend))
+    return float(2.0 * medium.index * np.hypot(medium.sigma.min(), interface_bend(medium.alpha, medium.index)))
 
 
 def _interface(medium: Medium) -> tuple[Array, Array]:
@@ -184,9 +184,7 @@ def _interface(medium: Medium) -> tuple[Array, Array]:
     return entry, surface
 
 
-def _solve(
-    medium: Medium, entry: Array, spread: float, effort: float, seed: int
-) -> tuple[Array, Array, Array, Array]:
+def _solve(medium: Medium, entry: Array, spread: float, effort: float, seed: int) -> tuple[Array, Array, Array, Array]:
     """Run the loops and fit: A/t `[cos, wavelength]`, r `[wavelength]`, M and its part of one flake, as M is."""
     bands = medium.reflect.shape[2]
     shape = np.array(SHAPE)

@@ -40,6 +40,11 @@ class Glints:
     seed: int = 0
 
 
+def interface_bend(alpha: float, index: float) -> float:
+    """Return how far a rough interface, passed twice near the normal, turns the half vector inside, as a slope."""
+    return alpha * abs(index - 1.0) / (math.sqrt(2.0) * index)
+
+
 def glint_arrays(
     glints: Glints, stratum: Stratum, index: float, number: Array, extinct: Array
 ) -> tuple[Array, Array, Array]:
@@ -58,7 +63,7 @@ def glint_arrays(
     depth = 2.0 * float(np.sum(number * extinct))
     reach = -math.expm1(-depth) / depth if depth > 1e-9 else 1.0
     alpha = math.sqrt(max(stratum.surface.alpha_x * stratum.surface.alpha_y, 0.0))
-    bend = alpha * abs(index - 1.0) / (math.sqrt(2.0) * index)
+    bend = interface_bend(alpha, index)
     found = []
     for k, flakes in enumerate(stratum.flakes):
         assert flakes.diameter_um is not None

@@ -59,9 +59,7 @@ class FlakedPlugin(LobePlugin[Flaked]):
         self.q_low, self.c_low, self.phi_low = (opaque_int(n - 2) for n in self.shape[:3])
         self.phi_size = opaque_int(self.shape[2])
         self.base_top, self.base_low = opaque(len(lobe.base) - 1), opaque_int(len(lobe.base) - 2)
-        if lobe.glint_numbers is not None:
-            assert lobe.glint_radii is not None and lobe.glint_ratio is not None
-            self.glints = DeviceGlints(lobe.glint_numbers, lobe.glint_radii, lobe.glint_ratio)
+        self.glints = DeviceGlints.of(lobe)
         self.entry = device_array(np.stack([lobe.entry[:-1], lobe.entry[1:]], axis=-1))
         self.entry_top, self.entry_low = opaque(len(lobe.entry) - 1), opaque_int(len(lobe.entry) - 2)
         shares = np.maximum(lobe.albedo, 0.0)
@@ -177,14 +175,19 @@ class FlakedPlugin(LobePlugin[Flaked]):
         low = dr.minimum(mi.UInt32(at), self.base_low)
         return self.base.look_up(low, at - mi.Float(low), where, None, active)[0]
 
-    def _lobe(self, wi: Any, wo: Any) -> Any:
-        """Return K: see `nacre.bsdf.flaked`."""
+    def _half(self, wi: Any, wo: Any) -> tuple[Any, Any, Any, Any, Any]:
+        """Return both cosines inside, the rcp of the half vector's length along the normal, and its slope (x, y)."""
         inner_i = dr.sqrt(1.0 - (1.0 - dr.square(wi.z)) * self.inverse2)
         inner_o = dr.sqrt(1.0 - (1.0 - dr.square(wo.z)) * self.inverse2)
-        per_tall2 = dr.rcp(dr.square(self.index * (inner_i + inner_o)))
+        per_tall = dr.rcp(self.index * (inner_i + inner_o))
+        return inner_i, inner_o, per_tall, (wi.x + wo.x) * per_tall, (wi.y + wo.y) * per_tall
+
+    def _lobe(self, wi: Any, wo: Any) -> Any:
+        """Return K: see `nacre.bsdf.flaked`."""
+        inner_i, inner_o, per_tall, sx, sy = self._half(wi, wo)
         bend = dr.square(self.index * inner_i - wi.z) + dr.square(self.index * inner_o - wo.z)
-        bend = bend * self.bend2 * per_tall2
-        slope2 = (dr.square(wi.x + wo.x) + dr.square(wi.y + wo.y)) * per_tall2
+        bend = bend * self.bend2 * dr.square(per_tall)
+        slope2 = sx * sx + sy * sy
         density = mi.Float(0.0)
         for fraction, deviation2 in zip(self.fractions, self.deviation2, strict=True):
             width2 = deviation2 + bend
@@ -195,10 +198,7 @@ class FlakedPlugin(LobePlugin[Flaked]):
     def _sparkle(self, uv: Any, wi: Any, wo: Any, active: Any) -> Any:
         """Return g at the half vector inside, the kinds weighted by their densities there."""
         assert self.glints is not None
-        inner_i = dr.sqrt(1.0 - (1.0 - dr.square(wi.z)) * self.inverse2)
-        inner_o = dr.sqrt(1.0 - (1.0 - dr.square(wo.z)) * self.inverse2)
-        per_tall = dr.rcp(self.index * (inner_i + inner_o))
-        sx, sy = (wi.x + wo.x) * per_tall, (wi.y + wo.y) * per_tall
+        _, _, _, sx, sy = self._half(wi, wo)
         slope2 = sx * sx + sy * sy
         total, weights = mi.Float(0.0), mi.Float(0.0)
         for k, (fraction, deviation2) in enumerate(zip(self.fractions, self.deviation2, strict=True)):

@@ -9,7 +9,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre.bsdf.flaked import Flaked
 from nacre.bsdf.glints import CELLS_U, CELLS_V, COUNT, COVERAGE, DRAWS, FLAKE_STEP, SEED, WIDTH
+from nacre.bsdf.layered import Layered
 from nacre.render.plugins.base import device_array, opaque, opaque_int, read
 
 Array = NDArray[np.float64]
@@ -23,6 +25,14 @@ class DeviceGlints:
 
     def __init__(self, numbers: Array, radii: Array, ratio: Array) -> None:
         self.kinds = [_Kind(*row) for row in zip(numbers, radii, ratio, strict=True)]
+
+    @staticmethod
+    def of(lobe: Flaked | Layered) -> DeviceGlints | None:
+        """Return the glints of a lobe; None if it has none."""
+        if lobe.glint_numbers is None:
+            return None
+        assert lobe.glint_radii is not None and lobe.glint_ratio is not None
+        return DeviceGlints(lobe.glint_numbers, lobe.glint_radii, lobe.glint_ratio)
 
     def factor(self, kind: int, uv: Any, tx: Any, ty: Any, active: Any) -> Any:
         """Return g of a kind at a point for the slope (tx, ty) over the flakes' deviation; see `nacre.bsdf.glints`."""
@@ -51,7 +61,6 @@ class DeviceGlints:
         t = dr.sqrt(t2)
         mean = row.read(row.ratio, t / (1.0 + t), active) * row.area / dr.square(1.0 + t2)
         return total / mean
-
 
     def factor_of(self, slot: Any, axes: Any, m: Any, uv: Any, active: Any) -> Any:
         """Return g for a normal in its flake's frame, `axes` being the semi-axes of that kind, lane by lane."""

@@ -65,10 +65,11 @@ class LayeredPlugin(LobePlugin):
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Follow the light through the strata; the weight is what the four wavelengths still carry."""
         active = mi.Bool(active) & (dr.abs(si.wi.z) > MIN_COS)
-        rng = make_rng(sample1, sample2.x, sample2.y, si.p.x, si.p.y, si.p.z, si.wavelengths[0])
-        where = self.strata.locate(si, active)
         drawn = self._take(si)
-        wo, weight, mirror = sample_walk(self.strata, rng, si.wi, where, active) if drawn is None else drawn
+        if drawn is None:
+            rng = make_rng(sample1, sample2.x, sample2.y, si.p.x, si.p.y, si.p.z, si.wavelengths[0])
+            drawn = sample_walk(self.strata, rng, si.wi, self.strata.locate(si, active), active)
+        wo, weight, mirror = drawn
         bs = dr.zeros(mi.BSDFSample3f)
         bs.wo = wo
         bs.eta = mi.Float(1.0)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.layered import Layered
+from nacre.bsdf.layered_mirror import MATCHED
 from nacre.errors import UnsupportedError
 from nacre.render.plugins.base import device_array, opaque
 from nacre.render.plugins.facets import Beckmann, Facets, Ggx
@@ -19,7 +20,6 @@ from nacre.render.plugins.tables import DeviceTable, Located, WavelengthAxis
 
 Array = NDArray[np.float64]
 
-MATCHED = 1e-4  # interfaces between resins closer in index than this do not exist for light
 MAX_FLIGHTS = 8  # before a walk looks after a boundary; 6 to 12 measured alike, 1 costs up to half as much again
 FLAKE_ROW = 13  # number, three axes, nine of the frame
 
@@ -165,9 +165,7 @@ class Strata:
             self.quantile = DeviceTable(lobe.dye_quantile.reshape(-1, count, 1))
         if lobe.loss is not None:
             self._set_loss(lobe.loss, n)
-        if lobe.glint_numbers is not None:
-            assert lobe.glint_radii is not None and lobe.glint_ratio is not None
-            self.glints = DeviceGlints(lobe.glint_numbers, lobe.glint_radii, lobe.glint_ratio)
+        self.glints = DeviceGlints.of(lobe)
 
     def _set_loss(self, loss: Array, n: Array) -> None:
         """Prepare the light given back: where it leaves is independent of where it came from.
