@@ -9,17 +9,20 @@ flakes' outline.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+
+from nacre.matter.jit import compiled
 
 Array = NDArray[np.float64]
 
 COS_NODES = 257  # of R and T, uniform in sqrt(cos)
 TABLE_ERROR = 2e-3  # largest change of R between table nodes' midpoints that is let pass before doubling
 MAX_COS_NODES = 1025
-ELEVATION_NODES = 65  # of the extinction, uniform in sqrt|cos|
+ELEVATION_NODES = 257  # of the extinction, uniform in sqrt|cos|
 AZIMUTH_NODES = 9  # of the extinction of anisotropic flakes, uniform over a quarter turn
 QUADRATURE = 64  # points per axis over the visible normals
 
@@ -114,24 +117,40 @@ def visible_weights(normals: FlakeNormals, nodes: int) -> Array:
     height = ((x + 1) / 2) ** 2
     radial = w * (x + 1) / 2 * 2 * height  # dx of the map, times 2 height for the cosine distribution
     radial = radial / radial.sum()
-    u0 = 1 - height**2
-    phi = (np.arange(QUADRATURE) + 0.5) / QUADRATURE
-    u = np.stack(np.broadcast_arrays(u0[:, None], phi[None, :]), axis=-1)
     flake = FlakeNormals(normals.deviation)
     result = np.zeros((len(azimuths), ELEVATION_NODES, nodes))
-    weights = np.repeat(radial / QUADRATURE, QUADRATURE)
     for j, azimuth in enumerate(azimuths):
         sine = np.sqrt(1 - z**2)
         w_dir = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), z], axis=-1)
-        for i in range(ELEVATION_NODES):
-            m = flake.sample_visible(np.broadcast_to(w_dir[i], (*u.shape[:2], 3)), u)
-            position = np.sqrt(np.clip(np.abs(m @ w_dir[i]), 0, 1)).ravel() * (nodes - 1)
-            base = np.minimum(position.astype(int), nodes - 2)
-            fraction = position - base
-            counts = np.bincount(base, weights * (1 - fraction), nodes)
-            counts += np.bincount(base + 1, weights * fraction, nodes)
-            result[j, i] = counts
+        axis = w_dir * flake.axes
+        axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
+        tangent, bitangent = orthonormal_basis(axis)
+        basis = np.stack([tangent, bitangent, axis], axis=1) * flake.axes  # [elevation, 3, 3], maps to the normal
+        _split_onto_nodes(w_dir, basis, height, radial / QUADRATURE, result[j])
     return result
+
+
+@compiled(nogil=True)
+def _split_onto_nodes(w_dir, basis, height, weight, out):  # type: ignore[no-untyped-def]  # numba
+    """Add, for each direction, the weights of the normals it sees to the cosine nodes beside theirs, `out[dir, cos]`."""
+    turns, last = height.size, out.shape[1] - 1
+    phi = 2.0 * math.pi * (np.arange(turns) + 0.5) / turns
+    cosine, sine = np.cos(phi), np.sin(phi)
+    for i in range(w_dir.shape[0]):
+        b, w = basis[i], w_dir[i]
+        for h in range(height.size):
+            radius = math.sqrt(1.0 - height[h] * height[h])
+            for turn in range(turns):
+                x, y = radius * cosine[turn], radius * sine[turn]
+                length2, dot = 0.0, 0.0
+                for k in range(3):
+                    m = x * b[0, k] + y * b[1, k] + height[h] * b[2, k]
+                    length2 += m * m
+                    dot += m * w[k]
+                position = math.sqrt(min(abs(dot) / math.sqrt(length2), 1.0)) * last
+                low = min(int(position), last - 1)
+                out[i, low] += weight[h] * (1.0 - position + low)
+                out[i, low + 1] += weight[h] * (position - low)
 
 
 def mean_extinction(weights: Array, transmittance: Array) -> Array:
