@@ -125,14 +125,17 @@ def _on_dask(
                     client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
                 except TimeoutError:
                     raise NacreError(f"--scheduler {scheduler}: has no worker; start dask worker {scheduler}") from None
-                limit = IN_FLIGHT_PER_WORKER * max(1, len(client.scheduler_info(n_workers=-1)["workers"]) or workers)
+                hands = max(1, len(client.scheduler_info(n_workers=-1)["workers"]) or workers)
+                limit = IN_FLIGHT_PER_WORKER * hands
                 pending = as_completed()
                 begun = running = 0
                 size = 1  # grows with what the workers report: a batch of slow points would keep a user waiting
                 while running or begun < len(todo):
                     while running < limit and begun < len(todo):
-                        pending.add(_submit(client, job, sweep, list(todo[begun : begun + size])))
-                        begun, running = begun + size, running + 1
+                        # small ones at the end, or one worker waits for another's last
+                        piece = list(todo[begun : begun + min(size, 1 + (len(todo) - begun) // (2 * hands))])
+                        pending.add(_submit(client, job, sweep, piece))
+                        begun, running = begun + len(piece), running + 1
                     future = next(pending)
                     running -= 1
                     found, seconds = future.result()
