@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from helpers_pearl import direction, dissolved_dye, layered_lobe, lossless_flakes, sphere_dye
+
+import nacre
 
 pytestmark = pytest.mark.render
 
@@ -14,6 +18,9 @@ MAX_Z = 3.5
 PAIRS, STANDARD_ERROR_BAR = 30, 0.01  # of reciprocity
 SIDAK_Z = 3.59  # 30 pairs at 1 % together, two-sided: 1 - 0.99^(1/30) = 3.35e-4
 SIDAK_Z_OF_SIX = 3.14
+RISEN_BAR = 81.0  # 8, and by one flake that takes a tenth on average
+MOMENT_BAR = 1.3
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "pearl"
 COAT_BAR = 0.003  # a coat without flakes against Mitsuba's interface
 
 CASES = {
@@ -98,10 +105,68 @@ def compare(mi, lobe, wi, count):
     return results
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_sample_and_eval_agree(mi, name):
+def fly(monkeypatch, far):
+    """Make all walks of flakes without dye take the far or the near form."""
+    from nacre.render.plugins import layered_device
+
+    monkeypatch.setattr(layered_device, "flies_far", lambda lobe: far and lobe.kinds > 0 and lobe.dye is None)
+
+
+@pytest.mark.parametrize(
+    ("name", "far"), [(name, far) for name in CASES for far in (False, True) if not (far and "dye" in CASES[name])]
+)
+def test_sample_and_eval_agree(mi, monkeypatch, name, far):
+    fly(monkeypatch, far)
     for z, _, _ in compare(mi, layered_lobe(**CASES[name]), direction(30, 17), 100_000):
         assert z < MAX_Z
+
+
+@pytest.mark.parametrize("bottle", ["bottle1", "bottle9"])
+def test_far_flights_bring_what_the_walk_from_flake_to_flake_brings(mi, monkeypatch, bottle):
+    """Coloured flakes of the source: values at six exits, power and its second moment, at four wavelengths."""
+    from nacre.render.plugins.layered_device import Strata, flies_far
+    from nacre.render.plugins.layered_walk import eval_walk, sample_walk
+
+    material = nacre.load(EXAMPLES / f"{bottle}.toml").vary({"quality": "reference"})
+    (lobe,) = material.bsdf(np.arange(400.0, 701.0, 20.0)).lobes
+    assert flies_far(lobe)
+    count, yes = 200_000, mi.Bool(True)
+    exits = [(20, 180), (35, 180), (35, 170), (10, 40), (60, 250), (75, 0)]
+    found = []
+    for far in (False, True):
+        fly(monkeypatch, far)
+        strata = Strata(lobe)
+        assert strata.flies_far == far
+        where = strata.axis.locate(mi.Spectrum(440.0, 510.0, 580.0, 670.0))  # two on nodes, two between
+        wi = mi.Vector3f(*direction(35).tolist())
+        parts = []
+        for i, angles in enumerate(exits):
+            rng = mi.PCG32(size=count, initstate=10 + i)
+            parts.append(eval_walk(strata, rng, wi, mi.Vector3f(*direction(*angles).tolist()), where, yes))
+        d, weight, _ = sample_walk(strata, mi.PCG32(size=count, initstate=9), wi, where, yes)
+        parts += [weight, weight * d.z, weight * d.x]
+        found.append(np.array([np.array(part) for part in parts], dtype=float))  # [part, wavelength, walk]
+        assert weight_sums(weight).max() <= RISEN_BAR
+    near, far_ = found
+    error = np.sqrt((near.var(axis=-1) + far_.var(axis=-1)) / count)
+    assert np.max(np.abs(near.mean(axis=-1) - far_.mean(axis=-1)) / error) < SIDAK_Z
+    moments = [np.mean(weight_sums(part[len(exits)]) ** 2) for part in found]
+    assert moments[1] <= MOMENT_BAR * moments[0]
+
+
+def weight_sums(weight):
+    """What four wavelengths carry together, 1 when they enter."""
+    return np.array(weight, dtype=float).sum(axis=0) / 4
+
+
+def test_wide_flakes_and_dye_are_met_one_by_one(mi):
+    """Where normals reflect unlike, weights of far flights would rise over many flakes."""
+    from nacre.render.plugins.layered_device import flies_far
+
+    assert not flies_far(layered_lobe(number=2.0, dye=dissolved_dye()))
+    assert not flies_far(layered_lobe(number=0.0))
+    (lobe,) = nacre.load(EXAMPLES / "mcs2.toml").vary({"quality": "reference"}).bsdf().lobes
+    assert not flies_far(lobe)
 
 
 @pytest.mark.full
@@ -137,7 +202,8 @@ def test_one_walk_for_both_gives_what_two_walks_give(mi, name):
         assert error <= 0.02 * max(abs(b.mean()), 1e-3)
 
 
-def test_single_weights_stay_at_one_in_a_furnace(mi):
+def test_single_weights_stay_at_one_in_a_furnace(mi, monkeypatch):
+    fly(monkeypatch, False)
     lobe = layered_lobe(20.0, (0.3, 0.3), (0.3, 0.3), lossless_flakes, albedo=1.0)
     _, weight, _ = draw(mi, lobe, direction(20), 50_000)
     assert weight.max() <= 4.0 + 1e-4  # grey light: 1; four colours may share at most four
@@ -160,8 +226,10 @@ def test_a_compensated_rough_furnace_loses_nothing(mi, alpha, beckmann):
         3.0, (0.2, 0.2), (alpha, alpha), lossless_flakes, albedo=1.0, compensate=True, beckmann=beckmann
     )
     for angle in (20.0, 70.0):
-        _, weight, _ = draw(mi, lobe, direction(angle), 60_000)
-        assert 0.98 <= weight.mean() <= 1.003
+        _, weight, _ = draw(mi, lobe, direction(angle), 500_000)
+        error = weight.std() / np.sqrt(len(weight))
+        assert error < 0.001
+        assert 0.98 <= weight.mean() <= 1.003 + 2 * error
         _, estimate = values(mi, lobe, direction(angle), 60_000, False)
         assert abs(estimate.mean() - weight.mean()) < 4 * estimate.std() / np.sqrt(len(estimate))
 

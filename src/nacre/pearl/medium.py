@@ -132,7 +132,7 @@ def visible_weights(normals: FlakeNormals, nodes: int) -> Array:
 
 @compiled(nogil=True)
 def _split_onto_nodes(w_dir, basis, height, weight, out):  # type: ignore[no-untyped-def]  # numba
-    """Add, for each direction, the weights of the normals it sees to the cosine nodes beside theirs, `out[dir, cos]`."""
+    """Add, for each direction, the weights of the normals it sees to the cosine nodes beside them, `out[dir, cos]`."""
     turns, last = height.size, out.shape[1] - 1
     phi = 2.0 * math.pi * (np.arange(turns) + 0.5) / turns
     cosine, sine = np.cos(phi), np.sin(phi)

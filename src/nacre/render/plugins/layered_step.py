@@ -5,7 +5,6 @@ At each vertex the light may be connected to a wanted exit; `layered_walk` tells
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -13,43 +12,24 @@ import mitsuba as mi
 
 from nacre.render.plugins.layered_base import BaseLobes
 from nacre.render.plugins.layered_device import Strata
-from nacre.render.plugins.layered_exit import (
-    Exit,
-    inner_interfaces_scatter,
-    rough_one,
+from nacre.render.plugins.layered_exit import Exit, inner_interfaces_scatter, rough_one
+from nacre.render.plugins.layered_far import fly_far
+from nacre.render.plugins.layered_flake import (
+    BY_NOTHING,
+    TINY,
+    Flake,
+    Light,
+    flake_gain,
+    kept_share,
+    one_of,
+    spoilt,
+    turned_by,
+    two_numbers,
 )
 from nacre.render.plugins.layered_interface import interface_event, interface_value
 from nacre.render.plugins.tables import Located
 
-TINY = 1e-12
-BY_NOTHING, BY_FLAKE, BY_MORE = range(3)
 TURN = ("turned", "turned_x", "turned_y", "turned_z", "turned_slot")
-FULL = 4.0  # what the four wavelengths carry together when light enters
-
-
-@dataclass
-class Light:
-    """A walker: direction of travel, stratum, depth in it, what each wavelength carries.
-
-    With glints `turn` tells what turned it: nothing yet, one flake of the uppermost stratum (with its normal in its
-    own frame and its kind), or anything else; without glints it is empty.
-    """
-
-    d: Any
-    stratum: Any
-    depth: Any
-    f: Any
-    turn: tuple[Any, ...] = ()
-
-
-def _spoilt(turn: tuple[Any, ...], by: Any) -> tuple[Any, ...]:
-    """Return `Light.turn` after something that is no single flake turned the light."""
-    return (dr.select(by, mi.UInt32(BY_MORE), turn[0]), *turn[1:]) if turn else ()
-
-
-def select(mask: Any, new: tuple[Any, ...], old: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Choose between two tuples of numbers."""
-    return tuple(dr.select(mask, a, b) for a, b in zip(new, old, strict=True))
 
 
 class Stepper:
@@ -93,7 +73,7 @@ class Stepper:
         if strata.count > 1:
             moved = dr.select(w.z < 0, interface, interface - 1)
             stratum = dr.select(at_interface & ~leaves, moved, stratum)
-        turn = _spoilt(light.turn, at_interface & ~crosses & rough_one(strata, interface))
+        turn = spoilt(light.turn, at_interface & ~crosses & rough_one(strata, interface))
         if strata.base != "none":
             d, f, lives_b, got, turned = self._base(light, v, rng, at_base)
             new_d, new_f = dr.select(at_base, d, new_d), dr.select(at_base, f, new_f)
@@ -102,7 +82,7 @@ class Stepper:
             depth = dr.select(at_base, 1.0, depth)
             if strata.base_scatters:
                 seen = seen | (at_base & turned)
-                turn = _spoilt(turn, at_base & turned)
+                turn = spoilt(turn, at_base & turned)
         moved_light = Light(new_d, stratum, depth, dr.select(lives, new_f, 0.0), turn)
         return moved_light, lives & ~leaves, leaves & lives, gained, seen
 
@@ -134,6 +114,12 @@ class Stepper:
         return moved, end[5], end[6], end[7], end[8], end[9]
 
     def _fly(self, light: Light, rng: Any, alive: Any, seen: Any) -> tuple[Light, Any, Any, Any, Any, Any]:
+        """Fly by the form that suits the material; returns what `fly_far` does."""
+        if self.strata.flies_far:
+            return fly_far(self.strata, self.where, self.exit, light, rng, alive, seen)
+        return self._fly_near(light, rng, alive, seen)
+
+    def _fly_near(self, light: Light, rng: Any, alive: Any, seen: Any) -> tuple[Light, Any, Any, Any, Any, Any]:
         """Fly to a flake, to dye or to a boundary.
 
         Returns:
@@ -180,7 +166,7 @@ class Stepper:
             new_d, new_f = dr.select(at_dye, d, new_d), dr.select(at_dye, f, new_f)
             lives &= ~at_dye | lives_d
             seen = seen | (at_dye & turned)
-            turn = _spoilt(turn, at_dye & turned)
+            turn = spoilt(turn, at_dye & turned)
             gained += dr.select(at_dye, got, 0.0)
         moved = Light(new_d, light.stratum, dr.select(inside, depth, light.depth), new_f, turn)
         return moved, lives, gained, goes_up, goes_down, seen
@@ -199,55 +185,22 @@ class Stepper:
                 v = dr.select(take, locals_[i], v)
                 slot = dr.select(take, mi.UInt32(i), slot)
                 left -= areas[i]
-        axes = mi.Vector3f(row[1], row[2], row[3])
-        stretched = axes * v
-        area = dr.norm(stretched)
-        start = strata.response_start(light.stratum, slot, active)
-        point = mi.warp.square_to_uniform_sphere(mi.Point2f(rng.next_float32(active), rng.next_float32(active)))
-        m = dr.normalize(axes * (stretched / area * (1 + 1e-6) + point))
-        v_m = dr.dot(v, m)
-        reflect, transmit = strata.flake_response(start, dr.abs(v_m), self.where, active)
-        gained = mi.Spectrum(0.0)
-        # of glints only light that nothing has turned before
-        fresh = active & (light.turn[0] == BY_NOTHING) & (light.stratum == 0) if light.turn else None
-        if self.exit is not None:
-            to, worth = self.exit.upward(light.stratum, depth)
-            gained += worth * self._flake_phase(row, v, axes, area, start, to, active, slot, fresh)
-            if self.exit.has_down:
-                to, worth = self.exit.downward(light.stratum, depth)
-                gained += worth * self._flake_phase(row, v, axes, area, start, to, active, slot, fresh)
-            gained *= light.f
+        flake = Flake.of(strata, light.stratum, row, v, slot, active)
+        m, v_m = flake.normal(rng, active)
+        node, way = two_numbers(rng, active)
+        reflect, transmit = strata.flake_response(flake.kind, dr.abs(v_m), node, self.where, active)
+        gained = light.f * flake_gain(strata, self.exit, self.where, light, depth, flake, node, way, active)
         carried = dr.maximum(dr.sum(light.f), TINY)
         p_reflect = dr.sum(light.f * reflect) / carried
         p_transmit = dr.sum(light.f * transmit) / carried
         choice = rng.next_float32(active)
         reflects = choice < p_reflect
         lives = choice < p_reflect + p_transmit
-        turned = strata.from_flake(row, dr.fma(m, 2 * v_m, -v))
-        d = dr.select(reflects, dr.normalize(turned), light.d)
+        d = dr.select(reflects, flake.turned(strata, m, v_m), light.d)
         f = light.f * dr.select(
             reflects, reflect / dr.maximum(p_reflect, TINY), transmit / dr.maximum(p_transmit, TINY)
         )
-        turn = light.turn
-        if turn:
-            first = (mi.UInt32(BY_FLAKE), m.x, m.y, m.z, slot)
-            turn = select(active & reflects & fresh, first, _spoilt(turn, active & reflects))
-        return d, f, lives, gained, reflects, turn
-
-    def _flake_phase(
-        self, row: list[Any], v: Any, axes: Any, area: Any, start: Any, to: Any, active: Any, slot: Any, fresh: Any
-    ) -> Any:
-        """Return D(h) R(|v.h|) / (4 sigma(v)) towards the direction of travel `to`, with glints times their factor."""
-        strata = self.strata
-        half = v + strata.into_flake(row, to)
-        length = dr.norm(half)
-        h = half / dr.maximum(length, 1e-6)
-        slope = dr.squared_norm(h / axes)
-        density = dr.inv_pi / (axes.x * axes.y * axes.z * dr.square(slope))
-        reflect = strata.flake_response(start, dr.abs(dr.dot(v, h)), self.where, active)[0]
-        if fresh is not None and strata.glints is not None:
-            density *= strata.glints.factor_of(slot, axes, h, self.where.site.uv, fresh)
-        return reflect * (0.25 * density / area)
+        return d, f, lives, gained, reflects, turned_by(light, flake, m, active & reflects)
 
     def _dye(self, light: Light, majorant: Any, depth: Any, rng: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
         strata = self.strata
@@ -273,11 +226,7 @@ class Stepper:
                 gained += worth * strata.dye_phase(light.stratum, dr.dot(light.d, to), self.where, active)
             gained *= light.f * scatters
         cosines = strata.dye_cos(light.stratum, rng.next_float32(active), self.where, active)
-        left = rng.next_float32(active) * dr.sum(f)
-        cos = cosines[0]
-        for k in range(1, dr.size_v(mi.Spectrum)):
-            left -= f[k - 1]
-            cos = dr.select(left >= 0, cosines[k], cos)
+        (cos,) = one_of((cosines,), f, rng.next_float32(active) * dr.sum(f))
         azimuth = dr.two_pi * rng.next_float32(active)
         sine = dr.safe_sqrt(1 - cos * cos)
         turned = mi.Frame3f(light.d).to_world(mi.Vector3f(sine * dr.cos(azimuth), sine * dr.sin(azimuth), cos))
@@ -342,9 +291,7 @@ class Stepper:
             gained = light.f * worth * lobes.eval(v, to, self.where, active)
         d, weight, mirror = lobes.sample(v, rng, self.where, active)
         f = light.f * weight
-        # light that carries no more than it came with lives on with its new share; a rise is taken back first
-        kept = dr.sum(f) / dr.maximum(dr.sum(light.f), TINY) * dr.maximum(dr.sum(light.f) / FULL, 1.0)
-        p = dr.minimum(kept, 1.0)
+        p = kept_share(dr.sum(light.f), dr.sum(f))
         lives = rng.next_float32(active) < p
         return dr.normalize(d), f / dr.maximum(p, TINY), lives, gained, ~mirror
 

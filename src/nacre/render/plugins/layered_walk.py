@@ -1,12 +1,13 @@
-"""The position-free walk through the strata: every weight is 1, and four wavelengths go together.
+"""The position-free walk through the strata: four wavelengths go together, and their weights stay near 1.
 
-Free flights follow the flakes' projected area, which has no wavelength; at a flake the light is reflected,
-goes straight on or is absorbed, with probabilities from R and T weighted by what the four wavelengths carry.
-Their sum then never changes, so no single wavelength can exceed four times the mean and no firefly is born.
+Each wavelength of a walk lies on one of the two nodes of the tables beside it, drawn for the whole walk.
+
+From flake to flake (`layered_step`), free flights follow the flakes' projected area, which has no wavelength; at a
+flake the light is reflected, goes straight on or is absorbed, with probabilities from R and T weighted by what the
+four wavelengths carry. Their sum then never changes, so no single wavelength can exceed four times the mean and no
+firefly is born. Where most flakes let the light pass, flights go straight on through them (`layered_far`).
 At a base of lobes the weight is that of the lobes' own draws. Where it is above 1 the sum may rise, by as much as
 those draws miss the lobe's shape; roulette at the base counts such a rise, so that it does not add up.
-(Flights by the true extinction make each event's weight scatter about 1; over hundreds of events the variance
-of the product has no bound, whatever the roulette.)
 
 `sample_walk` follows the light until it leaves. `eval_walk` connects each vertex to the wanted exit, and
 `joint_walk` does both at once, as a path tracer asks for both. The exit direction is refracted inward once, and its
@@ -23,8 +24,9 @@ import mitsuba as mi
 
 from nacre.render.plugins.layered_device import Strata
 from nacre.render.plugins.layered_exit import Exit, exit_importance, rough_one
+from nacre.render.plugins.layered_flake import BY_FLAKE, Light, select
 from nacre.render.plugins.layered_interface import interface_event, interface_value, refract
-from nacre.render.plugins.layered_step import BY_FLAKE, TURN, Light, Stepper, connect_interface, first_light, select
+from nacre.render.plugins.layered_step import TURN, Stepper, connect_interface, first_light
 from nacre.render.plugins.tables import Located
 
 MAX_EVENTS = 20_000  # a lane that is still inside after so many events is given up; its share is below 1e-6
@@ -47,6 +49,7 @@ def sample_walk(strata: Strata, rng: Any, wi: Any, where: Located, active: Any) 
     Returns:
         the exit direction, the weight of each wavelength (0 if absorbed), whether only mirrors were met.
     """
+    where = where.on_nodes(rng.next_float32())
     entry = dr.select(wi.z > 0, mi.UInt32(0), mi.UInt32(strata.count))
     active = mi.Bool(active) & (mi.Bool(strata.base == "none") | (wi.z > 0))
     w, alive = interface_event(strata, rng, wi, entry, active)
@@ -70,6 +73,7 @@ def _with_glint(strata: Strata, turn: tuple[Any, ...], weight: Any, where: Locat
 
 def eval_walk(strata: Strata, rng: Any, wi: Any, wo: Any, where: Located, active: Any) -> Any:
     """Estimate f |cos_o| of the non-delta part for each wavelength."""
+    where = where.on_nodes(rng.next_float32())
     active = _connectable(strata, wi, wo, active)
     entry = dr.select(wi.z > 0, mi.UInt32(0), mi.UInt32(strata.count))
     stepper, total = _connected(strata, rng, wi, wo, entry, where, active)
@@ -89,6 +93,7 @@ def joint_walk(strata: Strata, rng: Any, wi: Any, wo: Any, where: Located, activ
     Returns:
         the value, and what `sample_walk` returns.
     """
+    where = where.on_nodes(rng.next_float32())
     entry = dr.select(wi.z > 0, mi.UInt32(0), mi.UInt32(strata.count))
     wanted = _connectable(strata, wi, wo, wanted)
     stepper, total = _connected(strata, rng, wi, wo, entry, where, wanted)

@@ -28,12 +28,24 @@ COVERAGE_TOLERANCE_NM = 1e-3
 class Located:
     """Where the wavelengths of the rays fall in a grid: the lower node and the fraction above it, for each.
 
-    `site` is the surface interaction, for a base whose lobes have grids of their own.
+    `site` is the surface interaction, for a base whose lobes have grids of their own. `nodes` are the wavelengths'
+    own nodes, where they lie on such.
     """
 
     low: list[Any]
     fraction: list[Any]
     site: Any = None
+    nodes: list[Any] | None = None
+
+    def on_nodes(self, u: Any) -> Located:
+        """Move each wavelength to one of its two nodes, by a number in [0, 1), as often as its fraction says.
+
+        What is estimated at nodes is on average what interpolates linearly between them, at half the reads.
+        """
+        upper = [u < part for part in self.fraction]
+        fraction = [dr.select(up, mi.Float(1.0), 0.0) for up in upper]
+        nodes = [low + dr.select(up, mi.UInt32(1), 0) for low, up in zip(self.low, upper, strict=True)]
+        return Located(self.low, fraction, self.site, nodes)
 
 
 class WavelengthAxis:
@@ -93,15 +105,20 @@ class WavelengthAxis:
 class DeviceTable:
     """`[*params, row, wavelength, channel]` on the device.
 
+    Args:
+        values: the array.
+        as_cells: False for a table that is read at its nodes (`at_nodes`).
+
     Attributes:
         shape: that of the values; channels: 1 or 2.
         values: the tensor itself, for `traverse`; call `repack()` after a change.
     """
 
-    def __init__(self, values: Array) -> None:
+    def __init__(self, values: Array, as_cells: bool = True) -> None:
         values = _padded(np.asarray(values, dtype=float))
         self.channels = values.shape[-1]
-        self.is_packed = _fits_as_cells(values.shape)
+        self.as_cells = as_cells
+        self.is_packed = as_cells and _fits_as_cells(values.shape)
         self.values: Any = None
         self._set(values)
 
@@ -113,7 +130,7 @@ class DeviceTable:
         """
         values = _padded(np.asarray(values, dtype=float))
         same = len(values.shape) == len(self.shape) and values.shape[-1] == self.channels
-        if not same or _fits_as_cells(values.shape) != self.is_packed:
+        if not same or (self.as_cells and _fits_as_cells(values.shape)) != self.is_packed:
             raise UnsupportedError(f"a table of shape {self.shape} cannot become one of {values.shape}")
         self._set(values)
 
@@ -162,6 +179,17 @@ class DeviceTable:
         assert totals is not None
         return totals
 
+    def at_nodes(self, row: Any, where: Located, active: Any = True) -> list[Any]:
+        """Read a row at the wavelengths' nodes: one `mi.Spectrum` for each channel."""
+        assert where.nodes is not None
+        assert not self.is_packed
+        results = [mi.Spectrum(0.0) for _ in range(self.channels)]
+        start = row * self.row_stride
+        for k, node in enumerate(where.nodes):
+            for channel, value in enumerate(self._corner(start + node, active)):
+                results[channel][k] = value
+        return results
+
     def look_up_channel(
         self,
         row: Any,
@@ -203,13 +231,16 @@ class DeviceTable:
         return results
 
     def _plain(self, cell: Any, part: Any, fraction: Any, active: Any) -> list[Any]:
-        reader = (lambda i: [read(self.packed, i, active)]) if self.channels == 1 else None
-        corner = reader or (lambda i: read2(self.packed, i, active))
-        c = [corner(cell), corner(cell + 1), corner(cell + self.row_stride), corner(cell + self.row_stride + 1)]
+        cells = (cell, cell + 1, cell + self.row_stride, cell + self.row_stride + 1)
+        c = [self._corner(at, active) for at in cells]
         return [
             dr.lerp(dr.lerp(c[0][i], c[1][i], part), dr.lerp(c[2][i], c[3][i], part), fraction)
             for i in range(self.channels)
         ]
+
+    def _corner(self, at: Any, active: Any) -> Any:
+        """Read all channels of one place in the plain layout."""
+        return [read(self.packed, at, active)] if self.channels == 1 else read2(self.packed, at, active)
 
 
 def _fits_as_cells(shape: tuple[int, ...]) -> bool:
