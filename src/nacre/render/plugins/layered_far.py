@@ -35,6 +35,8 @@ from nacre.render.plugins.layered_flake import (
 )
 from nacre.render.plugins.tables import Located
 
+# Second moment of bottle 1's power over the mean, 1 for the other form: 1.05 at a limit of 1.2 (as slow as the other
+# form), 1.08 at 2 (0.62 of its time), 1.11 at 4 (0.58), 1.15 at 8.
 RISEN = 8.0
 LEAST = 0.1
 SMALLEST_RATE = 1e-9
