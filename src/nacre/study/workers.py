@@ -106,6 +106,8 @@ def _on_dask(
         "distributed.comm.timeouts.connect": f"{CONNECT_TIMEOUT_S}s",
         "distributed.logging": {"distributed": "error", "bokeh": "error"},
         "distributed.scheduler.allowed-failures": 20,  # a killed worker is no fault of the points that it held
+        # a killed worker is started again by its nanny, which a cluster that waits too little would end
+        "distributed.deploy.lost-worker-timeout": "8760h",
     }
     with dask.config.set(quiet):
         cluster = None
