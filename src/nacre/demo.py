@@ -26,8 +26,8 @@ FULL_SPP, QUICK_SPP = 128, 32
 FULL_FRAME_SPP, QUICK_FRAME_SPP = 32, 16
 # seconds that a still and an animation may take on the machine at hand, in full and in quick runs
 STILL_S = {False: 26.0, True: 5.0}
-MOVIE_S = {False: 110.0, True: 6.0}
-PROBE_SPP, LEAST_SPP = 4, 8
+MOVIE_S = {False: 70.0, True: 6.0}
+PROBE_SPP, LEAST_SPP = (4, 36), 8
 CELL, GAP, CAPTION = 320, 16, 46
 Report = Callable[["Item", int, int, float, float], None]  # item, number, total, seconds spent, seconds left
 
@@ -273,17 +273,20 @@ def tile(pictures: Sequence[Path], columns: int, path: Path) -> None:
 def _affordable_spp(material: Any, look: dict[str, Any], side: int, wanted: int, seconds: float) -> int:
     """Return the samples a pixel that fit into the time: families differ a hundredfold in cost.
 
-    A small picture compiles the kernels; a second one at few samples is timed. Too few samples make no picture, so a
-    still or frame gets `LEAST_SPP` whatever it takes.
+    Two small pictures compile the kernels, one a number of samples; two more tell what a sample costs apart from what
+    any picture costs. Too few samples make no picture, so a still or frame gets `LEAST_SPP` whatever it takes.
     """
     from nacre.render.picture import render
 
     small = max(16, side // 4)
-    for spp in (1, PROBE_SPP):
+    spent = []
+    for spp in (*PROBE_SPP, *PROBE_SPP):
         start = time.monotonic()
         render(material, size=(small, small), spp=spp, progress=False, **look)
-    a_sample = (time.monotonic() - start) / (PROBE_SPP * small * small)
-    return int(min(max(seconds / (a_sample * side * side), LEAST_SPP), wanted))
+        spent.append(time.monotonic() - start)
+    few, many = spent[2:]
+    a_sample = max(many - few, 0.1 * many) / ((PROBE_SPP[1] - PROBE_SPP[0]) * small * small)
+    return int(min(max((seconds - few) / (a_sample * side * side), LEAST_SPP), wanted))
 
 
 def _plot(folder: Path, out: Path, spec: PlotSpec) -> Item:
