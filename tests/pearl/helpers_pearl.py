@@ -12,7 +12,14 @@ from nacre.matter.spec import IndexSpec
 from nacre.pearl.dye import Dye, DyeResponse, dye_response
 from nacre.pearl.interface import interface_loss
 from nacre.pearl.material import Interface
-from nacre.pearl.medium import FlakeNormals, cos_nodes, mean_extinction, rotation_matrix, visible_weights
+from nacre.pearl.medium import (
+    FlakeNormals,
+    cos_nodes,
+    mean_extinction,
+    orthonormal_basis,
+    rotation_matrix,
+    visible_weights,
+)
 from nacre.pearl.thickness import Thickness
 
 Array = NDArray[np.float64]
@@ -107,3 +114,22 @@ def direction(theta_deg: float, phi_deg: float = 0.0) -> Array:
     """Unit vector at these angles."""
     theta, phi = np.radians(theta_deg), np.radians(phi_deg)
     return np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+
+
+def draw_visible(normals: FlakeNormals, w: Array, u: Array) -> Array:
+    """Draw normals in proportion to the area they show to `w[..., 3]`, from uniform `u[..., 2]`.
+
+    A cosine-distributed vector about S^(1/2) w, mapped by S^(1/2) and normalised.
+    """
+    local = (w @ normals.frame) * normals.axes
+    axis = local / np.linalg.norm(local, axis=-1, keepdims=True)
+    radius, phi = np.sqrt(u[..., 0]), 2 * np.pi * u[..., 1]
+    tangent, bitangent = orthonormal_basis(axis)
+    hemisphere = (
+        (radius * np.cos(phi))[..., None] * tangent
+        + (radius * np.sin(phi))[..., None] * bitangent
+        + np.sqrt(np.maximum(0.0, 1 - u[..., 0]))[..., None] * axis
+    )
+    m = hemisphere * normals.axes
+    m = m / np.linalg.norm(m, axis=-1, keepdims=True)
+    return np.asarray(m @ normals.frame.T)

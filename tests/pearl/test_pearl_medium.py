@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers_pearl import draw_visible
 
 from nacre.matter.spec import IndexSpec
 from nacre.pearl.dye import Dye, dye_response
@@ -48,7 +49,7 @@ def test_visible_normals_are_drawn_in_proportion_to_what_they_show(shape):
     normals = _normals(shape)
     rng = np.random.default_rng(3)
     w = np.array([0.6, 0.0, 0.8])
-    drawn = normals.sample_visible(np.broadcast_to(w, (400_000, 3)), rng.random((400_000, 2)))
+    drawn = draw_visible(normals, np.broadcast_to(w, (400_000, 3)), rng.random((400_000, 2)))
     m, weight = _sphere()
     visible = weight * np.maximum(m @ w, 0) * normals.density(m) / normals.projected_area(w)
     for moment in (lambda v: v[:, 2] ** 2, lambda v: v[:, 0] * v[:, 2], lambda v: v[:, 1] ** 2, lambda v: v @ w):
@@ -76,7 +77,7 @@ def test_mean_extinction_equals_an_average_over_drawn_normals():
     for a, e in ((0, last_e), (last_a, 10), (last_a // 2, 40)):
         z, phi = (e / last_e) ** 2, a / last_a * np.pi / 2
         w = np.array([np.sqrt(1 - z * z) * np.cos(phi), np.sqrt(1 - z * z) * np.sin(phi), z])
-        m = normals.sample_visible(np.broadcast_to(w, (200_000, 3)), rng.random((200_000, 2)))
+        m = draw_visible(normals, np.broadcast_to(w, (200_000, 3)), rng.random((200_000, 2)))
         values = 1 - np.cos(5 * np.abs(m @ w))
         assert table[a, e, 0] == pytest.approx(values.mean(), abs=4 * values.std() / np.sqrt(200_000) + 1e-4)
 

@@ -69,24 +69,6 @@ class FlakeNormals:
         root = np.prod(self.axes)
         return np.asarray(1.0 / (np.pi * root * np.sum((local / self.axes) ** 2, axis=-1) ** 2))
 
-    def sample_visible(self, w: Array, u: Array) -> Array:
-        """Draw normals in proportion to the area they show to `w[..., 3]`, from uniform `u[..., 2]`.
-
-        A cosine-distributed vector about S^(1/2) w, mapped by S^(1/2) and normalised.
-        """
-        local = (w @ self.frame) * self.axes
-        axis = local / np.linalg.norm(local, axis=-1, keepdims=True)
-        radius, phi = np.sqrt(u[..., 0]), 2 * np.pi * u[..., 1]
-        tangent, bitangent = orthonormal_basis(axis)
-        hemisphere = (
-            (radius * np.cos(phi))[..., None] * tangent
-            + (radius * np.sin(phi))[..., None] * bitangent
-            + np.sqrt(np.maximum(0.0, 1 - u[..., 0]))[..., None] * axis
-        )
-        m = hemisphere * self.axes
-        m = m / np.linalg.norm(m, axis=-1, keepdims=True)
-        return np.asarray(m @ self.frame.T)
-
 
 def orthonormal_basis(axis: Array) -> tuple[Array, Array]:
     """Return two unit vectors orthogonal to `axis[..., 3]` and to each other."""

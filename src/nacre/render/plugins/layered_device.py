@@ -85,7 +85,8 @@ class Strata:
     """
 
     def __init__(self, lobe: Layered) -> None:
-        self.structure = structure(lobe)
+        self.flies_far = flies_far(lobe)
+        self.structure = (*structure(lobe), self.flies_far)
         self.count = lobe.strata
         self.base = lobe.base
         self.base_rough = lobe.base == "specular" and bool(np.any(lobe.alpha[-1] > 0))
@@ -102,7 +103,6 @@ class Strata:
         self.kinds_of = [[int(k) for k in np.flatnonzero(lobe.flake_stratum == s)] for s in range(self.count)]
         self.slots = max(len(k) for k in self.kinds_of)
         self.kinds = lobe.kinds
-        self.flies_far = flies_far(lobe)
         self.flights = MAX_FLIGHTS if lobe.kinds or lobe.dye is not None else 1
         self.upright = bool(np.all(lobe.flake_frame == np.eye(3)))
         self.isotropic = lobe.flake_extinction.shape[1] == 1
@@ -119,7 +119,7 @@ class Strata:
         Raises:
             UnsupportedError: the structure differs.
         """
-        if structure(lobe) != self.structure:
+        if (*structure(lobe), flies_far(lobe)) != self.structure:
             raise UnsupportedError("strata, kinds, interfaces or base changed in kind; build the scene again")
         self.axis.update(lobe.wavelengths_nm)
         if self.lobes is not None:
@@ -290,11 +290,14 @@ class Strata:
         for slot, kind in enumerate(self.kinds_of[stratum]):
             row = self.flake_row(mi.UInt32(stratum), slot, active)
             local = self.into_flake(row, w)
-            area = dr.norm(mi.Vector3f(row[1] * local.x, row[2] * local.y, row[3] * local.z))
-            total += row[0] * area * self.mean_extinction(mi.UInt32(kind), local, where, active)
+            total += self.shown_area(row, local) * self.mean_extinction(mi.UInt32(kind), local, where, active)
         if self.has_dye:
             total += self.dye_at(mi.UInt32(stratum), where, active)[0]
         return total
+
+    def shown_area(self, row: list[Any], local: Any) -> Any:
+        """Return the area that all flakes of a row show to a direction in their frame: so many a ray meets."""
+        return row[0] * dr.norm(mi.Vector3f(row[1] * local.x, row[2] * local.y, row[3] * local.z))
 
     def mean_extinction(self, kind: Any, local: Any, where: Located, active: Any) -> Any:
         """Return the share of light that a flake met along `local`, in its frame, takes away, as a Spectrum."""
@@ -381,12 +384,12 @@ def flies_far(lobe: Layered) -> bool:
 
 
 def structure(lobe: Layered) -> tuple[Any, ...]:
-    """Return all that shapes a kernel."""
+    """Return all that shapes a kernel, but for the form of its flights."""
     shapes = (lobe.flake_response.shape, lobe.flake_extinction.shape, lobe.base_reflectance.shape)
     return (
         lobe.strata, lobe.base, tuple(roughness(lobe).tolist()), tuple(lobe.is_beckmann.tolist()),
         tuple(lobe.flake_stratum.tolist()), bool(np.all(lobe.flake_frame == np.eye(3))), shapes,
         lobe.dye is not None, lobe.dye_phase is not None, lobe.loss is not None,
-        lobe.glint_numbers is not None, flies_far(lobe),
+        lobe.glint_numbers is not None,
         tuple(inner.kind for inner in lobe.base_lobes),
     )  # fmt: skip

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from nacre.bsdf.layered import Layered
 from nacre.errors import UnsupportedError
 from nacre.render.plugins.base import device_array
-from nacre.render.plugins.layered_device import Strata
+from nacre.render.plugins.layered_device import TOGETHER, Strata
 from nacre.render.plugins.layered_walk import eval_walk, make_rng, sample_walk
 
 Array = NDArray[np.float64]
 
 LANES = 1 << 20  # walks in one launch
-TOGETHER = 4  # wavelengths in one walk
 MIDDLE = np.array([0.5, 0.5])
 
 

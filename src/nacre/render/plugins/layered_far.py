@@ -61,7 +61,7 @@ def fly_far(
         local = strata.into_flake(row, v)
         mean = strata.mean_extinction(strata.kind_at(light.stratum, slot, alive), local, where, alive)
         rate = dr.select(is_far, dr.maximum(mean, LEAST), 1.0)
-        share = row[0] * dr.norm(mi.Vector3f(row[1] * local.x, row[2] * local.y, row[3] * local.z)) * rate
+        share = strata.shown_area(row, local) * rate
         ways.append((row, local, mean, rate, share))
         total += share
 
@@ -117,7 +117,6 @@ def _slot_of(ways: list[Any], total: Any, shape: Any, rng: Any, active: Any) -> 
     slot = mi.UInt32(0)
     if len(ways) == 1:
         return row, local, mean, rate, slot, shape
-    row = list(row)
     shape = shape / dr.maximum(total, TINY)
     parts = [dr.sum(shape * way[4]) for way in ways]
     part = parts[0]
@@ -125,7 +124,7 @@ def _slot_of(ways: list[Any], total: Any, shape: Any, rng: Any, active: Any) -> 
     left = rng.next_float32(active) * whole - part
     for i in range(1, len(ways)):
         take = (left >= 0) & (parts[i] > 0)
-        row = [dr.select(take, new, old) for new, old in zip(ways[i][0], row, strict=True)]
+        row = list(select(take, tuple(ways[i][0]), tuple(row)))
         new = (*ways[i][1:], parts[i], mi.UInt32(i))
         local, mean, rate, share, part, slot = select(take, new, (local, mean, rate, share, part, slot))
         left -= parts[i]

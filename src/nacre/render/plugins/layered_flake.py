@@ -76,7 +76,7 @@ class Flake:
 
 
 def flake_gain(
-    strata: Strata, connection: Exit | None, where: Located, light: Light, depth: Any, flake: Flake, node: Any,
+    strata: Strata, connection: Exit, where: Located, light: Light, depth: Any, flake: Flake, node: Any,
     way: Any, active: Any,
 ) -> Any:  # fmt: skip
     """Return D(h) R(|v.h|) / (4 sigma(v)) times what it is worth to the exit, with glints times their factor.
@@ -84,14 +84,12 @@ def flake_gain(
     Where two ways lead to the exit one is drawn by what it brings: R is read, and glints are looked for, once.
 
     Args:
-        strata, connection, where: the material, the wanted exit (None: nothing is gained), the wavelengths.
+        strata, connection, where: the material, the wanted exit, the wavelengths.
         light, depth: which light, and where in its stratum.
         flake: which flake.
         node, way: numbers in [0, 1), to choose a row of the table of R, and the way.
         active: mask.
     """
-    if connection is None:
-        return mi.Spectrum(0.0)
     to, worth = connection.upward(light.stratum, depth)
     h, density = flake.half(strata, to)
     if connection.has_down:

@@ -22,6 +22,7 @@ from nacre.render.plugins.layered_flake import (
     flake_gain,
     kept_share,
     one_of,
+    select,
     spoilt,
     turned_by,
     two_numbers,
@@ -133,8 +134,7 @@ class Stepper:
         for slot in range(strata.slots):
             row = strata.flake_row(light.stratum, slot, alive)
             local = strata.into_flake(row, v)
-            stretched = mi.Vector3f(row[1] * local.x, row[2] * local.y, row[3] * local.z)
-            areas.append(row[0] * dr.norm(stretched))
+            areas.append(strata.shown_area(row, local))
             rows.append(row)
             locals_.append(local)
             total += areas[-1]
@@ -181,15 +181,16 @@ class Stepper:
             left = rng.next_float32(active) * total - areas[0]
             for i in range(1, strata.slots):
                 take = (left >= 0) & (areas[i] > 0)
-                row = [dr.select(take, new, old) for new, old in zip(rows[i], row, strict=True)]
-                v = dr.select(take, locals_[i], v)
-                slot = dr.select(take, mi.UInt32(i), slot)
+                row = list(select(take, tuple(rows[i]), tuple(row)))
+                v, slot = select(take, (locals_[i], mi.UInt32(i)), (v, slot))
                 left -= areas[i]
         flake = Flake.of(strata, light.stratum, row, v, slot, active)
         m, v_m = flake.normal(rng, active)
         node, way = two_numbers(rng, active)
         reflect, transmit = strata.flake_response(flake.kind, dr.abs(v_m), node, self.where, active)
-        gained = light.f * flake_gain(strata, self.exit, self.where, light, depth, flake, node, way, active)
+        gained = mi.Spectrum(0.0)
+        if self.exit is not None:
+            gained = light.f * flake_gain(strata, self.exit, self.where, light, depth, flake, node, way, active)
         carried = dr.maximum(dr.sum(light.f), TINY)
         p_reflect = dr.sum(light.f * reflect) / carried
         p_transmit = dr.sum(light.f * transmit) / carried
