@@ -20,9 +20,9 @@ from common import Row, interleaved, parser, report, timed
 
 import nacre
 from nacre.bsdf.file import load_bsdf, save_bsdf
-from nacre.metasurface.mie import mie_coefficients
-from nacre.metasurface.sphere import SphereOnStack
-from nacre.recipe import load
+from nacre.families.metasurface.sphere import SphereOnStack
+from nacre.materials.material import load
+from nacre.matter.mie import mie_coefficients
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "metasurface" / "silver_on_oxide.toml"
 CORES = 2
@@ -45,7 +45,7 @@ def harmonic_table(material: object, wavelengths_nm: np.ndarray) -> float:
 
 def dense_grid(material: object, wavelengths_nm: np.ndarray) -> float:
     """Stream 47 x 180 x 180 x 361 x 4 values in float32; return the sum of one of each wavelength."""
-    from nacre.metasurface.dense import stream_dense
+    from nacre.families.metasurface.dense import stream_dense
 
     theta, phi = np.radians(np.arange(180) * 0.5), np.radians(np.arange(361.0))
     return sum(float(f[0, 0, 90, 60, 180]) for _, f in stream_dense(material, wavelengths_nm, theta, phi))  # type: ignore[arg-type]

@@ -60,7 +60,7 @@ def target_data(designs: Any, i: int, time_limit_s: float | None) -> dict[str, A
 def checked(designs: Any, i: int, time_limit_s: float | None) -> tuple[Any, Any]:
     """Return the checked target and its context."""
     from nacre.design.spec import TargetSpec
-    from nacre.specs import RecipeContext, validate
+    from nacre.recipe.model import RecipeContext, validate
 
     context = RecipeContext("published", REFERENCE / "targets")
     return validate(TargetSpec, target_data(designs, i, time_limit_s), context), context

@@ -59,9 +59,9 @@ def median_seconds(function: Any, repeats: int) -> tuple[float, float]:
 def bench_slice(repeats: int) -> dict[str, Any]:
     """Time a slice and a part of the direct sum, in the same run."""
     from nacre.design.search import one_thread_each
-    from nacre.relief.coherence import Coherence
-    from nacre.relief.slice import SliceGeometry, plan_slice
-    from nacre.relief.surface import Tile
+    from nacre.families.relief.coherence import Coherence
+    from nacre.families.relief.slice import SliceGeometry, plan_slice
+    from nacre.families.relief.surface import Tile
 
     tile = Tile(800.0 * np.random.default_rng(1).random((FEATURES, FEATURES)), 800.0, 200.0)
     coherence = Coherence.from_sigma(2.6)
@@ -98,9 +98,9 @@ def bench_slice(repeats: int) -> dict[str, Any]:
 
 def bench_cache() -> dict[str, Any]:
     """Time the 4D cache at 512 x 512 samples and at least 24 nodes."""
-    from nacre.relief.coherence import Coherence
-    from nacre.relief.spectrum_map import spectrum_map
-    from nacre.relief.surface import Tile
+    from nacre.families.relief.coherence import Coherence
+    from nacre.families.relief.spectrum_map import spectrum_map
+    from nacre.families.relief.surface import Tile
 
     tile = Tile(1100.0 * np.random.default_rng(1).random((FEATURES, FEATURES)), 800.0, 200.0)
 
@@ -123,10 +123,10 @@ def bench_cache() -> dict[str, Any]:
 def bench_large(features: int = 512) -> dict[str, Any]:
     """Time a large tile's slice, the choice of its sampling included."""
     from nacre.design.search import one_thread_each
-    from nacre.relief.coherence import Coherence
-    from nacre.relief.sampling import choose_sampling
-    from nacre.relief.slice import SliceGeometry, plan_slice
-    from nacre.relief.surface import Tile
+    from nacre.families.relief.coherence import Coherence
+    from nacre.families.relief.sampling import choose_sampling
+    from nacre.families.relief.slice import SliceGeometry, plan_slice
+    from nacre.families.relief.surface import Tile
 
     t, c = time.perf_counter(), time.process_time()
     tile = Tile(600.0 * np.random.default_rng(1).random((features, features)), 1600.0, 500.0)

@@ -24,7 +24,8 @@ import numpy as np
 from common import Row, Worker, interleaved, parser, report, timed
 
 from nacre.light import illuminant, white_xyz, xyz_weights
-from nacre.matter import Powers, stack_gradient, stack_jax
+from nacre.matter import Powers
+from nacre.matter.stack import gradient as stack_gradient
 
 LAYERS = 20
 CALLS = 50  # gradients a turn: an optimiser takes hundreds in a row
@@ -59,7 +60,6 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark; 0 if the bars are reached."""
     options = parser(__doc__, repeats=15).parse_args(arguments)
     case = problem()
-    cos_i = np.cos(case["theta_rad"])
 
     def colour_loss(seen: Powers) -> jnp.ndarray:
         ratio = (seen.reflectance @ case["weights"]) / case["white"]
@@ -67,19 +67,13 @@ def main(arguments: list[str] | None = None) -> int:
         lab = jnp.stack([116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], axis=-1)
         return ((lab - case["wanted"]) ** 2).sum()
 
-    twin = stack_jax.value_and_grad(
-        lambda thicknesses: colour_loss(stack_jax.solve(case["n"][0], thicknesses, case["wavelengths_nm"], cos_i))
-    )
     compiled = stack_gradient.value_and_grad(colour_loss, case["n"][0], case["wavelengths_nm"], case["theta_rad"])
     d = case["thicknesses_nm"][0]
-    with stack_jax.double_precision():
+    with stack_gradient.double_precision():
         jnp.zeros(3).block_until_ready()  # the start of XLA itself is not ours
     start, start_cpu = time.perf_counter(), time.process_time()
     value, gradient = compiled(d)
     compile_s, compile_cpu_s = time.perf_counter() - start, time.process_time() - start_cpu
-    start_cpu = time.process_time()
-    twin(d)
-    twin_compile_cpu_s = time.process_time() - start_cpu
     with tempfile.TemporaryDirectory() as folder, Worker("peer_stack.py") as worker:
         np.savez(Path(folder) / "case.npz", **case)
         worker.ask("load", path=str(Path(folder) / "case.npz"))
@@ -89,7 +83,6 @@ def main(arguments: list[str] | None = None) -> int:
         times = interleaved(
             {
                 "nacre": lambda: descent(compiled, d),
-                "twin": lambda: descent(twin, d),
                 "tmm_fast": lambda: worker.ask("tmm_fast_gradient", calls=CALLS),
             },
             options.repeats,
@@ -100,8 +93,6 @@ def main(arguments: list[str] | None = None) -> int:
         Row("faster than tmm_fast's autograd", theirs.median_wall / ours.median_wall, "x (clock)", 40.0, note=note),
         # XLA compiles in one thread: on an idle machine clock and CPU time agree, on a busy one the clock counts others
         Row("compile", compile_cpu_s, "s of CPU", 5.0, higher_is_better=False, note=f"{compile_s:.1f} s by the clock"),
-        Row("compile of the JAX twin", twin_compile_cpu_s, "s of CPU", 5.0, higher_is_better=False),
-        Row("JAX twin, faster than tmm_fast's autograd", theirs.median_wall / times["twin"].median_wall, "x (clock)"),
         Row("nacre", ours.median_wall * 1e3, "ms", note=f"{ours.median_cpu * 1e3:.2f} ms of CPU"),
         Row("largest relative difference of value and gradient", float(worst), "", 1e-8, higher_is_better=False),
     ]

@@ -50,7 +50,8 @@ def write_sweep(folder: Path, recipe: str, count: int, low: float, high: float) 
 
 def bench_points(count: int) -> list[Row]:
     """Time one process over many points and watch its memory."""
-    from nacre.study.sweep import load_sweep, run_sweep
+    from nacre.study.plan import load_sweep
+    from nacre.study.sweep import run_sweep
 
     marks: list[float] = []
 
@@ -80,7 +81,8 @@ def bench_workers(count: int, repeats: int) -> Row:
 
     from helpers_study import dask_over_tcp
 
-    from nacre.study.sweep import load_sweep, run_sweep
+    from nacre.study.plan import load_sweep
+    from nacre.study.sweep import run_sweep
 
     times: dict[int, list[float]] = {1: [], 2: []}
     with tempfile.TemporaryDirectory() as name:

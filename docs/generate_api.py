@@ -8,7 +8,7 @@ import re
 from types import ModuleType
 from typing import Any
 
-MODULES = ("nacre", "nacre.light", "nacre.matter", "nacre.matter.stack_gradient", "nacre.matter.stack_jax",
+MODULES = ("nacre", "nacre.light", "nacre.matter", "nacre.matter.stack.gradient",
            "nacre.bsdf", "nacre.render", "nacre.plot", "nacre.design",
            "nacre.study.fit", "nacre.study.report", "nacre.study.tolerance", "nacre.study.sweep")  # fmt: skip
 SECTIONS = ("Args", "Returns", "Raises", "Attributes", "Example", "Yields", "Note")

@@ -10,18 +10,18 @@ from typing import Any, Literal
 
 import pydantic
 
-from nacre.specs import RecipeModel
+from nacre.recipe.model import RecipeModel
 
 # the meaning of a key where its name does not say it all; a test keeps the paths true
 MEANINGS_FILE = Path(__file__).parent / "meanings.toml"
 # files beside recipes: what reads them
-OTHER_FILES = {"Target of a design": "nacre.design.spec:TargetSpec", "Sweep": "nacre.study.sweep:SweepSpec"}
+OTHER_FILES = {"Target of a design": "nacre.design.spec:TargetSpec", "Sweep": "nacre.study.plan:SweepSpec"}
 SHARED = {"IndexSpec": "an optical constant", "TextureSpec": "a value that varies over the surface"}
 
 
 def files() -> dict[str, str]:
     """Return every kind of file and the model that reads it: all families, targets, sweeps."""
-    from nacre.recipe import FAMILIES
+    from nacre.families.registry import FAMILIES
 
     return {name.capitalize(): path for name, path in FAMILIES.items()} | OTHER_FILES
 
@@ -69,7 +69,7 @@ def page() -> str:
             lines += _table(model, top, said)
     lines += ["## Shared forms", ""]
     from nacre.bsdf.texture_spec import TextureSpec
-    from nacre.matter.spec import IndexSpec
+    from nacre.matter.indices.spec import IndexSpec
 
     for shared in (IndexSpec, TextureSpec):
         for model in models_below(shared):

@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 import nacre
-from nacre.demo import PictureSpec, examples_folder, load_gallery
+from nacre.cli.gallery import PictureSpec, examples_folder, load_gallery
 
 IMAGES = Path(__file__).parent / "images"
 THUMBNAIL = (256, 256)

@@ -20,7 +20,7 @@ from nacre.design.problem import measure_design
 from nacre.design.search import Search
 from nacre.design.spec import TargetSpec
 from nacre.exchange.calibration import PUBLISHED_CALIBRATION
-from nacre.specs import RecipeContext, validate
+from nacre.recipe.model import RecipeContext, validate
 
 FEATURE_UM, BLUR_UM, HEIGHT_UM = 0.8, 0.13, 0.8
 CONE = 0.12  # half width of the directions that show the colour, in direction cosines

@@ -8,10 +8,17 @@ where there is no NVIDIA GPU.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Generator, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
+
+# modules of tests are loaded by path, not by package; what several folders share stands here
+sys.path.insert(0, str(Path(__file__).parent / "helpers"))
+# a package from outside, on the path with its .dist-info as if installed: its family and lobe join the shared suites
+sys.path.insert(0, str(Path(__file__).parent / "toy"))
 
 # small matrices: threads of BLAS would only fight with those of numba and Dr.Jit
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -25,8 +32,8 @@ _why: dict[str, str] = {}
 
 def _why_no_render() -> str:
     if "render" not in _why:
+        from nacre.device.variant import import_mitsuba, why_no_llvm
         from nacre.errors import NacreError
-        from nacre.render.variant import import_mitsuba, why_no_llvm
 
         try:
             import_mitsuba()
@@ -38,8 +45,8 @@ def _why_no_render() -> str:
 
 def _why_no_gpu() -> str:
     if "gpu" not in _why:
+        from nacre.device.variant import import_mitsuba, why_no_cuda
         from nacre.errors import NacreError
-        from nacre.render.variant import import_mitsuba, why_no_cuda
 
         try:
             import_mitsuba()
@@ -78,6 +85,6 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None, Any, Any]:
 @pytest.fixture(scope="session")
 def mi() -> Iterator[Any]:
     """Return mitsuba in `llvm_ad_spectral`, with the `nacre` plugin registered; for tests marked `render`."""
-    from nacre.render.variant import use_variant
+    import nacre.render  # registers the `nacre` plugin with every variant
 
-    yield use_variant("llvm_ad_spectral")
+    yield nacre.render.use_variant("llvm_ad_spectral")

@@ -1,100 +1,162 @@
-"""The house rules of DESIGN section 2, kept by reading the imports."""
+"""The house rules, kept by reading the imports: floors, circles, who may know what."""
 
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from import_graph import ImportGraph
 
-SRC = Path(__file__).resolve().parents[1] / "src" / "nacre"
-WINGS = ("film", "pearl", "metasurface", "relief", "measured", "blend")
-FACES = ("cli", "recipe", "api", "verbs", "design", "study", "render", "plot", "exchange", "notebook", "doctor")
+from nacre.families.registry import FAMILIES
+
+ROOT = Path(__file__).resolve().parents[1]
+SRC = ROOT / "src" / "nacre"
+GRAPH = ImportGraph(SRC)
+# from the ground up; rooms of one floor do not know each other, but for the ground's files
+FLOORS = (
+    ("_version", "arrays", "errors", "files", "lazy"),
+    ("recipe",),
+    ("light",),
+    ("matter",),
+    ("bsdf",),
+    ("families",),
+    ("device",),
+    ("exchange",),
+    ("measure",),
+    ("picture",),
+    ("materials",),
+    ("plot",),
+    ("study", "design"),
+    ("render",),
+    ("api",),
+    ("cli",),
+    ("", "__main__"),
+)
+MOST_ROOMS = 21  # at the top of src/nacre; a person keeps no more in mind
 MAX_LINES = 500
 LONGER_FILES: dict[str, str] = {}  # path -> reason
 
 
-def imports(path: Path) -> set[str]:
-    """Return the modules a file imports anywhere in it, lazily or not."""
-    found: set[str] = set()
-    package = ["nacre", *path.relative_to(SRC).with_suffix("").parts]
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            base = ".".join(package[: -node.level]) if node.level else ""
-            module = ".".join(part for part in (base, node.module or "") if part)
-            found.add(module)
-            if module == "nacre" or module.count(".") == 0:
-                found |= {f"{module}.{alias.name}" for alias in node.names}
-    return found
+def floor_of(module: str) -> int:
+    """Return the number of a module's floor."""
+    return next(i for i, rooms in enumerate(FLOORS) if GRAPH.room(module) in rooms)
 
 
-def files(*packages: str) -> list[Path]:
-    """Return the Python files of the named packages of nacre."""
-    paths: list[Path] = []
-    for package in packages:
-        folder = SRC / package
-        paths += sorted(folder.rglob("*.py")) if folder.is_dir() else [SRC / f"{package}.py"]
-    return [path for path in paths if path.exists()]
+def who_imports(*names: str) -> dict[str, str]:
+    """Return the modules that import one of the packages named, or something inside it, and what."""
+    return {
+        module: found
+        for module in GRAPH.files
+        for found in sorted(GRAPH.imports(module))
+        if any(found == name or found.startswith(name + ".") for name in names)
+    }
 
 
-def offences(paths: list[Path], forbidden: tuple[str, ...]) -> list[str]:
-    """Return 'file imports module' for each import of a forbidden module or of something inside it."""
-    return [
-        f"{path.relative_to(SRC)} imports {module}"
-        for path in paths
-        for module in sorted(imports(path))
-        if any(module == f or module.startswith(f + ".") for f in forbidden)
-    ]
+def rooms_of(modules: dict[str, str]) -> set[str]:
+    return {GRAPH.room(module) for module in modules}
 
 
-@pytest.mark.parametrize("wing", WINGS)
-def test_a_wing_knows_neither_another_wing_nor_a_face(wing: str) -> None:
-    others = tuple(f"nacre.{other}" for other in (*WINGS, *FACES) if other != wing)
-    assert offences(files(wing), others) == []
+def test_the_graph_sees_every_kind_of_import(tmp_path: Path) -> None:
+    package = tmp_path / "nacre"
+    (package / "low").mkdir(parents=True)
+    files = {
+        "__init__.py": "",
+        "low/__init__.py": "from nacre.low.inner import thing\n",
+        "low/inner.py": "thing = 1\n",
+        "top.py": "from nacre.low import thing\n",
+        "lazy.py": "def f():\n    import nacre.top\n",
+        "typed.py": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from nacre import lazy\n",
+        "text.py": 'PLACES = {"a": "nacre.typed:Name"}\nANCHOR = files("nacre.low")\n',
+        "round.py": "from . import text\nimport nacre.back\n",
+        "back.py": "from nacre.round import x\n",
+    }
+    for name, text in files.items():
+        (package / name).write_text(text)
+    graph = ImportGraph(package)
+    assert graph.arrows["nacre.top"] == {"nacre.low.inner"}
+    assert graph.arrows["nacre.lazy"] == {"nacre.top"}
+    assert graph.arrows["nacre.typed"] == {"nacre.lazy"}
+    assert graph.arrows["nacre.text"] == {"nacre.typed"}
+    assert graph.circles() == [["nacre.back", "nacre.round"]]
 
 
-def test_the_core_knows_no_wing_and_no_face() -> None:
-    forbidden = tuple(f"nacre.{other}" for other in (*WINGS, *FACES))
-    assert offences(files("light", "matter", "bsdf"), forbidden) == []
+def test_every_room_has_a_floor() -> None:
+    assert {GRAPH.room(m) for m in GRAPH.files} <= {room for rooms in FLOORS for room in rooms}
 
 
-def test_render_plot_and_exchange_know_no_wing() -> None:
-    forbidden = tuple(f"nacre.{other}" for other in (*WINGS, "recipe", "api", "verbs", "cli", "design", "study"))
-    assert offences(files("render", "plot", "exchange"), forbidden) == []
+def test_no_files_import_each_other_in_a_circle() -> None:
+    assert GRAPH.circles() == []
 
 
-def test_design_and_study_do_not_import_the_command_line() -> None:
-    assert offences(files("design", "study", "recipe", "api"), ("nacre.cli",)) == []
+def test_no_arrow_runs_to_a_higher_floor_or_across_one() -> None:
+    wrong = []
+    for module, arrows in GRAPH.arrows.items():
+        for other in arrows:
+            here, there = floor_of(module), floor_of(other)
+            across = here == there and here > 0 and GRAPH.room(module) != GRAPH.room(other)
+            if there > here or across:
+                wrong.append(f"{module} imports {other}")
+    assert wrong == []
 
 
-def test_only_render_imports_mitsuba() -> None:
-    others = [path for path in SRC.rglob("*.py") if "render" not in path.relative_to(SRC).parts[:1]]
-    assert offences(others, ("mitsuba", "drjit")) == []
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_family_is_known_to_its_folder_and_one_line_of_registration_only(family: str) -> None:
+    importers = who_imports(f"nacre.families.{family}")
+    strangers = [m for m in importers if not m.startswith((f"nacre.families.{family}", "nacre.design"))]
+    assert strangers == ["nacre.families.registry"]
+    inside = [m for m in GRAPH.files if m.startswith(f"nacre.families.{family}")]
+    others = [f"nacre.families.{name}" for name in FAMILIES if name != family]
+    assert [m for m in inside if any(found.startswith(tuple(others)) for found in GRAPH.imports(m))] == []
+
+
+def test_nobody_asks_a_material_for_its_family() -> None:
+    """No comparison with a family's name and no `isinstance` of a family's class outside the families themselves.
+
+    Designs may name the family that they design, and an importer writes one into recipe text.
+    """
+    classes = r"isinstance\([^)]*\b(Film|Pearl|Metasurface|Relief|Measured|Blend)(Model)?\b"
+    names = r"\bfamily (==|!=|in|not in)\b|\.family (==|!=)|inspect\.signature"
+    asks = re.compile(f"{classes}|{names}")
+    wrong = []
+    for module, path in GRAPH.files.items():
+        if module.startswith(("nacre.families", "nacre.design")):
+            continue
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+            if asks.search(line):
+                wrong.append(f"{module}:{number}: {line.strip()}")
+    assert wrong == []
+
+
+def test_the_top_of_the_package_stays_small() -> None:
+    rooms = {p.name for p in SRC.iterdir() if not p.name.startswith("__") and p.name != "py.typed"}
+    assert len(rooms) <= MOST_ROOMS, sorted(rooms)
+
+
+def test_only_the_rooms_of_pictures_import_mitsuba() -> None:
+    assert rooms_of(who_imports("mitsuba", "drjit")) <= {"device", "picture", "render"}
 
 
 def test_only_plot_imports_matplotlib() -> None:
-    others = [path for path in SRC.rglob("*.py") if "plot" not in path.relative_to(SRC).parts[:1]]
-    assert offences(others, ("matplotlib",)) == []
+    assert rooms_of(who_imports("matplotlib")) <= {"plot"}
 
 
 def test_the_product_never_imports_a_test_oracle() -> None:
-    oracles = ("tmm", "colour", "treams", "miepython", "torch", "smuthi", "pandas")
-    assert offences(sorted(SRC.rglob("*.py")), oracles) == []
+    assert who_imports("tmm", "colour", "treams", "miepython", "torch", "smuthi", "pandas") == {}
 
 
 def test_nothing_the_user_supplies_is_ever_run() -> None:
-    bad = []
-    for path in SRC.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("eval", "exec"):
-                bad.append(f"{path.relative_to(SRC)}:{node.lineno} calls {node.func.id}")
-        if offences([path], ("pickle", "cPickle", "dill", "cloudpickle")):
-            bad.append(f"{path.relative_to(SRC)} imports pickle")
-    assert bad == []
+    calls = [
+        f"{module}:{node.lineno} calls {node.func.id}"
+        for module, tree in GRAPH.trees.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("eval", "exec")
+    ]
+    assert calls == []
+    assert who_imports("pickle", "cPickle", "dill", "cloudpickle") == {}
 
 
 def test_no_file_is_longer_than_a_reader_holds() -> None:

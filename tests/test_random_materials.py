@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.api import evaluate_with_error
-from nacre.bsdf.hemisphere import directional_hemispherical
+from nacre.families.registry import FAMILIES, family_names, family_spec
+from nacre.measure.evaluate import evaluate_with_error
+from nacre.measure.spectrum import directional_hemispherical
 
 QUICK, FULL = 10, 200
 GRID_NM = np.array([420.0, 550.0, 680.0])  # physics is tested at a few wavelengths; colours are tested elsewhere
@@ -135,6 +136,13 @@ def check_pearls(seeds: range, samples: int) -> None:
     # the mean over hundreds of scores, each near unit variance, lies within a few standard errors of zero
     assert abs(z.mean()) < 4.0 / np.sqrt(z.size / len(GRID_NM))
     assert np.mean(abs(z) > 4.0) < 0.02
+
+
+def test_families_of_other_packages_keep_energy_and_reciprocity() -> None:
+    outside = [name for name in family_names() if name not in FAMILIES]
+    assert outside
+    for name in outside:
+        check(nacre.material(family_spec(name, "here").example), 1.0, 0)
 
 
 def test_ten_random_films() -> None:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.errors import NacreError
 from nacre.light import spectrum_to_srgb, spectrum_to_xyz, xyz_to_lab
-from nacre.recipe import Material, material
+from nacre.materials.material import Material, material
 
-Array = NDArray[np.float64]
 HUES = (  # CIELAB hue angle at which each name begins, measured on spectra of one reflectance peak
     (0.0, "red"),
     (45.0, "orange"),

@@ -6,15 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import nacre
-from nacre.bsdf.layered import Layered
-from nacre.bsdf.table import from_half_difference
+from nacre.arrays import Array
+from nacre.bsdf.lobes.layered import Layered
+from nacre.bsdf.lobes.table import from_half_difference
+from nacre.families.pearl.fast import tables
 from nacre.light import spectrum_to_xyz, xyz_to_lab, xyz_to_xyy
-from nacre.pearl.fast import tables
 
-Array = NDArray[np.float64]
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "pearl"
 SRGB = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06], [0.64, 0.33]])
 GRID_NM = np.arange(360.0, 831.0, 10.0)

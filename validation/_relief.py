@@ -6,20 +6,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.design.problem import Evaluator, Measurement, Problem, measure_design
 from nacre.design.search import Search, one_thread_each
 from nacre.design.spec import TargetSpec
-from nacre.matter.indices import index
-from nacre.relief.coherence import Coherence
-from nacre.relief.fresnel import coating_reflectance
-from nacre.relief.slice import SliceGeometry, plan_slice
-from nacre.relief.surface import Tile
-from nacre.specs import RecipeContext, validate
+from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.fresnel import coating_reflectance
+from nacre.families.relief.slice import SliceGeometry, plan_slice
+from nacre.families.relief.surface import Tile
+from nacre.matter.indices.library import index
+from nacre.recipe.model import RecipeContext, validate
 from validation.relief_published_renders import REFERENCE, load
 
-Array = NDArray[np.float64]
 PIXELS = 64
 STARTS = 3  # of a short design: 2-5 s of one core, the same map on every machine
 CELL, CAPTION, MARGIN = 128, 17, 6

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from nacre.bsdf.hemisphere import direction, directional_hemispherical
+from nacre.bsdf.directions import direction
+from nacre.measure.spectrum import directional_hemispherical
 from validation._film import canvas, film, picture, show
 from validation._rows import finish, row
 

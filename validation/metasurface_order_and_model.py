@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
+from nacre.arrays import Array
+from nacre.families.metasurface.corrections import diffuse_term
+from nacre.families.metasurface.monolayer import Monolayer, Particle
+from nacre.families.metasurface.sphere import SphereOnStack, amplitude, choose_order, hemisphere_rule
+from nacre.families.metasurface.structure import hard_disk_structure
+from nacre.families.metasurface.substrate import Substrate
 from nacre.light import spectrum_to_xyz, srgb_encode, xyz_to_srgb_linear
-from nacre.metasurface.corrections import diffuse_term
-from nacre.metasurface.mie import mie_coefficients
-from nacre.metasurface.monolayer import Monolayer, Particle
-from nacre.metasurface.sphere import SphereOnStack, amplitude, choose_order, hemisphere_rule
-from nacre.metasurface.structure import hard_disk_structure
-from nacre.metasurface.surface import Surface
-from nacre.recipe import material
+from nacre.materials.material import material
+from nacre.matter.mie import mie_coefficients
 from validation._rows import finish, row
 
-Array = NDArray[np.float64]
 Row = tuple[str, str, str, bool]
 
 REFERENCE = Path(__file__).resolve().parents[2] / "shared" / "reference" / "metasurface"
@@ -172,7 +172,7 @@ def interaction_rows(axis: Any) -> list[Row]:
         data = np.load(REFERENCE / f"ensemble_{name}.npz")
         films = list(zip(data["film_n"], data["film_h_nm"], strict=True))
         indices = np.array([1.0, *(n for n, _ in films), complex(data["n_substrate"])], dtype=complex)
-        surface = Surface(float(data["wavelength_nm"]), indices, np.array([h for _, h in films], dtype=float))
+        surface = Substrate(float(data["wavelength_nm"]), indices, np.array([h for _, h in films], dtype=float))
         k, radius, n = surface.wavenumber, float(data["radius_nm"]), complex(data["n_sphere"])
         structure = hard_disk_structure(float(data["density_per_nm2"]), float(data["packing_p"]), 3.2 * k)
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from nacre.recipe import material
+from nacre.materials.material import material
 from validation._rows import finish, row
 
 

@@ -64,8 +64,8 @@ class OneWavelength:
 
 def switched(bsdf: Any, switch: str) -> Any:
     """The material's BSDF with one of the switches set."""
-    from nacre.render.plugins.base import opaque
-    from nacre.render.plugins.bsdf import make_bsdf
+    from nacre.device.base import opaque
+    from nacre.device.bsdf import make_bsdf
 
     made = make_bsdf(bsdf, two_sided=True)
     plugin = made.plugins[0]
@@ -82,10 +82,10 @@ class Sphere:
     """A lone sphere under a light, and its pixels."""
 
     def __init__(self, light: str) -> None:
-        from nacre.render.lights import make_light
-        from nacre.render.scenes import SCENES, Part, Scene
-        from nacre.render.stage import Stage
-        from nacre.render.variant import use_variant
+        from nacre.device.variant import use_variant
+        from nacre.picture.built_scene import Stage
+        from nacre.picture.lights.named import make_light
+        from nacre.picture.scenes.catalogue import SCENES, Part, Scene
 
         self.mi = use_variant()
         shape = Part({"type": "sphere", "center": [0.0, 0.0, 1.0], "radius": 1.0})

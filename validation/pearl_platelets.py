@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 from matplotlib import pyplot
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
+from nacre.families.pearl.platelet import Coating, Platelet, platelet_response
+from nacre.families.pearl.thickness import Thickness
 from nacre.light import spectrum_to_srgb, spectrum_to_xyz, xyz_to_lab
-from nacre.matter.indices import OpticalConstant
-from nacre.matter.spec import IndexSpec
-from nacre.pearl.platelet import Coating, Platelet, platelet_response
-from nacre.pearl.thickness import Thickness
+from nacre.matter.indices.constant import OpticalConstant
+from nacre.matter.indices.spec import IndexSpec
 
-Array = NDArray[np.float64]
 LAM = np.arange(360.0, 831.0, 5.0)
 ANGLES = np.linspace(0.0, 90.0, 91)
 COATINGS_NM = (60.0, 100.0, 140.0)

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from matplotlib import pyplot
 
-from nacre.matter.spec import IndexSpec
-from nacre.pearl.medium import FlakeNormals, optical_number
-from nacre.pearl.platelet import Coating, Platelet, platelet_response
-from nacre.pearl.thickness import Thickness
+from nacre.families.pearl.medium import FlakeNormals, optical_number
+from nacre.families.pearl.platelet import Coating, Platelet, platelet_response
+from nacre.families.pearl.thickness import Thickness
+from nacre.matter.indices.spec import IndexSpec
 
 LAM = np.array([450.0, 550.0, 650.0])
 FRACTIONS = (0.013, 0.066, 0.132)

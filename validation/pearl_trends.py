@@ -1,7 +1,7 @@
 """The trends that Guillen et al. 2020, section 6, state for pearls, over their parameters: figures 9, 10 and 12.
 
 Material C1: flakes of 80 nm silica (C2: 560 +- 179 nm of mica) under titania, in 150 um of PET of roughness 0.01, over
-a diffuse base of albedo 0.7. Values are of the noise-free form (`nacre.pearl.fast`), baked at a fraction of its effort;
+a diffuse base of albedo 0.7. Values are of the noise-free form, baked at a fraction of its effort;
 the interface's own mirror light is left out by looking beside it. The figure's caption gives a deviation of the normals
 of 0.01, the text 0.1. At 0.1 flakes send light far from the mirror direction too, and most of the statements were seen
 to fail there; they are tested at 0.01, and for larger deviations where the source draws those.

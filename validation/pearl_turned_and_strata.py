@@ -13,8 +13,8 @@ import numpy as np
 
 import nacre
 from nacre.bsdf import Bsdf
-from nacre.bsdf.hemisphere import bsdf_spectrum
 from nacre.light import spectrum_to_xyz
+from nacre.measure.spectrum import bsdf_spectrum
 from validation._pearl import EXAMPLES, GRID_NM, hue_distance
 from validation._pearl_pictures import BOTTLE, SUBSTRATES, WALK_SPP, c1, difference, picture, sheet, walked, where
 from validation._rows import finish, row
@@ -55,7 +55,7 @@ def lobe_peak_deg(bsdf: Bsdf) -> float:
     """Exit angle, in the plane of the turn, of most light for incidence along the normal; the mirror is left out."""
     theta = np.radians(np.arange(-80.0, 80.1, 4.0))
     wo = np.stack([0 * theta, np.sin(theta), np.cos(theta)], axis=-1)
-    from nacre.render.plugins.layered import evaluate_layered
+    from nacre.device.walk.arrays import evaluate_layered
 
     lobe = bsdf.lobes[0]
     wi = np.broadcast_to([0.0, 0.0, 1.0], wo.shape)

@@ -13,13 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nacre.relief.coherence import Coherence
-from nacre.relief.surface import Tile, slopes
+from nacre.arrays import Array
+from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.surface import Tile, slopes
 from validation._relief import PIXELS, Model, exposed, sheet
 
-Array = NDArray[np.float64]
 KEEPS, FAILS = 0.10, 0.20  # relative distance from the converged picture: still the picture; another one
 WIDE_PIXELS = 192  # of the view over the hemisphere
 MIDDLE = slice(PIXELS // 2 - 2, PIXELS // 2 + 2)

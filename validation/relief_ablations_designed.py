@@ -11,15 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.design.problem import Problem
 from nacre.design.robustness import robustness
-from nacre.relief.slice import SliceGeometry, plan_slice
-from nacre.relief.surface import Tile
+from nacre.families.relief.slice import SliceGeometry, plan_slice
+from nacre.families.relief.surface import Tile
 from validation._relief import STARTS, display, measured, picture, problem_of, sheet, short_design, spectra_of
 
-Array = NDArray[np.float64]
 CIRCLE = {"kind": "diffuse", "colour": "inv_disk_iri", "iridescent_range": 0.09}
 REAL = {"feature_um": 2.0, "blur_um": 0.65}
 UNIFORM_RANGE = 0.15  # of the uniform designs' targets, as trained by the source

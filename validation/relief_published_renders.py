@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nacre.relief.coherence import Coherence
-from nacre.relief.nodes import chebyshev_nodes, interpolation_weights
-from nacre.relief.slice import SliceGeometry, plan_slice, smoothing_matrix
-from nacre.relief.surface import Tile
+from nacre.arrays import Array
+from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.kappa_nodes import chebyshev_nodes, interpolation_weights
+from nacre.families.relief.slice import SliceGeometry, plan_slice, smoothing_matrix
+from nacre.families.relief.surface import Tile
 
-Array = NDArray[np.float64]
 REFERENCE = Path(__file__).resolve().parents[2] / "shared" / "reference" / "relief"
 UPSAMPLING = 8  # the source's sampling when it renders
 TAPS = 8  # on each side

@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 from matplotlib import pyplot
-from numpy.typing import NDArray
 
 import nacre
-from nacre.api import evaluate_with_error
+from nacre.arrays import Array
+from nacre.bsdf.directions import direction
 from nacre.exchange.gonio_csv import GonioData
-from nacre.study import geometry
+from nacre.measure import instruments as geometry
+from nacre.measure.evaluate import evaluate_with_error
 from nacre.study.fit import Fit, Measured, read_free, run_fit
 
-Array = NDArray[np.float64]
 NOISE = 0.01
 DRAWS, NEEDED = 20, 17
 WRONG_VALLEY = 3.0  # times the noise
@@ -93,7 +93,7 @@ def spectrum_of(material: nacre.Material, waves: Array, angles: Array, parts: tu
 def gonio_of(material: nacre.Material, seed: int) -> Measured:
     """Measure a pearl by a goniometer, with noise; its walk has other seeds and more paths than the fit's."""
     wo = np.stack([geometry.aspecular_direction(45.0, a) for a in PEARL_ASPECULAR])
-    wi = np.broadcast_to(geometry.direction(45.0), wo.shape).copy()
+    wi = np.broadcast_to(direction(np.radians(45.0)), wo.shape).copy()
     exact = evaluate_with_error(material.bsdf(PEARL_WAVES), wi, wo, samples=8 * SAMPLES, seed=999 + seed)[0]
     polar = [[np.arccos(w[:, 2]), np.arctan2(w[:, 1], w[:, 0])] for w in (wi, wo)]
     values = noisy(exact, seed)

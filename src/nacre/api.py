@@ -1,38 +1,36 @@
-"""The verbs of nacre for Python: the same words as on the command line.
+"""The verbs of nacre for Python: the same words and the same defaults as on the command line.
 
-`nacre.load`, `nacre.material`, `nacre.evaluate`, `nacre.spectrum`; pictures come from `nacre.render`, figures
-from `nacre.plot`, structures from `nacre.design`.
+`nacre.load`, `nacre.material`, `nacre.evaluate`, `nacre.spectrum`, `nacre.report` and the rest; pictures come from
+`nacre.render`, figures from `nacre.plot`, structures from `nacre.design`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from nacre._version import __version__
+from nacre.arrays import Array
 from nacre.bsdf import Bsdf
-from nacre.bsdf.masked import MaskedLobe
-from nacre.errors import RecipeError, UnsupportedError
-from nacre.recipe import Material
+from nacre.bsdf.spectrum import Spectrum
+from nacre.errors import UnsupportedError, did_you_mean
+from nacre.exchange.drawings import SUFFIXES, HeightOptions, write_drawing
+from nacre.families.contract import Model
+from nacre.files import check_writable
+from nacre.materials.material import Material, load
+from nacre.matter.drawings import DrawingRequest
+from nacre.measure.evaluate import HasBsdf, evaluate_with_error
+from nacre.study.fit import Fit, read_free, read_measurement, run_fit
+from nacre.study.foreign import export_material, import_material
+from nacre.study.plan import load_sweep
+from nacre.study.report import Report, make_report
+from nacre.study.sweep import run_sweep
+from nacre.study.tolerance import Tolerance, read_spreads, run_tolerance
 
-Array = NDArray[np.float64]
-PLOT_SAMPLES = 1024  # the same for a pixel of a figure, the least; a figure of few pairs takes more ...
-PLOT_WALKS = 1 << 16  # ... up to so many together
-MOST_SAMPLES = 1 << 14
-DIRECTIONAL_KINDS = ("slice", "lobe", "tracks")
-DEFAULT_SAMPLES = 4096  # paths a direction pair of a stochastic lobe: about 2 % noise for a broad lobe
-
-
-class HasBsdf(Protocol):
-    """Anything that answers with a Bsdf: a material, or a wing's own object."""
-
-    def bsdf(self) -> Bsdf:
-        """Return the arrays."""
-        ...
+__all__ = ["evaluate", "export", "fabricate", "fit", "import_", "report", "spectrum", "sweep", "tolerance"]
 
 
 def as_bsdf(thing: HasBsdf | Bsdf | str | Path) -> Bsdf:
@@ -44,8 +42,6 @@ def as_bsdf(thing: HasBsdf | Bsdf | str | Path) -> Bsdf:
     if isinstance(thing, Bsdf):
         return thing
     if isinstance(thing, str | Path):
-        from nacre.recipe import load
-
         return load(thing).bsdf()
     return thing.bsdf()
 
@@ -74,111 +70,183 @@ def evaluate(
     return evaluate_with_error(as_bsdf(thing), wi, wo, uv=uv, samples=samples, seed=seed)[0]
 
 
-def evaluate_with_error(
-    bsdf: Bsdf,
-    wi: ArrayLike,
-    wo: ArrayLike,
-    *,
-    uv: ArrayLike | None = None,
-    samples: int | None = None,
-    seed: int = 0,
-) -> tuple[Array, Array | None]:
-    """Return the values of `evaluate` and, where a lobe is stochastic, their standard error (else None).
-
-    Raises:
-        UnsupportedError: as `evaluate`.
-    """
-    wi_array, wo_array = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
-    if wi_array.shape[-1:] != (3,):
-        raise UnsupportedError(f"wi and wo have shape {list(wi_array.shape)}; the last axis must be 3")
-    uv_array = None if uv is None else np.asarray(uv, dtype=float)
-    total = np.zeros((*wi_array.shape[:-1], len(bsdf.wavelengths_nm)))
-    variance: Array | None = None
-    for lobe in bsdf.lobes:
-        if lobe.is_stochastic:
-            # a masked walk is walked bare and dimmed after
-            share: Array | float = 1.0
-            while isinstance(lobe, MaskedLobe):
-                share = share * lobe.share(uv_array, wi_array.shape[:-1])[..., None]
-                lobe = lobe.inner
-            from nacre.bsdf.layered import Layered
-            from nacre.render.plugins.layered import evaluate_layered
-
-            assert isinstance(lobe, Layered)  # the only walk there is
-            values, error = evaluate_layered(
-                lobe, wi_array, wo_array, samples=samples or DEFAULT_SAMPLES, seed=seed, uv=uv_array
-            )
-            error = error * share
-            variance = error**2 if variance is None else variance + error**2
-            total = total + values * share
-        else:
-            total = total + lobe.evaluate(wi_array, wo_array, uv_array)
-    return total, None if variance is None else np.sqrt(variance)
-
-
 def spectrum(
     thing: Material | str | Path,
     angles_deg: ArrayLike = 0.0,
     wavelengths_nm: ArrayLike | None = None,
     polarisation: str = "both",
-) -> Any:
+) -> Spectrum:
     """Return reflectance and transmittance of a material as a `Spectrum`, each part `[angle, wavelength]`.
 
     Raises:
         NacreError: the recipe is wrong, or an optical constant is not known at a wavelength.
     """
-    from nacre.recipe import load
-
-    material = load(thing) if isinstance(thing, str | Path) else thing
-    return material.spectrum(np.radians(np.atleast_1d(angles_deg)), wavelengths_nm, polarisation)
+    return _material(thing).spectrum(np.radians(np.atleast_1d(angles_deg)), wavelengths_nm, polarisation)
 
 
-def plot_material(
-    material: Material,
-    kind: str,
-    path: str | Path,
+def _material(thing: Material | str | Path) -> Material:
+    return load(thing) if isinstance(thing, str | Path) else thing
+
+
+def report(
+    thing: Material | str | Path,
     *,
-    angles_deg: ArrayLike | None = None,
-    wavelengths_nm: ArrayLike | None = None,
     illuminant: str = "D65",
-    over: tuple[str, Sequence[float] | Array] | None = None,
-) -> None:
-    """Draw a figure of a material into a PNG, PDF or SVG that carries the recipe; kinds: `nacre.plot.KINDS`.
+    observer: str = "10deg",
+    samples: int | None = None,
+    seed: int = 0,
+) -> Report:
+    """Measure a material in the trade's geometries: Lab at 15 to 110 degrees, flop, gloss, haze, totals.
 
-    `over` names a number of the recipe and its values, for "tracks". Figures over directions show the noise-free
-    form (`quality = "fast"`) of a material that has one, unless its recipe names a quality.
+    Args:
+        thing: a material, or the path of a recipe, `.nacre` file or design folder.
+        illuminant, observer: of the colours.
+        samples, seed: of the walk, for families that are evaluated by one.
 
     Raises:
-        UnsupportedError: the material has no such figure.
-        NacreError: the recipe is wrong, or the file cannot be written.
+        NacreError: the material cannot be loaded or measured.
+
+    Example: `nacre.report("soap.toml").flop_index`.
     """
-    from nacre.plot import save_material
-
-    save_material(
-        as_drawn(material, kind, over), kind, path, angles_deg=angles_deg, wavelengths_nm=wavelengths_nm,
-        illuminant=illuminant, over=over, provenance=recipe_provenance(material), evaluate=plot_walk,
-    )  # fmt: skip
+    return make_report(_material(thing), illuminant, observer, samples, seed)
 
 
-def recipe_provenance(material: Material) -> dict[str, Any]:
-    """Return what a file made from a recipe tells of its origin."""
-    return {"nacre": __version__, "source": Path(material.context.source).name, "recipe": material.context.text}
+def tolerance(
+    thing: Material | str | Path, spreads: Iterable[str] = (), *, draws: int = 500, limit: float = 1.0, **options: Any
+) -> Tolerance:
+    """Turn manufacturing spreads into the distribution of colour, yield and ranked sensitivities.
 
+    Args:
+        thing: a material or a path.
+        spreads: such as "layers[0].thickness_nm=2%", beside those of the recipe's `[tolerance]`.
+        draws: number of materials; limit: dE00 within which one is right.
+        options: the others of `nacre.study.tolerance.run_tolerance`.
 
-def as_drawn(material: Material, kind: str, over: object = None) -> Material:
-    """Return the material as a figure shows it: over directions noise-free, where its family and recipe allow it.
-
-    Over a number every step would be baked anew; there the few walks are the shorter way.
+    Raises:
+        NacreError: no spread, or one that names no number of the recipe.
     """
-    if kind not in DIRECTIONAL_KINDS or over is not None or "quality" in material.data:
-        return material
-    try:
-        return material.vary({"quality": "fast"})
-    except RecipeError:  # a family that knows no such choice
-        return material
+    material = _material(thing)
+    return run_tolerance(material, read_spreads(material, tuple(spreads)), draws=draws, limit=limit, **options)
 
 
-def plot_walk(bsdf: Bsdf, wi: Array, wo: Array) -> Array:
-    """Evaluate for a figure: lobes that are random walks get the fewer samples the more pairs there are."""
-    pairs = max(1, int(np.prod(np.shape(wi)[:-1])))
-    return evaluate_with_error(bsdf, wi, wo, samples=int(np.clip(PLOT_WALKS // pairs, PLOT_SAMPLES, MOST_SAMPLES)))[0]
+def fit(
+    measurement: str | Path, thing: Material | str | Path, free: Iterable[str] = (), *, starts: int = 4, **options: Any
+) -> Fit:
+    """Fit the free numbers of a recipe to a measurement.
+
+    Args:
+        measurement: CSV of a spectrum or of goniometer values.
+        thing: a material or a path.
+        free: such as "layers[0].thickness_nm=50:400", beside those of the recipe's `[fit]`.
+        starts: refined starts; options: the others of `nacre.study.fit.run_fit`.
+
+    Raises:
+        NacreError: the measurement cannot be read, or nothing is free.
+    """
+    material = _material(thing)
+    return run_fit(material, read_measurement(measurement), read_free(material, tuple(free)), starts=starts, **options)
+
+
+def sweep(
+    path: str | Path,
+    output: str | Path | None = None,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int, int, int], None] | None = None,
+) -> Path:
+    """Compute a sweep, or what is missing of it; return the Zarr folder, whose failed points carry their errors.
+
+    Args:
+        path: the sweep's TOML file.
+        output: the Zarr folder; default: the file's name with .zarr, in the present folder.
+        workers, scheduler, progress: as `nacre.study.sweep.run_sweep`.
+
+    Raises:
+        NacreError: the file is wrong, or the folder holds another sweep.
+    """
+    store = Path(output) if output is not None else Path(f"{Path(path).stem}.zarr")
+    run_sweep(load_sweep(path), store, workers=workers, scheduler=scheduler, progress=progress)
+    return store
+
+
+def export(thing: Material | str | Path, to: str, output: str | Path, **options: Any) -> dict[str, Any]:
+    """Write a material in a foreign format; `["lost"]` of the answer says in words what it cannot hold.
+
+    Args:
+        thing: a material or a path.
+        to: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr" or "nacre".
+        output: the file.
+        options: those of `nacre.study.foreign.export_material`.
+
+    Raises:
+        UnsupportedError: the format can hold nothing of the material.
+        NacreError: the file cannot be written.
+    """
+    check_writable(output)
+    return export_material(_material(thing), to, Path(output), **options)
+
+
+def import_(source: str | Path, recipe: str | Path) -> Material:
+    """Turn a foreign file (goniometer CSV, MERL, RGL, Zemax, glTF, MaterialX) into a recipe, and load it.
+
+    Args:
+        source: the foreign file.
+        recipe: the TOML file to write; tables go into a `.nacre` file beside it.
+
+    Raises:
+        NacreError: the file is none of the known formats, or is damaged.
+    """
+    check_writable(recipe)
+    import_material(Path(source), Path(recipe))
+    return load(recipe)
+
+
+def fabricate(
+    source: Material | Model | str | Path,
+    to: str,
+    path: str | Path | None = None,
+    *,
+    size_mm: tuple[float, float] | None = None,
+    calibration: str | Path | None = None,
+    levels: int | None = None,
+    pixels_per_feature: int = 1,
+    base_um: float = 1.0,
+    seed: int | None = None,
+) -> tuple[Path, ...]:
+    """Write the file that makes a material, and beside all but a sheet a JSON that says how to read it.
+
+    Args:
+        source: a material, its model, or the path of a recipe or a design folder.
+        to: a relief: "png16", "tiff16", "stl", "gds", "oas" or "csv"; a metasurface: "gds", "oas", "csv" or
+            "sheet"; a film: "sheet".
+        path: where; default: what is drawn and the format's ending, in the design folder or the present one.
+        size_mm: repeat what is drawn over an area (x, y); default: one period.
+        calibration: CSV of grey value and depth in um, for images; default: the published process.
+        levels: number of heights of a mask; default: as many as the heights have, or 16.
+        pixels_per_feature: pixels along a feature's side, for images.
+        base_um: thickness of an STL's base.
+        seed: of what is placed at random; default: the recipe's.
+
+    Returns:
+        the files' paths, the one asked for first.
+
+    Raises:
+        UnsupportedError: a format that the material's family has no drawing for.
+        NacreError: the calibration does not fit, or the file cannot be written.
+    """
+    folder, name, model = Path(), "material", source
+    if isinstance(source, str | Path):
+        folder = Path(source) if Path(source).is_dir() else Path()
+        source = load(source)
+    if isinstance(source, Material):
+        name, model = Path(source.context.source).name, source.model
+    assert isinstance(model, Model)
+    drawers = model.fabrications
+    if to not in drawers:
+        known = f"Formats: {', '.join(drawers)}" if drawers else "It has none: nothing of it can be drawn"
+        raise UnsupportedError(f"{name}: --to {to} is not known for a {model.noun}.{did_you_mean(to, drawers)} {known}")
+    drawing = drawers[to](DrawingRequest(size_mm, seed))
+    target = Path(path) if path is not None else folder / f"{drawing.stem}{SUFFIXES[to]}"
+    options = HeightOptions(size_mm, calibration, levels, pixels_per_feature, base_um)
+    return write_drawing(drawing, to, target, name, options)

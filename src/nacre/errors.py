@@ -30,7 +30,7 @@ class UnsupportedError(NacreError):
     """The request is meaningful, but this material, lobe or format cannot serve it."""
 
 
-class EnvironmentError_(NacreError):
+class MachineError(NacreError):
     """The machine lacks something (LLVM, a writable folder); the message says what to do."""
 
 

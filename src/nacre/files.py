@@ -6,10 +6,8 @@ import contextlib
 import errno
 import os
 import tempfile
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from nacre.errors import NacreError, RecipeError
 
@@ -108,19 +106,7 @@ def read_text(path: str | Path, what: str = "file") -> str:
         raise RecipeError(f"{path}: is a folder, not a {what}") from None
     except UnicodeDecodeError:
         raise RecipeError(f"{path}: is not UTF-8 text") from None
+    except ValueError as error:  # a name that no file system takes
+        raise RecipeError(f"{str(path)[:80]!r}: cannot be read: {error}") from None
     except OSError as error:
         raise RecipeError(f"{path}: cannot be read: {error.strerror}") from None
-
-
-def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """Parse TOML.
-
-    Raises:
-        RecipeError: naming the line and column of the first mistake.
-    """
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise RecipeError(f"{source}: not valid TOML: {' '.join(str(error).split())}") from None
-    except (RecursionError, ValueError, OverflowError) as error:
-        raise RecipeError(f"{source}: not valid TOML: {type(error).__name__}") from None

@@ -67,7 +67,7 @@ def test_a_blend_is_stored_and_read(folder: Path) -> None:
 @pytest.mark.render
 def test_the_plugin_gives_the_arrays_values(folder: Path) -> None:
     import nacre.render
-    from nacre.render.plugins.bsdf import make_bsdf
+    from nacre.device.bsdf import make_bsdf
 
     nacre.render.use_variant()
     import mitsuba as mi

@@ -13,13 +13,13 @@ OXIDE = GOLD.replace('"Au"', '"Si"\nlayers = [{material = "SiO2", thickness_nm =
 
 @pytest.mark.render
 def test_the_renderers_twosided_takes_another_of_our_materials_behind(tmp_path: Path) -> None:
-    from nacre.render.variant import use_variant
+    from nacre.device.variant import use_variant
 
     use_variant()
     import mitsuba as mi
+    from lobe_trials import context, directions, interaction
 
     import nacre.render  # noqa: F401  registers the plugin
-    from nacre.render.testing import context, directions, interaction
 
     (tmp_path / "gold.toml").write_text(GOLD)
     (tmp_path / "oxide.toml").write_text(OXIDE)

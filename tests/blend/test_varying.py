@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.bsdf.masked import hat
+from nacre.bsdf.lobes.masked import hat
 from nacre.errors import NacreError, RecipeError, UnsupportedError
 from nacre.light import delta_e_2000, xyz_to_lab
-from nacre.recipe import dump_toml, varying_numbers
-from nacre.varying import COLOUR_ERROR, MAX_NODES, Varying, choose_nodes, judged_colours
+from nacre.materials.varying import COLOUR_ERROR, MAX_NODES, Varying, choose_nodes, judged_colours
+from nacre.recipe.paths import varying_numbers
+from nacre.recipe.toml import dump_toml
 
 WAVES = np.array([430.0, 550.0, 650.0])
 FILM: dict[str, Any] = {
@@ -231,7 +232,7 @@ def test_the_plugin_gives_the_arrays_values(recipe: dict[str, Any], path: str, e
     from nacre.bsdf import Bsdf
 
     nacre.render.use_variant()
-    from nacre.render.testing import array_mismatch
+    from lobe_trials import array_mismatch
 
     bsdf = across(recipe, path, ends).bsdf(WAVES)
     wi, wo = pairs(100)

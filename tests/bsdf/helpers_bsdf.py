@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.bsdf.response import InterfaceResponse
 
-Array = NDArray[np.float64]
 WAVELENGTHS = np.array([450.0, 550.0, 650.0])
 
 
@@ -56,3 +55,18 @@ def random_directions(count: int, seed: int, both_sides: bool = True) -> Array:
     if not both_sides:
         w[:, 2] = np.abs(w[:, 2])
     return np.asarray(w)
+
+
+def reciprocity_error(bsdf: Bsdf, wi: Array, wo: Array, eta: float = 1.0, uv: Array | None = None) -> float:
+    """Return the largest |f(wi, wo)/n_o^2 - f(wo, wi)/n_i^2| relative to the largest f/n^2 of the pairs given.
+
+    Args:
+        wi, wo: `[..., 3]`.
+        eta: index on the side of -z over that on the side of +z.
+    """
+    wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
+    n_i = np.where(wi[..., 2] < 0, eta, 1.0)[..., None]
+    n_o = np.where(wo[..., 2] < 0, eta, 1.0)[..., None]
+    there, back = bsdf.evaluate(wi, wo, uv) / n_o**2, bsdf.evaluate(wo, wi, uv) / n_i**2
+    largest = float(np.max(np.abs(there), initial=0.0))
+    return float(np.max(np.abs(there - back), initial=0.0)) / largest if largest > 0 else 0.0

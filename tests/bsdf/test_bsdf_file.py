@@ -14,13 +14,13 @@ from helpers_bsdf import WAVELENGTHS, dielectric, mirror, random_directions
 
 from nacre.bsdf import Bsdf, ParameterAxis
 from nacre.bsdf.compensation import compensate
-from nacre.bsdf.diffuse import Diffuse, bare_base
 from nacre.bsdf.file import HEADER, VERSION
-from nacre.bsdf.microfacet import Microfacet
-from nacre.bsdf.specular import Specular
+from nacre.bsdf.lobes.diffuse import Diffuse, bare_base
+from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.errors import NacreError
-from nacre.film import Ridges
+from nacre.families.film import Ridges
 
 
 @functools.cache

@@ -7,7 +7,7 @@ import random
 from collections.abc import Iterator
 from typing import Any
 
-from nacre.recipe import dump_toml
+from nacre.recipe.toml import dump_toml
 
 HANG_S = 5.0
 STRANGE: list[Any] = [

@@ -90,7 +90,7 @@ def test_set_changes_one_number_for_one_run(recipe: Path, capsys: pytest.Capture
 def test_vary_writes_a_recipe_that_loads_to_the_same_material(recipe: Path) -> None:
     changed = nacre.load(recipe).vary({"layers[0].thickness_nm": 123.5})
     again = recipe.with_name("again.toml")
-    again.write_text(changed.context.text)
+    again.write_text(changed.text)
     np.testing.assert_array_equal(
         nacre.load(again).spectrum([0.3]).specular_reflectance, changed.spectrum([0.3]).specular_reflectance
     )
@@ -121,7 +121,7 @@ def test_every_figure_of_a_film_is_drawn(recipe: Path, tmp_path: Path, kind: str
 
 @pytest.mark.render
 def test_a_picture_carries_its_provenance(recipe: Path, tmp_path: Path) -> None:
-    from nacre.render.images import read_provenance
+    from nacre.picture.images import read_provenance
 
     output = tmp_path / "x.png"
     assert run(["render", str(recipe), "--size", "32x24", "--spp", "4", "--seed", "5", "-o", str(output)]) == 0

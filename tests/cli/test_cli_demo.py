@@ -8,10 +8,10 @@ import pytest
 from PIL import Image
 
 from nacre.cli import run
-from nacre.demo import CELL, contact_sheet, examples_folder, load_gallery, plan, tile
+from nacre.cli.gallery import CELL, contact_sheet, examples_folder, load_gallery, plan, tile
 from nacre.design.run import load_target
-from nacre.recipe import load
-from nacre.render.scenes import SCENE_NAMES
+from nacre.materials.material import load
+from nacre.picture.scenes.catalogue import SCENE_NAMES
 
 FAMILIES = ("film", "pearl", "metasurface", "relief")
 

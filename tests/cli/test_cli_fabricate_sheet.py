@@ -39,4 +39,4 @@ def test_a_varying_thickness_gives_its_ends(tmp_path: Path) -> None:
 def test_a_relief_has_no_layer_sheet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = EXAMPLES / "relief" / "star.toml"
     assert run(["fabricate", str(source), "--to", "sheet", "-o", str(tmp_path / "x.csv")]) == 2
-    assert "films only" in capsys.readouterr().err
+    assert "--to sheet is not known for a relief" in capsys.readouterr().err

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-import nacre.doctor
 from nacre.cli import run
-from nacre.matter.indices import index
-from nacre.render import variant
+from nacre.device import doctor, variant
+from nacre.matter.indices.library import index
 
 
 @pytest.mark.render
@@ -53,7 +52,7 @@ def test_without_a_good_variant_the_way_out_is_told(monkeypatch: pytest.MonkeyPa
     report = variant.report()
     broken = type(report)(**{**report.__dict__, "variant": name, "llvm_used": None, "advice": "apt install libllvm19"})
     monkeypatch.setattr(variant, "report", lambda: broken)
-    findings = {f.what: f for f in nacre.doctor.examine()}
+    findings = {f.what: f for f in doctor.examine()}
     assert findings["Mitsuba"].state == "bad" == findings["LLVM"].state
     assert state in findings["Mitsuba"].found + findings["Mitsuba"].advice
     assert "libllvm19" in findings["LLVM"].advice
@@ -63,7 +62,7 @@ def test_folders_memory_and_gpu_are_judged(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(os, "access", lambda *_: False)
     monkeypatch.setattr(shutil, "which", lambda _: "/usr/bin/nvidia-smi")
     monkeypatch.setattr(os, "sysconf", lambda key: 4096 if key == "SC_PAGE_SIZE" else 1000)
-    findings = {f.what: f for f in nacre.doctor.examine()}
+    findings = {f.what: f for f in doctor.examine()}
     assert findings["folders"].state == "bad" and "TMPDIR" in findings["folders"].advice
     assert "cuda_ad_spectral" in findings["GPU"].advice
     assert findings["memory"].state == "note" and findings["memory"].found.startswith("0.0")

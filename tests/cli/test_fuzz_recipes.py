@@ -12,7 +12,8 @@ import pytest
 from helpers_fuzz import HANG_S, mutate
 
 from nacre.errors import NacreError
-from nacre.recipe import load
+from nacre.families.registry import FAMILIES, family_names, family_spec
+from nacre.materials.material import load
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 QUICK, FULL = 500, 10_000
@@ -31,10 +32,16 @@ def targets() -> list[Path]:
     return sorted(p for p in EXAMPLES.rglob("*.toml") if "target" in tomllib.loads(p.read_text()))
 
 
+def examples_from_outside() -> list[dict[str, Any]]:
+    """Return the examples that families of other packages bring."""
+    names = [name for name in family_names() if name not in FAMILIES]
+    return [dict(family_spec(name, "here").example) for name in names]
+
+
 def throw(count: int, folder: Path, sources: list[Path], read: Any, seed: int) -> tuple[int, int]:
     """Read `count` mutated files; return how many were accepted and how many refused."""
     generator = random.Random(seed)
-    read_in = [tomllib.loads(p.read_text()) for p in sources]
+    read_in = [tomllib.loads(p.read_text()) for p in sources] + (examples_from_outside() if read is load else [])
     accepted = refused = 0
     path = folder / "self.toml"
     for number in range(count):

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from read_back import read_grey16
 
+from nacre.design.colour_weights import published_weights
 from nacre.design.mosaic import mosaic, write_mosaic
 from nacre.design.problem import Problem, View
 from nacre.design.robustness import robustness
-from nacre.design.spectra import published_spectrum
 from nacre.errors import NacreError, UnsupportedError
 from nacre.exchange.calibration import PUBLISHED_CALIBRATION
-from nacre.exchange.height_image import read_grey16
-from nacre.relief.coherence import Coherence
-from nacre.relief.slice import SliceGeometry
+from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.slice import SliceGeometry
 
 COLOURS = np.array([[3.0, 0.2, 0.1], [0.3, 2.0, 0.2], [0.1, 0.2, 4.0]])
 PALETTE = np.random.default_rng(1).random((3, 6, 6)) * 0.7
@@ -82,7 +82,7 @@ def test_an_image_that_cannot_be_mixed_is_refused(image: np.ndarray) -> None:
 
 
 def test_errors_of_the_process_cost_more_the_larger_they_are() -> None:
-    spectrum = published_spectrum(None)
+    spectrum = published_weights(None)
     axis = np.linspace(-0.25, 0.25, 12)
     geometry = SliceGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), spectrum.wavelengths_nm)
     heights = 400.0 * np.random.default_rng(2).random((8, 8))

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nacre.design.colour_weights import default_weights
 from nacre.design.loss import FIXED_SHARE, measure, objective
 from nacre.design.problem import Evaluator, Problem, measure_design
 from nacre.design.run import load_target, run
 from nacre.design.search import Search, robust_objective
-from nacre.design.spectra import default_spectrum
 from nacre.errors import NacreError, RecipeError
 
 GRADIENT = 1e-5  # the bar against finite differences
@@ -279,5 +279,5 @@ def test_a_full_disk_is_one_clear_line(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_default_spectrum_gives_a_white_mirror_its_white() -> None:
-    spectrum = default_spectrum()
+    spectrum = default_weights()
     assert np.abs(spectrum.rgb_weights.sum(axis=1) - 1.0).max() < 5e-3

@@ -23,7 +23,7 @@ def keys() -> ModuleType:
 
 def _models(keys: ModuleType) -> dict[str, set[str]]:
     from nacre.bsdf.texture_spec import TextureSpec
-    from nacre.matter.spec import IndexSpec
+    from nacre.matter.indices.spec import IndexSpec
 
     tops = [keys.load(path) for path in keys.files().values()] + [IndexSpec, TextureSpec]
     found: dict[str, set[str]] = {}

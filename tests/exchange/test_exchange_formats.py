@@ -7,23 +7,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from read_back import read_slice
 
 import nacre
-from nacre.bsdf.table import from_half_difference, half_difference
+from nacre.bsdf.lobes.table import from_half_difference, half_difference
 from nacre.cli import run
 from nacre.errors import NacreError, UnsupportedError
 from nacre.exchange.gltf import read_gltf, write_gltf
 from nacre.exchange.gonio_csv import read_gonio_csv, write_gonio_csv
+from nacre.exchange.lobes import gonio_grid, gonio_table, merl_lobe, rgb_basis
 from nacre.exchange.materialx import read_materialx, write_materialx
 from nacre.exchange.merl import SHAPE, read_merl, write_merl
 from nacre.exchange.rgl_reader import RglBsdf
 from nacre.exchange.rgl_tensor import read_tensor, rgl_fields, write_tensor
-from nacre.exchange.slice_exr import read_slice, slice_values, write_slice
+from nacre.exchange.slice_exr import slice_values, write_slice
 from nacre.exchange.thin_film import ThinFilm
 from nacre.exchange.warp import Warp
 from nacre.exchange.zemax import read_zemax, scatter_direction, write_zemax, zemax_table
-from nacre.recipe import dump_toml
-from nacre.study.trade import gonio_grid, gonio_table, merl_lobe, rgb_basis
+from nacre.recipe.toml import dump_toml
 
 ROUGH_FILM = {
     "family": "film",
@@ -174,7 +175,7 @@ def test_a_zemax_table_round_trips_and_looks_where_its_format_says(tmp_path: Pat
 
 
 def test_a_zemax_table_integrates_to_the_albedo(film: nacre.Bsdf) -> None:
-    from nacre.bsdf.hemisphere import directional_hemispherical
+    from nacre.measure.spectrum import directional_hemispherical
 
     table = zemax_table(film, 550.0, step_deg=5.0)
     at = int(np.argmin(abs(film.wavelengths_nm - 550.0)))
@@ -220,7 +221,7 @@ def test_a_spectral_slice_round_trips_to_single_precision(tmp_path: Path, film: 
 
 
 def test_one_film_on_a_dielectric_is_found_again() -> None:
-    from nacre.study.thin_film_fit import fit_thin_film
+    from nacre.study.thin_film import fit_thin_film
 
     data = {"family": "film", "substrate": {"n": 1.5}, "layers": [{"material": {"n": 2.0}, "thickness_nm": 350}]}
     fit = fit_thin_film(nacre.material(data))

@@ -65,7 +65,7 @@ def test_we_read_what_a_gltf_library_writes(tmp_path: Path) -> None:
 
 @pytest.mark.render
 def test_we_read_what_mitsubas_tensor_writer_writes(tmp_path: Path) -> None:
-    from nacre.render.variant import use_variant
+    from nacre.device.variant import use_variant
 
     use_variant()
     from mitsuba.python.tensor_io import write

@@ -13,8 +13,8 @@ from nacre.cli import run
 from nacre.exchange.gltf import read_gltf
 from nacre.exchange.materialx import read_materialx
 from nacre.exchange.slice_exr import slice_values, write_slice
-from nacre.recipe import dump_toml
-from nacre.study.thin_film_fit import fit_thin_film
+from nacre.recipe.toml import dump_toml
+from nacre.study.thin_film import fit_thin_film
 
 FILM = {
     "family": "film",
@@ -31,7 +31,7 @@ def residual() -> float:
 
 @pytest.mark.render
 def test_mitsubas_own_bitmap_reads_our_spectral_exr(tmp_path: Path) -> None:
-    from nacre.render.variant import use_variant
+    from nacre.device.variant import use_variant
 
     use_variant()
     import mitsuba as mi

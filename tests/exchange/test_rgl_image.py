@@ -46,7 +46,7 @@ def scene(bsdf: Any, lamp: bool) -> dict[str, Any]:
     """Return a sphere before the eye, so far away that it is seen in parallel; a lamp at the side or a bright sky."""
     import mitsuba as mi
 
-    from nacre.render.spectral_film import band_film
+    from nacre.picture.spectral_film import band_film
 
     towards = np.radians(LAMP_DEG)
     light: dict[str, Any] = {"type": "constant", "radiance": 1.0}
@@ -101,12 +101,12 @@ def blocks(bsdf: Any, lamp: bool, count_passes: int) -> tuple[np.ndarray, float]
 @pytest.mark.parametrize("recipe", [FILM, COATED, METASURFACE], ids=["rough film", "coated gold", "metasurface"])
 @pytest.mark.parametrize("lamp", [True, False], ids=["lamp", "sky"])
 def test_stock_measured_draws_what_our_plugin_draws(tmp_path: Path, recipe: dict[str, Any], lamp: bool) -> None:
-    from nacre.render.variant import use_variant
+    from nacre.device.variant import use_variant
 
     use_variant()
     import mitsuba as mi
 
-    from nacre.render.plugins.bsdf import make_bsdf
+    from nacre.device.bsdf import make_bsdf
 
     whole = nacre.material(recipe).bsdf()
     held = Bsdf(tuple(lobe for lobe in whole.lobes if not lobe.is_delta))

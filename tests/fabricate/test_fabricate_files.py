@@ -9,18 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from read_back import heights_from_grey, read_grey16, read_levels, read_stl_heights
 
-from nacre.design.fabricate import fabricate as fabricate_all
-from nacre.design.fabricate import heights_from_grey
+from nacre.api import fabricate as fabricate_all
 from nacre.errors import NacreError, UnsupportedError
 from nacre.exchange.calibration import PUBLISHED_CALIBRATION, read_calibration
-from nacre.exchange.gds_levels import read_levels
-from nacre.exchange.height_image import read_grey16
-from nacre.exchange.stl import read_stl_heights
-from nacre.matter.indices import index
-from nacre.relief.coherence import Coherence
-from nacre.relief.material import Relief
-from nacre.relief.surface import Tile
+from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.material import Relief
+from nacre.families.relief.surface import Tile
+from nacre.matter.indices.library import index
 
 
 def fabricate(*arguments: object, **options: object) -> Path:

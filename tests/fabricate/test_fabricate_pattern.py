@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from read_back import read_layout, read_points_csv
 
+from nacre.api import fabricate
 from nacre.cli import run
-from nacre.design.fabricate import fabricate
 from nacre.errors import UnsupportedError
-from nacre.exchange.point_pattern import read_layout, read_points_csv
-from nacre.metasurface.patterns import Pattern, least_distance
-from nacre.recipe import material
+from nacre.families.metasurface.patterns import Pattern, least_distance
+from nacre.materials.material import material
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "metasurface" / "silver_native_oxide.toml"
 LAYOUT_STEP_UM = 1.5e-3  # two coordinates rounded to 1 nm

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from nacre.errors import NacreError
-from nacre.recipe import material_from_data
-from nacre.specs import RecipeContext
+from nacre.materials.material import material_from_data
+from nacre.recipe.model import RecipeContext
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 RECIPES = [

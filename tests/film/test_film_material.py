@@ -6,13 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers_bsdf import reciprocity_error
 
-from nacre.bsdf.hemisphere import direction, directional_hemispherical, reciprocity_error
-from nacre.bsdf.microfacet import Microfacet
-from nacre.bsdf.specular import Specular
+from nacre.bsdf.directions import direction
+from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.lobes.specular import Specular
 from nacre.errors import UnsupportedError
 from nacre.light import delta_e_2000, spectrum_to_xyz, xyz_to_lab
-from nacre.recipe import material
+from nacre.materials.material import material
+from nacre.measure.spectrum import directional_hemispherical
 
 LAM = np.array([450.0, 550.0, 650.0])
 FURNACE_LIMIT = 1.002
@@ -133,7 +135,7 @@ def test_spectrum_and_bsdf_agree() -> None:
 
 
 def test_a_stored_film_reports_the_same_spectrum() -> None:
-    from nacre.bsdf.hemisphere import bsdf_spectrum
+    from nacre.measure.spectrum import bsdf_spectrum
 
     one, theta = film(**GLASS, base={"albedo": 0.6}), np.radians([0.0, 60.0])
     direct, stored = one.spectrum(theta, LAM), bsdf_spectrum(one.bsdf(LAM), theta)

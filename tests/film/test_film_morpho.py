@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers_bsdf import reciprocity_error
 
 from nacre.bsdf import Bsdf
-from nacre.bsdf.hemisphere import direction, directional_hemispherical, reciprocity_error
-from nacre.recipe import material
+from nacre.bsdf.directions import direction
+from nacre.materials.material import material
+from nacre.measure.spectrum import directional_hemispherical
 
 LAM = np.array([400.0, 460.0, 550.0, 700.0])
 ORDER_ERROR_DEG = 0.1

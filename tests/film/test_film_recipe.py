@@ -11,9 +11,9 @@ import pytest
 from PIL import Image
 
 from nacre.errors import NacreError, RecipeError
-from nacre.film.spec import FilmSpec
-from nacre.recipe import load, material
-from nacre.specs import RecipeContext, validate
+from nacre.families.film.spec import FilmSpec
+from nacre.materials.material import load, material
+from nacre.recipe.model import RecipeContext, validate
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 

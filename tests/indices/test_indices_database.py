@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from nacre.errors import MaterialRangeError, NacreError, UnknownMaterialError
-from nacre.matter.indices import index
-from nacre.matter.indices_database import catalogue, find_page, load_entry
-from nacre.matter.indices_defaults import DEFAULTS
+from nacre.matter.indices.database import catalogue, find_page, load_entry
+from nacre.matter.indices.defaults import DEFAULTS
+from nacre.matter.indices.library import index
 
 SAME = 1e-9  # relative; the two readers round um and nm differently
 # The database lists this page with a coefficient missing; its own reader fails on it as well.

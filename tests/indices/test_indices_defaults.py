@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from nacre.errors import MaterialRangeError, UnknownMaterialError
-from nacre.matter.indices import describe, index, material_names, search
-from nacre.matter.indices_defaults import DEFAULTS
+from nacre.matter.indices.defaults import DEFAULTS
+from nacre.matter.indices.library import describe, index, material_names, search
 
 ISSUE_NAMES = (
     "Ag Al Au Cr Cu Ti Ni W Si Ge SiO2 TiO2 Al2O3 MgF2 ZnS Si3N4 ITO Nb2O5 Ta2O5 HfO2 ZrO2 Fe2O3 mica cuticle water "

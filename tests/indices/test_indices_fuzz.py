@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nacre.errors import NacreError
-from nacre.matter.indices import index
-from nacre.matter.spec import IndexSpec, index_spec
+from nacre.matter.indices.library import index
+from nacre.matter.indices.spec import IndexSpec, index_spec
 
 numbers = st.one_of(
     st.integers(), st.floats(allow_nan=True, allow_infinity=True), st.sampled_from([0, -1, 1e-308, 1e308, 10**400])

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from nacre.errors import NacreError, RecipeError
-from nacre.matter.indices import index
-from nacre.matter.spec import IndexSpec
-from nacre.specs import RecipeContext, RecipeModel, validate
+from nacre.matter.indices.library import index
+from nacre.matter.indices.spec import IndexSpec
+from nacre.recipe.model import RecipeContext, RecipeModel, validate
 
 
 class OneLayer(RecipeModel):
@@ -157,7 +157,7 @@ def test_index_takes_numbers_and_tables_as_well():
 
 
 def test_indices_load_neither_scipy_nor_pandas():
-    code = "import sys; from nacre.matter.indices import index; index('Ag').n_complex([500.0]);"
+    code = "import sys; from nacre.matter.indices.library import index; index('Ag').n_complex([500.0]);"
     code += "print([m for m in ('scipy', 'pandas', 'matplotlib', 'jax', 'numba') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.strip() == "[]"

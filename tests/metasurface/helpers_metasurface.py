@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nacre.metasurface.mie import mie_coefficients
-from nacre.metasurface.monolayer import Monolayer, Particle
-from nacre.metasurface.sphere import SphereOnStack
-from nacre.metasurface.structure import hard_disk_structure
-from nacre.metasurface.surface import Surface
+from nacre.families.metasurface.monolayer import Monolayer, Particle
+from nacre.families.metasurface.sphere import SphereOnStack
+from nacre.families.metasurface.structure import hard_disk_structure
+from nacre.families.metasurface.substrate import Substrate
+from nacre.matter.mie import mie_coefficients
 
 REFERENCE = Path(__file__).parents[2] / ".." / "shared" / "reference" / "metasurface"
 
@@ -26,7 +26,7 @@ def t_matrix(lmax, x, m):
 
 
 def surface(wavelength, substrate, films=()):
-    return Surface(
+    return Substrate(
         wavelength, np.array([1.0, *(n for n, _ in films), substrate], complex), np.array([d for _, d in films], float)
     )
 

@@ -1,23 +1,52 @@
 """The coherent field and the diffuse light: closed form, energy, multi-sphere truth, reciprocity, limits."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 from helpers_metasurface import monolayer, reference, surface, t_matrix
 
-from nacre.metasurface.coherent import closed_form_reflection, sheet_field
-from nacre.metasurface.corrections import diffuse_term
-from nacre.metasurface.material import Sizes
-from nacre.metasurface.mie import mie_amplitudes, mie_coefficients
-from nacre.metasurface.monolayer import CORRECTIONS, Monolayer, Particle
-from nacre.metasurface.sphere import Directions, hemisphere_rule
-from nacre.metasurface.structure import baus_colot, hard_disk_structure
+from nacre.families.metasurface.coherent import sheet_field
+from nacre.families.metasurface.corrections import diffuse_term
+from nacre.families.metasurface.material import Sizes
+from nacre.families.metasurface.monolayer import CORRECTIONS, Monolayer, Particle
+from nacre.families.metasurface.sphere import Directions, hemisphere_rule
+from nacre.families.metasurface.structure import baus_colot, hard_disk_structure
+from nacre.matter.mie import mie_amplitudes, mie_coefficients
 
 CLOSED_FORM_BAR = 1e-12
 ENERGY_BAR = 0.01
 ENSEMBLE_BAR, ENSEMBLE_MEAN_BAR = 0.13, 0.10
 TOTAL_BAR, TOTAL_BAR_F_GRAZING = 0.15, 0.20
+
+
+def closed_form_reflection(
+    forward: complex,
+    sideways: Any,
+    reflection: Any,
+    cosines: Any,
+    wavenumber: float,
+    density_per_nm2: float,
+    centre_nm: float,
+) -> Any:
+    """Amplitude of the specular reflection, `[angle]`, of one polarisation, from free-sphere amplitudes.
+
+    Args:
+        forward: S(0).
+        sideways: S_1 (s) or S_2 (p) at pi - 2 theta_i, `[angle]`.
+        reflection: r of the bare stack, `[angle]`.
+        cosines: of incidence.
+        wavenumber, density_per_nm2, centre_nm: of the ambient, of the monolayer, height of the centres.
+    """
+    cosines, r = np.asarray(cosines, dtype=float), np.asarray(reflection)
+    s_r = np.asarray(sideways)
+    alpha = 2 * np.pi * density_per_nm2 / (wavenumber**2 * cosines)
+    square = alpha**2 / 4 * (forward**2 - s_r**2)
+    d = 1 + alpha * forward + square
+    r_c, t_c = -alpha * s_r / d, (1 - square) / d
+    turn = np.exp(1j * wavenumber * centre_nm * cosines)
+    return np.asarray(r_c / turn**2 + t_c**2 * r / (1 - r_c * r * turn**2))
 
 
 @pytest.mark.parametrize("substrate, films", [(1.0, ()), (1.5, ()), (4.3 + 0.07j, ((1.46, 400.0),))])

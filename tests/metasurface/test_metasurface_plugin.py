@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from nacre.bsdf import Bsdf
-from nacre.recipe import material
+from nacre.materials.material import material
 
 pytestmark = pytest.mark.render
 
@@ -40,7 +40,7 @@ def trials():
     from nacre.render import use_variant
 
     use_variant("llvm_ad_spectral")
-    from nacre.render import testing
+    import lobe_trials as testing
 
     return testing
 

@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 from helpers_metasurface import reference, sphere, surface, t_matrix
 
-from nacre.metasurface.mie import mie_coefficients, mie_efficiencies
-from nacre.metasurface.sphere import ConvergenceRefusal, amplitude, choose_order, cross_sections, reflection_operator
+from nacre.families.metasurface.sphere import (
+    ConvergenceRefusal,
+    amplitude,
+    choose_order,
+    cross_sections,
+    reflection_operator,
+)
+from nacre.matter.mie import mie_coefficients, mie_efficiencies
 
 SMUTHI_BAR = 2e-5
 EXTINCTION_BAR = 1e-4

@@ -6,8 +6,8 @@ from helpers_metasurface import reference
 from scipy.special import j0, j1
 
 from nacre.errors import NacreError
-from nacre.metasurface import patterns
-from nacre.metasurface.structure import (
+from nacre.families.metasurface import patterns
+from nacre.families.metasurface.structure import (
     _compressibility,
     baus_colot,
     baus_colot_pair_correlation,

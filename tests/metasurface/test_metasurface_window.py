@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nacre.recipe import material
+from nacre.materials.material import material
 
 pytestmark = pytest.mark.render
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nacre.bsdf.layered import Layered
-from nacre.matter.spec import IndexSpec
-from nacre.pearl.dye import Dye, DyeResponse, dye_response
-from nacre.pearl.interface import interface_loss
-from nacre.pearl.material import Interface
-from nacre.pearl.medium import (
+from nacre.arrays import Array
+from nacre.bsdf.lobes.layered import Layered
+from nacre.bsdf.roughness import Roughness
+from nacre.families.pearl.dye import Dye, DyeResponse, dye_response
+from nacre.families.pearl.interface import interface_loss
+from nacre.families.pearl.medium import (
     FlakeNormals,
     cos_nodes,
     mean_extinction,
@@ -20,9 +19,9 @@ from nacre.pearl.medium import (
     rotation_matrix,
     visible_weights,
 )
-from nacre.pearl.thickness import Thickness
+from nacre.families.pearl.thickness import Thickness
+from nacre.matter.indices.spec import IndexSpec
 
-Array = NDArray[np.float64]
 WAVELENGTHS_NM = np.arange(360.0, 831.0, 10.0)
 NODES = 257
 
@@ -82,7 +81,7 @@ def layered_lobe(
     if compensate:
         around = np.concatenate([[1.0], n, [1.0]])
         name = "beckmann" if beckmann else "ggx"
-        faces = [Interface(*row, name) for row in widths]
+        faces = [Roughness(name, *row) for row in widths]
         last = strata + 1 if base == "none" else strata
         loss = np.stack(
             [

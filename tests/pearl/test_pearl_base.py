@@ -10,9 +10,9 @@ from helpers_pearl import direction
 
 import nacre
 from nacre.bsdf import Bsdf
-from nacre.bsdf.table import TableLobe
+from nacre.bsdf.lobes.table import TableLobe
 from nacre.errors import NacreError
-from nacre.recipe import dump_toml
+from nacre.recipe.toml import dump_toml
 
 BAR = 0.005  # of the issue: a coat that is not there, and sample against eval
 PAIR_BAR = 2e-4  # one vertex, no noise: single precision alone
@@ -94,7 +94,7 @@ def pairs():
 @pytest.mark.render
 @pytest.mark.parametrize("base", [b if b not in SLOW else pytest.param(b, marks=pytest.mark.full) for b in BASES])
 def test_a_coat_without_an_interface_changes_nothing(folder, base):
-    from nacre.render.plugins.layered import hemispherical_layered
+    from nacre.device.walk.arrays import hemispherical_layered
 
     bare = nacre.load(folder / f"{base}.toml").bsdf(NM)
     (coated,) = coat(folder, base).bsdf(NM).lobes
@@ -145,7 +145,7 @@ def test_sample_and_eval_agree_below_flakes_and_two_strata(mi, folder, base):
 
 @pytest.fixture(scope="module")
 def mi():
-    from nacre.render.variant import use_variant
+    from nacre.device.variant import use_variant
 
     return use_variant("llvm_ad_spectral")
 
@@ -154,12 +154,13 @@ def check_sample_against_eval(mi, material, count=1 << 21):
     """Compare the two albedos, and that of a wide lobe about the mirror direction; energy never above 1."""
     import drjit as dr
 
-    from nacre.render.plugins.layered_device import Strata
-    from nacre.render.plugins.layered_evaluate import _site
-    from nacre.render.plugins.layered_walk import eval_walk, sample_walk
+    from nacre.device.registry import make_plugin
+    from nacre.device.walk.arrays import _site
+    from nacre.device.walk.strata import Strata
+    from nacre.device.walk.walk import eval_walk, sample_walk
 
     (lobe,) = material.bsdf(NM).lobes
-    strata = Strata(lobe)
+    strata = Strata(lobe, make_plugin)
     where = strata.locate(_site(mi.Spectrum(*NM.tolist()), mi.Point2f(0.5, 0.5)), mi.Bool(True))
     wi = direction(35, 10)
     start = mi.Vector3f(*wi.tolist())
@@ -181,13 +182,14 @@ def check_sample_against_eval(mi, material, count=1 << 21):
 
 @pytest.mark.render
 def test_weights_stay_bounded_where_the_draws_do(mi, folder):
-    from nacre.render.plugins.layered_device import Strata
-    from nacre.render.plugins.layered_evaluate import _site
-    from nacre.render.plugins.layered_walk import sample_walk
+    from nacre.device.registry import make_plugin
+    from nacre.device.walk.arrays import _site
+    from nacre.device.walk.strata import Strata
+    from nacre.device.walk.walk import sample_walk
 
     for base in ("rough film", "measured", "film on a diffuse ground"):
         (lobe,) = coat(folder, base, 1.5, 0.1).bsdf(NM).lobes
-        strata = Strata(lobe)
+        strata = Strata(lobe, make_plugin)
         where = strata.locate(_site(mi.Spectrum(*NM.tolist()), mi.Point2f(0.5, 0.5)), mi.Bool(True))
         rng = mi.PCG32(size=1 << 20, initstate=5)
         _, weight, _ = sample_walk(strata, rng, mi.Vector3f(*direction(60).tolist()), where, mi.Bool(True))

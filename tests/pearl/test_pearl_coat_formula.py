@@ -7,9 +7,9 @@ import pytest
 from helpers_pearl import direction
 
 import nacre
-from nacre.api import evaluate_with_error
 from nacre.bsdf import Bsdf
-from nacre.bsdf.table import TableLobe
+from nacre.bsdf.lobes.table import TableLobe
+from nacre.measure.evaluate import evaluate_with_error
 
 NM = np.array([400.0, 500.0, 600.0, 700.0])
 ALBEDO = 0.7
@@ -40,7 +40,7 @@ def pairs():
 @pytest.mark.render
 @pytest.mark.parametrize("base", ["albedo", "measured"])
 def test_a_coat_over_a_matt_ground_is_mitsubas_plastic(coats, base):
-    from nacre.render.variant import use_variant
+    from nacre.device.variant import use_variant
 
     mi = use_variant("llvm_ad_spectral")
     grey = {"type": "uniform", "value": ALBEDO}
@@ -59,7 +59,7 @@ def test_a_coat_over_a_matt_ground_is_mitsubas_plastic(coats, base):
 
 @pytest.mark.render
 def test_a_measured_matt_ground_below_a_coat_reflects_what_a_diffuse_one_does(coats):
-    from nacre.render.plugins.layered import hemispherical_layered
+    from nacre.device.walk.arrays import hemispherical_layered
 
     for angle in (0, 70):
         known, found = (

@@ -11,10 +11,11 @@ import pytest
 from helpers_pearl import direction, dissolved_dye, layered_lobe, lossless_flakes, sphere_dye
 
 from nacre.bsdf import Bsdf
-from nacre.bsdf.hemisphere import hemisphere_nodes
-from nacre.bsdf.layered import Layered, fresnel
-from nacre.pearl.fast import bake, check, obstacle, tables
-from nacre.recipe import material
+from nacre.bsdf.directions import hemisphere_nodes
+from nacre.bsdf.facet_distributions import fresnel
+from nacre.bsdf.lobes.layered import Layered
+from nacre.families.pearl.fast import bake, check, obstacle, tables
+from nacre.materials.material import material
 
 MEAN_BAR = 0.02  # of the stated error, issue's bar
 SAMPLE_BAR = 0.005
@@ -76,7 +77,7 @@ def test_it_is_reciprocal_and_positive(baked, name):
 @pytest.mark.parametrize("name", CASES)
 def test_it_agrees_with_the_walk_on_the_device(baked, name):
     """The walk of the plugin shares no code with the bake: another loop, other precision, connections to the exit."""
-    from nacre.render.plugins.layered_evaluate import evaluate_layered
+    from nacre.device.walk.arrays import evaluate_layered
 
     lobe, table = baked[name]
     rng = np.random.default_rng(5)
@@ -146,7 +147,7 @@ def test_samples_follow_the_density_and_the_values(baked, name):
     from nacre.render import use_variant
 
     use_variant("llvm_ad_spectral")
-    from nacre.render import testing
+    import lobe_trials as testing
 
     bsdf = Bsdf((baked[name][1],))
     a, b = spread_pairs(500)
@@ -202,7 +203,7 @@ def test_what_cannot_be_baked_says_why(name):
 
 
 def test_the_recipe_states_the_error_or_falls_back_to_the_walk(caplog, monkeypatch):
-    import nacre.pearl.fast as fast
+    import nacre.families.pearl.fast as fast
 
     for name in ("WALKS", "RISES", "SINGLES", "MASSES", "CHECK_WALKS", "CHECK_SINGLES"):
         monkeypatch.setattr(fast, name, getattr(fast, name) // 20)
@@ -253,7 +254,7 @@ def random_material(seed: int) -> Layered:
 def test_the_stated_error_holds_for_nineteen_of_twenty_random_materials(monkeypatch):
     """Against walks of their own, in the bins of the check, where noise is taken off in the mean; and in bins so
     large, and so many walks, that the noise itself is below 0.3 % of the light."""
-    import nacre.pearl.fast as fast
+    import nacre.families.pearl.fast as fast
 
     made = [(lobe := random_material(seed), bake(lobe, 0.35, seed=1)) for seed in range(20)]
     fine = [check(lobe, table, 0.7, seed=9000 + seed)[0] for seed, (lobe, table) in enumerate(made)]

@@ -10,11 +10,11 @@ import pytest
 
 import nacre
 from nacre.bsdf import Bsdf
-from nacre.bsdf.flaked import Flaked
 from nacre.bsdf.glints import COVERAGE, WIDTH, factors, kind_of_flake, mean_ratio
-from nacre.bsdf.layered import Layered
+from nacre.bsdf.lobes.flaked import Flaked
+from nacre.bsdf.lobes.layered import Layered
 from nacre.errors import RecipeError
-from nacre.recipe import material
+from nacre.materials.material import material
 
 LAM = np.array([450.0, 550.0, 650.0, 700.0])
 FLAKE = {
@@ -189,7 +189,7 @@ def test_a_flake_without_a_diameter_is_named() -> None:
 def test_the_device_lays_the_same_flakes(fast: Flaked, mi) -> None:  # type: ignore[no-untyped-def]
     import drjit as dr
 
-    from nacre.render.plugins.registry import make_plugin
+    from nacre.device.registry import make_plugin
 
     count = 20_000
     uv = np.random.default_rng(9).random((count, 2)) * 2.0 - 0.5
@@ -208,7 +208,7 @@ def test_the_device_lays_the_same_flakes(fast: Flaked, mi) -> None:  # type: ign
 
 @pytest.mark.render
 def test_the_walk_sees_the_same_flakes_as_the_fast_route(fast: Flaked, walk: Layered) -> None:
-    from nacre.render.plugins.layered import evaluate_layered
+    from nacre.device.walk.arrays import evaluate_layered
 
     uv = np.random.default_rng(10).random((600, 2))
     exact = fast.evaluate(*pair(len(uv)), uv)
@@ -223,7 +223,7 @@ def test_the_walk_sees_the_same_flakes_as_the_fast_route(fast: Flaked, walk: Lay
 @pytest.mark.render
 def test_the_walk_samples_what_it_evaluates(walk: Layered, fast: Flaked) -> None:
     """Power of all samples at a place against the integral of the values there."""
-    from nacre.render.plugins.layered import hemispherical_layered
+    from nacre.device.walk.arrays import hemispherical_layered
 
     side = 500
     edge = (np.arange(side) + 0.5) / side * 2.0 - 1.0

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from nacre.errors import NacreError
-from nacre.matter.indices import index
-from nacre.matter.spec import IndexSpec
-from nacre.matter.stratified import powers
-from nacre.pearl.platelet import Coating, Platelet, platelet_response
-from nacre.pearl.thickness import Thickness
+from nacre.families.pearl.platelet import Coating, Platelet, platelet_response
+from nacre.families.pearl.thickness import Thickness
+from nacre.matter.indices.library import index
+from nacre.matter.indices.spec import IndexSpec
+from nacre.matter.stack.solve import powers
 
 PET = 1.575
 AWAY_FROM_GRAZING = 1e-8  # the bar, cos >= 0.1
@@ -89,7 +89,7 @@ def test_energy_is_conserved_by_every_average(name):
 
 
 def test_absorption_of_a_metal_flake_equals_the_poynting_loss_of_its_layers():
-    from nacre.matter.stratified import solve
+    from nacre.matter.stack.solve import solve
 
     platelet = Platelet(ALUMINIUM, Thickness(15), (coating(TIO2, 70),))
     found = platelet_response(platelet, np.full(3, PET), COS, LAM)

@@ -11,7 +11,7 @@ import pytest
 import nacre
 from nacre.bsdf import Bsdf
 from nacre.errors import NacreError, RecipeError
-from nacre.recipe import load, material
+from nacre.materials.material import load, material
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "pearl").glob("*.toml"))
 COARSE = np.arange(400.0, 701.0, 50.0)
@@ -187,7 +187,7 @@ def test_the_platelet_figure_has_its_arrays():
 
 @pytest.mark.render
 def test_evaluate_returns_values_and_errors():
-    from nacre.api import evaluate_with_error
+    from nacre.measure.evaluate import evaluate_with_error
 
     bsdf = material(GOOD).bsdf(COARSE)
     up = np.array([0.0, 0.0, 1.0])

@@ -45,11 +45,11 @@ DYED = {
 
 def _compare(configuration: tuple, paths: int, seed: int, dye=None, band: int = 0) -> tuple[float, float, float]:
     """Worst |z| over albedo and three lobes, the relative difference of the albedo and its standard error."""
-    from nacre.render.variant import use_variant
+    from nacre.device.variant import use_variant
 
     mi = use_variant("llvm_ad_spectral")
-    from nacre.render.plugins.layered_device import Strata
-    from nacre.render.plugins.layered_walk import sample_walk
+    from nacre.device.walk.strata import Strata
+    from nacre.device.walk.walk import sample_walk
 
     deviation, rotation, alpha, number, albedo, angle = configuration
     lobe = layered_lobe(number, deviation, alpha, albedo=albedo, rotation_deg=rotation, dye=dye)

@@ -48,15 +48,15 @@ CASES = {
 
 @pytest.fixture(scope="module")
 def mi():
-    from nacre.render.variant import use_variant
+    from nacre.device.variant import use_variant
 
     return use_variant("llvm_ad_spectral")
 
 
 def draw(mi, lobe, wi, count, seed=5):
     """Exit directions, weights at one wavelength, and which are mirror images."""
-    from nacre.render.plugins.layered_device import Strata
-    from nacre.render.plugins.layered_walk import sample_walk
+    from nacre.device.walk.strata import Strata
+    from nacre.device.walk.walk import sample_walk
 
     strata = Strata(lobe)
     where = strata.axis.locate(mi.Spectrum(450.0, 520.0, 580.0, 650.0))
@@ -75,8 +75,8 @@ def dr_where(mask, value):
 
 def values(mi, lobe, wi, count, below, seed=6):
     """Directions drawn by their cosine and f cos / pdf there."""
-    from nacre.render.plugins.layered_device import Strata
-    from nacre.render.plugins.layered_walk import eval_walk
+    from nacre.device.walk.strata import Strata
+    from nacre.device.walk.walk import eval_walk
 
     strata = Strata(lobe)
     where = strata.axis.locate(mi.Spectrum(450.0, 520.0, 580.0, 650.0))
@@ -107,7 +107,7 @@ def compare(mi, lobe, wi, count):
 
 def fly(monkeypatch, far):
     """Make all walks of flakes without dye take the far or the near form."""
-    from nacre.render.plugins import layered_device
+    from nacre.device.walk import strata as layered_device
 
     monkeypatch.setattr(layered_device, "flies_far", lambda lobe: far and lobe.kinds > 0 and lobe.dye is None)
 
@@ -124,8 +124,8 @@ def test_sample_and_eval_agree(mi, monkeypatch, name, far):
 @pytest.mark.parametrize("bottle", ["bottle1", "bottle9"])
 def test_far_flights_bring_what_the_walk_from_flake_to_flake_brings(mi, monkeypatch, bottle):
     """Coloured flakes of the source: values at six exits, power and its second moment, at four wavelengths."""
-    from nacre.render.plugins.layered_device import Strata, flies_far
-    from nacre.render.plugins.layered_walk import eval_walk, sample_walk
+    from nacre.device.walk.strata import Strata, flies_far
+    from nacre.device.walk.walk import eval_walk, sample_walk
 
     material = nacre.load(EXAMPLES / f"{bottle}.toml").vary({"quality": "reference"})
     (lobe,) = material.bsdf(np.arange(400.0, 701.0, 20.0)).lobes
@@ -161,7 +161,7 @@ def weight_sums(weight):
 
 def test_wide_flakes_and_dye_are_met_one_by_one(mi):
     """Where normals reflect unlike, weights of far flights would rise over many flakes."""
-    from nacre.render.plugins.layered_device import flies_far
+    from nacre.device.walk.strata import flies_far
 
     assert not flies_far(layered_lobe(number=2.0, dye=dissolved_dye()))
     assert not flies_far(layered_lobe(number=0.0))
@@ -181,8 +181,8 @@ def test_sample_and_eval_agree_within_half_a_percent(mi, name):
 @pytest.mark.parametrize("name", ["smooth top", "compensated", "open, rough, two strata"])
 def test_one_walk_for_both_gives_what_two_walks_give(mi, name):
     """A path tracer asks for value and sample together; the walk that serves both must have the means of both."""
-    from nacre.render.plugins.layered_device import Strata
-    from nacre.render.plugins.layered_walk import eval_walk, joint_walk, sample_walk
+    from nacre.device.walk.strata import Strata
+    from nacre.device.walk.walk import eval_walk, joint_walk, sample_walk
 
     strata, count, wi = Strata(layered_lobe(**CASES[name])), 200_000, mi.Vector3f(*direction(40, 30).tolist())
     where = strata.axis.locate(mi.Spectrum(450.0, 520.0, 580.0, 650.0))
@@ -236,7 +236,7 @@ def test_a_compensated_rough_furnace_loses_nothing(mi, alpha, beckmann):
 
 def reciprocity(lobe, pairs, seed=0):
     """z of f(a, b) - f(b, a), and the relative standard error of each, below 1 %: pairs that need more get more."""
-    from nacre.render.plugins.layered_evaluate import evaluate_layered
+    from nacre.device.walk.arrays import evaluate_layered
 
     rng = np.random.default_rng(seed)
     z = rng.uniform(0.25, 1.0, (pairs, 2)) * (rng.choice([-1, 1], (pairs, 2)) if lobe.base == "none" else 1)
@@ -327,7 +327,7 @@ def test_flat_opaque_flakes_are_kubelka_and_munks_limit_under_a_coat(mi, reflect
     """A pile of flat opaque flakes reflects r = 1 + a - sqrt(a^2 + 2a), a = (1 - R)/R, not R: light that a flake
     throws back meets the backs of others. The smooth coat adds F + (1 - F)^2 r / (1 - F r). (At R = 0.95 so many
     events follow each other that the tails of deviation 0.01 tilt the light by a percent: hence 0.001.)"""
-    from nacre.bsdf.layered import fresnel
+    from nacre.bsdf.facet_distributions import fresnel
 
     lobe = layered_lobe(60.0, (deviation, deviation), (0, 0), lambda c: (reflect + 0 * c, 0 * c), albedo=0.0)
     a = (1 - reflect) / reflect
@@ -368,20 +368,21 @@ def test_flakes_on_edge_let_light_pass_and_stay_finite(mi):
 
 
 def test_the_plugin_needs_an_llvm_variant(mi):
+    from nacre.device.lobes.layered import LayeredPlugin
+    from nacre.device.registry import make_plugin
     from nacre.errors import UnsupportedError
-    from nacre.render.plugins.layered import LayeredPlugin
 
     mi.set_variant("scalar_spectral")
     try:
         with pytest.raises(UnsupportedError, match="LLVM"):
-            LayeredPlugin(layered_lobe())
+            LayeredPlugin(layered_lobe(), make_plugin)
     finally:
         mi.set_variant("llvm_ad_spectral")
 
 
 def test_a_scene_of_strata_renders(mi):
     from nacre.bsdf import Bsdf
-    from nacre.render.plugins.bsdf import make_bsdf
+    from nacre.device.bsdf import make_bsdf
 
     lobe = layered_lobe(index=[1.575, 1.4], number=1.0)
     scene = mi.load_dict(
@@ -402,8 +403,9 @@ def test_a_scene_of_strata_renders(mi):
 
 def test_the_proxy_density_divides_no_value(mi):
     """Two lobes together draw one of them with its own weight: twice the light of one."""
+    from lobe_trials import draw as draw_bsdf
+
     from nacre.bsdf import Bsdf
-    from nacre.render.testing import draw as draw_bsdf
 
     lobe = layered_lobe()
     one, two = (draw_bsdf(Bsdf((lobe,) * n), direction(40.0), 100_000).weight for n in (1, 2))
@@ -416,7 +418,7 @@ def test_the_proxy_density_divides_no_value(mi):
 def test_the_trust_in_sample_moves_noise_but_no_light(mi):
     """A ball of flakes so dense that the trust is capped, with and without multiple importance sampling."""
     from nacre.bsdf import Bsdf
-    from nacre.render.plugins.bsdf import make_bsdf
+    from nacre.device.bsdf import make_bsdf
 
     bsdf = make_bsdf(Bsdf((layered_lobe(number=25.0, deviation=(0.05, 0.05), alpha=(0.2, 0.2)),)))
     lamp = mi.ScalarTransform4f().look_at([3, 0, 4], [0, 0, 0], [0, 1, 0]).scale(1.5)

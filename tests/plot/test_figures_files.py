@@ -9,10 +9,10 @@ from PIL import Image
 
 from nacre import plot
 from nacre.errors import NacreError, UnsupportedError
-from nacre.matter.indices import index
+from nacre.materials.material import material_from_data
+from nacre.matter.indices.library import index
 from nacre.plot.material import data_figure
-from nacre.recipe import material_from_data
-from nacre.specs import RecipeContext
+from nacre.recipe.model import RecipeContext
 
 NM = np.arange(360.0, 831.0, 10.0)
 ANGLES = np.linspace(0, 80, 21)

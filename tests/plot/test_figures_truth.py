@@ -9,7 +9,7 @@ from matplotlib.collections import PathCollection, PolyCollection, QuadMesh
 from matplotlib.patches import Rectangle
 
 from nacre import light, plot
-from nacre.bsdf.contract import Bsdf
+from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import NacreError
 from nacre.plot.directions import slice_directions

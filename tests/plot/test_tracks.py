@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from nacre import plot
-from nacre.api import plot_walk
-from nacre.bsdf.coarse import WALK_NM, solve_coarse_walk
 from nacre.cli import main
 from nacre.errors import NacreError, UnsupportedError
 from nacre.light import spectrum_to_xyz
-from nacre.recipe import material
+from nacre.materials.material import material
+from nacre.measure.walk_wavelengths import WALK_NM, solve_coarse_walk
+from nacre.plot.material import plot_walk
 
 NM = np.arange(400.0, 701.0, 20.0)
 

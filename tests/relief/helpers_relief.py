@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nacre.relief.coherence import Coherence
-from nacre.relief.slice import SliceGeometry
-from nacre.relief.surface import Tile
+from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.slice import SliceGeometry
+from nacre.families.relief.surface import Tile
 
 REFERENCE = Path(__file__).resolve().parents[3] / "shared" / "reference" / "relief"
 

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nacre.relief.coherence import Coherence
-from nacre.relief.geometry import brdf_factor
-from nacre.relief.lines import coefficients, height_gradient, line_basis, line_power, reflection
-from nacre.relief.nodes import chebyshev_nodes, interpolation_weights, node_count
-from nacre.relief.sampling import choose_sampling
-from nacre.relief.slice import SliceGeometry, plan_slice
-from nacre.relief.surface import Tile, blur_matrix
+from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.geometry import brdf_factor
+from nacre.families.relief.kappa_nodes import chebyshev_nodes, interpolation_weights, node_count
+from nacre.families.relief.lines import coefficients, height_gradient, line_basis, line_power, reflection
+from nacre.families.relief.sampling import choose_sampling
+from nacre.families.relief.slice import SliceGeometry, plan_slice
+from nacre.families.relief.surface import Tile, blur_matrix
 
 _spec = importlib.util.spec_from_file_location("helpers_relief", Path(__file__).with_name("helpers_relief.py"))
 assert _spec is not None and _spec.loader is not None

@@ -10,16 +10,16 @@ import pytest
 from PIL import Image
 
 import nacre
-from nacre.bsdf.contract import Bsdf
+from nacre.bsdf.bsdf import Bsdf
 from nacre.errors import NacreError, UnsupportedError
-from nacre.matter.indices import index
-from nacre.relief.coherence import Coherence
-from nacre.relief.fresnel import fresnel_reflectance
-from nacre.relief.local import local_response
-from nacre.relief.material import Relief
-from nacre.relief.slice import SliceGeometry, plan_slice
-from nacre.relief.spectrum_map import spectrum_map
-from nacre.relief.surface import Tile
+from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.fresnel import fresnel_reflectance
+from nacre.families.relief.material import Relief
+from nacre.families.relief.slice import SliceGeometry, plan_slice
+from nacre.families.relief.spectrum_map import spectrum_map
+from nacre.families.relief.spots import local_response
+from nacre.families.relief.surface import Tile
+from nacre.matter.indices.library import index
 
 WAVELENGTHS = np.array([450.0, 550.0, 650.0])
 STATED = 3e-3  # the default accuracy: relative L2 of the stored lobe against the exact slice
@@ -223,7 +223,7 @@ def test_a_window_too_fine_to_store_is_refused_before_memory_is_taken() -> None:
 
 
 def test_a_small_lamp_gets_a_coarser_map_and_the_report_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    import nacre.relief.spectrum_map as module
+    import nacre.families.relief.spectrum_map as module
 
     monkeypatch.setattr(module, "MAX_TABLE_BYTES", 2 << 20)
     lobe, report = spectrum_map(tile(), Coherence.from_sigma(0.8), WAVELENGTHS, perfect, bounded=False)

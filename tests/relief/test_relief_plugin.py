@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nacre.bsdf.contract import Bsdf
-from nacre.relief.coherence import Coherence
-from nacre.relief.spectrum_map import spectrum_map
-from nacre.relief.surface import Tile
+from nacre.bsdf.bsdf import Bsdf
+from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.spectrum_map import spectrum_map
+from nacre.families.relief.surface import Tile
 
 pytestmark = pytest.mark.render
 
@@ -40,7 +40,7 @@ def relief(prefactor: str) -> Bsdf:
 
 
 def pairs(n: int, seed: int) -> tuple[Any, Any]:
-    from nacre.render.testing import directions, near_mirror
+    from lobe_trials import directions, near_mirror
 
     eye = directions(n, seed, False)
     return np.concatenate([directions(n // 2, seed + 1, False), near_mirror(eye[n // 2 :], seed + 2, 0.15, 1.0)]), eye
@@ -48,21 +48,21 @@ def pairs(n: int, seed: int) -> tuple[Any, Any]:
 
 @pytest.mark.parametrize("prefactor", ["kirchhoff", "published"])
 def test_plugin_gives_the_values_of_the_arrays(mi: Any, prefactor: str) -> None:
-    from nacre.render.testing import array_mismatch
+    from lobe_trials import array_mismatch
 
     light, eye = pairs(2000, 11)
     assert array_mismatch(relief(prefactor), light, eye) <= ARRAY_TOLERANCE
 
 
 def test_plugin_is_reciprocal(mi: Any) -> None:
-    from nacre.render.testing import reciprocity_mismatch
+    from lobe_trials import reciprocity_mismatch
 
     assert reciprocity_mismatch(relief("kirchhoff"), *pairs(1000, 13), 1.0) <= RECIPROCITY_TOLERANCE
 
 
 @pytest.mark.parametrize("view", VIEWS)
 def test_weight_times_density_is_the_value(mi: Any, view: tuple[float, float]) -> None:
-    from nacre.render.testing import direction, draw, weight_mismatch
+    from lobe_trials import direction, draw, weight_mismatch
 
     draws = draw(relief("kirchhoff"), direction(*view), 20_000, seed=3)
     assert weight_mismatch(draws) <= WEIGHT_TOLERANCE
@@ -73,7 +73,7 @@ def test_weight_times_density_is_the_value(mi: Any, view: tuple[float, float]) -
 
 @pytest.mark.parametrize("view", VIEWS)
 def test_draws_follow_the_density(mi: Any, view: tuple[float, float]) -> None:
-    from nacre.render.testing import chi_square
+    from lobe_trials import chi_square
 
     outcome = chi_square(relief("kirchhoff"), *view, resolution=120, steps=24)
     assert outcome.passes(CHI_SQUARE_LEVEL, len(VIEWS)), outcome.messages
@@ -81,7 +81,7 @@ def test_draws_follow_the_density(mi: Any, view: tuple[float, float]) -> None:
 
 @pytest.mark.parametrize("theta", [0.5, 45.0, 80.0, 88.0])
 def test_a_relief_creates_no_light(mi: Any, theta: float) -> None:
-    from nacre.render.testing import furnace
+    from lobe_trials import furnace
 
     mean, error = furnace(relief("kirchhoff"), theta, 100_000)
     assert np.all(mean - 3.0 * error <= FURNACE_TOP), (mean, error)

@@ -12,7 +12,7 @@ import pytest
 
 from nacre.design.loss import measure
 from nacre.design.spec import TargetSpec
-from nacre.specs import RecipeContext, validate
+from nacre.recipe.model import RecipeContext, validate
 
 ROOT = Path(__file__).resolve().parents[2]
 CHECK_VALUES = {0: 0.01064, 3: 0.02983, 7: 0.05224, 12: 0.05660, 15: 0.03572, 17: 0.2399}  # note, section 11.6
@@ -64,8 +64,8 @@ def test_targets_and_loss_give_the_check_values(reference: Any, i: int) -> None:
 
 
 def test_spectrum_weights_are_the_published_ones(reference: Any) -> None:
-    from nacre.design.spectra import published_spectrum
+    from nacre.design.colour_weights import published_weights
 
-    spectrum = published_spectrum(None)
+    spectrum = published_weights(None)
     assert np.abs(spectrum.wavelengths_nm / 1e3 - reference[1]["wavelength_um"]).max() < 1e-9
     assert np.abs(spectrum.rgb_weights - reference[1]["W_RGB"]).max() < 2e-5

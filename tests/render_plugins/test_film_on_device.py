@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-import nacre.recipe
-from nacre.bsdf.contract import Bsdf
+import nacre.materials.material
+from nacre.bsdf.bsdf import Bsdf
 
 pytestmark = pytest.mark.render
 
@@ -25,7 +25,7 @@ INDEX = 1.5
 
 def film(**recipe: Any) -> Bsdf:
     """Build a film's Bsdf from the keys of a recipe."""
-    return nacre.recipe.material({"family": "film", **recipe}).bsdf()
+    return nacre.material({"family": "film", **recipe}).bsdf()
 
 
 def smooth(substrate: Any, thickness_nm: float = 400.0, n: float = 2.0) -> Bsdf:
@@ -37,7 +37,7 @@ def smooth(substrate: Any, thickness_nm: float = 400.0, n: float = 2.0) -> Bsdf:
 @pytest.mark.parametrize("kind", ["opaque", "glass", "soap"])
 def test_delta_lobes_go_where_optics_says_with_the_weights_it_says(mi: Any, kind: str, theta_deg: float) -> None:
     """100,000 draws: two exact directions, weight * probability = R or T (times the squeeze of radiance)."""
-    from nacre.render.testing import HERO_WAVELENGTHS_NM, direction, draw
+    from lobe_trials import HERO_WAVELENGTHS_NM, direction, draw
 
     bsdf = {
         "opaque": lambda: smooth({"n": 1.2, "k": 7.0}),
@@ -80,7 +80,7 @@ def test_delta_lobes_go_where_optics_says_with_the_weights_it_says(mi: Any, kind
 @pytest.mark.parametrize("theta_deg", [0.5, 45.0, 85.0, 100.0, 170.0])
 def test_smooth_lossless_film_keeps_all_light(mi: Any, theta_deg: float) -> None:
     """A white furnace around coated glass, from both sides, is 1 within 0.3 %."""
-    from nacre.render.testing import furnace
+    from lobe_trials import furnace
 
     mean, _ = furnace(smooth({"n": INDEX}), theta_deg, 50_000)
     assert np.max(np.abs(mean - 1.0)) <= SMOOTH_FURNACE
@@ -90,7 +90,7 @@ def test_smooth_lossless_film_keeps_all_light(mi: Any, theta_deg: float) -> None
 @pytest.mark.parametrize("substrate", ["mirror", "glass"])
 def test_compensation_gives_back_what_facets_lose(mi: Any, substrate: str, distribution: str) -> None:
     """Above 0.98 and never above 1.002 at alpha 0.3, lossless, all angles and both sides."""
-    from nacre.render.testing import furnace
+    from lobe_trials import furnace
 
     # a huge k reflects everything: the lossless opaque case
     index = {"n": 0.001, "k": 60.0} if substrate == "mirror" else {"n": INDEX}
@@ -116,7 +116,7 @@ def spectrum(wavelengths_nm: Any, values: Any) -> dict[str, Any]:
 
 def pairs(n: int, both: bool, width: float, eta: float) -> tuple[Any, Any]:
     """Return light and eye: half anywhere, half near the mirror or refracted image."""
-    from nacre.render.testing import directions, near_mirror
+    from lobe_trials import directions, near_mirror
 
     eye = directions(n, 21, both)
     return np.concatenate([directions(n // 2, 22, both), near_mirror(eye[n // 2 :], 23, width, eta)]), eye
@@ -126,8 +126,9 @@ def pairs(n: int, both: bool, width: float, eta: float) -> tuple[Any, Any]:
 @pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
 def test_zero_film_on_aluminium_is_mitsubas_roughconductor(mi: Any, distribution: str, alpha: float) -> None:
     """f cos over directions, of its maximum."""
-    from nacre.matter.indices import index
-    from nacre.render.testing import plugin_values
+    from lobe_trials import plugin_values
+
+    from nacre.matter.indices.library import index
 
     bsdf = film(
         substrate="Al",
@@ -156,7 +157,7 @@ def test_zero_film_on_aluminium_is_mitsubas_roughconductor(mi: Any, distribution
 @pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
 def test_zero_film_on_glass_is_mitsubas_roughdielectric(mi: Any, distribution: str, alpha: float) -> None:
     """f cos over both sides, relative to its maximum on each side of each kind."""
-    from nacre.render.testing import plugin_values
+    from lobe_trials import plugin_values
 
     bsdf = film(
         substrate={"n": INDEX},
@@ -180,8 +181,9 @@ def test_zero_film_on_glass_is_mitsubas_roughdielectric(mi: Any, distribution: s
 
 def test_soap_film_passes_light_unbent(mi: Any) -> None:
     """The transmission of a free film is Mitsuba's null interaction, for shadow rays too."""
-    from nacre.render.plugins.bsdf import make_bsdf
-    from nacre.render.testing import direction, interaction
+    from lobe_trials import direction, interaction
+
+    from nacre.device.bsdf import make_bsdf
 
     bsdf = film(substrate="air", layers=[{"material": {"n": 1.33}, "thickness_nm": 350}])
     plugin = make_bsdf(bsdf)

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from nacre.device import llvm, variant
 from nacre.errors import UnsupportedError
-from nacre.render import llvm, variant
 
 PLAIN_SCENE = """
 import warnings
@@ -163,7 +163,7 @@ def test_without_llvm_a_tiny_picture_still_comes_with_a_warning(tmp_path: Path) 
 def test_the_report_tells_what_to_do_without_llvm(tmp_path: Path) -> None:
     """`nacre doctor` gets the reason of each library and the way out."""
     code = (
-        "import json; from nacre.render.variant import report, why_no_llvm\n"
+        "import json; from nacre.device.variant import report, why_no_llvm\n"
         "print(json.dumps([report().as_dict(), why_no_llvm()]))"
     )
     done = python(code, {**refuse_all(tmp_path), variant.ENVIRONMENT_VARIABLE: ""})
@@ -219,7 +219,7 @@ VALUES = """
 import numpy as np
 import nacre
 import nacre.render
-from nacre.render.testing import directions
+from lobe_trials import directions
 mi = nacre.render.use_variant()
 import drjit as dr
 recipes = (
@@ -254,7 +254,8 @@ print(mi.variant(), worst)
 
 def test_scalar_variant_gives_the_same_values() -> None:
     """The fallback is slow, not different."""
-    done = python(VALUES, {**os.environ, variant.ENVIRONMENT_VARIABLE: "scalar_spectral"})
+    helpers = str(Path(__file__).parents[1] / "helpers")
+    done = python(VALUES, {**os.environ, "PYTHONPATH": helpers, variant.ENVIRONMENT_VARIABLE: "scalar_spectral"})
     assert done.returncode == 0, done.stderr
     name, worst = done.stdout.split()
     assert name == "scalar_spectral" and float(worst) <= 1e-4

@@ -13,16 +13,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.compensation import compensate
-from nacre.bsdf.contract import Bsdf, Lobe, ParameterAxis
-from nacre.bsdf.diffuse import Diffuse, bare_base
-from nacre.bsdf.microfacet import Microfacet
+from nacre.bsdf.contract import Lobe
+from nacre.bsdf.lobes.diffuse import Diffuse, bare_base
+from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.lobes.ridge import Ridge
+from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.lobes.table import TableLobe, directions_of
+from nacre.bsdf.registry import LOBES, lobe_kinds, outside_lobe
 from nacre.bsdf.response import InterfaceResponse
-from nacre.bsdf.ridge import Ridge
-from nacre.bsdf.specular import Specular
-from nacre.bsdf.table import TableLobe, directions_of
 from nacre.bsdf.tabulate import StackTables
-from nacre.bsdf.texture import Texture, parse_formula
+from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
 
 pytestmark = pytest.mark.render
 
@@ -158,6 +160,9 @@ CASES: dict[str, Case] = {
     ),
     "film over a base": Case(lambda: (Specular(stack(*GLASS, False)), under_film()), ((30.0, 0.0),)),
 }
+# lobes of other packages bring a sample of their own
+OUTSIDE = {kind: outside_lobe(kind) for kind in lobe_kinds() if kind not in LOBES}
+CASES |= {kind: Case(lambda entry=entry: (entry.sample(),)) for kind, entry in OUTSIDE.items()}
 CONTINUOUS = [name for name, case in CASES.items() if case.is_continuous]
 CHI_SQUARES = [(name, view) for name in CONTINUOUS for view in CASES[name].views_deg]
 
@@ -170,7 +175,7 @@ def bsdf_of(name: str) -> Bsdf:
 
 def pairs(name: str, n: int, seed: int) -> tuple[Any, Any, Any]:
     """Return light, eye and uv: half of the pairs anywhere, half near the mirror or refracted image."""
-    from nacre.render.testing import directions, near_mirror
+    from lobe_trials import directions, near_mirror
 
     case = CASES[name]
     both = bsdf_of(name).transmits or case.eta != 1.0
@@ -184,7 +189,7 @@ def pairs(name: str, n: int, seed: int) -> tuple[Any, Any, Any]:
 @pytest.mark.parametrize("name", CONTINUOUS)
 def test_plugin_gives_the_values_of_the_arrays(mi: Any, name: str) -> None:
     """Eye and light in their places, textures and all."""
-    from nacre.render.testing import array_mismatch
+    from lobe_trials import array_mismatch
 
     light, eye, uv = pairs(name, 2000, 11)
     assert array_mismatch(bsdf_of(name), light, eye, uv, every=12) <= ARRAY_TOLERANCE
@@ -193,7 +198,7 @@ def test_plugin_gives_the_values_of_the_arrays(mi: Any, name: str) -> None:
 @pytest.mark.parametrize("name", CONTINUOUS)
 def test_plugin_gives_the_same_physics_traced_from_the_light(mi: Any, name: str) -> None:
     """f(light, eye) does not depend on which end a ray starts from."""
-    from nacre.render.testing import plugin_values
+    from lobe_trials import plugin_values
 
     light, eye, uv = pairs(name, 1000, 12)
     seen = plugin_values(bsdf_of(name), light, eye, np.array([480.0]), uv, radiance=True)
@@ -204,7 +209,7 @@ def test_plugin_gives_the_same_physics_traced_from_the_light(mi: Any, name: str)
 @pytest.mark.parametrize("name", CONTINUOUS)
 def test_plugin_is_reciprocal(mi: Any, name: str) -> None:
     """f(a, b)/n_b^2 = f(b, a)/n_a^2."""
-    from nacre.render.testing import reciprocity_mismatch
+    from lobe_trials import reciprocity_mismatch
 
     light, eye, uv = pairs(name, 1000, 13)
     assert reciprocity_mismatch(bsdf_of(name), light, eye, CASES[name].eta, uv) <= RECIPROCITY_TOLERANCE
@@ -213,7 +218,7 @@ def test_plugin_is_reciprocal(mi: Any, name: str) -> None:
 @pytest.mark.parametrize("name", CONTINUOUS)
 def test_weight_times_density_is_the_value(mi: Any, name: str) -> None:
     """sample() and eval_pdf() agree on weight and density of what was drawn."""
-    from nacre.render.testing import direction, draw, weight_mismatch
+    from lobe_trials import direction, draw, weight_mismatch
 
     for theta, phi in CASES[name].views_deg:
         draws = draw(bsdf_of(name), direction(theta, phi), 20_000, seed=3)
@@ -228,7 +233,7 @@ def test_weight_times_density_is_the_value(mi: Any, name: str) -> None:
 @pytest.mark.parametrize(("name", "view"), CHI_SQUARES)
 def test_draws_follow_the_density(mi: Any, name: str, view: tuple[float, float]) -> None:
     """Chi-square, one million draws."""
-    from nacre.render.testing import chi_square
+    from lobe_trials import chi_square
 
     resolution, steps = CASES[name].chi
     outcome = chi_square(bsdf_of(name), *view, resolution=resolution, steps=steps, uv=(0.3, 0.6))
@@ -243,7 +248,7 @@ def test_chi_square_is_asked_of_at_least_twenty_cases() -> None:
 @pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.conserves])
 def test_no_lobe_creates_light(mi: Any, name: str) -> None:
     """A white furnace gives back at most 1.002, seen from both sides, steep and grazing."""
-    from nacre.render.testing import furnace
+    from lobe_trials import furnace
 
     behind = bsdf_of(name).transmits or name == "rough free film"
     for theta in (0.5, 45.0, 80.0, *((100.0, 135.0, 179.5) if behind else ())):

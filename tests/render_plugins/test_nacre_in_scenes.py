@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.bsdf.contract import Bsdf
+from nacre.bsdf.bsdf import Bsdf
 from nacre.errors import RecipeError, UnsupportedError
 
 pytestmark = pytest.mark.render
@@ -60,7 +60,7 @@ def scene(mi: Any, bsdf: Any, size: int = 16) -> Any:
 
 def test_scene_entries_take_recipes_files_and_objects(mi: Any, tmp_path: Path) -> None:
     """{"type": "nacre", ...} by recipe, by compiled file, by an object handed over."""
-    from nacre.render.plugins.loader import hand_over
+    from nacre.render.loader import hand_over
 
     (tmp_path / "soap.toml").write_text(SOAP)
     bsdf = nacre.load(tmp_path / "soap.toml").bsdf()
@@ -103,7 +103,7 @@ def test_errors_in_a_scene_are_one_line(
     mi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, entry: dict[str, Any], message: str
 ) -> None:
     """Mitsuba wraps errors into pages of traceback; `clear_errors` gets the line back."""
-    from nacre.render.plugins.loader import clear_errors
+    from nacre.render.loader import clear_errors
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "good.toml").write_text(SOAP)
@@ -115,8 +115,9 @@ def test_errors_in_a_scene_are_one_line(
 
 def test_opaque_material_is_black_from_behind_unless_two_sided(mi: Any) -> None:
     """two_sided mirrors the whole lobe."""
-    from nacre.render.plugins.bsdf import make_bsdf
-    from nacre.render.testing import direction, draw, plugin_values
+    from lobe_trials import direction, draw, plugin_values
+
+    from nacre.device.bsdf import make_bsdf
 
     bsdf = bsdf_of("rough metal")
     light, eye = direction(30, 10)[None], direction(40, 200)[None]
@@ -153,7 +154,7 @@ def test_another_material_needs_no_new_kernel(mi: Any, name: str) -> None:
 
 
 def _made(bsdf: Bsdf) -> Any:
-    from nacre.render.plugins.bsdf import make_bsdf
+    from nacre.device.bsdf import make_bsdf
 
     return make_bsdf(bsdf)
 
@@ -161,7 +162,7 @@ def _made(bsdf: Bsdf) -> Any:
 @pytest.mark.parametrize("name", list(RECIPES))
 def test_numbers_change_without_building_the_scene_again(mi: Any, name: str) -> None:
     """update_bsdf gives the picture that a new scene gives."""
-    from nacre.render.plugins.bsdf import update_bsdf
+    from nacre.device.bsdf import update_bsdf
 
     changes: dict[str, Any] = {"layers[0].thickness_nm": 350.0}
     if "rough" in name:
@@ -185,7 +186,7 @@ def test_numbers_change_without_building_the_scene_again(mi: Any, name: str) -> 
 
 def test_an_update_of_another_structure_is_refused(mi: Any) -> None:
     """What needs another kernel or other shapes says so."""
-    from nacre.render.plugins.bsdf import update_bsdf
+    from nacre.device.bsdf import update_bsdf
 
     rough = _made(bsdf_of("rough metal"))
     with pytest.raises(UnsupportedError, match="number or kind"):
@@ -205,7 +206,7 @@ def test_roughness_and_tables_are_scene_parameters_with_gradients(mi: Any) -> No
     assert {"ball.bsdf.alpha_x", "ball.bsdf.response"} <= set(parameters.keys())
 
     def brightness(alpha: Any) -> Any:
-        from nacre.render.testing import direction, interaction
+        from lobe_trials import direction, interaction
 
         parameters["ball.bsdf.alpha_x"] = alpha
         parameters.update()
@@ -246,7 +247,7 @@ def test_a_hundred_renders_take_no_more_memory_or_time_than_ten(mi: Any) -> None
     target = _made(bsdf_of("rough glass"))
     built = scene(mi, target)
     bsdfs = [bsdf_of("rough glass", **{"layers[0].thickness_nm": t}) for t in (90.0, 120.0)]
-    from nacre.render.plugins.bsdf import update_bsdf
+    from nacre.device.bsdf import update_bsdf
 
     def run(n: int) -> float:
         start = time.process_time()
@@ -277,7 +278,7 @@ def _resident() -> float:
 
 def test_irregular_wavelengths_are_interpolated_between_their_nodes(mi: Any) -> None:
     """A grid of measured wavelengths need not be uniform; between nodes the values are linear."""
-    from nacre.render.testing import direction, plugin_values
+    from lobe_trials import direction, plugin_values
 
     bsdf = bsdf_of("rough metal")
     keep = np.sort(np.random.default_rng(1).choice(len(bsdf.wavelengths_nm), 17, replace=False))

@@ -7,8 +7,8 @@ import pytest
 
 from nacre.errors import NacreError
 from nacre.light import illuminant, spectrum_to_xyz, table_wavelengths_nm, xyz_weights
-from nacre.render.environments import Environment, soft_box, studio, unit_spectrum
-from nacre.render.lights import LIGHTS, check_light
+from nacre.picture.lights.environments import Environment, soft_box, studio, unit_spectrum
+from nacre.picture.lights.named import LIGHTS, check_light
 
 ROWS = 64
 # noise of 4,096 samples a pixel over a few hundred pixels
@@ -16,7 +16,7 @@ NOISE = 0.01
 
 
 def _places() -> dict[str, Environment]:
-    from nacre.render import places
+    from nacre.picture.lights import places
 
     return {"studio": studio(rows=ROWS), "street": places.street(ROWS), "interior": places.interior(ROWS)}
 
@@ -68,7 +68,7 @@ def test_every_named_light_passes_the_check() -> None:
 
 def _floor_xyz(light_emitters: dict, reflectance: object, spp: int = 1024) -> np.ndarray:
     """Mean XYZ of a flat floor seen from above."""
-    from nacre.render.variant import use_variant
+    from nacre.device.variant import use_variant
 
     mi = use_variant()
     scene = mi.load_dict(
@@ -91,7 +91,7 @@ def _floor_xyz(light_emitters: dict, reflectance: object, spp: int = 1024) -> np
 @pytest.mark.render
 @pytest.mark.parametrize("turn_deg", [0.0, 77.0])
 def test_the_environment_light_gives_the_irradiance_of_its_map(turn_deg: float) -> None:
-    from nacre.render.environment_plugin import make_environment
+    from nacre.picture.lights.environment_plugin import make_environment
 
     environment = studio(rows=ROWS)
     xyz = _floor_xyz({"light": make_environment(environment, 1.0, turn_deg)}, 1.0)
@@ -101,8 +101,8 @@ def test_the_environment_light_gives_the_irradiance_of_its_map(turn_deg: float) 
 @pytest.mark.render
 def test_light_sampling_agrees_with_looking() -> None:
     """Next event estimation of a lit floor equals the radiance found by chance alone."""
-    from nacre.render.environment_plugin import make_environment
-    from nacre.render.variant import use_variant
+    from nacre.device.variant import use_variant
+    from nacre.picture.lights.environment_plugin import make_environment
 
     mi = use_variant()
     import drjit as dr
@@ -131,7 +131,7 @@ def test_light_sampling_agrees_with_looking() -> None:
 @pytest.mark.parametrize("light", ["D65", "A", "F11"])
 def test_a_narrow_reflectance_keeps_its_colour_under_any_lamp(light: str) -> None:
     """Spectral end to end: XYZ from Mitsuba equal the integral over the lamp's own spectrum."""
-    from nacre.render.environment_plugin import make_environment, spectrum_texture
+    from nacre.picture.lights.environment_plugin import make_environment, spectrum_texture
 
     grid = table_wavelengths_nm()
     reflectance = 0.05 + 0.9 * np.exp(-(((grid - 545.0) / 8.0) ** 2))
@@ -145,7 +145,7 @@ def test_a_narrow_reflectance_keeps_its_colour_under_any_lamp(light: str) -> Non
 @pytest.mark.parametrize("name", ["studio", "line", "sun", "sky", "directional"])
 def test_lights_are_scaled_to_white_paper_of_luminance_0_6(name: str) -> None:
     """Comparable exposures: within half a stop of the promise, whatever the light."""
-    from nacre.render.lights import make_light
+    from nacre.picture.lights.named import make_light
 
     xyz = _floor_xyz(dict(make_light(name).emitters), 1.0, spp=256)
     assert abs(np.log2(xyz[1] / 0.6)) < 0.5

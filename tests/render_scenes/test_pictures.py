@@ -12,10 +12,17 @@ import pytest
 
 import nacre
 from nacre.errors import NacreError
-from nacre.render import picture
-from nacre.render.exr import spectral_channel
-from nacre.render.images import AUTO_STOPS, RenderResult, auto_stops, develop, encode, read_provenance
-from nacre.render.scenes import SCENES
+from nacre.picture import picture
+from nacre.picture.images import (
+    AUTO_STOPS,
+    RenderResult,
+    auto_stops,
+    develop,
+    encode,
+    read_provenance,
+    spectral_channel,
+)
+from nacre.picture.scenes.catalogue import SCENES
 
 SMALL = {"size": (24, 20), "spp": 2}
 
@@ -24,7 +31,7 @@ pytestmark = pytest.mark.render
 
 @pytest.fixture(scope="module")
 def gold() -> Any:
-    from nacre.render.variant import use_variant
+    from nacre.device.variant import use_variant
 
     return use_variant().load_dict({"type": "roughconductor", "material": "Au", "alpha": 0.2})
 
@@ -163,7 +170,7 @@ def test_ctrl_c_keeps_the_finished_passes(tmp_path: Path, gold: Any, monkeypatch
 def test_ctrl_c_before_the_first_pass_writes_nothing(
     tmp_path: Path, gold: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from nacre.render.variant import use_variant
+    from nacre.device.variant import use_variant
 
     def refuse(*arguments: Any, **settings: Any) -> None:
         raise KeyboardInterrupt
@@ -201,7 +208,7 @@ def test_a_picture_shows_itself_in_a_notebook() -> None:
         ({"light": "stduio"}, 'Did you mean "studio"'),
         ({"light": "missing.exr"}, "does not exist"),
         ({"illuminant": "D66"}, 'Did you mean "D65"'),
-        ({"size": "128"}, "WIDTHxHEIGHT"),
+        ({"size": "12x8x3"}, "WIDTHxHEIGHT"),
         ({"size": (0, 10)}, "not allowed"),
         ({"size": (10**6, 10**6)}, "not allowed"),
         ({"size": (16384, 16384)}, "million pixels"),

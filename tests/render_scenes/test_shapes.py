@@ -8,15 +8,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from nacre.render.shapes import bottle, butterfly, knob, stage
-from nacre.render.shapes.body import car
-from nacre.render.shapes.implicit import smooth_max, smooth_min, surface_net
-from nacre.render.shapes.speedshape import speedshape
-from nacre.render.shapes.surface import (
-    Surface,
+from nacre.picture.shapes import backdrop as stage
+from nacre.picture.shapes import bottle, butterfly, knob
+from nacre.picture.shapes.body import car
+from nacre.picture.shapes.implicit import smooth_max, smooth_min, surface_net
+from nacre.picture.shapes.mesh import (
+    Mesh,
     bspline,
     curve,
-    is_closed,
     merge,
     open_seam,
     parametric,
@@ -24,14 +23,16 @@ from nacre.render.shapes.surface import (
     rotation,
     split,
     volume,
+    weld,
 )
+from nacre.picture.shapes.speedshape import speedshape
 
 # a coarser car, to keep the test short; the closedness does not depend on the spacing
 CAR_SPACING = 0.03
 # angle between a vertex normal and the mesh's own faces: what a fine mesh of a smooth body leaves
 MAX_MEAN_TILT_DEG = 3.0
 
-CLOSED: dict[str, Callable[[], Surface]] = {
+CLOSED: dict[str, Callable[[], Mesh]] = {
     "speedshape": speedshape,
     "bottle": bottle.bottle,
     "bottle cap": bottle.bottle_cap,
@@ -43,12 +44,12 @@ CLOSED: dict[str, Callable[[], Surface]] = {
 
 
 @functools.cache
-def _car_hull() -> Surface:
+def _car_hull() -> Mesh:
     built = car(CAR_SPACING)
     return merge([built.paint, built.glass, built.trim, built.lamps])
 
 
-OPEN: dict[str, Callable[[], Surface]] = {
+OPEN: dict[str, Callable[[], Mesh]] = {
     "wings": butterfly.butterfly_wings,
     "margins": butterfly.butterfly_margins,
     "veins": butterfly.butterfly_veins,
@@ -61,11 +62,19 @@ OPEN: dict[str, Callable[[], Surface]] = {
 ALL = {**CLOSED, **OPEN, "car hull": _car_hull}
 
 
-def _face_normals(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
+def _face_normals(surface: Mesh) -> tuple[np.ndarray, np.ndarray]:
     a, b, c = (surface.vertices[surface.faces[:, i]] for i in range(3))
     normal = np.cross(b - a, c - a)
     area = np.linalg.norm(normal, axis=1)
     return normal / np.maximum(area, 1e-300)[:, None], area
+
+
+def is_closed(surface: Mesh) -> bool:
+    """Whether every edge, after welding, is walked as often forward as backward: watertight and oriented."""
+    _, faces = weld(surface)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    size = int(faces.max()) + 1
+    return bool(np.array_equal(np.sort(edges[:, 0] * size + edges[:, 1]), np.sort(edges[:, 1] * size + edges[:, 0])))
 
 
 @pytest.mark.parametrize("name", [*CLOSED, "car hull"])
@@ -164,6 +173,6 @@ def test_an_opened_seam_has_no_jump_in_u() -> None:
         return np.stack([np.cos(2 * np.pi * u), np.sin(2 * np.pi * u), v], axis=-1)
 
     surface = parametric(tube, 24, 3)
-    wrapped = Surface(surface.vertices, surface.normals, np.mod(surface.uv, [0.9999999, 2.0]), surface.faces)
+    wrapped = Mesh(surface.vertices, surface.normals, np.mod(surface.uv, [0.9999999, 2.0]), surface.faces)
     opened = open_seam(wrapped)
     assert np.ptp(opened.uv[opened.faces][..., 0], axis=1).max() < 0.5

@@ -11,10 +11,10 @@ from PIL import Image
 
 import nacre
 from nacre.errors import NacreError
+from nacre.picture.images import read_provenance
+from nacre.picture.scenes.subjects import read_mesh, stand_on_floor, subject_parts
+from nacre.picture.screen import BEAM_DEG, screen_directions
 from nacre.render import animation
-from nacre.render.images import read_provenance
-from nacre.render.screen import BEAM_DEG, screen_directions
-from nacre.render.subjects import read_mesh, stand_on_floor, subject_parts
 
 SMALL: dict[str, Any] = {"size": (16, 14), "spp": 1}
 
@@ -30,7 +30,7 @@ SCENE = """<scene version="3.0.0"><integrator type="path"/>
 
 @pytest.fixture(scope="module")
 def grey() -> Any:
-    from nacre.render.variant import use_variant
+    from nacre.device.variant import use_variant
 
     return use_variant().load_dict({"type": "diffuse", "reflectance": 0.5})
 
@@ -167,7 +167,7 @@ def test_a_matt_tile_throws_the_fourth_power_of_the_cosine(grey: Any) -> None:
 
 
 def test_the_pattern_turns_on_the_screen_and_tips_with_the_tile() -> None:
-    from nacre.render.screen import beam_direction, turned_directions
+    from nacre.picture.screen import beam_direction, turned_directions
 
     for turn, tip in ((0.0, 0.0), (90.0, 0.0), (30.0, 20.0)):
         d, _, lamp = turned_directions((51, 51), turn, tip)
@@ -195,8 +195,8 @@ def test_a_relief_moves_on_the_screen(tmp_path: Path) -> None:
 
 
 def test_the_screen_by_arrays_equals_the_screen_by_plugin() -> None:
-    from nacre.render.screen import beam_direction, evaluate_arrays, evaluate_plugin
-    from nacre.render.variant import use_variant
+    from nacre.device.variant import use_variant
+    from nacre.picture.screen import beam_direction, evaluate_arrays, evaluate_plugin
 
     recipe = {
         "family": "film",

@@ -7,10 +7,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import oracle_jax
 import pytest
 
 from nacre.errors import NacreError
-from nacre.matter import powers, stack_gradient, stack_jax, stratified
+from nacre.matter import powers
+from nacre.matter.stack import gradient as stack_gradient
+from nacre.matter.stack.case import powers_of, prepare
 
 GRADIENT = 1e-6  # relative to finite differences; the bar of the film issue
 TWINS = 1e-9  # adjoint and JAX, relative to the largest entry
@@ -28,10 +31,10 @@ def twin(d: Any, n: Any, k: Any, theta: Any) -> Any:
     """The same through JAX."""
 
     def loss(d: Any, n: Any, k: Any, theta: Any) -> Any:
-        seen = stack_jax.solve(n + 1j * k, d, LAM, jnp.cos(theta))
+        seen = oracle_jax.solve(n + 1j * k, d, LAM, jnp.cos(theta))
         return (WEIGHT * (seen.R_s + 2 * seen.R_p + 3 * seen.T_s - seen.T_p)).sum()
 
-    return stack_jax.value_and_grad(loss, (0, 1, 2, 3))(d, n, k, theta)[1]
+    return oracle_jax.value_and_grad(loss, (0, 1, 2, 3))(d, n, k, theta)[1]
 
 
 def random_stack(rng: np.random.Generator, layers: int, lossy: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -89,8 +92,8 @@ def test_loss_of_powers_is_differentiated_through_the_stack() -> None:
     n, k = random_stack(rng, 12, True)
     d, theta = rng.uniform(20.0, 200.0, 12), [0.0, 0.8]
     ours = stack_gradient.value_and_grad(lambda seen: (seen.reflectance**2).sum(), n + 1j * k, LAM, theta)
-    twin_of_it = stack_jax.value_and_grad(
-        lambda d: (stack_jax.solve(n + 1j * k, d, LAM, jnp.cos(jnp.array(theta))).reflectance ** 2).sum()
+    twin_of_it = oracle_jax.value_and_grad(
+        lambda d: (oracle_jax.solve(n + 1j * k, d, LAM, jnp.cos(jnp.array(theta))).reflectance ** 2).sum()
     )
     (value, gradient), (wanted, wanted_gradient) = ours(d), twin_of_it(d)
     assert value == pytest.approx(wanted, rel=1e-11)
@@ -112,11 +115,11 @@ def test_hard_cases_agree_with_the_twin() -> None:
         ours = stack_gradient.pull_back(index, d, lam, cos_i=[cos_i], R_s=1.0, R_p=2.0, T_s=3.0, T_p=4.0)
 
         def loss(d: Any, n: Any, k: Any, c: Any, lam: np.ndarray = lam) -> Any:
-            seen = stack_jax.solve(n + 1j * k, d, lam, c)
+            seen = oracle_jax.solve(n + 1j * k, d, lam, c)
             return (seen.R_s + 2 * seen.R_p + 3 * seen.T_s + 4 * seen.T_p).sum()
 
         arguments = (np.array(d), index.real, index.imag, np.array([cos_i]))
-        wanted = stack_jax.value_and_grad(loss, (0, 1, 2, 3))(*arguments)[1]
+        wanted = oracle_jax.value_and_grad(loss, (0, 1, 2, 3))(*arguments)[1]
         for mine, theirs in zip((ours.thicknesses_nm, ours.n, ours.k, ours.cos_i), wanted):
             assert mine is not None and np.all(np.isfinite(mine))
             start = 1 if mine.ndim == 2 else 0  # the ambient's k is fixed at 0
@@ -133,5 +136,5 @@ def test_what_it_cannot_do_is_one_line() -> None:
         stack_gradient.pull_back(np.ones((2, 3, 1)), [[1.0], [2.0]], [550.0], 0.0)
     with pytest.raises(NacreError, match="transparent ambient"):
         stack_gradient.pull_back([[1.0 + 0.1j], [1.5]], [], [550.0], 0.0)
-    case = stratified.prepare([[1.0], [1.4], [1.5]], [100.0], [550.0], theta_rad=0.0)
-    assert stratified.powers_of(case).R_s.shape == (1,)
+    case = prepare([[1.0], [1.4], [1.5]], [100.0], [550.0], theta_rad=0.0)
+    assert powers_of(case).R_s.shape == (1,)

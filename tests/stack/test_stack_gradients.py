@@ -8,9 +8,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import oracle_jax
 import pytest
 
-from nacre.matter import powers, solve, stack_jax
+from nacre.matter import powers, solve
+from nacre.matter.stack.gradient import double_precision
 
 TWINS = 1e-12  # numba and JAX
 GRADIENT = 1e-6  # relative; the bar of the film issue
@@ -26,8 +28,8 @@ def test_the_twins_agree(layers: int) -> None:
     n[:, 0] = 1.3
     d, lam, cos_i = rng.uniform(0, 500, (8, layers)), np.linspace(380, 780, 7), np.array([0, 1e-4, 0.1, 0.5, 0.9, 1.0])
     ours = solve(n, d, lam, cos_i=cos_i)
-    with stack_jax.double_precision():
-        twin = jax.jit(stack_jax.solve)(n, d, lam, cos_i)
+    with double_precision():
+        twin = jax.jit(oracle_jax.solve)(n, d, lam, cos_i)
     for key in twin._fields:
         assert np.abs(getattr(ours, key) - np.asarray(getattr(twin, key))).max() <= TWINS
 
@@ -42,8 +44,8 @@ def test_the_twins_agree_where_it_is_hard() -> None:
     ]
     for n, d, cos_i in cases:
         ours = solve(np.array(n)[:, None], d, [550.0], cos_i=[cos_i])
-        with stack_jax.double_precision():
-            twin = jax.jit(stack_jax.solve)(np.array(n)[:, None], np.array(d), np.array([550.0]), np.array([cos_i]))
+        with double_precision():
+            twin = jax.jit(oracle_jax.solve)(np.array(n)[:, None], np.array(d), np.array([550.0]), np.array([cos_i]))
         for key in twin._fields:
             assert np.abs(getattr(ours, key) - np.asarray(getattr(twin, key))).max() <= 1e-11
 
@@ -58,7 +60,7 @@ def measure(d: Any, n: Any, k: Any, theta: Any, xp: Any, solver: Any) -> Any:
 @functools.cache
 def compiled_measure() -> Any:
     """Value and gradients of `measure` in all four arguments; compiled once a shape."""
-    return stack_jax.value_and_grad(lambda d, n, k, t: measure(d, n, k, t, jnp, stack_jax.solve), (0, 1, 2, 3))
+    return oracle_jax.value_and_grad(lambda d, n, k, t: measure(d, n, k, t, jnp, oracle_jax.solve), (0, 1, 2, 3))
 
 
 def differences(arguments: list[np.ndarray], which: int, steps: float, first: int = 0) -> np.ndarray:
@@ -129,10 +131,10 @@ def test_gradients_are_right_at_zero_thickness_normal_incidence_and_equal_indice
 
 def test_gradients_are_finite_at_awkward_points() -> None:
     def total(d: Any, n: Any, c: Any) -> Any:
-        seen = stack_jax.solve(n[:, None] + 0j, d, LAM, c)
+        seen = oracle_jax.solve(n[:, None] + 0j, d, LAM, c)
         return sum(jnp.sum(jnp.abs(x) ** 2) for x in seen[4:]) + jnp.sum(seen.r_s.real + seen.t_p.imag)
 
-    compiled = stack_jax.value_and_grad(total, (0, 1, 2))
+    compiled = oracle_jax.value_and_grad(total, (0, 1, 2))
     # 90 degrees, normal incidence, and kz = 0 in the layers of n = 1 between n = 2
     for cos_i in (0.0, 1.0, float(np.sqrt(0.75))):
         for n in ([2.0, 1.0, 1.0, 2.0], [2.0, 2.0, 2.0, 2.0], [1.0, 1.5, 2.0, 1.5], [1.5, 1.0, 1.0, 1.0]):
@@ -145,7 +147,7 @@ def test_gradients_are_finite_at_awkward_points() -> None:
 
 def test_global_precision_is_left_alone() -> None:
     before = jax.config.jax_enable_x64
-    compiled = stack_jax.value_and_grad(lambda d: stack_jax.solve(np.ones((3, 9)) + 0j, d, LAM, [1.0]).R_s.sum())
+    compiled = oracle_jax.value_and_grad(lambda d: oracle_jax.solve(np.ones((3, 9)) + 0j, d, LAM, [1.0]).R_s.sum())
     compiled(np.array([10.0]))
     assert jax.config.jax_enable_x64 == before
     assert jnp.ones(1).dtype == (jnp.float64 if before else jnp.float32)

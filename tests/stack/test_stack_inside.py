@@ -8,9 +8,9 @@ import tmm
 
 from nacre.errors import NacreError
 from nacre.matter import Layer, Stack, powers, solve
-from nacre.matter.polarisation import ellipsometry, jones_reflection, jones_transmission, mueller
-from nacre.matter.stack_field import field_profile
-from nacre.matter.stack_incoherent import incoherent_powers
+from nacre.matter.stack.field import field_profile
+from nacre.matter.stack.incoherent import incoherent_powers
+from nacre.matter.stack.polarisation import ellipsometry, jones_reflection, jones_transmission, mueller
 
 ENERGY = 1e-12  # the bar of the film issue
 AGAINST_TMM = 1e-11

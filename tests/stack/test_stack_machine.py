@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import nacre
-from nacre.matter import stratified
+from nacre.matter import jobs
 
 SOURCE = Path(nacre.__file__).resolve().parent
 
@@ -54,19 +54,19 @@ def test_kernels_work_where_no_cache_can_be_written(tmp_path: Path) -> None:
 
 def test_the_number_of_threads_can_be_set_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
-    assert stratified.available_jobs() == 3
+    assert jobs.available_jobs() == 3
     monkeypatch.delenv("NUMBA_NUM_THREADS")
-    assert stratified.available_jobs() >= 1
+    assert jobs.available_jobs() >= 1
 
 
 def test_work_is_shared_without_gaps_or_overlaps() -> None:
-    for batch, angles, jobs in ((7, 2, 3), (1, 11, 4), (1, 1, 8), (5, 5, 1), (0, 3, 2)):
+    for batch, angles, count in ((7, 2, 3), (1, 11, 4), (1, 1, 8), (5, 5, 1), (0, 3, 2)):
         done: list[tuple[int, int]] = []
 
         def visit(a: int, b: int, c: int, d: int, done: list[tuple[int, int]] = done) -> None:
             done.extend((i, j) for i in range(a, b) for j in range(c, d))
 
-        stratified.share(visit, batch, angles, 10**9, jobs)
+        jobs.share(visit, batch, angles, 10**9, count)
         assert sorted(done) == [(i, j) for i in range(batch) for j in range(angles)]
 
 
@@ -75,4 +75,4 @@ def test_an_error_in_a_thread_reaches_the_caller() -> None:
         raise ValueError("lost")
 
     with pytest.raises(ValueError, match="lost"):
-        stratified.share(fail, 8, 1, 10**9, 2)
+        jobs.share(fail, 8, 1, 10**9, 2)

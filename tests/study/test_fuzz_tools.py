@@ -15,8 +15,8 @@ from helpers_fuzz import HANG_S, mutate, mutate_bytes
 import nacre
 from nacre.errors import NacreError
 from nacre.study.fit import read_measurement
-from nacre.study.sweep import load_sweep
-from nacre.study.trade import export_material, import_material
+from nacre.study.foreign import export_material, import_material
+from nacre.study.plan import load_sweep
 
 QUICK, FULL = 300, 5000
 RECIPE = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n'

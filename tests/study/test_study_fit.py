@@ -70,7 +70,7 @@ def test_a_spectrum_csv_of_our_own_reads_back(tmp_path: Path) -> None:
     from nacre.cli import run
 
     recipe = tmp_path / "film.toml"
-    from nacre.recipe import dump_toml
+    from nacre.recipe.toml import dump_toml
 
     recipe.write_text(dump_toml(FILM))
     table = tmp_path / "film.csv"

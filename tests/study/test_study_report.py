@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 import nacre
-from nacre.study import geometry
+from nacre.measure import instruments as geometry
 from nacre.study.report import differences, flop_index, gloss, make_report
 from nacre.study.report_figures import travel_figure
 from nacre.study.report_page import dump_json, report_html, report_text
@@ -81,7 +81,7 @@ def test_the_report_says_the_same_as_text_json_and_html() -> None:
 
 def test_the_page_is_one_file_with_its_pictures_inside(tmp_path: Path) -> None:
     from nacre.cli import run
-    from nacre.recipe import dump_toml
+    from nacre.recipe.toml import dump_toml
 
     for name, data in (("gold", GOLD), ("copper", GOLD | {"substrate": "Cu"})):
         (tmp_path / f"{name}.toml").write_text(dump_toml(data))

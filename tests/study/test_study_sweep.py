@@ -15,8 +15,9 @@ import pytest
 from helpers_study import dask_over_tcp
 
 from nacre.errors import NacreError
-from nacre.study.points import point_seed, read_points
-from nacre.study.sweep import Store, load_sweep, run_sweep
+from nacre.study.plan import load_sweep
+from nacre.study.sweep import Store, run_sweep
+from nacre.study.sweep_points import point_seed, read_points
 
 ACROSS_PROCESSES = 1e-12  # the same code on the same machine; a sum may be ordered differently
 KILLS = 20
@@ -238,7 +239,7 @@ def write_pearl_sweep(folder: Path) -> Path:
 
 @pytest.mark.render
 def test_a_points_seed_reaches_the_random_walk(tmp_path: Path) -> None:
-    from nacre.study.points import point_seed
+    from nacre.study.sweep_points import point_seed
 
     sweep = load_sweep(write_pearl_sweep(tmp_path))
     lam = np.array([450.0, 650.0])

@@ -12,7 +12,8 @@ from nacre import light, plot
 from nacre.cli import run
 from nacre.errors import NacreError
 from nacre.plot.sweeps import AxisValues
-from nacre.study.sweep import load_sweep, run_sweep
+from nacre.study.plan import load_sweep
+from nacre.study.sweep import run_sweep
 from nacre.study.sweep_figures import sweep_figure
 from nacre.study.sweep_reader import read_sweep
 

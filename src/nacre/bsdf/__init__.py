@@ -1,5 +1,8 @@
 """The BSDF contract: a sum of lobes, evaluated, stored and loaded without knowing any material."""
 
-from nacre.bsdf.contract import Bsdf, Lobe, ParameterAxis, SpecularResponse, lobe_class, register_lobe
+from nacre.bsdf.bsdf import Bsdf
+from nacre.bsdf.contract import Lobe, SpecularResponse
+from nacre.bsdf.registry import LobeEntry, lobe_class
+from nacre.bsdf.texture import ParameterAxis
 
-__all__ = ["Bsdf", "Lobe", "ParameterAxis", "SpecularResponse", "lobe_class", "register_lobe"]
+__all__ = ["Bsdf", "Lobe", "LobeEntry", "ParameterAxis", "SpecularResponse", "lobe_class"]

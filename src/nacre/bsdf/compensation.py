@@ -11,14 +11,14 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nacre.bsdf.facets import exits, masking, normal_quadrature, visible_normals
-from nacre.bsdf.microfacet import Microfacet
+from nacre.arrays import Array
+from nacre.bsdf.facet_distributions import exits, masking, normal_quadrature, visible_normals
+from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.uniform import cell, take_uniform
 from nacre.errors import UnsupportedError
 
-Array = NDArray[np.float64]
 LOSS_NODES = 41  # over sqrt(cos): 3e-4 of energy at alpha 0.1 ... 1
 MOST_AZIMUTH_NODES = 49  # over cos^2 of the azimuth: 4 alpha_x/alpha_y + 1, for the loss changes faster with it
 FACET_NODES = 64  # of the facets' quadrature: 6e-4 of energy
@@ -172,9 +172,7 @@ def _albedo(
 
 def _histogram(unit: Array, weight: Array, size: int) -> Array:
     """Return the weights gathered on `size` uniform nodes of [0, 1] as linear interpolation would share them."""
-    position = np.clip(unit, 0.0, 1.0) * (size - 1)
-    low = np.minimum(position.astype(int), size - 2)
-    fraction = position - low
+    low, fraction = cell(np.clip(unit, 0.0, 1.0) * (size - 1), size)
     counts = np.bincount(low, weight * (1 - fraction), size) + np.bincount(low + 1, weight * fraction, size)
     return np.asarray(counts)
 
@@ -186,16 +184,10 @@ def _mean(loss: Array) -> Array:
     """
     x, weight = np.polynomial.legendre.leggauss(256)
     s, weight = 0.5 * (x + 1.0), 0.5 * weight
-    position = s * (loss.shape[1] - 1)
-    low = np.minimum(position.astype(int), loss.shape[1] - 2)
-    f = (position - low)[:, None, None]
-    at = loss[:, low] * (1 - f) + loss[:, low + 1] * f
+    at = take_uniform(loss, s, 1)
     # 2 mu dmu = 4 s^3 ds
     along = np.einsum("q,aqtl->atl", 4.0 * weight * s**3, at)
     if loss.shape[2] == 1:
         return np.asarray(along[:, 0])
     phi = (np.arange(256) + 0.5) * (np.pi / 2 / 256)
-    position = np.square(np.cos(phi)) * (loss.shape[2] - 1)
-    low = np.minimum(position.astype(int), loss.shape[2] - 2)
-    f = (position - low)[:, None]
-    return np.asarray(np.mean(along[:, low] * (1 - f) + along[:, low + 1] * f, axis=1))
+    return np.asarray(np.mean(take_uniform(along, np.square(np.cos(phi)), 1), axis=1))

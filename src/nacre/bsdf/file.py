@@ -13,6 +13,7 @@ import json
 import math
 import zipfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre._version import __version__
-from nacre.bsdf.contract import LOBE_KINDS, Bsdf, Lobe, ParameterAxis, lobe_class
+from nacre.bsdf.contract import Lobe
+from nacre.bsdf.registry import lobe_class
 from nacre.bsdf.response import InterfaceResponse
-from nacre.bsdf.texture import Texture, parse_formula
+from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
 from nacre.errors import NacreError
 from nacre.files import atomic_path
 
@@ -48,20 +50,15 @@ _PARTS: dict[str, type] = {
 }
 
 
-def register_part(name: str, cls: type) -> None:
-    """Make a frozen dataclass that lobes hold storable under `name`; call it where the lobe is defined."""
-    _PARTS[name] = cls
-
-
-def save_bsdf(bsdf: Bsdf, path: str | Path) -> None:
-    """Write a Bsdf, whole or not at all.
+def write_lobes(path: str | Path, lobes: tuple[Lobe, ...], provenance: Mapping[str, Any]) -> None:
+    """Write the lobes of a Bsdf and where they come from, whole or not at all.
 
     Raises:
         NacreError: the folder cannot be written, or a lobe holds something that has no place in the format.
     """
     arrays: dict[str, NDArray[Any]] = {}
     axes: dict[str, str] = {}
-    lobes = [_encode(lobe, f"lobe{i}", arrays, axes, str(path)) for i, lobe in enumerate(bsdf.lobes)]
+    trees = [_encode(lobe, f"lobe{i}", arrays, axes, str(path)) for i, lobe in enumerate(lobes)]
     described = {
         name: {
             "shape": list(array.shape),
@@ -76,8 +73,8 @@ def save_bsdf(bsdf: Bsdf, path: str | Path) -> None:
         "version": VERSION,
         "nacre": __version__,
         "units": UNITS,
-        "provenance": _plain(bsdf.provenance),
-        "lobes": lobes,
+        "provenance": _plain(provenance),
+        "lobes": trees,
         "arrays": described,
     }
     text = json.dumps(header, indent=1, allow_nan=False)
@@ -156,8 +153,8 @@ def _plain(value: Any) -> Any:
     return value if value is None or isinstance(value, bool | int | float | str) else str(value)
 
 
-def load_bsdf(path: str | Path) -> Bsdf:
-    """Read a Bsdf.
+def read_lobes(path: str | Path) -> tuple[tuple[Lobe, ...], Mapping[str, Any]]:
+    """Read the lobes of a Bsdf and where they come from.
 
     Raises:
         NacreError: in one line, if the file is missing, broken, too large, not of this format or too new.
@@ -178,7 +175,7 @@ def load_bsdf(path: str | Path) -> Bsdf:
         raise NacreError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
-def _read(zipped: zipfile.ZipFile, path: Path) -> Bsdf:
+def _read(zipped: zipfile.ZipFile, path: Path) -> tuple[tuple[Lobe, ...], Mapping[str, Any]]:
     entries = {entry.filename: entry for entry in zipped.infolist()}
     if HEADER not in entries:
         raise NacreError(f"{path}: is not a .nacre file: it has no {HEADER}")
@@ -209,7 +206,7 @@ def _read(zipped: zipfile.ZipFile, path: Path) -> Bsdf:
             if not np.array_equal(lobe.wavelengths_nm, lobes[0].wavelengths_nm):
                 raise ValueError("its lobes have different wavelengths")
         provenance = header.get("provenance")
-        return Bsdf(lobes, provenance if isinstance(provenance, dict) else {})
+        return lobes, provenance if isinstance(provenance, dict) else {}
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         reason = " ".join(str(error).split())[:120]
         raise NacreError(f"{path}: its header does not describe a Bsdf: {reason}") from None
@@ -263,14 +260,10 @@ def _decode(node: Any, arrays: dict[str, NDArray[Any]], path: Path, depth: int) 
     if "tuple" in node:
         return tuple(_decode(inner, arrays, path, depth + 1) for inner in node["tuple"])
     name = node["type"]
-    if name in LOBE_KINDS:
-        lobe_class(name)  # its module makes the parts known that only this lobe holds
-    if name in _PARTS:
-        cls: Any = _PARTS[name]
-    elif name in LOBE_KINDS:
-        cls = lobe_class(name)
-    else:
-        raise NacreError(f"{path}: holds a {str(name)[:40]}, which nacre {__version__} does not know")
+    try:
+        cls: Any = _PARTS[name] if name in _PARTS else lobe_class(name)
+    except KeyError:
+        raise NacreError(f"{path}: holds a {str(name)[:40]}, which nacre {__version__} does not know") from None
     fields = {str(key): _decode(value, arrays, path, depth + 1) for key, value in node["fields"].items()}
     if cls is Texture and fields.get("formula") is not None:
         fields["formula"] = parse_formula(fields["formula"])

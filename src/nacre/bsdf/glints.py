@@ -15,12 +15,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ive, ndtr, ndtri
 
+from nacre.arrays import Array
 from nacre.matter.jit import compiled
-
-Array = NDArray[np.float64]
 
 # numbers of a row, one row a kind of flake
 CELLS_U, CELLS_V, COUNT, COVERAGE, WIDTH, SEED = range(6)

@@ -14,9 +14,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.contract import ParameterAxis
-
-Array = NDArray[np.float64]
+from nacre.arrays import Array
+from nacre.bsdf.texture import ParameterAxis
+from nacre.bsdf.uniform import interpolate, take_uniform
 
 
 @dataclass(frozen=True)
@@ -94,10 +94,6 @@ class InterfaceResponse:
         """Return the conjugate cosine outside; 0 beyond the critical angle."""
         return np.sqrt(np.maximum(0.0, 1.0 - self.eta**2 * (1.0 - np.square(cos_inside))))
 
-    def inside_cosine(self, cos_outside: Array) -> Array:
-        """Return the conjugate cosine inside."""
-        return np.sqrt(1.0 - (1.0 - np.square(cos_outside)) / self.eta**2)
-
     def lookup(self, cos: Array, inside: NDArray[np.bool_], uv: Array | None = None) -> tuple[Array, Array]:
         """Interpolate reflectance and transmittance for light at `cos` (> 0) in its own medium.
 
@@ -173,15 +169,6 @@ def check_parameters(parameters: tuple[ParameterAxis, ...]) -> tuple[int, ...]:
     return tuple(len(axis.values) for axis in parameters)
 
 
-def take_uniform(table: Array, unit: Array, axis: int) -> Array:
-    """Interpolate linearly along one axis whose nodes are uniform on [0, 1]."""
-    position = np.clip(unit, 0.0, 1.0) * (table.shape[axis] - 1)
-    low = np.minimum(position.astype(int), max(table.shape[axis] - 2, 0))
-    fraction = (position - low)[:, None]
-    high = np.minimum(low + 1, table.shape[axis] - 1)
-    return np.asarray(np.take(table, low, axis) * (1 - fraction) + np.take(table, high, axis) * fraction)
-
-
 def parameter_coordinates(
     parameters: tuple[ParameterAxis, ...], uv: Array | None, shape: tuple[int, ...]
 ) -> tuple[Array, ...]:
@@ -193,26 +180,3 @@ def parameter_coordinates(
         return ()
     where = np.full((*shape, 2), 0.5) if uv is None else np.broadcast_to(np.asarray(uv, dtype=float), (*shape, 2))
     return tuple(axis.coordinate(axis.texture(where)) for axis in parameters)
-
-
-def interpolate(table: Array, coordinates: tuple[Array, ...]) -> Array:
-    """Interpolate multilinearly over the leading axes of `table`, at node coordinates of equal shape `[...]`.
-
-    Coordinates are clamped to the axis; the trailing axis (wavelength) is kept: `[..., wavelength]`.
-    """
-    sizes = table.shape[: len(coordinates)]
-    lows, fractions = [], []
-    for coordinate, size in zip(coordinates, sizes, strict=True):
-        clamped = np.clip(coordinate, 0.0, size - 1.0)
-        low = np.minimum(clamped.astype(np.intp), max(size - 2, 0))
-        lows.append(low)
-        fractions.append(clamped - low)
-    total = np.zeros((*np.shape(coordinates[0]), *table.shape[len(coordinates) :]))
-    for corner in range(2 ** len(coordinates)):
-        index, weight = [], np.ones(np.shape(coordinates[0]))
-        for axis, size in enumerate(sizes):
-            up = (corner >> axis) & 1
-            index.append(np.minimum(lows[axis] + up, size - 1))
-            weight = weight * (fractions[axis] if up else 1.0 - fractions[axis])
-        total += weight[..., None] * table[tuple(index)]
-    return total

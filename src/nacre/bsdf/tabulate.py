@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nacre.bsdf.contract import ParameterAxis
-from nacre.bsdf.response import InterfaceResponse, interpolate
+from nacre.arrays import Array, ComplexArray
+from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.texture import ParameterAxis
+from nacre.bsdf.uniform import interpolate
 from nacre.errors import UnsupportedError
 from nacre.light import delta_e_2000, spectrum_to_xyz, xyz_to_lab
-from nacre.matter import stratified
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from nacre.matter.stack import solve as solver
 
 TRANSPARENT_K = 1e-4  # a millimetre of the substrate then passes more than a tenth at 550 nm
 SAME_INDEX = 1e-3  # relative indices this close to one bend nothing that can be seen
@@ -36,7 +34,7 @@ class StackTables:
         incoherent: one flag a layer.
     """
 
-    def __init__(self, n: Complex, incoherent: Sequence[bool], wavelengths_nm: Array, transmits: bool) -> None:
+    def __init__(self, n: ComplexArray, incoherent: Sequence[bool], wavelengths_nm: Array, transmits: bool) -> None:
         self.wavelengths_nm = np.asarray(wavelengths_nm, dtype=float)
         self.n = np.array(n, dtype=np.complex128)
         self.n[0] = self.n[0].real
@@ -55,9 +53,9 @@ class StackTables:
         """Return R and T `[*params, cos, wavelength]` for light in the rarer medium."""
         n, d = self._from_outside(thicknesses_nm)
         if not any(self.incoherent):
-            powers = stratified.powers(n, d, self.wavelengths_nm, cos_i=cos_outside)
+            powers = solver.powers(n, d, self.wavelengths_nm, cos_i=cos_outside)
             return powers.reflectance, powers.transmittance if self.transmits else np.zeros_like(powers.reflectance)
-        from nacre.matter.stack_incoherent import incoherent_powers
+        from nacre.matter.stack.incoherent import incoherent_powers
 
         flags = self.incoherent[::-1] if self.flipped else self.incoherent
         solved = [
@@ -78,9 +76,9 @@ class StackTables:
         n, d = self._from_outside(thicknesses_nm)
         n, d = n[::-1], d[..., ::-1]
         if not any(self.incoherent):
-            solved = stratified.amplitudes(n, d, self.wavelengths_nm, kappa=in_plane)
+            solved = solver.amplitudes(n, d, self.wavelengths_nm, kappa=in_plane)
             return np.asarray(0.5 * (np.abs(solved.r_s) ** 2 + np.abs(solved.r_p) ** 2))
-        from nacre.matter.stack_incoherent import incoherent_powers
+        from nacre.matter.stack.incoherent import incoherent_powers
 
         flags = self.incoherent if self.flipped else self.incoherent[::-1]
         sin = np.clip(in_plane / n[0].real, 0.0, 1.0)
@@ -94,7 +92,7 @@ class StackTables:
             rows.append(np.concatenate(columns, axis=-1))
         return np.reshape(rows, (*d.shape[:-1], *in_plane.shape))
 
-    def _from_outside(self, thicknesses_nm: Array) -> tuple[Complex, Array]:
+    def _from_outside(self, thicknesses_nm: Array) -> tuple[ComplexArray, Array]:
         return (self.n[::-1], thicknesses_nm[..., ::-1]) if self.flipped else (self.n, thicknesses_nm)
 
     def build(self, thicknesses_nm: Array, nodes: int, parameters: tuple[ParameterAxis, ...] = ()) -> InterfaceResponse:
@@ -152,7 +150,7 @@ class StackTables:
         return self.build(thicknesses_nm, allowed[-1])
 
 
-def is_transparent(n: Complex) -> bool:
+def is_transparent(n: ComplexArray) -> bool:
     """Whether a half-space of index `n` `[wavelength]` lets light pass through a body of visible size."""
     return bool(np.max(n.imag) < TRANSPARENT_K)
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.errors import RecipeError
 
 MAX_FORMULA_LENGTH = 1000
@@ -150,3 +151,26 @@ def _bilinear(image: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.
     top = image[y0 % rows, x0 % columns] * (1 - fx) + image[y0 % rows, (x0 + 1) % columns] * fx
     bottom = image[(y0 + 1) % rows, x0 % columns] * (1 - fx) + image[(y0 + 1) % rows, (x0 + 1) % columns] * fx
     return np.asarray(top * (1 - fy) + bottom * fy)
+
+
+@dataclass(frozen=True)
+class ParameterAxis:
+    """One material number that varies over the surface: its tabulated values and the texture that drives it.
+
+    Attributes:
+        name: what varies, as users know it, such as "layers[0].thickness_nm".
+        values: `[node]`, ascending and uniform; tables are interpolated linearly between them.
+        texture: gives the number at uv, within [values[0], values[-1]].
+    """
+
+    name: str
+    values: Array
+    texture: Texture
+
+    def coordinate(self, value: Array) -> Array:
+        """Return the node coordinate of `value`: 0 at the first node, clamped to the axis."""
+        first, last = float(self.values[0]), float(self.values[-1])
+        if last <= first:
+            return np.zeros_like(np.asarray(value, dtype=float))
+        unit = (np.asarray(value, dtype=float) - first) / (last - first)
+        return np.clip(unit, 0.0, 1.0) * (len(self.values) - 1)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.errors import NacreError, RecipeError
 from nacre.files import plain
-from nacre.specs import RecipeContext, RecipeModel
+from nacre.recipe.model import RecipeContext, RecipeModel
 
 MAX_IMAGE_PIXELS = 64_000_000
 FORMULA_SAMPLES = 257
@@ -87,14 +87,14 @@ NumberOrTexture = Annotated[
 ]
 
 
-def read_grey(path: Path, where: str) -> NDArray[np.float64]:
+def read_grey(path: Path, where: str, longest_side: int = MAX_IMAGE_PIXELS) -> NDArray[np.float64]:
     """Read an image as grey values in [0, 1], `[row, column]`; 8 and 16 bit, colours by their mean luma.
 
     Args:
         where: file and key of the recipe, for messages.
 
     Raises:
-        RecipeError: missing, not an image, or larger than `MAX_IMAGE_PIXELS`.
+        RecipeError: missing, not an image, larger than `MAX_IMAGE_PIXELS` or longer than `longest_side`.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -106,6 +106,8 @@ def read_grey(path: Path, where: str) -> NDArray[np.float64]:
             size = image.width * image.height
             if size > MAX_IMAGE_PIXELS:
                 raise RecipeError(f"{where}: {path.name} has {size} pixels; at most {MAX_IMAGE_PIXELS} are read")
+            if max(image.size) > longest_side:
+                raise RecipeError(f"{where}: {path.name} is {image.size} pixels; at most {longest_side} a side")
             if image.mode.startswith("I") or image.mode == "F":
                 values = np.asarray(image, dtype=float)
                 scale = 1.0 if image.mode == "F" else 65535.0

@@ -70,23 +70,6 @@ def angles(text: str) -> NDArray[np.float64]:
     return grid
 
 
-def size(text: str) -> tuple[int, int]:
-    """Read `--size WxH`.
-
-    Raises:
-        NacreError: not two positive numbers, or more than 16384 pixels on a side.
-    """
-    parts = text.lower().replace("×", "x").split("x")
-    if len(parts) == 1:
-        parts = parts * 2
-    if len(parts) != 2 or not all(p.isascii() and p.isdigit() for p in parts):
-        raise NacreError(f'--size = "{text}" cannot be read; write it like 512x512')
-    width, height = int(parts[0]), int(parts[1])
-    if not (1 <= width <= 16384 and 1 <= height <= 16384):
-        raise NacreError(f'--size = "{text}" must lie between 1x1 and 16384x16384')
-    return width, height
-
-
 def set_jobs(jobs: int | None) -> None:
     """Limit the threads of every numeric library; must run before they are imported."""
     if jobs is None:
@@ -124,7 +107,7 @@ def load_material(recipe: str, changes: tuple[str, ...] = ()) -> Any:
     Raises:
         NacreError: as `nacre.load`, or a change that cannot be read.
     """
-    from nacre.recipe import load
+    from nacre.materials.material import load
 
     material = load(recipe)
     return material.vary(dict(parse_change(change) for change in changes)) if changes else material

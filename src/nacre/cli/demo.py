@@ -16,7 +16,7 @@ from nacre.cli import common
 @common.jobs_option
 def demo(out: str, quick: bool) -> None:
     """Make pictures, figures and animations of every example recipe, and a contact sheet."""
-    from nacre.demo import run_demo
+    from nacre.cli.gallery import run_demo
 
     def show(item: Any, number: int, total: int, seconds: float, left: float) -> None:
         common.note(f"[{number:2d}/{total}] {_clock(seconds)} spent, about {_clock(left)} left: {item.title}")

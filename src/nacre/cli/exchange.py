@@ -32,7 +32,7 @@ def export(
 ) -> None:  # fmt: skip
     """Write RECIPE in another program's format and say what the format cannot hold."""
     from nacre.files import check_writable
-    from nacre.study.trade import export_material
+    from nacre.study.foreign import export_material
 
     path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}{FORMATS[target]}")
     check_writable(path)
@@ -64,7 +64,7 @@ def _lines(facts: dict[str, Any]) -> list[str]:
 def import_(file: str, output: str | None) -> None:
     """Read a measurement or another program's material and write a recipe for it."""
     from nacre.files import check_writable
-    from nacre.study.trade import import_material
+    from nacre.study.foreign import import_material
 
     path = Path(output) if output else Path(f"{Path(file).stem}.toml")
     if path.suffix != ".toml":

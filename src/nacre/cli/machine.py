@@ -14,7 +14,7 @@ from nacre.cli import common
 @common.jobs_option
 def doctor(as_json: bool) -> None:
     """Say what works on this machine and what to do if something does not."""
-    from nacre.doctor import examine
+    from nacre.device.doctor import examine
 
     findings = examine()
     if as_json:
@@ -40,7 +40,7 @@ def indices() -> None:
 @click.option("--limit", type=click.IntRange(1, 1000), default=20, show_default=True)
 def indices_search(text: str, limit: int) -> None:
     """List the materials whose name or database entry contains TEXT."""
-    from nacre.matter import indices as library
+    from nacre.matter.indices import library
 
     found = library.search(text)
     for entry in found[:limit]:
@@ -66,7 +66,7 @@ def indices_show(name: str, output: str | None, as_json: bool) -> None:
     import numpy as np
 
     from nacre.files import check_writable
-    from nacre.matter import indices as library
+    from nacre.matter.indices import library
 
     if output:
         check_writable(output)

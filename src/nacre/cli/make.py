@@ -95,20 +95,13 @@ def fabricate(
     seed: int | None,
 ) -> None:  # fmt: skip
     """Write the files to make a design or a material."""
-    from nacre.design.fabricate import SUFFIXES
-    from nacre.design.fabricate import fabricate as write
+    from nacre.api import fabricate as write
+    from nacre.exchange.drawings import SUFFIXES
     from nacre.files import check_writable
 
     name = Path(source).resolve().stem
     path = Path(output) if output else Path(f"{name}-{target}{SUFFIXES[target]}")
     check_writable(path)
-    material = common.load_material(source) if target == "sheet" else None
-    if material is not None and material.family != "metasurface":
-        from nacre.design.sheet import write_sheet
-
-        write_sheet(material, path)
-        common.note(str(path))
-        return
     area = None
     if size_mm is not None:
         try:

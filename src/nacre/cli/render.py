@@ -51,7 +51,7 @@ def render(
     check_writable(path)
     options: dict[str, Any] = {
         "scene": scene, "shape": shape, "light": light, "illuminant": illuminant, "components": components,
-        "size": None if size is None else common.size(size), "spp": spp, "seed": seed, "quality": quality,
+        "size": size, "spp": spp, "seed": seed, "quality": quality,
         "exposure": _exposure(exposure),
     }  # fmt: skip
     material = common.load_material(recipe, changes)
@@ -61,7 +61,7 @@ def render(
         render_animation(material, animate, path, frames=frames, **options)
         common.note(str(path))
         return
-    from nacre.render.picture import render as render_picture
+    from nacre.render import render as render_picture
 
     result = render_picture(material, output=path, **options)
     common.note(_summary(path, result.stats))

@@ -34,8 +34,8 @@ def spectrum(
     changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Print reflectance and transmittance of RECIPE over angle and wavelength."""
-    from nacre.api import recipe_provenance
     from nacre.files import check_writable, write_text
+    from nacre.materials.material import recipe_provenance
 
     if output:
         if Path(output).suffix not in (".csv", ".json"):
@@ -88,8 +88,9 @@ def evaluate(
     changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Evaluate the BSDF of RECIPE for given directions (the non-delta part, 1/sr, without the cosine)."""
-    from nacre.api import evaluate_with_error, recipe_provenance
     from nacre.files import atomic_path, check_writable
+    from nacre.materials.material import recipe_provenance
+    from nacre.measure.evaluate import evaluate_with_error
 
     if Path(output).suffix != ".npz":
         raise NacreError(f"-o {output}: the suffix must be .npz")
@@ -152,8 +153,8 @@ def plot(
     over: str | None, part: str | None, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Draw a figure of RECIPE, fit for a paper, or of a sweep: its gamut, a colour-map or parallel coordinates."""
-    from nacre.api import plot_material
     from nacre.files import check_writable
+    from nacre.plot.material import plot_material
 
     is_sweep = Path(recipe).suffix == ".zarr"
     allowed = SWEEP_KINDS if is_sweep else PLOT_KINDS

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from nacre.arrays import Array
 from nacre.errors import UnsupportedError
 from nacre.exchange.calibration import Calibration
 from nacre.exchange.height_image import write_png16_rows
 
-Array = NDArray[np.float64]
 MAX_CELLS = 100_000_000
 COLOUR_STEPS = 64  # colours are mixed on a grid this fine; each mix is solved once
 

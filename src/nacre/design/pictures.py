@@ -9,11 +9,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.errors import RecipeError, did_you_mean
-
-Array = NDArray[np.float64]
 
 PUBLISHED_COLOURS: dict[str, tuple[float, float, float]] = {
     # display-referred triples of the source, not the CSS colours of the same names

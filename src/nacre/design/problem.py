@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.design.loss import Losses, measure, objective
-from nacre.relief.coherence import Coherence
-from nacre.relief.geometry import Prefactor
-from nacre.relief.slice import SliceGeometry, SlicePlan, plan_slice
-from nacre.relief.surface import Tile, blur_matrix, largest_step_nm
+from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.geometry import Prefactor
+from nacre.families.relief.slice import SliceGeometry, SlicePlan, plan_slice
+from nacre.families.relief.surface import Tile, blur_matrix, largest_step_nm
 
-Array = NDArray[np.float64]
 # interpolation error over kappa: measured 1e-4 of the image in the search, 1e-6 in a measurement
 SEARCH_NODE_ERROR, MEASURE_NODE_ERROR = 0.3, 1e-2
 CHANGE_WHEN_CONVERGED = 0.01  # a loss is trusted once doubling the sampling moves it by less

@@ -17,8 +17,8 @@ from nacre.design.loss import GAMMA, Losses
 from nacre.design.problem import MEASURE_NODE_ERROR, Array, Evaluator, Measurement, Problem
 from nacre.design.robustness import Robustness, robustness
 from nacre.design.spec import TargetSpec
+from nacre.families.relief.surface import Tile, slopes
 from nacre.files import atomic_path, write_text
-from nacre.relief.surface import Tile, slopes
 
 PICTURE_PIXELS = 256  # side of each picture on the page
 LIT_SHARE = 0.1  # a direction belongs to the target where the target is above this part of its maximum

@@ -8,8 +8,8 @@ import numpy as np
 
 from nacre.design.loss import GAMMA, measure
 from nacre.design.problem import Array, Evaluator, Problem
+from nacre.families.relief.surface import blur_matrix
 from nacre.light import delta_e_2000, srgb_linear_to_xyz, xyz_to_lab
-from nacre.relief.surface import blur_matrix
 
 LIT_SHARE = 0.1  # colour differences count where the target is above this part of its maximum
 

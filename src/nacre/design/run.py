@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,8 +19,10 @@ from nacre.design.report import comparison, write_picture, write_report
 from nacre.design.search import Candidate, Progress, Search, one_thread_each
 from nacre.design.spec import TargetSpec
 from nacre.errors import NacreError, RecipeError
-from nacre.files import atomic_path, parse_toml, read_text, write_text
-from nacre.specs import RecipeContext, validate
+from nacre.files import atomic_path, read_text, write_text
+from nacre.matter.jobs import available_jobs
+from nacre.recipe.model import RecipeContext, validate
+from nacre.recipe.toml import dump_toml, parse_toml
 
 CHECKPOINT_EVERY_S = 2.0
 STATE = "search.npz"
@@ -105,7 +106,7 @@ def design(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
-    workers = jobs or os.cpu_count() or 1
+    workers = jobs or available_jobs()
     search = Search(problem, spec.search.starts, spec.search.seed, workers, spec.search.shakes)
     fingerprint = target_fingerprint(spec, problem)
     if resume:
@@ -204,25 +205,16 @@ class _Keeper:
 def recipe_text(spec: TargetSpec) -> str:
     """Return the recipe of the finished relief."""
     coating = spec.coating.model_dump(exclude_none=True, exclude_defaults=True)
-    name = coating.get("name")
-    value = f'"{name}"' if set(coating) == {"name"} else _inline(coating)
-    return (
-        'family = "relief"\n'
-        'heights = "height.npy"\n'
-        f"feature_um = {spec.feature_um!r}\n"
-        f"blur_um = {spec.blur_um!r}\n"
-        f"coating = {value}\n"
-        f'prefactor = "{spec.chosen_prefactor}"\n\n'
-        "[coherence]\n" + "".join(f"{k} = {v!r}\n" for k, v in spec.coherence.model_dump(exclude_none=True).items())
-    )
-
-
-def _inline(value: Any) -> str:
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{k} = {_inline(v)}" for k, v in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_inline(v) for v in value) + "]"
-    return json.dumps(value)
+    data = {
+        "family": "relief",
+        "heights": "height.npy",
+        "feature_um": spec.feature_um,
+        "blur_um": spec.blur_um,
+        "coating": coating["name"] if set(coating) == {"name"} else coating,
+        "prefactor": spec.chosen_prefactor,
+        "coherence": spec.coherence.model_dump(exclude_none=True),
+    }
+    return dump_toml(data)
 
 
 def target_fingerprint(spec: TargetSpec, problem: Problem) -> str:

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from nacre.design.levels import round_to_levels, settle_on_levels
 from nacre.design.problem import Array, Evaluator, Problem
+from nacre.design.quantise import round_to_levels, settle_on_levels
 
 # height spreads of the random starts, in parts of the allowed range about its middle (section 11.9)
 AMPLITUDES = (0.5, 0.25, 1.0, 0.12)

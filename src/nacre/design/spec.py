@@ -11,19 +11,19 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import pydantic
 
+from nacre.bsdf.directions import direction
 from nacre.design import pictures
+from nacre.design.colour_weights import ColourWeights, default_weights, published_weights
 from nacre.design.loss import GAMMA
 from nacre.design.pictures import Array
 from nacre.design.problem import Problem, View
-from nacre.design.spectra import Spectrum, default_spectrum, published_spectrum
 from nacre.errors import RecipeError, did_you_mean
+from nacre.families.relief.coherence_spec import CoherenceSpec
+from nacre.families.relief.fresnel import coating_reflectance, fresnel_reflectance
+from nacre.families.relief.slice import SliceGeometry
 from nacre.files import plain
-from nacre.matter.spec import IndexSpec
-from nacre.relief.coherence_spec import CoherenceSpec
-from nacre.relief.fresnel import coating_reflectance, fresnel_reflectance
-from nacre.relief.geometry import direction
-from nacre.relief.slice import SliceGeometry
-from nacre.specs import RecipeContext, RecipeModel
+from nacre.matter.indices.spec import IndexSpec
+from nacre.recipe.model import RecipeContext, RecipeModel
 
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 KINDS = ("anti-mirror", "anisotropic-anti-mirror", "gaussian", "uniform", "image", "inverted-image", "array")
@@ -247,15 +247,15 @@ class TargetSpec(RecipeModel):
             levels=self.search.levels,
         )
 
-    def _spectrum(self) -> Spectrum:
+    def _spectrum(self) -> ColourWeights:
         if self.spectrum == "default":
-            return default_spectrum()
+            return default_weights()
         if self.coating.name == "Al":
-            return published_spectrum(None)
+            return published_weights(None)
         constant = self.coating.build()
-        return published_spectrum(lambda nm: fresnel_reflectance(np.ones(()), constant.n_complex(nm)))
+        return published_weights(lambda nm: fresnel_reflectance(np.ones(()), constant.n_complex(nm)))
 
-    def _check_window(self, width: float, spectrum: Spectrum, context: RecipeContext) -> None:
+    def _check_window(self, width: float, spectrum: ColourWeights, context: RecipeContext) -> None:
         window_um = width * float(spectrum.wavelengths_nm.max()) / 1e3
         period_um = self.features * self.feature_um
         if window_um > period_um / 2.0:
@@ -266,7 +266,7 @@ class TargetSpec(RecipeModel):
                 "repetition would show; take a larger tile or a smaller window",
             )
 
-    def _view(self, table: TargetTable, spectrum: Spectrum, context: RecipeContext) -> View:
+    def _view(self, table: TargetTable, spectrum: ColourWeights, context: RecipeContext) -> View:
         directions = [
             _incidence(theta, phi, context) for theta, phi in (table.incidence_deg or self.search.incidence_deg)
         ]

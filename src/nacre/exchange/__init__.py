@@ -1,1 +1,1 @@
-"""To be filled by its first commit."""
+"""The formats of other programs and of makers, one file each, and what they make of a lobe."""

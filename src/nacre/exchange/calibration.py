@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.errors import NacreError
 from nacre.files import plain
 
-Array = NDArray[np.float64]
 LARGEST_GREY = 65535
 
 

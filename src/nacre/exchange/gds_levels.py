@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.errors import NacreError, UnsupportedError
+from nacre.errors import UnsupportedError
 from nacre.files import atomic_path
 
 Levels = NDArray[np.int64]
@@ -69,29 +68,3 @@ def runs(levels: Levels) -> list[tuple[int, int, int, int]]:
         edges = [0, *ends.tolist(), len(column)]
         found += [(int(column[a]), x, a, b) for a, b in zip(edges[:-1], edges[1:])]
     return found
-
-
-def read_levels(path: str | Path, pitch_um: float) -> tuple[Levels, tuple[int, int]]:
-    """Read a mask written here: the tile's levels `[x, y]` and the number of tiles along x and y.
-
-    Raises:
-        NacreError: it cannot be read or has no cell "tile".
-    """
-    import gdstk
-
-    path = Path(path)
-    try:
-        reader: Any = gdstk.read_gds if path.suffix.lower() == ".gds" else gdstk.read_oas
-        library = reader(str(path))
-    except (OSError, RuntimeError) as error:
-        raise NacreError(f"{path}: cannot be read as a mask: {error}") from None
-    cells = {cell.name: cell for cell in library.cells}
-    if "tile" not in cells or "wafer" not in cells:
-        raise NacreError(f'{path}: holds no cells "tile" and "wafer"')
-    boxes = [(p.layer, np.round(np.array(p.bounding_box()) / pitch_um).astype(int)) for p in cells["tile"].polygons]
-    size = np.max([box[1] for _, box in boxes], axis=0)
-    levels = np.full(tuple(size), -1, dtype=np.int64)
-    for layer, ((x0, y0), (x1, y1)) in boxes:
-        levels[x0:x1, y0:y1] = layer
-    repetition = cells["wafer"].references[0].repetition
-    return levels, (int(repetition.columns or 1), int(repetition.rows or 1))

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
+from nacre.bsdf.directions import direction
 from nacre.errors import NacreError
 from nacre.files import atomic_path, plain
 
-Array = NDArray[np.float64]
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "wavelength", "value")
 MAX_BYTES = 1 << 30
 ROUND_TRIP_DIGITS = 9  # float32 survives a decimal round trip with nine significant digits
@@ -34,17 +34,12 @@ class GonioData:
     @property
     def wi(self) -> Array:
         """Unit vectors to the light, `[pair, 3]`."""
-        return _direction(self.angles_deg[:, 0], self.angles_deg[:, 1])
+        return direction(*np.radians(self.angles_deg[:, :2].T))
 
     @property
     def wo(self) -> Array:
         """Unit vectors to the eye, `[pair, 3]`."""
-        return _direction(self.angles_deg[:, 2], self.angles_deg[:, 3])
-
-
-def _direction(theta_deg: Array, phi_deg: Array) -> Array:
-    theta, phi = np.radians(theta_deg), np.radians(phi_deg)
-    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+        return direction(*np.radians(self.angles_deg[:, 2:].T))
 
 
 def write_gonio_csv(path: str | Path, data: GonioData, comment: str = "") -> None:

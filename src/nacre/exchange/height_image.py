@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.errors import NacreError, UnsupportedError
+from nacre.errors import UnsupportedError
 from nacre.files import atomic_path
 
 Grey = NDArray[np.uint16]
@@ -146,25 +146,3 @@ def write_tiff16(
             resolutionunit="CENTIMETER",
             metadata=None,
         )
-
-
-def read_grey16(path: str | Path) -> tuple[Grey, dict[str, Any]]:
-    """Read an image written here: grey values `[x, y]` and the metadata inside.
-
-    Raises:
-        NacreError: it cannot be read, or carries no metadata of nacre.
-    """
-    path = Path(path)
-    try:
-        if path.suffix.lower() in (".tif", ".tiff"):
-            import tifffile
-
-            with tifffile.TiffFile(path) as file:
-                page: Any = file.pages[0]
-                return np.asarray(page.asarray(), dtype=np.uint16), json.loads(page.description)
-        from PIL import Image
-
-        with Image.open(path) as image:
-            return np.asarray(image, dtype=np.uint16), json.loads(image.info[METADATA_KEY])
-    except (OSError, ValueError, KeyError) as error:
-        raise NacreError(f"{path}: cannot be read as a height image of nacre: {error}") from None

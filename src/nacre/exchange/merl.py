@@ -9,15 +9,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.bsdf import Bsdf
-from nacre.bsdf.table import from_half_difference
+from nacre.bsdf.lobes.table import from_half_difference
 from nacre.errors import NacreError, UnsupportedError
 from nacre.files import atomic_path
 from nacre.light import spectrum_to_rgb_linear
 
-Array = NDArray[np.float64]
 SHAPE = (90, 90, 180)
 SCALE = np.array([1.0, 1.15, 1.66]) / 1500.0
 MIN_COS = 1e-4  # a bin whose directions lie at or below the horizon holds 0

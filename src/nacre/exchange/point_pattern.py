@@ -9,12 +9,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.errors import NacreError
-from nacre.files import atomic_path, plain
-
-Array = NDArray[np.float64]
+from nacre.files import atomic_path
 
 PRECISION_M = 1e-9  # database unit of 1 nm
 MAX_COORDINATE_UM = 2.0e6  # 32-bit database units of 1 nm
@@ -84,66 +82,9 @@ def write_layout(
     return len(xy) * columns * rows
 
 
-def read_layout(path: str | Path) -> tuple[Array, float]:
-    """Read the particle centres of one period, `[point, 2]` in um, and their radius in um.
-
-    Raises:
-        NacreError: the file is missing or is not a layout with referenced particles.
-    """
-    import gdstk
-
-    path = Path(path)
-    if not path.is_file():
-        raise NacreError(f"{path}: does not exist")
-    try:
-        library = gdstk.read_gds(str(path)) if path.suffix.lower() == ".gds" else gdstk.read_oas(str(path))
-    except (RuntimeError, OSError, ValueError) as error:
-        raise NacreError(f"{path}: is not a readable layout: {error}") from None
-    cells = {cell.name: cell for cell in library.cells}
-    if "PERIOD" not in cells or "PARTICLE" not in cells:
-        raise NacreError(f"{path}: has no cells PERIOD and PARTICLE, which nacre writes")
-    period, particle = cells["PERIOD"], cells["PARTICLE"]
-    extent = particle.bounding_box() if isinstance(particle, gdstk.Cell) else None
-    if not isinstance(period, gdstk.Cell) or extent is None:
-        raise NacreError(f"{path}: its cell PARTICLE is empty")
-    xy = np.array([reference.origin for reference in period.references])
-    low, high = extent
-    return xy.reshape(-1, 2), float(high[0] - low[0]) / 2
-
-
 def write_points_csv(path: str | Path, xy_um: Array) -> None:
     """Write centres as CSV with a heading, in um to a tenth of a nanometre."""
     with atomic_path(path) as temporary:
         np.savetxt(
             temporary, np.asarray(xy_um, dtype=float), fmt="%.4f", delimiter=",", header="x_um,y_um", comments=""
         )
-
-
-def read_points_csv(path: str | Path) -> Array:
-    """Read centres in um, `[point, 2]`.
-
-    Raises:
-        NacreError: the file is missing or does not hold two finite numbers a line.
-    """
-    path = Path(path)
-    try:
-        lines = plain(path).read_text(errors="replace").splitlines()
-    except OSError as error:
-        raise NacreError(f"{path}: cannot be read: {error.strerror or error}") from None
-    rows = []
-    for number, line in enumerate(lines, start=1):
-        fields = line.replace(",", " ").replace(";", " ").split()
-        if not fields or line.lstrip().startswith("#"):
-            continue
-        try:
-            rows.append((float(fields[0]), float(fields[1])))
-        except (ValueError, IndexError):
-            if number == 1:
-                continue  # the heading
-            raise NacreError(f"{path}: line {number} does not hold two numbers") from None
-        if len(rows) > MAX_ROWS:
-            raise NacreError(f"{path}: holds more than {MAX_ROWS} points")
-    xy = np.array(rows, dtype=float).reshape(-1, 2)
-    if len(xy) == 0 or not np.all(np.isfinite(xy)):
-        raise NacreError(f"{path}: holds no finite points")
-    return xy

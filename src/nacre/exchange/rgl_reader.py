@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre.arrays import Array
+from nacre.bsdf.uniform import interpolate
 from nacre.errors import NacreError
 from nacre.exchange.rgl_tensor import read_tensor
 from nacre.exchange.warp import Warp
 
-Array = NDArray[np.float64]
 NEEDED = ("theta_i", "phi_i", "ndf", "sigma", "vndf", "spectra", "wavelengths", "jacobian")
 LARGEST = 1e12  # no BSDF, density or area is near it; a damaged file is, and overflows where it is used
 
@@ -122,9 +123,4 @@ def _mix(a: tuple[Array, Array], b: tuple[Array, Array], share: Array) -> tuple[
 def _fetch(tables: Array, x: Array, y: Array) -> Array:
     """Interpolate `[channel, row, column]` bilinearly at positions in [0, 1]: `[point, channel]`."""
     rows, columns = tables.shape[1:]
-    cx, cy = np.clip(x, 0, 1) * (columns - 1), np.clip(y, 0, 1) * (rows - 1)
-    i, j = np.minimum(cx.astype(int), columns - 2), np.minimum(cy.astype(int), rows - 2)
-    fx, fy = cx - i, cy - j
-    low = tables[:, j, i] * (1 - fx) + tables[:, j, i + 1] * fx
-    high = tables[:, j + 1, i] * (1 - fx) + tables[:, j + 1, i + 1] * fx
-    return np.asarray((low * (1 - fy) + high * fy).T)
+    return interpolate(np.moveaxis(tables, 0, -1), (y * (rows - 1), x * (columns - 1)))

@@ -16,19 +16,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.bsdf import Bsdf
+from nacre.bsdf.directions import direction
 from nacre.errors import NacreError, UnsupportedError
 from nacre.exchange.warp import Warp
 from nacre.files import atomic_path, plain
 
-Array = NDArray[np.float64]
 MAGIC = b"tensor_file\0"
 TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "u8", 8: "i8", 9: "f2", 10: "f4", 11: "f8"}
 MAX_FIELD_BYTES = 2 << 30
 NDF_FLOOR = 1e-4  # of the peak: directions where the retro-reflection is dark must stay reachable
-FIELDS = (
-    "description", "theta_i", "phi_i", "ndf", "sigma", "vndf", "luminance", "spectra", "wavelengths", "jacobian",
-)  # fmt: skip
 
 
 def write_tensor(path: str | Path, fields: Mapping[str, NDArray[Any]]) -> None:
@@ -104,11 +102,6 @@ def phi_of(u: Array) -> Array:
     return (2 * np.asarray(u) - 1) * np.pi
 
 
-def vector(theta: Array, phi: Array) -> Array:
-    """Return unit vectors `[..., 3]`."""
-    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
-
-
 def rgl_fields(
     bsdf: Bsdf,
     description: str = "",
@@ -151,13 +144,13 @@ def rgl_fields(
     sx, sy = (a.ravel() for a in np.meshgrid(s, s, indexing="xy"))
     for p, phi in enumerate(phi_i):
         for t, theta in enumerate(theta_i):
-            wi = vector(np.array(theta), np.array(phi))
+            wi = direction(np.array(theta), np.array(phi))
             turn = phi if is_isotropic else 0.0
             density = _visible(ndf, ndf_u, ndf_v, u, v, wi, turn)
             warp = Warp.of(density)
             vndf[p, t] = warp.density
             mu, mv = warp.sample(sx, sy)
-            values = _f_cos(bsdf, grid, wi, vector(theta_of(mu), phi_of(mv) + turn))
+            values = _f_cos(bsdf, grid, wi, direction(theta_of(mu), phi_of(mv) + turn))
             slope = _bilinear(ndf, ndf_u, ndf_v, mu, mv)
             area = _bilinear(sigma, ndf_u, ndf_v, np.sqrt(theta * 2 / np.pi), (phi + np.pi) / (2 * np.pi))
             table = values * (4 * area / slope)[:, None]
@@ -215,7 +208,7 @@ def _retro_ndf(bsdf: Bsdf, u: Array, v: Array, is_isotropic: bool) -> Array:
     """Estimate a normal distribution `[v, u]` from the retro-reflection, f(m, m) ~ D(m) / (4 cos^2)."""
     theta = np.minimum(theta_of(u), np.radians(85.0))
     phi = np.zeros(1) if is_isotropic else phi_of(v)
-    m = vector(theta[None, :], phi[:, None])
+    m = direction(theta[None, :], phi[:, None])
     value = bsdf.evaluate(m, m).mean(axis=-1) * 4 * m[..., 2] ** 2
     value = np.maximum(value, NDF_FLOOR * max(float(value.max()), 1e-12))
     return np.broadcast_to(value, (len(v), len(u))).copy()
@@ -235,7 +228,7 @@ def _visible(ndf: Array, ndf_u: Array, ndf_v: Array, u: Array, v: Array, wi: Arr
     """Return D <wi, m> times the format's Jacobian on the grid `[v, u]`, positive everywhere."""
     mu, mv = np.meshgrid(u, v, indexing="xy")
     theta = theta_of(mu)
-    m = vector(theta, phi_of(mv) + turn)
+    m = direction(theta, phi_of(mv) + turn)
     density = _bilinear(ndf, ndf_u, ndf_v, mu, mv) * np.maximum(m @ wi, 0.0) * mu * np.sin(theta)
     return np.asarray(density + 1e-7 * density.max())
 
@@ -245,7 +238,9 @@ def _projected_area(ndf: Array, ndf_u: Array, ndf_v: Array, theta: Array, phi: A
     u = np.linspace(0, 1, 128)
     v = np.linspace(0, 1, 65)[:-1]
     mu, mv = (a.ravel() for a in np.meshgrid(u, v, indexing="xy"))
-    m = vector(theta_of(mu), phi_of(mv))
+    m = direction(theta_of(mu), phi_of(mv))
     weight = _bilinear(ndf, ndf_u, ndf_v, mu, mv) * mu * np.sin(theta_of(mu)) * 2 * np.pi**2 / (len(u) * len(v))
-    wi = vector(np.broadcast_to(theta, (len(phi), len(theta))), np.broadcast_to(phi[:, None], (len(phi), len(theta))))
+    wi = direction(
+        np.broadcast_to(theta, (len(phi), len(theta))), np.broadcast_to(phi[:, None], (len(phi), len(theta)))
+    )
     return np.maximum(np.maximum(wi @ m.T, 0.0) @ weight, 1e-12)

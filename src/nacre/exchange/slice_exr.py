@@ -10,15 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.bsdf import Bsdf
-from nacre.bsdf.table import from_half_difference
-from nacre.errors import NacreError, UnsupportedError
+from nacre.bsdf.lobes.table import from_half_difference
+from nacre.errors import UnsupportedError
 from nacre.files import atomic_path
 from nacre.light import spectrum_to_rgb_linear
 
-Array = NDArray[np.float64]
 SIZE = 90
 
 
@@ -63,25 +62,3 @@ def write_slice(path: str | Path, bsdf: Bsdf, comment: str = "") -> None:
     }  # fmt: skip
     with atomic_path(path) as temporary:
         OpenEXR.File(header, channels).write(str(temporary))
-
-
-def read_slice(path: str | Path) -> tuple[Array, Array]:
-    """Return (wavelengths_nm, values `[row, column, wavelength]`) of a spectral EXR.
-
-    Raises:
-        NacreError: not an EXR, or without spectral channels.
-    """
-    import OpenEXR
-
-    try:
-        parts = OpenEXR.File(str(path), separate_channels=True).channels()
-    except Exception as error:  # the library raises bare RuntimeErrors
-        raise NacreError(f"{path}: is not an EXR file ({type(error).__name__})") from None
-    found = {}
-    for name, channel in parts.items():
-        if name.startswith("S0.") and name.endswith("nm"):
-            found[float(name[3:-2].replace(",", "."))] = np.asarray(channel.pixels, dtype=float)
-    if not found:
-        raise NacreError(f"{path}: holds no spectral channels (S0.<wavelength>nm)")
-    grid = np.array(sorted(found))
-    return grid, np.stack([found[w] for w in grid], axis=-1)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.errors import UnsupportedError
 from nacre.files import atomic_path
 
-Array = NDArray[np.float64]
 # plateaus end this part of a feature before its edge; the wall between two stands on the rest
 WALL_SHARE = 0.02
 MAX_TRIANGLES = 60_000_000
@@ -68,17 +67,3 @@ def _quads(grid: Array) -> Array:
     p00, p10, p01, p11 = grid[:-1, :-1], grid[1:, :-1], grid[:-1, 1:], grid[1:, 1:]
     first, second = np.stack([p00, p10, p11], axis=-2), np.stack([p00, p11, p01], axis=-2)
     return np.asarray(np.concatenate([first.reshape(-1, 3, 3), second.reshape(-1, 3, 3)]))
-
-
-def read_stl_heights(path: str | Path, pitch_um: float, features: int) -> Array:
-    """Return the feature heights above the floor of a solid written here, `[x, y]` in um."""
-    with Path(path).open("rb") as stream:
-        stream.seek(80)
-        count = int(np.frombuffer(stream.read(4), "<u4")[0])
-        records = np.fromfile(stream, dtype=_RECORD, count=count)
-    top = records["corners"][records["normal"][:, 2] > 0.999].astype(float)
-    centre = top.mean(axis=1)
-    index = np.floor(centre[:, :2] / pitch_um).astype(int).clip(0, features - 1)
-    heights = np.zeros((features, features))
-    heights[index[:, 0], index[:, 1]] = centre[:, 2]
-    return heights

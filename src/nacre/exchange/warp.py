@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from nacre.arrays import Array
+
 FLAT = 1e-4  # below this relative slope a segment is treated as constant, as the readers of the format do
 
 

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.bsdf import Bsdf
 from nacre.errors import NacreError, UnsupportedError
 from nacre.files import atomic_path, plain
 from nacre.light import spectrum_to_xyz
 
-Array = NDArray[np.float64]
 CHANNELS = {"Monochrome": ("Monochrome",), "XYZ": ("TristimulusX", "TristimulusY", "TristimulusZ")}
 MAX_BYTES = 1 << 28
 

@@ -5,19 +5,13 @@ the CIE 1931 2 degree observer. sRGB outputs of other illuminants are adapted to
 transform unless asked otherwise, so a white sheet stays white under every lamp.
 """
 
-from nacre.light.adaptation import (
-    ADAPTATIONS,
-    SRGB_WHITE_XYZ,
-    Adaptation,
-    IlluminantShift,
-    adapt_xyz,
-    adaptation_matrix,
-    illuminant_shift,
-    metamerism,
-)
+from nacre.light.adaptation import ADAPTATIONS, Adaptation, adapt_xyz, adaptation_matrix
+from nacre.light.constancy import IlluminantShift, illuminant_shift, metamerism
 from nacre.light.difference import delta_e_76, delta_e_2000
+from nacre.light.display import spectrum_to_rgb_linear, spectrum_to_rgb_matrix, spectrum_to_srgb
 from nacre.light.gamut import Clipped, clip_to_srgb
 from nacre.light.spaces import (
+    SRGB_WHITE_XYZ,
     lab_to_lch,
     lab_to_xyz,
     lch_to_lab,
@@ -31,14 +25,7 @@ from nacre.light.spaces import (
     xyz_to_xyy,
 )
 from nacre.light.tables import ILLUMINANTS, OBSERVERS, Illuminant, illuminant, observer, table_wavelengths_nm
-from nacre.light.tristimulus import (
-    spectrum_to_rgb_linear,
-    spectrum_to_rgb_matrix,
-    spectrum_to_srgb,
-    spectrum_to_xyz,
-    white_xyz,
-    xyz_weights,
-)
+from nacre.light.tristimulus import spectrum_to_xyz, white_xyz, xyz_weights
 from nacre.light.wavelengths import WAVELENGTH_RANGE_NM, colour_step_nm, default_wavelengths
 
 __all__ = [

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from nacre.arrays import Array
 from nacre.errors import NacreError
-from nacre.light.adaptation import SRGB_WHITE_XYZ
-from nacre.light.spaces import RGB_TO_XYZ, XYZ_TO_RGB, lab_f, lab_f_inverse
-
-Array = NDArray[np.float64]
+from nacre.light.spaces import RGB_TO_XYZ, SRGB_WHITE_XYZ, XYZ_TO_RGB, lab_f, lab_f_inverse
 
 # Half an 8-bit step at the dark end, where the steps of linear light are finest: less than this outside the
 # gamut cannot be seen in a file and is rounding (of the sRGB matrix, of single precision), not a colour.

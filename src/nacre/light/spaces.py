@@ -7,14 +7,17 @@ them.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from nacre.arrays import Array
+from nacre.light.tristimulus import white_xyz
 
 # IEC 61966-2-1:1999, the four-digit matrix of the standard itself; its inverse is taken numerically, so that
 # going there and back changes nothing (the standard's own inverse is rounded as well, and does).
 XYZ_TO_RGB: Array = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 RGB_TO_XYZ: Array = np.asarray(np.linalg.inv(XYZ_TO_RGB), dtype=np.float64)
+# The XYZ that the sRGB matrix takes to exactly (1, 1, 1); D65 to within the matrix' four digits.
+SRGB_WHITE_XYZ: Array = RGB_TO_XYZ.sum(axis=1)
 
 LAB_KAPPA = 24389 / 27  # CIE 15:2018, the exact fractions
 LAB_EPSILON = 216 / 24389
@@ -73,8 +76,6 @@ def lab_to_xyz(lab: ArrayLike, white: ArrayLike | None = None) -> Array:
 def _white(white: ArrayLike | None) -> Array:
     if white is not None:
         return np.asarray(white, dtype=float)
-    from nacre.light.tristimulus import white_xyz
-
     return white_xyz("D65", "2deg")
 
 

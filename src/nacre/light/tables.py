@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from importlib import resources
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.errors import NacreError, did_you_mean
-
-Array = NDArray[np.float64]
 
 ILLUMINANTS = ("A", "D50", "D65", "E", "F2", "F11", "LED-B3")
 OBSERVERS = ("2deg", "10deg")

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.errors import NacreError
-
-Array = NDArray[np.float64]
 
 WAVELENGTH_RANGE_NM = (360.0, 830.0)
 # 470 nm is a whole number of each of these, so both ends are always on the grid

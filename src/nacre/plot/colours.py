@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from nacre import light
+from nacre.arrays import Array
 from nacre.errors import NacreError
 from nacre.plot.style import (
     COLUMN_IN,
@@ -27,7 +28,6 @@ from nacre.plot.style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 LOCUS_LABELS_NM = (460, 480, 500, 520, 540, 560, 580, 600, 620)
 SRGB_PRIMARIES = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06], [0.64, 0.33]])  # IEC 61966-2-1
 

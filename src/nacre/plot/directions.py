@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from nacre import light
+from nacre.arrays import Array
 from nacre.bsdf import Bsdf
 from nacre.errors import NacreError
 from nacre.plot.style import (
@@ -27,7 +27,6 @@ from nacre.plot.style import (
     small_print,
 )
 
-Array = NDArray[np.float64]
 Evaluate = Callable[[Array, Array], Array]
 TOP_DEG = 60.0  # the largest f up to this difference angle is white: towards grazing f grows without bound
 DECADES = 5.0  # lightness of a slice spans this much of f: what a print can still tell apart

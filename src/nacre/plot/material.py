@@ -5,16 +5,19 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from nacre.arrays import Array
 from nacre.bsdf import Bsdf
-from nacre.bsdf.coarse import solve_coarse_walk
 from nacre.bsdf.spectrum import Spectrum
-from nacre.errors import NacreError, UnsupportedError, did_you_mean
+from nacre.errors import NacreError, RecipeError, UnsupportedError, did_you_mean
+from nacre.materials.material import Material, recipe_provenance
+from nacre.measure.evaluate import evaluate_with_error
+from nacre.measure.walk_wavelengths import solve_coarse_walk
 from nacre.plot.colours import chromaticity_figure, colour_map_figure
 from nacre.plot.directions import SLICE_NODES, bsdf_slice_figure, lobe_figure, scattering_figure
 from nacre.plot.spectra import index_figure, parts_of, ribbon_figure, spectrum_figure
@@ -22,7 +25,6 @@ from nacre.plot.structures import field_figure, microscope_figure, platelet_figu
 from nacre.plot.style import save_figure
 from nacre.plot.tracks import material_tracks
 
-Array = NDArray[np.float64]
 KINDS = (
     "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity", "tracks",
     "field", "scattering", "structure", "platelet", "microscope",
@@ -32,33 +34,14 @@ LOBE_ANGLES_DEG = (10.0, 30.0, 60.0)
 TRACK_ANGLES_DEG = np.linspace(0.0, 85.0, 35)
 WALK_NODES = 46  # a side of a slice whose pixels are random walks: 2,000 pixels instead of 33,000
 RIBBON_ANGLES_DEG = np.linspace(0.0, 89.0, 179)
-
-
-class Plottable(Protocol):
-    """What a material must offer; `nacre.recipe.Material` does."""
-
-    @property
-    def name(self) -> str:
-        """A short name."""
-        ...
-
-    def bsdf(self, wavelengths_nm: ArrayLike | None = None) -> Bsdf:
-        """Return the optics."""
-        ...
-
-    def spectrum(
-        self, theta_rad: ArrayLike, wavelengths_nm: ArrayLike | None = None, polarisation: str = "both"
-    ) -> Spectrum:
-        """Return reflectance and transmittance."""
-        ...
-
-    def figure_data(self, kind: str, **options: Any) -> dict[str, NDArray[Any]]:
-        """Return the arrays of a figure of the family's own."""
-        ...
+PLOT_SAMPLES = 1024  # the same for a pixel of a figure, the least; a figure of few pairs takes more ...
+PLOT_WALKS = 1 << 16  # ... up to so many together
+MOST_SAMPLES = 1 << 14
+DIRECTIONAL_KINDS = ("slice", "lobe", "tracks")
 
 
 def material_figure(
-    material: Plottable,
+    material: Material,
     kind: str,
     *,
     angles_deg: ArrayLike | None = None,
@@ -70,7 +53,7 @@ def material_figure(
     """Draw a figure of a material.
 
     Args:
-        material: anything with `bsdf`, `spectrum` and `figure_data`.
+        material: any material.
         kind: one of `KINDS`.
         angles_deg: of incidence, where the kind has such an axis; sensible ones by default.
         wavelengths_nm: ascending; default: chosen by the material.
@@ -126,7 +109,7 @@ def _over_angles(kind: str, spectrum: Spectrum, illuminant: str, name: str) -> F
     return chromaticity_figure(values, spectrum.wavelengths_nm, labels, illuminant, name)
 
 
-def _family_data(material: Plottable, kind: str, options: dict[str, Any]) -> dict[str, Any]:
+def _family_data(material: Material, kind: str, options: dict[str, Any]) -> dict[str, Any]:
     try:
         return dict(material.figure_data(kind, **options))
     except TypeError as error:
@@ -176,22 +159,11 @@ def _colour_map(data: Mapping[str, Any], illuminant: str) -> Figure:
 
 
 def save_material(
-    material: Plottable,
-    kind: str,
-    path: str | Path,
-    *,
-    angles_deg: ArrayLike | None = None,
-    wavelengths_nm: ArrayLike | None = None,
-    illuminant: str = "D65",
-    over: tuple[str, Sequence[float] | Array] | None = None,
-    provenance: Mapping[str, Any] | None = None,
-    evaluate: Callable[[Bsdf, Array, Array], Array] | None = None,
+    material: Material, kind: str, path: str | Path, *, provenance: Mapping[str, Any] | None = None, **options: Any
 ) -> None:
-    """Draw a figure of a material into a file with its provenance; see `material_figure` and `save_figure`."""
-    figure = material_figure(
-        material, kind, angles_deg=angles_deg, wavelengths_nm=wavelengths_nm, illuminant=illuminant, over=over,
-        evaluate=evaluate,
-    )  # fmt: skip
+    """Draw a figure of a material into a file with its provenance; `options` as of `material_figure`."""
+    figure = material_figure(material, kind, **options)
+    illuminant = options.get("illuminant", "D65")
     save_figure(figure, path, {"figure": kind, "illuminant": illuminant, **(provenance or {})})
 
 
@@ -215,3 +187,47 @@ def save_index(constant: Any, path: str | Path, title: str = "", wavelengths_nm:
     figure = index_figure(nm, constant.n_complex(nm), title or heading, print_)
     save_figure(figure, path, {"figure": "index", "material": constant.name, "source": constant.source,
                                "splice": constant.splice})  # fmt: skip
+
+
+def plot_material(
+    material: Material,
+    kind: str,
+    path: str | Path,
+    *,
+    angles_deg: ArrayLike | None = None,
+    wavelengths_nm: ArrayLike | None = None,
+    illuminant: str = "D65",
+    over: tuple[str, Sequence[float] | Array] | None = None,
+) -> None:
+    """Draw a figure of a material into a PNG, PDF or SVG that carries the recipe; kinds: `nacre.plot.KINDS`.
+
+    `over` names a number of the recipe and its values, for "tracks". Figures over directions show the noise-free
+    form (`quality = "fast"`) of a material that has one, unless its recipe names a quality.
+
+    Raises:
+        UnsupportedError: the material has no such figure.
+        NacreError: the recipe is wrong, or the file cannot be written.
+    """
+    save_material(
+        as_drawn(material, kind, over), kind, path, angles_deg=angles_deg, wavelengths_nm=wavelengths_nm,
+        illuminant=illuminant, over=over, provenance=recipe_provenance(material), evaluate=plot_walk,
+    )  # fmt: skip
+
+
+def as_drawn(material: Material, kind: str, over: object = None) -> Material:
+    """Return the material as a figure shows it: over directions noise-free, where its family and recipe allow it.
+
+    Over a number every step would be baked anew; there the few walks are the shorter way.
+    """
+    if kind not in DIRECTIONAL_KINDS or over is not None or "quality" in material.data:
+        return material
+    try:
+        return material.vary({"quality": "fast"})
+    except RecipeError:  # a family that knows no such choice
+        return material
+
+
+def plot_walk(bsdf: Bsdf, wi: Array, wo: Array) -> Array:
+    """Evaluate for a figure: lobes that are random walks get the fewer samples the more pairs there are."""
+    pairs = max(1, int(np.prod(np.shape(wi)[:-1])))
+    return evaluate_with_error(bsdf, wi, wo, samples=int(np.clip(PLOT_WALKS // pairs, PLOT_SAMPLES, MOST_SAMPLES)))[0]

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from nacre import light
+from nacre.arrays import Array
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import NacreError
 from nacre.plot.style import (
@@ -32,7 +33,6 @@ from nacre.plot.style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 MAX_CURVES = 12
 PART_TITLES = {
     "specular_reflectance": "Specular reflectance",

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from numpy.typing import NDArray
 
 from nacre import light
+from nacre.arrays import Array
 from nacre.errors import NacreError
 from nacre.plot.style import (
     COLUMN_IN,
@@ -27,7 +27,6 @@ from nacre.plot.style import (
     small_print,
 )
 
-Array = NDArray[np.float64]
 BAND = ("#eef3f8", "#dfe8f1")  # two quiet tints that alternate through a stack
 MAX_BANDS_NAMED = 8
 

@@ -15,17 +15,17 @@ import matplotlib
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from nacre import light
 from nacre._version import __version__
+from nacre.arrays import Array
 from nacre.errors import NacreError
 from nacre.files import atomic_path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 
 COLUMN_IN = 3.46  # 88 mm, a journal's column
 WIDE_IN = 5.4

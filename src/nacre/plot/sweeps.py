@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from nacre import light
+from nacre.arrays import Array
 from nacre.errors import NacreError
 from nacre.plot.colours import draw_hue_circle
 from nacre.plot.style import (
@@ -31,7 +32,6 @@ from nacre.plot.style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 MAX_LINES = 4000  # more lines hide one another and swell a PDF
 MISSING = (0.93, 0.93, 0.93)
 GROUND = "#c4c4c4"  # behind lines in their own colours, of which some are white

@@ -12,17 +12,16 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from nacre import light
+from nacre.arrays import Array
 from nacre.bsdf import Bsdf
-from nacre.bsdf.coarse import solve_coarse_walk
-from nacre.bsdf.table import from_half_difference
+from nacre.bsdf.lobes.table import from_half_difference
 from nacre.errors import NacreError, UnsupportedError
+from nacre.measure.walk_wavelengths import solve_coarse_walk
 from nacre.plot.colours import draw_hue_circle, draw_locus, draw_track
 from nacre.plot.style import INK, LINES, house_style, new_figure, panel_title, shown_colours, small_print
 
-Array = NDArray[np.float64]
 Evaluate = Callable[[Bsdf, Array, Array], Array]
 WIDTH_IN, HEIGHT_IN = 7.2, 2.7
 GLOSS_HALF_DEG = 4.0  # beside the mirror direction: past a clear coat's own reflection, within the flakes' lobe

@@ -18,9 +18,9 @@ import numpy as np
 
 from nacre.errors import NacreError, UnsupportedError
 from nacre.files import atomic_path, check_writable
-from nacre.render.images import RenderResult, read_provenance
-from nacre.render.picture import render, resolve_material
-from nacre.render.progress import ProgressCallback, progress_bar
+from nacre.picture.images import RenderResult, read_provenance
+from nacre.picture.picture import render, resolve_material
+from nacre.picture.progress import ProgressCallback, progress_bar
 
 MOTIONS = ("light", "view")
 MOVIE_SUFFIXES = (".gif", ".mp4")

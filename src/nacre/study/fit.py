@@ -15,15 +15,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.errors import NacreError, RecipeError
 from nacre.exchange.gonio_csv import COLUMNS, GonioData, read_gonio_csv, read_table
-from nacre.recipe import Material
-from nacre.specs import show_value
+from nacre.materials.material import Material
+from nacre.recipe.model import show_value
 from nacre.study.tables import by_path
 
-Array = NDArray[np.float64]
 PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
 MAX_FREE = 12
 SCOUTS_PER_NUMBER = 24
@@ -73,7 +72,7 @@ class Measured:
             zero = np.zeros(self.values.shape[1:])
             return np.stack([found.get(part, zero) for part in self.parts])
         assert self.gonio is not None
-        from nacre.api import evaluate_with_error
+        from nacre.measure.evaluate import evaluate_with_error
 
         bsdf = material.bsdf(self.wavelengths_nm)
         return evaluate_with_error(bsdf, self.gonio.wi, self.gonio.wo, samples=samples, seed=seed)[0]

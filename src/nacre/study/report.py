@@ -11,12 +11,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nacre._version import __version__
-from nacre.api import evaluate_with_error
+from nacre.arrays import Array
 from nacre.bsdf import Bsdf
-from nacre.bsdf.coarse import solve_coarse_walk
+from nacre.bsdf.directions import direction
 from nacre.light import (
     SRGB_WHITE_XYZ,
     adapt_xyz,
@@ -30,10 +29,11 @@ from nacre.light import (
     xyz_to_lab,
     xyz_to_srgb_linear,
 )
-from nacre.recipe import Material
-from nacre.study import geometry
+from nacre.materials.material import Material
+from nacre.measure import instruments as geometry
+from nacre.measure.evaluate import evaluate_with_error
+from nacre.measure.walk_wavelengths import solve_coarse_walk
 
-Array = NDArray[np.float64]
 SPECULAR_ANGLES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 FLOP_FACTOR, FLOP_POWER, FLOP_BASE = 2.69, 1.11, 0.86  # Alman's flop index
 MIRROR_THRESHOLD = 1e-6
@@ -107,7 +107,7 @@ def make_report(
     """
     bsdf = solve_coarse_walk(material)
     light = (illuminant, observer)
-    wi = geometry.direction(45.0)
+    wi = direction(np.radians(45.0))
     wo = np.stack([geometry.aspecular_direction(45.0, a) for a in geometry.ASPECULAR_DEG])
     factor, error = evaluate_with_error(bsdf, np.broadcast_to(wi, wo.shape), wo, samples=samples, seed=seed)
     aspecular = colour_table("aspecular, 45 degree incidence", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *light)
@@ -133,7 +133,7 @@ def make_report(
         hemispherical=totals,
         transmission_haze=_transmission_haze(parts) if bsdf.transmits else None,
         noise=0.0 if error is None else float(np.pi * error.max()),
-        provenance={"nacre": __version__, "recipe": material.context.text, "seed": seed, "samples": samples},
+        provenance={"nacre": __version__, "recipe": material.text, "seed": seed, "samples": samples},
     )
 
 
@@ -165,7 +165,7 @@ def _luminous(values: Array, wavelengths_nm: Array, illuminant: str, observer: s
 
 def aperture_flux(bsdf: Bsdf, theta_deg: float, aperture: geometry.Aperture, samples: int | None, seed: int) -> Array:
     """Return the share of the incident flux that falls into an aperture, `[wavelength]`, delta part left out."""
-    wi = np.broadcast_to(geometry.direction(theta_deg), aperture.wo.shape)
+    wi = np.broadcast_to(direction(np.radians(theta_deg)), aperture.wo.shape)
     # a walk is asked at so many nodes that each needs a few samples only
     fair = max(LEAST_SAMPLES, APERTURE_WALKS // len(aperture.wo)) if samples is None else samples
     values, _ = evaluate_with_error(bsdf, wi, aperture.wo, samples=fair, seed=seed)

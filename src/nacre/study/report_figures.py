@@ -10,7 +10,7 @@ import numpy as np
 
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import UnsupportedError
-from nacre.recipe import Material
+from nacre.materials.material import Material
 from nacre.study.report import Report
 
 if TYPE_CHECKING:

@@ -8,13 +8,11 @@ keeps every finished point, and the next run computes what is missing and nothin
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 import shutil
 import tempfile
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,103 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre._version import __version__
-from nacre.errors import NacreError, RecipeError
-from nacre.files import parse_toml, read_text
-from nacre.recipe import Material, load
-from nacre.specs import RecipeContext, RecipeModel, validate
-from nacre.study.measure import PARTS, Measurement
-from nacre.study.points import Points, read_points
+from nacre.errors import NacreError
+from nacre.study.plan import Sweep, SweepSpec, load_sweep
 
 MISSING, DONE, FAILED = 0, 1, 2
 KEY_SEPARATOR = "."  # chunks lie flat in their array's folder: making folders costs more than the values in them
 Progress = Callable[[int, int, int], None]  # done, failed, total
-
-
-class MeasureSpec(RecipeModel):
-    """The `[measure]` table: what is stored of each point."""
-
-    angles_deg: list[float] = [0.0, 15.0, 30.0, 45.0, 60.0]
-    illuminant: str = "D65"
-    observer: str = "2deg"
-    wavelengths_nm: list[float] | None = None
-    parts: list[str] | None = None
-
-
-class SweepSpec(RecipeModel):
-    """A sweep file: a recipe, the axes, how to fill them, what to measure."""
-
-    recipe: str
-    axes: dict[str, Any]
-    mode: str = "grid"
-    count: int = 256
-    seed: int = 0
-    measure: MeasureSpec = MeasureSpec()
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """A checked sweep: the material, its points and the measurement of each."""
-
-    material: Material
-    points: Points
-    measurement: Measurement
-    source: str
-
-    @property
-    def identity(self) -> str:
-        """A hash of everything that decides the results; a store of another identity is refused."""
-        axes = [[a.path, a.values, a.low, a.high, a.is_logarithmic] for a in self.points.axes]
-        fractions = (
-            None if self.points.fractions is None else hashlib.sha256(self.points.fractions.tobytes()).hexdigest()
-        )
-        what = [self.material.context.text, axes, fractions, self.points.mode, asdict(self.measurement)]
-        return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
-
-
-def load_sweep(path: str | Path) -> Sweep:
-    """Read and check a sweep file; every axis must exist in the recipe and its first point must build.
-
-    Raises:
-        RecipeError: naming file, key, value and what is allowed.
-    """
-    path = Path(path)
-    text = read_text(path, "sweep")
-    context = RecipeContext(str(path), path.parent.resolve(), text)
-    spec: SweepSpec = validate(SweepSpec, parse_toml(text, str(path)), context)
-    material = load(path.parent / spec.recipe)
-    points = read_points(spec.axes, spec.mode, spec.count, spec.seed, str(path))
-    measurement = _measurement(spec.measure, material, str(path))
-    try:
-        material.vary(points.changes(0))
-    except NacreError as error:
-        # a later point may fail and is recorded; when the first one does, the sweep is probably mistyped
-        raise RecipeError(f"{path}: the first point cannot be built: {error}") from None
-    return Sweep(material, points, measurement, str(path))
-
-
-def _measurement(spec: MeasureSpec, material: Material, source: str) -> Measurement:
-    from nacre.errors import did_you_mean
-    from nacre.light import ILLUMINANTS, OBSERVERS
-
-    for key, value, allowed in (("illuminant", spec.illuminant, ILLUMINANTS), ("observer", spec.observer, OBSERVERS)):
-        if value not in allowed:
-            hint = did_you_mean(value, allowed)
-            raise RecipeError(f'{source}: measure.{key} = "{value}" is not known.{hint} Known: {", ".join(allowed)}')
-    if not spec.angles_deg or not all(0 <= a <= 90 for a in spec.angles_deg):
-        raise RecipeError(f"{source}: measure.angles_deg must hold angles in [0, 90]")
-    parts = spec.parts
-    if parts is None:
-        parts = ["specular_reflectance"] + (["diffuse_reflectance"] if material.family != "film" else [])
-    for part in parts:
-        if part not in PARTS:
-            hint = did_you_mean(part, PARTS)
-            raise RecipeError(f'{source}: measure.parts: "{part}" is not known.{hint} Parts: {", ".join(PARTS)}')
-    grid = spec.wavelengths_nm
-    if grid is not None and (len(grid) < 2 or min(grid) <= 0 or any(b <= a for a, b in zip(grid, grid[1:]))):
-        raise RecipeError(f"{source}: measure.wavelengths_nm must be positive and ascending, at least two")
-    return Measurement(
-        tuple(spec.angles_deg), spec.illuminant, spec.observer, None if grid is None else tuple(grid), tuple(parts)
-    )
 
 
 def errors_file(store: Path) -> Path:
@@ -228,7 +135,7 @@ def _create(path: Path, sweep: Sweep) -> None:
         points, measurement = sweep.points, sweep.measurement
         axis_names = [_dimension(axis.path) for axis in points.axes] if points.mode == "grid" else ["point"]
         attributes: dict[str, Any] = {
-            "identity": sweep.identity, "nacre": __version__, "recipe": sweep.material.context.text,
+            "identity": sweep.identity, "nacre": __version__, "recipe": sweep.material.text,
             "sweep": Path(sweep.source).name, "mode": points.mode, "illuminant": measurement.illuminant,
             "observer": measurement.observer, "axes": {_dimension(a.path): a.path for a in points.axes},
         }  # fmt: skip

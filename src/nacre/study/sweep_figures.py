@@ -6,15 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.errors import NacreError
 from nacre.study.sweep_reader import SweepColours, read_sweep
 
 if TYPE_CHECKING:
     from nacre.plot import Figure
 
-Array = NDArray[np.float64]
 SWEEP_KINDS = ("gamut", "colour-map", "parallel")
 MAX_MAPS = 4
 

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nacre.arrays import Array
 from nacre.errors import NacreError, did_you_mean
 
-Array = NDArray[np.float64]
 DONE = 1  # as nacre.study.sweep writes it
 MAX_POINTS_READ = 2_000_000
 

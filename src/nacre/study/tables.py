@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from nacre.errors import RecipeError
-from nacre.specs import show_value
+from nacre.recipe.model import show_value
 
 
 def by_path(table: Any, own_keys: frozenset[str] | set[str], source: str, name: str) -> dict[str, Any]:

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nacre.api import evaluate_with_error
+from nacre.arrays import Array
+from nacre.bsdf.directions import direction
 from nacre.errors import NacreError, RecipeError
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
-from nacre.recipe import Material
-from nacre.specs import show_value
-from nacre.study import geometry
+from nacre.materials.material import Material
+from nacre.measure import instruments as geometry
+from nacre.measure.evaluate import evaluate_with_error
+from nacre.recipe.model import show_value
 from nacre.study.report import SPECULAR_ANGLES_DEG
 from nacre.study.tables import by_path
 
-Array = NDArray[np.float64]
 DISTRIBUTIONS = ("gaussian", "uniform")
 MAX_DRAWS = 1_000_000
 SENSITIVITY_STEP = 0.5  # of a standard deviation: inside the spread, and far above rounding
@@ -200,7 +200,7 @@ class ColourProbe:
         """Return Lab, `[angle, 3]`."""
         if self._scatters:
             bsdf = material.bsdf()
-            wi = np.broadcast_to(geometry.direction(45.0), self._wo.shape)
+            wi = np.broadcast_to(direction(np.radians(45.0)), self._wo.shape)
             values = np.pi * evaluate_with_error(bsdf, wi, self._wo, samples=self._samples, seed=self._seed)[0]
             grid = bsdf.wavelengths_nm
         else:

@@ -18,11 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.errors import NacreError
-from nacre.study.measure import measurement_from
-from nacre.study.points import point_seed
+from nacre.matter.jobs import available_jobs
+from nacre.study.sweep_points import point_seed
+from nacre.study.sweep_values import measurement_from
 
 if TYPE_CHECKING:
-    from nacre.study.sweep import Sweep
+    from nacre.study.plan import Sweep
 
 Result = dict[str, NDArray[np.float64]] | str
 ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "NACRE_JOBS")}
@@ -47,7 +48,7 @@ def results(
         "folder": str(sweep.material.context.folder.resolve()),
         "measurement": asdict(sweep.measurement),
     }
-    count = workers or os.cpu_count() or 1
+    count = workers or available_jobs()
     if scheduler is None and (count == 1 or len(todo) == 1):
         yield from _here(sweep, job, todo)
     else:
@@ -83,7 +84,7 @@ def _frozen(data: Mapping[str, Any]) -> str:
 def _material(folder: str, data: str) -> Any:
     import json
 
-    from nacre.recipe import material
+    from nacre.materials.material import material
 
     return material(json.loads(data), folder)
 

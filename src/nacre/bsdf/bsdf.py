@@ -1,0 +1,70 @@
+"""A material's answer to light: a sum of lobes on one wavelength grid."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nacre.arrays import Array
+from nacre.bsdf.contract import Lobe, SpecularResponse
+from nacre.bsdf.file import read_lobes, write_lobes
+
+
+@dataclass(frozen=True)
+class Bsdf:
+    """A material's answer to light: a sum of lobes on one wavelength grid.
+
+    Attributes:
+        lobes: the terms of the sum, all on the same wavelengths.
+        provenance: recipe text, nacre version, seed, notes; stored with every output.
+    """
+
+    lobes: tuple[Lobe, ...]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def wavelengths_nm(self) -> Array:
+        """The wavelength grid of all lobes, ascending."""
+        return self.lobes[0].wavelengths_nm
+
+    @property
+    def transmits(self) -> bool:
+        """Whether any lobe lets light through."""
+        return any(lobe.transmits for lobe in self.lobes)
+
+    def save(self, path: str | Path) -> None:
+        """Write one `.nacre` file, whole or not at all.
+
+        Raises:
+            NacreError: the file cannot be written.
+        """
+        write_lobes(path, self.lobes, self.provenance)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Bsdf:
+        """Read a `.nacre` file.
+
+        Raises:
+            NacreError: in one line, if it is missing, damaged, too large or of a newer format.
+        """
+        return cls(*read_lobes(path))
+
+    def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
+        """Sum the lobes' non-delta values: `[..., wavelength]`, 1/sr, without the cosine, never NaN."""
+        wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
+        total = self.lobes[0].evaluate(wi, wo, uv)
+        for lobe in self.lobes[1:]:
+            total = total + lobe.evaluate(wi, wo, uv)
+        return total
+
+    def specular(self, theta_rad: Array | float, uv: Array | None = None) -> SpecularResponse:
+        """Sum the lobes' delta parts at incidence `theta_rad` (beyond pi/2: light from behind)."""
+        cos_i = np.cos(np.asarray(theta_rad, dtype=float))
+        parts = [lobe.specular(cos_i, uv) for lobe in self.lobes]
+        return SpecularResponse(
+            np.sum([p.reflectance for p in parts], axis=0), np.sum([p.transmittance for p in parts], axis=0)
+        )

@@ -1,0 +1,41 @@
+"""Integrals over the hemispheres: what a material sends back and lets through in all, and how reciprocal it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from nacre.arrays import Array
+
+
+def direction(theta_rad: Array | float, phi_rad: Array | float = 0.0) -> Array:
+    """Return unit vectors `[..., 3]` at polar angle `theta_rad` from +z and azimuth `phi_rad` from +x."""
+    theta, phi = np.broadcast_arrays(np.asarray(theta_rad, dtype=float), np.asarray(phi_rad, dtype=float))
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def hemisphere_nodes(nodes: int = 64) -> tuple[Array, Array]:
+    """Return exits of the upper hemisphere and their weights cos(theta) d(omega): `[nodes*nodes, 3]`, `[nodes*nodes]`.
+
+    Gauss-Legendre in sin^2(theta), where the cosine-weighted measure is uniform; the weights sum to pi.
+    """
+    x, weight = np.polynomial.legendre.leggauss(nodes)
+    sin2 = 0.5 * (x + 1.0)
+    phi = (np.arange(nodes) + 0.5) * (2.0 * np.pi / nodes)
+    sin2, phi = np.meshgrid(sin2, phi, indexing="ij")
+    wo = np.stack([np.sqrt(sin2) * np.cos(phi), np.sqrt(sin2) * np.sin(phi), np.sqrt(1.0 - sin2)], axis=-1)
+    return wo.reshape(-1, 3), np.repeat(0.5 * weight * np.pi / nodes, nodes)
+
+
+def product_rule(value: Callable[[Array], Array], wi: Array, nodes: int, transmits: bool) -> tuple[Array, Array]:
+    """Integrate `value(wo)` `[exit, wavelength]` times the cosine over both hemispheres.
+
+    Returns:
+        `(same side as wi, other side)`, each `[wavelength]`.
+    """
+    wo, weight = hemisphere_nodes(nodes)
+    side = np.array([1.0, 1.0, 1.0 if wi[2] >= 0 else -1.0])
+    same = weight @ value(wo * side)
+    other = weight @ value(wo * side * np.array([1.0, 1.0, -1.0])) if transmits else np.zeros_like(same)
+    return same, other

@@ -1,0 +1,109 @@
+"""A lobe that is there only in part: multiplied by a texture over the surface.
+
+That blends two materials by a mask, and it carries a number that varies over the surface for any family: the
+material is solved at some values of the number, and each of these nodes is there by a hat function of the texture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from nacre.arrays import Array
+from nacre.bsdf.contract import Lobe, SpecularResponse
+from nacre.bsdf.texture import Texture
+
+
+@dataclass(frozen=True)
+class MaskedLobe(Lobe):
+    """`mask(uv)` times another lobe, or `1 - mask(uv)` times it, or a hat function of `mask(uv)` times it.
+
+    Attributes:
+        wavelengths_nm: of the inner lobe.
+        inner: the lobe that is masked.
+        mask: the share of the surface that it covers, within [0, 1]; with `nodes`, a number in their range.
+        inverted: take 1 - mask: the other material of a blend.
+        nodes: `[node]`, ascending, or None: values of the number at which materials are known.
+        node: which of them this lobe stands for; its share falls from 1 there to 0 at its neighbours.
+        name: of the number that the texture gives, as users know it.
+    """
+
+    wavelengths_nm: Array
+    inner: Lobe
+    mask: Texture
+    inverted: bool = False
+    nodes: Array | None = None
+    node: int = 0
+    name: str = "mask"
+
+    kind: ClassVar[str] = "masked"
+
+    def check(self) -> None:
+        """Check the inner lobe and the mask's range.
+
+        Raises:
+            ValueError: saying what does not fit.
+        """
+        self.inner.check()
+        if not np.array_equal(self.inner.wavelengths_nm, self.wavelengths_nm):
+            raise ValueError("a masked lobe has other wavelengths than its inner one")
+        if self.nodes is not None:
+            if self.nodes.ndim != 1 or len(self.nodes) < 2 or np.any(np.diff(self.nodes) <= 0):
+                raise ValueError("the nodes of a varying number must be two or more and ascend")
+            if not 0 <= self.node < len(self.nodes):
+                raise ValueError(f"node {self.node} is none of {len(self.nodes)}")
+        elif not 0.0 <= self.mask.low <= self.mask.high <= 1.0:
+            raise ValueError(f"a mask reaches from {self.mask.low} to {self.mask.high}, not within [0, 1]")
+
+    @property
+    def is_delta(self) -> bool:
+        """Whether the inner lobe is a delta distribution only."""
+        return self.inner.is_delta
+
+    @property
+    def transmits(self) -> bool:
+        """Whether the inner lobe lets light through."""
+        return self.inner.transmits
+
+    @property
+    def is_stochastic(self) -> bool:
+        """Whether the inner lobe comes from a random walk."""
+        return self.inner.is_stochastic
+
+    @property
+    def varying(self) -> tuple[str, ...]:
+        """The mask, and what varies inside."""
+        return (self.name, *self.inner.varying)
+
+    def share(self, uv: Array | None, shape: tuple[int, ...]) -> Array:
+        """Return the covered share at uv, `shape`; without uv that of the middle of the surface."""
+        place = np.full((*shape, 2), 0.5) if uv is None else np.broadcast_to(uv, (*shape, 2))
+        value = self.mask(place)
+        if self.nodes is not None:
+            return hat(value, self.nodes, self.node)
+        return 1.0 - value if self.inverted else value
+
+    def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
+        """Return the inner lobe's value times the share, `[..., wavelength]`."""
+        shape = np.broadcast_shapes(wi.shape, wo.shape)[:-1]
+        return self.inner.evaluate(wi, wo, uv) * self.share(uv, shape)[..., None]
+
+    def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
+        """Return the inner lobe's delta part times the share."""
+        cos_i = np.asarray(cos_i, dtype=float)
+        inner = self.inner.specular(cos_i, uv)
+        share = self.share(uv, cos_i.shape)[..., None]
+        return SpecularResponse(inner.reflectance * share, inner.transmittance * share)
+
+    def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
+        """Return the inner lobe's reflected and transmitted sums times the share."""
+        share = float(self.share(uv, ()))
+        reflected, transmitted = self.inner.hemispherical(wi, uv, nodes)
+        return reflected * share, transmitted * share
+
+
+def hat(value: Array, nodes: Array, node: int) -> Array:
+    """Return the weight of a node in linear interpolation at `value`, clamped to the ends of `nodes`."""
+    return np.interp(value, nodes, np.arange(len(nodes)) == node)

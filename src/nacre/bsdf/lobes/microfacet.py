@@ -1,0 +1,216 @@
+"""The rough interface: the tables of a smooth one, spread by a distribution of microfacet normals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.arrays import Array
+from nacre.bsdf.contract import Lobe
+from nacre.bsdf.directions import product_rule
+from nacre.bsdf.facet_distributions import DISTRIBUTIONS, exits, masking, normal_density, normal_quadrature
+from nacre.bsdf.response import InterfaceResponse, parameter_coordinates
+from nacre.bsdf.texture import ParameterAxis, Texture
+from nacre.bsdf.uniform import interpolate
+
+
+@dataclass(frozen=True)
+class Microfacet(Lobe):
+    """Facets that each reflect and refract as the smooth interface of `response` does.
+
+    With h the facet normal, h_z > 0, and D, G of `nacre.bsdf.facet_distributions`:
+
+    - reflection, both directions on one side: h = normalize(wi + wo), turned to h_z > 0;
+      f = R(|wi.h|) D(h) G / (4 |cos_i cos_o|);
+    - transmission: h = normalize(n_i wi + n_o wo), turned to h_z > 0, n = 1 outside and eta inside;
+      f = T(|wi.h|) D(h) G |wi.h| |wo.h| n_o^2 / (|cos_i cos_o| (n_i wi.h + n_o wo.h)^2),
+      the radiance BTDF: f(wi, wo)/n_o^2 = f(wo, wi)/n_i^2. For eta = 1 nothing is transmitted here: a rough
+      free film bends no ray, so its material adds a `Specular` lobe that passes light straight through.
+    - plus, where `loss` is given, the light scattered between facets:
+      f = exchange[side_i, side_o](lambda) loss[side_i](wi, lambda) loss[side_o](wo, lambda),
+      side 0 outside, 1 inside; reciprocal like the rest.
+
+    If `response.flipped`, the z of both directions is negated first. Then directions are turned by -rotation
+    about z, so that x is the axis of alpha_x.
+
+    Attributes:
+        response: the tables of the smooth interface.
+        distribution: "ggx", "beckmann", "blinn" or "ashikhmin-shirley".
+        alpha_x, alpha_y: widths along the two axes; exponents are e = 2/alpha^2 - 2.
+        alpha_texture: multiplies both widths (it is 0.001 or more); None: constant. Excludes `loss`.
+        rotation: angle in rad of the x axis of the roughness about the normal, from +x to +y; None: 0.
+        loss: `[side, s, t, wavelength or 1]` over uniform nodes of s = sqrt(|cos|) and
+            t = w_x^2/(w_x^2 + w_y^2), each in [0, 1]; one side for an opaque interface, one t if isotropic; None:
+            no compensation.
+        exchange: `[*params, side, side, wavelength]`, 1/sr; None with `loss`.
+    """
+
+    kind: ClassVar[str] = "microfacet"
+    response: InterfaceResponse
+    distribution: str
+    alpha_x: float
+    alpha_y: float
+    alpha_texture: Texture | None = None
+    rotation: Texture | None = None
+    loss: Array | None = None
+    exchange: Array | None = None
+
+    AXES: ClassVar[dict[str, str]] = {"loss": "side s t wavelength", "exchange": "*params side side wavelength"}
+
+    def check(self) -> None:
+        """Check that the tables fit together.
+
+        Raises:
+            ValueError: saying which does not.
+        """
+        self.response.check()
+        if self.distribution not in DISTRIBUTIONS:
+            raise ValueError(f'distribution "{self.distribution}" is not one of {", ".join(DISTRIBUTIONS)}')
+        if not (0 < self.alpha_x <= 1 and 0 < self.alpha_y <= 1):
+            raise ValueError("alpha_x and alpha_y must lie in (0, 1]")
+        if (self.loss is None) != (self.exchange is None):
+            raise ValueError("loss and exchange come together")
+        if self.loss is not None and self.exchange is not None:
+            sides, count = self.loss.shape[0], len(self.wavelengths_nm)
+            lead = tuple(len(axis.values) for axis in self.parameters)
+            if self.loss.ndim != 4 or sides not in (1, 2) or self.loss.shape[3] not in (1, count):
+                raise ValueError(f"loss has the shape {self.loss.shape}")
+            if self.exchange.shape != (*lead, sides, sides, count):
+                raise ValueError(f"exchange has the shape {self.exchange.shape}")
+
+    @property
+    def wavelengths_nm(self) -> Array:  # type: ignore[override]  # the base declares a plain attribute
+        """The wavelength grid of the tables."""
+        return self.response.wavelengths_nm
+
+    @property
+    def transmits(self) -> bool:
+        """Whether light passes to the other side."""
+        return self.response.transmits and self.response.eta > 1.0
+
+    @property
+    def parameters(self) -> tuple[ParameterAxis, ...]:
+        """The axes that textures drive."""
+        return self.response.parameters
+
+    def local_frame(self, w: Array, uv: Array | None) -> Array:
+        """Turn directions `[..., 3]` into the frame of the roughness: side flipped, x along alpha_x."""
+        if self.response.flipped:
+            w = w * np.array([1.0, 1.0, -1.0])
+        if self.rotation is None:
+            return w
+        angle = self.rotation(_where(uv, w.shape[:-1]))
+        cos, sin = np.cos(angle), np.sin(angle)
+        x, y = w[..., 0], w[..., 1]
+        return np.stack([cos * x + sin * y, cos * y - sin * x, w[..., 2]], axis=-1)
+
+    def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
+        """Return the value `[..., wavelength]` in 1/sr, light arriving along `wi` and leaving along `wo`."""
+        wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
+        wi, wo = self.local_frame(wi, uv), self.local_frame(wo, uv)
+        cos_i, cos_o = wi[..., 2], wo[..., 2]
+        inside_i, inside_o = cos_i < 0, cos_o < 0
+        is_reflection = inside_i == inside_o
+        alpha_x: Array | float = self.alpha_x
+        alpha_y: Array | float = self.alpha_y
+        if self.alpha_texture is not None:
+            factor = self.alpha_texture(_where(uv, cos_i.shape))
+            alpha_x, alpha_y = self.alpha_x * factor, self.alpha_y * factor
+
+        n_i = np.where(is_reflection, 1.0, np.where(inside_i, self.response.eta, 1.0))[..., None]
+        n_o = np.where(is_reflection, 1.0, np.where(inside_o, self.response.eta, 1.0))[..., None]
+        h = n_i * wi + n_o * wo
+        length = np.linalg.norm(h, axis=-1, keepdims=True)
+        h = h / np.maximum(length, 1e-12)
+        h = h * np.where(h[..., 2:] < 0, -1.0, 1.0)
+        i_h, o_h = np.sum(wi * h, axis=-1), np.sum(wo * h, axis=-1)
+
+        grazing = (np.abs(cos_i) < 1e-9) | (np.abs(cos_o) < 1e-9) | (length[..., 0] < 1e-9)
+        cosines = np.where(grazing, 1.0, np.abs(cos_i * cos_o))
+        spread = normal_density(self.distribution, h, alpha_x, alpha_y)
+        spread = spread * masking(self.distribution, wi, wo, h, alpha_x, alpha_y) / cosines
+        reflected, transmitted = self.response.lookup(np.abs(i_h), inside_i, uv)
+        value = reflected * (0.25 * spread)[..., None]
+        if self.transmits:
+            stretch = np.square(n_i[..., 0] * i_h + n_o[..., 0] * o_h)
+            bent = spread * np.abs(i_h * o_h) * np.square(n_o[..., 0]) / np.maximum(stretch, 1e-30)
+            value = np.where(is_reflection[..., None], value, transmitted * bent[..., None])
+        else:
+            value = np.where(is_reflection[..., None], value, 0.0)
+        if self.loss is not None:
+            value = value + self._between_facets(wi, wo, inside_i, inside_o, uv)
+        return np.where(grazing[..., None], 0.0, value)
+
+    def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
+        """Integrate over all exits, for light along one `wi[3]`; see `Lobe.hemispherical`.
+
+        Exits follow the facets' normals, so that narrow lobes need no more nodes than wide ones.
+        """
+        w = self.local_frame(np.asarray(wi, dtype=float), uv)
+        inside = bool(w[2] < 0)
+        factor = 1.0 if self.alpha_texture is None else float(self.alpha_texture(_where(uv, ())))
+        alpha_x, alpha_y = self.alpha_x * factor, self.alpha_y * factor
+        w = w * np.array([1.0, 1.0, -1.0]) if inside else w
+        m, measure = normal_quadrature(self.distribution, alpha_x, alpha_y, nodes)
+        seen = m @ w > 0
+        m, measure = m[seen], measure[seen]
+        w_m = m @ w
+        reflected, transmitted = self.response.lookup(w_m, np.full(w_m.shape, inside), uv)
+        back, through = exits(
+            w, m, 1.0 if not self.transmits else 1 / self.response.eta if inside else self.response.eta
+        )
+        base = measure * w_m / w[2]
+        ways = np.broadcast_to(w, m.shape)
+        total = []
+        for power, wo in ((reflected, back), (transmitted, through)):
+            total.append((base * masking(self.distribution, ways, wo, m, alpha_x, alpha_y)) @ power)
+        if not self.transmits:
+            total[1] = np.zeros_like(total[1])
+        if self.loss is not None:
+            local = self.local_frame(np.asarray(wi, dtype=float), uv)
+
+            def between(wo: Array) -> Array:
+                w_o = self.local_frame(wo, uv)
+                return self._between_facets(
+                    np.broadcast_to(local, w_o.shape), w_o, np.full(len(w_o), inside), w_o[:, 2] < 0, uv
+                )
+
+            more = product_rule(between, np.asarray(wi, dtype=float), nodes, self.transmits)
+            total = [total[0] + more[0], total[1] + more[1]]
+        return total[0], total[1]
+
+    def _between_facets(
+        self, wi: Array, wo: Array, inside_i: NDArray[np.bool_], inside_o: NDArray[np.bool_], uv: Array | None
+    ) -> Array:
+        assert self.loss is not None and self.exchange is not None
+        sides = self.loss.shape[0]
+        coords = parameter_coordinates(self.parameters, uv, inside_i.shape)
+        exchange = (
+            interpolate(self.exchange.reshape(*self.exchange.shape[: len(coords)], -1), coords)
+            if coords
+            else (self.exchange.reshape(-1))
+        )
+        exchange = exchange.reshape(*exchange.shape[:-1], sides, sides, -1)
+        total = np.zeros((*inside_i.shape, len(self.wavelengths_nm)))
+        for side_i in range(sides):
+            for side_o in range(sides):
+                here = ((inside_i == bool(side_i)) & (inside_o == bool(side_o)))[..., None]
+                product = self._loss_at(wi, side_i) * self._loss_at(wo, side_o) * exchange[..., side_i, side_o, :]
+                total = np.where(here, product, total)
+        return total
+
+    def _loss_at(self, w: Array, side: int) -> Array:
+        assert self.loss is not None
+        s = np.sqrt(np.clip(np.abs(w[..., 2]), 0.0, 1.0))
+        x2, y2 = np.square(w[..., 0]), np.square(w[..., 1])
+        t = np.where(x2 + y2 > 1e-20, x2 / np.maximum(x2 + y2, 1e-20), 0.5)
+        shape = self.loss.shape
+        return interpolate(self.loss[side], (s * (shape[1] - 1), t * (shape[2] - 1)))
+
+
+def _where(uv: Array | None, shape: tuple[int, ...]) -> Array:
+    """Broadcast `uv` to `shape`; without it, the middle of the surface."""
+    return np.full((*shape, 2), 0.5) if uv is None else np.broadcast_to(np.asarray(uv, dtype=float), (*shape, 2))

@@ -1,0 +1,157 @@
+"""Parallel ridges of one lamellar stack: the Morpho scale, coherent within a ridge, irregular in height."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from nacre.arrays import Array
+from nacre.bsdf.contract import Lobe
+from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.texture import ParameterAxis, Texture
+
+
+@dataclass(frozen=True)
+class Ridge(Lobe):
+    """Light reflected by ridges along y, spread across them by diffraction (Kinoshita et al. 2002, made precise).
+
+    f = fill R(|wi.h|) K(u, v) D_y(wi_y + wo_y) / norm, for both directions at z > 0 (of both, or of neither if
+    `response.flipped` were set, which a ridge never is), with h = normalize(wi + wo), k = 2 pi/lambda,
+    u = k (wi_x + wo_x), v = k (cos_i + cos_o), a = pitch, b = width, N = count, s = height deviation,
+
+    K = sinc^2(u b/2) [1 - chi^2 + chi^2 (sin(N u a/2)/sin(u a/2))^2 / N],  chi = exp(-v^2 s^2/2), sinc x = sin x/x,
+    D_y(q) = exp(-q^2/(2 w^2)) / (w sqrt(2 pi)),  w = spread_along.
+
+    (sin/sin)^2 is N^2 where sin(u a/2) = 0. Energy <= 1 and reciprocal: norm is the largest integral of K D_y
+    over the disc of exits. Directions are turned by -rotation about z first, so that y runs along the ridges.
+
+    Attributes:
+        response: tables of the lamellar stack; only `reflectance` is used.
+        pitch_nm, width_nm, height_deviation_nm: a, b, s.
+        count: N, ridges lit coherently together.
+        spread_along: w, dimensionless (sine units).
+        fill: share of the surface that the ridges cover, in [0, 1].
+        norm: `[wavelength]`, C(lambda).
+        rotation: angle in rad about the normal, from +x to +y, of the direction across the ridges; None: 0.
+    """
+
+    kind: ClassVar[str] = "ridge"
+    response: InterfaceResponse
+    pitch_nm: float
+    width_nm: float
+    height_deviation_nm: float
+    count: int
+    spread_along: float
+    fill: float
+    norm: Array
+    rotation: Texture | None = None
+
+    AXES: ClassVar[dict[str, str]] = {"norm": "wavelength"}
+
+    def check(self) -> None:
+        """Check that the tables fit together.
+
+        Raises:
+            ValueError: saying which does not.
+        """
+        self.response.check()
+        if self.norm.shape != self.wavelengths_nm.shape or np.any(self.norm <= 0):
+            raise ValueError("norm must be positive, one number a wavelength")
+        if not (self.pitch_nm > 0 and self.width_nm > 0 and self.height_deviation_nm >= 0 and self.count >= 1):
+            raise ValueError("pitch_nm, width_nm and count must be positive")
+        if not (self.spread_along > 0 and 0 <= self.fill <= 1):
+            raise ValueError("spread_along must be positive and fill in [0, 1]")
+
+    @property
+    def wavelengths_nm(self) -> Array:  # type: ignore[override]  # the base declares a plain attribute
+        """The wavelength grid of the tables."""
+        return self.response.wavelengths_nm
+
+    @property
+    def parameters(self) -> tuple[ParameterAxis, ...]:
+        """The axes that textures drive."""
+        return self.response.parameters
+
+    def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
+        """Return the value `[..., wavelength]` in 1/sr."""
+        wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
+        psi = wi + wo
+        length = np.linalg.norm(psi, axis=-1)
+        cos_h = 0.5 * length  # wi.h = |wi + wo|/2 for unit vectors
+        across, along = psi[..., 0], psi[..., 1]
+        if self.rotation is not None:
+            uv_at = np.full((*across.shape, 2), 0.5) if uv is None else np.broadcast_to(uv, (*across.shape, 2))
+            angle = self.rotation(np.asarray(uv_at, dtype=float))
+            across, along = (
+                np.cos(angle) * across + np.sin(angle) * along,
+                np.cos(angle) * along - np.sin(angle) * across,
+            )
+        reflected, _ = self.response.lookup(cos_h, np.zeros(cos_h.shape, dtype=bool), uv)
+        spread = ridge_interference(
+            across, psi[..., 2], self.wavelengths_nm, self.pitch_nm, self.width_nm, self.height_deviation_nm, self.count
+        )
+        spread = spread * gaussian(along, self.spread_along)[..., None]
+        seen = ((wi[..., 2] > 0) & (wo[..., 2] > 0))[..., None]
+        return np.where(seen, self.fill * reflected * spread / self.norm, 0.0)
+
+    def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
+        """Integrate over all exits, for light along one `wi[3]`; see `Lobe.hemispherical`.
+
+        The measure cos_o d(omega_o) = ds_x ds_y makes a plain grid in sines the natural one; it resolves the comb.
+        """
+        wi = np.asarray(wi, dtype=float)
+        nothing = np.zeros(len(self.wavelengths_nm))
+        if wi[2] <= 0:
+            return nothing, nothing
+        angle = 0.0 if self.rotation is None else float(self.rotation(np.array([0.5, 0.5]) if uv is None else uv))
+        cos, sin = np.cos(angle), np.sin(angle)
+        along_i = cos * wi[1] - sin * wi[0]
+        count = int(np.clip(24 * self.count * self.pitch_nm / self.wavelengths_nm[0], 4 * nodes, 8000))
+        spread = np.linspace(-4.5, 4.5, 28) * self.spread_along
+        total = nothing
+        for along in spread - along_i:
+            if abs(along) >= 1.0:
+                continue
+            across, weight = chord(float(along), count)
+            z = np.sqrt(np.maximum(0.0, 1.0 - across**2 - along**2))
+            wo = np.stack([cos * across - sin * along, sin * across + cos * along, z], axis=-1)
+            total = total + weight @ self.evaluate(np.broadcast_to(wi, wo.shape), wo, uv)
+        return total * (spread[1] - spread[0]), nothing
+
+
+def chord(along: float, count: int) -> tuple[Array, Array]:
+    """Return `count` points and weights over the exits s_x at one s_y, denser towards the rim of the unit disc.
+
+    The rim, where grating orders appear, is met exactly; a plain grid errs there by half a per cent.
+    """
+    edge = np.sqrt(1.0 - along * along)
+    turn = np.pi * ((np.arange(count, dtype=np.float64) + 0.5) / count - 0.5)
+    return edge * np.sin(turn), edge * np.cos(turn) * (np.pi / count)
+
+
+def gaussian(q: Array, width: float) -> Array:
+    """Return the unit-area Gaussian D_y(q) of standard deviation `width`."""
+    return np.asarray(np.exp(-0.5 * np.square(q / width)) / (width * np.sqrt(2.0 * np.pi)))
+
+
+def ridge_interference(
+    across: Array,
+    normal: Array,
+    wavelengths_nm: Array,
+    pitch_nm: float,
+    width_nm: float,
+    height_deviation_nm: float,
+    count: int,
+) -> Array:
+    """Return K(u, v), `[..., wavelength]`, for psi components `across` (x) and `normal` (z) of shape `[...]`."""
+    k = 2.0 * np.pi / np.asarray(wavelengths_nm)
+    u, v = across[..., None] * k, normal[..., None] * k
+    envelope = np.square(np.sinc(u * width_nm / (2.0 * np.pi)))
+    chi2 = np.exp(-np.square(v * height_deviation_nm))
+    # reduced to the nearest order, so that the quotient keeps its digits at every order, not only at u = 0
+    turns = u * pitch_nm / (2.0 * np.pi)
+    rest = np.pi * (turns - np.round(turns))
+    comb = np.square(count * np.sinc(count * rest / np.pi) / np.sinc(rest / np.pi))
+    return np.asarray(envelope * (1.0 - chi2 + chi2 * comb / count))

@@ -1,0 +1,376 @@
+"""Everything nacre shows in one run: pictures, figures, animations, a design, and a sheet with all of them.
+
+What is shown is data: `examples/gallery.toml` names the recipes and the scenes.
+"""
+
+from __future__ import annotations
+
+import functools
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import pydantic
+
+from nacre.errors import NacreError
+from nacre.files import atomic_path, read_text
+from nacre.recipe.model import RecipeContext, RecipeModel, validate
+from nacre.recipe.toml import parse_toml
+
+FULL_SIZE, QUICK_SIZE = 768, 224
+FULL_FRAME, QUICK_FRAME = 384, 128
+FULL_FRAMES, QUICK_FRAMES = 48, 8
+FULL_SPP, QUICK_SPP = 128, 32
+FULL_FRAME_SPP, QUICK_FRAME_SPP = 32, 16
+# seconds that a still and an animation may take on the machine at hand, in full and in quick runs
+STILL_S = {False: 26.0, True: 5.0}
+MOVIE_S = {False: 70.0, True: 6.0}
+PROBE_SPP, LEAST_SPP = (4, 36), 8
+CELL, GAP, CAPTION = 320, 16, 46
+Report = Callable[["Item", int, int, float, float], None]  # item, number, total, seconds spent, seconds left
+
+
+class PictureSpec(RecipeModel):
+    """A still of the gallery."""
+
+    recipe: str
+    title: str
+    scene: str = "sphere"
+    shape: str | None = None
+    light: str | None = None
+    illuminant: str = "D65"
+    components: str = "sum"
+    exposure: float | Literal["auto"] = "auto"
+    view_turn_deg: float = 0.0
+    light_turn_deg: float = 0.0
+    spp: float = 1.0  # times the usual number of samples and the usual time
+    quick: bool = False
+    name: str | None = None
+    quality: Literal["reference", "fast"] | None = None
+
+
+class AnimationSpec(PictureSpec):
+    """An animation: what moves."""
+
+    animate: str
+
+
+class RowSpec(RecipeModel):
+    """An animation of several materials at once, in rows, under one light and one exposure."""
+
+    recipes: list[str] = pydantic.Field(min_length=1)
+    columns: Annotated[int, pydantic.Field(ge=1)]
+    title: str
+    name: str
+    scene: str
+    animate: Literal["light", "view"]
+    cell: tuple[int, int]  # width and height of one material's picture
+    spp: float = 1.0
+    quick: bool = False
+    quality: Literal["reference", "fast"] | None = None
+
+
+class PlotSpec(RecipeModel):
+    """A figure of the gallery."""
+
+    recipe: str
+    title: str
+    kind: str
+    quick: bool = False
+
+
+class DesignSpec(RecipeModel):
+    """A design: its target file, and the seconds that it may take."""
+
+    target: str
+    title: str
+    seconds: float = 15.0
+    quick: bool = False
+
+
+class GallerySpec(RecipeModel):
+    """`gallery.toml`."""
+
+    picture: list[PictureSpec] = []
+    animation: list[AnimationSpec] = []
+    row: list[RowSpec] = []
+    plot: list[PlotSpec] = []
+    design: list[DesignSpec] = []
+
+
+@dataclass(frozen=True)
+class Item:
+    """One thing to make: its title, its file, its cost in arbitrary units, and how to make it."""
+
+    title: str
+    path: Path
+    cost: float
+    make: Callable[[], None] = field(repr=False)
+
+
+def examples_folder() -> Path:
+    """Return the folder of the example recipes: of the checkout, or of the installed package.
+
+    Raises:
+        NacreError: neither is there.
+    """
+    places = [Path(__file__).resolve().parents[3] / "examples", Path(sys.prefix) / "share" / "nacre" / "examples"]
+    for place in places:
+        if (place / "gallery.toml").is_file():
+            return place
+    raise NacreError(f"the example recipes are not installed; looked in {places[0]} and {places[1]}")
+
+
+def load_gallery(folder: Path) -> GallerySpec:
+    """Read `gallery.toml` of a folder of recipes.
+
+    Raises:
+        RecipeError: it is not what it should be.
+    """
+    path = folder / "gallery.toml"
+    text = read_text(path, "gallery")
+    gallery: GallerySpec = validate(GallerySpec, parse_toml(text, str(path)), RecipeContext(str(path), folder, text))
+    return gallery
+
+
+def plan(folder: Path, out: Path, is_quick: bool) -> list[Item]:
+    """Return what the demo makes, in order."""
+    gallery = load_gallery(folder)
+    items = [_design(folder, out, d, is_quick) for d in gallery.design if d.quick or not is_quick]
+    items += [_picture(folder, out, p, is_quick) for p in gallery.picture if p.quick or not is_quick]
+    items += [_plot(folder, out, p) for p in gallery.plot if p.quick or not is_quick]
+    items += [_animation(folder, out, a, is_quick) for a in gallery.animation if a.quick or not is_quick]
+    items += [_row(folder, out, r, is_quick) for r in gallery.row if r.quick or not is_quick]
+    return items
+
+
+def run_demo(out: Path, is_quick: bool, report: Report) -> list[Path]:
+    """Make everything and the contact sheet; return the files.
+
+    Args:
+        out: folder, made if it does not exist.
+        is_quick: small pictures of the quick items only.
+        report: called before each item with (item, number, total, seconds spent, seconds left).
+
+    Raises:
+        NacreError: an item cannot be made, or the folder cannot be written.
+    """
+    folder = examples_folder()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise NacreError(f"{out}: cannot be made: {error.strerror}") from None
+    items = plan(folder, out, is_quick)
+    start = time.monotonic()
+    spent, total = 0.0, sum(item.cost for item in items)
+    for number, item in enumerate(items):
+        seconds = time.monotonic() - start
+        # before anything is finished the cost units are seconds of a common two-core machine
+        left = (total - spent) * (seconds / spent if spent > 0 else 1.0)
+        report(item, number + 1, len(items), seconds, left)
+        item.make()
+        spent += item.cost
+    sheet = out / "contact-sheet.png"
+    stills = [item for item in items if item.path.suffix == ".png"]
+    contact_sheet([(item.title, item.path) for item in stills], sheet)
+    return [sheet, *(item.path for item in items)]
+
+
+def _picture(folder: Path, out: Path, spec: PictureSpec, is_quick: bool) -> Item:
+    side = QUICK_SIZE if is_quick else FULL_SIZE
+    spp = max(4, round((QUICK_SPP if is_quick else FULL_SPP) * spec.spp))
+    path = out / f"{spec.name or Path(spec.recipe).stem}.png"
+
+    def make() -> None:
+        from nacre.picture.picture import render
+
+        bsdf = _solved(folder, out, spec.recipe, spec.quality)
+        look = {**_look(spec), "view_turn_deg": spec.view_turn_deg, "light_turn_deg": spec.light_turn_deg}
+        affordable = _affordable_spp(bsdf, look, side, spp, STILL_S[is_quick] * spec.spp)
+        render(bsdf, output=path, size=(side, side), spp=affordable, progress=False, **look)
+
+    return Item(spec.title, path, 2.0 + STILL_S[is_quick] * spec.spp, make)
+
+
+def _animation(folder: Path, out: Path, spec: AnimationSpec, is_quick: bool) -> Item:
+    side = QUICK_FRAME if is_quick else FULL_FRAME
+    frames = QUICK_FRAMES if is_quick else FULL_FRAMES
+    spp = max(4, round((QUICK_FRAME_SPP if is_quick else FULL_FRAME_SPP) * spec.spp))
+    path = out / f"{spec.name or Path(spec.recipe).stem}-moving.mp4"
+
+    def make() -> None:
+        from nacre.render.animation import animate
+
+        moving = spec.animate in ("light", "view")
+        material = _solved(folder, out, spec.recipe, spec.quality) if moving else _find(folder, out, spec.recipe)
+        look = _look(spec)
+        budget = MOVIE_S[is_quick] * spec.spp / frames
+        affordable = _affordable_spp(material, look, side, spp, budget)
+        animate(material, spec.animate, path, frames=frames, size=(side, side), spp=affordable, progress=False, **look)
+
+    return Item(spec.title, path, 3.0 + MOVIE_S[is_quick] * spec.spp, make)
+
+
+def _row(folder: Path, out: Path, spec: RowSpec, is_quick: bool) -> Item:
+    frames = QUICK_FRAMES if is_quick else FULL_FRAMES
+    path = out / f"{spec.name}-moving.mp4"
+    size = tuple(side // (2 if is_quick else 1) for side in spec.cell)
+    seconds = MOVIE_S[is_quick] * spec.spp
+
+    def make() -> None:
+        from nacre.picture.images import read_provenance
+        from nacre.render.animation import animate, join
+
+        exposure: Any = "auto"
+        parts = []
+        for recipe in spec.recipes:
+            bsdf = _solved(folder, out, recipe, spec.quality)
+            look = {"scene": spec.scene}
+            budget = seconds / (frames * len(spec.recipes))
+            spp = _affordable_spp(bsdf, look, round((size[0] * size[1]) ** 0.5), FULL_FRAME_SPP, budget)
+            part = path.with_name(f"{spec.name}-parts") / f"{Path(recipe).stem}.mp4"
+            part.parent.mkdir(exist_ok=True)
+            made = animate(
+                bsdf, spec.animate, part, frames=frames, size=size, spp=spp, exposure=exposure, progress=False, **look
+            )
+            if made.interrupted:
+                raise KeyboardInterrupt
+            # one exposure for all, or the pairs could not be compared
+            exposure = float(read_provenance(made.frames[0])["exposure_stops"])
+            parts.append(made.frames)
+        folder_of_frames = path.with_name(f"{path.stem}_frames")
+        folder_of_frames.mkdir(exist_ok=True)
+        whole = tuple(folder_of_frames / f"frame_{index:04d}.png" for index in range(frames))
+        for index, name in enumerate(whole):
+            tile([part[index] for part in parts], spec.columns, name)
+        join(whole, path)
+
+    return Item(spec.title, path, 3.0 + seconds, make)
+
+
+def tile(pictures: Sequence[Path], columns: int, path: Path) -> None:
+    """Put pictures of one size beside each other, row by row.
+
+    Raises:
+        NacreError: the file cannot be written.
+    """
+    from PIL import Image
+
+    loaded = []
+    for file in pictures:
+        with Image.open(file) as picture:
+            loaded.append(picture.convert("RGB"))
+    width, height = loaded[0].size
+    sheet = Image.new("RGB", (min(columns, len(loaded)) * width, -(-len(loaded) // columns) * height))
+    for index, part in enumerate(loaded):
+        sheet.paste(part, (index % columns * width, index // columns * height))
+    with atomic_path(path) as temporary:
+        sheet.save(temporary, format="PNG")
+
+
+def _affordable_spp(material: Any, look: dict[str, Any], side: int, wanted: int, seconds: float) -> int:
+    """Return the samples a pixel that fit into the time: families differ a hundredfold in cost.
+
+    Two small pictures compile the kernels, one a number of samples; two more tell what a sample costs apart from what
+    any picture costs. Too few samples make no picture, so a still or frame gets `LEAST_SPP` whatever it takes.
+    """
+    from nacre.picture.picture import render
+
+    small = max(16, side // 4)
+    spent = []
+    for spp in (*PROBE_SPP, *PROBE_SPP):
+        start = time.monotonic()
+        render(material, size=(small, small), spp=spp, progress=False, **look)
+        spent.append(time.monotonic() - start)
+    few, many = spent[2:]
+    a_sample = max(many - few, 0.1 * many) / ((PROBE_SPP[1] - PROBE_SPP[0]) * small * small)
+    return int(min(max((seconds - few) / (a_sample * side * side), LEAST_SPP), wanted))
+
+
+def _plot(folder: Path, out: Path, spec: PlotSpec) -> Item:
+    path = out / f"{Path(spec.recipe).stem}-{spec.kind}.png"
+
+    def make() -> None:
+        from nacre.plot import save_material
+
+        save_material(_find(folder, out, spec.recipe), spec.kind, path)
+
+    return Item(spec.title, path, 2.0, make)
+
+
+def _design(folder: Path, out: Path, spec: DesignSpec, is_quick: bool) -> Item:
+    path = out / Path(spec.target).stem
+
+    def make() -> None:
+        from nacre.design.run import design, load_target
+
+        target, context = load_target(folder / spec.target)
+        search = target.search.model_copy(update={"time_limit_s": spec.seconds / (3 if is_quick else 1)})
+        design(target.model_copy(update={"search": search}), context, path)
+
+    return Item(spec.title, path, spec.seconds / (3 if is_quick else 1) + 3, make)
+
+
+def _find(folder: Path, out: Path, recipe: str) -> Any:
+    """Load a recipe of the examples, or a design that this run has made."""
+    from nacre.materials.material import load
+
+    made = out / recipe
+    return load(made if (made / "recipe.toml").is_file() else folder / recipe)
+
+
+@functools.lru_cache(maxsize=4)
+def _solved(folder: Path, out: Path, recipe: str, quality: str | None) -> Any:
+    """Solve a recipe once for the pictures that follow one another; a few materials fill much memory."""
+    material = _find(folder, out, recipe)
+    return (material.vary({"quality": quality}) if quality else material).bsdf()
+
+
+def _look(spec: PictureSpec) -> dict[str, Any]:
+    return {
+        "scene": spec.scene, "shape": spec.shape, "light": spec.light, "illuminant": spec.illuminant,
+        "components": spec.components, "exposure": spec.exposure,
+    }  # fmt: skip
+
+
+def contact_sheet(pictures: list[tuple[str, Path]], path: Path) -> None:
+    """Lay pictures out in rows with their titles.
+
+    Raises:
+        NacreError: the file cannot be written.
+    """
+    from PIL import Image, ImageDraw, ImageFont
+
+    columns = max(1, min(5, round(len(pictures) ** 0.5 + 0.5)))
+    rows = -(-len(pictures) // columns)
+    width, height = columns * (CELL + GAP) + GAP, rows * (CELL + CAPTION + GAP) + GAP
+    sheet = Image.new("RGB", (width, height), (250, 250, 249))
+    draw = ImageDraw.Draw(sheet)
+    font = ImageFont.load_default(size=15)
+    for index, (title, file) in enumerate(pictures):
+        x = GAP + (index % columns) * (CELL + GAP)
+        y = GAP + (index // columns) * (CELL + CAPTION + GAP)
+        with Image.open(file) as picture:
+            small = picture.convert("RGB")
+        scale = CELL / max(small.size)
+        small = small.resize((round(small.width * scale), round(small.height * scale)), Image.Resampling.LANCZOS)
+        sheet.paste(small, (x + (CELL - small.width) // 2, y + (CELL - small.height) // 2))
+        for line, words in enumerate(_wrapped(title, lambda words: draw.textlength(words, font=font) <= CELL)[:2]):
+            draw.text((x, y + CELL + 6 + 19 * line), words, fill=(60, 60, 60), font=font)
+    with atomic_path(path) as temporary:
+        sheet.save(temporary, format="PNG")
+
+
+def _wrapped(text: str, fits: Callable[[str], bool]) -> list[str]:
+    """Break a caption into lines that fit."""
+    lines = [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}".strip()
+        if fits(longer) or not lines[-1]:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines

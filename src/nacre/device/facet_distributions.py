@@ -1,0 +1,174 @@
+"""Distributions of facet normals on the device: the four of `nacre.bsdf.facet_distributions`, with their sampling.
+
+With D the density of normals m, G the masking and q the density of drawn normals, a facet model needs just two
+numbers: the spread s = q(m) / |wi.m| and the weight M = D G |wi.m| / (|cos_i| q). Reflection is then
+R M s / 4 and transmission T M s |wi.m| |wo.m| (...), as values times |cos_o|; the densities are the same
+without R M, T M. Visible normals make M = G1(wo). Sampling: Dupuy & Benyoub 2023 (GGX), Jakob's
+inversion in Mitsuba (Beckmann), inversion of the cosine power (Blinn, Ashikhmin & Shirley 2000).
+"""
+
+from __future__ import annotations
+
+import abc
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from nacre.errors import UnsupportedError
+
+TINY = 1e-20
+
+
+class Facets(abc.ABC):
+    """A distribution with its widths at a point. `wi` always has z > 0 here, normals too."""
+
+    def __init__(self, alpha_x: Any, alpha_y: Any) -> None:
+        self.alpha_x, self.alpha_y = alpha_x, alpha_y
+
+    @abc.abstractmethod
+    def sample(self, wi: Any, sample: Any) -> Any:
+        """Draw a normal m."""
+
+    @abc.abstractmethod
+    def spread(self, wi: Any, m: Any, wi_m: Any) -> Any:
+        """Return q(m)/|wi.m|."""
+
+    @abc.abstractmethod
+    def weight(self, wi: Any, wo: Any, m: Any, wi_m: Any, wo_m: Any) -> Any:
+        """Return M = D G |wi.m| / (|cos_i| q); the caller checks that neither direction sees the back of m."""
+
+    def _stretched(self, w: Any) -> Any:
+        """Return |(alpha_x w_x, alpha_y w_y, w_z)|^2 and its flat part."""
+        return dr.square(self.alpha_x * w.x) + dr.square(self.alpha_y * w.y)
+
+
+class Ggx(Facets):
+    """GGX with Smith masking, drawn by visible normals."""
+
+    def sample(self, wi: Any, sample: Any) -> Any:
+        """Draw from the spherical cap that the stretched hemisphere shows."""
+        stretched = dr.normalize(mi.Vector3f(self.alpha_x * wi.x, self.alpha_y * wi.y, wi.z))
+        sin_phi, cos_phi = dr.sincos(dr.two_pi * sample[0])
+        z = dr.fma(1.0 - sample[1], 1.0 + stretched.z, -stretched.z)
+        radius = dr.sqrt(dr.clip(1.0 - z * z, 0.0, 1.0))
+        half = mi.Vector3f(radius * cos_phi, radius * sin_phi, z) + stretched
+        return dr.normalize(mi.Vector3f(self.alpha_x * half.x, self.alpha_y * half.y, dr.maximum(half.z, 1e-7)))
+
+    def spread(self, wi: Any, m: Any, wi_m: Any) -> Any:
+        """Return D G1(wi)/cos_i, free of cancellations."""
+        slope2 = dr.square(m.x / self.alpha_x) + dr.square(m.y / self.alpha_y) + dr.square(m.z)
+        density = dr.inv_pi / (self.alpha_x * self.alpha_y * dr.square(slope2))
+        return 2.0 * density / (wi.z + dr.sqrt(dr.fma(wi.z, wi.z, self._stretched(wi))))
+
+    def weight(self, wi: Any, wo: Any, m: Any, wi_m: Any, wo_m: Any) -> Any:
+        """Return G1(wo)."""
+        cos = dr.abs(wo.z)
+        return 2.0 * cos / (cos + dr.sqrt(dr.fma(cos, cos, self._stretched(wo))))
+
+
+class Beckmann(Facets):
+    """Beckmann with Smith masking (Walter's rational fit), drawn by visible normals."""
+
+    def sample(self, wi: Any, sample: Any) -> Any:
+        """Draw by Mitsuba's own inversion."""
+        own = mi.MicrofacetDistribution(mi.MicrofacetType.Beckmann, self.alpha_x, self.alpha_y, True)
+        return mi.Vector3f(own.sample(wi, sample)[0])
+
+    def spread(self, wi: Any, m: Any, wi_m: Any) -> Any:
+        """Return D G1(wi)/cos_i."""
+        z2 = dr.square(m.z)
+        slope2 = (dr.square(m.x / self.alpha_x) + dr.square(m.y / self.alpha_y)) / dr.maximum(z2, TINY)
+        density = dr.exp(-slope2) / (dr.pi * self.alpha_x * self.alpha_y * dr.maximum(dr.square(z2), TINY))
+        return density * self._g1(wi) / wi.z
+
+    def weight(self, wi: Any, wo: Any, m: Any, wi_m: Any, wo_m: Any) -> Any:
+        """Return G1(wo)."""
+        return self._g1(wo)
+
+    def _g1(self, w: Any) -> Any:
+        a = dr.abs(w.z) * dr.rsqrt(dr.maximum(self._stretched(w), TINY))
+        a2 = dr.square(a)
+        fit = (3.535 * a + 2.181 * a2) / (1.0 + 2.276 * a + 2.577 * a2)
+        return dr.select(a >= 1.6, 1.0, dr.minimum(fit, 1.0))
+
+
+class _CosinePower(Facets):
+    """m_z to the power e_x cos^2 phi + e_y sin^2 phi; `added` is what normalisation adds to the exponents."""
+
+    added: float
+
+    def __init__(self, alpha_x: Any, alpha_y: Any) -> None:
+        super().__init__(alpha_x, alpha_y)
+        self.ex = 2.0 / dr.square(alpha_x) - 2.0 + self.added
+        self.ey = 2.0 / dr.square(alpha_y) - 2.0 + self.added
+
+    def sample(self, wi: Any, sample: Any) -> Any:
+        """Invert azimuth and height; the four quadrants are mirror images."""
+        turn = sample[0] * 4.0
+        quadrant = dr.minimum(dr.floor(turn), 3.0)
+        tangent = dr.sqrt(self.ex / self.ey) * dr.tan(0.5 * dr.pi * dr.clip(turn - quadrant, 0.0, 1.0 - 6e-8))
+        cos_phi = dr.rsqrt(dr.fma(tangent, tangent, 1.0))
+        sin_phi = tangent * cos_phi
+        exponent = self.ex * dr.square(cos_phi) + self.ey * dr.square(sin_phi)
+        z = dr.exp(dr.log(dr.maximum(1.0 - sample[1], TINY)) / exponent)
+        radius = dr.sqrt(dr.maximum(1.0 - z * z, 0.0))
+        x = dr.select((quadrant == 1.0) | (quadrant == 2.0), -cos_phi, cos_phi)
+        y = dr.select(quadrant >= 2.0, -sin_phi, sin_phi)
+        return mi.Vector3f(radius * x, radius * y, z)
+
+    def _power(self, m: Any) -> Any:
+        """Return sqrt(ex ey)/2pi m_z^(exponent - added): D, which Blinn draws times m_z."""
+        flat = dr.maximum(dr.square(m.x) + dr.square(m.y), TINY)
+        exponent = (self.ex * dr.square(m.x) + self.ey * dr.square(m.y)) / flat - self.added
+        power = dr.exp(exponent * dr.log(dr.maximum(m.z, TINY)))
+        return dr.sqrt(self.ex * self.ey) * (0.5 * dr.inv_pi) * power
+
+
+class Blinn(_CosinePower):
+    """Blinn's cosine power with V-cavities."""
+
+    added = 2.0
+
+    def spread(self, wi: Any, m: Any, wi_m: Any) -> Any:
+        """Return D m_z/|wi.m|."""
+        return self._power(m) * m.z / dr.maximum(wi_m, TINY)
+
+    def weight(self, wi: Any, wo: Any, m: Any, wi_m: Any, wo_m: Any) -> Any:
+        """Return G |wi.m|/(|cos_i| m_z)."""
+        ratio = dr.minimum(wi.z / dr.maximum(wi_m, TINY), dr.abs(wo.z) / dr.maximum(wo_m, TINY))
+        return dr.minimum(1.0, 2.0 * m.z * ratio) * wi_m / (wi.z * dr.maximum(m.z, 1e-6))
+
+
+class AshikhminShirley(_CosinePower):
+    """The Phong lobe of Ashikhmin & Shirley about the half vector; its D itself has unit integral."""
+
+    added = 1.0
+
+    def spread(self, wi: Any, m: Any, wi_m: Any) -> Any:
+        """Return D/|wi.m|."""
+        return self._power(m) / dr.maximum(wi_m, TINY)
+
+    def weight(self, wi: Any, wo: Any, m: Any, wi_m: Any, wo_m: Any) -> Any:
+        """Return G |wi.m|/|cos_i| <= 1."""
+        ratio = dr.minimum(wi.z / dr.maximum(wi_m, TINY), dr.abs(wo.z) / dr.maximum(wo_m, TINY))
+        return ratio * wi_m / wi.z
+
+
+FACETS: dict[str, type[Facets]] = {
+    "ggx": Ggx,
+    "beckmann": Beckmann,
+    "blinn": Blinn,
+    "ashikhmin-shirley": AshikhminShirley,
+}
+
+
+def facets_class(distribution: str) -> type[Facets]:
+    """Return the class of a distribution.
+
+    Raises:
+        UnsupportedError: no such distribution.
+    """
+    if distribution not in FACETS:
+        raise UnsupportedError(f'facet distribution "{distribution}" cannot be rendered; use {", ".join(FACETS)}')
+    return FACETS[distribution]

@@ -1,0 +1,106 @@
+"""Glints on the device: the factor of `nacre.bsdf.glints`, with the same hash."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from nacre.arrays import Array
+from nacre.bsdf.glints import CELLS_U, CELLS_V, COUNT, COVERAGE, DRAWS, FLAKE_STEP, SEED, WIDTH
+from nacre.bsdf.lobes.flaked import Flaked
+from nacre.bsdf.lobes.layered import Layered
+from nacre.device.base import device_array, opaque, opaque_int, read
+
+WORD = 0xFFFFFFFF
+FLATTEST = 1e-4  # a normal in the plane of the flakes has no slope
+
+
+class DeviceGlints:
+    """The flakes of one stratum that are seen one by one; all numbers are data."""
+
+    def __init__(self, numbers: Array, radii: Array, ratio: Array) -> None:
+        self.kinds = [_Kind(*row) for row in zip(numbers, radii, ratio, strict=True)]
+
+    @staticmethod
+    def of(lobe: Flaked | Layered) -> DeviceGlints | None:
+        """Return the glints of a lobe; None if it has none."""
+        if lobe.glint_numbers is None:
+            return None
+        assert lobe.glint_radii is not None and lobe.glint_ratio is not None
+        return DeviceGlints(lobe.glint_numbers, lobe.glint_radii, lobe.glint_ratio)
+
+    def factor(self, kind: int, uv: Any, tx: Any, ty: Any, active: Any) -> Any:
+        """Return g of a kind at a point for the slope (tx, ty) over the flakes' deviation; see `nacre.bsdf.glints`."""
+        row = self.kinds[kind]
+        x, y = uv.x * row.cells_u, uv.y * row.cells_v
+        column, line = mi.Int32(dr.floor(x - 0.5)), mi.Int32(dr.floor(y - 0.5))
+
+        def body(n: Any, total: Any) -> tuple[Any, Any]:
+            i, j = column + mi.Int32(n & 1), line + mi.Int32((n >> 1) & 1)
+            key = mix(row.seed + (n >> 2) * FLAKE_STEP)
+            key = mix(mix(key ^ _word(i)) + _word(j))
+            dx, dy = x - mi.Float(i) - uniform(key, 0), y - mi.Float(j) - uniform(key, 1)
+            share = uniform(key, 2)
+            t = dr.sqrt(share / (1.0 - share))
+            sine, cosine = dr.sincos(dr.two_pi * uniform(key, 3))
+            away = dr.square(tx - t * cosine) + dr.square(ty - t * sine)
+            radius = row.read(row.radii, uniform(key, 4), active)
+            inside = dx * dx + dy * dy <= dr.square(radius)
+            return n + 1, total + dr.select(inside, dr.exp(-0.5 * away * row.per_width2), 0.0)
+
+        state = (mi.UInt32(0), mi.Float(0.0))
+        _, total = dr.while_loop(
+            state, lambda n, total: mi.Bool(active) & (n < row.discs), body, ("n", "total"), label="glints"
+        )
+        t2 = tx * tx + ty * ty
+        t = dr.sqrt(t2)
+        mean = row.read(row.ratio, t / (1.0 + t), active) * row.area / dr.square(1.0 + t2)
+        return total / mean
+
+    def factor_of(self, slot: Any, axes: Any, m: Any, uv: Any, active: Any) -> Any:
+        """Return g for a normal in its flake's frame, `axes` being the semi-axes of that kind, lane by lane."""
+        z = dr.select(dr.abs(m.z) < FLATTEST, FLATTEST, m.z)
+        tx, ty = m.x / (z * axes.x), m.y / (z * axes.y)
+        total = mi.Float(1.0)
+        for k in range(len(self.kinds)):
+            mine = active & (slot == k)
+            total = dr.select(mine, self.factor(k, uv, tx, ty, mine), total)
+        return total
+
+
+class _Kind:
+    def __init__(self, numbers: Array, radii: Array, ratio: Array) -> None:
+        self.cells_u, self.cells_v = opaque(numbers[CELLS_U]), opaque(numbers[CELLS_V])
+        self.discs, self.seed = opaque_int(4 * int(numbers[COUNT])), opaque_int(int(numbers[SEED]))
+        self.per_width2 = opaque(numbers[WIDTH] ** -2)
+        self.area = opaque(2.0 * numbers[COVERAGE] * numbers[WIDTH] ** 2)
+        self.radii, self.ratio = device_array(radii), device_array(ratio)
+        self.last = opaque(len(radii) - 1)
+        self.last_cell = opaque_int(len(radii) - 2)
+
+    def read(self, table: Any, share: Any, active: Any) -> Any:
+        """Interpolate one of the two tables."""
+        at = share * self.last
+        low = dr.minimum(mi.UInt32(at), self.last_cell)
+        return dr.lerp(read(table, low, active), read(table, low + 1, active), at - mi.Float(low))
+
+
+def mix(x: Any) -> Any:
+    """Scatter the bits of a number."""
+    # the masks are for scalar variants, whose integers are Python's and do not wrap
+    x = x & WORD
+    x = ((x ^ (x >> 16)) * 0x7FEB352D) & WORD
+    x = ((x ^ (x >> 15)) * 0x846CA68B) & WORD
+    return x ^ (x >> 16)
+
+
+def _word(x: Any) -> Any:
+    """Return the bits of a signed number."""
+    return mi.UInt32(x) if dr.is_jit_v(mi.Float) else int(x) & WORD
+
+
+def uniform(key: Any, draw: int) -> Any:
+    """Return one of a flake's numbers, in [0, 1)."""
+    return mi.Float(mix(key + DRAWS[draw]) >> 8) * 5.9604644775390625e-08

@@ -1,0 +1,186 @@
+"""The one Mitsuba BSDF around one or several lobes: mixing, two sides, component masks, updates.
+
+It is given its lobes ready on the device and knows no list of them, so that a lobe may hold such a sum itself.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from nacre.bsdf.contract import Lobe
+from nacre.device.base import LobePlugin, negated, with_wi
+from nacre.errors import UnsupportedError
+
+
+def update_lobes(target: Any, lobes: Sequence[Lobe]) -> None:
+    """Give a sum of lobes the numbers of other lobes of the same kinds and shapes.
+
+    Raises:
+        UnsupportedError: number, kinds or shapes of the lobes differ: build the scene again.
+    """
+    if [lobe.kind for lobe in lobes] != [plugin.kind for plugin in target.plugins]:
+        raise UnsupportedError("the material's lobes changed in number or kind; build the scene again")
+    for plugin, lobe in zip(target.plugins, lobes, strict=True):
+        plugin.update(lobe)
+
+
+@functools.cache
+def bsdf_class(variant: str) -> type:
+    """Define the class for a variant: Mitsuba's base class differs from variant to variant."""
+
+    class NacreBSDF(mi.BSDF):
+        """A sum of lobes."""
+
+        def __init__(self, properties: Any, plugins: Sequence[LobePlugin[Any]], mirrors_back: bool) -> None:
+            super().__init__(properties)
+            self.plugins = list(plugins)
+            self.mirrors_back = mirrors_back
+            back = int(mi.BSDFFlags.BackSide) if self.mirrors_back else 0
+            words = [word | back for plugin in self.plugins for word in plugin.components]
+            self.words = words
+            self.m_components = words
+            self.m_flags = functools.reduce(lambda a, b: a | b, words)
+            self.delta = [all(word & _DELTA == word & _ALL for word in plugin.components) for plugin in self.plugins]
+
+        # -- what Mitsuba calls -------------------------------------------------------------------------
+
+        def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+            si, turned = self._front(si)
+            enabled = self._enabled(ctx)
+            if len(self.plugins) == 1:
+                bs, weight = self.plugins[0].sample(ctx, si, sample1, sample2, active, enabled[0])
+            else:
+                bs, weight = self._sample_sum(ctx, si, sample1, sample2, active, enabled)
+            if turned is not None:
+                bs.wo = mi.Vector3f(bs.wo.x, bs.wo.y, dr.select(turned, -bs.wo.z, bs.wo.z))
+            return bs, weight
+
+        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            si, wo = self._front_pair(si, wo)
+            total = mi.Spectrum(0.0)
+            for plugin, enabled, delta in zip(self.plugins, self._enabled(ctx), self.delta, strict=True):
+                if not delta:
+                    total = total + plugin.eval(ctx, si, wo, active, enabled)
+            return total
+
+        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            si, wo = self._front_pair(si, wo)
+            enabled = self._enabled(ctx)
+            if len(self.plugins) == 1:
+                return self.plugins[0].pdf(ctx, si, wo, active, enabled[0])
+            return self._eval_pdf_sum(ctx, si, wo, active, enabled)[1]
+
+        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            si, wo = self._front_pair(si, wo)
+            enabled = self._enabled(ctx)
+            if len(self.plugins) == 1:
+                return self.plugins[0].eval_pdf(ctx, si, wo, active, enabled[0])
+            return self._eval_pdf_sum(ctx, si, wo, active, enabled)
+
+        def eval_null_transmission(self, si: Any, active: Any = True) -> Any:
+            total = mi.Spectrum(0.0)
+            for plugin in self.plugins:
+                null = getattr(plugin, "null_transmission", None)
+                if null is not None:
+                    total = total + null(si, active)
+            return total
+
+        def traverse(self, callback: Any) -> None:
+            for i, plugin in enumerate(self.plugins):
+                plugin.traverse(callback, "" if len(self.plugins) == 1 else f"lobe_{i}_")
+
+        def parameters_changed(self, keys: Any) -> None:
+            for plugin in self.plugins:
+                plugin.parameters_changed()
+
+        def to_string(self) -> str:
+            return f"NacreBSDF[{', '.join(plugin.kind for plugin in self.plugins)}]"
+
+        # -- one side or two ----------------------------------------------------------------------------
+
+        def _front(self, si: Any) -> tuple[Any, Any]:
+            if not self.mirrors_back:
+                return si, None
+            turned = si.wi.z < 0
+            return with_wi(si, mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))), turned
+
+        def _front_pair(self, si: Any, wo: Any) -> tuple[Any, Any]:
+            si, turned = self._front(si)
+            if turned is not None:
+                wo = mi.Vector3f(wo.x, wo.y, dr.select(turned, -wo.z, wo.z))
+            return si, wo
+
+        # -- sums ---------------------------------------------------------------------------------------
+
+        def _enabled(self, ctx: Any) -> list[tuple[bool, ...]]:
+            """Tell each lobe which of its components the caller wants."""
+            masks, index = [], 0
+            for plugin in self.plugins:
+                mask = []
+                for _ in plugin.components:
+                    mask.append(_is_enabled(ctx, self.words[index] & _ALL, index))
+                    index += 1
+                masks.append(tuple(mask))
+            return masks
+
+        def _shares(self, si: Any, active: Any, enabled: list[tuple[bool, ...]]) -> list[Any]:
+            """Return each lobe's share of the samples."""
+            weights = [
+                plugin.choice_weight(si, active) if any(mask) else mi.Float(0.0)
+                for plugin, mask in zip(self.plugins, enabled, strict=True)
+            ]
+            total = sum(weights[1:], weights[0])
+            inverse = dr.select(total > 0.0, 1.0 / dr.maximum(total, 1e-20), 0.0)
+            return [weight * inverse for weight in weights]
+
+        def _sample_sum(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: Any) -> Any:
+            shares = self._shares(si, active, enabled)
+            bs, weight = dr.zeros(mi.BSDFSample3f), mi.Spectrum(0.0)
+            below, first = mi.Float(0.0), 0
+            is_delta = mi.Bool(False)
+            for k, (plugin, share) in enumerate(zip(self.plugins, shares, strict=True)):
+                above = below + share
+                chosen = active & (sample1 >= below) & (share > 0.0)
+                if k + 1 < len(self.plugins):  # rounding may leave the last bound below 1
+                    chosen = chosen & (sample1 < above)
+                rest = dr.clip((sample1 - below) / dr.maximum(share, 1e-20), 0.0, 0.99999994)
+                one, value = plugin.sample(ctx, si, rest, sample2, chosen, enabled[k])
+                one.pdf = one.pdf * share
+                one.sampled_component = one.sampled_component + first
+                bs = dr.select(chosen, one, bs)
+                weight = dr.select(chosen, value / dr.maximum(share, 1e-20), weight)
+                is_delta = dr.select(chosen, (one.sampled_type & _DELTA) != 0, is_delta)
+                below, first = above, first + len(plugin.components)
+            if sum(not delta for delta in self.delta) > 1 and all(p.pdf_is_exact for p in self.plugins):
+                # two broad lobes may overlap: weigh by the whole sum, as multiple importance sampling would
+                value, pdf = self._eval_pdf_sum(ctx, si, bs.wo, active & negated(is_delta), enabled, shares)
+                broad = active & negated(is_delta) & (pdf > 0.0) & (bs.pdf > 0.0)
+                weight = dr.select(broad, value / dr.maximum(pdf, 1e-20), weight)
+                bs.pdf = dr.select(broad, pdf, bs.pdf)
+            return bs, weight & active
+
+        def _eval_pdf_sum(
+            self, ctx: Any, si: Any, wo: Any, active: Any, enabled: Any, shares: list[Any] | None = None
+        ) -> Any:
+            shares = self._shares(si, active, enabled) if shares is None else shares
+            total, density = mi.Spectrum(0.0), mi.Float(0.0)
+            for plugin, mask, share, delta in zip(self.plugins, enabled, shares, self.delta, strict=True):
+                if delta:
+                    continue
+                value, pdf = plugin.eval_pdf(ctx, si, wo, active, mask)
+                total, density = total + value, density + share * pdf
+            return total, density
+
+    def _is_enabled(ctx: Any, word: int, index: int) -> bool:
+        """Tell whether any kind of light of a component is wanted: a walk's own may be glossy and mirror-like."""
+        kinds = [1 << bit for bit in range(word.bit_length()) if word >> bit & 1]
+        return any(bool(ctx.is_enabled(mi.BSDFFlags(kind), index)) for kind in kinds)
+
+    _ALL = int(mi.BSDFFlags.All)
+    _DELTA = int(mi.BSDFFlags.Delta | mi.BSDFFlags.Null)
+    return NacreBSDF

@@ -1,0 +1,1 @@
+"""The lobes' twins on the device, one file each."""

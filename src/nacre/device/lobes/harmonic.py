@@ -1,0 +1,361 @@
+"""The diffuse light of a monolayer on the device: harmonics over the azimuth times the sharp structure factor.
+
+A look-up is bound by the cache lines that it touches, not by its arithmetic. So the harmonics of one pair of angles at
+two neighbouring wavelengths lie side by side as 16-bit integers: a corner is one load of half a line, and the table is
+no larger than the lobe's own. S is read at the exact |q| of each wavelength.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.arrays import Array
+from nacre.bsdf.lobes.harmonic import Harmonic
+from nacre.device.base import MIN_COS, LobePlugin, device_array, flag, is_radiance, opaque, opaque_int, read, read2
+from nacre.device.tables import WavelengthAxis
+from nacre.errors import UnsupportedError
+
+COSINE_SHARE = 0.1  # of the draws: no direction is left out, and no weight grows without bound
+PACKET = 8  # harmonics of a load, of each of two wavelengths
+LEVELS = 32767  # of 16-bit integers; their rounding is 1.5e-5 of each harmonic's largest value
+VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 32, 64, 64  # for each side
+
+
+class HarmonicPlugin(LobePlugin[Harmonic]):
+    """Broad reflection, and transmission if the lobe transmits."""
+
+    kind = "harmonic"
+
+    def __init__(self, lobe: Harmonic) -> None:
+        sides = ("FrontSide", "BackSide") if lobe.transmits else ("FrontSide",)
+        self.transmits = lobe.transmits
+        self.components = (flag("GlossyReflection", *sides),)
+        if lobe.transmits:
+            self.components += (flag("GlossyTransmission", *sides),)
+        self.axis = WavelengthAxis(lobe.wavelengths_nm)
+        self.packets = -(-lobe.above.shape[1] // PACKET)
+        self.keeps_index = _keeps_index(lobe)
+        self.has_free = lobe.above_free.shape[0] > 0
+        self._set(lobe)
+
+    def _set(self, lobe: Harmonic) -> None:
+        self.shape = (lobe.above.shape, lobe.below.shape, lobe.across.shape)
+        self.axis.update(lobe.wavelengths_nm)
+        self.intervals = opaque_int(max(1, len(lobe.wavelengths_nm) - 1))
+        self.values = _Packed([lobe.above, lobe.below, lobe.across], self.packets)
+        self.free = None
+        if self.has_free:
+            self.free = _Packed([lobe.above_free, lobe.below_free, lobe.across_free], self.packets)
+        self.starts = (opaque_int(len(lobe.above)), opaque_int(len(lobe.above) + len(lobe.below)))
+        self.count_above = opaque_int(lobe.count_above)
+        self.edge_above, self.top_above = opaque(lobe.count_above - 0.5), opaque(lobe.count_above - 1)
+        if lobe.transmits:
+            size = lobe.count_below + lobe.count_beyond
+            self.edge_below, self.top_below = opaque(lobe.count_below - 0.5), opaque(size - 1)
+            self.beyond = opaque(lobe.count_beyond)
+            self.critical = opaque(lobe.grid_below.critical_rad)
+            self.per_beyond = opaque(1.0 / max(math.pi / 2 - lobe.grid_below.critical_rad, 1e-6))
+        self.eta = opaque(lobe.eta)
+        # wavenumber over the table's step, and the index below, at the ends of each interval of wavelengths
+        self.per_step = None
+        if _keeps_index(lobe):
+            self.steps_nm = opaque(lobe.wavenumbers[0] * lobe.wavelengths_nm[0] / lobe.q_step)
+            self.shortest, self.longest = opaque(lobe.wavelengths_nm[0]), opaque(lobe.wavelengths_nm[-1])
+        else:
+            self.per_step = device_array(_pairs(lobe.wavenumbers / lobe.q_step))
+        self.index = device_array(_pairs(lobe.index_below))
+        self.s_values = device_array(_pairs(lobe.structure))
+        self.s_last = opaque(len(lobe.structure) - 1)
+        self._set_sampling(lobe)
+
+    def _set_sampling(self, lobe: Harmonic) -> None:
+        """Tabulate f |cos_o| sin_o, averaged over wavelengths, on (theta_i; theta_o, |dphi|)."""
+        hemispheres = 2 if self.transmits else 1
+        views, exits = VIEW_NODES * hemispheres, EXIT_NODES * hemispheres
+        span = math.pi * (1.0 if self.transmits else 0.5)
+        ti = np.clip(np.linspace(0.0, span, views), 1e-3, span - 1e-3)
+        to = np.linspace(0.0, span, exits)
+        dphi = np.linspace(0.0, math.pi, AZIMUTH_NODES)
+        wo = _directions(to[None, :], dphi[:, None])
+        weight = np.abs(np.cos(to)) * np.sin(to)
+        thin = _thinned(lobe)
+        densities = np.empty((views, AZIMUTH_NODES, exits), dtype=np.float32)
+        means = np.empty(views)
+        for k, angle in enumerate(ti):
+            # the eye is `wi` of the device, the light `wo`; their roles differ by a factor only
+            mean = thin.evaluate(wo, np.broadcast_to(_directions(angle, 0.0), wo.shape)).mean(axis=-1)
+            densities[k] = np.maximum(mean, 1e-3 * mean.max() + 1e-9) * weight
+            means[k] = 2.0 * math.pi * float(np.mean(mean * weight)) * span
+        self.exits = mi.MarginalContinuous2D1(densities, [np.linspace(0.0, 1.0, views).tolist()], True, True)
+        self.span = span
+        self.albedo = device_array(means)
+        self.view_top, self.view_max = opaque(views - 1), opaque(views - 2)
+
+    def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Draw from the table of exits, now and then by the cosine on either side."""
+        active = active & self._visible(si.wi)
+        by_cosine = sample1 < COSINE_SHARE
+        rest = dr.clip((sample1 - COSINE_SHARE) / (1.0 - COSINE_SHARE), 0.0, 1.0)
+        place, _ = self.exits.sample(sample2, [self._view(si.wi)], active)
+        theta = place[0] * self.span
+        azimuth = dr.select(rest < 0.5, -place[1], place[1]) * math.pi
+        sin_theta, cos_theta = dr.sincos(theta)
+        sin_phi, cos_phi = dr.sincos(azimuth)
+        x, y = _unit(si.wi)
+        drawn = mi.Vector3f(sin_theta * (cos_phi * x - sin_phi * y), sin_theta * (cos_phi * y + sin_phi * x), cos_theta)
+        flat = mi.warp.square_to_cosine_hemisphere(sample2)
+        if self.transmits:
+            flat.z = dr.select(sample1 < 0.5 * COSINE_SHARE, flat.z, -flat.z)
+        wo = dr.select(by_cosine, flat, drawn)
+        value, pdf = self.eval_pdf(ctx, si, wo, active, enabled)
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo, bs.pdf, bs.eta = wo, pdf, mi.Float(1.0)
+        bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
+        if self.transmits:
+            reflects = si.wi.z * wo.z > 0.0
+            bs.eta = dr.select(reflects, 1.0, dr.select(si.wi.z > 0.0, self.eta, 1.0 / self.eta))
+            bs.sampled_component = dr.select(reflects, mi.UInt32(0), mi.UInt32(1))
+            bs.sampled_type = dr.select(
+                reflects, mi.UInt32(int(mi.BSDFFlags.GlossyReflection)), mi.UInt32(int(mi.BSDFFlags.GlossyTransmission))
+            )
+        return bs, (value / dr.maximum(pdf, 1e-20)) & (active & (pdf > 0.0))
+
+    def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Return `(f |cos wo|, pdf)`."""
+        active = active & self._visible(si.wi) & self._visible(wo)
+        if self.transmits:
+            active = active & dr.select(si.wi.z * wo.z > 0.0, mi.Bool(enabled[0]), mi.Bool(enabled[1]))
+        else:
+            active = active & enabled[0]
+        light, eye = (wo, si.wi) if is_radiance(ctx) else (si.wi, wo)
+        value = self._look_up(si, light, eye, active) * dr.abs(wo.z)
+        theta = dr.acos(dr.clip(wo.z, -1.0, 1.0))
+        cross = si.wi.x * wo.y - si.wi.y * wo.x
+        azimuth = dr.abs(dr.atan2(cross, si.wi.x * wo.x + si.wi.y * wo.y))
+        place = mi.Point2f(theta * (1.0 / self.span), azimuth * dr.inv_pi)
+        density = self.exits.eval(place, [self._view(si.wi)], active)
+        sin_theta = dr.sqrt(dr.maximum(1.0 - wo.z * wo.z, 1e-12))
+        # unit square -> theta in [0, span], dphi in [-pi, pi] -> solid angle
+        spread = density / (2.0 * math.pi * self.span * sin_theta)
+        cosine = dr.abs(wo.z) * dr.inv_pi * (0.5 if self.transmits else 1.0)
+        return value & active, dr.select(active, dr.lerp(spread, cosine, COSINE_SHARE), 0.0)
+
+    def _visible(self, w: Any) -> Any:
+        return dr.abs(w.z) > MIN_COS if self.transmits else w.z > MIN_COS
+
+    def _view(self, wi: Any) -> Any:
+        return dr.acos(dr.clip(wi.z, -1.0, 1.0)) * (1.0 / self.span)
+
+    def _coordinate(self, w: Any, sine: Any) -> tuple[Any, Any]:
+        """Return the lower node and the fraction of a direction's polar angle; see `PolarGrid`."""
+        angle = dr.atan2(sine, dr.abs(w.z))
+        x = dr.minimum(angle * (2.0 / math.pi) * self.edge_above, self.top_above)
+        top = self.top_above
+        if self.transmits:
+            outer = self.eta * sine
+            inner = dr.asin(dr.minimum(outer, 1.0)) * (2.0 / math.pi) * self.edge_below
+            past = dr.sqrt(dr.maximum(angle - self.critical, 0.0) * self.per_beyond) * self.beyond
+            below = dr.minimum(inner + dr.select(outer >= 1.0, past, 0.0), self.top_below)
+            x = dr.select(w.z > 0.0, x, below)
+            top = dr.select(w.z > 0.0, self.top_above, self.top_below)
+        low = dr.minimum(dr.floor(x), top - 1.0)
+        return mi.UInt32(low), x - low
+
+    def _row(self, a: Any, b: Any, a_above: Any, b_above: Any) -> Any:
+        """Return the row of the pair of nodes a (of the light) and b (of the eye)."""
+        high, low = dr.maximum(a, b), dr.minimum(a, b)
+        row = ((high * (high + 1)) >> 1) + low
+        if not self.transmits:
+            return row
+        below, above = dr.select(a_above, b, a), dr.select(a_above, a, b)
+        across = self.starts[1] + below * self.count_above + above
+        return dr.select(a_above == b_above, dr.select(a_above, row, self.starts[0] + row), across)
+
+    def _look_up(self, si: Any, light: Any, eye: Any, active: Any) -> Any:
+        """Interpolate f at the four wavelengths."""
+        sin_l = dr.sqrt(light.x * light.x + light.y * light.y)
+        sin_e = dr.sqrt(eye.x * eye.x + eye.y * eye.y)
+        dot = light.x * eye.x + light.y * eye.y
+        size = sin_l * sin_e
+        cos_phi = dr.select(size > 1e-12, dr.clip(-dot / dr.maximum(size, 1e-12), -1.0, 1.0), 1.0)
+        cosines = [mi.Float(1.0), cos_phi]
+        for _ in range(2, PACKET * self.packets):
+            cosines.append(2.0 * cos_phi * cosines[-1] - cosines[-2])
+        low_l, part_l = self._coordinate(light, sin_l)
+        low_e, part_e = self._coordinate(eye, sin_e)
+        up_l, up_e = light.z > 0.0, eye.z > 0.0
+        where = self.axis.locate(si.wavelengths, active)
+        # linear on the triangle of the cell that holds the point, as the arrays are
+        first = part_l > part_e
+        step_l, step_e = dr.select(first, mi.UInt32(1), mi.UInt32(0)), dr.select(first, mi.UInt32(0), mi.UInt32(1))
+        corners = [
+            (self._row(low_l, low_e, up_l, up_e), 1.0 - dr.maximum(part_l, part_e)),
+            (self._row(low_l + 1, low_e + 1, up_l, up_e), dr.minimum(part_l, part_e)),
+            (self._row(low_l + step_l, low_e + step_e, up_l, up_e), dr.abs(part_l - part_e)),
+        ]
+        kinds = [self.values] if self.free is None else [self.values, self.free]
+        series = [[c * unit for c, unit in zip(cosines, kind.units, strict=True)] for kind in kinds]
+        result = mi.Spectrum(0.0)
+        for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
+            value = self._series(self.values, low, part, corners, series[0], active)
+            value = value * self._structure(si.wavelengths[k], low, part, sin_l, sin_e, dot, up_l, up_e, active)
+            if self.free is not None:
+                value = value + self._series(self.free, low, part, corners, series[1], active)
+            result[k] = value
+        if self.transmits:
+            result = result * dr.select(up_e, 1.0, dr.square(self.eta))
+        return result
+
+    def _series(self, source: _Packed, low: Any, part: Any, corners: list[Any], cosines: list[Any], active: Any) -> Any:
+        """Interpolate over the angles and between two wavelengths, and sum the harmonics."""
+        near, far = mi.Float(0.0), mi.Float(0.0)
+        for row, weight in corners:
+            at = (row * self.intervals + low) * self.packets
+            for j in range(self.packets):
+                packet = source.read(at + j, active)
+                harmonics = cosines[PACKET * j : PACKET * (j + 1)]
+                near = dr.fma(weight, _dot(packet[:PACKET], harmonics), near)
+                far = dr.fma(weight, _dot(packet[PACKET:], harmonics), far)
+        ends = read2(source.scales, low, active)
+        # a cut cosine series may dip below zero where the light is next to nothing
+        return dr.maximum(dr.lerp(near * ends[0], far * ends[1], part), 0.0)
+
+    def _structure(
+        self, wavelength: Any, low: Any, part: Any, sin_l: Any, sin_e: Any, dot: Any, up_l: Any, up_e: Any, active: Any
+    ) -> Any:
+        """Read S at |q| of a wavelength."""
+        if self.per_step is None:
+            scale = self.steps_nm / dr.clip(wavelength, self.shortest, self.longest)
+        else:
+            ends = read2(self.per_step, low, active)
+            scale = dr.lerp(ends[0], ends[1], part)
+        if self.transmits:
+            ends = read2(self.index, low, active)
+            index = dr.lerp(ends[0], ends[1], part)
+            n_l, n_e = dr.select(up_l, 1.0, index), dr.select(up_e, 1.0, index)
+            square = dr.square(n_l * sin_l) + dr.square(n_e * sin_e) + 2.0 * n_l * n_e * dot
+        else:
+            square = dr.square(sin_l) + dr.square(sin_e) + 2.0 * dot
+        x = scale * dr.sqrt(dr.maximum(square, 0.0))
+        inside = x < self.s_last
+        x = dr.minimum(x, self.s_last - 1e-3)
+        at = dr.floor(x)
+        ends = read2(self.s_values, mi.UInt32(at), active)
+        return dr.select(inside, dr.lerp(ends[0], ends[1], x - at), 1.0)
+
+    def choice_weight(self, si: Any, active: Any) -> Any:
+        """Return the albedo from this direction, averaged over wavelengths."""
+        position = self._view(si.wi) * self.view_top
+        low = dr.minimum(dr.floor(position), self.view_max)
+        at = mi.UInt32(low)
+        value = dr.lerp(read(self.albedo, at, active), read(self.albedo, at + 1, active), position - low)
+        return dr.select(self._visible(si.wi), value, 0.0)
+
+    def update(self, lobe: Harmonic) -> None:
+        """Take over the numbers of another monolayer.
+
+        Raises:
+            UnsupportedError: the shape of its tables differs.
+        """
+        shape = (lobe.above.shape, lobe.below.shape, lobe.across.shape)
+        if _keeps_index(lobe) != self.keeps_index:
+            raise UnsupportedError("one ambient disperses and the other does not; build the scene again")
+        if shape != self.shape or (lobe.above_free.shape[0] > 0) != self.has_free:
+            raise UnsupportedError("the harmonic tables changed their shape; build the scene again")
+        self._set(lobe)
+
+
+class _Packed:
+    """A table `[row, harmonic, wavelength]` as 16-bit integers `[row, interval, packet, end of interval, harmonic]`.
+
+    Attributes:
+        units: of each harmonic, to be multiplied by the cosines; the higher ones are small.
+        scales: of the two ends of each interval of wavelengths.
+    """
+
+    def __init__(self, tables: list[NDArray[np.float32]], packets: int) -> None:
+        rows = np.concatenate([t for t in tables if t.shape[0]])
+        if rows.shape[2] == 1:
+            rows = np.repeat(rows, 2, axis=2)
+        count, kept, wavelengths = rows.shape
+        shape = (count, wavelengths - 1, packets, 2, PACKET)
+        if math.prod(shape) >= 2**32:
+            raise UnsupportedError("the harmonic table is too large to be rendered; give fewer wavelengths")
+        largest = np.maximum(np.abs(rows).max(axis=0), np.float32(1e-30)).astype(float)
+        units = (largest / largest[0]).max(axis=1)
+        scale = largest[0]
+        packed = np.zeros(shape, dtype=np.int16)
+        for node in range(wavelengths):
+            levels = np.zeros((count, packets * PACKET), dtype=np.int16)
+            levels[:, :kept] = np.rint(rows[..., node] * (LEVELS / (units * scale[node])))
+            for interval, end in ((node, 0), (node - 1, 1)):
+                if 0 <= interval < wavelengths - 1:
+                    packed[:, interval, :, end] = levels.reshape(count, packets, PACKET)
+        self.units = [opaque(unit) for unit in units] + [opaque(0.0)] * (packets * PACKET - kept)
+        self.scales = device_array(_pairs(scale / LEVELS))
+        self.on_device = dr.is_jit_v(mi.Float)
+        flat = packed.reshape(-1, 2 * PACKET)
+        self.values = mi.UInt32(flat.view(np.uint32).ravel()) if self.on_device else flat
+
+    def read(self, index: Any, active: Any) -> list[Any]:
+        """Return the integers of a packet: `PACKET` of the lower wavelength, then as many of the upper."""
+        if not self.on_device:
+            return [float(v) for v in self.values[int(index)]] if active else [0.0] * (2 * PACKET)
+        words = dr.gather(mi.ArrayXu, self.values, index, active, shape=(PACKET, dr.width(index)))
+        numbers = []
+        for word in words:
+            signed = mi.Int32(word)  # the lower half of a word is the first of its two numbers
+            numbers += [mi.Float((signed << 16) >> 16), mi.Float(signed >> 16)]
+        return numbers
+
+
+def _dot(numbers: list[Any], cosines: list[Any]) -> Any:
+    total = mi.Float(0.0)
+    for number, cosine in zip(numbers, cosines, strict=True):
+        total = dr.fma(number, cosine, total)
+    return total
+
+
+def _keeps_index(lobe: Harmonic) -> bool:
+    """Whether the ambient has one index, so that the wavenumber is a number over the wavelength."""
+    product = lobe.wavenumbers * lobe.wavelengths_nm
+    return bool(np.allclose(product, product[0], rtol=1e-7, atol=0.0))
+
+
+def _pairs(values: Array) -> Array:
+    """Return `[i, 2]`: each value and the next, which one load then fetches."""
+    return np.stack([values[:-1], values[1:]], axis=1) if len(values) > 1 else np.stack([values, values], axis=1)
+
+
+def _thinned(lobe: Harmonic) -> Harmonic:
+    """The lobe at some dozen wavelengths: sampling needs the shape, not the colour."""
+    import dataclasses
+
+    step = max(1, len(lobe.wavelengths_nm) // 12)
+    changes: dict[str, Any] = {
+        name: np.ascontiguousarray(getattr(lobe, name)[..., ::step])
+        for name in ("above", "below", "across", "above_free", "below_free", "across_free")
+    }
+    for name in ("wavelengths_nm", "wavenumbers", "index_below"):
+        changes[name] = np.ascontiguousarray(getattr(lobe, name)[::step])
+    return dataclasses.replace(lobe, **changes)
+
+
+def _directions(theta: Any, phi: Any) -> Array:
+    """Return unit vectors `[..., 3]`."""
+    theta, phi = np.broadcast_arrays(np.asarray(theta, dtype=float), np.asarray(phi, dtype=float))
+    sin = np.sin(theta)
+    return np.stack([sin * np.cos(phi), sin * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def _unit(wi: Any) -> tuple[Any, Any]:
+    """Return cosine and sine of the azimuth; any will do at the pole."""
+    flat = wi.x * wi.x + wi.y * wi.y
+    inverse = dr.rsqrt(dr.maximum(flat, 1e-20))
+    return dr.select(flat > 1e-14, wi.x * inverse, 1.0), dr.select(flat > 1e-14, wi.y * inverse, 0.0)

@@ -1,0 +1,224 @@
+"""Strata of flakes on the device: the plugin around the random walk.
+
+`sample` and `eval` are estimates that agree in the mean; `pdf` is a smooth proxy of the true density, which has
+no closed form. A path tracer stays unbiased with it, since its weights only need the same function in both
+branches; a chi-square test cannot pass and is replaced by `sample` against `eval`.
+
+What `pdf` returns is the proxy times a trust in `sample`. The balance of multiple importance sampling takes
+values for exact, but `eval` is one walk, whose narrow flake lobe meets the exit direction rarely and then with
+a large value: coloured fireflies, the more the more flakes there are. Light seen by `sample` has no such peaks.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from nacre.bsdf.lobes.layered import Layered
+from nacre.device.base import MIN_COS, LobePlugin, MakePlugin, flag, opaque
+from nacre.device.facet_distributions import Ggx
+from nacre.device.walk.strata import Strata
+from nacre.device.walk.walk import eval_walk, joint_walk, make_rng, sample_walk
+from nacre.errors import UnsupportedError
+
+# Trust in `sample`: 1 + flakes met across the material, at most this. Measured with the power heuristic under the
+# studio: best at 4 (bottle 2, 2.3 flakes), 16 (bottle 1, 24) and 64 (bottle 3, 59; 16 keeps most of it); beyond,
+# small lamps, which `sample` seldom hits, would suffer.
+MAX_TRUST = 20.0
+# Shares of the proxy density: the interface's own reflection, the flakes' lobe, the diffuse rest.
+SHARES = (0.15, 0.5, 0.35)
+BASE_SHARE = 0.7  # of a bare base of lobes; what the interfaces spread and throw back is the rest
+NO_SCALAR = (
+    "a pearl is a random walk that needs an LLVM or CUDA variant of Mitsuba; scalar_spectral cannot run it "
+    "(`nacre doctor` tells how to get LLVM)"
+)
+
+
+class LayeredPlugin(LobePlugin):
+    """The reference route: a walk for every sample and every value."""
+
+    kind = "layered"
+    holds_lobes = True
+    pdf_is_exact = False
+
+    def __init__(self, lobe: Layered, make_plugin: MakePlugin) -> None:
+        if not dr.is_jit_v(mi.Float):
+            raise UnsupportedError(NO_SCALAR)
+        sides = ("FrontSide", "BackSide") if lobe.transmits else ("FrontSide",)
+        self.components = (flag("GlossyReflection", *sides),)
+        if lobe.transmits:
+            self.components += (flag("GlossyTransmission", *sides),)
+        self.strata = Strata(lobe, make_plugin)
+        self.has_mirror = not self.strata.all_rough
+        if self.has_mirror:
+            self.components = (self.components[0] | int(mi.BSDFFlags.DeltaReflection), *self.components[1:])
+        if self.has_mirror and lobe.transmits:
+            self.components = (*self.components[:-1], self.components[-1] | int(mi.BSDFFlags.DeltaTransmission))
+        self.proxy = Proxy(lobe)
+        self._waiting: Any = None
+
+    def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Follow the light through the strata; the weight is what the four wavelengths still carry."""
+        active = mi.Bool(active) & (dr.abs(si.wi.z) > MIN_COS)
+        drawn = self._take(si)
+        if drawn is None:
+            rng = make_rng(sample1, sample2.x, sample2.y, si.p.x, si.p.y, si.p.z, si.wavelengths[0])
+            drawn = sample_walk(self.strata, rng, si.wi, self.strata.locate(si, active), active)
+        wo, weight, mirror = drawn
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo = wo
+        bs.eta = mi.Float(1.0)
+        reflected = (wo.z > 0) == (si.wi.z > 0)
+        glossy = _words("GlossyReflection", "GlossyTransmission", reflected)
+        bs.sampled_type = glossy
+        bs.sampled_component = dr.select(reflected, mi.UInt32(0), mi.UInt32(len(self.components) - 1))
+        wanted = mi.Bool(enabled[0])
+        if len(enabled) > 1:
+            wanted = dr.select(reflected, mi.Bool(enabled[0]), mi.Bool(enabled[1]))
+        alive = active & wanted & (dr.max(weight) > 0)
+        bs.pdf = dr.select(alive, self._density(si, wo, active), 0.0)
+        if self.has_mirror:
+            bs.sampled_type = dr.select(mirror, _words("DeltaReflection", "DeltaTransmission", reflected), glossy)
+            bs.pdf = dr.select(mirror & alive, 1.0, bs.pdf)
+        return bs, dr.select(alive, weight, 0.0)
+
+    def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Walk with a connection to `wo` at each vertex; the density is the proxy's.
+
+        A path tracer asks for value and sample together, and Mitsuba passes this on as `eval_pdf`, then `sample`,
+        of the same interaction: one walk serves both. It is connected to `wo` on its way and leaves by itself.
+        Their noise is correlated, which adds no bias, since what they bring is added up.
+        """
+        if not dr.flag(dr.JitFlag.SymbolicScope):  # calls by hand may repeat their arguments: no draw of theirs
+            return self.eval(ctx, si, wo, active, enabled), self.pdf(ctx, si, wo, active, enabled)
+        seen = mi.Bool(active) & (dr.abs(si.wi.z) > MIN_COS)
+        wanted = seen & self._wanted(si.wi, wo, enabled)
+        rng = make_rng(si.p.x, si.p.y, si.p.z, si.wi.x, si.wi.y, si.wi.z, wo.x, wo.y, wo.z, si.wavelengths[0])
+        where = self.strata.locate(si, seen)
+        value, *drawn = joint_walk(self.strata, rng, si.wi, wo, where, seen, wanted)
+        self._waiting = (si, drawn)
+        return value, dr.select(wanted, self._density(si, wo, wanted), 0.0)
+
+    def _take(self, si: Any) -> Any:
+        """Return the draw of the walk that `eval_pdf` has just made for this interaction; None if there is none."""
+        waiting, self._waiting = self._waiting, None
+        if waiting is None or _identity(waiting[0]) != _identity(si):
+            return None
+        return waiting[1]
+
+    def eval(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Estimate value * |cos wo|."""
+        active = mi.Bool(active) & self._wanted(si.wi, wo, enabled)
+        rng = make_rng(si.p.x, si.p.y, si.p.z, si.wi.x, si.wi.y, si.wi.z, wo.x, wo.y, wo.z, si.wavelengths[0])
+        where = self.strata.locate(si, active)
+        return eval_walk(self.strata, rng, si.wi, wo, where, active)
+
+    def pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Return the proxy density times the trust in `sample`."""
+        active = mi.Bool(active) & self._wanted(si.wi, wo, enabled)
+        return dr.select(active, self._density(si, wo, active), 0.0)
+
+    def _density(self, si: Any, wo: Any, active: Any) -> Any:
+        """Return the proxy's density times the trust; a base of lobes adds its own, seen through flat interfaces."""
+        density = self.proxy.trusted(si.wi, wo)
+        lobes = self.strata.lobes
+        if lobes is None or not lobes.scatters:
+            return density
+        scale = 1.0 / self.strata.indices[self.strata.count]
+        v, to = _refracted(si.wi, scale), _refracted(wo, scale)
+        own = lobes.pdf(v, to, self.strata.locate(si, active), active & (si.wi.z > 0.0) & (wo.z > 0.0))
+        return dr.lerp(density, self.proxy.trust * own * dr.square(scale) * wo.z / to.z, self.proxy.base_share)
+
+    def _wanted(self, wi: Any, wo: Any, enabled: tuple[bool, ...]) -> Any:
+        reflected = (wo.z > 0) == (wi.z > 0)
+        if self.strata.base != "none":
+            return mi.Bool(enabled[0]) & reflected & (wi.z > MIN_COS)
+        return dr.select(reflected, mi.Bool(enabled[0]), mi.Bool(enabled[-1])) & (dr.abs(wi.z) > MIN_COS)
+
+    def choice_weight(self, si: Any, active: Any) -> Any:
+        """Return a typical albedo."""
+        return mi.Float(0.5)
+
+    def update(self, lobe: Layered) -> None:
+        """Take over the numbers of another material of the same structure.
+
+        Raises:
+            UnsupportedError: the structure differs.
+        """
+        self.strata.update(lobe)
+        self.proxy.update(lobe)
+
+    def traverse(self, callback: Any, prefix: str) -> None:
+        """Expose the flakes' R and T."""
+        if self.strata.kinds:
+            callback.put(f"{prefix}flake_response", self.strata.response.values, mi.ParamFlags.NonDifferentiable)
+
+    def parameters_changed(self) -> None:
+        """Repack the table of R and T."""
+        if self.strata.kinds:
+            self.strata.response.repack()
+
+
+class Proxy:
+    """A smooth density near the true one: two facet lobes and a cosine, on each side that light leaves by."""
+
+    def __init__(self, lobe: Layered) -> None:
+        self.transmits = lobe.transmits
+        self.update(lobe)
+
+    def update(self, lobe: Layered) -> None:
+        """Derive the widths from the material."""
+        n = float(lobe.index[0])
+        alpha = float(np.mean(lobe.alpha[0]))
+        deviation = float(np.min(np.mean(lobe.flake_axes[:, :2], axis=1))) if lobe.kinds else 1.0
+        lobe_alpha = np.hypot(n * deviation, (n - 1) * alpha)
+        number = float(np.sum(lobe.flake_number))
+        self.trust = opaque(min(1.0 + number, MAX_TRUST))
+        self.base_share = opaque(BASE_SHARE * float(np.exp(-number)))  # less where flakes cover it
+        self.alphas = [opaque(max(alpha, 0.01)), opaque(float(np.clip(lobe_alpha, 0.01, 1.0)))]
+        tilt = lobe.flake_frame[0, :, 2] if lobe.kinds else np.array([0.0, 0.0, 1.0])
+        tilt = tilt * np.array([n, n, 1.0]) * (1 if tilt[2] >= 0 else -1)
+        if tilt[2] < 0.3:  # flakes on edge have no lobe about the normal
+            tilt = np.array([0.0, 0.0, 1.0])
+        tilt = tilt / np.linalg.norm(tilt)
+        self.tilt = mi.Vector3f(*[opaque(float(x)) for x in tilt])
+
+    def trusted(self, wi: Any, wo: Any) -> Any:
+        """Return the density times the trust, for the weights of multiple importance sampling only."""
+        return self.trust * self.density(wi, wo)
+
+    def density(self, wi: Any, wo: Any) -> Any:
+        """Return the density of `wo`, 1/sr."""
+        up = mi.Vector3f(wi.x, wi.y, dr.abs(wi.z))
+        out = mi.Vector3f(wo.x, wo.y, dr.abs(wo.z))
+        first = self._facet(self.alphas[0], up, out)
+        frame = mi.Frame3f(self.tilt)
+        second = self._facet(self.alphas[1], frame.to_local(up), frame.to_local(out))
+        cosine = out.z * dr.inv_pi
+        value = SHARES[0] * first + SHARES[1] * second + SHARES[2] * cosine
+        return 0.5 * value if self.transmits else value
+
+    def _facet(self, alpha: Any, up: Any, out: Any) -> Any:
+        h = dr.normalize(up + out)
+        cos = dr.dot(up, h)
+        facets = Ggx(alpha, alpha)
+        value = 0.25 * facets.spread(up, h, cos)
+        return dr.select((cos > 1e-6) & (h.z > 1e-6) & (up.z > 1e-6) & (out.z > 0), value, 0.0)
+
+
+def _identity(si: Any) -> tuple[int, ...]:
+    """Tell interactions apart while they are recorded; who holds one keeps its numbers from being given away."""
+    return (si.p.x.index, si.p.y.index, si.wi.x.index, si.wi.y.index, si.wavelengths[0].index)
+
+
+def _refracted(w: Any, scale: Any) -> Any:
+    """Return an outer direction as it goes on inside, through flat interfaces; `scale` is outside over inside."""
+    return mi.Vector3f(w.x * scale, w.y * scale, dr.sqrt(dr.maximum(1.0 - (1.0 - w.z * w.z) * scale * scale, 1e-8)))
+
+
+def _words(reflection: str, transmission: str, reflected: Any) -> Any:
+    one, other = int(getattr(mi.BSDFFlags, reflection)), int(getattr(mi.BSDFFlags, transmission))
+    return dr.select(reflected, mi.UInt32(one), mi.UInt32(other))

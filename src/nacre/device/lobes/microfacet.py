@@ -1,0 +1,266 @@
+"""The rough interface on the device: facets that reflect and refract by the tables of the smooth one.
+
+A direction from below is handled as one from above by turning everything about the origin (the facets'
+distributions do not change under x, y -> -x, -y); the tables are then read on the other side.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.device.base import MIN_COS, LobePlugin, flag, is_radiance, negated, opaque, replaced
+from nacre.device.compensation import Compensation
+from nacre.device.facet_distributions import Facets, facets_class
+from nacre.device.response import DeviceResponse
+from nacre.device.textures import DeviceTexture
+from nacre.errors import UnsupportedError
+
+
+class MicrofacetPlugin(LobePlugin[Microfacet]):
+    """Rough reflection, rough refraction if the interface transmits, and light exchanged between facets."""
+
+    kind = "microfacet"
+
+    def __init__(self, lobe: Microfacet) -> None:
+        self.response = DeviceResponse(lobe.response)
+        self.facets = facets_class(lobe.distribution)
+        self.is_isotropic = lobe.alpha_x == lobe.alpha_y
+        self.refracts = lobe.transmits
+        self.alpha_texture = DeviceTexture(lobe.alpha_texture) if lobe.alpha_texture else None
+        self.rotation = DeviceTexture(lobe.rotation) if lobe.rotation else None
+        self.compensation = Compensation(lobe) if lobe.loss is not None else None
+        self.alpha_x: Any = None
+        self.alpha_y: Any = None
+        self._set_alpha(lobe)
+        sides = ("FrontSide", "BackSide") if lobe.response.transmits else ("FrontSide",)
+        kinds = sides if self.is_isotropic else ("Anisotropic", *sides)
+        self.components = (flag("GlossyReflection", *kinds),)
+        if self.refracts:
+            self.components += (flag("GlossyTransmission", *kinds),)
+
+    def _set_alpha(self, lobe: Microfacet) -> None:
+        self.alpha_x = replaced(self.alpha_x, opaque(lobe.alpha_x))
+        # one object for both keeps an isotropic kernel shorter
+        self.alpha_y = self.alpha_x if self.is_isotropic else replaced(self.alpha_y, opaque(lobe.alpha_y))
+
+    # -- sampling ---------------------------------------------------------------------------------------
+
+    def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Draw a facet normal, then reflection or refraction by how much each carries."""
+        frame = self._frame(si, active)
+        wi, sign, inside = self._from_above(frame(si.wi, forward=True))
+        active = active & any(enabled) & (wi.z > MIN_COS)
+        if not self.response.transmits:
+            active = active & negated(inside)
+        facets = self._facets(si, active)
+        if self.compensation is None:
+            wo, reflects, weight, pdf = self._sample_facets(
+                ctx, si, facets, wi, inside, sample1, sample2, active, enabled
+            )
+            weight = weight & active
+        else:
+            share, between_wo = self.compensation.draw(si, wi, inside, sample1, sample2, active, enabled)
+            is_between = sample1 < share
+            rest = dr.select(is_between, 0.0, (sample1 - share) / dr.maximum(1.0 - share, 1e-6))
+            wo, reflects, _, pdf = self._sample_facets(ctx, si, facets, wi, inside, rest, sample2, active, enabled)
+            drawn = is_between | (pdf > 0.0)
+            wo = dr.select(is_between, between_wo, wo)
+            reflects = dr.select(is_between, wo.z > 0.0, reflects)
+            value, pdf = self._eval_pdf(ctx, si, facets, wi, wo, inside, active & drawn, enabled)
+            weight = dr.select(pdf > 0.0, value / dr.maximum(pdf, 1e-20), 0.0)
+
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo = frame(wo * sign, forward=False)
+        bs.pdf = dr.select(active, pdf, 0.0)
+        bs.eta = mi.Float(1.0)
+        bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
+        if self.refracts:
+            bs.eta = dr.select(reflects, mi.Float(1.0), self._eta(inside))
+            bs.sampled_component = dr.select(reflects, mi.UInt32(0), mi.UInt32(1))
+            bs.sampled_type = dr.select(
+                reflects, mi.UInt32(int(mi.BSDFFlags.GlossyReflection)), mi.UInt32(int(mi.BSDFFlags.GlossyTransmission))
+            )
+        return bs, weight & (bs.pdf > 0.0)
+
+    def _sample_facets(
+        self,
+        ctx: Any,
+        si: Any,
+        facets: Facets,
+        wi: Any,
+        inside: Any,
+        sample1: Any,
+        sample2: Any,
+        active: Any,
+        enabled: tuple[bool, ...],
+    ) -> tuple[Any, Any, Any, Any]:
+        """Return direction, whether it is reflected, weight and density; a failed draw has density 0."""
+        m = facets.sample(wi, sample2)
+        wi_m = dr.dot(wi, m)
+        active = active & (wi_m > 0.0)
+        spread = facets.spread(wi, m, wi_m)
+        wo = dr.fma(m, 2.0 * wi_m, -wi)
+        if not self.refracts:
+            reflected, _ = self.response.look_up(wi_m, inside, si, active)
+            good = active & (wo.z > MIN_COS)
+            weight = reflected * facets.weight(wi, wo, m, wi_m, wi_m)
+            return wo, mi.Bool(True), weight & good, dr.select(good, 0.25 * spread, 0.0)
+
+        share, amount = self.response.split(wi_m, inside, si, active)
+        share = self._share(share, enabled)
+        reflects = sample1 < share
+        eta = self._eta(inside)
+        inverse = dr.rcp(eta)
+        cos_t2 = 1.0 - (1.0 - wi_m * wi_m) * inverse * inverse
+        cos_t = dr.sqrt(dr.maximum(cos_t2, 0.0))
+        bent = dr.fma(m, wi_m * inverse - cos_t, -inverse * wi)
+        wo = dr.select(reflects, wo, bent)
+        wo_m = dr.select(reflects, wi_m, cos_t)
+        # a refraction that fails, or leaves on the wrong side, is lost: turning it into a reflection gains energy
+        good = active & dr.select(reflects, wo.z > MIN_COS, (cos_t2 > 0.0) & (wo.z < -MIN_COS))
+        squeeze = inverse * inverse if is_radiance(ctx) else mi.Float(1.0)
+        chance = dr.select(reflects, share, 1.0 - share)
+        stretch = dr.square(dr.fma(-eta, cos_t, wi_m))
+        bend = wi_m * cos_t * dr.square(eta) / dr.maximum(stretch, 1e-20)
+        pdf = chance * spread * dr.select(reflects, mi.Float(0.25), bend)
+        value = amount(reflects) * dr.select(reflects, mi.Float(1.0), squeeze)
+        weight = value * (facets.weight(wi, wo, m, wi_m, wo_m) / dr.maximum(chance, 1e-20))
+        return wo, reflects, weight & good, dr.select(good, pdf, 0.0)
+
+    # -- evaluation -------------------------------------------------------------------------------------
+
+    def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Return `(value * |cos wo|, pdf)`."""
+        frame = self._frame(si, active)
+        wi, sign, inside = self._from_above(frame(si.wi, forward=True))
+        wo = frame(wo, forward=True) * sign
+        active = active & (wi.z > MIN_COS)
+        if not self.response.transmits:
+            active = active & negated(inside)
+        return self._eval_pdf(ctx, si, self._facets(si, active), wi, wo, inside, active, enabled)
+
+    def _eval_pdf(
+        self, ctx: Any, si: Any, facets: Facets, wi: Any, wo: Any, inside: Any, active: Any, enabled: tuple[bool, ...]
+    ) -> tuple[Any, Any]:
+        value, pdf = self._eval_facets(ctx, si, facets, wi, wo, inside, active, enabled)
+        if self.compensation is None:
+            return value, pdf
+        share, added, added_pdf = self.compensation.eval_pdf(is_radiance(ctx), si, wi, wo, inside, active, enabled)
+        return value + added, (1.0 - share) * pdf + share * added_pdf
+
+    def _eval_facets(
+        self, ctx: Any, si: Any, facets: Facets, wi: Any, wo: Any, inside: Any, active: Any, enabled: tuple[bool, ...]
+    ) -> tuple[Any, Any]:
+        if not self.refracts:
+            active = active & (wo.z > MIN_COS) & enabled[0]
+            h = dr.normalize(wi + wo)
+            wi_h = dr.dot(wi, h)
+            reflected, _ = self.response.look_up(wi_h, inside, si, active)
+            pdf = dr.select(active, 0.25 * facets.spread(wi, h, wi_h), 0.0)
+            return reflected * (facets.weight(wi, wo, h, wi_h, wi_h) * pdf) & active, pdf
+
+        eta = self._eta(inside)
+        reflects = wo.z > 0.0
+        h = dr.normalize(dr.fma(wo, dr.select(reflects, mi.Float(1.0), eta), wi))
+        h = dr.mulsign(h, h.z)
+        wi_h, wo_h = dr.dot(wi, h), dr.dot(wo, h)
+        active = active & (dr.abs(wo.z) > MIN_COS) & (wi_h > 0.0) & (wo_h * wo.z > 0.0)
+        if not all(enabled):
+            active = active & dr.select(reflects, mi.Bool(enabled[0]), mi.Bool(enabled[1]))
+        share, amount = self.response.split(wi_h, inside, si, active)
+        share = self._share(share, enabled)
+        chance = dr.select(reflects, share, 1.0 - share)
+        stretch = dr.square(dr.fma(eta, wo_h, wi_h))
+        bend = wi_h * dr.abs(wo_h) * dr.square(eta) / dr.maximum(stretch, 1e-20)
+        density = facets.spread(wi, h, wi_h) * dr.select(reflects, mi.Float(0.25), bend)
+        squeeze = dr.rcp(dr.square(eta)) if is_radiance(ctx) else mi.Float(1.0)
+        value = amount(reflects) * dr.select(reflects, mi.Float(1.0), squeeze)
+        value = value * (facets.weight(wi, wo, h, wi_h, dr.abs(wo_h)) * density)
+        return value & active, dr.select(active, chance * density, 0.0)
+
+    def choice_weight(self, si: Any, active: Any) -> Any:
+        """Return what the smooth interface would scatter at the angle of the ray."""
+        wi, _, inside = self._from_above(self._frame(si, active)(si.wi, forward=True))
+        reflected, transmitted = self.response.look_up(wi.z, inside, si, active)
+        total = dr.mean(reflected + transmitted if self.refracts else reflected)
+        return total if self.response.transmits else dr.select(inside, 0.0, total)
+
+    # -- helpers ----------------------------------------------------------------------------------------
+
+    def _share(self, share: Any, enabled: tuple[bool, ...]) -> Any:
+        """Keep the probability to reflect, unless the caller wants one component only."""
+        return share if all(enabled) else mi.Float(1.0 if enabled[0] else 0.0)
+
+    def _eta(self, inside: Any) -> Any:
+        """Return the index beyond the surface over the index here."""
+        return dr.select(inside, self.response.inv_eta, self.response.eta)
+
+    def _facets(self, si: Any, active: Any) -> Facets:
+        if self.alpha_texture is None:
+            return self.facets(self.alpha_x, self.alpha_y)
+        factor = self.alpha_texture(si.uv, active)
+        alpha_x = self.alpha_x * factor
+        return self.facets(alpha_x, alpha_x if self.is_isotropic else self.alpha_y * factor)
+
+    def _from_above(self, wi: Any) -> tuple[Any, Any, Any]:
+        """Return `wi` turned to z >= 0, the sign that turns it, and whether it came from inside."""
+        if not self.response.transmits:
+            return wi, mi.Float(1.0), wi.z < 0.0
+        sign = dr.copysign(mi.Float(1.0), wi.z)
+        return wi * sign, sign, wi.z < 0.0
+
+    def _frame(self, si: Any, active: Any) -> Any:
+        """Return the change between the surface's frame and that of the roughness, outside upward."""
+        flipped = self.response.flipped
+        if self.rotation is None and not flipped:
+            return lambda w, forward: w
+        cos, sin = mi.Float(1.0), mi.Float(0.0)
+        if self.rotation is not None:
+            sin, cos = dr.sincos(self.rotation(si.uv, active))
+
+        def turn(w: Any, forward: bool) -> Any:
+            s = sin if forward else -sin
+            z = -w.z if flipped else w.z
+            return mi.Vector3f(cos * w.x + s * w.y, cos * w.y - s * w.x, z)
+
+        return turn
+
+    def update(self, lobe: Microfacet) -> None:
+        """Take over other tables and widths.
+
+        Raises:
+            UnsupportedError: the structure differs (distribution, isotropy, textures, compensation).
+        """
+        same = (
+            facets_class(lobe.distribution) is self.facets
+            and (lobe.alpha_x == lobe.alpha_y) == self.is_isotropic
+            and (lobe.alpha_texture is None) == (self.alpha_texture is None)
+            and (lobe.rotation is None) == (self.rotation is None)
+            and (lobe.loss is None) == (self.compensation is None)
+        )
+        if not same:
+            raise UnsupportedError("the kind of roughness changed; build the scene again")
+        self.response.update(lobe.response)
+        self._set_alpha(lobe)
+        if self.alpha_texture is not None and lobe.alpha_texture is not None:
+            self.alpha_texture.update(lobe.alpha_texture)
+        if self.rotation is not None and lobe.rotation is not None:
+            self.rotation.update(lobe.rotation)
+        if self.compensation is not None:
+            self.compensation.update(lobe)
+
+    def traverse(self, callback: Any, prefix: str) -> None:
+        """Expose the widths and the tables."""
+        if dr.is_jit_v(mi.Float):
+            callback.put(f"{prefix}alpha_x", self.alpha_x, mi.ParamFlags.Differentiable)
+            if not self.is_isotropic:
+                callback.put(f"{prefix}alpha_y", self.alpha_y, mi.ParamFlags.Differentiable)
+        self.response.traverse(callback, prefix)
+
+    def parameters_changed(self) -> None:
+        """Repack the tables."""
+        self.response.table.repack()

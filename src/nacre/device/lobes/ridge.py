@@ -1,0 +1,257 @@
+"""Ridges on the device: one diffraction fan across them, a narrow spread along them.
+
+Sampling works in sines, where cos_o d omega_o = ds_x ds_y: the sine along the ridges from its Gaussian, then the
+sine across from a mixture of the envelope sinc^2 and of grating orders under that envelope (an order by the
+share of the envelope in its period, the place in it by the comb of N ridges). The mixture is averaged over the
+ray's wavelengths, of which one is drawn.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.bsdf.lobes.ridge import Ridge
+from nacre.device.base import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read, replaced
+from nacre.device.response import DeviceResponse
+from nacre.device.tables import DeviceTable, WavelengthAxis
+from nacre.device.textures import DeviceTexture
+from nacre.errors import UnsupportedError
+
+ENVELOPE_CELLS = 4096
+COMB_CELLS_PER_RIDGE = 64
+MIN_COMB_CELLS = 1024
+MAX_COMB_CELLS = 1 << 18
+MAX_COMB_SHARE = 0.9
+
+
+class RidgePlugin(LobePlugin[Ridge]):
+    """f = fill R K(u, v) D_y / norm, above the surface only."""
+
+    kind = "ridge"
+
+    def __init__(self, lobe: Ridge) -> None:
+        self.components = (flag("GlossyReflection", "Anisotropic", "FrontSide"),)
+        self.response = DeviceResponse(lobe.response)
+        self.axis = WavelengthAxis(lobe.wavelengths_nm)
+        self.inverse_norm = DeviceTable(_row(lobe.norm))
+        self.rotation = DeviceTexture(lobe.rotation) if lobe.rotation else None
+        self.deviation: Any = None
+        self.fill: Any = None
+        self._set_numbers(lobe)
+
+    def _set_numbers(self, lobe: Ridge) -> None:
+        self.pitch, self.width = opaque(lobe.pitch_nm), opaque(lobe.width_nm)
+        self.count, self.spread = opaque(lobe.count), opaque(lobe.spread_along)
+        self.deviation = replaced(self.deviation, opaque(lobe.height_deviation_nm))
+        self.fill = replaced(self.fill, opaque(lobe.fill))
+        # the envelope in t = u b/2, over all that any wavelength of the renderer (360 nm on) can reach
+        shortest = min(float(lobe.wavelengths_nm[0]), 360.0)
+        self.envelope = StepDensity(
+            lambda t: np.square(np.sinc(t / np.pi)), 2.0 * math.pi * lobe.width_nm / shortest, ENVELOPE_CELLS
+        )
+        # a power of two, so that similar counts share a kernel
+        wanted = np.clip(COMB_CELLS_PER_RIDGE * lobe.count, MIN_COMB_CELLS, MAX_COMB_CELLS)
+        cells = 1 << int(np.ceil(np.log2(wanted)))
+        self.comb = StepDensity(
+            lambda x: np.square(lobe.count * np.sinc(lobe.count * x) / np.sinc(x)) / lobe.count, 0.5, cells
+        )
+
+    def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Draw a direction; see the module's text."""
+        frame = self._frame(si, active)
+        wi = frame(si.wi, forward=True)
+        active = active & enabled[0] & (wi.z > MIN_COS)
+        # along: a normal number by inversion
+        along = self.spread * (math.sqrt(2.0) * dr.erfinv(dr.clip(2.0 * sample2[1] - 1.0, -0.999999, 0.999999)))
+        sy = along - wi.y
+        limit = dr.sqrt(dr.maximum(1.0 - sy * sy, 0.0))
+        active = active & (limit > MIN_COS)
+        # across: one of the wavelengths, then order or envelope
+        lines = dr.size_v(mi.Spectrum)
+        pick = dr.minimum(dr.floor(sample1 * lines), lines - 1.0)
+        rest = sample1 * lines - pick
+        wavelength = si.wavelengths[0]
+        for i in range(1, lines):
+            wavelength = dr.select(pick == i, si.wavelengths[i], wavelength)
+        wavelength = self._sane(wavelength)
+        share = self._comb_share(wi, wavelength)
+        scale = math.pi * self.width / wavelength  # t per sine
+        low, high = self.envelope.cdf((wi.x - limit) * scale), self.envelope.cdf((wi.x + limit) * scale)
+        across = self.envelope.invert(dr.lerp(low, high, sample2[0]), active) / scale
+        period = wavelength / self.pitch
+        order = dr.round(across / period)
+        use_comb = rest < share
+        place = self.comb.invert(dr.clip(rest / dr.maximum(share, 1e-6), 0.0, 1.0), active)
+        sx = dr.select(use_comb, (order + place) * period, across) - wi.x
+        cos2 = 1.0 - sx * sx - sy * sy
+        active = active & (cos2 > MIN_COS)
+        wo = mi.Vector3f(sx, sy, dr.sqrt(dr.maximum(cos2, 0.0)))
+
+        value, pdf = self._eval_pdf(si, wi, wo, active)
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo = frame(wo, forward=False)
+        bs.pdf = pdf
+        bs.eta = mi.Float(1.0)
+        bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
+        return bs, (value / dr.maximum(pdf, 1e-20)) & (active & (pdf > 0.0))
+
+    def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Return `(value * cos wo, pdf)`."""
+        frame = self._frame(si, active)
+        wi, wo = frame(si.wi, forward=True), frame(wo, forward=True)
+        active = active & enabled[0] & (wi.z > MIN_COS) & (wo.z > MIN_COS)
+        return self._eval_pdf(si, wi, wo, active)
+
+    def _eval_pdf(self, si: Any, wi: Any, wo: Any, active: Any) -> tuple[Any, Any]:
+        psi = wi + wo
+        reflected, _ = self.response.look_up(0.5 * dr.norm(psi), mi.Bool(False), si, active)
+        where = self.axis.locate(si.wavelengths, active)
+        (inverse_norm,) = self.inverse_norm.look_up(mi.UInt32(0), mi.Float(0.0), where, None, active)
+        along = psi.y / self.spread
+        gauss = dr.exp(-0.5 * along * along) / (self.spread * math.sqrt(2.0 * math.pi))
+        limit = dr.sqrt(dr.maximum(1.0 - wo.y * wo.y, 0.0))
+        spread, across_pdf = mi.Spectrum(0.0), mi.Float(0.0)
+        lines = dr.size_v(mi.Spectrum)
+        for i in range(lines):
+            wavelength = self._sane(si.wavelengths[i])
+            spread[i] = self._interference(psi, wavelength)
+            across_pdf = across_pdf + self._across_pdf(wi, psi.x, limit, wavelength, active) / lines
+        value = reflected * spread * inverse_norm * (self.fill * gauss * wo.z)
+        return value & active, dr.select(active, across_pdf * gauss * wo.z, 0.0)
+
+    def _interference(self, psi: Any, wavelength: Any) -> Any:
+        """Return K(u, v)."""
+        k = 2.0 * math.pi / wavelength
+        envelope = dr.square(_sinc(0.5 * k * psi.x * self.width))
+        chi2 = dr.exp(-dr.square(k * psi.z * self.deviation))
+        turns = psi.x * self.pitch / wavelength
+        rest = math.pi * (turns - dr.round(turns))
+        comb = dr.square(self.count * _sinc(self.count * rest) / _sinc(rest))
+        return envelope * (1.0 - chi2 + chi2 * comb / self.count)
+
+    def _across_pdf(self, wi: Any, across: Any, limit: Any, wavelength: Any, active: Any) -> Any:
+        """Return the density of the sine across for one wavelength."""
+        scale = math.pi * self.width / wavelength
+        low, high = self.envelope.cdf((wi.x - limit) * scale), self.envelope.cdf((wi.x + limit) * scale)
+        whole = dr.maximum(high - low, 1e-12)
+        broad = self.envelope.density(across * scale, active) * scale / whole
+        period = wavelength / self.pitch
+        turns = across / period
+        order = dr.round(turns)
+        start = dr.maximum((order - 0.5) * period, wi.x - limit) * scale
+        end = dr.minimum((order + 0.5) * period, wi.x + limit) * scale
+        in_order = dr.maximum(self.envelope.cdf(end) - self.envelope.cdf(start), 0.0) / whole
+        narrow = in_order * self.comb.density(turns - order, active) / period
+        return dr.lerp(broad, narrow, self._comb_share(wi, wavelength))
+
+    def _comb_share(self, wi: Any, wavelength: Any) -> Any:
+        """Return how often orders are drawn: the coherence at the most grazing exit, which has the most of it."""
+        chi2 = dr.exp(-dr.square(2.0 * math.pi / wavelength * wi.z * self.deviation))
+        return dr.minimum(chi2, MAX_COMB_SHARE)
+
+    def _sane(self, wavelength: Any) -> Any:
+        """Keep harnesses that pass a wavelength of 0 from dividing by it."""
+        return dr.maximum(wavelength, 200.0)
+
+    def _frame(self, si: Any, active: Any) -> Any:
+        """Return the turn that puts x across the ridges."""
+        if self.rotation is None:
+            return lambda w, forward: w
+        sin, cos = dr.sincos(self.rotation(si.uv, active))
+
+        def turn(w: Any, forward: bool) -> Any:
+            s = sin if forward else -sin
+            return mi.Vector3f(cos * w.x + s * w.y, cos * w.y - s * w.x, w.z)
+
+        return turn
+
+    def choice_weight(self, si: Any, active: Any) -> Any:
+        """Return the stack's reflectance at the angle of the ray, times the share covered."""
+        reflected, _ = self.response.look_up(dr.abs(si.wi.z), mi.Bool(False), si, active)
+        return dr.select(si.wi.z > 0.0, dr.mean(reflected) * self.fill, 0.0)
+
+    def update(self, lobe: Ridge) -> None:
+        """Take over other numbers.
+
+        Raises:
+            UnsupportedError: the rotation became or ceased to be a texture, or tables changed shape.
+        """
+        if (lobe.rotation is None) != (self.rotation is None):
+            raise UnsupportedError("the direction of the ridges changed its kind; build the scene again")
+        self.response.update(lobe.response)
+        self.inverse_norm.update(_row(lobe.norm))
+        self.axis.update(lobe.wavelengths_nm)
+        if self.rotation is not None and lobe.rotation is not None:
+            self.rotation.update(lobe.rotation)
+        self._set_numbers(lobe)
+
+    def traverse(self, callback: Any, prefix: str) -> None:
+        """Expose the stack's tables and the ridge's sizes."""
+        self.response.traverse(callback, prefix)
+        if dr.is_jit_v(mi.Float):
+            callback.put(f"{prefix}height_deviation_nm", self.deviation, mi.ParamFlags.Differentiable)
+            callback.put(f"{prefix}fill", self.fill, mi.ParamFlags.Differentiable)
+
+    def parameters_changed(self) -> None:
+        """Repack the tables."""
+        self.response.table.repack()
+
+
+class StepDensity:
+    """A density over [-reach, reach], constant within each of many cells, so that draws and density agree exactly."""
+
+    def __init__(self, function: Any, reach: float, cells: int) -> None:
+        edges = np.linspace(-reach, reach, cells + 1)
+        # two-point Gauss rule in each cell: exact enough, and positive
+        middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * (edges[1] - edges[0])
+        mass = function(middle - half / math.sqrt(3.0)) + function(middle + half / math.sqrt(3.0))
+        mass = mass + 1e-6 * mass.mean()  # no empty cell: every place stays reachable
+        cdf = np.concatenate([[0.0], np.cumsum(mass)])
+        cdf /= cdf[-1]
+        self.table = device_array(cdf)
+        self.cell_count = cells  # it sets the number of search steps, so it is part of the kernel
+        self.last = opaque_int(cells - 1)
+        self.per_unit = opaque(cells / (2.0 * reach))
+        self.reach = opaque(reach)
+        self.top = opaque(cells)
+
+    def _cell(self, x: Any) -> tuple[Any, Any]:
+        position = dr.clip((x + self.reach) * self.per_unit, 0.0, self.top)
+        low = dr.minimum(mi.UInt32(position), self.last)
+        return low, position - mi.Float(low)
+
+    def cdf(self, x: Any, active: Any = True) -> Any:
+        """Return the share below `x`."""
+        low, fraction = self._cell(x)
+        return dr.lerp(read(self.table, low, active), read(self.table, low + 1, active), fraction)
+
+    def density(self, x: Any, active: Any = True) -> Any:
+        """Return the density at `x`."""
+        low, _ = self._cell(x)
+        step = read(self.table, low + 1, active) - read(self.table, low, active)
+        return dr.select(dr.abs(x) <= self.reach, step * self.per_unit, 0.0)
+
+    def invert(self, share: Any, active: Any = True) -> Any:
+        """Return the place below which `share` lies."""
+        low = dr.binary_search(0, self.cell_count, lambda i: read(self.table, i + 1, active) < share)
+        low = dr.minimum(mi.UInt32(low), self.last)
+        start, end = read(self.table, low, active), read(self.table, low + 1, active)
+        fraction = dr.clip((share - start) / dr.maximum(end - start, 1e-20), 0.0, 1.0)
+        return (mi.Float(low) + fraction) / self.per_unit - self.reach
+
+
+def _row(norm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`[wavelength]` -> its inverse as `[row, wavelength, channel]`."""
+    return 1.0 / np.asarray(norm, dtype=float)[None, :, None]
+
+
+def _sinc(x: Any) -> Any:
+    """Return sin(x)/x, 1 at 0."""
+    safe = dr.select(dr.abs(x) < 1e-3, mi.Float(1.0), x)
+    return dr.select(dr.abs(x) < 1e-3, 1.0 - x * x / 6.0, dr.sin(safe) / safe)

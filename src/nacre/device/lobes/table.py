@@ -1,0 +1,203 @@
+"""Tabulated isotropic BRDFs on the device: trilinear look-up, drawn from a table of the way out for each way in."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from nacre.arrays import Array
+from nacre.bsdf.lobes.table import TableLobe
+from nacre.device.base import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read, read2
+from nacre.device.tables import DeviceTable, WavelengthAxis
+from nacre.errors import UnsupportedError
+
+COSINE_SHARE = 0.1  # of the draws: no direction is left out, and no weight grows without bound
+VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 48, 96, 96
+MAX_TABLE_VALUES = 1 << 27
+
+
+class TablePlugin(LobePlugin[TableLobe]):
+    """f over three angles; channels with spectra, or one channel a wavelength."""
+
+    kind = "table"
+
+    def __init__(self, lobe: TableLobe) -> None:
+        self.components = (flag("GlossyReflection", "FrontSide"),)
+        self.coordinates = lobe.coordinates
+        self.axis = WavelengthAxis(lobe.wavelengths_nm)
+        self._set(lobe)
+
+    def _set(self, lobe: TableLobe) -> None:
+        values, basis = np.asarray(lobe.values, dtype=float), np.asarray(lobe.basis, dtype=float)
+        self.shape = values.shape
+        self.is_spectral = values.shape[3] > 4 or bool(
+            basis.shape[0] == basis.shape[1] and np.array_equal(basis, np.eye(len(basis)))
+        )
+        if self.is_spectral:
+            if not np.array_equal(basis, np.eye(len(basis))):
+                values = values @ basis
+            if values.shape[3] == 1:
+                values = np.repeat(values, 2, axis=3)
+            if 2 * values.size > MAX_TABLE_VALUES:
+                raise UnsupportedError(
+                    f"a table of {values.size} values is too large to be rendered; give fewer angles or channels"
+                )
+            self.channels = opaque_int(values.shape[3] - 1)
+            # neighbours in wavelength side by side: one load for both
+            self.values = device_array(np.stack([values[..., :-1], values[..., 1:]], axis=-1))
+        else:
+            self.colours = values.shape[3]
+            self.values = device_array(values)
+            self.basis = [DeviceTable(row[None, :, None]) for row in basis]
+        a, b, c = values.shape[:3]
+        self.tops = [opaque(n - 1) for n in (a, b, c)]
+        self.max_lows = [opaque(max(n - 2, 0)) for n in (a, b, c)]
+        self.strides = (opaque_int(b * c), opaque_int(c))
+        self._set_sampling(lobe)
+
+    def _set_sampling(self, lobe: TableLobe) -> None:
+        """Tabulate f cos_o sin_o, averaged over wavelengths, on (theta_i; theta_o, |dphi|)."""
+        # the ends are left out by a hair: edge-on both ways has no half vector
+        ti = np.linspace(0.0, 1.0, VIEW_NODES) * (math.pi / 2 - 1e-4)
+        to = np.linspace(0.0, 1.0, EXIT_NODES) * (math.pi / 2 - 1e-4)
+        dphi = np.linspace(0.0, math.pi, AZIMUTH_NODES)
+        wo = _directions(to[None, :], dphi[:, None])  # [azimuth, exit, 3]
+        weight = np.cos(to) * np.sin(to)
+        densities = np.empty((VIEW_NODES, AZIMUTH_NODES, EXIT_NODES), dtype=np.float32)
+        means = np.empty(VIEW_NODES)
+        for k, angle in enumerate(ti):
+            wi = np.broadcast_to(_directions(angle, 0.0), wo.shape)
+            mean = lobe.evaluate(wi, wo).mean(axis=-1)
+            # both angles of the mean density, never empty
+            densities[k] = np.maximum(mean, 1e-4 * mean.max() + 1e-9) * weight
+            means[k] = 2.0 * math.pi * float(np.mean(mean * weight)) * (math.pi / 2)
+        self.exits = mi.MarginalContinuous2D1(densities, [np.linspace(0.0, 1.0, VIEW_NODES).tolist()], True, True)
+        self.albedo = device_array(means)
+        self.view_top, self.view_max = opaque(VIEW_NODES - 1), opaque(VIEW_NODES - 2)
+
+    def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Draw from the table of exits, now and then by the cosine."""
+        active = active & enabled[0] & (si.wi.z > MIN_COS)
+        by_cosine = sample1 < COSINE_SHARE
+        rest = dr.clip((sample1 - COSINE_SHARE) / (1.0 - COSINE_SHARE), 0.0, 1.0)
+        place, _ = self.exits.sample(sample2, [_view(si.wi)], active)
+        theta = place[0] * (0.5 * math.pi)
+        # |dphi| from the table, its sign from what is left of the first number
+        azimuth = dr.select(rest < 0.5, -place[1], place[1]) * math.pi
+        sin_theta, cos_theta = dr.sincos(theta)
+        sin_phi, cos_phi = dr.sincos(azimuth)
+        x, y = _unit(si.wi)
+        drawn = mi.Vector3f(sin_theta * (cos_phi * x - sin_phi * y), sin_theta * (cos_phi * y + sin_phi * x), cos_theta)
+        wo = dr.select(by_cosine, mi.warp.square_to_cosine_hemisphere(sample2), drawn)
+        value, pdf = self.eval_pdf(ctx, si, wo, active, enabled)
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo, bs.pdf, bs.eta = wo, pdf, mi.Float(1.0)
+        bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
+        return bs, (value / dr.maximum(pdf, 1e-20)) & (active & (pdf > 0.0))
+
+    def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Return `(f cos wo, pdf)`."""
+        active = active & enabled[0] & (si.wi.z > MIN_COS) & (wo.z > MIN_COS)
+        value = self._look_up(si, wo, active) * wo.z
+        theta = dr.acos(dr.clip(wo.z, 0.0, 1.0))
+        cross = si.wi.x * wo.y - si.wi.y * wo.x
+        azimuth = dr.abs(dr.atan2(cross, si.wi.x * wo.x + si.wi.y * wo.y))
+        place = mi.Point2f(theta * (2.0 / math.pi), azimuth * dr.inv_pi)
+        density = self.exits.eval(place, [_view(si.wi)], active)
+        sin_theta = dr.sqrt(dr.maximum(1.0 - wo.z * wo.z, 1e-12))
+        # unit square -> theta in [0, pi/2], dphi in [-pi, pi] -> solid angle
+        pdf = dr.lerp(density / (math.pi**2 * sin_theta), wo.z * dr.inv_pi, COSINE_SHARE)
+        return value & active, dr.select(active, pdf, 0.0)
+
+    def _look_up(self, si: Any, wo: Any, active: Any) -> Any:
+        """Interpolate f at the four wavelengths."""
+        # the light is the first argument of the arrays; the table is symmetric only as far as the data are
+        place = _to_direction(wo, si.wi) if self.coordinates == "direction" else _to_half(wo, si.wi)
+        lows, parts = [], []
+        for coordinate, top, most in zip(place, self.tops, self.max_lows, strict=True):
+            x = dr.clip(coordinate, 0.0, 1.0) * top
+            low = dr.minimum(dr.floor(x), most)
+            lows.append(mi.UInt32(low))
+            parts.append(x - low)
+        where = self.axis.locate(si.wavelengths, active)
+        totals = [mi.Float(0.0) for _ in range(self.colours)] if not self.is_spectral else []
+        result = mi.Spectrum(0.0)
+        for corner in range(8):
+            bits = (corner >> 2, (corner >> 1) & 1, corner & 1)
+            weight = mi.Float(1.0)
+            for bit, part in zip(bits, parts, strict=True):
+                weight = weight * (part if bit else 1.0 - part)
+            index = (lows[0] + bits[0]) * self.strides[0] + (lows[1] + bits[1]) * self.strides[1] + lows[2] + bits[2]
+            if self.is_spectral:
+                for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
+                    pair = read2(self.values, index * self.channels + low, active)
+                    result[k] = result[k] + weight * dr.lerp(pair[0], pair[1], part)
+            else:
+                for j in range(self.colours):
+                    totals[j] = totals[j] + weight * read(self.values, index * self.colours + j, active)
+        for total, basis in zip(totals, [] if self.is_spectral else self.basis, strict=True):
+            result = result + total * basis.look_up(mi.UInt32(0), mi.Float(0.0), where, None, active)[0]
+        return dr.maximum(result, 0.0)
+
+    def choice_weight(self, si: Any, active: Any) -> Any:
+        """Return the albedo from this direction, averaged over wavelengths."""
+        position = _view(si.wi) * self.view_top
+        low = dr.minimum(dr.floor(position), self.view_max)
+        at = mi.UInt32(low)
+        value = dr.lerp(read(self.albedo, at, active), read(self.albedo, at + 1, active), position - low)
+        return dr.select(si.wi.z > 0.0, value, 0.0)
+
+    def update(self, lobe: TableLobe) -> None:
+        """Take over other values.
+
+        Raises:
+            UnsupportedError: coordinates or shape differ.
+        """
+        if lobe.coordinates != self.coordinates or np.shape(lobe.values) != self.shape:
+            raise UnsupportedError("the table changed its coordinates or its shape; build the scene again")
+        self.axis.update(lobe.wavelengths_nm)
+        self._set(lobe)
+
+
+def _directions(theta: Any, phi: Any) -> Array:
+    """Return unit vectors `[..., 3]`."""
+    theta, phi = np.broadcast_arrays(np.asarray(theta, dtype=float), np.asarray(phi, dtype=float))
+    sin = np.sin(theta)
+    return np.stack([sin * np.cos(phi), sin * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def _view(wi: Any) -> Any:
+    """Return theta_i as a share of the quarter turn."""
+    return dr.acos(dr.clip(wi.z, 0.0, 1.0)) * (2.0 / math.pi)
+
+
+def _unit(wi: Any) -> tuple[Any, Any]:
+    """Return cosine and sine of the azimuth; any will do at the pole."""
+    flat = wi.x * wi.x + wi.y * wi.y
+    inverse = dr.rsqrt(dr.maximum(flat, 1e-20))
+    return dr.select(flat > 1e-14, wi.x * inverse, 1.0), dr.select(flat > 1e-14, wi.y * inverse, 0.0)
+
+
+def _to_direction(wi: Any, wo: Any) -> tuple[Any, Any, Any]:
+    """Return the "direction" coordinates in [0, 1], as `nacre.bsdf.lobes.table.to_direction` does."""
+    cross, dot = wi.x * wo.y - wi.y * wo.x, wi.x * wo.x + wi.y * wo.y
+    return _view(wi), _view(wo), dr.abs(dr.atan2(cross, dot)) * dr.inv_pi
+
+
+def _to_half(wi: Any, wo: Any) -> tuple[Any, Any, Any]:
+    """Return the "half" coordinates in [0, 1], as `nacre.bsdf.lobes.table.to_half` does."""
+    h = dr.normalize(wi + wo)
+    sin_h = dr.sqrt(dr.maximum(h.x * h.x + h.y * h.y, 0.0))
+    cos_p, sin_p = _unit(h)
+    x, y = wi.x * cos_p + wi.y * sin_p, wi.y * cos_p - wi.x * sin_p
+    dx, dz = h.z * x - sin_h * wi.z, sin_h * x + h.z * wi.z
+    phi = dr.atan2(y, dx)
+    phi = dr.select(phi < 0.0, phi + math.pi, phi)
+    # angles from atan2: acos would lose half of the digits near the pole
+    theta_h = dr.atan2(sin_h, h.z)
+    theta_d = dr.atan2(dr.sqrt(dx * dx + y * y), dz)
+    return dr.sqrt(theta_h * (2.0 / math.pi)), theta_d * (2.0 / math.pi), phi * dr.inv_pi

@@ -1,0 +1,203 @@
+"""The interface tables of `nacre.bsdf.response` on the device: reflectance and transmittance in one look-up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.bsdf.response import InterfaceResponse
+from nacre.device.base import opaque
+from nacre.device.tables import DeviceTable, Located, WavelengthAxis
+from nacre.device.textures import DeviceParameters
+from nacre.errors import UnsupportedError
+
+MIN_SHARE = 0.1  # bounds the weight of a wavelength that differs much from the mean
+LOSSLESS = 1e-6  # of the power; single precision can hardly tell it from zero
+
+
+class DeviceResponse:
+    """R and T of an interface from both sides.
+
+    All angles live in one table, its rows in regions one after another: light from outside (R, T), from inside
+    below the critical angle (R_inside, T), from inside beyond it (total, 0). So the region is chosen first and
+    a single look-up brings both numbers. An opaque interface keeps the first region and R alone; so does one
+    that absorbs nothing, where T = 1 - R, R is the same from both sides, and all is reflected beyond.
+
+    Attributes:
+        is_lossless: whether R + T = 1 to single precision, from both sides.
+        eta: n_inside/n_outside, opaque; `bends` says whether it differs from 1.
+        transmits: whether there are an inside and a T.
+        flipped: whether outside lies at -z.
+    """
+
+    def __init__(self, response: InterfaceResponse) -> None:
+        self.transmits = bool(response.transmits)
+        self.flipped = bool(response.flipped)
+        self.bends = response.eta > 1.0
+        self.is_lossless = _is_lossless(response)
+        self.axis = WavelengthAxis(response.wavelengths_nm)
+        self.parameters = DeviceParameters(response.parameters)
+        self.table = DeviceTable(_stacked(response))
+        self.shares = DeviceTable(_shares(response)) if self.transmits and not self.is_lossless else None
+        self._set_numbers(response)
+
+    def _set_numbers(self, response: InterfaceResponse) -> None:
+        self.nodes = len(response.cos_outside)
+        beyond = response.total.shape[-2]
+        self.eta = opaque(response.eta)
+        self.inv_eta = opaque(1.0 / response.eta)
+        # opaque, so that tables of other sizes run in the same kernel
+        self.top = opaque(self.nodes - 1)
+        self.max_low = opaque(max(self.nodes - 2, 0))
+        self.inside_row = opaque(self.nodes)
+        self.beyond_row = opaque(2 * self.nodes)
+        self.beyond_scale = opaque((beyond - 1) * 2.0 / math.pi)
+        self.beyond_max_low = opaque(max(beyond - 2, 0))
+        self.critical = opaque(response.cos_critical)
+        self.inv_critical = opaque(1.0 / max(response.cos_critical, 1e-6))
+
+    def update(self, response: InterfaceResponse) -> None:
+        """Take over other tables of the same structure.
+
+        Raises:
+            UnsupportedError: the structure (sides, parameters, sizes) differs.
+        """
+        structure = (bool(response.transmits), bool(response.flipped), response.eta > 1.0, _is_lossless(response))
+        if structure != (self.transmits, self.flipped, self.bends, self.is_lossless):
+            raise UnsupportedError("absorption, transmission or the denser side changed; build the scene again")
+        self.parameters.update(response.parameters)
+        self.table.update(_stacked(response))
+        if self.shares is not None:
+            self.shares.update(_shares(response))
+        self.axis.update(response.wavelengths_nm)
+        self._set_numbers(response)
+
+    def traverse(self, callback: Any, prefix: str) -> None:
+        """Expose the stacked tables `[*params, row, wavelength, channel]` of R, or of R and T."""
+        if dr.is_jit_v(mi.Float):
+            callback.put(f"{prefix}response", self.table.values, mi.ParamFlags.Differentiable)
+
+    def look_up(self, cos: Any, inside: Any, si: Any, active: Any) -> tuple[Any, Any]:
+        """Return `(R, T)` at the four wavelengths; T is None for an opaque interface.
+
+        Args:
+            cos: cosine (>= 0) between light and (micro-)normal in the light's own medium.
+            inside: mask of the light that comes from inside; ignored by an opaque interface.
+            si: gives wavelengths and uv.
+            active: mask of the reads.
+        """
+        where = self.axis.locate(si.wavelengths, active)
+        corners = self.parameters.corners(si.uv, active)
+        cos = dr.minimum(cos, 1.0)
+        if not self.transmits:
+            position = cos * self.top
+            low = dr.minimum(dr.floor(position), self.max_low)
+            (reflected,) = self.table.look_up(mi.UInt32(low), position - low, where, corners, active)
+            return reflected, None
+        if self.is_lossless:
+            return self._look_up_lossless(cos, inside, where, corners, active)
+        row, fraction = self._row(cos, inside)
+        reflected, transmitted = self.table.look_up(row, fraction, where, corners, active)
+        return reflected, transmitted
+
+    def split(self, cos: Any, inside: Any, si: Any, active: Any) -> tuple[Any, Callable[[Any], Any]]:
+        """Return the probability to reflect, and a function of the mask of reflections that gives R there, T elsewhere.
+
+        Without absorption both numbers come from R, and the probability follows the ray's own wavelengths. With
+        it, a second spectrum would double the cost: the probability then follows the mean over all wavelengths.
+        """
+        if self.shares is None:
+            reflected, transmitted = self.look_up(cos, inside, si, active)
+            share = share_reflected(reflected, transmitted)
+            return share, lambda reflects: dr.select(reflects, reflected, transmitted)
+        where = self.axis.locate(si.wavelengths, active)
+        corners = self.parameters.corners(si.uv, active)
+        row, fraction = self._row(dr.minimum(cos, 1.0), inside)
+        lines = dr.size_v(mi.Spectrum)
+        grey = Located([mi.UInt32(0)] * lines, [mi.Float(0.0)] * lines)
+        share = self.shares.look_up(row, fraction, grey, corners, active)[0][0]
+
+        def value(reflects: Any) -> Any:
+            channel = dr.select(reflects, mi.UInt32(0), mi.UInt32(1))
+            return self.table.look_up_channel(row, fraction, where, corners, channel, active)
+
+        return share, value
+
+    def _look_up_lossless(
+        self, cos: Any, inside: Any, where: Located, corners: list[tuple[Any, Any]] | None, active: Any
+    ) -> tuple[Any, Any]:
+        if self.bends:
+            outside2 = 1.0 - self.eta * self.eta * (1.0 - cos * cos)
+            outer = dr.select(inside, dr.sqrt(dr.maximum(outside2, 0.0)), cos)
+        else:
+            outer = cos
+        position = outer * self.top
+        low = dr.minimum(dr.floor(position), self.max_low)
+        (reflected,) = self.table.look_up(mi.UInt32(low), position - low, where, corners, active)
+        if self.bends:
+            reflected = dr.select(inside & (cos < self.critical), mi.Spectrum(1.0), reflected)
+        return reflected, 1.0 - reflected
+
+    def _row(self, cos: Any, inside: Any) -> tuple[Any, Any]:
+        """Find the row of a transmitting interface."""
+        if not self.bends:
+            position = cos * self.top
+            low = dr.minimum(dr.floor(position), self.max_low)
+            return mi.UInt32(low + dr.select(inside, self.inside_row, 0.0)), position - low
+        sin2_outside = self.eta * self.eta * (1.0 - cos * cos)
+        outer = dr.select(inside, dr.sqrt(dr.maximum(1.0 - sin2_outside, 0.0)), cos)
+        is_beyond = inside & (cos < self.critical)
+        beyond = dr.acos(dr.clip(cos * self.inv_critical, 0.0, 1.0)) * self.beyond_scale
+        position = dr.select(is_beyond, beyond, outer * self.top)
+        low = dr.minimum(dr.floor(position), dr.select(is_beyond, self.beyond_max_low, self.max_low))
+        start = dr.select(is_beyond, self.beyond_row, dr.select(inside, self.inside_row, 0.0))
+        return mi.UInt32(low + start), position - low
+
+
+def _is_lossless(response: InterfaceResponse) -> bool:
+    """Whether the tables of a transmitting interface follow from its reflectance alone."""
+    if not response.transmits:
+        return False
+    missing = max(
+        float(np.max(np.abs(response.reflectance + response.transmittance - 1.0))),
+        float(np.max(np.abs(response.reflectance_inside - response.reflectance))),
+        float(np.max(np.abs(response.total - 1.0), initial=0.0)),
+    )
+    return missing <= LOSSLESS
+
+
+def _stacked(response: InterfaceResponse) -> NDArray[np.float64]:
+    """Lay the regions one after another: `[*params, row, wavelength, channel]`."""
+    if not response.transmits or _is_lossless(response):
+        return np.asarray(response.reflectance[..., None], dtype=float)
+    regions = [
+        (response.reflectance, response.transmittance),
+        (response.reflectance_inside, response.transmittance),
+    ]
+    if response.eta > 1.0:
+        regions.append((response.total, np.zeros_like(response.total)))
+    return np.concatenate([np.stack(pair, axis=-1) for pair in regions], axis=-3)
+
+
+def _shares(response: InterfaceResponse) -> NDArray[np.float64]:
+    """Return the probability to reflect `[*params, row, 1, 1]`, neither chance below `MIN_SHARE` where both occur."""
+    stacked = _stacked(response).mean(axis=-2, keepdims=True)
+    reflected, transmitted = stacked[..., :1], stacked[..., 1:]
+    whole = reflected + transmitted
+    share = np.where(whole > 0.0, reflected / np.where(whole > 0.0, whole, 1.0), 1.0)
+    low, high = np.where(reflected > 0.0, MIN_SHARE, 0.0), np.where(transmitted > 0.0, 1.0 - MIN_SHARE, 1.0)
+    return np.asarray(np.clip(share, low, high))
+
+
+def share_reflected(reflected: Any, transmitted: Any) -> Any:
+    """Return the probability to reflect: R/(R + T), each averaged over the ray's wavelengths; 1 if opaque."""
+    if transmitted is None:
+        return mi.Float(1.0)
+    r, t = dr.sum(reflected), dr.sum(transmitted)
+    return dr.select(r + t > 0.0, r / dr.maximum(r + t, 1e-20), 1.0)

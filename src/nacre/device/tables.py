@@ -1,0 +1,263 @@
+"""Tables over (parameters, row, wavelength) on the device, read at four wavelengths at once.
+
+The values are those of the arrays and the interpolation is the same multilinear one. Small tables are stored
+as *cells*: the four corners of each (row, wavelength) cell lie side by side, so that one packet load fetches
+what a bilinear look-up needs. That quadruples the memory; large ones (many texture-driven nodes) stay plain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.arrays import Array
+from nacre.device.base import device_array, opaque, opaque_int, read, read2, read4, replaced
+from nacre.errors import UnsupportedError
+
+MAX_CELL_BYTES = 48 * 2**20
+
+
+@dataclass
+class Located:
+    """Where the wavelengths of the rays fall in a grid: the lower node and the fraction above it, for each.
+
+    `site` is the surface interaction, for a base whose lobes have grids of their own. `nodes` are the wavelengths'
+    own nodes, where they lie on such.
+    """
+
+    low: list[Any]
+    fraction: list[Any]
+    site: Any = None
+    nodes: list[Any] | None = None
+
+    def on_nodes(self, u: Any) -> Located:
+        """Move each wavelength to one of its two nodes, by a number in [0, 1), as often as its fraction says.
+
+        What is estimated at nodes is on average what interpolates linearly between them, at half the reads.
+        """
+        upper = [u < part for part in self.fraction]
+        fraction = [dr.select(up, mi.Float(1.0), 0.0) for up in upper]
+        nodes = [low + dr.select(up, mi.UInt32(1), 0) for low, up in zip(self.low, upper, strict=True)]
+        return Located(self.low, fraction, self.site, nodes)
+
+
+class WavelengthAxis:
+    """Finds the cell of a wavelength in a grid, uniform or not; outside the grid its ends go on."""
+
+    def __init__(self, wavelengths_nm: Array) -> None:
+        self.update(wavelengths_nm)
+
+    def update(self, wavelengths_nm: Array) -> None:
+        """Take over another grid; a uniform and an irregular one need different kernels."""
+        grid = np.asarray(wavelengths_nm, dtype=float)
+        if len(grid) == 1:
+            grid = np.array([grid[0], grid[0] + 1.0])
+        self.size = len(grid)
+        step = np.diff(grid)
+        self.is_uniform = bool(np.allclose(step, step[0], rtol=1e-6))
+        self.first = opaque(grid[0])
+        self.last_cell = opaque(self.size - 1)
+        self.max_low = opaque_int(self.size - 2)
+        if self.is_uniform:
+            self.per_nm = opaque((self.size - 1) / (grid[-1] - grid[0]))
+            return
+        # bins no wider than the finest step: the node below a wavelength is the bin's, or the next one
+        bins = int(np.ceil((grid[-1] - grid[0]) / step.min())) + 1
+        if bins > 10**6:
+            raise UnsupportedError(f"wavelength steps of {step.min():.3g} nm in a wide grid cannot be rendered")
+        width = (grid[-1] - grid[0]) / bins
+        starts = grid[0] + width * np.arange(bins)
+        below = np.clip(np.searchsorted(grid, starts, side="right") - 1, 0, self.size - 2)
+        self.per_nm = opaque(1.0 / width)
+        self.last_bin = opaque(bins - 1)
+        self.bin_node = device_array(below)
+        self.nodes = device_array(grid)
+
+    def locate(self, wavelengths: Any, active: Any = True) -> Located:
+        """Locate `si.wavelengths`; a wavelength outside (such as the 0 of test harnesses) goes to the end."""
+        low, fraction = [], []
+        for k in range(dr.size_v(mi.Spectrum)):
+            a, b = self._locate_one(wavelengths[k], active)
+            low.append(a)
+            fraction.append(b)
+        return Located(low, fraction)
+
+    def _locate_one(self, wavelength: Any, active: Any) -> tuple[Any, Any]:
+        if self.is_uniform:
+            position = dr.clip((wavelength - self.first) * self.per_nm, 0.0, self.last_cell)
+            low = dr.minimum(mi.UInt32(position), self.max_low)
+            return low, position - mi.Float(low)
+        position = dr.clip((wavelength - self.first) * self.per_nm, 0.0, self.last_bin)
+        node = mi.UInt32(read(self.bin_node, mi.UInt32(position), active) + 0.5)
+        above = read(self.nodes, node + 1, active)
+        low = dr.minimum(dr.select(wavelength >= above, node + 1, node), self.max_low)
+        start, end = read(self.nodes, low, active), read(self.nodes, low + 1, active)
+        return low, dr.clip((wavelength - start) / (end - start), 0.0, 1.0)
+
+
+class DeviceTable:
+    """`[*params, row, wavelength, channel]` on the device.
+
+    Args:
+        values: the array.
+        as_cells: False for a table that is read at its nodes (`at_nodes`).
+
+    Attributes:
+        shape: that of the values; channels: 1 or 2.
+        values: the tensor itself, for `traverse`; call `repack()` after a change.
+    """
+
+    def __init__(self, values: Array, as_cells: bool = True) -> None:
+        values = _padded(np.asarray(values, dtype=float))
+        self.channels = values.shape[-1]
+        self.as_cells = as_cells
+        self.is_packed = as_cells and _fits_as_cells(values.shape)
+        self.values: Any = None
+        self._set(values)
+
+    def update(self, values: Array) -> None:
+        """Replace all values; their number may change, since sizes are data, too.
+
+        Raises:
+            UnsupportedError: the number of axes or channels, or the layout for their size, differs.
+        """
+        values = _padded(np.asarray(values, dtype=float))
+        same = len(values.shape) == len(self.shape) and values.shape[-1] == self.channels
+        if not same or (self.as_cells and _fits_as_cells(values.shape)) != self.is_packed:
+            raise UnsupportedError(f"a table of shape {self.shape} cannot become one of {values.shape}")
+        self._set(values)
+
+    def _set(self, values: Array) -> None:
+        self.shape = values.shape
+        self.row_stride = opaque_int(values.shape[-2] - 1 if self.is_packed else values.shape[-2])
+        self.rows_opaque = opaque_int(values.shape[-3])
+        if dr.is_jit_v(mi.Float):
+            self.values = replaced(self.values, mi.TensorXf(np.ascontiguousarray(values, dtype=np.float32)))
+        else:
+            self.values = np.ascontiguousarray(values, dtype=np.float32)
+        self.repack()
+
+    def repack(self) -> None:
+        """Derive the layout that look-ups read from `values`."""
+        flat = self.values.array if dr.is_jit_v(mi.Float) else self.values.ravel()
+        if not self.is_packed:
+            self.packed = flat
+            return
+        order = _cell_order(self.shape)
+        if dr.is_jit_v(mi.Float):
+            self.packed = dr.gather(mi.Float, flat, mi.UInt32(order))
+            dr.eval(self.packed)
+        else:
+            self.packed = flat[order]
+
+    def look_up(
+        self, row: Any, fraction: Any, where: Located, corners: list[tuple[Any, Any]] | None = None, active: Any = True
+    ) -> list[Any]:
+        """Interpolate at `row + fraction`, with `row <= rows - 2`: one `mi.Spectrum` for each channel.
+
+        Args:
+            row: lower row.
+            fraction: in [0, 1].
+            where: the wavelengths.
+            corners: `(flat index, weight)` of the parameter nodes around the point; None without parameters.
+            active: mask of the reads.
+        """
+        totals = None
+        for index, weight in corners or [(None, None)]:
+            at = row if index is None else index * self.rows_opaque + row
+            found = self._bilinear(at, fraction, where, active)
+            if weight is not None:
+                found = [value * weight for value in found]
+            totals = found if totals is None else [a + b for a, b in zip(totals, found, strict=True)]
+        assert totals is not None
+        return totals
+
+    def at_nodes(self, row: Any, where: Located, active: Any = True) -> list[Any]:
+        """Read a row at the wavelengths' nodes: one `mi.Spectrum` for each channel."""
+        assert where.nodes is not None
+        assert not self.is_packed
+        results = [mi.Spectrum(0.0) for _ in range(self.channels)]
+        start = row * self.row_stride
+        for k, node in enumerate(where.nodes):
+            for channel, value in enumerate(self._corner(start + node, active)):
+                results[channel][k] = value
+        return results
+
+    def look_up_channel(
+        self,
+        row: Any,
+        fraction: Any,
+        where: Located,
+        corners: list[tuple[Any, Any]] | None,
+        channel: Any,
+        active: Any = True,
+    ) -> Any:
+        """Interpolate one channel, chosen for each lane: one `mi.Spectrum` at the cost of a one-channel table."""
+        total = mi.Spectrum(0.0)
+        for index, weight in corners or [(None, None)]:
+            start = (row if index is None else index * self.rows_opaque + row) * self.row_stride
+            found = mi.Spectrum(0.0)
+            for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
+                cell = start + low
+                if self.is_packed:
+                    c = read4(self.packed, cell * self.channels + channel, active)
+                else:
+                    cells = (cell, cell + 1, cell + self.row_stride, cell + self.row_stride + 1)
+                    c = [read(self.packed, at * self.channels + channel, active) for at in cells]
+                found[k] = dr.lerp(dr.lerp(c[0], c[1], part), dr.lerp(c[2], c[3], part), fraction)
+            total = total + (found if weight is None else found * weight)
+        return total
+
+    def _bilinear(self, row: Any, fraction: Any, where: Located, active: Any) -> list[Any]:
+        results = [mi.Spectrum(0.0) for _ in range(self.channels)]
+        start = row * self.row_stride
+        for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
+            cell = start + low
+            if self.is_packed:
+                for channel in range(self.channels):
+                    c = read4(self.packed, cell * self.channels + channel, active)
+                    near, far = dr.lerp(c[0], c[1], part), dr.lerp(c[2], c[3], part)
+                    results[channel][k] = dr.lerp(near, far, fraction)
+                continue
+            for channel, value in enumerate(self._plain(cell, part, fraction, active)):
+                results[channel][k] = value
+        return results
+
+    def _plain(self, cell: Any, part: Any, fraction: Any, active: Any) -> list[Any]:
+        cells = (cell, cell + 1, cell + self.row_stride, cell + self.row_stride + 1)
+        c = [self._corner(at, active) for at in cells]
+        return [
+            dr.lerp(dr.lerp(c[0][i], c[1][i], part), dr.lerp(c[2][i], c[3][i], part), fraction)
+            for i in range(self.channels)
+        ]
+
+    def _corner(self, at: Any, active: Any) -> Any:
+        """Read all channels of one place in the plain layout."""
+        return [read(self.packed, at, active)] if self.channels == 1 else read2(self.packed, at, active)
+
+
+def _fits_as_cells(shape: tuple[int, ...]) -> bool:
+    """Whether four single-precision corners for each value stay within `MAX_CELL_BYTES`."""
+    return int(np.prod(shape)) * 16 <= MAX_CELL_BYTES
+
+
+def _padded(values: Array) -> Array:
+    """Give a table at least two rows and two columns by repeating single ones."""
+    for axis in (-3, -2):
+        if values.shape[axis] == 1:
+            values = np.repeat(values, 2, axis=axis)
+    return values
+
+
+def _cell_order(shape: tuple[int, ...]) -> NDArray[np.uint32]:
+    """Return the flat positions that put each cell's corners side by side: near/far row, low/high wavelength."""
+    *params, rows, columns, channels = shape
+    index = np.arange(int(np.prod(shape)), dtype=np.uint32).reshape(-1, rows, columns, channels)
+    near, far = index, np.concatenate([index[:, 1:], index[:, -1:]], axis=1)
+    corners = np.stack([near[:, :, :-1], near[:, :, 1:], far[:, :, :-1], far[:, :, 1:]], axis=-1)
+    return np.ascontiguousarray(corners.reshape(-1))  # [param, row, cell, channel, corner]

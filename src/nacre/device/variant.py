@@ -1,0 +1,168 @@
+"""The one place where a Mitsuba variant is chosen, and the one way to get hold of mitsuba.
+
+Order: what the caller or `NACRE_VARIANT` asks for; what the user's own code has set already; the GPU where one
+works; LLVM; and scalar_spectral with a warning, hundreds of times slower. Only unpolarised spectral variants
+carry our materials, because a structural colour is a spectrum.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+import warnings
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+from nacre.device import llvm
+from nacre.errors import MachineError, UnsupportedError, did_you_mean
+
+ENVIRONMENT_VARIABLE = "NACRE_VARIANT"
+VARIANTS = ("llvm_ad_spectral", "cuda_ad_spectral", "scalar_spectral")
+SCALAR_WARNING = (
+    "no usable LLVM was found: falling back to scalar_spectral, some hundreds of times slower, good for tiny "
+    "previews only; `nacre doctor` tells how to get LLVM"
+)
+
+
+def use_variant(requested: str | None = None) -> ModuleType:
+    """Return mitsuba with a spectral variant set.
+
+    Args:
+        requested: a variant of `VARIANTS`; None takes `NACRE_VARIANT`, else the variant that is already set,
+            else the best that works here.
+
+    Raises:
+        UnsupportedError: the variant is not one of `VARIANTS`.
+        MachineError: mitsuba is missing, or the variant asked for does not work on this machine.
+    """
+    wanted = requested or os.environ.get(ENVIRONMENT_VARIABLE) or None
+    if wanted is not None:
+        _check_name(wanted)
+    mi = import_mitsuba()
+    current = mi.variant()
+    if wanted is None and current is not None:
+        _check_name(current)
+    elif current is None or wanted != current:
+        mi.set_variant(_available(wanted, mi))
+    return mi
+
+
+def import_mitsuba() -> ModuleType:
+    """Import mitsuba after pointing drjit to a working LLVM; no variant is set.
+
+    Raises:
+        MachineError: mitsuba is not installed.
+    """
+    if importlib.util.find_spec("mitsuba") is None:
+        raise MachineError("mitsuba is not installed; `pip install mitsuba` (rendering needs it)")
+    llvm.use_llvm()
+    import mitsuba
+
+    return mitsuba
+
+
+def _check_name(name: str) -> None:
+    if name not in VARIANTS:
+        raise UnsupportedError(
+            f'Mitsuba variant "{name}" cannot carry spectral materials; use {", ".join(VARIANTS)}.'
+            f"{did_you_mean(name, VARIANTS)}"
+        )
+
+
+def _available(wanted: str | None, mi: ModuleType) -> str:
+    """Return the wanted variant or the best working one."""
+    if wanted is not None:
+        if reason := _why_not(wanted, mi):
+            raise MachineError(f"Mitsuba variant {wanted} does not work here: {reason}")
+        return wanted
+    for name in ("cuda_ad_spectral", "llvm_ad_spectral"):
+        if not _why_not(name, mi):
+            return name
+    # stacklevel: the line that called use_variant
+    warnings.warn(SCALAR_WARNING, RuntimeWarning, stacklevel=3)
+    return "scalar_spectral"
+
+
+def _why_not(name: str, mi: ModuleType) -> str:
+    """Say why a variant does not work here; an empty string if it does."""
+    if name not in mi.variants():
+        return "this build of mitsuba does not contain it"
+    if name.startswith("cuda"):
+        return why_no_cuda()
+    if name.startswith("llvm"):
+        return why_no_llvm()
+    return ""
+
+
+def why_no_cuda() -> str:
+    """Try one small kernel on the GPU."""
+    import drjit as dr
+
+    if not dr.has_backend(dr.JitBackend.CUDA):
+        return "no NVIDIA GPU with its driver was found"
+    try:
+        from drjit.cuda import Float
+
+        good = float(dr.sum(dr.maximum(dr.arange(Float, 8), 2.0))[0]) == 29.0
+    except Exception as error:  # drivers fail in many ways; any of them means: not here
+        return f"the GPU failed a test kernel: {str(error).splitlines()[0][:120]}"
+    return "" if good else "the GPU returned wrong numbers"
+
+
+def why_no_llvm() -> str:
+    """Say why no LLVM can be used, naming each that was tried; an empty string if one works."""
+    if llvm.use_llvm() is not None:
+        return ""
+    if "drjit" in sys.modules:
+        probe = llvm.probe_library(os.environ.get(llvm.ENVIRONMENT_VARIABLE, ""))
+        found, _ = llvm.find_llvm()
+        if found is not None:
+            return (
+                f"mitsuba was imported before nacre.render and its LLVM fails ({probe.reason}); import nacre.render "
+                f"first, or set {llvm.ENVIRONMENT_VARIABLE}={found.path}"
+            )
+    _, tried = llvm.find_llvm()
+    named = [f"{probe.path or 'the default of drjit'}: {probe.reason}" for probe in tried]
+    return f"no usable LLVM ({'; '.join(named)}). {llvm.ADVICE}"
+
+
+@dataclass(frozen=True)
+class VariantReport:
+    """What `nacre doctor` shows about rendering."""
+
+    variant: str | None
+    variants: dict[str, str]
+    llvm_used: str
+    llvm_version: str
+    llvm_tried: tuple[llvm.Probe, ...]
+    mitsuba_version: str | None
+    advice: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data for `nacre doctor --json`."""
+        return {
+            "variant": self.variant,
+            "variants": self.variants,
+            "llvm": {"path": self.llvm_used, "version": self.llvm_version},
+            "llvm_tried": [{"path": p.path, "version": p.version, "reason": p.reason} for p in self.llvm_tried],
+            "mitsuba": self.mitsuba_version,
+            "advice": self.advice,
+        }
+
+
+def report() -> VariantReport:
+    """Examine the machine without choosing a variant: which would be used, why others fail, what to do."""
+    found, tried = llvm.find_llvm()
+    path = (found.path or "default of drjit") if found else ""
+    version = found.version if found else ""
+    try:
+        mi = import_mitsuba()
+    except MachineError as error:
+        return VariantReport(None, {}, path, version, tried, None, str(error))
+    reasons = {name: _why_not(name, mi) for name in VARIANTS}
+    best = next(name for name in ("cuda_ad_spectral", "llvm_ad_spectral", "scalar_spectral") if not reasons[name])
+    best = os.environ.get(ENVIRONMENT_VARIABLE) or best
+    advice = "" if best != "scalar_spectral" else f"Rendering will be very slow. {llvm.ADVICE}"
+    return VariantReport(best, reasons, path, version, tried, mi.__version__, advice)

@@ -1,0 +1,203 @@
+"""What light inside the strata is worth to a wanted exit direction.
+
+The exit direction is refracted inward once, through a random facet where an interface on the way is rough. In
+each stratum it then has two directions of travel, mirror images of each other, which the smooth interfaces
+connect; their importance follows from a one-dimensional layer stack.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from nacre.device.tables import Located
+from nacre.device.walk.interface import refract
+from nacre.device.walk.strata import Strata
+
+MIN_COS = 1e-4  # of connections inside; flatter ones carry nothing
+
+
+@dataclass
+class Importance:
+    """What light in a stratum is worth to the exit, by the two directions that mirror reflections connect.
+
+    Attributes:
+        up_direction, down_direction: per stratum, unit, the direction of travel.
+        up, down: per stratum, importance when travelling up at its top, down at its bottom; None where zero.
+        up_extinction, down_extinction: per stratum, optical thickness along the direction over the stratum.
+    """
+
+    up_direction: list[Any]
+    down_direction: list[Any]
+    up: list[Any]
+    down: list[Any]
+    up_extinction: list[Any]
+    down_extinction: list[Any]
+
+
+def uses_both_directions(strata: Strata) -> bool:
+    """Whether light may reach the exit by way of a mirror, or leave below."""
+    inner_mirror = any(not rough for rough in strata.is_rough[1 : strata.count])
+    return strata.base == "none" or strata.base_mirrors or inner_mirror
+
+
+def inner_interfaces_scatter(strata: Strata) -> bool:
+    """Whether a rough interface must be connected to the exit as a scattering vertex."""
+    if any(strata.is_rough[1:]):
+        return True
+    return strata.is_rough[0] and uses_both_directions(strata)
+
+
+def rough_one(strata: Strata, interface: Any) -> Any:
+    """Tell whether an interface is a rough one."""
+    if strata.all_rough:
+        return mi.Bool(True)
+    found = mi.Bool(False)
+    for i, is_rough in enumerate(strata.is_rough):
+        if is_rough:
+            found |= interface == i
+    return found
+
+
+def exit_importance(strata: Strata, rng: Any, wo: Any, where: Located, active: Any) -> Importance:
+    """Refract the exit direction inward and spread its importance over the strata.
+
+    Where the exit, or an interface on the way to it, is rough, a facet is drawn from those that are seen from
+    outside. The importance is that of f |cos_o|: power by power, so cos_o / (n^2 |b_z|) times the shares passed.
+    """
+    from_above = wo.z > 0
+    travel_a, passed_a, entered_a = _inward(strata, rng, wo, True, active & from_above)
+    if strata.base == "none":
+        travel_b, passed_b, entered_b = _inward(strata, rng, wo, False, active & ~from_above)
+        travel = [dr.select(from_above, a, b) for a, b in zip(travel_a, travel_b, strict=True)]
+        entered = dr.select(from_above, entered_a, entered_b)
+    else:
+        travel, passed_b, entered = travel_a, passed_a, entered_a
+    entered = dr.select(active, entered * dr.abs(wo.z), 0.0)
+    chain = _chain(strata, travel, passed_a, passed_b, entered, from_above, where, active)
+    for s in range(strata.count):
+        cos = chain.up_direction[s].z
+        scale = dr.select(cos > MIN_COS, 1 / (dr.square(strata.indices[s + 1]) * cos), 0.0)
+        chain.up[s] = None if chain.up[s] is None else chain.up[s] * scale
+        chain.down[s] = None if chain.down[s] is None else chain.down[s] * scale
+    return chain
+
+
+def _inward(strata: Strata, rng: Any, wo: Any, downward: bool, active: Any) -> tuple[list[Any], list[Any], Any]:
+    """Trace the exit direction inward from the top (or the bottom).
+
+    Returns:
+        the direction of travel towards the exit in each stratum; the share passed at each inner interface
+        (by interface number); the share passed at the outer one.
+    """
+    count = strata.count
+    order = list(range(count)) if downward else list(range(count - 1, -1, -1))
+    travel: list[Any] = [None] * count
+    passed: list[Any] = [None] * (count + 1)
+    current, entered = wo, mi.Float(1.0)
+    for step, s in enumerate(order):
+        interface = s if downward else s + 1
+        inner, weight = refract(strata, rng, current, mi.UInt32(interface), active)
+        if step == 0:
+            entered = weight
+        else:
+            passed[interface] = weight
+        current = -inner
+        travel[s] = current
+    return travel, passed, entered
+
+
+def _chain(
+    strata: Strata, travel: list[Any], passed_a: list[Any], passed_b: list[Any], entered: Any, exits_above: Any,
+    where: Located, active: Any,
+) -> Importance:  # fmt: skip
+    """Solve for the importance, as power, in all strata: mirrors couple the two directions, media attenuate them."""
+    count, both = strata.count, uses_both_directions(strata)
+    ups, downs, sig_up, sig_down, t_up, t_down, cosines = [], [], [], [], [], [], []
+    for s in range(count):
+        cos = dr.maximum(dr.abs(travel[s].z), MIN_COS)
+        ups.append(mi.Vector3f(travel[s].x, travel[s].y, cos))
+        downs.append(mi.Vector3f(travel[s].x, travel[s].y, -cos))
+        cosines.append(cos)
+        sig_up.append(strata.medium_extinction(s, ups[s], where, active) / cos)
+        different = both and not strata.upright
+        sig_down.append(strata.medium_extinction(s, downs[s], where, active) / cos if different else sig_up[s])
+        t_up.append(dr.exp(-sig_up[s]))
+        t_down.append(dr.exp(-sig_down[s]))
+    above = mi.Spectrum(dr.select(exits_above, entered, 0.0))
+    below = mi.Spectrum(dr.select(exits_above, 0.0, entered))
+    up: list[Any] = [None] * count
+    down: list[Any] = [None] * count
+    if not both:
+        up[0] = above
+        for s in range(1, count):
+            up[s] = passed_a[s] * t_up[s - 1] * up[s - 1]
+        return Importance(ups, downs, up, down, sig_up, sig_down)
+    # of each interface: mirror reflectance, share passed going up, going down. A rough one has no mirror
+    # reflection and is crossed towards the exit only: the other crossing is a vertex of its own.
+    mirror, rising, sinking = [], [], []
+    for i in range(count + 1):
+        reflect, rise, sink = mi.Spectrum(0.0), mi.Float(0.0), mi.Float(0.0)
+        if i == count and strata.base != "none":
+            if strata.base_mirrors:
+                reflect = strata.base_mirror(cosines[-1], where, active)
+        elif not strata.is_rough[i]:
+            side = min(i, count - 1)
+            other = strata.indices[i] if side == i else strata.indices[i + 1]
+            bare = mi.fresnel(cosines[side], other / strata.indices[side + 1])[0]
+            reflect, rise, sink = mi.Spectrum(bare), 1 - bare, 1 - bare
+        elif 0 < i < count:
+            rise = dr.select(exits_above, passed_a[i], 0.0)
+            if strata.base == "none":
+                sink = dr.select(exits_above, 0.0, passed_b[i])
+        mirror.append(reflect)
+        rising.append(rise)
+        sinking.append(sink)
+    # from the bottom: down_s = rho_s up_s + kappa_s
+    rho, kappa = [mi.Spectrum(0.0)] * count, [mi.Spectrum(0.0)] * count
+    rho[-1], kappa[-1] = mirror[count] * t_up[-1], below
+    for s in range(count - 2, -1, -1):
+        lower = s + 1
+        inner = 1 / dr.maximum(1 - mirror[lower] * t_down[lower] * rho[lower], 1e-6)
+        fall = sinking[lower] * t_down[lower] * inner
+        rho[s] = mirror[lower] * t_up[s] + fall * rho[lower] * rising[lower] * t_up[s]
+        kappa[s] = fall * kappa[lower]
+    up[0] = (mirror[0] * t_down[0] * kappa[0] + above) / dr.maximum(1 - mirror[0] * t_down[0] * rho[0], 1e-6)
+    down[0] = rho[0] * up[0] + kappa[0]
+    for s in range(1, count):
+        inner = 1 / dr.maximum(1 - mirror[s] * t_down[s] * rho[s], 1e-6)
+        up[s] = (mirror[s] * t_down[s] * kappa[s] + rising[s] * t_up[s - 1] * up[s - 1]) * inner
+        down[s] = rho[s] * up[s] + kappa[s]
+    return Importance(ups, downs, up, down, sig_up, sig_down)
+
+
+class Exit:
+    """Connects a vertex, at a stratum that differs from lane to lane, to the exit."""
+
+    def __init__(self, strata: Strata, importance: Importance) -> None:
+        self.strata = strata
+        self.given = importance
+        self.has_down = uses_both_directions(strata)
+
+    def _pick(self, values: list[Any], stratum: Any, zero: Any) -> Any:
+        result = zero if values[0] is None else values[0]
+        for s in range(1, self.strata.count):
+            result = dr.select(stratum == s, zero if values[s] is None else values[s], result)
+        return result
+
+    def upward(self, stratum: Any, depth: Any) -> tuple[Any, Any]:
+        """Return the direction of travel and what it is worth from `depth` of a stratum."""
+        zero = mi.Spectrum(0.0)
+        worth = self._pick(self.given.up, stratum, zero)
+        worth = worth * dr.exp(-self._pick(self.given.up_extinction, stratum, zero) * depth)
+        return self._pick(self.given.up_direction, stratum, None), worth
+
+    def downward(self, stratum: Any, depth: Any) -> tuple[Any, Any]:
+        """The same for light that goes down first."""
+        zero = mi.Spectrum(0.0)
+        worth = self._pick(self.given.down, stratum, zero)
+        worth = worth * dr.exp(-self._pick(self.given.down_extinction, stratum, zero) * (1 - depth))
+        return self._pick(self.given.down_direction, stratum, None), worth

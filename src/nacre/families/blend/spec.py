@@ -1,0 +1,112 @@
+"""The recipe of a blend: two materials and a mask over the surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import pydantic
+
+from nacre.arrays import Array
+from nacre.bsdf import Bsdf
+from nacre.bsdf.lobes.masked import MaskedLobe
+from nacre.bsdf.spectrum import Spectrum
+from nacre.bsdf.texture import Texture
+from nacre.bsdf.texture_spec import NumberOrTexture, TextureSpec
+from nacre.families.contract import Model
+from nacre.recipe.model import RecipeContext, RecipeModel
+
+
+class PartSpec(RecipeModel):
+    """A material of the blend: another recipe."""
+
+    recipe: str
+
+
+class BlendSpec(RecipeModel):
+    """`first` where the mask is 1 (white), `second` where it is 0 (black)."""
+
+    varies: ClassVar[str] = "mask"
+
+    family: Literal["blend"]
+    first: PartSpec
+    second: PartSpec
+    mask: NumberOrTexture
+
+    @pydantic.model_validator(mode="after")
+    def _mask_is_a_share(self) -> BlendSpec:
+        if isinstance(self.mask, float) and not 0.0 <= self.mask <= 1.0:
+            raise ValueError(f"mask = {self.mask:g} is not allowed; it should be in [0, 1]")
+        return self
+
+    def build(self, context: RecipeContext) -> Blend:
+        """Load both materials.
+
+        Raises:
+            RecipeError: a recipe cannot be loaded, or the mask leaves [0, 1].
+        """
+        if context.load_recipe is None:
+            raise context.fail("first.recipe", self.first.recipe, "cannot be loaded from here")
+        first, second = context.load_recipe(self.first.recipe), context.load_recipe(self.second.recipe)
+        if isinstance(self.mask, TextureSpec):
+            mask = self.mask.build(context, "mask")
+        else:
+            mask = Texture(self.mask, self.mask, image=np.zeros((2, 2)))
+        if not (mask.low >= 0.0 and mask.high <= 1.0):
+            raise context.fail("mask", f"{mask.low:g} ... {mask.high:g}", "is not allowed; it should be in [0, 1]")
+        return Blend(first, second, mask)
+
+
+@dataclass(frozen=True)
+class Blend(Model):
+    """Two materials and the share of the first over the surface."""
+
+    noun = "blend"
+
+    first: Any
+    second: Any
+    mask: Texture
+
+    def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
+        """Return both materials' lobes, masked, on one grid: the finer of their own unless one is given.
+
+        Raises:
+            UnsupportedError: one material cannot be computed on the other's wavelengths.
+        """
+        if wavelengths_nm is not None:
+            parts = [self.first.bsdf(wavelengths_nm), self.second.bsdf(wavelengths_nm)]
+        else:
+            parts = [self.first.bsdf(), self.second.bsdf()]
+            grids = [part.wavelengths_nm for part in parts]
+            if not np.array_equal(*grids):
+                finer = max(grids, key=len)
+                parts = [
+                    part if np.array_equal(part.wavelengths_nm, finer) else material.bsdf(finer)
+                    for part, material in zip(parts, (self.first, self.second), strict=True)
+                ]
+        lobes = tuple(
+            MaskedLobe(lobe.wavelengths_nm, lobe, self.mask, inverted)
+            for part, inverted in zip(parts, (False, True), strict=True)
+            for lobe in part.lobes
+        )
+        return Bsdf(lobes, {"first": dict(parts[0].provenance), "second": dict(parts[1].provenance)})
+
+    def spectrum(self, theta_rad: Array, wavelengths_nm: Array | None, polarisation: str, seed: int = 0) -> Spectrum:
+        """Return the spectra of both, weighed by the mask's mean over the surface; `seed` is of a pearl among them.
+
+        Raises:
+            NacreError: as either material.
+        """
+        axis = (np.arange(64) + 0.5) / 64
+        uv = np.stack(np.meshgrid(axis, axis), axis=-1)
+        share = float(self.mask(uv).mean())
+        one = self.first.spectrum(theta_rad, wavelengths_nm, polarisation, seed=seed)
+        other = self.second.spectrum(theta_rad, one.wavelengths_nm, polarisation, seed=seed)
+        names = {**one.parts(), **other.parts()}
+        zero = np.zeros((len(one.angles_deg), len(one.wavelengths_nm)))
+        mixed = {n: share * one.parts().get(n, zero) + (1 - share) * other.parts().get(n, zero) for n in names}
+        return replace(one, **mixed)
+
+
+__all__ = ["Blend", "BlendSpec"]

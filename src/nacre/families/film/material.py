@@ -1,0 +1,323 @@
+"""The film material: its physical parameters, and the Bsdf and spectra that follow from them."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from nacre.arrays import Array
+from nacre.bsdf import Bsdf
+from nacre.bsdf.compensation import compensate, facet_transmittance
+from nacre.bsdf.contract import Lobe
+from nacre.bsdf.directions import direction
+from nacre.bsdf.lobes.diffuse import Diffuse
+from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.roughness import SMOOTH_BELOW, Roughness
+from nacre.bsdf.spectrum import Spectrum
+from nacre.bsdf.tabulate import (
+    COLOUR_ERROR,
+    COS_NODES_VARYING,
+    StackTables,
+    check_size,
+    choose_nodes,
+    is_transparent,
+    reflected_lab,
+)
+from nacre.bsdf.texture import ParameterAxis, Texture
+from nacre.bsdf.uniform import take_uniform
+from nacre.errors import UnsupportedError
+from nacre.families.contract import Model
+from nacre.families.film.ridges import Ridges, remainder
+from nacre.light import default_wavelengths, delta_e_2000
+from nacre.light.wavelengths import STEPS_NM
+from nacre.matter.indices.constant import OpticalConstant
+from nacre.matter.stack.stack import Layer, Stack
+
+COLOUR_COSINES = np.array([1.0, 0.8, 0.5, 0.25])  # where colours are compared when grids are chosen
+MIDDLE = np.array([0.5, 0.5])
+
+
+@dataclass(frozen=True)
+class FilmLayer:
+    """One layer; its thickness may vary over the surface."""
+
+    material: OpticalConstant
+    thickness_nm: float | Texture
+    incoherent: bool = False
+
+    def thickness_at(self, uv: Array = MIDDLE) -> float:
+        """Return the thickness at one uv."""
+        return float(self.thickness_nm(uv)) if isinstance(self.thickness_nm, Texture) else self.thickness_nm
+
+
+@dataclass(frozen=True)
+class Film(Model):
+    """A stack of layers on a substrate, and how its surface is shaped.
+
+    A substrate clear enough (k < 1e-4 at all wavelengths) transmits; one equal to the ambient makes a free film,
+    which does not bend what passes. `base_albedo` puts a Lambertian ground into the substrate, under the film;
+    then nothing passes. `ridges` replace the surface's roughness.
+
+    Attributes:
+        base_albedo: in [0, 1]; 0: none.
+        range_nm, step_nm: the wavelength grid; step None: chosen so that colours stay within 0.5 dE00.
+    """
+
+    noun = "film"
+    usual_parts = ("specular_reflectance",)
+    is_quick = True
+
+    ambient: OpticalConstant
+    layers: tuple[FilmLayer, ...]
+    substrate: OpticalConstant
+    surface: Roughness = Roughness()
+    ridges: Ridges | None = None
+    base_albedo: float = 0.0
+    range_nm: tuple[float, float] = (360.0, 830.0)
+    step_nm: float | None = None
+
+    @property
+    def stack(self) -> Stack:
+        """The stack at the middle of the surface."""
+        return self.stack_at(MIDDLE)
+
+    def stack_at(self, uv: Array) -> Stack:
+        """Return the stack at one uv."""
+        layers = [Layer(layer.material, layer.thickness_at(uv), layer.incoherent) for layer in self.layers]
+        return Stack(self.ambient, layers, self.substrate)
+
+    @cached_property
+    def wavelengths_nm(self) -> Array:
+        """The grid: the step follows the optical thickness, and is halved until colours stop changing."""
+        low, high = self.range_nm
+        if self.step_nm is not None:
+            return _grid(low, high, self.step_nm)
+        coarse = np.array([low, 0.5 * (low + high), high])
+        optical = 0.0
+        for layer in self.layers:
+            if not layer.incoherent:
+                thickest = layer.thickness_nm.high if isinstance(layer.thickness_nm, Texture) else layer.thickness_nm
+                optical += float(np.max(layer.material.n_complex(coarse).real)) * thickest
+        grid = default_wavelengths(optical)
+        step = float(grid[1] - grid[0])
+        finer = [s for s in STEPS_NM if s < step * 0.999][:3]
+        lab = self._colours(_grid(low, high, step))
+        for smaller in finer:
+            closer = self._colours(_grid(low, high, smaller))
+            if float(np.max(delta_e_2000(lab, closer))) <= COLOUR_ERROR:
+                break
+            lab, step = closer, smaller
+        return _grid(low, high, step)
+
+    def _colours(self, wavelengths_nm: Array) -> Array:
+        """Return Lab of the reflected light at the angles and thicknesses where grids are judged."""
+        labs = []
+        for share in (0.5, 1.0):
+            d = np.array(
+                [
+                    layer.thickness_nm.low + share * (layer.thickness_nm.high - layer.thickness_nm.low)
+                    if isinstance(layer.thickness_nm, Texture)
+                    else layer.thickness_nm
+                    for layer in self.layers
+                ]
+            )
+            tables = self.tables(wavelengths_nm)
+            labs.append(reflected_lab(tables.outside(d, COLOUR_COSINES)[0], wavelengths_nm))
+        return np.concatenate(labs)
+
+    def tables(self, wavelengths_nm: Array) -> StackTables:
+        """Return the solver of the film's stack on a wavelength grid."""
+        n = self.stack.indices(wavelengths_nm)
+        flags = [layer.incoherent for layer in self.layers]
+        return StackTables(n, flags, wavelengths_nm, is_transparent(n[-1]))
+
+    def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
+        """Solve the stack and return its lobes.
+
+        Args:
+            wavelengths_nm: `[wavelength]`, ascending; default: `self.wavelengths_nm`.
+
+        Raises:
+            MaterialRangeError: an optical constant is not known at a wavelength.
+            UnsupportedError: more varies over the surface than tables can hold.
+        """
+        lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        tables = self.tables(lam)
+        if self.base_albedo > 0 and not tables.transmits:
+            raise UnsupportedError(
+                f'base.albedo = {self.base_albedo:g} does not show through the opaque substrate "{self.substrate.name}"'
+            )
+        response, notes = self._response(tables)
+        if self.ridges is not None:
+            lobe = self.ridges.lobe(_from_the_front(response))
+            lobes: list[Lobe] = [lobe]
+            if self.base_albedo > 0:
+                lobes.append(remainder(lobe, np.full(len(lam), self.base_albedo)))
+        elif self.base_albedo > 0:
+            lobes = [self._surface_lobe(_from_the_front(response)), self._base(response)]
+        else:
+            lobes = [self._surface_lobe(response)]
+            if response.transmits and response.eta == 1.0 and not self.surface.is_smooth:
+                lobes.append(self._straight_through(response))
+        return Bsdf(tuple(lobes), notes)
+
+    def _response(self, tables: StackTables) -> tuple[InterfaceResponse, dict[str, Any]]:
+        """Return the tables of the smooth film, with an axis for each thickness that varies."""
+        d = np.array([layer.thickness_at() for layer in self.layers])
+        varying = [i for i, layer in enumerate(self.layers) if isinstance(layer.thickness_nm, Texture)]
+        varying = [i for i in varying if self._range(i)[1] > self._range(i)[0]]
+        if not varying:
+            return tables.adaptive(d), {}
+        if len(varying) > 2:
+            raise UnsupportedError(f"{len(varying)} thicknesses vary over the surface; at most two can")
+        axes, notes = [], {}
+        for i in varying:
+
+            def spectra(values: Array, i: int = i) -> Array:
+                return tables.outside(_with_column(d, i, values), COLOUR_COSINES)[0]
+
+            values, error = choose_nodes(spectra, *self._range(i), tables.wavelengths_nm)
+            texture = self.layers[i].thickness_nm
+            assert isinstance(texture, Texture)
+            name = f"layers[{i}].thickness_nm"
+            axes.append(ParameterAxis(name, values, texture))
+            notes[name] = {"nodes": len(values), "colour_error_dE00": round(error, 4)}
+        check_size([len(axis.values) for axis in axes], COS_NODES_VARYING, len(tables.wavelengths_nm))
+        grid = np.meshgrid(*[axis.values for axis in axes], indexing="ij")
+        thicknesses = np.broadcast_to(d, (*grid[0].shape, len(d))).copy()
+        for i, values in zip(varying, grid, strict=True):
+            thicknesses[..., i] = values
+        return tables.build(thicknesses, COS_NODES_VARYING, tuple(axes)), {"varying": notes}
+
+    def _range(self, i: int) -> tuple[float, float]:
+        texture = self.layers[i].thickness_nm
+        assert isinstance(texture, Texture)
+        return texture.low, texture.high
+
+    def _surface_lobe(self, response: InterfaceResponse) -> Lobe:
+        if self.surface.is_smooth:
+            return Specular(response)
+        if response.transmits and response.eta == 1.0:
+            response = dataclasses.replace(
+                response, transmittance=np.zeros_like(response.transmittance), transmits=False
+            )
+        surface = self.surface
+        lobe = Microfacet(
+            response,
+            surface.distribution,
+            max(surface.alpha_x, SMOOTH_BELOW),
+            max(surface.alpha_y, SMOOTH_BELOW),
+            surface.alpha_texture,
+            surface.rotation,
+        )
+        return compensate(lobe) if surface.compensate else lobe
+
+    def _mean_alpha(self) -> tuple[float, float]:
+        factor = 1.0 if self.surface.alpha_texture is None else float(self.surface.alpha_texture(MIDDLE))
+        return max(self.surface.alpha_x * factor, SMOOTH_BELOW), max(self.surface.alpha_y * factor, SMOOTH_BELOW)
+
+    def _straight_through(self, response: InterfaceResponse) -> Specular:
+        """Return what passes a rough free film.
+
+        Both faces follow the same bumps, so every facet is a plane-parallel sheet and bends no ray: light goes
+        straight on, weighted by the mean transmittance of the facets that it sees (of the roughness at the middle of
+        the surface, where a texture varies it).
+        """
+        passed = facet_transmittance(response, self.surface.distribution, *self._mean_alpha())
+        zero = np.zeros_like(passed)
+        return Specular(
+            dataclasses.replace(
+                response,
+                cos_outside=np.linspace(0.0, 1.0, passed.shape[-2]),
+                reflectance=zero,
+                reflectance_inside=zero,
+                transmittance=passed,
+            )
+        )
+
+    def _base(self, response: InterfaceResponse) -> Diffuse:
+        """Return the diffuse ground in the substrate, seen through the film: in, between, and out again."""
+        cos = np.linspace(0.0, 1.0, response.reflectance.shape[-2])
+        relative = 1.0 / response.eta if response.flipped else response.eta
+        outer = response.outside_cosine(cos) if response.flipped else cos
+        smooth = take_uniform(response.transmittance, outer, -2)
+        if response.flipped:
+            smooth = np.where((cos > response.cos_critical)[:, None], smooth, 0.0)
+        entry, mean = smooth, _cosine_mean(smooth)
+        behind = response.hemispherical[0 if response.flipped else 2]
+        if not self.surface.is_smooth and not response.flipped:
+            entry = facet_transmittance(response, self.surface.distribution, *self._mean_alpha())
+            # what the facets do not let out on average, they keep inside
+            behind = behind + (mean - _cosine_mean(entry)) / relative**2
+        albedo = self.base_albedo
+        scale = albedo / (relative**2 * (1.0 - albedo * np.clip(behind, 0.0, 1.0)))
+        return Diffuse(response.wavelengths_nm, scale, entry, response.parameters)
+
+    def spectrum(
+        self, theta_rad: Array, wavelengths_nm: Array | None = None, polarisation: str = "both", seed: int = 0
+    ) -> Spectrum:
+        """Return reflectance and transmittance at angles in the ambient, at the middle of the surface.
+
+        The specular parts of a rough film are those of its stack. A diffuse base and ridges give the diffuse part,
+        integrated over all exits, for light in the plane y = 0.
+
+        Args:
+            theta_rad: `[angle]` in [0, pi/2].
+            wavelengths_nm: `[wavelength]`; default: `self.wavelengths_nm`.
+            polarisation: "s", "p" or "both".
+
+        Raises:
+            UnsupportedError: a polarisation is asked of a part that has none.
+        """
+        lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
+        if polarisation not in ("s", "p", "both"):
+            raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use s, p or both')
+        reflected = transmitted = diffuse = None
+        if self.ridges is None:
+            powers = self.stack.powers(theta, lam)
+            pick = {"s": (powers.R_s, powers.T_s), "p": (powers.R_p, powers.T_p)}
+            reflected, passed = pick.get(polarisation, (powers.reflectance, powers.transmittance))
+            if is_transparent(self.substrate.n_complex(lam)) and self.base_albedo == 0:
+                transmitted = passed
+        if self.ridges is not None or self.base_albedo > 0:
+            if polarisation != "both":
+                raise UnsupportedError("ridges and a diffuse base are known for unpolarised light only")
+            rest = [lobe for lobe in self.bsdf(lam).lobes if not isinstance(lobe, Specular | Microfacet)]
+            directions = direction(np.minimum(theta, np.radians(89.99)))
+            diffuse = np.array([sum(lobe.hemispherical(w)[0] for lobe in rest) for w in directions])
+        return Spectrum(lam, np.degrees(theta), reflected, transmitted, diffuse)
+
+
+def _grid(low: float, high: float, step: float) -> Array:
+    return np.linspace(low, high, max(2, int(np.ceil((high - low) / step - 1e-9)) + 1))
+
+
+def _with_column(d: Array, i: int, values: Array) -> Array:
+    rows = np.broadcast_to(d, (len(values), len(d))).copy()
+    rows[:, i] = values
+    return rows
+
+
+def _cosine_mean(table: Array) -> Array:
+    """Return twice the integral of mu times the linear interpolant of `[*params, mu, wavelength]`."""
+    x, weight = np.polynomial.legendre.leggauss(128)
+    mu, weight = 0.5 * (x + 1.0), 0.5 * weight
+    return np.asarray(np.einsum("q,...ql->...l", 2.0 * weight * mu, take_uniform(table, mu, -2)))
+
+
+def _from_the_front(response: InterfaceResponse) -> InterfaceResponse:
+    """Return the response with nothing passing and nothing coming from the substrate."""
+    zero = np.zeros_like(response.reflectance)
+    if response.flipped:
+        return dataclasses.replace(response, reflectance=zero, transmittance=zero, transmits=False)
+    empty = np.zeros((*response.total.shape[:-2], 0, response.total.shape[-1]))
+    return dataclasses.replace(
+        response, transmittance=zero, reflectance_inside=zero, total=empty, eta=1.0, transmits=False
+    )

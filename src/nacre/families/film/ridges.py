@@ -1,0 +1,137 @@
+"""The ridges of a butterfly's scale: how they share out the light of their lamellae."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from nacre.arrays import Array
+from nacre.bsdf.directions import direction
+from nacre.bsdf.lobes.diffuse import Diffuse
+from nacre.bsdf.lobes.ridge import Ridge, chord, gaussian, ridge_interference
+from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.texture import Texture
+
+SAFETY = 1.002  # the largest integral is found on a grid; what lies between its points differs by less
+SCAN_ACROSS = np.sin(np.radians([0, 5, 10, 20, 30, 40, 50, 60, 70, 80]))
+SCAN_ALONG = np.sin(np.radians([0, 30, 60]))
+
+
+@dataclass(frozen=True)
+class Ridges:
+    """Parallel ridges along y, each a stack of lamellae, of random heights.
+
+    Attributes:
+        pitch_nm, width_nm: distance of the ridges and width of one.
+        height_deviation_nm: standard deviation of their heights; 0: level ridges, which are a grating.
+        count: ridges lit coherently together.
+        along_deviation_deg: standard deviation of the spread along the ridges, degrees at normal incidence.
+        fill: share of the surface that the ridges cover.
+        rotation: direction across the ridges in rad; None: along x.
+    """
+
+    pitch_nm: float
+    width_nm: float
+    height_deviation_nm: float
+    count: int = 7
+    along_deviation_deg: float = 4.0
+    fill: float = 1.0
+    rotation: Texture | None = None
+
+    @property
+    def spread_along(self) -> float:
+        """Width of D_y in sine units."""
+        return float(np.sin(np.radians(self.along_deviation_deg)))
+
+    def lobe(self, response: InterfaceResponse) -> Ridge:
+        """Return the lobe of ridges whose lamellae answer with `response`."""
+        return Ridge(
+            response=response,
+            pitch_nm=self.pitch_nm,
+            width_nm=self.width_nm,
+            height_deviation_nm=self.height_deviation_nm,
+            count=self.count,
+            spread_along=self.spread_along,
+            fill=self.fill,
+            norm=self.norm(response.wavelengths_nm),
+            rotation=self.rotation,
+        )
+
+    def norm(self, wavelengths_nm: Array) -> Array:
+        """Return C(lambda), `[wavelength]`: the largest integral of K D_y over the exits, over all incidences.
+
+        The measure is cos_o d(omega_o) = ds_x ds_y over the unit disc of sine components. One number a
+        wavelength keeps the lobe reciprocal; at grazing incidence, where fewer exits propagate, energy is lost.
+        """
+        grid = np.asarray(wavelengths_nm, dtype=float)
+        # it changes slowly: one value every 10 nm is enough, though the lamellae may need a finer grid
+        lam = grid[:: _stride(grid)]
+        largest = np.zeros(len(lam))
+        # ten points across the narrowest peak of the comb
+        peak = lam.min() / (self.count * self.pitch_nm) if self.height_deviation_nm < lam.max() else 1.0
+        count = int(np.clip(10.0 * np.pi / peak, 200, 8000))
+        along = np.linspace(-4.0, 4.0, 13) * self.spread_along
+        weight = gaussian(along, self.spread_along) * (along[1] - along[0])
+        for s_x in SCAN_ACROSS:
+            for s_y in SCAN_ALONG:
+                if s_x**2 + s_y**2 >= 0.99:
+                    continue
+                cos_i = np.sqrt(1.0 - s_x**2 - s_y**2)
+                total = np.zeros(len(lam))
+                for y, share in zip(along - s_y, weight, strict=True):
+                    if abs(y) >= 1.0:
+                        continue
+                    across, step = chord(float(y), count)
+                    k = ridge_interference(
+                        across + s_x,
+                        cos_i + np.sqrt(np.maximum(0.0, 1.0 - across**2 - y**2)),
+                        lam,
+                        self.pitch_nm,
+                        self.width_nm,
+                        self.height_deviation_nm,
+                        self.count,
+                    )
+                    total += share * (step @ k)
+                largest = np.maximum(largest, total)
+        return np.asarray(np.interp(grid, lam, largest)) * SAFETY
+
+
+def remainder(lobe: Ridge, albedo: Array, nodes: int = 9) -> Diffuse:
+    """Return a reciprocal diffuse base lit by what the ridges leave.
+
+    Its entry is 1 - E(cos), with E the larger of the ridges' albedos across and along, so that ridges and base
+    together never send back more than arrives.
+
+    Args:
+        albedo: `[wavelength]`.
+    """
+    lam = lobe.wavelengths_nm
+    step = _stride(lam)
+    coarse = dataclasses.replace(
+        lobe,
+        norm=lobe.norm[::step],
+        response=dataclasses.replace(
+            lobe.response,
+            wavelengths_nm=lam[::step],
+            **{
+                name: getattr(lobe.response, name)[..., ::step]
+                for name in ("reflectance", "transmittance", "reflectance_inside", "total")
+            },
+        ),
+    )
+    cos = np.linspace(0.0, 1.0, nodes)
+    entry = np.empty((nodes, len(lam)))
+    start = 0.0 if lobe.rotation is None else float(lobe.rotation(np.array([0.5, 0.5])))
+    for i, angle in enumerate(np.arccos(np.maximum(cos, 1e-3))):
+        sent = [coarse.hemispherical(direction(angle, start + phi))[0] for phi in (0.0, np.pi / 2)]
+        entry[i] = 1.0 - np.interp(lam, lam[::step], np.max(sent, axis=0))
+    return Diffuse(lam, np.broadcast_to(albedo, lam.shape).copy(), np.clip(entry, 0.0, 1.0))
+
+
+def _stride(wavelengths_nm: Array, step_nm: float = 10.0) -> int:
+    """Return how many steps of a grid make about `step_nm`."""
+    if len(wavelengths_nm) < 3:
+        return 1
+    return max(1, round(step_nm / float(wavelengths_nm[1] - wavelengths_nm[0])))

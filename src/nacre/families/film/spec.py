@@ -1,0 +1,294 @@
+"""The recipe of a film: its keys, what they allow, and the material that they build."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any, ClassVar, Literal
+
+import pydantic
+
+from nacre.bsdf.facet_distributions import alpha_from_exponent
+from nacre.bsdf.roughness import Roughness, check_widths
+from nacre.bsdf.texture import Texture, parse_formula
+from nacre.bsdf.texture_spec import NumberOrTexture, TextureSpec, texture_or_number
+from nacre.families.contract import Figure
+from nacre.families.film.figures import FIGURES
+from nacre.families.film.material import Film, FilmLayer
+from nacre.families.film.ridges import Ridges
+from nacre.families.film.sheet import layer_sheet
+from nacre.matter.drawings import Drawer
+from nacre.matter.indices.spec import IndexSpec, ambient_in
+from nacre.recipe.model import RecipeContext, RecipeModel, show_value
+
+MAX_LAYERS = 1000
+MAX_THICKNESS_NM = 1e8  # ten centimetres, for incoherent panes
+MAX_COHERENT_NM = 3e4  # thicker layers have no fringes left to see: 30 um already need 0.1 nm of resolution
+MAX_VARYING = 2
+
+# A scale of Morpho rhetenor: nine lamellae of cuticle, n = 1.56 + 0.06i (Vukusic et al. 1999), air between, in
+# ridges above a dark membrane. Pitch, width and a height deviation near a quarter wave follow Kinoshita et al. 2002.
+# Lamellae of some 70 nm fill about half of the tapered ridge, so each enters as 35 nm of solid cuticle: the whole
+# thickness would give a band 150 nm wide, which is cyan. The period puts the back-scattered peak near 464 nm.
+CUTICLE = {"n": 1.56, "k": 0.06}
+MORPHO: dict[str, Any] = {
+    "substrate": CUTICLE,
+    "layers": [{"material": CUTICLE, "thickness_nm": 35.0}, {"material": "air", "thickness_nm": 190.0}] * 8
+    + [{"material": CUTICLE, "thickness_nm": 35.0}],
+    "ridges": {"pitch_nm": 700.0, "width_nm": 300.0, "height_deviation_nm": 120.0},
+}
+
+
+def _thickness(value: Any) -> Any:
+    """Read a thickness: a number, or a table that makes a texture."""
+    if isinstance(value, bool) or not isinstance(value, int | float | Mapping | TextureSpec):
+        raise ValueError(f"= {show_value(value)} is not a thickness; write a number, "
+                         '{texture = "t.png", min = 100, max = 700} or {formula = "100 + 600*v"}')  # fmt: skip
+    if isinstance(value, int | float) and not 0.0 <= value <= MAX_THICKNESS_NM:
+        raise ValueError(f"= {value:g} is not allowed; it should be from 0 to {MAX_THICKNESS_NM:g} nm")
+    return value
+
+
+def _unit(value: Any) -> Any:
+    """Read a roughness: a number in [0, 1], two of them, or a texture."""
+    if not isinstance(value, Mapping | TextureSpec):
+        check_widths(value, 'alpha, [alpha_x, alpha_y] or {texture = "r.png", ...}', show_value(value))
+    return value
+
+
+def _width_form(value: Any) -> str:
+    return "Pair" if isinstance(value, list | tuple) else texture_or_number(value)
+
+
+Thickness = Annotated[NumberOrTexture, pydantic.BeforeValidator(_thickness)]
+Width = Annotated[
+    Annotated[float, pydantic.Tag("Number")]
+    | Annotated[tuple[float, ...], pydantic.Tag("Pair")]
+    | Annotated[TextureSpec, pydantic.Tag("Texture")],
+    pydantic.Discriminator(_width_form),
+    pydantic.BeforeValidator(_unit),
+]
+
+
+class LayerSpec(RecipeModel):
+    """One layer: a material, a thickness that may vary over the surface, and whether it is too thick to interfere."""
+
+    material: IndexSpec
+    thickness_nm: Thickness
+    incoherent: bool = False
+
+
+class SurfaceSpec(RecipeModel):
+    """Roughness: a distribution and its width, as alpha or as exponents e = 2/alpha^2 - 2."""
+
+    distribution: Literal["ggx", "beckmann", "blinn", "ashikhmin-shirley"] = "ggx"
+    roughness: Width = 0.0
+    exponent: float | tuple[float, ...] | None = None
+    rotation_deg: NumberOrTexture = 0.0
+    compensate: bool = False
+
+    @pydantic.model_validator(mode="after")
+    def _one_width(self) -> SurfaceSpec:
+        if "roughness" in self.model_fields_set and self.exponent is not None:
+            raise ValueError("roughness and exponent give the same width twice; keep one")
+        if self.exponent is not None:
+            values = self.exponent if isinstance(self.exponent, tuple) else (self.exponent,)
+            if len(values) not in (1, 2) or not all(0.0 <= e <= 2e6 for e in values):
+                raise ValueError(
+                    f"exponent = {show_value(list(values))} is not allowed; it should be one or two numbers in [0, 2e6]"
+                )
+        return self
+
+    def build(self, context: RecipeContext) -> Roughness:
+        """Return the roughness."""
+        texture: Texture | None = None
+        if self.exponent is not None:
+            given = self.exponent if isinstance(self.exponent, tuple) else (self.exponent,)
+            widths = tuple(alpha_from_exponent(e) for e in given)
+        elif isinstance(self.roughness, TextureSpec):
+            texture = self.roughness.build(context, "surface.roughness")
+            if not 0.001 <= texture.low <= texture.high <= 1.0:
+                got = f"{texture.low:g} ... {texture.high:g}"
+                raise context.fail("surface.roughness", got, "is not allowed; it should be in [0.001, 1]")
+            widths = (1.0,)
+        else:
+            widths = self.roughness if isinstance(self.roughness, tuple) else (self.roughness,)
+        return Roughness(
+            distribution=self.distribution,
+            alpha_x=widths[0],
+            alpha_y=widths[-1],
+            alpha_texture=texture,
+            rotation=angle_texture(self.rotation_deg, context, "surface.rotation_deg"),
+            compensate=self.compensate,
+        )
+
+
+class RidgesSpec(RecipeModel):
+    """Ridges of lamellae along y, as on a Morpho scale."""
+
+    pitch_nm: Annotated[float, pydantic.Field(gt=0.0, le=1e5)]
+    width_nm: Annotated[float, pydantic.Field(gt=0.0, le=1e5)]
+    height_deviation_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e4)]
+    count: Annotated[int, pydantic.Field(ge=1, le=200)] = 7
+    along_deviation_deg: Annotated[float, pydantic.Field(ge=0.1, le=30.0)] = 4.0
+    fill: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = 1.0
+    rotation_deg: NumberOrTexture = 0.0
+
+    @pydantic.model_validator(mode="after")
+    def _width_fits(self) -> RidgesSpec:
+        if self.width_nm > self.pitch_nm:
+            raise ValueError(f"width_nm = {self.width_nm:g} is larger than pitch_nm = {self.pitch_nm:g}")
+        return self
+
+    def build(self, context: RecipeContext) -> Ridges:
+        """Return the ridges."""
+        return Ridges(
+            pitch_nm=self.pitch_nm,
+            width_nm=self.width_nm,
+            height_deviation_nm=self.height_deviation_nm,
+            count=self.count,
+            along_deviation_deg=self.along_deviation_deg,
+            fill=self.fill,
+            rotation=angle_texture(self.rotation_deg, context, "ridges.rotation_deg"),
+        )
+
+
+class BaseSpec(RecipeModel):
+    """A diffuse ground inside the substrate, under the film (under the ridges: what they leave lights it)."""
+
+    albedo: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = 0.0
+
+
+class WavelengthsSpec(RecipeModel):
+    """The wavelength grid, where the rule's choice is not wanted."""
+
+    min_nm: Annotated[float, pydantic.Field(ge=100.0, le=1e5)] = 360.0
+    max_nm: Annotated[float, pydantic.Field(ge=100.0, le=1e5)] = 830.0
+    step_nm: Annotated[float, pydantic.Field(ge=0.01, le=50.0)] | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _ascends(self) -> WavelengthsSpec:
+        if self.max_nm <= self.min_nm:
+            raise ValueError(f"max_nm = {self.max_nm:g} must be above min_nm = {self.min_nm:g}")
+        if self.step_nm is not None and (self.max_nm - self.min_nm) / self.step_nm > 50_000:
+            raise ValueError(f"step_nm = {self.step_nm:g} makes more than 50000 wavelengths")
+        return self
+
+
+@dataclass(frozen=True)
+class FilmModel(Film):
+    """A film as its recipe builds it: with its figures and its layer sheet."""
+
+    @property
+    def figures(self) -> Mapping[str, Figure]:
+        """Standing waves, colour over thickness and angle, the stack as drawn."""
+        return {kind: partial(maker, self) for kind, maker in FIGURES.items()}
+
+    @property
+    def fabrications(self) -> Mapping[str, Drawer]:
+        """The layer sheet."""
+        return {"sheet": lambda request: layer_sheet(self)}
+
+
+class FilmSpec(RecipeModel):
+    """A film recipe. `preset = "morpho"` fills in what is not given."""
+
+    varies: ClassVar[str] = "layers[].thickness_nm, surface.roughness, surface.rotation_deg"
+    varies_by_nodes: ClassVar[tuple[str, ...]] = ("base.albedo",)
+
+    family: Literal["film"] = "film"
+    title: str = ""
+    preset: Literal["morpho"] | None = None
+    ambient: IndexSpec = IndexSpec.model_validate("air")
+    substrate: IndexSpec
+    layers: tuple[LayerSpec, ...] = pydantic.Field(default=(), max_length=MAX_LAYERS)
+    surface: SurfaceSpec = SurfaceSpec()
+    ridges: RidgesSpec | None = None
+    base: BaseSpec = BaseSpec()
+    wavelengths: WavelengthsSpec = WavelengthsSpec()
+    extrapolate: Literal["error", "edge"] = "error"
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _fill_preset(cls, data: Any) -> Any:
+        if isinstance(data, Mapping) and data.get("preset") == "morpho":
+            ridges = data.get("ridges")
+            filled = {**MORPHO, **data}
+            if isinstance(ridges, Mapping):
+                # a length of the recipe replaces the preset's whatever its unit
+                given = {str(key).rpartition("_")[0] for key in ridges}
+                kept = {k: v for k, v in MORPHO["ridges"].items() if k.rpartition("_")[0] not in given}
+                filled["ridges"] = {**kept, **ridges}
+            return filled
+        return data
+
+    @pydantic.model_validator(mode="after")
+    def _fits_together(self) -> FilmSpec:
+        varying = [i for i, layer in enumerate(self.layers) if isinstance(layer.thickness_nm, TextureSpec)]
+        if len(varying) > MAX_VARYING:
+            raise ValueError(
+                f"layers: {len(varying)} thicknesses vary over the surface; at most {MAX_VARYING} can "
+                "(roughness and rotation may vary as well)"
+            )
+        for i, layer in enumerate(self.layers):
+            thickness = layer.thickness_nm
+            if not layer.incoherent and not isinstance(thickness, TextureSpec) and thickness > MAX_COHERENT_NM:
+                raise ValueError(
+                    f"layers[{i}].thickness_nm = {thickness:g} is too thick to interfere; write incoherent = true"
+                )
+        if self.ridges is not None and self.surface.roughness != 0.0:
+            raise ValueError("surface.roughness has no effect beside ridges; keep one of the two")
+        return self
+
+    def build(self, context: RecipeContext) -> FilmModel:
+        """Return the material.
+
+        Raises:
+            RecipeError: an image is missing or broken, or a thickness leaves its range.
+        """
+        layers = []
+        for i, layer in enumerate(self.layers):
+            thickness: float | Texture
+            if isinstance(layer.thickness_nm, TextureSpec):
+                key = f"layers[{i}].thickness_nm"
+                thickness = layer.thickness_nm.build(context, key)
+                limit = MAX_THICKNESS_NM if layer.incoherent else MAX_COHERENT_NM
+                if not 0.0 <= thickness.low <= thickness.high <= limit:
+                    raise context.fail(
+                        key, f"{thickness.low:g} ... {thickness.high:g}", f"leaves the range 0 ... {limit:g} nm; "
+                        "give min and max to clip it",
+                    )  # fmt: skip
+            else:
+                thickness = float(layer.thickness_nm)
+            layers.append(FilmLayer(self._index(layer.material, context), thickness, layer.incoherent))
+        return FilmModel(
+            ambient=self._edge(ambient_in(self.ambient, "ambient" in self.model_fields_set, context)),
+            layers=tuple(layers),
+            substrate=self._index(self.substrate, context),
+            surface=self.surface.build(context),
+            ridges=None if self.ridges is None else self.ridges.build(context),
+            base_albedo=self.base.albedo,
+            range_nm=(self.wavelengths.min_nm, self.wavelengths.max_nm),
+            step_nm=self.wavelengths.step_nm,
+        )
+
+    def _index(self, spec: IndexSpec, context: RecipeContext) -> Any:
+        return self._edge(spec.build(context))
+
+    def _edge(self, made: Any) -> Any:
+        return made.with_extrapolation("edge") if self.extrapolate == "edge" else made
+
+
+def angle_texture(value: float | TextureSpec, context: RecipeContext, key: str) -> Texture | None:
+    """Return an angle in degrees, constant or varying, as a texture in rad; None for zero."""
+    degree = 0.017453292519943295
+    if isinstance(value, TextureSpec):
+        made = value.build(context, key)
+        if made.formula is not None:
+            scaled = parse_formula(f"({made.formula.text})*{degree!r}")
+            return Texture(made.low * degree, made.high * degree, formula=scaled)
+        return Texture(made.low * degree, made.high * degree, image=made.image)
+    if value == 0.0:
+        return None
+    return Texture(value * degree, value * degree, formula=parse_formula(repr(value * degree)))

@@ -1,0 +1,207 @@
+"""From a monolayer at each wavelength to the lobes of a Bsdf: angles, tables, and the check of energy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.arrays import Array
+from nacre.bsdf.lobes.harmonic import Harmonic, PolarGrid, pack_triangle
+from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.uniform import take_uniform
+from nacre.families.metasurface.corrections import DiffuseTerm, diffuse_term
+from nacre.families.metasurface.monolayer import Lit, Monolayer
+from nacre.families.metasurface.structure import Structure
+from nacre.matter.jobs import available_jobs
+
+HARMONICS = 8  # kept in the tables: two packet loads of four. What lies above is below 0.3 % of the largest value
+SPECULAR_NODES = 129
+TOTAL_NODES = 33
+GRAZING_COS = 1e-3  # stands in for 0, where the sheet's own wave is infinite against the incident one
+SCALING_STEPS = 200
+
+
+@dataclass(frozen=True)
+class Grids:
+    """Angular grids of the diffuse tables; `below` is None where nothing passes."""
+
+    above: PolarGrid
+    below: PolarGrid | None
+
+
+def choose_grids(eta: float | None, polydisperse: bool, thick: bool) -> Grids:
+    """Return grids fine enough for the stack that keep a material of 48 wavelengths under 100 MB.
+
+    The device's table, two wavelengths of 16 bits for each of 32, stays under it as well.
+
+    Args:
+        eta: index of a transparent substrate over the ambient's; None for an opaque one.
+        polydisperse: whether the tables without S are needed as well.
+        thick: whether films of more than a micrometre draw fringes over the angle (0.5 degree steps then).
+    """
+    if eta is None:
+        count = (170 if polydisperse else 180) if thick else 120
+        return Grids(PolarGrid(count), None)
+    if eta == 1.0:
+        count = 72 if polydisperse else 100
+        return Grids(PolarGrid(count), PolarGrid(count))
+    scale = 0.7 if polydisperse else 1.0
+    above = int((130 if thick else 100) * scale)
+    return Grids(PolarGrid(above), PolarGrid(int(0.62 * above), int(0.26 * above), eta))
+
+
+@dataclass(frozen=True)
+class WavelengthResult:
+    """One wavelength's columns of the tables; directions as in `Grids`, see `tabulate`."""
+
+    reflectance: Array
+    transmittance: Array
+    reflectance_inside: Array
+    total: Array
+    above: NDArray[np.float32]
+    below: NDArray[np.float32]
+    across: NDArray[np.float32]
+    free: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+    excess: float
+
+
+def solve_wavelength(layer: Monolayer, grids: Grids, eta: float) -> WavelengthResult:
+    """Solve one wavelength on all angles: specular tables, and diffuse tables scaled to energy <= 1."""
+    cosines = np.linspace(0.0, 1.0, SPECULAR_NODES)
+    safe = np.maximum(cosines, GRAZING_COS)
+    reflected, passed = (0.5 * p.sum(axis=0) for p in layer.specular_above(safe))
+    inside, total = np.zeros_like(reflected), np.zeros(0)
+    index = layer.surface.index_below
+    if grids.below is not None:
+        conjugate = np.sqrt(1 - (1 - safe**2) / index**2)
+        inside = 0.5 * layer.specular_below(conjugate).sum(axis=0)
+        if eta > 1.0:
+            # cos_inside/cos_critical = cos(pi x/2); the ends are moved off the two singular angles
+            x = np.clip(np.linspace(0.0, 1.0, TOTAL_NODES), 1e-3, 1 - 1e-3)
+            beyond = np.cos(np.pi / 2 * x) * np.sqrt(1 - 1 / index**2)
+            total = 0.5 * layer.specular_below(beyond).sum(axis=0)
+    sides = [(layer.light(np.cos(grids.above.nodes)), grids.above.weights)]
+    if grids.below is not None:
+        sides.append((layer.light(np.cos(grids.below.nodes), True), grids.below.weights))
+    term = diffuse_term(layer, sides, HARMONICS)
+    reflected, passed, inside, total = (np.clip(t, 0.0, 1.0) for t in (reflected, passed, inside, total))
+    delta = _specular_at_nodes(grids, eta, reflected, passed, inside, total)
+    scale, excess = _energy_scale(term, sides, delta, index)
+    n_above = grids.above.size
+    dispersion = index / eta if grids.below is not None else 1.0
+    all_cos = np.concatenate([lit.cosines for lit, _ in sides])
+    factor = scale[:, None] * scale / (all_cos[:, None] * all_cos)
+    tables = []
+    for source in (term.coherent, term.varying):
+        if source.size == 0:
+            empty = np.zeros((0, HARMONICS), np.float32)
+            tables.append((empty, empty, empty))
+            continue
+        full = 0.5 * source.sum(axis=(2, 3)) * factor[..., None]
+        across = full[n_above:, :n_above] * dispersion
+        tables.append(
+            (
+                pack_triangle(full[:n_above, :n_above]),
+                pack_triangle(full[n_above:, n_above:] * dispersion**2),
+                np.ascontiguousarray(across.reshape(-1, HARMONICS), dtype=np.float32),
+            )
+        )
+    return WavelengthResult(reflected, passed, inside, total, *tables[0], tables[1], excess)
+
+
+def _specular_at_nodes(grids: Grids, eta: float, reflected: Array, passed: Array, inside: Array, total: Array) -> Array:
+    """R + T of the stored specular tables at the diffuse grid's angles, `[angle]`."""
+    out = take_uniform((reflected + passed)[:, None], np.cos(grids.above.nodes), 0)[:, 0]
+    if grids.below is None:
+        return out
+    theta = grids.below.nodes
+    outer = 1 - (eta * np.sin(theta)) ** 2
+    below = take_uniform((inside + passed)[:, None], np.sqrt(np.maximum(outer, 0.0)), 0)[:, 0]
+    if eta > 1.0:
+        ratio = np.clip(np.cos(theta) / np.sqrt(1 - 1 / eta**2), 0.0, 1.0)
+        beyond = take_uniform(total[:, None], 2 / np.pi * np.arccos(ratio), 0)[:, 0]
+        below = np.where(outer < 0, beyond, below)
+    return np.concatenate([out, below])
+
+
+def _energy_scale(
+    term: DiffuseTerm, sides: list[tuple[Lit, Array]], specular: Array, index: float
+) -> tuple[Array, float]:
+    """Factors c, `[angle]`, for diffuse power c_s c_i that leave no direction above 1, and the raw excess."""
+    cosines = np.concatenate([lit.cosines for lit, _ in sides])
+    n2 = np.concatenate([np.full(w.size, index**2 if i else 1.0) for i, (_, w) in enumerate(sides)])
+    weights = np.concatenate([w for _, w in sides]) * n2
+    pairs = 0.5 * (term.unpolarised + term.unpolarised.T)
+    room = np.maximum(1.0 - specular, 0.0)
+    diffuse = weights @ pairs / cosines
+    excess = float(np.max(diffuse - room, initial=0.0))
+    c = np.ones_like(cosines)
+    for _ in range(SCALING_STEPS):
+        sent = c * ((weights * c) @ pairs) / cosines
+        over = sent > room * (1 + 1e-9)
+        if not np.any(over):
+            break
+        c = np.where(over, c * room / np.maximum(sent, 1e-300), c)
+    return c, excess
+
+
+def tabulate(
+    wavelengths_nm: Array,
+    monolayer: Callable[[float], Monolayer],
+    structure: Structure,
+    grids: Grids,
+    eta: float,
+    jobs: int | None = None,
+) -> tuple[Specular, Harmonic, float]:
+    """Solve all wavelengths, in parallel, and return the two lobes and the largest raw excess of energy over 1."""
+
+    def work(wavelength: float) -> tuple[WavelengthResult, float, float]:
+        layer = monolayer(float(wavelength))
+        return solve_wavelength(layer, grids, eta), layer.surface.wavenumber, layer.surface.index_below
+
+    with ThreadPoolExecutor(jobs or available_jobs()) as pool:
+        solved = list(pool.map(work, wavelengths_nm))
+    results = [r for r, _, _ in solved]
+
+    def column(name: str) -> NDArray:
+        return np.stack([getattr(r, name) for r in results], axis=-1)
+
+    def free(i: int) -> NDArray:
+        parts = np.stack([r.free[i] for r in results], axis=-1)
+        return parts if parts.shape[0] else np.zeros((0, HARMONICS, len(results)), np.float32)
+
+    transmits = grids.below is not None
+    response = InterfaceResponse(
+        wavelengths_nm,
+        np.linspace(0.0, 1.0, SPECULAR_NODES),
+        column("reflectance"),
+        column("transmittance"),
+        column("reflectance_inside"),
+        column("total"),
+        eta,
+        transmits,
+    )
+    below = grids.below or PolarGrid(0)
+    harmonic = Harmonic(
+        wavelengths_nm,
+        column("above"),
+        column("below"),
+        column("across"),
+        free(0),
+        free(1),
+        free(2),
+        grids.above.count,
+        below.count,
+        below.beyond,
+        eta,
+        np.array([k for _, k, _ in solved]),
+        np.array([n if transmits else 1.0 for _, _, n in solved]),
+        float(structure.q_per_nm[1] - structure.q_per_nm[0]),
+        structure.s,
+    )
+    return Specular(response), harmonic, max(r.excess for r in results)

@@ -1,0 +1,153 @@
+"""The diffuse light of a monolayer under a chosen correction C.
+
+`qca-balanced` is nacre's own default, tested against multi-sphere solutions: the geometric mean of the two
+one-sided mean-field powers, balanced so that each direction sends out what the mean field says. The source's own
+C is in a note that is not available. The simple forms are there for comparison and are too bright or too dark by
+up to a factor of three; `in-only` is not reciprocal by itself: its table holds the geometric mean of both ways.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.arrays import Array
+from nacre.families.metasurface.diffuse import DirectionSet, balance, balance_across, pair_powers, structure_harmonics
+from nacre.families.metasurface.monolayer import Lit, Monolayer
+from nacre.families.metasurface.sphere import extinction
+
+S_HARMONICS = 14  # of S in the power sums; |X||Y| has no weight beyond
+
+
+@dataclass(frozen=True)
+class DiffuseTerm:
+    """The diffuse power between all pairs of directions, polarisations kept.
+
+    Attributes:
+        coherent: `[s, i, pol_s, pol_i, k]`, harmonics over dphi of rho |F|^2 C / (n_s n_i), to be multiplied by S.
+        varying: the same of the size variance, without S; empty for equal particles.
+        above, below: `[pol, i]`, power per incident irradiance sent to either side, S included.
+        unpolarised: `[s, i]`, the same power between two directions, azimuth-integrated, per n_s^2 of solid
+            angle, S included, polarisations averaged; symmetric where the correction is.
+    """
+
+    coherent: Array
+    varying: Array
+    above: Array
+    below: Array
+    unpolarised: Array
+
+
+def diffuse_term(
+    layer: Monolayer, sides: list[tuple[Lit, Array]], kept: int, s_count: int = S_HARMONICS, symmetric: bool = True
+) -> DiffuseTerm:
+    """Return the diffuse term between all directions of `sides` (above first), each with its dmu weights.
+
+    Args:
+        layer: the monolayer.
+        sides: directions and weights of each side; weight 0 for directions that only look on.
+        kept: harmonics to return.
+        s_count: harmonics of S in the power sums.
+        symmetric: False leaves `in-only` as published, unsymmetric.
+    """
+    joined = DirectionSet.join([(lit.directions[0], w) for lit, w in sides])
+    is_below = np.concatenate([np.full(w.size, lit.directions[0].below) for lit, w in sides])
+    k = layer.surface.wavenumber
+    s_harmonics = structure_harmonics(joined, layer.structure, k, max(s_count, kept))
+    emissions = [
+        np.concatenate([lit.directions[j].emission for lit, _ in sides], axis=-1) for j in range(len(layer.particles))
+    ]
+    responses = [np.concatenate([lit.response[j] for lit, _ in sides], axis=-1) for j in range(len(layer.particles))]
+    one_sided = emissions, responses
+    if layer.correction in ("in-only", "in-out", "gv-balanced"):
+        vectors = [layer.mean_field_vectors(lit) for lit, _ in sides]
+        mean_in = np.concatenate([v for v, _ in vectors], axis=-1)
+        mean_out = np.concatenate([u for _, u in vectors], axis=-1)
+        met = [np.matmul(s.dressed[:, None], mean_in) for s in layer.spheres]
+        one_sided = emissions, met
+        if layer.correction == "in-only":
+            responses = met
+        elif layer.correction == "in-out":
+            emissions, responses = [mean_out] * len(met), met
+    two_sided = layer.correction == "qca-balanced" or (symmetric and layer.correction == "in-only")
+    powers = pair_powers(layer.fields(emissions, responses), s_harmonics, layer.shares, two_sided, kept)
+    scale = layer.structure.density_per_nm2 / (joined.index[:, None] * joined.index)
+    kernel = powers.kernel * scale[None, :, None, :]
+    weights = joined.weights * joined.index**2
+    if layer.correction == "qca-balanced":
+        target = powers.target * scale[None, :, None, :]
+        factors = _balanced(kernel, target, weights, is_below)
+    elif layer.correction == "gv-balanced":
+        # the closed form knows no g(r): S stays out of the total, as if the particles were independent
+        flat = np.zeros_like(s_harmonics)
+        flat[:, :, 0] = 2 * np.pi
+        alone = pair_powers(layer.fields(*one_sided), flat, layer.shares, False, 1)
+        factors = _balanced(kernel, alone.kernel * scale[None, :, None, :], weights, is_below)
+    elif layer.correction == "optical-depth":
+        factors = _uniform(_depth_factors(layer, sides))
+    else:
+        factors = _uniform(np.ones((2, joined.cosines.size)))
+    # a pair's C: g of s as seen from the side of i, times g of i as seen from the side of s
+    pair = factors[:, :, is_below.astype(int)]  # [pol_s, s, i]
+    both = pair[:, None] * np.swapaxes(pair, 1, 2)[None]  # pol_s, pol_i, s, i
+    spread = (both * scale).transpose(2, 3, 0, 1)[..., None]
+    sent = np.einsum("s,qspi,qpsi->spi", weights, kernel, both)
+    return DiffuseTerm(
+        powers.coherent * spread,
+        powers.varying * spread if powers.varying.size else powers.varying,
+        sent[~is_below].sum(axis=0),
+        sent[is_below].sum(axis=0),
+        0.5 * np.einsum("qspi,qpsi->si", kernel, both),
+    )
+
+
+def _uniform(factors: Array) -> Array:
+    """The same factors whichever side the other direction is on, `[pol, angle, side]`."""
+    return np.stack([factors, factors], axis=-1)
+
+
+def _balanced(kernel: Array, target: Array, weights: Array, is_below: NDArray[np.bool_]) -> Array:
+    """Balance the three blocks (above-above, below-below, across) on their own, `[pol, angle, side of the other]`.
+
+    One balance for all sides together would let light that the model sends wrongly into the substrate take from
+    the reflected side: on silicon resonances that doubles the error of the reflected light.
+    """
+    out = np.ones((2, weights.size, 2))
+    above, below = np.nonzero(~is_below)[0], np.nonzero(is_below)[0]
+    w_up, w_down = np.tile(weights[above], 2), np.tile(weights[below], 2)
+    g = balance(_block(kernel, above, above), _totals(target, weights, above, above), w_up)
+    out[:, above, 0] = g.reshape(2, -1)
+    if not below.size:
+        return out
+    up, down = _totals(target, weights, below, above), _totals(target, weights, above, below)
+    # across, sum w t_u = sum w t_d must hold, and a mean field keeps it only to some per cent: light from above
+    # stays exact, and what light from below cannot send up is sent back down, so that its total stays exact too
+    consistent = down * ((w_up @ up) / (w_down @ down))
+    g_up, g_down = balance_across(_block(kernel, below, above), up, consistent, w_up, w_down)
+    out[:, above, 1], out[:, below, 0] = g_up.reshape(2, -1), g_down.reshape(2, -1)
+    back = _totals(target, weights, below, below)
+    g = balance(_block(kernel, below, below), np.maximum(back + down - consistent, 0.2 * back), w_down)
+    out[:, below, 1] = g.reshape(2, -1)
+    return out
+
+
+def _block(kernel: Array, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
+    return kernel[:, rows][:, :, :, columns].reshape(2 * rows.size, 2 * columns.size)
+
+
+def _totals(target: Array, weights: Array, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
+    return np.einsum("s,qspi->pi", weights[rows], target[:, rows][:, :, :, columns]).ravel()
+
+
+def _depth_factors(layer: Monolayer, sides: list[tuple[Lit, Array]]) -> Array:
+    """(1 - e^-tau)/tau with tau = rho sigma_ext / cos, `[pol, angle]`."""
+    out = []
+    for lit, _ in sides:
+        first = lit.directions[0]
+        sphere = layer.spheres[len(layer.spheres) // 2]
+        sigma = extinction(sphere, first)
+        tau = np.maximum(layer.structure.density_per_nm2 * sigma / first.cosines, 1e-12)
+        out.append(-np.expm1(-tau) / tau)
+    return np.concatenate(out, axis=-1)

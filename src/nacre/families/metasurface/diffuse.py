@@ -1,0 +1,260 @@
+"""The diffuse term: |F|^2 S C between all pairs of directions, and the balance that fixes C.
+
+f = rho |F|^2 S C / (cos_i cos_o). Two plane directions (pol and angle, on either side of the stack) are treated
+alike: `power[s, i] = rho |F|^2 / (n_s n_i)` is symmetric by reciprocity, and so is everything made of it. C is
+ours (the source's is in a note that is not available): C = g_i g_s with g > 0 chosen so that the total diffuse
+power of each direction is what the mean field of the quasi-crystalline approximation sends out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nacre.arrays import Array, ComplexArray
+from nacre.families.metasurface.sphere import Directions
+from nacre.families.metasurface.structure import Structure
+from nacre.matter.jit import compiled
+
+HARMONICS = 11  # kept of |X||Y| over dphi: degree 8 is exact for |F|^2, the geometric mean adds a small tail
+BALANCE_TOLERANCE = 1e-13
+BALANCE_STEPS = 500
+
+
+@dataclass(frozen=True)
+class DirectionSet:
+    """Directions above, and below where light passes, as one list.
+
+    Attributes:
+        index: `[angle]`, index of the side over the ambient's.
+        cosines: `[angle]`, in that side.
+        transverse: `[angle]`, in-plane wavevector over the ambient k.
+        weights: `[angle]`, solid-angle weights dmu; zero for directions that only look on.
+        emission, excitation: `[m, pol, n, angle]`.
+    """
+
+    index: Array
+    cosines: Array
+    transverse: Array
+    weights: Array
+    emission: ComplexArray
+    excitation: ComplexArray
+
+    @classmethod
+    def join(cls, sides: list[tuple[Directions, Array]]) -> DirectionSet:
+        """Join sides, each with its weights."""
+        parts = [side for side, _ in sides]
+        return cls(
+            np.concatenate([np.full(p.cosines.size, p.index) for p in parts]),
+            np.concatenate([p.cosines for p in parts]),
+            np.concatenate([p.transverse for p in parts]),
+            np.concatenate([w for _, w in sides]),
+            np.concatenate([p.emission for p in parts], axis=-1),
+            np.concatenate([p.excitation for p in parts], axis=-1),
+        )
+
+
+@compiled(nogil=True, fastmath=True)
+def _structure_harmonics(kappa, wavenumber, step, table, count, samples, out):  # type: ignore[no-untyped-def]  # numba
+    """int_0^2pi S(|q|) cos(k phi) dphi for every pair, `[s, i, k]`, by the trapezoid rule (even, periodic)."""
+    cosines = np.empty((count, samples + 1))
+    for k in range(count):
+        for j in range(samples + 1):
+            end = 0.5 if (j == 0 or j == samples) else 1.0
+            cosines[k, j] = end * np.cos(np.pi * k * j / samples) * 2.0 * np.pi / samples
+    plain = np.empty(samples + 1)
+    for j in range(samples + 1):
+        plain[j] = np.cos(np.pi * j / samples)
+    values = np.empty(samples + 1)
+    last = table.size - 1
+    for s in range(kappa.size):
+        for i in range(s + 1):
+            squares = kappa[s] ** 2 + kappa[i] ** 2
+            product = 2.0 * kappa[s] * kappa[i]
+            for j in range(samples + 1):
+                x = wavenumber * np.sqrt(max(squares - product * plain[j], 0.0)) / step
+                n = int(x)
+                values[j] = 1.0 if n >= last else table[n] + (x - n) * (table[n + 1] - table[n])
+            for k in range(count):
+                total = 0.0
+                for j in range(samples + 1):
+                    total += cosines[k, j] * values[j]
+                out[s, i, k] = total
+                out[i, s, k] = total
+
+
+def structure_harmonics(directions: DirectionSet, structure: Structure, wavenumber: float, count: int) -> Array:
+    """Return int_0^2pi S(|q|) cos(k dphi) dphi, `[s, i, k]`, k < count."""
+    size = directions.transverse.size
+    reach = 2 * directions.transverse.max() * wavenumber * structure.diameter_nm
+    out = np.empty((size, size, count))
+    step = structure.q_per_nm[1] - structure.q_per_nm[0]
+    samples = int(32 + 1.2 * reach)
+    _structure_harmonics(directions.transverse, wavenumber, step, structure.s, count, samples, out)
+    return out
+
+
+@compiled(nogil=True, fastmath=True)
+def _pair_powers(  # type: ignore[no-untyped-def]  # numba
+    x, shares, two_sided, s_harmonics, samples, coherent, varying, kernel, target
+):
+    """Fill, for all pairs, the harmonics of the pair power and its sums with S; see `pair_powers`."""
+    _, count, _, _, sizes, orders = x.shape
+    kept = coherent.shape[-1]
+    total = s_harmonics.shape[-1]
+    points = samples + 1
+    cosm, sinm = np.empty((orders, points)), np.empty((orders, points))
+    for m in range(orders):
+        for j in range(points):
+            cosm[m, j], sinm[m, j] = np.cos(np.pi * m * j / samples), np.sin(np.pi * m * j / samples)
+    project = np.empty((total, points))
+    for k in range(total):
+        for j in range(points):
+            end = 0.5 if (j == 0 or j == samples) else 1.0
+            project[k, j] = end * np.cos(np.pi * k * j / samples) * (1.0 if k == 0 else 2.0) / samples
+    mean_a, mean_b = np.empty(points), np.empty(points)
+    var_a, var_b = np.empty(points), np.empty(points)
+    for s in range(count):
+        for i in range(s + 1):
+            for q in range(2):
+                for p in range(2):
+                    basis = cosm if q == p else sinm
+                    for j in range(points):
+                        ra, ia, rb, ib, pa, pb = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                        for size in range(sizes):
+                            xr, xi, yr, yi = 0.0, 0.0, 0.0, 0.0
+                            for m in range(orders):
+                                c = basis[m, j]
+                                a = x[q, s, p, i, size, m]
+                                b = x[p, i, q, s, size, m]
+                                xr += c * a.real
+                                xi += c * a.imag
+                                yr += c * b.real
+                                yi += c * b.imag
+                            w = shares[size]
+                            ra += w * xr
+                            ia += w * xi
+                            rb += w * yr
+                            ib += w * yi
+                            pa += w * (xr * xr + xi * xi)
+                            pb += w * (yr * yr + yi * yi)
+                        mean_a[j] = ra * ra + ia * ia
+                        mean_b[j] = rb * rb + ib * ib
+                        var_a[j] = max(pa - mean_a[j], 0.0)
+                        var_b[j] = max(pb - mean_b[j], 0.0)
+                    sum_k, sum_a, sum_b = 0.0, 0.0, 0.0
+                    for k in range(total):
+                        h, ha, hb, v, va, vb = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                        for j in range(points):
+                            c = project[k, j]
+                            ha += c * mean_a[j]
+                            hb += c * mean_b[j]
+                            h += c * np.sqrt(mean_a[j] * mean_b[j])
+                            if sizes > 1:
+                                v += c * np.sqrt(var_a[j] * var_b[j])
+                                if k == 0:
+                                    va += c * var_a[j]
+                                    vb += c * var_b[j]
+                        if not two_sided:
+                            h = ha
+                        weight = s_harmonics[s, i, k]
+                        sum_k += h * weight
+                        sum_a += ha * weight
+                        sum_b += hb * weight
+                        if k == 0 and sizes > 1:
+                            sum_k += v * 2.0 * np.pi
+                            sum_a += va * 2.0 * np.pi
+                            sum_b += vb * 2.0 * np.pi
+                        if k < kept:
+                            coherent[s, i, q, p, k] = h
+                            coherent[i, s, p, q, k] = h if two_sided else hb
+                            if sizes > 1:
+                                varying[s, i, q, p, k] = v
+                                varying[i, s, p, q, k] = v
+                    kernel[q, s, p, i] = sum_k
+                    kernel[p, i, q, s] = sum_k if two_sided else sum_b
+                    target[q, s, p, i] = sum_a
+                    target[p, i, q, s] = sum_b
+
+
+@dataclass(frozen=True)
+class PairPowers:
+    """Powers between all pairs of a `DirectionSet`, per incident irradiance and particle, nm^2/sr.
+
+    Attributes:
+        coherent: `[s, i, pol_s, pol_i, k]`, harmonics of |<X>||<Y>| (to be weighted by S).
+        varying: the same of the size variance, which S does not touch; empty for equal particles.
+        kernel: `[pol_s, s, pol_i, i]`, int dphi of (varying + coherent S).
+        target: `[pol_s, s, pol_i, i]`, int dphi of the one-sided (|X|^2 with S) power.
+    """
+
+    coherent: Array
+    varying: Array
+    kernel: Array
+    target: Array
+
+
+def pair_powers(
+    fields: ComplexArray, s_harmonics: Array, shares: Array | None = None, two_sided: bool = True, kept: int = HARMONICS
+) -> PairPowers:
+    """Form the pair powers from the far-field harmonics X_m of every pair.
+
+    Args:
+        fields: `[size, m, pol_s, s, pol_i, i]` in nm, `emission_harmonics` of each particle size.
+        s_harmonics: `[s, i, k]` of `structure_harmonics`; its k count sets where the S integral is cut.
+        shares: `[size]`, number fractions; equal particles by default.
+        two_sided: take the geometric mean of X and of its reverse Y (reciprocal), else |X|^2 alone.
+        kept: harmonics to return.
+    """
+    sizes, orders, _, count, _, _ = fields.shape
+    fields = fields.transpose(2, 3, 4, 5, 0, 1)
+    shares = np.ones(1) if shares is None else np.asarray(shares, dtype=float)
+    samples = max(s_harmonics.shape[-1] + 4, 2 * orders + 8)
+    coherent = np.empty((count, count, 2, 2, kept))
+    varying = np.empty((count, count, 2, 2, kept) if sizes > 1 else (0, 0, 2, 2, kept))
+    kernel, target = np.empty((2, count, 2, count)), np.empty((2, count, 2, count))
+    _pair_powers(
+        np.ascontiguousarray(fields), shares, two_sided, s_harmonics, samples, coherent, varying, kernel, target
+    )
+    return PairPowers(coherent, varying, kernel, target)
+
+
+def balance(kernel: Array, target: Array, weights: Array) -> Array:
+    """Find g > 0 with g_i sum_s w_s K[s, i] g_s = t_i: a symmetric Sinkhorn iteration.
+
+    Args:
+        kernel: `[direction, direction]`, symmetric, >= 0.
+        target: `[direction]`, > 0.
+        weights: `[direction]`; directions of weight 0 follow from the others.
+
+    Returns: g, `[direction]`.
+    """
+    weighted = kernel * weights
+    g = np.ones(len(target))
+    for _ in range(BALANCE_STEPS):
+        updated = np.sqrt(g * target / np.maximum(weighted @ g, 1e-300))
+        change = np.max(np.abs(updated - g) / np.maximum(updated, 1e-300))
+        g = updated
+        if change < BALANCE_TOLERANCE:
+            break
+    return np.asarray(target / np.maximum(weighted @ g, 1e-300))
+
+
+def balance_across(kernel: Array, up: Array, down: Array, w_up: Array, w_down: Array) -> tuple[Array, Array]:
+    """The same between two sides: g_u, g_d with g_u sum_d w K g_d = t_u for each direction above.
+
+    Args:
+        kernel: `[below, above]`.
+        up, down: targets t_u, t_d; sum w t must be the same on both sides.
+        w_up, w_down: weights.
+    """
+    g_up, g_down = np.ones(len(up)), np.ones(len(down))
+    for _ in range(BALANCE_STEPS):
+        g_down = down / np.maximum(kernel @ (w_up * g_up), 1e-300)
+        updated = up / np.maximum((w_down * g_down) @ kernel, 1e-300)
+        change = np.max(np.abs(updated - g_up) / np.maximum(updated, 1e-300))
+        g_up = updated
+        if change < BALANCE_TOLERANCE:
+            break
+    return g_up, g_down

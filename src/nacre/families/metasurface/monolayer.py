@@ -1,0 +1,195 @@
+"""A monolayer at one wavelength: its coherent reflection and transmission, and its diffuse light.
+
+Everything that the material tabulates over wavelengths is computed here from plain numbers: the stack, the
+particles' T-matrices, the arrangement and the chosen correction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from nacre.arrays import Array, ComplexArray
+from nacre.families.metasurface.coherent import sheet_field, sheet_vectors
+from nacre.families.metasurface.qca import INTERACTION_ORDER, NeighbourTable, mean_excitation
+from nacre.families.metasurface.sphere import Directions, SphereOnStack, apply_response, emission_harmonics
+from nacre.families.metasurface.structure import Structure
+from nacre.families.metasurface.substrate import Substrate
+
+CORRECTIONS = ("qca-balanced", "gv-balanced", "optical-depth", "in-only", "in-out", "none")
+
+
+@dataclass(frozen=True)
+class Particle:
+    """One particle size: its share in number, the height of its centre over the stack, its diagonal T `[n]`."""
+
+    share: float
+    centre_nm: float
+    t_matrix: ComplexArray
+
+
+@dataclass(frozen=True)
+class Lit:
+    """Directions of one side with what light from there does, one entry a particle size.
+
+    Attributes:
+        directions: excitation and emission vectors, per size (they carry each size's own height).
+        response: b, `[m, pol, n, angle]`, per size: multipoles of a particle among its neighbours.
+    """
+
+    directions: list[Directions]
+    response: list[ComplexArray]
+
+    @property
+    def cosines(self) -> Array:
+        """Cosines on that side, `[angle]`."""
+        return self.directions[0].cosines
+
+
+@dataclass(frozen=True)
+class Monolayer:
+    """Particles on a stack at one wavelength.
+
+    Attributes:
+        surface: the stack.
+        particles: sizes; one for equal particles.
+        structure: density, S(q), g(r).
+        correction: one of `CORRECTIONS`.
+        interaction_order: highest multipole that neighbours exchange.
+        mmax: highest azimuthal order.
+    """
+
+    surface: Substrate
+    particles: tuple[Particle, ...]
+    structure: Structure
+    correction: str = "qca-balanced"
+    interaction_order: int = INTERACTION_ORDER
+    mmax: int = 4
+
+    @property
+    def shares(self) -> Array:
+        """Number fractions of the sizes."""
+        return np.array([p.share for p in self.particles])
+
+    @property
+    def has_below(self) -> bool:
+        """Whether light passes through the substrate."""
+        return self.surface.is_transparent
+
+    @cached_property
+    def spheres(self) -> tuple[SphereOnStack, ...]:
+        """The particles, each alone on the stack."""
+        return tuple(
+            SphereOnStack(self.surface, p.centre_nm, p.t_matrix, min(self.mmax, len(p.t_matrix) // 2))
+            for p in self.particles
+        )
+
+    @cached_property
+    def mean_dressed(self) -> ComplexArray:
+        """M_m averaged over the sizes, `[m, n, n']`."""
+        return sum_over(self.shares, [s.dressed for s in self.spheres])
+
+    @cached_property
+    def mean_centre_nm(self) -> float:
+        """The mean height of the centres."""
+        return float(self.shares @ [p.centre_nm for p in self.particles])
+
+    @cached_property
+    def neighbours(self) -> NeighbourTable:
+        """The lattice sums."""
+        order = min(self.interaction_order, self.spheres[0].lmax)
+        return NeighbourTable.build(self.surface, self.mean_centre_nm, self.structure, order, self.has_below)
+
+    def light(self, cosines: Array, below: bool = False, sines: Array | None = None) -> Lit:
+        """Return the directions at `cosines` of one side, with the particles' mean-field response.
+
+        `qca-balanced` takes the quasi-crystalline mean field, all else the particles alone (their corrections
+        use the closed-form field where they need one).
+        """
+        directions = [s.directions(cosines, below, sines) for s in self.spheres]
+        own = [apply_response(s.dressed, d.excitation) for s, d in zip(self.spheres, directions)]
+        if self.correction != "qca-balanced":
+            return Lit(directions, own)
+        added = mean_excitation(self.neighbours, self.mean_dressed, directions[0], sum_over(self.shares, own))
+        return Lit(directions, [o + apply_response(s.dressed, added) for o, s in zip(own, self.spheres)])
+
+    def coherent_sum(self, leaving: list[Directions], lit: Lit) -> ComplexArray:
+        """Return the mean F towards `leaving`, paired one to one with the directions of `lit`, nm, `[pol, angle]`."""
+        total = 0
+        for share, out, response in zip(self.shares, leaving, lit.response):
+            weight = np.full(len(response), 2.0)
+            weight[0] = 1.0
+            total = total + share * np.einsum("m,mpna,mpna->pa", weight, out.emission, response)
+        return np.asarray(total / self.surface.wavenumber)
+
+    def specular_above(self, cosines: Array) -> tuple[Array, Array]:
+        """Power reflectance and transmittance of the coherent light from above, `[pol, angle]`."""
+        k, rho = self.surface.wavenumber, self.structure.density_per_nm2
+        if self.correction != "qca-balanced":
+            return self._closed_form(cosines)
+        lit = self.light(cosines)
+        bare = lit.directions[0].reflection
+        r = bare + 2 * np.pi * rho / (k * cosines) * self.coherent_sum(lit.directions, lit)
+        if not self.has_below:
+            return np.abs(r) ** 2, np.zeros(r.shape)
+        out, cos_below, t = self._refracted(cosines)
+        t = t + 2 * np.pi * rho / (k * cos_below) * self.coherent_sum(out, lit)
+        return np.abs(r) ** 2, cos_below / cosines * np.abs(t) ** 2
+
+    def specular_below(self, cosines: Array) -> Array:
+        """Power reflectance of the coherent light from below, `[pol, angle]`; zero for an opaque substrate."""
+        if not self.has_below:
+            return np.zeros((2, cosines.size))
+        k, rho = self.surface.wavenumber, self.structure.density_per_nm2
+        lit = self.light(cosines, below=True)
+        first = lit.directions[0]
+        if self.correction == "qca-balanced":
+            summed = self.coherent_sum(lit.directions, lit)
+        else:
+            field = sheet_field(self.surface, self.mean_centre_nm, self.mean_dressed, rho, first)
+            excitation, _ = sheet_vectors(field, first, self.spheres[0].lmax, len(self.mean_dressed) - 1)
+            summed = self.coherent_sum([first], Lit([first], [apply_response(self.mean_dressed, excitation)]))
+        r = first.reflection + 2 * np.pi * rho / (k * cosines * first.index) * summed
+        return np.abs(r) ** 2
+
+    def _refracted(self, cosines: Array) -> tuple[list[Directions], Array, ComplexArray]:
+        """Directions below that go with `cosines` above, n cos there, and the bare stack's t, `[pol, angle]`."""
+        index = self.surface.index_below
+        sines = np.sqrt((1 - cosines) * (1 + cosines)) / index
+        inner = np.sqrt((1 - sines) * (1 + sines))
+        out = [s.directions(inner, True, sines) for s in self.spheres]
+        t_up = out[0].transmission_up
+        assert t_up is not None  # set for every direction below
+        return out, index * inner, t_up * cosines / (index * inner)
+
+    def _closed_form(self, cosines: Array) -> tuple[Array, Array]:
+        rho = self.structure.density_per_nm2
+        directions = self.spheres[0].directions(cosines)
+        field = sheet_field(self.surface, self.mean_centre_nm, self.mean_dressed, rho, directions)
+        reflected = np.abs(field.reflection(directions.reflection)) ** 2
+        if not self.has_below:
+            return reflected, np.zeros(reflected.shape)
+        _, cos_below, t = self._refracted(cosines)
+        passed = t * (1 + field.phase * field.a_d)
+        return reflected, cos_below / cosines * np.abs(passed) ** 2
+
+    def fields(self, emissions: list[ComplexArray], responses: list[ComplexArray]) -> ComplexArray:
+        """Return X_m of every pair, `[size, m, pol_s, s, pol_i, i]`, nm."""
+        return np.stack([emission_harmonics(u, x, self.surface.wavenumber) for u, x in zip(emissions, responses)])
+
+    def mean_field_vectors(self, lit: Lit) -> tuple[ComplexArray, ComplexArray]:
+        """Excitation and emission vectors in the closed-form mean field, `[m, pol, n, angle]`."""
+        first = lit.directions[0]
+        rho = self.structure.density_per_nm2
+        field = sheet_field(self.surface, self.mean_centre_nm, self.mean_dressed, rho, first)
+        return sheet_vectors(field, first, self.spheres[0].lmax, len(self.mean_dressed) - 1)
+
+
+def sum_over(shares: Array, parts: list[ComplexArray]) -> ComplexArray:
+    """Return the mean of arrays by number fraction."""
+    total = shares[0] * parts[0]
+    for share, part in zip(shares[1:], parts[1:]):
+        total = total + share * part
+    return total

@@ -1,0 +1,254 @@
+"""How the neighbours of a particle act on it: the lattice sums Q of the quasi-crystalline approximation.
+
+Q_nn'(kappa) = 2 pi rho (-i)^mu int_a^inf g(R) J_mu(kappa R) W_nn'(R) R dR, mu = |m' - m|, where W(R) carries
+multipole n' at distance R, directly and by way of the stack, to multipole n. The parts that are plane waves are
+known in closed form and taken out; what remains is smooth in the angle and is interpolated.
+
+A multipole here is n = (m, tau, l) with m from -L to L, flat; lengths in units of 1/k inside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import hankel1e, hankel2e, jv
+
+from nacre.arrays import Array, ComplexArray
+from nacre.families.metasurface.angular import adjoint, legendre, mirrored, plane_wave_vectors
+from nacre.families.metasurface.bessel import bessel_j, spherical_hankel_scaled
+from nacre.families.metasurface.structure import Structure
+from nacre.families.metasurface.substrate import Substrate
+
+IntArray = NDArray[np.intp]
+
+CONTOUR_DEPTH = 0.3  # of the detour below guided modes, in k; e^{0.3 k R} of growth costs digits if deeper
+EXCESS_FLOOR = 2e-3  # |g - 1| below which the distance counts as uncorrelated
+
+
+@dataclass(frozen=True)
+class MultipoleIndex:
+    """The flat index of multipoles up to order L: arrays `[n]` of m, tau and l."""
+
+    order: int
+    m: IntArray
+    tau: IntArray
+    l: IntArray
+
+    @property
+    def block(self) -> IntArray:
+        """Position on the (tau, l) axis of `plane_wave_vectors`."""
+        return self.tau * self.order + self.l - 1
+
+
+@lru_cache(maxsize=8)
+def multipole_index(order: int) -> MultipoleIndex:
+    """Return the index of all (m, tau, l) with |m| <= l <= order."""
+    rows = [(m, tau, l) for m in range(-order, order + 1) for tau in range(2) for l in range(max(1, abs(m)), order + 1)]
+    m, tau, l = np.array(rows, dtype=np.intp).T
+    return MultipoleIndex(order, m, tau, l)
+
+
+def with_negative_orders(vectors: ComplexArray, index: MultipoleIndex) -> ComplexArray:
+    """Spread `[m >= 0, pol, (tau, l), ...]` over all m: `[pol, n, ...]`.
+
+    m -> -m turns the sign of the m pi functions, which are those with tau != pol.
+    """
+    picked = vectors[np.abs(index.m), :, index.block]  # advanced indices lead: [n, pol, ...]
+    flips = (index.m[:, None] < 0) & (index.tau[:, None] != np.arange(2))
+    sign = np.where(flips, -1.0, 1.0).reshape(len(index.m), 2, *([1] * (vectors.ndim - 3)))
+    return np.moveaxis(picked * sign, 0, 1)
+
+
+@lru_cache(maxsize=8)
+def _direct_coefficients(order: int) -> ComplexArray:
+    """c_p P_p^mu(0) of the direct translation, `[n, n', p, mu]`, zero but for the pair's own mu."""
+    index = multipole_index(order)
+    w, weight = np.polynomial.legendre.leggauss(4 * order + 6)
+    b = plane_wave_vectors(w, order, order)
+    right = with_negative_orders(b, index)
+    left = with_negative_orders(adjoint(b), index)
+    top = 2 * order
+    values, at_equator = legendre(w, top, top), legendre(np.array(0.0), top, top)
+    product = np.einsum("qnw,qcw->ncw", left, right)
+    size = len(index.m)
+    out = np.zeros((size, size, top + 1, top + 1), dtype=complex)
+    for i in range(size):
+        for j in range(size):
+            mu = abs(int(index.m[j] - index.m[i]))
+            a = values[mu] @ (weight * product[i, j])
+            out[i, j, :, mu] = 4 * (1j) ** np.arange(top + 1) * a * at_equator[mu]
+    return out
+
+
+@lru_cache(maxsize=8)
+def _pair_orders(order: int) -> IntArray:
+    """mu = |m' - m|, `[n, n']`."""
+    m = multipole_index(order).m
+    return np.abs(m[None, :] - m[:, None])
+
+
+def _panels(edges: Array, count: int) -> tuple[Array, Array]:
+    x, weight = np.polynomial.legendre.leggauss(count)
+    half = np.diff(edges) / 2
+    middle = (edges[1:] + edges[:-1]) / 2
+    return (middle[:, None] + half[:, None] * x).ravel(), (half[:, None] * weight).ravel()
+
+
+def _correlation_range(structure: Structure) -> float:
+    """Distance in nm beyond which |g - 1| stays below the floor; at least two diameters."""
+    loud = np.nonzero(np.abs(structure.h) > EXCESS_FLOOR)[0]
+    last = structure.r_nm[loud[-1]] if loud.size else structure.diameter_nm
+    return float(max(2 * structure.diameter_nm, last))
+
+
+def _direct_sums(structure: Structure, wavenumber: float, order: int, kappa: Array) -> ComplexArray:
+    """int_a^inf g h_p J_mu R dR, `[p, mu, angle]`, in units of 1/k^2."""
+    top = 2 * order
+    a = structure.diameter_nm * wavenumber
+    reach = _correlation_range(structure) * wavenumber
+    pieces = int(np.ceil((reach - a) / (a / 2)))
+    r, weight = _panels(np.linspace(a, reach, pieces + 1), int(8 + 0.6 * a))
+    g = 1.0 + structure.pair_excess(r / wavenumber)
+    hankel = spherical_hankel_scaled(r, top) * (np.exp(1j * r) * weight * g * r)
+    bessel = jv(np.arange(top + 1)[:, None, None], r[:, None] * kappa)  # mu, R, angle
+    near = np.einsum("pr,mra->pma", hankel, bessel, optimize=True)
+    return near + _rotated_tail(reach, top, kappa)
+
+
+def _rotated_tail(reach: float, top: int, kappa: Array) -> ComplexArray:
+    """int_reach^inf h_p J_mu R dR with J = (H1 + H2)/2, each on the ray along which it decays."""
+    y = np.linspace(-4.2, 3.6, 121)
+    s = np.exp(np.pi / 2 * np.sinh(y))
+    weight = s * np.pi / 2 * np.cosh(y) * (y[1] - y[0])
+    out = np.zeros((top + 1, top + 1, kappa.size), dtype=complex)
+    orders = np.arange(top + 1)
+    for sign in (1, -1):
+        kind = hankel1e if sign > 0 else hankel2e
+        for turn in (1, -1):
+            # e^{i (1 + sign kappa) R}: beyond the light line the incoming half decays on the lower ray
+            chosen = (1 + sign * kappa > 0) if turn > 0 else (1 + sign * kappa <= 0)
+            if not np.any(chosen):
+                continue
+            k = kappa[chosen]
+            r = reach + 1j * turn * s
+            h = spherical_hankel_scaled(r, top) * (weight * 1j * turn * r)
+            safe = np.maximum(k, 1e-9)
+            arg = r[:, None] * safe
+            phase = np.exp(1j * (1 + sign * k) * r[:, None])
+            first, second = kind(0, arg), kind(1, arg)
+            cylinder = np.empty((top + 1, *arg.shape), dtype=complex)
+            cylinder[0], cylinder[1] = first, second
+            for mu in range(1, top):
+                cylinder[mu + 1] = 2 * mu / arg * cylinder[mu] - cylinder[mu - 1]
+            zero = (k < 1e-9)[None, None, :]
+            # at kappa = 0 both Hankel halves are singular, their sum is J = delta_{mu 0}
+            cylinder = np.where(zero, (orders == 0)[:, None, None], cylinder)
+            out[:, :, chosen] += 0.5 * np.einsum("pr,mra->pma", h, cylinder * phase, optimize=True)
+    return out
+
+
+def _stack_contour(surface: Substrate, centre_nm: float, order: int, reach: float) -> tuple[ComplexArray, ComplexArray]:
+    """Nodes and weights in kappa/k that pass below the guided modes, then follow the real axis to its end."""
+    far = (2 * order + 46) / (2 * surface.wavenumber * centre_nm)
+    relative = np.abs(surface.indices.real).max() / surface.ambient_index
+    bend = max(6.0, relative + 1.0)
+    x, weight = _panels(np.array([0.0, 1.0, 2.0, bend]), int(40 + 1.6 * reach))
+    kappa = x - 1j * CONTOUR_DEPTH * np.sin(np.pi * x / bend)
+    slope = 1 - 1j * CONTOUR_DEPTH * np.pi / bend * np.cos(np.pi * x / bend)
+    if far <= bend:
+        return kappa, weight * slope
+    y, rest = _panels(np.array([bend, far]), int(60 + 0.5 * (far - bend) * min(reach, 10.0) / 3))
+    return np.concatenate([kappa, y]), np.concatenate([weight * slope, rest.astype(complex)])
+
+
+def _stack_sums(surface: Substrate, centre_nm: float, structure: Structure, order: int, kappa_i: Array) -> ComplexArray:
+    """The part by way of the stack, of g - 1 alone, `[n, n', angle]` (g = 1 is a plane wave, in closed form).
+
+    int (g-1) W^R(R) J_mu(kappa_i R) R dR with the Sommerfeld integral of W^R drawn outside: the radial integral
+    of two Bessel functions is done first, and W^R(R) never appears.
+    """
+    k = surface.wavenumber
+    index = multipole_index(order)
+    a, reach = structure.diameter_nm * k, _correlation_range(structure) * k
+    # W^R is smooth inside the core too (the image lies 2 d below), where g - 1 = -1
+    r_in, w_in = _panels(np.array([0.0, a]), int(14 + 0.8 * a))
+    r_out, w_out = _panels(np.linspace(a, reach, int(np.ceil(reach / a - 1 + 1e-9)) + 1), int(10 + 0.8 * a))
+    r = np.concatenate([r_in, r_out])
+    measure = np.concatenate([w_in, w_out]) * r * structure.pair_excess(r / k)
+    kappa, weight = _stack_contour(surface, centre_nm, order, reach)
+    w = np.sqrt((1 - kappa) * (1 + kappa))
+    w = np.where(w.imag < 0, -w, w)
+    b = plane_wave_vectors(w, order, order, kappa)
+    spectral = 4 * weight * kappa / w * np.exp(2j * k * centre_nm * w) * surface.reflection(w)
+    left = with_negative_orders(adjoint(b), index) * spectral[:, None]
+    right = with_negative_orders(mirrored(b), index)
+    top = 2 * order
+    radial = bessel_j(np.outer(kappa, r), top)  # mu, kappa, R
+    seen = jv(np.arange(top + 1)[:, None, None], r[:, None] * kappa_i)
+    moments = np.matmul(radial * measure, seen)  # mu, kappa, angle
+    mu = _pair_orders(order)
+    out = np.empty((*mu.shape, kappa_i.size), dtype=complex)
+    for order_mu in range(top + 1):
+        rows, columns = np.nonzero(mu == order_mu)
+        pairs = left[0, rows] * right[0, columns] + left[1, rows] * right[1, columns]
+        out[rows, columns] = (1j) ** order_mu * (pairs @ moments[order_mu])
+    return out
+
+
+def neighbour_sums(
+    surface: Substrate, centre_nm: float, structure: Structure, order: int, kappa: Array
+) -> ComplexArray:
+    """Return Q less its plane-wave terms, `[angle, n, n']`, at in-plane wavevectors `kappa` over k.
+
+    Args:
+        surface, centre_nm: the stack and the height of the particles over it.
+        structure: density and g(r).
+        order: highest multipole of the interaction.
+        kappa: `[angle]`, real, >= 0 and not 1.
+    """
+    mu = _pair_orders(order)
+    phase = (-1j) ** mu
+    k2 = surface.wavenumber**2
+    direct = _direct_sums(structure, surface.wavenumber, order, kappa)
+    size, top = len(mu), 2 * order
+    table = _direct_coefficients(order).reshape(size * size, -1)
+    total = (table @ direct.reshape((top + 1) ** 2, -1)).reshape(size, size, -1)
+    if not surface.is_absent:
+        total = total + _stack_sums(surface, centre_nm, structure, order, kappa)
+    total = total * (2 * np.pi * structure.density_per_nm2 / k2) * phase[:, :, None]
+    w = np.sqrt((1 - kappa**2).astype(complex))
+    index = multipole_index(order)
+    b = plane_wave_vectors(w, order, order, kappa.astype(complex))
+    return np.moveaxis(total, -1, 0) - _direct_wave(structure, surface, index, b, w)
+
+
+def _direct_wave(
+    structure: Structure, surface: Substrate, index: MultipoleIndex, b: ComplexArray, w: ComplexArray
+) -> ComplexArray:
+    """Half the sheet's own plane waves in both directions, `[angle, n, n']`; grows as 1/cos, so taken out of Q."""
+    factor = 4 * np.pi * structure.density_per_nm2 / (surface.wavenumber**2 * w)
+    out = np.zeros((w.size, len(index.m), len(index.m)), dtype=complex)
+    for vectors in (b, mirrored(b)):
+        left = with_negative_orders(adjoint(vectors), index).transpose(2, 1, 0)
+        right = with_negative_orders(vectors, index).transpose(2, 0, 1)
+        out += left @ right
+    return out * factor[:, None, None]
+
+
+def plane_wave_sums(
+    structure: Structure, surface: Substrate, centre_nm: float, order: int, w: ComplexArray, kappa: Array
+) -> ComplexArray:
+    """The plane-wave terms of Q, `[angle, n, n']`: the sheet's own waves and their reflection by the stack."""
+    index = multipole_index(order)
+    b = plane_wave_vectors(w, order, order, kappa.astype(complex))
+    out = _direct_wave(structure, surface, index, b, w)
+    if surface.is_absent:
+        return out
+    echo = 8 * np.pi * structure.density_per_nm2 / (surface.wavenumber**2 * w)
+    echo = echo * np.exp(2j * surface.wavenumber * centre_nm * w) * surface.reflection(w)
+    left = with_negative_orders(adjoint(b), index) * echo[:, None]
+    right = with_negative_orders(mirrored(b), index)
+    return out + left.transpose(2, 1, 0) @ right.transpose(2, 0, 1)

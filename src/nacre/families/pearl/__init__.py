@@ -1,0 +1,1 @@
+"""Pearlescent pigments: coated platelets and dyes in strata of resin over a base."""

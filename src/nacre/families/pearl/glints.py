@@ -1,0 +1,80 @@
+"""How many flakes of the uppermost stratum are seen one by one, how large and how flat they look."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nacre.arrays import Array
+from nacre.bsdf.glints import kind_of_flake
+
+if TYPE_CHECKING:
+    from nacre.families.pearl.strata import Stratum
+
+
+MIDDLE_UM = 0.55
+# half width of the Airy disc of a flake of diameter d in the resin, 0.51 lambda / (n d), as a standard deviation of
+# its Gaussian (over sqrt(2 ln 2)); a normal turns by half of what the light turns by
+DIFFRACTION = 0.51 / 1.1774 / 2.0
+SEED_STEP = 7919  # another kind of flake lies elsewhere
+
+
+@dataclass(frozen=True)
+class Glints:
+    """Single flakes to be seen.
+
+    Attributes:
+        surface_mm: length on the object of one unit of u and of v.
+        diameter_spread: standard deviation of the logarithm of the flakes' diameter.
+        flatness_deg: standard deviation of the normal over one flake, which is never quite flat.
+        seed: another one lays the flakes elsewhere.
+    """
+
+    surface_mm: tuple[float, float]
+    diameter_spread: float = 0.3
+    flatness_deg: float = 0.5
+    seed: int = 0
+
+
+def interface_bend(alpha: float, index: float) -> float:
+    """Return how far a rough interface, passed twice near the normal, turns the half vector inside, as a slope."""
+    return alpha * abs(index - 1.0) / (math.sqrt(2.0) * index)
+
+
+def glint_arrays(
+    glints: Glints, stratum: Stratum, index: float, number: Array, extinct: Array
+) -> tuple[Array, Array, Array]:
+    """Return numbers, radii and ratios of `nacre.bsdf.glints` for the kinds of a stratum.
+
+    Light that one flake reflects comes from as deep as it gets and returns: of `number` flakes over each other
+    number (1 - exp(-2 tau)) / (2 tau) are seen, tau being the extinction along the normal.
+
+    Args:
+        glints: the scale and the flakes' own spread.
+        stratum: whose flakes, each with a diameter.
+        index: of the resin over the ambient's.
+        number: `[kind]`, flakes over each other.
+        extinct: `[kind]`, share of the light that a flake met along the normal takes away.
+    """
+    depth = 2.0 * float(np.sum(number * extinct))
+    reach = -math.expm1(-depth) / depth if depth > 1e-9 else 1.0
+    alpha = math.sqrt(max(stratum.surface.alpha_x * stratum.surface.alpha_y, 0.0))
+    bend = interface_bend(alpha, index)
+    found = []
+    for k, flakes in enumerate(stratum.flakes):
+        assert flakes.diameter_um is not None
+        diffraction = DIFFRACTION * MIDDLE_UM / (index * flakes.diameter_um)
+        own = math.hypot(math.tan(math.radians(glints.flatness_deg)), diffraction, bend)
+        deviation = float(np.sqrt(flakes.normals.axes[0] * flakes.normals.axes[1]))
+        seed = (glints.seed + SEED_STEP * k) % (1 << 24)
+        found.append(
+            kind_of_flake(
+                glints.surface_mm, flakes.diameter_um, glints.diameter_spread, float(number[k]) * reach,
+                own / deviation, seed,
+            )
+        )  # fmt: skip
+    numbers, radii, ratio = (np.stack(part) for part in zip(*found, strict=True))
+    return numbers, radii, ratio

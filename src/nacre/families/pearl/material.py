@@ -1,0 +1,299 @@
+"""The pearl material: strata of resin, flakes and dye over a base, and the lobe that follows from them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.arrays import Array
+from nacre.bsdf import Bsdf
+from nacre.bsdf.contract import Lobe
+from nacre.bsdf.lobes.layered import Layered
+from nacre.bsdf.roughness import Roughness
+from nacre.errors import NacreError
+from nacre.families.contract import Figure, Model
+from nacre.families.pearl.dye import DyeResponse, dye_response
+from nacre.families.pearl.fast import bake, obstacle
+from nacre.families.pearl.glints import Glints, glint_arrays
+from nacre.families.pearl.interface import interface_loss
+from nacre.families.pearl.medium import (
+    COS_NODES,
+    MAX_COS_NODES,
+    TABLE_ERROR,
+    cos_nodes,
+    mean_extinction,
+    optical_number,
+    visible_weights,
+)
+from nacre.families.pearl.platelet import PlateletResponse, platelet_response
+from nacre.families.pearl.strata import Base, Flakes, Stratum
+from nacre.light import default_wavelengths
+from nacre.matter.indices.constant import OpticalConstant
+from nacre.matter.stack.solve import powers
+
+logger = logging.getLogger("nacre")
+
+INDEX_NM = 550.0  # directions are refracted with the index at this wavelength, for all colours alike
+STEP_NM = 5.0  # wavelength step where thickness varies over the flakes and washes fringes out
+BASE_NODES = 129
+EDGE_ON = 0.2  # cosine between mean flake normal and surface normal below which a note is made
+PLATELET_DEG = np.linspace(0.0, 90.0, 91)
+NO_SPREAD = 1e-3  # a smaller deviation would be a mirror; issue's narrowest pigment has 0.01
+
+
+@dataclass(frozen=True)
+class Pearl(Model):
+    """Strata from the light's side inward, and the base.
+
+    Attributes:
+        strata, base: see there.
+        quality: "reference", the walk, or "fast", noise-free tables of it where they can be made.
+        glints: flakes of the uppermost stratum seen one by one, or None.
+    """
+
+    noun = "pearl"
+    why_unpolarised = "scatters light many times and is known for unpolarised light only"
+
+    strata: tuple[Stratum, ...]
+    base: Base
+    quality: str = "reference"
+    glints: Glints | None = None
+
+    @property
+    def wavelengths_nm(self) -> Array:
+        """Default grid: 5 nm, finer where flakes of one thickness are thick enough to need it."""
+        fixed = [
+            flakes.platelet.optical_height_nm(INDEX_NM)
+            for stratum in self.strata
+            for flakes in stratum.flakes
+            if flakes.platelet.thickness.is_fixed
+        ]
+        grid = default_wavelengths(max(fixed, default=0.0))
+        grid = grid if grid[1] - grid[0] <= STEP_NM else default_wavelengths(step_nm=STEP_NM)
+        if self.base.other is None:
+            return grid
+        # a base that is known in less than the whole range, such as a measurement, sets the ends
+        known = self.base.default_lobes[0].wavelengths_nm
+        low, high = max(float(known[0]), grid[0]), min(float(known[-1]), grid[-1])
+        return np.concatenate([[low], grid[(grid > low + 1e-6) & (grid < high - 1e-6)], [high]])
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Remarks on settings that work but may surprise."""
+        found = []
+        for i, stratum in enumerate(self.strata):
+            kinds = len(stratum.flakes)
+            if kinds > 8:
+                found.append(f"strata[{i}]: {kinds} kinds of platelets work, but rendering gets slower with each")
+            for j, flakes in enumerate(stratum.flakes):
+                if flakes.diameter_um is not None and (self.glints is None or i > 0):
+                    found.append(f"strata[{i}].platelets[{j}]: diameter_um has no effect without glints")
+                if abs(flakes.normals.frame[2, 2]) < EDGE_ON:
+                    found.append(f"strata[{i}].platelets[{j}]: the rotation turns the flakes nearly edge-on")
+        return tuple(found)
+
+    def platelet_tables(self, wavelengths_nm: Array) -> Array:
+        """R and T of all kinds, `[kind, cos, wavelength, 2]`, over nodes uniform in sqrt(cos)."""
+        kinds = [(stratum, flakes) for stratum in self.strata for flakes in stratum.flakes]
+        count = COS_NODES
+        responses = [_response(stratum, flakes, count, wavelengths_nm) for stratum, flakes in kinds]
+        coarse = wavelengths_nm[:: max(1, len(wavelengths_nm) // 8)]
+        while count < MAX_COS_NODES and any(_table_error(s, f, count, coarse) > TABLE_ERROR for s, f in kinds):
+            count = 2 * (count - 1) + 1
+            responses = [_response(stratum, flakes, count, wavelengths_nm) for stratum, flakes in kinds]
+        tables = [np.stack(response.unpolarised(), axis=-1) for response in responses]
+        return np.clip(np.stack(tables), 0.0, 1.0) if tables else np.zeros((0, 2, len(wavelengths_nm), 2))
+
+    def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
+        """Solve platelets, media and interfaces into one layered lobe, and bake it if `quality` is "fast".
+
+        Args:
+            wavelengths_nm: `[wavelength]`, ascending; default: `self.wavelengths_nm`.
+
+        Raises:
+            MaterialRangeError: an optical constant is not known at a wavelength.
+        """
+        lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        response = self.platelet_tables(lam)
+        kinds = [(i, stratum, flakes) for i, stratum in enumerate(self.strata) for flakes in stratum.flakes]
+        extinctions = []
+        for (_, _, flakes), table in zip(kinds, response, strict=True):
+            weights = visible_weights(flakes.normals, table.shape[0])
+            extinctions.append(mean_extinction(weights, table[..., 1]))
+        extinctions = _same_azimuths(extinctions)
+        interfaces = [stratum.surface for stratum in self.strata] + [self.base.surface]
+        alpha = np.array([[face.alpha_x, face.alpha_y] for face in interfaces])
+        index = np.array([_index(stratum.resin, i) for i, stratum in enumerate(self.strata)])
+        dye, phase, quantile = self._dyes(lam)
+        lobe = Layered(
+            wavelengths_nm=lam,
+            index=index,
+            alpha=alpha,
+            is_beckmann=np.array([face.distribution == "beckmann" for face in interfaces], dtype=np.int64),
+            flake_stratum=np.array([i for i, _, _ in kinds], dtype=np.int64),
+            flake_number=np.array(
+                [optical_number(f.volume_fraction, s.thickness_nm, f.platelet.height_nm) for _, s, f in kinds]
+            ),
+            flake_axes=np.array([f.normals.axes for _, _, f in kinds]).reshape(-1, 3),
+            flake_frame=np.array([f.normals.frame for _, _, f in kinds]).reshape(-1, 3, 3),
+            flake_response=response,
+            flake_extinction=np.stack(extinctions) if extinctions else np.zeros((0, 1, 2, len(lam))),
+            base=self.base.kind,
+            base_reflectance=self._base_table(lam),
+            loss=self._loss(interfaces, index),
+            dye=dye,
+            dye_phase=phase,
+            dye_quantile=quantile,
+            base_lobes=self.base.default_lobes if wavelengths_nm is None else self.base.lobes(lam),
+        )
+        if self.glints is not None:
+            lobe = self._with_glints(lobe)
+        lobe.check()
+        notes = list(self.notes)
+        found: Lobe = lobe
+        if self.quality == "fast":
+            reason = obstacle(lobe)
+            if reason is None:
+                found = baked = bake(lobe)
+                notes.append(
+                    f"fast route: error {100 * baked.error.mean():.2f} % on average over wavelengths, at most "
+                    f"{100 * baked.error.max():.2f} % (L2 of f cos, three incidences, against the walk)"
+                )
+                logger.info("%s", notes[-1])
+            else:
+                notes.append(f"fast route: not made, since {reason}; this is the reference")
+                logger.warning("the fast route cannot be made, since %s; the reference is used", reason)
+        return Bsdf((found,), {"notes": notes} if notes else {})
+
+    def _with_glints(self, lobe: Layered) -> Layered:
+        assert self.glints is not None
+        upper = lobe.flake_stratum == 0
+        # met along the normal, averaged over wavelengths
+        extinct = lobe.flake_extinction[upper, 0, -1].mean(axis=-1)
+        numbers, radii, ratio = glint_arrays(
+            self.glints, self.strata[0], float(lobe.index[0]), lobe.flake_number[upper], extinct
+        )
+        return replace(lobe, glint_numbers=numbers, glint_radii=radii, glint_ratio=ratio)
+
+    def _dyes(self, lam: Array) -> tuple[Array | None, Array | None, Array | None]:
+        """Extinction of dye and resin, and the dye's phase function, all `[stratum, ...]`."""
+        responses: list[DyeResponse] = []
+        for stratum in self.strata:
+            n = stratum.resin.n_complex(lam)
+            absorbed = 4 * np.pi * n.imag * stratum.thickness_nm / lam
+            found = DyeResponse(absorbed, np.zeros(len(lam)))
+            if stratum.dye is not None:
+                dye = dye_response(stratum.dye, n.real, stratum.thickness_nm, lam)
+                found = DyeResponse(absorbed + dye.extinction, dye.scattering, dye.phase, dye.quantile)
+            responses.append(found)
+        if not any(np.any(r.extinction > 0) for r in responses):
+            return None, None, None
+        table = np.stack([np.stack([r.extinction, r.scattering], axis=-1) for r in responses])
+        model = next((r for r in responses if r.phase is not None), None)
+        if model is None or model.phase is None or model.quantile is None:
+            return table, None, None
+        # a stratum without scattering dye needs rows of its own; isotropic ones are never used
+        isotropic = np.full_like(model.phase, 0.25 / np.pi)
+        flat = np.repeat(np.linspace(-1, 1, len(model.quantile))[:, None], len(lam), axis=1)
+        phase = np.stack([isotropic if r.phase is None else r.phase for r in responses])
+        quantile = np.stack([flat if r.quantile is None else r.quantile for r in responses])
+        return table, phase, quantile
+
+    def _base_table(self, lam: Array) -> Array:
+        base = self.base
+        if base.kind in ("none", "lobes"):
+            return np.zeros((1, len(lam)))
+        if base.kind == "diffuse":
+            if isinstance(base.albedo, tuple):
+                return np.interp(lam, *base.albedo)[None]
+            return np.full((1, len(lam)), float(base.albedo))
+        cos = np.linspace(0.0, 1.0, BASE_NODES)
+        if base.film is not None:
+            wavelengths, nodes, reflectance = base.film
+            rows = np.stack([np.interp(lam, wavelengths, row) for row in reflectance])
+            return np.stack([np.interp(cos, nodes, rows[:, i]) for i in range(len(lam))], axis=1)
+        assert base.metal is not None
+        resin = self.strata[-1].resin.n_complex(lam).real + 0j
+        n = np.stack([resin, base.metal.n_complex(lam)])
+        return powers(n, np.zeros(0), lam, cos_i=cos).reflectance
+
+    def _loss(self, interfaces: list[Roughness], index: Array) -> Array | None:
+        if not any(face.compensate for face in interfaces):
+            return None
+        n = np.concatenate([[1.0], index, [1.0]])
+        bottom = self.base.kind == "none"
+        tables = []
+        for i, face in enumerate(interfaces):
+            wanted = face.compensate and face.alpha_x > 0 and (i < len(index) or bottom)
+            tables.append(interface_loss(face, float(n[i]), float(n[i + 1])) if wanted else np.zeros((2, 65)))
+        return np.stack(tables)
+
+    @property
+    def figures(self) -> Mapping[str, Figure]:
+        """R and T of each kind of flake in its resin: "platelet"."""
+        return {"platelet": self._platelets}
+
+    def _platelets(
+        self, wavelengths_nm: Array | None = None, angles_deg: Array = PLATELET_DEG
+    ) -> dict[str, NDArray[Any]]:
+        """Return R and T of each kind of flake.
+
+        Args:
+            wavelengths_nm: default: the material's.
+            angles_deg: in the resin.
+
+        Returns:
+            `wavelengths_nm[wavelength]`, `angles_deg[angle]` in the resin, `reflectance[kind, angle, wavelength]`,
+            `transmittance[...]`, `names[kind]`.
+        """
+        lam = np.asarray(self.wavelengths_nm if wavelengths_nm is None else wavelengths_nm, dtype=float)
+        angles = np.atleast_1d(np.asarray(angles_deg, dtype=float))
+        cos = np.where(angles == 90.0, 0.0, np.cos(np.deg2rad(angles)))
+        reflect, transmit, names = [], [], []
+        for i, stratum in enumerate(self.strata):
+            for j, flakes in enumerate(stratum.flakes):
+                found = platelet_response(flakes.platelet, stratum.resin.n_complex(lam).real, cos, lam).unpolarised()
+                reflect.append(found[0])
+                transmit.append(found[1])
+                names.append(f"strata[{i}].platelets[{j}]")
+        empty = np.zeros((0, len(angles), len(lam)))
+        return {
+            "wavelengths_nm": lam,
+            "angles_deg": angles,
+            "reflectance": np.stack(reflect) if reflect else empty,
+            "transmittance": np.stack(transmit) if transmit else empty,
+            "names": np.array(names),
+        }
+
+
+def _index(resin: OpticalConstant, stratum: int) -> float:
+    found = float(resin.n_complex(np.array([INDEX_NM]))[0].real)
+    if found < 1:  # a metal, or a slip: light is not followed in what is thinner than the air around
+        raise NacreError(
+            f"strata[{stratum}].resin has an index of {found:.4g} at {INDEX_NM:g} nm; it must be at least 1"
+        )
+    return found
+
+
+def _response(stratum: Stratum, flakes: Flakes, count: int, lam: Array) -> PlateletResponse:
+    return platelet_response(flakes.platelet, stratum.resin.n_complex(lam).real, cos_nodes(count), lam)
+
+
+def _table_error(stratum: Stratum, flakes: Flakes, count: int, lam: Array) -> float:
+    """Largest error of linear interpolation half way between nodes, weighted by cos: what a ray meets."""
+    fine = cos_nodes(2 * count - 1)
+    n = stratum.resin.n_complex(lam).real
+    reflect, _ = platelet_response(flakes.platelet, n, fine, lam).unpolarised()
+    middle = (reflect[:-2:2] + reflect[2::2]) / 2
+    return float(np.max(np.abs(middle - reflect[1::2]) * fine[1::2, None]))
+
+
+def _same_azimuths(tables: list[Array]) -> list[Array]:
+    """Give all kinds the same number of azimuths, so that they stack."""
+    most = max((len(table) for table in tables), default=1)
+    return [np.repeat(table, most, axis=0) if len(table) == 1 and most > 1 else table for table in tables]

@@ -1,0 +1,237 @@
+"""Interference platelets: a substrate between two coatings, averaged over the flakes' thicknesses.
+
+R, T and A are those of one flat flake in its resin, for the angle between the ray and the flake's normal. The
+amplitudes of the coatings come from `nacre.matter.stack.stack`; the substrate is split off so that its thickness
+can be averaged in closed form (`average.py`).
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nacre.arrays import Array, ComplexArray
+from nacre.errors import NacreError
+from nacre.families.pearl import average
+from nacre.families.pearl.thickness import Thickness
+from nacre.matter.jobs import share
+from nacre.matter.stack.case import Amplitudes
+from nacre.matter.stack.solve import amplitudes
+
+if TYPE_CHECKING:
+    from nacre.matter.indices.constant import OpticalConstant
+
+
+LADDER = tuple(8 * 2**i for i in range(7))  # panels of 16 points: 128 ... 8192 nodes
+GRAZING = 1e-9  # cosine below which R = 1, T = 0 is the limit
+MAX_COATING_SETS = 4096  # combinations of coating thicknesses that are worth averaging
+SERIES_REACH = 150  # terms of the series that the characteristic function is tabulated for; more only at grazing
+SINGULAR = 2e-8  # |kz of the substrate| below this is moved away from 0, where its amplitudes are not defined
+
+
+@dataclass(frozen=True)
+class Coating:
+    """One layer on a face of the substrate; its deviation is common to both faces (they grow in one bath)."""
+
+    material: OpticalConstant
+    thickness: Thickness
+
+
+@dataclass(frozen=True)
+class Platelet:
+    """The layers of a flake.
+
+    Attributes:
+        substrate: material of the middle layer (a free platelet has only this one).
+        thickness: its thickness over the flakes.
+        upper: coatings of one face, outermost first.
+        lower: coatings of the other face, outermost first; None mirrors `upper`.
+    """
+
+    substrate: OpticalConstant
+    thickness: Thickness
+    upper: tuple[Coating, ...] = ()
+    lower: tuple[Coating, ...] | None = None
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether both faces carry the same coatings."""
+        return self.lower is None
+
+    @property
+    def height_nm(self) -> float:
+        """Mean thickness of the whole flake, both coatings included; the volume of a flake per face area."""
+        lower = self.upper if self.lower is None else self.lower
+        return self.thickness.average_nm + sum(c.thickness.average_nm for c in (*self.upper, *lower))
+
+    def optical_height_nm(self, wavelength_nm: float = 550.0) -> float:
+        """Optical thickness, which sets how finely the wavelengths must be sampled."""
+        lower = self.upper if self.lower is None else self.lower
+        layers = [(self.substrate, self.thickness), *((c.material, c.thickness) for c in (*self.upper, *lower))]
+        wavelength = np.array([wavelength_nm])
+        return float(sum(m.n_complex(wavelength)[0].real * t.average_nm for m, t in layers))
+
+
+@dataclass(frozen=True)
+class PlateletResponse:
+    """Power ratios of a platelet, each `[polarisation (s, p), cos, wavelength]`."""
+
+    reflectance: Array
+    transmittance: Array
+
+    @property
+    def absorptance(self) -> Array:
+        """What neither returns nor passes."""
+        return 1.0 - self.reflectance - self.transmittance
+
+    def unpolarised(self) -> tuple[Array, Array]:
+        """R and T for unpolarised light, `[cos, wavelength]`."""
+        return self.reflectance.mean(axis=0), self.transmittance.mean(axis=0)
+
+
+def platelet_response(platelet: Platelet, container_n: Array, cos_i: Array, wavelengths_nm: Array) -> PlateletResponse:
+    """Reflectance and transmittance of a flake in its resin, averaged over its thickness distributions.
+
+    Of an asymmetric flake the two faces look up equally often, and their mean is returned.
+
+    Args:
+        platelet: the layers.
+        container_n: `[wavelength]`, real index of the resin (1 for a powder in air).
+        cos_i: `[cos]`, cosines between ray and flake normal in the resin, in [0, 1].
+        wavelengths_nm: `[wavelength]`, vacuum.
+
+    Raises:
+        MaterialRangeError: an index is not tabulated at a wavelength.
+
+    Example: 140 nm TiO2 on 560 +- 179 nm mica in PET (n = 1.575) at 550 nm, normal incidence: R = 0.31.
+    """
+    total: PlateletResponse | None = None
+    for weight, upper_nm, lower_nm in _coating_sets(platelet, wavelengths_nm):
+        upper = (platelet.upper, upper_nm)
+        lower = upper if platelet.lower is None else (platelet.lower, lower_nm)
+        faces = [(upper, lower)] if platelet.is_symmetric else [(upper, lower), (lower, upper)]
+        for top, bottom in faces:
+            part = _one_face(platelet, top, bottom, container_n, cos_i, wavelengths_nm)
+            scale = weight / len(faces)
+            if total is None:
+                total = PlateletResponse(scale * part.reflectance, scale * part.transmittance)
+            else:
+                total.reflectance[...] += scale * part.reflectance
+                total.transmittance[...] += scale * part.transmittance
+    assert total is not None
+    return total
+
+
+def _coating_sets(platelet: Platelet, wavelengths_nm: Array) -> list[tuple[float, Array, Array]]:
+    """Combine the thickness nodes of all coatings that vary: (weight, upper thicknesses, lower thicknesses)."""
+    choices = []
+    coatings = (*platelet.upper, *(platelet.lower or ()))
+    # 10 panels of 16 nodes keep 1e-8 up to 84 degrees; two coatings that vary must do with fewer, being multiplied
+    panels = 10 if sum(not c.thickness.is_fixed for c in coatings) == 1 else 4
+    for coating in coatings:
+        thickness = coating.thickness
+        if thickness.is_fixed:
+            choices.append([(1.0, thickness.mean_nm)])
+            continue
+        # a coating varies by a fraction of a fringe: the phase over its support sets the panels
+        low, high = thickness.support
+        index = float(np.max(np.abs(coating.material.n_complex(wavelengths_nm))))
+        phase = 4 * np.pi * index * (high - low) / float(wavelengths_nm[0])
+        nodes, weights = thickness.nodes(max(panels, int(np.ceil(phase / 4.0))))
+        choices.append(list(zip(weights.tolist(), nodes.tolist(), strict=True)))
+    if np.prod([float(len(c)) for c in choices]) > MAX_COATING_SETS:
+        raise NacreError("the coatings vary too much or too many at once: average over at most one or two of them")
+    combined = []
+    for combination in itertools.product(*choices):
+        weight = float(np.prod([w for w, _ in combination]))
+        values = np.array([t for _, t in combination])
+        combined.append((weight, values[: len(platelet.upper)], values[len(platelet.upper) :]))
+    return combined
+
+
+Face = tuple[tuple[Coating, ...], Array]  # coatings, outermost first, and their thicknesses in nm
+
+
+def _one_face(
+    platelet: Platelet, upper: Face, lower: Face, container_n: Array, cos_i: Array, wavelengths_nm: Array
+) -> PlateletResponse:
+    cos_i = np.asarray(cos_i, dtype=float)
+    n_c = np.asarray(container_n, dtype=float)
+    n_s = platelet.substrate.n_complex(wavelengths_nm)
+    kz_c = np.maximum(cos_i, GRAZING)[:, None] * n_c
+    kz_s = np.sqrt(n_s**2 - (n_c**2 - kz_c**2) + 0j)
+    kz_s = np.where(kz_s.imag < 0, -kz_s, kz_s)
+    kz_s = np.where(np.abs(kz_s) < SINGULAR, SINGULAR, kz_s)
+    absorbs = n_s.imag > 0
+    # the stack solver picks the outgoing wave by the sign of Im kz: keep rounding from deciding it
+    kz_s = np.where(absorbs, kz_s + 1e-13j, kz_s)
+    (r_a, t_a), (into, back) = _coating_amplitudes(upper, n_c, n_s, kz_c, kz_s, wavelengths_nm)
+    r_b, t_b = into, back
+    if lower is not upper:
+        r_b, t_b = _coating_amplitudes(lower, n_c, n_s, kz_c, kz_s, wavelengths_nm)[1]
+    shape = (2, kz_s.size)
+    p = (4 * np.pi / wavelengths_nm * kz_s).ravel()
+    big_r, big_t = np.empty(shape), np.empty(shape)
+    thickness = platelet.thickness
+    kind, centre = average.GAUSSIAN, thickness.mean_nm
+    table, step = np.zeros(1, dtype=complex), 1.0
+    nodes, weights, starts = np.zeros(1), np.ones(1), np.array([0, 1])
+    if not thickness.is_fixed:
+        if not thickness.is_uncut:
+            kind = average.TABULATED
+            x_max = float(np.max(np.abs(p.real))) * SERIES_REACH
+            table, step, centre = thickness.characteristic(x_max)
+        low, high = thickness.support
+        if np.any((p.imag != 0.0) | (p.real * (high - low) <= average.SHORT_PHASE)):
+            ladder = [thickness.nodes(panels) for panels in LADDER]
+            nodes, weights = (np.concatenate([level[i] for level in ladder]) for i in (0, 1))
+            starts = np.concatenate([[0], np.cumsum([len(level[0]) for level in ladder])])
+    low, high = thickness.support
+    factors = r_a.reshape(shape), (t_a * back * r_b).reshape(shape), (into * r_b).reshape(shape)
+    transfer = (np.abs(t_a * t_b) ** 2).reshape(shape)
+
+    def task(_: int, __: int, first: int, last: int) -> None:
+        average.average_platelet(
+            p, *factors, transfer, thickness.is_fixed, kind, float(centre), float(thickness.deviation_nm), table,
+            float(step), float(low), float(high), nodes, weights, starts, big_r, big_t, first, last,
+        )  # fmt: skip
+
+    # an absorbing point costs some hundred nodes of the quadrature, any other a few terms of a series
+    share(task, 1, p.size, p.size * (1000 if nodes.size > 1 else 50), None)
+    full = (2, *kz_s.shape)
+    result_r, result_t = big_r.reshape(full), big_t.reshape(full)
+    lossless = ~absorbs
+    for coating in (*upper[0], *lower[0]):
+        lossless &= coating.material.n_complex(wavelengths_nm).imag == 0
+    # near grazing 1 - |rho|^2 loses digits; R + T = 1 within 1e-11 there, and what is lost is rounding alone
+    total = np.where(lossless, result_r + result_t, 1.0)
+    result_r, result_t = result_r / total, result_t / total
+    grazing = cos_i < GRAZING
+    matched = np.abs(n_s - n_c) < 1e-14  # an index-matched flake is not there, at grazing either
+    if np.any(grazing):
+        invisible = matched & (len(upper[0]) == 0) & (len(lower[0]) == 0)
+        result_r[:, grazing] = np.where(invisible, 0.0, 1.0)
+        result_t[:, grazing] = np.where(invisible, 1.0, 0.0)
+    return PlateletResponse(result_r, result_t)
+
+
+def _coating_amplitudes(
+    face: Face, n_c: Array, n_s: ComplexArray, kz_c: Array, kz_s: ComplexArray, wavelengths_nm: Array
+) -> tuple[tuple[ComplexArray, ComplexArray], tuple[ComplexArray, ComplexArray]]:
+    """Amplitudes of one coated face: (r, t) met from the resin and (r, t) met from the substrate.
+
+    Each `[polarisation, cos, wavelength]`.
+    """
+    coatings, thicknesses = face
+    layers = [c.material.n_complex(wavelengths_nm) for c in coatings]
+    downward = np.stack([n_c + 0j, *layers, n_s])
+    outside = amplitudes(downward, thicknesses, wavelengths_nm, kz=kz_c + 0j)
+    inside = amplitudes(downward[::-1], thicknesses[::-1], wavelengths_nm, kz=kz_s)
+    return _both(outside), _both(inside)
+
+
+def _both(found: Amplitudes) -> tuple[ComplexArray, ComplexArray]:
+    return np.stack([found.r_s, found.r_p]), np.stack([found.t_s, found.t_p])

@@ -1,0 +1,379 @@
+"""The recipe of a pearl: strata of resin with platelets and dye over a base."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+import pydantic
+from numpy.typing import NDArray
+
+from nacre.bsdf.roughness import SMOOTH_BELOW, Roughness, check_widths
+from nacre.errors import NacreError, RecipeError
+from nacre.families.pearl.dye import Dye
+from nacre.families.pearl.glints import Glints
+from nacre.families.pearl.material import NO_SPREAD, Pearl
+from nacre.families.pearl.medium import FlakeNormals, rotation_matrix
+from nacre.families.pearl.platelet import Coating, Platelet
+from nacre.families.pearl.strata import Base, Flakes, Stratum
+from nacre.families.pearl.thickness import Thickness
+from nacre.files import read_text
+from nacre.matter.indices.constant import OpticalConstant
+from nacre.matter.indices.spec import IndexSpec
+from nacre.recipe.model import RecipeContext, RecipeModel, show_value
+
+MAX_STRATA = 8
+MAX_KINDS = 32
+MAX_COATINGS = 20
+MAX_FRACTION = 0.3  # beyond, flakes no longer lie independently of each other
+
+Positive = Annotated[float, pydantic.Field(gt=0.0)]
+NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
+Albedo = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
+
+
+def _widths(value: Any) -> Any:
+    check_widths(value, "alpha or [alpha_x, alpha_y]", show_value(value))
+    return value
+
+
+def _deviation(value: Any) -> Any:
+    numbers = value if isinstance(value, list | tuple) else [value]
+    if len(numbers) not in (1, 2) or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
+        raise ValueError(f"= {show_value(value)} is not a deviation; write one number or [x, y]")
+    if not all(NO_SPREAD <= v <= 1.0 for v in numbers):
+        raise ValueError(f"= {show_value(value)} is not allowed; it should be in [{NO_SPREAD:g}, 1]")
+    return value
+
+
+Widths = Annotated[float | tuple[float, ...], pydantic.BeforeValidator(_widths)]
+Deviation = Annotated[float | tuple[float, ...], pydantic.BeforeValidator(_deviation)]
+
+
+class ThicknessKeys(RecipeModel):
+    """A thickness and how it varies over the flakes."""
+
+    thickness_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e5)] | None = None
+    deviation_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e5)] = 0.0
+    distribution: Literal["gaussian", "truncated", "lognormal"] = "gaussian"
+    min_nm: NotNegative = 0.0
+    max_nm: Positive | None = None
+    histogram: str | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _one_form(self) -> ThicknessKeys:
+        if (self.histogram is None) == (self.thickness_nm is None):
+            raise ValueError("give thickness_nm (with deviation_nm), or histogram, a file of two columns")
+        if self.histogram is not None and self.deviation_nm > 0:
+            raise ValueError("deviation_nm has no meaning beside histogram; keep one of the two")
+        if self.distribution != "truncated" and (self.min_nm > 0 or self.max_nm is not None):
+            raise ValueError('min_nm and max_nm belong to distribution = "truncated"')
+        return self
+
+    def thickness(self, context: RecipeContext, key: str) -> Thickness:
+        """Return the distribution.
+
+        Raises:
+            RecipeError: the histogram cannot be read or does not sum to 1; bounds that hold nothing.
+        """
+        try:
+            if self.histogram is not None:
+                table = _two_columns(context, f"{key}.histogram", self.histogram)
+                return Thickness.from_histogram(table[:, 0], table[:, 1])
+            high = np.inf if self.max_nm is None else self.max_nm
+            assert self.thickness_nm is not None
+            return Thickness(self.thickness_nm, self.deviation_nm, self.distribution, self.min_nm, high)
+        except NacreError as error:
+            if str(error).startswith(context.source):
+                raise
+            raise context.fail(key, self.histogram or self.thickness_nm, f"is not allowed: {error}") from None
+
+
+class LayerSpec(ThicknessKeys):
+    """A layer of a flake."""
+
+    material: IndexSpec
+
+
+class PlateletSpec(RecipeModel):
+    """One kind of platelet. Without `coatings` or without `substrate` it is free: a single layer."""
+
+    volume_fraction: float
+    substrate: LayerSpec | None = None
+    coatings: tuple[LayerSpec, ...] = pydantic.Field(default=(), max_length=MAX_COATINGS)
+    lower_coatings: tuple[LayerSpec, ...] | None = pydantic.Field(default=None, max_length=MAX_COATINGS)
+    normal_deviation: Deviation = 0.1
+    rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    diameter_um: Positive | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _check(self) -> PlateletSpec:
+        if not 0.0 < self.volume_fraction <= MAX_FRACTION:
+            raise ValueError(
+                f"volume_fraction = {self.volume_fraction:g} is not allowed; it should be above 0 and at most "
+                f"{MAX_FRACTION:g}"
+            )
+        if self.substrate is None and (len(self.coatings) != 1 or self.lower_coatings is not None):
+            raise ValueError("substrate is missing; only a free platelet of a single coating goes without")
+        return self
+
+    def build(self, context: RecipeContext, key: str) -> Flakes:
+        """Return the flakes."""
+        if self.substrate is None:
+            only = self.coatings[0]
+            platelet = Platelet(only.material.build(context), only.thickness(context, f"{key}.coatings[0]"))
+        else:
+            platelet = Platelet(
+                self.substrate.material.build(context),
+                self.substrate.thickness(context, f"{key}.substrate"),
+                _coatings(self.coatings, context, f"{key}.coatings"),
+                None
+                if self.lower_coatings is None
+                else _coatings(self.lower_coatings, context, f"{key}.lower_coatings"),
+            )
+        if platelet.height_nm <= 0:
+            raise context.fail(key, 0.0, "is a flake without thickness; give one of its layers some")
+        spread = self.normal_deviation if isinstance(self.normal_deviation, tuple) else (self.normal_deviation,)
+        normals = FlakeNormals(
+            np.array([spread[0], spread[-1]], dtype=float), rotation_matrix(np.deg2rad(np.array(self.rotation_deg)))
+        )
+        return Flakes(platelet, self.volume_fraction, normals, self.diameter_um)
+
+
+class DyeSpec(RecipeModel):
+    """Dye: `material`, or `file` with n and k; with `radius_nm` it is particles that scatter."""
+
+    material: IndexSpec | None = None
+    file: str | None = None
+    volume_fraction: Annotated[float, pydantic.Field(gt=0.0, le=0.3)]
+    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=2e4)] | None = None
+    deviation_nm: NotNegative = 0.0
+    distribution: Literal["gaussian", "lognormal"] = "gaussian"
+
+    _index: OpticalConstant = pydantic.PrivateAttr()
+
+    @pydantic.model_validator(mode="after")
+    def _read_index(self, info: pydantic.ValidationInfo) -> DyeSpec:
+        if (self.material is None) == (self.file is None):
+            raise ValueError("give material or file, one of the two")
+        spec = self.material or IndexSpec.model_validate({"file": self.file}, context=info.context)
+        self._index = spec.build()
+        if self.radius_nm is None and self.deviation_nm > 0:
+            raise ValueError("deviation_nm needs radius_nm beside it")
+        return self
+
+    def build(self) -> Dye:
+        """Return the dye."""
+        radius = None
+        if self.radius_nm is not None:
+            radius = Thickness(self.radius_nm, self.deviation_nm, self.distribution)
+        return Dye(self._index, self.volume_fraction, radius)
+
+
+class StratumSpec(RecipeModel):
+    """A layer of resin; `roughness` is that of its upper interface."""
+
+    resin: IndexSpec
+    thickness_nm: float
+    roughness: Widths = 0.0
+    distribution: Literal["ggx", "beckmann"] = "ggx"
+    compensate: bool = False
+    platelets: tuple[PlateletSpec, ...] = pydantic.Field(default=(), max_length=MAX_KINDS)
+    dye: DyeSpec | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _check(self) -> StratumSpec:
+        if not 0.0 < self.thickness_nm <= 1e8:
+            raise ValueError(
+                f"thickness_um = {self.thickness_nm / 1e3:g} is not allowed; it should be above 0 and at most 100000"
+            )
+        total = sum(p.volume_fraction for p in self.platelets)
+        if total > MAX_FRACTION:
+            raise ValueError(f"platelets fill {total:g} of the volume together; at most {MAX_FRACTION:g} is allowed")
+        return self
+
+    def build(self, context: RecipeContext, key: str) -> Stratum:
+        """Return the stratum."""
+        return Stratum(
+            self.resin.build(context),
+            self.thickness_nm,
+            _interface_roughness(self.roughness, self.distribution, self.compensate),
+            tuple(p.build(context, f"{key}.platelets[{j}]") for j, p in enumerate(self.platelets)),
+            None if self.dye is None else self.dye.build(),
+        )
+
+
+class GlintsSpec(RecipeModel):
+    """Flakes of the uppermost stratum seen one by one; each of its platelets needs `diameter_um`.
+
+    `surface_mm` is the length on the object of one unit of its texture coordinates, or of [u, v].
+    """
+
+    surface_mm: Positive | tuple[Positive, Positive]
+    diameter_spread: Annotated[float, pydantic.Field(ge=0.0, le=0.6)] = 0.3
+    flatness_deg: Annotated[float, pydantic.Field(ge=0.05, le=20.0)] = 0.5
+    seed: Annotated[int, pydantic.Field(ge=0, lt=1 << 24)] = 0
+
+    def build(self, upper: Stratum, context: RecipeContext) -> Glints:
+        """Return the glints of the uppermost stratum.
+
+        Raises:
+            RecipeError: it has no platelets, or one without a diameter.
+        """
+        if not upper.flakes:
+            raise context.fail("glints.surface_mm", self.surface_mm, "has no use: strata[0] holds no platelets")
+        for k, flakes in enumerate(upper.flakes):
+            if flakes.diameter_um is None:
+                raise RecipeError(f"{context.source}: strata[0].platelets[{k}].diameter_um is missing; glints need it")
+        size = self.surface_mm if isinstance(self.surface_mm, tuple) else (self.surface_mm, self.surface_mm)
+        return Glints(size, self.diameter_spread, self.flatness_deg, self.seed)
+
+
+class AlbedoSpec(RecipeModel):
+    """A coloured base: a file of two columns, wavelength in nm and albedo."""
+
+    file: str
+
+
+class BaseSpec(RecipeModel):
+    """What lies below: a diffuse albedo, a metal, another opaque recipe of any family, or nothing."""
+
+    albedo: Albedo | AlbedoSpec | None = None
+    material: IndexSpec | None = None
+    recipe: str | None = None
+    none: bool = False
+    roughness: Widths = 0.0
+    distribution: Literal["ggx", "beckmann"] = "ggx"
+    compensate: bool = False
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _accept_nested(cls, data: Any) -> Any:
+        # the recipe may be written as albedo = {recipe = "..."} too
+        albedo = data.get("albedo") if isinstance(data, Mapping) else None
+        if isinstance(albedo, Mapping) and "recipe" in albedo:
+            data = {**{k: v for k, v in data.items() if k != "albedo"}, **albedo}
+        return data
+
+    @pydantic.model_validator(mode="after")
+    def _one_kind(self) -> BaseSpec:
+        given = [k for k in ("albedo", "material", "recipe") if getattr(self, k) is not None] + ["none"] * self.none
+        if len(given) > 1:
+            raise ValueError(f"gives {' and '.join(given)}; keep one of albedo, material, recipe, none = true")
+        if self.recipe is not None and self.roughness != 0.0:
+            raise ValueError("roughness of a base recipe stands in that recipe")
+        return self
+
+    def build(self, context: RecipeContext, resin: OpticalConstant) -> Base:
+        """Return the base, which lies in a resin.
+
+        Raises:
+            RecipeError: the albedo file or the base's recipe cannot serve.
+        """
+        surface = _interface_roughness(self.roughness, self.distribution, self.compensate)
+        if self.none:
+            return Base("none", surface=surface)
+        if self.material is not None:
+            return Base("specular", metal=self.material.build(context), surface=surface)
+        if self.recipe is not None:
+            return _recipe_base(self.recipe, resin, context)
+        if isinstance(self.albedo, AlbedoSpec):
+            table = _two_columns(context, "base.albedo.file", self.albedo.file)
+            if not (np.all(np.diff(table[:, 0]) > 0) and np.all((table[:, 1] >= 0) & (table[:, 1] <= 1))):
+                raise context.fail("base.albedo.file", self.albedo.file, "must hold ascending nm and albedos in [0, 1]")
+            return Base("diffuse", (table[:, 0], table[:, 1]))
+        return Base("diffuse", 0.0 if self.albedo is None else self.albedo)
+
+
+class PearlSpec(RecipeModel):
+    """A pearl recipe."""
+
+    varies_by_nodes: ClassVar[tuple[str, ...]] = (
+        "strata[].thickness_nm",
+        "strata[].roughness",
+        "strata[].platelets[].volume_fraction",
+        "strata[].platelets[].normal_deviation",
+        "strata[].platelets[].substrate.thickness_nm",
+        "strata[].platelets[].coatings[].thickness_nm",
+        "strata[].platelets[].rotation_deg[]",
+        "strata[].dye.volume_fraction",
+        "base.albedo",
+        "base.roughness",
+    )
+
+    family: Literal["pearl"] = "pearl"
+    title: str = ""
+    quality: Literal["reference", "fast"] = "reference"
+    strata: tuple[StratumSpec, ...] = pydantic.Field(min_length=1, max_length=MAX_STRATA)
+    base: BaseSpec = BaseSpec()
+    glints: GlintsSpec | None = None
+
+    def build(self, context: RecipeContext) -> Pearl:
+        """Return the material.
+
+        Raises:
+            RecipeError: a file is missing or holds what it should not.
+        """
+        strata = tuple(s.build(context, f"strata[{i}]") for i, s in enumerate(self.strata))
+        glints = None if self.glints is None else self.glints.build(strata[0], context)
+        return Pearl(strata, self.base.build(context, strata[-1].resin), self.quality, glints)
+
+
+def _interface_roughness(roughness: float | tuple[float, ...], distribution: str, compensate: bool) -> Roughness:
+    widths = roughness if isinstance(roughness, tuple) else (roughness,)
+    x, y = (0.0 if w < SMOOTH_BELOW else float(w) for w in (widths[0], widths[-1]))
+    if (x == 0) != (y == 0):
+        x, y = max(x, SMOOTH_BELOW), max(y, SMOOTH_BELOW)
+    return Roughness(distribution, x, y, compensate=compensate)
+
+
+def _coatings(specs: tuple[LayerSpec, ...], context: RecipeContext, key: str) -> tuple[Coating, ...]:
+    return tuple(
+        Coating(spec.material.build(context), spec.thickness(context, f"{key}[{i}]")) for i, spec in enumerate(specs)
+    )
+
+
+def _two_columns(context: RecipeContext, key: str, name: str) -> NDArray[np.float64]:
+    """Read a text file of two columns of numbers; commas, blanks and # comments are understood."""
+    rows = []
+    for line in read_text(context.path(name), key).splitlines():
+        parts = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
+        if not parts:
+            continue
+        try:
+            rows.append([float(x) for x in parts])
+        except ValueError:
+            if not rows:
+                continue  # a heading
+            raise context.fail(key, name, f'holds "{line.strip()[:40]}" where two numbers should stand') from None
+    if not rows or any(len(row) != 2 for row in rows) or len(rows) > 100_000:
+        raise context.fail(key, name, "must hold two columns of numbers")
+    table = np.array(rows)
+    if not np.all(np.isfinite(table)):
+        raise context.fail(key, name, "holds numbers that are not finite")
+    return table
+
+
+def _recipe_base(name: str, resin: OpticalConstant, context: RecipeContext) -> Base:
+    """Take another recipe as the base, built in the resin: an even film as its reflectance, all else as lobes."""
+    if context.load_recipe is None:
+        raise context.fail("base.recipe", name, "cannot be loaded here; load the recipe from its file")
+    other = context.load_recipe(name, ambient=resin.without_absorption())
+    if isinstance(other.model, Pearl):
+        raise context.fail("base.recipe", name, "is a pearl; write its strata below these ones instead")
+    if not other.model.takes_ambient:
+        raise context.fail("base.recipe", name, "is compiled, and does not tell in which medium; give its recipe")
+    base = Base("lobes", other=other, refuse=lambda why: context.fail("base.recipe", name, why))
+    if not other.model.is_quick:  # what may take seconds is solved when asked
+        return base
+    first: Any = base.default_lobes[0]
+    if len(base.default_lobes) > 1 or first.kind not in ("specular", "microfacet") or first.varying:
+        return base
+    film = (first.wavelengths_nm, first.response.cos_outside, first.response.reflectance)
+    if first.kind == "specular":
+        return Base("specular", film=film)
+    is_plain = first.alpha_texture is None and first.rotation is None and first.loss is None
+    if not is_plain or first.distribution not in ("ggx", "beckmann"):
+        return base
+    return Base("specular", film=film, surface=Roughness(first.distribution, first.alpha_x, first.alpha_y))

@@ -1,0 +1,235 @@
+"""How thick the layers of the flakes are: one number, or a distribution over the flakes of a pigment.
+
+Natural mica is split, not grown, and varies by a third of its thickness; synthetic silica by a few nm. A
+distribution enters the optics only through the average of exp(i x tau) (its characteristic function) where
+the layer is lossless, and through a quadrature where it is not. Both are served from here, so that the two
+routes of `platelet.py` speak of the same distribution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from nacre.arrays import Array, ComplexArray
+from nacre.errors import NacreError
+from nacre.families.pearl.average import POINTS_PER_PANEL
+
+DISTRIBUTIONS = ("gaussian", "truncated", "lognormal", "histogram")
+SPREAD = 8.3  # half-widths, in deviations, beyond which a Gaussian has less than 1e-16 of its weight
+
+
+@dataclass(frozen=True)
+class Thickness:
+    """Distribution of one layer's thickness over the flakes.
+
+    Attributes:
+        mean_nm: the mean; of the untruncated Gaussian where bounds cut it.
+        deviation_nm: standard deviation; 0 is one thickness for all flakes. Ignored for a histogram.
+        distribution: "gaussian" (cut at zero: a flake cannot be thinner than nothing), "truncated" (cut at
+            `low_nm` and `high_nm`), "lognormal" or "histogram".
+        low_nm, high_nm: bounds of "truncated".
+        edges_nm, fractions: bins of "histogram": ascending edges `[bin + 1]`, weights `[bin]` that sum to 1;
+            the density is constant within a bin.
+
+    Raises:
+        NacreError: a number is out of range; the message names it.
+    """
+
+    mean_nm: float
+    deviation_nm: float = 0.0
+    distribution: str = "gaussian"
+    low_nm: float = 0.0
+    high_nm: float = np.inf
+    edges_nm: Array | None = None
+    fractions: Array | None = None
+
+    def __post_init__(self) -> None:
+        if self.distribution not in DISTRIBUTIONS:
+            raise NacreError(f'distribution = "{self.distribution}" is not known; use {", ".join(DISTRIBUTIONS)}')
+        if self.distribution == "histogram":
+            _check_histogram(self.edges_nm, self.fractions)
+        if not self.mean_nm >= 0 or not np.isfinite(self.mean_nm):
+            raise NacreError(f"thickness_nm = {self.mean_nm} is not allowed; it should be at least 0")
+        if not self.deviation_nm >= 0 or not np.isfinite(self.deviation_nm):
+            raise NacreError(f"deviation_nm = {self.deviation_nm} is not allowed; it should be at least 0")
+        if self.deviation_nm > 0 and self.distribution == "lognormal" and self.mean_nm == 0:
+            raise NacreError("a lognormal thickness needs a mean above 0")
+        if not 0 <= self.low_nm < self.high_nm:
+            raise NacreError(f"bounds {self.low_nm}..{self.high_nm} nm are not allowed; they should ascend from 0")
+        if self.is_gaussian and self.deviation_nm > 0:
+            low, high = self.support
+            if not low < high:
+                raise NacreError(
+                    f"bounds {self.low_nm}..{self.high_nm} nm hold no flake of {self.mean_nm} +- {self.deviation_nm} nm"
+                )
+
+    @classmethod
+    def from_histogram(cls, thicknesses_nm: Array, fractions: Array) -> Thickness:
+        """Build from a measured histogram: bin centres (ascending) and their fractions.
+
+        Bin edges lie half way between centres; the outer bins are as wide as their neighbours.
+
+        Raises:
+            NacreError: fractions that are negative or do not sum to 1 within 1e-3, or centres out of order.
+        """
+        centres = np.asarray(thicknesses_nm, dtype=float)
+        weights = np.asarray(fractions, dtype=float)
+        if centres.ndim != 1 or centres.shape != weights.shape or len(centres) < 2:
+            raise NacreError("a thickness histogram needs two columns of at least two rows: thickness in nm, fraction")
+        if not (np.all(np.isfinite(centres)) and np.all(np.diff(centres) > 0) and centres[0] > 0):
+            raise NacreError("the thicknesses of a histogram must be positive and ascend")
+        inner = (centres[1:] + centres[:-1]) / 2
+        edges = np.concatenate([[max(0.0, 2 * centres[0] - inner[0])], inner, [2 * centres[-1] - inner[-1]]])
+        _check_histogram(edges, weights)
+        weights = weights / weights.sum()
+        mean = float(np.sum(weights * (edges[1:] + edges[:-1]) / 2))
+        return cls(mean, 0.0, "histogram", edges_nm=edges, fractions=weights)
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether every flake has the same thickness."""
+        return self.distribution != "histogram" and self.deviation_nm == 0
+
+    @property
+    def is_gaussian(self) -> bool:
+        """Whether the density is a Gaussian, cut or not."""
+        return self.distribution in ("gaussian", "truncated")
+
+    @property
+    def is_uncut(self) -> bool:
+        """Whether the bounds cut less than rounding error from a Gaussian."""
+        reach = SPREAD * self.deviation_nm
+        return self.is_gaussian and self.mean_nm - reach >= self.low_nm and self.mean_nm + reach <= self.high_nm
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """The interval that holds all but 1e-16 of the flakes, in nm."""
+        if self.is_fixed:
+            return self.mean_nm, self.mean_nm
+        if self.distribution == "histogram":
+            assert self.edges_nm is not None
+            return float(self.edges_nm[0]), float(self.edges_nm[-1])
+        if self.distribution == "lognormal":
+            location, scale = self._lognormal
+            return float(np.exp(location - SPREAD * scale)), float(np.exp(location + SPREAD * scale))
+        reach = SPREAD * self.deviation_nm
+        return max(self.low_nm, self.mean_nm - reach), min(self.high_nm, self.mean_nm + reach)
+
+    @property
+    def average_nm(self) -> float:
+        """Mean over the flakes, cut included."""
+        if self.is_fixed or self.is_uncut or self.distribution == "lognormal":
+            return self.mean_nm
+        nodes, weights = self.nodes(32)
+        return float(np.sum(nodes * weights))
+
+    @property
+    def _lognormal(self) -> tuple[float, float]:
+        scale = np.sqrt(np.log1p((self.deviation_nm / self.mean_nm) ** 2))
+        return float(np.log(self.mean_nm) - scale**2 / 2), float(scale)
+
+    def nodes(self, panels: int) -> tuple[Array, Array]:
+        """Return quadrature nodes (nm) and weights summing to 1: Gauss-Legendre on `panels` panels or more."""
+        if self.is_fixed:
+            return np.array([self.mean_nm]), np.array([1.0])
+        x, w = np.polynomial.legendre.leggauss(POINTS_PER_PANEL)
+        if self.distribution == "histogram":
+            assert self.edges_nm is not None and self.fractions is not None
+            split = max(1, -(-panels // len(self.fractions)))
+            edges = np.concatenate([np.linspace(a, b, split + 1)[:-1] for a, b in _pairs(self.edges_nm)])
+            edges = np.append(edges, self.edges_nm[-1])
+            density = np.repeat(self.fractions / np.diff(self.edges_nm), split)
+            half = np.diff(edges)[:, None] / 2
+            nodes = (edges[:-1, None] + edges[1:, None]) / 2 + half * x
+            return nodes.ravel(), (half * w * density[:, None]).ravel()
+        low, high = self.support
+        if self.distribution == "lognormal":
+            location, scale = self._lognormal
+            edges = np.linspace(np.log(low), np.log(high), panels + 1)
+            half = np.diff(edges)[:, None] / 2
+            logs = (edges[:-1, None] + edges[1:, None]) / 2 + half * x
+            weights = half * w * np.exp(-(((logs - location) / scale) ** 2) / 2)
+            return np.exp(logs).ravel(), (weights / weights.sum()).ravel()
+        edges = np.linspace(low, high, panels + 1)
+        half = np.diff(edges)[:, None] / 2
+        nodes = (edges[:-1, None] + edges[1:, None]) / 2 + half * x
+        weights = half * w * np.exp(-(((nodes - self.mean_nm) / self.deviation_nm) ** 2) / 2)
+        return nodes.ravel(), (weights / weights.sum()).ravel()
+
+    def characteristic(self, x_max: float) -> tuple[ComplexArray, float, float]:
+        """Tabulate <exp(i x (tau - centre))> on a uniform grid of x >= 0, for six-point interpolation.
+
+        The centre is the middle of the support: what is left oscillates at most with half the support, and
+        the samples per such oscillation (more where bounds cut) interpolate to 1e-9.
+
+        Returns:
+            values `[x]` (complex), the step in 1/nm, the centre in nm. Beyond the table the average is zero to
+            1e-12, or x exceeds `x_max`.
+        """
+        low, high = self.support
+        centre, half = (low + high) / 2, (high - low) / 2
+        if self.distribution == "lognormal":
+            # the far tail widens the support but carries no weight: the oscillation that counts is the bulk's
+            location, scale = self._lognormal
+            centre, half = self.mean_nm, float(np.exp(location + 6.5 * scale)) - self.mean_nm
+        step = np.pi / half / (8 if self.is_uncut else 24)
+        count = int(np.ceil(x_max / step)) + 8
+        blocks, size = [], 512
+        for start in range(0, count, size):
+            x = step * np.arange(start, min(start + size, count), dtype=np.float64)
+            block = self._average_phase(np.asarray(x, dtype=np.float64), centre)
+            blocks.append(block)
+            if np.max(np.abs(block)) < 1e-12:
+                break
+        return np.concatenate(blocks), step, centre
+
+    def _average_phase(self, x: Array, centre: float) -> ComplexArray:
+        if self.distribution == "histogram":
+            assert self.edges_nm is not None and self.fractions is not None
+            middle, width = (self.edges_nm[1:] + self.edges_nm[:-1]) / 2, np.diff(self.edges_nm)
+            envelope = np.sinc(x[:, None] * width / (2 * np.pi))
+            return np.asarray(np.sum(self.fractions * envelope * np.exp(1j * x[:, None] * (middle - centre)), axis=1))
+        if self.distribution == "lognormal":
+            nodes, weights = self.nodes(192)
+            return np.asarray(np.exp(1j * x[:, None] * (nodes - centre)) @ weights)
+        return self._cut_gaussian_phase(x, centre)
+
+    def _cut_gaussian_phase(self, x: Array, centre: float) -> ComplexArray:
+        """Fourier integral of a cut Gaussian: two error functions of complex argument (Faddeeva's w)."""
+        from scipy.special import erf, wofz
+
+        a = (self.low_nm - self.mean_nm) / self.deviation_nm
+        b = (self.high_nm - self.mean_nm) / self.deviation_nm
+        total = (erf(b / np.sqrt(2)) - erf(a / np.sqrt(2))) / 2
+        z = x * self.deviation_nm
+        value = np.exp(1j * x * (self.mean_nm - centre) - z**2 / 2)
+        # the part beyond each bound: exp(i x tau) erfc(..)/2 written with w so that nothing overflows
+        if np.isfinite(b):
+            value = value - _tail(b, z, wofz) * np.exp(1j * x * (self.high_nm - centre))
+        value = value - _tail(-a, -z, wofz) * np.exp(1j * x * (self.low_nm - centre))
+        return np.asarray(value / total)
+
+
+def _tail(bound: float, z: Array, wofz: object) -> ComplexArray:
+    """Weight of exp(i z t) beyond t = bound > 0 of a unit Gaussian, relative to the phase at the bound."""
+    argument = (z + 1j * bound) / np.sqrt(2)
+    return np.asarray(np.exp(-(bound**2) / 2) * wofz(argument) / 2)  # type: ignore[operator]  # scipy has no stubs
+
+
+def _pairs(edges: Array) -> Iterator[tuple[float, float]]:
+    return zip(edges[:-1], edges[1:], strict=True)
+
+
+def _check_histogram(edges: Array | None, fractions: Array | None) -> None:
+    if edges is None or fractions is None or len(edges) != len(fractions) + 1:
+        raise NacreError("a thickness histogram needs one more bin edge than fractions")
+    if not (np.all(np.isfinite(edges)) and np.all(np.diff(edges) > 0) and edges[0] >= 0):
+        raise NacreError("the bin edges of a thickness histogram must ascend from 0 or above")
+    if not np.all(np.asarray(fractions) >= 0):
+        raise NacreError("the fractions of a thickness histogram must not be negative")
+    total = float(np.sum(fractions))
+    if not abs(total - 1) <= 1e-3:
+        raise NacreError(f"the fractions of a thickness histogram sum to {total:.6g}; they should sum to 1")

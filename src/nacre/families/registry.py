@@ -1,0 +1,53 @@
+"""The families of materials: the only list of them.
+
+A new family joins with one line here, or from another package by an entry point of the group `nacre.families` that
+leads to its recipe model. No family imports this file.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from nacre.errors import NacreError, RecipeError, did_you_mean
+from nacre.lazy import entry_points
+from nacre.recipe.model import RecipeModel, show_value
+
+GROUP = "nacre.families"
+FAMILIES: dict[str, str] = {
+    # what a recipe writes -> "module:class" of its recipe model, imported when first needed
+    "film": "nacre.families.film.spec:FilmSpec",
+    "pearl": "nacre.families.pearl.spec:PearlSpec",
+    "metasurface": "nacre.families.metasurface.spec:MetasurfaceSpec",
+    "relief": "nacre.families.relief.spec:ReliefSpec",
+    "measured": "nacre.families.measured.spec:MeasuredSpec",
+    "blend": "nacre.families.blend.spec:BlendSpec",
+}
+
+
+def family_names() -> tuple[str, ...]:
+    """Return all families, those of other packages last."""
+    return (*FAMILIES, *entry_points(GROUP, FAMILIES))
+
+
+def family_spec(family: object, source: str) -> type[RecipeModel]:
+    """Return the recipe model of a family, importing its package; its `build(context)` returns the model.
+
+    Raises:
+        RecipeError: the family is missing or unknown.
+        NacreError: two packages bring this family, or one brings something else.
+    """
+    known = ", ".join(FAMILIES)
+    if family is None:
+        raise RecipeError(f"{source}: family is missing; give one of {known}")
+    if isinstance(family, str) and family in FAMILIES:
+        module, name = FAMILIES[family].split(":")
+        spec: type[RecipeModel] = getattr(import_module(module), name)
+        return spec
+    names = family_names()
+    if not isinstance(family, str) or family not in names:
+        hint = did_you_mean(family, names) if isinstance(family, str) else ""
+        raise RecipeError(f"{source}: family = {show_value(family)} is not known.{hint} Families: {', '.join(names)}")
+    found = entry_points(GROUP, FAMILIES)[family].load()
+    if not (isinstance(found, type) and issubclass(found, RecipeModel)):
+        raise NacreError(f'entry point "{family}" of {GROUP} is not a RecipeModel')
+    return found

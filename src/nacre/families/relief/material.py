@@ -1,0 +1,154 @@
+"""A relief as a material: its parameters and the ways to ask it for light."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.bsdf.bsdf import Bsdf
+from nacre.bsdf.directions import direction
+from nacre.families.contract import Figure, Model
+from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.fresnel import coating_reflectance
+from nacre.families.relief.geometry import Prefactor
+from nacre.families.relief.sampling import choose_sampling
+from nacre.families.relief.spectrum_map import MapReport, spectrum_map
+from nacre.families.relief.spots import local_response
+from nacre.families.relief.surface import Array, Tile, slopes
+from nacre.matter.drawings import Drawer, DrawingRequest, HeightMap
+from nacre.matter.indices.constant import OpticalConstant
+
+# the relief's spectra change over about lambda / 10 at most (a blurred line sweeping past): 30 nm resolve that
+WAVELENGTH_COUNT = 17
+INDEX_NM = 550.0  # where the medium's index is taken for the window, one for all colours
+
+
+@dataclass(frozen=True)
+class Relief(Model):
+    """A periodic height map with an opaque coating, lit with finite coherence.
+
+    Attributes:
+        tile: heights and process.
+        coherence: the window.
+        coating: optical constant of the opaque coating.
+        prefactor: "kirchhoff" conserves energy, "published" compares with the source.
+        error: wanted relative error of sampling and interpolation.
+        bounded: keep the albedo within Fresnel.
+        ambient: what lies above, with directions as they are inside it; None: vacuum.
+    """
+
+    noun = "relief"
+    why_unpolarised = "is computed by scalar diffraction, which has no polarisation; ask for both"
+
+    tile: Tile
+    coherence: Coherence
+    coating: OpticalConstant
+    prefactor: Prefactor = "kirchhoff"
+    error: float = 3e-3
+    bounded: bool = True
+    ambient: OpticalConstant | None = None
+
+    @property
+    def wavelengths_nm(self) -> Array:
+        """The grid of its own choice: 360-830 nm in about 30 nm, finer for reliefs deeper than 2 um."""
+        deep = max(1.0, self.tile.height_range_nm / 2000.0)
+        return np.linspace(360.0, 830.0, int(np.ceil(WAVELENGTH_COUNT * deep)))
+
+    def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
+        """Return the four-dimensional lobe; the provenance says what was chosen.
+
+        Raises:
+            MaterialRangeError: the coating is not known at a wavelength.
+            UnsupportedError: the table would be too large.
+        """
+        grid = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        lobe, report = self._map(tuple(grid.tolist()))
+        return Bsdf((lobe,), {"relief": report_summary(report)})
+
+    @functools.lru_cache(maxsize=2)  # noqa: B019  (a relief is immutable and its lobe takes seconds)
+    def _map(self, wavelengths: tuple[float, ...]) -> tuple[Any, MapReport]:
+        grid = np.array(wavelengths)
+        n = np.ones(len(grid)) if self.ambient is None else self.ambient.n_complex(grid).real
+        reflectance = coating_reflectance(self.coating.n_complex(grid) / n)
+        # waves are shorter inside a medium by its index, and so are the angles of the light's source
+        middle = 1.0 if self.ambient is None else float(self.ambient.n_complex(np.array([INDEX_NM])).real[0])
+        window = Coherence(self.coherence.width_in_wavelengths * middle)
+        lobe, report = spectrum_map(self.tile, window, grid / n, reflectance, self.prefactor, self.error, self.bounded)
+        return replace(lobe, wavelengths_nm=grid), report
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    def report(self, wavelengths_nm: Array | None = None) -> dict[str, Any]:
+        """Return what was chosen and found: sampling, nodes, and the energy bound, in plain numbers."""
+        grid = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        return report_summary(self._map(tuple(grid.tolist()))[1])
+
+    @property
+    def figures(self) -> Mapping[str, Figure]:
+        """The surface as drawn, and a look at it through a microscope.
+
+        "structure": `heights_nm` `[x, y]` of the blurred surface, `x_nm`, `slope` (magnitude).
+        "microscope": `brdf` `[x, y, wavelength]` of every window position (`spectra`: the same as a picture, with
+        `extent_um`), seen through an aperture of half angle
+        `aperture_deg` (5) about the direction `view_deg` = (theta, phi) (0, 0), light along `light_deg` (0, 0).
+        """
+        return {"structure": self._structure, "microscope": self._microscope}
+
+    @property
+    def fabrications(self) -> Mapping[str, Drawer]:
+        """The heights, for every format that holds them."""
+        return dict.fromkeys(("png16", "tiff16", "stl", "gds", "oas", "csv"), self._height_map)
+
+    def _height_map(self, request: DrawingRequest) -> HeightMap:
+        heights = self.tile.heights_nm
+        return HeightMap((heights - heights.min()) / 1e3, self.tile.feature_nm / 1e3)
+
+    def _structure(self) -> dict[str, NDArray[Any]]:
+        upsampling = 8
+        surface = self.tile.surface_nm(upsampling)
+        dx, dy = slopes(surface, self.tile.feature_nm / upsampling)
+        x = (np.arange(surface.shape[0]) + 0.5) * self.tile.feature_nm / upsampling
+        return {"heights_nm": surface, "x_nm": x, "slope": np.hypot(dx, dy)}
+
+    def _microscope(
+        self,
+        light_deg: tuple[float, float] = (0.0, 0.0),
+        view_deg: tuple[float, float] = (0.0, 0.0),
+        aperture_deg: float = 5.0,
+        wavelengths_nm: Array | None = None,
+        exits: int = 7,
+    ) -> dict[str, NDArray[Any]]:
+        grid = np.linspace(400.0, 700.0, 7) if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        wi = direction(*np.radians(light_deg))
+        centre = direction(*np.radians(view_deg))
+        # exits over the aperture: the middle and a ring at the radius that holds half its area
+        ring = np.radians(aperture_deg) / np.sqrt(2.0)
+        around = np.arange(exits - 1) * (2.0 * np.pi / max(exits - 1, 1))
+        offsets = np.stack([ring * np.cos(around), ring * np.sin(around)], axis=-1)
+        lateral = np.concatenate([centre[None, :2], centre[None, :2] + offsets])
+        lateral = lateral[(lateral**2).sum(axis=-1) < 0.999]
+        wo = np.concatenate([lateral, np.sqrt(1.0 - (lateral**2).sum(axis=-1, keepdims=True))], axis=-1)
+        highest = int(np.ceil(self.tile.period_nm * (np.abs(lateral + wi[:2]).max() + 0.2) / grid.min()))
+        sampling = choose_sampling(self.tile, 2.0 / float(grid.min()), highest, 1e-2)
+        brdf = local_response(self.tile, self.coherence, wi, wo, grid, sampling.samples_per_feature, self.prefactor)
+        cosine = float(np.linalg.norm(wi + centre) / 2.0)
+        brdf = brdf * coating_reflectance(self.coating.n_complex(grid))(np.array(cosine))
+        step = self.tile.feature_nm / sampling.samples_per_feature
+        x = (np.arange(brdf.shape[0]) + 0.5) * step
+        extent_um = np.array(self.tile.period_nm / 1e3)
+        # a picture's rows run along y
+        picture = np.swapaxes(brdf, 0, 1)
+        return {"brdf": brdf, "wavelengths_nm": grid, "x_nm": x, "spectra": picture, "extent_um": extent_um}
+
+
+def report_summary(report: MapReport) -> dict[str, Any]:
+    """Return a report as plain numbers."""
+    summary = asdict(report)
+    sampling = summary.pop("sampling")
+    return {**sampling, **summary, "excess_angles_deg": [0, 30, 60, 75, 85]}

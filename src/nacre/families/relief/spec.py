@@ -1,0 +1,99 @@
+"""The relief's recipe."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import pydantic
+
+from nacre.bsdf.texture_spec import read_grey
+from nacre.errors import RecipeError
+from nacre.families.relief.coherence_spec import CoherenceSpec
+from nacre.families.relief.material import Relief
+from nacre.families.relief.surface import Array, Tile
+from nacre.files import plain
+from nacre.matter.indices.spec import IndexSpec
+from nacre.recipe.model import RecipeContext, RecipeModel
+
+MAX_FEATURES = 512
+MAX_HEIGHT_UM = 1000.0
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
+
+
+class ReliefSpec(RecipeModel):
+    """A periodic height map with an opaque coating.
+
+    `heights` is a .npy array `[x, y]` in um, or a grey image (row = x) whose black to white spans
+    `height_scale_um`.
+    """
+
+    family: Literal["relief"] = "relief"
+    heights: str
+    height_scale_um: Annotated[float, pydantic.Field(gt=0.0, le=MAX_HEIGHT_UM)] | None = None
+    feature_um: Annotated[float, pydantic.Field(gt=0.0)]
+    blur_um: Annotated[float, pydantic.Field(gt=0.0)]
+    coating: IndexSpec = pydantic.Field(default_factory=lambda: IndexSpec.model_validate("Al"))
+    prefactor: Literal["kirchhoff", "published"] = "kirchhoff"
+    coherence: CoherenceSpec
+    accuracy: Annotated[float, pydantic.Field(ge=1e-6, le=0.1)] = 3e-3
+    bounded: bool = True
+
+    def build(self, context: RecipeContext) -> Relief:
+        """Read the heights and return the material.
+
+        Raises:
+            RecipeError: the heights cannot be used.
+        """
+        heights_um = self._heights(context)
+        tile = Tile(1e3 * heights_um, 1e3 * self.feature_um, 1e3 * self.blur_um)
+        return Relief(
+            tile, self.coherence.build(), self.coating.build(context), self.prefactor, self.accuracy, self.bounded,
+            context.ambient,
+        )  # fmt: skip
+
+    def _heights(self, context: RecipeContext) -> Array:
+        path = context.path(self.heights)
+        if not path.is_file():
+            raise context.fail("heights", self.heights, "does not exist")
+        is_image = path.suffix.lower() in IMAGE_SUFFIXES
+        if is_image and self.height_scale_um is None:
+            raise RecipeError(f"{context.source}: height_scale_um is missing; heights from an image need it")
+        heights = (
+            read_grey(path, f"{context.source}: heights", MAX_FEATURES) * float(self.height_scale_um or 1.0)
+            if is_image
+            else read_heights(path, self.heights, context)
+        )
+        return check_heights(heights, self.heights, context)
+
+
+def read_heights(path: Path, name: str, context: RecipeContext) -> Array:
+    """Read a .npy array, its size checked before memory is taken.
+
+    Raises:
+        RecipeError: not a numeric array, or too large.
+    """
+    try:
+        mapped = np.load(plain(path), mmap_mode="r", allow_pickle=False)
+        shape, kind = mapped.shape, mapped.dtype.kind
+        if kind not in "fiub" or max(shape, default=0) > MAX_FEATURES:
+            raise context.fail("heights", name, f"holds {mapped.dtype}{list(shape)}; at most {MAX_FEATURES} a side")
+        return np.array(mapped, dtype=float)
+    except (OSError, ValueError, EOFError, AttributeError) as error:
+        raise context.fail("heights", name, f"is not a .npy array of numbers: {error}") from None
+
+
+def check_heights(heights: Array, name: str, context: RecipeContext) -> Array:
+    """Return usable heights.
+
+    Raises:
+        RecipeError: not square, not finite, or far too high.
+    """
+    if heights.ndim != 2 or heights.shape[0] != heights.shape[1] or heights.shape[0] < 1:
+        raise context.fail("heights", name, f"has shape {list(heights.shape)}; it should be square, n x n")
+    if not np.isfinite(heights).all():
+        raise context.fail("heights", name, "holds values that are not finite")
+    if np.ptp(heights) > MAX_HEIGHT_UM:
+        raise context.fail("heights", name, f"spans {np.ptp(heights):.3g} um; at most {MAX_HEIGHT_UM:g}")
+    return heights

@@ -1,0 +1,276 @@
+"""From a tile to its four-dimensional lobe: the xi cache of physics/relief.md, section 4, and its energy bound.
+
+The spectra of a few kappa nodes give those of every (xi, wavelength). On the psi grid a quadratic B-spline takes over
+part of the Gaussian smoothing: coefficients are smoothed by what is left, a narrower Gaussian with its fourth and sixth
+cumulants set so that the sum is the wanted Gaussian, positive and with its integral kept exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import spline_filter1d
+
+from nacre.bsdf.lobes.spectrum_map import SpectrumMap
+from nacre.errors import UnsupportedError
+from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.geometry import Prefactor
+from nacre.families.relief.kappa_nodes import chebyshev_nodes, interpolation_weights, node_count
+from nacre.families.relief.lines import FFT_SHARE, line_basis, line_power
+from nacre.families.relief.sampling import Sampling, choose_sampling
+from nacre.families.relief.slice import Reflectance, window_norm
+from nacre.families.relief.surface import Array, Tile
+
+# steps of the grids for an error of 1e-3: of psi in units of the smoothing, of xi in radians of the highest wall's
+# phase; a quadratic spline's error grows as the third power of its step (both measured, tests hold them)
+PSI_STEP_AT_1E_3 = 0.36
+XI_PHASE_AT_1E_3 = 0.8
+# the spline's variance, step^2 / 4, must stay well under the smoothing's
+WIDEST_PSI_STEP, COARSE_PSI_STEP = 0.65, 0.9
+SPLINE_VARIANCE = 0.25
+# sums over the smoothed map are exact to 1e-7 with nodes this far apart
+GUARD_PSI_STEP = 1.05
+MAX_TABLE_BYTES = 3 << 30
+TABLE_BLOCK = 512
+GUARD_COSINES, GUARD_AZIMUTHS, GUARD_WAVELENGTHS = 21, 48, 8
+GUARD_ROUNDS = 60
+LEAST_GUARDED_COSINE = 1e-4
+# the albedo may reach Fresnel and a hair more: a gentle relief conserves energy to 0.1 %, and must keep doing so;
+# between the guard's nodes it stays below (they hold the maximum of their neighbourhood)
+GUARD_AIM = 1.0005
+EXCESS_ANGLES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0)
+
+
+@dataclass(frozen=True)
+class MapReport:
+    """What was chosen, and by how much the guard scales.
+
+    Attributes:
+        sampling: of the surface.
+        kappa_nodes: spectra computed.
+        xi_nodes, psi_nodes: size of the table.
+        psi_error: relative L2 error of the grid in psi; above the wanted one where memory sets the step.
+        excess: `[angle]`, largest albedo over Fresnel before the guard at 0, 30, 60, 75 and 85 degrees.
+    """
+
+    sampling: Sampling
+    kappa_nodes: int
+    xi_nodes: int
+    psi_nodes: int
+    psi_error: float
+    excess: tuple[float, ...]
+
+
+def spectrum_map(
+    tile: Tile,
+    coherence: Coherence,
+    wavelengths_nm: Array,
+    reflectance: Reflectance,
+    prefactor: Prefactor = "kirchhoff",
+    error: float = 3e-3,
+    bounded: bool = True,
+) -> tuple[SpectrumMap, MapReport]:
+    """Compute the lobe of a relief.
+
+    Args:
+        tile: heights and process.
+        coherence: the window.
+        wavelengths_nm: ascending.
+        reflectance: Fresnel reflectance `[..., wavelength]` at cosines.
+        prefactor: "kirchhoff" or "published".
+        error: wanted error of sampling and nodes.
+        bounded: scale symmetrically so that the albedo never exceeds Fresnel.
+
+    Raises:
+        UnsupportedError: the table or the sampling would be too large.
+    """
+    shortest = float(wavelengths_nm[0])
+    blur = coherence.blur
+    height = max(tile.height_range_nm, 1e-3)
+    coarser = (error / 1e-3) ** (1.0 / 3.0)
+    phase = XI_PHASE_AT_1E_3 * coarser
+    xi_nodes = max(6, int(np.ceil(2.0 * np.pi * height * 2.0 / shortest / phase)) + 1)
+    xi_step = 2.0 / (xi_nodes - 1)
+    # two nodes beyond each end keep the spline's end conditions away from the values that are used
+    xi: Array = np.arange(-2.0, xi_nodes + 2.0) * xi_step
+    node_bytes = len(xi) * len(wavelengths_nm) * 4
+    # a small lamp may not fit at the wanted error: then the widest step that does, and the report says what it costs
+    fitting = 4.0 / blur / max(np.sqrt(MAX_TABLE_BYTES / node_bytes) - 7.0, 1e-9)
+    step_in_blurs = float(min(max(min(PSI_STEP_AT_1E_3 * coarser, WIDEST_PSI_STEP), fitting), COARSE_PSI_STEP))
+    step = step_in_blurs * blur
+    half = int(np.ceil(2.0 / step)) + 2
+    size = (2 * half + 1) ** 2 * node_bytes
+    if size > MAX_TABLE_BYTES:
+        least = np.degrees(coherence.source_angle_rad) * np.sqrt(1.02 * size / MAX_TABLE_BYTES)
+        raise UnsupportedError(
+            f"coherence sigma = {coherence.sigma_um:.3g} ({np.degrees(coherence.source_angle_rad):.3g} degrees) "
+            f"needs a table of {size / 2**30:.1f} GiB; at most {MAX_TABLE_BYTES / 2**30:.0f} GiB are allowed: take a "
+            f"source angle of {least:.2g} degrees or more, fewer wavelengths, or accuracy = 0.01 in the recipe"
+        )
+    kappa_low, kappa_high = xi[0] / shortest, xi[-1] / shortest
+    highest = int(np.ceil(tile.period_nm * (2.0 + 6.0 * blur) / shortest))
+    sampling = choose_sampling(tile, kappa_high, highest, error)
+    kappas = chebyshev_nodes(kappa_low, kappa_high, node_count(height, kappa_low, kappa_high, 10.0 * error))
+    table = _table(tile, sampling, kappas, highest, xi, wavelengths_nm, step, half, coherence)
+    cosines = np.linspace(0.0, 1.0, 65)
+    lobe = SpectrumMap(
+        wavelengths_nm=wavelengths_nm,
+        power=table,
+        psi_first=-half * step,
+        psi_step=step,
+        xi_first=float(xi[0]),
+        xi_step=xi_step,
+        reflectance=reflectance(cosines),
+        guard=np.ones((2, 1, len(wavelengths_nm))),
+        prefactor=prefactor,
+    )
+    excess: tuple[float, ...] = ()
+    if bounded:
+        guard, before = energy_guard(lobe, blur)
+        lobe, excess = replace(lobe, guard=guard), tuple(float(a) for a in before)
+    grid_error = 1e-3 * (step_in_blurs / PSI_STEP_AT_1E_3) ** 3
+    return lobe, MapReport(sampling, len(kappas), xi_nodes, 2 * half + 1, float(grid_error), excess)
+
+
+def _table(
+    tile: Tile,
+    sampling: Sampling,
+    kappas: Array,
+    highest: int,
+    xi: Array,
+    wavelengths_nm: Array,
+    step: float,
+    half: int,
+    coherence: Coherence,
+) -> NDArray[np.float32]:
+    """Return the B-spline coefficients `[psi_x, psi_y, xi, wavelength]`; one kappa node's lines in memory at a time."""
+    surface = tile.surface_nm(sampling.samples_per_feature).astype(np.float32)
+    held = min(highest, (surface.shape[0] - 1) // 2)
+    basis = line_basis(surface.shape[0], held, np.float32) if 2 * held + 1 < FFT_SHARE * surface.shape[0] else None
+    psi: Array = np.arange(-half, half + 1, dtype=float) * step
+    # the spline adds step^2/4 of variance, so the coefficients are smoothed by the rest
+    rest = float(np.sqrt(coherence.blur**2 - SPLINE_VARIANCE * step**2))
+    gain = np.float32(window_norm(coherence) * (coherence.blur / rest) ** 2)
+    matrices = []
+    for wavelength in wavelengths_nm:
+        reach = min(held, int(np.ceil(tile.period_nm * (2.0 + 6.0 * coherence.blur) / wavelength)))
+        matrices.append(_rest_matrix(psi, reach, tile.period_nm * rest / float(wavelength), rest, step))
+    smooth = np.empty((len(wavelengths_nm), len(kappas), len(psi) ** 2), dtype=np.float32)
+    for q, kappa in enumerate(kappas):
+        power = line_power(surface, float(kappa), held, basis)
+        for k, matrix in enumerate(matrices):
+            reach = matrix.shape[1] // 2
+            inner = slice(held - reach, held + reach + 1)
+            smooth[k, q] = (gain * ((matrix @ power[inner, inner]) @ matrix.T)).ravel()
+    # interpolation over kappa and the spline's prefilter along xi are both small matrices: one product does both
+    filtering = spline_filter1d(np.eye(len(xi)), order=2, axis=0, mode="mirror")
+    weights = np.stack([filtering @ interpolation_weights(kappas, xi / w).T for w in wavelengths_nm])
+    weights = weights.astype(np.float32)
+    table = np.empty((len(psi) ** 2, len(xi), len(wavelengths_nm)), dtype=np.float32)
+    for start in range(0, len(table), TABLE_BLOCK):
+        # in blocks that stay in cache: the transposition to wavelength-last is what costs here
+        block = weights @ smooth[:, :, start : start + TABLE_BLOCK]
+        table[start : start + TABLE_BLOCK] = block.transpose(2, 1, 0)
+    return table.reshape(len(psi), len(psi), len(xi), -1)
+
+
+def _rest_matrix(psi: Array, highest: int, lines_per_rest: float, rest: float, step: float) -> NDArray[np.float32]:
+    """Return the kernel `[direction, line]` that the quadratic spline of `step` completes to the Gaussian.
+
+    The spline is no Gaussian: its fourth and sixth cumulants are -step^4/40 and step^6/84. Hermite terms of the
+    narrower Gaussian take them back; without them a lone line is 0.2 % wrong at its peak and 10 % at four widths.
+    """
+    x = psi[:, None] / rest - np.arange(-highest, highest + 1)[None, :] / lines_per_rest
+    square = x * x
+    ratio = (step / rest) ** 2
+    fourth = ratio**2 / (24.0 * 40.0) * ((square - 6.0) * square + 3.0)
+    sixth = ratio**3 / (720.0 * 84.0) * (((square - 15.0) * square + 45.0) * square - 15.0)
+    return np.asarray(np.exp(-0.5 * square) * (1.0 + fourth - sixth), dtype=np.float32)
+
+
+def energy_guard(lobe: SpectrumMap, blur: float) -> tuple[Array, Array]:
+    """Return the guard g `[t, azimuth, wavelength]` and the excess before it at `EXCESS_ANGLES_DEG`.
+
+    g starts at 1 and is divided by the root of the excess, g <- g / sqrt(max(1, a)), until the albedo exceeds Fresnel
+    at none of its nodes and half way between them; the scaling is the same for both directions, so reciprocity stays.
+
+    Args:
+        lobe: with its guard still 1.
+        blur: the smoothing that its spectrum has, in direction cosines.
+    """
+    from nacre.bsdf.lobes.spectrum_map_kernel import albedo_shares
+
+    count = len(lobe.wavelengths_nm)
+    # the albedo is smooth in wavelength: a few nodes are enough, the rest follows linearly
+    chosen = np.unique(np.linspace(0, count - 1, min(count, GUARD_WAVELENGTHS)).round().astype(int))
+    wi = _guard_rows()
+    # a finer map is summed over every second or third node, which gives the same integrals; the middle one stays
+    skip = max(1, int(GUARD_PSI_STEP * blur / lobe.psi_step))
+    first = (len(lobe.power) // 2) % skip
+    psi_first, psi_step = lobe.psi_first + first * lobe.psi_step, skip * lobe.psi_step
+    shares = albedo_shares(
+        np.ascontiguousarray(lobe.power[first::skip, first::skip, :, chosen]),
+        np.array([psi_first, psi_first, lobe.xi_first]),
+        np.array([psi_step, psi_step, lobe.xi_step]),
+        np.ascontiguousarray(lobe.reflectance[:, chosen]),
+        wi,
+        GUARD_COSINES,
+        GUARD_AZIMUTHS,
+        lobe.prefactor == "kirchhoff",
+    )
+    cosine_nodes = np.linspace(0.0, 1.0, len(lobe.reflectance))
+    fresnel = np.stack([np.interp(wi[:, 2], cosine_nodes, lobe.reflectance[:, k]) for k in chosen], axis=-1)
+    own, own_part = _guard_cells(wi)
+    before = shares.sum(axis=1, dtype=float) / fresnel
+    guard = np.ones((GUARD_COSINES * GUARD_AZIMUTHS, len(chosen)))
+    for _ in range(GUARD_ROUNDS):
+        here = np.einsum("rc,rck->rk", own_part, guard[own])
+        albedo = here * _apply(shares, guard) / fresnel
+        if albedo.max() <= GUARD_AIM:
+            break
+        # aim a little lower than asked, so that the rounds end
+        excess = np.maximum(1.0, albedo / (GUARD_AIM - 1e-4))
+        divide = np.ones_like(guard)
+        for k in range(4):
+            touched = own_part[:, k] > 0
+            np.maximum.at(divide, own[touched, k], excess[touched])
+        guard /= np.sqrt(divide)
+    grid = guard.reshape(GUARD_COSINES, GUARD_AZIMUTHS, len(chosen))
+    grid[-1] = grid[-1].min(axis=0)  # azimuths mean nothing at the pole
+    nm = lobe.wavelengths_nm
+    full = np.apply_along_axis(lambda g: np.interp(nm, nm[chosen], g), 2, grid)
+    by_cosine = before.reshape(-1, GUARD_AZIMUTHS, len(chosen)).max(axis=(1, 2))
+    rows = wi[::GUARD_AZIMUTHS, 2]
+    return full, np.interp(np.cos(np.radians(EXCESS_ANGLES_DEG)), rows, by_cosine)
+
+
+def _apply(shares: NDArray[np.float32], guard: Array) -> Array:
+    """Return sum_j shares[i, j, k] guard[j, k]."""
+    return np.asarray(np.einsum("ijk,jk->ik", shares, guard.astype(np.float32)), dtype=float)
+
+
+def _guard_rows() -> Array:
+    """Return the incidences at which the albedo is bounded: the guard's nodes and the points half way in t."""
+    t = np.linspace(0.0, 1.0, 2 * GUARD_COSINES - 1)
+    # exactly edge-on nothing arrives; just above it the albedo has its limit
+    cosine = np.maximum(t**2, LEAST_GUARDED_COSINE)[:, None]
+    phi = np.arange(GUARD_AZIMUTHS) * (2.0 * np.pi / GUARD_AZIMUTHS)
+    sine = np.sqrt(1.0 - cosine**2)
+    parts = np.broadcast_arrays(sine * np.cos(phi), sine * np.sin(phi), cosine)
+    return np.stack(parts, axis=-1).reshape(-1, 3)
+
+
+def _guard_cells(w: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return flat node indices `[n, 4]` and bilinear weights `[n, 4]` of directions on the guard's grid."""
+    t = np.sqrt(w[:, 2]) * (GUARD_COSINES - 1)
+    phi = np.arctan2(w[:, 1], w[:, 0]) / (2.0 * np.pi) * GUARD_AZIMUTHS
+    t0 = np.clip(np.floor(t).astype(np.int64), 0, GUARD_COSINES - 2)
+    p0 = np.floor(phi + 1e-12).astype(np.int64)
+    ft, fp = t - t0, phi - p0
+    p0, p1 = p0 % GUARD_AZIMUTHS, (p0 + 1) % GUARD_AZIMUTHS
+    low = t0 * GUARD_AZIMUTHS
+    corners = np.stack([low + p0, low + p1, low + GUARD_AZIMUTHS + p0, low + GUARD_AZIMUTHS + p1], axis=-1)
+    parts = np.stack([(1 - ft) * (1 - fp), (1 - ft) * fp, ft * (1 - fp), ft * fp], axis=-1)
+    return corners, np.where(np.abs(parts) < 1e-9, 0.0, parts)

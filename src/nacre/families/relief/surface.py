@@ -1,0 +1,91 @@
+"""From feature heights to the physical surface: piecewise constant features, blurred by the process.
+
+A *tile* is n x n square features of width `feature_nm`; it repeats for ever. Axis 0 is x, axis 1 is y.
+Blur and up-sampling are separable and linear, so the surface is `B h B^T` with one small matrix, and the
+gradient with respect to the features is `B^T g B`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import erf
+
+from nacre.arrays import Array
+
+# a Gaussian edge further away than this many blur widths has no influence in double precision
+EDGE_REACH = 8.5
+
+
+def blur_matrix(features: int, samples_per_feature: int, blur_over_feature: float) -> Array:
+    """Return `B[sample, feature]`, mapping feature heights to surface samples along one axis.
+
+    A feature of unit height, blurred by a periodic Gaussian, is a difference of error functions
+    (physics/relief.md, section 1). Rows sum to 1. Samples lie at (i + 1/2) / samples_per_feature features.
+
+    Args:
+        features: n, the number of features along the axis.
+        samples_per_feature: U, any positive whole number.
+        blur_over_feature: standard deviation of the blur in feature widths; 0 leaves sharp walls.
+    """
+    x = (np.arange(features * samples_per_feature) + 0.5) / samples_per_feature
+    offset = x[:, None] - np.arange(features)[None, :]
+    if blur_over_feature <= 0:
+        return ((offset >= 0) & (offset < 1)).astype(float)
+    width = np.sqrt(2.0) * blur_over_feature
+    images = int(np.ceil((EDGE_REACH * blur_over_feature + 1.0) / features)) + 1
+    matrix = np.zeros_like(offset)
+    for k in range(-images, images + 1):
+        t = offset - k * features
+        matrix += 0.5 * (erf(t / width) - erf((t - 1.0) / width))
+    return np.asarray(matrix / matrix.sum(axis=1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class Tile:
+    """One period of a relief: feature heights and the process that makes a surface of them.
+
+    Attributes:
+        heights_nm: `[x, y]`, n x n feature heights; only differences matter to the optics.
+        feature_nm: width p of a square feature.
+        blur_nm: standard deviation of the Gaussian process blur.
+    """
+
+    heights_nm: Array
+    feature_nm: float
+    blur_nm: float
+
+    @property
+    def features(self) -> int:
+        """Features along one side."""
+        return int(self.heights_nm.shape[0])
+
+    @property
+    def period_nm(self) -> float:
+        """Side of the tile."""
+        return self.features * self.feature_nm
+
+    @property
+    def height_range_nm(self) -> float:
+        """Highest minus lowest feature; the blurred surface stays inside it."""
+        return float(self.heights_nm.max() - self.heights_nm.min())
+
+    def surface_nm(self, samples_per_feature: int) -> Array:
+        """Return the blurred surface on `(n U) x (n U)` samples, in nm above the lowest feature."""
+        matrix = blur_matrix(self.features, samples_per_feature, self.blur_nm / self.feature_nm)
+        return np.asarray(matrix @ (self.heights_nm - self.heights_nm.min()) @ matrix.T)
+
+
+def largest_step_nm(surface_nm: Array) -> float:
+    """Return the largest height difference between neighbouring samples, the period's seam included."""
+    along_x = np.abs(surface_nm - np.roll(surface_nm, 1, axis=0)).max()
+    along_y = np.abs(surface_nm - np.roll(surface_nm, 1, axis=1)).max()
+    return float(max(along_x, along_y))
+
+
+def slopes(surface_nm: Array, sample_nm: float) -> tuple[Array, Array]:
+    """Return dH/dx and dH/dy by periodic central differences."""
+    dx = (np.roll(surface_nm, -1, axis=0) - np.roll(surface_nm, 1, axis=0)) / (2.0 * sample_nm)
+    dy = (np.roll(surface_nm, -1, axis=1) - np.roll(surface_nm, 1, axis=1)) / (2.0 * sample_nm)
+    return dx, dy

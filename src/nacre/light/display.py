@@ -1,0 +1,65 @@
+"""From spectra to what a display shows: linear and encoded sRGB of reflectances, white adapted."""
+
+from __future__ import annotations
+
+from numpy.typing import ArrayLike
+
+from nacre.arrays import Array
+from nacre.light.adaptation import Adaptation, adaptation_matrix
+from nacre.light.gamut import clip_to_srgb
+from nacre.light.spaces import SRGB_WHITE_XYZ, XYZ_TO_RGB, srgb_encode
+from nacre.light.tables import Illuminant
+from nacre.light.tristimulus import weighted_sum, white_xyz, xyz_weights
+
+
+def spectrum_to_rgb_matrix(
+    wavelengths_nm: ArrayLike,
+    illuminant: str | Illuminant = "D65",
+    observer: str = "2deg",
+    adaptation: Adaptation = "bradford",
+) -> Array:
+    """Return `[wavelength, 3]` with `linear_srgb = values @ matrix`, unclipped.
+
+    The white policy of every sRGB output of nacre is here: an illuminant other than D65 (or the 10 degree
+    observer) is adapted to sRGB's white by Bradford's transform, so a perfect white is (1, 1, 1) under every
+    light, as an eye that has settled to the light sees it. `adaptation="none"` leaves the light's cast in.
+    D65 with the 2 degree observer is sRGB's own white and is never changed.
+
+    Example: each column of the matrix for "A" sums to 1; with `adaptation="none"` they sum to 1.85, 0.83, 0.23.
+    """
+    weights = xyz_weights(wavelengths_nm, illuminant, observer)
+    name = illuminant if isinstance(illuminant, str) else illuminant.name
+    if adaptation != "none" and (name.upper(), observer) == ("D65", "2deg"):
+        return weights @ XYZ_TO_RGB.T
+    adapt = adaptation_matrix(white_xyz(illuminant, observer), SRGB_WHITE_XYZ, adaptation)
+    return weights @ adapt.T @ XYZ_TO_RGB.T
+
+
+def spectrum_to_rgb_linear(
+    values: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    illuminant: str | Illuminant = "D65",
+    observer: str = "2deg",
+    adaptation: Adaptation = "bradford",
+) -> Array:
+    """Return linear sRGB `[..., 3]` of reflectances or transmittances, unclipped; see `spectrum_to_rgb_matrix`."""
+    return weighted_sum(values, spectrum_to_rgb_matrix(wavelengths_nm, illuminant, observer, adaptation))
+
+
+def spectrum_to_srgb(
+    values: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    illuminant: str | Illuminant = "D65",
+    observer: str = "2deg",
+    adaptation: Adaptation = "bradford",
+) -> Array:
+    """Return the displayable, encoded sRGB `[..., 3]` in [0, 1] of reflectances or transmittances.
+
+    Colours outside the gamut are clipped at constant hue and lightness; where their number matters, take
+    `clip_to_srgb(spectrum_to_rgb_linear(...))`, which reports it.
+
+    Example: a constant 0.5 gives (0.735, 0.735, 0.735).
+    """
+    return srgb_encode(
+        clip_to_srgb(spectrum_to_rgb_linear(values, wavelengths_nm, illuminant, observer, adaptation)).rgb
+    )

@@ -1,0 +1,1 @@
+"""Materials: the one place where all families meet."""

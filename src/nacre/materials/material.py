@@ -1,0 +1,259 @@
+"""A material: what its family built, and the recipe that it was built from.
+
+Any number of a recipe can be changed by its path (`layers[0].thickness_nm`), which is how sweeps, fits, tolerances,
+designs and animations vary a material without knowing what it is.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nacre._version import __version__
+from nacre.arrays import Array
+from nacre.bsdf import Bsdf
+from nacre.bsdf.spectrum import Spectrum
+from nacre.errors import RecipeError, UnsupportedError
+from nacre.families.contract import Model
+from nacre.families.registry import family_spec
+from nacre.files import read_text
+from nacre.materials.varying import Varying
+from nacre.measure.spectrum import bsdf_spectrum
+from nacre.recipe.model import RecipeContext, validate
+from nacre.recipe.paths import find_by_path, numbers_of, set_by_path, varying_numbers
+from nacre.recipe.toml import dump_toml, parse_toml
+
+MAX_NESTED_RECIPES = 8
+POLARISATIONS = ("s", "p", "both")
+STUDY_TABLES = ("fit", "tolerance")  # read by nacre.study: which numbers are free, which vary in manufacture
+
+
+@dataclass(frozen=True)
+class Material:
+    """A material: its family's frozen parameters (`model`) and the recipe it was built from.
+
+    Attributes:
+        model: what its family built; holds the physics.
+        data: the recipe as a dictionary.
+        context: file name, folder and text of the recipe.
+    """
+
+    model: Model
+    data: Mapping[str, Any]
+    context: RecipeContext = field(default_factory=RecipeContext)
+
+    @property
+    def family(self) -> str:
+        """The family's name, such as "film"."""
+        return str(self.data.get("family", "stored"))
+
+    @property
+    def name(self) -> str:
+        """A short name for titles and file names."""
+        return Path(self.context.source).stem
+
+    def bsdf(self, wavelengths_nm: ArrayLike | None = None) -> Bsdf:
+        """Solve the optics and return the arrays, with their provenance.
+
+        Args:
+            wavelengths_nm: vacuum wavelengths, ascending; default: chosen by the material.
+
+        Raises:
+            MaterialRangeError: an optical constant is not known at a wavelength.
+        """
+        grid = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        bsdf: Bsdf = self.model.bsdf(grid)
+        return dataclasses.replace(bsdf, provenance={**bsdf.provenance, **recipe_provenance(self)})
+
+    @property
+    def text(self) -> str:
+        """The recipe as text: as its author wrote it, or written anew where numbers were changed since."""
+        return self.context.text or dump_toml(self.data)
+
+    def spectrum(
+        self,
+        theta_rad: ArrayLike,
+        wavelengths_nm: ArrayLike | None = None,
+        polarisation: str = "both",
+        *,
+        seed: int = 0,
+    ) -> Spectrum:
+        """Return reflectance and transmittance, specular and diffuse, each `[angle, wavelength]`.
+
+        Args:
+            theta_rad: angles of incidence in the ambient medium, in [0, pi/2].
+            wavelengths_nm: vacuum wavelengths; default: chosen by the material.
+            polarisation: "s", "p" or "both" (unpolarised).
+            seed: of a pearl's random walk; another one gives independent noise.
+
+        Raises:
+            UnsupportedError: the material has no such spectrum.
+        """
+        grid = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
+        if polarisation not in POLARISATIONS:
+            raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use {", ".join(POLARISATIONS)}')
+        own = self.model.spectrum(theta, grid, polarisation, seed)
+        if own is not None:
+            return own
+        if polarisation != "both":
+            raise UnsupportedError(f"{self.context.source}: a {self.model.noun} {self.model.why_unpolarised}")
+        return bsdf_spectrum(self.model.bsdf(grid), theta, seed=seed)
+
+    def figure_data(self, kind: str, **options: Any) -> dict[str, NDArray[Any]]:
+        """Return the arrays of a figure that only this family can feed, such as "field" or "structure".
+
+        Raises:
+            UnsupportedError: the family has no such figure.
+        """
+        return self.model.figure_data(kind, **options)
+
+    def vary(self, changes: Mapping[str, Any]) -> Material:
+        """Return the material with some recipe numbers changed, each named by its path.
+
+        Raises:
+            RecipeError: a path does not exist or a value is not allowed.
+
+        Example: `soap.vary({"layers[0].thickness_nm": 420})`.
+        """
+        data = copy.deepcopy(dict(self.data))
+        for path, value in changes.items():
+            set_by_path(data, path, value, self.context.source)
+        return material_from_data(data, dataclasses.replace(self.context, text=""))
+
+    def get(self, path: str) -> Any:
+        """Return the recipe's value at a path such as `strata[0].platelets[0].volume_fraction`.
+
+        Raises:
+            RecipeError: the path does not exist in the recipe.
+        """
+        holder, last = find_by_path(self.data, path, self.context.source)
+        return holder[last]
+
+    @property
+    def free_numbers(self) -> dict[str, float]:
+        """Every number that the recipe gives, by its path: what a fit or a search may free."""
+        tables = {key: value for key, value in self.data.items() if key not in STUDY_TABLES}
+        return numbers_of(tables)
+
+    def _repr_html_(self) -> str:
+        from nacre.materials.notebook import material_html  # draws and renders: only where a notebook asks
+
+        return material_html(self)
+
+
+@dataclass(frozen=True)
+class StoredBsdf(Model):
+    """A compiled `.nacre` file: a material whose physics was done before."""
+
+    noun = "compiled .nacre file"
+    takes_ambient = False
+    why_unpolarised = "holds unpolarised values; give its recipe for s or p"
+
+    stored: Bsdf
+
+    @property
+    def wavelengths_nm(self) -> Array:
+        """The stored wavelengths."""
+        return self.stored.wavelengths_nm
+
+    def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
+        """Return the stored Bsdf; it cannot be recomputed on another grid.
+
+        Raises:
+            UnsupportedError: another wavelength grid is asked for.
+        """
+        if wavelengths_nm is not None and not np.array_equal(wavelengths_nm, self.stored.wavelengths_nm):
+            raise UnsupportedError("a compiled .nacre file keeps its wavelengths; give its recipe to choose others")
+        return self.stored
+
+
+def load(path: str | Path) -> Material:
+    """Load a material: a recipe (.toml), a compiled file (.nacre) or a design folder.
+
+    Raises:
+        RecipeError: naming file, key, value and what is allowed.
+        NacreError: the file cannot be read.
+
+    Example: `nacre.load("soap.toml").spectrum([0.0])`.
+    """
+    return _load(Path(path), depth=0)
+
+
+def _load(path: Path, depth: int, ambient: Any = None) -> Material:
+    if depth > MAX_NESTED_RECIPES:
+        raise RecipeError(f"{path}: recipes are nested more than {MAX_NESTED_RECIPES} deep; is there a circle?")
+    try:
+        is_folder = path.is_dir()
+    except OSError as error:  # a name that no file system takes
+        raise RecipeError(f"{str(path)[:80]}: cannot be read: {error.strerror}") from None
+    if is_folder:
+        if not (path / "recipe.toml").is_file():
+            raise RecipeError(
+                f"{path}: is a folder without a recipe.toml; give a recipe, a .nacre file or a design folder"
+            )
+        path = path / "recipe.toml"
+    if path.suffix == ".nacre":
+        bsdf = Bsdf.load(path)
+        text = str(bsdf.provenance.get("recipe", ""))
+        return Material(StoredBsdf(bsdf), {}, RecipeContext(str(path), path.parent, text))
+    text = read_text(path, "recipe")
+
+    def load_recipe(other: str, ambient: Any = ambient) -> Material:
+        return _load(_resolve(path, other), depth + 1, ambient)
+
+    context = RecipeContext(str(path), path.parent.resolve(), text, load_recipe, ambient)
+    return material_from_data(parse_toml(text, str(path)), context)
+
+
+def _resolve(recipe: Path, other: str) -> Path:
+    return Path(other) if Path(other).is_absolute() else recipe.parent / other
+
+
+def material(data: Mapping[str, Any], folder: str | Path = ".") -> Material:
+    """Build a material from a dictionary with a recipe's keys; paths inside are relative to `folder`.
+
+    Raises:
+        RecipeError: naming key, value and what is allowed.
+
+    Example: `nacre.material({"family": "film", "substrate": "Si"})` is a bare silicon wafer.
+    """
+    folder = Path(folder)
+
+    def load_recipe(other: str, ambient: Any = None) -> Material:
+        return _load(folder / other, 1, ambient)
+
+    context = RecipeContext("recipe", folder.resolve(), "", load_recipe)
+    return material_from_data(data, context)
+
+
+def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Material:
+    """Check a recipe's dictionary and build the material.
+
+    Raises:
+        RecipeError: naming file, key, value and what is allowed.
+    """
+    spec_class = family_spec(data.get("family"), context.source)
+    if spec_class.varies_by_nodes and (numbers := varying_numbers(data, spec_class.varies_by_nodes)):
+
+        def fixed(values: Mapping[str, float]) -> Material:
+            even = copy.deepcopy(dict(data))
+            for path, value in values.items():
+                set_by_path(even, path, value, context.source)
+            return material_from_data(even, context)
+
+        return Material(Varying.read(numbers, fixed, context), copy.deepcopy(dict(data)), context)
+    spec = validate(spec_class, {key: value for key, value in data.items() if key not in STUDY_TABLES}, context)
+    return Material(spec.build(context), copy.deepcopy(dict(data)), context)
+
+
+def recipe_provenance(material: Material) -> dict[str, Any]:
+    """Return what a file made from a recipe tells of its origin."""
+    return {"nacre": __version__, "source": Path(material.context.source).name, "recipe": material.text}

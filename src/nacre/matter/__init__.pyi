@@ -1,0 +1,10 @@
+from .indices.constant import OpticalConstant as OpticalConstant
+from .indices.library import index as index
+from .stack.case import Amplitudes as Amplitudes
+from .stack.case import Powers as Powers
+from .stack.case import Response as Response
+from .stack.solve import amplitudes as amplitudes
+from .stack.solve import powers as powers
+from .stack.solve import solve as solve
+from .stack.stack import Layer as Layer
+from .stack.stack import Stack as Stack

@@ -1,0 +1,1 @@
+"""Optical constants: models, tables, the database, and their library of names."""

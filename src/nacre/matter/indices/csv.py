@@ -1,0 +1,120 @@
+"""Optical constants from a text table, as spectrometers, ellipsometers and refractiveindex.info export them."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+from nacre.errors import NacreError
+from nacre.files import plain
+from nacre.matter.indices.models import Table
+
+MAX_BYTES = 20_000_000
+_WAVELENGTH_NM = {
+    "wavelength_nm": 1.0, "wavelengths_nm": 1.0, "nm": 1.0, "wavelength_um": 1000.0, "wavelengths_um": 1000.0,
+    "um": 1000.0, "wl": 1000.0,
+}  # fmt: skip
+_FORM = 'write a header "wavelength_nm,n,k" (or wavelength_um) and one row of numbers per wavelength'
+# Without a header the unit shows in the numbers: no table of optics reaches 20 um in um or below 20 nm in nm.
+_UM_LIMIT = 20.0
+
+
+def read_index_csv(path: Path) -> Table:
+    """Read wavelength, n and (optionally) k from a text file.
+
+    Columns are separated by commas, semicolons, tabs or spaces; `#` starts a comment. The header names the
+    columns: `wavelength_nm` or `wavelength_um`, `n`, `k` in any order. The database's own export (`wl,n`, then
+    a second block `wl,k`, in um) is read as well; so are headerless rows of two or three numbers.
+
+    Raises:
+        NacreError: unreadable file, a row that is not numbers, k < 0, a wavelength that is not positive or is
+            given twice, n missing; the message names the line.
+    """
+    blocks = _blocks(path)
+    n_block = next((b for b in blocks if "n" in b), None)
+    k_block = next((b for b in blocks if "k" in b), None)
+    if n_block is None:
+        raise NacreError(f"{path.name}: has no column n; {_FORM}")
+    wavelengths, n = n_block["wavelength"], n_block["n"]
+    table = Table.sorted(wavelengths, n, n_block.get("k", [0.0] * len(n)))
+    if k_block is not None and k_block is not n_block:
+        if sorted(k_block["wavelength"]) != sorted(wavelengths):
+            raise NacreError(f"{path.name}: the blocks of n and of k are for different wavelengths; join them")
+        table = Table(table.wavelengths_nm, table.n, Table.sorted(k_block["wavelength"], k_block["k"], k_block["k"]).k)
+    return table
+
+
+def _read(path: Path) -> str:
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise NacreError(f"{path.name}: is larger than {MAX_BYTES // 1_000_000} MB; is it a table of n and k?")
+        return plain(path).read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise NacreError(f"{path.name}: cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise NacreError(f"{path.name}: is not a text file; {_FORM}") from None
+
+
+def _blocks(path: Path) -> list[dict[str, list[float]]]:
+    """Return the file's blocks, each a column of numbers by name, wavelengths in nm."""
+    blocks: list[dict[str, list[float]]] = []
+    columns: list[str] = []
+    scale = 1.0
+    for number, raw in enumerate(_read(path).splitlines(), start=1):
+        cells = [c.strip().strip('"') for c in re.split(r"[,;\s]+", raw.partition("#")[0].strip()) if c.strip()]
+        if not cells:
+            continue
+        values = _numbers(cells)
+        if values is None:
+            columns, scale = _header(path, number, cells)
+            blocks.append({name: [] for name in columns})
+            continue
+        if not columns:
+            columns = ["wavelength", "n", "k"][: len(values)]
+            scale = 1000.0 if values[0] < _UM_LIMIT else 1.0
+            blocks.append({name: [] for name in columns})
+        if len(values) != len(columns) or len(columns) < 2:
+            raise NacreError(f"{path.name}: line {number} has {len(values)} numbers; {_FORM}")
+        _check_row(path, number, dict(zip(columns, values)))
+        for name, value in zip(columns, values):
+            if name:
+                blocks[-1][name].append(value * scale if name == "wavelength" else value)
+    for block in blocks:
+        if not block.get("wavelength"):
+            raise NacreError(f"{path.name}: holds no rows; {_FORM}")
+        if len(set(block["wavelength"])) != len(block["wavelength"]):
+            raise NacreError(f"{path.name}: a wavelength is given twice; keep one row of each")
+    return blocks
+
+
+def _numbers(cells: list[str]) -> list[float] | None:
+    try:
+        return [float(cell) for cell in cells]
+    except ValueError:
+        return None
+
+
+def _header(path: Path, number: int, cells: list[str]) -> tuple[list[str], float]:
+    columns, scale = [], 0.0
+    for cell in (c.lower() for c in cells):
+        if cell in _WAVELENGTH_NM:
+            columns.append("wavelength")
+            scale = _WAVELENGTH_NM[cell]
+        else:
+            columns.append(cell if cell in ("n", "k") else "")
+    if columns.count("wavelength") != 1 or not {"n", "k"} & set(columns) or max(map(columns.count, "nk")) > 1:
+        raise NacreError(f'{path.name}: line {number}, "{" ".join(cells)[:40]}", is no header and no row; {_FORM}')
+    return columns, scale
+
+
+def _check_row(path: Path, number: int, row: dict[str, float]) -> None:
+    where = f"{path.name}: line {number}"
+    if not all(map(math.isfinite, row.values())):
+        raise NacreError(f"{where} holds a number that is not finite")
+    if row["wavelength"] <= 0.0:
+        raise NacreError(f"{where} has a wavelength of {row['wavelength']:g}; it should be positive")
+    if row.get("n", 1.0) < 0.0:
+        raise NacreError(f"{where} has n = {row['n']:g}; it should not be negative")
+    if row.get("k", 0.0) < 0.0:
+        raise NacreError(f"{where} has k = {row['k']:g}; it should be 0 or positive (n + ik)")

@@ -1,0 +1,226 @@
+"""The ways a recipe may name a material, checked: a name, a number, a formula, a file, a database entry."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import pydantic
+
+from nacre.errors import NacreError, did_you_mean
+from nacre.matter.indices.constant import OpticalConstant, database_index, named_constant, unknown_material
+from nacre.matter.indices.csv import read_index_csv
+from nacre.matter.indices.database import find_page
+from nacre.matter.indices.defaults import find_default
+from nacre.matter.indices.models import Cauchy, Constant, Dispersion, Oscillators, Sellmeier, abbe_cauchy
+from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
+
+FORMS = ("name", "n", "cauchy", "sellmeier", "n_d", "drude", "lorentz", "file", "rii")
+EXAMPLES = (
+    '"Ag", {n = 1.5}, {n = 1.5, k = 0.1}, {cauchy = [1.5, 0.005]}, {file = "nk.csv"} or {rii = "main/Ag/Johnson"}'
+)
+PROBE_NM = (360.0, 550.0, 830.0)
+JUDGED_NM = (450.0, 550.0, 650.0)
+SAME_INDEX = 2e-3  # media closer than this reflect less than 1e-6 of the light between them
+
+NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
+Positive = Annotated[float, pydantic.Field(gt=0.0)]
+
+
+class DrudeSpec(RecipeModel):
+    """Free carriers: eps = eps_inf - plasma^2 / (E^2 + i E damping), energies in eV."""
+
+    plasma_ev: Positive
+    damping_ev: NotNegative = 0.0
+    eps_inf: Positive = 1.0
+
+
+class OscillatorSpec(RecipeModel):
+    """One bound oscillator: strength resonance^2 / (resonance^2 - E^2 - i E damping), energies in eV."""
+
+    strength: NotNegative
+    resonance_ev: Positive
+    damping_ev: NotNegative = 0.0
+
+
+class LorentzSpec(RecipeModel):
+    """Bound oscillators on a constant background `eps_inf`; with `drude` beside it, leave the one there at 1."""
+
+    oscillators: tuple[OscillatorSpec, ...] = pydantic.Field(min_length=1, max_length=50)
+    eps_inf: Positive = 1.0
+
+
+class IndexSpec(RecipeModel):
+    """A material in a recipe.
+
+    A bare string is a name, a bare number an index. In a table exactly one of these stands: `name`; `n` (with
+    `k`); `cauchy = [c0, c1, ...]`, n = c0 + c1/l^2 + c2/l^4...; `sellmeier = [b1, c1, b2, c2, ...]`,
+    n^2 = 1 + sum b l^2/(l^2 - c); `n_d` with `abbe`; `drude` and/or `lorentz`; `file`, a text table; `rii`, a
+    refractiveindex.info entry. Wavelengths l in um. `extrapolate = "edge"` holds the end values outside the
+    published range.
+    """
+
+    name: str | None = None
+    n: NotNegative | None = None
+    k: float | None = None
+    cauchy: tuple[float, ...] | None = pydantic.Field(default=None, min_length=1, max_length=10)
+    sellmeier: tuple[float, ...] | None = pydantic.Field(default=None, min_length=2, max_length=20)
+    n_d: Positive | None = None
+    abbe: Positive | None = None
+    drude: DrudeSpec | None = None
+    lorentz: LorentzSpec | None = None
+    file: str | None = None
+    rii: str | None = None
+    extrapolate: Literal["error", "edge"] = "error"
+
+    _built: OpticalConstant = pydantic.PrivateAttr()
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _accept_bare_values(cls, data: Any) -> Any:
+        if isinstance(data, str):
+            return {"name": data}
+        if isinstance(data, int | float) and not isinstance(data, bool):
+            return {"n": data}
+        if not isinstance(data, Mapping | IndexSpec):
+            raise ValueError(f"= {show_value(data)} is not a material; write {EXAMPLES}")
+        return data
+
+    @pydantic.model_validator(mode="after")
+    def _build_now(self, info: pydantic.ValidationInfo) -> IndexSpec:
+        """Build while the recipe's own folder is known, so that every fault is told with its key."""
+        context = (info.context or {}).get("recipe") or RecipeContext()
+        self._check_form()
+        try:
+            self._built = self._make(context)
+            self._probe()
+        except NacreError as error:
+            raise ValueError(_after_key(error, self)) from None
+        return self
+
+    def build(self, context: RecipeContext | None = None) -> OpticalConstant:
+        """Return the optical constant; it was built, and its file read, when the recipe was checked."""
+        return self._built
+
+    def _check_form(self) -> None:
+        given = [form for form in FORMS if getattr(self, form) is not None]
+        if not given or (len(given) > 1 and set(given) != {"drude", "lorentz"}):
+            got = " and ".join(given) if given else "nothing"
+            raise ValueError(f"gives {got}; a material is exactly one of {EXAMPLES}")
+        if self.k is not None:
+            if self.n is None:
+                raise ValueError(f".k = {self.k:g} needs n beside it")
+            if self.k < 0.0:
+                raise ValueError(f".k = {self.k:g} is not allowed; nacre takes n + ik with k >= 0")
+        if (self.n_d is None) != (self.abbe is None):
+            raise ValueError("needs both n_d and abbe")
+        if self.sellmeier is not None and len(self.sellmeier) % 2:
+            raise ValueError(f".sellmeier has {len(self.sellmeier)} numbers; they come in pairs b, c")
+        if (
+            self.drude is not None
+            and self.lorentz is not None
+            and 1.0 not in (self.drude.eps_inf, self.lorentz.eps_inf)
+        ):
+            raise ValueError("gives eps_inf twice, in drude and in lorentz; keep one")
+
+    def _make(self, context: RecipeContext) -> OpticalConstant:
+        if self.name is not None:
+            if find_default(self.name) is None and self.name.count("/") < 2:
+                raise NacreError(f"= {show_value(self.name)} {unknown_material(self.name)}")
+            made = named_constant(self.name)
+        elif self.rii is not None:
+            find_page(self.rii)
+            made = database_index(self.rii)
+        elif self.file is not None:
+            made = OpticalConstant(self.file, read_index_csv(context.path(self.file)), self.file)
+        else:
+            label, model = self._formula()
+            made = OpticalConstant(label, model, "given in the recipe")
+        return made.with_extrapolation(self.extrapolate)
+
+    def _formula(self) -> tuple[str, Dispersion]:
+        if self.n is not None:
+            label = f"n = {self.n:g}" + (f" + {self.k:g}i" if self.k else "")
+            return label, Constant(self.n, self.k or 0.0)
+        if self.cauchy is not None:
+            return f"cauchy {list(self.cauchy)}", Cauchy(self.cauchy)
+        if self.sellmeier is not None:
+            pairs = tuple(zip(self.sellmeier[0::2], self.sellmeier[1::2]))
+            return f"sellmeier {list(self.sellmeier)}", Sellmeier(pairs)
+        if self.n_d is not None and self.abbe is not None:
+            return f"n_d = {self.n_d:g}, abbe = {self.abbe:g}", abbe_cauchy(self.n_d, self.abbe)
+        drude, lorentz = self.drude, self.lorentz
+        bound = lorentz.oscillators if lorentz else ()
+        return "drude-lorentz", Oscillators(
+            eps_inf=(drude.eps_inf if drude else 1.0) * (lorentz.eps_inf if lorentz else 1.0),
+            plasma_ev=drude.plasma_ev if drude else 0.0,
+            damping_ev=drude.damping_ev if drude else 0.0,
+            oscillators=tuple((o.strength, o.resonance_ev, o.damping_ev) for o in bound),
+        )
+
+    def _probe(self) -> None:
+        """Look at a formula where it will be used: a coefficient in the wrong unit shows at once."""
+        low, high = self._built.range_nm
+        inside = [w for w in PROBE_NM if low <= w <= high]
+        self._built.n_complex(inside)
+
+
+def _after_key(error: NacreError, spec: IndexSpec) -> str:
+    """Put a fault behind the key it belongs to."""
+    text = str(error)
+    if text.startswith("= "):
+        return text
+    form = next(form for form in FORMS if getattr(spec, form) is not None)
+    value = getattr(spec, form)
+    if form in ("rii", "file"):
+        return f".{form} = {show_value(value)}: {text.removeprefix(f'{show_value(value)} ').removeprefix(f'{value}: ')}"
+    return text
+
+
+def ambient_in(spec: IndexSpec, is_named: bool, context: RecipeContext) -> OpticalConstant:
+    """Return a recipe's ambient: its own, or the medium that another recipe puts it into.
+
+    Args:
+        spec: the recipe's key `ambient`, or its default.
+        is_named: whether the recipe gives it.
+        context: knows the medium.
+
+    Raises:
+        RecipeError: the recipe names an ambient that is not the medium it lies in.
+    """
+    own, medium = spec.build(context), context.ambient
+    if medium is None:
+        return own
+    found: OpticalConstant = medium
+    if is_named:
+        here, there = (constant.n_complex(JUDGED_NM).real for constant in (own, found))
+        if max(abs(here - there)) > SAME_INDEX:
+            raise context.fail(
+                "ambient",
+                own.name,
+                f'has n = {here[1]:.4g}, but lies in "{found.name}" with n = {there[1]:.4g}; leave ambient out, and '
+                "it is what lies above",
+            )
+    return found
+
+
+def index_spec(data: Any, context: RecipeContext | None = None) -> IndexSpec:
+    """Check one material on its own; `nacre.matter.index` uses it for recipe tables.
+
+    Raises:
+        RecipeError: the first fault in one line.
+    """
+    context = context or RecipeContext(source="material")
+    if isinstance(data, str):
+        data = {"name": data}
+    elif isinstance(data, int | float) and not isinstance(data, bool):
+        data = {"n": data}
+    elif not isinstance(data, Mapping):
+        raise context.fail("material", data, f"is not a material; write {EXAMPLES}")
+    else:
+        unknown = next((key for key in data if key not in IndexSpec.model_fields), None)
+        if unknown is not None:
+            shown = " ".join(str(unknown).split())[:40]
+            raise context.fail(shown, data[unknown], f"is not a key of a material.{did_you_mean(shown, FORMS)}")
+    made: IndexSpec = validate(IndexSpec, data, context)
+    return made

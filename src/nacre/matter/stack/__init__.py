@@ -1,0 +1,1 @@
+"""Stratified media: what a plane wave does at any number of layers."""

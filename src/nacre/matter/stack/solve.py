@@ -1,0 +1,103 @@
+"""Reflection and transmission of a stack: what is asked of it, by thicknesses, wavelengths and angles."""
+
+from __future__ import annotations
+
+from numpy.typing import ArrayLike
+
+from nacre.matter.stack.case import Amplitudes, Powers, Response, powers_of, prepare, run_kernel
+
+
+def solve(
+    n: ArrayLike,
+    thicknesses_nm: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    theta_rad: ArrayLike | None = None,
+    *,
+    cos_i: ArrayLike | None = None,
+    absorption: bool = False,
+    jobs: int | None = None,
+) -> Response:
+    """Amplitudes and powers of layered media at real angles of incidence.
+
+    Args:
+        n: complex refractive indices `[..., medium, wavelength]` (or `[..., medium, 1]`), from the ambient
+            through the layers to the substrate; leading axes are a batch.
+        thicknesses_nm: `[..., layer]`, two shorter than the medium axis; leading axes broadcast with those of `n`.
+        wavelengths_nm: `[wavelength]`, in vacuum.
+        theta_rad: angles of incidence in the ambient, 0 to pi/2, `[angle]` or a number.
+        cos_i: their cosines instead.
+        absorption: compute the absorption of each layer too, as the difference of the Poynting flux at its
+            two faces (slower: a second, scalar pass).
+        jobs: threads; by default as many as this process may use, one for small work.
+
+    Beyond the critical angle T is 0 and R is what absorption leaves. At 90 degrees R = 1 and T = 0, except for a
+    stack whose media all have the index of the ambient (R = 0, T = 1). With an absorbing ambient the in-plane
+    wavevector is Re(n_0) sin theta; R and T are then ratios of single waves, and R + T + A = 1 does not hold.
+
+    Raises:
+        NacreError: k < 0, a negative thickness, shapes that do not fit, an angle outside 0..pi/2.
+
+    Example: 300 nm of n = 1.33 between air at 550 nm and normal incidence reflect 0.0754.
+    """
+    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
+    (r_s, r_p, t_s, t_p), (R_s, R_p, T_s, T_p) = run_kernel(case, True, True, jobs)
+    A_s = A_p = None
+    if absorption:
+        from nacre.matter.stack.field import absorbed_power
+
+        A_s, A_p = absorbed_power(case, jobs)
+    return Response(r_s=r_s, r_p=r_p, t_s=t_s, t_p=t_p, R_s=R_s, R_p=R_p, T_s=T_s, T_p=T_p, A_s=A_s, A_p=A_p)
+
+
+def powers(
+    n: ArrayLike,
+    thicknesses_nm: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    theta_rad: ArrayLike | None = None,
+    *,
+    cos_i: ArrayLike | None = None,
+    kappa: ArrayLike | None = None,
+    jobs: int | None = None,
+) -> Powers:
+    """R and T alone: `solve` without the amplitudes, faster and in a third of the memory.
+
+    Args:
+        kappa: in-plane wavevectors kx / k0 instead of angles, real, `[angle]` or `[angle, wavelength]`, up to the
+            index of the ambient: one direction outside a dispersive medium is another angle inside at each wavelength.
+
+    Other arguments and errors as in `solve`.
+    """
+    return powers_of(prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa), jobs)
+
+
+def amplitudes(
+    n: ArrayLike,
+    thicknesses_nm: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    *,
+    kappa: ArrayLike | None = None,
+    kz: ArrayLike | None = None,
+    theta_rad: ArrayLike | None = None,
+    cos_i: ArrayLike | None = None,
+    jobs: int | None = None,
+) -> Amplitudes:
+    """Amplitudes at any complex in-plane wavevector.
+
+    Give one of:
+        kappa: in-plane wavevector kx / k0, complex, `[angle]` or `[angle, wavelength]`; the ambient's normal
+            component is the root with Im kz >= 0 (Re kz >= 0 where it is real).
+        kz: normal component kz / k0 in the ambient, taken as it is, same shapes. With n_0 = 1 this is the
+            variable w = cos of the metasurface's path w = 1 + it. Every layer's and the substrate's own
+            kz_j = sqrt(n_j^2 - n_0^2 + kz^2) has Im kz_j >= 0. Layers are even in kz_j, so only the branch of the
+            substrate matters.
+        theta_rad, cos_i: real angles, as in `solve`.
+
+    The other arguments, the shapes and the errors are those of `solve`. No power is defined here: beyond the
+    light line a single wave carries none.
+
+    Example: glass (n = 1.5) at kz = 1 + 2i: r_s = 0.0340 + 0.0578i.
+    """
+    case = prepare(
+        n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa, kz=kz, waves_only=True
+    )
+    return Amplitudes(*run_kernel(case, True, False, jobs)[0])

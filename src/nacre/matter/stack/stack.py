@@ -1,0 +1,155 @@
+"""A stack of layers made of named or given materials: the object face of `nacre.matter.stack.case`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from nacre.arrays import Array, ComplexArray
+from nacre.errors import NacreError
+from nacre.matter.stack import solve as solver
+from nacre.matter.stack.case import Amplitudes, Powers, Response, check_thicknesses
+
+
+class HasIndex(Protocol):
+    """What a stack needs of an optical constant."""
+
+    def n_complex(self, wavelengths_nm: Array) -> ComplexArray:
+        """Complex index n + ik, `[wavelength]`."""
+        ...
+
+
+Medium = HasIndex | complex | ComplexArray  # an optical constant, a number, or values on the wavelengths of the call
+
+
+def index_of(medium: Medium, wavelengths_nm: Array) -> ComplexArray:
+    """Return n + ik of a medium, `[wavelength]`.
+
+    Raises:
+        NacreError: an array of another length than the wavelengths.
+        MaterialRangeError: the optical constant is not known at a wavelength.
+    """
+    if hasattr(medium, "n_complex"):
+        return np.asarray(medium.n_complex(wavelengths_nm), dtype=np.complex128)
+    values = np.asarray(medium, dtype=np.complex128)
+    if values.shape not in ((), (1,), wavelengths_nm.shape):
+        raise NacreError(f"an index array has {values.shape} values for {len(wavelengths_nm)} wavelengths")
+    return np.broadcast_to(values, wavelengths_nm.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """One layer: its material, its thickness and whether it is too thick to interfere with itself."""
+
+    material: Medium
+    thickness_nm: float
+    incoherent: bool = False
+
+    def __post_init__(self) -> None:
+        check_thicknesses(np.atleast_1d(np.asarray(self.thickness_nm, dtype=float)))
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Layers between an ambient, where the light comes from, and a substrate.
+
+    Attributes:
+        ambient, substrate: half-spaces; any optical constant, number, or array on the wavelengths asked for.
+        layers: from the ambient inward.
+
+    Example: `Stack(1.0, [Layer(index("SiO2"), 400)], index("Si")).solve([0.0], wavelengths_nm).reflectance`.
+    """
+
+    ambient: Medium
+    layers: tuple[Layer, ...]
+    substrate: Medium
+
+    def __init__(self, ambient: Medium, layers: tuple[Layer, ...] | list[Layer], substrate: Medium) -> None:
+        object.__setattr__(self, "ambient", ambient)
+        object.__setattr__(self, "layers", tuple(layers))
+        object.__setattr__(self, "substrate", substrate)
+
+    @property
+    def thicknesses_nm(self) -> Array:
+        """Thicknesses of the layers, `[layer]`."""
+        return np.array([layer.thickness_nm for layer in self.layers], dtype=float)
+
+    @property
+    def is_coherent(self) -> bool:
+        """Whether no layer is marked incoherent."""
+        return not any(layer.incoherent for layer in self.layers)
+
+    def indices(self, wavelengths_nm: ArrayLike) -> ComplexArray:
+        """Complex indices `[medium, wavelength]` from ambient to substrate."""
+        lam = np.asarray(wavelengths_nm, dtype=float)
+        media = (self.ambient, *(layer.material for layer in self.layers), self.substrate)
+        return np.stack([index_of(medium, lam) for medium in media])
+
+    def reversed(self) -> Stack:
+        """The same stack met from the substrate's side."""
+        return Stack(self.substrate, self.layers[::-1], self.ambient)
+
+    def solve(
+        self, theta_rad: ArrayLike, wavelengths_nm: ArrayLike, *, absorption: bool = False, jobs: int | None = None
+    ) -> Response:
+        """Amplitudes, powers and, on request, absorption per layer: see `nacre.matter.stack.solve.solve`.
+
+        Raises:
+            NacreError: a layer is incoherent (a stack with one has no amplitudes: use `powers`).
+        """
+        if not self.is_coherent:
+            raise NacreError("a stack with an incoherent layer has no amplitudes; ask for powers(...)")
+        return solver.solve(
+            self.indices(wavelengths_nm),
+            self.thicknesses_nm,
+            wavelengths_nm,
+            theta_rad,
+            absorption=absorption,
+            jobs=jobs,
+        )
+
+    def powers(self, theta_rad: ArrayLike, wavelengths_nm: ArrayLike, *, jobs: int | None = None) -> Powers:
+        """R and T, `[angle, wavelength]`, with incoherent layers where they are marked."""
+        n = self.indices(wavelengths_nm)
+        if self.is_coherent:
+            return solver.powers(n, self.thicknesses_nm, wavelengths_nm, theta_rad, jobs=jobs)
+        from nacre.matter.stack.incoherent import incoherent_powers
+
+        flags = [layer.incoherent for layer in self.layers]
+        return incoherent_powers(n, self.thicknesses_nm, flags, wavelengths_nm, theta_rad, jobs=jobs)
+
+    def absorption(
+        self, theta_rad: ArrayLike, wavelengths_nm: ArrayLike, *, jobs: int | None = None
+    ) -> tuple[Array, Array]:
+        """Power absorbed in each layer over incident power, for s and for p, each `[layer, angle, wavelength]`.
+
+        Incoherent layers included; there R + T + A = 1 holds as far as they absorb little over a wavelength.
+        """
+        n = self.indices(wavelengths_nm)
+        if self.is_coherent:
+            seen = solver.solve(n, self.thicknesses_nm, wavelengths_nm, theta_rad, absorption=True, jobs=jobs)
+            assert seen.A_s is not None and seen.A_p is not None  # they were asked for
+            return seen.A_s, seen.A_p
+        from nacre.matter.stack.incoherent import incoherent_absorption
+
+        flags = [layer.incoherent for layer in self.layers]
+        absorbed = incoherent_absorption(n, self.thicknesses_nm, flags, wavelengths_nm, theta_rad, jobs=jobs)
+        return absorbed[0], absorbed[1]
+
+    def amplitudes(
+        self,
+        wavelengths_nm: ArrayLike,
+        *,
+        kappa: ArrayLike | None = None,
+        kz: ArrayLike | None = None,
+        jobs: int | None = None,
+    ) -> Amplitudes:
+        """Amplitudes at complex in-plane wavevectors: see `nacre.matter.stack.solve.amplitudes`."""
+        if not self.is_coherent:
+            raise NacreError("a stack with an incoherent layer has no amplitudes; ask for powers(...)")
+        return solver.amplitudes(
+            self.indices(wavelengths_nm), self.thicknesses_nm, wavelengths_nm, kappa=kappa, kz=kz, jobs=jobs
+        )

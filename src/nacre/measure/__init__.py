@@ -1,0 +1,1 @@
+"""Asking a Bsdf for numbers, as instruments do."""

@@ -1,0 +1,100 @@
+"""Values of a Bsdf between two directions: arrays looked up, random walks walked on the renderer's side."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from nacre.arrays import Array
+from nacre.bsdf import Bsdf, Lobe
+from nacre.bsdf.lobes.masked import MaskedLobe
+from nacre.errors import UnsupportedError
+
+DEFAULT_SAMPLES = 4096  # paths a direction pair of a stochastic lobe: about 2 % noise for a broad lobe
+
+
+class HasBsdf(Protocol):
+    """Anything that answers with a Bsdf: a material, or a family's own object."""
+
+    def bsdf(self) -> Bsdf:
+        """Return the arrays."""
+        ...
+
+
+def evaluate_with_error(
+    bsdf: Bsdf,
+    wi: ArrayLike,
+    wo: ArrayLike,
+    *,
+    uv: ArrayLike | None = None,
+    samples: int | None = None,
+    seed: int = 0,
+) -> tuple[Array, Array | None]:
+    """Return the values of `nacre.evaluate` and, where a lobe is stochastic, their standard error (else None).
+
+    Raises:
+        UnsupportedError: a stochastic lobe, and no LLVM on this machine; or directions of another shape.
+    """
+    wi_array, wo_array = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
+    if wi_array.shape[-1:] != (3,):
+        raise UnsupportedError(f"wi and wo have shape {list(wi_array.shape)}; the last axis must be 3")
+    uv_array = None if uv is None else np.asarray(uv, dtype=float)
+    total = np.zeros((*wi_array.shape[:-1], len(bsdf.wavelengths_nm)))
+    variance: Array | None = None
+    for lobe in bsdf.lobes:
+        if lobe.is_stochastic:
+            walked, share = unmasked(lobe, uv_array, wi_array.shape[:-1])
+            values, error = _walks().evaluate_layered(
+                walked, wi_array, wo_array, samples=samples or DEFAULT_SAMPLES, seed=seed, uv=uv_array
+            )
+            error = error * share[..., None]
+            variance = error**2 if variance is None else variance + error**2
+            total = total + values * share[..., None]
+        else:
+            total = total + lobe.evaluate(wi_array, wo_array, uv_array)
+    return total, None if variance is None else np.sqrt(variance)
+
+
+def hemispherical(
+    lobe: Lobe, wi: Array, uv: Array | None = None, nodes: int = 64, seed: int = 0
+) -> tuple[Array, Array]:
+    """Integrate a lobe's non-delta part over all exits, for light along one `wi[3]`; walks take `nodes`^2 paths.
+
+    Args:
+        seed: of random walks; another one gives independent noise.
+
+    Returns:
+        power `(to the side of wi, to the other side)`, each `[wavelength]`.
+    """
+    if not lobe.is_stochastic:
+        return lobe.hemispherical(wi, uv, nodes)
+    walked, share = unmasked(lobe, uv, ())
+    reflected, transmitted = _walks().hemispherical_layered(walked, wi, samples=nodes * nodes, seed=seed, uv=uv)
+    return reflected * share, transmitted * share
+
+
+def unmasked(lobe: Lobe, uv: Array | None, shape: tuple[int, ...]) -> tuple[Lobe, Array]:
+    """Return what lies under the masks of a lobe, and the share of it that they let through at uv, `shape`.
+
+    A masked walk is walked bare and dimmed after.
+    """
+    share = np.ones(shape)
+    while isinstance(lobe, MaskedLobe):
+        share = share * lobe.share(uv, shape)
+        lobe = lobe.inner
+    return lobe, share
+
+
+def _walks() -> Any:
+    """Return the walk on arrays, imported where it is first needed: Mitsuba comes with it.
+
+    Raises:
+        UnsupportedError: there is no Mitsuba.
+    """
+    try:
+        from nacre.device.walk import arrays
+    except ImportError as error:
+        raise UnsupportedError(f"a pearl is evaluated by a random walk that needs mitsuba ({error})") from None
+    return arrays

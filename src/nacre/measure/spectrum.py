@@ -1,0 +1,74 @@
+"""What a Bsdf sends back and lets through in all."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nacre.arrays import Array
+from nacre.bsdf.bsdf import Bsdf
+from nacre.bsdf.directions import direction
+from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.spectrum import Spectrum
+from nacre.measure.evaluate import hemispherical
+
+
+def directional_hemispherical(bsdf: Bsdf, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
+    """Return what leaves on the side of `wi` and on the other, delta parts included.
+
+    In a white furnace their sum is the brightness of the surface seen from `wi` (by reciprocity).
+
+    Args:
+        wi: `[..., 3]`, unit vectors towards the light.
+        nodes: of the quadrature, along each of two coordinates.
+
+    Returns:
+        `(reflected, transmitted)`, each `[..., wavelength]`.
+    """
+    wi = np.asarray(wi, dtype=float)
+    flat = wi.reshape(-1, 3)
+    back, through = [], []
+    for w in flat:
+        delta = bsdf.specular(float(np.arccos(np.clip(w[2], -1.0, 1.0))), uv)
+        sums = [hemispherical(lobe, w, uv, nodes) for lobe in bsdf.lobes if not lobe.is_delta]
+        back.append(delta.reflectance + sum(s[0] for s in sums))
+        through.append(delta.transmittance + sum(s[1] for s in sums))
+    shape = (*wi.shape[:-1], len(bsdf.wavelengths_nm))
+    return np.reshape(back, shape), np.reshape(through, shape)
+
+
+def bsdf_spectrum(bsdf: Bsdf, theta_rad: Array, uv: Array | None = None, seed: int = 0) -> Spectrum:
+    """Return a Bsdf's spectra: delta parts (of rough films the values of their stack), and the rest integrated.
+
+    The light comes in the plane y = 0, where that matters.
+
+    Args:
+        theta_rad: `[angle]`, in the ambient.
+        seed: of random walks; another one gives independent noise.
+    """
+    theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
+    delta = bsdf.specular(theta, uv)
+    reflected, transmitted = delta.reflectance, delta.transmittance
+    rest = []
+    for lobe in bsdf.lobes:
+        if isinstance(lobe, Microfacet):
+            flipped = np.full(theta.shape, lobe.response.flipped)
+            more = lobe.response.lookup(np.cos(theta), flipped, uv)
+            reflected, transmitted = reflected + more[0], transmitted + more[1]
+        elif not lobe.is_delta:
+            rest.append(lobe)
+    diffuse = None
+    if rest:
+        # exactly at 90 degrees no light arrives on the surface; just before it the integrals have their limit
+        directions = direction(np.minimum(theta, np.radians(89.99)))
+        sums = [[hemispherical(lobe, w, uv, seed=seed) for lobe in rest] for w in directions]
+        diffuse = np.array([[sum(part[side] for part in parts) for parts in sums] for side in (0, 1)])
+    # a walk is no delta lobe, but reflects as mirrors do where its interfaces are smooth
+    has_delta = len(rest) < len(bsdf.lobes) or bool(np.any(reflected > 0))
+    return Spectrum(
+        bsdf.wavelengths_nm,
+        np.degrees(theta),
+        reflected if has_delta else None,
+        transmitted if has_delta and bool(np.any(transmitted > 0)) else None,
+        None if diffuse is None else diffuse[0],
+        diffuse[1] if diffuse is not None and any(lobe.transmits for lobe in rest) else None,
+    )

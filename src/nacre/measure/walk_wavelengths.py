@@ -1,0 +1,26 @@
+"""The wavelengths at which a random walk is asked for colours: enough for a colour, a quarter of the work."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from nacre.bsdf.bsdf import Bsdf
+
+WALK_NM = np.arange(380.0, 781.0, 20.0)
+
+
+def solve_coarse_walk(material: Any, wavelengths_nm: Any = None) -> Bsdf:
+    """Solve a material; one that is a random walk on a coarse grid, unless a grid is asked for.
+
+    Args:
+        material: anything with `bsdf(wavelengths_nm)`.
+        wavelengths_nm: ascending, or None for the material's own choice.
+    """
+    bsdf: Bsdf = material.bsdf(wavelengths_nm)
+    if wavelengths_nm is None and any(lobe.is_stochastic for lobe in bsdf.lobes):
+        if "quality" in getattr(material, "data", {}):  # what could not be made noise-free is not tried again
+            material = material.vary({"quality": "reference"})
+        bsdf = material.bsdf(WALK_NM)
+    return bsdf

@@ -1,6 +1,0 @@
-"""Wing 3: a disordered monolayer of resonant spheres on a layered substrate.
-
-mie, angular -> sphere (one particle on a stack) -> neighbours, qca (the mean field) -> diffuse, corrections (the
-diffuse light) -> compile (tables over angles and wavelengths) -> material, spec. structure, patterns and arrangement
-say where the particles are.
-"""

@@ -1,0 +1,1 @@
+"""A material on an object, under a light, as a picture."""

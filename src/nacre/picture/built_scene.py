@@ -1,0 +1,137 @@
+"""A built scene: Mitsuba objects of one picture, kept and reused while only material, camera or seed change.
+
+Building a scene anew for each picture grows memory and time (mitsuba3 issue 563), so the stage stays and the
+subject's BSDF is updated or exchanged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from nacre.bsdf import Bsdf
+from nacre.device.variant import use_variant
+from nacre.errors import UnsupportedError
+from nacre.picture.lights.named import Light
+from nacre.picture.scenes.catalogue import MATERIALS, SUBJECT, Part, Scene, View, backdrop_parts
+from nacre.picture.shapes.mesh import Mesh
+
+SEE_THROUGH_DEPTH = 16
+
+
+def make_mesh(surface: Mesh, bsdf: Any, name: str = "mesh") -> Any:
+    """Return a `mi.Mesh` of a surface with vertex normals and uv."""
+    mi = use_variant()
+    properties = mi.Properties()
+    properties["bsdf"] = bsdf
+    mesh = mi.Mesh(
+        name,
+        len(surface.vertices),
+        len(surface.faces),
+        props=properties,
+        has_vertex_normals=True,
+        has_vertex_texcoords=True,
+    )
+    buffers = mi.traverse(mesh)
+    buffers["vertex_positions"] = np.ascontiguousarray(surface.vertices, dtype=np.float32).ravel()
+    buffers["vertex_normals"] = np.ascontiguousarray(surface.normals, dtype=np.float32).ravel()
+    buffers["vertex_texcoords"] = np.ascontiguousarray(surface.uv, dtype=np.float32).ravel()
+    buffers["faces"] = np.ascontiguousarray(surface.faces, dtype=np.uint32).ravel()
+    buffers.update()
+    return mesh
+
+
+class BuiltScene:
+    """A scene in Mitsuba, waiting for materials and cameras.
+
+    Args:
+        scene: what to build.
+        light: its light.
+        see_through: whether the material transmits: a chequered backdrop and longer paths.
+    """
+
+    def __init__(self, scene: Scene, light: Light, see_through: bool) -> None:
+        mi = use_variant()
+        self.scene, self.light = scene, light
+        self.depth = max(scene.max_depth, SEE_THROUGH_DEPTH) if see_through else scene.max_depth
+        made: dict[str, Any] = {}
+
+        def material(name: str) -> Any:
+            if name not in made:
+                made[name] = mi.load_dict(MATERIALS[name] if name != SUBJECT else MATERIALS["white"])
+            return made[name]
+
+        content: dict[str, Any] = {"type": "scene"}
+        subjects = []
+        for index, part in enumerate(scene.parts()):
+            content[f"part{index}"] = _shape(part, material(part.material), f"{part.material}{index}")
+            if part.material == SUBJECT:
+                subjects.append(content[f"part{index}"])
+        floor = light.floor if light.is_surrounding else None
+        for index, (surface, look) in enumerate(backdrop_parts(scene.backdrop, see_through, floor)):
+            content[f"backdrop{index}"] = make_mesh(surface, mi.load_dict(look))
+        content.update({f"light_{name}": emitter for name, emitter in light.emitters.items()})
+        self.subjects = subjects
+        self.mitsuba_scene = mi.load_dict(content)
+        self._material: Any = None
+        self._source: Any = None
+
+    def set_material(self, material: Any) -> None:
+        """Give the subject a `Bsdf` or a ready `mi.BSDF`; numbers of the same structure need no new kernel."""
+        if material is self._source and self._material is not None:
+            return
+        self._source = material
+        if isinstance(material, Bsdf):
+            from nacre.device.bsdf import make_bsdf, update_bsdf
+
+            if self._material is not None and hasattr(self._material, "plugins"):
+                try:
+                    update_bsdf(self._material, material)
+                    return
+                except UnsupportedError:
+                    pass  # another structure: exchange the whole BSDF instead
+            self._material = make_bsdf(material, two_sided=True)
+        else:
+            self._material = material
+        for shape in self.subjects:
+            shape.set_bsdf(self._material)
+
+    def turn_light(self, angle_deg: float) -> None:
+        """Turn our own environments about the vertical axis; other lights were built at their angle."""
+        for emitter in self.light.emitters.values():
+            if hasattr(emitter, "set_state"):
+                emitter.set_state(1.0, angle_deg)
+
+    def sensor(self, view: View, size: tuple[int, int], film: dict[str, Any]) -> Any:
+        """Return a camera with its film."""
+        mi = use_variant()
+        # a wider picture keeps the scene's height, a narrower one its width: the subject always fits
+        half = np.tan(np.radians(0.5 * view.fov_deg))
+        is_wider = size[0] / size[1] > self.scene.size[0] / self.scene.size[1]
+        half_y = half * self.scene.size[1] / self.scene.size[0]
+        return mi.load_dict(
+            {
+                "type": "perspective",
+                "fov": float(2 * np.degrees(np.arctan(half_y if is_wider else half))),
+                "fov_axis": "y" if is_wider else "x",
+                "near_clip": 0.05,
+                "far_clip": 1e4,
+                "to_world": mi.ScalarTransform4f().look_at(list(view.origin), list(view.target), [0, 0, 1]),
+                "film": {**film, "width": size[0], "height": size[1]},
+                "sampler": {"type": "multijitter"},
+            }
+        )
+
+
+def _shape(part: Part, bsdf: Any, name: str) -> Any:
+    if isinstance(part.shape, Mesh):
+        return make_mesh(part.shape, bsdf, name)
+    mi = use_variant()
+    return mi.load_dict({**part.shape, "bsdf": bsdf})
+
+
+def with_subject(scene: Scene, parts: Any) -> Scene:
+    """The same scene around another subject."""
+    return replace(scene, parts=parts)

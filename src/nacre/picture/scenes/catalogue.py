@@ -1,0 +1,251 @@
+"""The scenes: what stands in the picture, where the camera is, which light belongs to it.
+
+Every scene is data; `render.stage` builds it in Mitsuba. Surfaces of the stage have flat or measured spectra,
+never up-sampled RGB, so that the only colour in the picture is the material's and the light's.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from nacre.errors import NacreError, did_you_mean
+from nacre.picture.shapes import backdrop as stages
+from nacre.picture.shapes.mesh import Mesh, rotation
+
+SUBJECT = "nacre"  # parts with this material take the one that is rendered
+Backdrop = Literal["sweep", "bowl", "board", "none"]
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera: where it stands, what it looks at, how wide it sees (across the picture, degrees)."""
+
+    origin: tuple[float, float, float]
+    target: tuple[float, float, float]
+    fov_deg: float
+
+    def turned(self, angle_deg: float) -> View:
+        """The same camera walked round the vertical axis through its target."""
+        offset = rotation("z", angle_deg) @ (np.array(self.origin) - np.array(self.target))
+        x, y, z = np.array(self.target) + offset
+        return View((float(x), float(y), float(z)), self.target, self.fov_deg)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A piece of the picture: a surface, or a Mitsuba shape as a dict, and the name of its material."""
+
+    shape: Mesh | dict[str, Any]
+    material: str = SUBJECT
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A picture waiting for its material.
+
+    Attributes:
+        name: the word of the command line.
+        parts: builds subject and its companions; called once for each built stage.
+        view: the camera.
+        backdrop: what it stands on.
+        light: the light that belongs to it.
+        max_depth: path length that the scene needs (opaque subjects; see-through ones get more).
+        size: width and height of a default picture.
+        spp: samples per pixel of a default picture.
+        place_view: the camera where the light is a place to be seen (street, room, sky); None: the same.
+    """
+
+    name: str
+    parts: Callable[[], list[Part]]
+    view: View
+    backdrop: Backdrop = "sweep"
+    light: str = "studio"
+    max_depth: int = 6
+    size: tuple[int, int] = (640, 640)
+    spp: int = 64
+    place_view: View | None = None
+
+
+# reflectances and simple models of everything that is not the subject
+MATERIALS: dict[str, dict[str, Any]] = {
+    "board": {"type": "diffuse", "reflectance": 0.14},
+    "ground": {"type": "diffuse", "reflectance": 0.16},
+    "plain": {"type": "diffuse", "reflectance": 0.16},
+    "dark": {"type": "plastic", "int_ior": 1.5, "diffuse_reflectance": 0.015},
+    "matt-dark": {"type": "diffuse", "reflectance": 0.02},
+    "rubber": {"type": "roughplastic", "int_ior": 1.5, "alpha": 0.35, "diffuse_reflectance": 0.018},
+    "glass": {"type": "plastic", "int_ior": 1.45, "diffuse_reflectance": 0.008},
+    "lamp": {"type": "plastic", "int_ior": 1.5, "diffuse_reflectance": 0.55},
+    "chrome": {"type": "roughconductor", "material": "Cr", "alpha": 0.18},
+    "white": {"type": "diffuse", "reflectance": 0.8},
+}
+
+
+def floor_material(name: str) -> dict[str, Any]:
+    """A floor by name: one of `MATERIALS`, or the room's own boards with their spectrum."""
+    if name != "boards":
+        return MATERIALS[name]
+    from nacre.light import table_wavelengths_nm
+    from nacre.picture.lights.environment_plugin import spectrum_texture
+    from nacre.picture.lights.places import WOOD
+
+    return {"type": "diffuse", "reflectance": spectrum_texture(table_wavelengths_nm(), WOOD)}
+
+
+def chessboard(square: float, dark: float = 0.035, bright: float = 0.6) -> dict[str, Any]:
+    """A diffuse chessboard for uv in lengths, with squares of side `square`."""
+    import mitsuba as mi
+
+    return {
+        "type": "diffuse",
+        "reflectance": {
+            "type": "checkerboard",
+            "color0": {"type": "uniform", "value": dark},
+            "color1": {"type": "uniform", "value": bright},
+            "to_uv": mi.ScalarTransform4f().scale([0.5 / square, 0.5 / square, 1.0]),
+        },
+    }
+
+
+def graded(across: float, along: float, centre: float) -> dict[str, Any]:
+    """A matt backdrop for uv in lengths, lightest under the subject and darker towards its edges and up the wall."""
+    import mitsuba as mi
+
+    u, v = np.meshgrid((np.arange(128) + 0.5) / 128 * across, (np.arange(128) + 0.5) / 128 * along)
+    distance = np.hypot((u - 0.5 * across) / 1.5, v - centre)
+    reflectance = 0.035 + 0.14 * np.exp(-((distance / 5.5) ** 2))
+    return {
+        "type": "diffuse",
+        "reflectance": {
+            "type": "bitmap",
+            "data": mi.TensorXf(np.ascontiguousarray(reflectance[..., None], dtype=np.float32)),
+            "raw": True,
+            "wrap_mode": "clamp",
+            "to_uv": mi.ScalarTransform4f().scale([1 / across, 1 / along, 1.0]),
+        },
+    }
+
+
+@functools.cache
+def _sphere() -> list[Part]:
+    return [Part({"type": "sphere", "center": [0.0, 0.0, 1.0], "radius": 1.0})]
+
+
+@functools.cache
+def _speedshape() -> list[Part]:
+    from nacre.picture.shapes.speedshape import speedshape
+
+    return [Part(speedshape())]
+
+
+@functools.cache
+def _panel() -> list[Part]:
+    flat = stages.sheet(1.7, 1.9).moved(rotation("x", 24.0), (-1.08, 0.0, 0.4))
+    bent = stages.rolled(1.7, 0.82, 170.0).moved(np.eye(3), (1.08, 0.0, 0.0))
+    return [Part(flat), Part(bent)]
+
+
+@functools.cache
+def _butterfly() -> list[Part]:
+    from nacre.picture.shapes import butterfly as b
+
+    lift = (0.0, 0.0, 0.06)
+    return [
+        Part(b.butterfly_wings().moved(np.eye(3), lift)),
+        Part(b.butterfly_margins().moved(np.eye(3), lift), "matt-dark"),
+        Part(b.butterfly_veins().moved(np.eye(3), lift), "matt-dark"),
+        Part(b.butterfly_body().moved(np.eye(3), lift), "rubber"),
+    ]
+
+
+@functools.cache
+def _bottle() -> list[Part]:
+    from nacre.picture.shapes.bottle import bottle, bottle_cap
+
+    return [Part(bottle()), Part(bottle_cap(), "dark")]
+
+
+@functools.cache
+def _knob() -> list[Part]:
+    from nacre.picture.shapes.knob import knob, knob_core, knob_foot
+
+    return [Part(knob()), Part(knob_core(), "white"), Part(knob_foot(), "dark")]
+
+
+@functools.cache
+def _body() -> list[Part]:
+    from nacre.picture.shapes.body import car
+
+    built = car()
+    return [
+        Part(built.paint),
+        Part(built.glass, "glass"),
+        Part(built.trim, "rubber"),
+        Part(built.lamps, "lamp"),
+        Part(built.tyres, "rubber"),
+        Part(built.rims, "chrome"),
+    ]
+
+
+SCENES: dict[str, Scene] = {
+    scene.name: scene
+    for scene in (
+        Scene("sphere", _sphere, View((0.0, -8.6, 2.7), (0.0, 0.0, 0.93), 19.0)),
+        Scene("probe", _sphere, View((0.0, -7.6, 4.2), (0.0, 0.0, 0.85), 24.0), "bowl", "directional"),
+        Scene("speedshape", _speedshape, View((-4.6, -7.6, 4.1), (0.0, 0.0, 0.5), 26.0), size=(800, 520)),
+        Scene("panel", _panel, View((0.0, -8.2, 4.6), (0.0, 0.1, 0.36), 27.5), light="line", size=(800, 520), spp=196),
+        Scene("butterfly", _butterfly, View((0.0, -4.4, 9.4), (0.0, 0.12, 0.1), 29.0), "board", size=(800, 600)),
+        Scene("bottle", _bottle, View((0.0, -11.5, 3.6), (0.0, 0.0, 1.6), 17.5), max_depth=8, size=(512, 640)),
+        Scene("knob", _knob, View((1.3, -8.8, 4.0), (0.0, 0.0, 1.18), 20.5), max_depth=8),
+        Scene(
+            "body",
+            _body,
+            View((6.4, -7.6, 2.3), (0.05, 0.0, 0.56), 26.5),
+            size=(960, 540),
+            place_view=View((6.9, -7.6, 1.35), (0.05, 0.0, 0.86), 30.0),
+        ),  # fmt: skip
+    )
+}
+# shapes that `shape=` knows: the subjects of the scenes above
+SHAPES: dict[str, Callable[[], list[Part]]] = {name: scene.parts for name, scene in SCENES.items() if name != "probe"}
+SCENE_NAMES = (*SCENES, "screen")
+
+
+def scene(name: str) -> Scene:
+    """Return a scene by its name.
+
+    Raises:
+        NacreError: no such scene.
+    """
+    if name not in SCENES:
+        raise NacreError(
+            f'scene "{name}" is not known.{did_you_mean(name, SCENE_NAMES)} '
+            f"Choose from {', '.join(SCENE_NAMES)} or a Mitsuba .xml file"
+        )
+    return SCENES[name]
+
+
+def backdrop_parts(kind: Backdrop, see_through: bool, place_floor: str | None) -> list[tuple[Mesh, dict[str, Any]]]:
+    """The stage: a sweep, a chessboard bowl, a board; a plain ground where an environment is to be seen.
+
+    A see-through subject gets a chequered sweep, since glass shows itself by what it bends.
+    """
+    if kind == "none":
+        return []
+    if kind == "bowl":
+        return [(stages.bowl(1.4, 9.0, 4.2), chessboard(0.62))]
+    if place_floor is not None:
+        # a place paints its own ground beyond the subject's surroundings; a bare sky has none below the horizon
+        side = 8000.0 if place_floor == "plain" else 60.0
+        return [(stages.tile(side, side), floor_material(place_floor))]
+    if kind == "board":
+        return [(stages.sweep(12.0, 12.0, 12.0, 2.0, 3.0), MATERIALS["board"])]
+    surface = stages.sweep(20.0, 16.0, 5.0, 4.5, 5.2)
+    if see_through:  # dark, so that the faint colours of a film on glass stand before it
+        return [(surface, chessboard(0.55, 0.012, 0.11))]
+    return [(surface, graded(40.0, float(surface.uv[:, 1].max()), 16.0))]

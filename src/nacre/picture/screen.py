@@ -1,0 +1,181 @@
+"""The screen: a small flat tile in a beam, and the light it throws on a white screen.
+
+As in the capture of fabricated reliefs: a narrow beam meets the tile at 10 degrees, the reflected pattern falls
+on a white matt screen parallel to the tile. Every point of the screen sees the tile from one direction, so the
+picture is one BSDF value a pixel, without noise: the luminance is f cos(i) cos^4(o), by the inverse square and
+the two slants, over that of a white matt tile straight ahead.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.bsdf import Bsdf
+from nacre.device.variant import use_variant
+from nacre.errors import UnsupportedError
+from nacre.light import illuminant as find_illuminant
+from nacre.light import xyz_weights
+from nacre.picture.images import AUTO_LEVEL, Exposure, RenderResult, develop, encode
+
+BEAM_DEG = 10.0
+STEEPEST_DEG = 60.0  # of the beam on a tipped tile; beyond, the screen's edge would pass behind it
+HALF_WIDTH = 0.42  # of the screen, in units of its distance: 23 degrees to each side of the mirror direction
+DEFAULT_SIZE = (640, 640)
+WAVELENGTH_STEP_NM = 5.0
+_BRIGHT_PERCENTILE = 99.5
+_ROOM = 0.004  # the dark room round the screen
+_MARGIN = 0.03
+_BLOCK = 4096  # directions evaluated at a time by arrays
+
+
+def screen_directions(size: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Unit vectors `[row, column, 3]` from the tile to each pixel of the screen, and which pixels are on it.
+
+    The screen is centred on the mirror direction of the beam, seen from the tile's side: right is +x, up +y.
+    """
+    width, height = size
+    pixel = 2 * (1 + 2 * _MARGIN) * HALF_WIDTH / min(width, height)
+    x = (np.arange(width) + 0.5 - 0.5 * width) * pixel
+    y = (0.5 * height - np.arange(height) - 0.5) * pixel
+    on_screen = (np.abs(x) <= HALF_WIDTH)[None, :] & (np.abs(y) <= HALF_WIDTH)[:, None]
+    x_grid, y_grid = np.meshgrid(x - np.tan(np.radians(BEAM_DEG)), y)
+    d = np.stack([x_grid, y_grid, np.ones_like(x_grid)], axis=-1)
+    return d / np.linalg.norm(d, axis=-1, keepdims=True), on_screen
+
+
+def beam_direction(incidence_deg: float = BEAM_DEG) -> NDArray[np.float64]:
+    """Unit vector from the tile to the lamp."""
+    return np.array([np.sin(np.radians(incidence_deg)), 0.0, np.cos(np.radians(incidence_deg))])
+
+
+def turned_directions(
+    size: tuple[int, int], light_turn_deg: float, view_turn_deg: float
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
+    """Return directions to the pixels, which are on the screen, and the lamp's direction, all as the tile sees them.
+
+    The beam walks round the tile's normal by the light's turn, the screen with it: on the screen the pattern turns.
+    The tile tips by the view's turn, so that the beam meets it at 10 degrees and that; the screen stays in the mirror
+    direction and faces it.
+
+    Raises:
+        UnsupportedError: the beam would graze the tile.
+    """
+    d, on_screen = screen_directions(size)
+    incidence_deg = BEAM_DEG + view_turn_deg
+    if abs(incidence_deg) > STEEPEST_DEG:
+        raise UnsupportedError(
+            f"scene screen: a turn of {view_turn_deg:g} degrees leaves a beam at {incidence_deg:g}; "
+            f"up to {STEEPEST_DEG:g} degrees are shown"
+        )
+    tip, turn = np.radians(-view_turn_deg), np.radians(light_turn_deg)
+    about_y = np.array([[np.cos(tip), 0.0, np.sin(tip)], [0.0, 1.0, 0.0], [-np.sin(tip), 0.0, np.cos(tip)]])
+    about_z = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    return d @ (about_z @ about_y).T, on_screen, about_z @ beam_direction(incidence_deg)
+
+
+def render_screen(
+    material: Any,
+    *,
+    illuminant: str = "D65",
+    size: tuple[int, int] | None = None,
+    exposure: Exposure = "auto",
+    notes: Mapping[str, Any] | None = None,
+    light_turn_deg: float = 0.0,
+    view_turn_deg: float = 0.0,
+) -> RenderResult:
+    """Render the pattern that a material throws.
+
+    Delta lobes would be a point on the screen and are left out; `stats` says so. "auto" exposure brings the
+    99.5th percentile of the screen just below white, without a limit: a dark room lets the eye adapt.
+
+    Args:
+        material: a `Bsdf` or a ready `mi.BSDF`.
+        light_turn_deg, view_turn_deg: see `turned_directions`.
+    """
+    started = time.perf_counter()
+    mi = use_variant()
+    size = size or DEFAULT_SIZE
+    light = find_illuminant(illuminant)
+    d, on_screen, lamp = turned_directions(size, light_turn_deg, view_turn_deg)
+    eye = d[on_screen]
+    slant = screen_directions(size)[0][on_screen][:, 2]  # the screen does not tip with the tile
+    wavelengths = np.arange(360.0, 830.0 + WAVELENGTH_STEP_NM, WAVELENGTH_STEP_NM)
+    if mi.variant().startswith("scalar"):
+        values = evaluate_arrays(material, eye, lamp, wavelengths)
+    else:
+        if isinstance(material, Bsdf):
+            from nacre.device.bsdf import make_bsdf
+
+            material = make_bsdf(material, two_sided=True)
+        values = evaluate_plugin(mi, material, eye, lamp, wavelengths)
+    luminous = values @ xyz_weights(wavelengths, light)
+    thrown = np.pi * luminous * (np.maximum(eye[:, 2], 0.0) * slant**3)[:, None]
+    xyz = np.full((*on_screen.shape, 3), _ROOM) * (np.ones(len(wavelengths)) @ xyz_weights(wavelengths, light))
+    if exposure == "auto":
+        bright = float(np.percentile(thrown[:, 1], _BRIGHT_PERCENTILE))
+        exposure = float(np.clip(np.log2(AUTO_LEVEL / bright), -30, 30)) if bright > 0 else 0.0
+    xyz *= 2.0 ** -float(exposure)  # the room's grey is a frame, not light of the tile
+    xyz[on_screen] = thrown
+    rgb, stops = develop(xyz, light.name, exposure)
+    stats = {
+        **(notes or {}),
+        "scene": "screen",
+        "light": f"beam at {BEAM_DEG + view_turn_deg:g} degrees, {light.name}",
+        "light_turn_deg": light_turn_deg % 360.0,
+        "illuminant": light.name,
+        "size": list(size),
+        "spp": 1,
+        "exposure_stops": stops,
+        "clipped_pixels": encode(rgb)[1],
+        "delta_lobes": "left out: a point on the screen",
+        "interrupted": False,
+        "seconds": time.perf_counter() - started,
+    }
+    return RenderResult(xyz, rgb, None, stats)
+
+
+def evaluate_plugin(
+    mi: Any, bsdf: Any, eye: NDArray[np.float64], light: NDArray[np.float64], wavelengths_nm: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Evaluate f cos(i) of a Mitsuba BSDF: `[direction, wavelength]` for eye directions `[direction, 3]`."""
+    import drjit as dr
+
+    si = dr.zeros(mi.SurfaceInteraction3f, len(eye))
+    si.wi = mi.Vector3f(*(np.ascontiguousarray(eye[:, i], dtype=np.float32) for i in range(3)))
+    si.uv = mi.Point2f(0.5, 0.5)
+    si.sh_frame, si.n = mi.Frame3f(mi.Normal3f(0, 0, 1)), mi.Normal3f(0, 0, 1)
+    si.dp_du, si.dp_dv = mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0)
+    context = mi.BSDFContext()
+    result = np.empty((len(eye), len(wavelengths_nm)))
+    for start in range(0, len(wavelengths_nm), 4):
+        four = np.resize(wavelengths_nm[start : start + 4], 4)
+        si.wavelengths = mi.Spectrum(*(dr.opaque(mi.Float, float(w)) for w in four))
+        value = bsdf.eval(context, si, mi.Vector3f(*(float(c) for c in light)), True)
+        part = np.array(value).reshape(4, -1).T
+        count = min(4, len(wavelengths_nm) - start)
+        result[:, start : start + count] = part[:, :count]
+    return np.where(np.isfinite(result), result, 0.0)
+
+
+def evaluate_arrays(
+    material: Any, eye: NDArray[np.float64], light: NDArray[np.float64], wavelengths_nm: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The same by the Bsdf's own arrays, for variants without vectors.
+
+    Raises:
+        UnsupportedError: a Mitsuba BSDF, or a lobe that only its plugin evaluates.
+    """
+    if not isinstance(material, Bsdf):
+        raise UnsupportedError("scene screen: without LLVM only nacre's own materials can be shown")
+    result = np.empty((len(eye), len(wavelengths_nm)))
+    for start in range(0, len(eye), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        values = material.evaluate(light, eye[block])
+        for row, spectrum in enumerate(values):
+            result[start + row] = np.interp(wavelengths_nm, material.wavelengths_nm, spectrum)
+    return result * light[2]

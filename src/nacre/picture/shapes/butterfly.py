@@ -1,0 +1,135 @@
+"""A butterfly, wings spread: fore and hind wings with dark margins and raised veins, a body with feelers.
+
+On the wings v runs from the root to the margin along the veins and u across them, so that a ridge grating,
+whose ridges run along v, lies as on a Morpho: along the veins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from nacre.picture.shapes.implicit import smooth_min, surface_net
+from nacre.picture.shapes.mesh import Array, Mesh, bspline, curve, merge, parametric
+
+MARGIN = 0.86  # the wing proper ends here, as a share of the way to the edge; beyond lies the dark margin
+
+# outline of a wing seen from above: angle from the sideways axis (deg, towards the head), distance from the root
+_FORE = [
+    (64, 0.3), (60, 0.9), (56, 1.6), (52, 2.06), (48, 2.3), (43, 2.34), (37, 2.2), (30, 2.0), (22, 1.84), (13, 1.72),
+    (4, 1.62), (-4, 1.5), (-10, 1.2),
+]  # fmt: skip
+_HIND = [
+    (14, 1.1), (8, 1.36), (0, 1.5), (-9, 1.6), (-19, 1.66), (-30, 1.68), (-41, 1.66), (-51, 1.68), (-59, 1.58),
+    (-68, 1.3), (-77, 1.02), (-86, 0.8),
+]  # fmt: skip
+_WINGS = {
+    # outline, vein angles (deg), lift at the margin, height of the plane, position of the root
+    "fore": (_FORE, (58, 51, 43, 34, 25, 15, 5, -4), 0.22, 0.10, (0.09, 0.16)),
+    "hind": (_HIND, (8, -3, -14, -26, -38, -50, -62, -74), 0.12, 0.04, (0.08, 0.06)),
+}
+
+
+def _wing_point(outline: Sequence[tuple[float, float]], lift: float, plane: float, root: tuple[float, float],
+                veins: Sequence[float], u: Array, v: Array) -> Array:  # fmt: skip
+    first, last = outline[0][0], outline[-1][0]
+    angle_deg = first + (last - first) * u
+    reversed_outline = [(-a, r) for a, r in outline]
+    reach = curve(reversed_outline, -angle_deg)
+    angle = np.radians(angle_deg)
+    # scallops between the veins, and a faint relief that lets light run over the wing
+    between = np.interp(-angle_deg, [-a for a in veins], np.arange(len(veins)))
+    scallop = 1 + 0.007 * np.cos(2 * np.pi * between) * np.clip(v, 0, 1) ** 6
+    r = v * reach * scallop
+    x, y = root[0] + r * np.cos(angle), root[1] + r * np.sin(angle)
+    camber = lift * np.sin(0.5 * np.pi * np.clip(v, -0.1, 1.1)) - 0.10 * v**2
+    relief = 0.012 * np.sin(np.pi * np.clip(v, 0, 1)) ** 0.5 * np.cos(2 * np.pi * between) * np.clip(v * 6, 0, 1)
+    return np.stack([x, y, plane + camber + relief + 0.05 * np.sin(2.5 * angle) * v], axis=-1)
+
+
+def _wing(name: str, start: float, stop: float) -> Mesh:
+    outline, veins, lift, plane, root = _WINGS[name]
+
+    def position(u: Array, v: Array) -> Array:
+        return _wing_point(outline, lift, plane, root, veins, u, start + (stop - start) * v)
+
+    part = parametric(position, 300, 120 if stop < 1 else 30)
+    return Mesh(part.vertices, part.normals, part.uv * np.array([1.0, stop - start]) + np.array([0, start]), part.faces)
+
+
+def _pair(right: Mesh) -> Mesh:
+    left = right.moved(np.diag([-1.0, 1.0, 1.0]))
+    return merge([right, Mesh(left.vertices, left.normals, left.uv * [-1, 1] + [1, 0], left.faces)])
+
+
+def butterfly_wings() -> Mesh:
+    """The coloured part of all four wings, facing up."""
+    return _pair(merge([_wing("fore", 0.015, MARGIN), _wing("hind", 0.015, MARGIN)]))
+
+
+def butterfly_margins() -> Mesh:
+    """The dark margins of the four wings."""
+    return _pair(merge([_wing("fore", MARGIN, 1.0), _wing("hind", MARGIN, 1.0)]))
+
+
+def butterfly_veins() -> Mesh:
+    """Fine raised veins along the wings, as tapering tubes."""
+    tubes = []
+    for outline, veins, lift, plane, root in _WINGS.values():
+        first, last = outline[0][0], outline[-1][0]
+        for angle in veins:
+            u = (angle - first) / (last - first)
+            t = np.linspace(0.02, 0.985, 24)
+            path = _wing_point(outline, lift, plane, root, veins, np.full_like(t, u), t)
+            tubes.append(tube(path, np.linspace(0.014, 0.005, 24)))
+    return _pair(merge(tubes))
+
+
+def tube(path: Array, radius: Array, around: int = 24) -> Mesh:
+    """A round tube along a B-spline through `path` `[N, 3]`, with `radius` `[N]` at its points."""
+    control = np.concatenate([path, np.asarray(radius)[:, None]], axis=1)
+
+    def position(u: Array, v: Array) -> Array:
+        here = bspline(control, v)
+        ahead = bspline(control, v + 1e-3)[..., :3] - bspline(control, v - 1e-3)[..., :3]
+        ahead = ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
+        side = np.cross(ahead, np.array([0.0, 0.0, 1.0]))
+        side = side / np.linalg.norm(side, axis=-1, keepdims=True)
+        up = np.cross(side, ahead)
+        angle = 2 * np.pi * u[..., None]
+        return here[..., :3] + here[..., 3:] * (np.cos(angle) * side - np.sin(angle) * up) * -1
+
+    return parametric(position, around, 2 * len(path))
+
+
+def butterfly_body() -> Mesh:
+    """Head, thorax, abdomen and feelers."""
+
+    def ellipsoid(
+        x: Array, y: Array, z: Array, centre: tuple[float, float, float], size: tuple[float, float, float]
+    ) -> Array:
+        d = np.sqrt(
+            ((x - centre[0]) / size[0]) ** 2 + ((y - centre[1]) / size[1]) ** 2 + ((z - centre[2]) / size[2]) ** 2
+        )
+        return (d - 1) * min(size)
+
+    def body(x: Array, y: Array, z: Array) -> Array:
+        thorax = ellipsoid(x, y, z, (0, 0.18, 0.13), (0.14, 0.32, 0.14))
+        head = ellipsoid(x, y, z, (0, 0.54, 0.15), (0.1, 0.1, 0.1))
+        abdomen = ellipsoid(x, y, z, (0, -0.52, 0.09), (0.1, 0.56, 0.1))
+        rings = abdomen + 0.006 * np.cos(38 * y)
+        eyes = np.minimum(
+            ellipsoid(x, y, z, (0.075, 0.57, 0.17), (0.05, 0.06, 0.05)),
+            ellipsoid(x, y, z, (-0.075, 0.57, 0.17), (0.05, 0.06, 0.05)),
+        )
+        return smooth_min(smooth_min(smooth_min(thorax, rings, 0.1), head, 0.06), eyes, 0.015)
+
+    def uv(points: Array) -> Array:
+        return points[:, :2].copy()
+
+    solid = surface_net(body, np.array([-0.25, -1.2, -0.1]), np.array([0.25, 0.78, 0.38]), 0.008, uv)
+    t = np.linspace(0, 1, 16)
+    feeler = np.stack([0.035 + 0.36 * t**1.2, 0.6 + 0.75 * t - 0.06 * t**3, 0.2 + 0.16 * t - 0.06 * t**2], axis=1)
+    thickness = 0.009 + 0.016 * np.exp(-(((t - 0.97) / 0.06) ** 2))
+    return merge([solid, _pair(tube(feeler, thickness))])

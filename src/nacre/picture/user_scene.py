@@ -1,0 +1,85 @@
+"""A user's own Mitsuba scene: its BSDFs of id "nacre" give way to the material."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from nacre.bsdf import Bsdf
+from nacre.device.variant import use_variant
+from nacre.errors import NacreError
+from nacre.picture.scenes.catalogue import SUBJECT
+
+DEFAULT_DEPTH = 16
+
+
+class UserScene:
+    """The scene of a Mitsuba .xml file, with the face of `nacre.picture.built_scene.BuiltScene`.
+
+    Raises:
+        NacreError: missing or unreadable, without a camera, or without a shape whose BSDF has the id "nacre".
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not path.is_file():
+            raise NacreError(f"scene {path}: the file does not exist")
+        mi = use_variant()
+        try:
+            scene = mi.load_file(str(path))
+        except Exception as error:  # Mitsuba raises several kinds; all mean: this scene cannot be loaded
+            raise NacreError(f"scene {path}: Mitsuba cannot load it: {_last_words(error)}") from None
+        if not isinstance(scene, mi.Scene):
+            raise NacreError(f"scene {path}: holds no scene")
+        if not scene.sensors():
+            raise NacreError(f"scene {path}: has no camera (sensor)")
+        self.path, self.mitsuba_scene, self.depth = path, scene, DEFAULT_DEPTH
+        self.subjects = [s for s in scene.shapes() if s.bsdf() is not None and s.bsdf().id() == SUBJECT]
+        if not self.subjects:
+            raise NacreError(
+                f'scene {path}: no shape has a BSDF with the id "{SUBJECT}"; give the one to replace '
+                f'this id, such as <bsdf type="diffuse" id="{SUBJECT}"/>'
+            )
+        size = scene.sensors()[0].film().size()
+        self.size = (int(size[0]), int(size[1]))
+        self._source: Any = None
+
+    def set_material(self, material: Any) -> None:
+        """Give the named shapes a `Bsdf` or a ready `mi.BSDF`."""
+        if material is self._source:
+            return
+        from nacre.device.bsdf import make_bsdf
+
+        self._source = material
+        made = make_bsdf(material, two_sided=True) if isinstance(material, Bsdf) else material
+        for shape in self.subjects:
+            shape.set_bsdf(made)
+
+    def sensor(self, view: object, size: tuple[int, int], film: dict[str, Any]) -> Any:
+        """Return the scene's first camera with our film; `view` has no say.
+
+        Raises:
+            NacreError: the camera is of a kind that cannot be copied.
+        """
+        mi = use_variant()
+        camera = self.mitsuba_scene.sensors()[0]
+        values = mi.traverse(camera)
+        try:
+            kind, transform = camera.plugin_name(), values["to_world"]
+        except (AttributeError, KeyError):
+            kind, transform = "perspective", camera.world_transform()
+        settings: dict[str, Any] = {
+            "type": "perspective",
+            "to_world": mi.ScalarTransform4f(transform.matrix.numpy().reshape(4, 4)),
+            "film": {**film, "width": size[0], "height": size[1]},
+            "sampler": {"type": "multijitter"},
+        }
+        try:
+            settings |= {"fov": float(values["x_fov"].numpy()[0]), "fov_axis": "x"}
+        except KeyError:
+            raise NacreError(f"scene {self.path}: only perspective cameras are supported, not {kind}") from None
+        return mi.load_dict(settings)
+
+
+def _last_words(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return " ".join(lines[-2:])[:240] if lines else type(error).__name__

@@ -1,0 +1,199 @@
+"""What every recipe model shares: strict keys, lengths in any unit, one-line errors.
+
+A recipe is checked here and nowhere else: a family's `spec.py` declares its keys as `RecipeModel`s, and the
+numerics behind trust what they are given.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pydantic
+
+from nacre.errors import RecipeError, did_you_mean
+from nacre.recipe.paths import TEXTURE_KEYS
+
+LENGTH_UNITS_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
+
+
+@dataclass(frozen=True)
+class RecipeContext:
+    """Where a recipe stands.
+
+    Attributes:
+        source: the file's name, for messages.
+        folder: paths in the recipe are relative to it.
+        text: the recipe itself, for provenance.
+        load_recipe: loads another recipe by its path (a film under a pearl stratum); the family that uses it
+            gets a material with `.bsdf()` and need not know its family. With `ambient = `, the recipe is built in
+            that medium.
+        ambient: the medium that another recipe puts this one into (an optical constant), or None.
+    """
+
+    source: str = "recipe"
+    folder: Path = field(default_factory=Path)
+    text: str = ""
+    load_recipe: Callable[..., Any] | None = None
+    ambient: Any = None
+
+    def path(self, name: str) -> Path:
+        """Resolve a path of the recipe against the recipe's own folder."""
+        return (self.folder / name).resolve() if not Path(name).is_absolute() else Path(name)
+
+    def fail(self, key: str, got: object, allowed: str) -> RecipeError:
+        """Build the one-line error for `key`."""
+        return RecipeError(f"{self.source}: {key} = {show_value(got)} {allowed}")
+
+
+def show_value(value: object) -> str:
+    """Show a value the way TOML would, shortened to stay on the line."""
+    if isinstance(value, str):
+        text = f'"{value}"'
+    elif isinstance(value, bool):
+        text = str(value).lower()
+    else:
+        text = repr(value)
+    text = " ".join(text.split())
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+class RecipeModel(pydantic.BaseModel):
+    """A table of a recipe: unknown keys are refused, numbers are finite, lengths may carry any unit.
+
+    A field named `<quantity>_nm` (or `_um`, `_mm`) may be written with any of the three suffixes.
+    """
+
+    # of a family: a small whole recipe, for the reference and for the suites that every family has to pass
+    example: ClassVar[Mapping[str, Any]] = {}
+    varies: ClassVar[str] = ""  # of a family: which numbers a texture or formula may give, for messages
+    varies_by_nodes: ClassVar[tuple[str, ...]] = ()  # paths solved at some values and blended between
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True)
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _convert_lengths(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping):
+            return data
+        converted = dict(data)
+        for name in cls.model_fields:
+            stem, _, unit = name.rpartition("_")
+            if unit not in LENGTH_UNITS_NM:
+                continue
+            given = [f"{stem}_{u}" for u in LENGTH_UNITS_NM if f"{stem}_{u}" in converted]
+            if len(given) > 1:
+                raise ValueError(f"{given[0]} and {given[1]} give the same length twice; keep one")
+            if given and given[0] != name:
+                key = given[0]
+                value = converted.pop(key)
+                converted[name] = _scale(value, LENGTH_UNITS_NM[key.rpartition("_")[2]] / LENGTH_UNITS_NM[unit])
+        return converted
+
+
+def _scale(value: Any, factor: float) -> Any:
+    """Scale a length or a texture of lengths; leave what is not a number for the checks that follow."""
+    if isinstance(value, bool):
+        return value
+    if isinstance(value, int | float):
+        return value * factor
+    if isinstance(value, list):
+        return [_scale(v, factor) for v in value]
+    if isinstance(value, Mapping):
+        scaled = {k: (_scale(v, factor) if k in ("min", "max") else v) for k, v in value.items()}
+        if "formula" in scaled and isinstance(scaled["formula"], str):
+            scaled["formula"] = f"({scaled['formula']})*{factor!r}"
+        return scaled
+    return value
+
+
+def validate(model: type[RecipeModel], data: Mapping[str, Any], context: RecipeContext) -> Any:
+    """Check `data` against `model`; the first problem becomes one `RecipeError` line.
+
+    Raises:
+        RecipeError: naming file, key, value and what is allowed.
+    """
+    try:
+        return model.model_validate(dict(data), context={"recipe": context})
+    except pydantic.ValidationError as error:
+        raise RecipeError(_first_line(error, model, context)) from None
+
+
+def _first_line(error: pydantic.ValidationError, model: type[RecipeModel], context: RecipeContext) -> str:
+    problems = error.errors(include_url=False)
+    # the deepest location is the most telling one when a union of forms was tried
+    problem = max(problems, key=lambda p: (p["type"] == "extra_forbidden", len(p["loc"])))
+    key = _key(problem["loc"])
+    is_form = key.rpartition(".")[2] in TEXTURE_KEYS and problem["type"] == "extra_forbidden"
+    is_number = problem["type"] in ("float_type", "int_type") and isinstance(problem["input"], Mapping)
+    if is_form or (is_number and set(problem["input"]) & set(TEXTURE_KEYS)):
+        what = key.rpartition(".")[0] if is_form else key
+        varies = ", ".join(filter(None, (model.varies, *model.varies_by_nodes))) or "nothing by itself"
+        return (
+            f"{context.source}: {what} cannot vary over the surface; of this family can: {varies}; "
+            'and family = "blend" mixes two recipes by a mask'
+        )
+    if problem["type"] == "extra_forbidden":
+        places = _known_keys(model)
+        word = str(problem["loc"][-1])
+        hint = did_you_mean(word, sorted(places))
+        table = re.sub(r"\[\d+\]", "[]", key).rpartition(".")[0]
+        for name in places:
+            if hint == did_you_mean(name, [name]):  # the same name in another table is no use without its place
+                if f"{table}.{name}".lstrip(".") not in places[name]:
+                    hint = hint.replace(name, places[name][0])
+        return f"{context.source}: key {key} is not known.{hint}"
+    message = problem["msg"].removeprefix("Value error, ").removeprefix("Input should be ").strip()
+    if problem["type"] == "missing":
+        return f"{context.source}: {key} is missing"
+    if problem["type"] == "value_error":
+        if message.startswith(("= ", ".")):  # a validator that goes on behind its key: `= "TiO3" is not known`
+            tail = f" {message}" if message.startswith("=") else message
+            return f"{context.source}: {(key + tail).lstrip(' .=')}"
+        where = f"{key}: " if key and not message.startswith(key) else ""
+        return f"{context.source}: {where}{message}"
+    wish = message.partition(" should ")[2] or f"be {message}"  # "Tuple should have at least 1 item" or "a number"
+    return f"{context.source}: {key} = {show_value(problem['input'])} is not allowed; it should {wish}"
+
+
+def _key(location: tuple[int | str, ...]) -> str:
+    key = ""
+    for part in location:
+        if isinstance(part, int):
+            key += f"[{part}]"
+        elif part.isidentifier() and not part[:1].isupper():  # capitalised parts are names of union members
+            key += f".{part}" if key else part
+        elif not part[:1].isupper() and "[" not in part:
+            shown = " ".join(part.split())[:60]  # a key may be any text; the message stays one line
+            key += f'."{shown}"' if key else f'"{shown}"'
+    return key
+
+
+def _known_keys(model: type[pydantic.BaseModel], prefix: str = "", seen: tuple[type, ...] = ()) -> dict[str, list[str]]:
+    """All keys of a model and of the models inside it, each with the places where it may stand."""
+    places: dict[str, list[str]] = {}
+    for name, info in model.model_fields.items():
+        word = info.alias or name
+        places.setdefault(word, []).append(f"{prefix}{word}")
+    for name, info in model.model_fields.items():
+        is_list = any(getattr(part, "__origin__", None) in (list, tuple) for part in _parts(info.annotation))
+        for inner in _models_in(info.annotation):
+            if inner not in seen and inner is not model:
+                below = f"{prefix}{info.alias or name}{'[]' if is_list else ''}."
+                for word, found in _known_keys(inner, below, (*seen, model)).items():
+                    places.setdefault(word, []).extend(found)
+    return places
+
+
+def _parts(annotation: Any) -> list[Any]:
+    """An annotation and all that it is made of."""
+    return [annotation, *(p for arg in getattr(annotation, "__args__", ()) for p in _parts(arg))]
+
+
+def _models_in(annotation: Any) -> list[type[pydantic.BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
+        return [annotation]
+    return [m for arg in getattr(annotation, "__args__", ()) for m in _models_in(arg)]

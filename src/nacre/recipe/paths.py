@@ -1,0 +1,93 @@
+"""Numbers of a recipe by their paths, such as `layers[0].thickness_nm`: found, read and set."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, MutableMapping
+from typing import Any
+
+from nacre.errors import RecipeError
+
+TEXTURE_KEYS = ("formula", "texture")  # what a recipe writes where a number varies over the surface
+_PATH_PART = re.compile(r"([A-Za-z_][A-Za-z_0-9-]*)((?:\[\d+\])*)$")
+
+
+def varying_numbers(data: Any, patterns: tuple[str, ...], path: str = "") -> dict[str, Mapping[str, Any]]:
+    """Find the textures and formulas of a recipe that stand at one of the patterns: path -> table.
+
+    Args:
+        patterns: such as `strata[].platelets[].volume_fraction`; lengths end in `_nm`, whatever unit a recipe takes.
+    """
+    if isinstance(data, list):
+        inner = [varying_numbers(value, patterns, f"{path}[{i}]") for i, value in enumerate(data)]
+        return {key: table for found in inner for key, table in found.items()}
+    if not isinstance(data, Mapping):
+        return {}
+    if set(data) & set(TEXTURE_KEYS):
+        pattern = re.sub(r"_(um|mm)$", "_nm", re.sub(r"\[\d+\]", "[]", path))
+        return {path: data} if pattern in patterns else {}
+    found = {}
+    for key, value in data.items():
+        found.update(varying_numbers(value, patterns, f"{path}.{key}" if path else str(key)))
+    return found
+
+
+def find_by_path(data: Any, path: str, source: str) -> tuple[Any, Any]:
+    """Return the container and the last key of a path; the key may be absent from a table.
+
+    Raises:
+        RecipeError: the path leads nowhere.
+    """
+    keys: list[Any] = []
+    for part in path.split("."):
+        match = _PATH_PART.match(part)
+        if not match:
+            raise RecipeError(f'{source}: "{path}" is not a path; write it like layers[0].thickness_nm')
+        keys.append(match[1])
+        keys += [int(i) for i in re.findall(r"\d+", match[2])]
+    holder = data
+    for key in keys[:-1]:
+        try:
+            holder = holder[key]
+        except (KeyError, IndexError, TypeError):
+            raise RecipeError(f'{source}: "{path}" does not exist in the recipe') from None
+    last = keys[-1]
+    exists = (
+        (isinstance(holder, Mapping) and last in holder)
+        if isinstance(last, str)
+        else (isinstance(holder, list) and last < len(holder))
+    )
+    if not exists and not isinstance(holder, Mapping):
+        raise RecipeError(f'{source}: "{path}" does not exist in the recipe')
+    return holder, last
+
+
+def set_by_path(data: MutableMapping[str, Any], path: str, value: Any, source: str = "recipe") -> None:
+    """Set one value of a recipe's dictionary in place; a missing last key is added (it may have a default).
+
+    Raises:
+        RecipeError: the path leads nowhere.
+    """
+    head, _, _ = path.rpartition(".")
+    if head and "[" not in head and head not in data and "." not in head:
+        data[head] = {}  # a whole optional table, such as [surface], may be absent
+    holder, last = find_by_path(data, path, source)
+    if isinstance(last, str):
+        stem, _, unit = last.rpartition("_")
+        for other in ("nm", "um", "mm"):
+            if unit in ("nm", "um", "mm") and other != unit:
+                holder.pop(f"{stem}_{other}", None)
+    holder[last] = value
+
+
+def numbers_of(data: Any, path: str = "") -> dict[str, float]:
+    """Return every number that a recipe's dictionary gives, by its path: what a fit or a search may free."""
+    if isinstance(data, Mapping):
+        inner = [numbers_of(value, f"{path}.{key}" if path else str(key)) for key, value in data.items()]
+    elif isinstance(data, list):
+        inner = [numbers_of(value, f"{path}[{i}]") for i, value in enumerate(data)]
+    elif isinstance(data, int | float) and not isinstance(data, bool):
+        return {path: float(data)}
+    else:
+        return {}
+    return {key: value for found in inner for key, value in found.items()}

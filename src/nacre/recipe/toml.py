@@ -1,0 +1,84 @@
+"""Recipes as text: read as TOML, written from a dictionary, and changed in place with their comments kept."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from nacre.errors import RecipeError
+from nacre.recipe.paths import set_by_path
+
+
+def parse_toml(text: str, source: str) -> dict[str, Any]:
+    """Parse TOML.
+
+    Raises:
+        RecipeError: naming the line and column of the first mistake.
+    """
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise RecipeError(f"{source}: not valid TOML: {' '.join(str(error).split())}") from None
+    except (RecursionError, ValueError, OverflowError) as error:
+        raise RecipeError(f"{source}: not valid TOML: {type(error).__name__}") from None
+
+
+def dump_toml(data: Mapping[str, Any]) -> str:
+    """Write a recipe's dictionary as TOML: scalars first, then its tables, each with inline tables inside.
+
+    Example: `dump_toml({"family": "film"})` is 'family = "film"' and a newline.
+    """
+    import tomlkit
+
+    document = tomlkit.document()
+    for key, value in data.items():
+        if not isinstance(value, Mapping):
+            document.add(str(key), _item(value))
+    for key, value in data.items():
+        if isinstance(value, Mapping):
+            table = tomlkit.table()
+            for inner, content in value.items():
+                table.add(str(inner), _item(content))
+            document.add(str(key), table)
+    return tomlkit.dumps(document)
+
+
+def edit_toml(text: str, changes: Mapping[str, Any], source: str) -> str:
+    """Return a recipe's text with some values changed, each named by its path; the user's comments stay.
+
+    Raises:
+        RecipeError: the text is not TOML, or a path leads nowhere.
+    """
+    import tomlkit
+
+    parse_toml(text, source)  # its message is the better one
+    document = tomlkit.parse(text)
+    for path, value in changes.items():
+        set_by_path(document, path, _item(value), source)
+    return tomlkit.dumps(document)
+
+
+def _item(value: Any) -> Any:
+    """Turn a value of a recipe into what TOML can hold, tables inline; what it cannot hold becomes its text."""
+    import tomlkit
+
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value)
+    if isinstance(value, Mapping):
+        table = tomlkit.inline_table()
+        for key, inner in value.items():
+            table.add(str(key), _item(inner))
+        return table
+    if isinstance(value, list | tuple | np.ndarray):
+        array = tomlkit.array()
+        for inner in value:
+            array.append(_item(inner))
+        return array
+    return str(value)

@@ -1,0 +1,8 @@
+"""What `nacre.render` hands on from the rooms below, each looked up when it is first asked for."""
+
+from nacre.device.bsdf import make_bsdf
+from nacre.device.variant import report, use_variant
+from nacre.picture.images import RenderResult
+from nacre.picture.picture import forget_stages, render
+
+__all__ = ["RenderResult", "forget_stages", "make_bsdf", "render", "report", "use_variant"]

@@ -1,0 +1,33 @@
+"""The registration of the `nacre` BSDF with Mitsuba, in every variant that carries spectra, whoever sets it."""
+
+from __future__ import annotations
+
+import importlib.util
+
+from nacre.device.variant import VARIANTS, import_mitsuba
+from nacre.render.loader import from_properties
+
+_installed = False
+
+
+def install() -> None:
+    """Register `nacre` now if a variant is set, and again whenever one is chosen; without mitsuba do nothing.
+
+    Mitsuba keeps plugins by variant, and a user may set one before or after `import nacre.render`.
+    """
+    global _installed
+    if _installed or importlib.util.find_spec("mitsuba") is None:
+        return
+    mi = import_mitsuba()
+    mi.detail.add_variant_callback(lambda _old, _new: register())
+    _installed = True
+    register()
+
+
+def register() -> None:
+    """Register the `nacre` BSDF with the current variant, unless its values are not plain spectra."""
+    import mitsuba as mi
+
+    if mi.variant() not in VARIANTS:
+        return  # an RGB, mono or polarised scene simply does not know "nacre"
+    mi.register_bsdf("nacre", from_properties)

@@ -1,0 +1,162 @@
+"""Export and import: which format holds what of a material, and what of it is lost, said in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nacre._version import __version__
+from nacre.bsdf import Bsdf
+from nacre.bsdf.lobes.table import TableLobe, directions_of
+from nacre.errors import NacreError
+from nacre.exchange.gonio_csv import read_gonio_csv, write_gonio_csv
+from nacre.exchange.lobes import delta_lost, gonio_grid, gonio_table, is_isotropic, lost_parts, merl_lobe
+from nacre.exchange.merl import merl_table, read_merl, write_merl
+from nacre.files import write_text
+from nacre.materials.material import Material
+from nacre.recipe.toml import dump_toml
+
+MAX_F0 = 0.96  # a real index of 98, which a recipe still takes; a perfect mirror would need an endless one
+TENSOR_MAGIC = b"tensor_file\0"
+IMPORTS = ".csv (goniometer), .binary (MERL), .bsdf (RGL tensor or Zemax), .gltf, .mtlx"
+
+
+def export_material(
+    material: Material, target: str, path: Path, *, angle_step_deg: float = 10.0, wavelength_nm: float | None = None
+) -> dict[str, Any]:
+    """Write a material in a foreign format.
+
+    Args:
+        target: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr" or "nacre".
+        angle_step_deg: of the csv's direction grid.
+        wavelength_nm: for a monochrome zemax file.
+
+    Returns:
+        what was written: `lost` lists in words what the format cannot hold.
+
+    Raises:
+        UnsupportedError: the format can hold nothing of the material.
+        NacreError: the file cannot be written.
+    """
+    comment = f"nacre {__version__}, {material.name}\n{material.text}"
+    facts: dict[str, Any] = {"format": target, "file": str(path), "lost": []}
+    if target in ("gltf", "materialx"):
+        return facts | _export_film(material, target, path)
+    bsdf = material.bsdf()
+    if target == "nacre":
+        bsdf.save(path)
+    elif target == "rgl":
+        from nacre.exchange.rgl_tensor import write_rgl
+
+        facts["lost"] = write_rgl(path, bsdf, comment, is_isotropic=is_isotropic(bsdf))
+    elif target == "merl":
+        if not is_isotropic(bsdf):
+            facts["lost"].append("anisotropy: MERL holds isotropic materials, phi = 0 was taken")
+        write_merl(path, merl_table(bsdf))
+        facts["lost"] += ["the spectrum: MERL holds linear RGB"] + lost_parts(bsdf)
+    elif target == "zemax":
+        from nacre.exchange.zemax import write_zemax, zemax_table
+
+        write_zemax(path, zemax_table(bsdf, wavelength_nm), comment)
+        facts["lost"] = lost_parts(bsdf)
+    elif target == "csv":
+        write_gonio_csv(path, gonio_grid(bsdf, angle_step_deg), comment)
+        facts["lost"] = delta_lost(bsdf)
+    elif target == "exr":
+        from nacre.exchange.slice_exr import write_slice
+
+        write_slice(path, bsdf, comment)
+        facts["lost"] = ["all but one slice over (theta_half, theta_diff)"] + lost_parts(bsdf)
+    return facts
+
+
+def _export_film(material: Material, target: str, path: Path) -> dict[str, Any]:
+    from nacre.study.thin_film import fit_thin_film
+
+    fit = fit_thin_film(material)
+    provenance = {"nacre": __version__, "recipe": material.text, "residual_delta_e_2000": fit.mean_residual}
+    if target == "gltf":
+        from nacre.exchange.gltf import write_gltf
+
+        write_gltf(path, fit.film, material.name, provenance)
+    else:
+        from nacre.exchange.materialx import write_materialx
+
+        write_materialx(path, fit.film, material.name, f"nacre {__version__}, residual dE00 {fit.mean_residual:.2f}")
+    return {
+        "film": dict(fit.film.__dict__), "lost": list(fit.lost), "angles_deg": fit.angles_deg.tolist(),
+        "residual_delta_e_2000": fit.mean_residual, "residual_by_angle": fit.residual.tolist(),
+    }  # fmt: skip
+
+
+def import_material(source: Path, recipe: Path) -> list[str]:
+    """Read a foreign file and write a recipe (and, for tables, a `.nacre` file beside it).
+
+    Returns:
+        remarks, in words.
+
+    Raises:
+        NacreError: the file is none of the known formats, or is damaged.
+    """
+    if not source.is_file():
+        raise NacreError(f"{source}: does not exist")
+    suffix = source.suffix.lower()
+    if suffix in (".gltf", ".mtlx"):
+        return _import_film(source, recipe)
+    if suffix == ".csv":
+        lobe, remarks = gonio_table(read_gonio_csv(source), str(source))
+    elif suffix == ".binary":
+        lobe, remarks = merl_lobe(read_merl(source)), ["RGB was given smooth spectra that have its colours under D65"]
+    elif suffix == ".bsdf":
+        lobe, remarks = _import_bsdf(source)
+    else:
+        raise NacreError(f"{source}: is of no known format; nacre imports {IMPORTS}")
+    stored = recipe.with_suffix(".nacre")
+    Bsdf((lobe,), {"nacre": __version__, "imported": source.name}).save(stored)
+    write_text(recipe, dump_toml({"family": "measured", "file": stored.name}))
+    return [*remarks, str(stored)]
+
+
+def _import_film(source: Path, recipe: Path) -> list[str]:
+    if source.suffix.lower() == ".gltf":
+        from nacre.exchange.gltf import read_gltf
+
+        film = read_gltf(source)
+    else:
+        from nacre.exchange.materialx import read_materialx
+
+        film = read_materialx(source)
+    remarks = []
+    base = film.base_ior
+    if film.is_metal:
+        f0 = min(max(float(np.dot(film.base_rgb, (0.2126, 0.7152, 0.0722))), 0.0), MAX_F0)
+        base = (1 + f0**0.5) / (1 - f0**0.5)
+        remarks.append("the metal's RGB became one real index of the same luminance; name the metal for its own colour")
+    if film.not_read:
+        remarks.append(f"not carried over: {', '.join(film.not_read)}")
+    # a metal lets nothing through: a trace of absorption makes the base opaque without changing its reflection
+    substrate = {"n": base} if film.transmits else {"n": base, "k": 1e-4}
+    data: dict[str, Any] = {
+        "family": "film", "ambient": "air", "substrate": substrate,
+        "layers": [{"material": {"n": film.film_ior}, "thickness_nm": film.thickness_nm}],
+        "surface": {"distribution": "ggx", "roughness": film.roughness},
+    }  # fmt: skip
+    write_text(recipe, dump_toml(data))
+    return remarks
+
+
+def _import_bsdf(source: Path) -> tuple[TableLobe, list[str]]:
+    with open(source, "rb") as file:
+        is_tensor = file.read(len(TENSOR_MAGIC)) == TENSOR_MAGIC
+    if is_tensor:
+        from nacre.exchange.rgl_reader import RglBsdf
+
+        rgl = RglBsdf.read(source)
+        wi, wo = directions_of("half", (90, 46, 24))
+        return TableLobe(rgl.wavelengths_nm, rgl.evaluate(wi, wo), np.eye(len(rgl.wavelengths_nm)), "half"), []
+    from nacre.exchange.lobes import zemax_lobe
+    from nacre.exchange.zemax import read_zemax
+
+    return zemax_lobe(read_zemax(source)), ["the table holds no spectrum beyond its channels"]
