@@ -7,7 +7,7 @@ cd "$(dirname "$0")/.."
 root=$PWD
 python=$root/.venv/bin/python
 
-works() { "$python" -m nacre.render.llvm >/dev/null 2>&1; }
+works() { "$python" -m nacre.device.llvm >/dev/null 2>&1; }
 
 mkdir -p .llvm
 if works; then touch .llvm/ok; exit 0; fi
