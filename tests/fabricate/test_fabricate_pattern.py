@@ -10,7 +10,7 @@ from read_back import read_layout, read_points_csv
 from nacre.api import fabricate
 from nacre.cli import run
 from nacre.errors import UnsupportedError
-from nacre.families.metasurface.patterns import Pattern, least_distance
+from nacre.families.metasurface.patterns import Pattern, nearest_distances
 from nacre.materials.material import material
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "metasurface" / "silver_native_oxide.toml"
@@ -37,7 +37,7 @@ def test_a_square_centimetre_streams_by_references(tmp_path, to):
     xy, radius = read_layout(path)
     assert radius == pytest.approx(0.09, abs=1e-3) and len(xy) == facts["particles_a_period"]
     a_um = np.sqrt(4 * 0.3 / (np.pi * 5))
-    assert least_distance(Pattern(xy, facts["period_um"])) >= a_um - LAYOUT_STEP_UM
+    assert nearest_distances(Pattern(xy, facts["period_um"])).min() >= a_um - LAYOUT_STEP_UM
     assert len(xy) / facts["period_um"] ** 2 == pytest.approx(5.0, rel=1e-3)
 
 

@@ -87,7 +87,7 @@ def test_patterns_keep_their_distance_their_density_and_their_seed(maker, packin
     make = getattr(patterns, maker)
     pattern = make(2000, 5e-6, packing, seed=3)
     a = np.sqrt(4 * packing / np.pi / 5e-6)
-    assert patterns.least_distance(pattern) >= a * (1 - 1e-12)
+    assert patterns.nearest_distances(pattern).min() >= a * (1 - 1e-12)
     assert abs(len(pattern.xy_nm) / pattern.box_nm**2 / 5e-6 - 1) < 1e-12
     assert np.array_equal(pattern.xy_nm, make(2000, 5e-6, packing, seed=3).xy_nm)
     assert not np.array_equal(pattern.xy_nm, make(2000, 5e-6, packing, seed=4).xy_nm)
@@ -126,8 +126,8 @@ def test_jittered_lattice_has_its_density_and_its_disorder():
     for kind in ("square", "hexagonal"):
         perfect = patterns.lattice(900, 4e-6, kind)
         spacing = np.sqrt(1 / 4e-6) if kind == "square" else np.sqrt(2 / np.sqrt(3) / 4e-6)
-        assert abs(patterns.least_distance(perfect) / spacing - 1) < 0.03
-        assert patterns.least_distance(patterns.lattice(900, 4e-6, kind, 0.1)) < 0.9 * spacing
+        assert abs(patterns.nearest_distances(perfect).min() / spacing - 1) < 0.03
+        assert patterns.nearest_distances(patterns.lattice(900, 4e-6, kind, 0.1)).min() < 0.9 * spacing
 
 
 def test_too_dense_patterns_are_refused():

@@ -22,8 +22,6 @@ from nacre.picture.shapes.mesh import (
     revolve,
     rotation,
     split,
-    volume,
-    weld,
 )
 from nacre.picture.shapes.speedshape import speedshape
 
@@ -69,9 +67,25 @@ def _face_normals(surface: Mesh) -> tuple[np.ndarray, np.ndarray]:
     return normal / np.maximum(area, 1e-300)[:, None], area
 
 
+def welded_faces(surface: Mesh) -> np.ndarray:
+    """Return the faces with vertices at one place joined and faces without area dropped."""
+    scale = np.ptp(surface.vertices, axis=0).max()
+    keys = np.round(surface.vertices / (scale * 1e-7)).astype(np.int64)
+    _, inverse = np.unique(keys, axis=0, return_inverse=True)
+    faces = inverse.reshape(-1)[surface.faces]
+    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return np.asarray(faces[distinct])
+
+
+def volume(surface: Mesh) -> float:
+    """Enclosed volume; positive where the faces look outward."""
+    a, b, c = (surface.vertices[surface.faces[:, i]] for i in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
 def is_closed(surface: Mesh) -> bool:
     """Whether every edge, after welding, is walked as often forward as backward: watertight and oriented."""
-    _, faces = weld(surface)
+    faces = welded_faces(surface)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     size = int(faces.max()) + 1
     return bool(np.array_equal(np.sort(edges[:, 0] * size + edges[:, 1]), np.sort(edges[:, 1] * size + edges[:, 0])))

@@ -17,7 +17,6 @@ from nacre.files import atomic_path
 PRECISION_M = 1e-9  # database unit of 1 nm
 MAX_COORDINATE_UM = 2.0e6  # 32-bit database units of 1 nm
 TOLERANCE_UM = 5e-4
-MAX_ROWS = 50_000_000
 
 
 def write_layout(

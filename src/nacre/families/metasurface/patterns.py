@@ -228,11 +228,6 @@ def lattice(count: int, density_per_nm2: float, kind: str = "hexagonal", jitter:
     return Pattern(xy % box, box)
 
 
-def least_distance(pattern: Pattern) -> float:
-    """The smallest distance between two points, periodic, in nm."""
-    return float(nearest_distances(pattern).min())
-
-
 def nearest_distances(pattern: Pattern) -> Array:
     """The distance of each point to its nearest neighbour, periodic, in nm, `[point]`."""
     from scipy.spatial import cKDTree

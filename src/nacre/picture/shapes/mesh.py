@@ -165,22 +165,6 @@ def revolve(profile: Sequence[tuple[float, float]] | Array, cells_around: int = 
     return parametric(position, cells_around, cells_along)
 
 
-def weld(surface: Mesh) -> tuple[Array, NDArray[np.int64]]:
-    """Return vertices and faces with vertices at one place joined and faces without area dropped."""
-    scale = np.ptp(surface.vertices, axis=0).max()
-    keys = np.round(surface.vertices / (scale * 1e-7)).astype(np.int64)
-    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    faces = inverse.reshape(-1)[surface.faces]
-    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    return surface.vertices[first], faces[distinct]
-
-
-def volume(surface: Mesh) -> float:
-    """Enclosed volume; positive where the faces look outward."""
-    a, b, c = (surface.vertices[surface.faces[:, i]] for i in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
-
-
 def split(surface: Mesh, field: Array) -> tuple[Mesh, Mesh]:
     """Cut a surface along the zero line of a value per vertex; return the parts above and below zero.
 
