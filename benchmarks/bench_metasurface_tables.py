@@ -19,7 +19,7 @@ import numpy as np
 from common import Row, interleaved, parser, report, timed
 
 import nacre
-from nacre.bsdf.file import load_bsdf, save_bsdf
+from nacre.bsdf import Bsdf
 from nacre.families.metasurface.sphere import SphereOnStack
 from nacre.materials.material import load
 from nacre.matter.mie import mie_coefficients
@@ -62,12 +62,12 @@ def main(arguments: list[str] | None = None) -> int:
     wi, wo = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in np.abs(rng.normal(size=(2, 20_000, 3))))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "m.nacre"
-        save_bsdf(bsdf, path)
+        bsdf.save(path)
         times = interleaved(
             {
                 "table": lambda: timed(lambda: harmonic_table(material, wavelengths)),
                 "material": lambda: timed(lambda: load(EXAMPLE).bsdf(wavelengths)),
-                "file": lambda: timed(lambda: load_bsdf(path)),
+                "file": lambda: timed(lambda: Bsdf.load(path)),
                 "look-ups": lambda: timed(lambda: lobe.evaluate(wi, wo)),
             },
             options.repeats,

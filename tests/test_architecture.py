@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
 import re
 import subprocess
 import sys
@@ -170,3 +171,20 @@ def test_start_up_loads_nothing_heavy(command: str) -> None:
     code = f"{command}\nimport sys\nassert not [m for m in {heavy!r} if m in sys.modules], sys.modules.keys()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("folder", ["benchmarks", "validation", "docs", "tools", "examples"])
+def test_scripts_import_names_that_exist(folder: str) -> None:
+    """What no test runs would otherwise keep the names of rooms that are gone."""
+    missing = []
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "nacre":
+                module = importlib.import_module(str(node.module))
+                names = [alias.name for alias in node.names if not hasattr(module, alias.name)]
+                missing += [f"{path.name}: {node.module}.{name}" for name in names if not _is_module(node.module, name)]
+    assert missing == []
+
+
+def _is_module(parent: str | None, name: str) -> bool:
+    return importlib.util.find_spec(f"{parent}.{name}") is not None

@@ -83,14 +83,14 @@ class Sphere:
 
     def __init__(self, light: str) -> None:
         from nacre.device.variant import use_variant
-        from nacre.picture.built_scene import Stage
+        from nacre.picture.built_scene import BuiltScene
         from nacre.picture.lights.named import make_light
         from nacre.picture.scenes.catalogue import SCENES, Part, Scene
 
         self.mi = use_variant()
         shape = Part({"type": "sphere", "center": [0.0, 0.0, 1.0], "radius": 1.0})
         scene = Scene("lone", lambda: [shape], SCENES["sphere"].view, "none")
-        self.stage = Stage(scene, make_light(light), see_through=False)
+        self.stage = BuiltScene(scene, make_light(light), see_through=False)
         film = {"type": "hdrfilm", "pixel_format": "xyz", "rfilter": {"type": "box"}}
         self.sensor = self.stage.sensor(scene.view, (SIDE, SIDE), film)
         self.integrator = self.mi.load_dict({"type": "path", "max_depth": 2})

@@ -12,6 +12,7 @@ from PIL import Image
 import nacre
 from nacre.errors import NacreError
 from nacre.picture.images import read_provenance
+from nacre.picture.scenes.catalogue import SCENES
 from nacre.picture.scenes.subjects import read_mesh, stand_on_floor, subject_parts
 from nacre.picture.screen import BEAM_DEG, screen_directions
 from nacre.render import animation
@@ -41,7 +42,7 @@ def test_a_mesh_of_any_format_becomes_a_subject(tmp_path: Path, suffix: str, gre
 
     path = tmp_path / f"mesh{suffix}"
     trimesh.creation.box(extents=(1.0, 2.0, 3.0)).export(path)
-    surface = stand_on_floor(read_mesh(path))
+    surface = stand_on_floor(read_mesh(path), SCENES["sphere"])
     low, high = surface.bounds
     height = high[2] - low[2]
     assert low[2] == pytest.approx(0.0, abs=1e-6)
@@ -56,7 +57,7 @@ def test_a_broken_mesh_is_one_line(tmp_path: Path, suffix: str, content: bytes) 
     path = tmp_path / f"broken{suffix}"
     path.write_bytes(content)
     with pytest.raises(NacreError) as caught:
-        subject_parts(path)
+        subject_parts(path, SCENES["sphere"])
     assert path.name in str(caught.value) and "\n" not in str(caught.value)
 
 

@@ -20,6 +20,7 @@ SCENES = "sphere|probe|speedshape|panel|butterfly|bottle|knob|body|screen|SCENE.
 @click.argument("recipe", metavar="RECIPE|FILE.nacre|DESIGN_DIR")
 @click.option("--scene", default="sphere", show_default=True, metavar=SCENES)
 @click.option("--shape", default=None, metavar="MESH", help="Another subject: a scene's name or a mesh file.")
+@click.option("--up", type=click.Choice(["x", "y", "z"]), default=None, help="Upward axis of the mesh file.")
 @click.option(
     "--light", default=None, metavar="NAME|ENVMAP", help="studio, line, sun, sky, directional, interior, street."
 )
@@ -36,9 +37,9 @@ SCENES = "sphere|probe|speedshape|panel|butterfly|bottle|knob|body|screen|SCENE.
 @common.set_option
 @common.jobs_option
 def render(
-    recipe: str, scene: str, shape: str | None, light: str | None, illuminant: str, size: str | None, spp: int | None,
-    seed: int, quality: str | None, components: str, exposure: str, animate: str | None, frames: int,
-    output: str | None, changes: tuple[str, ...],
+    recipe: str, scene: str, shape: str | None, up: str | None, light: str | None, illuminant: str,
+    size: str | None, spp: int | None, seed: int, quality: str | None, components: str, exposure: str,
+    animate: str | None, frames: int, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Render a material on an object."""
     from nacre.files import check_writable
@@ -50,7 +51,7 @@ def render(
         raise NacreError(f"-o {path}: {what} is written as {' or '.join(suffixes)}")
     check_writable(path)
     options: dict[str, Any] = {
-        "scene": scene, "shape": shape, "light": light, "illuminant": illuminant, "components": components,
+        "scene": scene, "shape": shape, "up": up, "light": light, "illuminant": illuminant, "components": components,
         "size": size, "spp": spp, "seed": seed, "quality": quality,
         "exposure": _exposure(exposure),
     }  # fmt: skip

@@ -47,6 +47,7 @@ def render(
     scene: str = "sphere",
     *,
     shape: str | Path | None = None,
+    up: str | None = None,
     light: str | None = None,
     illuminant: str = "D65",
     size: tuple[int, int] | str | None = None,
@@ -68,6 +69,7 @@ def render(
         scene: sphere, probe, speedshape, panel, butterfly, bottle, knob, body, screen, or a Mitsuba .xml file whose
             BSDFs of id "nacre" the material replaces.
         shape: another subject for the scene: a name of those or a mesh file (.ply, .obj, .stl, .glb, .gltf, .off).
+        up: which axis of a mesh file points up, x, y or z; None: y for .obj, .glb and .gltf, z for the others.
         light: studio, line, sun, sky, directional, interior, street or an environment map; None: the scene's own.
         illuminant: spectrum of the lamps (D65, A, F11, ...).
         size: (width, height) in pixels or "800x600"; None: the scene's own.
@@ -114,7 +116,7 @@ def render(
     if str(scene).lower().endswith(".xml"):
         from nacre.picture.user_scene import UserScene
 
-        if shape is not None or light is not None:
+        if shape is not None or light is not None or up is not None:
             raise NacreError(
                 f"scene {scene}: a Mitsuba scene brings its own shapes and light; leave shape and light out"
             )
@@ -123,12 +125,24 @@ def render(
         default_size, default_spp = stage.size, 64
     else:
         chosen = find_scene(scene)
+        if up is not None and shape is None:
+            raise NacreError(f'up = "{up}" is for a mesh file: give its name as shape')
         light_name = check_light(light or chosen.light)
         see_through = bool(getattr(bsdf, "transmits", False))
         # our own environments turn in place; other lights are built for their angle
         built_turn = 0.0 if light_name in TURNING_LIGHTS else turns[0]
-        key = (scene, str(shape), _stamp(shape), light_name, _stamp(light_name), illuminant, built_turn, see_through)
-        stage = _kept(key, lambda: _build(chosen, shape, light_name, illuminant, built_turn, see_through))
+        key = (
+            scene,
+            str(shape),
+            _stamp(shape),
+            up,
+            light_name,
+            _stamp(light_name),
+            illuminant,
+            built_turn,
+            see_through,
+        )
+        stage = _kept(key, lambda: _build(chosen, shape, up, light_name, illuminant, built_turn, see_through))
         stage.turn_light(turns[0])
         camera = chosen.place_view if chosen.place_view and stage.light.is_surrounding else chosen.view
         view = camera.turned(turns[1])
@@ -164,13 +178,15 @@ def render(
     return result.save(output) if output is not None else result
 
 
-def _build(chosen: Any, shape: str | Path | None, light: str, illuminant: str, turn_deg: float, clear: bool) -> Any:
+def _build(
+    chosen: Any, shape: str | Path | None, up: str | None, light: str, illuminant: str, turn_deg: float, clear: bool
+) -> Any:
     from nacre.picture.built_scene import BuiltScene, with_subject
 
     if shape is not None:
         from nacre.picture.scenes.subjects import subject_parts
 
-        parts = subject_parts(shape)
+        parts = subject_parts(shape, chosen, up)
         chosen = with_subject(chosen, lambda: parts)
     return BuiltScene(chosen, make_light(light, illuminant, turn_deg), clear)
 

@@ -133,7 +133,12 @@ def graded(across: float, along: float, centre: float) -> dict[str, Any]:
 
 @functools.cache
 def _sphere() -> list[Part]:
-    return [Part({"type": "sphere", "center": [0.0, 0.0, 1.0], "radius": 1.0})]
+    import mitsuba as mi
+
+    # Mitsuba's sphere counts v from its upper pole; reflected, v runs upward as on all our shapes, and u still to the
+    # right. The reflection turns the normals inward, which `flip_normals` undoes.
+    upright = mi.ScalarTransform4f().translate([0.0, 0.0, 1.0]).scale([1.0, 1.0, -1.0])
+    return [Part({"type": "sphere", "to_world": upright, "flip_normals": True})]
 
 
 @functools.cache

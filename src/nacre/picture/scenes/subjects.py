@@ -9,23 +9,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.errors import NacreError, did_you_mean
-from nacre.picture.scenes.catalogue import SHAPES, Part
+from nacre.picture.scenes.catalogue import SHAPES, Part, Scene, View
 from nacre.picture.shapes.mesh import Mesh, open_seam
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
 MAX_MESH_BYTES = 1 << 30
 MAX_FACES = 20_000_000
-HEIGHT = 2.0  # the mesh is scaled to the height of our sphere, or to this half width if it is flatter
-HALF_WIDTH = 1.7
+HEIGHT = 2.0  # a mesh is scaled to the height of our sphere, or less where it would leave the frame
+FRAME_SHARE = 0.94  # of the frame's half width and height
+# which axis is up: Blender, Maya and the web write y into these formats; printers and scanners write z into the others
+Y_UP = (".obj", ".glb", ".gltf")
+# rotations that bring an axis to +z and keep the handedness
+TO_Z_UP = {
+    "x": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+    "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    "z": np.eye(3),
+}
 
 
-def subject_parts(shape: str | Path) -> list[Part]:
-    """Return the parts of a shape by name or of a mesh file.
+def subject_parts(shape: str | Path, scene: Scene, up: str | None = None) -> list[Part]:
+    """Return the parts of a shape by name or of a mesh file, stood in a scene.
+
+    Args:
+        shape: a scene's name or a mesh file.
+        scene: the scene that it is to fit.
+        up: the axis of the file that points up; None: y for OBJ and glTF, z for STL, PLY and OFF.
 
     Raises:
-        NacreError: neither a known name nor a readable mesh.
+        NacreError: neither a known name nor a readable mesh, or an axis that is none.
     """
+    if up is not None and up not in TO_Z_UP:
+        raise NacreError(f'up = "{up}" should be one of {", ".join(TO_Z_UP)}')
     if str(shape) in SHAPES:
+        if up is not None:
+            raise NacreError(f'up = "{up}" is for mesh files; shape "{shape}" stands as it should')
         return SHAPES[str(shape)]()
     path = Path(shape)
     if path.suffix.lower() not in MESH_SUFFIXES:
@@ -33,11 +50,11 @@ def subject_parts(shape: str | Path) -> list[Part]:
             f'shape "{shape}" is not known.{did_you_mean(str(shape), SHAPES)} Choose from {", ".join(SHAPES)} '
             f"or a mesh file ({', '.join(MESH_SUFFIXES)})"
         )
-    return [Part(stand_on_floor(read_mesh(path)))]
+    return [Part(stand_on_floor(read_mesh(path, up), scene))]
 
 
-def read_mesh(path: Path) -> Mesh:
-    """Read a mesh as one surface with normals and uv; z is up, except in glTF, whose y is up.
+def read_mesh(path: Path, up: str | None = None) -> Mesh:
+    """Read a mesh as one surface with normals and uv, turned so that z is up (`up`: see `subject_parts`).
 
     Raises:
         NacreError: missing, unreadable, empty or too large.
@@ -62,14 +79,12 @@ def read_mesh(path: Path) -> Mesh:
         raise NacreError(f"shape {path}: its vertices are not finite, all at one place, or missing")
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.where(length > 0, normals / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
+    turn = TO_Z_UP[up or ("y" if path.suffix.lower() in Y_UP else "z")]
+    vertices, normals = vertices @ turn.T, normals @ turn.T
     uv = getattr(mesh.visual, "uv", None)
     if uv is None or np.shape(uv) != (len(vertices), 2) or not np.isfinite(np.asarray(uv, dtype=np.float64)).all():
-        surface = open_seam(Mesh(vertices, normals, _wrapped_uv(vertices), faces))
-    else:
-        surface = Mesh(vertices, normals, np.asarray(uv, dtype=np.float64), faces)
-    if path.suffix.lower() in (".glb", ".gltf"):
-        surface = surface.moved(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]))
-    return surface
+        return open_seam(Mesh(vertices, normals, _wrapped_uv(vertices), faces))
+    return Mesh(vertices, normals, np.asarray(uv, dtype=np.float64), faces)
 
 
 def _wrapped_uv(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -80,10 +95,58 @@ def _wrapped_uv(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([0.5 + np.arctan2(d[:, 1], d[:, 0]) / (2 * np.pi), (vertices[:, 2] - low[2]) / height], axis=1)
 
 
-def stand_on_floor(surface: Mesh) -> Mesh:
-    """Scale a surface to the size of our subjects and stand it on z = 0 above the origin."""
+def stand_on_floor(surface: Mesh, scene: Scene) -> Mesh:
+    """Stand a surface on z = 0 above the origin, as large as our subjects or as the frame of its scene allows.
+
+    It stays in the frame however it is turned about the vertical axis, and before each camera of the scene.
+    """
     low, high = surface.bounds
-    extent = high - low
-    scale = min(HEIGHT / max(extent[2], 1e-12), 2 * HALF_WIDTH / max(extent[0], extent[1], 1e-12))
     middle = 0.5 * (low + high)
-    return surface.moved(np.eye(3) * scale, (-scale * middle[0], -scale * middle[1], -scale * low[2]))
+    centred = surface.moved(np.eye(3), (-middle[0], -middle[1], -low[2]))
+    extent = float(high[2] - low[2])
+    largest = min(HEIGHT / max(extent, 1e-300), HEIGHT / max(float((high - low)[:2].max()), 1e-300) * 2)
+    profile = _profile(centred.vertices)
+    views = [view for view in (scene.view, scene.place_view) if view is not None]
+    return centred.moved(np.eye(3) * min(_fitting_scale(profile, view, scene.size, largest) for view in views))
+
+
+def _profile(vertices: NDArray[np.float64], slices: int = 64) -> NDArray[np.float64]:
+    """Distance from the vertical axis and height, `[point, 2]`, of what bounds a body that turns about that axis."""
+    radius, z = np.hypot(vertices[:, 0], vertices[:, 1]), vertices[:, 2]
+    top = max(float(z.max()), 1e-300)
+    slot = np.minimum((z / top * slices).astype(int), slices - 1)
+    widest = np.full(slices, -1.0)
+    np.maximum.at(widest, slot, radius)
+    used = np.flatnonzero(widest >= 0)
+    heights = np.concatenate([used, used + 1]) * (top / slices)
+    return np.stack([np.tile(widest[used], 2), heights], axis=1)
+
+
+def _fitting_scale(profile: NDArray[np.float64], view: View, size: tuple[int, int], largest: float) -> float:
+    """The largest scale, up to `largest`, at which a turning profile stays in the frame of a camera."""
+    phi = 2 * np.pi * np.arange(24) / 24
+    radius, z = profile[:, :1], profile[:, 1:]
+    points = np.stack([radius * np.cos(phi), radius * np.sin(phi), z + 0 * phi], axis=-1).reshape(-1, 3)
+    origin = np.array(view.origin)
+    ahead = np.array(view.target) - origin
+    ahead /= np.linalg.norm(ahead)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    half_width = FRAME_SHARE * np.tan(np.radians(0.5 * view.fov_deg))
+    half_height = half_width * size[1] / size[0]
+
+    def fits(scale: float) -> bool:
+        seen = scale * points - origin
+        depth = seen @ ahead
+        across, along = np.abs(seen @ right), np.abs(seen @ np.cross(right, ahead))
+        return bool(
+            (depth > 0.1).all() and (across <= half_width * depth).all() and (along <= half_height * depth).all()
+        )
+
+    if fits(largest):
+        return largest
+    low, high = 0.0, 1.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if fits(largest * middle) else (low, middle)
+    return largest * low

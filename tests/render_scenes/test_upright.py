@@ -1,0 +1,190 @@
+"""Which way is up: u runs to the right and v upward on every scene, and meshes of any format stand in the frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image, ImageDraw
+
+import nacre
+from nacre.errors import NacreError
+from nacre.picture.scenes.catalogue import SCENES, Scene
+from nacre.picture.scenes.subjects import read_mesh, stand_on_floor, subject_parts
+
+pytestmark = pytest.mark.render
+
+# a wing's v runs along its veins, from the root outward, since ridges lie so; every other scene must agree
+UPRIGHT = [name for name in SCENES if name != "butterfly"]
+# of the visible surface; what bends away over a rim may differ
+MOST = 0.97
+
+
+def seen(scene: Scene, count: int = 96) -> tuple[np.ndarray, np.ndarray]:
+    """uv `[row, column, 2]` of the subject before its own camera, NaN elsewhere, and the points hit."""
+    from nacre.picture.built_scene import BuiltScene
+    from nacre.picture.lights.named import make_light
+
+    stage = BuiltScene(scene, make_light("directional", "D65", 0.0), see_through=False)
+    from nacre.device.variant import use_variant
+
+    mi = use_variant()
+    sensor = stage.sensor(scene.view, (count, count), {"type": "hdrfilm"})
+    across, down = np.meshgrid(*2 * [(np.arange(count) + 0.5) / count])
+    place = mi.Point2f(across.ravel(), down.ravel())
+    ray, _ = sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))
+    hit = stage.mitsuba_scene.ray_intersect(ray)
+    subject = np.zeros(count * count, dtype=bool)
+    for shape in stage.subjects:
+        subject |= np.array(hit.shape == mi.ShapePtr(shape))
+    uv, point = np.array(hit.uv).T, np.array(hit.p).T
+    uv[~subject] = np.nan
+    return uv.reshape(count, count, 2), point.reshape(count, count, 3)
+
+
+def share(positive: np.ndarray) -> float:
+    return float(np.mean(positive[np.isfinite(positive)] > 0))
+
+
+@pytest.mark.parametrize("name", UPRIGHT)
+def test_u_runs_to_the_right_and_v_upward_on(name: str) -> None:
+    uv, _ = seen(SCENES[name])
+    assert np.isfinite(uv).any(axis=-1).mean() > 0.05
+    assert share(np.diff(uv[..., 0], axis=1)) > MOST
+    assert share(-np.diff(uv[..., 1], axis=0)) > MOST
+
+
+def test_on_wings_v_runs_from_the_root_outward_and_nothing_is_mirrored() -> None:
+    uv, point = seen(SCENES["butterfly"])
+    radius = np.hypot(point[..., 0], point[..., 1] - 0.12)
+    du, dv = np.diff(uv, axis=1), -np.diff(uv, axis=0)
+    turn = du[:-1, :, 0] * dv[:, :-1, 1] - dv[:, :-1, 0] * du[:-1, :, 1]
+    assert share(turn) > 0.95
+    inner, outer = (np.nanmean(uv[..., 1][(radius > a) & (radius < b)]) for a, b in ((0.4, 0.7), (1.3, 1.6)))
+    assert outer > inner + 0.3
+
+
+def letter(path: Path) -> np.ndarray:
+    """Write an R, white on black; return it, top row first."""
+    image = Image.new("L", (64, 64), 0)
+    draw = ImageDraw.Draw(image)
+    draw.rectangle((18, 10, 25, 54), fill=255)
+    draw.rectangle((18, 10, 44, 17), fill=255)
+    draw.rectangle((18, 28, 44, 35), fill=255)
+    draw.rectangle((38, 10, 45, 35), fill=255)
+    draw.line((26, 34, 44, 54), fill=255, width=8)
+    image.save(path)
+    return np.asarray(image, dtype=float)
+
+
+def turnings(image: np.ndarray) -> list[np.ndarray]:
+    """The eight ways to lay a square picture down; as drawn first."""
+    quarter = [np.rot90(image, k) for k in range(4)]
+    return quarter + [np.fliplr(q) for q in quarter]
+
+
+def brightness(material: Any, **options: Any) -> np.ndarray:
+    result = nacre.render.render(material, spp=16, exposure=0.0, **options)
+    return np.asarray(result.xyz[..., 1])
+
+
+def tile_scene(path: Path) -> Scene:
+    """A square that stands in the plane x-y of a y-up file and faces +z, where the camera is."""
+    from nacre.picture.built_scene import with_subject
+
+    path.write_text(
+        "v -1 0 0\nv 1 0 0\nv 1 2 0\nv -1 2 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\n"
+        "f 1/1/1 2/2/1 3/3/1\nf 1/1/1 3/3/1 4/4/1\n"
+    )
+    scene = SCENES["sphere"]
+    return with_subject(scene, lambda: subject_parts(path, scene))
+
+
+@pytest.mark.parametrize("name", ["sphere", "panel", "knob", "tile.obj"])
+def test_a_letter_r_reads_as_drawn_on(tmp_path: Path, name: str) -> None:
+    """Of the eight ways to lay the letter on what the camera sees of u and v, as drawn is the picture."""
+    drawn = letter(tmp_path / "r.png")
+    mesh = tmp_path / name if name.endswith(".obj") else None
+    scene = tile_scene(mesh) if mesh else SCENES[name]
+    count = 64
+    uv, _ = seen(scene, count)
+    inside = np.isfinite(uv[..., 0])
+    column, row = (np.clip((t * 64).astype(int), 0, 63) for t in (uv[inside][:, 0], 1 - uv[inside][:, 1]))
+    # an absorbing layer of germanium darkens the silver where the letter is bright
+    pictures = []
+    for thickness in ({"texture": str(tmp_path / "r.png"), "min": 0, "max": 40}, 0):
+        layer = {"material": "Ge", "thickness_nm": thickness}
+        recipe = {"family": "film", "substrate": "Ag", "layers": [layer], "surface": {"roughness": 0.5}}
+        where = {"scene": "sphere", "shape": mesh} if mesh else {"scene": name}
+        pictures.append(brightness(nacre.material(recipe), **where, size=(count, count), light="sky"))
+    darkening = 1 - pictures[0][inside] / pictures[1][inside]
+    likeness = [np.corrcoef(way[row, column], darkening)[0, 1] for way in turnings(drawn)]
+    assert np.argmax(likeness) == 0, likeness
+    assert likeness[0] > 0.8
+
+
+def test_a_formula_of_v_darkens_the_top_of_the_sphere() -> None:
+    pictures = []
+    for thickness in ({"formula": "40*clip((v - 0.5)*100, 0, 1)"}, 0):
+        layer = {"material": "Ge", "thickness_nm": thickness}
+        material = nacre.material({"family": "film", "substrate": "Ag", "layers": [layer]})
+        pictures.append(brightness(material, scene="sphere", size=(48, 48), light="sky"))
+    ratio = pictures[0] / pictures[1]
+    assert ratio[12:20, 20:28].max() < 0.9 < ratio[34:38, 20:28].min()
+
+
+@pytest.mark.parametrize(("suffix", "axis"), [(".obj", 1), (".glb", 1), (".stl", 2), (".ply", 2), (".off", 2)])
+def test_each_format_is_read_with_its_own_axis_up(tmp_path: Path, suffix: str, axis: int) -> None:
+    """A cone whose tip points along one axis: the tip ends on top where that axis is up."""
+    import trimesh
+
+    for tip, up in ((axis, None), (0, "x"), (1, "y"), (2, "z")):
+        cone = trimesh.creation.cone(radius=0.3, height=2.0)  # along z
+        vertices = np.roll(cone.vertices, tip - 2, axis=1)  # cyclic, so that the faces keep looking outward
+        path = tmp_path / f"cone{tip}{suffix}"
+        trimesh.Trimesh(vertices, cone.faces).export(path)
+        surface = stand_on_floor(read_mesh(path, up), SCENES["sphere"])
+        top = surface.vertices[np.argmax(surface.vertices[:, 2])]
+        assert np.hypot(*top[:2]) < 1e-3 * top[2]
+        assert (surface.normals[:, 2] < -0.5).any()  # the base looks down
+
+
+def test_an_upward_axis_without_a_mesh_is_refused(tmp_path: Path) -> None:
+    for options, what in (({"up": "y"}, "shape"), ({"up": "w", "shape": tmp_path / "a.obj"}, "x, y, z"),
+                          ({"up": "y", "shape": "knob"}, "mesh files")):  # fmt: skip
+        with pytest.raises(NacreError, match=what):
+            nacre.render.render({"type": "diffuse"}, size=(8, 8), spp=1, **options)
+
+
+def bodies() -> dict[str, Any]:
+    import trimesh
+
+    far = trimesh.creation.icosphere(radius=0.5)
+    far.apply_translation([300.0, -200.0, 100.0])
+    kilometres = trimesh.creation.box(extents=(2e6, 1e6, 1.5e6))
+    return {
+        "rod": trimesh.creation.cylinder(radius=0.5, height=20.0),
+        "lying rod": trimesh.creation.box(extents=(20.0, 1.0, 1.0)),
+        "flat ring": trimesh.creation.annulus(r_min=1.0, r_max=2.0, height=1e-3),
+        "far off": far,
+        "kilometres": kilometres,
+    }
+
+
+@pytest.mark.parametrize("name", ["rod", "lying rod", "flat ring", "far off", "kilometres"])
+@pytest.mark.parametrize("scene", ["sphere", "body"])
+def test_any_mesh_fits_the_frame(tmp_path: Path, name: str, scene: str) -> None:
+    from nacre.picture.built_scene import with_subject
+
+    path = tmp_path / "mesh.stl"
+    bodies()[name].export(path)
+    chosen = SCENES[scene]
+    uv, _ = seen(with_subject(chosen, lambda: subject_parts(path, chosen)))
+    inside = np.isfinite(uv[..., 0])
+    assert inside.sum() >= 50
+    border = np.concatenate([inside[0], inside[-1], inside[:, 0], inside[:, -1]])
+    assert not border.any()
+    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    assert max(np.ptp(rows), np.ptp(columns)) >= 0.33 * len(inside)  # and is not lost in it
