@@ -5,15 +5,12 @@ from __future__ import annotations
 import importlib
 import types
 import typing
-from pathlib import Path
 from typing import Any, Literal
 
 import pydantic
 
 from nacre.recipe.model import RecipeModel
 
-# the meaning of a key where its name does not say it all; a test keeps the paths true
-MEANINGS_FILE = Path(__file__).parent / "meanings.toml"
 # files beside recipes: what reads them
 OTHER_FILES = {"Target of a design": "nacre.design.spec:TargetSpec", "Sweep": "nacre.study.plan:SweepSpec"}
 SHARED = {"IndexSpec": "an optical constant", "TextureSpec": "a value that varies over the surface"}
@@ -33,14 +30,6 @@ def load(path: str) -> type[RecipeModel]:
     return model
 
 
-def meanings() -> dict[str, str]:
-    """Return the meanings: `Model.key` -> sentence."""
-    import tomllib
-
-    tables = tomllib.loads(MEANINGS_FILE.read_text(encoding="utf-8"))
-    return {f"{model}.{key}": text for model, keys in tables.items() for key, text in keys.items()}
-
-
 def models_below(model: type[pydantic.BaseModel]) -> list[type[pydantic.BaseModel]]:
     """Return a model and all models inside it, in the order of their first use."""
     found = [model]
@@ -54,7 +43,6 @@ def models_below(model: type[pydantic.BaseModel]) -> list[type[pydantic.BaseMode
 
 def page() -> str:
     """Return the page of all keys."""
-    said = meanings()
     lines = [
         "# File keys", "",
         "Made from the models that read the files. A key that ends in `_nm` is a length and may be written with `_um` "
@@ -66,24 +54,23 @@ def page() -> str:
         top = load(path)
         lines += [f"## {title}", ""]
         for model in models_below(top):
-            lines += _table(model, top, said)
+            lines += _table(model, top)
     lines += ["## Shared forms", ""]
     from nacre.bsdf.texture_spec import TextureSpec
     from nacre.matter.indices.spec import IndexSpec
 
     for shared in (IndexSpec, TextureSpec):
         for model in models_below(shared):
-            lines += _table(model, None, said)
+            lines += _table(model, None)
     return "\n".join(lines)
 
 
-def _table(model: type[pydantic.BaseModel], top: type[pydantic.BaseModel] | None, said: dict[str, str]) -> list[str]:
+def _table(model: type[pydantic.BaseModel], top: type[pydantic.BaseModel] | None) -> list[str]:
     lines = [] if model is top else [f"### {_title(model)}", ""]
     lines += [_plain(model.__doc__ or ""), "", "| key | value | default | |", "|---|---|---|---|"]
     for name, field in model.model_fields.items():
         default = "required" if field.is_required() else _default(field.get_default(call_default_factory=True))
-        meaning = said.get(f"{model.__name__}.{name}", "")
-        lines.append(f"| `{field.alias or name}` | {_limits(field)} | {default} | {_plain(meaning)} |")
+        lines.append(f"| `{field.alias or name}` | {_limits(field)} | {default} | {_plain(field.description or "")} |")
     return [*lines, ""]
 
 

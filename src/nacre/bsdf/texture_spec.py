@@ -27,10 +27,14 @@ class TextureSpec(RecipeModel):
     clipped to min and max where they are given.
     """
 
-    texture: str | None = None
-    formula: str | None = None
-    min: float | None = None
-    max: float | None = None
+    texture: str | None = pydantic.Field(
+        default=None, description="an image beside the recipe, 8 or 16 bit, read as grey"
+    )
+    formula: str | None = pydantic.Field(
+        default=None, description="an expression of the surface's coordinates u and v, each from 0 to 1"
+    )
+    min: float | None = pydantic.Field(default=None, description="value of the image's black; lower clip of a formula")
+    max: float | None = pydantic.Field(default=None, description="value of the image's white; upper clip of a formula")
 
     @pydantic.model_validator(mode="after")
     def _one_of_two(self) -> TextureSpec:

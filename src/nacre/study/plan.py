@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import pydantic
+
 from nacre.errors import NacreError, RecipeError
 from nacre.files import read_text
 from nacre.materials.material import Material, load
@@ -20,22 +22,30 @@ from nacre.study.sweep_values import PARTS, Measurement
 class MeasureSpec(RecipeModel):
     """The `[measure]` table: what is stored of each point."""
 
-    angles_deg: list[float] = [0.0, 15.0, 30.0, 45.0, 60.0]
-    illuminant: str = "D65"
-    observer: str = "2deg"
-    wavelengths_nm: list[float] | None = None
-    parts: list[str] | None = None
+    angles_deg: list[float] = pydantic.Field(default=[0.0, 15.0, 30.0, 45.0, 60.0], description="angles of incidence")
+    illuminant: str = pydantic.Field(default="D65", description="illuminant of the colours, such as D65 or A")
+    observer: str = pydantic.Field(default="2deg", description="observer of the colours: 2deg or 10deg")
+    wavelengths_nm: list[float] | None = pydantic.Field(
+        default=None, description="ascending grid of wavelengths; chosen by the material if not given"
+    )
+    parts: list[str] | None = pydantic.Field(
+        default=None,
+        description="parts of the spectrum to store, such as specular_reflectance; chosen by the material if not given",
+    )
 
 
 class SweepSpec(RecipeModel):
     """A sweep file: a recipe, the axes, how to fill them, what to measure."""
 
-    recipe: str
-    axes: dict[str, Any]
-    mode: str = "grid"
-    count: int = 256
-    seed: int = 0
-    measure: MeasureSpec = MeasureSpec()
+    recipe: str = pydantic.Field(description="file of the recipe to vary")
+    axes: dict[str, Any] = pydantic.Field(
+        description="path of a number of the recipe -> a list of values, or a table with start, stop and "
+        "count (or step), or low and high, and log"
+    )
+    mode: str = pydantic.Field(default="grid", description="how the axes are filled: grid, random or sobol")
+    count: int = pydantic.Field(default=256, description="number of points of random and sobol sweeps")
+    seed: int = pydantic.Field(default=0, description="seed of the points")
+    measure: MeasureSpec = pydantic.Field(default=MeasureSpec(), description="what is stored of each point")
 
 
 @dataclass(frozen=True)

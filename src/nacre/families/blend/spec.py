@@ -21,7 +21,7 @@ from nacre.recipe.model import RecipeContext, RecipeModel
 class PartSpec(RecipeModel):
     """A material of the blend: another recipe."""
 
-    recipe: str
+    recipe: str = pydantic.Field(description="file of the recipe of this part")
 
 
 class BlendSpec(RecipeModel):
@@ -29,10 +29,12 @@ class BlendSpec(RecipeModel):
 
     varies: ClassVar[str] = "mask"
 
-    family: Literal["blend"]
-    first: PartSpec
-    second: PartSpec
-    mask: NumberOrTexture
+    family: Literal["blend"] = pydantic.Field(description="the family's name")
+    first: PartSpec = pydantic.Field(description="the material shown where the mask is 1")
+    second: PartSpec = pydantic.Field(description="the material shown where the mask is 0")
+    mask: NumberOrTexture = pydantic.Field(
+        description="share of the first material, from 0 to 1; usually a texture or formula"
+    )
 
     @pydantic.model_validator(mode="after")
     def _mask_is_a_share(self) -> BlendSpec:

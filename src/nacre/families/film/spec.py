@@ -74,19 +74,34 @@ Width = Annotated[
 class LayerSpec(RecipeModel):
     """One layer: a material, a thickness that may vary over the surface, and whether it is too thick to interfere."""
 
-    material: IndexSpec
-    thickness_nm: Thickness
-    incoherent: bool = False
+    material: IndexSpec = pydantic.Field(description="what the layer is made of")
+    thickness_nm: Thickness = pydantic.Field(
+        description="geometric thickness; a texture or formula lets it vary over the surface"
+    )
+    incoherent: bool = pydantic.Field(
+        default=False, description="the layer is too thick to interfere with itself, such as a pane or a varnish"
+    )
 
 
 class SurfaceSpec(RecipeModel):
     """Roughness: a distribution and its width, as alpha or as exponents e = 2/alpha^2 - 2."""
 
-    distribution: Literal["ggx", "beckmann", "blinn", "ashikhmin-shirley"] = "ggx"
-    roughness: Width = 0.0
-    exponent: float | tuple[float, ...] | None = None
-    rotation_deg: NumberOrTexture = 0.0
-    compensate: bool = False
+    distribution: Literal["ggx", "beckmann", "blinn", "ashikhmin-shirley"] = pydantic.Field(
+        default="ggx", description="distribution of the normals of the surface's facets"
+    )
+    roughness: Width = pydantic.Field(
+        default=0.0, description="alpha of that distribution, or [alpha_x, alpha_y] for a brushed surface; 0 is smooth"
+    )
+    exponent: float | tuple[float, ...] | None = pydantic.Field(
+        default=None,
+        description="exponent e of the distribution, or [e_x, e_y], in place of roughness: e = 2/alpha^2 - 2",
+    )
+    rotation_deg: NumberOrTexture = pydantic.Field(
+        default=0.0, description="direction of brushing: turns alpha_x from the x axis of the surface"
+    )
+    compensate: bool = pydantic.Field(
+        default=False, description="give back the light that facets scatter among each other"
+    )
 
     @pydantic.model_validator(mode="after")
     def _one_width(self) -> SurfaceSpec:
@@ -127,13 +142,25 @@ class SurfaceSpec(RecipeModel):
 class RidgesSpec(RecipeModel):
     """Ridges of lamellae along y, as on a Morpho scale."""
 
-    pitch_nm: Annotated[float, pydantic.Field(gt=0.0, le=1e5)]
-    width_nm: Annotated[float, pydantic.Field(gt=0.0, le=1e5)]
-    height_deviation_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e4)]
-    count: Annotated[int, pydantic.Field(ge=1, le=200)] = 7
-    along_deviation_deg: Annotated[float, pydantic.Field(ge=0.1, le=30.0)] = 4.0
-    fill: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = 1.0
-    rotation_deg: NumberOrTexture = 0.0
+    pitch_nm: Annotated[float, pydantic.Field(gt=0.0, le=1e5)] = pydantic.Field(
+        description="distance from ridge to ridge, across them"
+    )
+    width_nm: Annotated[float, pydantic.Field(gt=0.0, le=1e5)] = pydantic.Field(
+        description="width of one ridge, at most the pitch"
+    )
+    height_deviation_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e4)] = pydantic.Field(
+        description="standard deviation of the ridges' heights: 0 makes a grating, a quarter wave a broad fan"
+    )
+    count: Annotated[int, pydantic.Field(ge=1, le=200)] = pydantic.Field(
+        default=7, description="number of neighbouring ridges that are lit coherently"
+    )
+    along_deviation_deg: Annotated[float, pydantic.Field(ge=0.1, le=30.0)] = pydantic.Field(
+        default=4.0, description="standard deviation of the fan of light along the ridges"
+    )
+    fill: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = pydantic.Field(
+        default=1.0, description="share of the area that the ridges cover"
+    )
+    rotation_deg: NumberOrTexture = pydantic.Field(default=0.0, description="turns the ridges in the surface")
 
     @pydantic.model_validator(mode="after")
     def _width_fits(self) -> RidgesSpec:
@@ -157,15 +184,23 @@ class RidgesSpec(RecipeModel):
 class BaseSpec(RecipeModel):
     """A diffuse ground inside the substrate, under the film (under the ridges: what they leave lights it)."""
 
-    albedo: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = 0.0
+    albedo: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = pydantic.Field(
+        default=0.0, description="share of the light that the diffuse ground sends back"
+    )
 
 
 class WavelengthsSpec(RecipeModel):
     """The wavelength grid, where the rule's choice is not wanted."""
 
-    min_nm: Annotated[float, pydantic.Field(ge=100.0, le=1e5)] = 360.0
-    max_nm: Annotated[float, pydantic.Field(ge=100.0, le=1e5)] = 830.0
-    step_nm: Annotated[float, pydantic.Field(ge=0.01, le=50.0)] | None = None
+    min_nm: Annotated[float, pydantic.Field(ge=100.0, le=1e5)] = pydantic.Field(
+        default=360.0, description="first wavelength of the grid"
+    )
+    max_nm: Annotated[float, pydantic.Field(ge=100.0, le=1e5)] = pydantic.Field(
+        default=830.0, description="last wavelength of the grid"
+    )
+    step_nm: Annotated[float, pydantic.Field(ge=0.01, le=50.0)] | None = pydantic.Field(
+        default=None, description="step of the grid; chosen by the optical thickness if not given"
+    )
 
     @pydantic.model_validator(mode="after")
     def _ascends(self) -> WavelengthsSpec:
@@ -197,17 +232,30 @@ class FilmSpec(RecipeModel):
     varies: ClassVar[str] = "layers[].thickness_nm, surface.roughness, surface.rotation_deg"
     varies_by_nodes: ClassVar[tuple[str, ...]] = ("base.albedo",)
 
-    family: Literal["film"] = "film"
-    title: str = ""
-    preset: Literal["morpho"] | None = None
-    ambient: IndexSpec = IndexSpec.model_validate("air")
-    substrate: IndexSpec
-    layers: tuple[LayerSpec, ...] = pydantic.Field(default=(), max_length=MAX_LAYERS)
-    surface: SurfaceSpec = SurfaceSpec()
-    ridges: RidgesSpec | None = None
-    base: BaseSpec = BaseSpec()
-    wavelengths: WavelengthsSpec = WavelengthsSpec()
-    extrapolate: Literal["error", "edge"] = "error"
+    family: Literal["film"] = pydantic.Field(default="film", description="the family's name")
+    title: str = pydantic.Field(default="", description="a title for figures")
+    preset: Literal["morpho"] | None = pydantic.Field(
+        default=None, description="fills in the Morpho wing; keys that are given win"
+    )
+    ambient: IndexSpec = pydantic.Field(
+        default=IndexSpec.model_validate("air"), description="medium above the film, where the light comes from"
+    )
+    substrate: IndexSpec = pydantic.Field(
+        description="medium below the layers; equal to the ambient: a free film; clear: the material transmits"
+    )
+    layers: tuple[LayerSpec, ...] = pydantic.Field(
+        default=(), max_length=MAX_LAYERS, description="the layers, from the light's side inward"
+    )
+    surface: SurfaceSpec = pydantic.Field(default=SurfaceSpec(), description="roughness, which all layers follow")
+    ridges: RidgesSpec | None = pydantic.Field(default=None, description="ridges of lamellae, in place of roughness")
+    base: BaseSpec = pydantic.Field(default=BaseSpec(), description="a diffuse ground under the film")
+    wavelengths: WavelengthsSpec = pydantic.Field(
+        default=WavelengthsSpec(), description="the grid of wavelengths, where the film's own choice is not wanted"
+    )
+    extrapolate: Literal["error", "edge"] = pydantic.Field(
+        default="error",
+        description="outside the tabulated range of an optical constant: refuse, or hold the end values",
+    )
 
     @pydantic.model_validator(mode="before")
     @classmethod

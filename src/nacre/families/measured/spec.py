@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import pydantic
 
 from nacre.arrays import Array
 from nacre.bsdf import Bsdf
@@ -19,9 +20,9 @@ from nacre.recipe.model import RecipeContext, RecipeModel
 class MeasuredSpec(RecipeModel):
     """Keys of `family = "measured"`: a `.nacre` file, as `nacre import` writes it, and a scale."""
 
-    family: Literal["measured"]
-    file: str
-    scale: float = 1.0
+    family: Literal["measured"] = pydantic.Field(description="the family's name")
+    file: str = pydantic.Field(description="a .nacre file, as `nacre import` writes it")
+    scale: float = pydantic.Field(default=1.0, description="factor that multiplies the measured values")
 
     def build(self, context: RecipeContext) -> Measured:
         """Load the file.

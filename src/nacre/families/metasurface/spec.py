@@ -42,26 +42,38 @@ WIDEST_RELATIVE_SIZE = 0.3
 class LayerSpec(RecipeModel):
     """One layer of the stack."""
 
-    material: IndexSpec
-    thickness_nm: Annotated[float, pydantic.Field(ge=0.0, le=MAX_THICKNESS_NM)]
+    material: IndexSpec = pydantic.Field(description="what the layer is made of")
+    thickness_nm: Annotated[float, pydantic.Field(ge=0.0, le=MAX_THICKNESS_NM)] = pydantic.Field(
+        description="geometric thickness of the layer"
+    )
 
 
 class ShellSpec(RecipeModel):
     """A coating round the core; the outer radius is radius_nm plus this thickness."""
 
-    material: IndexSpec
-    thickness_nm: Annotated[float, pydantic.Field(gt=0.0, le=CORE_LIMIT_NM)]
+    material: IndexSpec = pydantic.Field(description="what the shell is made of")
+    thickness_nm: Annotated[float, pydantic.Field(gt=0.0, le=CORE_LIMIT_NM)] = pydantic.Field(
+        description="thickness of the shell, from the core's radius outward"
+    )
 
 
 class ParticleSpec(RecipeModel):
     """The spheres."""
 
-    material: IndexSpec
-    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=CORE_LIMIT_NM)]
-    deviation_nm: NotNegative = 0.0
-    distribution: Literal["gaussian", "lognormal"] = "gaussian"
-    gap_nm: NotNegative = 0.0
-    shell: ShellSpec | None = None
+    material: IndexSpec = pydantic.Field(description="what the core of a sphere is made of")
+    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=CORE_LIMIT_NM)] = pydantic.Field(
+        description="mean radius of the core"
+    )
+    deviation_nm: NotNegative = pydantic.Field(
+        default=0.0, description="standard deviation of the radius, at most 0.3 of it"
+    )
+    distribution: Literal["gaussian", "lognormal"] = pydantic.Field(
+        default="gaussian", description="shape of that spread"
+    )
+    gap_nm: NotNegative = pydantic.Field(
+        default=0.0, description="distance between the spheres and the stack below them"
+    )
+    shell: ShellSpec | None = pydantic.Field(default=None, description="a coat round the core")
 
     @pydantic.model_validator(mode="after")
     def _moderate_spread(self) -> ParticleSpec:
@@ -76,12 +88,22 @@ class ParticleSpec(RecipeModel):
 class StructureSpec(RecipeModel):
     """How the particles are arranged: a bare name, or a table with the name and its numbers."""
 
-    name: Literal["hard-disk", "rsa", "poisson-disk", "lattice"] | None = None
-    points: str | None = None
-    sq: str | None = None
-    lattice: Literal["square", "hexagonal"] = "hexagonal"
-    jitter: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = 0.1
-    seed: Annotated[int, pydantic.Field(ge=0, lt=2**32)] = 0
+    name: Literal["hard-disk", "rsa", "poisson-disk", "lattice"] | None = pydantic.Field(
+        default=None, description="kind of order; written alone it needs no table"
+    )
+    points: str | None = pydantic.Field(
+        default=None, description="in place of name: a file of the particles' positions"
+    )
+    sq: str | None = pydantic.Field(default=None, description="in place of name: a file of the structure factor S(q)")
+    lattice: Literal["square", "hexagonal"] = pydantic.Field(
+        default="hexagonal", description='the lattice that is jittered, for name = "lattice"'
+    )
+    jitter: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = pydantic.Field(
+        default=0.1, description="standard deviation of the jitter, in units of the lattice's constant"
+    )
+    seed: Annotated[int, pydantic.Field(ge=0, lt=2**32)] = pydantic.Field(
+        default=0, description="seed of the random pattern"
+    )
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -112,10 +134,20 @@ class StructureSpec(RecipeModel):
 class MonolayerSpec(RecipeModel):
     """Density and order of the particles."""
 
-    coverage: Positive | None = None
-    density_per_um2: Positive | None = None
-    packing: Positive | None = None
-    structure: StructureSpec = StructureSpec(name="hard-disk")
+    coverage: Positive | None = pydantic.Field(
+        default=None, description="share of the area that the particles cover: f = density pi r^2"
+    )
+    density_per_um2: Positive | None = pydantic.Field(
+        default=None, description="in place of coverage: number of particles in a square micrometre"
+    )
+    packing: Positive | None = pydantic.Field(
+        default=None,
+        description="order of the particles: p = density pi a^2 / 4 with a the least distance of centres; "
+        "without it p = f",
+    )
+    structure: StructureSpec = pydantic.Field(
+        default=StructureSpec(name="hard-disk"), description="kind of order: a name, or a table that leads to a file"
+    )
 
     @pydantic.model_validator(mode="after")
     def _one_density(self) -> MonolayerSpec:
@@ -136,10 +168,20 @@ class MonolayerSpec(RecipeModel):
 class ModelSpec(RecipeModel):
     """The model, where its own choice is not wanted."""
 
-    multipole_order: Annotated[int, pydantic.Field(ge=1, le=60)] | None = None
-    tolerance: Annotated[float, pydantic.Field(ge=1e-5, le=LOOSEST_TOLERANCE)] | None = None
-    interaction_order: Annotated[int, pydantic.Field(ge=1, le=4)] = 3
-    correction: Literal["qca-balanced", "gv-balanced", "optical-depth", "in-only", "in-out", "none"] = "qca-balanced"
+    multipole_order: Annotated[int, pydantic.Field(ge=1, le=60)] | None = pydantic.Field(
+        default=None, description="highest multipole of one sphere; chosen by convergence if not given"
+    )
+    tolerance: Annotated[float, pydantic.Field(ge=1e-5, le=LOOSEST_TOLERANCE)] | None = pydantic.Field(
+        default=None,
+        description="largest change of a sphere's far field when its order is doubled; beyond, the material "
+        "is refused; without it 0.001 is aimed at and up to 0.01 taken with a warning",
+    )
+    interaction_order: Annotated[int, pydantic.Field(ge=1, le=4)] = pydantic.Field(
+        default=3, description="highest multipole that neighbouring spheres exchange"
+    )
+    correction: Literal["qca-balanced", "gv-balanced", "optical-depth", "in-only", "in-out", "none"] = pydantic.Field(
+        default="qca-balanced", description="how the balance C between neighbouring spheres is taken into account"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,15 +213,24 @@ class MetasurfaceSpec(RecipeModel):
         "layers[].thickness_nm",
     )
 
-    family: Literal["metasurface"] = "metasurface"
-    title: str = ""
-    ambient: IndexSpec = IndexSpec.model_validate("air")
-    substrate: IndexSpec
-    layers: tuple[LayerSpec, ...] = pydantic.Field(default=(), max_length=50)
-    particle: ParticleSpec
-    monolayer: MonolayerSpec
-    model: ModelSpec = ModelSpec()
-    extrapolate: Literal["error", "edge"] = "error"
+    family: Literal["metasurface"] = pydantic.Field(default="metasurface", description="the family's name")
+    title: str = pydantic.Field(default="", description="a title for figures")
+    ambient: IndexSpec = pydantic.Field(
+        default=IndexSpec.model_validate("air"), description="clear medium above, where the light comes from"
+    )
+    substrate: IndexSpec = pydantic.Field(description="medium below the layers: denser than the ambient, or absorbing")
+    layers: tuple[LayerSpec, ...] = pydantic.Field(
+        default=(), max_length=50, description="layers between the particles and the substrate, from the top"
+    )
+    particle: ParticleSpec = pydantic.Field(description="the spheres")
+    monolayer: MonolayerSpec = pydantic.Field(description="density and order of the spheres")
+    model: ModelSpec = pydantic.Field(
+        default=ModelSpec(), description="details of the computation, where its own choice is not wanted"
+    )
+    extrapolate: Literal["error", "edge"] = pydantic.Field(
+        default="error",
+        description="outside the tabulated range of an optical constant: refuse, or hold the end values",
+    )
 
     def build(self, context: RecipeContext) -> MetasurfaceModel:
         """Return the material.

@@ -54,12 +54,20 @@ Deviation = Annotated[float | tuple[float, ...], pydantic.BeforeValidator(_devia
 class ThicknessKeys(RecipeModel):
     """A thickness and how it varies over the flakes."""
 
-    thickness_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e5)] | None = None
-    deviation_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e5)] = 0.0
-    distribution: Literal["gaussian", "truncated", "lognormal"] = "gaussian"
-    min_nm: NotNegative = 0.0
-    max_nm: Positive | None = None
-    histogram: str | None = None
+    thickness_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e5)] | None = pydantic.Field(
+        default=None, description="geometric thickness, the mean over the flakes"
+    )
+    deviation_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e5)] = pydantic.Field(
+        default=0.0, description="standard deviation of the thickness over the flakes"
+    )
+    distribution: Literal["gaussian", "truncated", "lognormal"] = pydantic.Field(
+        default="gaussian", description="shape of that spread"
+    )
+    min_nm: NotNegative = pydantic.Field(default=0.0, description="lower bound of a truncated spread")
+    max_nm: Positive | None = pydantic.Field(default=None, description="upper bound of a truncated spread")
+    histogram: str | None = pydantic.Field(
+        default=None, description="in place of thickness_nm: a file of two columns, thickness in nm and share"
+    )
 
     @pydantic.model_validator(mode="after")
     def _one_form(self) -> ThicknessKeys:
@@ -93,19 +101,33 @@ class ThicknessKeys(RecipeModel):
 class LayerSpec(ThicknessKeys):
     """A layer of a flake."""
 
-    material: IndexSpec
+    material: IndexSpec = pydantic.Field(description="what the layer is made of")
 
 
 class PlateletSpec(RecipeModel):
     """One kind of platelet. Without `coatings` or without `substrate` it is free: a single layer."""
 
-    volume_fraction: float
-    substrate: LayerSpec | None = None
-    coatings: tuple[LayerSpec, ...] = pydantic.Field(default=(), max_length=MAX_COATINGS)
-    lower_coatings: tuple[LayerSpec, ...] | None = pydantic.Field(default=None, max_length=MAX_COATINGS)
-    normal_deviation: Deviation = 0.1
-    rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    diameter_um: Positive | None = None
+    volume_fraction: float = pydantic.Field(description="share of the stratum's volume that these flakes fill")
+    substrate: LayerSpec | None = pydantic.Field(default=None, description="the core of the flake")
+    coatings: tuple[LayerSpec, ...] = pydantic.Field(
+        default=(),
+        max_length=MAX_COATINGS,
+        description="coatings from the outermost inward, on both faces of the flake",
+    )
+    lower_coatings: tuple[LayerSpec, ...] | None = pydantic.Field(
+        default=None,
+        max_length=MAX_COATINGS,
+        description="other coatings for the lower face, from the outermost inward",
+    )
+    normal_deviation: Deviation = pydantic.Field(
+        default=0.1, description="SGGX roughness of the flakes' normals, or [x, y]: 0 would lay all flat"
+    )
+    rotation_deg: tuple[float, float, float] = pydantic.Field(
+        default=(0.0, 0.0, 0.0), description="turns the flakes' mean normal, about x, y and z"
+    )
+    diameter_um: Positive | None = pydantic.Field(
+        default=None, description="median diameter of a flake's face; glints need it"
+    )
 
     @pydantic.model_validator(mode="after")
     def _check(self) -> PlateletSpec:
@@ -144,12 +166,20 @@ class PlateletSpec(RecipeModel):
 class DyeSpec(RecipeModel):
     """Dye: `material`, or `file` with n and k; with `radius_nm` it is particles that scatter."""
 
-    material: IndexSpec | None = None
-    file: str | None = None
-    volume_fraction: Annotated[float, pydantic.Field(gt=0.0, le=0.3)]
-    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=2e4)] | None = None
-    deviation_nm: NotNegative = 0.0
-    distribution: Literal["gaussian", "lognormal"] = "gaussian"
+    material: IndexSpec | None = pydantic.Field(default=None, description="optical constant of the dye")
+    file: str | None = pydantic.Field(
+        default=None, description="in place of material: a table of wavelength in nm, n and k"
+    )
+    volume_fraction: Annotated[float, pydantic.Field(gt=0.0, le=0.3)] = pydantic.Field(
+        description="share of the stratum's volume that the dye fills"
+    )
+    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=2e4)] | None = pydantic.Field(
+        default=None, description="radius of the dye's particles, which then scatter; without it the dye only absorbs"
+    )
+    deviation_nm: NotNegative = pydantic.Field(default=0.0, description="standard deviation of the radius")
+    distribution: Literal["gaussian", "lognormal"] = pydantic.Field(
+        default="gaussian", description="shape of that spread"
+    )
 
     _index: OpticalConstant = pydantic.PrivateAttr()
 
@@ -174,13 +204,23 @@ class DyeSpec(RecipeModel):
 class StratumSpec(RecipeModel):
     """A layer of resin; `roughness` is that of its upper interface."""
 
-    resin: IndexSpec
-    thickness_nm: float
-    roughness: Widths = 0.0
-    distribution: Literal["ggx", "beckmann"] = "ggx"
-    compensate: bool = False
-    platelets: tuple[PlateletSpec, ...] = pydantic.Field(default=(), max_length=MAX_KINDS)
-    dye: DyeSpec | None = None
+    resin: IndexSpec = pydantic.Field(description="the medium in which the flakes lie")
+    thickness_nm: float = pydantic.Field(description="thickness of the stratum, usually written with _um")
+    roughness: Widths = pydantic.Field(
+        default=0.0, description="alpha of the stratum's upper interface, or [alpha_x, alpha_y]; 0 is smooth"
+    )
+    distribution: Literal["ggx", "beckmann"] = pydantic.Field(
+        default="ggx", description="distribution of that interface's facet normals"
+    )
+    compensate: bool = pydantic.Field(
+        default=False, description="give back the light that facets of the interface scatter among each other"
+    )
+    platelets: tuple[PlateletSpec, ...] = pydantic.Field(
+        default=(), max_length=MAX_KINDS, description="the kinds of flakes (pigments) in this stratum"
+    )
+    dye: DyeSpec | None = pydantic.Field(
+        default=None, description="absorbing, or absorbing and scattering, matter in the resin"
+    )
 
     @pydantic.model_validator(mode="after")
     def _check(self) -> StratumSpec:
@@ -210,10 +250,18 @@ class GlintsSpec(RecipeModel):
     `surface_mm` is the length on the object of one unit of its texture coordinates, or of [u, v].
     """
 
-    surface_mm: Positive | tuple[Positive, Positive]
-    diameter_spread: Annotated[float, pydantic.Field(ge=0.0, le=0.6)] = 0.3
-    flatness_deg: Annotated[float, pydantic.Field(ge=0.05, le=20.0)] = 0.5
-    seed: Annotated[int, pydantic.Field(ge=0, lt=1 << 24)] = 0
+    surface_mm: Positive | tuple[Positive, Positive] = pydantic.Field(
+        description="length on the object of one unit of its texture coordinates, or of [u, v]"
+    )
+    diameter_spread: Annotated[float, pydantic.Field(ge=0.0, le=0.6)] = pydantic.Field(
+        default=0.3, description="standard deviation of the logarithm of the flakes' diameters"
+    )
+    flatness_deg: Annotated[float, pydantic.Field(ge=0.05, le=20.0)] = pydantic.Field(
+        default=0.5, description="standard deviation of the normal over one flake"
+    )
+    seed: Annotated[int, pydantic.Field(ge=0, lt=1 << 24)] = pydantic.Field(
+        default=0, description="seed of the flakes' places; another one lays them elsewhere"
+    )
 
     def build(self, upper: Stratum, context: RecipeContext) -> Glints:
         """Return the glints of the uppermost stratum.
@@ -233,19 +281,32 @@ class GlintsSpec(RecipeModel):
 class AlbedoSpec(RecipeModel):
     """A coloured base: a file of two columns, wavelength in nm and albedo."""
 
-    file: str
+    file: str = pydantic.Field(description="a file of two columns: wavelength in nm and albedo")
 
 
 class BaseSpec(RecipeModel):
     """What lies below: a diffuse albedo, a metal, another opaque recipe of any family, or nothing."""
 
-    albedo: Albedo | AlbedoSpec | None = None
-    material: IndexSpec | None = None
-    recipe: str | None = None
-    none: bool = False
-    roughness: Widths = 0.0
-    distribution: Literal["ggx", "beckmann"] = "ggx"
-    compensate: bool = False
+    albedo: Albedo | AlbedoSpec | None = pydantic.Field(
+        default=None,
+        description="share of the light that a diffuse ground sends back, or a file of it over the wavelength",
+    )
+    material: IndexSpec | None = pydantic.Field(default=None, description="a metal ground, in place of a diffuse one")
+    recipe: str | None = pydantic.Field(
+        default=None,
+        description="another opaque recipe of any family as the ground; without an ambient of its own it is "
+        "built in the resin",
+    )
+    none: bool = pydantic.Field(default=False, description="nothing lies below: light passes")
+    roughness: Widths = pydantic.Field(
+        default=0.0, description="alpha of the metal, or [alpha_x, alpha_y]; 0 is smooth"
+    )
+    distribution: Literal["ggx", "beckmann"] = pydantic.Field(
+        default="ggx", description="distribution of the metal's facet normals"
+    )
+    compensate: bool = pydantic.Field(
+        default=False, description="give back the light that facets of the metal scatter among each other"
+    )
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -302,12 +363,19 @@ class PearlSpec(RecipeModel):
         "base.roughness",
     )
 
-    family: Literal["pearl"] = "pearl"
-    title: str = ""
-    quality: Literal["reference", "fast"] = "reference"
-    strata: tuple[StratumSpec, ...] = pydantic.Field(min_length=1, max_length=MAX_STRATA)
-    base: BaseSpec = BaseSpec()
-    glints: GlintsSpec | None = None
+    family: Literal["pearl"] = pydantic.Field(default="pearl", description="the family's name")
+    title: str = pydantic.Field(default="", description="a title for figures")
+    quality: Literal["reference", "fast"] = pydantic.Field(
+        default="reference",
+        description="reference: the random walk; fast: noise-free tables with a stated error where they can be made",
+    )
+    strata: tuple[StratumSpec, ...] = pydantic.Field(
+        min_length=1, max_length=MAX_STRATA, description="layers of resin, from the light's side inward"
+    )
+    base: BaseSpec = pydantic.Field(default=BaseSpec(), description="what lies below the last stratum")
+    glints: GlintsSpec | None = pydantic.Field(
+        default=None, description="single flakes of the uppermost stratum, seen one by one"
+    )
 
     def build(self, context: RecipeContext) -> Pearl:
         """Return the material.

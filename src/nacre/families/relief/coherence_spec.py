@@ -16,8 +16,12 @@ LARGEST_SOURCE_ANGLE_DEG = 90.0
 class CoherenceSpec(RecipeModel):
     """Either `sigma` (um at 0.5 um, as published) or `source_angle_deg`, the full angle of a uniform lamp."""
 
-    sigma: Annotated[float, pydantic.Field(gt=0.0, le=1e4)] | None = None
-    source_angle_deg: Annotated[float, pydantic.Field(gt=0.0, le=LARGEST_SOURCE_ANGLE_DEG)] | None = None
+    sigma: Annotated[float, pydantic.Field(gt=0.0, le=1e4)] | None = pydantic.Field(
+        default=None, description="width of the window of coherence in um, at a wavelength of 0.5 um"
+    )
+    source_angle_deg: Annotated[float, pydantic.Field(gt=0.0, le=LARGEST_SOURCE_ANGLE_DEG)] | None = pydantic.Field(
+        default=None, description="in place of sigma: full angle under which a uniform lamp is seen"
+    )
 
     @pydantic.model_validator(mode="after")
     def _exactly_one(self) -> CoherenceSpec:

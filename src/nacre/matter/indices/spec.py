@@ -30,24 +30,28 @@ Positive = Annotated[float, pydantic.Field(gt=0.0)]
 class DrudeSpec(RecipeModel):
     """Free carriers: eps = eps_inf - plasma^2 / (E^2 + i E damping), energies in eV."""
 
-    plasma_ev: Positive
-    damping_ev: NotNegative = 0.0
-    eps_inf: Positive = 1.0
+    plasma_ev: Positive = pydantic.Field(description="plasma energy of the free carriers, in eV")
+    damping_ev: NotNegative = pydantic.Field(default=0.0, description="collision energy of the free carriers, in eV")
+    eps_inf: Positive = pydantic.Field(default=1.0, description="permittivity of the background")
 
 
 class OscillatorSpec(RecipeModel):
     """One bound oscillator: strength resonance^2 / (resonance^2 - E^2 - i E damping), energies in eV."""
 
-    strength: NotNegative
-    resonance_ev: Positive
-    damping_ev: NotNegative = 0.0
+    strength: NotNegative = pydantic.Field(
+        description="strength of the oscillator: what it adds to the static permittivity"
+    )
+    resonance_ev: Positive = pydantic.Field(description="energy of the resonance, in eV")
+    damping_ev: NotNegative = pydantic.Field(default=0.0, description="width of the resonance, in eV")
 
 
 class LorentzSpec(RecipeModel):
     """Bound oscillators on a constant background `eps_inf`; with `drude` beside it, leave the one there at 1."""
 
-    oscillators: tuple[OscillatorSpec, ...] = pydantic.Field(min_length=1, max_length=50)
-    eps_inf: Positive = 1.0
+    oscillators: tuple[OscillatorSpec, ...] = pydantic.Field(
+        min_length=1, max_length=50, description="the bound oscillators, a list of tables"
+    )
+    eps_inf: Positive = pydantic.Field(default=1.0, description="permittivity of the background")
 
 
 class IndexSpec(RecipeModel):
@@ -60,18 +64,43 @@ class IndexSpec(RecipeModel):
     published range.
     """
 
-    name: str | None = None
-    n: NotNegative | None = None
-    k: float | None = None
-    cauchy: tuple[float, ...] | None = pydantic.Field(default=None, min_length=1, max_length=10)
-    sellmeier: tuple[float, ...] | None = pydantic.Field(default=None, min_length=2, max_length=20)
-    n_d: Positive | None = None
-    abbe: Positive | None = None
-    drude: DrudeSpec | None = None
-    lorentz: LorentzSpec | None = None
-    file: str | None = None
-    rii: str | None = None
-    extrapolate: Literal["error", "edge"] = "error"
+    name: str | None = pydantic.Field(
+        default=None,
+        description="a named optical constant, see `nacre indices search`; written alone it needs no table",
+    )
+    n: NotNegative | None = pydantic.Field(
+        default=None, description="a constant refractive index; written alone it needs no table"
+    )
+    k: float | None = pydantic.Field(
+        default=None, description="the extinction coefficient beside n; waves decay for k > 0"
+    )
+    cauchy: tuple[float, ...] | None = pydantic.Field(
+        default=None,
+        min_length=1,
+        max_length=10,
+        description="coefficients c0, c1, ... of n = c0 + c1/l^2 + c2/l^4 ..., wavelength l in um",
+    )
+    sellmeier: tuple[float, ...] | None = pydantic.Field(
+        default=None,
+        min_length=2,
+        max_length=20,
+        description="pairs b1, c1, b2, c2, ... of n^2 = 1 + sum b l^2/(l^2 - c), wavelength l in um",
+    )
+    n_d: Positive | None = pydantic.Field(
+        default=None, description="refractive index at the d line (587.6 nm), with the Abbe number beside it"
+    )
+    abbe: Positive | None = pydantic.Field(default=None, description="Abbe number beside n_d")
+    drude: DrudeSpec | None = pydantic.Field(default=None, description="free carriers, alone or beside lorentz")
+    lorentz: LorentzSpec | None = pydantic.Field(default=None, description="bound oscillators, alone or beside drude")
+    file: str | None = pydantic.Field(
+        default=None, description="a text table beside the recipe: wavelength in nm, n, and k if there is one"
+    )
+    rii: str | None = pydantic.Field(
+        default=None, description="an entry of the refractiveindex.info database: shelf/book/page"
+    )
+    extrapolate: Literal["error", "edge"] = pydantic.Field(
+        default="error", description="outside the tabulated range: refuse, or hold the end values"
+    )
 
     _built: OpticalConstant = pydantic.PrivateAttr()
 
