@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import pydantic
@@ -27,14 +27,28 @@ class TextureSpec(RecipeModel):
     clipped to min and max where they are given.
     """
 
+    noun: ClassVar[str] = "texture"
+    one_of: ClassVar[tuple[str, ...]] = ("texture", "formula")
+    forms: ClassVar[tuple[str, ...]] = (
+        '{texture = "grey.png", min = 0.1, max = 0.7}',
+        '{formula = "0.1 + 0.6*v"}',
+        '{formula = "0.5 + 0.5*sin(20*u)", min = 0.1, max = 0.7}',
+    )
+
     texture: str | None = pydantic.Field(
-        default=None, description="an image beside the recipe, 8 or 16 bit, read as grey"
+        default=None, description="an image beside the recipe, 8 or 16 bit, read as grey", examples=["grey.png"]
     )
     formula: str | None = pydantic.Field(
-        default=None, description="an expression of the surface's coordinates u and v, each from 0 to 1"
+        default=None,
+        description="an expression of the surface's coordinates u and v, each from 0 to 1",
+        examples=["0.1 + 0.6*v"],
     )
-    min: float | None = pydantic.Field(default=None, description="value of the image's black; lower clip of a formula")
-    max: float | None = pydantic.Field(default=None, description="value of the image's white; upper clip of a formula")
+    min: float | None = pydantic.Field(
+        default=None, description="value of the image's black; lower clip of a formula", examples=[0.1]
+    )
+    max: float | None = pydantic.Field(
+        default=None, description="value of the image's white; upper clip of a formula", examples=[0.7]
+    )
 
     @pydantic.model_validator(mode="after")
     def _one_of_two(self) -> TextureSpec:

@@ -102,6 +102,11 @@ class RecipeModel(pydantic.BaseModel):
     example: ClassVar[Mapping[str, Any]] = {}
     varies: ClassVar[str] = ""  # of a family: which numbers a texture or formula may give, for messages
     varies_by_nodes: ClassVar[tuple[str, ...]] = ()  # paths solved at some values and blended between
+    # for the reference and for editors, see `keys.py` and `schema.py` beside this file
+    noun: ClassVar[str] = ""  # of a table that stands in many places: what it is called, "an optical constant"
+    forms: ClassVar[tuple[str, ...]] = ()  # every way to write the table, as TOML
+    shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ()  # JSON Schemas of what may stand in its place
+    one_of: ClassVar[tuple[str, ...]] = ()  # keys of which exactly one is given; "a|b" stands for one or both
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 

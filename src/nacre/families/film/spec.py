@@ -74,33 +74,52 @@ Width = Annotated[
 class LayerSpec(RecipeModel):
     """One layer: a material, a thickness that may vary over the surface, and whether it is too thick to interfere."""
 
+    forms: ClassVar[tuple[str, ...]] = (
+        '{material = "SiO2", thickness_nm = 350}',
+        '{material = "SiO2", thickness_nm = {formula = "100 + 600*v"}}',
+        '{material = "glass", thickness_mm = 1, incoherent = true}',
+    )
+
     material: IndexSpec = pydantic.Field(description="what the layer is made of")
     thickness_nm: Thickness = pydantic.Field(
-        description="geometric thickness; a texture or formula lets it vary over the surface"
+        description="geometric thickness; a texture or formula lets it vary over the surface",
+        examples=[350, {"formula": "100 + 600*v"}, {"texture": "grey.png", "min": 100, "max": 700}],
     )
     incoherent: bool = pydantic.Field(
-        default=False, description="the layer is too thick to interfere with itself, such as a pane or a varnish"
+        default=False,
+        description="the layer is too thick to interfere with itself, such as a pane or a varnish",
+        examples=[True],
     )
 
 
 class SurfaceSpec(RecipeModel):
     """Roughness: a distribution and its width, as alpha or as exponents e = 2/alpha^2 - 2."""
 
+    forms: ClassVar[tuple[str, ...]] = (
+        "{roughness = 0.1}",
+        '{distribution = "beckmann", roughness = [0.05, 0.2], rotation_deg = 45}',
+    )
+
     distribution: Literal["ggx", "beckmann", "blinn", "ashikhmin-shirley"] = pydantic.Field(
         default="ggx", description="distribution of the normals of the surface's facets"
     )
     roughness: Width = pydantic.Field(
-        default=0.0, description="alpha of that distribution, or [alpha_x, alpha_y] for a brushed surface; 0 is smooth"
+        default=0.0,
+        description="alpha of that distribution, or [alpha_x, alpha_y] for a brushed surface; 0 is smooth",
+        examples=[0.1, [0.05, 0.2], {"formula": "0.05 + 0.2*u"}],
     )
     exponent: float | tuple[float, ...] | None = pydantic.Field(
         default=None,
         description="exponent e of the distribution, or [e_x, e_y], in place of roughness: e = 2/alpha^2 - 2",
+        examples=[200, [100, 800]],
     )
     rotation_deg: NumberOrTexture = pydantic.Field(
-        default=0.0, description="direction of brushing: turns alpha_x from the x axis of the surface"
+        default=0.0,
+        description="direction of brushing: turns alpha_x from the x axis of the surface",
+        examples=[45, {"formula": "360*u"}],
     )
     compensate: bool = pydantic.Field(
-        default=False, description="give back the light that facets scatter among each other"
+        default=False, description="give back the light that facets scatter among each other", examples=[True]
     )
 
     @pydantic.model_validator(mode="after")
@@ -142,14 +161,17 @@ class SurfaceSpec(RecipeModel):
 class RidgesSpec(RecipeModel):
     """Ridges of lamellae along y, as on a Morpho scale."""
 
+    forms: ClassVar[tuple[str, ...]] = ("{pitch_nm = 700, width_nm = 300, height_deviation_nm = 120}",)
+
     pitch_nm: Annotated[float, pydantic.Field(gt=0.0, le=1e5)] = pydantic.Field(
-        description="distance from ridge to ridge, across them"
+        description="distance from ridge to ridge, across them", examples=[700]
     )
     width_nm: Annotated[float, pydantic.Field(gt=0.0, le=1e5)] = pydantic.Field(
-        description="width of one ridge, at most the pitch"
+        description="width of one ridge, at most the pitch", examples=[300]
     )
     height_deviation_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e4)] = pydantic.Field(
-        description="standard deviation of the ridges' heights: 0 makes a grating, a quarter wave a broad fan"
+        description="standard deviation of the ridges' heights: 0 makes a grating, a quarter wave a broad fan",
+        examples=[120],
     )
     count: Annotated[int, pydantic.Field(ge=1, le=200)] = pydantic.Field(
         default=7, description="number of neighbouring ridges that are lit coherently"
@@ -160,7 +182,9 @@ class RidgesSpec(RecipeModel):
     fill: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = pydantic.Field(
         default=1.0, description="share of the area that the ridges cover"
     )
-    rotation_deg: NumberOrTexture = pydantic.Field(default=0.0, description="turns the ridges in the surface")
+    rotation_deg: NumberOrTexture = pydantic.Field(
+        default=0.0, description="turns the ridges in the surface", examples=[45, {"formula": "360*u"}]
+    )
 
     @pydantic.model_validator(mode="after")
     def _width_fits(self) -> RidgesSpec:
@@ -184,13 +208,17 @@ class RidgesSpec(RecipeModel):
 class BaseSpec(RecipeModel):
     """A diffuse ground inside the substrate, under the film (under the ridges: what they leave lights it)."""
 
+    forms: ClassVar[tuple[str, ...]] = ("{albedo = 0.05}",)
+
     albedo: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = pydantic.Field(
-        default=0.0, description="share of the light that the diffuse ground sends back"
+        default=0.0, description="share of the light that the diffuse ground sends back", examples=[0.05]
     )
 
 
 class WavelengthsSpec(RecipeModel):
     """The wavelength grid, where the rule's choice is not wanted."""
+
+    forms: ClassVar[tuple[str, ...]] = ("{min_nm = 400, max_nm = 700, step_nm = 2}",)
 
     min_nm: Annotated[float, pydantic.Field(ge=100.0, le=1e5)] = pydantic.Field(
         default=360.0, description="first wavelength of the grid"
@@ -199,7 +227,7 @@ class WavelengthsSpec(RecipeModel):
         default=830.0, description="last wavelength of the grid"
     )
     step_nm: Annotated[float, pydantic.Field(ge=0.01, le=50.0)] | None = pydantic.Field(
-        default=None, description="step of the grid; chosen by the optical thickness if not given"
+        default=None, description="step of the grid; chosen by the optical thickness if not given", examples=[2]
     )
 
     @pydantic.model_validator(mode="after")
@@ -229,13 +257,20 @@ class FilmModel(Film):
 class FilmSpec(RecipeModel):
     """A film recipe. `preset = "morpho"` fills in what is not given."""
 
+    example: ClassVar[Mapping[str, Any]] = {
+        "family": "film",
+        "substrate": "Si",
+        "layers": [{"material": "SiO2", "thickness_nm": 350}],
+        "surface": {"roughness": 0.05},
+    }
+
     varies: ClassVar[str] = "layers[].thickness_nm, surface.roughness, surface.rotation_deg"
     varies_by_nodes: ClassVar[tuple[str, ...]] = ("base.albedo",)
 
     family: Literal["film"] = pydantic.Field(default="film", description="the family's name")
-    title: str = pydantic.Field(default="", description="a title for figures")
+    title: str = pydantic.Field(default="", description="a title for figures", examples=["Oxide on silicon"])
     preset: Literal["morpho"] | None = pydantic.Field(
-        default=None, description="fills in the Morpho wing; keys that are given win"
+        default=None, description="fills in the Morpho wing; keys that are given win", examples=["morpho"]
     )
     ambient: IndexSpec = pydantic.Field(
         default=IndexSpec.model_validate("air"), description="medium above the film, where the light comes from"

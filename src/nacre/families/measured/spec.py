@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
@@ -20,8 +21,10 @@ from nacre.recipe.model import RecipeContext, RecipeModel
 class MeasuredSpec(RecipeModel):
     """Keys of `family = "measured"`: a `.nacre` file, as `nacre import` writes it, and a scale."""
 
+    example: ClassVar[Mapping[str, Any]] = {"family": "measured", "file": "paint.nacre"}
+
     family: Literal["measured"] = pydantic.Field(description="the family's name")
-    file: str = pydantic.Field(description="a .nacre file, as `nacre import` writes it")
+    file: str = pydantic.Field(description="a .nacre file, as `nacre import` writes it", examples=["paint.nacre"])
     scale: float = pydantic.Field(default=1.0, description="factor that multiplies the measured values")
 
     def build(self, context: RecipeContext) -> Measured:

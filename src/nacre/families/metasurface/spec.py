@@ -42,36 +42,45 @@ WIDEST_RELATIVE_SIZE = 0.3
 class LayerSpec(RecipeModel):
     """One layer of the stack."""
 
+    forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 500}',)
+
     material: IndexSpec = pydantic.Field(description="what the layer is made of")
     thickness_nm: Annotated[float, pydantic.Field(ge=0.0, le=MAX_THICKNESS_NM)] = pydantic.Field(
-        description="geometric thickness of the layer"
+        description="geometric thickness of the layer", examples=[500]
     )
 
 
 class ShellSpec(RecipeModel):
     """A coating round the core; the outer radius is radius_nm plus this thickness."""
 
+    forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 10}',)
+
     material: IndexSpec = pydantic.Field(description="what the shell is made of")
     thickness_nm: Annotated[float, pydantic.Field(gt=0.0, le=CORE_LIMIT_NM)] = pydantic.Field(
-        description="thickness of the shell, from the core's radius outward"
+        description="thickness of the shell, from the core's radius outward", examples=[10]
     )
 
 
 class ParticleSpec(RecipeModel):
     """The spheres."""
 
+    forms: ClassVar[tuple[str, ...]] = (
+        '{material = "Ag", radius_nm = 90}',
+        '{material = "Au", radius_nm = 60, deviation_nm = 5, shell = {material = "SiO2", thickness_nm = 10}}',
+    )
+
     material: IndexSpec = pydantic.Field(description="what the core of a sphere is made of")
     radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=CORE_LIMIT_NM)] = pydantic.Field(
-        description="mean radius of the core"
+        description="mean radius of the core", examples=[90]
     )
     deviation_nm: NotNegative = pydantic.Field(
-        default=0.0, description="standard deviation of the radius, at most 0.3 of it"
+        default=0.0, description="standard deviation of the radius, at most 0.3 of it", examples=[5]
     )
     distribution: Literal["gaussian", "lognormal"] = pydantic.Field(
         default="gaussian", description="shape of that spread"
     )
     gap_nm: NotNegative = pydantic.Field(
-        default=0.0, description="distance between the spheres and the stack below them"
+        default=0.0, description="distance between the spheres and the stack below them", examples=[2]
     )
     shell: ShellSpec | None = pydantic.Field(default=None, description="a coat round the core")
 
@@ -88,13 +97,24 @@ class ParticleSpec(RecipeModel):
 class StructureSpec(RecipeModel):
     """How the particles are arranged: a bare name, or a table with the name and its numbers."""
 
+    one_of: ClassVar[tuple[str, ...]] = ("name", "points", "sq")
+    shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ({"enum": list(ARRANGEMENTS)},)
+    forms: ClassVar[tuple[str, ...]] = (
+        '"hard-disk"',
+        '{name = "lattice", lattice = "square", jitter = 0.2}',
+        '{points = "xy.csv"}',
+        '{sq = "s.csv"}',
+    )
+
     name: Literal["hard-disk", "rsa", "poisson-disk", "lattice"] | None = pydantic.Field(
-        default=None, description="kind of order; written alone it needs no table"
+        default=None, description="kind of order; written alone it needs no table", examples=["lattice"]
     )
     points: str | None = pydantic.Field(
-        default=None, description="in place of name: a file of the particles' positions"
+        default=None, description="in place of name: a file of the particles' positions", examples=["xy.csv"]
     )
-    sq: str | None = pydantic.Field(default=None, description="in place of name: a file of the structure factor S(q)")
+    sq: str | None = pydantic.Field(
+        default=None, description="in place of name: a file of the structure factor S(q)", examples=["s.csv"]
+    )
     lattice: Literal["square", "hexagonal"] = pydantic.Field(
         default="hexagonal", description='the lattice that is jittered, for name = "lattice"'
     )
@@ -134,16 +154,22 @@ class StructureSpec(RecipeModel):
 class MonolayerSpec(RecipeModel):
     """Density and order of the particles."""
 
+    forms: ClassVar[tuple[str, ...]] = (
+        "{coverage = 0.1, packing = 0.3}",
+        '{density_per_um2 = 2, packing = 0.3, structure = "rsa"}',
+    )
+
     coverage: Positive | None = pydantic.Field(
-        default=None, description="share of the area that the particles cover: f = density pi r^2"
+        default=None, description="share of the area that the particles cover: f = density pi r^2", examples=[0.1]
     )
     density_per_um2: Positive | None = pydantic.Field(
-        default=None, description="in place of coverage: number of particles in a square micrometre"
+        default=None, description="in place of coverage: number of particles in a square micrometre", examples=[2]
     )
     packing: Positive | None = pydantic.Field(
         default=None,
         description="order of the particles: p = density pi a^2 / 4 with a the least distance of centres; "
         "without it p = f",
+        examples=[0.3],
     )
     structure: StructureSpec = pydantic.Field(
         default=StructureSpec(name="hard-disk"), description="kind of order: a name, or a table that leads to a file"
@@ -168,13 +194,16 @@ class MonolayerSpec(RecipeModel):
 class ModelSpec(RecipeModel):
     """The model, where its own choice is not wanted."""
 
+    forms: ClassVar[tuple[str, ...]] = ("{tolerance = 0.005}", '{multipole_order = 6, correction = "optical-depth"}')
+
     multipole_order: Annotated[int, pydantic.Field(ge=1, le=60)] | None = pydantic.Field(
-        default=None, description="highest multipole of one sphere; chosen by convergence if not given"
+        default=None, description="highest multipole of one sphere; chosen by convergence if not given", examples=[6]
     )
     tolerance: Annotated[float, pydantic.Field(ge=1e-5, le=LOOSEST_TOLERANCE)] | None = pydantic.Field(
         default=None,
         description="largest change of a sphere's far field when its order is doubled; beyond, the material "
         "is refused; without it 0.001 is aimed at and up to 0.01 taken with a warning",
+        examples=[0.005],
     )
     interaction_order: Annotated[int, pydantic.Field(ge=1, le=4)] = pydantic.Field(
         default=3, description="highest multipole that neighbouring spheres exchange"
@@ -203,6 +232,14 @@ class MetasurfaceModel(Metasurface):
 class MetasurfaceSpec(RecipeModel):
     """A metasurface recipe."""
 
+    example: ClassVar[Mapping[str, Any]] = {
+        "family": "metasurface",
+        "substrate": "Si",
+        "layers": [{"material": "SiO2", "thickness_nm": 500}],
+        "particle": {"material": "Ag", "radius_nm": 90},
+        "monolayer": {"coverage": 0.1, "packing": 0.3},
+    }
+
     varies_by_nodes: ClassVar[tuple[str, ...]] = (
         "particle.radius_nm",
         "particle.shell.thickness_nm",
@@ -214,7 +251,7 @@ class MetasurfaceSpec(RecipeModel):
     )
 
     family: Literal["metasurface"] = pydantic.Field(default="metasurface", description="the family's name")
-    title: str = pydantic.Field(default="", description="a title for figures")
+    title: str = pydantic.Field(default="", description="a title for figures", examples=["Silver on oxide"])
     ambient: IndexSpec = pydantic.Field(
         default=IndexSpec.model_validate("air"), description="clear medium above, where the light comes from"
     )

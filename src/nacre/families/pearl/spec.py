@@ -54,19 +54,25 @@ Deviation = Annotated[float | tuple[float, ...], pydantic.BeforeValidator(_devia
 class ThicknessKeys(RecipeModel):
     """A thickness and how it varies over the flakes."""
 
+    one_of: ClassVar[tuple[str, ...]] = ("thickness_nm", "histogram")
+
     thickness_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e5)] | None = pydantic.Field(
-        default=None, description="geometric thickness, the mean over the flakes"
+        default=None, description="geometric thickness, the mean over the flakes", examples=[120]
     )
     deviation_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e5)] = pydantic.Field(
-        default=0.0, description="standard deviation of the thickness over the flakes"
+        default=0.0, description="standard deviation of the thickness over the flakes", examples=[10]
     )
     distribution: Literal["gaussian", "truncated", "lognormal"] = pydantic.Field(
         default="gaussian", description="shape of that spread"
     )
-    min_nm: NotNegative = pydantic.Field(default=0.0, description="lower bound of a truncated spread")
-    max_nm: Positive | None = pydantic.Field(default=None, description="upper bound of a truncated spread")
+    min_nm: NotNegative = pydantic.Field(default=0.0, description="lower bound of a truncated spread", examples=[80])
+    max_nm: Positive | None = pydantic.Field(
+        default=None, description="upper bound of a truncated spread", examples=[160]
+    )
     histogram: str | None = pydantic.Field(
-        default=None, description="in place of thickness_nm: a file of two columns, thickness in nm and share"
+        default=None,
+        description="in place of thickness_nm: a file of two columns, thickness in nm and share",
+        examples=["thickness.csv"],
     )
 
     @pydantic.model_validator(mode="after")
@@ -101,13 +107,28 @@ class ThicknessKeys(RecipeModel):
 class LayerSpec(ThicknessKeys):
     """A layer of a flake."""
 
+    forms: ClassVar[tuple[str, ...]] = (
+        '{material = "TiO2", thickness_nm = 120}',
+        '{material = "mica", thickness_nm = 400, deviation_nm = 80}',
+        '{material = "TiO2", thickness_nm = 120, deviation_nm = 20, distribution = "truncated", max_nm = 160}',
+        '{material = "mica", histogram = "thickness.csv"}',
+    )
+
     material: IndexSpec = pydantic.Field(description="what the layer is made of")
 
 
 class PlateletSpec(RecipeModel):
     """One kind of platelet. Without `coatings` or without `substrate` it is free: a single layer."""
 
-    volume_fraction: float = pydantic.Field(description="share of the stratum's volume that these flakes fill")
+    forms: ClassVar[tuple[str, ...]] = (
+        '{volume_fraction = 0.01, substrate = {material = "mica", thickness_nm = 400, deviation_nm = 80}, '
+        'coatings = [{material = "TiO2", thickness_nm = 120}]}',
+        '{volume_fraction = 0.005, coatings = [{material = "Al", thickness_nm = 60}], normal_deviation = [0.05, 0.2]}',
+    )
+
+    volume_fraction: float = pydantic.Field(
+        description="share of the stratum's volume that these flakes fill", examples=[0.01]
+    )
     substrate: LayerSpec | None = pydantic.Field(default=None, description="the core of the flake")
     coatings: tuple[LayerSpec, ...] = pydantic.Field(
         default=(),
@@ -120,13 +141,15 @@ class PlateletSpec(RecipeModel):
         description="other coatings for the lower face, from the outermost inward",
     )
     normal_deviation: Deviation = pydantic.Field(
-        default=0.1, description="SGGX roughness of the flakes' normals, or [x, y]: 0 would lay all flat"
+        default=0.1,
+        description="SGGX roughness of the flakes' normals, or [x, y]: 0 would lay all flat",
+        examples=[0.1, [0.05, 0.2]],
     )
     rotation_deg: tuple[float, float, float] = pydantic.Field(
-        default=(0.0, 0.0, 0.0), description="turns the flakes' mean normal, about x, y and z"
+        default=(0.0, 0.0, 0.0), description="turns the flakes' mean normal, about x, y and z", examples=[[0, 20, 0]]
     )
     diameter_um: Positive | None = pydantic.Field(
-        default=None, description="median diameter of a flake's face; glints need it"
+        default=None, description="median diameter of a flake's face; glints need it", examples=[20]
     )
 
     @pydantic.model_validator(mode="after")
@@ -166,17 +189,27 @@ class PlateletSpec(RecipeModel):
 class DyeSpec(RecipeModel):
     """Dye: `material`, or `file` with n and k; with `radius_nm` it is particles that scatter."""
 
+    one_of: ClassVar[tuple[str, ...]] = ("material", "file")
+    forms: ClassVar[tuple[str, ...]] = (
+        "{material = {n = 1.5, k = 0.02}, volume_fraction = 0.01}",
+        '{material = "TiO2", volume_fraction = 0.001, radius_nm = 100, deviation_nm = 10}',
+    )
+
     material: IndexSpec | None = pydantic.Field(default=None, description="optical constant of the dye")
     file: str | None = pydantic.Field(
-        default=None, description="in place of material: a table of wavelength in nm, n and k"
+        default=None, description="in place of material: a table of wavelength in nm, n and k", examples=["dye.csv"]
     )
     volume_fraction: Annotated[float, pydantic.Field(gt=0.0, le=0.3)] = pydantic.Field(
-        description="share of the stratum's volume that the dye fills"
+        description="share of the stratum's volume that the dye fills", examples=[0.01]
     )
     radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=2e4)] | None = pydantic.Field(
-        default=None, description="radius of the dye's particles, which then scatter; without it the dye only absorbs"
+        default=None,
+        description="radius of the dye's particles, which then scatter; without it the dye only absorbs",
+        examples=[100],
     )
-    deviation_nm: NotNegative = pydantic.Field(default=0.0, description="standard deviation of the radius")
+    deviation_nm: NotNegative = pydantic.Field(
+        default=0.0, description="standard deviation of the radius", examples=[10]
+    )
     distribution: Literal["gaussian", "lognormal"] = pydantic.Field(
         default="gaussian", description="shape of that spread"
     )
@@ -204,16 +237,27 @@ class DyeSpec(RecipeModel):
 class StratumSpec(RecipeModel):
     """A layer of resin; `roughness` is that of its upper interface."""
 
+    forms: ClassVar[tuple[str, ...]] = (
+        "{resin = {n = 1.5}, thickness_um = 50, platelets = [{volume_fraction = 0.01, "
+        'substrate = {material = "mica", thickness_nm = 400}, coatings = [{material = "TiO2", thickness_nm = 120}]}]}',
+    )
+
     resin: IndexSpec = pydantic.Field(description="the medium in which the flakes lie")
-    thickness_nm: float = pydantic.Field(description="thickness of the stratum, usually written with _um")
+    thickness_nm: float = pydantic.Field(
+        description="thickness of the stratum, usually written with _um", examples=[50000]
+    )
     roughness: Widths = pydantic.Field(
-        default=0.0, description="alpha of the stratum's upper interface, or [alpha_x, alpha_y]; 0 is smooth"
+        default=0.0,
+        description="alpha of the stratum's upper interface, or [alpha_x, alpha_y]; 0 is smooth",
+        examples=[0.1, [0.05, 0.2]],
     )
     distribution: Literal["ggx", "beckmann"] = pydantic.Field(
         default="ggx", description="distribution of that interface's facet normals"
     )
     compensate: bool = pydantic.Field(
-        default=False, description="give back the light that facets of the interface scatter among each other"
+        default=False,
+        description="give back the light that facets of the interface scatter among each other",
+        examples=[True],
     )
     platelets: tuple[PlateletSpec, ...] = pydantic.Field(
         default=(), max_length=MAX_KINDS, description="the kinds of flakes (pigments) in this stratum"
@@ -250,8 +294,10 @@ class GlintsSpec(RecipeModel):
     `surface_mm` is the length on the object of one unit of its texture coordinates, or of [u, v].
     """
 
+    forms: ClassVar[tuple[str, ...]] = ("{surface_mm = 20}", "{surface_mm = [20, 10], flatness_deg = 1}")
+
     surface_mm: Positive | tuple[Positive, Positive] = pydantic.Field(
-        description="length on the object of one unit of its texture coordinates, or of [u, v]"
+        description="length on the object of one unit of its texture coordinates, or of [u, v]", examples=[20, [20, 10]]
     )
     diameter_spread: Annotated[float, pydantic.Field(ge=0.0, le=0.6)] = pydantic.Field(
         default=0.3, description="standard deviation of the logarithm of the flakes' diameters"
@@ -281,31 +327,47 @@ class GlintsSpec(RecipeModel):
 class AlbedoSpec(RecipeModel):
     """A coloured base: a file of two columns, wavelength in nm and albedo."""
 
-    file: str = pydantic.Field(description="a file of two columns: wavelength in nm and albedo")
+    forms: ClassVar[tuple[str, ...]] = ('{file = "albedo.csv"}',)
+
+    file: str = pydantic.Field(
+        description="a file of two columns: wavelength in nm and albedo", examples=["albedo.csv"]
+    )
 
 
 class BaseSpec(RecipeModel):
     """What lies below: a diffuse albedo, a metal, another opaque recipe of any family, or nothing."""
 
+    forms: ClassVar[tuple[str, ...]] = (
+        "{albedo = 0.05}",
+        '{albedo = {file = "albedo.csv"}}',
+        '{material = "Al", roughness = 0.2}',
+        '{recipe = "film.toml"}',
+        "{none = true}",
+    )
+
     albedo: Albedo | AlbedoSpec | None = pydantic.Field(
         default=None,
         description="share of the light that a diffuse ground sends back, or a file of it over the wavelength",
+        examples=[0.05, {"file": "albedo.csv"}],
     )
     material: IndexSpec | None = pydantic.Field(default=None, description="a metal ground, in place of a diffuse one")
     recipe: str | None = pydantic.Field(
         default=None,
         description="another opaque recipe of any family as the ground; without an ambient of its own it is "
         "built in the resin",
+        examples=["film.toml"],
     )
-    none: bool = pydantic.Field(default=False, description="nothing lies below: light passes")
+    none: bool = pydantic.Field(default=False, description="nothing lies below: light passes", examples=[True])
     roughness: Widths = pydantic.Field(
-        default=0.0, description="alpha of the metal, or [alpha_x, alpha_y]; 0 is smooth"
+        default=0.0, description="alpha of the metal, or [alpha_x, alpha_y]; 0 is smooth", examples=[0.2, [0.05, 0.2]]
     )
     distribution: Literal["ggx", "beckmann"] = pydantic.Field(
         default="ggx", description="distribution of the metal's facet normals"
     )
     compensate: bool = pydantic.Field(
-        default=False, description="give back the light that facets of the metal scatter among each other"
+        default=False,
+        description="give back the light that facets of the metal scatter among each other",
+        examples=[True],
     )
 
     @pydantic.model_validator(mode="before")
@@ -350,6 +412,24 @@ class BaseSpec(RecipeModel):
 class PearlSpec(RecipeModel):
     """A pearl recipe."""
 
+    example: ClassVar[Mapping[str, Any]] = {
+        "family": "pearl",
+        "strata": [
+            {
+                "resin": {"n": 1.5},
+                "thickness_um": 50,
+                "platelets": [
+                    {
+                        "volume_fraction": 0.01,
+                        "substrate": {"material": "mica", "thickness_nm": 400, "deviation_nm": 80},
+                        "coatings": [{"material": "TiO2", "thickness_nm": 120}],
+                    }
+                ],
+            }
+        ],
+        "base": {"albedo": 0.05},
+    }
+
     varies_by_nodes: ClassVar[tuple[str, ...]] = (
         "strata[].thickness_nm",
         "strata[].roughness",
@@ -364,7 +444,7 @@ class PearlSpec(RecipeModel):
     )
 
     family: Literal["pearl"] = pydantic.Field(default="pearl", description="the family's name")
-    title: str = pydantic.Field(default="", description="a title for figures")
+    title: str = pydantic.Field(default="", description="a title for figures", examples=["Silver-white pigment"])
     quality: Literal["reference", "fast"] = pydantic.Field(
         default="reference",
         description="reference: the random walk; fast: noise-free tables with a stated error where they can be made",
