@@ -21,7 +21,7 @@ FORMULA_SAMPLES = 257
 
 
 class TextureSpec(RecipeModel):
-    """`{texture = "t.png", min = 100, max = 700}` or `{formula = "100 + 600*v"}`, there with optional min and max.
+    """A number that varies over the surface: an image with a range, or a formula of u and v.
 
     An image's grey values run linearly from min (black) to max (white). A formula gives the number itself, and is
     clipped to min and max where they are given.

@@ -102,7 +102,7 @@ class DesignSpec(RecipeModel):
 
 
 class GallerySpec(RecipeModel):
-    """`gallery.toml`."""
+    """What `nacre demo` shows, as in examples/gallery.toml."""
 
     picture: list[PictureSpec] = pydantic.Field(default=[], description="the stills")
     animation: list[AnimationSpec] = pydantic.Field(default=[], description="the animations of one material")

@@ -258,7 +258,7 @@ class SearchTable(RecipeModel):
 
 
 class TargetSpec(RecipeModel):
-    """A target file for the relief family."""
+    """The look that `nacre design` finds a relief for."""
 
     example: ClassVar[Mapping[str, Any]] = {
         "family": "relief",

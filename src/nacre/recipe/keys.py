@@ -20,8 +20,11 @@ from nacre.errors import RecipeError, did_you_mean
 from nacre.recipe.model import LENGTH_UNITS_NM, RecipeModel
 
 UNITS = {"deg": "degrees", "ev": "eV", "um2": "1/um^2", "s": "s"}  # the last word of a key -> its unit
+LONGEST_LINE = 76  # of a snippet, which is indented
 SHORTEST_WORD = 4  # of a word that is looked for among the meanings
 LIMITS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
+PLURALS = {"table": "tables", "number": "numbers", "whole number": "whole numbers", "text": "texts"}
+SCHEMA_LIMITS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
 
 
 @dataclass(frozen=True)
@@ -152,6 +155,28 @@ def toml_value(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
+def toml_lines(path: str, value: Any) -> list[str]:
+    """Return a value as lines that can stand in a file: inline where a line holds it, else under a header.
+
+    Args:
+        path: the keys from the top of the file to the value, brackets of lists left out.
+        value: what stands there.
+
+    Example: `toml_lines("layers", [{"material": "Si"}])` is ['layers = [{material = "Si"}]'].
+    """
+    inline = f"{path.rpartition('.')[2]} = {toml_value(value)}"
+    is_list = isinstance(value, list) and all(isinstance(entry, Mapping) for entry in value)
+    if len(inline) <= LONGEST_LINE or not (is_list or isinstance(value, Mapping)):
+        return [inline]
+    lines = []
+    for table in value if is_list else [value]:
+        lines.append(f"[[{path}]]" if is_list else f"[{path}]")
+        inner = [toml_lines(f"{path}.{key}", entry) for key, entry in table.items()]
+        # what needs a header of its own comes last, as all below a header belongs to it
+        lines += [line for block in sorted(inner, key=lambda block: block[0].startswith("[")) for line in block]
+    return lines
+
+
 def one_sentence(model: type[RecipeModel]) -> str:
     """Return the first paragraph of what a model says about itself, without marks."""
     return " ".join((model.__doc__ or "").partition("\n\n")[0].split()).replace("`", "")
@@ -168,11 +193,14 @@ def _key(name: str, field: FieldInfo) -> Key:
         default = "" if written is None else toml_value(written)
     tables = tuple(dict.fromkeys(_models_in(field.annotation, field.metadata)))
     value = _form(field.annotation, [*field.metadata, field])
-    is_list = value.startswith("list") and any("table" in part for part in value.split(" or ")[:1])
+    is_list = value.startswith("list") and "tables" in value
     examples = tuple(toml_value(example) for example in field.examples or ())
     examples = examples or tuple(form for table in tables for form in table.forms)
     if tables and is_list:
         examples = tuple(form if form.startswith("[") else f"[{form}]" for form in examples)
+    if not examples and typing.get_origin(field.annotation) is Literal:
+        default = default or None
+        examples = (default or toml_value(typing.get_args(field.annotation)[0]),)
     if not examples and default:
         examples = (default,)
     return Key(
@@ -238,20 +266,28 @@ def _form(annotation: Any, metadata: Sequence[Any] = ()) -> str:
     if origin is typing.Annotated:
         return _form(arguments[0], [*arguments[1:], *metadata])
     if origin in (typing.Union, types.UnionType):
-        forms = [_form(argument, [item for item in metadata if argument in named]) for argument in arguments]
+        forms = [_form(argument, metadata if argument in named else ()) for argument in arguments]
         return " or ".join(dict.fromkeys(form for form in forms if form))
     if origin in (list, tuple):
         inner = [argument for argument in arguments if argument is not Ellipsis]
         if origin is tuple and Ellipsis not in arguments and len(inner) > 1:
             return f"[{', '.join(_form(argument) for argument in inner)}]"
-        words = {"table": "tables", "number": "numbers", "whole number": "whole numbers", "text": "texts"}
-        form = _form(inner[0]) if inner else "values"
-        return f"list of {words.get(form, form)}"
+        form = _form(inner[0]) if inner else "any value"
+        most = next((item.max_length for item in _plain(metadata) if getattr(item, "max_length", None)), None)
+        count = f"at most {most} " if most else ""
+        kind = next((word for word in PLURALS if form.startswith(word)), "")
+        return f"list of {count}{PLURALS.get(kind, kind)}{form[len(kind) :]}"
     if origin is dict:
         return "table"
     if isinstance(annotation, type) and issubclass(annotation, RecipeModel):
         return annotation.noun or "table"
     return "any value"
+
+
+def _plain(metadata: Sequence[Any]) -> Iterator[Any]:
+    """Yield the constraints themselves: a `Field` inside `Annotated` keeps them in a list."""
+    for item in metadata:
+        yield from getattr(item, "metadata", [item])
 
 
 def _choices(values: Sequence[Any]) -> str:
@@ -267,10 +303,15 @@ def _extras(metadata: Sequence[Any]) -> Iterator[Mapping[str, Any]]:
 
 def _limits(metadata: Sequence[Any]) -> str:
     found: dict[str, float] = {}
-    for item in metadata:
-        for inner in getattr(item, "metadata", [item]):
-            found |= {sign: getattr(inner, sign) for sign in LIMITS if getattr(inner, sign, None) is not None}
+    for item in _plain(metadata):
+        found |= {sign: getattr(item, sign) for sign in LIMITS if getattr(item, sign, None) is not None}
+    for extra in _extras(metadata):
+        found |= {sign: extra[word] for sign, word in SCHEMA_LIMITS.items() if word in extra}
     if set(found) == {"ge", "le"}:
-        return f" from {found['ge']:g} to {found['le']:g}"
-    said = " and ".join(f"{word} {found[sign]:g}" for sign, word in LIMITS.items() if sign in found)
+        return f" from {_short(found['ge'])} to {_short(found['le'])}"
+    said = " and ".join(f"{word} {_short(found[sign])}" for sign, word in LIMITS.items() if sign in found)
     return f" {said}" if said else ""
+
+
+def _short(number: float) -> str:
+    return str(number) if isinstance(number, int) else f"{number:g}".replace("e+0", "e").replace("e-0", "e-")

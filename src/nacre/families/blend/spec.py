@@ -28,7 +28,7 @@ class PartSpec(RecipeModel):
 
 
 class BlendSpec(RecipeModel):
-    """`first` where the mask is 1 (white), `second` where it is 0 (black)."""
+    """Two recipes and a mask: `first` where it is 1 (white), `second` where it is 0 (black)."""
 
     example: ClassVar[Mapping[str, Any]] = {
         "family": "blend",

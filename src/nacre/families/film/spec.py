@@ -61,10 +61,17 @@ def _width_form(value: Any) -> str:
     return "Pair" if isinstance(value, list | tuple) else texture_or_number(value)
 
 
-Thickness = Annotated[NumberOrTexture, pydantic.BeforeValidator(_thickness)]
+Thickness = Annotated[
+    Annotated[float, pydantic.Field(ge=0.0, le=MAX_THICKNESS_NM), pydantic.Tag("Number")]
+    | Annotated[TextureSpec, pydantic.Tag("Texture")],
+    pydantic.Discriminator(texture_or_number),
+    pydantic.BeforeValidator(_thickness),
+]
+UnitNumber = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
+Exponent = Annotated[float, pydantic.Field(ge=0.0, le=2e6)]
 Width = Annotated[
-    Annotated[float, pydantic.Tag("Number")]
-    | Annotated[tuple[float, ...], pydantic.Tag("Pair")]
+    Annotated[UnitNumber, pydantic.Tag("Number")]
+    | Annotated[tuple[UnitNumber, ...], pydantic.Field(min_length=1, max_length=2), pydantic.Tag("Pair")]
     | Annotated[TextureSpec, pydantic.Tag("Texture")],
     pydantic.Discriminator(_width_form),
     pydantic.BeforeValidator(_unit),
@@ -108,10 +115,12 @@ class SurfaceSpec(RecipeModel):
         description="alpha of that distribution, or [alpha_x, alpha_y] for a brushed surface; 0 is smooth",
         examples=[0.1, [0.05, 0.2], {"formula": "0.05 + 0.2*u"}],
     )
-    exponent: float | tuple[float, ...] | None = pydantic.Field(
-        default=None,
-        description="exponent e of the distribution, or [e_x, e_y], in place of roughness: e = 2/alpha^2 - 2",
-        examples=[200, [100, 800]],
+    exponent: Exponent | Annotated[tuple[Exponent, ...], pydantic.Field(min_length=1, max_length=2)] | None = (
+        pydantic.Field(
+            default=None,
+            description="exponent e of the distribution, or [e_x, e_y], in place of roughness: e = 2/alpha^2 - 2",
+            examples=[200, [100, 800]],
+        )
     )
     rotation_deg: NumberOrTexture = pydantic.Field(
         default=0.0,
@@ -126,12 +135,6 @@ class SurfaceSpec(RecipeModel):
     def _one_width(self) -> SurfaceSpec:
         if "roughness" in self.model_fields_set and self.exponent is not None:
             raise ValueError("roughness and exponent give the same width twice; keep one")
-        if self.exponent is not None:
-            values = self.exponent if isinstance(self.exponent, tuple) else (self.exponent,)
-            if len(values) not in (1, 2) or not all(0.0 <= e <= 2e6 for e in values):
-                raise ValueError(
-                    f"exponent = {show_value(list(values))} is not allowed; it should be one or two numbers in [0, 2e6]"
-                )
         return self
 
     def build(self, context: RecipeContext) -> Roughness:
@@ -255,7 +258,7 @@ class FilmModel(Film):
 
 
 class FilmSpec(RecipeModel):
-    """A film recipe. `preset = "morpho"` fills in what is not given."""
+    """Layers on a substrate, smooth, rough or in ridges; `preset = "morpho"` fills in what is not given."""
 
     example: ClassVar[Mapping[str, Any]] = {
         "family": "film",

@@ -160,12 +160,16 @@ class MonolayerSpec(RecipeModel):
     )
 
     coverage: Positive | None = pydantic.Field(
-        default=None, description="share of the area that the particles cover: f = density pi r^2", examples=[0.1]
+        json_schema_extra={"exclusiveMaximum": 0.9},
+        default=None,
+        description="share of the area that the particles cover: f = density pi r^2",
+        examples=[0.1],
     )
     density_per_um2: Positive | None = pydantic.Field(
         default=None, description="in place of coverage: number of particles in a square micrometre", examples=[2]
     )
     packing: Positive | None = pydantic.Field(
+        json_schema_extra={"maximum": PACKING_LIMIT},
         default=None,
         description="order of the particles: p = density pi a^2 / 4 with a the least distance of centres; "
         "without it p = f",
@@ -230,7 +234,7 @@ class MetasurfaceModel(Metasurface):
 
 
 class MetasurfaceSpec(RecipeModel):
-    """A metasurface recipe."""
+    """A disordered layer of spheres on a stack of layers."""
 
     example: ClassVar[Mapping[str, Any]] = {
         "family": "metasurface",

@@ -30,7 +30,7 @@ MAX_FRACTION = 0.3  # beyond, flakes no longer lie independently of each other
 
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
-Albedo = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
+Share = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
 
 
 def _widths(value: Any) -> Any:
@@ -47,8 +47,15 @@ def _deviation(value: Any) -> Any:
     return value
 
 
-Widths = Annotated[float | tuple[float, ...], pydantic.BeforeValidator(_widths)]
-Deviation = Annotated[float | tuple[float, ...], pydantic.BeforeValidator(_deviation)]
+Spread = Annotated[float, pydantic.Field(ge=NO_SPREAD, le=1.0)]
+Widths = Annotated[
+    Share | Annotated[tuple[Share, ...], pydantic.Field(min_length=1, max_length=2)],
+    pydantic.BeforeValidator(_widths),
+]
+Deviation = Annotated[
+    Spread | Annotated[tuple[Spread, ...], pydantic.Field(min_length=1, max_length=2)],
+    pydantic.BeforeValidator(_deviation),
+]
 
 
 class ThicknessKeys(RecipeModel):
@@ -127,7 +134,9 @@ class PlateletSpec(RecipeModel):
     )
 
     volume_fraction: float = pydantic.Field(
-        description="share of the stratum's volume that these flakes fill", examples=[0.01]
+        json_schema_extra={"exclusiveMinimum": 0, "maximum": MAX_FRACTION},
+        description="share of the stratum's volume that these flakes fill",
+        examples=[0.01],
     )
     substrate: LayerSpec | None = pydantic.Field(default=None, description="the core of the flake")
     coatings: tuple[LayerSpec, ...] = pydantic.Field(
@@ -244,7 +253,9 @@ class StratumSpec(RecipeModel):
 
     resin: IndexSpec = pydantic.Field(description="the medium in which the flakes lie")
     thickness_nm: float = pydantic.Field(
-        description="thickness of the stratum, usually written with _um", examples=[50000]
+        json_schema_extra={"exclusiveMinimum": 0, "maximum": 1e8},
+        description="thickness of the stratum, usually written with _um",
+        examples=[50000],
     )
     roughness: Widths = pydantic.Field(
         default=0.0,
@@ -345,7 +356,7 @@ class BaseSpec(RecipeModel):
         "{none = true}",
     )
 
-    albedo: Albedo | AlbedoSpec | None = pydantic.Field(
+    albedo: Share | AlbedoSpec | None = pydantic.Field(
         default=None,
         description="share of the light that a diffuse ground sends back, or a file of it over the wavelength",
         examples=[0.05, {"file": "albedo.csv"}],
@@ -410,7 +421,7 @@ class BaseSpec(RecipeModel):
 
 
 class PearlSpec(RecipeModel):
-    """A pearl recipe."""
+    """Strata of resin with flakes (pigments) and dye, over a base."""
 
     example: ClassVar[Mapping[str, Any]] = {
         "family": "pearl",

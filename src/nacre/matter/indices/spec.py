@@ -65,7 +65,7 @@ class LorentzSpec(RecipeModel):
 
 
 class IndexSpec(RecipeModel):
-    """A material in a recipe.
+    """How a recipe names a material: a name, a number, a formula, a file, a database entry.
 
     A bare string is a name, a bare number an index. In a table exactly one of these stands: `name`; `n` (with
     `k`); `cauchy = [c0, c1, ...]`, n = c0 + c1/l^2 + c2/l^4...; `sellmeier = [b1, c1, b2, c2, ...]`,
@@ -86,10 +86,10 @@ class IndexSpec(RecipeModel):
         "1.5",
         "{n = 1.56, k = 0.06}",
         "{cauchy = [1.45, 0.004]}",
-        "{sellmeier = [1.0396, 0.0060, 0.2318, 0.0200, 1.0105, 103.56]}",
+        "{sellmeier = [1.0396, 0.006, 0.2318, 0.02]}",
         "{n_d = 1.575, abbe = 30}",
-        "{drude = {plasma_ev = 9.0, damping_ev = 0.07, eps_inf = 4.0}}",
-        "{lorentz = {eps_inf = 2.2, oscillators = [{strength = 0.05, resonance_ev = 2.2, damping_ev = 0.3}]}}",
+        "{drude = {plasma_ev = 9.0, damping_ev = 0.07}}",
+        "{lorentz = {oscillators = [{strength = 0.05, resonance_ev = 2.2}]}}",
         '{file = "nk.csv"}',
         '{rii = "main/Ag/Johnson"}',
         '{name = "TiO2", extrapolate = "edge"}',
@@ -121,7 +121,7 @@ class IndexSpec(RecipeModel):
         min_length=2,
         max_length=20,
         description="pairs b1, c1, b2, c2, ... of n^2 = 1 + sum b l^2/(l^2 - c), wavelength l in um",
-        examples=[[1.0396, 0.0060, 0.2318, 0.0200, 1.0105, 103.56]],
+        examples=[[1.0396, 0.006, 0.2318, 0.02]],
     )
     n_d: Positive | None = pydantic.Field(
         default=None,
