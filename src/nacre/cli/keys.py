@@ -21,6 +21,7 @@ from nacre.recipe.model import RecipeModel
 from nacre.study.tables import StudySpec
 
 WIDTH = 79
+MUST = "must be given"
 # kinds of files beside recipes -> what reads them
 OTHER_FILES = {
     "target": "nacre.design.spec:TargetSpec",
@@ -42,6 +43,11 @@ class Kind:
     def model(self) -> type[RecipeModel]:
         """The model that is its own; a recipe's second one holds what every recipe may."""
         return self.models[0]
+
+    @property
+    def is_recipe(self) -> bool:
+        """Whether it is a family of recipes, which `family` at their top tells."""
+        return len(self.models) > 1
 
     def varies(self, place: str) -> bool:
         """Whether a recipe may give a texture at a place that takes a plain number otherwise."""
@@ -79,7 +85,7 @@ def editor_schema(name: str | None = None) -> dict[str, Any]:
 
     if name is not None:
         found = kind(name)
-        return json_schema(found.models, TextureSpec, is_recipe=len(found.models) > 1)
+        return json_schema(found.models, TextureSpec, is_recipe=found.is_recipe)
     files = [kind(other) for other in (*family_names(), "target", "sweep")]
     return one_of_files({found.name: editor_schema(found.name) for found in files})
 
@@ -148,7 +154,7 @@ def _one(found: Kind, place: str) -> Iterator[str]:
     if key.unit:
         yield from _hanging("  unit     ", key.unit)
     yield from _hanging("  value    ", _value(found, written, key))
-    yield from _hanging("  default  ", _default(key))
+    yield from _hanging("  default  ", _default(found, written, key))
     if key.examples:
         yield ""
         for text in [*key.examples, *TextureSpec.forms[1:2] * (found.varies(written) and not key.tables)]:
@@ -171,7 +177,9 @@ def _table(found: Kind, place: str, table: type[RecipeModel]) -> Iterator[str]:
         head = f"  {key.name}"
         said = _value(found, f"{place}.{key.name}".lstrip("."), key)
         unit = f" {key.unit.partition(';')[0]}" if key.unit else ""
-        yield from _hanging(f"{head:<24}  ", f"{said}{f' in{unit}' if unit else ''}; {_default(key)}")
+        yield from _hanging(
+            f"{head:<24}  ", f"{said}{f' in{unit}' if unit else ''}; {_default(found, f'{place}.{key.name}', key)}"
+        )
         yield from _wrapped(key.meaning, " " * 26)
 
 
@@ -184,9 +192,10 @@ def _value(found: Kind, place: str, key: Key) -> str:
     return f"{key.value} or texture" if found.varies(place) and "texture" not in key.value else key.value
 
 
-def _default(key: Key) -> str:
-    if key.default is None:
-        return "must be given"
+def _default(found: Kind, place: str, key: Key) -> str:
+    # a recipe is told by its family; a model knows its own name
+    if key.default is None or (found.is_recipe and place.lstrip(".") == "family"):
+        return MUST
     return f"default {key.default}" if key.default else "may be left out"
 
 
@@ -227,7 +236,7 @@ def _record(found: Kind, place: str, key: Key) -> dict[str, object]:
         "meaning": key.meaning,
         "unit": key.unit,
         "value": _value(found, place, key),
-        "required": key.default is None,
+        "required": _default(found, place, key) == MUST,
         "default": key.default,
         "snippets": list(key.snippet),
     }

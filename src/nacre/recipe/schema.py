@@ -14,7 +14,7 @@ from typing import Any
 import pydantic
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 
-from nacre.recipe.keys import as_written
+from nacre.recipe.keys import as_written, shared_tables, tables_below
 from nacre.recipe.model import LENGTH_UNITS_NM, RecipeModel
 
 DRAFT = "http://json-schema.org/draft-07/schema#"
@@ -64,11 +64,14 @@ def one_of_files(schemas: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         parts = copy.deepcopy({key: value for key, value in schema.items() if key != "$schema"})
         definitions |= parts.pop("definitions", {})
         definitions[f"file-{name}"] = parts
-    is_target, is_sweep = {"required": ["target"]}, {"required": ["recipe", "axes"]}
-    marks = {name: {"properties": {"family": {"const": name}}, "required": ["family"]} for name in schemas}
+    is_target: dict[str, Any] = {"required": ["target"]}
+    is_sweep: dict[str, Any] = {"required": ["recipe", "axes"]}
+    marks: dict[str, Any] = {
+        name: {"properties": {"family": {"const": name}}, "required": ["family"]} for name in schemas
+    }
     marks |= {"target": is_target, "sweep": is_sweep}
     for name in schemas:
-        mark: dict[str, Any] = marks[name]
+        mark = marks[name]
         if name not in ("target", "sweep"):
             mark = {**mark, "not": {"anyOf": [is_target, is_sweep]}}
         choices.append({"if": mark, "then": {"$ref": f"#/definitions/file-{name}"}})
@@ -139,7 +142,9 @@ def _spellings(key: str) -> list[str]:
 
 def _add_units(made: dict[str, Any]) -> None:
     """Let every length of a table be written in any unit, but in one only."""
-    required, rules, properties = list(made.get("required", [])), [], {}
+    required = list(made.get("required", []))
+    rules: list[dict[str, Any]] = []
+    properties: dict[str, Any] = {}
     for name, value in made["properties"].items():
         properties[name] = value
         others = [other for other in _spellings(name) if other != name]
@@ -243,8 +248,6 @@ def _without_siblings(schema: Any) -> Any:
 
 def _with_noun(models: Sequence[type[pydantic.BaseModel]]) -> set[type[RecipeModel]]:
     """Return the tables that stand in many places, wherever they are below some models."""
-    from nacre.recipe.keys import shared_tables, tables_below
-
     found: set[type[RecipeModel]] = set()
     for model in models:
         if not issubclass(model, RecipeModel):

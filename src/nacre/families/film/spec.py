@@ -161,10 +161,21 @@ class SurfaceSpec(RecipeModel):
         )
 
 
+def _preset_fills_ridges(schema: dict[str, Any]) -> None:
+    schema.pop("required")  # beside a preset one of the ridges' numbers may stand alone
+
+
+def _preset_fills_substrate(schema: dict[str, Any]) -> None:
+    schema["required"].remove("substrate")
+    schema["anyOf"] = [{"required": ["substrate"]}, {"required": ["preset"]}]
+
+
 class RidgesSpec(RecipeModel):
     """Ridges of lamellae along y, as on a Morpho scale."""
 
     forms: ClassVar[tuple[str, ...]] = ("{pitch_nm = 700, width_nm = 300, height_deviation_nm = 120}",)
+
+    model_config = pydantic.ConfigDict(json_schema_extra=_preset_fills_ridges)
 
     pitch_nm: Annotated[float, pydantic.Field(gt=0.0, le=1e5)] = pydantic.Field(
         description="distance from ridge to ridge, across them", examples=[700]
@@ -269,6 +280,8 @@ class FilmSpec(RecipeModel):
 
     varies: ClassVar[str] = "layers[].thickness_nm, surface.roughness, surface.rotation_deg"
     varies_by_nodes: ClassVar[tuple[str, ...]] = ("base.albedo",)
+
+    model_config = pydantic.ConfigDict(json_schema_extra=_preset_fills_substrate)
 
     family: Literal["film"] = pydantic.Field(default="film", description="the family's name")
     title: str = pydantic.Field(default="", description="a title for figures", examples=["Oxide on silicon"])

@@ -345,6 +345,10 @@ class AlbedoSpec(RecipeModel):
     )
 
 
+def _albedo_may_name_a_recipe(schema: dict[str, Any]) -> None:
+    schema["properties"]["albedo"]["anyOf"].append({"type": "object", "required": ["recipe"]})
+
+
 class BaseSpec(RecipeModel):
     """What lies below: a diffuse albedo, a metal, another opaque recipe of any family, or nothing."""
 
@@ -355,6 +359,8 @@ class BaseSpec(RecipeModel):
         '{recipe = "film.toml"}',
         "{none = true}",
     )
+
+    model_config = pydantic.ConfigDict(json_schema_extra=_albedo_may_name_a_recipe)
 
     albedo: Share | AlbedoSpec | None = pydantic.Field(
         default=None,
