@@ -153,8 +153,8 @@ def _one(found: Kind, place: str) -> Iterator[str]:
     yield ""
     if key.unit:
         yield from _hanging("  unit     ", key.unit)
-    yield from _hanging("  value    ", _value(found, written, key))
-    yield from _hanging("  default  ", _default(found, written, key))
+    yield from _hanging("  value    ", value_text(found, written, key))
+    yield from _hanging("  default  ", default_text(found, written, key).removeprefix("default "))
     if key.examples:
         yield ""
         for text in [*key.examples, *TextureSpec.forms[1:2] * (found.varies(written) and not key.tables)]:
@@ -175,10 +175,10 @@ def _table(found: Kind, place: str, table: type[RecipeModel]) -> Iterator[str]:
         yield from _wrapped(f"exactly one of: {words}", "    ")
     for key in keys_of(table):
         head = f"  {key.name}"
-        said = _value(found, f"{place}.{key.name}".lstrip("."), key)
+        said = value_text(found, f"{place}.{key.name}".lstrip("."), key)
         unit = f" {key.unit.partition(';')[0]}" if key.unit else ""
         yield from _hanging(
-            f"{head:<24}  ", f"{said}{f' in{unit}' if unit else ''}; {_default(found, f'{place}.{key.name}', key)}"
+            f"{head:<24}  ", f"{said}{f' in{unit}' if unit else ''}; {default_text(found, f'{place}.{key.name}', key)}"
         )
         yield from _wrapped(key.meaning, " " * 26)
 
@@ -188,11 +188,13 @@ def _forms(model: type[RecipeModel]) -> Iterator[str]:
         yield from _wrapped(form, "  ")
 
 
-def _value(found: Kind, place: str, key: Key) -> str:
+def value_text(found: Kind, place: str, key: Key) -> str:
+    """Say what may stand at a key, with its range."""
     return f"{key.value} or texture" if found.varies(place) and "texture" not in key.value else key.value
 
 
-def _default(found: Kind, place: str, key: Key) -> str:
+def default_text(found: Kind, place: str, key: Key) -> str:
+    """Say what holds where a key is left out."""
     # a recipe is told by its family; a model knows its own name
     if key.default is None or (found.is_recipe and place.lstrip(".") == "family"):
         return MUST
@@ -235,8 +237,8 @@ def _record(found: Kind, place: str, key: Key) -> dict[str, object]:
         "path": place,
         "meaning": key.meaning,
         "unit": key.unit,
-        "value": _value(found, place, key),
-        "required": _default(found, place, key) == MUST,
+        "value": value_text(found, place, key),
+        "required": default_text(found, place, key) == MUST,
         "default": key.default,
         "snippets": list(key.snippet),
     }

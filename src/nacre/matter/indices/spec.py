@@ -89,7 +89,7 @@ class IndexSpec(RecipeModel):
         "{sellmeier = [1.0396, 0.006, 0.2318, 0.02]}",
         "{n_d = 1.575, abbe = 30}",
         "{drude = {plasma_ev = 9.0, damping_ev = 0.07}}",
-        "{lorentz = {oscillators = [{strength = 0.05, resonance_ev = 2.2}]}}",
+        "{lorentz = {oscillators = [{strength = 1.0, resonance_ev = 4.2}]}}",
         '{file = "nk.csv"}',
         '{rii = "main/Ag/Johnson"}',
         '{name = "TiO2", extrapolate = "edge"}',
