@@ -24,7 +24,10 @@ MODES = ("grid", "random", "sobol")
 
 
 class AxisSpec(RecipeModel):
-    """The values of one number: a list of them, or an interval; read by `read_points`, here for the reference."""
+    """The values of one number: a list of them, or an interval.
+
+    `read_points` reads an axis and tells what is wrong in its own words; here stand its keys, for the reference.
+    """
 
     forms: ClassVar[tuple[str, ...]] = (
         "{start = 100, stop = 600, count = 51}",
