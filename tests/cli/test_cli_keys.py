@@ -73,7 +73,8 @@ def test_no_recipe_model_is_left_out_of_the_reference() -> None:
         return {model}.union(*(below(inner) for inner in model.__subclasses__()))
 
     known = {base for table in TABLES for base in table.__mro__}
-    assert {model.__name__ for model in below(RecipeModel) if model not in known} == set()
+    own = {model for model in below(RecipeModel) if model.__module__.startswith("nacre")}  # and not those of tests
+    assert {model.__name__ for model in own - known} == set()
 
 
 @pytest.mark.parametrize("name", kind_names())

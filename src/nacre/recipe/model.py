@@ -208,7 +208,12 @@ def _key(location: tuple[int | str, ...]) -> str:
     for part in location:
         if isinstance(part, int):
             key += f"[{part}]"
-        elif part in ("float", "int", "str", "bool"):  # names of union members, as are capitalised parts
+        elif part.removeprefix("constrained-") in (
+            "float",
+            "int",
+            "str",
+            "bool",
+        ):  # names of union members, as are capitalised parts
             continue
         elif part.isidentifier() and not part[:1].isupper():
             key += f".{part}" if key else part
