@@ -21,31 +21,18 @@ def keys() -> ModuleType:
         sys.path.remove(str(DOCS))
 
 
-def _models(keys: ModuleType) -> dict[str, set[str]]:
-    from nacre.bsdf.texture_spec import TextureSpec
-    from nacre.matter.indices.spec import IndexSpec
+def test_every_key_of_every_kind_of_file_is_listed_with_its_meaning(keys: ModuleType) -> None:
+    from nacre.cli.keys import kind, kind_names
+    from nacre.recipe.keys import keys_of, tables_below
 
-    tops = [keys.load(path) for path in keys.files().values()] + [IndexSpec, TextureSpec]
-    found: dict[str, set[str]] = {}
-    for top in tops:
-        for model in keys.models_below(top):
-            found.setdefault(model.__name__, set()).update(model.model_fields)
-    return found
-
-
-def test_no_meaning_stands_for_a_key_that_does_not_exist(keys: ModuleType) -> None:
-    models = _models(keys)
-    for path in keys.meanings():
-        model, key = path.split(".")
-        assert key in models.get(model, set()), path
-
-
-def test_every_key_of_every_family_is_listed_with_its_meaning(keys: ModuleType) -> None:
-    page, said = keys.page(), keys.meanings()
-    for model, names in _models(keys).items():
-        for name in names:
-            assert f"| `{name}` |" in page
-            assert f"{model}.{name}" in said, f"docs/meanings.toml: [{model}] {name} is missing"
+    page = keys.page()
+    for name in kind_names():
+        for model in kind(name).models:
+            for place, table in tables_below(model):
+                for key in keys_of(table):
+                    rows = [line for line in page.splitlines() if line.startswith(f"| `{key.name}` |")]
+                    meaning = key.meaning.replace("|", "\\|").replace("[", "\\[")
+                    assert key.meaning and any(meaning in row for row in rows), f"{name}.{place}.{key.name}"
 
 
 def test_every_command_and_option_is_listed(keys: ModuleType) -> None:

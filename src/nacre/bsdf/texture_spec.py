@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import pydantic
@@ -21,16 +21,34 @@ FORMULA_SAMPLES = 257
 
 
 class TextureSpec(RecipeModel):
-    """`{texture = "t.png", min = 100, max = 700}` or `{formula = "100 + 600*v"}`, there with optional min and max.
+    """A number that varies over the surface: an image with a range, or a formula of u and v.
 
     An image's grey values run linearly from min (black) to max (white). A formula gives the number itself, and is
     clipped to min and max where they are given.
     """
 
-    texture: str | None = None
-    formula: str | None = None
-    min: float | None = None
-    max: float | None = None
+    noun: ClassVar[str] = "texture"
+    one_of: ClassVar[tuple[str, ...]] = ("texture", "formula")
+    forms: ClassVar[tuple[str, ...]] = (
+        '{texture = "grey.png", min = 0.1, max = 0.7}',
+        '{formula = "0.1 + 0.6*v"}',
+        '{formula = "0.5 + 0.5*sin(20*u)", min = 0.1, max = 0.7}',
+    )
+
+    texture: str | None = pydantic.Field(
+        default=None, description="an image beside the recipe, 8 or 16 bit, read as grey", examples=["grey.png"]
+    )
+    formula: str | None = pydantic.Field(
+        default=None,
+        description="an expression of the surface's coordinates u and v, each from 0 to 1",
+        examples=["0.1 + 0.6*v"],
+    )
+    min: float | None = pydantic.Field(
+        default=None, description="value of the image's black; lower clip of a formula", examples=[0.1]
+    )
+    max: float | None = pydantic.Field(
+        default=None, description="value of the image's white; upper clip of a formula", examples=[0.7]
+    )
 
     @pydantic.model_validator(mode="after")
     def _one_of_two(self) -> TextureSpec:

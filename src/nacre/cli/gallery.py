@@ -36,69 +36,79 @@ Report = Callable[["Item", int, int, float, float], None]  # item, number, total
 class PictureSpec(RecipeModel):
     """A still of the gallery."""
 
-    recipe: str
-    title: str
-    scene: str = "sphere"
-    shape: str | None = None
-    light: str | None = None
-    illuminant: str = "D65"
-    components: str = "sum"
-    exposure: float | Literal["auto"] = "auto"
-    view_turn_deg: float = 0.0
-    light_turn_deg: float = 0.0
-    spp: float = 1.0  # times the usual number of samples and the usual time
-    quick: bool = False
-    name: str | None = None
-    quality: Literal["reference", "fast"] | None = None
+    recipe: str = pydantic.Field(description="file of the recipe that is shown")
+    title: str = pydantic.Field(description="caption on the contact sheet")
+    scene: str = pydantic.Field(default="sphere", description="scene, as `nacre render --scene` takes it")
+    shape: str | None = pydantic.Field(
+        default=None, description="shape, as `nacre render --shape` takes it; the scene's own if not given"
+    )
+    light: str | None = pydantic.Field(
+        default=None, description="light, as `nacre render --light` takes it; the scene's own if not given"
+    )
+    illuminant: str = pydantic.Field(default="D65", description="spectrum of the light, such as D65 or A")
+    components: str = pydantic.Field(
+        default="sum", description="parts of the reflection that are shown, as `nacre render --components` takes them"
+    )
+    exposure: float | Literal["auto"] = pydantic.Field(default="auto", description="exposure in stops, or auto")
+    view_turn_deg: float = pydantic.Field(default=0.0, description="turns the view round the object")
+    light_turn_deg: float = pydantic.Field(default=0.0, description="turns the light round the object")
+    spp: float = pydantic.Field(default=1.0, description="times the usual number of samples and the usual time")
+    quick: bool = pydantic.Field(default=False, description="whether it is part of `nacre demo --quick`")
+    name: str | None = pydantic.Field(default=None, description="name of the picture's file; the recipe's if not given")
+    quality: Literal["reference", "fast"] | None = pydantic.Field(
+        default=None, description="quality of a pearl, in place of the recipe's own"
+    )
 
 
 class AnimationSpec(PictureSpec):
     """An animation: what moves."""
 
-    animate: str
+    animate: str = pydantic.Field(description="what moves: light, view, or PATH=A:B of a number of the recipe")
 
 
 class RowSpec(RecipeModel):
     """An animation of several materials at once, in rows, under one light and one exposure."""
 
-    recipes: list[str] = pydantic.Field(min_length=1)
-    columns: Annotated[int, pydantic.Field(ge=1)]
-    title: str
-    name: str
-    scene: str
-    animate: Literal["light", "view"]
-    cell: tuple[int, int]  # width and height of one material's picture
-    spp: float = 1.0
-    quick: bool = False
-    quality: Literal["reference", "fast"] | None = None
+    recipes: list[str] = pydantic.Field(min_length=1, description="files of the recipes that are shown together")
+    columns: Annotated[int, pydantic.Field(ge=1)] = pydantic.Field(description="number of materials in a row")
+    title: str = pydantic.Field(description="caption on the contact sheet")
+    name: str = pydantic.Field(description="name of the animation's file")
+    scene: str = pydantic.Field(description="scene, as `nacre render --scene` takes it")
+    animate: Literal["light", "view"] = pydantic.Field(description="what moves")
+    cell: tuple[int, int] = pydantic.Field(description="width and height of one material's picture, in pixels")
+    spp: float = pydantic.Field(default=1.0, description="times the usual number of samples and the usual time")
+    quick: bool = pydantic.Field(default=False, description="whether it is part of `nacre demo --quick`")
+    quality: Literal["reference", "fast"] | None = pydantic.Field(
+        default=None, description="quality of a pearl, in place of the recipe's own"
+    )
 
 
 class PlotSpec(RecipeModel):
     """A figure of the gallery."""
 
-    recipe: str
-    title: str
-    kind: str
-    quick: bool = False
+    recipe: str = pydantic.Field(description="file of the recipe that is drawn")
+    title: str = pydantic.Field(description="caption on the contact sheet")
+    kind: str = pydantic.Field(description="kind of the figure, as `nacre plot --kind` takes it")
+    quick: bool = pydantic.Field(default=False, description="whether it is part of `nacre demo --quick`")
 
 
 class DesignSpec(RecipeModel):
     """A design: its target file, and the seconds that it may take."""
 
-    target: str
-    title: str
-    seconds: float = 15.0
-    quick: bool = False
+    target: str = pydantic.Field(description="file of the target")
+    title: str = pydantic.Field(description="caption on the contact sheet")
+    seconds: float = pydantic.Field(default=15.0, description="time that the search may take")
+    quick: bool = pydantic.Field(default=False, description="whether it is part of `nacre demo --quick`")
 
 
 class GallerySpec(RecipeModel):
-    """`gallery.toml`."""
+    """What `nacre demo` shows, as in examples/gallery.toml."""
 
-    picture: list[PictureSpec] = []
-    animation: list[AnimationSpec] = []
-    row: list[RowSpec] = []
-    plot: list[PlotSpec] = []
-    design: list[DesignSpec] = []
+    picture: list[PictureSpec] = pydantic.Field(default=[], description="the stills")
+    animation: list[AnimationSpec] = pydantic.Field(default=[], description="the animations of one material")
+    row: list[RowSpec] = pydantic.Field(default=[], description="the animations of several materials at once")
+    plot: list[PlotSpec] = pydantic.Field(default=[], description="the figures")
+    design: list[DesignSpec] = pydantic.Field(default=[], description="the designs")
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,8 @@ The keys are a promise to users: add, do not rename.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
@@ -49,8 +50,17 @@ VISIBLE_THRESHOLD = 1e-3  # target values under this may lie beyond the horizon
 class ColourSource(RecipeModel):
     """A colour taken from a file: an image over the slice, or a reflectance spectrum (CSV: nm, value)."""
 
-    image: str | None = None
-    spectrum: str | None = None
+    one_of: ClassVar[tuple[str, ...]] = ("image", "spectrum")
+    forms: ClassVar[tuple[str, ...]] = ('{image = "colours.png"}', '{spectrum = "reflectance.csv"}')
+
+    image: str | None = pydantic.Field(
+        default=None, description="an image of the colours over the slice", examples=["colours.png"]
+    )
+    spectrum: str | None = pydantic.Field(
+        default=None,
+        description="a CSV of wavelength in nm and reflectance, whose colour under D65 is taken",
+        examples=["reflectance.csv"],
+    )
 
     @pydantic.model_validator(mode="after")
     def _exactly_one(self) -> ColourSource:
@@ -62,20 +72,51 @@ class ColourSource(RecipeModel):
 class TargetTable(RecipeModel):
     """One wanted picture over the directions of a slice."""
 
-    kind: str
-    image: str | None = None
-    image_scale: Positive = 1.5
-    file: str | None = None
-    colour: str | ColourSource = "white"
-    iridescent_range: Positive = 0.06
-    width: Positive | None = None
-    hole: Positive | None = None
-    cone: Positive | None = None
-    range: Annotated[float, pydantic.Field(gt=0.0, le=2.0)]
-    resolution: Annotated[int, pydantic.Field(ge=4, le=1024)] = 64
-    intensity_scale: Positive | Literal["free"] = "free"
-    brightness_floor: Annotated[float, pydantic.Field(ge=0.0)] | None = None
-    incidence_deg: tuple[tuple[float, float], ...] | None = None
+    forms: ClassVar[tuple[str, ...]] = (
+        '{kind = "anti-mirror", range = 0.5}',
+        '{kind = "image", image = "grey.png", range = 0.4, colour = "#ffcc00"}',
+    )
+
+    kind: str = pydantic.Field(
+        json_schema_extra={"enum": [*KINDS, *KIND_ALIASES]}, description="kind of the look", examples=["anti-mirror"]
+    )
+    image: str | None = pydantic.Field(
+        default=None, description="the picture, for the kinds image and inverted-image", examples=["grey.png"]
+    )
+    image_scale: Positive = pydantic.Field(default=1.5, description="size of the picture over the directions")
+    file: str | None = pydantic.Field(
+        default=None, description="a .npy array over the slice, for the kind array", examples=["look.npy"]
+    )
+    colour: str | ColourSource = pydantic.Field(
+        default="white",
+        description="a name, #rrggbb, iridescent-half, iridescent-disk, or a table that leads to a file",
+        examples=["white", "#ffcc00", "iridescent-disk", {"spectrum": "reflectance.csv"}],
+    )
+    iridescent_range: Positive = pydantic.Field(default=0.06, description="radius at which iridescent colours change")
+    width: Positive | None = pydantic.Field(default=None, description="width of the lobe in rad", examples=[0.12])
+    hole: Positive | None = pydantic.Field(default=None, description="width of the dark centre", examples=[0.05])
+    cone: Positive | None = pydantic.Field(
+        default=None, description="radius that limits a uniform look", examples=[0.3]
+    )
+    range: Annotated[float, pydantic.Field(gt=0.0, le=2.0)] = pydantic.Field(
+        description="half the side of the slice, in components of wi + wo", examples=[0.5]
+    )
+    resolution: Annotated[int, pydantic.Field(ge=4, le=1024)] = pydantic.Field(
+        default=64, description="number of directions along a side of the slice"
+    )
+    intensity_scale: Positive | Literal["free"] = pydantic.Field(
+        default="free", description="brightness of the picture: a fixed scale, or the best one", examples=["free", 2.0]
+    )
+    brightness_floor: Annotated[float, pydantic.Field(ge=0.0)] | None = pydantic.Field(
+        default=None,
+        description="keeps a free scale from going dark; without it: 5 % of the light inside the picture",
+        examples=[0.1],
+    )
+    incidence_deg: tuple[tuple[float, float], ...] | None = pydantic.Field(
+        default=None,
+        description="directions of the light, each [theta, phi]; without it those of the search",
+        examples=[[[0, 0], [30, 0]]],
+    )
 
     @pydantic.field_validator("kind")
     @classmethod
@@ -181,14 +222,33 @@ class TargetTable(RecipeModel):
 class SearchTable(RecipeModel):
     """How to search; all optional. `shakes` is how often the finished design is disturbed and descended again."""
 
-    starts: Annotated[int, pydantic.Field(ge=1, le=256)] = 8
-    shakes: Annotated[int, pydantic.Field(ge=0, le=10_000)] = 40
-    seed: Annotated[int, pydantic.Field(ge=0)] = 1
-    time_limit_s: Positive | None = 60.0
-    noise: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = 0.0
-    blur_error: Annotated[float, pydantic.Field(ge=0.0, le=0.9)] = 0.0
-    levels: Annotated[int, pydantic.Field(ge=0, le=256)] = 0
-    incidence_deg: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
+    forms: ClassVar[tuple[str, ...]] = (
+        "{time_limit_s = 20}",
+        "{starts = 16, levels = 8, incidence_deg = [[0, 0], [30, 0]]}",
+    )
+
+    starts: Annotated[int, pydantic.Field(ge=1, le=256)] = pydantic.Field(
+        default=8, description="number of random starts"
+    )
+    shakes: Annotated[int, pydantic.Field(ge=0, le=10_000)] = pydantic.Field(
+        default=40, description="how often the finished design is disturbed and improved again, while time is left"
+    )
+    seed: Annotated[int, pydantic.Field(ge=0)] = pydantic.Field(default=1, description="seed of the starts")
+    time_limit_s: Positive | None = pydantic.Field(
+        default=60.0, description="stop after this time with the best design so far"
+    )
+    noise: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = pydantic.Field(
+        default=0.0, description="relative noise of each height, by the process, to be robust against"
+    )
+    blur_error: Annotated[float, pydantic.Field(ge=0.0, le=0.9)] = pydantic.Field(
+        default=0.0, description="relative error of the blur to be robust against"
+    )
+    levels: Annotated[int, pydantic.Field(ge=0, le=256)] = pydantic.Field(
+        default=0, description="number of heights that the process can make; 0: any"
+    )
+    incidence_deg: tuple[tuple[float, float], ...] = pydantic.Field(
+        default=((0.0, 0.0),), description="directions of the light, each [theta, phi]"
+    )
 
     @pydantic.model_validator(mode="after")
     def _levels_are_two_or_more(self) -> SearchTable:
@@ -198,20 +258,46 @@ class SearchTable(RecipeModel):
 
 
 class TargetSpec(RecipeModel):
-    """A target file for the relief family."""
+    """The look that `nacre design` finds a relief for."""
 
-    family: Literal["relief"] = "relief"
-    features: Annotated[int, pydantic.Field(ge=2, le=LARGEST_TILE_FEATURES)] = 32
-    feature_um: Positive
-    blur_um: Positive
-    height_max_um: Positive
-    coating: IndexSpec = pydantic.Field(default_factory=lambda: IndexSpec.model_validate("Al"))
-    coherence: CoherenceSpec
-    spectrum: Literal["published-8", "default"] = "default"
-    prefactor: Literal["kirchhoff", "published"] | None = None
-    target: TargetTable
-    targets: tuple[TargetTable, ...] = ()
-    search: SearchTable = SearchTable()
+    example: ClassVar[Mapping[str, Any]] = {
+        "family": "relief",
+        "feature_um": 2,
+        "blur_um": 0.6,
+        "height_max_um": 0.5,
+        "coherence": {"sigma": 5},
+        "target": {"kind": "anti-mirror", "range": 0.5},
+        "search": {"time_limit_s": 20},
+    }
+
+    family: Literal["relief"] = pydantic.Field(default="relief", description="the family that is designed")
+    features: Annotated[int, pydantic.Field(ge=2, le=LARGEST_TILE_FEATURES)] = pydantic.Field(
+        default=32, description="number of features along a side of the tile"
+    )
+    feature_um: Positive = pydantic.Field(description="pitch of the features", examples=[2])
+    blur_um: Positive = pydantic.Field(
+        description="standard deviation of the Gaussian blur of the process", examples=[0.6]
+    )
+    height_max_um: Positive = pydantic.Field(description="largest height that the process can make", examples=[0.5])
+    coating: IndexSpec = pydantic.Field(
+        default_factory=lambda: IndexSpec.model_validate("Al"), description="metal of the surface, opaque"
+    )
+    coherence: CoherenceSpec = pydantic.Field(
+        description="coherence of the light, which is the angular size of the lamp"
+    )
+    spectrum: Literal["published-8", "default"] = pydantic.Field(
+        default="default", description="wavelengths of the colour: the source's eight, or the default grid"
+    )
+    prefactor: Literal["kirchhoff", "published"] | None = pydantic.Field(
+        default=None,
+        description="prefactor of the diffraction integral; without it: as published with the published "
+        "spectrum, else the one that conserves energy",
+    )
+    target: TargetTable = pydantic.Field(description="the wanted look")
+    targets: tuple[TargetTable, ...] = pydantic.Field(
+        default=(), description="more looks that the same relief should have"
+    )
+    search: SearchTable = pydantic.Field(default=SearchTable(), description="how to search")
 
     @property
     def chosen_prefactor(self) -> Literal["kirchhoff", "published"]:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import pydantic
+from pydantic_core import PydanticCustomError, core_schema
 
 from nacre.errors import RecipeError, did_you_mean
 from nacre.recipe.paths import TEXTURE_KEYS
@@ -61,6 +62,36 @@ def show_value(value: object) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
+def _refuse_text(schema: Any) -> None:
+    """Make every number and every truth value inside a core schema strict, in place.
+
+    A whole number may still be written 7.0: sweeps and fits hand on floats.
+    """
+    if isinstance(schema, list | tuple):
+        for inner in schema:
+            _refuse_text(inner)
+    elif isinstance(schema, dict):
+        kind = schema.get("type")
+        if kind in ("float", "bool"):
+            schema["strict"] = True
+        elif kind == "int":
+            whole = dict(schema)
+            schema.clear()
+            schema.update(core_schema.no_info_before_validator_function(_whole, whole))
+        elif kind == "function-before" and schema["function"]["function"] is _whole:
+            return  # a table inside a table was seen to already
+        else:
+            for key, inner in schema.items():
+                if key not in ("default", "metadata", "serialization"):
+                    _refuse_text(inner)
+
+
+def _whole(value: Any) -> Any:
+    if isinstance(value, bool | str | bytes):
+        raise PydanticCustomError("int_type", "Input should be a whole number")
+    return value
+
+
 class RecipeModel(pydantic.BaseModel):
     """A table of a recipe: unknown keys are refused, numbers are finite, lengths may carry any unit.
 
@@ -71,8 +102,20 @@ class RecipeModel(pydantic.BaseModel):
     example: ClassVar[Mapping[str, Any]] = {}
     varies: ClassVar[str] = ""  # of a family: which numbers a texture or formula may give, for messages
     varies_by_nodes: ClassVar[tuple[str, ...]] = ()  # paths solved at some values and blended between
+    # for the reference and for editors, see `keys.py` and `schema.py` beside this file
+    noun: ClassVar[str] = ""  # of a table that stands in many places: what it is called, "an optical constant"
+    forms: ClassVar[tuple[str, ...]] = ()  # every way to write the table, as TOML
+    shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ()  # JSON Schemas of what may stand in its place
+    one_of: ClassVar[tuple[str, ...]] = ()  # keys of which exactly one is given; "a|b" stands for one or both
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: pydantic.GetCoreSchemaHandler) -> Any:
+        """Take numbers for numbers only: pydantic by itself reads "12" as 12, true as 1 and "yes" as true."""
+        schema = handler(source)
+        _refuse_text(handler.resolve_ref_schema(schema))
+        return schema
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -147,6 +190,7 @@ def _first_line(error: pydantic.ValidationError, model: type[RecipeModel], conte
                     hint = hint.replace(name, places[name][0])
         return f"{context.source}: key {key} is not known.{hint}"
     message = problem["msg"].removeprefix("Value error, ").removeprefix("Input should be ").strip()
+    message = {"a valid boolean": "true or false", "a valid number": "a number"}.get(message, message)
     if problem["type"] == "missing":
         return f"{context.source}: {key} is missing"
     if problem["type"] == "value_error":
@@ -164,7 +208,14 @@ def _key(location: tuple[int | str, ...]) -> str:
     for part in location:
         if isinstance(part, int):
             key += f"[{part}]"
-        elif part.isidentifier() and not part[:1].isupper():  # capitalised parts are names of union members
+        elif part.removeprefix("constrained-") in (
+            "float",
+            "int",
+            "str",
+            "bool",
+        ):  # names of union members, as are capitalised parts
+            continue
+        elif part.isidentifier() and not part[:1].isupper():
             key += f".{part}" if key else part
         elif not part[:1].isupper() and "[" not in part:
             shown = " ".join(part.split())[:60]  # a key may be any text; the message stays one line

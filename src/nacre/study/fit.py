@@ -21,7 +21,7 @@ from nacre.errors import NacreError, RecipeError
 from nacre.exchange.gonio_csv import COLUMNS, GonioData, read_gonio_csv, read_table
 from nacre.materials.material import Material
 from nacre.recipe.model import show_value
-from nacre.study.tables import by_path
+from nacre.study.tables import FreeSpec, by_path, known_only
 
 PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
 MAX_FREE = 12
@@ -160,6 +160,7 @@ def read_free(material: Material, options: tuple[str, ...] = ()) -> tuple[FreeNu
         raise RecipeError(f"{source}: {len(table)} numbers are free; at most {MAX_FREE} are allowed")
     free = []
     for path, bounds_ in table.items():
+        known_only(bounds_, FreeSpec, f'{source}: fit."{path}"')
         low, high = (bounds_.get("min"), bounds_.get("max")) if isinstance(bounds_, Mapping) else (None, None)
         if not all(isinstance(b, int | float) and math.isfinite(b) for b in (low, high)) or not low < high:  # type: ignore[operator]  # checked finite numbers
             raise RecipeError(f'{source}: fit."{path}" = {show_value(bounds_)} should be {{min = ..., max = ...}}')

@@ -4,38 +4,69 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
+
+import pydantic
 
 from nacre.errors import NacreError, RecipeError
 from nacre.files import read_text
 from nacre.materials.material import Material, load
+from nacre.recipe.keys import ByPath
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
 from nacre.recipe.toml import parse_toml
-from nacre.study.sweep_points import Points, read_points
+from nacre.study.sweep_points import MODES, AxisSpec, Points, read_points
 from nacre.study.sweep_values import PARTS, Measurement
 
 
 class MeasureSpec(RecipeModel):
     """The `[measure]` table: what is stored of each point."""
 
-    angles_deg: list[float] = [0.0, 15.0, 30.0, 45.0, 60.0]
-    illuminant: str = "D65"
-    observer: str = "2deg"
-    wavelengths_nm: list[float] | None = None
-    parts: list[str] | None = None
+    forms: ClassVar[tuple[str, ...]] = ('{angles_deg = [0, 45], illuminant = "A", parts = ["specular_reflectance"]}',)
+
+    angles_deg: list[float] = pydantic.Field(default=[0.0, 15.0, 30.0, 45.0, 60.0], description="angles of incidence")
+    illuminant: str = pydantic.Field(default="D65", description="illuminant of the colours, such as D65 or A")
+    observer: str = pydantic.Field(
+        json_schema_extra={"enum": ["2deg", "10deg"]},
+        default="2deg",
+        description="observer of the colours: 2deg or 10deg",
+    )
+    wavelengths_nm: list[float] | None = pydantic.Field(
+        default=None,
+        description="ascending grid of wavelengths; chosen by the material if not given",
+        examples=[[400, 500, 600, 700]],
+    )
+    parts: list[str] | None = pydantic.Field(
+        default=None,
+        description="parts of the spectrum to store, such as specular_reflectance; chosen by the material if not given",
+        examples=[["specular_reflectance"]],
+    )
 
 
 class SweepSpec(RecipeModel):
     """A sweep file: a recipe, the axes, how to fill them, what to measure."""
 
-    recipe: str
-    axes: dict[str, Any]
-    mode: str = "grid"
-    count: int = 256
-    seed: int = 0
-    measure: MeasureSpec = MeasureSpec()
+    example: ClassVar[Mapping[str, Any]] = {
+        "recipe": "film.toml",
+        "axes": {"layers[0].thickness_nm": {"start": 100, "stop": 600, "count": 51}},
+    }
+
+    recipe: str = pydantic.Field(description="file of the recipe to vary", examples=["film.toml"])
+    axes: Annotated[dict[str, Any], ByPath(AxisSpec, ({"type": "array"},))] = pydantic.Field(
+        description="path of a number of the recipe -> a list of values, or a table with start, stop and "
+        "count (or step), or low and high, and log",
+        examples=[{"layers[0].thickness_nm": {"start": 100, "stop": 600, "count": 51}}, {"substrate": ["Si", "Al"]}],
+    )
+    mode: str = pydantic.Field(
+        json_schema_extra={"enum": list(MODES)},
+        default="grid",
+        description="how the axes are filled: grid, random or sobol",
+    )
+    count: int = pydantic.Field(default=256, description="number of points of random and sobol sweeps")
+    seed: int = pydantic.Field(default=0, description="seed of the points")
+    measure: MeasureSpec = pydantic.Field(default=MeasureSpec(), description="what is stored of each point")
 
 
 @dataclass(frozen=True)

@@ -7,19 +7,49 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+import pydantic
 from numpy.typing import NDArray
 
 from nacre.errors import RecipeError
-from nacre.recipe.model import show_value
+from nacre.recipe.model import RecipeModel, show_value
 from nacre.study.tables import by_path
 
 MAX_POINTS = 10_000_000
 MAX_AXES = 12
 AXIS_KEYS = {"values", "start", "stop", "low", "high"}
 MODES = ("grid", "random", "sobol")
+
+
+class AxisSpec(RecipeModel):
+    """The values of one number: a list of them, or an interval.
+
+    `read_points` reads an axis and tells what is wrong in its own words; here stand its keys, for the reference.
+    """
+
+    forms: ClassVar[tuple[str, ...]] = (
+        "{start = 100, stop = 600, count = 51}",
+        "{start = 100, stop = 600, step = 10}",
+        "{low = 0.01, high = 0.3, log = true}",
+        '{values = ["Si", "Al"]}',
+    )
+
+    values: list[Any] | None = pydantic.Field(default=None, description="a list of values", examples=[[100, 200, 400]])
+    start: float | None = pydantic.Field(default=None, description="first value of the interval", examples=[100])
+    stop: float | None = pydantic.Field(default=None, description="last value of the interval", examples=[600])
+    count: int | None = pydantic.Field(
+        default=None, ge=1, le=MAX_POINTS, description="number of values, both ends included", examples=[51]
+    )
+    step: float | None = pydantic.Field(default=None, gt=0.0, description="in place of count: the step", examples=[10])
+    low: float | None = pydantic.Field(
+        default=None, description="lower end of a random or sobol sweep's interval", examples=[0.01]
+    )
+    high: float | None = pydantic.Field(
+        default=None, description="upper end of a random or sobol sweep's interval", examples=[0.3]
+    )
+    log: bool = pydantic.Field(default=False, description="spread the values evenly in the logarithm", examples=[True])
 
 
 @dataclass(frozen=True)
@@ -128,7 +158,7 @@ def _read_axis(path: str, value: Any, mode: str, source: str) -> Axis:
         value = {"values": value}
     if not isinstance(value, Mapping):
         raise RecipeError(f"{source}: {key} = {show_value(value)} should be a list or a table {{start, stop, count}}")
-    unknown = set(value) - {"values", "start", "stop", "count", "step", "low", "high", "log"}
+    unknown = set(value) - set(AxisSpec.model_fields)
     if unknown:
         known = "values, start, stop, count, step, log"
         raise RecipeError(f"{source}: {key}.{sorted(unknown)[0]} is not known; use {known}")

@@ -3,10 +3,73 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any, ClassVar, Literal
 
-from nacre.errors import RecipeError
-from nacre.recipe.model import show_value
+import pydantic
+
+from nacre.errors import RecipeError, did_you_mean
+from nacre.recipe.keys import ByPath
+from nacre.recipe.model import RecipeModel, show_value
+
+
+class FreeSpec(RecipeModel):
+    """The bounds of a number that `nacre fit` may change."""
+
+    forms: ClassVar[tuple[str, ...]] = ("{min = 100, max = 600}",)
+
+    min: float = pydantic.Field(description="lower bound", examples=[100])
+    max: float = pydantic.Field(description="upper bound", examples=[600])
+
+
+class SpreadSpec(RecipeModel):
+    """How far a number spreads in manufacture, for `nacre tolerance`."""
+
+    one_of: ClassVar[tuple[str, ...]] = ("deviation", "percent")
+    forms: ClassVar[tuple[str, ...]] = ("{deviation = 5}", '{percent = 2, distribution = "uniform"}')
+
+    deviation: float | None = pydantic.Field(
+        default=None,
+        ge=0.0,
+        description="standard deviation, or half width of a uniform spread, in the number's own unit",
+        examples=[5],
+    )
+    percent: float | None = pydantic.Field(
+        default=None, ge=0.0, description="in place of deviation: the same in per cent of the number", examples=[2]
+    )
+    distribution: Literal["gaussian", "uniform"] = pydantic.Field(
+        default="gaussian", description="shape of the spread", examples=["uniform"]
+    )
+
+
+class StudySpec(RecipeModel):
+    """The tables that every recipe may hold beside the keys of its family."""
+
+    fit: Annotated[dict[str, Any], ByPath(FreeSpec)] = pydantic.Field(
+        default={},
+        description="numbers that `nacre fit` may change: path of the number -> its bounds",
+        examples=[{"layers[0].thickness_nm": {"min": 100, "max": 600}}],
+    )
+    tolerance: Annotated[
+        dict[str, Any], ByPath(SpreadSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}))
+    ] = pydantic.Field(
+        default={},
+        description="spreads of manufacture for `nacre tolerance`: path of the number -> a deviation, a percentage, "
+        "or a table",
+        examples=[{"layers[0].thickness_nm": {"percent": 2}}, {"layers[0].thickness_nm": 5}],
+    )
+
+
+def known_only(entry: Any, model: type[RecipeModel], where: str) -> None:
+    """Refuse a key that an entry's table does not have.
+
+    Raises:
+        RecipeError: naming the key, with a guess.
+    """
+    for key in entry if isinstance(entry, Mapping) else ():
+        if key not in model.model_fields:
+            known = ", ".join(model.model_fields)
+            hint = did_you_mean(str(key), model.model_fields)
+            raise RecipeError(f"{where}.{key} is not known.{hint} Keys: {known}")
 
 
 def by_path(table: Any, own_keys: frozenset[str] | set[str], source: str, name: str) -> dict[str, Any]:

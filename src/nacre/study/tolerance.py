@@ -17,7 +17,7 @@ from nacre.measure import instruments as geometry
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.recipe.model import show_value
 from nacre.study.report import SPECULAR_ANGLES_DEG
-from nacre.study.tables import by_path
+from nacre.study.tables import SpreadSpec, by_path, known_only
 
 DISTRIBUTIONS = ("gaussian", "uniform")
 MAX_DRAWS = 1_000_000
@@ -109,6 +109,7 @@ def _spread(material: Material, path: str, value: Any, source: str) -> Spread:
         raise RecipeError(f'{source}: tolerance."{path}": the recipe\'s value {show_value(nominal)} is not a number')
     distribution = "gaussian"
     if isinstance(value, Mapping):
+        known_only(value, SpreadSpec, f'{source}: tolerance."{path}"')
         distribution = value.get("distribution", "gaussian")
         if distribution not in DISTRIBUTIONS:
             known = ", ".join(DISTRIBUTIONS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
@@ -21,18 +22,30 @@ from nacre.recipe.model import RecipeContext, RecipeModel
 class PartSpec(RecipeModel):
     """A material of the blend: another recipe."""
 
-    recipe: str
+    forms: ClassVar[tuple[str, ...]] = ('{recipe = "film.toml"}',)
+
+    recipe: str = pydantic.Field(description="file of the recipe of this part", examples=["film.toml"])
 
 
 class BlendSpec(RecipeModel):
-    """`first` where the mask is 1 (white), `second` where it is 0 (black)."""
+    """Two recipes and a mask: `first` where it is 1 (white), `second` where it is 0 (black)."""
+
+    example: ClassVar[Mapping[str, Any]] = {
+        "family": "blend",
+        "first": {"recipe": "film.toml"},
+        "second": {"recipe": "other.toml"},
+        "mask": {"texture": "grey.png", "min": 0, "max": 1},
+    }
 
     varies: ClassVar[str] = "mask"
 
-    family: Literal["blend"]
-    first: PartSpec
-    second: PartSpec
-    mask: NumberOrTexture
+    family: Literal["blend"] = pydantic.Field(description="the family's name")
+    first: PartSpec = pydantic.Field(description="the material shown where the mask is 1")
+    second: PartSpec = pydantic.Field(description="the material shown where the mask is 0")
+    mask: NumberOrTexture = pydantic.Field(
+        description="share of the first material, from 0 to 1; usually a texture or formula",
+        examples=[{"texture": "grey.png", "min": 0, "max": 1}, {"formula": "step(0.5, u)"}, 0.5],
+    )
 
     @pydantic.model_validator(mode="after")
     def _mask_is_a_share(self) -> BlendSpec:

@@ -61,10 +61,17 @@ def _width_form(value: Any) -> str:
     return "Pair" if isinstance(value, list | tuple) else texture_or_number(value)
 
 
-Thickness = Annotated[NumberOrTexture, pydantic.BeforeValidator(_thickness)]
+Thickness = Annotated[
+    Annotated[float, pydantic.Field(ge=0.0, le=MAX_THICKNESS_NM), pydantic.Tag("Number")]
+    | Annotated[TextureSpec, pydantic.Tag("Texture")],
+    pydantic.Discriminator(texture_or_number),
+    pydantic.BeforeValidator(_thickness),
+]
+UnitNumber = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
+Exponent = Annotated[float, pydantic.Field(ge=0.0, le=2e6)]
 Width = Annotated[
-    Annotated[float, pydantic.Tag("Number")]
-    | Annotated[tuple[float, ...], pydantic.Tag("Pair")]
+    Annotated[UnitNumber, pydantic.Tag("Number")]
+    | Annotated[tuple[UnitNumber, ...], pydantic.Field(min_length=1, max_length=2), pydantic.Tag("Pair")]
     | Annotated[TextureSpec, pydantic.Tag("Texture")],
     pydantic.Discriminator(_width_form),
     pydantic.BeforeValidator(_unit),
@@ -74,30 +81,60 @@ Width = Annotated[
 class LayerSpec(RecipeModel):
     """One layer: a material, a thickness that may vary over the surface, and whether it is too thick to interfere."""
 
-    material: IndexSpec
-    thickness_nm: Thickness
-    incoherent: bool = False
+    forms: ClassVar[tuple[str, ...]] = (
+        '{material = "SiO2", thickness_nm = 350}',
+        '{material = "SiO2", thickness_nm = {formula = "100 + 600*v"}}',
+        '{material = "glass", thickness_mm = 1, incoherent = true}',
+    )
+
+    material: IndexSpec = pydantic.Field(description="what the layer is made of")
+    thickness_nm: Thickness = pydantic.Field(
+        description="geometric thickness; a texture or formula lets it vary over the surface",
+        examples=[350, {"formula": "100 + 600*v"}, {"texture": "grey.png", "min": 100, "max": 700}],
+    )
+    incoherent: bool = pydantic.Field(
+        default=False,
+        description="the layer is too thick to interfere with itself, such as a pane or a varnish",
+        examples=[True],
+    )
 
 
 class SurfaceSpec(RecipeModel):
     """Roughness: a distribution and its width, as alpha or as exponents e = 2/alpha^2 - 2."""
 
-    distribution: Literal["ggx", "beckmann", "blinn", "ashikhmin-shirley"] = "ggx"
-    roughness: Width = 0.0
-    exponent: float | tuple[float, ...] | None = None
-    rotation_deg: NumberOrTexture = 0.0
-    compensate: bool = False
+    forms: ClassVar[tuple[str, ...]] = (
+        "{roughness = 0.1}",
+        '{distribution = "beckmann", roughness = [0.05, 0.2], rotation_deg = 45}',
+    )
+
+    distribution: Literal["ggx", "beckmann", "blinn", "ashikhmin-shirley"] = pydantic.Field(
+        default="ggx", description="distribution of the normals of the surface's facets"
+    )
+    roughness: Width = pydantic.Field(
+        default=0.0,
+        description="alpha of that distribution, or [alpha_x, alpha_y] for a brushed surface; 0 is smooth",
+        examples=[0.1, [0.05, 0.2], {"formula": "0.05 + 0.2*u"}],
+    )
+    exponent: Exponent | Annotated[tuple[Exponent, ...], pydantic.Field(min_length=1, max_length=2)] | None = (
+        pydantic.Field(
+            default=None,
+            description="exponent e of the distribution, or [e_x, e_y], in place of roughness: e = 2/alpha^2 - 2",
+            examples=[200, [100, 800]],
+        )
+    )
+    rotation_deg: NumberOrTexture = pydantic.Field(
+        default=0.0,
+        description="direction of brushing: turns alpha_x from the x axis of the surface",
+        examples=[45, {"formula": "360*u"}],
+    )
+    compensate: bool = pydantic.Field(
+        default=False, description="give back the light that facets scatter among each other", examples=[True]
+    )
 
     @pydantic.model_validator(mode="after")
     def _one_width(self) -> SurfaceSpec:
         if "roughness" in self.model_fields_set and self.exponent is not None:
             raise ValueError("roughness and exponent give the same width twice; keep one")
-        if self.exponent is not None:
-            values = self.exponent if isinstance(self.exponent, tuple) else (self.exponent,)
-            if len(values) not in (1, 2) or not all(0.0 <= e <= 2e6 for e in values):
-                raise ValueError(
-                    f"exponent = {show_value(list(values))} is not allowed; it should be one or two numbers in [0, 2e6]"
-                )
         return self
 
     def build(self, context: RecipeContext) -> Roughness:
@@ -124,16 +161,44 @@ class SurfaceSpec(RecipeModel):
         )
 
 
+def _preset_fills_ridges(schema: dict[str, Any]) -> None:
+    schema.pop("required")  # beside a preset one of the ridges' numbers may stand alone
+
+
+def _preset_fills_substrate(schema: dict[str, Any]) -> None:
+    schema["required"].remove("substrate")
+    schema["anyOf"] = [{"required": ["substrate"]}, {"required": ["preset"]}]
+
+
 class RidgesSpec(RecipeModel):
     """Ridges of lamellae along y, as on a Morpho scale."""
 
-    pitch_nm: Annotated[float, pydantic.Field(gt=0.0, le=1e5)]
-    width_nm: Annotated[float, pydantic.Field(gt=0.0, le=1e5)]
-    height_deviation_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e4)]
-    count: Annotated[int, pydantic.Field(ge=1, le=200)] = 7
-    along_deviation_deg: Annotated[float, pydantic.Field(ge=0.1, le=30.0)] = 4.0
-    fill: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = 1.0
-    rotation_deg: NumberOrTexture = 0.0
+    forms: ClassVar[tuple[str, ...]] = ("{pitch_nm = 700, width_nm = 300, height_deviation_nm = 120}",)
+
+    model_config = pydantic.ConfigDict(json_schema_extra=_preset_fills_ridges)
+
+    pitch_nm: Annotated[float, pydantic.Field(gt=0.0, le=1e5)] = pydantic.Field(
+        description="distance from ridge to ridge, across them", examples=[700]
+    )
+    width_nm: Annotated[float, pydantic.Field(gt=0.0, le=1e5)] = pydantic.Field(
+        description="width of one ridge, at most the pitch", examples=[300]
+    )
+    height_deviation_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e4)] = pydantic.Field(
+        description="standard deviation of the ridges' heights: 0 makes a grating, a quarter wave a broad fan",
+        examples=[120],
+    )
+    count: Annotated[int, pydantic.Field(ge=1, le=200)] = pydantic.Field(
+        default=7, description="number of neighbouring ridges that are lit coherently"
+    )
+    along_deviation_deg: Annotated[float, pydantic.Field(ge=0.1, le=30.0)] = pydantic.Field(
+        default=4.0, description="standard deviation of the fan of light along the ridges"
+    )
+    fill: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = pydantic.Field(
+        default=1.0, description="share of the area that the ridges cover"
+    )
+    rotation_deg: NumberOrTexture = pydantic.Field(
+        default=0.0, description="turns the ridges in the surface", examples=[45, {"formula": "360*u"}]
+    )
 
     @pydantic.model_validator(mode="after")
     def _width_fits(self) -> RidgesSpec:
@@ -157,15 +222,27 @@ class RidgesSpec(RecipeModel):
 class BaseSpec(RecipeModel):
     """A diffuse ground inside the substrate, under the film (under the ridges: what they leave lights it)."""
 
-    albedo: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = 0.0
+    forms: ClassVar[tuple[str, ...]] = ("{albedo = 0.05}",)
+
+    albedo: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = pydantic.Field(
+        default=0.0, description="share of the light that the diffuse ground sends back", examples=[0.05]
+    )
 
 
 class WavelengthsSpec(RecipeModel):
     """The wavelength grid, where the rule's choice is not wanted."""
 
-    min_nm: Annotated[float, pydantic.Field(ge=100.0, le=1e5)] = 360.0
-    max_nm: Annotated[float, pydantic.Field(ge=100.0, le=1e5)] = 830.0
-    step_nm: Annotated[float, pydantic.Field(ge=0.01, le=50.0)] | None = None
+    forms: ClassVar[tuple[str, ...]] = ("{min_nm = 400, max_nm = 700, step_nm = 2}",)
+
+    min_nm: Annotated[float, pydantic.Field(ge=100.0, le=1e5)] = pydantic.Field(
+        default=360.0, description="first wavelength of the grid"
+    )
+    max_nm: Annotated[float, pydantic.Field(ge=100.0, le=1e5)] = pydantic.Field(
+        default=830.0, description="last wavelength of the grid"
+    )
+    step_nm: Annotated[float, pydantic.Field(ge=0.01, le=50.0)] | None = pydantic.Field(
+        default=None, description="step of the grid; chosen by the optical thickness if not given", examples=[2]
+    )
 
     @pydantic.model_validator(mode="after")
     def _ascends(self) -> WavelengthsSpec:
@@ -192,22 +269,44 @@ class FilmModel(Film):
 
 
 class FilmSpec(RecipeModel):
-    """A film recipe. `preset = "morpho"` fills in what is not given."""
+    """Layers on a substrate, smooth, rough or in ridges; `preset = "morpho"` fills in what is not given."""
+
+    example: ClassVar[Mapping[str, Any]] = {
+        "family": "film",
+        "substrate": "Si",
+        "layers": [{"material": "SiO2", "thickness_nm": 350}],
+        "surface": {"roughness": 0.05},
+    }
 
     varies: ClassVar[str] = "layers[].thickness_nm, surface.roughness, surface.rotation_deg"
     varies_by_nodes: ClassVar[tuple[str, ...]] = ("base.albedo",)
 
-    family: Literal["film"] = "film"
-    title: str = ""
-    preset: Literal["morpho"] | None = None
-    ambient: IndexSpec = IndexSpec.model_validate("air")
-    substrate: IndexSpec
-    layers: tuple[LayerSpec, ...] = pydantic.Field(default=(), max_length=MAX_LAYERS)
-    surface: SurfaceSpec = SurfaceSpec()
-    ridges: RidgesSpec | None = None
-    base: BaseSpec = BaseSpec()
-    wavelengths: WavelengthsSpec = WavelengthsSpec()
-    extrapolate: Literal["error", "edge"] = "error"
+    model_config = pydantic.ConfigDict(json_schema_extra=_preset_fills_substrate)
+
+    family: Literal["film"] = pydantic.Field(default="film", description="the family's name")
+    title: str = pydantic.Field(default="", description="a title for figures", examples=["Oxide on silicon"])
+    preset: Literal["morpho"] | None = pydantic.Field(
+        default=None, description="fills in the Morpho wing; keys that are given win", examples=["morpho"]
+    )
+    ambient: IndexSpec = pydantic.Field(
+        default=IndexSpec.model_validate("air"), description="medium above the film, where the light comes from"
+    )
+    substrate: IndexSpec = pydantic.Field(
+        description="medium below the layers; equal to the ambient: a free film; clear: the material transmits"
+    )
+    layers: tuple[LayerSpec, ...] = pydantic.Field(
+        default=(), max_length=MAX_LAYERS, description="the layers, from the light's side inward"
+    )
+    surface: SurfaceSpec = pydantic.Field(default=SurfaceSpec(), description="roughness, which all layers follow")
+    ridges: RidgesSpec | None = pydantic.Field(default=None, description="ridges of lamellae, in place of roughness")
+    base: BaseSpec = pydantic.Field(default=BaseSpec(), description="a diffuse ground under the film")
+    wavelengths: WavelengthsSpec = pydantic.Field(
+        default=WavelengthsSpec(), description="the grid of wavelengths, where the film's own choice is not wanted"
+    )
+    extrapolate: Literal["error", "edge"] = pydantic.Field(
+        default="error",
+        description="outside the tabulated range of an optical constant: refuse, or hold the end values",
+    )
 
     @pydantic.model_validator(mode="before")
     @classmethod

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
+import pydantic
 
 from nacre.arrays import Array
 from nacre.bsdf import Bsdf
@@ -17,11 +19,15 @@ from nacre.recipe.model import RecipeContext, RecipeModel
 
 
 class MeasuredSpec(RecipeModel):
-    """Keys of `family = "measured"`: a `.nacre` file, as `nacre import` writes it, and a scale."""
+    """A measurement: a `.nacre` file, as `nacre import` writes it, and a scale."""
 
-    family: Literal["measured"]
-    file: str
-    scale: float = 1.0
+    example: ClassVar[Mapping[str, Any]] = {"family": "measured", "file": "paint.nacre"}
+
+    family: Literal["measured"] = pydantic.Field(description="the family's name")
+    file: str = pydantic.Field(description="a .nacre file, as `nacre import` writes it", examples=["paint.nacre"])
+    scale: float = pydantic.Field(
+        json_schema_extra={"exclusiveMinimum": 0}, default=1.0, description="factor that multiplies the measured values"
+    )
 
     def build(self, context: RecipeContext) -> Measured:
         """Load the file.

@@ -42,26 +42,47 @@ WIDEST_RELATIVE_SIZE = 0.3
 class LayerSpec(RecipeModel):
     """One layer of the stack."""
 
-    material: IndexSpec
-    thickness_nm: Annotated[float, pydantic.Field(ge=0.0, le=MAX_THICKNESS_NM)]
+    forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 500}',)
+
+    material: IndexSpec = pydantic.Field(description="what the layer is made of")
+    thickness_nm: Annotated[float, pydantic.Field(ge=0.0, le=MAX_THICKNESS_NM)] = pydantic.Field(
+        description="geometric thickness of the layer", examples=[500]
+    )
 
 
 class ShellSpec(RecipeModel):
     """A coating round the core; the outer radius is radius_nm plus this thickness."""
 
-    material: IndexSpec
-    thickness_nm: Annotated[float, pydantic.Field(gt=0.0, le=CORE_LIMIT_NM)]
+    forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 10}',)
+
+    material: IndexSpec = pydantic.Field(description="what the shell is made of")
+    thickness_nm: Annotated[float, pydantic.Field(gt=0.0, le=CORE_LIMIT_NM)] = pydantic.Field(
+        description="thickness of the shell, from the core's radius outward", examples=[10]
+    )
 
 
 class ParticleSpec(RecipeModel):
     """The spheres."""
 
-    material: IndexSpec
-    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=CORE_LIMIT_NM)]
-    deviation_nm: NotNegative = 0.0
-    distribution: Literal["gaussian", "lognormal"] = "gaussian"
-    gap_nm: NotNegative = 0.0
-    shell: ShellSpec | None = None
+    forms: ClassVar[tuple[str, ...]] = (
+        '{material = "Ag", radius_nm = 90}',
+        '{material = "Au", radius_nm = 60, deviation_nm = 5, shell = {material = "SiO2", thickness_nm = 10}}',
+    )
+
+    material: IndexSpec = pydantic.Field(description="what the core of a sphere is made of")
+    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=CORE_LIMIT_NM)] = pydantic.Field(
+        description="mean radius of the core", examples=[90]
+    )
+    deviation_nm: NotNegative = pydantic.Field(
+        default=0.0, description="standard deviation of the radius, at most 0.3 of it", examples=[5]
+    )
+    distribution: Literal["gaussian", "lognormal"] = pydantic.Field(
+        default="gaussian", description="shape of that spread"
+    )
+    gap_nm: NotNegative = pydantic.Field(
+        default=0.0, description="distance between the spheres and the stack below them", examples=[2]
+    )
+    shell: ShellSpec | None = pydantic.Field(default=None, description="a coat round the core")
 
     @pydantic.model_validator(mode="after")
     def _moderate_spread(self) -> ParticleSpec:
@@ -76,12 +97,33 @@ class ParticleSpec(RecipeModel):
 class StructureSpec(RecipeModel):
     """How the particles are arranged: a bare name, or a table with the name and its numbers."""
 
-    name: Literal["hard-disk", "rsa", "poisson-disk", "lattice"] | None = None
-    points: str | None = None
-    sq: str | None = None
-    lattice: Literal["square", "hexagonal"] = "hexagonal"
-    jitter: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = 0.1
-    seed: Annotated[int, pydantic.Field(ge=0, lt=2**32)] = 0
+    one_of: ClassVar[tuple[str, ...]] = ("name", "points", "sq")
+    shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ({"enum": list(ARRANGEMENTS)},)
+    forms: ClassVar[tuple[str, ...]] = (
+        '"hard-disk"',
+        '{name = "lattice", lattice = "square", jitter = 0.2}',
+        '{points = "xy.csv"}',
+        '{sq = "s.csv"}',
+    )
+
+    name: Literal["hard-disk", "rsa", "poisson-disk", "lattice"] | None = pydantic.Field(
+        default=None, description="kind of order; written alone it needs no table", examples=["lattice"]
+    )
+    points: str | None = pydantic.Field(
+        default=None, description="in place of name: a file of the particles' positions", examples=["xy.csv"]
+    )
+    sq: str | None = pydantic.Field(
+        default=None, description="in place of name: a file of the structure factor S(q)", examples=["s.csv"]
+    )
+    lattice: Literal["square", "hexagonal"] = pydantic.Field(
+        default="hexagonal", description='the lattice that is jittered, for name = "lattice"'
+    )
+    jitter: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = pydantic.Field(
+        default=0.1, description="standard deviation of the jitter, in units of the lattice's constant"
+    )
+    seed: Annotated[int, pydantic.Field(ge=0, lt=2**32)] = pydantic.Field(
+        default=0, description="seed of the random pattern"
+    )
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -112,10 +154,30 @@ class StructureSpec(RecipeModel):
 class MonolayerSpec(RecipeModel):
     """Density and order of the particles."""
 
-    coverage: Positive | None = None
-    density_per_um2: Positive | None = None
-    packing: Positive | None = None
-    structure: StructureSpec = StructureSpec(name="hard-disk")
+    forms: ClassVar[tuple[str, ...]] = (
+        "{coverage = 0.1, packing = 0.3}",
+        '{density_per_um2 = 2, packing = 0.3, structure = "rsa"}',
+    )
+
+    coverage: Positive | None = pydantic.Field(
+        json_schema_extra={"exclusiveMaximum": 0.9},
+        default=None,
+        description="share of the area that the particles cover: f = density pi r^2",
+        examples=[0.1],
+    )
+    density_per_um2: Positive | None = pydantic.Field(
+        default=None, description="in place of coverage: number of particles in a square micrometre", examples=[2]
+    )
+    packing: Positive | None = pydantic.Field(
+        json_schema_extra={"maximum": PACKING_LIMIT},
+        default=None,
+        description="order of the particles: p = density pi a^2 / 4 with a the least distance of centres; "
+        "without it p = f",
+        examples=[0.3],
+    )
+    structure: StructureSpec = pydantic.Field(
+        default=StructureSpec(name="hard-disk"), description="kind of order: a name, or a table that leads to a file"
+    )
 
     @pydantic.model_validator(mode="after")
     def _one_density(self) -> MonolayerSpec:
@@ -136,10 +198,23 @@ class MonolayerSpec(RecipeModel):
 class ModelSpec(RecipeModel):
     """The model, where its own choice is not wanted."""
 
-    multipole_order: Annotated[int, pydantic.Field(ge=1, le=60)] | None = None
-    tolerance: Annotated[float, pydantic.Field(ge=1e-5, le=LOOSEST_TOLERANCE)] | None = None
-    interaction_order: Annotated[int, pydantic.Field(ge=1, le=4)] = 3
-    correction: Literal["qca-balanced", "gv-balanced", "optical-depth", "in-only", "in-out", "none"] = "qca-balanced"
+    forms: ClassVar[tuple[str, ...]] = ("{tolerance = 0.005}", '{multipole_order = 6, correction = "optical-depth"}')
+
+    multipole_order: Annotated[int, pydantic.Field(ge=1, le=60)] | None = pydantic.Field(
+        default=None, description="highest multipole of one sphere; chosen by convergence if not given", examples=[6]
+    )
+    tolerance: Annotated[float, pydantic.Field(ge=1e-5, le=LOOSEST_TOLERANCE)] | None = pydantic.Field(
+        default=None,
+        description="largest change of a sphere's far field when its order is doubled; beyond, the material "
+        "is refused; without it 0.001 is aimed at and up to 0.01 taken with a warning",
+        examples=[0.005],
+    )
+    interaction_order: Annotated[int, pydantic.Field(ge=1, le=4)] = pydantic.Field(
+        default=3, description="highest multipole that neighbouring spheres exchange"
+    )
+    correction: Literal["qca-balanced", "gv-balanced", "optical-depth", "in-only", "in-out", "none"] = pydantic.Field(
+        default="qca-balanced", description="how the balance C between neighbouring spheres is taken into account"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +234,15 @@ class MetasurfaceModel(Metasurface):
 
 
 class MetasurfaceSpec(RecipeModel):
-    """A metasurface recipe."""
+    """A disordered layer of spheres on a stack of layers."""
+
+    example: ClassVar[Mapping[str, Any]] = {
+        "family": "metasurface",
+        "substrate": "Si",
+        "layers": [{"material": "SiO2", "thickness_nm": 500}],
+        "particle": {"material": "Ag", "radius_nm": 90},
+        "monolayer": {"coverage": 0.1, "packing": 0.3},
+    }
 
     varies_by_nodes: ClassVar[tuple[str, ...]] = (
         "particle.radius_nm",
@@ -171,15 +254,24 @@ class MetasurfaceSpec(RecipeModel):
         "layers[].thickness_nm",
     )
 
-    family: Literal["metasurface"] = "metasurface"
-    title: str = ""
-    ambient: IndexSpec = IndexSpec.model_validate("air")
-    substrate: IndexSpec
-    layers: tuple[LayerSpec, ...] = pydantic.Field(default=(), max_length=50)
-    particle: ParticleSpec
-    monolayer: MonolayerSpec
-    model: ModelSpec = ModelSpec()
-    extrapolate: Literal["error", "edge"] = "error"
+    family: Literal["metasurface"] = pydantic.Field(default="metasurface", description="the family's name")
+    title: str = pydantic.Field(default="", description="a title for figures", examples=["Silver on oxide"])
+    ambient: IndexSpec = pydantic.Field(
+        default=IndexSpec.model_validate("air"), description="clear medium above, where the light comes from"
+    )
+    substrate: IndexSpec = pydantic.Field(description="medium below the layers: denser than the ambient, or absorbing")
+    layers: tuple[LayerSpec, ...] = pydantic.Field(
+        default=(), max_length=50, description="layers between the particles and the substrate, from the top"
+    )
+    particle: ParticleSpec = pydantic.Field(description="the spheres")
+    monolayer: MonolayerSpec = pydantic.Field(description="density and order of the spheres")
+    model: ModelSpec = pydantic.Field(
+        default=ModelSpec(), description="details of the computation, where its own choice is not wanted"
+    )
+    extrapolate: Literal["error", "edge"] = pydantic.Field(
+        default="error",
+        description="outside the tabulated range of an optical constant: refuse, or hold the end values",
+    )
 
     def build(self, context: RecipeContext) -> MetasurfaceModel:
         """Return the material.

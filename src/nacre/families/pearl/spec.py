@@ -7,30 +7,23 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
-from numpy.typing import NDArray
 
 from nacre.bsdf.roughness import SMOOTH_BELOW, Roughness, check_widths
-from nacre.errors import NacreError, RecipeError
+from nacre.errors import RecipeError
 from nacre.families.pearl.dye import Dye
 from nacre.families.pearl.glints import Glints
-from nacre.families.pearl.material import NO_SPREAD, Pearl
-from nacre.families.pearl.medium import FlakeNormals, rotation_matrix
-from nacre.families.pearl.platelet import Coating, Platelet
-from nacre.families.pearl.strata import Base, Flakes, Stratum
+from nacre.families.pearl.material import Pearl
+from nacre.families.pearl.platelet_spec import MAX_FRACTION, NotNegative, PlateletSpec, Positive, two_columns
+from nacre.families.pearl.strata import Base, Stratum
 from nacre.families.pearl.thickness import Thickness
-from nacre.files import read_text
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 MAX_STRATA = 8
 MAX_KINDS = 32
-MAX_COATINGS = 20
-MAX_FRACTION = 0.3  # beyond, flakes no longer lie independently of each other
 
-Positive = Annotated[float, pydantic.Field(gt=0.0)]
-NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
-Albedo = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
+Share = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
 
 
 def _widths(value: Any) -> Any:
@@ -38,118 +31,39 @@ def _widths(value: Any) -> Any:
     return value
 
 
-def _deviation(value: Any) -> Any:
-    numbers = value if isinstance(value, list | tuple) else [value]
-    if len(numbers) not in (1, 2) or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
-        raise ValueError(f"= {show_value(value)} is not a deviation; write one number or [x, y]")
-    if not all(NO_SPREAD <= v <= 1.0 for v in numbers):
-        raise ValueError(f"= {show_value(value)} is not allowed; it should be in [{NO_SPREAD:g}, 1]")
-    return value
-
-
-Widths = Annotated[float | tuple[float, ...], pydantic.BeforeValidator(_widths)]
-Deviation = Annotated[float | tuple[float, ...], pydantic.BeforeValidator(_deviation)]
-
-
-class ThicknessKeys(RecipeModel):
-    """A thickness and how it varies over the flakes."""
-
-    thickness_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e5)] | None = None
-    deviation_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e5)] = 0.0
-    distribution: Literal["gaussian", "truncated", "lognormal"] = "gaussian"
-    min_nm: NotNegative = 0.0
-    max_nm: Positive | None = None
-    histogram: str | None = None
-
-    @pydantic.model_validator(mode="after")
-    def _one_form(self) -> ThicknessKeys:
-        if (self.histogram is None) == (self.thickness_nm is None):
-            raise ValueError("give thickness_nm (with deviation_nm), or histogram, a file of two columns")
-        if self.histogram is not None and self.deviation_nm > 0:
-            raise ValueError("deviation_nm has no meaning beside histogram; keep one of the two")
-        if self.distribution != "truncated" and (self.min_nm > 0 or self.max_nm is not None):
-            raise ValueError('min_nm and max_nm belong to distribution = "truncated"')
-        return self
-
-    def thickness(self, context: RecipeContext, key: str) -> Thickness:
-        """Return the distribution.
-
-        Raises:
-            RecipeError: the histogram cannot be read or does not sum to 1; bounds that hold nothing.
-        """
-        try:
-            if self.histogram is not None:
-                table = _two_columns(context, f"{key}.histogram", self.histogram)
-                return Thickness.from_histogram(table[:, 0], table[:, 1])
-            high = np.inf if self.max_nm is None else self.max_nm
-            assert self.thickness_nm is not None
-            return Thickness(self.thickness_nm, self.deviation_nm, self.distribution, self.min_nm, high)
-        except NacreError as error:
-            if str(error).startswith(context.source):
-                raise
-            raise context.fail(key, self.histogram or self.thickness_nm, f"is not allowed: {error}") from None
-
-
-class LayerSpec(ThicknessKeys):
-    """A layer of a flake."""
-
-    material: IndexSpec
-
-
-class PlateletSpec(RecipeModel):
-    """One kind of platelet. Without `coatings` or without `substrate` it is free: a single layer."""
-
-    volume_fraction: float
-    substrate: LayerSpec | None = None
-    coatings: tuple[LayerSpec, ...] = pydantic.Field(default=(), max_length=MAX_COATINGS)
-    lower_coatings: tuple[LayerSpec, ...] | None = pydantic.Field(default=None, max_length=MAX_COATINGS)
-    normal_deviation: Deviation = 0.1
-    rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    diameter_um: Positive | None = None
-
-    @pydantic.model_validator(mode="after")
-    def _check(self) -> PlateletSpec:
-        if not 0.0 < self.volume_fraction <= MAX_FRACTION:
-            raise ValueError(
-                f"volume_fraction = {self.volume_fraction:g} is not allowed; it should be above 0 and at most "
-                f"{MAX_FRACTION:g}"
-            )
-        if self.substrate is None and (len(self.coatings) != 1 or self.lower_coatings is not None):
-            raise ValueError("substrate is missing; only a free platelet of a single coating goes without")
-        return self
-
-    def build(self, context: RecipeContext, key: str) -> Flakes:
-        """Return the flakes."""
-        if self.substrate is None:
-            only = self.coatings[0]
-            platelet = Platelet(only.material.build(context), only.thickness(context, f"{key}.coatings[0]"))
-        else:
-            platelet = Platelet(
-                self.substrate.material.build(context),
-                self.substrate.thickness(context, f"{key}.substrate"),
-                _coatings(self.coatings, context, f"{key}.coatings"),
-                None
-                if self.lower_coatings is None
-                else _coatings(self.lower_coatings, context, f"{key}.lower_coatings"),
-            )
-        if platelet.height_nm <= 0:
-            raise context.fail(key, 0.0, "is a flake without thickness; give one of its layers some")
-        spread = self.normal_deviation if isinstance(self.normal_deviation, tuple) else (self.normal_deviation,)
-        normals = FlakeNormals(
-            np.array([spread[0], spread[-1]], dtype=float), rotation_matrix(np.deg2rad(np.array(self.rotation_deg)))
-        )
-        return Flakes(platelet, self.volume_fraction, normals, self.diameter_um)
+Widths = Annotated[
+    Share | Annotated[tuple[Share, ...], pydantic.Field(min_length=1, max_length=2)],
+    pydantic.BeforeValidator(_widths),
+]
 
 
 class DyeSpec(RecipeModel):
     """Dye: `material`, or `file` with n and k; with `radius_nm` it is particles that scatter."""
 
-    material: IndexSpec | None = None
-    file: str | None = None
-    volume_fraction: Annotated[float, pydantic.Field(gt=0.0, le=0.3)]
-    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=2e4)] | None = None
-    deviation_nm: NotNegative = 0.0
-    distribution: Literal["gaussian", "lognormal"] = "gaussian"
+    one_of: ClassVar[tuple[str, ...]] = ("material", "file")
+    forms: ClassVar[tuple[str, ...]] = (
+        "{material = {n = 1.5, k = 0.02}, volume_fraction = 0.01}",
+        '{material = "TiO2", volume_fraction = 0.001, radius_nm = 100, deviation_nm = 10}',
+    )
+
+    material: IndexSpec | None = pydantic.Field(default=None, description="optical constant of the dye")
+    file: str | None = pydantic.Field(
+        default=None, description="in place of material: a table of wavelength in nm, n and k", examples=["dye.csv"]
+    )
+    volume_fraction: Annotated[float, pydantic.Field(gt=0.0, le=0.3)] = pydantic.Field(
+        description="share of the stratum's volume that the dye fills", examples=[0.01]
+    )
+    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=2e4)] | None = pydantic.Field(
+        default=None,
+        description="radius of the dye's particles, which then scatter; without it the dye only absorbs",
+        examples=[100],
+    )
+    deviation_nm: NotNegative = pydantic.Field(
+        default=0.0, description="standard deviation of the radius", examples=[10]
+    )
+    distribution: Literal["gaussian", "lognormal"] = pydantic.Field(
+        default="gaussian", description="shape of that spread"
+    )
 
     _index: OpticalConstant = pydantic.PrivateAttr()
 
@@ -174,13 +88,36 @@ class DyeSpec(RecipeModel):
 class StratumSpec(RecipeModel):
     """A layer of resin; `roughness` is that of its upper interface."""
 
-    resin: IndexSpec
-    thickness_nm: float
-    roughness: Widths = 0.0
-    distribution: Literal["ggx", "beckmann"] = "ggx"
-    compensate: bool = False
-    platelets: tuple[PlateletSpec, ...] = pydantic.Field(default=(), max_length=MAX_KINDS)
-    dye: DyeSpec | None = None
+    forms: ClassVar[tuple[str, ...]] = (
+        "{resin = {n = 1.5}, thickness_um = 50, platelets = [{volume_fraction = 0.01, "
+        'substrate = {material = "mica", thickness_nm = 400}, coatings = [{material = "TiO2", thickness_nm = 120}]}]}',
+    )
+
+    resin: IndexSpec = pydantic.Field(description="the medium in which the flakes lie")
+    thickness_nm: float = pydantic.Field(
+        json_schema_extra={"exclusiveMinimum": 0, "maximum": 1e8},
+        description="thickness of the stratum, usually written with _um",
+        examples=[50000],
+    )
+    roughness: Widths = pydantic.Field(
+        default=0.0,
+        description="alpha of the stratum's upper interface, or [alpha_x, alpha_y]; 0 is smooth",
+        examples=[0.1, [0.05, 0.2]],
+    )
+    distribution: Literal["ggx", "beckmann"] = pydantic.Field(
+        default="ggx", description="distribution of that interface's facet normals"
+    )
+    compensate: bool = pydantic.Field(
+        default=False,
+        description="give back the light that facets of the interface scatter among each other",
+        examples=[True],
+    )
+    platelets: tuple[PlateletSpec, ...] = pydantic.Field(
+        default=(), max_length=MAX_KINDS, description="the kinds of flakes (pigments) in this stratum"
+    )
+    dye: DyeSpec | None = pydantic.Field(
+        default=None, description="absorbing, or absorbing and scattering, matter in the resin"
+    )
 
     @pydantic.model_validator(mode="after")
     def _check(self) -> StratumSpec:
@@ -210,10 +147,20 @@ class GlintsSpec(RecipeModel):
     `surface_mm` is the length on the object of one unit of its texture coordinates, or of [u, v].
     """
 
-    surface_mm: Positive | tuple[Positive, Positive]
-    diameter_spread: Annotated[float, pydantic.Field(ge=0.0, le=0.6)] = 0.3
-    flatness_deg: Annotated[float, pydantic.Field(ge=0.05, le=20.0)] = 0.5
-    seed: Annotated[int, pydantic.Field(ge=0, lt=1 << 24)] = 0
+    forms: ClassVar[tuple[str, ...]] = ("{surface_mm = 20}", "{surface_mm = [20, 10], flatness_deg = 1}")
+
+    surface_mm: Positive | tuple[Positive, Positive] = pydantic.Field(
+        description="length on the object of one unit of its texture coordinates, or of [u, v]", examples=[20, [20, 10]]
+    )
+    diameter_spread: Annotated[float, pydantic.Field(ge=0.0, le=0.6)] = pydantic.Field(
+        default=0.3, description="standard deviation of the logarithm of the flakes' diameters"
+    )
+    flatness_deg: Annotated[float, pydantic.Field(ge=0.05, le=20.0)] = pydantic.Field(
+        default=0.5, description="standard deviation of the normal over one flake"
+    )
+    seed: Annotated[int, pydantic.Field(ge=0, lt=1 << 24)] = pydantic.Field(
+        default=0, description="seed of the flakes' places; another one lays them elsewhere"
+    )
 
     def build(self, upper: Stratum, context: RecipeContext) -> Glints:
         """Return the glints of the uppermost stratum.
@@ -233,19 +180,54 @@ class GlintsSpec(RecipeModel):
 class AlbedoSpec(RecipeModel):
     """A coloured base: a file of two columns, wavelength in nm and albedo."""
 
-    file: str
+    forms: ClassVar[tuple[str, ...]] = ('{file = "albedo.csv"}',)
+
+    file: str = pydantic.Field(
+        description="a file of two columns: wavelength in nm and albedo", examples=["albedo.csv"]
+    )
+
+
+def _albedo_may_name_a_recipe(schema: dict[str, Any]) -> None:
+    schema["properties"]["albedo"]["anyOf"].append({"type": "object", "required": ["recipe"]})
 
 
 class BaseSpec(RecipeModel):
     """What lies below: a diffuse albedo, a metal, another opaque recipe of any family, or nothing."""
 
-    albedo: Albedo | AlbedoSpec | None = None
-    material: IndexSpec | None = None
-    recipe: str | None = None
-    none: bool = False
-    roughness: Widths = 0.0
-    distribution: Literal["ggx", "beckmann"] = "ggx"
-    compensate: bool = False
+    forms: ClassVar[tuple[str, ...]] = (
+        "{albedo = 0.05}",
+        '{albedo = {file = "albedo.csv"}}',
+        '{material = "Al", roughness = 0.2}',
+        '{recipe = "film.toml"}',
+        "{none = true}",
+    )
+
+    model_config = pydantic.ConfigDict(json_schema_extra=_albedo_may_name_a_recipe)
+
+    albedo: Share | AlbedoSpec | None = pydantic.Field(
+        default=None,
+        description="share of the light that a diffuse ground sends back, or a file of it over the wavelength",
+        examples=[0.05, {"file": "albedo.csv"}],
+    )
+    material: IndexSpec | None = pydantic.Field(default=None, description="a metal ground, in place of a diffuse one")
+    recipe: str | None = pydantic.Field(
+        default=None,
+        description="another opaque recipe of any family as the ground; without an ambient of its own it is "
+        "built in the resin",
+        examples=["film.toml"],
+    )
+    none: bool = pydantic.Field(default=False, description="nothing lies below: light passes", examples=[True])
+    roughness: Widths = pydantic.Field(
+        default=0.0, description="alpha of the metal, or [alpha_x, alpha_y]; 0 is smooth", examples=[0.2, [0.05, 0.2]]
+    )
+    distribution: Literal["ggx", "beckmann"] = pydantic.Field(
+        default="ggx", description="distribution of the metal's facet normals"
+    )
+    compensate: bool = pydantic.Field(
+        default=False,
+        description="give back the light that facets of the metal scatter among each other",
+        examples=[True],
+    )
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -279,7 +261,7 @@ class BaseSpec(RecipeModel):
         if self.recipe is not None:
             return _recipe_base(self.recipe, resin, context)
         if isinstance(self.albedo, AlbedoSpec):
-            table = _two_columns(context, "base.albedo.file", self.albedo.file)
+            table = two_columns(context, "base.albedo.file", self.albedo.file)
             if not (np.all(np.diff(table[:, 0]) > 0) and np.all((table[:, 1] >= 0) & (table[:, 1] <= 1))):
                 raise context.fail("base.albedo.file", self.albedo.file, "must hold ascending nm and albedos in [0, 1]")
             return Base("diffuse", (table[:, 0], table[:, 1]))
@@ -287,7 +269,25 @@ class BaseSpec(RecipeModel):
 
 
 class PearlSpec(RecipeModel):
-    """A pearl recipe."""
+    """Strata of resin with flakes (pigments) and dye, over a base."""
+
+    example: ClassVar[Mapping[str, Any]] = {
+        "family": "pearl",
+        "strata": [
+            {
+                "resin": {"n": 1.5},
+                "thickness_um": 50,
+                "platelets": [
+                    {
+                        "volume_fraction": 0.01,
+                        "substrate": {"material": "mica", "thickness_nm": 400, "deviation_nm": 80},
+                        "coatings": [{"material": "TiO2", "thickness_nm": 120}],
+                    }
+                ],
+            }
+        ],
+        "base": {"albedo": 0.05},
+    }
 
     varies_by_nodes: ClassVar[tuple[str, ...]] = (
         "strata[].thickness_nm",
@@ -302,12 +302,19 @@ class PearlSpec(RecipeModel):
         "base.roughness",
     )
 
-    family: Literal["pearl"] = "pearl"
-    title: str = ""
-    quality: Literal["reference", "fast"] = "reference"
-    strata: tuple[StratumSpec, ...] = pydantic.Field(min_length=1, max_length=MAX_STRATA)
-    base: BaseSpec = BaseSpec()
-    glints: GlintsSpec | None = None
+    family: Literal["pearl"] = pydantic.Field(default="pearl", description="the family's name")
+    title: str = pydantic.Field(default="", description="a title for figures", examples=["Silver-white pigment"])
+    quality: Literal["reference", "fast"] = pydantic.Field(
+        default="reference",
+        description="reference: the random walk; fast: noise-free tables with a stated error where they can be made",
+    )
+    strata: tuple[StratumSpec, ...] = pydantic.Field(
+        min_length=1, max_length=MAX_STRATA, description="layers of resin, from the light's side inward"
+    )
+    base: BaseSpec = pydantic.Field(default=BaseSpec(), description="what lies below the last stratum")
+    glints: GlintsSpec | None = pydantic.Field(
+        default=None, description="single flakes of the uppermost stratum, seen one by one"
+    )
 
     def build(self, context: RecipeContext) -> Pearl:
         """Return the material.
@@ -326,33 +333,6 @@ def _interface_roughness(roughness: float | tuple[float, ...], distribution: str
     if (x == 0) != (y == 0):
         x, y = max(x, SMOOTH_BELOW), max(y, SMOOTH_BELOW)
     return Roughness(distribution, x, y, compensate=compensate)
-
-
-def _coatings(specs: tuple[LayerSpec, ...], context: RecipeContext, key: str) -> tuple[Coating, ...]:
-    return tuple(
-        Coating(spec.material.build(context), spec.thickness(context, f"{key}[{i}]")) for i, spec in enumerate(specs)
-    )
-
-
-def _two_columns(context: RecipeContext, key: str, name: str) -> NDArray[np.float64]:
-    """Read a text file of two columns of numbers; commas, blanks and # comments are understood."""
-    rows = []
-    for line in read_text(context.path(name), key).splitlines():
-        parts = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
-        if not parts:
-            continue
-        try:
-            rows.append([float(x) for x in parts])
-        except ValueError:
-            if not rows:
-                continue  # a heading
-            raise context.fail(key, name, f'holds "{line.strip()[:40]}" where two numbers should stand') from None
-    if not rows or any(len(row) != 2 for row in rows) or len(rows) > 100_000:
-        raise context.fail(key, name, "must hold two columns of numbers")
-    table = np.array(rows)
-    if not np.all(np.isfinite(table)):
-        raise context.fail(key, name, "holds numbers that are not finite")
-    return table
 
 
 def _recipe_base(name: str, resin: OpticalConstant, context: RecipeContext) -> Base:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
@@ -29,16 +30,44 @@ class ReliefSpec(RecipeModel):
     `height_scale_um`.
     """
 
-    family: Literal["relief"] = "relief"
-    heights: str
-    height_scale_um: Annotated[float, pydantic.Field(gt=0.0, le=MAX_HEIGHT_UM)] | None = None
-    feature_um: Annotated[float, pydantic.Field(gt=0.0)]
-    blur_um: Annotated[float, pydantic.Field(gt=0.0)]
-    coating: IndexSpec = pydantic.Field(default_factory=lambda: IndexSpec.model_validate("Al"))
-    prefactor: Literal["kirchhoff", "published"] = "kirchhoff"
-    coherence: CoherenceSpec
-    accuracy: Annotated[float, pydantic.Field(ge=1e-6, le=0.1)] = 3e-3
-    bounded: bool = True
+    example: ClassVar[Mapping[str, Any]] = {
+        "family": "relief",
+        "heights": "heights.npy",
+        "feature_um": 2,
+        "blur_um": 0.6,
+        "coherence": {"sigma": 5},
+    }
+
+    family: Literal["relief"] = pydantic.Field(default="relief", description="the family's name")
+    heights: str = pydantic.Field(
+        description="the heights: a .npy array [x, y] in um, or a grey image (row = x)",
+        examples=["heights.npy", "heights.png"],
+    )
+    height_scale_um: Annotated[float, pydantic.Field(gt=0.0, le=MAX_HEIGHT_UM)] | None = pydantic.Field(
+        default=None, description="height of an image's white over its black; an image needs it", examples=[0.5]
+    )
+    feature_um: Annotated[float, pydantic.Field(gt=0.0)] = pydantic.Field(
+        description="pitch of the features: the side of one pixel of the heights", examples=[2]
+    )
+    blur_um: Annotated[float, pydantic.Field(gt=0.0)] = pydantic.Field(
+        description="standard deviation of the Gaussian blur of the process", examples=[0.6]
+    )
+    coating: IndexSpec = pydantic.Field(
+        default_factory=lambda: IndexSpec.model_validate("Al"), description="metal of the surface, opaque"
+    )
+    prefactor: Literal["kirchhoff", "published"] = pydantic.Field(
+        default="kirchhoff",
+        description="prefactor of the diffraction integral: the one that conserves energy, or the one as published",
+    )
+    coherence: CoherenceSpec = pydantic.Field(
+        description="coherence of the light, which is the angular size of the lamp"
+    )
+    accuracy: Annotated[float, pydantic.Field(ge=1e-6, le=0.1)] = pydantic.Field(
+        default=3e-3, description="accuracy of the interpolation in the third component of wi + wo"
+    )
+    bounded: bool = pydantic.Field(
+        default=True, description="keep strong reliefs below the coating's reflectance at grazing light"
+    )
 
     def build(self, context: RecipeContext) -> Relief:
         """Read the heights and return the material.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
 
@@ -11,7 +11,7 @@ from nacre.errors import NacreError, did_you_mean
 from nacre.matter.indices.constant import OpticalConstant, database_index, named_constant, unknown_material
 from nacre.matter.indices.csv import read_index_csv
 from nacre.matter.indices.database import find_page
-from nacre.matter.indices.defaults import find_default
+from nacre.matter.indices.defaults import BY_NAME, find_default
 from nacre.matter.indices.models import Cauchy, Constant, Dispersion, Oscillators, Sellmeier, abbe_cauchy
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
 
@@ -30,28 +30,42 @@ Positive = Annotated[float, pydantic.Field(gt=0.0)]
 class DrudeSpec(RecipeModel):
     """Free carriers: eps = eps_inf - plasma^2 / (E^2 + i E damping), energies in eV."""
 
-    plasma_ev: Positive
-    damping_ev: NotNegative = 0.0
-    eps_inf: Positive = 1.0
+    forms: ClassVar[tuple[str, ...]] = ("{plasma_ev = 9.0, damping_ev = 0.07, eps_inf = 4.0}",)
+
+    plasma_ev: Positive = pydantic.Field(description="plasma energy of the free carriers, in eV", examples=[9.0])
+    damping_ev: NotNegative = pydantic.Field(
+        default=0.0, description="collision energy of the free carriers, in eV", examples=[0.07]
+    )
+    eps_inf: Positive = pydantic.Field(default=1.0, description="permittivity of the background", examples=[4.0])
 
 
 class OscillatorSpec(RecipeModel):
     """One bound oscillator: strength resonance^2 / (resonance^2 - E^2 - i E damping), energies in eV."""
 
-    strength: NotNegative
-    resonance_ev: Positive
-    damping_ev: NotNegative = 0.0
+    forms: ClassVar[tuple[str, ...]] = ("{strength = 0.05, resonance_ev = 2.2, damping_ev = 0.3}",)
+
+    strength: NotNegative = pydantic.Field(
+        description="strength of the oscillator: what it adds to the static permittivity", examples=[0.05]
+    )
+    resonance_ev: Positive = pydantic.Field(description="energy of the resonance, in eV", examples=[2.2])
+    damping_ev: NotNegative = pydantic.Field(default=0.0, description="width of the resonance, in eV", examples=[0.3])
 
 
 class LorentzSpec(RecipeModel):
     """Bound oscillators on a constant background `eps_inf`; with `drude` beside it, leave the one there at 1."""
 
-    oscillators: tuple[OscillatorSpec, ...] = pydantic.Field(min_length=1, max_length=50)
-    eps_inf: Positive = 1.0
+    forms: ClassVar[tuple[str, ...]] = (
+        "{eps_inf = 2.2, oscillators = [{strength = 0.05, resonance_ev = 2.2, damping_ev = 0.3}]}",
+    )
+
+    oscillators: tuple[OscillatorSpec, ...] = pydantic.Field(
+        min_length=1, max_length=50, description="the bound oscillators, a list of tables"
+    )
+    eps_inf: Positive = pydantic.Field(default=1.0, description="permittivity of the background")
 
 
 class IndexSpec(RecipeModel):
-    """A material in a recipe.
+    """How a recipe names a material: a name, a number, a formula, a file, a database entry.
 
     A bare string is a name, a bare number an index. In a table exactly one of these stands: `name`; `n` (with
     `k`); `cauchy = [c0, c1, ...]`, n = c0 + c1/l^2 + c2/l^4...; `sellmeier = [b1, c1, b2, c2, ...]`,
@@ -60,18 +74,76 @@ class IndexSpec(RecipeModel):
     published range.
     """
 
-    name: str | None = None
-    n: NotNegative | None = None
-    k: float | None = None
-    cauchy: tuple[float, ...] | None = pydantic.Field(default=None, min_length=1, max_length=10)
-    sellmeier: tuple[float, ...] | None = pydantic.Field(default=None, min_length=2, max_length=20)
-    n_d: Positive | None = None
-    abbe: Positive | None = None
-    drude: DrudeSpec | None = None
-    lorentz: LorentzSpec | None = None
-    file: str | None = None
-    rii: str | None = None
-    extrapolate: Literal["error", "edge"] = "error"
+    noun: ClassVar[str] = "optical constant"
+    one_of: ClassVar[tuple[str, ...]] = ("name", "n", "cauchy", "sellmeier", "n_d", "drude|lorentz", "file", "rii")
+    shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = (
+        {"enum": list(BY_NAME)},
+        {"type": "string", "description": "a named optical constant, or shelf/book/page of refractiveindex.info"},
+        {"type": "number", "minimum": 0, "description": "a constant index"},
+    )
+    forms: ClassVar[tuple[str, ...]] = (
+        '"SiO2"',
+        "1.5",
+        "{n = 1.56, k = 0.06}",
+        "{cauchy = [1.45, 0.004]}",
+        "{sellmeier = [1.0396, 0.006, 0.2318, 0.02]}",
+        "{n_d = 1.575, abbe = 30}",
+        "{drude = {plasma_ev = 9.0, damping_ev = 0.07}}",
+        "{lorentz = {oscillators = [{strength = 1.0, resonance_ev = 4.2}]}}",
+        '{file = "nk.csv"}',
+        '{rii = "main/Ag/Johnson"}',
+        '{name = "TiO2", extrapolate = "edge"}',
+    )
+
+    name: str | None = pydantic.Field(
+        default=None,
+        description="a named optical constant, see `nacre indices search`; written alone it needs no table",
+        examples=["SiO2"],
+    )
+    n: NotNegative | None = pydantic.Field(
+        default=None, description="a constant refractive index; written alone it needs no table", examples=[1.5]
+    )
+    k: float | None = pydantic.Field(
+        json_schema_extra={"minimum": 0},
+        default=None,
+        description="the extinction coefficient beside n; waves decay for k > 0",
+        examples=[0.06],
+    )
+    cauchy: tuple[float, ...] | None = pydantic.Field(
+        default=None,
+        min_length=1,
+        max_length=10,
+        description="coefficients c0, c1, ... of n = c0 + c1/l^2 + c2/l^4 ..., wavelength l in um",
+        examples=[[1.45, 0.004]],
+    )
+    sellmeier: tuple[float, ...] | None = pydantic.Field(
+        default=None,
+        min_length=2,
+        max_length=20,
+        description="pairs b1, c1, b2, c2, ... of n^2 = 1 + sum b l^2/(l^2 - c), wavelength l in um",
+        examples=[[1.0396, 0.006, 0.2318, 0.02]],
+    )
+    n_d: Positive | None = pydantic.Field(
+        default=None,
+        description="refractive index at the d line (587.6 nm), with the Abbe number beside it",
+        examples=[1.575],
+    )
+    abbe: Positive | None = pydantic.Field(default=None, description="Abbe number beside n_d", examples=[30])
+    drude: DrudeSpec | None = pydantic.Field(default=None, description="free carriers, alone or beside lorentz")
+    lorentz: LorentzSpec | None = pydantic.Field(default=None, description="bound oscillators, alone or beside drude")
+    file: str | None = pydantic.Field(
+        default=None,
+        description="a text table beside the recipe: wavelength in nm, n, and k if there is one",
+        examples=["nk.csv"],
+    )
+    rii: str | None = pydantic.Field(
+        default=None,
+        description="an entry of the refractiveindex.info database: shelf/book/page",
+        examples=["main/Ag/Johnson"],
+    )
+    extrapolate: Literal["error", "edge"] = pydantic.Field(
+        default="error", description="outside the tabulated range: refuse, or hold the end values"
+    )
 
     _built: OpticalConstant = pydantic.PrivateAttr()
 
