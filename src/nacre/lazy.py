@@ -1,4 +1,4 @@
-"""What is looked up at the moment it is needed: packages that are also verbs, and what other packages bring."""
+"""What is imported only when needed: packages that can be called, and entry points of other packages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def make_callable(package: str, target: str) -> None:
     """Make calling `package` call `target` ("module:function"), which is imported at the first call.
 
-    `nacre.render` is a package of parts and also the verb that people expect.
+    `nacre.render` is a package and also the function that people expect.
     """
     module_name, function_name = target.split(":")
 
@@ -30,14 +30,14 @@ def make_callable(package: str, target: str) -> None:
 
 
 def entry_points(group: str, own: Collection[str]) -> dict[str, EntryPoint]:
-    """Return what installed packages bring under a group of entry points, by name, not yet loaded.
+    """Return what installed packages register under a group of entry points, by name, not yet loaded.
 
     Args:
         group: "nacre.families" or "nacre.lobes".
         own: the names that nacre itself uses.
 
     Raises:
-        NacreError: a name is brought twice, or is one of nacre's own.
+        NacreError: a name is registered twice, or is one of nacre's own.
     """
     found = _scan(group)
     for name in found:
