@@ -54,7 +54,7 @@ def _scan(group: str) -> dict[str, EntryPoint]:
     for point in installed(group=group):
         if point.name in found and found[point.name].value != point.value:
             givers = f"{_giver(found[point.name])} and {_giver(point)}"
-            raise NacreError(f'entry point "{point.name}" of {group} is brought twice: by {givers}')
+            raise NacreError(f'entry point "{point.name}" of {group} is registered twice: by {givers}')
         found[point.name] = point
     return found
 

@@ -147,7 +147,7 @@ class Layered(Lobe):
         for inner in self.base_lobes:
             inner.check()
             if inner.transmits or inner.is_stochastic or inner.kind in ("layered", "flaked"):
-                raise ValueError(f'a lobe of kind "{inner.kind}" that is open or a pearl cannot be a base')
+                raise ValueError(f'a lobe of kind "{inner.kind}" that transmits or is a pearl cannot be a base')
         if s < 1 or self.index.shape != (s,) or not np.all(self.index >= 1):
             raise ValueError("index needs one number of at least 1 a stratum")
         shapes = {

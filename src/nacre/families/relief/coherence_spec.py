@@ -14,7 +14,7 @@ LARGEST_SOURCE_ANGLE_DEG = 90.0
 
 
 class CoherenceSpec(RecipeModel):
-    """Either `sigma` (um at 0.5 um, as published) or `source_angle_deg`, the full angle of a uniform lamp."""
+    """Either `sigma` (um at 0.5 um, as published) or `source_angle_deg`, the full angle of a uniform source."""
 
     sigma: Annotated[float, pydantic.Field(gt=0.0, le=1e4)] | None = None
     source_angle_deg: Annotated[float, pydantic.Field(gt=0.0, le=LARGEST_SOURCE_ANGLE_DEG)] | None = None
