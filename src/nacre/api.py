@@ -1,4 +1,4 @@
-"""The verbs of nacre for Python: the same words and the same defaults as on the command line.
+"""nacre's functions for Python: the same names and the same defaults as on the command line.
 
 `nacre.load`, `nacre.material`, `nacre.evaluate`, `nacre.spectrum`, `nacre.report` and the rest; pictures come from
 `nacre.render`, figures from `nacre.plot`, structures from `nacre.design`.
@@ -60,12 +60,12 @@ def evaluate(
     Args:
         thing: a material, a Bsdf, or the path of a recipe or `.nacre` file.
         wi: unit vectors to the light, `[..., 3]`, in the local frame (z is the normal).
-        wo: unit vectors to the eye, `[..., 3]`; on the other side of the surface: the radiance BTDF.
+        wo: unit vectors to the viewer, `[..., 3]`; on the other side of the surface: the radiance BTDF.
         uv: surface coordinates `[..., 2]` for materials that vary over the surface; default: (0.5, 0.5).
-        samples: paths a pair, for lobes that are evaluated by a random walk; seed: of that walk.
+        samples: random walks a pair, for lobes that are evaluated by one (pearls); seed: of those walks.
 
     Raises:
-        UnsupportedError: a stochastic lobe, and no LLVM on this machine.
+        UnsupportedError: the lobe needs a random walk, and there is no LLVM on this machine.
     """
     return evaluate_with_error(as_bsdf(thing), wi, wo, uv=uv, samples=samples, seed=seed)[0]
 
@@ -96,7 +96,7 @@ def report(
     samples: int | None = None,
     seed: int = 0,
 ) -> Report:
-    """Measure a material in the trade's geometries: Lab at 15 to 110 degrees, flop, gloss, haze, totals.
+    """Measure a material in the standard geometries: Lab at 15 to 110 degrees, flop, gloss, haze, totals.
 
     Args:
         thing: a material, or the path of a recipe, `.nacre` file or design folder.
@@ -119,7 +119,7 @@ def tolerance(
     Args:
         thing: a material or a path.
         spreads: such as "layers[0].thickness_nm=2%", beside those of the recipe's `[tolerance]`.
-        draws: number of materials; limit: dE00 within which one is right.
+        draws: number of materials drawn; limit: CIEDE2000 difference (dE00) within which one passes.
         options: the others of `nacre.study.tolerance.run_tolerance`.
 
     Raises:
@@ -132,13 +132,13 @@ def tolerance(
 def fit(
     measurement: str | Path, thing: Material | str | Path, free: Iterable[str] = (), *, starts: int = 4, **options: Any
 ) -> Fit:
-    """Fit the free numbers of a recipe to a measurement.
+    """Fit some numbers of a recipe, called free, to a measurement.
 
     Args:
         measurement: CSV of a spectrum or of goniometer values.
         thing: a material or a path.
         free: such as "layers[0].thickness_nm=50:400", beside those of the recipe's `[fit]`.
-        starts: refined starts; options: the others of `nacre.study.fit.run_fit`.
+        starts: starting points that are refined; options: the others of `nacre.study.fit.run_fit`.
 
     Raises:
         NacreError: the measurement cannot be read, or nothing is free.
@@ -155,11 +155,11 @@ def sweep(
     scheduler: str | None = None,
     progress: Callable[[int, int, int], None] | None = None,
 ) -> Path:
-    """Compute a sweep, or what is missing of it; return the Zarr folder, whose failed points carry their errors.
+    """Compute a sweep, or what is missing of it; return the Zarr folder (errors of failed points lie beside it).
 
     Args:
         path: the sweep's TOML file.
-        output: the Zarr folder; default: the file's name with .zarr, in the present folder.
+        output: the Zarr folder; default: the file's name with .zarr, in the current folder.
         workers, scheduler, progress: as `nacre.study.sweep.run_sweep`.
 
     Raises:
@@ -171,7 +171,7 @@ def sweep(
 
 
 def export(thing: Material | str | Path, to: str, output: str | Path, **options: Any) -> dict[str, Any]:
-    """Write a material in a foreign format; `["lost"]` of the answer says in words what it cannot hold.
+    """Write a material in another program's format; `["lost"]` of the result lists what it cannot hold.
 
     Args:
         thing: a material or a path.
@@ -188,10 +188,10 @@ def export(thing: Material | str | Path, to: str, output: str | Path, **options:
 
 
 def import_(source: str | Path, recipe: str | Path) -> Material:
-    """Turn a foreign file (goniometer CSV, MERL, RGL, Zemax, glTF, MaterialX) into a recipe, and load it.
+    """Turn another program's file (goniometer CSV, MERL, RGL, Zemax, glTF, MaterialX) into a recipe, and load it.
 
     Args:
-        source: the foreign file.
+        source: the file to read.
         recipe: the TOML file to write; tables go into a `.nacre` file beside it.
 
     Raises:
@@ -214,19 +214,19 @@ def fabricate(
     base_um: float = 1.0,
     seed: int | None = None,
 ) -> tuple[Path, ...]:
-    """Write the file that makes a material, and beside all but a sheet a JSON that says how to read it.
+    """Write a fabrication file, and beside it, but for a layer table, a JSON that says how to read it.
 
     Args:
         source: a material, its model, or the path of a recipe or a design folder.
         to: a relief: "png16", "tiff16", "stl", "gds", "oas" or "csv"; a metasurface: "gds", "oas", "csv" or
             "sheet"; a film: "sheet".
-        path: where; default: what is drawn and the format's ending, in the design folder or the present one.
+        path: where; default: what is drawn and the format's ending, in the design folder or the current one.
         size_mm: repeat what is drawn over an area (x, y); default: one period.
         calibration: CSV of grey value and depth in um, for images; default: the published process.
         levels: number of heights of a mask; default: as many as the heights have, or 16.
         pixels_per_feature: pixels along a feature's side, for images.
         base_um: thickness of an STL's base.
-        seed: of what is placed at random; default: the recipe's.
+        seed: of positions drawn at random; default: the recipe's.
 
     Returns:
         the files' paths, the one asked for first.

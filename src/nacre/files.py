@@ -1,4 +1,4 @@
-"""Files the user owns: read them with a clear word when they are bad, write them whole or not at all."""
+"""Files of the user: read with clear errors, written whole or not at all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is looked up at the moment it is needed: packages that are also verbs, and what other packages bring."""
+"""What is imported only when needed: packages that can be called, and entry points of other packages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def make_callable(package: str, target: str) -> None:
     """Make calling `package` call `target` ("module:function"), which is imported at the first call.
 
-    `nacre.render` is a package of parts and also the verb that people expect.
+    `nacre.render` is a package and also the function that people expect.
     """
     module_name, function_name = target.split(":")
 
@@ -30,14 +30,14 @@ def make_callable(package: str, target: str) -> None:
 
 
 def entry_points(group: str, own: Collection[str]) -> dict[str, EntryPoint]:
-    """Return what installed packages bring under a group of entry points, by name, not yet loaded.
+    """Return what installed packages register under a group of entry points, by name, not yet loaded.
 
     Args:
         group: "nacre.families" or "nacre.lobes".
         own: the names that nacre itself uses.
 
     Raises:
-        NacreError: a name is brought twice, or is one of nacre's own.
+        NacreError: a name is registered twice, or is one of nacre's own.
     """
     found = _scan(group)
     for name in found:
@@ -54,7 +54,7 @@ def _scan(group: str) -> dict[str, EntryPoint]:
     for point in installed(group=group):
         if point.name in found and found[point.name].value != point.value:
             givers = f"{_giver(found[point.name])} and {_giver(point)}"
-            raise NacreError(f'entry point "{point.name}" of {group} is brought twice: by {givers}')
+            raise NacreError(f'entry point "{point.name}" of {group} is registered twice: by {givers}')
         found[point.name] = point
     return found
 

@@ -212,7 +212,7 @@ def test_an_unconverged_order_is_said_or_refused_in_the_ultraviolet_too(caplog):
     """Order 40 leaves 0.36 % at 360 nm: said where the recipe is silent, refused where it asks for more."""
     made = material(SILVER_ON_GLASS).bsdf([360.0, 500.0])
     assert 1e-3 < made.provenance["multipole_tolerance"] < 4e-3
-    assert "at 360 nm the far field is settled to 0.0036 only" in caplog.text
+    assert "at 360 nm the far field is converged to 0.0036 only" in caplog.text
     with pytest.raises(
         ConvergenceRefusal, match="at 360 nm .*does not converge to 0.001.*model.tolerance = 0.004"
     ) as e:

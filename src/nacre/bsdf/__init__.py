@@ -1,4 +1,4 @@
-"""The BSDF contract: a sum of lobes, evaluated, stored and loaded without knowing any material."""
+"""The BSDF: a sum of lobes, evaluated, stored and loaded without knowing any material."""
 
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.contract import Lobe, SpecularResponse

@@ -16,7 +16,7 @@ from nacre.bsdf.file import read_lobes, write_lobes
 
 @dataclass(frozen=True)
 class Bsdf:
-    """A material's answer to light: a sum of lobes on one wavelength grid.
+    """A material's BSDF: a sum of lobes on one wavelength grid.
 
     Attributes:
         lobes: the terms of the sum, all on the same wavelengths.
@@ -33,7 +33,7 @@ class Bsdf:
 
     @property
     def transmits(self) -> bool:
-        """Whether any lobe lets light through."""
+        """Whether any lobe transmits."""
         return any(lobe.transmits for lobe in self.lobes)
 
     def save(self, path: str | Path) -> None:

@@ -1,7 +1,7 @@
-"""What a rough interface loses between its facets, and how to give it back without breaking reciprocity.
+"""Multiple-scattering compensation of a rough interface that keeps reciprocity.
 
-One bounce on the facets loses the light that the masking blocks. Kulla and Conty (2017) return it as a product
-of what each of the two directions loses. Here that form is carried over to interfaces that transmit: light lost
+Single scattering on the facets loses the light that the masking blocks. Kulla and Conty (2017) restore it as a
+product of what each of the two directions loses. Here that form is carried over to interfaces that transmit: light lost
 on side a returns to side b in proportion `exchange[a, b]`, chosen so that energy is exact without absorption
 and f(wi, wo)/n_o^2 is symmetric; absorption follows the spectrum of the facets' mean reflectance.
 """
@@ -27,10 +27,10 @@ SMALLEST_COSINE = 1e-4
 
 
 def compensate(lobe: Microfacet) -> Microfacet:
-    """Return the rough lobe with the light between its facets added.
+    """Return the rough lobe with the light scattered between its facets added.
 
     Raises:
-        UnsupportedError: the roughness varies over the surface, or a thickness does where light passes.
+        UnsupportedError: the roughness varies over the surface, or a thickness does on a transmitting film.
     """
     if lobe.alpha_texture is not None:
         raise UnsupportedError(
@@ -38,12 +38,12 @@ def compensate(lobe: Microfacet) -> Microfacet:
             "or a rotation texture may vary"
         )
     if lobe.transmits and lobe.parameters:
-        raise UnsupportedError("compensate = true with light passing through needs one thickness; rotation may vary")
+        raise UnsupportedError("compensate = true on a transmitting film needs one thickness; rotation may vary")
     return _two_sides(lobe) if lobe.transmits else _reflecting(lobe)
 
 
 def _reflecting(lobe: Microfacet) -> Microfacet:
-    """Nothing passes (or passes straight): the loss is the geometry's alone, the colour that of further bounces."""
+    """Opaque, or transmitting undeviated: the loss is that of masking alone, the colour that of further bounces."""
     response = lobe.response
     is_lit_inside = bool(np.any(response.reflectance_inside > 0))
     directions, shape = _loss_directions(lobe)
@@ -93,8 +93,8 @@ def facet_transmittance(
 ) -> Array:
     """Return the transmittance averaged over the facets that a direction sees, `[*params, cos, wavelength]`.
 
-    Nodes are uniform in the cosine outside, 0 to 1. Where the roughness is anisotropic, the azimuth that lets
-    least through counts: what is left to reflect then never makes the sum exceed one.
+    Nodes are uniform in the cosine outside, 0 to 1. Where the roughness is anisotropic, the azimuth of least
+    transmittance counts: what is left to reflect then never makes the sum exceed one.
     """
     azimuths = [0.0] if alpha_x == alpha_y else list(np.linspace(0.0, np.pi / 2, 7))
     cosines = np.maximum(np.linspace(0.0, 1.0, nodes), SMALLEST_COSINE)

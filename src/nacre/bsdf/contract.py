@@ -1,9 +1,10 @@
-"""The contract between optics and everything that shows, stores or renders a material.
+"""The interface between the optics and everything that shows, stores or renders a material.
 
 A `Bsdf` is a sum of lobes. A lobe is a frozen bundle of arrays with named axes and holds no physics left to
-do: `evaluate` interpolates, its twin in `nacre.device` does the same on the device.
+do: `evaluate` interpolates on NumPy arrays; the lobe's Mitsuba plugin in `nacre.device` does the same ("on the
+device").
 
-Local frame: z is the surface normal, `wi` points to the light, `wo` to the eye, both away from the surface.
+Local frame: z is the surface normal, `wi` points to the light, `wo` to the viewer, both away from the surface.
 Values are unpolarised, in 1/sr, without the cosine; wavelength is the last axis.
 """
 
@@ -50,7 +51,7 @@ class Lobe(abc.ABC):
 
     @property
     def is_stochastic(self) -> bool:
-        """Whether values come from a random walk on the renderer's side (the layered lobe)."""
+        """Whether values come from a random walk that Mitsuba runs (the layered lobe)."""
         return False
 
     @property

@@ -1,4 +1,4 @@
-"""Integrals over the hemispheres: what a material sends back and lets through in all, and how reciprocal it is."""
+"""Integrals over the hemispheres: total reflectance and transmittance, and how reciprocal a BSDF is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Glints: flakes large enough to be seen, as a factor on the light that one flake reflects.
+"""Glints: flakes large enough to be resolved, as a factor on the light that one flake reflects.
 
 The surface is a grid of cells with K flakes each, discs of random centre, radius and normal, all by an integer
 hash of the cell. With t the slope of the wanted normal over the flakes' deviation, the factor at a point is
@@ -38,7 +38,7 @@ def kind_of_flake(
         uv_mm: length on the surface of one unit of u and v.
         diameter_um: median of the discs.
         spread: standard deviation of the logarithm of the diameter.
-        seen: flakes over each other that are seen, on average: sum of their areas over that of the surface.
+        seen: visible flakes that overlap at one point, on average: sum of their areas over that of the surface.
         width: of a flake's own lobe, as a slope over the flakes' deviation.
         seed: of the hash, below 2^24.
     """

@@ -1,7 +1,7 @@
 """Which class is which kind of lobe: the only list of lobes.
 
 A new lobe joins with one line here and one in `nacre.device.registry`, or from another package by an entry point of
-the group `nacre.lobes`. No lobe and no device twin imports this file.
+the group `nacre.lobes`. No lobe and no Mitsuba plugin imports this file.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class LobeEntry:
 
     Attributes:
         lobe: the class of its arrays.
-        twin: returns the `LobePlugin` class that puts it on the device; imports Mitsuba, so it is called late.
-        sample: returns a small lobe of this kind, for the suites that every lobe has to pass.
+        twin: returns the `LobePlugin` class of its Mitsuba plugin; imports Mitsuba, so it is called late.
+        sample: returns a small lobe of this kind, for the tests that every lobe has to pass.
     """
 
     lobe: type[Lobe]
@@ -56,7 +56,7 @@ def lobe_class(kind: str) -> type[Lobe]:
 
     Raises:
         KeyError: no such kind.
-        NacreError: two packages bring a lobe of this kind, or one brings something else.
+        NacreError: two packages register a lobe of this kind, or one registers something else.
     """
     if kind in LOBES:
         module, name = LOBES[kind].split(":")
@@ -69,7 +69,7 @@ def outside_lobe(kind: str) -> LobeEntry:
     """Return what another package says of its lobe.
 
     Raises:
-        KeyError: no package brings this kind.
+        KeyError: no package registers this kind.
         NacreError: its entry point cannot be loaded, or is no `LobeEntry`.
     """
     found = entry_points(GROUP, LOBES)[kind].load()

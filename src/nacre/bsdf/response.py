@@ -35,9 +35,9 @@ class InterfaceResponse:
         total: `[*params, x, wavelength]`, reflectance from inside beyond the critical angle, uniform nodes of
             `x = (2/pi) acos(cos_inside / cos_critical)` from 0 (critical) to 1 (grazing); its `x` axis is empty
             where eta = 1.
-        eta: n_inside/n_outside >= 1, one number that bends all directions (dispersion of the bending is left
+        eta: n_inside/n_outside >= 1, one number for the refraction of all wavelengths (its dispersion is left
             out: it would split rays); 1 for a free film.
-        transmits: whether light passes to the other side.
+        transmits: whether light is transmitted to the other side.
         flipped: False: outside is the side of +z (the ambient); True: the ambient is the denser medium, so
             outside is the side of -z. A user of the tables negates the z of all directions first if True.
         parameters: the axes that textures drive, in the order of the leading axes.

@@ -1,4 +1,4 @@
-"""From a stratified medium to the tables of an interface, with the errors of the tables kept in hand."""
+"""From a stratified medium to the tables of an interface, with controlled errors of the tables."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from nacre.errors import UnsupportedError
 from nacre.light import delta_e_2000, spectrum_to_xyz, xyz_to_lab
 from nacre.matter.stack import solve as solver
 
-TRANSPARENT_K = 1e-4  # a millimetre of the substrate then passes more than a tenth at 550 nm
-SAME_INDEX = 1e-3  # relative indices this close to one bend nothing that can be seen
+TRANSPARENT_K = 1e-4  # a millimetre of the substrate then transmits more than a tenth at 550 nm
+SAME_INDEX = 1e-3  # relative indices this close to one refract invisibly little
 TABLE_ERROR = 1e-4  # absolute error of R and T at the worst angle and wavelength, where node counts allow
 COS_NODES = (129, 257, 513)
 COS_NODES_VARYING = 65
@@ -151,7 +151,7 @@ class StackTables:
 
 
 def is_transparent(n: ComplexArray) -> bool:
-    """Whether a half-space of index `n` `[wavelength]` lets light pass through a body of visible size."""
+    """Whether a body of visible size of index `n` `[wavelength]` is transparent."""
     return bool(np.max(n.imag) < TRANSPARENT_K)
 
 

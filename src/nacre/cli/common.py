@@ -1,4 +1,4 @@
-"""Options that commands share, and the small languages in which people write lists and sizes."""
+"""Options that commands share, and the notations for lists and sizes."""
 
 from __future__ import annotations
 

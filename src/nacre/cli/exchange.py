@@ -1,4 +1,4 @@
-"""Commands that trade files with other programs: export and import."""
+"""Commands that exchange files with other programs: export and import."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands that lead to something made: design and fabricate."""
+"""Commands on the way to fabrication: design and fabricate."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "sheet")
 @click.option("--json", "as_json", is_flag=True, help="Print the result's numbers as JSON.")
 @common.jobs_option
 def design(target: str, output: str | None, resume: bool, as_json: bool) -> None:
-    """Find the structure that gives the look of TARGET; the best so far is always on disk."""
+    """Find the relief with the appearance that TARGET asks for; the best so far is always on disk."""
     import os
 
     from nacre.design.run import run
@@ -69,7 +69,7 @@ class _Screen:
             self._status.stop()
 
     def show(self, progress: Any) -> None:
-        """Show what the search says of itself."""
+        """Show the progress of the search."""
         if self._status:
             left = "" if progress.seconds_left is None else f", {progress.seconds_left:.0f} s left"
             stage = f"{progress.stage} ({progress.stage_number} of {progress.stage_count})"

@@ -19,16 +19,18 @@ SCENES = "sphere|probe|speedshape|panel|butterfly|bottle|knob|body|screen|SCENE.
 @click.command()
 @click.argument("recipe", metavar="RECIPE|FILE.nacre|DESIGN_DIR")
 @click.option("--scene", default="sphere", show_default=True, metavar=SCENES)
-@click.option("--shape", default=None, metavar="MESH", help="Another subject: a scene's name or a mesh file.")
+@click.option("--shape", default=None, metavar="MESH", help="Another object: a scene's name or a mesh file.")
 @click.option("--up", type=click.Choice(["x", "y", "z"]), default=None, help="Upward axis of the mesh file.")
 @click.option(
     "--light", default=None, metavar="NAME|ENVMAP", help="studio, line, sun, sky, directional, interior, street."
 )
-@click.option("--illuminant", default="D65", show_default=True, help="Spectrum of the lamps.")
+@click.option("--illuminant", default="D65", show_default=True, help="Spectrum of the light sources.")
 @click.option("--size", default=None, metavar="WxH", help="Pixels; default: the scene's own.")
 @click.option("--spp", type=int, default=None, help="Samples a pixel; default: the scene's own.")
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
-@click.option("--quality", type=click.Choice(["reference", "fast"]), default=None, help="For families that know both.")
+@click.option(
+    "--quality", type=click.Choice(["reference", "fast"]), default=None, help="Pearls: random walk, or noise-free."
+)
 @click.option("--components", type=click.Choice(["sum", "specular", "diffuse"]), default="sum", show_default=True)
 @click.option("--exposure", default="auto", show_default=True, help='"auto", or stops.')
 @click.option("--animate", default=None, metavar="light|view|PATH=A:B", help="Turn light or view, or vary a number.")

@@ -76,9 +76,7 @@ def _csv(wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np
 @click.argument("recipe")
 @click.option("--directions", required=True, metavar="DIRS.npz", help="Arrays wi[N,3] and wo[N,3].")
 @click.option("--wavelengths-nm", default=None, help="Such as 380:780:5; default: chosen by the material.")
-@click.option(
-    "--samples", type=click.IntRange(1, 10**8), default=None, help="Paths a direction pair (stochastic lobes)."
-)
+@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help="Random walks a direction pair (pearls).")
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("-o", "output", required=True, metavar="VALUES.npz")
 @common.set_option
@@ -152,7 +150,7 @@ def plot(
     recipe: str, kind: str | None, angles_deg: str | None, wavelengths_nm: str | None, illuminant: str,
     over: str | None, part: str | None, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
-    """Draw a figure of RECIPE, fit for a paper, or of a sweep: its gamut, a colour-map or parallel coordinates."""
+    """Draw a figure of RECIPE, of publication quality, or of a sweep: gamut, colour-map or parallel coordinates."""
     from nacre.files import check_writable
     from nacre.plot.material import plot_material
 
@@ -202,7 +200,7 @@ def _over(text: str | None) -> tuple[str, np.ndarray] | None:
 @common.set_option
 @common.jobs_option
 def compile_(recipe: str, wavelengths_nm: str | None, output: str | None, changes: tuple[str, ...]) -> None:
-    """Solve RECIPE once and store the answer, to be rendered many times."""
+    """Solve RECIPE once and store its BSDF, to be rendered many times."""
     from nacre.files import check_writable
 
     path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}.nacre")

@@ -1,4 +1,4 @@
-"""Commands of the trade: sweep, report, tolerance, fit, export, import."""
+"""Commands that study a material: sweep, report, tolerance, fit."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def sweep(sweep_file: str, output: str | None, workers: int | None, scheduler: s
 @click.argument("recipes", nargs=-1, required=True, metavar="RECIPE [RECIPE]")
 @click.option("--illuminant", default="D65", show_default=True)
 @click.option("--observer", type=click.Choice(["2deg", "10deg"]), default="10deg", show_default=True)
-@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help="Paths a direction (stochastic families).")
+@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help="Random walks a direction (pearls).")
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("-o", "output", default=None, metavar="FILE.txt|.json|.html")
@@ -97,10 +97,12 @@ def report(
     "--spread", "spreads", multiple=True, metavar="PATH=VALUE", help="Such as layers[0].thickness_nm=2% or =5."
 )
 @click.option("--draws", type=int, default=500, show_default=True)
-@click.option("--limit", type=float, default=1.0, show_default=True, help="dE00 within which a material is right.")
+@click.option(
+    "--limit", type=float, default=1.0, show_default=True, help="CIEDE2000 difference within which a material passes."
+)
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("--illuminant", default="D65", show_default=True)
-@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help="Paths a direction (stochastic families).")
+@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help="Random walks a direction (pearls).")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("-o", "output", default=None, metavar="FILE.json")
 @common.set_option
@@ -151,7 +153,9 @@ def tolerance(
 @click.command()
 @click.argument("measurement", metavar="MEASUREMENT")
 @click.argument("recipe")
-@click.option("--free", "free", multiple=True, metavar="PATH=LOW:HIGH", help="Free a number between bounds.")
+@click.option(
+    "--free", "free", multiple=True, metavar="PATH=LOW:HIGH", help="Let the fit change a number between bounds."
+)
 @click.option("--starts", type=click.IntRange(1, 1000), default=4, show_default=True)
 @click.option(
     "--weights",
@@ -160,7 +164,7 @@ def tolerance(
     show_default=True,
     help="Whether the noise is the same for all values or a share of each.",
 )
-@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help="Paths a direction (stochastic families).")
+@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help="Random walks a direction (pearls).")
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("--residual", default=None, metavar="FILE.npz", help="Store the residual map.")

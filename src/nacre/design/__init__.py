@@ -1,4 +1,4 @@
-"""Design: from a wanted look to a structure that has it."""
+"""Inverse design: from a wanted appearance to a relief that has it."""
 
 import lazy_loader
 

@@ -25,7 +25,7 @@ FIXED_SHARE = 0.7
 class Losses:
     """Both losses of a slice, with the scale of each, and that of an all-black slice.
 
-    `black` tells whether the fixed loss proves anything: where it is lower, going dark is rewarded.
+    `black` tells whether the fixed loss means anything: where `black` is lower, a dark design is rewarded.
     """
 
     fixed: float

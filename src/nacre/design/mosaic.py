@@ -67,8 +67,9 @@ def mosaic(
 ) -> Mosaic:
     """Mix patches so that each pixel shows its colour.
 
-    The shares of a pixel solve a non-negative least-squares problem; whole cells are then given out by what is
-    still owed, and what rounding leaves is passed on to the next pixel, so that areas keep their mean colour.
+    The shares of a pixel solve a non-negative least-squares problem; whole cells are then assigned
+    in these shares, and the rounding error is passed on to the next pixel (error diffusion), so that areas keep their
+    mean colour.
 
     Args:
         image: linear RGB `[x, y, 3]`.

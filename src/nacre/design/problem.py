@@ -1,4 +1,4 @@
-"""A design problem in numbers, and the function the search climbs down: features in, loss and gradient out."""
+"""A design problem in numbers, and the function that the search minimises: features in, loss and gradient out."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MAX_SAMPLES = 8192
 
 @dataclass(frozen=True)
 class View:
-    """One part of a wanted look: directions, the picture wanted there, and the way to colour.
+    """One part of a wanted appearance: directions, the picture wanted there, and how colour is computed.
 
     Attributes:
         geometry: grid of half-vector sums, incidences and wavelengths.
@@ -50,7 +50,7 @@ class Problem:
         coherence, prefactor: the optics.
         views: what must be seen where.
         intensity_scale: factor before the gamma, or None for the best one.
-        brightness_floor: with a free scale, the least brightness (1 / scale) that goes unpunished; else unused.
+        brightness_floor: with a free scale, the least brightness (1 / scale) without a penalty; else unused.
         noise: standard deviation of each height, relative to itself.
         blur_error: relative error of the process blur to be robust against.
         levels: number of heights the process can make; 0 for any.
@@ -87,7 +87,7 @@ class Problem:
     def search_upsamplings(self) -> tuple[int, int]:
         """Return samples per feature for exploring and for finishing.
 
-        Samples a little narrower than the blur are the coarsest that still resemble the truth.
+        Samples a little narrower than the blur are the coarsest that still approximate the surface.
         """
         ratio = self.feature_nm / self.blur_nm if self.blur_nm > 0 else 4.0
         least = self.least_upsampling()
@@ -196,7 +196,7 @@ class Evaluator:
 
 @dataclass(frozen=True)
 class Measurement:
-    """Losses by the plain model at a sampling that no longer matters, and the picture seen."""
+    """Losses by the plain model at a converged sampling, and the picture seen."""
 
     losses: Losses
     rgb: Array

@@ -21,7 +21,7 @@ def round_to_levels(x: Array, levels: int) -> Array:
 
 
 def settle_on_levels(evaluator: Evaluator, x: Array, levels: int, is_over: Callable[[], bool]) -> Array:
-    """Move a continuous design onto levels: a growing pull towards them, rounding, then flips that help.
+    """Move a continuous design onto levels: a growing penalty between them, rounding, then single changes of level.
 
     Args:
         evaluator: the loss.

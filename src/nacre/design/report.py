@@ -1,4 +1,4 @@
-"""The one page that tells whether a design is good: pictures, losses, spectra, heights, slopes, warnings."""
+"""The report of a design on one page: pictures, losses, spectra, heights, slopes, warnings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from nacre.files import atomic_path, write_text
 
 PICTURE_PIXELS = 256  # side of each picture on the page
 LIT_SHARE = 0.1  # a direction belongs to the target where the target is above this part of its maximum
-# where facets begin to hide each other at the angles of a slice; the scalar model does not see it
+# where facets begin to shadow each other at the angles of a slice; the scalar model ignores it
 STEEP_DEG, VERY_STEEP_DEG = 30.0, 45.0
 # draws of the process by the samples along the tile: a second of work at most
 DRAWS = ((512, 40), (1024, 12), (4096, 3))
@@ -84,7 +84,7 @@ def slope_summary(problem: Problem, heights_nm: Array) -> tuple[Array, dict[str,
 
 
 def process_spread(problem: Problem, heights_nm: Array) -> Robustness | None:
-    """Return what a typical process costs; None where a draw would take long."""
+    """Return the loss that errors of a typical process cause; None where a draw would take long."""
     samples = problem.features * problem.search_upsamplings()[1]
     for most, draws in DRAWS:
         if samples <= most:
@@ -99,8 +99,8 @@ def warnings_of(problem: Problem, summary: dict[str, Any], facts: dict[str, floa
     notes = []
     if facts["slope_99_percent_deg"] > VERY_STEEP_DEG:
         notes.append(
-            f"1 % of the surface is steeper than {facts['slope_99_percent_deg']:.0f} degrees: facets hide each other "
-            "and light bounces twice there, which the scalar model does not see. Reduce the height or widen the blur."
+            f"1 % of the surface is steeper than {facts['slope_99_percent_deg']:.0f} degrees: facets shadow each other "
+            "and light reflects twice there, which the scalar model ignores. Reduce the height or widen the blur."
         )
     elif facts["slope_99_percent_deg"] > STEEP_DEG:
         notes.append(

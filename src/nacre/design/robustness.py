@@ -1,4 +1,4 @@
-"""What the process will do to a finished design: Monte Carlo over height scale, blur and noise."""
+"""The effect of process errors on a finished design: Monte Carlo over height scale, blur and noise."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def robustness(
     draws: int = 100,
     seed: int = 1,
 ) -> Robustness:
-    """Return what errors of the process cost.
+    """Return losses and colour differences under errors of the process.
 
     Args:
         problem: what the design was made for.

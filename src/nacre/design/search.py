@@ -1,4 +1,4 @@
-"""The search: several starts, the better ones continued at a finer sampling, then hardened, then shaken.
+"""The search: several starts, the better ones refined at a finer sampling, made robust, then perturbed ("shaken").
 
 Bounded L-BFGS-B straight on the features (physics/relief.md, section 10). The work is a fixed list of stages, so the
 same seed gives the same design whatever the machine; a time limit only cuts the list short. Starts run side by
@@ -25,7 +25,7 @@ from nacre.design.quantise import round_to_levels, settle_on_levels
 AMPLITUDES = (0.5, 0.25, 1.0, 0.12)
 NOISE_DRAWS = 6
 CORRECTIONS = 20
-# a finished descent sits in a shallow valley: noise of these sizes, in parts of the range, and a new descent find a
+# a finished descent sits in a shallow minimum: noise of these sizes, in parts of the range, and a new descent find a
 # lower one in about half of all tries (measured on designs 3, 12 and 16: 2 % of the fixed, 7 % of the free loss)
 SHAKES = (0.08, 0.15, 0.05)
 SHAKEN = 2  # copies of the best, shaken side by side
@@ -58,7 +58,7 @@ HARDEN = Stage("harden", 2, 60, fine=True, robust=True)
 
 
 def stages(problem: Problem, shakes: int = 0) -> tuple[Stage, ...]:
-    """Return the list of work of a problem; robustness adds a stage, and what time is left is spent on shakes."""
+    """Return the list of work of a problem; robustness adds a stage, shakes (perturbed restarts) take the time left."""
     robust = problem.noise > 0 or problem.blur_error > 0
     plan = (*STAGES, HARDEN) if robust else STAGES
     shake = Stage("shake", SHAKEN, 80, fine=True, robust=robust, shakes=True)
@@ -67,7 +67,7 @@ def stages(problem: Problem, shakes: int = 0) -> tuple[Stage, ...]:
 
 @dataclass
 class Candidate:
-    """One start on its way.
+    """One start and its present state.
 
     Attributes:
         x: heights over the allowed range, flat.
@@ -112,7 +112,7 @@ class Search:
 
     Attributes:
         problem: what is wanted.
-        candidates: the starts still in the race.
+        candidates: the starts not yet discarded.
         plan: the stages.
         stage: index into the plan.
         seconds, evaluations: spent so far, earlier runs included.
@@ -160,7 +160,7 @@ class Search:
             while self.stage < len(self.plan):
                 self._run_stage(self.plan[self.stage])
                 if self._stop.is_set() or time.monotonic() > self._deadline:
-                    # a design that only ran out of time to be shaken is finished
+                    # a design that only lacked time for shakes is finished
                     cut = "" if self.plan[self.stage].shakes else "time limit"
                     self.stop_reason = self.stop_reason or ("interrupted" if self._stop.is_set() else cut)
                     break

@@ -1,4 +1,4 @@
-"""The lobes on Mitsuba: one twin for each kind of lobe, and the walk through strata.
+"""The lobes in Mitsuba: one plugin for each kind of lobe, and the random walk through strata.
 
 Whatever is imported from here first points drjit to an LLVM that works; no variant is set.
 """

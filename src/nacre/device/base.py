@@ -1,11 +1,11 @@
-"""What every lobe on the device offers, and the small tools that all of them use.
+"""The interface of every lobe's Mitsuba plugin, and small tools that all of them use.
 
 A `LobePlugin` is plain Python without ties to a Mitsuba variant: it is built after the variant is set, and one
 Mitsuba BSDF (`bsdf.py`) holds one or several of them. So a sum of lobes costs no nested virtual call, and
 two-sidedness, component masks and mixing are written once.
 
-Roles. Mitsuba's `si.wi` is the eye when radiance is traced and the light when importance is traced. A lobe
-returns the value for light along one and eye along the other; where that is not symmetric (the factor
+Roles. Mitsuba's `si.wi` points to the camera when radiance is traced and to the light when importance is traced. A
+lobe returns the value for light along one and camera along the other; where that is not symmetric (the factor
 (n_o/n_i)^2 of a refraction), `is_radiance(ctx)` tells which is which.
 """
 
@@ -33,7 +33,7 @@ MIN_COS = 1e-6
 
 
 class LobePlugin(abc.ABC, Generic[LobeT]):
-    """One lobe on the device of the current variant.
+    """One lobe as a plugin of the current Mitsuba variant.
 
     Subclasses set `components` in `__init__` and implement `sample` and `eval_pdf`. All device numbers are
     opaque, so that another material of the same kind runs in the kernel that is compiled already.
@@ -98,7 +98,7 @@ class LobePlugin(abc.ABC, Generic[LobeT]):
 
 
 def is_radiance(ctx: Any) -> bool:
-    """Whether `si.wi` is the eye."""
+    """Whether `si.wi` points to the camera."""
     return bool(ctx.mode == mi.TransportMode.Radiance)
 
 

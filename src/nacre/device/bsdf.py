@@ -13,7 +13,7 @@ from nacre.device.registry import make_plugin
 from nacre.device.variant import VARIANTS
 from nacre.errors import UnsupportedError
 
-# The renderer draws wavelengths from 360 to 830 nm; nearly all that the eye weighs lies within this.
+# The renderer draws wavelengths from 360 to 830 nm; nearly all that the eye sees lies within this.
 SEEN_NM = (400.0, 700.0)
 
 
@@ -22,8 +22,8 @@ def make_bsdf(bsdf: Bsdf, two_sided: bool = False, properties: Any = None) -> An
 
     Args:
         bsdf: the material's lobes.
-        two_sided: an opaque material looks the same from behind instead of black; a transmitting one has its
-            own back anyway.
+        two_sided: an opaque material looks the same from behind instead of black; a transmitting one has a back side
+            of its own in any case.
         properties: Mitsuba's properties when called by the scene loader.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Light exchanged between facets on the device: the reciprocal term that gives back what single scattering loses."""
+"""Light exchanged between facets on the device: the reciprocal term that restores what single scattering loses."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Compensation:
     ) -> tuple[Any, Any, Any]:
         """Return `(share, value * |cos wo|, density)` of this term, `wi` being above.
 
-        Radiance is traced from the eye: then `wo` is the light's side, the first of `exchange`.
+        Radiance is traced from the camera: then `wo` is the light's side, the first of `exchange`.
         """
         crosses = wo.z < 0.0
         cos = dr.abs(wo.z)

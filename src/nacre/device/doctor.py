@@ -73,7 +73,7 @@ def _rendering() -> list[Finding]:
     if state.variant is None:
         findings.append(Finding("Mitsuba", "bad", "cannot be loaded", state.advice))
     elif state.variant.startswith("scalar"):
-        advice = "rendering runs some 780 times slower and the pearl walk not at all; get LLVM as said above"
+        advice = "rendering runs some 780 times slower and the random walk of pearls not at all; get LLVM as said above"
         findings.append(Finding("Mitsuba", "bad", f"{state.mitsuba_version}, {state.variant}", advice))
     else:
         findings.append(Finding("Mitsuba", "ok", f"{state.mitsuba_version}, {state.variant}"))

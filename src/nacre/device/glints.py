@@ -18,7 +18,7 @@ FLATTEST = 1e-4  # a normal in the plane of the flakes has no slope
 
 
 class DeviceGlints:
-    """The flakes of one stratum that are seen one by one; all numbers are data."""
+    """The flakes of one stratum that are resolved one by one; all numbers are data."""
 
     def __init__(self, numbers: Array, radii: Array, ratio: Array) -> None:
         self.kinds = [_Kind(*row) for row in zip(numbers, radii, ratio, strict=True)]

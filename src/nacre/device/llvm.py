@@ -1,4 +1,4 @@
-"""Find a libLLVM that Dr.Jit can use, and prove it in a process of its own.
+"""Find a libLLVM that Dr.Jit can use, and test it in a process of its own.
 
 Mitsuba on the CPU compiles its kernels with whatever LLVM it finds when drjit is imported. LLVM 14 is refused
 by drjit and 15 and 16 abort the whole process at the first minimum or maximum, so a library is never trusted

@@ -1,6 +1,6 @@
 """The one Mitsuba BSDF around one or several lobes: mixing, two sides, component masks, updates.
 
-It is given its lobes ready on the device and knows no list of them, so that a lobe may hold such a sum itself.
+It is given its lobes as plugins and imports no list of them, so that a lobe may hold such a sum itself.
 """
 
 from __future__ import annotations

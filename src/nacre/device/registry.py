@@ -1,7 +1,7 @@
-"""Which class puts which kind of lobe on the device: the only list of twins.
+"""Which plugin class renders which kind of lobe: the only list of Mitsuba plugins.
 
-A new lobe joins with one line here and one in `nacre.bsdf.registry`; a lobe of another package names its twin in its
-entry point. No twin imports this file: one that holds other lobes gets `make_plugin` handed in.
+A new lobe joins with one line here and one in `nacre.bsdf.registry`; a lobe of another package names its plugin in
+its entry point. No plugin imports this file: one that holds other lobes is passed `make_plugin`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def plugin_class(kind: str) -> type[LobePlugin[Any]]:
 
     Raises:
         UnsupportedError: no plugin renders this kind.
-        NacreError: another package brings this kind, but not as it should.
+        NacreError: another package registers this kind, but not with a `LobePlugin`.
     """
     if kind in PLUGINS:
         module, name = PLUGINS[kind].split(":")
@@ -46,7 +46,7 @@ def plugin_class(kind: str) -> type[LobePlugin[Any]]:
         known = ", ".join(PLUGINS)
         raise UnsupportedError(f'no Mitsuba plugin renders a lobe of kind "{kind}"; known: {known}') from None
     if not (isinstance(outside, type) and issubclass(outside, LobePlugin)):
-        raise NacreError(f'the twin of the lobe "{kind}" is not a LobePlugin')
+        raise NacreError(f'the Mitsuba plugin of the lobe "{kind}" is not a LobePlugin')
     return outside
 
 

@@ -31,7 +31,7 @@ class DeviceResponse:
 
     Attributes:
         is_lossless: whether R + T = 1 to single precision, from both sides.
-        eta: n_inside/n_outside, opaque; `bends` says whether it differs from 1.
+        eta: n_inside/n_outside, opaque; `bends` says whether it differs from 1 (refraction).
         transmits: whether there are an inside and a T.
         flipped: whether outside lies at -z.
     """

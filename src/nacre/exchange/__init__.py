@@ -1,1 +1,1 @@
-"""The formats of other programs and of makers, one file each, and what they make of a lobe."""
+"""File formats of other programs and of fabrication, one module each, and conversions of lobes to them."""

@@ -1,4 +1,4 @@
-"""The process's calibration: which grey value exposes to which depth."""
+"""The calibration of a grey-scale process: which grey value exposes to which depth."""
 
 from __future__ import annotations
 

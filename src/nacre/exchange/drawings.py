@@ -1,4 +1,4 @@
-"""Drawings in the formats of those who make things: height images, solids, masks, layouts, tables."""
+"""Fabrication files: height images, solids, masks, layouts, tables."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ class HeightOptions:
 
 
 def write_drawing(drawing: Drawing, to: str, path: Path, source: str, options: HeightOptions) -> tuple[Path, ...]:
-    """Write a drawing, and beside all but a sheet a JSON that says how to read it.
+    """Write a drawing, and beside it, but for a layer table, a JSON that says how to read it.
 
     Args:
-        drawing: what the material's family drew.
+        drawing: the layers, particles or heights that the material's family gave.
         to: a key of `SUFFIXES` that the family offers.
         path: where.
         source: the recipe's name, for the provenance.

@@ -38,7 +38,7 @@ class GonioData:
 
     @property
     def wo(self) -> Array:
-        """Unit vectors to the eye, `[pair, 3]`."""
+        """Unit vectors to the viewer, `[pair, 3]`."""
         return direction(*np.radians(self.angles_deg[:, 2:].T))
 
 

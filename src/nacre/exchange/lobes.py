@@ -1,4 +1,4 @@
-"""What foreign formats make of a lobe, and lobes of what they hold: grids, tables, colour bases, and what is lost."""
+"""Lobes to other programs' formats and back: grids, tables, colour bases, and what is lost."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def rgb_basis(wavelengths_nm: Array) -> Array:
     matrix = matrix if matrix.shape[0] == 3 else matrix.T
     count = len(wavelengths_nm)
     second = np.diff(np.eye(count), 2, axis=0)
-    # a little stiffness against size keeps the ends, where the eye is blind, from drifting off
+    # a small penalty on size keeps the ends, where the eye is blind, from drifting off
     stiffness = second.T @ second + 1e-6 * np.eye(count)
     inverse = np.linalg.inv(stiffness)
     return np.asarray((inverse @ matrix.T @ np.linalg.inv(matrix @ inverse @ matrix.T)).T)

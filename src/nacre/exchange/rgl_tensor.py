@@ -3,7 +3,7 @@
 A file holds f cos as `spectra(sample) * ndf(u_m) / (4 sigma(u_i))`, where u_m is the half vector and `sample`
 its place in the warp of the visible-normal density. Any positive ndf is exact at the nodes; one that looks
 like the lobe leaves `spectra` smooth between them, so it is taken from the retro-reflection of the material
-(Dupuy & Jakob 2018). Reflection of the upper side only: deltas and transmission cannot be said in this format.
+(Dupuy & Jakob 2018). Reflection of the upper side only: deltas and transmission cannot be stored in this format.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""One film on a base, as real-time renderers know it: the numbers that glTF and OpenPBR materials hold."""
+"""One film on a base, as in real-time renderers: the numbers that glTF and OpenPBR materials hold."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class ThinFilm:
         base_ior: index of a dielectric base.
         is_metal: whether the base is a metal.
         roughness: GGX alpha of the surface.
-        transmits: whether light passes through the (dielectric) base.
+        transmits: whether the (dielectric) base transmits.
         not_read: names of what a file says of the material beyond this.
     """
 

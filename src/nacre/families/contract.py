@@ -1,11 +1,10 @@
-"""What a family promises: the base of every model that a recipe builds.
+"""The interface of a family: the base class of every model that a recipe builds.
 
-A family answers one question, how its structure sends light on (`bsdf`), and may answer more: spectra of its own
-where integrating the Bsdf would lose something (polarisation, a closed form), arrays for figures that only it can
-feed, drawings for those who make it. What it does not answer has a default here, so nobody above asks which family a
-model is of.
+A family must compute its `bsdf`, and may give more: spectra of its own where integrating the Bsdf would lose
+something (polarisation, a closed form), arrays for figures that only it has, data for fabrication files. What it does
+not give has a default here, so no code elsewhere depends on the family of a model.
 
-                    light          eye
+                    light          viewer
                   wi  \\        / wo            z: the normal, towards the light's side
                        \\      /
       ambient           \\    /                 x, y: along the surface; u, v run along them
@@ -14,7 +13,7 @@ model is of.
       ==================================       interface 1
       layer 1 / stratum 1
       ==================================
-      substrate / base                         light that passes leaves with wo_z < 0
+      substrate / base                         transmitted light leaves with wo_z < 0
 
 Both directions point away from the surface; angles of incidence are counted from z in the ambient.
 """
@@ -88,12 +87,12 @@ class Model(abc.ABC):
 
     @property
     def figures(self) -> Mapping[str, Figure]:
-        """The figures that only this family can feed: kind -> function of its options that returns arrays."""
+        """The figures that only this family has: kind -> function of its options that returns arrays."""
         return {}
 
     @property
     def fabrications(self) -> Mapping[str, Drawer]:
-        """The files for makers: format -> function of a request that returns the drawing."""
+        """The fabrication files: format -> function of a request that returns the drawing."""
         return {}
 
     def figure_data(self, kind: str, **options: Any) -> dict[str, NDArray[Any]]:

@@ -34,7 +34,7 @@ def family_spec(family: object, source: str) -> type[RecipeModel]:
 
     Raises:
         RecipeError: the family is missing or unknown.
-        NacreError: two packages bring this family, or one brings something else.
+        NacreError: two packages register this family, or one registers something else.
     """
     known = ", ".join(FAMILIES)
     if family is None:

@@ -1,8 +1,8 @@
-"""Light: wavelengths, illuminants, and the way from spectra to colours.
+"""Light: wavelengths, illuminants, and the conversion of spectra to colours.
 
 Colours are `[..., 3]` arrays. XYZ has Y = 1 for a perfect white under the illuminant; defaults are D65 and
 the CIE 1931 2 degree observer. sRGB outputs of other illuminants are adapted to sRGB's white by Bradford's
-transform unless asked otherwise, so a white sheet stays white under every lamp.
+transform unless asked otherwise, so a white sheet stays white under every illuminant.
 """
 
 from nacre.light.adaptation import ADAPTATIONS, Adaptation, adapt_xyz, adaptation_matrix

@@ -1,4 +1,4 @@
-"""What a change of light does to a colour: chromatic adaptation, the shift between illuminants, metamerism."""
+"""Chromatic adaptation: from a colour under one illuminant to the colour that looks alike under another."""
 
 from __future__ import annotations
 

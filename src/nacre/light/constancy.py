@@ -1,4 +1,4 @@
-"""What a change of lamp does to a colour: inconstancy between two illuminants, and metamerism."""
+"""What a change of illuminant does to a colour: inconstancy between two illuminants, and metamerism."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from nacre.light.tristimulus import spectrum_to_xyz, white_xyz
 
 @dataclass(frozen=True)
 class IlluminantShift:
-    """How a colour changes from one light to another, seen by an eye adapted to each.
+    """How a colour changes from one light to another, for an observer adapted to each.
 
     Attributes:
         lab_from, lab_to: `[..., 3]`, CIELAB under each light, both after adaptation to D65.

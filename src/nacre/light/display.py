@@ -20,9 +20,9 @@ def spectrum_to_rgb_matrix(
 ) -> Array:
     """Return `[wavelength, 3]` with `linear_srgb = values @ matrix`, unclipped.
 
-    The white policy of every sRGB output of nacre is here: an illuminant other than D65 (or the 10 degree
+    The white balance of every sRGB output of nacre is here: an illuminant other than D65 (or the 10 degree
     observer) is adapted to sRGB's white by Bradford's transform, so a perfect white is (1, 1, 1) under every
-    light, as an eye that has settled to the light sees it. `adaptation="none"` leaves the light's cast in.
+    light, as for an observer adapted to it. `adaptation="none"` leaves the light's colour cast in.
     D65 with the 2 degree observer is sRGB's own white and is never changed.
 
     Example: each column of the matrix for "A" sums to 1; with `adaptation="none"` they sum to 1.85, 0.83, 0.23.

@@ -1,4 +1,4 @@
-"""Bring colours into sRGB without changing what they say: hue and lightness stay, chroma gives way."""
+"""Gamut mapping into sRGB: hue and lightness stay, chroma is lowered."""
 
 from __future__ import annotations
 

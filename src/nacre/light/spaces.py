@@ -1,7 +1,7 @@
 """Colour spaces: XYZ, xyY, CIELAB, LCh and sRGB, each `[..., 3]` to `[..., 3]`.
 
-XYZ has Y = 1 for a perfect white. L* runs from 0 to 100; hue angles are in degrees, as colour people write
-them.
+XYZ has Y = 1 for a perfect white. L* runs from 0 to 100; hue angles are in degrees, as usual in
+colorimetry.
 """
 
 from __future__ import annotations

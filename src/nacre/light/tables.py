@@ -1,4 +1,4 @@
-"""Illuminants and observers: the 1 nm tables on which every colour of nacre stands.
+"""Illuminants and observers: the 1 nm tables from which every colour of nacre is computed.
 
 The tables ship with the package (`tools/make_light_tables.py` writes them from colour-science) and are read on
 first use.

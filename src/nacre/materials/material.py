@@ -91,7 +91,7 @@ class Material:
             theta_rad: angles of incidence in the ambient medium, in [0, pi/2].
             wavelengths_nm: vacuum wavelengths; default: chosen by the material.
             polarisation: "s", "p" or "both" (unpolarised).
-            seed: of a pearl's random walk; another one gives independent noise.
+            seed: of a pearl's random walk; another seed gives independent noise.
 
         Raises:
             UnsupportedError: the material has no such spectrum.
@@ -108,7 +108,7 @@ class Material:
         return bsdf_spectrum(self.model.bsdf(grid), theta, seed=seed)
 
     def figure_data(self, kind: str, **options: Any) -> dict[str, NDArray[Any]]:
-        """Return the arrays of a figure that only this family can feed, such as "field" or "structure".
+        """Return the arrays of a figure that only this family has, such as "field" or "structure".
 
         Raises:
             UnsupportedError: the family has no such figure.
@@ -151,7 +151,7 @@ class Material:
 
 @dataclass(frozen=True)
 class StoredBsdf(Model):
-    """A compiled `.nacre` file: a material whose physics was done before."""
+    """A compiled `.nacre` file: a material whose optics are already solved."""
 
     noun = "compiled .nacre file"
     takes_ambient = False
@@ -255,5 +255,5 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
 
 
 def recipe_provenance(material: Material) -> dict[str, Any]:
-    """Return what a file made from a recipe tells of its origin."""
+    """Return the provenance that a file made from a recipe carries."""
     return {"nacre": __version__, "source": Path(material.context.source).name, "recipe": material.text}

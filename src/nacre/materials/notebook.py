@@ -13,7 +13,7 @@ from nacre.errors import NacreError
 
 SIDE, SPP = 160, 48
 RIBBON_ANGLES_DEG = np.linspace(0.0, 85.0, 60)
-# a random walk costs a second and more an angle; what has walked through a resin changes slowly with the angle
+# a random walk costs a second and more an angle; light scattered in a resin changes slowly with the angle
 WALK_STRIDE, WALK_SPP = 8, 24
 _cache: dict[str, str] = {}
 CACHE_SIZE = 32

@@ -1,8 +1,8 @@
-"""A recipe number that varies over the surface, for any family: solved at some values, blended between.
+"""A recipe number that varies over the surface, for any family: solved at some values, interpolated between.
 
-The nodes are as many as keep the colour between two of them within a stated error; each node's lobes are there by
-a hat function of the texture. What a family does better by itself (a film's thickness has its own tables) never
-comes here.
+The values (nodes) are as many as keep the colour between two of them within a stated error; each node's lobes are
+weighted by a hat function of the texture (linear interpolation). Numbers for which a family has its own tables (a
+film's thickness) are not treated here.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from nacre.recipe.model import RecipeContext, validate
 
 MAX_NUMBERS = 2
 MAX_NODES = 9  # each is one more set of lobes in every kernel
-COLOUR_ERROR = 1.0  # dE00 midway between nodes, at any judged geometry
+COLOUR_ERROR = 1.0  # dE00 midway between nodes, at any of the test geometries
 WALK_SAMPLES = 65_536  # of a random walk: its noise stays well below that
-JUDGED_ANGLES_DEG = (0.0, 45.0)  # of the mirror direction and of what passes
+JUDGED_ANGLES_DEG = (0.0, 45.0)  # of the mirror direction and of transmission
 JUDGED_ASPECULAR_DEG = (15.0, 25.0, 45.0, 75.0)
 JUDGED_NM = (400.0, 720.0, 9)  # pigments and particles have broad bands; the walk's noise evens out over nine
 
@@ -171,7 +171,7 @@ class Varying(Model):
 
 
 def judged_colours(material: Any) -> Array:
-    """Return XYZ `[geometry, 3]` of a material where interpolation is judged."""
+    """Return XYZ `[geometry, 3]` of a material at the geometries where interpolation is tested."""
     low, high, count = JUDGED_NM
     own = np.asarray(material.model.wavelengths_nm)
     grid = np.linspace(max(low, own[0]), min(high, own[-1]), count)
@@ -187,7 +187,7 @@ def judged_colours(material: Any) -> Array:
 
 
 def choose_nodes(colours: Callable[[float], Array], low: float, high: float, path: str) -> tuple[Array, float]:
-    """Halve intervals until colours midway between nodes are within the error; return nodes and the error reached.
+    """Halve intervals until colours midway between nodes are within the error; return nodes and error.
 
     Args:
         colours: XYZ `[geometry, 3]` at a value.
@@ -203,7 +203,7 @@ def choose_nodes(colours: Callable[[float], Array], low: float, high: float, pat
     known = {value: colours(value) for value in nodes}
     if known[low].shape != known[high].shape:
         raise UnsupportedError(
-            f"{path}: at {low:g} the material lets light pass otherwise than at {high:g}, so the two cannot be "
+            f"{path}: the material transmits light at only one of {low:g} and {high:g}, so the two cannot be "
             "blended; keep the number off that end with min or max"
         )
     judged: dict[tuple[float, float], float] = {}

@@ -1,6 +1,6 @@
-"""What a maker needs of a material, as plain data: layers, particles in the plane, heights.
+"""The data for fabricating a material: layers, particles in the plane, heights.
 
-A family says which of these it can draw; `nacre.exchange.drawings` writes them in the formats of the trade and knows
+A family says which of these it can give; `nacre.exchange.drawings` writes them in the usual file formats and knows
 no family.
 
 Seen from the light's side: x to the right, y up, heights towards the light.
@@ -17,7 +17,7 @@ from nacre.arrays import Array
 
 @dataclass(frozen=True)
 class DrawingRequest:
-    """What a maker may ask of a drawing.
+    """Options of a drawing.
 
     Attributes:
         size_mm: area (x, y) to cover, or None: one period.

@@ -92,7 +92,7 @@ def _through_layer(
     d1_out: ComplexArray,
     d3_out: ComplexArray,
 ) -> ComplexArray:
-    """Carry a logarithmic derivative from the inner to the outer face of a layer."""
+    """Carry a logarithmic derivative from the inner to the outer surface of a layer."""
     mixed, plain = q * (d1_in - h), d3_in - h
     return (plain * d1_out - mixed * d3_out) / (plain - mixed)
 

@@ -1,1 +1,1 @@
-"""Asking a Bsdf for numbers, as instruments do."""
+"""Measuring a Bsdf, as instruments do."""

@@ -1,4 +1,4 @@
-"""Values of a Bsdf between two directions: arrays looked up, random walks walked on the renderer's side."""
+"""Values of a Bsdf for pairs of directions: tables are looked up, random walks run by Mitsuba."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DEFAULT_SAMPLES = 4096  # paths a direction pair of a stochastic lobe: about 2 %
 
 
 class HasBsdf(Protocol):
-    """Anything that answers with a Bsdf: a material, or a family's own object."""
+    """Anything that has a Bsdf: a material, or a family's own object."""
 
     def bsdf(self) -> Bsdf:
         """Return the arrays."""
@@ -76,9 +76,9 @@ def hemispherical(
 
 
 def unmasked(lobe: Lobe, uv: Array | None, shape: tuple[int, ...]) -> tuple[Lobe, Array]:
-    """Return what lies under the masks of a lobe, and the share of it that they let through at uv, `shape`.
+    """Return what lies under the masks of a lobe, and the product of the masks at uv, `shape`.
 
-    A masked walk is walked bare and dimmed after.
+    A masked random walk runs without its mask and is multiplied by it afterwards.
     """
     share = np.ones(shape)
     while isinstance(lobe, MaskedLobe):

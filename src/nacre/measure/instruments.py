@@ -1,4 +1,4 @@
-"""The measuring geometries of the coating trade: aspecular angles, gloss and haze apertures.
+"""The measuring geometries of the coatings industry: aspecular angles, gloss and haze apertures.
 
 Light falls at `theta_i` in the plane phi = 0; an aspecular angle is counted from the mirror direction towards
 the light, so that 45 degree incidence with 45 degrees aspecular looks along the normal, and 110 looks from the

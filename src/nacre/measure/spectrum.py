@@ -1,4 +1,4 @@
-"""What a Bsdf sends back and lets through in all."""
+"""Total reflectance and transmittance of a Bsdf."""
 
 from __future__ import annotations
 

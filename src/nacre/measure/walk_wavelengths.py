@@ -1,4 +1,4 @@
-"""The wavelengths at which a random walk is asked for colours: enough for a colour, a quarter of the work."""
+"""The coarser wavelengths at which a random walk is evaluated for colours: accurate enough, a quarter of the work."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A built scene: Mitsuba objects of one picture, kept and reused while only material, camera or seed change.
 
-Building a scene anew for each picture grows memory and time (mitsuba3 issue 563), so the stage stays and the
-subject's BSDF is updated or exchanged.
+Building a scene anew for each picture grows memory and time (mitsuba3 issue 563), so the scene stays and the
+object's BSDF is updated or exchanged.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def make_mesh(surface: Mesh, bsdf: Any, name: str = "mesh") -> Any:
 
 
 class BuiltScene:
-    """A scene in Mitsuba, waiting for materials and cameras.
+    """A scene in Mitsuba, to be given materials and cameras.
 
     Args:
         scene: what to build.

@@ -1,7 +1,7 @@
 """Render a material: `render(material, scene="probe")`.
 
 The picture is made in passes of a few samples per pixel, so that progress shows, Ctrl-C ends it cleanly with
-what is done, and memory stays bounded. Built stages are kept: fifty pictures cost the memory of one.
+what is done, and memory stays bounded. Built scenes are kept: fifty pictures cost the memory of one.
 """
 
 from __future__ import annotations
@@ -68,20 +68,20 @@ def render(
         material: a material, a `Bsdf`, or a ready Mitsuba BSDF or its dict.
         scene: sphere, probe, speedshape, panel, butterfly, bottle, knob, body, screen, or a Mitsuba .xml file whose
             BSDFs of id "nacre" the material replaces.
-        shape: another subject for the scene: a name of those or a mesh file (.ply, .obj, .stl, .glb, .gltf, .off).
+        shape: another object for the scene: a name of those or a mesh file (.ply, .obj, .stl, .glb, .gltf, .off).
         up: which axis of a mesh file points up, x, y or z; None: y for .obj, .glb and .gltf, z for the others.
         light: studio, line, sun, sky, directional, interior, street or an environment map; None: the scene's own.
-        illuminant: spectrum of the lamps (D65, A, F11, ...).
+        illuminant: spectrum of the light sources (D65, A, F11, ...).
         size: (width, height) in pixels or "800x600"; None: the scene's own.
         spp: samples per pixel; None: the scene's own.
         seed: the same seed takes the same samples; on one machine and variant the picture is the same up to the
             order in which threads add them (some 1e-7 of a pixel).
-        quality: "reference" or "fast", for materials that know the choice.
+        quality: "reference" (random walk) or "fast" (noise-free), for pearls.
         components: "sum", "specular" (mirror and microfacet lobes) or "diffuse" (all others).
         exposure: "auto" or stops (see `nacre.picture.images`).
         output: .png or .exr file to write.
         spectral: keep spectra too (10 nm bands); None: only for an output that ends in .spectral.exr.
-        light_turn_deg, view_turn_deg: turns light or camera round the subject; of the screen: turns the beam round
+        light_turn_deg, view_turn_deg: turns light or camera round the object; on the screen: turns the beam round
             the tile's normal, tips the tile.
         progress: True, False, None (a bar where stderr is a terminal) or a function(done, total, seconds_left).
 
@@ -192,7 +192,7 @@ def _build(
 
 
 def _kept(key: tuple[Any, ...], build: Any) -> Any:
-    """Return the stage of this key, building it at most once; the oldest of more than a few is let go."""
+    """Return the built scene of this key, building it at most once; of more than a few the oldest is dropped."""
     key = (*key, use_variant().variant())
     if key in _stages:
         _stages.move_to_end(key)
@@ -204,7 +204,7 @@ def _kept(key: tuple[Any, ...], build: Any) -> Any:
 
 
 def forget_stages() -> None:
-    """Let go of all built stages and their memory."""
+    """Drop all built scenes and free their memory."""
     _stages.clear()
 
 

@@ -1,4 +1,4 @@
-"""The screen: a small flat tile in a beam, and the light it throws on a white screen.
+"""The screen: a small flat tile in a beam, and the light that it projects on a white screen.
 
 As in the capture of fabricated reliefs: a narrow beam meets the tile at 10 degrees, the reflected pattern falls
 on a white matt screen parallel to the tile. Every point of the screen sees the tile from one direction, so the
@@ -49,16 +49,16 @@ def screen_directions(size: tuple[int, int]) -> tuple[NDArray[np.float64], NDArr
 
 
 def beam_direction(incidence_deg: float = BEAM_DEG) -> NDArray[np.float64]:
-    """Unit vector from the tile to the lamp."""
+    """Unit vector from the tile to the light source."""
     return np.array([np.sin(np.radians(incidence_deg)), 0.0, np.cos(np.radians(incidence_deg))])
 
 
 def turned_directions(
     size: tuple[int, int], light_turn_deg: float, view_turn_deg: float
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
-    """Return directions to the pixels, which are on the screen, and the lamp's direction, all as the tile sees them.
+    """Return directions to the pixels, which are on the screen, and the beam's direction, all in the tile's frame.
 
-    The beam walks round the tile's normal by the light's turn, the screen with it: on the screen the pattern turns.
+    The beam turns about the tile's normal by the light's turn, the screen with it: on the screen the pattern turns.
     The tile tips by the view's turn, so that the beam meets it at 10 degrees and that; the screen stays in the mirror
     direction and faces it.
 
@@ -88,10 +88,10 @@ def render_screen(
     light_turn_deg: float = 0.0,
     view_turn_deg: float = 0.0,
 ) -> RenderResult:
-    """Render the pattern that a material throws.
+    """Render the pattern that a material projects.
 
     Delta lobes would be a point on the screen and are left out; `stats` says so. "auto" exposure brings the
-    99.5th percentile of the screen just below white, without a limit: a dark room lets the eye adapt.
+    99.5th percentile of the screen just below white, without a limit: in a dark room the eye adapts.
 
     Args:
         material: a `Bsdf` or a ready `mi.BSDF`.
@@ -142,7 +142,7 @@ def render_screen(
 def evaluate_plugin(
     mi: Any, bsdf: Any, eye: NDArray[np.float64], light: NDArray[np.float64], wavelengths_nm: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Evaluate f cos(i) of a Mitsuba BSDF: `[direction, wavelength]` for eye directions `[direction, 3]`."""
+    """Evaluate f cos(i) of a Mitsuba BSDF: `[direction, wavelength]` for view directions `[direction, 3]`."""
     import drjit as dr
 
     si = dr.zeros(mi.SurfaceInteraction3f, len(eye))

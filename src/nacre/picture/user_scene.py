@@ -1,4 +1,4 @@
-"""A user's own Mitsuba scene: its BSDFs of id "nacre" give way to the material."""
+"""A user's own Mitsuba scene: its BSDFs of id "nacre" are replaced by the material."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DEFAULT_DEPTH = 16
 
 
 class UserScene:
-    """The scene of a Mitsuba .xml file, with the face of `nacre.picture.built_scene.BuiltScene`.
+    """The scene of a Mitsuba .xml file, with the methods of `nacre.picture.built_scene.BuiltScene`.
 
     Raises:
         NacreError: missing or unreadable, without a camera, or without a shape whose BSDF has the id "nacre".
@@ -55,7 +55,7 @@ class UserScene:
             shape.set_bsdf(made)
 
     def sensor(self, view: object, size: tuple[int, int], film: dict[str, Any]) -> Any:
-        """Return the scene's first camera with our film; `view` has no say.
+        """Return the scene's first camera with our film; `view` is ignored.
 
         Raises:
             NacreError: the camera is of a kind that cannot be copied.

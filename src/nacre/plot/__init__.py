@@ -1,4 +1,4 @@
-"""Figures, fit for a paper as they come out: one column wide, in the colours that a material really has.
+"""Figures of publication quality: one column wide, in the colours that a material really has.
 
 Each `*_figure` function takes a `Bsdf`, a `Spectrum` or plain arrays and returns a matplotlib `Figure`;
 `save_figure` writes it as PNG, PDF or SVG with its provenance. `material_figure(material, kind)` chooses by the

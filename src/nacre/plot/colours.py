@@ -77,7 +77,7 @@ def chromaticity_figure(
     illuminant: str = "D65",
     title: str = "",
 ) -> Figure:
-    """Draw the way of a colour through CIE xy and through CIELAB's a*, b*, as a parameter moves.
+    """Draw the path of a colour in CIE xy and in CIELAB's a*, b* as a parameter changes.
 
     Args:
         values: `[step, wavelength]`, spectra in order.

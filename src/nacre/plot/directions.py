@@ -131,7 +131,7 @@ def bsdf_slice_figure(
     Args:
         bsdf: any; illuminant, title: as for `slice_figure`.
         nodes: pixels a side; phi_d_deg: the slice's azimuth of the pair about the half vector.
-        evaluate: replaces `bsdf.evaluate(wi, wo)`, for lobes that only a renderer can walk.
+        evaluate: replaces `bsdf.evaluate(wi, wo)`, for lobes that are random walks in the renderer.
 
     Raises:
         NacreError: nothing but delta lobes.
@@ -155,7 +155,7 @@ def lobe_figure(
     """Draw the light scattered in the plane of incidence, one polar diagram an angle, in its own colours.
 
     The radius is luminance of f cos(theta_o), relative to the diagram's largest; a dashed spoke is the incident
-    direction, a solid one with a dot the mirror's delta lobe with its luminous reflectance (and transmittance).
+    direction, a solid one with a dot the mirror reflection with its luminous reflectance (and transmittance).
 
     Args:
         bsdf: any, also with transmission: the circle is then full.

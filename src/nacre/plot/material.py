@@ -32,7 +32,7 @@ KINDS = (
 SPECTRUM_ANGLES_DEG = (0.0, 30.0, 60.0)
 LOBE_ANGLES_DEG = (10.0, 30.0, 60.0)
 TRACK_ANGLES_DEG = np.linspace(0.0, 85.0, 35)
-WALK_NODES = 46  # a side of a slice whose pixels are random walks: 2,000 pixels instead of 33,000
+WALK_NODES = 46  # pixels along a side of a slice that is evaluated by random walks: 2,000 in all instead of 33,000
 RIBBON_ANGLES_DEG = np.linspace(0.0, 89.0, 179)
 PLOT_SAMPLES = 1024  # the same for a pixel of a figure, the least; a figure of few pairs takes more ...
 PLOT_WALKS = 1 << 16  # ... up to so many together
@@ -217,7 +217,7 @@ def plot_material(
 def as_drawn(material: Material, kind: str, over: object = None) -> Material:
     """Return the material as a figure shows it: over directions noise-free, where its family and recipe allow it.
 
-    Over a number every step would be baked anew; there the few walks are the shorter way.
+    Over a number every step would need its own tables; there a few random walks are cheaper.
     """
     if kind not in DIRECTIONAL_KINDS or over is not None or "quality" in material.data:
         return material

@@ -43,7 +43,7 @@ PART_TITLES = {
 
 
 def parts_of(spectrum: Spectrum) -> dict[str, Array]:
-    """Return the parts of a spectrum worth a panel: those that are not zero throughout (one at least)."""
+    """Return the parts of a spectrum that get a panel: those that are not zero throughout (one at least)."""
     parts = spectrum.parts()
     if not parts:
         raise NacreError("the spectrum has neither reflectance nor transmittance")
@@ -198,7 +198,7 @@ def index_figure(
 
 
 def _room(axes: Axes, values: Array) -> None:
-    """Leave some air around a curve, and do not blow a constant up into noise."""
+    """Leave a margin around a curve, and do not magnify a constant into noise."""
     low, high = float(values.min()), float(values.max())
     air = max(0.08 * (high - low), 0.01 * max(abs(high), 0.1))
     axes.set_ylim(low - air, high + air)

@@ -1,4 +1,4 @@
-"""Figures of what is inside a material: fields, stacks, flakes, structure factors, a look through the microscope."""
+"""Figures of what is inside a material: fields, stacks, flakes, structure factors, microscope images."""
 
 from __future__ import annotations
 
@@ -235,7 +235,7 @@ def platelet_figure(data: Mapping[str, Any], illuminant: str = "D65") -> Figure:
 
 
 def microscope_figure(data: Mapping[str, Any], illuminant: str = "D65") -> Figure:
-    """Draw a look through the microscope: an image in its own colours with a scale bar.
+    """Draw a microscope image in its own colours, with a scale bar.
 
     Args:
         data: `rgb[y, x, 3]`, linear sRGB, or `spectra[y, x, l]` with `wavelengths_nm[l]`, or `intensity[y, x]`;

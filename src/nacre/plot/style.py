@@ -1,4 +1,4 @@
-"""How nacre's figures look, and how they are stored: one column wide, quiet ink, colours only where they mean colour.
+"""Style and storage of nacre's figures: one column wide, and colours only where they stand for colours.
 
 Figures are made without pyplot, so drawing changes no global state and works in any thread.
 """
@@ -118,7 +118,7 @@ def shown_colours(
 
 def remark(illuminant: str | None, exposure: float = 1.0, clipped: int = 0, total: int = 0) -> str:
     """Return the small print: light, brightening, colours that the screen cannot show."""
-    adapted = "" if illuminant == "D65" else ", eye adapted to it"  # the white policy of nacre.light
+    adapted = "" if illuminant == "D65" else ", eye adapted to it"  # the white balance of nacre.light
     parts = [f"illuminant {illuminant}{adapted}"] if illuminant else []
     if exposure != 1.0:
         parts.append(f"shown {exposure:g}\u00d7 brighter")

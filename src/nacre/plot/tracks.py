@@ -1,7 +1,7 @@
 """Tracks of gloss and diffuse colour: near the mirror direction and far from it, over the angle or a number.
 
-Pearls have two colours, what their flakes reflect and what they let pass to the base; how the two wander tells the
-material (Guillen et al. 2020, figures 9, 10 and 12). Any other material has the same two places to look at.
+Pearls have two colours, what their flakes reflect and what they transmit to the base; how the two change characterises
+the material (Guillen et al. 2020, figures 9, 10 and 12). Any other material has the same two directions of view.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What every recipe model shares: strict keys, lengths in any unit, one-line errors.
 
 A recipe is checked here and nowhere else: a family's `spec.py` declares its keys as `RecipeModel`s, and the
-numerics behind trust what they are given.
+numerics behind do not check again.
 """
 
 from __future__ import annotations

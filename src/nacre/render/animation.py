@@ -1,4 +1,4 @@
-"""Pictures in motion: the light or the camera walks round, or a number of the recipe runs from A to B.
+"""Animations: the light or the camera turns round the object, or a number of the recipe runs from A to B.
 
 Each frame is a numbered PNG, written whole or not at all. A run that was stopped goes on where it ended:
 frames made with the same settings are kept. The last step joins the frames into a GIF or MP4.
@@ -26,7 +26,7 @@ MOTIONS = ("light", "view")
 MOVIE_SUFFIXES = (".gif", ".mp4")
 MAX_FRAMES = 10_000
 FRAMES_PER_SECOND = 20
-VIEW_SWING_DEG = 32.0  # the camera swings in front of the backdrop; it does not walk behind it
+VIEW_SWING_DEG = 32.0  # the camera swings in front of the backdrop and never goes behind it
 # settings of `render` that change a picture and so belong to a frame's key
 _SETTINGS = ("scene", "shape", "light", "illuminant", "size", "spp", "seed", "quality", "components", "exposure")
 

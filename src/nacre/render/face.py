@@ -1,4 +1,4 @@
-"""What `nacre.render` hands on from the rooms below, each looked up when it is first asked for."""
+"""The names that `nacre.render` re-exports from other packages, each imported when first used."""
 
 from nacre.device.bsdf import make_bsdf
 from nacre.device.variant import report, use_variant

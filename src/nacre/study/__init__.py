@@ -1,1 +1,1 @@
-"""What people do with a material once they can see it: report, fit, tolerance, sweep."""
+"""Studies of a material: report, fit, tolerance, sweep."""

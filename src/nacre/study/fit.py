@@ -1,9 +1,9 @@
-"""Fit a recipe's free numbers to a measurement, and say how well the data fix each of them.
+"""Fit a recipe's free numbers to a measurement, and say how well the data determine each of them.
 
 The residuals of a measurement are differentiable in the recipe's numbers, so each start is refined by a
 bounded trust-region least-squares step with finite differences (a stochastic family keeps one seed, so that
-its noise is the same function every time). Interference makes many valleys: the starts are the best of a
-Sobol sample of the bounds, and a CMA-ES search takes over where least squares stalls on noise.
+its noise is the same function every time). Interference makes many local minima: the starts are the
+best of a Sobol sample of the bounds, and a CMA-ES search takes over where least squares stalls on noise.
 """
 
 from __future__ import annotations
@@ -195,10 +195,10 @@ def run_fit(
         material: the recipe; its own values are the first start.
         measured: from `read_measurement`.
         free: from `read_free`.
-        starts: refined starts beside the recipe's own values; 0 trusts those to lie in the right valley.
-        scouts: materials computed a free number to find the starts; fewer where one takes seconds.
+        starts: refined starts beside the recipe's own values; 0 trusts those to lie near the right minimum.
+        scouts: trial materials for each free number, to find the starts; fewer where one takes seconds.
         weights: "equal", where the noise is the same for all values, or "relative", where it is a share of each
-            (as of counts and of BSDF values over decades); the intervals are honest for noise of that kind.
+            (as of counts and of BSDF values over decades); the intervals hold for noise of that kind.
         progress: called with (what, best relative rms).
 
     Raises:
@@ -254,7 +254,7 @@ class _Problem:
         return self._material.vary({n.path: float(v) for n, v in zip(self._free, values, strict=True)})
 
     def residual(self, unit: Array) -> Array:
-        """Return (model - measurement) over the scale of the noise, flat; a material that cannot be is far away."""
+        """Return (model - measurement) over the scale of the noise, flat; one that cannot be computed is far off."""
         self.evaluations += 1
         try:
             model = self._measured.model(self.build(unit), self._samples, self._seed)

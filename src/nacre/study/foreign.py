@@ -26,7 +26,7 @@ IMPORTS = ".csv (goniometer), .binary (MERL), .bsdf (RGL tensor or Zemax), .gltf
 def export_material(
     material: Material, target: str, path: Path, *, angle_step_deg: float = 10.0, wavelength_nm: float | None = None
 ) -> dict[str, Any]:
-    """Write a material in a foreign format.
+    """Write a material in another program's format.
 
     Args:
         target: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr" or "nacre".
@@ -92,7 +92,7 @@ def _export_film(material: Material, target: str, path: Path) -> dict[str, Any]:
 
 
 def import_material(source: Path, recipe: Path) -> list[str]:
-    """Read a foreign file and write a recipe (and, for tables, a `.nacre` file beside it).
+    """Read another program's file and write a recipe (and, for tables, a `.nacre` file beside it).
 
     Returns:
         remarks, in words.
@@ -136,7 +136,7 @@ def _import_film(source: Path, recipe: Path) -> list[str]:
         remarks.append("the metal's RGB became one real index of the same luminance; name the metal for its own colour")
     if film.not_read:
         remarks.append(f"not carried over: {', '.join(film.not_read)}")
-    # a metal lets nothing through: a trace of absorption makes the base opaque without changing its reflection
+    # a metal transmits nothing: a trace of absorption makes the base opaque without changing its reflection
     substrate = {"n": base} if film.transmits else {"n": base, "k": 1e-4}
     data: dict[str, Any] = {
         "family": "film", "ambient": "air", "substrate": substrate,

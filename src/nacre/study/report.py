@@ -1,6 +1,6 @@
-"""What the trade reads of a material: multi-angle colour, flop, travel, gloss, haze, hemispherical totals.
+"""Industrial appearance measures: multi-angle colour, flop, colour travel, gloss, haze, hemispherical totals.
 
-Every value says its geometry. Colours are of the reflectance factor pi f (a perfect diffuser is 1), so they
+Every value states its geometry. Colours are of the reflectance factor pi f (a perfect diffuser is 1), so they
 compare with what a multi-angle spectrophotometer prints; the mirror-like part of a smooth film lies outside
 its apertures and is listed apart, as colours over the angle of incidence.
 """
@@ -37,7 +37,7 @@ from nacre.measure.walk_wavelengths import solve_coarse_walk
 SPECULAR_ANGLES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 FLOP_FACTOR, FLOP_POWER, FLOP_BASE = 2.69, 1.11, 0.86  # Alman's flop index
 MIRROR_THRESHOLD = 1e-6
-APERTURE_WALKS, LEAST_SAMPLES = 1 << 15, 64  # walks over an aperture of the gloss meter, and at each of its nodes
+APERTURE_WALKS, LEAST_SAMPLES = 1 << 15, 64  # random walks over the gloss meter's aperture, and at each of its nodes
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Report:
     Attributes:
         name: of the recipe.
         illuminant, observer: of all colours.
-        aspecular: colours at 45 degree incidence, at the trade's aspecular angles.
+        aspecular: colours at 45 degree incidence, at the standard aspecular angles.
         specular: colours of the mirror direction over incidence; None if nothing is mirror-like.
         flop_index: Alman's, from L* at 15, 45 and 110 degrees; None where L* at 45 is 0.
         gloss: gloss units at 20, 60 and 85 degrees.
@@ -95,11 +95,11 @@ class Report:
 def make_report(
     material: Material, illuminant: str = "D65", observer: str = "10deg", samples: int | None = None, seed: int = 0
 ) -> Report:
-    """Measure a material in the trade's geometries.
+    """Measure a material in the standard geometries.
 
     Args:
         material: from `nacre.load`.
-        illuminant, observer: of the colours; the trade's default is D65 and 10 degrees.
+        illuminant, observer: of the colours; industry's usual choice is D65 and 10 degrees.
         samples, seed: of the random walk, for families that have one.
 
     Raises:
@@ -143,7 +143,7 @@ def colour_table(
     """Turn reflectance factors `[angle, wavelength]` into a table of colours."""
     xyz = spectrum_to_xyz(factors, bsdf.wavelengths_nm, illuminant, observer)
     lab = xyz_to_lab(xyz, white_xyz(illuminant, observer))
-    adapted = adapt_xyz(xyz, white_xyz(illuminant, observer), SRGB_WHITE_XYZ)  # a white stays white under any lamp
+    adapted = adapt_xyz(xyz, white_xyz(illuminant, observer), SRGB_WHITE_XYZ)  # white stays white under any illuminant
     rgb = clip_to_srgb(xyz_to_srgb_linear(np.clip(adapted, 0.0, None))).rgb
     swatches = tuple(srgb_to_hex(srgb_encode(row)) for row in rgb)
     return ColourTable(what, np.asarray(angles_deg), np.asarray(xyz), np.asarray(lab), swatches)
@@ -177,7 +177,7 @@ def gloss(
 ) -> float:
     """Return gloss units at 20, 60 or 85 degrees: the receptor's flux over that of black glass, times 100.
 
-    Source: ISO 2813 (receptor apertures, n = 1.567); the lamp is taken as collimated.
+    Source: ISO 2813 (receptor apertures, n = 1.567); the source is taken as collimated.
     """
     aperture = geometry.rectangular_aperture(theta_deg, *geometry.GLOSS_APERTURES_DEG[theta_deg])
     flux = aperture_flux(bsdf, theta_deg, aperture, samples, seed)

@@ -74,7 +74,7 @@ def travel_figure(reports: list[Report]) -> Figure:
 
 
 def _spectrum(material: Material, angles_deg: tuple[float, ...]) -> Spectrum | None:
-    """Return the material's spectrum, None where its family has none (a report is more than its pictures)."""
+    """Return the material's spectrum, None where its family has none (the report is then made without it)."""
     try:
         return material.spectrum(np.radians(angles_deg))
     except UnsupportedError:

@@ -96,7 +96,7 @@ def _named_table(report: Report, name: str) -> ColourTable:
 
 
 def _numbers(report: Report) -> list[tuple[str, str]]:
-    """Return the single numbers of a report, with their names in the trade's words."""
+    """Return the single numbers of a report, with their names and units."""
     rows = [("flop index (Alman)", "-" if report.flop_index is None else f"{report.flop_index:.2f}")]
     rows += [(f"gloss {angle} degrees (GU)", f"{value:.1f}") for angle, value in report.gloss.items()]
     if report.reflection_haze is not None:

@@ -24,7 +24,7 @@ from nacre.errors import NacreError
 from nacre.study.plan import Sweep, SweepSpec, load_sweep
 
 MISSING, DONE, FAILED = 0, 1, 2
-KEY_SEPARATOR = "."  # chunks lie flat in their array's folder: making folders costs more than the values in them
+KEY_SEPARATOR = "."  # chunks lie directly in their array's folder: making folders costs more than their values
 Progress = Callable[[int, int, int], None]  # done, failed, total
 
 
@@ -181,7 +181,7 @@ def _dimension(path: str) -> str:
 
 
 def _coordinate(group: Any, name: str, values: list[Any], dimensions: list[str]) -> None:
-    """Store a coordinate; words become numbers with their labels in the attributes."""
+    """Store a coordinate; strings become numbers with their labels in the attributes."""
     numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
     data = np.asarray(values, dtype=float) if numeric else np.arange(len(values), dtype=float)
     if not numeric and len({json.dumps(v, default=str) for v in values}) < len(values):

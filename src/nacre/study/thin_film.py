@@ -1,4 +1,4 @@
-"""The best single film that stands for a material in a real-time renderer, and how far off it stays.
+"""The single thin film that best represents a material in a real-time renderer, and its residual.
 
 The fit is in colour: the material's mirror-like colours over the angle of incidence against those of one film
 of constant index on a base of constant index (dielectric) or of constant reflectance a channel (metal), under
@@ -50,7 +50,7 @@ def fit_thin_film(material: Material) -> ThinFilmFit:
     reflectance = spectrum.specular_reflectance
     if reflectance is None or reflectance.max() < 1e-6:
         raise UnsupportedError(
-            f"{material.context.source}: has no mirror-like reflection, so no thin film stands for it"
+            f"{material.context.source}: has no mirror-like reflection, so no thin film represents it"
         )
     grid = spectrum.wavelengths_nm
     target = np.asarray(xyz_to_lab(spectrum_to_xyz(reflectance, grid)))
@@ -114,7 +114,7 @@ def _fit_dielectric(target: Array, grid: Array, transmits: bool) -> tuple[ThinFi
 
 
 def _search(build: object, starts: list[Array], target: Array, grid: Array) -> tuple[ThinFilm, Array]:
-    """Score all starts, then polish the best few with Nelder-Mead: dE00 has kinks that gradients dislike."""
+    """Score all starts, then refine the best few with Nelder-Mead: dE00 has kinks where gradients fail."""
     from scipy.optimize import minimize
 
     coarse = grid if len(grid) <= 48 else np.linspace(grid[0], grid[-1], 48)

@@ -1,4 +1,4 @@
-"""From manufacturing spreads to colour spread: how often does a coating come out right, and what decides it?"""
+"""From manufacturing spreads to colour spread: how often is a coating within tolerance, and which number decides?"""
 
 from __future__ import annotations
 
@@ -148,13 +148,13 @@ def run_tolerance(
 ) -> Tolerance:
     """Draw materials within their spreads and measure their colours.
 
-    Stochastic families are measured with one seed for all draws, so that noise does not pass for spread.
+    Random walks use one seed for all draws, so that their noise is not taken for spread.
 
     Args:
         material: the nominal material.
         spreads: from `read_spreads`.
         draws: number of materials.
-        limit: the dE00 within which a material counts as right, at every angle.
+        limit: the dE00 within which a material passes, at every angle.
         progress: called with (done, draws).
 
     Raises:

@@ -1,4 +1,4 @@
-"""Who computes the points of a sweep: this process, a local Dask cluster, or anybody's scheduler.
+"""Where the points of a sweep are computed: in this process, a local Dask cluster, or a given Dask scheduler.
 
 A batch is plain data (recipe text, folder, changes), so that a worker needs nothing but nacre. Results come
 back to the one process that writes the store: no point can be written twice.
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 Result = dict[str, NDArray[np.float64]] | str
 ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "NACRE_JOBS")}
-IN_FLIGHT_PER_WORKER = 3  # enough to hide the transport, few enough that a kill loses little
+IN_FLIGHT_PER_WORKER = 3  # enough to hide the transfer time, few enough that a kill loses little
 CONNECT_TIMEOUT_S = 10
 BATCH_SECONDS = 0.5  # a batch should be long against its transport and short against a user's patience
 MAX_BATCH = 256

@@ -16,7 +16,7 @@ from nacre.bsdf.uniform import interpolate
 
 @dataclass(frozen=True)
 class Diffuse(Lobe):
-    """Lambertian reflection, weighted by what the film above lets in and out; lit from +z only.
+    """Lambertian reflection, weighted by the transmittance of the film above, in and out; lit from +z only.
 
     f = scale(p, lambda) entry(p, cos_i, lambda) entry(p, cos_o, lambda) / pi, zero unless both directions have
     z > 0. A bare base has entry = 1 and scale = albedo. Under a film with relative index eta, entry is the

@@ -5,15 +5,15 @@ With t the share of light that enters at an angle, the value is
     F D G / (4 cos_i cos_o)  +  t_i t_o [ K(wi, wo) M(q, c, phi)  +  b(cos_i) b(cos_o) ].
 
 The first term is the interface's own reflection. K is the sharp lobe of a single flake: its normals' density at
-the half vector inside the resin, widened by the facets that the light passes on its way in and out. M, a smooth
-table, is what the flakes reflect altogether (once and many times) over K. A diffuse base forgets where its light
-came from, so all that has met it is a product of two functions of one angle each: exact, not fitted.
+the half vector inside the resin, widened by the facets that refract the light on its way in and out. M, a smooth
+table, is all light that the flakes reflect (once and many times) over K. A diffuse base scatters independently of the
+direction of incidence, so light that has met it is a product of two functions of one angle each: exact, not fitted.
 
 M is read at q = wi + wo and c = (wi - wo)/2, both in the surface's plane: q vanishes for mirror reflection, c for
 light sent straight back. |q| is taken on an asinh scale of the lobe's width, |c| as a share of the largest that
 both directions allow, and phi is the angle between the two, folded: f(wi, wo) = f(wo, wi) holds by construction.
 
-Where single flakes are seen (`nacre.bsdf.glints`), the part of M that one flake reflects is multiplied by the factor
+Where flakes are resolved (`nacre.bsdf.glints`), the part of M that one flake reflects is multiplied by the factor
 g of the point of the surface, whose mean over the surface is 1.
 """
 
@@ -205,7 +205,7 @@ class Flaked(Lobe):
         base: `[cos, wavelength]`, b over uniform nodes of cos.
         albedo: `[cos, 3]`, power of the interface, the flakes and the base, averaged over wavelengths, over uniform
             nodes of sqrt(cos): shares of the samples.
-        error: `[wavelength]`, stated error: L2 of f cos over three incidences against the walk, relative.
+        error: `[wavelength]`, stated error: L2 of f cos over three incidences against the random walk, relative.
         single: `[q, c, phi, wavelength]`, the part of M that has met one flake; only with glints.
         glint_numbers, glint_radii, glint_ratio: `[kind, number]`, `[kind, quantile]`, `[kind, node]`, see
             `nacre.bsdf.glints`; None: flakes too small to be seen.

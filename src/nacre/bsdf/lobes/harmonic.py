@@ -161,8 +161,8 @@ class Harmonic(Lobe):
     """Diffuse reflection, and transmission where `across` is not empty, of a monolayer of particles.
 
     Tables are float32 and hold f / n_o^2, which is symmetric in the two directions: `above` and `below` keep one
-    triangle (row i (i+1)/2 + j, j <= i), `across` has rows below * count_above + above. The `_free` tables are
-    what S does not touch (the spread of particle sizes); empty for equal particles.
+    triangle (row i (i+1)/2 + j, j <= i), `across` has rows below * count_above + above. The `_free` tables
+    hold the light that S does not multiply (from the spread of particle sizes); empty for equal particles.
 
     Attributes:
         wavelengths_nm: `[wavelength]`, ascending.
@@ -171,7 +171,7 @@ class Harmonic(Lobe):
         count_above, count_below, count_beyond: nodes of `PolarGrid` above, and below.
         eta: index of the substrate over the ambient's, one number, as for the specular lobe.
         wavenumbers: `[wavelength]`, k of the ambient, 1/nm.
-        index_below: `[wavelength]`, index of the substrate over the ambient's; ones where nothing passes.
+        index_below: `[wavelength]`, index of the substrate over the ambient's; ones where nothing is transmitted.
         q_step: step of `structure` in 1/nm, from 0.
         structure: `[q]`, the structure factor; 1 beyond the table.
     """
@@ -205,7 +205,7 @@ class Harmonic(Lobe):
 
     @property
     def transmits(self) -> bool:
-        """Whether light passes to the other side."""
+        """Whether light is transmitted to the other side."""
         return self.across.shape[0] > 0
 
     @property

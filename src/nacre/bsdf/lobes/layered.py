@@ -1,9 +1,9 @@
-"""Strata of scattering flakes between interfaces: what the position-free walk needs, as arrays.
+"""Strata of scattering flakes between interfaces: the arrays of a position-free random walk.
 
-No physics is left to do here, but the transport itself is: the lobe's twin on the device walks through the strata
-when it samples or evaluates it, and `nacre.evaluate` calls it there.
+The optics of the flakes is solved; the transport is not: the lobe's Mitsuba plugin walks through the strata when it
+samples or evaluates the lobe, and `nacre.evaluate` calls the plugin.
 
-What it reflects and passes as mirrors do is light that meets nothing but smooth interfaces. Powers add, since a
+Its delta part is light that meets nothing but smooth interfaces. Powers add, since a
 stratum is too thick to interfere. A rough interface or a base that scatters ends the chain; light that scatters on
 the way is lost to it.
 """
@@ -25,7 +25,7 @@ from nacre.errors import UnsupportedError
 
 MATCHED = 1e-4  # resins closer in index than this have no interface between them, for mirrors and for walks
 
-BY_WALK = "a layered lobe is a random walk on the renderer's side: ask nacre.evaluate(material, wi, wo) for its values"
+BY_WALK = "a layered lobe is a random walk that Mitsuba runs: ask nacre.evaluate(material, wi, wo) for its values"
 BASES = ("none", "diffuse", "specular", "lobes")
 
 
@@ -43,7 +43,7 @@ class Layered(Lobe):
         alpha: `[interface, 2]`, roughness along x and y; 0 is smooth.
         is_beckmann: `[interface]`, Beckmann normals instead of GGX.
         loss: `[interface, side, cos]` share of the light lost by single scattering at a rough interface, over
-            uniform nodes of sqrt(cos), side 0 above; zeros where it is not given back. None: nowhere.
+            uniform nodes of sqrt(cos), side 0 above; zeros where it is not compensated. None: nowhere.
         flake_stratum: `[kind]`, the stratum each kind of flake lies in, ascending.
         flake_number: `[kind]`, flakes met along their mean normal while crossing the stratum.
         flake_axes: `[kind, 3]`, semi-axes of the SGGX ellipsoid; the third is 1.
@@ -119,7 +119,7 @@ class Layered(Lobe):
 
     @property
     def transmits(self) -> bool:
-        """Whether light passes to the other side."""
+        """Whether light is transmitted to the other side."""
         return self.base == "none"
 
     @property
@@ -147,7 +147,7 @@ class Layered(Lobe):
         for inner in self.base_lobes:
             inner.check()
             if inner.transmits or inner.is_stochastic or inner.kind in ("layered", "flaked"):
-                raise ValueError(f'a lobe of kind "{inner.kind}" that is open or a pearl cannot be a base')
+                raise ValueError(f'a lobe of kind "{inner.kind}" that transmits or is a pearl cannot be a base')
         if s < 1 or self.index.shape != (s,) or not np.all(self.index >= 1):
             raise ValueError("index needs one number of at least 1 a stratum")
         shapes = {
@@ -177,7 +177,7 @@ class Layered(Lobe):
             raise ValueError("flake_stratum names a stratum that is not there")
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
-        """Refuse: values come from a random walk on the renderer's side.
+        """Refuse: values come from a random walk that Mitsuba runs.
 
         Raises:
             UnsupportedError: always; `nacre.evaluate` walks.
@@ -185,7 +185,7 @@ class Layered(Lobe):
         raise UnsupportedError(BY_WALK)
 
     def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
-        """Refuse: sums come from a random walk on the renderer's side.
+        """Refuse: sums come from a random walk that Mitsuba runs.
 
         Raises:
             UnsupportedError: always; `Material.spectrum` walks.
@@ -193,7 +193,7 @@ class Layered(Lobe):
         raise UnsupportedError(BY_WALK)
 
     def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
-        """Return what meets nothing but smooth interfaces, on its way in and out; light lies in the plane y = 0."""
+        """Return the light that meets nothing but smooth interfaces, on its way in and out, in the plane y = 0."""
         cos_i = np.asarray(cos_i, dtype=float)
         places = None if uv is None else np.broadcast_to(uv, (*cos_i.shape, 2)).reshape(-1, 2)
         shape = (*cos_i.shape, len(self.wavelengths_nm))
@@ -237,7 +237,7 @@ def _mirror_powers(lobe: Layered, cos_i: Array, uv: Array | None) -> tuple[Array
 
 
 def _last(lobe: Layered, inside: Array, n: Array, stratum: int, far: int, uv: Array | None) -> tuple[Array, Array]:
-    """Return what the far end of the last stratum reflects and passes, `[n, wavelength]`."""
+    """Return what the far end of the last stratum reflects and transmits, `[n, wavelength]`."""
     lanes, bands = len(inside), len(lobe.wavelengths_nm)
     cos = inside[:, stratum + 1]
     if lobe.transmits:

@@ -1,7 +1,7 @@
-"""A lobe that is there only in part: multiplied by a texture over the surface.
+"""A lobe multiplied by a weight that a texture gives over the surface.
 
-That blends two materials by a mask, and it carries a number that varies over the surface for any family: the
-material is solved at some values of the number, and each of these nodes is there by a hat function of the texture.
+That blends two materials by a mask, and it lets a number vary over the surface for any family: the material is
+solved at some values of the number (nodes), and each node's lobes are weighted by a hat function of the texture.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class MaskedLobe(Lobe):
         mask: the share of the surface that it covers, within [0, 1]; with `nodes`, a number in their range.
         inverted: take 1 - mask: the other material of a blend.
         nodes: `[node]`, ascending, or None: values of the number at which materials are known.
-        node: which of them this lobe stands for; its share falls from 1 there to 0 at its neighbours.
+        node: index of the one that this lobe is solved at; its share falls from 1 there to 0 at its neighbours.
         name: of the number that the texture gives, as users know it.
     """
 
@@ -64,7 +64,7 @@ class MaskedLobe(Lobe):
 
     @property
     def transmits(self) -> bool:
-        """Whether the inner lobe lets light through."""
+        """Whether the inner lobe transmits."""
         return self.inner.transmits
 
     @property

@@ -28,7 +28,7 @@ class Microfacet(Lobe):
     - transmission: h = normalize(n_i wi + n_o wo), turned to h_z > 0, n = 1 outside and eta inside;
       f = T(|wi.h|) D(h) G |wi.h| |wo.h| n_o^2 / (|cos_i cos_o| (n_i wi.h + n_o wo.h)^2),
       the radiance BTDF: f(wi, wo)/n_o^2 = f(wo, wi)/n_i^2. For eta = 1 nothing is transmitted here: a rough
-      free film bends no ray, so its material adds a `Specular` lobe that passes light straight through.
+      free film bends no ray, so its material adds a `Specular` lobe that transmits light undeviated.
     - plus, where `loss` is given, the light scattered between facets:
       f = exchange[side_i, side_o](lambda) loss[side_i](wi, lambda) loss[side_o](wo, lambda),
       side 0 outside, 1 inside; reciprocal like the rest.
@@ -88,7 +88,7 @@ class Microfacet(Lobe):
 
     @property
     def transmits(self) -> bool:
-        """Whether light passes to the other side."""
+        """Whether light is transmitted to the other side."""
         return self.response.transmits and self.response.eta > 1.0
 
     @property

@@ -5,7 +5,7 @@ With (u, v) the lateral and xi the normal part of psi,
     f = S(u, v, xi, lambda) C(psi, w_i, w_o) F(|psi|/2, lambda) g(w_i, lambda) g(w_o, lambda)
 
 where S is a smoothed power spectrum, C the Kirchhoff or the published factor, F the coating's reflectance at the
-half vector's angle, g <= 1 what keeps the albedo within F. Every factor is symmetric, so f is reciprocal.
+half vector's angle, and the guard g <= 1 keeps the albedo within F. Every factor is symmetric, so f is reciprocal.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from nacre.bsdf.texture import ParameterAxis
 class Specular(Lobe):
     """A smooth interface: mirror reflection, and refraction with the one relative index `response.eta`.
 
-    `eta = 1` (a free film) passes light straight through. The part is lit from both sides; light from inside
+    `eta = 1` (a free film) transmits light undeviated. The part is lit from both sides; light from inside
     an opaque interface gets zero, because its tables are zero.
 
     Attributes:
@@ -39,7 +39,7 @@ class Specular(Lobe):
 
     @property
     def transmits(self) -> bool:
-        """Whether light passes to the other side."""
+        """Whether light is transmitted to the other side."""
         return self.response.transmits
 
     @property

@@ -1,4 +1,4 @@
-"""A tabulated isotropic BRDF: measurements, imported files, baked materials.
+"""A tabulated isotropic BRDF: measurements, imported files, tabulated materials.
 
 Two coordinate systems, each with uniform nodes in transformed angles so that a fetch is one multiply-add:
 

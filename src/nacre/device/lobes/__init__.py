@@ -1,1 +1,1 @@
-"""The lobes' twins on the device, one file each."""
+"""The Mitsuba plugins of the lobes, one file each."""

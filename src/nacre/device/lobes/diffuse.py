@@ -17,7 +17,7 @@ from nacre.errors import UnsupportedError
 
 
 class DiffusePlugin(LobePlugin[Diffuse]):
-    """Cosine-weighted reflection; a film above weighs the way in and the way out."""
+    """Cosine-weighted reflection, times the film's transmittance on the way in and out."""
 
     kind = "diffuse"
 

@@ -22,7 +22,7 @@ from nacre.errors import UnsupportedError
 
 MAX_ALPHA = 2.0  # of the facets that stand for the flakes' lobe; near grazing it is wider than any facets
 # The cosine's share among the draws is that of its power, at least the first number (no weight grows without bound),
-# over the second: path tracers ask lamps for diffuse light, too. Variance of bottles 1, 2 and 5 on the knob in the
+# over the second: path tracers sample lights for diffuse light, too. Variance of bottles 1, 2 and 5 on the knob in the
 # studio at 1 instead of 3: 1.16, 1.5 and 1.1 times as much; for bottle 2 at 2 and 4: 1.13 and 0.93 times.
 DIFFUSE_SHARE, DIFFUSE_LESS = 0.1, 3.0
 SMALLEST_ALPHA = 1e-4

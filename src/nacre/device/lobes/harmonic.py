@@ -88,7 +88,7 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         densities = np.empty((views, AZIMUTH_NODES, exits), dtype=np.float32)
         means = np.empty(views)
         for k, angle in enumerate(ti):
-            # the eye is `wi` of the device, the light `wo`; their roles differ by a factor only
+            # the camera is `wi` of the device, the light `wo`; their roles differ by a factor only
             mean = thin.evaluate(wo, np.broadcast_to(_directions(angle, 0.0), wo.shape)).mean(axis=-1)
             densities[k] = np.maximum(mean, 1e-3 * mean.max() + 1e-9) * weight
             means[k] = 2.0 * math.pi * float(np.mean(mean * weight)) * span
@@ -168,7 +168,7 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         return mi.UInt32(low), x - low
 
     def _row(self, a: Any, b: Any, a_above: Any, b_above: Any) -> Any:
-        """Return the row of the pair of nodes a (of the light) and b (of the eye)."""
+        """Return the row of the pair of nodes a (of the light) and b (of the camera)."""
         high, low = dr.maximum(a, b), dr.minimum(a, b)
         row = ((high * (high + 1)) >> 1) + low
         if not self.transmits:

@@ -4,8 +4,8 @@
 no closed form. A path tracer stays unbiased with it, since its weights only need the same function in both
 branches; a chi-square test cannot pass and is replaced by `sample` against `eval`.
 
-What `pdf` returns is the proxy times a trust in `sample`. The balance of multiple importance sampling takes
-values for exact, but `eval` is one walk, whose narrow flake lobe meets the exit direction rarely and then with
+What `pdf` returns is the proxy times a factor, the trust in `sample`. The weights of multiple importance sampling
+assume exact values, but `eval` is one walk, whose narrow flake lobe meets the exit direction rarely and then with
 a large value: coloured fireflies, the more the more flakes there are. Light seen by `sample` has no such peaks.
 """
 
@@ -26,11 +26,11 @@ from nacre.errors import UnsupportedError
 
 # Trust in `sample`: 1 + flakes met across the material, at most this. Measured with the power heuristic under the
 # studio: best at 4 (bottle 2, 2.3 flakes), 16 (bottle 1, 24) and 64 (bottle 3, 59; 16 keeps most of it); beyond,
-# small lamps, which `sample` seldom hits, would suffer.
+# small light sources, which `sample` seldom hits, would get noisier.
 MAX_TRUST = 20.0
 # Shares of the proxy density: the interface's own reflection, the flakes' lobe, the diffuse rest.
 SHARES = (0.15, 0.5, 0.35)
-BASE_SHARE = 0.7  # of a bare base of lobes; what the interfaces spread and throw back is the rest
+BASE_SHARE = 0.7  # of a bare base of lobes; what the interfaces spread and reflect is the rest
 NO_SCALAR = (
     "a pearl is a random walk that needs an LLVM or CUDA variant of Mitsuba; scalar_spectral cannot run it "
     "(`nacre doctor` tells how to get LLVM)"
@@ -38,7 +38,7 @@ NO_SCALAR = (
 
 
 class LayeredPlugin(LobePlugin):
-    """The reference route: a walk for every sample and every value."""
+    """`quality = "reference"`: a random walk for every sample and every value."""
 
     kind = "layered"
     holds_lobes = True
@@ -90,7 +90,7 @@ class LayeredPlugin(LobePlugin):
 
         A path tracer asks for value and sample together, and Mitsuba passes this on as `eval_pdf`, then `sample`,
         of the same interaction: one walk serves both. It is connected to `wo` on its way and leaves by itself.
-        Their noise is correlated, which adds no bias, since what they bring is added up.
+        Their noise is correlated, which adds no bias, since their contributions are added.
         """
         if not dr.flag(dr.JitFlag.SymbolicScope):  # calls by hand may repeat their arguments: no draw of theirs
             return self.eval(ctx, si, wo, active, enabled), self.pdf(ctx, si, wo, active, enabled)

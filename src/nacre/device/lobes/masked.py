@@ -1,4 +1,4 @@
-"""A masked lobe on the device: another lobe's plugin, dimmed by a texture."""
+"""A masked lobe on the device: another lobe's plugin, multiplied by a texture."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _shared(texture: Texture) -> _Shared:
 
 
 class MaskedPlugin(LobePlugin[MaskedLobe]):
-    """The inner lobe samples as ever; its weight, value and share of samples carry the mask."""
+    """The inner lobe samples unchanged; its weight, value and share of samples are multiplied by the mask."""
 
     kind = "masked"
     holds_lobes = True
@@ -66,7 +66,7 @@ class MaskedPlugin(LobePlugin[MaskedLobe]):
         return 1.0 - value if self._inverted else value
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        share = self._share(si)  # a lane without a share walks nowhere
+        share = self._share(si)  # a lane with zero share runs no walk
         bs, weight = self._inner.sample(ctx, si, sample1, sample2, active & (share > 0.0), enabled)
         return bs, weight * share
 
@@ -86,7 +86,7 @@ class MaskedPlugin(LobePlugin[MaskedLobe]):
         return self._inner.choice_weight(si, active) * self._share(si)
 
     def null_transmission(self, si: Any, active: Any) -> Any:
-        """Return what passes straight through the inner lobe, dimmed by the mask."""
+        """Return the undeviated transmission of the inner lobe, times the mask."""
         null = getattr(self._inner, "null_transmission", None)
         return mi.Spectrum(0.0) if null is None else null(si, active) * self._share(si)
 

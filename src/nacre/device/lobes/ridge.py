@@ -1,4 +1,4 @@
-"""Ridges on the device: one diffraction fan across them, a narrow spread along them.
+"""Ridges on the device: a broad diffraction pattern across them, a narrow spread along them.
 
 Sampling works in sines, where cos_o d omega_o = ds_x ds_y: the sine along the ridges from its Gaussian, then the
 sine across from a mixture of the envelope sinc^2 and of grating orders under that envelope (an order by the

@@ -13,7 +13,7 @@ from nacre.device.response import DeviceResponse, share_reflected
 
 
 class SpecularPlugin(LobePlugin[Specular]):
-    """Mirror reflection, and refraction by one index; a free film passes light straight on."""
+    """Mirror reflection, and refraction by one index; a free film transmits light undeviated."""
 
     kind = "specular"
 
@@ -22,7 +22,7 @@ class SpecularPlugin(LobePlugin[Specular]):
         both = ("FrontSide", "BackSide") if lobe.transmits else ("FrontSide",)
         self.components = (flag("DeltaReflection", *both),)
         if lobe.transmits:
-            # "Null" lets volumes and shadow rays see through a film that bends nothing
+            # "Null" lets volumes and shadow rays see through a film that does not refract
             straight = "DeltaTransmission" if self.response.bends else "Null"
             self.components += (flag(straight, *both),)
 
@@ -74,7 +74,7 @@ class SpecularPlugin(LobePlugin[Specular]):
         return mi.Spectrum(0.0), mi.Float(0.0)
 
     def null_transmission(self, si: Any, active: Any) -> Any:
-        """Return the part that passes unbent: T of a free film, else zero."""
+        """Return the undeviated transmission: T of a free film, else zero."""
         if not self.response.transmits or self.response.bends:
             return mi.Spectrum(0.0)
         _, transmitted = self.response.look_up(dr.abs(si.wi.z), si.wi.z < 0, si, active)

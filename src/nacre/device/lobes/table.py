@@ -1,4 +1,4 @@
-"""Tabulated isotropic BRDFs on the device: trilinear look-up, drawn from a table of the way out for each way in."""
+"""Tabulated isotropic BRDFs on the device: trilinear look-up, sampled from a table of exits for each incidence."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Another material below the strata: its own plugins, met by the walk at the base.
+"""Another material below the strata: its own plugins, sampled by the walk at the base.
 
 The lobes were computed with the last resin as their ambient, so directions inside that resin are their own. Their
-mirror part joins the mirrors between the strata; the rest is a vertex of the walk.
+mirror part is treated like the mirrors between the strata; the rest is a vertex of the walk.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What light inside the strata is worth to a wanted exit direction.
+"""Importance of light inside the strata for a wanted exit direction.
 
 The exit direction is refracted inward once, through a random facet where an interface on the way is rough. In
 each stratum it then has two directions of travel, mirror images of each other, which the smooth interfaces
@@ -22,7 +22,7 @@ MIN_COS = 1e-4  # of connections inside; flatter ones carry nothing
 
 @dataclass
 class Importance:
-    """What light in a stratum is worth to the exit, by the two directions that mirror reflections connect.
+    """Importance in a stratum, for the two directions that mirror reflections connect.
 
     Attributes:
         up_direction, down_direction: per stratum, unit, the direction of travel.

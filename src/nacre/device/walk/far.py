@@ -1,15 +1,15 @@
-"""Flights straight on through all flakes that let the light pass, to the next one that does not.
+"""Free paths ("flights") through all flakes that transmit the light, to the next one that reflects or absorbs it.
 
-Where most flakes let most light pass, a walk that stops at each of them spends its time on those that do nothing.
-Here the length of a flight follows the extinction, which has a wavelength: it is drawn from the mean, over what
-the four wavelengths carry, of their own distributions, and each wavelength is weighted by its own over that mean,
-which leaves the sum as it was. At the end a normal is drawn from all that the light sees; what it takes over what all
-take on average is a weight, and the only one that is not 1. Roulette takes it back where it falls. Rises would add
-up over a long walk, without bound; light that has risen to `RISEN` therefore goes on as the other form of the walk
-does, flake by flake with weights of 1. Extinctions below `LEAST` are filled up by flights that end with nothing, since
-what a rare steep normal takes is up to 1 over the mean.
+Where most flakes transmit most light, a walk that stops at each of them spends its time on those that change nothing.
+Here the free path follows the extinction, which depends on wavelength: it is drawn from the mixture of the four
+wavelengths' distributions, weighted by their throughputs, and each wavelength is weighted by its own density over the
+mixture's, which preserves their sum. At the end a flake normal is drawn from all visible ones; its 1 - T over the mean
+of all is a weight, and the only one that is not 1. Russian roulette undoes it where it falls. Increases would build up
+over a long walk, without bound; light whose weight has risen to `RISEN` therefore goes on as the other form of the
+walk does, flake by flake with weights of 1. Extinctions below `LEAST` are filled up by null collisions, since 1 - T of
+a rare steep normal may be as large as 1, far above the mean.
 
-Each flight is connected to the exit at one place before the next boundary, whether it ends there or not.
+Each free path is connected to the exit at one place before the next boundary, whether it ends there or not.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ SMALLEST_RATE = 1e-9
 def fly_far(
     strata: Strata, where: Located, connection: Exit | None, light: Walker, rng: Any, alive: Any, seen: Any
 ) -> tuple[Walker, Any, Any, Any, Any, Any]:
-    """Fly to a flake that takes light, or to a boundary.
+    """Move along a free path to a flake that takes light, or to a boundary.
 
     Returns:
         the light after what it met, whether it survived, what the exit got, whether it is at the upper or the

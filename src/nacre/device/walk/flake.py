@@ -14,12 +14,12 @@ from nacre.device.walk.strata import DENSITY, PER_AXES, Strata
 
 TINY = 1e-12
 BY_NOTHING, BY_FLAKE, BY_MORE = range(3)
-FULL = 4.0  # what the four wavelengths carry together when light enters
+FULL = 4.0  # summed throughput of the four wavelengths when light enters
 
 
 @dataclass
 class Walker:
-    """A walker: direction of travel, stratum, depth in it, what each wavelength carries.
+    """A walker: direction of travel, stratum, depth in it, throughput of each wavelength.
 
     With glints `turn` tells what turned it: nothing yet, one flake of the uppermost stratum (with its normal in its
     own frame and its kind), or anything else; without glints it is empty.

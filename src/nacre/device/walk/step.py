@@ -1,6 +1,6 @@
-"""One step of the walk through the strata: flights, what light meets at a flake, dye, an interface or the base.
+"""One step of the walk through the strata: free paths ("flights"), events at a flake, dye, an interface or the base.
 
-At each vertex the light may be connected to a wanted exit; `layered_walk` tells the whole.
+At each vertex the light may be connected to a wanted exit; see `nacre.device.walk.walk` for the whole.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ TURN = ("turned", "turned_x", "turned_y", "turned_z", "turned_slot")
 
 
 class Stepper:
-    """Moves walkers by a few flights and one boundary."""
+    """Moves walkers by a few free paths and one boundary."""
 
     def __init__(self, strata: Strata, where: Located, connection: Exit | None = None, wo: Any = None) -> None:
         self.strata, self.where, self.exit, self.wo = strata, where, connection, wo
@@ -44,9 +44,9 @@ class Stepper:
         self.late = connection is not None and strata.any_rough and not strata.all_rough
 
     def step(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any]:
-        """Move on by a few flights, until a boundary is met, and by the event there.
+        """Move on by a few free paths, until a boundary is met, and by the event there.
 
-        Lanes of a packet wait for each other: that several flights share one boundary saves its arithmetic.
+        Lanes of a SIMD packet wait for each other: several free paths share the arithmetic of one boundary.
 
         Returns:
             the moved light, whether it is still inside, whether it left, what the exit got, vertex seen.
@@ -88,7 +88,7 @@ class Stepper:
         return moved_light, lives & ~leaves, leaves & lives, gained, seen
 
     def _flights(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:
-        """Fly until a boundary is met, or for `Strata.flights` flights; returns what `_fly` does."""
+        """Move until a boundary is met, or along `Strata.flights` free paths; returns what `_fly` does."""
         limit = self.strata.flights
         if limit == 1:
             return self._fly(light, rng, alive, seen)
@@ -115,13 +115,13 @@ class Stepper:
         return moved, end[5], end[6], end[7], end[8], end[9]
 
     def _fly(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:
-        """Fly by the form that suits the material; returns what `fly_far` does."""
+        """Move along one free path, in the form that suits the material; returns what `fly_far` does."""
         if self.strata.flies_far:
             return fly_far(self.strata, self.where, self.exit, light, rng, alive, seen)
         return self._fly_near(light, rng, alive, seen)
 
     def _fly_near(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:
-        """Fly to a flake, to dye or to a boundary.
+        """Move along a free path to a flake, to dye or to a boundary.
 
         Returns:
             the light after what it met, whether it survived, what the exit got, whether it is at the upper or the

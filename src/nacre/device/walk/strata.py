@@ -1,4 +1,4 @@
-"""The arrays of a layered lobe on the device, and what a walk asks of one place in it."""
+"""The arrays of a layered lobe on the device, and the look-ups that a walk makes in them."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from nacre.device.tables import DeviceTable, Located, WavelengthAxis
 from nacre.device.walk.base import BaseLobes
 from nacre.errors import UnsupportedError
 
-MAX_FLIGHTS = 8  # before a walk looks after a boundary; 6 to 12 measured alike, 1 costs up to half as much again
-# Of the form with far flights: largest share of the light that a flake takes, and largest rise of the weights'
+MAX_FLIGHTS = 8  # free paths before a walk handles a boundary; 6 to 12 measured alike, 1 costs up to half as much again
+# Of the form of `far.py`: largest share of the light that a flake takes, and largest rise of the weights'
 # second moment over the flakes of a stratum. Measured on 22 recipes, which rise ten times as much in the end.
 MAX_TAKEN, MAX_RISE = 0.6, 0.06
 NORMALS = 512  # to try it on, each seen from two typical directions
@@ -181,7 +181,7 @@ class Strata:
         self.glints = DeviceGlints.of(lobe)
 
     def _set_loss(self, loss: Array, n: Array) -> None:
-        """Prepare the light given back: where it leaves is independent of where it came from.
+        """Prepare the compensated light: where it leaves is independent of where it came from.
 
         A share n_b^2 k_b / (n_a^2 k_a + n_b^2 k_b) leaves on side b, with k the cosine-weighted mean of the loss,
         and its directions follow loss(cos) cos: what is lost returns in full, reciprocally.
@@ -358,10 +358,10 @@ def roughness(lobe: Layered) -> NDArray[np.bool_]:
 
 
 def flies_far(lobe: Layered) -> bool:
-    """Tell whether flights straight through many flakes at once are the better form of the walk.
+    """Tell whether free paths through many flakes at once (`far.py`) are the better form of the walk.
 
-    They are where most flakes let the light pass, and where the normals that reflect it do so nearly alike, or are
-    few: what a drawn normal reflects over the mean is a weight (see `layered_far`).
+    They are where most flakes transmit the light, and where the normals that reflect it do so nearly alike, or are
+    few: what a drawn normal reflects over the mean is a weight.
     """
     if not lobe.kinds or lobe.dye is not None:
         return False
@@ -386,7 +386,7 @@ def flies_far(lobe: Layered) -> bool:
 
 
 def structure(lobe: Layered) -> tuple[Any, ...]:
-    """Return all that shapes a kernel, but for the form of its flights."""
+    """Return all that shapes a kernel, but for the form of its free paths."""
     shapes = (lobe.flake_response.shape, lobe.flake_extinction.shape, lobe.base_reflectance.shape)
     return (
         lobe.strata, lobe.base, tuple(roughness(lobe).tolist()), tuple(lobe.is_beckmann.tolist()),

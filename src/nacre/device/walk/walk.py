@@ -2,12 +2,12 @@
 
 Each wavelength of a walk lies on one of the two nodes of the tables beside it, drawn for the whole walk.
 
-From flake to flake (`layered_step`), free flights follow the flakes' projected area, which has no wavelength; at a
-flake the light is reflected, goes straight on or is absorbed, with probabilities from R and T weighted by what the
-four wavelengths carry. Their sum then never changes, so no single wavelength can exceed four times the mean and no
-firefly is born. Where most flakes let the light pass, flights go straight on through them (`layered_far`).
-At a base of lobes the weight is that of the lobes' own draws. Where it is above 1 the sum may rise, by as much as
-those draws miss the lobe's shape; roulette at the base counts such a rise, so that it does not add up.
+From flake to flake (`step.py`), free paths follow the flakes' projected area, the same for all wavelengths; at a
+flake the light is reflected, transmitted or absorbed, with probabilities from R and T weighted by the throughputs of
+the four wavelengths. Their sum then never changes, so no single wavelength can exceed four times the mean and there
+are no fireflies. Where most flakes transmit the light, free paths run on through them (`far.py`).
+At a base of lobes the weight is that of the lobes' own sampling. Where it is above 1 the sum may rise, as far as that
+sampling is inexact; Russian roulette at the base undoes such a rise, so that it does not build up.
 
 `sample_walk` follows the light until it leaves. `eval_walk` connects each vertex to the wanted exit, and
 `joint_walk` does both at once, as a path tracer asks for both. The exit direction is refracted inward once, and its
@@ -87,8 +87,8 @@ def eval_walk(strata: Strata, rng: Any, wi: Any, wo: Any, where: Located, active
 def joint_walk(strata: Strata, rng: Any, wi: Any, wo: Any, where: Located, active: Any, wanted: Any) -> Any:
     """Estimate f |cos_o| towards `wo` where `wanted`, and draw an exit where `active`, by one walk.
 
-    Walker that the entry reflects is not seen inside: for the value alone `eval_walk` has less noise, at the cost of
-    another walk.
+    Light that the entry reflects does not reach the inside: for the value alone `eval_walk` has less noise, at the cost
+    of another walk.
 
     Returns:
         the value, and what `sample_walk` returns.

@@ -1,1 +1,1 @@
-"""Two materials side by side on one surface, by a mask: prints, inlays, worn coats."""
+"""Two materials side by side on one surface, by a mask: prints, inlays, worn coatings."""

@@ -1,4 +1,4 @@
-"""Arrays of the figures that only films can feed."""
+"""Arrays of the figures that only films have."""
 
 from __future__ import annotations
 

@@ -61,8 +61,8 @@ class Film(Model):
     """A stack of layers on a substrate, and how its surface is shaped.
 
     A substrate clear enough (k < 1e-4 at all wavelengths) transmits; one equal to the ambient makes a free film,
-    which does not bend what passes. `base_albedo` puts a Lambertian ground into the substrate, under the film;
-    then nothing passes. `ridges` replace the surface's roughness.
+    which does not refract. `base_albedo` puts a Lambertian base into the substrate, under the film;
+    then nothing is transmitted. `ridges` replace the surface's roughness.
 
     Attributes:
         base_albedo: in [0, 1]; 0: none.
@@ -116,7 +116,7 @@ class Film(Model):
         return _grid(low, high, step)
 
     def _colours(self, wavelengths_nm: Array) -> Array:
-        """Return Lab of the reflected light at the angles and thicknesses where grids are judged."""
+        """Return Lab of the reflected light at the angles and thicknesses where grids are tested."""
         labs = []
         for share in (0.5, 1.0):
             d = np.array(
@@ -223,11 +223,11 @@ class Film(Model):
         return max(self.surface.alpha_x * factor, SMOOTH_BELOW), max(self.surface.alpha_y * factor, SMOOTH_BELOW)
 
     def _straight_through(self, response: InterfaceResponse) -> Specular:
-        """Return what passes a rough free film.
+        """Return the transmission of a rough free film.
 
-        Both faces follow the same bumps, so every facet is a plane-parallel sheet and bends no ray: light goes
-        straight on, weighted by the mean transmittance of the facets that it sees (of the roughness at the middle of
-        the surface, where a texture varies it).
+        Both interfaces follow the same bumps, so every facet is a plane-parallel film and refracts no ray: light
+        goes straight on, weighted by the mean transmittance of the facets that it sees (of the roughness at the middle
+        of the surface, where a texture varies it).
         """
         passed = facet_transmittance(response, self.surface.distribution, *self._mean_alpha())
         zero = np.zeros_like(passed)
@@ -242,7 +242,7 @@ class Film(Model):
         )
 
     def _base(self, response: InterfaceResponse) -> Diffuse:
-        """Return the diffuse ground in the substrate, seen through the film: in, between, and out again."""
+        """Return the diffuse base in the substrate, seen through the film, with the round trips between both."""
         cos = np.linspace(0.0, 1.0, response.reflectance.shape[-2])
         relative = 1.0 / response.eta if response.flipped else response.eta
         outer = response.outside_cosine(cos) if response.flipped else cos
@@ -253,7 +253,7 @@ class Film(Model):
         behind = response.hemispherical[0 if response.flipped else 2]
         if not self.surface.is_smooth and not response.flipped:
             entry = facet_transmittance(response, self.surface.distribution, *self._mean_alpha())
-            # what the facets do not let out on average, they keep inside
+            # what the facets do not transmit outward on average, they reflect back inside
             behind = behind + (mean - _cosine_mean(entry)) / relative**2
         albedo = self.base_albedo
         scale = albedo / (relative**2 * (1.0 - albedo * np.clip(behind, 0.0, 1.0)))
@@ -313,7 +313,7 @@ def _cosine_mean(table: Array) -> Array:
 
 
 def _from_the_front(response: InterfaceResponse) -> InterfaceResponse:
-    """Return the response with nothing passing and nothing coming from the substrate."""
+    """Return the response with no transmission and no light from the substrate."""
     zero = np.zeros_like(response.reflectance)
     if response.flipped:
         return dataclasses.replace(response, reflectance=zero, transmittance=zero, transmits=False)

@@ -1,4 +1,4 @@
-"""The ridges of a butterfly's scale: how they share out the light of their lamellae."""
+"""The ridges of a butterfly's scale: how they diffract the light that their lamellae reflect."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Ridges:
         return float(np.sin(np.radians(self.along_deviation_deg)))
 
     def lobe(self, response: InterfaceResponse) -> Ridge:
-        """Return the lobe of ridges whose lamellae answer with `response`."""
+        """Return the lobe of ridges whose lamellae have the R and T of `response`."""
         return Ridge(
             response=response,
             pitch_nm=self.pitch_nm,
@@ -99,10 +99,10 @@ class Ridges:
 
 
 def remainder(lobe: Ridge, albedo: Array, nodes: int = 9) -> Diffuse:
-    """Return a reciprocal diffuse base lit by what the ridges leave.
+    """Return a reciprocal diffuse base lit by the light that the ridges do not reflect.
 
     Its entry is 1 - E(cos), with E the larger of the ridges' albedos across and along, so that ridges and base
-    together never send back more than arrives.
+    together never reflect more than arrives.
 
     Args:
         albedo: `[wavelength]`.

@@ -1,4 +1,4 @@
-"""The layer sheet: what a coater needs to make a film, as a table from the light's side inward."""
+"""The layer table for coating a film, from the light's side inward."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Measured and imported materials: a fifth family, whose physics was done by somebody's instrument."""
+"""Measured and imported materials: a family without a model, whose BSDF comes from an instrument."""

@@ -2,5 +2,5 @@
 
 angular -> sphere (one particle on a stack) -> neighbours, qca (the mean field) -> diffuse, corrections (the
 diffuse light) -> compile (tables over angles and wavelengths) -> material, spec. structure, patterns and arrangement
-say where the particles are.
+give the particles' positions.
 """

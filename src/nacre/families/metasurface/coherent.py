@@ -1,8 +1,8 @@
-"""The coherent field in closed form: an effective sheet of independent scatterers over the stack.
+"""The coherent field in closed form: the monolayer as a thin sheet of independent scatterers over the stack.
 
-Garcia-Valenzuela's model with a substrate: each particle sees the incident wave, half of the sheet's own radiated
-waves and their reflections. With the free T-matrix the 2 x 2 matrix form is the closed form to rounding; with the
-dressed one it also knows the near field between particle and stack. It ignores g(r): use it for p = f only.
+Garcia-Valenzuela's model with a substrate: each particle is excited by the incident wave, half of the sheet's own
+radiated waves and their reflections. With the free T-matrix the 2 x 2 matrix form is the closed form to rounding; with
+the dressed one it also includes the near field between particle and stack. It ignores g(r): use it for p = f only.
 """
 
 from __future__ import annotations

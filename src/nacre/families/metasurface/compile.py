@@ -22,13 +22,13 @@ from nacre.matter.jobs import available_jobs
 HARMONICS = 8  # kept in the tables: two packet loads of four. What lies above is below 0.3 % of the largest value
 SPECULAR_NODES = 129
 TOTAL_NODES = 33
-GRAZING_COS = 1e-3  # stands in for 0, where the sheet's own wave is infinite against the incident one
+GRAZING_COS = 1e-3  # stands in for 0, where the monolayer's own wave is infinite relative to the incident one
 SCALING_STEPS = 200
 
 
 @dataclass(frozen=True)
 class Grids:
-    """Angular grids of the diffuse tables; `below` is None where nothing passes."""
+    """Angular grids of the diffuse tables; `below` is None where nothing is transmitted."""
 
     above: PolarGrid
     below: PolarGrid | None

@@ -1,8 +1,8 @@
 """The diffuse light of a monolayer under a chosen correction C.
 
 `qca-balanced` is nacre's own default, tested against multi-sphere solutions: the geometric mean of the two
-one-sided mean-field powers, balanced so that each direction sends out what the mean field says. The source's own
-C is in a note that is not available. The simple forms are there for comparison and are too bright or too dark by
+one-sided mean-field powers, balanced so that each direction gets the power that the mean field radiates. The source's
+own C is in a note that is not available. The simple forms are there for comparison and are too bright or too dark by
 up to a factor of three; `in-only` is not reciprocal by itself: its table holds the geometric mean of both ways.
 """
 
@@ -47,7 +47,7 @@ def diffuse_term(
 
     Args:
         layer: the monolayer.
-        sides: directions and weights of each side; weight 0 for directions that only look on.
+        sides: directions and weights of each side; weight 0 for directions that are evaluated only.
         kept: harmonics to return.
         s_count: harmonics of S in the power sums.
         symmetric: False leaves `in-only` as published, unsymmetric.

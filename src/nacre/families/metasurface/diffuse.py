@@ -1,9 +1,9 @@
-"""The diffuse term: |F|^2 S C between all pairs of directions, and the balance that fixes C.
+"""The diffuse term: |F|^2 S C between all pairs of directions, and the energy balance that fixes C.
 
 f = rho |F|^2 S C / (cos_i cos_o). Two plane directions (pol and angle, on either side of the stack) are treated
 alike: `power[s, i] = rho |F|^2 / (n_s n_i)` is symmetric by reciprocity, and so is everything made of it. C is
 ours (the source's is in a note that is not available): C = g_i g_s with g > 0 chosen so that the total diffuse
-power of each direction is what the mean field of the quasi-crystalline approximation sends out.
+power of each direction is what the mean field of the quasi-crystalline approximation radiates.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ BALANCE_STEPS = 500
 
 @dataclass(frozen=True)
 class DirectionSet:
-    """Directions above, and below where light passes, as one list.
+    """Directions above, and below where the substrate is transparent, as one list.
 
     Attributes:
         index: `[angle]`, index of the side over the ambient's.
         cosines: `[angle]`, in that side.
         transverse: `[angle]`, in-plane wavevector over the ambient k.
-        weights: `[angle]`, solid-angle weights dmu; zero for directions that only look on.
+        weights: `[angle]`, solid-angle weights dmu; zero for directions that are evaluated only.
         emission, excitation: `[m, pol, n, angle]`.
     """
 
@@ -184,7 +184,7 @@ class PairPowers:
 
     Attributes:
         coherent: `[s, i, pol_s, pol_i, k]`, harmonics of |<X>||<Y>| (to be weighted by S).
-        varying: the same of the size variance, which S does not touch; empty for equal particles.
+        varying: the same of the size variance, which S does not multiply; empty for equal particles.
         kernel: `[pol_s, s, pol_i, i]`, int dphi of (varying + coherent S).
         target: `[pol_s, s, pol_i, i]`, int dphi of the one-sided (|X|^2 with S) power.
     """

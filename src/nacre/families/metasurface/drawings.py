@@ -1,4 +1,4 @@
-"""What a maker needs of a metasurface: where its particles lie, and what lies under them."""
+"""The data for fabricating a metasurface: particle positions, and the layers under them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arrays for the figures that only a metasurface can feed; `nacre.plot` lists their names."""
+"""Arrays for the figures that only a metasurface has; `nacre.plot` lists their names."""
 
 from __future__ import annotations
 

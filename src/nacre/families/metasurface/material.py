@@ -34,7 +34,7 @@ logger = logging.getLogger("nacre")
 
 VALIDATED_COVERAGE = 0.13
 LOOSEST_TOLERANCE = 0.02  # of the change on doubling: above it the series has no limit to speak of
-# what passes with a warning where the recipe names no tolerance: silver on glass leaves up to 0.9 %, at 360 nm only
+# accepted with a warning where the recipe names no tolerance: silver on glass leaves up to 0.9 %, at 360 nm only
 UNASKED_TOLERANCE = 0.01
 # films up to here keep the error of interpolation at 0.4 % of the L2 norm with 120 angles (0.3 % without any film)
 THICK_FILM_NM = 1000.0
@@ -43,7 +43,7 @@ SIZE_NODES = 5
 
 
 class MetasurfaceWarning(UserWarning):
-    """The model is asked for more than it was tested for; the message says what is known."""
+    """The model is used beyond where it was tested; the message says what is known."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Metasurface(Model):
     Attributes:
         ambient: around the particles; lossless.
         layers: materials and thicknesses in nm, from the light's side inward.
-        substrate: below; light passes if it is clear.
+        substrate: below; it transmits if it is clear.
         core: material of the particles.
         sizes: their radii.
         shell: a coating, or None; the outer radius is the core's plus its thickness.
@@ -241,7 +241,7 @@ class Metasurface(Model):
 
     @cached_property
     def transmits(self) -> bool:
-        """Whether light passes through the substrate at all wavelengths."""
+        """Whether the substrate transmits at all wavelengths."""
         return all(self.surface(w).is_transparent for w in self.wavelengths_nm)
 
     def bsdf(self, wavelengths_nm: ArrayLike | None = None) -> Bsdf:
@@ -270,8 +270,8 @@ class Metasurface(Model):
             notes["multipole_tolerance"] = max([self.multipole_tolerance or ORDER_TOLERANCE, *self._unsettled.values()])
         if self._unsettled:
             logger.warning(
-                "%s: at %s nm the far field is settled to %.2g only (a metal sphere touches the solid); "
-                "a gap_nm of 2 settles it, model.tolerance says how much you accept",
+                "%s: at %s nm the far field is converged to %.2g only (a metal sphere touches the solid); "
+                "with a gap_nm of 2 it converges; model.tolerance sets what is accepted",
                 self.source,
                 " and ".join(f"{w:g}" for w in sorted(self._unsettled)),
                 max(self._unsettled.values()),

@@ -32,7 +32,7 @@ class Particle:
 
 @dataclass(frozen=True)
 class Lit:
-    """Directions of one side with what light from there does, one entry a particle size.
+    """Directions of one side with the response to light from there, one entry a particle size.
 
     Attributes:
         directions: excitation and emission vectors, per size (they carry each size's own height).
@@ -75,7 +75,7 @@ class Monolayer:
 
     @property
     def has_below(self) -> bool:
-        """Whether light passes through the substrate."""
+        """Whether the substrate transmits."""
         return self.surface.is_transparent
 
     @cached_property

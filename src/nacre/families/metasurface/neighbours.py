@@ -1,4 +1,4 @@
-"""How the neighbours of a particle act on it: the lattice sums Q of the quasi-crystalline approximation.
+"""How the neighbours of a particle excite it: the lattice sums Q of the quasi-crystalline approximation.
 
 Q_nn'(kappa) = 2 pi rho (-i)^mu int_a^inf g(R) J_mu(kappa R) W_nn'(R) R dR, mu = |m' - m|, where W(R) carries
 multipole n' at distance R, directly and by way of the stack, to multipole n. The parts that are plane waves are
@@ -228,7 +228,7 @@ def neighbour_sums(
 def _direct_wave(
     structure: Structure, surface: Substrate, index: MultipoleIndex, b: ComplexArray, w: ComplexArray
 ) -> ComplexArray:
-    """Half the sheet's own plane waves in both directions, `[angle, n, n']`; grows as 1/cos, so taken out of Q."""
+    """Half the monolayer's own plane waves in both directions, `[angle, n, n']`; grows as 1/cos, so taken out of Q."""
     factor = 4 * np.pi * structure.density_per_nm2 / (surface.wavenumber**2 * w)
     out = np.zeros((w.size, len(index.m), len(index.m)), dtype=complex)
     for vectors in (b, mirrored(b)):
@@ -241,7 +241,7 @@ def _direct_wave(
 def plane_wave_sums(
     structure: Structure, surface: Substrate, centre_nm: float, order: int, w: ComplexArray, kappa: Array
 ) -> ComplexArray:
-    """The plane-wave terms of Q, `[angle, n, n']`: the sheet's own waves and their reflection by the stack."""
+    """The plane-wave terms of Q, `[angle, n, n']`: the monolayer's own waves and their reflection by the stack."""
     index = multipole_index(order)
     b = plane_wave_vectors(w, order, order, kappa.astype(complex))
     out = _direct_wave(structure, surface, index, b, w)

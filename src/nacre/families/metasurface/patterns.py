@@ -1,4 +1,4 @@
-"""Point patterns of a monolayer on a periodic square: seeded, up to a million points, and what they measure.
+"""Point patterns of a monolayer on a periodic square, seeded, up to a million points; their S(q) and g(r).
 
 Distances are in units of the least distance a inside the kernels; a grid of cells of side below a/sqrt(2) holds at
 most one point a cell, so each test of overlap looks at 24 neighbours.
@@ -18,7 +18,7 @@ from nacre.matter.jit import compiled
 RSA_LIMIT = 0.535  # random sequential addition jams at 0.547
 POISSON_LIMIT = 0.53
 MAX_POINTS = 4_000_000
-SWEEPS = 80  # moves a disk; S(q) is stationary within its noise after some 60 at packing 0.5
+SWEEPS = 80  # Monte-Carlo moves a disk; S(q) is stationary within its noise after some 60 at packing 0.5
 
 
 @dataclass(frozen=True)

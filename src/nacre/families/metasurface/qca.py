@@ -1,7 +1,7 @@
 """The mean field of the monolayer: what excites a particle among its neighbours (quasi-crystalline approximation).
 
-b = (M^-1 - Q)^-1 v: each particle answers, dressed by the stack, to the incident wave and to its neighbours'
-mean radiation, weighted by g(r). The coherent (specular) wave and the diffuse one follow from b.
+b = (M^-1 - Q)^-1 v: each particle, its T-matrix dressed by the stack, responds to the incident wave and to its
+neighbours' mean radiation, weighted by g(r). The coherent (specular) wave and the diffuse one follow from b.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nacre.arrays import Array, ComplexArray
 from nacre.matter.stack import solve as solver
 
-LOSSLESS_K = 1e-4  # a substrate with k below this lets light through, as for films
+LOSSLESS_K = 1e-4  # a substrate with k below this is transparent, as for films
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ MAX_SIZE_PARAMETER = 400.0
 
 @dataclass(frozen=True)
 class Dye:
-    """Pigment particles or dissolved colour.
+    """Pigment particles or a dissolved colorant.
 
     Attributes:
         material: index of the pigment.

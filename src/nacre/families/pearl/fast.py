@@ -1,12 +1,12 @@
-"""The fast route of a pearl: bake a layered lobe, which is a random walk, into a noise-free `Flaked` one.
+"""`quality = "fast"` of a pearl: tabulate a layered lobe, which is a random walk, as a noise-free `Flaked` one.
 
-What a diffuse base sends back is solved exactly: with A(cos) the share of light that arrives at the base and r the
-share of diffuse light that the flakes and the interface throw back onto it, the base adds
+The light from a diffuse base is solved exactly: with A(cos) the share of light that arrives at the base and r the
+share of diffuse light that the flakes and the interface return to it, the base adds
 A(cos_i) A(cos_o) albedo / (pi n^2 (1 - albedo r)), n the index. The flakes' own light, over its analytic lobe, is
-a smooth function; its table is the least-squares fit to what walks leave, so that noise is spread over whole
-cells, not nodes.
+a smooth function; its table is a least-squares fit to the tallies of random walks, so that noise is spread over
+whole cells, not nodes.
 
-The error that is stated comes from other walks, of three incidences, in bins that do not know the table's nodes;
+The stated error comes from independent walks, of three incidences, in bins that do not follow the table's nodes;
 the product of two independent differences has no noise of its own in the mean.
 """
 
@@ -50,7 +50,7 @@ ROUGHNESS_OF_TABLE = 0.1  # relative second difference between nodes that is exp
 
 
 def obstacle(lobe: Layered) -> str | None:
-    """Return why a layered lobe cannot be baked, or None if it can."""
+    """Return why a layered lobe has no noise-free form, or None if it has one."""
     if lobe.strata > 1:
         return "it has several strata"
     if lobe.base != "diffuse":
@@ -116,7 +116,7 @@ def bake(lobe: Layered, effort: float = 1.0, seed: int = 1) -> Flaked:
 
 
 def tables(lobe: Layered, effort: float = 1.0, seed: int = 1) -> Flaked:
-    """Bake without a check; the error is left at 0."""
+    """Make the tables without a check; the error is left at 0."""
     medium = Medium.of(lobe)
     entry, surface = _interface(medium)
     spread = _spread(medium)
@@ -217,7 +217,7 @@ def _solve(medium: Medium, entry: Array, spread: float, effort: float, seed: int
 
 
 def check(lobe: Layered, table: Flaked, effort: float = 1.0, seed: int = 77) -> tuple[Array, Array]:
-    """Compare with walks of their own.
+    """Compare with independent random walks.
 
     Returns:
         `(error, noise)`, each `[wavelength]`: relative L2 difference of f cos over the exits of three incidences,

@@ -1,5 +1,5 @@
 # ruff: noqa: NPY002  # numba compiles the legacy generator only; its state is one for each thread
-"""Compiled loops of the fast route's bake: walks that carry all wavelengths, and what they leave in the tables.
+"""Compiled loops that make the tables of `quality = "fast"`: random walks of all wavelengths together.
 
 A tally is a table of hat functions over the coordinates of `nacre.bsdf.lobes.flaked.place`. Light that was reflected by
 one flake only, and by nothing else inside, is drawn without a walk (`single`): a lattice of points instead of
@@ -54,7 +54,7 @@ def flake(x, y, z, sigma, u1, u2):  # type: ignore[no-untyped-def]  # numba
 
 @compiled(nogil=True)
 def into(x, y, z, eta, alpha, u1, u2):  # type: ignore[no-untyped-def]  # numba
-    """Refract light from a direction (z > 0) through a facet: the direction beyond (z < 0), the share passed."""
+    """Refract light from a direction (z > 0) through a facet: the direction beyond (z < 0), the transmitted share."""
     mx, my, mz = facet(x, y, z, alpha, u1, u2)
     cos = x * mx + y * my + z * mz
     share, cos_t = reflected(min(cos, 1.0), eta)

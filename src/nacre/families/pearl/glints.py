@@ -1,4 +1,4 @@
-"""How many flakes of the uppermost stratum are seen one by one, how large and how flat they look."""
+"""How many flakes of the uppermost stratum are resolved one by one, of what apparent size and flatness."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SEED_STEP = 7919  # another kind of flake lies elsewhere
 
 @dataclass(frozen=True)
 class Glints:
-    """Single flakes to be seen.
+    """Flakes that are resolved one by one.
 
     Attributes:
         surface_mm: length on the object of one unit of u and of v.
@@ -40,7 +40,7 @@ class Glints:
 
 
 def interface_bend(alpha: float, index: float) -> float:
-    """Return how far a rough interface, passed twice near the normal, turns the half vector inside, as a slope."""
+    """Return how far a rough interface, crossed twice near the normal, turns the half vector inside, as a slope."""
     return alpha * abs(index - 1.0) / (math.sqrt(2.0) * index)
 
 
@@ -49,7 +49,7 @@ def glint_arrays(
 ) -> tuple[Array, Array, Array]:
     """Return numbers, radii and ratios of `nacre.bsdf.glints` for the kinds of a stratum.
 
-    Light that one flake reflects comes from as deep as it gets and returns: of `number` flakes over each other
+    Light that one flake reflects is attenuated on its way in and out: of `number` flakes over each other
     number (1 - exp(-2 tau)) / (2 tau) are seen, tau being the extinction along the normal.
 
     Args:

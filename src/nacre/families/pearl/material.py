@@ -43,7 +43,7 @@ STEP_NM = 5.0  # wavelength step where thickness varies over the flakes and wash
 BASE_NODES = 129
 EDGE_ON = 0.2  # cosine between mean flake normal and surface normal below which a note is made
 PLATELET_DEG = np.linspace(0.0, 90.0, 91)
-NO_SPREAD = 1e-3  # a smaller deviation would be a mirror; issue's narrowest pigment has 0.01
+NO_SPREAD = 1e-3  # a smaller deviation would be a mirror; the narrowest pigment so far has 0.01
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class Pearl(Model):
 
     Attributes:
         strata, base: see there.
-        quality: "reference", the walk, or "fast", noise-free tables of it where they can be made.
-        glints: flakes of the uppermost stratum seen one by one, or None.
+        quality: "reference", the random walk, or "fast", noise-free tables of it where they can be made.
+        glints: flakes of the uppermost stratum resolved one by one, or None.
     """
 
     noun = "pearl"
@@ -110,7 +110,7 @@ class Pearl(Model):
         return np.clip(np.stack(tables), 0.0, 1.0) if tables else np.zeros((0, 2, len(wavelengths_nm), 2))
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
-        """Solve platelets, media and interfaces into one layered lobe, and bake it if `quality` is "fast".
+        """Solve platelets, media and interfaces into one layered lobe, and tabulate it if `quality` is "fast".
 
         Args:
             wavelengths_nm: `[wavelength]`, ascending; default: `self.wavelengths_nm`.
@@ -161,13 +161,13 @@ class Pearl(Model):
             if reason is None:
                 found = baked = bake(lobe)
                 notes.append(
-                    f"fast route: error {100 * baked.error.mean():.2f} % on average over wavelengths, at most "
+                    f"noise-free form: error {100 * baked.error.mean():.2f} % on average over wavelengths, at most "
                     f"{100 * baked.error.max():.2f} % (L2 of f cos, three incidences, against the walk)"
                 )
                 logger.info("%s", notes[-1])
             else:
-                notes.append(f"fast route: not made, since {reason}; this is the reference")
-                logger.warning("the fast route cannot be made, since %s; the reference is used", reason)
+                notes.append(f'quality = "fast" was not possible, since {reason}; this is "reference"')
+                logger.warning('quality = "fast" is not possible, since %s; "reference" is used', reason)
         return Bsdf((found,), {"notes": notes} if notes else {})
 
     def _with_glints(self, lobe: Layered) -> Layered:
@@ -273,7 +273,7 @@ class Pearl(Model):
 
 def _index(resin: OpticalConstant, stratum: int) -> float:
     found = float(resin.n_complex(np.array([INDEX_NM]))[0].real)
-    if found < 1:  # a metal, or a slip: light is not followed in what is thinner than the air around
+    if found < 1:  # a metal, or a mistake: no light is traced in a medium of an index below that of air
         raise NacreError(
             f"strata[{stratum}].resin has an index of {found:.4g} at {INDEX_NM:g} nm; it must be at least 1"
         )
@@ -285,7 +285,7 @@ def _response(stratum: Stratum, flakes: Flakes, count: int, lam: Array) -> Plate
 
 
 def _table_error(stratum: Stratum, flakes: Flakes, count: int, lam: Array) -> float:
-    """Largest error of linear interpolation half way between nodes, weighted by cos: what a ray meets."""
+    """Largest error of linear interpolation half way between nodes, weighted by cos (the projected area)."""
     fine = cos_nodes(2 * count - 1)
     n = stratum.resin.n_complex(lam).real
     reflect, _ = platelet_response(flakes.platelet, n, fine, lam).unpolarised()

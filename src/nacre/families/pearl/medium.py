@@ -2,7 +2,7 @@
 
 The normals follow an SGGX ellipsoid (Heitz et al. 2015): S = Q diag(x^2, y^2, 1) Q^T, projected area
 sigma(w) = sqrt(w.S.w) and density D(m) = 1 / (pi sqrt|S| (m.S^-1.m)^2) on the full sphere. With 1 for the third
-axis, sigma(z) = 1: a flake lying flat shows its face. `N` counts the flakes that a ray along the mean normal
+axis, sigma(z) = 1: a flake lying flat shows its full area. `N` counts the flakes that a ray along the mean normal
 meets while crossing the stratum, N = volume fraction x stratum thickness / flake thickness, whatever the
 flakes' outline.
 """
@@ -19,7 +19,7 @@ from nacre.arrays import Array
 from nacre.matter.jit import compiled
 
 COS_NODES = 257  # of R and T, uniform in sqrt(cos)
-TABLE_ERROR = 2e-3  # largest change of R between table nodes' midpoints that is let pass before doubling
+TABLE_ERROR = 2e-3  # largest interpolation error of R midway between table nodes that is accepted before doubling
 MAX_COS_NODES = 1025
 ELEVATION_NODES = 257  # of the extinction, uniform in sqrt|cos|
 AZIMUTH_NODES = 9  # of the extinction of anisotropic flakes, uniform over a quarter turn
@@ -45,7 +45,7 @@ class FlakeNormals:
 
     @property
     def is_isotropic(self) -> bool:
-        """Whether the distribution looks the same from all azimuths of its own frame."""
+        """Whether the distribution is the same for all azimuths of its own frame."""
         return bool(self.deviation[0] == self.deviation[1])
 
     @property
@@ -54,12 +54,12 @@ class FlakeNormals:
         return np.array([*self.deviation, 1.0])
 
     def projected_area(self, w: Array) -> Array:
-        """Face area of the flakes seen along `w[..., 3]`, relative to lying flat."""
+        """Projected area of the flakes along `w[..., 3]`, relative to lying flat."""
         local = w @ self.frame
         return np.asarray(np.sqrt(np.sum((local * self.axes) ** 2, axis=-1)))
 
     def density(self, m: Array) -> Array:
-        """Density of normals at `m[..., 3]`, per steradian, on the full sphere (each flake has two faces)."""
+        """Density of normals at `m[..., 3]`, per steradian, on the full sphere (each flake has two sides)."""
         local = m @ self.frame
         root = np.prod(self.axes)
         return np.asarray(1.0 / (np.pi * root * np.sum((local / self.axes) ** 2, axis=-1) ** 2))

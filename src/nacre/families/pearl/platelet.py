@@ -34,7 +34,7 @@ SINGULAR = 2e-8  # |kz of the substrate| below this is moved away from 0, where 
 
 @dataclass(frozen=True)
 class Coating:
-    """One layer on a face of the substrate; its deviation is common to both faces (they grow in one bath)."""
+    """One layer on a side of the substrate; its deviation is common to both sides (they grow in one bath)."""
 
     material: OpticalConstant
     thickness: Thickness
@@ -47,8 +47,8 @@ class Platelet:
     Attributes:
         substrate: material of the middle layer (a free platelet has only this one).
         thickness: its thickness over the flakes.
-        upper: coatings of one face, outermost first.
-        lower: coatings of the other face, outermost first; None mirrors `upper`.
+        upper: coatings of one side, outermost first.
+        lower: coatings of the other side, outermost first; None mirrors `upper`.
     """
 
     substrate: OpticalConstant
@@ -58,12 +58,12 @@ class Platelet:
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether both faces carry the same coatings."""
+        """Whether both sides carry the same coatings."""
         return self.lower is None
 
     @property
     def height_nm(self) -> float:
-        """Mean thickness of the whole flake, both coatings included; the volume of a flake per face area."""
+        """Mean thickness of the whole flake, both coatings included; the volume of a flake per area."""
         lower = self.upper if self.lower is None else self.lower
         return self.thickness.average_nm + sum(c.thickness.average_nm for c in (*self.upper, *lower))
 
@@ -84,7 +84,7 @@ class PlateletResponse:
 
     @property
     def absorptance(self) -> Array:
-        """What neither returns nor passes."""
+        """What is neither reflected nor transmitted."""
         return 1.0 - self.reflectance - self.transmittance
 
     def unpolarised(self) -> tuple[Array, Array]:
@@ -95,7 +95,7 @@ class PlateletResponse:
 def platelet_response(platelet: Platelet, container_n: Array, cos_i: Array, wavelengths_nm: Array) -> PlateletResponse:
     """Reflectance and transmittance of a flake in its resin, averaged over its thickness distributions.
 
-    Of an asymmetric flake the two faces look up equally often, and their mean is returned.
+    The two sides of an asymmetric flake face up equally often, and their mean is returned.
 
     Args:
         platelet: the layers.
@@ -221,7 +221,7 @@ def _one_face(
 def _coating_amplitudes(
     face: Face, n_c: Array, n_s: ComplexArray, kz_c: Array, kz_s: ComplexArray, wavelengths_nm: Array
 ) -> tuple[tuple[ComplexArray, ComplexArray], tuple[ComplexArray, ComplexArray]]:
-    """Amplitudes of one coated face: (r, t) met from the resin and (r, t) met from the substrate.
+    """Amplitudes of one coated side: (r, t) for light from the resin and (r, t) for light from the substrate.
 
     Each `[polarisation, cos, wavelength]`.
     """

@@ -1,4 +1,4 @@
-"""What a pearl is made of: flakes in strata of resin, their interfaces, and what lies below."""
+"""The parts of a pearl: flakes in strata of resin, their interfaces, and the base below."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Flakes:
         platelet: its layers.
         volume_fraction: of the stratum's volume.
         normals: distribution of the normals in the surface frame.
-        diameter_um: median face diameter, for glints; without them the flakes are too small to be seen one by one.
+        diameter_um: median diameter, for glints; None: the flakes are too small to be resolved.
     """
 
     platelet: Platelet
@@ -56,9 +56,9 @@ class Base:
         albedo: of a diffuse base: a number, or (wavelengths_nm, albedo) of a coloured one.
         metal: material of a specular base.
         film: a solved opaque film as base: (wavelengths_nm, cos, reflectance[cos, wavelength]).
-        surface: roughness of a specular base, or of the lower face of an open stack.
+        surface: roughness of a specular base, or of the lower interface of an open stack.
         other: of "lobes", an opaque material of any family, built with the last resin as its ambient.
-        refuse: makes the error of an `other` that cannot serve, from the reason.
+        refuse: makes the error of an `other` that cannot be a base, from the reason.
     """
 
     kind: str = "diffuse"
@@ -78,7 +78,7 @@ class Base:
         """Return the other material's lobes at given wavelengths.
 
         Raises:
-            NacreError: it lets light through, or is a random walk itself.
+            NacreError: it transmits, or is a random walk itself.
         """
         if self.other is None:
             return ()

@@ -2,8 +2,8 @@
 
 Natural mica is split, not grown, and varies by a third of its thickness; synthetic silica by a few nm. A
 distribution enters the optics only through the average of exp(i x tau) (its characteristic function) where
-the layer is lossless, and through a quadrature where it is not. Both are served from here, so that the two
-routes of `platelet.py` speak of the same distribution.
+the layer is lossless, and through a quadrature where it is not. Both are served from here, so that both
+methods of `platelet.py` use the same distribution.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How far light interferes: the coherence window, stated as sigma or as the angular size of the lamp.
+"""Spatial coherence: the coherence window, stated as sigma or as the angular size of the light source.
 
 The window is a Gaussian of standard deviation s = `width_in_wavelengths` x lambda. Its spectrum smooths the
 diffraction lines by the same angle at every wavelength (physics/relief.md, sections 2, 3 and 11.3).

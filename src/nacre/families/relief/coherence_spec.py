@@ -14,7 +14,7 @@ LARGEST_SOURCE_ANGLE_DEG = 90.0
 
 
 class CoherenceSpec(RecipeModel):
-    """Either `sigma` (um at 0.5 um, as published) or `source_angle_deg`, the full angle of a uniform lamp."""
+    """Either `sigma` (um at 0.5 um, as published) or `source_angle_deg`, the full angle of a uniform source."""
 
     one_of: ClassVar[tuple[str, ...]] = ("sigma", "source_angle_deg")
     forms: ClassVar[tuple[str, ...]] = ("{sigma = 5}", "{source_angle_deg = 0.53}")

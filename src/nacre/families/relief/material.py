@@ -1,4 +1,4 @@
-"""A relief as a material: its parameters and the ways to ask it for light."""
+"""A relief as a material: its parameters, its Bsdf and its figures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ INDEX_NM = 550.0  # where the medium's index is taken for the window, one for al
 
 @dataclass(frozen=True)
 class Relief(Model):
-    """A periodic height map with an opaque coating, lit with finite coherence.
+    """A periodic height map with an opaque coating, in light of finite coherence.
 
     Attributes:
         tile: heights and process.
@@ -91,7 +91,7 @@ class Relief(Model):
 
     @property
     def figures(self) -> Mapping[str, Figure]:
-        """The surface as drawn, and a look at it through a microscope.
+        """The surface, and its microscope image.
 
         "structure": `heights_nm` `[x, y]` of the blurred surface, `x_nm`, `slope` (magnitude).
         "microscope": `brdf` `[x, y, wavelength]` of every window position (`spectra`: the same as a picture, with

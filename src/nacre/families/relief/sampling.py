@@ -1,6 +1,6 @@
 """How finely a surface must be sampled for a stated error.
 
-A wall whose phase turns by more than about 5 rad between neighbouring samples throws aliases into the image
+A wall whose phase turns by more than about 5 rad between neighbouring samples causes aliasing in the image
 (physics/relief.md, section 11.4). The rule gives a first guess; comparing the lines of two samplings decides.
 """
 

@@ -96,7 +96,7 @@ def spectrum_map(
     # two nodes beyond each end keep the spline's end conditions away from the values that are used
     xi: Array = np.arange(-2.0, xi_nodes + 2.0) * xi_step
     node_bytes = len(xi) * len(wavelengths_nm) * 4
-    # a small lamp may not fit at the wanted error: then the widest step that does, and the report says what it costs
+    # a small source may not fit at the wanted error: then the widest step that does, and the report says what it costs
     fitting = 4.0 / blur / max(np.sqrt(MAX_TABLE_BYTES / node_bytes) - 7.0, 1e-9)
     step_in_blurs = float(min(max(min(PSI_STEP_AT_1E_3 * coarser, WIDEST_PSI_STEP), fitting), COARSE_PSI_STEP))
     step = step_in_blurs * blur

@@ -1,4 +1,4 @@
-"""The response of each spot of a tile: what a microscope with a small aperture sees.
+"""The response of each spot of a tile, as a microscope with a small aperture sees it.
 
 The window at c gives A_c; over all c that is the reflection, shifted to the wanted direction and smoothed by the
 window, so one inverse FFT gives every spot at once. Its mean square is the spectrum of `nacre.families.relief.slice`.
@@ -28,7 +28,7 @@ def local_response(
 
     Args:
         wi: `[3]`, to the light.
-        wo: `[exit, 3]`, to the eye.
+        wo: `[exit, 3]`, to the viewer.
         wavelengths_nm: `[wavelength]`.
         samples_per_feature: sampling; windows are centred on the samples.
     """

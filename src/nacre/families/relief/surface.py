@@ -1,6 +1,6 @@
 """From feature heights to the physical surface: piecewise constant features, blurred by the process.
 
-A *tile* is n x n square features of width `feature_nm`; it repeats for ever. Axis 0 is x, axis 1 is y.
+A *tile* is n x n square features of width `feature_nm`; it repeats without end. Axis 0 is x, axis 1 is y.
 Blur and up-sampling are separable and linear, so the surface is `B h B^T` with one small matrix, and the
 gradient with respect to the features is `B^T g B`.
 """

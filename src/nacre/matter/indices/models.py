@@ -48,7 +48,7 @@ class Constant:
 
 @dataclass(frozen=True, eq=False)
 class Clear:
-    """Another model without its absorption: the medium that a surface inside an absorbing resin looks into."""
+    """Another model without its absorption: the medium above a surface that lies in an absorbing resin."""
 
     model: Dispersion
 

@@ -1,4 +1,4 @@
-"""The kernel behind `stack_gradient`: the adjoint of the admittance recursion, one walk up the stack and one down.
+"""The kernel behind `stack_gradient`: the adjoint of the admittance recursion, one pass up the stack and one down.
 
 The recursion (see `stack_kernel`) carries y = (u, v) from the substrate upward, y_top = M y_bottom with
 M = exp(-i k0 d A), A = [[0, w], [kz^2 / w, 0]], w = 1 (s) or n^2 (p). If dL = Re(a . dy) at the top of a layer, then
@@ -8,7 +8,7 @@ M = exp(-i k0 d A), A = [[0, w], [kz^2 / w, 0]], w = 1 (s) or n^2 (p). If dL = R
 Scales that were taken out of y on the way up are taken out of a at the same places on the way down; R and T do not
 depend on them. With c = cos x and m = k0 d sin x / x, x = k0 d kz, the index enters through w and kz^2:
 dc/dkz^2 = -k0 d m / 2 and dm/dkz^2 = (k0 d c - m) / (2 kz^2), whose limit at kz = 0 is -(k0 d)^3 / 6. Own derivation;
-tests hold it against the JAX twin and against finite differences.
+tests compare it with a solver in JAX and with finite differences.
 """
 
 from __future__ import annotations
@@ -266,7 +266,7 @@ def pull_back(
                         kz = sqrt_decaying(complex(kz2[last, 0, i], kz2[last, 1, i]))
                         one_over = complex(iw[last, 0, i], iw[last, 1, i])
                         w_bar[last, i] = -q_bar * kz * one_over * one_over
-                        # at the critical angle the slope of the root is infinite; 0 is returned, as the JAX twin does
+                        # at the critical angle the slope of the root is infinite; 0 is returned, as JAX does
                         kz2_bar[last, i] = 0.0j if kz == 0.0 else 0.5 * q_bar * one_over / kz
                     _end(n, l0, count, angle, cosine, polarisation, q0_bar, w_bar, kz2_bar, n_bar, cos_bar)
 

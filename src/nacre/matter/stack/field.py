@@ -2,7 +2,7 @@
 
 Both read the fields that the recursion of `stack_kernel` carries upward. At the top of layer j the tangential
 fields are f = F u_j and g = F v_j with one factor F per stack, so the Poynting flux through that plane is
-Re(g f*) / Re(q_0). A layer absorbs the difference of the fluxes at its two faces.
+Re(g f*) / Re(q_0). A layer absorbs the difference of the fluxes at its two interfaces.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Gradients of any loss of R and T in thicknesses, indices and angles, at the speed of the numba kernels.
 
-A twin of the solver in JAX would cost at least the start of
-each of XLA's operations. For one stack, the commonest case in design and fitting, the adjoint kernel here is several
-times faster: it takes the gradient of the loss in R and T, which is short, and carries it back through the stack.
+The same solver written in JAX would pay the start-up cost of each XLA operation. For one stack, the commonest case in
+design and fitting, the adjoint kernel here is several times faster: it takes the gradient of the loss in R and T, which
+is short, and carries it back through the stack.
 """
 
 from __future__ import annotations

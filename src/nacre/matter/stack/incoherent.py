@@ -90,7 +90,7 @@ def incoherent_absorption(
     """Power absorbed in each layer over incident power, `[s or p, layer, ..., angle, wavelength]`.
 
     Arguments, errors and the limit k << n of the incoherent layers as in `incoherent_powers`. A thick layer absorbs
-    the difference of the net fluxes at its faces; a thin one what it takes of the light that meets its group from
+    the difference of the net fluxes at its interfaces; a thin one its share of the light that meets its group from
     above and from below.
     """
     from nacre.matter.stack.field import absorbed_power
@@ -128,7 +128,7 @@ def _reflected(groups: list[_Group]) -> list[Array]:
 
 
 def _gain(group: _Group, below: _Group, total_r: Array) -> Array:
-    """Light that goes down under a group over light that arrives on it, all echoes included."""
+    """Light that goes down under a group over light that arrives on it, all reflections included."""
     bounce = group.up_r * below.passage**2 * total_r
     # 1 - bounce vanishes only for light that is trapped for good, and none of that gets in: down_t is 0 there
     return np.where(group.down_t > 0, group.down_t / np.where(bounce < 1, 1 - bounce, 1.0), 0.0)

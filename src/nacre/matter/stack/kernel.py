@@ -10,7 +10,7 @@ v = q_s and carry (u, v) upward through each layer of phase x = k0 kz d:
 The factor e^{ix} keeps every term finite: only decaying exponentials occur. At the top
 r = (q_0 u - v) / (q_0 u + v) and t = 2 q_0 prod(e^{ix}) / (q_0 u + v).
 
-Two ways through a layer give the same numbers. The fast one works on blocks of wavelengths that stay in the
+Two ways to compute a layer give the same numbers. The fast one works on blocks of wavelengths that stay in the
 first-level cache and whose loops the compiler turns into vector instructions; its sine, cosine and exponential
 are polynomials for that reason. Its u and v come from A = u + v/q and B = (u - v/q) e^{2ix}, which loses digits
 as q -> 0, so a block that meets a small kz takes the robust way, in which q occurs only as q^2 and sin x / x.

@@ -1,4 +1,4 @@
-"""Reflection and transmission of a stack: what is asked of it, by thicknesses, wavelengths and angles."""
+"""Reflection and transmission of a stack for given thicknesses, wavelengths and angles."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def solve(
         theta_rad: angles of incidence in the ambient, 0 to pi/2, `[angle]` or a number.
         cos_i: their cosines instead.
         absorption: compute the absorption of each layer too, as the difference of the Poynting flux at its
-            two faces (slower: a second, scalar pass).
+            two interfaces (slower: a second, scalar pass).
         jobs: threads; by default as many as this process may use, one for small work.
 
     Beyond the critical angle T is 0 and R is what absorption leaves. At 90 degrees R = 1 and T = 0, except for a

@@ -1,4 +1,4 @@
-"""A stack of layers made of named or given materials: the object face of `nacre.matter.stack.case`."""
+"""A stack of layers made of named or given materials: the object interface to `nacre.matter.stack.case`."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class Stack:
         return np.stack([index_of(medium, lam) for medium in media])
 
     def reversed(self) -> Stack:
-        """The same stack met from the substrate's side."""
+        """The same stack lit from the substrate's side."""
         return Stack(self.substrate, self.layers[::-1], self.ambient)
 
     def solve(

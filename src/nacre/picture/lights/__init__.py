@@ -1,1 +1,1 @@
-"""What lights a picture: lamps, skies, rooms and streets, spectral from end to end."""
+"""The lights of pictures: studio lights, skies, rooms and streets, all with spectra."""

@@ -1,7 +1,7 @@
-"""A truly spectral environment light for Mitsuba: a few spectra, each with its own weight in every direction.
+"""A spectral environment light for Mitsuba: a few spectra, each with its own weight in every direction.
 
-Mitsuba's `envmap` holds RGB and invents spectra for it; a structural colour judged under invented spectra is
-invented too. Here the radiance along d is sum_k w_k(d) S_k(lambda), with w_k painted over the sphere and S_k
+Mitsuba's `envmap` holds RGB and up-samples it to smooth spectra, under which a structural colour comes out
+wrong. Here the radiance along d is sum_k w_k(d) S_k(lambda), with w_k painted over the sphere and S_k
 any table, lines of a fluorescent lamp included. Sampling follows the luminance.
 """
 

@@ -2,7 +2,7 @@
 
 None is a photograph: each is a small scene traced by arrays, whose surfaces carry reflectance spectra and
 whose lights carry measured illuminants, kept as a few spectra with a weight per direction. So the light is
-spectral from end to end, and a metameric pair that parts in the room parts in the picture.
+spectral throughout, and a metameric pair that would differ in the room differs in the picture.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def luminance(light: Illuminant) -> float:
 
 
 def tinted(light: Illuminant, reflectance: Array, name: str) -> Illuminant:
-    """The light that a surface of a reflectance spectrum sends on, not rescaled."""
+    """The light that a surface of a reflectance spectrum reflects, not rescaled."""
     return Illuminant(light.wavelengths_nm, light.power * reflectance, name)
 
 

@@ -28,7 +28,7 @@ PLACE_FLOORS = {"street": "ground", "interior": "boards"}
 
 @dataclass(frozen=True)
 class Light:
-    """What lights a picture.
+    """The light of a picture.
 
     Attributes:
         emitters: Mitsuba objects or dicts by name.
@@ -73,9 +73,9 @@ def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0) -> Lig
 
     Args:
         name: one of `LIGHTS` or the path of an environment map.
-        illuminant: spectrum of the lamps; `sun`, `sky`, `street` and maps bring their own light and are
+        illuminant: spectrum of the light sources; `sun`, `sky`, `street` and maps bring their own light and are
             balanced to D65, `interior` mixes daylight and its lamps.
-        turn_deg: how far the light has moved round the subject.
+        turn_deg: how far the light has turned about the object.
 
     Raises:
         NacreError: unknown light or illuminant, unreadable map.

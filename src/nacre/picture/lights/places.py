@@ -1,7 +1,7 @@
 """Two places with spectral light: a room with windows and lamps, a street under a clear sky.
 
 Both are traced with arrays over all directions from one standing point: which wall, pane or stretch of sky a
-direction meets, and the light that surface sends on, as weights of spectra. Light bounces once, plus a grey
+direction meets, and the light that this surface reflects, as weights of spectra. Light bounces once, plus a grey
 share for all further bounces. Reflectances of brick, wood and leaves are smooth curves of our own that follow
 the known shapes (edges at 570, 550 and 690 nm); daylight parts into sun, haze and blue.
 """

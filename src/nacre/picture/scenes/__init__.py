@@ -1,1 +1,1 @@
-"""What stands in a picture: the scenes, and the meshes that users bring."""
+"""The scenes of pictures, and the meshes of users."""

@@ -1,6 +1,6 @@
-"""The scenes: what stands in the picture, where the camera is, which light belongs to it.
+"""The scenes: the objects in the picture, the camera, and the default light.
 
-Every scene is data; `render.stage` builds it in Mitsuba. Surfaces of the stage have flat or measured spectra,
+Every scene is data; `nacre.picture.built_scene` builds it in Mitsuba. Its other surfaces have flat or measured spectra,
 never up-sampled RGB, so that the only colour in the picture is the material's and the light's.
 """
 
@@ -30,7 +30,7 @@ class View:
     fov_deg: float
 
     def turned(self, angle_deg: float) -> View:
-        """The same camera walked round the vertical axis through its target."""
+        """The same camera turned about the vertical axis through its target."""
         offset = rotation("z", angle_deg) @ (np.array(self.origin) - np.array(self.target))
         x, y, z = np.array(self.target) + offset
         return View((float(x), float(y), float(z)), self.target, self.fov_deg)
@@ -46,15 +46,15 @@ class Part:
 
 @dataclass(frozen=True)
 class Scene:
-    """A picture waiting for its material.
+    """A scene without its material.
 
     Attributes:
-        name: the word of the command line.
+        name: as on the command line.
         parts: builds subject and its companions; called once for each built stage.
         view: the camera.
         backdrop: what it stands on.
         light: the light that belongs to it.
-        max_depth: path length that the scene needs (opaque subjects; see-through ones get more).
+        max_depth: path length that the scene needs (opaque subjects; transparent ones get more).
         size: width and height of a default picture.
         spp: samples per pixel of a default picture.
         place_view: the camera where the light is a place to be seen (street, room, sky); None: the same.
@@ -238,7 +238,7 @@ def scene(name: str) -> Scene:
 def backdrop_parts(kind: Backdrop, see_through: bool, place_floor: str | None) -> list[tuple[Mesh, dict[str, Any]]]:
     """The stage: a sweep, a chessboard bowl, a board; a plain ground where an environment is to be seen.
 
-    A see-through subject gets a chequered sweep, since glass shows itself by what it bends.
+    A transparent subject gets a chequered sweep, since glass is seen by its refraction.
     """
     if kind == "none":
         return []

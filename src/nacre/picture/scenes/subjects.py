@@ -1,4 +1,4 @@
-"""The subject that a user brings: a mesh of theirs, or one of our shapes, stood on the floor of any scene."""
+"""The object in the picture ("subject"): a user's mesh, or one of our shapes, placed on the floor of any scene."""
 
 from __future__ import annotations
 

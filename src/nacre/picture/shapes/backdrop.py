@@ -1,4 +1,4 @@
-"""What stands round the subject: backdrop, curved chessboard, flat and rolled panels, tiles."""
+"""What surrounds the object: backdrop, curved chessboard, flat and rolled panels, tiles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A bottle with shoulder, neck and cap: a surface of revolution, as lacquer and scent are sold in."""
+"""A bottle with shoulder, neck and cap: a surface of revolution, as nail lacquer and perfume are sold in."""
 
 from __future__ import annotations
 

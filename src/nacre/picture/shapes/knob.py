@@ -1,4 +1,4 @@
-"""The knob: a ball with a dished window and a groove on a turned foot, for convex, concave and edges at once."""
+"""The knob: a ball with a dished window and a groove on a turned foot, with convex and concave regions and edges."""
 
 from __future__ import annotations
 

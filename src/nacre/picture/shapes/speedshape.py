@@ -1,6 +1,6 @@
 """The speedshape: one smooth, doubly curved body with bulging and hollow regions and no sharp edge.
 
-Paint makers judge effect colours on such bodies, since every angle occurs on them and slowly.
+Paint manufacturers judge effect colours on such bodies, since all angles occur on them and change slowly.
 """
 
 from __future__ import annotations
