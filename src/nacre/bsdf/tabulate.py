@@ -13,6 +13,7 @@ from nacre.bsdf.uniform import interpolate
 from nacre.errors import UnsupportedError
 from nacre.light import delta_e_2000, spectrum_to_xyz, xyz_to_lab
 from nacre.matter.stack import solve as solver
+from nacre.matter.stack.case import clear_ambient
 
 TRANSPARENT_K = 1e-4  # a millimetre of the substrate then passes more than a tenth at 550 nm
 SAME_INDEX = 1e-3  # relative indices this close to one bend nothing that can be seen
@@ -37,7 +38,7 @@ class StackTables:
     def __init__(self, n: ComplexArray, incoherent: Sequence[bool], wavelengths_nm: Array, transmits: bool) -> None:
         self.wavelengths_nm = np.asarray(wavelengths_nm, dtype=float)
         self.n = np.array(n, dtype=np.complex128)
-        self.n[0] = self.n[0].real
+        self.n[0] = clear_ambient(self.n[0])
         if transmits:
             # the absorption of a clear substrate belongs to its volume
             self.n[-1] = self.n[-1].real
