@@ -107,17 +107,21 @@ class Film(Model):
         grid = default_wavelengths(optical)
         step = float(grid[1] - grid[0])
         finer = [s for s in STEPS_NM if s < step * 0.999][:3]
-        lab = self._colours(_grid(low, high, step))
+        coarser = _grid(low, high, step)
+        seen = self._judged_spectra(coarser)
         for smaller in finer:
-            closer = self._colours(_grid(low, high, smaller))
-            if float(np.max(delta_e_2000(lab, closer))) <= COLOUR_ERROR:
+            closer = _grid(low, high, smaller)
+            exact = self._judged_spectra(closer)
+            between = np.stack([np.interp(closer, coarser, row) for row in seen])
+            change = delta_e_2000(reflected_lab(between, closer), reflected_lab(exact, closer))
+            if float(np.max(change)) <= COLOUR_ERROR:
                 break
-            lab, step = closer, smaller
+            seen, coarser, step = exact, closer, smaller
         return _grid(low, high, step)
 
-    def _colours(self, wavelengths_nm: Array) -> Array:
-        """Return Lab of the reflected light at the angles and thicknesses where grids are judged."""
-        labs = []
+    def _judged_spectra(self, wavelengths_nm: Array) -> Array:
+        """Return the reflectance `[case, wavelength]` at the angles and thicknesses where grids are judged."""
+        spectra = []
         for share in (0.5, 1.0):
             d = np.array(
                 [
@@ -128,8 +132,8 @@ class Film(Model):
                 ]
             )
             tables = self.tables(wavelengths_nm)
-            labs.append(reflected_lab(tables.outside(d, COLOUR_COSINES)[0], wavelengths_nm))
-        return np.concatenate(labs)
+            spectra.append(tables.outside(d, COLOUR_COSINES)[0])
+        return np.concatenate(spectra)
 
     def tables(self, wavelengths_nm: Array) -> StackTables:
         """Return the solver of the film's stack on a wavelength grid."""
