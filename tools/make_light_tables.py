@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 TARGET = Path(__file__).resolve().parents[1] / "src" / "nacre" / "light" / "data" / "cie_1nm.npz"
-ILLUMINANTS = {"A": "A", "D50": "D50", "D65": "D65", "E": "E", "F2": "FL2", "F11": "FL11", "LED-B3": "LED-B3"}
+ILLUMINANTS = {"A": "A", "C": "C", "D50": "D50", "D65": "D65", "E": "E", "F2": "FL2", "F11": "FL11", "LED-B3": "LED-B3"}
 OBSERVERS = {"2deg": "CIE 1931 2 Degree Standard Observer", "10deg": "CIE 1964 10 Degree Standard Observer"}
 
 

@@ -222,7 +222,8 @@ def fabricate(
             "sheet"; a film: "sheet".
         path: where; default: what is drawn and the format's ending, in the design folder or the current one.
         size_mm: repeat what is drawn over an area (x, y); default: one period.
-        calibration: CSV of grey value and depth in um, for images; default: the published process.
+        calibration: CSV of grey value and depth in um, for images, or "published" for the built-in curve; default:
+            linear, 65,535 at the top and 0 at the deepest point of this relief.
         levels: number of heights of a mask; default: as many as the heights have, or 16.
         pixels_per_feature: pixels along a feature's side, for images.
         base_um: thickness of an STL's base.

@@ -12,7 +12,8 @@ import pytest
 import nacre
 from nacre.bsdf.lobes.masked import hat
 from nacre.errors import NacreError, RecipeError, UnsupportedError
-from nacre.light import delta_e_2000, xyz_to_lab
+from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
+from nacre.materials.material import material
 from nacre.materials.varying import COLOUR_ERROR, MAX_NODES, Varying, choose_nodes, judged_colours
 from nacre.recipe.paths import varying_numbers
 from nacre.recipe.toml import dump_toml
@@ -253,3 +254,36 @@ def test_a_family_renders_with_a_texture(
     (tmp_path / "m.toml").write_text(dump_toml(across(recipe, path, ends).data))
     options = ["--size", "24x24", "--spp", "4", "-o", str(tmp_path / "x.png")]
     assert run(["render", str(tmp_path / "m.toml"), *options]) == 0
+
+
+STAIN = {
+    "family": "film",
+    "substrate": "Si",
+    "layers": [{"material": "SiO2", "thickness_nm": {"formula": "100+300*u"}}],
+}
+
+
+@pytest.mark.parametrize("grid", [[500.0, 525.0, 550.0, 575.0, 600.0], [550.0], [900.0, 950.0, 1000.0]])
+def test_a_film_that_varies_needs_no_colour_to_be_solved(grid: list[float]) -> None:
+    """On a grid too narrow for a colour each wavelength is kept as a grey would be: within half a dE00."""
+    bsdf = material(STAIN).bsdf(np.array(grid))
+    for u in np.linspace(0.03, 0.97, 12):
+        even = {**STAIN, "layers": [{"material": "SiO2", "thickness_nm": 100 + 300 * u}]}
+        exact = material(even).bsdf(np.array(grid)).specular(np.radians([0.0, 50.0])).reflectance
+        seen = bsdf.specular(np.radians([0.0, 50.0]), np.array([[u, 0.5]] * 2)).reflectance
+        white = white_xyz()
+        assert np.max(delta_e_2000(xyz_to_lab(seen[..., None] * white), xyz_to_lab(exact[..., None] * white))) <= 0.75
+
+
+@pytest.mark.parametrize("ends", [(450.0, 650.0), (900.0, 1100.0)])
+@pytest.mark.parametrize("thickness", [300.0, 3000.0, {"formula": "100+300*u"}])
+def test_a_recipe_may_be_known_in_a_part_of_the_colours_only(ends: tuple[float, float], thickness: object) -> None:
+    even = {**STAIN, "layers": [{"material": "SiO2", "thickness_nm": thickness}]}
+    found = material({**even, "wavelengths": {"min_nm": ends[0], "max_nm": ends[1]}}).bsdf()
+    assert (found.wavelengths_nm[0], found.wavelengths_nm[-1]) == ends
+
+
+def test_any_number_may_vary_where_no_colour_can_be_told() -> None:
+    base = {"substrate": {"n": 1.5}, "base": {"albedo": {"formula": "0.1+0.8*u"}}}
+    even = {**STAIN, **base, "layers": [], "wavelengths": {"min_nm": 450.0, "max_nm": 650.0}}
+    assert len(material(even).bsdf().lobes) >= 4

@@ -174,3 +174,17 @@ def test_a_bad_process_is_one_clear_line(tmp_path: Path, old: str, new: str, say
 def test_a_bad_search_is_one_clear_line(tmp_path: Path, search: str) -> None:
     with pytest.raises(RecipeError):
         built(tmp_path, 'kind = "uniform"\nrange = 0.3', search)
+
+
+def test_a_design_deeper_than_its_process_is_refused_before_it_is_searched(tmp_path: Path) -> None:
+    def ask(curve: str) -> None:
+        base = BASE.replace("height_max_um", f'calibration = "{curve}"\nheight_max_um')
+        built(tmp_path, 'kind = "gaussian"\nrange = 0.3', base=base)
+
+    (tmp_path / "machine.csv").write_text("0,0\n255,0.5\n")
+    with pytest.raises(RecipeError, match=r"height_max_um = 0.8 is deeper than .*machine.csv.* 0.5 um") as found:
+        ask("machine.csv")
+    assert "\n" not in str(found.value)
+    with pytest.raises(RecipeError, match="calibration = .*cannot be used"):
+        ask("none.csv")
+    ask("published")

@@ -45,7 +45,34 @@ def test_a_grey_image_read_back_gives_the_heights_within_one_level(tmp_path: Pat
         heights_from_grey(grey, facts) * 1e3 - (material.tile.heights_nm - material.tile.heights_nm.min())
     )
     assert error_nm.max() <= facts["nm_per_level"]
-    assert facts["pitch_um"] == 1.6 and grey.min() >= 201 and grey.max() <= 989
+    assert facts["pitch_um"] == 1.6
+
+
+@pytest.mark.parametrize("to", ["png16", "tiff16"])
+def test_a_grey_image_is_linear_over_all_levels_unless_a_curve_is_named(tmp_path: Path, to: str) -> None:
+    grey, facts = read_grey16(fabricate(relief(), to, tmp_path / f"map.{to[:3]}"))
+    assert grey.min() == 0 and grey.max() == 65535
+    assert facts["calibration"] == "linear" and facts["nm_per_level"] == pytest.approx(700.0 / 65535)
+    flat, _ = read_grey16(fabricate(relief(height_nm=0.0), to, tmp_path / f"flat.{to[:3]}"))
+    assert np.all(flat == 65535)
+
+
+def test_the_published_curve_is_there_by_its_name_only(tmp_path: Path) -> None:
+    grey, facts = read_grey16(fabricate(relief(), "png16", tmp_path / "x.png", calibration="published"))
+    assert grey.min() >= 201 and grey.max() <= 989
+    assert facts["calibration"] == "published" and facts["calibration_range_um"] == pytest.approx(0.809)
+
+
+def test_an_8_bit_curve_keeps_its_depth_in_16_bits(tmp_path: Path) -> None:
+    curve = tmp_path / "machine.csv"
+    curve.write_text("grey,depth_um\n0,0\n255,1.4\n")
+    material = relief()
+    grey, facts = read_grey16(fabricate(material, "png16", tmp_path / "x.png", calibration=curve))
+    # half of the process's depth is half of the grey values, on 16 bits as on 8
+    assert grey.max() == pytest.approx(65535 / 2, abs=1)
+    error = np.abs(heights_from_grey(grey, facts) * 1e3 - material.tile.heights_nm + material.tile.heights_nm.min())
+    assert error.max() <= facts["nm_per_level"] == pytest.approx(1400.0 / 65535)
+    assert facts["stretched_from_8_bit"] and facts["calibration"] == "machine.csv"
 
 
 @pytest.mark.parametrize("to", ["png16", "tiff16"])
@@ -144,7 +171,7 @@ def test_a_bad_calibration_is_refused(tmp_path: Path, text: str, says: str) -> N
 
 def test_a_calibration_that_does_not_cover_the_heights_is_refused(tmp_path: Path) -> None:
     with pytest.raises(NacreError, match="covers depths"):
-        fabricate(relief(height_nm=900.0), "png16", tmp_path / "x.png")
+        fabricate(relief(height_nm=900.0), "png16", tmp_path / "x.png", calibration="published")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -390,3 +390,21 @@ def test_the_figure_of_the_structure_shows_points_of_the_pattern():
     data = made.figure_data("structure")
     xy = data["xy_um"]
     assert 400 <= len(xy) <= 700 and len(xy) / np.prod(np.ptp(xy, axis=0)) == pytest.approx(5.0, rel=0.1)
+
+
+@pytest.mark.parametrize("micrometres", [1, 30, 100, 150, 500])
+def test_spheres_on_opaque_layers_over_glass_answer_with_numbers(micrometres):
+    """Down to amplitudes of 1e-320, light from below gets nothing through: that leaves nothing to balance."""
+    data = {
+        "family": "metasurface",
+        "substrate": "glass",
+        "layers": [{"material": {"n": 1.5, "k": 1.0}, "thickness_nm": 1000.0 * micrometres / 50}] * 50,
+        "particle": {"material": "Ag", "radius_nm": 50, "gap_nm": 2},
+        "monolayer": {"coverage": 0.05, "packing": 0.1},
+        "model": {"multipole_order": 3},
+    }
+    parts = material(data).spectrum([0.0, 1.0], [550.0]).parts()
+    assert all(np.all(np.isfinite(part)) for part in parts.values())
+    assert np.all(parts["diffuse_transmittance"] < 1e-6)
+    bare = material({**data, "substrate": "Si"}).spectrum([0.0, 1.0], [550.0])
+    np.testing.assert_allclose(parts["diffuse_reflectance"], bare.diffuse_reflectance, rtol=1e-6)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from nacre.errors import NacreError
+from nacre.materials.material import material
 from nacre.matter import Layer, Stack, amplitudes, powers, solve
 
 _spec = importlib.util.spec_from_file_location("helpers_stack", Path(__file__).with_name("helpers_stack.py"))
@@ -140,8 +141,8 @@ def test_kappa_and_kz_name_the_same_wave() -> None:
 def test_light_entering_glass_from_an_absorbing_medium_takes_the_right_branch() -> None:
     # kz^2 of the ambient's partner is real up to rounding of either sign
     for k in np.linspace(1e-9, 1e-3, 50):
-        seen = powers([[2.877 + 1j * k], [1.2]], [], [500.0], [0.05, 0.1381])
-        assert seen.R_s.max() < 0.3 and seen.R_p.max() < 0.3
+        seen = amplitudes([[2.877 + 1j * k], [1.2]], [], [500.0], theta_rad=[0.05, 0.1381])
+        assert abs(seen.r_s).max() < 0.54 and abs(seen.r_p).max() < 0.54
 
 
 BAD = [
@@ -170,3 +171,28 @@ def test_bad_layers_get_one_clear_line() -> None:
         Layer(1.5, -1.0)
     with pytest.raises(NacreError, match="3 wavelengths|values for"):
         Stack(1.0, [Layer(np.array([1.5, 1.6]), 10.0)], 1.5).solve(0.0, [400.0, 500.0, 600.0])
+
+
+@pytest.mark.parametrize("k", [1e-3, 0.5, 3.0])
+@pytest.mark.parametrize("layers", [[], [Layer(1.5, 1e5, incoherent=True)]])
+def test_an_absorbing_ambient_is_refused_where_r_and_t_have_no_meaning(k: float, layers: list) -> None:
+    stack = Stack(1.5 + 1j * k, layers, 1.0)
+    with pytest.raises(NacreError, match="ambient absorbs"):
+        stack.powers([0.3], [550.0])
+
+
+def test_amplitudes_keep_their_meaning_in_an_absorbing_ambient() -> None:
+    seen = amplitudes([[1.5 + 0.1j], [1.0]], [], [550.0], theta_rad=[0.0])
+    assert seen.r_s[0, 0] == pytest.approx((0.5 + 0.1j) / (2.5 + 0.1j))
+
+
+def test_an_ambient_that_hardly_absorbs_keeps_the_energy() -> None:
+    for theta in np.radians([0.0, 60.0, 89.9]):
+        seen = powers([[1.5 + 9e-5j], [1.0 + 0j]], [], [550.0], [theta])
+        assert seen.R_s + seen.T_s == pytest.approx(1.0, abs=1e-12)
+
+
+def test_a_recipe_with_an_absorbing_ambient_is_refused_in_one_line() -> None:
+    with pytest.raises(NacreError, match="ambient.*absorbs") as found:
+        material({"family": "film", "substrate": "Si", "ambient": {"n": 1.5, "k": 0.01}})
+    assert "\n" not in str(found.value)

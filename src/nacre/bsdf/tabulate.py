@@ -11,8 +11,9 @@ from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import ParameterAxis
 from nacre.bsdf.uniform import interpolate
 from nacre.errors import UnsupportedError
-from nacre.light import delta_e_2000, spectrum_to_xyz, xyz_to_lab
+from nacre.light import delta_e_2000, spans_colour, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.matter.stack import solve as solver
+from nacre.matter.stack.case import clear_ambient
 
 TRANSPARENT_K = 1e-4  # a millimetre of the substrate then transmits more than a tenth at 550 nm
 SAME_INDEX = 1e-3  # relative indices this close to one refract invisibly little
@@ -37,7 +38,7 @@ class StackTables:
     def __init__(self, n: ComplexArray, incoherent: Sequence[bool], wavelengths_nm: Array, transmits: bool) -> None:
         self.wavelengths_nm = np.asarray(wavelengths_nm, dtype=float)
         self.n = np.array(n, dtype=np.complex128)
-        self.n[0] = self.n[0].real
+        self.n[0] = clear_ambient(self.n[0])
         if transmits:
             # the absorption of a clear substrate belongs to its volume
             self.n[-1] = self.n[-1].real
@@ -155,9 +156,20 @@ def is_transparent(n: ComplexArray) -> bool:
     return bool(np.max(n.imag) < TRANSPARENT_K)
 
 
+def judged_xyz(spectra: Array, wavelengths_nm: Array) -> Array:
+    """Return what tables and grids are judged by: the colours of spectra `[..., wavelength]`, `[..., 3]`.
+
+    Where the wavelengths do not span the colours, each is judged by itself, as a grey of that power:
+    `[..., wavelength, 3]`. Linear in the spectra.
+    """
+    if spans_colour(wavelengths_nm):
+        return np.asarray(spectrum_to_xyz(spectra, wavelengths_nm))
+    return np.asarray(spectra, dtype=float)[..., None] * white_xyz()
+
+
 def reflected_lab(reflectance: Array, wavelengths_nm: Array) -> Array:
-    """Return Lab under D65 of spectra `[..., wavelength]`."""
-    return np.asarray(xyz_to_lab(spectrum_to_xyz(reflectance, wavelengths_nm)))
+    """Return Lab under D65 of what `judged_xyz` judges of spectra `[..., wavelength]`."""
+    return np.asarray(xyz_to_lab(judged_xyz(reflectance, wavelengths_nm)))
 
 
 def interpolation_colour_error(spectra: Callable[[Array], Array], values: Array, wavelengths_nm: Array) -> float:

@@ -25,7 +25,7 @@ def design(target: str, output: str | None, resume: bool, as_json: bool) -> None
     import os
 
     from nacre.design.run import run
-    from nacre.exchange.calibration import PUBLISHED_CALIBRATION
+    from nacre.exchange.calibration import PUBLISHED
     from nacre.files import check_writable
 
     folder = Path(output) if output else Path(Path(target).stem)
@@ -41,10 +41,10 @@ def design(target: str, output: str | None, resume: bool, as_json: bool) -> None
             f"loss {s['loss_fixed']:.5f} at the fixed scale, {s['loss_free']:.5f} at the best one "
             f"(scale {s['scale_free']:.4g}); {s['evaluations']} evaluations in {s['seconds']:.1f} s"
         )
-    # the published grey scale reaches only so deep; a deeper relief needs the user's own calibration
-    depth = PUBLISHED_CALIBRATION.depth_um
-    reachable = float(result.heights_um.max() - result.heights_um.min()) <= float(depth.max() - depth.min())
-    target_format = "png16" if reachable else "png16 --calibration CURVE.csv"
+    curve = result.summary.get("calibration")
+    if curve and curve != PUBLISHED:
+        curve = Path(target).parent / curve
+    target_format = f"png16 --calibration {curve}" if curve else "png16"
     common.note(f"{folder}: nacre render {folder}; nacre fabricate {folder} --to {target_format}")
     if result.summary.get("interrupted"):
         raise KeyboardInterrupt
@@ -83,7 +83,12 @@ class _Screen:
 @click.argument("source", metavar="DESIGN_DIR|RECIPE")
 @click.option("--to", "target", required=True, type=click.Choice(TARGETS))
 @click.option("-o", "output", default=None, metavar="FILE", help="Default: SOURCE-TO and the suffix.")
-@click.option("--calibration", default=None, metavar="CSV", help="png16, tiff16: grey value against depth.")
+@click.option(
+    "--calibration",
+    default=None,
+    metavar="CSV|published",
+    help="png16, tiff16: grey value against depth in um; default: linear, 65535 the top, 0 the deepest point.",
+)
 @click.option("--size-mm", default=None, metavar="WxH", help="Tile the pattern over an area.")
 @click.option("--levels", type=click.IntRange(2, 256), default=None, help="gds, oas: height levels.")
 @click.option(
@@ -114,6 +119,19 @@ def fabricate(
     written = write(source, target, path, calibration=calibration, size_mm=area, levels=levels, seed=seed)
     for file in written:
         common.note(str(file))
+    if target in ("png16", "tiff16"):
+        _tell_curve(written[-1])
+
+
+def _tell_curve(beside: Path) -> None:
+    """Say which curve the grey values follow, and how far it goes."""
+    facts = json.loads(beside.read_text(encoding="utf-8"))
+    low, high = min(facts["depth_um"]), max(facts["depth_um"])
+    stretched = ", stretched from 8 bits" if facts["stretched_from_8_bit"] else ""
+    common.note(
+        f"grey values: calibration {facts['calibration']}{stretched}, {low:.4g} to {high:.4g} um deep at grey "
+        f"{facts['grey'][0]:.0f} to {facts['grey'][-1]:.0f}, {facts['nm_per_level']:.3g} nm a level"
+    )
 
 
 commands = {"design": design, "fabricate": fabricate}

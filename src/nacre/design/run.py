@@ -190,6 +190,7 @@ class _Keeper:
             "noise": problem.noise,
             "coating": self.spec.coating.model_dump(exclude_none=True, exclude_defaults=True),
             "prefactor": problem.prefactor,
+            "calibration": self.spec.calibration,
             "spectrum": self.spec.spectrum,
             "target": self.fingerprint,
             "nacre": __version__,

@@ -18,13 +18,14 @@ from nacre.design.colour_weights import ColourWeights, default_weights, publishe
 from nacre.design.loss import GAMMA
 from nacre.design.pictures import Array
 from nacre.design.problem import Problem, View
-from nacre.errors import RecipeError, did_you_mean
+from nacre.errors import NacreError, RecipeError, did_you_mean
+from nacre.exchange.calibration import find_calibration
 from nacre.families.relief.coherence_spec import CoherenceSpec
 from nacre.families.relief.fresnel import coating_reflectance, fresnel_reflectance
 from nacre.families.relief.slice import SliceGeometry
 from nacre.files import plain
 from nacre.matter.indices.spec import IndexSpec
-from nacre.recipe.model import RecipeContext, RecipeModel
+from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 KINDS = ("anti-mirror", "anisotropic-anti-mirror", "gaussian", "uniform", "image", "inverted-image", "array")
@@ -279,6 +280,11 @@ class TargetSpec(RecipeModel):
         description="standard deviation of the Gaussian blur of the process", examples=[0.6]
     )
     height_max_um: Positive = pydantic.Field(description="largest height that the process can make", examples=[0.5])
+    calibration: str | None = pydantic.Field(
+        default=None,
+        description="CSV of grey value and depth of the process that will make it, or `published`; a deeper target "
+        "is refused",
+    )
     coating: IndexSpec = pydantic.Field(
         default_factory=lambda: IndexSpec.model_validate("Al"), description="metal of the surface, opaque"
     )
@@ -308,8 +314,9 @@ class TargetSpec(RecipeModel):
         """Turn the target into numbers.
 
         Raises:
-            RecipeError: a file, colour, direction or window cannot be used.
+            RecipeError: a file, colour, direction or window cannot be used, or the process makes no relief so deep.
         """
+        self._check_process(context)
         coherence = self.coherence.build()
         spectrum = self._spectrum()
         self._check_window(coherence.width_in_wavelengths, spectrum, context)
@@ -340,6 +347,21 @@ class TargetSpec(RecipeModel):
             return published_weights(None)
         constant = self.coating.build()
         return published_weights(lambda nm: fresnel_reflectance(np.ones(()), constant.n_complex(nm)))
+
+    def _check_process(self, context: RecipeContext) -> None:
+        """Refuse heights that the named process cannot make, before they are searched for."""
+        if self.calibration is None:
+            return
+        try:
+            curve = find_calibration(self.calibration, context.folder)
+        except NacreError as error:
+            raise context.fail("calibration", self.calibration, f"cannot be used: {error}") from None
+        if self.height_max_um > curve.range_um * (1 + 1e-9):
+            raise context.fail(
+                "height_max_um", self.height_max_um,
+                f"is deeper than the process of calibration = {show_value(self.calibration)} makes: "
+                f"{curve.range_um:.4g} um; lower it, or name another process",
+            )  # fmt: skip
 
     def _check_window(self, width: float, spectrum: ColourWeights, context: RecipeContext) -> None:
         window_um = width * float(spectrum.wavelengths_nm.max()) / 1e3

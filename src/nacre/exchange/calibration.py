@@ -1,4 +1,8 @@
-"""The calibration of a grey-scale process: which grey value exposes to which depth."""
+"""The calibration of a grey-scale process: which grey value exposes to which depth.
+
+A curve of 8-bit grey values (none above 255) is stretched to 16 bits, 255 -> 65,535, so that an image keeps its depth
+and gains the levels between.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +17,10 @@ from nacre.errors import NacreError
 from nacre.files import plain
 
 LARGEST_GREY = 65535
+LARGEST_8_BIT = 255
+STRETCH = LARGEST_GREY // LARGEST_8_BIT
+PUBLISHED = "published"  # the name by which the built-in curve is asked for
+LINEAR = "linear"
 
 
 @dataclass(frozen=True)
@@ -22,15 +30,24 @@ class Calibration:
     Attributes:
         grey: ascending, 0..65535.
         depth_um: strictly monotonic, either way.
+        name: "linear", "published" or the file's.
+        stretched_from_8_bit: whether its grey values were below 256 and were stretched.
     """
 
     grey: Array
     depth_um: Array
+    name: str = "given"
+    stretched_from_8_bit: bool = False
 
     @property
     def nm_per_level(self) -> float:
         """Coarsest depth step between neighbouring grey values."""
         return float(1e3 * np.abs(np.diff(self.depth_um) / np.diff(self.grey)).max())
+
+    @property
+    def range_um(self) -> float:
+        """How deep a relief the process makes."""
+        return float(self.depth_um.max() - self.depth_um.min())
 
     def grey_of(self, depth_um: Array) -> NDArray[np.uint16]:
         """Return the nearest grey values.
@@ -56,11 +73,27 @@ class Calibration:
 
 
 # grey 201 to 989 gives depths 0.376 to 1.185 um: the published process
-PUBLISHED_CALIBRATION = Calibration(np.array([201.0, 989.0]), np.array([0.376, 1.185]))
+PUBLISHED_CALIBRATION = Calibration(np.array([201.0, 989.0]), np.array([0.376, 1.185]), PUBLISHED)
+
+
+def linear_calibration(height_range_um: float) -> Calibration:
+    """Return the curve of an image that no process is named for: 65,535 is the top, 0 the deepest point."""
+    return Calibration(np.array([0.0, LARGEST_GREY]), np.array([height_range_um, 0.0]), LINEAR)
+
+
+def find_calibration(name: str | Path, folder: Path = Path()) -> Calibration:
+    """Return the built-in curve "published", or that of a CSV file.
+
+    Raises:
+        NacreError: as `read_calibration`.
+    """
+    return PUBLISHED_CALIBRATION if str(name) == PUBLISHED else read_calibration(folder / name)
 
 
 def read_calibration(path: str | Path) -> Calibration:
-    """Read a CSV of two columns, grey value and depth in um; lines starting with a letter or # are headings.
+    """Read a CSV of two columns, grey value (of 8 or of 16 bits) and depth in um.
+
+    Lines that start with a letter or # are headings.
 
     Raises:
         NacreError: not readable, fewer than two points, grey values out of range, or depths that are not monotonic.
@@ -88,4 +121,5 @@ def read_calibration(path: str | Path) -> Calibration:
     step = np.diff(table[:, 1])
     if (np.diff(table[:, 0]) <= 0).any() or not ((step > 0).all() or (step < 0).all()):
         raise NacreError(f"{path}: the calibration curve is not monotonic; each grey value needs its own depth")
-    return Calibration(table[:, 0], table[:, 1])
+    is_8_bit = bool(table[-1, 0] <= LARGEST_8_BIT)
+    return Calibration(table[:, 0] * (STRETCH if is_8_bit else 1.0), table[:, 1], path.name, is_8_bit)

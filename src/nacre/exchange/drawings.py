@@ -15,7 +15,7 @@ import numpy as np
 from nacre._version import __version__
 from nacre.arrays import Array
 from nacre.errors import UnsupportedError
-from nacre.exchange.calibration import PUBLISHED_CALIBRATION, read_calibration
+from nacre.exchange.calibration import find_calibration, linear_calibration
 from nacre.exchange.gds_levels import write_levels
 from nacre.exchange.height_image import write_png16, write_tiff16
 from nacre.exchange.point_pattern import write_layout, write_points_csv
@@ -42,7 +42,8 @@ class HeightOptions:
 
     Attributes:
         size_mm: repeat the tile over an area (x, y); None: one tile.
-        calibration: CSV of grey value and depth in um, for images; None: the published process.
+        calibration: CSV of grey value and depth in um, for images, or "published"; None: linear from 65,535 at the top
+            to 0 at the deepest point.
         levels: number of heights of a mask; None: as many as the heights have, or 16.
         pixels_per_feature: pixels along a feature's side, for images.
         base_um: thickness of an STL's base.
@@ -160,7 +161,8 @@ def _write_image(
     path: Path, to: str, heights_um: Array, feature_um: float, options: HeightOptions, facts: dict[str, Any]
 ) -> None:
     """Write a grey image; the relief's top lies at the curve's shallowest depth."""
-    curve = PUBLISHED_CALIBRATION if options.calibration is None else read_calibration(options.calibration)
+    deepest = float(heights_um.max())
+    curve = linear_calibration(deepest) if options.calibration is None else find_calibration(options.calibration)
     top_um = float(curve.depth_um.min())
     grey = curve.grey_of(top_um + float(heights_um.max()) - heights_um)
     grey = np.repeat(np.repeat(grey, options.pixels_per_feature, axis=0), options.pixels_per_feature, axis=1)
@@ -170,6 +172,9 @@ def _write_image(
         rows, columns = (max(1, round(1e3 * side / pitch_um)) for side in options.size_mm)
     facts |= {
         "pitch_um": pitch_um,
+        "calibration": curve.name,
+        "calibration_range_um": curve.range_um,
+        "stretched_from_8_bit": curve.stretched_from_8_bit,
         "nm_per_level": curve.nm_per_level,
         "grey": curve.grey.tolist(),
         "depth_um": curve.depth_um.tolist(),

@@ -86,6 +86,11 @@ class Model(abc.ABC):
         return None
 
     @property
+    def unbounded_because(self) -> str:
+        """Why its spectra may sum to more than one: the data or the model chosen say so; empty: they never do."""
+        return ""
+
+    @property
     def figures(self) -> Mapping[str, Figure]:
         """The figures that only this family has: kind -> function of its options that returns arrays."""
         return {}

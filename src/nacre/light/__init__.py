@@ -25,7 +25,7 @@ from nacre.light.spaces import (
     xyz_to_xyy,
 )
 from nacre.light.tables import ILLUMINANTS, OBSERVERS, Illuminant, illuminant, observer, table_wavelengths_nm
-from nacre.light.tristimulus import spectrum_to_xyz, white_xyz, xyz_weights
+from nacre.light.tristimulus import spans_colour, spectrum_to_xyz, white_xyz, xyz_weights
 from nacre.light.wavelengths import WAVELENGTH_RANGE_NM, colour_step_nm, default_wavelengths
 
 __all__ = [
@@ -52,6 +52,7 @@ __all__ = [
     "lch_to_lab",
     "metamerism",
     "observer",
+    "spans_colour",
     "spectrum_to_rgb_linear",
     "spectrum_to_rgb_matrix",
     "spectrum_to_srgb",

@@ -16,7 +16,7 @@ import numpy as np
 from nacre.arrays import Array
 from nacre.errors import NacreError, did_you_mean
 
-ILLUMINANTS = ("A", "D50", "D65", "E", "F2", "F11", "LED-B3")
+ILLUMINANTS = ("A", "C", "D50", "D65", "E", "F2", "F11", "LED-B3")
 OBSERVERS = ("2deg", "10deg")
 
 
@@ -79,7 +79,7 @@ def _standard_illuminant(name: str) -> Illuminant:
 def illuminant(name: str | Illuminant = "D65") -> Illuminant:
     """Return a standard illuminant on 360-830 nm in steps of 1 nm; an `Illuminant` passes through.
 
-    Source: CIE 15:2018 (A, D50, D65, E, the fluorescent F2 and F11, the white LED-B3); interpolated to 1 nm
+    Source: CIE 15:2018 (A, C, D50, D65, E, the fluorescent F2 and F11, the white LED-B3); interpolated to 1 nm
     with Sprague's formula, the last published value held up to 830 nm.
 
     Raises:

@@ -41,6 +41,12 @@ def check_wavelengths(wavelengths_nm: ArrayLike) -> Array:
     return wavelengths
 
 
+def spans_colour(wavelengths_nm: ArrayLike) -> bool:
+    """Whether samples reach over 400-700 nm, so that a colour can be computed of them."""
+    wavelengths = np.asarray(wavelengths_nm, dtype=float)
+    return len(wavelengths) > 1 and wavelengths[0] <= NEEDED_RANGE_NM[0] and wavelengths[-1] >= NEEDED_RANGE_NM[1]
+
+
 def _quadrature(wavelengths: Array) -> tuple[Array, Array]:
     """Return nodes and widths: the table's own 1 nm points, and the samples too where those are finer.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,6 +31,9 @@ from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.paths import find_by_path, numbers_of, set_by_path, varying_numbers
 from nacre.recipe.toml import dump_toml, parse_toml
 
+logger = logging.getLogger("nacre")
+
+EXCESS_TOLD = 1e-3  # of the light that arrives: what spectra keep to
 MAX_NESTED_RECIPES = 8
 POLARISATIONS = ("s", "p", "both")
 STUDY_TABLES = ("fit", "tolerance")  # read by nacre.study: which numbers are free, which vary in manufacture
@@ -95,17 +99,36 @@ class Material:
 
         Raises:
             UnsupportedError: the material has no such spectrum.
+
+        The parts never sum to more than 1 (random walks: but for their noise), unless data or a model chosen say so;
+        that is logged as a warning.
         """
         grid = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
         if polarisation not in POLARISATIONS:
             raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use {", ".join(POLARISATIONS)}')
-        own = self.model.spectrum(theta, grid, polarisation, seed)
-        if own is not None:
-            return own
-        if polarisation != "both":
-            raise UnsupportedError(f"{self.context.source}: a {self.model.noun} {self.model.why_unpolarised}")
-        return bsdf_spectrum(self.model.bsdf(grid), theta, seed=seed)
+        found = self.model.spectrum(theta, grid, polarisation, seed)
+        if found is None:
+            if polarisation != "both":
+                raise UnsupportedError(f"{self.context.source}: a {self.model.noun} {self.model.why_unpolarised}")
+            found = bsdf_spectrum(self.model.bsdf(grid), theta, seed=seed)
+        self._tell_excess(found)
+        return found
+
+    def _tell_excess(self, spectrum: Spectrum) -> None:
+        """Warn where more leaves than arrives, of a model or data that may do so."""
+        because = self.model.unbounded_because
+        parts = list(spectrum.parts().values())
+        if not because or not parts:
+            return
+        total = np.sum(parts, axis=0)
+        angle, band = np.unravel_index(int(np.argmax(total)), total.shape)
+        if total[angle, band] > 1.0 + EXCESS_TOLD:
+            logger.warning(
+                "%s: sends out %.4g times the light that arrives, at %g degrees and %g nm: %s",
+                self.context.source, total[angle, band], spectrum.angles_deg[angle], spectrum.wavelengths_nm[band],
+                because,
+            )  # fmt: skip
 
     def figure_data(self, kind: str, **options: Any) -> dict[str, NDArray[Any]]:
         """Return the arrays of a figure that only this family has, such as "field" or "structure".
@@ -156,6 +179,7 @@ class StoredBsdf(Model):
     noun = "compiled .nacre file"
     takes_ambient = False
     why_unpolarised = "holds unpolarised values; give its recipe for s or p"
+    unbounded_because = "so the file says"
 
     stored: Bsdf
 

@@ -19,11 +19,12 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.directions import direction
 from nacre.bsdf.lobes.masked import MaskedLobe, hat
 from nacre.bsdf.spectrum import Spectrum
+from nacre.bsdf.tabulate import judged_xyz
 from nacre.bsdf.texture import Texture
 from nacre.bsdf.texture_spec import TextureSpec
 from nacre.errors import UnsupportedError
 from nacre.families.contract import Figure, Model
-from nacre.light import delta_e_2000, spectrum_to_xyz, xyz_to_lab
+from nacre.light import delta_e_2000, spans_colour, xyz_to_lab
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.instruments import aspecular_direction
 from nacre.recipe.model import RecipeContext, validate
@@ -171,10 +172,14 @@ class Varying(Model):
 
 
 def judged_colours(material: Any) -> Array:
-    """Return XYZ `[geometry, 3]` of a material at the geometries where interpolation is tested."""
+    """Return XYZ `[geometry, 3]` of a material at the geometries where interpolation is tested.
+
+    Of a material that is known in a part of the colours only, each wavelength is taken as a grey, see `judged_xyz`.
+    """
     low, high, count = JUDGED_NM
     own = np.asarray(material.model.wavelengths_nm)
-    grid = np.linspace(max(low, own[0]), min(high, own[-1]), count)
+    low, high = (max(low, own[0]), min(high, own[-1])) if spans_colour(own) else (own[0], own[-1])
+    grid = np.linspace(low, high, count) if high > low else own
     bsdf = material.bsdf(grid)
     wo = np.stack([aspecular_direction(45.0, angle) for angle in JUDGED_ASPECULAR_DEG])
     wi = np.broadcast_to(direction(np.radians(45.0)), wo.shape)
@@ -183,7 +188,7 @@ def judged_colours(material: Any) -> Array:
         parts.append(np.pi * evaluate_with_error(bsdf, wi, wo * [1.0, 1.0, -1.0], samples=WALK_SAMPLES)[0])
     mirror = bsdf.specular(np.radians(JUDGED_ANGLES_DEG))
     parts += [mirror.reflectance, mirror.transmittance]
-    return np.asarray(spectrum_to_xyz(np.concatenate(parts), grid))
+    return judged_xyz(np.concatenate(parts), grid).reshape(-1, 3)
 
 
 def choose_nodes(colours: Callable[[float], Array], low: float, high: float, path: str) -> tuple[Array, float]:

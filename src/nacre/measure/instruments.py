@@ -15,6 +15,8 @@ from nacre.arrays import Array
 from nacre.bsdf.directions import direction
 from nacre.bsdf.facet_distributions import fresnel
 
+STANDARD_LIGHT = ("C", "2deg")  # ISO 2813, ASTM D523, E430 and D1003: gloss and haze are read with these, always
+FLOP_LIGHT = ("D65", "10deg")  # ASTM E2194, whose angles Alman's index is read at
 ASPECULAR_DEG = (-15.0, 15.0, 25.0, 45.0, 75.0, 110.0)  # ASTM E2194 and E2539, and the sixth angle of newer devices
 GLOSS_BLACK_GLASS_INDEX = 1.567  # ISO 2813: the standard's refractive index at 587.6 nm
 # ISO 2813: full angles of the receptor in the plane of incidence and across it
@@ -58,6 +60,22 @@ def rectangular_aperture(centre_deg: float, in_plane_deg: float, across_deg: flo
     weight = (along_weight[:, None] * across_weight[None, :] * np.cos(b)).ravel()
     keep = wo[:, 2] > 1e-4
     return Aperture(wo[keep], weight[keep])
+
+
+def transmission_cone(half_angle_deg: float, nodes: int = 24, turns: int = 12) -> Aperture:
+    """Return directions and weights of a cone about the light that goes straight on through a surface.
+
+    Args:
+        half_angle_deg: of the cone.
+        nodes: polar angles, crowded towards the axis where a narrow lobe sits; turns: azimuths.
+    """
+    x, weight = np.polynomial.legendre.leggauss(nodes)
+    t, half = 0.5 * (x + 1.0), np.radians(half_angle_deg)
+    theta, step = half * t**3, half * 1.5 * t**2 * weight
+    phi = (np.arange(turns) + 0.5) * (2.0 * np.pi / turns)
+    theta_all, phi_all = np.meshgrid(theta, phi, indexing="ij")
+    wo = direction(theta_all.ravel(), phi_all.ravel()) * np.array([1.0, 1.0, -1.0])
+    return Aperture(wo, np.repeat(step * np.sin(theta) * (2.0 * np.pi / turns), turns))
 
 
 def _graded(half: float, nodes: int) -> tuple[Array, Array]:

@@ -6,7 +6,9 @@ import numpy as np
 
 from nacre.arrays import Array
 from nacre.bsdf.bsdf import Bsdf
+from nacre.bsdf.contract import Lobe
 from nacre.bsdf.directions import direction
+from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.spectrum import Spectrum
 from nacre.measure.evaluate import hemispherical
@@ -39,6 +41,8 @@ def directional_hemispherical(bsdf: Bsdf, wi: Array, uv: Array | None = None, no
 def bsdf_spectrum(bsdf: Bsdf, theta_rad: Array, uv: Array | None = None, seed: int = 0) -> Spectrum:
     """Return a Bsdf's spectra: delta parts (of rough films the values of their stack), and the rest integrated.
 
+    A base under a rough film counts as it is under the smooth one, so that the parts belong together.
+
     The light comes in the plane y = 0, where that matters.
 
     Args:
@@ -48,12 +52,15 @@ def bsdf_spectrum(bsdf: Bsdf, theta_rad: Array, uv: Array | None = None, seed: i
     theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
     delta = bsdf.specular(theta, uv)
     reflected, transmitted = delta.reflectance, delta.transmittance
-    rest = []
+    rest: list[Lobe] = []
+    bases: list[Diffuse] = []
     for lobe in bsdf.lobes:
         if isinstance(lobe, Microfacet):
             flipped = np.full(theta.shape, lobe.response.flipped)
             more = lobe.response.lookup(np.cos(theta), flipped, uv)
             reflected, transmitted = reflected + more[0], transmitted + more[1]
+        elif isinstance(lobe, Diffuse) and lobe.under_smooth is not None:
+            bases.append(lobe)
         elif not lobe.is_delta:
             rest.append(lobe)
     diffuse = None
@@ -62,6 +69,9 @@ def bsdf_spectrum(bsdf: Bsdf, theta_rad: Array, uv: Array | None = None, seed: i
         directions = direction(np.minimum(theta, np.radians(89.99)))
         sums = [[hemispherical(lobe, w, uv, seed=seed) for lobe in rest] for w in directions]
         diffuse = np.array([[sum(part[side] for part in parts) for parts in sums] for side in (0, 1)])
+    for base in bases:
+        diffuse = np.zeros((2, *reflected.shape)) if diffuse is None else diffuse
+        diffuse[0] += base.smooth_albedo(np.cos(theta), uv)
     # a walk is no delta lobe, but reflects as mirrors do where its interfaces are smooth
     has_delta = len(rest) < len(bsdf.lobes) or bool(np.any(reflected > 0))
     return Spectrum(

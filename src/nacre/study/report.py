@@ -31,7 +31,7 @@ from nacre.light import (
 )
 from nacre.materials.material import Material
 from nacre.measure import instruments as geometry
-from nacre.measure.evaluate import evaluate_with_error
+from nacre.measure.evaluate import evaluate_with_error, hemispherical
 from nacre.measure.walk_wavelengths import solve_coarse_walk
 
 SPECULAR_ANGLES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 75.0)
@@ -67,11 +67,12 @@ class Report:
 
     Attributes:
         name: of the recipe.
-        illuminant, observer: of all colours.
+        illuminant, observer: of all colours; flop index, gloss and haze have those of their standards.
         aspecular: colours at 45 degree incidence, at the standard aspecular angles.
         specular: colours of the mirror direction over incidence; None if nothing is mirror-like.
-        flop_index: Alman's, from L* at 15, 45 and 110 degrees; None where L* at 45 is 0.
-        gloss: gloss units at 20, 60 and 85 degrees.
+        flop_index: Alman's, from L* at 15, 45 and 110 degrees under D65 with the 10 degree observer; None where L* at
+            45 is 0.
+        gloss: gloss units at 20, 60 and 85 degrees, under illuminant C with the 2 degree observer as all haze.
         reflection_haze: ASTM E430 at 30 degrees, as a percentage of the specular flux; None for no specular flux.
         hemispherical: `name -> luminous value` at normal incidence and 45 degrees.
         transmission_haze: ASTM D1003 percentage, None for an opaque material.
@@ -118,7 +119,8 @@ def make_report(
     for name, values in parts.items():
         for angle, value in zip((0, 45), values, strict=True):
             totals[f"{name}_{angle}"] = float(value)
-    lightness = {a: lab[0] for a, lab in zip(geometry.ASPECULAR_DEG, aspecular.lab, strict=True)}
+    judged = colour_table("flop", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *geometry.FLOP_LIGHT).lab
+    lightness = {a: lab[0] for a, lab in zip(geometry.ASPECULAR_DEG, judged, strict=True)}
     return Report(
         name=material.name,
         illuminant=illuminant,
@@ -128,10 +130,10 @@ def make_report(
         if mirror.max() > MIRROR_THRESHOLD
         else None,
         flop_index=flop_index(lightness[15.0], lightness[45.0], lightness[110.0]),
-        gloss={f"{a:g}": gloss(bsdf, a, *light, samples=samples, seed=seed) for a in geometry.GLOSS_APERTURES_DEG},
-        reflection_haze=_reflection_haze(bsdf, *light, samples=samples, seed=seed),
+        gloss={f"{a:g}": gloss(bsdf, a, samples=samples, seed=seed) for a in geometry.GLOSS_APERTURES_DEG},
+        reflection_haze=_reflection_haze(bsdf, samples=samples, seed=seed),
         hemispherical=totals,
-        transmission_haze=_transmission_haze(parts) if bsdf.transmits else None,
+        transmission_haze=transmission_haze(bsdf, samples=samples, seed=seed) if bsdf.transmits else None,
         noise=0.0 if error is None else float(np.pi * error.max()),
         provenance={"nacre": __version__, "recipe": material.text, "seed": seed, "samples": samples},
     )
@@ -169,25 +171,27 @@ def aperture_flux(bsdf: Bsdf, theta_deg: float, aperture: geometry.Aperture, sam
     # a walk is asked at so many nodes that each needs a few samples only
     fair = max(LEAST_SAMPLES, APERTURE_WALKS // len(aperture.wo)) if samples is None else samples
     values, _ = evaluate_with_error(bsdf, wi, aperture.wo, samples=fair, seed=seed)
-    return np.asarray((aperture.weight * aperture.wo[:, 2]) @ values)
+    return np.asarray((aperture.weight * np.abs(aperture.wo[:, 2])) @ values)
 
 
-def gloss(
-    bsdf: Bsdf, theta_deg: float, illuminant: str, observer: str, samples: int | None = None, seed: int = 0
-) -> float:
+def gloss(bsdf: Bsdf, theta_deg: float, samples: int | None = None, seed: int = 0) -> float:
     """Return gloss units at 20, 60 or 85 degrees: the receptor's flux over that of black glass, times 100.
 
-    Source: ISO 2813 (receptor apertures, n = 1.567); the source is taken as collimated.
+    Source: ISO 2813 and ASTM D523 (receptor apertures, illuminant C with the 2 degree observer, black glass of
+    n = 1.567), described in NIST Special Publication 250-70; the light source is taken as collimated.
     """
     aperture = geometry.rectangular_aperture(theta_deg, *geometry.GLOSS_APERTURES_DEG[theta_deg])
     flux = aperture_flux(bsdf, theta_deg, aperture, samples, seed)
     flux = flux + bsdf.specular(np.radians(theta_deg)).reflectance
-    luminous = float(_luminous(flux, bsdf.wavelengths_nm, illuminant, observer))
+    luminous = float(_luminous(flux, bsdf.wavelengths_nm, *geometry.STANDARD_LIGHT))
     return 100.0 * luminous / geometry.black_glass_reflectance(theta_deg)
 
 
-def _reflection_haze(bsdf: Bsdf, illuminant: str, observer: str, samples: int | None, seed: int) -> float | None:
-    """Return ASTM E430 haze: flux 2 degrees off the mirror direction over the flux in it, same aperture, per cent."""
+def _reflection_haze(bsdf: Bsdf, samples: int | None, seed: int) -> float | None:
+    """Return ASTM E430 haze: flux 2 degrees off the mirror direction over the flux in it, same aperture, per cent.
+
+    Both sides of the mirror direction are averaged; illuminant C and the 2 degree observer, as the standard has it.
+    """
     theta, size = geometry.HAZE_INCIDENCE_DEG, geometry.HAZE_APERTURE_DEG
     at = {}
     for offset in (-geometry.HAZE_OFFSET_DEG, 0.0, geometry.HAZE_OFFSET_DEG):
@@ -195,18 +199,25 @@ def _reflection_haze(bsdf: Bsdf, illuminant: str, observer: str, samples: int | 
         flux = aperture_flux(bsdf, theta, aperture, samples, seed)
         if offset == 0.0:
             flux = flux + bsdf.specular(np.radians(theta)).reflectance
-        at[offset] = float(_luminous(flux, bsdf.wavelengths_nm, illuminant, observer))
+        at[offset] = float(_luminous(flux, bsdf.wavelengths_nm, *geometry.STANDARD_LIGHT))
     if at[0.0] <= MIRROR_THRESHOLD:
         return None
     return 100.0 * (at[-geometry.HAZE_OFFSET_DEG] + at[geometry.HAZE_OFFSET_DEG]) / 2 / at[0.0]
 
 
-def _transmission_haze(parts: dict[str, Array]) -> float:
-    """Return diffuse over total luminous transmittance at normal incidence, per cent."""
-    direct = float(parts["specular_transmittance"][0]) if "specular_transmittance" in parts else 0.0
-    diffuse = float(parts["diffuse_transmittance"][0]) if "diffuse_transmittance" in parts else 0.0
-    total = direct + diffuse
-    return 100.0 * diffuse / total if total > 0 else 0.0
+def transmission_haze(bsdf: Bsdf, samples: int | None = None, seed: int = 0) -> float:
+    """Return ASTM D1003 haze, per cent: what leaves more than 2.5 degrees off the straight way, of all that passes.
+
+    Light along the normal, illuminant C and the 2 degree observer. Directions behind are those inside the substrate.
+    """
+    normal = direction(0.0)
+    straight = bsdf.specular(0.0).transmittance
+    spread = [hemispherical(lobe, normal, seed=seed)[1] for lobe in bsdf.lobes if not lobe.is_delta]
+    total = straight + sum(spread)
+    cone = geometry.transmission_cone(geometry.TRANSMISSION_HAZE_CONE_DEG)
+    within = straight + aperture_flux(bsdf, 0.0, cone, samples, seed)
+    all_light, near = _luminous(np.stack([total, within]), bsdf.wavelengths_nm, *geometry.STANDARD_LIGHT)
+    return 100.0 * float(np.clip(1.0 - near / all_light, 0.0, 1.0)) if all_light > 0 else 0.0
 
 
 def differences(report: Report, standard: Report) -> dict[str, Array]:

@@ -12,6 +12,7 @@ from nacre.bsdf.contract import Lobe
 from nacre.bsdf.response import check_parameters, check_wavelengths, parameter_coordinates
 from nacre.bsdf.texture import ParameterAxis
 from nacre.bsdf.uniform import interpolate
+from nacre.errors import UnsupportedError
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,9 @@ class Diffuse(Lobe):
         entry: `[*params, cos, wavelength]` over uniform nodes of the ambient's cosine from 0 to 1, linear;
             one node (constant 1) for a bare base.
         parameters: the axes that textures drive.
+        under_smooth: `[*params, cos, wavelength]`, what the base would send back in all through the smooth film, for
+            light at the cosine in the ambient. Spectra add it to the smooth film's mirror values, since `entry` is that
+            of the facets under a rough one; None where the two are the same.
     """
 
     kind: ClassVar[str] = "diffuse"
@@ -36,11 +40,13 @@ class Diffuse(Lobe):
     scale: Array
     entry: Array
     parameters: tuple[ParameterAxis, ...] = ()
+    under_smooth: Array | None = None
 
     AXES: ClassVar[dict[str, str]] = {
         "wavelengths_nm": "wavelength",
         "scale": "*params wavelength",
         "entry": "*params cos wavelength",
+        "under_smooth": "*params cos wavelength",
     }
 
     def check(self) -> None:
@@ -55,6 +61,9 @@ class Diffuse(Lobe):
             raise ValueError(f"scale has the shape {self.scale.shape}, not {(*leading, count)}")
         if self.entry.shape[:-2] != leading or self.entry.shape[-1] != count or self.entry.shape[-2] < 1:
             raise ValueError(f"entry has the shape {self.entry.shape}")
+        smooth = self.under_smooth
+        if smooth is not None and (smooth.shape[:-2] != leading or smooth.shape[-1] != count or smooth.shape[-2] < 1):
+            raise ValueError(f"under_smooth has the shape {smooth.shape}")
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Return the value `[..., wavelength]` in 1/sr."""
@@ -67,6 +76,18 @@ class Diffuse(Lobe):
         scale = interpolate(self.scale, coords) if coords else self.scale
         seen = ((cos_i > 0) & (cos_o > 0))[..., None]
         return np.where(seen, scale * way_in * way_out / np.pi, 0.0)
+
+    def smooth_albedo(self, cos_i: Array, uv: Array | None = None) -> Array:
+        """Return `under_smooth` at cosines `[...]` in the ambient, `[..., wavelength]`.
+
+        Raises:
+            UnsupportedError: the film above is none, or smooth: then `hemispherical` is the same.
+        """
+        if self.under_smooth is None:
+            raise UnsupportedError("a base without a rough film above it has no albedo under the smooth one")
+        cos = np.asarray(cos_i, dtype=float)
+        coords = parameter_coordinates(self.parameters, uv, cos.shape)
+        return interpolate(self.under_smooth, (*coords, np.maximum(cos, 0) * (self.under_smooth.shape[-2] - 1)))
 
 
 def bare_base(wavelengths_nm: Array, albedo: Array) -> Diffuse:

@@ -107,17 +107,21 @@ class Film(Model):
         grid = default_wavelengths(optical)
         step = float(grid[1] - grid[0])
         finer = [s for s in STEPS_NM if s < step * 0.999][:3]
-        lab = self._colours(_grid(low, high, step))
+        coarser = _grid(low, high, step)
+        seen = self._judged_spectra(coarser)
         for smaller in finer:
-            closer = self._colours(_grid(low, high, smaller))
-            if float(np.max(delta_e_2000(lab, closer))) <= COLOUR_ERROR:
+            closer = _grid(low, high, smaller)
+            exact = self._judged_spectra(closer)
+            between = np.stack([np.interp(closer, coarser, row) for row in seen])
+            change = delta_e_2000(reflected_lab(between, closer), reflected_lab(exact, closer))
+            if float(np.max(change)) <= COLOUR_ERROR:
                 break
-            lab, step = closer, smaller
+            seen, coarser, step = exact, closer, smaller
         return _grid(low, high, step)
 
-    def _colours(self, wavelengths_nm: Array) -> Array:
-        """Return Lab of the reflected light at the angles and thicknesses where grids are tested."""
-        labs = []
+    def _judged_spectra(self, wavelengths_nm: Array) -> Array:
+        """Return the reflectance `[case, wavelength]` at the angles and thicknesses where grids are tested."""
+        spectra = []
         for share in (0.5, 1.0):
             d = np.array(
                 [
@@ -128,8 +132,8 @@ class Film(Model):
                 ]
             )
             tables = self.tables(wavelengths_nm)
-            labs.append(reflected_lab(tables.outside(d, COLOUR_COSINES)[0], wavelengths_nm))
-        return np.concatenate(labs)
+            spectra.append(tables.outside(d, COLOUR_COSINES)[0])
+        return np.concatenate(spectra)
 
     def tables(self, wavelengths_nm: Array) -> StackTables:
         """Return the solver of the film's stack on a wavelength grid."""
@@ -257,15 +261,26 @@ class Film(Model):
             behind = behind + (mean - _cosine_mean(entry)) / relative**2
         albedo = self.base_albedo
         scale = albedo / (relative**2 * (1.0 - albedo * np.clip(behind, 0.0, 1.0)))
-        return Diffuse(response.wavelengths_nm, scale, entry, response.parameters)
+        under_smooth = None if self.surface.is_smooth else smooth * self._given_back(response)[..., None, :]
+        return Diffuse(response.wavelengths_nm, scale, entry, response.parameters, under_smooth)
+
+    def _given_back(self, response: InterfaceResponse) -> Array:
+        """Return the share of what enters the base that leaves through the smooth film again, `[*params, wavelength]`.
+
+        Albedo times what the film lets out of diffuse light, summed over the round trips. Both sums are of one
+        quadrature of one set of tables, so that the share never exceeds one.
+        """
+        reflected, passed = response.hemispherical[0:2] if response.flipped else response.hemispherical[2:4]
+        return np.asarray(self.base_albedo * passed / (1.0 - self.base_albedo * np.clip(reflected, 0.0, 1.0 - passed)))
 
     def spectrum(
         self, theta_rad: Array, wavelengths_nm: Array | None = None, polarisation: str = "both", seed: int = 0
     ) -> Spectrum:
         """Return reflectance and transmittance at angles in the ambient, at the middle of the surface.
 
-        The specular parts of a rough film are those of its stack. A diffuse base and ridges give the diffuse part,
-        integrated over all exits, for light in the plane y = 0.
+        The specular parts of a rough film are those of its smooth stack. The diffuse part is what a base gets and
+        gives back through that same stack, so that the two never sum to more than one; of ridges, it is what they
+        send to all exits, for light in the plane y = 0.
 
         Args:
             theta_rad: `[angle]` in [0, pi/2].
@@ -289,9 +304,13 @@ class Film(Model):
         if self.ridges is not None or self.base_albedo > 0:
             if polarisation != "both":
                 raise UnsupportedError("ridges and a diffuse base are known for unpolarised light only")
-            rest = [lobe for lobe in self.bsdf(lam).lobes if not isinstance(lobe, Specular | Microfacet)]
-            directions = direction(np.minimum(theta, np.radians(89.99)))
-            diffuse = np.array([sum(lobe.hemispherical(w)[0] for lobe in rest) for w in directions])
+            bsdf = self.bsdf(lam)  # also refuses a base that does not show
+            if self.ridges is not None:
+                directions = direction(np.minimum(theta, np.radians(89.99)))
+                diffuse = np.array([sum(lobe.hemispherical(w)[0] for lobe in bsdf.lobes) for w in directions])
+            else:
+                still = self.tables(lam).adaptive(np.array([layer.thickness_at() for layer in self.layers]))
+                diffuse = passed * self._given_back(still)
         return Spectrum(lam, np.degrees(theta), reflected, transmitted, diffuse)
 
 

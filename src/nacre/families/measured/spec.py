@@ -50,6 +50,7 @@ class Measured(Model):
 
     noun = "measured material"
     why_unpolarised = "was measured with unpolarised light"
+    unbounded_because = "so the file says"
 
     path: Path
     stored: Bsdf

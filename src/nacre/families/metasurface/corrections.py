@@ -18,6 +18,7 @@ from nacre.families.metasurface.diffuse import DirectionSet, balance, balance_ac
 from nacre.families.metasurface.monolayer import Lit, Monolayer
 from nacre.families.metasurface.sphere import extinction
 
+NOTHING = 1e-30  # of the light from below: what passes opaque layers, and soon falls out of the range of numbers
 S_HARMONICS = 14  # of S in the power sums; |X||Y| has no weight beyond
 
 
@@ -124,10 +125,13 @@ def _balanced(kernel: Array, target: Array, weights: Array, is_below: NDArray[np
     up, down = _totals(target, weights, below, above), _totals(target, weights, above, below)
     # across, sum w t_u = sum w t_d must hold, and a mean field keeps it only to some per cent: light from above
     # stays exact, and what light from below cannot send up is sent back down, so that its total stays exact too
-    consistent = down * ((w_up @ up) / (w_down @ down))
-    g_up, g_down = balance_across(_block(kernel, below, above), up, consistent, w_up, w_down)
-    out[:, above, 1], out[:, below, 0] = g_up.reshape(2, -1), g_down.reshape(2, -1)
     back = _totals(target, weights, below, below)
+    passed = w_down @ down
+    consistent = down
+    if passed > NOTHING * (w_down @ back):  # layers that let nothing through leave nothing to balance
+        consistent = down * ((w_up @ up) / passed)
+        g_up, g_down = balance_across(_block(kernel, below, above), up, consistent, w_up, w_down)
+        out[:, above, 1], out[:, below, 0] = g_up.reshape(2, -1), g_down.reshape(2, -1)
     g = balance(_block(kernel, below, below), np.maximum(back + down - consistent, 0.2 * back), w_down)
     out[:, below, 1] = g.reshape(2, -1)
     return out

@@ -38,6 +38,7 @@ LOOSEST_TOLERANCE = 0.02  # of the change on doubling: above it the series has n
 UNASKED_TOLERANCE = 0.01
 # films up to here keep the error of interpolation at 0.4 % of the L2 norm with 120 angles (0.3 % without any film)
 THICK_FILM_NM = 1000.0
+TOLD_EXCESS = 0.01  # of energy: what the default correction is tested to keep
 SAME_INDEX = 1e-3
 SIZE_NODES = 5
 
@@ -294,7 +295,9 @@ class Metasurface(Model):
         polarisation: str = "both",
         seed: int = 0,
     ) -> Spectrum:
-        """Return specular and hemispherical diffuse power, each `[angle, wavelength]`.
+        """Return specular and hemispherical diffuse power, each `[angle, wavelength]`, together at most one.
+
+        A correction of "none" is left as the model gives it.
 
         Args:
             theta_rad: incidence in the ambient; 90 degrees is taken as 89.9.
@@ -313,10 +316,34 @@ class Metasurface(Model):
         share = pick[polarisation]
         columns = [[share @ part for part in self.powers(np.cos(theta), w)] for w in lam]
         r, t, up, down = (np.stack([c[i] for c in columns], axis=-1) for i in range(4))
+        if self.correction != "none":
+            up, down = self._within_what_arrives(r + t, up, down)
         degrees = np.degrees(theta)
         if not self.transmits:
             return Spectrum(lam, degrees, specular_reflectance=r, diffuse_reflectance=up)
         return Spectrum(lam, degrees, r, t, up, down)
+
+    def _within_what_arrives(self, specular: Array, up: Array, down: Array) -> tuple[Array, Array]:
+        """Return the diffuse powers with what the model sends above one taken off, as the lobes do.
+
+        The default correction exceeds one by less than a per cent, and only near grazing; a simpler one may exceed it
+        by much, and is then no longer what its name says, so it is told.
+        """
+        sent = up + down
+        room = np.maximum(1.0 - specular, 0.0)
+        excess = float(np.max(sent - room, initial=0.0))
+        if excess > TOLD_EXCESS:
+            logger.warning(
+                "%s: correction %s sends out %.3g more than arrives; the diffuse part is scaled down to it",
+                self.source, self.correction, excess,
+            )  # fmt: skip
+        share = np.where(sent > room, room / np.maximum(sent, 1e-300), 1.0)
+        return up * share, down * share
+
+    @property
+    def unbounded_because(self) -> str:
+        """A correction of "none" counts light twice."""
+        return 'model.correction = "none" does not keep energy' if self.correction == "none" else ""
 
     def powers(self, cosines: ArrayLike, wavelength_nm: float) -> tuple[Array, Array, Array, Array]:
         """Specular R and T, diffuse R and T for light from above, each `[pol, angle]`, raw (not scaled to 1)."""

@@ -286,10 +286,6 @@ class MetasurfaceSpec(RecipeModel):
         probe = np.array([570.0])
         n_ambient = complex(ambient.n_complex(probe)[0])
         n_substrate = complex(substrate.n_complex(probe)[0])
-        if n_ambient.imag > 1e-6:
-            raise context.fail(
-                "ambient", self.ambient.name or "absorbing", "absorbs; the particles need a clear ambient"
-            )
         if n_substrate.imag < 1e-4 and n_substrate.real < n_ambient.real - 1e-9:
             raise context.fail(
                 "substrate",

@@ -90,6 +90,13 @@ class Relief(Model):
         return report_summary(self._map(tuple(grid.tolist()))[1])
 
     @property
+    def unbounded_because(self) -> str:
+        """The published prefactor, or a bound switched off, sends out what the formula says."""
+        if self.prefactor == "published":
+            return 'prefactor = "published" does not keep energy'
+        return "" if self.bounded else "bounded = false keeps what scalar diffraction sends out"
+
+    @property
     def figures(self) -> Mapping[str, Figure]:
         """The surface, and its microscope image.
 

@@ -13,6 +13,7 @@ from nacre.matter.indices.csv import read_index_csv
 from nacre.matter.indices.database import find_page
 from nacre.matter.indices.defaults import BY_NAME, find_default
 from nacre.matter.indices.models import Cauchy, Constant, Dispersion, Oscillators, Sellmeier, abbe_cauchy
+from nacre.matter.stack.case import CLEAR_K
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
 
 FORMS = ("name", "n", "cauchy", "sellmeier", "n_d", "drude", "lorentz", "file", "rii")
@@ -258,9 +259,16 @@ def ambient_in(spec: IndexSpec, is_named: bool, context: RecipeContext) -> Optic
         context: knows the medium.
 
     Raises:
-        RecipeError: the recipe names an ambient that is not the medium it lies in.
+        RecipeError: the recipe names an ambient that is not the medium it lies in, or one that absorbs.
     """
     own, medium = spec.build(context), context.ambient
+    low, high = own.range_nm
+    k = max((abs(own.n_complex([w])[0].imag) for w in JUDGED_NM if low <= w <= high), default=0.0)
+    if medium is None and k >= CLEAR_K:
+        raise context.fail(
+            "ambient", own.name, f"absorbs (k = {k:.3g}): R and T have no meaning in a medium in which the incoming "
+            "and the returning light exchange power; take a clear ambient, and the absorbing medium as a layer",
+        )  # fmt: skip
     if medium is None:
         return own
     found: OpticalConstant = medium

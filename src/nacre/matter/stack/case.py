@@ -22,6 +22,7 @@ from nacre.arrays import Array, ComplexArray
 from nacre.errors import NacreError
 from nacre.matter.jobs import share
 
+CLEAR_K = 1e-4  # an ambient that absorbs less is taken as clear: its absorption belongs to the way before the stack
 GRAZING_COS = 1e-12  # below this the angle counts as exactly 90 degrees, where R = 1 and T = 0
 FEW_WAVELENGTHS = 16  # the kernel runs along the wavelengths; shorter axes are joined with the angles
 GATHER_LIMIT = 1_000_000  # complex values that joining the axes may copy
@@ -143,6 +144,8 @@ def prepare(
     except ValueError:
         raise NacreError(f"the batches of n {index.shape[:-2]} and thicknesses {d.shape[:-1]} do not fit") from None
     flat_n = _owned(_flat(index, batch, 2), np.complex128)
+    if not waves_only:
+        flat_n[:, 0] = clear_ambient(flat_n[:, 0])
     flat_d = _owned(_flat(d, batch, 1), np.float64)
     normal, times_n0, angle_shape = _normal(flat_n, lam.size, theta_rad, cos_i, kappa, kz, waves_only)
     return Case(flat_n, flat_d, lam, normal, times_n0, batch, angle_shape)
@@ -217,6 +220,23 @@ def check_indices(n: ComplexArray) -> None:
         value = complex(n[tuple(where)])
         why = "k < 0 would amplify light" if value.imag < 0 else "an index must be finite and not zero"
         raise NacreError(f"medium {where[-2]} has n + ik = {value:.6g}: {why} (n + ik with k >= 0 absorbs)")
+
+
+def clear_ambient(n0: ComplexArray) -> ComplexArray:
+    """Return the ambient's index without an absorption too small to tell, k < `CLEAR_K`.
+
+    Raises:
+        NacreError: more absorption. In an absorbing medium the incoming and the returning wave exchange power with
+            each other, so that neither R nor T is a share of what arrives: T of 150 would come out.
+    """
+    worst = complex(n0.flat[int(np.argmax(n0.imag))])
+    if worst.imag >= CLEAR_K:
+        raise NacreError(
+            f"the ambient absorbs (n + ik = {worst:.6g}): there the incoming and the returning wave exchange power, "
+            "so R and T have no meaning; take a clear ambient with the absorbing medium as a layer, or ask for "
+            "amplitudes"
+        )
+    return n0.real.astype(np.complex128)
 
 
 def check_thicknesses(thicknesses_nm: Array) -> None:

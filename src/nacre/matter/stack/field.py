@@ -223,7 +223,7 @@ def field_profile(
 
     Example: in front of a perfect mirror |E|^2 rises to 4 a quarter wave away.
     """
-    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad)
+    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, waves_only=True)
     if case.batch:
         raise NacreError("field_profile takes one stack at a time, not a batch")
     z = np.atleast_1d(np.asarray(z_nm, dtype=float))

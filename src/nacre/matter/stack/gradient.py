@@ -124,8 +124,6 @@ def _pull_back(case: Case, bars: Any, index: bool) -> StackGradient:
     if case.batch:
         raise NacreError("gradients are taken of one stack at a time: no batch axes")
     n = case.n[0]
-    if np.any(n[0].imag):
-        raise NacreError("gradients need a transparent ambient (k = 0)")
     cosines = np.ascontiguousarray(case.normal[0, :, 0].real)
     shape = (len(cosines), len(case.wavelengths_nm))
     weights = np.empty((4, *shape))

@@ -31,11 +31,12 @@ def solve(
         jobs: threads; by default as many as this process may use, one for small work.
 
     Beyond the critical angle T is 0 and R is what absorption leaves. At 90 degrees R = 1 and T = 0, except for a
-    stack whose media all have the index of the ambient (R = 0, T = 1). With an absorbing ambient the in-plane
-    wavevector is Re(n_0) sin theta; R and T are then ratios of single waves, and R + T + A = 1 does not hold.
+    stack whose media all have the index of the ambient (R = 0, T = 1). An ambient with k below 1e-4 is taken as
+    clear.
 
     Raises:
-        NacreError: k < 0, a negative thickness, shapes that do not fit, an angle outside 0..pi/2.
+        NacreError: an absorbing ambient, in which R and T have no meaning (ask for `amplitudes`); k < 0, a negative
+            thickness, shapes that do not fit, an angle outside 0..pi/2.
 
     Example: 300 nm of n = 1.33 between air at 550 nm and normal incidence reflect 0.0754.
     """
