@@ -188,3 +188,44 @@ def test_any_mesh_fits_the_frame(tmp_path: Path, name: str, scene: str) -> None:
     assert not border.any()
     rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     assert max(np.ptp(rows), np.ptp(columns)) >= 0.33 * len(inside)  # and is not lost in it
+
+
+def test_a_drawing_stands_on_the_screen_as_a_design_aims_at_it(tmp_path: Path) -> None:
+    """The picture that a target asks for, looked up in the directions of the screen's pixels, is the drawing."""
+    from nacre.design.pictures import load_picture, picture_on_directions
+    from nacre.picture.screen import beam_direction, screen_directions
+
+    drawn = letter(tmp_path / "r.png")
+    d, on_screen = screen_directions((64, 64))
+    u, v = np.moveaxis((d + beam_direction())[..., :2], -1, 0)
+    asked = picture_on_directions(load_picture(tmp_path / "r.png", "t"), u, v, image_scale=3.0)[..., 0]
+    assert on_screen[32, 32]
+    likeness = [np.corrcoef(asked.ravel(), way.ravel())[0, 1] for way in turnings(drawn)]
+    assert np.argmax(likeness) == 0 and likeness[0] > 0.8, likeness
+
+
+@pytest.mark.full
+def test_a_designed_letter_reads_as_drawn_on_the_screen_and_in_the_preview(tmp_path: Path) -> None:
+    from nacre.design.run import run
+    from nacre.picture.screen import HALF_WIDTH
+
+    drawn = letter(tmp_path / "r.png")
+    (tmp_path / "r.toml").write_text(
+        'family = "relief"\nfeatures = 32\nfeature_um = 2.0\nblur_um = 0.4\nheight_max_um = 0.6\ncoating = "Al"\n'
+        '[coherence]\nsigma = 2.0\n[target]\nkind = "image"\nimage = "r.png"\nrange = 0.25\nresolution = 24\n'
+        "image_scale = 2.0\n[search]\nstarts = 1\ntime_limit_s = 40\nseed = 1\n"
+    )
+    run(tmp_path / "r.toml", tmp_path / "out")
+    screen = nacre.render.render(nacre.load(tmp_path / "out"), scene="screen", size=(128, 128)).xyz[..., 1]
+    # the letter reaches u = 2 x 0.0625 x image_scale, the picture's edge the screen's half width and its margin
+    half = 2 * 0.0625 * 2.0 / (HALF_WIDTH * 1.06)
+    cut = round(64 * half)
+    screen = screen[64 - cut : 64 + cut, 64 - cut : 64 + cut]
+    preview = np.asarray(Image.open(tmp_path / "out" / "preview.png").convert("L"), dtype=float)
+    side = preview.shape[0]
+    for picture in (screen, preview[:, :side]):
+        likeness = []
+        for way in turnings(drawn):
+            sized = np.asarray(Image.fromarray(way).resize(picture.shape[::-1], Image.Resampling.BILINEAR))
+            likeness.append(np.corrcoef(sized.ravel(), picture.ravel())[0, 1])
+        assert np.argmax(likeness) == 0, likeness

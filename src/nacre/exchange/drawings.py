@@ -137,6 +137,13 @@ def _write_heights(drawing: HeightMap, to: str, path: Path, options: HeightOptio
         "feature_um": feature_um,
         "height_range_um": float(heights_um.max()),
         "rows_run_along": "x",
+        # a turning by 90 degrees between the two, never a mirror image
+        "seen": "from above the relief; "
+        + (
+            "x to the right, y upward"
+            if to in ("gds", "oas", "stl")
+            else "x downward, first row on top, y to the right"
+        ),
     }
     if to in ("png16", "tiff16"):
         _write_image(path, to, heights_um, feature_um, options, facts)

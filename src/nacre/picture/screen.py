@@ -4,6 +4,10 @@ As in the capture of fabricated reliefs: a narrow beam meets the tile at 10 degr
 on a white matt screen parallel to the tile. Every point of the screen sees the tile from one direction, so the
 picture is one BSDF value a pixel, without noise: the luminance is f cos(i) cos^4(o), by the inverse square and
 the two slants, over that of a white matt tile straight ahead.
+
+The screen is translucent and seen from beyond it, facing the tile: +x runs down and +y to the right, as in the drawing
+that a relief was designed for, in its preview and in images of its heights (array rows run along x). On an opaque wall,
+seen from the tile's side, the same pattern is mirrored.
 """
 
 from __future__ import annotations
@@ -36,14 +40,14 @@ _BLOCK = 4096  # directions evaluated at a time by arrays
 def screen_directions(size: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Unit vectors `[row, column, 3]` from the tile to each pixel of the screen, and which pixels are on it.
 
-    The screen is centred on the mirror direction of the beam, seen from the tile's side: right is +x, up +y.
+    The screen is centred on the mirror direction of the beam; rows run along +x and columns along +y.
     """
     width, height = size
     pixel = 2 * (1 + 2 * _MARGIN) * HALF_WIDTH / min(width, height)
-    x = (np.arange(width) + 0.5 - 0.5 * width) * pixel
-    y = (0.5 * height - np.arange(height) - 0.5) * pixel
-    on_screen = (np.abs(x) <= HALF_WIDTH)[None, :] & (np.abs(y) <= HALF_WIDTH)[:, None]
-    x_grid, y_grid = np.meshgrid(x - np.tan(np.radians(BEAM_DEG)), y)
+    x = (np.arange(height) + 0.5 - 0.5 * height) * pixel
+    y = (np.arange(width) + 0.5 - 0.5 * width) * pixel
+    on_screen = (np.abs(x) <= HALF_WIDTH)[:, None] & (np.abs(y) <= HALF_WIDTH)[None, :]
+    x_grid, y_grid = np.meshgrid(x - np.tan(np.radians(BEAM_DEG)), y, indexing="ij")
     d = np.stack([x_grid, y_grid, np.ones_like(x_grid)], axis=-1)
     return d / np.linalg.norm(d, axis=-1, keepdims=True), on_screen
 
