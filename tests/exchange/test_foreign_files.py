@@ -9,9 +9,12 @@ import pytest
 
 import nacre
 from nacre.cli import run
+from nacre.errors import NacreError
 from nacre.exchange.gltf import read_gltf
 from nacre.exchange.materialx import read_materialx
 from nacre.exchange.rgl_tensor import read_tensor, rgl_fields
+from nacre.study.fit import read_measurement
+from nacre.study.foreign import import_material
 
 ROUGH = {"family": "film", "substrate": "Ti", "surface": {"roughness": 0.3}}
 
@@ -81,3 +84,58 @@ def test_we_read_what_mitsubas_tensor_writer_writes(tmp_path: Path) -> None:
     wi = wo = np.array([0.0, 0.0, 1.0])
     value = nacre.evaluate(nacre.load(tmp_path / "measured.toml"), wi, wo)
     assert np.all(value > 0.1)
+
+
+def gonio_csv(path: Path, value: float = 0.1, scale: float = 1.0) -> Path:
+    """A Lambertian reflector measured every 15 degrees, its angles times `scale`."""
+    rows = ["theta_i,phi_i,theta_o,phi_o,wavelength,value"]
+    for theta_i in (0.0, 30.0, 60.0, 85.0):
+        for theta_o in np.arange(0.0, 90.0, 15.0):
+            for phi in np.arange(0.0, 360.0, 45.0):
+                for nm in (400, 550, 700):
+                    rows.append(f"{theta_i * scale},0,{theta_o * scale},{phi * scale},{nm},{value}")
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+IMPOSSIBLE = [
+    (-0.1, 1.0, "value = -0.1 is below 0"),
+    (1e308, 1.0, "larger than any BSDF"),
+    (4.8, 1.0, r"sends out 15(\.\d)? times the light that arrives"),
+    (0.1, np.pi / 180.0, "these are radians"),
+]
+
+
+@pytest.mark.parametrize(("value", "scale", "says"), IMPOSSIBLE)
+def test_a_measurement_that_cannot_be_is_refused_in_one_line(
+    tmp_path: Path, value: float, scale: float, says: str
+) -> None:
+    source, recipe = gonio_csv(tmp_path / "odd.csv", value, scale), tmp_path / "odd.toml"
+    with pytest.raises(NacreError, match=says) as found:
+        nacre.import_(source, recipe)
+    assert "\n" not in str(found.value) and str(source) in str(found.value)
+    assert not recipe.exists() and not recipe.with_suffix(".nacre").exists()
+
+
+def test_a_measurement_a_little_above_one_is_kept_and_told(tmp_path: Path) -> None:
+    source = gonio_csv(tmp_path / "bright.csv", 1.1 / np.pi)
+    assert any("1.1 times the light" in remark for remark in import_material(source, tmp_path / "bright.toml"))
+
+
+@pytest.mark.parametrize("key", ["iridescenceThicknessMaximum", "iridescenceIor"])
+@pytest.mark.parametrize("value", ["NaN", "Infinity", "-3.0"])
+def test_a_gltf_that_cannot_be_is_refused_before_a_recipe_is_written(tmp_path: Path, key: str, value: str) -> None:
+    path, recipe = tmp_path / "odd.gltf", tmp_path / "odd.toml"
+    film = f'{{"{key}": {value}}}'
+    path.write_text('{"materials": [{"extensions": {"KHR_materials_iridescence": ' + film + "}}]}")
+    with pytest.raises(NacreError, match="odd.gltf") as found:
+        nacre.import_(path, recipe)
+    assert "\n" not in str(found.value) and not recipe.exists()
+
+
+@pytest.mark.parametrize(("value", "says"), [(34.2, "not per cent"), (-0.3, "below 0")])
+def test_reflectance_in_per_cent_is_refused_by_a_fit(tmp_path: Path, value: float, says: str) -> None:
+    path = tmp_path / "wafer.csv"
+    path.write_text("wavelength_nm,angle_deg,specular_reflectance\n" + f"500,0,{value}\n600,0,{value}\n")
+    with pytest.raises(NacreError, match=says):
+        read_measurement(path)

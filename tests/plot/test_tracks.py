@@ -6,7 +6,7 @@ import pytest
 from nacre import plot
 from nacre.cli import main
 from nacre.errors import NacreError, UnsupportedError
-from nacre.light import spectrum_to_xyz
+from nacre.light import spectrum_to_xyz, xyz_to_lab
 from nacre.materials.material import material
 from nacre.measure.walk_wavelengths import WALK_NM, solve_coarse_walk
 from nacre.plot.material import plot_walk
@@ -94,9 +94,60 @@ def test_the_command_draws_tracks_over_a_number(tmp_path):
         ("tracks", {"over": ("layers[0].thickness_nm", [200.0])}, "at least two values"),
         ("tracks", {"over": ("layers[9].thickness_nm", [200.0, 300.0])}, "layers"),
         ("tracks", {"over": ("layers[0].thickness_nm", [200.0, 300.0]), "angles_deg": [10]}, "not both"),
-        ("ribbon", {"over": ("layers[0].thickness_nm", [200.0, 300.0])}, "only \"tracks\""),
+        ("ribbon", {"over": ("layers[0].thickness_nm", [200.0, 300.0])}, "only tracks"),
+        ("tracks", {"lightness": 0.0}, "over 0"),
+        ("slice", {"lightness": 50.0}, "only \"tracks\""),
+        ("colour-map", {"over": ("layers[0].thickness_nm", [200.0])}, "at least two values"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_drawn_is_one_clear_line(kind, options, words):
     with pytest.raises((NacreError, UnsupportedError), match=words):
         plot.material_figure(film(), kind, **options)
+
+
+def drawn_ab(figure):
+    """The points of the a*, b* panel."""
+    return np.concatenate([np.asarray(c.get_offsets()) for c in figure.axes[1].collections if len(c.get_offsets()) > 3])
+
+
+@pytest.mark.parametrize("lightness", [None, 50.0, 80.0])
+def test_tracks_show_the_samples_own_colours_and_scaled_ones_on_request(lightness):
+    tracks = {"gloss": plot.angle_tracks(film(roughness=0).bsdf(NM), [10.0, 30.0, 50.0, 60.0])["gloss"]}
+    xyz = spectrum_to_xyz(tracks["gloss"].values, NM)
+    if lightness is not None:
+        xyz = xyz * ((lightness + 16) / 116) ** 3 / xyz[:, 1:2]
+    figure = plot.tracks_figure(tracks, NM, lightness=lightness)
+    np.testing.assert_allclose(drawn_ab(figure), xyz_to_lab(xyz)[:, 1:], atol=1e-6)
+
+
+CAVITY = {
+    "family": "film", "substrate": "Al",
+    "layers": [{"material": "Cr", "thickness_nm": 6}, {"material": "SiO2", "thickness_nm": 300}],
+}  # fmt: skip
+
+
+def test_a_colour_map_runs_over_the_layer_that_moves_the_colour():
+    """Six nanometres of chromium over silica: the silica's thickness decides; chromium is opaque long before 1 um."""
+    cavity = material(CAVITY)
+    data = cavity.figure_data("colour-map", wavelengths_nm=NM)
+    assert int(data["layer"]) == 1 and data["thicknesses_nm"][-1] == 1000.0
+    chromium = cavity.figure_data("colour-map", layer=0, wavelengths_nm=NM)["thicknesses_nm"]
+    assert 12.0 <= chromium[-1] <= 100.0
+
+
+@pytest.mark.parametrize("kind", ["colour-map", "chromaticity", "tracks"])
+def test_a_range_without_a_step_runs_over_any_number(tmp_path, kind):
+    recipe = tmp_path / "film.toml"
+    recipe.write_text('family = "film"\nsubstrate = {n = 1.5}\nlayers = [{material = "TiO2", thickness_nm = 60}]\n'
+                      "[surface]\nroughness = 0.2\n[base]\nalbedo = 0.5\n")  # fmt: skip
+    out = tmp_path / "x.png"
+    words = ["plot", str(recipe), "--kind", kind, "--over", "base.albedo=0.2:0.8", "-o", str(out)]
+    with pytest.raises(SystemExit) as end:
+        main(words)
+    assert not end.value.code and out.stat().st_size > 10_000
+
+
+def test_a_colour_map_over_a_number_holds_the_materials_own_colours():
+    over = ("layers[0].thickness_nm", [100.0, 300.0])
+    figure = plot.material_figure(film(), "colour-map", over=over, angles_deg=[0, 60])
+    assert figure.axes[0].get_ylabel() == "layers[0].thickness_nm"

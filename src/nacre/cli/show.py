@@ -16,6 +16,7 @@ PLOT_KINDS = (
     "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity", "tracks",
     "field", "scattering", "structure", "platelet", "microscope",
 )  # fmt: skip
+MAP_STEPS, TRACK_STEPS = 61, 11  # of a range without a step
 SWEEP_ONLY_KINDS = ("gamut", "parallel")
 SWEEP_KINDS = ("gamut", "colour-map", "parallel")
 
@@ -141,14 +142,20 @@ def _read_directions(path: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | No
 @click.option("--angles-deg", default=None, help="Incidence, such as 0,30,60; the default depends on the kind.")
 @click.option("--wavelengths-nm", default=None, help="Such as 380:780:5; default: chosen by the material.")
 @click.option("--illuminant", default="D65", show_default=True)
-@click.option("--over", default=None, metavar="PATH=A:B:STEP", help="Number of the recipe that tracks run over.")
+@click.option(
+    "--over",
+    default=None,
+    metavar="PATH=A:B[:STEP]",
+    help="Number of the recipe that tracks, colour-map or chromaticity run over, such as layers[0].thickness_nm=0:600.",
+)
+@click.option("--lightness", type=float, default=None, metavar="L", help="tracks: scale a*, b* to this L*, such as 50.")
 @click.option("--part", default=None, metavar="NAME", help="Of a sweep's spectrum; default: the brightest stored.")
 @click.option("-o", "output", default=None, metavar="FILE.png|.pdf", help="Default: RECIPE-KIND.png.")
 @common.set_option
 @common.jobs_option
 def plot(
     recipe: str, kind: str | None, angles_deg: str | None, wavelengths_nm: str | None, illuminant: str,
-    over: str | None, part: str | None, output: str | None, changes: tuple[str, ...],
+    over: str | None, lightness: float | None, part: str | None, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Draw a figure of RECIPE, of publication quality, or of a sweep: gamut, colour-map or parallel coordinates."""
     from nacre.files import check_writable
@@ -168,8 +175,10 @@ def plot(
     if is_sweep:
         from nacre.study.sweep_figures import save_sweep_figure
 
-        if changes or wavelengths_nm or over:
-            raise NacreError("--set, --over and --wavelengths-nm are for recipes; a sweep holds finished colours")
+        if changes or wavelengths_nm or over or lightness is not None:
+            raise NacreError(
+                "--set, --over, --lightness and --wavelengths-nm are for recipes; a sweep holds finished colours"
+            )
         save_sweep_figure(recipe, kind, path, angles, part)
         common.note(str(path))
         return
@@ -177,19 +186,32 @@ def plot(
         raise NacreError("--part is for sweeps; a recipe's figure shows every part")
     grid = common.wavelengths(wavelengths_nm)
     material = common.load_material(recipe, changes)
-    plot_material(material, kind, path, angles_deg=angles, wavelengths_nm=grid, illuminant=illuminant, over=_over(over))
+    plot_material(
+        material,
+        kind,
+        path,
+        angles_deg=angles,
+        wavelengths_nm=grid,
+        illuminant=illuminant,
+        over=_over(over, kind),
+        lightness=lightness,
+    )
     common.note(str(path))
 
 
-def _over(text: str | None) -> tuple[str, np.ndarray] | None:
-    """Read `--over PATH=VALUES`."""
+def _over(text: str | None, kind: str) -> tuple[str, np.ndarray] | None:
+    """Read `--over PATH=VALUES`; a range without a step is shared out evenly."""
     if text is None:
         return None
     path, equals, values = text.rpartition("=")
     if not equals or not path:
         raise NacreError(
-            f'--over "{text}" cannot be read; write PATH=A:B:STEP, such as layers[0].thickness_nm=100:500:50'
+            f'--over "{text}" cannot be read; write PATH=A:B or PATH=A:B:STEP, '
+            "such as layers[0].thickness_nm=100:500:50"
         )
+    if values.count(":") == 1 and "," not in values:
+        low, high = common.numbers(values.replace(":", ","), "--over")
+        return path, np.linspace(low, high, MAP_STEPS if kind == "colour-map" else TRACK_STEPS)
     return path, common.numbers(values, "--over")
 
 

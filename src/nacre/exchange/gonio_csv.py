@@ -14,6 +14,7 @@ from nacre.files import atomic_path, plain
 
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "wavelength", "value")
 MAX_BYTES = 1 << 30
+LARGEST_VALUE = 1e12  # no BSDF is near it
 ROUND_TRIP_DIGITS = 9  # float32 survives a decimal round trip with nine significant digits
 
 
@@ -79,6 +80,7 @@ def read_gonio_csv(path: str | Path) -> GonioData:
         bad = (columns[:, index] < 0) | (columns[:, index] > 180)
         if np.any(bad):
             raise NacreError(f"{path}: {name} = {columns[bad][0, index]:g} should lie in [0, 180] degrees")
+    _check_plausible(path, columns)
     waves = np.unique(columns[:, 4])
     pairs, inverse = np.unique(columns[:, :4], axis=0, return_inverse=True)
     values = np.full((len(pairs), len(waves)), np.nan)
@@ -93,6 +95,25 @@ def read_gonio_csv(path: str | Path) -> GonioData:
     np.minimum.at(first, np.ravel(inverse), np.arange(len(columns)))
     order = np.argsort(first)  # keep the file's own order of pairs
     return GonioData(pairs[order], waves, values[order])
+
+
+def _check_plausible(path: str | Path, columns: Array) -> None:
+    """Refuse what no instrument measures.
+
+    Raises:
+        NacreError: a negative or an impossibly large BSDF, or angles that are radians.
+    """
+    values, thetas, phis = columns[:, 5], columns[:, [0, 2]], columns[:, [1, 3]]
+    if values.min() < 0:
+        raise NacreError(f"{path}: value = {values.min():g} is below 0, which no BSDF is; set noise about 0 to 0")
+    if values.max() > LARGEST_VALUE:
+        raise NacreError(f"{path}: value = {values.max():g} is larger than any BSDF (1/sr)")
+    widest = float(thetas.max())
+    if 0.0 < widest <= np.pi / 2 * (1 + 1e-3) and np.abs(phis).max() <= 2 * np.pi * (1 + 1e-3):
+        raise NacreError(
+            f"{path}: no theta is above {widest:.4g} and no phi above {np.abs(phis).max():.4g}: these are radians; "
+            "angles are in degrees"
+        )
 
 
 def read_table(path: str | Path) -> tuple[list[str], Array]:

@@ -25,7 +25,14 @@ from nacre.light.spaces import (
     xyz_to_xyy,
 )
 from nacre.light.tables import ILLUMINANTS, OBSERVERS, Illuminant, illuminant, observer, table_wavelengths_nm
-from nacre.light.tristimulus import spans_colour, spectrum_to_xyz, white_xyz, xyz_weights
+from nacre.light.tristimulus import (
+    lamp_lines_nm,
+    spans_colour,
+    spectrum_to_xyz,
+    white_xyz,
+    with_lamp_lines,
+    xyz_weights,
+)
 from nacre.light.wavelengths import WAVELENGTH_RANGE_NM, colour_step_nm, default_wavelengths
 
 __all__ = [
@@ -49,6 +56,7 @@ __all__ = [
     "illuminant_shift",
     "lab_to_lch",
     "lab_to_xyz",
+    "lamp_lines_nm",
     "lch_to_lab",
     "metamerism",
     "observer",
@@ -63,6 +71,7 @@ __all__ = [
     "srgb_to_hex",
     "table_wavelengths_nm",
     "white_xyz",
+    "with_lamp_lines",
     "xyy_to_xyz",
     "xyz_to_lab",
     "xyz_to_srgb_linear",

@@ -37,6 +37,8 @@ RIBBON_ANGLES_DEG = np.linspace(0.0, 89.0, 179)
 PLOT_SAMPLES = 1024  # the same for a pixel of a figure, the least; a figure of few pairs takes more ...
 PLOT_WALKS = 1 << 16  # ... up to so many together
 MOST_SAMPLES = 1 << 14
+MAP_ANGLES_DEG = np.linspace(0.0, 85.0, 35)
+OVER_KINDS = ("tracks", "colour-map", "chromaticity")
 DIRECTIONAL_KINDS = ("slice", "lobe", "tracks")
 
 
@@ -48,6 +50,7 @@ def material_figure(
     wavelengths_nm: ArrayLike | None = None,
     illuminant: str = "D65",
     over: tuple[str, Sequence[float] | Array] | None = None,
+    lightness: float | None = None,
     evaluate: Callable[[Bsdf, Array, Array], Array] | None = None,
 ) -> Figure:
     """Draw a figure of a material.
@@ -58,7 +61,9 @@ def material_figure(
         angles_deg: of incidence, where the kind has such an axis; sensible ones by default.
         wavelengths_nm: ascending; default: chosen by the material.
         illuminant: under which colours are seen.
-        over: for "tracks", a number of the recipe by its path and the values that it takes; default: the angle.
+        over: for "tracks", "colour-map" and "chromaticity", a number of the recipe by its path and the values that it
+            takes; default: the angle, of a colour-map the family's own choice.
+        lightness: for "tracks", the L* that a*, b* are scaled to; default: the sample's own values.
         evaluate: evaluates a Bsdf with lobes that need a renderer's random walk; such a slice is drawn coarser.
 
     Raises:
@@ -69,11 +74,15 @@ def material_figure(
         raise UnsupportedError(
             f'no figure is of kind "{kind}".{did_you_mean(kind, KINDS)} There are {", ".join(KINDS)}'
         )
-    if over is not None and kind != "tracks":
-        raise UnsupportedError(f'only "tracks" run over a number; "{kind}" does not')
+    if over is not None and kind not in OVER_KINDS:
+        raise UnsupportedError(f'only {", ".join(OVER_KINDS)} run over a number; "{kind}" does not')
+    if lightness is not None and kind != "tracks":
+        raise UnsupportedError(f'only "tracks" are scaled to a lightness; "{kind}" is not')
+    angles = None if angles_deg is None else np.atleast_1d(np.asarray(angles_deg, dtype=float))
     if kind == "tracks":
-        angles = None if angles_deg is None else np.atleast_1d(np.asarray(angles_deg, dtype=float))
-        return material_tracks(material, angles, over, wavelengths_nm, illuminant, evaluate)
+        return material_tracks(material, angles, over, wavelengths_nm, illuminant, evaluate, lightness)
+    if over is not None:
+        return _over_a_number(material, kind, over, angles, wavelengths_nm, illuminant)
     if kind in ("spectrum", "ribbon", "chromaticity"):
         defaults = {"spectrum": SPECTRUM_ANGLES_DEG, "ribbon": RIBBON_ANGLES_DEG, "chromaticity": TRACK_ANGLES_DEG}
         angles = np.atleast_1d(np.asarray(defaults[kind] if angles_deg is None else angles_deg, dtype=float))
@@ -97,6 +106,34 @@ def material_figure(
         angles = np.atleast_1d(np.asarray(angles_deg, dtype=float))
         options.update({"theta_deg": float(angles[0])} if kind == "field" else {"angles_deg": angles})
     return data_figure(kind, _family_data(material, kind, options), illuminant, material.name)
+
+
+def _over_a_number(
+    material: Material,
+    kind: str,
+    over: tuple[str, Sequence[float] | Array],
+    angles_deg: Array | None,
+    wavelengths_nm: ArrayLike | None,
+    illuminant: str,
+) -> Figure:
+    """Draw what a material sends back in all, over a number of its recipe (and the angle, as a colour-map)."""
+    path, steps = over[0], np.asarray(over[1], dtype=float)
+    if len(steps) < 2:
+        raise NacreError(f"over {path}: give at least two values")
+    default = MAP_ANGLES_DEG if kind == "colour-map" else np.zeros(1)
+    angles = default if angles_deg is None else angles_deg
+    made = [material.vary({path: float(step)}) for step in steps]
+    ends = (made[0], made[-1])
+    grid = max((np.asarray(end.model.wavelengths_nm) for end in ends), key=len)
+    nm = grid if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+    spectra = [one.spectrum(np.radians(angles), nm).parts() for one in made]
+    values = np.stack([sum((v for name, v in parts.items() if name.endswith("reflectance")), 0.0 * nm)
+                       for parts in spectra])  # fmt: skip
+    label = ".".join(path.split(".")[-2:])
+    if kind == "chromaticity":
+        labels = [f"{step:.4g}" for step in steps]
+        return chromaticity_figure(values[:, 0], nm, labels, illuminant, f"{material.name}: {label}")
+    return colour_map_figure(angles, steps, values, nm, y_label=label, illuminant=illuminant, title=material.name)
 
 
 def _over_angles(kind: str, spectrum: Spectrum, illuminant: str, name: str) -> Figure:
@@ -198,10 +235,11 @@ def plot_material(
     wavelengths_nm: ArrayLike | None = None,
     illuminant: str = "D65",
     over: tuple[str, Sequence[float] | Array] | None = None,
+    lightness: float | None = None,
 ) -> None:
     """Draw a figure of a material into a PNG, PDF or SVG that carries the recipe; kinds: `nacre.plot.KINDS`.
 
-    `over` names a number of the recipe and its values, for "tracks". Figures over directions show the noise-free
+    `over` and `lightness` as of `material_figure`. Figures over directions show the noise-free
     form (`quality = "fast"`) of a material that has one, unless its recipe names a quality.
 
     Raises:
@@ -210,7 +248,8 @@ def plot_material(
     """
     save_material(
         as_drawn(material, kind, over), kind, path, angles_deg=angles_deg, wavelengths_nm=wavelengths_nm,
-        illuminant=illuminant, over=over, provenance=recipe_provenance(material), evaluate=plot_walk,
+        illuminant=illuminant, over=over, lightness=lightness, provenance=recipe_provenance(material),
+        evaluate=plot_walk,
     )  # fmt: skip
 
 

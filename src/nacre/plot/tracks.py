@@ -121,8 +121,11 @@ def tracks_figure(
     step_label: str = "Difference angle (degrees)",
     illuminant: str = "D65",
     title: str = "",
+    lightness: float | None = None,
 ) -> Figure:
-    """Draw tracks through CIE xy and a*, b* (at lightness 50), and their luminance over the step.
+    """Draw tracks through CIE xy and a*, b*, and their luminance over the step.
+
+    The axes show the sample's own values; the points are coloured as they are at L* 50, so that hues can be told.
 
     Args:
         tracks: by name, "gloss" and "diffuse" as a rule.
@@ -130,7 +133,13 @@ def tracks_figure(
         step_label: what moves.
         illuminant: under which the colours are seen; its white is marked.
         title: over the first panel.
+        lightness: scale a*, b* to this L*, to compare hues of bright gloss and dark body; None: as they are.
+
+    Raises:
+        NacreError: a lightness that is not in (0, 100].
     """
+    if lightness is not None and not 0.0 < lightness <= 100.0:
+        raise NacreError(f"lightness = {lightness:g} is not allowed; it should be over 0 and at most 100")
     white = light.white_xyz(illuminant)
     nm = np.asarray(wavelengths_nm, dtype=float)
     lab = {}
@@ -143,7 +152,7 @@ def tracks_figure(
             xyz = light.spectrum_to_xyz(track.values, nm, illuminant)
             even = MIDDLE_GREY / xyz[:, 1:2]
             colours = shown_colours(track.values * even, nm, illuminant, 1.0)[0]
-            lab[name] = light.xyz_to_lab(xyz * even, white)
+            lab[name] = light.xyz_to_lab(xyz if lightness is None else xyz * _luminance(lightness) / xyz[:, 1:2], white)
             ends = [f"{track.steps[0]:g}", *[""] * (len(colours) - 2), f"{track.steps[-1]:g}"][: len(colours)]
             draw_track(left, light.xyz_to_xyy(xyz)[:, :2], colours, None, LINES[number])
             draw_track(middle, lab[name][:, 1:], colours, ends, LINES[number])
@@ -154,11 +163,15 @@ def tracks_figure(
         panel_title(left, title or "CIE 1931 chromaticity")
         far = max(float(np.abs(values[:, 1:]).max()) for values in lab.values())
         draw_hue_circle(middle, 10.0 * np.ceil(max(30.0, 1.12 * far) / 10.0))
-        panel_title(middle, "CIELAB at L* 50")
+        panel_title(middle, "CIELAB" if lightness is None else f"CIELAB scaled to L* {lightness:g}")
         right.set(xlabel=step_label, ylabel="Luminance (perfect white: 1)", yscale="log")
         panel_title(right, "Luminance")
         small_print(figure, f"illuminant {illuminant}; colours of the points at L* 50")
     return figure
+
+
+def _luminance(lightness: float) -> float:
+    return float(light.lab_to_xyz(np.array([lightness, 0.0, 0.0]), light.white_xyz())[1])
 
 
 def material_tracks(
@@ -168,12 +181,15 @@ def material_tracks(
     wavelengths_nm: Any,
     illuminant: str,
     evaluate: Evaluate | None,
+    lightness: float | None = None,
 ) -> Figure:
-    """Draw the tracks of a material, over the angle or `over` a number of its recipe."""
+    """Draw the tracks of a material, over the angle or `over` a number of its recipe; `lightness` scales a*, b*."""
     if over is None:
         bsdf = solve_coarse_walk(material, wavelengths_nm)
         found = angle_tracks(bsdf, angles_deg, evaluate)
-        return tracks_figure(found, bsdf.wavelengths_nm, illuminant=illuminant, title=material.name)
+        return tracks_figure(
+            found, bsdf.wavelengths_nm, illuminant=illuminant, title=material.name, lightness=lightness
+        )
     if angles_deg is not None:
         raise UnsupportedError("tracks run over the angle or over a number; give angles or a number, not both")
     path, steps = over
@@ -184,4 +200,4 @@ def material_tracks(
     made = [material.vary({path: float(step)}) for step in steps]
     grid = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
     found, nm = number_tracks(made, steps, evaluate, grid)
-    return tracks_figure(found, nm, ".".join(path.split(".")[-2:]), illuminant, material.name)
+    return tracks_figure(found, nm, ".".join(path.split(".")[-2:]), illuminant, material.name, lightness)

@@ -24,6 +24,7 @@ from nacre.recipe.model import show_value
 from nacre.study.tables import FreeSpec, by_path, known_only
 
 PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
+MOST_POWER, LEAST_POWER = 1.1, 0.05  # instruments err by less, at a white's end and at a black's
 MAX_FREE = 12
 SCOUTS_PER_NUMBER = 24
 UNDETERMINED_SHARE = 0.5  # a 95 % half width of half the bounds says nothing that the bounds did not
@@ -135,6 +136,14 @@ def read_measurement(path: str | Path) -> Measured:
         values[i][place] = table[:, names.index(part)]
     if np.isnan(values).any() or len(table) != values[0].size:
         raise NacreError(f"{path}: every angle must be given once at every wavelength")
+    for i, part in enumerate(parts):
+        if values[i].max() > MOST_POWER:
+            raise NacreError(
+                f"{path}: {part} = {values[i].max():g} is above 1; it is a share of the light that arrives, "
+                "not per cent"
+            )
+        if values[i].min() < -LEAST_POWER:
+            raise NacreError(f"{path}: {part} = {values[i].min():g} is below 0")
     if angles.min() < 0 or angles.max() > 90:
         raise NacreError(f"{path}: angle_deg must lie in [0, 90]")
     return Measured("spectrum", waves, values, parts, angles)

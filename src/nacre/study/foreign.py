@@ -9,16 +9,21 @@ import numpy as np
 
 from nacre._version import __version__
 from nacre.bsdf import Bsdf
+from nacre.bsdf.directions import direction
 from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.errors import NacreError
-from nacre.exchange.gonio_csv import read_gonio_csv, write_gonio_csv
+from nacre.exchange.gonio_csv import LARGEST_VALUE, read_gonio_csv, write_gonio_csv
 from nacre.exchange.lobes import delta_lost, gonio_grid, gonio_table, is_isotropic, lost_parts, merl_lobe
 from nacre.exchange.merl import merl_table, read_merl, write_merl
 from nacre.files import write_text
-from nacre.materials.material import Material
+from nacre.materials.material import EXCESS_TOLD, Material, material_from_data
+from nacre.recipe.model import RecipeContext
 from nacre.recipe.toml import dump_toml
 
 MAX_F0 = 0.96  # a real index of 98, which a recipe still takes; a perfect mirror would need an endless one
+ENERGY_ANGLES_DEG = (0.0, 30.0, 60.0)
+MOST_ENERGY = 4.0  # real measurements, and tables made of narrow ones, exceed 1 by tens of per cent
+ROUNDING = 1e-6  # of the largest value
 TENSOR_MAGIC = b"tensor_file\0"
 IMPORTS = ".csv (goniometer), .binary (MERL), .bsdf (RGL tensor or Zemax), .gltf, .mtlx"
 
@@ -113,10 +118,34 @@ def import_material(source: Path, recipe: Path) -> list[str]:
         lobe, remarks = _import_bsdf(source)
     else:
         raise NacreError(f"{source}: is of no known format; nacre imports {IMPORTS}")
+    remarks = [*remarks, *_check_energy(source, lobe)]
     stored = recipe.with_suffix(".nacre")
     Bsdf((lobe,), {"nacre": __version__, "imported": source.name}).save(stored)
     write_text(recipe, dump_toml({"family": "measured", "file": stored.name}))
     return [*remarks, str(stored)]
+
+
+def _check_energy(source: Path, lobe: TableLobe) -> list[str]:
+    """Return a remark where more is sent out than arrives.
+
+    Raises:
+        NacreError: a value that no BSDF has, or a sum that no error of measurement explains.
+    """
+    low, high = float(lobe.values.min()), float(lobe.values.max())
+    if not np.isfinite(low + high) or low < -ROUNDING * high or high > LARGEST_VALUE:
+        raise NacreError(f"{source}: holds BSDF values below 0 or beyond {LARGEST_VALUE:g}; none has them")
+    for angle in ENERGY_ANGLES_DEG:
+        sums = np.sum(lobe.hemispherical(direction(np.radians(angle))), axis=0)
+        worst, nm = float(sums.max()), lobe.wavelengths_nm[int(np.argmax(sums))]
+        if worst > MOST_ENERGY:
+            raise NacreError(
+                f"{source}: sends out {worst:.3g} times the light that arrives at {angle:g} degrees ({nm:g} nm); "
+                "is it in per cent, or multiplied by something?"
+            )
+        if worst > 1.0 + EXCESS_TOLD:
+            where = f"at {angle:g} degrees ({nm:g} nm)"
+            return [f"sends out {worst:.3g} times the light that arrives {where}; kept as it is"]
+    return []
 
 
 def _import_film(source: Path, recipe: Path) -> list[str]:
@@ -128,6 +157,9 @@ def _import_film(source: Path, recipe: Path) -> list[str]:
         from nacre.exchange.materialx import read_materialx
 
         film = read_materialx(source)
+    for name, value in film.__dict__.items():
+        if any(isinstance(v, float) and not np.isfinite(v) for v in np.ravel(np.asarray(value, dtype=object))):
+            raise NacreError(f"{source}: its {name} is not a finite number")
     remarks = []
     base = film.base_ior
     if film.is_metal:
@@ -143,6 +175,10 @@ def _import_film(source: Path, recipe: Path) -> list[str]:
         "layers": [{"material": {"n": film.film_ior}, "thickness_nm": film.thickness_nm}],
         "surface": {"distribution": "ggx", "roughness": film.roughness},
     }  # fmt: skip
+    try:
+        material_from_data(data, RecipeContext("film"))
+    except NacreError as error:  # better no recipe than one that is refused on the next command
+        raise NacreError(f"{source}: holds a film that cannot be: {str(error).removeprefix('film: ')}") from None
     write_text(recipe, dump_toml(data))
     return remarks
 

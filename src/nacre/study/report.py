@@ -31,8 +31,8 @@ from nacre.light import (
 )
 from nacre.materials.material import Material
 from nacre.measure import instruments as geometry
+from nacre.measure.colour_wavelengths import colour_bsdf
 from nacre.measure.evaluate import evaluate_with_error, hemispherical
-from nacre.measure.walk_wavelengths import solve_coarse_walk
 
 SPECULAR_ANGLES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 FLOP_FACTOR, FLOP_POWER, FLOP_BASE = 2.69, 1.11, 0.86  # Alman's flop index
@@ -106,7 +106,7 @@ def make_report(
     Raises:
         NacreError: the material cannot be computed.
     """
-    bsdf = solve_coarse_walk(material)
+    bsdf = colour_bsdf(material, illuminant)
     light = (illuminant, observer)
     wi = direction(np.radians(45.0))
     wo = np.stack([geometry.aspecular_direction(45.0, a) for a in geometry.ASPECULAR_DEG])

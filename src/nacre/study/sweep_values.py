@@ -11,6 +11,7 @@ from nacre.arrays import Array
 from nacre.bsdf.spectrum import Spectrum
 from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.materials.material import Material
+from nacre.measure.colour_wavelengths import colour_spectrum
 
 PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
 
@@ -50,8 +51,8 @@ class Measurement:
             NacreError: the material cannot be computed.
         """
         theta = np.radians(self.angles_deg)
-        # on the material's own grid: fine enough, and wide enough for a colour
-        colours, stored = material.spectrum(theta, seed=seed), None
+        # on the material's own grid, and a narrow-band lamp's lines: fine enough, and wide enough for a colour
+        colours, stored = colour_spectrum(material, theta, self.illuminant, seed), None
         if self.wavelengths_nm is not None:
             stored = material.spectrum(theta, np.asarray(self.wavelengths_nm), seed=seed)
         white = white_xyz(self.illuminant, self.observer)

@@ -14,6 +14,7 @@ from nacre.errors import NacreError, RecipeError
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.materials.material import Material
 from nacre.measure import instruments as geometry
+from nacre.measure.colour_wavelengths import colour_spectrum
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.recipe.model import show_value
 from nacre.study.report import SPECULAR_ANGLES_DEG
@@ -206,7 +207,7 @@ class ColourProbe:
             grid = bsdf.wavelengths_nm
         else:
             # a smooth material needs no table over angles, only its stack at these
-            spectrum = material.spectrum(np.radians(self.angles_deg))
+            spectrum = colour_spectrum(material, np.radians(self.angles_deg), self._light[0])
             reflectance = spectrum.specular_reflectance
             values = (
                 np.zeros((len(self.angles_deg), len(spectrum.wavelengths_nm))) if reflectance is None else reflectance

@@ -7,13 +7,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from nacre.bsdf.tabulate import reflected_lab
 from nacre.errors import UnsupportedError
 from nacre.families.contract import Figure
-from nacre.families.film.material import Film
+from nacre.families.film.material import COLOUR_COSINES, Film
+from nacre.light import delta_e_2000
+from nacre.light.wavelengths import REFERENCE_NM
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.stack import solve as solver
 from nacre.matter.stack.field import field_profile
 from nacre.matter.stack.incoherent import incoherent_powers
+
+MAP_NM = 1000.0  # where a clear layer's colours have all passed once and begin to pale
+OPAQUE_DEPTHS = 3.0  # of penetration: what lies below sends back less than e^-6
+NUDGE = 0.1  # of a thickness, when layers are compared
 
 
 def field(
@@ -45,7 +52,7 @@ def field(
 
 def colour_map(
     film: Film,
-    layer: int = 0,
+    layer: int | None = None,
     thicknesses_nm: ArrayLike | None = None,
     angles_deg: ArrayLike | None = None,
     wavelengths_nm: ArrayLike | None = None,
@@ -53,14 +60,18 @@ def colour_map(
     """Return reflectance over thickness and angle: `thicknesses_nm[t]`, `angles_deg[a]`, `reflectance[t, a, l]`.
 
     Args:
-        layer: which layer's thickness runs, 0 the outermost; its range defaults to 0 ... 1000 nm.
+        layer: which layer's thickness runs, 0 the outermost; default: the one that moves the colour most.
+        thicknesses_nm: default: from 0 to 1000 nm or, where the layer is opaque before that, to three times its
+            penetration depth; in any case to twice its own thickness.
 
     Raises:
         UnsupportedError: the film has no such layer.
     """
+    layer = leading_layer(film) if layer is None else layer
     if not 0 <= layer < len(film.layers):
         raise UnsupportedError(f"layer = {layer} does not exist; the film has {len(film.layers)}")
-    runs = np.linspace(0.0, 1000.0, 201) if thicknesses_nm is None else np.atleast_1d(np.asarray(thicknesses_nm, float))
+    whole = np.linspace(0.0, _reach_nm(film, layer), 201)
+    runs = whole if thicknesses_nm is None else np.atleast_1d(np.asarray(thicknesses_nm, float))
     angles = np.linspace(0.0, 85.0, 86) if angles_deg is None else np.atleast_1d(np.asarray(angles_deg, dtype=float))
     lam = film.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
     d = np.broadcast_to(film.stack.thicknesses_nm, (len(runs), len(film.layers))).copy()
@@ -81,6 +92,27 @@ def colour_map(
         "transmittance": transmittance if tables.transmits else np.zeros_like(transmittance),
         "layer": np.array(layer),
     }
+
+
+def leading_layer(film: Film) -> int:
+    """Return the layer whose thickness moves the colour most: the largest dE00 for a tenth more and a tenth less."""
+    d = film.stack.thicknesses_nm
+    tables = film.tables(film.wavelengths_nm)
+    moved = []
+    for i in range(len(d)):
+        ends = np.stack([d, d])
+        ends[:, i] *= [1.0 - NUDGE, 1.0 + NUDGE]
+        less, more = reflected_lab(tables.outside(ends, COLOUR_COSINES)[0], tables.wavelengths_nm)
+        moved.append(float(np.max(delta_e_2000(less, more))))
+    return int(np.argmax(moved)) if moved else 0
+
+
+def _reach_nm(film: Film, layer: int) -> float:
+    """Return the thickness to which a layer's map runs."""
+    lam = np.linspace(*film.range_nm, 9)
+    k = float(np.min(film.layers[layer].material.n_complex(lam).imag))
+    opaque = OPAQUE_DEPTHS * REFERENCE_NM / (4.0 * np.pi * max(k, 1e-9))
+    return max(min(MAP_NM, opaque), 2.0 * float(film.stack.thicknesses_nm[layer]))
 
 
 def structure(film: Film, wavelength_nm: float = 550.0) -> dict[str, NDArray[Any]]:
