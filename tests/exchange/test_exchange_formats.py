@@ -141,8 +141,10 @@ def test_merl_round_trips_to_its_bins(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_merl(tmp_path / "m.binary"), table, rtol=1e-14)
     raw = (tmp_path / "m.binary").read_bytes()
     assert struct.unpack("<3i", raw[:12]) == SHAPE
-    # the first red value, scaled as the published reader does: value / 1500
-    assert struct.unpack("<d", raw[12:20])[0] / 1500 == pytest.approx(table[0, 0, 0, 0])
+    # the first value of each plane, scaled as the published reader does (Matusik's BRDFRead.cpp)
+    for plane, scale in enumerate((1.0 / 1500.0, 1.15 / 1500.0, 1.66 / 1500.0)):
+        at = 12 + 8 * plane * 90 * 90 * 180
+        assert struct.unpack("<d", raw[at : at + 8])[0] * scale == pytest.approx(table[0, 0, 0, plane])
 
 
 def test_an_imported_merl_has_its_colours() -> None:

@@ -193,9 +193,10 @@ def test_diffuse_term_is_reciprocal(correction):
     assert np.abs(term.coherent - swapped).max() <= 1e-10 * np.abs(term.coherent).max()
 
 
-def test_sparse_monolayer_scatters_as_independent_particles():
-    """S -> 1 and C -> 1: the balance factors go to one."""
-    dense = monolayer(600.0, 75.0, 3.9 + 0.02j, 1.5, 1e-5, 1e-5, lmax=4)
+@pytest.mark.parametrize("correction", CORRECTIONS)
+def test_sparse_monolayer_scatters_as_independent_particles(correction):
+    """S -> 1 and C -> 1, whatever the correction: the balance factors go to one."""
+    dense = monolayer(600.0, 75.0, 3.9 + 0.02j, 1.5, 1e-5, 1e-5, lmax=4, correction=correction)
     plain = dataclasses.replace(dense, correction="none")
     theta = np.array([0.3, 0.9])
     a, b = _solved(dense, theta)[1].coherent, _solved(plain, theta)[1].coherent

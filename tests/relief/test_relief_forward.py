@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.fresnel import coating_reflectance, fresnel_reflectance
 from nacre.families.relief.geometry import brdf_factor
 from nacre.families.relief.kappa_nodes import chebyshev_nodes, interpolation_weights, node_count
 from nacre.families.relief.lines import coefficients, height_gradient, line_basis, line_power, reflection
@@ -106,6 +107,21 @@ def test_a_mirror_has_the_closed_form() -> None:
     power = 4 * np.pi * s**2 * np.exp(-4 * np.pi**2 * s**2 * (u**2 + v**2))
     factor = brdf_factor(u, v, geometry.wi[:, 2, None, None], geometry.cos_o[0], "published")
     assert np.abs(ours - (factor * power)[:, None]).max() <= EXACT * ours.max()
+
+
+def test_the_coating_reflects_at_the_angle_between_the_light_and_the_half_vector() -> None:
+    """cos = w_i . h, drawn from the directions themselves; off the mirror direction it is not half of xi."""
+    tile, geometry = helpers.random_tile(5), helpers.random_slice(6, count=4)
+    n = np.array([1.4 + 0.2j, 0.4 + 2.5j, 2.0 + 0.0j])
+    bare = forward(tile, geometry, 4)
+    coated = forward(tile, geometry, 4, reflectance=coating_reflectance(n))
+    cos_o, visible = geometry.cos_o
+    for i, x, y in np.argwhere(visible):
+        wi = geometry.wi[i]
+        wo = np.array([geometry.psi_x[x] - wi[0], geometry.psi_y[y] - wi[1], cos_o[i, x, y]])
+        half = (wi + wo) / np.linalg.norm(wi + wo)
+        expected = fresnel_reflectance(np.array(wi @ half), n) * bare[i, :, x, y]
+        assert np.abs(coated[i, :, x, y] - expected).max() <= EXACT * bare.max()
 
 
 @pytest.mark.parametrize("prefactor", ["kirchhoff", "published"])
