@@ -7,6 +7,7 @@ numba does not notice a callee changed in another file.
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import shutil
@@ -31,21 +32,20 @@ NO_VERDICT = (5, 70)  # no tests found; the machinery itself failed
 TICK = os.sysconf("SC_CLK_TCK")
 
 
-def above(root: Path, file: str) -> set[Path]:
-    """Return the files whose compiled code may hold code of a file: itself and all that import it, however far."""
+@functools.cache
+def importers(root: Path) -> dict[str, set[str]]:
+    """For each file, all that import it, however far, and itself."""
     graph = import_graph(root)
-    importers: dict[str, set[str]] = {}
-    for module, others in graph.arrows.items():
-        for other in others:
-            importers.setdefault(other, set()).add(module)
-    start = next(m for m, path in graph.files.items() if str(path).endswith(file))
-    found, left = set(), [start]
-    while left:
-        module = left.pop()
-        if module not in found:
-            found.add(module)
-            left += importers.get(module, ())
-    return {graph.files[module] for module in found}
+    name = {module: str(path.relative_to(root)) for module, path in graph.files.items()}
+    found = {file: {file} for file in name.values()}
+    grows = True
+    while grows:
+        before = sum(map(len, found.values()))
+        for module, others in graph.arrows.items():
+            for other in others:
+                found[name[other]] |= found[name[module]]
+        grows = sum(map(len, found.values())) > before
+    return found
 
 
 def forget_compiled(path: Path) -> None:
@@ -67,8 +67,9 @@ class Slot:
         source = self.place / "src"
         shutil.rmtree(source)
         shutil.copytree(self.base / "src", source)
-        for path in above(self.place, mutant["file"]):
-            forget_compiled(path)
+        # compiled code of any of these may hold code of the file
+        for name in importers(self.base)[mutant["file"]]:
+            forget_compiled(self.place / name)
         (self.place / mutant["file"]).write_text(mutant["text"], encoding="utf-8")
 
 
