@@ -14,7 +14,7 @@ from nacre.families.relief.fresnel import coating_reflectance, fresnel_reflectan
 from nacre.families.relief.geometry import brdf_factor
 from nacre.families.relief.kappa_nodes import chebyshev_nodes, interpolation_weights, node_count
 from nacre.families.relief.lines import coefficients, height_gradient, line_basis, line_power, reflection
-from nacre.families.relief.sampling import choose_sampling
+from nacre.families.relief.sampling import _step_limit, choose_sampling
 from nacre.families.relief.slice import SliceGeometry, plan_slice
 from nacre.families.relief.surface import Tile, blur_matrix
 
@@ -175,6 +175,14 @@ def test_chosen_sampling_keeps_its_stated_error(error: float, maps: int = 20) ->
 @pytest.mark.parametrize("error", [1e-2, 1e-3])
 def test_chosen_sampling_keeps_its_stated_error_on_100_maps(error: float) -> None:
     test_chosen_sampling_keeps_its_stated_error(error, maps=100)
+
+
+def test_the_first_guess_of_the_sampling_has_the_phase_steps_of_the_note() -> None:
+    """Section 11.4: errors of 1e-4, 1e-3 and 1e-2 at steps of about 3, 4.4 and 6 rad, and smaller ones below."""
+    errors = np.array([1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 1e-2])
+    steps = np.array([_step_limit(error) for error in errors])
+    np.testing.assert_allclose(steps[[2, 4, 5]], [3.0, 4.4, 6.0])
+    assert np.all(np.diff(steps) > 0)
 
 
 def test_gradient_agrees_with_finite_differences() -> None:
