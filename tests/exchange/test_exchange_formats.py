@@ -243,6 +243,20 @@ def test_an_imported_goniometer_table_is_a_material(tmp_path: Path, film: nacre.
     assert run(["report", str(tmp_path / "m.toml"), "-o", str(tmp_path / "r.json")]) == 0
 
 
+def test_a_stored_material_is_taken_as_measured_and_scaled_only_where_it_is_a_table(
+    tmp_path: Path, film: nacre.Bsdf
+) -> None:
+    film.save(tmp_path / "facets.nacre")
+    plain = {"family": "measured", "file": "facets.nacre"}
+    wi, wo = random_directions(9, 1), random_directions(9, 2)
+    taken = nacre.material(plain, tmp_path).bsdf()
+    np.testing.assert_array_equal(taken.evaluate(wi, wo), film.evaluate(wi, wo))
+    with pytest.raises(UnsupportedError, match="keeps its own wavelengths and scale"):
+        nacre.material(plain, tmp_path).bsdf(film.wavelengths_nm[::2])
+    with pytest.raises(UnsupportedError, match="keeps its own wavelengths and scale"):
+        nacre.material(plain | {"scale": 2.0}, tmp_path).bsdf()
+
+
 def test_scattered_directions_become_a_table_too(film: nacre.Bsdf) -> None:
     from nacre.exchange.gonio_csv import GonioData
 

@@ -186,6 +186,11 @@ BAD = {
     "two densities": ({"monolayer": {"coverage": 0.1, "density_per_um2": 3}}, "coverage or density_per_um2"),
     "radius": ({"radius_nm": 0}, "radius_nm = 0"),
     "density": ({"monolayer": {"density_per_um2": -1}}, "density_per_um2 = -1"),
+    "small negative density": (
+        {"monolayer": {"density_per_um2": -0.5}},
+        "monolayer.density_per_um2 = -0.5 is not allowed; it should be greater than 0",
+    ),
+    "no coverage": ({"monolayer": {"coverage": 0.0}}, "monolayer.coverage = 0"),
     "structure": ({"monolayer": {"coverage": 0.1, "structure": "hard-disc"}}, 'Did you mean "hard-disk"'),
     "correction": ({"model": {"correction": "qca"}}, "correction"),
     "typo": ({"radios_nm": 50}, "radios_nm"),

@@ -114,6 +114,23 @@ def test_without_flakes_a_smooth_coat_is_saunderson_and_a_rough_one_loses_what_f
     assert np.all(same + mirror <= 0.8)
 
 
+def test_a_rough_face_over_black_reflects_as_its_facets_do():
+    """Torrance and Sparrow with GGX and Smith's masking, written from the formulas."""
+    alpha, n = 0.3, 1.575
+    lobe = thinned(layered_lobe(0.0, alpha=(alpha, alpha), albedo=0.0), 47)
+    table = tables(lobe, 0.01)
+    wi, wo = spread_pairs(200, 5)
+    half = (wi + wo) / np.linalg.norm(wi + wo, axis=-1, keepdims=True)
+    cos2 = half[:, 2] ** 2
+    density = 1 / (np.pi * alpha**2 * (cos2 + (1 - cos2) / alpha**2) ** 2)
+    masked = [2 / (1 + np.sqrt(1 + alpha**2 * (1 / w[:, 2] ** 2 - 1))) for w in (wi, wo)]
+    share = fresnel(np.sum(wi * half, axis=-1), n)
+    expected = share * density * masked[0] * masked[1] / (4 * wi[:, 2] * wo[:, 2])
+    np.testing.assert_allclose(
+        table.evaluate(wi, wo), expected[:, None] * np.ones(len(table.wavelengths_nm)), rtol=1e-6
+    )
+
+
 @pytest.mark.parametrize(("effort", "bar"), [(0.3, 0.02), pytest.param(1.0, 0.01, marks=pytest.mark.full)])
 def test_a_smooth_lossless_furnace_is_white(effort, bar):
     """Over a white base the share that comes back to it, r, is divided by 1 - r: its noise is seen most here."""
