@@ -197,6 +197,13 @@ def test_gltf_is_read_the_same_by_a_foreign_library(tmp_path: Path) -> None:
     assert iridescence["iridescenceIor"] == FILM.film_ior
     assert material.pbrMetallicRoughness.baseColorFactor[:3] == list(FILM.base_rgb)
     assert material.pbrMetallicRoughness.roughnessFactor**2 == pytest.approx(FILM.roughness)
+    # a metal lets nothing pass; clear glass behind a film lets all pass that is not reflected
+    assert "KHR_materials_transmission" not in material.extensions
+    clear = ThinFilm(**{**FILM.__dict__, "is_metal": False, "transmits": True})
+    write_gltf(tmp_path / "clear.gltf", clear, "clear")
+    extensions = pygltflib.GLTF2().load(str(tmp_path / "clear.gltf")).materials[0].extensions
+    assert extensions["KHR_materials_transmission"] == {"transmissionFactor": 1.0}
+    assert extensions["KHR_materials_ior"] == {"ior": FILM.base_ior}
     assert read_gltf(tmp_path / "f.gltf") == ThinFilm(**{**FILM.__dict__, "roughness": pytest.approx(FILM.roughness)})
 
 
@@ -220,6 +227,10 @@ def test_a_spectral_slice_round_trips_to_single_precision(tmp_path: Path, film: 
     grid, values = read_slice(tmp_path / "s.exr")
     np.testing.assert_allclose(grid, film.wavelengths_nm, atol=1e-6)
     np.testing.assert_array_equal(values.astype(np.float32), slice_values(film).astype(np.float32))
+    # a cell a degree, seen at its centre: column 9 and row 29 are theta_half = 9.5 and theta_diff = 29.5 degrees
+    assert values.shape[:2] == (90, 90)
+    wi, wo = from_half_difference(*np.radians([9.5, 29.5, 90.0]))
+    np.testing.assert_allclose(values[29, 9], film.evaluate(wi, wo), rtol=1e-5)
 
 
 def test_one_film_on_a_dielectric_is_found_again() -> None:

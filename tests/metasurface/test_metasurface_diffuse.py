@@ -237,6 +237,16 @@ def test_spread_sizes_lose_no_light():
     assert np.abs(total - 1).max() <= 0.02  # the neighbours' mean takes all centres at one height
 
 
+def test_the_order_that_neighbours_exchange_unasked_is_enough():
+    """Against order 4, for the silver of the source; order 2 is not enough."""
+    terms = [
+        _solved(monolayer(500.0, 90.0, 0.05 + 3.1j, 1.5, 0.1, 0.3, lmax=4, **order), np.array([0.5]))[1].coherent
+        for order in ({"interaction_order": 2}, {}, {"interaction_order": 4})
+    ]
+    changes = [np.linalg.norm(t - terms[2]) / np.linalg.norm(terms[2]) for t in terms[:2]]
+    assert changes[1] < 5e-3 < changes[0]
+
+
 @pytest.mark.full
 def test_interaction_order_three_is_enough():
     """What orders 2, 3 and 4 change of the diffuse light, particles of the source."""

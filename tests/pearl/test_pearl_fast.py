@@ -73,6 +73,16 @@ def test_it_is_reciprocal_and_positive(baked, name):
     assert np.all(baked[name][1].evaluate(a * [1, 1, -1], b) == 0)
 
 
+def test_directions_below_the_surface_leave_the_others_alone(baked):
+    """Asked together or one by one, a pair of directions has one value."""
+    table = baked["rough"][1]
+    wi, wo = spread_pairs(12)
+    wo = wo * np.where(np.arange(12) % 3 == 0, -1.0, 1.0)[:, None]
+    together = table.evaluate(wi, wo)
+    np.testing.assert_allclose(together, [table.evaluate(a, b) for a, b in zip(wi, wo)], rtol=1e-12)
+    assert np.all((together > 0).all(axis=1) == (wo[:, 2] > 0))
+
+
 @pytest.mark.render
 @pytest.mark.parametrize("name", CASES)
 def test_it_agrees_with_the_walk_on_the_device(baked, name):

@@ -28,15 +28,18 @@ ENVIRONMENT = ROOT / ".venv-mutants"
 SEED = 20261122
 COUNT = 210
 PROCESSES = 2
+PYTEST = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not full and not gpu"]
+IN_PARALLEL = ["-n", str(PROCESSES), "--dist", "worksteal"]
 SKIPPED = ("docs", "cli", "render_scenes", "test_packaging.py")  # faces and pictures: slow, and far from the physics
 
 
-def environment() -> dict[str, str]:
+def environment(**variables: Path) -> dict[str, str]:
     """Return the environment of all runs of tests: the copy's package, one thread of BLAS, a libLLVM that works."""
+    own = {f"NACRE_MUTANTS_{name}": str(value) for name, value in variables.items()}
     found = sorted((ROOT / ".llvm" / "usr" / "lib").glob("*/libLLVM*.so*"))
     llvm = {"DRJIT_LIBLLVM_PATH": str(found[0])} if found and "DRJIT_LIBLLVM_PATH" not in os.environ else {}
     threads = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
-    return {**os.environ, **llvm, **threads, "PYTHONPATH": f"{BASE / 'src'}:{ROOT}", "NACRE_PROJECT": str(BASE)}
+    return {**os.environ, **own, **llvm, **threads, "PYTHONPATH": f"{BASE / 'src'}:{ROOT}", "NACRE_PROJECT": str(BASE)}
 
 
 def freeze() -> set[str]:
@@ -67,28 +70,35 @@ def test_files() -> list[str]:
 
 def measure_baseline(files: list[str]) -> None:
     """Trace which test reaches which line, then time the tests with all compiled; keep it with what was known."""
-    config = PLACE / "coverage.ini"
-    data = PLACE / "coverage" / "data"
-    shutil.rmtree(data.parent, ignore_errors=True)
-    data.parent.mkdir(parents=True)
-    config.write_text(f"[run]\nsource = src/nacre\nparallel = true\ndata_file = {data}\n", encoding="utf-8")
-    pytest = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not full and not gpu"]
-    parallel = ["-n", str(PROCESSES), "--dist", "worksteal"]
-    trace = ["--cov", f"--cov-config={config}", "--cov-context=test", "--cov-report=", "-W", "ignore"]
-    subprocess.run([*pytest, *parallel, *trace, *files], cwd=BASE, env=environment(), check=False)
-    time_tests(files)
-
-
-def time_tests(files: list[str]) -> None:
-    """Take each test's processor time and outcome, and keep them with the traces."""
-    pytest = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not full and not gpu"]
-    parallel = ["-n", str(PROCESSES), "--dist", "worksteal"]
+    _trace([*IN_PARALLEL, *files], {})
     log = PLACE / "times.log"
     log.unlink(missing_ok=True)
     plugin = ["-p", "no:cov", "-p", "tools.mutants.plugin"]
-    timing = {**environment(), "NACRE_MUTANTS_LOG": str(log)}
-    subprocess.run([*pytest, *parallel, *plugin, *files], cwd=BASE, env=timing, check=False)
+    subprocess.run([*PYTEST, *IN_PARALLEL, *plugin, *files], cwd=BASE, env=environment(LOG=log), check=False)
     keep_baseline()
+
+
+def measure_new_tests(files: list[str]) -> None:
+    """Trace and time the tests of these files that the baseline does not know; one that was changed keeps its own."""
+    listed = subprocess.run(
+        [*PYTEST, "--collect-only", "-p", "no:cov", *files], cwd=BASE, env=environment(), capture_output=True, text=True
+    )
+    known = json.loads((PLACE / "baseline.json").read_text(encoding="utf-8"))["tests"]
+    new = sorted({line for line in listed.stdout.splitlines() if "::" in line} - set(known))
+    plan, log = PLACE / "new.plan", PLACE / "times.log"
+    plan.write_text(json.dumps(new), encoding="utf-8")
+    log.unlink(missing_ok=True)
+    _trace(["-p", "tools.mutants.plugin", *files], {"LOG": log, "PLAN": plan})
+    keep_baseline()
+
+
+def _trace(arguments: list[str], variables: dict[str, Path]) -> None:
+    config, data = PLACE / "coverage.ini", PLACE / "coverage" / "data"
+    shutil.rmtree(data.parent, ignore_errors=True)
+    data.parent.mkdir(parents=True)
+    config.write_text(f"[run]\nsource = src/nacre\nparallel = true\ndata_file = {data}\n", encoding="utf-8")
+    trace = ["--cov", f"--cov-config={config}", "--cov-context=test", "--cov-report=", "-W", "ignore"]
+    subprocess.run([*PYTEST, *trace, *arguments], cwd=BASE, env=environment(**variables), check=False)
 
 
 def keep_baseline() -> None:
@@ -109,11 +119,11 @@ def keep_baseline() -> None:
         elif event.get("outcome") == "passed":
             failed.discard(event["test"])
     traced = _traced()
-    again = {test.partition("::")[0] for lines in traced.values() for tests in lines.values() for test in tests}
+    again = {test for lines in traced.values() for tests in lines.values() for test in tests}
     names = kept.get("tests", [])
     for file, lines in kept.get("lines", {}).items():
         for line, tests in lines.items():
-            old = {names[i] for i in tests if names[i].partition("::")[0] not in again}
+            old = {names[i] for i in tests if names[i] not in again}
             traced.setdefault(file, {}).setdefault(int(line), set()).update(old)
     names = sorted({test for lines in traced.values() for tests in lines.values() for test in tests})
     number = {name: i for i, name in enumerate(names)}
@@ -184,7 +194,10 @@ def main() -> int:
             if begun and any(name.startswith("src/") for name in changed):
                 print("mutants: src has changed since the draw; remove build/mutants to begin anew", file=sys.stderr)
                 return 2
-            measure_baseline([f for f in test_files() if not begun or f in changed])
+            if begun:
+                measure_new_tests([f for f in test_files() if f in changed])
+            else:
+                measure_baseline(test_files())
         drawn = draw_mutants()["drawn"]
         known = latest(PLACE)
         try_mutants(
