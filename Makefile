@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PY := .venv/bin/python
 export NACRE_PROJECT := $(CURDIR)
 
-.PHONY: setup demo test test-full coverage lint docs bench validate wheel clean
+.PHONY: setup demo test test-full coverage mutants lint docs bench validate wheel clean
 
 setup:
 	@bash tools/setup.sh
@@ -23,6 +23,10 @@ coverage: setup
 	@$(PY) -W ignore -m coverage run -m pytest -q -m "not full and not gpu" -n 2 --dist worksteal
 	@$(PY) -m coverage combine -q
 	@$(PY) -m coverage report --skip-covered --sort=cover
+
+# small errors in the physics, and how many the tests notice: up to 90 minutes; a second run goes on where one stopped
+mutants: setup
+	@$(PY) -m tools.mutants $(if $(AGAIN),--again)
 
 lint: setup
 	@$(PY) -m ruff check src tests benchmarks validation tools examples
@@ -44,4 +48,4 @@ docs: setup
 	@$(PY) -m sphinx -W --keep-going -b html docs docs/_build/html
 
 clean:
-	rm -rf .venv .llvm .venv-bench build dist docs/_build
+	rm -rf .venv .llvm .venv-bench .venv-mutants build dist docs/_build

@@ -149,6 +149,20 @@ def test_the_product_never_imports_a_test_oracle() -> None:
     assert who_imports("tmm", "colour", "treams", "miepython", "torch", "smuthi", "pandas") == {}
 
 
+def test_what_physics_is_made_of_cannot_be_changed_afterwards() -> None:
+    """A material that is shared, cached or a key of a cache must stay what it was."""
+    loose = [
+        f"{module}: {node.name}"
+        for module, tree in GRAPH.trees.items()
+        if GRAPH.room(module) in ("light", "matter", "bsdf", "families", "measure", "exchange")
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef)
+        for decorator in map(ast.unparse, node.decorator_list)
+        if "dataclass" in decorator and "frozen=True" not in decorator
+    ]
+    assert loose == []
+
+
 def test_nothing_the_user_supplies_is_ever_run() -> None:
     calls = [
         f"{module}:{node.lineno} calls {node.func.id}"

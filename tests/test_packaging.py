@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from nacre import __version__
+
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -62,4 +64,8 @@ def test_the_wheel_brings_the_examples_of_the_demo(installed: Path) -> None:
 
 
 def test_the_command_is_installed(installed: Path) -> None:
-    assert (installed / "bin" / "nacre").exists()
+    command = [sys.executable, str(installed / "bin" / "nacre"), "--version"]
+    (site,) = installed.glob("lib/python*/site-packages")
+    bare = {**os.environ, "PYTHONPATH": str(site)}
+    said = subprocess.run(command, capture_output=True, text=True, timeout=60, env=bare)
+    assert said.returncode == 0 and __version__ in said.stdout, said.stderr

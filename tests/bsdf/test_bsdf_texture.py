@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from nacre.bsdf.texture import Texture, parse_formula
+from nacre.bsdf.texture_spec import read_grey
 from nacre.errors import RecipeError
 
 
@@ -62,6 +64,17 @@ def test_values_without_meaning_become_the_lower_bound() -> None:
     assert np.all(np.isfinite(texture(np.random.default_rng(1).random((9, 2)))))
     assert float(Texture(2.0, 5.0, formula=parse_formula("log(-1 - u)"))(np.array([0.5, 0.5]))) == 2.0
     assert float(Texture(2.0, 5.0, formula=parse_formula("9"))(np.array([0.5, 0.5]))) == 5.0
+
+
+def test_an_image_of_numbers_is_cut_to_the_range_of_grey(tmp_path: Path) -> None:
+    from PIL import Image
+
+    values = np.array([[-3.0, 0.25, np.nan], [0.75, 7.0, 1.0]], dtype=np.float32)
+    Image.fromarray(values).save(tmp_path / "grey.tif")
+    np.testing.assert_array_equal(read_grey(tmp_path / "grey.tif", "r.toml: k"), [[0, 0.25, 0], [0.75, 1, 1]])
+    whole = np.array([[0, 13107], [65535, 32768]], dtype=np.uint16)
+    Image.fromarray(whole).save(tmp_path / "grey.png")
+    np.testing.assert_allclose(read_grey(tmp_path / "grey.png", "r.toml: k"), whole / 65535)
 
 
 def test_images_are_read_at_texel_centres_and_wrap_round() -> None:

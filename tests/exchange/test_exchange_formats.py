@@ -141,8 +141,10 @@ def test_merl_round_trips_to_its_bins(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_merl(tmp_path / "m.binary"), table, rtol=1e-14)
     raw = (tmp_path / "m.binary").read_bytes()
     assert struct.unpack("<3i", raw[:12]) == SHAPE
-    # the first red value, scaled as the published reader does: value / 1500
-    assert struct.unpack("<d", raw[12:20])[0] / 1500 == pytest.approx(table[0, 0, 0, 0])
+    # the first value of each plane, scaled as the published reader does (Matusik's BRDFRead.cpp)
+    for plane, scale in enumerate((1.0 / 1500.0, 1.15 / 1500.0, 1.66 / 1500.0)):
+        at = 12 + 8 * plane * 90 * 90 * 180
+        assert struct.unpack("<d", raw[at : at + 8])[0] * scale == pytest.approx(table[0, 0, 0, plane])
 
 
 def test_an_imported_merl_has_its_colours() -> None:
@@ -195,6 +197,13 @@ def test_gltf_is_read_the_same_by_a_foreign_library(tmp_path: Path) -> None:
     assert iridescence["iridescenceIor"] == FILM.film_ior
     assert material.pbrMetallicRoughness.baseColorFactor[:3] == list(FILM.base_rgb)
     assert material.pbrMetallicRoughness.roughnessFactor**2 == pytest.approx(FILM.roughness)
+    # a metal lets nothing pass; clear glass behind a film lets all pass that is not reflected
+    assert "KHR_materials_transmission" not in material.extensions
+    clear = ThinFilm(**{**FILM.__dict__, "is_metal": False, "transmits": True})
+    write_gltf(tmp_path / "clear.gltf", clear, "clear")
+    extensions = pygltflib.GLTF2().load(str(tmp_path / "clear.gltf")).materials[0].extensions
+    assert extensions["KHR_materials_transmission"] == {"transmissionFactor": 1.0}
+    assert extensions["KHR_materials_ior"] == {"ior": FILM.base_ior}
     assert read_gltf(tmp_path / "f.gltf") == ThinFilm(**{**FILM.__dict__, "roughness": pytest.approx(FILM.roughness)})
 
 
@@ -218,6 +227,10 @@ def test_a_spectral_slice_round_trips_to_single_precision(tmp_path: Path, film: 
     grid, values = read_slice(tmp_path / "s.exr")
     np.testing.assert_allclose(grid, film.wavelengths_nm, atol=1e-6)
     np.testing.assert_array_equal(values.astype(np.float32), slice_values(film).astype(np.float32))
+    # a cell a degree, seen at its centre: column 9 and row 29 are theta_half = 9.5 and theta_diff = 29.5 degrees
+    assert values.shape[:2] == (90, 90)
+    wi, wo = from_half_difference(*np.radians([9.5, 29.5, 90.0]))
+    np.testing.assert_allclose(values[29, 9], film.evaluate(wi, wo), rtol=1e-5)
 
 
 def test_one_film_on_a_dielectric_is_found_again() -> None:
@@ -239,6 +252,20 @@ def test_an_imported_goniometer_table_is_a_material(tmp_path: Path, film: nacre.
     ours, theirs = film.evaluate(data.wi[keep], data.wo[keep]), material.bsdf().evaluate(data.wi[keep], data.wo[keep])
     assert np.sqrt(np.sum((ours - theirs) ** 2) / np.sum(ours**2)) < 0.1
     assert run(["report", str(tmp_path / "m.toml"), "-o", str(tmp_path / "r.json")]) == 0
+
+
+def test_a_stored_material_is_taken_as_measured_and_scaled_only_where_it_is_a_table(
+    tmp_path: Path, film: nacre.Bsdf
+) -> None:
+    film.save(tmp_path / "facets.nacre")
+    plain = {"family": "measured", "file": "facets.nacre"}
+    wi, wo = random_directions(9, 1), random_directions(9, 2)
+    taken = nacre.material(plain, tmp_path).bsdf()
+    np.testing.assert_array_equal(taken.evaluate(wi, wo), film.evaluate(wi, wo))
+    with pytest.raises(UnsupportedError, match="keeps its own wavelengths and scale"):
+        nacre.material(plain, tmp_path).bsdf(film.wavelengths_nm[::2])
+    with pytest.raises(UnsupportedError, match="keeps its own wavelengths and scale"):
+        nacre.material(plain | {"scale": 2.0}, tmp_path).bsdf()
 
 
 def test_scattered_directions_become_a_table_too(film: nacre.Bsdf) -> None:

@@ -52,6 +52,15 @@ def test_a_rough_film_never_makes_light(distribution: str, recipe: dict, compens
     assert np.max(both_sides(film(**recipe, surface=surface).bsdf(LAM))) <= FURNACE_LIMIT
 
 
+@pytest.mark.parametrize("thickness_nm", [400.0, 4000.0, 15000.0])
+def test_each_fringe_of_a_film_has_twenty_samples(thickness_nm: float) -> None:
+    """Fringes repeat every lambda^2 / (2 n d); two layers of half the thickness make the same fringes."""
+    half = {"material": {"n": 2.0}, "thickness_nm": thickness_nm / 2}
+    grid = film(substrate={"n": 1.5}, layers=[half, half]).wavelengths_nm
+    fringe_nm = 550.0**2 / (2 * 2.0 * thickness_nm)
+    assert np.diff(grid).max() <= min(fringe_nm / 20, 10.0) * (1 + 1e-9)
+
+
 @pytest.mark.parametrize("recipe", [GLASS, {**GLASS, "base": {"albedo": 0.7}}, {"substrate": "Au"}])
 def test_reciprocity_of_whole_films(recipe: dict) -> None:
     bsdf = film(**recipe, surface={"roughness": [0.2, 0.4], "compensate": True}).bsdf(LAM)

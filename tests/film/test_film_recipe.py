@@ -92,6 +92,7 @@ def test_the_preset_yields_to_what_is_given() -> None:
         ({"layers": [{"material": "TiO2", "thickness_nm": 1, "thickness_um": 1}]}, "twice"),
         ({"layers": [{"material": "TiO2", "thickness_nm": True}]}, "thickness"),
         ({"layers": [{"material": "SiO2", "thickness_mm": 1}]}, "incoherent = true"),
+        ({"layers": [{"material": "SiO2", "thickness_nm": 30000.5}]}, "incoherent = true"),
         ({"layers": [{"material": {"n": 1.5, "k": -0.1}, "thickness_nm": 10}]}, "k"),
         ({"layers": [{"material": "SiO2", "thickness_nm": {"formula": "__import__('os')"}}]}, "not allowed"),
         ({"layers": [{"material": "SiO2", "thickness_nm": {"formula": "u**"}}]}, "formula"),

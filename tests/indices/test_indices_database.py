@@ -123,7 +123,10 @@ def test_edge_extrapolation_holds_the_end_values():
 
 
 def test_range_ends_are_inside_whatever_the_rounding():
-    index("main/TiO2/Devore-o").n_complex([0.43 * 1000, 1.53 * 1000, 430 * (1 - 1e-12)])
+    values = index("main/TiO2/Devore-o").n_complex([0.43 * 1000, 1.53 * 1000, 430 * (1 - 1e-12)])
+    # Devore's formula by hand: n^2 = 5.913 + 0.2441 / (um^2 - 0.0803)
+    expected = np.sqrt(5.913 + 0.2441 / (np.array([0.43, 1.53, 0.43]) ** 2 - 0.0803))
+    np.testing.assert_allclose(values.real, expected, rtol=1e-9)
 
 
 def test_gain_in_the_database_is_refused():

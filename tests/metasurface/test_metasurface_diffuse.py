@@ -193,9 +193,10 @@ def test_diffuse_term_is_reciprocal(correction):
     assert np.abs(term.coherent - swapped).max() <= 1e-10 * np.abs(term.coherent).max()
 
 
-def test_sparse_monolayer_scatters_as_independent_particles():
-    """S -> 1 and C -> 1: the balance factors go to one."""
-    dense = monolayer(600.0, 75.0, 3.9 + 0.02j, 1.5, 1e-5, 1e-5, lmax=4)
+@pytest.mark.parametrize("correction", CORRECTIONS)
+def test_sparse_monolayer_scatters_as_independent_particles(correction):
+    """S -> 1 and C -> 1, whatever the correction: the balance factors go to one."""
+    dense = monolayer(600.0, 75.0, 3.9 + 0.02j, 1.5, 1e-5, 1e-5, lmax=4, correction=correction)
     plain = dataclasses.replace(dense, correction="none")
     theta = np.array([0.3, 0.9])
     a, b = _solved(dense, theta)[1].coherent, _solved(plain, theta)[1].coherent
@@ -234,6 +235,16 @@ def test_spread_sizes_lose_no_light():
     layer = monolayer(600.0, 75.0, 3.9, 1.5, 0.1, 0.3, lmax=4)
     total, _ = _solved(_with_sizes(layer, Sizes.of(75.0, 7.5, "lognormal"), 3.9), np.array([0.0, 0.6, 1.2]))
     assert np.abs(total - 1).max() <= 0.02  # the neighbours' mean takes all centres at one height
+
+
+def test_the_order_that_neighbours_exchange_unasked_is_enough():
+    """Against order 4, for the silver of the source; order 2 is not enough."""
+    terms = [
+        _solved(monolayer(500.0, 90.0, 0.05 + 3.1j, 1.5, 0.1, 0.3, lmax=4, **order), np.array([0.5]))[1].coherent
+        for order in ({"interaction_order": 2}, {}, {"interaction_order": 4})
+    ]
+    changes = [np.linalg.norm(t - terms[2]) / np.linalg.norm(terms[2]) for t in terms[:2]]
+    assert changes[1] < 5e-3 < changes[0]
 
 
 @pytest.mark.full

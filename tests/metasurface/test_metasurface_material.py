@@ -126,10 +126,17 @@ def test_spread_radii_keep_both_tables():
     assert lobe.above_free.max() > 0 and lobe.across_free.max() > 0
 
 
-@pytest.mark.parametrize("structure", ["rsa", {"name": "lattice", "jitter": 0.08}])
-def test_measured_arrangements_make_materials(structure):
-    made = material(recipe("Si", monolayer={"coverage": 0.1, "packing": 0.3, "structure": structure}))
-    assert np.all(np.isfinite(made.spectrum([0.3], [500.0]).diffuse_reflectance))
+@pytest.mark.parametrize(
+    ("structure", "least", "most"), [("rsa", 0.7, 1.4), ({"name": "lattice", "jitter": 0.08}, 0, 0.5)]
+)
+def test_measured_arrangements_scatter_by_their_order(structure, least, most):
+    """At one coverage, disks laid at random send out what disks in equilibrium do, a lattice much less."""
+    layer = {"coverage": 0.1, "packing": 0.3}
+    made, disks = (material(recipe("Si", monolayer=m)) for m in (layer | {"structure": structure}, layer))
+    density = 0.1 / (np.pi * made.model.outer_radius_nm**2)
+    assert made.model.structure.density_per_nm2 == pytest.approx(density, rel=0.03)
+    light, usual = (m.spectrum([0.3], [500.0]).diffuse_reflectance for m in (made, disks))
+    assert np.all(least < light / usual) and np.all(light / usual < most) and np.all(light != usual)
 
 
 def test_points_and_sq_files_make_materials(tmp_path):
@@ -146,10 +153,23 @@ def test_points_and_sq_files_make_materials(tmp_path):
     assert abs(float(made.structure_factor(8e-3)) - (1 - 0.7 / np.e)) < 1e-3
 
 
-@pytest.mark.parametrize("kind", ["scattering", "structure"])
-def test_figures_are_fed(kind):
-    data = material(recipe()).figure_data(kind)
-    assert all(np.all(np.isfinite(v)) for v in data.values() if v.dtype.kind == "f")
+def test_the_figure_of_one_particle_is_even_and_has_the_polarisations_of_a_dipole():
+    """A small particle in the open: s is the same all round, p goes with cos^2 of the scattering angle."""
+    small = recipe(radius_nm=8.0, substrate={"n": 1.0}, monolayer={"coverage": 0.001, "packing": 0.001})
+    data = material(small).figure_data("scattering")
+    s, p, angle = data["s"], data["p"], np.radians(data["theta_deg"])
+    np.testing.assert_allclose(s, s[::-1], rtol=1e-9)
+    np.testing.assert_allclose(p, p[::-1], rtol=1e-9, atol=1e-9 * p.max())
+    np.testing.assert_allclose(s / s.max(), 1.0, rtol=0.05)
+    np.testing.assert_allclose(p / s, np.cos(angle) ** 2, atol=0.02)
+
+
+def test_the_figure_of_the_structure_is_the_structure_factor_of_the_layer():
+    made = material(recipe())
+    data = made.figure_data("structure")
+    structure = made.model.structure
+    np.testing.assert_allclose(data["sq"][0], structure.structure_factor(data["q"] / structure.diameter_nm))
+    assert data["sq"][0, 0] < 0.5 and abs(data["sq"][0, -1] - 1) < 0.05  # disks keep apart, and forget at a distance
 
 
 def test_colour_map_covers_density_and_angle():
@@ -166,6 +186,11 @@ BAD = {
     "two densities": ({"monolayer": {"coverage": 0.1, "density_per_um2": 3}}, "coverage or density_per_um2"),
     "radius": ({"radius_nm": 0}, "radius_nm = 0"),
     "density": ({"monolayer": {"density_per_um2": -1}}, "density_per_um2 = -1"),
+    "small negative density": (
+        {"monolayer": {"density_per_um2": -0.5}},
+        "monolayer.density_per_um2 = -0.5 is not allowed; it should be greater than 0",
+    ),
+    "no coverage": ({"monolayer": {"coverage": 0.0}}, "monolayer.coverage = 0"),
     "structure": ({"monolayer": {"coverage": 0.1, "structure": "hard-disc"}}, 'Did you mean "hard-disk"'),
     "correction": ({"model": {"correction": "qca"}}, "correction"),
     "typo": ({"radios_nm": 50}, "radios_nm"),

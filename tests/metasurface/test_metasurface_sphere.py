@@ -74,6 +74,18 @@ def test_sphere_without_a_stack_is_a_mie_sphere():
     assert np.abs(found.absorption / area / mie.absorption - 1).max() < 1e-9
 
 
+@pytest.mark.parametrize("films", [(), ((2.3, 80.0),), ((2.3, 80.0), (1.38, 130.0), (1.9, 40.0))])
+def test_a_clear_stack_reflects_alike_from_both_sides(films):
+    """Stokes: |r| and the power that passes are the same from either side of films that absorb nothing."""
+    below = surface(500.0, 1.5, films)
+    cos_above = np.array([1.0, 0.8, 0.3])
+    cos_below = np.sqrt(1 - (1 - cos_above**2) / 1.5**2)
+    back, through = below.from_below(cos_below)
+    np.testing.assert_allclose(np.abs(back), np.abs(below.reflection(cos_above)), rtol=1e-12)
+    passed = cos_above / (1.5 * cos_below) * np.abs(through) ** 2
+    np.testing.assert_allclose(np.abs(back) ** 2 + passed, 1.0, rtol=1e-12)
+
+
 def test_far_away_stack_is_met_by_the_incident_and_reflected_wave_only():
     """At a great height the operator vanishes as the reflected spherical wave does."""
     near = np.abs(reflection_operator(surface(500.0, 1.5), 90.0, 2, 2)).max()

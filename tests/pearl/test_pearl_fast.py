@@ -73,6 +73,16 @@ def test_it_is_reciprocal_and_positive(baked, name):
     assert np.all(baked[name][1].evaluate(a * [1, 1, -1], b) == 0)
 
 
+def test_directions_below_the_surface_leave_the_others_alone(baked):
+    """Asked together or one by one, a pair of directions has one value."""
+    table = baked["rough"][1]
+    wi, wo = spread_pairs(12)
+    wo = wo * np.where(np.arange(12) % 3 == 0, -1.0, 1.0)[:, None]
+    together = table.evaluate(wi, wo)
+    np.testing.assert_allclose(together, [table.evaluate(a, b) for a, b in zip(wi, wo)], rtol=1e-12)
+    assert np.all((together > 0).all(axis=1) == (wo[:, 2] > 0))
+
+
 @pytest.mark.render
 @pytest.mark.parametrize("name", CASES)
 def test_it_agrees_with_the_walk_on_the_device(baked, name):
@@ -112,6 +122,23 @@ def test_without_flakes_a_smooth_coat_is_saunderson_and_a_rough_one_loses_what_f
     same, _ = table.hemispherical(direction(30.0))
     mirror = table.specular(np.cos(np.radians(30.0))).reflectance
     assert np.all(same + mirror <= 0.8)
+
+
+def test_a_rough_face_over_black_reflects_as_its_facets_do():
+    """Torrance and Sparrow with GGX and Smith's masking, written from the formulas."""
+    alpha, n = 0.3, 1.575
+    lobe = thinned(layered_lobe(0.0, alpha=(alpha, alpha), albedo=0.0), 47)
+    table = tables(lobe, 0.01)
+    wi, wo = spread_pairs(200, 5)
+    half = (wi + wo) / np.linalg.norm(wi + wo, axis=-1, keepdims=True)
+    cos2 = half[:, 2] ** 2
+    density = 1 / (np.pi * alpha**2 * (cos2 + (1 - cos2) / alpha**2) ** 2)
+    masked = [2 / (1 + np.sqrt(1 + alpha**2 * (1 / w[:, 2] ** 2 - 1))) for w in (wi, wo)]
+    share = fresnel(np.sum(wi * half, axis=-1), n)
+    expected = share * density * masked[0] * masked[1] / (4 * wi[:, 2] * wo[:, 2])
+    np.testing.assert_allclose(
+        table.evaluate(wi, wo), expected[:, None] * np.ones(len(table.wavelengths_nm)), rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize(("effort", "bar"), [(0.3, 0.02), pytest.param(1.0, 0.01, marks=pytest.mark.full)])

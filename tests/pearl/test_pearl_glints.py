@@ -175,6 +175,26 @@ def test_what_cannot_be_is_refused_in_one_line(change: dict[str, object], messag
     assert "\n" not in str(caught.value)
 
 
+def test_a_lobe_of_glints_whose_tables_do_not_fit_is_refused(fast: Flaked) -> None:
+    fast.check()
+    for single in (None, np.zeros((2, 2, 2, len(LAM)))):
+        with pytest.raises(ValueError, match="single does not fit"):
+            dataclasses.replace(fast, single=single).check()
+    few = np.ones((2, len(LAM)))
+    dataclasses.replace(fast, base=few).check()  # two nodes are a table
+    with pytest.raises(ValueError, match="base has the shape"):
+        dataclasses.replace(fast, base=few[:1]).check()
+
+
+def test_a_flakes_own_lobe_is_told_as_a_slope_over_the_deviation_of_all_flakes(fast: Flaked) -> None:
+    """Flatness of 2 degrees and diffraction at a disc of 40 um in a resin of 1.5, over a deviation of 0.12."""
+    # half of the half width, 0.51 lambda / diameter, of a disc's diffraction, as a deviation of a Gaussian
+    diffraction = 0.51 / 2 / np.sqrt(2 * np.log(2)) * 0.55 / (1.5 * 40.0)
+    own = np.hypot(np.tan(np.radians(2.0)), diffraction)
+    assert fast.glint_numbers is not None
+    assert fast.glint_numbers[0, WIDTH] == pytest.approx(own / 0.12, rel=1e-4)
+
+
 def test_a_flake_without_a_diameter_is_named() -> None:
     bare = {k: v for k, v in FLAKE.items() if k != "diameter_um"}
     strata = [{**PAINT["strata"][0], "platelets": [FLAKE, bare]}]

@@ -81,6 +81,18 @@ def test_mean_extinction_equals_an_average_over_drawn_normals():
         assert table[a, e, 0] == pytest.approx(values.mean(), abs=4 * values.std() / np.sqrt(200_000) + 1e-4)
 
 
+def test_flakes_turn_about_x_then_y_then_z_of_the_stratum():
+    """By hand: a quarter turn about x lays the normal z along -y; a quarter turn about z then lays -y along +x."""
+    quarter = np.pi / 2
+    turned = rotation_matrix(np.array([quarter, 0.0, quarter]))
+    np.testing.assert_allclose(turned @ [0, 0, 1], [1, 0, 0], atol=1e-12)
+    # about x: y to z; about y: z to x
+    np.testing.assert_allclose(rotation_matrix(np.array([quarter, quarter, 0.0])) @ [0, 1, 0], [1, 0, 0], atol=1e-12)
+    flakes = FlakeNormals(np.array([0.1, 0.1]), turned)
+    assert flakes.projected_area(np.array([1.0, 0.0, 0.0])) == pytest.approx(1.0)
+    assert flakes.projected_area(np.array([0.0, 0.0, 1.0])) == pytest.approx(0.1)
+
+
 def test_number_of_flakes_is_the_notes():
     assert optical_number(0.132, 150e3, 560.44 + 280) == pytest.approx(23.6, abs=0.05)
     assert optical_number(0.099, 150e3, 80 + 170) == pytest.approx(59.4, abs=0.05)
@@ -99,6 +111,23 @@ def test_spheres_of_dye_scatter_as_miepython_says():
         mu = np.linspace(-1, 1, len(found.phase))
         mean = 2 * np.pi * np.trapezoid(found.phase[:, i] * mu, mu)
         assert mean == pytest.approx(g, abs=2e-3)
+
+
+@pytest.mark.parametrize("spread", [Thickness(3.0, 1.5, "lognormal"), Thickness(3.0, 0.8)])
+def test_small_pigments_absorb_by_their_volume_and_scatter_by_the_square_of_it(spread):
+    """Rayleigh's limit: absorption k Im(alpha) goes with a^3, scattering with a^6, each over the mean volume."""
+    lam = np.array([600.0])
+    pigment = IndexSpec.model_validate({"n": 1.8, "k": 0.4}).build()
+    resin, thickness, share = 1.5, 1e5, 0.01
+    found = dye_response(Dye(pigment, share, spread), np.full(1, resin), thickness, lam)
+    m2 = ((1.8 + 0.4j) / resin) ** 2
+    contrast, k = (m2 - 1) / (m2 + 2), 2 * np.pi * resin / 600.0
+    absorbed = share * thickness * 3 * k * contrast.imag
+    radii, weights = spread.nodes(40)
+    mean3, mean6 = weights @ radii**3, weights @ radii**6
+    scattered = share * thickness * 2 * k**4 * abs(contrast) ** 2 * mean6 / mean3
+    assert found.extinction[0] - found.scattering[0] == pytest.approx(absorbed, rel=1e-2)
+    assert found.scattering[0] == pytest.approx(scattered, rel=2e-2)
 
 
 def test_the_dyes_phase_function_is_normalised_and_its_quantiles_fit():

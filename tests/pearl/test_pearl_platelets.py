@@ -116,6 +116,19 @@ def test_a_coating_that_varies_is_averaged_too():
     assert error.max() < AWAY_FROM_GRAZING
 
 
+@pytest.mark.parametrize("deviation", [40.0, 250.0])
+def test_a_lognormal_thickness_has_the_mean_and_the_deviation_that_are_asked_for(deviation):
+    """Not the median: at a deviation of 250 nm the median of a mean of 500 nm is 447 nm."""
+    spread = Thickness(500.0, deviation, "lognormal")
+    nodes, weights = spread.nodes(60)
+    assert weights.sum() == pytest.approx(1, abs=1e-12)
+    assert weights @ nodes == pytest.approx(500.0, rel=1e-9)
+    assert np.sqrt(weights @ (nodes - 500.0) ** 2) == pytest.approx(deviation, rel=1e-6)
+    # half of the flakes are thinner than the median, mean / sqrt(1 + (deviation/mean)^2)
+    median = 500.0 / np.sqrt(1 + (deviation / 500.0) ** 2)
+    assert np.interp(median, nodes, np.cumsum(weights) - weights / 2) == pytest.approx(0.5, abs=1e-3)
+
+
 def test_a_narrow_distribution_tends_to_one_thickness():
     one = platelet_response(CASES["one thickness"], np.full(3, PET), COS, LAM).reflectance
     narrow = Platelet(MICA, Thickness(400, 1e-3), (coating(TIO2, 60),))

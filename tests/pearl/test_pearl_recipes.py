@@ -95,6 +95,7 @@ def test_there_are_nine_bottles_three_cars_and_three_fits():
         ("base", {"albedo": 1.5}, "albedo"),
         ("quality", "best", "quality"),
         (FLAKE + "substrate", {"material": "mica", "histogram": "none.csv"}, "none.csv"),
+        (FLAKE + "substrate", {"material": "mica", "histogram": "h.csv", "deviation_nm": 0.5}, "no meaning beside"),
     ],
 )
 def test_bad_input_is_one_clear_line(path, value, words):

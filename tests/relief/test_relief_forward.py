@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.fresnel import coating_reflectance, fresnel_reflectance
 from nacre.families.relief.geometry import brdf_factor
 from nacre.families.relief.kappa_nodes import chebyshev_nodes, interpolation_weights, node_count
 from nacre.families.relief.lines import coefficients, height_gradient, line_basis, line_power, reflection
-from nacre.families.relief.sampling import choose_sampling
+from nacre.families.relief.sampling import _step_limit, choose_sampling
 from nacre.families.relief.slice import SliceGeometry, plan_slice
 from nacre.families.relief.surface import Tile, blur_matrix
 
@@ -108,6 +109,21 @@ def test_a_mirror_has_the_closed_form() -> None:
     assert np.abs(ours - (factor * power)[:, None]).max() <= EXACT * ours.max()
 
 
+def test_the_coating_reflects_at_the_angle_between_the_light_and_the_half_vector() -> None:
+    """cos = w_i . h, drawn from the directions themselves; off the mirror direction it is not half of xi."""
+    tile, geometry = helpers.random_tile(5), helpers.random_slice(6, count=4)
+    n = np.array([1.4 + 0.2j, 0.4 + 2.5j, 2.0 + 0.0j])
+    bare = forward(tile, geometry, 4)
+    coated = forward(tile, geometry, 4, reflectance=coating_reflectance(n))
+    cos_o, visible = geometry.cos_o
+    for i, x, y in np.argwhere(visible):
+        wi = geometry.wi[i]
+        wo = np.array([geometry.psi_x[x] - wi[0], geometry.psi_y[y] - wi[1], cos_o[i, x, y]])
+        half = (wi + wo) / np.linalg.norm(wi + wo)
+        expected = fresnel_reflectance(np.array(wi @ half), n) * bare[i, :, x, y]
+        assert np.abs(coated[i, :, x, y] - expected).max() <= EXACT * bare.max()
+
+
 @pytest.mark.parametrize("prefactor", ["kirchhoff", "published"])
 def test_swapping_light_and_eye_changes_nothing(prefactor: str) -> None:
     tile = helpers.random_tile(5)
@@ -161,6 +177,14 @@ def test_chosen_sampling_keeps_its_stated_error_on_100_maps(error: float) -> Non
     test_chosen_sampling_keeps_its_stated_error(error, maps=100)
 
 
+def test_the_first_guess_of_the_sampling_has_the_phase_steps_of_the_note() -> None:
+    """Section 11.4: errors of 1e-4, 1e-3 and 1e-2 at steps of about 3, 4.4 and 6 rad, and smaller ones below."""
+    errors = np.array([1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 1e-2])
+    steps = np.array([_step_limit(error) for error in errors])
+    np.testing.assert_allclose(steps[[2, 4, 5]], [3.0, 4.4, 6.0])
+    assert np.all(np.diff(steps) > 0)
+
+
 def test_gradient_agrees_with_finite_differences() -> None:
     tile, geometry = helpers.random_tile(7), helpers.random_slice(7)
     plan = plan_slice(
@@ -179,11 +203,17 @@ def test_gradient_agrees_with_finite_differences() -> None:
         assert abs(finite - float((gradient * change).sum())) <= GRADIENT * abs(finite)
 
 
-def test_gradient_of_the_lines_is_finite_on_a_mirror() -> None:
+def test_no_small_relief_changes_the_lines_of_a_mirror_to_first_order() -> None:
+    """The mirror's own line is at its largest, the others at zero: whatever the weights, the gradient vanishes."""
     basis = line_basis(12, 4)
     field = reflection(np.zeros((12, 12)), 0.004)
-    transform = coefficients(field, basis)
-    assert np.isfinite(height_gradient(field, transform.pullback(np.ones((9, 9))), basis, 0.004)).all()
+    weights = np.random.default_rng(9).random((9, 9))
+    gradient = height_gradient(field, coefficients(field, basis).pullback(weights), basis, 0.004)
+    assert np.abs(gradient).max() <= EXACT
+    # beside it, the same weights do pull
+    rough = reflection(100.0 * np.random.default_rng(10).random((12, 12)), 0.004)
+    pulled = height_gradient(rough, coefficients(rough, basis).pullback(weights), basis, 0.004)
+    assert np.abs(pulled).max() > 1e-6
 
 
 def test_threads_change_no_more_than_rounding() -> None:

@@ -13,7 +13,7 @@ import nacre
 from nacre.bsdf.bsdf import Bsdf
 from nacre.errors import NacreError, UnsupportedError
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.fresnel import fresnel_reflectance
+from nacre.families.relief.fresnel import coating_reflectance, fresnel_reflectance
 from nacre.families.relief.material import Relief
 from nacre.families.relief.slice import SliceGeometry, plan_slice
 from nacre.families.relief.spectrum_map import spectrum_map
@@ -133,6 +133,19 @@ def test_fresnel_is_that_of_aluminium() -> None:
     assert np.allclose(100 * (values[1:] / values[0] - 1), [-0.1, -0.4, -1.6, -4.7], atol=0.3)
     glass = fresnel_reflectance(np.array([1.0]), np.array([1.5 + 0j]))
     assert abs(glass[0, 0] - 0.04) < EXACT
+
+
+def test_the_stored_lobe_reflects_at_the_angle_between_the_light_and_the_half_vector() -> None:
+    n = np.array([1.4 + 0.2j, 0.4 + 2.5j, 2.0 + 0.0j])
+    maps = [
+        spectrum_map(tile(), Coherence.from_sigma(0.8), WAVELENGTHS, r, bounded=False)[0]
+        for r in (perfect, coating_reflectance(n))
+    ]
+    wi, wo = directions(40, 7), directions(40, 8)
+    half = (wi + wo) / np.linalg.norm(wi + wo, axis=-1, keepdims=True)
+    expected = fresnel_reflectance((wi * half).sum(axis=-1), n) * maps[0].evaluate(wi, wo)
+    # Fresnel is stored on nodes of the cosine
+    assert np.abs(maps[1].evaluate(wi, wo) - expected).max() <= 1e-3 * expected.max()
 
 
 def test_mean_of_the_local_response_is_the_slice() -> None:

@@ -37,6 +37,12 @@ def test_layers_absorb_what_is_neither_reflected_nor_transmitted() -> None:
             assert A.min() >= -ENERGY
 
 
+def test_layers_absorb_nothing_of_light_that_runs_along_them() -> None:
+    r = solve([[1.0], [1.5 + 0.2j], [2.0 + 1j], [1.5]], [50.0, 80.0], [LAM], [0.5, np.pi / 2], absorption=True)
+    for A in (r.A_s, r.A_p):
+        assert A is not None and np.all(A[:, 0] > 0) and np.all(A[:, 1] == 0)
+
+
 def test_absorption_is_the_loss_that_the_field_makes_in_each_layer() -> None:
     # dA/dz = k0 Im(n^2) |E|^2 / (n_0 cos): an integral over the field, not a flux
     nodes, weights = np.polynomial.legendre.leggauss(60)

@@ -70,6 +70,14 @@ def test_work_is_shared_without_gaps_or_overlaps() -> None:
         assert sorted(done) == [(i, j) for i in range(batch) for j in range(angles)]
 
 
+@pytest.mark.parametrize(("batch", "angles"), [(9, 2), (2, 9), (8, 1)])
+def test_work_is_cut_along_the_longer_side(batch: int, angles: int) -> None:
+    pieces: list[tuple[int, int, int, int]] = []
+    jobs.share(lambda *piece: pieces.append(piece), batch, angles, 10**9, 4)
+    assert len(pieces) >= 4  # each thread has something to do
+    assert all((b - a, d - c)[batch >= angles] == min(batch, angles) for a, b, c, d in pieces)
+
+
 def test_an_error_in_a_thread_reaches_the_caller() -> None:
     def fail(*_: int) -> None:
         raise ValueError("lost")

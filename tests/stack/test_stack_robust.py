@@ -12,6 +12,8 @@ import pytest
 from nacre.errors import NacreError
 from nacre.materials.material import material
 from nacre.matter import Layer, Stack, amplitudes, powers, solve
+from nacre.matter.stack.field import field_profile
+from nacre.matter.stack.incoherent import incoherent_powers
 
 _spec = importlib.util.spec_from_file_location("helpers_stack", Path(__file__).with_name("helpers_stack.py"))
 assert _spec is not None and _spec.loader is not None
@@ -85,6 +87,14 @@ def test_a_film_in_which_kz_vanishes_is_right(offset: float, d: float) -> None:
     assert worst([2.0, 1.0, 1.5, 2.0], [d, 70.0], 550.0, cos_i) <= ROBUST
 
 
+@pytest.mark.parametrize("film", [1.2, 1.7, 1.2 + 1e-5j])
+@pytest.mark.parametrize("offset", [0.0, 1e-13, -1e-9, 1e-6, 9e-4, -9e-4])
+def test_a_critical_film_of_any_index_is_right(film: complex, offset: float) -> None:
+    # where n = 1 the weight n^2 of p cannot be seen
+    cos_i = float(np.sqrt(1.0 - (film.real / 2.0) ** 2 + offset / 4))
+    assert worst([2.0, film, 1.5, 2.0], [200.0, 70.0], 550.0, cos_i) <= ROBUST
+
+
 def test_kz_vanishes_exactly_at_a_representable_wavevector() -> None:
     # kappa = n1 = 1 exactly, given directly
     seen = amplitudes([[2.0], [1.0], [2.0]], [200.0], [550.0], kappa=[1.0])
@@ -143,6 +153,19 @@ def test_light_entering_glass_from_an_absorbing_medium_takes_the_right_branch() 
     for k in np.linspace(1e-9, 1e-3, 50):
         seen = amplitudes([[2.877 + 1j * k], [1.2]], [], [500.0], theta_rad=[0.05, 0.1381])
         assert abs(seen.r_s).max() < 0.54 and abs(seen.r_p).max() < 0.54
+
+
+def test_a_trace_of_loss_before_a_stack_changes_what_happens_inside_by_a_trace() -> None:
+    """An imaginary part of kz^2 that is mere rounding, of either sign, must not turn the transmitted wave round."""
+    trace = np.concatenate([[0.0], np.geomspace(1e-12, 1e-8, 60)])
+    lam, angles = np.full(len(trace), 500.0), [0.05, 0.14, 0.3]
+    n = np.stack([2.877 + 1j * trace, *np.multiply.outer([1.6 + 0.3j, 1.9, 1.2], np.ones(len(trace)))])
+    inside = solve(n, [60.0, 80.0], lam, angles, absorption=True)
+    field = field_profile(n, [60.0, 80.0], lam, angles, [30.0, 100.0, 400.0])
+    passed = incoherent_powers(n, [60.0, 3e3], [False, True], lam, angles)
+    for values in (inside.A_s, inside.A_p, inside.T_s, inside.T_p, field.s, field.p, passed.T_s, passed.R_p):
+        assert values is not None
+        assert np.abs(values - values[..., :1]).max() <= 1e-6 * np.abs(values).max()
 
 
 BAD = [

@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 import nacre
+from nacre.light import spectrum_to_xyz
 from nacre.measure import instruments as geometry
 from nacre.study.report import differences, flop_index, gloss, make_report, transmission_haze
 from nacre.study.report_figures import travel_figure
@@ -50,6 +51,24 @@ def test_black_glass_has_one_hundred_gloss_units(angle: float) -> None:
 def test_a_very_slightly_rough_surface_keeps_its_gloss() -> None:
     nearly = GLASS | {"surface": {"roughness": 0.0005}}
     assert gloss(nacre.material(nearly).bsdf(), 20.0) == pytest.approx(100.0, abs=1.0)
+
+
+def test_reflection_haze_is_taken_two_degrees_beside_the_mirror_direction() -> None:
+    """ASTM E430, method B: receptors of 0.4 by 3 degrees at 28, 30 and 32 degrees, here summed on an even grid."""
+    bsdf = nacre.material(GOLD | {"surface": {"roughness": 0.03}}).bsdf()
+    light = bsdf.wavelengths_nm
+    wi = np.array([np.sin(np.radians(30.0)), 0.0, np.cos(np.radians(30.0))])
+    along, across = (np.radians((np.arange(30) + 0.5) / 30 - 0.5) * width for width in (0.4, 3.0))
+    flux = {}
+    for centre in (28.0, 30.0, 32.0):
+        polar, side = (grid.ravel() for grid in np.meshgrid(np.radians(centre) + along, across))
+        wo = np.stack([-np.sin(polar) * np.cos(side), np.sin(side), np.cos(polar) * np.cos(side)], axis=-1)
+        seen = (wo[:, 2] * np.cos(side)) @ bsdf.evaluate(np.broadcast_to(wi, wo.shape), wo)
+        flux[centre] = float(spectrum_to_xyz(seen, light, "C", "2deg")[1])
+    expected = 100 * (flux[28.0] + flux[32.0]) / 2 / flux[30.0]
+    assert 10 < expected < 90  # the angle decides
+    report = make_report(nacre.material(GOLD | {"surface": {"roughness": 0.03}}))
+    assert report.reflection_haze == pytest.approx(expected, rel=2e-3)
 
 
 def test_gloss_haze_and_flop_are_those_of_their_standards_whatever_the_colours_are_seen_by() -> None:

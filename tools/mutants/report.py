@@ -1,0 +1,63 @@
+"""Write benchmarks/MUTANTS.md from what the workers found, and print the score."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+BAR = 0.85
+
+
+def latest(place: Path) -> dict[str, dict[str, Any]]:
+    """Return the last answer for each mutant; one that a test once killed stays killed."""
+    path = place / "results.jsonl"
+    found: dict[str, dict[str, Any]] = {}
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+        answer = json.loads(line)
+        if found.get(answer["id"], {}).get("outcome") != "killed":
+            found[answer["id"]] = answer
+    return found
+
+
+def write_report(root: Path, place: Path) -> int:
+    """Write the score, room by room, and each survivor with a word; return 1 below the bar."""
+    draw = json.loads((place / "draw.json").read_text(encoding="utf-8"))
+    answers = latest(place)
+    notes_file = root / "benchmarks" / "mutants.toml"
+    notes = tomllib.loads(notes_file.read_text(encoding="utf-8")) if notes_file.exists() else {}
+    tried = [m for m in draw["drawn"] if m["id"] in answers]
+    killed = [m for m in tried if answers[m["id"]]["outcome"] == "killed"]
+    by_time = [m for m in killed if answers[m["id"]]["by"] == "time"]
+    share = len(killed) / max(len(tried), 1)
+    rooms, won = (Counter(m["file"].split("/")[2] for m in group) for group in (tried, killed))
+    lines = [
+        "# Mutants", "",
+        f"**{len(killed)} of {len(tried)} killed: {share:.1%}** (bar: {BAR:.0%}). Made by `make mutants`: cosmic-ray's "
+        f"operators, seed {draw['seed']}, drawn uniformly over the {draw['lines']} lines of six rooms that hold a "
+        "mutation, whether a test reaches them or not; equivalents count as survivors. Killed means that a test fails "
+        f"which passed before, or takes three times its time ({len(by_time)} of them), within 60 s.", "",
+        "| room | killed | drawn |", "|---|---|---|",
+    ]  # fmt: skip
+    lines += [f"| {room} | {won[room]} | {rooms[room]} |" for room in sorted(rooms)]
+    if len(tried) < len(draw["drawn"]):
+        lines += ["", f"{len(draw['drawn']) - len(tried)} of those drawn were not tried yet."]
+    lines += ["", "## Survivors", "", "| where | was | became | why it lives |", "|---|---|---|---|"]
+    for m in sorted((m for m in tried if m not in killed), key=lambda m: (m["file"], m["line"])):
+        word = notes.get(m["id"], answers[m["id"]]["why"])
+        where = f"{m['file'].removeprefix('src/nacre/')}:{m['line']}"
+        lines.append(f"| {where} | {_code(m['before'])} | {_code(m['after'])} | {word} |")
+    lines += ["", "## Killed by time", "", "| where | became | test | time |", "|---|---|---|---|"]
+    for m in by_time:
+        where = f"{m['file'].removeprefix('src/nacre/')}:{m['line']}"
+        answer = answers[m["id"]]
+        lines.append(f"| {where} | {_code(m['after'])} | {_code(answer['test'])} | {answer['reason']} |")
+    (root / "benchmarks" / "MUTANTS.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    print(f"mutants: {len(killed)} of {len(tried)} killed, {share:.1%}; benchmarks/MUTANTS.md names the survivors")
+    return int(share < BAR)
+
+
+def _code(text: str) -> str:
+    return "`" + text.replace("|", "\\|").replace("`", "'") + "`"
