@@ -23,7 +23,7 @@ if [ ! -f "$stamp" ] || [ "$(cat "$stamp")" != "$wanted" ]; then
         }
     fi
     echo "setup: installing the pinned packages (a few minutes the first time)"
-    .venv/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[study,exchange,test]' \
+    .venv/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[study,test]' \
         2> >(grep -v 'is ignored: it is neither a file' >&2)
     bash tools/get_llvm.sh
     echo "$wanted" > "$stamp"

@@ -188,3 +188,9 @@ def test_a_design_deeper_than_its_process_is_refused_before_it_is_searched(tmp_p
     with pytest.raises(RecipeError, match="calibration = .*cannot be used"):
         ask("none.csv")
     ask("published")
+
+
+def test_an_unknown_kind_of_target_is_told_the_kinds_and_nothing_of_blends(tmp_path: Path) -> None:
+    with pytest.raises(RecipeError, match="formula") as found:
+        built(tmp_path, 'kind = "formula"\nformula = "u"\nrange = 0.3')
+    assert "blend" not in str(found.value) and "vary" not in str(found.value)

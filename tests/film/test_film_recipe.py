@@ -84,6 +84,8 @@ def test_the_preset_yields_to_what_is_given() -> None:
     ("recipe", "says"),
     [
         ({"sustrate": "Si"}, 'Did you mean "substrate"'),
+        ({"N": 1.5}, 'key N is not known. Did you mean "ambient.n"?'),
+        ({"Substrate": "Si"}, 'key Substrate is not known. Did you mean "substrate"?'),
         ({"layers": [{"material": "TiO3", "thickness_nm": 10}]}, "TiO2"),
         ({"layers": [{"material": "TiO2", "thickness_nm": -1}]}, "layers[0].thickness_nm"),
         ({"layers": [{"material": "TiO2", "thickness_nm": "thick"}]}, "layers[0].thickness_nm"),

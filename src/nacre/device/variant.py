@@ -21,8 +21,7 @@ from nacre.errors import MachineError, UnsupportedError, did_you_mean
 ENVIRONMENT_VARIABLE = "NACRE_VARIANT"
 VARIANTS = ("llvm_ad_spectral", "cuda_ad_spectral", "scalar_spectral")
 SCALAR_WARNING = (
-    "no usable LLVM was found: falling back to scalar_spectral, some hundreds of times slower, good for tiny "
-    "previews only; `nacre doctor` tells how to get LLVM"
+    "{why}: falling back to scalar_spectral, some hundreds of times slower, good for tiny previews only; {what}"
 )
 
 
@@ -81,8 +80,19 @@ def _available(wanted: str | None, mi: ModuleType) -> str:
         if not _why_not(name, mi):
             return name
     # stacklevel: the line that called use_variant
-    warnings.warn(SCALAR_WARNING, RuntimeWarning, stacklevel=3)
+    warnings.warn(_scalar_warning(), RuntimeWarning, stacklevel=3)
     return "scalar_spectral"
+
+
+def _scalar_warning() -> str:
+    """Say why the slowest variant is taken, and what mends it: an LLVM, or the order of imports."""
+    found, _ = llvm.find_llvm()
+    if found is not None and llvm.use_llvm() is None:
+        what = f"import nacre.render first, or set {llvm.ENVIRONMENT_VARIABLE}={found.path}"
+        why = "mitsuba was imported before nacre.render, and the LLVM that it chose fails"
+    else:
+        why, what = "no usable LLVM was found", "`nacre doctor` tells how to get LLVM"
+    return SCALAR_WARNING.format(why=why, what=what)
 
 
 def _why_not(name: str, mi: ModuleType) -> str:

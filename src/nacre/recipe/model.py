@@ -162,15 +162,30 @@ def validate(model: type[RecipeModel], data: Mapping[str, Any], context: RecipeC
     try:
         return model.model_validate(dict(data), context={"recipe": context})
     except pydantic.ValidationError as error:
-        raise RecipeError(_first_line(error, model, context)) from None
+        raise RecipeError(_first_line(error, model, data, context)) from None
 
 
-def _first_line(error: pydantic.ValidationError, model: type[RecipeModel], context: RecipeContext) -> str:
+def _is_texture(data: Any, location: tuple[int | str, ...]) -> bool:
+    """Whether an unknown key stands in a table that could only be a texture or formula: one where a number belongs."""
+    if location[-1] not in TEXTURE_KEYS:
+        return False
+    holder = data
+    for part in location[:-1]:  # members of unions stand in the location, and not in the recipe
+        if isinstance(holder, Mapping) and part in holder:
+            holder = holder[part]
+        elif isinstance(holder, list | tuple) and isinstance(part, int) and part < len(holder):
+            holder = holder[part]
+    return isinstance(holder, Mapping) and set(holder) <= set(TEXTURE_KEYS)
+
+
+def _first_line(
+    error: pydantic.ValidationError, model: type[RecipeModel], data: Mapping[str, Any], context: RecipeContext
+) -> str:
     problems = error.errors(include_url=False)
     # the deepest location is the most telling one when a union of forms was tried
     problem = max(problems, key=lambda p: (p["type"] == "extra_forbidden", len(p["loc"])))
-    key = _key(problem["loc"])
-    is_form = key.rpartition(".")[2] in TEXTURE_KEYS and problem["type"] == "extra_forbidden"
+    key = _key(problem["loc"], ends_in_a_key=problem["type"] == "extra_forbidden")
+    is_form = problem["type"] == "extra_forbidden" and _is_texture(data, problem["loc"])
     is_number = problem["type"] in ("float_type", "int_type") and isinstance(problem["input"], Mapping)
     if is_form or (is_number and set(problem["input"]) & set(TEXTURE_KEYS)):
         what = key.rpartition(".")[0] if is_form else key
@@ -184,10 +199,9 @@ def _first_line(error: pydantic.ValidationError, model: type[RecipeModel], conte
         word = str(problem["loc"][-1])
         hint = did_you_mean(word, sorted(places))
         table = re.sub(r"\[\d+\]", "[]", key).rpartition(".")[0]
-        for name in places:
-            if hint == did_you_mean(name, [name]):  # the same name in another table is no use without its place
-                if f"{table}.{name}".lstrip(".") not in places[name]:
-                    hint = hint.replace(name, places[name][0])
+        meant = next((name for name in places if hint == did_you_mean(name, [name])), None)
+        if meant is not None and f"{table}.{meant}".lstrip(".") not in places[meant]:
+            hint = f' Did you mean "{places[meant][0]}"?'  # the name in another table is no use without its place
         return f"{context.source}: key {key} is not known.{hint}"
     message = problem["msg"].removeprefix("Value error, ").removeprefix("Input should be ").strip()
     message = {"a valid boolean": "true or false", "a valid number": "a number"}.get(message, message)
@@ -203,21 +217,18 @@ def _first_line(error: pydantic.ValidationError, model: type[RecipeModel], conte
     return f"{context.source}: {key} = {show_value(problem['input'])} is not allowed; it should {wish}"
 
 
-def _key(location: tuple[int | str, ...]) -> str:
+def _key(location: tuple[int | str, ...], ends_in_a_key: bool = False) -> str:
+    """Return a location as a path; capitalised parts are names of union members, but for a key that the user wrote."""
     key = ""
-    for part in location:
+    for number, part in enumerate(location, start=1):
+        own = ends_in_a_key and number == len(location)
         if isinstance(part, int):
             key += f"[{part}]"
-        elif part.removeprefix("constrained-") in (
-            "float",
-            "int",
-            "str",
-            "bool",
-        ):  # names of union members, as are capitalised parts
-            continue
-        elif part.isidentifier() and not part[:1].isupper():
+        elif not own and part.removeprefix("constrained-") in ("float", "int", "str", "bool"):
+            continue  # names of union members, as are capitalised parts
+        elif part.isidentifier() and (own or not part[:1].isupper()):
             key += f".{part}" if key else part
-        elif not part[:1].isupper() and "[" not in part:
+        elif own or (not part[:1].isupper() and "[" not in part):
             shown = " ".join(part.split())[:60]  # a key may be any text; the message stays one line
             key += f'."{shown}"' if key else f'"{shown}"'
     return key

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
+from typing import Any, NoReturn
 
 from nacre.device.variant import VARIANTS, import_mitsuba
+from nacre.errors import UnsupportedError
 from nacre.render.loader import from_properties
 
 _installed = False
@@ -24,10 +26,22 @@ def install() -> None:
     register()
 
 
+def _refuse(properties: Any) -> NoReturn:
+    """Say why an RGB, mono or polarised scene holds no `nacre`, where Mitsuba would say "not found"."""
+    import mitsuba as mi
+
+    raise UnsupportedError(
+        f"nacre needs a spectral variant, for a structural colour is a spectrum; this is {mi.variant()}. "
+        f"Use {', '.join(VARIANTS)}"
+    )
+
+
 def register() -> None:
-    """Register the `nacre` BSDF with the current variant, unless its values are not plain spectra."""
+    """Register the `nacre` BSDF with the current variant, or what refuses it where values are not plain spectra."""
     import mitsuba as mi
 
     if mi.variant() not in VARIANTS:
-        return  # an RGB, mono or polarised scene simply does not know "nacre"
+        if mi.variant() is not None:
+            mi.register_bsdf("nacre", _refuse)
+        return
     mi.register_bsdf("nacre", from_properties)

@@ -56,6 +56,9 @@ def subject_parts(shape: str | Path, scene: Scene, up: str | None = None) -> lis
 def read_mesh(path: Path, up: str | None = None) -> Mesh:
     """Read a mesh as one surface with normals and uv, turned so that z is up (`up`: see `subject_parts`).
 
+    Without uv of its own, a mesh is wrapped: u runs once round the vertical axis, v up from the lowest point to the
+    highest.
+
     Raises:
         NacreError: missing, unreadable, empty or too large.
     """
@@ -69,8 +72,11 @@ def read_mesh(path: Path, up: str | None = None) -> Mesh:
         mesh: Any = trimesh.load(str(path), force="mesh", process=False)
         vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
         normals = np.asarray(mesh.vertex_normals, dtype=np.float64)
-    except Exception as error:  # every format's parser raises its own kind; all mean: not a mesh
-        raise NacreError(f"shape {path}: cannot be read as a mesh: {' '.join(str(error).split())[:160]}") from None
+    except Exception:  # every format's parser raises its own kind, in words of its own; all mean: not a mesh
+        raise NacreError(
+            f"shape {path}: cannot be read as a mesh; it is damaged, or of another kind than its ending says "
+            "(.obj, .ply, .stl, .gltf, .glb)"
+        ) from None
     if len(faces) == 0 or len(vertices) == 0:
         raise NacreError(f"shape {path}: holds no triangles")
     if len(faces) > MAX_FACES:
