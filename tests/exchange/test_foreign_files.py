@@ -139,3 +139,12 @@ def test_reflectance_in_per_cent_is_refused_by_a_fit(tmp_path: Path, value: floa
     path.write_text("wavelength_nm,angle_deg,specular_reflectance\n" + f"500,0,{value}\n600,0,{value}\n")
     with pytest.raises(NacreError, match=says):
         read_measurement(path)
+
+
+def test_materialx_is_known_by_its_content(tmp_path: Path) -> None:
+    film = nacre.material({"family": "film", "substrate": {"n": 1.5}, "layers": [{"material": {"n": 1.33},
+                           "thickness_nm": 300}]})  # fmt: skip
+    nacre.export(film, "materialx", tmp_path / "film.mtlx")
+    other = tmp_path / "film.xml"
+    other.write_bytes((tmp_path / "film.mtlx").read_bytes())
+    assert nacre.import_(other, tmp_path / "film.toml").family == "film"

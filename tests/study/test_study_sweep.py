@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import random
 import signal
@@ -19,6 +20,7 @@ from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.materials.material import load, material
 from nacre.measure.colour_wavelengths import colour_bsdf, colour_spectrum
 from nacre.study.plan import load_sweep
+from nacre.study.report import make_report
 from nacre.study.sweep import Store, run_sweep
 from nacre.study.sweep_points import point_seed, read_points
 from nacre.study.sweep_values import Measurement
@@ -270,13 +272,14 @@ def test_two_workers_over_tcp_walk_a_pearl_as_one_does(tmp_path: Path) -> None:
         np.testing.assert_allclose(found[name], values, rtol=ACROSS_PROCESSES, atol=ACROSS_PROCESSES)
 
 
+@pytest.mark.parametrize("observer", ["2deg", "10deg"])
 @pytest.mark.parametrize("lamp", ["D65", "A", "F2", "F11", "LED-B3"])
-def test_a_sweeps_colours_are_within_half_a_de_of_a_fine_grid_under_every_lamp(lamp: str) -> None:
+def test_a_sweeps_colours_are_within_half_a_de_of_a_fine_grid_under_every_lamp(lamp: str, observer: str) -> None:
     """Sixty films; under F11 the material's own 10 nm gave 0.61: its lines need wavelengths of their own."""
     g = np.random.default_rng(0)
     fine = np.arange(360.0, 831.0)
     angles = (0.0, 45.0, 60.0)
-    white = white_xyz(lamp)
+    white = white_xyz(lamp, observer)
     worst = 0.0
     for _ in range(60):
         layers = [
@@ -288,10 +291,10 @@ def test_a_sweeps_colours_are_within_half_a_de_of_a_fine_grid_under_every_lamp(l
                 layer["thickness_nm"] = float(g.uniform(5, 40))
         substrate = str(g.choice(["Si", "Au", "glass", "Cr"]))
         film = material({"family": "film", "substrate": substrate, "layers": layers})
-        found = Measurement(angles, lamp).take(film, 0)["lab_specular_reflectance"]
+        found = Measurement(angles, lamp, observer).take(film, 0)["lab_specular_reflectance"]
         exact = film.spectrum(np.radians(angles), fine).specular_reflectance
         assert exact is not None
-        expected = xyz_to_lab(spectrum_to_xyz(exact, fine, lamp), white)
+        expected = xyz_to_lab(spectrum_to_xyz(exact, fine, lamp, observer), white)
         worst = max(worst, float(np.max(delta_e_2000(found, expected))))
     assert worst <= 0.5
 
@@ -302,3 +305,13 @@ def test_what_keeps_its_wavelengths_is_seen_under_a_narrow_lamp_on_those(tmp_pat
     stored = load(tmp_path / "gold.nacre")
     assert np.array_equal(colour_spectrum(stored, np.zeros(1), "F11").wavelengths_nm, nm)
     assert len(colour_bsdf(stored, "F11").wavelengths_nm) == len(nm)
+
+
+def test_colours_are_labelled_and_of_the_reports_observer(tmp_path: Path) -> None:
+    import zarr
+
+    run_sweep(load_sweep(write_sweep(tmp_path, 2)), tmp_path / "s.zarr", workers=1)
+    group = zarr.open_group(tmp_path / "s.zarr", mode="r")
+    assert group["lab"].attrs["labels"] == ["L*", "a*", "b*"]
+    assert group["xyz"].attrs["labels"] == ["X", "Y", "Z"]
+    assert group.attrs["observer"] == inspect.signature(make_report).parameters["observer"].default == "10deg"

@@ -28,7 +28,8 @@ def stores(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "film.toml").write_text(RECIPE)
     for name, head, axes in (("grid", "", GRID), ("random", 'mode = "sobol"\ncount = 8\n', RANDOM)):
         path = folder / f"{name}.toml"
-        path.write_text(f'recipe = "film.toml"\n{head}[axes]\n{axes}[measure]\nangles_deg = [0, 45]\n')
+        measure = '[measure]\nangles_deg = [0, 45]\nobserver = "2deg"\n'
+        path.write_text(f'recipe = "film.toml"\n{head}[axes]\n{axes}{measure}')
         run_sweep(load_sweep(path), folder / f"{name}.zarr", workers=1)
     return folder
 

@@ -19,7 +19,16 @@ SCENES = "sphere|probe|speedshape|panel|butterfly|bottle|knob|body|screen|SCENE.
 @click.command()
 @click.argument("recipe", metavar="RECIPE|FILE.nacre|DESIGN_DIR")
 @click.option("--scene", default="sphere", show_default=True, metavar=SCENES)
-@click.option("--shape", default=None, metavar="MESH", help="Another object: a scene's name or a mesh file.")
+@click.option(
+    "--shape",
+    default=None,
+    metavar="MESH",
+    help=(
+        "Another object: a scene's name, or a mesh file (obj, ply, stl, gltf). Textures and formulas take its uv: "
+        "u runs to the right of an image and v up. A mesh without uv is wrapped: u once round the vertical axis, "
+        "v from its lowest point up."
+    ),
+)
 @click.option("--up", type=click.Choice(["x", "y", "z"]), default=None, help="Upward axis of the mesh file.")
 @click.option(
     "--light", default=None, metavar="NAME|ENVMAP", help="studio, line, sun, sky, directional, interior, street."

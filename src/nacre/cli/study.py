@@ -156,7 +156,13 @@ def tolerance(
 @click.option(
     "--free", "free", multiple=True, metavar="PATH=LOW:HIGH", help="Let the fit change a number between bounds."
 )
-@click.option("--starts", type=click.IntRange(1, 1000), default=4, show_default=True)
+@click.option(
+    "--starts",
+    type=click.IntRange(1, 1000),
+    default=4,
+    show_default=True,
+    help="Refined starts beside the recipe's own values, which are one more.",
+)
 @click.option(
     "--weights",
     type=click.Choice(["equal", "relative"]),

@@ -20,6 +20,7 @@ from nacre.materials.material import EXCESS_TOLD, Material, material_from_data
 from nacre.recipe.model import RecipeContext
 from nacre.recipe.toml import dump_toml
 
+SNIFFED_BYTES = 4096  # of a file whose name says nothing; comments may stand before the root element
 MAX_F0 = 0.96  # a real index of 98, which a recipe still takes; a perfect mirror would need an endless one
 ENERGY_ANGLES_DEG = (0.0, 30.0, 60.0)
 MOST_ENERGY = 4.0  # real measurements, and tables made of narrow ones, exceed 1 by tens of per cent
@@ -108,7 +109,7 @@ def import_material(source: Path, recipe: Path) -> list[str]:
     if not source.is_file():
         raise NacreError(f"{source}: does not exist")
     suffix = source.suffix.lower()
-    if suffix in (".gltf", ".mtlx"):
+    if suffix in (".gltf", ".mtlx") or _is_materialx(source):
         return _import_film(source, recipe)
     if suffix == ".csv":
         lobe, remarks = gonio_table(read_gonio_csv(source), str(source))
@@ -123,6 +124,15 @@ def import_material(source: Path, recipe: Path) -> list[str]:
     Bsdf((lobe,), {"nacre": __version__, "imported": source.name}).save(stored)
     write_text(recipe, dump_toml({"family": "measured", "file": stored.name}))
     return [*remarks, str(stored)]
+
+
+def _is_materialx(source: Path) -> bool:
+    """Whether a file of whatever name is a MaterialX document: its root element says so."""
+    try:
+        with open(source, "rb") as file:
+            return b"<materialx" in file.read(SNIFFED_BYTES)
+    except OSError:
+        return False
 
 
 def _check_energy(source: Path, lobe: TableLobe) -> list[str]:

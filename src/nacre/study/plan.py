@@ -30,7 +30,7 @@ class MeasureSpec(RecipeModel):
     illuminant: str = pydantic.Field(default="D65", description="illuminant of the colours, such as D65 or A")
     observer: str = pydantic.Field(
         json_schema_extra={"enum": ["2deg", "10deg"]},
-        default="2deg",
+        default="10deg",
         description="observer of the colours: 2deg or 10deg",
     )
     wavelengths_nm: list[float] | None = pydantic.Field(

@@ -29,7 +29,7 @@ class Measurement:
 
     angles_deg: tuple[float, ...] = (0.0, 15.0, 30.0, 45.0, 60.0)
     illuminant: str = "D65"
-    observer: str = "2deg"
+    observer: str = "10deg"
     wavelengths_nm: tuple[float, ...] | None = None
     parts: tuple[str, ...] = ("specular_reflectance",)
 
