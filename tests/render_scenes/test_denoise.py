@@ -31,11 +31,11 @@ def render(material: Any, **options: Any) -> Any:
 def test_grain_goes_and_colours_stay() -> None:
     material = nacre.material(GOLD)
     reference = render(material, spp=256, denoise=False, seed=9).xyz
-    result = render(material, spp=4)
+    result = render(material, spp=16)
     assert result.stats["denoised"] and result.raw is not None
     scale = reference + 0.01
     clean, raw = (np.mean(((picture - reference) / scale) ** 2) for picture in (result.xyz, result.raw))
-    assert clean < 0.2 * raw
+    assert clean < 0.25 * raw
     patches = [np.s_[r : r + 12, c : c + 12] for r in (20, 36, 52) for c in (24, 42, 60)] + [np.s_[82:94, 10:80]]
     white = white_xyz("D65")
     lab = [np.stack([xyz_to_lab(picture[patch].mean(axis=(0, 1)) / 0.6, white) for patch in patches])
