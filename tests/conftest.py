@@ -25,6 +25,9 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 os.environ.setdefault("NUMBA_NUM_THREADS", str(min(8, os.cpu_count() or 1)))
 
+# tests measure pictures as they were rendered; those of the denoiser ask for it
+os.environ["NACRE_DENOISE"] = "0"
+
 NO_RENDER = "cannot render:"
 _not_rendered: list[str] = []
 _why: dict[str, str] = {}

@@ -42,6 +42,7 @@ SCENES = "sphere|probe|speedshape|panel|butterfly|bottle|knob|body|screen|SCENE.
 )
 @click.option("--components", type=click.Choice(["sum", "specular", "diffuse"]), default="sum", show_default=True)
 @click.option("--exposure", default="auto", show_default=True, help='"auto", or stops.')
+@click.option("--denoise/--no-denoise", default=True, show_default=True, help="Take the grain out of the picture.")
 @click.option("--animate", default=None, metavar="light|view|PATH=A:B", help="Turn light or view, or vary a number.")
 @click.option("--frames", type=click.IntRange(2, 100_000), default=48, show_default=True)
 @click.option("-o", "output", default=None, metavar="FILE.png|.exr|.gif|.mp4", help="Default: RECIPE.png (or .gif).")
@@ -50,7 +51,7 @@ SCENES = "sphere|probe|speedshape|panel|butterfly|bottle|knob|body|screen|SCENE.
 def render(
     recipe: str, scene: str, shape: str | None, up: str | None, light: str | None, illuminant: str,
     size: str | None, spp: int | None, seed: int, quality: str | None, components: str, exposure: str,
-    animate: str | None, frames: int, output: str | None, changes: tuple[str, ...],
+    denoise: bool, animate: str | None, frames: int, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Render a material on an object."""
     from nacre.files import check_writable
@@ -64,7 +65,7 @@ def render(
     options: dict[str, Any] = {
         "scene": scene, "shape": shape, "up": up, "light": light, "illuminant": illuminant, "components": components,
         "size": size, "spp": spp, "seed": seed, "quality": quality,
-        "exposure": _exposure(exposure),
+        "exposure": _exposure(exposure), "denoise": denoise,
     }  # fmt: skip
     material = common.load_material(recipe, changes)
     if animate:
@@ -94,6 +95,8 @@ def _summary(path: Path, stats: Mapping[str, Any]) -> str:
     width, height = stats.get("size", ("?", "?"))
     line = f"{path}: {width}x{height}, {stats.get('spp', '?')} samples a pixel, {stats.get('illuminant', '?')}"
     clipped = stats.get("clipped_pixels", 0)
+    if "cannot be imported" in str(stats.get("raw_because", "")):
+        line += f"; not denoised: {stats['raw_because']}"
     return line + (f", {clipped} pixels clipped into sRGB" if clipped else "")
 
 

@@ -43,6 +43,7 @@ class RenderResult:
         path: the file written, if any.
         stats: seconds, spp, exposure_stops, clipped_pixels, interrupted and the rest of the provenance.
         spectral: `[row, column, band]` spectral radiance, where it was asked for, and its `bands_nm`.
+        raw: XYZ as rendered, where `xyz` is denoised.
     """
 
     xyz: Array
@@ -51,6 +52,7 @@ class RenderResult:
     stats: Mapping[str, Any] = field(default_factory=dict)
     spectral: NDArray[np.float32] | None = None
     bands_nm: Array | None = None
+    raw: Array | None = None
 
     @property
     def srgb8(self) -> NDArray[np.uint8]:
@@ -156,7 +158,8 @@ def spectral_channel(wavelength_nm: float) -> str:
 
 
 def write_exr(path: str | Path, result: RenderResult) -> None:
-    """Write a picture's linear light, unexposed and unclipped: R, G, B, and a channel for each band if it has spectra.
+    """Write a picture's linear light, unexposed and unclipped: R, G, B, the same of the layer `raw` if it is
+    denoised, and a channel for each band if it has spectra.
 
     R, G, B are linear sRGB balanced to the light's white, so that white paper is grey in any viewer; spectral
     channels hold the radiance as it is, relative units of which the header says so.
@@ -166,11 +169,12 @@ def write_exr(path: str | Path, result: RenderResult) -> None:
     """
     import OpenEXR
 
-    from nacre.picture.images import provenance
-
     white = white_xyz(str(result.stats.get("illuminant", "D65")))
-    rgb = xyz_to_srgb_linear(adapt_xyz(result.xyz, white, SRGB_WHITE_XYZ)).astype(np.float32)
-    channels: dict[str, Any] = {name: np.ascontiguousarray(rgb[..., i]) for i, name in enumerate("RGB")}
+    channels: dict[str, Any] = {}
+    for layer, xyz in (("", result.xyz), ("raw.", result.raw)):
+        if xyz is not None:
+            rgb = xyz_to_srgb_linear(adapt_xyz(xyz, white, SRGB_WHITE_XYZ)).astype(np.float32)
+            channels |= {f"{layer}{name}": np.ascontiguousarray(rgb[..., i]) for i, name in enumerate("RGB")}
     header: dict[str, Any] = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,

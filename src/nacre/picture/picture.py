@@ -20,6 +20,7 @@ from nacre.bsdf import Bsdf
 from nacre.device.variant import use_variant
 from nacre.errors import NacreError, RecipeError, UnsupportedError
 from nacre.files import check_writable
+from nacre.picture.denoise import denoised, guides, why_not
 from nacre.picture.images import Exposure, RenderResult, develop, encode
 from nacre.picture.lights.named import TURNING_LIGHTS, check_light, make_light
 from nacre.picture.progress import Clock, ProgressCallback, progress_bar
@@ -58,6 +59,7 @@ def render(
     exposure: Exposure = "auto",
     output: str | Path | None = None,
     spectral: bool | None = None,
+    denoise: bool = True,
     light_turn_deg: float = 0.0,
     view_turn_deg: float = 0.0,
     progress: bool | ProgressCallback | None = None,
@@ -81,6 +83,8 @@ def render(
         exposure: "auto" or stops (see `nacre.picture.images`).
         output: .png or .exr file to write.
         spectral: keep spectra too (10 nm bands); None: only for an output that ends in .spectral.exr.
+        denoise: take the grain out; not of glints, which would go with it, and not of spectra. The picture as rendered
+            is the result's `raw`, and the layer `raw` of an .exr.
         light_turn_deg, view_turn_deg: turns light or camera round the object; on the screen: turns the beam round
             the tile's normal, tips the tile.
         progress: True, False, None (a bar where stderr is a terminal) or a function(done, total, seconds_left).
@@ -152,9 +156,15 @@ def render(
     spp = check_spp(default_spp if spp is None else spp)
     stage.set_material(bsdf)
 
+    kept_raw = "spectra are kept" if spectral else "asked for" if not denoise else why_not(bsdf)
     with progress_bar("rendering", progress) as report:
-        frame, bands, done = _passes(stage, view, (width, height), spp, seed, bool(spectral), report)
+        frame, bands, done, guide = _passes(
+            stage, view, (width, height), spp, seed, bool(spectral), not kept_raw, report
+        )
     xyz = np.nan_to_num(frame[..., :3].astype(float), nan=0.0, posinf=0.0, neginf=0.0)
+    raw = None
+    if guide is not None:
+        raw, xyz = xyz, denoised(xyz, *guide)
     stats = {
         **notes,
         "scene": str(scene),
@@ -169,12 +179,14 @@ def render(
         "variant": use_variant().variant(),
         "not_finite_pixels": int(np.count_nonzero(~np.isfinite(frame).all(axis=-1))),
         "interrupted": done < spp,
+        "denoised": raw is not None,
+        **({"raw_because": kept_raw} if kept_raw else {}),
         "light_turn_deg": light_turn_deg,
         "view_turn_deg": view_turn_deg,
     }
     rgb, stops = develop(xyz, balance, exposure)
     stats |= {"exposure_stops": stops, "clipped_pixels": encode(rgb)[1], "seconds": time.perf_counter() - started}
-    result = RenderResult(xyz, rgb, None, stats, frame[..., 3:] if spectral else None, bands if spectral else None)
+    result = RenderResult(xyz, rgb, None, stats, frame[..., 3:] if spectral else None, bands if spectral else None, raw)
     return result.save(output) if output is not None else result
 
 
@@ -225,15 +237,23 @@ def _passes(
     spp: int,
     seed: int,
     spectral: bool,
+    guided: bool,
     report: ProgressCallback,
-) -> tuple[NDArray[np.float32], NDArray[np.float64], int]:
-    """Render pass by pass; return the mean `[row, column, 3 + bands]`, the bands' centres and the spp done.
+) -> tuple[NDArray[np.float32], NDArray[np.float64], int, tuple[NDArray[np.float32], NDArray[np.float32]] | None]:
+    """Render pass by pass.
+
+    Returns:
+        The mean `[row, column, 3 + bands]`, the bands' centres, the spp done, and the denoiser's guides if asked for.
 
     Raises:
         KeyboardInterrupt: before the first pass was done.
     """
     mi = use_variant()
-    film: dict[str, Any] = {"type": "hdrfilm", "pixel_format": "xyz", "rfilter": {"type": "gaussian"}}
+    film: dict[str, Any] = {
+        "type": "hdrfilm",
+        "pixel_format": "xyz",
+        "rfilter": {"type": "box" if guided else "gaussian"},
+    }
     bands = np.zeros(0)
     if spectral:
         from nacre.picture.spectral_film import band_centres, band_film
@@ -264,7 +284,8 @@ def _passes(
         from nacre.picture.spectral_film import bands_to_xyz
 
         mean = np.concatenate([bands_to_xyz(mean, bands), mean], axis=-1)
-    return mean.astype(np.float32), bands, done
+    guide = guides(stage.mitsuba_scene, sensor, _pass_seed(seed, count)) if guided else None
+    return mean.astype(np.float32), bands, done, guide
 
 
 def pass_plan(spp: int, most: int) -> list[int]:

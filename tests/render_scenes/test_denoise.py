@@ -1,0 +1,95 @@
+"""The denoiser: grain goes, colours and fine lines stay, glints and spectra are left alone."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
+
+pytestmark = pytest.mark.render
+
+GOLD = {"family": "film", "substrate": "Au", "surface": {"roughness": 0.25}}
+LARGEST_BIAS = 0.5  # dE00 of a patch's mean colour
+SIZE = (96, 96)
+
+
+@pytest.fixture(autouse=True)
+def allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NACRE_DENOISE", raising=False)
+
+
+def render(material: Any, **options: Any) -> Any:
+    return nacre.render.render(material, size=SIZE, exposure=0.0, **options)
+
+
+def test_grain_goes_and_colours_stay() -> None:
+    material = nacre.material(GOLD)
+    reference = render(material, spp=256, denoise=False, seed=9).xyz
+    result = render(material, spp=16)
+    assert result.stats["denoised"] and result.raw is not None
+    scale = reference + 0.01
+    clean, raw = (np.mean(((picture - reference) / scale) ** 2) for picture in (result.xyz, result.raw))
+    assert clean < 0.25 * raw
+    patches = [np.s_[r : r + 12, c : c + 12] for r in (20, 36, 52) for c in (24, 42, 60)] + [np.s_[82:94, 10:80]]
+    white = white_xyz("D65")
+    lab = [np.stack([xyz_to_lab(picture[patch].mean(axis=(0, 1)) / 0.6, white) for patch in patches])
+           for picture in (result.xyz, result.raw)]  # fmt: skip
+    # against the same samples, whose own error is not the denoiser's
+    assert float(np.mean(delta_e_2000(*lab))) <= LARGEST_BIAS
+
+
+def test_fine_lines_keep_their_contrast() -> None:
+    """Stripes of some four pixels on the sphere: a thickness that makes silver dark and bright by turns."""
+    layer = {"material": "Ge", "thickness_nm": {"formula": "20 + 20*sin(2*pi*90*u)"}}
+    material = nacre.material({"family": "film", "substrate": "Ag", "layers": [layer], "surface": {"roughness": 0.3}})
+    long, short = (render(material, spp=spp, denoise=short, light="sky") for spp, short in ((256, False), (36, True)))
+
+    def contrast(xyz: np.ndarray, pattern: np.ndarray) -> float:
+        rows = xyz[40:60, 40:56, 1]
+        return float(np.sum((rows - rows.mean()) * pattern) / np.sum(pattern**2))
+
+    pattern = long.xyz[40:60, 40:56, 1] - long.xyz[40:60, 40:56, 1].mean()
+    assert pattern.std() > 0.1 * long.xyz[40:60, 40:56, 1].mean()
+    assert contrast(short.xyz, pattern) >= 0.9
+
+
+def test_glints_and_spectra_stay_as_rendered(tmp_path: Path) -> None:
+    from nacre.picture.denoise import why_not
+
+    class Sparkling:
+        kind = "flaked"
+
+    class Masked:
+        kind, inner = "masked", Sparkling()
+
+    class Bsdf:
+        lobes = (Masked(),)
+
+    assert "glints" in why_not(Bsdf())
+    result = render(nacre.material(GOLD), spp=1, spectral=True)
+    assert not result.stats["denoised"] and result.raw is None
+
+
+def test_without_the_package_the_picture_is_raw_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
+    result = render(nacre.material(GOLD), spp=1)
+    assert not result.stats["denoised"] and "cannot be imported" in result.stats["raw_because"]
+
+
+def test_an_exr_holds_the_raw_picture_as_a_layer(tmp_path: Path) -> None:
+    import OpenEXR
+
+    result = render(nacre.material(GOLD), spp=2, output=tmp_path / "a.exr")
+    with OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True) as file:
+        channels = file.channels()
+        assert {"R", "G", "B", "raw.R", "raw.G", "raw.B"} <= set(channels)
+        difference = np.abs(channels["R"].pixels - channels["raw.R"].pixels)
+    assert difference.max() > 0
+    plain = render(nacre.material(GOLD), spp=2, denoise=False)
+    assert plain.raw is None and not plain.stats["denoised"] and result.raw is not None
