@@ -90,6 +90,16 @@ def test_a_mask_read_back_gives_the_levels(tmp_path: Path, to: str, levels: int)
     assert len(facts["level_heights_um"]) == levels and np.abs(heights - truth).max() < 1e-6
 
 
+def test_heights_that_differ_by_rounding_only_share_a_level_of_the_mask(tmp_path: Path) -> None:
+    """A nanometre is a thousandth of a um; what differs by a millionth of that was written as one height."""
+    noise_nm = 2e-7 * np.random.default_rng(2).choice([-1.0, 1.0], (12, 12))
+    heights = 350.0 * (np.add.outer(np.arange(12), np.arange(12)) % 2) + 100.0 + noise_nm
+    material = Relief(Tile(heights, 1600.0, 400.0), Coherence.from_sigma(2.6), index("Al"))
+    path = fabricate(material, "gds", tmp_path / "mask.gds")
+    levels = json.loads(path.with_name(path.name + ".json").read_text())["level_heights_um"]
+    np.testing.assert_allclose(levels, [0.0, 0.35], atol=1e-8)
+
+
 def test_a_mask_of_a_continuous_relief_stays_within_half_a_level(tmp_path: Path) -> None:
     path = fabricate(relief(), "gds", tmp_path / "mask.gds", levels=8)
     facts = json.loads(path.with_name(path.name + ".json").read_text())

@@ -73,6 +73,14 @@ def test_it_is_reciprocal_and_positive(baked, name):
     assert np.all(baked[name][1].evaluate(a * [1, 1, -1], b) == 0)
 
 
+def test_the_share_of_the_face_in_what_is_drawn_is_its_reflectance(baked):
+    """Over uniform nodes of sqrt(cos); a smooth face has Fresnel's, a rough one near the normal almost the same."""
+    cos = np.linspace(0.0, 1.0, len(baked["smooth"][1].albedo)) ** 2
+    inner = cos > 0.01
+    np.testing.assert_allclose(baked["smooth"][1].albedo[inner, 0], fresnel(cos[inner], 1.575), rtol=0.02)
+    assert baked["rough"][1].albedo[-1, 0] == pytest.approx(float(fresnel(np.array(1.0), 1.575)), rel=0.1)
+
+
 def test_directions_below_the_surface_leave_the_others_alone(baked):
     """Asked together or one by one, a pair of directions has one value."""
     table = baked["rough"][1]
