@@ -81,6 +81,16 @@ def test_the_share_of_the_face_in_what_is_drawn_is_its_reflectance(baked):
     assert baked["rough"][1].albedo[-1, 0] == pytest.approx(float(fresnel(np.array(1.0), 1.575)), rel=0.1)
 
 
+@pytest.mark.parametrize("name", ["smooth", "rough"])
+def test_the_shares_of_face_flakes_and_base_add_up_to_what_comes_back(baked, name):
+    table = baked[name][1]
+    cos = np.linspace(0.0, 1.0, len(table.albedo)) ** 2
+    for k in (len(cos) // 2, len(cos) - 1):
+        wi = direction(np.degrees(np.arccos(cos[k])))
+        back = table.hemispherical(wi)[0] + table.specular(cos[k]).reflectance
+        assert table.albedo[k].sum() == pytest.approx(back.mean(), rel=0.02)
+
+
 def test_directions_below_the_surface_leave_the_others_alone(baked):
     """Asked together or one by one, a pair of directions has one value."""
     table = baked["rough"][1]
