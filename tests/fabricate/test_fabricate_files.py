@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from read_back import heights_from_grey, read_grey16, read_levels, read_stl_heig
 from nacre.api import fabricate as fabricate_all
 from nacre.errors import NacreError, UnsupportedError
 from nacre.exchange.calibration import PUBLISHED_CALIBRATION, read_calibration
+from nacre.exchange.height_image import write_png16, write_tiff16
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.material import Relief
 from nacre.families.relief.surface import Tile
@@ -46,6 +48,16 @@ def test_a_grey_image_read_back_gives_the_heights_within_one_level(tmp_path: Pat
     )
     assert error_nm.max() <= facts["nm_per_level"]
     assert facts["pitch_um"] == 1.6 and grey.min() >= 201 and grey.max() <= 989
+
+
+@pytest.mark.parametrize(("write", "name"), [(write_png16, "t.png"), (write_tiff16, "t.tif")])
+def test_a_tile_is_written_once_as_it_is_whatever_its_sides(tmp_path: Path, write: Any, name: str) -> None:
+    for shape in ((3, 20), (20, 3)):
+        tile = np.arange(60, dtype=np.uint16).reshape(shape) * 1000
+        write(tmp_path / name, tile, {"a": 1}, 1.6)
+        grey, facts = read_grey16(tmp_path / name)
+        np.testing.assert_array_equal(grey, tile)
+        assert facts == {"a": 1}
 
 
 @pytest.mark.parametrize("to", ["png16", "tiff16"])
