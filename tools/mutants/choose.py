@@ -100,7 +100,8 @@ class Baseline:
         """Return the tests to run for a mutant on a line, in order."""
         first = self.reaching(file, line)
         homes = {test.partition("::")[0] for test in first}
-        near = {t for t in self.of_file.get(file, set()) if t.partition("::")[0] in homes} - first
+        # what refuses bad input runs none of the lines that say what is bad
+        near = {test for test in self.cost if test.partition("::")[0] in homes} - first
         rest = self.of_file.get(file, set()) - first - near
         readers = [test for test in self.cost if test.startswith(READERS)]
         groups = (self._in_order(file, first), readers, self._in_order(file, near), self._in_order(file, rest))
