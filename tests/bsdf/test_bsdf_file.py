@@ -103,6 +103,9 @@ def test_the_header_says_what_is_inside(stored: Path) -> None:
 
 def test_a_newer_version_is_refused(stored: Path) -> None:
     assert "newer" in refused(edit_header(stored, {"version": VERSION + 1}))
+    # whoever wrote it cannot fill the screen: 40 letters of its name are told
+    said = refused(edit_header(stored, {"version": VERSION + 1, "nacre": "x" * 1000}))
+    assert said.count("x" * 40) == 1 and "x" * 41 not in said
 
 
 @pytest.mark.parametrize("keep", [0, 10, 0.3, 0.9, 0.999])

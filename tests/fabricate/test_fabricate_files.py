@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from read_back import heights_from_grey, read_grey16, read_levels, read_stl_heig
 from nacre.api import fabricate as fabricate_all
 from nacre.errors import NacreError, UnsupportedError
 from nacre.exchange.calibration import PUBLISHED_CALIBRATION, read_calibration
+from nacre.exchange.height_image import write_png16, write_tiff16
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.material import Relief
 from nacre.families.relief.surface import Tile
@@ -75,6 +77,16 @@ def test_an_8_bit_curve_keeps_its_depth_in_16_bits(tmp_path: Path) -> None:
     assert facts["stretched_from_8_bit"] and facts["calibration"] == "machine.csv"
 
 
+@pytest.mark.parametrize(("write", "name"), [(write_png16, "t.png"), (write_tiff16, "t.tif")])
+def test_a_tile_is_written_once_as_it_is_whatever_its_sides(tmp_path: Path, write: Any, name: str) -> None:
+    for shape in ((3, 20), (20, 3)):
+        tile = np.arange(60, dtype=np.uint16).reshape(shape) * 1000
+        write(tmp_path / name, tile, {"a": 1}, 1.6)
+        grey, facts = read_grey16(tmp_path / name)
+        np.testing.assert_array_equal(grey, tile)
+        assert facts == {"a": 1}
+
+
 @pytest.mark.parametrize("to", ["png16", "tiff16"])
 def test_a_wafer_repeats_the_tile_also_over_a_broken_edge(tmp_path: Path, to: str) -> None:
     one, _ = read_grey16(fabricate(relief(), to, tmp_path / f"one.{to[:3]}"))
@@ -115,6 +127,16 @@ def test_a_mask_read_back_gives_the_levels(tmp_path: Path, to: str, levels: int)
     heights = np.array(facts["level_heights_um"])[index_map]
     truth = (material.tile.heights_nm - material.tile.heights_nm.min()) / 1e3
     assert len(facts["level_heights_um"]) == levels and np.abs(heights - truth).max() < 1e-6
+
+
+def test_heights_that_differ_by_rounding_only_share_a_level_of_the_mask(tmp_path: Path) -> None:
+    """A nanometre is a thousandth of a um; what differs by a millionth of that was written as one height."""
+    noise_nm = 2e-7 * np.random.default_rng(2).choice([-1.0, 1.0], (12, 12))
+    heights = 350.0 * (np.add.outer(np.arange(12), np.arange(12)) % 2) + 100.0 + noise_nm
+    material = Relief(Tile(heights, 1600.0, 400.0), Coherence.from_sigma(2.6), index("Al"))
+    path = fabricate(material, "gds", tmp_path / "mask.gds")
+    levels = json.loads(path.with_name(path.name + ".json").read_text())["level_heights_um"]
+    np.testing.assert_allclose(levels, [0.0, 0.35], atol=1e-8)
 
 
 def test_a_mask_of_a_continuous_relief_stays_within_half_a_level(tmp_path: Path) -> None:

@@ -129,6 +129,12 @@ def test_range_ends_are_inside_whatever_the_rounding():
     np.testing.assert_allclose(values.real, expected, rtol=1e-9)
 
 
+def test_an_index_says_which_page_and_which_publication_it_comes_from():
+    key = "main/Ag/Johnson"
+    assert index(key).source == f"{key}: {load_entry(key).reference}"
+    assert "Johnson" in load_entry(key).reference
+
+
 def test_gain_in_the_database_is_refused():
     key = "main/GaP/Jellison"
     model = load_entry(key).model

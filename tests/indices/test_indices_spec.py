@@ -161,3 +161,10 @@ def test_indices_load_neither_scipy_nor_pandas():
     code += "print([m for m in ('scipy', 'pandas', 'matplotlib', 'jax', 'numba') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_file_too_large_to_be_a_table_is_refused_before_it_is_read(tmp_path):
+    with (tmp_path / "nk.csv").open("wb") as file:
+        file.truncate(20_000_001)
+    with pytest.raises(NacreError, match="is larger than 20 MB"):
+        check({"file": "nk.csv"}, tmp_path)

@@ -10,7 +10,7 @@ from read_back import read_layout, read_points_csv
 from nacre.bsdf import Bsdf
 from nacre.errors import MaterialRangeError, NacreError, RecipeError
 from nacre.exchange.point_pattern import write_layout, write_points_csv
-from nacre.families.metasurface.material import MetasurfaceWarning
+from nacre.families.metasurface.material import Metasurface, MetasurfaceWarning
 from nacre.families.metasurface.sphere import ConvergenceRefusal
 from nacre.materials.material import load, material
 
@@ -120,6 +120,17 @@ def test_shell_without_contrast_is_no_shell():
     assert np.abs(plain.diffuse_reflectance - shelled.diffuse_reflectance).max() < 1e-12
 
 
+@pytest.mark.parametrize("name", ["p.gds", "p.oas"])
+def test_a_pattern_without_a_period_is_laid_out_once(tmp_path, name):
+    import gdstk
+
+    xy = np.array([[0.0, 0.0], [1.5, 0.25], [-2.0, 3.0]])
+    assert write_layout(tmp_path / name, xy, 0.09) == 3
+    read = gdstk.read_gds if name.endswith("gds") else gdstk.read_oas
+    (top,) = read(str(tmp_path / name)).top_level()
+    np.testing.assert_allclose(sorted(r.origin for r in top.references), sorted(map(tuple, xy)), atol=1e-3)
+
+
 def test_spread_radii_keep_both_tables():
     lobe = material(recipe(deviation_nm=7)).bsdf([500.0, 600.0]).lobes[1]
     lobe.check()
@@ -170,6 +181,15 @@ def test_the_figure_of_the_structure_is_the_structure_factor_of_the_layer():
     structure = made.model.structure
     np.testing.assert_allclose(data["sq"][0], structure.structure_factor(data["q"] / structure.diameter_nm))
     assert data["sq"][0, 0] < 0.5 and abs(data["sq"][0, -1] - 1) < 0.05  # disks keep apart, and forget at a distance
+
+
+def test_the_colour_map_goes_from_a_tenth_of_the_density_to_what_fits(monkeypatch):
+    # the densities alone are asked for: 21 mean fields a density would take a minute
+    monkeypatch.setattr(Metasurface, "powers", lambda self, cosines, wavelength: (np.zeros((2, len(cosines))),) * 3)
+    made = material(recipe("Si", radius_nm=70))
+    low, *_, high = made.figure_data("colour-map", angles_deg=[0.0])["y"]
+    own = 0.1 / (np.pi * 0.07**2)  # a coverage of a tenth, particles a um^2
+    assert (low, high) == (pytest.approx(0.1 * own), pytest.approx(3 * own))
 
 
 def test_colour_map_covers_density_and_angle():

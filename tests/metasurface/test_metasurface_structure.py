@@ -106,6 +106,20 @@ def test_monte_carlo_disks_have_the_structure_of_baus_colot(packing):
     assert np.sqrt(np.mean((g - baus_colot_pair_correlation(r / a, packing))[far] ** 2)) < 0.03
 
 
+def test_pairs_are_counted_in_three_hundred_rings_unasked():
+    """Against all pairs, one by one, of a small pattern; far apart points know nothing of each other."""
+    xy = np.random.default_rng(5).uniform(0, 1000.0, (400, 2))
+    r, g = patterns.measured_pair_correlation(patterns.Pattern(xy, 1000.0), 300.0)
+    np.testing.assert_allclose(r, np.arange(0.5, 300.0))
+    apart = xy[:, None] - xy
+    apart -= 1000.0 * np.round(apart / 1000.0)
+    distances = np.hypot(*apart[~np.eye(400, dtype=bool)].T)
+    counts = np.histogram(distances, np.arange(301.0))[0]
+    area = np.pi * (np.arange(1.0, 301.0) ** 2 - np.arange(300.0) ** 2)
+    np.testing.assert_allclose(g, counts / (400 * 400 / 1e6 * area), atol=1e-9)
+    assert g[100:].mean() == pytest.approx(1.0, abs=0.02)
+
+
 def test_mesh_structure_factor_is_the_direct_sum():
     pattern = patterns.random_sequential(300, 1.0, 0.3)
     n = np.array([3, 5])

@@ -236,6 +236,16 @@ def test_a_measured_base_sets_the_wavelengths(folder):
         coat(folder, "measured", 1.5).bsdf(np.array([380.0, 500.0]))
 
 
+def test_a_base_measured_farther_than_light_is_seen_leaves_the_wavelengths_alone(folder):
+    wide = np.linspace(300, 900, 13)
+    flat = TableLobe(wide, np.full((5, 5, 4, 1), 0.1), np.ones((1, 13)))
+    Bsdf((flat,)).save(folder / "wide.nacre")
+    (folder / "wide.toml").write_text('family = "measured"\nfile = "wide.nacre"\n')
+    grid = coat(folder, "wide", 1.5).bsdf().wavelengths_nm
+    np.testing.assert_array_equal(grid, coat(folder, "film on a diffuse ground", 1.5).bsdf().wavelengths_nm)
+    assert (grid[0], grid[-1]) == (360.0, 830.0)
+
+
 GLASS = {"family": "film", "substrate": "BK7"}
 PEARL = {"family": "pearl", "strata": [{"resin": {"n": 1.5}, "thickness_um": 5}]}
 REFUSED = {

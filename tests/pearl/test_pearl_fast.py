@@ -12,8 +12,9 @@ from helpers_pearl import direction, dissolved_dye, layered_lobe, lossless_flake
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.directions import hemisphere_nodes
-from nacre.bsdf.facet_distributions import fresnel
+from nacre.bsdf.facet_distributions import fresnel, visible_normals
 from nacre.bsdf.lobes.layered import Layered
+from nacre.families.pearl import fast_walk
 from nacre.families.pearl.fast import bake, check, obstacle, tables
 from nacre.materials.material import material
 
@@ -71,6 +72,36 @@ def test_it_is_reciprocal_and_positive(baked, name):
     assert np.allclose(there, back, rtol=1e-9, atol=1e-12)
     assert np.all(there >= 0) and np.all(np.isfinite(there))
     assert np.all(baked[name][1].evaluate(a * [1, 1, -1], b) == 0)
+
+
+def test_the_share_of_the_face_in_what_is_drawn_is_its_reflectance(baked):
+    """Over uniform nodes of sqrt(cos); a smooth face has Fresnel's, a rough one near the normal almost the same."""
+    cos = np.linspace(0.0, 1.0, len(baked["smooth"][1].albedo)) ** 2
+    inner = cos > 0.01
+    np.testing.assert_allclose(baked["smooth"][1].albedo[inner, 0], fresnel(cos[inner], 1.575), rtol=0.02)
+    assert baked["rough"][1].albedo[-1, 0] == pytest.approx(float(fresnel(np.array(1.0), 1.575)), rel=0.1)
+
+
+@pytest.mark.parametrize("theta", [0.0, 50.0, 80.0])
+def test_the_facets_drawn_are_those_that_a_direction_sees(theta):
+    w = direction(theta)
+    draws = np.random.default_rng(6).random((20_000, 2))
+    drawn = np.array([fast_walk.facet(*w, 0.4, *u) for u in draws])
+    normals, weight = visible_normals("ggx", w, 0.4, 0.4, 64)
+    for power in (1, 2):
+        moment = (weight / weight.sum()) @ normals**power
+        noise = (drawn**power).std(axis=0) / np.sqrt(len(drawn))
+        np.testing.assert_array_less(np.abs((drawn**power).mean(axis=0) - moment), 5 * noise + 1e-3)
+
+
+@pytest.mark.parametrize("name", ["smooth", "rough"])
+def test_the_shares_of_face_flakes_and_base_add_up_to_what_comes_back(baked, name):
+    table = baked[name][1]
+    cos = np.linspace(0.0, 1.0, len(table.albedo)) ** 2
+    for k in (len(cos) // 2, len(cos) - 1):
+        wi = direction(np.degrees(np.arccos(cos[k])))
+        back = table.hemispherical(wi)[0] + table.specular(cos[k]).reflectance
+        assert table.albedo[k].sum() == pytest.approx(back.mean(), rel=0.02)
 
 
 def test_directions_below_the_surface_leave_the_others_alone(baked):
@@ -244,7 +275,7 @@ def test_the_recipe_states_the_error_or_falls_back_to_the_walk(caplog, monkeypat
     recipe["strata"][0]["platelets"] = [{**MICA, "rotation_deg": [10, 0, 0]}]
     with caplog.at_level(logging.WARNING, logger="nacre"):
         bsdf = material(recipe).bsdf(grid)
-    assert bsdf.lobes[0].kind == "layered" and bsdf.lobes[0].is_stochastic
+    assert bsdf.lobes[0].kind == "layered" and bsdf.lobes[0].is_stochastic is True
     assert "rotated" in caplog.text and "rotated" in bsdf.provenance["notes"][0]
 
 

@@ -130,6 +130,20 @@ def test_glints_are_reciprocal_and_leave_no_value_below_zero(fast: Flaked) -> No
     np.testing.assert_allclose(there, back, rtol=1e-9)
 
 
+def test_a_flake_is_the_same_from_whichever_cell_it_is_looked_for() -> None:
+    """Cells are looked up four at a time; where the four change, no flake appears or goes."""
+    numbers, radii, ratio = kind_of_flake((10.0, 10.0), 40.0, 0.3, 2.5, 0.4, 7)
+    rng = np.random.default_rng(11)
+    cells = numbers[:2]
+    for axis in (0, 1):
+        at = rng.random((4000, 2))
+        at[:, axis] = (np.round(at[:, axis] * cells[axis]) + 0.5) / cells[axis]
+        ends = [at + side * 1e-10 * np.eye(2)[axis] for side in (-1, 1)]
+        seen = [factors(numbers, radii, ratio, np.ascontiguousarray(uv), np.zeros_like(uv)) for uv in ends]
+        assert seen[0].std() > 0.1
+        assert np.mean(np.abs(seen[0] - seen[1]) > 1e-9) < 1e-3
+
+
 def test_seed_and_place_alone_decide(fast: Flaked) -> None:
     uv = np.random.default_rng(7).random((500, 2))
     other = material({**PAINT, "glints": {**PAINT["glints"], "seed": 9}}).bsdf(LAM).lobes[0]

@@ -131,7 +131,8 @@ def keep_baseline() -> None:
         file: {line: sorted(number[t] for t in tests) for line, tests in found.items() if tests}
         for file, found in traced.items()
     }
-    answer = {"cost": cost, "failed": sorted(failed), "tests": names, "lines": lines}
+    new = sorted(again | set(kept.get("new", ()))) if kept else []
+    answer = {"cost": cost, "failed": sorted(failed), "tests": names, "lines": lines, "new": new}
     path.write_text(json.dumps(answer), encoding="utf-8")
 
 

@@ -27,6 +27,7 @@ class Baseline:
         self.root = root
         self.cost: dict[str, float] = kept["cost"]
         self.failed = set(kept["failed"])
+        self.new = set(kept["new"])  # since the first draw: what a survivor has not met
         names = kept["tests"]
         self.lines: dict[str, dict[int, set[str]]] = {
             file: {int(line): {names[i] for i in tests} for line, tests in lines.items()}
@@ -99,7 +100,8 @@ class Baseline:
         """Return the tests to run for a mutant on a line, in order."""
         first = self.reaching(file, line)
         homes = {test.partition("::")[0] for test in first}
-        near = {t for t in self.of_file.get(file, set()) if t.partition("::")[0] in homes} - first
+        # what refuses bad input runs none of the lines that say what is bad
+        near = {test for test in self.cost if test.partition("::")[0] in homes} - first
         rest = self.of_file.get(file, set()) - first - near
         readers = [test for test in self.cost if test.startswith(READERS)]
         groups = (self._in_order(file, first), readers, self._in_order(file, near), self._in_order(file, rest))
@@ -116,7 +118,8 @@ class Baseline:
 
     def _in_order(self, file: str, tests: Iterable[str]) -> list[str]:
         # a test that reaches few files is likely to be about this one
-        return sorted(tests, key=lambda t: ((self.cost_of(t) + START_S) * self._spread.get(t, 1), t))
+        key = lambda t: (t not in self.new, (self.cost_of(t) + START_S) * self._spread.get(t, 1), t)
+        return sorted(tests, key=key)
 
 
 def import_graph(root: Path) -> Any:

@@ -38,13 +38,20 @@ def write_report(root: Path, place: Path) -> int:
         f"**{len(killed)} of {len(tried)} killed: {share:.1%}** (bar: {BAR:.0%}). Made by `make mutants`: cosmic-ray's "
         f"operators, seed {draw['seed']}, drawn uniformly over the {draw['lines']} lines of six rooms that hold a "
         "mutation, whether a test reaches them or not; equivalents count as survivors. Killed means that a test fails "
-        f"which passed before, or takes three times its time ({len(by_time)} of them), within 60 s.", "",
-        "| room | killed | drawn |", "|---|---|---|",
+        f"which passed before, or takes three times its time ({len(by_time)} of them), within 60 s of the processor.",
+        "", "| room | killed | drawn |", "|---|---|---|",
     ]  # fmt: skip
     lines += [f"| {room} | {won[room]} | {rooms[room]} |" for room in sorted(rooms)]
     if len(tried) < len(draw["drawn"]):
         lines += ["", f"{len(draw['drawn']) - len(tried)} of those drawn were not tried yet."]
-    lines += ["", "## Survivors", "", "| where | was | became | why it lives |", "|---|---|---|---|"]
+    short = [m for m in tried if m not in killed and answers[m["id"]]["why"].endswith("ran out")]
+    equal = [m for m in tried if m not in killed and notes.get(m["id"], "").startswith("equivalent")]
+    lines += [
+        "", "## Survivors", "",
+        f"{len(equal)} of the {len(tried) - len(killed)} are equivalent: no test can tell them from the original. For "
+        f"{len(short)} the time ran out before all tests that reach the line had run.", "",
+    ]  # fmt: skip
+    lines += ["| where | was | became | why it lives |", "|---|---|---|---|"]
     for m in sorted((m for m in tried if m not in killed), key=lambda m: (m["file"], m["line"])):
         word = notes.get(m["id"], answers[m["id"]]["why"])
         where = f"{m['file'].removeprefix('src/nacre/')}:{m['line']}"
