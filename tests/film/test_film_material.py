@@ -157,7 +157,8 @@ def test_a_stored_film_reports_the_same_spectrum() -> None:
     one, theta = film(**GLASS, base={"albedo": 0.6}), np.radians([0.0, 60.0])
     direct, stored = one.spectrum(theta, LAM), bsdf_spectrum(one.bsdf(LAM), theta)
     np.testing.assert_allclose(stored.specular_reflectance, direct.specular_reflectance, atol=2e-4)
-    np.testing.assert_allclose(stored.diffuse_reflectance, direct.diffuse_reflectance, atol=1e-9)
+    # the stored one takes its means over all directions from the table's nodes, as its mirror part does
+    np.testing.assert_allclose(stored.diffuse_reflectance, direct.diffuse_reflectance, atol=2e-4)
     assert stored.specular_transmittance is None
 
 

@@ -28,7 +28,9 @@ MAX_FRAMES = 10_000
 FRAMES_PER_SECOND = 20
 VIEW_SWING_DEG = 32.0  # the camera swings in front of the backdrop and never goes behind it
 # settings of `render` that change a picture and so belong to a frame's key
-_SETTINGS = ("scene", "shape", "light", "illuminant", "size", "spp", "seed", "quality", "components", "exposure")
+_SETTINGS = (
+    "scene", "shape", "up", "light", "illuminant", "size", "spp", "seed", "quality", "components", "exposure", "denoise",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
