@@ -47,7 +47,10 @@ class Store:
 
         self._group = zarr.open_group(str(path), mode="r+")
         if self._group.attrs.get("identity") != sweep.identity:
-            raise NacreError(f"{path}: holds another sweep; choose another -o, or remove it to start anew")
+            raise NacreError(
+                f"{path}: holds another sweep, or its recipe, a file that this names, or nacre itself has changed "
+                "since; choose another -o, or remove it to start anew"
+            )
         self._trailing = {name: len(shape) for name, (_, shape) in sweep.measurement.layout().items()}
 
     @classmethod
