@@ -249,3 +249,36 @@ def test_an_animation_keeps_no_frame_of_other_components(tmp_path: Path) -> None
     for components in ("specular", "diffuse"):
         made = nacre.render.animate(nacre.material(lacquer), "light", movie, frames=1, components=components, **SMALL)
         assert made.kept == 0
+
+
+@pytest.mark.render
+def test_a_damaged_frame_is_rendered_again(tmp_path: Path) -> None:
+    material, movie = nacre.material({"family": "film", "substrate": "Si"}), tmp_path / "turn.gif"
+    frames = nacre.render.animate(material, "light", movie, frames=3, **SMALL).frames
+    content = bytearray(frames[0].read_bytes())
+    place = content.index(b"IDAT") + 40  # in the pixels; what the frame says about itself stands before them
+    content[place] ^= 0xFF
+    frames[0].write_bytes(content)
+    frames[1].write_bytes(frames[1].read_bytes()[:-30])
+    assert nacre.render.animate(material, "light", movie, frames=3, **SMALL).kept == 1
+
+
+@pytest.mark.render
+def test_an_animation_that_fails_leaves_no_folder(tmp_path: Path) -> None:
+    material = nacre.material({"family": "film", "substrate": "Si"})
+    with pytest.raises(NacreError):
+        nacre.render.animate(material, "nothing=1:2", tmp_path / "turn.gif", frames=2, **SMALL)
+    with pytest.raises(NacreError):
+        nacre.render.animate(material, "light", tmp_path / "turn.gif", frames=2, scene="nowhere", **SMALL)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.render
+def test_an_animation_takes_which_way_a_mesh_is_up(tmp_path: Path) -> None:
+    import trimesh
+
+    trimesh.creation.box(extents=(1.0, 2.0, 3.0)).export(tmp_path / "box.ply")
+    material, mesh = nacre.material({"family": "film", "substrate": "Si"}), tmp_path / "box.ply"
+    for up in ("x", "y"):
+        made = nacre.render.animate(material, "light", tmp_path / "t.gif", frames=1, shape=mesh, up=up, **SMALL)
+        assert made.kept == 0

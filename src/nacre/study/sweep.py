@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from nacre._version import __version__
 from nacre.errors import NacreError
+from nacre.files import check_writable, temporary_prefix
 from nacre.study.plan import Sweep, SweepSpec, load_sweep
 
 MISSING, DONE, FAILED = 0, 1, 2
@@ -129,10 +130,8 @@ def _create(path: Path, sweep: Sweep) -> None:
     """Make an empty store beside `path` and give it its name when it is whole."""
     import zarr
 
-    from nacre.files import check_writable
-
     folder = check_writable(path)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{path.stem[:40]}-", dir=folder))
+    temporary = Path(tempfile.mkdtemp(prefix=temporary_prefix(path), dir=folder))
     try:
         group = zarr.open_group(str(temporary), mode="w")
         points, measurement = sweep.points, sweep.measurement
