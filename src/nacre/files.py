@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import os
+import platform
+import re
+import shutil
 import tempfile
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from nacre.errors import NacreError, RecipeError
@@ -14,22 +19,101 @@ from nacre.errors import NacreError, RecipeError
 MAX_TOML_BYTES = 4 << 20  # a recipe is a page of text; anything longer is not a recipe
 
 
+_TEMPORARY = re.compile(r"\..*\.nacre-([0-9a-f]{8})-(\d+)-(\d+)-\w{8}(\..*)?")
+
+
+@dataclass(frozen=True)
+class Process:
+    """A process of some machine, told apart from a later one of the same number by the time of its start."""
+
+    host: str
+    pid: int
+    started: int
+
+    @classmethod
+    def this(cls) -> Process:
+        """Return the process that asks."""
+        return cls(_host(), os.getpid(), _started(os.getpid()) or 0)
+
+    @property
+    def is_here(self) -> bool:
+        """Whether it runs, or ran, on this machine (of containers: in this one)."""
+        return self.host == _host()
+
+    @property
+    def is_dead(self) -> bool:
+        """Whether it has ended; of another machine's nobody can tell, so never."""
+        return self.is_here and _started(self.pid) not in (self.started, 0)
+
+
+def _host() -> str:
+    space = ""
+    with contextlib.suppress(OSError):  # containers on one machine may share its name, but not their processes
+        space = os.readlink("/proc/self/ns/pid")
+    return f"{platform.node()} {space}".strip()
+
+
+def _started(pid: int) -> int | None:
+    """Return when a process started, in the system's own count; 0 where only that it runs can be told; None: ended."""
+    try:
+        state, *rest = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()
+        return None if state in (b"Z", b"X") else int(rest[18])
+    except (OSError, ValueError):
+        if os.name != "posix":
+            return 0
+    try:
+        os.kill(pid, 0)  # sends nothing
+    except (ProcessLookupError, OverflowError):
+        return None
+    except OSError:
+        pass
+    return 0
+
+
+def temporary_prefix(path: Path) -> str:
+    """Return how the names begin under which `path` is written: hidden, with the process that writes."""
+    this = Process.this()
+    host = hashlib.sha256(this.host.encode()).hexdigest()[:8]
+    return f".{path.stem[:40]}.nacre-{host}-{this.pid}-{this.started}-"
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what processes of this machine were writing in a folder when they were killed."""
+    host = hashlib.sha256(_host().encode()).hexdigest()[:8]
+    with contextlib.suppress(OSError):
+        for entry in os.scandir(folder):
+            found = _TEMPORARY.fullmatch(entry.name) if entry.name.startswith(".") else None
+            if found and found[1] == host and Process(_host(), int(found[2]), int(found[3])).is_dead:
+                if entry.is_dir(follow_symlinks=False):
+                    shutil.rmtree(entry.path, ignore_errors=True)
+                else:
+                    with contextlib.suppress(OSError):
+                        os.unlink(entry.path)
+
+
 @contextlib.contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`; it takes the real name only when the block succeeds.
 
-    The temporary name keeps the suffix, since many writers choose the format by it.
+    The temporary name keeps the suffix, since many writers choose the format by it. What a link leads to is written,
+    not the link; a device or a pipe gets the bytes and stays what it is.
 
     Raises:
         NacreError: the folder does not exist or cannot be written.
     """
-    path = Path(path)
+    path = Path(os.path.realpath(path)) if os.path.islink(path) and not _is_special(path) else Path(path)
     folder = check_writable(path)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem[:40]}-", suffix=path.suffix, dir=folder)
+    is_special = _is_special(path)
+    place = None if is_special else folder
+    handle, name = tempfile.mkstemp(prefix=temporary_prefix(path), suffix=path.suffix, dir=place)
     os.close(handle)
     temporary = Path(name)
     try:
         yield temporary
+        if is_special:
+            with temporary.open("rb") as source, open(path, "wb", opener=_open_as_it_is) as sink:
+                shutil.copyfileobj(source, sink)
+            return
         with contextlib.suppress(OSError):
             # mkstemp makes files private; a finished output has the usual permissions
             mask = os.umask(0)
@@ -43,11 +127,22 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+def _open_as_it_is(path: str, flags: int) -> int:
+    return os.open(path, os.O_WRONLY)  # neither made nor cut: root may write anywhere
+
+
+def _is_special(path: str | Path) -> bool:
+    """Whether a path leads to something that is there and is neither a file nor a folder."""
+    return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
+
+
 def check_writable(path: str | Path) -> Path:
     """Return the folder of `path` if a file can be made there; call it before long work, not after.
 
+    What killed runs left in the folder is removed.
+
     Raises:
-        NacreError: the folder is missing or read-only, or `path` is a folder.
+        NacreError: the folder is missing or read-only, or `path` is a folder, a disk or a socket.
     """
     path = Path(path)
     folder = path.parent if str(path.parent) else Path()
@@ -55,8 +150,13 @@ def check_writable(path: str | Path) -> Path:
         raise NacreError(f"{path}: the folder {folder} does not exist")
     if path.is_dir():
         raise NacreError(f"{path}: is a folder; give a file name")
+    if _is_special(path):
+        if path.is_block_device() or path.is_socket() or not os.access(path, os.W_OK):
+            raise NacreError(f"{path}: is a device that cannot be written as a file; give a file name")
+        return folder
+    remove_leftovers(folder)
     try:
-        handle, probe = tempfile.mkstemp(prefix=".nacre-", dir=folder)
+        handle, probe = tempfile.mkstemp(prefix=temporary_prefix(path), dir=folder)
     except OSError as error:
         raise NacreError(f"{path}: the folder {folder} cannot be written: {error.strerror}") from None
     os.close(handle)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ import numpy as np
 
 from nacre.arrays import Array
 from nacre.bsdf.contract import Lobe, SpecularResponse
-from nacre.bsdf.file import read_lobes, write_lobes
+from nacre.bsdf.file import describe_lobes, read_lobes, write_lobes
+from nacre.recipe.identity import identity
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,12 @@ class Bsdf:
     def transmits(self) -> bool:
         """Whether any lobe transmits."""
         return any(lobe.transmits for lobe in self.lobes)
+
+    @property
+    def identity(self) -> str:
+        """A hash of the lobes' numbers, whatever they come from; see `nacre.recipe.identity`."""
+        trees, arrays, _ = describe_lobes(self.lobes, "Bsdf")
+        return identity(trees, {}, arrays={name: sha256(array.tobytes()).hexdigest() for name, array in arrays.items()})
 
     def save(self, path: str | Path) -> None:
         """Write one `.nacre` file, whole or not at all.

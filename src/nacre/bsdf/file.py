@@ -56,9 +56,7 @@ def write_lobes(path: str | Path, lobes: tuple[Lobe, ...], provenance: Mapping[s
     Raises:
         NacreError: the folder cannot be written, or a lobe holds something that has no place in the format.
     """
-    arrays: dict[str, NDArray[Any]] = {}
-    axes: dict[str, str] = {}
-    trees = [_encode(lobe, f"lobe{i}", arrays, axes, str(path)) for i, lobe in enumerate(lobes)]
+    trees, arrays, axes = describe_lobes(lobes, str(path))
     described = {
         name: {
             "shape": list(array.shape),
@@ -87,6 +85,18 @@ def write_lobes(path: str | Path, lobes: tuple[Lobe, ...], provenance: Mapping[s
             buffer = io.BytesIO()
             np.lib.format.write_array(buffer, array, version=(1, 0), allow_pickle=False)
             _write_entry(zipped, f"{name}.npy", buffer.getvalue())
+
+
+def describe_lobes(lobes: tuple[Lobe, ...], where: str) -> tuple[list[Any], dict[str, NDArray[Any]], dict[str, str]]:
+    """Return the lobes as a tree that JSON can hold, the arrays that it names, and the meaning of their axes.
+
+    Raises:
+        NacreError: a lobe holds something that has no place in a file; `where` begins the line.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    axes: dict[str, str] = {}
+    trees = [_encode(lobe, f"lobe{i}", arrays, axes, where) for i, lobe in enumerate(lobes)]
+    return trees, arrays, axes
 
 
 def _write_entry(zipped: zipfile.ZipFile, name: str, content: bytes) -> None:

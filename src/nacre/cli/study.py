@@ -30,8 +30,9 @@ def _progress_bar(description: str) -> Any:
 @click.option("-o", "output", default=None, metavar="FOLDER.zarr", help="Default: SWEEP.zarr.")
 @click.option("--workers", type=int, default=None, help="Processes; 1 computes in this one; default: one a core.")
 @click.option("--scheduler", default=None, metavar="tcp://HOST:PORT", help="Use this Dask scheduler instead.")
+@click.option("--break-lock", is_flag=True, help="Take over a folder that a sweep on another machine left locked.")
 @common.jobs_option
-def sweep(sweep_file: str, output: str | None, workers: int | None, scheduler: str | None) -> None:
+def sweep(sweep_file: str, output: str | None, workers: int | None, scheduler: str | None, break_lock: bool) -> None:
     """Compute a material over many values of its numbers; run again to go on after an interruption."""
     from nacre.study.plan import load_sweep
     from nacre.study.sweep import errors_file, run_sweep
@@ -44,7 +45,9 @@ def sweep(sweep_file: str, output: str | None, workers: int | None, scheduler: s
         def show(done: int, failed: int, total: int) -> None:
             bar.update(task, completed=done + failed, info=f"{failed} failed" if failed else "")
 
-        finished, failed = run_sweep(plan, path, workers=workers, scheduler=scheduler, progress=show)
+        finished, failed = run_sweep(
+            plan, path, workers=workers, scheduler=scheduler, progress=show, break_lock=break_lock, tell=common.note
+        )
     common.note(f"{path}: {finished} of {plan.points.count} points" + (f", {failed} failed" if failed else ""))
     if failed:
         common.note(f"{errors_file(path)} says why")

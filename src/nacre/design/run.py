@@ -21,6 +21,7 @@ from nacre.design.spec import TargetSpec
 from nacre.errors import NacreError, RecipeError
 from nacre.files import atomic_path, read_text, write_text
 from nacre.matter.jobs import available_jobs
+from nacre.recipe.identity import identity
 from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.toml import dump_toml, parse_toml
 
@@ -108,7 +109,7 @@ def design(
         raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
     workers = jobs or available_jobs()
     search = Search(problem, spec.search.starts, spec.search.seed, workers, spec.search.shakes)
-    fingerprint = target_fingerprint(spec, problem)
+    fingerprint = target_fingerprint(spec, problem, context)
     if resume:
         load_state(search, folder, fingerprint)
     keeper = _Keeper(folder, spec, problem, search, fingerprint, progress)
@@ -218,11 +219,10 @@ def recipe_text(spec: TargetSpec) -> str:
     return dump_toml(data)
 
 
-def target_fingerprint(spec: TargetSpec, problem: Problem) -> str:
-    """Return a short hash of everything that a search's state depends on, pictures included."""
-    digest = hashlib.sha256(spec.model_dump_json(exclude={"search": {"time_limit_s"}}).encode())
-    digest.update(np.ascontiguousarray(problem.target).tobytes())
-    return digest.hexdigest()[:16]
+def target_fingerprint(spec: TargetSpec, problem: Problem, context: RecipeContext) -> str:
+    """Return a hash of everything that a search's state depends on: files that the target names, and nacre."""
+    target = hashlib.sha256(np.ascontiguousarray(problem.target).tobytes()).hexdigest()
+    return identity(spec.model_dump(exclude={"search": {"time_limit_s"}}), context.files, target=target)
 
 
 def save_state(search: Search, folder: Path, fingerprint: str) -> None:
@@ -263,7 +263,10 @@ def load_state(search: Search, folder: Path, fingerprint: str) -> None:
     except (OSError, ValueError, KeyError, EOFError) as error:
         raise NacreError(f"{path}: cannot be read to resume: {error}; delete it to start afresh") from None
     if owner != fingerprint:
-        raise RecipeError(f"{path}: belongs to another target; take another folder, or leave --resume away")
+        raise RecipeError(
+            f"{path}: belongs to another target, or a file that it names, or nacre itself has changed since; "
+            "take another folder, or leave --resume away"
+        )
 
 
 __all__ = ["DesignResult", "Measurement", "design", "load_target", "run"]

@@ -353,6 +353,7 @@ class TargetSpec(RecipeModel):
         if self.calibration is None:
             return
         try:
+            context.path(self.calibration)  # another curve is another target
             curve = find_calibration(self.calibration, context.folder)
         except NacreError as error:
             raise context.fail("calibration", self.calibration, f"cannot be used: {error}") from None

@@ -6,10 +6,13 @@ leads to its recipe model. No family imports this file.
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from pathlib import Path
 
 from nacre.errors import NacreError, RecipeError, did_you_mean
 from nacre.lazy import entry_points
+from nacre.recipe.identity import file_digest, source_digest
 from nacre.recipe.model import RecipeModel, show_value
 
 GROUP = "nacre.families"
@@ -51,3 +54,12 @@ def family_spec(family: object, source: str) -> type[RecipeModel]:
     if not (isinstance(found, type) and issubclass(found, RecipeModel)):
         raise NacreError(f'entry point "{family}" of {GROUP} is not a RecipeModel')
     return found
+
+
+def family_source(family: object) -> str:
+    """Return a hash of the package that a family from outside comes from; "" for nacre's own."""
+    if family not in entry_points(GROUP, FAMILIES):
+        return ""
+    module = family_spec(family, "recipe").__module__
+    file = Path(str(sys.modules[module].__file__))
+    return source_digest(file.parent) if "." in module else file_digest(file)

@@ -23,10 +23,11 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import RecipeError, UnsupportedError
 from nacre.families.contract import Model
-from nacre.families.registry import family_spec
+from nacre.families.registry import family_source, family_spec
 from nacre.files import read_text
 from nacre.materials.varying import Varying
 from nacre.measure.spectrum import bsdf_spectrum
+from nacre.recipe.identity import file_digest, identity
 from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.paths import find_by_path, numbers_of, set_by_path, varying_numbers
 from nacre.recipe.toml import dump_toml, parse_toml
@@ -62,6 +63,13 @@ class Material:
     def name(self) -> str:
         """A short name for titles and file names."""
         return Path(self.context.source).stem
+
+    @property
+    def identity(self) -> str:
+        """A hash of all that decides the material's answers; see `nacre.recipe.identity`."""
+        data = {key: value for key, value in self.data.items() if key not in STUDY_TABLES}
+        outside = {"ambient": str(self.context.ambient), "family": family_source(self.data.get("family"))}
+        return identity(data, self.context.files, **outside)
 
     def bsdf(self, wavelengths_nm: ArrayLike | None = None) -> Bsdf:
         """Solve the optics and return the arrays, with their provenance.
@@ -227,7 +235,8 @@ def _load(path: Path, depth: int, ambient: Any = None) -> Material:
     if path.suffix == ".nacre":
         bsdf = Bsdf.load(path)
         text = str(bsdf.provenance.get("recipe", ""))
-        return Material(StoredBsdf(bsdf), {}, RecipeContext(str(path), path.parent, text))
+        reached = {path.resolve(): file_digest(path)}
+        return Material(StoredBsdf(bsdf), {}, RecipeContext(str(path), path.parent.resolve(), text, reached=reached))
     text = read_text(path, "recipe")
 
     def load_recipe(other: str, ambient: Any = ambient) -> Material:
@@ -264,6 +273,7 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
     Raises:
         RecipeError: naming file, key, value and what is allowed.
     """
+    context = dataclasses.replace(context, reached={})
     spec_class = family_spec(data.get("family"), context.source)
     if spec_class.varies_by_nodes and (numbers := varying_numbers(data, spec_class.varies_by_nodes)):
 
@@ -271,7 +281,9 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
             even = copy.deepcopy(dict(data))
             for path, value in values.items():
                 set_by_path(even, path, value, context.source)
-            return material_from_data(even, context)
+            node = material_from_data(even, context)
+            context.reach(node.context.reached)
+            return node
 
         return Material(Varying.read(numbers, fixed, context), copy.deepcopy(dict(data)), context)
     spec = validate(spec_class, {key: value for key, value in data.items() if key not in STUDY_TABLES}, context)
@@ -280,4 +292,5 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
 
 def recipe_provenance(material: Material) -> dict[str, Any]:
     """Return the provenance that a file made from a recipe carries."""
-    return {"nacre": __version__, "source": Path(material.context.source).name, "recipe": material.text}
+    source = Path(material.context.source).name
+    return {"nacre": __version__, "source": source, "recipe": material.text, "identity": material.identity}

@@ -6,6 +6,8 @@ numerics behind do not check again.
 
 from __future__ import annotations
 
+import hashlib
+import os
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -16,6 +18,7 @@ import pydantic
 from pydantic_core import PydanticCustomError, core_schema
 
 from nacre.errors import RecipeError, did_you_mean
+from nacre.recipe.identity import file_digest
 from nacre.recipe.paths import TEXTURE_KEYS
 
 LENGTH_UNITS_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
@@ -33,6 +36,7 @@ class RecipeContext:
             gets a material with `.bsdf()` and need not know its family. With `ambient = `, the recipe is built in
             that medium.
         ambient: the medium that another recipe puts this one into (an optical constant), or None.
+        reached: the digest of every file that was read for the recipe, those of nested recipes among them.
     """
 
     source: str = "recipe"
@@ -40,10 +44,40 @@ class RecipeContext:
     text: str = ""
     load_recipe: Callable[..., Any] | None = None
     ambient: Any = None
+    reached: dict[Path, str] = field(default_factory=dict, compare=False, repr=False)
 
     def path(self, name: str) -> Path:
-        """Resolve a path of the recipe against the recipe's own folder."""
-        return (self.folder / name).resolve() if not Path(name).is_absolute() else Path(name)
+        """Resolve a path of the recipe against the recipe's own folder, and note what the file holds.
+
+        Raises:
+            RecipeError: the file has changed since the recipe was built.
+        """
+        path = (self.folder / name).resolve() if not Path(name).is_absolute() else Path(name)
+        self.reach({path: file_digest(path)})
+        return path
+
+    def recipe(self, name: str, **options: Any) -> Any:
+        """Load another recipe (`load_recipe`); its files are this one's too."""
+        assert self.load_recipe is not None
+        made = self.load_recipe(name, **options)
+        text = hashlib.sha256(made.context.text.encode()).hexdigest()
+        self.reach({Path(made.context.source).resolve(): text, **made.context.reached})
+        return made
+
+    def reach(self, digests: Mapping[Path, str]) -> None:
+        """Note files that the recipe reads; what was built from one content is not mixed with another.
+
+        Raises:
+            RecipeError: a file has changed since the recipe was built.
+        """
+        for path, digest in digests.items():
+            if self.reached.setdefault(path, digest) != digest:
+                raise RecipeError(f"{self.source}: {path} has changed since the recipe was read; load it again")
+
+    @property
+    def files(self) -> dict[str, str]:
+        """The digests of all files reached, by their names from the recipe's folder: a folder may be moved."""
+        return {os.path.relpath(path, self.folder): digest for path, digest in self.reached.items()}
 
     def fail(self, key: str, got: object, allowed: str) -> RecipeError:
         """Build the one-line error for `key`."""

@@ -6,10 +6,10 @@ frames made with the same settings are kept. The last step joins the frames into
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-import json
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from nacre.files import atomic_path, check_writable
 from nacre.picture.images import RenderResult, read_provenance
 from nacre.picture.picture import render, resolve_material
 from nacre.picture.progress import ProgressCallback, progress_bar
+from nacre.recipe.identity import file_digest, identity
 
 MOTIONS = ("light", "view")
 MOVIE_SUFFIXES = (".gif", ".mp4")
@@ -29,7 +30,8 @@ FRAMES_PER_SECOND = 20
 VIEW_SWING_DEG = 32.0  # the camera swings in front of the backdrop and never goes behind it
 # settings of `render` that change a picture and so belong to a frame's key
 _SETTINGS = (
-    "scene", "shape", "up", "light", "illuminant", "size", "spp", "seed", "quality", "components", "exposure", "denoise",
+    "scene", "shape", "up", "light", "illuminant", "size", "spp", "seed", "quality", "components", "exposure",
+    "denoise",
 )  # fmt: skip
 
 
@@ -133,19 +135,20 @@ def animate(
         raise UnsupportedError("animate: a Mitsuba scene keeps its own light and camera; only a parameter can move")
     check_writable(path)
     folder = path.with_name(path.stem + "_frames")
-    folder.mkdir(exist_ok=True)
     names = tuple(folder / f"frame_{index:04d}.png" for index in range(frames))
 
-    if not motion.is_parameter:
+    exposure = settings.pop("exposure", "auto")
+    asked, who = settings, ""
+    if material_at is None:
+        who = _identity(material)
         material, _ = resolve_material(material, settings.get("quality"), settings.get("components", "sum"))
         settings = {**settings, "quality": None, "components": "sum"}
-    exposure = settings.pop("exposure", "auto")
-    kept, made = 0, 0
-    with progress_bar("animating", progress) as report:
+    kept = 0
+    with _folder_of_frames(folder), progress_bar("animating", progress) as report:
         for index, name in enumerate(names):
             value = motion.at(index, frames)
             subject = material if material_at is None else material_at(value)
-            key = _frame_key(subject, motion, value, {**settings, "exposure": exposure})
+            key = _frame_key(who or _identity(subject), motion, value, {**asked, "exposure": exposure})
             old = _finished(name)
             if old.get("frame_key") == key:
                 kept += 1
@@ -162,12 +165,32 @@ def animate(
                     return Animation(None, names[:index], kept, True)
                 stops = float(result.stats["exposure_stops"])
                 moving = {"frame_key": key, "motion": motion.name, "value": value, "frame": index}
-                RenderResult(result.xyz, result.rgb, None, {**result.stats, **moving}).save(name)
-                made += 1
+                pixels = hashlib.sha256(result.srgb8.tobytes()).hexdigest()
+                RenderResult(result.xyz, result.rgb, None, {**result.stats, **moving, "pixels": pixels}).save(name)
             exposure = stops if index == 0 else exposure
             report(index + 1, frames, 0.0)
     join(names, path)
     return Animation(path, names, kept, False)
+
+
+@contextlib.contextmanager
+def _folder_of_frames(folder: Path) -> Iterator[None]:
+    """Make the folder, and take it away again where nothing came to lie in it.
+
+    Raises:
+        NacreError: it cannot be made.
+    """
+    is_new = not folder.exists()
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
+    try:
+        yield
+    finally:
+        if is_new:
+            with contextlib.suppress(OSError):  # it holds frames
+                folder.rmdir()
 
 
 def _material_at(material: Any, motion: Motion) -> Callable[[float], Any]:
@@ -184,19 +207,36 @@ def _material_at(material: Any, motion: Motion) -> Callable[[float], Any]:
     return function
 
 
-def _frame_key(material: Any, motion: Motion, value: float, settings: dict[str, Any]) -> str:
+def _identity(material: Any) -> str:
+    """What a material is: its own identity, or all that Mitsuba tells of a BSDF of its own, pixels included."""
+    if hasattr(material, "identity"):
+        return str(material.identity)
+    import mitsuba as mi
+
+    made, _ = resolve_material(material, None, "sum")
+    numbers = {}
+    for name, value in mi.traverse(made):
+        with contextlib.suppress(TypeError, ValueError):
+            numbers[name] = hashlib.sha256(np.asarray(value).tobytes()).hexdigest()
+    return identity(str(made), {}, numbers=numbers)
+
+
+def _frame_key(who: str, motion: Motion, value: float, settings: dict[str, Any]) -> str:
     """A fingerprint of all that makes a frame: two equal ones mean equal pictures."""
-    text = getattr(getattr(material, "context", None), "text", None)
-    provenance = getattr(material, "provenance", None)
-    what = text or (dict(provenance) if provenance else str(material))
-    settled = json.dumps([what, motion.name, value, settings], default=str, sort_keys=True)
-    return hashlib.sha256(settled.encode()).hexdigest()[:24]
+    named = (settings.get(name) for name in ("scene", "shape", "light"))
+    files = {str(name): file_digest(name) for name in named if name}
+    return identity(who, files, motion=motion.name, value=value, settings=settings)
 
 
 def _finished(path: Path) -> dict[str, Any]:
-    """What a finished frame says about itself; empty where there is none or it is broken."""
+    """What a finished frame says about itself; empty where there is none, or its pixels are not those written."""
+    from PIL import Image
+
     try:
-        return read_provenance(path)
+        found = read_provenance(path)
+        with Image.open(path) as picture:
+            pixels = hashlib.sha256(np.asarray(picture).tobytes()).hexdigest()
+        return found if found.get("pixels") == pixels else {}
     except (OSError, ValueError, SyntaxError):
         return {}
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,6 +14,7 @@ import pydantic
 from nacre.errors import NacreError, RecipeError
 from nacre.files import read_text
 from nacre.materials.material import Material, load
+from nacre.recipe.identity import identity
 from nacre.recipe.keys import ByPath
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
 from nacre.recipe.toml import parse_toml
@@ -77,6 +78,7 @@ class Sweep:
     points: Points
     measurement: Measurement
     source: str
+    files: Mapping[str, str]  # digests of the files that any of the points reaches, by name
 
     @property
     def identity(self) -> str:
@@ -85,8 +87,10 @@ class Sweep:
         fractions = (
             None if self.points.fractions is None else hashlib.sha256(self.points.fractions.tobytes()).hexdigest()
         )
-        what = [self.material.text, axes, fractions, self.points.mode, asdict(self.measurement)]
-        return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
+        return identity(
+            self.material.identity, self.files, axes=axes, fractions=fractions, mode=self.points.mode,
+            measurement=asdict(self.measurement),
+        )  # fmt: skip
 
 
 def load_sweep(path: str | Path) -> Sweep:
@@ -107,7 +111,19 @@ def load_sweep(path: str | Path) -> Sweep:
     except NacreError as error:
         # a later point may fail and is recorded; when the first one does, the sweep is probably mistyped
         raise RecipeError(f"{path}: the first point cannot be built: {error}") from None
-    return Sweep(material, points, measurement, str(path))
+    return Sweep(material, points, measurement, str(path), _files(material, points))
+
+
+def _files(material: Material, points: Points) -> dict[str, str]:
+    """Return the digests of the recipe's files, and of those that an axis names in its place."""
+    files = dict(material.context.files)
+    for axis in points.axes:
+        for value in axis.values or ():
+            if not isinstance(value, int | float):
+                # a value that cannot be built is a point that fails, which its own run tells
+                with contextlib.suppress(NacreError):
+                    files |= material.vary({axis.path: value}).context.files
+    return files
 
 
 def _measurement(spec: MeasureSpec, material: Material, source: str) -> Measurement:

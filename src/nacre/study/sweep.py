@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import os
 import shutil
 import tempfile
@@ -21,7 +22,11 @@ from numpy.typing import NDArray
 
 from nacre._version import __version__
 from nacre.errors import NacreError
+from nacre.files import check_writable, temporary_prefix
 from nacre.study.plan import Sweep, SweepSpec, load_sweep
+from nacre.study.sweep_lock import locked
+
+logger = logging.getLogger("nacre")
 
 MISSING, DONE, FAILED = 0, 1, 2
 KEY_SEPARATOR = "."  # chunks lie directly in their array's folder: making folders costs more than their values
@@ -47,7 +52,10 @@ class Store:
 
         self._group = zarr.open_group(str(path), mode="r+")
         if self._group.attrs.get("identity") != sweep.identity:
-            raise NacreError(f"{path}: holds another sweep; choose another -o, or remove it to start anew")
+            raise NacreError(
+                f"{path}: holds another sweep, or its recipe, a file that this names, or nacre itself has changed "
+                "since; choose another -o, or remove it to start anew"
+            )
         self._trailing = {name: len(shape) for name, (_, shape) in sweep.measurement.layout().items()}
 
     @classmethod
@@ -126,10 +134,8 @@ def _create(path: Path, sweep: Sweep) -> None:
     """Make an empty store beside `path` and give it its name when it is whole."""
     import zarr
 
-    from nacre.files import check_writable
-
     folder = check_writable(path)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{path.stem[:40]}-", dir=folder))
+    temporary = Path(tempfile.mkdtemp(prefix=temporary_prefix(path), dir=folder))
     try:
         group = zarr.open_group(str(temporary), mode="w")
         points, measurement = sweep.points, sweep.measurement
@@ -200,6 +206,8 @@ def run_sweep(
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Progress | None = None,
+    break_lock: bool = False,
+    tell: Callable[[str], None] = logger.warning,
 ) -> tuple[int, int]:
     """Compute what is missing of a sweep and return (finished, failed).
 
@@ -209,11 +217,21 @@ def run_sweep(
         workers: processes of the local cluster; 1 computes in this process; default: one a core.
         scheduler: address of a Dask scheduler (`tcp://host:port`) to use instead; its workers must have nacre.
         progress: called with (finished, failed, total) after every batch.
+        break_lock: take the store's lock from another machine; one of a process ended here is taken anyway.
+        tell: called with a line where another process writes the store, which is waited for.
 
     Raises:
-        NacreError: the store holds another sweep or cannot be written, or the scheduler cannot be reached.
+        NacreError: the store holds another sweep, cannot be written or is locked by another machine, or the scheduler
+            cannot be reached.
     """
-    store = Store.open(Path(output), sweep)
+    with locked(Path(output), break_lock=break_lock, tell=tell):
+        return _run(sweep, Path(output), workers, scheduler, progress)
+
+
+def _run(
+    sweep: Sweep, output: Path, workers: int | None, scheduler: str | None, progress: Progress | None
+) -> tuple[int, int]:
+    store = Store.open(output, sweep)
     total = sweep.points.count
     todo = store.missing()
     finished = total - len(todo)

@@ -46,6 +46,7 @@ def results(
     job = {
         "data": dict(sweep.material.data),
         "folder": str(sweep.material.context.folder.resolve()),
+        "files": dict(sweep.files),
         "measurement": asdict(sweep.measurement),
     }
     count = workers or available_jobs()
@@ -66,7 +67,11 @@ def compute_batch(
 def _compute(job: Mapping[str, Any], changes: Mapping[str, Any]) -> Result:
     try:
         material = _material(job["folder"], _frozen(job["data"]))
-        return measurement_from(dict(job["measurement"])).take(material.vary(changes), point_seed(changes))
+        varied = material.vary(changes)
+        for name, digest in varied.context.files.items():
+            if job["files"].get(name, digest) != digest:
+                raise NacreError(f"{name} has changed since the sweep began; remove its folder and start it anew")
+        return measurement_from(dict(job["measurement"])).take(varied, point_seed(changes))
     except NacreError as error:
         return str(error)
     except (ArithmeticError, ValueError, MemoryError, np.linalg.LinAlgError) as error:

@@ -61,7 +61,7 @@ class BlendSpec(RecipeModel):
         """
         if context.load_recipe is None:
             raise context.fail("first.recipe", self.first.recipe, "cannot be loaded from here")
-        first, second = context.load_recipe(self.first.recipe), context.load_recipe(self.second.recipe)
+        first, second = context.recipe(self.first.recipe), context.recipe(self.second.recipe)
         if isinstance(self.mask, TextureSpec):
             mask = self.mask.build(context, "mask")
         else:

@@ -339,7 +339,7 @@ def _recipe_base(name: str, resin: OpticalConstant, context: RecipeContext) -> B
     """Take another recipe as the base, built in the resin: an even film as its reflectance, all else as lobes."""
     if context.load_recipe is None:
         raise context.fail("base.recipe", name, "cannot be loaded here; load the recipe from its file")
-    other = context.load_recipe(name, ambient=resin.without_absorption())
+    other = context.recipe(name, ambient=resin.without_absorption())
     if isinstance(other.model, Pearl):
         raise context.fail("base.recipe", name, "is a pearl; write its strata below these ones instead")
     if not other.model.takes_ambient:
