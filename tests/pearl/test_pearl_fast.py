@@ -82,6 +82,20 @@ def test_the_share_of_the_face_in_what_is_drawn_is_its_reflectance(baked):
     assert baked["rough"][1].albedo[-1, 0] == pytest.approx(float(fresnel(np.array(1.0), 1.575)), rel=0.1)
 
 
+def test_light_that_one_flake_reflects_is_stored_within_the_bar():
+    """Few flakes over black: next to nothing but single reflections, which are stored in closed form."""
+    lobe = thinned(layered_lobe(0.5, (0.3, 0.3), (0, 0), albedo=0.0), 24)
+    error, _ = check(lobe, tables(lobe, EFFORT), 0.3)
+    assert error.mean() < MEAN_BAR
+
+
+def test_few_walks_make_a_smooth_table():
+    """What hardly a walk comes to follows from its neighbours: another seed gives nearly the same values."""
+    lobe = thinned(layered_lobe(8.0, (0.2, 0.2), (0, 0)), 47)
+    one, other = (tables(lobe, 0.02, seed).evaluate(*spread_pairs(400)) for seed in (1, 2))
+    assert np.linalg.norm(one - other) < 0.1 * np.linalg.norm(one)
+
+
 @pytest.mark.parametrize("theta", [0.0, 50.0, 80.0])
 def test_the_facets_drawn_are_those_that_a_direction_sees(theta):
     w = direction(theta)

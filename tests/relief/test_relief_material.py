@@ -166,6 +166,20 @@ def test_mean_of_the_local_response_is_the_slice() -> None:
     assert np.abs(local.mean(axis=(0, 1)) / exact - 1).max() < 1e-9
 
 
+def test_the_microscope_sees_the_mean_over_its_aperture() -> None:
+    """The middle and six exits round it, on the ring that halves the aperture's area, times the coating's Fresnel."""
+    relief = Relief(tile(features=4), Coherence.from_sigma(0.8), index("Al"))
+    seen = relief.figure_data("microscope", aperture_deg=6.0, wavelengths_nm=WAVELENGTHS)["brdf"]
+    turn = np.arange(6) * np.pi / 3
+    ring = np.radians(6.0) / np.sqrt(2) * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    lateral = np.concatenate([np.zeros((1, 2)), ring])
+    wo = np.concatenate([lateral, np.sqrt(1 - (lateral**2).sum(axis=-1, keepdims=True))], axis=-1)
+    up = np.array([0.0, 0.0, 1.0])
+    bare = local_response(relief.tile, relief.coherence, up, wo, WAVELENGTHS, len(seen) // 4, relief.prefactor)
+    coated = bare * fresnel_reflectance(np.array(1.0), index("Al").n_complex(WAVELENGTHS))
+    np.testing.assert_allclose(seen, coated, rtol=1e-12)
+
+
 def test_recipe_to_spectrum_and_back_from_a_file(tmp_path: Path) -> None:
     np.save(tmp_path / "h.npy", tile().heights_nm / 1e3)
     material = nacre.material(RECIPE, tmp_path)

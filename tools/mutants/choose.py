@@ -73,12 +73,13 @@ class Baseline:
     def reaching(self, file: str, line: int) -> set[str]:
         """Return the tests that reach a line, itself or through what names it."""
         # a line that runs while importing is ascribed to the test that happened to import it
-        inside = any(u.lineno < line for u in self._functions(file) if first_line(u) <= line <= (u.end_lineno or 0))
-        direct = self.lines.get(file, {}).get(line, set()) if inside else set()
+        direct = self.lines.get(file, {}).get(line, set()) if self._is_inside(file, line) else set()
         return direct or self._climb(file, line, set())
 
-    def _functions(self, file: str) -> list[ast.stmt]:
-        return [u for u in units(self._trees[file]) if isinstance(u, ast.FunctionDef)]
+    def _is_inside(self, file: str, line: int) -> bool:
+        """Whether a line is part of a function's body."""
+        functions = (u for u in units(self._trees[file]) if isinstance(u, ast.FunctionDef))
+        return any(u.lineno < line <= (u.end_lineno or 0) for u in functions)
 
     def _climb(self, file: str, line: int, seen: set[tuple[str, int]]) -> set[str]:
         unit = next((u for u in units(self._trees[file]) if first_line(u) <= line <= (u.end_lineno or 0)), None)
@@ -104,7 +105,8 @@ class Baseline:
         near = {test for test in self.cost if test.partition("::")[0] in homes} - first
         rest = self.of_file.get(file, set()) - first - near
         readers = [test for test in self.cost if test.startswith(READERS)]
-        groups = (self._in_order(file, first), readers, self._in_order(file, near), self._in_order(file, rest))
+        groups = [self._in_order(file, first), self._in_order(file, near), self._in_order(file, rest)]
+        groups.insert(1 if self._is_inside(file, line) else 0, readers)
         return list(dict.fromkeys(test for group in groups for test in group if test not in self.failed))
 
     @cached_property
