@@ -80,6 +80,8 @@ def measure_baseline(files: list[str]) -> None:
 
 def measure_new_tests(files: list[str]) -> None:
     """Trace and time the tests of these files that the baseline does not know; one that was changed keeps its own."""
+    if not files:
+        return
     listed = subprocess.run(
         [*PYTEST, "--collect-only", "-p", "no:cov", *files], cwd=BASE, env=environment(), capture_output=True, text=True
     )

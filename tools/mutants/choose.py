@@ -107,7 +107,8 @@ class Baseline:
         readers = [test for test in self.cost if test.startswith(READERS)]
         groups = [self._in_order(file, first), self._in_order(file, near), self._in_order(file, rest)]
         groups.insert(1 if self._is_inside(file, line) else 0, readers)
-        return list(dict.fromkeys(test for group in groups for test in group if test not in self.failed))
+        plan = dict.fromkeys(test for group in groups for test in group if test not in self.failed)
+        return sorted(plan, key=lambda test: test not in self.new)  # what a survivor has not met comes first
 
     @cached_property
     def _spread(self) -> dict[str, int]:
@@ -120,8 +121,7 @@ class Baseline:
 
     def _in_order(self, file: str, tests: Iterable[str]) -> list[str]:
         # a test that reaches few files is likely to be about this one
-        key = lambda t: (t not in self.new, (self.cost_of(t) + START_S) * self._spread.get(t, 1), t)
-        return sorted(tests, key=key)
+        return sorted(tests, key=lambda t: ((self.cost_of(t) + START_S) * self._spread.get(t, 1), t))
 
 
 def import_graph(root: Path) -> Any:

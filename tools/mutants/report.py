@@ -48,9 +48,12 @@ def write_report(root: Path, place: Path) -> int:
     equal = [m for m in tried if m not in killed and notes.get(m["id"], "").startswith("equivalent")]
     lines += [
         "", "## Survivors", "",
-        f"{len(equal)} of the {len(tried) - len(killed)} are equivalent: no test can tell them from the original. For "
-        f"{len(short)} the time ran out before all tests that reach the line had run.", "",
+        f"{len(equal)} of the {len(tried) - len(killed)} are equivalent, or so nearly that no claim parts them from "
+        f"the original, as judged by reading. For {len(short)} the time ran out before all tests that reach the line "
+        "had run.", "",
     ]  # fmt: skip
+    if "note" in notes:
+        lines += [notes["note"], ""]
     lines += ["| where | was | became | why it lives |", "|---|---|---|---|"]
     for m in sorted((m for m in tried if m not in killed), key=lambda m: (m["file"], m["line"])):
         word = notes.get(m["id"], answers[m["id"]]["why"])
