@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from nacre.cli import common
+from nacre.cli.status import STATUS_INTERRUPTED, STOPPED
 from nacre.errors import NacreError
 
 STILLS = (".png", ".exr")
@@ -45,6 +46,7 @@ def render(
 ) -> None:  # fmt: skip
     """Render a material on an object."""
     from nacre.files import check_writable
+    from nacre.picture.interrupt import leaving_at_once
 
     suffixes = MOVIES if animate else STILLS
     path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}{suffixes[0]}")
@@ -57,7 +59,11 @@ def render(
         "size": size, "spp": spp, "seed": seed, "quality": quality,
         "exposure": _exposure(exposure),
     }  # fmt: skip
-    material = common.load_material(recipe, changes)
+    with leaving_at_once(STATUS_INTERRUPTED, STOPPED):
+        _render(common.load_material(recipe, changes), path, animate, frames, options)
+
+
+def _render(material: Any, path: Path, animate: str | None, frames: int, options: dict[str, Any]) -> None:
     if animate:
         from nacre.render.animation import animate as render_animation
 
