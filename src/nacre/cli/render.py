@@ -38,6 +38,7 @@ SCENES = "sphere|probe|speedshape|panel|butterfly|bottle|knob|body|screen|SCENE.
 @click.option("--frames", type=click.IntRange(2, 100_000), default=48, show_default=True)
 @click.option("-o", "output", default=None, metavar="FILE.png|.exr|.gif|.mp4", help="Default: RECIPE.png (or .gif).")
 @common.set_option
+@common.cache_option
 @common.jobs_option
 def render(
     recipe: str, scene: str, shape: str | None, up: str | None, light: str | None, illuminant: str,
