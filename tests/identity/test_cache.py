@@ -152,3 +152,25 @@ def test_no_cache_neither_takes_nor_keeps(folder: Path, tmp_path: Path, monkeypa
     monkeypatch.setenv("NACRE_CACHE", str(folder.parent))
     assert run(["compile", "film.toml"]) == 0
     assert len(list(folder.iterdir())) == 1
+
+
+@pytest.mark.full
+@pytest.mark.render
+def test_a_second_picture_of_a_metasurface_costs_what_a_films_does(tmp_path: Path) -> None:
+    """Processor seconds, so that other work on the machine does not count."""
+    import psutil
+
+    examples = Path(__file__).resolve().parents[2] / "examples"
+    silver, soap = examples / "metasurface" / "silver_on_oxide.toml", examples / "soap.toml"
+
+    def cost(recipe: Path) -> float:
+        before = psutil.Process().cpu_times()
+        command = [sys.executable, "-m", "nacre", "render", str(recipe), "--size", "256x256", "--spp", "16"]
+        subprocess.run([*command, "-o", str(tmp_path / "a.png")], check=True, stderr=subprocess.DEVNULL)
+        after = psutil.Process().cpu_times()
+        spent = after.children_user + after.children_system - before.children_user - before.children_system
+        return float(spent)
+
+    first = cost(silver)
+    second, film = cost(silver), cost(soap)
+    assert second <= film + 3.0 < first

@@ -20,7 +20,7 @@ from nacre.errors import NacreError
 VARIABLE = "NACRE_CACHE"
 OFF = "off"  # as the variable's value
 MAX_BYTES = 2_000_000_000
-WORTH_S = 0.5  # what is solved faster is not kept
+WORTH_S = 2.0  # what is solved faster is not kept: writing and reading cost too
 
 
 def cache_folder() -> Path | None:
