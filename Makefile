@@ -32,6 +32,8 @@ lint: setup
 	@$(PY) -m ruff check src tests benchmarks validation tools examples
 	@$(PY) -m mypy
 
+bench validate: export NACRE_CACHE = off
+
 bench: setup
 	@$(PY) tools/bench_env.py
 	@$(PY) -m benchmarks

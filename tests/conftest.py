@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
+import uuid
 from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
@@ -83,6 +84,20 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None, Any, Any]:
     if _not_rendered and reporter is not None:
         reporter.write_line(f"FAILED: {len(_not_rendered)} rendering tests could not run: {_not_rendered[0]}", red=True)
     return result
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _cache_of_the_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Keep solved materials of fixtures that many tests share out of the user's own cache."""
+    folder = tmp_path_factory.mktemp("cache")
+    os.environ["NACRE_CACHE"] = str(folder / "shared")
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _empty_cache(_cache_of_the_session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give every test an empty cache: none may pass by what another one solved."""
+    monkeypatch.setenv("NACRE_CACHE", str(_cache_of_the_session / uuid.uuid4().hex))
 
 
 @pytest.fixture(scope="session")

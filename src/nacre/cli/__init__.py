@@ -14,10 +14,8 @@ from typing import Any
 import click
 
 from nacre._version import __version__
+from nacre.cli.status import STATUS_BAD_INPUT, STATUS_INTERRUPTED, STOPPED
 from nacre.errors import NacreError, did_you_mean
-
-STATUS_BAD_INPUT = 2
-STATUS_INTERRUPTED = 130
 
 # name -> (module, one line for the list)
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -37,6 +35,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "sweep": ("nacre.cli.study", "Compute a material over many values of its numbers."),
     "indices": ("nacre.cli.machine", "Search and show optical constants."),
     "keys": ("nacre.cli.keys", "Print what a recipe, target or sweep may hold, key by key."),
+    "cache": ("nacre.cli.machine", "Show what solved materials are kept on disk, or clear them."),
     "doctor": ("nacre.cli.machine", "Say what works on this machine and what to do if something does not."),
 }
 
@@ -99,7 +98,7 @@ def run(argv: list[str]) -> int:
     except (KeyboardInterrupt, click.Abort):
         if debug:
             raise
-        click.echo("nacre: stopped; what was finished is kept", err=True)
+        click.echo(STOPPED, err=True)
         return STATUS_INTERRUPTED
     except click.exceptions.Exit as leave:
         return leave.exit_code
@@ -128,7 +127,7 @@ def run(argv: list[str]) -> int:
         if debug:
             raise
         if _was_interrupted(error):
-            click.echo("nacre: stopped; what was finished is kept", err=True)
+            click.echo(STOPPED, err=True)
             return STATUS_INTERRUPTED
         click.echo(
             f"nacre: this is a bug in nacre, please report it: {type(error).__name__}: "

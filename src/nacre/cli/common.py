@@ -93,6 +93,19 @@ def jobs_option(function: F) -> F:
     )(function)  # fmt: skip
 
 
+def _no_cache_callback(ctx: click.Context, param: click.Parameter, value: bool) -> None:
+    if value:
+        os.environ["NACRE_CACHE"] = "off"  # workers of a sweep inherit it
+
+
+def cache_option(function: F) -> F:
+    """Add `--no-cache`, by which solved optics are neither taken from disk nor kept there."""
+    return click.option(
+        "--no-cache", is_flag=True, is_eager=True, expose_value=False, callback=_no_cache_callback,
+        help="Solve anew, and keep nothing; see nacre cache.",
+    )(function)  # fmt: skip
+
+
 def set_option(function: F) -> F:
     """Add `--set PATH=VALUE`, which changes a number of the recipe for this run."""
     return click.option(

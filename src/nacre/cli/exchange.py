@@ -25,6 +25,7 @@ FORMATS = {
 @click.option("--wavelength-nm", type=float, default=None, help="zemax: one wavelength instead of XYZ.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was written and what was lost, as JSON.")
 @common.set_option
+@common.cache_option
 @common.jobs_option
 def export(
     recipe: str, target: str, output: str | None, angle_step_deg: float, wavelength_nm: float | None, as_json: bool,
@@ -60,6 +61,7 @@ def _lines(facts: dict[str, Any]) -> list[str]:
 @click.command(name="import")
 @click.argument("file", metavar="FILE")
 @click.option("-o", "output", default=None, metavar="RECIPE.toml", help="Default: FILE with the suffix .toml.")
+@common.cache_option
 @common.jobs_option
 def import_(file: str, output: str | None) -> None:
     """Read a measurement or another program's material and write a recipe for it."""

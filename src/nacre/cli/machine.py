@@ -96,4 +96,31 @@ def indices_show(name: str, output: str | None, as_json: bool) -> None:
         common.note(output)
 
 
-commands = {"doctor": doctor, "indices": indices}
+@click.command()
+@click.option("--clear", is_flag=True, help="Remove everything that is kept.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def cache(clear: bool, as_json: bool) -> None:
+    """Show where solved materials are kept on disk and how much there is; --clear removes them.
+
+    The folder is $NACRE_CACHE, or nacre in the user's cache folder; NACRE_CACHE=off keeps nothing.
+    """
+    from nacre.materials import cache as kept
+
+    folder = kept.cache_folder()
+    removed = kept.clear(folder) if clear and folder else 0
+    found = kept.entries(folder) if folder else []
+    total = sum(size for _, size, _ in found)
+    if as_json:
+        click.echo(json.dumps({
+            "folder": None if folder is None else str(folder), "entries": len(found), "bytes": total,
+            "most_bytes": kept.MAX_BYTES, "removed": removed,
+        }))  # fmt: skip
+        return
+    if folder is None:
+        click.echo("off: NACRE_CACHE=off")
+        return
+    gone = f", {removed} removed" if clear else ""
+    click.echo(f"{folder}: {len(found)} materials, {total / 1e6:.1f} of at most {kept.MAX_BYTES / 1e6:.0f} MB{gone}")
+
+
+commands = {"doctor": doctor, "indices": indices, "cache": cache}

@@ -19,6 +19,7 @@ TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "sheet")
 @click.option("-o", "output", default=None, metavar="DIR", help="Default: the target's name.")
 @click.option("--resume", is_flag=True, help="Go on where a stopped run of the same target ended.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result's numbers as JSON.")
+@common.cache_option
 @common.jobs_option
 def design(target: str, output: str | None, resume: bool, as_json: bool) -> None:
     """Find the relief with the appearance that TARGET asks for; the best so far is always on disk."""
@@ -94,6 +95,7 @@ class _Screen:
 @click.option(
     "--seed", type=click.IntRange(0, 2**32 - 1), default=None, help="Of a metasurface's points; default: the recipe's."
 )
+@common.cache_option
 @common.jobs_option
 def fabricate(
     source: str, target: str, output: str | None, calibration: str | None, size_mm: str | None, levels: int | None,

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from nacre.cli import common
+from nacre.cli.status import STATUS_INTERRUPTED, STOPPED
 from nacre.errors import NacreError
 
 STILLS = (".png", ".exr")
@@ -47,6 +48,7 @@ SCENES = "sphere|probe|speedshape|panel|butterfly|bottle|knob|body|screen|SCENE.
 @click.option("--frames", type=click.IntRange(2, 100_000), default=48, show_default=True)
 @click.option("-o", "output", default=None, metavar="FILE.png|.exr|.gif|.mp4", help="Default: RECIPE.png (or .gif).")
 @common.set_option
+@common.cache_option
 @common.jobs_option
 def render(
     recipe: str, scene: str, shape: str | None, up: str | None, light: str | None, illuminant: str,
@@ -55,6 +57,7 @@ def render(
 ) -> None:  # fmt: skip
     """Render a material on an object."""
     from nacre.files import check_writable
+    from nacre.picture.interrupt import leaving_at_once
 
     suffixes = MOVIES if animate else STILLS
     path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}{suffixes[0]}")
@@ -67,7 +70,11 @@ def render(
         "size": size, "spp": spp, "seed": seed, "quality": quality,
         "exposure": _exposure(exposure), "denoise": denoise,
     }  # fmt: skip
-    material = common.load_material(recipe, changes)
+    with leaving_at_once(STATUS_INTERRUPTED, STOPPED):
+        _render(common.load_material(recipe, changes), path, animate, frames, options)
+
+
+def _render(material: Any, path: Path, animate: str | None, frames: int, options: dict[str, Any]) -> None:
     if animate:
         from nacre.render.animation import animate as render_animation
 

@@ -29,6 +29,7 @@ SWEEP_KINDS = ("gamut", "colour-map", "parallel")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON to stdout.")
 @click.option("-o", "output", metavar="FILE.csv", help="Write CSV (or JSON, by the suffix) to a file.")
 @common.set_option
+@common.cache_option
 @common.jobs_option
 def spectrum(
     recipe: str, angles_deg: str, wavelengths_nm: str | None, polarisation: str, as_json: bool, output: str | None,
@@ -81,6 +82,7 @@ def _csv(wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("-o", "output", required=True, metavar="VALUES.npz")
 @common.set_option
+@common.cache_option
 @common.jobs_option
 def evaluate(
     recipe: str, directions: str, wavelengths_nm: str | None, samples: int | None, seed: int, output: str,
@@ -152,6 +154,7 @@ def _read_directions(path: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | No
 @click.option("--part", default=None, metavar="NAME", help="Of a sweep's spectrum; default: the brightest stored.")
 @click.option("-o", "output", default=None, metavar="FILE.png|.pdf", help="Default: RECIPE-KIND.png.")
 @common.set_option
+@common.cache_option
 @common.jobs_option
 def plot(
     recipe: str, kind: str | None, angles_deg: str | None, wavelengths_nm: str | None, illuminant: str,
@@ -220,6 +223,7 @@ def _over(text: str | None, kind: str) -> tuple[str, np.ndarray] | None:
 @click.option("--wavelengths-nm", default=None, help="Such as 380:780:5; default: chosen by the material.")
 @click.option("-o", "output", default=None, metavar="FILE.nacre", help="Default: beside the current folder's name.")
 @common.set_option
+@common.cache_option
 @common.jobs_option
 def compile_(recipe: str, wavelengths_nm: str | None, output: str | None, changes: tuple[str, ...]) -> None:
     """Solve RECIPE once and store its BSDF, to be rendered many times."""

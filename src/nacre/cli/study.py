@@ -31,6 +31,7 @@ def _progress_bar(description: str) -> Any:
 @click.option("--workers", type=int, default=None, help="Processes; 1 computes in this one; default: one a core.")
 @click.option("--scheduler", default=None, metavar="tcp://HOST:PORT", help="Use this Dask scheduler instead.")
 @click.option("--break-lock", is_flag=True, help="Take over a folder that a sweep on another machine left locked.")
+@common.cache_option
 @common.jobs_option
 def sweep(sweep_file: str, output: str | None, workers: int | None, scheduler: str | None, break_lock: bool) -> None:
     """Compute a material over many values of its numbers; run again to go on after an interruption."""
@@ -62,6 +63,7 @@ def sweep(sweep_file: str, output: str | None, workers: int | None, scheduler: s
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("-o", "output", default=None, metavar="FILE.txt|.json|.html")
 @common.set_option
+@common.cache_option
 @common.jobs_option
 def report(
     recipes: tuple[str, ...], illuminant: str, observer: str, samples: int | None, seed: int, as_json: bool,
@@ -109,6 +111,7 @@ def report(
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("-o", "output", default=None, metavar="FILE.json")
 @common.set_option
+@common.cache_option
 @common.jobs_option
 def tolerance(
     recipe: str, spreads: tuple[str, ...], draws: int, limit: float, seed: int, illuminant: str, samples: int | None,
@@ -178,6 +181,7 @@ def tolerance(
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("--residual", default=None, metavar="FILE.npz", help="Store the residual map.")
 @click.option("-o", "output", default=None, metavar="FITTED.toml", help="Default: RECIPE-fitted.toml.")
+@common.cache_option
 @common.jobs_option
 def fit(
     measurement: str, recipe: str, free: tuple[str, ...], starts: int, weights: str, samples: int | None, seed: int,

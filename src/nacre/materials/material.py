@@ -25,6 +25,7 @@ from nacre.errors import RecipeError, UnsupportedError
 from nacre.families.contract import Model
 from nacre.families.registry import family_source, family_spec
 from nacre.files import read_text
+from nacre.materials.cache import solved
 from nacre.materials.varying import Varying
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.recipe.identity import file_digest, identity
@@ -81,8 +82,14 @@ class Material:
             MaterialRangeError: an optical constant is not known at a wavelength.
         """
         grid = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
-        bsdf: Bsdf = self.model.bsdf(grid)
+        bsdf = self._solved(grid)
         return dataclasses.replace(bsdf, provenance={**bsdf.provenance, **recipe_provenance(self)})
+
+    def _solved(self, grid: NDArray[np.float64] | None) -> Bsdf:
+        if isinstance(self.model, StoredBsdf) or self.context.ambient is not None:
+            return self.model.bsdf(grid)  # solved already; or a part of another material, which is kept as a whole
+        what = identity(self.identity, {}, wavelengths_nm=grid)
+        return solved(what, lambda: self.model.bsdf(grid))
 
     @property
     def text(self) -> str:
@@ -119,7 +126,7 @@ class Material:
         if found is None:
             if polarisation != "both":
                 raise UnsupportedError(f"{self.context.source}: a {self.model.noun} {self.model.why_unpolarised}")
-            found = bsdf_spectrum(self.model.bsdf(grid), theta, seed=seed)
+            found = bsdf_spectrum(self._solved(grid), theta, seed=seed)
         self._tell_excess(found)
         return found
 

@@ -20,6 +20,7 @@ from nacre.bsdf import Bsdf
 from nacre.device.variant import use_variant
 from nacre.errors import NacreError, RecipeError, UnsupportedError
 from nacre.files import check_writable
+from nacre.picture import interrupt
 from nacre.picture.denoise import denoised, guides, why_not
 from nacre.picture.images import Exposure, RenderResult, develop, encode
 from nacre.picture.lights.named import TURNING_LIGHTS, check_light, make_light
@@ -105,6 +106,7 @@ def render(
     check_exposure(exposure)
     seed = check_seed(seed)
     started = time.perf_counter()
+    interrupt.begin_picture()
     bsdf, notes = resolve_material(material, quality, components)
     if scene == "screen":
         from nacre.picture.screen import render_screen
@@ -266,7 +268,7 @@ def _passes(
     count = len(plan)
     total: NDArray[np.float64] | None = None
     done, clock = 0, Clock()
-    try:
+    with interrupt.held_back() as is_interrupted:
         for index, now in enumerate(plan):
             picture = mi.render(
                 stage.mitsuba_scene, sensor=sensor, integrator=integrator, spp=now, seed=_pass_seed(seed, index)
@@ -274,10 +276,13 @@ def _passes(
             values = np.array(picture, dtype=np.float64)
             total = values * now if total is None else total + values * now
             done += now
-            report(index + 1, count, clock.left(index + 1, count))
-    except KeyboardInterrupt:
-        if total is None:
-            raise
+            interrupt.keep_passes()
+            try:
+                report(index + 1, count, clock.left(index + 1, count))
+            except KeyboardInterrupt:
+                break
+            if is_interrupted():
+                break
     assert total is not None  # spp is at least 1
     mean = total / done
     if spectral:

@@ -1,0 +1,51 @@
+"""Ctrl-C: at once before there is a pass, and with the passes done after it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+import nacre
+
+SLOW = Path(__file__).resolve().parents[2] / "examples" / "metasurface" / "silver_on_oxide.toml"
+SOON_S = 3.0
+SOLVING_AFTER_S = 5.0  # started by then, and far from solved
+
+pytestmark = pytest.mark.render
+
+
+def test_before_the_first_pass_a_render_leaves_at_once(tmp_path: Path) -> None:
+    picture = tmp_path / "a.png"
+    command = [sys.executable, "-m", "nacre", "render", str(SLOW), "-o", str(picture)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        time.sleep(SOLVING_AFTER_S)
+        asked = time.perf_counter()
+        process.send_signal(signal.SIGINT)
+        told = process.communicate(timeout=60)[1]
+        took = time.perf_counter() - asked
+    assert process.returncode == 130
+    assert took < SOON_S
+    assert told == "nacre: stopped; what was finished is kept\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("delay_s", [0.05, 0.3, 0.7])
+def test_after_it_the_passes_done_are_written(tmp_path: Path, delay_s: float) -> None:
+    """The interrupt comes while the renderer works, where Python's own would come out as another error."""
+
+    def ask(done: int, total: int, seconds_left: float) -> None:
+        if done == 1:
+            threading.Timer(delay_s, os.kill, (os.getpid(), signal.SIGINT)).start()
+
+    silicon = nacre.material({"family": "film", "substrate": "Si", "surface": {"roughness": 0.2}})
+    result = nacre.render(silicon, size=(600, 500), spp=4096, output=tmp_path / "a.png", progress=ask)
+    assert result.stats["interrupted"] and 0 < result.stats["spp"] < 4096
+    assert (tmp_path / "a.png").exists()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
