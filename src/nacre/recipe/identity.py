@@ -44,10 +44,13 @@ def _plain(value: Any) -> Any:
 
 @functools.cache
 def source_digest(package: Path = Path(__file__).parents[1]) -> str:
-    """Return a hash of a package's files, nacre's unless another is given: changed code may change an answer."""
+    """Return a hash of a package's files, nacre's unless another is given: changed code may change an answer.
+
+    What Python and numba keep beside them (`__pycache__`) comes and goes, and does not count.
+    """
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*")):
-        if path.is_file() and path.suffix != ".pyc":
+        if path.is_file() and "__pycache__" not in path.parts:
             digest.update(f"{path.relative_to(package).as_posix()}\0{file_digest(path)}\n".encode())
     return digest.hexdigest()
 
