@@ -62,16 +62,17 @@ def test_fine_lines_keep_their_contrast() -> None:
 def test_glints_and_spectra_stay_as_rendered(tmp_path: Path) -> None:
     from nacre.picture.denoise import why_not
 
-    class Sparkling:
-        kind = "flaked"
-
-    class Masked:
-        kind, inner = "masked", Sparkling()
-
-    class Bsdf:
-        lobes = (Masked(),)
-
-    assert "glints" in why_not(Bsdf())
+    flakes = {
+        "volume_fraction": 0.01, "coatings": [{"material": "TiO2", "thickness_nm": 60}],
+        "substrate": {"material": "mica", "thickness_nm": 400}, "diameter_um": 200, "normal_deviation": 0.15,
+    }  # fmt: skip
+    stratum = {"resin": {"n": 1.5}, "thickness_um": 50, "roughness": 0.05, "platelets": [flakes]}
+    pearl = {"family": "pearl", "strata": [stratum], "base": {"albedo": 0.5}}
+    grid = np.array([450.0, 550.0, 650.0])
+    for quality in ("reference", "fast"):
+        plain = nacre.material({**pearl, "quality": quality}).bsdf(grid)
+        sparkling = nacre.material({**pearl, "quality": quality, "glints": {"surface_mm": 100}}).bsdf(grid)
+        assert why_not(plain) == "" and "glints" in why_not(sparkling)
     result = render(nacre.material(GOLD), spp=1, spectral=True)
     assert not result.stats["denoised"] and result.raw is None
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from nacre.device.variant import use_variant
 
 GUIDE_SPP = 16  # of the guides, which only need the first hit
-GLINT_KINDS = ("flaked",)  # lobes whose sparkle is their look: a denoiser takes it for noise
 # XYZ -> linear Rec. 2020 (ITU-R BT.2020, white D65)
 TO_RGB = np.array(
     [[1.7166512, -0.3556708, -0.2533663], [-0.6666844, 1.6164812, 0.0157685], [0.0176399, -0.0427706, 0.9421031]]
@@ -44,7 +43,8 @@ def why_not(bsdf: Any) -> str:
 
 
 def _has_glints(lobe: Any) -> bool:
-    return lobe.kind in GLINT_KINDS or (hasattr(lobe, "inner") and _has_glints(lobe.inner))
+    # flakes that are resolved one by one; the inner lobe of a masked one counts too
+    return getattr(lobe, "glint_numbers", None) is not None or (hasattr(lobe, "inner") and _has_glints(lobe.inner))
 
 
 def guides(scene: Any, sensor: Any, seed: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
