@@ -17,7 +17,7 @@ import pydantic
 from pydantic.fields import FieldInfo
 
 from nacre.errors import RecipeError, did_you_mean
-from nacre.recipe.model import LENGTH_UNITS_NM, RecipeModel
+from nacre.recipe.model import RecipeModel, spellings
 
 UNITS = {"deg": "degrees", "ev": "eV", "um2": "1/um^2", "s": "s"}  # the last word of a key -> its unit
 LONGEST_LINE = 76  # of a snippet, which is indented
@@ -119,7 +119,7 @@ def find_key(roots: Sequence[type[RecipeModel]], path: str, source: str) -> tupl
     walked, found = "", None
     for word in re.sub(r"\[\d*\]", "", path).split("."):
         keys = {key.name: key for model in models for key in keys_of(model)}
-        found = keys.get(word) or keys.get(_length_key(word, keys))
+        found = next((keys[way] for way in spellings(word) if way in keys), None)
         if found is None:
             raise RecipeError(_unknown(word, keys, walked, roots, source))
         models = found.tables
@@ -210,16 +210,10 @@ def _key(name: str, field: FieldInfo) -> Key:
 
 def _unit(name: str) -> str:
     stem, _, last = name.rpartition("_")
-    if stem and last in LENGTH_UNITS_NM:
-        others = " or ".join(f"{stem}_{unit}" for unit in LENGTH_UNITS_NM if unit != last)
-        return f"{last}; may be written {others}"
+    others = [way for way in spellings(name) if way != name]
+    if others:
+        return f"{last}; may be written {' or '.join(others)}"
     return UNITS.get(last, "") if stem else ""
-
-
-def _length_key(word: str, keys: Mapping[str, Key]) -> str:
-    stem, _, unit = word.rpartition("_")
-    same = [f"{stem}_{other}" for other in LENGTH_UNITS_NM] if unit in LENGTH_UNITS_NM else []
-    return next((name for name in same if name in keys), "")
 
 
 def _unknown(word: str, keys: Mapping[str, Key], walked: str, roots: Sequence[type[RecipeModel]], source: str) -> str:

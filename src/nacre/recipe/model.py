@@ -126,6 +126,17 @@ def _whole(value: Any) -> Any:
     return value
 
 
+def spellings(key: str) -> tuple[str, ...]:
+    """Return every way in which a recipe may write a key: a length with each of its units, any other as it is."""
+    stem, _, unit = key.rpartition("_")
+    return tuple(f"{stem}_{other}" for other in LENGTH_UNITS_NM) if stem and unit in LENGTH_UNITS_NM else (key,)
+
+
+def length_factor(given: str, wanted: str) -> float:
+    """Return by what a length is multiplied that is given under one spelling of its key and wanted under another."""
+    return LENGTH_UNITS_NM[given.rpartition("_")[2]] / LENGTH_UNITS_NM[wanted.rpartition("_")[2]]
+
+
 class RecipeModel(pydantic.BaseModel):
     """A table of a recipe: unknown keys are refused, numbers are finite, lengths may carry any unit.
 
@@ -158,16 +169,13 @@ class RecipeModel(pydantic.BaseModel):
             return data
         converted = dict(data)
         for name in cls.model_fields:
-            stem, _, unit = name.rpartition("_")
-            if unit not in LENGTH_UNITS_NM:
-                continue
-            given = [f"{stem}_{u}" for u in LENGTH_UNITS_NM if f"{stem}_{u}" in converted]
+            given = [way for way in spellings(name) if way in converted]
             if len(given) > 1:
                 raise ValueError(f"{given[0]} and {given[1]} give the same length twice; keep one")
             if given and given[0] != name:
                 key = given[0]
                 value = converted.pop(key)
-                converted[name] = _scale(value, LENGTH_UNITS_NM[key.rpartition("_")[2]] / LENGTH_UNITS_NM[unit])
+                converted[name] = _scale(value, length_factor(key, name))
         return converted
 
 

@@ -15,7 +15,7 @@ import pydantic
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 
 from nacre.recipe.keys import as_written, shared_tables, tables_below
-from nacre.recipe.model import LENGTH_UNITS_NM, RecipeModel
+from nacre.recipe.model import RecipeModel, length_factor, spellings
 
 DRAFT = "http://json-schema.org/draft-07/schema#"
 BOUNDS = ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "default")
@@ -131,13 +131,8 @@ class _Generator(GenerateJsonSchema):
 
 def _given(key: str, made: Mapping[str, Any]) -> dict[str, Any]:
     """Return the rule that a key is given, a length in any of its units."""
-    names = [name for name in _spellings(key) if name in made["properties"]]
+    names = [name for name in spellings(key) if name in made["properties"]]
     return {"anyOf": [{"required": [name]} for name in names]} if len(names) > 1 else {"required": [key]}
-
-
-def _spellings(key: str) -> list[str]:
-    stem, _, unit = key.rpartition("_")
-    return [f"{stem}_{other}" for other in LENGTH_UNITS_NM] if unit in LENGTH_UNITS_NM and stem else [key]
 
 
 def _add_units(made: dict[str, Any]) -> None:
@@ -147,11 +142,9 @@ def _add_units(made: dict[str, Any]) -> None:
     properties: dict[str, Any] = {}
     for name, value in made["properties"].items():
         properties[name] = value
-        others = [other for other in _spellings(name) if other != name]
-        unit = name.rpartition("_")[2]
+        others = [other for other in spellings(name) if other != name]
         for other in others:
-            factor = LENGTH_UNITS_NM[unit] / LENGTH_UNITS_NM[other.rpartition("_")[2]]
-            properties[other] = _scaled(value, factor)
+            properties[other] = _scaled(value, length_factor(name, other))
         if others and name in required:
             required.remove(name)
             rules.append({"oneOf": [{"required": [spelling]} for spelling in (name, *others)]})
@@ -197,7 +190,7 @@ def _let_vary(schema: Any, path: Sequence[str], texture: Mapping[str, Any]) -> N
     """Add a texture to what may stand at a path such as `strata[].thickness_nm`, in place."""
     word, *rest = path
     for table in _tables(schema):
-        for name in _spellings(word.replace("[]", "")):
+        for name in spellings(word.replace("[]", "")):
             if name not in table["properties"]:
                 continue
             value = table["properties"][name]
