@@ -109,8 +109,8 @@ def stand_on_floor(surface: Mesh, scene: Scene) -> Mesh:
     low, high = surface.bounds
     middle = 0.5 * (low + high)
     centred = surface.moved(np.eye(3), (-middle[0], -middle[1], -low[2]))
-    extent = float(high[2] - low[2])
-    largest = min(HEIGHT / max(extent, 1e-300), HEIGHT / max(float((high - low)[:2].max()), 1e-300) * 2)
+    width, depth, height = high - low
+    largest = HEIGHT / max(height, 0.5 * width, 0.5 * depth)  # a mesh has some extent
     profile = _profile(centred.vertices)
     views = [view for view in (scene.view, scene.place_view) if view is not None]
     return centred.moved(np.eye(3) * min(_fitting_scale(profile, view, scene.size, largest) for view in views))
