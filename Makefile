@@ -33,6 +33,7 @@ lint: setup
 	@$(PY) -m mypy
 
 bench validate: export NACRE_CACHE = off
+bench validate: export NACRE_DENOISE = 0
 
 bench: setup
 	@$(PY) tools/bench_env.py
