@@ -18,6 +18,7 @@ import numpy as np
 
 from nacre.errors import NacreError, UnsupportedError
 from nacre.files import atomic_path, check_writable
+from nacre.picture.denoise import why_not
 from nacre.picture.images import RenderResult, read_provenance
 from nacre.picture.picture import render, resolve_material
 from nacre.picture.progress import ProgressCallback, progress_bar
@@ -225,7 +226,8 @@ def _frame_key(who: str, motion: Motion, value: float, settings: dict[str, Any])
     """A fingerprint of all that makes a frame: two equal ones mean equal pictures."""
     named = (settings.get(name) for name in ("scene", "shape", "light"))
     files = {str(name): file_digest(name) for name in named if name}
-    return identity(who, files, motion=motion.name, value=value, settings=settings)
+    # a frame made where no denoiser is at hand is not the frame made where one is
+    return identity(who, files, motion=motion.name, value=value, settings=settings, raw=why_not(None))
 
 
 def _finished(path: Path) -> dict[str, Any]:
