@@ -59,6 +59,38 @@ def test_fine_lines_keep_their_contrast() -> None:
     assert contrast(short.xyz, pattern) >= 0.9
 
 
+def test_guides_are_made_in_passes_that_bound_memory_as_the_picture_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    from nacre.device.variant import use_variant
+    from nacre.picture import picture
+
+    mi, asked = use_variant(), []
+    real = mi.render
+
+    def noting(*arguments: Any, **options: Any) -> Any:
+        asked.append(options["spp"])
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(mi, "render", noting)
+    monkeypatch.setattr(picture, "PASS_SAMPLES", 4 * SIZE[0] * SIZE[1])
+    assert render(nacre.material(GOLD), spp=4).stats["denoised"]
+    assert max(asked) <= 4 and sum(asked) == 4 + 16
+
+
+def test_frames_without_the_denoiser_are_not_kept_beside_frames_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def kept() -> int:
+        made = nacre.render.animate(
+            nacre.material(GOLD), "light", tmp_path / "a.gif", frames=2, size=(16, 16), spp=1, progress=False
+        )
+        return made.kept
+
+    monkeypatch.setenv("NACRE_DENOISE", "0")
+    assert [kept(), kept()] == [0, 2]
+    monkeypatch.delenv("NACRE_DENOISE")
+    assert kept() == 0
+
+
 def test_glints_and_spectra_stay_as_rendered(tmp_path: Path) -> None:
     from nacre.picture.denoise import why_not
 

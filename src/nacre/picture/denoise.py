@@ -10,6 +10,7 @@ it takes grain for texture.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -47,13 +48,24 @@ def _has_glints(lobe: Any) -> bool:
     return getattr(lobe, "glint_numbers", None) is not None or (hasattr(lobe, "inner") and _has_glints(lobe.inner))
 
 
-def guides(scene: Any, sensor: Any, seed: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return diffuse reflectance and normal `[row, column, 3]` of what each pixel sees first."""
+def guides(
+    scene: Any, sensor: Any, passes: Sequence[tuple[int, int]]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return diffuse reflectance and normal `[row, column, 3]` of what each pixel sees first.
+
+    Args:
+        scene, sensor: of Mitsuba.
+        passes: samples a pixel and seed of each pass, `GUIDE_SPP` in all.
+    """
     mi = use_variant()
     integrator = mi.load_dict({"type": "aov", "aovs": "albedo:albedo,normal:sh_normal"})
-    seen = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=GUIDE_SPP, seed=seed))
-    seen = np.nan_to_num(seen[..., -6:].astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-    return np.clip(seen[..., :3], 0.0, 1.0), np.clip(seen[..., 3:], -1.0, 1.0)
+    seen = sum(
+        spp * np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed))[..., -6:]
+        for spp, seed in passes
+    )
+    mean = np.asarray(seen / sum(spp for spp, _ in passes), dtype=np.float32)
+    mean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
+    return np.clip(mean[..., :3], 0.0, 1.0), np.clip(mean[..., 3:], -1.0, 1.0)
 
 
 def denoised(xyz: NDArray[np.float64], albedo: NDArray[np.float32], normal: NDArray[np.float32]) -> NDArray[np.float64]:

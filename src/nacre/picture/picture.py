@@ -21,7 +21,7 @@ from nacre.device.variant import use_variant
 from nacre.errors import NacreError, RecipeError, UnsupportedError
 from nacre.files import check_writable
 from nacre.picture import interrupt
-from nacre.picture.denoise import denoised, guides, why_not
+from nacre.picture.denoise import GUIDE_SPP, denoised, guides, why_not
 from nacre.picture.images import Exposure, RenderResult, develop, encode
 from nacre.picture.lights.named import TURNING_LIGHTS, check_light, make_light
 from nacre.picture.progress import Clock, ProgressCallback, progress_bar
@@ -124,7 +124,7 @@ def render(
 
         if shape is not None or light is not None or up is not None:
             raise NacreError(
-                f"scene {scene}: a Mitsuba scene brings its own shapes and light; leave shape and light out"
+                f"scene {scene}: a Mitsuba scene brings its own shapes and light; leave shape, up and light out"
             )
         stage = _kept(("xml", str(Path(scene).resolve()), _stamp(scene)), lambda: UserScene(Path(scene)))
         view, balance, light_note = None, "D65", "the scene's own"
@@ -137,17 +137,8 @@ def render(
         see_through = bool(getattr(bsdf, "transmits", False))
         # our own environments turn in place; other lights are built for their angle
         built_turn = 0.0 if light_name in TURNING_LIGHTS else turns[0]
-        key = (
-            scene,
-            str(shape),
-            _stamp(shape),
-            up,
-            light_name,
-            _stamp(light_name),
-            illuminant,
-            built_turn,
-            see_through,
-        )
+        subject = (str(shape), _stamp(shape), up)
+        key = (scene, *subject, light_name, _stamp(light_name), illuminant, built_turn, see_through)
         stage = _kept(key, lambda: _build(chosen, shape, up, light_name, illuminant, built_turn, see_through))
         stage.turn_light(turns[0])
         camera = chosen.place_view if chosen.place_view and stage.light.is_surrounding else chosen.view
@@ -251,11 +242,8 @@ def _passes(
         KeyboardInterrupt: before the first pass was done.
     """
     mi = use_variant()
-    film: dict[str, Any] = {
-        "type": "hdrfilm",
-        "pixel_format": "xyz",
-        "rfilter": {"type": "box" if guided else "gaussian"},
-    }
+    rfilter = {"type": "box" if guided else "gaussian"}
+    film: dict[str, Any] = {"type": "hdrfilm", "pixel_format": "xyz", "rfilter": rfilter}
     bands = np.zeros(0)
     if spectral:
         from nacre.picture.spectral_film import band_centres, band_film
@@ -264,7 +252,8 @@ def _passes(
         film = band_film(bands, BAND_STEP_NM)
     sensor = stage.sensor(view, size, film)
     integrator = mi.load_dict({"type": "path", "max_depth": stage.depth, "rr_depth": 6})
-    plan = pass_plan(spp, max(1, PASS_SAMPLES // (size[0] * size[1])))
+    most = max(1, PASS_SAMPLES // (size[0] * size[1]))
+    plan = pass_plan(spp, most)
     count = len(plan)
     total: NDArray[np.float64] | None = None
     done, clock = 0, Clock()
@@ -289,7 +278,10 @@ def _passes(
         from nacre.picture.spectral_film import bands_to_xyz
 
         mean = np.concatenate([bands_to_xyz(mean, bands), mean], axis=-1)
-    guide = guides(stage.mitsuba_scene, sensor, _pass_seed(seed, count)) if guided else None
+    guide = None
+    if guided:
+        passes = [(now, _pass_seed(seed, count + index)) for index, now in enumerate(pass_plan(GUIDE_SPP, most))]
+        guide = guides(stage.mitsuba_scene, sensor, passes)
     return mean.astype(np.float32), bands, done, guide
 
 
