@@ -61,7 +61,7 @@ def test_fine_lines_keep_their_contrast() -> None:
 
 def test_guides_are_made_in_passes_that_bound_memory_as_the_picture_is(monkeypatch: pytest.MonkeyPatch) -> None:
     from nacre.device.variant import use_variant
-    from nacre.picture import picture
+    from nacre.picture import passes
 
     mi, asked = use_variant(), []
     real = mi.render
@@ -71,7 +71,7 @@ def test_guides_are_made_in_passes_that_bound_memory_as_the_picture_is(monkeypat
         return real(*arguments, **options)
 
     monkeypatch.setattr(mi, "render", noting)
-    monkeypatch.setattr(picture, "PASS_SAMPLES", 4 * SIZE[0] * SIZE[1])
+    monkeypatch.setattr(passes, "PASS_SAMPLES", 4 * SIZE[0] * SIZE[1])
     assert render(nacre.material(GOLD), spp=4).stats["denoised"]
     assert max(asked) <= 4 and sum(asked) == 4 + 16
 

@@ -12,15 +12,14 @@ import pytest
 
 import nacre
 from nacre.errors import NacreError
-from nacre.picture import picture
+from nacre.picture import passes, picture
+from nacre.picture.image_files import read_provenance, spectral_channel
 from nacre.picture.images import (
     AUTO_STOPS,
     RenderResult,
     auto_stops,
     develop,
     encode,
-    read_provenance,
-    spectral_channel,
 )
 from nacre.picture.scenes.catalogue import SCENES
 
@@ -80,7 +79,7 @@ def test_turning_the_light_there_and_back_changes_nothing(gold: Any) -> None:
 def test_passes_add_up_to_the_asked_spp() -> None:
     for spp in (1, 2, 5, 16, 100, 997):
         for most in (1, 7, 64, 4096):
-            plan = picture.pass_plan(spp, most)
+            plan = passes.pass_plan(spp, most)
             assert sum(plan) == spp and max(plan) <= most
 
 

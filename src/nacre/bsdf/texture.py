@@ -35,9 +35,29 @@ class Formula:
     text: str
     tree: Any
 
-    def __call__(self, u: Any, v: Any, operations: Mapping[str, Callable[..., Any]] | None = None) -> Any:
-        """Evaluate on arrays; `operations` maps the words of `_FUNCTIONS` and add..neg to a backend's functions."""
-        return _evaluate(self.tree, {"u": u, "v": v}, operations or NUMPY_OPERATIONS)
+    def __call__(
+        self,
+        u: Any,
+        v: Any,
+        operations: Mapping[str, Callable[..., Any]] | None = None,
+        constants: Mapping[str, Any] | None = None,
+    ) -> Any:
+        """Evaluate on arrays; `operations` maps the words of `_FUNCTIONS` and add..neg to a backend's functions.
+
+        Args:
+            constants: of a formula with holes, what fills them.
+        """
+        return _evaluate(self.tree, {"u": u, "v": v, **(constants or {})}, operations or NUMPY_OPERATIONS)
+
+    def with_holes(self) -> tuple[Formula, dict[str, float]]:
+        """Return the formula with names in place of its numbers, and those numbers.
+
+        Formulas that differ in numbers alone are one and the same with holes: a kernel made for one serves all.
+        Exponents stay, since whole ones take any base and others do not.
+        """
+        numbers: dict[str, float] = {}
+        tree = _holed(self.tree, numbers)
+        return Formula(repr(tree), tree), numbers
 
 
 def parse_formula(text: str) -> Formula:
@@ -80,9 +100,22 @@ def _convert(node: ast.AST, text: str) -> Any:
         name = node.func.id
         if _FUNCTIONS.get(name) == len(node.args):
             return (name, *(_convert(arg, text) for arg in node.args))
-    allowed = "u, v, pi, e, numbers, + - * / ^ and " + ", ".join(_FUNCTIONS)
+    allowed = "u, v, t, pi, e, numbers, names of [numbers], + - * / ^ and " + ", ".join(_FUNCTIONS)
     part = ast.get_source_segment(text, node) if hasattr(node, "lineno") else None
     raise RecipeError(f'formula "{text[:80]}": "{part or type(node).__name__}" is not allowed; use {allowed}')
+
+
+def _holed(tree: Any, numbers: dict[str, float]) -> Any:
+    if isinstance(tree, float):
+        name = f"#{len(numbers)}"
+        numbers[name] = tree
+        return name
+    if isinstance(tree, str):
+        return tree
+    head, *operands = tree
+    if head == "pow" and isinstance(operands[1], float):
+        return (head, _holed(operands[0], numbers), operands[1])
+    return (head, *(_holed(operand, numbers) for operand in operands))
 
 
 def _evaluate(tree: Any, variables: Mapping[str, Any], operations: Mapping[str, Callable[..., Any]]) -> Any:

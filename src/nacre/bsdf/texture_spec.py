@@ -40,7 +40,8 @@ class TextureSpec(RecipeModel):
     )
     formula: str | None = pydantic.Field(
         default=None,
-        description="an expression of the surface's coordinates u and v, each from 0 to 1",
+        description="an expression of the surface's coordinates u and v, each from 0 to 1, of the names in "
+        "`[numbers]`, and of the time t of an animation",
         examples=["0.1 + 0.6*v"],
     )
     min: float | None = pydantic.Field(

@@ -231,7 +231,7 @@ def _row(folder: Path, out: Path, spec: RowSpec, is_quick: bool) -> Item:
     seconds = MOVIE_S[is_quick] * spec.spp
 
     def make() -> None:
-        from nacre.picture.images import read_provenance
+        from nacre.picture.image_files import read_provenance
         from nacre.render.animation import animate, join
 
         exposure: Any = "auto"

@@ -12,7 +12,7 @@ from nacre.cli import common
 from nacre.cli.status import STATUS_INTERRUPTED, STOPPED
 from nacre.errors import NacreError
 
-STILLS = (".png", ".exr")
+STILLS = (".png", ".jpg", ".jpeg", ".webp", ".exr")
 MOVIES = (".gif", ".mp4")
 SCENES = "sphere|probe|speedshape|panel|butterfly|bottle|knob|body|screen|SCENE.xml"
 
@@ -31,10 +31,30 @@ SCENES = "sphere|probe|speedshape|panel|butterfly|bottle|knob|body|screen|SCENE.
     ),
 )
 @click.option("--up", type=click.Choice(["x", "y", "z"]), default=None, help="Upward axis of the mesh file.")
+@click.option("--turn", type=float, default=0.0, metavar="DEG", help="Turn the object, counter-clockwise from above.")
 @click.option(
-    "--light", default=None, metavar="NAME|ENVMAP", help="studio, line, sun, sky, directional, interior, street."
+    "--view",
+    default=None,
+    metavar="AZIMUTH,ELEVATION",
+    help="Where the camera stands, degrees: azimuth 0 is the front and 90 the right; as far away as the scene's own.",
 )
+@click.option("--fov", type=float, default=None, metavar="DEG", help="Angle of view across; the object keeps its size.")
+@click.option("--zoom", type=float, default=None, metavar="FACTOR", help="Magnification.")
+@click.option(
+    "--light",
+    default=None,
+    metavar="NAME|ENVMAP[:STRENGTH][@TURN],...",
+    help="studio, line, sun, sky, directional, interior, street, or a map; several: studio:0.5,sun@120.",
+)
+@click.option("--light-layers", is_flag=True, help="Write what each light gives alone as layers of the EXR.")
 @click.option("--illuminant", default="D65", show_default=True, help="Spectrum of the light sources.")
+@click.option(
+    "--background",
+    default="scene",
+    show_default=True,
+    metavar="scene|transparent|COLOUR",
+    help="Cut the object out: on nothing, or on a colour such as grey or #30343a.",
+)
 @click.option("--size", default=None, metavar="WxH", help="Pixels; default: the scene's own.")
 @click.option("--spp", type=int, default=None, help="Samples a pixel; default: the scene's own.")
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
@@ -43,17 +63,31 @@ SCENES = "sphere|probe|speedshape|panel|butterfly|bottle|knob|body|screen|SCENE.
 )
 @click.option("--components", type=click.Choice(["sum", "specular", "diffuse"]), default="sum", show_default=True)
 @click.option("--exposure", default="auto", show_default=True, help='"auto", or stops.')
+@click.option(
+    "--tone",
+    type=click.Choice(["srgb", "filmic"]),
+    default="srgb",
+    show_default=True,
+    help="filmic: highlights roll off by the display curve of ACES (fit by Narkowicz); colours then are a look.",
+)
 @click.option("--denoise/--no-denoise", default=True, show_default=True, help="Take the grain out of the picture.")
-@click.option("--animate", default=None, metavar="light|view|PATH=A:B", help="Turn light or view, or vary a number.")
+@click.option(
+    "--animate", default=None, metavar="light|view|time|PATH=A:B", help="Turn light or view, or run a number."
+)
 @click.option("--frames", type=click.IntRange(2, 100_000), default=48, show_default=True)
-@click.option("-o", "output", default=None, metavar="FILE.png|.exr|.gif|.mp4", help="Default: RECIPE.png (or .gif).")
+@click.option(
+    "-o",
+    "output",
+    default=None,
+    metavar="FILE",
+    help="png, jpg, webp, exr, gif, mp4. Default: RECIPE.png, .gif.",
+)
 @common.set_option
 @common.cache_option
 @common.jobs_option
 def render(
-    recipe: str, scene: str, shape: str | None, up: str | None, light: str | None, illuminant: str,
-    size: str | None, spp: int | None, seed: int, quality: str | None, components: str, exposure: str,
-    denoise: bool, animate: str | None, frames: int, output: str | None, changes: tuple[str, ...],
+    recipe: str, animate: str | None, frames: int, output: str | None, changes: tuple[str, ...], exposure: str,
+    **looks: Any,
 ) -> None:  # fmt: skip
     """Render a material on an object."""
     from nacre.files import check_writable
@@ -63,13 +97,13 @@ def render(
     path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}{suffixes[0]}")
     if path.suffix.lower() not in suffixes:
         what = "an animation" if animate else "a picture"
-        raise NacreError(f"-o {path}: {what} is written as {' or '.join(suffixes)}")
+        raise NacreError(f"-o {path}: {what} is written as {', '.join(suffixes[:-1])} or {suffixes[-1]}")
     check_writable(path)
-    options: dict[str, Any] = {
-        "scene": scene, "shape": shape, "up": up, "light": light, "illuminant": illuminant, "components": components,
-        "size": size, "spp": spp, "seed": seed, "quality": quality,
-        "exposure": _exposure(exposure), "denoise": denoise,
-    }  # fmt: skip
+    if looks["light_layers"] and path.suffix.lower() != ".exr":
+        raise NacreError(f"-o {path}: --light-layers are layers of an EXR; write .exr")
+    if animate:
+        del looks["light_layers"]
+    options: dict[str, Any] = {**looks, "exposure": _exposure(exposure)}
     with leaving_at_once(STATUS_INTERRUPTED, STOPPED):
         _render(common.load_material(recipe, changes), path, animate, frames, options)
 

@@ -9,7 +9,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from nacre.bsdf.texture import ParameterAxis, Texture, smooth_noise
+from nacre.bsdf.texture import Formula, ParameterAxis, Texture, smooth_noise
 from nacre.device.base import device_array, opaque, opaque_int, read
 from nacre.errors import UnsupportedError
 
@@ -53,7 +53,11 @@ class DeviceTexture:
     """A scalar over uv: `texture(si.uv)` within [low, high], as `nacre.bsdf.texture.Texture` gives it."""
 
     def __init__(self, texture: Texture) -> None:
-        self.formula = texture.formula
+        self.formula: Formula | None = None
+        numbers: dict[str, float] = {}
+        if texture.formula is not None:
+            self.formula, numbers = texture.formula.with_holes()
+        self.constants = {name: opaque(value) for name, value in numbers.items()}
         self.low, self.high = opaque(texture.low), opaque(texture.high)
         if texture.formula is None:
             assert texture.image is not None
@@ -62,14 +66,17 @@ class DeviceTexture:
             self.size = (opaque(self.columns), opaque(self.rows))
             self.image = device_array(texture.image)
 
+    def fits(self, texture: Texture) -> bool:
+        """Whether another texture differs in numbers or pixels alone, so that the same kernel serves it."""
+        return bool(self.formula == (texture.formula.with_holes()[0] if texture.formula else None))
+
     def update(self, texture: Texture) -> None:
         """Take over the range and image of another texture.
 
         Raises:
             UnsupportedError: another formula, or an image instead of a formula: that needs a new kernel.
         """
-        old = self.formula.text if self.formula else None
-        if old != (texture.formula.text if texture.formula else None):
+        if not self.fits(texture):
             raise UnsupportedError("another texture formula cannot be swapped in; build the scene again")
         self.__init__(texture)  # type: ignore[misc]  # the object starts anew with the same structure
 
@@ -77,7 +84,7 @@ class DeviceTexture:
         """Evaluate at `uv`."""
         u, v = mi.Float(uv[0]), mi.Float(uv[1])
         if self.formula is not None:
-            value = mi.Float(self.formula(u, v, DRJIT_OPERATIONS))
+            value = mi.Float(self.formula(u, v, DRJIT_OPERATIONS, self.constants))
             value = dr.select(dr.isnan(value), self.low, value)
             return dr.minimum(dr.maximum(value, self.low), self.high)
         return dr.lerp(self.low, self.high, self._bilinear(u, v, active))

@@ -30,6 +30,7 @@ from nacre.materials.varying import Varying
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.recipe.identity import file_digest, identity
 from nacre.recipe.model import RecipeContext, validate
+from nacre.recipe.numbers import without_names
 from nacre.recipe.paths import find_by_path, numbers_of, set_by_path, varying_numbers
 from nacre.recipe.toml import dump_toml, parse_toml
 
@@ -282,10 +283,11 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
     """
     context = dataclasses.replace(context, reached={})
     spec_class = family_spec(data.get("family"), context.source)
-    if spec_class.varies_by_nodes and (numbers := varying_numbers(data, spec_class.varies_by_nodes)):
+    plain = without_names(data, context.source)
+    if spec_class.varies_by_nodes and (numbers := varying_numbers(plain, spec_class.varies_by_nodes)):
 
         def fixed(values: Mapping[str, float]) -> Material:
-            even = copy.deepcopy(dict(data))
+            even = copy.deepcopy(plain)
             for path, value in values.items():
                 set_by_path(even, path, value, context.source)
             node = material_from_data(even, context)
@@ -293,7 +295,7 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
             return node
 
         return Material(Varying.read(numbers, fixed, context), copy.deepcopy(dict(data)), context)
-    spec = validate(spec_class, {key: value for key, value in data.items() if key not in STUDY_TABLES}, context)
+    spec = validate(spec_class, {key: value for key, value in plain.items() if key not in STUDY_TABLES}, context)
     return Material(spec.build(context), copy.deepcopy(dict(data)), context)
 
 

@@ -14,9 +14,10 @@ import numpy as np
 from nacre.bsdf import Bsdf
 from nacre.device.variant import use_variant
 from nacre.errors import UnsupportedError
+from nacre.picture.camera import View
 from nacre.picture.lights.named import Light
-from nacre.picture.scenes.catalogue import MATERIALS, SUBJECT, Part, Scene, View, backdrop_parts
-from nacre.picture.shapes.mesh import Mesh
+from nacre.picture.scenes.catalogue import MATERIALS, SUBJECT, Part, Scene, backdrop_parts
+from nacre.picture.shapes.mesh import Mesh, rotation
 
 SEE_THROUGH_DEPTH = 16
 
@@ -50,9 +51,20 @@ class BuiltScene:
         scene: what to build.
         light: its light.
         see_through: whether the material transmits: a chequered backdrop and longer paths.
+        turn_deg: how far the subject is turned about the vertical axis.
+        backdrop_deg: how far the backdrop is, to stay behind the subject of a camera that goes round.
+        is_plain: no chequers, for subjects that are cut out.
     """
 
-    def __init__(self, scene: Scene, light: Light, see_through: bool) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        light: Light,
+        see_through: bool,
+        turn_deg: float = 0.0,
+        backdrop_deg: float = 0.0,
+        is_plain: bool = False,
+    ) -> None:
         mi = use_variant()
         self.scene, self.light = scene, light
         self.depth = max(scene.max_depth, SEE_THROUGH_DEPTH) if see_through else scene.max_depth
@@ -65,15 +77,18 @@ class BuiltScene:
 
         content: dict[str, Any] = {"type": "scene"}
         subjects = []
-        for index, part in enumerate(scene.parts()):
+        parts = [part.turned(turn_deg) if turn_deg else part for part in scene.parts()]
+        for index, part in enumerate(parts):
             content[f"part{index}"] = _shape(part, material(part.material), f"{part.material}{index}")
             if part.material == SUBJECT:
                 subjects.append(content[f"part{index}"])
         floor = light.floor if light.is_surrounding else None
-        for index, (surface, look) in enumerate(backdrop_parts(scene.backdrop, see_through, floor)):
-            content[f"backdrop{index}"] = make_mesh(surface, mi.load_dict(look))
+        for index, (surface, look) in enumerate(backdrop_parts(scene.backdrop, see_through and not is_plain, floor)):
+            behind = surface.moved(rotation("z", backdrop_deg)) if backdrop_deg else surface
+            content[f"backdrop{index}"] = make_mesh(behind, mi.load_dict(look))
         content.update({f"light_{name}": emitter for name, emitter in light.emitters.items()})
         self.subjects = subjects
+        self.objects = [content[f"part{index}"] for index in range(len(parts))]
         self.mitsuba_scene = mi.load_dict(content)
         self._material: Any = None
         self._source: Any = None
@@ -98,11 +113,13 @@ class BuiltScene:
         for shape in self.subjects:
             shape.set_bsdf(self._material)
 
-    def turn_light(self, angle_deg: float) -> None:
-        """Turn our own environments about the vertical axis; other lights were built at their angle."""
-        for emitter in self.light.emitters.values():
-            if hasattr(emitter, "set_state"):
-                emitter.set_state(1.0, angle_deg)
+    @property
+    def radius(self) -> float:
+        """Of the objects: half of the longest side of the box about all of them."""
+        boxes = [shape.bbox() for shape in self.objects]
+        low = np.min([np.array(box.min) for box in boxes], axis=0)
+        high = np.max([np.array(box.max) for box in boxes], axis=0)
+        return float(0.5 * (high - low).max())
 
     def sensor(self, view: View, size: tuple[int, int], film: dict[str, Any]) -> Any:
         """Return a camera with its film."""
@@ -116,9 +133,9 @@ class BuiltScene:
                 "type": "perspective",
                 "fov": float(2 * np.degrees(np.arctan(half_y if is_wider else half))),
                 "fov_axis": "y" if is_wider else "x",
-                "near_clip": 0.05,
+                "near_clip": 1e-3,  # depths count from there
                 "far_clip": 1e4,
-                "to_world": mi.ScalarTransform4f().look_at(list(view.origin), list(view.target), [0, 0, 1]),
+                "to_world": mi.ScalarTransform4f().look_at(list(view.origin), list(view.target), list(view.up)),
                 "film": {**film, "width": size[0], "height": size[1]},
                 "sampler": {"type": "multijitter"},
             }

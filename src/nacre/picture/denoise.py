@@ -10,13 +10,10 @@ it takes grain for texture.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from nacre.device.variant import use_variant
 
 GUIDE_SPP = 16  # of the guides, which only need the first hit
 # XYZ -> linear Rec. 2020 (ITU-R BT.2020, white D65)
@@ -48,33 +45,18 @@ def _has_glints(lobe: Any) -> bool:
     return getattr(lobe, "glint_numbers", None) is not None or (hasattr(lobe, "inner") and _has_glints(lobe.inner))
 
 
-def guides(
-    scene: Any, sensor: Any, passes: Sequence[tuple[int, int]]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return diffuse reflectance and normal `[row, column, 3]` of what each pixel sees first.
+def clean_albedo(albedo: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the guide `[row, column, 3]` without the noise that few wavelengths a path leave in its colours."""
+    import mitsuba_oidn as oidn
 
-    Args:
-        scene, sensor: of Mitsuba.
-        passes: samples a pixel and seed of each pass, `GUIDE_SPP` in all.
-    """
-    mi = use_variant()
-    integrator = mi.load_dict({"type": "aov", "aovs": "albedo:albedo,normal:sh_normal"})
-    seen = sum(
-        spp * np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed))[..., -6:]
-        for spp, seed in passes
-    )
-    mean = np.asarray(seen / sum(spp for spp, _ in passes), dtype=np.float32)
-    mean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
-    return np.clip(mean[..., :3], 0.0, 1.0), np.clip(mean[..., 3:], -1.0, 1.0)
+    return np.ascontiguousarray(np.clip(oidn.denoise(np.ascontiguousarray(albedo), filter="RT"), 0.0, 1.0))
 
 
 def denoised(xyz: NDArray[np.float64], albedo: NDArray[np.float32], normal: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return a linear XYZ picture `[row, column, 3]` without its grain."""
+    """Return a linear XYZ picture `[row, column, 3]` without its grain; `albedo` should be clean already."""
     import mitsuba_oidn as oidn
     from scipy.ndimage import gaussian_filter
 
-    # four wavelengths a path make the guide's colours noisy too: clean it first
-    albedo = np.clip(oidn.denoise(np.ascontiguousarray(albedo), filter="RT"), 0.0, 1.0)
     rgb = np.ascontiguousarray(np.maximum(xyz @ TO_RGB.T, 0.0), dtype=np.float32)
     clean = oidn.denoise(rgb, np.ascontiguousarray(albedo), np.ascontiguousarray(normal), hdr=True)
     clean = np.maximum(np.asarray(clean, dtype=np.float64) @ np.linalg.inv(TO_RGB).T, 0.0)

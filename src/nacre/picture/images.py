@@ -1,17 +1,17 @@
-"""From XYZ to pictures: exposure, white balance, hue-constant clipping, PNG with provenance.
+"""From XYZ to pictures: exposure, white balance, tone, hue-constant clipping, cut-out subjects on a background.
 
 Exposure policy. Lights are scaled so that white paper on the floor has a luminance of about 0.6 (`lights`).
 "auto", the default, moves the picture so that luminance percentile 98.5 lies at 0.7, but by no more than
 -0.5 to +2.5 stops, so that a dark material stays darker than a bright one. A number fixes it, in stops; 0 shows
 the scene as lit, and any two pictures at one number compare. Outputs state the stops used.
 
-White balance: the light's own white becomes the picture's white (Bradford). No tone curve bends the colours:
-what is brighter than white is white, what lies outside sRGB keeps hue and lightness and is counted.
+White balance: the light's own white becomes the picture's white (Bradford). By default no tone curve bends the
+colours: what is brighter than white is white, what lies outside sRGB keeps hue and lightness and is counted. The tone
+"filmic" lets highlights roll off instead, as film does: a look, and no measure of colour any more.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,17 +20,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre._version import __version__
 from nacre.arrays import Array
 from nacre.errors import NacreError
-from nacre.files import atomic_path
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, clip_to_srgb, srgb_encode, white_xyz, xyz_to_srgb_linear
+from nacre.picture.image_files import STILL_SUFFIXES, write_exr, write_picture
 
 Exposure = float | Literal["auto"]
 AUTO_PERCENTILE = 98.5
 AUTO_LEVEL = 0.7
 AUTO_STOPS = (-0.5, 2.5)
-PROVENANCE_KEY = "nacre"
+TONES = ("srgb", "filmic")
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +43,12 @@ class RenderResult:
         stats: seconds, spp, exposure_stops, clipped_pixels, interrupted and the rest of the provenance.
         spectral: `[row, column, band]` spectral radiance, where it was asked for, and its `bands_nm`.
         raw: XYZ as rendered, where `xyz` is denoised.
+        alpha: share of each pixel that the subject covers `[row, column]`, where it is cut out; `xyz`, `raw` and `rgb`
+            are premultiplied by it.
+        background: linear sRGB of what a cut-out subject is put on; None: nothing.
+        tone: "srgb" or "filmic", of the picture as shown.
+        lights: XYZ `[row, column, 3]` of each light alone, where it was asked for.
+        layers: what each pixel sees first, by name: channel letters and values `[row, column, letter]`.
     """
 
     xyz: Array
@@ -53,26 +58,31 @@ class RenderResult:
     spectral: NDArray[np.float32] | None = None
     bands_nm: Array | None = None
     raw: Array | None = None
+    alpha: Array | None = None
+    background: tuple[float, float, float] | None = None
+    tone: str = "srgb"
+    lights: Mapping[str, Array] = field(default_factory=dict)
+    layers: Mapping[str, tuple[str, Array]] = field(default_factory=dict)
 
     @property
     def srgb8(self) -> NDArray[np.uint8]:
-        """The picture as it is shown: 8-bit sRGB `[row, column, 3]`."""
-        return encode(self.rgb)[0]
+        """The picture as it is shown: 8-bit sRGB `[row, column, 3]`, with alpha as a fourth where it is clear."""
+        return show(self.rgb, self.alpha, self.background, self.tone)[0]
 
     def save(self, path: str | Path) -> RenderResult:
-        """Write a .png or .exr file, whole or not at all, and return the result with its path.
+        """Write a .png, .jpg, .webp or .exr file, whole or not at all, and return the result with its path.
 
         Raises:
             NacreError: the folder cannot be written, or the suffix is neither.
         """
         path = Path(path)
         suffix = path.suffix.lower()
-        if suffix == ".png":
-            write_png(path, self.srgb8, self.stats)
-        elif suffix == ".exr":
+        if suffix not in STILL_SUFFIXES:
+            raise NacreError(f"{path}: pictures are written as {', '.join(STILL_SUFFIXES[:-1])} or .exr")
+        if suffix == ".exr":
             write_exr(path, self)
         else:
-            raise NacreError(f"{path}: pictures are written as .png or .exr")
+            write_picture(path, self.srgb8, self.stats)
         return replace(self, path=path)
 
     def _repr_png_(self) -> bytes:
@@ -101,91 +111,45 @@ def develop(xyz: Array, illuminant: str, exposure: Exposure = "auto") -> tuple[A
     return xyz_to_srgb_linear(balanced) * 2.0**stops, stops
 
 
-def encode(rgb: Array) -> tuple[NDArray[np.uint8], int]:
+def encode(rgb: Array, tone: str = "srgb") -> tuple[NDArray[np.uint8], int]:
     """Return 8-bit sRGB and the number of pixels outside the gamut that had to move."""
-    clipped = clip_to_srgb(rgb)
+    clipped = clip_to_srgb(toned(rgb, tone))
     return np.round(255.0 * srgb_encode(clipped.rgb)).astype(np.uint8), clipped.count
 
 
-def provenance(stats: Mapping[str, Any]) -> str:
-    """Return what an output says about its making, as JSON."""
-    return json.dumps({"nacre": __version__, **stats}, default=str, sort_keys=True)
+def toned(rgb: Array, tone: str) -> Array:
+    """Bend linear sRGB by a tone: "srgb" not at all, "filmic" by the fit of ACES' display curve, channel by channel.
 
-
-def write_png(path: Path, picture: NDArray[np.uint8], stats: Mapping[str, Any]) -> None:
-    """Write a PNG that carries its provenance as text.
+    The fit is K. Narkowicz's (2015), x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14), with its range bound to 1.
 
     Raises:
-        NacreError: the folder cannot be written.
+        NacreError: an unknown tone.
     """
-    from PIL import Image
-    from PIL.PngImagePlugin import PngInfo
-
-    info = PngInfo()
-    info.add_itxt(PROVENANCE_KEY, provenance(stats))
-    info.add_text("Software", f"nacre {__version__}")
-    info.add(b"sRGB", b"\x00")
-    with atomic_path(path) as temporary:
-        Image.fromarray(picture).save(temporary, format="PNG", pnginfo=info)
+    if tone not in TONES:
+        raise NacreError(f'tone "{tone}" is not known; choose from {", ".join(TONES)}')
+    if tone == "srgb":
+        return rgb
+    x = np.maximum(rgb, 0.0)
+    return np.asarray(np.minimum(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14), 1.0))
 
 
-def read_provenance(path: str | Path) -> dict[str, Any]:
-    """Return what a PNG of nacre says about its making; empty for other pictures."""
-    from PIL import Image
+def show(
+    rgb: Array, alpha: Array | None, background: tuple[float, float, float] | None, tone: str
+) -> tuple[NDArray[np.uint8], int]:
+    """Return 8-bit sRGB as shown, `[row, column, 3 or 4]`, and the number of pixels clipped into the gamut.
 
-    with Image.open(path) as picture:
-        text = getattr(picture, "text", {}).get(PROVENANCE_KEY, "{}")
-    loaded = json.loads(text)
-    return loaded if isinstance(loaded, dict) else {}
-
-
-# primaries and white of sRGB, as (x, y) pairs
-SRGB_CHROMATICITIES = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
-
-
-LAYOUT_VERSION = "1.0"
-
-
-EMISSIVE_UNITS = "W.m^-2.sr^-1"
-
-
-def spectral_channel(wavelength_nm: float) -> str:
-    """Name of an emissive, unpolarised channel: S0 and the wavelength with a decimal comma.
-
-    Example: `spectral_channel(550)` is "S0.550,000000nm".
+    Args:
+        rgb: linear sRGB, exposed; premultiplied where there is an alpha.
+        alpha: share of the pixel that is covered, `[row, column]`, or None.
+        background: linear sRGB behind a cut-out subject; None: clear, with alpha as the fourth channel.
+        tone: see `toned`.
     """
-    return f"S0.{wavelength_nm:.6f}nm".replace(".", ",").replace("S0,", "S0.")
-
-
-def write_exr(path: str | Path, result: RenderResult) -> None:
-    """Write a picture's linear light, unexposed and unclipped: R, G, B, the same of the layer `raw` if it is
-    denoised, and a channel for each band if it has spectra.
-
-    R, G, B are linear sRGB balanced to the light's white, so that white paper is grey in any viewer; spectral
-    channels hold the radiance as it is, relative units of which the header says so.
-
-    Raises:
-        NacreError: the folder cannot be written.
-    """
-    import OpenEXR
-
-    white = white_xyz(str(result.stats.get("illuminant", "D65")))
-    channels: dict[str, Any] = {}
-    for layer, xyz in (("", result.xyz), ("raw.", result.raw)):
-        if xyz is not None:
-            rgb = xyz_to_srgb_linear(adapt_xyz(xyz, white, SRGB_WHITE_XYZ)).astype(np.float32)
-            channels |= {f"{layer}{name}": np.ascontiguousarray(rgb[..., i]) for i, name in enumerate("RGB")}
-    header: dict[str, Any] = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
-        "chromaticities": SRGB_CHROMATICITIES,
-        "nacre": provenance(result.stats),
-    }
-    if result.spectral is not None and result.bands_nm is not None:
-        header |= {"spectralLayoutVersion": LAYOUT_VERSION, "emissiveUnits": EMISSIVE_UNITS}
-        for index, wavelength in enumerate(result.bands_nm):
-            channels[spectral_channel(float(wavelength))] = np.ascontiguousarray(
-                result.spectral[..., index], dtype=np.float32
-            )
-    with atomic_path(path) as temporary:
-        OpenEXR.File(header, channels).write(str(temporary))
+    if alpha is None:
+        return encode(rgb, tone)
+    cover = np.clip(alpha, 0.0, 1.0)[..., None]
+    clipped = clip_to_srgb(toned(np.where(cover > 0, rgb / np.maximum(cover, 1e-6), 0.0), tone))
+    if background is None:
+        shown = np.concatenate([srgb_encode(clipped.rgb), cover], axis=-1)
+    else:
+        shown = srgb_encode(cover * clipped.rgb + (1.0 - cover) * np.array(background))
+    return np.round(255.0 * shown).astype(np.uint8), clipped.count

@@ -6,40 +6,35 @@ what is done, and memory stays bounded. Built scenes are kept: fifty pictures co
 
 from __future__ import annotations
 
-import math
 import time
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
 from nacre.device.variant import use_variant
 from nacre.errors import NacreError, RecipeError, UnsupportedError
 from nacre.files import check_writable
 from nacre.picture import interrupt
-from nacre.picture.denoise import GUIDE_SPP, denoised, guides, why_not
-from nacre.picture.images import Exposure, RenderResult, develop, encode
-from nacre.picture.lights.named import TURNING_LIGHTS, check_light, make_light
-from nacre.picture.progress import Clock, ProgressCallback, progress_bar
-from nacre.picture.scenes.catalogue import View
+from nacre.picture.camera import read_framing, read_turn
+from nacre.picture.denoise import clean_albedo, denoised, why_not
+from nacre.picture.images import Exposure, RenderResult, develop, show, toned
+from nacre.picture.lights.named import TURNING_LIGHTS, check_light, make_lights
+from nacre.picture.lights.several import Lamp, read_lamps
+from nacre.picture.options import check_exposure, check_output, check_seed, check_size, check_spp, read_background
+from nacre.picture.passes import FIRST_HIT, Shot, pass_seed, shoot
+from nacre.picture.progress import ProgressCallback, progress_bar
 from nacre.picture.scenes.catalogue import scene as find_scene
+from nacre.picture.user_scene import UserScene
 
 COMPONENTS = ("sum", "specular", "diffuse")
 QUALITIES = ("reference", "fast")
 MIRROR_KINDS = ("specular", "microfacet")
-
-MAX_SIDE = 16384
-MAX_PIXELS = 1 << 24
-MAX_SPP = 1 << 20
-# samples of one pass: bounds memory (some hundred bytes each) and keeps passes near a second
-PASS_SAMPLES = 1 << 22
 KEPT_STAGES = 3
-BAND_STEP_NM = 10.0
-IMAGE_SUFFIXES = (".png", ".exr")
 
 _stages: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
 
@@ -50,14 +45,21 @@ def render(
     *,
     shape: str | Path | None = None,
     up: str | None = None,
-    light: str | None = None,
+    turn: float = 0.0,
+    view: str | Sequence[float] | None = None,
+    fov: float | None = None,
+    zoom: float | None = None,
+    light: str | Sequence[str] | None = None,
+    light_layers: bool = False,
     illuminant: str = "D65",
+    background: str = "scene",
     size: tuple[int, int] | str | None = None,
     spp: int | None = None,
     seed: int = 0,
     quality: str | None = None,
     components: str = "sum",
     exposure: Exposure = "auto",
+    tone: str = "srgb",
     output: str | Path | None = None,
     spectral: bool | None = None,
     denoise: bool = True,
@@ -73,8 +75,19 @@ def render(
             BSDFs of id "nacre" the material replaces.
         shape: another object for the scene: a name of those or a mesh file (.ply, .obj, .stl, .glb, .gltf, .off).
         up: which axis of a mesh file points up, x, y or z; None: y for .obj, .glb and .gltf, z for the others.
-        light: studio, line, sun, sky, directional, interior, street or an environment map; None: the scene's own.
+        turn: degrees by which the object is turned about the vertical axis, counter-clockwise seen from above.
+        view: where the camera stands: azimuth (0 the front, 90 the object's right side in the picture's sense) and
+            elevation in degrees, as (30, 20) or "30,20", as far away as the scene's own; the backdrop stays behind the
+            object, the light where it is.
+        fov: angle of view across the picture, degrees; the camera comes nearer or goes back so that the object keeps
+            its size.
+        zoom: magnification, from where the camera stands.
+        light: studio, line, sun, sky, directional, interior, street or an environment map; several as
+            "studio:0.5,sun@120", with strengths (:) and turns about the vertical axis in degrees (@), or a list of
+            such words; the picture is balanced to the white of the first. None: the scene's own.
+        light_layers: also keep what each light gives alone: the result's `lights`, layers of an .exr.
         illuminant: spectrum of the light sources (D65, A, F11, ...).
+        background: "scene"; or the objects cut out, on nothing ("transparent") or on a colour ("grey", "#30343a").
         size: (width, height) in pixels or "800x600"; None: the scene's own.
         spp: samples per pixel; None: the scene's own.
         seed: the same seed takes the same samples; on one machine and variant the picture is the same up to the
@@ -82,7 +95,8 @@ def render(
         quality: "reference" (random walk) or "fast" (noise-free), for pearls.
         components: "sum", "specular" (mirror and microfacet lobes) or "diffuse" (all others).
         exposure: "auto" or stops (see `nacre.picture.images`).
-        output: .png or .exr file to write.
+        tone: "srgb", or "filmic" for highlights that roll off (see `nacre.picture.images.toned`).
+        output: .png, .jpg, .webp or .exr file to write.
         spectral: keep spectra too (10 nm bands); None: only for an output that ends in .spectral.exr.
         denoise: take the grain out; not of glints, which would go with it, and not of spectra. The picture as rendered
             is the result's `raw`, and the layer `raw` of an .exr.
@@ -97,52 +111,58 @@ def render(
         NacreError: one line: unknown scene or light, impossible size or spp, unreadable mesh, read-only folder.
     """
     output = None if output is None else Path(output)
+    behind = read_background(background)
     if output is not None:
-        if output.suffix.lower() not in IMAGE_SUFFIXES:
-            raise NacreError(f"{output}: pictures are written as {' or '.join(IMAGE_SUFFIXES)}")
+        check_output(output, behind)
         check_writable(output)
         if spectral is None:
             spectral = output.name.lower().endswith(".spectral.exr")
+    if spectral and not behind.is_scene:
+        raise UnsupportedError(f'background = "{background}": spectra are kept of the whole scene only')
     check_exposure(exposure)
+    toned(np.zeros(3), tone)
     seed = check_seed(seed)
+    framing, turn = read_framing(view, fov, zoom), read_turn(turn)
+    lamps = None if light is None else read_lamps(light)
     started = time.perf_counter()
     interrupt.begin_picture()
     bsdf, notes = resolve_material(material, quality, components)
     if scene == "screen":
         from nacre.picture.screen import render_screen
 
+        if framing or turn or not behind.is_scene or light_layers:
+            raise UnsupportedError(
+                "scene screen: shows what a tile projects and has no camera; leave view, fov, zoom, turn, background "
+                "and light layers out"
+            )
         result = render_screen(
-            bsdf, illuminant=illuminant, size=check_size(size), exposure=exposure, notes=notes,
+            bsdf, illuminant=illuminant, size=check_size(size), exposure=exposure, notes=notes, tone=tone,
             light_turn_deg=light_turn_deg, view_turn_deg=view_turn_deg,
         )  # fmt: skip
         return result.save(output) if output is not None else result
 
     use_variant()
-    turns = (float(light_turn_deg) % 360.0, float(view_turn_deg))
     if str(scene).lower().endswith(".xml"):
-        from nacre.picture.user_scene import UserScene
-
-        if shape is not None or light is not None or up is not None:
+        if shape is not None or lamps is not None or up is not None or light_layers or framing or turn:
             raise NacreError(
-                f"scene {scene}: a Mitsuba scene brings its own shapes and light; leave shape, up and light out"
+                f"scene {scene}: a Mitsuba scene brings its own shapes, camera and light; leave shape, up, turn, view, "
+                "fov, zoom, light and light layers out"
             )
         stage = _kept(("xml", str(Path(scene).resolve()), _stamp(scene)), lambda: UserScene(Path(scene)))
-        view, balance, light_note = None, "D65", "the scene's own"
+        camera, balance, light_note, lamps = None, "D65", "the scene's own", ()
         default_size, default_spp = stage.size, 64
     else:
         chosen = find_scene(scene)
         if up is not None and shape is None:
             raise NacreError(f'up = "{up}" is for a mesh file: give its name as shape')
-        light_name = check_light(light or chosen.light)
-        see_through = bool(getattr(bsdf, "transmits", False))
-        # our own environments turn in place; other lights are built for their angle
-        built_turn = 0.0 if light_name in TURNING_LIGHTS else turns[0]
-        subject = (str(shape), _stamp(shape), up)
-        key = (scene, *subject, light_name, _stamp(light_name), illuminant, built_turn, see_through)
-        stage = _kept(key, lambda: _build(chosen, shape, up, light_name, illuminant, built_turn, see_through))
-        stage.turn_light(turns[0])
-        camera = chosen.place_view if chosen.place_view and stage.light.is_surrounding else chosen.view
-        view = camera.turned(turns[1])
+        lamps = lamps or read_lamps(chosen.light)
+        set_up = _SetUp(
+            scene, shape, up, turn, framing.azimuth_deg, illuminant, light_turn_deg % 360.0,
+            clear=bool(getattr(bsdf, "transmits", False)), is_plain=not behind.is_scene,
+        )  # fmt: skip
+        stage = set_up.stage(lamps)
+        scene_view = chosen.place_view if chosen.place_view and stage.light.is_surrounding else chosen.view
+        camera = framing.of(scene_view, stage.radius).turned(float(view_turn_deg))
         balance, light_note = stage.light.illuminant, stage.light.note
         default_size, default_spp = chosen.size, chosen.spp
     width, height = check_size(size) or default_size
@@ -150,14 +170,18 @@ def render(
     stage.set_material(bsdf)
 
     kept_raw = "spectra are kept" if spectral else "asked for" if not denoise else why_not(bsdf)
+    is_exr = output is not None and output.suffix.lower() == ".exr"
+    shot = Shot(
+        camera, (width, height), spp, seed, bool(spectral), boxed=not kept_raw, cut=not behind.is_scene,
+        with_guides=not kept_raw or (is_exr and not spectral),
+    )  # fmt: skip
     with progress_bar("rendering", progress) as report:
-        frame, bands, done, guide = _passes(
-            stage, view, (width, height), spp, seed, bool(spectral), not kept_raw, report
-        )
-    xyz = np.nan_to_num(frame[..., :3].astype(float), nan=0.0, posinf=0.0, neginf=0.0)
-    raw = None
-    if guide is not None:
-        raw, xyz = xyz, denoised(xyz, *guide)
+        frame = shoot(stage, shot, report)
+        alone = _each_light(set_up, lamps, bsdf, replace(shot, with_guides=False), report) if light_layers else {}
+    xyz, raw = frame.xyz, None
+    if not kept_raw:
+        frame.guides["albedo"] = clean_albedo(frame.guides["albedo"])
+        raw, xyz = xyz, denoised(xyz, frame.guides["albedo"], frame.guides["normal"])
     stats = {
         **notes,
         "scene": str(scene),
@@ -165,35 +189,92 @@ def render(
         "light": light_note,
         "illuminant": balance,
         "size": [width, height],
-        "spp": done,
+        "spp": frame.spp,
         "spp_asked": spp,
         "seed": seed,
         "components": components,
         "variant": use_variant().variant(),
-        "not_finite_pixels": int(np.count_nonzero(~np.isfinite(frame).all(axis=-1))),
-        "interrupted": done < spp,
+        "not_finite_pixels": frame.not_finite,
+        "interrupted": frame.spp < spp,
         "denoised": raw is not None,
         **({"raw_because": kept_raw} if kept_raw else {}),
+        **({"lights": [str(lamp) for lamp in lamps]} if lamps else {}),
+        "view": None if framing.direction_deg is None else list(framing.direction_deg),
+        "fov": framing.fov_deg,
+        "zoom": framing.zoom,
+        "turn": turn,
+        "background": background,
+        "tone": tone,
         "light_turn_deg": light_turn_deg,
         "view_turn_deg": view_turn_deg,
     }
     rgb, stops = develop(xyz, balance, exposure)
-    stats |= {"exposure_stops": stops, "clipped_pixels": encode(rgb)[1], "seconds": time.perf_counter() - started}
-    result = RenderResult(xyz, rgb, None, stats, frame[..., 3:] if spectral else None, bands if spectral else None, raw)
+    clipped = show(rgb, frame.alpha, behind.colour, tone)[1]
+    stats |= {"exposure_stops": stops, "clipped_pixels": clipped, "seconds": time.perf_counter() - started}
+    layers = {name: (FIRST_HIT[name], values.astype(float)) for name, values in frame.guides.items()}
+    result = RenderResult(
+        xyz, rgb, None, stats, frame.spectral, frame.bands_nm, raw, frame.alpha, behind.colour, tone, alone, layers
+    )
     return result.save(output) if output is not None else result
 
 
-def _build(
-    chosen: Any, shape: str | Path | None, up: str | None, light: str, illuminant: str, turn_deg: float, clear: bool
-) -> Any:
-    from nacre.picture.built_scene import BuiltScene, with_subject
+@dataclass(frozen=True)
+class _SetUp:
+    """What a built stage depends on, besides its lights."""
 
-    if shape is not None:
-        from nacre.picture.scenes.subjects import subject_parts
+    scene: str
+    shape: str | Path | None
+    up: str | None
+    turn_deg: float
+    backdrop_deg: float
+    illuminant: str
+    light_turn_deg: float
+    clear: bool
+    is_plain: bool
 
-        parts = subject_parts(shape, chosen, up)
-        chosen = with_subject(chosen, lambda: parts)
-    return BuiltScene(chosen, make_light(light, illuminant, turn_deg), clear)
+    def stage(self, lamps: tuple[Lamp, ...], among: tuple[Lamp, ...] | None = None) -> Any:
+        """Return the built stage, its light turned; kept and built at most once.
+
+        Args:
+            lamps: its lights.
+            among: all lights of the picture, whose place it shows and whose bodies still stand there; None: these.
+        """
+        for lamp in lamps:
+            check_light(lamp.name)
+        # our own environments turn in place; other lights are built for their angle
+        turns_in_place = all(lamp.name in TURNING_LIGHTS for lamp in lamps)
+        built_turn = 0.0 if turns_in_place else self.light_turn_deg
+        stamps = (_stamp(self.shape), *(_stamp(lamp.name) for lamp in lamps))
+        key = (replace(self, light_turn_deg=built_turn), lamps, among, stamps)
+        stage = _kept(key, lambda: self._build(lamps, among, built_turn))
+        stage.light.turn(self.light_turn_deg)
+        return stage
+
+    def _build(self, lamps: tuple[Lamp, ...], among: tuple[Lamp, ...] | None, turn_deg: float) -> Any:
+        from nacre.picture.built_scene import BuiltScene, with_subject
+
+        chosen = find_scene(self.scene)
+        if self.shape is not None:
+            from nacre.picture.scenes.subjects import subject_parts
+
+            parts = subject_parts(self.shape, chosen, self.up)
+            chosen = with_subject(chosen, lambda: parts)
+        light = make_lights(lamps, self.illuminant, turn_deg)
+        if among is not None:
+            light = light.among(make_lights(among, self.illuminant, turn_deg))
+        return BuiltScene(chosen, light, self.clear, self.turn_deg, self.backdrop_deg, self.is_plain)
+
+
+def _each_light(
+    set_up: _SetUp, lamps: tuple[Lamp, ...], bsdf: Any, shot: Shot, report: ProgressCallback
+) -> dict[str, Any]:
+    """Return the XYZ that each light gives alone, on the same stage; another seed, so that their noise is their own."""
+    alone = {}
+    for index, lamp in enumerate(lamps):
+        stage = set_up.stage((lamp,), lamps)
+        stage.set_material(bsdf)
+        alone[str(lamp)] = shoot(stage, replace(shot, seed=pass_seed(shot.seed, 1_000_003 + index)), report).xyz
+    return alone
 
 
 def _kept(key: tuple[Any, ...], build: Any) -> Any:
@@ -221,90 +302,6 @@ def _stamp(path: str | Path | None) -> float:
         return Path(path).stat().st_mtime
     except OSError:
         return 0.0
-
-
-def _passes(
-    stage: Any,
-    view: View | None,
-    size: tuple[int, int],
-    spp: int,
-    seed: int,
-    spectral: bool,
-    guided: bool,
-    report: ProgressCallback,
-) -> tuple[NDArray[np.float32], NDArray[np.float64], int, tuple[NDArray[np.float32], NDArray[np.float32]] | None]:
-    """Render pass by pass.
-
-    Returns:
-        The mean `[row, column, 3 + bands]`, the bands' centres, the spp done, and the denoiser's guides if asked for.
-
-    Raises:
-        KeyboardInterrupt: before the first pass was done.
-    """
-    mi = use_variant()
-    rfilter = {"type": "box" if guided else "gaussian"}
-    film: dict[str, Any] = {"type": "hdrfilm", "pixel_format": "xyz", "rfilter": rfilter}
-    bands = np.zeros(0)
-    if spectral:
-        from nacre.picture.spectral_film import band_centres, band_film
-
-        bands = band_centres(BAND_STEP_NM)
-        film = band_film(bands, BAND_STEP_NM)
-    sensor = stage.sensor(view, size, film)
-    integrator = mi.load_dict({"type": "path", "max_depth": stage.depth, "rr_depth": 6})
-    most = max(1, PASS_SAMPLES // (size[0] * size[1]))
-    plan = pass_plan(spp, most)
-    count = len(plan)
-    total: NDArray[np.float64] | None = None
-    done, clock = 0, Clock()
-    with interrupt.held_back() as is_interrupted:
-        for index, now in enumerate(plan):
-            picture = mi.render(
-                stage.mitsuba_scene, sensor=sensor, integrator=integrator, spp=now, seed=_pass_seed(seed, index)
-            )
-            values = np.array(picture, dtype=np.float64)
-            total = values * now if total is None else total + values * now
-            done += now
-            interrupt.keep_passes()
-            try:
-                report(index + 1, count, clock.left(index + 1, count))
-            except KeyboardInterrupt:
-                break
-            if is_interrupted():
-                break
-    assert total is not None  # spp is at least 1
-    mean = total / done
-    if spectral:
-        from nacre.picture.spectral_film import bands_to_xyz
-
-        mean = np.concatenate([bands_to_xyz(mean, bands), mean], axis=-1)
-    guide = None
-    if guided:
-        passes = [(now, _pass_seed(seed, count + index)) for index, now in enumerate(pass_plan(GUIDE_SPP, most))]
-        guide = guides(stage.mitsuba_scene, sensor, passes)
-    return mean.astype(np.float32), bands, done, guide
-
-
-def pass_plan(spp: int, most: int) -> list[int]:
-    """Split spp into passes of at most `most`, each a number that fills the sampler's grid: k^2 or k (k + 1).
-
-    Stratified over its grid, a pass of 16 has the variance of 37 independent samples (measured on the sphere).
-
-    Example: `pass_plan(100, 40)` is [36, 36, 25, 2, 1].
-    """
-    plan = []
-    while spp > 0:
-        limit = min(spp, most)
-        k = math.isqrt(limit)
-        now = k * (k + 1) if k * (k + 1) <= limit else k * k
-        plan.append(now)
-        spp -= now
-    return plan
-
-
-def _pass_seed(seed: int, index: int) -> int:
-    """Spread (seed, pass) over 32 bits, so that neighbouring seeds share no pass."""
-    return (seed * 0x9E3779B1 + index * 0x85EBCA6B + 0x1B873593) & 0xFFFFFFFF
 
 
 def resolve_material(material: Any, quality: str | None, components: str) -> tuple[Any, dict[str, Any]]:
@@ -348,59 +345,3 @@ def _component(bsdf: Bsdf, components: str) -> Bsdf:
     if not lobes:
         raise UnsupportedError(f"components = {components}: this material has no {components} part")
     return Bsdf(lobes, bsdf.provenance)
-
-
-def check_size(size: tuple[int, int] | str | None) -> tuple[int, int] | None:
-    """Return (width, height), or None for none.
-
-    Raises:
-        NacreError: not two whole numbers, or too small or large.
-    """
-    if size is None:
-        return None
-    got = f'"{size}"' if isinstance(size, str) else repr(size)
-    parts: list[Any] = size.lower().replace("×", "x").split("x") if isinstance(size, str) else list(size)
-    parts = parts * 2 if len(parts) == 1 else parts
-    try:
-        width, height = (int(p) for p in parts)
-    except (TypeError, ValueError):
-        raise NacreError(f"size = {got} is not allowed; give WIDTHxHEIGHT, such as 800x600") from None
-    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE) or width * height > MAX_PIXELS:
-        raise NacreError(
-            f"size = {got} is not allowed; sides are 1 to {MAX_SIDE}, at most {MAX_PIXELS / 1e6:.1f} million pixels"
-        )
-    return width, height
-
-
-def check_spp(spp: int) -> int:
-    """Return the samples per pixel.
-
-    Raises:
-        NacreError: not a whole number from 1 to `MAX_SPP`.
-    """
-    if isinstance(spp, bool) or int(spp) != spp or not 1 <= spp <= MAX_SPP:
-        raise NacreError(f"spp = {spp!r} is not allowed; give a whole number from 1 to {MAX_SPP}")
-    return int(spp)
-
-
-def check_seed(seed: int) -> int:
-    """Return the seed.
-
-    Raises:
-        NacreError: not a whole number from 0 to 2^32 - 1.
-    """
-    if isinstance(seed, bool) or int(seed) != seed or not 0 <= seed < 2**32:
-        raise NacreError(f"seed = {seed!r} is not allowed; give a whole number from 0 to {2**32 - 1}")
-    return int(seed)
-
-
-def check_exposure(exposure: Exposure) -> None:
-    """Refuse an exposure that is neither "auto" nor a usable number of stops.
-
-    Raises:
-        NacreError: it is neither.
-    """
-    if exposure == "auto":
-        return
-    if isinstance(exposure, str) or not math.isfinite(exposure) or abs(exposure) > 30:
-        raise NacreError(f'exposure = {exposure!r} is not allowed; give "auto" or stops from -30 to 30')

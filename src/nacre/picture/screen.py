@@ -88,6 +88,7 @@ def render_screen(
     illuminant: str = "D65",
     size: tuple[int, int] | None = None,
     exposure: Exposure = "auto",
+    tone: str = "srgb",
     notes: Mapping[str, Any] | None = None,
     light_turn_deg: float = 0.0,
     view_turn_deg: float = 0.0,
@@ -135,12 +136,13 @@ def render_screen(
         "size": list(size),
         "spp": 1,
         "exposure_stops": stops,
-        "clipped_pixels": encode(rgb)[1],
+        "tone": tone,
+        "clipped_pixels": encode(rgb, tone)[1],
         "delta_lobes": "left out: a point on the screen",
         "interrupted": False,
         "seconds": time.perf_counter() - started,
     }
-    return RenderResult(xyz, rgb, None, stats)
+    return RenderResult(xyz, rgb, None, stats, tone=tone)
 
 
 def evaluate_plugin(

@@ -39,6 +39,7 @@ class UserScene:
                 f'scene {path}: no shape has a BSDF with the id "{SUBJECT}"; give the one to replace '
                 f'this id, such as <bsdf type="diffuse" id="{SUBJECT}"/>'
             )
+        self.objects = self.subjects
         size = scene.sensors()[0].film().size()
         self.size = (int(size[0]), int(size[1]))
         self._source: Any = None

@@ -10,7 +10,7 @@ import contextlib
 import hashlib
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,26 +19,35 @@ import numpy as np
 from nacre.errors import NacreError, UnsupportedError
 from nacre.files import atomic_path, check_writable
 from nacre.picture.denoise import why_not
-from nacre.picture.images import RenderResult, read_provenance
+from nacre.picture.image_files import read_provenance
+from nacre.picture.lights.several import read_lamps
+from nacre.picture.options import read_background
 from nacre.picture.picture import render, resolve_material
 from nacre.picture.progress import ProgressCallback, progress_bar
 from nacre.recipe.identity import file_digest, identity
+from nacre.recipe.numbers import NUMBERS, TIME, uses_time
 
-MOTIONS = ("light", "view")
+TURNS = ("light", "view")
+MOTIONS = (*TURNS, "time")
 MOVIE_SUFFIXES = (".gif", ".mp4")
 MAX_FRAMES = 10_000
 FRAMES_PER_SECOND = 20
 VIEW_SWING_DEG = 32.0  # the camera swings in front of the backdrop and never goes behind it
+TIME_PATH = f"{NUMBERS}.{TIME}"
 # settings of `render` that change a picture and so belong to a frame's key
 _SETTINGS = (
-    "scene", "shape", "up", "light", "illuminant", "size", "spp", "seed", "quality", "components", "exposure",
-    "denoise",
+    "scene", "shape", "up", "turn", "view", "fov", "zoom", "light", "illuminant", "background", "size", "spp", "seed",
+    "quality", "components", "exposure", "tone", "denoise",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What moves: "light", "view", or a parameter's name with its first and last value."""
+    """What moves: "light", "view", nothing but the time ("time"), or a parameter's name with its first and last value.
+
+    In every one of them the time `t` of the recipe's formulas runs from 0 to 1, and of those that end where they began
+    it stops one step before.
+    """
 
     name: str
     first: float = 0.0
@@ -55,7 +64,13 @@ class Motion:
             return 360.0 * index / frames
         if self.name == "view":
             return VIEW_SWING_DEG * float(np.sin(2 * np.pi * index / frames))
+        if self.name == "time":
+            return self.time(index, frames)
         return self.first + (self.last - self.first) * (index / max(frames - 1, 1))
+
+    def time(self, index: int, frames: int) -> float:
+        """The time `t` of frame `index`."""
+        return index / (frames if self.name in TURNS else max(frames - 1, 1))
 
 
 @dataclass(frozen=True)
@@ -75,7 +90,7 @@ class Animation:
 
 
 def parse_motion(text: str) -> Motion:
-    """Read "light", "view" or "PARAMETER=A:B".
+    """Read "light", "view", "time" or "PARAMETER=A:B"; "t=A:B" is the time itself.
 
     Raises:
         NacreError: it is none of these.
@@ -85,12 +100,13 @@ def parse_motion(text: str) -> Motion:
     name, equals, values = text.partition("=")
     first, colon, last = values.partition(":")
     try:
-        motion = Motion(name.strip(), float(first), float(last))
+        name = TIME_PATH if name.strip() == TIME else name.strip()
+        motion = Motion(name, float(first), float(last))
     except ValueError:
         motion = Motion("")
     if not (equals and colon and motion.name and np.isfinite([motion.first, motion.last]).all()):
         raise NacreError(
-            f'animate = "{text}" is not allowed; give light, view or PARAMETER=A:B, '
+            f'animate = "{text}" is not allowed; give light, view, time or PARAMETER=A:B, '
             "such as layers[0].thickness_nm=100:600"
         )
     return motion
@@ -110,7 +126,8 @@ def animate(
     Args:
         material: as for `render`; where a number moves, a function from its value to the material, or a material
             whose `vary` knows it.
-        motion: "light", "view", "PARAMETER=A:B", or (A, B) for a function's value.
+        motion: "light", "view", "time", "PARAMETER=A:B", or (A, B) for a function's value. Formulas of the material
+            may use the time `t`, which runs from 0 to 1 in all of them, or over "t=A:B".
         output: .gif or .mp4; the frames lie beside it in a folder of its name with "_frames".
         frames: how many.
         progress: as for `render`, by frames.
@@ -119,6 +136,7 @@ def animate(
     Raises:
         NacreError: a bad motion, count, suffix or folder, or anything `render` refuses.
     """
+    asked_motion = motion
     if isinstance(motion, str):
         motion = parse_motion(motion)
     elif not isinstance(motion, Motion):
@@ -131,8 +149,14 @@ def animate(
     unknown = set(settings) - set(_SETTINGS)
     if unknown:
         raise NacreError(f"animate does not take {', '.join(sorted(unknown))}")
-    material_at = _material_at(material, motion) if motion.is_parameter else None
-    if str(settings.get("scene", "")).lower().endswith(".xml") and not motion.is_parameter:
+    behind = read_background(settings.get("background", "scene"))
+    if not behind.is_scene and behind.colour is None:
+        raise NacreError('background = "transparent": animations know no transparency; give a colour')
+    has_time = uses_time(getattr(material, "data", None))
+    if motion.name in ("time", TIME_PATH) and not has_time:
+        raise NacreError(f'animate = "{asked_motion}": no formula of the material uses the time t')
+    material_at = _material_at(material, motion, has_time, frames) if motion.is_parameter or has_time else None
+    if str(settings.get("scene", "")).lower().endswith(".xml") and motion.name in TURNS:
         raise UnsupportedError("animate: a Mitsuba scene keeps its own light and camera; only a parameter can move")
     check_writable(path)
     folder = path.with_name(path.stem + "_frames")
@@ -148,7 +172,7 @@ def animate(
     with _folder_of_frames(folder), progress_bar("animating", progress) as report:
         for index, name in enumerate(names):
             value = motion.at(index, frames)
-            subject = material if material_at is None else material_at(value)
+            subject = material if material_at is None else material_at(index, value)
             key = _frame_key(who or _identity(subject), motion, value, {**asked, "exposure": exposure})
             old = _finished(name)
             if old.get("frame_key") == key:
@@ -156,7 +180,7 @@ def animate(
                 stops = float(old["exposure_stops"])
             else:
                 arguments: dict[str, Any] = {**settings, "exposure": exposure, "progress": False}
-                if not motion.is_parameter:
+                if motion.name in TURNS:
                     arguments[f"{motion.name}_turn_deg"] = value
                 try:
                     result = render(subject, **arguments)
@@ -167,7 +191,7 @@ def animate(
                 stops = float(result.stats["exposure_stops"])
                 moving = {"frame_key": key, "motion": motion.name, "value": value, "frame": index}
                 pixels = hashlib.sha256(result.srgb8.tobytes()).hexdigest()
-                RenderResult(result.xyz, result.rgb, None, {**result.stats, **moving, "pixels": pixels}).save(name)
+                replace(result, stats={**result.stats, **moving, "pixels": pixels}).save(name)
             exposure = stops if index == 0 else exposure
             report(index + 1, frames, 0.0)
     join(names, path)
@@ -194,18 +218,24 @@ def _folder_of_frames(folder: Path) -> Iterator[None]:
                 folder.rmdir()
 
 
-def _material_at(material: Any, motion: Motion) -> Callable[[float], Any]:
-    """The function from a moving number to the material.
+def _material_at(material: Any, motion: Motion, has_time: bool, frames: int) -> Callable[[int, float], Any]:
+    """The function from a frame's number and the moving number to the material.
 
     Raises:
         UnsupportedError: the material is fixed.
     """
     if hasattr(material, "vary"):
-        return lambda value: material.vary({motion.name: value})
+
+        def changed(index: int, value: float) -> Any:
+            moved = {motion.name: value} if motion.is_parameter else {}
+            timed = {TIME_PATH: motion.time(index, frames)} if has_time else {}
+            return material.vary({**timed, **moved})
+
+        return changed
     if not callable(material):
         raise UnsupportedError(f"animate: {motion.name} cannot move; the material was not built from a recipe")
     function: Callable[[float], Any] = material
-    return function
+    return lambda index, value: function(value)
 
 
 def _identity(material: Any) -> str:
@@ -224,7 +254,8 @@ def _identity(material: Any) -> str:
 
 def _frame_key(who: str, motion: Motion, value: float, settings: dict[str, Any]) -> str:
     """A fingerprint of all that makes a frame: two equal ones mean equal pictures."""
-    named = (settings.get(name) for name in ("scene", "shape", "light"))
+    named = [settings.get("scene"), settings.get("shape")]
+    named += [lamp.name for lamp in read_lamps(settings["light"])] if settings.get("light") else []
     files = {str(name): file_digest(name) for name in named if name}
     # a frame made where no denoiser is at hand is not the frame made where one is
     return identity(who, files, motion=motion.name, value=value, settings=settings, raw=why_not(None))

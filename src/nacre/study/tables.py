@@ -44,6 +44,12 @@ class SpreadSpec(RecipeModel):
 class StudySpec(RecipeModel):
     """The tables that every recipe may hold beside the keys of its family."""
 
+    numbers: dict[str, float] = pydantic.Field(
+        default={},
+        description="numbers by names of your own, which formulas then know, as they know `t`, the time of an "
+        "animation: 0 at its start and in stills, 1 at its end",
+        examples=[{"drain": 0.4}],
+    )
     fit: Annotated[dict[str, Any], ByPath(FreeSpec)] = pydantic.Field(
         default={},
         description="numbers that `nacre fit` may change: path of the number -> its bounds",

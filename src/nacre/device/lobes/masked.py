@@ -92,7 +92,7 @@ class MaskedPlugin(LobePlugin[MaskedLobe]):
 
     def update(self, lobe: MaskedLobe) -> None:
         same_kind = lobe.inverted == self._inverted and (lobe.nodes is not None) == self._has_nodes
-        if not same_kind or lobe.mask.formula != self._mask.formula:
+        if not same_kind or not self._mask.fits(lobe.mask):
             raise UnsupportedError("the mask changed in kind; build the scene again")
         self._inner.update(lobe.inner)
         self._take(lobe)

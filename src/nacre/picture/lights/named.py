@@ -6,7 +6,8 @@ different materials under one light compare at one exposure.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,15 @@ from nacre.device.variant import use_variant
 from nacre.errors import NacreError, did_you_mean
 from nacre.light import illuminant as light_illuminant
 from nacre.picture.lights.environment_plugin import make_environment, spectrum_texture
-from nacre.picture.lights.environments import studio, unit_spectrum
+from nacre.picture.lights.environments import Environment, studio, unit_spectrum
+from nacre.picture.lights.several import Lamp, sum_of_environments
 
 LIGHTS = ("studio", "line", "sun", "sky", "directional", "interior", "street")
 TURNING_LIGHTS = ("studio", "interior", "street")
 MAP_SUFFIXES = (".exr", ".hdr", ".pfm")
 MAX_MAP_BYTES = 1 << 30
 _WHITE = 0.6
+BLACK = {"type": "diffuse", "reflectance": 0.0}
 PLACE_FLOORS = {"street": "ground", "interior": "boards"}
 
 
@@ -36,6 +39,7 @@ class Light:
         is_surrounding: whether the light is a place that should be seen behind the subject.
         note: how outputs state it.
         floor: material of the floor where it is a place (`nacre.picture.scenes.catalogue.MATERIALS`).
+        turning: emitters that turn in place (`turn`), with the turn that each has of its own, in degrees.
     """
 
     emitters: dict[str, Any]
@@ -43,6 +47,27 @@ class Light:
     is_surrounding: bool
     note: str
     floor: str = "ground"
+    turning: tuple[tuple[Any, float], ...] = ()
+
+    def turn(self, angle_deg: float) -> None:
+        """Turn our own environments about the vertical axis; the other lights were built at their angle."""
+        for emitter, own_deg in self.turning:
+            emitter.set_state(1.0, own_deg + angle_deg)
+
+    def among(self, others: Light) -> Light:
+        """The same light where those of the others that have a body stand there too, switched off."""
+        own = [emitter["to_world"] for emitter in self.emitters.values() if _is_body(emitter)]
+        bodies = {
+            f"off_{name}": {**{k: v for k, v in emitter.items() if k != "emitter"}, "bsdf": BLACK}
+            for name, emitter in others.emitters.items()
+            if _is_body(emitter) and not any(np.allclose(emitter["to_world"].matrix, to.matrix) for to in own)
+        }
+        emitters = {**self.emitters, **bodies}
+        return replace(self, emitters=emitters, is_surrounding=others.is_surrounding, floor=others.floor)
+
+
+def _is_body(emitter: Any) -> bool:
+    return isinstance(emitter, dict) and "emitter" in emitter
 
 
 def check_light(name: str) -> str:
@@ -68,36 +93,79 @@ def check_light(name: str) -> str:
     )
 
 
-def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0) -> Light:
-    """Build a light of the current variant.
+def make_lights(lamps: Sequence[Lamp], illuminant: str = "D65", turn_deg: float = 0.0) -> Light:
+    """Build lights of the current variant, balanced to the white of the first.
 
     Args:
-        name: one of `LIGHTS` or the path of an environment map.
+        lamps: see `nacre.picture.lights.several.read_lamps`.
         illuminant: spectrum of the light sources; `sun`, `sky`, `street` and maps bring their own light and are
             balanced to D65, `interior` mixes daylight and its lamps.
-        turn_deg: how far the light has turned about the object.
+        turn_deg: how far all of them have turned about the object.
 
     Raises:
         NacreError: unknown light or illuminant, unreadable map.
     """
-    check_light(name)
+    lights = [make_light(lamp.name, illuminant, turn_deg + lamp.turn_deg, lamp.strength) for lamp in lamps]
+    turning = tuple(
+        (emitter, own + lamp.turn_deg)
+        for lamp, light in zip(lamps, lights, strict=True)
+        for emitter, own in light.turning
+    )
+    if len(lamps) == 1 and lamps[0].strength == 1.0:
+        return replace(lights[0], turning=turning)
+    mi = use_variant()
+    emitters: dict[str, Any] = {}
+    environments = []
+    for index, (lamp, light) in enumerate(zip(lamps, lights, strict=True)):
+        for name, emitter in light.emitters.items():
+            if isinstance(emitter, mi.Emitter) and emitter.is_environment():
+                environments.append((emitter, lamp.strength))
+            else:
+                emitters[f"{name}{index}"] = emitter
+    emitters["environments"] = sum_of_environments(environments)
+    note = " + ".join(
+        light.note + ("" if lamp.strength == 1.0 else f" at {lamp.strength:g}")
+        for lamp, light in zip(lamps, lights, strict=True)
+    )
+    place = next((light for light in lights if light.is_surrounding), lights[0])
+    return Light(emitters, lights[0].illuminant, place.is_surrounding, note, place.floor, turning)
+
+
+def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0, strength: float = 1.0) -> Light:
+    """Build a light of the current variant.
+
+    Args:
+        name: one of `LIGHTS` or the path of an environment map.
+        illuminant, turn_deg: see `make_lights`.
+        strength: of its lamps; not of its environment, whose strength its caller gives.
+
+    Raises:
+        NacreError: unknown light or illuminant, unreadable map.
+    """
     white = light_illuminant(illuminant).name
     if name == "studio":
-        emitters = {"studio": make_environment(studio(white), 1.0, turn_deg)}
-        return Light(emitters, white, False, f"studio soft boxes, {white}")
+        return _surrounding(studio(white), white, f"studio soft boxes, {white}", turn_deg, is_surrounding=False)
     if name == "line":
-        return Light(_tubes(white, turn_deg), white, False, f"line of tubes, {white}")
+        return Light(_tubes(white, turn_deg, strength), white, False, f"line of tubes, {white}")
     if name == "directional":
-        return Light(_directional(white, turn_deg), white, False, f"directional, {white}")
+        return Light(_directional(white, turn_deg, strength), white, False, f"directional, {white}")
     if name in ("sun", "sky"):
         note = f"{name}, Mitsuba sunsky, turbidity 3"
-        return Light({"sky": _sunsky(name == "sun", turn_deg)}, "D65", True, note, "plain")
+        sky = use_variant().load_dict(_sunsky(name == "sun", turn_deg))
+        return Light({"sky": sky}, "D65", True, note, "plain")
     if name in ("interior", "street"):
         from nacre.picture.lights import places
 
         place = places.interior() if name == "interior" else places.street()
-        return Light({name: make_environment(place, 1.0, turn_deg)}, "D65", True, place.name, PLACE_FLOORS[name])
+        return _surrounding(place, "D65", place.name, turn_deg, is_surrounding=True, floor=PLACE_FLOORS[name])
     return Light({"map": _map(Path(name), turn_deg)}, "D65", True, f"environment map {Path(name).name}, RGB up-sampled")
+
+
+def _surrounding(
+    place: Environment, white: str, note: str, turn_deg: float, is_surrounding: bool, floor: str = "ground"
+) -> Light:
+    emitter = make_environment(place, 1.0, turn_deg)
+    return Light({"surround": emitter}, white, is_surrounding, note, floor, turning=((emitter, 0.0),))
 
 
 def _turn(turn_deg: float) -> Any:
@@ -109,7 +177,7 @@ def _emission(white: str, level: float) -> Any:
     return spectrum_texture(spectrum.wavelengths_nm, level * spectrum.power)
 
 
-def _tubes(white: str, turn_deg: float) -> dict[str, Any]:
+def _tubes(white: str, turn_deg: float, strength: float) -> dict[str, Any]:
     """A row of seven broad tubes above and behind the samples, parallel to x, and a weak fill."""
     mi = use_variant()
     parts: dict[str, Any] = {}
@@ -119,22 +187,22 @@ def _tubes(white: str, turn_deg: float) -> dict[str, Any]:
         parts[f"tube{k}"] = {
             "type": "rectangle",
             "to_world": _turn(turn_deg) @ place,
-            "emitter": {"type": "area", "radiance": _emission(white, 1.7)},
+            "emitter": {"type": "area", "radiance": _emission(white, 1.7 * strength)},
         }
-    parts["fill"] = {"type": "constant", "radiance": _emission(white, 0.10)}
+    parts["fill"] = mi.load_dict({"type": "constant", "radiance": _emission(white, 0.10)})
     return parts
 
 
-def _directional(white: str, turn_deg: float) -> dict[str, Any]:
+def _directional(white: str, turn_deg: float, strength: float) -> dict[str, Any]:
     """A parallel beam from the upper left front, with a weak fill that keeps shadows readable."""
     down = np.array([0.5, 0.62, -0.95])
     down /= np.linalg.norm(down)
     turn = np.radians(turn_deg)
     x, y = down[0] * np.cos(turn) - down[1] * np.sin(turn), down[0] * np.sin(turn) + down[1] * np.cos(turn)
-    level = np.pi * _WHITE / float(-down[2])
+    level = strength * np.pi * _WHITE / float(-down[2])
     return {
         "beam": {"type": "directional", "direction": [x, y, down[2]], "irradiance": _emission(white, level)},
-        "fill": {"type": "constant", "radiance": _emission(white, 0.04)},
+        "fill": use_variant().load_dict({"type": "constant", "radiance": _emission(white, 0.04)}),
     }
 
 

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from nacre.errors import NacreError, did_you_mean
+from nacre.picture.camera import View
 from nacre.picture.shapes import backdrop as stages
 from nacre.picture.shapes.mesh import Mesh, rotation
 
@@ -22,26 +23,20 @@ Backdrop = Literal["sweep", "bowl", "board", "none"]
 
 
 @dataclass(frozen=True)
-class View:
-    """A camera: where it stands, what it looks at, how wide it sees (across the picture, degrees)."""
-
-    origin: tuple[float, float, float]
-    target: tuple[float, float, float]
-    fov_deg: float
-
-    def turned(self, angle_deg: float) -> View:
-        """The same camera turned about the vertical axis through its target."""
-        offset = rotation("z", angle_deg) @ (np.array(self.origin) - np.array(self.target))
-        x, y, z = np.array(self.target) + offset
-        return View((float(x), float(y), float(z)), self.target, self.fov_deg)
-
-
-@dataclass(frozen=True)
 class Part:
     """A piece of the picture: a surface, or a Mitsuba shape as a dict, and the name of its material."""
 
     shape: Mesh | dict[str, Any]
     material: str = SUBJECT
+
+    def turned(self, angle_deg: float) -> Part:
+        """The same piece turned about the vertical axis through the origin."""
+        if isinstance(self.shape, Mesh):
+            return Part(self.shape.moved(rotation("z", angle_deg)), self.material)
+        import mitsuba as mi
+
+        turn = mi.ScalarTransform4f().rotate([0, 0, 1], angle_deg)
+        return Part({**self.shape, "to_world": turn @ self.shape["to_world"]}, self.material)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.errors import NacreError, did_you_mean
-from nacre.picture.scenes.catalogue import SHAPES, Part, Scene, View
+from nacre.picture.camera import View
+from nacre.picture.scenes.catalogue import SHAPES, Part, Scene
 from nacre.picture.shapes.mesh import Mesh, open_seam
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")

@@ -1,0 +1,171 @@
+"""The passes of a picture: a few samples a pixel each, so that progress shows, an interrupt ends it cleanly with what
+is done, and memory stays bounded; and the guides of the denoiser."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.arrays import Array
+from nacre.device.variant import use_variant
+from nacre.picture import interrupt
+from nacre.picture.camera import View
+from nacre.picture.cut_out import cut_out
+from nacre.picture.denoise import GUIDE_SPP
+from nacre.picture.progress import Clock, ProgressCallback
+
+# samples of one pass: bounds memory (some hundred bytes each) and keeps passes near a second
+PASS_SAMPLES = 1 << 22
+BAND_STEP_NM = 10.0
+FIRST_HIT = {"albedo": "RGB", "normal": "XYZ", "depth": "Z"}
+RUSSIAN_ROULETTE_DEPTH = 6
+
+
+@dataclass(frozen=True)
+class Shot:
+    """All that the passes need besides the scene.
+
+    Attributes:
+        view: the camera; None: the scene's own.
+        size: width and height.
+        spp, seed: samples a pixel, and where they begin.
+        spectral: bands of 10 nm instead of XYZ.
+        boxed: pixels that share no samples, as a denoiser needs them.
+        cut: see the objects alone.
+        with_guides: what each pixel sees first, too.
+    """
+
+    view: View | None
+    size: tuple[int, int]
+    spp: int
+    seed: int
+    spectral: bool = False
+    boxed: bool = False
+    cut: bool = False
+    with_guides: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What the passes gave: means over the samples.
+
+    Attributes:
+        xyz: `[row, column, 3]`, premultiplied by alpha where there is one.
+        spp: samples a pixel that were taken.
+        alpha: `[row, column]`, where the objects are cut out.
+        spectral, bands_nm: `[row, column, band]`, where asked for, and the centres of the bands.
+        guides: albedo, normal, and depth of what each pixel sees first.
+        not_finite: pixels with a value that is no number.
+    """
+
+    xyz: Array
+    spp: int
+    alpha: Array | None = None
+    spectral: NDArray[np.float32] | None = None
+    bands_nm: Array | None = None
+    guides: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    not_finite: int = 0
+
+
+def shoot(stage: Any, shot: Shot, report: ProgressCallback) -> Frame:
+    """Render pass by pass.
+
+    Raises:
+        KeyboardInterrupt: before the first pass was done.
+    """
+    mi = use_variant()
+    film: dict[str, Any] = {
+        "type": "hdrfilm",
+        "pixel_format": "xyza" if shot.cut else "xyz",
+        "rfilter": {"type": "box" if shot.boxed else "gaussian"},
+    }
+    bands = np.zeros(0)
+    if shot.spectral:
+        from nacre.picture.spectral_film import band_centres, band_film
+
+        bands = band_centres(BAND_STEP_NM)
+        film = band_film(bands, BAND_STEP_NM)
+    sensor = stage.sensor(shot.view, shot.size, film)
+    integrator = mi.load_dict({"type": "path", "max_depth": stage.depth, "rr_depth": RUSSIAN_ROULETTE_DEPTH})
+    if shot.cut:
+        integrator = cut_out(integrator, stage.objects)
+    most = max(1, PASS_SAMPLES // (shot.size[0] * shot.size[1]))
+    plan = pass_plan(shot.spp, most)
+    count = len(plan)
+    total: NDArray[np.float64] | None = None
+    done, clock = 0, Clock()
+    with interrupt.held_back() as is_interrupted:
+        for index, now in enumerate(plan):
+            picture = mi.render(
+                stage.mitsuba_scene, sensor=sensor, integrator=integrator, spp=now, seed=pass_seed(shot.seed, index)
+            )
+            values = np.array(picture, dtype=np.float64)
+            total = values * now if total is None else total + values * now
+            done += now
+            interrupt.keep_passes()
+            try:
+                report(index + 1, count, clock.left(index + 1, count))
+            except KeyboardInterrupt:
+                break
+            if is_interrupted():
+                break
+    assert total is not None  # spp is at least 1
+    mean = total / done
+    guides = {}
+    if shot.with_guides:
+        passes = [(now, pass_seed(shot.seed, count + index)) for index, now in enumerate(pass_plan(GUIDE_SPP, most))]
+        guides = first_hits(stage.mitsuba_scene, sensor, passes)
+    not_finite = int(np.count_nonzero(~np.isfinite(mean).all(axis=-1)))
+    clean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
+    if shot.spectral:
+        from nacre.picture.spectral_film import bands_to_xyz
+
+        xyz = bands_to_xyz(clean, bands)
+        return Frame(xyz, done, None, clean.astype(np.float32), bands, guides, not_finite)
+    return Frame(clean[..., :3], done, clean[..., 3] if shot.cut else None, guides=guides, not_finite=not_finite)
+
+
+def first_hits(scene: Any, sensor: Any, passes: Sequence[tuple[int, int]]) -> dict[str, NDArray[np.float32]]:
+    """Return what each pixel sees first: albedo (diffuse reflectance) and normal `[row, column, 3]`, depth `[..., 1]`.
+
+    Args:
+        scene, sensor: of Mitsuba.
+        passes: samples a pixel and seed of each pass, `GUIDE_SPP` in all.
+    """
+    mi = use_variant()
+    integrator = mi.load_dict({"type": "aov", "aovs": "albedo:albedo,normal:sh_normal,depth:depth"})
+    seen = sum(
+        spp * np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed))[..., -7:]
+        for spp, seed in passes
+    )
+    mean = np.asarray(seen / sum(spp for spp, _ in passes), dtype=np.float32)
+    mean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
+    albedo, normal = np.clip(mean[..., :3], 0.0, 1.0), np.clip(mean[..., 3:6], -1.0, 1.0)
+    return {"albedo": albedo, "normal": normal, "depth": np.maximum(mean[..., 6:], 0.0)}
+
+
+def pass_plan(spp: int, most: int) -> list[int]:
+    """Split spp into passes of at most `most`, each a number that fills the sampler's grid: k^2 or k (k + 1).
+
+    Stratified over its grid, a pass of 16 has the variance of 37 independent samples (measured on the sphere).
+
+    Example: `pass_plan(100, 40)` is [36, 36, 25, 2, 1].
+    """
+    plan = []
+    while spp > 0:
+        limit = min(spp, most)
+        k = math.isqrt(limit)
+        now = k * (k + 1) if k * (k + 1) <= limit else k * k
+        plan.append(now)
+        spp -= now
+    return plan
+
+
+def pass_seed(seed: int, index: int) -> int:
+    """Spread (seed, pass) over 32 bits, so that neighbouring seeds share no pass."""
+    return (seed * 0x9E3779B1 + index * 0x85EBCA6B + 0x1B873593) & 0xFFFFFFFF

@@ -1,0 +1,84 @@
+"""Named numbers of a recipe: `[numbers] drain = 0.4` may stand in every formula of it, and so may the time `t`."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from nacre.errors import RecipeError
+from nacre.recipe.model import show_value
+
+NUMBERS = "numbers"
+TIME = "t"  # of an animation: 0 in its first frame and in stills, 1 in its last
+RESERVED = ("u", "v", "x", "y", "z", "pi", "e")
+MAX_NUMBERS = 100
+_NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]{0,39}\Z")
+_WORD = re.compile(r"(?<![A-Za-z_0-9.])[A-Za-z_][A-Za-z_0-9]*(?!\s*\(|[A-Za-z_0-9])")
+
+
+def named_numbers(data: Mapping[str, Any], source: str) -> dict[str, float]:
+    """Return the numbers that the recipe's `[numbers]` names, and `t`, which is 0 unless it is given.
+
+    Raises:
+        RecipeError: no table, a name that cannot be one, or a value that is no number.
+    """
+    table = data.get(NUMBERS, {})
+    if not isinstance(table, Mapping):
+        raise RecipeError(f"{source}: {NUMBERS} = {show_value(table)} should be a table of names and numbers")
+    if len(table) > MAX_NUMBERS:
+        raise RecipeError(f"{source}: {NUMBERS} holds {len(table)} names; at most {MAX_NUMBERS} are allowed")
+    found = {TIME: 0.0}
+    for name, value in table.items():
+        if not _NAME.match(str(name)) or name in RESERVED:
+            raise RecipeError(
+                f"{source}: {NUMBERS}.{str(name)[:40]} cannot be a name; use letters, digits and _, "
+                f"and none of {', '.join(RESERVED)}"
+            )
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(float(value)):
+            raise RecipeError(f"{source}: {NUMBERS}.{name} = {show_value(value)} should be a number")
+        found[str(name)] = float(value)
+    return found
+
+
+def without_names(data: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """Return the recipe without `[numbers]`, their values standing in its formulas.
+
+    A recipe inside this one that has numbers of its own keeps them for itself.
+
+    Raises:
+        RecipeError: as `named_numbers`.
+    """
+    numbers = named_numbers(data, source)
+    return {key: _filled(value, numbers) for key, value in data.items() if key != NUMBERS}
+
+
+def uses_time(data: Any) -> bool:
+    """Whether a formula of the recipe runs with the time `t`."""
+    if isinstance(data, Mapping):
+        formula = data.get("formula")
+        own = isinstance(formula, str) and TIME in _WORD.findall(formula)
+        return own or any(uses_time(value) for value in data.values())
+    return isinstance(data, list) and any(uses_time(value) for value in data)
+
+
+def _filled(data: Any, numbers: Mapping[str, float]) -> Any:
+    if isinstance(data, list):
+        return [_filled(value, numbers) for value in data]
+    if not isinstance(data, Mapping):
+        return data
+    if NUMBERS in data:  # its own numbers stand above those around it
+        numbers = {name: value for name, value in numbers.items() if name not in (data[NUMBERS] or ())}
+    return {
+        key: _with_values(value, numbers) if key == "formula" and isinstance(value, str) else _filled(value, numbers)
+        for key, value in data.items()
+    }
+
+
+def _with_values(formula: str, numbers: Mapping[str, float]) -> str:
+    def value(found: re.Match[str]) -> str:
+        name = found[0]
+        return f"({numbers[name]!r})" if name in numbers else name
+
+    return _WORD.sub(value, formula)
