@@ -15,7 +15,8 @@ import numpy as np
 from PIL import Image
 
 import nacre
-from nacre.cli.gallery import PictureSpec, examples_folder, load_gallery
+from nacre.cli.gallery import PictureSpec, load_gallery
+from nacre.materials.examples import examples_folder
 
 IMAGES = Path(__file__).parent / "images"
 THUMBNAIL = (256, 256)

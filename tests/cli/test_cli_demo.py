@@ -8,8 +8,9 @@ import pytest
 from PIL import Image
 
 from nacre.cli import run
-from nacre.cli.gallery import CELL, contact_sheet, examples_folder, load_gallery, plan, tile
+from nacre.cli.gallery import CELL, contact_sheet, load_gallery, plan, tile
 from nacre.design.run import load_target
+from nacre.materials.examples import examples_folder
 from nacre.materials.material import load
 from nacre.picture.scenes.catalogue import SCENE_NAMES
 

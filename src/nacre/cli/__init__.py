@@ -34,6 +34,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "tolerance": ("nacre.cli.study", "Turn manufacturing spreads into colour spread and yield."),
     "sweep": ("nacre.cli.study", "Compute a material over many values of its numbers."),
     "indices": ("nacre.cli.machine", "Search and show optical constants."),
+    "examples": ("nacre.cli.examples", "List the recipes that come with nacre, or copy them."),
     "keys": ("nacre.cli.keys", "Print what a recipe, target or sweep may hold, key by key."),
     "cache": ("nacre.cli.machine", "Show what solved materials are kept on disk, or clear them."),
     "doctor": ("nacre.cli.machine", "Say what works on this machine and what to do if something does not."),

@@ -6,7 +6,6 @@ What is shown is data: `examples/gallery.toml` names the recipes and the scenes.
 from __future__ import annotations
 
 import functools
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ import pydantic
 
 from nacre.errors import NacreError
 from nacre.files import atomic_path, read_text
+from nacre.materials.examples import examples_folder
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
 from nacre.recipe.toml import parse_toml
 
@@ -119,19 +119,6 @@ class Item:
     path: Path
     cost: float
     make: Callable[[], None] = field(repr=False)
-
-
-def examples_folder() -> Path:
-    """Return the folder of the example recipes: of the checkout, or of the installed package.
-
-    Raises:
-        NacreError: neither is there.
-    """
-    places = [Path(__file__).resolve().parents[3] / "examples", Path(sys.prefix) / "share" / "nacre" / "examples"]
-    for place in places:
-        if (place / "gallery.toml").is_file():
-            return place
-    raise NacreError(f"the example recipes are not installed; looked in {places[0]} and {places[1]}")
 
 
 def load_gallery(folder: Path) -> GallerySpec:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import logging
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,6 +27,7 @@ from nacre.families.contract import Model
 from nacre.families.registry import family_source, family_spec
 from nacre.files import read_text
 from nacre.materials.cache import solved
+from nacre.materials.examples import find_example
 from nacre.materials.varying import Varying
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.recipe.identity import file_digest, identity
@@ -216,7 +218,9 @@ class StoredBsdf(Model):
 
 
 def load(path: str | Path) -> Material:
-    """Load a material: a recipe (.toml), a compiled file (.nacre) or a design folder.
+    """Load a material: a recipe (.toml), a compiled file (.nacre), a design folder, or an example by its name.
+
+    A name is that of an example ("soap", "pearl/foil") only where there is no such file.
 
     Raises:
         RecipeError: naming file, key, value and what is allowed.
@@ -224,7 +228,9 @@ def load(path: str | Path) -> Material:
 
     Example: `nacre.load("soap.toml").spectrum([0.0])`.
     """
-    return _load(Path(path), depth=0)
+    path = Path(path)
+    shipped = None if os.path.lexists(path) else find_example(str(path))
+    return _load(shipped or path, depth=0)
 
 
 def _load(path: Path, depth: int, ambient: Any = None) -> Material:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 from xml.sax.saxutils import escape, unescape
 
 import numpy as np
@@ -16,9 +16,6 @@ from nacre.arrays import Array
 from nacre.errors import NacreError
 from nacre.files import atomic_path
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, white_xyz, xyz_to_srgb_linear
-
-if TYPE_CHECKING:
-    from nacre.picture.images import RenderResult
 
 PROVENANCE_KEY = "nacre"
 STILL_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".exr")
@@ -34,6 +31,27 @@ _XMP = (
     '</x:xmpmeta><?xpacket end="r"?>'
 )
 _XMP_TEXT = ("<nacre:provenance>", "</nacre:provenance>")
+
+
+class Linear(Protocol):
+    """What an EXR is made from; see `nacre.picture.images.RenderResult`."""
+
+    @property
+    def xyz(self) -> Array: ...
+    @property
+    def raw(self) -> Array | None: ...
+    @property
+    def alpha(self) -> Array | None: ...
+    @property
+    def lights(self) -> Mapping[str, Array]: ...
+    @property
+    def layers(self) -> Mapping[str, tuple[str, Array]]: ...
+    @property
+    def spectral(self) -> NDArray[np.float32] | None: ...
+    @property
+    def bands_nm(self) -> Array | None: ...
+    @property
+    def stats(self) -> Mapping[str, Any]: ...
 
 
 def provenance(stats: Mapping[str, Any]) -> str:
@@ -112,7 +130,7 @@ def spectral_channel(wavelength_nm: float) -> str:
     return f"S0.{wavelength_nm:.6f}nm".replace(".", ",").replace("S0,", "S0.")
 
 
-def write_exr(path: str | Path, result: RenderResult) -> None:
+def write_exr(path: str | Path, result: Linear) -> None:
     """Write a picture's linear light, unexposed and unclipped, as R, G, B, and its layers.
 
     Layers: A, where the subject is cut out (the light is then premultiplied by it); `raw` as rendered, where the

@@ -1,0 +1,157 @@
+"""Named numbers in formulas, the time of animations, and the recipes that come with nacre."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.bsdf.texture import parse_formula
+from nacre.cli import run
+from nacre.errors import NacreError, RecipeError
+from nacre.materials.examples import examples, examples_folder, find_example
+from nacre.recipe.numbers import uses_time, without_names
+
+FORMULA = "100 + 500*v^drain + 40*sin(drain*u) + t"
+
+
+def _film(formula: str = FORMULA, **tables: Any) -> dict[str, Any]:
+    thickness = {"formula": formula, "min": 20, "max": 700}
+    layer = {"material": {"n": 1.33}, "thickness_nm": thickness}
+    return {"family": "film", "substrate": "air", "layers": [layer], **tables}
+
+
+def _value(material: Any, u: float, v: float) -> float:
+    """The thickness that the film's own lobe gives at a place."""
+    texture = material.bsdf(np.array([500.0, 600.0])).lobes[0].parameters[0].texture
+    return float(texture(np.array([u, v])))
+
+
+def test_a_named_number_stands_in_the_formula() -> None:
+    film = nacre.material(_film(numbers={"drain": 2.0}))
+    assert _value(film, 0.3, 0.5) == pytest.approx(100 + 500 * 0.25 + 40 * np.sin(0.6), rel=1e-6)
+    changed = film.vary({"numbers.drain": 1.0, "numbers.t": 7.0})
+    assert _value(changed, 0.3, 0.5) == pytest.approx(107 + 250 + 40 * np.sin(0.3), rel=1e-6)
+    assert film.free_numbers["numbers.drain"] == 2.0
+    assert film.identity != changed.identity
+
+
+def test_names_are_whole_words_and_no_functions() -> None:
+    layer = {"formula": "s*sin(u) + 1e2*e2 + sin + steps"}
+    data = {"numbers": {"s": 2.0, "sin": 3.0, "e2": 4.0}, "layer": layer}
+    assert without_names(data, "r")["layer"]["formula"] == "(2.0)*sin(u) + 1e2*(4.0) + (3.0) + steps"
+
+
+def test_a_recipe_inside_keeps_its_own_numbers() -> None:
+    inner = {"numbers": {"a": 1.0}, "formula": "a + b"}
+    assert without_names({"numbers": {"a": 5.0, "b": 6.0}, "first": inner}, "r")["first"]["formula"] == "a + (6.0)"
+
+
+@pytest.mark.parametrize(
+    ("numbers", "words"),
+    [
+        ({"u": 1.0}, "numbers.u cannot be a name"),
+        ({"two words": 1.0}, "cannot be a name"),
+        ({"a": "x"}, 'numbers.a = "x" should be a number'),
+        ({"a": True}, "should be a number"),
+        ({"a": float("nan")}, "should be a number"),
+        (3, "should be a table"),
+    ],
+)
+def test_bad_numbers_get_one_line(numbers: Any, words: str) -> None:
+    with pytest.raises(RecipeError, match=words):
+        nacre.material(_film("100", numbers=numbers))
+
+
+def test_an_unknown_name_says_what_is_known() -> None:
+    with pytest.raises(RecipeError, match=r'"drian" is not allowed; use u, v, t, .* names of \[numbers\]'):
+        nacre.material(_film("100*drian", numbers={"drain": 1.0}))
+
+
+def test_time_is_found_as_a_word() -> None:
+    assert uses_time(_film("100 + t*u")) and not uses_time(_film("100 + tan(u)"))
+    assert not uses_time({"title": "t", "layers": [{"formula": "u"}]})
+
+
+def test_formulas_that_differ_in_numbers_share_a_kernel() -> None:
+    first, one = parse_formula("2*u^2 + 3.5").with_holes()
+    second, two = parse_formula("7*u^2 - -1").with_holes()
+    third, _ = parse_formula("2*u^3 + 3.5").with_holes()
+    assert first == parse_formula("9*u^2 + 1").with_holes()[0] and first != second and first != third
+    assert list(one.values()) == [2.0, 3.5] and list(two.values()) == [7.0, 1.0]
+    u = np.linspace(0, 1, 5)
+    np.testing.assert_allclose(first(u, 0 * u, None, one), 2 * u**2 + 3.5)
+
+
+@pytest.mark.render
+def test_the_picture_follows_the_number_without_a_new_scene() -> None:
+    """The same picture as of a recipe with the value written out; the same as before when it goes back."""
+    options: dict[str, Any] = {"size": (24, 24), "spp": 4, "exposure": 0.0, "progress": False}
+    film = nacre.material(_film(numbers={"drain": 2.0}))
+    first = nacre.render(film, **options).xyz
+    other = nacre.render(film.vary({"numbers.drain": 0.4}), **options).xyz
+    written = nacre.render(nacre.material(_film(FORMULA.replace("drain", "0.4"))), **options).xyz
+    assert np.abs(first - other).mean() > 0.01 * first.mean()
+    np.testing.assert_allclose(other, written, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(nacre.render(film, **options).xyz, first, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.render
+def test_time_runs_in_an_animation(tmp_path: Path) -> None:
+    """At the end of "time" the frame is the still of t = 1; a material without t cannot be animated by it."""
+    options: dict[str, Any] = {"size": (16, 16), "spp": 4, "exposure": 0.0, "progress": False}
+    film = nacre.material(_film("100 + 300*v + 200*t"))
+    made = nacre.render.animate(film, "time", tmp_path / "a.gif", frames=2, **options)
+    from PIL import Image
+
+    last = np.asarray(Image.open(made.frames[1]).convert("RGB")).astype(int)
+    still = nacre.render(film.vary({"numbers.t": 1.0}), **options).srgb8.astype(int)
+    assert np.abs(last - still).max() <= 1
+    assert np.abs(last - np.asarray(Image.open(made.frames[0]).convert("RGB")).astype(int)).max() > 3
+    with pytest.raises(NacreError, match="no formula of the material uses the time t"):
+        nacre.render.animate(nacre.material(_film("100")), "time", tmp_path / "b.gif", frames=2, **options)
+
+
+def test_every_example_is_found_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    names = {example.name for example in examples()}
+    assert {"soap", "pearl/bottle1", "metasurface/silver_halo", "relief/star"} <= names and "gallery" not in names
+    for example in examples():
+        assert find_example(example.name) == example.path
+        assert example.about and example.family
+    assert nacre.load("bottle1").identity == nacre.load(examples_folder() / "pearl" / "bottle1.toml").identity
+
+
+def test_a_file_of_ones_own_comes_before_an_example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "soap").write_text('family = "film"\nsubstrate = "Si"\n')
+    assert nacre.load("soap").data["substrate"] == "Si"
+
+
+@pytest.mark.parametrize("name", ["../soap", "*", "soap\0", "gallery", "", "/soap", "targets"])
+def test_odd_names_are_no_examples(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert find_example(name) is None
+    with pytest.raises(NacreError):
+        nacre.load(name)
+
+
+def test_examples_are_listed_and_copied(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["examples", "film", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert {"soap", "gold"} <= {entry["name"] for entry in listed}
+    assert run(["examples", "blend", "relief/star", "-o", str(tmp_path / "mine")]) == 0
+    written = {path.relative_to(tmp_path / "mine").as_posix() for path in (tmp_path / "mine").rglob("*.*")}
+    assert written == {"blend.toml", "gold.toml", "blue-oxide.toml", "relief/star.toml", "relief/star-height.npy"}
+    nacre.load(tmp_path / "mine" / "relief" / "star.toml")
+    # the second run finds them there; a changed file is not overwritten
+    assert run(["examples", "blend", "-o", str(tmp_path / "mine")]) == 0
+    (tmp_path / "mine" / "gold.toml").write_text("mine")
+    assert run(["examples", "blend", "-o", str(tmp_path / "mine")]) == 2
+    assert (tmp_path / "mine" / "gold.toml").read_text() == "mine"
+    assert run(["examples", "sopa", "-o", str(tmp_path / "other")]) == 2
+    assert not (tmp_path / "other").exists()
