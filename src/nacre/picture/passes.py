@@ -91,7 +91,8 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback) -> Frame:
         bands = band_centres(BAND_STEP_NM)
         film = band_film(bands, BAND_STEP_NM)
     sensor = stage.sensor(shot.view, shot.size, film)
-    integrator = mi.load_dict({"type": "path", "max_depth": stage.depth, "rr_depth": RUSSIAN_ROULETTE_DEPTH})
+    kind = "volpath" if lets_through(stage.mitsuba_scene) else "path"
+    integrator = mi.load_dict({"type": kind, "max_depth": stage.depth, "rr_depth": RUSSIAN_ROULETTE_DEPTH})
     if shot.cut:
         integrator = cut_out(integrator, stage.objects)
     most = max(1, PASS_SAMPLES // (shot.size[0] * shot.size[1]))
@@ -128,6 +129,16 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback) -> Frame:
         xyz = bands_to_xyz(clean, bands)
         return Frame(xyz, done, None, clean.astype(np.float32), bands, guides, not_finite)
     return Frame(clean[..., :3], done, clean[..., 3] if shot.cut else None, guides=guides, not_finite=not_finite)
+
+
+def lets_through(scene: Any) -> bool:
+    """Whether light goes straight through a surface of the scene, which shadow rays then have to pass, coloured by it.
+
+    `path` takes every surface for opaque to them, so that a clear film would cast a black shadow; `volpath` asks.
+    """
+    mi = use_variant()
+    null = int(mi.BSDFFlags.Null)
+    return any(shape.bsdf() is not None and int(shape.bsdf().flags()) & null for shape in scene.shapes())
 
 
 def first_hits(scene: Any, sensor: Any, passes: Sequence[tuple[int, int]]) -> dict[str, NDArray[np.float32]]:

@@ -55,8 +55,9 @@ class LayeredPlugin(LobePlugin):
         self.has_mirror = not self.strata.all_rough
         if self.has_mirror:
             self.components = (self.components[0] | int(mi.BSDFFlags.DeltaReflection), *self.components[1:])
-        if self.has_mirror and lobe.transmits:
-            self.components = (*self.components[:-1], self.components[-1] | int(mi.BSDFFlags.DeltaTransmission))
+        self.passes_straight = self.has_mirror and lobe.transmits
+        if self.passes_straight:  # "Null" lets volumes and shadow rays see through
+            self.components = (*self.components[:-1], self.components[-1] | int(mi.BSDFFlags.Null))
         self.proxy = Proxy(lobe)
         self._waiting: Any = None
 
@@ -81,7 +82,7 @@ class LayeredPlugin(LobePlugin):
         alive = active & wanted & (dr.max(weight) > 0)
         bs.pdf = dr.select(alive, self._density(si, wo, active), 0.0)
         if self.has_mirror:
-            bs.sampled_type = dr.select(mirror, _words("DeltaReflection", "DeltaTransmission", reflected), glossy)
+            bs.sampled_type = dr.select(mirror, _words("DeltaReflection", "Null", reflected), glossy)
             bs.pdf = dr.select(mirror & alive, 1.0, bs.pdf)
         return bs, dr.select(alive, weight, 0.0)
 
@@ -137,6 +138,15 @@ class LayeredPlugin(LobePlugin):
         if self.strata.base != "none":
             return mi.Bool(enabled[0]) & reflected & (wi.z > MIN_COS)
         return dr.select(reflected, mi.Bool(enabled[0]), mi.Bool(enabled[-1])) & (dr.abs(wi.z) > MIN_COS)
+
+    def null_transmission(self, si: Any, active: Any) -> Any:
+        """Estimate by one walk what goes straight through, having met nothing but smooth interfaces."""
+        active = mi.Bool(active) & (dr.abs(si.wi.z) > MIN_COS)
+        if not self.passes_straight:
+            return mi.Spectrum(0.0)
+        rng = make_rng(si.p.x, si.p.y, si.p.z, si.wi.x, si.wi.y, si.wi.z, si.wavelengths[0])
+        wo, weight, mirror = sample_walk(self.strata, rng, si.wi, self.strata.locate(si, active), active)
+        return dr.select(active & mirror & ((wo.z > 0) != (si.wi.z > 0)), weight, 0.0)
 
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return a typical albedo."""
