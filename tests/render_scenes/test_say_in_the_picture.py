@@ -176,6 +176,35 @@ def test_filmic_keeps_order_and_rolls_off() -> None:
     assert (lamp.srgb8 != usual.srgb8).any()
 
 
+def test_a_picture_goes_on_until_its_noise_is_small_enough() -> None:
+    """The noise that it states is the one that another seed shows, within a tenth; half of it costs four times as much
+    or less, and the same seed is the same picture."""
+    options: dict[str, Any] = {"size": (40, 40), "exposure": 0.0, "denoise": False, "progress": False}
+    coarse, fine = (nacre.render(GREY, noise=noise, **options) for noise in (0.04, 0.02))
+    for result, asked in ((coarse, 0.04), (fine, 0.02)):
+        assert 0.2 * asked < result.stats["noise"] <= asked
+    assert coarse.stats["spp"] < fine.stats["spp"] <= 6 * coarse.stats["spp"]
+    again = nacre.render(GREY, noise=0.04, **options)
+    np.testing.assert_allclose(again.xyz, coarse.xyz, rtol=1e-4, atol=1e-7)
+    other = nacre.render(GREY, noise=0.04, seed=1, **options)
+    apart = np.abs(other.xyz[..., 1] - coarse.xyz[..., 1]) / (np.sqrt(2) * fine.xyz[..., 1])
+    # the median of |x| is 0.674 standard deviations
+    assert np.median(apart) / 0.6745 == pytest.approx(coarse.stats["noise"], rel=0.15)
+
+
+def test_a_picture_ends_by_one_rule_alone() -> None:
+    result = nacre.render(GREY, seconds=0.01, size=(16, 16), progress=False)
+    assert result.stats["spp"] == 16 and not result.stats["interrupted"]
+    for wishes, words in (
+        ({"spp": 4, "noise": 0.1}, "spp and noise: give one"),
+        ({"noise": 0.0}, "noise = 0.0 is not allowed"),
+        ({"noise": float("nan")}, "noise"),
+        ({"seconds": -1.0}, "seconds = -1.0 is not allowed"),
+    ):
+        with pytest.raises(NacreError, match=words):
+            nacre.render(GREY, size=(16, 16), progress=False, **wishes)
+
+
 def test_lights_are_read_as_written() -> None:
     assert read_lamps("studio:0.5,sun@120") == (Lamp("studio", 0.5), Lamp("sun", 1.0, 120.0))
     assert read_lamps("sky@-30:2") == (Lamp("sky", 2.0, -30.0),)

@@ -56,7 +56,15 @@ SCENES = "sphere|probe|speedshape|panel|butterfly|bottle|knob|body|screen|SCENE.
     help="Cut the object out: on nothing, or on a colour such as grey or #30343a.",
 )
 @click.option("--size", default=None, metavar="WxH", help="Pixels; default: the scene's own.")
-@click.option("--spp", type=int, default=None, help="Samples a pixel; default: the scene's own.")
+@click.option(
+    "--noise",
+    type=float,
+    default=None,
+    metavar="SHARE",
+    help="Go on until the median pixel's noise, as rendered, is this; default: 0.02, in at most 1024 samples a pixel.",
+)
+@click.option("--spp", type=int, default=None, help="In place of --noise: samples a pixel.")
+@click.option("--seconds", type=float, default=None, metavar="S", help="In place of --noise: go on for so long.")
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option(
     "--quality", type=click.Choice(["reference", "fast"]), default=None, help="Pearls: random walk, or noise-free."

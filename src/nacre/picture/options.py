@@ -11,10 +11,16 @@ from typing import Any
 from nacre.errors import NacreError
 from nacre.picture.image_files import OPAQUE_SUFFIXES, STILL_SUFFIXES
 from nacre.picture.images import Exposure
+from nacre.picture.passes import Until
 
 MAX_SIDE = 16384
 MAX_PIXELS = 1 << 24
 MAX_SPP = 1 << 20
+DEFAULT_NOISE = 0.02
+DEFAULT_SPP = 1024
+NOISE_SPP = 1 << 14  # at most, where a noise is asked for
+LEAST_NOISE = 1e-4
+MAX_SECONDS = 7 * 24 * 3600
 
 
 @dataclass(frozen=True)
@@ -99,6 +105,26 @@ def check_spp(spp: int) -> int:
     if isinstance(spp, bool) or int(spp) != spp or not 1 <= spp <= MAX_SPP:
         raise NacreError(f"spp = {spp!r} is not allowed; give a whole number from 1 to {MAX_SPP}")
     return int(spp)
+
+
+def read_until(spp: int | None, noise: float | None, seconds: float | None) -> Until:
+    """Return when the picture has samples enough; by default at a noise of 2 %, or after `DEFAULT_SPP`.
+
+    Raises:
+        NacreError: two of them are given, or one is out of range.
+    """
+    given = [name for name, value in (("spp", spp), ("noise", noise), ("seconds", seconds)) if value is not None]
+    if len(given) > 1:
+        raise NacreError(f"{' and '.join(given)}: give one of them; each says when the picture is done")
+    if noise is not None:
+        if not LEAST_NOISE <= noise <= 1:
+            raise NacreError(f"noise = {noise!r} is not allowed; give {LEAST_NOISE:g} to 1")
+        return Until(NOISE_SPP, noise=float(noise))
+    if seconds is not None:
+        if not 0 < seconds <= MAX_SECONDS:
+            raise NacreError(f"seconds = {seconds!r} is not allowed; give a number above 0, up to {MAX_SECONDS}")
+        return Until(MAX_SPP, seconds=float(seconds))
+    return Until(DEFAULT_SPP, noise=DEFAULT_NOISE) if spp is None else Until(check_spp(spp))
 
 
 def check_seed(seed: int) -> int:

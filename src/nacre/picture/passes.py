@@ -4,6 +4,7 @@ is done, and memory stays bounded; and the guides of the denoiser."""
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -24,6 +25,25 @@ PASS_SAMPLES = 1 << 22
 BAND_STEP_NM = 10.0
 FIRST_HIT = {"albedo": "RGB", "normal": "XYZ", "depth": "Z"}
 RUSSIAN_ROULETTE_DEPTH = 6
+GUIDES_FROM = 1 << 20  # the number of their first pass: beyond those of any picture
+ROUND = 16  # samples of a pass where a noise or a time ends the picture
+# after so many passes the noise is judged: always the same ones, so that the same seed stays the same picture
+CHECKS = frozenset(round(4 * 2 ** (k / 2)) for k in range(40))
+
+
+@dataclass(frozen=True)
+class Until:
+    """When a picture has samples enough: after a number of them, at a noise, or after a time.
+
+    Attributes:
+        spp: samples a pixel; with `noise` or `seconds` the most that are taken.
+        noise: median over the pixels of the relative standard error of their luminance, as rendered.
+        seconds: wall time of the passes; the picture then depends on the machine.
+    """
+
+    spp: int
+    noise: float | None = None
+    seconds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -33,7 +53,7 @@ class Shot:
     Attributes:
         view: the camera; None: the scene's own.
         size: width and height.
-        spp, seed: samples a pixel, and where they begin.
+        until, seed: when the samples are enough, and where they begin.
         spectral: bands of 10 nm instead of XYZ.
         boxed: pixels that share no samples, as a denoiser needs them.
         cut: see the objects alone.
@@ -42,7 +62,7 @@ class Shot:
 
     view: View | None
     size: tuple[int, int]
-    spp: int
+    until: Until
     seed: int
     spectral: bool = False
     boxed: bool = False
@@ -61,6 +81,8 @@ class Frame:
         spectral, bands_nm: `[row, column, band]`, where asked for, and the centres of the bands.
         guides: albedo, normal, and depth of what each pixel sees first.
         not_finite: pixels with a value that is no number.
+        noise: median relative standard error of the pixels, where there were passes enough to tell.
+        is_interrupted: whether it was ended before the samples were enough.
     """
 
     xyz: Array
@@ -70,6 +92,8 @@ class Frame:
     bands_nm: Array | None = None
     guides: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     not_finite: int = 0
+    noise: float | None = None
+    is_interrupted: bool = False
 
 
 def shoot(stage: Any, shot: Shot, report: ProgressCallback) -> Frame:
@@ -96,10 +120,15 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback) -> Frame:
     if shot.cut:
         integrator = cut_out(integrator, stage.objects)
     most = max(1, PASS_SAMPLES // (shot.size[0] * shot.size[1]))
-    plan = pass_plan(shot.spp, most)
+    until = shot.until
+    is_open = until.noise is not None or until.seconds is not None
+    plan = [ROUND] * max(until.spp // min(ROUND, most), 1) if is_open else pass_plan(until.spp, most)
+    plan = [part for now in plan for part in pass_plan(now, most)] if is_open else plan
     count = len(plan)
     total: NDArray[np.float64] | None = None
-    done, clock = 0, Clock()
+    done, clock, spread, noise = 0, Clock(), Spread(), None
+    stopped = False
+    started = time.perf_counter()
     with interrupt.held_back() as is_interrupted:
         for index, now in enumerate(plan):
             picture = mi.render(
@@ -109,17 +138,24 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback) -> Frame:
             total = values * now if total is None else total + values * now
             done += now
             interrupt.keep_passes()
+            if is_open:
+                spread.add(values.mean(axis=-1) if shot.spectral else values[..., 1], now)
+                noise = spread.noise() if index + 1 in CHECKS else noise
+            count, is_enough = _left(until, plan, index + 1, noise, time.perf_counter() - started)
             try:
                 report(index + 1, count, clock.left(index + 1, count))
             except KeyboardInterrupt:
-                break
-            if is_interrupted():
+                stopped = True
+            stopped = (stopped or is_interrupted()) and not is_enough and index + 1 < len(plan)
+            if stopped or is_enough:
                 break
     assert total is not None  # spp is at least 1
     mean = total / done
     guides = {}
     if shot.with_guides:
-        passes = [(now, pass_seed(shot.seed, count + index)) for index, now in enumerate(pass_plan(GUIDE_SPP, most))]
+        passes = [
+            (now, pass_seed(shot.seed, GUIDES_FROM + index)) for index, now in enumerate(pass_plan(GUIDE_SPP, most))
+        ]
         guides = first_hits(stage.mitsuba_scene, sensor, passes)
     not_finite = int(np.count_nonzero(~np.isfinite(mean).all(axis=-1)))
     clean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
@@ -127,8 +163,52 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback) -> Frame:
         from nacre.picture.spectral_film import bands_to_xyz
 
         xyz = bands_to_xyz(clean, bands)
-        return Frame(xyz, done, None, clean.astype(np.float32), bands, guides, not_finite)
-    return Frame(clean[..., :3], done, clean[..., 3] if shot.cut else None, guides=guides, not_finite=not_finite)
+        return Frame(xyz, done, None, clean.astype(np.float32), bands, guides, not_finite, noise, stopped)
+    alpha = clean[..., 3] if shot.cut else None
+    return Frame(clean[..., :3], done, alpha, guides=guides, not_finite=not_finite, noise=noise, is_interrupted=stopped)
+
+
+def _left(until: Until, plan: list[int], done: int, noise: float | None, seconds: float) -> tuple[int, bool]:
+    """Return how many passes there will be as far as one can tell, and whether those done are enough."""
+    if until.seconds is not None:
+        by_time = max(math.ceil(until.seconds / seconds * done), done)
+        return min(by_time, len(plan)), seconds >= until.seconds
+    if until.noise is not None and noise is not None:
+        needed = math.ceil(done * (noise / until.noise) ** 2)
+        return min(max(needed, done), len(plan)), noise <= until.noise
+    return len(plan), False
+
+
+class Spread:
+    """How far the passes of a picture lie apart, which tells the noise of their mean."""
+
+    def __init__(self) -> None:
+        self._count, self._weight = 0, 0
+        self._sum: Any = 0.0
+        self._squares: Any = 0.0
+
+    def add(self, luminance: NDArray[np.float64], spp: int) -> None:
+        """Take a pass `[row, column]` of so many samples into account."""
+        luminance = np.nan_to_num(luminance, nan=0.0, posinf=0.0, neginf=0.0)
+        self._count, self._weight = self._count + 1, self._weight + spp
+        self._sum = self._sum + spp * luminance
+        self._squares = self._squares + spp * luminance**2
+
+    def noise(self) -> float | None:
+        """Return the median over lit pixels of the relative standard error of the mean; None of fewer than 4 passes.
+
+        The median of a variance of n degrees of freedom lies below its mean by (1 - 2 / 9n)^3 (Wilson and Hilferty),
+        which is given back.
+        """
+        n = self._count - 1
+        if n < 3:
+            return None
+        mean = self._sum / self._weight
+        variance = np.maximum(self._squares / self._weight - mean**2, 0.0) / n
+        lit = mean > 0
+        if not lit.any():
+            return 0.0
+        return float(np.median(np.sqrt(variance[lit] / (1 - 2 / (9 * n)) ** 3) / mean[lit]))
 
 
 def lets_through(scene: Any) -> bool:

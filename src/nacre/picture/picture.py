@@ -25,8 +25,8 @@ from nacre.picture.denoise import clean_albedo, denoised, why_not
 from nacre.picture.images import Exposure, RenderResult, develop, show, toned
 from nacre.picture.lights.named import TURNING_LIGHTS, check_light, make_lights
 from nacre.picture.lights.several import Lamp, read_lamps
-from nacre.picture.options import check_exposure, check_output, check_seed, check_size, check_spp, read_background
-from nacre.picture.passes import FIRST_HIT, Shot, pass_seed, shoot
+from nacre.picture.options import check_exposure, check_output, check_seed, check_size, read_background, read_until
+from nacre.picture.passes import FIRST_HIT, Shot, Until, pass_seed, shoot
 from nacre.picture.progress import ProgressCallback, progress_bar
 from nacre.picture.scenes.catalogue import scene as find_scene
 from nacre.picture.user_scene import UserScene
@@ -55,6 +55,8 @@ def render(
     background: str = "scene",
     size: tuple[int, int] | str | None = None,
     spp: int | None = None,
+    noise: float | None = None,
+    seconds: float | None = None,
     seed: int = 0,
     quality: str | None = None,
     components: str = "sum",
@@ -89,7 +91,10 @@ def render(
         illuminant: spectrum of the light sources (D65, A, F11, ...).
         background: "scene"; or the objects cut out, on nothing ("transparent") or on a colour ("grey", "#30343a").
         size: (width, height) in pixels or "800x600"; None: the scene's own.
-        spp: samples per pixel; None: the scene's own.
+        noise: go on until the median relative standard error of the pixels, as rendered, is this; judged after certain
+            passes, so that the same seed stays the same picture. None: 0.02, in at most 1,024 samples a pixel.
+        spp: in place of noise: samples per pixel.
+        seconds: in place of noise: go on for so long; the picture then depends on the machine.
         seed: the same seed takes the same samples; on one machine and variant the picture is the same up to the
             order in which threads add them (some 1e-7 of a pixel).
         quality: "reference" (random walk) or "fast" (noise-free), for pearls.
@@ -150,7 +155,7 @@ def render(
             )
         stage = _kept(("xml", str(Path(scene).resolve()), _stamp(scene)), lambda: UserScene(Path(scene)))
         camera, balance, light_note, lamps = None, "D65", "the scene's own", ()
-        default_size, default_spp = stage.size, 64
+        default_size = stage.size
     else:
         chosen = find_scene(scene)
         if up is not None and shape is None:
@@ -164,20 +169,23 @@ def render(
         scene_view = chosen.place_view if chosen.place_view and stage.light.is_surrounding else chosen.view
         camera = framing.of(scene_view, stage.radius).turned(float(view_turn_deg))
         balance, light_note = stage.light.illuminant, stage.light.note
-        default_size, default_spp = chosen.size, chosen.spp
+        default_size = chosen.size
     width, height = check_size(size) or default_size
-    spp = check_spp(default_spp if spp is None else spp)
+    until = read_until(spp, noise, seconds)
     stage.set_material(bsdf)
 
     kept_raw = "spectra are kept" if spectral else "asked for" if not denoise else why_not(bsdf)
     is_exr = output is not None and output.suffix.lower() == ".exr"
     shot = Shot(
-        camera, (width, height), spp, seed, bool(spectral), boxed=not kept_raw, cut=not behind.is_scene,
+        camera, (width, height), until, seed, bool(spectral), boxed=not kept_raw, cut=not behind.is_scene,
         with_guides=not kept_raw or (is_exr and not spectral),
     )  # fmt: skip
     with progress_bar("rendering", progress) as report:
         frame = shoot(stage, shot, report)
-        alone = _each_light(set_up, lamps, bsdf, replace(shot, with_guides=False), report) if light_layers else {}
+        alone = {}
+        if light_layers:
+            same = replace(shot, until=Until(frame.spp), with_guides=False)
+            alone = _each_light(set_up, lamps, bsdf, same, report)
     xyz, raw = frame.xyz, None
     if not kept_raw:
         frame.guides["albedo"] = clean_albedo(frame.guides["albedo"])
@@ -190,12 +198,12 @@ def render(
         "illuminant": balance,
         "size": [width, height],
         "spp": frame.spp,
-        "spp_asked": spp,
+        **({"noise": frame.noise} if frame.noise is not None else {}),
         "seed": seed,
         "components": components,
         "variant": use_variant().variant(),
         "not_finite_pixels": frame.not_finite,
-        "interrupted": frame.spp < spp,
+        "interrupted": frame.is_interrupted,
         "denoised": raw is not None,
         **({"raw_because": kept_raw} if kept_raw else {}),
         **({"lights": [str(lamp) for lamp in lamps]} if lamps else {}),

@@ -36,8 +36,8 @@ VIEW_SWING_DEG = 32.0  # the camera swings in front of the backdrop and never go
 TIME_PATH = f"{NUMBERS}.{TIME}"
 # settings of `render` that change a picture and so belong to a frame's key
 _SETTINGS = (
-    "scene", "shape", "up", "turn", "view", "fov", "zoom", "light", "illuminant", "background", "size", "spp", "seed",
-    "quality", "components", "exposure", "tone", "denoise",
+    "scene", "shape", "up", "turn", "view", "fov", "zoom", "light", "illuminant", "background", "size", "spp", "noise",
+    "seconds", "seed", "quality", "components", "exposure", "tone", "denoise",
 )  # fmt: skip
 
 

@@ -51,7 +51,6 @@ class Scene:
         light: the light that belongs to it.
         max_depth: path length that the scene needs (opaque subjects; transparent ones get more).
         size: width and height of a default picture.
-        spp: samples per pixel of a default picture.
         place_view: the camera where the light is a place to be seen (street, room, sky); None: the same.
     """
 
@@ -62,7 +61,6 @@ class Scene:
     light: str = "studio"
     max_depth: int = 6
     size: tuple[int, int] = (640, 640)
-    spp: int = 64
     place_view: View | None = None
 
 
@@ -198,7 +196,7 @@ SCENES: dict[str, Scene] = {
         Scene("sphere", _sphere, View((0.0, -8.6, 2.7), (0.0, 0.0, 0.93), 19.0)),
         Scene("probe", _sphere, View((0.0, -7.6, 4.2), (0.0, 0.0, 0.85), 24.0), "bowl", "directional"),
         Scene("speedshape", _speedshape, View((-4.6, -7.6, 4.1), (0.0, 0.0, 0.5), 26.0), size=(800, 520)),
-        Scene("panel", _panel, View((0.0, -8.2, 4.6), (0.0, 0.1, 0.36), 27.5), light="line", size=(800, 520), spp=196),
+        Scene("panel", _panel, View((0.0, -8.2, 4.6), (0.0, 0.1, 0.36), 27.5), light="line", size=(800, 520)),
         Scene("butterfly", _butterfly, View((0.0, -4.4, 9.4), (0.0, 0.12, 0.1), 29.0), "board", size=(800, 600)),
         Scene("bottle", _bottle, View((0.0, -11.5, 3.6), (0.0, 0.0, 1.6), 17.5), max_depth=8, size=(512, 640)),
         Scene("knob", _knob, View((1.3, -8.8, 4.0), (0.0, 0.0, 1.18), 20.5), max_depth=8),
