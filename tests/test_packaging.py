@@ -1,31 +1,73 @@
-"""The wheel installs without a network and finds its data, its command and its examples."""
+"""The wheel installs without a network and finds its data, its command and its examples; all works after it."""
 
 from __future__ import annotations
 
+import json
 import os
+import platform
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from nacre import __version__
+from nacre.device import llvm
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
+QUIET = {"check": True, "capture_output": True, "timeout": 300}
+PIP = ["-m", "pip", "--disable-pip-version-check"]
+PICTURE_S = 30  # of a film; 3 s where nothing else runs, minutes without an LLVM
+INSTALL_S = 480  # with a warm cache of pip's some 60 s; without, the time to fetch 500 MB
+FILM = """family = "film"
+substrate = "Si"
+layers = [{material = "SiO2", thickness_nm = 300}]
+"""
+SWEEP = """recipe = "film.toml"
+[axes]
+"layers[0].thickness_nm" = [100, 200]
+"""
+TARGET = """family = "relief"
+features = 8
+feature_um = 1.5
+blur_um = 0.5
+height_max_um = 0.6
+coating = "Al"
+coherence = {sigma = 0.8}
+spectrum = "published-8"
+[target]
+kind = "anti-mirror"
+colour = "white"
+range = 0.3
+resolution = 12
+intensity_scale = 0.2
+[search]
+starts = 1
+shakes = 1
+"""
+
+
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build the wheel and install it, offline, into a folder of its own."""
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the wheel, offline."""
     folder = tmp_path_factory.mktemp("wheel")
-    quiet = {"cwd": ROOT, "check": True, "capture_output": True, "timeout": 300}
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
-    subprocess.run([*pip, "wheel", ".", "--no-deps", "--no-build-isolation", "--no-index", "-w", str(folder)], **quiet)
-    (wheel,) = folder.glob("nacre-*.whl")
-    target = folder / "prefix"
+    build = ["wheel", ".", "--no-deps", "--no-build-isolation", "--no-index", "-w", str(folder)]
+    subprocess.run([sys.executable, *PIP, *build], cwd=ROOT, **QUIET)
+    (found,) = folder.glob("nacre-*.whl")
+    return found
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path) -> Path:
+    """Install the wheel, offline, into a folder of its own."""
+    target = wheel.parent / "prefix"
     # without --ignore-installed pip would first remove the checkout's own installation, prefix or not
     apart = ["--no-index", "--no-deps", "--ignore-installed", "--prefix", str(target)]
-    subprocess.run([*pip, "install", *apart, str(wheel)], **quiet)
+    subprocess.run([sys.executable, *PIP, "install", *apart, str(wheel)], **QUIET)
     return target
 
 
@@ -69,3 +111,58 @@ def test_the_command_is_installed(installed: Path) -> None:
     bare = {**os.environ, "PYTHONPATH": str(site)}
     said = subprocess.run(command, capture_output=True, text=True, timeout=60, env=bare)
     assert said.returncode == 0 and __version__ in said.stdout, said.stderr
+
+
+@pytest.mark.full
+@pytest.mark.timeout(1200)
+@pytest.mark.skipif(platform.machine() != "x86_64" or sys.platform != "linux", reason="pip brings an LLVM there only")
+def test_after_pip_install_alone_everything_works_outside_the_checkout(wheel: Path, tmp_path: Path) -> None:
+    """A new environment, no variable that names an LLVM, none of apt's: pictures, a design, a sweep, the examples."""
+    home = tmp_path / "home"
+    home.mkdir()
+    place = home / "venv"
+    named = ("LLVM", "NACRE", "DRJIT", "LD_", "PYTHON", "VIRTUAL_ENV", "NUMBA", "XDG", "COV")
+    bare = {name: value for name, value in os.environ.items() if not any(part in name for part in named)}
+    environment = {**bare, "HOME": str(home), "PATH": f"{place / 'bin'}:/usr/bin:/bin"}
+    # without its own pip, which the outer one brings: Debian packs ensurepip apart
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(place)], **QUIET)
+    python = place / "bin" / "python"
+    arguments = ["--python", str(python), "install", "--no-compile", "-c", str(ROOT / "constraints.txt")]
+    command = [sys.executable, *PIP, *arguments, f"{wheel}[study]"]
+    done = subprocess.run(command, env=bare, capture_output=True, text=True, timeout=INSTALL_S)
+    assert done.returncode == 0, done.stderr
+
+    def nacre(*words: str) -> str:
+        done = subprocess.run(
+            [str(place / "bin" / "nacre"), *words], cwd=home, env=environment, capture_output=True, text=True,
+            timeout=300,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        assert "scalar_spectral" not in done.stderr
+        return done.stdout
+
+    for name, text in (("film.toml", FILM), ("sweep.toml", SWEEP), ("target.toml", TARGET)):
+        (home / name).write_text(text)
+    findings = {f["what"]: f for f in json.loads(nacre("doctor", "--json"))}
+    assert findings["LLVM"]["found"].startswith(f"{llvm.WHEEL} {llvm.WHEEL_VERSION}: {place}")
+    assert all(f["state"] != "bad" for f in findings.values()), findings
+    nacre("render", "film.toml", "--size", "64x64", "-o", "film.png")
+    start = time.perf_counter()
+    nacre("render", "film.toml", "--size", "256x256", "-o", "again.png")
+    assert time.perf_counter() - start < PICTURE_S
+    nacre("design", "target.toml", "-o", "design")
+    nacre("render", "design", "--size", "64x64", "-o", "design.png")
+    nacre("sweep", "sweep.toml", "-o", "sweep.zarr", "--workers", "1")
+    code = "from nacre.materials.examples import examples_folder; print(examples_folder())"
+    said = subprocess.run([str(python), "-c", code], cwd=home, env=environment, capture_output=True, text=True)
+    examples = Path(said.stdout.strip())
+    assert examples.is_relative_to(place)
+    for recipe in ("morpho.toml", "pearl/mcs1.toml"):
+        nacre("render", str(examples / recipe), "--size", "64x64", "--spp", "16", "-o", "example.png")
+        assert picture_is_lit(home / "example.png")
+    assert picture_is_lit(home / "film.png") and picture_is_lit(home / "design.png")
+
+
+def picture_is_lit(path: Path) -> bool:
+    with Image.open(path) as picture:
+        return max(high for _, high in picture.convert("RGB").getextrema()) > 100

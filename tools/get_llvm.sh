@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# Get a libLLVM that Dr.Jit 1.5 can work with, without root where possible: Debian's own packages, unpacked into
-# .llvm in the project's root, which nacre.render looks into. LLVM 14 is refused by Dr.Jit, 15 and 16 abort the
-# whole process. Never fails: everything but rendering works without, and `nacre doctor` explains.
+# See that there is a libLLVM that Dr.Jit 1.5 can work with. On Linux x86-64 pip brought it as a wheel. On another Linux
+# Debian's own packages are fetched, without root, and unpacked into .llvm in the project's root, which nacre.render
+# looks into. LLVM 14 is refused by Dr.Jit, 15 and 16 abort the whole process. Never fails: everything but rendering
+# works without, and `nacre doctor` explains.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 root=$PWD
@@ -11,8 +12,10 @@ works() { "$python" -m nacre.device.llvm >/dev/null 2>&1; }
 
 mkdir -p .llvm
 if works; then touch .llvm/ok; exit 0; fi
-if ! command -v apt-get >/dev/null 2>&1 || ! command -v dpkg >/dev/null 2>&1; then
-    echo "setup: no apt here; install LLVM 19 or newer and set DRJIT_LIBLLVM_PATH to its library (see: nacre doctor)" >&2
+system="$(uname -s) $(uname -m)"
+if [ "$system" = "Linux x86_64" ] || [ "${system%% *}" != Linux ] ||
+    ! command -v apt-get >/dev/null 2>&1 || ! command -v dpkg >/dev/null 2>&1; then
+    echo "setup: no libLLVM that Mitsuba can use; rendering will be slow. $("$python" -m nacre.device.llvm --advice)" >&2
     exit 0
 fi
 echo "setup: fetching libLLVM for Mitsuba"

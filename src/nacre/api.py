@@ -153,6 +153,7 @@ def sweep(
     *,
     workers: int | None = None,
     scheduler: str | None = None,
+    security: str | Path | None = None,
     progress: Callable[[int, int, int], None] | None = None,
     break_lock: bool = False,
 ) -> Path:
@@ -161,13 +162,16 @@ def sweep(
     Args:
         path: the sweep's TOML file.
         output: the Zarr folder; default: the file's name with .zarr, in the current folder.
-        workers, scheduler, progress, break_lock: as `nacre.study.sweep.run_sweep`.
+        workers, scheduler, security, progress, break_lock: as `nacre.study.sweep.run_sweep`.
 
     Raises:
         NacreError: the file is wrong, or the folder holds another sweep.
     """
     store = Path(output) if output is not None else Path(f"{Path(path).stem}.zarr")
-    run_sweep(load_sweep(path), store, workers=workers, scheduler=scheduler, progress=progress, break_lock=break_lock)
+    run_sweep(
+        load_sweep(path), store, workers=workers, scheduler=scheduler, security=security, progress=progress,
+        break_lock=break_lock,
+    )  # fmt: skip
     return store
 
 

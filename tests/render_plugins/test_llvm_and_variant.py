@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -107,6 +108,7 @@ def test_the_environment_is_tried_first_and_the_search_goes_on_if_it_fails(
     """A wrong DRJIT_LIBLLVM_PATH is reported, not fatal."""
     monkeypatch.setenv(llvm.ENVIRONMENT_VARIABLE, "/nowhere/libLLVM.so")
     monkeypatch.setattr(llvm, "_installed", lambda: iter(["/x/libLLVM-19.so"]))
+    monkeypatch.setattr(llvm, "_wheel_libraries", lambda: [])
     verdicts = {"/x/libLLVM-19.so": llvm.Probe("/x/libLLVM-19.so", "19.1.0", "")}
     monkeypatch.setattr(
         llvm, "_run_probe", lambda path: verdicts.get(path, llvm.Probe(path, "", "the file does not exist"))
@@ -144,6 +146,64 @@ def test_libraries_unpacked_beside_llvm_are_loaded_before_it(tmp_path: Path, mon
     assert llvm.companions("/usr/lib/libLLVM-19.so") == []
 
 
+def test_each_system_gets_the_one_command_that_brings_an_llvm() -> None:
+    """The wheel where there is one; no apt on a Mac."""
+    assert llvm.advice("Linux", "x86_64").startswith("`pip install karellen-llvm-core==")
+    assert "apt-get install libllvm19" in llvm.advice("Linux", "aarch64")
+    assert "`brew install llvm`" in llvm.advice("Darwin", "arm64") and "apt" not in llvm.advice("Darwin", "arm64")
+    assert "`winget install LLVM.LLVM`" in llvm.advice("Windows", "AMD64")
+
+
+def test_the_wheel_that_is_advised_is_the_one_that_pip_brings() -> None:
+    root = Path(__file__).parents[2]
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    (line,) = (line for line in project["dependencies"] if line.startswith(llvm.WHEEL))
+    requirement, marker = line.split(";")
+    assert requirement.strip() == f"{llvm.WHEEL}=={llvm.WHEEL_VERSION}"
+    assert "linux" in marker and "x86_64" in marker
+    assert requirement.strip() in (root / "constraints.txt").read_text().splitlines()
+
+
+def wheel_in(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Lay out what pip leaves of the wheel before an interpreter has started once; return its libLLVM."""
+    site, lib = folder / "lib" / "python3" / "site-packages", folder / "lib"
+    info = site / f"{llvm.WHEEL.replace('-', '_')}-19.1.7.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {llvm.WHEEL}\nVersion: 19.1.7\n")
+    (info / "RECORD").write_text("../../libLLVM.so.19.1,,\n../../x86_64-unknown-linux-gnu/libc++.so.1.0,,\n")
+    (lib / "x86_64-unknown-linux-gnu").mkdir()
+    (lib / "x86_64-unknown-linux-gnu" / "libc++.so.1.0").write_text("")
+    (lib / "libLLVM.so.19.1").write_text("")
+    monkeypatch.syspath_prepend(str(site))
+    return lib / "libLLVM.so.19.1"
+
+
+def test_the_wheel_goes_before_what_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its version is pinned; it is found wherever pip put it, and named by doctor."""
+    library = wheel_in(tmp_path, monkeypatch)
+    monkeypatch.delenv(llvm.ENVIRONMENT_VARIABLE, raising=False)
+    monkeypatch.setattr(llvm, "_installed", lambda: iter(["/x/libLLVM-19.so"]))
+    assert llvm.candidates() == [str(library), "/x/libLLVM-19.so", ""]
+    assert llvm.from_wheel(str(library)) and llvm.wheel_version() == "19.1.7"
+    assert not llvm.from_wheel("") and not llvm.from_wheel("/x/libLLVM-19.so")
+
+
+def test_the_wheel_works_where_its_links_could_not_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An environment of another user's: libc++.so.1 is a link that is made at a first start with rights to write."""
+    library = wheel_in(tmp_path, monkeypatch)
+    monkeypatch.setattr(llvm, "_missing_library", lambda paths: None if len(paths) > 1 else "libc++.so.1")
+    assert [Path(path).name for path in llvm.companions(str(library))] == ["libc++.so.1.0"]
+
+
+@pytest.mark.render
+def test_companions_are_loaded_before_the_library_is_tried(
+    tmp_path: Path, empty_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They were found and handed on, and the trial did without them."""
+    monkeypatch.setattr(llvm, "companions", lambda path: [str(tmp_path / "libedit.so.2")])
+    assert "libedit.so.2" in llvm.probe_library("").reason
+
+
 @pytest.mark.parametrize("name", ["llvm_ad_rgb", "scalar_rgb", "llvm_ad_spectral_polarized", "spectral"])
 def test_variants_without_plain_spectra_are_refused(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Structural colour is a spectrum."""
@@ -169,10 +229,10 @@ def test_the_report_tells_what_to_do_without_llvm(tmp_path: Path) -> None:
     done = python(code, {**refuse_all(tmp_path), variant.ENVIRONMENT_VARIABLE: ""})
     assert done.returncode == 0, done.stderr
     report, reason = json.loads(done.stdout)
-    assert "refused by the test" in report["variants"]["llvm_ad_spectral"] and "libllvm19" in reason
+    assert "refused by the test" in report["variants"]["llvm_ad_spectral"] and llvm.advice() in reason
     assert report["variant"] in ("scalar_spectral", "cuda_ad_spectral")
     if report["variant"] == "scalar_spectral":
-        assert "apt-get" in report["advice"]
+        assert llvm.advice() in report["advice"]
     assert all(tried["reason"] == "refused by the test" for tried in report["llvm_tried"])
 
 

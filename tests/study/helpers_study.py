@@ -17,8 +17,12 @@ START_TIMEOUT_S = 60.0
 
 
 @contextlib.contextmanager
-def dask_over_tcp(folder: Path, workers: int) -> Iterator[str]:
-    """Yield the address of a scheduler with single-threaded workers; all end with the block."""
+def dask_over_tcp(folder: Path, workers: int, *options: str, protocol: str = "tcp") -> Iterator[str]:
+    """Yield the address of a scheduler with single-threaded workers; all end with the block.
+
+    Args:
+        options: of scheduler and workers, such as those of TLS.
+    """
     processes: list[subprocess.Popen[bytes]] = []
     told = folder / f"scheduler-{workers}.json"
     quiet = {**os.environ, **ONE_THREAD, "DASK_LOGGING__DISTRIBUTED": "error"}
@@ -29,7 +33,8 @@ def dask_over_tcp(folder: Path, workers: int) -> Iterator[str]:
             processes.append(subprocess.Popen(command, env=quiet, stdout=log, stderr=log))
 
     try:
-        start("dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(told))
+        start("dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(told),
+              "--protocol", protocol, *options)  # fmt: skip
         address = ""
         deadline = time.monotonic() + START_TIMEOUT_S
         while not address:
@@ -39,7 +44,7 @@ def dask_over_tcp(folder: Path, workers: int) -> Iterator[str]:
             time.sleep(0.1)
         for _ in range(workers):
             start("dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--memory-limit", "0",
-                  "--local-directory", str(folder))  # fmt: skip
+                  "--local-directory", str(folder), *options)  # fmt: skip
         yield address
     finally:
         for process in reversed(processes):

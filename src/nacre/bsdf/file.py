@@ -27,12 +27,12 @@ from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
 from nacre.errors import NacreError
 from nacre.files import atomic_path
+from nacre.recipe.memory import check_memory
 
 FORMAT = "nacre-bsdf"
 VERSION = 1
 HEADER = "header.json"
 MAX_HEADER_BYTES = 16 << 20
-MAX_TOTAL_BYTES = 4 << 30  # of arrays, unpacked
 MAX_ARRAYS = 1000
 MAX_DEPTH = 12
 DTYPES = ("<f8", "<f4", "<i8", "<i4", "|u1", "|b1", "<c16", "<c8")
@@ -238,8 +238,7 @@ def _read_arrays(
         if not 0 <= entry.file_size - size <= 4096:  # what remains is the .npy header
             raise NacreError(f"{path}: array {name[:60]} is not as large as the header says; the file is damaged")
         expected[name] = (tuple(shape), dtype, info["sha256"])
-    if total > MAX_TOTAL_BYTES:
-        raise NacreError(f"{path}: holds {total} bytes of arrays; at most {MAX_TOTAL_BYTES} are read")
+    check_memory(total, f"{path}: unpacked, it")
     arrays = {}
     for name, (shape, dtype, digest) in expected.items():
         with zipped.open(f"{name}.npy") as stream:
@@ -249,7 +248,7 @@ def _read_arrays(
                 raise NacreError(f"{path}: array {name[:60]} is damaged") from None
         if array.shape != shape or array.dtype.str != dtype:
             raise NacreError(f"{path}: array {name[:60]} is not as the header says; the file is damaged")
-        if hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest() != digest:
+        if hashlib.sha256(np.ascontiguousarray(array).data).hexdigest() != digest:
             raise NacreError(f"{path}: array {name[:60]} does not match its checksum; the file is damaged")
         if not np.all(np.isfinite(array)):
             raise NacreError(f"{path}: array {name[:60]} holds values that are not finite")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from nacre.errors import UnsupportedError
 from nacre.light import delta_e_2000, spans_colour, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.matter.stack import solve as solver
 from nacre.matter.stack.case import clear_ambient
+from nacre.recipe.memory import check_memory
 
 TRANSPARENT_K = 1e-4  # a millimetre of the substrate then transmits more than a tenth at 550 nm
 SAME_INDEX = 1e-3  # relative indices this close to one refract invisibly little
@@ -25,6 +27,9 @@ COLOUR_ERROR = 0.5  # dE00 between neighbouring nodes of a parameter
 PARAMETER_NODES = (9, 17, 33, 65, 129, 257, 513)
 MAX_STILL_VALUES = 2_000_000  # of one table without varying numbers; only films of tens of um come near it
 MAX_TABLE_VALUES = 60_000_000  # of one table; 480 MB
+BLOCK_VALUES = 2_000_000  # solved at once
+BYTES_A_VALUE = 72  # of a table: reflectance and transmittance, from outside and inside, and their clipped copies
+BYTES_SOLVED = 350  # of a value while it is solved
 
 
 class StackTables:
@@ -54,8 +59,15 @@ class StackTables:
         """Return R and T `[*params, cos, wavelength]` for light in the rarer medium."""
         n, d = self._from_outside(thicknesses_nm)
         if not any(self.incoherent):
-            powers = solver.powers(n, d, self.wavelengths_nm, cos_i=cos_outside)
-            return powers.reflectance, powers.transmittance if self.transmits else np.zeros_like(powers.reflectance)
+            shape = (*d.shape[:-1], len(cos_outside), len(self.wavelengths_nm))
+            rows = d.reshape(math.prod(d.shape[:-1]), d.shape[-1])
+            reflected, passed = np.empty((len(rows), *shape[-2:])), np.zeros((len(rows), *shape[-2:]))
+            for some in _blocks(len(rows), shape[-2] * shape[-1]):
+                powers = solver.powers(n, rows[some], self.wavelengths_nm, cos_i=cos_outside)
+                reflected[some] = powers.reflectance
+                if self.transmits:
+                    passed[some] = powers.transmittance
+            return reflected.reshape(shape), passed.reshape(shape)
         from nacre.matter.stack.incoherent import incoherent_powers
 
         flags = self.incoherent[::-1] if self.flipped else self.incoherent
@@ -77,21 +89,25 @@ class StackTables:
         n, d = self._from_outside(thicknesses_nm)
         n, d = n[::-1], d[..., ::-1]
         if not any(self.incoherent):
-            solved = solver.amplitudes(n, d, self.wavelengths_nm, kappa=in_plane)
-            return np.asarray(0.5 * (np.abs(solved.r_s) ** 2 + np.abs(solved.r_p) ** 2))
+            rows = d.reshape(math.prod(d.shape[:-1]), d.shape[-1])
+            reflected = np.empty((len(rows), *in_plane.shape))
+            for some in _blocks(len(rows), in_plane.size):
+                solved = solver.amplitudes(n, rows[some], self.wavelengths_nm, kappa=in_plane)
+                reflected[some] = 0.5 * (np.abs(solved.r_s) ** 2 + np.abs(solved.r_p) ** 2)
+            return reflected.reshape(*d.shape[:-1], *in_plane.shape)
         from nacre.matter.stack.incoherent import incoherent_powers
 
         flags = self.incoherent if self.flipped else self.incoherent[::-1]
         sin = np.clip(in_plane / n[0].real, 0.0, 1.0)
-        rows = []
+        columns_of = []
         for row in d.reshape(-1, d.shape[-1]):
             columns = [
                 # each wavelength has its own angle inside, since one angle outside is shared
                 incoherent_powers(n[:, [l]], row, flags, self.wavelengths_nm[[l]], np.arcsin(sin[:, l])).reflectance
                 for l in range(len(self.wavelengths_nm))
             ]
-            rows.append(np.concatenate(columns, axis=-1))
-        return np.reshape(rows, (*d.shape[:-1], *in_plane.shape))
+            columns_of.append(np.concatenate(columns, axis=-1))
+        return np.reshape(columns_of, (*d.shape[:-1], *in_plane.shape))
 
     def _from_outside(self, thicknesses_nm: Array) -> tuple[ComplexArray, Array]:
         return (self.n[::-1], thicknesses_nm[..., ::-1]) if self.flipped else (self.n, thicknesses_nm)
@@ -136,6 +152,10 @@ class StackTables:
 
     def adaptive(self, thicknesses_nm: Array) -> InterfaceResponse:
         """Tabulate on as many cosines as keep the error of R and T below `TABLE_ERROR`, within `COS_NODES`."""
+        count = len(self.wavelengths_nm)
+        check_memory(
+            float(BYTES_SOLVED) * COS_NODES[0] * count, f"a table of {COS_NODES[0]} angles x {count} wavelengths"
+        )
         allowed = [nodes for nodes in COS_NODES if nodes * len(self.wavelengths_nm) <= MAX_STILL_VALUES] or COS_NODES[
             :1
         ]
@@ -149,6 +169,13 @@ class StackTables:
             if error <= TABLE_ERROR:
                 return response
         return self.build(thicknesses_nm, allowed[-1])
+
+
+def _blocks(rows: int, values: int) -> Iterator[slice]:
+    """Yield the rows of a table in blocks of a bounded number of values: amplitudes take twenty times its memory."""
+    step = max(1, BLOCK_VALUES // values)
+    for start in range(0, rows, step):
+        yield slice(start, start + step)
 
 
 def is_transparent(n: ComplexArray) -> bool:
@@ -209,9 +236,12 @@ def check_size(counts: Sequence[int], cos_nodes: int, wavelengths: int) -> None:
     Raises:
         UnsupportedError: naming the sizes.
     """
-    size = int(np.prod(counts)) * cos_nodes * wavelengths
+    size = math.prod(counts) * cos_nodes * wavelengths
     if size > MAX_TABLE_VALUES:
         raise UnsupportedError(
             f"the varying numbers need {' x '.join(map(str, counts))} nodes x {cos_nodes} angles x {wavelengths} "
             f"wavelengths = {size} values; at most {MAX_TABLE_VALUES} fit: narrow the ranges or let one number vary"
         )
+    check_memory(
+        float(BYTES_A_VALUE) * size, f"the table of {' x '.join(map(str, counts))} nodes of the varying numbers"
+    )

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.errors import NacreError, RecipeError
 from nacre.files import plain
+from nacre.recipe.memory import check_memory
 from nacre.recipe.model import RecipeContext, RecipeModel
 
 MAX_IMAGE_PIXELS = 64_000_000
+BYTES_A_PIXEL = 24  # as read, in double precision, and scaled
 FORMULA_SAMPLES = 257
 
 
@@ -125,6 +127,7 @@ def read_grey(path: Path, where: str, longest_side: int = MAX_IMAGE_PIXELS) -> N
             size = image.width * image.height
             if size > MAX_IMAGE_PIXELS:
                 raise RecipeError(f"{where}: {path.name} has {size} pixels; at most {MAX_IMAGE_PIXELS} are read")
+            check_memory(BYTES_A_PIXEL * float(size), f"{where}: {path.name} of {image.width} x {image.height} pixels")
             if max(image.size) > longest_side:
                 raise RecipeError(f"{where}: {path.name} is {image.size} pixels; at most {longest_side} a side")
             if image.mode.startswith("I") or image.mode == "F":

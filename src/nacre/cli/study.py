@@ -21,7 +21,7 @@ def _progress_bar(description: str) -> Any:
     console = Console(stderr=True)
     return Progress(
         TextColumn(description), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        TextColumn("{task.fields[info]}"), console=console, transient=not console.is_terminal,
+        TextColumn("{task.fields[info]}"), console=console, disable=not console.is_terminal,
     )  # fmt: skip
 
 
@@ -29,11 +29,17 @@ def _progress_bar(description: str) -> Any:
 @click.argument("sweep_file", metavar="SWEEP.toml")
 @click.option("-o", "output", default=None, metavar="FOLDER.zarr", help="Default: SWEEP.zarr.")
 @click.option("--workers", type=int, default=None, help="Processes; 1 computes in this one; default: one a core.")
-@click.option("--scheduler", default=None, metavar="tcp://HOST:PORT", help="Use this Dask scheduler instead.")
+@click.option("--scheduler", default=None, metavar="tls://HOST:PORT", help="Use this Dask scheduler instead.")
+@click.option(
+    "--security", default=None, metavar="FILE.toml", help="Of a tls:// scheduler: names the PEM files ca, cert and key."
+)
 @click.option("--break-lock", is_flag=True, help="Take over a folder that a sweep on another machine left locked.")
 @common.cache_option
 @common.jobs_option
-def sweep(sweep_file: str, output: str | None, workers: int | None, scheduler: str | None, break_lock: bool) -> None:
+def sweep(
+    sweep_file: str, output: str | None, workers: int | None, scheduler: str | None, security: str | None,
+    break_lock: bool,
+) -> None:  # fmt: skip
     """Compute a material over many values of its numbers; run again to go on after an interruption."""
     from nacre.study.plan import load_sweep
     from nacre.study.sweep import errors_file, run_sweep
@@ -47,8 +53,9 @@ def sweep(sweep_file: str, output: str | None, workers: int | None, scheduler: s
             bar.update(task, completed=done + failed, info=f"{failed} failed" if failed else "")
 
         finished, failed = run_sweep(
-            plan, path, workers=workers, scheduler=scheduler, progress=show, break_lock=break_lock, tell=common.note
-        )
+            plan, path, workers=workers, scheduler=scheduler, security=security, progress=show,
+            break_lock=break_lock, tell=common.note,
+        )  # fmt: skip
     common.note(f"{path}: {finished} of {plan.points.count} points" + (f", {failed} failed" if failed else ""))
     if failed:
         common.note(f"{errors_file(path)} says why")

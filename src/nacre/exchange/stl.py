@@ -9,10 +9,12 @@ import numpy as np
 from nacre.arrays import Array
 from nacre.errors import UnsupportedError
 from nacre.files import atomic_path
+from nacre.recipe.memory import check_memory
 
 # plateaus end this part of a feature before its edge; the wall between two stands on the rest
 WALL_SHARE = 0.02
 MAX_TRIANGLES = 60_000_000
+BYTES_A_TRIANGLE = 300  # its corners twice, edges and normal in double precision, and its record
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -33,6 +35,7 @@ def write_stl(path: str | Path, heights_um: Array, pitch_um: float, base_um: flo
     triangles = 2 * (2 * (2 * nx - 1) * (2 * ny - 1) + 2 * (2 * nx - 1) + 2 * (2 * ny - 1))
     if triangles > MAX_TRIANGLES:
         raise UnsupportedError(f"{nx} x {ny} features make {triangles} triangles; an STL here holds {MAX_TRIANGLES}")
+    check_memory(BYTES_A_TRIANGLE * float(triangles), f"an STL of {nx} x {ny} features")
     heights = np.tile(heights_um - heights_um.min() + base_um, (repeat, repeat))
     x, y = (_plateau_edges(n) * pitch_um for n in (nx, ny))
     z = np.repeat(np.repeat(heights, 2, axis=0), 2, axis=1)

@@ -45,6 +45,7 @@ class Model(abc.ABC):
         usual_parts: what a sweep stores of its spectrum unless told.
         is_quick: whether `bsdf` is solved in milliseconds, so that it may be asked for while a recipe is read.
         takes_ambient: whether it is built in the medium that another recipe puts it into.
+        bytes_a_wavelength: memory that solving it takes, so that too many wavelengths are refused before.
     """
 
     noun: ClassVar[str] = "material"
@@ -52,6 +53,7 @@ class Model(abc.ABC):
     usual_parts: ClassVar[tuple[str, ...]] = ("specular_reflectance", "diffuse_reflectance")
     is_quick: ClassVar[bool] = False
     takes_ambient: ClassVar[bool] = True
+    bytes_a_wavelength: ClassVar[int] = 50_000
 
     @abc.abstractmethod
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:

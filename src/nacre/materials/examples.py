@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import sys
+import sysconfig
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,11 +34,13 @@ def examples_folder() -> Path:
     Raises:
         NacreError: neither is there.
     """
-    places = [Path(__file__).resolve().parents[3] / "examples", Path(sys.prefix) / "share" / "nacre" / "examples"]
+    roots = (sys.prefix, sysconfig.get_path("data"), sysconfig.get_path("data", f"{os.name}_user"))
+    installed = [Path(root) / "share" / "nacre" / "examples" for root in dict.fromkeys(roots)]
+    places = [Path(__file__).resolve().parents[3] / "examples", *installed]
     for place in places:
         if (place / "gallery.toml").is_file():
             return place
-    raise NacreError(f"the example recipes are not installed; looked in {places[0]} and {places[1]}")
+    raise NacreError(f"the example recipes are not installed; looked in {', '.join(map(str, places))}")
 
 
 def examples() -> list[Example]:

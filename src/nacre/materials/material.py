@@ -31,6 +31,7 @@ from nacre.materials.examples import find_example
 from nacre.materials.varying import Varying
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.recipe.identity import file_digest, identity
+from nacre.recipe.memory import check_memory
 from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.numbers import without_names
 from nacre.recipe.paths import find_by_path, numbers_of, set_by_path, varying_numbers
@@ -40,6 +41,8 @@ logger = logging.getLogger("nacre")
 
 EXCESS_TOLD = 1e-3  # of the light that arrives: what spectra keep to
 MAX_NESTED_RECIPES = 8
+BYTES_A_VALUE = 160  # of an angle and wavelength: two polarisations' amplitudes and powers, and the parts kept
+MANY_ANGLES = 1000  # so many that the material's own wavelengths count
 POLARISATIONS = ("s", "p", "both")
 STUDY_TABLES = ("fit", "tolerance")  # read by nacre.study: which numbers are free, which vary in manufacture
 
@@ -89,6 +92,10 @@ class Material:
         return dataclasses.replace(bsdf, provenance={**bsdf.provenance, **recipe_provenance(self)})
 
     def _solved(self, grid: NDArray[np.float64] | None) -> Bsdf:
+        if grid is not None:
+            check_memory(
+                float(self.model.bytes_a_wavelength) * grid.size, f"a {self.model.noun} at {grid.size} wavelengths"
+            )
         if isinstance(self.model, StoredBsdf) or self.context.ambient is not None:
             return self.model.bsdf(grid)  # solved already; or a part of another material, which is kept as a whole
         what = identity(self.identity, {}, wavelengths_nm=grid)
@@ -125,6 +132,10 @@ class Material:
         theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
         if polarisation not in POLARISATIONS:
             raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use {", ".join(POLARISATIONS)}')
+        if grid is not None or len(theta) >= MANY_ANGLES:
+            count = len(np.atleast_1d(self.model.wavelengths_nm if grid is None else grid))
+            what = f"a spectrum of {len(theta)} angles x {count} wavelengths"
+            check_memory(float(BYTES_A_VALUE) * len(theta) * count, what)
         found = self.model.spectrum(theta, grid, polarisation, seed)
         if found is None:
             if polarisation != "both":

@@ -11,7 +11,9 @@ from nacre.arrays import Array
 from nacre.bsdf import Bsdf, Lobe
 from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.errors import UnsupportedError
+from nacre.recipe.memory import check_memory
 
+BYTES_A_VALUE = 40  # of a pair and wavelength: the sum, one lobe's values, and what they are made of
 DEFAULT_SAMPLES = 4096  # paths a direction pair of a stochastic lobe: about 2 % noise for a broad lobe
 
 
@@ -41,6 +43,8 @@ def evaluate_with_error(
     if wi_array.shape[-1:] != (3,):
         raise UnsupportedError(f"wi and wo have shape {list(wi_array.shape)}; the last axis must be 3")
     uv_array = None if uv is None else np.asarray(uv, dtype=float)
+    pairs, count = wi_array.size // 3, len(bsdf.wavelengths_nm)
+    check_memory(float(BYTES_A_VALUE) * pairs * count, f"{pairs} pairs of directions x {count} wavelengths")
     total = np.zeros((*wi_array.shape[:-1], len(bsdf.wavelengths_nm)))
     variance: Array | None = None
     for lobe in bsdf.lobes:

@@ -205,6 +205,7 @@ def run_sweep(
     *,
     workers: int | None = None,
     scheduler: str | None = None,
+    security: str | Path | None = None,
     progress: Progress | None = None,
     break_lock: bool = False,
     tell: Callable[[str], None] = logger.warning,
@@ -216,6 +217,8 @@ def run_sweep(
         output: the Zarr folder; an earlier, interrupted run of the same sweep goes on.
         workers: processes of the local cluster; 1 computes in this process; default: one a core.
         scheduler: address of a Dask scheduler (`tcp://host:port`) to use instead; its workers must have nacre.
+        security: TOML file with `ca`, `cert` and `key`, the PEM files by which such a scheduler (`tls://host:port`)
+            knows this sweep. Workers of this machine speak TLS with a key of their own.
         progress: called with (finished, failed, total) after every batch.
         break_lock: take the store's lock from another machine; one of a process ended here is taken anyway.
         tell: called with a line where another process writes the store, which is waited for.
@@ -224,12 +227,24 @@ def run_sweep(
         NacreError: the store holds another sweep, cannot be written or is locked by another machine, or the scheduler
             cannot be reached.
     """
+    if security is not None:
+        from nacre.study.cluster import read_security
+
+        if scheduler is None:
+            raise NacreError(
+                f"--security {security}: belongs to --scheduler; workers of this machine make their own key"
+            )
+        read_security(security)
     with locked(Path(output), break_lock=break_lock, tell=tell):
-        return _run(sweep, Path(output), workers, scheduler, progress)
+        return _run(sweep, Path(output), workers, (scheduler, security), progress)
 
 
 def _run(
-    sweep: Sweep, output: Path, workers: int | None, scheduler: str | None, progress: Progress | None
+    sweep: Sweep,
+    output: Path,
+    workers: int | None,
+    elsewhere: tuple[str | None, str | Path | None],
+    progress: Progress | None,
 ) -> tuple[int, int]:
     store = Store.open(output, sweep)
     total = sweep.points.count
@@ -241,7 +256,7 @@ def _run(
     if todo:
         from nacre.study.workers import results
 
-        for number, result in results(sweep, todo, workers, scheduler):
+        for number, result in results(sweep, todo, workers, *elsewhere):
             store.write(number, result)
             if isinstance(result, str):
                 failed += 1

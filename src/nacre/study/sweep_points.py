@@ -14,11 +14,13 @@ import pydantic
 from numpy.typing import NDArray
 
 from nacre.errors import RecipeError
+from nacre.recipe.memory import check_memory
 from nacre.recipe.model import RecipeModel, show_value
 from nacre.study.tables import by_path
 
 MAX_POINTS = 10_000_000
 MAX_AXES = 12
+BYTES_A_POINT = 200  # its number, its state, and what a batch of results holds of it
 AXIS_KEYS = {"values", "start", "stop", "low", "high"}
 MODES = ("grid", "random", "sobol")
 
@@ -139,9 +141,11 @@ def read_points(axes: Mapping[str, Any], mode: str, count: int, seed: int, sourc
         total = math.prod(len(axis.values or ()) for axis in parsed)
         if total > MAX_POINTS:
             raise RecipeError(f"{source}: the grid has {total} points; at most {MAX_POINTS} are allowed")
+        _check_memory(source, total, len(parsed))
         return Points(parsed, mode, total)
     if not 1 <= count <= MAX_POINTS:
         raise RecipeError(f"{source}: count = {count} must lie in [1, {MAX_POINTS}]")
+    _check_memory(source, count, len(parsed))
     if mode == "random":
         fractions = np.random.default_rng(seed).random((count, len(parsed)))
     else:
@@ -150,6 +154,10 @@ def read_points(axes: Mapping[str, Any], mode: str, count: int, seed: int, sourc
         power = max(0, math.ceil(math.log2(count)))
         fractions = qmc.Sobol(len(parsed), scramble=True, seed=seed).random_base2(power)[:count]
     return Points(parsed, mode, count, fractions)
+
+
+def _check_memory(source: str, count: int, axes: int) -> None:
+    check_memory(float(BYTES_A_POINT + 16 * axes) * count, f"{source}: a sweep of {count} points")
 
 
 def _read_axis(path: str, value: Any, mode: str, source: str) -> Axis:

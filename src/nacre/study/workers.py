@@ -34,7 +34,11 @@ MAX_BATCH = 256
 
 
 def results(
-    sweep: Sweep, todo: Sequence[int], workers: int | None, scheduler: str | None
+    sweep: Sweep,
+    todo: Sequence[int],
+    workers: int | None,
+    scheduler: str | None,
+    security: str | Path | None = None,
 ) -> Iterator[tuple[int, Result]]:
     """Yield (point number, result) as they come; an error of a point is its message.
 
@@ -53,7 +57,7 @@ def results(
     if scheduler is None and (count == 1 or len(todo) == 1):
         yield from _here(sweep, job, todo)
     else:
-        yield from _on_dask(sweep, job, todo, count, scheduler)
+        yield from _on_dask(sweep, job, todo, count, scheduler, security)
 
 
 def compute_batch(
@@ -100,11 +104,18 @@ def _here(sweep: Sweep, job: dict[str, Any], todo: Sequence[int]) -> Iterator[tu
 
 
 def _on_dask(
-    sweep: Sweep, job: dict[str, Any], todo: Sequence[int], workers: int, scheduler: str | None
+    sweep: Sweep,
+    job: dict[str, Any],
+    todo: Sequence[int],
+    workers: int,
+    scheduler: str | None,
+    security: str | Path | None,
 ) -> Iterator[tuple[int, Result]]:
     try:
         import dask
-        from distributed import Client, LocalCluster, as_completed
+        from distributed import Client, as_completed
+
+        from nacre.study.cluster import connect, local_cluster
     except ImportError:
         raise NacreError("several workers need Dask: pip install 'nacre[study]', or use --workers 1") from None
     quiet = {
@@ -118,16 +129,12 @@ def _on_dask(
     with dask.config.set(quiet):
         cluster = None
         if scheduler is None:
-            folder = Path(os.environ.get("TMPDIR", "/tmp"))
-            cluster = LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
-                silence_logs=40, local_directory=str(folder), memory_limit=0,
-            )  # fmt: skip
+            cluster = local_cluster(workers, os.environ.get("TMPDIR", "/tmp"))
         try:
-            try:
-                client = Client(cluster if cluster is not None else scheduler, timeout=CONNECT_TIMEOUT_S)
-            except (OSError, TimeoutError, ValueError) as error:
-                raise NacreError(f"--scheduler {scheduler}: cannot be reached: {error}") from None
+            if scheduler is None:
+                client = Client(cluster, timeout=CONNECT_TIMEOUT_S)
+            else:
+                client = connect(scheduler, security, CONNECT_TIMEOUT_S)
             with client:
                 try:
                     client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)

@@ -38,9 +38,13 @@ from nacre.light import default_wavelengths, delta_e_2000
 from nacre.light.wavelengths import STEPS_NM
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.stack.stack import Layer, Stack
+from nacre.recipe.memory import check_memory
 
 COLOUR_COSINES = np.array([1.0, 0.8, 0.5, 0.25])  # where colours are compared when grids are chosen
 MIDDLE = np.array([0.5, 0.5])
+UNSEEN = 1e-5  # of the light's amplitude: what comes back of it changes a reflectance by less than 1e-5
+SEEN_WAVELENGTHS = 48
+BYTES_A_LAYER = 64  # and wavelength: indices, phases and copies
 
 
 @dataclass(frozen=True)
@@ -98,13 +102,7 @@ class Film(Model):
         low, high = self.range_nm
         if self.step_nm is not None:
             return _grid(low, high, self.step_nm)
-        coarse = np.array([low, 0.5 * (low + high), high])
-        optical = 0.0
-        for layer in self.layers:
-            if not layer.incoherent:
-                thickest = layer.thickness_nm.high if isinstance(layer.thickness_nm, Texture) else layer.thickness_nm
-                optical += float(np.max(layer.material.n_complex(coarse).real)) * thickest
-        grid = default_wavelengths(optical)
+        grid = default_wavelengths(self._seen_thickness_nm())
         step = float(grid[1] - grid[0])
         finer = [s for s in STEPS_NM if s < step * 0.999][:3]
         coarser = _grid(low, high, step)
@@ -118,6 +116,35 @@ class Film(Model):
                 break
             seen, coarser, step = exact, closer, smaller
         return _grid(low, high, step)
+
+    def _seen_thickness_nm(self) -> float:
+        """Return the optical thickness of the layers that interfere, as deep as light goes and comes back.
+
+        What lies deeper makes no fringes that a grid would have to resolve. A clear substrate shows the stack from
+        below as well.
+        """
+        low, high = self.range_nm
+        lam = np.linspace(low, high, SEEN_WAVELENGTHS)
+        ends = np.array([low, 0.5 * (low + high), high])
+        layers = []
+        for layer in self.layers:
+            thickest = layer.thickness_nm.high if isinstance(layer.thickness_nm, Texture) else layer.thickness_nm
+            thinnest = layer.thickness_nm.low if isinstance(layer.thickness_nm, Texture) else layer.thickness_nm
+            # amplitude lost on the way through and back, a nm
+            loss = 4.0 * np.pi * layer.material.n_complex(lam).imag / lam
+            n = 0.0 if layer.incoherent else float(np.max(layer.material.n_complex(ends).real))
+            layers.append((n, thickest, thinnest, loss))
+        sides = [layers]
+        if is_transparent(self.substrate.n_complex(lam)):
+            sides.append(layers[::-1])
+        found = 0.0
+        for side in sides:
+            left, optical = np.full(len(lam), -np.log(UNSEEN)), np.zeros(len(lam))
+            for n, thickest, thinnest, loss in side:
+                optical += n * np.minimum(thickest, left / np.maximum(loss, 1e-300))
+                left = np.maximum(left - loss * thinnest, 0.0)
+            found = max(found, float(np.max(optical)))
+        return found
 
     def _judged_spectra(self, wavelengths_nm: Array) -> Array:
         """Return the reflectance `[case, wavelength]` at the angles and thicknesses where grids are tested."""
@@ -136,7 +163,15 @@ class Film(Model):
         return np.concatenate(spectra)
 
     def tables(self, wavelengths_nm: Array) -> StackTables:
-        """Return the solver of the film's stack on a wavelength grid."""
+        """Return the solver of the film's stack on a wavelength grid.
+
+        Raises:
+            UnsupportedError: more memory than is allowed.
+        """
+        count, many = len(wavelengths_nm), len(self.layers) + 2
+        check_memory(
+            float(BYTES_A_LAYER) * many * count, f"layers: {many - 2} of them at {count} wavelengths: the film"
+        )
         n = self.stack.indices(wavelengths_nm)
         flags = [layer.incoherent for layer in self.layers]
         return StackTables(n, flags, wavelengths_nm, is_transparent(n[-1]))

@@ -99,6 +99,7 @@ class Metasurface(Model):
     """
 
     noun = "metasurface"
+    bytes_a_wavelength = 200_000
 
     ambient: OpticalConstant
     layers: tuple[tuple[OpticalConstant, float], ...]

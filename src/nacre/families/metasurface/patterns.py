@@ -14,6 +14,7 @@ import numpy as np
 from nacre.arrays import Array
 from nacre.errors import NacreError
 from nacre.matter.jit import compiled
+from nacre.recipe.memory import check_memory
 
 RSA_LIMIT = 0.535  # random sequential addition jams at 0.547
 POISSON_LIMIT = 0.53
@@ -133,7 +134,9 @@ def _frame(count: int, packing: float) -> tuple[float, int]:
     box = float(np.sqrt(count * np.pi / (4 * packing)))
     if box < 3.0:
         raise NacreError(f"a pattern of {count} points at packing {packing:g} is too small to repeat")
-    return box, int(np.ceil(box * np.sqrt(2.0))) + 1
+    cells = int(np.ceil(box * np.sqrt(2.0))) + 1
+    check_memory(16.0 * cells**2 + 64.0 * count, f"a pattern of {count} points at packing {packing:g}")
+    return box, cells
 
 
 def _scaled(xy: Array, box: float, density_per_nm2: float, packing: float) -> Pattern:

@@ -13,6 +13,7 @@ import numpy as np
 from nacre.errors import UnsupportedError
 from nacre.families.relief.lines import line_power
 from nacre.families.relief.surface import Array, Tile, largest_step_nm
+from nacre.recipe.memory import check_memory
 
 # phase steps, rad, at which the measured errors are about 1e-4, 1e-3 and 1e-2 (section 11.4); interpolated in log error
 STEP_FOR_ERROR = ((1e-6, 1.6), (1e-4, 3.0), (1e-3, 4.4), (1e-2, 6.0))
@@ -20,6 +21,7 @@ GROWTH = 1.5  # ratio of the sampling that checks to the one that is checked
 MAX_SAMPLES = 16384  # along one side; 2 GiB of complex field in single precision
 # the difference of two samplings is a good measure of the coarser one's error; the margin covers its scatter
 MARGIN = 2.0
+BYTES_A_SAMPLE = 24  # the surface in double precision, and the field and its transform in single
 
 
 @dataclass(frozen=True)
@@ -54,10 +56,16 @@ def choose_sampling(tile: Tile, kappa_max: float, highest_line: int, error: floa
         error: wanted error, for example 1e-3.
 
     Raises:
-        UnsupportedError: more than 16384 samples along a side would be needed.
+        UnsupportedError: more than 16384 samples along a side would be needed, or more memory than is allowed.
     """
     n = tile.features
     least = max(2, -(-(2 * highest_line + 4) // n))
+    check_memory(
+        BYTES_A_SAMPLE * float(n * least) ** 2,
+        f"feature_um = {tile.feature_nm / 1e3:.4g} of {n} x {n} features, which sends light into {highest_line} orders "
+        "on each side of the mirror's,",
+        "take smaller or fewer features, or light of higher coherence",
+    )
     # walls of a blurred relief are no steeper than this; without blur a wall is one step whatever the sampling
     probe = max(least, 4)
     step_nm = largest_step_nm(tile.surface_nm(probe)) * probe

@@ -22,6 +22,7 @@ from nacre.families.relief.lines import FFT_SHARE, line_basis, line_power
 from nacre.families.relief.sampling import Sampling, choose_sampling
 from nacre.families.relief.slice import Reflectance, window_norm
 from nacre.families.relief.surface import Array, Tile
+from nacre.recipe.memory import check_memory
 
 # steps of the grids for an error of 1e-3: of psi in units of the smoothing, of xi in radians of the highest wall's
 # phase; a quadratic spline's error grows as the third power of its step (both measured, tests hold them)
@@ -109,6 +110,7 @@ def spectrum_map(
             f"needs a table of {size / 2**30:.1f} GiB; at most {MAX_TABLE_BYTES / 2**30:.0f} GiB are allowed: take a "
             f"source angle of {least:.2g} degrees or more, fewer wavelengths, or accuracy = 0.01 in the recipe"
         )
+    check_memory(size, f"coherence.sigma = {coherence.sigma_um:.3g}: the relief's table")
     kappa_low, kappa_high = xi[0] / shortest, xi[-1] / shortest
     highest = int(np.ceil(tile.period_nm * (2.0 + 6.0 * blur) / shortest))
     sampling = choose_sampling(tile, kappa_high, highest, error)

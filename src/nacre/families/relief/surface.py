@@ -16,6 +16,8 @@ from nacre.arrays import Array
 
 # a Gaussian edge further away than this many blur widths has no influence in double precision
 EDGE_REACH = 8.5
+# blurred by so many periods a tile is flat to 1e-77: exp(-2 pi^2 3^2) is left of its slowest wave
+FLAT_FROM_PERIODS = 3.0
 
 
 def blur_matrix(features: int, samples_per_feature: int, blur_over_feature: float) -> Array:
@@ -29,6 +31,8 @@ def blur_matrix(features: int, samples_per_feature: int, blur_over_feature: floa
         samples_per_feature: U, any positive whole number.
         blur_over_feature: standard deviation of the blur in feature widths; 0 leaves sharp walls.
     """
+    if blur_over_feature > FLAT_FROM_PERIODS * features:  # the sum over neighbouring tiles would never end
+        return np.full((features * samples_per_feature, features), 1.0 / features)
     x = (np.arange(features * samples_per_feature) + 0.5) / samples_per_feature
     offset = x[:, None] - np.arange(features)[None, :]
     if blur_over_feature <= 0:

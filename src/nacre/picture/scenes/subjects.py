@@ -12,10 +12,12 @@ from nacre.errors import NacreError, did_you_mean
 from nacre.picture.camera import View
 from nacre.picture.scenes.catalogue import SHAPES, Part, Scene
 from nacre.picture.shapes.mesh import Mesh, open_seam
+from nacre.recipe.memory import check_memory
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
 MAX_MESH_BYTES = 1 << 30
 MAX_FACES = 20_000_000
+BYTES_A_BYTE = 6  # of a file: its text, and the corners, normals and faces of it
 HEIGHT = 2.0  # a mesh is scaled to the height of our sphere, or less where it would leave the frame
 FRAME_SHARE = 0.94  # of the frame's half width and height
 # which axis is up: Blender, Maya and the web write y into these formats; printers and scanners write z into the others
@@ -69,6 +71,7 @@ def read_mesh(path: Path, up: str | None = None) -> Mesh:
         raise NacreError(f"shape {path}: the file does not exist")
     if path.stat().st_size > MAX_MESH_BYTES:
         raise NacreError(f"shape {path}: {path.stat().st_size} bytes; a mesh has at most {MAX_MESH_BYTES}")
+    check_memory(float(BYTES_A_BYTE) * path.stat().st_size, f"shape {path}: read as a mesh, it")
     try:
         mesh: Any = trimesh.load(str(path), force="mesh", process=False)
         vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
