@@ -192,6 +192,19 @@ def test_a_picture_goes_on_until_its_noise_is_small_enough() -> None:
     assert np.median(apart) / 0.6745 == pytest.approx(coarse.stats["noise"], rel=0.15)
 
 
+def test_a_scene_can_be_had_as_a_dict_to_build_on() -> None:
+    """Loaded as it is, it gives the picture that `render` gives; a part exchanged changes it."""
+    from nacre.device.variant import use_variant
+
+    mi = use_variant()
+    parts = nacre.render.scene_dict(GREY, "sphere", size=(24, 24), view="20,15")
+    own = np.array(mi.render(mi.load_dict(parts), spp=64)).mean()
+    ours = nacre.render(GREY, "sphere", view="20,15", **{**QUICK, "size": (24, 24), "spp": 64}).xyz.mean()
+    assert own == pytest.approx(ours, rel=0.03)
+    dark = {name: value for name, value in parts.items() if not name.startswith("light_")}
+    assert np.array(mi.render(mi.load_dict({**dark, "lamp": {"type": "constant"}}), spp=4)).mean() > 1.5 * own
+
+
 def test_a_picture_ends_by_one_rule_alone() -> None:
     result = nacre.render(GREY, seconds=0.01, size=(16, 16), progress=False)
     assert result.stats["spp"] == 16 and not result.stats["interrupted"]

@@ -87,7 +87,7 @@ class BuiltScene:
             behind = surface.moved(rotation("z", backdrop_deg)) if backdrop_deg else surface
             content[f"backdrop{index}"] = make_mesh(behind, mi.load_dict(look))
         content.update({f"light_{name}": emitter for name, emitter in light.emitters.items()})
-        self.subjects = subjects
+        self.content, self.subjects = content, subjects
         self.objects = [content[f"part{index}"] for index in range(len(parts))]
         self.mitsuba_scene = mi.load_dict(content)
         self._material: Any = None
@@ -121,7 +121,7 @@ class BuiltScene:
         high = np.max([np.array(box.max) for box in boxes], axis=0)
         return float(0.5 * (high - low).max())
 
-    def sensor(self, view: View, size: tuple[int, int], film: dict[str, Any]) -> Any:
+    def sensor(self, view: View, size: tuple[int, int], film: dict[str, Any], spp: int = 4) -> Any:
         """Return a camera with its film."""
         mi = use_variant()
         # a wider picture keeps the scene's height, a narrower one its width: the subject always fits
@@ -137,7 +137,7 @@ class BuiltScene:
                 "far_clip": 1e4,
                 "to_world": mi.ScalarTransform4f().look_at(list(view.origin), list(view.target), list(view.up)),
                 "film": {**film, "width": size[0], "height": size[1]},
-                "sampler": {"type": "multijitter"},
+                "sampler": {"type": "multijitter", "sample_count": spp},
             }
         )
 

@@ -115,8 +115,7 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback) -> Frame:
         bands = band_centres(BAND_STEP_NM)
         film = band_film(bands, BAND_STEP_NM)
     sensor = stage.sensor(shot.view, shot.size, film)
-    kind = "volpath" if lets_through(stage.mitsuba_scene) else "path"
-    integrator = mi.load_dict({"type": kind, "max_depth": stage.depth, "rr_depth": RUSSIAN_ROULETTE_DEPTH})
+    integrator = mi.load_dict(path_tracer(stage))
     if shot.cut:
         integrator = cut_out(integrator, stage.objects)
     most = max(1, PASS_SAMPLES // (shot.size[0] * shot.size[1]))
@@ -209,6 +208,12 @@ class Spread:
         if not lit.any():
             return 0.0
         return float(np.median(np.sqrt(variance[lit] / (1 - 2 / (9 * n)) ** 3) / mean[lit]))
+
+
+def path_tracer(stage: Any) -> dict[str, Any]:
+    """Return the integrator that a stage with its material needs, as a dict of Mitsuba."""
+    kind = "volpath" if lets_through(stage.mitsuba_scene) else "path"
+    return {"type": kind, "max_depth": stage.depth, "rr_depth": RUSSIAN_ROULETTE_DEPTH}
 
 
 def lets_through(scene: Any) -> bool:

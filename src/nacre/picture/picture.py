@@ -25,8 +25,16 @@ from nacre.picture.denoise import clean_albedo, denoised, why_not
 from nacre.picture.images import Exposure, RenderResult, develop, show, toned
 from nacre.picture.lights.named import TURNING_LIGHTS, check_light, make_lights
 from nacre.picture.lights.several import Lamp, read_lamps
-from nacre.picture.options import check_exposure, check_output, check_seed, check_size, read_background, read_until
-from nacre.picture.passes import FIRST_HIT, Shot, Until, pass_seed, shoot
+from nacre.picture.options import (
+    check_exposure,
+    check_output,
+    check_seed,
+    check_size,
+    check_spp,
+    read_background,
+    read_until,
+)
+from nacre.picture.passes import FIRST_HIT, Shot, Until, pass_seed, path_tracer, shoot
 from nacre.picture.progress import ProgressCallback, progress_bar
 from nacre.picture.scenes.catalogue import scene as find_scene
 from nacre.picture.user_scene import UserScene
@@ -226,6 +234,50 @@ def render(
     return result.save(output) if output is not None else result
 
 
+def scene_dict(
+    material: Any = None,
+    scene: str = "sphere",
+    *,
+    shape: str | Path | None = None,
+    up: str | None = None,
+    turn: float = 0.0,
+    view: str | Sequence[float] | None = None,
+    fov: float | None = None,
+    zoom: float | None = None,
+    light: str | Sequence[str] | None = None,
+    illuminant: str = "D65",
+    size: tuple[int, int] | str | None = None,
+    spp: int = 64,
+) -> dict[str, Any]:
+    """Return one of our scenes as a dict for `mi.load_dict`, to build on: add, exchange and remove what you like.
+
+    Its values are dicts and Mitsuba objects of the current variant: `integrator`, `sensor`, the object (`part0`, ...),
+    what it stands on (`backdrop0`, ...) and the lights (`light_...`). It is built anew at each call.
+
+    Args:
+        material: as for `render`; None: white and matt.
+        spp: samples per pixel of the sensor's sampler.
+        others: as for `render`.
+
+    Raises:
+        NacreError: as `render`.
+    """
+    framing, turn = read_framing(view, fov, zoom), read_turn(turn)
+    use_variant()
+    chosen = find_scene(scene)
+    lamps = read_lamps(light or chosen.light)
+    bsdf = None if material is None else resolve_material(material, None, "sum")[0]
+    clear = bool(getattr(bsdf, "transmits", False))
+    set_up = _SetUp(scene, shape, up, turn, framing.azimuth_deg, illuminant, 0.0, clear, is_plain=False)
+    stage = set_up.build(lamps)
+    if bsdf is not None:
+        stage.set_material(bsdf)
+    scene_view = chosen.place_view if chosen.place_view and stage.light.is_surrounding else chosen.view
+    film = {"type": "hdrfilm", "rfilter": {"type": "gaussian"}}
+    sensor = stage.sensor(framing.of(scene_view, stage.radius), check_size(size) or chosen.size, film, check_spp(spp))
+    return {**stage.content, "integrator": path_tracer(stage), "sensor": sensor}
+
+
 @dataclass(frozen=True)
 class _SetUp:
     """What a built stage depends on, besides its lights."""
@@ -254,11 +306,12 @@ class _SetUp:
         built_turn = 0.0 if turns_in_place else self.light_turn_deg
         stamps = (_stamp(self.shape), *(_stamp(lamp.name) for lamp in lamps))
         key = (replace(self, light_turn_deg=built_turn), lamps, among, stamps)
-        stage = _kept(key, lambda: self._build(lamps, among, built_turn))
+        stage = _kept(key, lambda: self.build(lamps, among, built_turn))
         stage.light.turn(self.light_turn_deg)
         return stage
 
-    def _build(self, lamps: tuple[Lamp, ...], among: tuple[Lamp, ...] | None, turn_deg: float) -> Any:
+    def build(self, lamps: tuple[Lamp, ...], among: tuple[Lamp, ...] | None = None, turn_deg: float = 0.0) -> Any:
+        """Return a new stage; see `stage`."""
         from nacre.picture.built_scene import BuiltScene, with_subject
 
         chosen = find_scene(self.scene)
