@@ -1,0 +1,301 @@
+"""Every command that writes, killed at random moments: nothing half-written, nothing lost, nothing left.
+
+After each kill all files have their names and are whole: the old ones or the new ones. A run that is left alone then
+ends well, and leaves what it leaves in an empty folder and nothing else: no temporary file of those killed before.
+"""
+
+from __future__ import annotations
+
+import random
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from helpers_crash import Forker, check_whole, forker, names, visible
+
+import nacre
+from nacre.study.sweep import DONE
+
+pytestmark = pytest.mark.full
+
+FILM = """family = "film"
+substrate = "Si"
+layers = [{material = "SiO2", thickness_nm = 300}]
+surface = {roughness = 0.2}
+tolerance = {"layers[0].thickness_nm" = 5}
+fit = {"layers[0].thickness_nm" = {min = 250, max = 350}}
+"""
+SMOOTH = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 120}]\n'
+METASURFACE = """family = "metasurface"
+substrate = "Si"
+layers = [{material = "SiO2", thickness_nm = 100}]
+[particle]
+material = {n = 2.0}
+radius_nm = 60
+[monolayer]
+coverage = 0.05
+[model]
+multipole_order = 1
+"""
+RELIEF = """family = "relief"
+heights = "heights.npy"
+feature_um = 2
+blur_um = 0.6
+[coherence]
+sigma = 1.5
+"""
+SWEEP = """recipe = "smooth.toml"
+[axes]
+"layers[0].thickness_nm" = {start = 100, stop = 200, count = 120}
+[measure]
+angles_deg = [0]
+"""
+TARGET = """family = "relief"
+features = 8
+feature_um = 1.5
+blur_um = 0.5
+height_max_um = 0.6
+coating = "Al"
+coherence = {sigma = 0.8}
+spectrum = "published-8"
+[target]
+kind = "anti-mirror"
+colour = "white"
+range = 0.3
+resolution = 12
+intensity_scale = 0.2
+[search]
+starts = 2
+shakes = 1
+"""
+BYSTANDER = "notes.txt"
+OLD = b"what was here before\n"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command, the outputs that are already there when it starts, and how many kills it takes.
+
+    Attributes:
+        makes: the file that a second run would write over.
+    """
+
+    arguments: tuple[str, ...]
+    makes: str
+    kills: int = 6
+
+
+CASES = {
+    "spectrum": Case(("spectrum", "film.toml", "-o", "out.csv"), "out.csv"),
+    "evaluate": Case(("evaluate", "film.toml", "--directions", "directions.npz", "-o", "out.npz"), "out.npz"),
+    "plot": Case(("plot", "film.toml", "--kind", "spectrum", "-o", "out.png"), "out.png"),
+    "compile": Case(("compile", "meta.toml", "-o", "out.nacre", "--no-cache"), "out.nacre", 4),
+    "export-rgl": Case(("export", "film.toml", "--to", "rgl", "-o", "out.bsdf"), "out.bsdf"),
+    "export-csv": Case(("export", "film.toml", "--to", "csv", "--angle-step-deg", "30", "-o", "out.csv"), "out.csv"),
+    "export-gltf": Case(("export", "smooth.toml", "--to", "gltf", "-o", "out.gltf"), "out.gltf", 3),
+    "import": Case(("import", "measured.csv", "-o", "out.toml"), "out.toml"),
+    "fabricate-png16": Case(("fabricate", "relief.toml", "--to", "png16", "-o", "out.png"), "out.png"),
+    "fabricate-stl": Case(("fabricate", "relief.toml", "--to", "stl", "-o", "out.stl"), "out.stl"),
+    "fabricate-gds": Case(("fabricate", "relief.toml", "--to", "oas", "-o", "out.oas"), "out.oas", 4),
+    "fabricate-sheet": Case(("fabricate", "film.toml", "--to", "sheet", "-o", "out.csv"), "out.csv", 4),
+    "report": Case(("report", "smooth.toml", "-o", "out.html"), "out.html", 5),
+    "tolerance": Case(("tolerance", "smooth.toml", "--spread", "layers[0].thickness_nm=5", "--draws", "20",
+                       "-o", "out.json"), "out.json", 5),
+    "fit": Case(("fit", "measured-spectrum.csv", "film.toml", "--starts", "1", "--residual", "out.npz",
+                 "-o", "out.toml"), "out.toml", 5),
+    "indices": Case(("indices", "show", "Au", "-o", "out.png"), "out.png", 4),
+    "render-png": Case(("render", "film.toml", "--size", "48x48", "--spp", "4", "-o", "out.png"), "out.png", 5),
+    "render-exr": Case(("render", "film.toml", "--size", "48x48", "--spp", "4", "-o", "out.exr"), "out.exr", 4),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def warm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Forker]:
+    with forker(tmp_path_factory.mktemp("cache")) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with what the commands read."""
+    folder = tmp_path_factory.mktemp("inputs")
+    texts = {"film": FILM, "smooth": SMOOTH, "meta": METASURFACE, "relief": RELIEF, "sweep": SWEEP, "target": TARGET}
+    for name, text in texts.items():
+        (folder / f"{name}.toml").write_text(text)
+    np.save(folder / "heights.npy", np.random.default_rng(1).random((24, 24)) * 0.3)
+    toward = np.random.default_rng(2).normal(size=(4000, 3))
+    toward[:, 2] = np.abs(toward[:, 2]) + 0.1
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    np.savez(folder / "directions.npz", wi=toward, wo=toward[::-1])
+    film = nacre.load(folder / "film.toml")
+    nacre.export(film, "csv", folder / "measured.csv", angle_step_deg=30.0)
+    found = film.spectrum([0.0], np.arange(400.0, 701.0, 10.0))
+    assert found.specular_reflectance is not None
+    rows = [f"{nm:g},{r:.6f}" for nm, r in zip(found.wavelengths_nm, found.specular_reflectance[0], strict=True)]
+    (folder / "measured-spectrum.csv").write_text("\n".join(["wavelength_nm,specular_reflectance", *rows]) + "\n")
+    (folder / BYSTANDER).write_bytes(OLD)
+    return folder
+
+
+def fresh(inputs: Path, folder: Path) -> Path:
+    shutil.copytree(inputs, folder)
+    return folder
+
+
+def check_after_kill(folder: Path, reference: Path, before: dict[str, bytes]) -> None:
+    """Nothing half-written, nothing lost."""
+    found = visible(folder)
+    assert set(before) <= set(found), "a file was lost"
+    for name, path in found.items():
+        assert name in visible(reference), f"{name} came from nowhere"
+        check_whole(path, before.get(name), reference / name)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {name: path.read_bytes() for name, path in visible(folder).items()}
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("name", CASES)
+def test_a_killed_command_leaves_the_old_output_or_the_new_one(
+    name: str, warm: Forker, inputs: Path, tmp_path: Path
+) -> None:
+    case, chance = CASES[name], random.Random(f"kill {name}")
+    arguments = list(case.arguments)
+    reference, folder = fresh(inputs, tmp_path / "reference"), fresh(inputs, tmp_path / "killed")
+    warm.run(arguments, reference)  # compiles what is not yet compiled
+    seconds = warm.run(arguments, reference)
+    assert (reference / case.makes).is_file()
+    killed = 0
+    for attempt in range(3 * case.kills):
+        if killed == case.kills:
+            break
+        if attempt == case.kills // 2:  # first into an empty place, then over an old output
+            for made in set(visible(folder)) - set(visible(inputs)):
+                (folder / made).unlink()
+            (folder / case.makes).write_bytes(OLD)
+        before = contents(folder)
+        killed += warm.kill(arguments, folder, chance, seconds)
+        check_after_kill(folder, reference, before)
+    assert killed == case.kills, "the command ended before it could be killed"
+    warm.run(arguments, folder)
+    assert names(folder) == names(reference)
+    check_after_kill(folder, reference, {})
+    assert (folder / BYSTANDER).read_bytes() == OLD
+
+
+def done_points(store: Path) -> dict[str, int]:
+    """The finished points of a sweep's store and when each was written."""
+    found = (store / "status").glob("c.*") if (store / "status").is_dir() else ()
+    return {
+        p.name: p.stat().st_mtime_ns
+        for p in found
+        if not p.name.endswith(".partial") and p.read_bytes() == bytes([DONE])
+    }
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_killed_sweep_keeps_its_points(workers: int, warm: Forker, inputs: Path, tmp_path: Path) -> None:
+    """Finished points stay as they are, bit by bit; the last run adds what is missing, and no process stays."""
+    chance = random.Random(workers)
+    arguments = ["sweep", "sweep.toml", "-o", "out.zarr", "--workers", str(workers)]
+    reference, folder = fresh(inputs, tmp_path / "reference"), fresh(inputs, tmp_path / "killed")
+    seconds = warm.run([*arguments[:-1], "1"], reference)
+    seconds = max(seconds, 6.0) if workers > 1 else seconds
+    killed, wanted = 0, 10 if workers == 1 else 3
+    for _ in range(wanted):
+        before = done_points(folder / "out.zarr")
+        killed += warm.kill(arguments, folder, chance, seconds)
+        assert not warm.survivors(), "workers live on without their sweep"
+        after = done_points(folder / "out.zarr")
+        assert {name: after.get(name) for name in before} == before
+        for name in after:
+            values = folder / "out.zarr" / "lab_specular_reflectance" / f"{name}.0.0"
+            expected = reference / "out.zarr" / "lab_specular_reflectance" / f"{name}.0.0"
+            np.testing.assert_allclose(np.fromfile(values), np.fromfile(expected), rtol=1e-9, atol=1e-9)
+    assert killed >= wanted // 2
+    before = done_points(folder / "out.zarr")
+    warm.run([*arguments[:-1], "1"], folder)
+    after = done_points(folder / "out.zarr")
+    assert len(after) == 120 and {name: after[name] for name in before} == before
+    assert names(folder) == names(reference)
+
+
+@pytest.mark.render
+def test_a_killed_animation_keeps_its_frames(warm: Forker, inputs: Path, tmp_path: Path) -> None:
+    chance = random.Random(3)
+    arguments = ["render", "smooth.toml", "--size", "32x32", "--spp", "2", "--animate", "light", "--frames", "6"]
+    arguments += ["-o", "out.gif"]
+    reference, folder = fresh(inputs, tmp_path / "reference"), fresh(inputs, tmp_path / "killed")
+    warm.run(arguments, reference)
+    shutil.rmtree(reference / "out_frames")
+    seconds = warm.run(arguments, reference)
+    killed = 0
+    for _ in range(5):
+        before = contents(folder)
+        killed += warm.kill(arguments, folder, chance, seconds)
+        check_after_kill(folder, reference, before)
+        frames = {name: data for name, data in before.items() if name.startswith("out_frames")}
+        assert {name: (folder / name).read_bytes() for name in frames} == frames, "a finished frame was made again"
+    assert killed >= 3
+    warm.run(arguments, folder)
+    assert names(folder) == names(reference)
+
+
+def test_a_killed_design_has_its_best_on_disk_and_goes_on(warm: Forker, inputs: Path, tmp_path: Path) -> None:
+    chance = random.Random(4)
+    arguments = ["design", "target.toml", "-o", "out", "--jobs", "1"]
+    reference, folder = fresh(inputs, tmp_path / "reference"), fresh(inputs, tmp_path / "killed")
+    warm.run(arguments, reference)
+    shutil.rmtree(reference / "out")
+    seconds = warm.run(arguments, reference)
+    killed = 0
+    for attempt in range(6):
+        before = contents(folder)
+        resume = ["--resume"] if attempt % 2 and (folder / "out" / "search.npz").is_file() else []
+        killed += warm.kill([*arguments, *resume], folder, chance, seconds)
+        found = visible(folder)
+        assert set(before) <= set(found)
+        for name, path in found.items():
+            check_whole(path, before.get(name), reference / name)
+    assert killed >= 3
+    warm.run([*arguments, "--resume"] if (folder / "out" / "search.npz").is_file() else arguments, folder)
+    assert names(folder) == names(reference)
+
+
+@pytest.mark.render
+def test_what_a_killed_solver_was_keeping_on_disk_is_no_obstacle(
+    inputs: Path, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """The cache of solved materials: a run after the kills solves, answers, and leaves no temporary entry."""
+    kept = tmp_path_factory.mktemp("kept")
+    folder, chance = fresh(inputs, tmp_path / "killed"), random.Random(5)
+    (folder / "meta.toml").write_text(METASURFACE.replace("multipole_order = 1", "multipole_order = 2"))
+    arguments = ["compile", "meta.toml", "-o", "out.nacre"]
+    with forker(kept) as cold:
+        seconds = cold.run(arguments, folder)
+        entries = names(kept)
+        for _ in range(4):
+            shutil.rmtree(kept)
+            kept.mkdir(mode=0o700)
+            (folder / "out.nacre").unlink(missing_ok=True)
+            cold.kill(arguments, folder, chance, seconds)
+            check_after_kill(folder, folder, {})
+        cold.run(arguments, folder)
+        cold.run(arguments, folder)
+    assert names(kept) == entries
+
+
+@pytest.mark.render
+def test_a_killed_demo_shows_whole_pictures_only(warm: Forker, inputs: Path, tmp_path: Path) -> None:
+    folder, chance = fresh(inputs, tmp_path / "killed"), random.Random(6)
+    for _ in range(3):
+        assert warm.kill(["demo", "--quick", "--out", "demo"], folder, chance, 8.0)
+        for path in visible(folder).values():
+            check_whole(path, OLD if path.name == BYSTANDER else None, inputs / path.name)
