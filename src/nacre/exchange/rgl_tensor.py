@@ -21,7 +21,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.directions import direction
 from nacre.errors import NacreError, UnsupportedError
 from nacre.exchange.warp import Warp
-from nacre.files import atomic_path, plain
+from nacre.files import atomic_path, plain, why_unreadable
 
 MAGIC = b"tensor_file\0"
 TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "u8", 8: "i8", 9: "f2", 10: "f4", 11: "f8"}
@@ -60,12 +60,12 @@ def read_tensor(path: str | Path) -> dict[str, NDArray[Any]]:
     try:
         data = plain(path).read_bytes()
     except OSError as error:
-        raise NacreError(f"{path}: cannot be read: {error.strerror}") from None
+        raise NacreError(f"{path}: {why_unreadable(error)}") from None
     if data[: len(MAGIC)] != MAGIC:
         raise NacreError(f"{path}: is not a tensor file")
     try:
         return _parse_tensor(data)
-    except (struct.error, ValueError, KeyError, UnicodeDecodeError, MemoryError) as error:
+    except (struct.error, ValueError, KeyError, OverflowError, MemoryError) as error:
         raise NacreError(f"{path}: the tensor file is damaged ({type(error).__name__})") from None
 
 

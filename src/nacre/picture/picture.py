@@ -145,7 +145,7 @@ def render(
         view = camera.turned(turns[1])
         balance, light_note = stage.light.illuminant, stage.light.note
         default_size, default_spp = chosen.size, chosen.spp
-    width, height = check_size(size) or default_size
+    width, height = check_size(size) or check_size(default_size) or default_size
     spp = check_spp(default_spp if spp is None else spp)
     stage.set_material(bsdf)
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.errors import NacreError, did_you_mean
+from nacre.files import plain, why_unreadable
 from nacre.picture.scenes.catalogue import SHAPES, Part, Scene, View
 from nacre.picture.shapes.mesh import Mesh, open_seam
 
@@ -64,8 +65,10 @@ def read_mesh(path: Path, up: str | None = None) -> Mesh:
     """
     import trimesh
 
-    if not path.is_file():
-        raise NacreError(f"shape {path}: the file does not exist")
+    try:
+        plain(path)
+    except OSError as error:
+        raise NacreError(f"shape {path}: {why_unreadable(error)}") from None
     if path.stat().st_size > MAX_MESH_BYTES:
         raise NacreError(f"shape {path}: {path.stat().st_size} bytes; a mesh has at most {MAX_MESH_BYTES}")
     try:
