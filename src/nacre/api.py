@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import Array
+from nacre.arrays import Array, floats
 from nacre.bsdf import Bsdf
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import UnsupportedError, did_you_mean
@@ -43,6 +43,8 @@ def as_bsdf(thing: HasBsdf | Bsdf | str | Path) -> Bsdf:
         return thing
     if isinstance(thing, str | Path):
         return load(thing).bsdf()
+    if not hasattr(thing, "bsdf"):
+        raise UnsupportedError(f"{thing!r:.60} is no material, no Bsdf and no path of one")
     return thing.bsdf()
 
 
@@ -81,11 +83,11 @@ def spectrum(
     Raises:
         NacreError: the recipe is wrong, or an optical constant is not known at a wavelength.
     """
-    return _material(thing).spectrum(np.radians(np.atleast_1d(angles_deg)), wavelengths_nm, polarisation)
+    return _material(thing).spectrum(np.radians(floats(angles_deg, "angles_deg")), wavelengths_nm, polarisation)
 
 
 def _material(thing: Material | str | Path) -> Material:
-    return load(thing) if isinstance(thing, str | Path) else thing
+    return thing if isinstance(thing, Material) else load(thing)
 
 
 def report(

@@ -8,16 +8,21 @@ import hashlib
 import os
 import platform
 import re
+import select
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 from nacre.errors import NacreError, RecipeError
 
 MAX_TOML_BYTES = 4 << 20  # a recipe is a page of text; anything longer is not a recipe
-
+PIPE_WAIT_S = 10.0
+NUL = "\0"
+HAS_NUL = "holds a NUL character, which no file name has"
 
 _TEMPORARY = re.compile(r"\..*\.nacre-([0-9a-f]{8})-(\d+)-(\d+)-\w{8}(\..*)?")
 
@@ -101,7 +106,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     Raises:
         NacreError: the folder does not exist or cannot be written.
     """
-    path = Path(os.path.realpath(path)) if os.path.islink(path) and not _is_special(path) else Path(path)
+    path = named(path)
+    path = Path(os.path.realpath(path)) if path.is_symlink() and not _is_special(path) else path
     folder = check_writable(path)
     is_special = _is_special(path)
     place = None if is_special else folder
@@ -127,6 +133,21 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def told_as_os_error() -> Iterator[None]:
+    """Turn a foreign writer's RuntimeError into an OSError: OpenEXR says so that a disk is full.
+
+    Raises:
+        OSError: instead of the RuntimeError.
+    """
+    try:
+        yield
+    except RuntimeError as error:
+        # "Failed to write ... "/where/.x.exr". No space left on device."
+        said = [part.strip(" .") for part in str(error).split('"') if part.strip(" .")]
+        raise OSError(errno.EIO, said[-1] if said else "the writer failed") from error
+
+
 def _open_as_it_is(path: str, flags: int) -> int:
     return os.open(path, os.O_WRONLY)  # neither made nor cut: root may write anywhere
 
@@ -134,6 +155,27 @@ def _open_as_it_is(path: str, flags: int) -> int:
 def _is_special(path: str | Path) -> bool:
     """Whether a path leads to something that is there and is neither a file nor a folder."""
     return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
+
+
+def named(path: str | Path) -> Path:
+    """Return a path, if any file system could have it.
+
+    Raises:
+        NacreError: it is no path, holds a NUL character or is far too long.
+    """
+    try:
+        given = os.fspath(path)
+        if not isinstance(given, str):
+            raise TypeError
+    except TypeError:
+        raise NacreError(f"{path!r:.80} is not a path; give the name of a file") from None
+    try:
+        os.path.lexists(_nameable(given)) or os.stat(given)
+    except FileNotFoundError:
+        pass
+    except OSError as error:
+        raise NacreError(f"{given!r:.80}: cannot be the name of a file: {error.strerror}") from None
+    return Path(given)
 
 
 def check_writable(path: str | Path) -> Path:
@@ -144,7 +186,7 @@ def check_writable(path: str | Path) -> Path:
     Raises:
         NacreError: the folder is missing or read-only, or `path` is a folder, a disk or a socket.
     """
-    path = Path(path)
+    path = named(path)
     folder = path.parent if str(path.parent) else Path()
     if not folder.is_dir():
         raise NacreError(f"{path}: the folder {folder} does not exist")
@@ -175,15 +217,55 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def plain(path: str | Path) -> Path:
-    """Return the path of what is read next, refusing devices and pipes: /dev/zero has size 0 and never ends.
+    """Return the path of what is read next: a file, not a folder, and no device (/dev/zero is empty and never ends).
 
     Raises:
-        OSError: so that it joins the reader's own errors of a file that cannot be read.
+        OSError: so that it joins the reader's own errors of a file that cannot be read; see `why_unreadable`.
     """
-    path = Path(path)
-    if path.exists() and not path.is_file() and not path.is_dir():
+    mode = os.stat(_nameable(path)).st_mode
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, "is a folder, not a file", str(path))
+    if not stat.S_ISREG(mode):
         raise OSError(errno.EINVAL, "is a device or a pipe, not a file", str(path))
-    return path
+    return Path(path)
+
+
+def why_unreadable(error: OSError) -> str:
+    """Return in words why a file cannot be read, to stand behind its name or its key.
+
+    Example: `f"{path}: {why_unreadable(error)}"` ends in "does not exist" or "is a folder, not a file".
+    """
+    if isinstance(error, FileNotFoundError):
+        return "does not exist"
+    if isinstance(error, IsADirectoryError):
+        return "is a folder, not a file"
+    said = error.strerror or str(error)
+    return said if said.startswith(("is a ", "holds ")) else f"cannot be read: {said}"
+
+
+def _nameable(path: str | Path) -> str:
+    """Return a path as text; an OSError instead of Python's ValueError for what no file system takes as a name."""
+    name = os.fspath(path)
+    try:
+        if NUL not in name and os.fsencode(name):
+            return name
+    except UnicodeError:
+        pass
+    raise OSError(errno.EINVAL, HAS_NUL if NUL in name else "holds no name of a file", name)
+
+
+def _opened(path: str | Path) -> BinaryIO:
+    """Open a small file of text, or a pipe that somebody writes to, such as a shell's <(...)."""
+    if not stat.S_ISFIFO(os.stat(_nameable(path)).st_mode):
+        return open(path, "rb")
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # else it waits here, for ever where no writer comes
+    with contextlib.ExitStack() as undo:
+        undo.callback(os.close, descriptor)
+        if not select.select([descriptor], [], [], PIPE_WAIT_S)[0]:
+            raise OSError(errno.EINVAL, "is a pipe into which nothing is written", str(path))
+        os.set_blocking(descriptor, True)
+        undo.pop_all()
+    return os.fdopen(descriptor, "rb")
 
 
 def read_text(path: str | Path, what: str = "file") -> str:
@@ -194,19 +276,15 @@ def read_text(path: str | Path, what: str = "file") -> str:
     """
     path = Path(path)
     try:
-        with open(path, "rb") as file:
+        with _opened(path) as file:
             # bounded, since a device such as /dev/zero has size 0 and never ends
             data = file.read(MAX_TOML_BYTES + 1)
         if len(data) > MAX_TOML_BYTES:
             raise RecipeError(f"{path}: is larger than {MAX_TOML_BYTES} bytes, the most that a {what} may have")
         return data.decode("utf-8")
-    except FileNotFoundError:
-        raise RecipeError(f"{path}: does not exist") from None
     except IsADirectoryError:
         raise RecipeError(f"{path}: is a folder, not a {what}") from None
     except UnicodeDecodeError:
         raise RecipeError(f"{path}: is not UTF-8 text") from None
-    except ValueError as error:  # a name that no file system takes
-        raise RecipeError(f"{str(path)[:80]!r}: cannot be read: {error}") from None
     except OSError as error:
-        raise RecipeError(f"{path}: cannot be read: {error.strerror}") from None
+        raise RecipeError(f"{path}: {why_unreadable(error)}") from None

@@ -68,9 +68,9 @@ def test_drude_and_lorentz_absorb_and_add():
     ({"n": 0}, "n = 0"),
     ({"rii": "main/Ag/Jonson"}, 'layers[2].material.rii = "main/Ag/Jonson": is not in the refractiveindex.info '
                                 'database. Did you mean "main/Ag/Johnson"?'),
-    ({"file": "none.csv"}, 'layers[2].material.file = "none.csv": cannot be read'),
+    ({"file": "none.csv"}, 'layers[2].material.file = "none.csv": does not exist'),
     ({"cauchy": [1.5, 8800]}, "for the wavelength in um"),
-    ({"cauchy": []}, "layers[2].material.cauchy = [] is not allowed; it should have at least 1 item"),
+    ({"cauchy": []}, "layers[2].material.cauchy = [] is not allowed; it should have at least 1 entry"),
     ({"sellmeier": [1, 2, 3]}, "pairs"),
     ({"sellmeier": [-5, 0.01]}, "no usable refractive index"),
     ({"n_d": 1.5}, "both n_d and abbe"),
@@ -83,7 +83,7 @@ def test_drude_and_lorentz_absorb_and_add():
     ({"n": float("nan")}, "finite"),
     ({"drude": {"plasma_ev": -9}}, "layers[2].material.drude.plasma_ev = -9 is not allowed"),
     ({"lorentz": {"oscillators": []}}, "oscillators"),
-    ({"name": "Ag", "extrapolate": "edg"}, "'error' or 'edge'"),
+    ({"name": "Ag", "extrapolate": "edg"}, '"error" or "edge"'),
     ({"k": 0.1}, "exactly one"),
     ({"cauchy": [1.5], "k": 0.1}, ".k = 0.1 needs n"),
 ])  # fmt: skip

@@ -208,7 +208,7 @@ BAD = {
     "density": ({"monolayer": {"density_per_um2": -1}}, "density_per_um2 = -1"),
     "small negative density": (
         {"monolayer": {"density_per_um2": -0.5}},
-        "monolayer.density_per_um2 = -0.5 is not allowed; it should be greater than 0",
+        "monolayer.density_per_um2 = -0.5 is not allowed; it should be above 0",
     ),
     "no coverage": ({"monolayer": {"coverage": 0.0}}, "monolayer.coverage = 0"),
     "structure": ({"monolayer": {"coverage": 0.1, "structure": "hard-disc"}}, 'Did you mean "hard-disk"'),

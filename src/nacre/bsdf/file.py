@@ -11,6 +11,7 @@ import hashlib
 import io
 import json
 import math
+import struct
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -24,9 +25,10 @@ from nacre._version import __version__
 from nacre.bsdf.contract import Lobe
 from nacre.bsdf.registry import lobe_class
 from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.sound import check_lobe
 from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
 from nacre.errors import NacreError
-from nacre.files import atomic_path
+from nacre.files import atomic_path, plain, why_unreadable
 from nacre.recipe.memory import check_memory
 
 FORMAT = "nacre-bsdf"
@@ -35,6 +37,7 @@ HEADER = "header.json"
 MAX_HEADER_BYTES = 16 << 20
 MAX_ARRAYS = 1000
 MAX_DEPTH = 12
+PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 DTYPES = ("<f8", "<f4", "<i8", "<i4", "|u1", "|b1", "<c16", "<c8")
 UNITS = {
     "wavelengths_nm": "nm",
@@ -171,28 +174,27 @@ def read_lobes(path: str | Path) -> tuple[tuple[Lobe, ...], Mapping[str, Any]]:
     """
     path = Path(path)
     try:
-        with zipfile.ZipFile(path) as zipped:
+        with zipfile.ZipFile(plain(path)) as zipped:
             return _read(zipped, path)
     except NacreError:
         raise
-    except FileNotFoundError:
-        raise NacreError(f"{path}: does not exist") from None
-    except IsADirectoryError:
-        raise NacreError(f"{path}: is a folder, not a .nacre file") from None
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError):
+    # zipfile tells a damaged file in many ways: of its names, its numbers, its packing
+    except (zipfile.BadZipFile, zlib.error, struct.error, EOFError, NotImplementedError, RuntimeError, ValueError):
         raise NacreError(f"{path}: is not a .nacre file, or it is damaged or cut short") from None
     except OSError as error:
-        raise NacreError(f"{path}: cannot be read: {error.strerror or error}") from None
+        raise NacreError(f"{path}: {why_unreadable(error)}") from None
 
 
 def _read(zipped: zipfile.ZipFile, path: Path) -> tuple[tuple[Lobe, ...], Mapping[str, Any]]:
     entries = {entry.filename: entry for entry in zipped.infolist()}
     if HEADER not in entries:
         raise NacreError(f"{path}: is not a .nacre file: it has no {HEADER}")
+    if any(entry.compress_type not in PACKINGS for entry in entries.values()):
+        raise NacreError(f"{path}: is packed in a way that no .nacre file is; nacre writes deflate")
     if entries[HEADER].file_size > MAX_HEADER_BYTES or len(entries) > MAX_ARRAYS:
         raise NacreError(f"{path}: its header or its number of arrays is larger than any .nacre file needs")
     try:
-        header = json.loads(zipped.read(HEADER).decode())
+        header = json.loads(zipped.read(HEADER).decode(), parse_constant=_no_constant)
     except (ValueError, RecursionError):
         raise NacreError(f"{path}: its header is not readable JSON") from None
     if not isinstance(header, dict) or header.get("format") != FORMAT:
@@ -212,14 +214,18 @@ def _read(zipped: zipfile.ZipFile, path: Path) -> tuple[tuple[Lobe, ...], Mappin
         if not lobes or not all(isinstance(lobe, Lobe) for lobe in lobes):
             raise NacreError(f"{path}: holds no lobes")
         for lobe in lobes:
-            lobe.check()
+            check_lobe(lobe)
             if not np.array_equal(lobe.wavelengths_nm, lobes[0].wavelengths_nm):
                 raise ValueError("its lobes have different wavelengths")
         provenance = header.get("provenance")
         return lobes, provenance if isinstance(provenance, dict) else {}
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         reason = " ".join(str(error).split())[:120]
         raise NacreError(f"{path}: its header does not describe a Bsdf: {reason}") from None
+
+
+def _no_constant(word: str) -> float:
+    raise ValueError(f"{word} is no JSON")
 
 
 def _read_arrays(

@@ -18,6 +18,8 @@ from nacre.arrays import Array
 from nacre.bsdf.texture import ParameterAxis
 from nacre.bsdf.uniform import interpolate, take_uniform
 
+ROUNDING = 1e-9  # of what a table of shares may fall below 0
+
 
 @dataclass(frozen=True)
 class InterfaceResponse:
@@ -75,7 +77,14 @@ class InterfaceResponse:
         for name in ("reflectance", "transmittance", "reflectance_inside"):
             if getattr(self, name).shape != full:
                 raise ValueError(f"{name} has the shape {getattr(self, name).shape}, not {full}")
-        if len(self.cos_outside) < 2 or self.total.shape[:-2] != leading or self.total.shape[-1] != full[-1]:
+            if np.any(getattr(self, name) < -ROUNDING):
+                raise ValueError(f"{name} holds values below 0")
+        if (
+            self.cos_outside.ndim != 1
+            or len(self.cos_outside) < 2
+            or self.total.shape[:-2] != leading
+            or self.total.shape[-1] != full[-1]
+        ):
             raise ValueError("cos_outside or total has a wrong shape")
         if not 1.0 <= self.eta < 100.0 or (self.eta > 1.0 and self.total.shape[-2] < 2):
             raise ValueError("eta is below 1, or total has no nodes")

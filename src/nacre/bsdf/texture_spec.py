@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.errors import NacreError, RecipeError
-from nacre.files import plain
+from nacre.files import plain, why_unreadable
 from nacre.recipe.memory import check_memory
 from nacre.recipe.model import RecipeContext, RecipeModel
 
@@ -135,8 +135,10 @@ def read_grey(path: Path, where: str, longest_side: int = MAX_IMAGE_PIXELS) -> N
                 scale = 1.0 if image.mode == "F" else 65535.0
             else:
                 values, scale = np.asarray(image.convert("L"), dtype=float), 255.0
-    except FileNotFoundError:
-        raise RecipeError(f'{where} = "{path.name}" does not exist') from None
-    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError, ValueError):
+    except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError):
         raise RecipeError(f'{where} = "{path.name}" is not a readable image') from None
+    except OSError as error:
+        # Pillow's own errors of a broken file have no number
+        reason = why_unreadable(error) if error.errno else "is not a readable image"
+        raise RecipeError(f'{where} = "{path.name}" {reason}') from None
     return np.clip(np.nan_to_num(values / scale), 0.0, 1.0)

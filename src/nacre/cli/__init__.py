@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from nacre._version import __version__
-from nacre.cli.status import STATUS_BAD_INPUT, STATUS_INTERRUPTED, STOPPED
+from nacre.cli.status import STATUS_BAD_INPUT, STATUS_INTERRUPTED, STOPPED, hold_closed_streams, say
 from nacre.errors import NacreError, did_you_mean
 
 # name -> (module, one line for the list)
@@ -86,6 +86,7 @@ def main(argv: list[str] | None = None) -> None:
 
     `--debug` anywhere on the line shows tracebacks instead of one-line errors.
     """
+    hold_closed_streams()
     sys.exit(run(sys.argv[1:] if argv is None else argv))
 
 
@@ -94,20 +95,21 @@ def run(argv: list[str]) -> int:
     debug = "--debug" in argv
     argv = [word for word in argv if word != "--debug"]
     try:
+        if any("\0" in word for word in argv):
+            raise NacreError("an argument holds a NUL character, which no file name and no number has")
         cli.main(args=argv, prog_name="nacre", standalone_mode=False)
         sys.stdout.flush()
     except (KeyboardInterrupt, click.Abort):
         if debug:
             raise
-        click.echo(STOPPED, err=True)
+        say(STOPPED)
         return STATUS_INTERRUPTED
     except click.exceptions.Exit as leave:
         return leave.exit_code
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         command = f" {context.info_name}" if context is not None and context.parent is not None else ""
-        message = " ".join(error.format_message().split())
-        click.echo(f"nacre{command}: {message}", err=True)
+        say(f"nacre{command}: {error.format_message()}")
         return STATUS_BAD_INPUT
     except BrokenPipeError:
         # the reader of our output has gone (`nacre ... | head`): not an error, and nothing more can be said
@@ -116,24 +118,23 @@ def run(argv: list[str]) -> int:
     except NacreError as error:
         if debug:
             raise
-        click.echo(f"nacre: {' '.join(str(error).split())}", err=True)
+        say(f"nacre: {error}")
         return STATUS_BAD_INPUT
     except (OSError, MemoryError) as error:
         if debug:
             raise
         what = "not enough memory; try a smaller size" if isinstance(error, MemoryError) else _os_line(error)
-        click.echo(f"nacre: {what}", err=True)
+        say(f"nacre: {what}")
         return STATUS_BAD_INPUT
     except Exception as error:
         if debug:
             raise
         if _was_interrupted(error):
-            click.echo(STOPPED, err=True)
+            say(STOPPED)
             return STATUS_INTERRUPTED
-        click.echo(
+        say(
             f"nacre: this is a bug in nacre, please report it: {type(error).__name__}: "
-            f"{' '.join(str(error).split())[:300]} (run again with --debug for the details)",
-            err=True,
+            f"{str(error)[:300]} (run again with --debug for the details)"
         )
         return 1
     return 0

@@ -10,6 +10,7 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre.cli.status import say
 from nacre.errors import NacreError
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -32,13 +33,15 @@ def numbers(text: str, option: str) -> NDArray[np.float64]:
             raise NacreError(f'{option} = "{text}" cannot be read; write numbers like 0,30,60 or a:b:step') from None
         if not all(np.isfinite(fields)):
             raise NacreError(f'{option} = "{text}" holds a number that is not finite')
+        if len(values) > MAX_LIST:
+            raise NacreError(f'{option} = "{text}" asks for over {MAX_LIST} values, the most that are allowed')
         if len(fields) == 1:
             values.append(fields[0])
         elif len(fields) == 3 and fields[2] > 0 and fields[1] >= fields[0]:
-            count = int((fields[1] - fields[0]) / fields[2] + 1e-9) + 1
-            if count > MAX_LIST:
-                raise NacreError(f'{option} = "{text}" asks for {count} values; at most {MAX_LIST} are allowed')
-            values += list(fields[0] + fields[2] * np.arange(count))
+            steps = (fields[1] - fields[0]) / fields[2] + 1e-9
+            if not steps < MAX_LIST:  # endless where the step is lost against the range
+                raise NacreError(f'{option} = "{text}" asks for {steps:.6g} values; at most {MAX_LIST} are allowed')
+            values += list(fields[0] + fields[2] * np.arange(int(steps) + 1))
         else:
             raise NacreError(f'{option} = "{text}" cannot be read; a range is start:end:step with a step above 0')
     return np.array(values)
@@ -134,15 +137,20 @@ def parse_change(text: str) -> tuple[str, Any]:
     """
     import tomllib
 
+    from nacre.recipe.toml import parse_toml
+
     path, equals, value = text.partition("=")
     if not equals or not path.strip():
         raise NacreError(f'--set "{text}" cannot be read; write it like layers[0].thickness_nm=420')
     try:
-        return path.strip(), tomllib.loads(f"value = {value}")["value"]
+        tomllib.loads(f"value = {value}")
     except tomllib.TOMLDecodeError:
         return path.strip(), value.strip()
+    except (ValueError, OverflowError, RecursionError):
+        pass  # TOML, and told below
+    return path.strip(), parse_toml(f"value = {value}", f"--set {path.strip()}")["value"]
 
 
 def note(message: str) -> None:
     """Say something to the person; machine-readable output keeps stdout for itself."""
-    click.echo(message, err=True)
+    say(message)

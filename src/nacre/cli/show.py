@@ -17,6 +17,7 @@ PLOT_KINDS = (
     "field", "scattering", "structure", "platelet", "microscope",
 )  # fmt: skip
 MAP_STEPS, TRACK_STEPS = 61, 11  # of a range without a step
+NO_DIRECTIONS = "is not an .npz file of numbers (wi[N,3], wo[N,3] and, if need be, uv[N,2])"
 SWEEP_ONLY_KINDS = ("gamut", "parallel")
 SWEEP_KINDS = ("gamut", "colour-map", "parallel")
 
@@ -111,15 +112,17 @@ def evaluate(
 
 
 def _read_directions(path: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    from nacre.files import plain
+    from nacre.files import plain, why_unreadable
 
     try:
         with np.load(plain(path), allow_pickle=False) as data:
             arrays = {name: np.asarray(data[name], dtype=float) for name in ("wi", "wo", "uv") if name in data}
-    except FileNotFoundError:
-        raise NacreError(f"{path}: does not exist") from None
-    except Exception as error:
-        raise NacreError(f"{path}: is not an .npz file of numbers ({type(error).__name__})") from None
+    except OSError as error:
+        if not error.errno:  # zipfile's own
+            raise NacreError(f"{path}: {NO_DIRECTIONS}") from None
+        raise NacreError(f"{path}: {why_unreadable(error)}") from None
+    except Exception:  # zipfile, zlib and numpy each raise their own kinds for a broken file
+        raise NacreError(f"{path}: {NO_DIRECTIONS}") from None
     for name in ("wi", "wo"):
         if name not in arrays:
             raise NacreError(f"{path}: the array {name}[N,3] is missing")

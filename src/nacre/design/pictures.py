@@ -12,6 +12,7 @@ import numpy as np
 
 from nacre.arrays import Array
 from nacre.errors import RecipeError, did_you_mean
+from nacre.files import plain, why_unreadable
 
 PUBLISHED_COLOURS: dict[str, tuple[float, float, float]] = {
     # display-referred triples of the source, not the CSS colours of the same names
@@ -80,8 +81,10 @@ def load_picture(path: Path, source: str) -> Array:
     """
     from PIL import Image
 
-    if not path.is_file():
-        raise RecipeError(f'{source}: target.image = "{path}" does not exist')
+    try:
+        plain(path)
+    except OSError as error:
+        raise RecipeError(f'{source}: target.image = "{path}" {why_unreadable(error)}') from None
     try:
         with Image.open(path) as image:
             if image.width * image.height > MAX_IMAGE_PIXELS:

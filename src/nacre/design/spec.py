@@ -23,7 +23,7 @@ from nacre.exchange.calibration import find_calibration
 from nacre.families.relief.coherence_spec import CoherenceSpec
 from nacre.families.relief.fresnel import coating_reflectance, fresnel_reflectance
 from nacre.families.relief.slice import SliceGeometry
-from nacre.files import plain
+from nacre.files import plain, why_unreadable
 from nacre.matter.indices.spec import IndexSpec
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
@@ -193,9 +193,10 @@ class TargetTable(RecipeModel):
         path = context.path(self.file)
         try:
             values = np.load(plain(path), allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
-            reason = "does not exist" if not path.exists() else f"is not a .npy array: {error}"
-            raise context.fail("target.file", self.file, reason) from None
+        except OSError as error:
+            raise context.fail("target.file", self.file, why_unreadable(error)) from None
+        except (ValueError, EOFError) as error:
+            raise context.fail("target.file", self.file, f"is not a .npy array: {error}") from None
         size = self.resolution
         if values.shape not in ((size, size), (size, size, 3)) or values.dtype.kind not in "fiub":
             raise context.fail(
@@ -404,7 +405,9 @@ def _spectrum_colour(name: str, context: RecipeContext) -> Array:
 
     try:
         table: Any = np.loadtxt(plain(context.path(name)), delimiter=",", comments="#", ndmin=2)
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise context.fail("target.colour.spectrum", name, why_unreadable(error)) from None
+    except ValueError as error:
         raise context.fail("target.colour.spectrum", name, f"cannot be read as CSV of nm, value: {error}") from None
     if table.shape[1] != 2 or len(table) < 2 or not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
         raise context.fail("target.colour.spectrum", name, "should hold two columns, ascending nm and reflectance")

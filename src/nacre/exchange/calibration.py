@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from nacre.arrays import Array
 from nacre.errors import NacreError
-from nacre.files import plain
+from nacre.files import plain, why_unreadable
 
 LARGEST_GREY = 65535
 LARGEST_8_BIT = 255
@@ -101,8 +101,10 @@ def read_calibration(path: str | Path) -> Calibration:
     path = Path(path)
     try:
         lines = plain(path).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise NacreError(f"{path}: cannot be read as a calibration curve: {error}") from None
+    except OSError as error:
+        raise NacreError(f"{path}: {why_unreadable(error)}") from None
+    except UnicodeDecodeError:
+        raise NacreError(f"{path}: is not a calibration curve: it is not text") from None
     rows = []
     for number, line in enumerate(lines, 1):
         text = line.strip()

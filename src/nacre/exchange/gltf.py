@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from nacre.errors import NacreError
 from nacre.exchange.thin_film import ThinFilm
-from nacre.files import atomic_path, plain
+from nacre.files import atomic_path, plain, why_unreadable
 
 FLOAT, UNSIGNED_SHORT = 5126, 5123
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
@@ -111,7 +111,7 @@ def read_gltf(path: str | Path) -> ThinFilm:
                 not_read=tuple(textures + others),
             )
     except OSError as error:
-        raise NacreError(f"{path}: cannot be read: {error.strerror}") from None
+        raise NacreError(f"{path}: {why_unreadable(error)}") from None
     except (ValueError, TypeError, AttributeError, RecursionError):
         raise NacreError(f"{path}: is not a glTF (.gltf) file, or is damaged") from None
     raise NacreError(f"{path}: no material has KHR_materials_iridescence")

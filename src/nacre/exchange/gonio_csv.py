@@ -10,7 +10,7 @@ import numpy as np
 from nacre.arrays import Array
 from nacre.bsdf.directions import direction
 from nacre.errors import NacreError
-from nacre.files import atomic_path, plain
+from nacre.files import atomic_path, plain, why_unreadable
 from nacre.recipe.memory import check_memory
 
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "wavelength", "value")
@@ -126,16 +126,14 @@ def read_table(path: str | Path) -> tuple[list[str], Array]:
     """
     path = Path(path)
     try:
-        if path.stat().st_size > MAX_BYTES:
+        if plain(path).stat().st_size > MAX_BYTES:
             raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
         check_memory(BYTES_A_BYTE * float(path.stat().st_size), f"{path}: read as a table, it")
-        lines = [line for line in plain(path).read_text(encoding="utf-8-sig").splitlines() if line.strip()]
-    except FileNotFoundError:
-        raise NacreError(f"{path}: does not exist") from None
+        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     except UnicodeDecodeError:
         raise NacreError(f"{path}: is not text") from None
     except OSError as error:
-        raise NacreError(f"{path}: cannot be read: {error.strerror}") from None
+        raise NacreError(f"{path}: {why_unreadable(error)}") from None
     lines = [line for line in lines if not line.lstrip().startswith("#")]
     if len(lines) < 2:
         raise NacreError(f"{path}: holds no data; a header line and rows of numbers are needed")

@@ -12,7 +12,7 @@ import numpy as np
 
 from nacre.errors import NacreError
 from nacre.exchange.thin_film import ThinFilm
-from nacre.files import atomic_path, plain
+from nacre.files import atomic_path, plain, why_unreadable
 
 MAX_BYTES = 16 << 20
 READ = (
@@ -61,9 +61,9 @@ def read_materialx(path: str | Path) -> ThinFilm:
     """
     path = Path(path)
     try:
-        if path.stat().st_size > MAX_BYTES:
+        if plain(path).stat().st_size > MAX_BYTES:
             raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
-        text = plain(path).read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8")
         if "<!DOCTYPE" in text or "<!ENTITY" in text:
             # entities can blow a small file up to gigabytes, and no MaterialX document needs them
             raise NacreError(f"{path}: holds a document type declaration, which MaterialX does not use")
@@ -88,7 +88,7 @@ def read_materialx(path: str | Path) -> ThinFilm:
                 not_read=tuple(not_read),
             )
     except OSError as error:
-        raise NacreError(f"{path}: cannot be read: {error.strerror}") from None
+        raise NacreError(f"{path}: {why_unreadable(error)}") from None
     except (ET.ParseError, ValueError, UnicodeDecodeError):
         raise NacreError(f"{path}: is not a MaterialX document, or is damaged") from None
     raise NacreError(f"{path}: no open_pbr_surface has a thin film")

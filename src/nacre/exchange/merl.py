@@ -14,7 +14,7 @@ from nacre.arrays import Array
 from nacre.bsdf import Bsdf
 from nacre.bsdf.lobes.table import from_half_difference
 from nacre.errors import NacreError, UnsupportedError
-from nacre.files import atomic_path
+from nacre.files import atomic_path, plain, why_unreadable
 from nacre.light import spectrum_to_rgb_linear
 
 SHAPE = (90, 90, 180)
@@ -70,12 +70,12 @@ def read_merl(path: str | Path) -> Array:
     path = Path(path)
     expected = 12 + 8 * 3 * SHAPE[0] * SHAPE[1] * SHAPE[2]
     try:
-        size = path.stat().st_size
+        size = plain(path).stat().st_size
         if size != expected:
             raise NacreError(f"{path}: has {size} bytes; a MERL file of 90 x 90 x 180 bins has {expected}")
         data = path.read_bytes()
     except OSError as error:
-        raise NacreError(f"{path}: cannot be read: {error.strerror}") from None
+        raise NacreError(f"{path}: {why_unreadable(error)}") from None
     shape = tuple(int(n) for n in np.frombuffer(data, "<i4", 3))
     if shape != SHAPE:
         raise NacreError(f"{path}: has {shape} bins; only the standard {SHAPE} is known")

@@ -21,7 +21,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.directions import direction
 from nacre.errors import NacreError, UnsupportedError
 from nacre.exchange.warp import Warp
-from nacre.files import atomic_path, plain
+from nacre.files import atomic_path, plain, why_unreadable
 from nacre.recipe.memory import check_memory
 
 MAGIC = b"tensor_file\0"
@@ -63,12 +63,12 @@ def read_tensor(path: str | Path) -> dict[str, NDArray[Any]]:
         check_memory(BYTES_A_BYTE * float(plain(path).stat().st_size), f"{path}: read and in double precision, it")
         data = path.read_bytes()
     except OSError as error:
-        raise NacreError(f"{path}: cannot be read: {error.strerror}") from None
+        raise NacreError(f"{path}: {why_unreadable(error)}") from None
     if data[: len(MAGIC)] != MAGIC:
         raise NacreError(f"{path}: is not a tensor file")
     try:
         return _parse_tensor(data)
-    except (struct.error, ValueError, KeyError, UnicodeDecodeError, MemoryError) as error:
+    except (struct.error, ValueError, KeyError, OverflowError, MemoryError) as error:
         raise NacreError(f"{path}: the tensor file is damaged ({type(error).__name__})") from None
 
 

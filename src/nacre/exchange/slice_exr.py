@@ -15,7 +15,7 @@ from nacre.arrays import Array
 from nacre.bsdf import Bsdf
 from nacre.bsdf.lobes.table import from_half_difference
 from nacre.errors import UnsupportedError
-from nacre.files import atomic_path
+from nacre.files import atomic_path, told_as_os_error
 from nacre.light import spectrum_to_rgb_linear
 
 SIZE = 90
@@ -60,5 +60,5 @@ def write_slice(path: str | Path, bsdf: Bsdf, comment: str = "") -> None:
         "emissiveUnits": "sr^-1", "nacre": comment,
         "slice": "columns: theta_half, rows: theta_diff, both 0 to 90 degrees at cell centres; phi_diff = 90 degrees",
     }  # fmt: skip
-    with atomic_path(path) as temporary:
+    with atomic_path(path) as temporary, told_as_os_error():
         OpenEXR.File(header, channels).write(str(temporary))

@@ -16,7 +16,7 @@ import numpy as np
 from nacre.arrays import Array
 from nacre.bsdf import Bsdf
 from nacre.errors import NacreError, UnsupportedError
-from nacre.files import atomic_path, plain
+from nacre.files import atomic_path, plain, why_unreadable
 from nacre.light import spectrum_to_xyz
 
 CHANNELS = {"Monochrome": ("Monochrome",), "XYZ": ("TristimulusX", "TristimulusY", "TristimulusZ")}
@@ -138,11 +138,11 @@ def read_zemax(path: str | Path) -> ZemaxBsdf:
     """
     path = Path(path)
     try:
-        if path.stat().st_size > MAX_BYTES:
+        if plain(path).stat().st_size > MAX_BYTES:
             raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
-        lines = [line.strip() for line in plain(path).read_text(encoding="latin-1").splitlines()]
+        lines = [line.strip() for line in path.read_text(encoding="latin-1").splitlines()]
     except OSError as error:
-        raise NacreError(f"{path}: cannot be read: {error.strerror}") from None
+        raise NacreError(f"{path}: {why_unreadable(error)}") from None
     words = iter([w for line in lines if line and not line.startswith("#") for w in line.split()])
     try:
         return _parse(words)

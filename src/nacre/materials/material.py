@@ -19,17 +19,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nacre._version import __version__
-from nacre.arrays import Array
+from nacre.arrays import Array, floats, wavelength_grid
 from nacre.bsdf import Bsdf
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import RecipeError, UnsupportedError
 from nacre.families.contract import Model
 from nacre.families.registry import family_source, family_spec
-from nacre.files import read_text
+from nacre.files import named, read_text
 from nacre.materials.cache import solved
 from nacre.materials.examples import find_example
 from nacre.materials.varying import Varying
 from nacre.measure.spectrum import bsdf_spectrum
+from nacre.recipe.data import plain_data
 from nacre.recipe.identity import file_digest, identity
 from nacre.recipe.memory import check_memory
 from nacre.recipe.model import RecipeContext, validate
@@ -87,7 +88,7 @@ class Material:
         Raises:
             MaterialRangeError: an optical constant is not known at a wavelength.
         """
-        grid = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        grid = wavelength_grid(wavelengths_nm)
         bsdf = self._solved(grid)
         return dataclasses.replace(bsdf, provenance={**bsdf.provenance, **recipe_provenance(self)})
 
@@ -128,8 +129,10 @@ class Material:
         The parts never sum to more than 1 (random walks: but for their noise), unless data or a model chosen say so;
         that is logged as a warning.
         """
-        grid = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
-        theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
+        grid = wavelength_grid(wavelengths_nm)
+        theta = np.atleast_1d(floats(theta_rad, "angles"))
+        if theta.ndim != 1 or not np.all((theta >= 0) & (theta <= np.pi / 2 + 1e-12)):
+            raise UnsupportedError("angles must be a number or a list, from 0 to 90 degrees (pi/2)")
         if polarisation not in POLARISATIONS:
             raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use {", ".join(POLARISATIONS)}')
         if grid is not None or len(theta) >= MANY_ANGLES:
@@ -175,6 +178,8 @@ class Material:
 
         Example: `soap.vary({"layers[0].thickness_nm": 420})`.
         """
+        if not isinstance(changes, Mapping):
+            raise RecipeError(f"{type(changes).__name__} names no changes; give a table of paths and values")
         data = copy.deepcopy(dict(self.data))
         for path, value in changes.items():
             set_by_path(data, path, value, self.context.source)
@@ -239,7 +244,7 @@ def load(path: str | Path) -> Material:
 
     Example: `nacre.load("soap.toml").spectrum([0.0])`.
     """
-    path = Path(path)
+    path = named(path)
     shipped = None if os.path.lexists(path) else find_example(str(path))
     return _load(shipped or path, depth=0)
 
@@ -283,7 +288,7 @@ def material(data: Mapping[str, Any], folder: str | Path = ".") -> Material:
 
     Example: `nacre.material({"family": "film", "substrate": "Si"})` is a bare silicon wafer.
     """
-    folder = Path(folder)
+    folder = named(folder)
 
     def load_recipe(other: str, ambient: Any = None) -> Material:
         return _load(folder / other, 1, ambient)
@@ -299,6 +304,7 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
         RecipeError: naming file, key, value and what is allowed.
     """
     context = dataclasses.replace(context, reached={})
+    data = plain_data(data, context.source)
     spec_class = family_spec(data.get("family"), context.source)
     plain = without_names(data, context.source)
     if spec_class.varies_by_nodes and (numbers := varying_numbers(plain, spec_class.varies_by_nodes)):
@@ -311,9 +317,9 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
             context.reach(node.context.reached)
             return node
 
-        return Material(Varying.read(numbers, fixed, context), copy.deepcopy(dict(data)), context)
+        return Material(Varying.read(numbers, fixed, context), data, context)
     spec = validate(spec_class, {key: value for key, value in plain.items() if key not in STUDY_TABLES}, context)
-    return Material(spec.build(context), copy.deepcopy(dict(data)), context)
+    return Material(spec.build(context), data, context)
 
 
 def recipe_provenance(material: Material) -> dict[str, Any]:

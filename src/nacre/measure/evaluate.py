@@ -7,13 +7,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import Array
+from nacre.arrays import Array, floats
 from nacre.bsdf import Bsdf, Lobe
 from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.errors import UnsupportedError
 from nacre.recipe.memory import check_memory
 
 BYTES_A_VALUE = 40  # of a pair and wavelength: the sum, one lobe's values, and what they are made of
+UNIT_TOLERANCE = 1e-3  # of a vector's length; float32 directions are far within
 DEFAULT_SAMPLES = 4096  # paths a direction pair of a stochastic lobe: about 2 % noise for a broad lobe
 
 
@@ -37,12 +38,11 @@ def evaluate_with_error(
     """Return the values of `nacre.evaluate` and, where a lobe is stochastic, their standard error (else None).
 
     Raises:
-        UnsupportedError: a stochastic lobe, and no LLVM on this machine; or directions of another shape.
+        UnsupportedError: a stochastic lobe, and no LLVM on this machine; directions of another shape or length, or uv
+            that is not finite.
     """
-    wi_array, wo_array = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
-    if wi_array.shape[-1:] != (3,):
-        raise UnsupportedError(f"wi and wo have shape {list(wi_array.shape)}; the last axis must be 3")
-    uv_array = None if uv is None else np.asarray(uv, dtype=float)
+    wi_array, wo_array = _directions(wi, wo)
+    uv_array = None if uv is None else _places(uv, wi_array.shape[:-1])
     pairs, count = wi_array.size // 3, len(bsdf.wavelengths_nm)
     check_memory(float(BYTES_A_VALUE) * pairs * count, f"{pairs} pairs of directions x {count} wavelengths")
     total = np.zeros((*wi_array.shape[:-1], len(bsdf.wavelengths_nm)))
@@ -59,6 +59,32 @@ def evaluate_with_error(
         else:
             total = total + lobe.evaluate(wi_array, wo_array, uv_array)
     return total, None if variance is None else np.sqrt(variance)
+
+
+def _directions(wi: ArrayLike, wo: ArrayLike) -> tuple[Array, Array]:
+    """Return pairs of unit vectors of one shape, `[..., 3]`."""
+    given = {"wi": floats(wi, "wi"), "wo": floats(wo, "wo")}
+    try:
+        wi_array, wo_array = np.broadcast_arrays(*given.values())
+    except ValueError:
+        raise UnsupportedError(f"wi and wo have shapes {[list(a.shape) for a in given.values()]}, no pairs") from None
+    if wi_array.shape[-1:] != (3,):
+        raise UnsupportedError(f"wi and wo have shape {list(wi_array.shape)}; the last axis must be 3")
+    for name, array in given.items():
+        if not np.all(np.abs(np.linalg.norm(array, axis=-1) - 1) <= UNIT_TOLERANCE):
+            raise UnsupportedError(f"{name} must hold unit vectors; one has another length, or is not finite")
+    return wi_array, wo_array
+
+
+def _places(uv: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Return surface coordinates that go with directions of a shape, `[..., 2]`."""
+    places = floats(uv, "uv")
+    if places.shape[-1:] != (2,) or not np.all(np.isfinite(places)):
+        raise UnsupportedError(f"uv must hold pairs of finite numbers, [..., 2]; its shape is {list(places.shape)}")
+    try:
+        return np.broadcast_to(places, (*shape, 2))
+    except ValueError:
+        raise UnsupportedError(f"uv has shape {list(places.shape)}, which does not go with {[*shape, 2]}") from None
 
 
 def hemispherical(

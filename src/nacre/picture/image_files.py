@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nacre._version import __version__
 from nacre.arrays import Array
 from nacre.errors import NacreError
-from nacre.files import atomic_path
+from nacre.files import atomic_path, told_as_os_error
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, white_xyz, xyz_to_srgb_linear
 
 PROVENANCE_KEY = "nacre"
@@ -172,5 +172,5 @@ def write_exr(path: str | Path, result: Linear) -> None:
             channels[spectral_channel(float(wavelength))] = np.ascontiguousarray(
                 result.spectral[..., index], dtype=np.float32
             )
-    with atomic_path(path) as temporary:
+    with atomic_path(path) as temporary, told_as_os_error():
         OpenEXR.File(header, channels).write(str(temporary))

@@ -178,7 +178,7 @@ def render(
         camera = framing.of(scene_view, stage.radius).turned(float(view_turn_deg))
         balance, light_note = stage.light.illuminant, stage.light.note
         default_size = chosen.size
-    width, height = check_size(size) or default_size
+    width, height = check_size(size) or check_size(default_size) or default_size
     until = read_until(spp, noise, seconds)
     stage.set_material(bsdf)
 

@@ -5,12 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nacre.bsdf import Bsdf
 from nacre.device.variant import use_variant
 from nacre.errors import NacreError
+from nacre.files import plain, why_unreadable
 from nacre.picture.scenes.catalogue import SUBJECT
 
 DEFAULT_DEPTH = 16
+FARTHEST = 1e30  # beyond, the square of a distance overflows in single precision
 
 
 class UserScene:
@@ -21,13 +25,20 @@ class UserScene:
     """
 
     def __init__(self, path: Path) -> None:
-        if not path.is_file():
-            raise NacreError(f"scene {path}: the file does not exist")
+        try:
+            plain(path)
+        except OSError as error:
+            raise NacreError(f"scene {path}: {why_unreadable(error)}") from None
         mi = use_variant()
+        logger = mi.logger()
+        level = logger.log_level()
+        logger.set_log_level(mi.LogLevel.Error)  # what it warns of and matters is told below
         try:
             scene = mi.load_file(str(path))
         except Exception as error:  # Mitsuba raises several kinds; all mean: this scene cannot be loaded
             raise NacreError(f"scene {path}: Mitsuba cannot load it: {_last_words(error)}") from None
+        finally:
+            logger.set_log_level(level)
         if not isinstance(scene, mi.Scene):
             raise NacreError(f"scene {path}: holds no scene")
         if not scene.sensors():
@@ -39,6 +50,7 @@ class UserScene:
                 f'scene {path}: no shape has a BSDF with the id "{SUBJECT}"; give the one to replace '
                 f'this id, such as <bsdf type="diffuse" id="{SUBJECT}"/>'
             )
+        _check_extents(scene, path)
         self.objects = self.subjects
         size = scene.sensors()[0].film().size()
         self.size = (int(size[0]), int(size[1]))
@@ -79,6 +91,25 @@ class UserScene:
         except KeyError:
             raise NacreError(f"scene {self.path}: only perspective cameras are supported, not {kind}") from None
         return mi.load_dict(settings)
+
+
+def _check_extents(scene: Any, path: Path) -> None:
+    """Refuse shapes and cameras that are nowhere: Mitsuba renders around them in silence.
+
+    Raises:
+        NacreError: a shape without a finite size above 0, or a camera whose place is not finite.
+    """
+    for shape in scene.shapes():
+        box = shape.bbox()
+        corners = np.array([np.ravel(box.min), np.ravel(box.max)])
+        # Mitsuba marks a box of nothing by corners at the ends of what a float holds
+        if not (np.abs(corners).max() < FARTHEST and np.ptp(corners, axis=0).max() > 0.0):
+            raise NacreError(
+                f"scene {path}: a shape of type {shape.class_name()} has no finite size above 0; look at its radius, "
+                "its centre and its to_world"
+            )
+    if not np.isfinite(np.array(scene.sensors()[0].world_transform().matrix)).all():
+        raise NacreError(f"scene {path}: the camera's place is not finite; look at its to_world")
 
 
 def _last_words(error: Exception) -> str:

@@ -6,10 +6,11 @@ numerics behind do not check again.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -20,6 +21,7 @@ from pydantic_core import PydanticCustomError, core_schema
 from nacre.errors import RecipeError, did_you_mean
 from nacre.recipe.identity import file_digest
 from nacre.recipe.paths import TEXTURE_KEYS
+from nacre.recipe.wishes import wish
 
 LENGTH_UNITS_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
 
@@ -52,7 +54,9 @@ class RecipeContext:
         Raises:
             RecipeError: the file has changed since the recipe was built.
         """
-        path = (self.folder / name).resolve() if not Path(name).is_absolute() else Path(name)
+        path = Path(name) if Path(name).is_absolute() else self.folder / name
+        with contextlib.suppress(OSError, ValueError):  # no name for a file; who reads it says so with its key
+            path = path if Path(name).is_absolute() else path.resolve()
         self.reach({path: file_digest(path)})
         return path
 
@@ -245,18 +249,17 @@ def _first_line(
         if meant is not None and f"{table}.{meant}".lstrip(".") not in places[meant]:
             hint = f' Did you mean "{places[meant][0]}"?'  # the name in another table is no use without its place
         return f"{context.source}: key {key} is not known.{hint}"
-    message = problem["msg"].removeprefix("Value error, ").removeprefix("Input should be ").strip()
-    message = {"a valid boolean": "true or false", "a valid number": "a number"}.get(message, message)
     if problem["type"] == "missing":
         return f"{context.source}: {key} is missing"
     if problem["type"] == "value_error":
+        message = problem["msg"].removeprefix("Value error, ").strip()
         if message.startswith(("= ", ".")):  # a validator that goes on behind its key: `= "TiO3" is not known`
             tail = f" {message}" if message.startswith("=") else message
             return f"{context.source}: {(key + tail).lstrip(' .=')}"
         where = f"{key}: " if key and not message.startswith(key) else ""
         return f"{context.source}: {where}{message}"
-    wish = message.partition(" should ")[2] or f"be {message}"  # "Tuple should have at least 1 item" or "a number"
-    return f"{context.source}: {key} = {show_value(problem['input'])} is not allowed; it should {wish}"
+    should = wish(problem["type"], problem.get("ctx", {}), problem["input"], _tables_in(model))
+    return f"{context.source}: {key} = {show_value(problem['input'])} is not allowed; it should {should}"
 
 
 def _key(location: tuple[int | str, ...], ends_in_a_key: bool = False) -> str:
@@ -290,6 +293,15 @@ def _known_keys(model: type[pydantic.BaseModel], prefix: str = "", seen: tuple[t
                 for word, found in _known_keys(inner, below, (*seen, model)).items():
                     places.setdefault(word, []).extend(found)
     return places
+
+
+def _tables_in(model: type[pydantic.BaseModel], seen: tuple[type, ...] = ()) -> Iterator[type[pydantic.BaseModel]]:
+    """Yield a model and all models inside it; those inside many others more than once."""
+    yield model
+    for info in model.model_fields.values():
+        for inner in _models_in(info.annotation):
+            if inner not in seen and inner is not model:
+                yield from _tables_in(inner, (*seen, model))
 
 
 def _parts(annotation: Any) -> list[Any]:

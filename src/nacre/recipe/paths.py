@@ -8,6 +8,7 @@ from typing import Any
 
 from nacre.errors import RecipeError
 
+MAX_PATH = 1000  # characters; the longest of a recipe has some 60
 TEXTURE_KEYS = ("formula", "texture")  # what a recipe writes where a number varies over the surface
 _PATH_PART = re.compile(r"([A-Za-z_][A-Za-z_0-9-]*)((?:\[\d+\])*)$")
 
@@ -38,6 +39,9 @@ def find_by_path(data: Any, path: str, source: str) -> tuple[Any, Any]:
     Raises:
         RecipeError: the path leads nowhere.
     """
+    if not isinstance(path, str) or len(path) > MAX_PATH:
+        shown = f"{path!r:.40}"
+        raise RecipeError(f"{source}: {shown} is not a path; write it like layers[0].thickness_nm")
     keys: list[Any] = []
     for part in path.split("."):
         match = _PATH_PART.match(part)
@@ -68,7 +72,7 @@ def set_by_path(data: MutableMapping[str, Any], path: str, value: Any, source: s
     Raises:
         RecipeError: the path leads nowhere.
     """
-    head, _, _ = path.rpartition(".")
+    head, _, _ = path.rpartition(".") if isinstance(path, str) else ("", "", "")
     if head and "[" not in head and head not in data and "." not in head:
         data[head] = {}  # a whole optional table, such as [surface], may be absent
     holder, last = find_by_path(data, path, source)

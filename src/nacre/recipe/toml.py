@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from nacre.errors import RecipeError
+from nacre.recipe.data import plain_data
 from nacre.recipe.paths import set_by_path
 
 
@@ -19,11 +20,13 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         RecipeError: naming the line and column of the first mistake.
     """
     try:
-        return tomllib.loads(text)
+        return plain_data(tomllib.loads(text), source)
     except tomllib.TOMLDecodeError as error:
         raise RecipeError(f"{source}: not valid TOML: {' '.join(str(error).split())}") from None
-    except (RecursionError, ValueError, OverflowError) as error:
-        raise RecipeError(f"{source}: not valid TOML: {type(error).__name__}") from None
+    except RecursionError:
+        raise RecipeError(f"{source}: not valid TOML: brackets or dotted keys are nested without end") from None
+    except (ValueError, OverflowError):  # Python's own limits, of digits and of dates
+        raise RecipeError(f"{source}: not valid TOML: a number or a date is too large") from None
 
 
 def dump_toml(data: Mapping[str, Any]) -> str:

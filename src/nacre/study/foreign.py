@@ -15,7 +15,7 @@ from nacre.errors import NacreError
 from nacre.exchange.gonio_csv import LARGEST_VALUE, read_gonio_csv, write_gonio_csv
 from nacre.exchange.lobes import delta_lost, gonio_grid, gonio_table, is_isotropic, lost_parts, merl_lobe
 from nacre.exchange.merl import merl_table, read_merl, write_merl
-from nacre.files import write_text
+from nacre.files import plain, why_unreadable, write_text
 from nacre.materials.material import EXCESS_TOLD, Material, material_from_data
 from nacre.recipe.model import RecipeContext
 from nacre.recipe.toml import dump_toml
@@ -106,8 +106,10 @@ def import_material(source: Path, recipe: Path) -> list[str]:
     Raises:
         NacreError: the file is none of the known formats, or is damaged.
     """
-    if not source.is_file():
-        raise NacreError(f"{source}: does not exist")
+    try:
+        plain(source)
+    except OSError as error:
+        raise NacreError(f"{source}: {why_unreadable(error)}") from None
     suffix = source.suffix.lower()
     if suffix in (".gltf", ".mtlx") or _is_materialx(source):
         return _import_film(source, recipe)

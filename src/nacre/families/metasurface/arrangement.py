@@ -21,7 +21,7 @@ from nacre.families.metasurface.patterns import (
     random_sequential,
 )
 from nacre.families.metasurface.structure import RANGE_IN_DIAMETERS, Structure
-from nacre.files import plain
+from nacre.files import plain, why_unreadable
 from nacre.recipe.model import RecipeContext
 
 ARRANGEMENTS = ("hard-disk", "rsa", "poisson-disk", "lattice")
@@ -182,11 +182,11 @@ def read_columns(context: RecipeContext, key: str, name: str) -> Array:
     """
     path = context.path(name)
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
+        if plain(path).stat().st_size > MAX_FILE_BYTES:
             raise context.fail(key, name, f"is larger than {MAX_FILE_BYTES >> 20} MB")
-        lines = plain(path).read_text(errors="replace").replace(",", " ").replace(";", " ").splitlines()
+        lines = path.read_text(errors="replace").replace(",", " ").replace(";", " ").splitlines()
     except OSError as error:
-        raise context.fail(key, name, f"cannot be read: {error.strerror or error}") from None
+        raise context.fail(key, name, why_unreadable(error)) from None
     lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
     if lines and not _is_number(lines[0].split()[0]):
         lines = lines[1:]

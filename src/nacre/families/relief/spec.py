@@ -14,7 +14,7 @@ from nacre.errors import RecipeError
 from nacre.families.relief.coherence_spec import CoherenceSpec
 from nacre.families.relief.material import Relief
 from nacre.families.relief.surface import Array, Tile
-from nacre.files import plain
+from nacre.files import plain, why_unreadable
 from nacre.matter.indices.spec import IndexSpec
 from nacre.recipe.model import RecipeContext, RecipeModel
 
@@ -84,8 +84,10 @@ class ReliefSpec(RecipeModel):
 
     def _heights(self, context: RecipeContext) -> Array:
         path = context.path(self.heights)
-        if not path.is_file():
-            raise context.fail("heights", self.heights, "does not exist")
+        try:
+            plain(path)
+        except OSError as error:
+            raise context.fail("heights", self.heights, why_unreadable(error)) from None
         is_image = path.suffix.lower() in IMAGE_SUFFIXES
         if is_image and self.height_scale_um is None:
             raise RecipeError(f"{context.source}: height_scale_um is missing; heights from an image need it")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import Array, ComplexArray
+from nacre.arrays import Array, ComplexArray, floats
 from nacre.errors import MaterialRangeError, NacreError, UnknownMaterialError, did_you_mean
 from nacre.matter.indices.database import catalogue, find_page, load_entry
 from nacre.matter.indices.defaults import DEFAULTS, find_default
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 Extrapolation = Literal["error", "edge"]
 
 RANGE_TOLERANCE = 1e-9  # relative: 0.360 um in a file is 360 nm up to rounding
+MIN_INDEX = 1e-6  # as the stack solver takes; no published one is below 0.01
 MAX_INDEX = 100.0  # far above any material of optics: more is a formula in the wrong unit
 
 
@@ -63,7 +64,7 @@ class OpticalConstant:
 
         Example: `index("SiO2").n_complex([587.6])` is 1.4585.
         """
-        wavelengths = np.asarray(wavelengths_nm, dtype=float)
+        wavelengths = floats(wavelengths_nm, "wavelengths_nm")
         if not (np.isfinite(wavelengths).all() and (wavelengths > 0.0).all()):
             raise NacreError(f'"{self.name}": wavelengths_nm must be finite and positive')
         low, high = self.range_nm
@@ -100,12 +101,14 @@ class OpticalConstant:
         )
 
     def _check(self, values: ComplexArray, wavelengths: Array) -> None:
-        is_bad = ~(np.isfinite(values) & (values.real >= 0.0) & (np.abs(values) <= MAX_INDEX) & (values != 0.0))
+        is_bad = ~(
+            np.isfinite(values) & (values.real >= 0.0) & (np.abs(values) <= MAX_INDEX) & (np.abs(values) >= MIN_INDEX)
+        )
         if is_bad.any():
             at = float(np.ravel(wavelengths)[np.flatnonzero(np.ravel(is_bad))[0]])
             raise NacreError(
-                f'"{self.name}" has no usable refractive index at {at:g} nm; '
-                "check the coefficients (they are for the wavelength in um)"
+                f'"{self.name}" has no usable refractive index at {at:g} nm: |n + ik| must lie between {MIN_INDEX:g} '
+                f"and {MAX_INDEX:g}; check the coefficients (they are for the wavelength in um)"
             )
         if (values.imag < 0.0).any():
             at = float(np.ravel(wavelengths)[np.flatnonzero(np.ravel(values.imag) < 0.0)[0]])

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from nacre.errors import NacreError
-from nacre.files import plain
+from nacre.files import plain, why_unreadable
 from nacre.matter.indices.models import Table
 
 MAX_BYTES = 20_000_000
@@ -47,11 +47,11 @@ def read_index_csv(path: Path) -> Table:
 
 def _read(path: Path) -> str:
     try:
-        if path.stat().st_size > MAX_BYTES:
+        if plain(path).stat().st_size > MAX_BYTES:
             raise NacreError(f"{path.name}: is larger than {MAX_BYTES // 1_000_000} MB; is it a table of n and k?")
-        return plain(path).read_text(encoding="utf-8-sig")
+        return path.read_text(encoding="utf-8-sig")
     except OSError as error:
-        raise NacreError(f"{path.name}: cannot be read: {error.strerror or error}") from None
+        raise NacreError(f"{path.name}: {why_unreadable(error)}") from None
     except UnicodeDecodeError:
         raise NacreError(f"{path.name}: is not a text file; {_FORM}") from None
 

@@ -22,6 +22,9 @@ from nacre.arrays import Array, ComplexArray
 from nacre.errors import NacreError
 from nacre.matter.jobs import share
 
+# 1/n^4 loses a layer's phase beside 1 in double precision below some 1e-7; no medium is near it
+MIN_INDEX = 1e-6
+LARGEST_INDEX = 1e6  # squared and cubed it stays far from overflow
 CLEAR_K = 1e-4  # an ambient that absorbs less is taken as clear: its absorption belongs to the way before the stack
 GRAZING_COS = 1e-12  # below this the angle counts as exactly 90 degrees, where R = 1 and T = 0
 FEW_WAVELENGTHS = 16  # the kernel runs along the wavelengths; shorter axes are joined with the angles
@@ -209,16 +212,20 @@ def normal_component(n2: ComplexArray, n02: ComplexArray, kz0sq: ComplexArray) -
 
 
 def check_indices(n: ComplexArray) -> None:
-    """Refuse gain (k < 0), zero and what is not a number.
+    """Refuse gain (k < 0), what is too near zero to compute with, what is too large, and what is not a number.
 
     Raises:
         NacreError: naming the medium and the value.
     """
-    bad = ~np.isfinite(n) | (n.imag < 0) | (n == 0)
+    bad = ~np.isfinite(n) | (n.imag < 0) | (np.abs(n) < MIN_INDEX) | (np.abs(n) > LARGEST_INDEX)
     if np.any(bad):
         where = np.argwhere(bad)[0]
         value = complex(n[tuple(where)])
-        why = "k < 0 would amplify light" if value.imag < 0 else "an index must be finite and not zero"
+        why = (
+            "k < 0 would amplify light"
+            if value.imag < 0
+            else f"an index must be finite, not zero, and from {MIN_INDEX:g} to {LARGEST_INDEX:g}"
+        )
         raise NacreError(f"medium {where[-2]} has n + ik = {value:.6g}: {why} (n + ik with k >= 0 absorbs)")
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from nacre.device.variant import use_variant
 from nacre.errors import NacreError, did_you_mean
+from nacre.files import plain, why_unreadable
 from nacre.light import illuminant as light_illuminant
 from nacre.picture.lights.environment_plugin import make_environment, spectrum_texture
 from nacre.picture.lights.environments import Environment, studio, unit_spectrum
@@ -80,8 +81,10 @@ def check_light(name: str) -> str:
         return name
     path = Path(name)
     if path.suffix.lower() in MAP_SUFFIXES:
-        if not path.is_file():
-            raise NacreError(f"light {name}: the file does not exist")
+        try:
+            plain(path)
+        except OSError as error:
+            raise NacreError(f"light {name}: {why_unreadable(error)}") from None
         if path.stat().st_size > MAX_MAP_BYTES:
             raise NacreError(
                 f"light {name}: {path.stat().st_size} bytes; an environment map has at most {MAX_MAP_BYTES}"

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.errors import NacreError, did_you_mean
+from nacre.files import plain, why_unreadable
 from nacre.picture.camera import View
 from nacre.picture.scenes.catalogue import SHAPES, Part, Scene
 from nacre.picture.shapes.mesh import Mesh, open_seam
@@ -67,8 +68,10 @@ def read_mesh(path: Path, up: str | None = None) -> Mesh:
     """
     import trimesh
 
-    if not path.is_file():
-        raise NacreError(f"shape {path}: the file does not exist")
+    try:
+        plain(path)
+    except OSError as error:
+        raise NacreError(f"shape {path}: {why_unreadable(error)}") from None
     if path.stat().st_size > MAX_MESH_BYTES:
         raise NacreError(f"shape {path}: {path.stat().st_size} bytes; a mesh has at most {MAX_MESH_BYTES}")
     check_memory(float(BYTES_A_BYTE) * path.stat().st_size, f"shape {path}: read as a mesh, it")
