@@ -11,6 +11,7 @@ from PIL import Image
 
 import nacre
 from nacre.bsdf.bsdf import Bsdf
+from nacre.bsdf.directions import direction
 from nacre.errors import NacreError, UnsupportedError
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.fresnel import coating_reflectance, fresnel_reflectance
@@ -25,6 +26,7 @@ WAVELENGTHS = np.array([450.0, 550.0, 650.0])
 STATED = 3e-3  # the default accuracy: relative L2 of the stored lobe against the exact slice
 GUARDED = 1.002  # the bar, over Fresnel
 EXACT = 1e-12
+FEW_PAIRS = 1e-5  # of the largest value: sums of some hundred terms in single precision, taken in another order
 RECIPE = {
     "family": "relief",
     "heights": "h.npy",
@@ -266,3 +268,20 @@ def test_the_figures_of_a_relief_are_drawn(tmp_path: Path, kind: str) -> None:
     output = tmp_path / "figure.png"
     assert run(["plot", str(recipe), "--kind", kind, "-o", str(output)]) == 0
     assert output.stat().st_size > 5000
+
+
+@pytest.mark.parametrize("bounded", [True, False])
+def test_a_few_pairs_have_the_values_of_the_whole_table(tmp_path: Path, bounded: bool) -> None:
+    height = np.random.default_rng(2).uniform(0.0, 0.5, (8, 8))
+    np.save(tmp_path / "h.npy", height)
+    recipe = {"family": "relief", "heights": "h.npy", "feature_um": 1.0, "blur_um": 0.3, "coating": "Al",
+              "coherence": {"sigma": 1.0}, "accuracy": 0.01, "bounded": bounded}  # fmt: skip
+    relief = nacre.material(recipe, tmp_path).model
+    angles = np.radians([-75.0, -30.0, 0.0, 12.0, 65.0, 85.0])
+    wo = np.stack([direction(a, 0.3 * k) for k, a in enumerate(angles)])
+    wi = np.stack([direction(np.radians(a)) for a in (45.0, 45.0, 0.0, 88.0, 20.0, 45.0)])
+    grid = np.array([420.0, 500.0, 560.0, 610.0])
+    whole = relief.bsdf(grid).lobes[0].evaluate(wi, wo)
+    assert whole.max() > 0
+    found = relief.values_at(wi, wo, grid)
+    np.testing.assert_allclose(found, whole, rtol=0.0, atol=FEW_PAIRS * whole.max())

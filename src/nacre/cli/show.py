@@ -16,7 +16,7 @@ PLOT_KINDS = (
     "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity", "tracks",
     "field", "scattering", "structure", "platelet", "microscope",
 )  # fmt: skip
-MAP_STEPS, TRACK_STEPS = 61, 11  # of a range without a step
+STEPS, TRACK_STEPS = {"colour-map": 61, "ribbon": 91, "spectrum": 6}, 11  # of a range without a step
 NO_DIRECTIONS = "is not an .npz file of numbers (wi[N,3], wo[N,3] and, if need be, uv[N,2])"
 SWEEP_ONLY_KINDS = ("gamut", "parallel")
 SWEEP_KINDS = ("gamut", "colour-map", "parallel")
@@ -151,7 +151,8 @@ def _read_directions(path: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | No
     "--over",
     default=None,
     metavar="PATH=A:B[:STEP]",
-    help="Number of the recipe that tracks, colour-map or chromaticity run over, such as layers[0].thickness_nm=0:600.",
+    help="Number of the recipe that spectrum, ribbon, tracks, colour-map or chromaticity run over, "
+    "such as layers[0].thickness_nm=0:600.",
 )
 @click.option("--lightness", type=float, default=None, metavar="L", help="tracks: scale a*, b* to this L*, such as 50.")
 @click.option("--part", default=None, metavar="NAME", help="Of a sweep's spectrum; default: the brightest stored.")
@@ -217,7 +218,7 @@ def _over(text: str | None, kind: str) -> tuple[str, np.ndarray] | None:
         )
     if values.count(":") == 1 and "," not in values:
         low, high = common.numbers(values.replace(":", ","), "--over")
-        return path, np.linspace(low, high, MAP_STEPS if kind == "colour-map" else TRACK_STEPS)
+        return path, np.linspace(low, high, STEPS.get(kind, TRACK_STEPS))
     return path, common.numbers(values, "--over")
 
 

@@ -78,6 +78,7 @@ def report(
 ) -> None:  # fmt: skip
     """Report colour, flop, gloss, haze and totals of one RECIPE, or of two side by side."""
     from nacre.files import check_writable, write_text
+    from nacre.matter.jobs import watching
     from nacre.study.report import make_report
     from nacre.study.report_page import dump_json, report_html, report_text
 
@@ -88,7 +89,17 @@ def report(
             raise NacreError(f"-o {output}: the suffix must be .txt, .json or .html")
         check_writable(output)
     materials = [common.load_material(recipe, changes) for recipe in recipes]
-    reports = [make_report(m, illuminant, observer, samples, seed) for m in materials]
+    reports = []
+    with _progress_bar("report") as bar:
+        # a family that solves wavelength by wavelength shows them; one that is done at once shows nothing
+        for number, material in enumerate(materials, start=1):
+            task = bar.add_task("report", total=None, visible=False, info=f"{number} of {len(materials)}")
+
+            def show(done: int, total: int, task: Any = task) -> None:
+                bar.update(task, completed=done, total=total, visible=True)
+
+            with watching(show):
+                reports.append(make_report(material, illuminant, observer, samples, seed))
     if output:
         if output.endswith(".html"):
             from nacre.study.report_figures import figures
@@ -138,7 +149,7 @@ def tolerance(
         task = bar.add_task("tolerance", total=draws, info="")
         result = run_tolerance(
             material, found, draws=draws, limit=limit, seed=seed, illuminant=illuminant, samples=samples,
-            progress=lambda done, total: bar.update(task, completed=done),
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
         )  # fmt: skip
     document = tolerance_document(result, found)
     if output:

@@ -16,11 +16,11 @@ from nacre._version import __version__
 from nacre.design.loss import measure
 from nacre.design.problem import Array, Evaluator, Measurement, Problem, measure_design
 from nacre.design.report import comparison, write_picture, write_report
-from nacre.design.search import Candidate, Progress, Search, one_thread_each
+from nacre.design.search import Candidate, Progress, Search
 from nacre.design.spec import TargetSpec
 from nacre.errors import NacreError, RecipeError
 from nacre.files import atomic_path, read_text, write_text
-from nacre.matter.jobs import available_jobs
+from nacre.matter.jobs import available_jobs, one_thread_each
 from nacre.recipe.identity import identity
 from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.toml import dump_toml, parse_toml

@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -20,6 +19,7 @@ from scipy.optimize import minimize
 
 from nacre.design.problem import Array, Evaluator, Problem
 from nacre.design.quantise import round_to_levels, settle_on_levels
+from nacre.matter.jobs import one_thread_each
 
 # height spreads of the random starts, in parts of the allowed range about its middle (section 11.9)
 AMPLITUDES = (0.5, 0.25, 1.0, 0.12)
@@ -295,15 +295,3 @@ def robust_objective(evaluator: Evaluator, seed: int) -> Callable[[Array], tuple
         return float(np.mean([p[0] for p in pairs])), np.mean([p[1] for p in pairs], axis=0)
 
     return evaluate
-
-
-@contextmanager
-def one_thread_each() -> Iterator[None]:
-    """Keep linear algebra to one thread: the starts share the cores, and two thread pools would fight for them."""
-    try:
-        from threadpoolctl import threadpool_limits
-    except ImportError:  # only speed is lost
-        yield
-        return
-    with threadpool_limits(limits=1, user_api="blas"):
-        yield

@@ -87,6 +87,13 @@ class Model(abc.ABC):
         """
         return None
 
+    def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
+        """Return what `bsdf` gives at a few pairs `[pair, 3]`, `[pair, wavelength]`, where that costs less than it.
+
+        None: it does not, and the Bsdf is solved. A family that overrides it has no lobe that mirrors or is random.
+        """
+        return None
+
     @property
     def unbounded_because(self) -> str:
         """Why its spectra may sum to more than one: the data or the model chosen say so; empty: they never do."""

@@ -102,6 +102,21 @@ class Material:
         what = identity(self.identity, {}, wavelengths_nm=grid)
         return solved(what, lambda: self.model.bsdf(grid))
 
+    def values_at(
+        self, wi: Array, wo: Array, wavelengths_nm: Array | None = None
+    ) -> tuple[Array, NDArray[np.float64]] | None:
+        """Return what `bsdf` gives at a few pairs, `[pair, wavelength]`, and the wavelengths, where that is less work.
+
+        None where it is not: the Bsdf must then be solved.
+
+        Args:
+            wi, wo: `[pair, 3]`, unit vectors.
+            wavelengths_nm: ascending; default: chosen by the material.
+        """
+        grid = self.model.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        values = self.model.values_at(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float), grid)
+        return None if values is None else (values, np.asarray(grid, dtype=float))
+
     @property
     def text(self) -> str:
         """The recipe as text: as its author wrote it, or written anew where numbers were changed since."""

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
 
 import numpy as np
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 SMALL_WORK = 500_000  # layers x points, some 4 ms, below which threads cost as much as they give
 
 
@@ -20,6 +25,36 @@ def available_jobs() -> int:
         return len(os.sched_getaffinity(0))
     except AttributeError:  # not on this system
         return os.cpu_count() or 1
+
+
+def in_threads(work: Callable[[Item], Result], items: Iterable[Item], jobs: int | None = None) -> list[Result]:
+    """Return `work` of every item, in their order, from threads that each keep linear algebra to themselves.
+
+    Args:
+        work: must let go of the interpreter's lock for most of its time.
+        jobs: threads; as many as this process may use by default.
+    """
+    every = list(items)
+    with one_thread_each(), ThreadPoolExecutor(jobs or available_jobs()) as pool:
+        found = []
+        for result in pool.map(work, every):
+            found.append(result)
+            for tell in _watchers:
+                tell(len(found), len(every))
+    return found
+
+
+_watchers: list[Callable[[int, int], None]] = []
+
+
+@contextlib.contextmanager
+def watching(tell: Callable[[int, int], None]) -> Iterator[None]:
+    """Call `tell(done, all)` as the items of `in_threads` come back, whoever asked for them: for a progress bar."""
+    _watchers.append(tell)
+    try:
+        yield
+    finally:
+        _watchers.remove(tell)
 
 
 def share(task: Callable[[int, int, int, int], None], batch: int, angles: int, work: int, jobs: int | None) -> None:
@@ -48,3 +83,32 @@ def share(task: Callable[[int, int, int, int], None], batch: int, angles: int, w
         ]
         for future in futures:
             future.result()
+
+
+_blas_lock = threading.Lock()
+_blas: dict[str, Any] = {"users": 0, "limit": None}
+
+
+@contextlib.contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Keep linear algebra to one thread while several threads share the cores, or its products are small.
+
+    OpenBLAS's own threads wait for each other by spinning: small products from two threads cost three times their
+    work. The limit holds for the whole process, so it is set by the first who asks and lifted by the last.
+    """
+    try:
+        from threadpoolctl import threadpool_limits
+    except ImportError:  # only speed is lost
+        yield
+        return
+    with _blas_lock:
+        if _blas["users"] == 0:
+            _blas["limit"] = threadpool_limits(limits=1, user_api="blas")
+        _blas["users"] += 1
+    try:
+        yield
+    finally:
+        with _blas_lock:
+            _blas["users"] -= 1
+            if _blas["users"] == 0:
+                _blas["limit"].restore_original_limits()

@@ -11,16 +11,17 @@ from nacre.bsdf.bsdf import Bsdf
 WALK_NM = np.arange(380.0, 781.0, 20.0)
 
 
-def solve_coarse_walk(material: Any, wavelengths_nm: Any = None) -> Bsdf:
+def solve_coarse_walk(material: Any, wavelengths_nm: Any = None, walk_nm: Any = WALK_NM) -> Bsdf:
     """Solve a material; one that is a random walk on a coarse grid, unless a grid is asked for.
 
     Args:
         material: anything with `bsdf(wavelengths_nm)`.
         wavelengths_nm: ascending, or None for the material's own choice.
+        walk_nm: the coarse grid.
     """
     bsdf: Bsdf = material.bsdf(wavelengths_nm)
     if wavelengths_nm is None and any(lobe.is_stochastic for lobe in bsdf.lobes):
         if "quality" in getattr(material, "data", {}):  # what could not be made noise-free is not tried again
             material = material.vary({"quality": "reference"})
-        bsdf = material.bsdf(WALK_NM)
+        bsdf = material.bsdf(walk_nm)
     return bsdf

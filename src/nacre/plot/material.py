@@ -16,8 +16,8 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import NacreError, RecipeError, UnsupportedError, did_you_mean
 from nacre.materials.material import Material, recipe_provenance
+from nacre.measure.colour_wavelengths import colour_bsdf, colour_grid, colour_spectrum
 from nacre.measure.evaluate import evaluate_with_error
-from nacre.measure.walk_wavelengths import solve_coarse_walk
 from nacre.plot.colours import chromaticity_figure, colour_map_figure
 from nacre.plot.directions import SLICE_NODES, bsdf_slice_figure, lobe_figure, scattering_figure
 from nacre.plot.spectra import index_figure, parts_of, ribbon_figure, spectrum_figure
@@ -38,7 +38,8 @@ PLOT_SAMPLES = 1024  # the same for a pixel of a figure, the least; a figure of 
 PLOT_WALKS = 1 << 16  # ... up to so many together
 MOST_SAMPLES = 1 << 14
 MAP_ANGLES_DEG = np.linspace(0.0, 85.0, 35)
-OVER_KINDS = ("tracks", "colour-map", "chromaticity")
+OVER_KINDS = ("spectrum", "ribbon", "tracks", "colour-map", "chromaticity")
+COLOURED_DATA = ("colour-map", "platelet", "microscope")  # figures of arrays in which colours are seen
 DIRECTIONAL_KINDS = ("slice", "lobe", "tracks")
 
 
@@ -59,10 +60,10 @@ def material_figure(
         material: any material.
         kind: one of `KINDS`.
         angles_deg: of incidence, where the kind has such an axis; sensible ones by default.
-        wavelengths_nm: ascending; default: chosen by the material.
+        wavelengths_nm: ascending; default: chosen by the material, with the lines of a narrow-band lamp.
         illuminant: under which colours are seen.
-        over: for "tracks", "colour-map" and "chromaticity", a number of the recipe by its path and the values that it
-            takes; default: the angle, of a colour-map the family's own choice.
+        over: for `OVER_KINDS`, a number of the recipe by its path and the values that it takes; default: the angle, of
+            a colour-map the family's own choice. All but "colour-map" and "tracks" take one angle then, 0 by default.
         lightness: for "tracks", the L* that a*, b* are scaled to; default: the sample's own values.
         evaluate: evaluates a Bsdf with lobes that need a renderer's random walk; such a slice is drawn coarser.
 
@@ -86,10 +87,11 @@ def material_figure(
     if kind in ("spectrum", "ribbon", "chromaticity"):
         defaults = {"spectrum": SPECTRUM_ANGLES_DEG, "ribbon": RIBBON_ANGLES_DEG, "chromaticity": TRACK_ANGLES_DEG}
         angles = np.atleast_1d(np.asarray(defaults[kind] if angles_deg is None else angles_deg, dtype=float))
-        spectrum = material.spectrum(np.radians(angles), wavelengths_nm)
+        asked = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        spectrum = colour_spectrum(material, np.radians(angles), illuminant, wavelengths_nm=asked)
         return _over_angles(kind, spectrum, illuminant, material.name)
     if kind in ("slice", "lobe"):
-        bsdf = solve_coarse_walk(material, wavelengths_nm)
+        bsdf = colour_bsdf(material, illuminant, None if wavelengths_nm is None else np.asarray(wavelengths_nm))
         is_walk = any(lobe.is_stochastic for lobe in bsdf.lobes)
         walk = None
         if is_walk and evaluate is not None:
@@ -102,6 +104,8 @@ def material_figure(
     options: dict[str, Any] = {}
     if wavelengths_nm is not None:
         options["wavelengths_nm"] = wavelengths_nm
+    elif kind in COLOURED_DATA and (grid := colour_grid(material, illuminant)) is not None:
+        options["wavelengths_nm"] = grid
     if angles_deg is not None:
         angles = np.atleast_1d(np.asarray(angles_deg, dtype=float))
         options.update({"theta_deg": float(angles[0])} if kind == "field" else {"angles_deg": angles})
@@ -122,18 +126,38 @@ def _over_a_number(
         raise NacreError(f"over {path}: give at least two values")
     default = MAP_ANGLES_DEG if kind == "colour-map" else np.zeros(1)
     angles = default if angles_deg is None else angles_deg
+    if kind in ("spectrum", "ribbon") and (len(angles) != 1 or np.any(np.diff(steps) <= 0)):
+        raise UnsupportedError(f"a {kind} over a number takes one angle and ascending values; over angles, no number")
     made = [material.vary({path: float(step)}) for step in steps]
-    ends = (made[0], made[-1])
-    grid = max((np.asarray(end.model.wavelengths_nm) for end in ends), key=len)
-    nm = grid if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
-    spectra = [one.spectrum(np.radians(angles), nm).parts() for one in made]
-    values = np.stack([sum((v for name, v in parts.items() if name.endswith("reflectance")), 0.0 * nm)
-                       for parts in spectra])  # fmt: skip
+    spectra = _common_spectra(made, np.radians(angles), wavelengths_nm, illuminant)
+    nm = spectra[0].wavelengths_nm
     label = ".".join(path.split(".")[-2:])
+    if kind in ("spectrum", "ribbon"):
+        zero = np.zeros(len(nm))
+        names = {name: None for one in spectra for name in one.parts()}
+        parts = {name: np.stack([one.parts().get(name, zero[None])[0] for one in spectra]) for name in names}
+        at = f"{material.name}, {angles[0]:g}\u00b0"
+        found = Spectrum(nm, steps, **parts)
+        if kind == "spectrum":
+            return spectrum_figure(found, illuminant, at, label)
+        return ribbon_figure(found, illuminant, at, label)
+    values = np.stack([sum((v for name, v in one.parts().items() if name.endswith("reflectance")), 0.0 * nm)
+                       for one in spectra])  # fmt: skip
     if kind == "chromaticity":
         labels = [f"{step:.4g}" for step in steps]
         return chromaticity_figure(values[:, 0], nm, labels, illuminant, f"{material.name}: {label}")
     return colour_map_figure(angles, steps, values, nm, y_label=label, illuminant=illuminant, title=material.name)
+
+
+def _common_spectra(
+    made: Sequence[Material], theta_rad: Array, wavelengths_nm: ArrayLike | None, illuminant: str
+) -> list[Spectrum]:
+    """Return the spectra of several materials on one grid: the finer of the ends' own, with a lamp's lines."""
+    if wavelengths_nm is not None:
+        return [one.spectrum(theta_rad, wavelengths_nm) for one in made]
+    finer = max((made[0], made[-1]), key=lambda one: len(one.model.wavelengths_nm))
+    grid = colour_grid(finer, illuminant)
+    return [one.spectrum(theta_rad, finer.model.wavelengths_nm if grid is None else grid) for one in made]
 
 
 def _over_angles(kind: str, spectrum: Spectrum, illuminant: str, name: str) -> Figure:

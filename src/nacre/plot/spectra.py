@@ -51,13 +51,14 @@ def parts_of(spectrum: Spectrum) -> dict[str, Array]:
     return seen or dict(list(parts.items())[:1])
 
 
-def spectrum_figure(spectrum: Spectrum, illuminant: str = "D65", title: str = "") -> Figure:
+def spectrum_figure(spectrum: Spectrum, illuminant: str = "D65", title: str = "", step_label: str = "") -> Figure:
     """Draw reflectance and transmittance over wavelength, one curve an angle, each with its colour beside it.
 
     Args:
         spectrum: at most 12 angles are drawn as curves, evenly chosen among more.
         illuminant: of the colour swatches.
         title: over the first panel.
+        step_label: what the curves differ in, where `angles_deg` holds the values of another number.
     """
     parts = parts_of(spectrum)
     nm = spectrum.wavelengths_nm
@@ -77,7 +78,8 @@ def spectrum_figure(spectrum: Spectrum, illuminant: str = "D65", title: str = ""
                 axes.plot(nm, curve, color=ink)
             _frame(axes, nm, float(values[chosen].max()), last=row == len(parts) - 1)
             panel_title(axes, PART_TITLES[name] + (f", {title}" if title and row == 0 else ""))
-            _swatches(figure.add_subplot(grid[row, 1]), inks, colours, spectrum.angles_deg[chosen])
+            key = figure.add_subplot(grid[row, 1])
+            _swatches(key, inks, colours, spectrum.angles_deg[chosen], step_label)
         small_print(figure, remark(illuminant, exposure, clipped, len(chosen) * len(parts)))
     return figure
 
@@ -98,7 +100,7 @@ def _frame(axes: Axes, nm: Array, highest: float, last: bool) -> None:
         axes.tick_params(labelbottom=False)
 
 
-def _swatches(axes: Axes, inks: list[Any], colours: Array, angles_deg: Array) -> None:
+def _swatches(axes: Axes, inks: list[Any], colours: Array, angles_deg: Array, step_label: str = "") -> None:
     """Draw the key: a stroke in the curve's ink, its colour as a tile, its angle."""
     rows = max(len(colours), 5)
     axes.set_xlim(0, 1)
@@ -106,17 +108,28 @@ def _swatches(axes: Axes, inks: list[Any], colours: Array, angles_deg: Array) ->
     for i, (ink, colour, angle) in enumerate(zip(inks, colours, angles_deg)):
         axes.plot([0.0, 0.16], [i + 0.45, i + 0.45], color=ink, solid_capstyle="butt", linewidth=1.6)
         axes.add_patch(Rectangle((0.24, i + 0.05), 0.3, 0.8, facecolor=colour, edgecolor=INK, linewidth=0.4))
-        axes.text(0.62, i + 0.45, f"{angle:.3g}\u00b0", va="center", fontsize=6.5)
+        axes.text(0.62, i + 0.45, f"{angle:.4g}" if step_label else f"{angle:.3g}\u00b0", va="center", fontsize=6.5)
+    if step_label:
+        axes.text(
+            0.0,
+            rows + 0.1,
+            step_label if len(step_label) < 14 else step_label.replace(".", ".\n"),
+            va="top",
+            fontsize=5.5,
+        )
     axes.axis("off")
 
 
-def ribbon_figure(spectrum: Spectrum, illuminant: str = "D65", title: str = "") -> Figure:
+def ribbon_figure(
+    spectrum: Spectrum, illuminant: str = "D65", title: str = "", step_label: str = "Angle of incidence (degrees)"
+) -> Figure:
     """Draw the colour over the angle of incidence as a ribbon, with its lightness and chroma below.
 
     Args:
         spectrum: at 2 angles or more, ascending; a degree apart looks smooth.
         illuminant: under which the colours are seen.
         title: over the first ribbon.
+        step_label: what runs, where `angles_deg` holds the values of another number.
     """
     parts = parts_of(spectrum)
     nm, angles = spectrum.wavelengths_nm, spectrum.angles_deg
@@ -146,7 +159,7 @@ def ribbon_figure(spectrum: Spectrum, illuminant: str = "D65", title: str = "") 
             below.plot(angles, lch[:, 1], style, color=LINES[0], label=f"C*{suffix}")
         below.set_xlim(angles[0], angles[-1])
         below.set_ylim(bottom=0)
-        below.set_xlabel("Angle of incidence (degrees)")
+        below.set_xlabel(step_label)
         below.set_ylabel("L*, C*")
         below.grid(axis="y")
         below.legend(

@@ -18,7 +18,7 @@ from nacre.arrays import Array
 from nacre.bsdf import Bsdf
 from nacre.bsdf.lobes.table import from_half_difference
 from nacre.errors import NacreError, UnsupportedError
-from nacre.measure.walk_wavelengths import solve_coarse_walk
+from nacre.measure.colour_wavelengths import colour_bsdf
 from nacre.plot.colours import draw_hue_circle, draw_locus, draw_track
 from nacre.plot.style import INK, LINES, house_style, new_figure, panel_title, shown_colours, small_print
 
@@ -67,7 +67,7 @@ def angle_tracks(
 
 def number_tracks(
     materials: Sequence[Any], steps: Sequence[float] | Array, evaluate: Evaluate | None = None,
-    wavelengths_nm: Array | None = None,
+    wavelengths_nm: Array | None = None, illuminant: str = "D65",
 ) -> tuple[dict[str, Track], Array]:  # fmt: skip
     """Return gloss and diffuse light of one material after the other, and their common wavelengths.
 
@@ -75,11 +75,12 @@ def number_tracks(
         materials: one for each step, with `bsdf(wavelengths_nm)`.
         steps: the number that moves.
         evaluate: as for `angle_tracks`.
-        wavelengths_nm: default: the first material's own.
+        wavelengths_nm: default: the first material's own, with the lines of a narrow-band lamp.
+        illuminant: the lamp.
     """
     gloss, diffuse = [], []
     for material in materials:
-        bsdf = solve_coarse_walk(material, wavelengths_nm)
+        bsdf = colour_bsdf(material, illuminant, wavelengths_nm)
         wavelengths_nm = bsdf.wavelengths_nm
         gloss.append(_gloss(bsdf, STEP_GLOSS_DEG[0], np.array([STEP_GLOSS_DEG[1]]), evaluate)[0])
         half, difference = (np.array([angle]) for angle in STEP_DIFFUSE_DEG)
@@ -185,7 +186,7 @@ def material_tracks(
 ) -> Figure:
     """Draw the tracks of a material, over the angle or `over` a number of its recipe; `lightness` scales a*, b*."""
     if over is None:
-        bsdf = solve_coarse_walk(material, wavelengths_nm)
+        bsdf = colour_bsdf(material, illuminant, wavelengths_nm)
         found = angle_tracks(bsdf, angles_deg, evaluate)
         return tracks_figure(
             found, bsdf.wavelengths_nm, illuminant=illuminant, title=material.name, lightness=lightness
@@ -199,5 +200,5 @@ def material_tracks(
         raise UnsupportedError("tracks over a number need a recipe; this material has none")
     made = [material.vary({path: float(step)}) for step in steps]
     grid = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
-    found, nm = number_tracks(made, steps, evaluate, grid)
+    found, nm = number_tracks(made, steps, evaluate, grid, illuminant)
     return tracks_figure(found, nm, ".".join(path.split(".")[-2:]), illuminant, material.name, lightness)

@@ -11,6 +11,7 @@ import numpy as np
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import UnsupportedError
 from nacre.materials.material import Material
+from nacre.measure.colour_wavelengths import colour_spectrum
 from nacre.study.report import Report
 
 if TYPE_CHECKING:
@@ -37,14 +38,14 @@ def figures(materials: list[Material], reports: list[Report]) -> dict[str, str]:
     for number, (material, report) in enumerate(zip(materials, reports, strict=True)):
         # two recipes of one name must not share a caption, since captions are keys
         name = report.name if [r.name for r in reports].count(report.name) == 1 else f"{report.name} ({number + 1})"
-        curves = _spectrum(material, CURVE_ANGLES_DEG)
+        curves = _spectrum(material, CURVE_ANGLES_DEG, report.illuminant)
         if curves is None:
             continue
         found[f"{name}: spectra at {', '.join(f'{a:g}' for a in CURVE_ANGLES_DEG)} degrees"] = data_uri(
             spectrum_figure(curves, report.illuminant, name)
         )
         is_plain = "diffuse_reflectance" not in curves.parts()
-        over_angle = _spectrum(material, RIBBON_ANGLES_DEG if is_plain else COARSE_ANGLES_DEG)
+        over_angle = _spectrum(material, RIBBON_ANGLES_DEG if is_plain else COARSE_ANGLES_DEG, report.illuminant)
         if over_angle is not None:
             found[f"{name}: colour over the angle of incidence"] = data_uri(
                 ribbon_figure(over_angle, report.illuminant, name)
@@ -73,10 +74,10 @@ def travel_figure(reports: list[Report]) -> Figure:
     return gamut_figure(xyz, reports[0].illuminant, reports[0].observer, "CIELAB, angle by angle", labels, tracks=True)
 
 
-def _spectrum(material: Material, angles_deg: tuple[float, ...]) -> Spectrum | None:
+def _spectrum(material: Material, angles_deg: tuple[float, ...], illuminant: str) -> Spectrum | None:
     """Return the material's spectrum, None where its family has none (the report is then made without it)."""
     try:
-        return material.spectrum(np.radians(angles_deg))
+        return colour_spectrum(material, np.radians(angles_deg), illuminant)
     except UnsupportedError:
         return None
 

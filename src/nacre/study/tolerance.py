@@ -14,8 +14,7 @@ from nacre.errors import NacreError, RecipeError
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.materials.material import Material
 from nacre.measure import instruments as geometry
-from nacre.measure.colour_wavelengths import colour_spectrum
-from nacre.measure.evaluate import evaluate_with_error
+from nacre.measure.colour_wavelengths import colour_spectrum, colour_values
 from nacre.recipe.model import show_value
 from nacre.study.report import SPECULAR_ANGLES_DEG
 from nacre.study.tables import SpreadSpec, by_path, known_only
@@ -156,7 +155,7 @@ def run_tolerance(
         spreads: from `read_spreads`.
         draws: number of materials.
         limit: the dE00 within which a material passes, at every angle.
-        progress: called with (done, draws).
+        progress: called with (done, all): draws, and the two materials of each spread's sensitivity.
 
     Raises:
         NacreError: the nominal material cannot be computed, or a number is out of its range.
@@ -170,19 +169,26 @@ def run_tolerance(
     generator = np.random.default_rng(seed)
     values = {spread.path: spread.draw(generator, draws) for spread in spreads}
     lab = np.full((draws, *nominal.shape), np.nan)
+    done, every = 0, draws + 2 * len(spreads)
+
+    def step() -> None:
+        nonlocal done
+        done += 1
+        if progress:
+            progress(done, every)
+
     for i in range(draws):
         try:
             lab[i] = measure(material.vary({path: float(v[i]) for path, v in values.items()}))
         except NacreError:
             pass  # stays NaN and counts as failed: an impossible draw is a finding, not an end
-        if progress:
-            progress(i + 1, draws)
+        step()
     delta = np.asarray(delta_e_2000(np.broadcast_to(nominal, lab.shape), lab))
     failed = int(np.sum(np.isnan(delta).any(axis=1)))
     good = int(np.sum(np.nan_to_num(delta, nan=np.inf).max(axis=1) <= limit))
     return Tolerance(
         measure.what, np.asarray(measure.angles_deg), nominal, lab, delta, limit, good / draws, _wilson(good, draws),
-        _sensitivities(material, spreads, measure, nominal), failed,
+        _sensitivities(material, spreads, measure, nominal, step), failed,
     )  # fmt: skip
 
 
@@ -192,7 +198,9 @@ class ColourProbe:
     def __init__(self, material: Material, illuminant: str, observer: str, samples: int | None, seed: int) -> None:
         self._light = (illuminant, observer)
         self._samples, self._seed = samples, seed
-        scatters = any(not lobe.is_delta for lobe in material.bsdf().lobes)
+        wi = np.broadcast_to(direction(np.radians(45.0)), (1, 3))
+        few = material.values_at(wi, wi, np.array([550.0]))  # answered by what scatters, without solving all of it
+        scatters = few is not None or any(not lobe.is_delta for lobe in material.bsdf().lobes)
         self.what = "aspecular, 45 degree incidence" if scatters else "mirror direction"
         self.angles_deg: tuple[float, ...] = geometry.ASPECULAR_DEG if scatters else SPECULAR_ANGLES_DEG
         self._wo = np.stack([geometry.aspecular_direction(45.0, a) for a in geometry.ASPECULAR_DEG])
@@ -201,10 +209,9 @@ class ColourProbe:
     def __call__(self, material: Material) -> Array:
         """Return Lab, `[angle, 3]`."""
         if self._scatters:
-            bsdf = material.bsdf()
             wi = np.broadcast_to(direction(np.radians(45.0)), self._wo.shape)
-            values = np.pi * evaluate_with_error(bsdf, wi, self._wo, samples=self._samples, seed=self._seed)[0]
-            grid = bsdf.wavelengths_nm
+            values, grid = colour_values(material, wi, self._wo, self._light[0], self._samples, self._seed)
+            values = np.pi * values
         else:
             # a smooth material needs no table over angles, only its stack at these
             spectrum = colour_spectrum(material, np.radians(self.angles_deg), self._light[0])
@@ -217,7 +224,7 @@ class ColourProbe:
 
 
 def _sensitivities(
-    material: Material, spreads: tuple[Spread, ...], measure: ColourProbe, nominal: Array
+    material: Material, spreads: tuple[Spread, ...], measure: ColourProbe, nominal: Array, step_done: Callable[[], None]
 ) -> tuple[tuple[str, float, float], ...]:
     """Rank the spreads by the colour change of one standard deviation, from a central difference."""
     changes = []
@@ -228,8 +235,14 @@ def _sensitivities(
         high = spread.nominal + step
         if high <= low:
             changes.append(0.0)
+            step_done()
+            step_done()
             continue
-        below, above = (measure(material.vary({spread.path: v})) for v in (low, high))
+        ends = []
+        for value in (low, high):
+            ends.append(measure(material.vary({spread.path: value})))
+            step_done()
+        below, above = ends
         slope = (above - below) / (high - low) * sigma
         changes.append(float(np.max(delta_e_2000(nominal, nominal + slope))))
     total = sum(change**2 for change in changes) or 1.0

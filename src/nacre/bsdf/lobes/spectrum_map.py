@@ -84,8 +84,12 @@ class SpectrumMap(Lobe):
             result[part] = values * self.guard_at(flat_i[part]) * self.guard_at(flat_o[part])
         return result.reshape(*shape, -1)
 
-    def bare(self, wi: Array, wo: Array) -> Array:
-        """Return f without the guard, `[n, wavelength]`, for `[n, 3]` directions."""
+    def bare(self, wi: Array, wo: Array, place: Array | None = None) -> Array:
+        """Return f without the guard, `[n, wavelength]`, for `[n, 3]` directions.
+
+        Args:
+            place: node coordinates `[n, 2]` of psi_x and psi_y, for a table that holds only some of the nodes.
+        """
         above = (wi[:, 2] > 0) & (wo[:, 2] > 0)
         cos_i, cos_o = np.maximum(wi[:, 2], LEAST_COSINE), np.maximum(wo[:, 2], LEAST_COSINE)
         u, v, xi = wi[:, 0] + wo[:, 0], wi[:, 1] + wo[:, 1], cos_i + cos_o
@@ -95,10 +99,10 @@ class SpectrumMap(Lobe):
         else:
             factor = (lateral + xi**2) ** 2 / (4.0 * xi**2 * cos_i * cos_o)
         fresnel = take_uniform(self.reflectance, 0.5 * np.sqrt(lateral + xi**2), 0)
-        return self.spectrum_at(u, v, xi) * fresnel * np.where(above, factor, 0.0)[:, None]
+        return self.spectrum_at(u, v, xi, place) * fresnel * np.where(above, factor, 0.0)[:, None]
 
-    def spectrum_at(self, u: Array, v: Array, xi: Array) -> Array:
-        """Return S, `[n, wavelength]`, at `[n]` points of psi."""
+    def spectrum_at(self, u: Array, v: Array, xi: Array, place: Array | None = None) -> Array:
+        """Return S, `[n, wavelength]`, at `[n]` points of psi; `place` as in `bare`."""
         from nacre.bsdf.lobes.spectrum_map_kernel import interpolate
 
         position = np.stack(
@@ -109,6 +113,8 @@ class SpectrumMap(Lobe):
             ],
             axis=-1,
         )
+        if place is not None:
+            position[:, :2] = place
         return np.asarray(interpolate(self.power, position))
 
     def guard_at(self, w: Array) -> Array:

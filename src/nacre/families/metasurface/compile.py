@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +16,7 @@ from nacre.bsdf.uniform import take_uniform
 from nacre.families.metasurface.corrections import DiffuseTerm, diffuse_term
 from nacre.families.metasurface.monolayer import Lit, Monolayer
 from nacre.families.metasurface.structure import Structure
-from nacre.matter.jobs import available_jobs
+from nacre.matter.jobs import in_threads
 
 HARMONICS = 8  # kept in the tables: two packet loads of four. What lies above is below 0.3 % of the largest value
 SPECULAR_NODES = 129
@@ -164,8 +163,7 @@ def tabulate(
         layer = monolayer(float(wavelength))
         return solve_wavelength(layer, grids, eta), layer.surface.wavenumber, layer.surface.index_below
 
-    with ThreadPoolExecutor(jobs or available_jobs()) as pool:
-        solved = list(pool.map(work, wavelengths_nm))
+    solved = in_threads(work, wavelengths_nm, jobs)
     results = [r for r, _, _ in solved]
 
     def column(name: str) -> NDArray:

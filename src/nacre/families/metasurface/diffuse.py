@@ -115,63 +115,93 @@ def _pair_powers(  # type: ignore[no-untyped-def]  # numba
             project[k, j] = end * np.cos(np.pi * k * j / samples) * (1.0 if k == 0 else 2.0) / samples
     mean_a, mean_b = np.empty(points), np.empty(points)
     var_a, var_b = np.empty(points), np.empty(points)
+    mean_both, var_both = np.empty(points), np.zeros(points)
+    xr, xi, yr, yi = np.empty(points), np.empty(points), np.empty(points), np.empty(points)
+    ra, ia, rb, ib = np.empty(points), np.empty(points), np.empty(points), np.empty(points)
+    by_point = np.ascontiguousarray(project[:kept].T)
+    sums = np.empty(kept)
+    averaged = project[0] * (2.0 * np.pi)
+    weighted = np.empty(points)
     for s in range(count):
         for i in range(s + 1):
+            # sum_k S_k (projection on k) is one weight a point, the same for all polarisations
+            for j in range(points):
+                weighted[j] = 0.0
+            for k in range(total):
+                weight = s_harmonics[s, i, k]
+                for j in range(points):
+                    weighted[j] += weight * project[k, j]
             for q in range(2):
                 for p in range(2):
                     basis = cosm if q == p else sinm
                     for j in range(points):
-                        ra, ia, rb, ib, pa, pb = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-                        for size in range(sizes):
-                            xr, xi, yr, yi = 0.0, 0.0, 0.0, 0.0
-                            for m in range(orders):
-                                c = basis[m, j]
-                                a = x[q, s, p, i, size, m]
-                                b = x[p, i, q, s, size, m]
-                                xr += c * a.real
-                                xi += c * a.imag
-                                yr += c * b.real
-                                yi += c * b.imag
-                            w = shares[size]
-                            ra += w * xr
-                            ia += w * xi
-                            rb += w * yr
-                            ib += w * yi
-                            pa += w * (xr * xr + xi * xi)
-                            pb += w * (yr * yr + yi * yi)
-                        mean_a[j] = ra * ra + ia * ia
-                        mean_b[j] = rb * rb + ib * ib
-                        var_a[j] = max(pa - mean_a[j], 0.0)
-                        var_b[j] = max(pb - mean_b[j], 0.0)
-                    sum_k, sum_a, sum_b = 0.0, 0.0, 0.0
-                    for k in range(total):
-                        h, ha, hb, v, va, vb = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                        ra[j], ia[j], rb[j], ib[j], var_a[j], var_b[j] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                    for size in range(sizes):
+                        w = shares[size]
                         for j in range(points):
-                            c = project[k, j]
-                            ha += c * mean_a[j]
-                            hb += c * mean_b[j]
-                            h += c * np.sqrt(mean_a[j] * mean_b[j])
-                            if sizes > 1:
-                                v += c * np.sqrt(var_a[j] * var_b[j])
-                                if k == 0:
-                                    va += c * var_a[j]
-                                    vb += c * var_b[j]
-                        if not two_sided:
-                            h = ha
-                        weight = s_harmonics[s, i, k]
-                        sum_k += h * weight
-                        sum_a += ha * weight
-                        sum_b += hb * weight
-                        if k == 0 and sizes > 1:
-                            sum_k += v * 2.0 * np.pi
-                            sum_a += va * 2.0 * np.pi
-                            sum_b += vb * 2.0 * np.pi
-                        if k < kept:
-                            coherent[s, i, q, p, k] = h
-                            coherent[i, s, p, q, k] = h if two_sided else hb
-                            if sizes > 1:
-                                varying[s, i, q, p, k] = v
-                                varying[i, s, p, q, k] = v
+                            xr[j], xi[j], yr[j], yi[j] = 0.0, 0.0, 0.0, 0.0
+                        for m in range(orders):
+                            a, b = x[q, s, p, i, size, m], x[p, i, q, s, size, m]
+                            ar, ai, br, bi = a.real, a.imag, b.real, b.imag
+                            for j in range(points):  # innermost, so that the points go through vector registers
+                                c = basis[m, j]
+                                xr[j] += c * ar
+                                xi[j] += c * ai
+                                yr[j] += c * br
+                                yi[j] += c * bi
+                        for j in range(points):
+                            ra[j] += w * xr[j]
+                            ia[j] += w * xi[j]
+                            rb[j] += w * yr[j]
+                            ib[j] += w * yi[j]
+                        if sizes > 1:
+                            for j in range(points):
+                                var_a[j] += w * (xr[j] * xr[j] + xi[j] * xi[j])
+                                var_b[j] += w * (yr[j] * yr[j] + yi[j] * yi[j])
+                    for j in range(points):
+                        mean_a[j] = ra[j] * ra[j] + ia[j] * ia[j]
+                        mean_b[j] = rb[j] * rb[j] + ib[j] * ib[j]
+                        mean_both[j] = np.sqrt(mean_a[j] * mean_b[j])
+                    if sizes > 1:
+                        for j in range(points):
+                            var_a[j] = max(var_a[j] - mean_a[j], 0.0)
+                            var_b[j] = max(var_b[j] - mean_b[j], 0.0)
+                            var_both[j] = np.sqrt(var_a[j] * var_b[j])
+                    sum_k, sum_a, sum_b = 0.0, 0.0, 0.0
+                    for j in range(points):
+                        sum_k += weighted[j] * (mean_both[j] if two_sided else mean_a[j])
+                        sum_a += weighted[j] * mean_a[j]
+                        sum_b += weighted[j] * mean_b[j]
+                    if sizes > 1:
+                        for j in range(points):
+                            sum_k += averaged[j] * var_both[j]
+                            sum_a += averaged[j] * var_a[j]
+                            sum_b += averaged[j] * var_b[j]
+                    forth = mean_both if two_sided else mean_a
+                    for k in range(kept):
+                        sums[k] = 0.0
+                    for j in range(points):
+                        for k in range(kept):
+                            sums[k] += forth[j] * by_point[j, k]
+                    for k in range(kept):
+                        coherent[s, i, q, p, k] = sums[k]
+                    if not two_sided:
+                        for k in range(kept):
+                            sums[k] = 0.0
+                        for j in range(points):
+                            for k in range(kept):
+                                sums[k] += mean_b[j] * by_point[j, k]
+                    for k in range(kept):
+                        coherent[i, s, p, q, k] = sums[k]
+                    if sizes > 1:
+                        for k in range(kept):
+                            sums[k] = 0.0
+                        for j in range(points):
+                            for k in range(kept):
+                                sums[k] += var_both[j] * by_point[j, k]
+                        for k in range(kept):
+                            varying[s, i, q, p, k] = sums[k]
+                            varying[i, s, p, q, k] = sums[k]
                     kernel[q, s, p, i] = sum_k
                     kernel[p, i, q, s] = sum_k if two_sided else sum_b
                     target[q, s, p, i] = sum_a

@@ -27,6 +27,7 @@ from nacre.families.metasurface.structure import Structure
 from nacre.families.metasurface.substrate import LOSSLESS_K, Substrate
 from nacre.light import default_wavelengths
 from nacre.matter.indices.constant import OpticalConstant
+from nacre.matter.jobs import in_threads
 from nacre.matter.mie import mie_coefficients
 
 logger = logging.getLogger("nacre")
@@ -315,7 +316,7 @@ class Metasurface(Model):
         if polarisation not in pick:
             raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use s, p or both')
         share = pick[polarisation]
-        columns = [[share @ part for part in self.powers(np.cos(theta), w)] for w in lam]
+        columns = in_threads(lambda w: [share @ part for part in self.powers(np.cos(theta), float(w))], lam)
         r, t, up, down = (np.stack([c[i] for c in columns], axis=-1) for i in range(4))
         if self.correction != "none":
             up, down = self._within_what_arrives(r + t, up, down)

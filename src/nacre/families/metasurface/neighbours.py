@@ -14,17 +14,18 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import hankel1e, hankel2e, jv
+from scipy.special import jv
 
 from nacre.arrays import Array, ComplexArray
 from nacre.families.metasurface.angular import adjoint, legendre, mirrored, plane_wave_vectors
-from nacre.families.metasurface.bessel import bessel_j, spherical_hankel_scaled
+from nacre.families.metasurface.bessel import bessel_j, hankel_scaled, spherical_hankel_scaled
 from nacre.families.metasurface.structure import Structure
 from nacre.families.metasurface.substrate import Substrate
 
 IntArray = NDArray[np.intp]
 
 CONTOUR_DEPTH = 0.3  # of the detour below guided modes, in k; e^{0.3 k R} of growth costs digits if deeper
+SILENT, NEAR_START = 46.0, 1e-19  # e^-46, and distances along a ray, below rounding of what the rest adds up to
 EXCESS_FLOOR = 2e-3  # |g - 1| below which the distance counts as uncorrelated
 
 
@@ -62,6 +63,46 @@ def with_negative_orders(vectors: ComplexArray, index: MultipoleIndex) -> Comple
     return np.moveaxis(picked * sign, 0, 1)
 
 
+@dataclass(frozen=True)
+class HalfIndex:
+    """The multipoles with m >= 0 that one polarisation excites, as places in `MultipoleIndex`: arrays `[h]`.
+
+    The monolayer looks the same in a mirror that holds the plane of incidence, so s and p excite multipoles of
+    opposite mirror symmetry: those with -m follow from m by `sign`, and m = 0 with tau != pol stays dark.
+    """
+
+    place: IntArray
+    partner: IntArray
+    sign: Array
+    m: IntArray
+    block: IntArray
+
+    @property
+    def multiplicity(self) -> Array:
+        """How many of the full index each stands for: 1 for m = 0, else 2."""
+        return np.where(self.m > 0, 2.0, 1.0)
+
+
+@lru_cache(maxsize=16)
+def half_index(order: int, pol: int) -> HalfIndex:
+    """Return the half of the index that light of polarisation `pol` (0 = s, 1 = p) excites."""
+    index = multipole_index(order)
+    rows = {key: i for i, key in enumerate(zip(index.m.tolist(), index.tau.tolist(), index.l.tolist(), strict=True))}
+    kept = np.array([i for (m, tau, _), i in rows.items() if m > 0 or (m == 0 and tau == pol)], dtype=np.intp)
+    partner = np.array([rows[(-int(index.m[i]), int(index.tau[i]), int(index.l[i]))] for i in kept], dtype=np.intp)
+    sign = np.where(index.tau[kept] == pol, 1.0, -1.0)
+    return HalfIndex(kept, partner, sign, index.m[kept], index.block[kept])
+
+
+def folded(q: ComplexArray, order: int, pol: int) -> ComplexArray:
+    """Fold `[n, n', ...]` onto the multipoles that a polarisation excites, `[h, h', ...]`."""
+    half = half_index(order, pol)
+    rows = q[half.place]
+    shape = (1, -1, *([1] * (q.ndim - 2)))
+    doubled = np.where(half.m > 0, half.sign, 0.0).reshape(shape)
+    return rows[:, half.place] + doubled * rows[:, half.partner]
+
+
 @lru_cache(maxsize=8)
 def _direct_coefficients(order: int) -> ComplexArray:
     """c_p P_p^mu(0) of the direct translation, `[n, n', p, mu]`, zero but for the pair's own mu."""
@@ -90,8 +131,14 @@ def _pair_orders(order: int) -> IntArray:
     return np.abs(m[None, :] - m[:, None])
 
 
+@lru_cache(maxsize=256)
+def _gauss(count: int) -> tuple[Array, Array]:
+    """Gauss-Legendre nodes and weights on [-1, 1]: the same few dozen counts come back at every wavelength."""
+    return np.polynomial.legendre.leggauss(count)
+
+
 def _panels(edges: Array, count: int) -> tuple[Array, Array]:
-    x, weight = np.polynomial.legendre.leggauss(count)
+    x, weight = _gauss(count)
     half = np.diff(edges) / 2
     middle = (edges[1:] + edges[:-1]) / 2
     return (middle[:, None] + half[:, None] * x).ravel(), (half[:, None] * weight).ravel()
@@ -126,7 +173,6 @@ def _rotated_tail(reach: float, top: int, kappa: Array) -> ComplexArray:
     out = np.zeros((top + 1, top + 1, kappa.size), dtype=complex)
     orders = np.arange(top + 1)
     for sign in (1, -1):
-        kind = hankel1e if sign > 0 else hankel2e
         for turn in (1, -1):
             # e^{i (1 + sign kappa) R}: beyond the light line the incoming half decays on the lower ray
             chosen = (1 + sign * kappa > 0) if turn > 0 else (1 + sign * kappa <= 0)
@@ -138,9 +184,9 @@ def _rotated_tail(reach: float, top: int, kappa: Array) -> ComplexArray:
             safe = np.maximum(k, 1e-9)
             arg = r[:, None] * safe
             phase = np.exp(1j * (1 + sign * k) * r[:, None])
-            first, second = kind(0, arg), kind(1, arg)
-            cylinder = np.empty((top + 1, *arg.shape), dtype=complex)
-            cylinder[0], cylinder[1] = first, second
+            cylinder = np.zeros((top + 1, *arg.shape), dtype=complex)
+            heard = (turn * (1 + sign * k) * s[:, None] < SILENT) & (s[:, None] > NEAR_START)
+            cylinder[:2, heard] = hankel_scaled(arg[heard], sign)
             for mu in range(1, top):
                 cylinder[mu + 1] = 2 * mu / arg * cylinder[mu] - cylinder[mu - 1]
             zero = (k < 1e-9)[None, None, :]
@@ -164,8 +210,12 @@ def _stack_contour(surface: Substrate, centre_nm: float, order: int, reach: floa
     return np.concatenate([kappa, y]), np.concatenate([weight * slope, rest.astype(complex)])
 
 
-def _stack_sums(surface: Substrate, centre_nm: float, structure: Structure, order: int, kappa_i: Array) -> ComplexArray:
+def _stack_sums(
+    surface: Substrate, centre_nm: float, structure: Structure, order: int, kappa_i: Array, every_row: bool = False
+) -> ComplexArray:
     """The part by way of the stack, of g - 1 alone, `[n, n', angle]` (g = 1 is a plane wave, in closed form).
+
+    Rows with m < 0 are left at zero, for `folded` asks for none, unless `every_row` is wanted.
 
     int (g-1) W^R(R) J_mu(kappa_i R) R dR with the Sommerfeld integral of W^R drawn outside: the radial integral
     of two Bessel functions is done first, and W^R(R) never appears.
@@ -190,9 +240,10 @@ def _stack_sums(surface: Substrate, centre_nm: float, structure: Structure, orde
     seen = jv(np.arange(top + 1)[:, None, None], r[:, None] * kappa_i)
     moments = np.matmul(radial * measure, seen)  # mu, kappa, angle
     mu = _pair_orders(order)
-    out = np.empty((*mu.shape, kappa_i.size), dtype=complex)
+    out = np.zeros((*mu.shape, kappa_i.size), dtype=complex)
+    wanted = np.broadcast_to(every_row | (index.m[:, None] >= 0), mu.shape)
     for order_mu in range(top + 1):
-        rows, columns = np.nonzero(mu == order_mu)
+        rows, columns = np.nonzero((mu == order_mu) & wanted)
         pairs = left[0, rows] * right[0, columns] + left[1, rows] * right[1, columns]
         out[rows, columns] = (1j) ** order_mu * (pairs @ moments[order_mu])
     return out
@@ -201,7 +252,7 @@ def _stack_sums(surface: Substrate, centre_nm: float, structure: Structure, orde
 def neighbour_sums(
     surface: Substrate, centre_nm: float, structure: Structure, order: int, kappa: Array
 ) -> ComplexArray:
-    """Return Q less its plane-wave terms, `[angle, n, n']`, at in-plane wavevectors `kappa` over k.
+    """Return Q less its plane-wave terms, folded, `[pol, angle, h, h']`, at in-plane wavevectors `kappa` over k.
 
     Args:
         surface, centre_nm: the stack and the height of the particles over it.
@@ -220,35 +271,45 @@ def neighbour_sums(
         total = total + _stack_sums(surface, centre_nm, structure, order, kappa)
     total = total * (2 * np.pi * structure.density_per_nm2 / k2) * phase[:, :, None]
     w = np.sqrt((1 - kappa**2).astype(complex))
-    index = multipole_index(order)
-    b = plane_wave_vectors(w, order, order, kappa.astype(complex))
-    return np.moveaxis(total, -1, 0) - _direct_wave(structure, surface, index, b, w)
+    waves = _wave_sums(structure, surface, order, w, kappa, None)
+    return np.stack([np.moveaxis(folded(total, order, pol), -1, 0) - waves[pol] for pol in range(2)])
 
 
-def _direct_wave(
-    structure: Structure, surface: Substrate, index: MultipoleIndex, b: ComplexArray, w: ComplexArray
+def _wave_sums(
+    structure: Structure, surface: Substrate, order: int, w: ComplexArray, kappa: Array, echo: ComplexArray | None
 ) -> ComplexArray:
-    """Half the monolayer's own plane waves in both directions, `[angle, n, n']`; grows as 1/cos, so taken out of Q."""
+    """Half the monolayer's own plane waves in both directions, and the echo of those, folded, `[pol, angle, h, h']`.
+
+    They grow as 1/cos, so they are taken out of what is interpolated. Folded, each is a single product: a plane wave
+    of one polarisation excites that one's multipoles alone.
+
+    Args:
+        echo: `[pol, angle]`, reflection by the stack with its phase; None for the own waves alone.
+    """
+    b = plane_wave_vectors(w, order, order, kappa.astype(complex))
     factor = 4 * np.pi * structure.density_per_nm2 / (surface.wavenumber**2 * w)
-    out = np.zeros((w.size, len(index.m), len(index.m)), dtype=complex)
-    for vectors in (b, mirrored(b)):
-        left = with_negative_orders(adjoint(vectors), index).transpose(2, 1, 0)
-        right = with_negative_orders(vectors, index).transpose(2, 0, 1)
-        out += left @ right
-    return out * factor[:, None, None]
+    turned = mirrored(np.ones((*b.shape[:3], 1), dtype=complex)).real[..., 0]
+    left_all = adjoint(b)
+    out = []
+    for pol in range(2):
+        half = half_index(order, pol)
+        left, right = left_all[half.m, pol, half.block].T, b[half.m, pol, half.block].T
+        sign = turned[half.m, pol, half.block]
+        ways: ComplexArray = factor[:, None, None] * (1.0 + sign[:, None] * sign)
+        if echo is not None:
+            ways = ways + (2.0 * factor * echo[pol])[:, None, None] * sign
+        out.append(left[:, :, None] * (right * half.multiplicity)[:, None, :] * ways)
+    return np.stack(out)
 
 
 def plane_wave_sums(
     structure: Structure, surface: Substrate, centre_nm: float, order: int, w: ComplexArray, kappa: Array
 ) -> ComplexArray:
-    """The plane-wave terms of Q, `[angle, n, n']`: the monolayer's own waves and their reflection by the stack."""
-    index = multipole_index(order)
-    b = plane_wave_vectors(w, order, order, kappa.astype(complex))
-    out = _direct_wave(structure, surface, index, b, w)
-    if surface.is_absent:
-        return out
-    echo = 8 * np.pi * structure.density_per_nm2 / (surface.wavenumber**2 * w)
-    echo = echo * np.exp(2j * surface.wavenumber * centre_nm * w) * surface.reflection(w)
-    left = with_negative_orders(adjoint(b), index) * echo[:, None]
-    right = with_negative_orders(mirrored(b), index)
-    return out + left.transpose(2, 1, 0) @ right.transpose(2, 0, 1)
+    """The plane-wave terms of Q, folded: the monolayer's own waves and their reflection by the stack.
+
+    Returns: `[pol, angle, h, h']`.
+    """
+    echo = None
+    if not surface.is_absent:
+        echo = np.exp(2j * surface.wavenumber * centre_nm * w) * surface.reflection(w)
+    return _wave_sums(structure, surface, order, w, kappa, echo)

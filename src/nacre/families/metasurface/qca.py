@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nacre.arrays import Array, ComplexArray
-from nacre.families.metasurface.neighbours import multipole_index, neighbour_sums, plane_wave_sums, with_negative_orders
+from nacre.families.metasurface.neighbours import half_index, multipole_index, neighbour_sums, plane_wave_sums
 from nacre.families.metasurface.sphere import Directions
 from nacre.families.metasurface.structure import Structure
 from nacre.families.metasurface.substrate import Substrate
@@ -40,13 +40,20 @@ def _barycentric(nodes: Array, weights: Array, x: Array) -> Array:
     return matrix
 
 
+def _mixed(matrix: Array, nodes: ComplexArray) -> ComplexArray:
+    """`[x, node]` times `[pol, node, h, h']`, as products of real numbers: half the work of complex ones."""
+    pols, count, size, _ = nodes.shape
+    flat = np.ascontiguousarray(nodes).reshape(pols, count, size * size).view(float)
+    return np.ascontiguousarray(matrix @ flat).view(complex).reshape(pols, -1, size, size)
+
+
 @dataclass(frozen=True)
 class NeighbourTable:
     """Q of one monolayer at one wavelength for every angle, tabulated where it is smooth.
 
     Attributes:
         surface, centre_nm, structure, order: what it was made of.
-        propagating: `[node, n, n']` at Chebyshev nodes of theta in (0, pi/2).
+        propagating: `[pol, node, h, h']` at Chebyshev nodes of theta in (0, pi/2), folded (see `HalfIndex`).
         evanescent: the same at nodes of eta, kappa = cosh(eta), up to `eta_max` (for light from below).
     """
 
@@ -74,24 +81,24 @@ class NeighbourTable:
             kappa = np.concatenate([kappa, np.cosh(eta)])
         sums = neighbour_sums(surface, centre_nm, structure, order, kappa)
         if eta_max:
-            evanescent = sums[count:]
-        return cls(surface, centre_nm, structure, order, sums[:count], evanescent, eta_max)
+            evanescent = sums[:, count:]
+        return cls(surface, centre_nm, structure, order, sums[:, :count], evanescent, eta_max)
 
     def at(self, directions: Directions) -> ComplexArray:
-        """Return the whole Q, `[angle, n, n']`, at the in-plane wavevectors of `directions`."""
+        """Return the whole Q, folded, `[pol, angle, h, h']`, at the in-plane wavevectors of `directions`."""
         kappa = directions.transverse
         size = self.propagating.shape[-1]
-        out = np.empty((kappa.size, size, size), dtype=complex)
+        out = np.empty((2, kappa.size, size, size), dtype=complex)
         inside = kappa <= 1.0
         if np.any(inside):
-            nodes, weights = _chebyshev(len(self.propagating), 0.0, np.pi / 2)
+            nodes, weights = _chebyshev(self.propagating.shape[1], 0.0, np.pi / 2)
             matrix = _barycentric(nodes, weights, np.arcsin(kappa[inside]))
-            out[inside] = np.tensordot(matrix, self.propagating, 1)
+            out[:, inside] = _mixed(matrix, self.propagating)
         if not np.all(inside):
             assert self.evanescent is not None  # `build` was told of the light from below
-            nodes, weights = _chebyshev(len(self.evanescent), 0.0, self.eta_max)
+            nodes, weights = _chebyshev(self.evanescent.shape[1], 0.0, self.eta_max)
             matrix = _barycentric(nodes, weights, np.arccosh(kappa[~inside]))
-            out[~inside] = np.tensordot(matrix, self.evanescent, 1)
+            out[:, ~inside] = _mixed(matrix, self.evanescent)
         return out + plane_wave_sums(
             self.structure, self.surface, self.centre_nm, self.order, directions.ambient_cosines, kappa
         )
@@ -110,18 +117,14 @@ def mean_excitation(
         own: M_m v averaged over the sizes, the answer to the incident wave alone, `[m, pol, n, angle]`.
     """
     lmax, order = dressed.shape[1] // 2, table.order
-    index = multipole_index(order)
-    rows = index.tau * lmax + index.l - 1
-    kept = np.concatenate([np.arange(order), lmax + np.arange(order)])
-    free = with_negative_orders(own[: order + 1][:, :, kept], index)  # pol, n, angle
-    same_m = index.m[:, None] == index.m[None, :]
-    sign = np.where((index.m[:, None] < 0) & (index.tau[:, None] != index.tau[None, :]), -1.0, 1.0)
-    block = np.where(same_m, dressed[np.abs(index.m)[:, None], rows[:, None], rows[None, :]] * sign, 0.0)
-    q = table.at(directions)
-    system = np.eye(len(index.m)) - block @ q
-    b = np.linalg.solve(system, free.transpose(2, 1, 0))  # angle, n, pol
-    from_neighbours = q @ b
+    index, q = multipole_index(order), table.at(directions)
     out = np.zeros_like(own)
-    positive = index.m >= 0
-    out[index.m[positive], :, rows[positive], :] = from_neighbours[:, positive].transpose(1, 2, 0)
+    for pol in range(2):
+        half = half_index(order, pol)
+        rows = index.tau[half.place] * lmax + index.l[half.place] - 1
+        free = own[half.m, pol, rows]  # h, angle
+        same_m = half.m[:, None] == half.m
+        block = np.where(same_m, dressed[half.m[:, None], rows[:, None], rows], 0.0)
+        b = np.linalg.solve(np.eye(len(rows)) - block @ q[pol], free.T[..., None])
+        out[half.m, pol, rows] = (q[pol] @ b)[..., 0].T
     return out

@@ -208,6 +208,17 @@ class Structure:
         return np.where(r < self.diameter_nm, -1.0, np.interp(r, self.r_nm, self.h, right=0.0))
 
 
+@lru_cache(maxsize=64)
+def _hard_disk_excess(packing: float) -> tuple[Array, Array]:
+    """Distances in diameters and g - 1 there: the same for all sizes of particle at one packing."""
+    # finer steps near contact, where the layer of `CoreCorrection` falls off within a twentieth of a diameter
+    x = np.concatenate([np.linspace(1.0, 1.25, 126)[:-1], np.linspace(1.25, RANGE_IN_DIAMETERS, 373)])
+    h = baus_colot_pair_correlation(x, packing) - 1.0
+    if packing > SMALLEST_MENDED:
+        h = h + core_correction(packing).excess(x)
+    return x, h
+
+
 def hard_disk_structure(density_per_nm2: float, packing: float, q_max_per_nm: float) -> Structure:
     """Tabulate hard disks in equilibrium; `q_max_per_nm` is the largest |q| the optics will ask for.
 
@@ -221,11 +232,9 @@ def hard_disk_structure(density_per_nm2: float, packing: float, q_max_per_nm: fl
         raise NacreError(f"packing = {packing:g} is not allowed; it should be over 0 and at most {PACKING_LIMIT:g}")
     a = float(np.sqrt(4 * packing / (np.pi * density_per_nm2)))
     q = np.asarray(np.arange(0, int(q_max_per_nm * a / 0.01) + 202) * 0.01, dtype=np.float64)
-    # finer steps near contact, where the layer of `CoreCorrection` falls off within a twentieth of a diameter
-    x = np.concatenate([np.linspace(1.0, 1.25, 126)[:-1], np.linspace(1.25, RANGE_IN_DIAMETERS, 373)])
     mend = core_correction(packing) if packing > SMALLEST_MENDED else None
-    s, h = baus_colot(q, packing), baus_colot_pair_correlation(x, packing) - 1.0
+    s, (x, h) = baus_colot(q, packing), _hard_disk_excess(float(packing))
     if mend is not None and mend.amplitude > 0.0:
-        s, h = s + mend.spectrum(q, packing), h + mend.excess(x)
+        s = s + mend.spectrum(q, packing)
     # near freezing the sum dips to -0.014
     return Structure("hard-disk", density_per_nm2, a, q / a, np.maximum(s, 0.0), x * a, h)

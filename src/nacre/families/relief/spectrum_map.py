@@ -22,6 +22,7 @@ from nacre.families.relief.lines import FFT_SHARE, line_basis, line_power
 from nacre.families.relief.sampling import Sampling, choose_sampling
 from nacre.families.relief.slice import Reflectance, window_norm
 from nacre.families.relief.surface import Array, Tile
+from nacre.matter.jobs import one_thread_each
 from nacre.recipe.memory import check_memory
 
 # steps of the grids for an error of 1e-3: of psi in units of the smoothing, of xi in radians of the highest wall's
@@ -35,12 +36,15 @@ SPLINE_VARIANCE = 0.25
 GUARD_PSI_STEP = 1.05
 MAX_TABLE_BYTES = 3 << 30
 TABLE_BLOCK = 512
+BAND_ROWS = 24  # rows of a banded matrix that are multiplied together
+NOTHING = 1e-12  # of a Gaussian's peak: sums in single precision do not see it
 GUARD_COSINES, GUARD_AZIMUTHS, GUARD_WAVELENGTHS = 21, 48, 8
 GUARD_ROUNDS = 60
 LEAST_GUARDED_COSINE = 1e-4
 # the albedo may reach Fresnel and a hair more: a gentle relief conserves energy to 0.1 %, and must keep doing so;
 # between the guard's nodes it stays below (they hold the maximum of their neighbourhood)
 GUARD_AIM = 1.0005
+COSINES = np.linspace(0.0, 1.0, 65)  # at which the coating's reflectance is tabulated
 EXCESS_ANGLES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0)
 
 
@@ -87,6 +91,173 @@ def spectrum_map(
     Raises:
         UnsupportedError: the table or the sampling would be too large.
     """
+    plan = _plan(tile, coherence, wavelengths_nm, error)
+    table = plan.table(plan.psi, plan.psi, wavelengths_nm)
+    lobe = plan.lobe(table, plan.psi, wavelengths_nm, reflectance(COSINES), prefactor)
+    excess: tuple[float, ...] = ()
+    if bounded:
+        guard, before = energy_guard(lobe, coherence.blur)
+        lobe, excess = replace(lobe, guard=guard), tuple(float(a) for a in before)
+    report = MapReport(plan.sampling, len(plan.kappas), len(plan.xi) - 4, len(plan.psi), plan.grid_error, excess)
+    return lobe, report
+
+
+def map_values(
+    tile: Tile,
+    coherence: Coherence,
+    wavelengths_nm: Array,
+    reflectance: Reflectance,
+    wi: Array,
+    wo: Array,
+    prefactor: Prefactor = "kirchhoff",
+    error: float = 3e-3,
+    bounded: bool = True,
+) -> Array:
+    """Return what the lobe of `spectrum_map` gives at a few pairs of directions, `[pair, wavelength]`, in 1/sr.
+
+    Only the nodes that those pairs touch are filled, and those that the energy bound sums over, which are fewer and
+    at fewer wavelengths: the same numbers but for the rounding of single precision.
+
+    Args:
+        wi, wo: `[pair, 3]`; all else, and the errors, as in `spectrum_map`.
+    """
+    plan = _plan(tile, coherence, wavelengths_nm, error)
+    fresnel = reflectance(COSINES)
+    place = (wi[:, :2] + wo[:, :2] - plan.psi[0]) / plan.step
+    centre = np.floor(place + 0.5).astype(int)
+    # nodes about a centre stay neighbours in these lists, so the look-up of the whole table serves the small one
+    along_x, along_y = (np.unique(centre[:, axis, None] + np.arange(-1, 2)) for axis in (0, 1))
+    near = np.stack([np.searchsorted(along_x, centre[:, 0]), np.searchsorted(along_y, centre[:, 1])], axis=-1)
+    first, skip = _guard_nodes(len(plan.psi), plan.step, coherence.blur)
+    chosen = _guard_wavelengths(len(wavelengths_nm))
+    coarse, nm = plan.psi[first::skip], wavelengths_nm[chosen]
+    wanted = [(plan.psi[along_x], plan.psi[along_y], wavelengths_nm), (coarse, coarse, nm)]
+    table, *rest = plan.tables(wanted if bounded else wanted[:1])
+    lobe = plan.lobe(table, plan.psi, wavelengths_nm, fresnel, prefactor)
+    values = lobe.bare(wi, wo, near + (place - centre))
+    if not bounded:
+        return values
+    bound = plan.lobe(rest[0], coarse, nm, fresnel[:, chosen], prefactor)
+    guard = np.apply_along_axis(lambda g: np.interp(wavelengths_nm, nm, g), 2, energy_guard(bound, coherence.blur)[0])
+    lobe = replace(lobe, guard=guard)
+    return np.asarray(values * lobe.guard_at(wi) * lobe.guard_at(wo))
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """The nodes of a table and of what it is made from, before any of it is computed."""
+
+    tile: Tile
+    coherence: Coherence
+    sampling: Sampling
+    kappas: Array
+    highest: int
+    xi: Array
+    psi: Array
+    step: float
+    grid_error: float
+
+    def lobe(
+        self, table: NDArray[np.float32], psi: Array, wavelengths_nm: Array, fresnel: Array, prefactor: Prefactor
+    ) -> SpectrumMap:
+        """Return the lobe, not bounded, of a table on `psi`, with `fresnel` `[cosine, wavelength]`."""
+        return SpectrumMap(
+            wavelengths_nm=wavelengths_nm,
+            power=table,
+            psi_first=float(psi[0]),
+            psi_step=float(psi[1] - psi[0]),
+            xi_first=float(self.xi[0]),
+            xi_step=float(self.xi[1] - self.xi[0]),
+            reflectance=fresnel,
+            guard=np.ones((2, 1, len(wavelengths_nm))),
+            prefactor=prefactor,
+        )
+
+    def table(self, psi_x: Array, psi_y: Array, wavelengths_nm: Array) -> NDArray[np.float32]:
+        """Return B-spline coefficients `[psi_x, psi_y, xi, wavelength]`; one kappa node's lines in memory at a time."""
+        return self.tables([(psi_x, psi_y, wavelengths_nm)])[0]
+
+    def tables(self, wanted: list[tuple[Array, Array, Array]]) -> list[NDArray[np.float32]]:
+        """Return several tables from one computation of the lines; see `table`."""
+        surface = self.tile.surface_nm(self.sampling.samples_per_feature).astype(np.float32)
+        held = min(self.highest, (surface.shape[0] - 1) // 2)
+        basis = line_basis(surface.shape[0], held, np.float32) if 2 * held + 1 < FFT_SHARE * surface.shape[0] else None
+        parts = [_Part(self, held, *one) for one in wanted]
+        with one_thread_each():  # many small products
+            for q, kappa in enumerate(self.kappas):
+                power = line_power(surface, float(kappa), held, basis)
+                for part in parts:
+                    part.smooth_lines(q, power)
+        return [part.finish() for part in parts]
+
+
+class _Part:
+    """A table on its way: smoothed lines of each kappa node, then interpolated to xi and wavelength."""
+
+    def __init__(self, plan: _Plan, held: int, psi_x: Array, psi_y: Array, wavelengths_nm: Array) -> None:
+        self._plan, self._held, self._wavelengths = plan, held, wavelengths_nm
+        self._shape = (len(psi_x), len(psi_y))
+        blur, step, period = plan.coherence.blur, plan.step, plan.tile.period_nm
+        # the spline adds step^2/4 of variance, so the coefficients are smoothed by the rest
+        rest = float(np.sqrt(blur**2 - SPLINE_VARIANCE * step**2))
+        self._gain = np.float32(window_norm(plan.coherence) * (blur / rest) ** 2)
+        self._matrices = []
+        for wavelength in wavelengths_nm:
+            reach = min(held, int(np.ceil(period * (2.0 + 6.0 * blur) / wavelength)))
+            lines = period * rest / float(wavelength)
+            along_x = _rest_matrix(psi_x, reach, lines, rest, step)
+            along_y = along_x if psi_y is psi_x else _rest_matrix(psi_y, reach, lines, rest, step)
+            self._matrices.append((reach, _bands(along_x), _bands(along_y)))
+        count = len(wavelengths_nm), len(plan.kappas), *self._shape
+        self._smooth = np.empty(count, dtype=np.float32)
+
+    def smooth_lines(self, node: int, power: NDArray[np.float32]) -> None:
+        """Take up the lines of one kappa node."""
+        for k, (reach, along_x, along_y) in enumerate(self._matrices):
+            inner = slice(self._held - reach, self._held + reach + 1)
+            across = np.empty((self._shape[0], 2 * reach + 1), dtype=np.float32)
+            for rows, columns, block in along_x:
+                np.matmul(block, power[inner, inner][columns], out=across[rows])
+            for rows, columns, block in along_y:
+                self._smooth[k, node][:, rows] = self._gain * (across[:, columns] @ block.T)
+
+    def finish(self) -> NDArray[np.float32]:
+        """Return the table `[psi_x, psi_y, xi, wavelength]`."""
+        # interpolation over kappa and the spline's prefilter along xi are both small matrices: one product does both
+        kappas, xi = self._plan.kappas, self._plan.xi
+        filtering = spline_filter1d(np.eye(len(xi)), order=2, axis=0, mode="mirror")
+        weights = np.stack([filtering @ interpolation_weights(kappas, xi / w).T for w in self._wavelengths])
+        weights = weights.astype(np.float32)
+        smooth = self._smooth.reshape(*self._smooth.shape[:2], -1)
+        table = np.empty((smooth.shape[-1], len(xi), len(self._wavelengths)), dtype=np.float32)
+        for start in range(0, len(table), TABLE_BLOCK):
+            # in blocks that stay in cache: the transposition to wavelength-last is what costs here
+            block = weights @ smooth[:, :, start : start + TABLE_BLOCK]
+            table[start : start + TABLE_BLOCK] = block.transpose(2, 1, 0)
+        return table.reshape(*self._shape, len(xi), -1)
+
+
+def _bands(matrix: NDArray[np.float32]) -> list[tuple[slice, slice, NDArray[np.float32]]]:
+    """Cut a banded matrix `[direction, line]` into blocks of rows with the columns that they reach.
+
+    A direction is reached by the few lines within its Gaussian; the rest are zero to single precision.
+    """
+    blocks = []
+    least = NOTHING * float(np.abs(matrix).max(initial=0.0))
+    for start in range(0, len(matrix), BAND_ROWS):
+        rows = slice(start, min(start + BAND_ROWS, len(matrix)))
+        reached = np.flatnonzero(np.abs(matrix[rows]).max(axis=0) > least)
+        columns = slice(int(reached[0]), int(reached[-1]) + 1) if reached.size else slice(0, 1)
+        blocks.append((rows, columns, np.ascontiguousarray(matrix[rows, columns])))
+    return blocks
+
+
+def _plan(tile: Tile, coherence: Coherence, wavelengths_nm: Array, error: float) -> _Plan:
+    """Choose all nodes for a wanted error.
+
+    Raises:
+        UnsupportedError: see `spectrum_map`.
+    """
     shortest = float(wavelengths_nm[0])
     blur = coherence.blur
     height = max(tile.height_range_nm, 1e-3)
@@ -115,67 +286,9 @@ def spectrum_map(
     highest = int(np.ceil(tile.period_nm * (2.0 + 6.0 * blur) / shortest))
     sampling = choose_sampling(tile, kappa_high, highest, error)
     kappas = chebyshev_nodes(kappa_low, kappa_high, node_count(height, kappa_low, kappa_high, 10.0 * error))
-    table = _table(tile, sampling, kappas, highest, xi, wavelengths_nm, step, half, coherence)
-    cosines = np.linspace(0.0, 1.0, 65)
-    lobe = SpectrumMap(
-        wavelengths_nm=wavelengths_nm,
-        power=table,
-        psi_first=-half * step,
-        psi_step=step,
-        xi_first=float(xi[0]),
-        xi_step=xi_step,
-        reflectance=reflectance(cosines),
-        guard=np.ones((2, 1, len(wavelengths_nm))),
-        prefactor=prefactor,
-    )
-    excess: tuple[float, ...] = ()
-    if bounded:
-        guard, before = energy_guard(lobe, blur)
-        lobe, excess = replace(lobe, guard=guard), tuple(float(a) for a in before)
-    grid_error = 1e-3 * (step_in_blurs / PSI_STEP_AT_1E_3) ** 3
-    return lobe, MapReport(sampling, len(kappas), xi_nodes, 2 * half + 1, float(grid_error), excess)
-
-
-def _table(
-    tile: Tile,
-    sampling: Sampling,
-    kappas: Array,
-    highest: int,
-    xi: Array,
-    wavelengths_nm: Array,
-    step: float,
-    half: int,
-    coherence: Coherence,
-) -> NDArray[np.float32]:
-    """Return the B-spline coefficients `[psi_x, psi_y, xi, wavelength]`; one kappa node's lines in memory at a time."""
-    surface = tile.surface_nm(sampling.samples_per_feature).astype(np.float32)
-    held = min(highest, (surface.shape[0] - 1) // 2)
-    basis = line_basis(surface.shape[0], held, np.float32) if 2 * held + 1 < FFT_SHARE * surface.shape[0] else None
+    grid_error = float(1e-3 * (step_in_blurs / PSI_STEP_AT_1E_3) ** 3)
     psi: Array = np.arange(-half, half + 1, dtype=float) * step
-    # the spline adds step^2/4 of variance, so the coefficients are smoothed by the rest
-    rest = float(np.sqrt(coherence.blur**2 - SPLINE_VARIANCE * step**2))
-    gain = np.float32(window_norm(coherence) * (coherence.blur / rest) ** 2)
-    matrices = []
-    for wavelength in wavelengths_nm:
-        reach = min(held, int(np.ceil(tile.period_nm * (2.0 + 6.0 * coherence.blur) / wavelength)))
-        matrices.append(_rest_matrix(psi, reach, tile.period_nm * rest / float(wavelength), rest, step))
-    smooth = np.empty((len(wavelengths_nm), len(kappas), len(psi) ** 2), dtype=np.float32)
-    for q, kappa in enumerate(kappas):
-        power = line_power(surface, float(kappa), held, basis)
-        for k, matrix in enumerate(matrices):
-            reach = matrix.shape[1] // 2
-            inner = slice(held - reach, held + reach + 1)
-            smooth[k, q] = (gain * ((matrix @ power[inner, inner]) @ matrix.T)).ravel()
-    # interpolation over kappa and the spline's prefilter along xi are both small matrices: one product does both
-    filtering = spline_filter1d(np.eye(len(xi)), order=2, axis=0, mode="mirror")
-    weights = np.stack([filtering @ interpolation_weights(kappas, xi / w).T for w in wavelengths_nm])
-    weights = weights.astype(np.float32)
-    table = np.empty((len(psi) ** 2, len(xi), len(wavelengths_nm)), dtype=np.float32)
-    for start in range(0, len(table), TABLE_BLOCK):
-        # in blocks that stay in cache: the transposition to wavelength-last is what costs here
-        block = weights @ smooth[:, :, start : start + TABLE_BLOCK]
-        table[start : start + TABLE_BLOCK] = block.transpose(2, 1, 0)
-    return table.reshape(len(psi), len(psi), len(xi), -1)
+    return _Plan(tile, coherence, sampling, kappas, highest, xi, psi, step, grid_error)
 
 
 def _rest_matrix(psi: Array, highest: int, lines_per_rest: float, rest: float, step: float) -> NDArray[np.float32]:
@@ -204,13 +317,9 @@ def energy_guard(lobe: SpectrumMap, blur: float) -> tuple[Array, Array]:
     """
     from nacre.bsdf.lobes.spectrum_map_kernel import albedo_shares
 
-    count = len(lobe.wavelengths_nm)
-    # the albedo is smooth in wavelength: a few nodes are enough, the rest follows linearly
-    chosen = np.unique(np.linspace(0, count - 1, min(count, GUARD_WAVELENGTHS)).round().astype(int))
+    chosen = _guard_wavelengths(len(lobe.wavelengths_nm))
     wi = _guard_rows()
-    # a finer map is summed over every second or third node, which gives the same integrals; the middle one stays
-    skip = max(1, int(GUARD_PSI_STEP * blur / lobe.psi_step))
-    first = (len(lobe.power) // 2) % skip
+    first, skip = _guard_nodes(len(lobe.power), lobe.psi_step, blur)
     psi_first, psi_step = lobe.psi_first + first * lobe.psi_step, skip * lobe.psi_step
     shares = albedo_shares(
         np.ascontiguousarray(lobe.power[first::skip, first::skip, :, chosen]),
@@ -246,6 +355,17 @@ def energy_guard(lobe: SpectrumMap, blur: float) -> tuple[Array, Array]:
     by_cosine = before.reshape(-1, GUARD_AZIMUTHS, len(chosen)).max(axis=(1, 2))
     rows = wi[::GUARD_AZIMUTHS, 2]
     return full, np.interp(np.cos(np.radians(EXCESS_ANGLES_DEG)), rows, by_cosine)
+
+
+def _guard_wavelengths(count: int) -> NDArray[np.int64]:
+    """Which of `count` wavelengths the bound is computed at: the albedo is smooth, so the rest follows linearly."""
+    return np.unique(np.linspace(0, count - 1, min(count, GUARD_WAVELENGTHS)).round().astype(np.int64))
+
+
+def _guard_nodes(count: int, psi_step: float, blur: float) -> tuple[int, int]:
+    """The first node and the step of the sums over psi: a fine map's second or third nodes give the same integrals."""
+    skip = max(1, int(GUARD_PSI_STEP * blur / psi_step))
+    return (count // 2) % skip, skip  # the middle one stays
 
 
 def _apply(shares: NDArray[np.float32], guard: Array) -> Array:
