@@ -18,7 +18,7 @@ from nacre.families.registry import family_names, family_spec
 from nacre.matter.indices.spec import IndexSpec
 from nacre.recipe.keys import Key, find_key, keys_of, one_sentence, shared_tables, tables_below, toml_lines
 from nacre.recipe.model import RecipeModel
-from nacre.study.tables import StudySpec
+from nacre.recipe.tables import StudySpec
 
 WIDTH = 79
 MUST = "must be given"
