@@ -25,7 +25,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "evaluate": ("nacre.cli.show", "Evaluate the BSDF for given directions."),
     "plot": ("nacre.cli.show", "Draw a figure of a material."),
     "compile": ("nacre.cli.show", "Solve a recipe once and store the result as a .nacre file."),
-    "design": ("nacre.cli.make", "Find the relief that gives a wanted appearance."),
+    "design": ("nacre.cli.make", "Find the structure that gives a wanted appearance."),
     "fabricate": ("nacre.cli.make", "Write the files to make a design or a material."),
     "export": ("nacre.cli.exchange", "Write a material in another program's format."),
     "import": ("nacre.cli.exchange", "Read a measurement or another program's material into a recipe."),

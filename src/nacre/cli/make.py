@@ -22,21 +22,36 @@ TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "sheet")
 @common.cache_option
 @common.jobs_option
 def design(target: str, output: str | None, resume: bool, as_json: bool) -> None:
-    """Find the relief with the appearance that TARGET asks for; the best so far is always on disk."""
+    """Find the structure with the look that TARGET asks for; the best so far is always on disk.
+
+    TARGET holds [[want]] tables, for a film, pearl, metasurface or any other recipe, or a [target] table, for a
+    relief. Ctrl-C ends the search with the best answer so far.
+    """
     import os
 
-    from nacre.design.run import run
-    from nacre.exchange.calibration import PUBLISHED
+    from nacre.design.verb import run
     from nacre.files import check_writable
 
     folder = Path(output) if output else Path(Path(target).stem)
     check_writable(folder / "x") if folder.exists() else check_writable(folder)
     jobs = os.environ.get("NACRE_JOBS")
     with _Screen() as screen:
-        result = run(target, folder, resume=resume, progress=screen.show, jobs=int(jobs) if jobs else None)
+        result = run(target, folder, resume, screen.show, int(jobs) if jobs else None)
     if as_json:
         click.echo(json.dumps(result.summary, default=str))
+    if hasattr(result, "solutions"):
+        _tell_wants(result, as_json)
     else:
+        _tell_relief(result, target, as_json)
+    if "interrupted" in (result.summary.get("status"), result.summary.get("interrupted") and "interrupted"):
+        raise KeyboardInterrupt
+
+
+def _tell_relief(result: Any, target: str, as_json: bool) -> None:
+    """Say what a relief's design came to, and what to do with it."""
+    from nacre.exchange.calibration import PUBLISHED
+
+    if not as_json:
         s = result.summary
         click.echo(
             f"loss {s['loss_fixed']:.5f} at the fixed scale, {s['loss_free']:.5f} at the best one "
@@ -46,13 +61,27 @@ def design(target: str, output: str | None, resume: bool, as_json: bool) -> None
     if curve and curve != PUBLISHED:
         curve = Path(target).parent / curve
     target_format = f"png16 --calibration {curve}" if curve else "png16"
-    common.note(f"{folder}: nacre render {folder}; nacre fabricate {folder} --to {target_format}")
-    if result.summary.get("interrupted"):
-        raise KeyboardInterrupt
+    common.note(f"{result.folder}: nacre render {result.folder}; nacre fabricate {result.folder} --to {target_format}")
+
+
+def _tell_wants(result: Any, as_json: bool) -> None:
+    """Say what a design by wants came to: the outcome in words, and each answer in a line."""
+    if not as_json:
+        click.echo(f"{result.message} ({result.seconds:.1f} s)")
+        for number, solution in enumerate(result.solutions, start=1):
+            worst = solution.worst
+            share = solution.yield_share
+            made = "" if share is None else f", yield {100 * share:.0f} %"
+            total = solution.facts.get("total_nm")
+            thick = "" if total is None else f", {total:.0f} nm in all"
+            distance = f"{worst.distance:.2f}" + (" % rms" if worst.lamp is None else "")
+            click.echo(f"  {number}  {'dE00 ' if worst.lamp else ''}{distance} at {worst.want.at}{thick}{made}"
+                       f"   {solution.recipe.parent}")  # fmt: skip
+    common.note(f"{result.folder}: report.html; nacre render {result.folder}; nacre report {result.folder}")
 
 
 class _Screen:
-    """One line on the terminal that follows a design: loss, iteration, time left."""
+    """One line on the terminal that follows a design: the worst want or the loss, time left."""
 
     def __init__(self) -> None:
         from rich.console import Console
@@ -71,7 +100,12 @@ class _Screen:
 
     def show(self, progress: Any) -> None:
         """Show the progress of the search."""
-        if self._status:
+        if self._status and hasattr(progress, "worst"):
+            self._status.update(
+                f"worst {progress.worst:.3g} of what was asked (1 is within), {progress.seconds:.0f} s, "
+                f"{progress.seconds_left:.0f} s left"
+            )
+        elif self._status:
             left = "" if progress.seconds_left is None else f", {progress.seconds_left:.0f} s left"
             stage = f"{progress.stage} ({progress.stage_number} of {progress.stage_count})"
             self._status.update(

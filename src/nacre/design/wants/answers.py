@@ -94,9 +94,9 @@ def write_recipe(
             text = edit_toml(start.context.text, {**all_changes, **moved}, start.context.source)
             if parse_toml(text, RECIPE) != parse_toml(dump_toml(data), RECIPE):
                 text = ""  # a list that became another kind of list may have slipped into another table
-    path = folder / RECIPE
-    write_text(path, text or dump_toml(data))
-    return path, [RECIPE, *copied]
+    recipe = folder / RECIPE
+    write_text(recipe, text or dump_toml(data))
+    return recipe, [RECIPE, *copied]
 
 
 def _bring(

@@ -89,14 +89,19 @@ def _free(path: str, entry: Any, material: Material, where: str) -> Free:
         raise RecipeError(
             f"{where} = {show_value(entry)} should be [low, high], {{min = ..., max = ...}} or {{choices = [...]}}"
         )
-    if not all(isinstance(b, int | float) and not isinstance(b, bool) and math.isfinite(b) for b in (low, high)):
+    if not (_is_number(low) and _is_number(high)):
         raise RecipeError(f"{where} = {show_value(entry)} should hold two numbers")
+    low, high = float(low), float(high)  # type: ignore[arg-type]  # both are numbers
     if not low < high:
         raise RecipeError(f"{where} = {show_value(entry)}: the bounds cross; the first should be below the second")
     value = _given(material, path)
     if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
         raise RecipeError(f"{where}: the recipe's value {show_value(value)} is not a number; write choices = [...]")
-    return _tried(path, float(low), float(high), material, where)
+    return _tried(path, low, high, material, where)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _tried(path: str, low: float, high: float, material: Material, where: str) -> Free:

@@ -129,6 +129,11 @@ class GeneralSearch:
             return "interrupted"
         return "met" if self.best <= MET else "exhausted"
 
+    def answers(self) -> list[tuple[float, dict[str, Any]]]:
+        """Return answers that differ from one another, the best first."""
+        self.pool.offer(self.best, self.best_values)
+        return list(self.pool.answers)
+
     def spectra(self, place: Array) -> Array:
         """Return `[row, wavelength]` of a candidate.
 
@@ -244,7 +249,7 @@ class GeneralSearch:
 
         place = start.copy()
         weights = np.ones(len(self.goals.terms))
-        sizes = self._block_sizes()
+        sizes: Any = self._block_sizes()
         last = np.inf
         for _ in range(1 + (WEIGHTINGS if len(weights) > 1 else 0)):
             spread = np.repeat(weights, sizes)

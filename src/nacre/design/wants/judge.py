@@ -77,7 +77,7 @@ class Reached:
             assert self.asked_lab is not None
             found |= {
                 "asked_lab": self.asked_lab.tolist(),
-                "asked_colour": lab_hex(self.asked_lab, white),
+                "asked_colour": self.want.asked.get("colour") or lab_hex(self.asked_lab, white),
                 "reached": {"lab": self.lab.tolist(), "colour": lab_hex(self.lab, white)},
                 "de00": self.distance,
             }

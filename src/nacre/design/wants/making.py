@@ -72,7 +72,7 @@ def _costs(
     material: Material, spreads: Sequence[Spread], wants: Sequence[Want], grid: Array, goals: Goals, seed: int
 ) -> list[dict[str, Any]]:
     """Return how far one standard deviation of each number moves the looks, the farthest first."""
-    found = []
+    found: list[dict[str, Any]] = []
     for spread in spreads:
         sigma = spread.standard_deviation
         moved = _moved(material, spread.path, spread.nominal, sigma, wants, grid, goals, seed)

@@ -88,10 +88,12 @@ def read_target(target: str | Path | Mapping[str, Any]) -> Target:
     wants = read_wants(spec.want, spec.light, context)
     if spec.layers is not None:
         check_layers(spec.layers, base, source)
-    for path in by_path(spec.free, {"min", "max", "choices"}, source, "free"):
-        word = path.partition("[")[0].partition(".")[0]
+    for free_path in by_path(spec.free, {"min", "max", "choices"}, source, "free"):
+        word = free_path.partition("[")[0].partition(".")[0]
         if spec.layers is not None and word == "layers":
-            raise RecipeError(f'{source}: free."{path}" names a layer, but [layers] seeks the stack itself; keep one')
+            raise RecipeError(
+                f'{source}: free."{free_path}" names a layer, but [layers] seeks the stack itself; keep one'
+            )
     free = read_free(spec.free, base, source)
     if not free and spec.layers is None:
         raise RecipeError(f"{source}: nothing is free; add a [free] table, or [layers] to seek a film's stack")

@@ -78,7 +78,7 @@ class Want:
             row: of the want's geometry among the spectra.
             wavelengths_nm: of those spectra.
         """
-        often = {"within": self.within, "weight": self.weight}
+        often: dict[str, Any] = {"within": self.within, "weight": self.weight}
         if self.spectrum is not None:
             nm, values = self.spectrum
             wanted = np.interp(wavelengths_nm, nm, values, left=np.nan, right=np.nan)
@@ -149,10 +149,11 @@ def _want(spec: WantSpec, key: str, context: RecipeContext) -> Want:
     elif spec.lch is not None:
         found["lab"] = _plausible(np.asarray(lch_to_lab(spec.lch)), f"{key}.lch", spec.lch)
     elif spec.xyz is not None or spec.xyy is not None:
-        name, given = ("xyz", spec.xyz) if spec.xyz is not None else ("xyy", spec.xyy)
-        if min(given) < 0:  # type: ignore[type-var]  # one of the two is given
-            raise RecipeError(f"{key}.{name} = {show_value(list(given or ()))} holds a negative number")
-        found["xyz"] = np.array(given) if name == "xyz" else np.asarray(xyy_to_xyz(given))  # type: ignore[arg-type]  # as above
+        name = "xyz" if spec.xyz is not None else "xyy"
+        given = spec.xyz or spec.xyy or (0.0, 0.0, 0.0)
+        if min(given) < 0:
+            raise RecipeError(f"{key}.{name} = {show_value(list(given))} holds a negative number")
+        found["xyz"] = np.array(given) if name == "xyz" else np.asarray(xyy_to_xyz(given))
     elif spec.spectrum is not None:
         found["spectrum"] = _spectrum(spec.spectrum, f"{key}.spectrum", context)
     else:
