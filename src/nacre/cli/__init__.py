@@ -26,6 +26,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "plot": ("nacre.cli.show", "Draw a figure of a material."),
     "compile": ("nacre.cli.show", "Solve a recipe once and store the result as a .nacre file."),
     "design": ("nacre.cli.make", "Find the structure that gives a wanted appearance."),
+    "gamut": ("nacre.cli.make", "Show the colours that free numbers can reach."),
     "fabricate": ("nacre.cli.make", "Write the files to make a design or a material."),
     "export": ("nacre.cli.exchange", "Write a material in another program's format."),
     "import": ("nacre.cli.exchange", "Read a measurement or another program's material into a recipe."),

@@ -25,6 +25,7 @@ MUST = "must be given"
 # kinds of files beside recipes -> what reads them
 OTHER_FILES = {
     "target": "nacre.design.spec:TargetSpec",
+    "wants": "nacre.design.wants.spec:WantsSpec",
     "sweep": "nacre.study.plan:SweepSpec",
     "gallery": "nacre.cli.gallery:GallerySpec",
 }
@@ -86,7 +87,7 @@ def editor_schema(name: str | None = None) -> dict[str, Any]:
     if name is not None:
         found = kind(name)
         return json_schema(found.models, TextureSpec, is_recipe=found.is_recipe)
-    files = [kind(other) for other in (*family_names(), "target", "sweep")]
+    files = [kind(other) for other in (*family_names(), "target", "wants", "sweep")]
     return one_of_files({found.name: editor_schema(found.name) for found in files})
 
 

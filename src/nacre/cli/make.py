@@ -115,6 +115,69 @@ class _Screen:
 
 
 @click.command()
+@click.argument("recipe")
+@click.option(
+    "--free", "free", multiple=True, metavar="PATH=A:B", help="What may change: bounds, or choices as PATH=Al,Ag."
+)
+@click.option(
+    "--at",
+    default="specular 0",
+    show_default=True,
+    help="Where it is seen: specular T, transmitted T, diffuse T, hemispherical T or IasA.",
+)
+@click.option("--points", type=click.IntRange(8, 1_000_000), default=1000, show_default=True, help="Materials tried.")
+@click.option("--within", type=float, default=2.0, show_default=True, help="dE00 within which a colour is reached.")
+@click.option("--illuminant", default="D65", show_default=True)
+@click.option("--observer", type=click.Choice(["2deg", "10deg"]), default="10deg", show_default=True)
+@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help="Random walks a direction (pearls).")
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print every point with its colour and its structure.")
+@click.option("-o", "output", default=None, metavar="FILE.png|.json|.html", help="Default: RECIPE-gamut.png.")
+@common.set_option
+@common.cache_option
+@common.jobs_option
+def gamut(
+    recipe: str, free: tuple[str, ...], at: str, points: int, within: float, illuminant: str, observer: str,
+    samples: int | None, seed: int, as_json: bool, output: str | None, changes: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Show the colours that the free numbers of RECIPE can reach, in a*b* and xy, and their share of all colours."""
+    from nacre.design.wants.gamut import find_gamut, gamut_chart, gamut_page, parse_free
+    from nacre.files import check_writable, write_text
+
+    path = Path(output) if output else None if as_json else Path(f"{Path(recipe).resolve().stem}-gamut.png")
+    if path is not None:
+        if path.suffix not in (".png", ".pdf", ".svg", ".json", ".html"):
+            raise NacreError(f"-o {path}: the suffix must be .png, .pdf, .svg, .json or .html")
+        check_writable(path)
+    material = common.load_material(recipe, changes)
+    found = find_gamut(
+        material, parse_free(free), at, points=points, illuminant=illuminant, observer=observer, within=within,
+        samples=samples, seed=seed,
+    )  # fmt: skip
+    if path is not None:
+        if path.suffix == ".json":
+            write_text(path, json.dumps(found.document(), indent=1) + "\n")
+        elif path.suffix == ".html":
+            write_text(path, gamut_page(found, material.name))
+        else:
+            from nacre.plot import save_figure
+
+            save_figure(gamut_chart(found, title=f"{material.name}, {found.at}"), path, {"recipe": material.text})
+    if as_json:
+        click.echo(json.dumps(found.document()))
+    else:
+        low, high = found.lab.min(axis=0), found.lab.max(axis=0)
+        click.echo(f"{material.name}: {found.at}, {illuminant}, {observer} observer, {len(found.lab)} points")
+        click.echo("  " + ", ".join(f"{n} {a:.0f} to {b:.0f}" for n, a, b in zip(("L*", "a*", "b*"), low, high)))
+        click.echo(f"  within dE00 {within:g}: {100 * found.share_of_srgb:.1f} % of the colours of sRGB, "
+                   f"{100 * found.share_of_optimal:.1f} % of the optimal colours")  # fmt: skip
+        if found.failed:
+            click.echo(f"  {found.failed} points could not be computed")
+    if path is not None:
+        common.note(str(path))
+
+
+@click.command()
 @click.argument("source", metavar="DESIGN_DIR|RECIPE")
 @click.option("--to", "target", required=True, type=click.Choice(TARGETS))
 @click.option("-o", "output", default=None, metavar="FILE", help="Default: SOURCE-TO and the suffix.")
@@ -170,4 +233,4 @@ def _tell_curve(beside: Path) -> None:
     )
 
 
-commands = {"design": design, "fabricate": fabricate}
+commands = {"design": design, "fabricate": fabricate, "gamut": gamut}
