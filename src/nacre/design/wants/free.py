@@ -19,7 +19,6 @@ from nacre.recipe.paths import expand_path
 from nacre.recipe.tables import by_path, known_only
 
 MOST_FREE = 200
-FAR = 0.2  # answers that differ in a number by more than this share of it are different answers
 
 
 @dataclass(frozen=True)
@@ -151,17 +150,6 @@ def values_at(free: Sequence[Free], place: Array) -> dict[str, Any]:
     return {number.path: number.value(unit) for number, unit in zip(free, place, strict=True)}
 
 
-def are_different(free: Sequence[Free], one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Whether two answers are different: another word, or a number off by more than a fifth."""
-    for number in free:
-        mine, theirs = one[number.path], other[number.path]
-        if number.choices and mine != theirs:
-            return True
-        if not number.choices and abs(mine - theirs) > FAR * max(abs(mine), abs(theirs)):
-            return True
-    return False
-
-
 def spreads_of(table: Any, material: Material, source: str) -> tuple[Spread, ...]:
     """Read a `[spread]` table for one material, whose numbers the percentages are of.
 
@@ -175,4 +163,4 @@ def spreads_of(table: Any, material: Material, source: str) -> tuple[Spread, ...
     return tuple(found.values())
 
 
-__all__ = ["Free", "are_different", "own_place", "read_free", "spreads_of", "values_at"]
+__all__ = ["Free", "own_place", "read_free", "spreads_of", "values_at"]

@@ -16,7 +16,8 @@ import numpy as np
 
 from nacre.arrays import Array
 from nacre.design.goals import Goals
-from nacre.design.wants.free import Free, are_different, own_place, values_at
+from nacre.design.wants.alike import are_alike
+from nacre.design.wants.free import Free, own_place, values_at
 from nacre.design.wants.geometry import At, search_wavelengths, see
 from nacre.design.wants.spec import LightSpec
 from nacre.design.wants.wanted import Want, goals_of
@@ -46,7 +47,6 @@ class TimeIsUp(Exception):
 class Pool:
     """Answers that differ from one another, the best first: values by path, and the objective of each."""
 
-    free: Sequence[Free]
     most: int
     answers: list[tuple[float, dict[str, Any]]] = field(default_factory=list)
 
@@ -54,7 +54,7 @@ class Pool:
         """Take an answer if it is new, or better than the one that it is like."""
         if not np.isfinite(objective) or objective >= FAR_OFF:
             return
-        like = [a for a in self.answers if not are_different(self.free, a[1], values)]
+        like = [a for a in self.answers if are_alike(a[1], values)]
         if any(a[0] <= objective for a in like):
             return
         kept = [a for a in self.answers if not any(a is other for other in like)]
@@ -82,7 +82,7 @@ class GeneralSearch:
         widest = material.vary({n.path: n.high for n in free if not n.choices}) if self._widest_works() else material
         self.grid = search_wavelengths(widest, light.illuminants)
         self.goals: Goals = goals_of(self.wants, self.rows, light, self.grid)
-        self.pool = Pool(self.free, POOL * solutions)
+        self.pool = Pool(POOL * solutions)
         self.samples: int | None = None
         self.is_stochastic = False
         self.evaluations = 0
