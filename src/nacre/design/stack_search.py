@@ -7,6 +7,7 @@ best of all before. Materials, order and count change by breeding, thicknesses b
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -65,11 +66,12 @@ class StackSolution:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a search is: seconds, stacks begun, and the best objective so far (coarse grid)."""
+    """How far a search is: seconds, stacks begun, the best objective so far (coarse grid), and what names its stack."""
 
     seconds: float
     children: int
     objective: float
+    solution: Callable[[], StackSolution]
 
 
 @dataclass
@@ -258,7 +260,8 @@ def _explore(engine: _Engine, seconds: float, seed: int, on_progress: Any, stop:
             spent = time.monotonic() - begun
             best = min(island.best, min((c.score for c in done), default=np.inf))
             if on_progress is not None:
-                on_progress(Progress(spent, children, best))
+                near = min([*island.ordered()[:1], *done], key=lambda c: c.score)
+                on_progress(Progress(spent, children, best, functools.partial(engine.solution, near)))
             if spent >= 0.97 * seconds or (stop is not None and stop()):
                 break
             if island.best <= REACHED and _is_reached(engine, island.ordered()[0]):

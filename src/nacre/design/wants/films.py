@@ -28,8 +28,7 @@ from nacre.design.wants.wanted import Want, goals_of
 from nacre.errors import RecipeError
 from nacre.families.film.material import Film
 from nacre.materials.material import Material
-from nacre.materials.spreads import Spread
-from nacre.matter.stack import powers
+from nacre.matter.stack.solve import powers
 from nacre.recipe.model import LENGTH_UNITS_NM
 from nacre.recipe.tables import by_path
 
@@ -67,12 +66,14 @@ class StackSearch:
         self._known = [(self._objective(changes), dict(changes)) for changes in known]
         best = min((o for o, _ in self._known), default=np.inf)
         begun = time.monotonic()
+        told: list[Any] = [np.inf, {}]  # the best that was told
 
         def show(progress: Any) -> None:
             if tell is not None:
-                solution = getattr(progress, "solution", None)
-                changes = self.changes(solution()) if solution is not None else {}
-                tell(min(progress.objective, best), changes)
+                if progress.objective < told[0]:
+                    told[0] = progress.objective
+                    told[1] = self.changes(progress.solution()) if progress.objective < best else {}
+                tell(min(progress.objective, best), told[1])
 
         with interrupt_flag() as is_interrupted:
             found = search(self.problem, seconds, self.target.spec.search.solutions, self.seed, show, is_interrupted)
@@ -320,18 +321,19 @@ def stack_factors(
 
 
 def drawn_factors(
-    material: Material, spreads: Sequence[Spread], values: Array, rows: Sequence[At], wavelengths_nm: Array
+    material: Material, paths: Sequence[str], values: Array, rows: Sequence[At], wavelengths_nm: Array
 ) -> Array | None:
-    """Return the factors `[draw, row, wavelength]` of draws of thicknesses, or None where the spreads are of others.
+    """Return the factors `[draw, row, wavelength]` of draws of thicknesses, or None where the paths are of others.
 
     Args:
-        values: `[draw, spread]`.
+        paths: of the numbers that vary.
+        values: `[draw, path]`.
     """
     if not is_plain(material):
         return None
     d = np.repeat([[layer.thickness_at() for layer in _film(material).layers]], len(values), axis=0)
-    for spread, column in zip(spreads, values.T, strict=True):
-        match = _SPREAD.match(spread.path)
+    for path, column in zip(paths, values.T, strict=True):
+        match = _SPREAD.match(path)
         if match is None or match[1] == "*":
             return None
         d[:, int(match[1])] = column * LENGTH_UNITS_NM[match[2]]

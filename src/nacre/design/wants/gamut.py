@@ -161,22 +161,34 @@ def find_gamut(
     numbers = read_free(dict(free), material, source)
     if not numbers:
         raise RecipeError(f"{source}: nothing is free; use --free PATH=LOW:HIGH")
-    middle = _tried(material, numbers)
-    check_answers([material, *middle], [where], [f"{source}: at"])
-    widest = middle[-1] if middle else material
-    grid = search_wavelengths(widest, [illuminant])
+    check_answers([material, *_tried(material, numbers)], [where], [f"{source}: at"])
+    return gamut_of_free(
+        material, numbers, where, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
+        within=within, samples=samples, seed=seed, progress=progress,
+    )  # fmt: skip
+
+
+def gamut_of_free(
+    material: Material, numbers: Sequence[Free], at: At, *, points: int, seconds: float = np.inf, illuminant: str,
+    observer: str, within: float = 2.0, samples: int | None = None, seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Gamut:  # fmt: skip
+    """As `find_gamut`, of numbers and a geometry that are checked already.
+
+    Raises:
+        NacreError: no point can be computed.
+    """
+    grid = search_wavelengths([material, *_tried(material, numbers)][-1], [illuminant])
 
     def look(values: Mapping[str, Any]) -> Array:
-        return see(material.vary(values), [where], grid, samples=samples, seed=seed).factors[0]
+        return see(material.vary(values), [at], grid, samples=samples, seed=seed).factors[0]
 
-    places, factors, failed = _draw(
-        numbers, look, material, points, seconds, seed, grid, (illuminant, observer), progress
-    )
+    light = (illuminant, observer)
+    places, factors, failed = _draw(numbers, look, material, points, seconds, seed, grid, light, progress)
     if not len(factors):
-        raise NacreError(f"{source}: no point of the gamut can be computed")
-    return gamut_of(
-        factors, grid, [values_at(numbers, p) for p in places], str(where), illuminant, observer, within, failed
-    )
+        raise NacreError(f"{material.context.source}: no point of the gamut can be computed")
+    structures = [values_at(numbers, place) for place in places]
+    return gamut_of(factors, grid, structures, str(at), illuminant, observer, within, failed)
 
 
 def gamut_of(
@@ -411,4 +423,4 @@ def gamut_page(found: Gamut, name: str) -> str:
     )
 
 
-__all__ = ["Gamut", "find_gamut", "gamut_of", "parse_free"]
+__all__ = ["Gamut", "find_gamut", "gamut_chart", "gamut_of", "gamut_of_free", "gamut_page", "gamut_svg", "parse_free"]

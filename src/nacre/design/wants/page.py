@@ -6,6 +6,7 @@ import base64
 import html
 import io
 import json
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,8 +15,10 @@ import numpy as np
 
 from nacre.arrays import Array
 from nacre.design.wants.answers import Solution
+from nacre.design.wants.gamut import gamut_chart, gamut_svg
 from nacre.design.wants.geometry import At, search_wavelengths, see
 from nacre.design.wants.judge import Reached, rows_of
+from nacre.design.wants.reach import reach_of_or_none
 from nacre.design.wants.target import Target
 from nacre.errors import NacreError, UnsupportedError
 from nacre.files import write_text
@@ -33,14 +36,15 @@ ASPECULAR_DEG = np.array([-15.0, 0.0, 15.0, 25.0, 35.0, 45.0, 60.0, 75.0, 90.0, 
 DPI = 170
 
 
-def write_page(folder: Path, target: Target, design: Any, gamut: Figure | None = None) -> None:
+def write_page(folder: Path, target: Target, design: Any, seconds: float) -> None:
     """Write report.html and report.png.
 
     Args:
         folder: of the design.
         target: what was asked.
         design: the `Design`.
-        gamut: what can be reached, as a figure; None leaves it out.
+        seconds: time for it; answers behind the first go without their pictures, and the page without its gamut, where
+            it is short.
 
     Raises:
         NacreError: the folder cannot be written.
@@ -48,12 +52,16 @@ def write_page(folder: Path, target: Target, design: Any, gamut: Figure | None =
     from nacre.plot import save_figure
     from nacre.plot.designs import design_figure
 
+    begun = time.monotonic()
     sections = []
     for number, solution in enumerate(design.solutions, start=1):
-        figure = design_figure(sheet_of(target, solution, number, design))
+        picture = ""
+        if number == 1 or time.monotonic() - begun < 0.5 * seconds:
+            figure = design_figure(sheet_of(target, solution, number, design))
+            picture = _data_uri(figure)
         if number == 1:
             save_figure(figure, folder / PICTURE, {"target": target.fingerprint})
-        sections.append(_section(number, solution, _data_uri(figure), folder, target))
+        sections.append(_section(number, solution, picture, folder, target))
     body = [
         f"<h1>{html.escape(target.name)}</h1>",
         f'<p class="{"good" if design.status == "met" else "far"}">{html.escape(_capital(design.message))}.</p>',
@@ -61,8 +69,7 @@ def write_page(folder: Path, target: Target, design: Any, gamut: Figure | None =
         _overview(design.solutions),
         *sections,
     ]
-    if gamut is not None:
-        body += ["<h2>What can be reached</h2>", f'<img alt="gamut" src="{_data_uri(gamut)}">']
+    body += _gamut(target, 0.7 * seconds - (time.monotonic() - begun))
     text = html.escape(
         target.context.text or json.dumps(target.spec.model_dump(exclude_none=True), indent=2, default=str)
     )
@@ -215,9 +222,28 @@ def _section(number: int, solution: Solution, picture: str, folder: Path, target
     return (
         f'<h2 id="answer-{number}">Answer {number} <span class="small">{"recipe.toml" if where == "." else where}'
         f"</span></h2>{''.join(rows)}</table>{said}{thick}"
-        f'<img alt="sheet of answer {number}" src="{picture}">'
+        + (f'<img alt="sheet of answer {number}" src="{picture}">' if picture else "")
         + (f"<details><summary>numbers</summary><ul>{''.join(made)}</ul></details>" if made else "")
     )
+
+
+def _gamut(target: Target, seconds: float) -> list[str]:
+    """Return what can be reached at the first colour that is wanted, as parts of the page."""
+    if seconds <= 0.0:
+        return []
+    found = reach_of_or_none(target, seconds)
+    if found is None:
+        return []
+    gamut, wanted = found
+    facts = (
+        f"{html.escape(gamut.at)}, {gamut.illuminant}: within dE00 {gamut.within:g} of one of {len(gamut.lab)} colours "
+        f"that the free numbers make lie {100 * gamut.share_of_srgb:.2g} % of the colours of sRGB and "
+        f"{100 * gamut.share_of_optimal:.2g} % of the optimal colours (solid line), which no surface goes beyond. Let "
+        "the pointer rest on a point to see its structure; crosses are what was wanted."
+    )
+    chart = f'<img alt="what can be reached" src="{_data_uri(gamut_chart(gamut, wanted))}">'
+    details = f"<details><summary>structures</summary>{gamut_svg(gamut, wanted)}</details>"
+    return [f"<h2>What can be reached</h2><p>{facts}</p>", chart, details]
 
 
 def _lab(lab: Array) -> str:

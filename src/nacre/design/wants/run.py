@@ -33,7 +33,8 @@ from nacre.recipe.paths import numbers_of
 STATE = "search.json"
 WRITE_EVERY_S = 2.0
 # kept back from the time for judging and the report
-CLOSING_SHARE, CLOSING_MOST_S = 0.25, 12.0
+CLOSING_SHARE, CLOSING_S, CLOSING_OF_EACH_S = 0.3, 2.0, 0.8
+LEAST_PAGE_S = 1.0
 RESUMED_SEED = 1_000_003  # a search that goes on draws anew
 
 
@@ -125,7 +126,7 @@ def run(
     search = search_of(read, read.spec.search.seed + RESUMED_SEED * runs)
     keeper = _Keeper(folder, read, begun, runs + 1, progress)
     total = read.spec.search.seconds
-    closing = min(CLOSING_SHARE * total, CLOSING_MOST_S)
+    closing = min(CLOSING_SHARE * total, CLOSING_S + CLOSING_OF_EACH_S * read.spec.search.solutions)
     ended = search.run(max(total - closing - (time.monotonic() - begun), 0.1), keeper.tell, known)
     found = search.answers()
     if not found:
@@ -315,7 +316,8 @@ def _report(
 
     if ended != "interrupted":
         with contextlib.suppress(KeyboardInterrupt):
-            write_page(folder, target, design)
+            left = target.spec.search.seconds - (time.monotonic() - begun)
+            write_page(folder, target, design, max(left, LEAST_PAGE_S))
         summary["seconds"] = round(time.monotonic() - begun, 3)
         keeper.write(summary)
     return replace(design, seconds=summary["seconds"])
