@@ -114,9 +114,9 @@ class GeneralSearch:
         self._deadline, self._tell = begun + seconds, tell
         try:
             self._settle_samples(seconds)
-            places = self._scout(begun + SCOUT_SHARE * seconds, known)
             if not self._numbers:
                 self._rest_of_choices()
+            places = self._scout(begun + SCOUT_SHARE * seconds, known) if self._numbers else []
             for start in self._starts(places):
                 self._refine(start)
                 if self.best <= MET and len(self.pool.answers) >= self.pool.most // POOL:

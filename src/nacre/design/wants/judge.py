@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from nacre.arrays import Array
-from nacre.design.goals import hue_excess
 from nacre.design.wants.geometry import At, Seen, judge_wavelengths, see
 from nacre.design.wants.spec import LightSpec
 from nacre.design.wants.wanted import Want
@@ -34,7 +33,8 @@ from nacre.materials.material import Material
 JUDGE_SEED = 0x5EED  # walks of the judge are not those of the search
 QUIET_SHARE = 0.1  # of `within`: the noise that a judgement may have
 FEWEST_WALKS, MOST_WALKS = 4, 256
-BOX_POINTS = 25  # a side, of the search for the nearest colour of a range
+BOX_POINTS, BOX_ROUNDS = 49, 4  # a side, of the search for the nearest colour of a range; each closes in
+FREE_HUE_DEG = 60.0  # a colour of another chroma is not sought further round
 
 
 @dataclass(frozen=True)
@@ -176,37 +176,35 @@ def nearest_in_ranges(lab: Array, ranges: dict[str, tuple[float | None, float | 
     Example: (50, 20, 0) itself where only a chroma of 10 or more is wanted.
     """
     lightness, chroma, hue = (float(v) for v in lab_to_lch(lab))
-    low, high = _ends(ranges.get("lightness"), lightness)
-    lights = [min(max(lightness, low), high)]
-    low, high = _ends(ranges.get("chroma"), chroma)
+    low, high = _ends(ranges.get("lightness"))
+    light = min(max(lightness, low), high)  # apart from the others in dE00
+    low, high = _ends(ranges.get("chroma"))
     held = min(max(chroma, low), high)
-    if "chroma" not in ranges:
-        low, high = 0.0, np.inf
-    wanted = ranges.get("hue")
-    hues, free_hue = [hue], wanted is None
-    if wanted is not None:
-        start, stop = float(wanted[0] or 0.0), float(wanted[1] or 0.0)
-        if float(hue_excess(start, stop, np.array(hue))[0]) > 0.0:
-            hues = [start, stop]
-    chromas = np.array([held])
-    # another chroma, and where the hue is free another hue, may lie nearer than the straight way
-    if hues != [hue]:
-        chromas = np.unique(np.clip(np.linspace(0.0, 1.5 * max(chroma, held), 4 * BOX_POINTS), low, min(high, 1e3)))
-    elif held != chroma:
-        turns = hue + np.linspace(-30.0, 30.0, 4 * BOX_POINTS + 1)
-        hues = [t for t in turns if free_hue or _inside(wanted, t)] or [hue]
-    box = np.stack(np.meshgrid(lights, chromas, hues, indexing="ij"), axis=-1).reshape(-1, 3)
-    candidates = np.asarray(lch_to_lab(box))
-    return candidates[int(np.argmin(delta_e_2000(candidates, lab)))]
+    start, width = hue - FREE_HUE_DEG, 2.0 * FREE_HUE_DEG
+    is_inside = True
+    if "hue" in ranges:
+        start, stop = (float(end or 0.0) for end in ranges["hue"])
+        width = 360.0 if stop - start >= 360.0 else (stop - start) % 360.0
+        is_inside = (hue - start) % 360.0 <= width
+    if is_inside and held == chroma:
+        return np.asarray(lch_to_lab([light, chroma, hue]))
+    # neither the hue nor the chroma of the nearest colour need be an end of its range
+    chromas, hues = np.array([max(low, 0.0), min(high, 2.0 * held + 60.0)]), np.array([start, start + width])
+    best = lab
+    for _ in range(BOX_ROUNDS):
+        c, h = (np.linspace(ends[0], ends[1], BOX_POINTS) for ends in (chromas, hues))
+        box = np.stack(np.meshgrid([light], c, h, indexing="ij"), axis=-1).reshape(-1, 3)
+        candidates = np.asarray(lch_to_lab(box))
+        at = int(np.argmin(delta_e_2000(candidates, lab)))
+        best = candidates[at]
+        steps = 2.0 * np.array([np.ptp(chromas), np.ptp(hues)]) / (BOX_POINTS - 1)
+        chromas = np.clip(box[at, 1] + steps[0] * np.array([-1.0, 1.0]), *chromas)
+        hues = np.clip(box[at, 2] + steps[1] * np.array([-1.0, 1.0]), *hues)
+    return best
 
 
-def _inside(wanted: tuple[float | None, float | None] | None, hue: float) -> bool:
-    assert wanted is not None
-    return float(hue_excess(float(wanted[0] or 0.0), float(wanted[1] or 0.0), np.array(hue))[0]) <= 0.0
-
-
-def _ends(bounds: tuple[float | None, float | None] | None, value: float) -> tuple[float, float]:
-    low, high = bounds if bounds is not None else (value, value)
+def _ends(bounds: tuple[float | None, float | None] | None) -> tuple[float, float]:
+    low, high = bounds if bounds is not None else (None, None)
     return (-np.inf if low is None else low), (np.inf if high is None else high)
 
 

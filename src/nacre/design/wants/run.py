@@ -33,7 +33,7 @@ from nacre.recipe.paths import numbers_of
 STATE = "search.json"
 WRITE_EVERY_S = 2.0
 # kept back from the time for judging and the report
-CLOSING_SHARE, CLOSING_S, CLOSING_OF_EACH_S = 0.3, 2.0, 0.8
+CLOSING_SHARE, CLOSING_S, CLOSING_OF_EACH_S = 0.3, 3.0, 0.6
 LEAST_PAGE_S = 1.0
 RESUMED_SEED = 1_000_003  # a search that goes on draws anew
 

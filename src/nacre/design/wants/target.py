@@ -124,7 +124,7 @@ def _recipe(spec: WantsSpec, context: RecipeContext) -> Material:
                 data["substrate"] = substrates(spec.layers)[0]
         return material(data, folder)
     except NacreError as error:
-        raise RecipeError(f"{context.source}: recipe: {error}") from None
+        raise RecipeError(f"{context.source}: recipe: {str(error).removeprefix('recipe: ')}") from None
 
 
 def substrates(layers: LayersSpec) -> list[Any]:
