@@ -46,9 +46,9 @@ if TYPE_CHECKING:
 EVEN_SHARE = 0.5  # of the points are drawn evenly; the others around those at the rim
 RIM_STEP = 0.12  # of the bounds: how far a point of the rim is moved
 HUES = 36  # directions in which the rim is pushed outward
-SOLID_POINTS = 1500
+SOLID_POINTS, BATCH = 1200, 2048
 NEIGHBOURS = 12
-LIMIT_STEP_NM = 5.0  # of the optimal colours' edges
+LIMIT_STEP_NM = 10.0  # of the optimal colours' edges
 LEAST_POINTS, MOST_POINTS = 8, 1_000_000
 
 
@@ -344,9 +344,11 @@ def _fill(is_inside: Callable[[Array], Any], rim: Array, white: Array) -> Array:
     from scipy.stats import qmc
 
     low, high = rim.min(axis=0) - 1.0, rim.max(axis=0) + 1.0
-    draws = qmc.Halton(3, scramble=False).random(1 << 14)
-    labs = low + draws * (high - low)
-    inside = labs[is_inside(np.asarray(lab_to_xyz(labs, white)))]
+    sequence = qmc.Halton(3, scramble=False)
+    inside = np.zeros((0, 3))
+    while len(inside) < SOLID_POINTS:
+        labs = low + sequence.random(BATCH) * (high - low)
+        inside = np.concatenate([inside, labs[is_inside(np.asarray(lab_to_xyz(labs, white)))]])
     return inside[:SOLID_POINTS]
 
 

@@ -15,7 +15,7 @@ from nacre.errors import NacreError
 from nacre.light import white_xyz
 from nacre.matter.stack.solve import powers
 
-STACKS = 1200
+STACKS = 800
 POINTS = 400
 SHORT_SHARE = 0.3  # of thicknesses: drawn near the lower bound, where metals let light through
 
