@@ -12,11 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nacre.arrays import Array
-from nacre.design.goals import KINDS, MEAN_SHARE, Goals
+from nacre.design.goals import KINDS, MEAN_SHARE, Goal, Goals
 from nacre.matter.jit import compiled
 
 COLOUR, HUE, CHROMA, LIGHTNESS, SPECTRUM = range(len(KINDS))
 STEP = 1e-5  # of Lab, for slopes of residuals by forward differences; what they lack is far below what steers
+HUE_MARGIN = 4.0  # degrees per dE00, at a chroma of some 40
 RADIANS = math.pi / 180.0
 
 
@@ -47,12 +48,18 @@ class Looks(NamedTuple):
     residuals: Any
 
 
-def compile_goals(goals: Goals) -> Looks:
-    """Return the goals as arrays for `look`."""
+def compile_goals(goals: Goals, margin: float = 0.0) -> Looks:
+    """Return the goals as arrays for `look`.
+
+    Args:
+        margin: share of `within` by which ranges are narrowed, so that what a descent calls near lies inside. A hue is
+            narrowed by as many degrees at most, and by a tenth of the range; no range is narrowed to nothing.
+    """
     order = sorted(
         range(len(goals.terms)), key=lambda t: (goals.goals[goals.terms[t][0]].row, goals.terms[t][1], goals.terms[t])
     )
     chosen = [(goals.goals[goals.terms[t][0]], goals.terms[t][1], t) for t in order]
+    ranges = [_narrowed(goal, margin) for goal, _, _ in chosen]
     samples = len(goals.wavelengths_nm)
     wanted = np.zeros((len(chosen), samples))
     sizes = {"colour": 3, "spectrum": samples}
@@ -66,12 +73,26 @@ def compile_goals(goals: Goals) -> Looks:
         np.array([goal.row for goal, _, _ in chosen]),
         np.array([lamp for _, lamp, _ in chosen]),
         np.ascontiguousarray(goals.lab[order]),
-        np.array([-np.inf if goal.low is None else float(goal.low) for goal, _, _ in chosen]),
-        np.array([np.inf if goal.high is None else float(goal.high) for goal, _, _ in chosen]),
+        np.array([ends[0] for ends in ranges]),
+        np.array([ends[1] for ends in ranges]),
         np.ascontiguousarray(goals.scale[order]),
         wanted,
         np.array([sum(sizes.get(goal.kind, 1) for goal, _, _ in chosen)]),
     )
+
+
+def _narrowed(goal: Goal, margin: float) -> tuple[float, float]:
+    low = -np.inf if goal.low is None else float(goal.low)
+    high = np.inf if goal.high is None else float(goal.high)
+    by = margin * goal.within
+    if goal.kind == "hue":
+        width = high - low if high - low >= 360.0 else (high - low) % 360.0
+        by = min(HUE_MARGIN * by, 0.1 * width)
+        return (low, high) if width >= 360.0 else (low + by, low + width - by)
+    if goal.kind == "chroma":
+        by *= 1.0 + 0.045 * (low if np.isfinite(low) else high)  # as much as dE00 scales chroma down by
+    by = min(by, 0.1 * (high - low))
+    return low + by, high - by
 
 
 @compiled(error_model="numpy")

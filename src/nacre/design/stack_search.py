@@ -28,6 +28,7 @@ from nacre.matter.stack.slopes import scratch, spectra_and_slopes
 POOL = 48
 LITTER = 96
 FRESH = 0.1
+MARGIN = 0.15  # of `within`, by which ranges are narrowed
 REACHED = 0.2  # of `within`: the issue's end of a search
 STILL_LITTERS = 30  # rounds without a gain of `GAIN`, then a new island
 GAIN = 0.02
@@ -153,7 +154,7 @@ class _Engine:
     def aim(self, goals: Goals) -> None:
         """Take other goals of the same rows."""
         self.goals = goals
-        self.looks, self.fine_looks = compile_goals(goals.on(self.samples)), compile_goals(goals)
+        self.looks, self.fine_looks = compile_goals(goals.on(self.samples), MARGIN), compile_goals(goals, MARGIN)
         n = self.slots + 3
         self.spaces = [workspace(self.tables, self.looks, n) for _ in range(self.jobs)]
         self.fine_spaces = [workspace(self.fine_tables, self.fine_looks, n) for _ in range(self.jobs)]
