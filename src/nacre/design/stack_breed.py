@@ -16,7 +16,7 @@ import numpy as np
 
 from nacre.arrays import Array
 from nacre.design.stack_descent import descend, keep_total
-from nacre.design.stack_looks import lab_of
+from nacre.design.stack_looks import lab_of, share_outside
 from nacre.matter.jit import compiled
 from nacre.matter.stack.slopes import spectra_and_slopes
 
@@ -24,6 +24,8 @@ QUICK_STEPS = 5
 FULL_STEPS = 14
 WORST_STEPS = 14  # with p = 8, on those that are worth it
 WORST_POWER = 8.0
+SETTLING = 0.4  # share of children that only shift a good stack's thicknesses, where the yield counts
+NOMINAL_SHARE = 0.03  # of the nominal distance in the rank by yield
 DRAWS = 6  # looked at for one that is refined
 BEHIND = 1.6  # times the pool's last: a child further behind after the quick steps is dropped
 STRANDED = 1.12  # the same after the full steps
@@ -40,6 +42,8 @@ class Space(NamedTuple):
         substrates: `[k]`.
         is_open: `[1]`, whether count and order are free; if not, each slot is a layer.
         total: `[1]`, bound of the sum of thicknesses, nm.
+        relative, absolute: `[slot]`, standard deviations in manufacture: share of a thickness, and nm.
+        draws: `[draw, slot]`, standard normal numbers for the yield, none where it is not asked for.
     """
 
     choices: Any
@@ -50,6 +54,9 @@ class Space(NamedTuple):
     substrates: Any
     is_open: Any
     total: Array
+    relative: Array
+    absolute: Array
+    draws: Array
 
 
 class Brood(NamedTuple):
@@ -72,6 +79,14 @@ def empty_brood(size: int, slots: int) -> Brood:
         np.zeros(size, dtype=np.int64),
         np.full(size, np.inf),
     )
+
+
+@compiled(error_model="numpy")
+def _copy(media: Any, d: Any, to_media: Any, to_d: Any) -> None:
+    """Copy a stack by loops: of a slice numba would compile the words of its shape error too."""
+    for j in range(len(d)):
+        to_media[j] = media[j]
+        to_d[j] = d[j]
 
 
 @compiled(error_model="numpy")
@@ -216,6 +231,12 @@ def _change(space: Any, media: Any, d: Any, layers: int, substrate: int, mate_me
     return layers, substrate
 
 
+@compiled(error_model="numpy")
+def _with_yield(nominal: float, missed: float) -> float:
+    """Rank by what is missed in manufacture; a nominal stack out of tolerance counts 1 and how far out it is."""
+    return 1.0 + nominal if nominal > 1.0 else missed + NOMINAL_SHARE * nominal
+
+
 @compiled(error_model="numpy", nogil=True)
 def breed(
     tables: Any, looks: Any, space: Any, pool: Any, pool_size: int, children: int, fresh: float, target: float,
@@ -240,12 +261,16 @@ def breed(
     low, high = np.zeros(slots + 3), np.zeros(slots + 3)
     total = space.total[0]
     last = pool.score[pool_size - 1] if pool_size > 0 else np.inf
-    is_many = looks.kind.shape[0] > 1
+    is_many, is_robust = looks.kind.shape[0] > 1, space.draws.shape[0] > 0
+    if is_robust:
+        last = max(last - 1.0, 1.0)  # of the nominal stack: see `_with_yield`
+    sigma = np.zeros(slots + 3)
     kept = 0
     for _ in range(children):
         tries = DRAWS if pool_size < 4 or np.random.random() < fresh else 0
         found = best = np.inf
         layers, substrate = 0, 0
+        first = -tries
         if tries == 0:
             share = np.random.random()
             parent = int(pool_size * share * share)
@@ -254,49 +279,64 @@ def breed(
             for j in range(layers):
                 media[j] = pool.media[parent, j]
                 d[j] = pool.d[parent, j]
-            changes = 1
-            while changes < 4 and np.random.random() < 0.45:
-                changes += 1
-            for _ in range(changes):
-                layers, substrate = _change(
-                    space, media, d, layers, substrate, pool.media[mate], pool.d[mate], pool.layers[mate]
-                )
-                layers = tidy(space, media, d, layers)
-        # one place that calls the descent, for looking at draws (no steps) and for each stage of refinement: numba
-        # compiles what it calls anew at every call
-        for stage in range(-tries, 3):
+            if is_robust and pool.score[parent] < 1.5 and np.random.random() < SETTLING:
+                # a step of its own, not of the descent, which knows nothing of the yield
+                first = 3
+                size = 0.003 * math.exp(3.0 * np.random.random())
+                for j in range(layers):
+                    d[j] *= math.exp(size * np.random.normal())
+            else:
+                changes = 1
+                while changes < 4 and np.random.random() < 0.45:
+                    changes += 1
+                for _ in range(changes):
+                    layers, substrate = _change(
+                        space, media, d, layers, substrate, pool.media[mate], pool.d[mate], pool.layers[mate]
+                    )
+                    layers = tidy(space, media, d, layers)
+        # one place that calls the descent, for looking at draws (no steps), for each stage of refinement and for the
+        # slopes: numba compiles what it calls anew at every call
+        is_done = False
+        for stage in range(first, 4 if is_robust else 3):
+            if is_done and stage < 3:
+                continue
             steps, p, limit = 0, 2.0, np.inf
             if stage < 0:
                 n, base = draw(space, trial_media, trial_d)
             else:
                 if stage == 0 and tries > 0:
-                    media[:], d[:] = best_media, best_d
+                    _copy(best_media, best_d, media, d)
                     layers, substrate = best_layers, best_substrate
                 n, base = layers, substrate
-                trial_media[:], trial_d[:] = media, d
+                _copy(media, d, trial_media, trial_d)
                 # fall first, then, of many goals, lower the worst
                 if stage == 0:
                     steps, limit = QUICK_STEPS, BEHIND
                 elif stage == 1:
                     steps, limit = FULL_STEPS, STRANDED
-                else:
+                elif stage == 2:
                     steps, p = WORST_STEPS, WORST_POWER
+                else:
+                    steps = -1
             bounds_of(space, trial_media, n, low, high)
-            keep_total(trial_d, low, n, total)
             found = descend(tables, looks, trial_media, trial_d, low, high, n, base, total, steps, p, s)
             if stage < 0:
                 if found < best:
                     best, best_layers, best_substrate = found, n, base
-                    best_media[:], best_d[:] = trial_media, trial_d
+                    _copy(trial_media, trial_d, best_media, best_d)
                 continue
-            d[:] = trial_d
-            if found < target or (stage == 1 and not is_many):
-                break
-            if stage < 2 and pool_size >= 4 and found > limit * last:
+            _copy(trial_media, trial_d, media, d)
+            if stage < 3 and (found < target or (stage == 1 and not is_many)):
+                is_done = True
+            elif stage < 2 and pool_size >= 4 and found > limit * last:
                 found = np.inf
                 break
         if found == np.inf:
             continue
+        if is_robust:
+            for j in range(layers):
+                sigma[j] = math.hypot(space.relative[j] * d[j], space.absolute[j])
+            found = _with_yield(found, share_outside(looks, s.r, s.jacobian, layers, sigma, space.draws))
         out.score[kept] = found
         out.layers[kept] = layers
         out.substrate[kept] = substrate
@@ -319,7 +359,8 @@ def draw_many(tables: Any, looks: Any, space: Any, seed: int, s: Any, out: Any, 
         layers, substrate = draw(space, media, d)
         bounds_of(space, media, layers, low, high)
         keep_total(d, low, layers, space.total[0])
-        spectra_and_slopes(tables, media, d, layers, substrate, False, s.w, s.spectra, s.slopes)
+        wants_slopes = layers < 0  # a literal False would be another type, and all of it compiled once more
+        spectra_and_slopes(tables, media, d, layers, substrate, wants_slopes, s.w, s.spectra, s.slopes)
         for t in range(looks.kind.shape[0]):
             l, a, b = lab_of(looks, s.spectra[looks.row[t]], looks.lamp[t])
             labs[k, t, 0], labs[k, t, 1], labs[k, t, 2] = l, a, b

@@ -141,7 +141,7 @@ def descend(
     Args:
         low, high: bounds, `[>= layers]`, nm.
         total: bound of their sum, nm.
-        iterations: steps at most; 0 judges the stack as it is.
+        iterations: steps at most; 0 judges the stack as it is, -1 fills the workspace's slopes too.
         p: see the module.
         s: `Workspace`; `s.best_u` holds the scaled distances of the result.
     """
@@ -149,8 +149,9 @@ def descend(
     damping = FIRST_DAMPING
     stalls = 0
     for j in range(layers):
-        s.trial[j] = d[j]
-    for turn in range(iterations + 1):
+        s.trial[j] = min(max(d[j], low[j]), high[j])
+    keep_total(s.trial, low, layers, total)
+    for turn in range(max(iterations, 0) + 1):
         if turn > 0:
             for j in range(layers):
                 s.held[j] = (d[j] <= low[j] and s.pull[j] > 0.0) or (d[j] >= high[j] and s.pull[j] < 0.0)
@@ -166,8 +167,8 @@ def descend(
                 moved = max(moved, abs(s.trial[j] - d[j]))
             if moved < SMALLEST_STEP_NM:
                 break
-        spectra_and_slopes(tables, media, s.trial, layers, substrate, iterations > 0, s.w, s.spectra, s.slopes)
-        look(looks, s.spectra, s.slopes, layers, iterations > 0, s.r, s.jacobian, s.u)
+        spectra_and_slopes(tables, media, s.trial, layers, substrate, iterations != 0, s.w, s.spectra, s.slopes)
+        look(looks, s.spectra, s.slopes, layers, iterations != 0, s.r, s.jacobian, s.u)
         found = 0.0
         for t in range(s.u.shape[0]):
             found += s.u[t] ** p
@@ -180,8 +181,9 @@ def descend(
         value = found
         for j in range(layers):
             d[j] = s.trial[j]
-        s.best_u[:] = s.u
-        if stalls >= 2 or layers == 0 or turn == iterations or score(s.best_u) < ENOUGH:
+        for t in range(s.u.shape[0]):  # not a slice: numba would compile the words of its shape error
+            s.best_u[t] = s.u[t]
+        if stalls >= 2 or layers == 0 or turn >= iterations or score(s.best_u) < ENOUGH:
             break
         _normal_equations(looks, layers, p, s)
         if turn > 0:

@@ -12,11 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nacre.arrays import Array
-from nacre.design.goals import KINDS, MEAN_SHARE, Goals
+from nacre.design.goals import KINDS, MEAN_SHARE, Goal, Goals
 from nacre.matter.jit import compiled
 
 COLOUR, HUE, CHROMA, LIGHTNESS, SPECTRUM = range(len(KINDS))
 STEP = 1e-5  # of Lab, for slopes of residuals by forward differences; what they lack is far below what steers
+HUE_MARGIN = 4.0  # degrees per dE00, at a chroma of some 40
+SOFT = 0.08  # of `within`: the width over which a miss is smoothed
 RADIANS = math.pi / 180.0
 
 
@@ -29,7 +31,7 @@ class Looks(NamedTuple):
         kind, row, lamp: `[term]`.
         lab: `[term, 3]`.
         low, high: `[term]`, infinite where open.
-        scale: `[term]`, weight / within.
+        scale, weight: `[term]`, weight / within, and the weight: a scaled distance above it is out of tolerance.
         wanted: `[term, wavelength]`, of spectra.
         residuals: `[1]`, how many there are.
     """
@@ -43,16 +45,23 @@ class Looks(NamedTuple):
     low: Array
     high: Array
     scale: Array
+    weight: Array
     wanted: Array
     residuals: Any
 
 
-def compile_goals(goals: Goals) -> Looks:
-    """Return the goals as arrays for `look`."""
+def compile_goals(goals: Goals, margin: float = 0.0) -> Looks:
+    """Return the goals as arrays for `look`.
+
+    Args:
+        margin: share of `within` by which ranges are narrowed, so that what a descent calls near lies inside. A hue is
+            narrowed by as many degrees at most, and by a tenth of the range; no range is narrowed to nothing.
+    """
     order = sorted(
         range(len(goals.terms)), key=lambda t: (goals.goals[goals.terms[t][0]].row, goals.terms[t][1], goals.terms[t])
     )
     chosen = [(goals.goals[goals.terms[t][0]], goals.terms[t][1], t) for t in order]
+    ranges = [_narrowed(goal, margin) for goal, _, _ in chosen]
     samples = len(goals.wavelengths_nm)
     wanted = np.zeros((len(chosen), samples))
     sizes = {"colour": 3, "spectrum": samples}
@@ -66,12 +75,27 @@ def compile_goals(goals: Goals) -> Looks:
         np.array([goal.row for goal, _, _ in chosen]),
         np.array([lamp for _, lamp, _ in chosen]),
         np.ascontiguousarray(goals.lab[order]),
-        np.array([-np.inf if goal.low is None else float(goal.low) for goal, _, _ in chosen]),
-        np.array([np.inf if goal.high is None else float(goal.high) for goal, _, _ in chosen]),
+        np.array([ends[0] for ends in ranges]),
+        np.array([ends[1] for ends in ranges]),
         np.ascontiguousarray(goals.scale[order]),
+        np.array([goal.weight for goal, _, _ in chosen]),
         wanted,
         np.array([sum(sizes.get(goal.kind, 1) for goal, _, _ in chosen)]),
     )
+
+
+def _narrowed(goal: Goal, margin: float) -> tuple[float, float]:
+    low = -np.inf if goal.low is None else float(goal.low)
+    high = np.inf if goal.high is None else float(goal.high)
+    by = margin * goal.within
+    if goal.kind == "hue":
+        width = high - low if high - low >= 360.0 else (high - low) % 360.0
+        by = min(HUE_MARGIN * by, 0.1 * width)
+        return (low, high) if width >= 360.0 else (low + by, low + width - by)
+    if goal.kind == "chroma":
+        by *= 1.0 + 0.045 * (low if np.isfinite(low) else high)  # as much as dE00 scales chroma down by
+    by = min(by, 0.1 * (high - low))
+    return low + by, high - by
 
 
 @compiled(error_model="numpy")
@@ -253,3 +277,30 @@ def score(u: Any) -> float:
         worst = max(worst, u[t])
         total += u[t]
     return worst + MEAN_SHARE * total / u.shape[0]
+
+
+@compiled(error_model="numpy", fastmath={"contract", "reassoc"})
+def share_outside(looks: Any, r: Any, jacobian: Any, layers: int, sigma: Any, draws: Any) -> float:
+    """The smooth share of made stacks that miss a want, by the slopes at the nominal one.
+
+    Args:
+        sigma: `[>= layers]`, standard deviations, nm.
+        draws: `[draw, >= layers]`, standard normal numbers, the same for every stack.
+    """
+    missed = 0.0
+    for k in range(draws.shape[0]):
+        worst = 0.0
+        at = 0
+        for t in range(looks.kind.shape[0]):
+            kind = looks.kind[t]
+            size = 3 if kind == COLOUR else (looks.wanted.shape[1] if kind == SPECTRUM else 1)
+            total = 0.0
+            for c in range(at, at + size):
+                moved = r[c]
+                for j in range(layers):
+                    moved += jacobian[c, j] * sigma[j] * draws[k, j]
+                total += moved * moved
+            worst = max(worst, math.sqrt(total) / max(looks.weight[t], 1e-9))
+            at += size
+        missed += 1.0 / (1.0 + math.exp(-min(max((worst - 1.0) / SOFT, -50.0), 50.0)))
+    return missed / draws.shape[0]

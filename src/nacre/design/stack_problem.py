@@ -13,6 +13,8 @@ from nacre.design.stack_breed import Space
 from nacre.errors import NacreError
 from nacre.matter.stack.slopes import StackTables, stack_tables
 
+YIELD_DRAWS = 64  # in the search; common to all stacks, so that they differ by what they are
+YIELD_SEED = 20
 METAL_K = 0.7  # at the middle wavelength: such a layer is opaque after some 100 nm and is drawn thin
 SEEN_NM = (384.0, 731.0)  # of the coarse grid: what lies beyond moves no colour by 0.05 dE00
 COARSE_STEPS_NM = (15.0, 10.0, 5.0)
@@ -158,6 +160,9 @@ class StackProblem:
             np.arange(1 + len(self.palette), media),
             np.array([self.slots is None]),
             np.array([min(self.total_nm, 1e9)]),
+            np.array(np.broadcast_to(np.asarray(self.spread_relative, dtype=float), (count,))),
+            np.array(np.broadcast_to(np.asarray(self.spread_nm, dtype=float), (count,))),
+            np.random.default_rng(YIELD_SEED).normal(size=(YIELD_DRAWS if self.has_spread else 0, count)),
         )
 
     def sigma_nm(self, thicknesses_nm: Array) -> Array:

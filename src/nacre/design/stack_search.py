@@ -18,7 +18,7 @@ import numpy as np
 
 from nacre.arrays import Array
 from nacre.design.goals import Goals, difference_components
-from nacre.design.stack_breed import WORST_POWER, Brood, breed, draw_many, empty_brood, nearest
+from nacre.design.stack_breed import WORST_POWER, Brood, Space, breed, draw_many, empty_brood, nearest
 from nacre.design.stack_descent import descend, workspace
 from nacre.design.stack_looks import compile_goals
 from nacre.design.stack_problem import StackProblem
@@ -29,7 +29,12 @@ from nacre.matter.stack.slopes import scratch, spectra_and_slopes
 POOL = 48
 LITTER = 96
 FRESH = 0.1
+MARGIN = 0.15  # of `within`, by which ranges are narrowed
 REACHED = 0.2  # of `within`: the issue's end of a search
+PLAIN_SHARE, ROBUST_SHARE = 0.97, 0.9  # of the seconds for the search itself; the rest finishes and judges
+YIELD_DRAWS = 1000  # for the yield that is told
+YIELD_SEED = 21
+MADE = 0.01  # share of misses at which a search for yield ends
 STILL_LITTERS = 30  # rounds without a gain of `GAIN`, then a new island
 GAIN = 0.02
 MERGE_EVERY = 3
@@ -155,7 +160,8 @@ class _Engine:
     def aim(self, goals: Goals) -> None:
         """Take other goals of the same rows."""
         self.goals = goals
-        self.looks, self.fine_looks = compile_goals(goals.on(self.samples)), compile_goals(goals)
+        self.coarse_goals = goals.on(self.samples)
+        self.looks, self.fine_looks = compile_goals(self.coarse_goals, MARGIN), compile_goals(goals, MARGIN)
         n = self.slots + 3
         self.spaces = [workspace(self.tables, self.looks, n) for _ in range(self.jobs)]
         self.fine_spaces = [workspace(self.fine_tables, self.fine_looks, n) for _ in range(self.jobs)]
@@ -188,13 +194,28 @@ class _Engine:
         """Name a candidate and judge it by the goals themselves."""
         names = [m.name for m in self.problem.media()]
         d = self.goals.distances(self.spectra(one))
+        made = self.made(one) if self.problem.has_spread else None
         return StackSolution(
             tuple(names[m - 1] for m in one.media[: one.layers]),
             one.d[: one.layers].copy(),
             names[one.substrate - 1],
             d,
             float(self.goals.objective(d)),
+            made,
         )
+
+    def made(self, one: _Candidate) -> float:
+        """Return the share of made samples within all tolerances, of `YIELD_DRAWS` on the coarse grid."""
+        layers = one.layers
+        sigma = np.hypot(self.space.relative[:layers] * one.d[:layers], self.space.absolute[:layers])
+        rng = np.random.default_rng(YIELD_SEED)
+        rows, _, samples = self.tables.turns_r.shape
+        seen, none, w = np.zeros((YIELD_DRAWS, rows, samples)), np.zeros((rows, 1, samples)), scratch(layers)
+        for out, z in zip(seen, rng.normal(size=(YIELD_DRAWS, self.slots))):
+            d = np.maximum(one.d[:layers] + sigma * z[:layers], 0.0)
+            spectra_and_slopes(self.tables, one.media, d, layers, one.substrate, False, w, out, none)
+        within = np.array([self.goals.goals[g].within for g, _ in self.goals.terms])
+        return float(np.mean(np.all(self.coarse_goals.distances(seen) <= within, axis=-1)))
 
 
 def is_alike(one: StackSolution, other: StackSolution) -> bool:
@@ -242,13 +263,18 @@ def _explore(engine: _Engine, seconds: float, seed: int, on_progress: Any, stop:
     outs = [empty_brood(LITTER, engine.slots + 3) for _ in range(engine.jobs)]
     done: list[_Candidate] = []
     island, islands, rounds, children = _Island(engine.slots), 1, 0, 0
+    robust = engine.problem.has_spread
+    end, target = (MADE, 0.0) if robust else (REACHED, 0.9 * REACHED)
+    # where few layers are preferred, the first island has one, the next two, and so on
+    fewest = engine.problem.fewest and engine.problem.slots is None
+    space = _shorter(engine.space, 1) if fewest else engine.space
     with ThreadPoolExecutor(engine.jobs) as threads:
         while True:
             pool, size = island.brood()
             seeds = np.random.SeedSequence([seed, rounds]).generate_state(engine.jobs)
             futures = [
                 threads.submit(
-                    breed, engine.tables, engine.looks, engine.space, pool, size, LITTER, FRESH, 0.9 * REACHED,
+                    breed, engine.tables, engine.looks, space, pool, size, LITTER, FRESH, target,
                     int(seeds[k]), engine.spaces[k], outs[k],
                 )
                 for k in range(engine.jobs)
@@ -262,18 +288,32 @@ def _explore(engine: _Engine, seconds: float, seed: int, on_progress: Any, stop:
             if on_progress is not None:
                 near = min([*island.ordered()[:1], *done], key=lambda c: c.score)
                 on_progress(Progress(spent, children, best, functools.partial(engine.solution, near)))
-            if spent >= 0.97 * seconds or (stop is not None and stop()):
+            if spent >= (ROBUST_SHARE if robust else PLAIN_SHARE) * seconds or (stop is not None and stop()):
                 break
-            if island.best <= REACHED and _is_reached(engine, island.ordered()[0]):
+            if island.best <= end and (robust or _is_reached(engine, island.ordered()[0])):
                 break
             if island.still >= STILL_LITTERS:
                 done += island.ordered()[:FINISHED]
                 islands += 1
                 island = _Island(engine.slots)
-                if islands % MERGE_EVERY == 0:
+                if fewest and islands <= engine.slots:
+                    space = _shorter(engine.space, islands)
+                elif islands % MERGE_EVERY == 0:
                     island.take(done)
                     island.still = 0
     return done + island.ordered()
+
+
+def _shorter(space: Space, layers: int) -> Space:
+    return space._replace(
+        choices=space.choices[:layers],
+        choice_count=space.choice_count[:layers],
+        low=space.low[:layers],
+        high=space.high[:layers],
+        relative=space.relative[:layers],
+        absolute=space.absolute[:layers],
+        draws=np.ascontiguousarray(space.draws[:, :layers]),
+    )
 
 
 def _is_reached(engine: _Engine, one: _Candidate) -> bool:
@@ -283,10 +323,15 @@ def _is_reached(engine: _Engine, one: _Candidate) -> bool:
 def choose(engine: _Engine, hall: Sequence[_Candidate], solutions: int) -> list[StackSolution]:
     """Finish the best candidates on all wavelengths and return those that differ, best first."""
     ordered = sorted({id(c): c for c in hall}.values(), key=lambda c: c.score)
-    finished = [engine.solution(engine.finish(c)) for c in ordered[: max(FINISHED, 4 * solutions)]]
-    if engine.problem.fewest:
-        best = min((s.objective for s in finished), default=np.inf)
-        finished.sort(key=lambda s: (max(s.objective, best + EQUAL_LOOKS), len(s.materials), s.objective))
+    robust = engine.problem.has_spread
+    # a last descent would leave the middle of what may be made
+    first = ordered[: 2 * solutions + 2 if robust else max(FINISHED, 4 * solutions)]
+    finished = [engine.solution(c if robust else engine.finish(c)) for c in first]
+    if robust:
+        finished.sort(key=lambda s: (-(s.yield_share or 0.0), s.objective))
+    elif engine.problem.fewest:
+        equal = max(REACHED, min((s.objective for s in finished), default=np.inf) + EQUAL_LOOKS)
+        finished.sort(key=lambda s: (max(s.objective, equal), len(s.materials), s.objective))
     else:
         finished.sort(key=lambda s: s.objective)
     chosen: list[StackSolution] = []

@@ -93,7 +93,7 @@ class Design:
 
 
 def run(
-    target: str | Path | Mapping[str, Any],
+    target: str | Path | Mapping[str, Any] | Target,
     out: str | Path | None = None,
     *,
     resume: bool = False,
@@ -105,7 +105,7 @@ def run(
     search with the best answer so far.
 
     Args:
-        target: a TOML file with `[[want]]`, or a dictionary with the same keys.
+        target: a TOML file with `[[want]]`, a dictionary with the same keys, or such a one as `read_target` gives.
         out: made if it does not exist; default: the target's name.
         resume: go on from the answers of a stopped run of the same target.
         progress: called after better answers and now and then.
@@ -115,7 +115,7 @@ def run(
         NacreError: the folder cannot be written, or holds the search of another target.
     """
     begun = time.monotonic()
-    read = read_target(target)
+    read = target if isinstance(target, Target) else read_target(target)
     folder = Path(out) if out is not None else Path(read.name)
     check_folder(folder, read.material)
     try:

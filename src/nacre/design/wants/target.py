@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,11 @@ class Target:
     def name(self) -> str:
         """A short name."""
         return Path(self.context.source).stem
+
+    def within_seconds(self, seconds: float) -> Target:
+        """Return the target with another time for its search."""
+        search = self.spec.search.model_copy(update={"seconds": seconds})
+        return replace(self, spec=self.spec.model_copy(update={"search": search}))
 
     @property
     def fingerprint(self) -> str:
