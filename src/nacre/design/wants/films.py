@@ -87,10 +87,9 @@ class StackSearch:
     def answers(self) -> list[tuple[float, dict[str, Any]]]:
         """Return answers that differ from one another, the best first."""
         chosen: list[tuple[float, dict[str, Any]]] = []
-        fresh = (
-            self._answers if self.target.spec.limits.layers == "fewest" else sorted(self._answers, key=lambda a: a[0])
-        )
-        pool = [*fresh, *self._known] if not self._known else sorted([*fresh, *self._known], key=lambda a: a[0])
+        pool = [*self._answers, *self._known]
+        if not self.problem.fewest and not self.problem.has_spread:
+            pool.sort(key=lambda a: a[0])  # else the search's own order is by layers or by yield
         for objective, changes in pool:
             if not any(are_alike(changes, other) for _, other in chosen):
                 chosen.append((objective, changes))

@@ -227,7 +227,7 @@ def _finish(
             solutions.append(solution)
     if not solutions:
         raise RecipeError(f"{target.context.source}: no answer can be computed anew; this is a bug in nacre")
-    solutions.sort(key=lambda s: objective(s.wants))
+    _order(solutions, target)
     written = []
     for number, solution in enumerate(solutions, start=1):
         tolerance = _tolerance(target, solution)
@@ -235,6 +235,14 @@ def _finish(
         facts = {**solution.facts, "files": files}
         written.append(replace(solution, recipe=path, facts=facts))
     return _report(target, folder, written, ended, begun, keeper)
+
+
+def _order(solutions: list[Solution], target: Target) -> None:
+    """Put the best first: of the largest yield, or the nearest; a search for the fewest layers has its own order."""
+    if target.spec.spread:
+        solutions.sort(key=lambda s: (-(s.yield_share or 0.0), objective(s.wants)))
+    elif target.spec.limits.layers != "fewest":
+        solutions.sort(key=lambda s: objective(s.wants))
 
 
 def _judged(target: Target, changes: dict[str, Any], seconds: float) -> Solution | None:
