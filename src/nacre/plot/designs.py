@@ -162,8 +162,10 @@ def _layers(axes: Axes, sheet: DesignSheet) -> None:
 
 def _bars(axes: Axes, sheet: DesignSheet) -> None:
     bars = list(sheet.bars)[:MOST_BARS]
-    axes.barh(range(len(bars)), [value for _, value in bars], color=LINES[0], height=0.6)
-    axes.set_yticks(range(len(bars)), [path.removesuffix(".thickness_nm") for path, _ in bars], fontsize=6)
-    axes.set(ylim=(max(len(bars), 1) - 0.4, -0.6), xlim=(0, None))
+    axes.barh(range(len(bars)), [value for _, value in bars], color=LINES[0], height=0.3)
+    for i, (path, value) in enumerate(bars):
+        # above its bar: a path may be longer than the panel has room for beside it
+        axes.text(0.0, i - 0.22, f"{path.removesuffix('.thickness_nm')}: {value:.2g}", fontsize=5.5, va="bottom")
+    axes.set(ylim=(max(len(bars), 3) - 0.6, -0.7), xlim=(0, None), yticks=[])
     axes.grid(axis="x")
     panel_title(axes, sheet.bars_title)

@@ -84,6 +84,7 @@ class GeneralSearch:
         self.goals: Goals = goals_of(self.wants, self.rows, light, self.grid)
         self.pool = Pool(POOL * solutions)
         self.samples: int | None = None
+        self.wanted_samples = 0  # with which the noise is small
         self.is_stochastic = False
         self.evaluations = 0
         self.best = np.inf
@@ -119,6 +120,8 @@ class GeneralSearch:
             places = self._scout(begun + SCOUT_SHARE * seconds, known) if self._numbers else []
             for start in self._starts(places):
                 self._refine(start)
+                if self.best <= MET and self._sharpen():
+                    continue
                 if self.best <= MET and len(self.pool.answers) >= self.pool.most // POOL:
                     return "met"
                 if self.best <= MET and time.monotonic() - begun > 0.5 * seconds:
@@ -128,6 +131,23 @@ class GeneralSearch:
         except KeyboardInterrupt:
             return "interrupted"
         return "met" if self.best <= MET else "exhausted"
+
+    def _sharpen(self) -> bool:
+        """Walk four times as often and refine the best anew, until the noise is small; return whether that was done.
+
+        What was found with more noise is no longer comparable, and gives way.
+        """
+        if self.samples is None or self.samples >= self.wanted_samples:
+            return False
+        self.samples = min(4 * self.samples, MOST_SAMPLES)
+        kept = [values for _, values in self.pool.answers]
+        units = [number.unit(self.best_values[number.path]) for number in self.free]
+        self.best, self.pool.answers = np.inf, []
+        for values in kept[1:]:
+            place = np.array([number.unit(values[number.path]) for number in self.free], dtype=float)
+            self.pool.offer(self._judge(place)[0], values)
+        self._refine(np.array(units, dtype=float))
+        return True
 
     def answers(self) -> list[tuple[float, dict[str, Any]]]:
         """Return answers that differ from one another, the best first."""
@@ -167,13 +187,13 @@ class GeneralSearch:
         place = np.full(len(self.free), 0.5) if place is None else place
         try:
             made = self.material.vary(values_at(self.free, place))
-            begun = time.monotonic()
             seen = see(made, self.rows, self.grid, seed=self.seed)
+            if seen.error is None:
+                return
+            begun = time.monotonic()
             see(made, self.rows, self.grid, seed=self.seed)
-            cost = 0.5 * (time.monotonic() - begun)
+            cost = time.monotonic() - begun
         except NacreError:
-            return
-        if seen.error is None:
             return
         self.is_stochastic = True
         noisy = self.goals.labs(seen.factors + seen.error)
@@ -181,8 +201,10 @@ class GeneralSearch:
         within = np.array([min(w.within / w.weight for w in self.wants if w.at == at) for at in self.rows])
         wanted = float(np.max(noise / (QUIET_SHARE * within))) ** 2
         affordable = max(1.0, SLOWEST_SHARE * seconds / max(cost, 1e-6))
-        factor = float(np.clip(wanted, 1 / 16, affordable))
-        self.samples = int(np.clip(DEFAULT_SAMPLES * factor, 64, MOST_SAMPLES))
+        # in steps of four: another number of walks is another kernel, which takes seconds to compile
+        steps = int(np.floor(np.log(min(wanted, affordable)) / np.log(4.0))) if min(wanted, affordable) > 0 else 0
+        self.wanted_samples = int(np.clip(DEFAULT_SAMPLES * wanted, 0, MOST_SAMPLES))
+        self.samples = int(np.clip(DEFAULT_SAMPLES * 4.0 ** max(steps, 0), DEFAULT_SAMPLES, MOST_SAMPLES))
 
     def _scout(self, until: float, known: Sequence[Mapping[str, Any]]) -> list[tuple[float, Array]]:
         """Judge known answers, the recipe's own place and an even draw; return (objective, place), best first."""

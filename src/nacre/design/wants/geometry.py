@@ -223,7 +223,7 @@ def check_answers(materials: Sequence[Material], ats: Sequence[At], where: Seque
     open_: set[At] = set(ats)
     for number, material in enumerate(materials):
         try:
-            open_ &= see(material, ats, _probe(material), samples=16).missing
+            open_ &= missing_at(material, ats)
         except UnsupportedError as error:
             if number == 0:
                 raise RecipeError(f"{where[0]}: {error}") from None
@@ -232,6 +232,30 @@ def check_answers(materials: Sequence[Material], ats: Sequence[At], where: Seque
     for at, place in zip(ats, where, strict=True):
         if at in open_:
             raise RecipeError(f'{place} = "{at}" cannot be answered: {why_missing(materials[0], at)}')
+
+
+def missing_at(material: Material, ats: Sequence[At]) -> frozenset[At]:
+    """Return the geometries at which a material shows nothing by its nature; nothing is walked for it.
+
+    Raises:
+        NacreError: the material cannot be computed.
+    """
+    probe = _probe(material)
+    if material.model.is_quick:
+        return see(material, ats, probe).missing
+    asked = [at for at in ats if at.kind != "aspecular"]
+    angles = np.radians([at.theta_deg for at in asked])
+    wants_all = any(at.kind in ("diffuse", "hemispherical") for at in asked)
+    found = None if wants_all or not asked else material.model.spectrum(angles, probe, "both", 0)
+    missing = [at for at in asked if found is not None and _part(found, at) is None]
+    if found is None or len(asked) < len(ats):
+        bsdf = material.model.bsdf(probe)
+        spreads = any(not lobe.is_delta for lobe in bsdf.lobes)
+        missing += [at for at in ats if at.kind in ("aspecular", "diffuse") and not spreads]
+        if found is None and asked:
+            mirror = bsdf_spectrum(bsdf, angles, diffuse=False)
+            missing += [at for at in asked if at.kind in ("specular", "transmitted") and _part(mirror, at) is None]
+    return frozenset(missing)
 
 
 def _probe(material: Material) -> Any:

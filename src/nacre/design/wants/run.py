@@ -35,6 +35,7 @@ WRITE_EVERY_S = 2.0
 # kept back from the time for judging and the report
 CLOSING_SHARE, CLOSING_S, CLOSING_OF_EACH_S = 0.3, 3.0, 0.6
 LEAST_PAGE_S = 1.0
+LEAST_SEARCH = 0.4  # of the time, whatever was compiled before it began
 RESUMED_SEED = 1_000_003  # a search that goes on draws anew
 
 
@@ -127,7 +128,8 @@ def run(
     keeper = _Keeper(folder, read, begun, runs + 1, progress)
     total = read.spec.search.seconds
     closing = min(CLOSING_SHARE * total, CLOSING_S + CLOSING_OF_EACH_S * read.spec.search.solutions)
-    ended = search.run(max(total - closing - (time.monotonic() - begun), 0.1), keeper.tell, known)
+    left = total - closing - (time.monotonic() - begun)
+    ended = search.run(max(left, LEAST_SEARCH * total), keeper.tell, known)
     found = search.answers()
     if not found:
         raise RecipeError(f"{read.context.source}: the recipe cannot be computed anywhere in its bounds")
