@@ -12,6 +12,7 @@ from nacre.design.stack_looks import compile_goals, look, share_outside
 from nacre.design.stack_problem import Medium, Slot, StackProblem
 from nacre.design.stack_search import StackSolution, is_alike, many, search
 from nacre.errors import NacreError
+from nacre.light import delta_e_2000
 from nacre.matter.indices.library import index
 from nacre.matter.stack.slopes import scratch, spectra_and_slopes, stack_tables
 from nacre.matter.stack.solve import powers
@@ -254,13 +255,14 @@ def spread_problem(within: float, spread: float) -> StackProblem:
     )  # fmt: skip
 
 
+@pytest.mark.full
 def test_the_yield_of_a_search_for_it_is_higher_and_is_that_of_its_draws() -> None:
-    plain = search(spread_problem(1.0, 0.0), 100.0, 1, 2, jobs=1)[0]
+    plain = search(spread_problem(1.0, 0.0), 100.0, 5, 2, jobs=1)
     rounds: list[float] = []
     robust_problem = spread_problem(2.0, 0.05)
     robust = search(
         robust_problem, 100.0, 1, 2, on_progress=lambda p: rounds.append(p.objective),
-        stop=lambda: len(rounds) >= 12, jobs=1,
+        stop=lambda: len(rounds) >= 25, jobs=1,
     )[0]  # fmt: skip
 
     def share_within(one: StackSolution) -> float:
@@ -272,10 +274,10 @@ def test_the_yield_of_a_search_for_it_is_higher_and_is_that_of_its_draws() -> No
         return float(np.mean((robust_problem.goals.distances(seen) <= 2.0).all(axis=-1)))
 
     own = share_within(robust)
-    assert plain.yield_share is None and robust.yield_share is not None
+    assert plain[0].yield_share is None and robust.yield_share is not None
     # 400 and 1000 draws: a standard deviation of 0.03
     assert own == pytest.approx(robust.yield_share, abs=0.1)
-    assert own > share_within(plain) + 0.1
+    assert own > np.mean([share_within(one) for one in plain]) + 0.1
 
 
 def test_the_linear_yield_is_near_that_of_draws() -> None:
@@ -293,3 +295,18 @@ def test_the_linear_yield_is_near_that_of_draws() -> None:
         missed.append(s.u.max() > 1.0)
     assert 0.1 < np.mean(missed) < 0.95
     assert linear == pytest.approx(np.mean(missed), abs=0.1)
+
+
+def test_a_stack_of_high_finesse_is_judged_on_enough_wavelengths() -> None:
+    """Thick mirrors of ten layers have the narrowest fringes that the search may make: the default grid sees them."""
+    fine = np.arange(380.0, 781.0)
+    n = {name: index(name).n_complex(fine) for name in ("TiO2", "SiO2", "BK7")}
+    rng = np.random.default_rng(8)
+    worst = 0.0
+    for _ in range(50):
+        d = rng.uniform(100.0, 300.0, 10)
+        seen = powers([np.ones(401), *(n["TiO2"], n["SiO2"]) * 5, n["BK7"]], d, fine, 0.0, jobs=1).reflectance
+        exact = Goals([Goal(0, "lightness", low=0)], wavelengths_nm=fine).labs(seen[None])[0, 0]
+        own = Goals([Goal(0, "lightness", low=0)]).labs(seen[None, ::2])[0, 0]
+        worst = max(worst, float(delta_e_2000(exact, own)))
+    assert worst < 0.05
