@@ -103,8 +103,8 @@ def test_the_jacobian_is_the_finite_difference() -> None:
 def test_a_range_is_as_far_as_its_nearest_colour(goal: Goal, inside: tuple, outside: tuple) -> None:
     """The nearest of a dense sample of the colours that satisfy the range."""
     goals = Goals([goal])
-    near = goals._distance(np.zeros((1, 81)), np.array([inside], dtype=float)[None], 0)
-    far = goals._distance(np.zeros((1, 81)), np.array([outside], dtype=float)[None], 0)
+    near = goals._distance(np.zeros((1, 201)), np.array([inside], dtype=float)[None], 0)
+    far = goals._distance(np.zeros((1, 201)), np.array([outside], dtype=float)[None], 0)
     lightness, chroma, hue = (
         v.ravel() for v in np.meshgrid(np.arange(0.0, 81.0, 1.0), np.arange(0.0, 90.0, 0.5), np.arange(0.0, 360.0, 2.0))
     )
@@ -128,7 +128,7 @@ def test_a_range_is_as_far_as_its_nearest_colour(goal: Goal, inside: tuple, outs
         (Goal(0, "hue", low=3), "both ends"),
         (Goal(0, "chroma"), "lower or an upper"),
         (Goal(0, "lightness", low=30, high=20), "cross"),
-        (Goal(0, "spectrum", reflectance=np.ones(3)), "81 values"),
+        (Goal(0, "spectrum", reflectance=np.ones(3)), "201 values"),
         (Goal(0, "colour", lab=(1, 2, 3), within=0.0), "within > 0"),
     ],
 )

@@ -8,10 +8,11 @@ import tmm
 
 from nacre.design.goals import Goal, Goals, default_wavelengths_nm
 from nacre.design.stack_descent import descend, workspace
-from nacre.design.stack_looks import compile_goals, look
+from nacre.design.stack_looks import compile_goals, look, share_outside
 from nacre.design.stack_problem import Medium, Slot, StackProblem
 from nacre.design.stack_search import StackSolution, is_alike, many, search
 from nacre.errors import NacreError
+from nacre.light import delta_e_2000
 from nacre.matter.indices.library import index
 from nacre.matter.stack.slopes import scratch, spectra_and_slopes, stack_tables
 from nacre.matter.stack.solve import powers
@@ -242,3 +243,70 @@ def test_a_problem_that_does_not_hold_together_is_told_in_words(changes: dict, w
     values = {"palette": PALETTE, "substrates": (medium("Al"),), "bounds_nm": BOUNDS, **changes}
     with pytest.raises(NacreError, match=words):
         StackProblem(Goals([Goal(0, "colour", lab=(1, 2, 3))]), **values)
+
+
+def spread_problem(within: float, spread: float) -> StackProblem:
+    angles = [0.0, 45.0]
+    wanted = wanted_of(["MgF2", "Si", "TiO2"], [95.0, 22.0, 60.0], "Al", angles)
+    goals = Goals([Goal(g.row, g.kind, g.lab, within=within) for g in wanted])
+    return StackProblem(
+        goals, PALETTE, (medium("Al"),), tuple(np.radians(angles)), ("reflected",) * 2, most=4, bounds_nm=BOUNDS,
+        spread_relative=spread,
+    )  # fmt: skip
+
+
+@pytest.mark.full
+def test_the_yield_of_a_search_for_it_is_higher_and_is_that_of_its_draws() -> None:
+    plain = search(spread_problem(1.0, 0.0), 100.0, 5, 2, jobs=1)
+    rounds: list[float] = []
+    robust_problem = spread_problem(2.0, 0.05)
+    robust = search(
+        robust_problem, 100.0, 1, 2, on_progress=lambda p: rounds.append(p.objective),
+        stop=lambda: len(rounds) >= 25, jobs=1,
+    )[0]  # fmt: skip
+
+    def share_within(one: StackSolution) -> float:
+        rng = np.random.default_rng(99)
+        draws = one.thicknesses_nm * (1.0 + 0.05 * rng.normal(size=(400, len(one.materials))))
+        seen = np.array(
+            [spectra_of(list(one.materials), list(d), one.substrate, [0, 45], ["reflected"] * 2) for d in draws]
+        )
+        return float(np.mean((robust_problem.goals.distances(seen) <= 2.0).all(axis=-1)))
+
+    own = share_within(robust)
+    assert plain[0].yield_share is None and robust.yield_share is not None
+    # 400 and 1000 draws: a standard deviation of 0.03
+    assert own == pytest.approx(robust.yield_share, abs=0.1)
+    assert own > np.mean([share_within(one) for one in plain]) + 0.1
+
+
+def test_the_linear_yield_is_near_that_of_draws() -> None:
+    problem = spread_problem(2.0, 0.03)
+    tables, looks, space = problem.tables(), compile_goals(problem.goals), problem.space()
+    s = workspace(tables, looks, 4)
+    media, d, n = np.array([2, 4, 3]), np.array([95.0, 22.0, 60.0]), 3
+    low, high = np.full(3, 2.0), np.full(3, 300.0)
+    descend(tables, looks, media, d, low, high, n, len(PALETTE) + 1, 1e9, -1, 2.0, s)
+    sigma = 0.03 * d
+    linear = share_outside(looks, s.r, s.jacobian, n, sigma, space.draws)
+    missed = []
+    for z in space.draws:
+        descend(tables, looks, media, d + sigma * z[:n], low, high, n, len(PALETTE) + 1, 1e9, 0, 2.0, s)
+        missed.append(s.u.max() > 1.0)
+    assert 0.1 < np.mean(missed) < 0.95
+    assert linear == pytest.approx(np.mean(missed), abs=0.1)
+
+
+def test_a_stack_of_high_finesse_is_judged_on_enough_wavelengths() -> None:
+    """Thick mirrors of ten layers have the narrowest fringes that the search may make: the default grid sees them."""
+    fine = np.arange(380.0, 781.0)
+    n = {name: index(name).n_complex(fine) for name in ("TiO2", "SiO2", "BK7")}
+    rng = np.random.default_rng(8)
+    worst = 0.0
+    for _ in range(50):
+        d = rng.uniform(100.0, 300.0, 10)
+        seen = powers([np.ones(401), *(n["TiO2"], n["SiO2"]) * 5, n["BK7"]], d, fine, 0.0, jobs=1).reflectance
+        exact = Goals([Goal(0, "lightness", low=0)], wavelengths_nm=fine).labs(seen[None])[0, 0]
+        own = Goals([Goal(0, "lightness", low=0)]).labs(seen[None, ::2])[0, 0]
+        worst = max(worst, float(delta_e_2000(exact, own)))
+    assert worst < 0.05
