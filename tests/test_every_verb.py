@@ -333,3 +333,38 @@ def test_fabricate(both: Both, to: str) -> None:
     names = both.files(lambda path: nacre.fabricate(both.recipe, to, path, **size[0]),
                        ["fabricate", str(both.recipe), "--to", to, *size[1]], f"x{SUFFIXES[to]}")  # fmt: skip
     assert (names is not None) == (to in DRAWINGS.get(family, set()))
+
+
+@families("pearl", "metasurface", "relief", "blend")
+@pytest.mark.render
+def test_gamut(both: Both) -> None:
+    number = NUMBERS.get(both.recipe.stem) or next(iter(nacre.load(both.recipe).free_numbers))
+    value = nacre.load(both.recipe).get(number)
+    free = f"{number}={0.9 * value}:{1.1 * value}"
+    arguments = ["gamut", str(both.recipe), "--free", free, "--points", "8", "--samples", str(SAMPLES), "--json"]
+    found = both.ask(lambda: nacre.gamut(both.recipe, [free], points=8, samples=SAMPLES), arguments)
+    if found is not None:
+        assert json.loads(found[1]) == json.loads(json.dumps(found[0].document()))
+
+
+@families("pearl", "metasurface", "relief", "blend")
+@pytest.mark.render
+def test_design(both: Both, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both search in the same folder's terms; the clock may let one come further, so one step is all that they get."""
+    monkeypatch.setattr("nacre.design.wants.general.MET", 1e9)  # the first answer will do
+    number = NUMBERS.get(both.recipe.stem) or next(iter(nacre.load(both.recipe).free_numbers))
+    value = nacre.load(both.recipe).get(number)
+    (both.recipe.parent / "asked.toml").write_text(
+        f'recipe = "{both.recipe.name}"\n[free]\n"{number}" = [{0.9 * value}, {1.1 * value}]\n'
+        '[[want]]\nat = "hemispherical 0"\nlightness = "<=100"\n[search]\nseconds = 60\nsolutions = 1\n'
+    )
+    found = both.ask(
+        lambda: nacre.design("asked.toml", both.python / "x"),
+        ["design", "asked.toml", "--json", "-o", str(both.command / "x")],
+    )
+    assert found is not None
+    document = json.loads(found[1])
+    assert document["solutions"][0]["changes"] == found[0].best.changes
+    names = ("recipe.toml", "design.json", "report.html", "report.png", "search.json")
+    assert all((side / "x" / name).is_file() for side in (both.python, both.command) for name in names)
+    nacre.load(both.command / "x")

@@ -6,6 +6,7 @@ from .api import evaluate as evaluate
 from .api import export as export
 from .api import fabricate as fabricate
 from .api import fit as fit
+from .api import gamut as gamut
 from .api import import_ as import_
 from .api import report as report
 from .api import spectrum as spectrum

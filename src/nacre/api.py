@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from nacre.arrays import Array, floats
 from nacre.bsdf import Bsdf
 from nacre.bsdf.spectrum import Spectrum
+from nacre.design.wants.gamut import Gamut, find_gamut, parse_free
 from nacre.errors import UnsupportedError, did_you_mean
 from nacre.exchange.drawings import SUFFIXES, HeightOptions, write_drawing
 from nacre.families.contract import Model
@@ -30,7 +31,7 @@ from nacre.study.report import Report, make_report
 from nacre.study.sweep import run_sweep
 from nacre.study.tolerance import Tolerance, read_spreads, run_tolerance
 
-__all__ = ["evaluate", "export", "fabricate", "fit", "import_", "report", "spectrum", "sweep", "tolerance"]
+__all__ = ["evaluate", "export", "fabricate", "fit", "gamut", "import_", "report", "spectrum", "sweep", "tolerance"]
 
 
 def as_bsdf(thing: HasBsdf | Bsdf | str | Path) -> Bsdf:
@@ -147,6 +148,40 @@ def fit(
     """
     material = _material(thing)
     return run_fit(material, read_measurement(measurement), read_free(material, tuple(free)), starts=starts, **options)
+
+
+def gamut(
+    thing: Material | str | Path,
+    free: Iterable[str] | Mapping[str, Any] = (),
+    at: str = "specular 0",
+    *,
+    points: int = 1000,
+    illuminant: str = "D65",
+    observer: str = "10deg",
+    within: float = 2.0,
+    samples: int | None = None,
+    seed: int = 0,
+) -> Gamut:
+    """Return the colours that a material's free numbers reach at a geometry, and the structure under each.
+
+    Args:
+        thing: a material or a path.
+        free: such as "layers[0].thickness_nm=50:400" or "substrate=Al,Ag"; or a mapping as a design's `[free]`.
+        at: "specular 0", "transmitted 0", "diffuse 0", "hemispherical 0" or "45as15", as in a design's wants.
+        points: number of materials; within: the dE00 within which a colour counts as reached.
+        illuminant, observer: of the colours.
+        samples, seed: of the walk, for families that are evaluated by one; the seed also of the draws.
+
+    Raises:
+        NacreError: nothing is free, or the geometry is not known.
+
+    Example: `nacre.gamut("oxide.toml", ["layers[0].thickness_nm=0:400"]).share_of_srgb`.
+    """
+    table = free if isinstance(free, Mapping) else parse_free(free)
+    return find_gamut(
+        _material(thing), table, at, points=points, illuminant=illuminant, observer=observer, within=within,
+        samples=samples, seed=seed,
+    )  # fmt: skip
 
 
 def sweep(

@@ -138,8 +138,8 @@ def tables_of(schema: Any) -> list[dict[str, Any]]:
 def model_takes(data: dict[str, Any], folder: Path) -> bool:
     """Whether nacre takes a recipe, target or sweep; paths of `varies_by_nodes` are its own business."""
     try:
-        if "target" in data:
-            validate(kind("target").model, data, RecipeContext("here", folder))
+        if kind_of(data) in ("target", "wants"):
+            validate(kind(kind_of(data)).model, data, RecipeContext("here", folder))
         else:
             nacre.material(data, folder)
     except NacreError:
@@ -186,7 +186,7 @@ def compare(count: int, folder: Path, seed: int) -> tuple[int, int]:
     sources = [
         dict(kind(name).model.example) for name in KINDS if kind(name).is_recipe and name not in ("blend", "measured")
     ]
-    sources += [dict(kind("target").model.example)]
+    sources += [dict(kind(name).model.example) for name in ("target", "wants")]
     sources += [
         tomllib.loads((EXAMPLES / name).read_text()) for name in ("soap.toml", "morpho.toml", "blue-oxide.toml")
     ]

@@ -300,15 +300,27 @@ def _plot(folder: Path, out: Path, spec: PlotSpec) -> Item:
 
 def _design(folder: Path, out: Path, spec: DesignSpec, is_quick: bool) -> Item:
     path = out / Path(spec.target).stem
+    seconds = spec.seconds / (3 if is_quick else 1)
+    from nacre.design.wants.target import is_wants
+
+    if is_wants(parse_toml(read_text(folder / spec.target, "target"), spec.target)):
+
+        def make_wants() -> None:
+            from nacre.design.wants.run import run
+            from nacre.design.wants.target import read_target
+
+            run(read_target(folder / spec.target).within_seconds(seconds), path)
+
+        return Item(spec.title, path / "report.png", seconds + 3, make_wants)
 
     def make() -> None:
         from nacre.design.run import design, load_target
 
         target, context = load_target(folder / spec.target)
-        search = target.search.model_copy(update={"time_limit_s": spec.seconds / (3 if is_quick else 1)})
+        search = target.search.model_copy(update={"time_limit_s": seconds})
         design(target.model_copy(update={"search": search}), context, path)
 
-    return Item(spec.title, path, spec.seconds / (3 if is_quick else 1) + 3, make)
+    return Item(spec.title, path, seconds + 3, make)
 
 
 def _find(folder: Path, out: Path, recipe: str) -> Any:

@@ -18,13 +18,14 @@ from nacre.families.registry import family_names, family_spec
 from nacre.matter.indices.spec import IndexSpec
 from nacre.recipe.keys import Key, find_key, keys_of, one_sentence, shared_tables, tables_below, toml_lines
 from nacre.recipe.model import RecipeModel
-from nacre.study.tables import StudySpec
+from nacre.recipe.tables import StudySpec
 
 WIDTH = 79
 MUST = "must be given"
 # kinds of files beside recipes -> what reads them
 OTHER_FILES = {
     "target": "nacre.design.spec:TargetSpec",
+    "wants": "nacre.design.wants.spec:WantsSpec",
     "sweep": "nacre.study.plan:SweepSpec",
     "gallery": "nacre.cli.gallery:GallerySpec",
 }
@@ -86,7 +87,7 @@ def editor_schema(name: str | None = None) -> dict[str, Any]:
     if name is not None:
         found = kind(name)
         return json_schema(found.models, TextureSpec, is_recipe=found.is_recipe)
-    files = [kind(other) for other in (*family_names(), "target", "sweep")]
+    files = [kind(other) for other in (*family_names(), "target", "wants", "sweep")]
     return one_of_files({found.name: editor_schema(found.name) for found in files})
 
 

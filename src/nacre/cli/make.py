@@ -22,21 +22,36 @@ TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "sheet")
 @common.cache_option
 @common.jobs_option
 def design(target: str, output: str | None, resume: bool, as_json: bool) -> None:
-    """Find the relief with the appearance that TARGET asks for; the best so far is always on disk."""
+    """Find the structure with the look that TARGET asks for; the best so far is always on disk.
+
+    TARGET holds [[want]] tables, for a film, pearl, metasurface or any other recipe, or a [target] table, for a
+    relief. Ctrl-C ends the search with the best answer so far.
+    """
     import os
 
-    from nacre.design.run import run
-    from nacre.exchange.calibration import PUBLISHED
+    from nacre.design.verb import run
     from nacre.files import check_writable
 
     folder = Path(output) if output else Path(Path(target).stem)
     check_writable(folder / "x") if folder.exists() else check_writable(folder)
     jobs = os.environ.get("NACRE_JOBS")
     with _Screen() as screen:
-        result = run(target, folder, resume=resume, progress=screen.show, jobs=int(jobs) if jobs else None)
+        result = run(target, folder, resume, screen.show, int(jobs) if jobs else None)
     if as_json:
         click.echo(json.dumps(result.summary, default=str))
+    if hasattr(result, "solutions"):
+        _tell_wants(result, as_json)
     else:
+        _tell_relief(result, target, as_json)
+    if "interrupted" in (result.summary.get("status"), result.summary.get("interrupted") and "interrupted"):
+        raise KeyboardInterrupt
+
+
+def _tell_relief(result: Any, target: str, as_json: bool) -> None:
+    """Say what a relief's design came to, and what to do with it."""
+    from nacre.exchange.calibration import PUBLISHED
+
+    if not as_json:
         s = result.summary
         click.echo(
             f"loss {s['loss_fixed']:.5f} at the fixed scale, {s['loss_free']:.5f} at the best one "
@@ -46,13 +61,27 @@ def design(target: str, output: str | None, resume: bool, as_json: bool) -> None
     if curve and curve != PUBLISHED:
         curve = Path(target).parent / curve
     target_format = f"png16 --calibration {curve}" if curve else "png16"
-    common.note(f"{folder}: nacre render {folder}; nacre fabricate {folder} --to {target_format}")
-    if result.summary.get("interrupted"):
-        raise KeyboardInterrupt
+    common.note(f"{result.folder}: nacre render {result.folder}; nacre fabricate {result.folder} --to {target_format}")
+
+
+def _tell_wants(result: Any, as_json: bool) -> None:
+    """Say what a design by wants came to: the outcome in words, and each answer in a line."""
+    if not as_json:
+        click.echo(f"{result.message} ({result.seconds:.1f} s)")
+        for number, solution in enumerate(result.solutions, start=1):
+            worst = solution.worst
+            share = solution.yield_share
+            made = "" if share is None else f", yield {100 * share:.0f} %"
+            total = solution.facts.get("total_nm")
+            thick = "" if total is None else f", {total:.0f} nm in all"
+            distance = f"{worst.distance:.2f}" + (" % rms" if worst.lamp is None else "")
+            click.echo(f"  {number}  {'dE00 ' if worst.lamp else ''}{distance} at {worst.want.at}{thick}{made}"
+                       f"   {solution.recipe.parent}")  # fmt: skip
+    common.note(f"{result.folder}: report.html; nacre render {result.folder}; nacre report {result.folder}")
 
 
 class _Screen:
-    """One line on the terminal that follows a design: loss, iteration, time left."""
+    """One line on the terminal that follows a design: the worst want or the loss, time left."""
 
     def __init__(self) -> None:
         from rich.console import Console
@@ -71,13 +100,81 @@ class _Screen:
 
     def show(self, progress: Any) -> None:
         """Show the progress of the search."""
-        if self._status:
+        if self._status and hasattr(progress, "worst"):
+            self._status.update(
+                f"worst {progress.worst:.3g} of what was asked (1 is within), {progress.seconds:.0f} s, "
+                f"{progress.seconds_left:.0f} s left"
+            )
+        elif self._status:
             left = "" if progress.seconds_left is None else f", {progress.seconds_left:.0f} s left"
             stage = f"{progress.stage} ({progress.stage_number} of {progress.stage_count})"
             self._status.update(
                 f"{stage}: loss {progress.best_value:.5f}, "
                 f"{progress.evaluations} evaluations, {progress.seconds:.0f} s{left}"
             )
+
+
+@click.command()
+@click.argument("recipe")
+@click.option(
+    "--free", "free", multiple=True, metavar="PATH=A:B", help="What may change: bounds, or choices as PATH=Al,Ag."
+)
+@click.option(
+    "--at",
+    default="specular 0",
+    show_default=True,
+    help="Where it is seen: specular T, transmitted T, diffuse T, hemispherical T or IasA.",
+)
+@click.option("--points", type=click.IntRange(8, 1_000_000), default=1000, show_default=True, help="Materials tried.")
+@click.option("--within", type=float, default=2.0, show_default=True, help="dE00 within which a colour is reached.")
+@click.option("--illuminant", default="D65", show_default=True)
+@click.option("--observer", type=click.Choice(["2deg", "10deg"]), default="10deg", show_default=True)
+@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help="Random walks a direction (pearls).")
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print every point with its colour and its structure.")
+@click.option("-o", "output", default=None, metavar="FILE.png|.json|.html", help="Default: RECIPE-gamut.png.")
+@common.set_option
+@common.cache_option
+@common.jobs_option
+def gamut(
+    recipe: str, free: tuple[str, ...], at: str, points: int, within: float, illuminant: str, observer: str,
+    samples: int | None, seed: int, as_json: bool, output: str | None, changes: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Show the colours that the free numbers of RECIPE can reach, in a*b* and xy, and their share of all colours."""
+    from nacre.design.wants.gamut import find_gamut, gamut_chart, gamut_page, parse_free
+    from nacre.files import check_writable, write_text
+
+    path = Path(output) if output else None if as_json else Path(f"{Path(recipe).resolve().stem}-gamut.png")
+    if path is not None:
+        if path.suffix not in (".png", ".pdf", ".svg", ".json", ".html"):
+            raise NacreError(f"-o {path}: the suffix must be .png, .pdf, .svg, .json or .html")
+        check_writable(path)
+    material = common.load_material(recipe, changes)
+    found = find_gamut(
+        material, parse_free(free), at, points=points, illuminant=illuminant, observer=observer, within=within,
+        samples=samples, seed=seed,
+    )  # fmt: skip
+    if path is not None:
+        if path.suffix == ".json":
+            write_text(path, json.dumps(found.document(), indent=1) + "\n")
+        elif path.suffix == ".html":
+            write_text(path, gamut_page(found, material.name))
+        else:
+            from nacre.plot import save_figure
+
+            save_figure(gamut_chart(found, title=f"{material.name}, {found.at}"), path, {"recipe": material.text})
+    if as_json:
+        click.echo(json.dumps(found.document()))
+    else:
+        low, high = found.lab.min(axis=0), found.lab.max(axis=0)
+        click.echo(f"{material.name}: {found.at}, {illuminant}, {observer} observer, {len(found.lab)} points")
+        click.echo("  " + ", ".join(f"{n} {a:.0f} to {b:.0f}" for n, a, b in zip(("L*", "a*", "b*"), low, high)))
+        click.echo(f"  within dE00 {within:g}: {100 * found.share_of_srgb:.1f} % of the colours of sRGB, "
+                   f"{100 * found.share_of_optimal:.1f} % of the optimal colours")  # fmt: skip
+        if found.failed:
+            click.echo(f"  {found.failed} points could not be computed")
+    if path is not None:
+        common.note(str(path))
 
 
 @click.command()
@@ -136,4 +233,4 @@ def _tell_curve(beside: Path) -> None:
     )
 
 
-commands = {"design": design, "fabricate": fabricate}
+commands = {"design": design, "fabricate": fabricate, "gamut": gamut}

@@ -1,4 +1,8 @@
-"""Inverse design: from a wanted appearance to a relief that has it."""
+"""Inverse design: from a wanted appearance to a structure that has it.
+
+`nacre.design(target, folder)` takes a target file of either form; `nacre.design.many(target, labs)` many colours of
+one target.
+"""
 
 import lazy_loader
 
@@ -6,4 +10,4 @@ from nacre.lazy import make_callable
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-make_callable(__name__, "nacre.design.run:run")  # nacre.design("target.toml", "folder")
+make_callable(__name__, "nacre.design.verb:run")  # nacre.design("target.toml", "folder")

@@ -38,7 +38,9 @@ def directional_hemispherical(bsdf: Bsdf, wi: Array, uv: Array | None = None, no
     return np.reshape(back, shape), np.reshape(through, shape)
 
 
-def bsdf_spectrum(bsdf: Bsdf, theta_rad: Array, uv: Array | None = None, seed: int = 0) -> Spectrum:
+def bsdf_spectrum(
+    bsdf: Bsdf, theta_rad: Array, uv: Array | None = None, seed: int = 0, *, diffuse: bool = True
+) -> Spectrum:
     """Return a Bsdf's spectra: delta parts (of rough films the values of their stack), and the rest integrated.
 
     A base under a rough film counts as it is under the smooth one, so that the parts belong together.
@@ -48,6 +50,7 @@ def bsdf_spectrum(bsdf: Bsdf, theta_rad: Array, uv: Array | None = None, seed: i
     Args:
         theta_rad: `[angle]`, in the ambient.
         seed: of random walks; another one gives independent noise.
+        diffuse: whether the diffuse parts are wanted, which are integrated over all exits.
     """
     theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
     delta = bsdf.specular(theta, uv)
@@ -63,15 +66,15 @@ def bsdf_spectrum(bsdf: Bsdf, theta_rad: Array, uv: Array | None = None, seed: i
             bases.append(lobe)
         elif not lobe.is_delta:
             rest.append(lobe)
-    diffuse = None
-    if rest:
+    spread = None
+    if rest and diffuse:
         # exactly at 90 degrees no light arrives on the surface; just before it the integrals have their limit
         directions = direction(np.minimum(theta, np.radians(89.99)))
         sums = [[hemispherical(lobe, w, uv, seed=seed) for lobe in rest] for w in directions]
-        diffuse = np.array([[sum(part[side] for part in parts) for parts in sums] for side in (0, 1)])
-    for base in bases:
-        diffuse = np.zeros((2, *reflected.shape)) if diffuse is None else diffuse
-        diffuse[0] += base.smooth_albedo(np.cos(theta), uv)
+        spread = np.array([[sum(part[side] for part in parts) for parts in sums] for side in (0, 1)])
+    for base in bases if diffuse else ():
+        spread = np.zeros((2, *reflected.shape)) if spread is None else spread
+        spread[0] += base.smooth_albedo(np.cos(theta), uv)
     # a walk is no delta lobe, but reflects as mirrors do where its interfaces are smooth
     has_delta = len(rest) < len(bsdf.lobes) or bool(np.any(reflected > 0))
     return Spectrum(
@@ -79,6 +82,6 @@ def bsdf_spectrum(bsdf: Bsdf, theta_rad: Array, uv: Array | None = None, seed: i
         np.degrees(theta),
         reflected if has_delta else None,
         transmitted if has_delta and bool(np.any(transmitted > 0)) else None,
-        None if diffuse is None else diffuse[0],
-        diffuse[1] if diffuse is not None and any(lobe.transmits for lobe in rest) else None,
+        None if spread is None else spread[0],
+        spread[1] if spread is not None and any(lobe.transmits for lobe in rest) else None,
     )

@@ -1,9 +1,13 @@
 from .colours import chromaticity_figure as chromaticity_figure
 from .colours import colour_map_figure as colour_map_figure
+from .designs import DesignSheet as DesignSheet
+from .designs import Swatch as Swatch
+from .designs import design_figure as design_figure
 from .directions import bsdf_slice_figure as bsdf_slice_figure
 from .directions import lobe_figure as lobe_figure
 from .directions import scattering_figure as scattering_figure
 from .directions import slice_figure as slice_figure
+from .gamuts import reach_figure as reach_figure
 from .material import KINDS as KINDS
 from .material import data_figure as data_figure
 from .material import material_figure as material_figure

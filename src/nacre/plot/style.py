@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 COLUMN_IN = 3.46  # 88 mm, a journal's column
 WIDE_IN = 5.4
+SHEET_IN = 7.2  # a page's width
 INK, FAINT = "#222222", "#9a9a9a"
 # Okabe and Ito 2008: told apart by colour-blind readers too
 LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#222222")

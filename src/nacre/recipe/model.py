@@ -192,7 +192,7 @@ def _scale(value: Any, factor: float) -> Any:
     if isinstance(value, list):
         return [_scale(v, factor) for v in value]
     if isinstance(value, Mapping):
-        scaled = {k: (_scale(v, factor) if k in ("min", "max") else v) for k, v in value.items()}
+        scaled = {k: (_scale(v, factor) if k in ("min", "max") or isinstance(v, list) else v) for k, v in value.items()}
         if "formula" in scaled and isinstance(scaled["formula"], str):
             scaled["formula"] = f"({scaled['formula']})*{factor!r}"
         return scaled

@@ -33,6 +33,25 @@ def varying_numbers(data: Any, patterns: tuple[str, ...], path: str = "") -> dic
     return found
 
 
+def expand_path(data: Any, path: str, source: str) -> tuple[str, ...]:
+    """Return the paths that a path with `[*]` stands for, one for each entry of the list; others stand for themselves.
+
+    Raises:
+        RecipeError: `[*]` stands behind what is no list, or an empty one.
+
+    Example: "layers[*].thickness_nm" of two layers is "layers[0].thickness_nm" and "layers[1].thickness_nm".
+    """
+    head, star, tail = path.partition("[*]")
+    if not star:
+        return (path,)
+    holder, last = find_by_path(data, head, source)
+    entries = holder.get(last) if isinstance(holder, Mapping) else holder[last]
+    if not isinstance(entries, list) or not entries:
+        raise RecipeError(f'{source}: "{path}" names no entry; {head} is no list, or an empty one')
+    inner = (expand_path(data, f"{head}[{i}]{tail}", source) for i in range(len(entries)))
+    return tuple(found for paths in inner for found in paths)
+
+
 def find_by_path(data: Any, path: str, source: str) -> tuple[Any, Any]:
     """Return the container and the last key of a path; the key may be absent from a table.
 

@@ -56,7 +56,7 @@ def one_of_files(schemas: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Return a schema for a folder of mixed files: each file is judged by its family, or by the keys that mark it.
 
     Args:
-        schemas: name of a family, "target" or "sweep" -> its schema.
+        schemas: name of a family, "target", "wants" or "sweep" -> its schema.
     """
     definitions: dict[str, Any] = {}
     choices: list[dict[str, Any]] = []
@@ -65,22 +65,24 @@ def one_of_files(schemas: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         definitions |= parts.pop("definitions", {})
         definitions[f"file-{name}"] = parts
     is_target: dict[str, Any] = {"required": ["target"]}
+    is_wants: dict[str, Any] = {"required": ["want"]}
     is_sweep: dict[str, Any] = {"required": ["recipe", "axes"]}
     marks: dict[str, Any] = {
         name: {"properties": {"family": {"const": name}}, "required": ["family"]} for name in schemas
     }
-    marks |= {"target": is_target, "sweep": is_sweep}
+    others = {"target": is_target, "wants": is_wants, "sweep": is_sweep}
+    marks |= others
     for name in schemas:
         mark = marks[name]
-        if name not in ("target", "sweep"):
-            mark = {**mark, "not": {"anyOf": [is_target, is_sweep]}}
+        if name not in others:
+            mark = {**mark, "not": {"anyOf": list(others.values())}}
         choices.append({"if": mark, "then": {"$ref": f"#/definitions/file-{name}"}})
-    families = [name for name in schemas if name not in ("target", "sweep")]
+    families = [name for name in schemas if name not in others]
     return {
         "$schema": DRAFT,
         "type": "object",
         "properties": {"family": {"enum": families, "description": "the family's name"}},
-        "anyOf": [{"required": ["family"]}, is_target, is_sweep],
+        "anyOf": [{"required": ["family"]}, *others.values()],
         "allOf": choices,
         "definitions": definitions,
     }

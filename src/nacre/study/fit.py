@@ -21,7 +21,7 @@ from nacre.errors import NacreError, RecipeError
 from nacre.exchange.gonio_csv import COLUMNS, GonioData, read_gonio_csv, read_table
 from nacre.materials.material import Material
 from nacre.recipe.model import show_value
-from nacre.study.tables import FreeSpec, by_path, known_only
+from nacre.recipe.tables import FreeSpec, by_path, known_only
 
 PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
 MOST_POWER, LEAST_POWER = 1.1, 0.05  # instruments err by less, at a white's end and at a black's

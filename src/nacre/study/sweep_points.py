@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from nacre.errors import RecipeError
 from nacre.recipe.memory import check_memory
 from nacre.recipe.model import RecipeModel, show_value
-from nacre.study.tables import by_path
+from nacre.recipe.tables import by_path
 
 MAX_POINTS = 10_000_000
 MAX_AXES = 12

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,45 +13,14 @@ from nacre.bsdf.directions import direction
 from nacre.errors import NacreError, RecipeError
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.materials.material import Material
+from nacre.materials.spreads import Spread, read_spread, share_interval
 from nacre.measure import instruments as geometry
 from nacre.measure.colour_wavelengths import colour_spectrum, colour_values
-from nacre.recipe.model import show_value
+from nacre.recipe.tables import by_path
 from nacre.study.report import SPECULAR_ANGLES_DEG
-from nacre.study.tables import SpreadSpec, by_path, known_only
 
-DISTRIBUTIONS = ("gaussian", "uniform")
 MAX_DRAWS = 1_000_000
 SENSITIVITY_STEP = 0.5  # of a standard deviation: inside the spread, and far above rounding
-
-
-@dataclass(frozen=True)
-class Spread:
-    """The manufacturing spread of one recipe number.
-
-    Attributes:
-        path: the number's place in the recipe.
-        nominal: the recipe's value.
-        deviation: standard deviation (gaussian) or half width (uniform), in the number's own unit.
-        distribution: "gaussian" or "uniform".
-    """
-
-    path: str
-    nominal: float
-    deviation: float
-    distribution: str = "gaussian"
-
-    @property
-    def standard_deviation(self) -> float:
-        """The standard deviation of either distribution."""
-        return self.deviation / np.sqrt(3) if self.distribution == "uniform" else self.deviation
-
-    def draw(self, generator: np.random.Generator, count: int) -> Array:
-        """Draw values; a spread that reaches below zero is cut there when the nominal value is positive."""
-        if self.distribution == "uniform":
-            values = self.nominal + self.deviation * generator.uniform(-1, 1, count)
-        else:
-            values = self.nominal + self.deviation * generator.standard_normal(count)
-        return np.maximum(values, 0.0) if self.nominal >= 0 else values
 
 
 @dataclass(frozen=True)
@@ -100,38 +69,7 @@ def read_spreads(material: Material, options: tuple[str, ...] = ()) -> tuple[Spr
         table[path.strip()] = text.strip()
     if not table:
         raise RecipeError(f"{source}: no spread is given; add a [tolerance] table or use --spread PATH=VALUE")
-    return tuple(_spread(material, path, value, source) for path, value in table.items())
-
-
-def _spread(material: Material, path: str, value: Any, source: str) -> Spread:
-    nominal = material.get(path) if _has(material, path) else None
-    if isinstance(nominal, bool) or not isinstance(nominal, int | float):
-        raise RecipeError(f'{source}: tolerance."{path}": the recipe\'s value {show_value(nominal)} is not a number')
-    distribution = "gaussian"
-    if isinstance(value, Mapping):
-        known_only(value, SpreadSpec, f'{source}: tolerance."{path}"')
-        distribution = value.get("distribution", "gaussian")
-        if distribution not in DISTRIBUTIONS:
-            known = ", ".join(DISTRIBUTIONS)
-            raise RecipeError(f'{source}: tolerance."{path}".distribution = {show_value(distribution)}; known: {known}')
-        value = value["deviation"] if "deviation" in value else f"{value['percent']}%"
-    text = str(value).strip()
-    try:
-        number = float(text.removesuffix("%"))
-    except ValueError:
-        number = np.nan
-    if not (np.isfinite(number) and number >= 0):
-        raise RecipeError(f'{source}: tolerance."{path}" = {show_value(value)} should be a number >= 0 or a percentage')
-    deviation = abs(nominal) * number / 100 if text.endswith("%") else number
-    return Spread(path, float(nominal), deviation, str(distribution))
-
-
-def _has(material: Material, path: str) -> bool:
-    try:
-        material.get(path)
-    except (RecipeError, KeyError, IndexError, TypeError):
-        return False
-    return True
+    return tuple(read_spread(material, path, value, f"{source}: tolerance") for path, value in table.items())
 
 
 def run_tolerance(
@@ -187,8 +125,8 @@ def run_tolerance(
     failed = int(np.sum(np.isnan(delta).any(axis=1)))
     good = int(np.sum(np.nan_to_num(delta, nan=np.inf).max(axis=1) <= limit))
     return Tolerance(
-        measure.what, np.asarray(measure.angles_deg), nominal, lab, delta, limit, good / draws, _wilson(good, draws),
-        _sensitivities(material, spreads, measure, nominal, step), failed,
+        measure.what, np.asarray(measure.angles_deg), nominal, lab, delta, limit, good / draws,
+        share_interval(good, draws), _sensitivities(material, spreads, measure, nominal, step), failed,
     )  # fmt: skip
 
 
@@ -248,14 +186,6 @@ def _sensitivities(
     total = sum(change**2 for change in changes) or 1.0
     ranked = sorted(zip(spreads, changes, strict=True), key=lambda pair: -pair[1])
     return tuple((spread.path, change, change**2 / total) for spread, change in ranked)
-
-
-def _wilson(good: int, count: int, z: float = 1.96) -> tuple[float, float]:
-    """Return Wilson's 95 % interval of a share; it behaves at 0 and 1, where the normal one does not."""
-    share = good / count
-    centre = (share + z**2 / (2 * count)) / (1 + z**2 / count)
-    half = z / (1 + z**2 / count) * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2))
-    return max(0.0, float(centre - half)), min(1.0, float(centre + half))
 
 
 def tolerance_document(result: Tolerance, spreads: tuple[Spread, ...]) -> dict[str, Any]:

@@ -25,10 +25,10 @@ from nacre.matter.stack.kernel import (
     ROUNDER,
     TWO_PI,
     TWO_PI_OVER_LN2,
-    _cos_half_turn,
-    _exp2_minus,
-    _sin_half_turn,
+    cos_half_turn,
+    exp2_minus,
     robust_factors,
+    sin_half_turn,
     sqrt_decaying,
 )
 
@@ -54,8 +54,8 @@ def _factors(
         x = k0[i] * d * (1.0 / math.pi)  # 2 x / (2 pi) per unit of kz
         turns = re * x
         f = turns - ((turns + ROUNDER) - ROUNDER)
-        sine, cosine = _sin_half_turn(f, f * f), _cos_half_turn(f * f)
-        e = _exp2_minus(im * x * TWO_PI_OVER_LN2)
+        sine, cosine = sin_half_turn(f, f * f), cos_half_turn(f * f)
+        e = exp2_minus(im * x * TWO_PI_OVER_LN2)
         log_size[i] -= im * k0[i] * d
         er, ei = e * (cosine * cosine - sine * sine), 2.0 * e * sine * cosine
         c[0, i], c[1, i] = 0.5 + 0.5 * er, 0.5 * ei

@@ -65,7 +65,7 @@ def _power_of_two(typing_context: Any, exponent: Any) -> Any:
 
 
 @compiled(error_model="numpy", fastmath={"contract"}, inline="always")
-def _sin_half_turn(f: float, s: float) -> float:
+def sin_half_turn(f: float, s: float) -> float:
     """sin(pi f) for |f| <= 1/2, s = f^2; Chebyshev fit, error 7e-19 before rounding."""
     p = 7.6978267682241906454e-7
     p = p * s - 2.1903497074626017191e-5
@@ -80,7 +80,7 @@ def _sin_half_turn(f: float, s: float) -> float:
 
 
 @compiled(error_model="numpy", fastmath={"contract"}, inline="always")
-def _cos_half_turn(s: float) -> float:
+def cos_half_turn(s: float) -> float:
     """cos(pi f) for |f| <= 1/2, s = f^2; Chebyshev fit, error 4e-18 before rounding."""
     p = 4.1495643539425855122e-6
     p = p * s - 1.0456655338748738169e-4
@@ -94,7 +94,7 @@ def _cos_half_turn(s: float) -> float:
 
 
 @compiled(error_model="numpy", fastmath={"contract"}, inline="always")
-def _exp2_minus(y: float) -> float:
+def exp2_minus(y: float) -> float:
     """2^-y; beyond 2^-1000 it stays there, which no result can tell from zero, and likewise at 2^1000."""
     y = max(min(y, 1000.0), -1000.0)
     k = (y + ROUNDER) - ROUNDER
@@ -220,8 +220,8 @@ def _lossless_layer(w: Any, count: int) -> None:
         kz = w[_KR + i]
         turns = kz * w[_DL + i]
         f = turns - ((turns + ROUNDER) - ROUNDER)
-        s = _sin_half_turn(f, f * f)
-        c = _cos_half_turn(f * f)
+        s = sin_half_turn(f, f * f)
+        c = cos_half_turn(f * f)
         w[_ER + i] = c * c - s * s
         w[_EI + i] = 2.0 * s * c
         w[_TURNS + i] += 0.5 * turns
@@ -257,9 +257,9 @@ def _lossy_layer(w: Any, count: int) -> None:
         turns = w[_KR + i] * w[_DL + i]
         decay = w[_KI + i] * w[_DL + i]
         f = turns - ((turns + ROUNDER) - ROUNDER)
-        s = _sin_half_turn(f, f * f)
-        c = _cos_half_turn(f * f)
-        e = _exp2_minus(decay * TWO_PI_OVER_LN2)
+        s = sin_half_turn(f, f * f)
+        c = cos_half_turn(f * f)
+        e = exp2_minus(decay * TWO_PI_OVER_LN2)
         w[_ER + i] = e * (c * c - s * s)
         w[_EI + i] = 2.0 * e * s * c
         w[_TURNS + i] += 0.5 * turns
@@ -327,7 +327,7 @@ def _power_end(w: Any, count: int, row_u: int, row_v: int, row_q: int, row_scale
         below = (xr + vr) * (xr + vr) + (xi + vi) * (xi + vi)
         above = (xr - vr) * (xr - vr) + (xi - vi) * (xi - vi)
         over = 1.0 / max(below, 1e-300)
-        size = _exp2_minus((TWO_PI * w[_DECAY + i] + w[row_scale + i]) * TWO_OVER_LN2)
+        size = exp2_minus((TWO_PI * w[_DECAY + i] + w[row_scale + i]) * TWO_OVER_LN2)
         passed = 4.0 * (qr * qr + qi * qi) * over * size * max(w[row_t + i], 0.0) / max(qr, 1e-300)
         passed = passed if qr > 0.0 else 0.0
         w[row_r + i] = above * over if below > 0.0 else 0.0

@@ -1,0 +1,48 @@
+"""`nacre.design(target, out)`: a relief for a target of directions, or anything else for a target of wants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from nacre.design.wants.target import is_wants
+from nacre.files import read_text
+from nacre.recipe.toml import parse_toml
+
+
+def run(
+    target: str | Path | Mapping[str, Any],
+    out: str | Path | None = None,
+    resume: bool = False,
+    progress: Callable[[Any], None] | None = None,
+    jobs: int | None = None,
+) -> Any:
+    """Design what a target asks for; the best so far is always on disk.
+
+    Args:
+        target: a TOML file with `[[want]]` (any family) or with `[target]` (a relief), or a dictionary of the former.
+        out: the folder, made if it does not exist; default: the target's name.
+        resume: go on where a stopped run of the same target ended.
+        progress: called while the search runs, from worker threads where it has some, one at a time.
+        jobs: threads of a relief's search; default: all cores.
+
+    Returns:
+        a `Design` with its solutions, or a relief's `DesignResult`; both have `folder` and `summary`.
+
+    Raises:
+        RecipeError: the target is not usable.
+        NacreError: the folder cannot be written, or holds the search of another target.
+
+    Example: `nacre.design("violet.toml", "violet").best.wants[0].distance`.
+    """
+    if isinstance(target, Mapping) or is_wants(parse_toml(read_text(target, "target"), str(target))):
+        from nacre.design.wants.run import run as run_wants
+
+        return run_wants(target, out, resume=resume, progress=progress)
+    from nacre.design.run import run as run_relief
+
+    return run_relief(target, Path(target).stem if out is None else out, resume, progress, jobs)
+
+
+__all__ = ["run"]

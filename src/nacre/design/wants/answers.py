@@ -1,0 +1,179 @@
+"""Answers as folders that every command takes: a recipe, and beside it the files that it reaches."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from nacre.design.wants.judge import Reached
+from nacre.errors import NacreError, RecipeError
+from nacre.files import read_text, write_text
+from nacre.materials.material import Material
+from nacre.recipe.paths import set_by_path
+from nacre.recipe.toml import dump_toml, edit_toml, parse_toml
+
+RECIPE = "recipe.toml"
+SUMMARY = "design.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """One answer.
+
+    Attributes:
+        recipe: the file that holds it; None where nothing was written.
+        material: the material that it is.
+        changes: what is different from the recipe that the search started from, by path.
+        wants: what it reaches of every want under every lamp.
+        facts: what else is known of it, as JSON can hold it: yield, sensitivity, thickness.
+    """
+
+    recipe: Path | None
+    material: Material
+    changes: dict[str, Any]
+    wants: list[Reached]
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def worst(self) -> Reached:
+        """The want that costs most: of the largest weight x distance / within."""
+        return max(self.wants, key=lambda r: r.scaled)
+
+    @property
+    def is_met(self) -> bool:
+        """Whether every want is within what was asked for."""
+        return all(r.is_met for r in self.wants)
+
+    @property
+    def yield_share(self) -> float | None:
+        """The share of what is made that keeps every want; None where no spread was given."""
+        found = self.facts.get("yield")
+        return None if found is None else float(found["share"])
+
+
+def write_recipe(
+    folder: Path, start: Material, changes: Mapping[str, Any], tolerance: Mapping[str, Any]
+) -> tuple[Path, list[str]]:
+    """Write an answer's recipe, with comments where the start has some, and copy beside it what it reaches.
+
+    Args:
+        folder: made if it does not exist.
+        start: the recipe that the search started from.
+        changes: path -> value.
+        tolerance: spreads of manufacture by path, for `nacre tolerance`.
+
+    Returns:
+        the recipe's path, and the names of all files written.
+
+    Raises:
+        NacreError: the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
+    data = copy.deepcopy(dict(start.data))
+    all_changes = dict(changes)
+    for path, value in changes.items():
+        set_by_path(data, path, value, start.context.source)
+    if tolerance:
+        data["tolerance"] = all_changes["tolerance"] = dict(tolerance)
+    copied: list[str] = []
+    moved = _bring(data, start.context.folder, set(start.context.reached), folder, copied)
+    for path, name in moved.items():
+        set_by_path(data, path, name, start.context.source)
+    text = ""
+    if start.context.text:
+        with contextlib.suppress(NacreError, ValueError, KeyError, TypeError):
+            text = edit_toml(start.context.text, {**all_changes, **moved}, start.context.source)
+            if parse_toml(text, RECIPE) != parse_toml(dump_toml(data), RECIPE):
+                text = ""  # a list that became another kind of list may have slipped into another table
+    recipe = folder / RECIPE
+    write_text(recipe, text or dump_toml(data))
+    return recipe, [RECIPE, *copied]
+
+
+def _bring(
+    data: Any, source: Path, reached: set[Path], target: Path, copied: list[str], path: str = ""
+) -> dict[str, str]:
+    """Copy the files that strings of a recipe name; return path -> the name that the file has beside the answer."""
+    if isinstance(data, Mapping):
+        parts = [_bring(v, source, reached, target, copied, f"{path}.{k}".lstrip(".")) for k, v in data.items()]
+    elif isinstance(data, list):
+        parts = [_bring(v, source, reached, target, copied, f"{path}[{i}]") for i, v in enumerate(data)]
+    elif isinstance(data, str) and data and len(data) < 1024 and (file := _file(source, data)) in reached:
+        name = _free_name(file.name, copied)
+        copied.append(name)
+        if file.suffix == ".toml":
+            inner = parse_toml(read_text(file, "recipe"), str(file))
+            for place, other in _bring(inner, file.parent, reached, target, copied).items():
+                set_by_path(inner, place, other)
+            write_text(target / name, dump_toml(inner))
+        elif file != (target / name).resolve():
+            try:
+                shutil.copyfile(file, target / name)
+            except OSError as error:
+                raise NacreError(f"{target / name}: cannot be written: {error.strerror}") from None
+        return {path: name}
+    else:
+        return {}
+    return {place: name for part in parts for place, name in part.items()}
+
+
+def _file(source: Path, name: str) -> Path:
+    with contextlib.suppress(OSError, ValueError):
+        return (source / name).resolve()
+    return Path()
+
+
+def _free_name(name: str, taken: list[str]) -> str:
+    if name == RECIPE:
+        name = "part.toml"
+    stem, _, suffix = name.rpartition(".")
+    number, chosen = 1, name
+    while chosen in taken:
+        number += 1
+        chosen = f"{stem}-{number}.{suffix}"
+    return chosen
+
+
+def folder_of(out: Path, number: int) -> Path:
+    """Return the folder of answer 1, 2, ...: the first is the design's own."""
+    return out if number == 1 else out / str(number)
+
+
+def clear_answers(out: Path, keep: int) -> None:
+    """Remove the answers that an earlier run wrote beyond the first `keep`: they are none of this one."""
+    try:
+        earlier = json.loads((out / SUMMARY).read_text(encoding="utf-8"))["solutions"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    for number in range(keep + 1, len(earlier) + 1):
+        folder = folder_of(out, number)
+        names = earlier[number - 1].get("files", []) if isinstance(earlier[number - 1], dict) else []
+        for name in names:
+            if Path(str(name)).name == name:
+                with contextlib.suppress(OSError):
+                    (folder / name).unlink()
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+
+
+def check_folder(out: Path, start: Material) -> None:
+    """Refuse a folder whose recipe is the one that the search starts from: it would be overwritten.
+
+    Raises:
+        RecipeError: so it is.
+    """
+    used = {Path(start.context.source).resolve(), *start.context.reached}
+    if start.context.text and (out / RECIPE).resolve() in used:
+        raise RecipeError(f"{out}: holds the recipe that the design starts from; choose another folder with -o")
+
+
+__all__ = ["Solution", "clear_answers", "check_folder", "folder_of", "write_recipe"]

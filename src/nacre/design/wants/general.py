@@ -1,0 +1,312 @@
+"""The search that knows nothing of the material: any free numbers and words of any recipe.
+
+Places are drawn evenly, the best are refined by Levenberg-Marquardt with finite differences, then weighted towards the
+want that is met worst; new draws and disturbed answers follow while time is left. What is walked keeps one seed for
+all candidates, so that its noise is the same function for each.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from nacre.arrays import Array
+from nacre.design.goals import Goals
+from nacre.design.wants.alike import are_alike
+from nacre.design.wants.free import Free, own_place, values_at
+from nacre.design.wants.geometry import At, search_wavelengths, see
+from nacre.design.wants.spec import LightSpec
+from nacre.design.wants.wanted import Want, goals_of
+from nacre.errors import NacreError
+from nacre.light import delta_e_2000
+from nacre.materials.material import Material
+from nacre.measure.evaluate import DEFAULT_SAMPLES
+
+MET = 0.2  # of `within`: a search that is so near everywhere ends
+SCOUTS_PER_NUMBER, LEAST_SCOUTS, MOST_SCOUTS = 24, 32, 1024
+SCOUT_SHARE = 0.3  # of the time
+STEP, STOCHASTIC_STEP = 1e-4, 1e-2
+STEPS_OF_A_START, WEIGHTINGS = 40, 3
+FAR_OFF = 1e3  # residual of what cannot be computed
+QUIET_SHARE = 0.1  # of `within`: noise that does not disturb
+SLOWEST_SHARE = 1 / 150  # of the time, for one candidate
+MOST_SAMPLES = 1 << 20
+DISTURBANCES = (0.03, 0.1, 0.3)
+POOL = 4  # times the answers asked for
+
+
+class TimeIsUp(Exception):
+    """Raised inside an optimiser to leave it at once; what was best is kept."""
+
+
+@dataclass
+class Pool:
+    """Answers that differ from one another, the best first: values by path, and the objective of each."""
+
+    most: int
+    answers: list[tuple[float, dict[str, Any]]] = field(default_factory=list)
+
+    def offer(self, objective: float, values: dict[str, Any]) -> None:
+        """Take an answer if it is new, or better than the one that it is like."""
+        if not np.isfinite(objective) or objective >= FAR_OFF:
+            return
+        like = [a for a in self.answers if are_alike(a[1], values)]
+        if any(a[0] <= objective for a in like):
+            return
+        kept = [a for a in self.answers if not any(a is other for other in like)]
+        self.answers = sorted([*kept, (objective, values)], key=lambda a: a[0])[: self.most]
+
+
+class GeneralSearch:
+    """The search of one problem.
+
+    Args:
+        material: the recipe.
+        free: what may change.
+        wants: what is wanted.
+        light: lamps and observer.
+        seed: of draws and walks.
+        solutions: number of answers that are asked for.
+    """
+
+    def __init__(
+        self, material: Material, free: Sequence[Free], wants: Sequence[Want], light: LightSpec, seed: int,
+        solutions: int,
+    ) -> None:  # fmt: skip
+        self.material, self.free, self.wants, self.seed = material, tuple(free), tuple(wants), seed
+        self.rows: list[At] = list(dict.fromkeys(want.at for want in wants))
+        widest = material.vary({n.path: n.high for n in free if not n.choices}) if self._widest_works() else material
+        self.grid = search_wavelengths(widest, light.illuminants)
+        self.goals: Goals = goals_of(self.wants, self.rows, light, self.grid)
+        self.pool = Pool(POOL * solutions)
+        self.samples: int | None = None
+        self.wanted_samples = 0  # with which the noise is small
+        self.is_stochastic = False
+        self.evaluations = 0
+        self.best = np.inf
+        self.best_values: dict[str, Any] = {}
+        self._deadline = np.inf
+        self._tell: Callable[[float, dict[str, Any]], None] | None = None
+        self._numbers = [i for i, number in enumerate(self.free) if not number.choices and not number.is_whole]
+
+    def _widest_works(self) -> bool:
+        try:
+            self.material.vary({n.path: n.high for n in self.free if not n.choices})
+        except NacreError:
+            return False
+        return True
+
+    def run(
+        self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None = None,
+        known: Sequence[Mapping[str, Any]] = (),
+    ) -> str:  # fmt: skip
+        """Search; return why it ended: "met", "time" or "interrupted".
+
+        Args:
+            seconds: of wall time.
+            tell: called with the objective and the values of every better answer, and now and then.
+            known: answers of an earlier run, tried first.
+        """
+        begun = time.monotonic()
+        self._deadline, self._tell = begun + seconds, tell
+        try:
+            self._settle_samples(seconds)
+            if not self._numbers:
+                self._rest_of_choices()
+            places = self._scout(begun + SCOUT_SHARE * seconds, known) if self._numbers else []
+            for start in self._starts(places):
+                self._refine(start)
+                if self.best <= MET and self._sharpen():
+                    continue
+                if self.best <= MET and len(self.pool.answers) >= self.pool.most // POOL:
+                    return "met"
+                if self.best <= MET and time.monotonic() - begun > 0.5 * seconds:
+                    return "met"
+        except TimeIsUp:
+            return "met" if self.best <= MET else "time"
+        except KeyboardInterrupt:
+            return "interrupted"
+        return "met" if self.best <= MET else "exhausted"
+
+    def _sharpen(self) -> bool:
+        """Walk four times as often and refine the best anew, until the noise is small; return whether that was done.
+
+        What was found with more noise is no longer comparable, and gives way.
+        """
+        if self.samples is None or self.samples >= self.wanted_samples:
+            return False
+        self.samples = min(4 * self.samples, MOST_SAMPLES)
+        kept = [values for _, values in self.pool.answers]
+        units = [number.unit(self.best_values[number.path]) for number in self.free]
+        self.best, self.pool.answers = np.inf, []
+        for values in kept[1:]:
+            place = np.array([number.unit(values[number.path]) for number in self.free], dtype=float)
+            self.pool.offer(self._judge(place)[0], values)
+        self._refine(np.array(units, dtype=float))
+        return True
+
+    def answers(self) -> list[tuple[float, dict[str, Any]]]:
+        """Return answers that differ from one another, the best first."""
+        self.pool.offer(self.best, self.best_values)
+        return list(self.pool.answers)
+
+    def spectra(self, place: Array) -> Array:
+        """Return `[row, wavelength]` of a candidate.
+
+        Raises:
+            NacreError: it cannot be computed.
+        """
+        made = self.material.vary(values_at(self.free, place))
+        return see(made, self.rows, self.grid, samples=self.samples, seed=self.seed).factors
+
+    def _judge(self, place: Array) -> tuple[float, Array | None]:
+        """Return the objective of a place and its spectra, and note it where it is the best."""
+        if time.monotonic() > self._deadline:
+            raise TimeIsUp
+        self.evaluations += 1
+        try:
+            spectra = self.spectra(place)
+            objective = float(self.goals.objective(self.goals.distances(spectra)))
+        except (NacreError, ArithmeticError):
+            return FAR_OFF, None
+        if not np.isfinite(objective):
+            return FAR_OFF, None
+        if objective < self.best:
+            self.best, self.best_values = objective, values_at(self.free, place)
+        if self._tell is not None:
+            self._tell(self.best, self.best_values)
+        return objective, spectra
+
+    def _settle_samples(self, seconds: float) -> None:
+        """Find how many walks make the noise small beside `within`, as far as the time allows."""
+        place = own_place(self.free, self.material)
+        place = np.full(len(self.free), 0.5) if place is None else place
+        try:
+            made = self.material.vary(values_at(self.free, place))
+            seen = see(made, self.rows, self.grid, seed=self.seed)
+            if seen.error is None:
+                return
+            begun = time.monotonic()
+            see(made, self.rows, self.grid, seed=self.seed)
+            cost = time.monotonic() - begun
+        except NacreError:
+            return
+        self.is_stochastic = True
+        noisy = self.goals.labs(seen.factors + seen.error)
+        noise = np.max(delta_e_2000(self.goals.labs(seen.factors), noisy), axis=-1)
+        within = np.array([min(w.within / w.weight for w in self.wants if w.at == at) for at in self.rows])
+        wanted = float(np.max(noise / (QUIET_SHARE * within))) ** 2
+        affordable = max(1.0, SLOWEST_SHARE * seconds / max(cost, 1e-6))
+        # in steps of four: another number of walks is another kernel, which takes seconds to compile
+        steps = int(np.floor(np.log(min(wanted, affordable)) / np.log(4.0))) if min(wanted, affordable) > 0 else 0
+        self.wanted_samples = int(np.clip(DEFAULT_SAMPLES * wanted, 0, MOST_SAMPLES))
+        self.samples = int(np.clip(DEFAULT_SAMPLES * 4.0 ** max(steps, 0), DEFAULT_SAMPLES, MOST_SAMPLES))
+
+    def _scout(self, until: float, known: Sequence[Mapping[str, Any]]) -> list[tuple[float, Array]]:
+        """Judge known answers, the recipe's own place and an even draw; return (objective, place), best first."""
+        from scipy.stats import qmc
+
+        places = []
+        for values in known:
+            units = [number.unit(values.get(number.path)) for number in self.free]
+            if all(unit is not None for unit in units):
+                places.append(np.array(units, dtype=float))
+        own = own_place(self.free, self.material)
+        if own is not None:
+            places.append(own)
+        count = int(np.clip(SCOUTS_PER_NUMBER * len(self.free), LEAST_SCOUTS, MOST_SCOUTS))
+        sampler = qmc.Sobol(len(self.free), scramble=True, rng=np.random.default_rng([self.seed, 1]))
+        places += list(sampler.random(1 << int(np.ceil(np.log2(count)))))
+        judged = []
+        for place in places:
+            judged.append((self._judge(place)[0], place))
+            self.pool.offer(judged[-1][0], values_at(self.free, place))
+            if time.monotonic() > until:
+                break
+        return sorted(judged, key=lambda pair: pair[0])
+
+    def _rest_of_choices(self) -> None:
+        """Try every combination where only words and whole numbers are free and the combinations are few."""
+        counts = [len(n.choices) if n.choices else int(n.high - n.low) + 1 for n in self.free]
+        total = int(np.prod(counts, dtype=float))
+        for index in range(min(total, 1 << 16)):
+            picks = np.unravel_index(index, counts)
+            place = np.array([(pick + 0.5) / count if n.choices else pick / max(count - 1, 1)
+                              for n, pick, count in zip(self.free, picks, counts, strict=True)])  # fmt: skip
+            self.pool.offer(self._judge(place)[0], values_at(self.free, place))
+
+    def _starts(self, places: list[tuple[float, Array]]) -> Iterator[Array]:
+        """Yield where to refine from: the best draws, disturbed answers, and new draws, in turn without end."""
+        if not self._numbers:
+            return
+        generator = np.random.default_rng([self.seed, 2])
+        begun: list[Array] = []
+        waiting = [place for _, place in places]
+        turn = 0
+        while True:
+            turn += 1
+            if waiting and turn % 3:
+                place = waiting.pop(0)
+                if any(np.max(np.abs(place - other)) < 0.05 for other in begun):
+                    continue
+            elif self.pool.answers and turn % 2:
+                values = self.pool.answers[int(generator.integers(min(len(self.pool.answers), 3)))][1]
+                units = [number.unit(values[number.path]) for number in self.free]
+                place = np.array([0.5 if unit is None else unit for unit in units])
+                size = DISTURBANCES[turn % len(DISTURBANCES)]
+                place = np.clip(place + size * generator.standard_normal(len(place)), 0.0, 1.0)
+            else:
+                draws = generator.random((8, len(self.free)))
+                place = min(draws, key=lambda draw: self._judge(draw)[0])
+            begun.append(place)
+            yield place
+
+    def _refine(self, start: Array) -> None:
+        """Refine the numbers of a place; words stay. The last steps weigh what is worst."""
+        from scipy.optimize import least_squares
+
+        place = start.copy()
+        weights = np.ones(len(self.goals.terms))
+        sizes: Any = self._block_sizes()
+        last = np.inf
+        for _ in range(1 + (WEIGHTINGS if len(weights) > 1 else 0)):
+            spread = np.repeat(weights, sizes)
+
+            def residuals(x: Array, place: Array = place, spread: Array = spread) -> Array:
+                full = place.copy()
+                full[self._numbers] = x
+                _, spectra = self._judge(full)
+                if spectra is None:
+                    return np.full(len(spread), FAR_OFF)
+                return np.asarray(self.goals.residuals(spectra)) * spread
+
+            step = STOCHASTIC_STEP if self.is_stochastic else STEP
+            found = least_squares(
+                residuals, np.clip(place[self._numbers], 1e-6, 1 - 1e-6), bounds=(0.0, 1.0),
+                diff_step=np.full(len(self._numbers), step), xtol=1e-7, ftol=1e-7, gtol=1e-9,
+                max_nfev=STEPS_OF_A_START,
+            )  # fmt: skip
+            trial = place.copy()
+            trial[self._numbers] = found.x
+            objective, spectra = self._judge(trial)
+            if spectra is None or objective >= last * 0.999:
+                break
+            place, last = trial, objective
+            self.pool.offer(objective, values_at(self.free, place))
+            distances = np.asarray(self.goals.distances(spectra)) * self.goals.scale
+            if objective <= MET or distances.max() <= 1.05 * distances.mean():
+                break
+            weights = weights * np.sqrt(np.maximum(distances / distances.max(), 0.05))
+            weights /= weights.max()
+
+    def _block_sizes(self) -> Array:
+        """Return how many residuals each term has."""
+        sizes = {"colour": 3, "hue": 1, "chroma": 1, "lightness": 1, "spectrum": len(self.grid)}
+        return np.array([sizes[self.goals.goals[index].kind] for index, _ in self.goals.terms])
+
+
+__all__ = ["GeneralSearch", "Pool"]

@@ -1,0 +1,273 @@
+"""The report of a design by wants: one HTML file that needs nothing else, and a picture of the best answer."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nacre.arrays import Array
+from nacre.design.wants.answers import Solution
+from nacre.design.wants.gamut import gamut_chart, gamut_svg
+from nacre.design.wants.geometry import At, search_wavelengths, see
+from nacre.design.wants.judge import Reached, rows_of
+from nacre.design.wants.reach import reach_of_or_none
+from nacre.design.wants.target import Target
+from nacre.errors import NacreError, UnsupportedError
+from nacre.files import write_text
+from nacre.light import white_xyz
+from nacre.materials.material import Material
+
+if TYPE_CHECKING:
+    from nacre.plot import Figure
+    from nacre.plot.designs import DesignSheet
+
+REPORT, PICTURE = "report.html", "report.png"
+RIBBON_DEG = np.linspace(0.0, 80.0, 41)
+COARSE_DEG = np.linspace(0.0, 80.0, 9)  # where an angle takes long
+ASPECULAR_DEG = np.array([-15.0, 0.0, 15.0, 25.0, 35.0, 45.0, 60.0, 75.0, 90.0, 110.0])
+DPI = 170
+
+
+def write_page(folder: Path, target: Target, design: Any, seconds: float) -> None:
+    """Write report.html and report.png.
+
+    Args:
+        folder: of the design.
+        target: what was asked.
+        design: the `Design`.
+        seconds: time for it; answers behind the first go without their pictures, and the page without its gamut, where
+            it is short.
+
+    Raises:
+        NacreError: the folder cannot be written.
+    """
+    from nacre.plot import save_figure
+    from nacre.plot.designs import design_figure
+
+    begun = time.monotonic()
+    sections = []
+    for number, solution in enumerate(design.solutions, start=1):
+        picture = ""
+        if number == 1 or time.monotonic() - begun < 0.5 * seconds:
+            figure = design_figure(sheet_of(target, solution, number, design))
+            picture = _data_uri(figure)
+        if number == 1:
+            save_figure(figure, folder / PICTURE, {"target": target.fingerprint})
+        sections.append(_section(number, solution, picture, folder, target))
+    body = [
+        f"<h1>{html.escape(target.name)}</h1>",
+        f'<p class="{"good" if design.status == "met" else "far"}">{html.escape(_capital(design.message))}.</p>',
+        f"<p>{len(design.solutions)} answers, {design.seconds:.1f} s. {_light(target)}</p>",
+        _overview(design.solutions),
+        *sections,
+    ]
+    body += _gamut(target, 0.7 * seconds - (time.monotonic() - begun))
+    text = html.escape(
+        target.context.text or json.dumps(target.spec.model_dump(exclude_none=True), indent=2, default=str)
+    )
+    body += [
+        f"<details><summary>the target</summary><pre>{text}</pre></details>",
+        f"<details><summary>design.json</summary><pre>{html.escape(json.dumps(design.summary, indent=2, default=str))}"
+        "</pre></details>",
+    ]
+    write_text(folder / REPORT, _PAGE.replace("TITLE", html.escape(target.name)).replace("BODY", "\n".join(body)))
+
+
+_PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>nacre: TITLE</title><style>
+body{font:15px/1.5 system-ui,sans-serif;max-width:1180px;margin:2em auto;padding:0 1em;color:#222}
+table{border-collapse:collapse;margin:.6em 0}td,th{padding:3px 14px 3px 0;border-bottom:1px solid #ddd;text-align:left}
+.pair{display:inline-block;width:84px;height:24px;border:1px solid #222;vertical-align:middle}
+.pair i{display:inline-block;width:42px;height:24px}.good{background:#e4f3e4;padding:8px 12px}
+.far{background:#fff2cc;padding:8px 12px}img,svg{max-width:100%}
+h2{margin-top:1.6em;border-top:1px solid #ccc;padding-top:.6em}
+.small{color:#667;font-size:13px}
+</style></head><body>
+BODY
+</body></html>
+"""
+
+
+def sheet_of(target: Target, solution: Solution, number: int, design: Any) -> DesignSheet:
+    """Return what the picture of an answer shows.
+
+    Raises:
+        NacreError: the answer cannot be computed.
+    """
+    from nacre.plot.designs import DesignSheet, Swatch
+
+    light = target.spec.light
+    made, seed = solution.material, target.spec.search.seed
+    grid = search_wavelengths(made, light.illuminants)
+    rows = rows_of(target.wants)
+    angles, ribbon_rows, label = _ribbon(rows[0], made)
+    seen = see(made, [*rows, *ribbon_rows], grid, seed=seed)
+    swatches = []
+    for r in solution.wants:
+        if r.lab is not None:
+            document = r.document(light.observer)
+            lamp = f", {r.lamp}" if len(light.illuminants) > 1 else ""
+            swatches.append(
+                Swatch(f"{r.want.at}{lamp}", document["asked_colour"], document["reached"]["colour"], _distance(r))
+            )
+    curves = {str(at): row for at, row in zip(rows, seen.factors)}
+    wanted = {str(w.at): w.spectrum for w in target.wants if w.spectrum is not None}
+    media, thicknesses = layers_of(made)
+    bars, title = _bars(solution)
+    share = solution.yield_share
+    made_well = "" if share is None else f"; yield {100 * share:.0f} %"
+    return DesignSheet(
+        f"{target.name}, answer {number} of {len(design.solutions)}: {_distance(solution.worst)}"
+        f" at {solution.worst.want.at}{made_well}",
+        swatches, seen.wavelengths_nm, curves, wanted, angles, seen.factors[len(rows):], label, media, thicknesses,
+        _numbers(solution), bars, title, light.illuminants[0],
+    )  # fmt: skip
+
+
+def _ribbon(first: At, material: Material) -> tuple[Array, list[At], str]:
+    """Return the angles of the ribbon over which the first want's kind of look is shown."""
+    if first.kind == "aspecular":
+        angles = ASPECULAR_DEG[np.abs(ASPECULAR_DEG - first.theta_deg) < 89.0]
+        label = f"Aspecular angle, light from {first.theta_deg:g}\u00b0"
+        return angles, [At("aspecular", first.theta_deg, float(a)) for a in angles], label
+    angles = RIBBON_DEG if material.model.is_quick else COARSE_DEG
+    return angles, [At(first.kind, float(a)) for a in angles], f"Angle of the light, {first.kind} (degrees)"
+
+
+def layers_of(material: Material) -> tuple[list[str], list[float]]:
+    """Return the media of a stack from the light's side and its thicknesses; nothing of what is no stack."""
+    if "structure" not in material.model.figures:
+        return [], []
+    try:
+        data = material.figure_data("structure")
+    except (NacreError, UnsupportedError):
+        return [], []
+    if "thicknesses_nm" not in data or "names" not in data:
+        return [], []
+    return [str(name) for name in data["names"]], [float(d) for d in np.atleast_1d(data["thicknesses_nm"])]
+
+
+def _numbers(solution: Solution) -> list[str]:
+    return [f"{path} = {_short(value)}" for path, value in solution.changes.items()]
+
+
+def _short(value: Any) -> str:
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def _bars(solution: Solution) -> tuple[list[tuple[str, float]], str]:
+    details = solution.facts.get("yield")
+    if details is not None:
+        return [(c["path"], c["moves"]) for c in details["costs"]], "dE00 of one standard deviation"
+    found = solution.facts.get("sensitivity", [])
+    return [(s["path"], s["de00_of_1_percent"]) for s in found], "dE00 of a change of 1 %"
+
+
+def _distance(reached: Reached) -> str:
+    if reached.lamp is None:
+        return f"rms {reached.distance:.2f} %"
+    noise = f" \u00b1 {reached.noise:.2f}" if reached.noise else ""
+    return f"dE00 {reached.distance:.2f}{noise} (within {reached.want.within:g})"
+
+
+def _overview(solutions: Sequence[Solution]) -> str:
+    lines = ["<table><tr><th>answer</th><th>worst</th><th>at</th><th>thickness</th><th>layers</th><th>yield</th></tr>"]
+    for number, solution in enumerate(solutions, start=1):
+        media, _ = layers_of(solution.material)
+        total, share = solution.facts.get("total_nm"), solution.yield_share
+        made = "" if share is None else f"{100 * share:.0f} %"
+        lines.append(
+            f'<tr><td><a href="#answer-{number}">{number}</a></td><td>{_distance(solution.worst)}</td>'
+            f"<td>{solution.worst.want.at}</td><td>{'' if total is None else f'{total:.0f} nm'}</td>"
+            f"<td>{html.escape(' | '.join(media[1:-1]))}</td><td>{made}</td></tr>"
+        )
+    return "".join([*lines, "</table>"])
+
+
+def _section(number: int, solution: Solution, picture: str, folder: Path, target: Target) -> str:
+    light = target.spec.light
+    rows = ["<table><tr><th>want</th><th>lamp</th><th>asked | reached</th><th></th><th>distance</th></tr>"]
+    for r in solution.wants:
+        document = r.document(light.observer)
+        pair = said = ""
+        if r.lab is not None and r.lamp is not None:
+            pair = "".join(
+                f'<i style="background:{c}"></i>' for c in (document["asked_colour"], document["reached"]["colour"])
+            )
+            pair = f'<span class="pair">{pair}</span>'
+            assert r.asked_lab is not None
+            said = f"{_lab(r.asked_lab)} | {_lab(r.lab)}"
+        mark = "" if r.is_met else " (missed)"
+        rows.append(f"<tr><td>{r.want.at}</td><td>{r.lamp or ''}</td><td>{pair}</td><td class=small>{said}</td>"
+                    f"<td>{_distance(r)}{mark}</td></tr>")  # fmt: skip
+    made = [f"<li>{html.escape(line)}</li>" for line in _numbers(solution) if len(line) < 200]
+    where = solution.recipe.parent.relative_to(folder).as_posix() if solution.recipe is not None else ""
+    details = solution.facts.get("yield")
+    said = ""
+    if details is not None:
+        low, high = (100 * share for share in details["interval_95"])
+        said = (
+            f"<p>Yield {100 * details['share']:.0f} % ({low:.0f} to {high:.0f} %, {details['draws']} draws);"
+            f" what costs most of it: <code>{html.escape(str(details['costs_most']))}</code>.</p>"
+        )
+    total = solution.facts.get("total_nm")
+    thick = "" if total is None else f"<p>Thickness of all layers: {total:.1f} nm.</p>"
+    return (
+        f'<h2 id="answer-{number}">Answer {number} <span class="small">{"recipe.toml" if where == "." else where}'
+        f"</span></h2>{''.join(rows)}</table>{said}{thick}"
+        + (f'<img alt="sheet of answer {number}" src="{picture}">' if picture else "")
+        + (f"<details><summary>numbers</summary><ul>{''.join(made)}</ul></details>" if made else "")
+    )
+
+
+def _gamut(target: Target, seconds: float) -> list[str]:
+    """Return what can be reached at the first colour that is wanted, as parts of the page."""
+    if seconds <= 0.0:
+        return []
+    found = reach_of_or_none(target, seconds)
+    if found is None:
+        return []
+    gamut, wanted = found
+    facts = (
+        f"{html.escape(gamut.at)}, {gamut.illuminant}: within dE00 {gamut.within:g} of one of {len(gamut.lab)} colours "
+        f"that the free numbers make lie {100 * gamut.share_of_srgb:.2g} % of the colours of sRGB and "
+        f"{100 * gamut.share_of_optimal:.2g} % of the optimal colours (solid line), which no surface goes beyond. Let "
+        "the pointer rest on a point to see its structure; crosses are what was wanted."
+    )
+    chart = f'<img alt="what can be reached" src="{_data_uri(gamut_chart(gamut, wanted))}">'
+    details = f"<details><summary>structures</summary>{gamut_svg(gamut, wanted)}</details>"
+    return [f"<h2>What can be reached</h2><p>{facts}</p>", chart, details]
+
+
+def _lab(lab: Array) -> str:
+    return ", ".join(f"{v:.1f}" for v in lab)
+
+
+def _light(target: Target) -> str:
+    light = target.spec.light
+    white = [", ".join(f"{v:.4f}" for v in white_xyz(lamp, light.observer)) for lamp in light.illuminants]
+    lamps = "; ".join(f"{lamp} (white {w})" for lamp, w in zip(light.illuminants, white))
+    return f"Colours under {lamps}, {light.observer} observer, each against its own white."
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _data_uri(figure: Figure) -> str:
+    from nacre.plot import house_style
+
+    stream = io.BytesIO()
+    with house_style():
+        figure.savefig(stream, format="png", dpi=DPI)
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
+
+
+__all__ = ["layers_of", "write_page"]

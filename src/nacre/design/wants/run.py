@@ -1,0 +1,350 @@
+"""A design by wants from target to folder: search, judge anew, write answers that are complete at any moment."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from nacre._version import __version__
+from nacre.design.wants.answers import (
+    SUMMARY,
+    Solution,
+    check_folder,
+    clear_answers,
+    folder_of,
+    write_recipe,
+)
+from nacre.design.wants.free import spreads_of
+from nacre.design.wants.general import GeneralSearch
+from nacre.design.wants.judge import judge, objective
+from nacre.design.wants.making import sensitivity, yield_of
+from nacre.design.wants.target import Target, read_target
+from nacre.errors import NacreError, RecipeError
+from nacre.files import read_text, write_text
+from nacre.recipe.paths import numbers_of
+
+STATE = "search.json"
+WRITE_EVERY_S = 2.0
+# kept back from the time for judging and the report
+CLOSING_SHARE, CLOSING_S, CLOSING_OF_EACH_S = 0.3, 3.0, 0.6
+LEAST_PAGE_S = 1.0
+LEAST_SEARCH = 0.4  # of the time, whatever was compiled before it began
+RESUMED_SEED = 1_000_003  # a search that goes on draws anew
+
+
+class Search(Protocol):
+    """What looks for answers: of any recipe, or of stacks."""
+
+    def run(
+        self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None, known: Sequence[Mapping[str, Any]]
+    ) -> str:
+        """Search; return why it ended."""
+        ...
+
+    def answers(self) -> list[tuple[float, dict[str, Any]]]:
+        """Return answers that differ from one another, the best first: objective, and changes by path."""
+        ...
+
+
+@dataclass(frozen=True)
+class WantsProgress:
+    """What a caller is told while a design is searched.
+
+    Attributes:
+        worst: the largest weight x distance / within so far; below 1 every want is met.
+        seconds, seconds_left: spent and left.
+    """
+
+    worst: float
+    seconds: float
+    seconds_left: float
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A finished (or cleanly stopped) design.
+
+    Attributes:
+        folder: where its files are; None where nothing was written.
+        status: "met", "out of reach" (time is up and a want is not within), "interrupted".
+        message: the outcome in words.
+        seconds: wall time.
+        solutions: the answers, the best first.
+        summary: what `design.json` holds.
+    """
+
+    folder: Path | None
+    status: str
+    message: str
+    seconds: float
+    solutions: list[Solution]
+    summary: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def best(self) -> Solution:
+        """The best answer."""
+        return self.solutions[0]
+
+
+def run(
+    target: str | Path | Mapping[str, Any] | Target,
+    out: str | Path | None = None,
+    *,
+    resume: bool = False,
+    progress: Callable[[WantsProgress], None] | None = None,
+) -> Design:
+    """Design what a target of wants asks for.
+
+    The folder holds recipe.toml and design.json from the first seconds on, each written whole; an interrupt ends the
+    search with the best answer so far.
+
+    Args:
+        target: a TOML file with `[[want]]`, a dictionary with the same keys, or such a one as `read_target` gives.
+        out: made if it does not exist; default: the target's name.
+        resume: go on from the answers of a stopped run of the same target.
+        progress: called after better answers and now and then.
+
+    Raises:
+        RecipeError: the target is not usable.
+        NacreError: the folder cannot be written, or holds the search of another target.
+    """
+    begun = time.monotonic()
+    read = target if isinstance(target, Target) else read_target(target)
+    folder = Path(out) if out is not None else Path(read.name)
+    check_folder(folder, read.material)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
+    known, runs = _known(folder, read) if resume else ([], 0)
+    search = search_of(read, read.spec.search.seed + RESUMED_SEED * runs)
+    keeper = _Keeper(folder, read, begun, runs + 1, progress)
+    total = read.spec.search.seconds
+    closing = min(CLOSING_SHARE * total, CLOSING_S + CLOSING_OF_EACH_S * read.spec.search.solutions)
+    left = total - closing - (time.monotonic() - begun)
+    ended = search.run(max(left, LEAST_SEARCH * total), keeper.tell, known)
+    found = search.answers()
+    if not found:
+        raise RecipeError(f"{read.context.source}: the recipe cannot be computed anywhere in its bounds")
+    keeper.save([values for _, values in found])
+    return _finish(read, folder, found, ended, begun, keeper)
+
+
+def search_of(target: Target, seed: int) -> Search:
+    """Return the search that a target needs."""
+    from nacre.design.wants.films import film_search
+
+    stack = film_search(target, seed)
+    return stack if stack is not None else _general(target, seed)
+
+
+def _general(target: Target, seed: int) -> Search:
+    return GeneralSearch(
+        target.material, target.free, target.wants, target.spec.light, seed, target.spec.search.solutions
+    )
+
+
+class _Keeper:
+    """Keeps the folder up to date while the search runs."""
+
+    def __init__(
+        self, folder: Path, target: Target, begun: float, runs: int,
+        progress: Callable[[WantsProgress], None] | None,
+    ) -> None:  # fmt: skip
+        self.folder, self.target, self.begun, self.runs, self.progress = folder, target, begun, runs, progress
+        self.last, self.best = -np.inf, np.inf
+
+    def tell(self, worst: float, values: dict[str, Any]) -> None:
+        """Pass progress on, and write a better answer now and then."""
+        spent = time.monotonic() - self.begun
+        if worst < self.best and values and spent - self.last > WRITE_EVERY_S:
+            self.best, self.last = worst, spent
+            path, files = write_recipe(self.folder, self.target.material, values, {})
+            solution = {"recipe": str(path), "files": files, "changes": values, "worst": worst}
+            self.write({"status": "running", "seconds": round(spent, 3), "solutions": [solution]})
+            self.save([values])
+        if self.progress is not None:
+            self.progress(WantsProgress(worst, spent, max(self.target.spec.search.seconds - spent, 0.0)))
+
+    def save(self, answers: Sequence[Mapping[str, Any]]) -> None:
+        """Write what a resumed run needs."""
+        state = {"target": self.target.fingerprint, "runs": self.runs, "answers": [dict(a) for a in answers]}
+        write_text(self.folder / STATE, json.dumps(state, default=str) + "\n")
+
+    def write(self, summary: Mapping[str, Any]) -> None:
+        """Write design.json; answers of an earlier run that are none of this one go."""
+        clear_answers(self.folder, len(summary["solutions"]))
+        write_text(self.folder / SUMMARY, json.dumps(summary, indent=2, default=str) + "\n")
+
+
+def _known(folder: Path, target: Target) -> tuple[list[dict[str, Any]], int]:
+    """Return the answers of a stopped run and how often it ran.
+
+    Raises:
+        RecipeError: the folder holds the search of another target.
+        NacreError: its state cannot be read.
+    """
+    path = folder / STATE
+    if not path.exists():
+        return [], 0
+    try:
+        state = json.loads(read_text(path, "state"))
+        answers, runs, owner = state["answers"], int(state["runs"]), state["target"]
+        assert isinstance(answers, list) and all(isinstance(a, dict) for a in answers)
+    except (ValueError, KeyError, TypeError, AssertionError):
+        raise NacreError(f"{path}: cannot be read to resume; delete it to start afresh") from None
+    if owner != target.fingerprint:
+        raise RecipeError(
+            f"{path}: belongs to another target, or a file that it names, or nacre itself has changed since; "
+            "take another folder, or leave --resume away"
+        )
+    return answers, runs
+
+
+def _finish(
+    target: Target,
+    folder: Path,
+    found: Sequence[tuple[float, dict[str, Any]]],
+    ended: str,
+    begun: float,
+    keeper: _Keeper,
+) -> Design:
+    """Judge the answers by the reference route, order them by what was found, write all."""
+    spec = target.spec
+    left = max(spec.search.seconds - (time.monotonic() - begun), 1.0)
+    chosen = list(found[: spec.search.solutions])
+    solutions = []
+    for number, (_, changes) in enumerate(chosen):
+        if ended == "interrupted" and number > 0:
+            break
+        solution = _judged(target, changes, 0.5 * left / len(chosen))
+        if solution is not None:
+            solutions.append(solution)
+    if not solutions:
+        raise RecipeError(f"{target.context.source}: no answer can be computed anew; this is a bug in nacre")
+    _order(solutions, target)
+    written = []
+    for number, solution in enumerate(solutions, start=1):
+        tolerance = _tolerance(target, solution)
+        path, files = write_recipe(folder_of(folder, number), target.material, solution.changes, tolerance)
+        facts = {**solution.facts, "files": files}
+        written.append(replace(solution, recipe=path, facts=facts))
+    return _report(target, folder, written, ended, begun, keeper)
+
+
+def _order(solutions: list[Solution], target: Target) -> None:
+    """Put the best first: of the largest yield, or the nearest; a search for the fewest layers has its own order."""
+    if target.spec.spread:
+        solutions.sort(key=lambda s: (-(s.yield_share or 0.0), objective(s.wants)))
+    elif target.spec.limits.layers != "fewest":
+        solutions.sort(key=lambda s: objective(s.wants))
+
+
+def _judged(target: Target, changes: dict[str, Any], seconds: float) -> Solution | None:
+    """Return an answer as its recipe shows it; None where it cannot be computed."""
+    spec = target.spec
+    try:
+        made = target.material.vary(changes)
+        wants, _ = judge(made, target.wants, spec.light, seed=spec.search.seed, seconds=0.5 * seconds)
+    except NacreError:
+        return None
+    facts: dict[str, Any] = {}
+    with contextlib.suppress(NacreError):
+        paths = [path for path in numbers_of(made.data) if is_changed(path, changes) and made.get(path)]
+        facts["sensitivity"] = sensitivity(made, paths, target.wants, spec.light, spec.search.seed, 0.2 * seconds)
+        if spec.spread:
+            spreads = spreads_of(spec.spread, made, target.context.source)
+            facts["yield"] = yield_of(made, spreads, target.wants, spec.light, spec.search.seed, 0.3 * seconds)
+    total = sum(v for p, v in numbers_of(made.data).items() if p.startswith("layers[") and p.endswith("].thickness_nm"))
+    if total:
+        facts["total_nm"] = total
+    return Solution(None, made, changes, wants, facts)
+
+
+def is_changed(path: str, changes: Mapping[str, Any]) -> bool:
+    """Whether a number of the recipe is one that the search chose."""
+    return any(path == each or path.startswith((f"{each}[", f"{each}.")) for each in changes)
+
+
+def _tolerance(target: Target, solution: Solution) -> dict[str, Any]:
+    """Return the spreads as a recipe's [tolerance] has them, so that `nacre tolerance` goes on from the answer."""
+    if not target.spec.spread:
+        return {}
+    spreads = spreads_of(target.spec.spread, solution.material, target.context.source)
+    own = dict(solution.material.data.get("tolerance", {}))
+    return own | {s.path: {"deviation": s.deviation, "distribution": s.distribution} for s in spreads}
+
+
+def in_words(solutions: Sequence[Solution], status: str) -> str:
+    """Return the outcome as a sentence: what was reached, or how far it is and which want costs most."""
+    best = solutions[0]
+    worst = best.worst
+    unit = " % rms" if worst.lamp is None else ""
+    distance = f"{worst.distance:.2g}{unit}" if worst.lamp is None else f"dE00 {worst.distance:.2f}"
+    under = f" under {worst.lamp}" if worst.lamp is not None else ""
+    where = f'"{worst.want.at}"{under}'
+    if status == "met":
+        return f"every want is met; the farthest is {where}: {distance}, within {worst.want.within:g}"
+    head = "stopped; " if status == "interrupted" else ""
+    if best.is_met:
+        return f"{head}every want is met so far; the farthest is {where}: {distance}"
+    return (
+        f"{head}out of reach with what is free: the nearest answer misses {where} by {distance} "
+        f"(within {worst.want.within:g} was asked); that want costs most"
+    )
+
+
+def _report(
+    target: Target, folder: Path, solutions: list[Solution], ended: str, begun: float, keeper: _Keeper
+) -> Design:
+    """Write design.json and the report."""
+    is_met = solutions[0].is_met
+    status = "interrupted" if ended == "interrupted" else "met" if is_met else "out of reach"
+    message = in_words(solutions, status)
+    summary: dict[str, Any] = {
+        "status": status,
+        "message": message,
+        "seconds": round(time.monotonic() - begun, 3),
+        "solutions": [_document(s, target) for s in solutions],
+        "light": target.spec.light.model_dump(),
+        "costs_most": {"at": str(solutions[0].worst.want.at), "lamp": solutions[0].worst.lamp},
+        "seed": target.spec.search.seed,
+        "runs": keeper.runs,
+        "target": target.fingerprint,
+        "nacre": __version__,
+    }
+    design = Design(folder, status, message, summary["seconds"], solutions, summary)
+    keeper.write(summary)
+    from nacre.design.wants.page import write_page
+
+    if ended != "interrupted":
+        with contextlib.suppress(KeyboardInterrupt):
+            left = target.spec.search.seconds - (time.monotonic() - begun)
+            write_page(folder, target, design, max(left, LEAST_PAGE_S))
+        summary["seconds"] = round(time.monotonic() - begun, 3)
+        keeper.write(summary)
+    return replace(design, seconds=summary["seconds"])
+
+
+def _document(solution: Solution, target: Target) -> dict[str, Any]:
+    return {
+        "recipe": str(solution.recipe),
+        "worst": solution.worst.scaled,
+        "wants": [r.document(target.spec.light.observer) for r in solution.wants],
+        "changes": solution.changes,
+        "yield": solution.yield_share,
+        "yield_details": solution.facts.get("yield"),
+        "sensitivity": solution.facts.get("sensitivity", []),
+        "total_nm": solution.facts.get("total_nm"),
+        "files": solution.facts.get("files", []),
+    }
+
+
+__all__ = ["Design", "Solution", "WantsProgress", "run"]

@@ -1,0 +1,95 @@
+"""The gamut: its points are what their structures show, its shares are shares, and no surface is beyond MacAdam."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.cli import run
+from nacre.design.wants.gamut import optimal_colours, parse_free, share_within, srgb_colours
+from nacre.errors import NacreError
+from nacre.light import lab_to_xyz, spectrum_to_xyz, table_wavelengths_nm, white_xyz, xyz_to_lab
+
+OXIDE = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]}
+FREE = ["layers[0].thickness_nm=0:400"]
+
+
+def test_each_point_is_the_colour_of_its_structure() -> None:
+    material = nacre.material(OXIDE)
+    found = nacre.gamut(material, FREE, "specular 30", points=12, illuminant="A")
+    nm = material.model.wavelengths_nm
+    for lab, structure in zip(found.lab, found.structures):
+        seen = material.vary(structure).spectrum(np.radians([30.0]), nm).specular_reflectance
+        own = xyz_to_lab(spectrum_to_xyz(seen[0], nm, "A", "10deg"), white_xyz("A", "10deg"))
+        np.testing.assert_allclose(lab, own, atol=0.3)  # of the grid, which is that of the thickest
+    assert 0.0 <= found.share_of_srgb < 0.2 and found.failed == 0
+
+
+def test_reflectances_lie_within_the_optimal_colours_and_fill_them_only_as_edges() -> None:
+    from scipy.spatial import ConvexHull, Delaunay
+
+    inside = optimal_colours("D65", "10deg")
+    nm, white = table_wavelengths_nm(), white_xyz("D65", "10deg")
+    solid = Delaunay(lab_to_xyz(inside, white)[ConvexHull(lab_to_xyz(inside, white)).vertices])
+    generator = np.random.default_rng(1)
+    smooth = np.array([np.interp(nm, np.linspace(360, 830, 8), row) for row in generator.uniform(0.02, 0.98, (200, 8))])
+    assert (solid.find_simplex(spectrum_to_xyz(smooth, nm, "D65", "10deg")) >= 0).mean() > 0.99
+    # twice what is possible is outside
+    assert (solid.find_simplex(spectrum_to_xyz(2.0 + smooth, nm, "D65", "10deg")) >= 0).sum() == 0
+
+
+def test_a_solid_holds_itself_and_nothing_holds_it_without_points_near() -> None:
+    solid = srgb_colours("D65", "10deg")
+    assert share_within(solid, solid, 0.01) == 1.0
+    assert share_within(np.array([[50.0, 300.0, 0.0]]), solid, 2.0) == 0.0
+
+
+def test_more_freedom_reaches_more() -> None:
+    double = {**OXIDE, "layers": [{"material": "TiO2", "thickness_nm": 50}, *OXIDE["layers"]]}
+    one = nacre.gamut(nacre.material(double), ["layers[1].thickness_nm=0:400"], points=150)
+    two = nacre.gamut(
+        nacre.material(double), ["layers[0].thickness_nm=10:200", "layers[1].thickness_nm=0:400"], points=150
+    )
+    assert two.share_of_optimal > one.share_of_optimal
+
+
+@pytest.mark.parametrize("suffix", [".png", ".json", ".html"])
+def test_the_command_writes_the_chart_and_the_structures(
+    tmp_path: Path, suffix: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from nacre.recipe.toml import dump_toml
+
+    (tmp_path / "oxide.toml").write_text(dump_toml(OXIDE))
+    path = tmp_path / f"x{suffix}"
+    arguments = ["gamut", str(tmp_path / "oxide.toml"), "--free", FREE[0], "--points", "16", "-o", str(path), "--json"]
+    assert run(arguments) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["count"] == 16 and "layers[0].thickness_nm" in document["points"][0]["structure"]
+    if suffix == ".json":
+        assert json.loads(path.read_text()) == document
+    elif suffix == ".html":
+        assert path.read_text().count("<title>Lab") == 16 and "http" not in path.read_text()
+    assert path.stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("option", "word"),
+    [
+        ("layers[0].thickness_nm", "50:400"),
+        ("layers[0].thickness_nm=400:50", "cross"),
+        ("layers[3].x=1:2", "layers[3]"),
+    ],
+)
+def test_bad_options_are_told_in_one_line(option: str, word: str) -> None:
+    with pytest.raises(NacreError) as caught:
+        nacre.gamut(nacre.material(OXIDE), [option])
+    assert word in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_choices_and_bounds_are_told_apart() -> None:
+    table = parse_free(["substrate=Al,Ag", "layers[0].thickness_nm=10:20"])
+    assert table == {"substrate": {"choices": ["Al", "Ag"]}, "layers[0].thickness_nm": [10.0, 20.0]}

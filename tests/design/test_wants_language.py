@@ -1,0 +1,192 @@
+"""The target language of wants: what it means, and how everything wrong in it is told in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import colour
+import numpy as np
+import pytest
+
+import nacre
+from nacre.cli import run
+from nacre.design.goals import hue_excess
+from nacre.design.wants.geometry import At, see
+from nacre.design.wants.judge import nearest_in_ranges
+from nacre.design.wants.target import read_target
+from nacre.design.wants.wanted import srgb_to_lab
+from nacre.errors import NacreError
+from nacre.light import delta_e_2000, lab_to_lch, lch_to_lab, white_xyz, xyz_to_lab
+
+FILM: dict[str, Any] = {
+    "family": "film",
+    "substrate": "Si",
+    "layers": [{"material": "SiO2", "thickness_nm": 120}, {"material": "TiO2", "thickness_nm": 40}],
+}
+ONE = {"at": "specular 0", "colour": "#777777"}
+# nacre's white is that of the sRGB matrix, colour-science's that of the four digits of xy: 2e-2 in a blue
+SRGB_WHITE = 0.05
+
+
+def target(**changes: Any) -> dict[str, Any]:
+    base: dict[str, Any] = {"recipe": FILM, "free": {"layers[0].thickness_nm": [50, 300]}, "want": [ONE]}
+    return {key: value for key, value in (base | changes).items() if value is not None}
+
+
+def test_srgb_is_read_by_d65_and_the_2_degree_observer() -> None:
+    for text in ("#c2185b", "#0000ff", "#08f", "#ffffff", "#010203"):
+        digits = text[1:] if len(text) == 7 else "".join(2 * d for d in text[1:])
+        rgb = np.array([int(digits[i : i + 2], 16) for i in (0, 2, 4)]) / 255
+        white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
+        expected = colour.XYZ_to_Lab(colour.sRGB_to_XYZ(rgb), white)
+        np.testing.assert_allclose(srgb_to_lab(text, "here"), expected, atol=SRGB_WHITE)
+
+
+def test_forms_of_one_colour_are_one_want() -> None:
+    lab = np.array([60.0, 20.0, -30.0])
+    white = white_xyz("D65", "10deg")
+    xyz = nacre.light.lab_to_xyz(lab, white)
+    forms = [
+        {"lab": lab.tolist()},
+        {"lch": lab_to_lch(lab).tolist()},
+        {"xyz": xyz.tolist()},
+        {"xyy": nacre.light.xyz_to_xyy(xyz).tolist()},
+    ]
+    for form in forms:
+        want = read_target(target(want=[{"at": "specular 0", **form}])).wants[0]
+        np.testing.assert_allclose(want.wanted_lab(white), lab, atol=1e-9)
+
+
+def test_xyz_are_wanted_under_the_first_lamp_only_and_lab_under_every_one() -> None:
+    from nacre.design.wants.judge import judge
+
+    light = {"illuminants": ["D65", "A"]}
+    for form, count in (({"xyz": [0.2, 0.2, 0.2]}, 1), ({"lab": [50, 0, 0]}, 2), ({"chroma": "<=5"}, 2)):
+        read = read_target(target(want=[{"at": "specular 0", **form}], light=light))
+        found, _ = judge(read.material, read.wants, read.spec.light)
+        assert [r.lamp for r in found] == ["D65", "A"][:count]
+
+
+def test_geometries_mean_what_spectrum_and_report_say() -> None:
+    rough = nacre.material({**FILM, "surface": {"roughness": 0.3}})
+    grid = rough.bsdf().wavelengths_nm
+    ats = [At.read(text, "x") for text in ("specular 30", "45as15", "45as-15", "45as110")]
+    seen = see(rough, ats, grid)
+    np.testing.assert_array_equal(seen.factors[0], rough.spectrum(np.radians([30.0]), grid).specular_reflectance[0])
+    report = nacre.report(rough)
+    table = dict(zip(report.aspecular.angles_deg, report.aspecular.lab))
+    for row, angle in ((1, 15.0), (2, -15.0), (3, 110.0)):
+        xyz = nacre.light.spectrum_to_xyz(seen.factors[row], grid, "D65", "10deg")
+        lab = xyz_to_lab(xyz, white_xyz("D65", "10deg"))
+        np.testing.assert_allclose(lab, table[angle], atol=1e-9)
+
+
+def test_hemispherical_is_specular_and_diffuse_and_transmitted_is_that_of_nacre_spectrum() -> None:
+    ground = nacre.material({**FILM, "substrate": "glass", "base": {"albedo": 0.4}})
+    ats = [At(kind, 20.0) for kind in ("specular", "diffuse", "hemispherical")]
+    mirror, diffuse, both = see(ground, ats).factors
+    np.testing.assert_allclose(mirror + diffuse, both, atol=1e-15)
+    clear = nacre.material({**FILM, "substrate": "glass"})
+    seen = see(clear, [At("transmitted", 20.0)])
+    spectrum = clear.spectrum(np.radians([20.0]), seen.wavelengths_nm)
+    np.testing.assert_array_equal(seen.factors[0], spectrum.specular_transmittance[0])
+
+
+@pytest.mark.parametrize(
+    "ranges",
+    [
+        {"hue": (350.0, 10.0)},
+        {"hue": (350.0, 10.0), "chroma": (40.0, None)},
+        {"chroma": (40.0, None)},
+        {"chroma": (None, 10.0), "lightness": (None, 30.0)},
+        {"lightness": (70.0, 90.0)},
+    ],
+)
+def test_the_nearest_colour_of_a_range_is_that_of_a_dense_search(
+    ranges: dict[str, tuple[float | None, float | None]],
+) -> None:
+    generator = np.random.default_rng(3)
+    for lab in generator.uniform([20, -50, -50], [90, 50, 50], (6, 3)):
+        found = nearest_in_ranges(lab, ranges)
+        own = lab_to_lch(lab)
+        # lightness is independent of the others in dE00, so that only chroma and hue are searched
+        low, high = ranges.get("lightness", (own[0], own[0]))
+        light = np.clip(own[0], low, high)
+        low, high = ranges.get("chroma", (0.0, 120.0))
+        chromas = np.linspace(low or 0.0, 120.0 if high is None else high, 241)
+        hues = np.linspace(0.0, 360.0, 1441)
+        if "hue" in ranges:
+            hues = hues[hue_excess(*ranges["hue"], hues)[0] <= 1e-9]  # type: ignore[arg-type]
+        box = np.stack(np.meshgrid([light], chromas, hues, indexing="ij"), axis=-1)
+        least = float(np.min(delta_e_2000(lch_to_lab(box), lab)))
+        assert float(delta_e_2000(found, lab)) <= least + 0.1
+
+
+def test_two_numbers_and_a_table_are_the_same_bounds_and_a_star_is_every_index() -> None:
+    plain = read_target(target(free={"layers[*].thickness_nm": [50, 300]})).free
+    table = read_target(target(free={"layers[*].thickness_nm": {"min": 50, "max": 300}})).free
+    assert plain == table and [f.path for f in plain] == ["layers[0].thickness_nm", "layers[1].thickness_nm"]
+
+
+BAD = {
+    "a path that does not exist": (target(free={"layers[0].thicknes_nm": [5, 10]}), "thickness_nm"),
+    "an index that does not exist": (target(free={"layers[7].thickness_nm": [5, 10]}), "layers[7]"),
+    "a path that is no number": (target(free={"layers[0].material": [5, 10]}), "not a number"),
+    "bounds that cross": (target(free={"layers[0].thickness_nm": [300, 50]}), "cross"),
+    "text for bounds": (target(free={"layers[0].thickness_nm": ["a", "b"]}), "two numbers"),
+    "one number": (target(free={"layers[0].thickness_nm": 5}), "[low, high]"),
+    "an unknown choice": (target(free={"layers[0].material": {"choices": ["SiO3"]}}), "SiO2"),
+    "nothing free": (target(free=None), "nothing is free"),
+    "an unknown palette name": (target(free=None, layers={"palette": ["TiO3"]}), 'Did you mean "TiO2"'),
+    "an unknown substrate": (target(free=None, layers={"palette": ["TiO2"], "substrate": ["Aq"]}), "substrate"),
+    "bounds of nothing": (
+        target(free=None, layers={"palette": ["Cr"], "thickness_nm": {"Cx": [3, 20], "other": [1, 2]}}), "Cx",
+    ),
+    "a material without bounds": (
+        target(free=None, layers={"palette": ["Cr", "SiO2"], "thickness_nm": {"Cr": [3, 20]}}), "SiO2",
+    ),
+    "crossing bounds of layers": (target(free=None, layers={"palette": ["Cr"], "thickness_nm": [20, 3]}), "cross"),
+    "free naming a layer beside layers": (target(layers={"palette": ["TiO2"]}), "keep one"),
+    "a want that an opaque base cannot answer": (target(want=[{**ONE, "at": "transmitted 0"}]), "cannot be answered"),
+    "diffuse light of a mirror": (target(want=[{**ONE, "at": "diffuse 0"}]), "cannot be answered"),
+    "aspecular light of a mirror": (target(want=[{**ONE, "at": "45as15"}]), "cannot be answered"),
+    "two colours at one place": (target(want=[ONE, {**ONE, "colour": "#ff0000"}]), "no answer has both"),
+    "an unknown geometry": (target(want=[{**ONE, "at": "speculr 0"}]), 'Did you mean "specular"'),
+    "light from behind": (target(want=[{**ONE, "at": "specular 95"}]), "90"),
+    "a viewer behind the surface": (target(want=[{**ONE, "at": "20as115"}]), "behind"),
+    "a colour that is none": (target(want=[{**ONE, "colour": "pinkish"}]), "#rrggbb"),
+    "two forms of a colour": (target(want=[{**ONE, "lab": [1, 2, 3]}]), "exactly one"),
+    "no colour": (target(want=[{"at": "specular 0"}]), "exactly one"),
+    "a bound that cannot be read": (target(want=[{"at": "specular 0", "chroma": "> 40"}]), ">=40"),
+    "a spectrum that is not there": (target(want=[{"at": "specular 0", "spectrum": "no.csv"}]), "does not exist"),
+    "an unknown lamp": (target(light={"illuminants": ["D66"]}), "D65"),
+    "an unknown observer": (target(light={"observer": "3deg"}), "10deg"),
+    "spreads without wants": (target(want=None, spread={"layers[*].thickness_nm": "2%"}), "want is missing"),
+    "a spread of nothing": (target(spread={"layers[9].thickness_nm": "2%"}), "layers[9]"),
+    "a spread that is none": (target(spread={"layers[0].thickness_nm": "much"}), "percentage"),
+    "both forms of target": (target(target={"kind": "uniform"}), "one form"),
+    "a recipe that is wrong": (target(recipe={**FILM, "substrat": "Si"}), "Did you mean"),
+    "layers of what is no film": (
+        target(recipe={"family": "pearl"}, free=None, layers={"palette": ["TiO2"]}), "recipe",
+    ),
+    "a key that is not known": (target(wants=3), 'Did you mean "want"'),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_everything_wrong_is_told_in_one_line(name: str) -> None:
+    data, word = BAD[name]
+    with pytest.raises(NacreError) as caught:
+        read_target(data)
+    message = str(caught.value)
+    assert word in message and "\n" not in message and message.startswith("target: "), message
+
+
+def test_the_command_tells_it_with_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "wrong.toml"
+    path.write_text('recipe = "no.toml"\n[[want]]\nat = "specular 0"\ncolour = "#777777"\n')
+    assert run(["design", str(path), "-o", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert "no.toml" in err and len(err.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()

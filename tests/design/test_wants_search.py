@@ -1,0 +1,224 @@
+"""Designs by wants: hidden recipes are found, answers keep their bounds and are judged anew, folders are complete."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.cli import run
+from nacre.design.wants.alike import are_alike
+from nacre.design.wants.free import Free
+from nacre.design.wants.general import GeneralSearch
+from nacre.design.wants.run import WantsProgress
+from nacre.design.wants.target import read_target
+from nacre.errors import NacreError
+from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
+
+ROOT = Path(__file__).resolve().parents[2]
+JUDGES_AGREE = 0.02  # dE00 of two quadratures of the same spectrum
+
+
+def lab_of(material: nacre.Material, angle: float, lamp: str = "D65") -> np.ndarray:
+    """CIELAB of the mirror direction in steps of 1 nm, by nothing of the design's own."""
+    nm = np.arange(380.0, 781.0)
+    seen = material.spectrum(np.radians([angle]), nm).specular_reflectance
+    assert seen is not None
+    return xyz_to_lab(spectrum_to_xyz(seen[0], nm, lamp, "10deg"), white_xyz(lamp, "10deg"))
+
+
+def film(*thicknesses: float, **more: Any) -> dict[str, Any]:
+    materials = ("TiO2", "SiO2", "TiO2", "SiO2")
+    layers = [{"material": m, "thickness_nm": d} for m, d in zip(materials, thicknesses)]
+    return {"family": "film", "substrate": "Si", "layers": layers, **more}
+
+
+def asked(*angles: float, hidden: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """A target of the colours that a hidden recipe has."""
+    made = nacre.material(hidden)
+    wants = [{"at": f"specular {a:g}", "lab": lab_of(made, a).tolist(), "within": 1.0} for a in angles]
+    return {"want": wants, "search": {"seconds": 8, "solutions": 2}, **more}
+
+
+def test_a_hidden_film_is_found_by_the_search_that_knows_nothing_of_films() -> None:
+    free = {"layers[0].thickness_nm": [20, 90], "layers[1].material": {"choices": ["SiO2", "MgF2", "TiO2"]}}
+    target = asked(0.0, 45.0, hidden=film(55, 110), recipe=film(30, 110), free=free)
+    target["recipe"]["layers"][1]["material"] = "MgF2"
+    read = read_target(target)
+    search = GeneralSearch(read.material, read.free, read.wants, read.spec.light, 0, 2)
+    assert search.run(20.0) == "met"
+    _, changes = search.answers()[0]
+    assert changes["layers[1].material"] == "SiO2" and changes["layers[0].thickness_nm"] == pytest.approx(55, abs=0.3)
+
+
+def test_a_design_is_as_good_as_it_says_and_stays_within_its_bounds(tmp_path: Path) -> None:
+    target = asked(
+        0.0, 40.0, hidden=film(55, 110, 80), recipe=film(30, 30, 30), free={"layers[*].thickness_nm": [20, 130]},
+        light={"illuminants": ["D65", "A"]},
+    )  # fmt: skip
+    for want in target["want"]:
+        want["within"] = 8.0  # the hidden film has these colours under D65, and others under A
+    design = nacre.design(target, tmp_path / "out")
+    assert design.status == "met" and (tmp_path / "out" / "recipe.toml").is_file()
+    for number, solution in enumerate(design.solutions, start=1):
+        folder = tmp_path / "out" / (str(number) if number > 1 else "")
+        made = nacre.load(folder)
+        assert all(20 <= made.get(f"layers[{i}].thickness_nm") <= 130 for i in range(3))
+        for r in solution.wants:
+            assert r.lamp is not None and r.want.lab is not None
+            own = delta_e_2000(r.want.lab, lab_of(made, r.want.at.theta_deg, r.lamp))
+            assert r.distance == pytest.approx(float(own), abs=JUDGES_AGREE)
+    document = json.loads((tmp_path / "out" / "design.json").read_text())
+    assert document["status"] == "met" and document["seconds"] > 0
+    best = document["solutions"][0]
+    assert Path(best["recipe"]) == tmp_path / "out" / "recipe.toml"
+    assert {"at", "lamp", "asked", "reached", "de00"} <= set(best["wants"][0]) and "yield" in best
+    assert len(best["wants"]) == 4  # two angles under two lamps
+
+
+def test_a_stack_is_sought_of_its_palette_and_the_report_needs_no_network(tmp_path: Path) -> None:
+    target = {
+        "recipe": {"family": "film", "substrate": "Al", "layers": []},
+        "layers": {"palette": ["SiO2", "Cr"], "most": 4, "thickness_nm": {"Cr": [3, 20], "other": [20, 300]},
+                   "substrate": ["Al", "Ag"]},
+        "want": [{"at": "specular 0", "lab": [45, 30, -20], "within": 2.0}],
+        "spread": {"layers[*].thickness_nm": "1%"},
+        "limits": {"total_nm": 700},
+        "search": {"seconds": 8, "solutions": 3},
+    }  # fmt: skip
+    design = nacre.design(target, tmp_path / "out")
+    assert design.status == "met"
+    for solution in design.solutions:
+        data = tomllib.loads(solution.recipe.read_text())
+        assert data["substrate"] in ("Al", "Ag") and len(data["layers"]) <= 4
+        bounds = {"Cr": (3, 20), "SiO2": (20, 300)}
+        for layer in data["layers"]:
+            low, high = bounds[layer["material"]]
+            assert low - 1e-6 <= layer["thickness_nm"] <= high + 1e-6
+        assert sum(layer["thickness_nm"] for layer in data["layers"]) <= 700 + 1e-6
+        assert data["tolerance"]["layers[0].thickness_nm"]["deviation"] == pytest.approx(
+            0.01 * data["layers"][0]["thickness_nm"]
+        )
+        assert solution.yield_share is not None and 0 <= solution.yield_share <= 1
+    changes = [s.changes for s in design.solutions]
+    assert not any(are_alike(a, b) for i, a in enumerate(changes) for b in changes[:i])
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert not re.findall(r"""(?:src|href)=["'](?!data:|#)""", page) and "<script" not in page
+    assert (tmp_path / "out" / "report.png").stat().st_size > 10_000
+
+
+def test_out_of_reach_is_an_answer_that_names_the_want_that_costs_most(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "far.toml"
+    path.write_text(
+        '[recipe]\nfamily = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 100}]\n'
+        '[free]\n"layers[0].thickness_nm" = [80, 120]\n[[want]]\nat = "specular 0"\ncolour = "#ff0000"\n'
+        '[[want]]\nat = "specular 60"\nchroma = "<=60"\n[search]\nseconds = 2\nsolutions = 1\n'
+    )
+    assert run(["design", str(path), "-o", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "out of reach" in said and '"specular 0"' in said and "costs most" in said
+    document = json.loads((tmp_path / "out" / "design.json").read_text())
+    assert document["status"] == "out of reach" and document["costs_most"]["at"] == "specular 0"
+    assert document["solutions"][0]["wants"][0]["de00"] > 20
+
+
+def test_an_interrupt_ends_with_the_best_and_a_resumed_run_goes_on_from_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "slow.toml"
+    path.write_text(
+        '[recipe]\nfamily = "film"\nsubstrate = "Si"\nsurface = {roughness = 0.3}\n'
+        'layers = [{material = "SiO2", thickness_nm = 100}]\n'
+        '[free]\n"layers[0].thickness_nm" = [80, 300]\n"surface.roughness" = [0.2, 0.5]\n'
+        '[[want]]\nat = "45as15"\ncolour = "#ff0000"\nwithin = 0.1\n[search]\nseconds = 60\nsolutions = 1\n'
+    )
+    out = tmp_path / "out"
+    seen = []
+
+    def interrupt(progress: WantsProgress) -> None:
+        seen.append(progress.worst)
+        if len(seen) == 12:
+            raise KeyboardInterrupt
+
+    design = nacre.design(path, out, progress=interrupt)
+    assert design.status == "interrupted" and nacre.load(out).name == "recipe"
+    first = json.loads((out / "design.json").read_text())["solutions"][0]["worst"]
+    monkeypatch.setattr("nacre.cli.make._Screen.show", lambda self, progress: interrupt(progress))
+    seen.clear()
+    assert run(["design", str(path), "-o", str(out), "--resume"]) == 130
+    document = json.loads((out / "design.json").read_text())
+    assert document["solutions"][0]["worst"] <= first * (1 + 1e-9) and document["runs"] == 2
+    path.write_text(path.read_text().replace("#ff0000", "#00ff00"))
+    assert run(["design", str(path), "-o", str(out), "--resume"]) == 2
+    assert "another target" in capsys.readouterr().err
+
+
+def test_a_folder_can_be_moved_with_the_files_that_its_recipe_names(tmp_path: Path) -> None:
+    (tmp_path / "tables").mkdir()
+    (tmp_path / "tables" / "nk.csv").write_text("360, 1.5, 0\n830, 1.4, 0\n")
+    (tmp_path / "start.toml").write_text(
+        '# a coating of our own\nfamily = "film"\nsubstrate = "Si"\n'
+        'layers = [{material = {file = "tables/nk.csv"}, thickness_nm = 100}]\n'
+    )
+    target = {
+        "recipe": str(tmp_path / "start.toml"), "free": {"layers[0].thickness_nm": [80, 120]},
+        "want": [{"at": "specular 0", "lab": [40, 0, 0]}], "search": {"seconds": 1, "solutions": 1},
+    }  # fmt: skip
+    nacre.design(target, tmp_path / "out")
+    shutil.move(tmp_path / "out", tmp_path / "moved")
+    shutil.rmtree(tmp_path / "tables")
+    assert nacre.load(tmp_path / "moved").spectrum([0.0]).specular_reflectance is not None
+    assert (tmp_path / "moved" / "recipe.toml").read_text().startswith("# a coating of our own")
+
+
+def test_the_recipe_that_a_design_starts_from_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "recipe.toml").write_text(
+        'family = "film"\nsubstrate = "Si"\nlayers = [{material = 1.5, thickness_nm = 9}]\n'
+    )
+    target = {"recipe": str(tmp_path / "recipe.toml"), "free": {"layers[0].thickness_nm": [1, 90]},
+              "want": [{"at": "specular 0", "lab": [40, 0, 0]}]}  # fmt: skip
+    with pytest.raises(NacreError, match="starts from"):
+        nacre.design(target, tmp_path)
+
+
+def test_whole_numbers_and_words_alone_are_tried_one_by_one() -> None:
+    recipe = film(60, substrate="Al", ridges={"pitch_nm": 700, "width_nm": 300, "height_deviation_nm": 120})
+    target = {
+        "recipe": recipe, "free": {"ridges.count": [1, 3], "layers[0].material": {"choices": ["SiO2", "TiO2"]}},
+        "want": [{"at": "30as15", "lab": [50, 0, 0]}],
+    }  # fmt: skip
+    read = read_target(target)
+    assert Free("ridges.count", 1.0, 3.0, (), True) in read.free
+    search = GeneralSearch(read.material, read.free, read.wants, read.spec.light, 0, 1)
+    assert search.run(30.0) in ("exhausted", "met")
+    assert isinstance(search.answers()[0][1]["ridges.count"], int)
+
+
+def test_many_colours_of_one_target_keep_their_order() -> None:
+    hidden = [film(40, 90), film(80, 140), film(30, 60)]
+    labs = [lab_of(nacre.material(h), 0.0) for h in hidden]
+    target = {
+        "recipe": {"family": "film", "substrate": "Si", "layers": []},
+        "layers": {"palette": ["TiO2", "SiO2"], "most": 4, "thickness_nm": [10, 250]},
+        "want": [{"at": "specular 0", "lab": [50, 0, 0]}],
+    }
+    found = nacre.design.many(target, labs)
+    assert len(found) == 3
+    for solution, lab in zip(found, labs):
+        assert float(delta_e_2000(lab, lab_of(solution.material, 0.0))) < 0.2 + JUDGES_AGREE
+
+
+def test_many_refuses_colours_of_another_shape() -> None:
+    target = {"recipe": film(40), "free": {"layers[0].thickness_nm": [10, 90]},
+              "want": [{"at": "specular 0", "lab": [50, 0, 0]}]}  # fmt: skip
+    with pytest.raises(NacreError, match=r"\[n, 3\]"):
+        nacre.design.many(target, [50, 0, 0])
