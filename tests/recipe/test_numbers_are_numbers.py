@@ -25,15 +25,18 @@ def files() -> list[Path]:
 
 
 def model_of(data: dict[str, Any]) -> type[RecipeModel]:
+    from nacre.cli.keys import kind
     from nacre.design.spec import TargetSpec
 
+    if "want" in data:
+        return kind("wants").model
     return TargetSpec if "target" in data else family_spec(data["family"], "here")
 
 
 def spoilt(data: dict[str, Any]) -> Iterator[tuple[str, Any, dict[str, Any]]]:
     """Yield every number of a recipe as text and as a truth value, and every truth value as a number and as text."""
     for path, number in numbers_of(data).items():
-        if path.split(".")[0] in ("fit", "tolerance"):
+        if path.split(".")[0] in ("fit", "tolerance", "recipe", "free", "spread"):
             continue
         for wrong in (f"{number:g}", True):
             other = copy.deepcopy(data)
