@@ -27,6 +27,7 @@ from nacre.picture.lights.named import TURNING_LIGHTS, check_light, make_light
 from nacre.picture.progress import Clock, ProgressCallback, progress_bar
 from nacre.picture.scenes.catalogue import View
 from nacre.picture.scenes.catalogue import scene as find_scene
+from nacre.recipe.memory import check_memory
 
 COMPONENTS = ("sum", "specular", "diffuse")
 QUALITIES = ("reference", "fast")
@@ -38,6 +39,9 @@ MAX_SPP = 1 << 20
 # samples of one pass: bounds memory (some hundred bytes each) and keeps passes near a second
 PASS_SAMPLES = 1 << 22
 KEPT_STAGES = 3
+BYTES_A_PIXEL = 200  # measured; of a large picture, whose passes take one sample a pixel
+BYTES_A_BAND = 32  # in single precision as rendered, in double twice as added up
+BYTES_OF_GUIDES = 100
 BAND_STEP_NM = 10.0
 IMAGE_SUFFIXES = (".png", ".exr")
 
@@ -250,6 +254,8 @@ def _passes(
 
         bands = band_centres(BAND_STEP_NM)
         film = band_film(bands, BAND_STEP_NM)
+    each = BYTES_A_PIXEL + BYTES_A_BAND * len(bands) + (BYTES_OF_GUIDES if guided else 0)
+    check_memory(float(each) * size[0] * size[1], f"size = {size[0]}x{size[1]}: the picture")
     sensor = stage.sensor(view, size, film)
     integrator = mi.load_dict({"type": "path", "max_depth": stage.depth, "rr_depth": 6})
     most = max(1, PASS_SAMPLES // (size[0] * size[1]))
