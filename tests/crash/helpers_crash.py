@@ -21,8 +21,8 @@ from typing import Any
 import psutil
 
 FINISH_S = 240.0
-POLL_S = 0.004
-AFTER_A_CHANGE_S = 0.03  # a kill that waits for the first file comes so long after it at most
+POLL_S = 0.001
+AFTER_A_CHANGE_S = (1e-4, 0.03)  # so long after the first file comes a kill that waits for it: some write in 1 ms
 
 
 class Forker:
@@ -84,7 +84,8 @@ class Forker:
             limit = time.monotonic() + seconds
             while os.listdir(folder) == before and time.monotonic() < limit:
                 time.sleep(POLL_S)
-            time.sleep(chance.uniform(0.0, AFTER_A_CHANGE_S))
+            soon, late = AFTER_A_CHANGE_S
+            time.sleep(soon * (late / soon) ** chance.random())
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
         return self.finish()[0] == -signal.SIGKILL

@@ -236,3 +236,15 @@ def test_a_large_texture_asks_before_it_is_unpacked(tmp_path: Path, small: None)
     layer = {"material": "SiO2", "thickness_nm": {"texture": "grey.png", "min": 100, "max": 200}}
     with pytest.raises(UnsupportedError, match=r"grey\.png of 4000 x 4000 pixels asks for 366 MiB"):
         nacre.material({"family": "film", "substrate": "Si", "layers": [layer]}, tmp_path)
+
+
+@pytest.mark.render
+@pytest.mark.parametrize(("size", "output"), [("2000x2000", "a.png"), ("300x300", "a.spectral.exr")])
+def test_a_picture_asks_before_it_is_rendered(
+    size: str, output: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], small: None
+) -> None:
+    (tmp_path / "film.toml").write_text(FILM)
+    assert run(["render", str(tmp_path / "film.toml"), "--size", size, "-o", str(tmp_path / output)]) == 2
+    line = capsys.readouterr().err
+    assert len(line.splitlines()) == 1 and f"size = {size}: the picture asks for" in line
+    assert not (tmp_path / output).exists()

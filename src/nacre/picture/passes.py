@@ -19,9 +19,13 @@ from nacre.picture.camera import View
 from nacre.picture.cut_out import cut_out
 from nacre.picture.denoise import GUIDE_SPP
 from nacre.picture.progress import Clock, ProgressCallback
+from nacre.recipe.memory import check_memory
 
 # samples of one pass: bounds memory (some hundred bytes each) and keeps passes near a second
 PASS_SAMPLES = 1 << 22
+BYTES_A_PIXEL = 240  # measured: 195, of a large picture, whose passes take one sample a pixel; and what tells the noise
+BYTES_A_BAND = 32  # in single precision as rendered, in double twice as added up
+BYTES_OF_GUIDES = 100
 BAND_STEP_NM = 10.0
 FIRST_HIT = {"albedo": "RGB", "normal": "XYZ", "depth": "Z"}
 RUSSIAN_ROULETTE_DEPTH = 6
@@ -114,6 +118,8 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback) -> Frame:
 
         bands = band_centres(BAND_STEP_NM)
         film = band_film(bands, BAND_STEP_NM)
+    each = BYTES_A_PIXEL + BYTES_A_BAND * len(bands) + (BYTES_OF_GUIDES if shot.with_guides else 0)
+    check_memory(float(each) * shot.size[0] * shot.size[1], f"size = {shot.size[0]}x{shot.size[1]}: the picture")
     sensor = stage.sensor(shot.view, shot.size, film)
     integrator = mi.load_dict(path_tracer(stage))
     if shot.cut:

@@ -1,7 +1,7 @@
 """The Dask cluster of a sweep, closed to everybody but the sweep itself.
 
 Whoever reaches a Dask scheduler can have code of his own run by its workers, so scheduler and workers of this machine
-speak TLS, with a key that is made for the run and lives in memory only, and listen on the loopback address. The HTTP
+speak TLS, with a key that is made for the run and gone with it, and listen on the loopback address. The HTTP
 server that distributed starts with each of them, dashboard or not, answers without any key: it is left out here, where
 alone nacre's classes differ from distributed's (there is no switch for it).
 """
@@ -11,16 +11,15 @@ from __future__ import annotations
 import ssl
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
-import pydantic
 from distributed import Client, Nanny, Scheduler, Security, SpecCluster, Worker
 
-from nacre.errors import NacreError
+from nacre.errors import NacreError, did_you_mean
 from nacre.files import read_text
-from nacre.recipe.model import RecipeContext, RecipeModel, validate
 from nacre.recipe.toml import parse_toml
 
+SECURITY_KEYS = ("ca", "cert", "key")
 LOOPBACK = "127.0.0.1"
 ERRORS_ONLY = 40  # the level below which distributed says nothing
 
@@ -39,16 +38,6 @@ class SilentWorker(Worker):
         """Start none."""
 
 
-class SecuritySpec(RecipeModel):
-    """What a cluster of one's own asks of those who connect: three PEM files, relative to the file that names them."""
-
-    ca: str = pydantic.Field(description="certificate of the authority that signed the cluster's", examples=["ca.pem"])
-    cert: str = pydantic.Field(description="certificate that the sweep shows", examples=["client.pem"])
-    key: str = pydantic.Field(description="private key of that certificate", examples=["client-key.pem"])
-
-    example: ClassVar[dict[str, Any]] = {"ca": "ca.pem", "cert": "client.pem", "key": "client-key.pem"}
-
-
 def read_security(path: str | Path) -> Security:
     """Read the file of `--security`: ca, cert and key, the names of PEM files.
 
@@ -56,16 +45,22 @@ def read_security(path: str | Path) -> Security:
         NacreError: in one line: a key or a file is missing, or certificate and key cannot be used.
     """
     path = Path(path)
-    text = read_text(path, "security file")
-    spec = validate(SecuritySpec, parse_toml(text, str(path)), RecipeContext(str(path), path.parent, text))
-    named = {key: path.parent / getattr(spec, key) for key in SecuritySpec.model_fields}
+    given = parse_toml(read_text(path, "security file"), str(path))
+    for key in given:
+        if key not in SECURITY_KEYS:
+            raise NacreError(f"{path}: {key} is not known.{did_you_mean(key, SECURITY_KEYS)} It holds ca, cert and key")
+    named = {}
+    for key in SECURITY_KEYS:
+        if not isinstance(given.get(key), str):
+            raise NacreError(f'{path}: {key} should be the name of a PEM file, such as {key} = "{key}.pem"')
+        named[key] = path.parent / given[key]
     for key, file in named.items():
         try:
             with file.open("rb"):
                 pass
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
-            raise NacreError(f'{path}: {key} = "{getattr(spec, key)}" cannot be read: {reason}') from None
+            raise NacreError(f'{path}: {key} = "{given[key]}" cannot be read: {reason}') from None
     security = Security(
         require_encryption=True,
         tls_ca_file=str(named["ca"]),
@@ -135,4 +130,4 @@ def connect(scheduler: str, security: str | Path | None, timeout_s: float) -> Cl
         raise NacreError(f"--scheduler {scheduler}: cannot be reached: {reason}") from None
 
 
-__all__ = ["SecuritySpec", "connect", "local_cluster", "read_security"]
+__all__ = ["connect", "local_cluster", "read_security"]
