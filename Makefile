@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PY := .venv/bin/python
 export NACRE_PROJECT := $(CURDIR)
 
-.PHONY: setup demo test test-full coverage mutants lint docs bench validate wheel clean
+.PHONY: setup demo test test-full coverage mutants fuzz lint docs bench validate wheel clean
 
 setup:
 	@bash tools/setup.sh
@@ -27,6 +27,10 @@ coverage: setup
 # small errors in the physics, and how many the tests notice: up to 90 minutes; a second run goes on where one stopped
 mutants: setup
 	@$(PY) -m tools.mutants $(if $(AGAIN),--again)
+
+# 20,000 broken and random inputs, an hour or less on 2 cores; a second run goes on where one stopped
+fuzz: setup
+	@$(PY) -m tools.fuzz $(if $(COUNT),--count $(COUNT)) $(if $(SEED),--seed $(SEED)) $(if $(AGAIN),--again)
 
 lint: setup
 	@$(PY) -m ruff check src tests benchmarks validation tools examples

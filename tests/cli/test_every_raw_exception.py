@@ -354,6 +354,37 @@ def test_what_is_said_stays_on_one_line_and_leaves_the_terminal_alone(
     assert "\x1b" not in capsys.readouterr().err
 
 
+def test_a_mesh_of_two_coordinates_is_refused(tmp_path: Path) -> None:
+    from nacre.picture.scenes.subjects import read_mesh
+
+    (tmp_path / "flat.obj").write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
+    with pytest.raises(NacreError, match="flat.obj"):
+        read_mesh(tmp_path / "flat.obj")
+
+
+def test_a_broken_header_of_heights_is_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "h.npy", np.zeros((4, 4)))
+    whole = (tmp_path / "h.npy").read_bytes()
+    (tmp_path / "h.npy").write_bytes(whole.replace(b"(4, 4), }", b"(4, 4(, }"))
+    relief = {"family": "relief", "heights": "h.npy", "feature_um": 1.5, "blur_um": 0.4, "coating": "Al",
+              "coherence": {"sigma": 2.0}}  # fmt: skip
+    with pytest.raises(NacreError, match="h.npy"):
+        nacre.material(relief, tmp_path)
+
+
+def test_a_broken_tag_of_a_texture_raises_no_warning(tmp_path: Path) -> None:
+    from PIL import Image
+
+    Image.fromarray(np.arange(35, dtype=np.uint8).reshape(5, 7)).save(tmp_path / "t.tif")
+    whole = bytearray((tmp_path / "t.tif").read_bytes())
+    first = int.from_bytes(whole[4:8], "little") + 2
+    whole[first + 4 : first + 8] = (1 << 20).to_bytes(4, "little")  # the first tag says that it is a megabyte long
+    (tmp_path / "t.tif").write_bytes(whole)
+    texture = {"texture": "t.tif", "min": 1, "max": 2}
+    with pytest.raises(NacreError, match="t.tif"):  # pytest makes an error of every warning
+        nacre.material({**FILM, "layers": [{"material": "SiO2", "thickness_nm": texture}]}, tmp_path)
+
+
 SCENE = """<scene version="3.0.0"><integrator type="path"/>
 <sensor type="perspective"><transform name="to_world"><lookat origin="0,-5,1" target="0,0,0" up="0,0,1"/></transform>
 <film type="hdrfilm"><integer name="width" value="SIDE"/><integer name="height" value="8"/></film></sensor>

@@ -121,9 +121,11 @@ def read_grey(path: Path, where: str, longest_side: int = MAX_IMAGE_PIXELS) -> N
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit below is stricter
+            # of large images, for which the limit below is stricter, and of broken tags, which are read or are not
+            warnings.simplefilter("ignore")
             opened = Image.open(plain(path))
-        with opened as image:
+        with warnings.catch_warnings(), opened as image:
+            warnings.simplefilter("ignore")
             size = image.width * image.height
             if size > MAX_IMAGE_PIXELS:
                 raise RecipeError(f"{where}: {path.name} has {size} pixels; at most {MAX_IMAGE_PIXELS} are read")

@@ -6,6 +6,7 @@ are the published ones (physics/relief.md, sections 7 and 11.6); every width can
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -86,7 +87,8 @@ def load_picture(path: Path, source: str) -> Array:
     except OSError as error:
         raise RecipeError(f'{source}: target.image = "{path}" {why_unreadable(error)}') from None
     try:
-        with Image.open(path) as image:
+        with warnings.catch_warnings(), Image.open(path) as image:
+            warnings.simplefilter("ignore")  # of broken tags, which are read or are not
             if image.width * image.height > MAX_IMAGE_PIXELS:
                 raise RecipeError(
                     f'{source}: target.image = "{path}" has {image.width} x {image.height} pixels; '

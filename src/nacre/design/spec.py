@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from tokenize import TokenError
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -195,7 +196,7 @@ class TargetTable(RecipeModel):
             values = np.load(plain(path), allow_pickle=False)
         except OSError as error:
             raise context.fail("target.file", self.file, why_unreadable(error)) from None
-        except (ValueError, EOFError) as error:
+        except (ValueError, EOFError, AttributeError, SyntaxError, TokenError, TypeError) as error:
             raise context.fail("target.file", self.file, f"is not a .npy array: {error}") from None
         size = self.resolution
         if values.shape not in ((size, size), (size, size, 3)) or values.dtype.kind not in "fiub":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from tokenize import TokenError
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -111,7 +112,7 @@ def read_heights(path: Path, name: str, context: RecipeContext) -> Array:
         if kind not in "fiub" or max(shape, default=0) > MAX_FEATURES:
             raise context.fail("heights", name, f"holds {mapped.dtype}{list(shape)}; at most {MAX_FEATURES} a side")
         return np.array(mapped, dtype=float)
-    except (OSError, ValueError, EOFError, AttributeError) as error:
+    except (OSError, ValueError, EOFError, AttributeError, SyntaxError, TokenError, TypeError) as error:
         raise context.fail("heights", name, f"is not a .npy array of numbers: {error}") from None
 
 

@@ -84,11 +84,16 @@ def read_mesh(path: Path, up: str | None = None) -> Mesh:
             f"shape {path}: cannot be read as a mesh; it is damaged, or of another kind than its ending says "
             "(.obj, .ply, .stl, .gltf, .glb)"
         ) from None
-    if len(faces) == 0 or len(vertices) == 0:
+    if len(faces) == 0 or len(vertices) == 0 or faces.shape[1:] != (3,):
         raise NacreError(f"shape {path}: holds no triangles")
     if len(faces) > MAX_FACES:
         raise NacreError(f"shape {path}: {len(faces)} triangles; at most {MAX_FACES}")
-    if not np.isfinite(vertices).all() or np.ptp(vertices, axis=0).max() <= 0 or faces.max() >= len(vertices):
+    if (
+        vertices.shape[1:] != (3,)
+        or not np.isfinite(vertices).all()
+        or np.ptp(vertices, axis=0).max() <= 0
+        or faces.max() >= len(vertices)
+    ):
         raise NacreError(f"shape {path}: its vertices are not finite, all at one place, or missing")
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.where(length > 0, normals / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
