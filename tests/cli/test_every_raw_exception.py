@@ -400,7 +400,7 @@ SCENE = """<scene version="3.0.0"><integrator type="path"/>
         ('<float name="radius" value="inf"/>', 8, "no finite size"),
         ('<point name="center" x="nan" y="0" z="0"/>', 8, "no finite size"),
         ('<transform name="to_world"><translate x="nan"/></transform>', 8, "no finite size"),
-        ("", 0, "size ="),
+        ("", 0, "s.xml"),
         ("", 99_999_999, "size ="),
     ],
 )
