@@ -222,3 +222,23 @@ def test_many_refuses_colours_of_another_shape() -> None:
               "want": [{"at": "specular 0", "lab": [50, 0, 0]}]}  # fmt: skip
     with pytest.raises(NacreError, match=r"\[n, 3\]"):
         nacre.design.many(target, [50, 0, 0])
+
+
+def test_a_spectrum_over_a_part_of_the_wavelengths_is_met_there_beside_a_colour(tmp_path: Path) -> None:
+    """An antireflection coating for the middle of the visible that is dark as a whole: nothing is asked elsewhere."""
+    (tmp_path / "ar.csv").write_text("nm,R\n" + "".join(f"{nm},0.0\n" for nm in range(480, 621, 10)))
+    target = {
+        "recipe": {"family": "film", "substrate": "BK7", "layers": []},
+        "layers": {"palette": ["MgF2", "TiO2", "SiO2"], "most": 4, "thickness_nm": [5, 200]},
+        "want": [{"at": "specular 0", "spectrum": str(tmp_path / "ar.csv"), "within": 0.3},
+                 {"at": "specular 0", "lightness": "<=20", "within": 2.0}],
+        "search": {"seconds": 10, "solutions": 1},
+    }  # fmt: skip
+    design = nacre.design(target, tmp_path / "out")
+    nm = np.arange(480.0, 621.0, 10.0)
+    seen = nacre.load(tmp_path / "out").spectrum([0.0], nm).specular_reflectance
+    assert seen is not None
+    rms = 100.0 * float(np.sqrt(np.mean(seen[0] ** 2)))
+    # bare glass has 4.3 %, one quarter wave of MgF2 1.3 %
+    assert design.status == "met" and rms < 0.3
+    assert design.best.wants[0].lamp is None and design.best.wants[0].distance == pytest.approx(rms, abs=0.02)

@@ -52,7 +52,8 @@ class Goal:
         xyz: the wanted colour under the first lamp only, Y = 1 for white, instead of `lab`.
         low, high: the ends of a range; None where it is open. A hue needs both, in degrees, and runs upward from the
             first to the second, through 0 if need be; 360 degrees or more ask for nothing.
-        reflectance: the wanted spectrum on the wavelengths of the `Goals` (kind "spectrum").
+        reflectance: the wanted spectrum on the wavelengths of the `Goals` (kind "spectrum"); NaN where nothing is
+            wanted.
         within: the distance that is good enough: dE00, or the rms in per cent for a spectrum.
         weight: how much the goal counts; 0 leaves it out.
     """
@@ -114,7 +115,7 @@ class Goals:
         self.colour_weights = np.stack(
             [smooth_weights(grid, lamp, observer) if has_colour else np.zeros((len(grid), 3)) for lamp in self.lamps]
         )
-        self.whites = self.colour_weights.sum(axis=1)
+        self.whites = self.colour_weights.sum(axis=1) if has_colour else np.ones((len(self.lamps), 3))
         self.terms = [
             (number, lamp)
             for number, goal in enumerate(self.goals)
@@ -166,7 +167,7 @@ class Goals:
         if goal.kind == "colour":
             return delta_e_2000(lab, self.lab[number])
         if goal.kind == "spectrum":
-            off = seen[..., goal.row, :] - np.asarray(goal.reflectance, dtype=float)
+            off = _off(goal, seen)
             return 100.0 * np.sqrt(np.mean(off * off, axis=-1))
         return _to_range(goal, lab)
 
@@ -190,7 +191,7 @@ class Goals:
         for number, (index, lamp) in enumerate(self.terms):
             goal, scale = self.goals[index], self.scale[number]
             if goal.kind == "spectrum":
-                off = seen[..., goal.row, :] - np.asarray(goal.reflectance, dtype=float)
+                off = _off(goal, seen)
                 parts.append(scale * 100.0 / np.sqrt(off.shape[-1]) * off)
             else:
                 parts.append(scale * self._of_lab(number, labs[..., goal.row, lamp, :]))
@@ -205,8 +206,10 @@ class Goals:
         for number, (index, lamp) in enumerate(self.terms):
             goal, scale = self.goals[index], self.scale[number]
             if goal.kind == "spectrum":
+                known = np.isfinite(np.asarray(goal.reflectance, dtype=float))
                 own = np.broadcast_to(
-                    scale * 100.0 / np.sqrt(samples) * np.eye(samples), (*seen.shape[:-2], samples, samples)
+                    scale * 100.0 / np.sqrt(known.sum()) * np.diag(known.astype(float)),
+                    (*seen.shape[:-2], samples, samples),
                 )
             else:
                 lab = labs[..., goal.row, lamp, :]
@@ -320,6 +323,14 @@ def spline_matrix(nodes: Array, points: Array) -> Array:
     return matrix
 
 
+def _off(goal: Goal, seen: Array) -> Array:
+    """Return what spectra are off from a wanted one, 0 where nothing is wanted; their rms is that of the rest."""
+    wanted = np.asarray(goal.reflectance, dtype=float)
+    known = np.isfinite(wanted)
+    off = np.where(known, seen[..., goal.row, :] - np.where(known, wanted, 0.0), 0.0)
+    return np.asarray(off * np.sqrt(len(known) / known.sum()))
+
+
 def _check(goal: Goal, samples: int) -> None:
     """Raise a NacreError for a goal that does not hold together."""
     if goal.kind not in KINDS:
@@ -340,6 +351,8 @@ def _check(goal: Goal, samples: int) -> None:
     shape = () if goal.reflectance is None else goal.reflectance.shape
     if goal.kind == "spectrum" and shape != (samples,):
         raise NacreError(f"a wanted spectrum needs {samples} values, one a wavelength; got shape {shape}")
+    if goal.reflectance is not None and not np.isfinite(goal.reflectance).any():
+        raise NacreError("a wanted spectrum says nothing about the wavelengths that are looked at")
 
 
 def hue_excess(low_deg: float, high_deg: float, hue_deg: Array) -> tuple[Array, Array]:

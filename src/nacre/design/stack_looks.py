@@ -16,6 +16,7 @@ from nacre.design.goals import KINDS, MEAN_SHARE, Goal, Goals
 from nacre.matter.jit import compiled
 
 COLOUR, HUE, CHROMA, LIGHTNESS, SPECTRUM = range(len(KINDS))
+NOTHING = -1.0
 STEP = 1e-5  # of Lab, for slopes of residuals by forward differences; what they lack is far below what steers
 HUE_MARGIN = 4.0  # degrees per dE00, at a chroma of some 40
 SOFT = 0.08  # of `within`: the width over which a miss is smoothed
@@ -32,7 +33,7 @@ class Looks(NamedTuple):
         lab: `[term, 3]`.
         low, high: `[term]`, infinite where open.
         scale, weight: `[term]`, weight / within, and the weight: a scaled distance above it is out of tolerance.
-        wanted: `[term, wavelength]`, of spectra.
+        wanted: `[term, wavelength]`, of spectra; below 0 where nothing is wanted.
         residuals: `[1]`, how many there are.
     """
 
@@ -63,11 +64,13 @@ def compile_goals(goals: Goals, margin: float = 0.0) -> Looks:
     chosen = [(goals.goals[goals.terms[t][0]], goals.terms[t][1], t) for t in order]
     ranges = [_narrowed(goal, margin) for goal, _, _ in chosen]
     samples = len(goals.wavelengths_nm)
-    wanted = np.zeros((len(chosen), samples))
+    wanted, shares = np.zeros((len(chosen), samples)), np.ones(len(chosen))
     sizes = {"colour": 3, "spectrum": samples}
     for i, (goal, _, _) in enumerate(chosen):
         if goal.reflectance is not None:
-            wanted[i] = goal.reflectance
+            known = np.isfinite(goal.reflectance)
+            wanted[i] = np.where(known, goal.reflectance, NOTHING)
+            shares[i] = np.sqrt(samples / known.sum())
     return Looks(
         np.ascontiguousarray(np.swapaxes(goals.colour_weights, 1, 2)),
         goals.whites,
@@ -77,7 +80,7 @@ def compile_goals(goals: Goals, margin: float = 0.0) -> Looks:
         np.ascontiguousarray(goals.lab[order]),
         np.array([ends[0] for ends in ranges]),
         np.array([ends[1] for ends in ranges]),
-        np.ascontiguousarray(goals.scale[order]),
+        np.ascontiguousarray(goals.scale[order] * shares),
         np.array([goal.weight for goal, _, _ in chosen]),
         wanted,
         np.array([sum(sizes.get(goal.kind, 1) for goal, _, _ in chosen)]),
@@ -218,13 +221,13 @@ def look(looks: Any, spectra: Any, slopes: Any, layers: int, wants_slopes: bool,
             share = scale * 100.0 / math.sqrt(count)
             total = 0.0
             for i in range(count):
-                off = share * (spectra[row, i] - looks.wanted[t, i])
+                off = share * (spectra[row, i] - looks.wanted[t, i]) if looks.wanted[t, i] >= 0.0 else 0.0
                 total += off * off
                 r[at + i] = off
             if wants_slopes:
                 for j in range(layers):
                     for i in range(count):
-                        jacobian[at + i, j] = share * slopes[row, j, i]
+                        jacobian[at + i, j] = share * slopes[row, j, i] if looks.wanted[t, i] >= 0.0 else 0.0
             u[t] = math.sqrt(total)
             at += count
             continue

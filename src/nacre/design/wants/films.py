@@ -34,7 +34,7 @@ from nacre.recipe.tables import by_path
 
 ENGINE_KINDS = ("specular", "transmitted")
 SIDES = {"specular": "reflected", "transmitted": "transmitted"}
-STEP_NM = 5.0  # of the grid where only spectra are wanted and theirs is coarser
+STEP_NM = 2.0  # of the grid where spectra are wanted
 MET = 0.2
 _LAYER = re.compile(r"layers\[(\d+)\]\.(material|thickness_(?:nm|um|mm))$")
 _SPREAD = re.compile(r"layers\[(\d+|\*)\]\.thickness_(nm|um|mm)$")

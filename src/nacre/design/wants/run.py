@@ -324,12 +324,12 @@ def _report(
     keeper.write(summary)
     from nacre.design.wants.page import write_page
 
-    if ended != "interrupted":
-        with contextlib.suppress(KeyboardInterrupt):
-            left = target.spec.search.seconds - (time.monotonic() - begun)
-            write_page(folder, target, design, max(left, LEAST_PAGE_S))
-        summary["seconds"] = round(time.monotonic() - begun, 3)
-        keeper.write(summary)
+    with contextlib.suppress(KeyboardInterrupt):
+        left = target.spec.search.seconds - (time.monotonic() - begun)
+        # whoever interrupts does not want to wait for all that belongs to a report
+        write_page(folder, target, design, LEAST_PAGE_S if ended == "interrupted" else max(left, LEAST_PAGE_S))
+    summary["seconds"] = round(time.monotonic() - begun, 3)
+    keeper.write(summary)
     return replace(design, seconds=summary["seconds"])
 
 
