@@ -14,7 +14,7 @@ from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.directions import direction
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import RecipeError, UnsupportedError, did_you_mean
-from nacre.light import default_wavelengths, lamp_lines_nm, with_lamp_lines
+from nacre.light import default_wavelengths, lamp_lines_nm, spans_colour, with_lamp_lines
 from nacre.materials.material import Material
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.instruments import aspecular_direction
@@ -176,25 +176,26 @@ def _part(spectrum: Spectrum, at: At) -> Array | None:
 def search_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
     """Return the grid on which candidates are compared: the material's own, and the lines of the lamps.
 
-    A random walk takes the coarse grid of reports.
+    What takes long is compared on the coarse grid of reports, between whose samples goals run a spline.
     """
     grid = material.model.wavelengths_nm
-    if not material.model.is_quick and _walks(material):
-        grid = WALK_NM
+    if not material.model.is_quick:
+        coarse = WALK_NM[(WALK_NM >= grid[0]) & (WALK_NM <= grid[-1])]
+        grid = coarse if len(coarse) < len(grid) and spans_colour(coarse) else grid
+    return _with_lines(grid, lamps)
+
+
+def judge_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
+    """Return the grid on which answers are judged: 1 nm where that is quick, else the material's own."""
+    own = _with_lines(material.model.wavelengths_nm, lamps)
+    return np.union1d(own, default_wavelengths(step_nm=JUDGE_STEP_NM)) if material.model.is_quick else own
+
+
+def _with_lines(grid: Array, lamps: Sequence[str]) -> Array:
     for lamp in lamps:
         if len(lamp_lines_nm(lamp)):
             grid = with_lamp_lines(grid, lamp)
     return np.asarray(grid)
-
-
-def judge_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
-    """Return the grid on which answers are judged: 1 nm where that is quick, else the one of the search."""
-    own = search_wavelengths(material, lamps)
-    return np.union1d(own, default_wavelengths(step_nm=JUDGE_STEP_NM)) if material.model.is_quick else own
-
-
-def _walks(material: Material) -> bool:
-    return any(lobe.is_stochastic for lobe in material.model.bsdf(None).lobes)
 
 
 def why_missing(material: Material, at: At) -> str:
@@ -245,14 +246,13 @@ def missing_at(material: Material, ats: Sequence[At]) -> frozenset[At]:
         return see(material, ats, probe).missing
     asked = [at for at in ats if at.kind != "aspecular"]
     angles = np.radians([at.theta_deg for at in asked])
-    wants_all = any(at.kind in ("diffuse", "hemispherical") for at in asked)
-    found = None if wants_all or not asked else material.model.spectrum(angles, probe, "both", 0)
+    found = material.model.spectrum(angles, probe, "both", 0) if asked else None
     missing = [at for at in asked if found is not None and _part(found, at) is None]
-    if found is None or len(asked) < len(ats):
+    if found is None:
         bsdf = material.model.bsdf(probe)
         spreads = any(not lobe.is_delta for lobe in bsdf.lobes)
         missing += [at for at in ats if at.kind in ("aspecular", "diffuse") and not spreads]
-        if found is None and asked:
+        if asked:
             mirror = bsdf_spectrum(bsdf, angles, diffuse=False)
             missing += [at for at in asked if at.kind in ("specular", "transmitted") and _part(mirror, at) is None]
     return frozenset(missing)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from nacre.arrays import Array
-from nacre.design.wants.geometry import At, Seen, judge_wavelengths, see
+from nacre.design.wants.geometry import At, Seen, judge_wavelengths, search_wavelengths, see
 from nacre.design.wants.spec import LightSpec
 from nacre.design.wants.wanted import Want
 from nacre.light import (
@@ -102,10 +102,13 @@ def judge(
         NacreError: the material cannot be computed.
     """
     rows = rows_of(wants)
-    grid = judge_wavelengths(material, light.illuminants)
     begun = time.monotonic()
+    fine, coarse = (choose(material, light.illuminants) for choose in (judge_wavelengths, search_wavelengths))
+    grid = fine if material.model.is_quick else coarse
     seen = see(material, rows, grid, seed=seed + JUDGE_SEED)
     if seen.error is None:
+        # a random walk stays on the coarse grid of reports; what is not one is looked at on its own
+        seen = seen if material.model.is_quick else see(material, rows, fine, seed=seed + JUDGE_SEED)
         return reached(seen, wants, light), seen
     draws = [seen.factors]
     while True:
