@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from nacre.arrays import Array
+from nacre.design.goals import smooth_weights
 from nacre.design.wants.geometry import At, Seen, judge_wavelengths, search_wavelengths, see
 from nacre.design.wants.spec import LightSpec
 from nacre.design.wants.wanted import Want
@@ -21,7 +22,6 @@ from nacre.light import (
     lab_to_lch,
     lab_to_xyz,
     lch_to_lab,
-    spectrum_to_xyz,
     srgb_encode,
     srgb_to_hex,
     white_xyz,
@@ -157,7 +157,8 @@ def reached(seen: Seen, wants: Sequence[Want], light: LightSpec) -> list[Reached
         lamps = light.illuminants[:1] if want.xyz is not None else light.illuminants
         for lamp in lamps:
             white = white_xyz(lamp, light.observer)
-            xyz = spectrum_to_xyz(factors, seen.wavelengths_nm, lamp, light.observer)
+            # between the coarse samples of a walk a spectrum is a spline: straight lines are a dE00 off
+            xyz = factors @ smooth_weights(seen.wavelengths_nm, lamp, light.observer)
             lab = np.asarray(xyz_to_lab(xyz, white))
             asked = want.wanted_lab(white)
             if asked is None:
