@@ -126,6 +126,26 @@ def test_every_example_is_found_by_its_name(tmp_path: Path, monkeypatch: pytest.
     assert nacre.load("bottle1").identity == nacre.load(examples_folder() / "pearl" / "bottle1.toml").identity
 
 
+def test_a_target_goes_by_its_name_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from nacre.materials.examples import or_example
+
+    monkeypatch.chdir(tmp_path)
+    assert or_example("magenta-to-green") == examples_folder() / "wants" / "magenta-to-green.toml"
+    (tmp_path / "magenta-to-green").write_text("mine")
+    assert or_example("magenta-to-green") == Path("magenta-to-green")
+
+
+def test_all_files_of_the_examples_are_in_the_wheel() -> None:
+    """The wheel takes them folder by folder, so that a new one has to be named."""
+    import tomllib
+
+    root = Path(__file__).resolve().parents[2]
+    patterns = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["data-files"]
+    shipped = {path for globs in patterns.values() for pattern in globs for path in root.glob(pattern)}
+    there = {path for path in (root / "examples").rglob("*") if path.is_file() and "__pycache__" not in path.parts}
+    assert {path.name for path in there - shipped} <= {"mosaic.py"}
+
+
 def test_a_file_of_ones_own_comes_before_an_example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "soap").write_text('family = "film"\nsubstrate = "Si"\n')

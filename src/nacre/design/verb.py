@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from nacre.design.wants.target import is_wants
-from nacre.files import read_text
+from nacre.files import named, read_text
+from nacre.materials.examples import or_example
 from nacre.recipe.toml import parse_toml
 
 
@@ -21,7 +22,8 @@ def run(
     """Design what a target asks for; the best so far is always on disk.
 
     Args:
-        target: a TOML file with `[[want]]` (any family) or with `[target]` (a relief), or a dictionary of the former.
+        target: a TOML file with `[[want]]` (any family) or with `[target]` (a relief), the name of an example, or a
+            dictionary of the former.
         out: the folder, made if it does not exist; default: the target's name.
         resume: go on where a stopped run of the same target ended.
         progress: called while the search runs, from worker threads where it has some, one at a time.
@@ -36,6 +38,8 @@ def run(
 
     Example: `nacre.design("violet.toml", "violet").best.wants[0].distance`.
     """
+    if not isinstance(target, Mapping):
+        target = or_example(named(target))
     if isinstance(target, Mapping) or is_wants(parse_toml(read_text(target, "target"), str(target))):
         from nacre.design.wants.run import run as run_wants
 

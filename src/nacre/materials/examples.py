@@ -77,6 +77,11 @@ def find_example(name: str) -> Path | None:
     return next((place / wanted for place in places if (place / wanted).is_file()), None)
 
 
+def or_example(path: str | Path) -> Path:
+    """Return the path of a file of one's own or, where there is none, of the example of that name."""
+    return (None if os.path.lexists(path) else find_example(str(path))) or Path(path)
+
+
 def copy_examples(names: list[str], to: Path) -> list[Path]:
     """Copy examples, with the files that they name, to a folder; they keep their places to each other.
 

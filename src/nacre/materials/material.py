@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import logging
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,7 +26,7 @@ from nacre.families.contract import Model
 from nacre.families.registry import family_source, family_spec
 from nacre.files import named, read_text
 from nacre.materials.cache import solved
-from nacre.materials.examples import find_example
+from nacre.materials.examples import or_example
 from nacre.materials.varying import Varying
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.recipe.data import plain_data
@@ -259,9 +258,7 @@ def load(path: str | Path) -> Material:
 
     Example: `nacre.load("soap.toml").spectrum([0.0])`.
     """
-    path = named(path)
-    shipped = None if os.path.lexists(path) else find_example(str(path))
-    return _load(shipped or path, depth=0)
+    return _load(or_example(named(path)), depth=0)
 
 
 def _load(path: Path, depth: int, ambient: Any = None) -> Material:
