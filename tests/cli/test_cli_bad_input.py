@@ -93,7 +93,7 @@ def test_a_wrong_recipe_is_refused_with_file_key_and_value(
         (["render", "RECIPE", "--light", "studoi"], ["studoi", "studio"]),
         (["render", "RECIPE", "--illuminant", "D66"], ["D66", "D65"]),
         (["render", "RECIPE", "--shape", "no.ply"], ["no.ply"]),
-        (["render", "RECIPE", "-o", "x.jpg"], ["x.jpg", ".png"]),
+        (["render", "RECIPE", "-o", "x.bmp"], ["x.bmp", ".png"]),
         (["render", "RECIPE", "--exposure", "bright"], ["--exposure", "bright"]),
         (["render", "RECIPE", "--animate", "lihgt"], ["lihgt"]),
         (["plot", "RECIPE", "--kind", "spectrun"], ["spectrun"]),

@@ -151,7 +151,7 @@ def test_exposure_is_bounded_and_fixed_exposures_compare() -> None:
 
 
 def test_ctrl_c_keeps_the_finished_passes(tmp_path: Path, gold: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(picture, "PASS_SAMPLES", 24 * 20)
+    monkeypatch.setattr(passes, "PASS_SAMPLES", 24 * 20)
 
     def stop(done: int, total: int, seconds_left: float) -> None:
         if done == 3:
@@ -161,7 +161,7 @@ def test_ctrl_c_keeps_the_finished_passes(tmp_path: Path, gold: Any, monkeypatch
     result = nacre.render(gold, size=(24, 20), spp=50, progress=stop, output=path)
     assert result.stats["interrupted"] and result.stats["spp"] == 3
     assert read_provenance(path)["spp"] == 3
-    monkeypatch.setattr(picture, "PASS_SAMPLES", 1 << 20)
+    monkeypatch.setattr(passes, "PASS_SAMPLES", 1 << 20)
     whole = nacre.render(gold, size=(24, 20), spp=3)
     assert not whole.stats["interrupted"]
 
@@ -219,7 +219,7 @@ def test_a_picture_shows_itself_in_a_notebook() -> None:
         ({"exposure": "bright"}, "not allowed"),
         ({"components": "both"}, "not known"),
         ({"quality": "best"}, "not known"),
-        ({"output": "picture.jpg"}, "written as .png or .exr"),
+        ({"output": "picture.bmp"}, "written as .png"),
         ({"output": "no/such/folder/picture.png"}, "does not exist"),
     ],
 )

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from nacre.arrays import Array
 from nacre.device.variant import use_variant
+from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, white_xyz, xyz_to_srgb_linear
+from nacre.light.spaces import RGB_TO_XYZ
 from nacre.picture import interrupt
 from nacre.picture.camera import View
 from nacre.picture.cut_out import cut_out
@@ -247,7 +249,10 @@ def first_hits(scene: Any, sensor: Any, passes: Sequence[tuple[int, int]]) -> di
     )
     mean = np.asarray(seen / sum(spp for spp, _ in passes), dtype=np.float32)
     mean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
-    albedo, normal = np.clip(mean[..., :3], 0.0, 1.0), np.clip(mean[..., 3:6], -1.0, 1.0)
+    # Mitsuba shows reflectances under light of equal energy, as sRGB under D65 would see it: make its white white
+    seen_as = adapt_xyz(mean[..., :3] @ RGB_TO_XYZ.T, white_xyz("E"), SRGB_WHITE_XYZ)
+    albedo = np.clip(xyz_to_srgb_linear(seen_as), 0.0, 1.0).astype(np.float32)
+    normal = np.clip(mean[..., 3:6], -1.0, 1.0)
     return {"albedo": albedo, "normal": normal, "depth": np.maximum(mean[..., 6:], 0.0)}
 
 
