@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-QUICK = 120
+QUICK = 60
 
 
 def test_the_first_inputs_of_the_fuzzer_give_an_answer_or_one_line(

@@ -47,6 +47,7 @@ def asked(*angles: float, hidden: dict[str, Any], **more: Any) -> dict[str, Any]
     return {"want": wants, "search": {"seconds": 8, "solutions": 2}, **more}
 
 
+@pytest.mark.full
 def test_a_hidden_film_is_found_by_the_search_that_knows_nothing_of_films() -> None:
     free = {"layers[0].thickness_nm": [20, 90], "layers[1].material": {"choices": ["SiO2", "MgF2", "TiO2"]}}
     target = asked(0.0, 45.0, hidden=film(55, 110), recipe=film(30, 110), free=free)
@@ -83,6 +84,7 @@ def test_a_design_is_as_good_as_it_says_and_stays_within_its_bounds(tmp_path: Pa
     assert len(best["wants"]) == 4  # two angles under two lamps
 
 
+@pytest.mark.full
 def test_a_stack_is_sought_of_its_palette_and_the_report_needs_no_network(tmp_path: Path) -> None:
     target = {
         "recipe": {"family": "film", "substrate": "Al", "layers": []},
@@ -131,6 +133,7 @@ def test_out_of_reach_is_an_answer_that_names_the_want_that_costs_most(
     assert document["solutions"][0]["wants"][0]["de00"] > 20
 
 
+@pytest.mark.full
 def test_an_interrupt_ends_with_the_best_and_a_resumed_run_goes_on_from_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -224,6 +227,7 @@ def test_many_refuses_colours_of_another_shape() -> None:
         nacre.design.many(target, [50, 0, 0])
 
 
+@pytest.mark.full
 def test_a_spectrum_over_a_part_of_the_wavelengths_is_met_there_beside_a_colour(tmp_path: Path) -> None:
     """An antireflection coating for the middle of the visible that is dark as a whole: nothing is asked elsewhere."""
     (tmp_path / "ar.csv").write_text("nm,R\n" + "".join(f"{nm},0.0\n" for nm in range(480, 621, 10)))

