@@ -7,7 +7,6 @@ import os
 import platform
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -21,7 +20,6 @@ ROOT = Path(__file__).resolve().parents[1]
 
 QUIET = {"check": True, "capture_output": True, "timeout": 300}
 PIP = ["-m", "pip", "--disable-pip-version-check"]
-PICTURE_S = 30  # of a film; 3 s where nothing else runs, minutes without an LLVM
 INSTALL_S = 480  # with a warm cache of pip's some 60 s; without, the time to fetch 500 MB
 FILM = """family = "film"
 substrate = "Si"
@@ -147,9 +145,8 @@ def test_after_pip_install_alone_everything_works_outside_the_checkout(wheel: Pa
     assert findings["LLVM"]["found"].startswith(f"{llvm.WHEEL} {llvm.WHEEL_VERSION}: {place}")
     assert all(f["state"] != "bad" for f in findings.values()), findings
     nacre("render", "film.toml", "--size", "64x64", "-o", "film.png")
-    start = time.perf_counter()
-    nacre("render", "film.toml", "--size", "256x256", "-o", "again.png")
-    assert time.perf_counter() - start < PICTURE_S
+    with Image.open(home / "film.png") as picture:
+        assert '"variant": "llvm_ad_spectral"' in picture.text["nacre"]  # and not the interpreter, which takes minutes
     nacre("design", "target.toml", "-o", "design")
     nacre("render", "design", "--size", "64x64", "-o", "design.png")
     nacre("sweep", "sweep.toml", "-o", "sweep.zarr", "--workers", "1")
