@@ -144,11 +144,11 @@ def test_after_pip_install_alone_everything_works_outside_the_checkout(wheel: Pa
     findings = {f["what"]: f for f in json.loads(nacre("doctor", "--json"))}
     assert findings["LLVM"]["found"].startswith(f"{llvm.WHEEL} {llvm.WHEEL_VERSION}: {place}")
     assert all(f["state"] != "bad" for f in findings.values()), findings
-    nacre("render", "film.toml", "--size", "64x64", "-o", "film.png")
+    nacre("render", "film.toml", "--size", "64x64", "--spp", "16", "-o", "film.png")
     with Image.open(home / "film.png") as picture:
         assert '"variant": "llvm_ad_spectral"' in picture.text["nacre"]  # and not the interpreter, which takes minutes
     nacre("design", "target.toml", "-o", "design")
-    nacre("render", "design", "--size", "64x64", "-o", "design.png")
+    nacre("render", "design", "--size", "64x64", "--spp", "16", "-o", "design.png")
     nacre("sweep", "sweep.toml", "-o", "sweep.zarr", "--workers", "1")
     code = "from nacre.materials.examples import examples_folder; print(examples_folder())"
     said = subprocess.run([str(python), "-c", code], cwd=home, env=environment, capture_output=True, text=True)
