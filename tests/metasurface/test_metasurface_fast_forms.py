@@ -25,9 +25,9 @@ HANKEL_DIGITS = 1e-12  # of Hankel's expansion from |z| = 28 on
 def _whole_sums(layer, order, kappa, w):
     """Q for every multipole, m < 0 too, as the plain formula has it: no fold, no interpolation."""
     structure, surface, centre = layer.structure, layer.surface, layer.mean_centre_nm
-    index, mu = neighbours.multipole_index(order), neighbours._pair_orders(order)
+    index, mu = neighbours.multipole_index(order), neighbours.pair_orders(order)
     direct = neighbours._direct_sums(structure, surface.wavenumber, order, kappa)
-    table = neighbours._direct_coefficients(order).reshape(mu.size, -1)
+    table = neighbours.direct_coefficients(order).reshape(mu.size, -1)
     total = (table @ direct.reshape(table.shape[1], -1)).reshape(*mu.shape, -1)
     total = total + neighbours._stack_sums(surface, centre, structure, order, kappa, every_row=True)
     scale = 2 * np.pi * structure.density_per_nm2 / surface.wavenumber**2
@@ -62,7 +62,7 @@ def test_the_mean_field_of_one_mirror_half_is_that_of_all_multipoles(below):
     plain = np.zeros_like(own)
     positive = index.m >= 0
     plain[index.m[positive], :, rows[positive], :] = (q @ b)[:, positive].transpose(1, 2, 0)
-    fast = mean_excitation(table, dressed, directions, own)
+    fast = mean_excitation(table.at(directions), order, dressed, own)
     assert np.max(np.abs(fast - plain)) <= ROUNDING * np.max(np.abs(plain))
 
 

@@ -334,7 +334,8 @@ def test_energy_beyond_one_is_scaled_away_symmetrically():
 
 def test_coverage_beyond_the_tested_warns():
     with pytest.warns(MetasurfaceWarning, match="coverage"):
-        material(recipe("Si", monolayer={"coverage": 0.2})).spectrum([0.0], [500.0])
+        plain = {"correction": "qca-balanced"}
+        material(recipe("Si", monolayer={"coverage": 0.2}, model=plain)).spectrum([0.0], [500.0])
 
 
 @pytest.mark.parametrize("ending", ["gds", "oas"])
@@ -453,3 +454,9 @@ def test_spheres_on_opaque_layers_over_glass_answer_with_numbers(micrometres):
     assert np.all(parts["diffuse_transmittance"] < 1e-6)
     bare = material({**data, "substrate": "Si"}).spectrum([0.0, 1.0], [550.0])
     np.testing.assert_allclose(parts["diffuse_reflectance"], bare.diffuse_reflectance, rtol=1e-6)
+
+
+@pytest.mark.parametrize("radius_nm", [1e-300, 0.05])
+def test_a_particle_smaller_than_an_atom_is_refused(radius_nm: float) -> None:
+    with pytest.raises(RecipeError, match="radius_nm"):
+        material(recipe(radius_nm=radius_nm))

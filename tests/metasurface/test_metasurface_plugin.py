@@ -29,7 +29,7 @@ def lobe(name):
         **stack,
         "particle": {"material": {"n": 3.5, "k": 0.02}, "radius_nm": 65, **particle},
         "monolayer": {"coverage": 0.1, "packing": 0.4},
-        "model": {"multipole_order": 4},
+        "model": {"multipole_order": 4, "correction": "qca-balanced"},
     }
     made = material(data).bsdf(np.array([400.0, 480.0, 560.0, 640.0, 720.0]))
     return Bsdf((made.lobes[1],))

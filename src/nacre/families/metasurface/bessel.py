@@ -17,20 +17,32 @@ ASYMPTOTIC_FROM = 28.0  # beyond, Hankel's expansion has 13 digits
 
 
 @compiled(nogil=True)
-def _asymptotic(nu, z):  # type: ignore[no-untyped-def]  # numba
+def _hankel_sums(nu, inverse):  # type: ignore[no-untyped-def]  # numba
+    """P and Q of Hankel's expansion in 1/z."""
     mu = 4.0 * nu * nu
     p, q, term = 1.0 + 0.0j, 0.0 + 0.0j, 1.0 + 0.0j
     for j in range(1, 30):
-        term = term * (mu - (2 * j - 1) ** 2) / (j * 8.0) / z
-        size = abs(term)
+        term = term * inverse * ((mu - (2 * j - 1) ** 2) / (j * 8.0))
         if j % 2 == 1:
             q += term if j % 4 == 1 else -term
         else:
             p += -term if j % 4 == 2 else term
-        if size < 1e-17:
+        if term.real * term.real + term.imag * term.imag < 1e-34:
             break
-    chi = z - (0.5 * nu + 0.25) * np.pi
-    return np.sqrt(2.0 / (np.pi * z)) * (p * np.cos(chi) - q * np.sin(chi))
+    return p, q
+
+
+@compiled(nogil=True)
+def _asymptotic(z):  # type: ignore[no-untyped-def]  # numba
+    """J_0 and J_1, which share one exponential: their phases are a quarter turn apart."""
+    inverse = 1.0 / z
+    wave = np.exp(1.0j * (z - 0.25 * np.pi))
+    back = 1.0 / wave
+    cosine, sine = 0.5 * (wave + back), -0.5j * (wave - back)
+    size = np.sqrt(2.0 / np.pi * inverse)
+    p0, q0 = _hankel_sums(0, inverse)
+    p1, q1 = _hankel_sums(1, inverse)
+    return size * (p0 * cosine - q0 * sine), size * (p1 * sine + q1 * cosine)
 
 
 @compiled(nogil=True)
@@ -73,29 +85,33 @@ def _fill(z, out):  # type: ignore[no-untyped-def]  # numba
                 out[m, i] = 1.0 if m == 0 else 0.0
             continue
         if size > ASYMPTOTIC_FROM and size > 2.0 * top:
-            before, now = _asymptotic(0, x), _asymptotic(1, x)
+            before, now = _asymptotic(x)
             out[0, i] = before
             if top > 0:
                 out[1, i] = now
+            twice = 2.0 / x
             for m in range(1, top):
-                before, now = now, 2.0 * m / x * now - before
+                before, now = now, m * (twice * now) - before
                 out[m + 1, i] = now
             continue
         start = int(max(size, top) + 12 + 4.0 * max(size, top) ** (1.0 / 3.0) + 12)
         after, now = 0.0j, 1e-280 + 0.0j
         # e^{-+iz} = J_0 + 2 sum (-+i)^n J_n: the sign is taken so that the sum is large and does not cancel
         turn = -1.0j if x.imag >= 0 else 1.0j
-        total = 0.0j
-        phase = turn**start
-        back = 1.0 / turn
+        twice = 2.0 / x  # one division a point: a complex one costs as much as ten products
+        even, odd = 0.0j, 0.0j
+        sign = 1.0 if start % 4 < 2 else -1.0  # of turn^n, but for a factor `turn` where n is odd
         for n in range(start, 0, -1):
             if n <= top:
                 out[n, i] = now
-            total += 2.0 * phase * now
-            phase *= back
-            after, now = now, 2.0 * n / x * now - after
+            if n % 2 == 0:
+                even += sign * now
+                sign = -sign
+            else:
+                odd += sign * now
+            after, now = now, n * (twice * now) - after
         out[0, i] = now
-        total += now
+        total = 2.0 * (even + turn * odd) + now
         scale = np.exp(turn * x) / total
         for m in range(top + 1):
             out[m, i] *= scale

@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.arrays import Array
-from nacre.families.metasurface.diffuse import DirectionSet, balance, balance_across, pair_powers, structure_harmonics
+from nacre.bsdf.balance import balance, balance_across
+from nacre.families.metasurface.diffuse import DirectionSet, PairPowers, pair_powers, structure_harmonics
 from nacre.families.metasurface.monolayer import Lit, Monolayer
+from nacre.families.metasurface.ratio import Ratio, Ways
 from nacre.families.metasurface.sphere import extinction
 
 NOTHING = 1e-30  # of the light from below: what passes opaque layers, and soon falls out of the range of numbers
@@ -73,7 +75,9 @@ def diffuse_term(
         elif layer.correction == "in-out":
             emissions, responses = [mean_out] * len(met), met
     two_sided = layer.correction == "qca-balanced" or (symmetric and layer.correction == "in-only")
-    powers = pair_powers(layer.fields(emissions, responses), s_harmonics, layer.shares, two_sided, kept)
+    # a ratio multiplies the series, so all of it is needed, and the sums with S are made anew
+    series = kept if layer.ratio is None else max(kept, s_count)
+    powers = pair_powers(layer.fields(emissions, responses), s_harmonics, layer.shares, two_sided, series)
     scale = layer.structure.density_per_nm2 / (joined.index[:, None] * joined.index)
     kernel = powers.kernel * scale[None, :, None, :]
     weights = joined.weights * joined.index**2
@@ -94,6 +98,9 @@ def diffuse_term(
     pair = factors[:, :, is_below.astype(int)]  # [pol_s, s, i]
     both = pair[:, None] * np.swapaxes(pair, 1, 2)[None]  # pol_s, pol_i, s, i
     spread = (both * scale).transpose(2, 3, 0, 1)[..., None]
+    if layer.ratio is not None:
+        whole = np.einsum("s,qspi->pi", weights, powers.target * scale[None, :, None, :])
+        return _judged(layer.ratio, joined, powers, spread, s_harmonics, weights, is_below, kept, whole)
     sent = np.einsum("s,qspi,qpsi->spi", weights, kernel, both)
     return DiffuseTerm(
         powers.coherent * spread,
@@ -101,6 +108,46 @@ def diffuse_term(
         sent[~is_below].sum(axis=0),
         sent[is_below].sum(axis=0),
         0.5 * np.einsum("qspi,qpsi->si", kernel, both),
+    )
+
+
+def _judged(
+    ratio: Ratio, joined: DirectionSet, powers: PairPowers, spread: Array, s_harmonics: Array, weights: Array,
+    is_below: NDArray[np.bool_], kept: int, whole: Array,
+) -> DiffuseTerm:  # fmt: skip
+    """Return the term with an ensemble's ratio on every pair, and its totals.
+
+    A patch is finite. Where the waves along the layer run past its edge before the layer has weakened them, near
+    grazing, it sends out more than an endless layer has: there each direction keeps the total of the mean field, to
+    both sides together, and the ensemble says how it is shared out. Elsewhere the ensemble's own total stands: the
+    mean field's is up to 9 % off on a resonance.
+
+    Args:
+        whole: that total, `[pol, angle]`.
+    """
+    ways = Ways.of(joined.transverse, joined.index, is_below)
+    coherent = ratio.applied(powers.coherent * spread, ways)
+    varying = ratio.applied(powers.varying * spread, ways) if powers.varying.size else powers.varying
+    count = coherent.shape[-1]
+    kernel = np.einsum("siqpk,sik->qspi", coherent, s_harmonics[:, :, :count])
+    if varying.size:
+        kernel = kernel + 2 * np.pi * varying[..., 0].transpose(2, 0, 3, 1)
+    kernel = np.maximum(kernel, 0.0)
+    if ratio.reach > 0.0:
+        size = 2 * weights.size
+        g = balance(kernel.reshape(size, size), whole.ravel(), np.tile(weights, 2)).reshape(2, -1)
+        edge = g ** ratio.shortness(joined.transverse)
+        both = edge[:, None, :, None] * edge[None, :, None]  # pol_s, pol_i, s, i
+        kernel = kernel * both.transpose(0, 2, 1, 3)
+        coherent = coherent * both.transpose(2, 3, 0, 1)[..., None]
+        varying = varying * both.transpose(2, 3, 0, 1)[..., None] if varying.size else varying
+    sent = np.einsum("s,qspi->spi", weights, kernel)
+    return DiffuseTerm(
+        coherent[..., :kept],
+        varying[..., :kept] if varying.size else varying,
+        sent[~is_below].sum(axis=0),
+        sent[is_below].sum(axis=0),
+        0.5 * np.einsum("qspi->si", kernel),
     )
 
 

@@ -75,8 +75,10 @@ def stream_dense(
     out = np.empty((2, 2, theta.size, theta.size, phi.size), dtype=np.float32)
     s = material.structure.s
     step = float(material.structure.q_per_nm[1] - material.structure.q_per_nm[0])
-    for wavelength in np.atleast_1d(np.asarray(wavelengths_nm, dtype=float)):
-        layer = material.monolayer(float(wavelength))
+    wavelengths = np.atleast_1d(np.asarray(wavelengths_nm, dtype=float))
+    layers, _ = material.layers_at(wavelengths)
+    for wavelength in wavelengths:
+        layer = layers(float(wavelength))
         term = diffuse_term(layer, [(layer.light(cos), weights)], HARMONICS)
         scale = 1.0 / (cos[:, None] * cos)
         _fill(term.coherent, term.varying, cosines, scale, np.sin(theta), s, layer.surface.wavenumber / step, out)

@@ -85,6 +85,7 @@ def colour_map(
         packing = min(max(material.structure.packing, coverage), PACKING_LIMIT)
         q_max = float(material.structure.q_per_nm[-1])
         varied = dataclasses.replace(material, structure=hard_disk_structure(float(density), float(packing), q_max))
+        # by the mean field, whatever the recipe takes: a map is some 300 monolayers
         columns = [varied.powers(np.cos(np.radians(angles)), w) for w in wavelengths]
         rows.append(np.stack([c[2 if part == "diffuse" else 0].mean(axis=0) for c in columns], axis=-1))
     return {

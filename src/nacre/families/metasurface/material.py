@@ -5,8 +5,10 @@ from __future__ import annotations
 import dataclasses
 import logging
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,12 +18,17 @@ from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import UnsupportedError
 from nacre.families.contract import Model
+from nacre.families.metasurface import choice
 from nacre.families.metasurface.arrangement import Arrangement
 from nacre.families.metasurface.compile import choose_grids, tabulate
 from nacre.families.metasurface.corrections import diffuse_term
+from nacre.families.metasurface.ensemble import EnsembleSettings
+from nacre.families.metasurface.few import few_powers, few_values
 from nacre.families.metasurface.monolayer import Monolayer, Particle
+from nacre.families.metasurface.particles import Shell, Sizes
 from nacre.families.metasurface.patterns import Pattern
 from nacre.families.metasurface.qca import INTERACTION_ORDER
+from nacre.families.metasurface.refine import Refinement, refine
 from nacre.families.metasurface.sphere import ORDER_TOLERANCE, ConvergenceRefusal, choose_order, hemisphere_rule
 from nacre.families.metasurface.structure import Structure
 from nacre.families.metasurface.substrate import LOSSLESS_K, Substrate
@@ -33,6 +40,8 @@ from nacre.matter.mie import mie_coefficients
 logger = logging.getLogger("nacre")
 
 
+AUTO, ENSEMBLE = "auto", "ensemble"  # of the corrections
+JUDGED_NM = 550.0  # where a core is called metal or not
 VALIDATED_COVERAGE = 0.13
 LOOSEST_TOLERANCE = 0.02  # of the change on doubling: above it the series has no limit to speak of
 # accepted with a warning where the recipe names no tolerance: silver on glass leaves up to 0.9 %, at 360 nm only
@@ -41,40 +50,12 @@ UNASKED_TOLERANCE = 0.01
 THICK_FILM_NM = 1000.0
 TOLD_EXCESS = 0.01  # of energy: what the default correction is tested to keep
 SAME_INDEX = 1e-3
-SIZE_NODES = 5
+NEAR = 0.1  # of the logarithm of a length: spheres so alike take one multipole order
+FEW_ANGLES, LEAST_COS = 48, 0.05  # that are solved one by one, and off grazing
 
 
 class MetasurfaceWarning(UserWarning):
     """The model is used beyond where it was tested; the message says what is known."""
-
-
-@dataclass(frozen=True)
-class Shell:
-    """A coating round the core."""
-
-    material: OpticalConstant
-    thickness_nm: float
-
-
-@dataclass(frozen=True)
-class Sizes:
-    """Radii of the cores and their shares in number."""
-
-    radii_nm: tuple[float, ...]
-    shares: tuple[float, ...]
-
-    @classmethod
-    def of(cls, radius_nm: float, deviation_nm: float = 0.0, distribution: str = "gaussian") -> Sizes:
-        """Quadrature nodes of a size distribution with the given mean and standard deviation."""
-        if deviation_nm == 0.0:
-            return cls((radius_nm,), (1.0,))
-        x, w = np.polynomial.hermite_e.hermegauss(SIZE_NODES)
-        if distribution == "lognormal":
-            variance = np.log1p((deviation_nm / radius_nm) ** 2)
-            radii = radius_nm * np.exp(np.sqrt(variance) * x - variance / 2)
-        else:
-            radii = radius_nm + deviation_nm * x
-        return cls(tuple(float(r) for r in radii), tuple(float(v) for v in w / w.sum()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,16 +71,20 @@ class Metasurface(Model):
         shell: a coating, or None; the outer radius is the core's plus its thickness.
         gap_nm: between the particles and the stack.
         structure: density, S(q), g(r).
-        correction: one of `nacre.families.metasurface.monolayer.CORRECTIONS`.
+        correction: one of `nacre.families.metasurface.monolayer.CORRECTIONS`, "ensemble" or "auto", see `choice`.
+        ensemble: how large an ensemble is, where one is taken.
         multipole_order: of the spheres; None: chosen at each wavelength for `multipole_tolerance`.
         multipole_tolerance: largest change of the far field when the order is doubled; None: 0.001 is aimed at, and
             up to 0.01 accepted with a warning.
         interaction_order: of the exchange between neighbours.
         source: name of the recipe, for messages.
         arrangement: how to make the points, or the points; None where only S(q) is known.
+        memory: multipole orders of candidates near this one, see `among_many`; None: each is chosen anew.
+        sees_neighbours: False leaves the near fields of neighbours out.
     """
 
     noun = "metasurface"
+    is_direct = True
     bytes_a_wavelength = 200_000
 
     ambient: OpticalConstant
@@ -117,6 +102,9 @@ class Metasurface(Model):
     source: str = "recipe"
     range_nm: tuple[float, float] = (360.0, 830.0)
     arrangement: Arrangement | Pattern | None = None
+    memory: dict[Any, Any] | None = None
+    sees_neighbours: bool = True
+    ensemble: EnsembleSettings = EnsembleSettings()
 
     def pattern(self, count: int, seed: int | None = None) -> Pattern:
         """Return about `count` particles on a periodic square; of a list of points, the list itself.
@@ -176,8 +164,65 @@ class Metasurface(Model):
         a, b = mie_coefficients(lmax, x, np.array(indices) / surface.ambient_index)
         return np.concatenate([-b, -a])
 
+    @cached_property
+    def chosen_correction(self) -> tuple[str, str]:
+        """The correction that is taken, and why where the material chose it by itself, else ""."""
+        if self.correction != AUTO:
+            return self.correction, ""
+        if self.arrangement is None:
+            return "qca-balanced", "only S(q) is known, so there are no positions for an ensemble"
+        surface = self.surface(float(np.clip(JUDGED_NM, *self.range_nm)))
+        core = complex(self.core.n_complex(np.array([surface.wavelength_nm]))[0]) / surface.ambient_index
+        below = np.max(np.abs(surface.indices[1:] / surface.ambient_index - 1.0)) > choice.SAME_INDEX
+        holds, why = choice.mean_field_holds(choice.kind_of(core), bool(below), self.coverage)
+        return ("qca-balanced" if holds else ENSEMBLE), why
+
+    @property
+    def slow_way(self) -> str:
+        """An ensemble, where the material takes one by itself."""
+        if self.correction != AUTO or self.chosen_correction[0] != ENSEMBLE:
+            return ""
+        return 'an ensemble (model.correction = "ensemble")'
+
+    def layers_at(self, wavelengths_nm: ArrayLike) -> tuple[Callable[[float], Monolayer], Refinement | None]:
+        """Return the monolayer at each of some wavelengths, with an ensemble's ratio where one is taken.
+
+        Raises:
+            UnsupportedError: an ensemble is asked for where no positions are known, or it is too large.
+        """
+        if self.chosen_correction[0] != ENSEMBLE:
+            return self.monolayer, None
+        if self.arrangement is None:
+            self.pattern(1)  # says why there are no positions
+        order = np.sort(np.atleast_1d(np.asarray(wavelengths_nm, dtype=float)))
+        found = self._judged.get(order.tobytes())
+        if found is None:
+            found = self._judged[order.tobytes()] = self._refinement(order)
+
+        def layer(wavelength_nm: float) -> Monolayer:
+            return dataclasses.replace(self.monolayer(wavelength_nm), ratio=found.at(wavelength_nm))
+
+        return layer, found
+
+    def _refinement(self, wavelengths_nm: Array) -> Refinement:
+        seed = self.arrangement.seed if isinstance(self.arrangement, Arrangement) else 0
+        is_list = isinstance(self.arrangement, Pattern)
+        why = self.chosen_correction[1]
+        because = f'model.correction = "auto" takes an ensemble: {why}; "qca-balanced" takes seconds; ' if why else ""
+        found = refine(wavelengths_nm, self.monolayer, self.pattern, self.ensemble, seed, self.source, is_list, because)
+        logger.warning(
+            "%s: ensemble of %d patterns of %d spheres: standard error %.2g %%, rms over pairs of angles",
+            self.source, self.ensemble.realisations, self.ensemble.spheres, 100 * found.standard_error,
+        )  # fmt: skip
+        return found
+
+    @cached_property
+    def _judged(self) -> dict[bytes, Refinement]:
+        """What ensembles said, by wavelengths."""
+        return {}
+
     def monolayer(self, wavelength_nm: float) -> Monolayer:
-        """Return the monolayer at one wavelength.
+        """Return the monolayer at one wavelength, by the mean field where an ensemble would judge it.
 
         Raises:
             ConvergenceRefusal: the multipole series does not converge, with what to do.
@@ -192,9 +237,11 @@ class Metasurface(Model):
                 Particle(share, radius + above, self.t_matrix(lmax, surface, radius))
                 for radius, share in zip(self.sizes.radii_nm, self.sizes.shares)
             )
+            mean_field = "qca-balanced" if self.correction in (AUTO, ENSEMBLE) else self.correction
             self._solved[wavelength_nm] = Monolayer(
-                surface, particles, self.structure, self.correction, self.interaction_order
-            )
+                surface, particles, self.structure, mean_field, self.interaction_order,
+                sees_neighbours=self.sees_neighbours,
+            )  # fmt: skip
         return self._solved[wavelength_nm]
 
     @cached_property
@@ -209,6 +256,35 @@ class Metasurface(Model):
         """
         if self.multipole_order is not None:
             return self.multipole_order
+        if self.memory is not None:
+            near = self._neighbourhood(surface)
+            if near not in self.memory:
+                self.memory[near] = self._chosen_order(surface)
+            return int(self.memory[near])
+        return self._chosen_order(surface)
+
+    def among_many(self, memory: dict[Any, Any], is_rough: bool = False) -> Metasurface:
+        """Return the metasurface with the multipole orders of those of nearly its spheres on the same media.
+
+        A rough one knows its neighbours' plane waves, as a sheet does, and nothing of their near fields. One that would
+        take an ensemble by itself takes the mean field; a recipe that names the ensemble gets it.
+        """
+        mean_field = "qca-balanced" if self.correction == AUTO else self.correction
+        return dataclasses.replace(self, memory=memory, sees_neighbours=not is_rough, correction=mean_field)
+
+    def _neighbourhood(self, surface: Substrate) -> tuple[Any, ...]:
+        """What the order depends on, to within a tenth; of the stack the media and the first film's thickness."""
+        lam = np.array([surface.wavelength_nm])
+        inside = [self.core, *([] if self.shell is None else [self.shell.material])]
+        near = 0.0 if not self.layers else min(self.layers[0][1], self.outer_radius_nm)
+        lengths = (*self.sizes.radii_nm, self.outer_radius_nm, 1.0 + self.gap_nm + near)
+        steps = tuple(int(np.floor(np.log(length) / NEAR)) for length in lengths)
+        return (
+            surface.wavelength_nm, tuple(complex(m.n_complex(lam)[0]) for m in inside), tuple(surface.indices.tolist()),
+            steps,
+        )  # fmt: skip
+
+    def _chosen_order(self, surface: Substrate) -> int:
         mean = float(np.dot(self.sizes.radii_nm, self.sizes.shares))
         centre = self.outer_radius_nm + self.gap_nm
         tolerance = ORDER_TOLERANCE if self.multipole_tolerance is None else self.multipole_tolerance
@@ -261,14 +337,19 @@ class Metasurface(Model):
         eta = self.eta
         thick = sum(d for _, d in self.layers) > THICK_FILM_NM
         grids = choose_grids(eta if self.transmits else None, len(self.sizes.shares) > 1, thick)
-        specular, harmonic, excess = tabulate(lam, self.monolayer, self.structure, grids, eta)
-        notes = {
+        layer, judged = self.layers_at(lam)
+        specular, harmonic, excess = tabulate(lam, layer, self.structure, grids, eta)
+        notes: dict[str, Any] = {
             "energy_excess": round(excess, 6),
             "coverage": self.coverage,
             "packing": self.structure.packing,
-            "correction": self.correction,
+            "correction": self.chosen_correction[0],
             "structure": self.structure.name,
         }
+        if self.chosen_correction[1]:
+            notes["correction_because"] = self.chosen_correction[1]
+        if judged is not None:
+            notes["ensemble"] = judged.notes
         if self.multipole_order is None:
             notes["multipole_tolerance"] = max([self.multipole_tolerance or ORDER_TOLERANCE, *self._unsettled.values()])
         if self._unsettled:
@@ -282,7 +363,7 @@ class Metasurface(Model):
         return Bsdf((specular, harmonic), notes)
 
     def _warn(self) -> None:
-        if self.coverage > VALIDATED_COVERAGE:
+        if self.coverage > VALIDATED_COVERAGE and self.chosen_correction[0] != ENSEMBLE:
             warnings.warn(
                 f"{self.source}: coverage f = {self.coverage:.3g} is above {VALIDATED_COVERAGE}, up to which the "
                 "diffuse light was tested: silver on glass at 0.2 was 11 % off, silicon on resonance 25 % too bright",
@@ -316,7 +397,12 @@ class Metasurface(Model):
         if polarisation not in pick:
             raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use s, p or both')
         share = pick[polarisation]
-        columns = in_threads(lambda w: [share @ part for part in self.powers(np.cos(theta), float(w))], lam)
+        layer, _ = self.layers_at(lam)
+
+        def powers(wavelength: float) -> list[Array]:
+            return [share @ part for part in self.powers(np.cos(theta), float(wavelength), layer(float(wavelength)))]
+
+        columns = in_threads(powers, lam)
         r, t, up, down = (np.stack([c[i] for c in columns], axis=-1) for i in range(4))
         if self.correction != "none":
             up, down = self._within_what_arrives(r + t, up, down)
@@ -337,20 +423,48 @@ class Metasurface(Model):
         if excess > TOLD_EXCESS:
             logger.warning(
                 "%s: correction %s sends out %.3g more than arrives; the diffuse part is scaled down to it",
-                self.source, self.correction, excess,
+                self.source, self.chosen_correction[0], excess,
             )  # fmt: skip
         share = np.where(sent > room, room / np.maximum(sent, 1e-300), 1.0)
         return up * share, down * share
+
+    def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
+        """Return the diffuse lobe's values at a few pairs, `[pair, wavelength]`, without its tables.
+
+        Those of `bsdf` but for the tables' interpolation: 0.5 % of the largest, and near grazing the scaling to what
+        arrives. None for pairs on the other side, of an order beyond reach, or where the pairs are not few.
+        """
+        arriving, leaving = (np.asarray(v, dtype=float).reshape(-1, 3) for v in (wi, wo))
+        angles = np.unique(np.round(np.concatenate([arriving[:, 2], leaving[:, 2]]), 12))
+        if angles.size > FEW_ANGLES or np.any(angles < LEAST_COS):
+            return None
+        self._warn()
+        layer, _ = self.layers_at(wavelengths_nm)
+
+        def column(wavelength_nm: float) -> Array:
+            return few_values(layer(wavelength_nm), arriving, leaving)
+
+        return np.stack(in_threads(column, [float(w) for w in wavelengths_nm]), axis=-1)
 
     @property
     def unbounded_because(self) -> str:
         """A correction of "none" counts light twice."""
         return 'model.correction = "none" does not keep energy' if self.correction == "none" else ""
 
-    def powers(self, cosines: ArrayLike, wavelength_nm: float) -> tuple[Array, Array, Array, Array]:
-        """Specular R and T, diffuse R and T for light from above, each `[pol, angle]`, raw (not scaled to 1)."""
+    def powers(
+        self, cosines: ArrayLike, wavelength_nm: float, layer: Monolayer | None = None
+    ) -> tuple[Array, Array, Array, Array]:
+        """Specular R and T, diffuse R and T for light from above, each `[pol, angle]`, raw (not scaled to 1).
+
+        Args:
+            cosines: `[angle]`, of incidence.
+            wavelength_nm: in vacuum.
+            layer: the monolayer at it, if it is known; by default the mean field's.
+        """
         cos = np.maximum(np.atleast_1d(np.asarray(cosines, dtype=float)), np.cos(np.radians(89.9)))
-        layer = self.monolayer(wavelength_nm)
+        layer = self.monolayer(wavelength_nm) if layer is None else layer
+        if layer.correction == "qca-balanced" and layer.ratio is None:
+            return few_powers(layer, cos)
         reflected, passed = layer.specular_above(cos)
         mu, weights = hemisphere_rule(24)
         zero = np.zeros(cos.size)

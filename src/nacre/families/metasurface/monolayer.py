@@ -13,7 +13,8 @@ import numpy as np
 
 from nacre.arrays import Array, ComplexArray
 from nacre.families.metasurface.coherent import sheet_field, sheet_vectors
-from nacre.families.metasurface.qca import INTERACTION_ORDER, NeighbourTable, mean_excitation
+from nacre.families.metasurface.qca import INTERACTION_ORDER, NeighbourTable, mean_excitation, sums_at
+from nacre.families.metasurface.ratio import Ratio
 from nacre.families.metasurface.sphere import Directions, SphereOnStack, apply_response, emission_harmonics
 from nacre.families.metasurface.structure import Structure
 from nacre.families.metasurface.substrate import Substrate
@@ -59,6 +60,8 @@ class Monolayer:
         correction: one of `CORRECTIONS`.
         interaction_order: highest multipole that neighbours exchange.
         mmax: highest azimuthal order.
+        ratio: what an ensemble says of the diffuse light over this model's; None: the model as it is.
+        sees_neighbours: False: `light` of a few directions knows the monolayer's plane waves alone, not near fields.
     """
 
     surface: Substrate
@@ -67,6 +70,8 @@ class Monolayer:
     correction: str = "qca-balanced"
     interaction_order: int = INTERACTION_ORDER
     mmax: int = 4
+    sees_neighbours: bool = True
+    ratio: Ratio | None = None
 
     @property
     def shares(self) -> Array:
@@ -102,8 +107,10 @@ class Monolayer:
         order = min(self.interaction_order, self.spheres[0].lmax)
         return NeighbourTable.build(self.surface, self.mean_centre_nm, self.structure, order, self.has_below)
 
-    def light(self, cosines: Array, below: bool = False, sines: Array | None = None) -> Lit:
+    def light(self, cosines: Array, below: bool = False, sines: Array | None = None, at_once: bool = False) -> Lit:
         """Return the directions at `cosines` of one side, with the particles' mean-field response.
+
+        With `at_once` the neighbours' sums are made at these angles, of which there should be few, and not tabulated.
 
         `qca-balanced` takes the quasi-crystalline mean field, all else the particles alone (their corrections
         use the closed-form field where they need one).
@@ -112,7 +119,14 @@ class Monolayer:
         own = [apply_response(s.dressed, d.excitation) for s, d in zip(self.spheres, directions)]
         if self.correction != "qca-balanced":
             return Lit(directions, own)
-        added = mean_excitation(self.neighbours, self.mean_dressed, directions[0], sum_over(self.shares, own))
+        order = min(self.interaction_order, self.spheres[0].lmax)
+        if at_once:
+            sums = sums_at(
+                self.surface, self.mean_centre_nm, self.structure, order, directions[0], self.sees_neighbours
+            )
+        else:
+            sums = self.neighbours.at(directions[0])
+        added = mean_excitation(sums, order, self.mean_dressed, sum_over(self.shares, own))
         return Lit(directions, [o + apply_response(s.dressed, added) for o, s in zip(own, self.spheres)])
 
     def coherent_sum(self, leaving: list[Directions], lit: Lit) -> ComplexArray:
@@ -124,12 +138,17 @@ class Monolayer:
             total = total + share * np.einsum("m,mpna,mpna->pa", weight, out.emission, response)
         return np.asarray(total / self.surface.wavenumber)
 
-    def specular_above(self, cosines: Array) -> tuple[Array, Array]:
-        """Power reflectance and transmittance of the coherent light from above, `[pol, angle]`."""
+    def specular_above(self, cosines: Array, lit: Lit | None = None) -> tuple[Array, Array]:
+        """Power reflectance and transmittance of the coherent light from above, `[pol, angle]`.
+
+        Args:
+            cosines: of incidence.
+            lit: `light` at these, if it is known.
+        """
         k, rho = self.surface.wavenumber, self.structure.density_per_nm2
         if self.correction != "qca-balanced":
             return self._closed_form(cosines)
-        lit = self.light(cosines)
+        lit = self.light(cosines) if lit is None else lit
         bare = lit.directions[0].reflection
         r = bare + 2 * np.pi * rho / (k * cosines) * self.coherent_sum(lit.directions, lit)
         if not self.has_below:

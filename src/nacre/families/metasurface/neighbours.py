@@ -26,6 +26,7 @@ IntArray = NDArray[np.intp]
 
 CONTOUR_DEPTH = 0.3  # of the detour below guided modes, in k; e^{0.3 k R} of growth costs digits if deeper
 SILENT, NEAR_START = 46.0, 1e-19  # e^-46, and distances along a ray, below rounding of what the rest adds up to
+ALONG_THE_NORMAL = 1e-9  # in-plane wavevectors below this, over k, are none: J_mu is 1 for mu = 0, else 0
 EXCESS_FLOOR = 2e-3  # |g - 1| below which the distance counts as uncorrelated
 
 
@@ -104,7 +105,7 @@ def folded(q: ComplexArray, order: int, pol: int) -> ComplexArray:
 
 
 @lru_cache(maxsize=8)
-def _direct_coefficients(order: int) -> ComplexArray:
+def direct_coefficients(order: int) -> ComplexArray:
     """c_p P_p^mu(0) of the direct translation, `[n, n', p, mu]`, zero but for the pair's own mu."""
     index = multipole_index(order)
     w, weight = np.polynomial.legendre.leggauss(4 * order + 6)
@@ -125,7 +126,7 @@ def _direct_coefficients(order: int) -> ComplexArray:
 
 
 @lru_cache(maxsize=8)
-def _pair_orders(order: int) -> IntArray:
+def pair_orders(order: int) -> IntArray:
     """mu = |m' - m|, `[n, n']`."""
     m = multipole_index(order).m
     return np.abs(m[None, :] - m[:, None])
@@ -181,29 +182,38 @@ def _rotated_tail(reach: float, top: int, kappa: Array) -> ComplexArray:
             k = kappa[chosen]
             r = reach + 1j * turn * s
             h = spherical_hankel_scaled(r, top) * (weight * 1j * turn * r)
-            safe = np.maximum(k, 1e-9)
+            safe = np.maximum(k, ALONG_THE_NORMAL)
             arg = r[:, None] * safe
             phase = np.exp(1j * (1 + sign * k) * r[:, None])
             cylinder = np.zeros((top + 1, *arg.shape), dtype=complex)
-            heard = (turn * (1 + sign * k) * s[:, None] < SILENT) & (s[:, None] > NEAR_START)
+            heard = (k >= ALONG_THE_NORMAL) & (turn * (1 + sign * k) * s[:, None] < SILENT) & (s[:, None] > NEAR_START)
             cylinder[:2, heard] = hankel_scaled(arg[heard], sign)
             for mu in range(1, top):
                 cylinder[mu + 1] = 2 * mu / arg * cylinder[mu] - cylinder[mu - 1]
-            zero = (k < 1e-9)[None, None, :]
+            zero = (k < ALONG_THE_NORMAL)[None, None, :]
             # at kappa = 0 both Hankel halves are singular, their sum is J = delta_{mu 0}
             cylinder = np.where(zero, (orders == 0)[:, None, None], cylinder)
             out[:, :, chosen] += 0.5 * np.einsum("pr,mra->pma", h, cylinder * phase, optimize=True)
     return out
 
 
-def _stack_contour(surface: Substrate, centre_nm: float, order: int, reach: float) -> tuple[ComplexArray, ComplexArray]:
-    """Nodes and weights in kappa/k that pass below the guided modes, then follow the real axis to its end."""
+def stack_contour(
+    surface: Substrate, centre_nm: float, order: int, reach: float, depth: float = CONTOUR_DEPTH
+) -> tuple[ComplexArray, ComplexArray]:
+    """Nodes and weights in kappa/k that pass below the guided modes, then follow the real axis to its end.
+
+    Args:
+        reach: the largest distance, times k.
+        depth: of the detour, in k.
+    """
     far = (2 * order + 46) / (2 * surface.wavenumber * centre_nm)
     relative = np.abs(surface.indices.real).max() / surface.ambient_index
     bend = max(6.0, relative + 1.0)
-    x, weight = _panels(np.array([0.0, 1.0, 2.0, bend]), int(40 + 1.6 * reach))
-    kappa = x - 1j * CONTOUR_DEPTH * np.sin(np.pi * x / bend)
-    slope = 1 - 1j * CONTOUR_DEPTH * np.pi / bend * np.cos(np.pi * x / bend)
+    # to 1e-8 of the largest sum; over a patch the wide last panel would miss the Bessel function's waves
+    edges = [0.0, 1.0, 2.0, bend] if depth == CONTOUR_DEPTH else [0.0, 1.0, *np.linspace(2.0, bend, 5)]
+    x, weight = _panels(np.array(edges), int(40 + 0.8 * reach))
+    kappa = x - 1j * depth * np.sin(np.pi * x / bend)
+    slope = 1 - 1j * depth * np.pi / bend * np.cos(np.pi * x / bend)
     if far <= bend:
         return kappa, weight * slope
     y, rest = _panels(np.array([bend, far]), int(60 + 0.5 * (far - bend) * min(reach, 10.0) / 3))
@@ -228,18 +238,18 @@ def _stack_sums(
     r_out, w_out = _panels(np.linspace(a, reach, int(np.ceil(reach / a - 1 + 1e-9)) + 1), int(10 + 0.8 * a))
     r = np.concatenate([r_in, r_out])
     measure = np.concatenate([w_in, w_out]) * r * structure.pair_excess(r / k)
-    kappa, weight = _stack_contour(surface, centre_nm, order, reach)
+    kappa, weight = stack_contour(surface, centre_nm, order, reach)
     w = np.sqrt((1 - kappa) * (1 + kappa))
     w = np.where(w.imag < 0, -w, w)
     b = plane_wave_vectors(w, order, order, kappa)
     spectral = 4 * weight * kappa / w * np.exp(2j * k * centre_nm * w) * surface.reflection(w)
     left = with_negative_orders(adjoint(b), index) * spectral[:, None]
     right = with_negative_orders(mirrored(b), index)
-    top = 2 * order
+    top = 2 * order if np.any(kappa_i >= ALONG_THE_NORMAL) else 0  # J_mu(0) = delta_{mu 0}
     radial = bessel_j(np.outer(kappa, r), top)  # mu, kappa, R
     seen = jv(np.arange(top + 1)[:, None, None], r[:, None] * kappa_i)
-    moments = np.matmul(radial * measure, seen)  # mu, kappa, angle
-    mu = _pair_orders(order)
+    moments = np.matmul(radial, measure[:, None] * seen)  # mu, kappa, angle
+    mu = pair_orders(order)
     out = np.zeros((*mu.shape, kappa_i.size), dtype=complex)
     wanted = np.broadcast_to(every_row | (index.m[:, None] >= 0), mu.shape)
     for order_mu in range(top + 1):
@@ -260,12 +270,12 @@ def neighbour_sums(
         order: highest multipole of the interaction.
         kappa: `[angle]`, real, >= 0 and not 1.
     """
-    mu = _pair_orders(order)
+    mu = pair_orders(order)
     phase = (-1j) ** mu
     k2 = surface.wavenumber**2
     direct = _direct_sums(structure, surface.wavenumber, order, kappa)
     size, top = len(mu), 2 * order
-    table = _direct_coefficients(order).reshape(size * size, -1)
+    table = direct_coefficients(order).reshape(size * size, -1)
     total = (table @ direct.reshape((top + 1) ** 2, -1)).reshape(size, size, -1)
     if not surface.is_absent:
         total = total + _stack_sums(surface, centre_nm, structure, order, kappa)

@@ -104,20 +104,34 @@ class NeighbourTable:
         )
 
 
-def mean_excitation(
-    table: NeighbourTable, dressed: ComplexArray, directions: Directions, own: ComplexArray
+def sums_at(
+    surface: Substrate,
+    centre_nm: float,
+    structure: Structure,
+    order: int,
+    directions: Directions,
+    sees_neighbours: bool = True,
 ) -> ComplexArray:
+    """Return the whole Q at a few directions, as `NeighbourTable.at` but without a table to interpolate in.
+
+    Without the neighbours' near fields it holds the plane waves of the monolayer, as if it were a sheet.
+    """
+    kappa = directions.transverse
+    waves = plane_wave_sums(structure, surface, centre_nm, order, directions.ambient_cosines, kappa)
+    return neighbour_sums(surface, centre_nm, structure, order, kappa) + waves if sees_neighbours else waves
+
+
+def mean_excitation(q: ComplexArray, order: int, dressed: ComplexArray, own: ComplexArray) -> ComplexArray:
     """Return Q b, what the neighbours add to the excitation of each particle, `[m, pol, n, angle]`.
 
     Args:
-        table: the neighbour sums.
-        dressed: M_m, averaged over the particle sizes, `[m, n, n']`, of any multipole order; the interaction
-            keeps multipoles up to `table.order`.
-        directions: of incidence.
+        q: the neighbour sums at the directions of incidence, folded, `[pol, angle, h, h']`.
+        order: highest multipole that they carry.
+        dressed: M_m, averaged over the particle sizes, `[m, n, n']`, of any multipole order.
         own: M_m v averaged over the sizes, the answer to the incident wave alone, `[m, pol, n, angle]`.
     """
-    lmax, order = dressed.shape[1] // 2, table.order
-    index, q = multipole_index(order), table.at(directions)
+    lmax = dressed.shape[1] // 2
+    index = multipole_index(order)
     out = np.zeros_like(own)
     for pol in range(2):
         half = half_index(order, pol)

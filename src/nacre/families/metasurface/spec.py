@@ -21,8 +21,10 @@ from nacre.families.metasurface.arrangement import (
     sq_structure,
 )
 from nacre.families.metasurface.drawings import layer_sheet, layout
+from nacre.families.metasurface.ensemble import EnsembleSettings
 from nacre.families.metasurface.figures import FIGURES
-from nacre.families.metasurface.material import LOOSEST_TOLERANCE, Metasurface, Shell, Sizes
+from nacre.families.metasurface.material import LOOSEST_TOLERANCE, Metasurface
+from nacre.families.metasurface.particles import Shell, Sizes
 from nacre.families.metasurface.patterns import Pattern
 from nacre.families.metasurface.structure import PACKING_LIMIT, Structure, hard_disk_structure
 from nacre.matter.drawings import Drawer
@@ -36,6 +38,7 @@ Positive = Annotated[float, pydantic.Field(gt=0.0)]
 NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
 MAX_THICKNESS_NM = 1e4
 CORE_LIMIT_NM = 1000.0
+SMALLEST_CORE_NM = 0.1  # less than an atom; squares of far smaller ones are 0 in floating point
 WIDEST_RELATIVE_SIZE = 0.3
 
 
@@ -70,7 +73,7 @@ class ParticleSpec(RecipeModel):
     )
 
     material: IndexSpec = pydantic.Field(description="what the core of a sphere is made of")
-    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=CORE_LIMIT_NM)] = pydantic.Field(
+    radius_nm: Annotated[float, pydantic.Field(ge=SMALLEST_CORE_NM, le=CORE_LIMIT_NM)] = pydantic.Field(
         description="mean radius of the core", examples=[90]
     )
     deviation_nm: NotNegative = pydantic.Field(
@@ -195,6 +198,22 @@ class MonolayerSpec(RecipeModel):
         return self
 
 
+class EnsembleSpec(RecipeModel):
+    """How large an ensemble is, of correction = "ensemble" or where "auto" takes one."""
+
+    forms: ClassVar[tuple[str, ...]] = ("{spheres = 260, realisations = 24}",)
+
+    spheres: Annotated[int, pydantic.Field(ge=20, le=1000)] = pydantic.Field(
+        default=130, description="spheres of one pattern; the time grows with the cube"
+    )
+    realisations: Annotated[int, pydantic.Field(ge=4, le=1000)] = pydantic.Field(
+        default=24, description="patterns; the standard error falls with the root"
+    )
+    multipole_order: Annotated[int, pydantic.Field(ge=1, le=4)] = pydantic.Field(
+        default=2, description="highest multipole of a sphere in the ensemble and in the model that it is set against"
+    )
+
+
 class ModelSpec(RecipeModel):
     """The model, where its own choice is not wanted."""
 
@@ -212,9 +231,15 @@ class ModelSpec(RecipeModel):
     interaction_order: Annotated[int, pydantic.Field(ge=1, le=4)] = pydantic.Field(
         default=3, description="highest multipole that neighbouring spheres exchange"
     )
-    correction: Literal["qca-balanced", "gv-balanced", "optical-depth", "in-only", "in-out", "none"] = pydantic.Field(
-        default="qca-balanced", description="how the balance C between neighbouring spheres is taken into account"
+    correction: Literal[
+        "auto", "ensemble", "qca-balanced", "gv-balanced", "optical-depth", "in-only", "in-out", "none"
+    ] = pydantic.Field(
+        default="auto",
+        description="how the balance C between neighbouring spheres is taken into account: by a mean field "
+        '("qca-balanced"), which takes seconds, or by solving patterns of many spheres ("ensemble"), which takes '
+        'minutes; "auto" takes the mean field where it was measured to hold to 12 %',
     )
+    ensemble: EnsembleSpec = pydantic.Field(default=EnsembleSpec(), description="how large an ensemble is")
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,6 +318,7 @@ class MetasurfaceSpec(RecipeModel):
                 "is clear and less dense than the ambient, which the tables cannot hold",
             )
         index = max(1.0, n_substrate.real if n_substrate.imag < 1e-4 else 1.0, n_ambient.real)
+        asked = self.model.correction
         structure, arrangement = self._structure(context, outer, 4.2 * np.pi * index / 360.0)
         return MetasurfaceModel(
             ambient=ambient,
@@ -303,7 +329,8 @@ class MetasurfaceSpec(RecipeModel):
             structure=structure,
             shell=Shell(self._index(particle.shell.material), particle.shell.thickness_nm) if particle.shell else None,
             gap_nm=particle.gap_nm,
-            correction=self.model.correction,
+            correction="qca-balanced" if context.is_one_of_many and asked == "auto" else asked,
+            ensemble=EnsembleSettings(**self.model.ensemble.model_dump()),
             multipole_order=self.model.multipole_order,
             multipole_tolerance=self.model.tolerance,
             interaction_order=self.model.interaction_order,

@@ -47,6 +47,8 @@ def reflection_operator(
 ) -> ComplexArray:
     """Return W_m, `[m, n, n']`: how the stack sends a sphere's radiation back to it.
 
+    W_m of a high order contains those of all lower ones: what was computed at this height serves again.
+
     The Sommerfeld integral runs along w = kz/k = 1 + i t, at least a distance of 1 from every pole and branch
     point of a passive stack, so one Gauss rule serves glass, films and metals alike.
 
@@ -58,6 +60,11 @@ def reflection_operator(
     """
     if surface.is_absent:
         return np.zeros((mmax + 1, 2 * lmax, 2 * lmax), dtype=complex)
+    kept = surface.operators.get(centre_nm)
+    if nodes is None and kept is not None and len(kept) > mmax and kept.shape[1] >= 2 * lmax:
+        orders = np.arange(lmax)
+        rows = np.concatenate([orders, kept.shape[1] // 2 + orders])
+        return np.asarray(kept[: mmax + 1, rows[:, None], rows])
     u, weight = _path_rule(nodes or 48 + 2 * lmax)
     kd = surface.wavenumber * centre_nm
     t_max = (2 * lmax + 46) / (2 * kd)
@@ -70,7 +77,10 @@ def reflection_operator(
     left = adjoint(b) * (measure * surface.reflection(w))[None, :, None, :]
     right = mirrored(b)
     shape = (mmax + 1, 2 * lmax, -1)
-    return left.transpose(0, 2, 1, 3).reshape(shape) @ right.transpose(0, 2, 1, 3).reshape(shape).transpose(0, 2, 1)
+    found = left.transpose(0, 2, 1, 3).reshape(shape) @ right.transpose(0, 2, 1, 3).reshape(shape).transpose(0, 2, 1)
+    if nodes is None:
+        surface.operators[centre_nm] = found
+    return np.asarray(found)
 
 
 def dressed_matrix(t_matrix: ComplexArray, w_blocks: ComplexArray) -> ComplexArray:
@@ -350,7 +360,7 @@ def choose_order(
     """Return the lowest multipole order whose far field changes by at most `tolerance` when it is doubled.
 
     The change is the relative L2 of d sigma/d Omega over scattering angles, the worst of four incidences and two
-    polarisations. W_m of a high order contains those of all lower ones, so one integral serves the whole ladder.
+    polarisations. W_m of a high order contains those of all lower ones, so one integral serves several rungs.
 
     Args:
         coefficients: function of lmax giving the diagonal T, `[n]`.
@@ -358,14 +368,18 @@ def choose_order(
     Raises:
         ConvergenceRefusal: no order up to 40 does, as for a metal sphere touching a high-index solid.
     """
-    for top in (24, _representable(surface.wavenumber * centre_nm, 2 * ORDER_LADDER[-1])):
+    largest = _representable(surface.wavenumber * centre_nm, 2 * ORDER_LADDER[-1])
+    begin = 0  # of the ladder: what a smaller operator left open is not asked again
+    for top in (12, 24, largest):
         t_top = coefficients(top)
         blocks = reflection_operator(surface, centre_nm, top, mmax)
         incident = Directions.build(surface, centre_nm, top, mmax, np.cos(np.radians([0.0, 30.0, 60.0, 80.0])))
         scattered = Directions.build(surface, centre_nm, top, mmax, np.cos(np.radians(np.arange(5.0, 90.0, 12.0))))
         solved: dict[int, Array] = {}
         worst = np.inf
-        for order in (o for o in ORDER_LADDER if 2 * o <= top):
+        rungs = [o for o in ORDER_LADDER if 2 * o <= top]
+        # the last rung that the largest operator has is asked again, for the refusal tells its change
+        for order in rungs[min(begin, len(rungs) - 1) :]:
             for l in (order, 2 * order):
                 if l not in solved:
                     solved[l] = _probe_pattern(t_top, blocks, incident, scattered, l)
@@ -373,6 +387,7 @@ def choose_order(
             worst = float(np.max(change / np.sqrt(np.sum(solved[2 * order] ** 2, axis=(0, 1, 2)))))
             if worst <= tolerance:
                 return order
+        begin = len(rungs)
     raise ConvergenceRefusal(
         f"the multipole series does not converge to {tolerance:g} (order {order} still changes by {worst:.2g} when "
         "doubled): a metal sphere that touches a solid squeezes the field into the contact point",

@@ -6,21 +6,26 @@ measured ones too, becomes one `Structure`: two tables that the optics reads.
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_left
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
 from scipy.special import j0, j1
 
 from nacre.arrays import Array
 from nacre.errors import NacreError
 
 _VIRIAL = (0.1280, 0.0018, -0.0507, -0.0533, -0.0410)
+SCALE_STEPS = 1 << 50  # of A between 1 and 2
 PACKING_LIMIT = 0.7  # hard disks freeze at 0.70; the closed form knows the fluid only
 SMALLEST_MENDED = 0.02  # packing below which the closed form's core is empty to 1e-5
 RANGE_IN_DIAMETERS = 9.0  # g - 1 beyond this many diameters changes no figure in its third digit
+S_STEP = 0.01  # of the tables of S, in units of 1 / diameter
+S_BLOCK = 1000  # samples of S that share one quadrature rule
+MOST_KEPT = 512  # distances whose Bessel functions are kept: the same few grids come back at every packing
 
 
 def _compressibility(eta: float) -> float:
@@ -38,19 +43,29 @@ def baus_colot_scale(eta: float) -> float:
     """The length scale A in (1, 2) of the direct correlation function; 1.566 at packing 0.3."""
     target = (1 - 4 * eta - 1 / _compressibility(eta)) / eta**2
 
-    def excess(a: float) -> float:
-        bracket = a**2 * (a**2 - 4) * np.arcsin(1 / a) - (a**2 + 2) * np.sqrt(a**2 - 1)
-        return float(2 / np.pi * bracket - target)
+    def falling(step: int) -> float:
+        a = 1.0 + step / SCALE_STEPS
+        bracket = a**2 * (a**2 - 4) * math.asin(1 / a) - (a**2 + 2) * math.sqrt(a**2 - 1)
+        return -2.0 / math.pi * bracket
 
-    raise_hint = "packing outside 0..0.7"
-    try:
-        return float(brentq(excess, 1.0 + 1e-12, 2.0, xtol=1e-14))
-    except ValueError:
-        raise NacreError(f"no Baus-Colot solution at packing {eta:g}: {raise_hint}") from None
+    if not falling(0) < -target < falling(SCALE_STEPS):
+        raise NacreError(f"no Baus-Colot solution at packing {eta:g}: packing outside 0..0.7")
+    # a search in a sorted list that is never written down; scipy's solvers take 0.2 s to import
+    return 1.0 + bisect_left(range(SCALE_STEPS), -target, key=falling) / SCALE_STEPS
 
 
 def _overlap(y: Array) -> Array:
     return 2 / np.pi * (np.arccos(y) - y * np.sqrt(1 - y * y))
+
+
+@lru_cache(maxsize=24)
+def _overlap_rule(q_reduced: bytes) -> tuple[Array, Array, Array]:
+    """Nodes and weights of int_0^1 dx, and J0(Q x) there, `[q, node]`: they do not change with the packing."""
+    q = np.frombuffer(q_reduced)
+    # the integrand oscillates Q/2pi times: about pi nodes a period and a few more are exact to rounding
+    x, weight = np.polynomial.legendre.leggauss(int(24 + 0.55 * q.max()))
+    x, weight = (x + 1) / 2, weight / 2
+    return x, weight, j0(np.outer(q, x))
 
 
 def baus_colot_direct(q_reduced: ArrayLike, eta: float) -> Array:
@@ -63,10 +78,8 @@ def baus_colot_direct(q_reduced: ArrayLike, eta: float) -> Array:
     for part in np.array_split(order, max(1, flat.size // 1000)):
         if part.size == 0:
             continue
-        # the integrand oscillates Q/2pi times: about pi nodes a period and a few more are exact to rounding
-        x, weight = np.polynomial.legendre.leggauss(int(24 + 0.55 * flat[part].max()))
-        x, weight = (x + 1) / 2, weight / 2
-        inner = j0(np.outer(flat[part], x)) @ (weight * x * _overlap(x / a))
+        x, weight, waves = _overlap_rule(flat[part].tobytes())
+        inner = waves @ (weight * x * _overlap(x / a))
         out[part] = -8 * eta * d * ((1 - a * a * eta) * j1(flat[part]) / flat[part] + a * a * eta * inner)
     return out.reshape(q.shape)
 
@@ -91,15 +104,26 @@ def baus_colot(q_reduced: ArrayLike, packing: float) -> Array:
     return 1.0 / (1.0 - baus_colot_direct(q, packing))
 
 
-@lru_cache(maxsize=8)
-def _indirect_spectrum(packing: float) -> tuple[Array, Array]:
+@lru_cache(maxsize=1)
+def _indirect_rule() -> tuple[Array, Array]:
     # Gauss panels: a plain sum of step h leaves a constant of h^2/12 times the slope at Q = 0 in g at every r
     x, weight = np.polynomial.legendre.leggauss(16)
     edges = np.concatenate([np.arange(0.0, 100.0, 1.0), np.arange(100.0, 601.0, 2.0)])
     half = np.diff(edges)[:, None] / 2
-    q = ((edges[:-1] + edges[1:])[:, None] / 2 + half * x).ravel()
+    return ((edges[:-1] + edges[1:])[:, None] / 2 + half * x).ravel(), (half * weight).ravel()
+
+
+@lru_cache(maxsize=8)
+def _indirect_spectrum(packing: float) -> tuple[Array, Array]:
+    q, weight = _indirect_rule()
     rc = baus_colot_direct(q, packing)
-    return q, rc**2 / (1 - rc) / (4 * packing / np.pi) * q * (half * weight).ravel() / (2 * np.pi)
+    return q, rc**2 / (1 - rc) / (4 * packing / np.pi) * q * weight / (2 * np.pi)
+
+
+@lru_cache(maxsize=4)
+def _indirect_waves(x: bytes) -> Array:
+    """J0(Q x) at the nodes of `_indirect_rule`, `[x, q]`: they do not change with the packing."""
+    return np.asarray(j0(np.outer(np.frombuffer(x), _indirect_rule()[0])))
 
 
 def baus_colot_pair_correlation(r_reduced: ArrayLike, packing: float) -> Array:
@@ -117,6 +141,8 @@ def baus_colot_pair_correlation(r_reduced: ArrayLike, packing: float) -> Array:
 def _indirect_correlation(x: Array, packing: float) -> Array:
     """gamma(r/a), which is smooth through the contact."""
     q, weight = _indirect_spectrum(float(packing))
+    if x.size <= MOST_KEPT:
+        return np.reshape(_indirect_waves(np.ascontiguousarray(x, dtype=float).tobytes()) @ weight, x.shape)
     return np.array([j0(q * value) @ weight for value in x.ravel()]).reshape(x.shape)
 
 
@@ -153,11 +179,17 @@ class CoreCorrection:
         return np.asarray(8 * packing * np.concatenate(parts))
 
 
+@lru_cache(maxsize=1)
+def _core_rule() -> tuple[Array, Array]:
+    """Nodes and weights of int_0^1 dx."""
+    x, weight = np.polynomial.legendre.leggauss(60)
+    return (x + 1) / 2, weight / 2
+
+
 @lru_cache(maxsize=64)
 def core_correction(packing: float) -> CoreCorrection:
     """Return the correction at a packing; without effect where the closed form keeps the core empty by itself."""
-    x, weight = np.polynomial.legendre.leggauss(60)
-    x, weight = (x + 1) / 2, weight / 2
+    x, weight = _core_rule()
     d, a = _compressibility(packing), baus_colot_scale(packing)
     direct = -d * (1 - a * a * packing + a * a * packing * _overlap(x / a))
     inside = weight * x * (1.0 + _indirect_correlation(x, packing) + direct)
@@ -231,9 +263,13 @@ def hard_disk_structure(density_per_nm2: float, packing: float, q_max_per_nm: fl
     if packing <= 0 or packing > PACKING_LIMIT:
         raise NacreError(f"packing = {packing:g} is not allowed; it should be over 0 and at most {PACKING_LIMIT:g}")
     a = float(np.sqrt(4 * packing / (np.pi * density_per_nm2)))
-    q = np.asarray(np.arange(0, int(q_max_per_nm * a / 0.01) + 202) * 0.01, dtype=np.float64)
+    count = int(q_max_per_nm * a / S_STEP) + 202
+    # in whole blocks, whose Bessel functions are kept, whatever the diameter
+    q = np.asarray(np.arange(0, -(-count // S_BLOCK) * S_BLOCK) * S_STEP, dtype=np.float64)
+    s = np.concatenate([baus_colot(block, packing) for block in np.split(q, q.size // S_BLOCK)])[:count]
+    q = q[:count]
     mend = core_correction(packing) if packing > SMALLEST_MENDED else None
-    s, (x, h) = baus_colot(q, packing), _hard_disk_excess(float(packing))
+    x, h = _hard_disk_excess(float(packing))
     if mend is not None and mend.amplitude > 0.0:
         s = s + mend.spectrum(q, packing)
     # near freezing the sum dips to -0.014

@@ -7,6 +7,7 @@ multipole fields need, w = kz/k in the ambient medium, which may be complex.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,11 @@ class Substrate:
     def wavenumber(self) -> float:
         """k of the ambient medium, 1/nm."""
         return 2 * np.pi * self.ambient_index / self.wavelength_nm
+
+    @cached_property
+    def operators(self) -> dict[float, ComplexArray]:
+        """The last reflection operator W_m `[m, n, n']` of each height of a centre, kept by who computes them."""
+        return {}
 
     @property
     def is_transparent(self) -> bool:

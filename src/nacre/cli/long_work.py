@@ -1,0 +1,47 @@
+"""Work of minutes on the command line: told, asked about on a terminal, and followed while it runs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+import click
+
+from nacre.cli.status import one_line, say
+
+ASK_S = 60.0  # work that takes longer is asked about where a person can answer
+
+
+def listener(yes: bool) -> Callable[[str, float], None]:
+    """Return what hears of long work.
+
+    Args:
+        yes: go on without asking.
+    """
+
+    def hear(what: str, seconds: float) -> None:
+        say(what)
+        is_terminal = _is_terminal()
+        if seconds > ASK_S and not yes and is_terminal:
+            # the answer goes to the terminal's own stream: stdout belongs to the command's output
+            click.confirm("Go on? (--yes answers)", default=True, abort=True, err=True)
+        if is_terminal:
+            _follow()
+
+    return hear
+
+
+def _is_terminal() -> bool:
+    return all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr))
+
+
+def _follow() -> None:
+    """Show how many parts are done, on one line, until the last one is."""
+    from nacre.matter import jobs
+
+    def tell(done: int, total: int) -> None:
+        click.echo(f"\r{one_line(f'{done} of {total} patterns')} ", nl=done == total, err=True)
+        if done == total:
+            jobs.unwatch(tell)
+
+    jobs.watch(tell)

@@ -1,0 +1,220 @@
+"""Many spheres solved together: the multi-sphere T-matrix equations of one finite pattern on a stack.
+
+b_j = M (a_j + sum_k W(r_j - r_k) b_k), M the response of one sphere dressed by the stack, W the coupling of two: the
+translation of spherical waves and the stack's reflection, a Sommerfeld integral. All centres have one height, so W
+depends on the distance, and on the azimuth by a phase: it is tabulated once a wavelength.
+
+A multipole is n = (m, tau, l) with m from -L to L, flat, as in `neighbours`; distances are times k inside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import cgetrf, cgetrs
+
+from nacre.arrays import Array, ComplexArray
+from nacre.families.metasurface.angular import adjoint, mirrored, plane_wave_vectors
+from nacre.families.metasurface.bessel import bessel_j, spherical_hankel_scaled
+from nacre.families.metasurface.neighbours import (
+    direct_coefficients,
+    multipole_index,
+    pair_orders,
+    stack_contour,
+    with_negative_orders,
+)
+from nacre.families.metasurface.sphere import Directions, dressed_matrix, reflection_operator
+from nacre.families.metasurface.substrate import Substrate
+from nacre.matter.jit import compiled
+
+STEP = 0.05  # of k times the distance: cubic interpolation leaves 1e-5 of the coupling of touching spheres
+GROWTH = 10.0  # e^10 of cancellation at the largest distance, with double's 16 digits
+SingleComplex = NDArray[np.complex64]
+
+
+def reflected_coupling(
+    surface: Substrate, centre_nm: float, order: int, distances: Array, reach: float | None = None
+) -> ComplexArray:
+    """Return W^R(R), how the stack carries multipole n' to n at a horizontal distance, `[n, n', distance]`.
+
+    4 int kap dkap/(k kz) i^mu J_mu(kap R) e^(2ikzd) sum_pol Bdag_n(kz/k) R B_n'(-kz/k), mu = |m' - m|.
+
+    Args:
+        distances: k R, `[distance]`, real.
+        reach: the largest k R that the contour must serve; that of `distances` by default.
+    """
+    index = multipole_index(order)
+    mu = pair_orders(order)
+    out = np.zeros((*mu.shape, distances.size), dtype=complex)
+    if surface.is_absent:
+        return out
+    far = float(max(distances.max(), 1.0)) if reach is None else reach
+    kappa, weight = stack_contour(surface, centre_nm, order, far, min(0.3, GROWTH / far))
+    w = np.sqrt((1 - kappa) * (1 + kappa))
+    w = np.where(w.imag < 0, -w, w)
+    b = plane_wave_vectors(w, order, order, kappa)
+    spectral = 4 * weight * kappa / w * np.exp(2j * surface.wavenumber * centre_nm * w) * surface.reflection(w)
+    left = with_negative_orders(adjoint(b), index) * spectral[:, None]
+    right = with_negative_orders(mirrored(b), index)
+    # what lies beyond the reach of e^{2ikzd} is nothing: long distances need no Bessel functions there
+    radial = bessel_j(np.outer(kappa, distances), 2 * order)
+    for m in range(2 * order + 1):
+        rows, columns = np.nonzero(mu == m)
+        pairs = left[0, rows] * right[0, columns] + left[1, rows] * right[1, columns]
+        out[rows, columns] = (1j) ** m * (pairs @ radial[m])
+    return out
+
+
+def direct_coupling(order: int, distances: Array) -> ComplexArray:
+    """Return W^D(R), the translation of outgoing multipole n' to regular n in the plane, `[n, n', distance]`.
+
+    sum_p c_p h_p(kR) P_p^mu(0), the coefficients of `neighbours`.
+    """
+    top = 2 * order
+    waves = spherical_hankel_scaled(distances, top) * np.exp(1j * distances)
+    table = direct_coefficients(order).sum(axis=3)  # only the pair's own mu is not zero
+    return np.asarray(table @ waves)
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """The coupling of two spheres over their distance at one wavelength, and what one sphere does.
+
+    Attributes:
+        surface, centre_nm, order: what it was made of.
+        start, step: of k times the distance.
+        table: M W(R), `[distance, n, n']`, single precision, without the phase e^{i(m'-m) phi}.
+        dressed: M over all m, `[n, n']`.
+    """
+
+    surface: Substrate
+    centre_nm: float
+    order: int
+    start: float
+    step: float
+    table: SingleComplex
+    dressed: ComplexArray
+
+    @classmethod
+    def build(
+        cls, surface: Substrate, centre_nm: float, t_matrix: ComplexArray, nearest_nm: float, farthest_nm: float
+    ) -> Coupling:
+        """Tabulate between two distances of centres.
+
+        Args:
+            t_matrix: diagonal, `[2 order]`.
+        """
+        order = len(t_matrix) // 2
+        index = multipole_index(order)
+        blocks = dressed_matrix(t_matrix, reflection_operator(surface, centre_nm, order, order))
+        rows = index.block
+        sign = np.where((index.m[:, None] < 0) & (index.tau[:, None] != index.tau), -1.0, 1.0)
+        same = index.m[:, None] == index.m
+        dressed = np.where(same, blocks[np.abs(index.m)[:, None], rows[:, None], rows] * sign, 0.0)
+        k = surface.wavenumber
+        start = max(k * nearest_nm - 2 * STEP, STEP)
+        count = int(np.ceil((k * farthest_nm - start) / STEP)) + 4
+        distances = np.asarray(start + STEP * np.arange(count), dtype=np.float64)
+        total = direct_coupling(order, distances) + reflected_coupling(surface, centre_nm, order, distances)
+        table = np.einsum("ab,bcr->rac", dressed, total, optimize=True)
+        return cls(surface, centre_nm, order, start, STEP, table.astype(np.complex64), dressed)
+
+    def matrix(self, xy_nm: Array) -> SingleComplex:
+        """Return 1 - M W of a pattern, `[sphere x n, sphere x n]`, by columns, as LAPACK wants it."""
+        index = multipole_index(self.order)
+        size = len(xy_nm) * len(index.m)
+        turned = np.zeros((size, size), dtype=np.complex64)
+        _fill(xy_nm * self.surface.wavenumber, self.start, self.step, self.table, index.m, turned)
+        return turned.T
+
+    def excitations(self, xy_nm: Array, waves: PlaneWaves) -> SingleComplex:
+        """Return M a of plane waves, `[sphere, n, wave]`, pol before direction."""
+        answered = np.einsum("ab,bw->aw", self.dressed, waves.excitation)
+        return np.asarray(answered * waves.phases(xy_nm)[:, None], dtype=np.complex64)
+
+    def solve(self, xy_nm: Array, waves: PlaneWaves) -> SingleComplex:
+        """Return the multipoles of every sphere, `[sphere, n, wave]`."""
+        right = self.excitations(xy_nm, waves)
+        factors, pivots, _ = cgetrf(self.matrix(xy_nm), overwrite_a=True)
+        found, _ = cgetrs(factors, pivots, right.reshape(-1, right.shape[-1]))
+        return np.asarray(found.reshape(right.shape))
+
+    def far_field(self, xy_nm: Array, multipoles: SingleComplex, waves: PlaneWaves) -> SingleComplex:
+        """Return F towards the directions of `waves`, `[direction, wave of multipoles]`, nm."""
+        phases = waves.phases(xy_nm).conj()  # sphere, direction
+        rows = (waves.emission * phases[:, None] / self.surface.wavenumber).astype(np.complex64)
+        return np.asarray(rows.reshape(-1, rows.shape[-1]).T @ multipoles.reshape(-1, multipoles.shape[-1]))
+
+
+@dataclass(frozen=True)
+class PlaneWaves:
+    """Plane waves in all polarisations and azimuths: what they excite, and what is sent towards them.
+
+    Attributes:
+        excitation, emission: `[n, wave]`, of a sphere at the origin; waves run over pol, angle, azimuth.
+        wavevectors: `[wave, 2]`, in the plane, 1/nm, along the travel: of light that arrives, or that leaves.
+    """
+
+    excitation: ComplexArray
+    emission: ComplexArray
+    wavevectors: Array
+
+    @classmethod
+    def build(cls, directions: Directions, azimuths: Array, order: int, wavenumber: float) -> PlaneWaves:
+        """Turn the vectors of `directions` to each azimuth of the in-plane wavevector."""
+        index = multipole_index(order)
+        turn = np.exp(1j * index.m[:, None] * azimuths)  # n, azimuth
+        parts = []
+        for vectors, phase in ((directions.excitation, turn.conj()), (directions.emission, turn)):
+            spread = with_negative_orders(vectors, index)  # pol, n, angle
+            whole = spread[..., None] * phase[None, :, None]
+            parts.append(np.moveaxis(whole, 1, 0).reshape(len(index.m), -1))
+        along = np.stack([np.cos(azimuths), np.sin(azimuths)], axis=-1)
+        flat = (wavenumber * directions.transverse[:, None, None] * along).reshape(-1, 2)
+        return cls(parts[0], parts[1], np.concatenate([flat, flat]))
+
+    def phases(self, xy_nm: Array) -> ComplexArray:
+        """e^{i kappa r}, `[sphere, wave]`."""
+        return np.asarray(np.exp(1j * (xy_nm @ self.wavevectors.T)))
+
+
+@compiled(nogil=True, fastmath=True)
+def _fill(xy, start, step, table, m, turned):  # type: ignore[no-untyped-def]  # numba
+    count, size = xy.shape[0], m.size
+    top = 0
+    for a in range(size):
+        top = max(top, m[a])
+    turns = np.empty(4 * top + 1, dtype=np.complex64)
+    for j in range(count):
+        for a in range(size):
+            turned[j * size + a, j * size + a] = 1.0
+        for k in range(count):
+            if j == k:
+                continue
+            dx, dy = xy[j, 0] - xy[k, 0], xy[j, 1] - xy[k, 1]
+            distance = np.sqrt(dx * dx + dy * dy)
+            turn = complex(dx / distance, dy / distance)
+            power = 1.0 + 0.0j
+            for n in range(2 * top + 1):
+                turns[2 * top + n] = power
+                turns[2 * top - n] = power.conjugate()
+                power = power * turn
+            x = (distance - start) / step
+            at = min(max(int(x), 1), table.shape[0] - 3)
+            t = x - at
+            # Lagrange's cubic through the two points on each side
+            w0 = np.float32(-t * (t - 1.0) * (t - 2.0) / 6.0)
+            w1 = np.float32((t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0)
+            w2 = np.float32(-(t + 1.0) * t * (t - 2.0) / 2.0)
+            w3 = np.float32((t + 1.0) * t * (t - 1.0) / 6.0)
+            for b in range(size):
+                for a in range(size):
+                    value = (
+                        w0 * table[at - 1, a, b]
+                        + w1 * table[at, a, b]
+                        + w2 * table[at + 1, a, b]
+                        + w3 * table[at + 2, a, b]
+                    )
+                    turned[k * size + b, j * size + a] = -value * turns[2 * top + m[b] - m[a]]

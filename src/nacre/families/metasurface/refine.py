@@ -1,0 +1,203 @@
+"""The ensemble's ratio over wavelengths: solved at some, between them interpolated, each kept on disk once done."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nacre.arrays import Array, ComplexArray
+from nacre.families.metasurface.ensemble import Ensemble, EnsembleSettings, patches, same_order
+from nacre.families.metasurface.monolayer import Monolayer
+from nacre.families.metasurface.patterns import Pattern
+from nacre.families.metasurface.ratio import Ratio
+from nacre.matter.jobs import available_jobs, in_threads
+from nacre.recipe.identity import identity
+from nacre.recipe.kept import keep_arrays, kept_arrays
+from nacre.recipe.long_work import announce, duration
+from nacre.recipe.memory import check_memory
+
+MOST_WAVELENGTHS = 16  # that are solved; the ratio is smooth where no resonance is sharper than 30 nm
+SOLVE_S = 0.6  # of one patch of `UNKNOWNS` on one core
+UNKNOWNS = 2080
+MOST_UNKNOWNS = 12_000  # 1.2 GB a matrix
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """Ratios at some wavelengths, and their standard errors.
+
+    Attributes:
+        wavelengths_nm: `[wavelength]`, ascending.
+        ratios: at each.
+        errors: relative standard error of the diffuse light above, `[wavelength, s, i]`, over azimuth and polarisation.
+        angles_rad: `[s]`, of s and i alike.
+        settings: how large the ensemble was.
+    """
+
+    wavelengths_nm: Array
+    ratios: tuple[Ratio, ...]
+    errors: Array
+    angles_rad: Array
+    settings: EnsembleSettings
+
+    def at(self, wavelength_nm: float) -> Ratio:
+        """Return the ratio at a wavelength, linear between those that were solved."""
+        x = float(np.interp(wavelength_nm, self.wavelengths_nm, np.arange(len(self.ratios))))
+        low = min(int(x), len(self.ratios) - 1)
+        high = min(low + 1, len(self.ratios) - 1)
+        return self.ratios[low] if x == low else self.ratios[low].mixed(self.ratios[high], x - low)
+
+    @property
+    def standard_error(self) -> float:
+        """Root mean square over all wavelengths and pairs of angles, by projected solid angle."""
+        projected = np.sin(2 * self.angles_rad)
+        weights = projected[:, None] * projected
+        return float(np.sqrt(np.mean(np.sum(weights * self.errors**2, axis=(1, 2)) / weights.sum())))
+
+    @property
+    def notes(self) -> dict[str, Any]:
+        """What a Bsdf says of it."""
+        return {
+            "spheres": self.settings.spheres,
+            "realisations": self.settings.realisations,
+            "multipole_order": self.settings.multipole_order,
+            "standard_error": round(self.standard_error, 4),
+            "wavelengths_nm": self.wavelengths_nm.tolist(),
+            "angles_deg": np.degrees(self.angles_rad).round(2).tolist(),
+            "standard_errors": self.errors.round(4).tolist(),
+        }
+
+
+def chosen(wavelengths_nm: Array) -> Array:
+    """Return the wavelengths that are solved for a grid: all of few, else as many as are enough, evenly spread."""
+    if len(wavelengths_nm) <= MOST_WAVELENGTHS:
+        return wavelengths_nm
+    return wavelengths_nm[np.linspace(0, len(wavelengths_nm) - 1, MOST_WAVELENGTHS).round().astype(int)]
+
+
+def expected_seconds(wavelengths: int, settings: EnsembleSettings) -> float:
+    """Return about how long an ensemble takes on this machine, by the clock."""
+    size = settings.spheres * 2 * settings.multipole_order * (settings.multipole_order + 2)
+    one = SOLVE_S * (0.5 * (size / UNKNOWNS) ** 3 + 0.5 * (size / UNKNOWNS) ** 2)
+    return wavelengths * (1.0 + settings.realisations * one / min(available_jobs(), settings.realisations))
+
+
+def refine(
+    wavelengths_nm: Array,
+    layer: Callable[[float], Monolayer],
+    pattern: Callable[[int, int], Pattern],
+    settings: EnsembleSettings,
+    seed: int,
+    source: str,
+    is_list: bool = False,
+    because: str = "",
+) -> Refinement:
+    """Return the ratios for a grid of wavelengths; what was solved before, also by a run that was stopped, is read.
+
+    Args:
+        wavelengths_nm: ascending.
+        layer: the mean-field model at a wavelength, of which the first particle size is taken.
+        pattern: function of count and seed that returns the arrangement.
+        source: name of the recipe, for messages.
+        is_list: whether the arrangement is a list of points.
+        because: why an ensemble is taken, for the line that announces it.
+
+    Raises:
+        UnsupportedError: the ensemble is too large for this machine's memory.
+    """
+    size = settings.spheres * 2 * settings.multipole_order * (settings.multipole_order + 2)
+    check_memory(
+        3.0 * 8.0 * size**2 * available_jobs(),
+        f"{source}: model.ensemble.spheres = {settings.spheres} of order {settings.multipole_order}",
+        "take fewer spheres, or fewer --jobs",
+    )
+    solved_at = chosen(np.atleast_1d(np.asarray(wavelengths_nm, dtype=float)))
+    first = layer(float(solved_at[0]))
+    structure = first.structure
+    cut = patches(pattern, structure.density_per_nm2, structure.diameter_nm, settings, seed, is_list)
+    ensembles = []
+    for wavelength in solved_at:
+        whole = layer(float(wavelength))
+        middle = whole.particles[len(whole.particles) // 2]
+        ensembles.append(Ensemble(same_order(whole, settings.multipole_order, middle), cut))
+    keys = [_key(one, settings) for one in ensembles]
+    found = [_read(key) for key in keys]
+    missing = [n for n, one in enumerate(found) if one is None]
+    if missing:
+        seconds = expected_seconds(len(missing), settings)
+        kept = f" ({len(found) - len(missing)} more are kept from before)" if len(missing) < len(found) else ""
+        noun = "wavelength" if len(missing) == 1 else "wavelengths"
+        announce(
+            f"{source}: {because}{settings.realisations} patterns of {settings.spheres} spheres at {len(missing)} "
+            f"{noun}{kept}: about {duration(seconds)}",
+            seconds,
+        )
+        for n, solved in _solve([ensembles[n] for n in missing], [keys[n] for n in missing], missing):
+            found[n] = solved
+    done = [one for one in found if one is not None]
+    angles = np.arccos(ensembles[0].sides[0][0].cosines)
+    return Refinement(solved_at, tuple(r for r, _ in done), np.stack([e for _, e in done]), angles, settings)
+
+
+def _solve(ensembles: list[Ensemble], keys: list[str], names: list[int]) -> list[tuple[int, tuple[Ratio, Array]]]:
+    """Solve all patches of all wavelengths, each wavelength's fit as soon as its last patch is done."""
+    fields: list[dict[int, ComplexArray]] = [{} for _ in ensembles]
+    lock = threading.Lock()
+    out: list[tuple[int, tuple[Ratio, Array]]] = []
+    prepared = [threading.Lock() for _ in ensembles]
+
+    def work(item: tuple[int, int]) -> None:
+        n, patch = item
+        with prepared[n]:  # its tables once, by whoever comes first
+            ensembles[n].prepare()
+        one = ensembles[n].far_fields(patch)
+        with lock:
+            fields[n][patch] = one
+            is_last = len(fields[n]) == len(ensembles[n].patches)
+        if is_last:
+            ratio, errors = ensembles[n].ratio([fields[n][k] for k in range(len(fields[n]))])
+            fields[n].clear()
+            ensembles[n].forget()
+            _keep(keys[n], ratio, errors)
+            with lock:
+                out.append((names[n], (ratio, errors)))
+
+    in_threads(work, [(n, k) for n, one in enumerate(ensembles) for k in range(len(one.patches))])
+    return out
+
+
+def _key(one: Ensemble, settings: EnsembleSettings) -> str:
+    """What decides the ratio: the optics, the positions, and the code."""
+    surface, particle, structure = one.layer.surface, one.layer.particles[0], one.layer.structure
+    digest = hashlib.sha256()
+    for array in (
+        surface.indices, surface.thicknesses_nm, particle.t_matrix, structure.q_per_nm, structure.s, structure.r_nm,
+        structure.h, *one.patches,
+    ):  # fmt: skip
+        digest.update(np.ascontiguousarray(array).tobytes())
+    numbers = [surface.wavelength_nm, particle.centre_nm, structure.density_per_nm2, structure.diameter_nm]
+    return "ensemble-" + identity(
+        {"arrays": digest.hexdigest(), "numbers": [float(n).hex() for n in numbers]}, {}, settings=str(settings)
+    )
+
+
+def _keep(key: str, ratio: Ratio, errors: Array) -> None:
+    names = {"-".join(map(str, block)): values for block, values in ratio.coefficients.items()}
+    keep_arrays(key, {**names, "errors": errors, "reach": np.array(ratio.reach)})
+
+
+def _read(key: str) -> tuple[Ratio, Array] | None:
+    stored = kept_arrays(key)
+    if not stored or not {"errors", "reach"} <= stored.keys():
+        return None
+    errors, reach = stored.pop("errors"), float(stored.pop("reach"))
+    blocks = {}
+    for name, values in stored.items():
+        a, b, c, d = (int(part) for part in name.split("-"))
+        blocks[(a, b, c, d)] = values
+    return Ratio(blocks, reach), errors
