@@ -145,6 +145,8 @@ def _encode(value: Any, where: str, arrays: dict[str, NDArray[Any]], axes: dict[
         if isinstance(value, Texture) and field.name == "formula":
             fields[field.name] = None if inner is None else inner.text
             continue
+        if isinstance(value, Texture) and field.name == "is_stepped" and not inner:
+            continue  # files without such a texture are as they were, and older versions read them
         fields[field.name] = _encode(inner, at, arrays, axes, path)
         if at in arrays and field.name in named:
             axes[at] = named[field.name]

@@ -1,4 +1,4 @@
-"""Numbers that vary over a surface: a constant, an image or a formula of u and v.
+"""Numbers that vary over a surface: a constant, an image or a formula of u and v, in pictures also of x, y and z.
 
 A formula is parsed into a small tree of known operations and never executed as code, so a recipe from a
 stranger is safe to load. The same tree runs on numpy arrays here and on Dr.Jit arrays in the plugins.
@@ -7,6 +7,7 @@ stranger is safe to load. The same tree runs on numpy arrays here and on Dr.Jit 
 from __future__ import annotations
 
 import ast
+import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -16,10 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.arrays import Array
-from nacre.errors import RecipeError
+from nacre.errors import RecipeError, UnsupportedError
 
 MAX_FORMULA_LENGTH = 1000
 MAX_FORMULA_NODES = 200
+SURFACE = ("u", "v")
+# a place on the object of a picture, from the centre of its bounding ball in radii of it, z up
+PLACE = ("x", "y", "z")
 _CONSTANTS = {"pi": math.pi, "e": math.e}
 _BINARY: dict[type, str] = {ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul", ast.Div: "div", ast.Pow: "pow"}
 _FUNCTIONS = {
@@ -30,7 +34,7 @@ _FUNCTIONS = {
 
 @dataclass(frozen=True)
 class Formula:
-    """A parsed formula of u and v: nested tuples (operation, operand, ...), numbers and 'u', 'v'."""
+    """A parsed formula of u, v, x, y and z: nested tuples (operation, operand, ...), numbers and those names."""
 
     text: str
     tree: Any
@@ -41,13 +45,26 @@ class Formula:
         v: Any,
         operations: Mapping[str, Callable[..., Any]] | None = None,
         constants: Mapping[str, Any] | None = None,
+        place: Any = (),
     ) -> Any:
         """Evaluate on arrays; `operations` maps the words of `_FUNCTIONS` and add..neg to a backend's functions.
 
         Args:
             constants: of a formula with holes, what fills them.
+            place: x, y and z, of a formula that uses them.
         """
-        return _evaluate(self.tree, {"u": u, "v": v, **(constants or {})}, operations or NUMPY_OPERATIONS)
+        names = {"u": u, "v": v, **dict(zip(PLACE, place, strict=False)), **(constants or {})}
+        return _evaluate(self.tree, names, operations or NUMPY_OPERATIONS)
+
+    @property
+    def uses_place(self) -> bool:
+        """Whether x, y or z stands in it, which only an object in a picture has."""
+        return _uses(self.tree, PLACE)
+
+    @property
+    def uses_surface(self) -> bool:
+        """Whether u or v stands in it."""
+        return _uses(self.tree, SURFACE)
 
     def with_holes(self) -> tuple[Formula, dict[str, float]]:
         """Return the formula with names in place of its numbers, and those numbers.
@@ -61,10 +78,10 @@ class Formula:
 
 
 def parse_formula(text: str) -> Formula:
-    """Parse a formula of u and v such as `100 + 600*v`.
+    """Parse a formula of u and v such as `100 + 600*v`, or of x, y and z.
 
     Raises:
-        RecipeError: the text is not a formula of u, v, numbers and the known functions.
+        RecipeError: the text is not a formula of u, v, x, y, z, numbers and the known functions.
     """
     if len(text) > MAX_FORMULA_LENGTH:
         raise RecipeError(f"formula is {len(text)} characters long; at most {MAX_FORMULA_LENGTH} are allowed")
@@ -87,7 +104,7 @@ def _convert(node: ast.AST, text: str) -> Any:
         if not math.isfinite(value):
             raise RecipeError(f'formula "{text[:80]}" holds a number that is not finite')
         return value
-    if isinstance(node, ast.Name) and node.id in ("u", "v"):
+    if isinstance(node, ast.Name) and node.id in (*SURFACE, *PLACE):
         return node.id
     if isinstance(node, ast.Name) and node.id in _CONSTANTS:
         return _CONSTANTS[node.id]
@@ -100,7 +117,7 @@ def _convert(node: ast.AST, text: str) -> Any:
         name = node.func.id
         if _FUNCTIONS.get(name) == len(node.args):
             return (name, *(_convert(arg, text) for arg in node.args))
-    allowed = "u, v, t, pi, e, numbers, names of [numbers], + - * / ^ and " + ", ".join(_FUNCTIONS)
+    allowed = "u, v, x, y, z, t, pi, e, numbers, names of [numbers], + - * / ^ and " + ", ".join(_FUNCTIONS)
     part = ast.get_source_segment(text, node) if hasattr(node, "lineno") else None
     raise RecipeError(f'formula "{text[:80]}": "{part or type(node).__name__}" is not allowed; use {allowed}')
 
@@ -116,6 +133,12 @@ def _holed(tree: Any, numbers: dict[str, float]) -> Any:
     if head == "pow" and isinstance(operands[1], float):
         return (head, _holed(operands[0], numbers), operands[1])
     return (head, *(_holed(operand, numbers) for operand in operands))
+
+
+def _uses(tree: Any, names: tuple[str, ...]) -> bool:
+    if isinstance(tree, tuple):
+        return any(_uses(operand, names) for operand in tree[1:])
+    return isinstance(tree, str) and tree in names
 
 
 def _evaluate(tree: Any, variables: Mapping[str, Any], operations: Mapping[str, Callable[..., Any]]) -> Any:
@@ -157,22 +180,48 @@ class Texture:
         formula: parsed formula, or None.
         image: grey values in [0, 1]; row 0 is v = 1 (the top of the picture), repeated outside [0, 1].
         low, high: the range; a formula is clipped to it, an image is scaled to it.
+        is_stepped: of an image, whether each pixel is one value to its edge; else values run between pixels' middles.
     """
 
     low: float
     high: float
     formula: Formula | None = None
     image: NDArray[np.float64] | None = None
+    is_stepped: bool = False
 
     def __call__(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate at `uv[..., 2]`, giving `[...]` within [low, high]."""
+        """Evaluate at `uv[..., 2]`, giving `[...]` within [low, high].
+
+        Raises:
+            UnsupportedError: a formula of x, y or z.
+        """
+        refuse_place(self)
         u, v = uv[..., 0], uv[..., 1]
         if self.formula is not None:
-            with np.errstate(all="ignore"):
-                value = np.broadcast_to(np.asarray(self.formula(u, v), dtype=float), u.shape)
-            return np.clip(np.nan_to_num(value, nan=self.low, posinf=self.high, neginf=self.low), self.low, self.high)
+            return self._of_formula(u, v)
         assert self.image is not None
-        return self.low + (self.high - self.low) * _bilinear(self.image, u, v)
+        look_up = _stepped if self.is_stepped else _bilinear
+        return self.low + (self.high - self.low) * look_up(self.image, u, v)
+
+    @property
+    def middle(self) -> float:
+        """The value at the middle: u = v = 0.5, and x = y = z = 0 of a formula of them."""
+        half = np.array(0.5)
+        if self.formula is not None:
+            return float(self._of_formula(half, half, np.zeros(3)))
+        return float(self(np.array([0.5, 0.5])))
+
+    def _of_formula(self, u: Any, v: Any, place: Any = ()) -> NDArray[np.float64]:
+        assert self.formula is not None
+        with np.errstate(all="ignore"):
+            value = np.broadcast_to(np.asarray(self.formula(u, v, place=place), dtype=float), u.shape)
+        return np.clip(np.nan_to_num(value, nan=self.low, posinf=self.high, neginf=self.low), self.low, self.high)
+
+
+def _stepped(image: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the pixel that a place lies in, wrapping round."""
+    rows, columns = image.shape
+    return np.asarray(image[np.floor((1.0 - v) * rows).astype(int) % rows, np.floor(u * columns).astype(int) % columns])
 
 
 def _bilinear(image: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -184,6 +233,52 @@ def _bilinear(image: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.
     top = image[y0 % rows, x0 % columns] * (1 - fx) + image[y0 % rows, (x0 + 1) % columns] * fx
     bottom = image[(y0 + 1) % rows, x0 % columns] * (1 - fx) + image[(y0 + 1) % rows, (x0 + 1) % columns] * fx
     return np.asarray(top * (1 - fy) + bottom * fy)
+
+
+def place_formula(thing: Any) -> str | None:
+    """Return a formula of x, y or z within a texture, a Bsdf, a model or tables of them; None where there is none."""
+    if thing is None or isinstance(thing, str | int | float | complex | np.ndarray):
+        return None  # most of what is met, and quickest told apart
+    if isinstance(thing, Texture):
+        return thing.formula.text if thing.formula is not None and thing.formula.uses_place else None
+    if isinstance(thing, Mapping):
+        parts = list(thing.values())
+    elif dataclasses.is_dataclass(thing) and not isinstance(thing, type):
+        parts = [getattr(thing, field.name) for field in dataclasses.fields(thing)]
+    else:
+        parts = list(thing) if isinstance(thing, list | tuple) else []
+    return next((found for part in parts if (found := place_formula(part)) is not None), None)
+
+
+def at_the_middle(thing: Any) -> Any:
+    """Return a lobe or another part of a Bsdf with its value at the middle in place of each formula of x, y or z."""
+    if place_formula(thing) is None:
+        return thing
+    if isinstance(thing, Texture):
+        return dataclasses.replace(thing, formula=parse_formula(repr(thing.middle)))
+    if isinstance(thing, tuple):
+        return tuple(at_the_middle(part) for part in thing)
+    names = [field.name for field in dataclasses.fields(thing) if field.init]
+    return dataclasses.replace(thing, **{name: at_the_middle(getattr(thing, name)) for name in names})
+
+
+def refuse_place(thing: Any, where: str = "") -> None:
+    """Refuse formulas of x, y and z where no object is: everywhere but in pictures.
+
+    Args:
+        thing: see `place_formula`.
+        where: what has no object, such as "spectrum".
+
+    Raises:
+        UnsupportedError: there is such a formula.
+    """
+    formula = place_formula(thing)
+    if formula is not None:
+        head = f"{where}: " if where else ""
+        raise UnsupportedError(
+            f'{head}formula "{formula[:80]}" runs over x, y, z of the object in a picture (nacre render), '
+            "and here is no object; use u and v"
+        )
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
 from numpy.typing import NDArray
 
-from nacre.bsdf.texture import Texture, parse_formula
+from nacre.arrays import Array
+from nacre.bsdf.texture import Formula, Texture, parse_formula
 from nacre.errors import NacreError, RecipeError
 from nacre.files import plain, why_unreadable
 from nacre.recipe.memory import check_memory
@@ -19,7 +20,8 @@ from nacre.recipe.model import RecipeContext, RecipeModel
 
 MAX_IMAGE_PIXELS = 64_000_000
 BYTES_A_PIXEL = 24  # as read, in double precision, and scaled
-FORMULA_SAMPLES = 257
+FORMULA_SAMPLES = 257  # a side of u and v
+PLACE_SAMPLES, SURFACE_SAMPLES = 17, 9  # of formulas of the place: along a side of space, and of u and v beside it
 
 
 class TextureSpec(RecipeModel):
@@ -43,8 +45,9 @@ class TextureSpec(RecipeModel):
     formula: str | None = pydantic.Field(
         default=None,
         description="an expression of the surface's coordinates u and v, each from 0 to 1, of the names in "
-        "`[numbers]`, and of the time t of an animation",
-        examples=["0.1 + 0.6*v"],
+        "`[numbers]`, and of the time t of an animation; in pictures also of the place x, y, z on the object: from the "
+        "centre of its bounding sphere, in radii of it, x to the right, z up, turning with it",
+        examples=["0.1 + 0.6*v", "0.4 - 0.3*z"],
     )
     min: float | None = pydantic.Field(
         default=None, description="value of the image's black; lower clip of a formula", examples=[0.1]
@@ -53,12 +56,21 @@ class TextureSpec(RecipeModel):
         default=None, description="value of the image's white; upper clip of a formula", examples=[0.7]
     )
 
+    interpolation: Literal["linear", "nearest"] = pydantic.Field(
+        default="linear",
+        description="of an image: linear runs evenly from pixel to pixel, nearest keeps each pixel's value to its "
+        "edge, as steps of a process",
+        examples=["nearest"],
+    )
+
     @pydantic.model_validator(mode="after")
     def _one_of_two(self) -> TextureSpec:
         if (self.texture is None) == (self.formula is None):
             raise ValueError("give either texture = an image file or formula = an expression of u and v")
         if self.texture is not None and (self.min is None or self.max is None):
             raise ValueError("a texture needs min and max: the values of black and of white")
+        if self.formula is not None and self.interpolation != "linear":
+            raise ValueError('interpolation = "nearest" is of images; a formula has no pixels')
         if self.min is not None and self.max is not None and self.min > self.max:
             raise ValueError(f"min = {self.min:g} is above max = {self.max:g}")
         if self.formula is not None:
@@ -80,13 +92,12 @@ class TextureSpec(RecipeModel):
         if self.texture is not None:
             assert self.min is not None and self.max is not None
             image = read_grey(context.path(self.texture), f"{context.source}: {key}.texture")
-            return Texture(self.min, self.max, image=image)
+            return Texture(self.min, self.max, image=image, is_stepped=self.interpolation == "nearest")
         assert self.formula is not None
         formula = parse_formula(self.formula)
-        axis = np.linspace(0.0, 1.0, FORMULA_SAMPLES)
-        u, v = np.meshgrid(axis, axis)
+        u, v, place = _everywhere(formula)
         with np.errstate(all="ignore"):
-            values = np.asarray(formula(u, v), dtype=float)
+            values = np.asarray(formula(u, v, place=place), dtype=float)
         values = values[np.isfinite(values)]
         if not values.size:
             raise context.fail(f"{key}.formula", self.formula, "has no finite value anywhere")
@@ -95,6 +106,27 @@ class TextureSpec(RecipeModel):
         if low > high:
             raise context.fail(f"{key}.formula", self.formula, f"leaves no range between {low:g} and {high:g}")
         return Texture(low, high, formula=formula)
+
+
+def _everywhere(formula: Formula) -> tuple[Array, Array, Array]:
+    """Return u, v and x, y, z to judge a formula's range at: a fine grid of those that it uses.
+
+    Places fill the unit ball in shells, along the axes and diagonals, where sums have their ends, and between.
+    """
+    if not formula.uses_place:
+        axis = np.linspace(0.0, 1.0, FORMULA_SAMPLES)
+        u, v = np.meshgrid(axis, axis)
+        return u, v, np.zeros((3, 1, 1))
+    steps = np.linspace(-1.0, 1.0, PLACE_SAMPLES)
+    cube = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+    outside = np.abs(cube).max(axis=1) == 1.0  # the faces of a cube, whose rays go everywhere
+    rays = cube[outside] / np.linalg.norm(cube[outside], axis=1, keepdims=True)
+    place = np.concatenate([rays * radius for radius in np.linspace(0.0, 1.0, PLACE_SAMPLES)]).T
+    if not formula.uses_surface:
+        return np.zeros(1), np.zeros(1), place
+    coarse = np.linspace(0.0, 1.0, SURFACE_SAMPLES)
+    u, v = (side.reshape(-1, 1) for side in np.meshgrid(coarse, coarse))
+    return u, v, place[:, None, :]
 
 
 def texture_or_number(value: Any) -> str:

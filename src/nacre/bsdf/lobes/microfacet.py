@@ -15,6 +15,7 @@ from nacre.bsdf.facet_distributions import DISTRIBUTIONS, exits, masking, normal
 from nacre.bsdf.response import InterfaceResponse, parameter_coordinates
 from nacre.bsdf.texture import ParameterAxis, Texture
 from nacre.bsdf.uniform import interpolate
+from nacre.errors import UnsupportedError
 
 
 @dataclass(frozen=True)
@@ -198,12 +199,19 @@ class Microfacet(Lobe):
         for side_i in range(sides):
             for side_o in range(sides):
                 here = ((inside_i == bool(side_i)) & (inside_o == bool(side_o)))[..., None]
-                product = self._loss_at(wi, side_i) * self._loss_at(wo, side_o) * exchange[..., side_i, side_o, :]
+                product = self.lost_towards(wi, side_i) * self.lost_towards(wo, side_o)
+                product = product * exchange[..., side_i, side_o, :]
                 total = np.where(here, product, total)
         return total
 
-    def _loss_at(self, w: Array, side: int) -> Array:
-        assert self.loss is not None
+    def lost_towards(self, w: Array, side: int) -> Array:
+        """Return `loss` of one side at directions `[..., 3]` in the frame of the roughness, `[..., wavelength or 1]`.
+
+        Raises:
+            UnsupportedError: nothing makes up for what facets lose.
+        """
+        if self.loss is None:
+            raise UnsupportedError("this rough interface has no table of what its facets lose")
         s = np.sqrt(np.clip(np.abs(w[..., 2]), 0.0, 1.0))
         x2, y2 = np.square(w[..., 0]), np.square(w[..., 1])
         t = np.where(x2 + y2 > 1e-20, x2 / np.maximum(x2 + y2, 1e-20), 0.5)

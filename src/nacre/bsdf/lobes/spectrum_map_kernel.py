@@ -51,37 +51,48 @@ def interpolate(power: Any, position: Any) -> Any:
     return result
 
 
-@compiled(parallel=True, error_model="numpy")
-def albedo_shares(power: Any, origin: Any, step: Any, reflectance: Any, wi: Any, cosines: int, azimuths: int,
-                  is_kirchhoff: bool) -> Any:  # fmt: skip
-    """Return how much of the light along each `wi` leaves into each cell of exits, `[wi, cell, wavelength]`, float32.
+@compiled(parallel=True, error_model="numpy", fastmath={"contract", "reassoc"})
+def albedo_shares(power: Any, psi_step: float, xi_first: float, xi_step: float, reflectance: Any, ring_cosines: Any,
+                  cosines: int, azimuths: int, is_kirchhoff: bool) -> Any:  # fmt: skip
+    """Return how much light of each incidence leaves into each cell of exits, `[incidence, cell, wavelength]`, float32.
 
-    Sums f cos_o d(omega) = f du dv over the map's own nodes in psi, whose coefficients hold its integral; so only xi
-    is interpolated. 1/cos_o, steep at the horizon, is averaged over the radial width of a node. Exits are given to
-    the cells t = sqrt(cos_o) x azimuth of the guard, to the nearest azimuth and linearly in t.
+    Incidences lie on rings, those of a ring `azimuths` equal steps from the x axis on. Sums f cos_o d(omega) =
+    f du dv over the map's own nodes in psi, whose coefficients hold its integral; so only xi is interpolated. 1/cos_o,
+    steep at the horizon, is averaged over the radial width of a node. Exits are given to the cells t = sqrt(cos_o) x
+    azimuth of the guard, to the nearest azimuth and linearly in t.
+
+    The nodes are a centred square, so the geometry of an incidence within the first eighth of a turn is that of the
+    seven others into which quarter turns and the mirror take it; only the map differs.
 
     Args:
-        power: `[x, y, xi, wavelength]`.
-        origin, step: `[3]`, first node and step of psi_x, psi_y, xi.
+        power: `[psi, psi, xi, wavelength]`, psi centred on 0.
+        psi_step, xi_first, xi_step: of the nodes.
         reflectance: `[cosine, wavelength]`.
-        wi: directions `[n, 3]`, z > 0.
-        cosines, azimuths: nodes of the guard.
+        ring_cosines: cosines of incidence of the rings.
+        cosines, azimuths: nodes of the guard; azimuths a multiple of 8.
     """
-    nx, ny, nz, count = power.shape
-    shares = np.zeros((wi.shape[0], cosines * azimuths, count), dtype=np.float32)
+    n, _, nz, count = power.shape
+    rings = ring_cosines.shape[0]
+    shares = np.zeros((rings * azimuths, cosines * azimuths, count), dtype=np.float32)
     last = reflectance.shape[0] - 1
-    width = step[0]
-    for i in numba.prange(wi.shape[0]):
-        value = np.empty(count)
-        w = np.empty(3)
-        for a in range(nx):
-            u = origin[0] + a * step[0]
-            x = u - wi[i, 0]
+    width = psi_step
+    eighth, quarter = azimuths // 8, azimuths // 4
+    each = eighth + 1
+    for task in numba.prange(rings * each):
+        ring, own = task // each, task % each
+        cos_i = ring_cosines[ring]
+        sin_i = np.sqrt(1.0 - cos_i * cos_i)
+        wi_x, wi_y = sin_i * np.cos(2.0 * np.pi * own / azimuths), sin_i * np.sin(2.0 * np.pi * own / azimuths)
+        mirrors = 1 if own == 0 or own == eighth else 2  # on an axis of symmetry its mirror image is itself
+        factor = np.empty(count, dtype=np.float32)
+        for a in range(n):
+            u = (a - 0.5 * (n - 1)) * width
+            x = u - wi_x
             if abs(x) >= 1.0:
                 continue
-            for b in range(ny):
-                v = origin[1] + b * step[1]
-                y = v - wi[i, 1]
+            for b in range(n):
+                v = (b - 0.5 * (n - 1)) * width
+                y = v - wi_y
                 radius = np.sqrt(x * x + y * y)
                 if radius - 0.5 * width >= 1.0:
                     continue
@@ -99,32 +110,37 @@ def albedo_shares(power: Any, origin: Any, step: Any, reflectance: Any, wi: Any,
                     inverse_cosine = (np.arcsin(outer) - np.arcsin(inner)) / width
                 middle = min(0.5 * (inner + outer), 1.0) if outer == 1.0 else radius
                 cos_o = np.sqrt(max(1.0 - middle * middle, 1e-12))
-                xi = wi[i, 2] + cos_o
-                z = (xi - origin[2]) / step[2]
+                xi = cos_i + cos_o
+                z = (xi - xi_first) / xi_step
                 centre = int(np.floor(z + 0.5))
                 f = z - centre
-                w[0] = 0.5 * (0.5 - f) ** 2
-                w[1] = 0.75 - f * f
-                w[2] = 0.5 * (0.5 + f) ** 2
-                value[:] = 0.0
-                for c in range(3):
-                    row = min(max(centre + c - 1, 0), nz - 1)
-                    for m in range(count):
-                        value[m] += w[c] * power[a, b, row, m]
+                w0, w1 = np.float32(0.5 * (0.5 - f) ** 2), np.float32(0.75 - f * f)
+                w2 = np.float32(0.5 * (0.5 + f) ** 2)
+                z0, z1 = min(max(centre - 1, 0), nz - 1), min(max(centre, 0), nz - 1)
+                z2 = min(max(centre + 1, 0), nz - 1)
                 length = u * u + v * v + xi * xi
                 bare = length * length / (xi * xi) if is_kirchhoff else xi * xi
-                bare *= width * width * inverse_cosine / (4.0 * wi[i, 2])
+                bare *= width * width * inverse_cosine / (4.0 * cos_i)
                 g = min(0.5 * np.sqrt(length), 1.0) * last
                 low = min(int(g), last - 1)
                 f = g - low
+                for m in range(count):
+                    factor[m] = bare * (reflectance[low, m] * (1.0 - f) + reflectance[low + 1, m] * f)
                 t = np.sqrt(cos_o) * (cosines - 1)
                 t0 = min(int(t), cosines - 2)
-                ft = t - t0
-                phi = np.arctan2(y, x) / (2.0 * np.pi) * azimuths
-                cell = t0 * azimuths + int(np.floor(phi + 0.5)) % azimuths
-                for m in range(count):
-                    fresnel = reflectance[low, m] * (1.0 - f) + reflectance[low + 1, m] * f
-                    amount = max(value[m], 0.0) * bare * fresnel
-                    shares[i, cell, m] += amount * (1.0 - ft)
-                    shares[i, cell + azimuths, m] += amount * ft
+                upper = np.float32(t - t0)
+                lower = np.float32(1.0) - upper
+                azimuth = int(np.floor(np.arctan2(y, x) / (2.0 * np.pi) * azimuths + 0.5))
+                for mirror in range(mirrors):
+                    p, q = a, (n - 1 - b if mirror else b)
+                    sign = -1 if mirror else 1
+                    for turn in range(4):
+                        row = ring * azimuths + (sign * own + turn * quarter) % azimuths
+                        cell = t0 * azimuths + (sign * azimuth + turn * quarter) % azimuths
+                        for m in range(count):
+                            value = w0 * power[p, q, z0, m] + w1 * power[p, q, z1, m] + w2 * power[p, q, z2, m]
+                            amount = max(value, np.float32(0.0)) * factor[m]
+                            shares[row, cell, m] += amount * lower
+                            shares[row, cell + azimuths, m] += amount * upper
+                        p, q = n - 1 - q, p  # a quarter turn: (u, v) -> (-v, u)
     return shares

@@ -1,0 +1,1 @@
+"""Photonic glass: spheres packed in disorder, whose colour hardly changes with the angle."""

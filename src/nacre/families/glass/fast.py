@@ -1,0 +1,122 @@
+"""`quality = "fast"` of a photonic glass: the face, and the diffuse light of transfer as a table, with a stated error.
+
+The table is that of smooth faces. A rough face spreads only what it reflects itself: diffuse light has lost its
+direction already, and what roughness changes of its entry and exit is part of the stated error, which comes from
+independent random walks through the rough face, of three incidences, in bins of the exit's cosine; what is lost
+between the table's nodes is added from transfer itself, at pairs of all directions.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.arrays import Array
+from nacre.bsdf.contract import Lobe
+from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.lobes.table import TableLobe
+from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.roughness import Roughness
+from nacre.families.glass.balance import balanced
+from nacre.families.glass.medium import Medium
+from nacre.families.glass.radiance import brdf_pairs, brdf_table
+from nacre.families.glass.slab import Slab, face
+from nacre.families.glass.walk import walk
+from nacre.matter.jobs import in_threads
+
+THETA_NODES, AZIMUTH_NODES = 37, 19
+FACE_NODES = 257
+CHECK_DEG = (10.0, 40.0, 65.0)
+CHECK_BINS, CHECK_WALKERS, CHECK_BANDS = 10, 120_000, 8
+MIDPOINTS = (8, 24)  # in a bin, and in the half turn of the azimuth
+CHECK_PAIRS = 300
+DOUBT = 0.6  # share of the check's noise that the stated error adds
+
+
+def diffuse_table(medium: Medium, slabs: list[Slab]) -> TableLobe:
+    """Tabulate the light that has entered; every incidence sends out exactly what transfer says."""
+    theta, dphi = np.linspace(0, np.pi / 2, THETA_NODES), np.linspace(0, np.pi, AZIMUTH_NODES)
+    cos = np.append(np.cos(theta[:-1]), 0.0)
+
+    def tabulate(band: int) -> Array:
+        table = brdf_table(medium, band, slabs[band], theta, dphi)
+        # equal to rounding already: reciprocity then holds to the last digit
+        table = 0.5 * (table + np.swapaxes(table, 0, 1))
+        return balanced(table, theta, slabs[band].powers(cos)[2])
+
+    values = np.stack(in_threads(tabulate, range(len(slabs))), axis=-1)
+    return TableLobe(medium.wavelengths_nm, values, np.eye(len(slabs)))
+
+
+def face_lobe(medium: Medium, surface: Roughness) -> Lobe:
+    """The upper face, which only reflects here: what enters is in the table."""
+    cos = np.linspace(0.0, 1.0, FACE_NODES)
+    reflect = np.stack([face(cos, max(float(n), 1.0)) for n in medium.index], axis=1)
+    none = np.zeros_like(reflect)
+    empty = np.zeros((0, reflect.shape[1]))
+    response = InterfaceResponse(medium.wavelengths_nm, cos, reflect, none, none, empty, 1.0, False)
+    if surface.is_smooth:
+        return Specular(response)
+    return Microfacet(response, surface.distribution, surface.alpha_x, surface.alpha_y)
+
+
+def interpolation_error(table: TableLobe, medium: Medium, slabs: list[Slab]) -> Array:
+    """Relative L2 error of a table's f cos against transfer itself, over pairs of all directions, as `walk_error` has.
+
+    Args:
+        table, medium, slabs: of `diffuse_table`.
+    """
+    bands = _checked(medium)
+    draws = np.random.default_rng(7).random((2, CHECK_PAIRS, 2))
+    cos, phi = np.sqrt(draws[..., 0]), 2 * np.pi * draws[..., 1]
+    sine = np.sqrt(1 - cos**2)
+    wi, wo = np.stack([sine * np.cos(phi), sine * np.sin(phi), cos], axis=-1)
+    exact = np.stack([brdf_pairs(medium, int(band), slabs[band], wi, wo) for band in bands], axis=-1)
+    difference = table.evaluate(wi, wo)[:, bands] - exact
+    # drawn by the cosine: its square is the weight of squares of f cos, so one factor of it is left
+    weight = wo[:, 2:]
+    return np.asarray(np.sqrt(np.sum(weight * difference**2, axis=0) / np.sum(weight * exact**2, axis=0)))
+
+
+def _checked(medium: Medium) -> NDArray[np.intp]:
+    """The wavelengths that errors are stated from."""
+    return np.unique(np.linspace(0, len(medium.wavelengths_nm) - 1, CHECK_BANDS).astype(np.intp))
+
+
+def walk_error(
+    table: TableLobe, medium: Medium, thickness_nm: float, albedo: Array, alpha: float, seed: int = 1
+) -> Array:
+    """Relative L2 error of a table's light over the polar angle, at a few of its wavelengths, against walks.
+
+    Args:
+        table: of `diffuse_table`.
+        medium: all of its wavelengths.
+        thickness_nm, albedo, alpha: of the slab, its base `[wavelength]` and its face.
+        seed: of the walks.
+    """
+    bands = _checked(medium)
+    few = medium.at(bands)
+    error, size = np.zeros(len(bands)), np.zeros(len(bands))
+    fine = (np.arange(CHECK_BINS * MIDPOINTS[0]) + 0.5) / (CHECK_BINS * MIDPOINTS[0])
+    azimuth = (np.arange(MIDPOINTS[1]) + 0.5) * np.pi / MIDPOINTS[1]
+    sine = np.sqrt(1 - fine**2)[:, None]
+    wo = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), fine[:, None] + 0 * sine * azimuth], axis=-1)
+    for turn, degrees in enumerate(CHECK_DEG):
+        theta = np.radians(degrees)
+        wi = np.broadcast_to([np.sin(theta), 0.0, np.cos(theta)], wo.shape)
+        light = table.evaluate(wi, wo)[..., bands].mean(axis=1) * fine[:, None]
+        ours = 2 * np.pi * light.reshape(CHECK_BINS, MIDPOINTS[0], -1).sum(axis=1) / len(fine)
+        walks = [
+            walk(
+                few, thickness_nm, albedo[bands], float(np.cos(theta)), walkers=CHECK_WALKERS, alpha=alpha,
+                bins=CHECK_BINS, seed=seed + 2 * turn + i,
+            ).reflected
+            for i in range(2)
+        ]  # fmt: skip
+        # two independent differences: their product has no noise in the mean
+        first, second = (walked - ours for walked in walks)
+        noise = np.sum((walks[0] - walks[1]) ** 2, axis=0) / 4
+        error += np.maximum(np.sum(first * second, axis=0), 0.0) + (DOUBT**2) * noise
+        size += np.sum(ours**2, axis=0)
+    return np.asarray(np.sqrt(error / np.maximum(size, 1e-30)))

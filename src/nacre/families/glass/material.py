@@ -1,0 +1,294 @@
+"""The photonic glass: spheres in a matrix over a base, and the lobes that follow from them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+
+from nacre.arrays import Array
+from nacre.bsdf import Bsdf
+from nacre.bsdf.base import Base
+from nacre.bsdf.interface_loss import interface_losses
+from nacre.bsdf.lobes.layered import Layered
+from nacre.bsdf.roughness import Roughness
+from nacre.bsdf.spectrum import Spectrum
+from nacre.families.contract import Figure, Model
+from nacre.families.glass.balls import Balls
+from nacre.families.glass.composite import Composite, EffectiveDispersion
+from nacre.families.glass.fast import diffuse_table, face_lobe, interpolation_error, walk_error
+from nacre.families.glass.figures import colour_map, scattering, structure
+from nacre.families.glass.medium import Medium
+from nacre.families.glass.radiance import brdf_pairs
+from nacre.families.glass.slab import AZIMUTHS, Slab
+from nacre.families.glass.walk import walk
+from nacre.light import default_wavelengths
+from nacre.light.splines import spline_matrix
+from nacre.matter.jobs import in_threads
+
+logger = logging.getLogger("nacre")
+
+WALKED_ANGLES = 13  # of rough faces; a spline runs between them
+SPECTRUM_WALKERS = 40_000  # a standard error of at most .0025
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One stratum of glass; `surface` is its upper face."""
+
+    composite: Composite | Balls
+    thickness_nm: float
+    surface: Roughness = Roughness()
+
+
+@dataclass(frozen=True)
+class Glass(Model):
+    """Photonic glass in air, of one stratum or several.
+
+    Attributes:
+        composite: spheres and matrix of the uppermost stratum, or balls of them in a binder.
+        thickness_nm: of that stratum.
+        surface: of its upper face.
+        base: what lies below all strata.
+        quality: "reference", the random walk, or "fast", noise-free tables where they can be made.
+        is_checked: whether the error of those tables is walked for; a search does without.
+        below: further strata, from the light's side inward.
+    """
+
+    noun = "photonic glass"
+    has_strata = True
+    why_unpolarised = "scatters light many times and is known for unpolarised light only"
+    takes_ambient = False
+
+    composite: Composite | Balls
+    thickness_nm: float
+    surface: Roughness = Roughness()
+    base: Base = Base()
+    quality: str = "reference"
+    is_checked: bool = True
+    below: tuple[Layer, ...] = ()
+
+    @property
+    def wavelengths_nm(self) -> Array:
+        """Default grid: every 10 nm; the ends are set by a base that is known in less than the visible."""
+        return self.base.known_in(default_wavelengths())
+
+    @property
+    def layers(self) -> tuple[Layer, ...]:
+        """All strata."""
+        return (Layer(self.composite, self.thickness_nm, self.surface), *self.below)
+
+    @property
+    def figures(self) -> Mapping[str, Figure]:
+        """S of the order, light scattered inside, and reflectance over thickness: see `figures`."""
+
+        def of_thickness(thickness_nm: float, theta_rad: Array, lam: Array) -> Spectrum | None:
+            return replace(self, thickness_nm=thickness_nm).spectrum(theta_rad, lam, "both")
+
+        return {
+            "structure": partial(structure, [layer.composite for layer in self.layers]),
+            "scattering": partial(scattering, self.composite),
+            "colour-map": partial(colour_map, self.composite, self.thickness_nm, of_thickness),
+        }
+
+    def why_not_fast(self) -> str | None:
+        """Return why there are no noise-free tables of it, or None."""
+        if self.below:
+            return "it has several strata"
+        if self.base.kind == "none":
+            return "light passes through it"
+        if self.base.kind != "diffuse":
+            return "its base is not a diffuse one"
+        if self.surface.alpha_x != self.surface.alpha_y:
+            return "its surface is anisotropic"
+        if self.surface.compensate:
+            return "its surface is compensated"
+        return None
+
+    def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
+        """Return the strata of a walk, or a noise-free form of them: the face, and a table of the diffuse light.
+
+        Raises:
+            MaterialRangeError: an index is not known at a wavelength.
+        """
+        lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        if self.quality == "fast":
+            reason = self.why_not_fast()
+            if reason is None:
+                return self._fast(lam)
+            note = f'quality = "fast" is not possible, since {reason}; "reference" is used'
+            logger.warning("%s", note)
+            return Bsdf((self._layered(lam, wavelengths_nm is None),), {"notes": [note]})
+        return Bsdf((self._layered(lam, wavelengths_nm is None),))
+
+    def spectrum(
+        self, theta_rad: Array, wavelengths_nm: Array | None, polarisation: str, seed: int = 0
+    ) -> Spectrum | None:
+        """Return reflectance and transmittance: without noise between smooth faces, by a quick walk between rough ones.
+
+        None for s and p, of several strata, over bases of other lobes, and of the fast form of a rough one, which is
+        integrated.
+        """
+        if polarisation != "both" or self.below or self.base.kind not in ("none", "diffuse"):
+            return None
+        lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
+        cos = np.where(theta >= np.pi / 2, 0.0, np.cos(theta))
+        is_open = self.base.kind == "none"
+        if not self.surface.is_smooth or (is_open and not self.base.surface.is_smooth):
+            return self._walked(theta, lam, seed) if self._is_walked_quickly else None
+        parts = np.stack([slab.powers(cos) for slab in self._slabs(lam, 1)], axis=-1)
+        return Spectrum(
+            lam, np.degrees(theta), parts[0], parts[1] if is_open else None, parts[2], parts[3] if is_open else None
+        )
+
+    @property
+    def _is_walked_quickly(self) -> bool:
+        """Whether the compiled walk of one slab knows its faces; the fast form is integrated as it is."""
+        rough = [self.surface, self.base.surface] if self.base.kind == "none" else [self.surface]
+        known = all(
+            each.is_smooth or (each.distribution == "ggx" and each.alpha_x == each.alpha_y and not each.compensate)
+            for each in rough
+        )
+        return known and (self.quality != "fast" or self.why_not_fast() is not None)
+
+    def _walked(self, theta: Array, lam: Array, seed: int) -> Spectrum:
+        """Return the spectrum of rough faces: nothing of it is a mirror's. Many angles are walked at a few of them."""
+        is_open = self.base.kind == "none"
+        last = np.radians(89.99)
+        walked = theta if len(theta) <= WALKED_ANGLES else np.linspace(0.0, last, WALKED_ANGLES)
+        found = [
+            walk(
+                self._medium(lam), self.thickness_nm, None if is_open else self._albedo(lam),
+                float(np.cos(min(angle, last))), walkers=SPECTRUM_WALKERS, alpha=self.surface.alpha_x,
+                alpha_below=self.base.surface.alpha_x, seed=seed * WALKED_ANGLES + i,
+            )
+            for i, angle in enumerate(walked)
+        ]  # fmt: skip
+        back = np.stack([f.surface + f.reflected.sum(axis=0) for f in found])
+        through = np.stack([f.transmitted for f in found])
+        if len(walked) < len(theta):
+            spread = spline_matrix(walked, np.minimum(theta, last))
+            back, through = (np.clip(spread @ part, 0.0, 1.0) for part in (back, through))
+        return Spectrum(lam, np.degrees(theta), None, None, back, through if is_open else None)
+
+    def among_many(self, memory: dict[Any, Any], is_rough: bool = False) -> Model:
+        """Return its noise-free form where it has one, without the walks that would state its error."""
+        if self.why_not_fast() is not None:
+            return self
+        return FastGlass(self.composite, self.thickness_nm, self.surface, self.base, "fast", is_checked=False)
+
+    def likeness_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> tuple[Array, Array] | None:
+        """Return the light at pairs as transfer in modes of the azimuth gives it; see `radiance`.
+
+        It is the walk's own value but for what a rough face does to the diffuse light, and for the dispersion of
+        refraction, which the walk leaves out.
+        """
+        if self.below or self.base.kind not in ("none", "diffuse"):
+            return None
+        values = self._scattered(wi, wo, np.asarray(wavelengths_nm, dtype=float))
+        return values, np.zeros_like(values)
+
+    def _scattered(self, wi: Array, wo: Array, lam: Array) -> Array:
+        medium = self._medium(lam)
+        pairs = [brdf_pairs(medium, i, slab, wi, wo) for i, slab in enumerate(self._slabs(lam, AZIMUTHS))]
+        up = (wi[:, 2] > 0) & (wo[:, 2] > 0)
+        return np.where(up[:, None], np.stack(pairs, axis=-1), 0.0) + face_lobe(medium, self.surface).evaluate(wi, wo)
+
+    def _medium(self, lam: Array) -> Medium:
+        return _solved(self.composite, tuple(lam.tolist()))
+
+    def _slabs(self, lam: Array, modes: int) -> list[Slab]:
+        medium, albedo = self._medium(lam), self._albedo(lam)
+        is_open = self.base.kind == "none"
+
+        def solve(band: int) -> Slab:
+            return Slab.solve(medium, band, self.thickness_nm, None if is_open else float(albedo[band]), modes)
+
+        return in_threads(solve, range(len(lam)))
+
+    def _albedo(self, lam: Array) -> Array:
+        albedo = self.base.albedo
+        return np.interp(lam, *albedo) if isinstance(albedo, tuple) else np.full(len(lam), float(albedo))
+
+    def _fast(self, lam: Array) -> Bsdf:
+        medium, alpha = self._medium(lam), self.surface.alpha_x
+        slabs = self._slabs(lam, AZIMUTHS)
+        table = diffuse_table(medium, slabs)
+        lobes = (face_lobe(medium, self.surface), table)
+        if not self.is_checked:
+            return Bsdf(lobes)
+        walked = walk_error(table, medium, self.thickness_nm, self._albedo(lam), alpha)
+        error = np.hypot(walked, interpolation_error(table, medium, slabs))
+        note = (
+            f"noise-free form: error {100 * error.mean():.2f} % on average over wavelengths, at most "
+            f"{100 * error.max():.2f} % (L2 of f cos: against transfer over all directions, and against the walk over "
+            "the polar angle)"
+        )
+        logger.info("%s", note)
+        return Bsdf(lobes, {"notes": [note]})
+
+    def _layered(self, lam: Array, is_own_grid: bool) -> Layered:
+        """Return the arrays of the walk: the glass is what a dye that scatters is to a pearl."""
+        count = len(lam)
+        layers = self.layers
+        media = [_solved(layer.composite, tuple(lam.tolist())) for layer in layers]
+        index = np.array([layer.composite.walk_index for layer in layers])
+        faces = [*(layer.surface for layer in layers), self.base.surface]
+        depths = [
+            np.stack([medium.extinction, medium.scattering], axis=-1) * layer.thickness_nm
+            for medium, layer in zip(media, layers, strict=True)
+        ]
+        lobe = Layered(
+            wavelengths_nm=lam,
+            index=index,
+            alpha=np.array([[face.alpha_x, face.alpha_y] for face in faces]),
+            is_beckmann=np.array([face.distribution == "beckmann" for face in faces], dtype=np.int64),
+            flake_stratum=np.zeros(0, dtype=np.int64),
+            flake_number=np.zeros(0),
+            flake_axes=np.zeros((0, 3)),
+            flake_frame=np.zeros((0, 3, 3)),
+            flake_response=np.zeros((0, 1, count, 2)),
+            flake_extinction=np.zeros((0, 1, 2, count)),
+            base=self.base.walk_kind,
+            base_reflectance=self._base_table(lam),
+            loss=interface_losses(faces, index, self.base.walk_kind == "none"),
+            dye=np.stack(depths),
+            dye_phase=np.stack([medium.phase.T for medium in media]),
+            dye_quantile=np.stack([medium.quantiles().T for medium in media]),
+            base_lobes=self.base.default_lobes if is_own_grid else self.base.lobes(lam),
+        )
+        lobe.check()
+        return self.base.continued(lobe)
+
+    def strata_at(self, wavelengths_nm: Array) -> Layered:
+        """Return the arrays of the walk."""
+        return self._layered(np.asarray(wavelengths_nm, dtype=float), False)
+
+    def _base_table(self, lam: Array) -> Array:
+        last = self.below[-1].composite if self.below else self.composite
+        return self.base.reflectance(lam, EffectiveDispersion(last))
+
+
+@dataclass(frozen=True)
+class FastGlass(Glass):
+    """A photonic glass whose light is known without noise: searches look at it in the wanted directions alone."""
+
+    is_direct = True
+
+    def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
+        """Return what transfer gives at a few pairs, and a rough face."""
+        return self._scattered(wi, wo, np.asarray(wavelengths_nm, dtype=float))
+
+    def likeness_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> tuple[Array, Array] | None:
+        """Return None: `values_at` is no likeness."""
+        return None
+
+
+@lru_cache(maxsize=32)
+def _solved(composite: Composite | Balls, wavelengths_nm: tuple[float, ...]) -> Medium:
+    return composite.medium(np.array(wavelengths_nm))

@@ -1,0 +1,183 @@
+"""What light meets inside a photonic glass: scattering and absorption coefficients, and the phase function.
+
+Every sphere scatters as it does alone in a medium of the effective index (Mie, core and shell); order among them
+multiplies that by the structure factor S(q), q = 2 |k_e| sin(theta/2) (Magkiriadou et al., Phys. Rev. E 90, 062302
+(2014); Hwang et al., PNAS 118, e2015551118 (2021)). That is first order: light that neighbours exchange in their near
+fields is not in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.arrays import Array, ComplexArray
+from nacre.families.glass.hard_spheres import mixture_power, percus_yevick, schulz_sizes
+from nacre.families.glass.quadrature import gauss_rule
+from nacre.matter.mie import default_order, mie_amplitudes, mie_coefficients
+
+GAUSS_NODES = 128  # of the scattering cosine, for sums over all directions
+PHASE_NODES = 361  # of the table of the phase function, uniform in the cosine
+QUANTILE_NODES = 513
+SIZES = 21  # of a Schulz distribution
+SMALL_ETA = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Spheres:
+    """Spheres at given wavelengths, in a medium of a given effective index.
+
+    Attributes:
+        wavelengths_nm: `[wavelength]`, vacuum.
+        radii_nm: `[layer]`, of the core, and of the shell if there is one.
+        n_layers: `[layer, wavelength]`, n + ik.
+        n_effective: `[wavelength]`.
+        volume_fraction: of whole spheres.
+        deviation_nm: standard deviation of the outer radius; core and shell keep their proportion.
+        structure: S over q d in place of hard spheres, or None.
+    """
+
+    wavelengths_nm: Array
+    radii_nm: Array
+    n_layers: ComplexArray
+    n_effective: ComplexArray
+    volume_fraction: float
+    deviation_nm: float = 0.0
+    structure: Callable[[Array], Array] | None = None
+
+    def cross_section(self, cosines: Array) -> Array:
+        """Light that a unit of volume scatters into a unit of solid angle, `[wavelength, cos]`, in 1/(nm sr)."""
+        return np.asarray(self.cross_sections(cosines).mean(axis=0))
+
+    def cross_sections(self, cosines: Array) -> Array:
+        """The same of light polarised across the plane of scattering (s) and in it (p), `[s p, wavelength, cos]`.
+
+        Where the medium absorbs, the far field counts as it leaves the sphere's surface (Fu and Sun, Appl. Opt. 40,
+        1354 (2001)).
+
+        Args:
+            cosines: `[cos]` of the scattering angle.
+        """
+        outer = float(self.radii_nm[-1])
+        sizes, shares = schulz_sizes(outer, self.deviation_nm, SIZES)
+        k = 2 * np.pi * self.n_effective / self.wavelengths_nm
+        x = k * (self.radii_nm / outer)[:, None, None] * sizes[:, None]  # [layer, size, wavelength]
+        sizes_x = x if np.any(k.imag > 0) else x.real
+        m = (self.n_layers / self.n_effective)[:, None]
+        a, b = mie_coefficients(default_order(float(np.abs(x).max())), sizes_x, m)
+        s1, s2 = mie_amplitudes(a, b, cosines)  # [size, wavelength, cos]
+        eta = 2 * k.imag * sizes[:, None]
+        near = np.sqrt(np.exp(-eta) * _surface_factor(eta))[..., None]
+        s1, s2 = s1 * near, s2 * near
+        q = 2 * np.abs(k)[:, None] * np.sqrt(np.maximum(0.5 * (1 - cosines), 0.0))
+        number = self.volume_fraction / (4 / 3 * np.pi * float(np.sum(shares * sizes**3)))
+        if len(sizes) == 1 or self.structure is not None:
+            power = np.sum(shares[:, None, None] * np.abs(np.stack([s1, s2])) ** 2, axis=1)
+            factor = self.structure or (lambda y: percus_yevick(y, self.volume_fraction))
+            light = number * power * factor(q * 2 * outer)
+        else:
+            light = mixture_power(q, 2 * sizes, number * shares, np.stack([s1, s2]))
+        return np.asarray(light / np.abs(k)[:, None] ** 2)
+
+
+def _surface_factor(eta: Array) -> Array:
+    """G(eta)/2 of the note: 1/(e^eta/eta + (1 - e^eta)/eta^2)/2, which tends to 1."""
+    z = np.where(eta < SMALL_ETA, 1.0, eta)
+    closed = 0.5 / (np.exp(z) / z - np.expm1(z) / z**2)
+    return np.asarray(np.where(eta < SMALL_ETA, 1 - 2 * eta / 3, closed))
+
+
+@dataclass(frozen=True, eq=False)
+class Medium:
+    """A turbid medium, for transport.
+
+    Attributes:
+        wavelengths_nm: `[wavelength]`.
+        index: `[wavelength]`, |n_e|, of the faces.
+        scattering, absorption: `[wavelength]`, in 1/nm.
+        asymmetry: `[wavelength]`, the mean scattering cosine g; often negative.
+        phase: `[wavelength, cos]`, 1/sr, on uniform nodes of the scattering cosine in [-1, 1]; integrates to one as
+            it is interpolated linearly.
+        moments: `[wavelength, l]`, of its Legendre series, p = sum_l (2 l + 1)/(4 pi) moments_l P_l.
+    """
+
+    wavelengths_nm: Array
+    index: Array
+    scattering: Array
+    absorption: Array
+    asymmetry: Array
+    phase: Array
+    moments: Array
+
+    @property
+    def extinction(self) -> Array:
+        """Scattering and absorption, in 1/nm."""
+        return self.scattering + self.absorption
+
+    @property
+    def scattering_length_nm(self) -> Array:
+        """Mean path between two scattering events."""
+        return np.asarray(1.0 / self.scattering)
+
+    @property
+    def transport_length_nm(self) -> Array:
+        """Mean path after which the direction is forgotten."""
+        return np.asarray(1.0 / (self.scattering * (1.0 - self.asymmetry)))
+
+    def at(self, bands: NDArray[np.intp]) -> Medium:
+        """Return it at some of its wavelengths."""
+        return Medium(**{field.name: getattr(self, field.name)[bands] for field in fields(self)})
+
+    def quantiles(self) -> Array:
+        """The scattering cosine below which a share u is scattered, `[wavelength, u]`, uniform u in [0, 1]."""
+        return phase_quantiles(self.phase)
+
+
+def solve_medium(spheres: Spheres, moments: int = 48) -> Medium:
+    """Sum the light of the spheres over all directions.
+
+    Absorption is that of the whole composite, 4 pi Im(n_e)/lambda, of spheres and matrix alike.
+
+    Args:
+        spheres: and the medium they lie in.
+        moments: Legendre moments kept.
+    """
+    cosines, weights = gauss_rule(GAUSS_NODES)
+    nodes = np.linspace(-1.0, 1.0, PHASE_NODES)
+    light = spheres.cross_section(np.concatenate([cosines, nodes]))
+    gauss, table = light[:, :GAUSS_NODES], light[:, GAUSS_NODES:]
+    scattering = 2 * np.pi * gauss @ weights
+    shares = gauss * weights * (2 * np.pi / scattering)[:, None]
+    legendre = np.polynomial.legendre.legvander(cosines, moments - 1)
+    step = nodes[1] - nodes[0]
+    interpolated = 2 * np.pi * step * (table.sum(axis=1) - 0.5 * (table[:, 0] + table[:, -1]))
+    return Medium(
+        wavelengths_nm=spheres.wavelengths_nm,
+        index=np.abs(spheres.n_effective),
+        scattering=scattering,
+        absorption=4 * np.pi * spheres.n_effective.imag / spheres.wavelengths_nm,
+        asymmetry=shares @ cosines,
+        phase=table / interpolated[:, None],
+        moments=shares @ legendre,
+    )
+
+
+def phase_quantiles(phase: Array, count: int = QUANTILE_NODES) -> Array:
+    """Invert the running sum of a phase function, `[..., cos]` to `[..., u]`, both on uniform nodes."""
+    nodes = np.linspace(-1.0, 1.0, phase.shape[-1])
+    step = nodes[1] - nodes[0]
+    u = np.linspace(0.0, 1.0, count)
+    out = np.empty((*phase.shape[:-1], count))
+    for where in np.ndindex(phase.shape[:-1]):
+        p = phase[where]
+        running = np.concatenate([[0.0], np.cumsum((p[1:] + p[:-1]) / 2) * step])
+        wanted = u * running[-1]
+        i = np.clip(np.searchsorted(running, wanted, side="right") - 1, 0, len(p) - 2)
+        # within a cell the density is linear: its integral is solved for the place, in the form that never cancels
+        left, slope, rest = p[i], (p[i + 1] - p[i]) / step, wanted - running[i]
+        reach = np.sqrt(np.maximum(left**2 + 2 * slope * rest, 0.0)) + left
+        out[where] = np.clip(nodes[i] + np.where(reach > 0, 2 * rest / np.where(reach > 0, reach, 1.0), 0.0), -1, 1)
+    return out

@@ -1,0 +1,417 @@
+"""The recipe of a photonic glass: its keys, what they allow, and the material that they build."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+import pydantic
+
+from nacre.arrays import Array
+from nacre.bsdf.base_spec import OF_OTHER_FAMILY, BaseSpec, Widths, interface_roughness, nested_strata
+from nacre.errors import MaterialRangeError, NacreError
+from nacre.families.glass.balls import Balls
+from nacre.families.glass.balls_spec import BallsSpec
+from nacre.families.glass.composite import INDEX_NM, Composite, EffectiveDispersion
+from nacre.families.glass.material import FastGlass, Glass, Layer
+from nacre.matter.indices.constant import OpticalConstant
+from nacre.matter.indices.spec import IndexSpec
+from nacre.recipe.columns import two_columns
+from nacre.recipe.model import RecipeContext, RecipeModel, show_value
+
+DENSEST = 0.64  # random packing of equal spheres
+FEWEST_LAYERS = 3  # of diameters in the thickness: less is no continuum
+LARGEST_NM = 500.0  # of the outer radius: larger spheres have no effective medium in visible light
+WIDEST_RELATIVE_SIZE = 0.2  # of deviation over radius
+MAX_THICKNESS_NM = 1e8
+MAX_STRATA = 8
+OF_ONE_LAYER = ("thickness_nm", "matrix", "spheres", "absorber", "balls", "surface", "model")
+
+Positive = Annotated[float, pydantic.Field(gt=0.0)]
+NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
+
+
+class ShellSpec(RecipeModel):
+    """A coat round every sphere; hollow spheres are a core of air with a shell."""
+
+    forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 20}',)
+
+    material: IndexSpec = pydantic.Field(description="what the shell is made of")
+    thickness_nm: Annotated[float, pydantic.Field(gt=0.0, le=LARGEST_NM)] = pydantic.Field(
+        description="thickness of the shell, from the core's radius outward", examples=[20]
+    )
+
+
+class SpheresSpec(RecipeModel):
+    """The spheres, packed in disorder."""
+
+    forms: ClassVar[tuple[str, ...]] = (
+        '{material = "PS", radius_nm = 125, volume_fraction = 0.55}',
+        '{material = "air", radius_nm = 90, volume_fraction = 0.45, shell = {material = "TiO2", thickness_nm = 20}}',
+    )
+
+    material: IndexSpec = pydantic.Field(description="what the core of a sphere is made of")
+    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=LARGEST_NM)] = pydantic.Field(
+        description="mean radius of the core", examples=[125]
+    )
+    deviation_nm: NotNegative = pydantic.Field(
+        default=0.0,
+        description="standard deviation of the outer radius, at most 0.2 of it; core and shell keep their proportion",
+        examples=[6],
+    )
+    volume_fraction: Annotated[float, pydantic.Field(gt=0.0)] = pydantic.Field(
+        json_schema_extra={"maximum": DENSEST},
+        description="share of the volume that whole spheres fill, at most 0.64, the densest random packing",
+        examples=[0.55],
+    )
+    shell: ShellSpec | None = pydantic.Field(default=None, description="a coat round the core")
+
+    @pydantic.model_validator(mode="after")
+    def _check(self) -> SpheresSpec:
+        if self.volume_fraction > DENSEST:
+            raise ValueError(
+                f"volume_fraction = {self.volume_fraction:g} is not allowed; it should be at most {DENSEST:g}, "
+                "the densest random packing of spheres"
+            )
+        if self.outer_nm > LARGEST_NM:
+            raise ValueError(
+                f"radius_nm = {self.radius_nm:g} with its shell is not allowed; both together should be at most "
+                f"{LARGEST_NM:g}"
+            )
+        if self.deviation_nm > WIDEST_RELATIVE_SIZE * self.outer_nm:
+            raise ValueError(
+                f"deviation_nm = {self.deviation_nm:g} is not allowed; it should be at most "
+                f"{WIDEST_RELATIVE_SIZE:g} of the outer radius, {self.outer_nm:g}"
+            )
+        return self
+
+    @property
+    def outer_nm(self) -> float:
+        """Radius with the shell."""
+        return self.radius_nm + (self.shell.thickness_nm if self.shell else 0.0)
+
+
+class AbsorberSpec(RecipeModel):
+    """Black in the matrix, such as carbon or melanin, which keeps white light from drowning the colour."""
+
+    one_of: ClassVar[tuple[str, ...]] = ("k", "material")
+    forms: ClassVar[tuple[str, ...]] = (
+        "{k = 0.002}",
+        "{material = {n = 1.8, k = 0.6}, volume_fraction = 0.003}",
+    )
+
+    k: float | None = pydantic.Field(
+        json_schema_extra={"minimum": 0},
+        default=None,
+        description="extinction coefficient that it gives the matrix",
+        examples=[0.002],
+    )
+    material: IndexSpec | None = pydantic.Field(
+        default=None, description="in place of k: what the absorber is made of; only its k counts"
+    )
+    volume_fraction: Annotated[float, pydantic.Field(gt=0.0, le=0.3)] | None = pydantic.Field(
+        default=None, description="with material: share of the matrix that it fills", examples=[0.003]
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _one_form(self) -> AbsorberSpec:
+        if (self.k is None) == (self.material is None):
+            raise ValueError("give k or material, one of the two")
+        if (self.material is None) != (self.volume_fraction is None):
+            raise ValueError("material and volume_fraction belong together; give both, or k alone")
+        if self.k is not None and self.k < 0:
+            raise ValueError(
+                f"k = {self.k:g} is not allowed; it should be 0 or more: n + ik with k >= 0 absorbs, and k < 0 would "
+                "be gain"
+            )
+        return self
+
+
+class SurfaceSpec(RecipeModel):
+    """The upper face."""
+
+    forms: ClassVar[tuple[str, ...]] = ("{roughness = 0.1}",)
+
+    roughness: Widths = pydantic.Field(
+        default=0.0, description="alpha of the upper face, or [alpha_x, alpha_y]; 0 is smooth", examples=[0.1]
+    )
+    distribution: Literal["ggx", "beckmann"] = pydantic.Field(
+        default="ggx", description="distribution of that face's facet normals"
+    )
+    compensate: bool = pydantic.Field(
+        default=False,
+        description="give back the light that facets of the face scatter among each other",
+        examples=[True],
+    )
+
+
+class StructureSpec(RecipeModel):
+    """How the spheres are ordered: "percus-yevick", or a file of the structure factor."""
+
+    one_of: ClassVar[tuple[str, ...]] = ("name", "sq")
+    shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ({"enum": ["percus-yevick"]},)
+    forms: ClassVar[tuple[str, ...]] = ('"percus-yevick"', '{sq = "s.csv"}')
+
+    name: Literal["percus-yevick"] | None = pydantic.Field(
+        default=None, description="kind of order; written alone it needs no table", examples=["percus-yevick"]
+    )
+    sq: str | None = pydantic.Field(
+        default=None,
+        description="in place of name: a file of two columns, q in 1/um, ascending, and S(q)",
+        examples=["s.csv"],
+    )
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _accept_name(cls, data: Any) -> Any:
+        if isinstance(data, Mapping | StructureSpec):
+            return data
+        if data != "percus-yevick":
+            raise ValueError(f'= {show_value(data)} is not known; write "percus-yevick" or {{sq = "s.csv"}}')
+        return {"name": data}
+
+    @pydantic.model_validator(mode="after")
+    def _one_source(self) -> StructureSpec:
+        if (self.name is None) == (self.sq is None):
+            raise ValueError('needs one of name, sq; write "percus-yevick" or {sq = "s.csv"}')
+        return self
+
+    def build(self, context: RecipeContext, outer_nm: float, place: str = "") -> Callable[[Array], Array] | None:
+        """Return S over q d, or None for hard spheres; beyond the file's ends its last values hold, and 1 above.
+
+        Raises:
+            RecipeError: the file is unusable.
+        """
+        if self.sq is None:
+            return None
+        key = f"{place}model.structure.sq"
+        table = two_columns(context, key, self.sq)
+        q, s = table[:, 0] * 1e-3, table[:, 1]
+        if len(q) < 4 or np.any(np.diff(q) <= 0) or q[0] < 0 or np.any(s < 0):
+            raise context.fail(key, self.sq, "must hold at least 4 rows of ascending q >= 0 in 1/um and S >= 0")
+        d = 2 * outer_nm
+        return lambda y: np.asarray(np.interp(y / d, q, s, right=1.0))
+
+
+class ModelSpec(RecipeModel):
+    """The model, where its own choice is not wanted."""
+
+    forms: ClassVar[tuple[str, ...]] = (
+        '{structure = "percus-yevick", effective_index = "bruggeman"}',
+        '{structure = {sq = "s.csv"}}',
+    )
+
+    structure: StructureSpec = pydantic.Field(
+        default=StructureSpec(name="percus-yevick"),
+        description='order of the spheres: "percus-yevick", or a file of S(q)',
+    )
+    effective_index: Literal["bruggeman", "maxwell-garnett"] = pydantic.Field(
+        default="bruggeman", description="mixing rule of the index that stands for spheres and matrix together"
+    )
+
+
+def _index(spec: IndexSpec, context: RecipeContext, extrapolate: str) -> OpticalConstant:
+    made = spec.build(context)
+    return made.with_extrapolation("edge") if extrapolate == "edge" else made
+
+
+def _check_layer(thickness_nm: float, spheres: SpheresSpec, balls: BallsSpec | None, model: ModelSpec) -> None:
+    """Check what keys of several tables have to do with each other.
+
+    Raises:
+        ValueError: saying what does not fit.
+    """
+    across = FEWEST_LAYERS * 2 * spheres.outer_nm
+    least, held = (across, "spheres") if balls is None else (FEWEST_LAYERS * 2 * balls.radius_nm, "balls")
+    if balls is not None and 2 * balls.radius_nm < across:
+        raise ValueError(
+            f"balls.radius_um = {balls.radius_nm / 1e3:g} is not allowed; {FEWEST_LAYERS} spheres should stand across "
+            f"a ball, a radius of at least {across / 2e3:g}"
+        )
+    if thickness_nm < least:
+        raise ValueError(
+            f"thickness_um = {thickness_nm / 1e3:g} is not allowed; it should hold {FEWEST_LAYERS} {held}, "
+            f"at least {least / 1e3:g}"
+        )
+    if model.effective_index == "maxwell-garnett" and spheres.shell is not None:
+        raise ValueError(
+            'model.effective_index = "maxwell-garnett" is not allowed with a shell; it should be "bruggeman"'
+        )
+
+
+Thickness = Annotated[float, pydantic.Field(gt=0.0, le=MAX_THICKNESS_NM)]
+
+
+class StratumSpec(RecipeModel):
+    """One layer of glass among several, with the keys that a recipe of one layer has at its top."""
+
+    forms: ClassVar[tuple[str, ...]] = (
+        '{thickness_um = 5, matrix = "air", spheres = {material = "PS", radius_nm = 110, volume_fraction = 0.55}, '
+        "absorber = {k = 0.002}}",
+    )
+
+    shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = (OF_OTHER_FAMILY,)
+
+    thickness_nm: Thickness = pydantic.Field(
+        description="thickness of the stratum, usually written with _um; at least three spheres", examples=[5000]
+    )
+    matrix: IndexSpec = pydantic.Field(
+        default=IndexSpec.model_validate("air"), description="what lies between the spheres"
+    )
+    spheres: SpheresSpec = pydantic.Field(description="the spheres")
+    absorber: AbsorberSpec | None = pydantic.Field(default=None, description="black in the matrix")
+    balls: BallsSpec | None = pydantic.Field(
+        default=None, description="the glass is no even layer, but balls of it in a binder, as in a paint"
+    )
+    surface: SurfaceSpec = pydantic.Field(default=SurfaceSpec(), description="the upper face")
+    model: ModelSpec = pydantic.Field(
+        default=ModelSpec(), description="details of the computation, where its own choice is not wanted"
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _check(self) -> StratumSpec:
+        _check_layer(self.thickness_nm, self.spheres, self.balls, self.model)
+        return self
+
+    def build(self, context: RecipeContext, extrapolate: str, key: str = "") -> Layer:
+        """Return the stratum; `key` is where it stands in the recipe, with a dot behind it.
+
+        Raises:
+            RecipeError: a file is not usable, or the effective index cannot be solved.
+        """
+        spheres, absorber = self.spheres, self.absorber
+        layers = [(spheres.material, spheres.radius_nm)]
+        if spheres.shell is not None:
+            layers.append((spheres.shell.material, spheres.outer_nm))
+        black = None
+        if absorber is not None and absorber.material is not None and absorber.volume_fraction is not None:
+            black = (_index(absorber.material, context, extrapolate), absorber.volume_fraction)
+        composite = Composite(
+            materials=tuple(_index(material, context, extrapolate) for material, _ in layers),
+            radii_nm=tuple(radius for _, radius in layers),
+            volume_fraction=spheres.volume_fraction,
+            matrix=_index(self.matrix, context, extrapolate),
+            deviation_nm=spheres.deviation_nm,
+            matrix_k=0.0 if absorber is None or absorber.k is None else absorber.k,
+            absorber=black,
+            mixing=self.model.effective_index,
+            structure=self.model.structure.build(context, spheres.outer_nm, key),
+        )
+        try:
+            composite.effective_index(np.array([INDEX_NM]))
+        except MaterialRangeError:
+            pass  # told where a wavelength is asked for, with that wavelength
+        except NacreError as error:
+            name = f"{key}model.effective_index"
+            raise context.fail(name, self.model.effective_index, f"fails: {error}") from None
+        filling: Composite | Balls = composite
+        if self.balls is not None:
+            filling = self.balls.build(composite, context, extrapolate, key)
+        surface = interface_roughness(self.surface.roughness, self.surface.distribution, self.surface.compensate)
+        return Layer(filling, self.thickness_nm, surface)
+
+
+class GlassSpec(RecipeModel):
+    """Spheres packed in disorder in a matrix: colour that stays with the angle."""
+
+    example: ClassVar[Mapping[str, Any]] = {
+        "family": "glass",
+        "quality": "fast",
+        "thickness_um": 20,
+        "matrix": "air",
+        "spheres": {"material": "PS", "radius_nm": 120, "volume_fraction": 0.5},
+        "absorber": {"k": 0.002},
+    }
+
+    varies_by_nodes: ClassVar[tuple[str, ...]] = (
+        "thickness_nm",
+        "spheres.radius_nm",
+        "spheres.volume_fraction",
+        "spheres.shell.thickness_nm",
+        "absorber.k",
+        "absorber.volume_fraction",
+        "balls.radius_nm",
+        "balls.volume_fraction",
+        "surface.roughness",
+        "strata[].thickness_nm",
+        "strata[].spheres.radius_nm",
+        "strata[].spheres.volume_fraction",
+        "strata[].absorber.k",
+        "strata[].balls.volume_fraction",
+        "base.albedo",
+    )
+
+    family: Literal["glass"] = pydantic.Field(default="glass", description="the family's name")
+    title: str = pydantic.Field(default="", description="a title for figures", examples=["Blue feather"])
+    quality: Literal["reference", "fast"] = pydantic.Field(
+        default="reference",
+        description="reference: the random walk; fast: noise-free tables where they can be made",
+    )
+    thickness_nm: Thickness | None = pydantic.Field(
+        default=None,
+        description="thickness of the layer, usually written with _um; at least three spheres",
+        examples=[20000],
+    )
+    matrix: IndexSpec = pydantic.Field(
+        default=IndexSpec.model_validate("air"), description="what lies between the spheres"
+    )
+    spheres: SpheresSpec | None = pydantic.Field(default=None, description="the spheres")
+    absorber: AbsorberSpec | None = pydantic.Field(default=None, description="black in the matrix")
+    balls: BallsSpec | None = pydantic.Field(
+        default=None, description="the glass is no even layer, but balls of it in a binder, as in a paint"
+    )
+    surface: SurfaceSpec = pydantic.Field(default=SurfaceSpec(), description="the upper face")
+    strata: tuple[StratumSpec, ...] = pydantic.Field(
+        default=(),
+        max_length=MAX_STRATA,
+        description="in place of the keys of one layer: several of them, from the light's side inward",
+    )
+    base: BaseSpec = pydantic.Field(default=BaseSpec(), description="what lies below the layer")
+    model: ModelSpec = pydantic.Field(
+        default=ModelSpec(), description="details of the computation, where its own choice is not wanted"
+    )
+    extrapolate: Literal["error", "edge"] = pydantic.Field(
+        default="error",
+        description="outside the tabulated range of an optical constant: refuse, or hold the end values",
+    )
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _other_families(cls, data: Any) -> Any:
+        return nested_strata(data, "glass")
+
+    @pydantic.model_validator(mode="after")
+    def _check(self) -> GlassSpec:
+        given = [key for key in OF_ONE_LAYER if key in self.model_fields_set]
+        if self.strata:
+            if given:
+                raise ValueError(f"gives strata and {given[0].replace('_nm', '_um')}; write every layer in strata")
+            return self
+        for key in ("thickness_nm", "spheres"):
+            if getattr(self, key) is None:
+                raise ValueError(f"{key.replace('_nm', '_um')} is missing")
+        assert self.thickness_nm is not None and self.spheres is not None
+        _check_layer(self.thickness_nm, self.spheres, self.balls, self.model)
+        return self
+
+    def build(self, context: RecipeContext) -> Glass:
+        """Return the material.
+
+        Raises:
+            RecipeError: a file is not usable, or the effective index cannot be solved.
+        """
+        if self.strata:
+            layers = [s.build(context, self.extrapolate, f"strata[{i}].") for i, s in enumerate(self.strata)]
+        else:
+            single = StratumSpec.model_construct(**{key: getattr(self, key) for key in OF_ONE_LAYER})
+            layers = [single.build(context, self.extrapolate)]
+        first, below = layers[0], tuple(layers[1:])
+        inside = OpticalConstant(
+            "effective medium", EffectiveDispersion(layers[-1].composite), "spheres and matrix together"
+        )
+        base = self.base.build(context, inside)
+        made = Glass(first.composite, first.thickness_nm, first.surface, base, self.quality, below=below)
+        if self.quality != "fast" or made.why_not_fast() is not None:
+            return made
+        return FastGlass(first.composite, first.thickness_nm, first.surface, base, self.quality)
