@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from nacre.arrays import Array
 from nacre.errors import NacreError
-from nacre.files import plain, why_unreadable
+from nacre.exchange.curve_file import is_monotonic, read_curve
 
 LARGEST_GREY = 65535
 LARGEST_8_BIT = 255
@@ -99,29 +99,10 @@ def read_calibration(path: str | Path) -> Calibration:
         NacreError: not readable, fewer than two points, grey values out of range, or depths that are not monotonic.
     """
     path = Path(path)
-    try:
-        lines = plain(path).read_text(encoding="utf-8").splitlines()
-    except OSError as error:
-        raise NacreError(f"{path}: {why_unreadable(error)}") from None
-    except UnicodeDecodeError:
-        raise NacreError(f"{path}: is not a calibration curve: it is not text") from None
-    rows = []
-    for number, line in enumerate(lines, 1):
-        text = line.strip()
-        if not text or text[0] == "#" or text[0].isalpha():
-            continue
-        try:
-            grey, depth = (float(part) for part in text.replace(";", ",").split(","))
-        except ValueError:
-            raise NacreError(f"{path}: line {number}: {text[:60]!r} is not 'grey value, depth in um'") from None
-        rows.append((grey, depth))
-    if len(rows) < 2:
-        raise NacreError(f"{path}: a calibration curve needs at least two lines of grey value, depth in um")
-    table = np.array(sorted(rows))
-    if not np.isfinite(table).all() or table[0, 0] < 0 or table[-1, 0] > LARGEST_GREY:
+    table, _ = read_curve(path, "calibration curve", "grey value, depth in um")
+    if table[0, 0] < 0 or table[-1, 0] > LARGEST_GREY or not np.isfinite(table).all():
         raise NacreError(f"{path}: grey values must be from 0 to {LARGEST_GREY}, all numbers finite")
-    step = np.diff(table[:, 1])
-    if (np.diff(table[:, 0]) <= 0).any() or not ((step > 0).all() or (step < 0).all()):
+    if not is_monotonic(table):
         raise NacreError(f"{path}: the calibration curve is not monotonic; each grey value needs its own depth")
     is_8_bit = bool(table[-1, 0] <= LARGEST_8_BIT)
     return Calibration(table[:, 0] * (STRETCH if is_8_bit else 1.0), table[:, 1], path.name, is_8_bit)

@@ -9,7 +9,7 @@ best of a Sobol sample of the bounds, and a CMA-ES search takes over where least
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,28 +19,19 @@ import numpy as np
 from nacre.arrays import Array
 from nacre.errors import NacreError, RecipeError
 from nacre.exchange.gonio_csv import COLUMNS, GonioData, read_gonio_csv, read_table
+from nacre.materials import free as freedom
+from nacre.materials.descent import SCOUTS_PER_NUMBER, STEP, STOCHASTIC_STEP, apart, descend, draw
+from nacre.materials.free import Free, own_place, values_at
 from nacre.materials.material import Material
-from nacre.recipe.model import show_value
-from nacre.recipe.tables import FreeSpec, by_path, known_only
+from nacre.recipe.tables import by_path
 
 PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
 MOST_POWER, LEAST_POWER = 1.1, 0.05  # instruments err by less, at a white's end and at a black's
 MAX_FREE = 12
-SCOUTS_PER_NUMBER = 24
 UNDETERMINED_SHARE = 0.5  # a 95 % half width of half the bounds says nothing that the bounds did not
-STEP = 1e-4  # of the bounds: far above rounding, far below an interference fringe
-STOCHASTIC_STEP = 1e-2
+APART = 0.02  # of the bounds: starts that are not one
 RELATIVE_FLOOR = 0.01
 WEIGHTS = ("equal", "relative")
-
-
-@dataclass(frozen=True)
-class FreeNumber:
-    """A number of the recipe that the fit may change: its path and bounds."""
-
-    path: str
-    low: float
-    high: float
 
 
 @dataclass(frozen=True)
@@ -149,7 +140,7 @@ def read_measurement(path: str | Path) -> Measured:
     return Measured("spectrum", waves, values, parts, angles)
 
 
-def read_free(material: Material, options: tuple[str, ...] = ()) -> tuple[FreeNumber, ...]:
+def read_free(material: Material, options: tuple[str, ...] = ()) -> tuple[Free, ...]:
     """Collect the free numbers of the recipe's `[fit]` table and of `PATH=LOW:HIGH` options, which win.
 
     Raises:
@@ -162,21 +153,10 @@ def read_free(material: Material, options: tuple[str, ...] = ()) -> tuple[FreeNu
         bounds = text.split(":")
         if not equals or len(bounds) != 2:
             raise RecipeError(f'--free "{option}" cannot be read; write it like layers[0].thickness_nm=100:600')
-        table[path.strip()] = {"min": _number(bounds[0]), "max": _number(bounds[1])}
+        table[path.strip()] = [_number(bounds[0]), _number(bounds[1])]
     if not table:
         raise RecipeError(f"{source}: nothing is free; add a [fit] table or use --free PATH=LOW:HIGH")
-    if len(table) > MAX_FREE:
-        raise RecipeError(f"{source}: {len(table)} numbers are free; at most {MAX_FREE} are allowed")
-    free = []
-    for path, bounds_ in table.items():
-        known_only(bounds_, FreeSpec, f'{source}: fit."{path}"')
-        low, high = (bounds_.get("min"), bounds_.get("max")) if isinstance(bounds_, Mapping) else (None, None)
-        if not all(isinstance(b, int | float) and math.isfinite(b) for b in (low, high)) or not low < high:  # type: ignore[operator]  # checked finite numbers
-            raise RecipeError(f'{source}: fit."{path}" = {show_value(bounds_)} should be {{min = ..., max = ...}}')
-        free.append(FreeNumber(path, float(low), float(high)))  # type: ignore[arg-type]  # as above
-    for number in free:
-        material.vary({number.path: (number.low + number.high) / 2})  # an unknown path fails here, with its name
-    return tuple(free)
+    return freedom.read_free(table, material, source, "fit", MAX_FREE, words=False)
 
 
 def _number(text: str) -> float:
@@ -189,7 +169,7 @@ def _number(text: str) -> float:
 def run_fit(
     material: Material,
     measured: Measured,
-    free: tuple[FreeNumber, ...],
+    free: tuple[Free, ...],
     *,
     starts: int = 4,
     scouts: int = SCOUTS_PER_NUMBER,
@@ -215,6 +195,7 @@ def run_fit(
     """
     if weights not in WEIGHTS:
         raise NacreError(f'weights = "{weights}" is not known; choose one of {", ".join(WEIGHTS)}')
+    material = material.for_many()
     problem = _Problem(material, measured, free, samples, seed, weights)
     candidates = problem.scout(starts, scouts)
     ends: list[tuple[float, Array, Any]] = []
@@ -243,15 +224,13 @@ class _Problem:
         self,
         material: Material,
         measured: Measured,
-        free: tuple[FreeNumber, ...],
+        free: tuple[Free, ...],
         samples: int | None,
         seed: int,
         weights: str = "equal",
     ) -> None:
         self._material, self._measured, self._free = material, measured, free
         self._samples, self._seed = samples, seed
-        self._low = np.array([n.low for n in free])
-        self._span = np.array([n.high - n.low for n in free])
         self.evaluations = 0
         rms = float(np.sqrt(np.mean(measured.values**2))) or 1.0
         # a value near zero must not decide the fit, so its share of the noise has a floor
@@ -259,8 +238,7 @@ class _Problem:
         self._scale = shares if weights == "relative" else np.full(measured.values.shape, rms)
 
     def build(self, unit: Array) -> Material:
-        values = self._low + np.clip(unit, 0.0, 1.0) * self._span
-        return self._material.vary({n.path: float(v) for n, v in zip(self._free, values, strict=True)})
+        return self._material.vary(values_at(self._free, unit))
 
     def residual(self, unit: Array) -> Array:
         """Return (model - measurement) over the scale of the noise, flat; one that cannot be computed is far off."""
@@ -277,43 +255,25 @@ class _Problem:
 
     def scout(self, starts: int, scouts: int) -> list[Array]:
         """Return the recipe's own place and the best of a Sobol sample, well apart from one another."""
-        from scipy.stats import qmc
-
-        own = self._own()
+        own = own_place(self._free, self._material)
         if own is not None and starts == 0:
             return [own]
-        count = 2 ** math.ceil(math.log2(max(2, scouts * len(self._free))))
-        sample = qmc.Sobol(len(self._free), scramble=True, seed=self._seed).random(count)
+        sample = draw(len(self._free), scouts * len(self._free), self._seed)
         losses = np.array([np.sum(self.residual(unit) ** 2) for unit in sample])
-        chosen: list[Array] = []
-        if own is not None:
-            chosen.append(own)
+        chosen = [] if own is None else [own]
         for index in np.argsort(losses):
             if len(chosen) >= starts + (own is not None):
                 break
-            if all(np.max(np.abs(sample[index] - other)) > 0.02 for other in chosen):
+            if apart(sample[index], chosen, APART):
                 chosen.append(sample[index])
         return chosen
 
-    def _own(self) -> Array | None:
-        try:
-            values = np.array([float(self._material.get(n.path)) for n in self._free])
-        except (RecipeError, TypeError, ValueError, KeyError, IndexError):
-            return None
-        unit = (values - self._low) / self._span
-        return unit if np.all((unit >= 0) & (unit <= 1)) else None
-
     def refine(self, start: Array) -> tuple[float, Array, Array] | None:
         """Refine one start; CMA-ES goes on where finite differences see only noise."""
-        from scipy.optimize import least_squares
-
         step = STOCHASTIC_STEP if self._samples is not None else STEP
         begin = float(np.sum(self.residual(start) ** 2))
-        found = least_squares(
-            self.residual, np.clip(start, 1e-6, 1 - 1e-6), bounds=(0.0, 1.0), diff_step=np.full(len(start), step),
-            x_scale=1.0, xtol=1e-8, ftol=1e-8, gtol=1e-10, max_nfev=60,
-        )  # fmt: skip
-        unit, loss, jacobian = found.x, float(2 * found.cost), np.asarray(found.jac)
+        end = descend(self.residual, start, step=step)
+        unit, loss, jacobian = end.place, end.loss, end.slopes
         if loss > 0.999 * begin and self.relative(loss) > 0.02:
             unit, loss = self._cma(unit, loss)
             jacobian = self._jacobian(unit, step)
@@ -360,8 +320,9 @@ class _Problem:
         with np.errstate(invalid="ignore"):
             spread = np.sqrt(variance * np.nansum((rotation * inverse[:, None]) ** 2, axis=0))
         half = spread * float(t.ppf(0.975, freedom))
-        values = self._low + unit * self._span
         return tuple(
-            FittedNumber(n.path, float(v), float(h * s), bool(np.isfinite(h) and h < UNDETERMINED_SHARE))
-            for n, v, h, s in zip(self._free, values, half, self._span, strict=True)
+            FittedNumber(
+                n.path, n.value(u), float(h * (n.high - n.low)), bool(np.isfinite(h) and h < UNDETERMINED_SHARE)
+            )
+            for n, u, h in zip(self._free, unit, half, strict=True)
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from nacre._version import __version__
 from nacre.bsdf import Bsdf
 from nacre.bsdf.directions import direction
 from nacre.bsdf.lobes.table import TableLobe, directions_of
+from nacre.bsdf.texture import refuse_place
 from nacre.errors import NacreError
 from nacre.exchange.gonio_csv import LARGEST_VALUE, read_gonio_csv, write_gonio_csv
 from nacre.exchange.lobes import delta_lost, gonio_grid, gonio_table, is_isotropic, lost_parts, merl_lobe
@@ -30,24 +32,30 @@ IMPORTS = ".csv (goniometer), .binary (MERL), .bsdf (RGL tensor or Zemax), .gltf
 
 
 def export_material(
-    material: Material, target: str, path: Path, *, angle_step_deg: float = 10.0, wavelength_nm: float | None = None
+    material: Material, target: str, path: Path, *, angle_step_deg: float = 10.0, wavelength_nm: float | None = None,
+    illuminant: str = "D65", progress: Callable[[str], None] = lambda what: None,
 ) -> dict[str, Any]:
     """Write a material in another program's format.
 
     Args:
-        target: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr" or "nacre".
+        target: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr", "nacre" or "lut" (a folder).
         angle_step_deg: of the csv's direction grid.
         wavelength_nm: for a monochrome zemax file.
+        illuminant: that the colours of lut are for.
+        progress: told what is computed for lut.
 
     Returns:
         what was written: `lost` lists in words what the format cannot hold.
 
     Raises:
-        UnsupportedError: the format can hold nothing of the material.
+        UnsupportedError: the format can hold nothing of the material, or a formula runs over an object in a picture.
         NacreError: the file cannot be written.
     """
+    refuse_place(material.model, f"{material.context.source}: export")
     comment = f"nacre {__version__}, {material.name}\n{material.text}"
     facts: dict[str, Any] = {"format": target, "file": str(path), "lost": []}
+    if target == "lut":
+        return facts | _export_table(material, path, illuminant, progress)
     if target in ("gltf", "materialx"):
         return facts | _export_film(material, target, path)
     bsdf = material.bsdf()
@@ -76,6 +84,21 @@ def export_material(
         write_slice(path, bsdf, comment)
         facts["lost"] = ["all but one slice over (theta_half, theta_diff)"] + lost_parts(bsdf)
     return facts
+
+
+def _export_table(
+    material: Material, folder: Path, illuminant: str, progress: Callable[[str], None]
+) -> dict[str, Any]:
+    from nacre.exchange.lut.write import check_folder, write_table
+    from nacre.study.lut import make_table
+
+    check_folder(folder)
+    table = make_table(material, illuminant, progress)
+    files = write_table(folder, table)
+    return {
+        "illuminant": table.illuminant, "lost": list(table.lost), "files": [path.name for path in files],
+        "errors_dE00": {what: dict(told) for what, told in table.errors.items()},
+    }  # fmt: skip
 
 
 def _export_film(material: Material, target: str, path: Path) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar
 
 import pydantic
 
+from nacre.bsdf.texture import refuse_place
 from nacre.errors import NacreError, RecipeError
 from nacre.files import read_text
 from nacre.materials.material import Material, load
@@ -103,14 +104,15 @@ def load_sweep(path: str | Path) -> Sweep:
     text = read_text(path, "sweep")
     context = RecipeContext(str(path), path.parent.resolve(), text)
     spec: SweepSpec = validate(SweepSpec, parse_toml(text, str(path)), context)
-    material = load(path.parent / spec.recipe)
+    material = load(path.parent / spec.recipe).for_many()
     points = read_points(spec.axes, spec.mode, spec.count, spec.seed, str(path))
     measurement = _measurement(spec.measure, material, str(path))
     try:
-        material.vary(points.changes(0))
+        first = material.vary(points.changes(0))
     except NacreError as error:
         # a later point may fail and is recorded; when the first one does, the sweep is probably mistyped
         raise RecipeError(f"{path}: the first point cannot be built: {error}") from None
+    refuse_place(first.model, f"{path}: sweep")
     return Sweep(material, points, measurement, str(path), _files(material, points))
 
 

@@ -16,12 +16,14 @@ from nacre._version import __version__
 from nacre.arrays import Array
 from nacre.bsdf import Bsdf
 from nacre.bsdf.directions import direction
+from nacre.bsdf.texture import refuse_place
 from nacre.light import (
     SRGB_WHITE_XYZ,
     adapt_xyz,
     clip_to_srgb,
     delta_e_2000,
     lab_to_lch,
+    smooth_weights,
     spectrum_to_xyz,
     srgb_encode,
     srgb_to_hex,
@@ -74,7 +76,8 @@ class Report:
             45 is 0.
         gloss: gloss units at 20, 60 and 85 degrees, under illuminant C with the 2 degree observer as all haze.
         reflection_haze: ASTM E430 at 30 degrees, as a percentage of the specular flux; None for no specular flux.
-        hemispherical: `name -> luminous value` at normal incidence and 45 degrees.
+        hemispherical: `name -> luminous value` at normal incidence and 45 degrees; `lost_by_counting` where a recipe
+            counts as its source does and loses light that nothing absorbs.
         transmission_haze: ASTM D1003 percentage, None for an opaque material.
         noise: largest standard error of a reflectance factor, 0 where nothing is stochastic.
     """
@@ -106,6 +109,7 @@ def make_report(
     Raises:
         NacreError: the material cannot be computed.
     """
+    refuse_place(material.model, f"{material.context.source}: report")
     bsdf = colour_bsdf(material, illuminant)
     light = (illuminant, observer)
     wi = direction(np.radians(45.0))
@@ -115,6 +119,9 @@ def make_report(
     mirror = bsdf.specular(np.radians(SPECULAR_ANGLES_DEG)).reflectance
     spectrum = material.spectrum(np.radians([0.0, 45.0]), bsdf.wavelengths_nm)
     parts = {name: _luminous(value, spectrum.wavelengths_nm, *light) for name, value in spectrum.parts().items()}
+    lost = material.model.lost_at(np.radians([0.0, 45.0]), spectrum.wavelengths_nm, seed)
+    if lost is not None:
+        parts["lost_by_counting"] = _luminous(lost, spectrum.wavelengths_nm, *light)
     totals = {}
     for name, values in parts.items():
         for angle, value in zip((0, 45), values, strict=True):
@@ -143,7 +150,8 @@ def colour_table(
     what: str, angles_deg: tuple[float, ...], factors: Array, bsdf: Bsdf, illuminant: str, observer: str
 ) -> ColourTable:
     """Turn reflectance factors `[angle, wavelength]` into a table of colours."""
-    xyz = spectrum_to_xyz(factors, bsdf.wavelengths_nm, illuminant, observer)
+    # a random walk has few wavelengths: between them a spectrum is a smooth curve
+    xyz = np.asarray(factors @ smooth_weights(bsdf.wavelengths_nm, illuminant, observer))
     lab = xyz_to_lab(xyz, white_xyz(illuminant, observer))
     adapted = adapt_xyz(xyz, white_xyz(illuminant, observer), SRGB_WHITE_XYZ)  # white stays white under any illuminant
     rgb = clip_to_srgb(xyz_to_srgb_linear(np.clip(adapted, 0.0, None))).rgb
