@@ -15,7 +15,7 @@ test: setup lint
 	@$(PY) -m pytest -q -m "not full and not gpu" -n 2 --dist worksteal
 
 test-full: setup
-	@$(PY) -m pytest -q -m "full and not gpu" -n 2 --dist worksteal
+	@$(PY) -m pytest -q -m "full and not gpu" -n 2 --dist worksteal --durations=25
 
 # lines of src/nacre that the quick suite reaches, in all its processes; fails below the bar of pyproject.toml
 coverage: setup
@@ -44,6 +44,7 @@ bench: setup
 	@$(PY) -m benchmarks
 
 validate: setup
+	@$(PY) tools/bench_env.py validation || true
 	@$(PY) -m validation
 
 wheel: setup
@@ -55,4 +56,4 @@ docs: setup
 	@$(PY) -m sphinx -W --keep-going -b html docs docs/_build/html
 
 clean:
-	rm -rf .venv .llvm .venv-bench .venv-mutants build dist docs/_build
+	rm -rf .venv .llvm .venv-bench .venv-validate .venv-mutants .venv-cycles build dist docs/_build

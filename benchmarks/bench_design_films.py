@@ -18,16 +18,16 @@ CIELAB under both; the stacks come as far. Yield: the range is wide, from nothin
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
 from collections.abc import Callable, Iterable
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Row, Worker, parser, report
+from common import Kept, Row, Worker, parser, report
 from scipy.optimize import least_squares
 
 from nacre.design.goals import Goal, Goals, default_wavelengths_nm
@@ -36,7 +36,6 @@ from nacre.design.stack_search import StackSolution, many, search
 from nacre.light import SRGB_WHITE_XYZ, srgb_decode, srgb_linear_to_xyz, xyz_to_lab
 from nacre.matter.indices.library import index
 
-KEPT = Path(__file__).resolve().parent / "results" / "design_films.jsonl"
 GRID = default_wavelengths_nm()
 COATINGS = ("SiO2", "MgF2", "TiO2", "Si", "Ge", "Cr", "Ti", "W")
 BASES = ("Al", "Ag", "Au", "Cu", "W", "Cr", "Si")
@@ -211,35 +210,15 @@ EACH: dict[str, Callable[[int, int, Worker], dict[str, Any]]] = {
 
 def measure(kind: str, count: int, seed: int, keep: bool, judge: Worker) -> list[dict[str, Any]]:
     """Do the targets of a kind, those that are kept already left out."""
-    kept = {}
-    if keep and KEPT.exists():
-        lines = [json.loads(line) for line in KEPT.read_text(encoding="utf-8").splitlines()]
-        kept = {r["number"]: r for r in lines if (r["kind"], r["seed"]) == (kind, seed)}
-    if kind == "colour":
-        if len(kept) >= count:
-            return [kept[i] for i in range(count)]
-        found = [{"kind": kind, "seed": seed, "number": i, **r} for i, r in enumerate(colours(count, seed, judge))]
-        _keep(found if keep else [])
-        return found
+    kept = Kept("design_films", keep, kind=kind, seed=seed, **({"count": count} if kind == "colour" else {}))
+    if kind == "colour":  # all in one call
+        found = cache(lambda: colours(count, seed, judge))
+        return [kept.result(number, lambda number=number: found()[number]) for number in range(count)]
     results: list[dict[str, Any]] = []
-    number = 0
     while sum("skipped" not in r for r in results) < count:
-        if number in kept:
-            result = kept[number]
-        else:
-            result = {"kind": kind, "seed": seed, "number": number, **EACH[kind](number, seed, judge)}
-            _keep([result] if keep else [])
-        results.append(result)
-        print(json.dumps(result), file=sys.stderr, flush=True)
-        number += 1
+        number = len(results)
+        results.append(kept.result(number, partial(EACH[kind], number, seed, judge)))
     return results
-
-
-def _keep(results: list[dict[str, Any]]) -> None:
-    if results:
-        KEPT.parent.mkdir(exist_ok=True)
-        with KEPT.open("a", encoding="utf-8") as file:
-            file.writelines(json.dumps(r) + "\n" for r in results)
 
 
 def rows_of(kind: str, results: list[dict[str, Any]]) -> list[Row]:

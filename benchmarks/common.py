@@ -168,6 +168,40 @@ def report(name: str, rows: list[Row], as_json: bool, notes: Mapping[str, Any] |
     return 0 if passed else 1
 
 
+class Kept:
+    """Results of a long benchmark, kept as lines of JSON so that a stopped run goes on.
+
+    Only those of the same nacre, to the byte of its source, and of the same `facts` count.
+
+    Args:
+        name: of the file in `results`.
+        is_used: False neither reads nor writes.
+        facts: what else a result depends on, such as seed and seconds.
+    """
+
+    def __init__(self, name: str, is_used: bool, **facts: Any) -> None:
+        from nacre.recipe.identity import source_digest
+
+        self._path = ROOT / "benchmarks" / "results" / f"{name}.jsonl"
+        self._is_used, self._facts = is_used, {**facts, "source": source_digest()}
+        self._found: dict[int, dict[str, Any]] = {}
+        if is_used and self._path.exists():
+            lines = [json.loads(line) for line in self._path.read_text(encoding="utf-8").splitlines()]
+            self._found = {r["number"]: r for r in lines if self._facts.items() <= r.items()}
+
+    def result(self, number: int, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """Return a result that is kept, or measure it; it is told on stderr."""
+        found = self._found.get(number)
+        if found is None:
+            found = {"number": number, **self._facts, **measure()}
+            if self._is_used:
+                self._path.parent.mkdir(exist_ok=True)
+                with self._path.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(found) + "\n")
+        print(json.dumps(found), file=sys.stderr, flush=True)
+        return found
+
+
 def resident_mb() -> float:
     """Memory that this process has in use."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20

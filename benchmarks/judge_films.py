@@ -88,5 +88,15 @@ def made(
     return good / draws
 
 
+def rms(stack: dict[str, Any], angle_deg: float, wavelengths_nm: list[float], wanted: list[float]) -> float:
+    """Rms difference in per cent of the unpolarised reflectance from a wanted one, by `tmm`."""
+    nm, d = np.array(wavelengths_nm), [np.inf, *stack["thicknesses_nm"], np.inf]
+    media = [index(name).n_complex(nm) for name in (*stack["materials"], stack["substrate"])]
+    seen = [
+        tmm.unpolarized_RT([1.0, *(m[i] for m in media)], d, np.radians(angle_deg), w)["R"] for i, w in enumerate(nm)
+    ]
+    return float(100.0 * np.sqrt(np.mean((np.array(seen) - np.array(wanted)) ** 2)))
+
+
 if __name__ == "__main__":
-    serve({"labs": labs, "differences": differences, "made": made})
+    serve({"labs": labs, "differences": differences, "made": made, "rms": rms})

@@ -1,11 +1,12 @@
 """Render the pictures that README and gallery show, and store them small in docs/images.
 
-`python docs/make_images.py` makes all; names after it make some: `hero`, `gallery`, or names of the gallery.
+`python docs/make_images.py` makes all; names after it make some: `hero`, `glass`, `gallery`, or names of the gallery.
 They are committed, so that the documentation builds in minutes; make them anew when a picture has changed.
 """
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -35,6 +36,10 @@ class Panel:
     scene: str
     light: str | None = None
     spp: int = SPP
+    quality: str | None = None
+    shape: str | None = None
+    zoom: float = 1.0
+    view_turn_deg: float = 0.0
 
 
 # a bubble, a wing, a bottle / a car, a metasurface, a relief on a screen: all families, no two shapes alike
@@ -47,13 +52,27 @@ HERO = (
     Panel("targets/star.toml", "screen"),
 )
 
+# photonic glass as a feather, a paint and a tile; and its colour over the angle beside a film's and a pearl's
+GLASS = (
+    Panel("glass/feather_barb.toml", "sphere", quality="fast", shape="feather", zoom=1.1, view_turn_deg=-25.0),
+    Panel("glass/supraball_paint.toml", "body", light="street", quality="fast"),
+    Panel("glass/polystyrene_black.toml", "panel", quality="fast"),
+    Panel("blue-oxide.toml", "probe"),
+    Panel("pearl/bottle5_physical.toml", "probe", quality="fast"),
+    Panel("glass/polystyrene_black.toml", "probe", quality="fast"),
+)
+
 
 def _pixels(panel: Panel, folder: Path, scratch: Path) -> Image.Image:
     """Render one panel; a target is designed first."""
     source = folder / panel.recipe
     if panel.recipe.startswith("targets/"):
         source = _designed(source, scratch)
-    result = nacre.render(nacre.load(source), panel.scene, light=panel.light, size=PANEL, spp=panel.spp, progress=False)
+    shape = _feather(folder, scratch) if panel.shape == "feather" else panel.shape
+    result = nacre.render(
+        nacre.load(source), panel.scene, light=panel.light, size=PANEL, spp=panel.spp, quality=panel.quality,
+        shape=shape, up="z" if shape else None, zoom=panel.zoom, view_turn_deg=panel.view_turn_deg, progress=False,
+    )  # fmt: skip
     return Image.fromarray(np.asarray(result.srgb8))
 
 
@@ -64,20 +83,27 @@ def _designed(target: Path, scratch: Path) -> Path:
     return design
 
 
-def make_hero(folder: Path, scratch: Path) -> Path:
-    """Set the six panels three by two on a dark ground."""
+def _feather(folder: Path, scratch: Path) -> str:
+    """Write the mesh that `examples/feather.py` makes."""
+    mesh = scratch / "feather.obj"
+    subprocess.run([sys.executable, str(folder / "feather.py"), str(mesh)], check=True)
+    return str(mesh)
+
+
+def make_sheet(name: str, panels: tuple[Panel, ...], folder: Path, scratch: Path) -> Path:
+    """Set six panels three by two on a dark ground."""
     width, height = PANEL
     sheet = Image.new("RGB", (3 * width + 2 * GAP, 2 * height + GAP), GROUND)
-    for number, panel in enumerate(HERO):
-        print(f"hero: {panel.recipe}", flush=True)
-        kept = scratch / f"hero-{number}.png"  # so that a stopped run goes on
+    for number, panel in enumerate(panels):
+        print(f"{name}: {panel.recipe}", flush=True)
+        kept = scratch / f"{name}-{number}.png"  # so that a stopped run goes on
         if not kept.exists():
             _pixels(panel, folder, scratch).save(kept)
         row, column = divmod(number, 3)
         sheet.paste(Image.open(kept), (column * (width + GAP), row * (height + GAP)))
-    for kept in scratch.glob("hero-*.png"):
+    for kept in scratch.glob(f"{name}-*.png"):
         kept.unlink()
-    return _save(sheet, IMAGES / "families.jpg")
+    return _save(sheet, IMAGES / f"{name}.jpg")
 
 
 def make_thumbnail(picture: PictureSpec, folder: Path, scratch: Path) -> Path:
@@ -116,7 +142,9 @@ def main(names: list[str]) -> None:
         if not names or "gallery" in names or thumbnail_name(picture) in names:
             make_thumbnail(picture, folder, scratch)
     if not names or "hero" in names:
-        make_hero(folder, scratch)
+        make_sheet("families", HERO, folder, scratch)
+    if not names or "glass" in names:
+        make_sheet("glass", GLASS, folder, scratch)
 
 
 if __name__ == "__main__":

@@ -34,6 +34,33 @@ _not_rendered: list[str] = []
 _why: dict[str, str] = {}
 
 
+SLOW_CASES = Path(__file__).parent / "slow_cases.txt"
+
+
+def slow_cases() -> list[str]:
+    """Return the names of the cases that are too slow for the quick suite."""
+    if not SLOW_CASES.exists():  # a suite of its own, of a test
+        return []
+    lines = SLOW_CASES.read_text(encoding="utf-8").splitlines()
+    return [line for line in lines if line and not line.startswith("#")]
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark them `full`, before pytest chooses by mark; where all is collected, a name that no case has is an error."""
+    slow = dict.fromkeys(slow_cases(), False)
+    files = set()
+    for item in items:
+        files.add(item.nodeid.partition("::")[0])
+        for name in (item.nodeid, item.nodeid.partition("[")[0]):
+            if name in slow:
+                slow[name] = True
+                item.add_marker(pytest.mark.full)
+    whole = {name.partition("::")[0] for name in slow} <= files
+    if gone := [name for name, found in slow.items() if not found and whole]:
+        raise pytest.UsageError(f"{SLOW_CASES.name}: no such case: {', '.join(gone)}")
+
+
 def _why_no_render() -> str:
     if "render" not in _why:
         from nacre.device.variant import import_mitsuba, why_no_llvm

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -51,10 +52,16 @@ shakes = 1
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build the wheel, offline."""
-    folder = tmp_path_factory.mktemp("wheel")
+    """Build the wheel, offline, from a copy: two test processes that built in one checkout would undo each other."""
+    folder, copy = tmp_path_factory.mktemp("wheel"), tmp_path_factory.mktemp("copy")
+    for name in ("src", "examples"):
+        shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+    for file in ROOT.iterdir():
+        if file.is_file():
+            shutil.copy2(file, copy)
     build = ["wheel", ".", "--no-deps", "--no-build-isolation", "--no-index", "-w", str(folder)]
-    subprocess.run([sys.executable, *PIP, *build], cwd=ROOT, **QUIET)
+    done = subprocess.run([sys.executable, *PIP, *build], cwd=copy, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
     (found,) = folder.glob("nacre-*.whl")
     return found
 
@@ -101,6 +108,14 @@ def test_the_wheel_brings_the_examples_of_the_demo(installed: Path) -> None:
     )
     assert said.splitlines()[0].startswith(str(installed))
     assert said.splitlines()[1:] == ["True", "True"]
+
+
+def test_the_wheel_brings_the_page_of_the_studio(installed: Path) -> None:
+    page = ROOT / "src" / "nacre" / "studio" / "page"
+    wanted = {path.name: path.stat().st_size for path in page.iterdir()}
+    (found,) = installed.glob("lib/python*/site-packages/nacre/studio/page")
+    assert {path.name: path.stat().st_size for path in found.iterdir()} == wanted
+    assert sum(wanted.values()) < 1_000_000  # what a page may weigh
 
 
 def test_the_command_is_installed(installed: Path) -> None:

@@ -14,9 +14,16 @@ from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.spectrum import directional_hemispherical
 
 QUICK, FULL = 10, 200
+BLOCKS = [range(start, start + 38) for start in range(QUICK, FULL, 38)]  # side by side
 GRID_NM = np.array([420.0, 550.0, 680.0])  # physics is tested at a few wavelengths; colours are tested elsewhere
 ENERGY_BAR = 1.002
 RECIPROCITY_BAR = 1e-6  # of the largest value; tables are interpolated in double precision
+
+
+@pytest.fixture(autouse=True)
+def _no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing here is asked for twice; to pack and store it takes a third of the time."""
+    monkeypatch.setenv("NACRE_CACHE", "off")
 
 
 def pairs(g: np.random.Generator, count: int, both_sides: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -110,22 +117,29 @@ def test_ten_random_pearls() -> None:
     check_pearls(range(QUICK), 2000)
 
 
+def test_blocks_and_the_first_ten_are_two_hundred() -> None:
+    assert sorted([*range(QUICK), *(seed for block in BLOCKS for seed in block)]) == list(range(FULL))
+
+
 @pytest.mark.full
 def test_two_hundred_random_films() -> None:
     check_films(range(QUICK, FULL))
 
 
 @pytest.mark.full
-def test_two_hundred_random_reliefs(tmp_path: Path) -> None:
-    check_reliefs(range(QUICK, FULL), tmp_path)
+@pytest.mark.parametrize("seeds", BLOCKS)
+def test_two_hundred_random_reliefs(tmp_path: Path, seeds: range) -> None:
+    check_reliefs(seeds, tmp_path)
 
 
 @pytest.mark.full
-def test_two_hundred_random_metasurfaces() -> None:
-    check_metasurfaces(range(QUICK, FULL))
+@pytest.mark.parametrize("seeds", BLOCKS)
+def test_two_hundred_random_metasurfaces(seeds: range) -> None:
+    check_metasurfaces(seeds)
 
 
 @pytest.mark.full
 @pytest.mark.render
-def test_two_hundred_random_pearls() -> None:
-    check_pearls(range(QUICK, FULL), 1000)
+@pytest.mark.parametrize("seeds", BLOCKS)
+def test_two_hundred_random_pearls(seeds: range) -> None:
+    check_pearls(seeds, 1000)

@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
-# Make the checkout ready: a virtual environment with pinned packages, and a libLLVM that Mitsuba can use.
+# Make the checkout ready: a virtual environment with pinned packages, a libLLVM that Mitsuba can use, and a chromium
+# for the tests of the studio's page.
 # Safe to run again: it returns at once when nothing has changed.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 python=${PYTHON:-python3}
 stamp=.venv/.nacre-stamp
-wanted=$(cat pyproject.toml constraints.txt tools/setup.sh tools/get_llvm.sh | cksum)
+wanted=$(cat pyproject.toml constraints.txt tools/setup.sh tools/get_llvm.sh tools/get_chromium.sh | cksum)
 
 if [ ! -f "$stamp" ] || [ "$(cat "$stamp")" != "$wanted" ]; then
     "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || {
@@ -26,6 +27,7 @@ if [ ! -f "$stamp" ] || [ "$(cat "$stamp")" != "$wanted" ]; then
     .venv/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[study,test]' \
         2> >(grep -v 'is ignored: it is neither a file' >&2)
     bash tools/get_llvm.sh
+    bash tools/get_chromium.sh
     echo "$wanted" > "$stamp"
     echo "setup: ready"
 elif [ ! -e .llvm/ok ]; then

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,57 @@ from nacre.light import spectrum_to_xyz, xyz_to_lab, xyz_to_xyy
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "pearl"
 SRGB = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06], [0.64, 0.33]])
 GRID_NM = np.arange(360.0, 831.0, 10.0)
+COUNTINGS = ("physical", "published")
+_counting = ["physical"]  # how flakes are counted now; see `counted`
 MIDDLE_GREY = 0.1842  # luminance of L* = 50: chroma is compared there, so that brightness does not pass for it
+
+
+@contextmanager
+def counted(how: str) -> Iterator[None]:
+    """Count the flakes of all that is made within as "physical" or as "published", whatever the recipes say."""
+    before, _counting[0] = _counting[0], how
+    try:
+        yield
+    finally:
+        _counting[0] = before
+
+
+def counting() -> str:
+    """How flakes are counted now."""
+    return _counting[0]
+
+
+def material_of(recipe: Any) -> nacre.Material:
+    """The material of a file or a dictionary, its flakes counted as they are now."""
+    material = nacre.load(recipe) if isinstance(recipe, str | Path) else nacre.material(recipe)
+    return material.vary({
+        f"strata[{i}].platelets[{j}].counting": counting()
+        for i, stratum in enumerate(material.data["strata"]) for j in range(len(stratum.get("platelets", ())))
+    })  # fmt: skip
+
+
+def in_both_countings(
+    judge: Callable[[], list[dict[str, Any]]], why: dict[str, str] | None = None
+) -> list[dict[str, Any]]:
+    """Ask the same of both countings: one row a claim with the columns "physical" and "as printed", and who is right.
+
+    Args:
+        judge: returns the rows of `row`, in the same order whatever the counting.
+        why: claim -> what the verdict on a claim that holds in neither counting says; default: "false".
+    """
+    found = {}
+    for how in COUNTINGS:
+        with counted(how):
+            found[how] = judge()
+    rows = []
+    for physical, printed in zip(*(found[how] for how in COUNTINGS), strict=True):
+        good, well = (one["verdict"] == "holds" for one in (physical, printed))
+        verdict = "holds" if good else "holds only as printed, not physical"
+        if not (good or well):
+            verdict = (why or {}).get(physical["claim"], "false: in neither counting")
+        rows.append({**physical, "ours": f"{physical['ours']}{'' if good else ' (no)'}",
+                     "printed": f"{printed['ours']}{'' if well else ' (no)'}", "verdict": verdict})  # fmt: skip
+    return rows
 
 
 def baked(recipe: Any, effort: float) -> Any:
@@ -27,7 +79,7 @@ def baked(recipe: Any, effort: float) -> Any:
         recipe: a file or a dictionary.
         effort: 1 for the usual number of walks.
     """
-    material = nacre.load(recipe) if isinstance(recipe, str | Path) else nacre.material(recipe)
+    material = material_of(recipe).vary({"quality": "reference"})
     (lobe,) = [lobe for lobe in material.bsdf(GRID_NM).lobes if isinstance(lobe, Layered)]
     return tables(lobe, effort)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 import nacre
 from nacre.bsdf import Bsdf
 from nacre.light import delta_e_2000, xyz_to_lab
-from validation._pearl import GRID_NM, Array, baked
+from validation._pearl import GRID_NM, Array, baked, material_of
 
 EFFORT = 0.06
 SPP, WALK_SPP = 49, 144
@@ -43,8 +42,7 @@ def c1(density: float, coating_nm: float, substrate: Any, **flake: Any) -> dict[
 
 def walked(recipe: Any) -> Bsdf:
     """The walk's Bsdf, at 10 nm."""
-    material = nacre.load(recipe) if isinstance(recipe, Path) else nacre.material(recipe)
-    return material.bsdf(GRID_NM)
+    return material_of(recipe).vary({"quality": "reference"}).bsdf(GRID_NM)
 
 
 def picture(bsdf: Bsdf, scene: str, size: tuple[int, int], spp: int = SPP, **settings: Any) -> Any:
@@ -70,8 +68,10 @@ def where(scene: str, size: tuple[int, int]) -> Any:
 
 
 def difference(a: Any, b: Any, on: Any) -> float:
-    """Median CIEDE2000 of two pictures over the object's blocks."""
-    return float(np.median(delta_e_2000(xyz_to_lab(blocks(a.xyz)[on]), xyz_to_lab(blocks(b.xyz)[on]))))
+    """Median CIEDE2000 of two pictures over the object's body: its blocks without the brightest tenth of either."""
+    one, other = blocks(a.xyz)[on], blocks(b.xyz)[on]
+    body = (one[:, 1] <= np.percentile(one[:, 1], 90)) & (other[:, 1] <= np.percentile(other[:, 1], 90))
+    return float(np.median(delta_e_2000(xyz_to_lab(one[body]), xyz_to_lab(other[body]))))
 
 
 def sheet(rows: list[list[tuple[str, Any]]], width: float) -> Any:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib import pyplot
 
-from nacre.families.pearl.medium import FlakeNormals, optical_number
+from nacre.arrays import Array
+from nacre.families.pearl.medium import FlakeNormals, optical_number, orthonormal_basis
 from nacre.families.pearl.platelet import Coating, Platelet, platelet_response
 from nacre.families.pearl.thickness import Thickness
 from nacre.matter.indices.spec import IndexSpec
@@ -18,6 +19,18 @@ LAM = np.array([450.0, 550.0, 650.0])
 FRACTIONS = (0.013, 0.066, 0.132)
 DRAWS = 4000
 RESIN = 1.575
+
+
+def draw_visible(normals: FlakeNormals, w: Array, rng: np.random.Generator) -> Array:
+    """Draw normals that a direction of the flake frame sees, `[draw, 3]`: a cosine lobe about S^(1/2) w, mapped."""
+    axis = w * normals.axes
+    axis = axis / np.linalg.norm(axis)
+    tangent, bitangent = orthonormal_basis(axis)
+    radius, phi = np.sqrt(rng.random(DRAWS)), 2 * np.pi * rng.random(DRAWS)
+    up = np.sqrt(1 - radius**2)
+    m = np.outer(radius * np.cos(phi), tangent) + np.outer(radius * np.sin(phi), bitangent) + np.outer(up, axis)
+    m = m * normals.axes
+    return np.asarray(m / np.linalg.norm(m, axis=1, keepdims=True))
 
 
 def main(out_dir: str | Path) -> list[dict[str, Any]]:
@@ -46,7 +59,7 @@ def main(out_dir: str | Path) -> list[dict[str, Any]]:
     factors = np.zeros((len(FRACTIONS), len(angles), len(LAM)))
     for a, angle in enumerate(angles):
         w = np.array([np.sin(angle), 0.0, np.cos(angle)])
-        m = normals.sample_visible(np.broadcast_to(w, (DRAWS, 3)), rng.random((DRAWS, 2)))
+        m = draw_visible(normals, w, rng)
         seen = np.abs(m @ w)
         which = rng.integers(len(taus), size=DRAWS)
         area = float(normals.projected_area(w))

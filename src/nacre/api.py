@@ -19,9 +19,13 @@ from nacre.bsdf.spectrum import Spectrum
 from nacre.design.wants.gamut import Gamut, find_gamut, parse_free
 from nacre.errors import UnsupportedError, did_you_mean
 from nacre.exchange.drawings import SUFFIXES, HeightOptions, write_drawing
+from nacre.exchange.number_maps import FORMATS as MAP_FORMATS
+from nacre.exchange.number_maps import SUFFIXES as MAP_SUFFIXES
+from nacre.exchange.number_maps import NumberMap, write_number_maps
 from nacre.families.contract import Model
 from nacre.files import check_writable
 from nacre.materials.material import Material, load
+from nacre.materials.number_maps import number_maps
 from nacre.matter.drawings import DrawingRequest
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
 from nacre.study.fit import Fit, read_free, read_measurement, run_fit
@@ -217,15 +221,16 @@ def export(thing: Material | str | Path, to: str, output: str | Path, **options:
 
     Args:
         thing: a material or a path.
-        to: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr" or "nacre".
-        output: the file.
+        to: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr", "nacre" or "lut".
+        output: the file; of "lut" the folder, which is new, empty or holds such tables.
         options: those of `nacre.study.foreign.export_material`.
 
     Raises:
         UnsupportedError: the format can hold nothing of the material.
         NacreError: the file cannot be written.
     """
-    check_writable(output)
+    if to != "lut":
+        check_writable(output)
     return export_material(_material(thing), to, Path(output), **options)
 
 
@@ -250,7 +255,7 @@ def fabricate(
     path: str | Path | None = None,
     *,
     size_mm: tuple[float, float] | None = None,
-    calibration: str | Path | None = None,
+    calibration: str | Path | Mapping[str, str | Path] | None = None,
     levels: int | None = None,
     pixels_per_feature: int = 1,
     base_um: float = 1.0,
@@ -261,12 +266,14 @@ def fabricate(
     Args:
         source: a material, its model, or the path of a recipe or a design folder.
         to: a relief: "png16", "tiff16", "stl", "gds", "oas" or "csv"; a metasurface: "gds", "oas", "csv" or
-            "sheet"; a film: "sheet".
+            "sheet"; a film: "sheet"; numbers that an image gives over the surface, of any family: "png16", "tiff16",
+            "npy", "csv", "gds" or "oas", a file each.
         path: where; default: what is drawn and the format's ending, in the design folder or the current one.
-        size_mm: repeat what is drawn over an area (x, y); default: one period.
+        size_mm: repeat what is drawn over an area (x, y); default: one period. Of maps: the size of the whole.
         calibration: CSV of grey value and depth in um, for images, or "published" for the built-in curve; default:
-            linear, 65,535 at the top and 0 at the deepest point of this relief.
-        levels: number of heights of a mask; default: as many as the heights have, or 16.
+            linear, 65,535 at the top and 0 at the deepest point of this relief. Of maps: a CSV of a machine's setting
+            and the value that it makes (volts, nm), or a table from the number's path to such a file.
+        levels: number of heights of a mask; default: as many as the heights have, or 16. Of maps: of their values.
         pixels_per_feature: pixels along a feature's side, for images.
         base_um: thickness of an STL's base.
         seed: of positions drawn at random; default: the recipe's.
@@ -287,9 +294,23 @@ def fabricate(
     assert isinstance(model, Model)
     drawers = model.fabrications
     if to not in drawers:
-        known = f"Formats: {', '.join(drawers)}" if drawers else "It has none: nothing of it can be drawn"
+        maps = number_maps(source) if isinstance(source, Material) else []
+        if maps and to in MAP_FORMATS:
+            target = Path(path) if path is not None else folder / f"{_maps_stem(maps)}{MAP_SUFFIXES[to]}"
+            return write_number_maps(
+                maps, to, target, name, size_mm=size_mm, calibration=calibration, levels=levels
+            )  # fmt: skip
+        formats = [*drawers, *(MAP_FORMATS if maps else ())]
+        known = f"Formats: {', '.join(formats)}" if formats else "It has none: nothing of it can be drawn"
         raise UnsupportedError(f"{name}: --to {to} is not known for a {model.noun}.{did_you_mean(to, drawers)} {known}")
+    if isinstance(calibration, Mapping):
+        raise UnsupportedError(f"{name}: --calibration PATH=CSV is for maps of numbers; --to {to} takes one curve")
     drawing = drawers[to](DrawingRequest(size_mm, seed))
     target = Path(path) if path is not None else folder / f"{drawing.stem}{SUFFIXES[to]}"
     options = HeightOptions(size_mm, calibration, levels, pixels_per_feature, base_um)
     return write_drawing(drawing, to, target, name, options)
+
+
+def _maps_stem(maps: list[NumberMap]) -> str:
+    """Return how the files of maps are called: one by its number; several get their paths added."""
+    return maps[0].slug if len(maps) == 1 else "map"

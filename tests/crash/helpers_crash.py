@@ -48,8 +48,14 @@ class Forker:
         self._last = int(self._read())
         return self._last
 
-    def survivors(self) -> list[psutil.Process]:
-        """Return what still runs of what the last command started."""
+    def survivors(self, within_s: float = 10.0) -> list[psutil.Process]:
+        """Return what of the last command's processes still runs, once they had time to see that it is dead."""
+        until = time.monotonic() + within_s
+        while (found := self._running()) and time.monotonic() < until:
+            time.sleep(0.05)
+        return found
+
+    def _running(self) -> list[psutil.Process]:
         found = []
         for process in psutil.process_iter():
             with contextlib.suppress(OSError, psutil.Error):

@@ -24,7 +24,7 @@ NAME = re.compile(r"#\s*([\w./-]+\.(?:toml|csv))\s*$")
 QUICK_RENDER = ["--size", "24x24", "--spp", "1"]
 QUICK_FRAMES = ["--frames", "2"]
 QUICK_SEARCH_S = 2
-NOT_RUN_HERE = ("nacre demo",)  # it has tests of its own
+NOT_RUN_HERE = ("nacre demo", "nacre studio")  # they have tests of their own
 
 
 def _pages() -> list[Path]:

@@ -240,3 +240,20 @@ def test_the_examples_of_the_docstrings_hold():
     np.testing.assert_allclose(light.clip_to_srgb([0, 1.1, -0.2]).rgb, [0.617, 0.896, 0.0], atol=6e-4)
     assert (light.colour_step_nm(300 * 1.33), light.colour_step_nm(2000 * 1.5)) == (10.0, 2.0)
     assert (len(light.default_wavelengths()), len(light.default_wavelengths(3000))) == (48, 236)
+
+
+@pytest.mark.parametrize("illuminant", ["D65", "F2", "F11"])
+def test_the_few_wavelengths_of_a_walk_keep_the_colour_of_a_pigment_with_fringes(illuminant):
+    from nacre.measure.walk_wavelengths import WALK_NM
+
+    fine = np.arange(380.0, 781.0)
+    grid = light.with_lamp_lines(WALK_NM, illuminant)
+    white = light.white_xyz(illuminant, "10deg")
+    worst = 0.0
+    # two waves of path up to 3 um, as of a coated mica flake of 400 nm with 120 nm of titania on each side
+    for first, second in ((600.0, 2300.0), (900.0, 2800.0), (1500.0, 3000.0)):
+        curve = 0.35 + 0.2 * np.cos(2 * np.pi * first / fine) + 0.1 * np.cos(2 * np.pi * second / fine + 1.0)
+        true = light.xyz_to_lab(light.spectrum_to_xyz(curve, fine, illuminant, "10deg"), white)
+        xyz = np.interp(grid, fine, curve) @ light.smooth_weights(grid, illuminant, "10deg")
+        worst = max(worst, float(light.delta_e_2000(true, light.xyz_to_lab(xyz, white))))
+    assert worst <= STEP_BAR

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from nacre.arrays import Array
+from nacre.bsdf.interface_loss import interface_loss
 from nacre.bsdf.lobes.layered import Layered
 from nacre.bsdf.roughness import Roughness
 from nacre.families.pearl.dye import Dye, DyeResponse, dye_response
-from nacre.families.pearl.interface import interface_loss
 from nacre.families.pearl.medium import (
     FlakeNormals,
     cos_nodes,
@@ -41,6 +42,7 @@ def dissolved_dye(strength: float = 1.0) -> DyeResponse:
     return DyeResponse(strength * np.geomspace(1.5, 0.15, len(WAVELENGTHS_NM)), np.zeros(len(WAVELENGTHS_NM)))
 
 
+@functools.cache
 def sphere_dye(radius_nm: float = 150.0, fraction: float = 0.002) -> DyeResponse:
     """Spheres of many sizes that absorb and scatter (Mie), in 10 um of resin."""
     pigment = IndexSpec.model_validate({"n": 2.4, "k": 0.03}).build()

@@ -252,7 +252,6 @@ REFUSED = {
     "clear film": (GLASS, "lets light through"),
     "another ambient": ({**TI, "ambient": "water"}, 'ambient = "water" has n = 1.33'),
     "air named": ({**TI, "ambient": "air"}, "leave ambient out"),
-    "pearl": (PEARL, "is a pearl; write its strata below"),
     "blend with a pearl": (
         {"family": "blend", "first": {"recipe": "pearl.toml"}, "second": {"recipe": "titanium.toml"}, "mask": 0.5},
         "holds a pearl",

@@ -6,7 +6,7 @@ import pytest
 from nacre import plot
 from nacre.cli import main
 from nacre.errors import NacreError, UnsupportedError
-from nacre.light import spectrum_to_xyz, xyz_to_lab
+from nacre.light import smooth_weights, spectrum_to_xyz, xyz_to_lab
 from nacre.materials.material import material
 from nacre.measure.walk_wavelengths import WALK_NM, solve_coarse_walk
 from nacre.plot.material import plot_walk
@@ -115,7 +115,7 @@ def drawn_ab(figure):
 @pytest.mark.parametrize("lightness", [None, 50.0, 80.0])
 def test_tracks_show_the_samples_own_colours_and_scaled_ones_on_request(lightness):
     tracks = {"gloss": plot.angle_tracks(film(roughness=0).bsdf(NM), [10.0, 30.0, 50.0, 60.0])["gloss"]}
-    xyz = spectrum_to_xyz(tracks["gloss"].values, NM)
+    xyz = tracks["gloss"].values @ smooth_weights(NM, "D65", "2deg")
     if lightness is not None:
         xyz = xyz * ((lightness + 16) / 116) ** 3 / xyz[:, 1:2]
     figure = plot.tracks_figure(tracks, NM, lightness=lightness)

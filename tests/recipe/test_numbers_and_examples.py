@@ -68,7 +68,7 @@ def test_bad_numbers_get_one_line(numbers: Any, words: str) -> None:
 
 
 def test_an_unknown_name_says_what_is_known() -> None:
-    with pytest.raises(RecipeError, match=r'"drian" is not allowed; use u, v, t, .* names of \[numbers\]'):
+    with pytest.raises(RecipeError, match=r'"drian" is not allowed; use u, v, x, y, z, t, .* names of \[numbers\]'):
         nacre.material(_film("100*drian", numbers={"drain": 1.0}))
 
 
@@ -143,7 +143,7 @@ def test_all_files_of_the_examples_are_in_the_wheel() -> None:
     patterns = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["data-files"]
     shipped = {path for globs in patterns.values() for pattern in globs for path in root.glob(pattern)}
     there = {path for path in (root / "examples").rglob("*") if path.is_file() and "__pycache__" not in path.parts}
-    assert {path.name for path in there - shipped} <= {"mosaic.py"}
+    assert {path.name for path in there - shipped} <= {"feather.py", "mosaic.py", "photograph.py"}
 
 
 def test_a_file_of_ones_own_comes_before_an_example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

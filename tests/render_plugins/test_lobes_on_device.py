@@ -249,16 +249,19 @@ def test_draws_of_a_narrow_metal_follow_the_density_to_grazing_light(mi: Any, th
     assert outcome.passes(CHI_SQUARE_LEVEL, 2) and outcome.doubt < CHI_SQUARE_DOUBT, outcome
 
 
+STEEP_TO_GRAZING_DEG = (2.0, 75.0, 87.0)
+
+
 @pytest.mark.full
-@pytest.mark.parametrize("theta_deg", [2.0, 75.0])
-# The first lobes, for time. At 87 degrees, not asked here, Beckmann metals fail: their density integrates to 0.994, and
-# whether the plugin or this test is wrong is open.
-@pytest.mark.parametrize("name", CONTINUOUS[:9])
-def test_draws_follow_the_density_from_the_normal_to_75_degrees(mi: Any, name: str, theta_deg: float) -> None:
+@pytest.mark.parametrize("name", CONTINUOUS)
+def test_draws_follow_the_density_from_the_normal_to_87_degrees(mi: Any, name: str) -> None:
+    """At 87 degrees Beckmann fails if its density has the fit of the masking that its values have."""
     from adaptive_chi_square import lobe_chi_square
 
-    outcome = lobe_chi_square(bsdf_of(name), theta_deg, 40.0, uv=(0.3, 0.6))
-    assert outcome.passes(CHI_SQUARE_LEVEL, 2 * 9) and outcome.doubt < CHI_SQUARE_DOUBT, outcome
+    trials = len(CONTINUOUS) * len(STEEP_TO_GRAZING_DEG)
+    for theta in STEEP_TO_GRAZING_DEG:
+        outcome = lobe_chi_square(bsdf_of(name), theta, 40.0, samples=400_000, uv=(0.3, 0.6))
+        assert outcome.passes(CHI_SQUARE_LEVEL, trials) and outcome.doubt < CHI_SQUARE_DOUBT, (theta, outcome)
 
 
 def test_chi_square_is_asked_of_at_least_twenty_cases() -> None:

@@ -36,6 +36,27 @@ def test_before_the_first_pass_a_render_leaves_at_once(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_who_leaves_at_once_says_so_once() -> None:
+    """The main thread, free to hear of the interrupt too, must not say it again while the process ends."""
+    code = """
+import os, signal, time
+from nacre.picture.interrupt import leaving_at_once
+leave = os._exit
+os._exit = lambda status: (time.sleep(0.5), leave(status))
+try:
+    with leaving_at_once(130, "stopped"):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5)
+except KeyboardInterrupt:
+    time.sleep(0.1)
+    os.write(2, b"stopped\\n")
+    leave(130)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 130
+    assert done.stderr == "stopped\n"
+
+
 @pytest.mark.parametrize("delay_s", [0.05, 0.3, 0.7])
 def test_after_it_the_passes_done_are_written(tmp_path: Path, delay_s: float) -> None:
     """The interrupt comes while the renderer works, where Python's own would come out as another error."""

@@ -80,12 +80,23 @@ def test_passes_add_up_to_the_asked_spp() -> None:
     for spp in (1, 2, 5, 16, 100, 997):
         for most in (1, 7, 64, 4096):
             plan = passes.pass_plan(spp, most)
-            assert sum(plan) == spp and max(plan) <= most
+            assert sum(part.spp for part in plan) == spp and max(part.spp for part in plan) <= most
+            assert [part.first for part in plan] == [sum(p.spp for p in plan[:k]) for k in range(len(plan))]
+
+
+def test_sequences_take_turns_and_none_takes_a_sample_twice() -> None:
+    for spp, most in ((4, 1), (32, 64), (100, 3), (997, 64)):
+        plan = passes.pass_plan(spp, most, is_open=True)
+        assert sum(part.spp for part in plan) <= spp and plan[-1].ends_round
+        for sequence in range(passes.SEQUENCES):
+            own = [part for part in plan if part.sequence == sequence]
+            assert [part.first for part in own] == [sum(p.spp for p in own[:k]) for k in range(len(own))]
+            assert sum(part.spp for part in own) * passes.SEQUENCES == sum(part.spp for part in plan)
 
 
 def test_a_grey_sheet_is_grey_under_every_lamp() -> None:
     for lamp in ("D65", "A", "F11"):
-        result = nacre.render({"type": "diffuse", "reflectance": 0.5}, illuminant=lamp, size=(16, 16), spp=36)
+        result = nacre.render({"type": "diffuse", "reflectance": 0.5}, illuminant=lamp, size=(16, 16), spp=512)
         mean = result.rgb.mean(axis=(0, 1))
         assert mean / mean.mean() == pytest.approx(np.ones(3), abs=0.01)
 

@@ -14,6 +14,7 @@ from nacre.picture.camera import View, read_framing
 from nacre.picture.image_files import read_provenance
 from nacre.picture.images import toned
 from nacre.picture.lights.several import Lamp, read_lamps
+from nacre.picture.passes import TURN
 
 GREY = {"type": "diffuse", "reflectance": 0.5}
 QUICK: dict[str, Any] = {"size": (40, 40), "spp": 16, "exposure": 0.0, "progress": False}
@@ -207,7 +208,7 @@ def test_a_scene_can_be_had_as_a_dict_to_build_on() -> None:
 
 def test_a_picture_ends_by_one_rule_alone() -> None:
     result = nacre.render(GREY, seconds=0.01, size=(16, 16), progress=False)
-    assert result.stats["spp"] == 16 and not result.stats["interrupted"]
+    assert result.stats["spp"] == TURN and not result.stats["interrupted"]
     for wishes, words in (
         ({"spp": 4, "noise": 0.1}, "spp and noise: give one"),
         ({"noise": 0.0}, "noise = 0.0 is not allowed"),

@@ -12,7 +12,7 @@ from PIL import Image
 import nacre
 from nacre.errors import NacreError
 from nacre.picture.image_files import read_provenance
-from nacre.picture.scenes.catalogue import SCENES
+from nacre.picture.scenes.catalogue import SCENES, SHAPES
 from nacre.picture.scenes.subjects import read_mesh, stand_on_floor, subject_parts
 from nacre.picture.screen import BEAM_DEG, screen_directions
 from nacre.render import animation
@@ -59,6 +59,23 @@ def test_a_broken_mesh_is_one_line(tmp_path: Path, suffix: str, content: bytes) 
     with pytest.raises(NacreError) as caught:
         subject_parts(path, SCENES["sphere"])
     assert path.name in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("shape", [name for name in SHAPES if name != "body"])  # quick to build
+@pytest.mark.parametrize("place", SCENES)
+def test_every_shape_stands_whole_in_the_frame_of_every_scene(shape: str, place: str) -> None:
+    import mitsuba as mi
+
+    scene = SCENES[place]
+    view, (width, height) = scene.view, scene.size
+    sensor = mi.ScalarTransform4f().look_at(list(view.origin), list(view.target), list(view.up))
+    points = np.concatenate([part.points() for part in subject_parts(shape, scene)])
+    seen = np.c_[points, np.ones(len(points))] @ np.linalg.inv(np.array(sensor.matrix, dtype=float)).T
+    across = np.abs(seen[:, 0] / seen[:, 2]) / np.tan(np.radians(0.5 * view.fov_deg))
+    along = np.abs(seen[:, 1] / seen[:, 2]) / np.tan(np.radians(0.5 * view.fov_deg)) * width / height
+    assert (seen[:, 2] > 0).all() and across.max() <= 1.0 and along.max() <= 1.0
+    assert max(across.max(), along.max()) > 0.4  # and not lost in it
+    assert points[:, 2].min() == pytest.approx(0.0, abs=0.07)
 
 
 def test_our_shapes_go_by_name_in_any_scene(grey: Any) -> None:
@@ -230,3 +247,10 @@ def test_without_llvm_small_previews_still_render(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr[-2000:]
     assert (tmp_path / "p.png").exists()
+
+
+def test_a_frame_keeps_its_exposure_when_threads_sum_it_in_another_order() -> None:
+    from nacre.picture.images import auto_stops
+
+    xyz = np.random.default_rng(4).uniform(0.1, 0.9, (64, 64, 3))
+    assert auto_stops(xyz) == auto_stops(xyz * (1.0 + 1e-7)) == auto_stops(xyz * (1.0 - 1e-7))

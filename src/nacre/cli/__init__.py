@@ -6,6 +6,7 @@ once. Bad input ends with one line on stderr and status 2; `--debug` shows the t
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
 import sys
@@ -14,8 +15,12 @@ from typing import Any
 import click
 
 from nacre._version import __version__
+from nacre.cli.long_work import listener
 from nacre.cli.status import STATUS_BAD_INPUT, STATUS_INTERRUPTED, STOPPED, hold_closed_streams, say
 from nacre.errors import NacreError, did_you_mean
+from nacre.recipe.long_work import heard_by
+
+GARBAGE_AFTER = 50_000  # new objects that may hold others
 
 # name -> (module, one line for the list)
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -31,6 +36,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "export": ("nacre.cli.exchange", "Write a material in another program's format."),
     "import": ("nacre.cli.exchange", "Read a measurement or another program's material into a recipe."),
     "fit": ("nacre.cli.study", "Fit a recipe's free numbers to a measurement."),
+    "studio": ("nacre.cli.studio", "Open a live page on a recipe, on this machine only."),
     "report": ("nacre.cli.study", "Report colour, gloss, haze and flop as instruments measure them."),
     "tolerance": ("nacre.cli.study", "Turn manufacturing spreads into colour spread and yield."),
     "sweep": ("nacre.cli.study", "Compute a material over many values of its numbers."),
@@ -75,7 +81,8 @@ def _exists(module: str) -> bool:
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     help="Structural colour from nanostructure to picture and back.\n\nA material is a recipe: a TOML file with a "
-    "family and its physical numbers. Start with: nacre demo --quick",
+    "family and its physical numbers. Start with: nacre demo --quick\n\nWork of minutes is asked about on a terminal; "
+    "--yes anywhere on the line answers.",
 )
 @click.version_option(__version__, "--version", prog_name="nacre")
 def cli() -> None:
@@ -85,20 +92,24 @@ def cli() -> None:
 def main(argv: list[str] | None = None) -> None:
     """Run the command line and leave the process with its status.
 
-    `--debug` anywhere on the line shows tracebacks instead of one-line errors.
+    `--debug` anywhere on the line shows tracebacks instead of one-line errors; `--yes` answers what is asked before
+    work of minutes.
     """
     hold_closed_streams()
+    # imports make a million objects that all stay: searching them for garbage costs a command 0.3 s by default
+    gc.set_threshold(GARBAGE_AFTER)
     sys.exit(run(sys.argv[1:] if argv is None else argv))
 
 
 def run(argv: list[str]) -> int:
     """Run one command line and return its exit status: 0, 2 for bad input, 130 when interrupted."""
-    debug = "--debug" in argv
-    argv = [word for word in argv if word != "--debug"]
+    debug, yes = "--debug" in argv, "--yes" in argv
+    argv = [word for word in argv if word not in ("--debug", "--yes")]
     try:
         if any("\0" in word for word in argv):
             raise NacreError("an argument holds a NUL character, which no file name and no number has")
-        cli.main(args=argv, prog_name="nacre", standalone_mode=False)
+        with heard_by(listener(yes)):
+            cli.main(args=argv, prog_name="nacre", standalone_mode=False)
         sys.stdout.flush()
     except (KeyboardInterrupt, click.Abort):
         if debug:

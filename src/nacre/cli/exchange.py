@@ -13,32 +13,43 @@ from nacre.errors import NacreError
 
 FORMATS = {
     "rgl": ".bsdf", "merl": ".binary", "csv": ".csv", "zemax": ".bsdf", "gltf": ".gltf", "materialx": ".mtlx",
-    "exr": ".exr", "nacre": ".nacre",
+    "exr": ".exr", "nacre": ".nacre", "lut": "-lut",
 }  # fmt: skip
 
 
 @click.command()
 @click.argument("recipe")
 @click.option("--to", "target", required=True, type=click.Choice(sorted(FORMATS)))
-@click.option("-o", "output", default=None, metavar="FILE", help="Default: RECIPE with the format's suffix.")
+@click.option(
+    "-o", "output", default=None, metavar="FILE", help="Default: RECIPE with the format's suffix; lut: a folder."
+)
 @click.option("--angle-step-deg", type=click.FloatRange(0.5, 30), default=10.0, show_default=True, help="csv: grid.")
 @click.option("--wavelength-nm", type=float, default=None, help="zemax: one wavelength instead of XYZ.")
+@click.option("--illuminant", default=None, help="lut: the lamp that the colours are for.  [default: D65]")
 @click.option("--json", "as_json", is_flag=True, help="Print what was written and what was lost, as JSON.")
 @common.set_option
 @common.cache_option
 @common.jobs_option
 def export(
-    recipe: str, target: str, output: str | None, angle_step_deg: float, wavelength_nm: float | None, as_json: bool,
-    changes: tuple[str, ...],
+    recipe: str, target: str, output: str | None, angle_step_deg: float, wavelength_nm: float | None,
+    illuminant: str | None, as_json: bool, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Write RECIPE in another program's format and say what the format cannot hold."""
+    from nacre.exchange.lut.write import check_folder
     from nacre.files import check_writable
     from nacre.study.foreign import export_material
 
     path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}{FORMATS[target]}")
-    check_writable(path)
+    options: dict[str, Any] = {"angle_step_deg": angle_step_deg, "wavelength_nm": wavelength_nm}
+    if target == "lut":
+        check_folder(path)
+        options |= {"illuminant": illuminant or "D65", "progress": lambda what: common.note(f"{what} ...")}
+    else:
+        if illuminant is not None:
+            raise NacreError(f"--illuminant {illuminant}: is for --to lut; {target} holds no colours of one lamp")
+        check_writable(path)
     material = common.load_material(recipe, changes)
-    facts = export_material(material, target, path, angle_step_deg=angle_step_deg, wavelength_nm=wavelength_nm)
+    facts = export_material(material, target, path, **options)
     if as_json:
         click.echo(json.dumps(facts))
         return
@@ -54,6 +65,11 @@ def _lines(facts: dict[str, Any]) -> list[str]:
         lines.append(
             f"one film of {film['thickness_nm']:.1f} nm, n = {film['film_ior']:.3f}; "
             f"dE00 {facts['residual_delta_e_2000']:.2f} on the mean of the angles"
+        )
+    for what, told in facts.get("errors_dE00", {}).items():
+        lines.append(
+            f"{what}: dE00 {told['mean']:.2f} mean, {told['max']:.2f} at most; PNG {told['mean_png']:.2f}, "
+            f"{told['max_png']:.2f}"
         )
     return lines + [f"not held: {what}" for what in facts["lost"]]
 

@@ -11,7 +11,7 @@ import click
 from nacre.cli import common
 from nacre.errors import NacreError
 
-TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "sheet")
+TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "npy", "sheet")
 
 
 @click.command()
@@ -57,6 +57,8 @@ def _tell_relief(result: Any, target: str, as_json: bool) -> None:
             f"loss {s['loss_fixed']:.5f} at the fixed scale, {s['loss_free']:.5f} at the best one "
             f"(scale {s['scale_free']:.4g}); {s['evaluations']} evaluations in {s['seconds']:.1f} s"
         )
+    if result.summary.get("outside"):
+        common.note(f"{result.folder}: {result.summary['outside']}")
     curve = result.summary.get("calibration")
     if curve and curve != PUBLISHED:
         curve = Path(target).parent / curve
@@ -183,28 +185,30 @@ def gamut(
 @click.option("-o", "output", default=None, metavar="FILE", help="Default: SOURCE-TO and the suffix.")
 @click.option(
     "--calibration",
-    default=None,
+    multiple=True,
     metavar="CSV|published",
-    help="png16, tiff16: grey value against depth in um; default: linear, 65535 the top, 0 the deepest point.",
+    help="Of heights: grey value against depth in um; default: linear, 65535 the top, 0 the deepest point. Of numbers "
+    "that an image gives: setting of the machine against value, as volts, nm; of several PATH=CSV each.",
 )
-@click.option("--size-mm", default=None, metavar="WxH", help="Tile the pattern over an area.")
-@click.option("--levels", type=click.IntRange(2, 256), default=None, help="gds, oas: height levels.")
+@click.option("--size-mm", default=None, metavar="WxH", help="Tile the pattern over an area; of a picture: its size.")
+@click.option("--levels", type=click.IntRange(2, 256), default=None, help="gds, oas: levels of height, or of value.")
 @click.option(
     "--seed", type=click.IntRange(0, 2**32 - 1), default=None, help="Of a metasurface's points; default: the recipe's."
 )
 @common.cache_option
 @common.jobs_option
 def fabricate(
-    source: str, target: str, output: str | None, calibration: str | None, size_mm: str | None, levels: int | None,
-    seed: int | None,
+    source: str, target: str, output: str | None, calibration: tuple[str, ...], size_mm: str | None,
+    levels: int | None, seed: int | None,
 ) -> None:  # fmt: skip
     """Write the files to make a design or a material."""
     from nacre.api import fabricate as write
     from nacre.exchange.drawings import SUFFIXES
+    from nacre.exchange.number_maps import SUFFIXES as MAP_SUFFIXES
     from nacre.files import check_writable
 
     name = Path(source).resolve().stem
-    path = Path(output) if output else Path(f"{name}-{target}{SUFFIXES[target]}")
+    path = Path(output) if output else Path(f"{name}-{target}{(MAP_SUFFIXES | SUFFIXES)[target]}")
     check_writable(path)
     area = None
     if size_mm is not None:
@@ -215,16 +219,37 @@ def fabricate(
         if not (0 < width <= 1000 and 0 < height <= 1000):
             raise NacreError(f'--size-mm = "{size_mm}" must lie between 0 and 1000 mm')
         area = (width, height)
-    written = write(source, target, path, calibration=calibration, size_mm=area, levels=levels, seed=seed)
+    written = write(source, target, path, calibration=_curves(calibration), size_mm=area, levels=levels, seed=seed)
     for file in written:
         common.note(str(file))
     if target in ("png16", "tiff16"):
         _tell_curve(written[-1])
 
 
+def _curves(given: tuple[str, ...]) -> str | dict[str, str | Path] | None:
+    """Return the one curve, or a table of those that name their number.
+
+    Raises:
+        NacreError: several curves, not all of which do.
+    """
+    if len(given) < 2 and not (given and "=" in given[0] and not Path(given[0]).exists()):
+        return given[0] if given else None
+    table: dict[str, str | Path] = {}
+    for each in given:
+        path, equals, file = each.partition("=")
+        if not equals or not file or path in table:
+            raise NacreError(f'--calibration "{each}": of several numbers write PATH=CSV each, every path once')
+        table[path] = file
+    return table
+
+
 def _tell_curve(beside: Path) -> None:
     """Say which curve the grey values follow, and how far it goes."""
     facts = json.loads(beside.read_text(encoding="utf-8"))
+    if "depth_um" not in facts:
+        unit = facts["setting"] if "setting" in facts else facts["unit"] or ""
+        common.note(f"grey values: 0 is {facts['black']:.6g}, 65535 is {facts['white']:.6g} {unit}".rstrip())
+        return
     low, high = min(facts["depth_um"]), max(facts["depth_um"])
     stretched = ", stretched from 8 bits" if facts["stretched_from_8_bit"] else ""
     common.note(

@@ -12,7 +12,6 @@ from nacre.cli import common
 from nacre.cli.status import STATUS_INTERRUPTED, STOPPED
 from nacre.errors import NacreError
 
-STILLS = (".png", ".jpg", ".jpeg", ".webp", ".exr")
 MOVIES = (".gif", ".mp4")
 SCENES = "sphere|probe|speedshape|panel|butterfly|bottle|knob|body|screen|SCENE.xml"
 
@@ -27,7 +26,7 @@ SCENES = "sphere|probe|speedshape|panel|butterfly|bottle|knob|body|screen|SCENE.
     help=(
         "Another object: a scene's name, or a mesh file (obj, ply, stl, gltf). Textures and formulas take its uv: "
         "u runs to the right of an image and v up. A mesh without uv is wrapped: u once round the vertical axis, "
-        "v from its lowest point up."
+        "v from its lowest point up. Formulas also take its x, y and z, in radii of its bounding sphere."
     ),
 )
 @click.option("--up", type=click.Choice(["x", "y", "z"]), default=None, help="Upward axis of the mesh file.")
@@ -99,9 +98,10 @@ def render(
 ) -> None:  # fmt: skip
     """Render a material on an object."""
     from nacre.files import check_writable
+    from nacre.picture.image_files import STILL_SUFFIXES
     from nacre.picture.interrupt import leaving_at_once
 
-    suffixes = MOVIES if animate else STILLS
+    suffixes = MOVIES if animate else STILL_SUFFIXES
     path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}{suffixes[0]}")
     if path.suffix.lower() not in suffixes:
         what = "an animation" if animate else "a picture"

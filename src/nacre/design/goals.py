@@ -10,7 +10,6 @@ in which `distances` does.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -20,14 +19,13 @@ from numpy.typing import ArrayLike
 
 from nacre.arrays import Array
 from nacre.errors import NacreError
-from nacre.light import delta_e_2000, lab_to_lch, lch_to_lab, xyz_to_lab, xyz_weights
+from nacre.light import delta_e_2000, lab_to_lch, lch_to_lab, smooth_weights, xyz_to_lab
 
 Kind = Literal["colour", "hue", "chroma", "lightness", "spectrum"]
 
 KINDS: tuple[Kind, ...] = ("colour", "hue", "chroma", "lightness", "spectrum")
 MEAN_SHARE = 1e-3  # of the mean in the objective: it decides only between equal worst distances
 STEP_LAB = 1e-4  # of the differences that differentiate residuals by Lab; their rounding is 1e-10
-FINE_STEP_NM = 1.0
 NEAREST_POINTS = 17  # the nearest colour of a range is looked for on as many points, four times finer and finer
 NEAREST_ROUNDS = 5
 
@@ -276,51 +274,6 @@ def difference_components(wanted: ArrayLike, lab: ArrayLike) -> Array:
     rotation = 60.0 * np.exp(-(((hue % 360.0 - 275.0) / 25.0) ** 2))
     blue = -2.0 * np.sqrt(chroma**7 / (chroma**7 + 25.0**7)) * np.sin(np.radians(rotation))
     return np.stack([x, y + 0.5 * blue * z, z * np.sqrt(1.0 - 0.25 * blue * blue)], axis=-1)
-
-
-def smooth_weights(wavelengths_nm: ArrayLike, lamp: str, observer: str) -> Array:
-    """Return `[wavelength, 3]` weights for XYZ of spectra that are cubic splines between their samples.
-
-    `nacre.light.xyz_weights` takes straight lines between samples, which needs steps of a few nanometres for films of
-    a micrometre; the spline comes to the same 1 nm sum, and leaves the error of 10 nm steps a hundredth as large.
-    Grids of 1 nm and finer are summed as they are.
-    """
-    grid = np.asarray(wavelengths_nm, dtype=float)
-    if len(grid) < 4 or np.diff(grid).max() <= FINE_STEP_NM:
-        return np.array(xyz_weights(grid, lamp, observer))
-    return _smooth_weights(grid.tobytes(), lamp, observer)
-
-
-@functools.lru_cache(maxsize=64)
-def _smooth_weights(samples: bytes, lamp: str, observer: str) -> Array:
-    grid = np.frombuffer(samples)
-    steps = int(np.ceil((grid[-1] - grid[0]) / FINE_STEP_NM))
-    fine = np.linspace(grid[0], grid[-1], steps + 1)
-    weights = spline_matrix(grid, fine).T @ xyz_weights(fine, lamp, observer)
-    weights.setflags(write=False)  # shared by every caller
-    return weights
-
-
-def spline_matrix(nodes: Array, points: Array) -> Array:
-    """Return `[point, node]`: values at points inside the nodes of the natural cubic spline through values there."""
-    count = len(nodes)
-    h = np.diff(nodes)
-    second = np.zeros((count, count))  # of the second derivatives: left side
-    rhs = np.zeros((count, count))
-    second[0, 0] = second[-1, -1] = 1.0
-    for i in range(1, count - 1):
-        second[i, i - 1], second[i, i], second[i, i + 1] = h[i - 1] / 6.0, (h[i - 1] + h[i]) / 3.0, h[i] / 6.0
-        rhs[i, i - 1], rhs[i, i], rhs[i, i + 1] = 1.0 / h[i - 1], -1.0 / h[i - 1] - 1.0 / h[i], 1.0 / h[i]
-    curvature = np.linalg.solve(second, rhs)
-    left = np.clip(np.searchsorted(nodes, points, side="right") - 1, 0, count - 2)
-    b = (points - nodes[left]) / h[left]
-    a = 1.0 - b
-    square = (h[left] ** 2 / 6.0)[:, None]
-    matrix = ((a**3 - a)[:, None] * curvature[left] + (b**3 - b)[:, None] * curvature[left + 1]) * square
-    rows = np.arange(len(points))
-    matrix[rows, left] += a
-    matrix[rows, left + 1] += b
-    return matrix
 
 
 def _off(goal: Goal, seen: Array) -> Array:

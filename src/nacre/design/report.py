@@ -18,6 +18,7 @@ from nacre.design.problem import MEASURE_NODE_ERROR, Array, Evaluator, Measureme
 from nacre.design.robustness import Robustness, robustness
 from nacre.design.spec import TargetSpec
 from nacre.families.relief.surface import Tile, slopes
+from nacre.families.relief.trust import trust
 from nacre.files import atomic_path, write_text
 
 PICTURE_PIXELS = 256  # side of each picture on the page
@@ -132,7 +133,8 @@ def write_report(
     """Write a self-contained HTML page; return what it found: efficiency, slopes, robustness, warnings."""
     angles, facts = slope_summary(problem, heights_nm)
     share = efficiency(problem, heights_nm)
-    notes = warnings_of(problem, summary, facts)
+    judged = trust(Tile(heights_nm, problem.feature_nm, problem.blur_nm))
+    notes = [f"Mind: {judged.line()}."] * judged.is_outside + warnings_of(problem, summary, facts)
     spread = process_spread(problem, heights_nm)
     losses = measured.losses
     shape = problem.views[0].target.shape[1:]
@@ -182,6 +184,7 @@ def write_report(
     ]
     write_text(path, _PAGE.replace("BODY", "\n".join(body)))
     found = {"efficiency": share, **facts, "phase_step_rad": measured.phase_step_rad, "warnings": notes}
+    found |= {"expected_de00": judged.de00, "outside": judged.line() if judged.is_outside else ""}
     return found if spread is None else {**found, "robustness": asdict(spread)}
 
 

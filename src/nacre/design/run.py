@@ -98,10 +98,11 @@ def design(
     resume: bool = False,
     progress: Callable[[Progress], None] | None = None,
     jobs: int | None = None,
+    problem: Problem | None = None,
 ) -> DesignResult:
-    """As `run`, for a target that is already checked."""
+    """As `run`, for a target that is already checked; `problem` where it is more than the target says."""
     begun = time.monotonic()
-    problem = spec.build(context)
+    problem = spec.build(context) if problem is None else problem
     folder = Path(out_dir)
     try:
         folder.mkdir(parents=True, exist_ok=True)

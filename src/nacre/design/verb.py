@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from nacre.design.wants.target import is_wants
+from nacre.design.wants.target import is_wants, seeks_heights
 from nacre.files import named, read_text
 from nacre.materials.examples import or_example
 from nacre.recipe.toml import parse_toml
@@ -40,7 +40,12 @@ def run(
     """
     if not isinstance(target, Mapping):
         target = or_example(named(target))
-    if isinstance(target, Mapping) or is_wants(parse_toml(read_text(target, "target"), str(target))):
+    data = target if isinstance(target, Mapping) else parse_toml(read_text(target, "target"), str(target))
+    if is_wants(data) and seeks_heights(data):
+        from nacre.design.wants.reliefs import run_relief as run_heights
+
+        return run_heights(target, out, resume=resume, progress=progress, jobs=jobs)
+    if isinstance(target, Mapping) or is_wants(data):
         from nacre.design.wants.run import run as run_wants
 
         return run_wants(target, out, resume=resume, progress=progress)

@@ -7,8 +7,10 @@ from typing import Any
 import mitsuba as mi
 
 from nacre.bsdf.bsdf import Bsdf
+from nacre.bsdf.texture import place_formula
 from nacre.device.base import logger
 from nacre.device.lobe_sum import bsdf_class, update_lobes
+from nacre.device.object_space import ObjectFrame, ObjectSpace
 from nacre.device.registry import make_plugin
 from nacre.device.variant import VARIANTS
 from nacre.errors import UnsupportedError
@@ -17,7 +19,9 @@ from nacre.errors import UnsupportedError
 SEEN_NM = (400.0, 700.0)
 
 
-def make_bsdf(bsdf: Bsdf, two_sided: bool = False, properties: Any = None) -> Any:
+def make_bsdf(
+    bsdf: Bsdf, two_sided: bool = False, properties: Any = None, object_frame: ObjectFrame | None = None
+) -> Any:
     """Turn a Bsdf into a `mi.BSDF` of the current variant.
 
     Args:
@@ -25,9 +29,11 @@ def make_bsdf(bsdf: Bsdf, two_sided: bool = False, properties: Any = None) -> An
         two_sided: an opaque material looks the same from behind instead of black; a transmitting one has a back side
             of its own in any case.
         properties: Mitsuba's properties when called by the scene loader.
+        object_frame: where the object stands, for formulas of x, y and z.
 
     Raises:
-        UnsupportedError: a lobe kind has no plugin, or the variant carries no spectra.
+        UnsupportedError: a lobe kind has no plugin, the variant carries no spectra, or a formula runs over x, y, z
+            and no object was told.
 
     Example: `mi.load_dict({"type": "sphere", "bsdf": make_bsdf(nacre.load("soap.toml").bsdf())})`.
     """
@@ -40,15 +46,25 @@ def make_bsdf(bsdf: Bsdf, two_sided: bool = False, properties: Any = None) -> An
             grid[0],
             grid[-1],
         )
+    formula = place_formula(bsdf)
+    if formula is not None and object_frame is None:
+        raise UnsupportedError(
+            f'formula "{formula[:80]}" runs over x, y, z of the object, which a Mitsuba scene of your own does not '
+            "tell; use u and v, one of nacre's scenes with shape = your mesh, or make_bsdf(..., object_frame=...)"
+        )
+    space = ObjectSpace(object_frame) if formula is not None and object_frame is not None else None
     plugins = [make_plugin(lobe) for lobe in bsdf.lobes]
     cls = bsdf_class(mi.variant())
-    return cls(mi.Properties() if properties is None else properties, plugins, two_sided and not bsdf.transmits)
+    return cls(mi.Properties() if properties is None else properties, plugins, two_sided and not bsdf.transmits, space)
 
 
 def update_bsdf(target: Any, bsdf: Bsdf) -> None:
     """Give a BSDF in a built scene the numbers of another Bsdf of the same structure; no new kernel is compiled.
 
     Raises:
-        UnsupportedError: number, kinds or shapes of the lobes differ: build the scene again.
+        UnsupportedError: number, kinds or shapes of the lobes differ, or formulas of x, y, z came or went: build the
+            scene again.
     """
+    if (place_formula(bsdf) is None) != (target.object_space is None):
+        raise UnsupportedError("formulas of x, y, z came or went; build the scene again")
     update_lobes(target, bsdf.lobes)

@@ -86,7 +86,7 @@ class Compensation:
         goes_inside = inside ^ crosses
         loss_i = self._loss_at(si, wi, inside, active)
         loss_o = self._loss_at(si, wo, goes_inside, seen)
-        corners = self.parameters.corners(si.uv, active) or [(mi.UInt32(0), None)]
+        corners = self.parameters.corners(si, active) or [(mi.UInt32(0), None)]
         light_inside, eye_inside = (goes_inside, inside) if radiance else (inside, goes_inside)
         light = mi.UInt32(dr.select(light_inside, 1, 0)) if self.sides == 2 else mi.UInt32(0)
         corners = [(index * self.sides + light, weight) for index, weight in corners]

@@ -68,7 +68,11 @@ class Ggx(Facets):
 
 
 class Beckmann(Facets):
-    """Beckmann with Smith masking (Walter's rational fit), drawn by visible normals."""
+    """Beckmann with Smith masking, drawn by visible normals.
+
+    Values have Walter's rational fit of the masking, as Mitsuba's do; it is up to 0.35 % off. The draws know nothing of
+    it: their density has the exact masking (Heitz 2014, eq. 81), and the weight makes up for the difference.
+    """
 
     def sample(self, wi: Any, sample: Any) -> Any:
         """Draw by Mitsuba's own inversion."""
@@ -80,14 +84,22 @@ class Beckmann(Facets):
         z2 = dr.square(m.z)
         slope2 = (dr.square(m.x / self.alpha_x) + dr.square(m.y / self.alpha_y)) / dr.maximum(z2, TINY)
         density = dr.exp(-slope2) / (dr.pi * self.alpha_x * self.alpha_y * dr.maximum(dr.square(z2), TINY))
-        return density * self._g1(wi) / wi.z
+        return density * self._exact_g1(wi) / wi.z
 
     def weight(self, wi: Any, wo: Any, m: Any, wi_m: Any, wo_m: Any) -> Any:
-        """Return G1(wo)."""
-        return self._g1(wo)
+        """Return G1(wo), times the fit of G1(wi) over what it is."""
+        return self._g1(wo) * self._g1(wi) / self._exact_g1(wi)
+
+    def _steepness(self, w: Any) -> Any:
+        """Return 1 / (alpha tan theta)."""
+        return dr.abs(w.z) * dr.rsqrt(dr.maximum(self._stretched(w), TINY))
+
+    def _exact_g1(self, w: Any) -> Any:
+        a = dr.minimum(self._steepness(w), 10.0)  # beyond, 1 in single precision
+        return 2.0 * a / dr.maximum(a * (1.0 + dr.erf(a)) + dr.exp(-dr.square(a)) * dr.rsqrt(dr.pi), TINY)
 
     def _g1(self, w: Any) -> Any:
-        a = dr.abs(w.z) * dr.rsqrt(dr.maximum(self._stretched(w), TINY))
+        a = self._steepness(w)
         a2 = dr.square(a)
         fit = (3.535 * a + 2.181 * a2) / (1.0 + 2.276 * a + 2.577 * a2)
         return dr.select(a >= 1.6, 1.0, dr.minimum(fit, 1.0))

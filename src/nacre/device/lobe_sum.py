@@ -14,6 +14,7 @@ import mitsuba as mi
 
 from nacre.bsdf.contract import Lobe
 from nacre.device.base import LobePlugin, negated, with_wi
+from nacre.device.object_space import ObjectSpace
 from nacre.errors import UnsupportedError
 
 
@@ -36,8 +37,15 @@ def bsdf_class(variant: str) -> type:
     class NacreBSDF(mi.BSDF):
         """A sum of lobes."""
 
-        def __init__(self, properties: Any, plugins: Sequence[LobePlugin[Any]], mirrors_back: bool) -> None:
+        def __init__(
+            self,
+            properties: Any,
+            plugins: Sequence[LobePlugin[Any]],
+            mirrors_back: bool,
+            object_space: ObjectSpace | None = None,
+        ) -> None:
             super().__init__(properties)
+            self.object_space = object_space  # of formulas of x, y, z; None: none uses them
             self.plugins = list(plugins)
             self.mirrors_back = mirrors_back
             back = int(mi.BSDFFlags.BackSide) if self.mirrors_back else 0
@@ -84,6 +92,7 @@ def bsdf_class(variant: str) -> type:
 
         def eval_null_transmission(self, si: Any, active: Any = True) -> Any:
             total = mi.Spectrum(0.0)
+            si = self._placed(si)
             for plugin in self.plugins:
                 null = getattr(plugin, "null_transmission", None)
                 if null is not None:
@@ -101,9 +110,13 @@ def bsdf_class(variant: str) -> type:
         def to_string(self) -> str:
             return f"NacreBSDF[{', '.join(plugin.kind for plugin in self.plugins)}]"
 
-        # -- one side or two ----------------------------------------------------------------------------
+        # -- where, and one side or two -----------------------------------------------------------------
+
+        def _placed(self, si: Any) -> Any:
+            return si if self.object_space is None else self.object_space(si)
 
         def _front(self, si: Any) -> tuple[Any, Any]:
+            si = self._placed(si)
             if not self.mirrors_back:
                 return si, None
             turned = si.wi.z < 0

@@ -93,7 +93,7 @@ class DeviceResponse:
             active: mask of the reads.
         """
         where = self.axis.locate(si.wavelengths, active)
-        corners = self.parameters.corners(si.uv, active)
+        corners = self.parameters.corners(si, active)
         cos = dr.minimum(cos, 1.0)
         if not self.transmits:
             position = cos * self.top
@@ -117,7 +117,7 @@ class DeviceResponse:
             share = share_reflected(reflected, transmitted)
             return share, lambda reflects: dr.select(reflects, reflected, transmitted)
         where = self.axis.locate(si.wavelengths, active)
-        corners = self.parameters.corners(si.uv, active)
+        corners = self.parameters.corners(si, active)
         row, fraction = self._row(dr.minimum(cos, 1.0), inside)
         lines = dr.size_v(mi.Spectrum)
         grey = Located([mi.UInt32(0)] * lines, [mi.Float(0.0)] * lines)

@@ -50,7 +50,7 @@ def _power(base: Any, exponent: Any) -> Any:
 
 
 class DeviceTexture:
-    """A scalar over uv: `texture(si.uv)` within [low, high], as `nacre.bsdf.texture.Texture` gives it."""
+    """A scalar over a surface: `texture(si)` within [low, high], as `nacre.bsdf.texture.Texture` gives it."""
 
     def __init__(self, texture: Texture) -> None:
         self.formula: Formula | None = None
@@ -58,6 +58,7 @@ class DeviceTexture:
         if texture.formula is not None:
             self.formula, numbers = texture.formula.with_holes()
         self.constants = {name: opaque(value) for name, value in numbers.items()}
+        self.is_stepped = texture.is_stepped
         self.low, self.high = opaque(texture.low), opaque(texture.high)
         if texture.formula is None:
             assert texture.image is not None
@@ -68,7 +69,8 @@ class DeviceTexture:
 
     def fits(self, texture: Texture) -> bool:
         """Whether another texture differs in numbers or pixels alone, so that the same kernel serves it."""
-        return bool(self.formula == (texture.formula.with_holes()[0] if texture.formula else None))
+        formula = texture.formula.with_holes()[0] if texture.formula else None
+        return bool(self.formula == formula and self.is_stepped == texture.is_stepped)
 
     def update(self, texture: Texture) -> None:
         """Take over the range and image of another texture.
@@ -80,17 +82,22 @@ class DeviceTexture:
             raise UnsupportedError("another texture formula cannot be swapped in; build the scene again")
         self.__init__(texture)  # type: ignore[misc]  # the object starts anew with the same structure
 
-    def __call__(self, uv: Any, active: Any = True) -> Any:
-        """Evaluate at `uv`."""
-        u, v = mi.Float(uv[0]), mi.Float(uv[1])
+    def __call__(self, si: Any, active: Any = True) -> Any:
+        """Evaluate at an interaction: its uv, and its p, which has to lie in the object's own space."""
+        u, v = mi.Float(si.uv[0]), mi.Float(si.uv[1])
         if self.formula is not None:
-            value = mi.Float(self.formula(u, v, DRJIT_OPERATIONS, self.constants))
+            place = [mi.Float(si.p[axis]) for axis in range(3)] if self.formula.uses_place else ()
+            value = mi.Float(self.formula(u, v, DRJIT_OPERATIONS, self.constants, place))
             value = dr.select(dr.isnan(value), self.low, value)
             return dr.minimum(dr.maximum(value, self.low), self.high)
         return dr.lerp(self.low, self.high, self._bilinear(u, v, active))
 
     def _bilinear(self, u: Any, v: Any, active: Any) -> Any:
-        """Interpolate texel centres, wrapping round."""
+        """Interpolate texel centres, wrapping round; or return the texel that the place lies in."""
+        if self.is_stepped:
+            column = _wrap(dr.floor(u * self.size[0]), self.size[0])
+            row = _wrap(dr.floor((1.0 - v) * self.size[1]), self.size[1])
+            return read(self.image, row * self.columns_o + column, active)
         x, y = u * self.size[0] - 0.5, (1.0 - v) * self.size[1] - 0.5
         x0, y0 = dr.floor(x), dr.floor(y)
         left, top = _wrap(x0, self.size[0]), _wrap(y0, self.size[1])
@@ -109,7 +116,7 @@ def _wrap(index: Any, size: Any) -> Any:
 
 
 class DeviceParameters:
-    """The parameter axes of a table: at a uv, which nodes and with which weights."""
+    """The parameter axes of a table: at a place, which nodes and with which weights."""
 
     def __init__(self, parameters: tuple[ParameterAxis, ...]) -> None:
         self.names = tuple(axis.name for axis in parameters)
@@ -139,13 +146,13 @@ class DeviceParameters:
             device.update(axis.texture)
         self._set_ranges(parameters)
 
-    def corners(self, uv: Any, active: Any = True) -> list[tuple[Any, Any]] | None:
-        """Return `(flat node index, weight)` for the 2^n nodes around the point; None without parameters."""
+    def corners(self, si: Any, active: Any = True) -> list[tuple[Any, Any]] | None:
+        """Return `(flat node index, weight)` for the 2^n nodes around a place; None without parameters."""
         if not self.sizes:
             return None
         axes = []
         for i, texture in enumerate(self.textures):
-            position = dr.clip((texture(uv, active) - self.first[i]) * self.per_unit[i], 0.0, self.last[i])
+            position = dr.clip((texture(si, active) - self.first[i]) * self.per_unit[i], 0.0, self.last[i])
             low = dr.minimum(mi.UInt32(position), self.max_low[i])
             fraction = position - mi.Float(low)
             high = low + (1 if self.sizes[i] > 1 else 0)

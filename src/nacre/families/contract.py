@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from nacre.arrays import Array
 from nacre.bsdf import Bsdf
+from nacre.bsdf.lobes.layered import Layered
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import UnsupportedError, did_you_mean
 from nacre.light import default_wavelengths
@@ -44,7 +45,9 @@ class Model(abc.ABC):
         why_unpolarised: the end of the sentence that refuses s and p where `spectrum` is left to the Bsdf.
         usual_parts: what a sweep stores of its spectrum unless told.
         is_quick: whether `bsdf` is solved in milliseconds, so that it may be asked for while a recipe is read.
+        is_direct: whether a few directions cost a small part of the `bsdf`, without noise: see `values_at`.
         takes_ambient: whether it is built in the medium that another recipe puts it into.
+        has_strata: whether it is walked through, so that strata of any family may lie on it: see `strata_at`.
         bytes_a_wavelength: memory that solving it takes, so that too many wavelengths are refused before.
     """
 
@@ -52,7 +55,9 @@ class Model(abc.ABC):
     why_unpolarised: ClassVar[str] = "is known for unpolarised light only"
     usual_parts: ClassVar[tuple[str, ...]] = ("specular_reflectance", "diffuse_reflectance")
     is_quick: ClassVar[bool] = False
+    is_direct: ClassVar[bool] = False
     takes_ambient: ClassVar[bool] = True
+    has_strata: ClassVar[bool] = False
     bytes_a_wavelength: ClassVar[int] = 50_000
 
     @abc.abstractmethod
@@ -87,16 +92,77 @@ class Model(abc.ABC):
         """
         return None
 
+    def strata_at(self, wavelengths_nm: Array) -> Layered:
+        """Return the strata that it is walked through by, with its base, whatever form its `bsdf` has.
+
+        Raises:
+            UnsupportedError: it has none.
+        """
+        raise UnsupportedError(f"a {self.noun} is not made of strata that light walks through")
+
+    def lost_at(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
+        """Return the light that a recipe's way of counting loses, `[angle, wavelength]`; None: it loses none.
+
+        What is neither reflected nor transmitted, and absorbed by nothing: energy that the model's source does not
+        account for, where a recipe asks to count as the source does.
+        """
+        return None
+
     def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
         """Return what `bsdf` gives at a few pairs `[pair, 3]`, `[pair, wavelength]`, where that costs less than it.
 
-        None: it does not, and the Bsdf is solved. A family that overrides it has no lobe that mirrors or is random.
+        None: it does not, and the Bsdf is solved. A family that overrides it scatters, and has no lobe that is random;
+        what its mirror-like lobes send into one direction alone is left out, as by `Bsdf.evaluate`.
+        """
+        return None
+
+    def among_many(self, memory: dict[Any, Any], is_rough: bool = False) -> Model:
+        """Return the model as one of the many near each other that a search tries.
+
+        What hardly changes between them is looked up in `memory`, or kept there for the next one; an answer is judged
+        by the model itself. A rough one may leave out what costs most, if it still ranks first draws.
+        """
+        return self
+
+    def likeness_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> tuple[Array, Array] | None:
+        """Return what a random walk would give at a few pairs `[pair, 3]`, without its noise: known, and guessed.
+
+        For searches, which steer by it: cheap, and smooth in every number of the recipe. The value is about the sum of
+        the two, each `[pair, wavelength]`, 1/sr; the second is the part that a walk may correct. None: there is none.
+        """
+        return None
+
+    def walked_at(
+        self, wi: Array, wo: Array, wavelengths_nm: Array, walks: int, seed: int
+    ) -> tuple[Array, Array] | None:
+        """Return the values that belong to `likeness_at` and their standard errors, by a quick walk to a few viewers.
+
+        None: there is none, and the Bsdf is walked.
+
+        Args:
+            wi, wo: `[pair, 3]`, above the surface.
+            wavelengths_nm: `[wavelength]`.
+            walks: for each light.
+            seed: another one gives independent noise.
         """
         return None
 
     @property
+    def slow_way(self) -> str:
+        """The way that it takes by itself though it takes minutes, and how to name it; empty: there is none.
+
+        Work that solves it many times builds it without that way, see `RecipeContext.is_one_of_many`, and says so.
+        """
+        return ""
+
+    @property
     def unbounded_because(self) -> str:
         """Why its spectra may sum to more than one: the data or the model chosen say so; empty: they never do."""
+        return ""
+
+    @property
+    def outside(self) -> str:
+        """Why its colours may be off, after the recipe's name: it lies where the model is not good; else empty."""
         return ""
 
     @property

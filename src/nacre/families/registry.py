@@ -21,6 +21,7 @@ FAMILIES: dict[str, str] = {
     "film": "nacre.families.film.spec:FilmSpec",
     "pearl": "nacre.families.pearl.spec:PearlSpec",
     "metasurface": "nacre.families.metasurface.spec:MetasurfaceSpec",
+    "glass": "nacre.families.glass.spec:GlassSpec",
     "relief": "nacre.families.relief.spec:ReliefSpec",
     "measured": "nacre.families.measured.spec:MeasuredSpec",
     "blend": "nacre.families.blend.spec:BlendSpec",

@@ -27,6 +27,7 @@ from nacre.light.spaces import (
 from nacre.light.tables import ILLUMINANTS, OBSERVERS, Illuminant, illuminant, observer, table_wavelengths_nm
 from nacre.light.tristimulus import (
     lamp_lines_nm,
+    smooth_weights,
     spans_colour,
     spectrum_to_xyz,
     white_xyz,
@@ -60,6 +61,7 @@ __all__ = [
     "lch_to_lab",
     "metamerism",
     "observer",
+    "smooth_weights",
     "spans_colour",
     "spectrum_to_rgb_linear",
     "spectrum_to_rgb_matrix",

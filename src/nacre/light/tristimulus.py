@@ -2,7 +2,7 @@
 
 A spectrum is taken as piecewise linear between its samples and constant beyond them, and integrated against
 the 1 nm tables. As that is linear in the samples, it is done once per grid: a weight per sample and
-tristimulus value, so a million spectra cost one matrix product.
+tristimulus value, so a million spectra cost one matrix product. `smooth_weights` does the same of cubic splines.
 """
 
 from __future__ import annotations
@@ -14,12 +14,15 @@ from numpy.typing import ArrayLike
 
 from nacre.arrays import Array
 from nacre.errors import NacreError
+from nacre.light.splines import spline_matrix
 from nacre.light.tables import Illuminant, illuminant, observer, table_wavelengths_nm
 
 # Samples that end inside the visible say nothing about the rest; beyond 400-700 nm less than 1 % of any
 # tristimulus value of a white is left, so holding the end values there is no guess.
 NEEDED_RANGE_NM = (400.0, 700.0)
 GRID_TOLERANCE_NM = 1e-9
+MOST_NODES = 1000  # of a spline: more samples than that are fine enough for straight lines
+FINE_STEP_NM = 1.0
 LINE_PROMINENCE = 1.2
 LINE_FLANK_NM = 3.0  # lamps are tabulated every 5 nm: a line is a triangle of that half width
 
@@ -114,6 +117,12 @@ def _standard_weights(samples: bytes, name: str, observer_name: str) -> Array:
     return weights
 
 
+def _spline_sum(wavelengths: Array, light: Illuminant, observer_name: str) -> Array:
+    steps = int(np.ceil((wavelengths[-1] - wavelengths[0]) / FINE_STEP_NM))
+    fine = np.linspace(wavelengths[0], wavelengths[-1], steps + 1)
+    return np.asarray(spline_matrix(wavelengths, fine).T @ _weights(fine, light, observer_name))
+
+
 def _weights(wavelengths: Array, light: Illuminant, observer_name: str) -> Array:
     nodes, widths = _quadrature(wavelengths)
     functions = observer(observer_name)
@@ -144,6 +153,30 @@ def xyz_weights(wavelengths_nm: ArrayLike, illuminant: str | Illuminant = "D65",
     if isinstance(illuminant, Illuminant):
         return _weights(wavelengths, illuminant, observer)
     return _standard_weights(np.ascontiguousarray(wavelengths).tobytes(), illuminant, observer)
+
+
+def smooth_weights(wavelengths_nm: ArrayLike, illuminant: str, observer: str) -> Array:
+    """Return `[wavelength, 3]` weights for XYZ of spectra that are cubic splines between their samples.
+
+    `xyz_weights` takes straight lines between samples, which needs steps of a few nanometres for films of a
+    micrometre; the spline comes to the same 1 nm sum, and leaves the error of 10 nm steps a hundredth as large. It is
+    for what is smooth, as computed spectra are. Grids of 1 nm and finer, or of more than 1,000 samples, are summed as
+    they are.
+
+    Raises:
+        NacreError: as of `xyz_weights`.
+    """
+    grid = check_wavelengths(wavelengths_nm)
+    if not 4 <= len(grid) <= MOST_NODES or np.diff(grid).max() <= FINE_STEP_NM:
+        return np.array(xyz_weights(grid, illuminant, observer))
+    return _smooth_weights(np.ascontiguousarray(grid).tobytes(), illuminant, observer)
+
+
+@functools.lru_cache(maxsize=64)
+def _smooth_weights(samples: bytes, name: str, observer_name: str) -> Array:
+    weights = _spline_sum(np.frombuffer(samples), illuminant(name), observer_name)
+    weights.setflags(write=False)  # shared by every caller
+    return weights
 
 
 def white_xyz(illuminant: str | Illuminant = "D65", observer: str = "2deg") -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from nacre._version import __version__
 from nacre.arrays import Array, floats, wavelength_grid
 from nacre.bsdf import Bsdf
 from nacre.bsdf.spectrum import Spectrum
+from nacre.bsdf.texture import refuse_place
 from nacre.errors import RecipeError, UnsupportedError
 from nacre.families.contract import Model
 from nacre.families.registry import family_source, family_spec
@@ -45,6 +47,11 @@ BYTES_A_VALUE = 160  # of an angle and wavelength: two polarisations' amplitudes
 MANY_ANGLES = 1000  # so many that the material's own wavelengths count
 POLARISATIONS = ("s", "p", "both")
 STUDY_TABLES = ("fit", "tolerance")  # read by nacre.study: which numbers are free, which vary in manufacture
+
+
+@functools.lru_cache(maxsize=256)  # once a process is enough for the same words
+def _tell_once(source: str, line: str) -> None:
+    logger.warning("%s: %s", source, line)
 
 
 @dataclass(frozen=True)
@@ -76,6 +83,8 @@ class Material:
         """A hash of all that decides the material's answers; see `nacre.recipe.identity`."""
         data = {key: value for key, value in self.data.items() if key not in STUDY_TABLES}
         outside = {"ambient": str(self.context.ambient), "family": family_source(self.data.get("family"))}
+        if self.context.is_one_of_many:
+            outside["way"] = "quick"
         return identity(data, self.context.files, **outside)
 
     def bsdf(self, wavelengths_nm: ArrayLike | None = None) -> Bsdf:
@@ -92,6 +101,8 @@ class Material:
         return dataclasses.replace(bsdf, provenance={**bsdf.provenance, **recipe_provenance(self)})
 
     def _solved(self, grid: NDArray[np.float64] | None) -> Bsdf:
+        if outside := self.model.outside:
+            _tell_once(self.context.source, outside)
         if grid is not None:
             check_memory(
                 float(self.model.bytes_a_wavelength) * grid.size, f"a {self.model.noun} at {grid.size} wavelengths"
@@ -138,11 +149,12 @@ class Material:
             seed: of a pearl's random walk; another seed gives independent noise.
 
         Raises:
-            UnsupportedError: the material has no such spectrum.
+            UnsupportedError: the material has no such spectrum, or a formula of x, y or z, which are of pictures.
 
         The parts never sum to more than 1 (random walks: but for their noise), unless data or a model chosen say so;
         that is logged as a warning.
         """
+        refuse_place(self.model, f"{self.context.source}: spectrum")
         grid = wavelength_grid(wavelengths_nm)
         theta = np.atleast_1d(floats(theta_rad, "angles"))
         if theta.ndim != 1 or not np.all((theta >= 0) & (theta <= np.pi / 2 + 1e-12)):
@@ -180,8 +192,9 @@ class Material:
         """Return the arrays of a figure that only this family has, such as "field" or "structure".
 
         Raises:
-            UnsupportedError: the family has no such figure.
+            UnsupportedError: the family has no such figure, or a formula of x, y or z.
         """
+        refuse_place(self.model, f"{self.context.source}: {kind}")
         return self.model.figure_data(kind, **options)
 
     def vary(self, changes: Mapping[str, Any]) -> Material:
@@ -198,6 +211,21 @@ class Material:
         for path, value in changes.items():
             set_by_path(data, path, value, self.context.source)
         return material_from_data(data, dataclasses.replace(self.context, text=""))
+
+    def for_many(self) -> Material:
+        """Return the material as one of many that are solved, without the way of minutes that it may take alone.
+
+        Sweeps, searches, fits and drafts ask for it; what is made of it by `vary` is so too. A way that the recipe
+        names itself is kept. What is left out is told.
+        """
+        if self.context.is_one_of_many or isinstance(self.model, StoredBsdf):
+            return self
+        if self.model.slow_way:
+            logger.warning(
+                "%s: alone it takes %s; among many it takes the quick way, unless the recipe names the slow one",
+                self.context.source, self.model.slow_way,
+            )  # fmt: skip
+        return material_from_data(self.data, dataclasses.replace(self.context, is_one_of_many=True))
 
     def get(self, path: str) -> Any:
         """Return the recipe's value at a path such as `strata[0].platelets[0].volume_fraction`.
@@ -281,11 +309,18 @@ def _load(path: Path, depth: int, ambient: Any = None) -> Material:
         return Material(StoredBsdf(bsdf), {}, RecipeContext(str(path), path.parent.resolve(), text, reached=reached))
     text = read_text(path, "recipe")
 
-    def load_recipe(other: str, ambient: Any = ambient) -> Material:
+    def load_recipe(other: str | Mapping[str, Any], ambient: Any = ambient) -> Material:
+        if isinstance(other, Mapping):
+            return _inside(other, context, ambient)
         return _load(_resolve(path, other), depth + 1, ambient)
 
     context = RecipeContext(str(path), path.parent.resolve(), text, load_recipe, ambient)
     return material_from_data(parse_toml(text, str(path)), context)
+
+
+def _inside(data: Mapping[str, Any], context: RecipeContext, ambient: Any) -> Material:
+    """Build a recipe that stands inside another one as a table."""
+    return material_from_data(data, dataclasses.replace(context, text="", ambient=ambient))
 
 
 def _resolve(recipe: Path, other: str) -> Path:
@@ -302,7 +337,9 @@ def material(data: Mapping[str, Any], folder: str | Path = ".") -> Material:
     """
     folder = named(folder)
 
-    def load_recipe(other: str, ambient: Any = None) -> Material:
+    def load_recipe(other: str | Mapping[str, Any], ambient: Any = None) -> Material:
+        if isinstance(other, Mapping):
+            return _inside(other, context, ambient)
         return _load(folder / other, 1, ambient)
 
     context = RecipeContext("recipe", folder.resolve(), "", load_recipe)
@@ -325,7 +362,7 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
             even = copy.deepcopy(plain)
             for path, value in values.items():
                 set_by_path(even, path, value, context.source)
-            node = material_from_data(even, context)
+            node = material_from_data(even, dataclasses.replace(context, is_one_of_many=True))
             context.reach(node.context.reached)
             return node
 

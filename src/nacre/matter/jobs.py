@@ -39,7 +39,7 @@ def in_threads(work: Callable[[Item], Result], items: Iterable[Item], jobs: int 
         found = []
         for result in pool.map(work, every):
             found.append(result)
-            for tell in _watchers:
+            for tell in list(_watchers):
                 tell(len(found), len(every))
     return found
 
@@ -50,10 +50,21 @@ _watchers: list[Callable[[int, int], None]] = []
 @contextlib.contextmanager
 def watching(tell: Callable[[int, int], None]) -> Iterator[None]:
     """Call `tell(done, all)` as the items of `in_threads` come back, whoever asked for them: for a progress bar."""
-    _watchers.append(tell)
+    watch(tell)
     try:
         yield
     finally:
+        unwatch(tell)
+
+
+def watch(tell: Callable[[int, int], None]) -> None:
+    """Call `tell(done, all)` from now on, until `unwatch`."""
+    _watchers.append(tell)
+
+
+def unwatch(tell: Callable[[int, int], None]) -> None:
+    """Call it no more."""
+    if tell in _watchers:
         _watchers.remove(tell)
 
 

@@ -8,9 +8,10 @@ spheres follow the stable ratio recurrence of W. Yang, Appl. Opt. 42, 1710 (2003
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from nacre.arrays import Array, ComplexArray
 
@@ -49,7 +50,7 @@ def mie_coefficients(
     Args:
         lmax: highest multipole order.
         size_parameters: `[layer, ...]`, 2 pi n_ambient radius / wavelength of each interface, core first; a
-            homogeneous sphere has one layer.
+            homogeneous sphere has one layer; complex in an ambient that absorbs a little (imaginary part well below 1).
         relative_indices: `[layer, ...]`, complex index over the ambient's, core first.
 
     Returns:
@@ -57,7 +58,9 @@ def mie_coefficients(
 
     Example: x = 1, m = 1.5 gives Qsca = (2/x^2) sum (2l+1)(|a|^2+|b|^2) = 0.2151.
     """
-    x, m = np.broadcast_arrays(np.asarray(size_parameters, dtype=float), np.asarray(relative_indices, dtype=complex))
+    sizes = np.asarray(size_parameters)
+    sizes = sizes if np.iscomplexobj(sizes) else sizes.astype(float)
+    x, m = np.broadcast_arrays(sizes, np.asarray(relative_indices, dtype=complex))
     layers = x.shape[0]
     order = np.arange(lmax + 1).reshape(-1, *([1] * (x.ndim - 1)))
     h_a = h_b = _regular_log_derivatives(np.asarray(m[0] * x[0]), lmax)
@@ -97,14 +100,16 @@ def _through_layer(
     return (plain * d1_out - mixed * d3_out) / (plain - mixed)
 
 
-def _coefficient(g: ComplexArray, psi: Array, xi: ComplexArray) -> ComplexArray:
+def _coefficient(g: ComplexArray, psi: NDArray[Any], xi: ComplexArray) -> ComplexArray:
     return (g * psi[1:] - psi[:-1]) / (g * xi[1:] - xi[:-1])
 
 
-def _riccati_bessel(x: Array, lmax: int) -> tuple[Array, ComplexArray]:
-    """psi_l(x) and xi_l(x) = psi - i chi, `[l, ...]`, l = 0..lmax, for real x."""
-    log_derivatives = _regular_log_derivatives(x.astype(complex), lmax).real
-    chi = np.empty((lmax + 1, *x.shape))
+def _riccati_bessel(x: NDArray[Any], lmax: int) -> tuple[NDArray[Any], ComplexArray]:
+    """psi_l(x) and xi_l(x) = psi - i chi, `[l, ...]`, l = 0..lmax, for real x, or complex x near the real axis."""
+    is_real = not np.iscomplexobj(x)
+    found = _regular_log_derivatives(x.astype(complex), lmax)
+    log_derivatives: NDArray[Any] = found.real if is_real else found
+    chi: NDArray[Any] = np.empty((lmax + 1, *x.shape), dtype=x.dtype)
     psi = np.empty_like(chi)
     chi_before, chi[0], psi[0] = -np.sin(x), np.cos(x), np.sin(x)
     for l in range(1, lmax + 1):

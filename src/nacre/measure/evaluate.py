@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from nacre.arrays import Array, floats
 from nacre.bsdf import Bsdf, Lobe
 from nacre.bsdf.lobes.masked import MaskedLobe
+from nacre.bsdf.texture import refuse_place
 from nacre.errors import UnsupportedError
 from nacre.recipe.memory import check_memory
 
@@ -39,8 +40,9 @@ def evaluate_with_error(
 
     Raises:
         UnsupportedError: a stochastic lobe, and no LLVM on this machine; directions of another shape or length, or uv
-            that is not finite.
+            that is not finite; a formula of x, y or z.
     """
+    refuse_place(bsdf, "evaluate")
     wi_array, wo_array = _directions(wi, wo)
     uv_array = None if uv is None else _places(uv, wi_array.shape[:-1])
     pairs, count = wi_array.size // 3, len(bsdf.wavelengths_nm)

@@ -1,4 +1,4 @@
-"""The coarser wavelengths at which a random walk is evaluated for colours: accurate enough, a quarter of the work."""
+"""The coarser wavelengths at which a random walk is evaluated for colours: accurate enough, a third of the work."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from nacre.bsdf.bsdf import Bsdf
 
-WALK_NM = np.arange(380.0, 781.0, 20.0)
+WALK_NM = np.linspace(380.0, 780.0, 26)  # 16 nm: with 20, colours of pigments with fringes are off by up to 0.9 dE00
 
 
 def solve_coarse_walk(material: Any, wavelengths_nm: Any = None, walk_nm: Any = WALK_NM) -> Bsdf:

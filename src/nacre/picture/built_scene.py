@@ -12,11 +12,14 @@ from typing import Any
 import numpy as np
 
 from nacre.bsdf import Bsdf
+from nacre.device.object_space import ObjectFrame
 from nacre.device.variant import use_variant
 from nacre.errors import UnsupportedError
-from nacre.picture.camera import View
+from nacre.picture.camera import Framing, View
+from nacre.picture.endless import endless_of
 from nacre.picture.lights.named import Light
 from nacre.picture.scenes.catalogue import MATERIALS, SUBJECT, Part, Scene, backdrop_parts
+from nacre.picture.shapes.ball import bounding_ball
 from nacre.picture.shapes.mesh import Mesh, rotation
 
 SEE_THROUGH_DEPTH = 16
@@ -83,11 +86,14 @@ class BuiltScene:
             if part.material == SUBJECT:
                 subjects.append(content[f"part{index}"])
         floor = light.floor if light.is_surrounding else None
-        for index, (surface, look) in enumerate(backdrop_parts(scene.backdrop, see_through and not is_plain, floor)):
+        is_chequered = see_through and not is_plain
+        self.endless = endless_of(scene.backdrop, is_chequered, backdrop_deg) if floor is None else None
+        for index, (surface, look) in enumerate(backdrop_parts(scene.backdrop, is_chequered, floor)):
             behind = surface.moved(rotation("z", backdrop_deg)) if backdrop_deg else surface
             content[f"backdrop{index}"] = make_mesh(behind, mi.load_dict(look))
         content.update({f"light_{name}": emitter for name, emitter in light.emitters.items()})
         self.content, self.subjects = content, subjects
+        self.frame = _frame(scene, turn_deg)
         self.objects = [content[f"part{index}"] for index in range(len(parts))]
         self.mitsuba_scene = mi.load_dict(content)
         self._material: Any = None
@@ -107,7 +113,7 @@ class BuiltScene:
                     return
                 except UnsupportedError:
                     pass  # another structure: exchange the whole BSDF instead
-            self._material = make_bsdf(material, two_sided=True)
+            self._material = make_bsdf(material, two_sided=True, object_frame=self.frame)
         else:
             self._material = material
         for shape in self.subjects:
@@ -121,8 +127,17 @@ class BuiltScene:
         high = np.max([np.array(box.max) for box in boxes], axis=0)
         return float(0.5 * (high - low).max())
 
-    def sensor(self, view: View, size: tuple[int, int], film: dict[str, Any], spp: int = 4) -> Any:
-        """Return a camera with its film."""
+    def view(self, framing: Framing) -> View:
+        """Return the scene's camera, the one for places where its light is a place, framed as asked for.
+
+        Raises:
+            NacreError: it would stand below the floor.
+        """
+        place_view = self.scene.place_view if self.light.is_surrounding else None
+        return framing.of(place_view or self.scene.view, self.radius)
+
+    def sensor(self, view: View, size: tuple[int, int], film: dict[str, Any], spp: int = 4, sampler: Any = None) -> Any:
+        """Return a camera with its film; `sampler` None: one of Mitsuba's own."""
         mi = use_variant()
         # a wider picture keeps the scene's height, a narrower one its width: the subject always fits
         half = np.tan(np.radians(0.5 * view.fov_deg))
@@ -137,9 +152,16 @@ class BuiltScene:
                 "far_clip": 1e4,
                 "to_world": mi.ScalarTransform4f().look_at(list(view.origin), list(view.target), list(view.up)),
                 "film": {**film, "width": size[0], "height": size[1]},
-                "sampler": {"type": "multijitter", "sample_count": spp},
+                "sampler": sampler or {"type": "multijitter", "sample_count": spp},
             }
         )
+
+
+def _frame(scene: Scene, turn_deg: float) -> ObjectFrame:
+    """The space of formulas of x, y and z: that of the parts which take the material, before they were turned."""
+    points = np.concatenate([part.points() for part in scene.parts() if part.material == SUBJECT])
+    centre, radius = bounding_ball(points)
+    return ObjectFrame(tuple(float(value) for value in centre), radius, turn_deg)
 
 
 def _shape(part: Part, bsdf: Any, name: str) -> Any:

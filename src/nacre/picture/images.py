@@ -97,11 +97,14 @@ class RenderResult:
 
 
 def auto_stops(xyz: Array) -> float:
-    """Return the exposure that brings the bright end of a picture just below white, within `AUTO_STOPS`."""
+    """Return the exposure that brings the bright end of a picture just below white, within `AUTO_STOPS`.
+
+    In thousandths: threads sum a picture in any order, and frames must know the exposure of one rendered again.
+    """
     bright = float(np.percentile(xyz[..., 1], AUTO_PERCENTILE))
     if bright <= 0.0:
         return 0.0
-    return float(np.clip(np.log2(AUTO_LEVEL / bright), *AUTO_STOPS))
+    return round(float(np.clip(np.log2(AUTO_LEVEL / bright), *AUTO_STOPS)), 3)
 
 
 def develop(xyz: Array, illuminant: str, exposure: Exposure = "auto") -> tuple[Array, float]:

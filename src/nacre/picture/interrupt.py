@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 
+LEAVING_S = 5.0
 _has_passes = threading.Event()  # the picture being made has a pass to keep
 
 
@@ -62,19 +63,27 @@ def leaving_at_once(status: int, message: str) -> Iterator[None]:
     begin_picture()
     heard, told = os.pipe()
     os.set_blocking(told, False)
+    # taken by the first of the two that hear of the interrupt, and never given back: only one of them says so
+    leaving = threading.Lock()
 
     def listen() -> None:
         while number := os.read(heard, 1):
-            if number[0] == signal.SIGINT and not _has_passes.is_set():
+            if number[0] == signal.SIGINT and not _has_passes.is_set() and leaving.acquire(blocking=False):
                 cursor = "\x1b[?25h" if sys.stderr.isatty() else ""  # a progress bar may have hidden it
                 os.write(2, f"{cursor}{message}\n".encode())
                 os._exit(status)
         os.close(heard)
 
-    threading.Thread(target=listen, daemon=True).start()
+    listener = threading.Thread(target=listen, daemon=True)
+    listener.start()
     before = signal.set_wakeup_fd(told, warn_on_full_buffer=False)
     try:
         yield
+    except KeyboardInterrupt:
+        if not _has_passes.is_set():
+            listener.join(LEAVING_S)  # it has heard too, and ends the process
+        raise
     finally:
+        leaving.acquire()  # waits for the process to end, where the other thread is ending it
         signal.set_wakeup_fd(before)
         os.close(told)

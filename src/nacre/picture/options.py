@@ -35,6 +35,11 @@ class Background:
     is_scene: bool = True
     colour: tuple[float, float, float] | None = None
 
+    @property
+    def is_clear(self) -> bool:
+        """Whether nothing lies behind the subject, so that the picture has an alpha."""
+        return not self.is_scene and self.colour is None
+
 
 def read_background(text: str) -> Background:
     """Read "scene", "transparent" or a colour: a name of CSS such as grey, or #rrggbb.
@@ -69,7 +74,7 @@ def check_output(path: Path, background: Background) -> None:
     suffix = path.suffix.lower()
     if suffix not in STILL_SUFFIXES:
         raise NacreError(f"{path}: pictures are written as {', '.join(STILL_SUFFIXES[:-1])} or {STILL_SUFFIXES[-1]}")
-    if suffix in OPAQUE_SUFFIXES and not background.is_scene and background.colour is None:
+    if suffix in OPAQUE_SUFFIXES and background.is_clear:
         raise NacreError(f"{path}: a JPEG knows no transparency; write .png, .webp or .exr")
 
 

@@ -20,7 +20,9 @@ from nacre.picture import interrupt
 from nacre.picture.camera import View
 from nacre.picture.cut_out import cut_out
 from nacre.picture.denoise import GUIDE_SPP
+from nacre.picture.endless import without_edges
 from nacre.picture.progress import Clock, ProgressCallback
+from nacre.picture.samples import begin, going_on
 from nacre.recipe.memory import check_memory
 
 # samples of one pass: bounds memory (some hundred bytes each) and keeps passes near a second
@@ -32,9 +34,9 @@ BAND_STEP_NM = 10.0
 FIRST_HIT = {"albedo": "RGB", "normal": "XYZ", "depth": "Z"}
 RUSSIAN_ROULETTE_DEPTH = 6
 GUIDES_FROM = 1 << 20  # the number of their first pass: beyond those of any picture
-ROUND = 16  # samples of a pass where a noise or a time ends the picture
-# after so many passes the noise is judged: always the same ones, so that the same seed stays the same picture
-CHECKS = frozenset(round(4 * 2 ** (k / 2)) for k in range(40))
+# where a noise or a time ends the picture, so many independent sequences of samples take turns: what they differ by
+# tells the noise
+SEQUENCES, TURN = 4, 8
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,7 @@ class Shot:
         boxed: pixels that share no samples, as a denoiser needs them.
         cut: see the objects alone.
         with_guides: what each pixel sees first, too.
+        is_framed: another frame than the scene's own, which may see past the edge of the backdrop.
     """
 
     view: View | None
@@ -74,6 +77,7 @@ class Shot:
     boxed: bool = False
     cut: bool = False
     with_guides: bool = False
+    is_framed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,32 +126,34 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback) -> Frame:
         film = band_film(bands, BAND_STEP_NM)
     each = BYTES_A_PIXEL + BYTES_A_BAND * len(bands) + (BYTES_OF_GUIDES if shot.with_guides else 0)
     check_memory(float(each) * shot.size[0] * shot.size[1], f"size = {shot.size[0]}x{shot.size[1]}: the picture")
-    sensor = stage.sensor(shot.view, shot.size, film)
+    sampler = going_on()
+    sensor = stage.sensor(shot.view, shot.size, film, sampler=sampler)
     integrator = mi.load_dict(path_tracer(stage))
     if shot.cut:
         integrator = cut_out(integrator, stage.objects)
+    elif shot.is_framed and stage.endless is not None:
+        integrator = without_edges(integrator, stage.endless)
     most = max(1, PASS_SAMPLES // (shot.size[0] * shot.size[1]))
     until = shot.until
     is_open = until.noise is not None or until.seconds is not None
-    plan = [ROUND] * max(until.spp // min(ROUND, most), 1) if is_open else pass_plan(until.spp, most)
-    plan = [part for now in plan for part in pass_plan(now, most)] if is_open else plan
+    plan = pass_plan(until.spp, most, is_open)
     count = len(plan)
     total: NDArray[np.float64] | None = None
     done, clock, spread, noise = 0, Clock(), Spread(), None
     stopped = False
     started = time.perf_counter()
     with interrupt.held_back() as is_interrupted:
-        for index, now in enumerate(plan):
-            picture = mi.render(
-                stage.mitsuba_scene, sensor=sensor, integrator=integrator, spp=now, seed=pass_seed(shot.seed, index)
-            )
+        for index, part in enumerate(plan):
+            now = part.spp
+            seed = begin(sampler, pass_seed(shot.seed, part.sequence), part.first, now)
+            picture = mi.render(stage.mitsuba_scene, sensor=sensor, integrator=integrator, spp=now, seed=seed)
             values = np.array(picture, dtype=np.float64)
             total = values * now if total is None else total + values * now
             done += now
             interrupt.keep_passes()
             if is_open:
-                spread.add(values.mean(axis=-1) if shot.spectral else values[..., 1], now)
-                noise = spread.noise() if index + 1 in CHECKS else noise
+                spread.add(values.mean(axis=-1) if shot.spectral else values[..., 1], part)
+                noise = spread.noise() if part.ends_round else noise
             count, is_enough = _left(until, plan, index + 1, noise, time.perf_counter() - started)
             try:
                 report(index + 1, count, clock.left(index + 1, count))
@@ -160,10 +166,9 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback) -> Frame:
     mean = total / done
     guides = {}
     if shot.with_guides:
-        passes = [
-            (now, pass_seed(shot.seed, GUIDES_FROM + index)) for index, now in enumerate(pass_plan(GUIDE_SPP, most))
-        ]
-        guides = first_hits(stage.mitsuba_scene, sensor, passes)
+        guides = first_hits(
+            stage.mitsuba_scene, sensor, sampler, pass_plan(GUIDE_SPP, most), pass_seed(shot.seed, GUIDES_FROM)
+        )
     not_finite = int(np.count_nonzero(~np.isfinite(mean).all(axis=-1)))
     clean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
     if shot.spectral:
@@ -175,7 +180,7 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback) -> Frame:
     return Frame(clean[..., :3], done, alpha, guides=guides, not_finite=not_finite, noise=noise, is_interrupted=stopped)
 
 
-def _left(until: Until, plan: list[int], done: int, noise: float | None, seconds: float) -> tuple[int, bool]:
+def _left(until: Until, plan: Sequence[Part], done: int, noise: float | None, seconds: float) -> tuple[int, bool]:
     """Return how many passes there will be as far as one can tell, and whether those done are enough."""
     if until.seconds is not None:
         by_time = max(math.ceil(until.seconds / seconds * done), done)
@@ -187,34 +192,33 @@ def _left(until: Until, plan: list[int], done: int, noise: float | None, seconds
 
 
 class Spread:
-    """How far the passes of a picture lie apart, which tells the noise of their mean."""
+    """How far the sequences of a picture lie apart, which tells the noise of their mean."""
 
     def __init__(self) -> None:
-        self._count, self._weight = 0, 0
-        self._sum: Any = 0.0
-        self._squares: Any = 0.0
+        self._sums: list[Any] = [0.0] * SEQUENCES
+        self._weights = [0] * SEQUENCES
 
-    def add(self, luminance: NDArray[np.float64], spp: int) -> None:
-        """Take a pass `[row, column]` of so many samples into account."""
+    def add(self, luminance: NDArray[np.float64], part: Part) -> None:
+        """Take a pass `[row, column]` into account."""
         luminance = np.nan_to_num(luminance, nan=0.0, posinf=0.0, neginf=0.0)
-        self._count, self._weight = self._count + 1, self._weight + spp
-        self._sum = self._sum + spp * luminance
-        self._squares = self._squares + spp * luminance**2
+        # in single precision: as many bytes as one sum and its squares would take
+        self._sums[part.sequence] = self._sums[part.sequence] + (part.spp * luminance).astype(np.float32)
+        self._weights[part.sequence] += part.spp
 
     def noise(self) -> float | None:
-        """Return the median over lit pixels of the relative standard error of the mean; None of fewer than 4 passes.
+        """Return the median over lit pixels of the relative standard error of the mean; None if turns are missing.
 
         The median of a variance of n degrees of freedom lies below its mean by (1 - 2 / 9n)^3 (Wilson and Hilferty),
         which is given back.
         """
-        n = self._count - 1
-        if n < 3:
+        if min(self._weights) != max(self._weights) or self._weights[0] == 0:
             return None
-        mean = self._sum / self._weight
-        variance = np.maximum(self._squares / self._weight - mean**2, 0.0) / n
+        mean = sum(self._sums) / SEQUENCES
         lit = mean > 0
-        if not lit.any():
+        if not np.any(lit):
             return 0.0
+        n = SEQUENCES - 1
+        variance = sum((each - mean) ** 2 for each in self._sums) / (n * SEQUENCES)
         return float(np.median(np.sqrt(variance[lit] / (1 - 2 / (9 * n)) ** 3) / mean[lit]))
 
 
@@ -234,20 +238,27 @@ def lets_through(scene: Any) -> bool:
     return any(shape.bsdf() is not None and int(shape.bsdf().flags()) & null for shape in scene.shapes())
 
 
-def first_hits(scene: Any, sensor: Any, passes: Sequence[tuple[int, int]]) -> dict[str, NDArray[np.float32]]:
+def first_hits(
+    scene: Any, sensor: Any, sampler: Any, passes: Sequence[Part], seed: int
+) -> dict[str, NDArray[np.float32]]:
     """Return what each pixel sees first: albedo (diffuse reflectance) and normal `[row, column, 3]`, depth `[..., 1]`.
 
     Args:
         scene, sensor: of Mitsuba.
-        passes: samples a pixel and seed of each pass, `GUIDE_SPP` in all.
+        sampler: of the sensor, from `going_on`.
+        passes: `GUIDE_SPP` samples in all.
+        seed: of the samples.
     """
     mi = use_variant()
     integrator = mi.load_dict({"type": "aov", "aovs": "albedo:albedo,normal:sh_normal,depth:depth"})
     seen = sum(
-        spp * np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed))[..., -7:]
-        for spp, seed in passes
-    )
-    mean = np.asarray(seen / sum(spp for spp, _ in passes), dtype=np.float32)
+        part.spp * np.array(
+            mi.render(scene, sensor=sensor, integrator=integrator, spp=part.spp,
+                      seed=begin(sampler, seed, part.first, part.spp))
+        )[..., -7:]
+        for part in passes
+    )  # fmt: skip
+    mean = np.asarray(seen / sum(part.spp for part in passes), dtype=np.float32)
     mean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
     # Mitsuba shows reflectances under light of equal energy, as sRGB under D65 would see it: make its white white
     seen_as = adapt_xyz(mean[..., :3] @ RGB_TO_XYZ.T, white_xyz("E"), SRGB_WHITE_XYZ)
@@ -256,23 +267,46 @@ def first_hits(scene: Any, sensor: Any, passes: Sequence[tuple[int, int]]) -> di
     return {"albedo": albedo, "normal": normal, "depth": np.maximum(mean[..., 6:], 0.0)}
 
 
-def pass_plan(spp: int, most: int) -> list[int]:
-    """Split spp into passes of at most `most`, each a number that fills the sampler's grid: k^2 or k (k + 1).
+@dataclass(frozen=True)
+class Part:
+    """One pass.
 
-    Stratified over its grid, a pass of 16 has the variance of 37 independent samples (measured on the sphere).
-
-    Example: `pass_plan(100, 40)` is [36, 36, 25, 2, 1].
+    Attributes:
+        sequence: which of the sequences of samples goes on.
+        first: how many samples a pixel of it were taken before.
+        spp: how many this pass takes.
+        ends_round: whether all sequences have had their turn equally often after it: then the noise can be told, always
+            after the same passes, so that the same seed stays the same picture.
     """
+
+    sequence: int
+    first: int
+    spp: int
+    ends_round: bool = False
+
+
+def pass_plan(spp: int, most: int, is_open: bool = False) -> list[Part]:
+    """Split the samples of a pixel into passes of at most `most`.
+
+    Args:
+        spp: how many; with `is_open` no more than these, in whole rounds, of which there is at least one.
+        most: in one pass.
+        is_open: whether the noise is to be told, by sequences that take turns.
+    """
+    if not is_open:
+        return [Part(0, first, min(most, spp - first)) for first in range(0, spp, most)]
+    turn = min(max(spp // SEQUENCES, 1), TURN)
     plan = []
-    while spp > 0:
-        limit = min(spp, most)
-        k = math.isqrt(limit)
-        now = k * (k + 1) if k * (k + 1) <= limit else k * k
-        plan.append(now)
-        spp -= now
+    for number in range(1, max(spp // (SEQUENCES * turn), 1) + 1):
+        for sequence in range(SEQUENCES):
+            begun, end = (number - 1) * turn, number * turn
+            for first in range(begun, end, most):
+                now = min(most, end - first)
+                is_last = sequence == SEQUENCES - 1 and first + now == end
+                plan.append(Part(sequence, first, now, is_last))
     return plan
 
 
 def pass_seed(seed: int, index: int) -> int:
-    """Spread (seed, pass) over 32 bits, so that neighbouring seeds share no pass."""
+    """Spread (seed, sequence) over 32 bits, so that neighbouring seeds share no sequence."""
     return (seed * 0x9E3779B1 + index * 0x85EBCA6B + 0x1B873593) & 0xFFFFFFFF

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from nacre.bsdf import Bsdf
+from nacre.bsdf.texture import refuse_place
 from nacre.device.variant import use_variant
 from nacre.errors import NacreError, RecipeError, UnsupportedError
 from nacre.files import check_writable
@@ -148,6 +149,7 @@ def render(
                 "scene screen: shows what a tile projects and has no camera; leave view, fov, zoom, turn, background "
                 "and light layers out"
             )
+        refuse_place(bsdf, "scene screen")
         result = render_screen(
             bsdf, illuminant=illuminant, size=check_size(size), exposure=exposure, notes=notes, tone=tone,
             light_turn_deg=light_turn_deg, view_turn_deg=view_turn_deg,
@@ -174,8 +176,7 @@ def render(
             clear=bool(getattr(bsdf, "transmits", False)), is_plain=not behind.is_scene,
         )  # fmt: skip
         stage = set_up.stage(lamps)
-        scene_view = chosen.place_view if chosen.place_view and stage.light.is_surrounding else chosen.view
-        camera = framing.of(scene_view, stage.radius).turned(float(view_turn_deg))
+        camera = stage.view(framing).turned(float(view_turn_deg))
         balance, light_note = stage.light.illuminant, stage.light.note
         default_size = chosen.size
     width, height = check_size(size) or check_size(default_size) or default_size
@@ -187,6 +188,7 @@ def render(
     shot = Shot(
         camera, (width, height), until, seed, bool(spectral), boxed=not kept_raw, cut=not behind.is_scene,
         with_guides=not kept_raw or (is_exr and not spectral),
+        is_framed=bool(framing) or bool(view_turn_deg) or width * default_size[1] != height * default_size[0],
     )  # fmt: skip
     with progress_bar("rendering", progress) as report:
         frame = shoot(stage, shot, report)
@@ -272,9 +274,8 @@ def scene_dict(
     stage = set_up.build(lamps)
     if bsdf is not None:
         stage.set_material(bsdf)
-    scene_view = chosen.place_view if chosen.place_view and stage.light.is_surrounding else chosen.view
     film = {"type": "hdrfilm", "rfilter": {"type": "gaussian"}}
-    sensor = stage.sensor(framing.of(scene_view, stage.radius), check_size(size) or chosen.size, film, check_spp(spp))
+    sensor = stage.sensor(stage.view(framing), check_size(size) or chosen.size, film, check_spp(spp))
     return {**stage.content, "integrator": path_tracer(stage), "sensor": sensor}
 
 

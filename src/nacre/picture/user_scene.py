@@ -43,6 +43,7 @@ class UserScene:
             raise NacreError(f"scene {path}: holds no scene")
         if not scene.sensors():
             raise NacreError(f"scene {path}: has no camera (sensor)")
+        self.endless = None  # its surroundings are its own
         self.path, self.mitsuba_scene, self.depth = path, scene, DEFAULT_DEPTH
         self.subjects = [s for s in scene.shapes() if s.bsdf() is not None and s.bsdf().id() == SUBJECT]
         if not self.subjects:
@@ -67,7 +68,7 @@ class UserScene:
         for shape in self.subjects:
             shape.set_bsdf(made)
 
-    def sensor(self, view: object, size: tuple[int, int], film: dict[str, Any]) -> Any:
+    def sensor(self, view: object, size: tuple[int, int], film: dict[str, Any], sampler: Any = None) -> Any:
         """Return the scene's first camera with our film; `view` is ignored.
 
         Raises:
@@ -84,7 +85,7 @@ class UserScene:
             "type": "perspective",
             "to_world": mi.ScalarTransform4f(transform.matrix.numpy().reshape(4, 4)),
             "film": {**film, "width": size[0], "height": size[1]},
-            "sampler": {"type": "multijitter"},
+            "sampler": sampler or {"type": "multijitter"},
         }
         try:
             settings |= {"fov": float(values["x_fov"].numpy()[0]), "fov_axis": "x"}

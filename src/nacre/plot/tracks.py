@@ -150,7 +150,7 @@ def tracks_figure(
         draw_locus(left)
         left.plot(*light.xyz_to_xyy(white)[:2], "+", color=INK, markersize=5, markeredgewidth=0.7)
         for number, (name, track) in enumerate(tracks.items()):
-            xyz = light.spectrum_to_xyz(track.values, nm, illuminant)
+            xyz = track.values @ light.smooth_weights(nm, illuminant, "2deg")
             even = MIDDLE_GREY / xyz[:, 1:2]
             colours = shown_colours(track.values * even, nm, illuminant, 1.0)[0]
             lab[name] = light.xyz_to_lab(xyz if lightness is None else xyz * _luminance(lightness) / xyz[:, 1:2], white)
@@ -198,6 +198,7 @@ def material_tracks(
         raise NacreError(f"over {path}: give at least two values")
     if not hasattr(material, "vary"):
         raise UnsupportedError("tracks over a number need a recipe; this material has none")
+    material = material.for_many()
     made = [material.vary({path: float(step)}) for step in steps]
     grid = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
     found, nm = number_tracks(made, steps, evaluate, grid, illuminant)

@@ -38,6 +38,8 @@ class RecipeContext:
             gets a material with `.bsdf()` and need not know its family. With `ambient = `, the recipe is built in
             that medium.
         ambient: the medium that another recipe puts this one into (an optical constant), or None.
+        is_one_of_many: whether it is solved beside many near it (a sweep, a search), so that a family takes its quick
+            way where the recipe leaves the choice to it.
         reached: the digest of every file that was read for the recipe, those of nested recipes among them.
     """
 
@@ -46,6 +48,7 @@ class RecipeContext:
     text: str = ""
     load_recipe: Callable[..., Any] | None = None
     ambient: Any = None
+    is_one_of_many: bool = False
     reached: dict[Path, str] = field(default_factory=dict, compare=False, repr=False)
 
     def path(self, name: str) -> Path:
@@ -60,10 +63,15 @@ class RecipeContext:
         self.reach({path: file_digest(path)})
         return path
 
-    def recipe(self, name: str, **options: Any) -> Any:
-        """Load another recipe (`load_recipe`); its files are this one's too."""
+    def recipe(self, name: str | Mapping[str, Any], **options: Any) -> Any:
+        """Load another recipe (`load_recipe`), by its file or given as a table; its files are this one's too."""
         assert self.load_recipe is not None
         made = self.load_recipe(name, **options)
+        if self.is_one_of_many:
+            made = made.for_many()
+        if isinstance(name, Mapping):
+            self.reach(made.context.reached)
+            return made
         text = hashlib.sha256(made.context.text.encode()).hexdigest()
         self.reach({Path(made.context.source).resolve(): text, **made.context.reached})
         return made
@@ -151,6 +159,7 @@ class RecipeModel(pydantic.BaseModel):
     example: ClassVar[Mapping[str, Any]] = {}
     varies: ClassVar[str] = ""  # of a family: which numbers a texture or formula may give, for messages
     varies_by_nodes: ClassVar[tuple[str, ...]] = ()  # paths solved at some values and blended between
+    zero_drops: ClassVar[tuple[str, ...]] = ()  # numbers whose table is left out where a search sets them to 0
     # for the reference and for editors, see `keys.py` and `schema.py` beside this file
     noun: ClassVar[str] = ""  # of a table that stands in many places: what it is called, "an optical constant"
     forms: ClassVar[tuple[str, ...]] = ()  # every way to write the table, as TOML

@@ -103,6 +103,14 @@ def set_by_path(data: MutableMapping[str, Any], path: str, value: Any, source: s
     holder[last] = value
 
 
+def is_within(path: str, holder: str) -> bool:
+    """Whether a path is another one, or leads into what that names.
+
+    Example: `layers[1].n` is within `layers[1]` and `layers`, not within `layers[1].no`.
+    """
+    return path == holder or path.startswith((f"{holder}.", f"{holder}["))
+
+
 def numbers_of(data: Any, path: str = "") -> dict[str, float]:
     """Return every number that a recipe's dictionary gives, by its path: what a fit or a search may free."""
     if isinstance(data, Mapping):

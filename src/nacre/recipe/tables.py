@@ -21,6 +21,19 @@ class FreeSpec(RecipeModel):
     max: float = pydantic.Field(description="upper bound", examples=[600])
 
 
+class FreeNumberSpec(RecipeModel):
+    """What a number or a word of the recipe may become: bounds, or choices."""
+
+    one_of: ClassVar[tuple[str, ...]] = ("min|max", "choices")
+    forms: ClassVar[tuple[str, ...]] = ("{min = 3, max = 15}", '{choices = ["SiO2", "MgF2"]}')
+
+    min: float | None = pydantic.Field(default=None, description="lower bound", examples=[3])
+    max: float | None = pydantic.Field(default=None, description="upper bound", examples=[15])
+    choices: list[Any] | None = pydantic.Field(
+        default=None, description="values to choose from", examples=[["SiO2", "MgF2"]]
+    )
+
+
 class SpreadSpec(RecipeModel):
     """How far a number spreads in manufacture, for `nacre tolerance`."""
 

@@ -149,8 +149,7 @@ def animate(
     unknown = set(settings) - set(_SETTINGS)
     if unknown:
         raise NacreError(f"animate does not take {', '.join(sorted(unknown))}")
-    behind = read_background(settings.get("background", "scene"))
-    if not behind.is_scene and behind.colour is None:
+    if read_background(settings.get("background", "scene")).is_clear:
         raise NacreError('background = "transparent": animations know no transparency; give a colour')
     has_time = uses_time(getattr(material, "data", None))
     if motion.name in ("time", TIME_PATH) and not has_time:
@@ -225,6 +224,7 @@ def _material_at(material: Any, motion: Motion, has_time: bool, frames: int) -> 
         UnsupportedError: the material is fixed.
     """
     if hasattr(material, "vary"):
+        material = material.for_many()
 
         def changed(index: int, value: float) -> Any:
             moved = {motion.name: value} if motion.is_parameter else {}

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from nacre.design.wants.judge import Reached
+from nacre.design.wants.parts import take_apart
 from nacre.errors import NacreError, RecipeError
 from nacre.files import read_text, write_text
 from nacre.materials.material import Material
@@ -57,6 +58,46 @@ class Solution:
         return None if found is None else float(found["share"])
 
 
+@dataclass(frozen=True)
+class WantsProgress:
+    """What a caller is told while a design is searched.
+
+    Attributes:
+        worst: the largest weight x distance / within so far; below 1 every want is met.
+        seconds, seconds_left: spent and left.
+    """
+
+    worst: float
+    seconds: float
+    seconds_left: float
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A finished (or cleanly stopped) design.
+
+    Attributes:
+        folder: where its files are; None where nothing was written.
+        status: "met", "out of reach" (time is up and a want is not within), "interrupted".
+        message: the outcome in words.
+        seconds: wall time.
+        solutions: the answers, the best first.
+        summary: what `design.json` holds.
+    """
+
+    folder: Path | None
+    status: str
+    message: str
+    seconds: float
+    solutions: list[Solution]
+    summary: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def best(self) -> Solution:
+        """The best answer."""
+        return self.solutions[0]
+
+
 def write_recipe(
     folder: Path, start: Material, changes: Mapping[str, Any], tolerance: Mapping[str, Any]
 ) -> tuple[Path, list[str]]:
@@ -88,6 +129,8 @@ def write_recipe(
     moved = _bring(data, start.context.folder, set(start.context.reached), folder, copied)
     for path, name in moved.items():
         set_by_path(data, path, name, start.context.source)
+    for name, part in take_apart(data, copied).items():
+        write_text(folder / name, part)
     text = ""
     if start.context.text:
         with contextlib.suppress(NacreError, ValueError, KeyError, TypeError):
@@ -176,4 +219,4 @@ def check_folder(out: Path, start: Material) -> None:
         raise RecipeError(f"{out}: holds the recipe that the design starts from; choose another folder with -o")
 
 
-__all__ = ["Solution", "clear_answers", "check_folder", "folder_of", "write_recipe"]
+__all__ = ["Design", "Solution", "WantsProgress", "clear_answers", "check_folder", "folder_of", "write_recipe"]

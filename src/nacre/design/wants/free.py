@@ -1,153 +1,14 @@
-"""What may change: free numbers with bounds, words with choices, found in the recipe by their paths."""
+"""What may change, and how far it spreads in manufacture: the tables `[free]` and `[spread]` of a target."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from nacre.arrays import Array
-from nacre.design.wants.spec import FreeNumberSpec
-from nacre.errors import NacreError, RecipeError
+from nacre.materials.free import Free, own_place, place_of, read_free, values_at
 from nacre.materials.material import Material
 from nacre.materials.spreads import Spread, read_spread
-from nacre.recipe.model import show_value
 from nacre.recipe.paths import expand_path
-from nacre.recipe.tables import by_path, known_only
-
-MOST_FREE = 200
-
-
-@dataclass(frozen=True)
-class Free:
-    """One number or word that may change.
-
-    Attributes:
-        path: its place in the recipe.
-        low, high: bounds of a number.
-        choices: the values of a word; empty for a number.
-        is_whole: whether only whole numbers are allowed.
-    """
-
-    path: str
-    low: float = 0.0
-    high: float = 0.0
-    choices: tuple[Any, ...] = ()
-    is_whole: bool = False
-
-    def value(self, unit: float) -> Any:
-        """Return the value at a place in [0, 1]."""
-        unit = min(max(float(unit), 0.0), 1.0)
-        if self.choices:
-            return self.choices[min(int(unit * len(self.choices)), len(self.choices) - 1)]
-        value = self.low + unit * (self.high - self.low)
-        return int(round(value)) if self.is_whole else value
-
-    def unit(self, value: Any) -> float | None:
-        """Return the place in [0, 1] of a value; None where it is out of the bounds or no choice."""
-        if self.choices:
-            return (self.choices.index(value) + 0.5) / len(self.choices) if value in self.choices else None
-        if isinstance(value, bool) or not isinstance(value, int | float) or not self.low <= value <= self.high:
-            return None
-        return (value - self.low) / (self.high - self.low)
-
-
-def read_free(table: Any, material: Material, source: str) -> tuple[Free, ...]:
-    """Read a `[free]` table.
-
-    Args:
-        table: path -> bounds or choices.
-        material: the recipe that it is about.
-        source: the file's name, for messages.
-
-    Raises:
-        RecipeError: naming the path and what is allowed.
-    """
-    found: dict[str, Free] = {}
-    for path, entry in by_path(table, {"min", "max", "choices"}, source, "free").items():
-        where = f'{source}: free."{path}"'
-        for each in expand_path(material.data, path, f'{source}: free: recipe "{material.name}"'):
-            found[each] = _free(each, entry, material, where)
-    if len(found) > MOST_FREE:
-        raise RecipeError(f"{source}: free: {len(found)} numbers are free; at most {MOST_FREE} are allowed")
-    return tuple(found.values())
-
-
-def _free(path: str, entry: Any, material: Material, where: str) -> Free:
-    if isinstance(entry, Mapping):
-        known_only(entry, FreeNumberSpec, where)
-        if "choices" in entry:
-            return _choices(path, entry, material, where)
-        low, high = entry.get("min"), entry.get("max")
-    elif isinstance(entry, list) and len(entry) == 2:
-        low, high = entry
-    else:
-        raise RecipeError(
-            f"{where} = {show_value(entry)} should be [low, high], {{min = ..., max = ...}} or {{choices = [...]}}"
-        )
-    if not (_is_number(low) and _is_number(high)):
-        raise RecipeError(f"{where} = {show_value(entry)} should hold two numbers")
-    low, high = float(low), float(high)  # type: ignore[arg-type]  # both are numbers
-    if not low < high:
-        raise RecipeError(f"{where} = {show_value(entry)}: the bounds cross; the first should be below the second")
-    value = _given(material, path)
-    if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
-        raise RecipeError(f"{where}: the recipe's value {show_value(value)} is not a number; write choices = [...]")
-    return _tried(path, low, high, material, where)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _tried(path: str, low: float, high: float, material: Material, where: str) -> Free:
-    """Try a value between the bounds in the recipe, which tells paths that do not exist and numbers that are whole."""
-    try:
-        material.vary({path: low + 0.4142 * (high - low)})
-        return Free(path, low, high)
-    except NacreError as error:
-        said = error
-    whole = [math.ceil(low), math.floor((low + high) / 2), math.floor(high)]
-    for value in whole:
-        try:
-            material.vary({path: value})
-        except NacreError:
-            continue
-        return Free(path, float(math.ceil(low)), float(math.floor(high)), (), True)
-    raise RecipeError(f"{where}: {said}")
-
-
-def _choices(path: str, entry: Mapping[str, Any], material: Material, where: str) -> Free:
-    choices = entry["choices"]
-    if "min" in entry or "max" in entry or not isinstance(choices, list) or not choices:
-        raise RecipeError(f"{where} = {show_value(entry)} should be {{choices = [...]}} with one choice at least")
-    for value in choices:
-        try:
-            material.vary({path: value})
-        except NacreError as error:
-            raise RecipeError(f"{where}: {error}") from None
-    return Free(path, choices=tuple(choices))
-
-
-def _given(material: Material, path: str) -> Any:
-    try:
-        return material.get(path)
-    except (RecipeError, KeyError, IndexError, TypeError):
-        return None
-
-
-def own_place(free: Sequence[Free], material: Material) -> Array | None:
-    """Return the recipe's own values as a place in the unit cube, None where one lies out of its bounds."""
-    units = [number.unit(_given(material, number.path)) for number in free]
-    return None if any(unit is None for unit in units) else np.array(units, dtype=float)
-
-
-def values_at(free: Sequence[Free], place: Array) -> dict[str, Any]:
-    """Return the recipe's changes at a place in the unit cube."""
-    return {number.path: number.value(unit) for number, unit in zip(free, place, strict=True)}
+from nacre.recipe.tables import by_path
 
 
 def spreads_of(table: Any, material: Material, source: str) -> tuple[Spread, ...]:
@@ -163,4 +24,4 @@ def spreads_of(table: Any, material: Material, source: str) -> tuple[Spread, ...
     return tuple(found.values())
 
 
-__all__ = ["Free", "own_place", "read_free", "spreads_of", "values_at"]
+__all__ = ["Free", "own_place", "place_of", "read_free", "spreads_of", "values_at"]

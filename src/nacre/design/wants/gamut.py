@@ -157,6 +157,7 @@ def find_gamut(
     if not within > 0:
         raise NacreError(f"--within = {within:g} must be above 0")
     check_light(LightSpec(illuminants=[illuminant], observer=observer), RecipeContext(source))
+    material = material.for_many()
     where = At.read(at, f"{source}: at")
     numbers = read_free(dict(free), material, source)
     if not numbers:
@@ -180,8 +181,10 @@ def gamut_of_free(
     """
     grid = search_wavelengths([material, *_tried(material, numbers)][-1], [illuminant])
 
+    memory: dict[Any, Any] = {}
+
     def look(values: Mapping[str, Any]) -> Array:
-        return see(material.vary(values), [at], grid, samples=samples, seed=seed).factors[0]
+        return see(material.vary(values), [at], grid, samples=samples, seed=seed, memory=memory).factors[0]
 
     light = (illuminant, observer)
     places, factors, failed = _draw(numbers, look, material, points, seconds, seed, grid, light, progress)

@@ -17,19 +17,19 @@ import numpy as np
 from nacre.arrays import Array
 from nacre.design.goals import Goals
 from nacre.design.wants.alike import are_alike
-from nacre.design.wants.free import Free, own_place, values_at
+from nacre.design.wants.free import Free, own_place, place_of, values_at
 from nacre.design.wants.geometry import At, search_wavelengths, see
 from nacre.design.wants.spec import LightSpec
 from nacre.design.wants.wanted import Want, goals_of
 from nacre.errors import NacreError
 from nacre.light import delta_e_2000
+from nacre.materials.descent import SCOUTS_PER_NUMBER, STEP, STOCHASTIC_STEP, apart, descend, draw
 from nacre.materials.material import Material
 from nacre.measure.evaluate import DEFAULT_SAMPLES
 
 MET = 0.2  # of `within`: a search that is so near everywhere ends
-SCOUTS_PER_NUMBER, LEAST_SCOUTS, MOST_SCOUTS = 24, 32, 1024
+LEAST_SCOUTS, MOST_SCOUTS = 32, 1024
 SCOUT_SHARE = 0.3  # of the time
-STEP, STOCHASTIC_STEP = 1e-4, 1e-2
 STEPS_OF_A_START, WEIGHTINGS = 40, 3
 FAR_OFF = 1e3  # residual of what cannot be computed
 QUIET_SHARE = 0.1  # of `within`: noise that does not disturb
@@ -37,6 +37,7 @@ SLOWEST_SHARE = 1 / 150  # of the time, for one candidate
 MOST_SAMPLES = 1 << 20
 DISTURBANCES = (0.03, 0.1, 0.3)
 LAST_TRIES = 32  # for a first answer after the time is over
+APART = 0.05  # of the bounds: starts that are not one
 POOL = 4  # times the answers asked for
 
 
@@ -210,19 +211,12 @@ class GeneralSearch:
 
     def _scout(self, until: float, known: Sequence[Mapping[str, Any]]) -> list[tuple[float, Array]]:
         """Judge known answers, the recipe's own place and an even draw; return (objective, place), best first."""
-        from scipy.stats import qmc
-
-        places = []
-        for values in known:
-            units = [number.unit(values.get(number.path)) for number in self.free]
-            if all(unit is not None for unit in units):
-                places.append(np.array(units, dtype=float))
+        places = [place for values in known if (place := place_of(self.free, values)) is not None]
         own = own_place(self.free, self.material)
         if own is not None:
             places.append(own)
         count = int(np.clip(SCOUTS_PER_NUMBER * len(self.free), LEAST_SCOUTS, MOST_SCOUTS))
-        sampler = qmc.Sobol(len(self.free), scramble=True, rng=np.random.default_rng([self.seed, 1]))
-        places += list(sampler.random(1 << int(np.ceil(np.log2(count)))))
+        places += list(draw(len(self.free), count, [self.seed, 1]))
         judged = []
         for place in places:
             judged.append((self._judge(place)[0], place))
@@ -253,7 +247,7 @@ class GeneralSearch:
             turn += 1
             if waiting and turn % 3:
                 place = waiting.pop(0)
-                if any(np.max(np.abs(place - other)) < 0.05 for other in begun):
+                if not apart(place, begun, APART):
                     continue
             elif self.pool.answers and turn % 2:
                 values = self.pool.answers[int(generator.integers(min(len(self.pool.answers), 3)))][1]
@@ -269,8 +263,6 @@ class GeneralSearch:
 
     def _refine(self, start: Array) -> None:
         """Refine the numbers of a place; words stay. The last steps weigh what is worst."""
-        from scipy.optimize import least_squares
-
         place = start.copy()
         weights = np.ones(len(self.goals.terms))
         sizes: Any = self._block_sizes()
@@ -286,14 +278,12 @@ class GeneralSearch:
                     return np.full(len(spread), FAR_OFF)
                 return np.asarray(self.goals.residuals(spectra)) * spread
 
-            step = STOCHASTIC_STEP if self.is_stochastic else STEP
-            found = least_squares(
-                residuals, np.clip(place[self._numbers], 1e-6, 1 - 1e-6), bounds=(0.0, 1.0),
-                diff_step=np.full(len(self._numbers), step), xtol=1e-7, ftol=1e-7, gtol=1e-9,
-                max_nfev=STEPS_OF_A_START,
+            found = descend(
+                residuals, place[self._numbers], step=STOCHASTIC_STEP if self.is_stochastic else STEP,
+                most=STEPS_OF_A_START, tolerance=1e-7,
             )  # fmt: skip
             trial = place.copy()
-            trial[self._numbers] = found.x
+            trial[self._numbers] = found.place
             objective, spectra = self._judge(trial)
             if spectra is None or objective >= last * 0.999:
                 break

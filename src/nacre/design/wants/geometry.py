@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -103,6 +103,8 @@ def see(
     *,
     samples: int | None = None,
     seed: int = 0,
+    memory: dict[Any, Any] | None = None,
+    is_rough: bool = False,
 ) -> Seen:
     """Return what a material shows at geometries.
 
@@ -111,14 +113,25 @@ def see(
     Args:
         wavelengths_nm: ascending, or None for the material's own choice.
         samples, seed: of random walks.
+        memory: of a search, whose candidates may share what hardly changes between them, and are looked at in the
+            wanted directions alone where the family knows a shorter way there than its Bsdf. None: the reference.
+        is_rough: with a memory, whether a ranking is enough.
 
     Raises:
         NacreError: the material cannot be computed.
     """
+    if memory is not None:
+        material = replace(material, model=material.model.among_many(memory, is_rough))
     model = material.model
     asked = [at for at in ats if at.kind != "aspecular"]
+    rows = [row for row, at in enumerate(ats) if at.kind == "aspecular"]
+    wi = direction(np.radians([ats[row].theta_deg for row in rows]))
+    wo = np.array([aspecular_direction(ats[row].theta_deg, ats[row].aspecular_deg) for row in rows]).reshape(-1, 3)
+    few = None
+    if rows and memory is not None and wavelengths_nm is not None:
+        few = model.values_at(wi, wo, wavelengths_nm)
     bsdf: Bsdf | None = None
-    if len(asked) < len(ats):
+    if rows and few is None:
         bsdf = model.bsdf(wavelengths_nm)
         wavelengths_nm = bsdf.wavelengths_nm
     spectrum, bsdf = _spectrum(material, asked, wavelengths_nm, bsdf, seed) if asked else (None, bsdf)
@@ -135,13 +148,12 @@ def see(
             missing.append(at)
         else:
             factors[row] = value
-    rows = [row for row, at in enumerate(ats) if at.kind == "aspecular"]
-    if rows:
+    if few is not None:
+        factors[rows] = np.pi * few
+    elif rows:
         assert bsdf is not None
         if all(lobe.is_delta for lobe in bsdf.lobes):
             missing += [ats[row] for row in rows]
-        wi = direction(np.radians([ats[row].theta_deg for row in rows]))
-        wo = np.stack([aspecular_direction(ats[row].theta_deg, ats[row].aspecular_deg) for row in rows])
         values, deviation = evaluate_with_error(bsdf, wi, wo, samples=samples, seed=seed)
         factors[rows] = np.pi * values
         if deviation is not None:

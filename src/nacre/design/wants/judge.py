@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from nacre.arrays import Array
-from nacre.design.goals import smooth_weights
 from nacre.design.wants.geometry import At, Seen, judge_wavelengths, search_wavelengths, see
 from nacre.design.wants.spec import LightSpec
 from nacre.design.wants.wanted import Want
@@ -22,6 +21,7 @@ from nacre.light import (
     lab_to_lch,
     lab_to_xyz,
     lch_to_lab,
+    smooth_weights,
     srgb_encode,
     srgb_to_hex,
     white_xyz,
@@ -33,6 +33,7 @@ from nacre.materials.material import Material
 JUDGE_SEED = 0x5EED  # walks of the judge are not those of the search
 QUIET_SHARE = 0.1  # of `within`: the noise that a judgement may have
 FEWEST_WALKS, MOST_WALKS = 4, 256
+SAME_LOOKS = 0.5  # of `within`: an objective below which nobody is served by more pigments
 BOX_POINTS, BOX_ROUNDS = 49, 4  # a side, of the search for the nearest colour of a range; each closes in
 FREE_HUE_DEG = 60.0  # a colour of another chroma is not sought further round
 
@@ -105,6 +106,9 @@ def judge(
     begun = time.monotonic()
     fine, coarse = (choose(material, light.illuminants) for choose in (judge_wavelengths, search_wavelengths))
     grid = fine if material.model.is_quick else coarse
+    if material.model.is_direct:  # the same physics in the wanted directions, with nothing kept from the search
+        seen = see(material, rows, fine, memory={})
+        return reached(seen, wants, light), seen
     seen = see(material, rows, grid, seed=seed + JUDGE_SEED)
     if seen.error is None:
         # a random walk stays on the coarse grid of reports; what is not one is looked at on its own
@@ -218,4 +222,9 @@ def objective(found: Sequence[Reached]) -> float:
     return max(scaled) + 1e-3 * float(np.mean(scaled))
 
 
-__all__ = ["Reached", "judge", "lab_hex", "objective", "reached", "rows_of"]
+def rank(objective: float, tables: int) -> tuple[float, int, float]:
+    """Return by what answers are ordered, the best first: where looks are equal, fewer pigments are better."""
+    return (0.0, tables, objective) if objective <= SAME_LOOKS else (1.0, 0, objective)
+
+
+__all__ = ["Reached", "judge", "lab_hex", "objective", "rank", "reached", "rows_of"]

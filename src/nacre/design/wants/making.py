@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ class _Eye:
     wants: Sequence[Want]
     grid: Array
     seed: int
+    memory: dict[Any, Any] = field(default_factory=dict)
 
     def at_once(self, paths: Sequence[str], values: Array) -> Array | None:
         """Return factors `[variant, row, wavelength]` of `values[variant, path]`; None where it takes one by one."""
@@ -45,7 +46,7 @@ class _Eye:
             NacreError: it cannot be computed.
         """
         made = self.material.vary({path: float(v) for path, v in zip(paths, row, strict=True)})
-        return see(made, rows_of(self.wants), self.grid, seed=self.seed).factors
+        return see(made, rows_of(self.wants), self.grid, seed=self.seed, memory=self.memory).factors
 
 
 def yield_of(

@@ -32,6 +32,8 @@ def many(target: str | Path | Mapping[str, Any], labs: ArrayLike) -> list[Soluti
     Example: `nacre.design.many("paint.toml", [(50, 20, 10), (60, -30, 5)])[0].wants[0].distance`.
     """
     read = read_target(target)
+    if read.wants[0].image is not None:
+        raise NacreError(f"{read.context.source}: want[0].image: a picture is many colours already; take nacre.design")
     wanted = np.asarray(labs, dtype=float)
     if wanted.ndim == 2 and wanted.shape[-1] == 3:
         wanted = np.repeat(wanted[:, None], len(read.wants), axis=1)

@@ -24,6 +24,7 @@ from nacre.errors import NacreError, UnsupportedError
 from nacre.files import write_text
 from nacre.light import white_xyz
 from nacre.materials.material import Material
+from nacre.recipe.paths import numbers_of
 
 if TYPE_CHECKING:
     from nacre.plot import Figure
@@ -34,6 +35,7 @@ RIBBON_DEG = np.linspace(0.0, 80.0, 41)
 COARSE_DEG = np.linspace(0.0, 80.0, 9)  # where an angle takes long
 ASPECULAR_DEG = np.array([-15.0, 0.0, 15.0, 25.0, 35.0, 45.0, 60.0, 75.0, 90.0, 110.0])
 DPI = 170
+LEAST_GAMUT_S = 3.0
 
 
 def write_page(folder: Path, target: Target, design: Any, seconds: float) -> None:
@@ -69,7 +71,8 @@ def write_page(folder: Path, target: Target, design: Any, seconds: float) -> Non
         _overview(design.solutions),
         *sections,
     ]
-    body += _gamut(target, 0.7 * seconds - (time.monotonic() - begun))
+    # who has the answer is not kept waiting for the gamut: no longer than for all the rest
+    body += _gamut(target, min(0.7 * seconds - (time.monotonic() - begun), max(design.seconds, LEAST_GAMUT_S)))
     text = html.escape(
         target.context.text or json.dumps(target.spec.model_dump(exclude_none=True), indent=2, default=str)
     )
@@ -78,7 +81,12 @@ def write_page(folder: Path, target: Target, design: Any, seconds: float) -> Non
         f"<details><summary>design.json</summary><pre>{html.escape(json.dumps(design.summary, indent=2, default=str))}"
         "</pre></details>",
     ]
-    write_text(folder / REPORT, _PAGE.replace("TITLE", html.escape(target.name)).replace("BODY", "\n".join(body)))
+    write_text(folder / REPORT, framed(target.name, body))
+
+
+def framed(name: str, body: Sequence[str]) -> str:
+    """Return a whole page of its parts."""
+    return _PAGE.replace("TITLE", html.escape(name)).replace("BODY", "\n".join(body))
 
 
 _PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>nacre: TITLE</title><style>
@@ -108,7 +116,7 @@ def sheet_of(target: Target, solution: Solution, number: int, design: Any) -> De
     grid = search_wavelengths(made, light.illuminants)
     rows = rows_of(target.wants)
     angles, ribbon_rows, label = _ribbon(rows[0], made)
-    seen = see(made, [*rows, *ribbon_rows], grid, seed=seed)
+    seen = see(made, [*rows, *ribbon_rows], grid, seed=seed, memory={})
     swatches = []
     for r in solution.wants:
         if r.lab is not None:
@@ -155,7 +163,14 @@ def layers_of(material: Material) -> tuple[list[str], list[float]]:
 
 
 def _numbers(solution: Solution) -> list[str]:
-    return [f"{path} = {_short(value)}" for path, value in solution.changes.items()]
+    """Return what was chosen, a number a line; of a list of tables, out of which some may be gone, all numbers."""
+    lines = []
+    for path, value in solution.changes.items():
+        if isinstance(value, list | dict) and (inner := numbers_of(value, path)):
+            lines += [f"{each} = {_short(number)}" for each, number in inner.items()]
+        else:
+            lines.append(f"{path} = {_short(value)}")
+    return lines
 
 
 def _short(value: Any) -> str:
@@ -270,4 +285,4 @@ def _data_uri(figure: Figure) -> str:
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
 
 
-__all__ = ["layers_of", "write_page"]
+__all__ = ["framed", "layers_of", "write_page"]

@@ -6,7 +6,7 @@ import contextlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -15,20 +15,25 @@ import numpy as np
 from nacre._version import __version__
 from nacre.design.wants.answers import (
     SUMMARY,
+    Design,
     Solution,
+    WantsProgress,
     check_folder,
     clear_answers,
     folder_of,
     write_recipe,
 )
+from nacre.design.wants.dropping import tables_kept
 from nacre.design.wants.free import spreads_of
 from nacre.design.wants.general import GeneralSearch
-from nacre.design.wants.judge import judge, objective
+from nacre.design.wants.image_run import design_picture
+from nacre.design.wants.judge import judge, objective, rank
 from nacre.design.wants.making import sensitivity, yield_of
+from nacre.design.wants.slow import slow_search
 from nacre.design.wants.target import Target, read_target
 from nacre.errors import NacreError, RecipeError
 from nacre.files import read_text, write_text
-from nacre.recipe.paths import numbers_of
+from nacre.recipe.paths import is_within, numbers_of
 
 STATE = "search.json"
 WRITE_EVERY_S = 2.0
@@ -51,46 +56,6 @@ class Search(Protocol):
     def answers(self) -> list[tuple[float, dict[str, Any]]]:
         """Return answers that differ from one another, the best first: objective, and changes by path."""
         ...
-
-
-@dataclass(frozen=True)
-class WantsProgress:
-    """What a caller is told while a design is searched.
-
-    Attributes:
-        worst: the largest weight x distance / within so far; below 1 every want is met.
-        seconds, seconds_left: spent and left.
-    """
-
-    worst: float
-    seconds: float
-    seconds_left: float
-
-
-@dataclass(frozen=True, eq=False)
-class Design:
-    """A finished (or cleanly stopped) design.
-
-    Attributes:
-        folder: where its files are; None where nothing was written.
-        status: "met", "out of reach" (time is up and a want is not within), "interrupted".
-        message: the outcome in words.
-        seconds: wall time.
-        solutions: the answers, the best first.
-        summary: what `design.json` holds.
-    """
-
-    folder: Path | None
-    status: str
-    message: str
-    seconds: float
-    solutions: list[Solution]
-    summary: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def best(self) -> Solution:
-        """The best answer."""
-        return self.solutions[0]
 
 
 def run(
@@ -124,10 +89,14 @@ def run(
     except OSError as error:
         raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
     known, runs = _known(folder, read) if resume else ([], 0)
+    if read.wants[0].image is not None:
+        return design_picture(read, folder, begun, progress)
     search = search_of(read, read.spec.search.seed + RESUMED_SEED * runs)
     keeper = _Keeper(folder, read, begun, runs + 1, progress)
     total = read.spec.search.seconds
-    closing = min(CLOSING_SHARE * total, CLOSING_S + CLOSING_OF_EACH_S * read.spec.search.solutions)
+    closing = CLOSING_SHARE * total
+    if read.material.model.is_quick:
+        closing = min(closing, CLOSING_S + CLOSING_OF_EACH_S * read.spec.search.solutions)
     left = total - closing - (time.monotonic() - begun)
     ended = search.run(max(left, LEAST_SEARCH * total), keeper.tell, known)
     found = search.answers()
@@ -140,15 +109,14 @@ def run(
 def search_of(target: Target, seed: int) -> Search:
     """Return the search that a target needs."""
     from nacre.design.wants.films import film_search
+    from nacre.design.wants.walked import walked_search
 
-    stack = film_search(target, seed)
-    return stack if stack is not None else _general(target, seed)
+    return film_search(target, seed) or walked_search(target, seed) or _general(target, seed)
 
 
 def _general(target: Target, seed: int) -> Search:
-    return GeneralSearch(
-        target.material, target.free, target.wants, target.spec.light, seed, target.spec.search.solutions
-    )
+    asked = (target.material, target.free, target.wants, target.spec.light, seed, target.spec.search.solutions)
+    return slow_search(*asked) or GeneralSearch(*asked)
 
 
 class _Keeper:
@@ -244,7 +212,7 @@ def _order(solutions: list[Solution], target: Target) -> None:
     if target.spec.spread:
         solutions.sort(key=lambda s: (-(s.yield_share or 0.0), objective(s.wants)))
     elif target.spec.limits.layers != "fewest":
-        solutions.sort(key=lambda s: objective(s.wants))
+        solutions.sort(key=lambda s: rank(objective(s.wants), tables_kept(target.material, target.free, s.changes)))
 
 
 def _judged(target: Target, changes: dict[str, Any], seconds: float) -> Solution | None:
@@ -270,7 +238,7 @@ def _judged(target: Target, changes: dict[str, Any], seconds: float) -> Solution
 
 def is_changed(path: str, changes: Mapping[str, Any]) -> bool:
     """Whether a number of the recipe is one that the search chose."""
-    return any(path == each or path.startswith((f"{each}[", f"{each}.")) for each in changes)
+    return any(is_within(path, each) for each in changes)
 
 
 def _tolerance(target: Target, solution: Solution) -> dict[str, Any]:

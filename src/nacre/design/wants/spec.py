@@ -10,44 +10,35 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
 
+from nacre.design.spec import TargetTable
 from nacre.recipe.keys import ByPath
 from nacre.recipe.model import RecipeModel
-from nacre.recipe.tables import SpreadSpec
+from nacre.recipe.tables import FreeNumberSpec, SpreadSpec
 
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 Triple = tuple[float, float, float]
 Bounds = tuple[float, float]
 # how a want may say its colour; the last three may stand together
-COLOURS = ("colour", "lab", "lch", "xyz", "xyy", "spectrum")
+COLOURS = ("colour", "lab", "lch", "xyz", "xyy", "spectrum", "image")
 RANGES = ("hue_deg", "chroma", "lightness")
 PAIR = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
-
-
-class FreeNumberSpec(RecipeModel):
-    """What a number or a word of the recipe may become: bounds, or choices."""
-
-    one_of: ClassVar[tuple[str, ...]] = ("min|max", "choices")
-    forms: ClassVar[tuple[str, ...]] = ("{min = 3, max = 15}", '{choices = ["SiO2", "MgF2"]}')
-
-    min: float | None = pydantic.Field(default=None, description="lower bound", examples=[3])
-    max: float | None = pydantic.Field(default=None, description="upper bound", examples=[15])
-    choices: list[Any] | None = pydantic.Field(
-        default=None, description="values to choose from", examples=[["SiO2", "MgF2"]]
-    )
 
 
 class WantSpec(RecipeModel):
     """One look that is wanted: where it is seen, which colour or spectrum, how exactly."""
 
-    one_of: ClassVar[tuple[str, ...]] = (*COLOURS, "|".join(RANGES))
+    one_of: ClassVar[tuple[str, ...]] = (*COLOURS, "|".join(RANGES), "directions")
     forms: ClassVar[tuple[str, ...]] = (
         '{at = "specular 0", colour = "#c2185b", within = 2.0}',
         '{at = "45as15", lab = [62, 30, -12]}',
         '{at = "specular 60", hue_deg = [350, 10], chroma = ">=30"}',
         '{at = "transmitted 0", spectrum = "filter.csv", within = 1.0}',
+        '{directions = {kind = "image", image = "grey.png", range = 0.4}}',
+        '{at = "specular 0", image = "photo.png"}',
     )
 
-    at: str = pydantic.Field(
+    at: str | None = pydantic.Field(
+        default=None,
         description="where it is seen: specular T, transmitted T (into the substrate), diffuse T, hemispherical T "
         "with T the angle of the light in degrees, or IasA: light from I, seen A degrees from the mirror direction "
         "towards the light",
@@ -73,6 +64,12 @@ class WantSpec(RecipeModel):
         description="a CSV of wavelength in nm and the factor wanted there, from 0 to 1",
         examples=["filter.csv"],
     )
+    image: str | None = pydantic.Field(
+        default=None,
+        description="an sRGB picture: each pixel is a colour wanted at its place on the surface, over which the free "
+        "numbers, one or two, may vary; it is the only want",
+        examples=["photo.png"],
+    )
     hue_deg: Bounds | None = pydantic.Field(
         default=None,
         description="range of the hue angle in degrees, upward from the first to the second; may cross 0",
@@ -84,6 +81,11 @@ class WantSpec(RecipeModel):
     lightness: str | Bounds | None = pydantic.Field(
         default=None, description="least or largest lightness, or both as a pair", examples=["<=20"]
     )
+    directions: TargetTable | None = pydantic.Field(
+        default=None,
+        description="in place of at and a colour: the picture that a relief of free heights shows over the directions",
+        examples=[{"kind": "anti-mirror", "range": 0.5}],
+    )
     within: Positive = pydantic.Field(
         default=1.0, description="distance that is good enough: dE00; of a spectrum the rms in per cent"
     )
@@ -91,13 +93,15 @@ class WantSpec(RecipeModel):
 
     @pydantic.model_validator(mode="after")
     def _one_colour(self) -> WantSpec:
-        given = [name for name in COLOURS if getattr(self, name) is not None]
+        given = [name for name in (*COLOURS, "directions") if getattr(self, name) is not None]
         ranges = [name for name in RANGES if getattr(self, name) is not None]
         if len(given) + bool(ranges) != 1:
             got = " and ".join([*given, *ranges]) or "nothing"
             raise ValueError(
                 f"gives {got}; a want has exactly one of {', '.join(COLOURS)}, or some of {', '.join(RANGES)}"
             )
+        if (self.at is None) == (self.directions is None):
+            raise ValueError("has directions and at; keep one" if self.at else "at is missing: where it is seen")
         return self
 
 
@@ -117,13 +121,24 @@ class LightSpec(RecipeModel):
 class LimitsSpec(RecipeModel):
     """What the answer must keep to."""
 
-    forms: ClassVar[tuple[str, ...]] = ('{total_nm = 800, layers = "fewest"}',)
+    forms: ClassVar[tuple[str, ...]] = ('{total_nm = 800, layers = "fewest"}', "{levels = 8}", "{trusted = true}")
 
     total_nm: Positive | None = pydantic.Field(
         default=None, description="largest thickness of all layers together", examples=[800]
     )
     layers: Literal["fewest"] | None = pydantic.Field(
         default=None, description="fewest: of equal looks the one with fewer layers", examples=["fewest"]
+    )
+    levels: Annotated[int, pydantic.Field(ge=2, le=256)] | None = pydantic.Field(
+        default=None,
+        description="of a picture: how many values, evenly spaced over its bounds, the process gives each free number; "
+        "colours between them are dithered",
+        examples=[8],
+    )
+    trusted: bool = pydantic.Field(
+        default=False,
+        description="of a relief: no higher than its finest features allow scalar diffraction to be trusted",
+        examples=[True],
     )
 
 

@@ -8,9 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from nacre.bsdf.texture import refuse_place
 from nacre.design.wants.free import Free, read_free, spreads_of, values_at
 from nacre.design.wants.geometry import check_answers
+from nacre.design.wants.image_free import check_free
 from nacre.design.wants.judge import rows_of
+from nacre.design.wants.parts import with_parts
 from nacre.design.wants.spec import LayersSpec, WantsSpec
 from nacre.design.wants.wanted import Want, read_wants
 from nacre.errors import NacreError, RecipeError, did_you_mean
@@ -67,6 +70,26 @@ def is_wants(data: Mapping[str, Any]) -> bool:
     return "want" in data or ("target" not in data and bool(set(data) & {"free", "layers", "recipe", "spread"}))
 
 
+def seeks_heights(data: Mapping[str, Any]) -> bool:
+    """Whether a target's dictionary asks for a relief's heights, or for a picture over directions."""
+    free, wants = data.get("free"), data.get("want")
+    pictures = isinstance(wants, list) and any(isinstance(want, Mapping) and "directions" in want for want in wants)
+    return pictures or (isinstance(free, Mapping) and "heights" in free)
+
+
+def read_data(target: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], RecipeContext]:
+    """Return a target's tables, a copy, and where they stand.
+
+    Raises:
+        NacreError: the file cannot be read, or is no TOML.
+    """
+    if isinstance(target, Mapping):
+        return copy.deepcopy(dict(target)), RecipeContext("target", Path().resolve(), "")
+    path = Path(target)
+    text = read_text(path, "target")
+    return parse_toml(text, str(path)), RecipeContext(str(path), path.parent.resolve(), text)
+
+
 def read_target(target: str | Path | Mapping[str, Any]) -> Target:
     """Read and check a target.
 
@@ -77,19 +100,13 @@ def read_target(target: str | Path | Mapping[str, Any]) -> Target:
         RecipeError: naming file, key, value and what is allowed.
         NacreError: the recipe cannot be computed.
     """
-    if isinstance(target, Mapping):
-        data: dict[str, Any] = copy.deepcopy(dict(target))
-        context = RecipeContext("target", Path().resolve(), "")
-    else:
-        path = Path(target)
-        text = read_text(path, "target")
-        context = RecipeContext(str(path), path.parent.resolve(), text)
-        data = parse_toml(text, str(path))
+    data, context = read_data(target)
     if "target" in data:
         raise RecipeError(f"{context.source}: holds both [[want]] and [target]; a file is of one form")
     spec: WantsSpec = validate(WantsSpec, data, context)
     source = context.source
-    base = _recipe(spec, context)
+    base = with_parts(_recipe(spec, context), [*spec.free, *spec.spread])
+    refuse_place(base.model, f"{context.source}: recipe")
     wants = read_wants(spec.want, spec.light, context)
     if spec.layers is not None:
         check_layers(spec.layers, base, source)
@@ -108,6 +125,14 @@ def read_target(target: str | Path | Mapping[str, Any]) -> Target:
         )
     if spec.spread and spec.layers is None:
         spreads_of(spec.spread, base, source)
+    if spec.limits.trusted:
+        raise RecipeError(f"{source}: limits.trusted = true is of a relief whose heights are sought")
+    if wants[0].image is not None:
+        check_free(spec, base, free, source)
+    elif spec.limits.levels is not None:
+        raise RecipeError(
+            f"{source}: limits.levels = {spec.limits.levels}: levels are of a picture; no want is an image"
+        )
     found = Target(spec, context, base, wants, free)
     _check_wants(found)
     return found
@@ -119,7 +144,7 @@ def _recipe(spec: WantsSpec, context: RecipeContext) -> Material:
         if isinstance(spec.recipe, str):
             loaded = load(context.path(spec.recipe))
             if spec.layers is None:
-                return loaded
+                return loaded.for_many()
             data, folder = dict(loaded.data), loaded.context.folder
         else:
             data, folder = dict(spec.recipe), context.folder
@@ -127,7 +152,7 @@ def _recipe(spec: WantsSpec, context: RecipeContext) -> Material:
             data["layers"] = []
             if spec.layers.substrate is not None:
                 data["substrate"] = substrates(spec.layers)[0]
-        return material(data, folder)
+        return material(data, folder).for_many()
     except NacreError as error:
         raise RecipeError(f"{context.source}: recipe: {str(error).removeprefix('recipe: ')}") from None
 
@@ -220,4 +245,4 @@ def _check_wants(target: Target) -> None:
     check_answers(tried, rows, keys)
 
 
-__all__ = ["Target", "bounds_of", "is_wants", "palette_name", "read_target", "substrates"]
+__all__ = ["Target", "bounds_of", "is_wants", "palette_name", "read_data", "read_target", "seeks_heights", "substrates"]

@@ -12,6 +12,7 @@ import numpy as np
 from nacre.arrays import Array
 from nacre.design.goals import Goal, Goals
 from nacre.design.wants.geometry import At
+from nacre.design.wants.image_file import read_picture
 from nacre.design.wants.spec import COLOURS, RANGES, LightSpec, WantSpec
 from nacre.errors import NacreError, RecipeError, did_you_mean
 from nacre.files import plain
@@ -45,6 +46,7 @@ class Want:
         xyz: `[3]`, wanted under the first lamp, or None.
         ranges: "hue", "chroma", "lightness" -> (low, high), None where open.
         spectrum: wavelengths and factors wanted, `[2, wavelength]`, or None.
+        image: a picture's colours `[row, column, 3]`, encoded sRGB in [0, 1], the first row on top, or None.
         within: distance that is good enough.
         weight: beside the others.
         key: its place in the file, for messages.
@@ -59,6 +61,7 @@ class Want:
     xyz: Array | None = None
     ranges: dict[str, tuple[float | None, float | None]] | None = None
     spectrum: Array | None = None
+    image: Array | None = None
 
     def with_lab(self, lab: Array) -> Want:
         """Return the want of another colour."""
@@ -116,6 +119,7 @@ def read_wants(specs: Sequence[WantSpec], light: LightSpec, context: RecipeConte
     check_light(light, context)
     wants = tuple(_want(spec, f"{context.source}: want[{i}]", context) for i, spec in enumerate(specs))
     _check_agreement(wants, light)
+    _check_picture(wants, light, context)
     return wants
 
 
@@ -138,6 +142,8 @@ def check_light(light: LightSpec, context: RecipeContext) -> None:
 
 
 def _want(spec: WantSpec, key: str, context: RecipeContext) -> Want:
+    if spec.at is None:
+        raise RecipeError(f"{key}.directions: a picture is sought of a relief's heights; write heights in [free]")
     at = At.read(spec.at, f"{key}.at")
     asked = {name: getattr(spec, name) for name in (*COLOURS, *RANGES) if getattr(spec, name) is not None}
     asked = {name: list(value) if isinstance(value, tuple) else value for name, value in asked.items()}
@@ -154,6 +160,8 @@ def _want(spec: WantSpec, key: str, context: RecipeContext) -> Want:
         if min(given) < 0:
             raise RecipeError(f"{key}.{name} = {show_value(list(given))} holds a negative number")
         found["xyz"] = np.array(given) if name == "xyz" else np.asarray(xyy_to_xyz(given))
+    elif spec.image is not None:
+        found["image"] = read_picture(context.path(spec.image), f"{key}.image = {show_value(spec.image)}")
     elif spec.spectrum is not None:
         found["spectrum"] = _spectrum(spec.spectrum, f"{key}.spectrum", context)
     else:
@@ -235,6 +243,18 @@ def _check_agreement(wants: Sequence[Want], light: LightSpec) -> None:
                     f'{want.key} and {other.key.rpartition(" ")[2]} want two colours at "{want.at}" that are dE00 '
                     f"{apart:.1f} apart; within {want.within:g} and {other.within:g} no answer has both"
                 )
+
+
+def _check_picture(wants: Sequence[Want], light: LightSpec, context: RecipeContext) -> None:
+    """Refuse what cannot stand beside a picture: another want, another lamp."""
+    for want in wants:
+        if want.image is None:
+            continue
+        if len(wants) > 1:
+            raise RecipeError(f"{want.key}.image: a picture is the only want; remove the other {len(wants) - 1}")
+        if len(light.illuminants) > 1:
+            lamps = show_value(light.illuminants)
+            raise RecipeError(f"{context.source}: light.illuminants = {lamps}: a picture is wanted under one lamp")
 
 
 def goals_of(wants: Sequence[Want], rows: Sequence[At], light: LightSpec, wavelengths_nm: Array) -> Goals:

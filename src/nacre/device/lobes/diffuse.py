@@ -49,7 +49,7 @@ class DiffusePlugin(LobePlugin[Diffuse]):
     def _albedo(self, si: Any, cos_o: Any, active: Any) -> Any:
         """Return pi f: scale, times the way in and the way out."""
         where = self.axis.locate(si.wavelengths, active)
-        corners = self.parameters.corners(si.uv, active)
+        corners = self.parameters.corners(si, active)
         (value,) = self.scale.look_up(mi.UInt32(0), mi.Float(0.0), where, corners, active)
         if self.entry is not None:
             for cos in (si.wi.z, cos_o):

@@ -59,7 +59,7 @@ class MaskedPlugin(LobePlugin[MaskedLobe]):
             self._at, self._rise, self._fall = opaque(at), opaque(1.0 / below), opaque(1.0 / above)
 
     def _share(self, si: Any) -> Any:
-        value = self._mask(si.uv)
+        value = self._mask(si)
         if self._has_nodes:
             away = value - self._at
             return dr.clip(1.0 - dr.maximum(-away * self._rise, away * self._fall), 0.0, 1.0)

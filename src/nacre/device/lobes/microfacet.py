@@ -202,7 +202,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
     def _facets(self, si: Any, active: Any) -> Facets:
         if self.alpha_texture is None:
             return self.facets(self.alpha_x, self.alpha_y)
-        factor = self.alpha_texture(si.uv, active)
+        factor = self.alpha_texture(si, active)
         alpha_x = self.alpha_x * factor
         return self.facets(alpha_x, alpha_x if self.is_isotropic else self.alpha_y * factor)
 
@@ -220,7 +220,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
             return lambda w, forward: w
         cos, sin = mi.Float(1.0), mi.Float(0.0)
         if self.rotation is not None:
-            sin, cos = dr.sincos(self.rotation(si.uv, active))
+            sin, cos = dr.sincos(self.rotation(si, active))
 
         def turn(w: Any, forward: bool) -> Any:
             s = sin if forward else -sin

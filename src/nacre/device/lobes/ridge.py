@@ -163,7 +163,7 @@ class RidgePlugin(LobePlugin[Ridge]):
         """Return the turn that puts x across the ridges."""
         if self.rotation is None:
             return lambda w, forward: w
-        sin, cos = dr.sincos(self.rotation(si.uv, active))
+        sin, cos = dr.sincos(self.rotation(si, active))
 
         def turn(w: Any, forward: bool) -> Any:
             s = sin if forward else -sin

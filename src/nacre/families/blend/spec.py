@@ -20,11 +20,28 @@ from nacre.recipe.model import RecipeContext, RecipeModel
 
 
 class PartSpec(RecipeModel):
-    """A material of the blend: another recipe."""
+    """A material of the blend: another recipe, by its file or as a table with the family's keys."""
 
-    forms: ClassVar[tuple[str, ...]] = ('{recipe = "film.toml"}',)
+    forms: ClassVar[tuple[str, ...]] = ('{recipe = "film.toml"}', '{family = "film", substrate = "Ag"}')
+    shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = (
+        {
+            "type": "object",
+            "required": ["family"],
+            "properties": {
+                "family": {"type": "string", "description": "the family of a recipe that stands here itself"}
+            },
+        },
+    )
 
-    recipe: str = pydantic.Field(description="file of the recipe of this part", examples=["film.toml"])
+    recipe: str | dict[str, Any] = pydantic.Field(
+        description="file of the recipe of this part; the recipe itself may stand in place of the table",
+        examples=["film.toml"],
+    )
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _accept_recipe(cls, data: Any) -> Any:
+        return {"recipe": dict(data)} if isinstance(data, Mapping) and "family" in data else data
 
 
 class BlendSpec(RecipeModel):
@@ -111,15 +128,27 @@ class Blend(Model):
         Raises:
             NacreError: as either material.
         """
-        axis = (np.arange(64) + 0.5) / 64
-        uv = np.stack(np.meshgrid(axis, axis), axis=-1)
-        share = float(self.mask(uv).mean())
+        share = self._share
         one = self.first.spectrum(theta_rad, wavelengths_nm, polarisation, seed=seed)
         other = self.second.spectrum(theta_rad, one.wavelengths_nm, polarisation, seed=seed)
         names = {**one.parts(), **other.parts()}
         zero = np.zeros((len(one.angles_deg), len(one.wavelengths_nm)))
         mixed = {n: share * one.parts().get(n, zero) + (1 - share) * other.parts().get(n, zero) for n in names}
         return replace(one, **mixed)
+
+    def lost_at(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
+        """Return what both lose, weighed as their spectra are."""
+        weights = (self._share, 1.0 - self._share)
+        parts = [part.model.lost_at(theta_rad, wavelengths_nm, seed) for part in (self.first, self.second)]
+        known = [weight * lost for weight, lost in zip(weights, parts, strict=True) if lost is not None]
+        return np.sum(known, axis=0) if known else None
+
+    @property
+    def _share(self) -> float:
+        """The mask's mean over the surface."""
+        axis = (np.arange(64) + 0.5) / 64
+        uv = np.stack(np.meshgrid(axis, axis), axis=-1)
+        return float(self.mask(uv).mean())
 
 
 __all__ = ["Blend", "BlendSpec"]

@@ -127,12 +127,15 @@ class Film(Model):
         lam = np.linspace(low, high, SEEN_WAVELENGTHS)
         ends = np.array([low, 0.5 * (low + high), high])
         layers = []
+        materials = {id(layer.material): layer.material for layer in self.layers}
+        constants = {key: (m.n_complex(lam).imag, m.n_complex(ends).real) for key, m in materials.items()}
         for layer in self.layers:
+            extinction, refraction = constants[id(layer.material)]
             thickest = layer.thickness_nm.high if isinstance(layer.thickness_nm, Texture) else layer.thickness_nm
             thinnest = layer.thickness_nm.low if isinstance(layer.thickness_nm, Texture) else layer.thickness_nm
             # amplitude lost on the way through and back, a nm
-            loss = 4.0 * np.pi * layer.material.n_complex(lam).imag / lam
-            n = 0.0 if layer.incoherent else float(np.max(layer.material.n_complex(ends).real))
+            loss = 4.0 * np.pi * extinction / lam
+            n = 0.0 if layer.incoherent else float(np.max(refraction))
             layers.append((n, thickest, thinnest, loss))
         sides = [layers]
         if is_transparent(self.substrate.n_complex(lam)):
@@ -149,7 +152,9 @@ class Film(Model):
     def _judged_spectra(self, wavelengths_nm: Array) -> Array:
         """Return the reflectance `[case, wavelength]` at the angles and thicknesses where grids are tested."""
         spectra = []
-        for share in (0.5, 1.0):
+        tables = self.tables(wavelengths_nm)
+        varies = any(isinstance(layer.thickness_nm, Texture) for layer in self.layers)
+        for share in (0.5, 1.0) if varies else (0.5,):
             d = np.array(
                 [
                     layer.thickness_nm.low + share * (layer.thickness_nm.high - layer.thickness_nm.low)
@@ -158,7 +163,6 @@ class Film(Model):
                     for layer in self.layers
                 ]
             )
-            tables = self.tables(wavelengths_nm)
             spectra.append(tables.outside(d, COLOUR_COSINES)[0])
         return np.concatenate(spectra)
 
@@ -172,7 +176,10 @@ class Film(Model):
         check_memory(
             float(BYTES_A_LAYER) * many * count, f"layers: {many - 2} of them at {count} wavelengths: the film"
         )
-        n = self.stack.indices(wavelengths_nm)
+        layers = [
+            Layer(layer.material, d, layer.incoherent) for layer, d in zip(self.layers, self._middle_nm, strict=True)
+        ]
+        n = Stack(self.ambient, layers, self.substrate).indices(wavelengths_nm)
         flags = [layer.incoherent for layer in self.layers]
         return StackTables(n, flags, wavelengths_nm, is_transparent(n[-1]))
 
@@ -208,7 +215,7 @@ class Film(Model):
 
     def _response(self, tables: StackTables) -> tuple[InterfaceResponse, dict[str, Any]]:
         """Return the tables of the smooth film, with an axis for each thickness that varies."""
-        d = np.array([layer.thickness_at() for layer in self.layers])
+        d = self._middle_nm
         varying = [i for i, layer in enumerate(self.layers) if isinstance(layer.thickness_nm, Texture)]
         varying = [i for i in varying if self._range(i)[1] > self._range(i)[0]]
         if not varying:
@@ -234,6 +241,12 @@ class Film(Model):
             thicknesses[..., i] = values
         return tables.build(thicknesses, COS_NODES_VARYING, tuple(axes)), {"varying": notes}
 
+    @property
+    def _middle_nm(self) -> Array:
+        """Thicknesses `[layer]` in the middle of what varies, in pictures too, where it may vary over an object."""
+        given = [layer.thickness_nm for layer in self.layers]
+        return np.array([d.middle if isinstance(d, Texture) else d for d in given], dtype=float)
+
     def _range(self, i: int) -> tuple[float, float]:
         texture = self.layers[i].thickness_nm
         assert isinstance(texture, Texture)
@@ -258,7 +271,7 @@ class Film(Model):
         return compensate(lobe) if surface.compensate else lobe
 
     def _mean_alpha(self) -> tuple[float, float]:
-        factor = 1.0 if self.surface.alpha_texture is None else float(self.surface.alpha_texture(MIDDLE))
+        factor = 1.0 if self.surface.alpha_texture is None else self.surface.alpha_texture.middle
         return max(self.surface.alpha_x * factor, SMOOTH_BELOW), max(self.surface.alpha_y * factor, SMOOTH_BELOW)
 
     def _straight_through(self, response: InterfaceResponse) -> Specular:

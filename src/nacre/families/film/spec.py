@@ -387,7 +387,7 @@ def angle_texture(value: float | TextureSpec, context: RecipeContext, key: str) 
         if made.formula is not None:
             scaled = parse_formula(f"({made.formula.text})*{degree!r}")
             return Texture(made.low * degree, made.high * degree, formula=scaled)
-        return Texture(made.low * degree, made.high * degree, image=made.image)
+        return Texture(made.low * degree, made.high * degree, image=made.image, is_stepped=made.is_stepped)
     if value == 0.0:
         return None
     return Texture(value * degree, value * degree, formula=parse_formula(repr(value * degree)))

@@ -12,62 +12,24 @@ import math
 
 import numpy as np
 
-from nacre.bsdf.lobes.flaked import flake_lobe, masking, place, reflected
+from nacre.bsdf.lobes.flaked import flake_lobe, masking, place
+from nacre.bsdf.walk_facets import facet, inner_facet, into, turned_back, upward
+from nacre.families.pearl.walk_steps import (
+    ENDS,
+    MAX_EVENTS,
+    TURNS,
+    chosen,
+    damp,
+    flake,
+    flakes_met,
+    lattice,
+    row,
+    scatter,
+    weigh,
+)
 from nacre.matter.jit import compiled
 
-MAX_EVENTS = 20_000
 ANY_ANGLE, FROM_BASE = -1.0, -2.0
-# additive recurrence with the root of x^8 = x + 1 (a rank-1 lattice that can be cut anywhere)
-_ROOT = 1.0969815577985598
-LATTICE = np.array([_ROOT ** -(j + 1) % 1.0 for j in range(7)])
-
-
-@compiled(nogil=True)
-def facet(x, y, z, alpha, u1, u2):  # type: ignore[no-untyped-def]  # numba
-    """Draw a GGX facet that a direction (z > 0) sees; the normal itself where smooth."""
-    if alpha <= 0.0:
-        return 0.0, 0.0, 1.0
-    hx, hy, hz = alpha * x, alpha * y, z
-    length = math.sqrt(hx * hx + hy * hy + hz * hz)
-    hx, hy, hz = hx / length, hy / length, hz / length
-    c = (1.0 - u2) * (1.0 + hz) - hz
-    s = math.sqrt(max(0.0, 1.0 - c * c))
-    phi = 2.0 * math.pi * u1
-    mx, my, mz = alpha * (hx + s * math.cos(phi)), alpha * (hy + s * math.sin(phi)), max(hz + c, 1e-9)
-    length = math.sqrt(mx * mx + my * my + mz * mz)
-    return mx / length, my / length, mz / length
-
-
-@compiled(nogil=True)
-def flake(x, y, z, sigma, u1, u2):  # type: ignore[no-untyped-def]  # numba
-    """Draw a flake normal that a direction sees."""
-    hx, hy, hz = sigma * x, sigma * y, z
-    length = math.sqrt(hx * hx + hy * hy + hz * hz)
-    c = 2.0 * u2 - 1.0
-    s = math.sqrt(max(0.0, 1.0 - c * c))
-    phi = 2.0 * math.pi * u1
-    grown = (1.0 + 1e-9) / length
-    mx, my, mz = sigma * (hx * grown + s * math.cos(phi)), sigma * (hy * grown + s * math.sin(phi)), hz * grown + c
-    length = math.sqrt(mx * mx + my * my + mz * mz)
-    return mx / length, my / length, mz / length
-
-
-@compiled(nogil=True)
-def into(x, y, z, eta, alpha, u1, u2):  # type: ignore[no-untyped-def]  # numba
-    """Refract light from a direction (z > 0) through a facet: the direction beyond (z < 0), the transmitted share."""
-    mx, my, mz = facet(x, y, z, alpha, u1, u2)
-    cos = x * mx + y * my + z * mz
-    share, cos_t = reflected(min(cos, 1.0), eta)
-    if share >= 1.0:
-        return 0.0, 0.0, -1.0, 0.0
-    a = cos / eta - cos_t
-    wx, wy, wz = a * mx - x / eta, a * my - y / eta, a * mz - z / eta
-    if wz >= -1e-6:
-        return 0.0, 0.0, -1.0, 0.0
-    passed = 1.0 - share
-    if alpha > 0.0:
-        passed *= masking(-wz, alpha)
-    return wx, wy, wz, passed
 
 
 @compiled(nogil=True)
@@ -89,20 +51,6 @@ def corners(x, shape, cells, weights):  # type: ignore[no-untyped-def]  # numba
 def _tally(table, cell, weight, f):  # type: ignore[no-untyped-def]  # numba
     for l in range(f.size):
         table[cell, l] += weight * f[l]
-
-
-@compiled(nogil=True, fastmath=True)
-def _row(table, position, out):  # type: ignore[no-untyped-def]  # numba
-    i = min(int(position), table.shape[0] - 2)
-    f = np.float32(position - i)
-    for l in range(out.size):
-        out[l] = table[i, l] + f * (table[i + 1, l] - table[i, l])
-
-
-@compiled(nogil=True, fastmath=True)
-def _damp(f, absorb, path):  # type: ignore[no-untyped-def]  # numba
-    for l in range(f.size):
-        f[l] *= math.exp(-absorb[l] * path)
 
 
 @compiled(nogil=True)
@@ -166,31 +114,22 @@ def walk(  # type: ignore[no-untyped-def]  # numba
         f[:] = 1.0
         order = 0
         for _event in range(MAX_EVENTS):
-            total = 0.0
-            for k in range(number.size):
-                areas[k] = number[k] * math.sqrt(sigma[k] * sigma[k] * (dx * dx + dy * dy) + dz * dz)
-                total += areas[k]
+            total = flakes_met(dx, dy, dz, number, sigma, areas)
             flight = -math.log(1.0 - np.random.random()) / max(total, 1e-12)
             new = depth - dz * flight
             if absorb.size:
                 end = min(max(new, 0.0), 1.0)
-                _damp(f, absorb, abs(end - depth) / max(abs(dz), 1e-6))
+                damp(f, absorb, abs(end - depth) / max(abs(dz), 1e-6))
             depth = new
             if depth >= 1.0:
                 if albedo.size:
                     depth = 1.0
-                    carried, back = np.float32(0.0), np.float32(0.0)
-                    for l in range(bands):
-                        carried += f[l]
-                        f[l] *= albedo[l]
-                        back += f[l]
+                    carried, back = weigh(f, albedo)
                     if np.random.random() * carried >= back:
                         break
                     for l in range(bands):
                         f[l] *= carried / back
-                    dz = math.sqrt(max(np.random.random(), 1e-12))
-                    phi = 2.0 * math.pi * np.random.random()
-                    dx, dy = math.sqrt(1.0 - dz * dz) * math.cos(phi), math.sqrt(1.0 - dz * dz) * math.sin(phi)
+                    dx, dy, dz = upward()
                     order += 2
                     continue
                 if from_base:
@@ -203,10 +142,7 @@ def walk(  # type: ignore[no-untyped-def]  # numba
                 break
             if depth <= 0.0:
                 depth = 0.0
-                # seen from inside: mirrored, so that the inside lies above
-                mx, my, mz = facet(-dx, -dy, dz, alpha, np.random.random(), np.random.random())
-                cos = -dx * mx - dy * my + dz * mz
-                share, cos_t = reflected(min(cos, 1.0), 1.0 / index)
+                mx, my, mz, cos, share, cos_t = inner_facet(dx, dy, dz, index, alpha)
                 if share < 1.0 and order > 1 and not from_base:
                     a = cos * index - cos_t
                     ox, oy, oz = a * mx + dx * index, a * my + dy * index, dz * index - a * mz
@@ -217,56 +153,18 @@ def walk(  # type: ignore[no-untyped-def]  # numba
                         for corner in range(find(wx, ox, oy, spread, shape, x3, cells, weights)):
                             _tally(table, cells[corner], worth * weights[corner], f)
                         entries += 1
-                if np.random.random() >= share:
+                dx, dy, dz = turned_back(dx, dy, dz, mx, my, mz, cos, share, alpha)
+                if dz == 0.0:
                     break
-                ex, ey, ez = 2.0 * cos * mx + dx, 2.0 * cos * my + dy, 2.0 * cos * mz - dz
-                if ez <= 1e-6 or (alpha > 0.0 and np.random.random() >= masking(ez, alpha)):
-                    break
-                dx, dy, dz = ex, ey, -ez
                 order += 1
                 continue
-            k = 0
-            if number.size > 1:
-                left = np.random.random() * total - areas[0]
-                while left >= 0.0 and k < number.size - 1:
-                    k += 1
-                    left -= areas[k]
-            mx, my, mz = flake(-dx, -dy, -dz, sigma[k], np.random.random(), np.random.random())
-            cos = -(dx * mx + dy * my + dz * mz)
-            at = math.sqrt(min(abs(cos), 1.0)) * (reflect.shape[1] - 1)
-            _row(reflect[k], at, r)
-            _row(transmit[k], at, t)
-            carried, back, on = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-            for l in range(bands):
-                carried += f[l]
-                back += f[l] * r[l]
-                on += f[l] * t[l]
-            choice = np.random.random() * carried
-            if choice < back:
-                scale = carried / back
-                for l in range(bands):
-                    f[l] *= r[l] * scale
-                dx, dy, dz = dx + 2.0 * cos * mx, dy + 2.0 * cos * my, dz + 2.0 * cos * mz
-                length = math.sqrt(dx * dx + dy * dy + dz * dz)
-                dx, dy, dz = dx / length, dy / length, dz / length
-                if abs(dz) < 1e-9:
-                    dz = 1e-9
-                order += 1
-            elif choice < back + on:
-                scale = carried / on
-                for l in range(bands):
-                    f[l] *= t[l] * scale
-            else:
+            k = chosen(areas, total)
+            event, dx, dy, dz = scatter(dx, dy, dz, sigma[k], reflect[k], transmit[k], f, r, t)
+            if event == ENDS:
                 break
+            if event == TURNS:
+                order += 1
     return entries
-
-
-@compiled(nogil=True)
-def lattice(point, cut, u):  # type: ignore[no-untyped-def]  # numba
-    """Write a point of the lattice."""
-    for j in range(u.size):
-        at = (point + 0.5) * LATTICE[j] + cut[j]
-        u[j] = at - math.floor(at)
 
 
 @compiled(nogil=True, fastmath=True)
@@ -291,10 +189,7 @@ def single(first, count, cut, angle, index, alpha, number, sigma, reflect, extin
         dx, dy, dz, start = into(wx, 0.0, wz, index, alpha, u[1], u[2])
         if start == 0.0:
             continue
-        total = 0.0
-        for k in range(number.size):
-            areas[k] = number[k] * math.sqrt(sigma[k] * sigma[k] * (dx * dx + dy * dy) + dz * dz)
-            total += areas[k]
+        total = flakes_met(dx, dy, dz, number, sigma, areas)
         kind, part = 0, u[3]
         for k in range(number.size):
             chance = areas[k] / total
@@ -311,15 +206,15 @@ def single(first, count, cut, angle, index, alpha, number, sigma, reflect, extin
         if passed == 0.0:
             continue
         ox, oy, oz = ox, oy, -oz
-        _row(reflect[kind], math.sqrt(min(abs(cos), 1.0)) * (reflect.shape[1] - 1), r)
+        row(reflect[kind], math.sqrt(min(abs(cos), 1.0)) * (reflect.shape[1] - 1), r)
         for l in range(bands):
             depth[l] = absorb[l] * (1.0 / -dz + 1.0 / ez) if absorb.size else 0.0
         for k in range(number.size):
-            _row(extinct[k], math.sqrt(-dz) * (extinct.shape[1] - 1), e)
+            row(extinct[k], math.sqrt(-dz) * (extinct.shape[1] - 1), e)
             scale = np.float32(areas[k] / -dz)
             for l in range(bands):
                 depth[l] += scale * e[l]
-            _row(extinct[k], math.sqrt(min(ez, 1.0)) * (extinct.shape[1] - 1), e)
+            row(extinct[k], math.sqrt(min(ez, 1.0)) * (extinct.shape[1] - 1), e)
             area = number[k] * math.sqrt(sigma[k] * sigma[k] * (ex * ex + ey * ey) + ez * ez)
             scale = np.float32(area / ez)
             for l in range(bands):

@@ -12,15 +12,18 @@ from numpy.typing import NDArray
 
 from nacre.arrays import Array
 from nacre.bsdf import Bsdf
+from nacre.bsdf.base import Base
 from nacre.bsdf.contract import Lobe
+from nacre.bsdf.directions import direction
+from nacre.bsdf.interface_loss import interface_losses
 from nacre.bsdf.lobes.layered import Layered
-from nacre.bsdf.roughness import Roughness
 from nacre.errors import NacreError
 from nacre.families.contract import Figure, Model
 from nacre.families.pearl.dye import DyeResponse, dye_response
 from nacre.families.pearl.fast import bake, obstacle
+from nacre.families.pearl.glance import LOBES_SHARE, Glance, likeness, walked, why_not, why_not_walked
 from nacre.families.pearl.glints import Glints, glint_arrays
-from nacre.families.pearl.interface import interface_loss
+from nacre.families.pearl.lost import lost_light, why_not_lost
 from nacre.families.pearl.medium import (
     COS_NODES,
     MAX_COS_NODES,
@@ -30,17 +33,15 @@ from nacre.families.pearl.medium import (
     optical_number,
     visible_weights,
 )
-from nacre.families.pearl.platelet import PlateletResponse, platelet_response
-from nacre.families.pearl.strata import Base, Flakes, Stratum
+from nacre.families.pearl.platelet import PUBLISHED, PlateletResponse, platelet_response
+from nacre.families.pearl.strata import Flakes, Stratum
 from nacre.light import default_wavelengths
 from nacre.matter.indices.constant import OpticalConstant
-from nacre.matter.stack.solve import powers
 
 logger = logging.getLogger("nacre")
 
 INDEX_NM = 550.0  # directions are refracted with the index at this wavelength, for all colours alike
 STEP_NM = 5.0  # wavelength step where thickness varies over the flakes and washes fringes out
-BASE_NODES = 129
 EDGE_ON = 0.2  # cosine between mean flake normal and surface normal below which a note is made
 PLATELET_DEG = np.linspace(0.0, 90.0, 91)
 NO_SPREAD = 1e-3  # a smaller deviation would be a mirror; the narrowest pigment so far has 0.01
@@ -57,6 +58,7 @@ class Pearl(Model):
     """
 
     noun = "pearl"
+    has_strata = True
     why_unpolarised = "scatters light many times and is known for unpolarised light only"
 
     strata: tuple[Stratum, ...]
@@ -75,12 +77,7 @@ class Pearl(Model):
         ]
         grid = default_wavelengths(max(fixed, default=0.0))
         grid = grid if grid[1] - grid[0] <= STEP_NM else default_wavelengths(step_nm=STEP_NM)
-        if self.base.other is None:
-            return grid
-        # a base that is known in less than the whole range, such as a measurement, sets the ends
-        known = self.base.default_lobes[0].wavelengths_nm
-        low, high = max(float(known[0]), grid[0]), min(float(known[-1]), grid[-1])
-        return np.concatenate([[low], grid[(grid > low + 1e-6) & (grid < high - 1e-6)], [high]])
+        return self.base.known_in(grid)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -118,6 +115,41 @@ class Pearl(Model):
         Raises:
             MaterialRangeError: an optical constant is not known at a wavelength.
         """
+        lobe = self._layered(wavelengths_nm)
+        notes = list(self.notes)
+        found: Lobe = lobe
+        if self.quality == "fast":
+            reason = obstacle(lobe)
+            if reason is None:
+                found = baked = bake(lobe)
+                notes.append(
+                    f"noise-free form: error {100 * baked.error.mean():.2f} % on average over wavelengths, at most "
+                    f"{100 * baked.error.max():.2f} % (L2 of f cos, three incidences, against the walk)"
+                )
+                logger.info("%s", notes[-1])
+            else:
+                notes.append(f'quality = "fast" was not possible, since {reason}; this is "reference"')
+                logger.warning('quality = "fast" is not possible, since %s; "reference" is used', reason)
+        return Bsdf((found,), {"notes": notes} if notes else {})
+
+    def lost_at(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
+        """Return the light that flakes of the "published" counting lose, `[angle, wavelength]`; see `lost`.
+
+        None: no flake is counted so, or the walk that tells it does not know this pearl's parts (a warning says why).
+        """
+        published = np.array([f.platelet.counting == PUBLISHED for s in self.strata for f in s.flakes], dtype=bool)
+        if not published.any():
+            return None
+        lobe = self._layered(np.asarray(wavelengths_nm, dtype=float))
+        reason = why_not_lost(lobe)
+        if reason is not None:
+            logger.warning("what the published counting loses is not known for this pearl, since %s", reason)
+            return None
+        rows = [lost_light(lobe, published, direction(float(theta)), seed=seed) for theta in theta_rad]
+        return np.stack(rows)
+
+    def _layered(self, wavelengths_nm: Array | None) -> Layered:
+        """Return the arrays of the walk."""
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         response = self.platelet_tables(lam)
         kinds = [(i, stratum, flakes) for i, stratum in enumerate(self.strata) for flakes in stratum.flakes]
@@ -143,9 +175,9 @@ class Pearl(Model):
             flake_frame=np.array([f.normals.frame for _, _, f in kinds]).reshape(-1, 3, 3),
             flake_response=response,
             flake_extinction=np.stack(extinctions) if extinctions else np.zeros((0, 1, 2, len(lam))),
-            base=self.base.kind,
+            base=self.base.walk_kind,
             base_reflectance=self._base_table(lam),
-            loss=self._loss(interfaces, index),
+            loss=interface_losses(interfaces, index, self.base.walk_kind == "none"),
             dye=dye,
             dye_phase=phase,
             dye_quantile=quantile,
@@ -154,21 +186,34 @@ class Pearl(Model):
         if self.glints is not None:
             lobe = self._with_glints(lobe)
         lobe.check()
-        notes = list(self.notes)
-        found: Lobe = lobe
-        if self.quality == "fast":
-            reason = obstacle(lobe)
-            if reason is None:
-                found = baked = bake(lobe)
-                notes.append(
-                    f"noise-free form: error {100 * baked.error.mean():.2f} % on average over wavelengths, at most "
-                    f"{100 * baked.error.max():.2f} % (L2 of f cos, three incidences, against the walk)"
-                )
-                logger.info("%s", notes[-1])
-            else:
-                notes.append(f'quality = "fast" was not possible, since {reason}; this is "reference"')
-                logger.warning('quality = "fast" is not possible, since %s; "reference" is used', reason)
-        return Bsdf((found,), {"notes": notes} if notes else {})
+        return self.base.continued(lobe)
+
+    def strata_at(self, wavelengths_nm: Array) -> Layered:
+        """Return the arrays of the walk."""
+        return self._layered(wavelengths_nm)
+
+    def likeness_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> tuple[Array, Array] | None:
+        """Return light of the interface and one flake, and what two streams make of the rest; see `glance`."""
+        if why_not(self.strata) is not None:
+            return None
+        return likeness(self._glance(wavelengths_nm), wi, wo)
+
+    def walked_at(
+        self, wi: Array, wo: Array, wavelengths_nm: Array, walks: int, seed: int
+    ) -> tuple[Array, Array] | None:
+        """Return values and errors by walks that send their light to all pairs of a light at once; see `connect`."""
+        if (why_not(self.strata) or why_not_walked(self.strata, self.base)) is not None:
+            return None
+        return walked(self._glance(wavelengths_nm), wi, wo, walks, seed)
+
+    def _glance(self, lam: Array) -> Glance:
+        dye = self._dyes(lam)[0]
+        if self.base.kind in ("lobes", "strata"):
+            albedo = np.full(len(lam), LOBES_SHARE)
+        else:
+            albedo = np.ascontiguousarray(self._base_table(lam).mean(axis=0))
+        absorb = np.zeros(0) if dye is None else np.ascontiguousarray(dye[0, :, 0])
+        return Glance(self.strata[0], _index(self.strata[0].resin, 0), lam, absorb, albedo)
 
     def _with_glints(self, lobe: Layered) -> Layered:
         assert self.glints is not None
@@ -205,33 +250,7 @@ class Pearl(Model):
         return table, phase, quantile
 
     def _base_table(self, lam: Array) -> Array:
-        base = self.base
-        if base.kind in ("none", "lobes"):
-            return np.zeros((1, len(lam)))
-        if base.kind == "diffuse":
-            if isinstance(base.albedo, tuple):
-                return np.interp(lam, *base.albedo)[None]
-            return np.full((1, len(lam)), float(base.albedo))
-        cos = np.linspace(0.0, 1.0, BASE_NODES)
-        if base.film is not None:
-            wavelengths, nodes, reflectance = base.film
-            rows = np.stack([np.interp(lam, wavelengths, row) for row in reflectance])
-            return np.stack([np.interp(cos, nodes, rows[:, i]) for i in range(len(lam))], axis=1)
-        assert base.metal is not None
-        resin = self.strata[-1].resin.n_complex(lam).real + 0j
-        n = np.stack([resin, base.metal.n_complex(lam)])
-        return powers(n, np.zeros(0), lam, cos_i=cos).reflectance
-
-    def _loss(self, interfaces: list[Roughness], index: Array) -> Array | None:
-        if not any(face.compensate for face in interfaces):
-            return None
-        n = np.concatenate([[1.0], index, [1.0]])
-        bottom = self.base.kind == "none"
-        tables = []
-        for i, face in enumerate(interfaces):
-            wanted = face.compensate and face.alpha_x > 0 and (i < len(index) or bottom)
-            tables.append(interface_loss(face, float(n[i]), float(n[i + 1])) if wanted else np.zeros((2, 65)))
-        return np.stack(tables)
+        return self.base.reflectance(lam, self.strata[-1].resin.n_complex)
 
     @property
     def figures(self) -> Mapping[str, Figure]:

@@ -8,7 +8,9 @@ can be averaged in closed form (`average.py`).
 from __future__ import annotations
 
 import itertools
+import logging
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +27,9 @@ if TYPE_CHECKING:
     from nacre.matter.indices.constant import OpticalConstant
 
 
+logger = logging.getLogger("nacre")
+
+PHYSICAL, PUBLISHED = "physical", "published"
 LADDER = tuple(8 * 2**i for i in range(7))  # panels of 16 points: 128 ... 8192 nodes
 GRAZING = 1e-9  # cosine below which R = 1, T = 0 is the limit
 MAX_COATING_SETS = 4096  # combinations of coating thicknesses that are worth averaging
@@ -49,12 +54,15 @@ class Platelet:
         thickness: its thickness over the flakes.
         upper: coatings of one side, outermost first.
         lower: coatings of the other side, outermost first; None mirrors `upper`.
+        counting: "physical", or "published": R (1 - T) in place of R, as Guillen et al. 2020 count when their
+            eqs. 17 and 18 are read to the letter; R T is lost at each flake, though none absorbs it.
     """
 
     substrate: OpticalConstant
     thickness: Thickness
     upper: tuple[Coating, ...] = ()
     lower: tuple[Coating, ...] | None = None
+    counting: str = PHYSICAL
 
     @property
     def is_symmetric(self) -> bool:
@@ -95,7 +103,8 @@ class PlateletResponse:
 def platelet_response(platelet: Platelet, container_n: Array, cos_i: Array, wavelengths_nm: Array) -> PlateletResponse:
     """Reflectance and transmittance of a flake in its resin, averaged over its thickness distributions.
 
-    The two sides of an asymmetric flake face up equally often, and their mean is returned.
+    The two sides of an asymmetric flake face up equally often, and their mean is returned. This is the one place where
+    a platelet's `counting` is heeded: walk, tables and likeness all ask here.
 
     Args:
         platelet: the layers.
@@ -122,7 +131,29 @@ def platelet_response(platelet: Platelet, container_n: Array, cos_i: Array, wave
                 total.reflectance[...] += scale * part.reflectance
                 total.transmittance[...] += scale * part.transmittance
     assert total is not None
+    if platelet.counting == PUBLISHED:
+        _warn_of_published_counting()
+        # the source scatters unpolarised light: its extinction is 1 - T of both polarisations together
+        total.reflectance[...] *= 1.0 - total.transmittance.mean(axis=0)
     return total
+
+
+def lost_share(reflectance: Array, transmittance: Array) -> Array:
+    """Return the share of the light on a flake that the "published" counting loses, from its R (1 - T) and its T.
+
+    R T: what is neither reflected, transmitted nor absorbed by the flake's layers.
+    """
+    kept = 1.0 - transmittance
+    return np.asarray(reflectance * transmittance / np.where(kept > 0, kept, 1.0))
+
+
+@lru_cache(maxsize=1)
+def _warn_of_published_counting() -> None:
+    """Warn, once in a process."""
+    logger.warning(
+        'counting = "published" makes a flake reflect R (1 - T) in place of R, as the source of its tables does: light '
+        'is lost that nothing absorbs (nacre report tells how much); "physical" keeps it'
+    )
 
 
 def _coating_sets(platelet: Platelet, wavelengths_nm: Array) -> list[tuple[float, Array, Array]]:
@@ -150,6 +181,20 @@ def _coating_sets(platelet: Platelet, wavelengths_nm: Array) -> list[tuple[float
         values = np.array([t for _, t in combination])
         combined.append((weight, values[: len(platelet.upper)], values[len(platelet.upper) :]))
     return combined
+
+
+def _characteristic(thickness: Thickness, x_max: float) -> tuple[ComplexArray, float, float]:
+    """As `Thickness.characteristic`, remembered: pigments that differ in their coatings share it."""
+    if thickness.edges_nm is not None:
+        return thickness.characteristic(x_max)
+    return _remembered(thickness, x_max)
+
+
+@lru_cache(maxsize=32)
+def _remembered(thickness: Thickness, x_max: float) -> tuple[ComplexArray, float, float]:
+    table, step, centre = thickness.characteristic(x_max)
+    table.setflags(write=False)  # shared by every caller
+    return table, step, centre
 
 
 Face = tuple[tuple[Coating, ...], Array]  # coatings, outermost first, and their thicknesses in nm
@@ -183,7 +228,7 @@ def _one_face(
         if not thickness.is_uncut:
             kind = average.TABULATED
             x_max = float(np.max(np.abs(p.real))) * SERIES_REACH
-            table, step, centre = thickness.characteristic(x_max)
+            table, step, centre = _characteristic(thickness, x_max)
         low, high = thickness.support
         if np.any((p.imag != 0.0) | (p.real * (high - low) <= average.SHORT_PHASE)):
             ladder = [thickness.nodes(panels) for panels in LADDER]

@@ -6,7 +6,6 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
-from numpy.typing import NDArray
 
 from nacre.errors import NacreError
 from nacre.families.pearl.material import NO_SPREAD
@@ -14,8 +13,8 @@ from nacre.families.pearl.medium import FlakeNormals, rotation_matrix
 from nacre.families.pearl.platelet import Coating, Platelet
 from nacre.families.pearl.strata import Flakes
 from nacre.families.pearl.thickness import Thickness
-from nacre.files import read_text
 from nacre.matter.indices.spec import IndexSpec
+from nacre.recipe.columns import two_columns
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 MAX_COATINGS = 20
@@ -143,6 +142,11 @@ class PlateletSpec(RecipeModel):
     diameter_um: Positive | None = pydantic.Field(
         default=None, description="median diameter of a flake's face; glints need it", examples=[20]
     )
+    counting: Literal["physical", "published"] = pydantic.Field(
+        default="physical",
+        description="how much a flake reflects: physical is R; published is R (1 - T), which gives the looks of tables "
+        "fitted that way (Guillen et al. 2020) and loses light",
+    )
 
     @pydantic.model_validator(mode="after")
     def _check(self) -> PlateletSpec:
@@ -159,7 +163,11 @@ class PlateletSpec(RecipeModel):
         """Return the flakes."""
         if self.substrate is None:
             only = self.coatings[0]
-            platelet = Platelet(only.material.build(context), only.thickness(context, f"{key}.coatings[0]"))
+            platelet = Platelet(
+                only.material.build(context),
+                only.thickness(context, f"{key}.coatings[0]"),
+                counting=self.counting,
+            )
         else:
             platelet = Platelet(
                 self.substrate.material.build(context),
@@ -168,6 +176,7 @@ class PlateletSpec(RecipeModel):
                 None
                 if self.lower_coatings is None
                 else _coatings(self.lower_coatings, context, f"{key}.lower_coatings"),
+                self.counting,
             )
         if platelet.height_nm <= 0:
             raise context.fail(key, 0.0, "is a flake without thickness; give one of its layers some")
@@ -182,24 +191,3 @@ def _coatings(specs: tuple[LayerSpec, ...], context: RecipeContext, key: str) ->
     return tuple(
         Coating(spec.material.build(context), spec.thickness(context, f"{key}[{i}]")) for i, spec in enumerate(specs)
     )
-
-
-def two_columns(context: RecipeContext, key: str, name: str) -> NDArray[np.float64]:
-    """Read a text file of two columns of numbers; commas, blanks and # comments are understood."""
-    rows = []
-    for line in read_text(context.path(name), key).splitlines():
-        parts = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
-        if not parts:
-            continue
-        try:
-            rows.append([float(x) for x in parts])
-        except ValueError:
-            if not rows:
-                continue  # a heading
-            raise context.fail(key, name, f'holds "{line.strip()[:40]}" where two numbers should stand') from None
-    if not rows or any(len(row) != 2 for row in rows) or len(rows) > 100_000:
-        raise context.fail(key, name, "must hold two columns of numbers")
-    table = np.array(rows)
-    if not np.all(np.isfinite(table)):
-        raise context.fail(key, name, "holds numbers that are not finite")
-    return table

@@ -5,36 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-import numpy as np
 import pydantic
 
-from nacre.bsdf.roughness import SMOOTH_BELOW, Roughness, check_widths
+from nacre.bsdf.base_spec import OF_OTHER_FAMILY, BaseSpec, Widths, interface_roughness, nested_strata
 from nacre.errors import RecipeError
 from nacre.families.pearl.dye import Dye
 from nacre.families.pearl.glints import Glints
 from nacre.families.pearl.material import Pearl
-from nacre.families.pearl.platelet_spec import MAX_FRACTION, NotNegative, PlateletSpec, Positive, two_columns
-from nacre.families.pearl.strata import Base, Stratum
+from nacre.families.pearl.platelet_spec import MAX_FRACTION, NotNegative, PlateletSpec, Positive
+from nacre.families.pearl.strata import Stratum
 from nacre.families.pearl.thickness import Thickness
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
-from nacre.recipe.model import RecipeContext, RecipeModel, show_value
+from nacre.recipe.model import RecipeContext, RecipeModel
 
 MAX_STRATA = 8
 MAX_KINDS = 32
-
-Share = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
-
-
-def _widths(value: Any) -> Any:
-    check_widths(value, "alpha or [alpha_x, alpha_y]", show_value(value))
-    return value
-
-
-Widths = Annotated[
-    Share | Annotated[tuple[Share, ...], pydantic.Field(min_length=1, max_length=2)],
-    pydantic.BeforeValidator(_widths),
-]
 
 
 class DyeSpec(RecipeModel):
@@ -93,6 +79,8 @@ class StratumSpec(RecipeModel):
         'substrate = {material = "mica", thickness_nm = 400}, coatings = [{material = "TiO2", thickness_nm = 120}]}]}',
     )
 
+    shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = (OF_OTHER_FAMILY,)
+
     resin: IndexSpec = pydantic.Field(description="the medium in which the flakes lie")
     thickness_nm: float = pydantic.Field(
         json_schema_extra={"exclusiveMinimum": 0, "maximum": 1e8},
@@ -135,7 +123,7 @@ class StratumSpec(RecipeModel):
         return Stratum(
             self.resin.build(context),
             self.thickness_nm,
-            _interface_roughness(self.roughness, self.distribution, self.compensate),
+            interface_roughness(self.roughness, self.distribution, self.compensate),
             tuple(p.build(context, f"{key}.platelets[{j}]") for j, p in enumerate(self.platelets)),
             None if self.dye is None else self.dye.build(),
         )
@@ -177,97 +165,6 @@ class GlintsSpec(RecipeModel):
         return Glints(size, self.diameter_spread, self.flatness_deg, self.seed)
 
 
-class AlbedoSpec(RecipeModel):
-    """A coloured base: a file of two columns, wavelength in nm and albedo."""
-
-    forms: ClassVar[tuple[str, ...]] = ('{file = "albedo.csv"}',)
-
-    file: str = pydantic.Field(
-        description="a file of two columns: wavelength in nm and albedo", examples=["albedo.csv"]
-    )
-
-
-def _albedo_may_name_a_recipe(schema: dict[str, Any]) -> None:
-    schema["properties"]["albedo"]["anyOf"].append({"type": "object", "required": ["recipe"]})
-
-
-class BaseSpec(RecipeModel):
-    """What lies below: a diffuse albedo, a metal, another opaque recipe of any family, or nothing."""
-
-    forms: ClassVar[tuple[str, ...]] = (
-        "{albedo = 0.05}",
-        '{albedo = {file = "albedo.csv"}}',
-        '{material = "Al", roughness = 0.2}',
-        '{recipe = "film.toml"}',
-        "{none = true}",
-    )
-
-    model_config = pydantic.ConfigDict(json_schema_extra=_albedo_may_name_a_recipe)
-
-    albedo: Share | AlbedoSpec | None = pydantic.Field(
-        default=None,
-        description="share of the light that a diffuse ground sends back, or a file of it over the wavelength",
-        examples=[0.05, {"file": "albedo.csv"}],
-    )
-    material: IndexSpec | None = pydantic.Field(default=None, description="a metal ground, in place of a diffuse one")
-    recipe: str | None = pydantic.Field(
-        default=None,
-        description="another opaque recipe of any family as the ground; without an ambient of its own it is "
-        "built in the resin",
-        examples=["film.toml"],
-    )
-    none: bool = pydantic.Field(default=False, description="nothing lies below: light passes", examples=[True])
-    roughness: Widths = pydantic.Field(
-        default=0.0, description="alpha of the metal, or [alpha_x, alpha_y]; 0 is smooth", examples=[0.2, [0.05, 0.2]]
-    )
-    distribution: Literal["ggx", "beckmann"] = pydantic.Field(
-        default="ggx", description="distribution of the metal's facet normals"
-    )
-    compensate: bool = pydantic.Field(
-        default=False,
-        description="give back the light that facets of the metal scatter among each other",
-        examples=[True],
-    )
-
-    @pydantic.model_validator(mode="before")
-    @classmethod
-    def _accept_nested(cls, data: Any) -> Any:
-        # the recipe may be written as albedo = {recipe = "..."} too
-        albedo = data.get("albedo") if isinstance(data, Mapping) else None
-        if isinstance(albedo, Mapping) and "recipe" in albedo:
-            data = {**{k: v for k, v in data.items() if k != "albedo"}, **albedo}
-        return data
-
-    @pydantic.model_validator(mode="after")
-    def _one_kind(self) -> BaseSpec:
-        given = [k for k in ("albedo", "material", "recipe") if getattr(self, k) is not None] + ["none"] * self.none
-        if len(given) > 1:
-            raise ValueError(f"gives {' and '.join(given)}; keep one of albedo, material, recipe, none = true")
-        if self.recipe is not None and self.roughness != 0.0:
-            raise ValueError("roughness of a base recipe stands in that recipe")
-        return self
-
-    def build(self, context: RecipeContext, resin: OpticalConstant) -> Base:
-        """Return the base, which lies in a resin.
-
-        Raises:
-            RecipeError: the albedo file or the base's recipe cannot serve.
-        """
-        surface = _interface_roughness(self.roughness, self.distribution, self.compensate)
-        if self.none:
-            return Base("none", surface=surface)
-        if self.material is not None:
-            return Base("specular", metal=self.material.build(context), surface=surface)
-        if self.recipe is not None:
-            return _recipe_base(self.recipe, resin, context)
-        if isinstance(self.albedo, AlbedoSpec):
-            table = two_columns(context, "base.albedo.file", self.albedo.file)
-            if not (np.all(np.diff(table[:, 0]) > 0) and np.all((table[:, 1] >= 0) & (table[:, 1] <= 1))):
-                raise context.fail("base.albedo.file", self.albedo.file, "must hold ascending nm and albedos in [0, 1]")
-            return Base("diffuse", (table[:, 0], table[:, 1]))
-        return Base("diffuse", 0.0 if self.albedo is None else self.albedo)
-
-
 class PearlSpec(RecipeModel):
     """Strata of resin with flakes (pigments) and dye, over a base."""
 
@@ -302,6 +199,8 @@ class PearlSpec(RecipeModel):
         "base.roughness",
     )
 
+    zero_drops: ClassVar[tuple[str, ...]] = ("strata[].platelets[].volume_fraction", "strata[].dye.volume_fraction")
+
     family: Literal["pearl"] = pydantic.Field(default="pearl", description="the family's name")
     title: str = pydantic.Field(default="", description="a title for figures", examples=["Silver-white pigment"])
     quality: Literal["reference", "fast"] = pydantic.Field(
@@ -316,6 +215,11 @@ class PearlSpec(RecipeModel):
         default=None, description="single flakes of the uppermost stratum, seen one by one"
     )
 
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _other_families(cls, data: Any) -> Any:
+        return nested_strata(data, "pearl")
+
     def build(self, context: RecipeContext) -> Pearl:
         """Return the material.
 
@@ -325,35 +229,3 @@ class PearlSpec(RecipeModel):
         strata = tuple(s.build(context, f"strata[{i}]") for i, s in enumerate(self.strata))
         glints = None if self.glints is None else self.glints.build(strata[0], context)
         return Pearl(strata, self.base.build(context, strata[-1].resin), self.quality, glints)
-
-
-def _interface_roughness(roughness: float | tuple[float, ...], distribution: str, compensate: bool) -> Roughness:
-    widths = roughness if isinstance(roughness, tuple) else (roughness,)
-    x, y = (0.0 if w < SMOOTH_BELOW else float(w) for w in (widths[0], widths[-1]))
-    if (x == 0) != (y == 0):
-        x, y = max(x, SMOOTH_BELOW), max(y, SMOOTH_BELOW)
-    return Roughness(distribution, x, y, compensate=compensate)
-
-
-def _recipe_base(name: str, resin: OpticalConstant, context: RecipeContext) -> Base:
-    """Take another recipe as the base, built in the resin: an even film as its reflectance, all else as lobes."""
-    if context.load_recipe is None:
-        raise context.fail("base.recipe", name, "cannot be loaded here; load the recipe from its file")
-    other = context.recipe(name, ambient=resin.without_absorption())
-    if isinstance(other.model, Pearl):
-        raise context.fail("base.recipe", name, "is a pearl; write its strata below these ones instead")
-    if not other.model.takes_ambient:
-        raise context.fail("base.recipe", name, "is compiled, and does not tell in which medium; give its recipe")
-    base = Base("lobes", other=other, refuse=lambda why: context.fail("base.recipe", name, why))
-    if not other.model.is_quick:  # what may take seconds is solved when asked
-        return base
-    first: Any = base.default_lobes[0]
-    if len(base.default_lobes) > 1 or first.kind not in ("specular", "microfacet") or first.varying:
-        return base
-    film = (first.wavelengths_nm, first.response.cos_outside, first.response.reflectance)
-    if first.kind == "specular":
-        return Base("specular", film=film)
-    is_plain = first.alpha_texture is None and first.rotation is None and first.loss is None
-    if not is_plain or first.distribution not in ("ggx", "beckmann"):
-        return base
-    return Base("specular", film=film, surface=Roughness(first.distribution, first.alpha_x, first.alpha_y))

@@ -21,6 +21,7 @@ from nacre.families.relief.slice import Reflectance
 from nacre.families.relief.spectrum_map import MapReport, map_values, spectrum_map
 from nacre.families.relief.spots import local_response
 from nacre.families.relief.surface import Array, Tile, slopes
+from nacre.families.relief.trust import Trust, trust
 from nacre.matter.drawings import Drawer, DrawingRequest, HeightMap
 from nacre.matter.indices.constant import OpticalConstant
 
@@ -93,8 +94,7 @@ class Relief(Model):
         """The window in the medium above, that medium's index `[wavelength]`, and the coating's reflectance."""
         n = np.ones(len(grid)) if self.ambient is None else self.ambient.n_complex(grid).real
         # waves are shorter inside a medium by its index, and so are the angles of the light's source
-        middle = 1.0 if self.ambient is None else float(self.ambient.n_complex(np.array([INDEX_NM])).real[0])
-        window = Coherence(self.coherence.width_in_wavelengths * middle)
+        window = Coherence(self.coherence.width_in_wavelengths * self._index_above)
         return window, n, coating_reflectance(self.coating.n_complex(grid) / n)
 
     def __hash__(self) -> int:
@@ -111,6 +111,21 @@ class Relief(Model):
         if self.prefactor == "published":
             return 'prefactor = "published" does not keep energy'
         return "" if self.bounded else "bounded = false keeps what scalar diffraction sends out"
+
+    @property
+    def outside(self) -> str:
+        """Slopes too steep, or features too small, for scalar diffraction."""
+        found = self.trust
+        return found.line() if found.is_outside else ""
+
+    @functools.cached_property
+    def trust(self) -> Trust:
+        """The colour error to expect, of its features and slopes."""
+        return trust(self.tile, self._index_above)
+
+    @property
+    def _index_above(self) -> float:
+        return 1.0 if self.ambient is None else float(self.ambient.n_complex(np.array([INDEX_NM])).real[0])
 
     @property
     def figures(self) -> Mapping[str, Figure]:

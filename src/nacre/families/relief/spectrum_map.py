@@ -18,11 +18,11 @@ from nacre.errors import UnsupportedError
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.geometry import Prefactor
 from nacre.families.relief.kappa_nodes import chebyshev_nodes, interpolation_weights, node_count
-from nacre.families.relief.lines import FFT_SHARE, line_basis, line_power
+from nacre.families.relief.lines import is_fft_cheaper, line_basis, line_power
 from nacre.families.relief.sampling import Sampling, choose_sampling
 from nacre.families.relief.slice import Reflectance, window_norm
 from nacre.families.relief.surface import Array, Tile
-from nacre.matter.jobs import one_thread_each
+from nacre.matter.jobs import available_jobs, in_threads
 from nacre.recipe.memory import check_memory
 
 # steps of the grids for an error of 1e-3: of psi in units of the smoothing, of xi in radians of the highest wall's
@@ -35,6 +35,8 @@ SPLINE_VARIANCE = 0.25
 # sums over the smoothed map are exact to 1e-7 with nodes this far apart
 GUARD_PSI_STEP = 1.05
 MAX_TABLE_BYTES = 3 << 30
+# kappa nodes are computed side by side as long as their fields and transforms keep within this
+FIELDS_BYTES, FIELD_BYTES_A_SAMPLE = 1 << 30, 24
 TABLE_BLOCK = 512
 BAND_ROWS = 24  # rows of a banded matrix that are multiplied together
 NOTHING = 1e-12  # of a Gaussian's peak: sums in single precision do not see it
@@ -181,13 +183,17 @@ class _Plan:
         """Return several tables from one computation of the lines; see `table`."""
         surface = self.tile.surface_nm(self.sampling.samples_per_feature).astype(np.float32)
         held = min(self.highest, (surface.shape[0] - 1) // 2)
-        basis = line_basis(surface.shape[0], held, np.float32) if 2 * held + 1 < FFT_SHARE * surface.shape[0] else None
+        samples = surface.shape[0]
+        basis = None if is_fft_cheaper(samples, held) else line_basis(samples, held, np.float32)
         parts = [_Part(self, held, *one) for one in wanted]
-        with one_thread_each():  # many small products
-            for q, kappa in enumerate(self.kappas):
-                power = line_power(surface, float(kappa), held, basis)
-                for part in parts:
-                    part.smooth_lines(q, power)
+
+        def fill(node: int) -> None:
+            power = line_power(surface, float(self.kappas[node]), held, basis)
+            for part in parts:
+                part.smooth_lines(node, power)
+
+        fitting = FIELDS_BYTES // (FIELD_BYTES_A_SAMPLE * samples**2)
+        in_threads(fill, range(len(self.kappas)), max(1, min(available_jobs(), fitting)))
         return [part.finish() for part in parts]
 
 
@@ -318,15 +324,16 @@ def energy_guard(lobe: SpectrumMap, blur: float) -> tuple[Array, Array]:
     from nacre.bsdf.lobes.spectrum_map_kernel import albedo_shares
 
     chosen = _guard_wavelengths(len(lobe.wavelengths_nm))
-    wi = _guard_rows()
+    rings = _guard_rings()
+    wi = _guard_rows(rings)
     first, skip = _guard_nodes(len(lobe.power), lobe.psi_step, blur)
-    psi_first, psi_step = lobe.psi_first + first * lobe.psi_step, skip * lobe.psi_step
     shares = albedo_shares(
         np.ascontiguousarray(lobe.power[first::skip, first::skip, :, chosen]),
-        np.array([psi_first, psi_first, lobe.xi_first]),
-        np.array([psi_step, psi_step, lobe.xi_step]),
+        skip * lobe.psi_step,
+        lobe.xi_first,
+        lobe.xi_step,
         np.ascontiguousarray(lobe.reflectance[:, chosen]),
-        wi,
+        rings,
         GUARD_COSINES,
         GUARD_AZIMUTHS,
         lobe.prefactor == "kirchhoff",
@@ -373,11 +380,16 @@ def _apply(shares: NDArray[np.float32], guard: Array) -> Array:
     return np.asarray(np.einsum("ijk,jk->ik", shares, guard.astype(np.float32)), dtype=float)
 
 
-def _guard_rows() -> Array:
-    """Return the incidences at which the albedo is bounded: the guard's nodes and the points half way in t."""
+def _guard_rings() -> Array:
+    """Return the cosines of incidence at which the albedo is bounded: the guard's nodes, and half way between in t."""
     t = np.linspace(0.0, 1.0, 2 * GUARD_COSINES - 1)
     # exactly edge-on nothing arrives; just above it the albedo has its limit
-    cosine = np.maximum(t**2, LEAST_GUARDED_COSINE)[:, None]
+    return np.maximum(t**2, LEAST_GUARDED_COSINE)
+
+
+def _guard_rows(rings: Array) -> Array:
+    """Return the incidences `[ring x azimuth, 3]`."""
+    cosine = rings[:, None]
     phi = np.arange(GUARD_AZIMUTHS) * (2.0 * np.pi / GUARD_AZIMUTHS)
     sine = np.sqrt(1.0 - cosine**2)
     parts = np.broadcast_arrays(sine * np.cos(phi), sine * np.sin(phi), cosine)

@@ -34,15 +34,16 @@ def blur_matrix(features: int, samples_per_feature: int, blur_over_feature: floa
     if blur_over_feature > FLAT_FROM_PERIODS * features:  # the sum over neighbouring tiles would never end
         return np.full((features * samples_per_feature, features), 1.0 / features)
     x = (np.arange(features * samples_per_feature) + 0.5) / samples_per_feature
-    offset = x[:, None] - np.arange(features)[None, :]
-    if blur_over_feature <= 0:
-        return ((offset >= 0) & (offset < 1)).astype(float)
-    width = np.sqrt(2.0) * blur_over_feature
-    images = int(np.ceil((EDGE_REACH * blur_over_feature + 1.0) / features)) + 1
-    matrix = np.zeros_like(offset)
-    for k in range(-images, images + 1):
-        t = offset - k * features
-        matrix += 0.5 * (erf(t / width) - erf((t - 1.0) / width))
+    first = ((x >= 0) & (x < 1)).astype(float)
+    if blur_over_feature > 0:
+        width = np.sqrt(2.0) * blur_over_feature
+        images = int(np.ceil((EDGE_REACH * blur_over_feature + 1.0) / features)) + 1
+        t = x[:, None] - np.arange(-images, images + 1) * features
+        first = 0.5 * (erf(t / width) - erf((t - 1.0) / width)).sum(axis=1)
+    # every feature has the first one's column, moved on by its place
+    by_feature = first.reshape(features, samples_per_feature)
+    places = (np.arange(features)[:, None] - np.arange(features)) % features
+    matrix = by_feature[places].transpose(0, 2, 1).reshape(-1, features)
     return np.asarray(matrix / matrix.sum(axis=1, keepdims=True))
 
 

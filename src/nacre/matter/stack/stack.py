@@ -86,7 +86,9 @@ class Stack:
         """Complex indices `[medium, wavelength]` from ambient to substrate."""
         lam = np.asarray(wavelengths_nm, dtype=float)
         media = (self.ambient, *(layer.material for layer in self.layers), self.substrate)
-        return np.stack([index_of(medium, lam) for medium in media])
+        # a medium that comes again is looked up once
+        known = {id(medium): index_of(medium, lam) for medium in {id(medium): medium for medium in media}.values()}
+        return np.stack([known[id(medium)] for medium in media])
 
     def reversed(self) -> Stack:
         """The same stack lit from the substrate's side."""

@@ -13,12 +13,17 @@ from typing import Any, Literal
 
 import numpy as np
 
+from nacre.arrays import Array
+from nacre.device.variant import use_variant
 from nacre.errors import NacreError, did_you_mean
 from nacre.picture.camera import View
 from nacre.picture.shapes import backdrop as stages
 from nacre.picture.shapes.mesh import Mesh, rotation
 
 SUBJECT = "nacre"  # parts with this material take the one that is rendered
+# half width, front, back, radius and height of `backdrop.sweep`; flat, reach and rise of `backdrop.bowl`; chequers
+SWEEP, BOARD, BOWL = (20.0, 16.0, 5.0, 4.5, 5.2), (12.0, 12.0, 12.0, 2.0, 3.0), (1.4, 9.0, 4.2)
+SQUARE, BOWL_SQUARE = 0.55, 0.62
 Backdrop = Literal["sweep", "bowl", "board", "none"]
 
 
@@ -33,10 +38,32 @@ class Part:
         """The same piece turned about the vertical axis through the origin."""
         if isinstance(self.shape, Mesh):
             return Part(self.shape.moved(rotation("z", angle_deg)), self.material)
-        import mitsuba as mi
-
+        mi = use_variant()
         turn = mi.ScalarTransform4f().rotate([0, 0, 1], angle_deg)
-        return Part({**self.shape, "to_world": turn @ self.shape["to_world"]}, self.material)
+        own = self.shape.get("to_world", mi.ScalarTransform4f())
+        return Part({**self.shape, "to_world": turn @ own}, self.material)
+
+    def scaled(self, scale: float) -> Part:
+        """The same piece in another size, about the origin."""
+        if isinstance(self.shape, Mesh):
+            return Part(self.shape.moved(np.eye(3) * scale), self.material)
+        mi = use_variant()
+        own = self.shape.get("to_world", mi.ScalarTransform4f())
+        return Part({**self.shape, "to_world": mi.ScalarTransform4f().scale(scale) @ own}, self.material)
+
+    def points(self) -> Array:
+        """Points `[N, 3]` whose bounding ball is the piece's: a mesh's corners, a ball's ends, else a box's corners."""
+        if isinstance(self.shape, Mesh):
+            return self.shape.vertices
+        if self.shape["type"] == "sphere":
+            ends = self.shape.get("radius", 1.0) * np.concatenate([np.eye(3), -np.eye(3)])
+            ends = ends + np.array(self.shape.get("center", (0.0, 0.0, 0.0)), dtype=float).ravel()
+            to_world = self.shape.get("to_world")
+            matrix = np.eye(4) if to_world is None else np.array(to_world.matrix, dtype=float)
+            return np.asarray(ends @ matrix[:3, :3].T + matrix[:3, 3])
+        box = use_variant().load_dict(self.shape).bbox()
+        sides = np.stack([np.array(box.min, dtype=float).ravel(), np.array(box.max, dtype=float).ravel()])
+        return np.stack(np.meshgrid(*sides.T), axis=-1).reshape(-1, 3)
 
 
 @dataclass(frozen=True)
@@ -236,14 +263,14 @@ def backdrop_parts(kind: Backdrop, see_through: bool, place_floor: str | None) -
     if kind == "none":
         return []
     if kind == "bowl":
-        return [(stages.bowl(1.4, 9.0, 4.2), chessboard(0.62))]
+        return [(stages.bowl(*BOWL), chessboard(BOWL_SQUARE))]
     if place_floor is not None:
         # a place paints its own ground beyond the subject's surroundings; a bare sky has none below the horizon
         side = 8000.0 if place_floor == "plain" else 60.0
         return [(stages.tile(side, side), floor_material(place_floor))]
     if kind == "board":
-        return [(stages.sweep(12.0, 12.0, 12.0, 2.0, 3.0), MATERIALS["board"])]
-    surface = stages.sweep(20.0, 16.0, 5.0, 4.5, 5.2)
+        return [(stages.sweep(*BOARD), MATERIALS["board"])]
+    surface = stages.sweep(*SWEEP)
     if see_through:  # dark, so that the faint colours of a film on glass stand before it
-        return [(surface, chessboard(0.55, 0.012, 0.11))]
+        return [(surface, chessboard(SQUARE, 0.012, 0.11))]
     return [(surface, graded(40.0, float(surface.uv[:, 1].max()), 16.0))]

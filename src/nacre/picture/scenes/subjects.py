@@ -47,7 +47,7 @@ def subject_parts(shape: str | Path, scene: Scene, up: str | None = None) -> lis
     if str(shape) in SHAPES:
         if up is not None:
             raise NacreError(f'up = "{up}" is for mesh files; shape "{shape}" stands as it should')
-        return SHAPES[str(shape)]()
+        return _fitted(SHAPES[str(shape)](), scene)
     path = Path(shape)
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise NacreError(
@@ -124,8 +124,20 @@ def stand_on_floor(surface: Mesh, scene: Scene) -> Mesh:
     width, depth, height = high - low
     largest = HEIGHT / max(height, 0.5 * width, 0.5 * depth)  # a mesh has some extent
     profile = _profile(centred.vertices)
+    return centred.moved(np.eye(3) * _scale(profile, scene, largest))
+
+
+def _fitted(parts: list[Part], scene: Scene) -> list[Part]:
+    """Return one of our shapes as large as it is, or as the frame of a scene that is not its own allows."""
+    if parts is scene.parts():
+        return parts
+    scale = _scale(_profile(np.concatenate([part.points() for part in parts])), scene, 1.0)
+    return parts if scale == 1.0 else [part.scaled(scale) for part in parts]
+
+
+def _scale(profile: NDArray[np.float64], scene: Scene, largest: float) -> float:
     views = [view for view in (scene.view, scene.place_view) if view is not None]
-    return centred.moved(np.eye(3) * min(_fitting_scale(profile, view, scene.size, largest) for view in views))
+    return min(_fitting_scale(profile, view, scene.size, largest) for view in views)
 
 
 def _profile(vertices: NDArray[np.float64], slices: int = 64) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ def sweep(half_width: float, front: float, back: float, radius: float, height: f
     """
     floor = front + back
     arc = 0.5 * np.pi * radius
-    total = floor + arc + (height - radius)
+    total = sweep_length(half_width, front, back, radius, height)
 
     def position(u: Array, v: Array) -> Array:
         s = v * total
@@ -25,6 +25,11 @@ def sweep(half_width: float, front: float, back: float, radius: float, height: f
 
     surface = parametric(position, 2, 400)
     return Mesh(surface.vertices, surface.normals, surface.uv * np.array([2 * half_width, total]), surface.faces)
+
+
+def sweep_length(half_width: float, front: float, back: float, radius: float, height: float) -> float:
+    """Length of a sweep along its floor and up its wall; its width plays no part."""
+    return front + back + 0.5 * float(np.pi) * radius + (height - radius)
 
 
 def bowl(flat: float, reach: float, rise: float) -> Mesh:

@@ -1,0 +1,151 @@
+"""Pearls matched from their colours at six trade angles, as a formulator does: hidden recipes of one or two pigments.
+
+A hidden recipe is drawn by seed; what the search is told is the resin, the film's thickness, three pigments that the
+shop has (their materials, how flat they lie), and CIELAB at 45as-15 ... 45as110. Free are coating and substrate
+thickness and the amount of each pigment, where 0 drops it, and the albedo of the ground. Targets and answers are
+computed by the reference walk in another process (`judge_pearls.py`), each with its own seed, 16 times the samples,
+and until the standard error is below 0.1 dE00. By default 5 of the 20 recipes; with `--all` all of them, kept in a file
+as they are done, so that a run that was cut short goes on.
+
+Bar: mean dE00 over the six angles <= 1 for 18 of 20, each in <= 120 s on two cores. A loaded machine is judged by its
+CPU time against twice that.
+Floor: one candidate is three pigments' tables, 65 cosines x 21 wavelengths x 2 polarisations x some 30 ns = 0.1 ms each
+were it only the amplitudes; averaging over the substrate costs 15 ms. Prediction (before the first run): 50 ms a
+candidate that changes thicknesses, 10 ms one that changes amounts; 10 numbers, so 0.4 s a step; 8 starts of 25 steps:
+80 s, 5 walks of 5 s: 25 s; mean dE00 0.3, as the data have 18 numbers for 10.
+Outcome so far (seed 17; a machine that others used): one pigment as predicted, 0.08 in 91 s of CPU by the judge. Two
+dense pigments: when one correction served all starts, recipe 1 was missed by 17. With a walk for each start it was
+missed by 1.3 after 70 s of CPU, recipe 3 by 1.1 after 55 s by the clock, recipe 2 matched to 0.1 after 23 s of CPU
+(these by the family's own walk with another seed, not by the judge). The whole table is yet to be run.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import Kept, Row, Worker, parser, report
+
+import nacre
+from nacre.recipe.toml import dump_toml
+
+NUMBER, FEWER = 20, 5
+SECONDS, CORES = 120.0, 2
+BAR_DE00, SHARE = 1.0, 0.9
+GEOMETRIES = ["45as-15", "45as15", "45as25", "45as45", "45as75", "45as110"]
+# coating, substrate, its spread over the flakes as a share, bounds of both thicknesses in nm, how flat the flakes lie
+SHOP = (
+    ("TiO2", "mica", 0.25, (40.0, 180.0), (250.0, 600.0), 0.06),
+    ("TiO2", "SiO2", 0.08, (40.0, 180.0), (150.0, 500.0), 0.08),
+    ("Fe2O3", "mica", 0.25, (20.0, 120.0), (250.0, 600.0), 0.06),
+)
+AMOUNT = (0.004, 0.06)
+GROUND = (0.02, 0.7)
+
+
+def platelet(kind: int, amount: float, coating_nm: float, substrate_nm: float) -> dict[str, Any]:
+    """One pigment as a recipe has it; the spread of its substrate is that of the middle of its bounds."""
+    coating, substrate, spread, _, bounds, flatness = SHOP[kind]
+    return {
+        "volume_fraction": amount,
+        "substrate": {
+            "material": substrate, "thickness_nm": substrate_nm, "deviation_nm": spread * sum(bounds) / 2,
+        },
+        "coatings": [{"material": coating, "thickness_nm": coating_nm}],
+        "normal_deviation": flatness,
+    }  # fmt: skip
+
+
+def hidden(number: int, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return a hidden recipe and the same paint with the whole shop in it, which the search starts from."""
+    rng = np.random.default_rng([seed, number])
+    pigments = rng.choice(len(SHOP), size=1 + number % 2, replace=False)
+    film = {
+        "resin": {"n": float(np.round(rng.uniform(1.48, 1.58), 3))},
+        "thickness_um": float(np.round(rng.uniform(30.0, 120.0))),
+        "roughness": float(np.round(rng.choice([0.0, 0.02, 0.1]), 3)),
+    }
+    inside = [platelet(int(k), float(np.exp(rng.uniform(*np.log(AMOUNT)))), *(float(rng.uniform(*SHOP[k][i]))
+              for i in (3, 4))) for k in pigments]  # fmt: skip
+    shop = [platelet(k, 0.01, sum(SHOP[k][3]) / 2, sum(SHOP[k][4]) / 2) for k in range(len(SHOP))]
+    ground = float(rng.uniform(*GROUND))
+    return (
+        {"family": "pearl", "strata": [{**film, "platelets": inside}], "base": {"albedo": ground}},
+        {"family": "pearl", "strata": [{**film, "platelets": shop}], "base": {"albedo": 0.3}},
+    )
+
+
+def target(start: dict[str, Any], labs: list[list[float]], seconds: float, seed: int) -> dict[str, Any]:
+    """Return what `nacre.design` is asked."""
+    free: dict[str, Any] = {"base.albedo": [0.0, 0.9]}
+    for k, (_, _, _, coating, substrate, _) in enumerate(SHOP):
+        head = f"strata[0].platelets[{k}]"
+        free[f"{head}.volume_fraction"] = [0.0, 0.08]
+        free[f"{head}.coatings[0].thickness_nm"] = list(coating)
+        free[f"{head}.substrate.thickness_nm"] = list(substrate)
+    wants = [{"at": at, "lab": lab, "within": BAR_DE00} for at, lab in zip(GEOMETRIES, labs, strict=True)]
+    search = {"seconds": seconds, "solutions": 1, "seed": seed}
+    return {"recipe": start, "free": free, "want": wants, "search": search}
+
+
+def one(number: int, seed: int, seconds: float, judge: Worker) -> dict[str, Any]:
+    """Hide a recipe, find one that looks alike, let it be judged."""
+    recipe, start = hidden(number, seed)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "hidden.toml").write_text(dump_toml(recipe), encoding="utf-8")
+        wanted = judge.ask("colours", recipe=str(folder / "hidden.toml"), seed=1000 + number)
+        wall, cpu = time.monotonic(), time.process_time()
+        found = nacre.design(target(start, wanted["labs"], seconds, seed), folder / "out")
+        wall, cpu = time.monotonic() - wall, time.process_time() - cpu
+        judged = judge.ask(
+            "differences", recipe=str(folder / "out" / "recipe.toml"), labs=wanted["labs"], seed=500_000 + number
+        )
+        left = nacre.load(folder / "out" / "recipe.toml").data["strata"][0].get("platelets", [])
+    return {
+        "mean": float(np.mean(judged["de00"])), "worst": float(np.max(judged["de00"])), "de00": judged["de00"],
+        "own": [r.distance for r in found.best.wants], "error": float(np.max([*wanted["error"], *judged["error"]])),
+        "wall": wall, "cpu": cpu, "pigments": [len(recipe["strata"][0]["platelets"]), len(left)],
+    }  # fmt: skip
+
+
+def measure(count: int, seed: int, seconds: float, keep: bool, judge: Worker) -> list[dict[str, Any]]:
+    """Do the recipes, those that are kept already left out."""
+    kept = Kept("design_pearls", keep, seed=seed, seconds=seconds)
+    return [kept.result(number, partial(one, number, seed, seconds, judge)) for number in range(count)]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the benchmark; 0 if the bars are reached."""
+    options = parser(__doc__)
+    options.add_argument("--all", action="store_true", help="all recipes, resumably")
+    options.add_argument("--seed", type=int, default=17)
+    options.add_argument("--count", type=int, help="recipes")
+    options.add_argument("--seconds", type=float, default=SECONDS, help="of each search, by the clock")
+    chosen = options.parse_args(arguments)
+    count = chosen.count or (NUMBER if chosen.all else FEWER)
+    with Worker("judge_pearls.py", Path(sys.executable)) as judge:
+        found = measure(count, chosen.seed, chosen.seconds, chosen.all, judge)
+    mean = np.array([r["mean"] for r in found])
+    noise = f"noise of the judge at most {max(r['error'] for r in found):.2f} dE00"
+    apart = max(float(np.max(np.abs(np.subtract(r["de00"], r["own"])))) for r in found)
+    rows = [
+        Row(f"six angles: share of {len(found)} with a mean dE00 of 1 or less", float(np.mean(mean <= BAR_DE00)), "",
+            SHARE, note=f"median {np.median(mean):.2f}, largest {mean.max():.2f}; {noise}"),
+        Row("six angles: largest mean dE00", float(mean.max()), "",
+            note=f"worst angle {max(r['worst'] for r in found):.2f}; judge and design differ by {apart:.2f} at most"),
+        Row("six angles: longest, CPU", max(r["cpu"] for r in found), "s", CORES * SECONDS, higher_is_better=False,
+            note=f"{max(r['wall'] for r in found):.0f} s by the clock"),
+    ]  # fmt: skip
+    notes = {"seed": chosen.seed, "load": f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores at the end"}
+    return report("design_pearls: pearls from their colours at six angles", rows, chosen.json, notes)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

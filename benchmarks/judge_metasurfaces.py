@@ -1,0 +1,55 @@
+"""The judge of bench_design_metasurfaces: colours from the tables of the Bsdf, which no search of wants builds.
+
+A process of its own that serves requests (`common.serve`). The mirror colours come from the specular lobe, the diffuse
+ones from the harmonic lobe integrated over the hemisphere; colours by colour-science.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import colour
+import numpy as np
+from common import serve
+from judge_films import weights
+
+import nacre
+from nacre.errors import NacreError
+from nacre.materials.material import Material
+from nacre.measure.spectrum import bsdf_spectrum
+
+FINE_NM = np.arange(380.0, 781.0, 1.0)
+
+
+def _labs(made: Material, wants: list[str]) -> np.ndarray:
+    angles = sorted({float(want.split()[1]) for want in wants})
+    seen = bsdf_spectrum(made.model.bsdf(), np.radians(angles))
+    w = weights("D65", 1)
+    found = []
+    for want in wants:
+        kind, angle = want.split()
+        part = seen.specular_reflectance if kind == "specular" else seen.diffuse_reflectance
+        assert part is not None
+        fine = np.interp(FINE_NM, seen.wavelengths_nm, part[angles.index(float(angle))])
+        found.append(colour.XYZ_to_Lab(fine @ w, colour.XYZ_to_xy(w.sum(axis=0))))
+    return np.array(found)
+
+
+def labs(data: dict[str, Any], changes: dict[str, Any], wants: list[str]) -> list[list[float]] | None:
+    """CIELAB of a recipe at mirror and diffuse geometries; None where it cannot be computed."""
+    try:
+        return _labs(nacre.material(data).vary(changes), wants).tolist()
+    except NacreError:
+        return None
+
+
+def differences(recipe: str, wants: list[str], labs: list[list[float]]) -> list[float]:
+    """dE00 of the answer to what was wanted."""
+    found = _labs(nacre.load(recipe), wants)
+    return [float(d) for d in colour.delta_E(found, np.array(labs), method="CIE 2000")]
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")
+    serve({"labs": labs, "differences": differences})

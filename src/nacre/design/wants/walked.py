@@ -1,0 +1,448 @@
+"""The search of what is a random walk but has a smooth likeness: pearls, in the geometries of the trade.
+
+The likeness (`Model.likeness_at`) is cheap and has no noise: it finds the valleys. What it only guesses is set right by
+a walk at the place where the search stands (spectrum = known + walked rest x guess / guess there), the search goes on
+from there, and the walk is asked again, until it no longer moves and the noise of its colours is a tenth of `within`.
+Draws and walks keep their seeds for all candidates.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nacre.arrays import Array
+from nacre.bsdf.directions import direction
+from nacre.design.goals import Goals
+from nacre.design.wants.dropping import changes_of, droppable, tables_kept, values_of
+from nacre.design.wants.general import APART, FAR_OFF, MET, QUIET_SHARE, Pool, TimeIsUp
+from nacre.design.wants.geometry import search_wavelengths
+from nacre.design.wants.judge import rank, rows_of
+from nacre.design.wants.target import Target
+from nacre.design.wants.wanted import goals_of
+from nacre.errors import NacreError
+from nacre.light import delta_e_2000
+from nacre.materials.descent import apart, descend
+from nacre.materials.free import place_of
+from nacre.materials.material import Material
+from nacre.matter.jobs import in_threads
+from nacre.measure.evaluate import DEFAULT_SAMPLES, evaluate_with_error
+from nacre.measure.instruments import aspecular_direction
+from nacre.recipe.paths import is_within
+
+KINDS_OF_EACH = 24  # draws of what is in a table that may go; any of them go together
+SCOUTS_PER_NUMBER, LEAST_SCOUTS, MOST_SCOUTS = 48, 128, 1024
+SCOUT_SHARE, REFINE_SHARE = 0.2, 0.45  # of the time
+STARTS, STARTS_OF_A_SET, KEPT_STARTS = 6, 2, 3
+DESCENTS, SCOUT_WALKS, REACH_OF_START = 2, 8192, 0.35
+STEPS, STEP = 10, 1e-3
+REACH = 0.2  # of the bounds: how far a walk is trusted to tell how far off the likeness is
+LEAST = 1e-4  # of its bounds: what may be 0 is not nearer to it unless it is 0
+FEW_WALKS, MOST_WALKS = 1 << 15, 1 << 17
+SETTLINGS = 12
+WORSE = 1.6  # times the rms of the best start: what is not settled
+POOR = 4.0  # an objective beyond which a valley must go down quickly, or is left
+HOPELESS = 20.0  # times the best of before
+SETTLED = 5e-3  # of the bounds: a step that no longer counts
+ALIKE = 0.1  # mean difference of the logarithms of two guesses, within which the walks at their places tell the same
+MOST_FACTOR = 10.0  # by which a correction is trusted to grow
+SMALL = 0.1  # of its bounds: an amount that it is tried to do without
+WITHOUT = 0.05  # of `within`: what that may cost
+ROUNDS_WITHOUT_GAIN = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What a walk told at one place.
+
+    Attributes:
+        rest: `[row, wavelength]`, factors beyond what is known.
+        guess: `[row, wavelength]`, what the likeness said of them.
+    """
+
+    rest: Array
+    guess: Array
+
+    def of(self, known: Array, guess: Array) -> Array:
+        """Return the factors of another place."""
+        ratio = np.where(self.guess > 1e-9, guess / np.maximum(self.guess, 1e-9), 1.0)
+        return np.asarray(known + self.rest * np.clip(ratio, 0.0, MOST_FACTOR))
+
+
+class WalkedSearch:
+    """The search of one target.
+
+    Args:
+        target: of a material that has a likeness, with aspecular wants only.
+        seed: of draws and walks.
+    """
+
+    def __init__(self, target: Target, seed: int) -> None:
+        self.target, self.free, self.seed = target, target.free, seed
+        self.material = target.material
+        light = target.spec.light
+        self.rows = rows_of(target.wants)
+        self.grid = np.asarray(search_wavelengths(self.material, light.illuminants), dtype=float)
+        self.goals: Goals = goals_of(target.wants, self.rows, light, self.grid)
+        self.wi = direction(np.radians([at.theta_deg for at in self.rows]))
+        self.wo = np.stack([aspecular_direction(at.theta_deg, at.aspecular_deg) for at in self.rows])
+        self.drops = droppable(self.free, self.material)
+        self.pool = Pool(4 * target.spec.search.solutions)
+        self.best, self.best_changes = np.inf, dict[str, Any]()
+        self._best_rank = (np.inf, 0, np.inf)
+        self.noise = np.inf  # of the best, over `within`
+        self.evaluations = self.walks = 0
+        self._correction: Correction | None = None
+        self._told: list[tuple[int, Array, Array, Array]] = []  # walks, guess, rest and its error at places walked at
+        self._deadline = np.inf
+        self._tell: Callable[[float, dict[str, Any]], None] | None = None
+        self._likely: tuple[float, Array] | None = None  # best by likeness alone, should no walk end in time
+
+    def run(
+        self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None = None,
+        known: Sequence[Mapping[str, Any]] = (),
+    ) -> str:  # fmt: skip
+        """Search; return why it ended: "met", "time" or "interrupted".
+
+        Args:
+            seconds: of wall time.
+            tell: called with the objective and the changes of every better answer, and now and then.
+            known: answers of an earlier run, tried first.
+        """
+        begun = time.monotonic()
+        self._deadline, self._tell = begun + seconds, tell
+        try:
+            starts = [place for place in map(self._place_of, known) if place is not None]
+            own = self._own()
+            if starts:
+                self._settle(starts[0])
+                if self._is_met() and len(self.pool.answers) >= self.target.spec.search.solutions:
+                    return "met"
+            else:
+                self._walk(own, FEW_WALKS)
+            generator = np.random.default_rng([self.seed, 4])
+            idle = 0
+            while idle < ROUNDS_WITHOUT_GAIN:
+                turn = time.monotonic()
+                places = self._scout(generator, [*starts, self._allowed(own)], turn + SCOUT_SHARE * seconds)
+                refined = self._explore(places, turn + (SCOUT_SHARE + REFINE_SHARE) * seconds)
+                before = self.best
+                for rms, place in refined:
+                    if rms > WORSE * refined[0][0] + MET:
+                        continue
+                    self._settle(place)
+                    has_all = len(self.pool.answers) >= self.target.spec.search.solutions
+                    if self._is_met() and (has_all or time.monotonic() - begun > 0.5 * seconds):
+                        return "met"
+                idle = 0 if self.best < 0.98 * before else idle + 1
+                starts, own = [], generator.random(len(own))  # another round looks elsewhere
+        except TimeIsUp:
+            pass
+        except KeyboardInterrupt:
+            return "interrupted"
+        return "met" if self._is_met() else "time"
+
+    def _is_met(self) -> bool:
+        return self.best <= MET + QUIET_SHARE
+
+    def answers(self) -> list[tuple[float, dict[str, Any]]]:
+        """Return answers that differ from one another, the best first: of equal looks, those of the fewest tables."""
+        self.pool.offer(self.best, self.best_changes)
+        if not self.pool.answers and self._likely is not None:
+            self.pool.offer(self._likely[0], self._changes(self._likely[1]))
+        return sorted(self.pool.answers, key=lambda a: rank(a[0], tables_kept(self.material, self.free, a[1])))
+
+    def _own(self) -> Array:
+        units = []
+        for number in self.free:
+            try:
+                unit = number.unit(self.material.get(number.path))
+            except (NacreError, KeyError, IndexError):
+                unit = None
+            units.append(0.5 if unit is None else unit)
+        return self._allowed(np.array(units, dtype=float))
+
+    def _place_of(self, changes: Mapping[str, Any]) -> Array | None:
+        values = values_of(self.material, self.free, changes)
+        if values is None:
+            return None
+        return place_of(self.free, {number.path: value for number, value in zip(self.free, values, strict=True)})
+
+    def _allowed(self, place: Array) -> Array:
+        """Return a place where what may be 0 is 0 or well above it."""
+        found = place.copy()
+        for i, holder in self.drops.items():
+            found[i] = 0.0 if found[i] < LEAST else found[i]
+            if found[i] == 0.0:  # what is in a table that is gone makes no difference between places
+                found[[j for j, n in enumerate(self.free) if j != i and is_within(n.path, holder)]] = 0.5
+        return found
+
+    def _changes(self, place: Array) -> dict[str, Any]:
+        return changes_of(self.material, self.free, [n.value(u) for n, u in zip(self.free, place, strict=True)])
+
+    def _made(self, place: Array) -> Material:
+        return self.material.vary(self._changes(place))
+
+    def _check_time(self) -> None:
+        if time.monotonic() > self._deadline:
+            raise TimeIsUp
+
+    def spectra(self, place: Array) -> Array | None:
+        """Return `[row, wavelength]` of a candidate by its likeness, set right; None where it cannot be computed."""
+        self._check_time()
+        self.evaluations += 1
+        try:
+            found = self._made(place).model.likeness_at(self.wi, self.wo, self.grid)
+        except (NacreError, ArithmeticError):
+            return None
+        if found is None:
+            return None
+        known, guess = np.pi * found[0], np.pi * found[1]
+        spectra = known + guess if self._correction is None else self._correction.of(known, guess)
+        return spectra if np.all(np.isfinite(spectra)) else None
+
+    def _mean(self, place: Array) -> float:
+        """Return the rms of weight x distance / within by the likeness: far off it says more than the worst."""
+        spectra = self.spectra(place)
+        if spectra is None:
+            return FAR_OFF
+        return float(np.sqrt(np.mean((self.goals.distances(spectra) * self.goals.scale) ** 2)))
+
+    def _likeness(self, place: Array) -> float:
+        spectra = self.spectra(place)
+        if spectra is None:
+            return FAR_OFF
+        objective = float(self.goals.objective(self.goals.distances(spectra)))
+        if self._likely is None or objective < self._likely[0]:
+            self._likely = (objective, place)
+        if self._tell is not None and self.evaluations % 16 == 0:
+            self._tell(self.best, self.best_changes)
+        return objective
+
+    def _walk(self, place: Array, walks: int) -> tuple[float, float]:
+        """Walk at a place, keep what that says of the likeness; return the objective and its noise over `within`."""
+        self._check_time()
+        self.walks += walks
+        try:
+            model = self._made(place).model
+            seed = self.seed + len(self._told)
+            found = model.walked_at(self.wi, self.wo, self.grid, walks, seed)
+            if found is None:
+                found = evaluate_with_error(
+                    model.bsdf(self.grid), self.wi, self.wo, samples=max(walks // 4, DEFAULT_SAMPLES), seed=seed
+                )  # type: ignore[assignment]  # its error is None only of what is no walk
+            likeness = model.likeness_at(self.wi, self.wo, self.grid)
+        except (NacreError, ArithmeticError):
+            return FAR_OFF, 0.0
+        assert found is not None and likeness is not None
+        known, guess = np.pi * likeness[0], np.pi * likeness[1]
+        error = np.zeros_like(guess) if found[1] is None else np.pi * found[1]
+        self._told.append((walks, guess, np.pi * found[0] - known, error))
+        rest, error = self._pooled(guess)
+        self._correction = Correction(rest, guess)
+        factors = known + rest
+        objective = float(self.goals.objective(self.goals.distances(factors)))
+        noise = self._noise(factors, error)
+        # a lucky draw of few walks is none better than a quiet one
+        here = rank(objective + noise, sum(place[i] > 0.0 for i in self.drops))
+        if here < self._best_rank:
+            self._best_rank = here
+            self.best, self.best_changes, self.noise = objective + noise, self._changes(place), noise
+        self.pool.offer(objective + noise, self._changes(place))
+        if self._tell is not None:
+            self._tell(self.best, self.best_changes)
+        return objective, noise
+
+    def _pooled(self, guess: Array) -> tuple[Array, Array]:
+        """Return what the walks at places of much the same light say of the rest at the last one, and its error.
+
+        Each had its own seed: together they are quieter than the last alone.
+        """
+        total, rest, square = 0.0, np.zeros_like(guess), np.zeros_like(guess)
+        floor = np.maximum(guess, 1e-9)
+        for walks, other, found, error in self._told:
+            apart = float(np.mean(np.abs(np.log(floor / np.maximum(other, 1e-9)))))
+            weight = walks * np.exp(-((apart / ALIKE) ** 2))
+            scale = np.where(other > 1e-9, floor / np.maximum(other, 1e-9), 1.0)
+            total += weight
+            rest += weight * scale * found
+            square += (weight * scale * error) ** 2
+        return rest / total, np.sqrt(square) / total
+
+    def _noise(self, factors: Array, error: Array) -> float:
+        """Return the noise of the colours as dE00, over `within` of their wants, at worst."""
+        moved = delta_e_2000(self.goals.labs(factors), self.goals.labs(factors + error)).max(axis=-1)
+        within = np.array([min(w.within / w.weight for w in self.target.wants if w.at == at) for at in self.rows])
+        return float(np.max(moved / within))
+
+    def _scout(self, generator: np.random.Generator, known: Sequence[Array], until: float) -> list[Array]:
+        """Return places, the best first, by the likeness.
+
+        What is in a table that may go is drawn a few times only and put together anew each time, with other amounts:
+        a family that remembers its pigments answers the more quickly.
+        """
+        size = len(self.free)
+        count = int(np.clip(SCOUTS_PER_NUMBER * size, LEAST_SCOUTS, MOST_SCOUTS))
+        inside = {i: [j for j, n in enumerate(self.free) if j != i and is_within(n.path, h)]
+                  for i, h in self.drops.items()}  # fmt: skip
+        drawn = {i: generator.random((KINDS_OF_EACH, len(js))) for i, js in inside.items()}
+        self._correction = None  # what was told of one place is not true of them all
+        judged = [(self._mean(place), place) for place in known]
+        for _ in range(count):
+            place = generator.random(size)
+            is_gone = generator.random(len(self.drops)) < 0.4
+            for gone, (i, columns) in zip(is_gone, inside.items()):
+                place[columns] = drawn[i][int(generator.integers(KINDS_OF_EACH))]
+                place[i] = 0.0 if gone else place[i] ** 2  # amounts are spread over decades
+            if self.drops and is_gone.all():
+                place[list(self.drops)[int(generator.integers(len(self.drops)))]] = generator.random()
+            place = self._allowed(place)
+            judged.append((self._mean(place), place))
+            if time.monotonic() > until:
+                break
+        judged.sort(key=lambda pair: pair[0])
+        return [place for _, place in judged]
+
+    def _explore(self, places: Sequence[Array], until: float) -> list[tuple[float, Array]]:
+        """Go down from the best places that are not one; return (rms over `within` by the walk, place), best first.
+
+        How far the likeness is off differs from place to place: each descent has a walk of its own, and does not go far
+        on what that told.
+        """
+        begun: list[Array] = []
+        found: list[tuple[float, Array]] = []
+        for place in places:
+            kept = tuple(place[i] > 0.0 for i in self.drops)
+            alike = [other for other in begun if tuple(other[i] > 0.0 for i in self.drops) == kept]
+            if not apart(place, begun, APART) or len(alike) >= STARTS_OF_A_SET:
+                continue
+            begun.append(place)
+            here, tried = place, []
+            for _ in range(DESCENTS):
+                self._walk(here, SCOUT_WALKS)
+                tried.append((self._mean(here), here))
+                here = self._refine(here, 0, REACH_OF_START)[1]
+            self._walk(here, SCOUT_WALKS)
+            tried.append((self._mean(here), here))
+            found.append(min(tried, key=lambda pair: pair[0]))
+            if len(begun) >= STARTS or time.monotonic() > until:
+                break
+        found.sort(key=lambda pair: pair[0])
+        return [pair for k, pair in enumerate(found)
+                if all(np.max(np.abs(pair[1] - other)) >= APART for _, other in found[:k])][:KEPT_STARTS]  # fmt: skip
+
+    def _numbers(self, place: Array) -> list[int]:
+        """Return which numbers may be refined: none of a table that is gone."""
+        gone = [holder for i, holder in self.drops.items() if place[i] == 0.0]
+        return [
+            j for j, n in enumerate(self.free)
+            if not n.choices and not n.is_whole and not any(is_within(n.path, h) for h in gone)
+        ]  # fmt: skip
+
+    def _refine(self, start: Array, weightings: int = 1, reach: float = 1.0) -> tuple[float, Array]:
+        """Refine the numbers of a place by the likeness; the last steps weigh what is worst."""
+        place, numbers = start.copy(), self._numbers(start)
+        best = self._likeness(place)
+        if not numbers or best >= FAR_OFF:
+            return best, place
+        low = np.array([max(LEAST if j in self.drops else 0.0, start[j] - reach) for j in numbers])
+        high = np.minimum(np.maximum(start[numbers] + reach, low + 1e-3), 1.0)
+        weights = np.ones(len(self.goals.terms))
+        sizes = {"colour": 3, "hue": 1, "chroma": 1, "lightness": 1, "spectrum": len(self.grid)}
+        blocks = [sizes[self.goals.goals[index].kind] for index, _ in self.goals.terms]
+        for turn in range(1 + (weightings if len(weights) > 1 else 0)):
+            is_first = turn == 0
+            spread = np.repeat(weights, blocks)
+
+            def residuals(x: Array, place: Array = place, spread: Array = spread) -> Array:
+                full = place.copy()
+                full[numbers] = x
+                spectra = self.spectra(full)
+                if spectra is None:
+                    return np.full(len(spread), FAR_OFF)
+                return np.asarray(self.goals.residuals(spectra)) * spread
+
+            def slopes(x: Array, residuals: Callable[[Array], Array] = residuals) -> Array:
+                steps = np.where(x > 0.5, -STEP, STEP)
+                here, *there = in_threads(residuals, [x, *(x + steps[:, None] * np.eye(len(x)))])
+                return np.stack([(r - here) / step for r, step in zip(there, steps, strict=True)], axis=1)
+
+            found = descend(residuals, place[numbers], low=low, high=high, slopes=slopes, most=STEPS, tolerance=1e-5)
+            trial = place.copy()
+            trial[numbers] = found.place
+            objective = self._likeness(trial)
+            # the first descent makes all distances small, not the worst one, and is believed; the others are for that
+            if objective >= best * 0.999 and not is_first:
+                break
+            place, best = trial, objective
+            spectra = self.spectra(place)
+            if spectra is None or best <= MET / 2:
+                break
+            distances = np.asarray(self.goals.distances(spectra)) * self.goals.scale
+            if distances.max() <= 1.05 * distances.mean():
+                break
+            weights = weights * np.sqrt(np.maximum(distances / distances.max(), 0.05))
+            weights /= weights.max()
+        return best, place
+
+    def _without(self, objective: float, place: Array, small: float = SMALL) -> tuple[float, Array]:
+        """Leave out, one after another, small amounts that the looks do not need."""
+        for i in sorted(self.drops, key=lambda i: place[i]):
+            if objective > 1.0:
+                break  # what is not met may need it yet
+            if not 0.0 < place[i] < small:
+                continue
+            trial = place.copy()
+            trial[i] = 0.0
+            trial = self._allowed(trial)
+            cost, trial = self._refine(trial, 0)
+            if cost <= max(objective, MET / 2) + WITHOUT:
+                objective, place = cost, trial
+        return objective, place
+
+    def _simplify(self, objective: float, place: Array, walks: int) -> None:
+        """Try an answer that meets the wants without any one of its pigments, and take what does."""
+        _, fewer = self._without(objective, place, 1.0)
+        if all((fewer[i] > 0.0) == (place[i] > 0.0) for i in self.drops):
+            return
+        self._walk(fewer, walks)
+
+    def _settle(self, start: Array) -> None:
+        """Let walk and likeness agree about a place: walk there, refine with what that says, walk again."""
+        place, walks = start, FEW_WALKS
+        last, best = np.inf, self.best
+        for turn in range(SETTLINGS):
+            objective, noise = self._walk(place, walks)
+            if objective <= MET and noise <= QUIET_SHARE:
+                self._simplify(objective, place, walks)
+                return
+            if objective > 3.0 * max(last, 1.0) or objective > HOPELESS * max(best, 1.0) or objective >= FAR_OFF:
+                return
+            if turn >= 2 and objective > POOR and objective > 0.8 * last:
+                return  # a valley that does not go down far enough
+            quieter = noise > QUIET_SHARE
+            if quieter:
+                walks = int(min(walks * np.clip((noise / QUIET_SHARE) ** 2, 1.5, 4.0), MOST_WALKS))
+            _, moved = self._without(*self._refine(place, reach=REACH))
+            if np.max(np.abs(moved - place)) < SETTLED and not quieter:
+                return
+            place, last = moved, objective
+
+
+def walked_search(target: Target, seed: int) -> WalkedSearch | None:
+    """Return the search for a target that has a likeness everywhere it is asked, or None."""
+    if target.spec.layers is not None or any(at.kind != "aspecular" for at in rows_of(target.wants)):
+        return None
+    search = WalkedSearch(target, seed)
+    try:
+        probe = search.material.model.likeness_at(search.wi, search.wo, search.grid[:: max(len(search.grid) // 3, 1)])
+    except NacreError:
+        return None
+    return None if probe is None else search
+
+
+__all__ = ["WalkedSearch", "walked_search"]

@@ -1,0 +1,120 @@
+"""The random numbers of a picture: a low-discrepancy sequence for each pixel that goes on from pass to pass.
+
+Mitsuba's samplers are stratified within one call of `mi.render` alone, and of a large picture a call holds one to four
+samples a pixel. Here each pixel and dimension has Sobol's first two dimensions, shuffled and scrambled by hashing
+(B. Burley, "Practical hash-based Owen scrambling", JCGT 9(4), 2020, which takes the permutation from S. Laine and
+T. Karras, "Stratified sampling for stochastic transparency", 2011), at an index that counts on: the picture is the same
+however its samples are divided into passes, and as even as if all had been taken at once.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+from nacre.device.variant import use_variant
+
+LAINE_KARRAS = (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6)
+GOLDEN, OFFSET = 0x9E3779B1, 0x7F4A7C15
+AVALANCHE = ((16, 0x85EBCA6B), (13, 0xC2B2AE35), (16, 1))  # shifts and factors of MurmurHash3's end
+TOP = 1 << 31
+
+
+def going_on() -> Any:
+    """Return a sampler for the sensors of a picture; `begin` tells it what the next call of `mi.render` takes."""
+    mi = use_variant()
+    if mi.variant().startswith("scalar"):  # its plugins in C++ alone are quick enough to be of use
+        return mi.load_dict({"type": "multijitter"})
+    return _class(mi.variant())(mi.Properties())
+
+
+def begin(sampler: Any, seed: int, first: int, spp: int) -> int:
+    """Let a sampler of `going_on` begin a pass; return the seed for `mi.render`.
+
+    Args:
+        seed: of the sequences, 32 bits.
+        first: how many samples a pixel of these sequences are taken already.
+        spp: samples a pixel of this pass.
+    """
+    if not hasattr(sampler, "start"):
+        return (seed + first * GOLDEN) & 0xFFFFFFFF
+    sampler.start, sampler.key_seed, sampler.spp = first, seed & 0xFFFFFFFF, spp
+    return 0
+
+
+@functools.cache
+def _class(variant: str) -> type:
+    """Define the class for a variant: Mitsuba's base class differs from variant to variant."""
+    import drjit as dr
+
+    mi: Any = use_variant()
+    whole = mi.UInt32
+
+    def mixed(a: Any, b: Any) -> Any:
+        h = a ^ (b * whole(GOLDEN) + whole(OFFSET))
+        for shift, factor in AVALANCHE:
+            h = (h ^ (h >> shift)) * whole(factor)
+        return h
+
+    def scrambled(x: Any, seed: Any) -> Any:
+        """Owen's scrambling: each binary digit is flipped or not by a hash of those before it."""
+        x = dr.brev(x) + seed
+        for factor in LAINE_KARRAS:
+            x = x ^ (x * whole(factor))
+        return dr.brev(x)
+
+    def second(index: Any) -> Any:
+        """Sobol's second dimension, 32 binary digits: columns of Pascal's triangle modulo 2."""
+        found, column = whole(0), TOP
+        for bit in range(32):
+            found ^= whole(column) & (whole(0) - ((index >> bit) & 1))
+            column ^= column >> 1
+        return found
+
+    def unit(x: Any) -> Any:
+        return mi.Float(x >> 8) * (1.0 / (1 << 24))
+
+    class GoingOn(mi.Sampler):
+        """A sampler whose sequences do not end with a call of `mi.render`."""
+
+        def __init__(self, properties: Any) -> None:
+            super().__init__(properties)
+            self.start, self.key_seed, self.spp = 0, 0, 1
+            self.index, self.key, self.dimension = whole(0), whole(0), whole(0)
+
+        def fork(self) -> Any:
+            other = GoingOn(mi.Properties())
+            other.start, other.key_seed, other.spp = self.start, self.key_seed, self.spp
+            return other
+
+        clone = fork
+
+        def seed(self, seed: Any, wavefront_size: int = 0xFFFFFFFF) -> None:
+            super().seed(seed, wavefront_size)
+            lane = dr.arange(whole, wavefront_size)
+            pixel = lane // dr.opaque(whole, self.spp)
+            self.index = dr.opaque(whole, self.start) + (lane - pixel * dr.opaque(whole, self.spp))
+            self.key = mixed(pixel, dr.opaque(whole, self.key_seed))
+            self.dimension = dr.zeros(whole, wavefront_size)
+
+        def schedule_state(self) -> None:
+            dr.schedule(self.index, self.key, self.dimension)
+
+        def advance(self) -> None:
+            raise NotImplementedError("begin() and another call of mi.render take its place")
+
+        def _next(self) -> tuple[Any, Any]:
+            key = mixed(self.key, self.dimension)
+            self.dimension = self.dimension + 1
+            return key, scrambled(self.index, key)  # each dimension has an order of its own
+
+        def next_1d(self, active: Any = True) -> Any:
+            key, index = self._next()
+            return unit(scrambled(dr.brev(index), mixed(key, whole(1))))
+
+        def next_2d(self, active: Any = True) -> Any:
+            key, index = self._next()
+            x = scrambled(dr.brev(index), mixed(key, whole(1)))
+            return mi.Point2f(unit(x), unit(scrambled(second(index), mixed(key, whole(2)))))
+
+    return GoingOn

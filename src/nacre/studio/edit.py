@@ -1,0 +1,146 @@
+"""Changes of a recipe's text by its numbers, layers and tables; the author's comments stay where they can."""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import tomlkit
+
+from nacre.errors import NacreError, RecipeError
+from nacre.recipe.paths import find_by_path, set_by_path
+from nacre.recipe.toml import dump_toml, edit_toml, parse_toml
+
+MAX_EDITS = 2000
+LONGEST_LINE = 100
+WORD = r"[A-Za-z_][A-Za-z_0-9]*(?:\[\d+\])*"  # of a path, with the places in lists
+
+
+def edited(text: str, edits: Sequence[Mapping[str, Any]], source: str) -> str:
+    """Return a recipe's text after some changes, in their order.
+
+    Args:
+        text: TOML.
+        edits: each has `path` and `op`: "set" (`value`), "remove"; of a list "insert" (`index`, `value`) or "move"
+            (`from`, `to`).
+        source: the recipe's name, for messages.
+
+    Raises:
+        RecipeError: the text is not TOML, a path leads nowhere, or a change is none of those.
+    """
+    if len(edits) > MAX_EDITS:
+        raise RecipeError(f"{source}: {len(edits)} changes at once; at most {MAX_EDITS} are allowed")
+    for edit in edits:
+        text = _one(text, edit, source)
+    return text
+
+
+def _one(text: str, edit: Mapping[str, Any], source: str) -> str:
+    path, op = edit.get("path"), edit.get("op", "set")
+    if not isinstance(path, str):
+        raise RecipeError(f"{source}: a change without a path")
+    before = parse_toml(text, source)
+    wanted = copy.deepcopy(before)
+    if op == "set":
+        value = edit.get("value")
+        if value is None:
+            raise RecipeError(f"{source}: {path} cannot be set to nothing; take it out")
+        set_by_path(wanted, path, value, source)
+        made = _try(lambda: edit_toml(text, {path: value}, source), wanted)
+        return made or _written(wanted)
+    if op == "remove":
+        holder, last = find_by_path(wanted, path, source)
+        if isinstance(last, str) and last not in holder:
+            return text
+        del holder[last]
+        return _try(lambda: _removed(text, path, source), wanted) or _written(wanted)
+    holder, last = find_by_path(wanted, path, source)
+    listed = holder.setdefault(last, []) if isinstance(last, str) else holder[last]
+    if not isinstance(listed, list):
+        raise RecipeError(f"{source}: {path} is no list")
+    if op == "insert":
+        listed.insert(_index(edit.get("index"), len(listed) + 1, path, source), edit.get("value"))
+    elif op == "move":
+        moved = listed.pop(_index(edit.get("from"), len(listed), path, source))
+        listed.insert(_index(edit.get("to"), len(listed) + 1, path, source), moved)
+    else:
+        raise RecipeError(f'{source}: "{str(op)[:40]}" is no change; use set, remove, insert or move')
+    return _try(lambda: _with_list(text, path, listed, source), wanted) or _written(wanted)
+
+
+def _index(value: Any, count: int, path: str, source: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < count:
+        raise RecipeError(f"{source}: {path} has no place {str(value)[:20]}")
+    return value
+
+
+def _try(make: Any, wanted: Mapping[str, Any]) -> str:
+    """Return the text that keeps the comments, if it says what is wanted: tomlkit moves some tables wrongly."""
+    try:
+        made: str = make()
+        return made if parse_toml(made, "recipe") == wanted else ""
+    except (NacreError, tomlkit.exceptions.TOMLKitError, KeyError, IndexError, TypeError, ValueError):
+        return ""
+
+
+def _removed(text: str, path: str, source: str) -> str:
+    document = tomlkit.parse(text)
+    holder, last = find_by_path(document, path, source)
+    del holder[last]
+    return tomlkit.dumps(document)
+
+
+def _with_list(text: str, path: str, listed: list[Any], source: str) -> str:
+    """Write a list anew, an entry a line where one line is too long."""
+    made = edit_toml(text, {path: listed}, source)
+    if max(map(len, made.splitlines()), default=0) <= LONGEST_LINE:
+        return made
+    document = tomlkit.parse(made)
+    holder, last = find_by_path(document, path, source)
+    if isinstance(holder[last], tomlkit.items.Array):
+        holder[last].multiline(True)
+    return tomlkit.dumps(document)
+
+
+def _written(data: Mapping[str, Any]) -> str:
+    """Write a recipe without its author's comments: long lists an entry a line."""
+    document = tomlkit.parse(dump_toml(data))
+    for value in document.values():
+        if isinstance(value, tomlkit.items.Array) and len(value.as_string()) > LONGEST_LINE:
+            value.multiline(True)
+    return tomlkit.dumps(document)
+
+
+def line_of(text: str, message: str) -> int | None:
+    """Return the line, counted from 1, that an error message speaks of; None where it cannot be told.
+
+    A mistake of TOML names its line; one of a recipe names a key such as `layers[1].material`: the line is that of the
+    key's last word, counted up to the entry of its list.
+    """
+    if found := re.search(r"at line (\d+)", message):
+        return int(found[1])
+    lines = text.splitlines()
+    if "at end of document" in message:
+        return len(lines)
+    named = re.search(
+        r": (?:key )?([A-Za-z_][A-Za-z_0-9]*(?:\[\d+\])*(?:\.[A-Za-z_][A-Za-z_0-9]*(?:\[\d+\])*)*)", message
+    )
+    if not named:
+        return None
+    words = re.findall(r"([A-Za-z_][A-Za-z_0-9]*)((?:\[\d+\])*)", named[1])
+    last = words[-1][0]
+    index = next((int(n) for _, brackets in reversed(words[:-1]) for n in re.findall(r"\d+", brackets)), 0)
+    places = [
+        number
+        for number, line in enumerate(lines, start=1)
+        for _ in re.findall(rf"(?<![A-Za-z_0-9]){re.escape(last)}(?![A-Za-z_0-9])\s*(?:=|\])", line.partition("#")[0])
+    ]
+    if places:
+        return places[min(index, len(places) - 1)]
+    for word, _ in reversed(words[:-1]):
+        for number, line in enumerate(lines, start=1):
+            if re.search(rf"(?<![A-Za-z_0-9]){re.escape(word)}(?![A-Za-z_0-9])", line.partition("#")[0]):
+                return number
+    return None

@@ -1,0 +1,279 @@
+"""What the page shows of a material: colours over the angle, spectra, colours under lamps; as one block of bytes.
+
+The preview draws a mirror-like part, R over the angle in the studio's light; a glossy part, the lobe of spread light
+about the mirror direction (`nacre.measure.gloss`); and a spread part: all that leaves otherwise, as if it left evenly
+in all directions (a matt surface of that reflectance over the view angle, which reciprocity allows). Layered films need
+no draft. Other materials are drafted with few angles and wavelengths, then settled.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nacre.arrays import Array
+from nacre.bsdf.roughness import Roughness
+from nacre.bsdf.texture import refuse_place
+from nacre.errors import NacreError
+from nacre.light import (
+    SRGB_WHITE_XYZ,
+    adapt_xyz,
+    clip_to_srgb,
+    spans_colour,
+    spectrum_to_xyz,
+    srgb_to_hex,
+    white_xyz,
+    xyz_to_lab,
+    xyz_to_srgb_linear,
+)
+from nacre.light.spaces import srgb_encode
+from nacre.materials.material import Material
+from nacre.measure.gloss import Gloss, find_gloss
+from nacre.measure.spectrum import bsdf_spectrum
+
+LAMPS = ("D65", "A", "F11")
+ANGLES_DEG = np.arange(0.0, 91.0)
+STEEPEST_DEG = 88.0  # of what is integrated or walked: no light arrives at 90
+SETTLED_DEG = np.array([0.0, 8.0, 16.0, 24.0, 32.0, 40.0, 48.0, 56.0, 64.0, 72.0, 80.0, STEEPEST_DEG])
+DRAFT_DEG = np.array([0.0, 20.0, 40.0, 60.0, 75.0, STEEPEST_DEG])
+DRAFT_NM = np.arange(400.0, 701.0, 25.0)
+PROBE_RAD, PROBE_NM = np.array([0.0]), np.array([450.0, 550.0, 650.0])
+QUICK_S = 0.01  # of one angle at three wavelengths; layered films take a tenth of it
+SHOWN_DEG = (0.0, 30.0, 60.0)  # angles of the spectra
+BAND = 12  # wavelengths that are solved without looking up
+RIDGE_FAN = 0.5  # roughness by which the page draws the fan of ridges
+SPREAD = "Spread light is drawn as if it left evenly in all directions; its lobes are in the settled picture."
+GLOSS = "Spread light is drawn as a rough mirror of fitted width over an even ground; see the settled picture."
+PARTS = ("specular_reflectance", "diffuse_reflectance")
+THROUGH = "specular_transmittance"
+SEEN_THROUGH = 0.02
+
+
+class SupersededError(Exception):
+    """A newer recipe has come; this one is not wanted any more."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """A solved look.
+
+    Attributes:
+        mirror_rgb, gloss_rgb, spread_rgb: `[angle, 3]` over `ANGLES_DEG`, linear sRGB, not clipped, adapted from
+            the lamp.
+        alpha, gloss_alpha: roughness that the mirror-like and the glossy part are drawn with.
+        wavelengths_nm: `[wavelength]`; total: `[shown angle, wavelength]`, reflectance, all parts.
+        swatches: for each lamp its name and the colours `hex` and `lab` of the total at `SHOWN_DEG`.
+        is_draft: few angles and wavelengths; a settled one follows.
+        notes: what the preview leaves out, in sentences.
+    """
+
+    mirror_rgb: Array
+    gloss_rgb: Array
+    spread_rgb: Array
+    alpha: float
+    gloss_alpha: float
+    wavelengths_nm: Array
+    total: Array
+    swatches: list[dict[str, Any]]
+    is_draft: bool
+    notes: tuple[str, ...]
+    seconds: float
+
+    def packed(self, **header: Any) -> bytes:
+        """Return the look as bytes: length of the header (little-endian), header as JSON, arrays as float32.
+
+        Args:
+            header: what stands in the header beside the look: the number of the question, the recipe.
+        """
+        arrays = {
+            "mirror": self.mirror_rgb,
+            "gloss": self.gloss_rgb,
+            "spread": self.spread_rgb,
+            "wavelengths": self.wavelengths_nm,
+            "total": self.total,
+        }
+        told = {
+            **header,
+            "alpha": self.alpha,
+            "gloss_alpha": self.gloss_alpha,
+            "swatches": self.swatches,
+            "draft": self.is_draft,
+            "notes": self.notes,
+            "seconds": round(self.seconds, 4),
+            "shown_deg": SHOWN_DEG,
+            "arrays": [[name, list(array.shape)] for name, array in arrays.items()],
+        }
+        text = json.dumps(told).encode()
+        text += b" " * (-len(text) % 4)
+        body = b"".join(np.ascontiguousarray(array, dtype="<f4").tobytes() for array in arrays.values())
+        return struct.pack("<I", len(text)) + text + body
+
+
+def looks(material: Material, illuminant: str, is_superseded: Callable[[], bool]) -> Iterator[Look]:
+    """Yield a material's looks: one that is settled, or a draft before it.
+
+    Args:
+        illuminant: lamp of the studio, such as "D65".
+        is_superseded: asked between the parts of a long solution.
+
+    Raises:
+        NacreError: the material cannot be solved.
+        SupersededError: a newer recipe has come.
+    """
+    refuse_place(material.model, material.context.source)
+    material = material.for_many()  # a page waits for no ensemble of minutes
+    if not _is_quick(material):
+        yield _look(material, illuminant, is_superseded, DRAFT_DEG, DRAFT_NM)
+        if is_superseded():
+            raise SupersededError
+        yield _look(material, illuminant, is_superseded, SETTLED_DEG, None)
+    else:
+        yield _look(material, illuminant, is_superseded, ANGLES_DEG, None)
+
+
+def _is_quick(material: Material) -> bool:
+    """Whether the whole look takes milliseconds: spectra are at hand, and nothing has to be integrated for them.
+
+    The clock decides: ridges are films too. The second of two trials counts, as the first one may compile.
+    """
+    if not material.model.is_quick:
+        return False
+    took = math.inf
+    for _ in range(2):
+        if took > QUICK_S:
+            started = time.perf_counter()
+            if material.model.spectrum(PROBE_RAD, PROBE_NM, "both", 0) is None:
+                return False
+            took = time.perf_counter() - started
+    return took <= QUICK_S
+
+
+def _look(
+    material: Material, illuminant: str, is_superseded: Callable[[], bool], angles_deg: Array, grid: Array | None
+) -> Look:
+    started = time.perf_counter()
+    wavelengths, parts, gloss = _spectra(material, np.radians(angles_deg), grid, is_superseded)
+    if not spans_colour(wavelengths):
+        raise NacreError(
+            f"{material.context.source}: wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm make no colour"
+        )
+    mirror, spread = (parts[name] for name in PARTS)
+    glossy = 0.0 * spread if gloss is None else gloss.reflectance
+    mirror_rgb, gloss_rgb, spread_rgb = (
+        _rgb(part, wavelengths, illuminant, angles_deg) for part in (mirror, glossy, spread - glossy)
+    )
+    total = mirror + spread
+    shown = _at_angles(total, angles_deg)
+    alpha, notes = _surface(material)
+    if np.any(spread > 0):
+        notes.append(SPREAD if gloss is None else GLOSS)
+    if np.max(parts[THROUGH]) > SEEN_THROUGH:
+        notes.append("Light that goes through is not drawn.")
+    return Look(
+        mirror_rgb, gloss_rgb, spread_rgb, alpha, 0.0 if gloss is None else gloss.alpha, wavelengths, shown,
+        _swatches(shown, wavelengths), grid is not None, tuple(notes), time.perf_counter() - started,
+    )  # fmt: skip
+
+
+def _spectra(
+    material: Material, theta: Array, grid: Array | None, is_superseded: Callable[[], bool]
+) -> tuple[Array, dict[str, Array], Gloss | None]:
+    """Return wavelengths, parts by name, `[angle, wavelength]`, zero where one does not apply, and the glossy part."""
+    model = material.model
+    bands = [grid]
+    if (
+        len(theta) < len(ANGLES_DEG) and grid is None
+    ):  # long, and a wavelength stands for itself: look up between a few of them
+        own = np.asarray(model.wavelengths_nm, dtype=float)
+        bands = np.array_split(own, -(-own.size // BAND))
+    spectra, axis = [], 1  # along which they are put together
+    for band in bands:
+        _go_on(is_superseded)
+        found = model.spectrum(theta, band, "both", 0)
+        if found is None:
+            break
+        spectra.append(found)
+    if not spectra:
+        bsdf, axis = material.bsdf(grid), 0
+        for angle in theta:
+            _go_on(is_superseded)
+            spectra.append(bsdf_spectrum(bsdf, np.array([angle])))
+    parts = {}
+    for name in (*PARTS, THROUGH):
+        zero = np.zeros((len(spectra[0].angles_deg), 1))
+        blocks = [s.parts().get(name, zero + np.zeros(len(s.wavelengths_nm))) for s in spectra]
+        parts[name] = np.nan_to_num(np.concatenate(blocks, axis=axis))
+    if axis == 0:
+        _go_on(is_superseded)
+        return spectra[0].wavelengths_nm, parts, find_gloss(bsdf, theta, parts[PARTS[1]])
+    return np.concatenate([s.wavelengths_nm for s in spectra]), parts, None
+
+
+def _go_on(is_superseded: Callable[[], bool]) -> None:
+    if is_superseded():
+        raise SupersededError
+
+
+def _rgb(values: Array, wavelengths: Array, illuminant: str, angles_deg: Array) -> Array:
+    """Return the colours of spectra at the angles of the table, `[angle, 3]`."""
+    xyz = adapt_xyz(spectrum_to_xyz(values, wavelengths, illuminant), white_xyz(illuminant), SRGB_WHITE_XYZ)
+    rgb = xyz_to_srgb_linear(xyz)
+    return np.stack([np.interp(ANGLES_DEG, angles_deg, channel) for channel in rgb.T], axis=-1)
+
+
+def _at_angles(total: Array, angles_deg: Array) -> Array:
+    """Return `[shown angle, wavelength]`, linear between the angles of the table."""
+    after = np.clip(np.searchsorted(angles_deg, SHOWN_DEG), 1, len(angles_deg) - 1)
+    share = ((np.array(SHOWN_DEG) - angles_deg[after - 1]) / (angles_deg[after] - angles_deg[after - 1]))[:, None]
+    return np.asarray((1.0 - share) * total[after - 1] + share * total[after])
+
+
+def _swatches(total: Array, wavelengths: Array) -> list[dict[str, Any]]:
+    whites = [white_xyz(lamp) for lamp in LAMPS]
+    seen = [spectrum_to_xyz(total, wavelengths, lamp) for lamp in LAMPS]
+    linear = [
+        xyz_to_srgb_linear(adapt_xyz(xyz, white, SRGB_WHITE_XYZ)) for xyz, white in zip(seen, whites, strict=True)
+    ]
+    shown = srgb_encode(clip_to_srgb(np.stack(linear)).rgb)  # all at once: the search for the nearest is what costs
+    return [
+        {
+            "lamp": lamp,
+            "hex": [srgb_to_hex(colour) for colour in colours],
+            "lab": np.round(xyz_to_lab(xyz, white), 1).tolist(),
+        }
+        for lamp, colours, xyz, white in zip(LAMPS, shown, seen, whites, strict=True)
+    ]
+
+
+def _surface(material: Material) -> tuple[float, list[str]]:
+    """Return the roughness to draw with, and what the drawing leaves out."""
+    notes: list[str] = []
+    rough = getattr(material.model, "surface", None)
+    alpha = 0.0
+    if isinstance(rough, Roughness):
+        alpha = float(np.sqrt(rough.alpha_x * rough.alpha_y))
+        if rough.alpha_texture is not None:
+            alpha *= float(rough.alpha_texture(np.array([0.5, 0.5])))
+        if rough.alpha_x != rough.alpha_y:
+            notes.append("Brushed surfaces are drawn with the mean of their two roughnesses.")
+    if getattr(material.model, "ridges", None) is not None:
+        alpha = RIDGE_FAN
+        notes.append("The fan of light of the ridges is drawn as a rough mirror; its shape is in the settled picture.")
+    if _varies(material.data):
+        notes.append("What varies over the surface is drawn as it is at the surface's middle.")
+    return alpha, notes
+
+
+def _varies(data: Any) -> bool:
+    if isinstance(data, list):
+        return any(_varies(value) for value in data)
+    if not hasattr(data, "items"):
+        return False
+    return "texture" in data or "formula" in data or any(_varies(value) for value in data.values())

@@ -1,0 +1,107 @@
+// What the numbers say: the ribbon over the angle, spectra, the track in a*b*, colours under lamps.
+
+const SVG = "http://www.w3.org/2000/svg";
+const DASHES = ["", "5 3", "1.5 2.5"];
+const clear = (node) => node.replaceChildren();
+const add = (root, tag, props, text) => {
+  const made = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(props)) made.setAttribute(name, value);
+  if (text !== undefined) made.textContent = text;
+  root.append(made);
+  return made;
+};
+
+export function total(look) {
+  return look.mirror.map((value, i) => value + look.gloss[i] + look.spread[i]);
+}
+
+// Out of gamut the chroma is lowered at constant luminance, as on the sphere.
+function shown(r, g, b) {
+  const y = Math.min(Math.max(0.2126 * r + 0.7152 * g + 0.0722 * b, 0), 1);
+  const low = Math.min(r, g, b), high = Math.max(r, g, b);
+  let keep = 1;
+  if (low < 0) keep = Math.min(keep, y / Math.max(y - low, 1e-6));
+  if (high > 1) keep = Math.min(keep, (1 - y) / Math.max(high - y, 1e-6));
+  return [r, g, b].map((c) => {
+    const x = Math.min(Math.max(y + keep * (c - y), 0), 1);
+    return Math.round(255 * (x <= 0.0031308 ? 12.92 * x : 1.055 * x ** (1 / 2.4) - 0.055));
+  });
+}
+
+function lab(r, g, b) {
+  const xyz = [
+    (0.4124564 * r + 0.3575761 * g + 0.1804375 * b) / 0.95047,
+    0.2126729 * r + 0.7151522 * g + 0.072175 * b,
+    (0.0193339 * r + 0.119192 * g + 0.9503041 * b) / 1.08883,
+  ].map((t) => (t > 216 / 24389 ? Math.cbrt(t) : (t * 24389) / 27 / 116 + 16 / 116));
+  return [116 * xyz[1] - 16, 500 * (xyz[0] - xyz[1]), 200 * (xyz[1] - xyz[2])];
+}
+
+export function drawRibbon(canvas, text, look) {
+  const context = canvas.getContext("2d"), all = total(look), count = all.length / 3;
+  for (let x = 0; x < canvas.width; x++) {
+    const at = (x / (canvas.width - 1)) * (count - 1), low = Math.min(Math.floor(at), count - 2), part = at - low;
+    const rgb = [0, 1, 2].map((c) => all[3 * low + c] * (1 - part) + all[3 * low + 3 + c] * part);
+    context.fillStyle = `rgb(${shown(...rgb).join(" ")})`;
+    context.fillRect(x, 0, 1, canvas.height);
+  }
+  const d65 = look.swatches[0];
+  text.textContent = look.shown_deg.map((angle, i) => `${angle}°: ${d65.hex[i]}`).join("   ");
+}
+
+export function drawSpectrum(svg, look) {
+  clear(svg);
+  const lam = look.wavelengths, count = lam.length, [left, right, top, bottom] = [26, 276, 6, 128];
+  const x = (nm) => left + ((nm - 380) / 400) * (right - left), peak = Math.max(...look.total);
+  const most = peak > 1.001 ? peak : [0.05, 0.1, 0.2, 0.5, 1].find((m) => peak <= m) ?? 1;
+  const y = (value) => bottom - (value / most) * (bottom - top);
+  for (const share of [0, 0.5, 1]) {
+    add(svg, "path", { d: `M${left} ${y(share * most)}H${right}`, class: "axis" });
+    add(svg, "text", { x: left - 4, y: y(share * most) + 3, "text-anchor": "end" }, Number((share * most).toPrecision(3)));
+  }
+  for (const nm of [400, 500, 600, 700]) add(svg, "text", { x: x(nm), y: bottom + 13, "text-anchor": "middle" }, `${nm}${nm === 700 ? " nm" : ""}`);
+  look.shown_deg.forEach((angle, row) => {
+    let d = "";
+    for (let i = 0; i < count; i++) {
+      if (lam[i] >= 380 && lam[i] <= 780) d += `${d ? "L" : "M"}${x(lam[i]).toFixed(1)} ${y(look.total[row * count + i]).toFixed(1)}`;
+    }
+    add(svg, "path", { d, class: "curve", "stroke-dasharray": DASHES[row] });
+    add(svg, "path", { d: `M${left + 40 + 74 * row} 146h18`, class: "curve", "stroke-dasharray": DASHES[row] });
+    add(svg, "text", { x: left + 62 + 74 * row, y: 149 }, `${angle}°`);
+  });
+}
+
+export function drawTrack(svg, look) {
+  clear(svg);
+  const all = total(look), points = [];
+  for (let i = 0; i < all.length / 3; i++) points.push(lab(all[3 * i], all[3 * i + 1], all[3 * i + 2]));
+  const reach = Math.max(20, ...points.map(([, a, b]) => Math.max(Math.abs(a), Math.abs(b)))) * 1.1;
+  const x = (a) => 140 + (a / reach) * 88, y = (b) => 95 - (b / reach) * 88;
+  add(svg, "path", { d: "M52 95H228M140 7V183", class: "axis" });
+  add(svg, "text", { x: 232, y: 98 }, `a* ${Math.round(reach)}`);
+  add(svg, "text", { x: 144, y: 14 }, `b* ${Math.round(reach)}`);
+  add(svg, "path", { d: points.map(([, a, b], i) => `${i ? "L" : "M"}${x(a).toFixed(1)} ${y(b).toFixed(1)}`).join(""), class: "curve" });
+  for (const angle of [0, 30, 60]) {
+    const [, a, b] = points[angle], rgb = shown(all[3 * angle], all[3 * angle + 1], all[3 * angle + 2]);
+    add(svg, "circle", { cx: x(a), cy: y(b), r: 5, class: "dot", fill: `rgb(${rgb.join(" ")})` });
+    add(svg, "text", { x: x(a) + 7, y: y(b) - 5 }, `${angle}°`);
+  }
+}
+
+export function drawSwatches(table, look) {
+  const head = document.createElement("tr");
+  head.append(document.createElement("th"), ...look.shown_deg.map((angle) => Object.assign(document.createElement("th"), { textContent: `${angle}°`, scope: "col" })));
+  const rows = look.swatches.map(({ lamp, hex, lab: values }) => {
+    const row = document.createElement("tr");
+    row.append(Object.assign(document.createElement("th"), { textContent: lamp, scope: "row" }));
+    hex.forEach((colour, i) => {
+      const chip = Object.assign(document.createElement("span"), { className: "chip", title: colour });
+      chip.style.background = colour;
+      const cell = document.createElement("td");
+      cell.append(chip, values[i].map((v) => Math.round(v)).join(" "));
+      row.append(cell);
+    });
+    return row;
+  });
+  table.replaceChildren(head, ...rows);
+}

@@ -1,0 +1,156 @@
+"""Who may talk to the studio: this user's own page, and nobody else.
+
+The server listens on loopback, which every page of the user's browser can reach too. So each request must carry the
+token, name this server as its host, and come from no foreign page; and the page itself may load nothing from elsewhere.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import os
+import secrets
+import stat
+import time
+from collections.abc import Awaitable, Callable, Mapping
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import parse_qs
+
+from nacre.materials.cache import cache_folder
+
+HOSTS = ("127.0.0.1", "localhost", "[::1]")
+HEADER = "x-nacre-token"
+TOKEN_LENGTH = 43  # characters of 256 bits
+KEPT_S = 7 * 24 * 3600
+REFUSED = 4403  # close code of a socket that was refused
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+HEADERS = {
+    "content-security-policy": POLICY,
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
+}
+
+Receive = Callable[[], Awaitable[dict[str, Any]]]
+Send = Callable[[dict[str, Any]], Awaitable[None]]
+Asgi = Callable[[dict[str, Any], Receive, Send], Awaitable[None]]
+
+
+def new_token() -> str:
+    """Return a token of 256 bits that cannot be guessed."""
+    return secrets.token_urlsafe(32)
+
+
+def kept_token(port: int) -> str:
+    """Return the token of the server on a port: the last one's if that was lately, so that its pages find it again.
+
+    It is kept in the user's cache folder, in a file that nobody else can read; without such a folder it is new.
+    """
+    folder = cache_folder()
+    if folder is None:
+        return new_token()
+    path = folder.parent / f"studio-{port}.token"
+    try:
+        status = path.lstat()
+        token = path.read_text("ascii").strip()
+        is_secret = stat.S_ISREG(status.st_mode)
+        if os.name == "posix":  # elsewhere the user's own folder is all the protection there is
+            is_secret = is_secret and not status.st_mode & 0o077 and status.st_uid == os.getuid()
+        if is_secret and len(token) >= TOKEN_LENGTH and time.time() - status.st_mtime < KEPT_S:
+            return token
+    except (OSError, UnicodeDecodeError):
+        pass
+    token = new_token()
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
+        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+            file.write(token)
+    return token
+
+
+class Gate:
+    """Stands before the whole server, the socket among it: refuses with 403, and sets the headers of every answer."""
+
+    def __init__(self, app: Asgi, token: str, port: int) -> None:
+        self._app = app
+        self._token = token
+        self._cookie = f"nacre_studio_{port}"  # servers on other ports share the cookies of a host
+        self._hosts = {f"{name}:{port}" for name in HOSTS} | (set(HOSTS) if port == 80 else set())
+
+    async def __call__(self, scope: dict[str, Any], receive: Receive, send: Send) -> None:
+        """Answer one connection."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        headers = {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
+        if why := self._why_foreign(headers, is_socket=scope["type"] == "websocket"):
+            await _refuse(scope, send, why)
+            return
+        given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[-1]
+        if scope["type"] == "http" and scope["path"] == "/" and given and self._is_token(given):
+            await self._welcome(send)
+            return
+        if not self._is_token(headers.get(HEADER, "")) and not self._is_token(self._in_cookie(headers)):
+            await _refuse(scope, send, "open the address that nacre studio printed: it holds the token")
+            return
+
+        async def with_headers(message: dict[str, Any]) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [*message.get("headers", []), *_encoded(HEADERS)]
+            await send(message)
+
+        await self._app(scope, receive, with_headers)
+
+    def _why_foreign(self, headers: Mapping[str, str], is_socket: bool) -> str:
+        if headers.get("host", "").lower() not in self._hosts:
+            return "this host name is not the studio's"
+        origin = headers.get("origin")
+        if origin is None:
+            # a browser names the page that opens a socket; what has no origin must show the token in a header
+            return "a socket without an origin" if is_socket and not self._is_token(headers.get(HEADER, "")) else ""
+        own = origin.lower().removeprefix("http://")
+        if not origin.lower().startswith("http://") or own != headers["host"].lower():
+            return "another page may not talk to the studio"
+        return ""
+
+    def _is_token(self, text: str) -> bool:
+        return hmac.compare_digest(text.encode(), self._token.encode())
+
+    def _in_cookie(self, headers: Mapping[str, str]) -> str:
+        try:
+            cookies = SimpleCookie(headers.get("cookie", ""))
+        except CookieError:
+            return ""
+        return cookies[self._cookie].value if self._cookie in cookies else ""
+
+    async def _welcome(self, send: Send) -> None:
+        """Keep the token in a cookie that scripts cannot read, and lead on to an address without it."""
+        body = b"".join((
+            b'<!doctype html><meta charset="utf-8"><title>nacre</title>',
+            b'<link rel="icon" href="data:,"><meta http-equiv="refresh" content="0;url=/">',
+        ))  # fmt: skip
+        cookie = f"{self._cookie}={self._token}; Path=/; HttpOnly; SameSite=Strict"
+        headers = {**HEADERS, "content-type": "text/html; charset=utf-8", "set-cookie": cookie}
+        await send({"type": "http.response.start", "status": 200, "headers": _encoded(headers)})
+        await send({"type": "http.response.body", "body": body})
+
+
+async def _refuse(scope: Mapping[str, Any], send: Send, why: str) -> None:
+    if scope["type"] == "websocket":
+        await send({"type": "websocket.close", "code": REFUSED, "reason": why})  # before accepting: 403
+        return
+    headers = {**HEADERS, "content-type": "text/plain; charset=utf-8"}
+    await send({"type": "http.response.start", "status": 403, "headers": _encoded(headers)})
+    await send({"type": "http.response.body", "body": f"403: {why}\n".encode()})
+
+
+def _encoded(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
+    return [(name.encode(), value.encode()) for name, value in headers.items()]

@@ -1,0 +1,249 @@
+"""The studio's server: the page, the recipes of the opened folder, the socket, and nothing else of the machine."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import sys
+import threading
+import webbrowser
+from concurrent.futures import ThreadPoolExecutor
+from importlib.resources import files
+from typing import Any
+
+import click
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket
+
+from nacre._version import __version__
+from nacre.errors import NacreError
+from nacre.exchange.lut.write import template
+from nacre.families.registry import family_names
+from nacre.materials.examples import examples
+from nacre.matter.indices import library
+from nacre.studio.edit import line_of
+from nacre.studio.folder import EXAMPLE, MAX_TEXT, STARTS, Opened, mark_of
+from nacre.studio.form import family_form
+from nacre.studio.picture import read_question, settled_picture
+from nacre.studio.security import Asgi, Gate, kept_token, new_token
+from nacre.studio.session import MAX_MESSAGE, Session
+from nacre.studio.surround import ALPHAS, ROWS, blurred_surround
+
+LOOPBACK = "127.0.0.1"
+USUAL_PORT = 8642  # the same from start to start, so that a page finds its server again
+SOLVERS = 2  # sessions that are answered at once; the others wait
+MAX_SESSIONS = 64
+MAX_FOUND = 40
+MEDIA = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".jpg": "image/jpeg"}
+TABLES = "table.glsl"
+BAD_INPUT, TOO_LARGE, NOT_FOUND = 422, 413, 404
+
+
+def make_app(opened: Opened, token: str, port: int) -> Asgi:
+    """Return the server as an ASGI application, behind its gate.
+
+    Args:
+        opened: the folder.
+        token: what every request has to show.
+        port: that it listens on; part of the host names that it answers to.
+    """
+    workers = ThreadPoolExecutor(SOLVERS, thread_name_prefix="nacre-studio")
+    rendering = asyncio.Semaphore(1)
+    talking: set[Session] = set()
+    page = _page_files()
+
+    async def asset(request: Request) -> Response:
+        name = request.path_params.get("name") or "index.html"
+        if name not in page:
+            return Response("404: no such file\n", NOT_FOUND)
+        content, media = page[name]
+        return Response(content, media_type=media)
+
+    async def no_icon(request: Request) -> Response:
+        return Response(status_code=204)
+
+    async def state(request: Request) -> Response:
+        def look() -> dict[str, Any]:
+            shipped = {example.name: example for example in examples()}
+            chosen = [name for name in STARTS if name in shipped]
+            known = set(family_names())  # a target is an example too, and no recipe
+            return {
+                "version": __version__,
+                "folder": opened.folder.name,
+                "first": opened.first,
+                "recipes": opened.names(),
+                "families": sorted(known),
+                "starts": [_example(shipped[name]) for name in chosen],
+                "examples": [_example(e) for e in shipped.values() if {e.family} <= known],
+                "surround": {"rows": ROWS, "columns": 2 * ROWS, "alphas": ALPHAS},
+            }
+
+        return JSONResponse(await asyncio.get_running_loop().run_in_executor(workers, look))
+
+    async def surround(request: Request) -> Response:
+        layers = await asyncio.get_running_loop().run_in_executor(workers, blurred_surround)
+        return Response(layers.astype("<f4").tobytes(), media_type="application/octet-stream")
+
+    async def recipe(request: Request) -> Response:
+        name = request.query_params.get("name", "")
+        try:
+            text = opened.read(name)
+        except NacreError as error:
+            return _told(error)
+        if len(text) > MAX_TEXT:
+            return _told(NacreError(f"{name}: a recipe of {len(text)} characters; at most {MAX_TEXT} are shown"))
+        return JSONResponse({"name": name, "text": text, "mark": "" if name.startswith(EXAMPLE) else mark_of(text)})
+
+    async def form(request: Request) -> Response:
+        try:
+            return JSONResponse(family_form(request.query_params.get("family")))
+        except NacreError as error:
+            return _told(error)
+
+    async def indices(request: Request) -> Response:
+        words = request.query_params.get("q", "")[:80]
+        found = await asyncio.get_running_loop().run_in_executor(workers, library.search, words)
+        listed = [{"name": e.name, "title": e.title} for e in found[:MAX_FOUND]]
+        return JSONResponse({"found": listed, "more": max(len(found) - MAX_FOUND, 0)})
+
+    async def save(request: Request) -> Response:
+        try:
+            body = await _body(request)
+            name, text, known = (body.get(key) for key in ("name", "text", "mark"))
+            if not (isinstance(name, str) and isinstance(text, str) and isinstance(known, str)):
+                raise NacreError("saving takes name, text and mark")
+            if len(text) > MAX_TEXT:
+                raise NacreError(f"{name[:80]}: a recipe of {len(text)} characters; at most {MAX_TEXT} are saved")
+            return JSONResponse({"name": name, "mark": opened.save(name, text, known)})
+        except NacreError as error:
+            return _told(error)
+
+    async def picture(request: Request) -> Response:
+        try:
+            question = read_question(await _body(request))
+            path, fence = opened.place(question["name"])
+
+            async def is_wanted() -> bool:
+                return not await request.is_disconnected()
+
+            async with rendering:
+                png = await settled_picture({**question, "path": str(path), "fence": str(fence)}, is_wanted)
+        except NacreError as error:
+            return _told(error)
+        return Response(png, media_type="image/png")
+
+    async def talk(websocket: WebSocket) -> None:
+        if len(talking) >= MAX_SESSIONS:
+            await websocket.close(1013, "too many pages are open")
+            return
+        session = Session(websocket, opened, workers)
+        talking.add(session)
+        try:
+            await session.run()
+        finally:
+            talking.discard(session)
+
+    app = Starlette(
+        routes=[
+            Route("/", asset),
+            Route("/favicon.ico", no_icon),  # browsers ask for it before they have read that there is none
+            Route("/page/{name}", asset),
+            Route("/api/state", state),
+            Route("/api/surround", surround),
+            Route("/api/recipe", recipe),
+            Route("/api/form", form),
+            Route("/api/indices", indices),
+            Route("/api/save", save, methods=["POST"]),
+            Route("/api/picture", picture, methods=["POST"]),
+            WebSocketRoute("/ws", talk),
+        ]
+    )
+    return Gate(app, token, port)  # type: ignore[arg-type]  # Starlette's own types of the same protocol
+
+
+def _page_files() -> dict[str, tuple[bytes, str]]:
+    """Return the files of the page, read once: no name of a request ever becomes a path."""
+    found = {}
+    for entry in files("nacre.studio").joinpath("page").iterdir():
+        media = MEDIA.get(f".{entry.name.rpartition('.')[2]}")
+        if media:
+            found[entry.name] = (entry.read_bytes(), media)
+    found[TABLES] = (template(TABLES).encode(), "text/plain")  # the page looks colours up as exported tables do
+    return found
+
+
+def _example(example: Any) -> dict[str, str]:
+    return {"name": EXAMPLE + example.name, "title": example.name, "family": example.family, "about": example.about}
+
+
+def _told(error: NacreError) -> JSONResponse:
+    return JSONResponse({"error": str(error), "line": line_of("", str(error))}, BAD_INPUT)
+
+
+async def _body(request: Request) -> dict[str, Any]:
+    held = b""
+    async for chunk in request.stream():
+        held += chunk
+        if len(held) > MAX_MESSAGE:
+            raise NacreError(f"more than {MAX_MESSAGE} bytes were sent")
+    try:
+        body = json.loads(held)
+    except (ValueError, RecursionError):
+        raise NacreError("what was sent is not JSON") from None
+    if not isinstance(body, dict):
+        raise NacreError("what was sent is not a table")
+    return body
+
+
+def open_port(port: int | None) -> socket.socket:
+    """Return a listening socket on loopback; port 0: any that is free; None: the usual one, or any.
+
+    Raises:
+        NacreError: the port is in use or may not be taken.
+    """
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((LOOPBACK, USUAL_PORT if port is None else port))
+        listening.listen(128)
+    except OSError as error:
+        listening.close()
+        if port is None:
+            return open_port(0)
+        raise NacreError(
+            f"--port {port}: {(error.strerror or str(error)).lower()}; choose another, or leave --port out"
+        ) from None
+    return listening
+
+
+def serve(opened: Opened, port: int | None, is_browser_wanted: bool) -> None:
+    """Serve until interrupted; the one line on stdout is the address, with its token.
+
+    Raises:
+        NacreError: the port cannot be taken.
+    """
+    listening = open_port(port)
+    chosen = listening.getsockname()[1]
+    token = kept_token(chosen) if chosen in (port, USUAL_PORT) else new_token()
+    app = make_app(opened, token, chosen)
+    config = uvicorn.Config(
+        app, log_level="critical", access_log=False, lifespan="off", ws_max_size=MAX_MESSAGE,
+        timeout_graceful_shutdown=1, server_header=False,
+    )  # fmt: skip
+    address = f"http://{LOOPBACK}:{chosen}/?token={token}"
+    click.echo(address)
+    sys.stdout.flush()
+    if is_browser_wanted:
+        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+    threading.Thread(target=_warm, daemon=True).start()
+    uvicorn.Server(config).run(sockets=[listening])
+
+
+def _warm() -> None:
+    """Do what every first page needs, before it asks."""
+    blurred_surround()

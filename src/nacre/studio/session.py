@@ -1,0 +1,135 @@
+"""One page's conversation with the server: the newest question is answered, one at a time.
+
+The page keeps the recipe, the server nothing: a question holds the recipe's text and what was changed since, so a
+server that was started anew goes on where the old one stopped.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import time
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from typing import Any
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from nacre.errors import NacreError
+from nacre.light import ILLUMINANTS
+from nacre.materials.material import Material
+from nacre.recipe.toml import parse_toml
+from nacre.studio.edit import edited, line_of
+from nacre.studio.folder import MAX_TEXT, Opened
+from nacre.studio.look import SupersededError, looks
+
+MAX_MESSAGE = 2 * MAX_TEXT
+RESTING = 0.25  # seconds without a newer question after which a slow material is settled
+
+
+class Session:
+    """The socket of one page.
+
+    A newer question replaces the one that waits, and makes the one that is being answered stop between its parts.
+    """
+
+    def __init__(self, socket: WebSocket, opened: Opened, workers: Executor) -> None:
+        self._socket = socket
+        self._opened = opened
+        self._workers = workers
+        self._waiting: dict[str, Any] | None = None
+        self._came = asyncio.Event()
+        self._is_gone = False
+
+    async def run(self) -> None:
+        """Talk until the page is closed."""
+        await self._socket.accept()
+        answering = asyncio.create_task(self._answer_all())
+        try:
+            while True:
+                text = await self._socket.receive_text()
+                if len(text) > MAX_MESSAGE:
+                    break
+                try:
+                    question = json.loads(text)
+                except (ValueError, RecursionError):
+                    break
+                if not isinstance(question, dict) or not isinstance(question.get("seq"), int):
+                    break
+                self._waiting = question
+                self._came.set()
+        except (WebSocketDisconnect, KeyError):
+            pass
+        finally:
+            self._is_gone = True
+            answering.cancel()
+            with contextlib.suppress(asyncio.CancelledError, Exception):
+                await answering
+        with contextlib.suppress(RuntimeError):
+            await self._socket.close(1008)
+
+    async def _answer_all(self) -> None:
+        while True:
+            await self._came.wait()
+            self._came.clear()
+            question, self._waiting = self._waiting, None
+            if question is not None:
+                await self._answer(question)
+
+    def _is_superseded(self) -> bool:
+        return self._is_gone or self._waiting is not None
+
+    async def _answer(self, question: Mapping[str, Any]) -> None:
+        loop = asyncio.get_running_loop()
+        seq = question["seq"]
+        text = str(question.get("text", ""))
+        try:
+            name, lamp = str(question.get("name", "")), str(question.get("lamp", "D65"))
+            text, material = await loop.run_in_executor(self._workers, self._read, question, name, text)
+            parsed = {"seq": seq, "text": text, "data": _plain(material.data)}
+            solving = looks(material, lamp if lamp in ILLUMINANTS else "D65", self._is_superseded)
+            while True:
+                look = await loop.run_in_executor(self._workers, next, solving, None)
+                if look is None:
+                    return
+                await self._socket.send_bytes(look.packed(**parsed))
+                if look.is_draft:
+                    await self._rest()
+        except SupersededError:
+            return
+        except NacreError as error:
+            await self._tell(seq, text, str(error))
+        except MemoryError:
+            await self._tell(seq, text, f"{question.get('name', 'recipe')}: not enough memory for this recipe")
+        except (ArithmeticError, ValueError, TypeError, IndexError, KeyError, AttributeError) as error:
+            what = f"this is a bug in nacre, please report it: {type(error).__name__}: {str(error)[:200]}"
+            await self._tell(seq, text, what)
+
+    def _read(self, question: Mapping[str, Any], name: str, text: str) -> tuple[str, Material]:
+        if len(text) > MAX_TEXT:
+            raise NacreError(f"{name}: a recipe of {len(text)} characters; at most {MAX_TEXT} are shown")
+        edits = question.get("edits") or []
+        if not isinstance(edits, list) or not all(isinstance(edit, dict) for edit in edits):
+            raise NacreError(f"{name}: the changes are not a list")
+        text = edited(text, edits, name.rpartition("/")[2] or "recipe") if edits else text
+        return text, self._opened.material(text, name)
+
+    async def _rest(self) -> None:
+        """Wait until nothing new has come for a moment, so that a long solution is not begun in vain."""
+        until = time.monotonic() + RESTING
+        while time.monotonic() < until and not self._is_superseded():
+            await asyncio.sleep(0.02)
+
+    async def _tell(self, seq: int, text: str, message: str) -> None:
+        try:
+            data = _plain(parse_toml(text, "recipe"))
+        except NacreError:
+            data = None
+        told = {"seq": seq, "error": message, "line": line_of(text, message), "data": data}
+        await self._socket.send_text(json.dumps(told))
+
+
+def _plain(data: Any) -> Any:
+    """Return a recipe's dictionary as JSON can hold it: dates and the like as their text, numbers finite."""
+    return json.loads(json.dumps(data, default=str, allow_nan=True).replace("NaN", "null").replace("Infinity", "1e999"))

@@ -1,0 +1,31 @@
+"""Work of minutes is told always, asked about on a terminal only, and --yes answers."""
+
+import click
+import pytest
+
+from nacre.cli import long_work, run
+from nacre.matter import jobs
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    questions = []
+    monkeypatch.setattr(click, "confirm", lambda text, **_: questions.append(text))
+    monkeypatch.setattr(jobs, "watch", lambda tell: None)
+    return questions
+
+
+@pytest.mark.parametrize(
+    ("terminal", "seconds", "yes", "questions"),
+    [(True, 200.0, False, 1), (True, 200.0, True, 0), (True, 5.0, False, 0), (False, 200.0, False, 0)],
+)
+def test_a_person_is_asked_before_minutes(monkeypatch, capsys, asked, terminal, seconds, yes, questions):
+    monkeypatch.setattr(long_work, "_is_terminal", lambda: terminal)
+    long_work.listener(yes)("a.toml: 24 patterns: about 3 minutes", seconds)
+    assert len(asked) == questions
+    assert "about 3 minutes" in capsys.readouterr().err
+
+
+def test_yes_may_stand_anywhere(capsys):
+    assert run(["keys", "--yes", "film.substrate"]) == 0
+    assert "substrate" in capsys.readouterr().out

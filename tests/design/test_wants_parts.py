@@ -1,0 +1,64 @@
+"""Designs that reach into the parts of a blend."""
+
+import pytest
+
+import nacre
+from nacre.design.wants.answers import write_recipe
+from nacre.design.wants.target import read_target
+from nacre.errors import RecipeError
+
+GOLD = 'family = "film"\nsubstrate = "BK7"\nlayers = [{material = "Au", thickness_nm = 400}]\n'
+OXIDE = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = {file = "own.csv"}, thickness_nm = 100}]\n'
+BLEND = 'family = "blend"\nfirst = {recipe = "gold.toml"}\nsecond = {recipe = "under/oxide.toml"}\nmask = 0.25\n'
+
+
+@pytest.fixture
+def blend(tmp_path):
+    (tmp_path / "under").mkdir()
+    (tmp_path / "gold.toml").write_text(GOLD, encoding="utf-8")
+    (tmp_path / "under" / "oxide.toml").write_text(OXIDE, encoding="utf-8")
+    (tmp_path / "under" / "own.csv").write_text("nm,n,k\n300,1.48,0\n900,1.45,0\n", encoding="utf-8")
+    (tmp_path / "blend.toml").write_text(BLEND, encoding="utf-8")
+    return tmp_path
+
+
+def _target(folder, **free):
+    return {
+        "recipe": str(folder / "blend.toml"),
+        "free": free,
+        "want": [{"at": "specular 0", "colour": "#605040", "within": 5}],
+        "search": {"seconds": 2, "solutions": 1},
+    }
+
+
+def test_a_part_given_as_a_table_is_the_part_of_its_file(blend):
+    (blend / "table.toml").write_text(
+        BLEND.replace('{recipe = "gold.toml"}', "{" + GOLD.strip().replace("\n", ", ") + "}"), encoding="utf-8"
+    )
+    one, other = (nacre.load(blend / name).spectrum([0.3], [500.0, 600.0]) for name in ("blend.toml", "table.toml"))
+    assert (one.specular_reflectance == other.specular_reflectance).all()
+
+
+def test_an_answer_writes_its_parts_as_files_that_every_command_takes(blend):
+    target = read_target(_target(blend, **{"second.layers[0].thickness_nm": [20, 200]}))
+    changes = {"second.layers[0].thickness_nm": 150.0}
+    recipe, files = write_recipe(blend / "out", target.material, changes, {})
+    assert sorted(files) == ["gold.toml", "own.csv", "recipe.toml", "second.toml"]
+    made = nacre.load(blend / "out")
+    assert made.data["second"] == {"recipe": "second.toml"}
+    assert nacre.load(blend / "out" / "second.toml").get("layers[0].thickness_nm") == 150.0
+    wanted, found = target.material.vary(changes).spectrum([0.0]), made.spectrum([0.0])
+    assert (wanted.specular_reflectance == found.specular_reflectance).all()
+    assert recipe == blend / "out" / "recipe.toml"
+
+
+def test_a_path_that_is_not_in_the_part_is_refused_by_its_name(blend):
+    with pytest.raises(RecipeError, match=r'free."second.layers\[4\].thickness_nm"'):
+        read_target(_target(blend, **{"second.layers[4].thickness_nm": [20, 200]}))
+
+
+@pytest.mark.full
+def test_a_design_of_a_blend_moves_the_part_that_is_free(blend):
+    found = nacre.design(_target(blend, **{"second.layers[0].thickness_nm": [20, 200]}), blend / "out")
+    assert nacre.load(found.folder).get("second.recipe") == "second.toml"
+    assert nacre.load(found.folder).spectrum([0.0]).specular_reflectance.shape[0] == 1

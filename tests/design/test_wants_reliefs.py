@@ -1,0 +1,105 @@
+"""Reliefs in the file of wants: pictures hand over to the search of reliefs as it is, colours join it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.design.run import load_target
+from nacre.design.wants.reliefs import read_relief
+from nacre.design.wants.target import seeks_heights
+from nacre.errors import RecipeError
+from nacre.recipe.model import RecipeContext
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "targets"
+RELIEF = {"family": "relief", "feature_um": 0.8, "blur_um": 0.13, "coating": "Al", "coherence": {"sigma": 2.6}}
+PICTURE = {"kind": "image", "image": "star.png", "image_scale": 1.5, "colour": "white", "range": 0.3,
+           "resolution": 64, "intensity_scale": 0.02}  # fmt: skip
+COLOUR = {"at": "30as15", "colour": "#3060c0", "within": 5}
+
+
+def _target(*wants, **more):
+    free = {"heights": [0, 0.8], "features": 32}
+    return {"recipe": RELIEF, "free": free, "want": list(wants), "search": {"seconds": 60, "seed": 1}, **more}
+
+
+def _read(data):
+    return read_relief(data, RecipeContext("wanted.toml", EXAMPLES.resolve(), ""))
+
+
+def test_a_picture_is_the_problem_that_a_target_of_the_older_form_is(tmp_path):
+    text = (EXAMPLES / "star.toml").read_text(encoding="utf-8").replace('spectrum = "published-8"\n', "")
+    (tmp_path / "star.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "star.png").write_bytes((EXAMPLES / "star.png").read_bytes())
+    older, context = load_target(tmp_path / "star.toml")
+    problem, ours = older.build(context), _read(_target({"directions": PICTURE})).problem
+    assert np.array_equal(problem.target, ours.target)
+    for name in ("features", "feature_nm", "blur_nm", "height_max_nm", "coherence", "intensity_scale", "prefactor",
+                 "brightness_floor", "noise", "levels"):  # fmt: skip
+        assert getattr(problem, name) == getattr(ours, name), name
+    assert np.array_equal(problem.views[0].geometry.wi, ours.views[0].geometry.wi)
+
+
+def test_a_colour_is_a_view_round_its_own_pair_of_directions():
+    problem = _read(_target({"directions": PICTURE}, {**COLOUR, "colour": "#ffffff"})).problem
+    view = problem.views[1]
+    wi = np.array([np.sin(np.radians(30.0)), 0.0, np.cos(np.radians(30.0))])
+    # seen 15 degrees from the mirror direction towards the light: at 15 degrees on the other side
+    assert np.allclose(view.geometry.wi[0], wi)
+    assert abs(view.geometry.psi_x.mean() - (wi[0] - np.sin(np.radians(15.0)))) < 1e-12
+    # a white of pi f = 1, at the picture's brightness
+    assert np.allclose(view.target, (0.02 / np.pi) ** (1 / 2.2), rtol=1e-3)
+
+
+def test_only_targets_of_heights_or_pictures_go_to_the_search_of_reliefs():
+    assert seeks_heights(_target(COLOUR)) and seeks_heights({"want": [{"directions": PICTURE}]})
+    assert not seeks_heights({"recipe": RELIEF, "free": {"blur_um": [0.1, 0.2]}, "want": [COLOUR]})
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"free": {"heights": [0.1, 0.8]}}, "free.heights = [0.1, 0.8] should be [0, h]"),
+        ({"free": {"heights": [0, "high"]}}, "free.heights"),
+        ({"free": {"heights": [0, 0.8], "features": 1}}, "free.features = 1 should be a whole number"),
+        ({"free": {"heights": [0, 0.8], "blur_um": [0.1, 0.2]}}, 'free."blur_um" beside heights'),
+        ({"recipe": {**RELIEF, "family": "film"}}, 'recipe.family = "film"'),
+        ({"recipe": {**RELIEF, "featur_um": 1}}, "recipe.featur_um is not known"),
+        ({"want": [{**COLOUR, "at": "specular 0"}]}, 'want[0].at = "specular 0" cannot be sought'),
+        ({"want": [{"at": "30as15", "chroma": ">=30"}]}, "want[0]: of a relief's heights a colour is sought"),
+        ({"want": [{"directions": {**PICTURE, "image": "none.png"}}]}, "want[0].directions.image"),
+        ({"want": [{"directions": {**PICTURE, "intensity_scale": "free"}}, COLOUR]}, 'intensity_scale = "free" beside'),
+        ({"want": [{"directions": PICTURE, "at": "30as15"}]}, "has directions and at; keep one"),
+        ({"want": [{"colour": "#ffffff"}]}, "at is missing"),
+        ({"spread": {"heights": "much"}}, 'spread.heights = "much" should be a percentage'),
+        ({"limits": {"total_nm": 3}}, "limits: is not known of a relief"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(changes, said):
+    with pytest.raises(RecipeError) as caught:
+        _read({**_target({"directions": PICTURE}), **changes})
+    assert said in str(caught.value) and "\n" not in str(caught.value) and "wanted.toml" in str(caught.value)
+
+
+def test_a_picture_of_another_family_is_refused():
+    film = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]}
+    with pytest.raises(RecipeError, match="are sought of a relief"):
+        nacre.design({"recipe": film, "free": {}, "want": [{"directions": PICTURE}]})
+
+
+def test_a_spread_of_heights_is_the_noise_of_the_process():
+    assert _read(_target({"directions": PICTURE}, spread={"heights": "2%"})).problem.noise == pytest.approx(0.02)
+
+
+@pytest.mark.full
+def test_a_relief_of_a_wanted_colour_shows_it_and_every_file_is_there(tmp_path):
+    target = {**_target(COLOUR), "search": {"seconds": 8}, "free": {"heights": [0, 0.8], "features": 16}}
+    found = nacre.design(target, tmp_path / "out")
+    told = json.loads((tmp_path / "out" / "design.json").read_text(encoding="utf-8"))
+    want = told["solutions"][0]["wants"][0]
+    assert want["at"] == "30as15" and want["de00"] < 10.0
+    assert found.summary["solutions"] == told["solutions"]
+    assert nacre.load(tmp_path / "out").family == "relief"
+    nacre.design(target, tmp_path / "out", resume=True)

@@ -1,0 +1,62 @@
+"""The search of what takes long: metasurfaces from their mirror and diffuse colours."""
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.design.wants.geometry import At, see
+from nacre.design.wants.judge import judge
+from nacre.design.wants.run import search_of
+from nacre.design.wants.slow import SlowSearch, _Run, _step
+from nacre.design.wants.target import read_target
+from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
+
+START = {
+    "family": "metasurface",
+    "substrate": "Si",
+    "layers": [{"material": "SiO2", "thickness_nm": 120.0}],
+    "particle": {"material": "Ag", "radius_nm": 60.0, "gap_nm": 3.0},
+    "monolayer": {"coverage": 0.08, "packing": 0.25},
+}
+LOOKS = ["specular 0", "specular 60", "diffuse 0", "diffuse 60"]
+
+
+def _target(hidden, free, seconds):
+    seen = see(hidden, [At.read(at, "") for at in LOOKS])
+    labs = xyz_to_lab(spectrum_to_xyz(seen.factors, seen.wavelengths_nm, "D65", "10deg"), white_xyz("D65", "10deg"))
+    wants = [{"at": at, "lab": lab.tolist(), "within": 1.5} for at, lab in zip(LOOKS, labs)]
+    return read_target({"recipe": START, "free": free, "want": wants, "search": {"seconds": seconds, "solutions": 1}})
+
+
+def test_a_step_of_a_linear_problem_ends_at_its_solution():
+    slopes, solution = np.array([[2.0, 1.0], [0.0, 1.0], [1.0, -1.0]]), np.array([0.52, 0.45])
+    place = np.array([0.5, 0.5])
+    run = _Run(place, slopes @ (place - solution), slopes, damping=1e-12)
+    assert np.allclose(place + _step(run, np.ones(3), [0, 1]), solution, atol=1e-6)
+
+
+def test_a_step_that_leans_against_its_bound_stays_there():
+    slopes, solution = np.eye(2), np.array([-0.4, 0.45])
+    place = np.array([0.0, 0.5])
+    run = _Run(place, slopes @ (place - solution), slopes, damping=1e-12)
+    assert _step(run, np.ones(2), [0, 1])[0] == 0.0
+
+
+@pytest.mark.full
+def test_a_search_that_is_over_before_it_began_still_has_an_answer():
+    hidden = nacre.material(START)
+    target = _target(hidden, {"particle.radius_nm": [58, 62]}, 60)
+    search = search_of(target, 0)
+    assert isinstance(search, SlowSearch)
+    search.run(0.05, None, [])
+    assert 58 <= search.answers()[0][1]["particle.radius_nm"] <= 62
+
+
+@pytest.mark.full
+def test_a_hidden_metasurface_is_found_from_mirror_and_diffuse_colours():
+    hidden = nacre.material(START).vary({"particle.radius_nm": 71.0, "layers[0].thickness_nm": 160.0})
+    target = _target(hidden, {"particle.radius_nm": [50, 90], "layers[0].thickness_nm": [50, 250]}, 50)
+    search = search_of(target, 3)
+    assert search.run(50.0, None, []) == "met"
+    reached, _ = judge(target.material.vary(search.answers()[0][1]), target.wants, target.spec.light)
+    assert max(r.distance for r in reached) <= 1.5

@@ -1,0 +1,89 @@
+"""Samples of pictures: even in all dimensions, the same however they are divided, and honest of their noise."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+import nacre
+from nacre.device.variant import use_variant
+from nacre.picture import passes
+from nacre.picture.samples import begin, going_on
+
+PIXELS = 512
+GREY: dict[str, Any] = {"type": "diffuse", "reflectance": 0.5}
+
+
+def drawn(parts: list[tuple[int, int]], seed: int = 3, skip: int = 0) -> np.ndarray:
+    """`[pixel, sample, 3]`: a pair and a single number, of passes (first, samples a pixel)."""
+    use_variant()
+    found = []
+    for first, spp in parts:
+        sampler = going_on()
+        begin(sampler, seed, first, spp)
+        sampler.seed(0, PIXELS * spp)
+        for _ in range(skip):
+            sampler.next_2d()
+        pair, one = sampler.next_2d(), sampler.next_1d()
+        found.append(np.stack([pair.x, pair.y, one], axis=-1).reshape(PIXELS, spp, 3))
+    return np.concatenate(found, axis=1)
+
+
+@pytest.mark.parametrize("first", [0, 64, 4096 - 64])
+def test_every_elementary_interval_holds_its_share(first: int) -> None:
+    """Sobol's defining property, kept by Owen's scrambling: 64 points, one in each box of 2^-a by 2^-(6-a)."""
+    points = drawn([(first, 64)])
+    for a in range(7):
+        columns, rows = 2**a, 2 ** (6 - a)
+        box = np.floor(points[..., 0] * columns) * rows + np.floor(points[..., 1] * rows)
+        assert np.array_equal(np.sort(box, axis=1), np.tile(np.arange(64.0), (PIXELS, 1)))
+    assert np.array_equal(np.sort(np.floor(points[..., 2] * 64), axis=1), np.tile(np.arange(64.0), (PIXELS, 1)))
+
+
+def test_passes_of_any_size_take_the_same_samples() -> None:
+    whole = drawn([(0, 48)])
+    np.testing.assert_array_equal(drawn([(0, 1), (1, 7), (8, 32), (40, 8)]), whole)
+
+
+def test_one_sample_of_many_pixels_is_uniform_and_pixels_seeds_and_dimensions_are_strangers() -> None:
+    points = drawn([(5, 1)])[:, 0]
+    others = [drawn([(5, 1)], seed=4)[:, 0], drawn([(5, 1)], skip=1)[:, 0], np.roll(points, 1, axis=0), points[:, ::-1]]
+    for column in range(3):
+        assert kstest(points[:, column], "uniform").pvalue > 1e-3
+        for other in others:
+            if other[0, column] != points[0, column]:
+                assert abs(np.corrcoef(points[:, column], other[:, column])[0, 1]) < 4 / np.sqrt(PIXELS)
+    assert (points >= 0).all() and (points < 1).all()
+
+
+def test_a_picture_is_the_same_however_many_samples_a_pass_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NACRE_DENOISE", raising=False)
+    asked: dict[str, Any] = {"size": (24, 24), "spp": 24, "denoise": True}  # whose raw pixels share no samples
+    at_once = nacre.render(GREY, **asked).raw
+    monkeypatch.setattr(passes, "PASS_SAMPLES", 5 * 24 * 24)
+    np.testing.assert_allclose(nacre.render(GREY, **asked).raw, at_once, rtol=1e-4, atol=1e-6)
+
+
+def test_small_passes_are_quieter_than_mitsubas_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """64 samples in passes of 4, as a picture of 1024 x 1024 takes them: Mitsuba's start afresh each time."""
+    monkeypatch.setattr(passes, "PASS_SAMPLES", 4 * 24 * 24)
+
+    def variance() -> float:
+        made = [nacre.render(GREY, size=(24, 24), spp=64, seed=seed, denoise=False).xyz[..., 1] for seed in range(8)]
+        return float(np.median(np.var(made, axis=0) / np.mean(made, axis=0) ** 2))
+
+    ours = variance()
+    monkeypatch.setattr(passes, "going_on", lambda: use_variant().load_dict({"type": "multijitter"}))
+    assert ours < 0.8 * variance()
+
+
+def test_the_noise_that_a_picture_states_is_that_of_its_pixels() -> None:
+    made = [nacre.render(GREY, size=(32, 32), noise=0.04, seed=seed, denoise=False) for seed in range(12)]
+    luminance = np.array([each.xyz[..., 1] for each in made])
+    found = float(np.median(np.std(luminance, axis=0, ddof=1) / np.mean(luminance, axis=0)))
+    stated = float(np.median([each.stats["noise"] for each in made]))
+    # 12 pictures tell a standard deviation to 21 % a pixel, and the median of a thousand pixels to far less
+    assert found == pytest.approx(stated, rel=0.1)

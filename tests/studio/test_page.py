@@ -1,0 +1,318 @@
+"""The page in a browser: what is seen changes as it should, by pointer and by keys, and nothing typed is lost."""
+
+from __future__ import annotations
+
+import base64
+import io
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers_browser import FLAGS, find_chromium
+from numpy.typing import NDArray
+from PIL import Image
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from nacre.recipe.toml import parse_toml
+
+FILM = """family = "film"  # a comment
+substrate = "Si"
+layers = [
+  {material = "SiO2", thickness_nm = 300},
+  {material = "TiO2", thickness_nm = 60},
+]
+"""
+THICKNESS = "layers[0].thickness_nm"
+SEEN = 8  # of 255: a change of the mean colour that nobody could miss
+# nothing here is about speed: a machine whose cores are all taken draws a page in seconds, and that is no failure
+PATIENCE_S = 90.0
+expect.set_options(timeout=1e3 * PATIENCE_S)
+
+
+class Server:
+    """`nacre studio` in a process of its own; `restart` kills it and starts another on the same port."""
+
+    def __init__(self, folder: Path, cache: Path) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = free.getsockname()[1]
+        self.folder, self.cache = folder, cache
+        self.start()
+
+    def start(self) -> None:
+        command = [sys.executable, "-m", "nacre", "studio", str(self.folder), "--no-browser", "--port", str(self.port)]
+        environment = {**os.environ, "NACRE_CACHE": str(self.cache)}
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+        assert self.process.stdout is not None
+        self.address = self.process.stdout.readline().strip()
+        assert self.address.startswith("http"), "the server said nothing"
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    path = find_chromium()
+    with sync_playwright() as play:
+        running = play.chromium.launch(executable_path=path, args=FLAGS, timeout=1e3 * PATIENCE_S)
+        yield running
+        running.close()
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    folder = tmp_path_factory.mktemp("recipes")
+    (folder / "film.toml").write_text(FILM)
+    running = Server(folder, tmp_path_factory.mktemp("cache") / "nacre")
+    yield running
+    running.kill()
+
+
+@contextmanager
+def opened(browser: Browser, server: Server, **options: Any) -> Iterator[Page]:
+    """A fresh visitor's page; no error on the console, and nothing asked of anybody but the studio."""
+    context = browser.new_context(viewport={"width": 1280, "height": 800}, **options)
+    context.set_default_timeout(1e3 * PATIENCE_S)
+    page = context.new_page()
+    troubles: list[str] = []
+    page.on("pageerror", lambda error: troubles.append(str(error)))
+    page.on("console", lambda said: troubles.append(said.text) if said.type == "error" else None)
+    page.on("request", lambda request: None if is_own(request.url, server) else troubles.append(request.url))
+    page.goto(server.address)
+    page.wait_for_selector("#view[data-seq]", state="attached")
+    page.get_by_role("button", name="Close").click()
+    settled(page)
+    expect(page.locator("#view")).to_have_attribute("data-judged", "true")  # how many pixels this machine can draw
+    yield page
+    context.close()
+    # while the server is away the browser says so on the console, whatever a page does
+    assert [trouble for trouble in troubles if "ERR_CONNECTION_REFUSED" not in trouble] == []
+
+
+def is_own(url: str, server: Server) -> bool:
+    return url.startswith((f"http://127.0.0.1:{server.port}/", "blob:", "data:"))
+
+
+@pytest.fixture
+def page(browser: Browser, server: Server) -> Iterator[Page]:
+    with opened(browser, server) as fresh:
+        yield fresh
+
+
+def settled(page: Page) -> None:
+    expect(page.locator("#state")).to_have_attribute("data-kind", "settled")
+
+
+def picture(page: Page) -> NDArray[np.uint8]:
+    """The pixels of the canvas, `[row, column, 3]`."""
+    read = "document.getElementById('view').toDataURL('image/png').split(',')[1]"
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(page.evaluate(read)))).convert("RGB"))
+
+
+def ball(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """The mean colour of the canvas's middle, which the sphere covers."""
+    side = len(pixels)
+    middle: NDArray[np.float64] = pixels[side // 3 : 2 * side // 3, side // 3 : 2 * side // 3].mean(axis=(0, 1))
+    return middle
+
+
+def field(page: Page, path: str) -> Any:
+    return page.locator(f'[id="f-{path}"]')
+
+
+def slider(page: Page, path: str) -> Any:
+    return page.locator(f'[data-path="{path}"] input[type=range]')
+
+
+def toml(page: Page) -> dict[str, Any]:
+    return parse_toml(page.locator("#text").input_value(), "page")
+
+
+def until(page: Page, true: Callable[[], bool]) -> None:
+    last = time.monotonic() + PATIENCE_S
+    while not true() and time.monotonic() < last:
+        page.wait_for_timeout(30)
+    assert true()
+
+
+def test_the_sphere_is_not_black_and_follows_the_slider(page: Page) -> None:
+    before = picture(page)
+    assert before.std() > 10 and ball(before).max() > 20
+    slider(page, THICKNESS).fill("110")
+    expect(field(page, THICKNESS)).to_have_value("110")
+    until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 110)
+    settled(page)
+    assert np.abs(ball(picture(page)) - ball(before)).max() > SEEN
+    assert "# a comment" in page.locator("#text").input_value()
+
+
+def test_a_page_without_the_token_is_refused(browser: Browser, server: Server) -> None:
+    context = browser.new_context()
+    answer = context.new_page().goto(f"http://127.0.0.1:{server.port}/")
+    assert answer is not None and answer.status == 403
+    context.close()
+
+
+def test_keys_turn_the_object_and_move_a_slider(page: Page) -> None:
+    before = picture(page)
+    page.locator("#view").focus()
+    for _ in range(8):
+        page.keyboard.press("ArrowRight")
+    until(page, lambda: bool(np.abs(picture(page).astype(int) - before).mean() > 1))
+    slider(page, THICKNESS).focus()
+    page.keyboard.press("ArrowRight")
+    until(page, lambda: toml(page)["layers"][0]["thickness_nm"] > 300)
+    field(page, "substrate").fill("Au")
+    page.keyboard.press("Tab")
+    until(page, lambda: toml(page)["substrate"] == "Au")
+
+
+def test_layers_are_added_moved_and_taken_out_and_all_that_is_undone(page: Page) -> None:
+    names = lambda: [layer["material"] for layer in toml(page)["layers"]]
+    page.get_by_role("button", name="Add a copy of Layer 1").click()
+    until(page, lambda: names() == ["SiO2", "SiO2", "TiO2"])
+    page.get_by_role("button", name="Move Layer 3 up").click()
+    until(page, lambda: names() == ["SiO2", "TiO2", "SiO2"])
+    page.get_by_role("button", name="Take out Layer 1").click()
+    until(page, lambda: names() == ["TiO2", "SiO2"])
+    settled(page)
+    for wanted in (["SiO2", "TiO2", "SiO2"], ["SiO2", "SiO2", "TiO2"], ["SiO2", "TiO2"]):
+        page.get_by_role("button", name="Undo").click()
+        until(page, lambda wanted=wanted: names() == wanted)  # type: ignore[misc]
+    page.get_by_role("button", name="Redo").click()
+    until(page, lambda: names() == ["SiO2", "SiO2", "TiO2"])
+
+
+def test_a_broken_recipe_marks_its_line_and_the_last_good_one_stays(page: Page) -> None:
+    before = picture(page)
+    page.get_by_role("tab", name="TOML").click()
+    page.locator("#text").fill(FILM.replace('"TiO2"', '"TiO3"'))
+    expect(page.get_by_role("alert").first).to_contain_text('Line 5: film.toml: layers[1].material = "TiO3"')
+    expect(page.locator("#lines .bad")).to_have_text("5")
+    np.testing.assert_array_equal(picture(page), before)
+    page.locator("#text").fill(FILM.replace("300", "150"))
+    settled(page)
+    expect(page.locator("#error")).to_be_hidden()
+    page.get_by_role("tab", name="Form").click()
+    expect(field(page, THICKNESS)).to_have_value("150")
+
+
+def test_nothing_typed_is_lost_when_the_server_is_killed_and_started_anew(page: Page, server: Server) -> None:
+    server.kill()
+    expect(page.locator("#state")).to_have_attribute("data-kind", "lost")
+    field(page, THICKNESS).fill("123")
+    server.start()
+    settled(page)
+    until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 123)
+    page.reload()
+    settled(page)
+    expect(field(page, THICKNESS)).to_have_value("123")
+
+
+def test_two_tabs_hold_two_recipes_and_no_link_holds_the_token(page: Page, server: Server) -> None:
+    assert page.url == f"http://127.0.0.1:{server.port}/"
+    assert page.evaluate("document.cookie") == ""
+    assert server.address.partition("token=")[2] not in page.content()
+    other = page.context.new_page()
+    other.goto(f"http://127.0.0.1:{server.port}/")
+    other.get_by_role("button", name="Close").click()
+    settled(other)
+    field(page, THICKNESS).fill("200")
+    field(other, THICKNESS).fill("77")
+    until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 200)
+    until(other, lambda: toml(other)["layers"][0]["thickness_nm"] == 77)
+    assert toml(page)["layers"][0]["thickness_nm"] == 200
+
+
+def test_saving_writes_the_file_and_a_starting_point_is_opened(page: Page, server: Server) -> None:
+    field(page, THICKNESS).fill("321")
+    page.get_by_role("button", name="Save as").click()
+    page.get_by_label("File name").fill("mine")
+    page.locator("#name-ok").click()
+    expect(page.locator("#name-dialog")).to_be_hidden()
+    assert parse_toml((server.folder / "mine.toml").read_text(), "mine")["layers"][0]["thickness_nm"] == 321
+    (server.folder / "mine.toml").unlink()
+    page.locator("#recipes").select_option("")
+    page.locator("#starts button", has_text="jewel beetle").click()
+    until(page, lambda: toml(page).get("surface") is not None)
+    settled(page)
+    assert ball(picture(page))[1] > ball(picture(page))[0]  # a green beetle
+
+
+def test_every_control_has_a_name_and_without_webgl_the_page_says_so(browser: Browser, server: Server) -> None:
+    nameless = """() => [...document.querySelectorAll('button, input, select, textarea, canvas, svg[role]')]
+        .filter((e) => !(e.labels?.length || e.getAttribute('aria-label') || e.getAttribute('aria-labelledby')
+            || (e.tagName === 'BUTTON' && e.textContent.trim()))).map((e) => e.outerHTML)"""
+    with opened(browser, server) as page:
+        page.locator("details").first.locator("summary").click()
+        assert page.evaluate(nameless) == []
+        assert page.evaluate("document.documentElement.lang") == "en"
+    context = browser.new_context()
+    page = context.new_page()
+    page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null;")
+    page.goto(server.address)
+    expect(page.locator("#no-gl")).to_contain_text("no WebGL2")
+    context.close()
+
+
+@pytest.mark.full
+def test_dragging_for_a_while_ends_with_the_last_value(page: Page, server: Server) -> None:
+    """Random dragging on three sliders; what is shown at the end is what was dragged last, and memory stays."""
+    random = np.random.default_rng(1)
+    paths = [THICKNESS, "layers[1].thickness_nm"]
+
+    def drag(times: int) -> None:
+        for _ in range(times):
+            slider(page, paths[int(random.integers(2))]).fill(str(int(random.integers(10, 190))))
+
+    drag(80)
+    resident = memory_of(server)
+    drag(200)
+    slider(page, THICKNESS).fill("42")
+    until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 42)
+    settled(page)
+    assert memory_of(server) < 1.05 * resident + 8e6
+
+
+def memory_of(server: Server) -> float:
+    status = Path(f"/proc/{server.process.pid}/statm")
+    return float(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if status.exists() else 0.0
+
+
+@pytest.mark.full
+def test_a_slow_family_is_drafted_and_settles_by_itself(page: Page, server: Server) -> None:
+    kinds = """() => { window.kinds = [];
+        const state = document.getElementById('state');
+        new MutationObserver(() => window.kinds.push(state.dataset.kind)).observe(state, {attributes: true}); }"""
+    page.evaluate(kinds)
+    page.locator("#all-examples").evaluate(
+        "(e) => { e.value = 'example:metasurface/silver_on_oxide'; e.dispatchEvent(new Event('change')); }"
+    )
+    until(page, lambda: "draft" in page.evaluate("window.kinds"))
+    settled(page)
+    slider(page, "particle.radius_nm").fill("60")
+    slider(page, "particle.radius_nm").fill("70")
+    until(page, lambda: toml(page)["particle"]["radius_nm"] == 70)
+    settled(page)
+
+
+@pytest.mark.full
+@pytest.mark.render
+def test_the_settled_picture_comes_and_the_page_stays_free(page: Page, server: Server) -> None:
+    page.locator("#size").select_option("192")
+    page.locator("#seconds").select_option("3")
+    page.get_by_role("button", name="Render").click()
+    slider(page, THICKNESS).fill("90")  # while Mitsuba works
+    until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 90)
+    expect(page.locator("#picture")).to_be_visible()
+    assert page.evaluate("document.getElementById('picture').naturalWidth") == 192

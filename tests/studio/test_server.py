@@ -1,0 +1,459 @@
+"""What the studio's server answers, and to whom: token, host, origin, fence, order of answers, bad input."""
+
+from __future__ import annotations
+
+import json
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+import nacre
+from nacre.cli import run
+from nacre.errors import NacreError
+from nacre.families.registry import FAMILIES
+from nacre.light import spectrum_to_rgb_linear, spectrum_to_srgb, srgb_to_hex
+from nacre.studio.edit import edited, line_of
+from nacre.studio.folder import STARTS, Opened
+from nacre.studio.form import family_form
+from nacre.studio.look import SupersededError, looks
+from nacre.studio.security import HEADER
+from nacre.studio.server import make_app
+from nacre.studio.surround import ALPHAS, blurred_surround
+
+PORT, TOKEN = 8123, "a-token-for-the-tests"
+SOCKET = f"ws://127.0.0.1:{PORT}/ws"
+HERE = f"http://127.0.0.1:{PORT}"
+FILM = """family = "film"  # a comment
+substrate = "Si"
+layers = [
+  {material = "SiO2", thickness_nm = 300},  # oxide
+  {material = "TiO2", thickness_nm = 60},
+]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    inside = tmp_path / "recipes"
+    inside.mkdir()
+    (inside / "film.toml").write_text(FILM)
+    (inside / "broken.toml").write_text('family = "film"\nsubstrate = \n')
+    (inside / "sweep.toml").write_text('recipe = "film.toml"\n')
+    (tmp_path / "secret.toml").write_text(FILM)
+    (tmp_path / "secret.csv").write_text("400,1.5,0\n700,1.5,0\n")
+    return inside
+
+
+@pytest.fixture
+def page(folder: Path) -> Iterator[TestClient]:
+    with TestClient(make_app(Opened.of(str(folder)), TOKEN, PORT), base_url=HERE, headers={HEADER: TOKEN}) as client:
+        yield client
+
+
+@pytest.fixture
+def stranger(folder: Path) -> Iterator[TestClient]:
+    with TestClient(make_app(Opened.of(str(folder)), TOKEN, PORT), base_url=HERE, follow_redirects=False) as client:
+        yield client
+
+
+def unpack(data: bytes) -> dict[str, Any]:
+    (length,) = struct.unpack_from("<I", data)
+    header: dict[str, Any] = json.loads(data[4 : 4 + length])
+    at = 4 + length
+    for name, shape in header["arrays"]:
+        count = int(np.prod(shape))
+        header[name] = np.frombuffer(data, "<f4", count, at).reshape(shape)
+        at += 4 * count
+    assert at == len(data)
+    return header
+
+
+def ask(socket: Any, seq: int, **question: Any) -> dict[str, Any]:
+    socket.send_text(json.dumps({"seq": seq, "name": "film.toml", "text": FILM, **question}))
+    return hear(socket)
+
+
+def hear(socket: Any) -> dict[str, Any]:
+    message = socket.receive()
+    return unpack(message["bytes"]) if message.get("bytes") else json.loads(message["text"])
+
+
+PLACES = [
+    "/",
+    "/page/main.js",
+    "/api/state",
+    "/api/recipe?name=film.toml",
+    "/api/form?family=film",
+    "/api/indices?q=Ti",
+]
+
+
+@pytest.mark.parametrize("place", [*PLACES, "/api/surround", "/nothing"])
+@pytest.mark.parametrize("token", [{}, {HEADER: "wrong"}, {"cookie": f"nacre_studio_{PORT}=wrong"}])
+def test_without_the_token_everything_is_refused(stranger: TestClient, place: str, token: dict[str, str]) -> None:
+    assert stranger.get(place, headers=token).status_code == 403
+
+
+def test_the_first_visit_moves_the_token_into_a_cookie_and_out_of_the_address(stranger: TestClient) -> None:
+    first = stranger.get(f"/?token={TOKEN}")
+    assert first.status_code == 200
+    assert TOKEN not in first.text
+    assert "url=/" in first.text
+    cookie = first.headers["set-cookie"].lower()
+    assert "httponly" in cookie and "samesite=strict" in cookie
+    again = stranger.get("/")  # the client keeps cookies as a browser does
+    assert again.status_code == 200 and TOKEN not in again.text
+    assert stranger.get("/?token=wrong", headers={"cookie": ""}).status_code == 403
+
+
+@pytest.mark.parametrize(
+    "headers", [{"host": "evil.example"}, {"host": f"evil.example:{PORT}"}, {"host": "127.0.0.1:1"}, {"host": ""}]
+)
+def test_a_foreign_host_is_refused_even_with_the_token(page: TestClient, headers: dict[str, str]) -> None:
+    assert page.get("/api/state", headers=headers).status_code == 403
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "[::1]"])
+def test_the_three_names_of_loopback_are_answered(page: TestClient, host: str) -> None:
+    own = {"host": f"{host}:{PORT}", "origin": f"http://{host}:{PORT}"}
+    assert page.get("/api/state", headers=own).status_code == 200
+
+
+ORIGINS = ["http://evil.example", "null", f"https://127.0.0.1:{PORT}", "http://127.0.0.1:9", f"http://localhost:{PORT}"]
+
+
+@pytest.mark.parametrize("origin", ORIGINS)
+def test_a_foreign_origin_is_refused_even_with_the_token(page: TestClient, origin: str) -> None:
+    assert page.post("/api/save", headers={"origin": origin}, json={}).status_code == 403
+    with pytest.raises(WebSocketDisconnect), page.websocket_connect(SOCKET, headers={"origin": origin}):
+        pass
+
+
+def test_a_socket_needs_the_token_and_an_origin(stranger: TestClient) -> None:
+    for headers in ({}, {"origin": HERE}, {"cookie": f"nacre_studio_{PORT}={TOKEN}"}):
+        with pytest.raises(WebSocketDisconnect), stranger.websocket_connect(SOCKET, headers=headers):
+            pass
+    with stranger.websocket_connect(SOCKET, headers={"origin": HERE, "cookie": f"nacre_studio_{PORT}={TOKEN}"}) as ws:
+        assert ask(ws, 1)["seq"] == 1
+
+
+def test_the_page_may_load_nothing_from_elsewhere(page: TestClient) -> None:
+    for place in PLACES:
+        policy = page.get(place).headers["content-security-policy"]
+        assert "default-src 'none'" in policy and "frame-ancestors 'none'" in policy
+        assert "unsafe" not in policy and "http" not in policy and "*" not in policy
+    text = page.get("/").text
+    assert "<script>" not in text and " style=" not in text and "//" not in text.replace("<!-- ", "")
+
+
+OUTSIDE = ["../secret.toml", "/etc/passwd", "../recipes/../secret.toml", "film.toml/../../secret.toml", "", "a\0.toml"]
+
+
+@pytest.mark.parametrize("name", [*OUTSIDE, "example:../README", "example:/etc/passwd"])
+def test_no_name_leads_out_of_the_folder(page: TestClient, name: str) -> None:
+    assert page.get("/api/recipe", params={"name": name}).status_code == 422
+    assert page.post("/api/save", json={"name": name, "text": "x", "mark": ""}).status_code == 422
+
+
+def test_a_link_in_the_folder_leads_not_out_of_it(page: TestClient, folder: Path) -> None:
+    (folder / "link.toml").symlink_to(folder.parent / "secret.toml")
+    assert page.get("/api/recipe", params={"name": "link.toml"}).status_code == 422
+
+
+@pytest.mark.parametrize("name", ["../server.py", "..%2fserver.py", "%2e%2e/server.py", "main.js/../../server.py"])
+def test_only_files_of_the_page_are_served(page: TestClient, name: str) -> None:
+    assert page.get(f"/page/{name}").status_code == 404
+
+
+@pytest.mark.parametrize("file", ["../secret.csv", "/etc/passwd"])
+def test_a_recipe_reaches_no_file_outside_the_folder(page: TestClient, folder: Path, file: str) -> None:
+    text = f'family = "film"\nsubstrate = {{file = "{file}"}}\n'
+    nested = 'family = "blend"\nfirst = {recipe = "../secret.toml"}\nsecond = {recipe = "film.toml"}\nmask = 0.5\n'
+    with page.websocket_connect(SOCKET) as ws:
+        assert "outside the opened folder" in ask(ws, 1, text=text)["error"]
+        assert "outside the opened folder" in ask(ws, 2, text=nested)["error"]
+    (folder / "inside.csv").write_text((folder.parent / "secret.csv").read_text())
+    with page.websocket_connect(SOCKET) as ws:
+        told = ask(ws, 1, text='family = "film"\nsubstrate = {file = "inside.csv"}\n')
+    assert "outside" not in told.get("error", "")
+
+
+def test_the_table_is_the_colour_of_the_spectrum(page: TestClient, folder: Path) -> None:
+    with page.websocket_connect(SOCKET) as ws:
+        look = ask(ws, 7)
+    assert look["seq"] == 7 and look["draft"] is False
+    found = nacre.spectrum(folder / "film.toml", [0.0, 45.0, 60.0])
+    assert found.specular_reflectance is not None
+    wanted = spectrum_to_rgb_linear(found.specular_reflectance, found.wavelengths_nm)
+    np.testing.assert_allclose(look["mirror"][[0, 45, 60]], wanted, atol=1e-4)  # the white of sRGB is rounded
+    np.testing.assert_allclose(look["total"][2], found.specular_reflectance[2], atol=1e-6)
+    d65 = next(swatch for swatch in look["swatches"] if swatch["lamp"] == "D65")
+    assert d65["hex"][0] == srgb_to_hex(spectrum_to_srgb(found.specular_reflectance, found.wavelengths_nm)[0])
+    assert not look["spread"].any()
+
+
+def test_another_lamp_gives_other_swatches_of_the_same_spectrum(page: TestClient) -> None:
+    with page.websocket_connect(SOCKET) as ws:
+        day, lamp = ask(ws, 1), ask(ws, 2, lamp="F11")
+    np.testing.assert_array_equal(day["total"], lamp["total"])
+    assert np.abs(day["mirror"] - lamp["mirror"]).max() > 0.01
+
+
+def test_changes_are_written_into_the_text_and_its_comments_stay(page: TestClient) -> None:
+    change = [{"op": "set", "path": "layers[0].thickness_nm", "value": 123.5}]
+    with page.websocket_connect(SOCKET) as ws:
+        look = ask(ws, 1, edits=change)
+    assert look["data"]["layers"][0]["thickness_nm"] == 123.5
+    assert "# oxide" in look["text"] and "# a comment" in look["text"] and "123.5" in look["text"]
+
+
+def test_layers_are_added_moved_and_taken_out() -> None:
+    new = {"material": "Ag", "thickness_nm": 12}
+    text = edited(FILM, [{"op": "insert", "path": "layers", "index": 1, "value": new}], "film.toml")
+    text = edited(text, [{"op": "move", "path": "layers", "from": 1, "to": 0}], "film.toml")
+    text = edited(text, [{"op": "remove", "path": "layers[2]"}], "film.toml")
+    assert [layer["material"] for layer in nacre_data(text)["layers"]] == ["Ag", "SiO2"]
+    strata = 'family = "pearl"\n[[strata]]\nresin = "PET"\n[[strata]]\nresin = "water"\n[base]\nalbedo = 0.5\n'
+    moved = edited(strata, [{"op": "move", "path": "strata", "from": 0, "to": 1}], "p.toml")
+    assert [s["resin"] for s in nacre_data(moved)["strata"]] == ["water", "PET"]
+    assert nacre_data(moved)["base"] == {"albedo": 0.5}
+    added = edited(FILM, [{"op": "set", "path": "surface.roughness", "value": 0.1}], "film.toml")
+    assert nacre_data(added)["surface"] == {"roughness": 0.1}
+
+
+def nacre_data(text: str) -> dict[str, Any]:
+    from nacre.recipe.toml import parse_toml
+
+    return parse_toml(text, "recipe")
+
+
+BAD_EDITS = [
+    {"path": "nothing[3].x", "op": "set", "value": 1},
+    {"path": "layers", "op": "insert", "index": 9, "value": {}},
+    {"path": "layers", "op": "dance"},
+    {"op": "set"},
+    {"path": "substrate", "op": "move", "from": 0, "to": 1},
+    {"path": "layers[0].thickness_nm", "op": "set", "value": None},
+]
+
+
+@pytest.mark.parametrize("edit", BAD_EDITS)
+def test_an_impossible_change_is_one_line(edit: dict[str, Any]) -> None:
+    with pytest.raises(NacreError, match="film.toml"):
+        edited(FILM, [edit], "film.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ('family = "film"\nsubstrate = \n', 2),
+        (FILM.replace('"TiO2"', '"TiO3"'), 5),
+        (FILM.replace("thickness_nm = 60", "thickness_nm = -60"), 5),
+        (FILM.replace("substrate", "substrat"), 2),
+        (FILM.replace('"Si"', '"Sii"'), 2),
+    ],
+)
+def test_a_broken_recipe_is_told_with_its_line(page: TestClient, text: str, line: int) -> None:
+    with page.websocket_connect(SOCKET) as ws:
+        told = ask(ws, 3, text=text)
+        assert told["line"] == line and "\n" not in told["error"] and told["seq"] == 3
+        assert "Traceback" not in told["error"] and "bug" not in told["error"]
+        assert ask(ws, 4)["seq"] == 4  # and the session goes on
+
+
+def test_a_message_without_a_key_has_no_line() -> None:
+    assert line_of(FILM, "not enough memory") is None
+
+
+def test_a_newer_question_ends_a_slow_answer() -> None:
+    """The slow one stops between its parts: nothing of it may come after the newer one."""
+    pearl = nacre.load("pearl/bottle3").vary({"strata[0].platelets[0].volume_fraction": 0.02})
+    with pytest.raises(SupersededError):
+        list(looks(pearl, "D65", lambda: True))
+
+
+def test_answers_come_in_the_order_of_their_questions(page: TestClient) -> None:
+    with page.websocket_connect(SOCKET) as ws:
+        for seq in range(30):
+            edits = [{"path": "layers[0].thickness_nm", "value": 200 + seq}]
+            ws.send_text(json.dumps({"seq": seq, "name": "film.toml", "text": FILM, "edits": edits}))
+        heard = [hear(ws)["seq"]]
+        while heard[-1] != 29:
+            heard.append(hear(ws)["seq"])
+    assert heard == sorted(set(heard))
+
+
+def test_two_pages_do_not_hear_each_other(page: TestClient) -> None:
+    with page.websocket_connect(SOCKET) as one, page.websocket_connect(SOCKET) as two:
+        edits = [{"path": "layers[0].thickness_nm", "value": 500}]
+        first, second = ask(one, 1), ask(two, 1, edits=edits)
+    assert first["data"]["layers"][0]["thickness_nm"] == 300
+    assert second["data"]["layers"][0]["thickness_nm"] == 500
+
+
+@pytest.mark.parametrize("message", ["no json", "[]", "{}", '{"seq": "1"}', "[" * 100_000, '{"seq": 1' + " " * 700_000])
+def test_nonsense_on_the_socket_closes_it(page: TestClient, message: str) -> None:
+    with page.websocket_connect(SOCKET) as ws:
+        ws.send_text(message)
+        assert ws.receive()["type"] == "websocket.close"
+
+
+def test_a_large_recipe_is_refused_before_it_is_read(page: TestClient) -> None:
+    with page.websocket_connect(SOCKET) as ws:
+        assert "at most" in ask(ws, 1, text="#" * 400_000)["error"]
+    big = {"name": "big.toml", "text": "#" * 400_000, "mark": ""}
+    assert page.post("/api/save", json=big).status_code == 422
+    assert page.post("/api/save", content=b" " * 2_000_000).status_code == 422
+
+
+def test_saving_never_overwrites_what_the_page_has_not_read(page: TestClient, folder: Path) -> None:
+    read = page.get("/api/recipe", params={"name": "film.toml"}).json()
+    assert read["text"] == FILM
+    saved = page.post("/api/save", json={"name": "film.toml", "text": FILM + "# more\n", "mark": read["mark"]})
+    assert saved.status_code == 200 and (folder / "film.toml").read_text().endswith("# more\n")
+    again = page.post("/api/save", json={"name": "film.toml", "text": "x", "mark": read["mark"]})
+    assert again.status_code == 422 and "another program" in again.json()["error"]
+    assert page.post("/api/save", json={"name": "new.toml", "text": FILM, "mark": ""}).status_code == 200
+    assert (folder / "new.toml").read_text() == FILM
+    shipped = page.post("/api/save", json={"name": "example:soap", "text": FILM, "mark": ""})
+    assert shipped.status_code == 422 and "example" in shipped.json()["error"]
+
+
+def test_the_state_lists_recipes_and_starting_points(page: TestClient) -> None:
+    state = page.get("/api/state").json()
+    assert state["recipes"] == ["broken.toml", "film.toml"]  # the broken one too, to be mended; not the sweep
+    assert [start["title"] for start in state["starts"]] == list(STARTS)
+    for start in state["starts"]:
+        assert "family" in page.get("/api/recipe", params={"name": start["name"]}).json()["text"]
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_number_of_a_family_comes_with_what_a_form_needs(page: TestClient, family: str) -> None:
+    form = page.get("/api/form", params={"family": family}).json()
+    assert form == family_form(family)
+    keys = [key for table in form["tables"].values() for key in table["keys"]]
+    assert all(key["meaning"] and key["value"] for key in keys)
+    assert all(table in form["tables"] for key in keys for table in key["tables"])
+    numbers = [key for key in keys if key["kind"] == "number"]
+    assert all("limits" in key for key in numbers)
+    if family == "film":
+        layer = {key["name"]: key for key in form["tables"]["film.LayerSpec"]["keys"]}
+        assert layer["material"]["kind"] == "material"
+        assert layer["thickness_nm"]["unit"] == "nm" and layer["thickness_nm"]["limits"]["ge"] == 0
+        assert layer["thickness_nm"]["spellings"]["thickness_um"] == 1000
+
+
+def test_materials_are_found_by_name(page: TestClient) -> None:
+    names = [found["name"] for found in page.get("/api/indices", params={"q": "TiO2"}).json()["found"]]
+    assert "TiO2" in names
+    assert page.get("/api/indices", params={"q": "no such thing at all"}).json()["found"] == []
+
+
+def test_the_blurred_surround_keeps_a_uniform_room_and_the_key_light() -> None:
+    layers = blurred_surround()
+    assert layers.shape[0] == len(ALPHAS) + 1
+    peaks = [float(layer.max()) for layer in layers]
+    assert peaks == sorted(peaks, reverse=True)  # the rougher, the dimmer the brightest spot
+    # a matt surface facing up: irradiance over pi, by the environment's own sum
+    from nacre.picture.lights.environments import studio
+
+    assert float(layers[-1][0].mean()) == pytest.approx(studio().irradiance / np.pi, rel=0.01)
+
+
+@pytest.mark.parametrize("alpha", [0.06, 0.15])
+def test_the_gloss_of_mitsubas_rough_mirror_is_that_mirror(alpha: float) -> None:
+    """Its width, and nearly all of its light, which a plain share of the light would miss where the lobe is narrow."""
+    code = f"""
+import numpy as np, mitsuba as mi
+mi.set_variant("scalar_rgb")
+from nacre.measure.gloss import fit_gloss
+mirror = mi.load_dict({{"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": {alpha}}})
+def values(wi, wo):
+    found = []
+    for i, o in zip(wi.tolist(), wo.tolist()):
+        si = mi.SurfaceInteraction3f(); si.wi = i
+        found.append([float(mirror.eval(mi.BSDFContext(), si, mi.Vector3f(o))[0]) / o[2]])
+    return np.array(found)
+theta = np.radians([0.0, 20.0, 40.0, 60.0])
+gloss = fit_gloss(values, theta, np.ones((4, 1)))
+print(gloss.alpha, *gloss.reflectance[:, 0])
+print(fit_gloss(lambda wi, wo: np.full((len(wi), 1), 0.3), theta, np.ones((4, 1))))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    numbers, matt = done.stdout.splitlines()
+    found, *reflectance = map(float, numbers.split())
+    assert found == pytest.approx(alpha, rel=0.05)
+    assert min(reflectance[:3]) > 0.85 and max(reflectance) <= 1.0  # shadowing takes some at grazing light
+    assert matt == "None"
+
+
+def test_a_picture_that_cannot_be_is_one_line(page: TestClient) -> None:
+    for body in (
+        {},
+        {"text": FILM, "name": "film.toml", "size": 9999},
+        {"text": "", "name": "", "scene": "/etc/x.xml"},
+    ):
+        told = page.post("/api/picture", json=body)
+        assert told.status_code == 422 and "\n" not in told.json()["error"]
+
+
+@pytest.mark.full
+@pytest.mark.render
+def test_the_settled_picture_is_a_picture_of_the_text(page: TestClient) -> None:
+    import io
+
+    from PIL import Image
+
+    asked = {"text": FILM, "name": "film.toml", "size": 128, "seconds": 1}
+    told = page.post("/api/picture", json=asked)
+    assert told.status_code == 200, told.text
+    picture = np.asarray(Image.open(io.BytesIO(told.content)))
+    assert picture.shape == (128, 128, 3) and picture.std() > 5
+
+
+def test_folders_and_files_that_cannot_be_opened_are_one_line(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    for what, words in ((empty, "no recipe"), (tmp_path / "none.toml", "no such file"), (__file__, "is no recipe")):
+        assert run(["studio", str(what), "--no-browser"]) == 2
+        said = capsys.readouterr()
+        assert words in said.err and said.err.count("\n") == 1 and not said.out
+
+
+def test_a_port_in_use_is_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen(1)
+        port = taken.getsockname()[1]
+        assert run(["studio", str(folder), "--no-browser", "--port", str(port)]) == 2
+    said = capsys.readouterr()
+    assert f"--port {port}: address already in use" in said.err and said.err.count("\n") == 1 and not said.out
+
+
+def test_the_command_prints_one_address_and_listens_on_loopback_alone(folder: Path) -> None:
+    command = [sys.executable, "-m", "nacre", "studio", str(folder), "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None and process.stderr is not None
+            address = process.stdout.readline().strip()
+            assert address.startswith("http://127.0.0.1:") and "?token=" in address
+            port = int(address.split(":")[2].split("/")[0])
+            with socket.create_connection(("127.0.0.1", port), timeout=60) as open_one:
+                open_one.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: close\r\n\r\n".encode())
+                assert b" 403 " in open_one.recv(100)
+        finally:
+            process.send_signal(2)
+            out, err = process.communicate(timeout=120)
+    assert out == "" and "Traceback" not in err and process.returncode == 130

@@ -1,0 +1,108 @@
+"""The orders of a relief by `fmmax` (rigorous coupled waves), in the environment that holds it: `.venv-validate`.
+
+Imported by the process that makes or repeats the cases, never by nacre.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from fmmax import basis, fields, fmm, scattering
+
+jax.config.update("jax_enable_x64", True)
+GRID = 4096  # samples of the permittivity along a period of a grating
+
+
+def grating_orders(
+    period: float, profile: Any, depth: float, slices: int, n: complex, wavelength: float, angle_deg: float,
+    truncation: int,
+) -> tuple[Any, dict[str, Any]]:  # fmt: skip
+    """Return the numbers of the orders that propagate and, for "s" and "p", their efficiencies.
+
+    Calls of one truncation and one number of slices share a compiled function.
+
+    Args:
+        profile: heights over `depth`, 0 to 1, of one period on an even grid of `GRID` samples.
+        slices: number of layers that the profile is cut into, each at the middle of its height.
+    """
+    levels = 1.0 - (np.arange(slices) + 0.5) / slices  # from the top down
+    filled = (profile[None, :] > levels[:, None])[:, :, None]
+    numbers = np.arange(-truncation, truncation + 1)
+    order = np.concatenate([[0], np.delete(numbers, truncation)])
+    coefficients = np.stack([order, 0 * order], axis=-1)
+    # across the grooves nothing changes: any short period will do
+    lattice = basis.LatticeVectors(u=period * basis.X, v=0.1 * period * basis.Y)
+    found = _reflected(
+        coefficients, lattice, np.where(filled, n**2, 1.0), depth / slices, n, wavelength, angle_deg
+    )  # fmt: skip
+    alpha = np.sin(np.radians(angle_deg)) + numbers * wavelength / period
+    goes = np.abs(alpha) < 1.0
+    rank = np.argsort(order)
+    return numbers[goes], {which: values[rank][goes] for which, values in found.items()}
+
+
+def relief_orders(
+    period: float, heights: Any, slices: int, n: complex, wavelength: float, angle_deg: float, terms: int
+) -> tuple[Any, dict[str, Any]]:
+    """The same for a relief periodic in x and y, the plane of incidence along x: orders `[order, 2]`, all states of
+    polarisation of an order together.
+
+    Args:
+        heights: `[x, y]` of one period, in um.
+        terms: how many orders are kept, about.
+    """  # fmt: skip
+    depth = float(np.ptp(heights))
+    profile = (heights - heights.min()) / depth
+    levels = 1.0 - (np.arange(slices) + 0.5) / slices
+    lattice = basis.LatticeVectors(u=period * basis.X, v=period * basis.Y)
+    expansion = basis.generate_expansion(lattice, terms)
+    filled = profile[None, :, :] > levels[:, None, None]
+    coefficients = np.asarray(expansion.basis_coefficients)
+    found = _reflected(
+        coefficients, lattice, np.where(filled, n**2, 1.0), depth / slices, n, wavelength, angle_deg
+    )  # fmt: skip
+    lateral = np.array([np.sin(np.radians(angle_deg)), 0.0]) + coefficients * wavelength / period
+    goes = np.hypot(*lateral.T) < 1.0
+    return coefficients[goes], {which: values[goes] for which, values in found.items()}
+
+
+def _reflected(
+    coefficients: Any, lattice: Any, permittivity: Any, thickness: float, n: complex, wavelength: float,
+    angle_deg: float,
+) -> dict[str, Any]:  # fmt: skip
+    expansion = basis.Expansion(basis_coefficients=coefficients)
+    wave = 2 * np.pi / wavelength * np.array([np.sin(np.radians(angle_deg)), 0.0])
+    count = len(coefficients)
+    flux = _solve(
+        expansion, lattice.u, lattice.v, jnp.asarray(permittivity, dtype=complex), thickness, n**2, wavelength, wave
+    )
+    return {which: np.asarray(flux[k, :count] + flux[k, count:]) for k, which in enumerate(("s", "p"))}
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _solve(
+    expansion: Any, u: Any, v: Any, permittivity: Any, thickness: Any, below_epsilon: Any, wavelength: Any, wave: Any
+) -> Any:
+    """Power of each reflected wave, `[incident state, wave]`, of light of power 1 in order 0."""
+    lattice = basis.LatticeVectors(u=u, v=v)
+    solve = functools.partial(
+        fmm.eigensolve_isotropic_media, wavelength, wave, lattice, expansion=expansion,
+        formulation=fmm.Formulation.JONES_DIRECT_FOURIER,
+    )  # fmt: skip
+    above = solve(permittivity=jnp.ones((1, 1), dtype=complex))
+    below = solve(permittivity=jnp.full((1, 1), below_epsilon, dtype=complex))
+    layers = [solve(permittivity=layer) for layer in permittivity]
+    matrix = scattering.stack_s_matrix(
+        [above, *layers, below], [jnp.zeros(()), *[jnp.asarray(thickness)] * len(layers), jnp.zeros(())]
+    )
+    count = expansion.num_terms
+    found = []
+    for column in (0, count):
+        incident = jnp.zeros((2 * count, 1), dtype=complex).at[column, 0].set(1.0)
+        forward, backward = fields.amplitude_poynting_flux(incident, matrix.s21 @ incident, above)
+        found.append(-backward[:, 0] / forward[:, 0].sum())
+    return jnp.stack(found)
