@@ -270,6 +270,16 @@ def test_a_broken_recipe_is_told_with_its_line(page: TestClient, text: str, line
         assert ask(ws, 4)["seq"] == 4  # and the session goes on
 
 
+def test_a_mistaken_number_of_the_form_stays_in_the_text_with_its_line(page: TestClient) -> None:
+    edit = {"op": "set", "path": "layers[1].thickness_nm", "value": -60}
+    with page.websocket_connect(SOCKET) as ws:
+        told = ask(ws, 1, edits=[edit])
+        assert "thickness_nm = -60" in told["text"] and told["line"] == 5
+        assert told["data"]["layers"][1]["thickness_nm"] == -60
+        mended = ask(ws, 2, text=told["text"], edits=[{**edit, "value": 61}])
+        assert "thickness_nm = 61" in mended["text"] and "error" not in mended
+
+
 def test_a_message_without_a_key_has_no_line() -> None:
     assert line_of(FILM, "not enough memory") is None
 

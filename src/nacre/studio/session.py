@@ -86,7 +86,8 @@ class Session:
         text = str(question.get("text", ""))
         try:
             name, lamp = str(question.get("name", "")), str(question.get("lamp", "D65"))
-            text, material = await loop.run_in_executor(self._workers, self._read, question, name, text)
+            text = await loop.run_in_executor(self._workers, _written, question, name, text)
+            material = await loop.run_in_executor(self._workers, self._opened.material, text, name)
             parsed = {"seq": seq, "text": text, "data": _plain(material.data)}
             solving = looks(material, lamp if lamp in ILLUMINANTS else "D65", self._is_superseded)
             while True:
@@ -102,18 +103,9 @@ class Session:
             await self._tell(seq, text, str(error))
         except MemoryError:
             await self._tell(seq, text, f"{question.get('name', 'recipe')}: not enough memory for this recipe")
-        except (ArithmeticError, ValueError, TypeError, IndexError, KeyError, AttributeError) as error:
+        except Exception as error:  # whatever it was: the page must hear of it, and the next question be answered
             what = f"this is a bug in nacre, please report it: {type(error).__name__}: {str(error)[:200]}"
             await self._tell(seq, text, what)
-
-    def _read(self, question: Mapping[str, Any], name: str, text: str) -> tuple[str, Material]:
-        if len(text) > MAX_TEXT:
-            raise NacreError(f"{name}: a recipe of {len(text)} characters; at most {MAX_TEXT} are shown")
-        edits = question.get("edits") or []
-        if not isinstance(edits, list) or not all(isinstance(edit, dict) for edit in edits):
-            raise NacreError(f"{name}: the changes are not a list")
-        text = edited(text, edits, name.rpartition("/")[2] or "recipe") if edits else text
-        return text, self._opened.material(text, name)
 
     async def _rest(self) -> None:
         """Wait until nothing new has come for a moment, so that a long solution is not begun in vain."""
@@ -126,8 +118,18 @@ class Session:
             data = _plain(parse_toml(text, "recipe"))
         except NacreError:
             data = None
-        told = {"seq": seq, "error": message, "line": line_of(text, message), "data": data}
+        told = {"seq": seq, "text": text, "error": message, "line": line_of(text, message), "data": data}
         await self._socket.send_text(json.dumps(told))
+
+
+def _written(question: Mapping[str, Any], name: str, text: str) -> str:
+    """Return the recipe's text with the changes made since written into it."""
+    if len(text) > MAX_TEXT:
+        raise NacreError(f"{name}: a recipe of {len(text)} characters; at most {MAX_TEXT} are shown")
+    edits = question.get("edits") or []
+    if not isinstance(edits, list) or not all(isinstance(edit, dict) for edit in edits):
+        raise NacreError(f"{name}: the changes are not a list")
+    return edited(text, edits, name.rpartition("/")[2] or "recipe") if edits else text
 
 
 def _plain(data: Any) -> Any:

@@ -157,9 +157,10 @@ export class Form {
         from = Math.max(low, value < 0 ? -reach : 0);
         to = Math.min(high, reach);
       }
-      slider.min = from;
-      slider.max = to;
       const step = whole ? 1 : 10 ** Math.floor(Math.log10((to - from) / STEPS));
+      // a slider stands at its least value plus whole steps: round numbers, where the least allowed one is not round
+      slider.min = Number((Math.floor(from / step + 1e-9) * step).toPrecision(12));
+      slider.max = to;
       slider.step = step;
     };
     const put = () => {
@@ -172,8 +173,9 @@ export class Form {
     span(typeof start === "number" ? start : 0);
     slider.setAttribute("aria-label", `${name ?? words(key.name)}, ${path}`);
     slider.addEventListener("input", () => {
-      let value = Number(slider.value);
-      if (limits.gt !== undefined && value <= low) value = Number(slider.step);
+      let value = Math.max(low, Math.min(high, Number(slider.value)));
+      if (limits.gt !== undefined && value <= low) value = low + Number(slider.step);
+      if (limits.lt !== undefined && value >= high) value = high - Number(slider.step);
       exact.value = short(value);
       this.set(path, Number(short(value)));
     });
