@@ -18,7 +18,6 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from nacre.errors import NacreError
 from nacre.light import ILLUMINANTS
-from nacre.materials.material import Material
 from nacre.recipe.toml import parse_toml
 from nacre.studio.edit import edited, line_of
 from nacre.studio.folder import MAX_TEXT, Opened
