@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -35,8 +36,9 @@ FIRST_HIT = {"albedo": "RGB", "normal": "XYZ", "depth": "Z"}
 RUSSIAN_ROULETTE_DEPTH = 6
 GUIDES_FROM = 1 << 20  # the number of their first pass: beyond those of any picture
 # where a noise or a time ends the picture, so many independent sequences of samples take turns: what they differ by
-# tells the noise
-SEQUENCES, TURN = 4, 8
+# tells the noise. Each is the more even the longer it is, so there are no more than it takes
+SEQUENCES, TURN = 2, 8
+MEDIAN = NormalDist().inv_cdf(0.75) ** 2  # of the square of a normal variable of variance 1: of two sequences' variance
 
 
 @dataclass(frozen=True)
@@ -208,8 +210,8 @@ class Spread:
     def noise(self) -> float | None:
         """Return the median over lit pixels of the relative standard error of the mean; None if turns are missing.
 
-        The median of a variance of n degrees of freedom lies below its mean by (1 - 2 / 9n)^3 (Wilson and Hilferty),
-        which is given back.
+        The median of a variance from two values lies below its mean, as that of a normal variable's square does, which
+        is given back.
         """
         if min(self._weights) != max(self._weights) or self._weights[0] == 0:
             return None
@@ -217,9 +219,8 @@ class Spread:
         lit = mean > 0
         if not np.any(lit):
             return 0.0
-        n = SEQUENCES - 1
-        variance = sum((each - mean) ** 2 for each in self._sums) / (n * SEQUENCES)
-        return float(np.median(np.sqrt(variance[lit] / (1 - 2 / (9 * n)) ** 3) / mean[lit]))
+        variance = sum((each - mean) ** 2 for each in self._sums) / SEQUENCES
+        return float(np.median(np.sqrt(variance[lit] / MEDIAN) / mean[lit]))
 
 
 def path_tracer(stage: Any) -> dict[str, Any]:

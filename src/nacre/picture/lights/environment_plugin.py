@@ -2,7 +2,7 @@
 
 Mitsuba's `envmap` holds RGB and up-samples it to smooth spectra, under which a structural colour comes out
 wrong. Here the radiance along d is sum_k w_k(d) S_k(lambda), with w_k painted over the sphere and S_k
-any table, lines of a fluorescent lamp included. Sampling follows the luminance.
+any table, lines of a fluorescent lamp included. Sampling follows the luminance, and what of it a floor sees.
 """
 
 from __future__ import annotations
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 # keeps every direction possible, so that no light is lost where the density's own grid rounds to zero
 _DENSITY_FLOOR = 1e-4
+# most of a picture is a floor that sees light by its height, and that hides what shines from below; the rest of the
+# directions keep this share of the samples (noise at 64 of them: street -29 %, interior -18 %, studio -5 to -12 %)
+_SHARE_BELOW, _SHARE_LEVEL = 0.05, 0.1
 
 
 def make_environment(environment: Environment, scale: float = 1.0, turn_deg: float = 0.0) -> Any:
@@ -154,10 +157,12 @@ def _emitter_class(variant: str) -> type:
 
 
 def _density(environment: Environment) -> np.ndarray:
-    """Luminance times sin(theta) at the corners of the map's texels, the largest of the neighbours."""
+    """Luminance times sin(theta) at the corners of the map's texels, the largest of the neighbours; more from above."""
     luminance = environment.luminance
     padded = np.pad(np.concatenate([luminance[:, -1:], luminance, luminance[:, :1]], axis=1), ((1, 1), (0, 0)), "edge")
     corner = np.maximum(np.maximum(padded[:-1, :-1], padded[:-1, 1:]), np.maximum(padded[1:, :-1], padded[1:, 1:]))
     theta = np.linspace(0, np.pi, corner.shape[0])[:, None]
     corner = np.maximum(corner, _DENSITY_FLOOR * corner.mean()) * np.maximum(np.sin(theta), 1e-3)
+    height = np.cos(theta)
+    corner *= np.where(height > 0, _SHARE_LEVEL + (1 - _SHARE_LEVEL) * np.sqrt(np.maximum(height, 0.0)), _SHARE_BELOW)
     return np.ascontiguousarray(corner, dtype=np.float32)
