@@ -55,6 +55,17 @@ def _summary(results: dict[str, tuple[list[dict[str, Any]], float]]) -> list[str
     return lines
 
 
+def _codes(results: dict[str, tuple[list[dict[str, Any]], float]]) -> list[str]:
+    """One line for each comparison with a code that is not ours (rows that name one): the worst difference."""
+    lines = ["| family | code | what | bar | worst difference |", "|---|---|---|---|---|"]
+    for name, (rows, _) in results.items():
+        for row in rows:
+            if row.get("code"):
+                cells = row.get("family", name.split("_")[0]), row["code"], row["claim"], row["claimed"], row["ours"]
+                lines.append("| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |")
+    return lines
+
+
 def run_script(name: str) -> tuple[list[dict[str, Any]], float]:
     """Run one script; a crash is a row of its own."""
     start = time.monotonic()
@@ -93,6 +104,8 @@ def write_report(results: dict[str, tuple[list[dict[str, Any]], float]]) -> None
         "shown so by a calculation here. *Undecided*: the source gives nothing to decide it by. *Miss*: ours differs. "
         "Made by `make validate`; each figure is made by the same run.", "",
         *_summary(results),
+        "", "Against other codes and other people's data:", "",
+        *_codes(results),
         "", "## What does not hold", "",
     ]  # fmt: skip
     lines += _table([{**row, "claim": f"{name}: {row['claim']}"} for name, row in misses]) if misses else ["None."]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -59,3 +60,12 @@ def test_every_public_name_of_nacre_is_listed() -> None:
     for name in nacre.__all__:
         if not name.startswith("__"):
             assert f"nacre.{name}" in page
+
+
+@pytest.mark.parametrize("family", ["film", "glass", "metasurface", "pearl", "relief"])
+def test_a_page_on_physics_links_to_every_script_that_checks_it(family: str) -> None:
+    page = (DOCS / "physics" / f"{family}.md").read_text(encoding="utf-8")
+    linked = set(re.findall(r"\.\./reports/validation\.md#(\w+)", page))
+    known = {path.stem for path in (DOCS.parent / "validation").glob("[a-z]*_*.py")}
+    scripts = {name for name in known if name.startswith(family)}
+    assert scripts and scripts <= linked <= known
