@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from nacre.cli import run
-from nacre.cli.gallery import CELL, contact_sheet, load_gallery, plan, tile
+from nacre.cli.gallery import QUICK_CELL, contact_sheet, load_gallery, plan, tile
 from nacre.design.run import load_target
 from nacre.design.wants.target import is_wants, read_target
 from nacre.materials.examples import examples_folder
@@ -57,7 +57,7 @@ def test_the_contact_sheet_holds_every_picture(tmp_path: Path) -> None:
     with Image.open(tmp_path / "sheet.png") as sheet:
         counts = {colour: count for count, colour in sheet.convert("RGB").getcolors(1 << 22)}
     for colour in ((255, 0, 0), (0, 255, 0), (0, 0, 255)):
-        assert counts[colour] > 0.6 * CELL * CELL
+        assert counts[colour] > 0.6 * QUICK_CELL * QUICK_CELL
 
 
 def test_pictures_are_tiled_row_by_row(tmp_path: Path) -> None:

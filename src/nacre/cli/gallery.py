@@ -20,16 +20,18 @@ from nacre.materials.examples import examples_folder
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
 from nacre.recipe.toml import parse_toml
 
-FULL_SIZE, QUICK_SIZE = 768, 224
-FULL_FRAME, QUICK_FRAME = 384, 128
-FULL_FRAMES, QUICK_FRAMES = 48, 8
+FULL_SIZE, QUICK_SIZE = 1024, 224
+FULL_FRAME, QUICK_FRAME = 512, 128
+FULL_FRAMES, QUICK_FRAMES = 24, 8
 FULL_SPP, QUICK_SPP = 128, 32
 FULL_FRAME_SPP, QUICK_FRAME_SPP = 32, 16
 # seconds that a still and an animation may take on the machine at hand, in full and in quick runs
 STILL_S = {False: 16.0, True: 5.0}
 MOVIE_S = {False: 55.0, True: 6.0}
 PROBE_SPP, LEAST_SPP = (4, 36), 8
-CELL, GAP, CAPTION = 320, 16, 46
+# the sheet: cells in full and in quick runs, a row at most of so many; the rest for cells of 320
+FULL_CELL, QUICK_CELL, MOST_COLUMNS = 480, 320, 6
+GAP, CAPTION, LINE, FONT = 16, 46, 19, 15
 Report = Callable[["Item", int, int, float, float], None]  # item, number, total, seconds spent, seconds left
 
 
@@ -172,7 +174,8 @@ def run_demo(out: Path, is_quick: bool, report: Report) -> list[Path]:
         spent += item.cost
     sheet = out / "contact-sheet.png"
     stills = [item for item in items if item.path.suffix == ".png"]
-    contact_sheet([(item.title, item.path) for item in stills], sheet)
+    cell = QUICK_CELL if is_quick else FULL_CELL
+    contact_sheet([(item.title, item.path) for item in stills], sheet, cell)
     return [sheet, *(item.path for item in items)]
 
 
@@ -345,30 +348,32 @@ def _look(spec: PictureSpec) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def contact_sheet(pictures: list[tuple[str, Path]], path: Path) -> None:
-    """Lay pictures out in rows with their titles.
+def contact_sheet(pictures: list[tuple[str, Path]], path: Path, cell: int = QUICK_CELL) -> None:
+    """Lay pictures out in rows with their titles; the longer side of each gets `cell` pixels.
 
     Raises:
         NacreError: the file cannot be written.
     """
     from PIL import Image, ImageDraw, ImageFont
 
-    columns = max(1, min(5, round(len(pictures) ** 0.5 + 0.5)))
+    gap, caption, line, size = (round(each * cell / QUICK_CELL) for each in (GAP, CAPTION, LINE, FONT))
+    columns = max(1, min(MOST_COLUMNS, round(len(pictures) ** 0.5 + 0.5)))
     rows = -(-len(pictures) // columns)
-    width, height = columns * (CELL + GAP) + GAP, rows * (CELL + CAPTION + GAP) + GAP
+    width, height = columns * (cell + gap) + gap, rows * (cell + caption + gap) + gap
     sheet = Image.new("RGB", (width, height), (250, 250, 249))
     draw = ImageDraw.Draw(sheet)
-    font = ImageFont.load_default(size=15)
+    font = ImageFont.load_default(size=size)
     for index, (title, file) in enumerate(pictures):
-        x = GAP + (index % columns) * (CELL + GAP)
-        y = GAP + (index // columns) * (CELL + CAPTION + GAP)
+        x = gap + (index % columns) * (cell + gap)
+        y = gap + (index // columns) * (cell + caption + gap)
         with Image.open(file) as picture:
             small = picture.convert("RGB")
-        scale = CELL / max(small.size)
+        scale = cell / max(small.size)
         small = small.resize((round(small.width * scale), round(small.height * scale)), Image.Resampling.LANCZOS)
-        sheet.paste(small, (x + (CELL - small.width) // 2, y + (CELL - small.height) // 2))
-        for line, words in enumerate(_wrapped(title, lambda words: draw.textlength(words, font=font) <= CELL)[:2]):
-            draw.text((x, y + CELL + 6 + 19 * line), words, fill=(60, 60, 60), font=font)
+        sheet.paste(small, (x + (cell - small.width) // 2, y + (cell - small.height) // 2))
+        for number, words in enumerate(_wrapped(title, lambda words: draw.textlength(words, font=font) <= cell)[:2]):
+            place = x, y + cell + round(0.3 * line) + line * number
+            draw.text(place, words, fill=(60, 60, 60), font=font)
     with atomic_path(path) as temporary:
         sheet.save(temporary, format="PNG")
 
