@@ -23,6 +23,7 @@ EACH = 30  # groups of each kind of grating
 STEEP_SHARE = 0.5  # of the lamellar ones: these can be deep, a third of all has to be
 PERIOD_UM, DEPTH_UM = (0.6, 8.0), (0.05, 1.2)
 STEEP = 0.3  # depth over period
+MORE_STEEP = 2  # sinusoids, drawn later: with all shallow ones agreed on, a third of the cases was no longer deep
 RELIEFS = 40
 RELIEF_PERIOD_UM = (0.8, 2.0)
 RELIEF_GRID = 64
@@ -57,6 +58,14 @@ def draw_groups(seed: int = 1) -> list[dict[str, Any]]:
             "period_um": round(period, 4), "depth_um": round(depth, 4), "seed": rank,
             "angle_deg": int(random.choice(ANGLES_DEG[:4])),
             "wavelengths_um": [round(float(random.uniform(0.45, 0.65)), 4)],
+        })  # fmt: skip
+    random = np.random.default_rng(seed + 1)
+    for rank in range(EACH, EACH + MORE_STEEP):
+        period, ratio = float(np.exp(random.uniform(np.log(0.8), np.log(3.0)))), float(random.uniform(0.31, 0.4))
+        groups.append({
+            "name": f"sinusoidal-{rank}", "kind": "sinusoidal", "material": MATERIALS[rank % 3],
+            "period_um": round(period, 4), "depth_um": round(ratio * period, 4), "share": 0.5,
+            "angle_deg": int(random.choice(ANGLES_DEG)), "wavelengths_um": WAVELENGTHS_UM.round(4).tolist(),
         })  # fmt: skip
     return groups
 

@@ -15,9 +15,9 @@ from nacre.families.relief.surface import Tile
 
 MIDDLE_NM = 550.0
 SAMPLES_PER_FEATURE = 8
-# log10 of the mean dE00 of the strong orders = offset + log10 slope, log10 feature, obliquity and smoothness times
-# these; the last is added for what 95 of 100 stay below
-COEFFICIENTS = (1.4560, 0.8466, -0.4621, 0.4819, -0.5387, 0.4395)
+# log10 of the mean dE00 of the strong orders = offset + log10 slope, log10 feature, sine of the incidence, smoothness
+# and smoothness by log10 slope times these; the last is added for what 95 of 100 stay below
+COEFFICIENTS = (1.2707, 0.6210, -0.3622, 0.6342, -0.0663, 0.6126, 0.3658)
 SINUSOID = np.pi / np.sqrt(8.0)  # rms of a sinusoid's slope over its mean size
 # dE00 from which a relief is called outside
 OUTSIDE_DE00 = 10.0
@@ -61,10 +61,11 @@ def expected_de00(slope: float, feature: float, theta_deg: float = 0.0, smoothne
         theta_deg: incidence.
         smoothness: 0 for vertical walls, 1 for a sinusoid.
     """
-    offset, by_slope, by_feature, by_obliquity, by_smoothness, margin = COEFFICIENTS
-    obliquity = 1.0 / np.cos(np.radians(theta_deg)) - 1.0
-    power = offset + by_slope * np.log10(slope) + by_feature * np.log10(feature) + margin
-    return float(min(10.0 ** (power + by_obliquity * obliquity + by_smoothness * smoothness), 100.0))
+    offset, by_slope, by_feature, by_sine, by_smoothness, by_smooth_slope, margin = COEFFICIENTS
+    steepness = float(np.log10(slope))
+    power = offset + by_slope * steepness + by_feature * np.log10(feature) + margin
+    power += by_sine * np.sin(np.radians(theta_deg)) + smoothness * (by_smoothness + by_smooth_slope * steepness)
+    return float(min(10.0**power, 100.0))
 
 
 def largest_depth_nm(feature_nm: float) -> float:
