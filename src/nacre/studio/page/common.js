@@ -1,0 +1,39 @@
+// What the modules of the page share: the state of the page, its elements, the server, the line about the answer.
+
+import { Recipe } from "./recipe.js";
+
+export const app = { recipe: new Recipe(), wire: null, view: null, form: null, state: null, lastGood: null, error: null };
+
+export const $ = (id) => document.getElementById(id);
+export const el = (tag, props = {}, ...inside) => {
+  const made = Object.assign(document.createElement(tag), props);
+  made.append(...inside.filter((item) => item !== null && item !== undefined));
+  return made;
+};
+export const shortName = (name) => (name.startsWith("example:") ? `${name.slice(8)} (example)` : name);
+
+// The answer to a question, whole; an error of the server's as an Error with its line of text.
+export async function ask(path, body, signal) {
+  const options = body ? { method: "POST", body: JSON.stringify(body), headers: { "content-type": "application/json" } } : {};
+  const answer = await fetch(path, { ...options, signal });
+  if (answer.ok) return answer;
+  const told = await answer.json().catch(() => ({}));
+  throw new Error(told.error ?? `the server answered ${answer.status}`);
+}
+
+export async function api(path, body, signal) {
+  return (await ask(path, body, signal)).json();
+}
+
+export function tell(kind, text) {
+  const box = $("state");
+  box.dataset.kind = kind;
+  if (box.textContent !== text) box.textContent = text;
+}
+
+// Changes that the server has not yet written into the text are written before the text leaves the page.
+export async function wholeText() {
+  const until = performance.now() + 4000;
+  while (app.recipe.edits.length && performance.now() < until) await new Promise((done) => setTimeout(done, 20));
+  return app.recipe.text;
+}
