@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -247,6 +248,35 @@ def test_saving_writes_the_file_and_a_starting_point_is_opened(page: Page, serve
     until(page, lambda: toml(page).get("surface") is not None)
     settled(page)
     assert ball(picture(page))[1] > ball(picture(page))[0]  # a green beetle
+
+
+def test_a_kept_look_stands_beside_the_new_one_and_steps_are_gone_back_to_by_their_pictures(page: Page) -> None:
+    before = picture(page)
+    half = before.shape[1] // 2
+    drawn = re.compile("^data:image/jpeg")
+    expect(page.locator("#history img")).to_have_attribute("src", drawn)
+    page.get_by_role("button", name="Keep as B").click()
+    slider(page, THICKNESS).fill("110")
+    until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 110)
+    settled(page)
+    both = picture(page)
+    np.testing.assert_array_equal(both[:, half:], before[:, half:])  # B, on the right, is as it was kept
+    assert np.abs(ball(both[:, :half]) - ball(before[:, :half])).max() > SEEN
+    expect(page.locator("#swatches b").first).to_contain_text("ΔE")
+    assert page.locator("#spectrum path.other").count() == 4  # B at three angles, and its name
+    page.locator("#view").focus()
+    page.keyboard.press("b")
+    np.testing.assert_array_equal(picture(page), before)
+    page.keyboard.press("b")
+    assert np.abs(ball(picture(page)) - ball(before)).max() > SEEN
+    step = page.get_by_role("button", name="Step 1 of 2: Opened")
+    expect(step.locator("img")).to_have_attribute("src", drawn)
+    step.click()
+    until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 300)
+    expect(step).to_have_attribute("aria-current", "step")
+    settled(page)
+    page.get_by_role("button", name="Drop B").click()
+    np.testing.assert_array_equal(picture(page), before)
 
 
 def test_every_control_has_a_name_and_without_webgl_the_page_says_so(browser: Browser, server: Server) -> None:

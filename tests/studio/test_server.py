@@ -20,7 +20,7 @@ import nacre
 from nacre.cli import run
 from nacre.errors import NacreError
 from nacre.families.registry import FAMILIES
-from nacre.light import spectrum_to_rgb_linear, spectrum_to_srgb, srgb_to_hex
+from nacre.light import delta_e_2000, spectrum_to_rgb_linear, spectrum_to_srgb, srgb_to_hex
 from nacre.studio.edit import edited, line_of
 from nacre.studio.folder import STARTS, Opened
 from nacre.studio.form import family_form
@@ -206,6 +206,18 @@ def test_another_lamp_gives_other_swatches_of_the_same_spectrum(page: TestClient
         day, lamp = ask(ws, 1), ask(ws, 2, lamp="F11")
     np.testing.assert_array_equal(day["total"], lamp["total"])
     assert np.abs(day["mirror"] - lamp["mirror"]).max() > 0.01
+
+
+def test_an_answer_tells_how_far_its_colours_are_from_a_kept_look(page: TestClient) -> None:
+    with page.websocket_connect(SOCKET) as ws:
+        kept = [swatch["lab"] for swatch in ask(ws, 1)["swatches"]]
+        assert not np.any(ask(ws, 2, beside=kept)["difference"])
+        other = ask(ws, 3, beside=kept, text=FILM.replace("300", "290"))
+        far = delta_e_2000(np.array(kept), np.array([swatch["lab"] for swatch in other["swatches"]]))
+        np.testing.assert_allclose(other["difference"], far, atol=0.006)  # two digits
+        assert far.min() > 1
+        for nonsense in ([], "x", [[1, 2]], [[[None] * 3] * 3] * 3, [[[1e300] * 3] * 3] * 3):
+            assert "difference" not in ask(ws, 4, beside=nonsense)
 
 
 def test_changes_are_written_into_the_text_and_its_comments_stay(page: TestClient) -> None:

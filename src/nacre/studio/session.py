@@ -14,16 +14,18 @@ from collections.abc import Mapping
 from concurrent.futures import Executor
 from typing import Any
 
+import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from nacre.errors import NacreError
-from nacre.light import ILLUMINANTS
+from nacre.light import ILLUMINANTS, delta_e_2000
 from nacre.recipe.toml import parse_toml
 from nacre.studio.edit import edited, line_of
 from nacre.studio.folder import MAX_TEXT, Opened
-from nacre.studio.look import SupersededError, looks
+from nacre.studio.look import Look, SupersededError, looks
 
 MAX_MESSAGE = 2 * MAX_TEXT
+MOST_LAB = 1e4
 RESTING = 0.25  # seconds without a newer question after which a slow material is settled
 
 
@@ -93,7 +95,7 @@ class Session:
                 look = await loop.run_in_executor(self._workers, next, solving, None)
                 if look is None:
                     return
-                await self._socket.send_bytes(look.packed(**parsed))
+                await self._socket.send_bytes(look.packed(**parsed, **_difference(question.get("beside"), look)))
                 if look.is_draft:
                     await self._rest()
         except SupersededError:
@@ -129,6 +131,18 @@ def _written(question: Mapping[str, Any], name: str, text: str) -> str:
     if not isinstance(edits, list) or not all(isinstance(edit, dict) for edit in edits):
         raise NacreError(f"{name}: the changes are not a list")
     return edited(text, edits, name.rpartition("/")[2] or "recipe") if edits else text
+
+
+def _difference(beside: Any, look: Look) -> dict[str, Any]:
+    """Return how far a look is (CIEDE2000) from one that the page holds, given by its Lab `[lamp, angle, 3]`."""
+    own = np.array([swatch["lab"] for swatch in look.swatches])
+    try:
+        given = np.array(beside, dtype=float)
+    except (TypeError, ValueError):
+        return {}
+    if given.shape != own.shape or not np.isfinite(given).all() or np.abs(given).max() > MOST_LAB:
+        return {}
+    return {"difference": np.round(delta_e_2000(given, own), 2).tolist()}
 
 
 def _plain(data: Any) -> Any:

@@ -45,14 +45,13 @@ export function drawRibbon(canvas, text, look) {
     context.fillStyle = `rgb(${shown(...rgb).join(" ")})`;
     context.fillRect(x, 0, 1, canvas.height);
   }
-  const d65 = look.swatches[0];
-  text.textContent = look.shown_deg.map((angle, i) => `${angle}°: ${d65.hex[i]}`).join("   ");
+  text.textContent = look.shown_deg.map((angle, i) => `${angle}°: ${look.swatches[0].hex[i]}`).join("   ");
 }
 
-export function drawSpectrum(svg, look) {
+export function drawSpectrum(svg, look, other) {
   clear(svg);
-  const lam = look.wavelengths, count = lam.length, [left, right, top, bottom] = [26, 276, 6, 128];
-  const x = (nm) => left + ((nm - 380) / 400) * (right - left), peak = Math.max(...look.total);
+  const [left, right, top, bottom] = [26, 276, 6, 128], looks = other ? [other, look] : [look];
+  const x = (nm) => left + ((nm - 380) / 400) * (right - left), peak = Math.max(...looks.map(({ total }) => Math.max(...total)));
   const most = peak > 1.001 ? peak : [0.05, 0.1, 0.2, 0.5, 1].find((m) => peak <= m) ?? 1;
   const y = (value) => bottom - (value / most) * (bottom - top);
   for (const share of [0, 0.5, 1]) {
@@ -60,48 +59,76 @@ export function drawSpectrum(svg, look) {
     add(svg, "text", { x: left - 4, y: y(share * most) + 3, "text-anchor": "end" }, Number((share * most).toPrecision(3)));
   }
   for (const nm of [400, 500, 600, 700]) add(svg, "text", { x: x(nm), y: bottom + 13, "text-anchor": "middle" }, `${nm}${nm === 700 ? " nm" : ""}`);
+  for (const { wavelengths: lam, total: values, shown_deg } of looks) {
+    const kind = looks.length > 1 && values === other.total ? "curve other" : "curve";
+    shown_deg.forEach((_, row) => {
+      let d = "";
+      for (let i = 0; i < lam.length; i++) {
+        if (lam[i] >= 380 && lam[i] <= 780) d += `${d ? "L" : "M"}${x(lam[i]).toFixed(1)} ${y(values[row * lam.length + i]).toFixed(1)}`;
+      }
+      add(svg, "path", { d, class: kind, "stroke-dasharray": DASHES[row] });
+    });
+  }
   look.shown_deg.forEach((angle, row) => {
-    let d = "";
-    for (let i = 0; i < count; i++) {
-      if (lam[i] >= 380 && lam[i] <= 780) d += `${d ? "L" : "M"}${x(lam[i]).toFixed(1)} ${y(look.total[row * count + i]).toFixed(1)}`;
-    }
-    add(svg, "path", { d, class: "curve", "stroke-dasharray": DASHES[row] });
-    add(svg, "path", { d: `M${left + 40 + 74 * row} 146h18`, class: "curve", "stroke-dasharray": DASHES[row] });
-    add(svg, "text", { x: left + 62 + 74 * row, y: 149 }, `${angle}°`);
+    add(svg, "path", { d: `M${left + 54 * row} 146h18`, class: "curve", "stroke-dasharray": DASHES[row] });
+    add(svg, "text", { x: left + 22 + 54 * row, y: 149 }, `${angle}°`);
+  });
+  if (!other) return;
+  [["A", "curve", 192], ["B", "curve other", 236]].forEach(([name, kind, at]) => {
+    add(svg, "path", { d: `M${at} 146h18`, class: kind });
+    add(svg, "text", { x: at + 22, y: 149 }, name);
   });
 }
 
-export function drawTrack(svg, look) {
+export function drawTrack(svg, look, other) {
   clear(svg);
-  const all = total(look), points = [];
-  for (let i = 0; i < all.length / 3; i++) points.push(lab(all[3 * i], all[3 * i + 1], all[3 * i + 2]));
-  const reach = Math.max(20, ...points.map(([, a, b]) => Math.max(Math.abs(a), Math.abs(b)))) * 1.1;
+  const track = (one) => {
+    const all = total(one), points = [];
+    for (let i = 0; i < all.length / 3; i++) points.push(lab(all[3 * i], all[3 * i + 1], all[3 * i + 2]));
+    return { all, points, is: one };
+  };
+  const tracks = (other ? [other, look] : [look]).map(track);
+  const reach = Math.max(20, ...tracks.flatMap(({ points }) => points.map(([, a, b]) => Math.max(Math.abs(a), Math.abs(b))))) * 1.1;
   const x = (a) => 140 + (a / reach) * 88, y = (b) => 95 - (b / reach) * 88;
   add(svg, "path", { d: "M52 95H228M140 7V183", class: "axis" });
   add(svg, "text", { x: 232, y: 98 }, `a* ${Math.round(reach)}`);
   add(svg, "text", { x: 144, y: 14 }, `b* ${Math.round(reach)}`);
-  add(svg, "path", { d: points.map(([, a, b], i) => `${i ? "L" : "M"}${x(a).toFixed(1)} ${y(b).toFixed(1)}`).join(""), class: "curve" });
-  for (const angle of [0, 30, 60]) {
-    const [, a, b] = points[angle], rgb = shown(all[3 * angle], all[3 * angle + 1], all[3 * angle + 2]);
-    add(svg, "circle", { cx: x(a), cy: y(b), r: 5, class: "dot", fill: `rgb(${rgb.join(" ")})` });
-    add(svg, "text", { x: x(a) + 7, y: y(b) - 5 }, `${angle}°`);
+  for (const { all, points, is } of tracks) {
+    const isOther = tracks.length > 1 && is === other;
+    add(svg, "path", { d: points.map(([, a, b], i) => `${i ? "L" : "M"}${x(a).toFixed(1)} ${y(b).toFixed(1)}`).join(""), class: isOther ? "curve other" : "curve" });
+    for (const angle of [0, 30, 60]) {
+      const [, a, b] = points[angle], fill = `rgb(${shown(all[3 * angle], all[3 * angle + 1], all[3 * angle + 2]).join(" ")})`;
+      if (isOther) add(svg, "rect", { x: x(a) - 4, y: y(b) - 4, width: 8, height: 8, class: "dot other", fill });
+      else add(svg, "circle", { cx: x(a), cy: y(b), r: 5, class: "dot", fill });
+      add(svg, "text", { x: x(a) + 7, y: y(b) - 5 }, `${tracks.length > 1 ? (isOther ? "B " : "A ") : ""}${angle}°`);
+    }
   }
 }
 
-export function drawSwatches(table, look) {
+export function drawSwatches(table, look, other) {
+  const make = (tag, props) => Object.assign(document.createElement(tag), props);
   const head = document.createElement("tr");
-  head.append(document.createElement("th"), ...look.shown_deg.map((angle) => Object.assign(document.createElement("th"), { textContent: `${angle}°`, scope: "col" })));
-  const rows = look.swatches.map(({ lamp, hex, lab: values }) => {
+  head.append(make("th", {}), ...look.shown_deg.map((angle) => make("th", { textContent: `${angle}°`, scope: "col" })));
+  const rows = look.swatches.map(({ lamp, hex, lab: values }, k) => {
     const row = document.createElement("tr");
-    row.append(Object.assign(document.createElement("th"), { textContent: lamp, scope: "row" }));
+    row.append(make("th", { textContent: lamp, scope: "row" }));
     hex.forEach((colour, i) => {
-      const chip = Object.assign(document.createElement("span"), { className: "chip", title: colour });
-      chip.style.background = colour;
-      const cell = document.createElement("td");
-      cell.append(chip, values[i].map((v) => Math.round(v)).join(" "));
+      const chip = (name, fill) => {
+        const made = make("span", { className: "chip", title: name + fill, textContent: name });
+        made.style.background = fill;
+        // the letter on the chip: black or white, whichever the colour carries
+        made.style.color = Number.parseInt(fill.slice(3, 5), 16) > 118 ? "#000" : "#fff";
+        return made;
+      };
+      const cell = document.createElement("td"), differs = look.difference?.[k]?.[i];
+      if (other) cell.append(chip("A ", colour), chip("B ", other.swatches[k].hex[i]));
+      else cell.append(chip("", colour));
+      cell.append(values[i].map((v) => Math.round(v)).join(" "));
+      if (other && differs !== undefined) cell.append(make("b", { textContent: `ΔE ${differs.toFixed(1)}`, title: "CIEDE2000 between A and B" }));
       row.append(cell);
     });
     return row;
   });
+  table.classList.toggle("two", Boolean(other));
   table.replaceChildren(head, ...rows);
 }

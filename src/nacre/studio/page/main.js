@@ -1,6 +1,7 @@
 // The page: the recipe on the left, the object in the middle, what the numbers say on the right.
 
 import { drawRibbon, drawSpectrum, drawSwatches, drawTrack } from "./charts.js";
+import { beside, listenCompare, other, showHistory } from "./compare.js";
 import { $, api, app, el, shortName, tell } from "./common.js";
 import { listRecipes, listenFiles, open, saveHere, welcome } from "./files.js";
 import { Form } from "./form.js";
@@ -40,10 +41,14 @@ async function onAnswer(answer, isNewest) {
 // The object comes first, the charts after it, once for all answers that came meanwhile.
 function chart() {
   charting = 0;
-  drawRibbon($("ribbon"), $("ribbon-text"), app.lastGood);
-  drawSpectrum($("spectrum"), app.lastGood);
-  drawTrack($("track"), app.lastGood);
-  drawSwatches($("swatches"), app.lastGood);
+  const look = app.lastGood, kept = other();
+  if (!look) return;
+  drawRibbon($("ribbon"), $("ribbon-text"), look);
+  $("ribbons").classList.toggle("two", Boolean(kept));
+  if (kept) drawRibbon($("ribbon-b"), $("ribbon-b-text"), kept);
+  drawSpectrum($("spectrum"), look, kept);
+  drawTrack($("track"), look, kept);
+  drawSwatches($("swatches"), look, kept);
 }
 
 async function onError(answer, isNewest) {
@@ -77,6 +82,7 @@ async function showRecipe() {
   $("save").disabled = !recipe.isChanged && !recipe.name.startsWith("example:");
   document.title = `${recipe.isChanged ? "• " : ""}${shortName(recipe.name)} – nacre studio`;
   recipe.keep();
+  showHistory();
   if (!recipe.data) return;
   const model = await modelOf(recipe.data.family ?? "");
   if (model) app.form.show(model, recipe.data);
@@ -134,6 +140,7 @@ function listen() {
   const click = (id, act) => $(id).addEventListener("click", act);
   listenFiles({ setError, showRecipe, tab });
   listenSettled();
+  listenCompare({ chart, go: step, showRecipe, listRecipes });
   click("undo", () => step(-1));
   click("redo", () => step(1));
   click("front", () => app.view?.front());
@@ -179,7 +186,7 @@ async function start() {
   listen();
   const roomAsked = app.view ? fetch("api/surround").then((answer) => answer.arrayBuffer()) : null;
   app.state = await api("api/state");
-  app.wire = new Wire((seq) => (recipe.name ? { ...recipe.question(seq), lamp: $("lamp").value } : null), onAnswer, onState);
+  app.wire = new Wire((seq) => (recipe.name ? { ...recipe.question(seq), ...beside(), lamp: $("lamp").value } : null), onAnswer, onState);
   welcome();
   if (recipe.recall()) {
     listRecipes();

@@ -20,9 +20,10 @@ export class Recipe {
   }
 
   forget() {
-    this.past = [];
+    this.past = [];     // the steps: text, and what was done, in words
     this.at = -1;
     this.lastStep = 0;
+    this.said = "Opened";
     this.group = this.lastGroup = "";   // changes of one number, one after the other, are one step back
   }
 
@@ -37,6 +38,7 @@ export class Recipe {
   change(edit) {
     this.count += 1;
     this.group = edit.op === "set" ? edit.path : String(this.count);
+    this.said = inWords(edit);
     const last = this.edits.at(-1);
     if (last && edit.op === "set" && last.op === "set" && last.path === edit.path) this.edits.pop();
     this.edits.push({ ...edit, id: this.count });
@@ -45,6 +47,7 @@ export class Recipe {
 
   type(text) {
     this.group = "text";
+    this.said = "Edited as TOML";
     this.text = text;
     this.edits = [];
     this.sent.clear();
@@ -67,14 +70,15 @@ export class Recipe {
   }
 
   step(isApart = false) {
-    if (this.past[this.at] === this.text) return;
+    if (this.past[this.at]?.text === this.text) return;
     const now = performance.now();
     const joins = !isApart && this.group === this.lastGroup && now - this.lastStep < PAUSE_MS && this.at > 0;
     this.lastStep = now;
     this.lastGroup = this.group;
     this.past.length = this.at + 1;
-    if (joins) this.past[this.at] = this.text;
-    else this.at = this.past.push(this.text) - 1;
+    const made = { text: this.text, what: this.said };
+    if (joins) this.past[this.at] = made;
+    else this.at = this.past.push(made) - 1;
     if (this.past.length > MOST_KEPT) {
       this.past.shift();
       this.at -= 1;
@@ -85,7 +89,7 @@ export class Recipe {
     const next = this.past[this.at + by];
     if (next === undefined) return false;
     this.at += by;
-    this.type(next);
+    this.type(next.text);
     this.lastStep = 0;
     return true;
   }
@@ -114,6 +118,12 @@ export class Recipe {
       return false;
     }
   }
+}
+
+function inWords({ op, path, value, index }) {
+  if (op === "set") return `${path} = ${typeof value === "object" ? "…" : value}`;
+  if (op === "insert") return `${path}: added one as number ${index + 1}`;
+  return op === "remove" ? `${path} taken out` : `${path}: moved`;
 }
 
 function apply(data, { op, path, value, index, from, to }) {
