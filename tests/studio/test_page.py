@@ -346,3 +346,48 @@ def test_the_settled_picture_comes_and_the_page_stays_free(page: Page, server: S
     until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 90)
     expect(page.locator("#picture")).to_be_visible()
     assert page.evaluate("document.getElementById('picture').naturalWidth") == 192
+
+
+STRUCTURES = [
+    ("bragg-mirror", "20 layers, 1461 nm in all, to scale", 21),
+    ("pearl/bottle3", "1 stratum, 150 µm; below a section of its flakes", 5),
+    ("metasurface/silver_on_oxide", "spheres of 180 nm, 1 layer, 400 nm in all, to scale", 3),
+    ("relief/star", "25.6 µm wide", 1),
+    ("glass/polystyrene_black", "a piece of a layer of 20 µm", 10),
+]
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("example, words, parts", STRUCTURES)
+def test_the_structure_is_drawn(page: Page, example: str, words: str, parts: int) -> None:
+    choose = "(e, name) => { e.value = 'example:' + name; e.dispatchEvent(new Event('change')); }"
+    page.locator("#all-examples").evaluate(choose, example)
+    expect(page.locator("#structure-text")).to_contain_text(words)
+    assert page.locator("#structure .part").count() >= parts
+    assert page.locator("#structure .part").first.evaluate("(e) => e.getBBox().height") > 0
+
+
+@pytest.mark.full
+def test_layers_are_drawn_to_scale(page: Page) -> None:
+    heights = "() => [...document.querySelectorAll('#structure rect.part')].map((e) => e.getBBox().height)"
+    tall = page.evaluate(heights)
+    assert tall[0] / tall[1] == pytest.approx(300 / 60, rel=0.02)
+    slider(page, THICKNESS).fill("120")
+    until(page, lambda: "180 nm in all" in page.locator("#structure-text").inner_text())
+    tall = page.evaluate(heights)
+    assert tall[0] / tall[1] == pytest.approx(2, rel=0.02)
+
+
+@pytest.mark.full
+def test_the_report_comes_while_the_page_stays_free_and_can_be_cancelled(page: Page) -> None:
+    page.get_by_role("button", name="Measure").click()
+    page.locator("#report-cancel").click()
+    expect(page.locator("#report-state")).to_have_text("Cancelled.")
+    page.get_by_role("button", name="Keep as B").click()
+    slider(page, THICKNESS).fill("200")
+    until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 200)
+    page.get_by_role("button", name="Measure").click()
+    slider(page, THICKNESS).fill("90")  # while it is measured
+    until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 90)
+    expect(page.locator("#report-tables caption").last).to_contain_text("CIEDE2000 between A and B")
+    expect(page.locator("#report-tables")).to_contain_text("gloss 60 degrees")

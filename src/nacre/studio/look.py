@@ -35,6 +35,7 @@ from nacre.light import (
 )
 from nacre.light.spaces import srgb_encode
 from nacre.materials.material import Material
+from nacre.matter.drawings import DrawingRequest, HeightMap
 from nacre.measure.gloss import Gloss, find_gloss
 from nacre.measure.spectrum import bsdf_spectrum
 
@@ -51,6 +52,8 @@ BAND = 12  # wavelengths that are solved without looking up
 RIDGE_FAN = 0.5  # roughness by which the page draws the fan of ridges
 SPREAD = "Spread light is drawn as if it left evenly in all directions; its lobes are in the settled picture."
 GLOSS = "Spread light is drawn as a rough mirror of fitted width over an even ground; see the settled picture."
+OF_HEIGHTS = "stl"  # the drawing that only height maps have
+MOST_FEATURES = 160  # of a profile
 PARTS = ("specular_reflectance", "diffuse_reflectance")
 THROUGH = "specular_transmittance"
 SEEN_THROUGH = 0.02
@@ -72,6 +75,7 @@ class Look:
         swatches: for each lamp its name and the colours `hex` and `lab` of the total at `SHOWN_DEG`.
         is_draft: few angles and wavelengths; a settled one follows.
         notes: what the preview leaves out, in sentences.
+        profile: of a height map `heights_um` along one line, its `length_um` and the map's `depth_um`; else None.
     """
 
     mirror_rgb: Array
@@ -85,6 +89,7 @@ class Look:
     is_draft: bool
     notes: tuple[str, ...]
     seconds: float
+    profile: dict[str, Any] | None
 
     def packed(self, **header: Any) -> bytes:
         """Return the look as bytes: length of the header (little-endian), header as JSON, arrays as float32.
@@ -106,6 +111,7 @@ class Look:
             "swatches": self.swatches,
             "draft": self.is_draft,
             "notes": self.notes,
+            "profile": self.profile,
             "seconds": round(self.seconds, 4),
             "shown_deg": SHOWN_DEG,
             "arrays": [[name, list(array.shape)] for name, array in arrays.items()],
@@ -179,6 +185,7 @@ def _look(
     return Look(
         mirror_rgb, gloss_rgb, spread_rgb, alpha, 0.0 if gloss is None else gloss.alpha, wavelengths, shown,
         _swatches(shown, wavelengths), grid is not None, tuple(notes), time.perf_counter() - started,
+        _profile(material),
     )  # fmt: skip
 
 
@@ -269,6 +276,22 @@ def _surface(material: Material) -> tuple[float, list[str]]:
     if _varies(material.data):
         notes.append("What varies over the surface is drawn as it is at the surface's middle.")
     return alpha, notes
+
+
+def _profile(material: Material) -> dict[str, Any] | None:
+    """Return the heights along a line through the middle, where the material is one that is made from heights."""
+    drawers = material.model.fabrications
+    drawing = drawers[OF_HEIGHTS](DrawingRequest()) if OF_HEIGHTS in drawers else None
+    if not isinstance(drawing, HeightMap):
+        return None
+    # the part with the most to see: a line across the largest step
+    steps = np.abs(np.diff(drawing.heights_um, axis=0)).sum(axis=0)
+    line = drawing.heights_um[:MOST_FEATURES, int(np.argmax(steps))]
+    return {
+        "heights_um": np.round(line, 5).tolist(),
+        "length_um": len(line) * drawing.feature_um,
+        "depth_um": float(np.ptp(drawing.heights_um)),
+    }
 
 
 def _varies(data: Any) -> bool:

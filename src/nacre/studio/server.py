@@ -26,19 +26,23 @@ from nacre.exchange.lut.write import template
 from nacre.families.registry import family_names
 from nacre.materials.examples import examples
 from nacre.matter.indices import library
+from nacre.studio.apart import run_apart
 from nacre.studio.edit import line_of
 from nacre.studio.folder import EXAMPLE, MAX_TEXT, STARTS, Opened, mark_of
 from nacre.studio.form import family_form
-from nacre.studio.picture import read_question, settled_picture
+from nacre.studio.measured import read_recipes
+from nacre.studio.picture import read_question
 from nacre.studio.security import Asgi, Gate, kept_token, new_token
 from nacre.studio.session import MAX_MESSAGE, Session
 from nacre.studio.surround import ALPHAS, ROWS, blurred_surround
 
 LOOPBACK = "127.0.0.1"
 USUAL_PORT = 8642  # the same from start to start, so that a page finds its server again
+APART = 2  # processes for pictures, reports and files; the others wait
 SOLVERS = 2  # sessions that are answered at once; the others wait
 MAX_SESSIONS = 64
 MAX_FOUND = 40
+MAX_BODY = 2 * MAX_MESSAGE  # two recipes
 MEDIA = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".jpg": "image/jpeg"}
 TABLES = "table.glsl"
 BAD_INPUT, TOO_LARGE, NOT_FOUND = 422, 413, 404
@@ -53,7 +57,7 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
         port: that it listens on; part of the host names that it answers to.
     """
     workers = ThreadPoolExecutor(SOLVERS, thread_name_prefix="nacre-studio")
-    rendering = asyncio.Semaphore(1)
+    apart = asyncio.Semaphore(APART)
     talking: set[Session] = set()
     page = _page_files()
 
@@ -127,15 +131,24 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
         try:
             question = read_question(await _body(request))
             path, fence = opened.place(question["name"])
-
-            async def is_wanted() -> bool:
-                return not await request.is_disconnected()
-
-            async with rendering:
-                png = await settled_picture({**question, "path": str(path), "fence": str(fence)}, is_wanted)
+            png = await work(request, "picture", {**question, "path": str(path), "fence": str(fence)})
         except NacreError as error:
             return _told(error)
         return Response(png, media_type="image/png")
+
+    async def report(request: Request) -> Response:
+        try:
+            made = await work(request, "report", read_recipes(await _body(request), opened))
+        except NacreError as error:
+            return _told(error)
+        return Response(made, media_type="application/json")
+
+    async def work(request: Request, kind: str, question: dict[str, Any]) -> bytes:
+        async def is_wanted() -> bool:
+            return not await request.is_disconnected()
+
+        async with apart:
+            return await run_apart(kind, question, is_wanted)
 
     async def talk(websocket: WebSocket) -> None:
         if len(talking) >= MAX_SESSIONS:
@@ -160,6 +173,7 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
             Route("/api/indices", indices),
             Route("/api/save", save, methods=["POST"]),
             Route("/api/picture", picture, methods=["POST"]),
+            Route("/api/report", report, methods=["POST"]),
             WebSocketRoute("/ws", talk),
         ]
     )
@@ -189,8 +203,8 @@ async def _body(request: Request) -> dict[str, Any]:
     held = b""
     async for chunk in request.stream():
         held += chunk
-        if len(held) > MAX_MESSAGE:
-            raise NacreError(f"more than {MAX_MESSAGE} bytes were sent")
+        if len(held) > MAX_BODY:
+            raise NacreError(f"more than {MAX_BODY} bytes were sent")
     try:
         body = json.loads(held)
     except (ValueError, RecursionError):

@@ -77,7 +77,7 @@ def report_text(reports: list[Report]) -> str:
                 numbers = "  ".join(f"{v:7.2f}" for v in (*lab, lch[1]))
                 lines.append(f"    {angle:5.0f}  {numbers}  {lch[2]:6.1f}   {swatch}")
             lines += [f"    travel in a*b*: {table.travel:.1f}", ""]
-        lines += [f"  {name:34s} {value}" for name, value in _numbers(report)] + [""]
+        lines += [f"  {name:34s} {value}" for name, value in report_numbers(report)] + [""]
     for report in reports[1:]:
         lines.append(f"dE00 of {report.name} to {reports[0].name}")
         for name, values in differences(report, reports[0]).items():
@@ -95,7 +95,7 @@ def _named_table(report: Report, name: str) -> ColourTable:
     return report.aspecular if name == "aspecular" or report.specular is None else report.specular
 
 
-def _numbers(report: Report) -> list[tuple[str, str]]:
+def report_numbers(report: Report) -> list[tuple[str, str]]:
     """Return the single numbers of a report, with their names and units."""
     rows = [("flop index (Alman)", "-" if report.flop_index is None else f"{report.flop_index:.2f}")]
     rows += [(f"gloss {angle} degrees (GU)", f"{value:.1f}") for angle, value in report.gloss.items()]
@@ -146,7 +146,7 @@ def _section(report: Report) -> str:
             f'<p class="n">{html.escape(table.what)}; travel in a*b* {table.travel:.1f}</p><table><tr><th></th>'
             f"<th>angle</th><th>L*</th><th>a*</th><th>b*</th><th>C*</th><th>h</th></tr>{rows}</table>"
         )
-    numbers = "".join(f"<tr><th>{html.escape(n)}</th><td>{html.escape(v)}</td></tr>" for n, v in _numbers(report))
+    numbers = "".join(f"<tr><th>{html.escape(n)}</th><td>{html.escape(v)}</td></tr>" for n, v in report_numbers(report))
     return "".join(parts) + f"<table>{numbers}</table>"
 
 

@@ -2,8 +2,8 @@
 
 const SVG = "http://www.w3.org/2000/svg";
 const DASHES = ["", "5 3", "1.5 2.5"];
-const clear = (node) => node.replaceChildren();
-const add = (root, tag, props, text) => {
+export const clear = (node) => node.replaceChildren();
+export const add = (root, tag, props, text) => {
   const made = document.createElementNS(SVG, tag);
   for (const [name, value] of Object.entries(props)) made.setAttribute(name, value);
   if (text !== undefined) made.textContent = text;

@@ -14,6 +14,8 @@ export const other = () => kept?.look ?? null;
 // What the server is told of B: its colours, to which it adds how far A's are from them.
 export const beside = () => (kept ? { beside: kept.look.swatches.map(({ lab }) => lab) } : {});
 
+export const keptRecipe = () => (kept ? [{ text: kept.text, name: kept.name }] : []);
+
 async function keep() {
   const text = await wholeText(), look = app.lastGood;
   if (!look) return;

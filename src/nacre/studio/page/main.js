@@ -4,8 +4,10 @@ import { drawRibbon, drawSpectrum, drawSwatches, drawTrack } from "./charts.js";
 import { beside, listenCompare, other, showHistory } from "./compare.js";
 import { $, api, app, el, shortName, tell } from "./common.js";
 import { listRecipes, listenFiles, open, saveHere, welcome } from "./files.js";
+import { drawStructure } from "./drawing.js";
 import { Form } from "./form.js";
 import { valueAt } from "./recipe.js";
+import { listenReport } from "./report.js";
 import { listenSettled, render } from "./settled.js";
 import { View } from "./view.js";
 import { Wire } from "./wire.js";
@@ -49,6 +51,9 @@ function chart() {
   drawSpectrum($("spectrum"), look, kept);
   drawTrack($("track"), look, kept);
   drawSwatches($("swatches"), look, kept);
+  const words = drawStructure($("structure"), look.data, look.profile);
+  $("structure-text").textContent = words;
+  $("structure-box").hidden = !words;
 }
 
 async function onError(answer, isNewest) {
@@ -140,6 +145,7 @@ function listen() {
   const click = (id, act) => $(id).addEventListener("click", act);
   listenFiles({ setError, showRecipe, tab });
   listenSettled();
+  listenReport();
   listenCompare({ chart, go: step, showRecipe, listRecipes });
   click("undo", () => step(-1));
   click("redo", () => step(1));

@@ -1,0 +1,57 @@
+// The report of the trade: asked for, measured by the server in a process of its own.
+
+import { $, api, app, el, shortName, wholeText } from "./common.js";
+import { keptRecipe } from "./compare.js";
+
+let measuring = null;
+
+async function measure() {
+  measuring?.abort();
+  const mine = (measuring = new AbortController());
+  const recipes = [{ text: await wholeText(), name: app.recipe.name }, ...keptRecipe()], lamp = $("lamp").value;
+  $("report-cancel").hidden = false;
+  $("report-state").textContent = "Measuring; the page stays free.";
+  try {
+    const told = await api("api/report", { recipes, lamp }, mine.signal);
+    $("report-tables").replaceChildren(...told.reports.flatMap((report, i) => tables(report, told.reports.length > 1 ? `${"AB"[i]}: ` : "")), ...differences(told));
+    $("report-tables").hidden = false;
+    $("report-state").textContent = `${shortName(recipes[0].name)}, ${lamp}, 10° observer; flop under D65, gloss and haze under C. As the recipe was when asked.`;
+  } catch (problem) {
+    if (mine === measuring) $("report-state").textContent = mine.signal.aborted ? "Cancelled." : problem.message;
+  } finally {
+    if (mine === measuring) $("report-cancel").hidden = true;
+  }
+}
+
+const cells = (tag, values, scope) => values.map((value) => {
+  const made = value instanceof Node ? el(tag, {}, value) : el(tag, { textContent: value });
+  if (scope) made.scope = scope;
+  return made;
+});
+
+function tables({ colours, numbers }, side) {
+  const made = colours.map(({ what, angles_deg, lab, srgb, travel_ab }) => {
+    const rows = angles_deg.map((angle, i) => {
+      const chip = el("span", { className: "chip", title: srgb[i] });
+      chip.style.background = srgb[i];
+      return el("tr", {}, ...cells("th", [`${angle}°`], "row"), ...cells("td", [...lab[i].map((v) => v.toFixed(1)), chip]));
+    });
+    return el("table", {}, el("caption", { textContent: `${side}${what}; travel in a*b* ${travel_ab.toFixed(1)}` }),
+      el("thead", {}, el("tr", {}, ...cells("th", ["angle", "L*", "a*", "b*", ""], "col"))), el("tbody", {}, ...rows));
+  });
+  const rows = numbers.map(([name, value]) => el("tr", {}, ...cells("th", [name], "row"), ...cells("td", [value])));
+  return [...made, el("table", {}, el("caption", { textContent: `${side}numbers` }), el("tbody", {}, ...rows))];
+}
+
+function differences({ reports, differences: found }) {
+  return Object.entries(found ?? {}).map(([name, values]) => {
+    const angles = reports[0].colours.find(({ kind }) => kind === name)?.angles_deg ?? [];
+    const rows = values.map((value, i) => el("tr", {}, ...cells("th", [`${angles[i]}°`], "row"), ...cells("td", [value.toFixed(2)])));
+    return el("table", {}, el("caption", { textContent: `CIEDE2000 between A and B, ${name}` }), el("tbody", {}, ...rows));
+  });
+}
+
+export function listenReport() {
+  $("report").addEventListener("click", measure);
+  $("report-cancel").addEventListener("click", () => measuring?.abort());
+}
