@@ -19,9 +19,9 @@ from PIL import Image
 
 import nacre
 from nacre.cli import run
-from nacre.cli.exchange import FORMATS
 from nacre.cli.make import TARGETS
 from nacre.errors import NacreError
+from nacre.exchange.formats import EXPORTS
 from nacre.families.contract import Model
 from nacre.families.registry import FAMILIES, family_names, family_spec
 from nacre.recipe.toml import dump_toml
@@ -312,10 +312,10 @@ def test_sweep(both: Both) -> None:
 
 
 @families("film", "pearl", "metasurface", "relief", "blend")
-@pytest.mark.parametrize("to", sorted(set(FORMATS) - {"lut"}))  # a folder: tests/exchange/test_lut_files.py
+@pytest.mark.parametrize("to", sorted(set(EXPORTS) - {"lut"}))  # a folder: tests/exchange/test_lut_files.py
 @pytest.mark.render
 def test_export(both: Both, to: str) -> None:
-    name = f"x{FORMATS[to]}"
+    name = f"x{EXPORTS[to]}"
     both.files(lambda path: nacre.export(both.recipe, to, path, angle_step_deg=30.0),
                ["export", str(both.recipe), "--to", to, "--angle-step-deg", "30"], name)  # fmt: skip
 

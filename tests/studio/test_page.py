@@ -2,148 +2,28 @@
 
 from __future__ import annotations
 
-import base64
-import io
-import os
 import re
-import socket
-import subprocess
-import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from helpers_browser import FLAGS, find_chromium
-from numpy.typing import NDArray
-from PIL import Image
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from helpers_studio import (
+    FILM,
+    SEEN,
+    THICKNESS,
+    Server,
+    ball,
+    field,
+    memory_of,
+    opened,
+    picture,
+    settled,
+    slider,
+    toml,
+    until,
+)
+from playwright.sync_api import Browser, Page, expect
 
 from nacre.recipe.toml import parse_toml
-
-FILM = """family = "film"  # a comment
-substrate = "Si"
-layers = [
-  {material = "SiO2", thickness_nm = 300},
-  {material = "TiO2", thickness_nm = 60},
-]
-"""
-THICKNESS = "layers[0].thickness_nm"
-SEEN = 8  # of 255: a change of the mean colour that nobody could miss
-# nothing here is about speed: a machine whose cores are all taken draws a page in seconds, and that is no failure
-PATIENCE_S = 90.0
-expect.set_options(timeout=1e3 * PATIENCE_S)
-
-
-class Server:
-    """`nacre studio` in a process of its own; `restart` kills it and starts another on the same port."""
-
-    def __init__(self, folder: Path, cache: Path) -> None:
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = free.getsockname()[1]
-        self.folder, self.cache = folder, cache
-        self.start()
-
-    def start(self) -> None:
-        command = [sys.executable, "-m", "nacre", "studio", str(self.folder), "--no-browser", "--port", str(self.port)]
-        environment = {**os.environ, "NACRE_CACHE": str(self.cache)}
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
-        assert self.process.stdout is not None
-        self.address = self.process.stdout.readline().strip()
-        assert self.address.startswith("http"), "the server said nothing"
-
-    def kill(self) -> None:
-        self.process.kill()
-        self.process.communicate()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    path = find_chromium()
-    with sync_playwright() as play:
-        running = play.chromium.launch(executable_path=path, args=FLAGS, timeout=1e3 * PATIENCE_S)
-        yield running
-        running.close()
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    folder = tmp_path_factory.mktemp("recipes")
-    (folder / "film.toml").write_text(FILM)
-    running = Server(folder, tmp_path_factory.mktemp("cache") / "nacre")
-    yield running
-    running.kill()
-
-
-@contextmanager
-def opened(browser: Browser, server: Server, **options: Any) -> Iterator[Page]:
-    """A fresh visitor's page; no error on the console, and nothing asked of anybody but the studio."""
-    context = browser.new_context(viewport={"width": 1280, "height": 800}, **options)
-    context.set_default_timeout(1e3 * PATIENCE_S)
-    page = context.new_page()
-    troubles: list[str] = []
-    page.on("pageerror", lambda error: troubles.append(str(error)))
-    page.on("console", lambda said: troubles.append(said.text) if said.type == "error" else None)
-    page.on("request", lambda request: None if is_own(request.url, server) else troubles.append(request.url))
-    page.goto(server.address)
-    page.wait_for_selector("#view[data-seq]", state="attached")
-    page.get_by_role("button", name="Close").click()
-    settled(page)
-    expect(page.locator("#view")).to_have_attribute("data-judged", "true")  # how many pixels this machine can draw
-    yield page
-    context.close()
-    # while the server is away the browser says so on the console, whatever a page does
-    assert [trouble for trouble in troubles if "ERR_CONNECTION_REFUSED" not in trouble] == []
-
-
-def is_own(url: str, server: Server) -> bool:
-    return url.startswith((f"http://127.0.0.1:{server.port}/", "blob:", "data:"))
-
-
-@pytest.fixture
-def page(browser: Browser, server: Server) -> Iterator[Page]:
-    with opened(browser, server) as fresh:
-        yield fresh
-
-
-def settled(page: Page) -> None:
-    expect(page.locator("#state")).to_have_attribute("data-kind", "settled")
-
-
-def picture(page: Page) -> NDArray[np.uint8]:
-    """The pixels of the canvas, `[row, column, 3]`."""
-    read = "document.getElementById('view').toDataURL('image/png').split(',')[1]"
-    return np.asarray(Image.open(io.BytesIO(base64.b64decode(page.evaluate(read)))).convert("RGB"))
-
-
-def ball(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """The mean colour of the canvas's middle, which the sphere covers."""
-    side = len(pixels)
-    middle: NDArray[np.float64] = pixels[side // 3 : 2 * side // 3, side // 3 : 2 * side // 3].mean(axis=(0, 1))
-    return middle
-
-
-def field(page: Page, path: str) -> Any:
-    return page.locator(f'[id="f-{path}"]')
-
-
-def slider(page: Page, path: str) -> Any:
-    return page.locator(f'[data-path="{path}"] input[type=range]')
-
-
-def toml(page: Page) -> dict[str, Any]:
-    return parse_toml(page.locator("#text").input_value(), "page")
-
-
-def until(page: Page, true: Callable[[], bool]) -> None:
-    last = time.monotonic() + PATIENCE_S
-    while not true() and time.monotonic() < last:
-        page.wait_for_timeout(30)
-    assert true()
 
 
 def test_the_sphere_is_not_black_and_follows_the_slider(page: Page) -> None:
@@ -314,11 +194,6 @@ def test_dragging_for_a_while_ends_with_the_last_value(page: Page, server: Serve
     assert memory_of(server) < 1.05 * resident + 8e6
 
 
-def memory_of(server: Server) -> float:
-    status = Path(f"/proc/{server.process.pid}/statm")
-    return float(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if status.exists() else 0.0
-
-
 @pytest.mark.full
 def test_a_slow_family_is_drafted_and_settles_by_itself(page: Page, server: Server) -> None:
     kinds = """() => { window.kinds = [];
@@ -346,48 +221,3 @@ def test_the_settled_picture_comes_and_the_page_stays_free(page: Page, server: S
     until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 90)
     expect(page.locator("#picture")).to_be_visible()
     assert page.evaluate("document.getElementById('picture').naturalWidth") == 192
-
-
-STRUCTURES = [
-    ("bragg-mirror", "20 layers, 1461 nm in all, to scale", 21),
-    ("pearl/bottle3", "1 stratum, 150 µm; below a section of its flakes", 5),
-    ("metasurface/silver_on_oxide", "spheres of 180 nm, 1 layer, 400 nm in all, to scale", 3),
-    ("relief/star", "25.6 µm wide", 1),
-    ("glass/polystyrene_black", "a piece of a layer of 20 µm", 10),
-]
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("example, words, parts", STRUCTURES)
-def test_the_structure_is_drawn(page: Page, example: str, words: str, parts: int) -> None:
-    choose = "(e, name) => { e.value = 'example:' + name; e.dispatchEvent(new Event('change')); }"
-    page.locator("#all-examples").evaluate(choose, example)
-    expect(page.locator("#structure-text")).to_contain_text(words)
-    assert page.locator("#structure .part").count() >= parts
-    assert page.locator("#structure .part").first.evaluate("(e) => e.getBBox().height") > 0
-
-
-@pytest.mark.full
-def test_layers_are_drawn_to_scale(page: Page) -> None:
-    heights = "() => [...document.querySelectorAll('#structure rect.part')].map((e) => e.getBBox().height)"
-    tall = page.evaluate(heights)
-    assert tall[0] / tall[1] == pytest.approx(300 / 60, rel=0.02)
-    slider(page, THICKNESS).fill("120")
-    until(page, lambda: "180 nm in all" in page.locator("#structure-text").inner_text())
-    tall = page.evaluate(heights)
-    assert tall[0] / tall[1] == pytest.approx(2, rel=0.02)
-
-
-@pytest.mark.full
-def test_the_report_comes_while_the_page_stays_free_and_can_be_cancelled(page: Page) -> None:
-    page.get_by_role("button", name="Measure").click()
-    page.locator("#report-cancel").click()
-    expect(page.locator("#report-state")).to_have_text("Cancelled.")
-    page.get_by_role("button", name="Keep as B").click()
-    slider(page, THICKNESS).fill("200")
-    until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 200)
-    page.get_by_role("button", name="Measure").click()
-    slider(page, THICKNESS).fill("90")  # while it is measured
-    until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 90)
-    expect(page.locator("#report-tables caption").last).to_contain_text("CIEDE2000 between A and B")
-    expect(page.locator("#report-tables")).to_contain_text("gloss 60 degrees")

@@ -380,41 +380,6 @@ def test_materials_are_found_by_name(page: TestClient) -> None:
     assert page.get("/api/indices", params={"q": "no such thing at all"}).json()["found"] == []
 
 
-REPORTS: list[dict[str, Any]] = [
-    {},
-    {"recipes": []},
-    {"recipes": [{"text": FILM, "name": "film.toml"}] * 3},
-    {"recipes": [{"text": FILM}]},
-    {"recipes": [{"text": FILM, "name": "../secret.toml"}]},
-    {"recipes": [{"text": FILM, "name": "film.toml"}], "lamp": "candle"},
-    {"recipes": [{"text": "#" * 400_000, "name": "film.toml"}]},
-]
-
-
-@pytest.mark.parametrize("body", REPORTS)
-def test_a_report_that_cannot_be_is_one_line(page: TestClient, body: dict[str, Any]) -> None:
-    answer = page.post("/api/report", json=body)
-    assert answer.status_code == 422 and "\n" not in answer.json()["error"]
-
-
-def test_the_report_is_that_of_the_command_and_tells_two_recipes_apart(page: TestClient, folder: Path) -> None:
-    other = FILM.replace("300", "290")
-    recipes = [{"text": text, "name": "film.toml"} for text in (FILM, other)]
-    told = page.post("/api/report", json={"recipes": recipes, "lamp": "A"}).json()
-    (folder / "other.toml").write_text(other)
-    wanted = [nacre.report(folder / name, illuminant="A") for name in ("film.toml", "other.toml")]
-    for report, own in zip(told["reports"], wanted, strict=True):
-        mirror = next(table for table in report["colours"] if table["kind"] == "specular")
-        assert own.specular is not None
-        np.testing.assert_allclose(mirror["lab"], own.specular.lab, atol=1e-9)
-        assert [name for name, _ in report["numbers"]][:2] == ["flop index (Alman)", "gloss 20 degrees (GU)"]
-    assert wanted[0].specular is not None and wanted[1].specular is not None
-    far = delta_e_2000(wanted[0].specular.lab, wanted[1].specular.lab)
-    np.testing.assert_allclose(told["differences"]["specular"], far, atol=1e-9)
-    wrong = page.post("/api/report", json={"recipes": [{"text": FILM.replace("Si", "Xx"), "name": "film.toml"}]})
-    assert wrong.status_code == 422 and "Xx" in wrong.json()["error"] and "\n" not in wrong.json()["error"]
-
-
 def test_a_relief_comes_with_a_line_of_its_heights(page: TestClient, folder: Path) -> None:
     heights = np.zeros((8, 8))
     heights[2:5, 3] = 0.4

@@ -10,16 +10,12 @@ import click
 
 from nacre.cli import common
 from nacre.errors import NacreError
-
-FORMATS = {
-    "rgl": ".bsdf", "merl": ".binary", "csv": ".csv", "zemax": ".bsdf", "gltf": ".gltf", "materialx": ".mtlx",
-    "exr": ".exr", "nacre": ".nacre", "lut": "-lut",
-}  # fmt: skip
+from nacre.exchange.formats import EXPORTS, FOLDER, said_of
 
 
 @click.command()
 @click.argument("recipe")
-@click.option("--to", "target", required=True, type=click.Choice(sorted(FORMATS)))
+@click.option("--to", "target", required=True, type=click.Choice(sorted(EXPORTS)))
 @click.option(
     "-o", "output", default=None, metavar="FILE", help="Default: RECIPE with the format's suffix; lut: a folder."
 )
@@ -39,9 +35,9 @@ def export(
     from nacre.files import check_writable
     from nacre.study.foreign import export_material
 
-    path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}{FORMATS[target]}")
+    path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}{EXPORTS[target]}")
     options: dict[str, Any] = {"angle_step_deg": angle_step_deg, "wavelength_nm": wavelength_nm}
-    if target == "lut":
+    if target == FOLDER:
         check_folder(path)
         options |= {"illuminant": illuminant or "D65", "progress": lambda what: common.note(f"{what} ...")}
     else:
@@ -54,24 +50,8 @@ def export(
         click.echo(json.dumps(facts))
         return
     common.note(str(path))
-    for line in _lines(facts):
+    for line in said_of(facts):
         common.note(line)
-
-
-def _lines(facts: dict[str, Any]) -> list[str]:
-    lines = []
-    if "residual_delta_e_2000" in facts:
-        film = facts["film"]
-        lines.append(
-            f"one film of {film['thickness_nm']:.1f} nm, n = {film['film_ior']:.3f}; "
-            f"dE00 {facts['residual_delta_e_2000']:.2f} on the mean of the angles"
-        )
-    for what, told in facts.get("errors_dE00", {}).items():
-        lines.append(
-            f"{what}: dE00 {told['mean']:.2f} mean, {told['max']:.2f} at most; PNG {told['mean_png']:.2f}, "
-            f"{told['max_png']:.2f}"
-        )
-    return lines + [f"not held: {what}" for what in facts["lost"]]
 
 
 @click.command(name="import")

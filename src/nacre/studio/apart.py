@@ -13,10 +13,11 @@ from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
 from nacre.errors import NacreError
+from nacre.studio.made import made
 from nacre.studio.measured import measured
 from nacre.studio.picture import drawn
 
-WORK: dict[str, Callable[[Mapping[str, Any]], bytes]] = {"picture": drawn, "report": measured}
+WORK: dict[str, Callable[[Mapping[str, Any]], bytes]] = {"picture": drawn, "report": measured, "file": made}
 LOOKED_UP_S = 0.2
 
 
@@ -64,7 +65,7 @@ def main() -> int:
     """Read one question from stdin and write the answer to stdout; one line on stderr where there is none."""
     try:
         made = WORK[sys.argv[1]](json.loads(sys.stdin.read()))
-    except NacreError as error:
+    except NacreError as error:  # its one line is all that the page is to see
         sys.stderr.write(f"nacre: {error}\n")
         return 2
     except MemoryError:

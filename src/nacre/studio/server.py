@@ -11,6 +11,7 @@ import webbrowser
 from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
 from typing import Any
+from urllib.parse import quote
 
 import click
 import uvicorn
@@ -30,7 +31,8 @@ from nacre.studio.apart import run_apart
 from nacre.studio.edit import line_of
 from nacre.studio.folder import EXAMPLE, MAX_TEXT, STARTS, Opened, mark_of
 from nacre.studio.form import family_form
-from nacre.studio.measured import read_recipes
+from nacre.studio.made import read_wanted, targets, unpacked
+from nacre.studio.measured import built, placed, read_recipes
 from nacre.studio.picture import read_question
 from nacre.studio.security import Asgi, Gate, kept_token, new_token
 from nacre.studio.session import MAX_MESSAGE, Session
@@ -44,6 +46,8 @@ MAX_SESSIONS = 64
 MAX_FOUND = 40
 MAX_BODY = 2 * MAX_MESSAGE  # two recipes
 MEDIA = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".jpg": "image/jpeg"}
+SAID = "x-nacre-said"  # header of a file: what an export came to, as JSON
+MOST_S_OF_A_FILE = 1800.0
 TABLES = "table.glsl"
 BAD_INPUT, TOO_LARGE, NOT_FOUND = 422, 413, 404
 
@@ -143,12 +147,34 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
             return _told(error)
         return Response(made, media_type="application/json")
 
-    async def work(request: Request, kind: str, question: dict[str, Any]) -> bytes:
+    async def wanted(request: Request) -> Response:
+        def look(recipe: dict[str, str]) -> dict[str, list[str]]:
+            return targets(built(recipe))
+
+        try:
+            recipe = placed(await _body(request), opened)
+            return JSONResponse(await asyncio.get_running_loop().run_in_executor(workers, look, recipe))
+        except NacreError as error:
+            return _told(error)
+
+    async def file(request: Request) -> Response:
+        try:
+            packed = await work(request, "file", read_wanted(await _body(request), opened), MOST_S_OF_A_FILE)
+        except NacreError as error:
+            return _told(error)
+        header, content = unpacked(packed)
+        headers = {
+            "content-disposition": f"attachment; filename*=UTF-8''{quote(header['name'])}",
+            SAID: json.dumps(header["said"]),  # ASCII
+        }
+        return Response(content, media_type="application/octet-stream", headers=headers)
+
+    async def work(request: Request, kind: str, question: dict[str, Any], most_seconds: float = 300.0) -> bytes:
         async def is_wanted() -> bool:
             return not await request.is_disconnected()
 
         async with apart:
-            return await run_apart(kind, question, is_wanted)
+            return await run_apart(kind, question, is_wanted, most_seconds)
 
     async def talk(websocket: WebSocket) -> None:
         if len(talking) >= MAX_SESSIONS:
@@ -174,6 +200,8 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
             Route("/api/save", save, methods=["POST"]),
             Route("/api/picture", picture, methods=["POST"]),
             Route("/api/report", report, methods=["POST"]),
+            Route("/api/targets", wanted, methods=["POST"]),
+            Route("/api/file", file, methods=["POST"]),
             WebSocketRoute("/ws", talk),
         ]
     )

@@ -6,6 +6,7 @@ import { $, api, app, el, shortName, tell } from "./common.js";
 import { listRecipes, listenFiles, open, saveHere, welcome } from "./files.js";
 import { drawStructure } from "./drawing.js";
 import { Form } from "./form.js";
+import { listenMaker } from "./maker.js";
 import { valueAt } from "./recipe.js";
 import { listenReport } from "./report.js";
 import { listenSettled, render } from "./settled.js";
@@ -146,6 +147,7 @@ function listen() {
   listenFiles({ setError, showRecipe, tab });
   listenSettled();
   listenReport();
+  listenMaker();
   listenCompare({ chart, go: step, showRecipe, listRecipes });
   click("undo", () => step(-1));
   click("redo", () => step(1));

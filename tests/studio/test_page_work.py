@@ -1,0 +1,70 @@
+"""The page in a browser: the structure that is drawn, the report, the files to take away."""
+
+from __future__ import annotations
+
+import pytest
+from helpers_studio import THICKNESS, Server, slider, toml, until
+from playwright.sync_api import Page, expect
+
+STRUCTURES = [
+    ("bragg-mirror", "20 layers, 1461 nm in all, to scale", 21),
+    ("pearl/bottle3", "1 stratum, 150 µm; below a section of its flakes", 5),
+    ("metasurface/silver_on_oxide", "spheres of 180 nm, 1 layer, 400 nm in all, to scale", 3),
+    ("relief/star", "25.6 µm wide", 1),
+    ("glass/polystyrene_black", "a piece of a layer of 20 µm", 10),
+]
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("example, words, parts", STRUCTURES)
+def test_the_structure_is_drawn(page: Page, example: str, words: str, parts: int) -> None:
+    choose = "(e, name) => { e.value = 'example:' + name; e.dispatchEvent(new Event('change')); }"
+    page.locator("#all-examples").evaluate(choose, example)
+    expect(page.locator("#structure-text")).to_contain_text(words)
+    assert page.locator("#structure .part").count() >= parts
+    assert page.locator("#structure .part").first.evaluate("(e) => e.getBBox().height") > 0
+
+
+@pytest.mark.full
+def test_layers_are_drawn_to_scale(page: Page) -> None:
+    heights = "() => [...document.querySelectorAll('#structure rect.part')].map((e) => e.getBBox().height)"
+    tall = page.evaluate(heights)
+    assert tall[0] / tall[1] == pytest.approx(300 / 60, rel=0.02)
+    slider(page, THICKNESS).fill("120")
+    until(page, lambda: "180 nm in all" in page.locator("#structure-text").inner_text())
+    tall = page.evaluate(heights)
+    assert tall[0] / tall[1] == pytest.approx(2, rel=0.02)
+
+
+@pytest.mark.full
+def test_the_report_comes_while_the_page_stays_free_and_can_be_cancelled(page: Page) -> None:
+    page.get_by_role("button", name="Measure").click()
+    page.locator("#report-cancel").click()
+    expect(page.locator("#report-state")).to_have_text("Cancelled.")
+    page.get_by_role("button", name="Keep as B").click()
+    slider(page, THICKNESS).fill("200")
+    until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 200)
+    page.get_by_role("button", name="Measure").click()
+    slider(page, THICKNESS).fill("90")  # while it is measured
+    until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 90)
+    expect(page.locator("#report-tables caption").last).to_contain_text("CIEDE2000 between A and B")
+    expect(page.locator("#report-tables")).to_contain_text("gloss 60 degrees")
+
+
+@pytest.mark.full
+def test_files_are_made_by_keyboard_and_come_as_downloads(page: Page, server: Server) -> None:
+    page.get_by_role("button", name="Make a file").focus()
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("dialog", name="Make a file")).to_be_visible()
+    expect(page.locator("#file-to option", has_text="sheet")).to_be_attached()
+    page.get_by_label("Format").focus()
+    page.keyboard.type("sheet")
+    expect(page.locator("#file-about")).to_contain_text("layers")
+    with page.expect_download() as given:
+        page.locator("#file-make").focus()
+        page.keyboard.press("Enter")
+    assert given.value.suggested_filename == "film-sheet.csv"
+    assert "TiO2" in given.value.path().read_text()
+    page.keyboard.press("Escape")
+    expect(page.locator("#files")).to_be_hidden()
+    assert [path.name for path in server.folder.iterdir()] == ["film.toml"]
