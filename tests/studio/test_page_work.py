@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
-from helpers_studio import THICKNESS, Server, slider, toml, until
+from helpers_studio import SEEN, THICKNESS, Server, ball, picture, slider, toml, until
 from playwright.sync_api import Page, expect
 
 STRUCTURES = [
@@ -57,7 +60,7 @@ def test_files_are_made_by_keyboard_and_come_as_downloads(page: Page, server: Se
     page.keyboard.press("Enter")
     expect(page.get_by_role("dialog", name="Make a file")).to_be_visible()
     expect(page.locator("#file-to option", has_text="sheet")).to_be_attached()
-    page.get_by_label("Format").focus()
+    page.locator("#file-to").focus()
     page.keyboard.type("sheet")
     expect(page.locator("#file-about")).to_contain_text("layers")
     with page.expect_download() as given:
@@ -68,3 +71,42 @@ def test_files_are_made_by_keyboard_and_come_as_downloads(page: Page, server: Se
     page.keyboard.press("Escape")
     expect(page.locator("#files")).to_be_hidden()
     assert [path.name for path in server.folder.iterdir()] == ["film.toml"]
+
+
+@pytest.mark.full
+def test_another_object_is_drawn_turned_by_keys_and_follows_the_slider(page: Page) -> None:
+    sphere = picture(page)
+    page.locator("#object").select_option("knob")
+    expect(page.locator("#view")).to_have_attribute("data-object", "knob")
+    knob = picture(page)
+    assert np.abs(knob.astype(int) - sphere).mean() > 3 and ball(knob).max() > 20
+    slider(page, THICKNESS).fill("110")
+    until(page, lambda: bool(np.abs(ball(picture(page)) - ball(knob)).max() > SEEN))
+    before = picture(page)
+    page.locator("#view").focus()
+    for _ in range(6):
+        page.keyboard.press("ArrowRight")
+    until(page, lambda: bool(np.abs(picture(page).astype(int) - before).mean() > 1))
+    page.get_by_role("button", name="Front view").click()
+    until(page, lambda: bool(np.array_equal(picture(page), before)))
+    page.get_by_label("lines of u, v").check()
+    until(page, lambda: bool(np.abs(picture(page).astype(int) - before).mean() > 0.5))
+    page.locator("#object").select_option("sphere")
+    expect(page.locator("#view")).to_have_attribute("data-object", "sphere")
+
+
+@pytest.mark.full
+def test_an_own_mesh_is_drawn_and_a_broken_one_is_one_line(page: Page, tmp_path: Path) -> None:
+    before = picture(page)
+    corners = "v -1 0 -1\nv 1 0 -1\nv 1 0 1\nv -1 0 1\nv 0 2 0\n"
+    (tmp_path / "tent.obj").write_text(corners + "f 1 5 2\nf 2 5 3\nf 3 5 4\nf 4 5 1\nf 1 2 3\nf 1 3 4\n")
+    (tmp_path / "broken.stl").write_text("solid nothing")
+    page.locator("#own-mesh").set_input_files(tmp_path / "tent.obj")
+    expect(page.locator("#view")).to_have_attribute("data-object", "own")
+    tent = picture(page)
+    assert np.abs(tent.astype(int) - before).mean() > 3
+    page.locator("#own-mesh").set_input_files(tmp_path / "broken.stl")
+    expect(page.locator("#object-error")).to_contain_text("broken.stl")
+    np.testing.assert_array_equal(picture(page), tent)
+    page.locator("#up").select_option("x")  # asks for the last file again
+    expect(page.locator("#object-error")).to_contain_text("broken.stl")

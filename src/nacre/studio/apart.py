@@ -15,9 +15,15 @@ from typing import Any
 from nacre.errors import NacreError
 from nacre.studio.made import made
 from nacre.studio.measured import measured
+from nacre.studio.objects import own_mesh
 from nacre.studio.picture import drawn
 
-WORK: dict[str, Callable[[Mapping[str, Any]], bytes]] = {"picture": drawn, "report": measured, "file": made}
+WORK: dict[str, Callable[[Mapping[str, Any]], bytes]] = {
+    "picture": drawn,
+    "report": measured,
+    "file": made,
+    "mesh": own_mesh,
+}
 LOOKED_UP_S = 0.2
 
 

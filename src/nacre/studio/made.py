@@ -25,6 +25,7 @@ from nacre.materials.material import Material
 from nacre.materials.number_maps import number_maps
 from nacre.studio.folder import Opened
 from nacre.studio.measured import built, placed
+from nacre.studio.picture import shape_of
 
 MAX_FILE = 96 << 20  # bytes that are sent; the command writes larger ones
 MAX_SAID = 30
@@ -158,7 +159,7 @@ def _picture(material: Material, question: Mapping[str, Any], folder: Path, stem
     view = [options.pop(key, None) for key in ("azimuth", "elevation")]
     size = [options.pop(key, None) for key in ("width", "height")]
     result = render(
-        material, scene, illuminant=question["lamp"], size=None if None in size else tuple(size),
+        material, scene, **shape_of(question), illuminant=question["lamp"], size=None if None in size else tuple(size),
         view=None if None in view or scene == "screen" else view, output=folder / f"{stem}-{scene}{question['to']}",
         progress=False, **({} if scene == "screen" else options),
     )  # fmt: skip

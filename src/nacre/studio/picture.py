@@ -35,6 +35,11 @@ def read_question(body: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def shape_of(question: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of a picture of an own mesh, or none: it is kept with z up."""
+    return {"shape": question["shape"], "up": "z"} if question.get("shape") else {}
+
+
 def drawn(question: Mapping[str, Any]) -> bytes:
     """Return the PNG of a question with `path` and `fence`, denoised.
 
@@ -53,8 +58,9 @@ def drawn(question: Mapping[str, Any]) -> bytes:
     material = build(question["text"], path.name, path.parent, Path(question["fence"]))
     side = question["size"]
     result = render(
-        material, question["scene"], light="studio", illuminant=question["lamp"], size=(side, side),
-        seconds=question["seconds"], exposure=0.0 if question["scene"] == "sphere" else "auto", progress=False,
+        material, question["scene"], **shape_of(question), light="studio", illuminant=question["lamp"],
+        size=(side, side), seconds=question["seconds"],
+        exposure=0.0 if question["scene"] == "sphere" else "auto", progress=False,
     )  # fmt: skip
     pixels = (255.0 * srgb_encode(clip_to_srgb(result.rgb).rgb) + 0.5).astype("uint8")
     held = io.BytesIO()

@@ -10,6 +10,7 @@ import threading
 import webbrowser
 from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
@@ -33,6 +34,7 @@ from nacre.studio.folder import EXAMPLE, MAX_TEXT, STARTS, Opened, mark_of
 from nacre.studio.form import family_form
 from nacre.studio.made import read_wanted, targets, unpacked
 from nacre.studio.measured import built, placed, read_recipes
+from nacre.studio.objects import MAX_UPLOAD, OBJECTS, OwnMeshes, packed_object, read_upload
 from nacre.studio.picture import read_question
 from nacre.studio.security import Asgi, Gate, kept_token, new_token
 from nacre.studio.session import MAX_MESSAGE, Session
@@ -62,6 +64,7 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
     """
     workers = ThreadPoolExecutor(SOLVERS, thread_name_prefix="nacre-studio")
     apart = asyncio.Semaphore(APART)
+    meshes = OwnMeshes()
     talking: set[Session] = set()
     page = _page_files()
 
@@ -88,6 +91,7 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
                 "families": sorted(known),
                 "starts": [_example(shipped[name]) for name in chosen],
                 "examples": [_example(e) for e in shipped.values() if {e.family} <= known],
+                "objects": OBJECTS,
                 "surround": {"rows": ROWS, "columns": 2 * ROWS, "alphas": ALPHAS},
             }
 
@@ -133,7 +137,8 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
 
     async def picture(request: Request) -> Response:
         try:
-            question = read_question(await _body(request))
+            body = await _body(request)
+            question = {**read_question(body), **shape(body)}
             path, fence = opened.place(question["name"])
             png = await work(request, "picture", {**question, "path": str(path), "fence": str(fence)})
         except NacreError as error:
@@ -159,7 +164,9 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
 
     async def file(request: Request) -> Response:
         try:
-            packed = await work(request, "file", read_wanted(await _body(request), opened), MOST_S_OF_A_FILE)
+            body = await _body(request)
+            question = {**read_wanted(body, opened), **shape(body)}
+            packed = await work(request, "file", question, MOST_S_OF_A_FILE)
         except NacreError as error:
             return _told(error)
         header, content = unpacked(packed)
@@ -168,6 +175,35 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
             SAID: json.dumps(header["said"]),  # ASCII
         }
         return Response(content, media_type="application/octet-stream", headers=headers)
+
+    async def thing(request: Request) -> Response:
+        try:
+            name = request.query_params.get("name", "")
+            packed = await asyncio.get_running_loop().run_in_executor(workers, packed_object, name)
+        except NacreError as error:
+            return _told(error)
+        return Response(packed, media_type="application/octet-stream")
+
+    async def mesh(request: Request) -> Response:
+        name, up = (request.query_params.get(key, "") for key in ("name", "up"))
+        name = name.rpartition("/")[2][-80:]
+        identity, came = "", None
+        try:
+            identity, came, keep = meshes.place(read_upload(name, up))
+            await _upload(request, came, name)
+            question = {"path": str(came), "name": name, "up": up, "keep": str(keep), "id": identity}
+            packed = await work(request, "mesh", question)
+        except NacreError as error:
+            meshes.drop(identity)
+            return _told(error)
+        finally:
+            if came is not None:
+                came.unlink(missing_ok=True)
+        return Response(packed, media_type="application/octet-stream")
+
+    def shape(body: dict[str, Any]) -> dict[str, Any]:
+        wanted = body.get("mesh")
+        return {"shape": str(meshes.path(str(wanted)))} if wanted else {}
 
     async def work(request: Request, kind: str, question: dict[str, Any], most_seconds: float = 300.0) -> bytes:
         async def is_wanted() -> bool:
@@ -200,6 +236,8 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
             Route("/api/save", save, methods=["POST"]),
             Route("/api/picture", picture, methods=["POST"]),
             Route("/api/report", report, methods=["POST"]),
+            Route("/api/object", thing),
+            Route("/api/mesh", mesh, methods=["POST"]),
             Route("/api/targets", wanted, methods=["POST"]),
             Route("/api/file", file, methods=["POST"]),
             WebSocketRoute("/ws", talk),
@@ -240,6 +278,17 @@ async def _body(request: Request) -> dict[str, Any]:
     if not isinstance(body, dict):
         raise NacreError("what was sent is not a table")
     return body
+
+
+async def _upload(request: Request, path: Path, name: str) -> None:
+    """Write what is sent into a file."""
+    size = 0
+    with open(path, "wb") as file:
+        async for chunk in request.stream():
+            size += len(chunk)
+            if size > MAX_UPLOAD:
+                raise NacreError(f"{name}: a mesh of more than {MAX_UPLOAD >> 20} MiB; the page takes no larger ones")
+            file.write(chunk)
 
 
 def open_port(port: int | None) -> socket.socket:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -57,11 +58,15 @@ def subject_parts(shape: str | Path, scene: Scene, up: str | None = None) -> lis
     return [Part(stand_on_floor(read_mesh(path, up), scene))]
 
 
-def read_mesh(path: Path, up: str | None = None) -> Mesh:
-    """Read a mesh as one surface with normals and uv, turned so that z is up (`up`: see `subject_parts`).
+def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh:
+    """Read a mesh as one surface with normals and uv, turned so that z is up.
 
     Without uv of its own, a mesh is wrapped: u runs once round the vertical axis, v up from the lowest point to the
     highest.
+
+    Args:
+        path: the file; up: see `subject_parts`.
+        is_alone: files that it names are not read; what needs them cannot be.
 
     Raises:
         NacreError: missing, unreadable, empty or too large.
@@ -76,7 +81,12 @@ def read_mesh(path: Path, up: str | None = None) -> Mesh:
         raise NacreError(f"shape {path}: {path.stat().st_size} bytes; a mesh has at most {MAX_MESH_BYTES}")
     check_memory(float(BYTES_A_BYTE) * path.stat().st_size, f"shape {path}: read as a mesh, it")
     try:
-        mesh: Any = trimesh.load(str(path), force="mesh", process=False)
+        if is_alone:
+            # bytes alone have no folder in which other files would be looked for
+            kind, content = path.suffix.lower().removeprefix("."), io.BytesIO(path.read_bytes())
+            mesh: Any = trimesh.load(content, file_type=kind, force="mesh", process=False)
+        else:
+            mesh = trimesh.load(str(path), force="mesh", process=False)
         vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
         normals = np.asarray(mesh.vertex_normals, dtype=np.float64)
     except Exception:  # every format's parser raises its own kind, in words of its own; all mean: not a mesh

@@ -7,6 +7,7 @@ import { listRecipes, listenFiles, open, saveHere, welcome } from "./files.js";
 import { drawStructure } from "./drawing.js";
 import { Form } from "./form.js";
 import { listenMaker } from "./maker.js";
+import { listObjects, listenObjects } from "./objects.js";
 import { valueAt } from "./recipe.js";
 import { listenReport } from "./report.js";
 import { listenSettled, render } from "./settled.js";
@@ -148,6 +149,7 @@ function listen() {
   listenSettled();
   listenReport();
   listenMaker();
+  listenObjects();
   listenCompare({ chart, go: step, showRecipe, listRecipes });
   click("undo", () => step(-1));
   click("redo", () => step(1));
@@ -196,6 +198,7 @@ async function start() {
   app.state = await api("api/state");
   app.wire = new Wire((seq) => (recipe.name ? { ...recipe.question(seq), ...beside(), lamp: $("lamp").value } : null), onAnswer, onState);
   welcome();
+  listObjects();
   if (recipe.recall()) {
     listRecipes();
     $("text").value = recipe.text;

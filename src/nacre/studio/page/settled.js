@@ -1,13 +1,14 @@
 // The settled picture: asked for, rendered by Mitsuba while the page stays free.
 
 import { $, app, ask, shortName, wholeText } from "./common.js";
+import { meshOf } from "./objects.js";
 
 let rendering = null;
 
 export async function render() {
   rendering?.abort();
   const mine = (rendering = new AbortController());
-  const wanted = { text: await wholeText(), name: app.recipe.name, lamp: $("lamp").value, scene: $("scene").value, size: Number($("size").value), seconds: Number($("seconds").value) };
+  const wanted = { text: await wholeText(), name: app.recipe.name, lamp: $("lamp").value, scene: $("scene").value, size: Number($("size").value), seconds: Number($("seconds").value), ...meshOf() };
   $("cancel").hidden = false;
   $("render-state").textContent = "Rendering; the page stays free.";
   try {

@@ -1,19 +1,22 @@
 // The object on its stage, turned by the pointer or by keys; one look, or two side by side.
 
-import { FRAGMENT, VERTEX } from "./shaders.js";
+import { BALL, COVER, MESH, MESH_VERTEX, SHADE } from "./shaders.js";
 
-const DISTANCE = Math.hypot(8.6, 1.77), TARGET = [0, 0, 0.93], FOV = 19;  // the camera of pictures of a sphere
+// the camera of pictures of a sphere, and the shade below it
+const SPHERE = { distance: Math.hypot(8.6, 1.77), target: [0, 0, 0.93], fov: 19, foot: [0, 0, 1, 1], azimuth: 0, elevation: 11.63 };
+const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "plain", "part", "grid", "facing", "kind", "depth"];
+const FINER = 2;        // triangles are drawn at twice the size, so that their edges are smooth
+const MOST_PARTS = 8;
 const SLOW_MS = 20, FEWEST = 400;  // pixels a side
-const FRONT = { azimuth: 0, elevation: 11.63 };
 
 export class View {
   // Throws where the browser has no WebGL2; `tables` is the text of the exported shaders.
   constructor(canvas, onTurn, tables) {
-    const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, preserveDrawingBuffer: true });
+    const gl = canvas.getContext("webgl2", { antialias: false, preserveDrawingBuffer: true });
     if (!gl) throw new Error("no WebGL2");
-    Object.assign(this, { canvas, gl, onTurn, tables, look: null, other: null, side: "a", split: 0.5, room: null, exposure: 0, ...FRONT, isAsked: false, most: 1024, trials: 3 });
+    Object.assign(this, { canvas, gl, onTurn, tables, look: null, other: null, side: "a", split: 0.5, room: null, exposure: 0, object: SPHERE, grid: false, azimuth: SPHERE.azimuth, elevation: SPHERE.elevation, isAsked: false, most: 1024, trials: 3 });
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
-    canvas.addEventListener("webglcontextrestored", () => { this.uploaded = null; this.build(); this.upload(); this.draw(); });
+    canvas.addEventListener("webglcontextrestored", () => { this.uploaded = null; this.build(); this.upload(); this.setObject(this.object, true); });
     this.build();
     new ResizeObserver(() => this.resize()).observe(canvas);
     this.listen();
@@ -21,29 +24,36 @@ export class View {
 
   build() {
     const gl = this.gl;
-    const program = gl.createProgram();
-    for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, `#version 300 es\n${this.tables}${FRAGMENT}`]]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, source);
-      gl.compileShader(shader);
-      gl.attachShader(program, shader);
-    }
-    gl.linkProgram(program);
-    if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) throw new Error("no WebGL2");
-    gl.useProgram(program);
-    this.at = Object.fromEntries(["table", "first", "room", "eye", "right", "up", "ahead", "size", "alpha", "gloss", "layers", "exposure", "level"]
-      .map((name) => [name, gl.getUniformLocation(program, name)]));
+    const made = (vertex, fragment) => {
+      const program = gl.createProgram();
+      for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, `#version 300 es\n${this.tables}${fragment}`]]) {
+        const shader = gl.createShader(kind);
+        gl.shaderSource(shader, source);
+        gl.compileShader(shader);
+        gl.attachShader(program, shader);
+      }
+      gl.linkProgram(program);
+      if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) throw new Error("no WebGL2");
+      gl.useProgram(program);
+      const at = Object.fromEntries(UNIFORMS.map((name) => [name, gl.getUniformLocation(program, name)]));
+      ["table", "room", "facing", "kind", "depth"].forEach((name, unit) => { if (at[name]) gl.uniform1i(at[name], unit); });
+      return { program, at };
+    };
+    this.ball = made(COVER, BALL);
+    this.mesh = this.shade = this.buffer = this.corners = null;
+    this.makeMesh = () => {     // when one is first wanted
+      this.mesh ??= made(MESH_VERTEX, MESH);
+      this.shade ??= made(COVER, SHADE);
+    };
     this.tableTexture = this.texture(0, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE);
     this.roomTexture = this.texture(1, gl.TEXTURE_2D_ARRAY, gl.REPEAT);
-    gl.uniform1i(this.at.table, 0);
-    gl.uniform1i(this.at.room, 1);
   }
 
-  texture(unit, kind, wrap) {
+  texture(unit, kind, wrap, filter = this.gl.LINEAR) {
     const gl = this.gl, made = gl.createTexture();
     gl.activeTexture(gl.TEXTURE0 + unit);
     gl.bindTexture(kind, made);
-    for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(kind, filter, gl.LINEAR);
+    for (const way of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(kind, way, filter);
     gl.texParameteri(kind, gl.TEXTURE_WRAP_S, wrap);
     gl.texParameteri(kind, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
     return made;
@@ -107,26 +117,36 @@ export class View {
     this.draw();
   }
 
+  // An object from the server (see objects.js), or null for the sphere; the view goes where its pictures are taken from.
+  setObject(object, isSame = false) {
+    const gl = this.gl;
+    this.object = object ?? SPHERE;
+    if (this.corners) for (const one of [this.corners, this.order]) gl.deleteBuffer(one);
+    this.corners = null;
+    if (this.object.places) {
+      this.makeMesh();
+      this.corners = gl.createBuffer();
+      this.order = gl.createBuffer();
+      gl.bindBuffer(gl.ARRAY_BUFFER, this.corners);
+      gl.bufferData(gl.ARRAY_BUFFER, this.object.places, gl.STATIC_DRAW);
+      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.order);
+      gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, this.object.order, gl.STATIC_DRAW);
+      [[0, 3, 0], [1, 3, 12], [2, 2, 24]].forEach(([at, count, offset]) => {
+        gl.enableVertexAttribArray(at);
+        gl.vertexAttribPointer(at, count, gl.FLOAT, false, 32, offset);
+      });
+    } else for (const at of [0, 1, 2]) gl.disableVertexAttribArray(at);
+    if (!isSame) Object.assign(this, { azimuth: this.object.azimuth, elevation: this.object.elevation });
+    this.draw();
+  }
+
   draw() {
     const gl = this.gl;
     if (!this.look || !this.room || gl.isContextLost()) return;
-    const azimuth = (this.azimuth * Math.PI) / 180, elevation = (this.elevation * Math.PI) / 180;
-    const toEye = [Math.sin(azimuth) * Math.cos(elevation), -Math.cos(azimuth) * Math.cos(elevation), Math.sin(elevation)];
-    const half = Math.tan((FOV * Math.PI) / 360);
-    const right = [Math.cos(azimuth) * half, Math.sin(azimuth) * half, 0];
-    const up = [-Math.sin(azimuth) * Math.sin(elevation) * half, Math.cos(azimuth) * Math.sin(elevation) * half, Math.cos(elevation) * half];
-    gl.viewport(0, 0, this.canvas.width, this.canvas.height);
-    gl.uniform3fv(this.at.eye, TARGET.map((t, i) => t + DISTANCE * toEye[i]));
-    gl.uniform3fv(this.at.ahead, toEye.map((x) => -x));
-    gl.uniform3fv(this.at.right, right);
-    gl.uniform3fv(this.at.up, up);
-    gl.uniform2f(this.at.size, this.canvas.width, this.canvas.height);
-    gl.uniform1f(this.at.layers, this.room.layers);
-    gl.uniform1f(this.at.level, this.room.level);
-    gl.uniform1f(this.at.exposure, this.exposure);
-    const began = performance.now();
-    const { width } = this.canvas, side = this.other ? this.side : "a";
+    const { width, height } = this.canvas, side = this.other ? this.side : "a", began = performance.now();
     const cut = side === "a" ? width : side === "b" ? 0 : Math.round(width * this.split);
+    if (this.object.places) this.drawTriangles(FINER * width, FINER * height);
+    gl.viewport(0, 0, width, height);
     this.drawLook(this.look, 0, 0, cut);
     if (this.other) this.drawLook(this.other, 3, cut, width);
     if (this.trials > 0) this.judge(began);
@@ -135,13 +155,73 @@ export class View {
 
   drawLook(look, first, from, to) {
     if (to <= from) return;
-    const gl = this.gl;
-    gl.uniform1f(this.at.first, first);
-    gl.uniform1f(this.at.alpha, look.alpha);
-    gl.uniform1f(this.at.gloss, look.gloss_alpha);
+    const gl = this.gl, { places, parts } = this.object, used = places ? this.shade : this.ball;
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(from, 0, to - from, this.canvas.height);
+    this.useProgram(used, look, first);
+    if (places) {
+      const plain = new Float32Array(3 * MOST_PARTS).fill(-1);      // of the material: no plain look
+      parts.forEach((part, i) => { if (part.plain) plain.set(part.plain, 3 * i); });
+      gl.uniform3fv(used.at.plain, plain);
+      gl.uniform1f(used.at.grid, this.grid ? 1 : 0);
+    }
     gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  // What is seen where: normal, part and depth. Each pixel is coloured after that, once, or more often at an edge.
+  drawTriangles(width, height) {
+    const gl = this.gl, at = this.mesh.at;
+    if (this.buffer?.width !== width) this.makeBuffer(width, height);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.buffer.frame);
+    gl.viewport(0, 0, width, height);
+    gl.disable(gl.SCISSOR_TEST);
+    gl.enable(gl.DEPTH_TEST);
+    gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
+    gl.clearBufferfv(gl.COLOR, 1, [0, 0, 0, 0]);
+    gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
+    this.useProgram(this.mesh, this.look, 0);
+    this.object.parts.slice(0, MOST_PARTS).forEach(({ start, count }, i) => {
+      gl.uniform1f(at.part, i + 1);
+      gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_INT, 4 * start);
+    });
+    gl.disable(gl.DEPTH_TEST);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  }
+
+  makeBuffer(width, height) {
+    const gl = this.gl, made = { width, frame: gl.createFramebuffer(), textures: [] };
+    if (this.buffer) {
+      for (const old of this.buffer.textures) gl.deleteTexture(old);
+      gl.deleteFramebuffer(this.buffer.frame);
+    }
+    gl.bindFramebuffer(gl.FRAMEBUFFER, made.frame);
+    [[gl.RGBA8, gl.COLOR_ATTACHMENT0], [gl.RGBA8, gl.COLOR_ATTACHMENT1], [gl.DEPTH24_STENCIL8, gl.DEPTH_STENCIL_ATTACHMENT]].forEach(([format, point], i) => {
+      const texture = this.texture(2 + i, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE, gl.NEAREST);
+      gl.texStorage2D(gl.TEXTURE_2D, 1, format, width, height);
+      gl.framebufferTexture2D(gl.FRAMEBUFFER, point, gl.TEXTURE_2D, texture, 0);
+      made.textures.push(texture);
+    });
+    gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
+    this.buffer = made;
+  }
+
+  useProgram({ program, at }, look, first) {
+    const gl = this.gl, { distance, target, fov, foot } = this.object;
+    const azimuth = (this.azimuth * Math.PI) / 180, elevation = (this.elevation * Math.PI) / 180, half = Math.tan((fov * Math.PI) / 360);
+    const toEye = [Math.sin(azimuth) * Math.cos(elevation), -Math.cos(azimuth) * Math.cos(elevation), Math.sin(elevation)];
+    gl.useProgram(program);
+    gl.uniform3fv(at.eye, target.map((t, i) => t + distance * toEye[i]));
+    gl.uniform3fv(at.ahead, toEye.map((x) => -x));
+    gl.uniform3fv(at.right, [Math.cos(azimuth) * half, Math.sin(azimuth) * half, 0]);
+    gl.uniform3fv(at.up, [-Math.sin(azimuth) * Math.sin(elevation) * half, Math.cos(azimuth) * Math.sin(elevation) * half, Math.cos(elevation) * half]);
+    gl.uniform2f(at.size, this.canvas.width, this.canvas.height);
+    gl.uniform4fv(at.foot, foot);
+    gl.uniform1f(at.first, first);
+    gl.uniform1f(at.alpha, look.alpha);
+    gl.uniform1f(at.gloss, look.gloss_alpha);
+    gl.uniform1f(at.layers, this.room.layers);
+    gl.uniform1f(at.level, this.room.level);
+    gl.uniform1f(at.exposure, this.exposure);
   }
 
   // Without a graphics card the CPU draws: then fewer pixels keep the page at the pointer's speed.
@@ -164,7 +244,7 @@ export class View {
     requestAnimationFrame(() => { this.isAsked = false; this.draw(); });
   }
 
-  front() { this.turn(FRONT.azimuth, FRONT.elevation); }
+  front() { this.turn(this.object.azimuth, this.object.elevation); }
 
   listen() {
     let last = null;

@@ -1,0 +1,256 @@
+"""The objects of pictures as triangles for the page: fewer of them, packed as bytes, with where they are seen from.
+
+The page draws them with the same look-ups as its sphere. Shapes come from the scenes of pictures, own meshes from the
+reader of pictures, stood on the floor as there.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import shutil
+import struct
+import tempfile
+import weakref
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.errors import NacreError
+from nacre.picture.camera import View
+from nacre.picture.scenes.catalogue import MATERIALS, SCENES, SUBJECT, Part
+from nacre.picture.scenes.subjects import MESH_SUFFIXES, TO_Z_UP, read_mesh, stand_on_floor
+from nacre.picture.shapes.mesh import Mesh
+
+OBJECTS = ("speedshape", "knob", "body", "bottle", "panel", "butterfly")
+MOST_FACES = 160_000  # all parts together: what a page without a graphics card still turns
+MAX_UPLOAD = 64 << 20  # bytes of an own mesh
+BISECTIONS = 10
+MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93, 0xA0761D6478BD642F,
+                0xE7037ED1A0B428DB], dtype=np.uint64).astype(np.int64)  # fmt: skip
+WELD = 1e-6  # of the extent: corners so near are one
+METAL_F0 = 0.55  # of chrome, about the luminance that Mitsuba's tables of chromium give at normal incidence
+FOOT_SHARE = 0.72  # of the half extent: how wide the shade below an object is
+
+
+def packed_object(name: str) -> bytes:
+    """Return one of `OBJECTS` as `packed`; made once.
+
+    Raises:
+        NacreError: no such object.
+    """
+    if name not in OBJECTS:
+        raise NacreError(f'object "{name[:40]}" is not known; choose from {", ".join(OBJECTS)}')
+    return _built(name)
+
+
+@functools.cache
+def _built(name: str) -> bytes:
+    scene = SCENES[name]
+    width, height = scene.size
+    # the page is as high as it is wide
+    half = math.tan(math.radians(0.5 * scene.view.fov_deg)) * max(1.0, height / width)
+    view = replace(scene.view, fov_deg=2.0 * math.degrees(math.atan(half)))
+    return packed(scene.parts(), view)
+
+
+def own_mesh(question: Mapping[str, Any]) -> bytes:
+    """Return a user's mesh, read and stood on the floor as pictures do, as `packed`.
+
+    Args:
+        question: `path` of the file as it came, `name` that the user knows it by, `up` ("" for its format's own),
+            `keep`, where the mesh is written as one that pictures can use, and `id`, which the page asks for it by.
+
+    Raises:
+        NacreError: it cannot be read as a mesh; says the user's name of it.
+    """
+    path, name = Path(question["path"]), question["name"]
+    try:
+        surface = read_mesh(path, question["up"] or None, is_alone=True)
+    except NacreError as error:
+        raise NacreError(str(error).replace(str(path), name)) from None
+    scene = SCENES["sphere"]
+    surface = stand_on_floor(surface, scene)
+    _write_ply(Path(question["keep"]), surface)
+    return packed([Part(surface)], scene.view, name=name, id=question["id"])
+
+
+def read_upload(name: str, up: str) -> str:
+    """Return the suffix that an own mesh is read by.
+
+    Raises:
+        NacreError: no format that is read, or no axis.
+    """
+    suffix = Path(name).suffix.lower()
+    if suffix not in MESH_SUFFIXES:
+        raise NacreError(f"{name[:80]}: is no mesh that can be read ({', '.join(MESH_SUFFIXES)})")
+    if up and up not in TO_Z_UP:
+        raise NacreError(f'up = "{up[:10]}" should be one of {", ".join(TO_Z_UP)}')
+    return suffix
+
+
+def packed(parts: Sequence[Part], view: View, **about: str) -> bytes:
+    """Return length of the header, header as JSON, then float32 `[vertex, 8]` (place, normal, uv) and uint32 indices.
+
+    The header has `vertices`, `indices`, `parts` (each `start`, `count` of indices and, where it is not of the
+    material, its `plain` look: matt reflectance, mirror reflectance, roughness), the camera (`target`, `distance`,
+    `fov`, `azimuth`, `elevation` in degrees), the shade on the floor (`foot`: x, y and half its extents), and how many
+    triangles there are in full (`faces`), beside what `about` says.
+    """
+    full = [part for part in parts if isinstance(part.shape, Mesh)]
+    total = sum(len(part.shape.faces) for part in full if isinstance(part.shape, Mesh))
+    told, blocks, indices, start, first = [], [], [], 0, 0
+    for part in full:
+        assert isinstance(part.shape, Mesh)
+        surface = part.shape
+        if total > MOST_FACES:
+            surface = simplified(surface, max(MOST_FACES * len(surface.faces) // total, 200))
+        blocks.append(np.concatenate([surface.vertices, surface.normals, surface.uv], axis=1))
+        indices.append(surface.faces.ravel() + first)
+        entry: dict[str, Any] = {"start": start, "count": int(surface.faces.size)}
+        if part.material != SUBJECT:
+            entry["plain"] = plain_look(MATERIALS[part.material])
+        told.append(entry)
+        start, first = start + int(surface.faces.size), first + len(surface.vertices)
+    corners, order = np.concatenate(blocks), np.concatenate(indices)
+    low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
+    offset = np.array(view.origin) - np.array(view.target)
+    header = json.dumps({
+        **about, "vertices": len(corners), "indices": len(order), "parts": told, "faces": total,
+        "target": view.target, "distance": float(np.linalg.norm(offset)), "fov": view.fov_deg,
+        "azimuth": math.degrees(math.atan2(offset[0], -offset[1])),
+        "elevation": math.degrees(math.asin(offset[2] / np.linalg.norm(offset))),
+        "foot": [*(0.5 * (low + high)).tolist(), *(FOOT_SHARE * 0.5 * (high - low)).tolist()],
+        "height": float(corners[:, 2].max()),
+    }).encode()  # fmt: skip
+    header += b" " * (-len(header) % 4)
+    return struct.pack("<I", len(header)) + header + corners.astype("<f4").tobytes() + order.astype("<u4").tobytes()
+
+
+def plain_look(material: Mapping[str, Any]) -> list[float]:
+    """Return matt reflectance, mirror reflectance at normal incidence and roughness of a companion of the subject."""
+    kind, index = material["type"], float(material.get("int_ior", 1.5))
+    if kind == "diffuse":
+        return [float(material["reflectance"]), 0.0, 1.0]
+    if kind == "roughconductor":
+        return [0.0, METAL_F0, float(material["alpha"])]
+    return [float(material["diffuse_reflectance"]), ((index - 1) / (index + 1)) ** 2, float(material.get("alpha", 0.0))]
+
+
+def simplified(surface: Mesh, most_faces: int) -> Mesh:
+    """Return a surface of at most so many triangles: corners that share a cell of a grid become one.
+
+    Corners whose normals or uv lie apart stay apart, so that thin sheets keep both sides and seams stay; those of open
+    edges stay where they are, so that parts that were cut from one another still fit. Normals are the means of the
+    exact ones, and shade as before. (Vertex clustering: Rossignac and Borrel, 1993.)
+    """
+    if len(surface.faces) <= most_faces:
+        return surface
+    extent = float(np.ptp(surface.vertices, axis=0).max())
+    for kept in (_open_corners(surface, extent * WELD), np.zeros(len(surface.vertices), dtype=bool)):
+        small, large, best = extent * 1e-4, extent, None
+        for _ in range(BISECTIONS):
+            cell = math.sqrt(small * large)
+            made = _clustered(surface, cell, kept)
+            if len(made.faces) > most_faces:
+                small = cell
+            else:
+                large, best = cell, made
+        if best is not None:
+            return best
+    return _clustered(surface, extent, np.zeros(len(surface.vertices), dtype=bool))
+
+
+def _open_corners(surface: Mesh, tolerance: float) -> NDArray[np.bool_]:
+    """Return which corners lie on an edge of one triangle only, once corners at one place are counted as one."""
+    _, welded = np.unique(np.round(surface.vertices / tolerance).astype(np.int64) @ MIX[:3], return_inverse=True)
+    welded = welded.reshape(-1)
+    faces = welded[surface.faces]
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    number = int(welded.max()) + 1
+    found, count = np.unique(edges @ np.array([number, 1]), return_counts=True)
+    is_open = np.zeros(number, dtype=bool)
+    alone = found[count == 1]
+    is_open[alone // number], is_open[alone % number] = True, True
+    return np.asarray(is_open[welded])
+
+
+def _clustered(surface: Mesh, cell: float, kept: NDArray[np.bool_]) -> Mesh:
+    low, _ = surface.bounds
+    places = np.floor((surface.vertices - low) / cell).astype(np.int64)
+    facing = (surface.normals > 0).astype(np.int64) @ np.array([1, 2, 4])
+    seam = np.floor(4.0 * surface.uv[:, 0]).astype(np.int64)
+    single = np.where(kept, np.arange(1, len(kept) + 1), 0)
+    # one number for all that tells corners apart, mixed by large odd factors: two that differ hardly ever share one
+    key = (places @ MIX[:3] + facing * MIX[3] + seam * MIX[4] + single * MIX[5]).astype(np.int64)
+    _, where = np.unique(key, return_inverse=True)
+    where = where.reshape(-1)
+    count = np.bincount(where).astype(float)[:, None]
+
+    def mean(values: Any) -> Any:
+        return np.stack([np.bincount(where, column) for column in values.T], axis=1) / count
+
+    faces = where[surface.faces]
+    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    normals = mean(surface.normals)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    return Mesh(mean(surface.vertices), normals, mean(surface.uv), faces)
+
+
+def _write_ply(path: Path, surface: Mesh) -> None:
+    """Write a mesh that names no other file, z up."""
+    corners = np.concatenate([surface.vertices, surface.normals, surface.uv], axis=1).astype("<f4")
+    faces = np.empty(len(surface.faces), dtype=[("count", "u1"), ("corner", "<i4", 3)])
+    faces["count"], faces["corner"] = 3, surface.faces
+    names = "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz", "s", "t"))
+    head = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(corners)}\n{names}"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    with open(path, "wb") as file:
+        file.write(head.encode())
+        file.write(corners.tobytes())
+        file.write(faces.tobytes())
+
+
+class OwnMeshes:
+    """The last few meshes that the pages of a server were given, as files that pictures can use; gone with it."""
+
+    def __init__(self, most: int = 4) -> None:
+        self._folder = Path(tempfile.mkdtemp(prefix="nacre-studio-meshes-"))
+        weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)  # at the latest when Python ends
+        self._most = most
+        self._kept: list[str] = []
+        self._count = 0
+
+    def place(self, suffix: str) -> tuple[str, Path, Path]:
+        """Return the name of a new mesh, where it is to be written as it came, and where as it is kept."""
+        self._count += 1
+        name = f"own-{self._count}"
+        self._kept.append(name)
+        for old in self._kept[: -self._most]:
+            self.drop(old)
+        return name, self._folder / f"{name}-came{suffix}", self._folder / f"{name}.ply"
+
+    def drop(self, name: str) -> None:
+        """Forget a mesh."""
+        if name in self._kept:
+            self._kept.remove(name)
+        (self._folder / f"{name}.ply").unlink(missing_ok=True)
+
+    def path(self, name: str) -> Path:
+        """Return the file of a mesh that is kept.
+
+        Raises:
+            NacreError: it is not kept any more.
+        """
+        path = self._folder / f"{name}.ply"
+        if name not in self._kept or not path.is_file():
+            raise NacreError("the studio no longer holds that mesh; drop it on the page again")
+        return path

@@ -1,0 +1,162 @@
+"""The objects of the page: triangles from pictures' shapes and from own meshes, and what of those is refused."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from starlette.testclient import TestClient
+
+from nacre.errors import NacreError
+from nacre.picture.scenes.subjects import read_mesh
+from nacre.picture.shapes.mesh import Mesh, parametric
+from nacre.studio import objects, server
+from nacre.studio.folder import Opened
+from nacre.studio.objects import OBJECTS, OwnMeshes, simplified
+from nacre.studio.security import HEADER
+from nacre.studio.server import make_app
+
+PORT, TOKEN = 8125, "a-token-for-the-tests"
+FILM = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n'
+# a roof, 1 wide, 2 deep and 3 high, with y up
+ROOF = """v 0 0 0\nv 1 0 0\nv 0.5 3 0\nv 0 0 2\nv 1 0 2\nv 0.5 3 2
+f 1 2 3\nf 4 6 5\nf 1 3 6\nf 1 6 4\nf 2 5 6\nf 2 6 3\nf 1 4 5\nf 1 5 2
+"""
+
+
+@pytest.fixture
+def client(tmp_path: Path) -> Iterator[TestClient]:
+    (tmp_path / "film.toml").write_text(FILM)
+    app = make_app(Opened.of(str(tmp_path)), TOKEN, PORT)
+    with TestClient(app, base_url=f"http://127.0.0.1:{PORT}", headers={HEADER: TOKEN}) as client:
+        yield client
+
+
+def unpack(data: bytes) -> dict[str, Any]:
+    (length,) = struct.unpack_from("<I", data)
+    told: dict[str, Any] = json.loads(data[4 : 4 + length])
+    corners = np.frombuffer(data, "<f4", 8 * told["vertices"], 4 + length).reshape(-1, 8)
+    order = np.frombuffer(data, "<u4", told["indices"], 4 + length + corners.nbytes)
+    assert 4 + length + corners.nbytes + order.nbytes == len(data)
+    return {**told, "corners": corners, "order": order}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name == "panel" else pytest.mark.full) for name in OBJECTS]
+)
+def test_an_object_is_whole_and_small_enough(client: TestClient, name: str) -> None:
+    found = unpack(client.get(f"/api/object?name={name}").content)
+    assert found["indices"] <= 3 * objects.MOST_FACES and found["order"].max() < found["vertices"]
+    assert sum(part["count"] for part in found["parts"]) == found["indices"]
+    assert any("plain" not in part for part in found["parts"])
+    np.testing.assert_allclose(np.linalg.norm(found["corners"][:, 3:6], axis=1), 1.0, atol=1e-4)
+    assert found["corners"][:, 2].min() > -0.05 and np.isfinite(found["corners"]).all()
+
+
+@pytest.mark.parametrize("name", ["", "sphere", "../knob"])
+def test_an_unknown_object_is_one_line(client: TestClient, name: str) -> None:
+    answer = client.get(f"/api/object?name={name}")
+    assert answer.status_code == 422 and "\n" not in answer.json()["error"]
+
+
+def ball(cells: int, v_most: float = 1.0) -> Mesh:
+    """A sphere of radius 1, or its part up to a share of the way from pole to pole."""
+
+    def position(u: Any, v: Any) -> Any:
+        theta, phi = np.pi * v * v_most, 2 * np.pi * u
+        return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), -np.cos(theta)], axis=-1)
+
+    return parametric(position, cells, cells)
+
+
+def test_fewer_triangles_keep_the_form_and_open_edges() -> None:
+    most = 4000
+    made = simplified(ball(120), most)
+    assert most / 4 < len(made.faces) <= most
+    # as far inside as the chord of a cell: about 20 cells a radius
+    assert np.abs(np.linalg.norm(made.vertices, axis=1) - 1.0).max() < 0.01
+    assert np.sum(made.vertices * made.normals, axis=1).min() > 0.99
+    bowl = ball(120, 0.5)
+    rim = bowl.vertices[np.abs(bowl.vertices[:, 2]) < 1e-9]
+    found = simplified(bowl, most).vertices
+    assert len(rim) > 100
+    assert max(np.abs(found - corner).sum(axis=1).min() for corner in rim) < 1e-12
+
+
+def test_an_own_mesh_stands_as_in_pictures(client: TestClient) -> None:
+    found = unpack(client.post("/api/mesh?name=my roof.obj", content=ROOF.encode()).content)
+    assert found["name"] == "my roof.obj" and found["faces"] == 8
+    extent = np.ptp(found["corners"][:, :3], axis=0)
+    np.testing.assert_allclose(extent / extent[2], [1 / 3, 2 / 3, 1], atol=1e-5)  # an OBJ has y up
+    assert found["corners"][:, 2].min() == pytest.approx(0.0, abs=1e-6)
+    lying = unpack(client.post("/api/mesh?name=roof.obj&up=z", content=ROOF.encode()).content)
+    extent = np.ptp(lying["corners"][:, :3], axis=0)
+    np.testing.assert_allclose(extent / extent[1], [1 / 3, 1, 2 / 3], atol=1e-5)
+
+
+BROKEN = [
+    ("roof.obj", b"", "roof.obj"),
+    ("roof.stl", b"no mesh at all", "roof.stl"),
+    ("roof.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "roof.ply"),
+    ("roof.txt", ROOF.encode(), "no mesh that can be read"),
+    ("../../x.obj", b"junk", "x.obj"),
+]
+
+
+@pytest.mark.parametrize("name, content, words", BROKEN)
+def test_a_mesh_that_cannot_be_read_is_one_line(client: TestClient, name: str, content: bytes, words: str) -> None:
+    answer = client.post("/api/mesh", params={"name": name}, content=content)
+    told = answer.json()["error"]
+    assert answer.status_code == 422 and words in told and "\n" not in told and "/tmp" not in told
+
+
+def test_a_large_mesh_is_refused(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "MAX_UPLOAD", 100)
+    answer = client.post("/api/mesh?name=roof.obj", content=ROOF.encode())
+    assert answer.status_code == 422 and "MiB" in answer.json()["error"]
+    assert client.post("/api/mesh?name=roof.obj&up=w", content=b"v 0 0 0").status_code == 422
+
+
+def test_a_mesh_alone_reads_no_other_file(tmp_path: Path) -> None:
+    scene = trimesh.Scene(trimesh.creation.box())
+    for name, content in trimesh.exchange.gltf.export_gltf(scene).items():
+        (tmp_path / name).write_bytes(content)
+    path = next(tmp_path.glob("*.gltf"))
+    assert len(read_mesh(path).faces) == 12
+    with pytest.raises(NacreError, match="cannot be read as a mesh"):
+        read_mesh(path, is_alone=True)
+
+
+def test_only_the_last_few_own_meshes_are_kept() -> None:
+    meshes = OwnMeshes(most=2)
+    names = []
+    for _ in range(3):
+        name, _, keep = meshes.place(".obj")
+        keep.write_bytes(b"ply")
+        names.append(name)
+    assert meshes.path(names[2]).is_file() and meshes.path(names[1]).is_file()
+    for gone in (names[0], "../film", "own-9", ""):
+        with pytest.raises(NacreError, match="no longer holds"):
+            meshes.path(gone)
+
+
+@pytest.mark.full
+@pytest.mark.render
+def test_a_picture_shows_the_own_mesh(client: TestClient) -> None:
+    identity = unpack(client.post("/api/mesh?name=roof.obj", content=ROOF.encode()).content)["id"]
+    asked = {"text": FILM, "name": "film.toml", "size": 128, "seconds": 1}
+    pictures = [
+        np.asarray(Image.open(io.BytesIO(client.post("/api/picture", json=body).content)), dtype=float)
+        for body in (asked, {**asked, "mesh": identity})
+    ]
+    assert np.abs(pictures[0] - pictures[1]).mean() > 5  # a roof is no sphere
+    gone = client.post("/api/picture", json={**asked, "mesh": "own-77"})
+    assert gone.status_code == 422 and "drop it" in gone.json()["error"]
