@@ -99,6 +99,7 @@ NO_FILES: list[dict[str, Any]] = [
     {"verb": "picture", "to": ".png", "options": {"width": 100_000}},
     {"verb": "picture", "to": ".png", "options": {"width": 640.5}},
     {"verb": "picture", "to": ".png", "options": {"width": True}},
+    {"verb": "picture", "to": ".png", "light": "../map.exr"},
     {"options": []},
     {"options": {"width_mm": 3}},
     {"options": {"levels": "many"}},

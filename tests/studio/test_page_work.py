@@ -110,3 +110,17 @@ def test_an_own_mesh_is_drawn_and_a_broken_one_is_one_line(page: Page, tmp_path:
     np.testing.assert_array_equal(picture(page), tent)
     page.locator("#up").select_option("x")  # asks for the last file again
     expect(page.locator("#object-error")).to_contain_text("broken.stl")
+
+
+@pytest.mark.full
+def test_another_place_is_seen_around_the_object(page: Page) -> None:
+    before = picture(page).astype(int)
+    assert np.ptp(before[-20:].mean(axis=(0, 1))) < 2  # the studio's floor is grey
+    page.get_by_label("Around").select_option("interior")
+    expect(page.locator("#view")).to_have_attribute("data-surround", "interior")
+    room = picture(page).astype(int)
+    floor = room[-20:].mean(axis=(0, 1))
+    assert floor[0] > floor[2] + 20  # boards of wood
+    assert np.abs(ball(room.astype(np.uint8)) - ball(before.astype(np.uint8))).max() > SEEN
+    page.get_by_label("Around").select_option("studio")
+    until(page, lambda: bool(np.array_equal(picture(page), before)))

@@ -26,6 +26,7 @@ from nacre.materials.number_maps import number_maps
 from nacre.studio.folder import Opened
 from nacre.studio.measured import built, placed
 from nacre.studio.picture import shape_of
+from nacre.studio.surround import NAMES
 
 MAX_FILE = 96 << 20  # bytes that are sent; the command writes larger ones
 MAX_SAID = 30
@@ -57,7 +58,7 @@ def targets(material: Material) -> dict[str, list[str]]:
 
 
 def read_wanted(body: Mapping[str, Any], opened: Opened) -> dict[str, Any]:
-    """Return the bounded question of a file: `recipe`, `verb`, `to`, `lamp`, `scene`, `options`.
+    """Return the bounded question of a file: `recipe`, `verb`, `to`, `lamp`, `scene`, `light`, `options`.
 
     Raises:
         NacreError: a value that is not allowed, or a recipe outside the folder.
@@ -73,6 +74,9 @@ def read_wanted(body: Mapping[str, Any], opened: Opened) -> dict[str, Any]:
         raise NacreError(f'lamp "{str(lamp)[:40]}" is not known')
     if not isinstance(scene, str) or scene not in SCENES:
         raise NacreError(f'scene "{str(scene)[:40]}" is not known; choose from {", ".join(SCENES)}')
+    light = body.get("light")
+    if light is not None and light not in NAMES:
+        raise NacreError(f'light "{str(light)[:40]}" is not known; choose from {", ".join(NAMES)}')
     given = body.get("options", {})
     if not isinstance(given, dict):
         raise NacreError("the options of a file are not a table")
@@ -88,7 +92,10 @@ def read_wanted(body: Mapping[str, Any], opened: Opened) -> dict[str, Any]:
             options[key] = kind(value)
     if ("width_mm" in options) != ("height_mm" in options):
         raise NacreError("an area has a width and a height in mm; give both, or none")
-    return {"recipe": placed(body, opened), "verb": verb, "to": to, "lamp": lamp, "scene": scene, "options": options}
+    return {
+        "recipe": placed(body, opened), "verb": verb, "to": to, "lamp": lamp, "scene": scene, "light": light,
+        "options": options,
+    }  # fmt: skip
 
 
 def made(question: Mapping[str, Any]) -> bytes:
@@ -159,9 +166,9 @@ def _picture(material: Material, question: Mapping[str, Any], folder: Path, stem
     view = [options.pop(key, None) for key in ("azimuth", "elevation")]
     size = [options.pop(key, None) for key in ("width", "height")]
     result = render(
-        material, scene, **shape_of(question), illuminant=question["lamp"], size=None if None in size else tuple(size),
-        view=None if None in view or scene == "screen" else view, output=folder / f"{stem}-{scene}{question['to']}",
-        progress=False, **({} if scene == "screen" else options),
+        material, scene, **shape_of(question), light=question["light"], illuminant=question["lamp"],
+        size=None if None in size else tuple(size), view=None if None in view or scene == "screen" else view,
+        output=folder / f"{stem}-{scene}{question['to']}", progress=False, **({} if scene == "screen" else options),
     )  # fmt: skip
     told = result.stats
     return [f"{told['spp']} samples a pixel, noise {told['noise']:.3f}"] if told.get("noise") else []

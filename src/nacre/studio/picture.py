@@ -8,6 +8,7 @@ from typing import Any
 
 from nacre.errors import NacreError
 from nacre.studio.folder import build
+from nacre.studio.surround import NAMES
 
 SIZES = (128, 640)
 SECONDS = (1.0, 120.0)
@@ -26,12 +27,15 @@ def read_question(body: Any) -> dict[str, Any]:
     scene, size, seconds = body.get("scene", "sphere"), body.get("size", 320), body.get("seconds", 6)
     if scene not in SCENES:
         raise NacreError(f'scene "{str(scene)[:40]}" is not known; choose from {", ".join(SCENES)}')
+    light = body.get("light", "studio")
+    if not isinstance(light, str) or light not in NAMES:
+        raise NacreError(f'light "{str(light)[:40]}" is not known; choose from {", ".join(NAMES)}')
     for key, value, (low, high) in (("size", size, SIZES), ("seconds", seconds, SECONDS)):
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
             raise NacreError(f"{key} = {str(value)[:20]} is not allowed; it should be from {low:g} to {high:g}")
     return {
         "text": body["text"], "name": body["name"], "lamp": str(body.get("lamp", "D65")), "scene": scene,
-        "size": int(size), "seconds": float(seconds),
+        "light": light, "size": int(size), "seconds": float(seconds),
     }  # fmt: skip
 
 
@@ -58,7 +62,7 @@ def drawn(question: Mapping[str, Any]) -> bytes:
     material = build(question["text"], path.name, path.parent, Path(question["fence"]))
     side = question["size"]
     result = render(
-        material, question["scene"], **shape_of(question), light="studio", illuminant=question["lamp"],
+        material, question["scene"], **shape_of(question), light=question["light"], illuminant=question["lamp"],
         size=(side, side), seconds=question["seconds"],
         exposure=0.0 if question["scene"] == "sphere" else "auto", progress=False,
     )  # fmt: skip

@@ -38,7 +38,7 @@ from nacre.studio.objects import MAX_UPLOAD, OBJECTS, OwnMeshes, packed_object, 
 from nacre.studio.picture import read_question
 from nacre.studio.security import Asgi, Gate, kept_token, new_token
 from nacre.studio.session import MAX_MESSAGE, Session
-from nacre.studio.surround import ALPHAS, ROWS, blurred_surround
+from nacre.studio.surround import ALPHAS, ROWS, blurred_surround, floors
 
 LOOPBACK = "127.0.0.1"
 USUAL_PORT = 8642  # the same from start to start, so that a page finds its server again
@@ -92,13 +92,17 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
                 "starts": [_example(shipped[name]) for name in chosen],
                 "examples": [_example(e) for e in shipped.values() if {e.family} <= known],
                 "objects": OBJECTS,
-                "surround": {"rows": ROWS, "columns": 2 * ROWS, "alphas": ALPHAS},
+                "surround": {"rows": ROWS, "columns": 2 * ROWS, "alphas": ALPHAS, "places": floors()},
             }
 
         return JSONResponse(await asyncio.get_running_loop().run_in_executor(workers, look))
 
     async def surround(request: Request) -> Response:
-        layers = await asyncio.get_running_loop().run_in_executor(workers, blurred_surround)
+        name = request.query_params.get("name", "studio")
+        try:
+            layers = await asyncio.get_running_loop().run_in_executor(workers, blurred_surround, name)
+        except NacreError as error:
+            return _told(error)
         return Response(layers.astype("<f4").tobytes(), media_type="application/octet-stream")
 
     async def recipe(request: Request) -> Response:

@@ -1,7 +1,7 @@
-"""The studio's light, blurred once for each roughness, so that the page needs one look-up a pixel.
+"""The light around the object, blurred once for each roughness, so that the page needs one look-up a pixel.
 
-The light is the one of pictures (`nacre.picture.lights.environments.studio`): what the page draws and what Mitsuba
-renders stand in the same room. Each layer is that room as a rough mirror seen from above gives it back: averaged over
+The lights are those of pictures (`nacre.picture.lights`): what the page draws and what Mitsuba renders stand in the
+same room. Each layer is that room as a rough mirror seen from above gives it back: averaged over
 the facets' distribution with viewer, normal and reflection in one line (B. Karis, "Real shading in Unreal Engine 4",
 SIGGRAPH course 2013). Exact for a smooth surface, an approximation for a rough one.
 """
@@ -14,20 +14,64 @@ from collections.abc import Callable
 import numpy as np
 
 from nacre.arrays import Array
-from nacre.picture.lights.environments import studio
+from nacre.errors import NacreError
+from nacre.light import observer, table_wavelengths_nm, xyz_to_srgb_linear
+from nacre.picture.lights.environments import Environment, studio, unit_spectrum
 
 ROWS = 128
 ALPHAS = (0.0, 0.03125, 0.0625, 0.125, 0.25, 0.5, 1.0)  # doubled from layer to layer: the page interpolates by log2
 
 
-@functools.cache
-def blurred_surround() -> Array:
-    """Return radiance over all directions, `[layer, row, column]`, float32: one layer for each of `ALPHAS`, then one
-    for a matt white surface (irradiance over pi).
+NAMES = ("studio", "interior", "street")
+GREY = 0.16  # of a street's ground, as in pictures
 
-    Rows run from the zenith down, columns from +x round by +y, both at the centres of their cells.
+
+@functools.cache
+def floors() -> dict[str, list[float] | None]:
+    """Return the colour of the floor of every place, linear sRGB; None for the studio, which is no place to be seen."""
+    from nacre.picture.lights.places import WOOD
+
+    nm = table_wavelengths_nm()
+    wood = xyz_to_srgb_linear(_xyz(unit_spectrum("D65").at(nm) * WOOD))
+    return {"studio": None, "interior": wood.tolist(), "street": [GREY] * 3}
+
+
+def blurred_surround(name: str = "studio") -> Array:
+    """Return radiance over all directions, float32: one layer for each of `ALPHAS`, then one for a matt white surface
+    (irradiance over pi).
+
+    Rows run from the zenith down, columns from +x round by +y, both at the centres of their cells. Of the studio, whose
+    light has one spectrum, `[layer, row, column]`; of a place linear sRGB, `[layer, row, column, 3]`.
+
+    Raises:
+        NacreError: no such surrounding.
     """
-    room = studio("D65", ROWS).weights[0]
+    if name not in NAMES:
+        raise NacreError(f'surrounding "{name[:40]}" is not known; choose from {", ".join(NAMES)}')
+    return _blurred_surround(name)
+
+
+@functools.cache
+def _blurred_surround(name: str) -> Array:
+    if name == "studio":
+        return _layers(studio("D65", ROWS).weights[0])
+    from nacre.picture.lights import places
+
+    made: Callable[[int], Environment] = getattr(places, name)
+    place = made(ROWS)
+    nm = table_wavelengths_nm()
+    colours = np.stack([xyz_to_srgb_linear(_xyz(spectrum.at(nm))) for spectrum in place.spectra])
+    rgb = np.maximum(np.einsum("kij,kc->ijc", place.weights, colours), 0.0)
+    return np.stack([_layers(rgb[..., channel]) for channel in range(3)], axis=-1)
+
+
+def _xyz(power: Array) -> Array:
+    """Return X, Y, Z of a spectrum of light, of which one of luminance 1 has Y = 1."""
+    y = observer()[:, 1]
+    return np.asarray(power @ observer() / np.sum(y))
+
+
+def _layers(room: Array) -> Array:
     layers = [room]
     layers += [_blurred(room, functools.partial(_ggx, alpha=alpha)) for alpha in ALPHAS[1:]]
     layers.append(_blurred(room, lambda cos: np.maximum(cos, 0.0)))

@@ -11,6 +11,7 @@ import { listObjects, listenObjects } from "./objects.js";
 import { valueAt } from "./recipe.js";
 import { listenReport } from "./report.js";
 import { listenSettled, render } from "./settled.js";
+import { fetchRoom, listenSurround } from "./surround.js";
 import { View } from "./view.js";
 import { Wire } from "./wire.js";
 
@@ -150,6 +151,7 @@ function listen() {
   listenReport();
   listenMaker();
   listenObjects();
+  listenSurround();
   listenCompare({ chart, go: step, showRecipe, listRecipes });
   click("undo", () => step(-1));
   click("redo", () => step(1));
@@ -194,7 +196,7 @@ async function start() {
     $("no-gl").hidden = false;
   }
   listen();
-  const roomAsked = app.view ? fetch("api/surround").then((answer) => answer.arrayBuffer()) : null;
+  const roomAsked = app.view ? fetchRoom("studio") : null;
   app.state = await api("api/state");
   app.wire = new Wire((seq) => (recipe.name ? { ...recipe.question(seq), ...beside(), lamp: $("lamp").value } : null), onAnswer, onState);
   welcome();
@@ -207,7 +209,7 @@ async function start() {
     await open(app.state.first || app.state.recipes[0] || app.state.starts[0].name);
     if (!app.state.first) $("welcome").showModal();
   }
-  if (app.view) app.view.setRoom(new Float32Array(await roomAsked), app.state.surround);
+  if (app.view) app.view.setRoom(await roomAsked, app.state.surround, null);
   else render();
 }
 

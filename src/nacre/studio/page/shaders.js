@@ -12,42 +12,71 @@ uniform sampler2DArray room;    // layers: blurred by roughness, the last one fo
 uniform vec3 eye, right, up, ahead;
 uniform vec2 size;
 uniform vec4 foot;              // the shade on the floor: its middle and half its extents
-uniform float alpha, gloss, layers, exposure, level;    // level: of a matt white floor
+uniform float alpha, gloss, layers, exposure;
+// PLACE: surroundings with colours of their own, seen behind the object; else the studio: light of one channel, a stage
+#ifdef PLACE
+#define LIGHT vec3
+#define TINT(t) (t).rgb
+#else
+#define LIGHT float
+#define TINT(t) (t).r
+#endif
+uniform LIGHT level, ground;    // of a matt white floor, and its reflectance
 out vec4 colour;
 const float PI = 3.14159265;
 const vec3 CENTRE = vec3(0.0, 0.0, 1.0);
 // the stage of pictures: a grey floor that rises behind the object; fitted to what Mitsuba renders of it
-const float FLOOR = 0.15, WALL = 9.5, TOP = 5.2, DIM = 0.2, FRONT = 16.0;
+const float WALL = 9.5, TOP = 5.2, DIM = 0.2, FRONT = 16.0;
+const float NEAR_PLACE = 12.0, FAR_PLACE = 30.0;         // of a place: where the floor goes over into it
 
-float lookup(vec3 d, float layer) {
+LIGHT lookup(vec3 d, float layer) {
   float low = floor(layer);
   vec2 at = vec2(atan(d.y, d.x) / (2.0 * PI), acos(clamp(d.z, -1.0, 1.0)) / PI);
-  float one = texture(room, vec3(at, low)).r;
-  return mix(one, texture(room, vec3(at, min(low + 1.0, layers - 2.0))).r, layer - low);
+  LIGHT one = TINT(texture(room, vec3(at, low)));
+  return mix(one, TINT(texture(room, vec3(at, min(low + 1.0, layers - 2.0)))), layer - low);
 }
-float matt(vec3 n) {
-  return texture(room, vec3(atan(n.y, n.x) / (2.0 * PI), acos(clamp(n.z, -1.0, 1.0)) / PI, layers - 1.0)).r;
+LIGHT matt(vec3 n) {
+  return TINT(texture(room, vec3(atan(n.y, n.x) / (2.0 * PI), acos(clamp(n.z, -1.0, 1.0)) / PI, layers - 1.0)));
 }
 // the floor lit by the room, less what a sphere hides of it (form factor from a horizontal element); an object as its
 // own ellipsoid
-float stage(vec2 p) {
+LIGHT stage(vec2 p) {
+#ifdef PLACE
+  float fall = 1.0;
+#else
   float behind = max(dot(p, normalize(ahead.xy)), 0.0);
   float fall = DIM + (1.0 - DIM) / (1.0 + pow(behind / 5.4, 2.3));
+#endif
   vec2 q = (p - foot.xy) / foot.zw;
-  return FLOOR * level * fall * (1.0 - 0.9 * pow(dot(q, q) + 1.0, -1.5));
+  return ground * level * fall * (1.0 - 0.9 * pow(dot(q, q) + 1.0, -1.5));
 }
-float incoming(vec3 from, vec3 d, float rough) {
+LIGHT incoming(vec3 from, vec3 d, float rough) {
   float layer = rough < 0.001 ? 0.0 : clamp(log2(rough / 0.03125) + 1.0, min(rough / 0.03125, 1.0), layers - 2.0);
-  float seen = lookup(d, layer), spread = 0.01 + 0.9 * rough;
-  float behind = dot(d.xy, normalize(ahead.xy));
-  float top = (TOP - from.z) * max(behind, 0.05) / (WALL - dot(from.xy, normalize(ahead.xy))), soft = 0.01 + 1.2 * rough;
-  float wall = smoothstep(0.3 - rough, 0.6 + rough, behind / max(length(d.xy), 1e-4)) * smoothstep(top + soft, top - soft, d.z);
-  seen = mix(seen, DIM * FLOOR * level, wall);
+  LIGHT seen = lookup(d, layer);
+  float spread = 0.01 + 0.9 * rough;
   float below = smoothstep(spread, -spread, d.z);
   vec3 down = vec3(d.xy, min(d.z, -0.06 - 0.5 * rough));
   vec2 hit = from.xy + down.xy * (from.z / -down.z);
+#ifdef PLACE
+  float far = smoothstep(NEAR_PLACE, FAR_PLACE, length(hit));
+#else
+  float behind = dot(d.xy, normalize(ahead.xy));
+  float top = (TOP - from.z) * max(behind, 0.05) / (WALL - dot(from.xy, normalize(ahead.xy))), soft = 0.01 + 1.2 * rough;
+  float wall = smoothstep(0.3 - rough, 0.6 + rough, behind / max(length(d.xy), 1e-4)) * smoothstep(top + soft, top - soft, d.z);
+  seen = mix(seen, DIM * ground * level, wall);
   float far = smoothstep(FRONT, 2.5 * FRONT, -dot(hit, normalize(ahead.xy)));
+#endif
   return mix(seen, mix(stage(hit), seen, far), below);
+}
+// what stands behind the object
+vec3 behind(vec3 d) {
+  vec2 hit = eye.xy + d.xy * (eye.z / max(-d.z, 0.01));
+#ifdef PLACE
+  LIGHT seen = lookup(d, 0.6);
+  return d.z < 0.0 ? mix(stage(hit), seen, smoothstep(NEAR_PLACE, FAR_PLACE, length(hit))) : seen;
+#else
+  return vec3(stage(hit));
+#endif
 }
 vec3 encode(vec3 c) {
   float y = clamp(dot(c, vec3(0.2126, 0.7152, 0.0722)), 0.0, 1.0);
@@ -58,14 +87,14 @@ vec3 encode(vec3 c) {
   return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c));
 }
 // what the material sends to the eye from a place on it
-vec3 material(vec3 place, vec3 d, vec3 n, vec3 down) {
+vec3 material(vec3 spot, vec3 d, vec3 n, vec3 down) {
   float cosine = clamp(-dot(d, n), 0.0, 1.0);
   vec3 mirror = nacreColour(table, cosine, 0.0, first, 6.0), glossy = nacreColour(table, cosine, 0.0, first + 1.0, 6.0);
   vec3 spread = nacreColour(table, cosine, 0.0, first + 2.0, 6.0);
-  float ground = 0.5 * (1.0 - n.z);
-  float light = matt(n) * smoothstep(-1.0, 0.6, n.z) + ground * ground * stage(down.xy);
-  vec3 seen = mirror * incoming(place, reflect(d, n), alpha) + spread * light;
-  if (gloss > 0.0) seen += glossy * incoming(place, reflect(d, n), gloss);
+  float under = 0.5 * (1.0 - n.z);
+  LIGHT light = matt(n) * smoothstep(-1.0, 0.6, n.z) + under * under * stage(down.xy);
+  vec3 seen = mirror * incoming(spot, reflect(d, n), alpha) + spread * light;
+  if (gloss > 0.0) seen += glossy * incoming(spot, reflect(d, n), gloss);
   return seen;
 }`;
 
@@ -75,7 +104,7 @@ void main() {
   vec3 d = normalize(ahead + at.x * right + at.y * up);
   vec3 o = eye - CENTRE;
   float b = dot(o, d), c = dot(o, o) - 1.0, disc = b * b - c;
-  vec3 back = vec3(stage(eye.xy + d.xy * (eye.z / max(-d.z, 0.01))));
+  vec3 back = behind(d);
   float pixel = 2.0 * length(right) / size.x * length(o);
   float cover = clamp(0.5 + (1.0 - sqrt(max(dot(o, o) - b * b, 0.0))) / pixel, 0.0, 1.0);
   if (cover > 0.0) {
@@ -137,19 +166,19 @@ vec3 seenAt(ivec2 fine) {
   vec2 at = (vec2(fine) + 0.5 - size) / size.x;        // fine pixels: two to one
   vec3 ray = ahead + at.x * right + at.y * up, d = normalize(ray);
   int part = partAt(fine);
-  if (part == 0) return vec3(stage(eye.xy + d.xy * (eye.z / max(-d.z, 0.01))));
+  if (part == 0) return behind(d);
   float z = 2.0 * texelFetch(depth, fine, 0).r - 1.0;
-  vec3 place = eye + ray * (2.0 * FAR * NEAR / (FAR + NEAR - z * (FAR - NEAR))), n = normalAt(fine), seen;
+  vec3 spot = eye + ray * (2.0 * FAR * NEAR / (FAR + NEAR - z * (FAR - NEAR))), n = normalAt(fine), seen;
   if (dot(n, d) > 0.12) n = -n;                        // seen from behind, not just over a rounded edge
   vec3 own = plain[part - 1];
   if (own.x < 0.0) {
-    seen = material(place, d, n, place * 1.2);
+    seen = material(spot, d, n, spot * 1.2);
     return grid > 0.5 ? mix(seen, vec3(0.02), 0.75 * texelFetch(kind, fine, 0).g) : seen;
   }
-  float cosine = clamp(-dot(d, n), 0.0, 1.0), ground = 0.5 * (1.0 - n.z);
-  float light = matt(n) * smoothstep(-1.0, 0.6, n.z) + ground * ground * stage(place.xy * 1.2);
+  float cosine = clamp(-dot(d, n), 0.0, 1.0), under = 0.5 * (1.0 - n.z);
+  LIGHT light = matt(n) * smoothstep(-1.0, 0.6, n.z) + under * under * stage(spot.xy * 1.2);
   float fresnel = own.y > 0.0 ? own.y + (1.0 - own.y) * pow(1.0 - cosine, 5.0) * (1.0 - own.z) : 0.0;
-  return vec3(own.x * light + fresnel * incoming(place, reflect(d, n), own.z));
+  return vec3(own.x * light + fresnel * incoming(spot, reflect(d, n), own.z));
 }
 void main() {
   ivec2 first = 2 * ivec2(gl_FragCoord.xy);

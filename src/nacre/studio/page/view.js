@@ -4,7 +4,9 @@ import { BALL, COVER, MESH, MESH_VERTEX, SHADE } from "./shaders.js";
 
 // the camera of pictures of a sphere, and the shade below it
 const SPHERE = { distance: Math.hypot(8.6, 1.77), target: [0, 0, 0.93], fov: 19, foot: [0, 0, 1, 1], azimuth: 0, elevation: 11.63 };
-const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "plain", "part", "grid", "facing", "kind", "depth"];
+const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth"];
+const STAGE = 0.15;     // reflectance of the studio's floor; fitted to what Mitsuba renders of it
+const SHADERS = { ball: [COVER, BALL], mesh: [MESH_VERTEX, MESH], shade: [COVER, SHADE] };
 const FINER = 2;        // triangles are drawn at twice the size, so that their edges are smooth
 const MOST_PARTS = 8;
 const SLOW_MS = 20, FEWEST = 400;  // pixels a side
@@ -24,9 +26,19 @@ export class View {
 
   build() {
     const gl = this.gl;
-    const made = (vertex, fragment) => {
-      const program = gl.createProgram();
-      for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, `#version 300 es\n${this.tables}${fragment}`]]) {
+    this.programs = new Map();
+    this.use("ball");
+    this.buffer = this.corners = null;
+    this.tableTexture = this.texture(0, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE);
+    this.roomTexture = this.texture(1, gl.TEXTURE_2D_ARRAY, gl.REPEAT);
+  }
+
+  // A program by what it draws, made when it is first wanted; in a place the light has colours.
+  use(name) {
+    const gl = this.gl, isPlace = Boolean(this.room?.floor) && name !== "mesh", key = name + isPlace;
+    if (!this.programs.has(key)) {
+      const program = gl.createProgram(), [vertex, fragment] = SHADERS[name];
+      for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, `#version 300 es\n${isPlace ? "#define PLACE\n" : ""}${this.tables}${fragment}`]]) {
         const shader = gl.createShader(kind);
         gl.shaderSource(shader, source);
         gl.compileShader(shader);
@@ -35,18 +47,13 @@ export class View {
       gl.linkProgram(program);
       if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) throw new Error("no WebGL2");
       gl.useProgram(program);
-      const at = Object.fromEntries(UNIFORMS.map((name) => [name, gl.getUniformLocation(program, name)]));
-      ["table", "room", "facing", "kind", "depth"].forEach((name, unit) => { if (at[name]) gl.uniform1i(at[name], unit); });
-      return { program, at };
-    };
-    this.ball = made(COVER, BALL);
-    this.mesh = this.shade = this.buffer = this.corners = null;
-    this.makeMesh = () => {     // when one is first wanted
-      this.mesh ??= made(MESH_VERTEX, MESH);
-      this.shade ??= made(COVER, SHADE);
-    };
-    this.tableTexture = this.texture(0, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE);
-    this.roomTexture = this.texture(1, gl.TEXTURE_2D_ARRAY, gl.REPEAT);
+      const at = Object.fromEntries(UNIFORMS.map((one) => [one, gl.getUniformLocation(program, one)]));
+      ["table", "room", "facing", "kind", "depth"].forEach((one, unit) => { if (at[one]) gl.uniform1i(at[one], unit); });
+      this.programs.set(key, { program, at });
+    }
+    const { program, at } = this.programs.get(key);
+    gl.useProgram(program);
+    return at;
   }
 
   texture(unit, kind, wrap, filter = this.gl.LINEAR) {
@@ -59,9 +66,12 @@ export class View {
     return made;
   }
 
-  setRoom(values, { rows, columns, alphas }) {
-    const layers = alphas.length + 1, level = values[(layers - 1) * rows * columns];  // of the last layer, at the zenith
-    this.room = { values, rows, columns, layers, level };
+  // Radiance over all directions by layers, of one channel or three; `floor`: the floor's colour
+  // where it is a place that is seen behind the object, else null.
+  setRoom(values, { rows, columns, alphas }, floor) {
+    const layers = alphas.length + 1, channels = values.length / (layers * rows * columns);
+    const zenith = channels * (layers - 1) * rows * columns, of = (c) => values[zenith + Math.min(c, channels - 1)];     // of the last layer
+    this.room = { values, rows, columns, layers, channels, floor, level: [of(0), of(1), of(2)] };
     this.upload();
     this.draw();
   }
@@ -97,10 +107,11 @@ export class View {
   upload() {
     const gl = this.gl;
     if (this.room && this.uploaded !== this.room) {
-      const { values, rows, columns, layers } = this.room;
+      const { values, rows, columns, layers, channels } = this.room;
       gl.activeTexture(gl.TEXTURE1);
       this.uploaded = this.room;
-      gl.texImage3D(gl.TEXTURE_2D_ARRAY, 0, gl.R16F, columns, rows, layers, 0, gl.RED, gl.FLOAT, values);
+      const [held, sent] = channels === 1 ? [gl.R16F, gl.RED] : [gl.RGB16F, gl.RGB];
+      gl.texImage3D(gl.TEXTURE_2D_ARRAY, 0, held, columns, rows, layers, 0, sent, gl.FLOAT, values);
     }
     if (!this.look) return;
     const count = this.look.mirror.length / 3, texels = new Float32Array(6 * count * 4), other = this.other ?? this.look;
@@ -124,7 +135,6 @@ export class View {
     if (this.corners) for (const one of [this.corners, this.order]) gl.deleteBuffer(one);
     this.corners = null;
     if (this.object.places) {
-      this.makeMesh();
       this.corners = gl.createBuffer();
       this.order = gl.createBuffer();
       gl.bindBuffer(gl.ARRAY_BUFFER, this.corners);
@@ -155,22 +165,22 @@ export class View {
 
   drawLook(look, first, from, to) {
     if (to <= from) return;
-    const gl = this.gl, { places, parts } = this.object, used = places ? this.shade : this.ball;
+    const gl = this.gl, { places, parts } = this.object, used = places ? "shade" : "ball";
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(from, 0, to - from, this.canvas.height);
-    this.useProgram(used, look, first);
+    const at = this.prepare(used, look, first);
     if (places) {
       const plain = new Float32Array(3 * MOST_PARTS).fill(-1);      // of the material: no plain look
       parts.forEach((part, i) => { if (part.plain) plain.set(part.plain, 3 * i); });
-      gl.uniform3fv(used.at.plain, plain);
-      gl.uniform1f(used.at.grid, this.grid ? 1 : 0);
+      gl.uniform3fv(at.plain, plain);
+      gl.uniform1f(at.grid, this.grid ? 1 : 0);
     }
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
   // What is seen where: normal, part and depth. Each pixel is coloured after that, once, or more often at an edge.
   drawTriangles(width, height) {
-    const gl = this.gl, at = this.mesh.at;
+    const gl = this.gl;
     if (this.buffer?.width !== width) this.makeBuffer(width, height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.buffer.frame);
     gl.viewport(0, 0, width, height);
@@ -179,7 +189,7 @@ export class View {
     gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
     gl.clearBufferfv(gl.COLOR, 1, [0, 0, 0, 0]);
     gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
-    this.useProgram(this.mesh, this.look, 0);
+    const at = this.prepare("mesh", this.look, 0);
     this.object.parts.slice(0, MOST_PARTS).forEach(({ start, count }, i) => {
       gl.uniform1f(at.part, i + 1);
       gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_INT, 4 * start);
@@ -205,11 +215,10 @@ export class View {
     this.buffer = made;
   }
 
-  useProgram({ program, at }, look, first) {
-    const gl = this.gl, { distance, target, fov, foot } = this.object;
+  prepare(name, look, first) {
+    const gl = this.gl, at = this.use(name), { distance, target, fov, foot } = this.object;
     const azimuth = (this.azimuth * Math.PI) / 180, elevation = (this.elevation * Math.PI) / 180, half = Math.tan((fov * Math.PI) / 360);
     const toEye = [Math.sin(azimuth) * Math.cos(elevation), -Math.cos(azimuth) * Math.cos(elevation), Math.sin(elevation)];
-    gl.useProgram(program);
     gl.uniform3fv(at.eye, target.map((t, i) => t + distance * toEye[i]));
     gl.uniform3fv(at.ahead, toEye.map((x) => -x));
     gl.uniform3fv(at.right, [Math.cos(azimuth) * half, Math.sin(azimuth) * half, 0]);
@@ -220,8 +229,11 @@ export class View {
     gl.uniform1f(at.alpha, look.alpha);
     gl.uniform1f(at.gloss, look.gloss_alpha);
     gl.uniform1f(at.layers, this.room.layers);
-    gl.uniform1f(at.level, this.room.level);
+    const { floor, level } = this.room;
+    if (floor) { gl.uniform3fv(at.level, level); gl.uniform3fv(at.ground, floor); }
+    else { gl.uniform1f(at.level, level[0]); gl.uniform1f(at.ground, STAGE); }
     gl.uniform1f(at.exposure, this.exposure);
+    return at;
   }
 
   // Without a graphics card the CPU draws: then fewer pixels keep the page at the pointer's speed.

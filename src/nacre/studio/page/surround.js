@@ -1,0 +1,39 @@
+// The surroundings of the object: the studio, or a place that is seen behind it.
+
+import { $, app, ask } from "./common.js";
+
+const kept = new Map();
+let wanted = "studio";
+
+// What pictures are asked in: the same light as on the page.
+export const lightOf = () => ({ light: wanted });
+
+// Pictures to take away have the light that belongs to their scene, but in a place that place's.
+export const placeOf = () => (wanted === "studio" ? {} : { light: wanted });
+
+export async function fetchRoom(name) {
+  if (!kept.has(name)) kept.set(name, ask(`api/surround?name=${name}`).then((answer) => answer.arrayBuffer()).then((buffer) => new Float32Array(buffer)));
+  try {
+    return await kept.get(name);
+  } catch (problem) {
+    kept.delete(name);
+    throw problem;
+  }
+}
+
+async function choose() {
+  const name = (wanted = $("surround").value);
+  try {
+    const values = await fetchRoom(name), { surround } = app.state;
+    if (wanted !== name || !app.view) return;
+    app.view.setRoom(values, surround, surround.places[name]);
+    $("view").dataset.surround = name;
+    $("object-error").textContent = surround.places[name] ? "This place has light of its own colours, which the lamp above does not change; the preview multiplies by them, the settled picture is spectral." : "";
+  } catch (problem) {
+    $("object-error").textContent = problem.message;
+  }
+}
+
+export function listenSurround() {
+  $("surround").addEventListener("change", choose);
+}
