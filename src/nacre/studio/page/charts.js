@@ -108,7 +108,7 @@ export function drawTrack(svg, look, other) {
 export function drawSwatches(table, look, other) {
   const make = (tag, props) => Object.assign(document.createElement(tag), props);
   const head = document.createElement("tr");
-  head.append(make("th", {}), ...look.shown_deg.map((angle) => make("th", { textContent: `${angle}°`, scope: "col" })));
+  head.append(make("th", { textContent: "Lamp", scope: "col" }), ...look.shown_deg.map((angle) => make("th", { textContent: `${angle}°`, scope: "col" })));
   const rows = look.swatches.map(({ lamp, hex, lab: values }, k) => {
     const row = document.createElement("tr");
     row.append(make("th", { textContent: lamp, scope: "row" }));

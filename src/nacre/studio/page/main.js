@@ -77,6 +77,7 @@ function setError(told) {
 // ---- the recipe, as a form and as TOML
 
 async function modelOf(family) {
+  if (!app.state.families.includes(family)) return null;
   if (!models.has(family)) models.set(family, api(`api/form?family=${encodeURIComponent(family)}`).catch(() => null));
   return models.get(family);
 }

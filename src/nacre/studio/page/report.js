@@ -37,7 +37,7 @@ function tables({ colours, numbers }, side) {
       return el("tr", {}, ...cells("th", [`${angle}°`], "row"), ...cells("td", [...lab[i].map((v) => v.toFixed(1)), chip]));
     });
     return el("table", {}, el("caption", { textContent: `${side}${what}; travel in a*b* ${travel_ab.toFixed(1)}` }),
-      el("thead", {}, el("tr", {}, ...cells("th", ["angle", "L*", "a*", "b*", ""], "col"))), el("tbody", {}, ...rows));
+      el("thead", {}, el("tr", {}, ...cells("th", ["angle", "L*", "a*", "b*", "sRGB"], "col"))), el("tbody", {}, ...rows));
   });
   const rows = numbers.map(([name, value]) => el("tr", {}, ...cells("th", [name], "row"), ...cells("td", [value])));
   return [...made, el("table", {}, el("caption", { textContent: `${side}numbers` }), el("tbody", {}, ...rows))];
