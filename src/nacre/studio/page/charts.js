@@ -28,6 +28,12 @@ function shown(r, g, b) {
   });
 }
 
+// Of a colour as #rrggbb; black and white stand equally well on 0.179 (WCAG 2).
+function luminance(hex) {
+  const [r, g, b] = [1, 3, 5].map((at) => Number.parseInt(hex.slice(at, at + 2), 16) / 255).map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4));
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+}
+
 function lab(r, g, b) {
   const xyz = [
     (0.4124564 * r + 0.3575761 * g + 0.1804375 * b) / 0.95047,
@@ -117,7 +123,7 @@ export function drawSwatches(table, look, other) {
         const made = make("span", { className: "chip", title: name + fill, textContent: name });
         made.style.background = fill;
         // the letter on the chip: black or white, whichever the colour carries
-        made.style.color = Number.parseInt(fill.slice(3, 5), 16) > 118 ? "#000" : "#fff";
+        made.style.color = luminance(fill) > 0.179 ? "#000" : "#fff";
         return made;
       };
       const cell = document.createElement("td"), differs = look.difference?.[k]?.[i];
