@@ -5,7 +5,7 @@ import { $, app, el, shortName, tell, wholeText } from "./common.js";
 const { recipe } = app;
 const THUMBNAIL = 56, RESTING_MS = 300;
 let kept = null, page = null, timer = 0;    // page: what main.js does: chart(), go(by), showRecipe(), listRecipes()
-const pictures = new Map();     // of recipes, by their text
+const pictures = new Map(), colours = new Map();     // of recipes, by their text: a small picture; before there is one, three colours
 
 // ---- A and B
 
@@ -72,7 +72,8 @@ function show() {
 // ---- the steps
 
 export function showHistory() {
-  const strip = $("history"), { past, at } = recipe;
+  const strip = $("history"), { past, at } = recipe, look = app.lastGood;
+  if (look && past[at]?.text === look.text) colours.set(look.text, look.swatches[0].hex);
   if (strip.childElementCount !== past.length) strip.replaceChildren(...past.map((_, i) => button(i)));
   [...strip.children].forEach((made, i) => {
     const { text, what } = past[i], picture = pictures.get(text), image = made.firstChild;
@@ -81,6 +82,7 @@ export function showHistory() {
     if (picture && image.src !== picture) image.src = picture;
     image.hidden = !picture;
     made.lastChild.hidden = Boolean(picture);
+    if (colours.has(text)) made.style.background = `linear-gradient(90deg, ${colours.get(text).join(", ")})`;
     if (i === at) made.setAttribute("aria-current", "step");
     else made.removeAttribute("aria-current");
   });
@@ -103,7 +105,7 @@ function take() {
   if (!app.view || !now || recipe.edits.length || app.lastGood?.draft || app.lastGood?.text !== now.text) return;
   pictures.set(now.text, app.view.thumbnail(THUMBNAIL));
   const texts = new Set(recipe.past.map(({ text }) => text));
-  for (const text of pictures.keys()) if (!texts.has(text)) pictures.delete(text);
+  for (const known of [pictures, colours]) for (const text of known.keys()) if (!texts.has(text)) known.delete(text);
   const image = $("history").children[recipe.at]?.firstChild;
   if (!image) return;
   image.src = pictures.get(now.text);
