@@ -101,7 +101,10 @@ def test_an_own_mesh_is_drawn_and_a_broken_one_is_one_line(page: Page, tmp_path:
     corners = "v -1 0 -1\nv 1 0 -1\nv 1 0 1\nv -1 0 1\nv 0 2 0\n"
     (tmp_path / "tent.obj").write_text(corners + "f 1 5 2\nf 2 5 3\nf 3 5 4\nf 4 5 1\nf 1 2 3\nf 1 3 4\n")
     (tmp_path / "broken.stl").write_text("solid nothing")
-    page.locator("#own-mesh").set_input_files(tmp_path / "tent.obj")
+    page.locator("#object").select_option("own")
+    with page.expect_file_chooser() as chooser:
+        page.get_by_role("button", name="Choose file").press("Enter")
+    chooser.value.set_files(tmp_path / "tent.obj")
     expect(page.locator("#view")).to_have_attribute("data-object", "own")
     tent = picture(page)
     assert np.abs(tent.astype(int) - before).mean() > 3
@@ -110,6 +113,12 @@ def test_an_own_mesh_is_drawn_and_a_broken_one_is_one_line(page: Page, tmp_path:
     np.testing.assert_array_equal(picture(page), tent)
     page.locator("#up").select_option("x")  # asks for the last file again
     expect(page.locator("#object-error")).to_contain_text("broken.stl")
+    drop = """(stage, text) => { const data = new DataTransfer();
+        data.items.add(new File([text], 'flag.obj'));
+        stage.dispatchEvent(new DragEvent('drop', {dataTransfer: data, bubbles: true, cancelable: true})); }"""
+    page.locator("#stage").evaluate(drop, corners.replace("0 2 0", "3 2 0") + "f 1 5 2\nf 2 5 3\nf 3 5 1\n")
+    expect(page.locator("#object option:checked")).to_have_text("flag.obj")
+    until(page, lambda: not np.array_equal(picture(page), tent))
 
 
 @pytest.mark.full

@@ -18,7 +18,11 @@ function unpack(buffer) {
 export const meshOf = () => (wanted === "own" && own ? { mesh: own.id } : {});
 
 async function choose(name) {
-  if (name === "own" && !own) return $("own-mesh").click();
+  $("pick-mesh").hidden = name !== "own";
+  if (name === "own" && !own) {
+    $("object-error").textContent = "Drop a mesh on the picture, or choose its file.";
+    return;
+  }
   wanted = name;
   $("object").value = name;
   $("object-error").textContent = "";
@@ -60,7 +64,6 @@ async function give(given) {
     if (drawn < own.faces) $("object-error").textContent = `${own.name}: drawn with ${drawn} of its ${own.faces} triangles; pictures take all`;
   } catch (problem) {
     $("object-error").textContent = problem.message;
-    $("object").value = wanted;
   }
 }
 
@@ -71,7 +74,7 @@ export function listObjects() {
 export function listenObjects() {
   $("object").addEventListener("change", () => choose($("object").value));
   $("own-mesh").addEventListener("change", () => { give($("own-mesh").files[0]); $("own-mesh").value = ""; });
-  $("own-mesh").addEventListener("cancel", () => { $("object").value = wanted; });
+  $("pick-mesh").addEventListener("click", () => $("own-mesh").click());
   $("up").addEventListener("change", () => give(file));
   $("grid").addEventListener("change", () => { if (app.view) { app.view.grid = $("grid").checked; app.view.draw(); } });
   const stage = $("stage");
