@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_studio import SEEN, THICKNESS, Server, ball, picture, slider, toml, until
+from helpers_studio import SEEN, THICKNESS, Server, ball, picture, settled, slider, toml, until
 from playwright.sync_api import Page, expect
 
 STRUCTURES = [
@@ -133,3 +133,23 @@ def test_another_place_is_seen_around_the_object(page: Page) -> None:
     assert np.abs(ball(room.astype(np.uint8)) - ball(before.astype(np.uint8))).max() > SEEN
     page.get_by_label("Around").select_option("studio")
     until(page, lambda: bool(np.array_equal(picture(page), before)))
+
+
+@pytest.mark.full
+def test_a_kept_look_follows_the_lamp(page: Page) -> None:
+    page.get_by_role("button", name="Keep as B").click()
+    slider(page, THICKNESS).fill("110")
+    until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 110)
+    settled(page)
+    before, ribbon = picture(page), page.locator("#ribbon-b-text").text_content()
+    page.get_by_label("Lamp").select_option("F11")
+    until(page, lambda: page.locator("#side-b").inner_text() == "B")
+    settled(page)
+    half = before.shape[1] // 2
+    changed = np.abs(picture(page).astype(int) - before)
+    assert changed[:, half:].max() > 3 and changed[:, :half].max() > 3
+    page.get_by_label("Lamp").select_option("D65")
+    until(page, lambda: page.locator("#side-b").inner_text() == "B")
+    settled(page)
+    until(page, lambda: bool(np.array_equal(picture(page), before)))
+    assert page.locator("#ribbon-b-text").text_content() == ribbon

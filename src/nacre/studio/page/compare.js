@@ -16,6 +16,33 @@ export const beside = () => (kept ? { beside: kept.look.swatches.map(({ lab }) =
 
 export const keptRecipe = () => (kept ? [{ text: kept.text, name: kept.name }] : []);
 
+// Under another lamp B's colours are solved anew: its question goes before the one of the recipe that is edited.
+let asked = null;       // the question of B that is not answered yet
+
+export const isStale = () => Boolean(kept) && ![kept.lamp, kept.failed].includes($("lamp").value);
+
+export function question(seq, own) {
+  if (!isStale() || recipe.edits.length) return own(seq);
+  asked = { seq, lamp: $("lamp").value };
+  return { name: kept.name, text: kept.text, edits: [], lamp: asked.lamp };
+}
+
+// Whether an answer is B's; the recipe's own question follows.
+export function takes(answer) {
+  if (asked?.seq !== answer.seq) return false;
+  const { lamp } = asked;
+  if (answer.draft) return true;
+  asked = null;
+  if (kept && answer.error) kept.failed = lamp;
+  else if (kept) {
+    Object.assign(kept, { look: answer, lamp });
+    if (app.view) app.view.setOther(answer);
+  }
+  show();
+  app.wire.ask();
+  return true;
+}
+
 async function keep() {
   const text = await wholeText(), look = app.lastGood;
   if (!look) return;
@@ -62,7 +89,7 @@ function show() {
   $("split").disabled = wanted !== "both";
   $("side-a").hidden = !kept || wanted === "b";
   $("side-b").hidden = !kept || wanted === "a";
-  // its colours are those of the lamp that it was kept under
+  // until it is solved anew its colours are those of the lamp that it was kept under
   $("side-b").textContent = kept && kept.lamp !== $("lamp").value ? `B, kept under ${kept.lamp}` : "B";
   $("cut").hidden = !kept || wanted !== "both";
   $("cut").style.left = `${at}%`;

@@ -1,7 +1,7 @@
 // The page: the recipe on the left, the object in the middle, what the numbers say on the right.
 
 import { drawRibbon, drawSpectrum, drawSwatches, drawTrack } from "./charts.js";
-import { beside, listenCompare, other, showHistory } from "./compare.js";
+import { beside, isStale, listenCompare, other, question, showHistory, takes } from "./compare.js";
 import { $, api, app, el, shortName, tell } from "./common.js";
 import { listRecipes, listenFiles, open, saveHere, welcome } from "./files.js";
 import { drawStructure } from "./drawing.js";
@@ -27,6 +27,7 @@ function onState(kind) {
 }
 
 async function onAnswer(answer, isNewest) {
+  if (takes(answer)) return;
   if (answer.error) return onError(answer, isNewest);
   const isOurs = recipe.settle(answer, isNewest);
   app.lastGood = answer;
@@ -41,6 +42,7 @@ async function onAnswer(answer, isNewest) {
     recipe.step();
     await showRecipe();
   }
+  if (!answer.draft && isStale()) app.wire.ask();
 }
 
 // The object comes first, the charts after it, once for all answers that came meanwhile.
@@ -73,6 +75,8 @@ function setError(told) {
   if (told) $("error").textContent = (told.line ? `Line ${told.line}: ` : "") + told.error;
   number();
 }
+
+const own = (seq) => ({ ...recipe.question(seq), ...beside(), lamp: $("lamp").value });
 
 // ---- the recipe, as a form and as TOML
 
@@ -199,7 +203,7 @@ async function start() {
   listen();
   const roomAsked = app.view ? fetchRoom("studio") : null;
   app.state = await api("api/state");
-  app.wire = new Wire((seq) => (recipe.name ? { ...recipe.question(seq), ...beside(), lamp: $("lamp").value } : null), onAnswer, onState);
+  app.wire = new Wire((seq) => (recipe.name ? question(seq, own) : null), onAnswer, onState);
   welcome();
   listObjects();
   if (recipe.recall()) {
