@@ -151,7 +151,9 @@ def test_a_kept_look_stands_beside_the_new_one_and_steps_are_gone_back_to_by_the
     assert np.abs(ball(picture(page)) - ball(before)).max() > SEEN
     step = page.get_by_role("button", name="Step 1 of 2: Opened")
     expect(step.locator("img")).to_have_attribute("src", drawn)
-    step.click()
+    page.get_by_role("button", name="Step 2 of 2").focus()
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("Enter")
     until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 300)
     expect(step).to_have_attribute("aria-current", "step")
     settled(page)

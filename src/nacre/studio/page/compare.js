@@ -110,6 +110,7 @@ export function showHistory() {
     image.hidden = !picture;
     made.lastChild.hidden = Boolean(picture);
     if (colours.has(text)) made.style.background = `linear-gradient(90deg, ${colours.get(text).join(", ")})`;
+    made.tabIndex = i === at ? 0 : -1;      // one stop for Tab; arrow keys go along
     if (i === at) made.setAttribute("aria-current", "step");
     else made.removeAttribute("aria-current");
   });
@@ -148,6 +149,12 @@ export function listenCompare(given) {
   click("drop-b", drop);
   for (const box of document.querySelectorAll('input[name="side"]')) box.addEventListener("change", show);
   $("split").addEventListener("input", show);
+  $("history").addEventListener("keydown", (event) => {
+    const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key], to = [...$("history").children].indexOf(event.target) + by;
+    if (!by || !$("history").children[to]) return;
+    event.preventDefault();
+    $("history").children[to].focus();
+  });
   $("lamp").addEventListener("change", show);
   $("view").addEventListener("keydown", (event) => {
     if (event.key.toLowerCase() !== "b" || event.ctrlKey || event.metaKey || event.altKey || !kept) return;
