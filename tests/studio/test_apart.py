@@ -46,7 +46,7 @@ def client(folder: Path) -> Iterator[TestClient]:
         yield client
 
 
-@pytest.mark.parametrize("place", ["/api/report", "/api/targets", "/api/file"])
+@pytest.mark.parametrize("place", ["/api/report", "/api/targets", "/api/file", "/api/mesh?name=a.obj"])
 def test_without_the_token_nothing_is_made(folder: Path, place: str) -> None:
     app = make_app(Opened.of(str(folder)), TOKEN, PORT)
     with TestClient(app, base_url=f"http://127.0.0.1:{PORT}") as stranger:

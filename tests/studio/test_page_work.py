@@ -127,6 +127,7 @@ def test_another_place_is_seen_around_the_object(page: Page) -> None:
     assert np.ptp(before[-20:].mean(axis=(0, 1))) < 2  # the studio's floor is grey
     page.get_by_label("Around").select_option("interior")
     expect(page.locator("#view")).to_have_attribute("data-surround", "interior")
+    expect(page.locator("#surround-note")).to_contain_text("light of its own colours")
     room = picture(page).astype(int)
     floor = room[-20:].mean(axis=(0, 1))
     assert floor[0] > floor[2] + 20  # boards of wood

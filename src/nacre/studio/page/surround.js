@@ -28,9 +28,9 @@ async function choose() {
     if (wanted !== name || !app.view) return;
     app.view.setRoom(values, surround, surround.places[name]);
     $("view").dataset.surround = name;
-    $("object-error").textContent = surround.places[name] ? "This place has light of its own colours, which the lamp above does not change; the preview multiplies by them, the settled picture is spectral." : "";
+    $("surround-note").textContent = surround.places[name] ? "This place has light of its own colours, which the lamp above does not change; the preview multiplies by them, the settled picture is spectral." : "";
   } catch (problem) {
-    $("object-error").textContent = problem.message;
+    $("surround-note").textContent = problem.message;
   }
 }
 
