@@ -5,6 +5,7 @@ import pytest
 from helpers_metasurface import surface, t_matrix
 
 from nacre.families.metasurface.cluster import Coupling, PlaneWaves, direct_coupling, reflected_coupling
+from nacre.families.metasurface.monolayer import Particle
 from nacre.families.metasurface.neighbours import multipole_index
 from nacre.families.metasurface.sphere import (
     Directions,
@@ -28,7 +29,7 @@ def _waves(below, centre, order, theta, azimuths, under=False):
 def _coupled(below, radius, m, order, places=PLACES):
     t = t_matrix(order, below.wavenumber * radius, m)
     gaps = [np.linalg.norm(a - b) for i, a in enumerate(places) for b in places[:i]] or [2 * radius, 3 * radius]
-    return Coupling.build(below, radius, t, min(gaps), max(gaps))
+    return Coupling.build(below, Particle(1.0, radius, t), min(gaps), max(gaps))
 
 
 @pytest.mark.parametrize("name", STACKS)

@@ -13,7 +13,7 @@ from nacre.errors import NacreError
 
 FORMATS = {
     "rgl": ".bsdf", "merl": ".binary", "csv": ".csv", "zemax": ".bsdf", "gltf": ".gltf", "materialx": ".mtlx",
-    "exr": ".exr", "nacre": ".nacre", "lut": "-lut",
+    "exr": ".exr", "nacre": ".nacre", "lut": "-lut", "tmat": ".tmat.h5",
 }  # fmt: skip
 
 
