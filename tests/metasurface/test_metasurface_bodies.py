@@ -7,7 +7,7 @@ import pytest
 from helpers_metasurface import REFERENCE, reference, surface
 
 import nacre
-from nacre.families.metasurface.axial import Body, as_blocks, truncated
+from nacre.families.metasurface.axial import KnownBody, as_blocks, truncated
 from nacre.families.metasurface.bodies import place, refuse
 from nacre.families.metasurface.cluster import Coupling, PlaneWaves
 from nacre.families.metasurface.corrections import diffuse_term
@@ -60,7 +60,7 @@ def test_over_glass_and_film_spheroids_and_discs_scatter_as_finite_elements_say(
     data = reference("particles_open.npz")
     for row in range(len(data["sub_particle"])):
         known, below, gap = _row(data, "sub", row)
-        body = Body(known, known.radius_nm, known.height_nm, known.circumscribing_nm, "x")
+        body = KnownBody(known, known.radius_nm, known.height_nm, known.circumscribing_nm, "x")
         placed = place(body, below, gap)
         assert not placed.is_near and placed.change <= 0.02
         alone = SphereOnStack(below, placed.particle.centre_nm, placed.particle.t_matrix, int(data["sub_mmax"]))
@@ -74,7 +74,7 @@ def test_close_to_the_stack_flat_particles_scatter_as_finite_elements_say():
     data = reference("particles_open.npz")
     for row in range(len(data["near_particle"])):
         known, below, gap = _row(data, "near", row)
-        body = Body(known, known.radius_nm, known.height_nm, known.circumscribing_nm, "x")
+        body = KnownBody(known, known.radius_nm, known.height_nm, known.circumscribing_nm, "x")
         placed = place(body, below, gap)
         assert placed.is_near and placed.change <= 0.02
         p = placed.particle
@@ -85,7 +85,7 @@ def test_close_to_the_stack_flat_particles_scatter_as_finite_elements_say():
 def test_where_two_cuts_disagree_the_least_gap_is_named_and_works():
     known = _known(1)
     low = dataclasses.replace(known, blocks=truncated(known.blocks[0], 4)[None])
-    body = Body(low, known.radius_nm, known.height_nm, known.circumscribing_nm, "disc.toml")
+    body = KnownBody(low, known.radius_nm, known.height_nm, known.circumscribing_nm, "disc.toml")
     below = surface(620.0, 4.0 + 0.03j)
     placed = place(body, below, 1.0)
     assert placed.is_near and placed.change > 0.02
@@ -118,7 +118,7 @@ def test_blocks_of_a_sphere_are_dressed_as_its_diagonal_is():
 @pytest.mark.parametrize(("particle", "gap"), [(3, 12.0), (5, 8.0)])
 def test_one_disc_is_reciprocal(substrate, particle, gap):
     known = _known(particle)
-    body = Body(known, known.radius_nm, known.height_nm, known.circumscribing_nm, "x")
+    body = KnownBody(known, known.radius_nm, known.height_nm, known.circumscribing_nm, "x")
     below = surface(known.wavelengths_nm[0], substrate, [(1.46, 200.0)])
     p = place(body, below, gap).particle
     alone = SphereOnStack(below, p.centre_nm, p.t_matrix, 4, p.cut)
@@ -150,7 +150,7 @@ def test_a_disc_on_glass_absorbs_what_it_does_not_scatter():
 
 def _layer(particle, gap, coverage=0.06, substrate=1.5, **more):
     known = _known(particle)
-    body = Body(known, known.radius_nm, known.height_nm, known.circumscribing_nm, "x")
+    body = KnownBody(known, known.radius_nm, known.height_nm, known.circumscribing_nm, "x")
     below = surface(known.wavelengths_nm[0], substrate)
     density = coverage / np.pi / known.radius_nm**2
     packing = max(0.12, 1.01 * coverage * (known.circumscribing_nm / known.radius_nm) ** 2)

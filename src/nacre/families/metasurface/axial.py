@@ -8,7 +8,9 @@ block has the same numbers in both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import abc
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -118,19 +120,61 @@ class AxialTMatrices:
         return np.asarray(self.blocks[start] + (x - start) * (self.blocks[end] - self.blocks[start]))
 
 
-@dataclass(frozen=True)
-class Body:
+class Body(abc.ABC):
     """A particle that is no sphere, as a monolayer sees it.
 
     Attributes:
-        known: its T-matrices.
+        name: what it is, in words.
         radius_nm: largest distance from the axis, which coverage and drawings count by.
-        height_nm: whole height.
+        height_nm: whole height, the centre in its middle.
         circumscribing_nm: largest distance from the centre.
         source: what a message calls it: the recipe's key and value.
-        hold_ends: whether the T-matrices hold beyond their wavelengths.
         shape: "cylinder", "spheroid" or "sphere", or "" where only the T-matrix is known.
+        lmax: highest multipole order.
+        method: where the T-matrix is from, in words.
     """
+
+    method: ClassVar[str] = "from a file"
+    name: str
+    radius_nm: float
+    height_nm: float
+    circumscribing_nm: float
+    source: str
+    shape: str
+    lmax: int
+
+    @abc.abstractmethod
+    def t_matrix(self, wavelength_nm: float) -> ComplexArray:
+        """Return T at a wavelength, `[m, n, n']`, to the azimuthal order that monolayers need.
+
+        Raises:
+            MaterialRangeError: it is not known there.
+            UnsupportedError: it cannot be computed.
+        """
+
+    @abc.abstractmethod
+    def index(self, wavelength_nm: float) -> complex | None:
+        """Return the particle's own index, or None: it is not known."""
+
+    @abc.abstractmethod
+    def all_known(self, wavelengths_nm: Array) -> AxialTMatrices:
+        """Return the T-matrices for a file: those that are known, or those at some wavelengths."""
+
+    def check_order(self, asked: int) -> None:
+        """Refuse multipoles that are not known.
+
+        Raises:
+            UnsupportedError: the order is higher.
+        """
+        if asked > self.lmax:
+            raise UnsupportedError(
+                f"model.multipole_order = {asked} is higher than what {self.source} holds: l up to {self.lmax}"
+            )
+
+
+@dataclass(frozen=True)
+class KnownBody(Body):
+    """A particle whose T-matrices a file gives; `hold_ends`: they hold beyond their wavelengths. See `Body`."""
 
     known: AxialTMatrices
     radius_nm: float
@@ -139,6 +183,16 @@ class Body:
     source: str
     hold_ends: bool = False
     shape: str = ""
+
+    @property
+    def name(self) -> str:  # type: ignore[override]  # read only, as all of a frozen dataclass
+        """What the file calls it."""
+        return self.known.name
+
+    @property
+    def lmax(self) -> int:  # type: ignore[override]
+        """Highest multipole order of the file."""
+        return self.known.lmax
 
     def t_matrix(self, wavelength_nm: float) -> ComplexArray:
         """Return T at a wavelength, `[m, n, n']`.
@@ -149,19 +203,14 @@ class Body:
         return self.known.at(wavelength_nm, self.hold_ends)
 
     def index(self, wavelength_nm: float) -> complex | None:
-        """Return the particle's own index, where it is known."""
+        """Return the particle's own index, where the file says it."""
         if self.known.material_index is None:
             return None
         nearest = int(np.argmin(np.abs(self.known.wavelengths_nm - wavelength_nm)))
         return complex(self.known.material_index[nearest])
 
-    def check_order(self, asked: int) -> None:
-        """Refuse multipoles that are not known.
-
-        Raises:
-            UnsupportedError: the order is higher.
-        """
-        if asked > self.known.lmax:
-            raise UnsupportedError(
-                f"model.multipole_order = {asked} is higher than what {self.source} holds: l up to {self.known.lmax}"
-            )
+    def all_known(self, wavelengths_nm: Array) -> AxialTMatrices:
+        """Return what the file holds, with the extents that the recipe gives."""
+        return replace(
+            self.known, radius_nm=self.radius_nm, height_nm=self.height_nm, circumscribing_nm=self.circumscribing_nm
+        )

@@ -62,7 +62,7 @@ def layer_sheet(material: Metasurface) -> LayerSheet:
     ]
     if material.body is not None:
         remarks.append(
-            f"particles: {material.body.known.name}, {2 * material.body.radius_nm:.6g} nm wide, "
+            f"particles: {material.body.name}, {2 * material.body.radius_nm:.6g} nm wide, "
             f"{material.body.height_nm:.6g} nm high, {material.gap_nm:g} nm above the layers"
         )
     if len(material.sizes.radii_nm) > 1:

@@ -17,13 +17,13 @@ HIGHEST_EXPORTED = 15  # beyond, a file of 48 wavelengths has 500 MB before it i
 def particle_t_matrices(material: Metasurface) -> AxialTMatrices:
     """Return the T-matrices of one particle at the material's wavelengths, of spheres with a spread the mean one.
 
-    Spheres get the multipoles that they need over their stack, at most 15; what a recipe's file holds is kept as it is.
+    Spheres get the multipoles that they need over their stack, at most 15; of a file what it holds.
 
     Raises:
         ConvergenceRefusal, MaterialRangeError: see `Metasurface.monolayer`.
     """
     if material.body is not None:
-        return material.body.known
+        return material.body.all_known(material.wavelengths_nm)
     surfaces = [material.surface(w) for w in material.wavelengths_nm]
     lmax = min(max(material.order(s) for s in surfaces), HIGHEST_EXPORTED)
     radius = float(np.dot(material.sizes.radii_nm, material.sizes.shares))
@@ -48,9 +48,10 @@ def write_particle(material: Metasurface, path: Path, description: str) -> list[
     if size > MAX_BYTES:
         raise UnsupportedError(f"{path}: the T-matrices would take {size >> 20} MB; fewer multipoles are needed")
     shape = "sphere" if material.body is None else material.body.shape
+    method = "Mie" if material.body is None else material.body.method
     if material.body is None and material.shell is not None:
         shape = ""  # the format's sphere is of one material
-    write_tmatrices(path, known, shape, "Mie" if material.body is None else "from the recipe", description)
+    write_tmatrices(path, known, shape, method, description)
     lost = ["the stack, the density and the order: a T-matrix is of one particle alone"]
     if len(material.sizes.radii_nm) > 1:
         lost.append("the spread of sizes: the mean one was taken")

@@ -1,4 +1,4 @@
-"""The recipe's particles: spheres, or what a file of T-matrices describes."""
+"""The recipe's particles: spheres, discs, rods, spheroids, or what a file of T-matrices describes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 import pydantic
 
 from nacre.errors import MaterialRangeError
-from nacre.families.metasurface.axial import AxialTMatrices, Body
+from nacre.families.metasurface.axial import AxialTMatrices, Body, KnownBody
+from nacre.families.metasurface.solids import SolvedBody
 from nacre.families.metasurface.tmatrix_file import TMatrixFileError, read_tmatrices
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
@@ -35,20 +36,24 @@ class ShellSpec(RecipeModel):
 
 
 class ParticleSpec(RecipeModel):
-    """The particles: spheres, by material and radius, or any with an axis along the normal, by a file of T-matrices."""
+    """The particles: spheres, upright cylinders or spheroids, or any with an axis along the normal, by a file."""
 
     forms: ClassVar[tuple[str, ...]] = (
         '{material = "Ag", radius_nm = 90}',
         '{material = "Au", radius_nm = 60, deviation_nm = 5, shell = {material = "SiO2", thickness_nm = 10}}',
+        '{shape = "cylinder", material = "Si", diameter_nm = 120, height_nm = 80}',
         '{tmatrix = "disc.tmat.h5", gap_nm = 5}',
     )
-    one_of: ClassVar[tuple[str, ...]] = ("material|radius_nm", "tmatrix")
+    one_of: ClassVar[tuple[str, ...]] = ("material", "tmatrix")
 
     material: IndexSpec | None = pydantic.Field(
-        default=None, description="what the core of a sphere is made of", examples=["Ag"]
+        default=None, description="what the particle, or the core of a sphere, is made of", examples=["Ag"]
     )
     radius_nm: Annotated[float, pydantic.Field(ge=SMALLEST_CORE_NM, le=CORE_LIMIT_NM)] | None = pydantic.Field(
-        default=None, description="mean radius of the core", examples=[90]
+        default=None, description="mean radius of the core of a sphere", examples=[90]
+    )
+    shape: Literal["sphere", "cylinder", "spheroid"] = pydantic.Field(
+        default="sphere", description="form; the axis of a cylinder (disc or rod) or a spheroid is the normal"
     )
     deviation_nm: NotNegative = pydantic.Field(
         default=0.0, description="standard deviation of the radius, at most 0.3 of it", examples=[5]
@@ -67,27 +72,36 @@ class ParticleSpec(RecipeModel):
         examples=["disc.tmat.h5"],
     )
     diameter_nm: Extent | None = pydantic.Field(
-        default=None, description="width of what tmatrix describes, where the file does not say it", examples=[120]
+        default=None,
+        description="width of a cylinder or spheroid; or of what tmatrix describes, if its file does not say",
+        examples=[120],
     )
     height_nm: Extent | None = pydantic.Field(
         default=None,
-        description="height of what tmatrix describes, the centre in its middle, where the file does not say it",
+        description="height of a cylinder or spheroid; or of what tmatrix describes, if its file does not say",
         examples=[80],
     )
 
     @pydantic.model_validator(mode="after")
     def _one_kind(self) -> ParticleSpec:
-        if self.tmatrix is None:
-            missing = [name for name in ("material", "radius_nm") if getattr(self, name) is None]
-            if missing:
-                raise ValueError(f"needs {' and '.join(missing)} of spheres, or tmatrix, a file of T-matrices")
-            foreign = [name for name in ("diameter_nm", "height_nm") if getattr(self, name) is not None]
-            if foreign:
-                raise ValueError(f"gives {foreign[0]}, which belongs to tmatrix; a sphere has radius_nm")
+        if self.tmatrix is not None:
+            of_others = ("material", "radius_nm", "shape", "deviation_nm", "shell")
+            given = [name for name in of_others if name in self.model_fields_set]
+            if given:
+                raise ValueError(f"gives tmatrix and {given[0]}; a file of T-matrices says what the particle is")
             return self
-        foreign = [name for name in ("material", "radius_nm", "deviation_nm", "shell") if name in self.model_fields_set]
-        if foreign:
-            raise ValueError(f"gives tmatrix and {foreign[0]}; a file of T-matrices says what the particle is")
+        wanted: tuple[str, ...] = ("material", "radius_nm")
+        foreign: tuple[str, ...] = ("diameter_nm", "height_nm")
+        if self.shape != "sphere":
+            wanted, foreign = ("material", *foreign), ("radius_nm", "deviation_nm", "shell")
+        given = [name for name in foreign if name in self.model_fields_set]
+        if given:
+            raise ValueError(f"gives {given[0]}, which a {self.shape} does not have; it has {', '.join(wanted)}")
+        missing = [name for name in wanted if getattr(self, name) is None]
+        if missing:
+            raise ValueError(
+                f"needs {' and '.join(missing)} of a {self.shape}, or tmatrix, a file of T-matrices, in place of all"
+            )
         return self
 
     @pydantic.model_validator(mode="after")
@@ -116,7 +130,7 @@ class ParticleSpec(RecipeModel):
             RecipeError: the file is not usable, or is of another medium or of an unknown size.
         """
         if self.tmatrix is None:
-            return None
+            return None if self.shape == "sphere" else self._solid(context, ambient, hold_ends)
         try:
             known = read_tmatrices(context.path(self.tmatrix))
         except TMatrixFileError as error:
@@ -127,7 +141,14 @@ class ParticleSpec(RecipeModel):
         # without a shape the particle may fill the cylinder that its two lengths name
         reach = float(np.hypot(radius, height / 2)) if known.circumscribing_nm is None else known.circumscribing_nm
         source = f'{context.source}: particle.tmatrix = "{self.tmatrix}"'
-        return Body(known, radius, height, reach, source, hold_ends)
+        return KnownBody(known, radius, height, reach, source, hold_ends)
+
+    def _solid(self, context: RecipeContext, ambient: OpticalConstant, hold_ends: bool) -> SolvedBody:
+        assert self.material is not None and self.diameter_nm is not None and self.height_nm is not None  # _one_kind
+        core = self.material.build()
+        core = core.with_extrapolation("edge") if hold_ends else core
+        source = f'{context.source}: particle.shape = "{self.shape}"'
+        return SolvedBody(self.shape, self.diameter_nm / 2, self.height_nm, core, ambient, source)
 
     def _check_medium(self, context: RecipeContext, known: AxialTMatrices, ambient: OpticalConstant) -> None:
         for wavelength, index in zip(known.wavelengths_nm, known.ambient_index):

@@ -230,6 +230,8 @@ class MetasurfaceSpec(RecipeModel):
 
     varies_by_nodes: ClassVar[tuple[str, ...]] = (
         "particle.radius_nm",
+        "particle.diameter_nm",
+        "particle.height_nm",
         "particle.shell.thickness_nm",
         "particle.gap_nm",
         "monolayer.coverage",
