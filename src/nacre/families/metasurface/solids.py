@@ -18,7 +18,7 @@ from nacre.matter.jobs import in_threads, one_thread_each
 from nacre.recipe.identity import identity
 from nacre.recipe.kept import keep_arrays, kept_arrays
 
-LEAST_ORDER, HIGHEST_ORDER = 10, 20  # the coupling with a stack needs l near 10 also of small particles
+LEAST_ORDER, HIGHEST_ORDER = 20, 28  # close to a stack discs settle with l and its cut: at 10 to 1 %, at 20 to .2 %
 SHORTEST_NM = 360.0
 GRADING = 0.15  # of panels towards an edge: after n levels GRADING^(2 n nu) is left, nu the exponent of the field there
 LADDER, CONTENT = (3, 7, 14), 1e-3  # levels, and what is good enough: nu is .5 to .8, but near 0 for silver at 360 nm
