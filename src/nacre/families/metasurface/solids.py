@@ -10,7 +10,7 @@ import numpy as np
 
 from nacre.arrays import Array, ComplexArray
 from nacre.errors import UnsupportedError
-from nacre.families.metasurface.axial import AxialTMatrices, Body, gain, reciprocal
+from nacre.families.metasurface.axial import AxialTMatrices, Body, gain, reciprocal, truncated
 from nacre.families.metasurface.boundary import Mesh, block_t_matrix
 from nacre.families.metasurface.sphere import AZIMUTHAL_ORDERS
 from nacre.matter.indices.constant import OpticalConstant
@@ -19,6 +19,7 @@ from nacre.recipe.identity import identity
 from nacre.recipe.kept import keep_arrays, kept_arrays
 
 LEAST_ORDER, HIGHEST_ORDER = 20, 28  # close to a stack discs settle with l and its cut: at 10 to 1 %, at 20 to .2 %
+EXPORTED_ORDER = 10  # of a file: 48 wavelengths of all orders would have 600 MB
 SHORTEST_NM = 360.0
 GRADING = 0.15  # of panels towards an edge: after n levels GRADING^(2 n nu) is left, nu the exponent of the field there
 LADDER, CONTENT = (3, 7, 14), 1e-3  # levels, and what is good enough: nu is .5 to .8, but near 0 for silver at 360 nm
@@ -188,8 +189,12 @@ class SolvedBody(Body):
         return complex(self.core.n_complex(np.array([wavelength_nm]))[0])
 
     def all_known(self, wavelengths_nm: Array) -> AxialTMatrices:
-        """Return the T-matrices at some wavelengths, with every azimuthal order."""
-        blocks = in_threads(lambda w: self._at(float(w), self.lmax), [float(w) for w in wavelengths_nm])
+        """Return the T-matrices at some wavelengths, with every azimuthal order, up to l = 10."""
+
+        def whole(wavelength_nm: float) -> ComplexArray:
+            return truncated(self._at(wavelength_nm, EXPORTED_ORDER), EXPORTED_ORDER)
+
+        blocks = in_threads(whole, [float(w) for w in wavelengths_nm])
         around = self.ambient.n_complex(wavelengths_nm).real
         return AxialTMatrices(
             wavelengths_nm, np.stack(blocks), around, self.name, self.radius_nm, self.height_nm, self.circumscribing_nm,
