@@ -137,6 +137,7 @@ def test_what_looks_the_same_upside_down_couples_no_even_with_odd():
     assert np.all(t[:, forbidden] == 0.0) and np.abs(t[0]).max() > 0.1
 
 
+@pytest.mark.full
 def test_the_stated_error_covers_a_finer_mesh():
     body = _body("cylinder", 60.0, 80.0, 0.13 + 3.9j)
     found, stated = _solved(body, 600.0)

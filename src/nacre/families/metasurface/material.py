@@ -178,7 +178,8 @@ class Metasurface(Model):
         surface = self.surface(float(np.clip(JUDGED_NM, *self.range_nm)))
         core = self._index_inside(surface.wavelength_nm) / surface.ambient_index
         below = np.max(np.abs(surface.indices[1:] / surface.ambient_index - 1.0)) > choice.SAME_INDEX
-        holds, why = choice.mean_field_holds(choice.kind_of(core), bool(below), self.coverage)
+        noun = "spheres" if self.body is None else "particles"
+        holds, why = choice.mean_field_holds(choice.kind_of(core), bool(below), self.coverage, noun)
         return ("qca-balanced" if holds else ENSEMBLE), why
 
     @property
