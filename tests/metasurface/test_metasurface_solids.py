@@ -34,6 +34,13 @@ correction = "qca-balanced"
 """
 
 
+@pytest.fixture(autouse=True)
+def small_matrices_on_one_thread():
+    """As the product solves them: on a loaded machine threads of linear algebra wait for each other."""
+    with one_thread_each():
+        yield
+
+
 def _index(n):
     n = complex(n)
     return IndexSpec.model_validate({"n": n.real, "k": n.imag}).build()
@@ -53,8 +60,7 @@ def _reference_body(data, i):
 
 def _solved(body, wavelength_nm):
     """T with m up to 4 and its stated error, past any cache."""
-    with one_thread_each():
-        return body._solve(*body._numbers(wavelength_nm), 4)
+    return body._solve(*body._numbers(wavelength_nm), 4)
 
 
 def _kind(data, i):
@@ -86,8 +92,7 @@ def test_over_stacks_they_scatter_as_finite_elements_say(kind):
     for i in sorted(set(data[f"{kind}_particle"].tolist())):
         body, lam = _reference_body(data, i), float(data["wavelength_nm"][i])
         radius, height, n = body._numbers(lam)
-        with one_thread_each():
-            t = block_t_matrix(Mesh(_panels(body.shape, radius, height, n)), n, 10, 6)
+        t = block_t_matrix(Mesh(_panels(body.shape, radius, height, n)), n, 10, 6)
         for row in np.nonzero(data[f"{kind}_particle"] == i)[0]:
             films = []
             if data[f"{kind}_substrate"][row] != "glass":
@@ -108,8 +113,7 @@ def test_over_stacks_they_scatter_as_finite_elements_say(kind):
 @pytest.mark.parametrize("n", [1.5, 4.0 + 0.05j, 0.05 + 3.0j])
 @pytest.mark.parametrize("x", [0.05, 0.8, 2.5])
 def test_a_spheroid_as_wide_as_high_is_a_sphere(n, x):
-    with one_thread_each():
-        found = block_t_matrix(Mesh(spheroid_panels(x, 2 * x, n)), n, 4)
+    found = block_t_matrix(Mesh(spheroid_panels(x, 2 * x, n)), n, 4)
     wanted = as_blocks(t_matrix(4, x, n))
     assert np.abs(found - wanted).max() <= OF_OWN_METHOD * np.abs(wanted).max()
 

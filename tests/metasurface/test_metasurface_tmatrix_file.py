@@ -312,9 +312,9 @@ def test_what_does_not_fit_the_recipe_gets_one_line(tmp_path, capsys):
     assert "give particle.diameter_nm" in _refusal(tmp_path, capsys, 'tmatrix = "unsized.tmat.h5"')
     assert "tmatrix and radius_nm" in _refusal(tmp_path, capsys, air + "radius_nm = 70")
     assert "not what air.tmat.h5 says: 150 nm" in _refusal(tmp_path, capsys, air + "diameter_nm = 170")
-    assert "needs material and radius_nm" in _refusal(tmp_path, capsys, "gap_nm = 1")
+    assert "needs material and radius_nm of a sphere, or tmatrix" in _refusal(tmp_path, capsys, "gap_nm = 1")
     sphere = 'material = "Si"\nradius_nm = 75\nheight_nm = 30'
-    assert "belongs to tmatrix" in _refusal(tmp_path, capsys, sphere)
+    assert "gives height_nm, which a sphere does not have" in _refusal(tmp_path, capsys, sphere)
     path = _recipe(tmp_path, air)
     assert run(["spectrum", str(path), "--wavelengths-nm", "600"]) == 2
     assert "from 500 to 520 nm, not at 600 nm" in capsys.readouterr().err
