@@ -122,9 +122,10 @@ class SolvedBody(Body):
             MaterialRangeError: an index is not known.
             UnsupportedError: it does not converge.
         """
-        return self._at(float(wavelength_nm), AZIMUTHAL_ORDERS)
+        return self.azimuthal(float(wavelength_nm), AZIMUTHAL_ORDERS)
 
-    def _at(self, wavelength_nm: float, mmax: int) -> ComplexArray:
+    def azimuthal(self, wavelength_nm: float, mmax: int) -> ComplexArray:
+        """Return T as `t_matrix` does, with m up to `mmax`."""
         key = (wavelength_nm, mmax)
         if key not in self._solved:
             self._solved[key] = self._kept(wavelength_nm, mmax)
@@ -192,7 +193,7 @@ class SolvedBody(Body):
         """Return the T-matrices at some wavelengths, with every azimuthal order, up to l = 10."""
 
         def whole(wavelength_nm: float) -> ComplexArray:
-            return truncated(self._at(wavelength_nm, EXPORTED_ORDER), EXPORTED_ORDER)
+            return truncated(self.azimuthal(wavelength_nm, EXPORTED_ORDER), EXPORTED_ORDER)
 
         blocks = in_threads(whole, [float(w) for w in wavelengths_nm])
         around = self.ambient.n_complex(wavelengths_nm).real
