@@ -185,11 +185,13 @@ def test_the_mean_fields_power_is_what_independent_discs_extinguish_where_they_a
     assert np.all(r < 1) and loss == pytest.approx(wanted, rel=5e-3)
 
 
-def test_one_disc_of_an_ensemble_is_the_disc_on_the_stack():
+@pytest.mark.parametrize("gap", [40.0, 3.0])
+def test_one_disc_of_an_ensemble_is_the_disc_on_the_stack(gap):
     known = _known(1)
     below = surface(620.0, 1.5)
-    particle = same_order(_layer(1, 40.0), 2, _layer(1, 40.0).particles[0]).particles[0]
-    assert known.lmax == 10 and particle.lmax == 2
+    layer = _layer(1, gap)
+    particle = same_order(layer, 2, layer.particles[0]).particles[0]
+    assert known.lmax == 10 and particle.lmax == 2 and (particle.cut is not None) == (gap < 10)
     coupling = Coupling.build(below, particle, 200.0, 400.0)
     light = Directions.build(below, particle.centre_nm, 2, 2, np.cos([0.3, 0.9]))
     azimuths = 2 * np.pi * np.arange(8) / 8
@@ -197,7 +199,7 @@ def test_one_disc_of_an_ensemble_is_the_disc_on_the_stack():
     views = PlaneWaves.build(light, azimuths, 2, below.wavenumber)
     place_nm = np.array([[0.0, 0.0]])
     f = coupling.far_field(place_nm, coupling.solve(place_nm, waves), views).reshape(2, 2, 8, 2, 2)
-    alone = SphereOnStack(below, particle.centre_nm, particle.t_matrix, 2)
+    alone = SphereOnStack(below, particle.centre_nm, particle.t_matrix, 2, particle.cut)
     wanted = amplitude(alone.harmonics(light, light), azimuths)
     assert np.abs(f.transpose(0, 1, 3, 4, 2) - wanted).max() <= 2e-5 * np.abs(wanted).max()
 

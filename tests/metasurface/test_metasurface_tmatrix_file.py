@@ -278,6 +278,7 @@ BROKEN = {
         "a wavelength twice",
     ),
     "odd polarization": (_set("modes/polarization", ["left"] * 70), 'names a polarization "left"'),
+    "what a terminal obeys": (_set("modes/polarization", ["\x1b[2Jred\n"] * 70), 'names a polarization "[2jred"'),
     "a mode twice": (_set("modes/m", np.zeros(70, int)), "every mode up to l = 5 once"),
     "wrong shape": (_set("tmatrix", np.zeros(5)), "of shape (5,)"),
 }

@@ -71,7 +71,7 @@ def read_tmatrices(path: str | Path) -> AxialTMatrices:
     except OSError:
         raise TMatrixFileError("is no HDF5 file that can be read") from None
     except (KeyError, ValueError, TypeError, RuntimeError, IndexError, AttributeError, UnicodeError) as error:
-        raise TMatrixFileError(f"is damaged: {' '.join(str(error).split())[:120]}") from None
+        raise TMatrixFileError(f"is damaged: {_shown(str(error), 120)}") from None
 
 
 def _read(file: h5py.File) -> AxialTMatrices:
@@ -96,9 +96,9 @@ def _read(file: h5py.File) -> AxialTMatrices:
     blocks = _axial(_parity_blocks(file, values[order]))
     geometry = _geometry(file)
     name = file.attrs.get("name", "")
-    name = name.decode("utf-8", "replace") if isinstance(name, bytes) else str(name)
+    name = _shown(name.decode("utf-8", "replace") if isinstance(name, bytes) else str(name), 60)
     return AxialTMatrices(
-        wavelengths[order], blocks, index[order], " ".join(name.split())[:60] or Path(file.filename).name,
+        wavelengths[order], blocks, index[order], name or Path(file.filename).name,
         geometry.get("radius"), geometry.get("height"), geometry.get("circumscribing"),
         _material(file, len(values), order),
     )  # fmt: skip
@@ -120,6 +120,11 @@ def _dataset(file: h5py.Group, name: str) -> Any:
     if where.external or where.is_virtual:
         raise TMatrixFileError(f'keeps "{name}" in another file')
     return where
+
+
+def _shown(text: str, most: int = 20) -> str:
+    """Text of a file as a message may show it: on one line, and nothing that a terminal would obey."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())[:most]
 
 
 def _complex(values: Any) -> ComplexArray:
@@ -150,7 +155,7 @@ def _unit(attributes: Any, kind: str, name: str) -> float:
     else:
         prefix = "?"
     if prefix not in PREFIXES:
-        raise TMatrixFileError(f'gives {name} in "{given[:20]}", which is no unit of {kind}')
+        raise TMatrixFileError(f'gives {name} in "{_shown(given)}", which is no unit of {kind}')
     return float(PREFIXES[prefix] ** power)
 
 
@@ -255,7 +260,7 @@ def _places(
     odd = next((w for w in words if w not in first + second), None)
     if odd is not None:
         raise TMatrixFileError(
-            f'names a polarization "{odd[:20]}"; it should be electric and magnetic, or positive and negative'
+            f'names a polarization "{_shown(odd)}"; it should be electric and magnetic, or positive and negative'
         )
     kind = np.array([w in second for w in words], dtype=np.int64)
     kept = np.nonzero(l <= lmax)[0]
