@@ -184,6 +184,7 @@ def test_a_recipe_of_discs_keeps_energy_and_draws_circles_of_their_width(tmp_pat
     total = sum(np.array(v) for k, v in found.items() if k.endswith("tance"))
     assert np.all(total <= 1.0) and np.all(total > 0.5)
     model = nacre.load(path).model
+    assert 1e-6 <= model.bsdf(np.array([620.0])).provenance["t_matrix_error"] <= 1e-3
     assert model.coverage == pytest.approx(0.05) and model.outer_radius_nm == 60.0
     # nothing said of the packing: as dense as circumscribing spheres that touch
     assert model.structure.diameter_nm == pytest.approx(2 * np.hypot(60.0, 40.0), rel=1e-6)

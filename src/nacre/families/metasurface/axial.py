@@ -156,6 +156,11 @@ class Body(abc.ABC):
     def index(self, wavelength_nm: float) -> complex | None:
         """Return the particle's own index, or None: it is not known."""
 
+    @property
+    def stated_error(self) -> float | None:
+        """The largest estimated error of what was computed so far, relative to T; None: nothing says."""
+        return None
+
     @abc.abstractmethod
     def all_known(self, wavelengths_nm: Array) -> AxialTMatrices:
         """Return the T-matrices for a file: those that are known, or those at some wavelengths."""

@@ -51,6 +51,9 @@ def write_particle(material: Metasurface, path: Path, description: str) -> list[
     method = "Mie" if material.body is None else material.body.method
     if material.body is None and material.shell is not None:
         shape = ""  # the format's sphere is of one material
+    error = None if material.body is None else material.body.stated_error
+    if error is not None:
+        method += f", estimated relative error {error:.1g}"
     write_tmatrices(path, known, shape, method, description)
     lost = ["the stack, the density and the order: a T-matrix is of one particle alone"]
     if len(material.sizes.radii_nm) > 1:

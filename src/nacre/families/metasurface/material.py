@@ -374,6 +374,8 @@ class Metasurface(Model):
         }
         if self.chosen_correction[1]:
             notes["correction_because"] = self.chosen_correction[1]
+        if self.body is not None and self.body.stated_error is not None:
+            notes["t_matrix_error"] = float(f"{self.body.stated_error:.2g}")
         if judged is not None:
             notes["ensemble"] = judged.notes
         if self.multipole_order is None:

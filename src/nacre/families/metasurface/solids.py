@@ -111,6 +111,11 @@ class SolvedBody(Body):
             )
         return order
 
+    @property
+    def stated_error(self) -> float | None:
+        """The largest difference between two meshes, over the wavelengths that were asked for, relative to T."""
+        return max(self.errors.values(), default=None)
+
     @cached_property
     def _solved(self) -> dict[tuple[float, int], ComplexArray]:
         return {}
