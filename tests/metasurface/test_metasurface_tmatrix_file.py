@@ -10,6 +10,7 @@ from helpers_metasurface import REFERENCE, reference, t_matrix
 import nacre
 from nacre.cli import run
 from nacre.errors import MaterialRangeError
+from nacre.families.metasurface import tmatrix_file
 from nacre.families.metasurface.axial import AxialTMatrices, as_blocks, gain, mirror_signs
 from nacre.families.metasurface.tmatrix_file import TMatrixFileError, read_tmatrices, write_tmatrices
 
@@ -302,6 +303,21 @@ def test_what_is_no_such_file_gets_one_line(tmp_path, capsys):
     told = {"text": "is no HDF5 file", "half": "is no HDF5 file", "folder": "is a folder", "none": "does not exist"}
     for name, said in told.items():
         assert said in _refusal(tmp_path, capsys, f'tmatrix = "{name}.h5"')
+
+
+@pytest.mark.parametrize(
+    ("probe", "patience", "said"),
+    [
+        ("import os; os.abort()", 60.0, "HDF5 crashes on it"),
+        ("import time; time.sleep(300)", 0.5, "is not done with it"),
+    ],
+)
+def test_a_file_that_hdf5_does_not_survive_gets_one_line(tmp_path, capsys, monkeypatch, probe, patience, said):
+    """Met by changing bytes at random: a broken heap of strings is read for ever."""
+    monkeypatch.setattr(tmatrix_file, "PROBE", probe)
+    monkeypatch.setattr(tmatrix_file, "PATIENCE_S", patience)
+    write_tmatrices(tmp_path / "b.tmat.h5", _spheres(), "sphere")
+    assert said in _refusal(tmp_path, capsys, 'tmatrix = "b.tmat.h5"')
 
 
 def test_what_does_not_fit_the_recipe_gets_one_line(tmp_path, capsys):

@@ -8,7 +8,11 @@ of helicity is (N + M)/sqrt(2) (positive) or (N - M)/sqrt(2), with N electric an
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +24,7 @@ from nacre.arrays import Array, ComplexArray
 from nacre.errors import NacreError
 from nacre.families.metasurface.axial import AxialTMatrices, gain, mirror_signs, reciprocal
 from nacre.files import atomic_path, plain, why_unreadable
+from nacre.recipe.identity import file_digest
 
 if TYPE_CHECKING:
     import h5py
@@ -27,6 +32,20 @@ if TYPE_CHECKING:
 MAX_BYTES = 512 << 20  # of the matrix: 100 wavelengths of l = 12
 HIGHEST_ORDER = 60
 SPEED_OF_LIGHT = 299792458.0
+PATIENCE_S = 60.0
+PROBE = """
+import sys, h5py
+def see(name, thing):
+    list(thing.attrs.items())
+    if isinstance(thing, h5py.Dataset) and not (thing.external or thing.is_virtual) and thing.nbytes < int(sys.argv[2]):
+        thing[()]
+try:
+    with h5py.File(sys.argv[1], "r") as file:
+        see("", file)
+        file.visititems(see)
+except Exception:
+    pass
+"""
 AXIS_TOLERANCE = 1e-3  # of the Frobenius norm: what a mesh leaves of couplings that the symmetry forbids
 GAIN_TOLERANCE = 1e-2  # of the largest singular value that a passive particle's scattering matrix has, 1
 PREFIXES = {
@@ -63,6 +82,7 @@ def read_tmatrices(path: str | Path) -> AxialTMatrices:
         plain(path)
     except OSError as error:
         raise TMatrixFileError(why_unreadable(error)) from None
+    _try_apart(os.path.abspath(path), file_digest(path))
     try:
         with h5py.File(path, "r") as file:
             return _read(file)
@@ -72,6 +92,24 @@ def read_tmatrices(path: str | Path) -> AxialTMatrices:
         raise TMatrixFileError("is no HDF5 file that can be read") from None
     except (KeyError, ValueError, TypeError, RuntimeError, IndexError, AttributeError, UnicodeError) as error:
         raise TMatrixFileError(f"is damaged: {_shown(str(error), 120)}") from None
+
+
+@lru_cache(maxsize=64)
+def _try_apart(path: str, digest: str) -> None:
+    """Read a file in a process of its own first: of some damaged ones the HDF5 library never comes back, or crashes.
+
+    Raises:
+        TMatrixFileError: it did.
+    """
+    try:
+        # -P: what lies in the working folder is not imported
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", PROBE, path, str(MAX_BYTES)], timeout=PATIENCE_S, capture_output=True
+        )
+    except subprocess.TimeoutExpired:
+        raise TMatrixFileError(f"is damaged: HDF5 is not done with it after {PATIENCE_S:g} s") from None
+    if done.returncode < 0:  # a signal; what Python says is told better where the file is read
+        raise TMatrixFileError("is damaged: HDF5 crashes on it")
 
 
 def _read(file: h5py.File) -> AxialTMatrices:
