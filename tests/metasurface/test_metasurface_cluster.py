@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 from helpers_metasurface import surface, t_matrix
 
+from nacre.families.metasurface.axial import AxialTMatrices, reciprocal
+from nacre.families.metasurface.boundary import Mesh, block_t_matrix
 from nacre.families.metasurface.cluster import Coupling, PlaneWaves, direct_coupling, reflected_coupling
+from nacre.families.metasurface.monolayer import Particle
 from nacre.families.metasurface.neighbours import multipole_index
+from nacre.families.metasurface.solids import cylinder_panels
 from nacre.families.metasurface.sphere import (
     Directions,
     SphereOnStack,
@@ -13,6 +17,7 @@ from nacre.families.metasurface.sphere import (
     hemisphere_rule,
     reflection_operator,
 )
+from nacre.families.metasurface.tmatrix_file import write_tmatrices
 
 SINGLE = 2e-5  # of the largest amplitude: the matrix is in single precision, its tables good to 1e-5
 STACKS = {"glass": (1.5, ()), "oxide": (4.3 + 0.07j, ((1.46, 400.0),))}
@@ -28,7 +33,7 @@ def _waves(below, centre, order, theta, azimuths, under=False):
 def _coupled(below, radius, m, order, places=PLACES):
     t = t_matrix(order, below.wavenumber * radius, m)
     gaps = [np.linalg.norm(a - b) for i, a in enumerate(places) for b in places[:i]] or [2 * radius, 3 * radius]
-    return Coupling.build(below, radius, t, min(gaps), max(gaps))
+    return Coupling.build(below, Particle(1.0, radius, t), min(gaps), max(gaps))
 
 
 @pytest.mark.parametrize("name", STACKS)
@@ -43,12 +48,28 @@ def test_one_sphere_alone_is_the_sphere_on_the_stack(name):
     assert np.abs(found - plain).max() <= SINGLE * np.abs(plain).max()
 
 
-def test_spheres_in_free_space_agree_with_treams():
-    treams = pytest.importorskip("treams")
+def _disc(order, wavelength):
+    """Return T of a flat disc, `[m, n, n']`: full blocks, which mix l and magnetic with electric."""
+    n, k = 3.9 + 0.02j, 2 * np.pi / wavelength
+    return reciprocal(block_t_matrix(Mesh(cylinder_panels(75.0 * k, 60.0 * k, n)), n, order))
+
+
+@pytest.mark.parametrize("shape", ["sphere", "disc"])
+def test_particles_in_free_space_agree_with_treams(shape, tmp_path):
+    treams = pytest.importorskip("treams.io").treams
     radius, m, order, k = 75.0, 3.9 + 0.02j, 3, 2 * np.pi / 600.0
     places = PLACES[:4]
     below = surface(600.0, 1.0)
-    coupling = _coupled(below, radius, m, order, places)
+    if shape == "sphere":
+        coupling = _coupled(below, radius, m, order, places)
+        one = treams.TMatrix.sphere(order, k, radius, [m**2, 1.0])
+    else:
+        t = _disc(order, 600.0)
+        coupling = Coupling.build(below, Particle(1.0, radius, t), 180.0, 2000.0)
+        known = AxialTMatrices(np.array([600.0]), t[None], np.ones(1))
+        write_tmatrices(tmp_path / "disc.tmat.h5", known)
+        one = treams.io.load_hdf5(str(tmp_path / "disc.tmat.h5"))[0].changepoltype("helicity")
+        one = treams.TMatrix(np.asarray(one), k0=k, basis=one.basis, material=1.0, poltype="helicity")
     theta_i, theta_s = 0.7, np.array([0.3, 1.2])
     light, view = (
         _waves(below, radius, order, np.array([theta_i]), [0.5]),
@@ -56,8 +77,7 @@ def test_spheres_in_free_space_agree_with_treams():
     )
     found = coupling.far_field(places, coupling.solve(places, light), view).reshape(2, 2, 12, 2)
     at = np.concatenate([places, np.full((4, 1), radius)], axis=1)
-    spheres = [treams.TMatrix.sphere(order, k, radius, [m**2, 1.0]) for _ in places]
-    cluster = treams.TMatrix.cluster(spheres, at).interaction.solve()
+    cluster = treams.TMatrix.cluster([one for _ in places], at).interaction.solve()
     travel = k * np.array([np.sin(theta_i) * np.cos(0.5), np.sin(theta_i) * np.sin(0.5), -np.cos(theta_i)])
     r = np.array([theta_s[:, None] + 0 * AROUND, AROUND + 0 * theta_s[:, None]])
     far = 1e9

@@ -8,9 +8,10 @@ from typing import Any
 # the ending of a file, or of a folder's name
 EXPORTS = {
     "rgl": ".bsdf", "merl": ".binary", "csv": ".csv", "zemax": ".bsdf", "gltf": ".gltf", "materialx": ".mtlx",
-    "exr": ".exr", "nacre": ".nacre", "lut": "-lut",
+    "exr": ".exr", "nacre": ".nacre", "lut": "-lut", "tmat": ".tmat.h5",
 }  # fmt: skip
 FOLDER = "lut"  # the one that is a folder of files
+OF_SOME = ("tmat",)  # that only models with such a format of their own can write (`Model.own_formats`)
 
 
 def said_of(facts: Mapping[str, Any]) -> list[str]:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, ClassVar
 
 from numpy.typing import NDArray
@@ -35,6 +36,7 @@ from nacre.light import default_wavelengths
 from nacre.matter.drawings import Drawer
 
 Figure = Callable[..., dict[str, NDArray[Any]]]
+Writer = Callable[[Path, str], list[str]]  # (path, a comment for the file) -> in words what the file does not hold
 
 
 class Model(abc.ABC):
@@ -173,6 +175,11 @@ class Model(abc.ABC):
     @property
     def fabrications(self) -> Mapping[str, Drawer]:
         """The fabrication files: format -> function of a request that returns the drawing."""
+        return {}
+
+    @property
+    def own_formats(self) -> Mapping[str, Writer]:
+        """The formats of other programs that hold what only this family has: format -> what writes the file."""
         return {}
 
     def figure_data(self, kind: str, **options: Any) -> dict[str, NDArray[Any]]:

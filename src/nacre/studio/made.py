@@ -17,7 +17,7 @@ from typing import Any
 
 from nacre.errors import NacreError
 from nacre.exchange.drawings import SUFFIXES
-from nacre.exchange.formats import EXPORTS, FOLDER, said_of
+from nacre.exchange.formats import EXPORTS, FOLDER, OF_SOME, said_of
 from nacre.exchange.number_maps import FORMATS as MAP_FORMATS
 from nacre.exchange.number_maps import SUFFIXES as MAP_SUFFIXES
 from nacre.light import ILLUMINANTS
@@ -54,7 +54,8 @@ def targets(material: Material) -> dict[str, list[str]]:
     """
     drawn = list(material.model.fabrications)
     maps = [name for name in MAP_FORMATS if name not in drawn] if number_maps(material) else []
-    return {"export": sorted(EXPORTS), "fabricate": [*drawn, *maps], "picture": list(PICTURES)}
+    exports = [name for name in EXPORTS if name not in OF_SOME or name in material.model.own_formats]
+    return {"export": sorted(exports), "fabricate": [*drawn, *maps], "picture": list(PICTURES)}
 
 
 def read_wanted(body: Mapping[str, Any], opened: Opened) -> dict[str, Any]:

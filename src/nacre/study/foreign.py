@@ -13,7 +13,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.directions import direction
 from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.bsdf.texture import refuse_place
-from nacre.errors import NacreError
+from nacre.errors import NacreError, UnsupportedError
 from nacre.exchange.gonio_csv import LARGEST_VALUE, read_gonio_csv, write_gonio_csv
 from nacre.exchange.lobes import delta_lost, gonio_grid, gonio_table, is_isotropic, lost_parts, merl_lobe
 from nacre.exchange.merl import merl_table, read_merl, write_merl
@@ -38,7 +38,7 @@ def export_material(
     """Write a material in another program's format.
 
     Args:
-        target: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr", "nacre" or "lut" (a folder).
+        target: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr", "nacre", "tmat", or "lut" (a folder).
         angle_step_deg: of the csv's direction grid.
         wavelength_nm: for a monochrome zemax file.
         illuminant: that the colours of lut are for.
@@ -54,6 +54,14 @@ def export_material(
     refuse_place(material.model, f"{material.context.source}: export")
     comment = f"nacre {__version__}, {material.name}\n{material.text}"
     facts: dict[str, Any] = {"format": target, "file": str(path), "lost": []}
+    if target == "tmat":
+        writer = material.model.own_formats.get(target)
+        if writer is None:
+            raise UnsupportedError(
+                f"{material.context.source}: a {material.model.noun} has no T-matrix; tmat is for the particles of "
+                "metasurfaces"
+            )
+        return facts | {"lost": writer(path, comment)}
     if target == "lut":
         return facts | _export_table(material, path, illuminant, progress)
     if target in ("gltf", "materialx"):

@@ -63,12 +63,12 @@ def highest_coverage(kind: str, on_substrate: bool) -> tuple[float, Measured]:
     return nearest.coverage * HOLDS / nearest.error, nearest
 
 
-def mean_field_holds(kind: str, on_substrate: bool, coverage: float) -> tuple[bool, str]:
-    """Tell whether the mean field is taken, and why in words."""
+def mean_field_holds(kind: str, on_substrate: bool, coverage: float, noun: str = "spheres") -> tuple[bool, str]:
+    """Tell whether the mean field is taken, and why in words; particles of another shape are judged as spheres are."""
     limit, by = highest_coverage(kind, on_substrate)
     where = "on a substrate" if on_substrate else "with nothing below"
     reason = (
-        f"{kind} spheres {where} at coverage {coverage:.3g}; measured: {by.system}, coverage {by.coverage:g}, "
+        f"{kind} {noun} {where} at coverage {coverage:.3g}; measured: {by.system}, coverage {by.coverage:g}, "
         f"{100 * by.error:.0f} % off, so the mean field is taken up to {limit:.2g}"
     )
     return coverage <= limit * (1 + 1e-6), reason

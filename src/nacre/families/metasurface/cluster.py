@@ -18,6 +18,7 @@ from scipy.linalg.lapack import cgetrf, cgetrs
 from nacre.arrays import Array, ComplexArray
 from nacre.families.metasurface.angular import adjoint, mirrored, plane_wave_vectors
 from nacre.families.metasurface.bessel import bessel_j, spherical_hankel_scaled
+from nacre.families.metasurface.monolayer import Particle
 from nacre.families.metasurface.neighbours import (
     direct_coefficients,
     multipole_index,
@@ -25,7 +26,7 @@ from nacre.families.metasurface.neighbours import (
     stack_contour,
     with_negative_orders,
 )
-from nacre.families.metasurface.sphere import Directions, dressed_matrix, reflection_operator
+from nacre.families.metasurface.sphere import Directions, SphereOnStack
 from nacre.families.metasurface.substrate import Substrate
 from nacre.matter.jit import compiled
 
@@ -98,17 +99,11 @@ class Coupling:
     dressed: ComplexArray
 
     @classmethod
-    def build(
-        cls, surface: Substrate, centre_nm: float, t_matrix: ComplexArray, nearest_nm: float, farthest_nm: float
-    ) -> Coupling:
-        """Tabulate between two distances of centres.
-
-        Args:
-            t_matrix: diagonal, `[2 order]`.
-        """
-        order = len(t_matrix) // 2
+    def build(cls, surface: Substrate, particle: Particle, nearest_nm: float, farthest_nm: float) -> Coupling:
+        """Tabulate between two distances of centres."""
+        order, centre_nm = particle.lmax, particle.centre_nm
         index = multipole_index(order)
-        blocks = dressed_matrix(t_matrix, reflection_operator(surface, centre_nm, order, order))
+        blocks = SphereOnStack(surface, centre_nm, particle.t_matrix, order, particle.cut).dressed
         rows = index.block
         sign = np.where((index.m[:, None] < 0) & (index.tau[:, None] != index.tau), -1.0, 1.0)
         same = index.m[:, None] == index.m

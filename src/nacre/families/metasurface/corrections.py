@@ -111,6 +111,18 @@ def diffuse_term(
     )
 
 
+def within_what_arrives(specular: Array, up: Array, down: Array) -> tuple[Array, Array, float]:
+    """Return the diffuse powers with what a model sends above one taken off, as the lobes do, and how much that was.
+
+    The default correction exceeds one by less than a per cent, and only near grazing; a simpler one may exceed it by
+    much, and is then no longer what its name says, so it should be told.
+    """
+    sent = up + down
+    room = np.maximum(1.0 - specular, 0.0)
+    share = np.where(sent > room, room / np.maximum(sent, 1e-300), 1.0)
+    return up * share, down * share, float(np.max(sent - room, initial=0.0))
+
+
 def _judged(
     ratio: Ratio, joined: DirectionSet, powers: PairPowers, spread: Array, s_harmonics: Array, weights: Array,
     is_below: NDArray[np.bool_], kept: int, whole: Array,

@@ -40,7 +40,7 @@ def layout(material: Metasurface, request: DrawingRequest) -> Layout:
         "density_per_um2": density_per_um2,
         "packing": material.structure.packing,
         "seed": seed,
-        "shape": "circles are the outlines of spheres, seen from above",
+        "shape": f"circles are the outlines of {_noun(material)}, seen from above",
     }
     return Layout(pattern.xy_nm * 1e-3, _mean_radius_nm(material) * 1e-3, box_um, (columns, rows), facts)
 
@@ -48,7 +48,7 @@ def layout(material: Metasurface, request: DrawingRequest) -> Layout:
 def layer_sheet(material: Metasurface) -> LayerSheet:
     """Return the table of what to make, from the light's side inward."""
     radius = _mean_radius_nm(material)
-    core: list[Any] = [("core", material.core, "radius_nm", radius)]
+    core: list[Any] = [] if material.core is None else [("core", material.core, "radius_nm", radius)]
     if material.shell is not None:
         core.insert(0, ("shell", material.shell.material, "thickness_nm", material.shell.thickness_nm))
     entries = [("ambient", material.ambient, "", ""), *core]
@@ -60,6 +60,11 @@ def layer_sheet(material: Metasurface) -> LayerSheet:
         f"{material.structure.density_per_nm2 * 1e6:.6g} particles a um^2, packing {material.structure.packing:.4g}, "
         f"{material.structure.name}"
     ]
+    if material.body is not None:
+        remarks.append(
+            f"particles: {material.body.name}, {2 * material.body.radius_nm:.6g} nm wide, "
+            f"{material.body.height_nm:.6g} nm high, {material.gap_nm:g} nm above the layers"
+        )
     if len(material.sizes.radii_nm) > 1:
         shares, radii = np.array(material.sizes.shares), np.array(material.sizes.radii_nm)
         spread = float(np.sqrt(shares @ (radii - radius) ** 2))
@@ -75,3 +80,9 @@ def layer_sheet(material: Metasurface) -> LayerSheet:
 
 def _mean_radius_nm(material: Metasurface) -> float:
     return float(np.dot(material.sizes.radii_nm, material.sizes.shares))
+
+
+def _noun(material: Metasurface) -> str:
+    if material.body is None:
+        return "spheres"
+    return f"{material.body.shape}s" if material.body.shape else "particles"

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
 from nacre.arrays import Array, ComplexArray
+from nacre.families.metasurface.axial import truncated
 from nacre.families.metasurface.cluster import Coupling, PlaneWaves
 from nacre.families.metasurface.corrections import diffuse_term
 from nacre.families.metasurface.monolayer import Lit, Monolayer, Particle
@@ -100,12 +101,12 @@ class Ensemble:
     def coupling(self) -> Coupling:
         """The tables of the couplings."""
         particle = self.layer.particles[0]
-        return Coupling.build(self.layer.surface, particle.centre_nm, particle.t_matrix, *distances(self.patches))
+        return Coupling.build(self.layer.surface, particle, *distances(self.patches))
 
     @cached_property
     def sides(self) -> list[tuple[Directions, Array]]:
         """Directions of light and view of each side, with solid-angle weights."""
-        layer, order = self.layer, len(self.layer.particles[0].t_matrix) // 2
+        layer, order = self.layer, self.layer.particles[0].lmax
         centre = layer.particles[0].centre_nm
         x, w = np.polynomial.legendre.leggauss(ABOVE_ANGLES)
         theta = WIDEST * (x + 1) / 2
@@ -118,7 +119,7 @@ class Ensemble:
 
     @cached_property
     def _waves(self) -> tuple[list[PlaneWaves], list[PlaneWaves]]:
-        k, order = self.layer.surface.wavenumber, len(self.layer.particles[0].t_matrix) // 2
+        k, order = self.layer.surface.wavenumber, self.layer.particles[0].lmax
         few = 2 * np.pi * np.arange(LIGHT_AZIMUTHS) / LIGHT_AZIMUTHS
         many = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
         return (
@@ -249,7 +250,7 @@ def distances(many: list[Array]) -> tuple[float, float]:
 
 def same_order(layer: Monolayer, order: int, particle: Particle) -> Monolayer:
     """Return the mean-field model of one particle size with multipoles up to `order`."""
-    lmax = min(order, len(particle.t_matrix) // 2)
-    kept = np.concatenate([np.arange(lmax), len(particle.t_matrix) // 2 + np.arange(lmax)])
-    alone = Particle(1.0, particle.centre_nm, particle.t_matrix[kept])
+    lmax = min(order, particle.lmax)
+    # few multipoles feel little of what a cut takes away, and both sides of a ratio feel the same
+    alone = Particle(1.0, particle.centre_nm, truncated(particle.t_matrix, lmax), particle.cut)
     return Monolayer(layer.surface, (alone,), layer.structure, "qca-balanced", min(layer.interaction_order, lmax))

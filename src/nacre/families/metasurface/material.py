@@ -1,4 +1,4 @@
-"""The metasurface: a disordered monolayer of resonant spheres on a layered substrate."""
+"""The metasurface: a disordered monolayer of resonant particles on a layered substrate."""
 
 from __future__ import annotations
 
@@ -20,22 +20,29 @@ from nacre.errors import UnsupportedError
 from nacre.families.contract import Model
 from nacre.families.metasurface import choice
 from nacre.families.metasurface.arrangement import Arrangement
+from nacre.families.metasurface.axial import Body
+from nacre.families.metasurface.bodies import place, refuse
 from nacre.families.metasurface.compile import choose_grids, tabulate
-from nacre.families.metasurface.corrections import diffuse_term
+from nacre.families.metasurface.corrections import diffuse_term, within_what_arrives
 from nacre.families.metasurface.ensemble import EnsembleSettings
 from nacre.families.metasurface.few import few_powers, few_values
 from nacre.families.metasurface.monolayer import Monolayer, Particle
-from nacre.families.metasurface.particles import Shell, Sizes
+from nacre.families.metasurface.particles import Shell, Sizes, sphere_t_matrix
 from nacre.families.metasurface.patterns import Pattern
 from nacre.families.metasurface.qca import INTERACTION_ORDER
 from nacre.families.metasurface.refine import Refinement, refine
-from nacre.families.metasurface.sphere import ORDER_TOLERANCE, ConvergenceRefusal, choose_order, hemisphere_rule
+from nacre.families.metasurface.sphere import (
+    ORDER_TOLERANCE,
+    ConvergenceRefusal,
+    choose_order,
+    hemisphere_rule,
+    rounded_up,
+)
 from nacre.families.metasurface.structure import Structure
 from nacre.families.metasurface.substrate import LOSSLESS_K, Substrate
 from nacre.light import default_wavelengths
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.jobs import in_threads
-from nacre.matter.mie import mie_coefficients
 
 logger = logging.getLogger("nacre")
 
@@ -50,6 +57,7 @@ UNASKED_TOLERANCE = 0.01
 THICK_FILM_NM = 1000.0
 TOLD_EXCESS = 0.01  # of energy: what the default correction is tested to keep
 SAME_INDEX = 1e-3
+UNTOLD_INDEX = 4.0
 NEAR = 0.1  # of the logarithm of a length: spheres so alike take one multipole order
 FEW_ANGLES, LEAST_COS = 48, 0.05  # that are solved one by one, and off grazing
 
@@ -60,13 +68,13 @@ class MetasurfaceWarning(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class Metasurface(Model):
-    """Spheres over a stack.
+    """Particles over a stack.
 
     Attributes:
         ambient: around the particles; lossless.
         layers: materials and thicknesses in nm, from the light's side inward.
         substrate: below; it transmits if it is clear.
-        core: material of the particles.
+        core: material of the particles; None where only their T-matrix is known.
         sizes: their radii.
         shell: a coating, or None; the outer radius is the core's plus its thickness.
         gap_nm: between the particles and the stack.
@@ -81,6 +89,7 @@ class Metasurface(Model):
         arrangement: how to make the points, or the points; None where only S(q) is known.
         memory: multipole orders of candidates near this one, see `among_many`; None: each is chosen anew.
         sees_neighbours: False leaves the near fields of neighbours out.
+        body: the particles, where they are no spheres; `sizes` then holds their largest distance from the axis.
     """
 
     noun = "metasurface"
@@ -90,7 +99,7 @@ class Metasurface(Model):
     ambient: OpticalConstant
     layers: tuple[tuple[OpticalConstant, float], ...]
     substrate: OpticalConstant
-    core: OpticalConstant
+    core: OpticalConstant | None
     sizes: Sizes
     structure: Structure
     shell: Shell | None = None
@@ -105,6 +114,7 @@ class Metasurface(Model):
     memory: dict[Any, Any] | None = None
     sees_neighbours: bool = True
     ensemble: EnsembleSettings = EnsembleSettings()
+    body: Body | None = None
 
     def pattern(self, count: int, seed: int | None = None) -> Pattern:
         """Return about `count` particles on a periodic square; of a list of points, the list itself.
@@ -129,7 +139,7 @@ class Metasurface(Model):
 
     @property
     def outer_radius_nm(self) -> float:
-        """Mean radius with the shell."""
+        """Mean radius with the shell; of a body the largest distance from its axis."""
         core = float(np.dot(self.sizes.radii_nm, self.sizes.shares))
         return core + (self.shell.thickness_nm if self.shell else 0.0)
 
@@ -155,14 +165,8 @@ class Metasurface(Model):
 
     def t_matrix(self, lmax: int, surface: Substrate, radius_nm: float) -> ComplexArray:
         """Return the diagonal T of one sphere, `[n]`."""
-        lam = np.array([surface.wavelength_nm])
-        radii, indices = [radius_nm], [complex(self.core.n_complex(lam)[0])]
-        if self.shell is not None:
-            radii.append(radius_nm + self.shell.thickness_nm)
-            indices.append(complex(self.shell.material.n_complex(lam)[0]))
-        x = surface.wavenumber * np.array(radii)
-        a, b = mie_coefficients(lmax, x, np.array(indices) / surface.ambient_index)
-        return np.concatenate([-b, -a])
+        assert self.core is not None  # of spheres it is known
+        return sphere_t_matrix(self.core, self.shell, radius_nm, lmax, surface)
 
     @cached_property
     def chosen_correction(self) -> tuple[str, str]:
@@ -172,9 +176,10 @@ class Metasurface(Model):
         if self.arrangement is None:
             return "qca-balanced", "only S(q) is known, so there are no positions for an ensemble"
         surface = self.surface(float(np.clip(JUDGED_NM, *self.range_nm)))
-        core = complex(self.core.n_complex(np.array([surface.wavelength_nm]))[0]) / surface.ambient_index
+        core = self._index_inside(surface.wavelength_nm) / surface.ambient_index
         below = np.max(np.abs(surface.indices[1:] / surface.ambient_index - 1.0)) > choice.SAME_INDEX
-        holds, why = choice.mean_field_holds(choice.kind_of(core), bool(below), self.coverage)
+        noun = "spheres" if self.body is None else "particles"
+        holds, why = choice.mean_field_holds(choice.kind_of(core), bool(below), self.coverage, noun)
         return ("qca-balanced" if holds else ENSEMBLE), why
 
     @property
@@ -231,18 +236,38 @@ class Metasurface(Model):
         wavelength_nm = float(wavelength_nm)
         if wavelength_nm not in self._solved:
             surface = self.surface(wavelength_nm)
-            lmax = self.order(surface)
-            above = (self.shell.thickness_nm if self.shell else 0.0) + self.gap_nm
-            particles = tuple(
-                Particle(share, radius + above, self.t_matrix(lmax, surface, radius))
-                for radius, share in zip(self.sizes.radii_nm, self.sizes.shares)
-            )
+            particles = (self._body_at(surface),) if self.body is not None else self._spheres_at(surface)
             mean_field = "qca-balanced" if self.correction in (AUTO, ENSEMBLE) else self.correction
             self._solved[wavelength_nm] = Monolayer(
                 surface, particles, self.structure, mean_field, self.interaction_order,
                 sees_neighbours=self.sees_neighbours,
             )  # fmt: skip
         return self._solved[wavelength_nm]
+
+    def _spheres_at(self, surface: Substrate) -> tuple[Particle, ...]:
+        lmax = self.order(surface)
+        above = (self.shell.thickness_nm if self.shell else 0.0) + self.gap_nm
+        return tuple(
+            Particle(share, radius + above, self.t_matrix(lmax, surface, radius))
+            for radius, share in zip(self.sizes.radii_nm, self.sizes.shares)
+        )
+
+    def _body_at(self, surface: Substrate) -> Particle:
+        assert self.body is not None
+        placed = place(self.body, surface, self.gap_nm, self.multipole_order)
+        tolerance = self.multipole_tolerance or LOOSEST_TOLERANCE
+        if placed.change > tolerance and (placed.is_near or self.multipole_order is None):
+            raise refuse(self.body, surface, self.gap_nm, placed, tolerance, self.multipole_order)
+        if placed.change > UNASKED_TOLERANCE:
+            self._unsettled[surface.wavelength_nm] = placed.change
+        return placed.particle
+
+    def _index_inside(self, wavelength_nm: float) -> complex:
+        """The particles' own index; of a T-matrix that does not say, a high one, the kind with the strictest limit."""
+        if self.core is not None:
+            return complex(self.core.n_complex(np.array([wavelength_nm]))[0])
+        told = None if self.body is None else self.body.index(wavelength_nm)
+        return complex(UNTOLD_INDEX) if told is None else told
 
     @cached_property
     def _solved(self) -> dict[float, Monolayer]:
@@ -274,6 +299,7 @@ class Metasurface(Model):
 
     def _neighbourhood(self, surface: Substrate) -> tuple[Any, ...]:
         """What the order depends on, to within a tenth; of the stack the media and the first film's thickness."""
+        assert self.core is not None  # of spheres it is known
         lam = np.array([surface.wavelength_nm])
         inside = [self.core, *([] if self.shell is None else [self.shell.material])]
         near = 0.0 if not self.layers else min(self.layers[0][1], self.outer_radius_nm)
@@ -296,7 +322,7 @@ class Metasurface(Model):
                 return refusal.order
             accept = ""
             if refusal.change < LOOSEST_TOLERANCE:
-                accept = f", or accept model.tolerance = {_rounded_up(refusal.change):g}"
+                accept = f", or accept model.tolerance = {rounded_up(refusal.change):g}"
             raise ConvergenceRefusal(
                 f"{self.source}: particle.gap_nm = {self.gap_nm:g}: at {surface.wavelength_nm:g} nm {refusal}; "
                 'put 2 nm of native oxide (layers = [{material = "SiO2", thickness_nm = 2}]) and a gap_nm = 1 '
@@ -348,18 +374,21 @@ class Metasurface(Model):
         }
         if self.chosen_correction[1]:
             notes["correction_because"] = self.chosen_correction[1]
+        if self.body is not None and self.body.stated_error is not None:
+            notes["t_matrix_error"] = float(f"{self.body.stated_error:.2g}")
         if judged is not None:
             notes["ensemble"] = judged.notes
         if self.multipole_order is None:
             notes["multipole_tolerance"] = max([self.multipole_tolerance or ORDER_TOLERANCE, *self._unsettled.values()])
         if self._unsettled:
             logger.warning(
-                "%s: at %s nm the far field is converged to %.2g only (a metal sphere touches the solid); "
-                "with a gap_nm of 2 it converges; model.tolerance sets what is accepted",
+                "%s: at %s nm the far field is converged to %.2g only (%s); model.tolerance sets what is accepted",
                 self.source,
                 " and ".join(f"{w:g}" for w in sorted(self._unsettled)),
                 max(self._unsettled.values()),
-            )
+                "the particle lies close to the solid" if self.body is not None
+                else "a metal sphere touches the solid; with a gap_nm of 2 it converges",
+            )  # fmt: skip
         return Bsdf((specular, harmonic), notes)
 
     def _warn(self) -> None:
@@ -405,28 +434,16 @@ class Metasurface(Model):
         columns = in_threads(powers, lam)
         r, t, up, down = (np.stack([c[i] for c in columns], axis=-1) for i in range(4))
         if self.correction != "none":
-            up, down = self._within_what_arrives(r + t, up, down)
+            up, down, excess = within_what_arrives(r + t, up, down)
+            if excess > TOLD_EXCESS:
+                logger.warning(
+                    "%s: correction %s sends out %.3g more than arrives; the diffuse part is scaled down to it",
+                    self.source, self.chosen_correction[0], excess,
+                )  # fmt: skip
         degrees = np.degrees(theta)
         if not self.transmits:
             return Spectrum(lam, degrees, specular_reflectance=r, diffuse_reflectance=up)
         return Spectrum(lam, degrees, r, t, up, down)
-
-    def _within_what_arrives(self, specular: Array, up: Array, down: Array) -> tuple[Array, Array]:
-        """Return the diffuse powers with what the model sends above one taken off, as the lobes do.
-
-        The default correction exceeds one by less than a per cent, and only near grazing; a simpler one may exceed it
-        by much, and is then no longer what its name says, so it is told.
-        """
-        sent = up + down
-        room = np.maximum(1.0 - specular, 0.0)
-        excess = float(np.max(sent - room, initial=0.0))
-        if excess > TOLD_EXCESS:
-            logger.warning(
-                "%s: correction %s sends out %.3g more than arrives; the diffuse part is scaled down to it",
-                self.source, self.chosen_correction[0], excess,
-            )  # fmt: skip
-        share = np.where(sent > room, room / np.maximum(sent, 1e-300), 1.0)
-        return up * share, down * share
 
     def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
         """Return the diffuse lobe's values at a few pairs, `[pair, wavelength]`, without its tables.
@@ -475,9 +492,3 @@ class Metasurface(Model):
         term = diffuse_term(layer, sides, 1)
         at = slice(mu.size, mu.size + cos.size)
         return reflected, passed, term.above[:, at] / cos, term.below[:, at] / cos
-
-
-def _rounded_up(value: float) -> float:
-    """The next number of one digit."""
-    unit = 10.0 ** np.floor(np.log10(value))
-    return float(np.ceil(value / unit) * unit)

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from nacre.arrays import Array, ComplexArray
+from nacre.families.metasurface.axial import multipole_order
 from nacre.families.metasurface.coherent import sheet_field, sheet_vectors
 from nacre.families.metasurface.qca import INTERACTION_ORDER, NeighbourTable, mean_excitation, sums_at
 from nacre.families.metasurface.ratio import Ratio
@@ -24,11 +25,24 @@ CORRECTIONS = ("qca-balanced", "gv-balanced", "optical-depth", "in-only", "in-ou
 
 @dataclass(frozen=True)
 class Particle:
-    """One particle size: its share in number, the height of its centre over the stack, its diagonal T `[n]`."""
+    """One kind of particle.
+
+    Attributes:
+        share: in number.
+        centre_nm: height of its centre over the stack.
+        t_matrix: diagonal, `[n]`, or the blocks of an axisymmetric particle, `[m, n, n']`.
+        cut: in-plane wavenumber over k that ends its coupling with the stack, see `near_stack`; None: nowhere.
+    """
 
     share: float
     centre_nm: float
     t_matrix: ComplexArray
+    cut: float | None = None
+
+    @property
+    def lmax(self) -> int:
+        """Highest multipole order."""
+        return multipole_order(self.t_matrix)
 
 
 @dataclass(frozen=True)
@@ -87,7 +101,7 @@ class Monolayer:
     def spheres(self) -> tuple[SphereOnStack, ...]:
         """The particles, each alone on the stack."""
         return tuple(
-            SphereOnStack(self.surface, p.centre_nm, p.t_matrix, min(self.mmax, len(p.t_matrix) // 2))
+            SphereOnStack(self.surface, p.centre_nm, p.t_matrix, min(self.mmax, p.lmax), p.cut)
             for p in self.particles
         )
 

@@ -6,7 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nacre.arrays import ComplexArray
+from nacre.families.metasurface.substrate import Substrate
 from nacre.matter.indices.constant import OpticalConstant
+from nacre.matter.mie import mie_coefficients
 
 SIZE_NODES = 5
 
@@ -38,3 +41,17 @@ class Sizes:
         else:
             radii = radius_nm + deviation_nm * x
         return cls(tuple(float(r) for r in radii), tuple(float(v) for v in w / w.sum()))
+
+
+def sphere_t_matrix(
+    core: OpticalConstant, shell: Shell | None, radius_nm: float, lmax: int, surface: Substrate
+) -> ComplexArray:
+    """Return the diagonal T of one sphere at the wavelength of `surface`, `[n]`: -b_l, then -a_l (Mie)."""
+    lam = np.array([surface.wavelength_nm])
+    radii, indices = [radius_nm], [complex(core.n_complex(lam)[0])]
+    if shell is not None:
+        radii.append(radius_nm + shell.thickness_nm)
+        indices.append(complex(shell.material.n_complex(lam)[0]))
+    x = surface.wavenumber * np.array(radii)
+    a, b = mie_coefficients(lmax, x, np.array(indices) / surface.ambient_index)
+    return np.concatenate([-b, -a])

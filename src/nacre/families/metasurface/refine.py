@@ -180,7 +180,10 @@ def _key(one: Ensemble, settings: EnsembleSettings) -> str:
         structure.h, *one.patches,
     ):  # fmt: skip
         digest.update(np.ascontiguousarray(array).tobytes())
-    numbers = [surface.wavelength_nm, particle.centre_nm, structure.density_per_nm2, structure.diameter_nm]
+    numbers = [
+        surface.wavelength_nm, particle.centre_nm, particle.cut or 0.0, structure.density_per_nm2,
+        structure.diameter_nm,
+    ]  # fmt: skip
     return "ensemble-" + identity(
         {"arrays": digest.hexdigest(), "numbers": [float(n).hex() for n in numbers]}, {}, settings=str(settings)
     )

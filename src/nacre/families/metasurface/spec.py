@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 import pydantic
 
-from nacre.families.contract import Figure
+from nacre.families.contract import Figure, Writer
 from nacre.families.metasurface.arrangement import (
     ARRANGEMENTS,
     Arrangement,
@@ -22,8 +22,10 @@ from nacre.families.metasurface.arrangement import (
 )
 from nacre.families.metasurface.drawings import layer_sheet, layout
 from nacre.families.metasurface.ensemble import EnsembleSettings
+from nacre.families.metasurface.exports import write_particle
 from nacre.families.metasurface.figures import FIGURES
 from nacre.families.metasurface.material import LOOSEST_TOLERANCE, Metasurface
+from nacre.families.metasurface.particle_spec import ParticleSpec
 from nacre.families.metasurface.particles import Shell, Sizes
 from nacre.families.metasurface.patterns import Pattern
 from nacre.families.metasurface.structure import PACKING_LIMIT, Structure, hard_disk_structure
@@ -35,11 +37,7 @@ from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 LEAST_COVERAGE = 1e-4
 LARGEST_REACH_UM = 4.0  # beyond ten wavelengths S(q) has more rings than light can tell apart, and takes minutes
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
-NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
 MAX_THICKNESS_NM = 1e4
-CORE_LIMIT_NM = 1000.0
-SMALLEST_CORE_NM = 0.1  # less than an atom; squares of far smaller ones are 0 in floating point
-WIDEST_RELATIVE_SIZE = 0.3
 
 
 class LayerSpec(RecipeModel):
@@ -51,50 +49,6 @@ class LayerSpec(RecipeModel):
     thickness_nm: Annotated[float, pydantic.Field(ge=0.0, le=MAX_THICKNESS_NM)] = pydantic.Field(
         description="geometric thickness of the layer", examples=[500]
     )
-
-
-class ShellSpec(RecipeModel):
-    """A coating round the core; the outer radius is radius_nm plus this thickness."""
-
-    forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 10}',)
-
-    material: IndexSpec = pydantic.Field(description="what the shell is made of")
-    thickness_nm: Annotated[float, pydantic.Field(gt=0.0, le=CORE_LIMIT_NM)] = pydantic.Field(
-        description="thickness of the shell, from the core's radius outward", examples=[10]
-    )
-
-
-class ParticleSpec(RecipeModel):
-    """The spheres."""
-
-    forms: ClassVar[tuple[str, ...]] = (
-        '{material = "Ag", radius_nm = 90}',
-        '{material = "Au", radius_nm = 60, deviation_nm = 5, shell = {material = "SiO2", thickness_nm = 10}}',
-    )
-
-    material: IndexSpec = pydantic.Field(description="what the core of a sphere is made of")
-    radius_nm: Annotated[float, pydantic.Field(ge=SMALLEST_CORE_NM, le=CORE_LIMIT_NM)] = pydantic.Field(
-        description="mean radius of the core", examples=[90]
-    )
-    deviation_nm: NotNegative = pydantic.Field(
-        default=0.0, description="standard deviation of the radius, at most 0.3 of it", examples=[5]
-    )
-    distribution: Literal["gaussian", "lognormal"] = pydantic.Field(
-        default="gaussian", description="shape of that spread"
-    )
-    gap_nm: NotNegative = pydantic.Field(
-        default=0.0, description="distance between the spheres and the stack below them", examples=[2]
-    )
-    shell: ShellSpec | None = pydantic.Field(default=None, description="a coat round the core")
-
-    @pydantic.model_validator(mode="after")
-    def _moderate_spread(self) -> ParticleSpec:
-        if self.deviation_nm > WIDEST_RELATIVE_SIZE * self.radius_nm:
-            raise ValueError(
-                f"deviation_nm = {self.deviation_nm:g} is not allowed; it should be at most "
-                f"{WIDEST_RELATIVE_SIZE:g} of radius_nm = {self.radius_nm:g}"
-            )
-        return self
 
 
 class StructureSpec(RecipeModel):
@@ -257,9 +211,14 @@ class MetasurfaceModel(Metasurface):
         draw = partial(layout, self)
         return {"gds": draw, "oas": draw, "csv": draw, "sheet": lambda request: layer_sheet(self)}
 
+    @property
+    def own_formats(self) -> Mapping[str, Writer]:
+        """The T-matrix of a particle."""
+        return {"tmat": partial(write_particle, self)}
+
 
 class MetasurfaceSpec(RecipeModel):
-    """A disordered layer of spheres on a stack of layers."""
+    """A disordered layer of particles on a stack of layers."""
 
     example: ClassVar[Mapping[str, Any]] = {
         "family": "metasurface",
@@ -271,6 +230,8 @@ class MetasurfaceSpec(RecipeModel):
 
     varies_by_nodes: ClassVar[tuple[str, ...]] = (
         "particle.radius_nm",
+        "particle.diameter_nm",
+        "particle.height_nm",
         "particle.shell.thickness_nm",
         "particle.gap_nm",
         "monolayer.coverage",
@@ -288,8 +249,8 @@ class MetasurfaceSpec(RecipeModel):
     layers: tuple[LayerSpec, ...] = pydantic.Field(
         default=(), max_length=50, description="layers between the particles and the substrate, from the top"
     )
-    particle: ParticleSpec = pydantic.Field(description="the spheres")
-    monolayer: MonolayerSpec = pydantic.Field(description="density and order of the spheres")
+    particle: ParticleSpec = pydantic.Field(description="the particles")
+    monolayer: MonolayerSpec = pydantic.Field(description="density and order of the particles")
     model: ModelSpec = pydantic.Field(
         default=ModelSpec(), description="details of the computation, where its own choice is not wanted"
     )
@@ -305,7 +266,6 @@ class MetasurfaceSpec(RecipeModel):
             RecipeError: density and packing contradict each other, or a file of points or of S(q) is not usable.
         """
         particle = self.particle
-        outer = particle.radius_nm + (particle.shell.thickness_nm if particle.shell else 0.0)
         ambient = self._edge(ambient_in(self.ambient, "ambient" in self.model_fields_set, context))
         substrate = self._index(self.substrate)
         probe = np.array([570.0])
@@ -319,13 +279,16 @@ class MetasurfaceSpec(RecipeModel):
             )
         index = max(1.0, n_substrate.real if n_substrate.imag < 1e-4 else 1.0, n_ambient.real)
         asked = self.model.correction
-        structure, arrangement = self._structure(context, outer, 4.2 * np.pi * index / 360.0)
+        body = particle.body(context, ambient, self.extrapolate == "edge")
+        outer = body.radius_nm if body is not None else particle.outer_radius_nm
+        reach = body.circumscribing_nm if body is not None else outer
+        structure, arrangement = self._structure(context, outer, reach, 4.2 * np.pi * index / 360.0)
         return MetasurfaceModel(
             ambient=ambient,
             layers=tuple((self._index(layer.material), layer.thickness_nm) for layer in self.layers),
             substrate=substrate,
-            core=self._index(particle.material),
-            sizes=Sizes.of(particle.radius_nm, particle.deviation_nm, particle.distribution),
+            core=None if particle.material is None else self._index(particle.material),
+            sizes=Sizes.of(particle.radius_nm or outer, particle.deviation_nm, particle.distribution),
             structure=structure,
             shell=Shell(self._index(particle.shell.material), particle.shell.thickness_nm) if particle.shell else None,
             gap_nm=particle.gap_nm,
@@ -336,6 +299,7 @@ class MetasurfaceSpec(RecipeModel):
             interaction_order=self.model.interaction_order,
             source=context.source,
             arrangement=arrangement,
+            body=body,
         )
 
     def _index(self, spec: IndexSpec) -> OpticalConstant:
@@ -345,12 +309,20 @@ class MetasurfaceSpec(RecipeModel):
         return made.with_extrapolation("edge") if self.extrapolate == "edge" else made
 
     def _structure(
-        self, context: RecipeContext, outer_nm: float, q_max: float
+        self, context: RecipeContext, outer_nm: float, reach_nm: float, q_max: float
     ) -> tuple[Structure, Arrangement | Pattern | None]:
+        """Return how the particles lie.
+
+        Args:
+            outer_nm: largest distance from a particle's axis: overlaps and coverage go by it.
+            reach_nm: of its circumscribing sphere, which must not meet that of another: multipoles diverge inside.
+        """
         layer, kind = self.monolayer, self.monolayer.structure
         if kind.points is not None:
             pattern = points_pattern(context, kind.points, 2 * outer_nm)
-            return points_structure(pattern, q_max), pattern
+            measured = points_structure(pattern, q_max)
+            self._clear(context, "monolayer.structure.points", kind.points, measured.diameter_nm, reach_nm)
+            return measured, pattern
         if layer.coverage is not None:
             density = layer.coverage / (np.pi * outer_nm**2)
         else:
@@ -363,7 +335,8 @@ class MetasurfaceSpec(RecipeModel):
                 layer.density_per_um2 if layer.coverage is None else layer.coverage,
                 f"covers {coverage:.3g} of the area; it should be from {LEAST_COVERAGE:g} to {PACKING_LIMIT:g}",
             )
-        packing = coverage if layer.packing is None else layer.packing
+        apart = 1.0 if kind.name == "lattice" else (reach_nm / outer_nm) ** 2
+        packing = coverage * apart if layer.packing is None else layer.packing
         if packing < coverage * (1 - 1e-9):
             raise context.fail(
                 "monolayer.packing",
@@ -371,6 +344,17 @@ class MetasurfaceSpec(RecipeModel):
                 f"is below the coverage f = {coverage:.4g}: the particles would overlap; it should be from f to "
                 f"{PACKING_LIMIT:g}",
             )
+        if packing > PACKING_LIMIT:
+            key = "monolayer.density_per_um2" if layer.coverage is None else "monolayer.coverage"
+            raise context.fail(
+                key,
+                layer.density_per_um2 if layer.coverage is None else layer.coverage,
+                f"keeps the circumscribing spheres, {2 * reach_nm:.4g} nm wide, apart only at a packing of "
+                f"{packing:.3g}; at most {PACKING_LIMIT:g} can be made",
+            )
+        if kind.name != "lattice":
+            least = float(np.sqrt(4.0 * packing / (np.pi * density)))
+            self._clear(context, "monolayer.packing", packing, least, reach_nm)
         reach_um = 1e-3 * float(np.sqrt(4.0 * packing / (np.pi * density)))
         if reach_um > LARGEST_REACH_UM:
             raise context.fail(
@@ -386,5 +370,22 @@ class MetasurfaceSpec(RecipeModel):
         if kind.name == "hard-disk":
             return hard_disk_structure(float(density), packing, q_max), made
         if kind.name == "lattice":
-            return jittered_structure(context, made, 2 * outer_nm, q_max), made
+            jittered = jittered_structure(context, made, 2 * outer_nm, q_max)
+            self._clear(context, "monolayer.structure.jitter", kind.jitter, jittered.diameter_nm, reach_nm)
+            return jittered, made
         return pattern_structure(context, made, q_max), made
+
+    @staticmethod
+    def _clear(context: RecipeContext, key: str, got: object, least_nm: float, reach_nm: float) -> None:
+        """Refuse particles whose circumscribing spheres meet.
+
+        Raises:
+            RecipeError: they do.
+        """
+        if least_nm < 2 * reach_nm * (1 - 1e-6):
+            raise context.fail(
+                key,
+                got,
+                f"lets particles come {least_nm:.4g} nm close, where their circumscribing spheres, "
+                f"{2 * reach_nm:.4g} nm wide, meet; multipoles hold outside these alone",
+            )

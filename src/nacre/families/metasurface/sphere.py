@@ -18,6 +18,8 @@ from numpy.typing import ArrayLike
 from nacre.arrays import Array, ComplexArray
 from nacre.errors import UnsupportedError
 from nacre.families.metasurface.angular import adjoint, mirrored, plane_wave_vectors
+from nacre.families.metasurface.axial import multipole_order
+from nacre.families.metasurface.near_stack import cut_reflection_operator
 from nacre.families.metasurface.substrate import Substrate
 
 AZIMUTHAL_ORDERS = 4  # |m| <= 4 is converged below 2e-5 for radii up to 95 nm in the visible
@@ -84,7 +86,19 @@ def reflection_operator(
 
 
 def dressed_matrix(t_matrix: ComplexArray, w_blocks: ComplexArray) -> ComplexArray:
-    """Return M_m = q (1 - q W_m q)^-1 q, `[m, n, n']`, for a diagonal T, `[n]`, with q = sqrt(T)."""
+    """Return M_m = (T^-1 - W_m)^-1, `[m, n, n']`.
+
+    Args:
+        t_matrix: diagonal, `[n]`, or blocks, `[m, n, n']`. Of a diagonal one it is q (1 - q W_m q)^-1 q with
+            q = sqrt(T); a full one is balanced by the roots of its diagonal: T = q t q, M = q (1 - t q W_m q)^-1 t q.
+    """
+    if t_matrix.ndim == 3:
+        t = t_matrix[: len(w_blocks)]
+        q = np.sqrt(np.abs(np.diagonal(t, axis1=1, axis2=2)))
+        q = np.where(q > 0, q, 1.0)[:, :, None]
+        back = np.swapaxes(q, 1, 2)
+        t = t / q / back
+        return np.asarray(q * np.linalg.solve(np.eye(t.shape[-1]) - t @ (q * w_blocks * back), t) * back)
     q = np.sqrt(t_matrix)
     system = np.eye(len(q)) - q[:, None] * w_blocks * q
     return q[:, None] * np.linalg.solve(system, np.broadcast_to(np.diag(q), w_blocks.shape))
@@ -121,23 +135,27 @@ class SphereOnStack:
     Attributes:
         surface: the stack below.
         centre_nm: height of the centre over it.
-        t_matrix: `[n]`, n = (tau, l): -b_l, then -a_l of `mie_coefficients`.
+        t_matrix: `[n]`, n = (tau, l): -b_l, then -a_l of `mie_coefficients`; or blocks `[m, n, n']` of `axial`.
         mmax: highest azimuthal order.
+        cut: in-plane wavenumber over k at which the coupling with the stack ends, see `near_stack`; None: nowhere.
     """
 
     surface: Substrate
     centre_nm: float
     t_matrix: ComplexArray
     mmax: int = AZIMUTHAL_ORDERS
+    cut: float | None = None
 
     @property
     def lmax(self) -> int:
         """Highest multipole order."""
-        return len(self.t_matrix) // 2
+        return multipole_order(self.t_matrix)
 
     @cached_property
     def coupling(self) -> ComplexArray:
         """The reflection operator W_m, `[m, n, n']`."""
+        if self.cut is not None and not self.surface.is_absent:
+            return cut_reflection_operator(self.surface, self.centre_nm, self.lmax, self.mmax, self.cut)
         return reflection_operator(self.surface, self.centre_nm, self.lmax, self.mmax)
 
     @cached_property
@@ -422,3 +440,9 @@ def _probe_pattern(
         for p in range(2)
     ]
     return np.stack(pattern).reshape(2, 2, *pattern[0].shape).transpose(0, 2, 4, 1, 3)
+
+
+def rounded_up(value: float) -> float:
+    """Return the next number of one digit."""
+    unit = 10.0 ** np.floor(np.log10(value))
+    return float(np.ceil(value / unit) * unit)

@@ -1,0 +1,59 @@
+"""The T-matrix of a disc: 16 wavelengths, l and m up to 6, solved anew and then from the cache; of silicon, of silver.
+
+Floor: about 34,000 pairs of points a wavelength, some 27 azimuths each, two media and seven orders: 0.15 s in numba.
+Prediction: twice the floor with the solutions and the coarser mesh of the estimated error, 5 CPU s in all.
+CPU time over two cores stands for the clock of two free cores; the clock of a shared machine is in the note.
+Outcome: see RESULTS.md.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+
+import numpy as np
+from common import Row, parser, report, timed
+
+import nacre
+from nacre.families.metasurface.solids import SolvedBody
+from nacre.matter.indices.spec import IndexSpec
+from nacre.matter.jobs import in_threads
+
+CORES = 2
+GRID = np.linspace(400.0, 700.0, 16)
+ORDER = 6
+
+
+def body(material: str) -> SolvedBody:
+    """Return a disc of 120 x 80 nm, solved up to `ORDER`."""
+    core, air = (IndexSpec.model_validate(name).build() for name in (material, "air"))
+    made = SolvedBody("cylinder", 60.0, 80.0, core, air, "benchmark")
+    made.__dict__["lmax"] = ORDER
+    return made
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the benchmark; 0 if the bars are reached."""
+    options = parser(__doc__, repeats=1).parse_args(arguments)
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["NACRE_CACHE"] = folder
+        body("SiO2").azimuthal(550.0, ORDER)  # compiles
+        rows = []
+        for material in ("Si", "Ag"):
+
+            def solve(material: str = material) -> None:
+                made = body(material)
+                in_threads(lambda w: made.azimuthal(float(w), ORDER), GRID)
+
+            wall, cpu = timed(solve)
+            again, _ = timed(solve)
+            rows.append(
+                Row(f"disc of {material}, 16 wavelengths", cpu / CORES, "s", 20.0, False, f"{wall:.1f} s by the clock")
+            )
+            rows.append(Row(f"disc of {material}, from the cache", again, "s", 1.0, False))
+    return report(f"metasurface_tmatrix: nacre {nacre.__version__}", rows, options.json)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,227 @@
+"""The integrals of a boundary integral equation on a surface of revolution, Fourier mode by mode.
+
+The kernels exp(ikR)/(4 pi R) and its gradient are integrated over the azimuth in a variable that resolves the near
+singularity, psi = a sinh u, then over panels of the generating curve: plainly where a panel is far, split towards the
+target where it is near, and with nodes that crowd at the target where it lies on the panel itself.
+
+Lengths are times the ambient k. A panel is a row (kind, p0, p1, p2, p3): a line from (rho, z) to (rho, z), kind 0; or
+an arc of a spheroid, kind 1, with semi-axes a, c between two parametric angles. Panels cover the upper half, z >= 0,
+from the pole to the equator; the lower half is its mirror image.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from nacre.arrays import Array, ComplexArray
+from nacre.matter.jit import compiled
+
+MOST_AZIMUTHS = 96
+CROWDING = 4  # power of the nodes at a target on the panel
+NEAR = 1.0  # a piece of a panel longer than this many distances is split
+DEEPEST = 40
+
+# of one target and one source shape function: the vector kernels of L (tt, tp, pt, pp), its scalar one with the
+# divergence of a t and of a p function, each for both equations; then those of K (tt, tp, pt, pp)
+E_TT, E_TP, E_PT, E_PP, E_ST, E_SP, H_TT, H_TP, H_PT, H_PP, H_ST, H_SP, K_TT, K_TP, K_PT, K_PP = range(16)
+
+
+@lru_cache(maxsize=2)
+def gauss_table(most: int = MOST_AZIMUTHS) -> tuple[Array, Array]:
+    """Return Gauss-Legendre nodes and weights on [0, 1] of every count up to `most`, `[count, node]`."""
+    nodes, weights = np.zeros((most + 1, most)), np.zeros((most + 1, most))
+    for n in range(1, most + 1):
+        x, w = np.polynomial.legendre.leggauss(n)
+        nodes[n, :n], weights[n, :n] = (x + 1) / 2, w / 2
+    return nodes, weights
+
+
+@compiled(nogil=True, error_model="numpy")
+def locate(panel, s):  # type: ignore[no-untyped-def]  # numba
+    """Return rho, z, t_rho, t_z and the speed dt/ds at s in [-1, 1]."""
+    if panel[0] == 0.0:
+        h = 0.5 * (1.0 + s)
+        dr, dz = 0.5 * (panel[3] - panel[1]), 0.5 * (panel[4] - panel[2])
+        speed = np.sqrt(dr * dr + dz * dz)
+        return panel[1] + 2.0 * dr * h, panel[2] + 2.0 * dz * h, dr / speed, dz / speed, speed
+    middle, half = 0.5 * (panel[3] + panel[4]), 0.5 * (panel[4] - panel[3])
+    theta = middle + half * s
+    dr, dz = panel[1] * np.cos(theta) * half, -panel[2] * np.sin(theta) * half
+    speed = np.sqrt(dr * dr + dz * dz)
+    return panel[1] * np.sin(theta), panel[2] * np.cos(theta), dr / speed, dz / speed, speed
+
+
+@compiled(nogil=True, error_model="numpy")
+def shapes(s, degree, along, slope, around):  # type: ignore[no-untyped-def]  # numba
+    """Fill the shape functions at s: of the t component (ends, then bubbles), its slope d/ds, of the p component."""
+    around[0], around[1] = 1.0, s
+    for k in range(2, degree + 1):
+        around[k] = ((2 * k - 1) * s * around[k - 1] - (k - 1) * around[k - 2]) / k
+    along[0], along[1], slope[0], slope[1] = 0.5 * (1.0 - s), 0.5 * (1.0 + s), -0.5, 0.5
+    for k in range(2, degree + 1):
+        norm = 1.0 / np.sqrt(2.0 * (2 * k - 1))
+        along[k] = (around[k] - around[k - 2]) * norm
+        slope[k] = (2 * k - 1) * around[k - 1] * norm
+
+
+@compiled(nogil=True, error_model="numpy")
+def _modes(rho, z, rho_s, z_s, k_in, nodes, weights, modal):  # type: ignore[no-untyped-def]  # numba
+    """Fill `[kind, medium, m]`: int G cos, G cos psi cos, G sin psi sin, h cos, h (1 - cos psi) cos, h sin psi sin."""
+    modal[:] = 0.0
+    top = modal.shape[2]
+    plane = (rho - rho_s) ** 2 + (z - z_s) ** 2
+    if plane == 0.0:  # closer than numbers tell apart: its weight is nothing
+        return
+    a = np.sqrt(plane / (rho * rho_s))
+    reach = np.arcsinh(np.pi / a)
+    count = min(int(14 + 0.7 * top + 2.2 * reach + 2.0 * abs(k_in) * min(rho, rho_s)), nodes.shape[0] - 1)
+    for n in range(count):
+        u = reach * nodes[count, n]
+        psi = a * np.sinh(u)
+        weight = 2.0 * reach * weights[count, n] * a * np.cosh(u) / (4.0 * np.pi)
+        half = np.sin(0.5 * psi)
+        less = 2.0 * half * half
+        distance = np.sqrt(plane + 2.0 * rho * rho_s * less)
+        c, s = 1.0 - less, np.sin(psi)
+        for medium in range(2):
+            ik = 1j if medium == 0 else 1j * k_in
+            g = np.exp(ik * distance) * (weight / distance)
+            h = g * (ik * distance - 1.0) / (distance * distance)
+            gc, gs, hl, hs = g * c, g * s, h * less, h * s
+            cos_m, sin_m = 1.0, 0.0
+            for m in range(top):
+                modal[0, medium, m] += g * cos_m
+                modal[1, medium, m] += gc * cos_m
+                modal[2, medium, m] += gs * sin_m
+                modal[3, medium, m] += h * cos_m
+                modal[4, medium, m] += hl * cos_m
+                modal[5, medium, m] += hs * sin_m
+                cos_m, sin_m = cos_m * c - sin_m * s, sin_m * c + cos_m * s
+
+
+@compiled(nogil=True, error_model="numpy")
+def _add(target, panel, s, weight, sign, k_in, degree, nodes, weights, modal, work, row):  # type: ignore[no-untyped-def]  # numba
+    """Add one source point to `row`, `[kernel, m, shape]`; `sign` -1 takes the point's mirror image."""
+    rho, z, t_rho, t_z = target[0], target[1], target[2], target[3]
+    rho_s, z_s, u_rho, u_z, speed = locate(panel, s)
+    z_s, u_z = sign * z_s, sign * u_z
+    _modes(rho, z, rho_s, z_s, k_in, nodes, weights, modal)
+    shapes(s, degree, work[0], work[1], work[2])
+    epsilon = k_in * k_in
+    dz = z - z_s
+    k_tt = rho * u_rho * t_z - rho_s * u_z * t_rho - dz * t_rho * u_rho
+    pt_0, pt_1 = -(rho - rho_s) * u_z + dz * u_rho, -(rho_s * u_z + dz * u_rho)
+    tp_0, tp_1 = t_z * (rho - rho_s) - dz * t_rho, -(rho * t_z - dz * t_rho)
+    measure = weight * speed * rho_s
+    for m in range(modal.shape[2]):
+        g0, g1, g2 = modal[0, 0, m], modal[1, 0, m], modal[2, 0, m]
+        i0, i1, i2 = modal[0, 1, m], modal[1, 1, m], modal[2, 1, m]
+        h0, hl, hs = modal[3, 0, m] + modal[3, 1, m], modal[4, 0, m] + modal[4, 1, m], modal[5, 0, m] + modal[5, 1, m]
+        e0, e1, e2 = g0 + i0, g1 + i1, g2 + i2
+        f0, f1, f2 = g0 + epsilon * i0, g1 + epsilon * i1, g2 + epsilon * i2
+        e_tt, e_tp, e_pt = t_rho * u_rho * e1 + t_z * u_z * e0, -1j * t_rho * e2, 1j * u_rho * e2
+        f_tt, f_tp, f_pt = t_rho * u_rho * f1 + t_z * u_z * f0, -1j * t_rho * f2, 1j * u_rho * f2
+        e_s, f_s = g0 + i0 / epsilon, g0 + i0
+        q_tt, q_pp = 1j * k_tt * hs, -1j * dz * hs
+        q_tp, q_pt = tp_0 * h0 + tp_1 * hl, pt_0 * h0 + pt_1 * hl
+        for k in range(degree + 1):
+            t, p = work[0, k] * measure, work[2, k] * measure
+            spread = weight * (u_rho * speed * work[0, k] + rho_s * work[1, k])
+            plain = weight * speed * work[2, k]
+            row[E_TT, m, k] += e_tt * t
+            row[E_TP, m, k] += e_tp * p
+            row[E_PT, m, k] += e_pt * t
+            row[E_PP, m, k] += e1 * p
+            row[E_ST, m, k] += e_s * spread
+            row[E_SP, m, k] += e_s * plain
+            row[H_TT, m, k] += f_tt * t
+            row[H_TP, m, k] += f_tp * p
+            row[H_PT, m, k] += f_pt * t
+            row[H_PP, m, k] += f1 * p
+            row[H_ST, m, k] += f_s * spread
+            row[H_SP, m, k] += f_s * plain
+            row[K_TT, m, k] += q_tt * t
+            row[K_TP, m, k] += q_tp * p
+            row[K_PT, m, k] += q_pt * t
+            row[K_PP, m, k] += q_pp * p
+
+
+@compiled(nogil=True, error_model="numpy")
+def _nearest(panel, rho, z, sign):  # type: ignore[no-untyped-def]  # numba
+    """Return s of the panel's point nearest to a target, its distance, and the panel's length."""
+    best, where, length = 1e300, 0.0, 0.0
+    for n in range(33):
+        s = -1.0 + n / 16.0
+        r, h, _, _, speed = locate(panel, s)
+        length += speed * (1.0 / 16.0 if 0 < n < 32 else 1.0 / 32.0)
+        d = (rho - r) ** 2 + (z - sign * h) ** 2
+        if d < best:
+            best, where = d, s
+    low, high = max(where - 1.0 / 16.0, -1.0), min(where + 1.0 / 16.0, 1.0)
+    for _ in range(40):
+        a, b = low + 0.382 * (high - low), low + 0.618 * (high - low)
+        ra, za, _, _, _ = locate(panel, a)
+        rb, zb, _, _, _ = locate(panel, b)
+        if (rho - ra) ** 2 + (z - sign * za) ** 2 < (rho - rb) ** 2 + (z - sign * zb) ** 2:
+            high = b
+        else:
+            low = a
+    where = 0.5 * (low + high)
+    if where > 1.0 - 1e-6:
+        where = 1.0
+    elif where < -1.0 + 1e-6:
+        where = -1.0
+    r, h, _, _, _ = locate(panel, where)
+    return where, np.sqrt((rho - r) ** 2 + (z - sign * h) ** 2), length
+
+
+@compiled(nogil=True, error_model="numpy")
+def fill_rows(panels, targets, homes, k_in, degree, far, self_count, nodes, weights, rows):  # type: ignore[no-untyped-def]  # numba
+    """Fill `[target, mirror, panel, kernel, m, shape]` for the targets (rho, z, t_rho, t_z, s) on their home panels."""
+    orders = rows.shape[4]
+    modal = np.zeros((6, 2, orders), dtype=np.complex128)
+    work = np.empty((3, degree + 1))
+    for i in range(targets.shape[0]):
+        target = targets[i]
+        for image in range(2):
+            sign = 1.0 - 2.0 * image
+            for q in range(panels.shape[0]):
+                row, panel = rows[i, image, q], panels[q]
+                if image == 0 and homes[i] == q:
+                    for side in range(2):
+                        span = target[4] + 1.0 if side == 0 else 1.0 - target[4]
+                        for n in range(self_count):
+                            x = nodes[self_count, n]
+                            step = span * x**CROWDING
+                            s = target[4] - step if side == 0 else target[4] + step
+                            w = weights[self_count, n] * span * CROWDING * x ** (CROWDING - 1)
+                            _add(target, panel, s, w, sign, k_in, degree, nodes, weights, modal, work, row)
+                    continue
+                where, distance, length = _nearest(panel, target[0], target[1], sign)
+                if length <= NEAR * distance:
+                    for n in range(far):
+                        s, w = 2.0 * nodes[far, n] - 1.0, 2.0 * weights[far, n]
+                        _add(target, panel, s, w, sign, k_in, degree, nodes, weights, modal, work, row)
+                    continue
+                # pieces that halve towards the nearest point, down to its distance
+                least = 2.0 * distance / length
+                for side in range(2):
+                    span = where + 1.0 if side == 0 else 1.0 - where
+                    outer = span
+                    for level in range(DEEPEST):
+                        if outer <= 0.0:
+                            break
+                        inner = 0.5 * outer
+                        if outer <= least or level == DEEPEST - 1:
+                            inner = 0.0
+                        for n in range(far):
+                            step = inner + (outer - inner) * nodes[far, n]
+                            s = where - step if side == 0 else where + step
+                            w = (outer - inner) * weights[far, n]
+                            _add(target, panel, s, w, sign, k_in, degree, nodes, weights, modal, work, row)
+                        outer = inner
+
+
+__all__ = ["Array", "ComplexArray", "fill_rows", "gauss_table", "locate", "shapes"]

@@ -1,0 +1,371 @@
+"""Files of T-matrices: what another program writes, what we write, what is refused, and what a recipe makes of them."""
+
+import shutil
+
+import h5py
+import numpy as np
+import pytest
+from helpers_metasurface import REFERENCE, reference, t_matrix
+
+import nacre
+from nacre.cli import run
+from nacre.errors import MaterialRangeError
+from nacre.families.metasurface import tmatrix_file
+from nacre.families.metasurface.axial import AxialTMatrices, as_blocks, gain, mirror_signs
+from nacre.families.metasurface.tmatrix_file import TMatrixFileError, read_tmatrices, write_tmatrices
+
+SAME = 1e-10  # of spheres by way of a file, against Mie
+TREAMS = 1e-6
+RECIPE = """
+family = "metasurface"
+substrate = {n = 1.5}
+[particle]
+%s
+[monolayer]
+coverage = 0.08
+packing = 0.2
+[model]
+correction = "qca-balanced"
+multipole_order = 5
+%s
+"""
+
+
+def _spheres(wavelengths=(500.0, 520.0), radius=75.0, index=4.0 + 0.05j, ambient=1.0, lmax=5):
+    k = 2 * np.pi * ambient / np.array(wavelengths)
+    blocks = np.stack([as_blocks(t_matrix(lmax, x, index / ambient)) for x in k * radius])
+    return AxialTMatrices(
+        np.array(wavelengths), blocks, np.full(len(wavelengths), ambient), "sphere", radius, 2 * radius, radius,
+        np.full(len(wavelengths), index),
+    )  # fmt: skip
+
+
+def _disc():
+    name = REFERENCE / "tmat" / "tmat_open_01.h5"
+    if not name.is_file():
+        pytest.skip("../shared/reference is absent")
+    return name
+
+
+def _recipe(folder, particle, model="", name="recipe.toml"):
+    path = folder / name
+    path.write_text(RECIPE % (particle, model))
+    return path
+
+
+def _refusal(folder, capsys, particle, *arguments, model=""):
+    """Run a command on a recipe that is refused; return its line."""
+    path = _recipe(folder, particle, model)
+    status = run(["spectrum", str(path), "--wavelengths-nm", "500", *arguments])
+    said = capsys.readouterr().err.strip().splitlines()
+    assert status == 2 and len(said) == 1, said
+    return said[0]
+
+
+def test_cross_sections_of_a_file_are_those_of_who_wrote_it():
+    data = reference("particles_open.npz")
+    for i in range(len(data["wavelength_nm"])):
+        known = read_tmatrices(REFERENCE / "tmat" / f"tmat_open_{i:02d}.h5")
+        t, k = known.blocks[0], 2 * np.pi / known.wavelengths_nm[0]
+        weight = np.where(np.arange(len(t)) == 0, 1.0, 2.0)
+        # the mean over all directions and polarisations; the file's own are at three angles: the trace is compared
+        top = 6
+        kept = np.concatenate([np.arange(top), known.lmax + np.arange(top)])
+        scattered = (
+            2
+            * np.pi
+            / k**2
+            * np.sum(weight[: top + 1] * np.sum(np.abs(t[: top + 1, kept[:, None], kept]) ** 2, (1, 2)))
+        )
+        whole = data["tmatrix_lmax6"][i]
+        assert scattered == pytest.approx(2 * np.pi / k**2 * np.sum(np.abs(whole) ** 2), rel=1e-9)
+        assert known.radius_nm == pytest.approx(data["radius_nm"][i])
+        assert known.height_nm == pytest.approx(data["height_nm"][i])
+        assert known.circumscribing_nm == pytest.approx(data["circumscribing_radius_nm"][i])
+        assert known.material_index[0] == pytest.approx(data["n_particle"][i])
+
+
+def test_what_is_written_is_read_again_the_same(tmp_path):
+    made = _spheres()
+    write_tmatrices(tmp_path / "a.tmat.h5", made, "sphere", "Mie", "for a test")
+    found = read_tmatrices(tmp_path / "a.tmat.h5")
+    assert np.abs(found.blocks - made.blocks).max() < 1e-15
+    assert np.allclose(found.wavelengths_nm, made.wavelengths_nm, rtol=1e-14)
+    assert (found.radius_nm, found.height_nm) == pytest.approx((75.0, 150.0))
+    assert found.material_index[1] == pytest.approx(4.0 + 0.05j)
+
+
+@pytest.mark.parametrize("basis", ["parity", "helicity"])
+def test_treams_reads_ours_and_we_read_treams(tmp_path, basis):
+    treams = pytest.importorskip("treams.io").treams
+
+    known = read_tmatrices(_disc())
+    write_tmatrices(tmp_path / "ours.tmat.h5", known, "cylinder", "finite elements", "")
+    theirs = treams.io.load_hdf5(str(tmp_path / "ours.tmat.h5"))[0]
+    again = theirs.changepoltype(basis) if basis == "helicity" else theirs
+    with h5py.File(tmp_path / "theirs.tmat.h5", "w") as file:
+        treams.io.save_hdf5(file, [again], computation={"keywords": "semi-analytical"}, scatterers={})
+    assert np.abs(read_tmatrices(tmp_path / "theirs.tmat.h5").blocks - known.blocks).max() < 1e-12
+
+
+def test_scattering_of_a_disc_is_that_of_treams(tmp_path):
+    """Far fields of a lone disc at slanted light: phases between m, l and polarisations all count."""
+    treams = pytest.importorskip("treams.io").treams
+
+    from nacre.families.metasurface.sphere import SphereOnStack, amplitude, cross_sections
+    from nacre.families.metasurface.substrate import Substrate
+
+    known = read_tmatrices(_disc())
+    lam = known.wavelengths_nm[0]
+    alone = SphereOnStack(
+        Substrate(lam, np.array([1.0, 1.0], complex), np.array([])), 100.0, known.blocks[0], known.lmax
+    )
+    theta, phi = np.radians([0.0, 25.0, 70.0]), np.radians([0.0, 40.0, 110.0])
+    light = np.radians(35.0)
+    found = amplitude(alone.harmonics(alone.directions(np.cos(theta)), alone.directions([np.cos(light)])), phi)
+    matrix = treams.io.load_hdf5(str(_disc()))
+    k = float(matrix.k0)
+    data = reference("particles_open.npz")
+    for pol in range(2):
+        # s: along y; p: along the polar unit vector of the wave that comes down in the plane phi = 0
+        vector = k * np.array([np.sin(light), 0.0, -np.cos(light)])
+        field = [0.0, 1.0, 0.0] if pol == 0 else [-np.cos(light), 0.0, -np.sin(light)]
+        wave = treams.plane_wave(vector, field, k0=k, material=1, poltype="parity")
+        sent = matrix @ wave.expand(matrix.basis)
+        radius = 1e9
+        for i, t in enumerate(theta):
+            for j, p in enumerate(phi):
+                place = radius * np.array([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)])
+                theirs = np.sum(np.abs(np.asarray(sent.efield(place))) ** 2) * radius**2
+                ours = np.sum(np.abs(found[:, i, pol, 0, j]) ** 2)
+                assert ours == pytest.approx(theirs, rel=TREAMS)
+    sections = cross_sections(alone, [np.cos(np.radians(45.0))])
+    assert sections.extinction[:, 0] == pytest.approx(data["sigma_ext_nm2"][1, 1], rel=1e-4)  # the file goes to l = 10
+
+
+def test_spheres_by_way_of_a_file_are_spheres(tmp_path):
+    write_tmatrices(tmp_path / "si.tmat.h5", _spheres(index=4.0 + 0.05j), "sphere")
+    by_file = nacre.load(_recipe(tmp_path, 'tmatrix = "si.tmat.h5"'))
+    by_mie = nacre.load(_recipe(tmp_path, "material = {n = 4.0, k = 0.05}\nradius_nm = 75", name="mie.toml"))
+    lam = np.array([500.0, 520.0])
+    wi = np.array([[0.6, 0.0, 0.8], [0.0, 0.0, 1.0]])
+    wo = np.array([[0.0, 0.6, 0.8], [0.5, 0.1, np.sqrt(0.74)]])
+    ours, mie = (m.model.values_at(wi, wo, lam) for m in (by_file, by_mie))
+    assert np.abs(ours / mie - 1).max() <= SAME
+    for a, b in zip(by_file.model.powers([1.0, 0.5], 500.0), by_mie.model.powers([1.0, 0.5], 500.0), strict=True):
+        assert np.abs(a - b).max() <= SAME
+
+
+def test_export_writes_what_a_recipe_reads_to_the_same_numbers(tmp_path, capsys):
+    mie = _recipe(tmp_path, "material = {n = 4.0, k = 0.05}\nradius_nm = 75", name="mie.toml")
+    assert run(["export", str(mie), "--to", "tmat", "-o", str(tmp_path / "out.tmat.h5")]) == 0
+    assert "not held: the stack" in capsys.readouterr().err
+    by_file = nacre.load(_recipe(tmp_path, 'tmatrix = "out.tmat.h5"'))
+    for w in (400.0, 600.0):
+        for a, b in zip(by_file.model.powers([0.9], w), nacre.load(mie).model.powers([0.9], w), strict=True):
+            assert np.abs(a - b).max() <= SAME
+
+
+def test_a_film_has_no_t_matrix(tmp_path, capsys):
+    (tmp_path / "film.toml").write_text('family = "film"\nsubstrate = "Si"\nlayers = []\n')
+    assert run(["export", str(tmp_path / "film.toml"), "--to", "tmat", "-o", str(tmp_path / "x.tmat.h5")]) == 2
+    assert "has no T-matrix" in capsys.readouterr().err
+    assert not (tmp_path / "x.tmat.h5").exists()
+
+
+def test_between_wavelengths_a_particle_stays_passive():
+    known = _spheres((480.0, 560.0), index=4.0 + 0j)
+    assert gain(known.at(520.0)) < 1e-12
+    assert np.allclose(known.at(480.0), known.blocks[0]) and np.allclose(known.at(560.0), known.blocks[1])
+    with pytest.raises(MaterialRangeError, match="from 480 to 560 nm, not at 600 nm"):
+        known.at(600.0)
+    assert np.allclose(known.at(600.0, hold_ends=True), known.blocks[1])
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "value"),
+    [
+        ("vacuum_wavelength", "um", 0.5),
+        ("vacuum_wavenumber", "nm^{-1}", 1 / 500.0),
+        ("angular_vacuum_wavenumber", "um^{-1}", 2e3 * np.pi / 500.0),
+        ("frequency", "THz", 299792.458 / 500.0),
+        ("angular_frequency", "fs^{-1}", 2e-3 * np.pi * 299792.458 / 500.0),
+    ],
+)
+def test_every_spectral_axis_and_unit_of_the_format(tmp_path, name, unit, value):
+    path = tmp_path / "a.tmat.h5"
+    write_tmatrices(path, _spheres((500.0,)), "sphere")
+    with h5py.File(path, "a") as file:
+        del file["vacuum_wavelength"]
+        file[name] = value
+        file[name].attrs["unit"] = unit
+    assert read_tmatrices(path).wavelengths_nm[0] == pytest.approx(500.0, rel=1e-12)
+
+
+def test_modes_may_stand_in_any_order_and_scattered_apart_from_incident(tmp_path):
+    made = _spheres()
+    path = tmp_path / "a.tmat.h5"
+    write_tmatrices(path, made, "sphere")
+    with h5py.File(path, "a") as file:
+        shuffled = np.random.default_rng(1).permutation(file["modes/l"].size)
+        matrix = file["tmatrix"][()][:, shuffled]
+        modes = {n: file[f"modes/{n}"][()] for n in ("l", "m", "polarization")}
+        del file["modes"], file["tmatrix"]
+        file["tmatrix"] = matrix
+        for n, v in modes.items():
+            file[f"modes/{n}_scattered"], file[f"modes/{n}_incident"] = v[shuffled], v
+    assert np.abs(read_tmatrices(path).blocks - made.blocks).max() < 1e-15
+
+
+def _broken(path, how):
+    with h5py.File(path, "a") as file:
+        how(file)
+
+
+def _set(name, value):
+    def change(file):
+        del file[name]
+        file[name] = value
+
+    return change
+
+
+def _without(name):
+    def change(file):
+        del file[name]
+
+    return change
+
+
+def _scaled(factor):
+    def change(file):
+        file["tmatrix"][...] = file["tmatrix"][()] * factor
+
+    return change
+
+
+def _tilted(file):
+    values = file["tmatrix"][()]
+    values[:, 0, 3] = 0.05  # couples m = -1 and m = 0
+    file["tmatrix"][...] = values
+
+
+def _one_way(file):
+    values = file["tmatrix"][()]
+    values[:, 2, 22] = 0.05  # l = 1, m = 0 electric from l = 3, m = 0 electric, and not back
+    file["tmatrix"][...] = values
+
+
+def _elsewhere(file):
+    del file["tmatrix"]
+    file["tmatrix"] = h5py.ExternalLink("other.h5", "/tmatrix")
+
+
+BROKEN = {
+    "no matrix": (_without("tmatrix"), 'holds no dataset "tmatrix"'),
+    "no axis": (_without("vacuum_wavelength"), "gives no wavelength"),
+    "no modes": (_without("modes/l"), "does not name its modes"),
+    "no unit": (lambda f: f["vacuum_wavelength"].attrs.__delitem__("unit"), "without a unit"),
+    "odd unit": (lambda f: f["vacuum_wavelength"].attrs.__setitem__("unit", "parsec"), "no unit of length"),
+    "nan": (_scaled(np.nan), "not finite"),
+    "gain": (_scaled(4.0), "radiates more than it gets"),
+    "not axisymmetric": (_tilted, "is not axisymmetric"),
+    "not reciprocal": (_one_way, "not reciprocal"),
+    "magnetic medium": (_set("embedding/relative_permeability", 2.0), "magnetic or chiral"),
+    "absorbing medium": (_set("embedding/relative_permittivity", 2.0 + 1j), "absorbing medium"),
+    "another file": (_elsewhere, "leads to another file"),
+    "two wavelengths the same": (
+        lambda f: f["vacuum_wavelength"].write_direct(np.array([500.0, 500.0])),
+        "a wavelength twice",
+    ),
+    "odd polarization": (_set("modes/polarization", ["left"] * 70), 'names a polarization "left"'),
+    "what a terminal obeys": (_set("modes/polarization", ["\x1b[2Jred\n"] * 70), 'names a polarization "[2jred"'),
+    "a mode twice": (_set("modes/m", np.zeros(70, int)), "every mode up to l = 5 once"),
+    "wrong shape": (_set("tmatrix", np.zeros(5)), "of shape (5,)"),
+}
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_a_broken_file_gets_one_line(tmp_path, capsys, what):
+    how, said = BROKEN[what]
+    write_tmatrices(tmp_path / "b.tmat.h5", _spheres(), "sphere")
+    _broken(tmp_path / "b.tmat.h5", how)
+    with pytest.raises(TMatrixFileError):
+        read_tmatrices(tmp_path / "b.tmat.h5")
+    line = _refusal(tmp_path, capsys, 'tmatrix = "b.tmat.h5"')
+    assert 'particle.tmatrix = "b.tmat.h5"' in line and said in line
+
+
+def test_what_is_no_such_file_gets_one_line(tmp_path, capsys):
+    (tmp_path / "text.h5").write_text("not a file of this kind")
+    (tmp_path / "half.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(40))
+    (tmp_path / "folder.h5").mkdir()
+    told = {"text": "is no HDF5 file", "half": "is no HDF5 file", "folder": "is a folder", "none": "does not exist"}
+    for name, said in told.items():
+        assert said in _refusal(tmp_path, capsys, f'tmatrix = "{name}.h5"')
+
+
+@pytest.mark.parametrize(
+    ("probe", "patience", "said"),
+    [
+        ("import os; os.abort()", 60.0, "HDF5 crashes on it"),
+        ("import time; time.sleep(300)", 0.5, "is not done with it"),
+    ],
+)
+def test_a_file_that_hdf5_does_not_survive_gets_one_line(tmp_path, capsys, monkeypatch, probe, patience, said):
+    """Met by changing bytes at random: a broken heap of strings is read for ever."""
+    monkeypatch.setattr(tmatrix_file, "PROBE", probe)
+    monkeypatch.setattr(tmatrix_file, "PATIENCE_S", patience)
+    write_tmatrices(tmp_path / "b.tmat.h5", _spheres(), "sphere")
+    assert said in _refusal(tmp_path, capsys, 'tmatrix = "b.tmat.h5"')
+
+
+def test_what_does_not_fit_the_recipe_gets_one_line(tmp_path, capsys):
+    write_tmatrices(tmp_path / "water.tmat.h5", _spheres(ambient=1.33), "sphere")
+    write_tmatrices(tmp_path / "air.tmat.h5", _spheres(), "sphere")
+    write_tmatrices(tmp_path / "unsized.tmat.h5", _spheres(), "")
+    air = 'tmatrix = "air.tmat.h5"\n'
+    assert "in a medium of n = 1.33, and the ambient has 1" in _refusal(tmp_path, capsys, 'tmatrix = "water.tmat.h5"')
+    assert "give particle.diameter_nm" in _refusal(tmp_path, capsys, 'tmatrix = "unsized.tmat.h5"')
+    assert "tmatrix and radius_nm" in _refusal(tmp_path, capsys, air + "radius_nm = 70")
+    assert "not what air.tmat.h5 says: 150 nm" in _refusal(tmp_path, capsys, air + "diameter_nm = 170")
+    assert "needs material and radius_nm of a sphere, or tmatrix" in _refusal(tmp_path, capsys, "gap_nm = 1")
+    sphere = 'material = "Si"\nradius_nm = 75\nheight_nm = 30'
+    assert "gives height_nm, which a sphere does not have" in _refusal(tmp_path, capsys, sphere)
+    path = _recipe(tmp_path, air)
+    assert run(["spectrum", str(path), "--wavelengths-nm", "600"]) == 2
+    assert "from 500 to 520 nm, not at 600 nm" in capsys.readouterr().err
+    path.write_text(path.read_text().replace("multipole_order = 5", "multipole_order = 7"))
+    assert run(["spectrum", str(path), "--wavelengths-nm", "500"]) == 2
+    assert "multipole_order = 7 is higher than what" in capsys.readouterr().err
+
+
+def test_circumscribing_spheres_may_not_meet(tmp_path, capsys):
+    shutil.copy(_disc(), tmp_path / "disc.tmat.h5")
+    disc = 'tmatrix = "disc.tmat.h5"\ngap_nm = 40'
+    path = _recipe(tmp_path, disc)
+    text = path.read_text().replace("multipole_order = 5", "")
+    path.write_text(text.replace("packing = 0.2", "packing = 0.09"))
+    assert run(["spectrum", str(path), "--wavelengths-nm", "620"]) == 2
+    said = capsys.readouterr().err.strip()
+    assert len(said.splitlines()) == 1 and "circumscribing spheres, 144.2 nm wide, meet" in said
+    path.write_text(text.replace("coverage = 0.08\npacking = 0.2", "coverage = 0.6"))
+    assert run(["spectrum", str(path), "--wavelengths-nm", "620"]) == 2
+    assert "apart only at a packing of 0.867" in capsys.readouterr().err
+    path.write_text(text.replace("packing = 0.2", ""))  # what is not said is chosen to fit
+    assert nacre.load(path).model.structure.diameter_nm == pytest.approx(144.22, rel=1e-3)
+
+
+def test_a_changed_file_is_another_material(tmp_path):
+    write_tmatrices(tmp_path / "a.tmat.h5", _spheres(), "sphere")
+    path = _recipe(tmp_path, 'tmatrix = "a.tmat.h5"')
+    first = nacre.load(path)
+    before, kept = first.identity, first.model.powers([1.0], 500.0)[2]
+    write_tmatrices(tmp_path / "a.tmat.h5", _spheres(index=3.0 + 0.05j), "sphere")
+    second = nacre.load(path)
+    assert second.identity != before
+    assert np.abs(second.model.powers([1.0], 500.0)[2] / kept - 1).max() > 0.01
+
+
+def test_signs_between_m_and_minus_m_are_those_of_a_mirror():
+    assert np.array_equal(mirror_signs(1), [[1, -1], [-1, 1]])
