@@ -20,12 +20,13 @@ from nacre.bsdf.spectrum import Spectrum
 from nacre.families.contract import Figure, Model
 from nacre.families.glass.balls import Balls
 from nacre.families.glass.composite import Composite, EffectiveDispersion
-from nacre.families.glass.fast import diffuse_table, face_lobe, interpolation_error, walk_error
+from nacre.families.glass.fast import behind_rough, diffuse_table, face_lobe, interpolation_error, walk_error
 from nacre.families.glass.figures import colour_map, scattering, structure
 from nacre.families.glass.medium import Medium
+from nacre.families.glass.passing import Passing
 from nacre.families.glass.radiance import brdf_pairs
 from nacre.families.glass.slab import AZIMUTHS, Slab
-from nacre.families.glass.walk import walk
+from nacre.families.glass.walk import Lost, walk
 from nacre.light import default_wavelengths
 from nacre.light.splines import spline_matrix
 from nacre.matter.jobs import in_threads
@@ -105,8 +106,6 @@ class Glass(Model):
             return "its base is not a diffuse one"
         if self.surface.alpha_x != self.surface.alpha_y:
             return "its surface is anisotropic"
-        if self.surface.compensate:
-            return "its surface is compensated"
         return None
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
@@ -150,10 +149,7 @@ class Glass(Model):
     def _is_walked_quickly(self) -> bool:
         """Whether the compiled walk of one slab knows its faces; the fast form is integrated as it is."""
         rough = [self.surface, self.base.surface] if self.base.kind == "none" else [self.surface]
-        known = all(
-            each.is_smooth or (each.distribution == "ggx" and each.alpha_x == each.alpha_y and not each.compensate)
-            for each in rough
-        )
+        known = all(each.is_smooth or (each.distribution == "ggx" and each.alpha_x == each.alpha_y) for each in rough)
         return known and (self.quality != "fast" or self.why_not_fast() is not None)
 
     def _walked(self, theta: Array, lam: Array, seed: int) -> Spectrum:
@@ -161,11 +157,13 @@ class Glass(Model):
         is_open = self.base.kind == "none"
         last = np.radians(89.99)
         walked = theta if len(theta) <= WALKED_ANGLES else np.linspace(0.0, last, WALKED_ANGLES)
+        index = float(self.composite.walk_index)
         found = [
             walk(
                 self._medium(lam), self.thickness_nm, None if is_open else self._albedo(lam),
                 float(np.cos(min(angle, last))), walkers=SPECTRUM_WALKERS, alpha=self.surface.alpha_x,
                 alpha_below=self.base.surface.alpha_x, seed=seed * WALKED_ANGLES + i,
+                lost=Lost.of(self.surface, index), lost_below=Lost.of(self.base.surface, index),
             )
             for i, angle in enumerate(walked)
         ]  # fmt: skip
@@ -195,9 +193,14 @@ class Glass(Model):
 
     def _scattered(self, wi: Array, wo: Array, lam: Array) -> Array:
         medium = self._medium(lam)
-        pairs = [brdf_pairs(medium, i, slab, wi, wo) for i, slab in enumerate(self._slabs(lam, AZIMUTHS))]
+        slabs = self._slabs(lam, AZIMUTHS)
+        values = np.stack([brdf_pairs(medium, i, slab, wi, wo) for i, slab in enumerate(slabs)], axis=-1)
+        passing = Passing.behind(self.surface, medium)
+        if passing is not None:
+            shares = passing.over_smooth(np.abs(wi[:, 2])) * passing.over_smooth(np.abs(wo[:, 2]))
+            values = values * shares[:, None] * np.array([passing.kept(slab) for slab in slabs])
         up = (wi[:, 2] > 0) & (wo[:, 2] > 0)
-        return np.where(up[:, None], np.stack(pairs, axis=-1), 0.0) + face_lobe(medium, self.surface).evaluate(wi, wo)
+        return np.where(up[:, None], values, 0.0) + face_lobe(medium, self.surface).evaluate(wi, wo)
 
     def _medium(self, lam: Array) -> Medium:
         return _solved(self.composite, tuple(lam.tolist()))
@@ -216,14 +219,14 @@ class Glass(Model):
         return np.interp(lam, *albedo) if isinstance(albedo, tuple) else np.full(len(lam), float(albedo))
 
     def _fast(self, lam: Array) -> Bsdf:
-        medium, alpha = self._medium(lam), self.surface.alpha_x
-        slabs = self._slabs(lam, AZIMUTHS)
-        table = diffuse_table(medium, slabs)
+        medium, slabs = self._medium(lam), self._slabs(lam, AZIMUTHS)
+        smooth = diffuse_table(medium, slabs)
+        table = behind_rough(smooth, medium, slabs, self.surface)
         lobes = (face_lobe(medium, self.surface), table)
         if not self.is_checked:
             return Bsdf(lobes)
-        walked = walk_error(table, medium, self.thickness_nm, self._albedo(lam), alpha)
-        error = np.hypot(walked, interpolation_error(table, medium, slabs))
+        walked = walk_error(table, medium, self.thickness_nm, self._albedo(lam), self.surface)
+        error = np.hypot(walked, interpolation_error(smooth, medium, slabs))
         note = (
             f"noise-free form: error {100 * error.mean():.2f} % on average over wavelengths, at most "
             f"{100 * error.max():.2f} % (L2 of f cos: against transfer over all directions, and against the walk over "
