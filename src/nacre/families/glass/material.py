@@ -23,6 +23,7 @@ from nacre.families.glass.composite import Composite, EffectiveDispersion
 from nacre.families.glass.fast import behind_rough, diffuse_table, face_lobe, interpolation_error, walk_error
 from nacre.families.glass.figures import colour_map, scattering, structure
 from nacre.families.glass.medium import Medium
+from nacre.families.glass.one_index import with_one_index
 from nacre.families.glass.passing import Passing
 from nacre.families.glass.radiance import brdf_pairs
 from nacre.families.glass.slab import AZIMUTHS, Slab
@@ -184,7 +185,7 @@ class Glass(Model):
         """Return the light at pairs as transfer in modes of the azimuth gives it; see `radiance`.
 
         It is the walk's own value but for what a rough face does to the diffuse light, and for the dispersion of
-        refraction, which the walk leaves out.
+        refraction, which the walk makes up for in diffuse light alone: see `one_index`.
         """
         if self.below or self.base.kind not in ("none", "diffuse"):
             return None
@@ -235,11 +236,13 @@ class Glass(Model):
         logger.info("%s", note)
         return Bsdf(lobes, {"notes": [note]})
 
-    def _layered(self, lam: Array, is_own_grid: bool) -> Layered:
+    def _layered(self, lam: Array, is_own_grid: bool, is_in_air: bool = True) -> Layered:
         """Return the arrays of the walk: the glass is what a dye that scatters is to a pearl."""
         count = len(lam)
         layers = self.layers
         media = [_solved(layer.composite, tuple(lam.tolist())) for layer in layers]
+        if is_in_air and len(layers) == 1 and self.base.kind == "diffuse":
+            media = [self._for_one_index(tuple(lam.tolist()))]
         index = np.array([layer.composite.walk_index for layer in layers])
         faces = [*(layer.surface for layer in layers), self.base.surface]
         depths = [
@@ -268,9 +271,13 @@ class Glass(Model):
         lobe.check()
         return self.base.continued(lobe)
 
+    def _for_one_index(self, wavelengths_nm: tuple[float, ...]) -> Medium:
+        albedo = self._albedo(np.array(wavelengths_nm))
+        return _made_up_for(self.composite, self.thickness_nm, tuple(albedo.tolist()), wavelengths_nm)
+
     def strata_at(self, wavelengths_nm: Array) -> Layered:
-        """Return the arrays of the walk."""
-        return self._layered(np.asarray(wavelengths_nm, dtype=float), False)
+        """Return the arrays of the walk, for strata that other ones may lie on."""
+        return self._layered(np.asarray(wavelengths_nm, dtype=float), False, is_in_air=False)
 
     def _base_table(self, lam: Array) -> Array:
         last = self.below[-1].composite if self.below else self.composite
@@ -295,3 +302,11 @@ class FastGlass(Glass):
 @lru_cache(maxsize=32)
 def _solved(composite: Composite | Balls, wavelengths_nm: tuple[float, ...]) -> Medium:
     return composite.medium(np.array(wavelengths_nm))
+
+
+@lru_cache(maxsize=8)
+def _made_up_for(
+    composite: Composite | Balls, thickness_nm: float, albedo: tuple[float, ...], wavelengths_nm: tuple[float, ...]
+) -> Medium:
+    index = float(composite.walk_index)
+    return with_one_index(_solved(composite, wavelengths_nm), index, thickness_nm, np.array(albedo))
