@@ -91,7 +91,8 @@ class Glass(Model):
         """S of the order, light scattered inside, and reflectance over thickness: see `figures`."""
 
         def of_thickness(thickness_nm: float, theta_rad: Array, lam: Array) -> Spectrum | None:
-            return replace(self, thickness_nm=thickness_nm).spectrum(theta_rad, lam, "both")
+            layer = replace(self, thickness_nm=thickness_nm)
+            return layer._estimated(theta_rad, lam) or layer.spectrum(theta_rad, lam, "both")
 
         return {
             "structure": partial(structure, [layer.composite for layer in self.layers]),
@@ -142,11 +143,25 @@ class Glass(Model):
         cos = np.where(theta >= np.pi / 2, 0.0, np.cos(theta))
         is_open = self.base.kind == "none"
         if not self.surface.is_smooth or (is_open and not self.base.surface.is_smooth):
-            return self._walked(theta, lam, seed) if self._is_walked_quickly else None
+            found = None if self.is_checked else self._estimated(theta, lam)
+            return found or (self._walked(theta, lam, seed) if self._is_walked_quickly else None)
         parts = np.stack([slab.powers(cos) for slab in self._slabs(lam, 1)], axis=-1)
         return Spectrum(
             lam, np.degrees(theta), parts[0], parts[1] if is_open else None, parts[2], parts[3] if is_open else None
         )
+
+    def _estimated(self, theta: Array, lam: Array) -> Spectrum | None:
+        """Return the spectrum behind a rough face as the fast form has it, without noise; None: there is none."""
+        if self.surface.is_smooth or self.why_not_fast() is not None:
+            return None
+        passing = Passing.behind(self.surface, self._medium(lam))
+        if passing is None:
+            return None
+        cos = np.cos(np.minimum(theta, np.pi / 2))
+        slabs = self._slabs(lam, 1)
+        entered = np.stack([slab.powers(cos)[2] * passing.kept(slab) for slab in slabs], axis=-1)
+        changed = (passing.over_smooth(cos) * passing.escape)[:, None]
+        return Spectrum(lam, np.degrees(theta), None, None, passing.mirrored(cos)[:, None] + changed * entered, None)
 
     @property
     def _is_walked_quickly(self) -> bool:

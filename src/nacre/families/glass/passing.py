@@ -51,6 +51,11 @@ class Passing:
         through = np.interp(np.sqrt(at), np.linspace(0.0, 1.0, len(self.through)), self.through)
         return np.asarray(through / (1 - face(at, self.index)))
 
+    def mirrored(self, cos: Array) -> Array:
+        """Return the share of light along cosines that the face itself sends back, in whatever direction."""
+        lost = self.loss if self.lost > 0 else 0.0
+        return np.asarray(np.interp(np.sqrt(cos), np.linspace(0.0, 1.0, len(self.loss)), 1 - self.through - lost))
+
     def kept(self, slab: Slab) -> float:
         """Return what multiplies the light inside, which meets the face again and again.
 
