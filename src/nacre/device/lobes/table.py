@@ -143,19 +143,21 @@ class TablePlugin(LobePlugin[TableLobe]):
         where = self.axis.locate(si.wavelengths, active)
         totals = [mi.Float(0.0) for _ in range(self.colours)] if not self.is_spectral else []
         result = mi.Spectrum(0.0)
-        for corner in range(8):
-            bits = (corner >> 2, (corner >> 1) & 1, corner & 1)
-            weight = mi.Float(1.0)
-            for bit, part in zip(bits, parts, strict=True):
-                weight = weight * (part if bit else 1.0 - part)
-            index = (lows[0] + bits[0]) * self.strides[0] + (lows[1] + bits[1]) * self.strides[1] + lows[2] + bits[2]
-            if self.is_spectral:
-                for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
-                    pair = read2(self.values, index * self.channels + low, active)
-                    result[k] = result[k] + weight * dr.lerp(pair[0], pair[1], part)
-            else:
-                for j in range(self.colours):
-                    totals[j] = totals[j] + weight * read(self.values, index * self.colours + j, active)
+        corners = [
+            (lows[0] + a) * self.strides[0] + (lows[1] + b) * self.strides[1] + lows[2] + c
+            for a in (0, 1)
+            for b in (0, 1)
+            for c in (0, 1)
+        ]
+        if self.is_spectral:
+            starts = [corner * self.channels for corner in corners]
+            for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
+                pairs = (read2(self.values, start + low, active) for start in starts)
+                result[k] = _trilinear([dr.lerp(pair[0], pair[1], part) for pair in pairs], parts)
+        else:
+            starts = [corner * self.colours for corner in corners]
+            for j in range(self.colours):
+                totals[j] = _trilinear([read(self.values, start + j, active) for start in starts], parts)
         for total, basis in zip(totals, [] if self.is_spectral else self.basis, strict=True):
             result = result + total * basis.look_up(mi.UInt32(0), mi.Float(0.0), where, None, active)[0]
         return dr.maximum(result, 0.0)
@@ -178,6 +180,13 @@ class TablePlugin(LobePlugin[TableLobe]):
             raise UnsupportedError("the table changed its coordinates or its shape; build the scene again")
         self.axis.update(lobe.wavelengths_nm)
         self._set(lobe)
+
+
+def _trilinear(corners: list[Any], parts: list[Any]) -> Any:
+    """Interpolate between eight numbers, the last coordinate running fastest."""
+    for part in reversed(parts):
+        corners = [dr.lerp(near, far, part) for near, far in zip(corners[::2], corners[1::2], strict=True)]
+    return corners[0]
 
 
 def _directions(theta: Any, phi: Any) -> Array:
