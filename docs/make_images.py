@@ -11,6 +11,7 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -30,9 +31,9 @@ MAX_BYTES = 300_000
 
 @dataclass(frozen=True)
 class Panel:
-    """One picture of the README's six: a recipe (or target) of examples/ and how it is shown."""
+    """One picture of a sheet: a recipe (or target) of examples/, or a recipe's table, and how it is shown."""
 
-    recipe: str
+    recipe: str | dict[str, Any]
     scene: str
     light: str | None = None
     spp: int = SPP
@@ -52,25 +53,53 @@ HERO = (
     Panel("targets/star.toml", "screen"),
 )
 
+# blue where they are lit and seen steeply, as a feather barb is
+BLUE_FILM: dict[str, Any] = {
+    "family": "film",
+    "substrate": "Si",
+    "layers": [{"material": "SiO2", "thickness_nm": 300}],
+    "surface": {"roughness": 0.3},
+}
+BLUE_PEARL: dict[str, Any] = {
+    "family": "pearl",
+    "strata": [
+        {
+            "resin": {"n": 1.5},
+            "thickness_um": 40,
+            "platelets": [
+                {
+                    "volume_fraction": 0.06,
+                    "normal_deviation": 0.12,
+                    "substrate": {"material": "mica", "thickness_nm": 400, "deviation_nm": 90},
+                    "coatings": [{"material": "TiO2", "thickness_nm": 112}],
+                }
+            ],
+        }
+    ],
+    "base": {"albedo": 0.02},
+}
+
 # photonic glass as a feather, a paint and a tile; and its colour over the angle beside a film's and a pearl's
 GLASS = (
-    Panel("glass/feather_barb.toml", "sphere", quality="fast", shape="feather", zoom=1.1, view_turn_deg=-25.0),
+    Panel("glass/feather_barb.toml", "sphere", quality="fast", shape="feather", zoom=1.22, view_turn_deg=-25.0),
     Panel("glass/supraball_paint.toml", "body", light="street", quality="fast"),
     Panel("glass/polystyrene_black.toml", "panel", quality="fast"),
-    Panel("blue-oxide.toml", "probe"),
-    Panel("pearl/bottle5_physical.toml", "probe", quality="fast"),
-    Panel("glass/polystyrene_black.toml", "probe", quality="fast"),
+    Panel(BLUE_FILM, "sphere"),
+    Panel(BLUE_PEARL, "sphere", quality="fast", spp=2 * SPP),
+    Panel("glass/feather_barb.toml", "sphere", quality="fast"),
 )
 
 
 def _pixels(panel: Panel, folder: Path, scratch: Path) -> Image.Image:
     """Render one panel; a target is designed first."""
-    source = folder / panel.recipe
-    if panel.recipe.startswith("targets/"):
-        source = _designed(source, scratch)
+    if isinstance(panel.recipe, dict):
+        material = nacre.material(panel.recipe)
+    else:
+        source = folder / panel.recipe
+        material = nacre.load(_designed(source, scratch) if panel.recipe.startswith("targets/") else source)
     shape = _feather(folder, scratch) if panel.shape == "feather" else panel.shape
     result = nacre.render(
-        nacre.load(source), panel.scene, light=panel.light, size=PANEL, spp=panel.spp, quality=panel.quality,
+        material, panel.scene, light=panel.light, size=PANEL, spp=panel.spp, quality=panel.quality,
         shape=shape, up="z" if shape else None, zoom=panel.zoom, view_turn_deg=panel.view_turn_deg, progress=False,
     )  # fmt: skip
     return Image.fromarray(np.asarray(result.srgb8))
@@ -95,7 +124,7 @@ def make_sheet(name: str, panels: tuple[Panel, ...], folder: Path, scratch: Path
     width, height = PANEL
     sheet = Image.new("RGB", (3 * width + 2 * GAP, 2 * height + GAP), GROUND)
     for number, panel in enumerate(panels):
-        print(f"{name}: {panel.recipe}", flush=True)
+        print(f"{name}: {panel.recipe if isinstance(panel.recipe, str) else panel.recipe['family']}", flush=True)
         kept = scratch / f"{name}-{number}.png"  # so that a stopped run goes on
         if not kept.exists():
             _pixels(panel, folder, scratch).save(kept)

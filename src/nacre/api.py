@@ -157,9 +157,10 @@ def fit(
 def gamut(
     thing: Material | str | Path,
     free: Iterable[str] | Mapping[str, Any] = (),
-    at: str = "specular 0",
+    at: str | None = None,
     *,
     points: int = 1000,
+    seconds: float = 60.0,
     illuminant: str = "D65",
     observer: str = "10deg",
     within: float = 2.0,
@@ -171,8 +172,11 @@ def gamut(
     Args:
         thing: a material or a path.
         free: such as "layers[0].thickness_nm=50:400" or "substrate=Al,Ag"; or a mapping as a design's `[free]`.
-        at: "specular 0", "transmitted 0", "diffuse 0", "hemispherical 0" or "45as15", as in a design's wants.
-        points: number of materials; within: the dE00 within which a colour counts as reached.
+        at: "specular 0", "transmitted 0", "diffuse 0", "hemispherical 0" or "45as15", as in a design's wants; None:
+            what shows a family's colour: "45as45" for a photonic glass, "specular 0" for the others.
+        points: number of materials.
+        seconds: after which the colours found so far are told.
+        within: the dE00 within which a colour counts as reached.
         illuminant, observer: of the colours.
         samples, seed: of the walk, for families that are evaluated by one; the seed also of the draws.
 
@@ -183,8 +187,8 @@ def gamut(
     """
     table = free if isinstance(free, Mapping) else parse_free(free)
     return find_gamut(
-        _material(thing), table, at, points=points, illuminant=illuminant, observer=observer, within=within,
-        samples=samples, seed=seed,
+        _material(thing), table, at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
+        within=within, samples=samples, seed=seed,
     )  # fmt: skip
 
 

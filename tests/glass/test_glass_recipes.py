@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.errors import NacreError, RecipeError
+from nacre.errors import NacreError, RecipeError, UnsupportedError
 from nacre.families.glass.hard_spheres import percus_yevick
 
 PLAIN: dict[str, Any] = {
@@ -60,6 +60,13 @@ REFUSED = {
     "unknown key": (varied(spheres__radios_nm=3), "radios_nm is not known"),
     "a base without a family": (varied(base={"recipe": {"albedo": 0.5}}), "base: recipe has no family"),
 }  # fmt: skip
+
+
+@pytest.mark.parametrize("target", ["rgl", "csv"])
+def test_a_walk_is_exported_by_its_fast_form_and_the_refusal_says_so(tmp_path: Path, target: str) -> None:
+    with pytest.raises(UnsupportedError, match=f'a file of kind {target} holds values; give it quality = "fast"'):
+        nacre.export(nacre.material(PLAIN), target, tmp_path / "glass")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("case", REFUSED)

@@ -141,9 +141,34 @@ def test_families_may_take_turns_in_one_list() -> None:
 
 MIXED_REFUSED = {
     "another family first": ([{"family": "pearl", **FLAKES}], r"strata\[0\].family = \"pearl\" is not allowed"),
-    "an unknown one": ([HALF, {"family": "perl", **FLAKES}], 'family = "perl" is not known. Did you mean "pearl"'),
-    "one without strata": ([HALF, {"family": "film", "substrate": "Si"}], "strata is not known"),
-    "a bad stratum": ([HALF, {"family": "pearl", **FLAKES, "thickness_um": -1}], "thickness_um = -1"),
+    "an unknown one": (
+        [HALF, {"family": "perl", **FLAKES}],
+        r'recipe: strata\[1\].family = "perl" is not known. Did you mean "pearl"',
+    ),
+    "one without strata": (
+        [HALF, {"family": "film", "substrate": "Si"}],
+        r'recipe: strata\[1\].family = "film" is not allowed; it should be a family made of strata',
+    ),
+    "a bad stratum": (
+        [HALF, {"family": "pearl", **FLAKES, "thickness_um": -1}],
+        r"recipe: strata\[1\]: thickness_um = -1",
+    ),
+    "a misspelt key": (
+        [HALF, {"family": "pearl", **FLAKES, "thicknes_um": 3}],
+        r'recipe: key strata\[1\].thicknes_um is not known. Did you mean "thickness_nm"',
+    ),
+    "a key of the whole recipe": (
+        [HALF, {"family": "pearl", **FLAKES, "quality": "fast"}],
+        r"recipe: key strata\[1\].quality is not known. It belongs at the top of the recipe",
+    ),
+    "a bad one below two others": (
+        [HALF, {"family": "pearl", **FLAKES}, {**HALF, "spheres": {**HALF["spheres"], "radius_nm": 0}}],
+        r"recipe: strata\[2\].spheres.radius_nm = 0",
+    ),
+    "a bad one after one of its own family": (
+        [HALF, {"family": "pearl", **FLAKES}, {"family": "pearl", **FLAKES, "resin": "Si03"}],
+        r'recipe: strata\[2\].resin = "Si03" is not known',
+    ),
 }
 
 
@@ -153,6 +178,12 @@ def test_strata_that_cannot_be_mixed_are_refused_in_one_line(case: str) -> None:
     with pytest.raises(RecipeError, match=message) as caught:
         nacre.material({"family": "glass", "strata": strata})
     assert "\n" not in str(caught.value)
+
+
+def test_a_table_as_the_base_is_named_in_messages() -> None:
+    base = {"recipe": {"family": "pearl", "strata": [{**FLAKES, "thicknes_um": 3}]}}
+    with pytest.raises(RecipeError, match=r"recipe: base.recipe: key strata\[0\].thicknes_um is not known"):
+        nacre.material({"family": "glass", **HALF, "base": base})
 
 
 def test_glints_below_are_refused(tmp_path: Path) -> None:

@@ -34,8 +34,12 @@ def _share(cos, eta):  # type: ignore[no-untyped-def]
 
 
 @numba.njit
-def trace(seed, count, balls, side, depth, cos_i, n_binder, n_glass, scatter, absorb, quantile):  # type: ignore[no-untyped-def]
-    """Return the light that leaves above, the face's own reflection included, and below; lengths in radii."""
+def trace(seed, count, balls, side, depth, cos_i, n_binder, n_glass, scatter, absorb, quantile, forgets=False):  # type: ignore[no-untyped-def]
+    """Return the light that leaves above, the face's own reflection included, and below; lengths in radii.
+
+    With `forgets` light leaves another ball of about the same depth than the one that it has entered: it no longer
+    finds open the way that it came by.
+    """
     np.random.seed(seed)
     up, down = 0.0, 0.0
     p, d, n, e = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
@@ -89,6 +93,12 @@ def trace(seed, count, balls, side, depth, cos_i, n_binder, n_glass, scatter, ab
                 r, t = _share(cos, n_glass / n_binder)
                 if np.random.random() < r:
                     d += 2 * cos * n
+                    if forgets:
+                        for _ in range(200):
+                            other = int(np.random.random() * len(balls))
+                            if abs(balls[other, 2] - balls[hit, 2]) < 0.25:
+                                p[:] = balls[other] + n * (1 + 1e-9)
+                                break
                 else:
                     d = d * (n_binder / n_glass) + (cos * n_binder / n_glass - t) * n
                     inside = hit
@@ -122,6 +132,12 @@ def trace(seed, count, balls, side, depth, cos_i, n_binder, n_glass, scatter, ab
                 e[:] = n
                 continue
             d = d * (n_glass / n_binder) + (t - cos * n_glass / n_binder) * n
+            if forgets:
+                for _ in range(200):
+                    other = int(np.random.random() * len(balls))
+                    if abs(balls[other, 2] - balls[inside, 2]) < 0.25:
+                        inside = other
+                        break
             p[:] = balls[inside] + n * (1 + 1e-9)
             inside = -1
     return up / count, down / count

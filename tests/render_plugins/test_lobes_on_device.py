@@ -90,6 +90,13 @@ def table(coordinates: str) -> Lobe:
     return TableLobe(GRID, values[..., None] * slope, basis, coordinates)
 
 
+def matt_table() -> Lobe:
+    """Return light that leaves nearly as from a matt surface, a little less to the side."""
+    wi, wo = directions_of("direction", (12, 12, 9))
+    values = 0.2 + 0.05 * wi[..., 2] * wo[..., 2]
+    return TableLobe(GRID, values[..., None] * np.linspace(0.5, 1.0, len(GRID)), np.eye(len(GRID)))
+
+
 @dataclasses.dataclass(frozen=True)
 class Case:
     """How to look at a lobe.
@@ -155,6 +162,7 @@ CASES: dict[str, Case] = {
     "irregular ridges": Case(lambda: (ridge(120.0),), width=0.4),
     "level ridges": Case(lambda: (ridge(0.0, rotation=ROTATION),), ((10.0, 0.0),), chi=(100, 32), width=0.4),
     "table": Case(lambda: (table("direction"),), width=0.5),
+    "matt table": Case(lambda: (matt_table(),), width=0.5),
     "half-angle table": Case(lambda: (table("half"),), width=0.5),
     "rough film over a base": Case(
         lambda: (metal("ggx", 0.2), bare_base(GRID, np.full(len(GRID), 0.3))), conserves=False
@@ -262,6 +270,15 @@ def test_draws_follow_the_density_from_the_normal_to_87_degrees(mi: Any, name: s
     for theta in STEEP_TO_GRAZING_DEG:
         outcome = lobe_chi_square(bsdf_of(name), theta, 40.0, samples=400_000, uv=(0.3, 0.6))
         assert outcome.passes(CHI_SQUARE_LEVEL, trials) and outcome.doubt < CHI_SQUARE_DOUBT, (theta, outcome)
+
+
+def test_only_a_matt_table_is_drawn_by_the_cosine(mi: Any) -> None:
+    """A table of exits costs as much as the look-up; where the weights hardly vary without one there is none."""
+    from nacre.device.lobes.table import TablePlugin
+
+    lobes = {name: bsdf_of(name).lobes[0] for name in ("matt table", "table")}
+    broad = {name: TablePlugin(lobe).is_broad for name, lobe in lobes.items()}
+    assert broad == {"matt table": True, "table": False}
 
 
 def test_chi_square_is_asked_of_at_least_twenty_cases() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -10,6 +11,7 @@ import pydantic
 
 from nacre.bsdf.base import Base
 from nacre.bsdf.roughness import SMOOTH_BELOW, Roughness, check_widths
+from nacre.errors import RecipeError
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
 from nacre.recipe.columns import two_columns
@@ -138,6 +140,16 @@ def interface_roughness(roughness: float | tuple[float, ...], distribution: str,
     return Roughness(distribution, x, y, compensate=compensate)
 
 
+class Below(list[Any]):
+    """Strata that stand in one list below those of another family.
+
+    Attributes:
+        first: the uppermost one's number among those of the recipe that the list stands in.
+    """
+
+    first: int = 0
+
+
 def nested_strata(data: Any, family: str) -> Any:
     """Rewrite a recipe in which strata of other families stand among its own: from the first on they are the base.
 
@@ -161,17 +173,50 @@ def nested_strata(data: Any, family: str) -> Any:
             f"strata[0].family = {show_value(families[0])} is not allowed; write that family at the top of the recipe, "
             f'and family = "{family}" into the strata that are of this one'
         )
-    below = [{**stratum, "family": name} for stratum, name in zip(plain[other:], families[other:], strict=True)]
+    below = Below({**stratum, "family": name} for stratum, name in zip(plain[other:], families[other:], strict=True))
+    below.first = other
     rest = {"family": families[other], "strata": below, **({"base": data["base"]} if "base" in data else {})}
     return {**data, "strata": plain[:other], "base": {"recipe": rest}}
+
+
+def _placed(message: str, table: Mapping[str, Any], first: int | None, source: str) -> str:
+    """Return a message of a recipe that stands in another one with the place that it has there.
+
+    Args:
+        message: of the inner recipe, which counts its strata from 0.
+        table: the inner recipe.
+        first: the number of its uppermost stratum in the outer one's list; None: it is the base's own table.
+        source: the outer recipe's name, with which the message begins.
+    """
+    said = message.removeprefix(f"{source}: ")
+    if first is None:
+        return f"{source}: base.recipe: {said}"
+    if said.startswith("key strata is not known"):
+        family = show_value(table["family"])
+        return f"{source}: strata[{first}].family = {family} is not allowed; it should be a family made of strata"
+    if said.startswith("family = "):
+        return f"{source}: strata[{first}].{said}"
+    moved = re.sub(r"^((?:key )?strata\[)(\d+)\]", lambda found: f"{found[1]}{int(found[2]) + first}]", said)
+    return f"{source}: {moved}"
 
 
 def _recipe_base(name: str | dict[str, Any], medium: OpticalConstant, context: RecipeContext) -> Base:
     """Take another recipe as the base, built in the last medium: an even film as its reflectance, all else as lobes."""
     if context.load_recipe is None:
         raise context.fail("base.recipe", name, "cannot be loaded here; load the recipe from its file")
-    other = context.recipe(name, ambient=medium.without_absorption())
+    strata = name.get("strata") if isinstance(name, dict) else None
+    number = strata.first if isinstance(strata, Below) else None
+    try:
+        other = context.recipe(name, ambient=medium.without_absorption())
+    except RecipeError as error:
+        if isinstance(name, str):
+            raise
+        raise RecipeError(_placed(str(error), name, number, context.source)) from None
     if other.model.has_strata:
+        if number is not None:
+            return Base(
+                "strata", other=other, refuse=lambda why: RecipeError(f"{context.source}: strata[{number}] {why}")
+            )
         return Base("strata", other=other, refuse=lambda why: context.fail("base.recipe", name, why))
     if not other.model.takes_ambient:
         raise context.fail("base.recipe", name, "is compiled, and does not tell in which medium; give its recipe")

@@ -123,11 +123,14 @@ class _Screen:
 )
 @click.option(
     "--at",
-    default="specular 0",
-    show_default=True,
-    help="Where it is seen: specular T, transmitted T, diffuse T, hemispherical T or IasA.",
+    default=None,
+    help="Where it is seen: specular T, transmitted T, diffuse T, hemispherical T or IasA. Default: specular 0; of a "
+    "photonic glass 45as45.",
 )
 @click.option("--points", type=click.IntRange(8, 1_000_000), default=1000, show_default=True, help="Materials tried.")
+@click.option(
+    "--seconds", type=click.FloatRange(1.0), default=60.0, show_default=True, help="After which what is found is shown."
+)
 @click.option("--within", type=float, default=2.0, show_default=True, help="dE00 within which a colour is reached.")
 @click.option("--illuminant", default="D65", show_default=True)
 @click.option("--observer", type=click.Choice(["2deg", "10deg"]), default="10deg", show_default=True)
@@ -139,8 +142,8 @@ class _Screen:
 @common.cache_option
 @common.jobs_option
 def gamut(
-    recipe: str, free: tuple[str, ...], at: str, points: int, within: float, illuminant: str, observer: str,
-    samples: int | None, seed: int, as_json: bool, output: str | None, changes: tuple[str, ...],
+    recipe: str, free: tuple[str, ...], at: str | None, points: int, seconds: float, within: float, illuminant: str,
+    observer: str, samples: int | None, seed: int, as_json: bool, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Show the colours that the free numbers of RECIPE can reach, in a*b* and xy, and their share of all colours."""
     from nacre.design.wants.gamut import find_gamut, gamut_chart, gamut_page, parse_free
@@ -153,8 +156,8 @@ def gamut(
         check_writable(path)
     material = common.load_material(recipe, changes)
     found = find_gamut(
-        material, parse_free(free), at, points=points, illuminant=illuminant, observer=observer, within=within,
-        samples=samples, seed=seed,
+        material, parse_free(free), at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
+        within=within, samples=samples, seed=seed,
     )  # fmt: skip
     if path is not None:
         if path.suffix == ".json":
@@ -173,6 +176,9 @@ def gamut(
         click.echo("  " + ", ".join(f"{n} {a:.0f} to {b:.0f}" for n, a, b in zip(("L*", "a*", "b*"), low, high)))
         click.echo(f"  within dE00 {within:g}: {100 * found.share_of_srgb:.1f} % of the colours of sRGB, "
                    f"{100 * found.share_of_optimal:.1f} % of the optimal colours")  # fmt: skip
+        tried = len(found.lab) + found.failed
+        if tried < points:
+            click.echo(f"  stopped after {seconds:g} s: {tried} of {points} points; --seconds gives it more")
         if found.failed:
             click.echo(f"  {found.failed} points could not be computed")
     if path is not None:

@@ -46,6 +46,7 @@ class Model(abc.ABC):
         noun: what a message calls it: "a film".
         why_unpolarised: the end of the sentence that refuses s and p where `spectrum` is left to the Bsdf.
         usual_parts: what a sweep stores of its spectrum unless told.
+        usual_look: the geometry at which its colour is asked for unless told, as a want's `at`.
         is_quick: whether `bsdf` is solved in milliseconds, so that it may be asked for while a recipe is read.
         is_direct: whether a few directions cost a small part of the `bsdf`, without noise: see `values_at`.
         takes_ambient: whether it is built in the medium that another recipe puts it into.
@@ -56,6 +57,7 @@ class Model(abc.ABC):
     noun: ClassVar[str] = "material"
     why_unpolarised: ClassVar[str] = "is known for unpolarised light only"
     usual_parts: ClassVar[tuple[str, ...]] = ("specular_reflectance", "diffuse_reflectance")
+    usual_look: ClassVar[str] = "specular 0"
     is_quick: ClassVar[bool] = False
     is_direct: ClassVar[bool] = False
     takes_ambient: ClassVar[bool] = True

@@ -160,5 +160,9 @@ def mie_amplitudes(a: ComplexArray, b: ComplexArray, mu: ArrayLike) -> tuple[Com
         tau[l] = l * mu * pi[l] - (l + 1) * pi[l - 1]
     order = np.arange(1, lmax + 1)
     weight = (2 * order + 1) / (order * (order + 1))
-    a_w, b_w = np.moveaxis(a, 0, -1) * weight, np.moveaxis(b, 0, -1) * weight
-    return a_w @ pi[1:] + b_w @ tau[1:], a_w @ tau[1:] + b_w @ pi[1:]
+    # real rows in one block each: linear algebra takes complex ones, or those with strides, element by element
+    rows = [np.ascontiguousarray(np.moveaxis(c, 0, -1) * weight).reshape(-1, lmax) for c in (a, b)]
+    block = np.concatenate([part for row in rows for part in (row.real, row.imag)])
+    by_pi, by_tau = ((block @ angular[1:]).reshape(4, *a.shape[1:], *mu.shape) for angular in (pi, tau))
+    s1 = (by_pi[0] + by_tau[2]) + 1j * (by_pi[1] + by_tau[3])
+    return s1, (by_tau[0] + by_pi[2]) + 1j * (by_tau[1] + by_pi[3])

@@ -257,6 +257,8 @@ def _first_line(
         meant = next((name for name in places if hint == did_you_mean(name, [name])), None)
         if meant is not None and f"{table}.{meant}".lstrip(".") not in places[meant]:
             hint = f' Did you mean "{places[meant][0]}"?'  # the name in another table is no use without its place
+            if places[meant][0] == word:
+                hint = " It belongs at the top of the recipe."
         return f"{context.source}: key {key} is not known.{hint}"
     if problem["type"] == "missing":
         return f"{context.source}: {key} is missing"

@@ -28,6 +28,7 @@ ENERGY_ANGLES_DEG = (0.0, 30.0, 60.0)
 MOST_ENERGY = 4.0  # real measurements, and tables made of narrow ones, exceed 1 by tens of per cent
 ROUNDING = 1e-6  # of the largest value
 TENSOR_MAGIC = b"tensor_file\0"
+OF_VALUES = ("rgl", "merl", "zemax", "csv", "exr")  # what asks a Bsdf for its values
 IMPORTS = ".csv (goniometer), .binary (MERL), .bsdf (RGL tensor or Zemax), .gltf, .mtlx"
 
 
@@ -67,6 +68,11 @@ def export_material(
     if target in ("gltf", "materialx"):
         return facts | _export_film(material, target, path)
     bsdf = material.bsdf()
+    if target in OF_VALUES and any(lobe.is_stochastic for lobe in bsdf.lobes):
+        raise UnsupportedError(
+            f'{material.context.source}: is a random walk, and a file of kind {target} holds values; give it '
+            'quality = "fast" where the family has that (--set quality=fast), or export a lut'
+        )
     if target == "nacre":
         bsdf.save(path)
     elif target == "rgl":

@@ -49,6 +49,7 @@ HUES = 36  # directions in which the rim is pushed outward
 SOLID_POINTS, BATCH = 1200, 2048
 NEIGHBOURS = 12
 LIMIT_STEP_NM = 10.0  # of the optimal colours' edges
+SECONDS = 60.0  # unless told; films are done with in a few
 LEAST_POINTS, MOST_POINTS = 8, 1_000_000
 
 
@@ -125,10 +126,10 @@ def _word(text: str) -> Any:
 def find_gamut(
     material: Material,
     free: Mapping[str, Any],
-    at: str = "specular 0",
+    at: str | None = None,
     *,
     points: int = 1000,
-    seconds: float = np.inf,
+    seconds: float = SECONDS,
     illuminant: str = "D65",
     observer: str = "10deg",
     within: float = 2.0,
@@ -142,8 +143,10 @@ def find_gamut(
 
     Args:
         free: path -> bounds or choices, as the table `[free]` of a design.
-        at: "specular 0", "45as15" and so on, as in a want.
+        at: "specular 0", "45as15" and so on, as in a want; None: what shows a family's colour, such as the mirror of a
+            film and light from 45 degrees seen from the normal of a photonic glass.
         points: number of materials; fewer where the seconds are up.
+        seconds: after which what is there is told.
         within: dE00 within which a colour counts as reached.
         samples: of random walks.
         progress: called with (done, points).
@@ -158,7 +161,7 @@ def find_gamut(
         raise NacreError(f"--within = {within:g} must be above 0")
     check_light(LightSpec(illuminants=[illuminant], observer=observer), RecipeContext(source))
     material = material.for_many()
-    where = At.read(at, f"{source}: at")
+    where = At.read(material.model.usual_look if at is None else at, f"{source}: at")
     numbers = read_free(dict(free), material, source)
     if not numbers:
         raise RecipeError(f"{source}: nothing is free; use --free PATH=LOW:HIGH")

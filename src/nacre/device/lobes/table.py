@@ -1,4 +1,8 @@
-"""Tabulated isotropic BRDFs on the device: trilinear look-up, sampled from a table of exits for each incidence."""
+"""Tabulated isotropic BRDFs on the device: trilinear look-up, sampled from a table of exits for each incidence.
+
+Where light leaves nearly as from a matt surface, such a table would gain no noise and cost as much as the look-up:
+directions are drawn by the cosine then.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +20,7 @@ from nacre.device.tables import DeviceTable, WavelengthAxis
 from nacre.errors import UnsupportedError
 
 COSINE_SHARE = 0.1  # of the draws: no direction is left out, and no weight grows without bound
+BROAD = 1.05  # mean square of the weights at which drawing by the cosine alone is as good; 1 for a matt surface
 VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 48, 96, 96
 MAX_TABLE_VALUES = 1 << 27
 
@@ -68,20 +73,35 @@ class TablePlugin(LobePlugin[TableLobe]):
         wo = _directions(to[None, :], dphi[:, None])  # [azimuth, exit, 3]
         weight = np.cos(to) * np.sin(to)
         densities = np.empty((VIEW_NODES, AZIMUTH_NODES, EXIT_NODES), dtype=np.float32)
-        means = np.empty(VIEW_NODES)
+        means, squares = np.empty(VIEW_NODES), np.empty(VIEW_NODES)
         for k, angle in enumerate(ti):
             wi = np.broadcast_to(_directions(angle, 0.0), wo.shape)
             mean = lobe.evaluate(wi, wo).mean(axis=-1)
             # both angles of the mean density, never empty
             densities[k] = np.maximum(mean, 1e-4 * mean.max() + 1e-9) * weight
-            means[k] = 2.0 * math.pi * float(np.mean(mean * weight)) * (math.pi / 2)
-        self.exits = mi.MarginalContinuous2D1(densities, [np.linspace(0.0, 1.0, VIEW_NODES).tolist()], True, True)
+            means[k] = math.pi**2 * float(np.mean(mean * weight))
+            squares[k] = math.pi**3 * float(np.mean(mean**2 * weight))
+        self.is_broad = bool(np.all(squares <= BROAD * means**2))
+        self.exits: Any = None
+        if not self.is_broad:
+            self.exits = mi.MarginalContinuous2D1(densities, [np.linspace(0.0, 1.0, VIEW_NODES).tolist()], True, True)
         self.albedo = device_array(means)
         self.view_top, self.view_max = opaque(VIEW_NODES - 1), opaque(VIEW_NODES - 2)
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Draw from the table of exits, now and then by the cosine."""
+        """Draw from the table of exits, now and then by the cosine; a broad lobe by the cosine alone."""
         active = active & enabled[0] & (si.wi.z > MIN_COS)
+        wo = mi.warp.square_to_cosine_hemisphere(sample2)
+        if not self.is_broad:
+            wo = self._drawn(si, sample1, sample2, wo, active)
+        value, pdf = self.eval_pdf(ctx, si, wo, active, enabled)
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo, bs.pdf, bs.eta = wo, pdf, mi.Float(1.0)
+        bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
+        return bs, (value / dr.maximum(pdf, 1e-20)) & (active & (pdf > 0.0))
+
+    def _drawn(self, si: Any, sample1: Any, sample2: Any, cosine: Any, active: Any) -> Any:
+        """Return a direction of the table of exits, or `cosine` with the chance `COSINE_SHARE`."""
         by_cosine = sample1 < COSINE_SHARE
         rest = dr.clip((sample1 - COSINE_SHARE) / (1.0 - COSINE_SHARE), 0.0, 1.0)
         place, _ = self.exits.sample(sample2, [_view(si.wi)], active)
@@ -92,17 +112,14 @@ class TablePlugin(LobePlugin[TableLobe]):
         sin_phi, cos_phi = dr.sincos(azimuth)
         x, y = _unit(si.wi)
         drawn = mi.Vector3f(sin_theta * (cos_phi * x - sin_phi * y), sin_theta * (cos_phi * y + sin_phi * x), cos_theta)
-        wo = dr.select(by_cosine, mi.warp.square_to_cosine_hemisphere(sample2), drawn)
-        value, pdf = self.eval_pdf(ctx, si, wo, active, enabled)
-        bs = dr.zeros(mi.BSDFSample3f)
-        bs.wo, bs.pdf, bs.eta = wo, pdf, mi.Float(1.0)
-        bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
-        return bs, (value / dr.maximum(pdf, 1e-20)) & (active & (pdf > 0.0))
+        return dr.select(by_cosine, cosine, drawn)
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return `(f cos wo, pdf)`."""
         active = active & enabled[0] & (si.wi.z > MIN_COS) & (wo.z > MIN_COS)
         value = self._look_up(si, wo, active) * wo.z
+        if self.is_broad:
+            return value & active, dr.select(active, wo.z * dr.inv_pi, 0.0)
         theta = dr.acos(dr.clip(wo.z, 0.0, 1.0))
         cross = si.wi.x * wo.y - si.wi.y * wo.x
         azimuth = dr.abs(dr.atan2(cross, si.wi.x * wo.x + si.wi.y * wo.y))
@@ -126,19 +143,21 @@ class TablePlugin(LobePlugin[TableLobe]):
         where = self.axis.locate(si.wavelengths, active)
         totals = [mi.Float(0.0) for _ in range(self.colours)] if not self.is_spectral else []
         result = mi.Spectrum(0.0)
-        for corner in range(8):
-            bits = (corner >> 2, (corner >> 1) & 1, corner & 1)
-            weight = mi.Float(1.0)
-            for bit, part in zip(bits, parts, strict=True):
-                weight = weight * (part if bit else 1.0 - part)
-            index = (lows[0] + bits[0]) * self.strides[0] + (lows[1] + bits[1]) * self.strides[1] + lows[2] + bits[2]
-            if self.is_spectral:
-                for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
-                    pair = read2(self.values, index * self.channels + low, active)
-                    result[k] = result[k] + weight * dr.lerp(pair[0], pair[1], part)
-            else:
-                for j in range(self.colours):
-                    totals[j] = totals[j] + weight * read(self.values, index * self.colours + j, active)
+        corners = [
+            (lows[0] + a) * self.strides[0] + (lows[1] + b) * self.strides[1] + lows[2] + c
+            for a in (0, 1)
+            for b in (0, 1)
+            for c in (0, 1)
+        ]
+        if self.is_spectral:
+            starts = [corner * self.channels for corner in corners]
+            for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
+                pairs = (read2(self.values, start + low, active) for start in starts)
+                result[k] = _trilinear([dr.lerp(pair[0], pair[1], part) for pair in pairs], parts)
+        else:
+            starts = [corner * self.colours for corner in corners]
+            for j in range(self.colours):
+                totals[j] = _trilinear([read(self.values, start + j, active) for start in starts], parts)
         for total, basis in zip(totals, [] if self.is_spectral else self.basis, strict=True):
             result = result + total * basis.look_up(mi.UInt32(0), mi.Float(0.0), where, None, active)[0]
         return dr.maximum(result, 0.0)
@@ -161,6 +180,13 @@ class TablePlugin(LobePlugin[TableLobe]):
             raise UnsupportedError("the table changed its coordinates or its shape; build the scene again")
         self.axis.update(lobe.wavelengths_nm)
         self._set(lobe)
+
+
+def _trilinear(corners: list[Any], parts: list[Any]) -> Any:
+    """Interpolate between eight numbers, the last coordinate running fastest."""
+    for part in reversed(parts):
+        corners = [dr.lerp(near, far, part) for near, far in zip(corners[::2], corners[1::2], strict=True)]
+    return corners[0]
 
 
 def _directions(theta: Any, phi: Any) -> Array:

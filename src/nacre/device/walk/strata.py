@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.arrays import Array
+from nacre.bsdf.interface_loss import returns
 from nacre.bsdf.lobes.layered import MATCHED, Layered
 from nacre.device.base import MakePlugin, device_array, opaque
 from nacre.device.facet_distributions import Beckmann, Facets, Ggx
@@ -186,27 +187,14 @@ class Strata:
         A share n_b^2 k_b / (n_a^2 k_a + n_b^2 k_b) leaves on side b, with k the cosine-weighted mean of the loss,
         and its directions follow loss(cos) cos: what is lost returns in full, reciprocally.
         """
-        nodes = loss.shape[-1]
-        fine = np.linspace(0.0, 1.0, 16 * (nodes - 1) + 1)  # of sqrt(cos); dcos = 2 s ds, cos = s^2
-        value = np.stack([[np.interp(fine, np.linspace(0, 1, nodes), row) for row in side] for side in loss])
-        density = value * 4 * fine**3
-        cumulative = np.concatenate(
-            [np.zeros((*value.shape[:2], 1)), np.cumsum((density[..., 1:] + density[..., :-1]) / 2, axis=-1)], axis=-1
-        ) * (fine[1] - fine[0])
-        mean = cumulative[..., -1]
-        u = np.linspace(0.0, 1.0, 257)
-        quantile = np.zeros((*mean.shape, len(u)))
-        for i in range(mean.shape[0]):
-            for side in range(2):
-                if mean[i, side] > 0:
-                    quantile[i, side] = np.interp(u, cumulative[i, side] / mean[i, side], fine)
+        mean, quantile = returns(loss)
         up = n[:-1] ** 2 * mean[:, 0]
         total = up + n[1:] ** 2 * mean[:, 1]
         share = np.divide(up, total, out=np.zeros_like(up), where=total > 0)
         with np.errstate(divide="ignore"):
             inverse = np.where(mean > 0, 1 / mean, 0.0)
         self.back = Rows(np.stack([share, inverse[:, 0], inverse[:, 1], (total > 0).astype(float)], axis=1))
-        self.loss_nodes, self.quantile_nodes = nodes, len(u)
+        self.loss_nodes, self.quantile_nodes = loss.shape[-1], quantile.shape[-1]
         self.loss_values, self.loss_quantile = device_array(loss), device_array(quantile)
 
     # -- interfaces --------------------------------------------------------------------------------------

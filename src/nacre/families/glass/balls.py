@@ -97,15 +97,23 @@ def _walk_ball(seed, count, ratio, scatter, absorb, quantile, forward, out):  # 
     np.random.seed(seed)
     top, last = quantile.size - 1, out.size - 1
     passed, absorbed, carried = 0.0, 0.0, 0.0
-    for _ in range(count):
-        # along +z onto the shadow: at impact b, the normal there is (b, 0, -c)
-        b2 = np.random.random()
+    for walker in range(count):
+        # along +z onto the shadow: at impact b, the normal there is (b, 0, -c); impacts are strata of the shadow
+        b2 = (walker + np.random.random()) / count
         b, c = math.sqrt(b2), math.sqrt(1.0 - b2)
         share, cos_t = reflected(c, ratio)
-        weight = 1.0
-        if np.random.random() < share:
-            z = 1.0 - 2.0 * c * c  # (0, 0, 1) mirrored in the face
+        # the face's own reflection is not left to chance
+        mirrored = 1.0 - 2.0 * c * c
+        if mirrored > forward:
+            passed += share
         else:
+            at = math.sqrt(0.5 * (1.0 - mirrored)) * last
+            low = min(int(at), last - 1)
+            out[low] += share * (1.0 - at + low)
+            out[low + 1] += share * (at - low)
+        # where light that is mirrored in the face leaves: it is carried nowhere
+        weight = 1.0 - share
+        if weight > 0.0:
             x, y, z = b, 0.0, -c  # place
             # refracted: d/ratio + (c/ratio - cos_t) n
             a = c / ratio - cos_t
@@ -177,12 +185,14 @@ class Balls:
         radius_nm: of a ball.
         volume_fraction: of the balls.
         binder: what lies between them; its absorption counts.
+        walkers: through one ball, a wavelength.
     """
 
     glass: Composite
     radius_nm: float
     volume_fraction: float
     binder: OpticalConstant
+    walkers: int = WALKERS
 
     @property
     def range_nm(self) -> tuple[float, float]:
@@ -199,11 +209,11 @@ class Balls:
         """n + ik of the binder, `[wavelength]`: that of the layer's faces."""
         return self.binder.n_complex(wavelengths_nm)
 
-    def medium(self, wavelengths_nm: Array, moments: int = 48, walkers: int = WALKERS, seed: int = SEED) -> Medium:
+    def medium(self, wavelengths_nm: Array, moments: int = 48, seed: int = SEED) -> Medium:
         """Return the balls in their binder as a medium."""
         inside = self.glass.medium(wavelengths_nm)
         binder = self.effective_index(wavelengths_nm)
-        light = ball_light(inside, inside.index / binder.real, self.radius_nm, walkers, seed)
+        light = ball_light(inside, inside.index / binder.real, self.radius_nm, self.walkers, seed)
         flight = 4 / 3 * (1 - self.volume_fraction) / self.volume_fraction
         met = 1 / (self.radius_nm * (flight + np.clip(light.carried, 0.0, 4 / 3)))
         nodes = np.linspace(-1.0, 1.0, PHASE_NODES)

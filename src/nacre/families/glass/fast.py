@@ -1,12 +1,15 @@
 """`quality = "fast"` of a photonic glass: the face, and the diffuse light of transfer as a table, with a stated error.
 
-The table is that of smooth faces. A rough face spreads only what it reflects itself: diffuse light has lost its
-direction already, and what roughness changes of its entry and exit is part of the stated error, which comes from
-independent random walks through the rough face, of three incidences, in bins of the exit's cosine; what is lost
-between the table's nodes is added from transfer itself, at pairs of all directions.
+A rough face spreads what it reflects itself. Of the light inside, which has lost its direction already, it only
+changes how much enters and leaves: the table is that of smooth faces times what a rough one lets pass over what a
+smooth one does. The stated error comes from independent random walks through the rough face, of three incidences, in
+bins of the exit's cosine; what is lost between the table's nodes is added from transfer itself, at pairs of all
+directions.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +23,10 @@ from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.roughness import Roughness
 from nacre.families.glass.balance import balanced
 from nacre.families.glass.medium import Medium
+from nacre.families.glass.passing import Passing
 from nacre.families.glass.radiance import brdf_pairs, brdf_table
 from nacre.families.glass.slab import Slab, face
-from nacre.families.glass.walk import walk
+from nacre.families.glass.walk import Lost, walk
 from nacre.matter.jobs import in_threads
 
 THETA_NODES, AZIMUTH_NODES = 37, 19
@@ -35,7 +39,7 @@ DOUBT = 0.6  # share of the check's noise that the stated error adds
 
 
 def diffuse_table(medium: Medium, slabs: list[Slab]) -> TableLobe:
-    """Tabulate the light that has entered; every incidence sends out exactly what transfer says."""
+    """Tabulate the light that has entered by a smooth face; every incidence sends out exactly what transfer says."""
     theta, dphi = np.linspace(0, np.pi / 2, THETA_NODES), np.linspace(0, np.pi, AZIMUTH_NODES)
     cos = np.append(np.cos(theta[:-1]), 0.0)
 
@@ -49,6 +53,16 @@ def diffuse_table(medium: Medium, slabs: list[Slab]) -> TableLobe:
     return TableLobe(medium.wavelengths_nm, values, np.eye(len(slabs)))
 
 
+def behind_rough(table: TableLobe, medium: Medium, slabs: list[Slab], surface: Roughness) -> TableLobe:
+    """Put the light of `diffuse_table` behind a rough face; see `Passing`."""
+    passing = Passing.behind(surface, medium)
+    if passing is None:
+        return table
+    share = passing.over_smooth(np.cos(np.linspace(0, np.pi / 2, THETA_NODES)))
+    kept = np.array([passing.kept(slab) for slab in slabs])
+    return replace(table, values=table.values * kept * share[:, None, None, None] * share[:, None, None])
+
+
 def face_lobe(medium: Medium, surface: Roughness) -> Lobe:
     """The upper face, which only reflects here: what enters is in the table."""
     cos = np.linspace(0.0, 1.0, FACE_NODES)
@@ -58,7 +72,12 @@ def face_lobe(medium: Medium, surface: Roughness) -> Lobe:
     response = InterfaceResponse(medium.wavelengths_nm, cos, reflect, none, none, empty, 1.0, False)
     if surface.is_smooth:
         return Specular(response)
-    return Microfacet(response, surface.distribution, surface.alpha_x, surface.alpha_y)
+    rough = Microfacet(response, surface.distribution, surface.alpha_x, surface.alpha_y)
+    passing = Passing.behind(surface, medium)
+    if passing is None or not surface.compensate:
+        return rough
+    exchange = np.full((1, 1, reflect.shape[1]), passing.outward / (np.pi * passing.hidden))
+    return replace(rough, loss=passing.loss[None, :, None, None], exchange=exchange)
 
 
 def interpolation_error(table: TableLobe, medium: Medium, slabs: list[Slab]) -> Array:
@@ -85,18 +104,19 @@ def _checked(medium: Medium) -> NDArray[np.intp]:
 
 
 def walk_error(
-    table: TableLobe, medium: Medium, thickness_nm: float, albedo: Array, alpha: float, seed: int = 1
+    table: TableLobe, medium: Medium, thickness_nm: float, albedo: Array, surface: Roughness, seed: int = 1
 ) -> Array:
     """Relative L2 error of a table's light over the polar angle, at a few of its wavelengths, against walks.
 
     Args:
         table: of `diffuse_table`.
         medium: all of its wavelengths.
-        thickness_nm, albedo, alpha: of the slab, its base `[wavelength]` and its face.
+        thickness_nm, albedo, surface: of the slab, its base `[wavelength]` and its face.
         seed: of the walks.
     """
     bands = _checked(medium)
     few = medium.at(bands)
+    lost = Lost.of(surface, float(np.median(medium.index)))
     error, size = np.zeros(len(bands)), np.zeros(len(bands))
     fine = (np.arange(CHECK_BINS * MIDPOINTS[0]) + 0.5) / (CHECK_BINS * MIDPOINTS[0])
     azimuth = (np.arange(MIDPOINTS[1]) + 0.5) * np.pi / MIDPOINTS[1]
@@ -109,8 +129,8 @@ def walk_error(
         ours = 2 * np.pi * light.reshape(CHECK_BINS, MIDPOINTS[0], -1).sum(axis=1) / len(fine)
         walks = [
             walk(
-                few, thickness_nm, albedo[bands], float(np.cos(theta)), walkers=CHECK_WALKERS, alpha=alpha,
-                bins=CHECK_BINS, seed=seed + 2 * turn + i,
+                few, thickness_nm, albedo[bands], float(np.cos(theta)), walkers=CHECK_WALKERS,
+                alpha=surface.alpha_x, bins=CHECK_BINS, seed=seed + 2 * turn + i, lost=lost,
             ).reflected
             for i in range(2)
         ]  # fmt: skip

@@ -20,12 +20,14 @@ from nacre.bsdf.spectrum import Spectrum
 from nacre.families.contract import Figure, Model
 from nacre.families.glass.balls import Balls
 from nacre.families.glass.composite import Composite, EffectiveDispersion
-from nacre.families.glass.fast import diffuse_table, face_lobe, interpolation_error, walk_error
+from nacre.families.glass.fast import behind_rough, diffuse_table, face_lobe, interpolation_error, walk_error
 from nacre.families.glass.figures import colour_map, scattering, structure
 from nacre.families.glass.medium import Medium
+from nacre.families.glass.one_index import with_one_index
+from nacre.families.glass.passing import Passing
 from nacre.families.glass.radiance import brdf_pairs
 from nacre.families.glass.slab import AZIMUTHS, Slab
-from nacre.families.glass.walk import walk
+from nacre.families.glass.walk import Lost, walk
 from nacre.light import default_wavelengths
 from nacre.light.splines import spline_matrix
 from nacre.matter.jobs import in_threads
@@ -33,6 +35,7 @@ from nacre.matter.jobs import in_threads
 logger = logging.getLogger("nacre")
 
 WALKED_ANGLES = 13  # of rough faces; a spline runs between them
+FEW_WALKERS = 10_000  # through a ball, where it is one of many candidates: the colour's noise is 0.4 dE00
 SPECTRUM_WALKERS = 40_000  # a standard error of at most .0025
 
 
@@ -60,6 +63,7 @@ class Glass(Model):
     """
 
     noun = "photonic glass"
+    usual_look = "45as45"  # as paints are measured; its mirror is that of its upper face and has no colour
     has_strata = True
     why_unpolarised = "scatters light many times and is known for unpolarised light only"
     takes_ambient = False
@@ -87,7 +91,8 @@ class Glass(Model):
         """S of the order, light scattered inside, and reflectance over thickness: see `figures`."""
 
         def of_thickness(thickness_nm: float, theta_rad: Array, lam: Array) -> Spectrum | None:
-            return replace(self, thickness_nm=thickness_nm).spectrum(theta_rad, lam, "both")
+            layer = replace(self, thickness_nm=thickness_nm)
+            return layer._estimated(theta_rad, lam) or layer.spectrum(theta_rad, lam, "both")
 
         return {
             "structure": partial(structure, [layer.composite for layer in self.layers]),
@@ -105,8 +110,6 @@ class Glass(Model):
             return "its base is not a diffuse one"
         if self.surface.alpha_x != self.surface.alpha_y:
             return "its surface is anisotropic"
-        if self.surface.compensate:
-            return "its surface is compensated"
         return None
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
@@ -140,20 +143,31 @@ class Glass(Model):
         cos = np.where(theta >= np.pi / 2, 0.0, np.cos(theta))
         is_open = self.base.kind == "none"
         if not self.surface.is_smooth or (is_open and not self.base.surface.is_smooth):
-            return self._walked(theta, lam, seed) if self._is_walked_quickly else None
+            found = None if self.is_checked else self._estimated(theta, lam)
+            return found or (self._walked(theta, lam, seed) if self._is_walked_quickly else None)
         parts = np.stack([slab.powers(cos) for slab in self._slabs(lam, 1)], axis=-1)
         return Spectrum(
             lam, np.degrees(theta), parts[0], parts[1] if is_open else None, parts[2], parts[3] if is_open else None
         )
 
+    def _estimated(self, theta: Array, lam: Array) -> Spectrum | None:
+        """Return the spectrum behind a rough face as the fast form has it, without noise; None: there is none."""
+        if self.surface.is_smooth or self.why_not_fast() is not None:
+            return None
+        passing = Passing.behind(self.surface, self._medium(lam))
+        if passing is None:
+            return None
+        cos = np.cos(np.minimum(theta, np.pi / 2))
+        slabs = self._slabs(lam, 1)
+        entered = np.stack([slab.powers(cos)[2] * passing.kept(slab) for slab in slabs], axis=-1)
+        changed = (passing.over_smooth(cos) * passing.escape)[:, None]
+        return Spectrum(lam, np.degrees(theta), None, None, passing.mirrored(cos)[:, None] + changed * entered, None)
+
     @property
     def _is_walked_quickly(self) -> bool:
         """Whether the compiled walk of one slab knows its faces; the fast form is integrated as it is."""
         rough = [self.surface, self.base.surface] if self.base.kind == "none" else [self.surface]
-        known = all(
-            each.is_smooth or (each.distribution == "ggx" and each.alpha_x == each.alpha_y and not each.compensate)
-            for each in rough
-        )
+        known = all(each.is_smooth or (each.distribution == "ggx" and each.alpha_x == each.alpha_y) for each in rough)
         return known and (self.quality != "fast" or self.why_not_fast() is not None)
 
     def _walked(self, theta: Array, lam: Array, seed: int) -> Spectrum:
@@ -161,11 +175,13 @@ class Glass(Model):
         is_open = self.base.kind == "none"
         last = np.radians(89.99)
         walked = theta if len(theta) <= WALKED_ANGLES else np.linspace(0.0, last, WALKED_ANGLES)
+        index = float(self.composite.walk_index)
         found = [
             walk(
                 self._medium(lam), self.thickness_nm, None if is_open else self._albedo(lam),
                 float(np.cos(min(angle, last))), walkers=SPECTRUM_WALKERS, alpha=self.surface.alpha_x,
                 alpha_below=self.base.surface.alpha_x, seed=seed * WALKED_ANGLES + i,
+                lost=Lost.of(self.surface, index), lost_below=Lost.of(self.base.surface, index),
             )
             for i, angle in enumerate(walked)
         ]  # fmt: skip
@@ -180,13 +196,16 @@ class Glass(Model):
         """Return its noise-free form where it has one, without the walks that would state its error."""
         if self.why_not_fast() is not None:
             return self
-        return FastGlass(self.composite, self.thickness_nm, self.surface, self.base, "fast", is_checked=False)
+        composite = self.composite
+        if isinstance(composite, Balls):
+            composite = replace(composite, walkers=FEW_WALKERS)
+        return FastGlass(composite, self.thickness_nm, self.surface, self.base, "fast", is_checked=False)
 
     def likeness_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> tuple[Array, Array] | None:
         """Return the light at pairs as transfer in modes of the azimuth gives it; see `radiance`.
 
         It is the walk's own value but for what a rough face does to the diffuse light, and for the dispersion of
-        refraction, which the walk leaves out.
+        refraction, which the walk makes up for in diffuse light alone: see `one_index`.
         """
         if self.below or self.base.kind not in ("none", "diffuse"):
             return None
@@ -195,9 +214,14 @@ class Glass(Model):
 
     def _scattered(self, wi: Array, wo: Array, lam: Array) -> Array:
         medium = self._medium(lam)
-        pairs = [brdf_pairs(medium, i, slab, wi, wo) for i, slab in enumerate(self._slabs(lam, AZIMUTHS))]
+        slabs = self._slabs(lam, AZIMUTHS)
+        values = np.stack([brdf_pairs(medium, i, slab, wi, wo) for i, slab in enumerate(slabs)], axis=-1)
+        passing = Passing.behind(self.surface, medium)
+        if passing is not None:
+            shares = passing.over_smooth(np.abs(wi[:, 2])) * passing.over_smooth(np.abs(wo[:, 2]))
+            values = values * shares[:, None] * np.array([passing.kept(slab) for slab in slabs])
         up = (wi[:, 2] > 0) & (wo[:, 2] > 0)
-        return np.where(up[:, None], np.stack(pairs, axis=-1), 0.0) + face_lobe(medium, self.surface).evaluate(wi, wo)
+        return np.where(up[:, None], values, 0.0) + face_lobe(medium, self.surface).evaluate(wi, wo)
 
     def _medium(self, lam: Array) -> Medium:
         return _solved(self.composite, tuple(lam.tolist()))
@@ -216,14 +240,14 @@ class Glass(Model):
         return np.interp(lam, *albedo) if isinstance(albedo, tuple) else np.full(len(lam), float(albedo))
 
     def _fast(self, lam: Array) -> Bsdf:
-        medium, alpha = self._medium(lam), self.surface.alpha_x
-        slabs = self._slabs(lam, AZIMUTHS)
-        table = diffuse_table(medium, slabs)
+        medium, slabs = self._medium(lam), self._slabs(lam, AZIMUTHS)
+        smooth = diffuse_table(medium, slabs)
+        table = behind_rough(smooth, medium, slabs, self.surface)
         lobes = (face_lobe(medium, self.surface), table)
         if not self.is_checked:
             return Bsdf(lobes)
-        walked = walk_error(table, medium, self.thickness_nm, self._albedo(lam), alpha)
-        error = np.hypot(walked, interpolation_error(table, medium, slabs))
+        walked = walk_error(table, medium, self.thickness_nm, self._albedo(lam), self.surface)
+        error = np.hypot(walked, interpolation_error(smooth, medium, slabs))
         note = (
             f"noise-free form: error {100 * error.mean():.2f} % on average over wavelengths, at most "
             f"{100 * error.max():.2f} % (L2 of f cos: against transfer over all directions, and against the walk over "
@@ -232,11 +256,13 @@ class Glass(Model):
         logger.info("%s", note)
         return Bsdf(lobes, {"notes": [note]})
 
-    def _layered(self, lam: Array, is_own_grid: bool) -> Layered:
+    def _layered(self, lam: Array, is_own_grid: bool, is_in_air: bool = True) -> Layered:
         """Return the arrays of the walk: the glass is what a dye that scatters is to a pearl."""
         count = len(lam)
         layers = self.layers
         media = [_solved(layer.composite, tuple(lam.tolist())) for layer in layers]
+        if is_in_air and len(layers) == 1 and self.base.kind == "diffuse":
+            media = [self._for_one_index(tuple(lam.tolist()))]
         index = np.array([layer.composite.walk_index for layer in layers])
         faces = [*(layer.surface for layer in layers), self.base.surface]
         depths = [
@@ -265,9 +291,13 @@ class Glass(Model):
         lobe.check()
         return self.base.continued(lobe)
 
+    def _for_one_index(self, wavelengths_nm: tuple[float, ...]) -> Medium:
+        albedo = self._albedo(np.array(wavelengths_nm))
+        return _made_up_for(self.composite, self.thickness_nm, tuple(albedo.tolist()), wavelengths_nm)
+
     def strata_at(self, wavelengths_nm: Array) -> Layered:
-        """Return the arrays of the walk."""
-        return self._layered(np.asarray(wavelengths_nm, dtype=float), False)
+        """Return the arrays of the walk, for strata that other ones may lie on."""
+        return self._layered(np.asarray(wavelengths_nm, dtype=float), False, is_in_air=False)
 
     def _base_table(self, lam: Array) -> Array:
         last = self.below[-1].composite if self.below else self.composite
@@ -292,3 +322,11 @@ class FastGlass(Glass):
 @lru_cache(maxsize=32)
 def _solved(composite: Composite | Balls, wavelengths_nm: tuple[float, ...]) -> Medium:
     return composite.medium(np.array(wavelengths_nm))
+
+
+@lru_cache(maxsize=8)
+def _made_up_for(
+    composite: Composite | Balls, thickness_nm: float, albedo: tuple[float, ...], wavelengths_nm: tuple[float, ...]
+) -> Medium:
+    index = float(composite.walk_index)
+    return with_one_index(_solved(composite, wavelengths_nm), index, thickness_nm, np.array(albedo))

@@ -112,14 +112,15 @@ def harmonics(count: int, modes: int, cos: Array) -> Array:
     """Associated Legendre functions, scaled by sqrt((l - m)!/(l + m)!), `[mode, l, node]`; zero where l < m."""
     sine = np.sqrt(np.maximum(1 - cos**2, 0.0))
     out = np.zeros((modes, count, len(cos)))
-    start = np.ones_like(cos)
-    for m in range(modes):
-        if m > 0:
-            start = start * sine * np.sqrt((2 * m - 1) / (2 * m))
-        out[m, m] = start
-        for l in range(m + 1, count):
-            before = out[m, l - 2] * np.sqrt(float((l - 1) ** 2 - m * m)) if l - 2 >= m else 0.0
-            out[m, l] = ((2 * l - 1) * cos * out[m, l - 1] - before) / np.sqrt(float(l * l - m * m))
+    out[0, 0] = 1.0
+    for m in range(1, min(modes, count)):
+        out[m, m] = out[m - 1, m - 1] * sine * np.sqrt((2 * m - 1) / (2 * m))
+    squares = np.arange(count)[:, None, None] ** 2.0 - np.arange(modes)[:, None] ** 2.0
+    roots = np.sqrt(np.maximum(squares, 0.0))
+    for l in range(1, count):
+        k = min(l, modes)
+        below = out[:k, l - 2] * roots[l - 1, :k] if l > 1 else 0.0
+        out[:k, l] = ((2 * l - 1) * cos * out[:k, l - 1] - below) / roots[l, :k]
     return out
 
 

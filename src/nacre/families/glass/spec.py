@@ -140,9 +140,9 @@ class SurfaceSpec(RecipeModel):
         default="ggx", description="distribution of that face's facet normals"
     )
     compensate: bool = pydantic.Field(
-        default=False,
+        default=True,
         description="give back the light that facets of the face scatter among each other",
-        examples=[True],
+        examples=[False],
     )
 
 

@@ -9,11 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from nacre.arrays import Array
+from nacre.bsdf.interface_loss import interface_loss, returns
 from nacre.bsdf.lobes.flaked import masking, reflected
+from nacre.bsdf.roughness import Roughness
 from nacre.bsdf.walk_facets import facet, inner_facet
 from nacre.families.glass.medium import Medium
 from nacre.matter.jit import compiled
@@ -22,6 +26,33 @@ from nacre.matter.jobs import in_threads
 CHUNKS = 8  # sums are taken in this order, whatever the number of threads
 FAINT_WEIGHT = 1e-3  # below it a walk goes on by chance
 OPEN_BASE = -1.0
+
+
+class Lost(NamedTuple):
+    """Where a compensated face sends the light that its facets hide, as the walk on the device does.
+
+    Attributes:
+        outward: the share that leaves on the ambient's side.
+        cosines: `[side, node]`, side 0 the ambient's: quantiles of the cosine at which it leaves.
+    """
+
+    outward: float
+    cosines: Array
+
+    @classmethod
+    def of(cls, face: Roughness, index: float) -> Lost | None:
+        """Return that of a face to a medium of some index; None where it is smooth or not compensated."""
+        return _lost(face, index) if face.compensate and not face.is_smooth else None
+
+
+NOTHING = Lost(-1.0, np.zeros((2, 2)))
+
+
+@lru_cache(maxsize=32)
+def _lost(face: Roughness, index: float) -> Lost:
+    mean, roots = returns(interface_loss(face, 1.0, index))
+    up, down = mean[0], index**2 * mean[1]
+    return Lost(float(up / (up + down)), roots**2) if up + down > 0 else NOTHING
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +78,7 @@ class Walked:
 def walk(
     medium: Medium, thickness_nm: float, base: Array | None, cos_i: float, *, walkers: int,
     alpha: float = 0.0, alpha_below: float = 0.0, bins: int = 1, seed: int = 0,
+    lost: Lost | None = None, lost_below: Lost | None = None,
 ) -> Walked:  # fmt: skip
     """Walk through a slab.
 
@@ -59,6 +91,7 @@ def walk(
         alpha, alpha_below: roughness of the upper face, and of the lower one of an open slab (GGX).
         bins: of the exit cosine.
         seed: another one gives independent noise.
+        lost, lost_below: of compensated faces: where light goes that the facets hide; None: it is lost.
     """
     quantiles = medium.quantiles()
     bands = len(medium.wavelengths_nm)
@@ -71,6 +104,7 @@ def walk(
             (seed * 1009 + part) * 1009 + band, each, cos_i, max(float(medium.index[band]), 1.0), alpha, alpha_below,
             float(medium.scattering[band]) * thickness_nm, float(medium.absorption[band]) * thickness_nm,
             quantiles[band], OPEN_BASE if base is None else float(base[band]), up,
+            *(NOTHING if lost is None else lost), *(NOTHING if lost_below is None else lost_below),
         )  # fmt: skip
         return up / each, surface / each, down / each, events
 
@@ -85,8 +119,22 @@ def walk(
 
 
 @compiled(nogil=True, fastmath=True)
-def _walk(seed, count, cos_i, index, alpha, below, scatter, absorb, quantile, base, up):  # type: ignore[no-untyped-def]  # numba
-    """Walk; `scatter` and `absorb` are optical thicknesses, `up[bin]` gets light; return surface, below, events."""
+def _drawn(cosines):  # type: ignore[no-untyped-def]  # numba
+    """Draw a cosine from its quantiles."""
+    at = np.random.random() * (cosines.size - 1)
+    low = min(int(at), cosines.size - 2)
+    return max(cosines[low] + (at - low) * (cosines[low + 1] - cosines[low]), 1e-6)
+
+
+@compiled(nogil=True, fastmath=True)
+def _walk(  # type: ignore[no-untyped-def]  # numba
+    seed, count, cos_i, index, alpha, below, scatter, absorb, quantile, base, up, outward, cosines, outward_below,
+    cosines_below,
+):  # fmt: skip
+    """Walk; `scatter` and `absorb` are optical thicknesses, `up[bin]` gets light; return surface, below, events.
+
+    `outward` and `cosines`, of both faces, are those of `Lost`; below zero: hidden light is lost.
+    """
     np.random.seed(seed & 0xFFFFFFFF)
     top, bins = quantile.size - 1, up.size
     sin_i = math.sqrt(max(1.0 - cos_i * cos_i, 0.0))
@@ -96,13 +144,24 @@ def _walk(seed, count, cos_i, index, alpha, below, scatter, absorb, quantile, ba
         cos = sin_i * mx + cos_i * mz
         share, cos_t = reflected(min(cos, 1.0), index)
         back = 2.0 * cos * mz - cos_i
+        mirrored = 0.0
         if back > 0.0:
-            surface += share * (masking(back, alpha) if alpha > 0.0 else 1.0)
+            mirrored = share * (masking(back, alpha) if alpha > 0.0 else 1.0)
         # towards the inside: mu is the cosine downward
         mu = cos_i / index - (cos / index - cos_t) * mz
-        if share >= 1.0 or mu <= 1e-6:
+        weight = 0.0
+        if share < 1.0 and mu > 1e-6:
+            weight = (1.0 - share) * (masking(mu, alpha) if alpha > 0.0 else 1.0)
+        if outward >= 0.0:
+            hidden = max(1.0 - mirrored - weight, 0.0)
+            mirrored += hidden * outward
+            hidden *= 1.0 - outward
+            weight += hidden
+            if np.random.random() * weight < hidden:
+                mu = _drawn(cosines[1])
+        surface += mirrored
+        if weight <= 0.0:
             continue
-        weight = (1.0 - share) * (masking(mu, alpha) if alpha > 0.0 else 1.0)
         mu = min(mu, 1.0)
         depth = 0.0
         while True:
@@ -144,13 +203,20 @@ def _walk(seed, count, cos_i, index, alpha, below, scatter, absorb, quantile, ba
             rough = alpha if rises else below
             steep = abs(mu)
             mx, my, mz, cos, share, cos_t = inner_facet(math.sqrt(max(1.0 - mu * mu, 0.0)), 0.0, steep, index, rough)
-            if np.random.random() < share:
-                # seen from the inside as above: the light goes back
-                away = 2.0 * cos * mz - steep
-                if away <= 1e-6:
-                    break
-                if rough > 0.0:
-                    weight *= masking(away, rough)
+            stays = np.random.random() < share
+            # seen from the inside as above: the light goes back, or out
+            away = 2.0 * cos * mz - steep if stays else index * steep - (cos * index - cos_t) * mz
+            back = outward if rises else outward_below
+            if back >= 0.0 and rough > 0.0:
+                if away <= 1e-6 or np.random.random() >= masking(away, rough):
+                    stays = np.random.random() >= back
+                    side = 1 if stays else 0
+                    away = _drawn(cosines[side] if rises else cosines_below[side])
+            elif away <= 1e-6:
+                break
+            elif rough > 0.0:
+                weight *= masking(away, rough)
+            if stays:
                 mu = min(away, 1.0) if rises else -min(away, 1.0)
                 depth = 0.0 if rises else 1.0
                 if weight < FAINT_WEIGHT:
@@ -158,13 +224,8 @@ def _walk(seed, count, cos_i, index, alpha, below, scatter, absorb, quantile, ba
                         break
                     weight *= 2.0
                 continue
-            out = index * steep - (cos * index - cos_t) * mz
-            if out <= 1e-6:
-                break
-            if rough > 0.0:
-                weight *= masking(out, rough)
             if rises:
-                up[min(int(out * bins), bins - 1)] += weight
+                up[min(int(away * bins), bins - 1)] += weight
             else:
                 down += weight
             break
