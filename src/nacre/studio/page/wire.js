@@ -1,19 +1,9 @@
 // The socket: numbered questions, answers that never overtake, and a new socket when the old one is lost.
 
+import { unpack } from "./unpack.js";
+
 const FIRST_WAIT_MS = 300;
 const LONGEST_WAIT_MS = 5000;
-
-export function unpack(buffer) {
-  const length = new DataView(buffer).getUint32(0, true);
-  const look = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
-  let at = 4 + length;
-  for (const [name, shape] of look.arrays) {
-    const count = shape.reduce((a, b) => a * b, 1);
-    look[name] = new Float32Array(buffer, at, count);
-    at += 4 * count;
-  }
-  return look;
-}
 
 export class Wire {
   // `makeQuestion` is asked for the newest state whenever something may be sent, so nothing old is ever sent again

@@ -1,0 +1,13 @@
+// A look as the server or the kernel packs it: the length of a header, the header as JSON, arrays of floats.
+
+export function unpack(buffer) {
+  const length = new DataView(buffer).getUint32(0, true);
+  const look = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
+  let at = 4 + length;
+  for (const [name, shape] of look.arrays) {
+    const count = shape.reduce((a, b) => a * b, 1);
+    look[name] = new Float32Array(buffer, at, count);
+    at += 4 * count;
+  }
+  return look;
+}

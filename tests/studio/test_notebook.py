@@ -1,0 +1,234 @@
+"""`nacre.studio(material)`: what the widget is told, and how it is seen in a browser, with a stub of the notebook."""
+
+from __future__ import annotations
+
+import base64
+import json
+import shutil
+import struct
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers_studio import PATIENCE_S, SEEN, ball, picture, until
+from playwright.sync_api import Browser
+
+import nacre
+from nacre.light import spectrum_to_rgb_linear
+from nacre.studio import bundle as room
+from nacre.studio.answers import Answers, sliders
+
+Messages = list[tuple[dict[str, Any], bytes]]
+FILM = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 300}]}
+OVER_BASE = {**FILM, "substrate": {"n": 1.5}, "base": {"albedo": 0.3}, "surface": {"roughness": 0.2}}  # drafted first
+FIRST = "layers[0].thickness_nm"
+# what a notebook's front end gives a module, by the documentation of anywidget; ids for the helpers of the page
+STUB = """async ([source, style]) => {
+  document.body.innerHTML = `<style>${style}</style><div id="cell"></div>`;
+  const heard = new Set(), sent = (window.sent = []);
+  const model = { on: (name, f) => name === 'msg:custom' && heard.add(f), off: (name, f) => heard.delete(f),
+    send: (content) => sent.push(content) };
+  window.tell = (content, texts) => heard.forEach((f) => f(content, texts.map((text) => {
+    const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0)), odd = new Uint8Array(bytes.length + 1);
+    odd.set(bytes, 1);
+    return new DataView(odd.buffer, 1);
+  })));
+  const made = await import(URL.createObjectURL(new Blob([source], { type: 'text/javascript' })));
+  window.end = await made.default.render({ model, el: document.getElementById('cell') });
+  document.querySelector('.view').id = 'view';
+}"""
+
+
+def answers(lamp: str = "D65") -> tuple[Answers, Messages]:
+    told: Messages = []
+    return Answers(lambda content, *buffers: told.append((content, b"".join(buffers))), lamp), told
+
+
+def header(packed: bytes) -> dict[str, Any]:
+    (length,) = struct.unpack_from("<I", packed)
+    found: dict[str, Any] = json.loads(packed[4 : 4 + length])
+    return found
+
+
+def mirror(packed: bytes) -> Any:
+    (length,) = struct.unpack_from("<I", packed)
+    return np.frombuffer(packed, "<f4", 91 * 3, 4 + length).reshape(91, 3)
+
+
+def test_a_film_is_told_settled_at_once_with_its_colours_and_sliders() -> None:
+    asked, told = answers()
+    film = nacre.material(FILM)
+    asked.show(film)
+    assert asked.wait(PATIENCE_S)
+    ((content, packed),) = told
+    assert content == {"kind": "look"} and header(packed)["draft"] is False
+    assert header(packed)["numbers"] == [{"path": FIRST, "value": 300.0, "most": 600.0}]
+    found = nacre.spectrum(film, [0.0, 60.0])
+    assert found.specular_reflectance is not None
+    wanted = spectrum_to_rgb_linear(found.specular_reflectance, found.wavelengths_nm)
+    np.testing.assert_allclose(mirror(packed)[[0, 60]], wanted, atol=1e-4)  # the white of sRGB is rounded
+
+
+def test_a_slow_material_is_told_as_a_draft_and_then_settled() -> None:
+    asked, told = answers()
+    asked.show(nacre.material(OVER_BASE))
+    assert asked.wait(PATIENCE_S)
+    assert [header(packed)["draft"] for _, packed in told] == [True, False]
+
+
+def test_the_newest_material_is_told_last_and_nothing_after_it() -> None:
+    asked, told = answers()
+    for thickness in (100, 150, 200):
+        asked.show(nacre.material({**OVER_BASE, "layers": [{"material": "SiO2", "thickness_nm": thickness}]}))
+    assert asked.material.get(FIRST) == 200
+    assert asked.wait(PATIENCE_S)
+    seen = [header(packed) for _, packed in told]
+    assert [look["seq"] for look in seen] == sorted(look["seq"] for look in seen)
+    assert seen[-1]["numbers"][0]["value"] == 200 and seen[-1]["draft"] is False
+    asked.show(nacre.material(OVER_BASE))
+    asked.stop()
+    assert asked.wait(PATIENCE_S)
+    assert header(told[-1][1])["seq"] <= 4
+
+
+def test_a_slider_changes_the_material_and_nonsense_does_not() -> None:
+    asked, told = answers()
+    asked.show(nacre.material(FILM))
+    for nonsense in ("x", {}, {"kind": "vary", "path": "substrate", "value": 1}, {"kind": "vary", "path": FIRST}):
+        asked.hear(nonsense)
+    assert asked.material.get(FIRST) == 300
+    asked.hear({"kind": "vary", "path": FIRST, "value": 120})
+    assert asked.material.get(FIRST) == 120
+    asked.hear({"kind": "vary", "path": FIRST, "value": -1})
+    assert asked.material.get(FIRST) == 120
+    assert asked.wait(PATIENCE_S)
+    (said,) = [content["message"] for content, _ in told if content["kind"] == "error"]
+    assert FIRST in said and "\n" not in said
+    assert header(told[-1][1] or told[-2][1])["numbers"][0] == {"path": FIRST, "value": 120.0, "most": 600.0}
+
+
+def test_sliders_leave_out_constants_of_media_and_zeros() -> None:
+    found = [slider["path"] for slider in sliders(nacre.load("pearl/bottle3"))]
+    assert "strata[0].thickness_um" in found and "strata[0].resin.n" not in found and len(found) <= 6
+
+
+def test_without_anywidget_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "anywidget", None)
+    with pytest.raises(nacre.NacreError, match=r"pip install 'nacre\[notebook\]'") as told:
+        nacre.studio(nacre.material(FILM))
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("first", ["import nacre; nacre.studio", "from nacre.studio.answers import Answers"])
+def test_the_studio_is_a_function_and_a_package_whichever_is_used_first(first: str) -> None:
+    code = f"{first}\nimport nacre\nfrom nacre.studio.folder import Opened\nassert callable(nacre.studio), nacre.studio"
+    code += "\nimport sys; assert 'anywidget' not in sys.modules and nacre.studio.folder.Opened is Opened"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_widget_shows_another_material_and_refuses_what_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    widget = nacre.studio(nacre.material(FILM))
+    told: Messages = []
+    monkeypatch.setattr(widget, "send", lambda content, buffers: told.append((content, b"".join(buffers))))
+    assert widget._answers.wait(PATIENCE_S)
+    widget.material = "bragg-mirror"
+    assert widget._answers.wait(PATIENCE_S)
+    assert widget.material.name == "bragg-mirror" and header(told[-1][1])["name"] == "bragg-mirror"
+    for wrong in (3, "no-such-recipe"):
+        with pytest.raises(nacre.NacreError):
+            widget.material = wrong
+    with pytest.raises(nacre.NacreError, match="D56"):
+        nacre.studio("bragg-mirror", illuminant="D56")
+    assert widget.material.name == "bragg-mirror"
+    widget.close()
+
+
+def test_the_module_reaches_for_no_network_and_leaves_nothing_to_import() -> None:
+    text = room.bundle("widget.js")
+    lines = text.splitlines()
+    assert not [line for line in lines if line.startswith("import ")]
+    assert [line for line in lines if line.startswith("export ")] == ["export default _widget_js;"]
+    for reach in ("WebSocket", "fetch(", "XMLHttpRequest", "location."):
+        assert reach not in text
+
+
+NOT_UNDERSTOOD = [
+    'import x from "./page/view.js";',
+    'const x = import("./page/view.js");',
+    "export default 1;",
+    "export { a };",
+    'import { Vew } from "./page/view.js";',
+    'import { a } from "./entry.js";',
+]
+
+
+@pytest.mark.parametrize("source", NOT_UNDERSTOOD)
+def test_what_the_bundler_does_not_understand_is_an_error(
+    source: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Any
+) -> None:
+    folder = tmp_path / "studio"
+    shutil.copytree(room.files("nacre.studio").joinpath("page"), folder / "page")  # type: ignore[arg-type]
+    (folder / "entry.js").write_text(source)
+    monkeypatch.setattr(room, "files", lambda _: folder)
+    with pytest.raises(ValueError):
+        room.bundle("entry.js")
+
+
+@pytest.mark.full
+def test_the_sphere_is_seen_in_a_cell_and_follows_the_material_and_its_slider(browser: Browser) -> None:
+    page = browser.new_page(viewport={"width": 900, "height": 700})
+    page.set_default_timeout(1e3 * PATIENCE_S)
+    troubles: list[str] = []
+    page.on("pageerror", lambda error: troubles.append(str(error)))
+    page.on("console", lambda said: troubles.append(said.text) if said.type == "error" else None)
+    page.on("request", lambda request: troubles.append(request.url) if request.url.startswith("http") else None)
+    style = room.files("nacre.studio").joinpath("widget.css").read_text(encoding="utf-8")
+    page.evaluate(STUB, [room.bundle("widget.js"), style])
+    asked, told = answers()
+
+    def hand_over() -> None:
+        for content in page.evaluate("window.sent.splice(0)"):
+            asked.hear(content)
+        while told:
+            content, packed = told.pop(0)
+            page.evaluate("([c, b]) => window.tell(c, b)", [content, [base64.b64encode(packed).decode()]])
+
+    def settles(seq: int) -> bool:
+        hand_over()
+        return bool(
+            page.locator(".nacre-studio").get_attribute("data-seq") == str(seq)
+            and page.locator("#view").get_attribute("data-seq") == str(seq)
+            and page.locator(".nacre-studio").get_attribute("data-state") == "settled"
+            and page.locator("#view").get_attribute("data-judged") == "true"
+        )
+
+    asked.show(nacre.material(FILM))
+    until(page, lambda: settles(1))
+    before = picture(page)
+    assert before.std() > 10 and ball(before).max() > 20
+    ribbon = "[...document.querySelector('.ribbon').getContext('2d').getImageData(0, 0, 182, 1).data].slice(0, 3)"
+    assert max(page.evaluate(ribbon)) > 20
+    page.locator("#view").focus()
+    for _ in range(8):
+        page.keyboard.press("ArrowRight")
+    until(page, lambda: bool(np.abs(picture(page).astype(int) - before).mean() > 1))
+
+    seen = ball(picture(page))
+    page.locator(f'[data-path="{FIRST}"]').fill("120")
+    until(page, lambda: settles(2))
+    assert asked.material.get(FIRST) == 120
+    assert np.abs(ball(picture(page)) - seen).max() > SEEN
+
+    seen = ball(picture(page))
+    asked.show(nacre.load("jewel-beetle"))
+    until(page, lambda: settles(3))
+    assert np.abs(ball(picture(page)) - seen).max() > SEEN
+    assert page.locator(".sliders label").count() == 6
+    asked.hear({"kind": "vary", "path": page.locator(".sliders input").first.get_attribute("data-path"), "value": -1})
+    until(page, lambda: not hand_over() and page.locator(".nacre-studio").get_attribute("data-state") == "error")
+    page.evaluate("window.end()")
+    page.close()
+    assert troubles == []
