@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import json
 import shutil
 import struct
 import subprocess
 import sys
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,7 @@ import nacre
 from nacre.light import spectrum_to_rgb_linear
 from nacre.studio import bundle as room
 from nacre.studio.answers import Answers, sliders
+from nacre.studio.look import Look, looks
 
 Messages = list[tuple[dict[str, Any], bytes]]
 FILM = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 300}]}
@@ -87,10 +90,24 @@ def test_the_newest_material_is_told_last_and_nothing_after_it() -> None:
     seen = [header(packed) for _, packed in told]
     assert [look["seq"] for look in seen] == sorted(look["seq"] for look in seen)
     assert seen[-1]["numbers"][0]["value"] == 200 and seen[-1]["draft"] is False
-    asked.show(nacre.material(OVER_BASE))
-    asked.stop()
+
+
+@pytest.mark.parametrize("is_stopped", [False, True])
+def test_a_look_that_is_not_wanted_any_more_is_not_told(is_stopped: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    look = next(looks(nacre.material(FILM), "D65", lambda: False))
+    asked, told = answers()
+
+    def drafted(material: nacre.Material, *_: Any) -> Iterator[Look]:
+        if material.get(FIRST) == 300:  # while it is solved, another one is shown
+            asked.stop() if is_stopped else asked.show(material.vary({FIRST: 120}))
+        for is_draft in (True, False):
+            yield dataclasses.replace(look, is_draft=is_draft)
+
+    monkeypatch.setattr("nacre.studio.answers.looks", drafted)
+    asked.show(nacre.material(FILM))
     assert asked.wait(PATIENCE_S)
-    assert header(told[-1][1])["seq"] <= 4
+    seen = [(header(packed)["seq"], header(packed)["draft"]) for _, packed in told]
+    assert seen == ([] if is_stopped else [(2, True), (2, False)])
 
 
 def test_a_slider_changes_the_material_and_nonsense_does_not() -> None:
