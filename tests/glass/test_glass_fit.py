@@ -1,4 +1,4 @@
-"""Fits of glasses behind rough faces: on the form without noise, and corrected by a few walks at the end."""
+"""Fits and drafts of glasses behind rough faces: on the form without noise; fits are corrected by a few walks."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 import nacre
 from nacre.exchange.gonio_csv import GonioData
 from nacre.families.glass import material as glass_material
+from nacre.studio.look import looks
 from nacre.study.fit import CORRECTION_SEEDS, CORRECTIONS, Measured, read_free, run_fit
 
 WAVES = np.arange(400.0, 701.0, 40.0)
@@ -74,6 +75,21 @@ def test_the_fast_form_is_fitted_without_tables_and_walks(monkeypatch: pytest.Mo
         fit = run_fit(start, measured, read_free(start), starts=0)
         for number in fit.numbers:
             assert number.value == pytest.approx(TRUTH[number.path], rel=1e-4)
+
+
+def test_the_studios_draft_is_not_walked(monkeypatch: pytest.MonkeyPatch) -> None:
+    material = nacre.material(ROUGH)
+    walked = material.spectrum([0.0], np.array([440.0, 560.0]), seed=SEED).diffuse_reflectance
+    assert walked is not None
+
+    def never(*args: Any, **options: Any) -> Any:
+        raise AssertionError("a draft is walked")
+
+    monkeypatch.setattr(glass_material, "walk", never)
+    draft = next(looks(material, "D65", lambda: False))
+    assert draft.is_draft
+    shown = np.interp([440.0, 560.0], draft.wavelengths_nm, draft.total[0])
+    np.testing.assert_allclose(shown, walked[0], atol=0.03)  # of a draft: at this roughness its form errs by .02
 
 
 @pytest.mark.full
