@@ -13,7 +13,7 @@ import math
 import struct
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -136,12 +136,20 @@ def looks(material: Material, illuminant: str, is_superseded: Callable[[], bool]
     refuse_place(material.model, material.context.source)
     material = material.for_many()  # a page waits for no ensemble of minutes
     if not _is_quick(material):
-        yield _look(material, illuminant, is_superseded, DRAFT_DEG, DRAFT_NM)
+        yield _look(_without_noise(material), illuminant, is_superseded, DRAFT_DEG, DRAFT_NM)
         if is_superseded():
             raise SupersededError
         yield _look(material, illuminant, is_superseded, SETTLED_DEG, None)
     else:
         yield _look(material, illuminant, is_superseded, ANGLES_DEG, None)
+
+
+def _without_noise(material: Material) -> Material:
+    """Return a material that gives spectra without noise where its own are walked; itself where there is none."""
+    near = material.model.among_many({})
+    if material.model.is_direct or not near.is_direct or near.spectrum(PROBE_RAD, PROBE_NM, "both", 0) is None:
+        return material
+    return replace(material, model=near)
 
 
 def _is_quick(material: Material) -> bool:

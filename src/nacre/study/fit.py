@@ -4,6 +4,10 @@ The residuals of a measurement are differentiable in the recipe's numbers, so ea
 bounded trust-region least-squares step with finite differences (a stochastic family keeps one seed, so that
 its noise is the same function every time). Interference makes many local minima: the starts are the
 best of a Sobol sample of the bounds, and a CMA-ES search takes over where least squares stalls on noise.
+
+Where a family has a form without noise that it walks otherwise (`Model.is_direct` of `Model.among_many`), the starts
+are refined on that form. What the walk says beyond it is then found at the best place, added as a constant, and the
+place refined again (space mapping: Bandler et al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)).
 """
 
 from __future__ import annotations
@@ -17,8 +21,10 @@ from typing import Any
 import numpy as np
 
 from nacre.arrays import Array
+from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import NacreError, RecipeError
 from nacre.exchange.gonio_csv import COLUMNS, GonioData, read_gonio_csv, read_table
+from nacre.families.contract import Model
 from nacre.materials import free as freedom
 from nacre.materials.descent import SCOUTS_PER_NUMBER, STEP, STOCHASTIC_STEP, apart, descend, draw
 from nacre.materials.free import Free, own_place, values_at
@@ -32,6 +38,9 @@ UNDETERMINED_SHARE = 0.5  # a 95 % half width of half the bounds says nothing th
 APART = 0.02  # of the bounds: starts that are not one
 RELATIVE_FLOOR = 0.01
 WEIGHTS = ("equal", "relative")
+CORRECTIONS = 3  # rounds of them at most
+CORRECTION_SEEDS = 4  # independent walks of one correction, whose mean has half the noise
+SETTLED = 1e-3  # of the bounds: a place that moves by less is corrected enough
 
 
 @dataclass(frozen=True)
@@ -60,14 +69,36 @@ class Measured:
         """
         if self.kind == "spectrum":
             assert self.angles_deg is not None
-            found = material.spectrum(np.radians(self.angles_deg), self.wavelengths_nm).parts()
-            zero = np.zeros(self.values.shape[1:])
-            return np.stack([found.get(part, zero) for part in self.parts])
+            return self._stacked(material.spectrum(np.radians(self.angles_deg), self.wavelengths_nm, seed=seed))
         assert self.gonio is not None
         from nacre.measure.evaluate import evaluate_with_error
 
+        few = material.values_at(self.gonio.wi, self.gonio.wo, self.wavelengths_nm)
+        if few is not None:
+            return few[0]
         bsdf = material.bsdf(self.wavelengths_nm)
         return evaluate_with_error(bsdf, self.gonio.wi, self.gonio.wo, samples=samples, seed=seed)[0]
+
+    def without_noise(self, model: Model) -> Array | None:
+        """Return what a model's form without noise would have measured; None where it is walked in any form, or never.
+
+        Raises:
+            NacreError: the material cannot be computed.
+        """
+        near = model.among_many({})
+        if model.is_direct or not near.is_direct:
+            return None
+        if self.kind == "spectrum":
+            assert self.angles_deg is not None
+            found = near.spectrum(np.radians(self.angles_deg), self.wavelengths_nm, "both")
+            return None if found is None else self._stacked(found)
+        assert self.gonio is not None
+        return near.values_at(self.gonio.wi, self.gonio.wo, self.wavelengths_nm)
+
+    def _stacked(self, spectrum: Spectrum) -> Array:
+        found = spectrum.parts()
+        zero = np.zeros(self.values.shape[1:])
+        return np.stack([found.get(part, zero) for part in self.parts])
 
 
 @dataclass(frozen=True)
@@ -208,6 +239,9 @@ def run_fit(
     if not ends:
         raise NacreError(f"{material.context.source}: the recipe cannot be computed anywhere in its bounds")
     ends.sort(key=lambda end: end[0])
+    ends[0] = problem.corrected(ends[0])
+    if progress and problem.is_corrected:
+        progress("corrected by walks", problem.relative(ends[0][0]))
     loss, unit, jacobian = ends[0]
     numbers = problem.confidence(unit, jacobian)
     fitted = problem.build(unit)
@@ -235,6 +269,8 @@ class _Problem:
         rms = float(np.sqrt(np.mean(measured.values**2))) or 1.0
         # a value near zero must not decide the fit, so its share of the noise has a floor
         shares = np.maximum(np.abs(measured.values), RELATIVE_FLOOR * rms)
+        self._beyond: Array | float = 0.0  # what walks give more than the form without noise
+        self.is_corrected = False
         self._scale = shares if weights == "relative" else np.full(measured.values.shape, rms)
 
     def build(self, unit: Array) -> Material:
@@ -244,10 +280,37 @@ class _Problem:
         """Return (model - measurement) over the scale of the noise, flat; one that cannot be computed is far off."""
         self.evaluations += 1
         try:
-            model = self._measured.model(self.build(unit), self._samples, self._seed)
+            model = self._model(self.build(unit))
         except NacreError:
             return np.full(self._measured.values.size, 10.0)
         return np.asarray(((model - self._measured.values) / self._scale).ravel())
+
+    def _model(self, material: Material) -> Array:
+        quick = self._measured.without_noise(material.model)
+        if quick is None:
+            return self._measured.model(material, self._samples, self._seed)
+        return quick + self._beyond
+
+    def corrected(self, end: tuple[float, Array, Array]) -> tuple[float, Array, Array]:
+        """Refine an end again with what walks say beyond the form without noise, if it was found with that."""
+        for _ in range(CORRECTIONS):
+            material = self.build(end[1])
+            quick = self._measured.without_noise(material.model)
+            if quick is None:
+                break
+            seeds = range(self._seed, self._seed + CORRECTION_SEEDS)
+            walked = [self._measured.model(material, self._samples, seed) for seed in seeds]
+            self._beyond = np.mean(walked, axis=0) - quick
+            self.is_corrected = True
+            self.evaluations += len(walked)
+            refined = self.refine(end[1])
+            if refined is None:
+                break
+            moved = float(np.max(np.abs(refined[1] - end[1])))
+            end = refined
+            if moved < SETTLED:
+                break
+        return end
 
     def relative(self, loss: float) -> float:
         """Turn a sum of squares into a relative rms."""

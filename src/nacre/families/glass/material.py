@@ -133,8 +133,8 @@ class Glass(Model):
     ) -> Spectrum | None:
         """Return reflectance and transmittance: without noise between smooth faces, by a quick walk between rough ones.
 
-        None for s and p, of several strata, over bases of other lobes, and of the fast form of a rough one, which is
-        integrated.
+        The fast form of a rough one has what its tables hold, without making them. None for s and p, of several
+        strata, and over bases of other lobes.
         """
         if polarisation != "both" or self.below or self.base.kind not in ("none", "diffuse"):
             return None
@@ -143,7 +143,7 @@ class Glass(Model):
         cos = np.where(theta >= np.pi / 2, 0.0, np.cos(theta))
         is_open = self.base.kind == "none"
         if not self.surface.is_smooth or (is_open and not self.base.surface.is_smooth):
-            found = None if self.is_checked else self._estimated(theta, lam)
+            found = self._estimated(theta, lam) if self.quality == "fast" else None
             return found or (self._walked(theta, lam, seed) if self._is_walked_quickly else None)
         parts = np.stack([slab.powers(cos) for slab in self._slabs(lam, 1)], axis=-1)
         return Spectrum(
