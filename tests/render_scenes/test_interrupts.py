@@ -14,18 +14,33 @@ import pytest
 
 import nacre
 
-SLOW = Path(__file__).resolve().parents[2] / "examples" / "metasurface" / "silver_on_oxide.toml"
 SOON_S = 3.0
-SOLVING_AFTER_S = 5.0  # started by then, and far from solved
+# a render whose material takes long in compiled code, which no signal breaks off: it tells when it has begun
+SLOW = """
+import sys
+import numpy as np
+from nacre.cli import main
+from nacre.materials.material import Material
+
+def bsdf(self, *arguments, **options):
+    print("solving", flush=True)
+    np.linalg.svd(np.random.default_rng(0).random((6000, 6000)))
+    raise AssertionError("solved before anybody interrupted it")
+
+Material.bsdf = bsdf
+main(sys.argv[1:])
+"""
 
 pytestmark = pytest.mark.render
 
 
 def test_before_the_first_pass_a_render_leaves_at_once(tmp_path: Path) -> None:
     picture = tmp_path / "a.png"
-    command = [sys.executable, "-m", "nacre", "render", str(SLOW), "-o", str(picture)]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        time.sleep(SOLVING_AFTER_S)
+    command = [sys.executable, "-c", SLOW, "render", "copper", "-o", str(picture)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "solving\n"
+        time.sleep(0.5)
         asked = time.perf_counter()
         process.send_signal(signal.SIGINT)
         told = process.communicate(timeout=60)[1]

@@ -207,7 +207,7 @@ def test_a_scene_can_be_had_as_a_dict_to_build_on() -> None:
 
 
 def test_a_picture_ends_by_one_rule_alone() -> None:
-    result = nacre.render(GREY, seconds=0.01, size=(16, 16), progress=False)
+    result = nacre.render(GREY, seconds=1e-6, size=(16, 16), progress=False)  # over before the first pass is
     assert result.stats["spp"] == TURN and not result.stats["interrupted"]
     for wishes, words in (
         ({"spp": 4, "noise": 0.1}, "spp and noise: give one"),
