@@ -75,6 +75,7 @@ starts = 2
 shakes = 1
 """
 BYSTANDER = "notes.txt"
+MOST_ATTEMPTS = 20  # a kill: what takes some milliseconds alone on a quick machine is often over before it comes
 OLD = b"what was here before\n"
 
 
@@ -173,7 +174,7 @@ def test_a_killed_command_leaves_the_old_output_or_the_new_one(
     seconds = warm.run(arguments, reference)
     assert (reference / case.makes).is_file()
     killed = 0
-    for attempt in range(3 * case.kills):
+    for attempt in range(MOST_ATTEMPTS * case.kills):
         if killed == case.kills:
             break
         if attempt == case.kills // 2:  # first into an empty place, then over an old output
