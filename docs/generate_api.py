@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import Any
 
 MODULES = ("nacre", "nacre.light", "nacre.matter", "nacre.matter.stack.gradient",
-           "nacre.bsdf", "nacre.render", "nacre.plot", "nacre.design",
+           "nacre.bsdf", "nacre.render", "nacre.plot", "nacre.design", "nacre.studio", "nacre.studio.notebook",
            "nacre.study.fit", "nacre.study.report", "nacre.study.tolerance", "nacre.study.sweep")  # fmt: skip
 SECTIONS = ("Args", "Returns", "Raises", "Attributes", "Example", "Yields", "Note")
 
