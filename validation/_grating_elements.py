@@ -1,4 +1,5 @@
-"""Gratings by finite elements: the second solver of smooth profiles, which shares no step with those of `_gratings.py`.
+"""Gratings by finite elements: the second solver of smooth profiles, which shares no step with those of `_gratings.py`
+but the names of orders and the powers of their waves.
 
 The plane of incidence lies across the grooves: H_y in p, E_y in s. Biquadratic elements on a grid that follows the
 surface; periodicity by eliminating one side; above, a perfectly matched layer, and below a clear body, too; in a metal
@@ -15,6 +16,8 @@ import scipy.sparse as sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
 from skfem import Basis, BilinearForm, ElementQuad2, LinearForm, MeshQuad, MeshQuad2
+
+from validation._gratings import efficiencies, kept_orders
 
 Array = NDArray[Any]
 CELLS_A_WAVE = 12  # along x and z above the body
@@ -122,10 +125,8 @@ def elements(
     on_line = on_line[np.argsort(x[on_line])][:-1]
     series = np.fft.fft(field[on_line] * np.exp(-1j * k_in * x[on_line])) / on_line.size
     series[0] += mirror * np.exp(1j * q_in * line)
-    reach = period / wavelength
-    numbers = np.arange(int(np.ceil((-1 - sine) * reach)), int(np.floor((1 - sine) * reach)) + 1)
-    cosines = np.sqrt(1 - (sine + numbers * wavelength / period) ** 2)
-    return numbers, np.abs(series[numbers]) ** 2 * cosines / cosines[numbers == 0]
+    numbers = kept_orders(period, wavelength, angle_deg, 0)
+    return efficiencies(numbers, sine + numbers * wavelength / period, series[numbers])
 
 
 def _level_dofs(mesh: Any, basis: Any, flat_t: Array, level: float) -> Array:

@@ -78,7 +78,7 @@ def lamellar(
         np.vstack([top, bottom]), np.concatenate([2 * above * incident, np.zeros(len(alpha))])
     )  # fmt: skip
     field = np.hstack([modes, modes * decay]) @ amplitudes
-    return _efficiencies(numbers, alpha, field - incident)
+    return efficiencies(numbers, alpha, field - incident)
 
 
 def smooth(
@@ -130,7 +130,7 @@ def smooth(
     found = np.linalg.solve(system, -np.concatenate([incident[:, 0], incident_partner[:, 0]]))
     field = np.zeros(size, dtype=complex)
     field[real_orders] = found[: len(real_orders)]
-    return _efficiencies(numbers, alpha, field)
+    return efficiencies(numbers, alpha, field)
 
 
 def sliced(
@@ -163,7 +163,7 @@ def sliced(
     system = np.block([[np.eye(size), -field], [np.diag(above), -partner]])
     incident = (numbers == 0).astype(complex)
     found = np.linalg.solve(system, np.concatenate([-incident, above * incident]))[:size]
-    return _efficiencies(numbers, alpha, found)
+    return efficiencies(numbers, alpha, found)
 
 
 def _decaying(gamma: Array) -> Array:
@@ -209,7 +209,8 @@ def _product(gap: Array, weight: Array) -> Array:
     return np.asarray(0.5 * (gap @ weight + weight @ gap))
 
 
-def _efficiencies(numbers: Array, alpha: Array, field: Array) -> tuple[Array, Array]:
+def efficiencies(numbers: Array, alpha: Array, field: Array) -> tuple[Array, Array]:
+    """Return the orders that propagate, and their powers over the incident one, of amplitudes on a plane."""
     goes = np.abs(alpha) < 1.0
     beta = np.sqrt(1.0 - alpha[goes] ** 2)
     return numbers[goes], np.abs(field[goes]) ** 2 * beta / beta[numbers[goes] == 0]

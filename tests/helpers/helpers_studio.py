@@ -21,13 +21,14 @@ from playwright.sync_api import Browser, Page, expect
 
 from nacre.recipe.toml import parse_toml
 
-FILM = """family = "film"  # a comment
+COMMENTED_FILM = """family = "film"  # a comment
 substrate = "Si"
 layers = [
-  {material = "SiO2", thickness_nm = 300},
+  {material = "SiO2", thickness_nm = 300},  # oxide
   {material = "TiO2", thickness_nm = 60},
 ]
 """
+FILM = COMMENTED_FILM.replace("  # oxide", "")
 THICKNESS = "layers[0].thickness_nm"
 SEEN = 8  # of 255: a change of the mean colour that nobody could miss
 # nothing here is about speed: a machine whose cores are all taken draws a page in seconds, and that is no failure

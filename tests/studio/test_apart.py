@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers_studio import COMMENTED_FILM as FILM
 from PIL import Image
 from starlette.testclient import TestClient
 
@@ -21,13 +22,6 @@ from nacre.studio.security import HEADER
 from nacre.studio.server import make_app
 
 PORT, TOKEN = 8124, "a-token-for-the-tests"
-FILM = """family = "film"  # a comment
-substrate = "Si"
-layers = [
-  {material = "SiO2", thickness_nm = 300},  # oxide
-  {material = "TiO2", thickness_nm = 60},
-]
-"""
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers_studio import COMMENTED_FILM as FILM
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
@@ -32,13 +33,6 @@ from nacre.studio.surround import ALPHAS, blurred_surround
 PORT, TOKEN = 8123, "a-token-for-the-tests"
 SOCKET = f"ws://127.0.0.1:{PORT}/ws"
 HERE = f"http://127.0.0.1:{PORT}"
-FILM = """family = "film"  # a comment
-substrate = "Si"
-layers = [
-  {material = "SiO2", thickness_nm = 300},  # oxide
-  {material = "TiO2", thickness_nm = 60},
-]
-"""
 
 
 @pytest.fixture
