@@ -15,9 +15,11 @@ import pytest
 import nacre
 from nacre.cli import run
 from nacre.design.wants.alike import are_alike
+from nacre.design.wants.films import StackSearch, stack_factors
 from nacre.design.wants.free import Free
 from nacre.design.wants.general import GeneralSearch
-from nacre.design.wants.run import WantsProgress
+from nacre.design.wants.judge import judge, rows_of
+from nacre.design.wants.run import WantsProgress, search_of
 from nacre.design.wants.target import read_target
 from nacre.errors import NacreError
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
@@ -225,6 +227,29 @@ def test_many_refuses_colours_of_another_shape() -> None:
               "want": [{"at": "specular 0", "lab": [50, 0, 0]}]}  # fmt: skip
     with pytest.raises(NacreError, match=r"\[n, 3\]"):
         nacre.design.many(target, [50, 0, 0])
+
+
+@pytest.mark.parametrize("has_colour", [False, True])
+def test_a_search_compares_a_spectrum_as_the_judge_does(tmp_path: Path, has_colour: bool) -> None:
+    # an edge whose steep part is left out: what lies between 560 and 600 nm counts for neither
+    nm = np.r_[430.0:561.0:4.0, 600.0:721.0:4.0]
+    csv = tmp_path / "edge.csv"
+    csv.write_text("".join(f"{x:g},{float(x > 580.0):g}\n" for x in nm))
+    wants = [{"at": "specular 0", "spectrum": str(csv)}, {"at": "specular 30", "colour": "#305080"}]
+    target = read_target({
+        "recipe": {"family": "film", "substrate": "BK7", "layers": [
+            {"material": ("TiO2", "SiO2")[i % 2], "thickness_nm": (75, 115)[i % 2]} for i in range(9)]},
+        "free": {"layers[*].thickness_nm": [5, 300]},
+        "want": wants[: 1 + has_colour],
+    })  # fmt: skip
+    engine = search_of(target, 0)
+    assert isinstance(engine, StackSearch)
+    goals, rows = engine.problem.goals, rows_of(target.wants)
+    seen = stack_factors(target.material, rows, goals.wavelengths_nm)
+    assert seen is not None
+    judged, _ = judge(target.material, target.wants, target.spec.light)
+    # to the other quadrature's steps of 1 and 4 nm; with the band between it is 30 % more
+    assert goals.distances(seen)[0] == pytest.approx(judged[0].distance, rel=0.02)
 
 
 @pytest.mark.full

@@ -34,6 +34,7 @@ from nacre.recipe.tables import by_path
 
 ENGINE_KINDS = ("specular", "transmitted")
 SIDES = {"specular": "reflected", "transmitted": "transmitted"}
+OWN = (16, 600)  # so many wavelengths of wanted spectra are searched as they are
 STEP_NM = 2.0  # of the grid where spectra are wanted
 MET = 0.2
 _LAYER = re.compile(r"layers\[(\d+)\]\.(material|thickness_(?:nm|um|mm))$")
@@ -285,7 +286,10 @@ def _is_of_stack(number: Free) -> bool:
 
 
 def engine_wavelengths(wants: Sequence[Want]) -> Array:
-    """Return the grid on which stacks are compared: that of colours, or of the spectra where only those are wanted."""
+    """Return the grid on which stacks are compared: that of colours, or of the spectra where only those are wanted.
+
+    A spectrum is judged on its own wavelengths (`judge._rms`), so they are the grid where it has enough of them.
+    """
     spectra = [want.spectrum for want in wants if want.spectrum is not None]
     if not spectra:
         return default_wavelengths_nm()
@@ -297,6 +301,9 @@ def engine_wavelengths(wants: Sequence[Want]) -> Array:
             if low < grid[0] or high > grid[-1]
             else grid
         )
+    own = np.unique(np.concatenate([s[0] for s in spectra]))
+    if OWN[0] <= len(own) <= OWN[1]:
+        return own
     return np.linspace(low, high, max(int(np.ceil((high - low) / STEP_NM)) + 1, 4))
 
 

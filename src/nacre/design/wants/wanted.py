@@ -29,6 +29,7 @@ from nacre.light import (
 )
 from nacre.recipe.model import RecipeContext, show_value
 
+GAP_STEPS = 3.0  # times a table's usual step: wider apart, two rows leave out what lies between them
 MOST_FACTOR = 1.1  # of a wanted spectrum: above it, it is in per cent
 MOST_LIGHTNESS, MOST_CHROMA = 500.0, 500.0  # lobes are brighter than white, but no number says so much
 _HEX = re.compile(r"#([0-9a-fA-F]{6}|[0-9a-fA-F]{3})$")
@@ -85,6 +86,7 @@ class Want:
         if self.spectrum is not None:
             nm, values = self.spectrum
             wanted = np.interp(wavelengths_nm, nm, values, left=np.nan, right=np.nan)
+            wanted[_in_gaps(nm, wavelengths_nm)] = np.nan
             return [Goal(row, "spectrum", reflectance=wanted, **often)]
         if self.ranges is not None:
             return [Goal(row, kind, low=low, high=high, **often) for kind, (low, high) in self.ranges.items()]  # type: ignore[arg-type]  # the kinds are those of `_ranges`
@@ -92,6 +94,14 @@ class Want:
             return [Goal(row, "colour", xyz=tuple(map(float, self.xyz)), **often)]  # type: ignore[arg-type]  # three numbers
         assert self.lab is not None
         return [Goal(row, "colour", lab=tuple(map(float, self.lab)), **often)]  # type: ignore[arg-type]  # three numbers
+
+
+def _in_gaps(nm: Array, wavelengths_nm: Array) -> Array:
+    """Return which wavelengths lie where a table of a spectrum leaves out a band, of which nothing is wanted then."""
+    steps = np.diff(nm)
+    after = np.clip(np.searchsorted(nm, wavelengths_nm, side="right") - 1, 0, len(steps) - 1)
+    is_between = ~np.isclose(wavelengths_nm, nm[after]) & ~np.isclose(wavelengths_nm, nm[after + 1])
+    return np.asarray(is_between & (steps[after] > GAP_STEPS * np.median(steps)))
 
 
 def srgb_to_lab(text: str, where: str) -> Array:
