@@ -17,7 +17,7 @@ from nacre.arrays import Array, floats
 from nacre.bsdf import Bsdf
 from nacre.bsdf.spectrum import Spectrum
 from nacre.design.wants.gamut import Gamut, find_gamut, parse_free
-from nacre.errors import UnsupportedError, did_you_mean
+from nacre.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.exchange.drawings import SUFFIXES, HeightOptions, write_drawing
 from nacre.exchange.number_maps import FORMATS as MAP_FORMATS
 from nacre.exchange.number_maps import SUFFIXES as MAP_SUFFIXES
@@ -137,8 +137,9 @@ def tolerance(
 
 
 def fit(
-    measurement: str | Path, thing: Material | str | Path, free: Iterable[str] = (), *, starts: int = 4, **options: Any
-) -> Fit:
+    measurement: str | Path, thing: Material | str | Path, free: Iterable[str] = (), *, starts: int = 4,
+    report: str | Path | None = None, **options: Any,
+) -> Fit:  # fmt: skip
     """Fit some numbers of a recipe, called free, to a measurement.
 
     Args:
@@ -146,12 +147,23 @@ def fit(
         thing: a material or a path.
         free: such as "layers[0].thickness_nm=50:400", beside those of the recipe's `[fit]`.
         starts: starting points that are refined; options: the others of `nacre.study.fit.run_fit`.
+        report: an HTML file to be written: what was measured beside what the fitted material gives.
 
     Raises:
         NacreError: the measurement cannot be read, or nothing is free.
     """
-    material = _material(thing)
-    return run_fit(material, read_measurement(measurement), read_free(material, tuple(free)), starts=starts, **options)
+    if report is not None:
+        if Path(report).suffix != ".html":
+            raise NacreError(f"{report}: the suffix must be .html")
+        check_writable(report)
+    material, measured = _material(thing), read_measurement(measurement)
+    numbers = read_free(material, tuple(free))
+    found = run_fit(material, measured, numbers, starts=starts, **options)
+    if report is not None:
+        from nacre.study.fit_page import write_fit_page
+
+        write_fit_page(report, found, measured, numbers)
+    return found
 
 
 def gamut(

@@ -54,6 +54,8 @@ class PictureSpec(RecipeModel):
     exposure: float | Literal["auto"] = pydantic.Field(default="auto", description="exposure in stops, or auto")
     view_turn_deg: float = pydantic.Field(default=0.0, description="turns the view round the object")
     light_turn_deg: float = pydantic.Field(default=0.0, description="turns the light round the object")
+    ratio: float = pydantic.Field(default=1.0, gt=0, le=1, description="height of the picture over its width")
+    zoom: float | None = pydantic.Field(default=None, description="magnification, as `nacre render --zoom` takes it")
     spp: float = pydantic.Field(default=1.0, description="times the usual number of samples and the usual time")
     quick: bool = pydantic.Field(default=False, description="whether it is part of `nacre demo --quick`")
     name: str | None = pydantic.Field(default=None, description="name of the picture's file; the recipe's if not given")
@@ -189,8 +191,9 @@ def _picture(folder: Path, out: Path, spec: PictureSpec, is_quick: bool) -> Item
 
         bsdf = _solved(folder, out, spec.recipe, spec.quality)
         look = {**_look(spec), "view_turn_deg": spec.view_turn_deg, "light_turn_deg": spec.light_turn_deg}
-        affordable = _affordable_spp(bsdf, look, side, spp, STILL_S[is_quick] * spec.spp)
-        render(bsdf, output=path, size=(side, side), spp=affordable, progress=False, **look)
+        size = _size(side, spec.ratio)
+        affordable = _affordable_spp(bsdf, look, size, spp, STILL_S[is_quick] * spec.spp)
+        render(bsdf, output=path, size=size, spp=affordable, progress=False, **look)
 
     return Item(spec.title, path, 2.0 + STILL_S[is_quick] * spec.spp, make)
 
@@ -208,8 +211,9 @@ def _animation(folder: Path, out: Path, spec: AnimationSpec, is_quick: bool) -> 
         material = _solved(folder, out, spec.recipe, spec.quality) if moving else _find(folder, out, spec.recipe)
         look = _look(spec)
         budget = MOVIE_S[is_quick] * spec.spp / frames
-        affordable = _affordable_spp(material, look, side, spp, budget)
-        animate(material, spec.animate, path, frames=frames, size=(side, side), spp=affordable, progress=False, **look)
+        size = _size(side, spec.ratio)
+        affordable = _affordable_spp(material, look, size, spp, budget)
+        animate(material, spec.animate, path, frames=frames, size=size, spp=affordable, progress=False, **look)
 
     return Item(spec.title, path, 3.0 + MOVIE_S[is_quick] * spec.spp, make)
 
@@ -230,7 +234,7 @@ def _row(folder: Path, out: Path, spec: RowSpec, is_quick: bool) -> Item:
             bsdf = _solved(folder, out, recipe, spec.quality)
             look = {"scene": spec.scene}
             budget = seconds / (frames * len(spec.recipes))
-            spp = _affordable_spp(bsdf, look, round((size[0] * size[1]) ** 0.5), FULL_FRAME_SPP, budget)
+            spp = _affordable_spp(bsdf, look, size, FULL_FRAME_SPP, budget)
             part = path.with_name(f"{spec.name}-parts") / f"{Path(recipe).stem}.mp4"
             part.parent.mkdir(exist_ok=True)
             made = animate(
@@ -271,7 +275,12 @@ def tile(pictures: Sequence[Path], columns: int, path: Path) -> None:
         sheet.save(temporary, format="PNG")
 
 
-def _affordable_spp(material: Any, look: dict[str, Any], side: int, wanted: int, seconds: float) -> int:
+def _size(width: int, ratio: float) -> tuple[int, int]:
+    """Return width and height; both even, as films need them."""
+    return width, 2 * round(0.5 * ratio * width)
+
+
+def _affordable_spp(material: Any, look: dict[str, Any], size: tuple[int, ...], wanted: int, seconds: float) -> int:
     """Return the samples a pixel that fit into the time: families differ a hundredfold in cost.
 
     Two small pictures compile the kernels, one a number of samples; two more tell what a sample costs apart from what
@@ -279,15 +288,15 @@ def _affordable_spp(material: Any, look: dict[str, Any], side: int, wanted: int,
     """
     from nacre.picture.picture import render
 
-    small = max(16, side // 4)
+    small = tuple(max(16, side // 4) for side in size)
     spent = []
     for spp in (*PROBE_SPP, *PROBE_SPP):
         start = time.monotonic()
-        render(material, size=(small, small), spp=spp, progress=False, **look)
+        render(material, size=small, spp=spp, progress=False, **look)
         spent.append(time.monotonic() - start)
     few, many = spent[2:]
-    a_sample = max(many - few, 0.1 * many) / ((PROBE_SPP[1] - PROBE_SPP[0]) * small * small)
-    return int(min(max((seconds - few) / (a_sample * side * side), LEAST_SPP), wanted))
+    a_sample = max(many - few, 0.1 * many) / ((PROBE_SPP[1] - PROBE_SPP[0]) * small[0] * small[1])
+    return int(min(max((seconds - few) / (a_sample * size[0] * size[1]), LEAST_SPP), wanted))
 
 
 def _plot(folder: Path, out: Path, spec: PlotSpec) -> Item:
@@ -344,7 +353,7 @@ def _solved(folder: Path, out: Path, recipe: str, quality: str | None) -> Any:
 def _look(spec: PictureSpec) -> dict[str, Any]:
     return {
         "scene": spec.scene, "shape": spec.shape, "light": spec.light, "illuminant": spec.illuminant,
-        "components": spec.components, "exposure": spec.exposure,
+        "components": spec.components, "exposure": spec.exposure, "zoom": spec.zoom,
     }  # fmt: skip
 
 

@@ -198,12 +198,13 @@ def tolerance(
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("--residual", default=None, metavar="FILE.npz", help="Store the residual map.")
+@click.option("--report", "page", default=None, metavar="FIT.html", help="Write a page: measured beside fitted.")
 @click.option("-o", "output", default=None, metavar="FITTED.toml", help="Default: RECIPE-fitted.toml.")
 @common.cache_option
 @common.jobs_option
 def fit(
     measurement: str, recipe: str, free: tuple[str, ...], starts: int, weights: str, samples: int | None, seed: int,
-    as_json: bool, residual: str | None, output: str | None,
+    as_json: bool, residual: str | None, page: str | None, output: str | None,
 ) -> None:  # fmt: skip
     """Fit the free numbers of RECIPE to MEASUREMENT (spectrum or gonio CSV)."""
     from nacre.files import atomic_path, check_writable, write_text
@@ -211,8 +212,9 @@ def fit(
     from nacre.study.fit import read_free, read_measurement, run_fit
 
     path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}-fitted.toml")
-    for target, suffix in ((path, ".toml"), (Path(residual) if residual else None, ".npz")):
-        if target is not None:
+    asked = ((path, ".toml"), (residual and Path(residual), ".npz"), (page and Path(page), ".html"))
+    for target, suffix in asked:
+        if target:
             if target.suffix != suffix:
                 raise NacreError(f"{target}: the suffix must be {suffix}")
             check_writable(target)
@@ -227,6 +229,10 @@ def fit(
     if residual:
         with atomic_path(residual) as temporary, open(temporary, "wb") as file:
             np.savez(file, residual=result.residual, wavelengths_nm=measured.wavelengths_nm)
+    if page:
+        from nacre.study.fit_page import write_fit_page
+
+        write_fit_page(page, result, measured, numbers)
     document = {
         "numbers": [
             {"path": n.path, "value": n.value, "half_width_95": n.half_width if np.isfinite(n.half_width) else None,

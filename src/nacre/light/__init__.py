@@ -8,7 +8,7 @@ transform unless asked otherwise, so a white sheet stays white under every illum
 from nacre.light.adaptation import ADAPTATIONS, Adaptation, adapt_xyz, adaptation_matrix
 from nacre.light.constancy import IlluminantShift, illuminant_shift, metamerism
 from nacre.light.difference import delta_e_76, delta_e_2000
-from nacre.light.display import spectrum_to_rgb_linear, spectrum_to_rgb_matrix, spectrum_to_srgb
+from nacre.light.display import spectrum_to_rgb_linear, spectrum_to_rgb_matrix, spectrum_to_srgb, swatch_hex
 from nacre.light.gamut import Clipped, clip_to_srgb
 from nacre.light.spaces import (
     SRGB_WHITE_XYZ,
@@ -71,6 +71,7 @@ __all__ = [
     "srgb_encode",
     "srgb_linear_to_xyz",
     "srgb_to_hex",
+    "swatch_hex",
     "table_wavelengths_nm",
     "white_xyz",
     "with_lamp_lines",

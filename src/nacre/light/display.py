@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from nacre.arrays import Array
-from nacre.light.adaptation import Adaptation, adaptation_matrix
+from nacre.light.adaptation import Adaptation, adapt_xyz, adaptation_matrix
 from nacre.light.gamut import clip_to_srgb
-from nacre.light.spaces import SRGB_WHITE_XYZ, XYZ_TO_RGB, srgb_encode
+from nacre.light.spaces import SRGB_WHITE_XYZ, XYZ_TO_RGB, srgb_encode, srgb_to_hex, xyz_to_srgb_linear
 from nacre.light.tables import Illuminant
 from nacre.light.tristimulus import weighted_sum, white_xyz, xyz_weights
 
@@ -63,3 +64,16 @@ def spectrum_to_srgb(
     return srgb_encode(
         clip_to_srgb(spectrum_to_rgb_linear(values, wavelengths_nm, illuminant, observer, adaptation)).rgb
     )
+
+
+def swatch_hex(xyz: ArrayLike, white: ArrayLike) -> str:
+    """Return the screen colour #rrggbb of a colour for an eye adapted to the light's white.
+
+    Args:
+        xyz: `[3]`, Y = 1 for the white; what sRGB cannot show is clipped at constant hue.
+        white: `[3]`, XYZ of the light's white.
+
+    Example: the white of any light is #ffffff.
+    """
+    adapted = np.clip(adapt_xyz(np.clip(xyz, 0.0, None), white, SRGB_WHITE_XYZ), 0.0, None)
+    return srgb_to_hex(srgb_encode(clip_to_srgb(xyz_to_srgb_linear(adapted)).rgb))

@@ -1,3 +1,4 @@
+from .agreement import agreement_figure as agreement_figure
 from .colours import chromaticity_figure as chromaticity_figure
 from .colours import colour_map_figure as colour_map_figure
 from .designs import DesignSheet as DesignSheet

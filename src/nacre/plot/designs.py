@@ -60,6 +60,7 @@ class DesignSheet:
         numbers: lines of text that stand in place of a stack.
         bars: (path, value) of the sensitivity, the largest first; bars_title: what it is.
         illuminant: of the ribbon.
+        words: what the left and the right half of a swatch are called, and the first of them the wanted curves.
     """
 
     title: str
@@ -76,6 +77,7 @@ class DesignSheet:
     bars: Sequence[tuple[str, float]]
     bars_title: str
     illuminant: str = "D65"
+    words: tuple[str, str] = ("asked", "reached")
 
 
 def design_figure(sheet: DesignSheet) -> Figure:
@@ -93,7 +95,11 @@ def design_figure(sheet: DesignSheet) -> Figure:
         side = inner[:, 1].subgridspec(2, 1, height_ratios=(1.25, 1.0))
         _layers(figure.add_subplot(side[0]), sheet)
         _bars(figure.add_subplot(side[1]), sheet)
-        small_print(figure, remark(sheet.illuminant, exposure, clipped, len(colours)) + "; left asked, right reached")
+        small_print(
+            figure,
+            remark(sheet.illuminant, exposure, clipped, len(colours))
+            + f"; left {sheet.words[0]}, right {sheet.words[1]}",
+        )
     return figure
 
 
@@ -122,7 +128,7 @@ def _curves(axes: Axes, sheet: DesignSheet) -> None:
     for ink, name in zip(angle_colours(len(names)), names):
         axes.plot(sheet.wavelengths_nm, sheet.curves[name], color=ink, label=name)
     for name, (nm, values) in sheet.wanted.items():
-        axes.plot(nm, values, "--", color=LINES[1], linewidth=0.9, label=f"{name}, asked")
+        axes.plot(nm, values, "--", color=LINES[1], linewidth=0.9, label=f"{name}, {sheet.words[0]}")
     top = max([float(np.max(c)) for c in sheet.curves.values()] + [float(np.max(v[1])) for v in sheet.wanted.values()])
     top = 1.0 if 0.5 < top <= 1.0 else max(1.1 * top, 1e-3)
     axes.set(

@@ -18,18 +18,13 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.directions import direction
 from nacre.bsdf.texture import refuse_place
 from nacre.light import (
-    SRGB_WHITE_XYZ,
-    adapt_xyz,
-    clip_to_srgb,
     delta_e_2000,
     lab_to_lch,
     smooth_weights,
     spectrum_to_xyz,
-    srgb_encode,
-    srgb_to_hex,
+    swatch_hex,
     white_xyz,
     xyz_to_lab,
-    xyz_to_srgb_linear,
 )
 from nacre.materials.material import Material
 from nacre.measure import instruments as geometry
@@ -153,9 +148,7 @@ def colour_table(
     # a random walk has few wavelengths: between them a spectrum is a smooth curve
     xyz = np.asarray(factors @ smooth_weights(bsdf.wavelengths_nm, illuminant, observer))
     lab = xyz_to_lab(xyz, white_xyz(illuminant, observer))
-    adapted = adapt_xyz(xyz, white_xyz(illuminant, observer), SRGB_WHITE_XYZ)  # white stays white under any illuminant
-    rgb = clip_to_srgb(xyz_to_srgb_linear(np.clip(adapted, 0.0, None))).rgb
-    swatches = tuple(srgb_to_hex(srgb_encode(row)) for row in rgb)
+    swatches = tuple(swatch_hex(row, white_xyz(illuminant, observer)) for row in xyz)
     return ColourTable(what, np.asarray(angles_deg), np.asarray(xyz), np.asarray(lab), swatches)
 
 

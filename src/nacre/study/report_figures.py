@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +10,7 @@ from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import UnsupportedError
 from nacre.materials.material import Material
 from nacre.measure.colour_wavelengths import colour_spectrum
+from nacre.plot.page import data_uri
 from nacre.study.report import Report
 
 if TYPE_CHECKING:
@@ -42,16 +41,16 @@ def figures(materials: list[Material], reports: list[Report]) -> dict[str, str]:
         if curves is None:
             continue
         found[f"{name}: spectra at {', '.join(f'{a:g}' for a in CURVE_ANGLES_DEG)} degrees"] = data_uri(
-            spectrum_figure(curves, report.illuminant, name)
+            spectrum_figure(curves, report.illuminant, name), SCREEN_DPI
         )
         is_plain = "diffuse_reflectance" not in curves.parts()
         over_angle = _spectrum(material, RIBBON_ANGLES_DEG if is_plain else COARSE_ANGLES_DEG, report.illuminant)
         if over_angle is not None:
             found[f"{name}: colour over the angle of incidence"] = data_uri(
-                ribbon_figure(over_angle, report.illuminant, name)
+                ribbon_figure(over_angle, report.illuminant, name), SCREEN_DPI
             )
     found["colour travel in a*b* over the aspecular angles (or over incidence, for mirrors)"] = data_uri(
-        travel_figure(reports)
+        travel_figure(reports), SCREEN_DPI
     )
     return found
 
@@ -80,13 +79,3 @@ def _spectrum(material: Material, angles_deg: tuple[float, ...], illuminant: str
         return colour_spectrum(material, np.radians(angles_deg), illuminant)
     except UnsupportedError:
         return None
-
-
-def data_uri(figure: Figure) -> str:
-    """Return a figure as a PNG data URI."""
-    from nacre.plot import house_style
-
-    stream = io.BytesIO()
-    with house_style():
-        figure.savefig(stream, format="png", dpi=SCREEN_DPI)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")

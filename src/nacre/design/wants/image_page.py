@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,10 +11,11 @@ import numpy as np
 
 from nacre.design.wants.answers import Design
 from nacre.design.wants.image_picture import Picture, srgb_lab
-from nacre.design.wants.page import DPI, PICTURE, REPORT, framed
+from nacre.design.wants.page import DPI, PICTURE, REPORT
 from nacre.design.wants.target import Target
 from nacre.files import write_text
 from nacre.light import white_xyz, xyz_to_lab
+from nacre.plot.page import data_uri, framed, png_uri
 
 if TYPE_CHECKING:
     from nacre.plot import Figure
@@ -31,7 +30,7 @@ def write_page(folder: Path, target: Target, design: Design, picture: Picture) -
     Raises:
         NacreError: the folder cannot be written.
     """
-    from nacre.plot import house_style, save_figure
+    from nacre.plot import save_figure
     from nacre.plot.pictures import PictureSheet, picture_figure
 
     lamp, observer = target.spec.light.illuminants[0], target.spec.light.observer
@@ -40,14 +39,9 @@ def write_page(folder: Path, target: Target, design: Design, picture: Picture) -
     title = _wrapped(f"{target.name}: {design.message}")
     sheet = PictureSheet(title, picture.asked, picture.reached, picture.distance, picture.is_mapped, maps, note)
 
-    def embedded(png: bytes) -> str:
-        return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
-
     save_figure(picture_figure(sheet), folder / PICTURE, {"target": target.fingerprint})
     shown = (folder / PICTURE).read_bytes()  # drawn once: pixels of a picture take a second
-    chart = io.BytesIO()
-    with house_style():
-        _chart(picture, lamp, observer).savefig(chart, format="png", dpi=DPI)
+    chart = data_uri(_chart(picture, lamp, observer), DPI)
     checked = design.best.facts["checked"]
     facts = (
         f"{checked['pixels']} pixels, solved anew, differ from what is told here by dE00 {checked['de00_mean']:.3f} in "
@@ -60,10 +54,10 @@ def write_page(folder: Path, target: Target, design: Design, picture: Picture) -
         f"<h1>{html.escape(target.name)}</h1>",
         f'<p class="{"good" if design.status == "met" else "far"}">{html.escape(design.message)}.</p>',
         f"<p>{design.seconds:.1f} s. {html.escape(note)}. {facts}</p>",
-        f'<img alt="asked, reached, how far off, and the maps" src="{embedded(shown)}">',
+        f'<img alt="asked, reached, how far off, and the maps" src="{png_uri(shown)}">',
         "<h2>What can be reached</h2><p>Every colour that the free numbers make (with levels: before they are "
         "dithered); crosses are colours of the picture.</p>",
-        f'<img alt="what can be reached" src="{embedded(chart.getvalue())}">',
+        f'<img alt="what can be reached" src="{chart}">',
         f"<details><summary>the target</summary><pre>{text}</pre></details>",
         f"<details><summary>design.json</summary><pre>{html.escape(json.dumps(design.summary, indent=2, default=str))}"
         "</pre></details>",

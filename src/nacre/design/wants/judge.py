@@ -14,19 +14,14 @@ from nacre.design.wants.geometry import At, Seen, judge_wavelengths, search_wave
 from nacre.design.wants.spec import LightSpec
 from nacre.design.wants.wanted import Want
 from nacre.light import (
-    SRGB_WHITE_XYZ,
-    adapt_xyz,
-    clip_to_srgb,
     delta_e_2000,
     lab_to_lch,
     lab_to_xyz,
     lch_to_lab,
     smooth_weights,
-    srgb_encode,
-    srgb_to_hex,
+    swatch_hex,
     white_xyz,
     xyz_to_lab,
-    xyz_to_srgb_linear,
 )
 from nacre.materials.material import Material
 
@@ -87,8 +82,7 @@ class Reached:
 
 def lab_hex(lab: Array, white: Array) -> str:
     """Return the screen colour of CIELAB under a lamp's white, seen by an eye adapted to it; clipped into sRGB."""
-    xyz = adapt_xyz(np.clip(lab_to_xyz(lab, white), 0.0, None), white, SRGB_WHITE_XYZ)
-    return srgb_to_hex(srgb_encode(clip_to_srgb(xyz_to_srgb_linear(np.clip(xyz, 0.0, None))).rgb))
+    return swatch_hex(lab_to_xyz(lab, white), white)
 
 
 def judge(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 import json
 import time
 from collections.abc import Sequence
@@ -20,14 +18,14 @@ from nacre.design.wants.geometry import At, search_wavelengths, see
 from nacre.design.wants.judge import Reached, rows_of
 from nacre.design.wants.reach import reach_of_or_none
 from nacre.design.wants.target import Target
-from nacre.errors import NacreError, UnsupportedError
 from nacre.files import write_text
 from nacre.light import white_xyz
+from nacre.materials.layers import layers_of
 from nacre.materials.material import Material
+from nacre.plot.page import data_uri, framed
 from nacre.recipe.paths import numbers_of
 
 if TYPE_CHECKING:
-    from nacre.plot import Figure
     from nacre.plot.designs import DesignSheet
 
 REPORT, PICTURE = "report.html", "report.png"
@@ -60,7 +58,7 @@ def write_page(folder: Path, target: Target, design: Any, seconds: float) -> Non
         picture = ""
         if number == 1 or time.monotonic() - begun < 0.5 * seconds:
             figure = design_figure(sheet_of(target, solution, number, design))
-            picture = _data_uri(figure)
+            picture = data_uri(figure, DPI)
         if number == 1:
             save_figure(figure, folder / PICTURE, {"target": target.fingerprint})
         sections.append(_section(number, solution, picture, folder, target))
@@ -82,25 +80,6 @@ def write_page(folder: Path, target: Target, design: Any, seconds: float) -> Non
         "</pre></details>",
     ]
     write_text(folder / REPORT, framed(target.name, body))
-
-
-def framed(name: str, body: Sequence[str]) -> str:
-    """Return a whole page of its parts."""
-    return _PAGE.replace("TITLE", html.escape(name)).replace("BODY", "\n".join(body))
-
-
-_PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>nacre: TITLE</title><style>
-body{font:15px/1.5 system-ui,sans-serif;max-width:1180px;margin:2em auto;padding:0 1em;color:#222}
-table{border-collapse:collapse;margin:.6em 0}td,th{padding:3px 14px 3px 0;border-bottom:1px solid #ddd;text-align:left}
-.pair{display:inline-block;width:84px;height:24px;border:1px solid #222;vertical-align:middle}
-.pair i{display:inline-block;width:42px;height:24px}.good{background:#e4f3e4;padding:8px 12px}
-.far{background:#fff2cc;padding:8px 12px}img,svg{max-width:100%}
-h2{margin-top:1.6em;border-top:1px solid #ccc;padding-top:.6em}
-.small{color:#667;font-size:13px}
-</style></head><body>
-BODY
-</body></html>
-"""
 
 
 def sheet_of(target: Target, solution: Solution, number: int, design: Any) -> DesignSheet:
@@ -147,19 +126,6 @@ def _ribbon(first: At, material: Material) -> tuple[Array, list[At], str]:
         return angles, [At("aspecular", first.theta_deg, float(a)) for a in angles], label
     angles = RIBBON_DEG if material.model.is_quick else COARSE_DEG
     return angles, [At(first.kind, float(a)) for a in angles], f"Angle of the light, {first.kind} (degrees)"
-
-
-def layers_of(material: Material) -> tuple[list[str], list[float]]:
-    """Return the media of a stack from the light's side and its thicknesses; nothing of what is no stack."""
-    if "structure" not in material.model.figures:
-        return [], []
-    try:
-        data = material.figure_data("structure")
-    except (NacreError, UnsupportedError):
-        return [], []
-    if "thicknesses_nm" not in data or "names" not in data:
-        return [], []
-    return [str(name) for name in data["names"]], [float(d) for d in np.atleast_1d(data["thicknesses_nm"])]
 
 
 def _numbers(solution: Solution) -> list[str]:
@@ -256,7 +222,7 @@ def _gamut(target: Target, seconds: float) -> list[str]:
         f"{100 * gamut.share_of_optimal:.2g} % of the optimal colours (solid line), which no surface goes beyond. Let "
         "the pointer rest on a point to see its structure; crosses are what was wanted."
     )
-    chart = f'<img alt="what can be reached" src="{_data_uri(gamut_chart(gamut, wanted))}">'
+    chart = f'<img alt="what can be reached" src="{data_uri(gamut_chart(gamut, wanted), DPI)}">'
     details = f"<details><summary>structures</summary>{gamut_svg(gamut, wanted)}</details>"
     return [f"<h2>What can be reached</h2><p>{facts}</p>", chart, details]
 
@@ -276,13 +242,4 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _data_uri(figure: Figure) -> str:
-    from nacre.plot import house_style
-
-    stream = io.BytesIO()
-    with house_style():
-        figure.savefig(stream, format="png", dpi=DPI)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
-
-
-__all__ = ["framed", "layers_of", "write_page"]
+__all__ = ["write_page"]
