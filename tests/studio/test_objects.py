@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import struct
@@ -39,6 +40,13 @@ def client(tmp_path: Path) -> Iterator[TestClient]:
     app = make_app(Opened.of(str(tmp_path)), TOKEN, PORT)
     with TestClient(app, base_url=f"http://127.0.0.1:{PORT}", headers={HEADER: TOKEN}) as client:
         yield client
+
+
+def last_png(lines: str) -> bytes:
+    """The picture that a stream of passes ends with."""
+    event = [json.loads(line) for line in lines.splitlines()][-2]
+    assert event["kind"] == "picture" and event["is_last"]
+    return base64.b64decode(event["png"].partition(",")[2])
 
 
 def unpack(data: bytes) -> dict[str, Any]:
@@ -155,7 +163,7 @@ def test_a_picture_shows_the_own_mesh(client: TestClient) -> None:
     identity = unpack(client.post("/api/mesh?name=roof.obj", content=ROOF.encode()).content)["id"]
     asked = {"text": FILM, "name": "film.toml", "size": 128, "seconds": 1}
     pictures = [
-        np.asarray(Image.open(io.BytesIO(client.post("/api/picture", json=body).content)), dtype=float)
+        np.asarray(Image.open(io.BytesIO(last_png(client.post("/api/picture", json=body).text))), dtype=float)
         for body in (asked, {**asked, "mesh": identity})
     ]
     assert np.abs(pictures[0] - pictures[1]).mean() > 5  # a roof is no sphere

@@ -35,9 +35,9 @@ from nacre.studio.form import family_form
 from nacre.studio.made import read_wanted, targets, unpacked
 from nacre.studio.measured import built, placed, read_recipes
 from nacre.studio.objects import MAX_UPLOAD, OBJECTS, OwnMeshes, packed_object, read_upload
-from nacre.studio.picture import read_question
 from nacre.studio.security import Asgi, Gate, kept_token, new_token
 from nacre.studio.session import MAX_MESSAGE, Session
+from nacre.studio.streams import Streams
 from nacre.studio.surround import ALPHAS, ROWS, blurred_surround, floors
 
 LOOPBACK = "127.0.0.1"
@@ -139,16 +139,6 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
         except NacreError as error:
             return _told(error)
 
-    async def picture(request: Request) -> Response:
-        try:
-            body = await _body(request)
-            question = {**read_question(body), **shape(body)}
-            path, fence = opened.place(question["name"])
-            png = await work(request, "picture", {**question, "path": str(path), "fence": str(fence)})
-        except NacreError as error:
-            return _told(error)
-        return Response(png, media_type="image/png")
-
     async def report(request: Request) -> Response:
         try:
             made = await work(request, "report", read_recipes(await _body(request), opened))
@@ -238,12 +228,12 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
             Route("/api/form", form),
             Route("/api/indices", indices),
             Route("/api/save", save, methods=["POST"]),
-            Route("/api/picture", picture, methods=["POST"]),
             Route("/api/report", report, methods=["POST"]),
             Route("/api/object", thing),
             Route("/api/mesh", mesh, methods=["POST"]),
             Route("/api/targets", wanted, methods=["POST"]),
             Route("/api/file", file, methods=["POST"]),
+            *Streams(opened, _body, _told, shape).routes(),
             WebSocketRoute("/ws", talk),
         ]
     )
