@@ -24,7 +24,7 @@ from nacre.studio.folder import Opened
 from nacre.studio.objects import OBJECTS, OwnMeshes, simplified
 from nacre.studio.security import HEADER
 from nacre.studio.server import make_app
-from nacre.studio.surround import ALPHAS, ROWS
+from nacre.studio.surround import ALPHAS, GREY, ROWS
 
 PORT, TOKEN = 8125, "a-token-for-the-tests"
 FILM = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n'
@@ -169,6 +169,33 @@ def test_a_picture_shows_the_own_mesh(client: TestClient) -> None:
     assert np.abs(pictures[0] - pictures[1]).mean() > 5  # a roof is no sphere
     gone = client.post("/api/picture", json={**asked, "mesh": "own-77"})
     assert gone.status_code == 422 and "drop it" in gone.json()["error"]
+
+
+@pytest.mark.full
+@pytest.mark.render
+@pytest.mark.parametrize("name", ["sun", "sky"])
+def test_a_sky_lights_the_floor_as_mitsuba_says(name: str) -> None:
+    """A matt white sheet under the picture's own light, rendered, beside the table that the page draws with."""
+    from nacre.device.variant import use_variant
+    from nacre.light import xyz_to_srgb_linear
+    from nacre.picture.lights.named import make_light
+    from nacre.studio.skies import sky_layers
+
+    mi = use_variant()
+    above = mi.ScalarTransform4f().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])
+    film = {"type": "hdrfilm", "width": 8, "height": 8, "pixel_format": "xyz"}
+    sheet = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": 1.0}}
+    scene = mi.load_dict({
+        "type": "scene", "light": make_light(name).emitters["sky"], "sheet": sheet,
+        "sensor": {"type": "orthographic", "to_world": above, "film": film},
+    })  # fmt: skip
+    shown = mi.render(scene, spp=2048, integrator=mi.load_dict({"type": "path", "max_depth": 2}))
+    rooms = np.frombuffer(sky_layers({"name": name}), "<f4").reshape(len(ALPHAS) + 1, ROWS, 2 * ROWS, 3)
+    wanted = xyz_to_srgb_linear(np.array(shown).mean(axis=(0, 1)))
+    # rows of 1.4 degrees, wavelengths of 10 nm, and the noise of what is rendered
+    np.testing.assert_allclose(rooms[-1, 0].mean(axis=0), wanted, rtol=0.03, atol=0.01)
+    ground = rooms[0, 3 * ROWS // 4].mean(axis=0)
+    np.testing.assert_allclose(ground, GREY * rooms[-1, 0].mean(axis=0), rtol=0.03)
 
 
 @pytest.mark.parametrize("name", ["interior", "street"])

@@ -38,7 +38,7 @@ from nacre.studio.objects import MAX_UPLOAD, OBJECTS, OwnMeshes, packed_object, 
 from nacre.studio.security import Asgi, Gate, kept_token, new_token
 from nacre.studio.session import MAX_MESSAGE, Session
 from nacre.studio.streams import Streams
-from nacre.studio.surround import ALPHAS, ROWS, blurred_surround, floors
+from nacre.studio.surround import ALPHAS, ROWS, SKIES, blurred_surround, floors
 
 LOOPBACK = "127.0.0.1"
 USUAL_PORT = 8642  # the same from start to start, so that a page finds its server again
@@ -66,6 +66,7 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
     apart = asyncio.Semaphore(APART)
     meshes = OwnMeshes()
     talking: set[Session] = set()
+    skies: dict[str, bytes] = {}  # asked of Mitsuba once
     page = _page_files()
 
     async def asset(request: Request) -> Response:
@@ -100,10 +101,14 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
     async def surround(request: Request) -> Response:
         name = request.query_params.get("name", "studio")
         try:
-            layers = await asyncio.get_running_loop().run_in_executor(workers, blurred_surround, name)
+            if name in SKIES and name not in skies:
+                skies[name] = await work(request, "surround", {"name": name})
+            elif name not in SKIES:
+                layers = await asyncio.get_running_loop().run_in_executor(workers, blurred_surround, name)
         except NacreError as error:
             return _told(error)
-        return Response(layers.astype("<f4").tobytes(), media_type="application/octet-stream")
+        sent = skies[name] if name in SKIES else layers.astype("<f4").tobytes()
+        return Response(sent, media_type="application/octet-stream")
 
     async def recipe(request: Request) -> Response:
         name = request.query_params.get("name", "")
