@@ -148,6 +148,31 @@ def test_the_answer_that_is_loaded_shows_what_is_said_of_it(client: TestClient) 
     assert best["worst"] == reached["de00"] and reached["met"] == (reached["de00"] <= 2)
 
 
+@pytest.mark.full
+def test_a_hue_that_is_drawn_is_the_hue_of_the_answer(client: TestClient) -> None:
+    told = events(client, "design", wants=[{"at": 0, "hue": 290, "span": 15, "chroma": 25}], seconds=4)
+    best = next(event for event in told if event["kind"] == "final")
+    seen = nacre.spectrum(nacre.material(parse_toml(best["text"], "answer")), [0.0])
+    _, a, b = xyz_to_lab(spectrum_to_xyz(seen.specular_reflectance, seen.wavelengths_nm, "D65"), white_xyz("D65"))[0]
+    assert best["wants"][0]["met"]
+    # within 2 dE00 of the range is near enough: some degrees at such a chroma
+    assert np.degrees(np.arctan2(b, a)) % 360 == pytest.approx(290, abs=20) and np.hypot(a, b) > 20
+
+
+@pytest.mark.full
+def test_a_part_of_a_blend_may_be_free_and_its_answer_holds_the_part(client: TestClient, folder: Path) -> None:
+    (folder / "other.toml").write_text(FILM.replace("300", "150"))
+    blend = 'family = "blend"\nfirst = {recipe = "film.toml"}\nsecond = {recipe = "other.toml"}\nmask = 0.5\n'
+    found = client.post("/api/free", json={"name": "b.toml", "text": blend}).json()
+    paths = [number["path"] for number in found["numbers"] if number["free"]]
+    assert "first.layers[0].thickness_nm" in paths and found["look"] == "specular"
+    free = [{"path": "first.layers[0].thickness_nm", "low": 5, "high": 600}]
+    told = events(client, "design", name="b.toml", text=blend, free=free)
+    best = next(event for event in told if event["kind"] == "final")
+    wanted = best["changes"]["first.layers[0].thickness_nm"]
+    assert parse_toml(best["text"], "answer")["first"]["layers"][0]["thickness_nm"] == wanted
+
+
 def test_a_recipe_of_a_design_reaches_no_file_outside_the_folder(client: TestClient) -> None:
     text = FILM.replace('substrate = "Si"', 'substrate = {file = "../secret.csv"}')
     (error,) = events(client, "design", text=text)

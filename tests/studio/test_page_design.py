@@ -103,16 +103,30 @@ def test_a_long_design_is_stopped_with_what_it_has_and_the_page_stays_free(page:
 
 
 @pytest.mark.full
-def test_a_search_ends_with_its_page(page: Page, server: Server) -> None:
-    running = psutil.Process(server.process.pid)
-    searching = lambda: [c for c in running.children(recursive=True) if "nacre.studio.streamed" in c.cmdline()]
-    page.get_by_role("tab", name="Design").click()
-    page.get_by_label("Choose colour 1").fill("#ff0000")
-    begin(page, 600)
-    until(page, lambda: len(searching()) == 1)
-    other = page.context.new_page()  # a visitor stays, the page goes
+def test_a_search_ends_with_its_page_and_with_its_server(page: Page, server: Server) -> None:
+    def searching() -> list[psutil.Process]:
+        every = psutil.process_iter(["cmdline", "environ"])
+        ours = [p for p in every if "nacre.studio.streamed" in (p.info["cmdline"] or [])]
+        return [p for p in ours if (p.info["environ"] or {}).get("NACRE_CACHE") == str(server.cache)]
+
+    def search(on: Page) -> None:
+        on.get_by_role("tab", name="Design").click()
+        on.get_by_label("Choose colour 1").fill("#ff0000")
+        begin(on, 600)
+        until(on, lambda: len(searching()) == 1)
+
+    other = page.context.new_page()
+    other.goto(f"http://127.0.0.1:{server.port}/")
+    other.get_by_role("button", name="Close").click()
+    settled(other)
+    search(page)
     page.close()
     until(other, lambda: searching() == [])
+    search(other)
+    server.kill()
+    until(other, lambda: searching() == [])
+    expect(other.locator("#design-go")).to_be_visible()
+    server.start()
 
 
 @pytest.mark.full

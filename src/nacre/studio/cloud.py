@@ -30,7 +30,7 @@ from nacre.studio.folder import Opened
 from nacre.studio.freedom import LENGTH, THICKNESS, number, opened_parts
 from nacre.studio.look import DRAFT_DEG, DRAFT_NM
 from nacre.studio.measured import built, placed
-from nacre.studio.streamed import Tell
+from nacre.studio.told import Tell
 
 DRAWS = (4, 400)
 MOST_PERCENT = 50.0

@@ -23,7 +23,7 @@ from nacre.recipe.paths import find_by_path
 from nacre.recipe.toml import dump_toml
 from nacre.studio.edit import edited
 from nacre.studio.freedom import short, target_of
-from nacre.studio.streamed import Tell
+from nacre.studio.told import Tell
 
 WARMING_S = 0.05
 TOLD_S, SHOWN_S = 0.25, 0.6  # between two words on how far it is; between two answers

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from nacre.errors import NacreError
 from nacre.studio.folder import build
-from nacre.studio.streamed import Tell
 from nacre.studio.surround import NAMES
+from nacre.studio.told import Tell
 
 if TYPE_CHECKING:
     from nacre.picture.images import RenderResult

@@ -18,7 +18,7 @@ from nacre.design.wants.wanted import Want
 from nacre.errors import NacreError
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.studio.freedom import OBSERVER, target_of
-from nacre.studio.streamed import Tell
+from nacre.studio.told import Tell
 
 POINTS, SECONDS = 400, 24.0  # of all angles together
 AIMED_SHARE = 0.5  # of the time: steps towards the colours asked for

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.arrays import Array
 from nacre.errors import NacreError
@@ -59,7 +60,7 @@ def with_ground(rgb: Array) -> Array:
     return whole
 
 
-def _mean(emitter: Any, rows: Array, columns: Array, finer: int) -> Array:
+def _mean(emitter: Any, rows: NDArray[np.integer], columns: NDArray[np.integer], finer: int) -> Array:
     """Return the mean radiance of cells of the table, linear sRGB `[cell, 3]`, from so many directions each way."""
     within = (np.arange(finer) + 0.5) / finer
     theta = (rows[:, None, None] + within[:, None]) * np.pi / ROWS

@@ -20,8 +20,6 @@ from typing import Any
 
 from nacre.errors import NacreError
 
-Tell = Callable[[Mapping[str, Any]], None]
-
 # what is told of -> module and function; imported by the process alone, as they take long to import
 WORK = {
     "design": "nacre.studio.designing:designed",
