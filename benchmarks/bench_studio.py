@@ -84,6 +84,23 @@ def settle(page: Page, timeout_s: float = 60.0) -> None:
     page.wait_for_selector("#state[data-kind=settled]", timeout=1e3 * timeout_s)
 
 
+async def drag(studio: Studio, text: str, seconds: float) -> tuple[float, int, int]:
+    """Change numbers at random without rest; return memory after over before (a tenth warms up), answers, errors."""
+    random, here = np.random.default_rng(1), f"127.0.0.1:{studio.port}"
+    head = {"cookie": f"nacre_studio_{studio.port}={studio.token}"}
+    ends, before, answers, errors = time.monotonic() + seconds, 0.0, 0, 0
+    async with websockets.connect(f"ws://{here}/ws", origin=f"http://{here}", additional_headers=head) as socket:  # type: ignore[arg-type]
+        while time.monotonic() < ends:
+            path = f"layers[{int(random.integers(len(LAYERS)))}].thickness_nm"
+            edits = [{"path": path, "value": float(random.uniform(5, 400))}]
+            await socket.send(json.dumps({"seq": answers, "name": "ten.toml", "text": text, "edits": edits}))
+            errors += isinstance(await socket.recv(), str)
+            answers += 1
+            if not before and ends - time.monotonic() < 0.9 * seconds:
+                before = studio.resident_mb
+    return studio.resident_mb / before, answers, errors
+
+
 async def many_pages(studio: Studio, text: str) -> list[float]:
     """Milliseconds of all answers to many pages, each of which changes a number twice a second."""
     waits: list[float] = []
@@ -134,7 +151,9 @@ def compare(page: Page, name: str) -> float:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark; 0 if the bars are reached."""
-    options = parser(__doc__, repeats=60).parse_args(arguments)
+    takes = parser(__doc__, repeats=60)
+    takes.add_argument("--drag", type=float, default=60.0, help="seconds of dragging on the socket; 3600 for the hour")
+    options = takes.parse_args(arguments)
     chromium = shutil.which("chromium")
     assert chromium, "no chromium; make setup gets it"
     page_folder = Path(nacre.__file__).parent / "studio" / "page"
@@ -145,6 +164,12 @@ def main(arguments: list[str] | None = None) -> int:
         crowd = Studio(recipe)
         waits = crowd_waits(crowd, recipe.read_text())
         crowd.end()
+        dragged = Studio(recipe)
+        with ThreadPoolExecutor(1) as pool:
+            flat, answers, errors = pool.submit(
+                lambda: asyncio.run(drag(dragged, recipe.read_text(), options.drag))
+            ).result()
+        dragged.end()
         browser = play.chromium.launch(executable_path=chromium, args=FLAGS)
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.on("dialog", lambda dialog: dialog.accept())  # changes that are not saved may go
@@ -169,6 +194,8 @@ def main(arguments: list[str] | None = None) -> int:
         Row(f"{PAGES} pages, a change every {PAUSE_S:g} s, p95", float(np.quantile(waits, 0.95)), "ms", PAGES_BAR_MS,
             higher_is_better=False, note=f"{len(waits)} answers, none lost; median {np.median(waits):.0f} ms"),
         Row("server's memory after 300 / after 60 changes", growth, "x", GROWTH_BAR, higher_is_better=False),
+        Row(f"server's memory over {options.drag:g} s of random dragging on the socket", flat, "x", GROWTH_BAR,
+            higher_is_better=False, note=f"{answers} answers, {errors} errors"),
         Row("sphere against Mitsuba, mean of six materials", float(np.mean(list(looks.values()))), "dE00", LOOK_BAR,
             higher_is_better=False, note=told),
         Row("weight of the page", weight, "MB", 1.0, higher_is_better=False),

@@ -67,6 +67,17 @@ def test_a_picture_is_the_same_however_many_samples_a_pass_takes(monkeypatch: py
     np.testing.assert_allclose(nacre.render(GREY, **asked).raw, at_once, rtol=1e-4, atol=1e-6)
 
 
+def test_pictures_on_the_way_have_twice_the_samples_and_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NACRE_DENOISE", raising=False)
+    asked: dict[str, Any] = {"size": (24, 24), "noise": 0.03}
+    better: list[Any] = []
+    last = nacre.render(GREY, **asked, on_better=better.append)
+    taken = [each.stats["spp"] for each in better]
+    assert len(taken) > 1 and all(b >= 2 * a for a, b in zip(taken, taken[1:])) and taken[-1] < last.stats["spp"]
+    np.testing.assert_allclose(last.xyz, nacre.render(GREY, **asked).xyz, rtol=1e-4, atol=1e-6)
+    assert all(each.stats["denoised"] and each.rgb.shape == last.rgb.shape for each in better)
+
+
 def test_small_passes_are_quieter_than_mitsubas_own(monkeypatch: pytest.MonkeyPatch) -> None:
     """64 samples in passes of 4, as a picture of 1024 x 1024 takes them: Mitsuba's start afresh each time."""
     monkeypatch.setattr(passes, "PASS_SAMPLES", 4 * 24 * 24)

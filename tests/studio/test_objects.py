@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import struct
@@ -23,7 +24,7 @@ from nacre.studio.folder import Opened
 from nacre.studio.objects import OBJECTS, OwnMeshes, simplified
 from nacre.studio.security import HEADER
 from nacre.studio.server import make_app
-from nacre.studio.surround import ALPHAS, ROWS
+from nacre.studio.surround import ALPHAS, GREY, ROWS
 
 PORT, TOKEN = 8125, "a-token-for-the-tests"
 FILM = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n'
@@ -39,6 +40,13 @@ def client(tmp_path: Path) -> Iterator[TestClient]:
     app = make_app(Opened.of(str(tmp_path)), TOKEN, PORT)
     with TestClient(app, base_url=f"http://127.0.0.1:{PORT}", headers={HEADER: TOKEN}) as client:
         yield client
+
+
+def last_png(lines: str) -> bytes:
+    """The picture that a stream of passes ends with."""
+    event = [json.loads(line) for line in lines.splitlines()][-2]
+    assert event["kind"] == "picture" and event["is_last"]
+    return base64.b64decode(event["png"].partition(",")[2])
 
 
 def unpack(data: bytes) -> dict[str, Any]:
@@ -155,12 +163,39 @@ def test_a_picture_shows_the_own_mesh(client: TestClient) -> None:
     identity = unpack(client.post("/api/mesh?name=roof.obj", content=ROOF.encode()).content)["id"]
     asked = {"text": FILM, "name": "film.toml", "size": 128, "seconds": 1}
     pictures = [
-        np.asarray(Image.open(io.BytesIO(client.post("/api/picture", json=body).content)), dtype=float)
+        np.asarray(Image.open(io.BytesIO(last_png(client.post("/api/picture", json=body).text))), dtype=float)
         for body in (asked, {**asked, "mesh": identity})
     ]
     assert np.abs(pictures[0] - pictures[1]).mean() > 5  # a roof is no sphere
     gone = client.post("/api/picture", json={**asked, "mesh": "own-77"})
     assert gone.status_code == 422 and "drop it" in gone.json()["error"]
+
+
+@pytest.mark.full
+@pytest.mark.render
+@pytest.mark.parametrize("name", ["sun", "sky"])
+def test_a_sky_lights_the_floor_as_mitsuba_says(name: str) -> None:
+    """A matt white sheet under the picture's own light, rendered, beside the table that the page draws with."""
+    from nacre.device.variant import use_variant
+    from nacre.light import xyz_to_srgb_linear
+    from nacre.picture.lights.named import make_light
+    from nacre.studio.skies import sky_layers
+
+    mi = use_variant()
+    above = mi.ScalarTransform4f().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])
+    film = {"type": "hdrfilm", "width": 8, "height": 8, "pixel_format": "xyz"}
+    sheet = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": 1.0}}
+    scene = mi.load_dict({
+        "type": "scene", "light": make_light(name).emitters["sky"], "sheet": sheet,
+        "sensor": {"type": "orthographic", "to_world": above, "film": film},
+    })  # fmt: skip
+    shown = mi.render(scene, spp=2048, integrator=mi.load_dict({"type": "path", "max_depth": 2}))
+    rooms = np.frombuffer(sky_layers({"name": name}), "<f4").reshape(len(ALPHAS) + 1, ROWS, 2 * ROWS, 3)
+    wanted = xyz_to_srgb_linear(np.array(shown).mean(axis=(0, 1)))
+    # rows of 1.4 degrees, wavelengths of 10 nm, and the noise of what is rendered
+    np.testing.assert_allclose(rooms[-1, 0].mean(axis=0), wanted, rtol=0.03, atol=0.01)
+    ground = rooms[0, 3 * ROWS // 4].mean(axis=0)
+    np.testing.assert_allclose(ground, GREY * rooms[-1, 0].mean(axis=0), rtol=0.03)
 
 
 @pytest.mark.parametrize("name", ["interior", "street"])

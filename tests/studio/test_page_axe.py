@@ -36,6 +36,20 @@ def test_axe_finds_nothing(page: Page, theme: str) -> None:
     assert violations(page) == []
     page.get_by_role("button", name="Undo").click()
     settled(page)
+    page.get_by_label("As made: layers vary by").check()
+    expect(page.locator("#cloud-ribbon")).to_be_visible()
+    page.get_by_role("tab", name="Design").click()
+    page.get_by_role("button", name="Show gamut").click()
+    expect(page.locator("#gamut-said")).to_contain_text("specular 0")
+    page.locator("#design-seconds").fill("2")
+    page.get_by_role("button", name="Design", exact=True).click()
+    expect(page.get_by_role("button", name="Load answer 1")).to_be_visible()
+    assert violations(page) == []
+    page.get_by_label("Hue over angle").check()
+    page.locator("#design-seconds").fill("1")
+    page.get_by_role("button", name="Design", exact=True).click()
+    expect(page.locator("#design-error")).to_contain_text("seconds = 1")
+    assert violations(page) == []
     page.get_by_role("button", name="Make a file").click()
     expect(page.locator("#file-make")).to_be_enabled()
     assert violations(page) == []
@@ -48,7 +62,7 @@ def test_axe_finds_nothing(page: Page, theme: str) -> None:
 def test_axe_sees_what_is_wrong(page: Page) -> None:
     """The judge can fail: a control without a name, and ink too near its ground."""
     page.evaluate("document.querySelector('header').append(document.createElement('button'))")
-    page.evaluate("document.querySelector('h2').style.color = '#ccc'")
+    page.evaluate("document.getElementById('ribbon-title').style.color = '#ccc'")
     found = violations(page)
     assert any(each.startswith("button-name") for each in found)
     assert any(each.startswith("color-contrast") for each in found)

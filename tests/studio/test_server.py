@@ -437,6 +437,7 @@ def test_a_picture_that_cannot_be_is_one_line(page: TestClient) -> None:
 @pytest.mark.full
 @pytest.mark.render
 def test_the_settled_picture_is_a_picture_of_the_text(page: TestClient) -> None:
+    import base64
     import io
 
     from PIL import Image
@@ -444,7 +445,9 @@ def test_the_settled_picture_is_a_picture_of_the_text(page: TestClient) -> None:
     asked = {"text": FILM, "name": "film.toml", "size": 128, "seconds": 1}
     told = page.post("/api/picture", json=asked)
     assert told.status_code == 200, told.text
-    picture = np.asarray(Image.open(io.BytesIO(told.content)))
+    last = [json.loads(line) for line in told.text.splitlines()][-2]
+    assert last["kind"] == "picture" and last["is_last"]
+    picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(last["png"].partition(",")[2]))))
     assert picture.shape == (128, 128, 3) and picture.std() > 5
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from statistics import NormalDist
 from typing import Any
@@ -108,8 +108,12 @@ class Frame:
     is_interrupted: bool = False
 
 
-def shoot(stage: Any, shot: Shot, report: ProgressCallback) -> Frame:
+def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[[Frame], None] | None = None) -> Frame:
     """Render pass by pass.
+
+    Args:
+        report: told how far it is, after every pass.
+        on_better: given the picture so far each time the samples have doubled, but for the last.
 
     Raises:
         KeyboardInterrupt: before the first pass was done.
@@ -143,6 +147,25 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback) -> Frame:
     total: NDArray[np.float64] | None = None
     done, clock, spread, noise = 0, Clock(), Spread(), None
     stopped = False
+    guides: dict[str, NDArray[np.float32]] = {}
+
+    def frame() -> Frame:
+        assert total is not None  # spp is at least 1
+        if shot.with_guides and not guides:
+            begun = pass_seed(shot.seed, GUIDES_FROM)
+            guides.update(first_hits(stage.mitsuba_scene, sensor, sampler, pass_plan(GUIDE_SPP, most), begun))
+        mean = total / done
+        not_finite = int(np.count_nonzero(~np.isfinite(mean).all(axis=-1)))
+        clean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
+        if shot.spectral:
+            from nacre.picture.spectral_film import bands_to_xyz
+
+            xyz = bands_to_xyz(clean, bands)
+            return Frame(xyz, done, None, clean.astype(np.float32), bands, guides, not_finite, noise, stopped)
+        alpha = clean[..., 3] if shot.cut else None
+        return Frame(clean[..., :3], done, alpha, None, None, guides, not_finite, noise, stopped)
+
+    shown = 0  # samples of the picture that was last given away
     started = time.perf_counter()
     with interrupt.held_back() as is_interrupted:
         for index, part in enumerate(plan):
@@ -164,22 +187,10 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback) -> Frame:
             stopped = (stopped or is_interrupted()) and not is_enough and index + 1 < len(plan)
             if stopped or is_enough:
                 break
-    assert total is not None  # spp is at least 1
-    mean = total / done
-    guides = {}
-    if shot.with_guides:
-        guides = first_hits(
-            stage.mitsuba_scene, sensor, sampler, pass_plan(GUIDE_SPP, most), pass_seed(shot.seed, GUIDES_FROM)
-        )
-    not_finite = int(np.count_nonzero(~np.isfinite(mean).all(axis=-1)))
-    clean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
-    if shot.spectral:
-        from nacre.picture.spectral_film import bands_to_xyz
-
-        xyz = bands_to_xyz(clean, bands)
-        return Frame(xyz, done, None, clean.astype(np.float32), bands, guides, not_finite, noise, stopped)
-    alpha = clean[..., 3] if shot.cut else None
-    return Frame(clean[..., :3], done, alpha, guides=guides, not_finite=not_finite, noise=noise, is_interrupted=stopped)
+            if on_better is not None and done >= 2 * shown and index + 1 < len(plan):
+                shown = done
+                on_better(frame())
+    return frame()
 
 
 def _left(until: Until, plan: Sequence[Part], done: int, noise: float | None, seconds: float) -> tuple[int, bool]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ from nacre.picture.options import (
     read_background,
     read_until,
 )
-from nacre.picture.passes import FIRST_HIT, Shot, Until, pass_seed, path_tracer, shoot
+from nacre.picture.passes import FIRST_HIT, Frame, Shot, Until, pass_seed, path_tracer, shoot
 from nacre.picture.progress import ProgressCallback, progress_bar
 from nacre.picture.scenes.catalogue import scene as find_scene
 from nacre.picture.user_scene import UserScene
@@ -77,6 +77,7 @@ def render(
     light_turn_deg: float = 0.0,
     view_turn_deg: float = 0.0,
     progress: bool | ProgressCallback | None = None,
+    on_better: Callable[[RenderResult], None] | None = None,
 ) -> RenderResult:
     """Render a material on an object.
 
@@ -117,6 +118,7 @@ def render(
         light_turn_deg, view_turn_deg: turns light or camera round the object; on the screen: turns the beam round
             the tile's normal, tips the tile.
         progress: True, False, None (a bar where stderr is a terminal) or a function(done, total, seconds_left).
+        on_better: given the picture so far each time its samples have doubled, denoised as the last one is.
 
     Returns:
         The picture; `stats["interrupted"]` is true where Ctrl-C ended it early, with the passes done until then.
@@ -190,49 +192,56 @@ def render(
         with_guides=not kept_raw or (is_exr and not spectral),
         is_framed=bool(framing) or bool(view_turn_deg) or width * default_size[1] != height * default_size[0],
     )  # fmt: skip
+    clean: list[Any] = []  # the guide that is smoothed once
+
+    def finished(frame: Frame, alone: dict[str, Any]) -> RenderResult:
+        xyz, raw = frame.xyz, None
+        guides = dict(frame.guides)
+        if not kept_raw:
+            clean[:] = clean or [clean_albedo(guides["albedo"])]
+            guides["albedo"] = clean[0]
+            raw, xyz = xyz, denoised(xyz, guides["albedo"], guides["normal"])
+        stats = {
+            **notes,
+            "scene": str(scene),
+            "shape": None if shape is None else str(shape),
+            "light": light_note,
+            "illuminant": balance,
+            "size": [width, height],
+            "spp": frame.spp,
+            **({"noise": frame.noise} if frame.noise is not None else {}),
+            "seed": seed,
+            "components": components,
+            "variant": use_variant().variant(),
+            "not_finite_pixels": frame.not_finite,
+            "interrupted": frame.is_interrupted,
+            "denoised": raw is not None,
+            **({"raw_because": kept_raw} if kept_raw else {}),
+            **({"lights": [str(lamp) for lamp in lamps]} if lamps else {}),
+            "view": None if framing.direction_deg is None else list(framing.direction_deg),
+            "fov": framing.fov_deg,
+            "zoom": framing.zoom,
+            "turn": turn,
+            "background": background,
+            "tone": tone,
+            "light_turn_deg": light_turn_deg,
+            "view_turn_deg": view_turn_deg,
+        }
+        rgb, stops = develop(xyz, balance, exposure)
+        clipped = show(rgb, frame.alpha, behind.colour, tone)[1]
+        stats |= {"exposure_stops": stops, "clipped_pixels": clipped, "seconds": time.perf_counter() - started}
+        layers = {name: (FIRST_HIT[name], values.astype(float)) for name, values in guides.items()}
+        return RenderResult(
+            xyz, rgb, None, stats, frame.spectral, frame.bands_nm, raw, frame.alpha, behind.colour, tone, alone, layers
+        )
+
     with progress_bar("rendering", progress) as report:
-        frame = shoot(stage, shot, report)
+        frame = shoot(stage, shot, report, None if on_better is None else lambda f: on_better(finished(f, {})))
         alone = {}
         if light_layers:
             same = replace(shot, until=Until(frame.spp), with_guides=False)
             alone = _each_light(set_up, lamps, bsdf, same, report)
-    xyz, raw = frame.xyz, None
-    if not kept_raw:
-        frame.guides["albedo"] = clean_albedo(frame.guides["albedo"])
-        raw, xyz = xyz, denoised(xyz, frame.guides["albedo"], frame.guides["normal"])
-    stats = {
-        **notes,
-        "scene": str(scene),
-        "shape": None if shape is None else str(shape),
-        "light": light_note,
-        "illuminant": balance,
-        "size": [width, height],
-        "spp": frame.spp,
-        **({"noise": frame.noise} if frame.noise is not None else {}),
-        "seed": seed,
-        "components": components,
-        "variant": use_variant().variant(),
-        "not_finite_pixels": frame.not_finite,
-        "interrupted": frame.is_interrupted,
-        "denoised": raw is not None,
-        **({"raw_because": kept_raw} if kept_raw else {}),
-        **({"lights": [str(lamp) for lamp in lamps]} if lamps else {}),
-        "view": None if framing.direction_deg is None else list(framing.direction_deg),
-        "fov": framing.fov_deg,
-        "zoom": framing.zoom,
-        "turn": turn,
-        "background": background,
-        "tone": tone,
-        "light_turn_deg": light_turn_deg,
-        "view_turn_deg": view_turn_deg,
-    }
-    rgb, stops = develop(xyz, balance, exposure)
-    clipped = show(rgb, frame.alpha, behind.colour, tone)[1]
-    stats |= {"exposure_stops": stops, "clipped_pixels": clipped, "seconds": time.perf_counter() - started}
-    layers = {name: (FIRST_HIT[name], values.astype(float)) for name, values in frame.guides.items()}
-    result = RenderResult(
-        xyz, rgb, None, stats, frame.spectral, frame.bands_nm, raw, frame.alpha, behind.colour, tone, alone, layers
-    )
+    result = finished(frame, alone)
     return result.save(output) if output is not None else result
 
 

@@ -1,4 +1,4 @@
-"""Long work in a process of its own, which ends when nobody waits for it any more: pictures, reports, files.
+"""Long work in a process of its own, which ends when nobody waits for it any more: reports, files, meshes, skies.
 
 The page's answers never wait for it, and what it uses of memory goes with it.
 """
@@ -16,13 +16,13 @@ from nacre.errors import NacreError
 from nacre.studio.made import made
 from nacre.studio.measured import measured
 from nacre.studio.objects import own_mesh
-from nacre.studio.picture import drawn
+from nacre.studio.skies import sky_layers
 
 WORK: dict[str, Callable[[Mapping[str, Any]], bytes]] = {
-    "picture": drawn,
     "report": measured,
     "file": made,
     "mesh": own_mesh,
+    "surround": sky_layers,
 }
 LOOKED_UP_S = 0.2
 

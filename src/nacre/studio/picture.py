@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nacre.errors import NacreError
 from nacre.studio.folder import build
 from nacre.studio.surround import NAMES
+from nacre.studio.told import Tell
+
+if TYPE_CHECKING:
+    from nacre.picture.images import RenderResult
 
 SIZES = (128, 640)
 SECONDS = (1.0, 120.0)
@@ -44,29 +48,43 @@ def shape_of(question: Mapping[str, Any]) -> dict[str, Any]:
     return {"shape": question["shape"], "up": "z"} if question.get("shape") else {}
 
 
-def drawn(question: Mapping[str, Any]) -> bytes:
-    """Return the PNG of a question with `path` and `fence`, denoised.
+def drawn(question: Mapping[str, Any], tell: Tell) -> None:
+    """Tell "begun", then "picture" with a PNG (as a data address) each time the samples have doubled, and the last.
 
     Raises:
         NacreError: the recipe is wrong, or nothing can be rendered on this machine.
     """
+    from nacre.picture.picture import render
+
+    path = Path(question["path"])
+    material = build(question["text"], path.name, path.parent, Path(question["fence"]))
+    side, scene = question["size"], question["scene"]
+    tell({"kind": "begun"})
+    stops: Any = 0.0 if scene == "sphere" else "auto"
+
+    def heard(done: int, passes: int, seconds_left: float) -> None:
+        tell({"kind": "progress", "done": done, "of": passes, "seconds_left": round(seconds_left, 1)})
+
+    def seen(result: RenderResult) -> None:
+        tell({"kind": "picture", "spp": result.stats["spp"], "is_last": False, "png": _png(result)})
+
+    result = render(
+        material, scene, **shape_of(question), light=question["light"], illuminant=question["lamp"],
+        size=(side, side), seconds=question["seconds"], exposure=stops, progress=heard, on_better=seen,
+    )  # fmt: skip
+    tell({"kind": "picture", "spp": result.stats["spp"], "is_last": True, "png": _png(result)})
+
+
+def _png(result: RenderResult) -> str:
+    import base64
     import io
 
     from PIL import Image
 
     from nacre.light.gamut import clip_to_srgb
     from nacre.light.spaces import srgb_encode
-    from nacre.picture.picture import render
 
-    path = Path(question["path"])
-    material = build(question["text"], path.name, path.parent, Path(question["fence"]))
-    side = question["size"]
-    result = render(
-        material, question["scene"], **shape_of(question), light=question["light"], illuminant=question["lamp"],
-        size=(side, side), seconds=question["seconds"],
-        exposure=0.0 if question["scene"] == "sphere" else "auto", progress=False,
-    )  # fmt: skip
     pixels = (255.0 * srgb_encode(clip_to_srgb(result.rgb).rgb) + 0.5).astype("uint8")
     held = io.BytesIO()
     Image.fromarray(pixels).save(held, "PNG")
-    return held.getvalue()
+    return "data:image/png;base64," + base64.b64encode(held.getvalue()).decode()

@@ -35,10 +35,10 @@ from nacre.studio.form import family_form
 from nacre.studio.made import read_wanted, targets, unpacked
 from nacre.studio.measured import built, placed, read_recipes
 from nacre.studio.objects import MAX_UPLOAD, OBJECTS, OwnMeshes, packed_object, read_upload
-from nacre.studio.picture import read_question
 from nacre.studio.security import Asgi, Gate, kept_token, new_token
 from nacre.studio.session import MAX_MESSAGE, Session
-from nacre.studio.surround import ALPHAS, ROWS, blurred_surround, floors
+from nacre.studio.streams import Streams
+from nacre.studio.surround import ALPHAS, ROWS, SKIES, blurred_surround, floors
 
 LOOPBACK = "127.0.0.1"
 USUAL_PORT = 8642  # the same from start to start, so that a page finds its server again
@@ -66,6 +66,7 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
     apart = asyncio.Semaphore(APART)
     meshes = OwnMeshes()
     talking: set[Session] = set()
+    skies: dict[str, bytes] = {}  # asked of Mitsuba once
     page = _page_files()
 
     async def asset(request: Request) -> Response:
@@ -100,10 +101,14 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
     async def surround(request: Request) -> Response:
         name = request.query_params.get("name", "studio")
         try:
-            layers = await asyncio.get_running_loop().run_in_executor(workers, blurred_surround, name)
+            if name in SKIES and name not in skies:
+                skies[name] = await work(request, "surround", {"name": name})
+            elif name not in SKIES:
+                layers = await asyncio.get_running_loop().run_in_executor(workers, blurred_surround, name)
         except NacreError as error:
             return _told(error)
-        return Response(layers.astype("<f4").tobytes(), media_type="application/octet-stream")
+        sent = skies[name] if name in SKIES else layers.astype("<f4").tobytes()
+        return Response(sent, media_type="application/octet-stream")
 
     async def recipe(request: Request) -> Response:
         name = request.query_params.get("name", "")
@@ -138,16 +143,6 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
             return JSONResponse({"name": name, "mark": opened.save(name, text, known)})
         except NacreError as error:
             return _told(error)
-
-    async def picture(request: Request) -> Response:
-        try:
-            body = await _body(request)
-            question = {**read_question(body), **shape(body)}
-            path, fence = opened.place(question["name"])
-            png = await work(request, "picture", {**question, "path": str(path), "fence": str(fence)})
-        except NacreError as error:
-            return _told(error)
-        return Response(png, media_type="image/png")
 
     async def report(request: Request) -> Response:
         try:
@@ -238,12 +233,12 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
             Route("/api/form", form),
             Route("/api/indices", indices),
             Route("/api/save", save, methods=["POST"]),
-            Route("/api/picture", picture, methods=["POST"]),
             Route("/api/report", report, methods=["POST"]),
             Route("/api/object", thing),
             Route("/api/mesh", mesh, methods=["POST"]),
             Route("/api/targets", wanted, methods=["POST"]),
             Route("/api/file", file, methods=["POST"]),
+            *Streams(opened, _body, _told, shape).routes(),
             WebSocketRoute("/ws", talk),
         ]
     )

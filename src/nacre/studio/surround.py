@@ -22,8 +22,9 @@ ROWS = 128
 ALPHAS = (0.0, 0.03125, 0.0625, 0.125, 0.25, 0.5, 1.0)  # doubled from layer to layer: the page interpolates by log2
 
 
-NAMES = ("studio", "interior", "street")
-GREY = 0.16  # of a street's ground, as in pictures
+NAMES = ("studio", "interior", "street", "sun", "sky")
+SKIES = ("sun", "sky")  # lights of Mitsuba's own, see `nacre.studio.skies`
+GREY = 0.16  # of the ground of a street and under a sky, as in pictures
 
 
 @functools.cache
@@ -33,7 +34,7 @@ def floors() -> dict[str, list[float] | None]:
 
     nm = table_wavelengths_nm()
     wood = xyz_to_srgb_linear(_xyz(unit_spectrum("D65").at(nm) * WOOD))
-    return {"studio": None, "interior": wood.tolist(), "street": [GREY] * 3}
+    return {"studio": None, "interior": wood.tolist(), "street": [GREY] * 3, "sun": [GREY] * 3, "sky": [GREY] * 3}
 
 
 def blurred_surround(name: str = "studio") -> Array:
@@ -44,9 +45,9 @@ def blurred_surround(name: str = "studio") -> Array:
     light has one spectrum, `[layer, row, column]`; of a place linear sRGB, `[layer, row, column, 3]`.
 
     Raises:
-        NacreError: no such surrounding.
+        NacreError: no such surrounding, or a sky, which only Mitsuba knows (`nacre.studio.skies`).
     """
-    if name not in NAMES:
+    if name not in NAMES or name in SKIES:
         raise NacreError(f'surrounding "{name[:40]}" is not known; choose from {", ".join(NAMES)}')
     return _blurred_surround(name)
 
@@ -61,7 +62,11 @@ def _blurred_surround(name: str) -> Array:
     place = made(ROWS)
     nm = table_wavelengths_nm()
     colours = np.stack([xyz_to_srgb_linear(_xyz(spectrum.at(nm))) for spectrum in place.spectra])
-    rgb = np.maximum(np.einsum("kij,kc->ijc", place.weights, colours), 0.0)
+    return in_layers(np.maximum(np.einsum("kij,kc->ijc", place.weights, colours), 0.0))
+
+
+def in_layers(rgb: Array) -> Array:
+    """Return the layers of a place's radiance `[row, column, 3]`, `[layer, row, column, 3]`."""
     return np.stack([_layers(rgb[..., channel]) for channel in range(3)], axis=-1)
 
 

@@ -16,7 +16,7 @@ export function total(look) {
 }
 
 // Out of gamut the chroma is lowered at constant luminance, as on the sphere.
-function shown(r, g, b) {
+export function shown(r, g, b) {
   const y = Math.min(Math.max(0.2126 * r + 0.7152 * g + 0.0722 * b, 0), 1);
   const low = Math.min(r, g, b), high = Math.max(r, g, b);
   let keep = 1;
@@ -34,13 +34,20 @@ function luminance(hex) {
   return 0.2126 * r + 0.7152 * g + 0.0722 * b;
 }
 
-function lab(r, g, b) {
+export function toLab(r, g, b) {
   const xyz = [
     (0.4124564 * r + 0.3575761 * g + 0.1804375 * b) / 0.95047,
     0.2126729 * r + 0.7151522 * g + 0.072175 * b,
     (0.0193339 * r + 0.119192 * g + 0.9503041 * b) / 1.08883,
   ].map((t) => (t > 216 / 24389 ? Math.cbrt(t) : (t * 24389) / 27 / 116 + 16 / 116));
   return [116 * xyz[1] - 16, 500 * (xyz[0] - xyz[1]), 200 * (xyz[1] - xyz[2])];
+}
+
+// The screen colour of CIELAB as #rrggbb, clipped as above.
+export function hex(lightness, a, b) {
+  const f = (lightness + 16) / 116, [x, y, z] = [f + a / 500, f, f - b / 200].map((t, i) => [0.95047, 1, 1.08883][i] * (t > 6 / 29 ? t ** 3 : (t - 16 / 116) / 7.787));
+  const rgb = [3.2404542 * x - 1.5371385 * y - 0.4985314 * z, -0.969266 * x + 1.8760108 * y + 0.041556 * z, 0.0556434 * x - 0.2040259 * y + 1.0572252 * z];
+  return `#${shown(...rgb).map((c) => c.toString(16).padStart(2, "0")).join("")}`;
 }
 
 export function drawRibbon(canvas, text, look) {
@@ -90,7 +97,7 @@ export function drawTrack(svg, look, other) {
   clear(svg);
   const track = (one) => {
     const all = total(one), points = [];
-    for (let i = 0; i < all.length / 3; i++) points.push(lab(all[3 * i], all[3 * i + 1], all[3 * i + 2]));
+    for (let i = 0; i < all.length / 3; i++) points.push(toLab(all[3 * i], all[3 * i + 1], all[3 * i + 2]));
     return { all, points, is: one };
   };
   const tracks = (other ? [other, look] : [look]).map(track);
@@ -109,6 +116,7 @@ export function drawTrack(svg, look, other) {
       add(svg, "text", { x: x(a) + 7, y: y(b) - 5 }, `${tracks.length > 1 ? (isOther ? "B " : "A ") : ""}${angle}°`);
     }
   }
+  return { x, y };
 }
 
 export function drawSwatches(table, look, other) {

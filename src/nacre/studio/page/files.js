@@ -3,7 +3,7 @@
 import { $, api, app, el, shortName, tell, wholeText } from "./common.js";
 
 const { recipe } = app;
-let page = null;    // what main.js does: setError(told), showRecipe(), tab(isForm)
+let page = null;    // what main.js does: setError(told), showRecipe(), tab(name)
 
 export function listRecipes() {
   const names = [...new Set([recipe.name, ...app.state.recipes])].filter(Boolean);
@@ -80,7 +80,7 @@ async function copy() {
     await navigator.clipboard.writeText(text);
     tell("settled", "Copied the recipe as TOML");
   } catch {
-    page.tab(false);
+    page.tab("toml");
     $("text").focus();
     $("text").select();
     tell("settled", "The browser refused the clipboard; the text is selected");

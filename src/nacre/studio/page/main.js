@@ -4,18 +4,20 @@ import { drawRibbon, drawSpectrum, drawSwatches, drawTrack } from "./charts.js";
 import { beside, isStale, listenCompare, other, question, showHistory, takes } from "./compare.js";
 import { $, api, app, el, shortName, tell } from "./common.js";
 import { listRecipes, listenFiles, open, saveHere, welcome } from "./files.js";
+import { cloudSettled, drawCloud, listenCloud } from "./cloud.js";
+import { designSettled, listenDesign } from "./design.js";
 import { drawStructure } from "./drawing.js";
 import { Form } from "./form.js";
 import { listenMaker } from "./maker.js";
 import { listObjects, listenObjects } from "./objects.js";
 import { valueAt } from "./recipe.js";
 import { listenReport } from "./report.js";
-import { listenSettled, render } from "./settled.js";
+import { listenSettled, render, settledEdited } from "./settled.js";
 import { fetchRoom, listenSurround } from "./surround.js";
 import { View } from "./view.js";
 import { Wire } from "./wire.js";
 
-const { recipe } = app, models = new Map();
+const { recipe } = app, models = new Map(), TABS = ["form", "toml", "design"];
 let charting = 0;
 
 // ---- what is shown of the connection and of the answer
@@ -41,7 +43,10 @@ async function onAnswer(answer, isNewest) {
   if (isOurs) {
     recipe.step();
     await showRecipe();
+    settledEdited();
   }
+  designSettled(answer);
+  if (!answer.draft) cloudSettled();
   if (!answer.draft && isStale()) app.wire.ask();
 }
 
@@ -54,7 +59,7 @@ function chart() {
   $("ribbons").classList.toggle("two", Boolean(kept));
   if (kept) drawRibbon($("ribbon-b"), $("ribbon-b-text"), kept);
   drawSpectrum($("spectrum"), look, kept);
-  drawTrack($("track"), look, kept);
+  drawCloud($("cloud-ribbon"), $("track"), drawTrack($("track"), look, kept));
   drawSwatches($("swatches"), look, kept);
   const words = drawStructure($("structure"), look.data, look.profile);
   $("structure-text").textContent = words;
@@ -124,14 +129,15 @@ function typed() {
   app.wire.ask();
 }
 
-function tab(isForm) {
-  for (const [name, on] of [["form", isForm], ["toml", !isForm]]) {
-    $(name).hidden = !on;
-    $(`tab-${name}`).setAttribute("aria-selected", String(on));
-    $(`tab-${name}`).tabIndex = on ? 0 : -1;
+function tab(name) {
+  for (const each of TABS) {
+    $(each).hidden = each !== name;
+    $(`tab-${each}`).setAttribute("aria-selected", String(each === name));
+    $(`tab-${each}`).tabIndex = each === name ? 0 : -1;
   }
-  $("help").hidden = !isForm;
+  $("help").hidden = name !== "form";
   number();
+  if (name === "design") designSettled(app.lastGood);
 }
 
 function step(by) {
@@ -161,15 +167,17 @@ function listen() {
   click("undo", () => step(-1));
   click("redo", () => step(1));
   click("front", () => app.view?.front());
-  click("tab-form", () => tab(true));
-  click("tab-toml", () => tab(false));
-  for (const [here, there] of [["form", "toml"], ["toml", "form"]]) {
-    $(`tab-${here}`).addEventListener("keydown", (event) => {
-      if (!["ArrowLeft", "ArrowRight"].includes(event.key)) return;
-      tab(there === "form");
+  TABS.forEach((here, i) => {
+    click(`tab-${here}`, () => tab(here));
+    $(`tab-${here}`).addEventListener("keydown", ({ key }) => {
+      const by = { ArrowLeft: TABS.length - 1, ArrowRight: 1 }[key], there = TABS[(i + by) % TABS.length];
+      if (!by) return;
+      tab(there);
       $(`tab-${there}`).focus();
     });
-  }
+  });
+  listenDesign({ showRecipe });
+  listenCloud(chart);
   $("lamp").addEventListener("change", () => app.wire.ask());
   $("theme").addEventListener("change", () => theme($("theme").value));
   $("text").addEventListener("input", typed);

@@ -1,33 +1,83 @@
-// The settled picture: asked for, rendered by Mitsuba while the page stays free.
+// The settled picture: asked for, rendered by Mitsuba pass by pass while the page stays free; a new edit begins it anew.
 
-import { $, app, ask, shortName, wholeText } from "./common.js";
+import { $, app, shortName, wholeText } from "./common.js";
+import { listen } from "./lines.js";
 import { meshOf } from "./objects.js";
 import { lightOf } from "./surround.js";
 
-let rendering = null;
+const RESTING_MS = 500;
+let rendering = null, of = "", timer = 0;     // of: the text that is being rendered; "" where nothing is
+
+function forgetTimer() {
+  clearTimeout(timer);
+  timer = 0;
+}
 
 export async function render() {
   rendering?.abort();
+  forgetTimer();
   const mine = (rendering = new AbortController());
-  const wanted = { text: await wholeText(), name: app.recipe.name, lamp: $("lamp").value, scene: $("scene").value, size: Number($("size").value), seconds: Number($("seconds").value), ...meshOf(), ...lightOf() };
   $("cancel").hidden = false;
-  $("render-state").textContent = "Rendering; the page stays free.";
+  $("render-progress").hidden = false;
+  $("render-progress").removeAttribute("value");
+  $("render-state").textContent = "Beginning; the page stays free.";
   try {
-    const answer = await ask("api/picture", wanted, mine.signal);
-    const image = $("picture"), old = image.src;
-    image.src = URL.createObjectURL(await answer.blob());
-    image.alt = `${wanted.scene} of ${shortName(wanted.name)} under ${wanted.lamp}, rendered by Mitsuba`;
-    image.hidden = false;
-    if (old) URL.revokeObjectURL(old);
-    $("render-state").textContent = `${wanted.scene}, ${wanted.light}, ${wanted.lamp}, ${wanted.size} px: spectral path tracing by Mitsuba 3, denoised. As the recipe was when asked.`;
+    const wanted = { text: await wholeText(), name: app.recipe.name, lamp: $("lamp").value, scene: $("scene").value, size: Number($("size").value), seconds: Number($("seconds").value), ...meshOf(), ...lightOf() };
+    if (mine !== rendering) return;
+    of = wanted.text;
+    const what = `${wanted.scene}, ${wanted.light}, ${wanted.lamp}, ${wanted.size} px`;
+    await listen("api/picture", wanted, mine.signal, (event) => {
+      if (mine !== rendering) return;
+      if (event.kind === "waiting") $("render-state").textContent = "Waiting for another picture";
+      if (event.kind === "begun") $("render-state").textContent = "Compiling the scene";
+      if (event.kind === "progress") {
+        $("render-progress").value = event.done / Math.max(event.of, 1);
+        $("render-state").dataset.left = `, about ${Math.max(1, Math.round(event.seconds_left))} s left`;
+      }
+      if (event.kind === "picture") put(event, wanted, what);
+    });
   } catch (problem) {
-    if (mine === rendering) $("render-state").textContent = mine.signal.aborted ? "Cancelled." : problem.message;
+    if (mine === rendering && !mine.signal.aborted) $("render-state").textContent = problem.message;
   } finally {
-    if (mine === rendering) $("cancel").hidden = true;
+    if (mine === rendering) done();
   }
+}
+
+function put({ png, spp, is_last: isLast }, wanted, what) {
+  const image = $("picture");
+  image.src = png;
+  image.dataset.spp = spp;
+  image.alt = `${wanted.scene} of ${shortName(wanted.name)} under ${wanted.lamp}, rendered by Mitsuba`;
+  image.hidden = false;
+  $("render-state").textContent = isLast ? `${what}: ${spp} samples a pixel by Mitsuba 3, denoised. As the recipe was when asked.` : `${what}: ${spp} samples a pixel so far${$("render-state").dataset.left ?? ""}`;
+}
+
+function done() {
+  of = "";
+  rendering = null;
+  delete $("render-state").dataset.left;
+  $("cancel").hidden = true;
+  $("render-progress").hidden = true;
+}
+
+function cancel() {
+  forgetTimer();
+  rendering?.abort();
+  done();
+  $("render-state").textContent = "Cancelled.";
+}
+
+// The recipe is another one now: what is being rendered is given up at once, and begun anew when the edits rest.
+export function settledEdited() {
+  if (timer) forgetTimer();
+  else if (!of || of === app.recipe.text) return;
+  rendering?.abort();
+  of = "";
+  $("render-state").textContent = "The recipe was changed; beginning anew";
+  timer = setTimeout(() => { timer = 0; render(); }, RESTING_MS);
 }
 
 export function listenSettled() {
   $("render").addEventListener("click", render);
-  $("cancel").addEventListener("click", () => rendering?.abort());
+  $("cancel").addEventListener("click", cancel);
 }

@@ -4,6 +4,7 @@ import { $, app, ask } from "./common.js";
 
 const kept = new Map();
 let wanted = "studio";
+const SKIES = { sun: " The preview draws no sharp shadow of the sun.", sky: "" };
 
 // What pictures are asked in: the same light as on the page.
 export const lightOf = () => ({ light: wanted });
@@ -24,11 +25,12 @@ export async function fetchRoom(name) {
 async function choose() {
   const name = (wanted = $("surround").value);
   try {
+    if (name in SKIES && !kept.has(name)) $("surround-note").textContent = "Asking Mitsuba for this sky; that takes some seconds, once.";
     const values = await fetchRoom(name), { surround } = app.state;
     if (wanted !== name || !app.view) return;
     app.view.setRoom(values, surround, surround.places[name]);
     $("view").dataset.surround = name;
-    $("surround-note").textContent = surround.places[name] ? "This place has light of its own colours, which the lamp above does not change; the preview multiplies by them, the settled picture is spectral." : "";
+    $("surround-note").textContent = surround.places[name] ? `This place has light of its own colours, which the lamp above does not change; the preview multiplies by them, the settled picture is spectral.${SKIES[name] ?? ""}` : "";
   } catch (problem) {
     $("surround-note").textContent = problem.message;
   }
