@@ -55,7 +55,7 @@ GLOSS = "Spread light is drawn as a rough mirror of fitted width over an even gr
 OF_HEIGHTS = "stl"  # the drawing that only height maps have
 MOST_FEATURES = 160  # of a profile
 PARTS = ("specular_reflectance", "diffuse_reflectance")
-THROUGH = "specular_transmittance"
+THROUGH = ("specular_transmittance", "diffuse_transmittance")
 SEEN_THROUGH = 0.02
 
 
@@ -70,6 +70,8 @@ class Look:
     Attributes:
         mirror_rgb, gloss_rgb, spread_rgb: `[angle, 3]` over `ANGLES_DEG`, linear sRGB, not clipped, adapted from
             the lamp.
+        facets: of the mirror-like part: their `distribution`, and whether the light lost between them is `compensated`.
+        is_clear: light goes through, so that pictures have a chequered stage.
         alpha, gloss_alpha: roughness that the mirror-like and the glossy part are drawn with.
         wavelengths_nm: `[wavelength]`; total: `[shown angle, wavelength]`, reflectance, all parts.
         swatches: for each lamp its name and the colours `hex` and `lab` of the total at `SHOWN_DEG`.
@@ -81,6 +83,8 @@ class Look:
     mirror_rgb: Array
     gloss_rgb: Array
     spread_rgb: Array
+    facets: dict[str, Any]
+    is_clear: bool
     alpha: float
     gloss_alpha: float
     wavelengths_nm: Array
@@ -106,6 +110,8 @@ class Look:
         }
         told = {
             **header,
+            "facets": self.facets,
+            "clear": self.is_clear,
             "alpha": self.alpha,
             "gloss_alpha": self.gloss_alpha,
             "swatches": self.swatches,
@@ -185,13 +191,14 @@ def _look(
     )
     total = mirror + spread
     shown = _at_angles(total, angles_deg)
-    alpha, notes = _surface(material)
+    alpha, facets, notes = _surface(material)
     if np.any(spread > 0):
         notes.append(SPREAD if gloss is None else GLOSS)
-    if np.max(parts[THROUGH]) > SEEN_THROUGH:
+    is_clear = any(bool(np.any(parts[name] > 0)) for name in THROUGH)
+    if np.max(parts[THROUGH[0]]) > SEEN_THROUGH:
         notes.append("Light that goes through is not drawn.")
     return Look(
-        mirror_rgb, gloss_rgb, spread_rgb, alpha, 0.0 if gloss is None else gloss.alpha, wavelengths, shown,
+        mirror_rgb, gloss_rgb, spread_rgb, facets, is_clear, alpha, 0.0 if gloss is None else gloss.alpha, wavelengths, shown,
         _swatches(shown, wavelengths), grid is not None, tuple(notes), time.perf_counter() - started,
         _profile(material),
     )  # fmt: skip
@@ -221,7 +228,7 @@ def _spectra(
             _go_on(is_superseded)
             spectra.append(bsdf_spectrum(bsdf, np.array([angle])))
     parts = {}
-    for name in (*PARTS, THROUGH):
+    for name in (*PARTS, *THROUGH):
         zero = np.zeros((len(spectra[0].angles_deg), 1))
         blocks = [s.parts().get(name, zero + np.zeros(len(s.wavelengths_nm))) for s in spectra]
         parts[name] = np.nan_to_num(np.concatenate(blocks, axis=axis))
@@ -267,12 +274,13 @@ def _swatches(total: Array, wavelengths: Array) -> list[dict[str, Any]]:
     ]
 
 
-def _surface(material: Material) -> tuple[float, list[str]]:
-    """Return the roughness to draw with, and what the drawing leaves out."""
+def _surface(material: Material) -> tuple[float, dict[str, Any], list[str]]:
+    """Return the roughness to draw with, of what facets, and what the drawing leaves out."""
     notes: list[str] = []
     rough = getattr(material.model, "surface", None)
-    alpha = 0.0
+    alpha, facets = 0.0, {"distribution": "ggx", "compensated": False}
     if isinstance(rough, Roughness):
+        facets = {"distribution": rough.distribution, "compensated": rough.compensate}
         alpha = float(np.sqrt(rough.alpha_x * rough.alpha_y))
         if rough.alpha_texture is not None:
             alpha *= float(rough.alpha_texture(np.array([0.5, 0.5])))
@@ -283,7 +291,7 @@ def _surface(material: Material) -> tuple[float, list[str]]:
         notes.append("The fan of light of the ridges is drawn as a rough mirror; its shape is in the settled picture.")
     if _varies(material.data):
         notes.append("What varies over the surface is drawn as it is at the surface's middle.")
-    return alpha, notes
+    return alpha, facets, notes
 
 
 def _profile(material: Material) -> dict[str, Any] | None:
