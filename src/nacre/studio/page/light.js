@@ -3,7 +3,8 @@
 // Until then, and on other objects, the page draws with one look-up in a blurred room.
 
 const REST_MS = 160, STRIP_MS = 12, STRIPS = 16;
-const FINE = 256, COARSE = 128, ROUGH = 0.1;    // pixels a side; of the coarse ones for lobes above such a roughness
+const FINE = 256, ROUGH = 0.08;                 // pixels a side; the coarse ones are for lobes above such a roughness
+export const COARSE = 128;
 const MOST_KEPT = 3;
 const FIRST_UNIT = 5;                           // textures 0 to 4 are the view's own
 

@@ -54,9 +54,9 @@ LIGHT stage(vec2 p, float along, float wide) {
   LIGHT lit = TINT(texture(room, vec3(clamp(0.5 + across / (2.0 * WIDTH), 0.005, 0.995), along / LENGTH, layers + 1.0)));
   float from = length(vec2(across / 1.5, along - FRONT)) / 5.5, reflectance = 0.035 + 0.14 * exp(-from * from);
   if (square > 0.0) {
-    vec2 at = abs(fract(vec2(across + WIDTH, along) / (2.0 * square)) - 0.5) - 0.25;    // of a period, to the next edge
+    vec2 at = abs(fract(vec2(across + WIDTH, along) / (2.0 * square) - 0.25) - 0.5) - 0.25;     // of a period, to the next edge
     vec2 sign_ = clamp(at * 2.0 * square / max(wide, 1e-4), -1.0, 1.0) * smoothstep(2.0 * square, 0.7 * square, wide);
-    reflectance = 0.061 + 0.049 * sign_.x * sign_.y;
+    reflectance = 0.061 - 0.049 * sign_.x * sign_.y;
   }
   return reflectance * lit * shade(p);
 #endif
@@ -163,7 +163,7 @@ uniform float gathered;
 vec3 ballSeen(vec3 p, vec3 d) {
   vec3 toEye = normalize(eye - CENTRE);
   float far = acos(clamp(dot(p, toEye), -1.0, 1.0)) / acos(1.0 / length(eye - CENTRE));
-  vec2 side = vec2(dot(p, normalize(right)), dot(p, normalize(up)));
+  vec2 side = vec2(dot(p, normalize(right)), dot(p, cross(toEye, normalize(right))));
   vec2 at = 0.5 + 0.5 * min(far, 1.0) * side / max(length(side), 1e-6);
   vec4 m = texture(throughMirror, at), g = texture(throughGloss, at);
   float cosine = clamp(-dot(d, p), 0.0, 1.0);
@@ -194,8 +194,7 @@ export const GATHER = `${COMMON}
 uniform float pixels, beckmann, compensated, wants;     // wants: 1 the facets, 2 the gloss, 4 the matt surface, summed
 layout(location = 1) out vec4 asGloss;
 layout(location = 2) out vec4 asMatt;
-const int DIRECTIONS = 64;
-const float COUNT = float(DIRECTIONS);
+uniform float count;
 
 float smith(float cosine, float a, bool isBeckmann) {
   float tangent = a * sqrt(max(1.0 - cosine * cosine, 0.0)) / max(cosine, 1e-4);
@@ -204,11 +203,11 @@ float smith(float cosine, float a, bool isBeckmann) {
   return x >= 1.6 ? 1.0 : min((3.535 * x + 2.181 * x * x) / (1.0 + 2.276 * x + 2.577 * x * x), 1.0);
 }
 // Facets drawn by their density; a direction stands for the solid angle that falls to it.
-vec4 facets(vec3 spot, vec3 n, vec3 side, vec3 v, float a, bool isBeckmann, bool isKept) {
+vec4 facets(vec3 spot, vec3 n, vec3 side, vec3 v, float a, bool isBeckmann, out float lost) {
   vec3 other = cross(n, side), sum = vec3(0.0);
   float cv = max(dot(n, v), 0.01), whole = 0.0, met = 0.0, bright = 0.0;
-  for (int i = 0; i < DIRECTIONS; i++) {
-    float left = 1.0 - (float(i) + 0.5) / COUNT, turn = 2.0 * PI * fract(0.618034 * float(i));
+  for (int i = 0; float(i) < count; i++) {
+    float left = 1.0 - (float(i) + 0.5) / count, turn = 2.0 * PI * fract(0.618034 * float(i));
     float slope2 = a * a * (isBeckmann ? -log(left) : (1.0 - left) / left), z = inversesqrt(1.0 + slope2);
     vec3 m = z * (n + sqrt(slope2) * (cos(turn) * side + sin(turn) * other));
     float vm = dot(v, m);
@@ -217,29 +216,36 @@ vec4 facets(vec3 spot, vec3 n, vec3 side, vec3 v, float a, bool isBeckmann, bool
     if (vm <= 0.0 || cd <= 0.0) continue;
     float weight = vm * smith(cd, a, isBeckmann) * smith(cv, a, isBeckmann) / (cv * z);
     float density = (isBeckmann ? left : left * left) / (PI * a * a * z * z * z);
-    vec3 light = vec3(trace(spot, d, sqrt(vm / (COUNT * density * PI))));
+    vec3 light = vec3(trace(spot, d, 0.5 * sqrt(vm / (count * density * PI))));
     float y = weight * dot(light, vec3(0.2126, 0.7152, 0.0722));
     sum += weight * light; whole += weight; met += y * vm; bright += y;
   }
-  return vec4(sum / (isKept ? max(whole, 1e-4) : COUNT), bright > 0.0 ? met / bright : cv);
+  lost = max(1.0 - whole / count, 0.0);
+  return vec4(sum / count, bright > 0.0 ? met / bright : cv);
 }
 void main() {
   vec2 at = (gl_FragCoord.xy - 0.5 * pixels) / (0.5 * pixels - 1.0);
-  vec3 o = eye - CENTRE, toEye = normalize(o), across = normalize(right), upward = normalize(up);
+  vec3 o = eye - CENTRE, toEye = normalize(o), across = normalize(right), upward = cross(toEye, across);
   float far = min(length(at), 1.0) * acos(1.0 / length(o));
   vec3 n = cos(far) * toEye + sin(far) * (at.x * across + at.y * upward) / max(length(at), 1e-6);
   vec3 spot = n + CENTRE, v = normalize(eye - spot), side = normalize(cross(abs(n.z) < 0.9 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0), n));
   int kinds = int(wants + 0.5);
+  float lost = 0.0, none;
   colour = asGloss = asMatt = vec4(0.0);
-  if ((kinds & 1) != 0) colour = facets(spot, n, side, v, alpha, beckmann > 0.5, compensated > 0.5);
-  if ((kinds & 2) != 0) asGloss = facets(spot, n, side, v, gloss, false, false);
-  if ((kinds & 4) == 0) return;
-  vec3 other = cross(n, side);
-  for (int i = 0; i < DIRECTIONS; i++) {
-    float u = (float(i) + 0.5) / COUNT, turn = 2.0 * PI * fract(0.618034 * float(i)), z = sqrt(1.0 - u);
-    vec3 d = z * n + sqrt(u) * (cos(turn) * side + sin(turn) * other);
-    asMatt.rgb += vec3(trace(spot, d, 0.5 * inversesqrt(COUNT * max(z, 0.05)))) / COUNT;
+  if ((kinds & 1) != 0) colour = facets(spot, n, side, v, alpha, beckmann > 0.5, lost);
+  if ((kinds & 2) != 0) asGloss = facets(spot, n, side, v, gloss, false, none);
+  bool isKept = compensated > 0.5 && lost > 0.0;
+  if ((kinds & 4) == 0 && !isKept) return;
+  vec3 other = cross(n, side), between = vec3(0.0);
+  float whole = 0.0;
+  for (int i = 0; float(i) < count; i++) {
+    float u = (float(i) + 0.5) / count, turn = 2.0 * PI * fract(0.618034 * float(i)), z = sqrt(1.0 - u);
+    vec3 light = vec3(trace(spot, z * n + sqrt(u) * (cos(turn) * side + sin(turn) * other), 0.5 * inversesqrt(count * max(z, 0.05))));
+    asMatt.rgb += light / count;
+    float loss = 1.0 - smith(z, alpha, beckmann > 0.5) + 1e-4;      // about what facets lose of light from there
+    between += loss * light; whole += loss;
   }
+  if (isKept) colour.rgb += lost * between / whole;    // what facets lose comes back from between them
 }`;
 
 const DEPTHS = `const float NEAR = 1.0, FAR = 60.0;`;

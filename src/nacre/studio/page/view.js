@@ -1,11 +1,11 @@
 // The object on its stage, turned by the pointer or by keys; one look, or two side by side.
 
-import { Light } from "./light.js";
+import { COARSE, Light } from "./light.js";
 import { BALL, COVER, GATHER, MESH, MESH_VERTEX, SHADE } from "./shaders.js";
 
 // the camera of pictures of a sphere, and the shade below it
 const SPHERE = { distance: Math.hypot(8.6, 1.77), target: [0, 0, 0.93], fov: 19, foot: [0, 0, 1, 1], azimuth: 0, elevation: 11.63 };
-const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "gathered", "square", "pixels", "beckmann", "compensated", "wants"];
+const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "gathered", "square", "pixels", "beckmann", "compensated", "wants", "count"];
 const SAMPLERS = ["table", "room", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt"];
 const SQUARE = 0.55;    // of the chequers that clear materials stand on, as in pictures
 const EXTRA = 2;        // layers of the room beside those of its light: the ball's shade, the stage's light
@@ -197,6 +197,7 @@ export class View {
   gather(look, pixels) {
     const gl = this.gl, at = this.prepare("gather", look, 0), { distribution, compensated } = look.facets;
     gl.uniform1f(at.pixels, pixels);
+    gl.uniform1f(at.count, pixels > COARSE ? 64 : 128);      // directions of a lobe: fewer where they are near each other
     gl.uniform1f(at.beckmann, distribution === "ggx" ? 0 : 1);
     gl.uniform1f(at.compensated, compensated ? 1 : 0);
     gl.uniform1f(at.wants, wantsOf(look));
