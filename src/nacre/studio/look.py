@@ -8,6 +8,7 @@ no draft. Other materials are drafted with few angles and wavelengths, then sett
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import struct
@@ -19,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from nacre.arrays import Array
+from nacre.bsdf import Bsdf
 from nacre.bsdf.roughness import Roughness
 from nacre.bsdf.texture import refuse_place
 from nacre.errors import NacreError
@@ -38,6 +40,7 @@ from nacre.materials.material import Material
 from nacre.matter.drawings import DrawingRequest, HeightMap
 from nacre.measure.gloss import Gloss, find_gloss
 from nacre.measure.spectrum import bsdf_spectrum
+from nacre.studio.lobe import lobe_picture
 
 LAMPS = ("D65", "A", "F11")
 ANGLES_DEG = np.arange(0.0, 91.0)
@@ -73,6 +76,7 @@ class Look:
         facets: of the mirror-like part: their `distribution`, and whether the light lost between them is `compensated`.
         is_clear: light goes through, so that pictures have a chequered stage.
         alpha, gloss_alpha: roughness that the mirror-like and the glossy part are drawn with.
+        lobe: where the glossy and the spread light go, `nacre.studio.lobe`; None: as the preview draws them.
         wavelengths_nm: `[wavelength]`; total: `[shown angle, wavelength]`, reflectance, all parts.
         swatches: for each lamp its name and the colours `hex` and `lab` of the total at `SHOWN_DEG`.
         is_draft: few angles and wavelengths; a settled one follows.
@@ -87,6 +91,7 @@ class Look:
     is_clear: bool
     alpha: float
     gloss_alpha: float
+    lobe: Array | None
     wavelengths_nm: Array
     total: Array
     swatches: list[dict[str, Any]]
@@ -107,6 +112,7 @@ class Look:
             "spread": self.spread_rgb,
             "wavelengths": self.wavelengths_nm,
             "total": self.total,
+            **({} if self.lobe is None else {"lobe": self.lobe}),
         }
         told = {
             **header,
@@ -179,7 +185,7 @@ def _look(
     material: Material, illuminant: str, is_superseded: Callable[[], bool], angles_deg: Array, grid: Array | None
 ) -> Look:
     started = time.perf_counter()
-    wavelengths, parts, gloss = _spectra(material, np.radians(angles_deg), grid, is_superseded)
+    wavelengths, parts, gloss, bsdf = _spectra(material, np.radians(angles_deg), grid, is_superseded)
     if not spans_colour(wavelengths):
         raise NacreError(
             f"{material.context.source}: wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm make no colour"
@@ -192,13 +198,18 @@ def _look(
     total = mirror + spread
     shown = _at_angles(total, angles_deg)
     alpha, facets, notes = _surface(material)
+    lobe = None
     if np.any(spread > 0):
-        notes.append(SPREAD if gloss is None else GLOSS)
+        if grid is None and not material.model.is_quick:
+            _go_on(is_superseded)
+            lobe = lobe_picture(material, bsdf, functools.partial(_linear, illuminant=illuminant))
+        if lobe is None:
+            notes.append(SPREAD if gloss is None else GLOSS)
     is_clear = any(bool(np.any(parts[name] > 0)) for name in THROUGH)
     if np.max(parts[THROUGH[0]]) > SEEN_THROUGH:
         notes.append("Light that goes through is not drawn.")
     return Look(
-        mirror_rgb, gloss_rgb, spread_rgb, facets, is_clear, alpha, 0.0 if gloss is None else gloss.alpha, wavelengths, shown,
+        mirror_rgb, gloss_rgb, spread_rgb, facets, is_clear, alpha, 0.0 if gloss is None else gloss.alpha, lobe, wavelengths, shown,
         _swatches(shown, wavelengths), grid is not None, tuple(notes), time.perf_counter() - started,
         _profile(material),
     )  # fmt: skip
@@ -206,8 +217,9 @@ def _look(
 
 def _spectra(
     material: Material, theta: Array, grid: Array | None, is_superseded: Callable[[], bool]
-) -> tuple[Array, dict[str, Array], Gloss | None]:
-    """Return wavelengths, parts by name, `[angle, wavelength]`, zero where one does not apply, and the glossy part."""
+) -> tuple[Array, dict[str, Array], Gloss | None, Bsdf | None]:
+    """Return wavelengths, parts by name, `[angle, wavelength]`, zero where one does not apply, the glossy part, and the
+    Bsdf where it had to be solved for them."""
     model = material.model
     bands = [grid]
     if (
@@ -234,8 +246,8 @@ def _spectra(
         parts[name] = np.nan_to_num(np.concatenate(blocks, axis=axis))
     if axis == 0:
         _go_on(is_superseded)
-        return spectra[0].wavelengths_nm, parts, find_gloss(bsdf, theta, parts[PARTS[1]])
-    return np.concatenate([s.wavelengths_nm for s in spectra]), parts, None
+        return spectra[0].wavelengths_nm, parts, find_gloss(bsdf, theta, parts[PARTS[1]]), bsdf
+    return np.concatenate([s.wavelengths_nm for s in spectra]), parts, None, None
 
 
 def _go_on(is_superseded: Callable[[], bool]) -> None:
@@ -245,9 +257,13 @@ def _go_on(is_superseded: Callable[[], bool]) -> None:
 
 def _rgb(values: Array, wavelengths: Array, illuminant: str, angles_deg: Array) -> Array:
     """Return the colours of spectra at the angles of the table, `[angle, 3]`."""
-    xyz = adapt_xyz(spectrum_to_xyz(values, wavelengths, illuminant), white_xyz(illuminant), SRGB_WHITE_XYZ)
-    rgb = xyz_to_srgb_linear(xyz)
+    rgb = _linear(values, wavelengths, illuminant)
     return np.stack([np.interp(ANGLES_DEG, angles_deg, channel) for channel in rgb.T], axis=-1)
+
+
+def _linear(values: Array, wavelengths: Array, illuminant: str) -> Array:
+    xyz = adapt_xyz(spectrum_to_xyz(values, wavelengths, illuminant), white_xyz(illuminant), SRGB_WHITE_XYZ)
+    return np.asarray(xyz_to_srgb_linear(xyz))
 
 
 def _at_angles(total: Array, angles_deg: Array) -> Array:

@@ -167,10 +167,11 @@ vec3 ballSeen(vec3 p, vec3 d) {
   vec2 at = 0.5 + 0.5 * min(far, 1.0) * side / max(length(side), 1e-6);
   vec4 m = texture(throughMirror, at), g = texture(throughGloss, at);
   float cosine = clamp(-dot(d, p), 0.0, 1.0);
-  vec3 seen = nacreColour(table, cosine, 0.0, first + 2.0, 6.0) * texture(throughMatt, at).rgb;
+  vec3 seen = texture(throughMatt, at).rgb;
+  if (gathered < 1.5) seen *= nacreColour(table, cosine, 0.0, first + 2.0, 6.0);
   if (alpha < 0.001) seen += nacreColour(table, cosine, 0.0, first, 6.0) * trace(p + CENTRE, reflect(d, p), 0.0);
   else seen += nacreColour(table, m.a, 0.0, first, 6.0) * m.rgb;
-  if (gloss > 0.0) seen += nacreColour(table, g.a, 0.0, first + 1.0, 6.0) * g.rgb;
+  if (gloss > 0.0 && gathered < 1.5) seen += nacreColour(table, g.a, 0.0, first + 1.0, 6.0) * g.rgb;
   return seen;
 }
 void main() {
@@ -223,6 +224,34 @@ vec4 facets(vec3 spot, vec3 n, vec3 side, vec3 v, float a, bool isBeckmann, out 
   lost = max(1.0 - whole / count, 0.0);
   return vec4(sum / count, bright > 0.0 ? met / bright : cv);
 }
+// Light by the table of where it goes: half of the directions about the mirror's, as wide as the gloss, half about the
+// normal; as much of it in all as the look says for this angle.
+vec3 scattered(vec3 spot, vec3 n, vec3 side, vec3 v) {
+  vec3 other = cross(n, side), sum = vec3(0.0), whole = vec3(1e-5), wo = vec3(dot(v, side), dot(v, other), max(dot(v, n), 0.02));
+  float a2 = gloss * gloss;
+  for (int i = 0; float(i) < 2.0 * count; i++) {
+    float u = (floor(0.5 * float(i)) + 0.5) / count, turn = 2.0 * PI * fract(0.618034 * floor(0.5 * float(i)));
+    vec3 wi;
+    if ((i & 1) == 0) wi = vec3(sqrt(u) * cos(turn), sqrt(u) * sin(turn), sqrt(1.0 - u));
+    else {
+      if (gloss <= 0.0) continue;
+      float slope = gloss * sqrt(u / (1.0 - u)), z = inversesqrt(1.0 + slope * slope);
+      wi = reflect(-wo, z * vec3(slope * cos(turn), slope * sin(turn), 1.0));
+      if (wi.z <= 1e-3) continue;
+    }
+    float density = wi.z / PI;
+    if (gloss > 0.0) {
+      vec3 h = normalize(wi + wo);
+      float d = h.z * h.z * (a2 - 1.0) + 1.0;
+      density += a2 * h.z / (PI * d * d * 4.0 * max(dot(h, wo), 1e-3));
+    }
+    vec3 f = nacreScattered(wi, wo) * wi.z / (count * density);
+    sum += f * vec3(trace(spot, wi.x * side + wi.y * other + wi.z * n, 0.5 * inversesqrt(count * density * PI)));
+    whole += f;
+  }
+  float cosine = wo.z;
+  return sum / whole * (nacreColour(table, cosine, 0.0, first + 1.0, 6.0) + nacreColour(table, cosine, 0.0, first + 2.0, 6.0));
+}
 void main() {
   vec2 at = (gl_FragCoord.xy - 0.5 * pixels) / (0.5 * pixels - 1.0);
   vec3 o = eye - CENTRE, toEye = normalize(o), across = normalize(right), upward = cross(toEye, across);
@@ -233,6 +262,7 @@ void main() {
   float lost = 0.0, none;
   colour = asGloss = asMatt = vec4(0.0);
   if ((kinds & 1) != 0) colour = facets(spot, n, side, v, alpha, beckmann > 0.5, lost);
+  if ((kinds & 8) != 0) { asMatt.rgb = scattered(spot, n, side, v); kinds &= 1; }
   if ((kinds & 2) != 0) asGloss = facets(spot, n, side, v, gloss, false, none);
   bool isKept = compensated > 0.5 && lost > 0.0;
   if ((kinds & 4) == 0 && !isKept) return;
