@@ -18,8 +18,8 @@ from nacre.exchange.lobes import is_isotropic
 from nacre.exchange.lut.table import lobe_directions, lobe_weight
 from nacre.materials.material import Material
 
-SHAPE = (4, 16, 28)  # slices, rows and columns of the picture: azimuth, difference angle, root of the half angle
-LOBE_NM = np.arange(400.0, 701.0, 25.0)
+SHAPE = (4, 14, 24)  # slices, rows and columns of the picture: azimuth, difference angle, root of the half angle
+LOBE_NM = np.arange(400.0, 705.0, 8.0)
 
 ToRgb = Callable[[Array, Array], Array]  # spectra and their wavelengths -> colours
 
@@ -36,7 +36,7 @@ def lobe_picture(material: Material, bsdf: Bsdf | None, to_rgb: ToRgb) -> Array 
     values, wavelengths = _values(material, bsdf, *pairs)
     if values is None:
         return None
-    rgb = np.maximum(to_rgb(np.nan_to_num(values), wavelengths), 0.0)
+    rgb = to_rgb(np.nan_to_num(values), wavelengths)
     weighted = rgb.reshape(*SHAPE, 3) * np.pi * lobe_weight(wi, wo)[..., None]
     return weighted if weighted.max() > 0 else None
 

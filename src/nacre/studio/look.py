@@ -146,7 +146,8 @@ def looks(material: Material, illuminant: str, is_superseded: Callable[[], bool]
         SupersededError: a newer recipe has come.
     """
     refuse_place(material.model, material.context.source)
-    material = material.for_many()  # a page waits for no ensemble of minutes
+    if not material.model.is_quick:
+        material = material.for_many()  # a page waits for no ensemble of minutes
     if not _is_quick(material):
         yield _look(_without_noise(material), illuminant, is_superseded, DRAFT_DEG, DRAFT_NM)
         if is_superseded():
