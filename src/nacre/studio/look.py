@@ -40,14 +40,10 @@ from nacre.materials.material import Material
 from nacre.matter.drawings import DrawingRequest, HeightMap
 from nacre.measure.gloss import Gloss, find_gloss
 from nacre.measure.spectrum import bsdf_spectrum
+from nacre.studio.care import ANGLES_DEG, EVERY_DEGREE, SETTLED, Care, drafts
 from nacre.studio.lobe import lobe_picture
 
 LAMPS = ("D65", "A", "F11")
-ANGLES_DEG = np.arange(0.0, 91.0)
-STEEPEST_DEG = 88.0  # of what is integrated or walked: no light arrives at 90
-SETTLED_DEG = np.array([0.0, 8.0, 16.0, 24.0, 32.0, 40.0, 48.0, 56.0, 64.0, 72.0, 80.0, STEEPEST_DEG])
-DRAFT_DEG = np.array([0.0, 20.0, 40.0, 60.0, 75.0, STEEPEST_DEG])
-DRAFT_NM = np.arange(400.0, 701.0, 25.0)
 PROBE_RAD, PROBE_NM = np.array([0.0]), np.array([450.0, 550.0, 650.0])
 QUICK_S = 0.01  # of one angle at three wavelengths; layered films take a tenth of it
 SHOWN_DEG = (0.0, 30.0, 60.0)  # angles of the spectra
@@ -149,12 +145,15 @@ def looks(material: Material, illuminant: str, is_superseded: Callable[[], bool]
     if not material.model.is_quick:
         material = material.for_many()  # a page waits for no ensemble of minutes
     if not _is_quick(material):
-        yield _look(_without_noise(material), illuminant, is_superseded, DRAFT_DEG, DRAFT_NM)
+        family = material.family
+        draft = _look(_without_noise(material), illuminant, is_superseded, drafts.of(family))
+        drafts.took(family, draft.seconds)
+        yield draft
         if is_superseded():
             raise SupersededError
-        yield _look(material, illuminant, is_superseded, SETTLED_DEG, None)
+        yield _look(material, illuminant, is_superseded, SETTLED)
     else:
-        yield _look(material, illuminant, is_superseded, ANGLES_DEG, None)
+        yield _look(material, illuminant, is_superseded, EVERY_DEGREE)
 
 
 def _without_noise(material: Material) -> Material:
@@ -183,10 +182,11 @@ def _is_quick(material: Material) -> bool:
 
 
 def _look(
-    material: Material, illuminant: str, is_superseded: Callable[[], bool], angles_deg: Array, grid: Array | None
+    material: Material, illuminant: str, is_superseded: Callable[[], bool], care: Care
 ) -> Look:
     started = time.perf_counter()
-    wavelengths, parts, gloss, bsdf = _spectra(material, np.radians(angles_deg), grid, is_superseded)
+    angles_deg, grid = care.angles_deg, care.wavelengths_nm
+    wavelengths, parts, gloss, bsdf = _spectra(material, care, is_superseded)
     if not spans_colour(wavelengths):
         raise NacreError(
             f"{material.context.source}: wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm make no colour"
@@ -217,11 +217,11 @@ def _look(
 
 
 def _spectra(
-    material: Material, theta: Array, grid: Array | None, is_superseded: Callable[[], bool]
+    material: Material, care: Care, is_superseded: Callable[[], bool]
 ) -> tuple[Array, dict[str, Array], Gloss | None, Bsdf | None]:
     """Return wavelengths, parts by name, `[angle, wavelength]`, zero where one does not apply, the glossy part, and the
     Bsdf where it had to be solved for them."""
-    model = material.model
+    model, theta, grid = material.model, np.radians(care.angles_deg), care.wavelengths_nm
     bands = [grid]
     if (
         len(theta) < len(ANGLES_DEG) and grid is None
@@ -239,7 +239,7 @@ def _spectra(
         bsdf, axis = material.bsdf(grid), 0
         for angle in theta:
             _go_on(is_superseded)
-            spectra.append(bsdf_spectrum(bsdf, np.array([angle])))
+            spectra.append(bsdf_spectrum(bsdf, np.array([angle]), nodes=care.nodes))
     parts = {}
     for name in (*PARTS, *THROUGH):
         zero = np.zeros((len(spectra[0].angles_deg), 1))
@@ -247,7 +247,7 @@ def _spectra(
         parts[name] = np.nan_to_num(np.concatenate(blocks, axis=axis))
     if axis == 0:
         _go_on(is_superseded)
-        return spectra[0].wavelengths_nm, parts, find_gloss(bsdf, theta, parts[PARTS[1]]), bsdf
+        return spectra[0].wavelengths_nm, parts, find_gloss(bsdf, theta, parts[PARTS[1]], care.samples), bsdf
     return np.concatenate([s.wavelengths_nm for s in spectra]), parts, None, None
 
 
