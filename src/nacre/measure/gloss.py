@@ -38,19 +38,20 @@ class Gloss:
     reflectance: Array
 
 
-def find_gloss(bsdf: Bsdf, theta_rad: Array, spread: Array) -> Gloss | None:
+def find_gloss(bsdf: Bsdf, theta_rad: Array, spread: Array, samples: int | None = None) -> Gloss | None:
     """Return the glossy part of a Bsdf's spread light; None where there is none.
 
     Args:
         bsdf: its mirror-like and microfacet lobes are left out, as they are drawn apart.
         theta_rad: `[angle]`, below a right angle.
         spread: reflectance `[angle, wavelength]` of what is asked about.
+        samples: of a random walk at each pair of directions; None: as `nacre.evaluate` takes.
     """
     lobes = tuple(lobe for lobe in bsdf.lobes if not lobe.is_delta and not isinstance(lobe, Microfacet))
     if not lobes:
         return None
     rest = dataclasses.replace(bsdf, lobes=lobes)
-    return fit_gloss(lambda wi, wo: np.asarray(evaluate_with_error(rest, wi, wo)[0]), theta_rad, spread)
+    return fit_gloss(lambda wi, wo: np.asarray(evaluate_with_error(rest, wi, wo, samples=samples)[0]), theta_rad, spread)
 
 
 def fit_gloss(values_at: Callable[[Array, Array], Array], theta_rad: Array, spread: Array) -> Gloss | None:

@@ -39,7 +39,7 @@ def directional_hemispherical(bsdf: Bsdf, wi: Array, uv: Array | None = None, no
 
 
 def bsdf_spectrum(
-    bsdf: Bsdf, theta_rad: Array, uv: Array | None = None, seed: int = 0, *, diffuse: bool = True
+    bsdf: Bsdf, theta_rad: Array, uv: Array | None = None, seed: int = 0, *, diffuse: bool = True, nodes: int = 64
 ) -> Spectrum:
     """Return a Bsdf's spectra: delta parts (of rough films the values of their stack), and the rest integrated.
 
@@ -51,6 +51,7 @@ def bsdf_spectrum(
         theta_rad: `[angle]`, in the ambient.
         seed: of random walks; another one gives independent noise.
         diffuse: whether the diffuse parts are wanted, which are integrated over all exits.
+        nodes: of that quadrature, along each of two coordinates; a walk takes their square of paths.
     """
     theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
     delta = bsdf.specular(theta, uv)
@@ -70,7 +71,7 @@ def bsdf_spectrum(
     if rest and diffuse:
         # exactly at 90 degrees no light arrives on the surface; just before it the integrals have their limit
         directions = direction(np.minimum(theta, np.radians(89.99)))
-        sums = [[hemispherical(lobe, w, uv, seed=seed) for lobe in rest] for w in directions]
+        sums = [[hemispherical(lobe, w, uv, nodes, seed) for lobe in rest] for w in directions]
         spread = np.array([[sum(part[side] for part in parts) for parts in sums] for side in (0, 1)])
     for base in bases if diffuse else ():
         spread = np.zeros((2, *reflected.shape)) if spread is None else spread

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -15,6 +16,7 @@ from nacre.recipe.toml import dump_toml, edit_toml, parse_toml
 
 MAX_EDITS = 2000
 LONGEST_LINE = 100
+NUMBER = r"[+-]?\d[\d_]*(?:\.\d+)?(?:[eE][+-]?\d+)?"
 WORD = r"[A-Za-z_][A-Za-z_0-9]*(?:\[\d+\])*"  # of a path, with the places in lists
 
 
@@ -48,7 +50,7 @@ def _one(text: str, edit: Mapping[str, Any], source: str) -> str:
         if value is None:
             raise RecipeError(f"{source}: {path} cannot be set to nothing; take it out")
         set_by_path(wanted, path, value, source)
-        made = _try(lambda: edit_toml(text, {path: value}, source), wanted)
+        made = _number_put(text, path, value, wanted) or _try(lambda: edit_toml(text, {path: value}, source), wanted)
         return made or _written(wanted)
     if op == "remove":
         holder, last = find_by_path(wanted, path, source)
@@ -68,6 +70,27 @@ def _one(text: str, edit: Mapping[str, Any], source: str) -> str:
     else:
         raise RecipeError(f'{source}: "{str(op)[:40]}" is no change; use set, remove, insert or move')
     return _try(lambda: _with_list(text, path, listed, source), wanted) or _written(wanted)
+
+
+def _number_put(text: str, path: str, value: Any, wanted: Mapping[str, Any]) -> str:
+    """Return the text with a number exchanged where it stands, or nothing where that is not plain to see.
+
+    A slider asks for it many times a second, and to read a text with all its comments takes longer than to solve a film.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return ""
+    key = re.escape(path.rpartition(".")[2])
+    places = list(re.finditer(rf"(?<![\w.-]){key}[ \t]*=[ \t]*({NUMBER})(?=[ \t]*(?:[,}}\n#]|$))", text))
+    number = [int(found) for found in re.findall(r"\[(\d+)\]", path)]
+    guess = number[-1] if number and number[-1] < len(places) else 0
+    if not places:
+        return ""
+    place = places[guess]
+    made = f"{text[: place.start(1)]}{value!r}{text[place.end(1) :]}"
+    try:
+        return made if parse_toml(made, "recipe") == wanted else ""
+    except NacreError:
+        return ""
 
 
 def _index(value: Any, count: int, path: str, source: str) -> int:

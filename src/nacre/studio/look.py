@@ -8,6 +8,7 @@ no draft. Other materials are drafted with few angles and wavelengths, then sett
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import struct
@@ -19,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from nacre.arrays import Array
+from nacre.bsdf import Bsdf
 from nacre.bsdf.roughness import Roughness
 from nacre.bsdf.texture import refuse_place
 from nacre.errors import NacreError
@@ -38,13 +40,10 @@ from nacre.materials.material import Material
 from nacre.matter.drawings import DrawingRequest, HeightMap
 from nacre.measure.gloss import Gloss, find_gloss
 from nacre.measure.spectrum import bsdf_spectrum
+from nacre.studio.care import ANGLES_DEG, EVERY_DEGREE, SETTLED, Care, drafts
+from nacre.studio.lobe import lobe_picture
 
 LAMPS = ("D65", "A", "F11")
-ANGLES_DEG = np.arange(0.0, 91.0)
-STEEPEST_DEG = 88.0  # of what is integrated or walked: no light arrives at 90
-SETTLED_DEG = np.array([0.0, 8.0, 16.0, 24.0, 32.0, 40.0, 48.0, 56.0, 64.0, 72.0, 80.0, STEEPEST_DEG])
-DRAFT_DEG = np.array([0.0, 20.0, 40.0, 60.0, 75.0, STEEPEST_DEG])
-DRAFT_NM = np.arange(400.0, 701.0, 25.0)
 PROBE_RAD, PROBE_NM = np.array([0.0]), np.array([450.0, 550.0, 650.0])
 QUICK_S = 0.01  # of one angle at three wavelengths; layered films take a tenth of it
 SHOWN_DEG = (0.0, 30.0, 60.0)  # angles of the spectra
@@ -55,7 +54,7 @@ GLOSS = "Spread light is drawn as a rough mirror of fitted width over an even gr
 OF_HEIGHTS = "stl"  # the drawing that only height maps have
 MOST_FEATURES = 160  # of a profile
 PARTS = ("specular_reflectance", "diffuse_reflectance")
-THROUGH = "specular_transmittance"
+THROUGH = ("specular_transmittance", "diffuse_transmittance")
 SEEN_THROUGH = 0.02
 
 
@@ -70,7 +69,10 @@ class Look:
     Attributes:
         mirror_rgb, gloss_rgb, spread_rgb: `[angle, 3]` over `ANGLES_DEG`, linear sRGB, not clipped, adapted from
             the lamp.
+        facets: of the mirror-like part: their `distribution`, and whether the light lost between them is `compensated`.
+        is_clear: light goes through, so that pictures have a chequered stage.
         alpha, gloss_alpha: roughness that the mirror-like and the glossy part are drawn with.
+        lobe: where the glossy and the spread light go, `nacre.studio.lobe`; None: as the preview draws them.
         wavelengths_nm: `[wavelength]`; total: `[shown angle, wavelength]`, reflectance, all parts.
         swatches: for each lamp its name and the colours `hex` and `lab` of the total at `SHOWN_DEG`.
         is_draft: few angles and wavelengths; a settled one follows.
@@ -81,8 +83,11 @@ class Look:
     mirror_rgb: Array
     gloss_rgb: Array
     spread_rgb: Array
+    facets: dict[str, Any]
+    is_clear: bool
     alpha: float
     gloss_alpha: float
+    lobe: Array | None
     wavelengths_nm: Array
     total: Array
     swatches: list[dict[str, Any]]
@@ -103,9 +108,12 @@ class Look:
             "spread": self.spread_rgb,
             "wavelengths": self.wavelengths_nm,
             "total": self.total,
+            **({} if self.lobe is None else {"lobe": self.lobe}),
         }
         told = {
             **header,
+            "facets": self.facets,
+            "clear": self.is_clear,
             "alpha": self.alpha,
             "gloss_alpha": self.gloss_alpha,
             "swatches": self.swatches,
@@ -134,14 +142,18 @@ def looks(material: Material, illuminant: str, is_superseded: Callable[[], bool]
         SupersededError: a newer recipe has come.
     """
     refuse_place(material.model, material.context.source)
-    material = material.for_many()  # a page waits for no ensemble of minutes
+    if not material.model.is_quick:
+        material = material.for_many()  # a page waits for no ensemble of minutes
     if not _is_quick(material):
-        yield _look(_without_noise(material), illuminant, is_superseded, DRAFT_DEG, DRAFT_NM)
+        family = material.family
+        draft = _look(_without_noise(material), illuminant, is_superseded, drafts.of(family))
+        drafts.took(family, draft.seconds)
+        yield draft
         if is_superseded():
             raise SupersededError
-        yield _look(material, illuminant, is_superseded, SETTLED_DEG, None)
+        yield _look(material, illuminant, is_superseded, SETTLED)
     else:
-        yield _look(material, illuminant, is_superseded, ANGLES_DEG, None)
+        yield _look(material, illuminant, is_superseded, EVERY_DEGREE)
 
 
 def _without_noise(material: Material) -> Material:
@@ -170,10 +182,11 @@ def _is_quick(material: Material) -> bool:
 
 
 def _look(
-    material: Material, illuminant: str, is_superseded: Callable[[], bool], angles_deg: Array, grid: Array | None
+    material: Material, illuminant: str, is_superseded: Callable[[], bool], care: Care
 ) -> Look:
     started = time.perf_counter()
-    wavelengths, parts, gloss = _spectra(material, np.radians(angles_deg), grid, is_superseded)
+    angles_deg, grid = care.angles_deg, care.wavelengths_nm
+    wavelengths, parts, gloss, bsdf = _spectra(material, care, is_superseded)
     if not spans_colour(wavelengths):
         raise NacreError(
             f"{material.context.source}: wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm make no colour"
@@ -185,23 +198,30 @@ def _look(
     )
     total = mirror + spread
     shown = _at_angles(total, angles_deg)
-    alpha, notes = _surface(material)
+    alpha, facets, notes = _surface(material)
+    lobe = None
     if np.any(spread > 0):
-        notes.append(SPREAD if gloss is None else GLOSS)
-    if np.max(parts[THROUGH]) > SEEN_THROUGH:
+        if grid is None and not material.model.is_quick:
+            _go_on(is_superseded)
+            lobe = lobe_picture(material, bsdf, functools.partial(_linear, illuminant=illuminant))
+        if lobe is None:
+            notes.append(SPREAD if gloss is None else GLOSS)
+    is_clear = any(bool(np.any(parts[name] > 0)) for name in THROUGH)
+    if np.max(parts[THROUGH[0]]) > SEEN_THROUGH:
         notes.append("Light that goes through is not drawn.")
     return Look(
-        mirror_rgb, gloss_rgb, spread_rgb, alpha, 0.0 if gloss is None else gloss.alpha, wavelengths, shown,
+        mirror_rgb, gloss_rgb, spread_rgb, facets, is_clear, alpha, 0.0 if gloss is None else gloss.alpha, lobe, wavelengths, shown,
         _swatches(shown, wavelengths), grid is not None, tuple(notes), time.perf_counter() - started,
         _profile(material),
     )  # fmt: skip
 
 
 def _spectra(
-    material: Material, theta: Array, grid: Array | None, is_superseded: Callable[[], bool]
-) -> tuple[Array, dict[str, Array], Gloss | None]:
-    """Return wavelengths, parts by name, `[angle, wavelength]`, zero where one does not apply, and the glossy part."""
-    model = material.model
+    material: Material, care: Care, is_superseded: Callable[[], bool]
+) -> tuple[Array, dict[str, Array], Gloss | None, Bsdf | None]:
+    """Return wavelengths, parts by name, `[angle, wavelength]`, zero where one does not apply, the glossy part, and the
+    Bsdf where it had to be solved for them."""
+    model, theta, grid = material.model, np.radians(care.angles_deg), care.wavelengths_nm
     bands = [grid]
     if (
         len(theta) < len(ANGLES_DEG) and grid is None
@@ -219,16 +239,16 @@ def _spectra(
         bsdf, axis = material.bsdf(grid), 0
         for angle in theta:
             _go_on(is_superseded)
-            spectra.append(bsdf_spectrum(bsdf, np.array([angle])))
+            spectra.append(bsdf_spectrum(bsdf, np.array([angle]), nodes=care.nodes))
     parts = {}
-    for name in (*PARTS, THROUGH):
+    for name in (*PARTS, *THROUGH):
         zero = np.zeros((len(spectra[0].angles_deg), 1))
         blocks = [s.parts().get(name, zero + np.zeros(len(s.wavelengths_nm))) for s in spectra]
         parts[name] = np.nan_to_num(np.concatenate(blocks, axis=axis))
     if axis == 0:
         _go_on(is_superseded)
-        return spectra[0].wavelengths_nm, parts, find_gloss(bsdf, theta, parts[PARTS[1]])
-    return np.concatenate([s.wavelengths_nm for s in spectra]), parts, None
+        return spectra[0].wavelengths_nm, parts, find_gloss(bsdf, theta, parts[PARTS[1]], care.samples), bsdf
+    return np.concatenate([s.wavelengths_nm for s in spectra]), parts, None, None
 
 
 def _go_on(is_superseded: Callable[[], bool]) -> None:
@@ -238,9 +258,13 @@ def _go_on(is_superseded: Callable[[], bool]) -> None:
 
 def _rgb(values: Array, wavelengths: Array, illuminant: str, angles_deg: Array) -> Array:
     """Return the colours of spectra at the angles of the table, `[angle, 3]`."""
-    xyz = adapt_xyz(spectrum_to_xyz(values, wavelengths, illuminant), white_xyz(illuminant), SRGB_WHITE_XYZ)
-    rgb = xyz_to_srgb_linear(xyz)
+    rgb = _linear(values, wavelengths, illuminant)
     return np.stack([np.interp(ANGLES_DEG, angles_deg, channel) for channel in rgb.T], axis=-1)
+
+
+def _linear(values: Array, wavelengths: Array, illuminant: str) -> Array:
+    xyz = adapt_xyz(spectrum_to_xyz(values, wavelengths, illuminant), white_xyz(illuminant), SRGB_WHITE_XYZ)
+    return np.asarray(xyz_to_srgb_linear(xyz))
 
 
 def _at_angles(total: Array, angles_deg: Array) -> Array:
@@ -267,12 +291,13 @@ def _swatches(total: Array, wavelengths: Array) -> list[dict[str, Any]]:
     ]
 
 
-def _surface(material: Material) -> tuple[float, list[str]]:
-    """Return the roughness to draw with, and what the drawing leaves out."""
+def _surface(material: Material) -> tuple[float, dict[str, Any], list[str]]:
+    """Return the roughness to draw with, of what facets, and what the drawing leaves out."""
     notes: list[str] = []
     rough = getattr(material.model, "surface", None)
-    alpha = 0.0
+    alpha, facets = 0.0, {"distribution": "ggx", "compensated": False}
     if isinstance(rough, Roughness):
+        facets = {"distribution": rough.distribution, "compensated": rough.compensate}
         alpha = float(np.sqrt(rough.alpha_x * rough.alpha_y))
         if rough.alpha_texture is not None:
             alpha *= float(rough.alpha_texture(np.array([0.5, 0.5])))
@@ -283,7 +308,7 @@ def _surface(material: Material) -> tuple[float, list[str]]:
         notes.append("The fan of light of the ridges is drawn as a rough mirror; its shape is in the settled picture.")
     if _varies(material.data):
         notes.append("What varies over the surface is drawn as it is at the surface's middle.")
-    return alpha, notes
+    return alpha, facets, notes
 
 
 def _profile(material: Material) -> dict[str, Any] | None:

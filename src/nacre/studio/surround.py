@@ -17,11 +17,11 @@ from nacre.arrays import Array
 from nacre.errors import NacreError
 from nacre.light import observer, table_wavelengths_nm, xyz_to_srgb_linear
 from nacre.picture.lights.environments import Environment, studio, unit_spectrum
+from nacre.studio.stage import ball_shade, stage_light
 
 ROWS = 128
 ALPHAS = (0.0, 0.03125, 0.0625, 0.125, 0.25, 0.5, 1.0)  # doubled from layer to layer: the page interpolates by log2
-
-
+LAYERS = len(ALPHAS) + 3
 NAMES = ("studio", "interior", "street", "sun", "sky")
 SKIES = ("sun", "sky")  # lights of Mitsuba's own, see `nacre.studio.skies`
 GREY = 0.16  # of the ground of a street and under a sky, as in pictures
@@ -39,7 +39,7 @@ def floors() -> dict[str, list[float] | None]:
 
 def blurred_surround(name: str = "studio") -> Array:
     """Return radiance over all directions, float32: one layer for each of `ALPHAS`, then one for a matt white surface
-    (irradiance over pi).
+    (irradiance over pi); and then, over other coordinates, `nacre.studio.stage.ball_shade` and `stage_light`.
 
     Rows run from the zenith down, columns from +x round by +y, both at the centres of their cells. Of the studio, whose
     light has one spectrum, `[layer, row, column]`; of a place linear sRGB, `[layer, row, column, 3]`.
@@ -80,6 +80,7 @@ def _layers(room: Array) -> Array:
     layers = [room]
     layers += [_blurred(room, functools.partial(_ggx, alpha=alpha)) for alpha in ALPHAS[1:]]
     layers.append(_blurred(room, lambda cos: np.maximum(cos, 0.0)))
+    layers += [ball_shade(room), stage_light(room)]
     return np.stack(layers).astype(np.float32)
 
 

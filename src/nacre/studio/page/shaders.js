@@ -8,11 +8,11 @@ const COMMON = `
 precision highp sampler2DArray;
 uniform sampler2D table;        // rows: mirror-like, glossy, spread, of A and of B; over the angle from 0 to 90 degrees
 uniform float first;            // row of the look that is drawn
-uniform sampler2DArray room;    // layers: blurred by roughness, the last one for a matt white surface
+uniform sampler2DArray room;    // so many layers: blurred by roughness, the last for a matt white surface; then the ball's shade, the stage's light
 uniform vec3 eye, right, up, ahead;
 uniform vec2 size;
 uniform vec4 foot;              // the shade on the floor: its middle and half its extents
-uniform float alpha, gloss, layers, exposure;
+uniform float alpha, gloss, layers, exposure, square;
 // PLACE: surroundings with colours of their own, seen behind the object; else the studio: light of one channel, a stage
 #ifdef PLACE
 #define LIGHT vec3
@@ -21,12 +21,13 @@ uniform float alpha, gloss, layers, exposure;
 #define LIGHT float
 #define TINT(t) (t).r
 #endif
-uniform LIGHT level, ground;    // of a matt white floor, and its reflectance
-out vec4 colour;
+uniform LIGHT level, ground;    // of a place's matt white floor, and its reflectance
+layout(location = 0) out vec4 colour;
 const float PI = 3.14159265;
 const vec3 CENTRE = vec3(0.0, 0.0, 1.0);
-// the stage of pictures: a grey floor that rises behind the object; fitted to what Mitsuba renders of it
-const float WALL = 9.5, TOP = 5.2, DIM = 0.2, FRONT = 16.0;
+// the stage of pictures (see stage.py): half its width, its front edge and where it begins to bend, radius, height, length
+const float WIDTH = 20.0, FRONT = 16.0, BACK = 5.0, BEND = 4.5, TOP = 5.2, LENGTH = FRONT + BACK + 0.5 * PI * BEND + TOP - BEND;
+const float HALF_WAY = 1.5;                              // radii from a ball, of its shade's rows
 const float NEAR_PLACE = 12.0, FAR_PLACE = 30.0;         // of a place: where the floor goes over into it
 
 LIGHT lookup(vec3 d, float layer) {
@@ -38,44 +39,100 @@ LIGHT lookup(vec3 d, float layer) {
 LIGHT matt(vec3 n) {
   return TINT(texture(room, vec3(atan(n.y, n.x) / (2.0 * PI), acos(clamp(n.z, -1.0, 1.0)) / PI, layers - 1.0)));
 }
-// the floor lit by the room, less what a sphere hides of it (form factor from a horizontal element); an object as its
-// own ellipsoid
-LIGHT stage(vec2 p) {
-#ifdef PLACE
-  float fall = 1.0;
-#else
-  float behind = max(dot(p, normalize(ahead.xy)), 0.0);
-  float fall = DIM + (1.0 - DIM) / (1.0 + pow(behind / 5.4, 2.3));
-#endif
+// the share of the floor's light that a ball leaves; an object as its own ellipsoid
+LIGHT shade(vec2 p) {
   vec2 q = (p - foot.xy) / foot.zw;
-  return ground * level * fall * (1.0 - 0.9 * pow(dot(q, q) + 1.0, -1.5));
+  float far = length(q);
+  return TINT(texture(room, vec3(atan(q.y, q.x) / (2.0 * PI), far / (far + HALF_WAY), layers)));
+}
+// a place p on the floor, or on the wall: then along is the way up to it
+LIGHT stage(vec2 p, float along, float wide) {
+#ifdef PLACE
+  return ground * level * shade(p);
+#else
+  float across = dot(p, normalize(right.xy)), half_ = 0.5 * WIDTH;
+  LIGHT lit = TINT(texture(room, vec3(clamp(0.5 + across / (2.0 * WIDTH), 0.005, 0.995), along / LENGTH, layers + 1.0)));
+  float from = length(vec2(across / 1.5, along - FRONT)) / 5.5, reflectance = 0.035 + 0.14 * exp(-from * from);
+  if (square > 0.0) {
+    vec2 at = abs(fract(vec2(across + WIDTH, along) / (2.0 * square) - 0.25) - 0.5) - 0.25;     // of a period, to the next edge
+    vec2 sign_ = clamp(at * 2.0 * square / max(wide, 1e-4), -1.0, 1.0) * smoothstep(2.0 * square, 0.7 * square, wide);
+    reflectance = 0.061 - 0.049 * sign_.x * sign_.y;
+  }
+  return reflectance * lit * shade(p);
+#endif
+}
+LIGHT floorAt(vec2 p) { return stage(p, dot(p, normalize(ahead.xy)) + FRONT, 1.0); }
+float layerOf(float rough) {
+  return rough < 0.001 ? 0.0 : clamp(log2(rough / 0.03125) + 1.0, min(rough / 0.03125, 1.0), layers - 2.0);
+}
+// What arrives from a direction d, of a cone so wide as a mirror's of that roughness; edges of the stage are sharp.
+LIGHT trace(vec3 from, vec3 d, float rough) {
+  LIGHT sky = lookup(d, layerOf(rough));
+#ifdef PLACE
+  if (d.z > -1e-3) return sky;
+  vec2 hit = from.xy + d.xy * (from.z / -d.z);
+  return mix(stage(hit, 0.0, 0.0), sky, smoothstep(NEAR_PLACE, FAR_PLACE, length(hit)));
+#else
+  vec2 back = normalize(ahead.xy), o = vec2(dot(from.xy, back) - BACK, from.z), e = vec2(dot(d.xy, back), d.z);
+  float t = e.y < 0.0 ? -o.y / e.y : 1e9, along;
+  if (o.x + t * e.x < 0.0 && e.y < 0.0) along = o.x + t * e.x + BACK + FRONT;
+  else {
+    if (e.x <= 0.0) return sky;
+    o.y -= BEND;
+    float a = dot(e, e), b = dot(o, e), c = dot(o, o) - BEND * BEND;
+    t = (-b + sqrt(max(b * b - a * c, 0.0))) / a;
+    vec2 at = o + t * e;
+    if (at.y < 0.0) along = FRONT + BACK + BEND * atan(at.x, -at.y);
+    else {
+      t = (BEND - o.x) / e.x;
+      float up = o.y + t * e.y;
+      if (up > TOP - BEND) return sky;
+      along = FRONT + BACK + BEND * 0.5 * PI + up;
+    }
+  }
+  vec2 hit = from.xy + t * d.xy;
+  if (along < 0.0 || abs(dot(hit, normalize(right.xy))) > WIDTH) return sky;
+  return stage(hit, along, 4.0 * rough * t);
+#endif
 }
 LIGHT incoming(vec3 from, vec3 d, float rough) {
-  float layer = rough < 0.001 ? 0.0 : clamp(log2(rough / 0.03125) + 1.0, min(rough / 0.03125, 1.0), layers - 2.0);
-  LIGHT seen = lookup(d, layer);
+  if (rough < 0.02) return trace(from, d, rough);
+  LIGHT seen = lookup(d, layerOf(rough));
   float spread = 0.01 + 0.9 * rough;
   float below = smoothstep(spread, -spread, d.z);
   vec3 down = vec3(d.xy, min(d.z, -0.06 - 0.5 * rough));
   vec2 hit = from.xy + down.xy * (from.z / -down.z);
 #ifdef PLACE
-  float far = smoothstep(NEAR_PLACE, FAR_PLACE, length(hit));
+  float far = smoothstep(NEAR_PLACE, FAR_PLACE, length(hit)), along = 0.0;
 #else
-  float behind = dot(d.xy, normalize(ahead.xy));
-  float top = (TOP - from.z) * max(behind, 0.05) / (WALL - dot(from.xy, normalize(ahead.xy))), soft = 0.01 + 1.2 * rough;
+  float behind = dot(d.xy, normalize(ahead.xy)), along = dot(hit, normalize(ahead.xy)) + FRONT;
+  float top = (TOP - from.z) * max(behind, 0.05) / (BACK + BEND - dot(from.xy, normalize(ahead.xy))), soft = 0.01 + 1.2 * rough;
   float wall = smoothstep(0.3 - rough, 0.6 + rough, behind / max(length(d.xy), 1e-4)) * smoothstep(top + soft, top - soft, d.z);
-  seen = mix(seen, DIM * ground * level, wall);
-  float far = smoothstep(FRONT, 2.5 * FRONT, -dot(hit, normalize(ahead.xy)));
+  seen = mix(seen, stage(hit, FRONT + BACK + BEND, 9.0), wall);
+  float far = smoothstep(0.0, -FRONT, along);
 #endif
-  return mix(seen, mix(stage(hit), seen, far), below);
+  return mix(seen, mix(stage(hit, along, 6.0 * rough), seen, far), below);
 }
 // what stands behind the object
-vec3 behind(vec3 d) {
-  vec2 hit = eye.xy + d.xy * (eye.z / max(-d.z, 0.01));
+vec3 behind(vec3 d, float pixel) {
+  float t = eye.z / max(-d.z, 0.01);
+  vec2 hit = eye.xy + d.xy * t;
 #ifdef PLACE
   LIGHT seen = lookup(d, 0.6);
-  return d.z < 0.0 ? mix(stage(hit), seen, smoothstep(NEAR_PLACE, FAR_PLACE, length(hit))) : seen;
+  return d.z < 0.0 ? mix(stage(hit, 0.0, 0.0), seen, smoothstep(NEAR_PLACE, FAR_PLACE, length(hit))) : seen;
 #else
-  return vec3(stage(hit));
+  // beyond its edges the stage goes on: its front's light, and its wall's
+  float along = dot(hit, normalize(ahead.xy)) + FRONT;
+  if (along > FRONT + BACK || d.z > -0.01) {
+    vec2 back = normalize(ahead.xy), o = vec2(dot(eye.xy, back) - BACK, eye.z - BEND), e = vec2(dot(d.xy, back), d.z);
+    float a = dot(e, e), b = dot(o, e), c = dot(o, o) - BEND * BEND;
+    t = (-b + sqrt(max(b * b - a * c, 0.0))) / a;
+    vec2 at = o + t * e;
+    along = FRONT + BACK + BEND * atan(max(at.x, 0.0), max(-at.y, 0.0));
+    if (at.y > 0.0) { t = (BEND - o.x) / e.x; along = min(FRONT + BACK + BEND * 0.5 * PI + o.y + t * e.y, LENGTH); }
+    hit = eye.xy + d.xy * t;
+  }
+  return vec3(stage(hit, max(along, 0.0), pixel * t * 1.5));
 #endif
 }
 vec3 encode(vec3 c) {
@@ -92,26 +149,133 @@ vec3 material(vec3 spot, vec3 d, vec3 n, vec3 down) {
   vec3 mirror = nacreColour(table, cosine, 0.0, first, 6.0), glossy = nacreColour(table, cosine, 0.0, first + 1.0, 6.0);
   vec3 spread = nacreColour(table, cosine, 0.0, first + 2.0, 6.0);
   float under = 0.5 * (1.0 - n.z);
-  LIGHT light = matt(n) * smoothstep(-1.0, 0.6, n.z) + under * under * stage(down.xy);
+  LIGHT light = matt(n) * smoothstep(-1.0, 0.6, n.z) + under * under * floorAt(down.xy);
   vec3 seen = mirror * incoming(spot, reflect(d, n), alpha) + spread * light;
   if (gloss > 0.0) seen += glossy * incoming(spot, reflect(d, n), gloss);
   return seen;
 }`;
 
+// What arrives at the ball through its lobes is known over its normals once it has been gathered (see light.js): over the
+// angle to the eye as the radius and the turn about it.
 export const BALL = `${COMMON}
+uniform sampler2D throughMirror, throughGloss, throughMatt;
+uniform float gathered;
+vec3 ballSeen(vec3 p, vec3 d) {
+  vec3 toEye = normalize(eye - CENTRE);
+  float far = acos(clamp(dot(p, toEye), -1.0, 1.0)) / acos(1.0 / length(eye - CENTRE));
+  vec2 side = vec2(dot(p, normalize(right)), dot(p, cross(toEye, normalize(right))));
+  vec2 at = 0.5 + 0.5 * min(far, 1.0) * side / max(length(side), 1e-6);
+  vec4 m = texture(throughMirror, at), g = texture(throughGloss, at);
+  float cosine = clamp(-dot(d, p), 0.0, 1.0);
+  vec3 seen = texture(throughMatt, at).rgb;
+  if (gathered < 1.5) seen *= nacreColour(table, cosine, 0.0, first + 2.0, 6.0);
+  if (alpha < 0.001) seen += nacreColour(table, cosine, 0.0, first, 6.0) * trace(p + CENTRE, reflect(d, p), 0.0);
+  else seen += nacreColour(table, m.a, 0.0, first, 6.0) * m.rgb;
+  if (gloss > 0.0 && gathered < 1.5) seen += nacreColour(table, g.a, 0.0, first + 1.0, 6.0) * g.rgb;
+  return seen;
+}
 void main() {
   vec2 at = (gl_FragCoord.xy - 0.5 * size) / (0.5 * size.x);
   vec3 d = normalize(ahead + at.x * right + at.y * up);
   vec3 o = eye - CENTRE;
   float b = dot(o, d), c = dot(o, o) - 1.0, disc = b * b - c;
-  vec3 back = behind(d);
   float pixel = 2.0 * length(right) / size.x * length(o);
   float cover = clamp(0.5 + (1.0 - sqrt(max(dot(o, o) - b * b, 0.0))) / pixel, 0.0, 1.0);
+  vec3 back = cover < 1.0 ? behind(d, pixel / length(o)) : vec3(0.0);
   if (cover > 0.0) {
-    vec3 p = o + d * (-b - sqrt(max(disc, 0.0)));
-    back = mix(back, material(p + CENTRE, d, normalize(p), p * 1.6), cover);
+    vec3 p = normalize(o + d * (-b - sqrt(max(disc, 0.0))));
+    back = mix(back, gathered > 0.5 ? ballSeen(p, d) : material(p + CENTRE, d, p, p * 1.6), cover);
   }
   colour = vec4(encode(back * exp2(exposure)), 1.0);
+}`;
+
+// The light that reaches the eye off a white ball, by lobe: of facets about the normal (with the mean cosine at which
+// they are met), of the fitted gloss, of a matt surface. Many directions each, over the same lattice for all places.
+export const GATHER = `${COMMON}
+uniform float pixels, beckmann, compensated, wants;     // wants: 1 the facets, 2 the gloss, 4 the matt surface, summed
+layout(location = 1) out vec4 asGloss;
+layout(location = 2) out vec4 asMatt;
+uniform float count;
+
+float smith(float cosine, float a, bool isBeckmann) {
+  float tangent = a * sqrt(max(1.0 - cosine * cosine, 0.0)) / max(cosine, 1e-4);
+  if (!isBeckmann) return 2.0 / (1.0 + sqrt(1.0 + tangent * tangent));
+  float x = 1.0 / max(tangent, 1e-4);
+  return x >= 1.6 ? 1.0 : min((3.535 * x + 2.181 * x * x) / (1.0 + 2.276 * x + 2.577 * x * x), 1.0);
+}
+// Facets drawn by their density; a direction stands for the solid angle that falls to it.
+vec4 facets(vec3 spot, vec3 n, vec3 side, vec3 v, float a, bool isBeckmann, out float lost) {
+  vec3 other = cross(n, side), sum = vec3(0.0);
+  float cv = max(dot(n, v), 0.01), whole = 0.0, met = 0.0, bright = 0.0;
+  for (int i = 0; float(i) < count; i++) {
+    float left = 1.0 - (float(i) + 0.5) / count, turn = 2.0 * PI * fract(0.618034 * float(i));
+    float slope2 = a * a * (isBeckmann ? -log(left) : (1.0 - left) / left), z = inversesqrt(1.0 + slope2);
+    vec3 m = z * (n + sqrt(slope2) * (cos(turn) * side + sin(turn) * other));
+    float vm = dot(v, m);
+    vec3 d = 2.0 * vm * m - v;
+    float cd = dot(d, n);
+    if (vm <= 0.0 || cd <= 0.0) continue;
+    float weight = vm * smith(cd, a, isBeckmann) * smith(cv, a, isBeckmann) / (cv * z);
+    float density = (isBeckmann ? left : left * left) / (PI * a * a * z * z * z);
+    vec3 light = vec3(trace(spot, d, 0.5 * sqrt(vm / (count * density * PI))));
+    float y = weight * dot(light, vec3(0.2126, 0.7152, 0.0722));
+    sum += weight * light; whole += weight; met += y * vm; bright += y;
+  }
+  lost = max(1.0 - whole / count, 0.0);
+  return vec4(sum / count, bright > 0.0 ? met / bright : cv);
+}
+// Light by the table of where it goes: half of the directions about the mirror's, as wide as the gloss, half about the
+// normal; as much of it in all as the look says for this angle.
+vec3 scattered(vec3 spot, vec3 n, vec3 side, vec3 v) {
+  vec3 other = cross(n, side), sum = vec3(0.0), whole = vec3(1e-5), wo = vec3(dot(v, side), dot(v, other), max(dot(v, n), 0.02));
+  float a2 = gloss * gloss;
+  for (int i = 0; float(i) < 2.0 * count; i++) {
+    float u = (floor(0.5 * float(i)) + 0.5) / count, turn = 2.0 * PI * fract(0.618034 * floor(0.5 * float(i)));
+    vec3 wi;
+    if ((i & 1) == 0) wi = vec3(sqrt(u) * cos(turn), sqrt(u) * sin(turn), sqrt(1.0 - u));
+    else {
+      if (gloss <= 0.0) continue;
+      float slope = gloss * sqrt(u / (1.0 - u)), z = inversesqrt(1.0 + slope * slope);
+      wi = reflect(-wo, z * vec3(slope * cos(turn), slope * sin(turn), 1.0));
+      if (wi.z <= 1e-3) continue;
+    }
+    float density = wi.z / PI;
+    if (gloss > 0.0) {
+      vec3 h = normalize(wi + wo);
+      float d = h.z * h.z * (a2 - 1.0) + 1.0;
+      density += a2 * h.z / (PI * d * d * 4.0 * max(dot(h, wo), 1e-3));
+    }
+    vec3 f = nacreScattered(wi, wo) * wi.z / (count * density);
+    sum += f * vec3(trace(spot, wi.x * side + wi.y * other + wi.z * n, 0.5 * inversesqrt(count * density * PI)));
+    whole += f;
+  }
+  float cosine = wo.z;
+  return sum / whole * (nacreColour(table, cosine, 0.0, first + 1.0, 6.0) + nacreColour(table, cosine, 0.0, first + 2.0, 6.0));
+}
+void main() {
+  vec2 at = (gl_FragCoord.xy - 0.5 * pixels) / (0.5 * pixels - 1.0);
+  vec3 o = eye - CENTRE, toEye = normalize(o), across = normalize(right), upward = cross(toEye, across);
+  float far = min(length(at), 1.0) * acos(1.0 / length(o));
+  vec3 n = cos(far) * toEye + sin(far) * (at.x * across + at.y * upward) / max(length(at), 1e-6);
+  vec3 spot = n + CENTRE, v = normalize(eye - spot), side = normalize(cross(abs(n.z) < 0.9 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0), n));
+  int kinds = int(wants + 0.5);
+  float lost = 0.0, none;
+  colour = asGloss = asMatt = vec4(0.0);
+  if ((kinds & 1) != 0) colour = facets(spot, n, side, v, alpha, beckmann > 0.5, lost);
+  if ((kinds & 8) != 0) { asMatt.rgb = scattered(spot, n, side, v); kinds &= 1; }
+  if ((kinds & 2) != 0) asGloss = facets(spot, n, side, v, gloss, false, none);
+  bool isKept = compensated > 0.5 && lost > 0.0;
+  if ((kinds & 4) == 0 && !isKept) return;
+  vec3 other = cross(n, side), between = vec3(0.0);
+  float whole = 0.0;
+  for (int i = 0; float(i) < count; i++) {
+    float u = (float(i) + 0.5) / count, turn = 2.0 * PI * fract(0.618034 * float(i)), z = sqrt(1.0 - u);
+    vec3 light = vec3(trace(spot, z * n + sqrt(u) * (cos(turn) * side + sin(turn) * other), 0.5 * inversesqrt(count * max(z, 0.05))));
+    asMatt.rgb += light / count;
+    float loss = 1.0 - smith(z, alpha, beckmann > 0.5) + 1e-4;      // about what facets lose of light from there
+    between += loss * light; whole += loss;
+  }
+  if (isKept) colour.rgb += lost * between / whole;    // what facets lose comes back from between them
 }`;
 
 const DEPTHS = `const float NEAR = 1.0, FAR = 60.0;`;
@@ -166,7 +330,7 @@ vec3 seenAt(ivec2 fine) {
   vec2 at = (vec2(fine) + 0.5 - size) / size.x;        // fine pixels: two to one
   vec3 ray = ahead + at.x * right + at.y * up, d = normalize(ray);
   int part = partAt(fine);
-  if (part == 0) return behind(d);
+  if (part == 0) return behind(d, 2.0 * length(right) / size.x);
   float z = 2.0 * texelFetch(depth, fine, 0).r - 1.0;
   vec3 spot = eye + ray * (2.0 * FAR * NEAR / (FAR + NEAR - z * (FAR - NEAR))), n = normalAt(fine), seen;
   if (dot(n, d) > 0.12) n = -n;                        // seen from behind, not just over a rounded edge
@@ -176,7 +340,7 @@ vec3 seenAt(ivec2 fine) {
     return grid > 0.5 ? mix(seen, vec3(0.02), 0.75 * texelFetch(kind, fine, 0).g) : seen;
   }
   float cosine = clamp(-dot(d, n), 0.0, 1.0), under = 0.5 * (1.0 - n.z);
-  LIGHT light = matt(n) * smoothstep(-1.0, 0.6, n.z) + under * under * stage(spot.xy * 1.2);
+  LIGHT light = matt(n) * smoothstep(-1.0, 0.6, n.z) + under * under * floorAt(spot.xy * 1.2);
   float fresnel = own.y > 0.0 ? own.y + (1.0 - own.y) * pow(1.0 - cosine, 5.0) * (1.0 - own.z) : 0.0;
   return vec3(own.x * light + fresnel * incoming(spot, reflect(d, n), own.z));
 }

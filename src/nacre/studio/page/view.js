@@ -1,15 +1,22 @@
 // The object on its stage, turned by the pointer or by keys; one look, or two side by side.
 
-import { BALL, COVER, MESH, MESH_VERTEX, SHADE } from "./shaders.js";
+import { COARSE, Light } from "./light.js";
+import { BALL, COVER, GATHER, MESH, MESH_VERTEX, SHADE } from "./shaders.js";
 
 // the camera of pictures of a sphere, and the shade below it
 const SPHERE = { distance: Math.hypot(8.6, 1.77), target: [0, 0, 0.93], fov: 19, foot: [0, 0, 1, 1], azimuth: 0, elevation: 11.63 };
-const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth"];
-const STAGE = 0.15;     // reflectance of the studio's floor; fitted to what Mitsuba renders of it
-const SHADERS = { ball: [COVER, BALL], mesh: [MESH_VERTEX, MESH], shade: [COVER, SHADE] };
+const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "gathered", "square", "pixels", "beckmann", "compensated", "wants", "count", "nacreLobe"];
+const SAMPLERS = ["table", "room", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "nacreLobe"];
+const SQUARE = 0.55;    // of the chequers that clear materials stand on, as in pictures
+const LOBE = "#define NACRE_LOBE\n#define NACRE_LOBE_SLICES 4.0\n#define NACRE_LOBE_SCALE 1.0\n";     // see lobe.py
+const EXTRA = 2;        // layers of the room beside those of its light: the ball's shade, the stage's light
+const SHADERS = { ball: [COVER, BALL], gather: [COVER, GATHER], mesh: [MESH_VERTEX, MESH], shade: [COVER, SHADE] };
 const FINER = 2;        // triangles are drawn at twice the size, so that their edges are smooth
 const MOST_PARTS = 8;
 const SLOW_MS = 20, FEWEST = 400;  // pixels a side
+
+// what is gathered: facets, gloss, a matt surface; or instead of the last two what a table says of spread light
+const wantsOf = (look) => (look.lobe ? 8 : 0) + (look.alpha >= 0.001 ? 1 : 0) + (look.gloss_alpha > 0 ? 2 : 0) + (look.spread.some((value) => value > 1e-4) ? 4 : 0);
 
 export class View {
   // Throws where the browser has no WebGL2; `tables` is the text of the exported shaders.
@@ -27,8 +34,9 @@ export class View {
   build() {
     const gl = this.gl;
     this.programs = new Map();
+    this.light = new Light(gl, (look, pixels) => this.gather(look, pixels), () => this.draw());
     this.use("ball");
-    this.buffer = this.corners = null;
+    this.buffer = this.corners = this.lobeTexture = null;
     this.tableTexture = this.texture(0, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE);
     this.roomTexture = this.texture(1, gl.TEXTURE_2D_ARRAY, gl.REPEAT);
   }
@@ -38,17 +46,18 @@ export class View {
     const gl = this.gl, isPlace = Boolean(this.room?.floor) && name !== "mesh", key = name + isPlace;
     if (!this.programs.has(key)) {
       const program = gl.createProgram(), [vertex, fragment] = SHADERS[name];
-      for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, `#version 300 es\n${isPlace ? "#define PLACE\n" : ""}${this.tables}${fragment}`]]) {
+      for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, `#version 300 es\n${name === "gather" ? LOBE : ""}${isPlace ? "#define PLACE\n" : ""}${this.tables}${fragment}`]]) {
         const shader = gl.createShader(kind);
         gl.shaderSource(shader, source);
         gl.compileShader(shader);
+        if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost()) console.warn(gl.getShaderInfoLog(shader));
         gl.attachShader(program, shader);
       }
       gl.linkProgram(program);
       if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) throw new Error("no WebGL2");
       gl.useProgram(program);
       const at = Object.fromEntries(UNIFORMS.map((one) => [one, gl.getUniformLocation(program, one)]));
-      ["table", "room", "facing", "kind", "depth"].forEach((one, unit) => { if (at[one]) gl.uniform1i(at[one], unit); });
+      SAMPLERS.forEach((one, unit) => { if (at[one]) gl.uniform1i(at[one], unit); });
       this.programs.set(key, { program, at });
     }
     const { program, at } = this.programs.get(key);
@@ -69,8 +78,9 @@ export class View {
   // Radiance over all directions by layers, of one channel or three; `floor`: the floor's colour
   // where it is a place that is seen behind the object, else null.
   setRoom(values, { rows, columns, alphas }, floor) {
-    const layers = alphas.length + 1, channels = values.length / (layers * rows * columns);
+    const layers = alphas.length + 1, channels = values.length / ((layers + EXTRA) * rows * columns);
     const zenith = channels * (layers - 1) * rows * columns, of = (c) => values[zenith + Math.min(c, channels - 1)];     // of the last layer
+    this.light.forget();
     this.room = { values, rows, columns, layers, channels, floor, level: [of(0), of(1), of(2)] };
     this.upload();
     this.draw();
@@ -111,7 +121,7 @@ export class View {
       gl.activeTexture(gl.TEXTURE1);
       this.uploaded = this.room;
       const [held, sent] = channels === 1 ? [gl.R16F, gl.RED] : [gl.RGB16F, gl.RGB];
-      gl.texImage3D(gl.TEXTURE_2D_ARRAY, 0, held, columns, rows, layers, 0, sent, gl.FLOAT, values);
+      gl.texImage3D(gl.TEXTURE_2D_ARRAY, 0, held, columns, rows, layers + EXTRA, 0, sent, gl.FLOAT, values);
     }
     if (!this.look) return;
     const count = this.look.mirror.length / 3, texels = new Float32Array(6 * count * 4), other = this.other ?? this.look;
@@ -159,6 +169,7 @@ export class View {
     gl.viewport(0, 0, width, height);
     this.drawLook(this.look, 0, 0, cut);
     if (this.other) this.drawLook(this.other, 3, cut, width);
+    this.light.settle(this.object.places ? [] : [this.look, this.other ?? this.look].map((look) => this.keyOf(look)));
     if (this.trials > 0) this.judge(began);
     this.canvas.dataset.seq = this.look.seq;
   }
@@ -168,7 +179,9 @@ export class View {
     const gl = this.gl, { places, parts } = this.object, used = places ? "shade" : "ball";
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(from, 0, to - from, this.canvas.height);
-    const at = this.prepare(used, look, first);
+    const isGathered = !places && this.light.bind(this.keyOf(look), look), at = this.prepare(used, look, first);
+    this.canvas.dataset.light = isGathered ? "gathered" : places || !this.light.isAble ? "blurred" : "gathering";
+    if (!places) gl.uniform1f(at.gathered, isGathered ? (look.lobe ? 2 : 1) : 0);
     if (places) {
       const plain = new Float32Array(3 * MOST_PARTS).fill(-1);      // of the material: no plain look
       parts.forEach((part, i) => { if (part.plain) plain.set(part.plain, 3 * i); });
@@ -176,6 +189,32 @@ export class View {
       gl.uniform1f(at.grid, this.grid ? 1 : 0);
     }
     gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  // What the light off the ball depends on; none of the recipe's colours.
+  keyOf(look) {
+    return JSON.stringify([this.azimuth, this.elevation, look.alpha, look.gloss_alpha, wantsOf(look), look.facets, look.lobe ? look.seq : 0]);
+  }
+
+  gather(look, pixels) {
+    const gl = this.gl, at = this.prepare("gather", look, look === this.other ? 3 : 0), { distribution, compensated } = look.facets;
+    gl.uniform1f(at.pixels, pixels);
+    gl.uniform1f(at.count, pixels > COARSE ? 64 : 128);      // directions of a lobe: fewer where they are near each other
+    gl.uniform1f(at.beckmann, distribution === "ggx" ? 0 : 1);
+    gl.uniform1f(at.compensated, compensated ? 1 : 0);
+    gl.uniform1f(at.wants, wantsOf(look));
+    if (look.lobe) this.lobe(look);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  // The table of where spread light goes, in the unit that a look's own gathered light is kept out of.
+  lobe({ lobe, arrays }) {
+    const gl = this.gl, [, [slices, rows, columns]] = arrays.find(([name]) => name === "lobe"), texels = new Float32Array((4 * lobe.length) / 3);
+    for (let i = 0; i < lobe.length / 3; i++) texels.set([lobe[3 * i], lobe[3 * i + 1], lobe[3 * i + 2], 1], 4 * i);
+    this.lobeTexture ??= this.texture(8, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE);
+    gl.activeTexture(gl.TEXTURE8);
+    gl.bindTexture(gl.TEXTURE_2D, this.lobeTexture);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, columns, slices * rows, 0, gl.RGBA, gl.FLOAT, texels);
   }
 
   // What is seen where: normal, part and depth. Each pixel is coloured after that, once, or more often at an edge.
@@ -231,7 +270,7 @@ export class View {
     gl.uniform1f(at.layers, this.room.layers);
     const { floor, level } = this.room;
     if (floor) { gl.uniform3fv(at.level, level); gl.uniform3fv(at.ground, floor); }
-    else { gl.uniform1f(at.level, level[0]); gl.uniform1f(at.ground, STAGE); }
+    else gl.uniform1f(at.square, look.clear ? SQUARE : 0);
     gl.uniform1f(at.exposure, this.exposure);
     return at;
   }

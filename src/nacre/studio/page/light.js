@@ -1,0 +1,109 @@
+// The light of the room that reaches the eye off the ball, gathered over each lobe: it does not depend on the recipe's
+// colours, so that it is gathered when the view, the room or a roughness has come to rest, strip by strip, and kept.
+// Until then, and on other objects, the page draws with one look-up in a blurred room.
+
+const REST_MS = 160, STRIP_MS = 12, STRIPS = 16;
+const FINE = 256, ROUGH = 0.08;                 // pixels a side; the coarse ones are for lobes above such a roughness
+export const COARSE = 128;
+const MOST_KEPT = 3;
+const FIRST_UNIT = 5;                           // textures 0 to 4 are the view's own
+
+export class Light {
+  // `draw(strip)` runs the shader over a part of the buffer; `onDone` when a light is ready.
+  constructor(gl, draw, onDone) {
+    Object.assign(this, { gl, draw, onDone, kept: new Map(), wanted: new Map(), making: null, timer: 0 });
+    this.isAble = Boolean(gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float"));
+  }
+
+  // Bind what was gathered for a look, and say whether it was; what was not is asked for.
+  bind(key, look) {
+    if (!this.isAble) return false;
+    const made = this.kept.get(key);
+    if (made) {
+      this.kept.delete(key);
+      this.kept.set(key, made);         // the last one used is the last to go
+      made.textures.forEach((texture, i) => this.on(FIRST_UNIT + i, texture));
+      return true;
+    }
+    this.wanted.set(key, look);
+    return false;
+  }
+
+  // All that a picture asked for has been said; what nobody asks for any more is given up.
+  settle(keys) {
+    for (const key of this.wanted.keys()) if (!keys.includes(key)) this.wanted.delete(key);
+    if (this.making && !this.wanted.has(this.making.key)) { this.free(this.making); this.making = null; }
+    clearTimeout(this.timer);
+    if (this.wanted.size) this.timer = setTimeout(() => this.go(), REST_MS);
+  }
+
+  get isDone() { return !this.wanted.size || !this.isAble; }
+
+  forget() {
+    for (const made of this.kept.values()) this.free(made);
+    this.kept.clear();
+    this.wanted.clear();
+    if (this.making) this.free(this.making);
+    this.making = null;
+  }
+
+  on(unit, texture) {
+    this.gl.activeTexture(this.gl.TEXTURE0 + unit);
+    this.gl.bindTexture(this.gl.TEXTURE_2D, texture);
+  }
+
+  go() {
+    const gl = this.gl, [entry] = this.wanted;
+    if (!entry || gl.isContextLost()) return;
+    const [key, look] = entry;
+    this.making ??= this.begin(key, look);
+    if (!this.making) return;
+    const { frame, pixels, at } = this.making, next = Math.min(at + Math.ceil(pixels / STRIPS), pixels);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
+    gl.viewport(0, 0, pixels, pixels);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(0, at, pixels, next - at);
+    this.draw(look, pixels);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    this.making.at = next;
+    if (next < pixels) { this.timer = setTimeout(() => this.go(), STRIP_MS); return; }
+    this.kept.set(key, this.making);
+    this.making = null;
+    this.wanted.delete(key);
+    for (const old of this.kept.keys()) {
+      if (this.kept.size <= MOST_KEPT) break;
+      this.free(this.kept.get(old));
+      this.kept.delete(old);
+    }
+    if (this.wanted.size) this.timer = setTimeout(() => this.go(), STRIP_MS);
+    this.onDone();
+  }
+
+  begin(key, look) {
+    const gl = this.gl, widths = [look.alpha, look.gloss_alpha].filter((width) => width > 0.001);
+    const pixels = widths.length && Math.min(...widths) < ROUGH ? FINE : COARSE;
+    const made = { key, pixels, at: 0, frame: gl.createFramebuffer(), textures: [] };
+    gl.bindFramebuffer(gl.FRAMEBUFFER, made.frame);
+    for (let i = 0; i < 3; i++) {
+      const texture = gl.createTexture();
+      this.on(FIRST_UNIT + i, texture);
+      for (const way of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, way, gl.LINEAR);
+      for (const way of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, way, gl.CLAMP_TO_EDGE);
+      gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA16F, pixels, pixels);
+      gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + i, gl.TEXTURE_2D, texture, 0);
+      made.textures.push(texture);
+    }
+    gl.drawBuffers([0, 1, 2].map((i) => gl.COLOR_ATTACHMENT0 + i));
+    if (gl.checkFramebufferStatus(gl.FRAMEBUFFER) !== gl.FRAMEBUFFER_COMPLETE) {
+      this.isAble = false;
+      this.free(made);
+      return null;
+    }
+    return made;
+  }
+
+  free({ frame, textures }) {
+    for (const texture of textures) this.gl.deleteTexture(texture);
+    this.gl.deleteFramebuffer(frame);
+  }
+}
