@@ -156,6 +156,14 @@ class Body(abc.ABC):
     def index(self, wavelength_nm: float) -> complex | None:
         """Return the particle's own index, or None: it is not known."""
 
+    def of_radius(self, radius_nm: float) -> Body:
+        """Return the same particle with another width, its height as it is.
+
+        Raises:
+            UnsupportedError: only this one is known.
+        """
+        raise UnsupportedError(f"{self.source}: its T-matrix is of one size, so sizes cannot spread")
+
     @property
     def stated_error(self) -> float | None:
         """The largest estimated error of what was computed so far, relative to T; None: nothing says."""
