@@ -80,6 +80,7 @@ class AxialTMatrices:
         height_nm: whole height along the axis, the centre in its middle, or None.
         circumscribing_nm: largest distance from the centre, or None.
         material_index: `[wavelength]`, of the particle, or None: unknown or of several materials.
+        turn_loss: share of the scattered power that depends on the turn about the axis and is not in the blocks.
     """
 
     wavelengths_nm: Array
@@ -90,6 +91,7 @@ class AxialTMatrices:
     height_nm: float | None = None
     circumscribing_nm: float | None = None
     material_index: ComplexArray | None = None
+    turn_loss: float = 0.0
 
     @property
     def lmax(self) -> int:
@@ -169,6 +171,11 @@ class Body(abc.ABC):
         """The largest estimated error of what was computed so far, relative to T; None: nothing says."""
         return None
 
+    @property
+    def turn_loss(self) -> float:
+        """Share of the scattered power that depends on the turn about the axis and is left out; 0: axisymmetric."""
+        return 0.0
+
     @abc.abstractmethod
     def all_known(self, wavelengths_nm: Array) -> AxialTMatrices:
         """Return the T-matrices for a file: those that are known, or those at some wavelengths."""
@@ -206,6 +213,11 @@ class KnownBody(Body):
     def lmax(self) -> int:  # type: ignore[override]
         """Highest multipole order of the file."""
         return self.known.lmax
+
+    @property
+    def turn_loss(self) -> float:
+        """Share of the scattered power that depends on the turn about the axis and is left out."""
+        return self.known.turn_loss
 
     def t_matrix(self, wavelength_nm: float) -> ComplexArray:
         """Return T at a wavelength, `[m, n, n']`.

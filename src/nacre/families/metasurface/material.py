@@ -315,6 +315,9 @@ class Metasurface(Model):
         stated = [k.body.stated_error for k in self.kinds if k.body is not None and k.body.stated_error is not None]
         if stated:
             notes["t_matrix_error"] = float(f"{max(stated):.2g}")
+        turned = max((k.body.turn_loss for k in self.kinds if k.body is not None), default=0.0)
+        if turned:
+            notes["left_out_by_turns"] = float(f"{turned:.2g}")
         if judged is not None:
             notes["ensemble"] = judged.notes
         if self.multipole_order is None:
@@ -333,6 +336,14 @@ class Metasurface(Model):
         return Bsdf((specular, harmonic), notes)
 
     def _warn(self) -> None:
+        for kind in self.kinds:
+            if kind.body is not None and kind.body.turn_loss:
+                warnings.warn(
+                    f"{kind.body.source}: is not axisymmetric: the mean over its turn about the normal is taken, and "
+                    f"{100 * kind.body.turn_loss:.2g} % of what it scatters, which depends on the turn, is left out",
+                    MetasurfaceWarning,
+                    stacklevel=3,
+                )
         if self.coverage > VALIDATED_COVERAGE and self.chosen_correction[0] != ENSEMBLE:
             warnings.warn(
                 f"{self.source}: coverage f = {self.coverage:.3g} is above {VALIDATED_COVERAGE}, up to which the "
