@@ -253,6 +253,15 @@ def test_what_a_mixture_cannot_be_gets_one_line():
         )
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "said"), [("depth_nm", 20, "inside a layer"), ("orientation", "aligned", "one way")]
+)
+def test_what_is_not_modelled_says_why(key, value, said):
+    with pytest.raises(NacreError, match=f"gives {key}: particles .*{said}.* not modelled") as told:
+        material(recipe({"material": SILICON, "radius_nm": 70, key: value}))
+    assert "\n" not in str(told.value)
+
+
 def test_a_mixture_varies_as_other_recipes_do():
     made = material(recipe(two({"material": SILICON, "radius_nm": 75}, {"material": SILVER, "radius_nm": 50}, 0.3)))
     other = made.vary({"particle.second.share": 0.6, "particle.second.radius_nm": 45})

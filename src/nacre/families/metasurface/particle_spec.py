@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 import pydantic
@@ -22,6 +23,12 @@ SMALLEST_CORE_NM = 0.1  # less than an atom; squares of far smaller ones are 0 i
 WIDEST_RELATIVE_SIZE = 0.3
 SAME_MEDIUM = 1e-3  # relative, of the index that a T-matrix is for
 SAME_LENGTH = 1e-2  # relative, of a length that recipe and file both give
+NOT_MODELLED = {  # what a stranger may ask for, and why there is no such key
+    "depth_nm": "particles inside a layer are not modelled: T-matrix, neighbours and both faces of the layer would "
+    "have to meet in its medium; they lie on the stack, or gap_nm above it, in the ambient",
+    "orientation": "particles that all point one way are not modelled; of one that is not axisymmetric the mean over "
+    "its turn about the normal is taken",
+}
 NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
 Extent = Annotated[float, pydantic.Field(ge=2 * SMALLEST_CORE_NM, le=2 * CORE_LIMIT_NM)]
 
@@ -87,6 +94,14 @@ class KindSpec(RecipeModel):
         description="height of a cylinder or spheroid; or of what tmatrix describes, if its file does not say",
         examples=[80],
     )
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _is_modelled(cls, data: Any) -> Any:
+        for key in NOT_MODELLED if isinstance(data, Mapping) else ():
+            if key in data:
+                raise ValueError(f"gives {key}: {NOT_MODELLED[key]}")
+        return data
 
     @pydantic.model_validator(mode="after")
     def _one_kind(self) -> Self:
