@@ -105,7 +105,8 @@ def trends(made: dict[tuple[float, float, float], Any], light: dict[tuple[float,
     return [
         ("diffuse light grows with the density (2 to 10 a um2, p = .5; sides 95, 130, 170 nm)", "brighter",
          f"{told(brighter)} times", min(brighter) > 1.0),
-        ("its colour whitens as the density rises", "chroma falls", f"{told(paler)} times the chroma",
+        ("its colour whitens as the density rises (there by multiple scattering, which a mean field has in part)",
+         "chroma falls", f"{told(paler)} times the chroma",
          max(paler) < 1.0),
         ("larger particles scatter towards red", "mean wavelength rises", f"{middle[0]:.0f}, {middle[1]:.0f}, "
          f"{middle[2]:.0f} nm", bool(np.all(np.diff(middle) > 0))),
@@ -222,7 +223,7 @@ def main(out_dir: str | Path = "out/validation") -> list[dict[str, Any]]:
                 each.plot(WAVELENGTHS, s, style, color=f"C{DENSITIES.index(rho)}", label=f"{rho:g} /um$^2$, p {p:g}")
         each.set(xlabel="wavelength / nm", title=f"side {side:g} nm")
         each.legend(fontsize=5, frameon=False, loc="upper left")
-        each.set_ylim(0, None)
+        each.set_ylim(0, 1.7 * max(float(s.max()) for key, s in light.items() if key[0] == side))
         _swatches(each, side, light)
     axes.flat[0].set_ylabel("diffuse reflectance at 20 degrees")
     finish(figure, out_dir, FIGURE)

@@ -26,6 +26,7 @@ from nacre.families.metasurface.exports import write_particle
 from nacre.families.metasurface.figures import FIGURES
 from nacre.families.metasurface.kinds import LOOSEST_TOLERANCE, Kind, mean_square_radius
 from nacre.families.metasurface.material import Metasurface
+from nacre.families.metasurface.micrograph import SUFFIXES, is_picture
 from nacre.families.metasurface.particle_spec import ParticleSpec
 from nacre.families.metasurface.patterns import Pattern
 from nacre.families.metasurface.structure import PACKING_LIMIT, Structure, hard_disk_structure
@@ -60,6 +61,7 @@ class StructureSpec(RecipeModel):
         '"hard-disk"',
         '{name = "lattice", lattice = "square", jitter = 0.2}',
         '{points = "xy.csv"}',
+        '{points = "sem.png", width_um = 10}',
         '{sq = "s.csv"}',
     )
 
@@ -67,7 +69,13 @@ class StructureSpec(RecipeModel):
         default=None, description="kind of order; written alone it needs no table", examples=["lattice"]
     )
     points: str | None = pydantic.Field(
-        default=None, description="in place of name: a file of the particles' positions", examples=["xy.csv"]
+        default=None,
+        description="in place of name: a file of the particles' positions in um, or a picture of particles (png, tif, "
+        "jpg, bmp) that width_um goes with",
+        examples=["xy.csv"],
+    )
+    width_um: Positive | None = pydantic.Field(
+        default=None, description="width of the picture that points names", examples=[10]
     )
     sq: str | None = pydantic.Field(
         default=None, description="in place of name: a file of the structure factor S(q)", examples=["s.csv"]
@@ -105,6 +113,11 @@ class StructureSpec(RecipeModel):
         given = [key for key in ("name", "points", "sq") if getattr(self, key) is not None]
         if len(given) != 1:
             raise ValueError(f"gives {' and '.join(given) or 'nothing'}; it needs one of name, points, sq")
+        shown = self.points is not None and is_picture(self.points)
+        if shown and self.width_um is None:
+            raise ValueError(f'names a picture, points = "{self.points}", and not how wide it is; give width_um')
+        if not shown and self.width_um is not None:
+            raise ValueError(f"gives width_um, which is of a picture; points should name one ({', '.join(SUFFIXES)})")
         return self
 
 
@@ -322,7 +335,7 @@ class MetasurfaceSpec(RecipeModel):
         reach_nm = max(kind.reach_nm for kind in kinds)
         layer, kind = self.monolayer, self.monolayer.structure
         if kind.points is not None:
-            pattern = points_pattern(context, kind.points, 2 * outer_nm)
+            pattern = points_pattern(context, kind.points, 2 * outer_nm, kind.width_um)
             measured = points_structure(pattern, q_max)
             self._clear(context, "monolayer.structure.points", kind.points, measured.diameter_nm, reach_nm)
             return measured, pattern
