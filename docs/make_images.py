@@ -1,6 +1,7 @@
 """Render the pictures that README and gallery show, and store them small in docs/images.
 
-`python docs/make_images.py` makes all; names after it make some: `hero`, `glass`, `gallery`, or names of the gallery.
+`python docs/make_images.py` makes all; names after it make some: `hero`, `glass`, `sem`, `gallery`, or names of the
+gallery.
 They are committed, so that the documentation builds in minutes; make them anew when a picture has changed.
 """
 
@@ -153,6 +154,22 @@ def thumbnail_name(picture: PictureSpec) -> str:
     return picture.name or Path(picture.recipe).stem
 
 
+def make_sem(scratch: Path) -> Path:
+    """Draw the micrograph of the tutorial by its own program, and render its own recipe beside it."""
+    page = (Path(__file__).parent / "howto" / "from-an-sem-image.md").read_text(encoding="utf-8")
+    program = page.split("```python\n")[1].split("```")[0].replace('"sem.png"', repr(str(scratch / "sem.png")))
+    exec(compile(program, "from-an-sem-image.md", "exec"), {})  # the page's own
+    recipe = scratch / "sem.toml"
+    recipe.write_text(page.split("```toml\n")[1].split("```")[0], encoding="utf-8")
+    size = PANEL[1]
+    drawn = Image.open(scratch / "sem.png").convert("RGB").resize((size, size))
+    look = nacre.render(nacre.load(recipe), "sphere", size=(size, size), spp=SPP, progress=False)
+    sheet = Image.new("RGB", (2 * size + GAP, size), GROUND)
+    sheet.paste(drawn, (0, 0))
+    sheet.paste(Image.fromarray(np.asarray(look.srgb8)), (size + GAP, 0))
+    return _save(sheet, IMAGES / "sem.jpg")
+
+
 def _save(image: Image.Image, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     image.save(path, quality=90, optimize=True)
@@ -174,6 +191,8 @@ def main(names: list[str]) -> None:
         make_sheet("families", HERO, folder, scratch)
     if not names or "glass" in names:
         make_sheet("glass", GLASS, folder, scratch)
+    if not names or "sem" in names:
+        make_sem(scratch)
 
 
 if __name__ == "__main__":

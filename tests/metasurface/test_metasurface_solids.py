@@ -218,7 +218,7 @@ REFUSED = {
     "a shell": (
         'shape = "cylinder"\nmaterial = "Si"\ndiameter_nm = 90\nheight_nm = 60\n'
         'shell = {material = "SiO2", thickness_nm = 5}',
-        "gives shell, which a cylinder does not have",
+        "gives shell, which no cylinder can have: its T-matrix is solved on one surface",
     ),
     "unknown": ('shape = "cube"\nmaterial = "Si"\ndiameter_nm = 90\nheight_nm = 60', '"cube"'),
     "no sharp edge": (

@@ -12,6 +12,7 @@ from nacre.cli import run
 from nacre.errors import MaterialRangeError
 from nacre.families.metasurface import tmatrix_file
 from nacre.families.metasurface.axial import AxialTMatrices, as_blocks, gain, mirror_signs
+from nacre.families.metasurface.material import MetasurfaceWarning
 from nacre.families.metasurface.tmatrix_file import TMatrixFileError, read_tmatrices, write_tmatrices
 
 SAME = 1e-10  # of spheres by way of a file, against Mie
@@ -246,7 +247,13 @@ def _scaled(factor):
 
 def _tilted(file):
     values = file["tmatrix"][()]
-    values[:, 0, 3] = 0.05  # couples m = -1 and m = 0
+    values[:, 0, 3] = 0.6  # couples m = -1 and m = 0
+    file["tmatrix"][...] = values
+
+
+def _handed(file):
+    values = file["tmatrix"][()]
+    values[:, 0, 1] = values[:, 1, 0] = 0.01j  # m = -1 alone: electric to magnetic
     file["tmatrix"][...] = values
 
 
@@ -269,7 +276,8 @@ BROKEN = {
     "odd unit": (lambda f: f["vacuum_wavelength"].attrs.__setitem__("unit", "parsec"), "no unit of length"),
     "nan": (_scaled(np.nan), "not finite"),
     "gain": (_scaled(4.0), "radiates more than it gets"),
-    "not axisymmetric": (_tilted, "is not axisymmetric"),
+    "not axisymmetric": (_tilted, "of what it scatters depends on its turn"),
+    "handed": (_handed, "handed particle, with no mirror plane"),
     "not reciprocal": (_one_way, "not reciprocal"),
     "magnetic medium": (_set("embedding/relative_permeability", 2.0), "magnetic or chiral"),
     "absorbing medium": (_set("embedding/relative_permittivity", 2.0 + 1j), "absorbing medium"),
@@ -369,3 +377,49 @@ def test_a_changed_file_is_another_material(tmp_path):
 
 def test_signs_between_m_and_minus_m_are_those_of_a_mirror():
     assert np.array_equal(mirror_signs(1), [[1, -1], [-1, 1]])
+
+
+def _cluster(treams, corners, radius=30.0, apart=80.0, wavelength=500.0):
+    """Silicon spheres at the corners of a polygon about z, as one T-matrix about its middle, in the parity basis."""
+    k, turn = 2 * np.pi / wavelength, 2 * np.pi * np.arange(corners) / corners
+    at = np.column_stack([apart / 2 * np.cos(turn), apart / 2 * np.sin(turn), 0 * turn])
+    one = treams.TMatrix.sphere(4, k, radius, [3.5**2, 1.0])
+    cluster = treams.TMatrix.cluster([one] * corners, at).interaction.solve()
+    return cluster.expand(treams.SphericalWaveBasis.default(4)).changepoltype("parity")
+
+
+def _saved(treams, matrix, path):
+    with h5py.File(path, "w") as file:
+        treams.io.save_hdf5(file, [matrix], computation={"keywords": "semi-analytical"}, scatterers={})
+
+
+def test_a_particle_with_corners_is_taken_as_the_mean_over_its_turns(tmp_path, capsys):
+    """Against the code that made it: extinction at slanted light, averaged over turns about the normal."""
+    treams = pytest.importorskip("treams.io").treams
+    from nacre.families.metasurface.sphere import SphereOnStack, cross_sections
+    from nacre.families.metasurface.substrate import Substrate
+
+    matrix = _cluster(treams, 4)
+    _saved(treams, matrix, tmp_path / "square.tmat.h5")
+    known = read_tmatrices(tmp_path / "square.tmat.h5")
+    assert 1e-6 < known.turn_loss < 0.05
+    alone = SphereOnStack(
+        Substrate(500.0, np.array([1.0, 1.0], complex), np.array([])), 100.0, known.blocks[0], known.lmax
+    )
+    light, k = np.radians(50.0), float(matrix.k0)
+    ours = cross_sections(alone, [np.cos(light)]).extinction[:, 0]
+    turns, theirs = 2 * np.pi * np.arange(24) / 24, np.zeros(2)
+    for phi in turns:
+        along, across = np.array([np.cos(phi), np.sin(phi), 0.0]), np.array([-np.sin(phi), np.cos(phi), 0.0])
+        vector = k * (np.sin(light) * along - np.cos(light) * np.array([0, 0, 1.0]))
+        for pol, field in enumerate((across, -np.cos(light) * along - np.sin(light) * np.array([0, 0, 1.0]))):
+            wave = treams.plane_wave(list(vector), list(field), k0=k, material=1, poltype="parity")
+            wave = wave.expand(matrix.basis)
+            sent = np.asarray(matrix @ wave)
+            theirs[pol] += -np.real(np.vdot(np.asarray(wave), sent)) / k**2 / len(turns)
+    assert ours == pytest.approx(theirs, rel=TREAMS)
+    path = _recipe(tmp_path, 'tmatrix = "square.tmat.h5"\ndiameter_nm = 140\nheight_nm = 60\ngap_nm = 60')
+    path.write_text(path.read_text().replace("multipole_order = 5", ""))
+    with pytest.warns(MetasurfaceWarning, match="mean over its turn"):
+        made = nacre.load(path).model.bsdf(np.array([500.0]))
+    assert 0 < made.provenance["left_out_by_turns"] < 0.05

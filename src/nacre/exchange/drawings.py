@@ -109,11 +109,18 @@ def _write_layout(drawing: Layout, to: str, path: Path, facts: dict[str, Any]) -
                 f"--to csv: {count} particles are more than {MAX_CSV_POINTS}; write gds or oas, which repeat a period"
             )
         offsets = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 1, 2)
-        write_points_csv(path, (drawing.xy_um + offsets * drawing.period_um).reshape(-1, 2))
+        xy_um = (drawing.xy_um + offsets * drawing.period_um).reshape(-1, 2)
+        radii = None
+        if drawing.is_mixed:
+            radii = np.tile(np.array(drawing.radii_um)[drawing.kinds], columns * rows)
+        write_points_csv(path, xy_um, radii)
     else:
         if path.suffix.lower() != SUFFIXES[to]:
             raise UnsupportedError(f"{path}: --to {to} needs a name that ends in {SUFFIXES[to]}")
-        write_layout(path, drawing.xy_um, drawing.radius_um, drawing.period_um, periods=drawing.periods)
+        several = (drawing.radii_um, drawing.kinds) if drawing.is_mixed else None
+        write_layout(
+            path, drawing.xy_um, drawing.radius_um, drawing.period_um, periods=drawing.periods, several=several
+        )
     facts |= {
         "unit": "um",
         "particles": count,

@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.arrays import Array
 from nacre.errors import NacreError
@@ -27,6 +28,7 @@ def write_layout(
     field_um: float | None = None,
     square: bool = False,
     periods: tuple[int, int] | None = None,
+    several: tuple[tuple[float, ...], NDArray[np.intp] | None] | None = None,
 ) -> int:
     """Write particles as .gds or .oas; return how many particles the file stands for.
 
@@ -38,6 +40,7 @@ def write_layout(
         field_um: side of the field to fill by repeating the period; default: one period.
         square: squares instead of circles.
         periods: how often to repeat along x and y, instead of `field_um`.
+        several: radii in um of several kinds, and which kind each point is; each has a cell of its own.
 
     Raises:
         NacreError: an unknown ending, a field that 32-bit coordinates cannot hold, particles that are nothing.
@@ -62,14 +65,18 @@ def write_layout(
     if extent > MAX_COORDINATE_UM:
         raise NacreError(f"{path}: the field reaches {extent:.4g} um; at most {MAX_COORDINATE_UM:g} um can be written")
     library = gdstk.Library("nacre", unit=1e-6, precision=PRECISION_M)
-    particle = library.new_cell("PARTICLE")
-    if square:
-        particle.add(gdstk.rectangle((-radius_um, -radius_um), (radius_um, radius_um)))
-    else:
-        particle.add(gdstk.ellipse((0, 0), radius_um, tolerance=min(TOLERANCE_UM, radius_um / 20)))
+    radii, kinds = several or ((radius_um,), None)
+    particles = []
+    for number, radius in enumerate(radii, start=1):
+        particle = library.new_cell("PARTICLE" if number == 1 else f"PARTICLE_{number}")
+        if square:
+            particle.add(gdstk.rectangle((-radius, -radius), (radius, radius)))
+        else:
+            particle.add(gdstk.ellipse((0, 0), radius, tolerance=min(TOLERANCE_UM, radius / 20)))
+        particles.append(particle)
     period = library.new_cell("PERIOD")
-    for x, y in np.round(xy, 3):
-        period.add(gdstk.Reference(particle, (x, y)))
+    for (x, y), kind in zip(np.round(xy, 3), np.zeros(len(xy), dtype=np.intp) if kinds is None else kinds):
+        period.add(gdstk.Reference(particles[kind], (x, y)))
     if columns * rows > 1 and box_um is not None:
         field = library.new_cell("FIELD")
         field.add(gdstk.Reference(period, columns=columns, rows=rows, spacing=(box_um, box_um)))
@@ -81,9 +88,11 @@ def write_layout(
     return len(xy) * columns * rows
 
 
-def write_points_csv(path: str | Path, xy_um: Array) -> None:
-    """Write centres as CSV with a heading, in um to a tenth of a nanometre."""
+def write_points_csv(path: str | Path, xy_um: Array, radii_um: Array | None = None) -> None:
+    """Write centres, and radii where they differ, as CSV with a heading, in um to a tenth of a nanometre."""
+    rows = np.asarray(xy_um, dtype=float)
+    heading = "x_um,y_um"
+    if radii_um is not None:
+        rows, heading = np.column_stack([rows, radii_um]), "x_um,y_um,radius_um"
     with atomic_path(path) as temporary:
-        np.savetxt(
-            temporary, np.asarray(xy_um, dtype=float), fmt="%.4f", delimiter=",", header="x_um,y_um", comments=""
-        )
+        np.savetxt(temporary, rows, fmt="%.4f", delimiter=",", header=heading, comments="")

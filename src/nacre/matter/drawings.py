@@ -12,6 +12,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from nacre.arrays import Array
 
 
@@ -49,7 +52,7 @@ class LayerSheet:
 
 @dataclass(frozen=True)
 class Layout:
-    """One period of equal round outlines in the plane, repeated.
+    """One period of round outlines in the plane, repeated.
 
     Attributes:
         xy_um: `[particle, 2]` of one period.
@@ -58,6 +61,8 @@ class Layout:
         periods: how many along x and y.
         facts: what else is known of it, for the file beside it.
         stem: of the file, where none is named.
+        radii_um: of the outlines of each kind, where there are several.
+        kinds: `[particle]`, which of these it is; None: all are of `radius_um`.
     """
 
     xy_um: Array
@@ -66,6 +71,13 @@ class Layout:
     periods: tuple[int, int] = (1, 1)
     facts: Mapping[str, Any] = field(default_factory=dict)
     stem: str = "pattern"
+    radii_um: tuple[float, ...] = ()
+    kinds: NDArray[np.intp] | None = None
+
+    @property
+    def is_mixed(self) -> bool:
+        """Whether there are several kinds."""
+        return len(self.radii_um) > 1 and self.kinds is not None
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ from scipy.special import j0
 
 from nacre.arrays import Array
 from nacre.errors import NacreError
+from nacre.families.metasurface.micrograph import find_particles, grey_levels
 from nacre.families.metasurface.patterns import (
     Pattern,
     hard_disks,
@@ -23,6 +25,8 @@ from nacre.families.metasurface.patterns import (
 from nacre.families.metasurface.structure import RANGE_IN_DIAMETERS, Structure
 from nacre.files import plain, why_unreadable
 from nacre.recipe.model import RecipeContext
+
+logger = logging.getLogger("nacre")
 
 ARRANGEMENTS = ("hard-disk", "rsa", "poisson-disk", "lattice")
 MEASURED_POINTS = 200_000
@@ -117,14 +121,19 @@ def jittered_structure(
     return measured_structure("lattice", pattern, a, q_max_per_nm)
 
 
-def points_pattern(context: RecipeContext, name: str, diameter_nm: float) -> Pattern:
-    """Read a list of points, x and y in um, one a line, taken as one period of a square.
+def points_pattern(context: RecipeContext, name: str, diameter_nm: float, width_um: float | None = None) -> Pattern:
+    """Read points, taken as one period of a square: a list, x and y in um, one a line, or a picture of particles.
+
+    Of a picture that is not square its middle is taken.
+
+    Args:
+        width_um: of the picture.
 
     Raises:
         RecipeError: the file is unusable, or particles overlap.
     """
     key = "monolayer.structure.points"
-    rows = read_columns(context, key, name)
+    rows = read_columns(context, key, name) if width_um is None else _points_in_picture(context, name, width_um)
     if len(rows) < 50:
         raise context.fail(key, name, f"holds {len(rows)} points; a list needs at least 50 to have a structure")
     low, high = rows.min(axis=0), rows.max(axis=0)
@@ -141,6 +150,27 @@ def points_pattern(context: RecipeContext, name: str, diameter_nm: float) -> Pat
             key, name, f"has particles {nearest:.4g} nm apart, which overlap: they are {diameter_nm:.4g} nm wide"
         )
     return pattern
+
+
+def _points_in_picture(context: RecipeContext, name: str, width_um: float) -> Array:
+    """Find the particles in the middle square of a picture, `[point, 2]`, um.
+
+    Raises:
+        RecipeError: it shows none, or cannot be read.
+    """
+    path = context.path(name)
+    try:
+        if plain(path).stat().st_size > MAX_FILE_BYTES:
+            raise NacreError(f"is larger than {MAX_FILE_BYTES >> 20} MB")
+        found = find_particles(grey_levels(path), width_um)
+    except OSError as error:
+        raise context.fail("monolayer.structure.points", name, why_unreadable(error)) from None
+    except NacreError as error:
+        raise context.fail("monolayer.structure.points", name, str(error)) from None
+    logger.info("%s: %s: %s", context.source, name, found.summary)
+    side = min(found.size_um)
+    away = np.abs(found.xy_um - np.array(found.size_um) / 2).max(axis=1)
+    return found.xy_um[away < side / 2]
 
 
 def points_structure(pattern: Pattern, q_max_per_nm: float) -> Structure:

@@ -80,6 +80,7 @@ class AxialTMatrices:
         height_nm: whole height along the axis, the centre in its middle, or None.
         circumscribing_nm: largest distance from the centre, or None.
         material_index: `[wavelength]`, of the particle, or None: unknown or of several materials.
+        turn_loss: share of the scattered power that depends on the turn about the axis and is not in the blocks.
     """
 
     wavelengths_nm: Array
@@ -90,6 +91,7 @@ class AxialTMatrices:
     height_nm: float | None = None
     circumscribing_nm: float | None = None
     material_index: ComplexArray | None = None
+    turn_loss: float = 0.0
 
     @property
     def lmax(self) -> int:
@@ -156,10 +158,23 @@ class Body(abc.ABC):
     def index(self, wavelength_nm: float) -> complex | None:
         """Return the particle's own index, or None: it is not known."""
 
+    def of_radius(self, radius_nm: float) -> Body:
+        """Return the same particle with another width, its height as it is.
+
+        Raises:
+            UnsupportedError: only this one is known.
+        """
+        raise UnsupportedError(f"{self.source}: its T-matrix is of one size, so sizes cannot spread")
+
     @property
     def stated_error(self) -> float | None:
         """The largest estimated error of what was computed so far, relative to T; None: nothing says."""
         return None
+
+    @property
+    def turn_loss(self) -> float:
+        """Share of the scattered power that depends on the turn about the axis and is left out; 0: axisymmetric."""
+        return 0.0
 
     @abc.abstractmethod
     def all_known(self, wavelengths_nm: Array) -> AxialTMatrices:
@@ -198,6 +213,11 @@ class KnownBody(Body):
     def lmax(self) -> int:  # type: ignore[override]
         """Highest multipole order of the file."""
         return self.known.lmax
+
+    @property
+    def turn_loss(self) -> float:
+        """Share of the scattered power that depends on the turn about the axis and is left out."""
+        return self.known.turn_loss
 
     def t_matrix(self, wavelength_nm: float) -> ComplexArray:
         """Return T at a wavelength, `[m, n, n']`.

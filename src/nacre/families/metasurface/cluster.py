@@ -1,8 +1,8 @@
 """Many spheres solved together: the multi-sphere T-matrix equations of one finite pattern on a stack.
 
 b_j = M (a_j + sum_k W(r_j - r_k) b_k), M the response of one sphere dressed by the stack, W the coupling of two: the
-translation of spherical waves and the stack's reflection, a Sommerfeld integral. All centres have one height, so W
-depends on the distance, and on the azimuth by a phase: it is tabulated once a wavelength.
+translation of spherical waves and the stack's reflection, a Sommerfeld integral. All centres of one kind have one
+height, so W depends on the distance and the two kinds, and on the azimuth by a phase: tabulated once a wavelength.
 
 A multipole is n = (m, tau, l) with m from -L to L, flat, as in `neighbours`; distances are times k inside.
 """
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import cgetrf, cgetrs
 
 from nacre.arrays import Array, ComplexArray
-from nacre.families.metasurface.angular import adjoint, mirrored, plane_wave_vectors
+from nacre.families.metasurface.angular import adjoint, legendre, mirrored, plane_wave_vectors
 from nacre.families.metasurface.bessel import bessel_j, spherical_hankel_scaled
 from nacre.families.metasurface.monolayer import Particle
 from nacre.families.metasurface.neighbours import (
@@ -24,6 +24,7 @@ from nacre.families.metasurface.neighbours import (
     multipole_index,
     pair_orders,
     stack_contour,
+    translation_coefficients,
     with_negative_orders,
 )
 from nacre.families.metasurface.sphere import Directions, SphereOnStack
@@ -33,6 +34,7 @@ from nacre.matter.jit import compiled
 STEP = 0.05  # of k times the distance: cubic interpolation leaves 1e-5 of the coupling of touching spheres
 GROWTH = 10.0  # e^10 of cancellation at the largest distance, with double's 16 digits
 SingleComplex = NDArray[np.complex64]
+IntArray = NDArray[np.intp]
 
 
 def reflected_coupling(
@@ -68,15 +70,36 @@ def reflected_coupling(
     return out
 
 
-def direct_coupling(order: int, distances: Array) -> ComplexArray:
-    """Return W^D(R), the translation of outgoing multipole n' to regular n in the plane, `[n, n', distance]`.
+def direct_coupling(order: int, distances: Array, height: float = 0.0) -> ComplexArray:
+    """Return W^D(R), the translation of outgoing multipole n' to regular n, `[n, n', distance]`.
 
-    sum_p c_p h_p(kR) P_p^mu(0), the coefficients of `neighbours`.
+    sum_p c_p h_p(kr) P_p^mu(cos), the coefficients of `neighbours`.
+
+    Args:
+        distances: k times the horizontal ones.
+        height: k times that of the target's centre over the source's.
     """
     top = 2 * order
-    waves = spherical_hankel_scaled(distances, top) * np.exp(1j * distances)
-    table = direct_coefficients(order).sum(axis=3)  # only the pair's own mu is not zero
-    return np.asarray(table @ waves)
+    r = np.hypot(distances, height)
+    waves = spherical_hankel_scaled(r, top) * np.exp(1j * r)
+    if height == 0.0:
+        table = direct_coefficients(order).sum(axis=3)  # only the pair's own mu is not zero
+        return np.asarray(table @ waves)
+    angular = legendre(height / r, top, top)  # mu, p, distance
+    by_order = np.stack([translation_coefficients(order) @ (waves * each) for each in angular])
+    mu = pair_orders(order)
+    rows, columns = np.indices(mu.shape)
+    return np.asarray(by_order[mu, rows, columns])
+
+
+def _all_orders(surface: Substrate, particle: Particle, order: int) -> ComplexArray:
+    """Return M over all m, `[n, n']`."""
+    index = multipole_index(order)
+    blocks = SphereOnStack(surface, particle.centre_nm, particle.t_matrix, order, particle.cut).dressed
+    rows = index.block
+    sign = np.where((index.m[:, None] < 0) & (index.tau[:, None] != index.tau), -1.0, 1.0)
+    same = index.m[:, None] == index.m
+    return np.asarray(np.where(same, blocks[np.abs(index.m)[:, None], rows[:, None], rows] * sign, 0.0))
 
 
 @dataclass(frozen=True)
@@ -84,14 +107,13 @@ class Coupling:
     """The coupling of two spheres over their distance at one wavelength, and what one sphere does.
 
     Attributes:
-        surface, centre_nm, order: what it was made of.
+        surface, order: what it was made of.
         start, step: of k times the distance.
-        table: M W(R), `[distance, n, n']`, single precision, without the phase e^{i(m'-m) phi}.
-        dressed: M over all m, `[n, n']`.
+        table: M W(R), `[kind, kind', distance, n, n']`, single precision, without the phase e^{i(m'-m) phi}.
+        dressed: M over all m, `[kind, n, n']`.
     """
 
     surface: Substrate
-    centre_nm: float
     order: int
     start: float
     step: float
@@ -99,47 +121,56 @@ class Coupling:
     dressed: ComplexArray
 
     @classmethod
-    def build(cls, surface: Substrate, particle: Particle, nearest_nm: float, farthest_nm: float) -> Coupling:
-        """Tabulate between two distances of centres."""
-        order, centre_nm = particle.lmax, particle.centre_nm
-        index = multipole_index(order)
-        blocks = SphereOnStack(surface, centre_nm, particle.t_matrix, order, particle.cut).dressed
-        rows = index.block
-        sign = np.where((index.m[:, None] < 0) & (index.tau[:, None] != index.tau), -1.0, 1.0)
-        same = index.m[:, None] == index.m
-        dressed = np.where(same, blocks[np.abs(index.m)[:, None], rows[:, None], rows] * sign, 0.0)
+    def build(
+        cls, surface: Substrate, particle: Particle, nearest_nm: float, farthest_nm: float, *others: Particle
+    ) -> Coupling:
+        """Tabulate between two distances of centres; the `others` of a mixture are of the same order."""
+        particles, order = (particle, *others), particle.lmax
+        dressed = np.stack([_all_orders(surface, particle, order) for particle in particles])
         k = surface.wavenumber
         start = max(k * nearest_nm - 2 * STEP, STEP)
         count = int(np.ceil((k * farthest_nm - start) / STEP)) + 4
         distances = np.asarray(start + STEP * np.arange(count), dtype=np.float64)
-        total = direct_coupling(order, distances) + reflected_coupling(surface, centre_nm, order, distances)
-        table = np.einsum("ab,bcr->rac", dressed, total, optimize=True)
-        return cls(surface, centre_nm, order, start, STEP, table.astype(np.complex64), dressed)
+        kinds, size = len(particles), dressed.shape[-1]
+        table = np.empty((kinds, kinds, count, size, size), dtype=np.complex64)
+        by_height: dict[float, ComplexArray] = {}  # the image of one lies as far below as both are high
+        for i, target in enumerate(particles):
+            for j, source in enumerate(particles):
+                mean_nm = 0.5 * (target.centre_nm + source.centre_nm)
+                if mean_nm not in by_height:
+                    by_height[mean_nm] = reflected_coupling(surface, mean_nm, order, distances)
+                direct = direct_coupling(order, distances, k * (target.centre_nm - source.centre_nm))
+                total = direct + by_height[mean_nm]
+                table[i, j] = np.einsum("ab,bcr->rac", dressed[i], total, optimize=True)
+        return cls(surface, order, start, STEP, table, dressed)
 
-    def matrix(self, xy_nm: Array) -> SingleComplex:
+    def matrix(self, xy_nm: Array, kinds: IntArray | None = None) -> SingleComplex:
         """Return 1 - M W of a pattern, `[sphere x n, sphere x n]`, by columns, as LAPACK wants it."""
+        kinds = _kinds(xy_nm, kinds)
         index = multipole_index(self.order)
         size = len(xy_nm) * len(index.m)
         turned = np.zeros((size, size), dtype=np.complex64)
-        _fill(xy_nm * self.surface.wavenumber, self.start, self.step, self.table, index.m, turned)
+        _fill(xy_nm * self.surface.wavenumber, kinds, self.start, self.step, self.table, index.m, turned)
         return turned.T
 
-    def excitations(self, xy_nm: Array, waves: PlaneWaves) -> SingleComplex:
+    def excitations(self, xy_nm: Array, waves: PlaneWaves, kinds: IntArray | None = None) -> SingleComplex:
         """Return M a of plane waves, `[sphere, n, wave]`, pol before direction."""
-        answered = np.einsum("ab,bw->aw", self.dressed, waves.excitation)
-        return np.asarray(answered * waves.phases(xy_nm)[:, None], dtype=np.complex64)
+        answered = np.matmul(self.dressed, waves.excitation)
+        return np.asarray(answered[_kinds(xy_nm, kinds)] * waves.phases(xy_nm)[:, None], dtype=np.complex64)
 
-    def solve(self, xy_nm: Array, waves: PlaneWaves) -> SingleComplex:
-        """Return the multipoles of every sphere, `[sphere, n, wave]`."""
-        right = self.excitations(xy_nm, waves)
-        factors, pivots, _ = cgetrf(self.matrix(xy_nm), overwrite_a=True)
+    def solve(self, xy_nm: Array, waves: PlaneWaves, kinds: IntArray | None = None) -> SingleComplex:
+        """Return the multipoles of every sphere, `[sphere, n, wave]`; `kinds[sphere]` tells which of a mixture."""
+        right = self.excitations(xy_nm, waves, kinds)
+        factors, pivots, _ = cgetrf(self.matrix(xy_nm, kinds), overwrite_a=True)
         found, _ = cgetrs(factors, pivots, right.reshape(-1, right.shape[-1]))
         return np.asarray(found.reshape(right.shape))
 
-    def far_field(self, xy_nm: Array, multipoles: SingleComplex, waves: PlaneWaves) -> SingleComplex:
+    def far_field(
+        self, xy_nm: Array, multipoles: SingleComplex, waves: PlaneWaves, kinds: IntArray | None = None
+    ) -> SingleComplex:
         """Return F towards the directions of `waves`, `[direction, wave of multipoles]`, nm."""
         phases = waves.phases(xy_nm).conj()  # sphere, direction
-        rows = (waves.emission * phases[:, None] / self.surface.wavenumber).astype(np.complex64)
+        rows = (waves.emission[_kinds(xy_nm, kinds)] * phases[:, None] / self.surface.wavenumber).astype(np.complex64)
         return np.asarray(rows.reshape(-1, rows.shape[-1]).T @ multipoles.reshape(-1, multipoles.shape[-1]))
 
 
@@ -148,7 +179,7 @@ class PlaneWaves:
     """Plane waves in all polarisations and azimuths: what they excite, and what is sent towards them.
 
     Attributes:
-        excitation, emission: `[n, wave]`, of a sphere at the origin; waves run over pol, angle, azimuth.
+        excitation, emission: `[kind, n, wave]`, of a sphere at the origin; waves run over pol, angle, azimuth.
         wavevectors: `[wave, 2]`, in the plane, 1/nm, along the travel: of light that arrives, or that leaves.
     """
 
@@ -157,15 +188,18 @@ class PlaneWaves:
     wavevectors: Array
 
     @classmethod
-    def build(cls, directions: Directions, azimuths: Array, order: int, wavenumber: float) -> PlaneWaves:
-        """Turn the vectors of `directions` to each azimuth of the in-plane wavevector."""
+    def build(
+        cls, directions: Directions, azimuths: Array, order: int, wavenumber: float, *others: Directions
+    ) -> PlaneWaves:
+        """Turn the vectors to each azimuth of the in-plane wavevector; the `others` are those of a mixture's kinds."""
+        kinds = (directions, *others)
         index = multipole_index(order)
         turn = np.exp(1j * index.m[:, None] * azimuths)  # n, azimuth
         parts = []
-        for vectors, phase in ((directions.excitation, turn.conj()), (directions.emission, turn)):
-            spread = with_negative_orders(vectors, index)  # pol, n, angle
-            whole = spread[..., None] * phase[None, :, None]
-            parts.append(np.moveaxis(whole, 1, 0).reshape(len(index.m), -1))
+        for name, phase in (("excitation", turn.conj()), ("emission", turn)):
+            spread = np.stack([with_negative_orders(getattr(one, name), index) for one in kinds])  # kind, pol, n, angle
+            whole = spread[..., None] * phase[None, None, :, None]
+            parts.append(np.moveaxis(whole, 2, 1).reshape(len(kinds), len(index.m), -1))
         along = np.stack([np.cos(azimuths), np.sin(azimuths)], axis=-1)
         flat = (wavenumber * directions.transverse[:, None, None] * along).reshape(-1, 2)
         return cls(parts[0], parts[1], np.concatenate([flat, flat]))
@@ -175,8 +209,12 @@ class PlaneWaves:
         return np.asarray(np.exp(1j * (xy_nm @ self.wavevectors.T)))
 
 
+def _kinds(xy_nm: Array, kinds: IntArray | None) -> IntArray:
+    return np.zeros(len(xy_nm), dtype=np.intp) if kinds is None else kinds
+
+
 @compiled(nogil=True, fastmath=True)
-def _fill(xy, start, step, table, m, turned):  # type: ignore[no-untyped-def]  # numba
+def _fill(xy, kinds, start, step, tables, m, turned):  # type: ignore[no-untyped-def]  # numba
     count, size = xy.shape[0], m.size
     top = 0
     for a in range(size):
@@ -188,6 +226,7 @@ def _fill(xy, start, step, table, m, turned):  # type: ignore[no-untyped-def]  #
         for k in range(count):
             if j == k:
                 continue
+            table = tables[kinds[j], kinds[k]]
             dx, dy = xy[j, 0] - xy[k, 0], xy[j, 1] - xy[k, 1]
             distance = np.sqrt(dx * dx + dy * dy)
             turn = complex(dx / distance, dy / distance)

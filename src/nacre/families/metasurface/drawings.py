@@ -6,9 +6,12 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from nacre.families.metasurface.ensemble import dealt
 from nacre.families.metasurface.material import Metasurface
 from nacre.matter.drawings import DrawingRequest, LayerSheet, Layout
+from nacre.matter.indices.constant import OpticalConstant
 
 PERIOD_POINTS = 20_000  # S(q) of a period is that of the endless pattern beyond some 2 pi / period
 REFERENCE_NM = 550.0
@@ -34,41 +37,58 @@ def layout(material: Metasurface, request: DrawingRequest) -> Layout:
     if request.size_mm is not None:
         columns, rows = (max(1, math.ceil(1e3 * side / box_um - 1e-9)) for side in request.size_mm)
     seed = request.seed if request.seed is not None else getattr(material.arrangement, "seed", None)
+    which, radii = _drawn_kinds(material, len(pattern.xy_nm), seed)
     facts: dict[str, Any] = {
-        "radii_spread": len(material.sizes.radii_nm) > 1,
+        "radii_spread": any(len(kind.sizes.radii_nm) > 1 for kind in material.kinds),
         "arrangement": material.structure.name,
         "density_per_um2": density_per_um2,
         "packing": material.structure.packing,
         "seed": seed,
-        "shape": f"circles are the outlines of {_noun(material)}, seen from above",
+        "shape": f"circles are the outlines of {' and '.join(kind.noun for kind in material.kinds)}, seen from above",
     }
-    return Layout(pattern.xy_nm * 1e-3, _mean_radius_nm(material) * 1e-3, box_um, (columns, rows), facts)
+    if len(radii) > 1:
+        repeated = columns * rows
+        facts["kinds"] = [
+            {"shape": kind.noun, "radius_um": r, "particles": int(np.count_nonzero(which == n)) * repeated}
+            for n, (kind, r) in enumerate(zip(material.kinds, radii))
+        ]
+    return Layout(pattern.xy_nm * 1e-3, radii[0], box_um, (columns, rows), facts, radii_um=radii, kinds=which)
+
+
+def _drawn_kinds(material: Metasurface, count: int, seed: int | None) -> tuple[NDArray[np.intp], tuple[float, ...]]:
+    """Return which kind each particle is, drawn by the shares in whole numbers, and the kinds' radii in um."""
+    which = dealt(count, np.array([kind.share for kind in material.kinds]), np.random.default_rng((seed or 0, count)))
+    return which, tuple(round(kind.outer_radius_nm * 1e-3, 9) for kind in material.kinds)
 
 
 def layer_sheet(material: Metasurface) -> LayerSheet:
     """Return the table of what to make, from the light's side inward."""
-    radius = _mean_radius_nm(material)
-    core: list[Any] = [] if material.core is None else [("core", material.core, "radius_nm", radius)]
-    if material.shell is not None:
-        core.insert(0, ("shell", material.shell.material, "thickness_nm", material.shell.thickness_nm))
-    entries = [("ambient", material.ambient, "", ""), *core]
-    if material.gap_nm:
-        entries.append(("gap", material.ambient, "thickness_nm", material.gap_nm))
+    entries: list[tuple[str, OpticalConstant, str, float | str]] = [("ambient", material.ambient, "", "")]
+    for kind, name in zip(material.kinds, ("", "second ")):
+        if kind.shell is not None:
+            entries.append((f"{name}shell", kind.shell.material, "thickness_nm", kind.shell.thickness_nm))
+        if kind.core is not None:
+            entries.append((f"{name}core", kind.core, "radius_nm", kind.mean_radius_nm))
+        if kind.gap_nm:
+            entries.append((f"{name}gap", material.ambient, "thickness_nm", kind.gap_nm))
     entries += [(str(k), m, "thickness_nm", d) for k, (m, d) in enumerate(material.layers, start=1)]
     entries.append(("substrate", material.substrate, "", ""))
     remarks = [
         f"{material.structure.density_per_nm2 * 1e6:.6g} particles a um^2, packing {material.structure.packing:.4g}, "
         f"{material.structure.name}"
     ]
-    if material.body is not None:
-        remarks.append(
-            f"particles: {material.body.name}, {2 * material.body.radius_nm:.6g} nm wide, "
-            f"{material.body.height_nm:.6g} nm high, {material.gap_nm:g} nm above the layers"
-        )
-    if len(material.sizes.radii_nm) > 1:
-        shares, radii = np.array(material.sizes.shares), np.array(material.sizes.radii_nm)
-        spread = float(np.sqrt(shares @ (radii - radius) ** 2))
-        remarks.append(f"the radii spread by {spread:.4g} nm about their mean")
+    for kind, name in zip(material.kinds, ("particles", "second particles")):
+        if len(material.kinds) > 1:
+            remarks.append(f"{name}: {100 * kind.share:.4g} % of them, {kind.noun}")
+        if kind.body is not None:
+            remarks.append(
+                f"{name}: {kind.body.name}, {2 * kind.body.radius_nm:.6g} nm wide, "
+                f"{kind.body.height_nm:.6g} nm high, {kind.gap_nm:g} nm above the layers"
+            )
+        if len(kind.sizes.radii_nm) > 1:
+            shares, radii = np.array(kind.sizes.shares), np.array(kind.sizes.radii_nm)
+            spread = float(np.sqrt(shares @ (radii - kind.mean_radius_nm) ** 2))
+            remarks.append(f"{name}: the radii spread by {spread:.4g} nm about their mean")
     rows = []
     for position, medium, quantity, value in entries:
         low, high = medium.range_nm
@@ -76,13 +96,3 @@ def layer_sheet(material: Metasurface) -> LayerSheet:
         shown = float(value) if value != "" else ""
         rows.append(dict(zip(COLUMNS, (position, medium.name, quantity, shown, n.real, n.imag, medium.source))))
     return LayerSheet(COLUMNS, tuple(rows), tuple(remarks), "sheet", "pattern")
-
-
-def _mean_radius_nm(material: Metasurface) -> float:
-    return float(np.dot(material.sizes.radii_nm, material.sizes.shares))
-
-
-def _noun(material: Metasurface) -> str:
-    if material.body is None:
-        return "spheres"
-    return f"{material.body.shape}s" if material.body.shape else "particles"

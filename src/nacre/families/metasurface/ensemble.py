@@ -87,25 +87,27 @@ def patch_radius(density_per_nm2: float, settings: EnsembleSettings) -> float:
 
 @dataclass(frozen=True)
 class Ensemble:
-    """The patches of a monolayer of equal spheres at one wavelength.
+    """The patches of a monolayer at one wavelength, of equal spheres or of a mixture.
 
     Attributes:
-        layer: the mean-field model of the same multipole order, of one particle size.
+        layer: the mean-field model of the same multipole order, of one particle size a kind.
         patches: positions, nm.
+        kinds: which particle of the layer each is; None: all are the first.
     """
 
     layer: Monolayer
     patches: list[Array]
+    kinds: list[NDArray[np.intp]] | None = None
 
     @cached_property
     def coupling(self) -> Coupling:
         """The tables of the couplings."""
-        particle = self.layer.particles[0]
-        return Coupling.build(self.layer.surface, particle, *distances(self.patches))
+        first, *others = self.layer.particles
+        return Coupling.build(self.layer.surface, first, *distances(self.patches), *others)
 
     @cached_property
     def sides(self) -> list[tuple[Directions, Array]]:
-        """Directions of light and view of each side, with solid-angle weights."""
+        """Directions of light and view of each side for the first particle, with solid-angle weights."""
         layer, order = self.layer, self.layer.particles[0].lmax
         centre = layer.particles[0].centre_nm
         x, w = np.polynomial.legendre.leggauss(ABOVE_ANGLES)
@@ -119,12 +121,17 @@ class Ensemble:
 
     @cached_property
     def _waves(self) -> tuple[list[PlaneWaves], list[PlaneWaves]]:
-        k, order = self.layer.surface.wavenumber, self.layer.particles[0].lmax
+        surface, order = self.layer.surface, self.layer.particles[0].lmax
         few = 2 * np.pi * np.arange(LIGHT_AZIMUTHS) / LIGHT_AZIMUTHS
         many = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
+        sides = [
+            [Directions.build(surface, p.centre_nm, order, order, d.cosines, d.below) for p in self.layer.particles]
+            for d, _ in self.sides
+        ]
+        k = surface.wavenumber
         return (
-            [PlaneWaves.build(d, few, order, k) for d, _ in self.sides],
-            [PlaneWaves.build(d, many, order, k) for d, _ in self.sides],
+            [PlaneWaves.build(first, few, order, k, *others) for first, *others in sides],
+            [PlaneWaves.build(first, many, order, k, *others) for first, *others in sides],
         )
 
     @cached_property
@@ -147,16 +154,17 @@ class Ensemble:
         xy = self.patches[number]
         arriving, leaving = self._waves
         light = PlaneWaves(
-            np.concatenate([w.excitation for w in arriving], axis=1),
-            np.concatenate([w.emission for w in arriving], axis=1),
+            np.concatenate([w.excitation for w in arriving], axis=2),
+            np.concatenate([w.emission for w in arriving], axis=2),
             np.concatenate([w.wavevectors for w in arriving]),
         )
-        solved = self.coupling.solve(xy, light)
+        kinds = None if self.kinds is None else self.kinds[number]
+        solved = self.coupling.solve(xy, light, kinds)
         counts = [d.cosines.size for d, _ in self.sides]
         edges = np.cumsum([0, *(2 * c * LIGHT_AZIMUTHS for c in counts)])
         rows = []
         for waves, count in zip(leaving, counts):
-            f = self.coupling.far_field(xy, solved, waves)
+            f = self.coupling.far_field(xy, solved, waves, kinds)
             parts = [
                 f[:, a:b].reshape(2, count, AZIMUTHS, 2, c, LIGHT_AZIMUTHS) for a, b, c in zip(edges, edges[1:], counts)
             ]
@@ -175,9 +183,11 @@ class Ensemble:
         q2 = kappa[:, None] ** 2 + kappa**2
         q = np.sqrt(np.maximum(q2[..., None] - 2 * (kappa[:, None] * kappa)[..., None] * np.cos(self._phi), 0.0))
         s = layer.structure.structure_factor(layer.surface.wavenumber * q)
-        harmonics = term.coherent[at][:, at] / layer.structure.density_per_nm2
-        values = harmonics @ np.cos(np.arange(HARMONICS)[:, None] * self._phi)  # s, i, q, p, phi
-        return np.asarray(np.moveaxis(values, (2, 3), (0, 2)) * s[None, :, None, :, :])
+        waves = np.cos(np.arange(HARMONICS)[:, None] * self._phi) / layer.structure.density_per_nm2
+        values = (term.coherent[at][:, at] @ waves) * s[:, :, None, None]  # s, i, q, p, phi
+        if term.varying.size:  # what differs between the kinds scatters as if nothing were ordered
+            values = values + term.varying[at][:, at] @ waves
+        return np.moveaxis(values, (2, 3), (0, 2))
 
     def _balanced_sides(self) -> tuple[list[tuple[Lit, Array]], NDArray[np.intp]]:
         """The directions with the nodes of the model's balance before them, and the places of the directions."""
@@ -248,9 +258,35 @@ def distances(many: list[Array]) -> tuple[float, float]:
     return float(min(d.min() for d in found)), float(max(d.max() for d in found))
 
 
-def same_order(layer: Monolayer, order: int, particle: Particle) -> Monolayer:
-    """Return the mean-field model of one particle size with multipoles up to `order`."""
-    lmax = min(order, particle.lmax)
+def same_order(layer: Monolayer, order: int, *particles: Particle) -> Monolayer:
+    """Return the mean-field model with multipoles up to `order` of one particle size, or of one a kind."""
     # few multipoles feel little of what a cut takes away, and both sides of a ratio feel the same
-    alone = Particle(1.0, particle.centre_nm, truncated(particle.t_matrix, lmax), particle.cut)
-    return Monolayer(layer.surface, (alone,), layer.structure, "qca-balanced", min(layer.interaction_order, lmax))
+    kept = tuple(
+        Particle(p.share, p.centre_nm, truncated(p.t_matrix, min(order, p.lmax)), p.cut, p.kind) for p in particles
+    )
+    return Monolayer(layer.surface, kept, layer.structure, "qca-balanced", min(layer.interaction_order, kept[0].lmax))
+
+
+def middle_sizes(layer: Monolayer) -> tuple[Particle, ...]:
+    """Return the middle particle size of each kind, with the share of the kind."""
+    kinds = [[p for p in layer.particles if p.kind == kind] for kind in sorted({p.kind for p in layer.particles})]
+    return tuple(
+        dataclasses.replace(sizes[len(sizes) // 2], share=float(sum(p.share for p in sizes))) for sizes in kinds
+    )
+
+
+def mixed(patches: list[Array], shares: Array, seed: int) -> list[NDArray[np.intp]]:
+    """Return which kind each particle of each patch is: at random, of all patches together just the shares.
+
+    What the patches together had too much of a bright kind would be an error of the mean that no fit takes out.
+    """
+    counts = [len(xy) for xy in patches]
+    drawn = dealt(sum(counts), shares, np.random.default_rng((seed, len(counts), 1)))
+    return np.split(drawn, np.cumsum(counts)[:-1])
+
+
+def dealt(count: int, shares: Array, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Return kinds in whole numbers nearest to the shares, in random order, `[particle]`."""
+    edges = np.round(count * np.cumsum(shares) / np.sum(shares)).astype(np.intp)
+    which = np.searchsorted(edges, np.arange(count), side="right")
+    return np.asarray(rng.permutation(which) if len(edges) > 1 else which, dtype=np.intp)

@@ -21,23 +21,17 @@ from nacre.families.contract import Model
 from nacre.families.metasurface import choice
 from nacre.families.metasurface.arrangement import Arrangement
 from nacre.families.metasurface.axial import Body
-from nacre.families.metasurface.bodies import place, refuse
 from nacre.families.metasurface.compile import choose_grids, tabulate
 from nacre.families.metasurface.corrections import diffuse_term, within_what_arrives
 from nacre.families.metasurface.ensemble import EnsembleSettings
 from nacre.families.metasurface.few import few_powers, few_values
-from nacre.families.metasurface.monolayer import Monolayer, Particle
-from nacre.families.metasurface.particles import Shell, Sizes, sphere_t_matrix
+from nacre.families.metasurface.kinds import Kind, Settling, mean_square_radius
+from nacre.families.metasurface.monolayer import Monolayer
+from nacre.families.metasurface.particles import Shell, Sizes
 from nacre.families.metasurface.patterns import Pattern
 from nacre.families.metasurface.qca import INTERACTION_ORDER
 from nacre.families.metasurface.refine import Refinement, refine
-from nacre.families.metasurface.sphere import (
-    ORDER_TOLERANCE,
-    ConvergenceRefusal,
-    choose_order,
-    hemisphere_rule,
-    rounded_up,
-)
+from nacre.families.metasurface.sphere import ORDER_TOLERANCE, hemisphere_rule
 from nacre.families.metasurface.structure import Structure
 from nacre.families.metasurface.substrate import LOSSLESS_K, Substrate
 from nacre.light import default_wavelengths
@@ -50,15 +44,10 @@ logger = logging.getLogger("nacre")
 AUTO, ENSEMBLE = "auto", "ensemble"  # of the corrections
 JUDGED_NM = 550.0  # where a core is called metal or not
 VALIDATED_COVERAGE = 0.13
-LOOSEST_TOLERANCE = 0.02  # of the change on doubling: above it the series has no limit to speak of
-# accepted with a warning where the recipe names no tolerance: silver on glass leaves up to 0.9 %, at 360 nm only
-UNASKED_TOLERANCE = 0.01
 # films up to here keep the error of interpolation at 0.4 % of the L2 norm with 120 angles (0.3 % without any film)
 THICK_FILM_NM = 1000.0
 TOLD_EXCESS = 0.01  # of energy: what the default correction is tested to keep
 SAME_INDEX = 1e-3
-UNTOLD_INDEX = 4.0
-NEAR = 0.1  # of the logarithm of a length: spheres so alike take one multipole order
 FEW_ANGLES, LEAST_COS = 48, 0.05  # that are solved one by one, and off grazing
 
 
@@ -89,7 +78,8 @@ class Metasurface(Model):
         arrangement: how to make the points, or the points; None where only S(q) is known.
         memory: multipole orders of candidates near this one, see `among_many`; None: each is chosen anew.
         sees_neighbours: False leaves the near fields of neighbours out.
-        body: the particles, where they are no spheres; `sizes` then holds their largest distance from the axis.
+        body: the particles, where they are no spheres; `sizes` then holds their largest distances from the axis.
+        second: of a mixture the other kind, whose share leaves the rest to the first; None: there is one kind.
     """
 
     noun = "metasurface"
@@ -115,6 +105,14 @@ class Metasurface(Model):
     sees_neighbours: bool = True
     ensemble: EnsembleSettings = EnsembleSettings()
     body: Body | None = None
+    second: Kind | None = None
+
+    @cached_property
+    def kinds(self) -> tuple[Kind, ...]:
+        """The particles: one kind, or two."""
+        rest = () if self.second is None else (self.second,)
+        share = 1.0 - sum(kind.share for kind in rest)
+        return (Kind(self.core, self.sizes, self.shell, self.gap_nm, self.body, share), *rest)
 
     def pattern(self, count: int, seed: int | None = None) -> Pattern:
         """Return about `count` particles on a periodic square; of a list of points, the list itself.
@@ -139,14 +137,18 @@ class Metasurface(Model):
 
     @property
     def outer_radius_nm(self) -> float:
-        """Mean radius with the shell; of a body the largest distance from its axis."""
-        core = float(np.dot(self.sizes.radii_nm, self.sizes.shares))
-        return core + (self.shell.thickness_nm if self.shell else 0.0)
+        """Mean radius with the shell; of a body the largest distance from its axis; of a mixture its first kind's."""
+        return self.kinds[0].outer_radius_nm
+
+    @property
+    def varies(self) -> bool:
+        """Whether the particles are of several sizes or kinds."""
+        return len(self.kinds) > 1 or len(self.sizes.shares) > 1
 
     @property
     def coverage(self) -> float:
-        """f = density pi r^2."""
-        return float(self.structure.density_per_nm2 * np.pi * self.outer_radius_nm**2)
+        """f = density pi r^2, in a mixture with the mean of r^2."""
+        return float(self.structure.density_per_nm2 * np.pi * mean_square_radius(self.kinds) ** 2)
 
     @property
     def wavelengths_nm(self) -> Array:
@@ -165,8 +167,7 @@ class Metasurface(Model):
 
     def t_matrix(self, lmax: int, surface: Substrate, radius_nm: float) -> ComplexArray:
         """Return the diagonal T of one sphere, `[n]`."""
-        assert self.core is not None  # of spheres it is known
-        return sphere_t_matrix(self.core, self.shell, radius_nm, lmax, surface)
+        return self.kinds[0].t_matrix(lmax, surface, radius_nm)
 
     @cached_property
     def chosen_correction(self) -> tuple[str, str]:
@@ -176,10 +177,13 @@ class Metasurface(Model):
         if self.arrangement is None:
             return "qca-balanced", "only S(q) is known, so there are no positions for an ensemble"
         surface = self.surface(float(np.clip(JUDGED_NM, *self.range_nm)))
-        core = self._index_inside(surface.wavelength_nm) / surface.ambient_index
         below = np.max(np.abs(surface.indices[1:] / surface.ambient_index - 1.0)) > choice.SAME_INDEX
-        noun = "spheres" if self.body is None else "particles"
-        holds, why = choice.mean_field_holds(choice.kind_of(core), bool(below), self.coverage, noun)
+        verdicts = []
+        for kind in self.kinds:
+            core = kind.index(surface.wavelength_nm) / surface.ambient_index
+            noun = "spheres" if kind.body is None else "particles"
+            verdicts.append(choice.mean_field_holds(choice.kind_of(core), bool(below), self.coverage, noun))
+        holds, why = min(verdicts, key=lambda verdict: verdict[0])  # of a mixture the stricter kind decides
         return ("qca-balanced" if holds else ENSEMBLE), why
 
     @property
@@ -236,7 +240,7 @@ class Metasurface(Model):
         wavelength_nm = float(wavelength_nm)
         if wavelength_nm not in self._solved:
             surface = self.surface(wavelength_nm)
-            particles = (self._body_at(surface),) if self.body is not None else self._spheres_at(surface)
+            particles = self._settling.particles(self.kinds, surface)
             mean_field = "qca-balanced" if self.correction in (AUTO, ENSEMBLE) else self.correction
             self._solved[wavelength_nm] = Monolayer(
                 surface, particles, self.structure, mean_field, self.interaction_order,
@@ -244,49 +248,22 @@ class Metasurface(Model):
             )  # fmt: skip
         return self._solved[wavelength_nm]
 
-    def _spheres_at(self, surface: Substrate) -> tuple[Particle, ...]:
-        lmax = self.order(surface)
-        above = (self.shell.thickness_nm if self.shell else 0.0) + self.gap_nm
-        return tuple(
-            Particle(share, radius + above, self.t_matrix(lmax, surface, radius))
-            for radius, share in zip(self.sizes.radii_nm, self.sizes.shares)
-        )
-
-    def _body_at(self, surface: Substrate) -> Particle:
-        assert self.body is not None
-        placed = place(self.body, surface, self.gap_nm, self.multipole_order)
-        tolerance = self.multipole_tolerance or LOOSEST_TOLERANCE
-        if placed.change > tolerance and (placed.is_near or self.multipole_order is None):
-            raise refuse(self.body, surface, self.gap_nm, placed, tolerance, self.multipole_order)
-        if placed.change > UNASKED_TOLERANCE:
-            self._unsettled[surface.wavelength_nm] = placed.change
-        return placed.particle
-
-    def _index_inside(self, wavelength_nm: float) -> complex:
-        """The particles' own index; of a T-matrix that does not say, a high one, the kind with the strictest limit."""
-        if self.core is not None:
-            return complex(self.core.n_complex(np.array([wavelength_nm]))[0])
-        told = None if self.body is None else self.body.index(wavelength_nm)
-        return complex(UNTOLD_INDEX) if told is None else told
+    @cached_property
+    def _settling(self) -> Settling:
+        first = self.layers[0][1] if self.layers else None
+        return Settling(self.multipole_order, self.multipole_tolerance, self.memory, self.source, first)
 
     @cached_property
     def _solved(self) -> dict[float, Monolayer]:
         return {}
 
     def order(self, surface: Substrate) -> int:
-        """Return the multipole order at the wavelength of `surface`.
+        """Return the multipole order of spheres, the first kind, at the wavelength of `surface`.
 
         Raises:
             ConvergenceRefusal: no order keeps within the tolerance; it names the remedies.
         """
-        if self.multipole_order is not None:
-            return self.multipole_order
-        if self.memory is not None:
-            near = self._neighbourhood(surface)
-            if near not in self.memory:
-                self.memory[near] = self._chosen_order(surface)
-            return int(self.memory[near])
-        return self._chosen_order(surface)
+        return self._settling.sphere_order(self.kinds[0], surface)
 
     def among_many(self, memory: dict[Any, Any], is_rough: bool = False) -> Metasurface:
         """Return the metasurface with the multipole orders of those of nearly its spheres on the same media.
@@ -296,45 +273,6 @@ class Metasurface(Model):
         """
         mean_field = "qca-balanced" if self.correction == AUTO else self.correction
         return dataclasses.replace(self, memory=memory, sees_neighbours=not is_rough, correction=mean_field)
-
-    def _neighbourhood(self, surface: Substrate) -> tuple[Any, ...]:
-        """What the order depends on, to within a tenth; of the stack the media and the first film's thickness."""
-        assert self.core is not None  # of spheres it is known
-        lam = np.array([surface.wavelength_nm])
-        inside = [self.core, *([] if self.shell is None else [self.shell.material])]
-        near = 0.0 if not self.layers else min(self.layers[0][1], self.outer_radius_nm)
-        lengths = (*self.sizes.radii_nm, self.outer_radius_nm, 1.0 + self.gap_nm + near)
-        steps = tuple(int(np.floor(np.log(length) / NEAR)) for length in lengths)
-        return (
-            surface.wavelength_nm, tuple(complex(m.n_complex(lam)[0]) for m in inside), tuple(surface.indices.tolist()),
-            steps,
-        )  # fmt: skip
-
-    def _chosen_order(self, surface: Substrate) -> int:
-        mean = float(np.dot(self.sizes.radii_nm, self.sizes.shares))
-        centre = self.outer_radius_nm + self.gap_nm
-        tolerance = ORDER_TOLERANCE if self.multipole_tolerance is None else self.multipole_tolerance
-        try:
-            return choose_order(surface, centre, lambda lmax: self.t_matrix(lmax, surface, mean), tolerance)
-        except ConvergenceRefusal as refusal:
-            if self.multipole_tolerance is None and refusal.change < UNASKED_TOLERANCE:
-                self._unsettled[surface.wavelength_nm] = refusal.change
-                return refusal.order
-            accept = ""
-            if refusal.change < LOOSEST_TOLERANCE:
-                accept = f", or accept model.tolerance = {rounded_up(refusal.change):g}"
-            raise ConvergenceRefusal(
-                f"{self.source}: particle.gap_nm = {self.gap_nm:g}: at {surface.wavelength_nm:g} nm {refusal}; "
-                'put 2 nm of native oxide (layers = [{material = "SiO2", thickness_nm = 2}]) and a gap_nm = 1 '
-                f"under it, or a gap_nm of 2{accept}",
-                refusal.change,
-                refusal.order,
-            ) from None
-
-    @cached_property
-    def _unsettled(self) -> dict[float, float]:
-        """What the highest order left open, by wavelength, where that is more than the tolerance."""
-        return {}
 
     @property
     def eta(self) -> float:
@@ -362,7 +300,7 @@ class Metasurface(Model):
         self._warn()
         eta = self.eta
         thick = sum(d for _, d in self.layers) > THICK_FILM_NM
-        grids = choose_grids(eta if self.transmits else None, len(self.sizes.shares) > 1, thick)
+        grids = choose_grids(eta if self.transmits else None, self.varies, thick)
         layer, judged = self.layers_at(lam)
         specular, harmonic, excess = tabulate(lam, layer, self.structure, grids, eta)
         notes: dict[str, Any] = {
@@ -374,24 +312,38 @@ class Metasurface(Model):
         }
         if self.chosen_correction[1]:
             notes["correction_because"] = self.chosen_correction[1]
-        if self.body is not None and self.body.stated_error is not None:
-            notes["t_matrix_error"] = float(f"{self.body.stated_error:.2g}")
+        stated = [k.body.stated_error for k in self.kinds if k.body is not None and k.body.stated_error is not None]
+        if stated:
+            notes["t_matrix_error"] = float(f"{max(stated):.2g}")
+        turned = max((k.body.turn_loss for k in self.kinds if k.body is not None), default=0.0)
+        if turned:
+            notes["left_out_by_turns"] = float(f"{turned:.2g}")
         if judged is not None:
             notes["ensemble"] = judged.notes
         if self.multipole_order is None:
-            notes["multipole_tolerance"] = max([self.multipole_tolerance or ORDER_TOLERANCE, *self._unsettled.values()])
-        if self._unsettled:
+            notes["multipole_tolerance"] = max(
+                [self.multipole_tolerance or ORDER_TOLERANCE, *self._settling.unsettled.values()]
+            )
+        if self._settling.unsettled:
             logger.warning(
                 "%s: at %s nm the far field is converged to %.2g only (%s); model.tolerance sets what is accepted",
                 self.source,
-                " and ".join(f"{w:g}" for w in sorted(self._unsettled)),
-                max(self._unsettled.values()),
+                " and ".join(f"{w:g}" for w in sorted(self._settling.unsettled)),
+                max(self._settling.unsettled.values()),
                 "the particle lies close to the solid" if self.body is not None
                 else "a metal sphere touches the solid; with a gap_nm of 2 it converges",
             )  # fmt: skip
         return Bsdf((specular, harmonic), notes)
 
     def _warn(self) -> None:
+        for kind in self.kinds:
+            if kind.body is not None and kind.body.turn_loss:
+                warnings.warn(
+                    f"{kind.body.source}: is not axisymmetric: the mean over its turn about the normal is taken, and "
+                    f"{100 * kind.body.turn_loss:.2g} % of what it scatters, which depends on the turn, is left out",
+                    MetasurfaceWarning,
+                    stacklevel=3,
+                )
         if self.coverage > VALIDATED_COVERAGE and self.chosen_correction[0] != ENSEMBLE:
             warnings.warn(
                 f"{self.source}: coverage f = {self.coverage:.3g} is above {VALIDATED_COVERAGE}, up to which the "

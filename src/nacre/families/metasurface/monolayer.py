@@ -32,12 +32,14 @@ class Particle:
         centre_nm: height of its centre over the stack.
         t_matrix: diagonal, `[n]`, or the blocks of an axisymmetric particle, `[m, n, n']`.
         cut: in-plane wavenumber over k that ends its coupling with the stack, see `near_stack`; None: nowhere.
+        kind: which of a mixture's kinds it is a size of.
     """
 
     share: float
     centre_nm: float
     t_matrix: ComplexArray
     cut: float | None = None
+    kind: int = 0
 
     @property
     def lmax(self) -> int:
@@ -101,8 +103,7 @@ class Monolayer:
     def spheres(self) -> tuple[SphereOnStack, ...]:
         """The particles, each alone on the stack."""
         return tuple(
-            SphereOnStack(self.surface, p.centre_nm, p.t_matrix, min(self.mmax, p.lmax), p.cut)
-            for p in self.particles
+            SphereOnStack(self.surface, p.centre_nm, p.t_matrix, min(self.mmax, p.lmax), p.cut) for p in self.particles
         )
 
     @cached_property

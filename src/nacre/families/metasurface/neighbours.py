@@ -105,24 +105,27 @@ def folded(q: ComplexArray, order: int, pol: int) -> ComplexArray:
 
 
 @lru_cache(maxsize=8)
-def direct_coefficients(order: int) -> ComplexArray:
-    """c_p P_p^mu(0) of the direct translation, `[n, n', p, mu]`, zero but for the pair's own mu."""
+def translation_coefficients(order: int) -> ComplexArray:
+    """c_p of the direct translation, `[n, n', p]`: W = sum_p c_p h_p(kr) P_p^mu(cos), mu the pair's own."""
     index = multipole_index(order)
     w, weight = np.polynomial.legendre.leggauss(4 * order + 6)
     b = plane_wave_vectors(w, order, order)
     right = with_negative_orders(b, index)
     left = with_negative_orders(adjoint(b), index)
     top = 2 * order
-    values, at_equator = legendre(w, top, top), legendre(np.array(0.0), top, top)
+    values = legendre(w, top, top)
     product = np.einsum("qnw,qcw->ncw", left, right)
-    size = len(index.m)
-    out = np.zeros((size, size, top + 1, top + 1), dtype=complex)
-    for i in range(size):
-        for j in range(size):
-            mu = abs(int(index.m[j] - index.m[i]))
-            a = values[mu] @ (weight * product[i, j])
-            out[i, j, :, mu] = 4 * (1j) ** np.arange(top + 1) * a * at_equator[mu]
-    return out
+    projected = np.einsum("ncpw,ncw->ncp", values[pair_orders(order)], weight * product)
+    return np.asarray(4 * (1j) ** np.arange(top + 1) * projected)
+
+
+@lru_cache(maxsize=8)
+def direct_coefficients(order: int) -> ComplexArray:
+    """c_p P_p^mu(0) of the direct translation in the plane, `[n, n', p, mu]`, zero but for the pair's own mu."""
+    top = 2 * order
+    mu = pair_orders(order)
+    found = translation_coefficients(order) * legendre(np.array(0.0), top, top)[mu]
+    return np.asarray(found[..., None] * (mu[..., None, None] == np.arange(top + 1)))
 
 
 @lru_cache(maxsize=8)

@@ -1,14 +1,17 @@
-"""The recipe's particles: spheres, discs, rods, spheroids, or what a file of T-matrices describes."""
+"""The recipe's particles: spheres, discs, rods, spheroids, what a file of T-matrices describes, or two of these."""
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 import pydantic
 
 from nacre.errors import MaterialRangeError
 from nacre.families.metasurface.axial import AxialTMatrices, Body, KnownBody
+from nacre.families.metasurface.kinds import Kind
+from nacre.families.metasurface.particles import Shell, Sizes
 from nacre.families.metasurface.solids import SolvedBody
 from nacre.families.metasurface.tmatrix_file import TMatrixFileError, read_tmatrices
 from nacre.matter.indices.constant import OpticalConstant
@@ -20,6 +23,12 @@ SMALLEST_CORE_NM = 0.1  # less than an atom; squares of far smaller ones are 0 i
 WIDEST_RELATIVE_SIZE = 0.3
 SAME_MEDIUM = 1e-3  # relative, of the index that a T-matrix is for
 SAME_LENGTH = 1e-2  # relative, of a length that recipe and file both give
+NOT_MODELLED = {  # what a stranger may ask for, and why there is no such key
+    "depth_nm": "particles inside a layer are not modelled: T-matrix, neighbours and both faces of the layer would "
+    "have to meet in its medium; they lie on the stack, or gap_nm above it, in the ambient",
+    "orientation": "particles that all point one way are not modelled; of one that is not axisymmetric the mean over "
+    "its turn about the normal is taken",
+}
 NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
 Extent = Annotated[float, pydantic.Field(ge=2 * SMALLEST_CORE_NM, le=2 * CORE_LIMIT_NM)]
 
@@ -35,9 +44,10 @@ class ShellSpec(RecipeModel):
     )
 
 
-class ParticleSpec(RecipeModel):
-    """The particles: spheres, upright cylinders or spheroids, or any with an axis along the normal, by a file."""
+class KindSpec(RecipeModel):
+    """One kind of particle: its keys, what they allow, and what they build."""
 
+    table: ClassVar[str] = "particle"  # of the recipe
     forms: ClassVar[tuple[str, ...]] = (
         '{material = "Ag", radius_nm = 90}',
         '{material = "Au", radius_nm = 60, deviation_nm = 5, shell = {material = "SiO2", thickness_nm = 10}}',
@@ -56,7 +66,10 @@ class ParticleSpec(RecipeModel):
         default="sphere", description="form; the axis of a cylinder (disc or rod) or a spheroid is the normal"
     )
     deviation_nm: NotNegative = pydantic.Field(
-        default=0.0, description="standard deviation of the radius, at most 0.3 of it", examples=[5]
+        default=0.0,
+        description="standard deviation of the radius, of a cylinder or spheroid of half its width (the height stays); "
+        "at most 0.3 of it",
+        examples=[5],
     )
     distribution: Literal["gaussian", "lognormal"] = pydantic.Field(
         default="gaussian", description="shape of that spread"
@@ -64,7 +77,7 @@ class ParticleSpec(RecipeModel):
     gap_nm: NotNegative = pydantic.Field(
         default=0.0, description="distance between the particles and the stack below them", examples=[2]
     )
-    shell: ShellSpec | None = pydantic.Field(default=None, description="a coat round the core")
+    shell: ShellSpec | None = pydantic.Field(default=None, description="a coat round the core of a sphere")
     tmatrix: str | None = pydantic.Field(
         default=None,
         description="in place of material and radius_nm: a file of T-matrices of an axisymmetric particle, axis z, "
@@ -82,8 +95,16 @@ class ParticleSpec(RecipeModel):
         examples=[80],
     )
 
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _is_modelled(cls, data: Any) -> Any:
+        for key in NOT_MODELLED if isinstance(data, Mapping) else ():
+            if key in data:
+                raise ValueError(f"gives {key}: {NOT_MODELLED[key]}")
+        return data
+
     @pydantic.model_validator(mode="after")
-    def _one_kind(self) -> ParticleSpec:
+    def _one_kind(self) -> Self:
         if self.tmatrix is not None:
             of_others = ("material", "radius_nm", "shape", "deviation_nm", "shell")
             given = [name for name in of_others if name in self.model_fields_set]
@@ -93,7 +114,12 @@ class ParticleSpec(RecipeModel):
         wanted: tuple[str, ...] = ("material", "radius_nm")
         foreign: tuple[str, ...] = ("diameter_nm", "height_nm")
         if self.shape != "sphere":
-            wanted, foreign = ("material", *foreign), ("radius_nm", "deviation_nm", "shell")
+            wanted, foreign = ("material", *foreign), ("radius_nm",)
+            if self.shell is not None:
+                raise ValueError(
+                    f"gives shell, which no {self.shape} can have: its T-matrix is solved on one surface, and a coat "
+                    "has two; a file of another program's T-matrices (tmatrix) may hold it"
+                )
         given = [name for name in foreign if name in self.model_fields_set]
         if given:
             raise ValueError(f"gives {given[0]}, which a {self.shape} does not have; it has {', '.join(wanted)}")
@@ -105,19 +131,31 @@ class ParticleSpec(RecipeModel):
         return self
 
     @pydantic.model_validator(mode="after")
-    def _moderate_spread(self) -> ParticleSpec:
-        if self.radius_nm is not None and self.deviation_nm > WIDEST_RELATIVE_SIZE * self.radius_nm:
+    def _moderate_spread(self) -> Self:
+        key, radius = "radius_nm", self.radius_nm
+        if radius is None and self.diameter_nm is not None:
+            key, radius = "half of diameter_nm", self.diameter_nm / 2
+        if radius is not None and self.deviation_nm > WIDEST_RELATIVE_SIZE * radius:
             raise ValueError(
                 f"deviation_nm = {self.deviation_nm:g} is not allowed; it should be at most "
-                f"{WIDEST_RELATIVE_SIZE:g} of radius_nm = {self.radius_nm:g}"
+                f"{WIDEST_RELATIVE_SIZE:g} of {key} = {radius:g}"
             )
         return self
 
-    @property
-    def outer_radius_nm(self) -> float:
-        """Of a sphere, with its shell."""
-        assert self.radius_nm is not None  # of spheres, see _one_kind
-        return self.radius_nm + (self.shell.thickness_nm if self.shell else 0.0)
+    def kind(self, context: RecipeContext, ambient: OpticalConstant, hold_ends: bool, share: float = 1.0) -> Kind:
+        """Return the particles, `share` of all; see `body`."""
+
+        def built(spec: IndexSpec) -> OpticalConstant:
+            made = spec.build()
+            return made.with_extrapolation("edge") if hold_ends else made
+
+        body = self.body(context, ambient, hold_ends)
+        mean = body.radius_nm if body is not None else self.radius_nm
+        assert mean is not None  # of spheres it is given, see _one_kind
+        shell = Shell(built(self.shell.material), self.shell.thickness_nm) if self.shell else None
+        sizes = Sizes.of(mean, self.deviation_nm, self.distribution)
+        core = None if self.material is None else built(self.material)
+        return Kind(core, sizes, shell, self.gap_nm, body, share, self.table)
 
     def body(self, context: RecipeContext, ambient: OpticalConstant, hold_ends: bool) -> Body | None:
         """Return what is no sphere, or None.
@@ -134,20 +172,20 @@ class ParticleSpec(RecipeModel):
         try:
             known = read_tmatrices(context.path(self.tmatrix))
         except TMatrixFileError as error:
-            raise context.fail("particle.tmatrix", self.tmatrix, str(error)) from None
+            raise context.fail(f"{self.table}.tmatrix", self.tmatrix, str(error)) from None
         self._check_medium(context, known, ambient)
         radius = self._extent(context, "diameter_nm", None if known.radius_nm is None else 2 * known.radius_nm) / 2
         height = self._extent(context, "height_nm", known.height_nm)
         # without a shape the particle may fill the cylinder that its two lengths name
         reach = float(np.hypot(radius, height / 2)) if known.circumscribing_nm is None else known.circumscribing_nm
-        source = f'{context.source}: particle.tmatrix = "{self.tmatrix}"'
+        source = f'{context.source}: {self.table}.tmatrix = "{self.tmatrix}"'
         return KnownBody(known, radius, height, reach, source, hold_ends)
 
     def _solid(self, context: RecipeContext, ambient: OpticalConstant, hold_ends: bool) -> SolvedBody:
         assert self.material is not None and self.diameter_nm is not None and self.height_nm is not None  # _one_kind
         core = self.material.build()
         core = core.with_extrapolation("edge") if hold_ends else core
-        source = f'{context.source}: particle.shape = "{self.shape}"'
+        source = f'{context.source}: {self.table}.shape = "{self.shape}"'
         return SolvedBody(self.shape, self.diameter_nm / 2, self.height_nm, core, ambient, source)
 
     def _check_medium(self, context: RecipeContext, known: AxialTMatrices, ambient: OpticalConstant) -> None:
@@ -158,7 +196,7 @@ class ParticleSpec(RecipeModel):
                 continue  # where the ambient is not known nothing is computed
             if abs(around / index - 1) > SAME_MEDIUM:
                 raise context.fail(
-                    "particle.tmatrix",
+                    f"{self.table}.tmatrix",
                     self.tmatrix,
                     f"is for particles in a medium of n = {index:.5g}, and the ambient has {around:.5g}",
                 )
@@ -167,12 +205,51 @@ class ParticleSpec(RecipeModel):
         given: float | None = getattr(self, key)
         if given is None and told is None:
             raise context.fail(
-                "particle.tmatrix", self.tmatrix, f"does not say how large the particle is; give particle.{key}"
+                f"{self.table}.tmatrix",
+                self.tmatrix,
+                f"does not say how large the particle is; give {self.table}.{key}",
             )
         if given is not None and told is not None and abs(given / told - 1) > SAME_LENGTH:
             raise context.fail(
-                f"particle.{key}", given, f"is not what {self.tmatrix} says: {told:.5g} nm; leave it out"
+                f"{self.table}.{key}", given, f"is not what {self.tmatrix} says: {told:.5g} nm; leave it out"
             )
         found = told if told is not None else given
         assert found is not None
         return found
+
+
+class SecondSpec(KindSpec):
+    """The other kind of a mixture, with its share in number; both kinds lie at random on one arrangement."""
+
+    table: ClassVar[str] = "particle.second"
+    forms: ClassVar[tuple[str, ...]] = ('{material = "Ag", radius_nm = 50, share = 0.3}',)
+
+    share: Annotated[float, pydantic.Field(gt=0.0, lt=1.0)] = pydantic.Field(
+        description="number of these particles over that of all", examples=[0.3]
+    )
+
+
+class ParticleSpec(KindSpec):
+    """The particles: spheres, upright cylinders or spheroids, or any with an axis along the normal, by a file."""
+
+    forms: ClassVar[tuple[str, ...]] = (
+        *KindSpec.forms,
+        '{material = "Si", radius_nm = 75, second = {material = "Ag", radius_nm = 50, share = 0.3}}',
+    )
+
+    second: SecondSpec | None = pydantic.Field(
+        default=None, description="another kind of particle among these: a mixture"
+    )
+
+    def kinds(self, context: RecipeContext, ambient: OpticalConstant, hold_ends: bool) -> tuple[Kind, ...]:
+        """Return the one or two kinds of particle.
+
+        Raises:
+            RecipeError: see `body`.
+        """
+        if self.second is None:
+            return (self.kind(context, ambient, hold_ends),)
+        share = self.second.share
+        return (
+            self.kind(context, ambient, hold_ends, 1.0 - share), self.second.kind(context, ambient, hold_ends, share),
+        )  # fmt: skip

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from nacre.arrays import Array, ComplexArray
-from nacre.families.metasurface.ensemble import Ensemble, EnsembleSettings, patches, same_order
+from nacre.families.metasurface.ensemble import Ensemble, EnsembleSettings, middle_sizes, mixed, patches, same_order
 from nacre.families.metasurface.monolayer import Monolayer
 from nacre.families.metasurface.patterns import Pattern
 from nacre.families.metasurface.ratio import Ratio
@@ -101,7 +101,7 @@ def refine(
 
     Args:
         wavelengths_nm: ascending.
-        layer: the mean-field model at a wavelength, of which the first particle size is taken.
+        layer: the mean-field model at a wavelength, of which the mean particle size is taken.
         pattern: function of count and seed that returns the arrangement.
         source: name of the recipe, for messages.
         is_list: whether the arrangement is a list of points.
@@ -123,8 +123,8 @@ def refine(
     ensembles = []
     for wavelength in solved_at:
         whole = layer(float(wavelength))
-        middle = whole.particles[len(whole.particles) // 2]
-        ensembles.append(Ensemble(same_order(whole, settings.multipole_order, middle), cut))
+        alone = same_order(whole, settings.multipole_order, *middle_sizes(whole))
+        ensembles.append(Ensemble(alone, cut, mixed(cut, alone.shares, seed)))
     keys = [_key(one, settings) for one in ensembles]
     found = [_read(key) for key in keys]
     missing = [n for n, one in enumerate(found) if one is None]
@@ -173,16 +173,16 @@ def _solve(ensembles: list[Ensemble], keys: list[str], names: list[int]) -> list
 
 def _key(one: Ensemble, settings: EnsembleSettings) -> str:
     """What decides the ratio: the optics, the positions, and the code."""
-    surface, particle, structure = one.layer.surface, one.layer.particles[0], one.layer.structure
+    surface, particles, structure = one.layer.surface, one.layer.particles, one.layer.structure
     digest = hashlib.sha256()
     for array in (
-        surface.indices, surface.thicknesses_nm, particle.t_matrix, structure.q_per_nm, structure.s, structure.r_nm,
-        structure.h, *one.patches,
+        surface.indices, surface.thicknesses_nm, *(p.t_matrix for p in particles), structure.q_per_nm, structure.s,
+        structure.r_nm, structure.h, *one.patches, *(one.kinds or []),
     ):  # fmt: skip
         digest.update(np.ascontiguousarray(array).tobytes())
     numbers = [
-        surface.wavelength_nm, particle.centre_nm, particle.cut or 0.0, structure.density_per_nm2,
-        structure.diameter_nm,
+        surface.wavelength_nm, structure.density_per_nm2, structure.diameter_nm,
+        *(n for p in particles for n in (p.centre_nm, p.cut or 0.0)),
     ]  # fmt: skip
     return "ensemble-" + identity(
         {"arrays": digest.hexdigest(), "numbers": [float(n).hex() for n in numbers]}, {}, settings=str(settings)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -94,6 +94,10 @@ class SolvedBody(Body):
         half = self.height_nm / 2
         return float(np.hypot(self.radius_nm, half)) if self.shape == "cylinder" else max(self.radius_nm, half)
 
+    def of_radius(self, radius_nm: float) -> SolvedBody:
+        """Return the same particle with another width, its height as it is; estimated errors are gathered in both."""
+        return replace(self, radius_nm=radius_nm)
+
     @cached_property
     def lmax(self) -> int:  # type: ignore[override]
         """Highest multipole order: as Mie series need it, and at least what a near stack asks for.
@@ -154,7 +158,7 @@ class SolvedBody(Body):
             with one_thread_each():  # the matrices are small, and whoever asks has threads of its own
                 found, error = self._solve(radius, height, index, mmax)
             keep_arrays(key, {"real": found.real, "imaginary": found.imag, "error": np.array(error)})
-        self.errors[wavelength_nm] = error
+        self.errors[wavelength_nm] = max(error, self.errors.get(wavelength_nm, 0.0))
         if error > REFUSED:
             raise UnsupportedError(
                 f"{self.source}: the T-matrix does not converge at {wavelength_nm:g} nm: two meshes differ by "

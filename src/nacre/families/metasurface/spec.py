@@ -24,9 +24,10 @@ from nacre.families.metasurface.drawings import layer_sheet, layout
 from nacre.families.metasurface.ensemble import EnsembleSettings
 from nacre.families.metasurface.exports import write_particle
 from nacre.families.metasurface.figures import FIGURES
-from nacre.families.metasurface.material import LOOSEST_TOLERANCE, Metasurface
+from nacre.families.metasurface.kinds import LOOSEST_TOLERANCE, Kind, mean_square_radius
+from nacre.families.metasurface.material import Metasurface
+from nacre.families.metasurface.micrograph import SUFFIXES, is_picture
 from nacre.families.metasurface.particle_spec import ParticleSpec
-from nacre.families.metasurface.particles import Shell, Sizes
 from nacre.families.metasurface.patterns import Pattern
 from nacre.families.metasurface.structure import PACKING_LIMIT, Structure, hard_disk_structure
 from nacre.matter.drawings import Drawer
@@ -60,6 +61,7 @@ class StructureSpec(RecipeModel):
         '"hard-disk"',
         '{name = "lattice", lattice = "square", jitter = 0.2}',
         '{points = "xy.csv"}',
+        '{points = "sem.png", width_um = 10}',
         '{sq = "s.csv"}',
     )
 
@@ -67,7 +69,13 @@ class StructureSpec(RecipeModel):
         default=None, description="kind of order; written alone it needs no table", examples=["lattice"]
     )
     points: str | None = pydantic.Field(
-        default=None, description="in place of name: a file of the particles' positions", examples=["xy.csv"]
+        default=None,
+        description="in place of name: a file of the particles' positions in um, or a picture of particles (png, tif, "
+        "jpg, bmp) that width_um goes with",
+        examples=["xy.csv"],
+    )
+    width_um: Positive | None = pydantic.Field(
+        default=None, description="width of the picture that points names", examples=[10]
     )
     sq: str | None = pydantic.Field(
         default=None, description="in place of name: a file of the structure factor S(q)", examples=["s.csv"]
@@ -105,6 +113,11 @@ class StructureSpec(RecipeModel):
         given = [key for key in ("name", "points", "sq") if getattr(self, key) is not None]
         if len(given) != 1:
             raise ValueError(f"gives {' and '.join(given) or 'nothing'}; it needs one of name, points, sq")
+        shown = self.points is not None and is_picture(self.points)
+        if shown and self.width_um is None:
+            raise ValueError(f'names a picture, points = "{self.points}", and not how wide it is; give width_um')
+        if not shown and self.width_um is not None:
+            raise ValueError(f"gives width_um, which is of a picture; points should name one ({', '.join(SUFFIXES)})")
         return self
 
 
@@ -234,6 +247,11 @@ class MetasurfaceSpec(RecipeModel):
         "particle.height_nm",
         "particle.shell.thickness_nm",
         "particle.gap_nm",
+        "particle.second.radius_nm",
+        "particle.second.diameter_nm",
+        "particle.second.height_nm",
+        "particle.second.gap_nm",
+        "particle.second.share",
         "monolayer.coverage",
         "monolayer.density_per_um2",
         "monolayer.packing",
@@ -265,7 +283,6 @@ class MetasurfaceSpec(RecipeModel):
         Raises:
             RecipeError: density and packing contradict each other, or a file of points or of S(q) is not usable.
         """
-        particle = self.particle
         ambient = self._edge(ambient_in(self.ambient, "ambient" in self.model_fields_set, context))
         substrate = self._index(self.substrate)
         probe = np.array([570.0])
@@ -279,19 +296,18 @@ class MetasurfaceSpec(RecipeModel):
             )
         index = max(1.0, n_substrate.real if n_substrate.imag < 1e-4 else 1.0, n_ambient.real)
         asked = self.model.correction
-        body = particle.body(context, ambient, self.extrapolate == "edge")
-        outer = body.radius_nm if body is not None else particle.outer_radius_nm
-        reach = body.circumscribing_nm if body is not None else outer
-        structure, arrangement = self._structure(context, outer, reach, 4.2 * np.pi * index / 360.0)
+        kinds = self.particle.kinds(context, ambient, self.extrapolate == "edge")
+        structure, arrangement = self._structure(context, kinds, 4.2 * np.pi * index / 360.0)
+        first = kinds[0]
         return MetasurfaceModel(
             ambient=ambient,
             layers=tuple((self._index(layer.material), layer.thickness_nm) for layer in self.layers),
             substrate=substrate,
-            core=None if particle.material is None else self._index(particle.material),
-            sizes=Sizes.of(particle.radius_nm or outer, particle.deviation_nm, particle.distribution),
+            core=first.core,
+            sizes=first.sizes,
             structure=structure,
-            shell=Shell(self._index(particle.shell.material), particle.shell.thickness_nm) if particle.shell else None,
-            gap_nm=particle.gap_nm,
+            shell=first.shell,
+            gap_nm=first.gap_nm,
             correction="qca-balanced" if context.is_one_of_many and asked == "auto" else asked,
             ensemble=EnsembleSettings(**self.model.ensemble.model_dump()),
             multipole_order=self.model.multipole_order,
@@ -299,7 +315,8 @@ class MetasurfaceSpec(RecipeModel):
             interaction_order=self.model.interaction_order,
             source=context.source,
             arrangement=arrangement,
-            body=body,
+            body=first.body,
+            second=kinds[1] if len(kinds) > 1 else None,
         )
 
     def _index(self, spec: IndexSpec) -> OpticalConstant:
@@ -309,26 +326,26 @@ class MetasurfaceSpec(RecipeModel):
         return made.with_extrapolation("edge") if self.extrapolate == "edge" else made
 
     def _structure(
-        self, context: RecipeContext, outer_nm: float, reach_nm: float, q_max: float
+        self, context: RecipeContext, kinds: tuple[Kind, ...], q_max: float
     ) -> tuple[Structure, Arrangement | Pattern | None]:
-        """Return how the particles lie.
-
-        Args:
-            outer_nm: largest distance from a particle's axis: overlaps and coverage go by it.
-            reach_nm: of its circumscribing sphere, which must not meet that of another: multipoles diverge inside.
-        """
+        """Return how the particles lie: of a mixture any two may be neighbours, so the larger kind keeps all apart."""
+        mean_nm = mean_square_radius(kinds)  # coverage counts by it
+        outer_nm = max(kind.outer_radius_nm for kind in kinds)  # overlaps go by it
+        # circumscribing spheres must not meet: multipoles diverge inside
+        reach_nm = max(kind.reach_nm for kind in kinds)
         layer, kind = self.monolayer, self.monolayer.structure
         if kind.points is not None:
-            pattern = points_pattern(context, kind.points, 2 * outer_nm)
+            pattern = points_pattern(context, kind.points, 2 * outer_nm, kind.width_um)
             measured = points_structure(pattern, q_max)
             self._clear(context, "monolayer.structure.points", kind.points, measured.diameter_nm, reach_nm)
             return measured, pattern
         if layer.coverage is not None:
-            density = layer.coverage / (np.pi * outer_nm**2)
+            density = layer.coverage / (np.pi * mean_nm**2)
         else:
             assert layer.density_per_um2 is not None  # one of the two is given, see MonolayerSpec
             density = layer.density_per_um2 * 1e-6
-        coverage = float(density * np.pi * outer_nm**2)
+        coverage = float(density * np.pi * mean_nm**2)
+        occupied = float(density * np.pi * outer_nm**2)
         if not LEAST_COVERAGE <= coverage <= PACKING_LIMIT:
             raise context.fail(
                 "monolayer.density_per_um2" if layer.coverage is None else "monolayer.coverage",
@@ -336,13 +353,14 @@ class MetasurfaceSpec(RecipeModel):
                 f"covers {coverage:.3g} of the area; it should be from {LEAST_COVERAGE:g} to {PACKING_LIMIT:g}",
             )
         apart = 1.0 if kind.name == "lattice" else (reach_nm / outer_nm) ** 2
-        packing = coverage * apart if layer.packing is None else layer.packing
-        if packing < coverage * (1 - 1e-9):
+        packing = occupied * apart if layer.packing is None else layer.packing
+        if packing < occupied * (1 - 1e-9):
+            floor = f"the coverage f = {coverage:.4g}" if len(kinds) == 1 else f"{occupied:.4g}, for the larger kind"
             raise context.fail(
                 "monolayer.packing",
                 packing,
-                f"is below the coverage f = {coverage:.4g}: the particles would overlap; it should be from f to "
-                f"{PACKING_LIMIT:g}",
+                f"is below {floor}: the particles would overlap; it should be from "
+                f"{'f' if len(kinds) == 1 else f'{occupied:.4g}'} to {PACKING_LIMIT:g}",
             )
         if packing > PACKING_LIMIT:
             key = "monolayer.density_per_um2" if layer.coverage is None else "monolayer.coverage"

@@ -47,6 +47,7 @@ except Exception:
     pass
 """
 AXIS_TOLERANCE = 1e-3  # of the Frobenius norm: what a mesh leaves of couplings that the symmetry forbids
+TURN_TOLERANCE = 0.05  # of the scattered power that a mean over the turn leaves out; the mean field itself is .1 off
 GAIN_TOLERANCE = 1e-2  # of the largest singular value that a passive particle's scattering matrix has, 1
 PREFIXES = {
     "y": 1e-24, "z": 1e-21, "a": 1e-18, "f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3,
@@ -69,12 +70,14 @@ class TMatrixFileError(NacreError):
 
 
 def read_tmatrices(path: str | Path) -> AxialTMatrices:
-    """Read a file of T-matrices of one particle whose axis is z.
+    """Read a file of T-matrices of one particle, of one that is not axisymmetric the mean over its turn about z.
 
-    What a mesh leaves of forbidden couplings, up to 1e-3 of the norm, is taken out.
+    That mean is T without couplings of unlike m: the mean scattered field of particles turned at random, exactly. The
+    power of what differs between turns is not in it; see `AxialTMatrices.turn_loss`. What a mesh leaves of forbidden
+    couplings, up to 1e-3 of the norm, is taken out.
 
     Raises:
-        TMatrixFileError: it is damaged, or holds what is no axisymmetric, passive, reciprocal particle.
+        TMatrixFileError: it is damaged, is no passive, reciprocal particle, is handed, or depends much on its turn.
     """
     import h5py
 
@@ -131,14 +134,14 @@ def _read(file: h5py.File) -> AxialTMatrices:
     order = np.argsort(wavelengths)
     if np.any(np.diff(wavelengths[order]) <= 0):
         raise TMatrixFileError("gives a wavelength twice")
-    blocks = _axial(_parity_blocks(file, values[order]))
+    blocks, turn_loss = _axial(_parity_blocks(file, values[order]))
     geometry = _geometry(file)
     name = file.attrs.get("name", "")
     name = _shown(name.decode("utf-8", "replace") if isinstance(name, bytes) else str(name), 60)
     return AxialTMatrices(
         wavelengths[order], blocks, index[order], name or Path(file.filename).name,
         geometry.get("radius"), geometry.get("height"), geometry.get("circumscribing"),
-        _material(file, len(values), order),
+        _material(file, len(values), order), turn_loss,
     )  # fmt: skip
 
 
@@ -308,11 +311,11 @@ def _places(
     return place[kept], kept
 
 
-def _axial(blocks: ComplexArray) -> ComplexArray:
-    """Return the blocks of m >= 0, `[wavelength, m, n, n']`, of a particle that is as it should be.
+def _axial(blocks: ComplexArray) -> tuple[ComplexArray, float]:
+    """Return the blocks of m >= 0, `[wavelength, m, n, n']`, of the mean over the turn, and what it leaves out.
 
     Raises:
-        TMatrixFileError: it is not axisymmetric, not reciprocal, or gives out more than it gets.
+        TMatrixFileError: it depends too much on the turn, is handed, not reciprocal, or gives out more than it gets.
     """
     count = blocks.shape[1]
     lmax = count // 2
@@ -321,13 +324,20 @@ def _axial(blocks: ComplexArray) -> ComplexArray:
     total = np.linalg.norm(blocks.reshape(len(blocks), -1), axis=1)
     if np.any(total == 0):
         raise TMatrixFileError("holds a T-matrix of zeros")
-    crossed = np.sqrt(np.maximum(total**2 - np.linalg.norm(own.reshape(len(own), -1), axis=1) ** 2, 0.0)) / total
+    # over all directions of the light the scattered power goes as the squared norm
+    kept = np.linalg.norm(own.reshape(len(own), -1), axis=1) / total
+    turn_loss = float(np.max(np.maximum(1.0 - kept**2, 0.0)))
+    if turn_loss > TURN_TOLERANCE:
+        raise TMatrixFileError(
+            f"is of a particle that is not axisymmetric about z: {100 * turn_loss:.2g} % of what it scatters depends "
+            f"on its turn, and a mean over turns, which is what is taken, may leave out {100 * TURN_TOLERANCE:g} %"
+        )
     partners = mirror_signs(lmax) * own[:, ::-1]
     uneven = np.linalg.norm((own - partners).reshape(len(own), -1), axis=1) / total
-    worst = float(np.max(np.maximum(crossed, uneven)))
-    if worst > AXIS_TOLERANCE:
+    if np.max(uneven) > AXIS_TOLERANCE:
         raise TMatrixFileError(
-            f"is of a particle that is not axisymmetric about z ({100 * worst:.2g} % of T says so); only such are taken"
+            f"is of a handed particle, with no mirror plane through z ({100 * np.max(uneven):.2g} % of T says so); it "
+            "would turn the polarisation, which is not modelled"
         )
     half = 0.5 * (own + partners)[:, lmax:]
     even = reciprocal(half)
@@ -338,7 +348,7 @@ def _axial(blocks: ComplexArray) -> ComplexArray:
         raise TMatrixFileError(
             f"is of a particle that radiates more than it gets (by {100 * excess:.2g} %): not passive"
         )
-    return even
+    return even, turn_loss if turn_loss > AXIS_TOLERANCE**2 else 0.0
 
 
 def _geometry(file: h5py.File) -> dict[str, float]:

@@ -1,0 +1,216 @@
+"""The kinds of particle of a monolayer: one, or two in a mixture; their sizes, and their multipoles over a stack.
+
+A size distribution and a mixture are the same to the optics: particles of some shares in number, that lie at random on
+one arrangement. All are given to one multipole order, that of the one that needs most.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from nacre.arrays import Array, ComplexArray
+from nacre.families.metasurface.axial import Body, as_blocks, multipole_order
+from nacre.families.metasurface.bodies import place, refuse
+from nacre.families.metasurface.monolayer import Particle
+from nacre.families.metasurface.particles import Shell, Sizes, sphere_t_matrix
+from nacre.families.metasurface.sphere import (
+    AZIMUTHAL_ORDERS,
+    ORDER_TOLERANCE,
+    ConvergenceRefusal,
+    choose_order,
+    rounded_up,
+)
+from nacre.families.metasurface.substrate import Substrate
+from nacre.matter.indices.constant import OpticalConstant
+
+LOOSEST_TOLERANCE = 0.02  # of the change on doubling: above it the series has no limit to speak of
+# accepted with a warning where the recipe names no tolerance: silver on glass leaves up to 0.9 %, at 360 nm only
+UNASKED_TOLERANCE = 0.01
+UNTOLD_INDEX = 4.0
+NEAR = 0.1  # of the logarithm of a length: spheres so alike take one multipole order
+
+
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """One kind of particle.
+
+    Attributes:
+        core: its material; None where only the T-matrix is known.
+        sizes: radii of the cores of spheres; of a body, largest distances from the axis.
+        shell: a coating, or None.
+        gap_nm: between the particle and the stack.
+        body: what is no sphere, of the mean size; None: spheres.
+        share: in number, of all particles.
+        key: of the recipe's table.
+    """
+
+    core: OpticalConstant | None
+    sizes: Sizes
+    shell: Shell | None = None
+    gap_nm: float = 0.0
+    body: Body | None = None
+    share: float = 1.0
+    key: str = "particle"
+
+    @property
+    def mean_radius_nm(self) -> float:
+        """Of the core, or of the body."""
+        return float(np.dot(self.sizes.radii_nm, self.sizes.shares))
+
+    @property
+    def outer_radius_nm(self) -> float:
+        """Mean radius with the shell; of a body the largest distance from its axis."""
+        return self.mean_radius_nm + (self.shell.thickness_nm if self.shell else 0.0)
+
+    @property
+    def reach_nm(self) -> float:
+        """Radius of the sphere around it."""
+        return self.outer_radius_nm if self.body is None else self.body.circumscribing_nm
+
+    @property
+    def noun(self) -> str:
+        """What a drawing calls them."""
+        if self.body is None:
+            return "spheres"
+        return f"{self.body.shape}s" if self.body.shape else "particles"
+
+    def index(self, wavelength_nm: float) -> complex:
+        """The particles' own index; of a T-matrix that does not say, a high one, the kind with the strictest limit."""
+        if self.core is not None:
+            return complex(self.core.n_complex(np.array([wavelength_nm]))[0])
+        told = None if self.body is None else self.body.index(wavelength_nm)
+        return complex(UNTOLD_INDEX) if told is None else told
+
+    def t_matrix(self, lmax: int, surface: Substrate, radius_nm: float) -> ComplexArray:
+        """Return the diagonal T of one sphere, `[n]`."""
+        assert self.core is not None  # of spheres it is known
+        return sphere_t_matrix(self.core, self.shell, radius_nm, lmax, surface)
+
+
+@dataclass(frozen=True)
+class Settling:
+    """How multipoles are chosen, and what they left open.
+
+    Attributes:
+        order: of all particles; None: chosen at each wavelength.
+        tolerance: largest change of the far field when the order is doubled; None: the default's, see `Metasurface`.
+        memory: orders of candidates near this one; None: each is chosen anew.
+        source: name of the recipe, for messages.
+        first_film_nm: thickness of the stack's first layer; None: it has none.
+        unsettled: what the highest order left open, by wavelength, where that is more than the tolerance.
+    """
+
+    order: int | None
+    tolerance: float | None
+    memory: dict[Any, Any] | None
+    source: str
+    first_film_nm: float | None
+    unsettled: dict[float, float] = field(default_factory=dict)
+
+    def particles(self, kinds: tuple[Kind, ...], surface: Substrate) -> tuple[Particle, ...]:
+        """Return the particles over a stack, all of one multipole order.
+
+        Raises:
+            ConvergenceRefusal, UnsupportedError: their multipoles do not settle.
+            MaterialRangeError: an index is not known.
+        """
+        bodies = [[self._body(kind, r, surface) for r in kind.sizes.radii_nm] if kind.body else [] for kind in kinds]
+        orders = [self.sphere_order(kind, surface) for kind in kinds if kind.body is None]
+        top = max([p.lmax for row in bodies for p in row] + orders)
+        out = []
+        for number, (kind, row) in enumerate(zip(kinds, bodies)):
+            above = (kind.shell.thickness_nm if kind.shell else 0.0) + kind.gap_nm
+            alone = row or [
+                Particle(1.0, radius + above, kind.t_matrix(top, surface, radius)) for radius in kind.sizes.radii_nm
+            ]
+            out += [
+                replace(p, share=kind.share * share, t_matrix=widened(p.t_matrix, top), kind=number)
+                for p, share in zip(alone, kind.sizes.shares)
+            ]
+        return tuple(out)
+
+    def _body(self, kind: Kind, radius_nm: float, surface: Substrate) -> Particle:
+        assert kind.body is not None
+        body = kind.body if len(kind.sizes.radii_nm) == 1 else kind.body.of_radius(radius_nm)
+        placed = place(body, surface, kind.gap_nm, self.order)
+        tolerance = self.tolerance or LOOSEST_TOLERANCE
+        if placed.change > tolerance and (placed.is_near or self.order is None):
+            raise refuse(body, surface, kind.gap_nm, placed, tolerance, self.order)
+        self._note(surface, placed.change)
+        return placed.particle
+
+    def _note(self, surface: Substrate, change: float) -> None:
+        if change > UNASKED_TOLERANCE:
+            at = surface.wavelength_nm
+            self.unsettled[at] = max(change, self.unsettled.get(at, 0.0))
+
+    def sphere_order(self, kind: Kind, surface: Substrate) -> int:
+        """Return the multipole order of spheres at the wavelength of `surface`.
+
+        Raises:
+            ConvergenceRefusal: no order keeps within the tolerance; it names the remedies.
+        """
+        if self.order is not None:
+            return self.order
+        if self.memory is not None:
+            near = self._neighbourhood(kind, surface)
+            if near not in self.memory:
+                self.memory[near] = self._chosen_order(kind, surface)
+            return int(self.memory[near])
+        return self._chosen_order(kind, surface)
+
+    def _neighbourhood(self, kind: Kind, surface: Substrate) -> tuple[Any, ...]:
+        """What the order depends on, to within a tenth; of the stack the media and the first film's thickness."""
+        assert kind.core is not None  # of spheres it is known
+        lam = np.array([surface.wavelength_nm])
+        inside = [kind.core, *([] if kind.shell is None else [kind.shell.material])]
+        near = 0.0 if self.first_film_nm is None else min(self.first_film_nm, kind.outer_radius_nm)
+        lengths = (*kind.sizes.radii_nm, kind.outer_radius_nm, 1.0 + kind.gap_nm + near)
+        steps = tuple(int(np.floor(np.log(length) / NEAR)) for length in lengths)
+        return (
+            surface.wavelength_nm, tuple(complex(m.n_complex(lam)[0]) for m in inside), tuple(surface.indices.tolist()),
+            steps,
+        )  # fmt: skip
+
+    def _chosen_order(self, kind: Kind, surface: Substrate) -> int:
+        centre = kind.outer_radius_nm + kind.gap_nm
+        tolerance = ORDER_TOLERANCE if self.tolerance is None else self.tolerance
+        try:
+            return choose_order(
+                surface, centre, lambda lmax: kind.t_matrix(lmax, surface, kind.mean_radius_nm), tolerance
+            )
+        except ConvergenceRefusal as refusal:
+            if self.tolerance is None and refusal.change < UNASKED_TOLERANCE:
+                self.unsettled[surface.wavelength_nm] = refusal.change
+                return refusal.order
+            accept = ""
+            if refusal.change < LOOSEST_TOLERANCE:
+                accept = f", or accept model.tolerance = {rounded_up(refusal.change):g}"
+            raise ConvergenceRefusal(
+                f"{self.source}: {kind.key}.gap_nm = {kind.gap_nm:g}: at {surface.wavelength_nm:g} nm {refusal}; "
+                'put 2 nm of native oxide (layers = [{material = "SiO2", thickness_nm = 2}]) and a gap_nm = 1 '
+                f"under it, or a gap_nm of 2{accept}",
+                refusal.change,
+                refusal.order,
+            ) from None
+
+
+def widened(t_matrix: ComplexArray, lmax: int) -> ComplexArray:
+    """Return a T-matrix, `[n]` or `[m, n, n']`, with room for multipoles up to `lmax`, which it does not have."""
+    top = multipole_order(t_matrix)
+    if lmax == top:
+        return t_matrix
+    blocks = as_blocks(t_matrix, AZIMUTHAL_ORDERS)
+    places = np.concatenate([np.arange(top), lmax + np.arange(top)])
+    out = np.zeros((min(AZIMUTHAL_ORDERS, lmax) + 1, 2 * lmax, 2 * lmax), dtype=complex)
+    out[: len(blocks), places[:, None], places] = blocks[: len(out)]
+    return out
+
+
+def mean_square_radius(kinds: tuple[Kind, ...]) -> float:
+    """Return the radius in nm of the disc whose area is the mean over the kinds: coverage counts by it."""
+    squares: Array = np.array([kind.share * kind.outer_radius_nm**2 for kind in kinds])
+    return float(np.sqrt(squares.sum()))
