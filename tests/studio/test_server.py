@@ -28,7 +28,7 @@ from nacre.studio.form import family_form
 from nacre.studio.look import SupersededError, looks
 from nacre.studio.security import HEADER
 from nacre.studio.server import make_app
-from nacre.studio.surround import ALPHAS, LAYERS, blurred_surround
+from nacre.studio.surround import LAYERS, blurred_surround
 
 PORT, TOKEN = 8123, "a-token-for-the-tests"
 SOCKET = f"ws://127.0.0.1:{PORT}/ws"

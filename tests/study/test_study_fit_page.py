@@ -50,7 +50,8 @@ def test_the_page_of_directions_is_written_too(tmp_path: Path) -> None:
     for theta in (0.0, 15.0, 30.0, 45.0):
         wo = np.broadcast_to(direction(np.radians(theta), np.pi), (1, 3))
         seen = nacre.evaluate(bsdf, direction(np.radians(30.0))[None], wo)
-        lines += [f"30,0,{theta},180,{nm:g},{value}" for nm, value in zip(bsdf.wavelengths_nm, np.asarray(seen).ravel())]
+        values = zip(bsdf.wavelengths_nm, np.asarray(seen).ravel())
+        lines += [f"30,0,{theta},180,{nm:g},{value}" for nm, value in values]
     (tmp_path / "g.csv").write_text("\n".join(lines))
     nacre.fit(tmp_path / "g.csv", film, ["surface.roughness=0.1:0.4"], starts=1, report=tmp_path / "g.html")
     assert "<td>0.2</td>" in (tmp_path / "g.html").read_text(encoding="utf-8")
