@@ -10,8 +10,8 @@ ten; with `--all` all of them, kept in a file as they are done. optiland needs m
 Bars: merit at least as good with as few layers on every filter, 10 x faster.
 Prediction (before the first run): optiland calls Python once a wavelength, some 0.3 ms a layer, and takes slopes by
 finite differences: 1,000 times a compiled adjoint. With a tenth of the time nacre breeds, so at least as good.
-Outcome: all ten at least as good, from the same rms to a twentieth of it. The short-pass edge was missed by 6 % as long as
-the search asked for a straight line in the band that the target leaves out, where the judge asks for nothing.
+Outcome: all ten at least as good, from the same rms to a twentieth of it. The short-pass edge was missed by 6 % as
+long as the search asked for a straight line in the band that the target leaves out, where the judge asks for nothing.
 """
 
 from __future__ import annotations
