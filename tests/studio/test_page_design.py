@@ -133,6 +133,7 @@ def test_a_search_ends_with_its_page_and_with_its_server(page: Page, server: Ser
 def test_the_gamut_is_shown_with_what_is_asked_in_it(page: Page) -> None:
     page.get_by_role("tab", name="Design").click()
     expect(page.locator("#free .free-row")).to_have_count(2)
+    page.locator("#design-seconds").fill("4")  # the gamut takes no longer than a search
     page.get_by_role("button", name="Show gamut").click()
     expect(page.locator("#gamut-said")).to_contain_text("specular 0: #8a4fb0 is")
     expect(page.locator("#gamut .reached").nth(60)).to_be_attached()

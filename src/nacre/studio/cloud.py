@@ -28,14 +28,14 @@ from nacre.materials.material import Material
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.studio.folder import Opened
 from nacre.studio.freedom import LENGTH, THICKNESS, number, opened_parts
-from nacre.studio.look import DRAFT_DEG, DRAFT_NM
 from nacre.studio.measured import built, placed
 from nacre.studio.told import Tell
 
 DRAWS = (4, 400)
 MOST_PERCENT = 50.0
 FINE_DEG = np.array([*np.arange(0.0, 90.0, 5.0), 88.0])
-QUICK_S = 0.05  # of one material on all its wavelengths; longer ones are drawn as drafts are
+QUICK_S = 0.05  # of one material on all its wavelengths; what takes longer is drawn at few angles and wavelengths
+COARSE_DEG, COARSE_NM = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 88.0]), np.arange(400.0, 701.0, 25.0)
 SECONDS, TOLD_S = 20.0, 1.5  # of all draws; between two clouds that grow
 FEWEST = 4
 
@@ -108,14 +108,14 @@ def options_of(material: Material, percent: float) -> tuple[str, ...]:
 
 
 def _fineness(material: Material, lamp: str) -> tuple[Array, Array | None]:
-    """Return the angles and wavelengths to draw with: all of what is quick, those of drafts of what takes long."""
+    """Return the angles and wavelengths to draw with: all of what is quick, few of what takes long."""
     if not material.model.is_quick:
-        return DRAFT_DEG, DRAFT_NM
+        return COARSE_DEG, COARSE_NM
     for _ in range(2):  # the first may compile
         began = time.monotonic()
         _seen(material, FINE_DEG, None, lamp)
         took = time.monotonic() - began
-    return (FINE_DEG, None) if took <= QUICK_S else (DRAFT_DEG, DRAFT_NM)
+    return (FINE_DEG, None) if took <= QUICK_S else (COARSE_DEG, COARSE_NM)
 
 
 def _seen(material: Material, angles_deg: Array, grid: Array | None, lamp: str) -> Array:

@@ -11,12 +11,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from nacre.errors import NacreError, RecipeError, UnsupportedError
 from nacre.light import ILLUMINANTS
 from nacre.materials.material import Material
 from nacre.recipe.paths import find_by_path
 from nacre.studio.folder import Opened
-from nacre.studio.look import PROBE_NM, PROBE_RAD
 from nacre.studio.measured import built, placed
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ THICKNESS = re.compile(r"thickness_(nm|um|mm)$")
 LENGTH = re.compile(r"_(nm|um)$")
 IN_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
 OF_OPTICS = ("n", "k")
+PROBE_NM = np.array([450.0, 550.0, 650.0])
 UPWARD, DOWNWARD = (2.0, 1.5, 1.2, 1.05), (0.5, 0.7, 0.9, 0.97)  # times a number: bounds, the first that are allowed
 OF_HEIGHTS = (
     "a relief's heights are sought by the command: nacre design TARGET with heights under [free], "
@@ -158,7 +160,7 @@ def _usual_look(material: Material) -> str:
     word = model.usual_look.split()[0]
     if word not in LOOKS or model.is_quick or model.is_direct:
         return word if word in LOOKS else "aspecular"
-    found = model.spectrum(PROBE_RAD, PROBE_NM, "both", 0)  # None: all of it would have to be solved; it scatters
+    found = model.spectrum(np.array([0.0]), PROBE_NM, "both", 0)  # None: all of it would have to be solved; it scatters
     return word if found is not None and found.specular_reflectance is not None else "aspecular"
 
 

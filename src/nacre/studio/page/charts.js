@@ -93,7 +93,8 @@ export function drawSpectrum(svg, look, other) {
   });
 }
 
-export function drawTrack(svg, look, other) {
+// `least`: of what the axes reach.
+export function drawTrack(svg, look, other, least) {
   clear(svg);
   const track = (one) => {
     const all = total(one), points = [];
@@ -101,7 +102,7 @@ export function drawTrack(svg, look, other) {
     return { all, points, is: one };
   };
   const tracks = (other ? [other, look] : [look]).map(track);
-  const reach = Math.max(20, ...tracks.flatMap(({ points }) => points.map(([, a, b]) => Math.max(Math.abs(a), Math.abs(b))))) * 1.1;
+  const reach = Math.max(20, least, ...tracks.flatMap(({ points }) => points.map(([, a, b]) => Math.max(Math.abs(a), Math.abs(b))))) * 1.1;
   const x = (a) => 140 + (a / reach) * 88, y = (b) => 95 - (b / reach) * 88;
   add(svg, "path", { d: "M52 95H228M140 7V183", class: "axis" });
   add(svg, "text", { x: 232, y: 98 }, `a* ${Math.round(reach)}`);

@@ -16,11 +16,19 @@ function at(rgb, angles, angle) {
   return [0, 1, 2].map((c) => rgb[i - 1][c] * (1 - part) + rgb[i][c] * part);
 }
 
+const isShown = () => Boolean(cloud) && of === key() && $("cloud").checked;
+
+// How far the cloud lies from grey in a* or b*, at most; 0 where there is none.
+export function cloudReach() {
+  if (!isShown()) return 0;
+  const colours = cloud.rgb.slice(0, MOST_DOTS).flatMap((one) => AT_DEG.map((angle) => toLab(...at(one, cloud.angles, angle))));
+  return Math.max(...colours.flatMap(([, a, b]) => [Math.abs(a), Math.abs(b)]));
+}
+
 export function drawCloud(canvas, svg, scale) {
-  const isShown = Boolean(cloud) && of === key() && $("cloud").checked;
-  canvas.hidden = !isShown;
+  canvas.hidden = !isShown();
   $("cloud-text").hidden = !$("cloud").checked;
-  if (!isShown) return;
+  if (canvas.hidden) return;
   const { rgb, angles } = cloud, context = canvas.getContext("2d");
   canvas.height = rgb.length;
   rgb.forEach((one, row) => {

@@ -4,7 +4,7 @@ import { drawRibbon, drawSpectrum, drawSwatches, drawTrack } from "./charts.js";
 import { beside, isStale, listenCompare, other, question, showHistory, takes } from "./compare.js";
 import { $, api, app, el, shortName, tell } from "./common.js";
 import { listRecipes, listenFiles, open, saveHere, welcome } from "./files.js";
-import { cloudSettled, drawCloud, listenCloud } from "./cloud.js";
+import { cloudReach, cloudSettled, drawCloud, listenCloud } from "./cloud.js";
 import { designSettled, listenDesign } from "./design.js";
 import { drawStructure } from "./drawing.js";
 import { Form } from "./form.js";
@@ -59,7 +59,7 @@ function chart() {
   $("ribbons").classList.toggle("two", Boolean(kept));
   if (kept) drawRibbon($("ribbon-b"), $("ribbon-b-text"), kept);
   drawSpectrum($("spectrum"), look, kept);
-  drawCloud($("cloud-ribbon"), $("track"), drawTrack($("track"), look, kept));
+  drawCloud($("cloud-ribbon"), $("track"), drawTrack($("track"), look, kept, cloudReach()));
   drawSwatches($("swatches"), look, kept);
   const words = drawStructure($("structure"), look.data, look.profile);
   $("structure-text").textContent = words;

@@ -24,7 +24,7 @@ export function forgetReach() {
   $("gamut-box").hidden = true;
 }
 
-const inWords = (asked) => asked.colour ?? `hue ${asked.hue_deg?.map(Math.round).join("–")}°, chroma ${asked.chroma}`;
+const inWords = (asked) => asked.colour ?? `hue ${asked.hue_deg?.map(Math.round).join("–")}°, chroma ${asked.chroma?.replace(">=", "≥ ")}`;
 
 function draw() {
   const svg = $("gamut"), one = found.find(({ at }) => at === $("gamut-at").value);
