@@ -23,7 +23,7 @@ from nacre.studio.folder import Opened
 from nacre.studio.objects import OBJECTS, OwnMeshes, simplified
 from nacre.studio.security import HEADER
 from nacre.studio.server import make_app
-from nacre.studio.surround import ALPHAS, ROWS
+from nacre.studio.surround import ALPHAS, LAYERS, ROWS
 
 PORT, TOKEN = 8125, "a-token-for-the-tests"
 FILM = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n'
@@ -166,8 +166,8 @@ def test_a_picture_shows_the_own_mesh(client: TestClient) -> None:
 @pytest.mark.parametrize("name", ["interior", "street"])
 def test_a_place_lights_the_floor_as_in_pictures_and_has_colours(client: TestClient, name: str) -> None:
     answer = client.get(f"/api/surround?name={name}")
-    rooms = np.frombuffer(answer.content, "<f4").reshape(len(ALPHAS) + 1, ROWS, 2 * ROWS, 3)
-    on_floor = rooms[-1, 0].mean(axis=0)  # a matt white floor, by the layer's row at the zenith
+    rooms = np.frombuffer(answer.content, "<f4").reshape(LAYERS, ROWS, 2 * ROWS, 3)
+    on_floor = rooms[len(ALPHAS), 0].mean(axis=0)  # a matt white floor, by the layer's row at the zenith
     # its luminance as pictures balance every place, `_Canvas.finish`; the rows are 1.4 degrees wide
     assert on_floor @ [0.2126, 0.7152, 0.0722] == pytest.approx(0.6, rel=0.03)
     assert np.ptp(rooms[0], axis=2).max() > 0.1 and rooms.min() >= -1e-3
