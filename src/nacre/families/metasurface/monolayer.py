@@ -101,8 +101,7 @@ class Monolayer:
     def spheres(self) -> tuple[SphereOnStack, ...]:
         """The particles, each alone on the stack."""
         return tuple(
-            SphereOnStack(self.surface, p.centre_nm, p.t_matrix, min(self.mmax, p.lmax), p.cut)
-            for p in self.particles
+            SphereOnStack(self.surface, p.centre_nm, p.t_matrix, min(self.mmax, p.lmax), p.cut) for p in self.particles
         )
 
     @cached_property

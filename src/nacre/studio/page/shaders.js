@@ -159,7 +159,8 @@ vec3 material(vec3 spot, vec3 d, vec3 n, vec3 down) {
 // angle to the eye as the radius and the turn about it.
 export const BALL = `${COMMON}
 uniform sampler2D throughMirror, throughGloss, throughMatt, backdrop, mirrored;
-uniform float gathered, kept, spreads;          // kept: what stands behind has been drawn into backdrop
+uniform float gathered, spreads;
+#ifdef GATHERED
 vec3 ballSeen(vec3 p, vec3 d) {
   vec3 toEye = normalize(eye - CENTRE);
   float far = acos(clamp(dot(p, toEye), -1.0, 1.0)) / acos(1.0 / length(eye - CENTRE));
@@ -179,6 +180,7 @@ vec3 ballSeen(vec3 p, vec3 d) {
   }
   return seen;
 }
+#endif
 void main() {
   vec2 at = (gl_FragCoord.xy - 0.5 * size) / (0.5 * size.x);
   vec3 d = normalize(ahead + at.x * right + at.y * up);
@@ -186,15 +188,18 @@ void main() {
   float b = dot(o, d), c = dot(o, o) - 1.0, disc = b * b - c;
   float pixel = 2.0 * length(right) / size.x * length(o);
   float cover = clamp(0.5 + (1.0 - sqrt(max(dot(o, o) - b * b, 0.0))) / pixel, 0.0, 1.0);
-  vec3 back = vec3(0.0);
-  if (kept > 0.5) back = texelFetch(backdrop, ivec2(gl_FragCoord.xy), 0).rgb;
-  else if (cover < 1.0) back = behind(d, pixel / length(o));
+#ifdef GATHERED
+  vec3 back = texelFetch(backdrop, ivec2(gl_FragCoord.xy), 0).rgb;
+#else
+  vec3 back = behind(d, pixel / length(o));
+#endif
   if (cover > 0.0) {
     vec3 p = normalize(o + d * (-b - sqrt(max(disc, 0.0))));
-    vec3 seen;
-    if (gathered > 0.5) seen = ballSeen(p, d);
-    else seen = material(p + CENTRE, d, p, p * 1.6);
-    back = mix(back, seen, cover);
+#ifdef GATHERED
+    back = mix(back, ballSeen(p, d), cover);
+#else
+    back = mix(back, material(p + CENTRE, d, p, p * 1.6), cover);
+#endif
   }
   colour = vec4(encode(back * exp2(exposure)), 1.0);
 }`;

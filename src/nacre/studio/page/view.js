@@ -5,12 +5,12 @@ import { BACKDROP, BALL, COVER, GATHER, MESH, MESH_VERTEX, SHADE } from "./shade
 
 // the camera of pictures of a sphere, and the shade below it
 const SPHERE = { distance: Math.hypot(8.6, 1.77), target: [0, 0, 0.93], fov: 19, foot: [0, 0, 1, 1], azimuth: 0, elevation: 11.63 };
-const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "gathered", "square", "pixels", "beckmann", "compensated", "wants", "count", "nacreLobe", "backdrop", "kept", "spreads", "mirrored"];
+const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "gathered", "square", "pixels", "beckmann", "compensated", "wants", "count", "nacreLobe", "backdrop", "spreads", "mirrored"];
 const SAMPLERS = ["table", "room", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "nacreLobe", "backdrop", "mirrored"];
 const SQUARE = 0.55;    // of the chequers that clear materials stand on, as in pictures
-const LOBE = "#define NACRE_LOBE\n#define NACRE_LOBE_SLICES 4.0\n#define NACRE_LOBE_SCALE 1.0\n";     // see lobe.py
+const DEFINES = { gathered: "#define GATHERED\n", gather: "#define NACRE_LOBE\n#define NACRE_LOBE_SLICES 4.0\n#define NACRE_LOBE_SCALE 1.0\n" };   // see lobe.py
 const EXTRA = 2;        // layers of the room beside those of its light: the ball's shade, the stage's light
-const SHADERS = { ball: [COVER, BALL], gather: [COVER, GATHER], backdrop: [COVER, BACKDROP], mesh: [MESH_VERTEX, MESH], shade: [COVER, SHADE] };
+const SHADERS = { ball: [COVER, BALL], gathered: [COVER, BALL], gather: [COVER, GATHER], backdrop: [COVER, BACKDROP], mesh: [MESH_VERTEX, MESH], shade: [COVER, SHADE] };
 const FINER = 2;        // triangles are drawn at twice the size, so that their edges are smooth
 const MOST_PARTS = 8;
 const SLOW_MS = 20, FEWEST = 400;  // pixels a side
@@ -46,7 +46,7 @@ export class View {
     const gl = this.gl, isPlace = Boolean(this.room?.floor) && name !== "mesh", key = name + isPlace;
     if (!this.programs.has(key)) {
       const program = gl.createProgram(), [vertex, fragment] = SHADERS[name];
-      for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, `#version 300 es\n${name === "gather" ? LOBE : ""}${isPlace ? "#define PLACE\n" : ""}${this.tables}${fragment}`]]) {
+      for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, `#version 300 es\n${DEFINES[name] ?? ""}${isPlace ? "#define PLACE\n" : ""}${this.tables}${fragment}`]]) {
         const shader = gl.createShader(kind);
         gl.shaderSource(shader, source);
         gl.compileShader(shader);
@@ -180,12 +180,11 @@ export class View {
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(from, 0, to - from, this.canvas.height);
     const isGathered = !places && this.light.bind(this.keyOf(look), look);
-    if (!places) this.drawBackdrop(look, first);
-    const at = this.prepare(used, look, first);
+    if (isGathered) this.drawBackdrop(look, first);
+    const at = this.prepare(isGathered ? "gathered" : used, look, first);
     this.canvas.dataset.light = isGathered ? "gathered" : places || !this.light.isAble ? "blurred" : "gathering";
-    if (!places) gl.uniform1f(at.kept, this.light.isAble ? 1 : 0);
-    if (!places) gl.uniform1f(at.spreads, wantsOf(look) >= 4 ? 1 : 0);
-    if (!places) gl.uniform1f(at.gathered, isGathered ? (look.lobe ? 2 : 1) : 0);
+    if (isGathered) gl.uniform1f(at.spreads, wantsOf(look) >= 4 ? 1 : 0);
+    if (isGathered) gl.uniform1f(at.gathered, look.lobe ? 2 : 1);
     if (places) {
       const plain = new Float32Array(3 * MOST_PARTS).fill(-1);      // of the material: no plain look
       parts.forEach((part, i) => { if (part.plain) plain.set(part.plain, 3 * i); });
@@ -198,7 +197,7 @@ export class View {
   // What stands behind the ball and what it mirrors, kept while the view, its size, the room and the kind of stage stay.
   drawBackdrop(look, first) {
     const gl = this.gl, { width, height } = this.canvas, key = [this.azimuth, this.elevation, width, height, look.clear].join();
-    if (!this.light.isAble || (this.backdrop?.key === key && this.backdrop.room === this.room)) return;
+    if (this.backdrop?.key === key && this.backdrop.room === this.room) return;
     if (this.backdrop?.width !== width) {
       if (this.backdrop) { this.backdrop.textures.forEach((old) => gl.deleteTexture(old)); gl.deleteFramebuffer(this.backdrop.frame); }
       this.backdrop = { width, frame: gl.createFramebuffer(), textures: [] };
