@@ -87,6 +87,7 @@ def is_own(url: str, server: Server) -> bool:
 
 def settled(page: Page) -> None:
     expect(page.locator("#state")).to_have_attribute("data-kind", "settled")
+    expect(page.locator("#view[data-light=gathering]")).to_have_count(0)
 
 
 def picture(page: Page) -> NDArray[np.uint8]:

@@ -37,6 +37,21 @@ def test_the_sphere_is_not_black_and_follows_the_slider(page: Page) -> None:
     assert "# a comment" in page.locator("#text").input_value()
 
 
+def test_the_light_on_the_sphere_is_gathered_anew_for_a_new_view_and_kept_for_a_new_colour(page: Page) -> None:
+    light = page.locator("#view")
+    expect(light).to_have_attribute("data-light", "gathered")
+    before = picture(page)
+    slider(page, THICKNESS).fill("110")
+    until(page, lambda: bool(np.abs(ball(picture(page)) - ball(before)).max() > SEEN))
+    expect(light).to_have_attribute("data-light", "gathered")
+    front = picture(page)
+    light.focus()
+    page.keyboard.press("ArrowUp")
+    expect(light).to_have_attribute("data-light", "gathering")
+    expect(light).to_have_attribute("data-light", "gathered")
+    assert np.abs(picture(page).astype(int) - front).mean() > 1
+
+
 def test_a_page_without_the_token_is_refused(browser: Browser, server: Server) -> None:
     context = browser.new_context()
     answer = context.new_page().goto(f"http://127.0.0.1:{server.port}/")

@@ -19,8 +19,8 @@ from nacre.recipe.kept import MAX_BYTES, OFF, VARIABLE, cache_folder, clear, ent
 WORTH_S = 2.0  # what is solved faster is not kept: writing and reading cost too
 
 
-def solved(key: str, solve: Callable[[], Bsdf]) -> Bsdf:
-    """Return what is kept under an identity, or solve it and keep it.
+def solved(key: str, solve: Callable[[], Bsdf], keep: bool = True) -> Bsdf:
+    """Return what is kept under an identity, or solve it and, where that is wanted, keep it.
 
     A damaged entry, or a folder that cannot be used, costs the time to solve and nothing else.
     """
@@ -35,7 +35,7 @@ def solved(key: str, solve: Callable[[], Bsdf]) -> Bsdf:
             return found
     begun = time.perf_counter()
     bsdf = solve()
-    if time.perf_counter() - begun > WORTH_S:
+    if keep and time.perf_counter() - begun > WORTH_S:
         with contextlib.suppress(NacreError, OSError):
             bsdf.save(entry)
             make_room(folder, MAX_BYTES)

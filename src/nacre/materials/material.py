@@ -87,20 +87,21 @@ class Material:
             outside["way"] = "quick"
         return identity(data, self.context.files, **outside)
 
-    def bsdf(self, wavelengths_nm: ArrayLike | None = None) -> Bsdf:
+    def bsdf(self, wavelengths_nm: ArrayLike | None = None, *, keep: bool = True) -> Bsdf:
         """Solve the optics and return the arrays, with their provenance.
 
         Args:
             wavelengths_nm: vacuum wavelengths, ascending; default: chosen by the material.
+            keep: whether what took long to solve is kept on disk for the next time, which takes as long again.
 
         Raises:
             MaterialRangeError: an optical constant is not known at a wavelength.
         """
         grid = wavelength_grid(wavelengths_nm)
-        bsdf = self._solved(grid)
+        bsdf = self._solved(grid, keep)
         return dataclasses.replace(bsdf, provenance={**bsdf.provenance, **recipe_provenance(self)})
 
-    def _solved(self, grid: NDArray[np.float64] | None) -> Bsdf:
+    def _solved(self, grid: NDArray[np.float64] | None, keep: bool = True) -> Bsdf:
         if outside := self.model.outside:
             _tell_once(self.context.source, outside)
         if grid is not None:
@@ -110,7 +111,7 @@ class Material:
         if isinstance(self.model, StoredBsdf) or self.context.ambient is not None:
             return self.model.bsdf(grid)  # solved already; or a part of another material, which is kept as a whole
         what = identity(self.identity, {}, wavelengths_nm=grid)
-        return solved(what, lambda: self.model.bsdf(grid))
+        return solved(what, lambda: self.model.bsdf(grid), keep)
 
     def values_at(
         self, wi: Array, wo: Array, wavelengths_nm: Array | None = None

@@ -51,7 +51,9 @@ def find_gloss(bsdf: Bsdf, theta_rad: Array, spread: Array, samples: int | None 
     if not lobes:
         return None
     rest = dataclasses.replace(bsdf, lobes=lobes)
-    return fit_gloss(lambda wi, wo: np.asarray(evaluate_with_error(rest, wi, wo, samples=samples)[0]), theta_rad, spread)
+    return fit_gloss(
+        lambda wi, wo: np.asarray(evaluate_with_error(rest, wi, wo, samples=samples)[0]), theta_rad, spread
+    )
 
 
 def fit_gloss(values_at: Callable[[Array, Array], Array], theta_rad: Array, spread: Array) -> Gloss | None:

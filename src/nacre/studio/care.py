@@ -40,10 +40,14 @@ DRAFTS = (
 
 
 class Drafts:
-    """Which of `DRAFTS` each family is drafted at; it follows what drafts take on this machine."""
+    """Which of `DRAFTS` each family is drafted at; it follows what drafts take on this machine.
+
+    The first draft at a level is not judged: it compiles.
+    """
 
     def __init__(self) -> None:
         self._levels: dict[str, int] = {}
+        self._compiled: set[tuple[str, int]] = set()
 
     def of(self, family: str) -> Care:
         """Return how carefully to draft a material of a family."""
@@ -52,7 +56,9 @@ class Drafts:
     def took(self, family: str, seconds: float) -> None:
         """Remember what a draft took."""
         level = self._levels.get(family, 0)
-        if seconds > SLOW_S:
+        if (family, level) not in self._compiled:
+            self._compiled.add((family, level))
+        elif seconds > SLOW_S:
             level += 1
         elif seconds < SWIFT_S:
             level -= 1

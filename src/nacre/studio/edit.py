@@ -75,7 +75,7 @@ def _one(text: str, edit: Mapping[str, Any], source: str) -> str:
 def _number_put(text: str, path: str, value: Any, wanted: Mapping[str, Any]) -> str:
     """Return the text with a number exchanged where it stands, or nothing where that is not plain to see.
 
-    A slider asks for it many times a second, and to read a text with all its comments takes longer than to solve a film.
+    A slider asks for it many times a second, and to read a text with its comments takes as long as to solve a film.
     """
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return ""

@@ -25,7 +25,7 @@ ToRgb = Callable[[Array, Array], Array]  # spectra and their wavelengths -> colo
 
 
 def lobe_picture(material: Material, bsdf: Bsdf | None, to_rgb: ToRgb) -> Array | None:
-    """Return pi f 2 cos_i cos_o / (cos_i + cos_o) of spread light, `[slice, row, column, 3]`; None: it has no such form.
+    """Return pi f 2 cos_i cos_o / (cos_i + cos_o) of spread light, `[slice, row, column, 3]`; or None.
 
     Args:
         bsdf: solved on any wavelengths, or None where the material gives its spectra without one.
@@ -43,7 +43,7 @@ def lobe_picture(material: Material, bsdf: Bsdf | None, to_rgb: ToRgb) -> Array 
 
 def _values(material: Material, bsdf: Bsdf | None, wi: Array, wo: Array) -> tuple[Array | None, Array]:
     if bsdf is None:
-        bsdf = material.bsdf(LOBE_NM)
+        bsdf = material.bsdf(LOBE_NM, keep=False)
     lobes = tuple(lobe for lobe in bsdf.lobes if not lobe.is_delta and not isinstance(lobe, Microfacet))
     spread = dataclasses.replace(bsdf, lobes=lobes)
     if not lobes:

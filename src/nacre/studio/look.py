@@ -181,9 +181,7 @@ def _is_quick(material: Material) -> bool:
     return took <= QUICK_S
 
 
-def _look(
-    material: Material, illuminant: str, is_superseded: Callable[[], bool], care: Care
-) -> Look:
+def _look(material: Material, illuminant: str, is_superseded: Callable[[], bool], care: Care) -> Look:
     started = time.perf_counter()
     angles_deg, grid = care.angles_deg, care.wavelengths_nm
     wavelengths, parts, gloss, bsdf = _spectra(material, care, is_superseded)
@@ -210,7 +208,8 @@ def _look(
     if np.max(parts[THROUGH[0]]) > SEEN_THROUGH:
         notes.append("Light that goes through is not drawn.")
     return Look(
-        mirror_rgb, gloss_rgb, spread_rgb, facets, is_clear, alpha, 0.0 if gloss is None else gloss.alpha, lobe, wavelengths, shown,
+        mirror_rgb, gloss_rgb, spread_rgb, facets, is_clear, alpha,
+        0.0 if gloss is None else gloss.alpha, lobe, wavelengths, shown,
         _swatches(shown, wavelengths), grid is not None, tuple(notes), time.perf_counter() - started,
         _profile(material),
     )  # fmt: skip
@@ -236,7 +235,7 @@ def _spectra(
             break
         spectra.append(found)
     if not spectra:
-        bsdf, axis = material.bsdf(grid), 0
+        bsdf, axis = material.bsdf(grid, keep=False), 0  # no file is waited for: the next change has another
         for angle in theta:
             _go_on(is_superseded)
             spectra.append(bsdf_spectrum(bsdf, np.array([angle]), nodes=care.nodes))

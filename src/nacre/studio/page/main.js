@@ -18,7 +18,8 @@ import { View } from "./view.js";
 import { Wire } from "./wire.js";
 
 const { recipe } = app, models = new Map(), TABS = ["form", "toml", "design"];
-let charting = 0;
+const CHART_MS = 150;   // between two drawings of the charts while a slider is dragged: they take as long as the object
+let charting = 0, charted = -CHART_MS;
 
 // ---- what is shown of the connection and of the answer
 
@@ -34,7 +35,7 @@ async function onAnswer(answer, isNewest) {
   const isOurs = recipe.settle(answer, isNewest);
   app.lastGood = answer;
   if (app.view) app.view.setLook(answer);
-  if (!charting) charting = setTimeout(chart, 0);
+  if (!charting) charting = setTimeout(chart, Math.max(0, charted + CHART_MS - performance.now()));
   $("notes").replaceChildren(...answer.notes.map((note) => el("li", { textContent: note })));
   if (!isNewest) return;
   setError(null);
@@ -53,6 +54,7 @@ async function onAnswer(answer, isNewest) {
 // The object comes first, the charts after it, once for all answers that came meanwhile.
 function chart() {
   charting = 0;
+  charted = performance.now();
   const look = app.lastGood, kept = other();
   if (!look) return;
   drawRibbon($("ribbon"), $("ribbon-text"), look);

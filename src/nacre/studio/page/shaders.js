@@ -158,22 +158,29 @@ vec3 material(vec3 spot, vec3 d, vec3 n, vec3 down) {
 // What arrives at the ball through its lobes is known over its normals once it has been gathered (see light.js): over the
 // angle to the eye as the radius and the turn about it.
 export const BALL = `${COMMON}
-uniform sampler2D throughMirror, throughGloss, throughMatt;
-uniform float gathered;
+uniform sampler2D throughMirror, throughGloss, throughMatt, backdrop, mirrored;
+uniform float gathered, spreads;
+#ifdef GATHERED
 vec3 ballSeen(vec3 p, vec3 d) {
   vec3 toEye = normalize(eye - CENTRE);
   float far = acos(clamp(dot(p, toEye), -1.0, 1.0)) / acos(1.0 / length(eye - CENTRE));
   vec2 side = vec2(dot(p, normalize(right)), dot(p, cross(toEye, normalize(right))));
   vec2 at = 0.5 + 0.5 * min(far, 1.0) * side / max(length(side), 1e-6);
-  vec4 m = texture(throughMirror, at), g = texture(throughGloss, at);
   float cosine = clamp(-dot(d, p), 0.0, 1.0);
-  vec3 seen = texture(throughMatt, at).rgb;
-  if (gathered < 1.5) seen *= nacreColour(table, cosine, 0.0, first + 2.0, 6.0);
-  if (alpha < 0.001) seen += nacreColour(table, cosine, 0.0, first, 6.0) * trace(p + CENTRE, reflect(d, p), 0.0);
-  else seen += nacreColour(table, m.a, 0.0, first, 6.0) * m.rgb;
-  if (gloss > 0.0 && gathered < 1.5) seen += nacreColour(table, g.a, 0.0, first + 1.0, 6.0) * g.rgb;
+  vec3 seen = vec3(0.0);
+  if (spreads > 0.5) seen = texture(throughMatt, at).rgb * (gathered < 1.5 ? nacreColour(table, cosine, 0.0, first + 2.0, 6.0) : vec3(1.0));
+  if (alpha < 0.001) seen += nacreColour(table, cosine, 0.0, first, 6.0) * texelFetch(mirrored, ivec2(gl_FragCoord.xy), 0).rgb;
+  else {
+    vec4 m = texture(throughMirror, at);
+    seen += nacreColour(table, m.a, 0.0, first, 6.0) * m.rgb;
+  }
+  if (gloss > 0.0 && gathered < 1.5) {
+    vec4 g = texture(throughGloss, at);
+    seen += nacreColour(table, g.a, 0.0, first + 1.0, 6.0) * g.rgb;
+  }
   return seen;
 }
+#endif
 void main() {
   vec2 at = (gl_FragCoord.xy - 0.5 * size) / (0.5 * size.x);
   vec3 d = normalize(ahead + at.x * right + at.y * up);
@@ -181,12 +188,32 @@ void main() {
   float b = dot(o, d), c = dot(o, o) - 1.0, disc = b * b - c;
   float pixel = 2.0 * length(right) / size.x * length(o);
   float cover = clamp(0.5 + (1.0 - sqrt(max(dot(o, o) - b * b, 0.0))) / pixel, 0.0, 1.0);
-  vec3 back = cover < 1.0 ? behind(d, pixel / length(o)) : vec3(0.0);
+#ifdef GATHERED
+  vec3 back = texelFetch(backdrop, ivec2(gl_FragCoord.xy), 0).rgb;
+#else
+  vec3 back = behind(d, pixel / length(o));
+#endif
   if (cover > 0.0) {
     vec3 p = normalize(o + d * (-b - sqrt(max(disc, 0.0))));
-    back = mix(back, gathered > 0.5 ? ballSeen(p, d) : material(p + CENTRE, d, p, p * 1.6), cover);
+#ifdef GATHERED
+    back = mix(back, ballSeen(p, d), cover);
+#else
+    back = mix(back, material(p + CENTRE, d, p, p * 1.6), cover);
+#endif
   }
   colour = vec4(encode(back * exp2(exposure)), 1.0);
+}`;
+
+// What stands behind the ball, and what a smooth ball mirrors, once for a view: no recipe changes it.
+export const BACKDROP = `${COMMON}
+layout(location = 1) out vec4 inMirror;
+void main() {
+  vec2 at = (gl_FragCoord.xy - 0.5 * size) / (0.5 * size.x);
+  vec3 d = normalize(ahead + at.x * right + at.y * up), o = eye - CENTRE;
+  colour = vec4(behind(d, 2.0 * length(right) / size.x), 1.0);
+  float b = dot(o, d), c = dot(o, o) - 1.0;
+  vec3 p = normalize(o + d * (-b - sqrt(max(b * b - c, 0.0))));
+  inMirror = vec4(vec3(trace(p + CENTRE, reflect(d, p), 0.0)), 1.0);
 }`;
 
 // The light that reaches the eye off a white ball, by lobe: of facets about the normal (with the mean cosine at which

@@ -1,16 +1,16 @@
 // The object on its stage, turned by the pointer or by keys; one look, or two side by side.
 
 import { COARSE, Light } from "./light.js";
-import { BALL, COVER, GATHER, MESH, MESH_VERTEX, SHADE } from "./shaders.js";
+import { BACKDROP, BALL, COVER, GATHER, MESH, MESH_VERTEX, SHADE } from "./shaders.js";
 
 // the camera of pictures of a sphere, and the shade below it
 const SPHERE = { distance: Math.hypot(8.6, 1.77), target: [0, 0, 0.93], fov: 19, foot: [0, 0, 1, 1], azimuth: 0, elevation: 11.63 };
-const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "gathered", "square", "pixels", "beckmann", "compensated", "wants", "count", "nacreLobe"];
-const SAMPLERS = ["table", "room", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "nacreLobe"];
+const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "gathered", "square", "pixels", "beckmann", "compensated", "wants", "count", "nacreLobe", "backdrop", "spreads", "mirrored"];
+const SAMPLERS = ["table", "room", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "nacreLobe", "backdrop", "mirrored"];
 const SQUARE = 0.55;    // of the chequers that clear materials stand on, as in pictures
-const LOBE = "#define NACRE_LOBE\n#define NACRE_LOBE_SLICES 4.0\n#define NACRE_LOBE_SCALE 1.0\n";     // see lobe.py
+const DEFINES = { gathered: "#define GATHERED\n", gather: "#define NACRE_LOBE\n#define NACRE_LOBE_SLICES 4.0\n#define NACRE_LOBE_SCALE 1.0\n" };   // see lobe.py
 const EXTRA = 2;        // layers of the room beside those of its light: the ball's shade, the stage's light
-const SHADERS = { ball: [COVER, BALL], gather: [COVER, GATHER], mesh: [MESH_VERTEX, MESH], shade: [COVER, SHADE] };
+const SHADERS = { ball: [COVER, BALL], gathered: [COVER, BALL], gather: [COVER, GATHER], backdrop: [COVER, BACKDROP], mesh: [MESH_VERTEX, MESH], shade: [COVER, SHADE] };
 const FINER = 2;        // triangles are drawn at twice the size, so that their edges are smooth
 const MOST_PARTS = 8;
 const SLOW_MS = 20, FEWEST = 400;  // pixels a side
@@ -36,7 +36,7 @@ export class View {
     this.programs = new Map();
     this.light = new Light(gl, (look, pixels) => this.gather(look, pixels), () => this.draw());
     this.use("ball");
-    this.buffer = this.corners = this.lobeTexture = null;
+    this.buffer = this.corners = this.lobeTexture = this.backdrop = null;
     this.tableTexture = this.texture(0, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE);
     this.roomTexture = this.texture(1, gl.TEXTURE_2D_ARRAY, gl.REPEAT);
   }
@@ -46,7 +46,7 @@ export class View {
     const gl = this.gl, isPlace = Boolean(this.room?.floor) && name !== "mesh", key = name + isPlace;
     if (!this.programs.has(key)) {
       const program = gl.createProgram(), [vertex, fragment] = SHADERS[name];
-      for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, `#version 300 es\n${name === "gather" ? LOBE : ""}${isPlace ? "#define PLACE\n" : ""}${this.tables}${fragment}`]]) {
+      for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, `#version 300 es\n${DEFINES[name] ?? ""}${isPlace ? "#define PLACE\n" : ""}${this.tables}${fragment}`]]) {
         const shader = gl.createShader(kind);
         gl.shaderSource(shader, source);
         gl.compileShader(shader);
@@ -179,9 +179,12 @@ export class View {
     const gl = this.gl, { places, parts } = this.object, used = places ? "shade" : "ball";
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(from, 0, to - from, this.canvas.height);
-    const isGathered = !places && this.light.bind(this.keyOf(look), look), at = this.prepare(used, look, first);
+    const isGathered = !places && this.light.bind(this.keyOf(look), look);
+    if (isGathered) this.drawBackdrop(look, first);
+    const at = this.prepare(isGathered ? "gathered" : used, look, first);
     this.canvas.dataset.light = isGathered ? "gathered" : places || !this.light.isAble ? "blurred" : "gathering";
-    if (!places) gl.uniform1f(at.gathered, isGathered ? (look.lobe ? 2 : 1) : 0);
+    if (isGathered) gl.uniform1f(at.spreads, wantsOf(look) >= 4 ? 1 : 0);
+    if (isGathered) gl.uniform1f(at.gathered, look.lobe ? 2 : 1);
     if (places) {
       const plain = new Float32Array(3 * MOST_PARTS).fill(-1);      // of the material: no plain look
       parts.forEach((part, i) => { if (part.plain) plain.set(part.plain, 3 * i); });
@@ -189,6 +192,34 @@ export class View {
       gl.uniform1f(at.grid, this.grid ? 1 : 0);
     }
     gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  // What stands behind the ball and what it mirrors, kept while the view, its size, the room and the kind of stage stay.
+  drawBackdrop(look, first) {
+    const gl = this.gl, { width, height } = this.canvas, key = [this.azimuth, this.elevation, width, height, look.clear].join();
+    if (this.backdrop?.key === key && this.backdrop.room === this.room) return;
+    if (this.backdrop?.width !== width) {
+      if (this.backdrop) { this.backdrop.textures.forEach((old) => gl.deleteTexture(old)); gl.deleteFramebuffer(this.backdrop.frame); }
+      this.backdrop = { width, frame: gl.createFramebuffer(), textures: [] };
+      gl.bindFramebuffer(gl.FRAMEBUFFER, this.backdrop.frame);
+      for (const i of [0, 1]) {
+        const texture = this.texture(9 + i, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE, gl.NEAREST);
+        gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA16F, width, height);
+        gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + i, gl.TEXTURE_2D, texture, 0);
+        this.backdrop.textures.push(texture);
+      }
+      gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
+    }
+    const bind = (textures) => textures.forEach((texture, i) => { gl.activeTexture(gl.TEXTURE9 + i); gl.bindTexture(gl.TEXTURE_2D, texture); });
+    Object.assign(this.backdrop, { key, room: this.room });
+    bind([null, null]);         // no picture may be read while it is drawn
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.backdrop.frame);
+    gl.disable(gl.SCISSOR_TEST);
+    this.prepare("backdrop", look, first);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.enable(gl.SCISSOR_TEST);
+    bind(this.backdrop.textures);
   }
 
   // What the light off the ball depends on; none of the recipe's colours.

@@ -1,0 +1,114 @@
+"""What the preview is drawn from: the stage and its light, where spread light goes, how coarse a draft is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.exchange.lut.table import lobe_directions, lobe_weight
+from nacre.picture.lights.environments import studio
+from nacre.recipe.toml import parse_toml
+from nacre.studio import stage
+from nacre.studio.care import DRAFTS, SLOW_S, Drafts
+from nacre.studio.edit import edited
+from nacre.studio.lobe import LOBE_NM, SHAPE, lobe_picture
+from nacre.studio.look import looks
+
+ROWS = 64
+QUADRATURE = 0.02  # of the room's light: a direction stands for a patch of 5.6 degrees
+
+
+def test_a_balls_shade_in_an_even_room_is_its_form_factor() -> None:
+    """Of a sphere from a plane element below it that faces up: cos / d^2, here (r^2 + 1)^(-3/2)."""
+    left = stage.ball_shade(np.ones((ROWS, 2 * ROWS)))
+    share = (np.arange(ROWS) + 0.5) / ROWS
+    far = stage.HALF_WAY * share / (1.0 - share)
+    known = 1.0 - (far**2 + 1.0) ** -1.5
+    inner = slice(1, ROWS - 1)  # the outermost rows hold the values of the middle of larger cells
+    np.testing.assert_allclose(left[inner].mean(axis=1), known[inner], atol=QUADRATURE)
+    assert np.ptp(left, axis=1).max() < 2 * QUADRATURE  # the same all round
+
+
+def test_a_balls_shade_falls_away_from_the_light() -> None:
+    left = stage.ball_shade(studio("D65", ROWS).weights[0])
+    row, columns = ROWS // 3, 2 * ROWS
+    key = round(216 / 360 * columns)  # azimuth of the largest soft box
+    assert left[row, (key + columns // 2) % columns] < left[row, key] - 0.02
+
+
+def test_the_stage_is_darker_the_less_sky_it_sees() -> None:
+    lit = stage.stage_light(np.ones((ROWS, 2 * ROWS)))
+    assert lit.max() <= 1.0 + QUADRATURE and lit.min() > 0.0
+    along = lit.mean(axis=1)
+    assert along[0] > 0.97  # its front edge sees all of an even sky but the far wall
+    # the wall looks into a quarter of the sky above, and below on the stage, but for what is seen past its edges
+    assert 0.5 - QUADRATURE < along[-1] < 0.75
+
+
+def test_rays_meet_the_floor_the_bend_and_the_wall() -> None:
+    start = np.array([0.0, 0.0, 1.0])
+    d = np.array([[0.0, 0.6, -0.8], [0.0, 1.0, 0.0], [0.0, 0.925, 0.38], [0.0, 0.5, 0.866], [0.0, -1.0, 0.0]])
+    hits, where = stage.stage_hit(start, d)
+    assert hits.tolist() == [True, True, True, False, False]
+    assert where[0, 0] == pytest.approx(stage.FRONT + 0.75)
+    # at height 1 the bend, a quarter circle of radius r, has turned by acos(1 - 1/r)
+    assert where[1, 0] == pytest.approx(stage.FLOOR + stage.RADIUS * np.arccos(1.0 - 1.0 / stage.RADIUS))
+    assert stage.FLOOR < where[2, 0] < stage.LENGTH
+
+
+def test_a_picture_of_where_light_goes_holds_the_materials_own_values() -> None:
+    material = nacre.load("metasurface/silver_on_oxide").for_many()
+    same = lambda values, wavelengths: values[:, :3]  # three wavelengths in place of colours
+    made = lobe_picture(material, None, same)
+    assert made is not None and made.shape == (*SHAPE, 3)
+    wi, wo = lobe_directions(*SHAPE)
+    row, column = SHAPE[1] // 2, SHAPE[2] // 2
+    pair = wi[1, row, column], wo[1, row, column]
+    own = material.bsdf(LOBE_NM[:3]).evaluate(*pair)
+    np.testing.assert_allclose(made[1, row, column], np.pi * own * lobe_weight(*pair), rtol=0.02)
+
+
+def test_a_film_has_no_such_picture_and_needs_no_draft() -> None:
+    found = list(looks(nacre.load("blue-oxide"), "D65", lambda: False))
+    assert [look.is_draft for look in found] == [False] and found[0].lobe is None
+    assert found[0].facets["distribution"] == "ggx" and not found[0].is_clear
+    assert next(looks(nacre.load("gold"), "D65", lambda: False)).is_clear  # its glass is, as pictures count it
+
+
+def test_drafts_grow_coarser_where_they_are_slow_and_finer_where_they_are_swift() -> None:
+    drafts = Drafts()
+    for _ in range(2):
+        drafts.took("pearl", 2 * SLOW_S)
+    assert drafts.of("pearl") is DRAFTS[1] and drafts.of("relief") is DRAFTS[0]
+    for _ in range(9):
+        drafts.took("pearl", 2 * SLOW_S)
+    assert drafts.of("pearl") is DRAFTS[-1]
+    for _ in range(9):
+        drafts.took("pearl", 0.0)
+    assert drafts.of("pearl") is DRAFTS[0]
+    counts = [(len(care.angles_deg), len(care.wavelengths_nm), care.nodes) for care in DRAFTS]  # type: ignore[arg-type]
+    assert counts == sorted(counts, reverse=True)
+
+
+COMMENTED = """family = "film"  # thickness_nm = 5
+substrate = "Si"
+layers = [
+  {thickness_nm = 60, material = "SiO2"},  # oxide
+  {material = "TiO2", thickness_nm = 6e1},
+]
+[surface]
+roughness = 0.1
+"""
+
+
+@pytest.mark.parametrize("path", ["layers[0].thickness_nm", "layers[1].thickness_nm", "surface.roughness"])
+@pytest.mark.parametrize("value", [7, 0.25, 1e-5])
+def test_a_number_is_exchanged_where_it_stands(path: str, value: float) -> None:
+    """Also where a comment or another layer has a number of the same name."""
+    made = edited(COMMENTED, [{"path": path, "op": "set", "value": value}], "film.toml")
+    wanted = parse_toml(COMMENTED, "film.toml")
+    holder = wanted["surface"] if path.startswith("surface") else wanted["layers"][int(path[7])]
+    holder[path.rpartition(".")[2]] = value
+    assert parse_toml(made, "film.toml") == wanted
+    assert "# oxide" in made and "# thickness_nm = 5" in made
