@@ -1,4 +1,4 @@
-"""Two kinds of particle on one arrangement, and sizes of flat particles that spread: limits, other codes, the real mixture."""
+"""Two kinds of particle on one arrangement, and sizes of flat ones that spread: limits, other codes, real mixtures."""
 
 import dataclasses
 import json
