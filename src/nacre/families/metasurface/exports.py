@@ -58,4 +58,6 @@ def write_particle(material: Metasurface, path: Path, description: str) -> list[
     lost = ["the stack, the density and the order: a T-matrix is of one particle alone"]
     if len(material.sizes.radii_nm) > 1:
         lost.append("the spread of sizes: the mean one was taken")
+    if material.second is not None:
+        lost.append("the second kind of the mixture: the first was taken")
     return lost

@@ -71,8 +71,9 @@ def colour_map(
     if part not in ("diffuse", "specular"):
         raise UnsupportedError(f'part = "{part}" is not known; use diffuse or specular')
     own = material.structure.density_per_nm2
+    widest = max(kind.reach_nm for kind in material.kinds)  # spheres around any two particles may not meet
     if densities_per_um2 is None:
-        most = min(3 * own, 0.99 * PACKING_LIMIT / (np.pi * material.outer_radius_nm**2))
+        most = min(3 * own, 0.99 * PACKING_LIMIT / (np.pi * widest**2))
         densities = np.linspace(0.1 * own, most, MAP_DENSITIES)
     else:
         densities = np.asarray(densities_per_um2, dtype=float) * 1e-6
@@ -81,8 +82,7 @@ def colour_map(
     wavelengths = np.arange(380.0, 781.0, 20.0)
     rows = []
     for density in densities:
-        coverage = density * np.pi * material.outer_radius_nm**2
-        packing = min(max(material.structure.packing, coverage), PACKING_LIMIT)
+        packing = min(max(material.structure.packing, density * np.pi * widest**2), PACKING_LIMIT)
         q_max = float(material.structure.q_per_nm[-1])
         varied = dataclasses.replace(material, structure=hard_disk_structure(float(density), float(packing), q_max))
         # by the mean field, whatever the recipe takes: a map is some 300 monolayers
