@@ -22,6 +22,7 @@ from nacre.picture.camera import View
 from nacre.picture.cut_out import cut_out
 from nacre.picture.denoise import GUIDE_SPP
 from nacre.picture.endless import without_edges
+from nacre.picture.paths import make_paths
 from nacre.picture.progress import Clock, ProgressCallback
 from nacre.picture.samples import begin, going_on
 from nacre.recipe.memory import check_memory
@@ -134,7 +135,7 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
     check_memory(float(each) * shot.size[0] * shot.size[1], f"size = {shot.size[0]}x{shot.size[1]}: the picture")
     sampler = going_on()
     sensor = stage.sensor(shot.view, shot.size, film, sampler=sampler)
-    integrator = mi.load_dict(path_tracer(stage))
+    integrator = _tracer(stage)
     if shot.cut:
         integrator = cut_out(integrator, stage.objects)
     elif shot.is_framed and stage.endless is not None:
@@ -238,6 +239,16 @@ def path_tracer(stage: Any) -> dict[str, Any]:
     """Return the integrator that a stage with its material needs, as a dict of Mitsuba."""
     kind = "volpath" if lets_through(stage.mitsuba_scene) else "path"
     return {"type": kind, "max_depth": stage.depth, "rr_depth": RUSSIAN_ROULETTE_DEPTH}
+
+
+def _tracer(stage: Any) -> Any:
+    """Return the integrator of a stage: our own where Mitsuba's would be slow or leave fireflies."""
+    mi = use_variant()
+    light = getattr(stage, "light", None)  # a user's scene has lights of its own, and may have media
+    clear = lets_through(stage.mitsuba_scene)
+    if light is None or mi.variant().startswith("scalar") or (light.soft is None and not clear):
+        return mi.load_dict(path_tracer(stage))
+    return make_paths(stage.depth, RUSSIAN_ROULETTE_DEPTH, clear, light.soft)
 
 
 def lets_through(scene: Any) -> bool:

@@ -14,6 +14,8 @@ import numpy as np
 from nacre.arrays import Array
 from nacre.light import Illuminant, illuminant, observer, table_wavelengths_nm
 
+BEAM_DEG, BEAM_EDGE_DEG = 10.0, 0.7  # width of the lamp of `beam`, and of its soft rim, which texels can show
+
 
 @dataclass(frozen=True, eq=False)
 class Environment:
@@ -108,3 +110,19 @@ def studio(light: str | Illuminant = "D65", rows: int = 256) -> Environment:
     weights = (surround + boxes)[None]
     spectrum = unit_spectrum(light)
     return Environment(weights, (spectrum,), f"studio, {spectrum.name}")
+
+
+def beam(light: str | Illuminant = "D65", rows: int = 512) -> Environment:
+    """One lamp far away at the upper left front, `BEAM_DEG` wide, and a weak fill that keeps shadows readable.
+
+    So wide that light which glass focuses or a mirror throws is found by the paths that look for it, and a mirror shows
+    the lamp; white paper on the floor has a luminance of 0.6 under the lamp.
+    """
+    towards = np.array([-0.5, -0.62, 0.95])
+    towards /= np.linalg.norm(towards)
+    inside = 2.0 * np.arccos(np.clip(directions(rows) @ towards, -1.0, 1.0)) - np.radians(BEAM_DEG)
+    disc = 0.5 - 0.5 * np.clip(inside / np.radians(BEAM_EDGE_DEG), -1.0, 1.0)
+    spectrum = unit_spectrum(light)
+    lamp = Environment(disc[None], (spectrum,), "lamp")
+    weights = 0.04 + disc * (0.6 * np.pi / lamp.irradiance)
+    return Environment(weights[None], (spectrum,), f"beam, {spectrum.name}")

@@ -18,14 +18,15 @@ from nacre.errors import NacreError, did_you_mean
 from nacre.files import plain, why_unreadable
 from nacre.light import illuminant as light_illuminant
 from nacre.picture.lights.environment_plugin import make_environment, spectrum_texture
-from nacre.picture.lights.environments import Environment, studio, unit_spectrum
+from nacre.picture.lights.environments import BEAM_DEG, Environment, beam, studio, unit_spectrum
 from nacre.picture.lights.several import Lamp, sum_of_environments
+from nacre.picture.paths import SOFT_LAMP_DEG
 
 LIGHTS = ("studio", "line", "sun", "sky", "directional", "interior", "street")
-TURNING_LIGHTS = ("studio", "interior", "street")
+TURNING_LIGHTS = ("studio", "interior", "street", "directional")
 MAP_SUFFIXES = (".exr", ".hdr", ".pfm")
 MAX_MAP_BYTES = 1 << 30
-_WHITE = 0.6
+SUN_DEG = 1.5  # wider than the sun, of its power, which softens the glint of a mirror
 BLACK = {"type": "diffuse", "reflectance": 0.0}
 PLACE_FLOORS = {"street": "ground", "interior": "boards"}
 
@@ -41,6 +42,7 @@ class Light:
         note: how outputs state it.
         floor: material of the floor where it is a place (`nacre.picture.scenes.catalogue.MATERIALS`).
         turning: emitters that turn in place (`turn`), with the turn that each has of its own, in degrees.
+        soft: its environment with the small lamps `SOFT_LAMP_DEG` wide, for `nacre.picture.paths`; None: it has none.
     """
 
     emitters: dict[str, Any]
@@ -49,6 +51,7 @@ class Light:
     note: str
     floor: str = "ground"
     turning: tuple[tuple[Any, float], ...] = ()
+    soft: Any = None
 
     def turn(self, angle_deg: float) -> None:
         """Turn our own environments about the vertical axis; the other lights were built at their angle."""
@@ -118,20 +121,22 @@ def make_lights(lamps: Sequence[Lamp], illuminant: str = "D65", turn_deg: float 
         return replace(lights[0], turning=turning)
     mi = use_variant()
     emitters: dict[str, Any] = {}
-    environments = []
+    environments, softened = [], []
     for index, (lamp, light) in enumerate(zip(lamps, lights, strict=True)):
         for name, emitter in light.emitters.items():
             if isinstance(emitter, mi.Emitter) and emitter.is_environment():
                 environments.append((emitter, lamp.strength))
+                softened.append((light.soft or emitter, lamp.strength))
             else:
                 emitters[f"{name}{index}"] = emitter
     emitters["environments"] = sum_of_environments(environments)
+    soft = sum_of_environments(softened) if any(light.soft is not None for light in lights) else None
     note = " + ".join(
         light.note + ("" if lamp.strength == 1.0 else f" at {lamp.strength:g}")
         for lamp, light in zip(lamps, lights, strict=True)
     )
     place = next((light for light in lights if light.is_surrounding), lights[0])
-    return Light(emitters, lights[0].illuminant, place.is_surrounding, note, place.floor, turning)
+    return Light(emitters, lights[0].illuminant, place.is_surrounding, note, place.floor, turning, soft)
 
 
 def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0, strength: float = 1.0) -> Light:
@@ -151,24 +156,30 @@ def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0, streng
     if name == "line":
         return Light(_tubes(white, turn_deg, strength), white, False, f"line of tubes, {white}")
     if name == "directional":
-        return Light(_directional(white, turn_deg, strength), white, False, f"directional, {white}")
+        return _surrounding(beam(white), white, f"beam of {BEAM_DEG:g} degrees, {white}", turn_deg, False)
     if name in ("sun", "sky"):
         note = f"{name}, Mitsuba sunsky, turbidity 3"
-        sky = use_variant().load_dict(_sunsky(name == "sun", turn_deg))
-        return Light({"sky": sky}, "D65", True, note, "plain")
+        mi = use_variant()
+        sky = mi.load_dict(_sunsky(SUN_DEG if name == "sun" else 0.0, turn_deg))
+        soft = mi.load_dict(_sunsky(SOFT_LAMP_DEG, turn_deg)) if name == "sun" else None
+        return Light({"sky": sky}, "D65", True, note, "plain", soft=soft)
     if name in ("interior", "street"):
         from nacre.picture.lights import places
 
         place = places.interior() if name == "interior" else places.street()
-        return _surrounding(place, "D65", place.name, turn_deg, is_surrounding=True, floor=PLACE_FLOORS[name])
+        soft_place = None if name == "interior" else places.street(sun_deg=SOFT_LAMP_DEG)
+        return _surrounding(place, "D65", place.name, turn_deg, True, PLACE_FLOORS[name], soft_place)
     return Light({"map": _map(Path(name), turn_deg)}, "D65", True, f"environment map {Path(name).name}, RGB up-sampled")
 
 
 def _surrounding(
-    place: Environment, white: str, note: str, turn_deg: float, is_surrounding: bool, floor: str = "ground"
-) -> Light:
+    place: Environment, white: str, note: str, turn_deg: float, is_surrounding: bool, floor: str = "ground",
+    soft_place: Environment | None = None,
+) -> Light:  # fmt: skip
     emitter = make_environment(place, 1.0, turn_deg)
-    return Light({"surround": emitter}, white, is_surrounding, note, floor, turning=((emitter, 0.0),))
+    soft = None if soft_place is None else make_environment(soft_place, 1.0, turn_deg)
+    turning = tuple((each, 0.0) for each in (emitter, soft) if each is not None)
+    return Light({"surround": emitter}, white, is_surrounding, note, floor, turning, soft)
 
 
 def _turn(turn_deg: float) -> Any:
@@ -196,20 +207,8 @@ def _tubes(white: str, turn_deg: float, strength: float) -> dict[str, Any]:
     return parts
 
 
-def _directional(white: str, turn_deg: float, strength: float) -> dict[str, Any]:
-    """A parallel beam from the upper left front, with a weak fill that keeps shadows readable."""
-    down = np.array([0.5, 0.62, -0.95])
-    down /= np.linalg.norm(down)
-    turn = np.radians(turn_deg)
-    x, y = down[0] * np.cos(turn) - down[1] * np.sin(turn), down[0] * np.sin(turn) + down[1] * np.cos(turn)
-    level = strength * np.pi * _WHITE / float(-down[2])
-    return {
-        "beam": {"type": "directional", "direction": [x, y, down[2]], "irradiance": _emission(white, level)},
-        "fill": use_variant().load_dict({"type": "constant", "radiance": _emission(white, 0.04)}),
-    }
-
-
-def _sunsky(has_sun: bool, turn_deg: float) -> dict[str, Any]:
+def _sunsky(sun_deg: float, turn_deg: float) -> dict[str, Any]:
+    """A clear sky and a sun as wide as this, of the same power; 0: none."""
     sun = np.array([-0.55, -0.55, 0.75])
     sky: dict[str, Any] = {
         "type": "sunsky",
@@ -218,11 +217,11 @@ def _sunsky(has_sun: bool, turn_deg: float) -> dict[str, Any]:
         "sun_direction": list(sun / np.linalg.norm(sun)),
         "to_world": _turn(turn_deg),
         # measured: a white floor has Y = 0.38 with the sun and 0.075 without it
-        "sky_scale": 1.6 if has_sun else 8.0,
-        "sun_scale": 1.6 if has_sun else 0.0,
+        "sky_scale": 1.6 if sun_deg else 8.0,
+        "sun_scale": 1.6 if sun_deg else 0.0,
     }
-    if has_sun:
-        sky["sun_aperture"] = 1.5  # softens the glint of a mirror; the energy is kept
+    if sun_deg:
+        sky["sun_aperture"] = sun_deg
     return sky
 
 

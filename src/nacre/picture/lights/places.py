@@ -18,6 +18,7 @@ from nacre.picture.lights.environments import Array, Environment, directions, sm
 
 ROWS = 512
 STREET_TURN_DEG = 30.0
+SUN_DEG = 4.0  # wider than the sun, of its power: calmer glints
 _GRID = table_wavelengths_nm()
 
 
@@ -63,8 +64,8 @@ class _Canvas:
         return Environment(raw.weights * (floor_luminance * np.pi / raw.irradiance), raw.spectra, name)
 
 
-@functools.lru_cache(maxsize=1)
-def street(rows: int = ROWS) -> Environment:
+@functools.lru_cache(maxsize=2)
+def street(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
     """A street of brick and plaster houses under a clear sky, the sun over one side; the street runs near y."""
     # turned so that a camera at the front right looks down the street
     turned = directions(rows)
@@ -94,7 +95,7 @@ def street(rows: int = ROWS) -> Environment:
     glow = 0.55 * np.exp(-to_sun / 0.22) + 0.25 * np.exp(-to_sun / 0.7)
     haze_weight = 0.10 + 0.55 * np.exp(-up / 0.12) + glow
     blue_weight = 0.34 * (1 - 0.75 * np.exp(-up / 0.18)) * (1 + 0.4 * np.cos(to_sun) ** 2)
-    disc = (to_sun < np.radians(2.0)).astype(float)  # wider than the sun, of its power: calmer glints
+    disc = (to_sun < np.radians(0.5 * sun_deg)) * (SUN_DEG / sun_deg) ** 2  # of its power, however wide
 
     # light on surfaces: sun on the side it reaches, sky by the share of it in view
     lit_side = side * np.sign(sun_direction[0]) < 0

@@ -1,0 +1,216 @@
+"""Pictures against long references: noise and LDR-FLIP at equal CPU time, bias of the denoiser, fireflies, memory.
+
+`python benchmarks/picture_references.py` makes the references, once; `.venv-bench` (`python tools/bench_env.py`) holds
+FLIP. "Before" are the samples a pixel that commit a3558d7 took, by Mitsuba's sampler and without a denoiser, through
+the same box filter; "now" is the denoised picture in at most the CPU time of before, guides and denoiser included.
+Seconds are those of all cores of the process, which another process disturbs less than the clock. What is left of a
+reference's own noise is taken off the relative mean square errors; FLIP contains it, at the cost of ours.
+
+Floor: half a CPU second for guides and denoiser of 256 x 256, about a microsecond a sample.
+Prediction (before the first run): 30 times less error in the median; FLIP of 0.03 within 10 s; no bias above 0.5.
+Outcome: see RESULTS.md.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from common import Row, Worker, parser, report
+from numpy.typing import NDArray
+from picture_references import CASES, SIDE, Case, Reference, reference, take
+from scipy.ndimage import maximum_filter
+
+import nacre
+from nacre.device.variant import use_variant
+from nacre.light import delta_e_2000, srgb_linear_to_xyz, xyz_to_lab
+from nacre.picture import passes
+from nacre.picture.images import auto_stops, develop, show
+
+BARS = {"error": 10.0, "flip": 0.03, "flip_s": 10.0, "bias": 0.5, "raw_flies": 20.0, "memory_gb": 4.0}
+DARK = 0.01  # added to the squared luminance: what is darker than a tenth of white paper counts less
+PATCH, PATCHES = 24, [(row, column) for row in (88, 152) for column in (28, 76, 116, 156, 204)]
+FLY = 10.0  # times the median of the eight neighbours
+LADDER = (8, 16, 32, 64, 128, 256, 512)
+PARTS = ("error", "time", "bias", "memory")
+MEMORY_SIDE = 4096
+
+
+def relative_error(xyz: NDArray[np.float64], truth: Reference) -> float:
+    """Return the mean square error over the reference's squared luminance, less the reference's own noise."""
+    weight = 1.0 / (truth.xyz[..., 1:2] ** 2 + DARK)
+    return float(np.mean(((xyz - truth.xyz) ** 2 - truth.variance) * weight))
+
+
+def fireflies(luminance: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return where a pixel `[row, column]` outshines the median of its eight neighbours."""
+    padded = np.pad(luminance, 1, mode="edge")
+    rows, columns = luminance.shape
+    around = [padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3) if (i, j) != (1, 1)]
+    return np.asarray(luminance > FLY * np.median(around, axis=0) + 1e-6)
+
+
+def new_flies(xyz: NDArray[np.float64], truth: Reference) -> int:
+    """Count the fireflies where the reference has none within one pixel."""
+    known = maximum_filter(fireflies(truth.xyz[..., 1]), size=3)
+    return int(np.count_nonzero(fireflies(xyz[..., 1]) & ~known))
+
+
+def worst_patch(xyz: NDArray[np.float64], truth: Reference, illuminant: str) -> float:
+    """Return the largest colour difference of the mean of a patch, under the picture's exposure and white."""
+    stops = auto_stops(truth.xyz)
+    labs = []
+    for picture in (xyz, truth.xyz):
+        means = [picture[r : r + PATCH, c : c + PATCH].mean(axis=(0, 1)) for r, c in PATCHES]
+        shown = srgb_linear_to_xyz(develop(np.array(means), illuminant, stops)[0])
+        labs.append(xyz_to_lab(shown))
+    return float(delta_e_2000(labs[0], labs[1]).max())
+
+
+def flip(worker: Worker, xyz: NDArray[np.float64], truth: NDArray[np.float64], stops: float, illuminant: str) -> float:
+    """Return the mean LDR-FLIP of two pictures, shown alike."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "pair.npz"
+        shown = {
+            name: show(develop(picture, illuminant, stops)[0], None, None, "srgb")[0]
+            for name, picture in (("test", xyz), ("reference", truth))
+        }
+        np.savez(path, **shown)
+        return float(worker.ask("flip", path=str(path)))
+
+
+def cpu_of(run: Callable[[], Any]) -> tuple[Any, float]:
+    """Run; return what it gave and the seconds of all cores."""
+    start = time.process_time()
+    result = run()
+    return result, time.process_time() - start
+
+
+def render(case: Case, bsdf: Any, side: int, **options: Any) -> Any:
+    """Render as a user does."""
+    return nacre.render(bsdf, size=(side, side), seed=1, progress=False, quality=None, **case.look, **options)
+
+
+def by_multijitter(case: Case, bsdf: Any) -> NDArray[np.float64]:
+    """Render the samples of before."""
+    with patch.object(passes, "going_on", lambda: use_variant().load_dict({"type": "multijitter"})):
+        return take(case, bsdf, SIDE, case.before_spp, seed=1).xyz
+
+
+def at_equal_time(case: Case, worker: Worker) -> dict[str, float]:
+    """Return how many times lower the errors are in the CPU time of before."""
+    bsdf, truth = case.bsdf(), reference(case)
+    take(case, bsdf, SIDE, 4, seed=1)
+    by_multijitter(case, bsdf)  # both compile their kernels
+    before, seconds = cpu_of(lambda: by_multijitter(case, bsdf))
+    few, many = 4, 36
+    render(case, bsdf, SIDE, spp=few)
+    spent = [cpu_of(lambda n=spp: render(case, bsdf, SIDE, spp=n))[1] for spp in (few, many)]
+    a_sample = max(spent[1] - spent[0], 1e-3) / (many - few)
+    spp = max(1, int((seconds - spent[0]) / a_sample) + few)
+    now, taken = cpu_of(lambda: render(case, bsdf, SIDE, spp=spp))
+    stops, white = auto_stops(truth.xyz), str(now.stats["illuminant"])
+    flips = [flip(worker, picture, truth.xyz, stops, white) for picture in (before, now.xyz)]
+    errors = [relative_error(picture, truth) for picture in (before, now.xyz)]
+    return {
+        "error": errors[0] / max(errors[1], 1e-9), "flip": flips[0] / flips[1], "flip_now": flips[1], "spp": spp,
+        "before_s": seconds, "now_s": taken,
+    }  # fmt: skip
+
+
+def time_to_flip(case: Case, worker: Worker) -> float:
+    """Return the CPU seconds to the bar's FLIP at twice the side, judged in the middle; infinite if never."""
+    bsdf, truth = case.bsdf(), reference(case, 2)
+    render(case, bsdf, 2 * SIDE, spp=LADDER[0])
+    for spp in LADDER:
+        made, seconds = cpu_of(lambda n=spp: render(case, bsdf, 2 * SIDE, spp=n))
+        middle = made.xyz[SIDE // 2 : -SIDE // 2, SIDE // 2 : -SIDE // 2]
+        stops, white = float(made.stats["exposure_stops"]), str(made.stats["illuminant"])
+        if flip(worker, middle, truth.xyz, stops, white) <= BARS["flip"]:
+            return seconds
+    return float("inf")
+
+
+def peak_gb() -> tuple[float, float]:
+    """Return the peak memory, in GB, and the CPU seconds of a large picture in a process of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        size = f"{MEMORY_SIDE}x{MEMORY_SIDE}"
+        command = [sys.executable, "-m", "nacre", "render", "soap", "--size", size, "--spp", "1", "-o", "large.png"]
+        child = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        _, status, used = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
+        if child.returncode != 0 or not (Path(folder) / "large.png").exists():
+            raise SystemExit("the large picture was not made")
+    return used.ru_maxrss * 1024 / 1e9, used.ru_utime + used.ru_stime
+
+
+def told(values: dict[str, float]) -> str:
+    """Write a figure a scene."""
+    return ", ".join(f"{name} {value:.3g}" for name, value in values.items())
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark; 0 if the bars are reached."""
+    options = parser(__doc__, repeats=1)
+    options.add_argument("--part", choices=PARTS, action="append", help="all by default")
+    options.add_argument("--case", choices=[case.name for case in CASES], action="append", help="all by default")
+    chosen = options.parse_args(arguments)
+    parts = chosen.part or PARTS
+    cases = [case for case in CASES if not chosen.case or case.name in chosen.case]
+    gallery = [case for case in cases if case.in_gallery]
+    rows: list[Row] = []
+
+    def row(claim: str, value: float, unit: str, bar: float | None, higher: bool = False, note: str = "") -> None:
+        rows.append(Row(claim, value, unit, bar, higher_is_better=higher, note=note))
+
+    if "error" in parts:
+        with Worker("peer_flip.py") as worker:
+            found = {case.name: at_equal_time(case, worker) for case in gallery}
+        for key, name in (("error", "relative mean square error"), ("flip", "mean LDR-FLIP")):
+            values = {case: f[key] for case, f in found.items()}
+            row(f"{name} at the CPU time of before, median", statistics.median(values.values()), "x lower",
+                BARS["error"], True, told(values))  # fmt: skip
+            row(f"{name} at the CPU time of before, worst", min(values.values()), "x lower", 1.0, True)
+        row("CPU time of now over that of before, largest", max(f["now_s"] / f["before_s"] for f in found.values()),
+            "x", None, note=told({case: f["before_s"] for case, f in found.items()}))  # fmt: skip
+    if "time" in parts:
+        with Worker("peer_flip.py") as worker:
+            seconds = {case.name: time_to_flip(case, worker) for case in gallery}
+        row(f"CPU time to a mean FLIP of {BARS['flip']} at {2 * SIDE} px, median", statistics.median(seconds.values()),
+            "s", BARS["flip_s"], note=told(seconds))  # fmt: skip
+    if "bias" in parts:
+        biases, flies, raw_flies, samples = {}, {}, {}, {}
+        for case in cases:
+            made, truth = render(case, case.bsdf(), SIDE), reference(case)
+            biases[case.name] = worst_patch(made.xyz, truth, str(made.stats["illuminant"]))
+            flies[case.name] = float(new_flies(made.xyz, truth))
+            raw_flies[case.name] = float(new_flies(made.raw if made.raw is not None else made.xyz, truth))
+            samples[case.name] = float(made.stats["spp"])
+            print(case.name, biases[case.name], flies[case.name], raw_flies[case.name], file=sys.stderr, flush=True)
+        row("mean colour of ten patches a scene, denoised, worst", max(biases.values()), "dE00", BARS["bias"],
+            note=told(biases))  # fmt: skip
+        row("fireflies, denoised, most in a scene", max(flies.values()), "pixels", 0.0, note=told(flies))
+        row("fireflies, raw, most in a scene", max(raw_flies.values()), "pixels", BARS["raw_flies"],
+            note=told(raw_flies))  # fmt: skip
+        row("samples a pixel of a default picture, median", statistics.median(samples.values()), "", None,
+            note=told(samples))  # fmt: skip
+    if "memory" in parts:
+        memory, seconds_of_large = peak_gb()
+        row(f"memory of a picture of {MEMORY_SIDE} x {MEMORY_SIDE}", memory, "GB", BARS["memory_gb"],
+            note=f"one sample a pixel, denoised; {seconds_of_large:.0f} CPU s")  # fmt: skip
+    kept = {case.name: reference(case) for case in cases} if set(parts) - {"memory"} else {}
+    notes = {"samples a pixel of the references": told({name: float(r.spp.sum()) for name, r in kept.items()})}
+    return report("pictures: noise, bias and fireflies against long references", rows, chosen.json, notes)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

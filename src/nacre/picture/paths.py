@@ -1,0 +1,158 @@
+"""The path tracer of our own scenes, where Mitsuba's would leave noise: films that light goes straight through, and
+small lamps that mirrors throw on matt surfaces.
+
+Both are handled in one loop after Mitsuba's `path` (next-event estimation and scattering, joined by the power
+heuristic). Shadow rays pass null interactions and take their colour; these do not count as events either. `volpath`
+does the same at the price of media, which our scenes do not have.
+
+Light that a matt surface gets by way of a mirror (its caustics) can only be found by chance: a path has to leave the
+matt surface just so that the mirror sends it to the lamp. For the sun one path in 100,000 does, and is then a firefly.
+On such paths the lamp is taken `SOFT_LAMP_DEG` wide with the same irradiance: the light falls about where it did, with
+a softer rim, and none is lost in the mean. Next-event estimation leaves these paths out, which are those by lobes
+narrower than that lamp. The sun as the camera sees it, in mirrors too, and the light and shadows that it throws
+directly are as sharp as it is.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any
+
+from nacre.device.variant import use_variant
+
+SOFT_LAMP_DEG = 10.0
+# density of directions above which a lobe is narrower than that lamp
+NARROW = 1.0 / (2.0 * math.pi * (1.0 - math.cos(math.radians(0.5 * SOFT_LAMP_DEG))))
+MOST_PASSED = 64  # clear surfaces that one shadow ray passes
+
+
+def make_paths(max_depth: int, rr_depth: int, passes_through: bool, soft: Any = None) -> Any:
+    """Return an integrator of the current variant, which must not be a scalar one.
+
+    Args:
+        max_depth, rr_depth: as those of Mitsuba's `path`.
+        passes_through: whether shadow rays pass null interactions.
+        soft: the scene's environment with its small lamps `SOFT_LAMP_DEG` wide; None: it has none.
+    """
+    mi = use_variant()
+    return _class(mi.variant())(mi.Properties(), max_depth, rr_depth, passes_through, soft)
+
+
+@functools.cache
+def _class(variant: str) -> type:
+    """Define the class for a variant: Mitsuba's base class differs from variant to variant."""
+    import drjit as dr
+
+    mi: Any = use_variant()
+
+    def weigh(chosen: Any, other: Any) -> Any:
+        """Power heuristic of a density against another."""
+        a, b = chosen * chosen, other * other
+        return dr.select(a > 0.0, a / (a + b), 0.0)
+
+    def passed(scene: Any, si: Any, ds: Any, active: Any) -> Any:
+        """Share of the light that reaches `si` from the sampled place of a lamp through clear surfaces."""
+        state = (si.spawn_ray_to(ds.p), mi.Spectrum(1.0), mi.UInt32(0), mi.Bool(active))
+
+        def body(ray: Any, share: Any, count: Any, going: Any) -> Any:
+            hit = scene.ray_intersect(ray, mi.RayFlags.All, False, going)
+            going = going & hit.is_valid()
+            share = dr.select(going, share * hit.bsdf().eval_null_transmission(hit, going), share)
+            going = going & dr.any(share > 0.0) & (count < MOST_PASSED)
+            return hit.spawn_ray_to(ds.p), share, count + 1, going
+
+        labels = ("ray", "share", "count", "going")
+        loop = dr.while_loop(state, lambda ray, share, count, going: going, body, labels, label="shadow ray")
+        # one that is still going met too many surfaces: dark, as an opaque one would be
+        return dr.select(loop[3], 0.0, loop[1])
+
+    class Paths(mi.SamplingIntegrator):
+        """Path tracing without media."""
+
+        def __init__(self, properties: Any, max_depth: int, rr_depth: int, passes_through: bool, soft: Any) -> None:
+            super().__init__(properties)
+            self.max_depth, self.rr_depth = max_depth, rr_depth
+            self.passes_through, self.soft = passes_through, soft
+
+        def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
+            context = mi.BSDFContext()
+            has_environment = scene.environment() is not None
+
+            def body(
+                ray: Any, light: Any, weight: Any, eta: Any, depth: Any, last: Any, pdf: Any, is_delta: Any,
+                has_spread: Any, is_led: Any, is_seen: Any, active: Any, sampler: Any,
+            ) -> Any:  # fmt: skip
+                si = scene.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
+                before = dr.zeros(mi.Interaction3f)
+                before.p, before.time, before.wavelengths = last, ray.time, ray.wavelengths
+
+                # a lamp that is met
+                ds = mi.DirectionSample3f(scene, si, before)
+                by_lamp = scene.pdf_emitter_direction(before, ds, active & (is_delta ^ True))
+                share = dr.select(is_delta, 1.0, weigh(pdf, by_lamp))
+                shine = ds.emitter.eval(si, active)
+                if self.soft is not None:
+                    is_soft = active & is_led & (si.is_valid() ^ True)
+                    shine = dr.select(is_soft, self.soft.eval(si, is_soft), shine)
+                    share = dr.select(is_soft, 1.0, share)
+                light = dr.select(active, dr.fma(weight * share, shine, light), light)
+
+                # light from a lamp that is drawn
+                active = active & si.is_valid() & (depth + 1 < self.max_depth)
+                bsdf = si.bsdf()
+                is_broad = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+                ds, drawn = scene.sample_emitter_direction(
+                    si, sampler.next_2d(active), not self.passes_through, is_broad
+                )
+                is_broad = is_broad & (ds.pdf != 0.0)
+                if self.passes_through:
+                    drawn = drawn * passed(scene, si, ds, is_broad)
+                value, by_bsdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), is_broad)
+                if self.soft is not None:  # found by the lobe alone, as the soft lamp
+                    is_far = ds.emitter == mi.EmitterPtr(scene.environment())
+                    is_broad = is_broad & ((is_far & has_spread & (by_bsdf > NARROW)) ^ True)
+                share = dr.select(ds.delta, 1.0, weigh(ds.pdf, by_bsdf))
+                light = dr.select(is_broad, dr.fma(weight * share, value * drawn, light), light)
+
+                # on
+                bs, scattered = bsdf.sample(context, si, sampler.next_1d(active), sampler.next_2d(active), active)
+                weight, eta = weight * scattered, eta * bs.eta
+                is_null = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
+                is_event = active & (is_null ^ True)
+                is_sharp = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
+                is_narrow = is_sharp | (bs.pdf > NARROW)
+                last = dr.select(is_event, si.p, last)
+                pdf = dr.select(is_event, bs.pdf, pdf)
+                is_delta = dr.select(is_event, is_sharp, is_delta)
+                is_led = dr.select(is_event, has_spread & is_narrow, is_led)
+                has_spread = has_spread | (is_event & (is_narrow ^ True))
+                is_seen = is_seen | is_event
+                depth = dr.select(is_event, depth + 1, depth)
+                ray = si.spawn_ray(si.to_world(bs.wo))
+
+                most = dr.max(weight)
+                active = active & (most != 0.0)
+                survival = dr.minimum(most * dr.square(eta), 0.95)
+                is_judged = depth >= self.rr_depth
+                is_kept = sampler.next_1d(active) < survival
+                weight = dr.select(is_judged, weight / dr.maximum(survival, 1e-20), weight)
+                active = active & ((is_judged ^ True) | is_kept)
+                return (
+                    ray, light, weight, eta, depth, last, pdf, is_delta, has_spread, is_led, is_seen, active, sampler
+                )  # fmt: skip
+
+            state = (
+                mi.Ray3f(ray), mi.Spectrum(0.0), mi.Spectrum(1.0), mi.Float(1.0), mi.UInt32(0), mi.Point3f(0.0),
+                mi.Float(1.0), mi.Bool(True), mi.Bool(False), mi.Bool(False), mi.Bool(has_environment),
+                mi.Bool(active), sampler,
+            )  # fmt: skip
+            done = dr.while_loop(
+                state, lambda *state: state[-2], body,
+                ("ray", "light", "weight", "eta", "depth", "last", "pdf", "is_delta", "has_spread", "is_led",
+                 "is_seen", "active", "sampler"), label="paths",
+            )  # fmt: skip
+            light, is_seen = done[1], done[-3]
+            return dr.select(is_seen, light, 0.0), is_seen, []
+
+    return Paths

@@ -1,0 +1,198 @@
+"""Our own path tracer gives what Mitsuba's give, and light by way of glass and mirrors without fireflies."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.ndimage import median_filter
+
+import nacre
+from nacre.device.bsdf import make_bsdf
+from nacre.device.variant import use_variant
+from nacre.materials.examples import examples_folder
+from nacre.picture import passes
+from nacre.picture.lights.environment_plugin import spectrum_texture
+from nacre.picture.lights.environments import BEAM_DEG, beam, unit_spectrum
+from nacre.picture.lights.named import SUN_DEG, make_light, make_lights
+from nacre.picture.lights.places import street
+from nacre.picture.lights.several import read_lamps
+from nacre.picture.paths import SOFT_LAMP_DEG, make_paths
+from nacre.picture.picture import scene_dict
+
+pytestmark = pytest.mark.render
+
+EXAMPLES = examples_folder()
+SIGMAS = 4.5  # of a mean: one of 100,000 true answers would fail
+GLASS = {"family": "film", "substrate": {"n": 1.5}, "layers": []}
+FLOOR = 0.5  # reflectance
+
+
+def _mean_and_error(scene: Any, integrator: Any, spp: int, runs: int = 6) -> tuple[np.ndarray, np.ndarray]:
+    """Mean XYZ of blocks `[row, column, 3]` of 8 x 8 pixels, and its standard error from independent runs."""
+    mi = use_variant()
+    found = []
+    for seed in range(runs):
+        picture = np.array(mi.render(scene, integrator=integrator, spp=spp, seed=seed))[..., :3]
+        rows, columns = picture.shape[:2]
+        found.append(picture.reshape(rows // 8, 8, columns // 8, 8, 3).mean(axis=(1, 3)))
+    return np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / math.sqrt(runs)
+
+
+def _scene(material: Any, scene: str, light: str) -> Any:
+    mi = use_variant()
+    content = scene_dict(material, scene, light=light, size=(32, 32))
+    return mi.load_dict({key: value for key, value in content.items() if key != "integrator"})
+
+
+@pytest.mark.parametrize(
+    ("recipe", "light", "kind", "clear"),
+    [("soap", "studio", "volpath", True), ("jewel-beetle", "line", "path", False)],
+)
+def test_the_mean_is_that_of_mitsubas_own(recipe: str, light: str, kind: str, clear: bool) -> None:
+    """With films to pass and with lamps that are bodies."""
+    mi = use_variant()
+    scene = _scene(nacre.load(EXAMPLES / f"{recipe}.toml"), "sphere", light)
+    own, own_error = _mean_and_error(scene, make_paths(8, 6, clear), 64)
+    theirs, error = _mean_and_error(scene, mi.load_dict({"type": kind, "max_depth": 8, "rr_depth": 6}), 64)
+    # five degrees of freedom on each side: Student's t needs more room than a normal variable would
+    assert np.all(np.abs(own - theirs) < 2.0 * SIGMAS * np.hypot(own_error, error) + 1e-6)
+
+
+def _floor_under_mirror(integrator: Any, soft_light: Any) -> tuple[np.ndarray, Any]:
+    """Raw luminance of the floor beside a mirror ball in the sun, seen from above."""
+    mi = use_variant()
+    floor = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(6.0)}
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "sky": soft_light.emitters["sky"],
+            "floor": {**floor, "bsdf": {"type": "diffuse", "reflectance": FLOOR}},
+            "ball": {"type": "sphere", "center": [0, 0, 1], "bsdf": {"type": "conductor", "material": "Ag"}},
+            "sensor": {
+                "type": "perspective",
+                "fov": 20,
+                "to_world": mi.ScalarTransform4f().look_at([-3, -3, 4], [-1.6, -1.6, 0], [0, 0, 1]),
+                "film": {"type": "hdrfilm", "width": 48, "height": 48, "pixel_format": "xyz",
+                         "rfilter": {"type": "box"}},
+            },
+        }
+    )  # fmt: skip
+    return np.array([np.array(mi.render(scene, integrator=integrator, spp=64, seed=s))[..., 1] for s in range(6)])
+
+
+def _fireflies(luminance: np.ndarray) -> int:
+    """Pixels above ten times the median of their neighbours."""
+    around = median_filter(luminance, footprint=[[1, 1, 1], [1, 0, 1], [1, 1, 1]], mode="nearest")
+    return int(np.count_nonzero(luminance > 10 * around))
+
+
+def test_mirrors_throw_the_sun_on_the_floor_without_fireflies_and_without_loss() -> None:
+    light = make_light("sun")
+    hard = _floor_under_mirror(make_paths(6, 6, False), light)
+    soft = _floor_under_mirror(make_paths(6, 6, False, light.soft), light)
+    assert sum(_fireflies(run) for run in hard) > 0  # the sharp sun leaves some: else this proves nothing
+    assert sum(_fireflies(run) for run in soft) == 0
+    error = math.hypot(*(runs.mean(axis=(1, 2)).std(ddof=1) / math.sqrt(len(runs)) for runs in (hard, soft)))
+    assert abs(soft.mean() - hard.mean()) < 2 * SIGMAS * error
+
+
+def test_a_sun_that_is_made_wide_keeps_its_power() -> None:
+    """Irradiance on the floor, of the street by its map, of Mitsuba's sun by a picture of white paper."""
+    assert street(sun_deg=SOFT_LAMP_DEG).irradiance == pytest.approx(street().irradiance, rel=0.03)
+    mi = use_variant()
+    light = make_light("sun")
+    assert SUN_DEG < SOFT_LAMP_DEG
+    found = []
+    for sky in (light.emitters["sky"], light.soft):
+        paper = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": 1.0}}
+        sensor = {
+            "type": "perspective",
+            "fov": 5,
+            "to_world": mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 16, "height": 16, "pixel_format": "xyz"},
+        }
+        scene = mi.load_dict({"type": "scene", "sky": sky, "paper": paper, "sensor": sensor})
+        picture = mi.render(scene, integrator=mi.load_dict({"type": "path", "max_depth": 2}), spp=512)
+        found.append(np.array(picture)[..., 1].mean())
+    assert found[1] == pytest.approx(found[0], rel=0.03)
+
+
+def test_glass_focuses_the_beam_as_a_light_tracer_says() -> None:
+    """The patch of floor behind a glass ball where the beam of `directional` comes together."""
+    mi = use_variant()
+    towards = np.array([-0.5, -0.62, 0.95]) / np.linalg.norm([0.5, 0.62, 0.95])
+    content = scene_dict(nacre.material(GLASS), "probe")
+    content["backdrop0"] = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().scale(2.5),
+        "bsdf": {"type": "diffuse", "reflectance": FLOOR},
+    }
+    content["sensor"] = {
+        "type": "perspective",
+        "fov": 3.5,
+        "to_world": mi.ScalarTransform4f().look_at([2.5, 3.0, 3.0], [0.53, 0.65, 0.0], [0, 0, 1]),
+        "film": {"type": "hdrfilm", "width": 8, "height": 8, "pixel_format": "xyz", "rfilter": {"type": "box"}},
+    }
+    content.pop("integrator")
+    traced = mi.render(mi.load_dict(content), integrator=mi.load_dict({"type": "path", "max_depth": 16}), spp=4096)
+
+    # a light tracer starts on bodies: a disc as wide in the sky as the lamp, far away
+    distance = 40.0
+    scale = distance * math.tan(math.radians(0.5 * BEAM_DEG))
+    place = mi.ScalarTransform4f().look_at(list(distance * towards), [0, 0, 0], [0, 0, 1])
+    spectrum = unit_spectrum("D65")
+    # of the same irradiance: the solid angle of the disc, less what the rim of the beam is softer
+    level = math.pi * 0.6 / towards[2] / (math.pi * (scale / distance) ** 2)
+
+    def emission(strength: float) -> Any:
+        return spectrum_texture(spectrum.wavelengths_nm, strength * spectrum.power)
+
+    content["light_surround"] = {"type": "constant", "radiance": emission(0.04)}
+    content["lamp"] = {
+        "type": "disk",
+        "to_world": place @ mi.ScalarTransform4f().scale(scale),
+        "emitter": {"type": "area", "radiance": emission(level)},
+    }
+    thrown = mi.render(
+        mi.load_dict(content), integrator=mi.load_dict({"type": "ptracer", "max_depth": 16}), spp=120_000, seed=1
+    )
+    patch = [float(np.array(picture)[..., 1].mean()) for picture in (traced, thrown)]
+    open_floor = FLOOR * 0.6
+    assert patch[0] > 5 * open_floor  # it is a caustic
+    assert patch[0] == pytest.approx(patch[1], rel=0.1)
+
+
+def test_the_beam_is_ten_degrees_wide_and_lights_white_paper_to_its_level() -> None:
+    environment = beam("D65")
+    weights = environment.weights[0]
+    assert BEAM_DEG >= 10
+    half = (weights > 0.5 * weights.max()).nonzero()
+    rows = (half[0].max() - half[0].min() + 1) * 180.0 / weights.shape[0]
+    assert rows == pytest.approx(BEAM_DEG, abs=0.8)
+    assert environment.irradiance / math.pi == pytest.approx(0.64, rel=0.01)  # the lamp's 0.6 and the fill's 0.04
+
+
+@pytest.mark.parametrize(
+    ("light", "recipe", "is_ours"),
+    [
+        ("studio", "copper", False),
+        ("sun", "copper", True),
+        ("studio,street:0.5", "copper", True),
+        ("studio", "soap", True),
+    ],
+)
+def test_small_lamps_and_clear_films_are_traced_by_ours_and_the_rest_by_mitsuba(
+    light: str, recipe: str, is_ours: bool
+) -> None:
+    mi = use_variant()
+    ball = {"type": "sphere", "bsdf": make_bsdf(nacre.load(EXAMPLES / f"{recipe}.toml").bsdf())}
+    made = make_lights(read_lamps(light))
+    stage = SimpleNamespace(light=made, depth=6, mitsuba_scene=mi.load_dict({"type": "scene", "ball": ball}))
+    tracer = passes._tracer(stage)
+    assert (type(tracer).__name__ == "Paths") == is_ours
+    if is_ours:
+        assert (tracer.passes_through, tracer.soft is not None) == (recipe == "soap", recipe != "soap")
