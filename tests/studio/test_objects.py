@@ -180,6 +180,7 @@ def test_a_sky_lights_the_floor_as_mitsuba_says(name: str) -> None:
     from nacre.light import xyz_to_srgb_linear
     from nacre.picture.lights.named import make_light
     from nacre.studio.skies import sky_layers
+    from nacre.studio.surround import ALPHAS
 
     mi = use_variant()
     above = mi.ScalarTransform4f().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])
