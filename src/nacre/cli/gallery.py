@@ -221,7 +221,8 @@ def _animation(folder: Path, out: Path, spec: AnimationSpec, is_quick: bool) -> 
 def _row(folder: Path, out: Path, spec: RowSpec, is_quick: bool) -> Item:
     frames = QUICK_FRAMES if is_quick else FULL_FRAMES
     path = out / f"{spec.name}-moving.mp4"
-    size = tuple(side // (2 if is_quick else 1) for side in spec.cell)
+    half = 2 if is_quick else 1
+    size = (spec.cell[0] // half, spec.cell[1] // half)
     seconds = MOVIE_S[is_quick] * spec.spp
 
     def make() -> None:
@@ -280,7 +281,7 @@ def _size(width: int, ratio: float) -> tuple[int, int]:
     return width, 2 * round(0.5 * ratio * width)
 
 
-def _affordable_spp(material: Any, look: dict[str, Any], size: tuple[int, ...], wanted: int, seconds: float) -> int:
+def _affordable_spp(material: Any, look: dict[str, Any], size: tuple[int, int], wanted: int, seconds: float) -> int:
     """Return the samples a pixel that fit into the time: families differ a hundredfold in cost.
 
     Two small pictures compile the kernels, one a number of samples; two more tell what a sample costs apart from what
@@ -288,7 +289,7 @@ def _affordable_spp(material: Any, look: dict[str, Any], size: tuple[int, ...], 
     """
     from nacre.picture.picture import render
 
-    small = tuple(max(16, side // 4) for side in size)
+    small = (max(16, size[0] // 4), max(16, size[1] // 4))
     spent = []
     for spp in (*PROBE_SPP, *PROBE_SPP):
         start = time.monotonic()
