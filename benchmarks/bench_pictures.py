@@ -188,16 +188,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         row(f"CPU time to a mean FLIP of {BARS['flip']} at {2 * SIDE} px, median", statistics.median(seconds.values()),
             "s", BARS["flip_s"], note=told(seconds))  # fmt: skip
     if "bias" in parts:
-        biases, flies, raw_flies, samples = {}, {}, {}, {}
+        biases, flies, raw_flies, samples, unsure = {}, {}, {}, {}, {}
         for case in cases:
             made, truth = render(case, case.bsdf(), SIDE), reference(case)
             biases[case.name] = worst_patch(made.xyz, truth, str(made.stats["illuminant"]))
+            halves = [Reference(half[None], truth.spp[:1]) for half in truth.halves]
+            unsure[case.name] = 0.5 * worst_patch(halves[0].xyz, halves[1], str(made.stats["illuminant"]))
             flies[case.name] = float(new_flies(made.xyz, truth))
             raw_flies[case.name] = float(new_flies(made.raw if made.raw is not None else made.xyz, truth))
             samples[case.name] = float(made.stats["spp"])
             print(case.name, biases[case.name], flies[case.name], raw_flies[case.name], file=sys.stderr, flush=True)
         row("mean colour of ten patches a scene, denoised, worst", max(biases.values()), "dE00", BARS["bias"],
             note=told(biases))  # fmt: skip
+        row("of that, what the reference itself does not know, largest", max(unsure.values()), "dE00", None,
+            note=told(unsure))  # fmt: skip
         row("fireflies, denoised, most in a scene", max(flies.values()), "pixels", 0.0, note=told(flies))
         row("fireflies, raw, most in a scene", max(raw_flies.values()), "pixels", BARS["raw_flies"],
             note=told(raw_flies))  # fmt: skip
