@@ -51,6 +51,7 @@ BAND = 12  # wavelengths that are solved without looking up
 RIDGE_FAN = 0.5  # roughness by which the page draws the fan of ridges
 SPREAD = "Spread light is drawn as if it left evenly in all directions; its lobes are in the settled picture."
 GLOSS = "Spread light is drawn as a rough mirror of fitted width over an even ground; see the settled picture."
+LOBES = "On objects other than the sphere spread light is drawn more simply; its lobes are in the settled picture."
 OF_HEIGHTS = "stl"  # the drawing that only height maps have
 MOST_FEATURES = 160  # of a profile
 PARTS = ("specular_reflectance", "diffuse_reflectance")
@@ -202,8 +203,7 @@ def _look(material: Material, illuminant: str, is_superseded: Callable[[], bool]
         if grid is None and not material.model.is_quick:
             _go_on(is_superseded)
             lobe = lobe_picture(material, bsdf, functools.partial(_linear, illuminant=illuminant))
-        if lobe is None:
-            notes.append(SPREAD if gloss is None else GLOSS)
+        notes.append(LOBES if lobe is not None else SPREAD if gloss is None else GLOSS)
     is_clear = any(bool(np.any(parts[name] > 0)) for name in THROUGH)
     if np.max(parts[THROUGH[0]]) > SEEN_THROUGH:
         notes.append("Light that goes through is not drawn.")
