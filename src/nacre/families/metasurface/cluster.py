@@ -79,6 +79,25 @@ def direct_coupling(order: int, distances: Array) -> ComplexArray:
     return np.asarray(table @ waves)
 
 
+def window(share: Array) -> Array:
+    """1 up to half of the way, then smoothly down to 0 at `share` = 1."""
+    t = np.clip(2.0 * np.asarray(share) - 1.0, 2e-3, 1.0 - 2e-3)
+    return np.asarray(1.0 / (1.0 + np.exp(1.0 / (1.0 - t) - 1.0 / t)))
+
+
+@dataclass(frozen=True)
+class Period:
+    """A square on which a pattern repeats.
+
+    Attributes:
+        side_nm: its side.
+        bloch: wavevector whose phase all waves take on from one image to the next, `[2]`, 1/nm.
+    """
+
+    side_nm: float
+    bloch: Array
+
+
 @dataclass(frozen=True)
 class Coupling:
     """The coupling of two spheres over their distance at one wavelength, and what one sphere does.
@@ -99,8 +118,10 @@ class Coupling:
     dressed: ComplexArray
 
     @classmethod
-    def build(cls, surface: Substrate, particle: Particle, nearest_nm: float, farthest_nm: float) -> Coupling:
-        """Tabulate between two distances of centres."""
+    def build(
+        cls, surface: Substrate, particle: Particle, nearest_nm: float, farthest_nm: float, fades: bool = False
+    ) -> Coupling:
+        """Tabulate between two distances of centres; where it `fades`, times `window`, which ends at the farthest."""
         order, centre_nm = particle.lmax, particle.centre_nm
         index = multipole_index(order)
         blocks = SphereOnStack(surface, centre_nm, particle.t_matrix, order, particle.cut).dressed
@@ -113,15 +134,27 @@ class Coupling:
         count = int(np.ceil((k * farthest_nm - start) / STEP)) + 4
         distances = np.asarray(start + STEP * np.arange(count), dtype=np.float64)
         total = direct_coupling(order, distances) + reflected_coupling(surface, centre_nm, order, distances)
+        if fades:
+            total = total * window(distances / (k * farthest_nm))
         table = np.einsum("ab,bcr->rac", dressed, total, optimize=True)
         return cls(surface, centre_nm, order, start, STEP, table.astype(np.complex64), dressed)
 
-    def matrix(self, xy_nm: Array) -> SingleComplex:
-        """Return 1 - M W of a pattern, `[sphere x n, sphere x n]`, by columns, as LAPACK wants it."""
+    def matrix(self, xy_nm: Array, period: Period | None = None) -> SingleComplex:
+        """Return 1 - M W of a pattern, `[sphere x n, sphere x n]`, by columns, as LAPACK wants it.
+
+        Args:
+            period: of a pattern that repeats; every image within the table's reach is seen.
+        """
         index = multipole_index(self.order)
         size = len(xy_nm) * len(index.m)
         turned = np.zeros((size, size), dtype=np.complex64)
-        _fill(xy_nm * self.surface.wavenumber, self.start, self.step, self.table, index.m, turned)
+        k = self.surface.wavenumber
+        side, shift, far, images = 0.0, np.zeros(2), 1e30, 0
+        if period is not None:
+            far = self.start + self.step * (len(self.table) - 4)
+            side, shift = period.side_nm * k, period.bloch * period.side_nm
+            images = int(np.ceil(far / side))
+        _fill(xy_nm * k, self.start, self.step, self.table, index.m, side, shift, far, images, turned)
         return turned.T
 
     def excitations(self, xy_nm: Array, waves: PlaneWaves) -> SingleComplex:
@@ -129,10 +162,14 @@ class Coupling:
         answered = np.einsum("ab,bw->aw", self.dressed, waves.excitation)
         return np.asarray(answered * waves.phases(xy_nm)[:, None], dtype=np.complex64)
 
-    def solve(self, xy_nm: Array, waves: PlaneWaves) -> SingleComplex:
-        """Return the multipoles of every sphere, `[sphere, n, wave]`."""
+    def solve(self, xy_nm: Array, waves: PlaneWaves, matrix: SingleComplex | None = None) -> SingleComplex:
+        """Return the multipoles of every sphere, `[sphere, n, wave]`.
+
+        Args:
+            matrix: what couples them, overwritten; `matrix` of the pattern by default.
+        """
         right = self.excitations(xy_nm, waves)
-        factors, pivots, _ = cgetrf(self.matrix(xy_nm), overwrite_a=True)
+        factors, pivots, _ = cgetrf(self.matrix(xy_nm) if matrix is None else matrix, overwrite_a=True)
         found, _ = cgetrs(factors, pivots, right.reshape(-1, right.shape[-1]))
         return np.asarray(found.reshape(right.shape))
 
@@ -170,13 +207,22 @@ class PlaneWaves:
         flat = (wavenumber * directions.transverse[:, None, None] * along).reshape(-1, 2)
         return cls(parts[0], parts[1], np.concatenate([flat, flat]))
 
+    @classmethod
+    def of(cls, parts: list[PlaneWaves]) -> PlaneWaves:
+        """Return the waves of all parts, one after the other."""
+        return cls(
+            np.concatenate([w.excitation for w in parts], axis=1),
+            np.concatenate([w.emission for w in parts], axis=1),
+            np.concatenate([w.wavevectors for w in parts]),
+        )
+
     def phases(self, xy_nm: Array) -> ComplexArray:
         """e^{i kappa r}, `[sphere, wave]`."""
         return np.asarray(np.exp(1j * (xy_nm @ self.wavevectors.T)))
 
 
 @compiled(nogil=True, fastmath=True)
-def _fill(xy, start, step, table, m, turned):  # type: ignore[no-untyped-def]  # numba
+def _fill(xy, start, step, table, m, side, shift, far, images, turned):  # type: ignore[no-untyped-def]  # numba
     count, size = xy.shape[0], m.size
     top = 0
     for a in range(size):
@@ -186,30 +232,38 @@ def _fill(xy, start, step, table, m, turned):  # type: ignore[no-untyped-def]  #
         for a in range(size):
             turned[j * size + a, j * size + a] = 1.0
         for k in range(count):
-            if j == k:
-                continue
-            dx, dy = xy[j, 0] - xy[k, 0], xy[j, 1] - xy[k, 1]
-            distance = np.sqrt(dx * dx + dy * dy)
-            turn = complex(dx / distance, dy / distance)
-            power = 1.0 + 0.0j
-            for n in range(2 * top + 1):
-                turns[2 * top + n] = power
-                turns[2 * top - n] = power.conjugate()
-                power = power * turn
-            x = (distance - start) / step
-            at = min(max(int(x), 1), table.shape[0] - 3)
-            t = x - at
-            # Lagrange's cubic through the two points on each side
-            w0 = np.float32(-t * (t - 1.0) * (t - 2.0) / 6.0)
-            w1 = np.float32((t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0)
-            w2 = np.float32(-(t + 1.0) * t * (t - 2.0) / 2.0)
-            w3 = np.float32((t + 1.0) * t * (t - 1.0) / 6.0)
-            for b in range(size):
-                for a in range(size):
-                    value = (
-                        w0 * table[at - 1, a, b]
-                        + w1 * table[at, a, b]
-                        + w2 * table[at + 1, a, b]
-                        + w3 * table[at + 2, a, b]
-                    )
-                    turned[k * size + b, j * size + a] = -value * turns[2 * top + m[b] - m[a]]
+            for nx in range(-images, images + 1):
+                for ny in range(-images, images + 1):
+                    if j == k and nx == 0 and ny == 0:
+                        continue
+                    # sphere j meets the field of an image of sphere k
+                    dx, dy = xy[j, 0] - xy[k, 0] - nx * side, xy[j, 1] - xy[k, 1] - ny * side
+                    distance = np.sqrt(dx * dx + dy * dy)
+                    if distance >= far:
+                        continue
+                    phase = nx * shift[0] + ny * shift[1]
+                    turn = complex(dx / distance, dy / distance)
+                    power = complex(np.cos(phase), np.sin(phase))
+                    back = power
+                    for n in range(2 * top + 1):
+                        turns[2 * top + n] = power
+                        turns[2 * top - n] = back
+                        power = power * turn
+                        back = back * turn.conjugate()
+                    x = (distance - start) / step
+                    at = min(max(int(x), 1), table.shape[0] - 3)
+                    t = x - at
+                    # Lagrange's cubic through the two points on each side
+                    w0 = np.float32(-t * (t - 1.0) * (t - 2.0) / 6.0)
+                    w1 = np.float32((t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0)
+                    w2 = np.float32(-(t + 1.0) * t * (t - 2.0) / 2.0)
+                    w3 = np.float32((t + 1.0) * t * (t - 1.0) / 6.0)
+                    for b in range(size):
+                        for a in range(size):
+                            value = (
+                                w0 * table[at - 1, a, b]
+                                + w1 * table[at, a, b]
+                                + w2 * table[at + 1, a, b]
+                                + w3 * table[at + 2, a, b]
+                            )
+                            turned[k * size + b, j * size + a] -= value * turns[2 * top + m[b] - m[a]]
