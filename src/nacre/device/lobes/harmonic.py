@@ -24,8 +24,8 @@ from nacre.errors import UnsupportedError
 COSINE_SHARE = 0.1  # of the draws: no direction is left out, and no weight grows without bound
 PACKET = 8  # harmonics of a load, of each of two wavelengths
 LEVELS = 32767  # of 16-bit integers; their rounding is 1.5e-5 of each harmonic's largest value
-# mean square of the weights up to which an opaque lobe is drawn by the cosine alone: at 1.1 a draw is noisier by a tenth
-# of its light, and a fifth faster
+# mean square of the weights up to which an opaque lobe is drawn by the cosine alone: a tenth more variance of each draw
+# for a sixth of the time
 BROAD = 1.1
 VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 32, 64, 64  # for each side
 
