@@ -6,7 +6,7 @@ It was 0.13 to 0.17. With 12 loads of eight a look-up, 0.3: with all loads from 
 remained was memory, 50 MB read at random. With 16-bit numbers and 120 angles, 11 MB, it is 0.53 idle, 0.38 where
 others use the cache too. A layout in which neighbouring angles share lines, not wavelengths, was slower (0.5).
 An opaque lobe that is nearly matt is drawn by the cosine alone: .66 -> .77 in one run of both. A look-up that returns a
-constant gives 1.13 there, so a third of the time is the table's; the cosine leaves the weights a variance of .05 to .09.
+constant gives 1.13 there, so a third of the time is the table's; the cosine leaves the weights a variance up to .09.
 Ratios are of CPU time, since the loads of a shared machine disturb the clock more.
 Outcome: see RESULTS.md.
 """
