@@ -213,7 +213,7 @@ def stack_contour(
     far = (2 * order + 46) / (2 * surface.wavenumber * centre_nm)
     relative = np.abs(surface.indices.real).max() / surface.ambient_index
     bend = max(6.0, relative + 1.0)
-    # to 1e-8 of the largest sum; over a patch the wide last panel would miss the Bessel function's waves
+    # to 1e-8 of the largest sum; over a pattern the wide last panel would miss the Bessel function's waves
     edges = [0.0, 1.0, 2.0, bend] if depth == CONTOUR_DEPTH else [0.0, 1.0, *np.linspace(2.0, bend, 5)]
     x, weight = _panels(np.array(edges), int(40 + 0.8 * reach))
     kappa = x - 1j * depth * np.sin(np.pi * x / bend)
