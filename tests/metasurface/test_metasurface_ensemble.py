@@ -13,19 +13,22 @@ from nacre.bsdf import Bsdf
 from nacre.errors import NacreError
 from nacre.families.metasurface import choice, refine
 from nacre.families.metasurface.arrangement import Arrangement
+from nacre.families.metasurface.cells import cells, orders, with_kinds
 from nacre.families.metasurface.corrections import diffuse_term
-from nacre.families.metasurface.ensemble import Ensemble, EnsembleSettings, patches, same_order
+from nacre.families.metasurface.ensemble import ANGLES, Ensemble, same_order
 from nacre.families.metasurface.monolayer import Monolayer, Particle
-from nacre.families.metasurface.ratio import Ratio, Ways, _terms, blocks, fit_ratio
+from nacre.families.metasurface.ratio import BLOCKS_ABOVE, Ratio, Ways, _terms, blocks
+from nacre.families.metasurface.ratio_fit import Pairs, block_sums, fit_ratio
 from nacre.families.metasurface.sphere import hemisphere_rule
 from nacre.families.metasurface.structure import hard_disk_structure
 from nacre.materials.material import material
 from nacre.recipe.long_work import heard_by
 
 TRUTH_BAR, TRUTH_MEAN_BAR = 0.08, 0.06
-SIGMAS, SLACK, SHARE_WITHIN = 2.0, 0.04, 0.9
+UP_TO = np.radians(60.0)
+SIGMAS, SPECKLE, SHARE_WITHIN = 2.0, 0.04, 0.9  # the other code's own speckle: 3-4 %
 RECIPROCITY_BAR = 1e-10
-PHI = 2 * np.pi * np.arange(24) / 24
+ENERGY_BAR = 5e-3  # what single precision and the waves left out as weak leave
 SMALL = {"spheres": 20, "realisations": 4}
 
 
@@ -52,23 +55,68 @@ def ways(count=6, below=0):
     return Ways.of(kappa, np.where(is_below, 1.5, 1.0), is_below)
 
 
-@pytest.mark.parametrize("below", [0, 5])
-def test_a_planted_ratio_is_found_through_the_speckle_and_its_errors_are_its_own(below):
-    count, waves = 6 + below, np.cos(np.arange(14)[:, None] * PHI)
-    unit = np.zeros((count, count, 2, 2, 14))
-    unit[..., 0] = 1.0
+def _planted(true, block, generator, follows=0.0, count=24):
+    """One pattern of random light over 8 bins of the angle, which is `true` times its model."""
+    theta = np.sort(generator.uniform(0.05, 1.4, (2, count)), axis=1)
+    left, right = (
+        Ways.of(np.sin(t) * (1.3 if side else 1.0), np.full(count, 1.5 if side else 1.0), np.full(count, bool(side)))
+        for t, side in zip(theta, block[:2])
+    )
+    phi = generator.uniform(0, 2 * np.pi, (count, count))
+    factor = true.at(left, right, block, phi[..., None])[..., 0]
+    model = 1.0 + generator.random((count, count))
+    excess = generator.exponential(size=(count, count)) - 1.0
+    light = follows * excess + 1.0 + (1.0 - follows) * (generator.exponential(size=(count, count)) - 1.0)
+    bins = [(t / 1.4001 * ANGLES).astype(int) for t in theta]
+    pairs = Pairs(left, right, phi, model * factor * light, model, model * excess, np.ones_like(model), *bins)
+    return pairs, model, factor
+
+
+@pytest.mark.parametrize("has_below", [False, True])
+def test_a_planted_ratio_is_found_through_the_speckle_and_its_errors_are_its_own(has_below):
     scores = []
-    for seed in range(6):
-        g, true, where = np.random.default_rng(seed), some_ratio(below > 0, seed), ways(6, below)
-        model = 1.0 + g.random((2, count, 2, count, 24))
-        factor = np.moveaxis(true.applied(unit, where) @ waves, (2, 3), (0, 2))
-        truth = model * factor * g.gamma(6.0, 1 / 6.0, (24, *model.shape))
-        found = fit_ratio(truth, model, where, np.ones(count), PHI)
-        again = np.moveaxis(found.applied(unit, where) @ waves, (2, 3), (0, 2))
-        off = (model * again).sum((0, 2, 4)) / (model * factor).sum((0, 2, 4)) - 1
-        assert np.abs(off).max() < 0.05
-        scores.append(off[:6, :6] / found.standard_errors(truth, model, where, PHI))
-    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.5
+    for seed in range(3):
+        g, true = np.random.default_rng(seed), some_ratio(has_below, seed)
+        patterns, light, model = [], np.zeros(ANGLES**2), np.zeros(ANGLES**2)
+        for _ in range(12):
+            one = {}
+            for block in blocks(has_below):
+                pairs, _, factor = _planted(true, block, g)
+                one[block] = block_sums(block, pairs, ANGLES)
+                if block in BLOCKS_ABOVE:
+                    where = pairs.left_bins[:, None] * ANGLES + pairs.right_bins
+                    np.add.at(light, where, pairs.model * factor)
+                    np.add.at(model, where, pairs.model)
+            patterns.append(one)
+        found, errors = fit_ratio(patterns)
+        shapes = {b: np.sum([one[b].shapes for one in patterns], axis=0) for b in BLOCKS_ABOVE}
+        fitted = model + sum(shapes[b] @ found.coefficients[b].mean(axis=0) for b in BLOCKS_ABOVE)
+        off = fitted / light - 1
+        assert np.all(np.abs(off) <= 5 * errors)
+        scores.append(off / errors)
+    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.5
+
+
+def test_what_a_pattern_s_own_structure_explains_is_taken_off_and_costs_no_truth():
+    block, true = (0, 0, 0, 0), some_ratio(False)
+    spread = []
+    for knows in (False, True):
+        g = np.random.default_rng(1)
+        patterns = []
+        for _ in range(24):
+            pairs, _, _ = _planted(true, block, g, follows=0.8)
+            if not knows:
+                pairs = dataclasses.replace(pairs, control=0.0 * pairs.control)
+            patterns.append({block: block_sums(block, pairs, ANGLES)})
+        found, errors = fit_ratio(patterns)
+        spread.append(np.sqrt(np.mean(errors**2)))
+        theta = np.linspace(0.1, 1.3, 7)
+        way = Ways.of(np.sin(theta), np.ones(7), np.zeros(7, bool))
+        phi = np.linspace(0, np.pi, 9)
+        off = found.at(way, way, block, phi).mean(-1) / true.at(way, way, block, phi).mean(-1) - 1
+        assert np.abs(off).max() < 0.3
+    # of the variance .8^2 is the structure's and .2^2 is not
+    assert spread[1] < 0.5 * spread[0]
 
 
 def test_light_with_a_ratio_is_reciprocal_and_its_totals_are_its_own():
@@ -111,22 +159,28 @@ def _ensemble(name, realisations):
     radius, density, packing = (float(data[key]) for key in ("radius_nm", "density_per_nm2", "packing_p"))
     particle = Particle(1.0, radius, t_matrix(2, below.wavenumber * radius, complex(data["n_sphere"])))
     structure = hard_disk_structure(density, packing, 4.8 * below.wavenumber)
-    return data, _ratio(Monolayer(below, (particle,), structure), density, packing, EnsembleSettings(130, realisations))
+    return data, _ratio(Monolayer(below, (particle,), structure), density, packing, 130, realisations)
 
 
-def _ratio(layer, density, packing, settings):
+def _ratio(layer, density, packing, spheres, realisations):
+    one = _patterns(layer, density, packing, spheres, realisations)
+    ratio, errors = one.ratio(refine.in_threads(one.solve, range(realisations)))
+    return layer, ratio, errors, one
+
+
+def _patterns(layer, density, packing, spheres, realisations):
     def pattern(count, seed):
         return Arrangement("hard-disk", density, packing, seed).pattern(count)
 
-    cut = patches(pattern, density, layer.structure.diameter_nm, settings, 0)
-    one = Ensemble(same_order(layer, 2, layer.particles[0]), cut)
-    ratio, errors = one.ratio(refine.in_threads(one.far_fields, range(settings.realisations)))
-    return layer, ratio, errors, one
+    made = cells(pattern, density, layer.structure.diameter_nm, spheres, realisations, 0)
+    one = Ensemble(same_order(layer, 2, *layer.particles), with_kinds(made, layer.shares, 0))
+    one.prepare()
+    return one
 
 
 def _stored_error(one, errors, theta_s, theta_i):
     """The standard errors that a Bsdf keeps, between its angles, `[s, i, 1]`."""
-    angles = np.arccos(one.sides[0][0].cosines)
+    angles = one.angles_rad
     held = [np.clip(t, angles[0], angles[-1]) for t in (theta_s, theta_i)]
     return RegularGridInterpolator((angles, angles), errors)(tuple(np.meshgrid(*held, indexing="ij")))[..., None]
 
@@ -135,19 +189,25 @@ def _against_truth(names, realisations):
     errors, within = {}, {}
     for name in names:
         data, (layer, ratio, stored, one) = _ensemble(name, realisations)
-        theta_s, theta_i = data["theta_s_rad"], data["theta_i_rad"]
+        few = data["theta_i_rad"] < UP_TO
+        theta_s, theta_i = data["theta_s_rad"], data["theta_i_rad"][few]
         ours = light(layer, theta_s, theta_i, ratio)
         error = _stored_error(one, stored, theta_s, theta_i) * ours
-        truth = data["incoherent_nm2_per_sr"].mean(axis=2).sum(axis=0)
+        truth = data["incoherent_nm2_per_sr"].mean(axis=2).sum(axis=0)[:, few]
         sine = np.sin(theta_s)[:, None, None]
         errors[name] = np.mean(np.sqrt((sine * (ours - truth) ** 2).sum(0) / (sine * truth**2).sum(0)))
-        within[name] = np.mean(np.abs(ours - truth) <= SIGMAS * error + SLACK * truth)
+        alike = theta_s < UP_TO
+        within[name] = np.mean((np.abs(ours - truth) <= SIGMAS * np.hypot(error, SPECKLE * truth))[alike])
     return errors, within
 
 
 @pytest.mark.full
 def test_the_ensemble_agrees_with_multi_sphere_solutions_of_another_code():
-    """With half of the patterns; `validation/metasurface_ensembles.py` takes them all."""
+    """With a quarter of the patterns; `validation/metasurface_ensembles.py` takes them all.
+
+    Light up to 55 degrees: those solutions are of discs of 130 spheres, which near grazing send out up to a fifth more
+    than an endless layer has to give, see `test_each_endless_pattern_of_lossless_spheres_sends_out_what_arrives`.
+    """
     errors, within = _against_truth("BCDEF", 12)
     assert max(errors.values()) <= TRUTH_BAR, errors
     assert np.mean(list(errors.values())) <= TRUTH_MEAN_BAR
@@ -160,7 +220,7 @@ def test_far_apart_spheres_need_no_ratio():
     density = coverage / np.pi / radius**2
     particle = Particle(1.0, radius, t_matrix(2, below.wavenumber * radius, 0.05 + 3.1j))
     layer = Monolayer(below, (particle,), hard_disk_structure(density, coverage, 5 * below.wavenumber))
-    layer, ratio, errors, one = _ratio(layer, density, coverage, EnsembleSettings(20, 10))
+    layer, ratio, errors, one = _ratio(layer, density, coverage, 20, 10)
     angles = np.radians([20.0, 50.0])
     judged = light(layer, angles, angles, ratio)
     plain = light(layer, angles, angles, None)
@@ -239,13 +299,82 @@ def test_a_size_that_is_not_allowed_is_told_with_its_key(key, value):
         material(recipe({"ensemble": {key: value}}))
 
 
-def test_discs_cut_from_a_list_stay_inside_it_and_a_close_pair_loses_one():
+def test_squares_cut_from_a_list_stay_inside_it_and_a_close_pair_loses_one():
     from nacre.families.metasurface.patterns import Pattern
 
     xy = np.random.default_rng(2).uniform(0, 8000, (600, 2))
     listed = Pattern(xy, 8000.0)
-    cut = patches(lambda count, seed: listed, 600 / 8000.0**2, 60.0, EnsembleSettings(60, 5), 0, True)
-    for one in cut:
-        gaps = np.linalg.norm(one[:, None] - one, axis=2) + 1e9 * np.eye(len(one))
-        assert gaps.min() >= 60.0 * (1 - 1e-6)
-        assert np.hypot(*one.T).max() <= np.sqrt(60 / (np.pi * 600 / 8000.0**2))
+    wanted = np.sqrt(60 / (600 / 8000.0**2))
+    for one in cells(lambda count, seed: listed, 600 / 8000.0**2, 60.0, 60, 5, 0, True):
+        side = one.period.side_nm
+        assert side == pytest.approx(wanted)
+        gap = (one.xy_nm[:, None] - one.xy_nm + side / 2) % side - side / 2
+        assert (np.linalg.norm(gap, axis=2) + 1e9 * np.eye(len(gap))).min() >= 60.0 * (1 - 1e-6)
+        # each is a point of the list, moved by one and the same step or brought back by the period
+        assert np.all(np.abs(one.period.bloch) <= np.pi / side)
+    whole = cells(lambda count, seed: listed, 600 / 8000.0**2, 0.0, 550, 2, 0, True)
+    assert all(len(one.xy_nm) == 600 and one.period.side_nm == 8000.0 for one in whole)
+
+
+@pytest.mark.parametrize(("substrate", "is_mixture"), [(1.0, False), (1.5, False), (1.0, True), (1.5, True)])
+def test_each_endless_pattern_of_lossless_spheres_sends_out_what_arrives(substrate, is_mixture):
+    """All orders on both sides, the straight ones with the stack's own beams: no light has an edge to leave by."""
+    below, radius = surface(600.0, substrate), 75.0
+    density = 0.2 / np.pi / radius**2
+    particles = [Particle(1.0, radius, t_matrix(2, below.wavenumber * radius, 3.9))]
+    if is_mixture:  # of unlike heights
+        small = Particle(0.4, 40.0, t_matrix(2, below.wavenumber * 60.0, 3.0), kind=1)
+        particles = [dataclasses.replace(particles[0], share=0.6), small]
+    layer = Monolayer(below, tuple(particles), hard_disk_structure(density, 0.2, 7 * below.wavenumber))
+    one = _patterns(layer, density, 0.2, 30, 2)
+    k, low = below.wavenumber, below.index_below
+    for cell in one.cells:
+        wave = orders(cell.period, 0.97 * k)[::7]
+        sine = np.hypot(*wave.T) / k
+        solved = one.lattice.solve(cell, one.waves(one.side(wave, False), False))
+        total = 0.0
+        for under in (False, True):
+            index = low if under else 1.0
+            every = orders(cell.period, index * k * (1 - 1e-9))
+            side = one.side(every, under)
+            f = one.coupling.far_field(cell.xy_nm, solved, one.waves(side, True), cell.kinds)
+            f = f.reshape(2, len(every), 2, -1)
+            cos = side.directions.cosines
+            amplitude = (
+                2 * np.pi / (k * index * cell.period.side_nm**2 * cos[:, None, None, None]) * f.transpose(1, 0, 2, 3)
+            )
+            for i, at in enumerate(wave):
+                straight = int(np.argmin(np.hypot(*(every - at).T)))
+                if under:
+                    bare = side.directions.transmission_up[:, straight] * np.cos(np.arcsin(sine[i]))
+                    bare = bare / (index * cos[straight])
+                else:
+                    bare = side.directions.reflection[:, straight]
+                amplitude[straight, 0, 0, i] += bare[0]
+                amplitude[straight, 1, 1, i] += bare[1]
+            # of each order its power through the plane, over that of the light
+            total = total + np.einsum("oqpi,o->pi", np.abs(amplitude) ** 2, index * cos) / np.sqrt(1 - sine**2)
+        assert np.abs(total - 1).max() <= ENERGY_BAR
+
+
+@pytest.mark.parametrize("second", [None, 0.05 + 3.1j, 3.9])
+def test_where_the_window_ends_changes_no_coupling(second):
+    """Of a mixture the direct waves beyond it go between unlike heights: left out, they miss by 2 to 3 %."""
+    from nacre.families.metasurface.cells import Lattice
+    from nacre.families.metasurface.cluster import Coupling
+
+    below, radius = surface(500.0, 1.5), 90.0
+    density = 0.1 / np.pi / radius**2
+    particles = [Particle(1.0, radius, t_matrix(2, below.wavenumber * radius, 0.05 + 3.1j))]
+    if second is not None:
+        small = Particle(0.5, 50.0, t_matrix(2, below.wavenumber * 80.0, second), kind=1)
+        particles = [dataclasses.replace(particles[0], share=0.5), small]
+    layer = Monolayer(below, tuple(particles), hard_disk_structure(density, 0.1, 7 * below.wavenumber))
+    one = _patterns(layer, density, 0.1, 20, 1)
+    found = []
+    for share in (0.9, 1.7):
+        reach = share * one.cells[0].period.side_nm
+        first, *others = one.layer.particles
+        near = Coupling.build(below, first, 2 * radius, reach, *others, fades=True)
+        found.append(Lattice.build(one.layer, near, reach).matrix(one.cells[0]))
+    assert np.abs(found[0] - found[1]).max() <= 3e-3 * np.abs(found[1] - np.eye(len(found[1]))).max()

@@ -12,7 +12,7 @@ from nacre.families.metasurface import neighbours
 from nacre.families.metasurface.angular import adjoint, mirrored, plane_wave_vectors
 from nacre.families.metasurface.bessel import hankel_scaled
 from nacre.families.metasurface.diffuse import pair_powers
-from nacre.families.metasurface.qca import _chebyshev, mean_excitation
+from nacre.families.metasurface.qca import chebyshev, mean_excitation
 from nacre.families.metasurface.sphere import apply_response
 from nacre.materials.material import load
 from nacre.matter.jobs import in_threads, one_thread_each
@@ -43,10 +43,10 @@ def _whole_sums(layer, order, kappa, w):
 def test_the_mean_field_of_one_mirror_half_is_that_of_all_multipoles(below):
     layer = load(EXAMPLES / ("silver_halo.toml" if below else "silver_on_oxide.toml")).model.monolayer(550.0)
     table, dressed = layer.neighbours, layer.mean_dressed
-    theta, _ = _chebyshev(table.propagating.shape[1], 0.0, np.pi / 2)
+    theta, _ = chebyshev(table.propagating.shape[1], 0.0, np.pi / 2)
     kappa = np.sin(theta)[2::5]
     if below:
-        eta, _ = _chebyshev(table.evanescent.shape[1], 0.0, table.eta_max)
+        eta, _ = chebyshev(table.evanescent.shape[1], 0.0, table.eta_max)
         kappa = np.concatenate([kappa, np.cosh(eta)[2::5]])
     sines = kappa / (layer.surface.index_below if below else 1.0)
     directions = layer.spheres[0].directions(np.sqrt((1 - sines) * (1 + sines)), below, sines)

@@ -6,17 +6,20 @@ import json
 import numpy as np
 import pytest
 from helpers_metasurface import surface, t_matrix
-from validation.metasurface_ensembles import light
+from validation.metasurface_ensembles import distance, judged, light, of_discs
+from validation.metasurface_mixtures import SILICON as DARK_SILICON
+from validation.metasurface_mixtures import SILVER as MIE_SILVER
+from validation.metasurface_mixtures import mixture
 
 from nacre.cli import run
 from nacre.errors import NacreError
-from nacre.families.metasurface.arrangement import Arrangement
 from nacre.families.metasurface.axial import as_blocks
-from nacre.families.metasurface.cluster import Coupling, PlaneWaves
-from nacre.families.metasurface.ensemble import Ensemble, EnsembleSettings, mixed, patches, same_order
+from nacre.families.metasurface.cells import Cell, lift, with_kinds
+from nacre.families.metasurface.cluster import Coupling, Period, PlaneWaves, direct_coupling
+from nacre.families.metasurface.ensemble import _kind_factor
 from nacre.families.metasurface.kinds import widened
 from nacre.families.metasurface.monolayer import Monolayer, Particle
-from nacre.families.metasurface.refine import in_threads
+from nacre.families.metasurface.neighbours import multipole_index
 from nacre.families.metasurface.sphere import Directions
 from nacre.families.metasurface.structure import hard_disk_structure
 from nacre.materials.material import material
@@ -153,40 +156,62 @@ def test_unlike_spheres_at_unlike_heights_agree_with_treams():
         assert np.abs(ours - theirs).max() <= 1e-4 * theirs.max()
 
 
-def _real_mixture(coverage, realisations, substrate, seed=0, spheres=20):
+def _real_mixture(coverage, substrate):
     below = surface(500.0, substrate)
-    particles = unlike(below, 2)
     density = coverage / np.pi / (0.5 * 85.0**2 + 0.5 * 50.0**2)
-    packing = density * np.pi * 85.0**2
-    layer = Monolayer(below, particles, hard_disk_structure(density, packing, 5 * below.wavenumber))
-
-    def pattern(count, seed):
-        return Arrangement("hard-disk", density, packing, seed).pattern(count)
-
-    settings = EnsembleSettings(spheres, realisations)
-    cut = patches(pattern, density, layer.structure.diameter_nm, settings, seed)
-    one = Ensemble(same_order(layer, 2, *particles), cut, mixed(cut, layer.shares, seed))
-    ratio, errors = one.ratio(in_threads(one.far_fields, range(realisations)))
-    return layer, ratio, errors
+    structure = hard_disk_structure(density, density * np.pi * 85.0**2, 5 * below.wavenumber)
+    return Monolayer(below, unlike(below, 2), structure)
 
 
 def test_a_thin_mixture_is_what_its_ensemble_says():
     """Far apart both know single scattering: the mean square of the kinds, which their mean amplitude is not."""
-    layer, ratio, errors = _real_mixture(0.01, 10, 1.5 + 0.01j)
+    layer = _real_mixture(0.01, 1.5 + 0.01j)
+    ratio, errors, _ = judged(layer, 20, 10)
     angles = np.radians([20.0, 50.0])
-    judged, plain = (light(layer, angles, angles, r) for r in (ratio, None))
+    judged_light, plain = (light(layer, angles, angles, r) for r in (ratio, None))
     error = float(np.median(errors))
-    assert np.all(np.abs(judged / plain - 1) <= 4 * error + 0.02) and error < 0.1
+    assert np.all(np.abs(judged_light / plain - 1) <= 4 * error + 0.02) and error < 0.1
     # one kind alone at the same density is far from it
     alone = dataclasses.replace(layer, particles=(dataclasses.replace(layer.particles[0], share=1.0),))
     assert np.all(np.abs(light(alone, angles, angles, None) / plain - 1) > 0.2)
 
 
-def test_each_kind_has_its_share_of_all_patches():
-    cut = [np.zeros((n, 2)) for n in (31, 24, 45)]
-    kinds = mixed(cut, np.array([0.7, 0.3]), 3)
+@pytest.mark.full
+def test_the_ensemble_of_a_mixture_is_what_discs_of_it_send_without_any_model():
+    """As one kind against another code: 8 % with a quarter of the patterns, light to 60 degrees."""
+    layer = mixture(520.0, (75.0, MIE_SILVER), (60.0, DARK_SILICON), 0.4, 0.08)
+    theta_s, theta_i = np.radians(np.linspace(3.5, 80.5, 12)), np.radians([10.5, 24.5, 38.5, 52.5])
+    ratio, _, _ = judged(layer, 130, 12)
+    assert distance(light(layer, theta_s, theta_i, ratio), of_discs(layer, theta_s, theta_i, 24), theta_s) <= 0.08
+
+
+def test_each_kind_has_its_share_of_all_patterns():
+    made = [Cell(np.zeros((n, 2)), Period(1.0, np.zeros(2)), 0) for n in (31, 24, 45)]
+    kinds, others = ([one.kinds for one in with_kinds(made, np.array([0.7, 0.3]), seed)] for seed in (3, 4))
     assert [len(k) for k in kinds] == [31, 24, 45] and sum(int(k.sum()) for k in kinds) == 30
-    assert not np.array_equal(np.concatenate(kinds), np.concatenate(mixed(cut, np.array([0.7, 0.3]), 4)))
+    assert not np.array_equal(np.concatenate(kinds), np.concatenate(others))
+
+
+def test_how_a_pattern_s_kinds_lie_adds_nothing_on_average():
+    """The control variate of a mixture must not move the mean: 1 over many dealings, and two unlike spheres by hand."""
+    g = np.random.default_rng(5)
+    xy, shares, q = g.uniform(0, 2000, (40, 2)), np.array([0.7, 0.3]), g.uniform(0.003, 0.01, (6, 2))
+    waves = np.exp(-1j * xy @ q.T), np.ones((40, 1))
+    cells_of_it = with_kinds([Cell(xy, Period(2000.0, np.zeros(2)), 0)] * 400, shares, 1)
+    found = np.stack([_kind_factor(one, shares, *waves) for one in cells_of_it])
+    assert np.all(np.abs(found.mean(axis=0) - 1) <= 4 * found.std(axis=0) / 20) and found.std() > 0.5
+    pair = dataclasses.replace(cells_of_it[0], xy_nm=xy[:2], kinds=np.array([0, 1]))
+    turn = np.exp(-1j * (xy[1] - xy[0]) @ q[0])
+    by_hand = np.abs(0.3 - 0.7 * turn) ** 2 / (2 * 0.21)
+    assert _kind_factor(pair, shares, waves[0][:2], waves[1][:2])[0, 0] == pytest.approx(by_hand)
+
+
+@pytest.mark.parametrize("height", [0.4, -1.1])
+def test_waves_seen_from_another_height_are_those_of_the_straight_way(height):
+    r, low = np.array([8.0, 15.0]), multipole_index(7).l <= 2
+    wanted = direct_coupling(2, r, height)
+    carried = np.einsum("ab,bcr->acr", lift(7, height)[low], direct_coupling(7, r)[:, low])
+    assert np.abs(carried - wanted).max() <= 2e-4 * np.abs(wanted).max()
 
 
 def test_a_mixture_with_an_ensemble_in_a_recipe_is_told_and_kept(tmp_path, monkeypatch):

@@ -93,3 +93,14 @@ def _at_one_wavelength(made):
     tables = {n: getattr(made, n)[..., 2:3] for n in ("above", "below", "across", "above_free", "below_free")}
     numbers = {n: getattr(made, n)[2:3] for n in ("wavelengths_nm", "wavenumbers", "index_below")}
     return dataclasses.replace(made, across_free=made.across_free[..., 2:3], **tables, **numbers)
+
+
+def test_a_matt_lobe_is_drawn_by_the_cosine_and_all_its_draws_weigh_the_same(trials):
+    made = lobe("opaque").lobes[0]
+    matt = np.zeros_like(made.above)
+    matt[:, 0] = 0.1
+    flat = Bsdf((dataclasses.replace(made, above=matt, structure=np.ones_like(made.structure)),))
+    draws = trials.draw(flat, trials.direction(50.0, 20.0), 5000)
+    weights = draws.weight[draws.pdf > 0]
+    assert np.ptp(weights) <= 1e-3 * weights.mean()
+    assert trials.chi_square(flat, 50.0, 20.0, samples=200_000).passes(CHI_SQUARE_LEVEL, 1)

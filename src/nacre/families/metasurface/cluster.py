@@ -33,6 +33,7 @@ from nacre.matter.jit import compiled
 
 STEP = 0.05  # of k times the distance: cubic interpolation leaves 1e-5 of the coupling of touching spheres
 GROWTH = 10.0  # e^10 of cancellation at the largest distance, with double's 16 digits
+LOW = 1.0  # of k times the height of a centre: below, waves six times as steep as light still reach far neighbours
 SingleComplex = NDArray[np.complex64]
 IntArray = NDArray[np.intp]
 
@@ -54,7 +55,8 @@ def reflected_coupling(
     if surface.is_absent:
         return out
     far = float(max(distances.max(), 1.0)) if reach is None else reach
-    kappa, weight = stack_contour(surface, centre_nm, order, far, min(0.3, GROWTH / far))
+    heard = far if surface.wavenumber * centre_nm < LOW else 10.0
+    kappa, weight = stack_contour(surface, centre_nm, order, far, min(0.3, GROWTH / far), heard)
     w = np.sqrt((1 - kappa) * (1 + kappa))
     w = np.where(w.imag < 0, -w, w)
     b = plane_wave_vectors(w, order, order, kappa)
@@ -92,6 +94,12 @@ def direct_coupling(order: int, distances: Array, height: float = 0.0) -> Comple
     return np.asarray(by_order[mu, rows, columns])
 
 
+def window(share: Array) -> Array:
+    """1 up to half of the way, then smoothly down to 0 at `share` = 1."""
+    t = np.clip(2.0 * np.asarray(share) - 1.0, 2e-3, 1.0 - 2e-3)
+    return np.asarray(1.0 / (1.0 + np.exp(1.0 / (1.0 - t) - 1.0 / t)))
+
+
 def _all_orders(surface: Substrate, particle: Particle, order: int) -> ComplexArray:
     """Return M over all m, `[n, n']`."""
     index = multipole_index(order)
@@ -103,11 +111,25 @@ def _all_orders(surface: Substrate, particle: Particle, order: int) -> ComplexAr
 
 
 @dataclass(frozen=True)
+class Period:
+    """A square on which a pattern repeats.
+
+    Attributes:
+        side_nm: its side.
+        bloch: wavevector whose phase all waves take on from one image to the next, `[2]`, 1/nm.
+    """
+
+    side_nm: float
+    bloch: Array
+
+
+@dataclass(frozen=True)
 class Coupling:
     """The coupling of two spheres over their distance at one wavelength, and what one sphere does.
 
     Attributes:
         surface, order: what it was made of.
+        centres_nm: heights of the centres over the stack, `[kind]`.
         start, step: of k times the distance.
         table: M W(R), `[kind, kind', distance, n, n']`, single precision, without the phase e^{i(m'-m) phi}.
         dressed: M over all m, `[kind, n, n']`.
@@ -115,6 +137,7 @@ class Coupling:
 
     surface: Substrate
     order: int
+    centres_nm: Array
     start: float
     step: float
     table: SingleComplex
@@ -122,15 +145,25 @@ class Coupling:
 
     @classmethod
     def build(
-        cls, surface: Substrate, particle: Particle, nearest_nm: float, farthest_nm: float, *others: Particle
+        cls,
+        surface: Substrate,
+        particle: Particle,
+        nearest_nm: float,
+        farthest_nm: float,
+        *others: Particle,
+        fades: bool = False,
     ) -> Coupling:
-        """Tabulate between two distances of centres; the `others` of a mixture are of the same order."""
+        """Tabulate between two distances of centres; where it `fades`, times `window`, which ends at the farthest.
+
+        The `others` of a mixture are of the same order.
+        """
         particles, order = (particle, *others), particle.lmax
         dressed = np.stack([_all_orders(surface, particle, order) for particle in particles])
         k = surface.wavenumber
         start = max(k * nearest_nm - 2 * STEP, STEP)
         count = int(np.ceil((k * farthest_nm - start) / STEP)) + 4
         distances = np.asarray(start + STEP * np.arange(count), dtype=np.float64)
+        share = window(distances / (k * farthest_nm)) if fades else np.ones(count)
         kinds, size = len(particles), dressed.shape[-1]
         table = np.empty((kinds, kinds, count, size, size), dtype=np.complex64)
         by_height: dict[float, ComplexArray] = {}  # the image of one lies as far below as both are high
@@ -140,28 +173,51 @@ class Coupling:
                 if mean_nm not in by_height:
                     by_height[mean_nm] = reflected_coupling(surface, mean_nm, order, distances)
                 direct = direct_coupling(order, distances, k * (target.centre_nm - source.centre_nm))
-                total = direct + by_height[mean_nm]
+                total = (direct + by_height[mean_nm]) * share
                 table[i, j] = np.einsum("ab,bcr->rac", dressed[i], total, optimize=True)
-        return cls(surface, order, start, STEP, table, dressed)
+        centres_nm = np.array([particle.centre_nm for particle in particles])
+        return cls(surface, order, centres_nm, start, STEP, table, dressed)
 
-    def matrix(self, xy_nm: Array, kinds: IntArray | None = None) -> SingleComplex:
-        """Return 1 - M W of a pattern, `[sphere x n, sphere x n]`, by columns, as LAPACK wants it."""
-        kinds = _kinds(xy_nm, kinds)
+    def matrix(self, xy_nm: Array, period: Period | None = None, kinds: IntArray | None = None) -> SingleComplex:
+        """Return 1 - M W of a pattern, `[sphere x n, sphere x n]`, by columns, as LAPACK wants it.
+
+        Args:
+            period: of a pattern that repeats; every image within the table's reach is seen.
+            kinds: which of a mixture each sphere is; None: all are the first.
+        """
         index = multipole_index(self.order)
         size = len(xy_nm) * len(index.m)
         turned = np.zeros((size, size), dtype=np.complex64)
-        _fill(xy_nm * self.surface.wavenumber, kinds, self.start, self.step, self.table, index.m, turned)
+        k = self.surface.wavenumber
+        side, shift, far, images = 0.0, np.zeros(2), 1e30, 0
+        if period is not None:
+            far = self.start + self.step * (self.table.shape[2] - 4)
+            side, shift = period.side_nm * k, period.bloch * period.side_nm
+            images = int(np.ceil(far / side))
+        _fill(
+            xy_nm * k, all_kinds(xy_nm, kinds), self.start, self.step, self.table, index.m, side, shift, far, images,
+            turned,
+        )  # fmt: skip
         return turned.T
 
     def excitations(self, xy_nm: Array, waves: PlaneWaves, kinds: IntArray | None = None) -> SingleComplex:
         """Return M a of plane waves, `[sphere, n, wave]`, pol before direction."""
         answered = np.matmul(self.dressed, waves.excitation)
-        return np.asarray(answered[_kinds(xy_nm, kinds)] * waves.phases(xy_nm)[:, None], dtype=np.complex64)
+        return np.asarray(answered[all_kinds(xy_nm, kinds)] * waves.phases(xy_nm)[:, None], dtype=np.complex64)
 
-    def solve(self, xy_nm: Array, waves: PlaneWaves, kinds: IntArray | None = None) -> SingleComplex:
-        """Return the multipoles of every sphere, `[sphere, n, wave]`; `kinds[sphere]` tells which of a mixture."""
+    def solve(
+        self, xy_nm: Array, waves: PlaneWaves, kinds: IntArray | None = None, matrix: SingleComplex | None = None
+    ) -> SingleComplex:
+        """Return the multipoles of every sphere, `[sphere, n, wave]`.
+
+        Args:
+            kinds: which of a mixture each sphere is; None: all are the first.
+            matrix: what couples them, overwritten; `matrix` of the pattern by default.
+        """
         right = self.excitations(xy_nm, waves, kinds)
-        factors, pivots, _ = cgetrf(self.matrix(xy_nm, kinds), overwrite_a=True)
+        if matrix is None:
+            matrix = self.matrix(xy_nm, None, kinds)
+        factors, pivots, _ = cgetrf(matrix, overwrite_a=True)
         found, _ = cgetrs(factors, pivots, right.reshape(-1, right.shape[-1]))
         return np.asarray(found.reshape(right.shape))
 
@@ -169,8 +225,8 @@ class Coupling:
         self, xy_nm: Array, multipoles: SingleComplex, waves: PlaneWaves, kinds: IntArray | None = None
     ) -> SingleComplex:
         """Return F towards the directions of `waves`, `[direction, wave of multipoles]`, nm."""
-        phases = waves.phases(xy_nm).conj()  # sphere, direction
-        rows = (waves.emission[_kinds(xy_nm, kinds)] * phases[:, None] / self.surface.wavenumber).astype(np.complex64)
+        phases = waves.phases(xy_nm).conj() / self.surface.wavenumber  # sphere, direction
+        rows = (waves.emission[all_kinds(xy_nm, kinds)] * phases[:, None]).astype(np.complex64)
         return np.asarray(rows.reshape(-1, rows.shape[-1]).T @ multipoles.reshape(-1, multipoles.shape[-1]))
 
 
@@ -204,17 +260,27 @@ class PlaneWaves:
         flat = (wavenumber * directions.transverse[:, None, None] * along).reshape(-1, 2)
         return cls(parts[0], parts[1], np.concatenate([flat, flat]))
 
+    @classmethod
+    def of(cls, parts: list[PlaneWaves]) -> PlaneWaves:
+        """Return the waves of all parts, one after the other."""
+        return cls(
+            np.concatenate([w.excitation for w in parts], axis=2),
+            np.concatenate([w.emission for w in parts], axis=2),
+            np.concatenate([w.wavevectors for w in parts]),
+        )
+
     def phases(self, xy_nm: Array) -> ComplexArray:
         """e^{i kappa r}, `[sphere, wave]`."""
         return np.asarray(np.exp(1j * (xy_nm @ self.wavevectors.T)))
 
 
-def _kinds(xy_nm: Array, kinds: IntArray | None) -> IntArray:
+def all_kinds(xy_nm: Array, kinds: IntArray | None) -> IntArray:
+    """Return `kinds`, or the first for every sphere."""
     return np.zeros(len(xy_nm), dtype=np.intp) if kinds is None else kinds
 
 
 @compiled(nogil=True, fastmath=True)
-def _fill(xy, kinds, start, step, tables, m, turned):  # type: ignore[no-untyped-def]  # numba
+def _fill(xy, kinds, start, step, tables, m, side, shift, far, images, turned):  # type: ignore[no-untyped-def]  # numba
     count, size = xy.shape[0], m.size
     top = 0
     for a in range(size):
@@ -224,31 +290,39 @@ def _fill(xy, kinds, start, step, tables, m, turned):  # type: ignore[no-untyped
         for a in range(size):
             turned[j * size + a, j * size + a] = 1.0
         for k in range(count):
-            if j == k:
-                continue
             table = tables[kinds[j], kinds[k]]
-            dx, dy = xy[j, 0] - xy[k, 0], xy[j, 1] - xy[k, 1]
-            distance = np.sqrt(dx * dx + dy * dy)
-            turn = complex(dx / distance, dy / distance)
-            power = 1.0 + 0.0j
-            for n in range(2 * top + 1):
-                turns[2 * top + n] = power
-                turns[2 * top - n] = power.conjugate()
-                power = power * turn
-            x = (distance - start) / step
-            at = min(max(int(x), 1), table.shape[0] - 3)
-            t = x - at
-            # Lagrange's cubic through the two points on each side
-            w0 = np.float32(-t * (t - 1.0) * (t - 2.0) / 6.0)
-            w1 = np.float32((t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0)
-            w2 = np.float32(-(t + 1.0) * t * (t - 2.0) / 2.0)
-            w3 = np.float32((t + 1.0) * t * (t - 1.0) / 6.0)
-            for b in range(size):
-                for a in range(size):
-                    value = (
-                        w0 * table[at - 1, a, b]
-                        + w1 * table[at, a, b]
-                        + w2 * table[at + 1, a, b]
-                        + w3 * table[at + 2, a, b]
-                    )
-                    turned[k * size + b, j * size + a] = -value * turns[2 * top + m[b] - m[a]]
+            for nx in range(-images, images + 1):
+                for ny in range(-images, images + 1):
+                    if j == k and nx == 0 and ny == 0:
+                        continue
+                    # sphere j meets the field of an image of sphere k
+                    dx, dy = xy[j, 0] - xy[k, 0] - nx * side, xy[j, 1] - xy[k, 1] - ny * side
+                    distance = np.sqrt(dx * dx + dy * dy)
+                    if distance >= far:
+                        continue
+                    phase = nx * shift[0] + ny * shift[1]
+                    turn = complex(dx / distance, dy / distance)
+                    power = complex(np.cos(phase), np.sin(phase))
+                    back = power
+                    for n in range(2 * top + 1):
+                        turns[2 * top + n] = power
+                        turns[2 * top - n] = back
+                        power = power * turn
+                        back = back * turn.conjugate()
+                    x = (distance - start) / step
+                    at = min(max(int(x), 1), table.shape[0] - 3)
+                    t = x - at
+                    # Lagrange's cubic through the two points on each side
+                    w0 = np.float32(-t * (t - 1.0) * (t - 2.0) / 6.0)
+                    w1 = np.float32((t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0)
+                    w2 = np.float32(-(t + 1.0) * t * (t - 2.0) / 2.0)
+                    w3 = np.float32((t + 1.0) * t * (t - 1.0) / 6.0)
+                    for b in range(size):
+                        for a in range(size):
+                            value = (
+                                w0 * table[at - 1, a, b]
+                                + w1 * table[at, a, b]
+                                + w2 * table[at + 1, a, b]
+                                + w3 * table[at + 2, a, b]
+                            )
+                            turned[k * size + b, j * size + a] -= value * turns[2 * top + m[b] - m[a]]

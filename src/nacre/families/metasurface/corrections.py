@@ -99,8 +99,7 @@ def diffuse_term(
     both = pair[:, None] * np.swapaxes(pair, 1, 2)[None]  # pol_s, pol_i, s, i
     spread = (both * scale).transpose(2, 3, 0, 1)[..., None]
     if layer.ratio is not None:
-        whole = np.einsum("s,qspi->pi", weights, powers.target * scale[None, :, None, :])
-        return _judged(layer.ratio, joined, powers, spread, s_harmonics, weights, is_below, kept, whole)
+        return _judged(layer.ratio, joined, powers, spread, s_harmonics, weights, is_below, kept)
     sent = np.einsum("s,qspi,qpsi->spi", weights, kernel, both)
     return DiffuseTerm(
         powers.coherent * spread,
@@ -125,18 +124,9 @@ def within_what_arrives(specular: Array, up: Array, down: Array) -> tuple[Array,
 
 def _judged(
     ratio: Ratio, joined: DirectionSet, powers: PairPowers, spread: Array, s_harmonics: Array, weights: Array,
-    is_below: NDArray[np.bool_], kept: int, whole: Array,
+    is_below: NDArray[np.bool_], kept: int,
 ) -> DiffuseTerm:  # fmt: skip
-    """Return the term with an ensemble's ratio on every pair, and its totals.
-
-    A patch is finite. Where the waves along the layer run past its edge before the layer has weakened them, near
-    grazing, it sends out more than an endless layer has: there each direction keeps the total of the mean field, to
-    both sides together, and the ensemble says how it is shared out. Elsewhere the ensemble's own total stands: the
-    mean field's is up to 9 % off on a resonance.
-
-    Args:
-        whole: that total, `[pol, angle]`.
-    """
+    """Return the term with an ensemble's ratio on every pair, and its totals."""
     ways = Ways.of(joined.transverse, joined.index, is_below)
     coherent = ratio.applied(powers.coherent * spread, ways)
     varying = ratio.applied(powers.varying * spread, ways) if powers.varying.size else powers.varying
@@ -145,14 +135,6 @@ def _judged(
     if varying.size:
         kernel = kernel + 2 * np.pi * varying[..., 0].transpose(2, 0, 3, 1)
     kernel = np.maximum(kernel, 0.0)
-    if ratio.reach > 0.0:
-        size = 2 * weights.size
-        g = balance(kernel.reshape(size, size), whole.ravel(), np.tile(weights, 2)).reshape(2, -1)
-        edge = g ** ratio.shortness(joined.transverse)
-        both = edge[:, None, :, None] * edge[None, :, None]  # pol_s, pol_i, s, i
-        kernel = kernel * both.transpose(0, 2, 1, 3)
-        coherent = coherent * both.transpose(2, 3, 0, 1)[..., None]
-        varying = varying * both.transpose(2, 3, 0, 1)[..., None] if varying.size else varying
     sent = np.einsum("s,qspi->spi", weights, kernel)
     return DiffuseTerm(
         coherent[..., :kept],

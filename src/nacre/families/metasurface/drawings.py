@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.families.metasurface.ensemble import dealt
+from nacre.families.metasurface.cells import dealt
 from nacre.families.metasurface.material import Metasurface
 from nacre.matter.drawings import DrawingRequest, LayerSheet, Layout
 from nacre.matter.indices.constant import OpticalConstant

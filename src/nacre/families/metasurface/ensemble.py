@@ -1,270 +1,351 @@
 """What multi-sphere patterns of the real arrangement say of the diffuse light: the judge inside.
 
-Patches of some 130 spheres are cut from the recipe's own pattern, each is solved with all its light at once, and the
-diffuse part, the variance of the far field about its mean, is set against the mean-field model of the same multipole
+Squares of some 130 spheres of the recipe's own pattern, repeated without end, are each solved with all their light at
+once, and the diffuse part, all orders but the straight one, is set against the mean-field model of the same multipole
 order. What comes out is their smooth ratio, see `ratio`.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.spatial.distance import pdist
 
 from nacre.arrays import Array, ComplexArray
 from nacre.families.metasurface.axial import truncated
-from nacre.families.metasurface.cluster import Coupling, PlaneWaves
+from nacre.families.metasurface.cells import Cell, Lattice, orders
+from nacre.families.metasurface.cluster import Coupling, PlaneWaves, all_kinds
 from nacre.families.metasurface.corrections import diffuse_term
 from nacre.families.metasurface.monolayer import Lit, Monolayer, Particle
-from nacre.families.metasurface.patterns import Pattern
-from nacre.families.metasurface.ratio import Ratio, Ways, fit_ratio
+from nacre.families.metasurface.neighbours import multipole_index, with_negative_orders
+from nacre.families.metasurface.qca import barycentric, chebyshev
+from nacre.families.metasurface.ratio import Block, Ratio, Ways, blocks
+from nacre.families.metasurface.ratio_fit import Pairs, Sums, block_sums, fit_ratio
 from nacre.families.metasurface.sphere import Directions, hemisphere_rule
 
-ABOVE_ANGLES, BELOW_ANGLES = 8, 7  # of light and view, both in the angle
-WIDEST = np.radians(84.0)  # beyond, a patch is too short for the waves along it; the ratio goes on smoothly
-LIGHT_AZIMUTHS, AZIMUTHS = 6, 24
-HARMONICS = 14  # of the model, before it is sampled
-ABOVE_NODES, BELOW_NODES = 24, 20  # of its balance over the cosine
+WIDEST = np.radians(84.0)  # of light and view; the ratio goes on smoothly
+REACH = 0.8  # of the window over the square's side; a sum over waves serves what lies beyond
+ANGLES = 8  # bins of the errors, each way
+LIGHTS = (48, 30)  # directions of one pattern above and below
+VIEWS = (3.2, 1.25)  # the same for each sphere: more spheres have more orders
+ON_THE_LINE = 1e-3  # light below within this of the light line, over k, is left out: the reflection bends there
+HARMONICS = 14  # of the model
+MODEL_NODES = (24, 14, 18)  # of the model over the angle: above, below inside and beyond the critical angle
+BALANCE_NODES = (24, 20)  # of its balance over the cosine
 
 
 @dataclass(frozen=True)
 class EnsembleSettings:
-    """How large an ensemble is: spheres a patch, patches, and the highest multipole order of a sphere."""
+    """How large an ensemble is: spheres a pattern, patterns, and the highest multipole order of a sphere."""
 
     spheres: int = 130
-    realisations: int = 24
+    realisations: int = 48
     multipole_order: int = 2
 
 
-def patches(
-    pattern: Callable[[int, int], Pattern],
-    density_per_nm2: float,
-    least_nm: float,
-    settings: EnsembleSettings,
-    seed: int,
-    is_list: bool = False,
-) -> list[Array]:
-    """Return discs cut from patterns, `[sphere, 2]` each, about the origin, turned at random; nm.
+@dataclass(frozen=True)
+class Side:
+    """Directions on one side of one pattern.
 
-    All discs have one size, so the number of particles varies as it does in the arrangement.
-
-    Args:
-        pattern: function of count and seed that returns a pattern.
-        least_nm: the least distance; of a rare pair that is closer (a lattice with much jitter) one is left out.
-        is_list: whether the pattern is always the same list of points, whose repetition is a guess: the discs are cut
-            from within it.
+    Attributes:
+        wavevectors: in the plane, `[direction, 2]`, 1/nm.
+        directions: how they look to the first kind.
+        others: how they look to the other kinds of a mixture.
     """
-    wanted = patch_radius(density_per_nm2, settings)
-    out = []
-    for number in range(settings.realisations):
-        rng = np.random.default_rng((seed, number))
-        made = pattern(int(np.ceil(settings.spheres * 4 / np.pi * 1.2)) + 24, int(rng.integers(2**31)))
-        box = made.box_nm
-        radius = min(wanted, box / 2)
-        if is_list:
-            shifted = made.xy_nm - rng.uniform(radius, box - radius, 2)
-        else:
-            shifted = (made.xy_nm + rng.uniform(0.0, box, 2)) % box - box / 2
-        inside = shifted[np.hypot(shifted[:, 0], shifted[:, 1]) < radius]
-        close = np.asarray(cKDTree(inside).query_pairs(least_nm * (1 - 1e-6), output_type="ndarray"))
-        inside = np.delete(inside, close[:, 0], axis=0)
-        turn = rng.uniform(0.0, 2 * np.pi)
-        c, s = np.cos(turn), np.sin(turn)
-        out.append(inside @ np.array([[c, s], [-s, c]]))
-    return out
 
+    wavevectors: Array
+    directions: Directions
+    others: tuple[Directions, ...] = ()
 
-def patch_radius(density_per_nm2: float, settings: EnsembleSettings) -> float:
-    """Return the radius of the discs, nm."""
-    return float(np.sqrt(settings.spheres / (np.pi * density_per_nm2)))
+    @cached_property
+    def ways(self) -> Ways:
+        """As the ratio sees them."""
+        d = self.directions
+        return Ways.of(d.transverse, np.full(d.cosines.size, d.index), np.full(d.cosines.size, d.below))
 
 
 @dataclass(frozen=True)
 class Ensemble:
-    """The patches of a monolayer at one wavelength, of equal spheres or of a mixture.
+    """The patterns of a monolayer at one wavelength, of equal spheres or of a mixture.
 
     Attributes:
         layer: the mean-field model of the same multipole order, of one particle size a kind.
-        patches: positions, nm.
-        kinds: which particle of the layer each is; None: all are the first.
+        cells: the patterns; of a mixture with the kinds of their spheres.
     """
 
     layer: Monolayer
-    patches: list[Array]
-    kinds: list[NDArray[np.intp]] | None = None
+    cells: list[Cell]
+
+    @property
+    def reach_nm(self) -> float:
+        """How far a sphere sees its neighbours one by one."""
+        return REACH * min(cell.period.side_nm for cell in self.cells)
 
     @cached_property
     def coupling(self) -> Coupling:
         """The tables of the couplings."""
+        nearest = min(nearest_distance(cell) for cell in self.cells)
         first, *others = self.layer.particles
-        return Coupling.build(self.layer.surface, first, *distances(self.patches), *others)
+        return Coupling.build(self.layer.surface, first, nearest, self.reach_nm, *others, fades=True)
 
     @cached_property
-    def sides(self) -> list[tuple[Directions, Array]]:
-        """Directions of light and view of each side for the first particle, with solid-angle weights."""
-        layer, order = self.layer, self.layer.particles[0].lmax
-        centre = layer.particles[0].centre_nm
-        x, w = np.polynomial.legendre.leggauss(ABOVE_ANGLES)
-        theta = WIDEST * (x + 1) / 2
-        above = Directions.build(layer.surface, centre, order, order, np.cos(theta))
-        out = [(above, w * WIDEST / 2 * np.sin(theta))]
-        if layer.has_below:
-            mu, weights = hemisphere_rule(BELOW_ANGLES, layer.surface.index_below)
-            out.append((Directions.build(layer.surface, centre, order, order, mu, True), weights))
-        return out
+    def lattice(self) -> Lattice:
+        """The couplings of all images."""
+        return Lattice.build(self.layer, self.coupling, self.reach_nm)
 
     @cached_property
-    def _waves(self) -> tuple[list[PlaneWaves], list[PlaneWaves]]:
-        surface, order = self.layer.surface, self.layer.particles[0].lmax
-        few = 2 * np.pi * np.arange(LIGHT_AZIMUTHS) / LIGHT_AZIMUTHS
-        many = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
-        sides = [
-            [Directions.build(surface, p.centre_nm, order, order, d.cosines, d.below) for p in self.layer.particles]
-            for d, _ in self.sides
-        ]
-        k = surface.wavenumber
-        return (
-            [PlaneWaves.build(first, few, order, k, *others) for first, *others in sides],
-            [PlaneWaves.build(first, many, order, k, *others) for first, *others in sides],
-        )
+    def angles_rad(self) -> Array:
+        """Middles of the bins of light and view."""
+        return np.asarray((np.arange(ANGLES) + 0.5) * WIDEST / ANGLES)
 
     @cached_property
-    def ways(self) -> Ways:
-        """The directions of both sides, as the ratio sees them."""
-        parts = [d for d, _ in self.sides]
-        return Ways.of(
-            np.concatenate([d.transverse for d in parts]),
-            np.concatenate([np.full(d.cosines.size, d.index) for d in parts]),
-            np.concatenate([np.full(d.cosines.size, d.below) for d in parts]),
-        )
-
-    @property
-    def weights(self) -> Array:
-        """Solid-angle weights of `ways`."""
-        return np.concatenate([w for _, w in self.sides])
-
-    def far_fields(self, number: int) -> ComplexArray:
-        """Solve one patch: F over the directions, `[pol_s, s, pol_i, i, dphi, azimuth of the light]`, nm."""
-        xy = self.patches[number]
-        arriving, leaving = self._waves
-        light = PlaneWaves(
-            np.concatenate([w.excitation for w in arriving], axis=2),
-            np.concatenate([w.emission for w in arriving], axis=2),
-            np.concatenate([w.wavevectors for w in arriving]),
-        )
-        kinds = None if self.kinds is None else self.kinds[number]
-        solved = self.coupling.solve(xy, light, kinds)
-        counts = [d.cosines.size for d, _ in self.sides]
-        edges = np.cumsum([0, *(2 * c * LIGHT_AZIMUTHS for c in counts)])
-        rows = []
-        for waves, count in zip(leaving, counts):
-            f = self.coupling.far_field(xy, solved, waves, kinds)
-            parts = [
-                f[:, a:b].reshape(2, count, AZIMUTHS, 2, c, LIGHT_AZIMUTHS) for a, b, c in zip(edges, edges[1:], counts)
-            ]
-            rows.append(np.concatenate(parts, axis=4))
-        whole = np.moveaxis(np.concatenate(rows, axis=1), 2, 4)
-        step = AZIMUTHS // LIGHT_AZIMUTHS
-        # dphi counts from the light's own azimuth
-        return np.stack([np.roll(whole[..., a], -a * step, axis=4) for a in range(LIGHT_AZIMUTHS)], axis=-1)
-
-    def model(self) -> Array:
-        """The mean-field model's |F|^2 S C / (n_s n_i) a particle, `[pol_s, s, pol_i, i, dphi]`, nm^2/sr."""
-        layer = self.layer
-        sides, at = self._balanced_sides()
-        term = diffuse_term(layer, sides, HARMONICS)
-        kappa = np.concatenate([d.transverse for d, _ in self.sides])
-        q2 = kappa[:, None] ** 2 + kappa**2
-        q = np.sqrt(np.maximum(q2[..., None] - 2 * (kappa[:, None] * kappa)[..., None] * np.cos(self._phi), 0.0))
-        s = layer.structure.structure_factor(layer.surface.wavenumber * q)
-        waves = np.cos(np.arange(HARMONICS)[:, None] * self._phi) / layer.structure.density_per_nm2
-        values = (term.coherent[at][:, at] @ waves) * s[:, :, None, None]  # s, i, q, p, phi
-        if term.varying.size:  # what differs between the kinds scatters as if nothing were ordered
-            values = values + term.varying[at][:, at] @ waves
-        return np.moveaxis(values, (2, 3), (0, 2))
-
-    def _balanced_sides(self) -> tuple[list[tuple[Lit, Array]], NDArray[np.intp]]:
-        """The directions with the nodes of the model's balance before them, and the places of the directions."""
-        layer = self.layer
-        rules = [hemisphere_rule(ABOVE_NODES)]
-        if layer.has_below:
-            rules.append(hemisphere_rule(BELOW_NODES, layer.surface.index_below))
-        sides: list[tuple[Lit, Array]] = []
-        place, start = [], 0
-        for (d, _), (mu, w) in zip(self.sides, rules):
-            cosines = np.concatenate([mu, d.cosines])
-            sides.append((layer.light(cosines, d.below), np.concatenate([w, np.zeros(d.cosines.size)])))
-            place.append(start + mu.size + np.arange(d.cosines.size))
-            start += cosines.size
-        return sides, np.concatenate(place)
-
-    def ratio(self, fields: list[ComplexArray]) -> tuple[Ratio, Array]:
-        """Fit the ratio from the far fields of all patches; return it and its relative standard errors, `[s, i]`."""
-        model = self.model()
-        truth = self.diffuse(fields)
-        reach = max(float(np.hypot(*xy.T).max()) for xy in self.patches) * self.layer.surface.wavenumber
-        found = fit_ratio(truth, model, self.ways, self.weights, self._phi, reach)
-        errors = found.standard_errors(truth, model, self.ways, self._phi)
-        edge = self._edge_error(found)
-        return found, np.sqrt(errors**2 + edge[:, None] ** 2 + edge**2)
-
-    def _edge_error(self, ratio: Ratio) -> Array:
-        """Half of what is taken off at each angle above because a patch is finite, relative, `[angle]`."""
-        sides, at = self._balanced_sides()
-        count = self.sides[0][0].cosines.size
-        sent = []
-        for one in (ratio, dataclasses.replace(ratio, reach=0.0)):
-            term = diffuse_term(dataclasses.replace(self.layer, ratio=one), sides, HARMONICS)
-            sent.append((term.above + term.below)[:, at[:count]].sum(axis=0))
-        return np.asarray(0.5 * np.abs(sent[0] / sent[1] - 1.0))
+    def model(self) -> ModelTable:
+        """The mean-field model."""
+        return ModelTable.build(self.layer)
 
     def prepare(self) -> None:
-        """Make the tables that all patches share."""
-        _ = self.coupling, self._waves
+        """Make the tables that all patterns share."""
+        _ = self.lattice, self.model
 
     def forget(self) -> None:
         """Let the tables go, which are large and used no more."""
-        self.__dict__.pop("coupling", None)
-        self.__dict__.pop("_waves", None)
+        for name in ("coupling", "lattice", "model"):
+            self.__dict__.pop(name, None)
 
-    @property
-    def _phi(self) -> Array:
-        return np.asarray(2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS)
+    def _sides(self, cell: Cell) -> list[tuple[Side, Side]]:
+        """The directions of view and of light, above and then below."""
+        layer, rng = self.layer, np.random.default_rng(cell.seed)
+        k = layer.surface.wavenumber
+        out = []
+        for below in (False, True) if layer.has_below else (False,):
+            index = layer.surface.index_below if below else 1.0
+            every = orders(cell.period, k * index * np.sin(WIDEST))
+            sines = np.hypot(*every.T) / (k * index)
+            if below:
+                every = every[np.abs(sines * index - 1.0) > ON_THE_LINE]
+                sines = np.hypot(*every.T) / (k * index)
+            views = rng.permutation(len(every))[: int(np.ceil(VIEWS[below] * len(cell.xy_nm)))]
+            # as many lights in each step of the angle: by solid angle hardly one would come near the normal
+            angle = np.arcsin(sines)
+            step = np.floor(angle / WIDEST * LIGHTS[below]) + rng.random(len(every))
+            _, lights = np.unique(np.floor(step[np.argsort(step)]), return_index=True)
+            parts = []
+            for rows in (views[np.argsort(angle[views])], np.argsort(step)[lights]):
+                parts.append(self.side(every[rows], below))
+            out.append((parts[0], parts[1]))
+        return out
 
-    def diffuse(self, fields: list[ComplexArray]) -> Array:
-        """The variance of the far fields about their mean, a particle, over n_s n_i; one sample a patch.
+    def side(self, wavevectors: Array, below: bool) -> Side:
+        """Return directions of one side, `wavevectors` `[direction, 2]` in 1/nm."""
+        surface, order = self.layer.surface, self.layer.particles[0].lmax
+        sine = np.hypot(*wavevectors.T) / (surface.wavenumber * (surface.index_below if below else 1.0))
+        cosines = np.sqrt((1 - sine) * (1 + sine))
+        first, *others = (
+            Directions.build(surface, p.centre_nm, order, order, cosines, below, sine) for p in self.layer.particles
+        )
+        return Side(wavevectors, first, tuple(others))
 
-        `[patch, pol_s, s, pol_i, i, dphi]`, nm^2/sr. The mean is the coherent light of a patch, over all patches and
-        azimuths of the light.
+    def solve(self, number: int) -> dict[Block, Sums]:
+        """Solve one pattern: what the fit needs of its diffuse light."""
+        cell, layer = self.cells[number], self.layer
+        sides = self._sides(cell)
+        arriving = PlaneWaves.of([self.waves(light, False) for _, light in sides])
+        solved = self.lattice.solve(cell, arriving)
+        found: dict[Block, Sums] = {}
+        counts = [len(light.wavevectors) for _, light in sides]
+        edges = np.cumsum([0, *(2 * c for c in counts)])
+        wanted = blocks(layer.has_below)
+        for view, _ in sides:
+            f = self.coupling.far_field(cell.xy_nm, solved, self.waves(view, True), cell.kinds)
+            for at, (_, light) in enumerate(sides):
+                part = f[:, edges[at] : edges[at + 1]].reshape(2, -1, 2, counts[at])
+                powers = np.abs(part).astype(float) ** 2
+                powers /= len(cell.xy_nm) * view.directions.index * light.directions.index
+                for block, pairs in self._pairs(cell, view, light, powers):
+                    if block[0] < block[1] or (block[0] == block[1] and block not in wanted):
+                        a, b, q, p = block
+                        block, pairs = (b, a, p, q), pairs.exchanged()
+                    one = block_sums(block, pairs, ANGLES)
+                    found[block] = found[block] + one if block in found else one
+        return found
+
+    def waves(self, side: Side, is_leaving: bool) -> PlaneWaves:
+        """Return the waves of all directions of a side."""
+        index = multipole_index(self.layer.particles[0].lmax)
+        azimuth = np.arctan2(side.wavevectors[:, 1], side.wavevectors[:, 0])
+        turn = np.exp((1j if is_leaving else -1j) * index.m[:, None] * azimuth)
+        parts = []
+        for d in (side.directions, *side.others):
+            vectors = d.emission if is_leaving else d.excitation
+            whole = with_negative_orders(vectors, index) * turn
+            parts.append(np.moveaxis(whole, 1, 0).reshape(len(index.m), -1))
+        spread = np.stack(parts)
+        return PlaneWaves(spread, spread, np.concatenate([side.wavevectors, side.wavevectors]))
+
+    def _pairs(self, cell: Cell, view: Side, light: Side, powers: Array) -> list[tuple[Block, Pairs]]:
+        """The light of all pairs of two sides beside the model's, by polarisations.
+
+        The pattern's own S takes the place of the mean one in the control; of a mixture, also how its kinds lie takes
+        the place of pure chance. What the two do together, nothing on average, is left in the noise.
         """
-        mean = sum(f.mean(axis=-1, keepdims=True) for f in fields) / len(fields)
-        count = np.mean([len(xy) for xy in self.patches])
-        samples = len(fields) * LIGHT_AZIMUTHS
-        index = np.concatenate([np.full(d.cosines.size, d.index) for d, _ in self.sides])
-        scale = samples / (samples - 1) / count / (index[:, None] * index)
-        powers = np.stack([(np.abs(f - mean) ** 2).mean(axis=-1) for f in fields])
-        return np.asarray(powers * scale[None, None, :, None, :, None], dtype=np.float64)
+        to, by = view.wavevectors, light.wavevectors
+        q = np.hypot(*np.moveaxis(to[:, None] - by, -1, 0))
+        phi = np.arctan2(to[:, 1], to[:, 0])[:, None] - np.arctan2(by[:, 1], by[:, 0])
+        diffuse = q > 1e-6 * self.layer.surface.wavenumber  # all but the straight light
+        leaving, arriving = np.exp(-1j * cell.xy_nm @ to.T), np.exp(1j * cell.xy_nm @ by.T)
+        s = self.layer.structure.structure_factor(q)
+        excess = np.abs(leaving.T @ arriving) ** 2 / len(cell.xy_nm) - s
+        is_mixture = self.layer.shares.size > 1
+        odd = _kind_factor(cell, self.layer.shares, leaving, arriving) - 1.0 if is_mixture else excess
+        out = []
+        for pol, p in np.ndindex(2, 2):
+            x = self.model.series(view, light, phi, pol, p) * diffuse
+            model, control = x * s, x * excess
+            if is_mixture:
+                varying = self.model.series(view, light, phi, pol, p, True) * diffuse
+                model, control = model + varying, control + varying * odd
+            block = (int(view.directions.below), int(light.directions.below), pol, p)
+            pairs = Pairs(
+                view.ways, light.ways, phi, powers[pol, :, p] * diffuse, model, control,
+                self.model.level(view, light, pol, p), self._bin(view), self._bin(light),
+            )  # fmt: skip
+            out.append((block, pairs))
+        return out
+
+    def _bin(self, side: Side) -> NDArray[np.intp]:
+        angle = np.arccos(side.directions.cosines)
+        return np.minimum(angle / WIDEST * ANGLES, ANGLES - 1).astype(np.intp)
+
+    def ratio(self, solved: list[dict[Block, Sums]]) -> tuple[Ratio, Array]:
+        """Fit the ratio to all patterns; return it and its relative standard errors, `[s, i]` over `angles_rad`."""
+        found, errors = fit_ratio(solved)
+        return found, errors.reshape(ANGLES, ANGLES)
 
 
-def distances(many: list[Array]) -> tuple[float, float]:
-    """Return the least and the largest distance of two particles of one patch, nm."""
-    found = [pdist(xy) for xy in many if len(xy) > 1]
-    return float(min(d.min() for d in found)), float(max(d.max() for d in found))
+@dataclass(frozen=True)
+class ModelTable:
+    """The mean-field model at nodes of the angle, to be interpolated.
+
+    Attributes:
+        layer: the model.
+        harmonics: of |F|^2 C / (n_s n_i) a particle without S, `[s, i, pol_s, pol_i, k]` over all nodes.
+        varying: the same of what differs between the kinds of a mixture, which S does not multiply; else empty.
+        levels: mean square of both with S over azimuth and solid angle of one side, `[node, side, pol_s, pol_i]`.
+    """
+
+    layer: Monolayer
+    harmonics: Array
+    varying: Array
+    levels: Array
+
+    @classmethod
+    def build(cls, layer: Monolayer) -> ModelTable:
+        """Evaluate the model, balanced as it is where it stands alone."""
+        sides: list[tuple[Lit, Array]] = []
+        place, start = [], 0
+        for below in (False, True) if layer.has_below else (False,):
+            index = layer.surface.index_below if below else 1.0
+            mu, w = hemisphere_rule(BALANCE_NODES[below], index) if below else hemisphere_rule(BALANCE_NODES[below])
+            sines = np.concatenate([np.sqrt((1 - mu) * (1 + mu)), *(s for s in _nodes(layer, below))])
+            cosines = np.sqrt((1 - sines) * (1 + sines))
+            sides.append((layer.light(cosines, below, sines), np.concatenate([w, np.zeros(sines.size - mu.size)])))
+            place.append(start + np.arange(mu.size, sines.size))
+            start += sines.size
+        at = np.concatenate(place)
+        term = diffuse_term(layer, sides, HARMONICS)
+        harmonics = term.coherent[at][:, at] / layer.structure.density_per_nm2
+        varying = term.varying
+        if varying.size:
+            varying = varying[at][:, at] / layer.structure.density_per_nm2
+        kappa = np.concatenate([lit.directions[0].transverse for lit, _ in sides])[at]
+        solid = np.concatenate([_solid(layer, side > 0) for side in range(len(sides))])
+        phi = 2 * np.pi * np.arange(24) / 24
+        q2 = (kappa[:, None] ** 2 + kappa**2)[..., None] - 2 * np.outer(kappa, kappa)[..., None] * np.cos(phi)
+        s = layer.structure.structure_factor(layer.surface.wavenumber * np.sqrt(np.maximum(q2, 0.0)))
+        waves = np.cos(np.arange(HARMONICS)[:, None] * phi)
+        values = np.einsum("siqpk,kf->qpsif", harmonics, waves, optimize=True) * s
+        if varying.size:
+            values = values + np.einsum("siqpk,kf->qpsif", varying, waves, optimize=True)
+        square = (values**2).mean(axis=-1)  # pol_s, pol_i, s, i
+        is_below = np.concatenate([np.full(len(rows), n) for n, rows in enumerate(place)])
+        levels = []
+        for side in range(len(sides)):
+            w = np.where(is_below == side, solid, 0.0)
+            levels.append((square * w).sum(axis=-1) / w.sum())
+        return cls(layer, harmonics, varying, np.moveaxis(np.stack(levels), (0, 3), (1, 0)))
+
+    def _weights(self, side: Side) -> tuple[slice, Array]:
+        """Which nodes are a side's, and the interpolation from them, `[direction, node]`."""
+        d, layer = side.directions, self.layer
+        if not d.below:
+            nodes, weights = chebyshev(MODEL_NODES[0], 0.0, WIDEST)
+            return slice(0, MODEL_NODES[0]), barycentric(nodes, weights, np.arcsin(d.transverse))
+        first = MODEL_NODES[1]
+        out = np.zeros((d.cosines.size, sum(len(part) for part in _nodes(layer, True))))
+        inside = d.transverse <= 1.0
+        nodes, weights = chebyshev(first, 0.0, np.pi / 2)
+        out[inside, :first] = barycentric(nodes, weights, np.arcsin(d.transverse[inside]))
+        if not np.all(inside):
+            nodes, weights = chebyshev(MODEL_NODES[2], 0.0, np.arccosh(layer.surface.index_below))
+            out[~inside, first:] = barycentric(nodes, weights, np.arccosh(d.transverse[~inside]))
+        return slice(MODEL_NODES[0], MODEL_NODES[0] + out.shape[1]), out
+
+    def series(self, view: Side, light: Side, phi: Array, pol: int, p: int, is_varying: bool = False) -> Array:
+        """The model without S at all pairs, `[view, light]`: what S multiplies, or what it does not."""
+        rows, left = self._weights(view)
+        columns, right = self._weights(light)
+        table = (self.varying if is_varying else self.harmonics)[rows, columns, pol, p]
+        at = np.einsum("va,abk,lb->vlk", left, table, right, optimize=True)
+        cosine = np.cos(phi)
+        # Clenshaw's sum of the series
+        above, beyond = np.zeros_like(phi), np.zeros_like(phi)
+        for n in range(HARMONICS - 1, 0, -1):
+            above, beyond = at[..., n] + 2 * cosine * above - beyond, above
+        return np.asarray(np.maximum(at[..., 0] + cosine * above - beyond, 0.0))
+
+    def level(self, view: Side, light: Side, pol: int, p: int) -> Array:
+        """The mean square over the pairs with either direction, `[view, light]`."""
+        rows, left = self._weights(view)
+        columns, right = self._weights(light)
+        by_view = left @ self.levels[rows, int(light.directions.below), pol, p]
+        by_light = right @ self.levels[columns, int(view.directions.below), p, pol]
+        return np.asarray(0.5 * (np.maximum(by_view, 0.0)[:, None] + np.maximum(by_light, 0.0)))
+
+
+def _nodes(layer: Monolayer, below: bool) -> list[Array]:
+    """Sines of the model's nodes on one side."""
+    if not below:
+        return [np.sin(chebyshev(MODEL_NODES[0], 0.0, WIDEST)[0])]
+    index = layer.surface.index_below
+    inside = np.sin(chebyshev(MODEL_NODES[1], 0.0, np.pi / 2)[0]) / index
+    if index <= 1.0 + ON_THE_LINE:
+        return [inside]
+    return [inside, np.cosh(chebyshev(MODEL_NODES[2], 0.0, np.arccosh(index))[0]) / index]
+
+
+def _solid(layer: Monolayer, below: bool) -> Array:
+    """Solid angles that the nodes of a side stand for, to some per cent."""
+    return np.concatenate([-np.gradient(np.sqrt((1 - s) * (1 + s))) for s in _nodes(layer, below)])
+
+
+def nearest_distance(cell: Cell) -> float:
+    """Return the least distance of two spheres of a pattern, nm."""
+    xy = cell.xy_nm
+    if len(xy) < 2:
+        return cell.period.side_nm
+    found, _ = cKDTree(xy, boxsize=cell.period.side_nm).query(xy, k=2)
+    return float(found[:, 1].min())
 
 
 def same_order(layer: Monolayer, order: int, *particles: Particle) -> Monolayer:
     """Return the mean-field model with multipoles up to `order` of one particle size, or of one a kind."""
     # few multipoles feel little of what a cut takes away, and both sides of a ratio feel the same
-    kept = tuple(
-        Particle(p.share, p.centre_nm, truncated(p.t_matrix, min(order, p.lmax)), p.cut, p.kind) for p in particles
-    )
-    return Monolayer(layer.surface, kept, layer.structure, "qca-balanced", min(layer.interaction_order, kept[0].lmax))
+    kept = tuple(dataclasses.replace(p, t_matrix=truncated(p.t_matrix, min(order, p.lmax))) for p in particles)
+    return Monolayer(layer.surface, kept, layer.structure, "qca-balanced", kept[0].lmax)
 
 
 def middle_sizes(layer: Monolayer) -> tuple[Particle, ...]:
@@ -275,18 +356,14 @@ def middle_sizes(layer: Monolayer) -> tuple[Particle, ...]:
     )
 
 
-def mixed(patches: list[Array], shares: Array, seed: int) -> list[NDArray[np.intp]]:
-    """Return which kind each particle of each patch is: at random, of all patches together just the shares.
+def _kind_factor(cell: Cell, shares: Array, leaving: ComplexArray, arriving: ComplexArray) -> Array:
+    """How strongly a pattern's kinds interfere, `[view, light]`: 1 on average over how they are dealt.
 
-    What the patches together had too much of a bright kind would be an error of the mean that no fit takes out.
+    sum_k |sum_j (delta_kj - x_k) e^{-i q r_j}|^2 / (N sum_k x_k (1 - x_k)), x the shares: for two kinds it is just what
+    multiplies the mean square of what differs.
     """
-    counts = [len(xy) for xy in patches]
-    drawn = dealt(sum(counts), shares, np.random.default_rng((seed, len(counts), 1)))
-    return np.split(drawn, np.cumsum(counts)[:-1])
-
-
-def dealt(count: int, shares: Array, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Return kinds in whole numbers nearest to the shares, in random order, `[particle]`."""
-    edges = np.round(count * np.cumsum(shares) / np.sum(shares)).astype(np.intp)
-    which = np.searchsorted(edges, np.arange(count), side="right")
-    return np.asarray(rng.permutation(which) if len(edges) > 1 else which, dtype=np.intp)
+    total = np.zeros((leaving.shape[1], arriving.shape[1]))
+    for kind, share in enumerate(shares):
+        amount = (all_kinds(cell.xy_nm, cell.kinds) == kind) - share
+        total += np.abs((leaving * amount[:, None]).T @ arriving) ** 2
+    return np.asarray(total / (len(cell.xy_nm) * np.sum(shares * (1.0 - shares))))

@@ -201,25 +201,26 @@ def _rotated_tail(reach: float, top: int, kappa: Array) -> ComplexArray:
 
 
 def stack_contour(
-    surface: Substrate, centre_nm: float, order: int, reach: float, depth: float = CONTOUR_DEPTH
+    surface: Substrate, centre_nm: float, order: int, reach: float, depth: float = CONTOUR_DEPTH, heard: float = 10.0
 ) -> tuple[ComplexArray, ComplexArray]:
     """Nodes and weights in kappa/k that pass below the guided modes, then follow the real axis to its end.
 
     Args:
         reach: the largest distance, times k.
         depth: of the detour, in k.
+        heard: up to which distance, times k, the steep waves at its end are not over.
     """
     far = (2 * order + 46) / (2 * surface.wavenumber * centre_nm)
     relative = np.abs(surface.indices.real).max() / surface.ambient_index
     bend = max(6.0, relative + 1.0)
-    # to 1e-8 of the largest sum; over a patch the wide last panel would miss the Bessel function's waves
+    # to 1e-8 of the largest sum; over a pattern the wide last panel would miss the Bessel function's waves
     edges = [0.0, 1.0, 2.0, bend] if depth == CONTOUR_DEPTH else [0.0, 1.0, *np.linspace(2.0, bend, 5)]
     x, weight = _panels(np.array(edges), int(40 + 0.8 * reach))
     kappa = x - 1j * depth * np.sin(np.pi * x / bend)
     slope = 1 - 1j * depth * np.pi / bend * np.cos(np.pi * x / bend)
     if far <= bend:
         return kappa, weight * slope
-    y, rest = _panels(np.array([bend, far]), int(60 + 0.5 * (far - bend) * min(reach, 10.0) / 3))
+    y, rest = _panels(np.array([bend, far]), int(60 + 0.5 * (far - bend) * min(reach, heard) / 3))
     return np.concatenate([kappa, y]), np.concatenate([weight * slope, rest.astype(complex)])
 
 

@@ -19,7 +19,7 @@ from nacre.families.metasurface.substrate import Substrate
 INTERACTION_ORDER = 3  # order 3 against 4 changes |u.b|^2 by at most 2e-3 for the source's particles
 
 
-def _chebyshev(count: int, low: float, high: float) -> tuple[Array, Array]:
+def chebyshev(count: int, low: float, high: float) -> tuple[Array, Array]:
     """Chebyshev nodes of the first kind in (low, high) and their barycentric weights."""
     j = np.arange(count)
     angle = (2 * j + 1) * np.pi / (2 * count)
@@ -28,7 +28,7 @@ def _chebyshev(count: int, low: float, high: float) -> tuple[Array, Array]:
     return nodes, weights
 
 
-def _barycentric(nodes: Array, weights: Array, x: Array) -> Array:
+def barycentric(nodes: Array, weights: Array, x: Array) -> Array:
     """Interpolation matrix `[x, node]`."""
     gap = x[:, None] - nodes
     hit = np.abs(gap) < 1e-13
@@ -40,7 +40,7 @@ def _barycentric(nodes: Array, weights: Array, x: Array) -> Array:
     return matrix
 
 
-def _mixed(matrix: Array, nodes: ComplexArray) -> ComplexArray:
+def mixed(matrix: Array, nodes: ComplexArray) -> ComplexArray:
     """`[x, node]` times `[pol, node, h, h']`, as products of real numbers: half the work of complex ones."""
     pols, count, size, _ = nodes.shape
     flat = np.ascontiguousarray(nodes).reshape(pols, count, size * size).view(float)
@@ -67,17 +67,24 @@ class NeighbourTable:
 
     @classmethod
     def build(
-        cls, surface: Substrate, centre_nm: float, structure: Structure, order: int, from_below: bool = False
-    ) -> NeighbourTable:
-        """Tabulate; `from_below` adds the angles beyond the critical one of a denser substrate."""
+        cls, surface: Substrate, centre_nm: float, structure: Structure, order: int, from_below: bool = False,
+        largest: float = 1.0,
+    ) -> NeighbourTable:  # fmt: skip
+        """Tabulate; `from_below` adds the angles beyond the critical one of a denser substrate.
+
+        Args:
+            largest: in-plane wavevector over k up to which it must reach, if that is more.
+        """
         a = structure.diameter_nm * surface.wavenumber
         count = int(14 + 2.0 * a)
-        theta, _ = _chebyshev(count, 0.0, np.pi / 2)
+        theta, _ = chebyshev(count, 0.0, np.pi / 2)
         kappa = np.sin(theta)
         eta_max, evanescent = 0.0, None
-        if from_below and surface.index_below > 1.0 + 1e-9:
-            eta_max = float(np.arccosh(surface.index_below))
-            eta, _ = _chebyshev(count, 0.0, eta_max)
+        if from_below:
+            largest = max(largest, surface.index_below)
+        if largest > 1.0 + 1e-9:
+            eta_max = float(np.arccosh(largest))
+            eta, _ = chebyshev(count, 0.0, eta_max)
             kappa = np.concatenate([kappa, np.cosh(eta)])
         sums = neighbour_sums(surface, centre_nm, structure, order, kappa)
         if eta_max:
@@ -86,22 +93,23 @@ class NeighbourTable:
 
     def at(self, directions: Directions) -> ComplexArray:
         """Return the whole Q, folded, `[pol, angle, h, h']`, at the in-plane wavevectors of `directions`."""
-        kappa = directions.transverse
+        return self.sums(directions.transverse, directions.ambient_cosines)
+
+    def sums(self, kappa: Array, w: ComplexArray) -> ComplexArray:
+        """Return the same at in-plane wavevectors over k, w = kz/k with Im w >= 0."""
         size = self.propagating.shape[-1]
         out = np.empty((2, kappa.size, size, size), dtype=complex)
         inside = kappa <= 1.0
         if np.any(inside):
-            nodes, weights = _chebyshev(self.propagating.shape[1], 0.0, np.pi / 2)
-            matrix = _barycentric(nodes, weights, np.arcsin(kappa[inside]))
-            out[:, inside] = _mixed(matrix, self.propagating)
+            nodes, weights = chebyshev(self.propagating.shape[1], 0.0, np.pi / 2)
+            matrix = barycentric(nodes, weights, np.arcsin(kappa[inside]))
+            out[:, inside] = mixed(matrix, self.propagating)
         if not np.all(inside):
             assert self.evanescent is not None  # `build` was told of the light from below
-            nodes, weights = _chebyshev(self.evanescent.shape[1], 0.0, self.eta_max)
-            matrix = _barycentric(nodes, weights, np.arccosh(kappa[~inside]))
-            out[:, ~inside] = _mixed(matrix, self.evanescent)
-        return out + plane_wave_sums(
-            self.structure, self.surface, self.centre_nm, self.order, directions.ambient_cosines, kappa
-        )
+            nodes, weights = chebyshev(self.evanescent.shape[1], 0.0, self.eta_max)
+            matrix = barycentric(nodes, weights, np.arccosh(kappa[~inside]))
+            out[:, ~inside] = mixed(matrix, self.evanescent)
+        return out + plane_wave_sums(self.structure, self.surface, self.centre_nm, self.order, w, kappa)
 
 
 def sums_at(

@@ -17,13 +17,9 @@ from numpy.typing import NDArray
 from nacre.arrays import Array
 
 SAME, CROSS = "same", "cross"
+Block = tuple[int, int, int, int]
 HIGHEST = (4, 3, 2)  # powers of w of each direction, with the harmonic k of the azimuth
 LEAST, MOST = 0.1, 5.0  # of a ratio: outside, the polynomial has left what it knows
-PRIOR = 3.0  # spread of the coefficients before anything is known: keeps undetermined ones small
-# of the mean square over a direction: weaker light weighs no more. Where the model sends hardly anything, others' light
-# fills in, and no smooth factor follows that: a lower floor lets it draw the ratio up everywhere (0.1: by 5 %)
-FLOOR = 0.3
-SHORT = 3.0  # radians over a patch's radius: silver on glass changes by 1 % from 130 to 260 spheres at 5, by 4 % at 1.4
 
 
 @dataclass(frozen=True)
@@ -77,7 +73,7 @@ def _columns(left: Ways, right: Ways, left_below: bool, right_below: bool, kind:
     """The products at all pairs, `[term, left, right, phi]`."""
     f, g = left.powers(left_below), right.powers(right_below)
     both = left.transverse[:, None] * right.transverse
-    waves = np.cos(np.arange(len(HIGHEST))[:, None] * phi)
+    waves = np.cos(np.multiply.outer(np.arange(len(HIGHEST)), phi))
     folded = kind == SAME and left_below == right_below
     out = []
     for a, b, k in _terms(left_below, right_below, kind):
@@ -96,13 +92,18 @@ BLOCKS_BELOW = (
 )  # fmt: skip
 
 
-def blocks(has_below: bool) -> tuple[tuple[int, int, int, int], ...]:
+def blocks(has_below: bool) -> tuple[Block, ...]:
     """Return the blocks that are fitted, each on its own."""
     return BLOCKS_ABOVE + (BLOCKS_BELOW if has_below else ())
 
 
-def _kind(block: tuple[int, int, int, int]) -> str:
+def _kind(block: Block) -> str:
     return SAME if block[2] == block[3] else CROSS
+
+
+def products(left: Ways, right: Ways, block: Block, phi: Array) -> Array:
+    """Return the products of one block, `[term, left, right, phi]`; `phi` is `[phi]` or `[left, right, phi]`."""
+    return _columns(left, right, bool(block[0]), bool(block[1]), _kind(block), phi)
 
 
 @dataclass(frozen=True)
@@ -112,59 +113,19 @@ class Ratio:
     Attributes:
         coefficients: of each of `blocks`, `[realisation, term]`: estimates of the single realisations, whose mean is
             the answer and whose spread its error.
-        reach: radius of a patch times k; 0: what it says holds for an endless layer.
     """
 
-    coefficients: dict[tuple[int, int, int, int], Array]
-    reach: float = 0.0
-
-    def shortness(self, transverse: Array) -> Array:
-        """Return how far a patch is too short for waves of an in-plane wavevector over k: 0 it is not, 1 it is.
-
-        A wave along the layer and the one that it drives part by a radian over 1/(k |1 - kappa|).
-        """
-        return np.asarray(1.0 / (1.0 + (self.reach * np.abs(1.0 - transverse) / SHORT) ** 4))
+    coefficients: dict[Block, Array]
 
     def mixed(self, other: Ratio, share: float) -> Ratio:
         """Return the ratio between this wavelength (share 0) and another one (1)."""
         both = self.coefficients.keys() & other.coefficients.keys()
-        return Ratio(
-            {b: (1 - share) * self.coefficients[b] + share * other.coefficients[b] for b in sorted(both)},
-            (1 - share) * self.reach + share * other.reach,
-        )
+        return Ratio({b: (1 - share) * self.coefficients[b] + share * other.coefficients[b] for b in sorted(both)})
 
-    def standard_errors(self, truth: Array, model: Array, ways: Ways, phi: Array) -> Array:
-        """Return the relative standard error of the diffuse light above, over azimuth and polarisations, `[s, i]`.
-
-        The spread of the single realisations, and what the smooth ratio leaves open beyond their speckle.
-
-        Args:
-            truth, model: `[realisation, pol_s, s, pol_i, i, phi]` and the same of the model, see `fit_ratio`.
-        """
-        rows = np.nonzero(~ways.below)[0]
-        above = _picked(ways, rows)
-        total: Array | float = 0.0
-        for block in BLOCKS_ABOVE:
-            each = self.at(above, above, block, phi, each=True)
-            _, _, q, p = block
-            forth = model[q][rows][:, p][:, rows]
-            total = total + np.einsum("rsij,sij->rsi", each, forth)
-            if q != p:
-                total = total + np.einsum("rijs,ijs->rji", each, model[p][rows][:, q][:, rows].swapaxes(0, 1))
-        fitted = np.asarray(total)
-        seen = truth[:, :, rows][:, :, :, :, rows].sum(axis=(1, 3, 5))
-        seen = 0.5 * (seen + seen.swapaxes(1, 2))
-        count = len(fitted)
-        level = fitted.mean(axis=0)
-        open_ = (seen.mean(axis=0) - level) ** 2 - (seen - fitted).var(axis=0, ddof=1) / count
-        return np.asarray(np.sqrt(fitted.var(axis=0, ddof=1) / count + np.maximum(open_, 0.0)) / level)
-
-    def at(self, left: Ways, right: Ways, block: tuple[int, int, int, int], phi: Array, each: bool = False) -> Array:
-        """Return r of one block, `[left, right, phi]`, or of each realisation, `[realisation, left, right, phi]`."""
+    def at(self, left: Ways, right: Ways, block: Block, phi: Array) -> Array:
+        """Return r of one block, `[left, right, phi]`."""
         found = self.coefficients[block]
-        columns = _columns(left, right, bool(block[0]), bool(block[1]), _kind(block), phi)
-        if each:  # as it is: a bound would make the spread of single realisations look small
-            return np.asarray(1.0 + np.tensordot(found, columns, 1))
+        columns = products(left, right, block, phi)
         return np.asarray(np.clip(1.0 + np.tensordot(found.mean(axis=0), columns, 1), LEAST, MOST))
 
     def applied(self, harmonics: Array, ways: Ways) -> Array:
@@ -194,47 +155,3 @@ class Ratio:
 
 def _picked(ways: Ways, rows: NDArray[np.intp]) -> Ways:
     return Ways(ways.real[rows], ways.imaginary[rows], ways.transverse[rows], ways.below[rows])
-
-
-def fit_ratio(truth: Array, model: Array, ways: Ways, weights: Array, phi: Array, reach: float = 0.0) -> Ratio:
-    """Fit the ratio of two patterns by least squares, of each realisation with the same weights.
-
-    Args:
-        truth: `[realisation, pol_s, s, pol_i, i, phi]`, of which the mean is to be met.
-        model: `[pol_s, s, pol_i, i, phi]`.
-        ways: `[direction]`, of s and i alike.
-        weights: `[direction]`, solid angle.
-        phi: `[phi]`, in [0, 2 pi).
-        reach: radius of a patch times k.
-    """
-    found = {}
-    sides = [np.nonzero(ways.below == side)[0] for side in (False, True)]
-    for block in blocks(bool(np.any(ways.below))):
-        s_side, i_side, q, p = block
-        rows, columns = sides[s_side], sides[i_side]
-        pairs = [(truth[:, q][:, rows][:, :, p][:, :, columns], model[q][rows][:, p][:, columns])]
-        alike = block[0] == block[1] and q == p
-        if not alike:
-            back = truth[:, p][:, columns][:, :, q][:, :, rows]
-            pairs.append((back.swapaxes(1, 2), model[p][columns][:, q][:, rows].swapaxes(0, 1)))
-        y = np.mean([t for t, _ in pairs], axis=0)
-        x = np.mean([m for _, m in pairs], axis=0)
-        cells = weights[rows][:, None] * weights[columns]
-        square = (x**2).mean(axis=2)
-        level = 0.5 * (
-            (cells * square).sum(axis=1, keepdims=True) / cells.sum(axis=1, keepdims=True)
-            + (cells * square).sum(axis=0, keepdims=True) / cells.sum(axis=0, keepdims=True)
-        )
-        weight = cells[..., None] / (x**2 + FLOOR * level[..., None])
-        products = _columns(
-            _picked(ways, rows), _picked(ways, columns), bool(s_side), bool(i_side), _kind(block), phi
-        )  # fmt: skip
-        design = (products * x).reshape(len(products), -1)
-        scaled = design * weight.ravel()
-        # weight over the noise of one realisation: an exponential variate at each of the azimuths
-        residual = (y - x).reshape(len(y), -1)
-        normal = scaled @ design.T
-        noise = float(np.mean(np.var(residual, axis=0) * weight.ravel())) / len(y) * 2.0
-        system = normal + np.eye(len(normal)) * noise / PRIOR**2
-        found[block] = np.linalg.solve(system, scaled @ residual.T).T
-    return Ratio(found, reach)

@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from nacre.arrays import Array, ComplexArray
-from nacre.families.metasurface.ensemble import Ensemble, EnsembleSettings, middle_sizes, mixed, patches, same_order
+from nacre.arrays import Array
+from nacre.families.metasurface.cells import cells, with_kinds
+from nacre.families.metasurface.ensemble import Ensemble, EnsembleSettings, middle_sizes, same_order
 from nacre.families.metasurface.monolayer import Monolayer
 from nacre.families.metasurface.patterns import Pattern
-from nacre.families.metasurface.ratio import Ratio
+from nacre.families.metasurface.ratio import Block, Ratio
+from nacre.families.metasurface.ratio_fit import Sums
 from nacre.matter.jobs import available_jobs, in_threads
 from nacre.recipe.identity import identity
 from nacre.recipe.kept import keep_arrays, kept_arrays
@@ -22,7 +24,7 @@ from nacre.recipe.long_work import announce, duration
 from nacre.recipe.memory import check_memory
 
 MOST_WAVELENGTHS = 16  # that are solved; the ratio is smooth where no resonance is sharper than 30 nm
-SOLVE_S = 0.6  # of one patch of `UNKNOWNS` on one core
+SOLVE_S = 0.9  # of one pattern of `UNKNOWNS` on one core
 UNKNOWNS = 2080
 MOST_UNKNOWNS = 12_000  # 1.2 GB a matrix
 
@@ -101,7 +103,7 @@ def refine(
 
     Args:
         wavelengths_nm: ascending.
-        layer: the mean-field model at a wavelength, of which the mean particle size is taken.
+        layer: the mean-field model at a wavelength, of which the middle particle size of each kind is taken.
         pattern: function of count and seed that returns the arrangement.
         source: name of the recipe, for messages.
         is_list: whether the arrangement is a list of points.
@@ -119,12 +121,21 @@ def refine(
     solved_at = chosen(np.atleast_1d(np.asarray(wavelengths_nm, dtype=float)))
     first = layer(float(solved_at[0]))
     structure = first.structure
-    cut = patches(pattern, structure.density_per_nm2, structure.diameter_nm, settings, seed, is_list)
+    made = cells(
+        pattern,
+        structure.density_per_nm2,
+        structure.diameter_nm,
+        settings.spheres,
+        settings.realisations,
+        seed,
+        is_list,
+    )
     ensembles = []
     for wavelength in solved_at:
         whole = layer(float(wavelength))
         alone = same_order(whole, settings.multipole_order, *middle_sizes(whole))
-        ensembles.append(Ensemble(alone, cut, mixed(cut, alone.shares, seed)))
+        dealt = with_kinds(made, alone.shares, seed) if len(alone.particles) > 1 else made
+        ensembles.append(Ensemble(alone, dealt))
     keys = [_key(one, settings) for one in ensembles]
     found = [_read(key) for key in keys]
     missing = [n for n, one in enumerate(found) if one is None]
@@ -140,34 +151,34 @@ def refine(
         for n, solved in _solve([ensembles[n] for n in missing], [keys[n] for n in missing], missing):
             found[n] = solved
     done = [one for one in found if one is not None]
-    angles = np.arccos(ensembles[0].sides[0][0].cosines)
+    angles = ensembles[0].angles_rad
     return Refinement(solved_at, tuple(r for r, _ in done), np.stack([e for _, e in done]), angles, settings)
 
 
 def _solve(ensembles: list[Ensemble], keys: list[str], names: list[int]) -> list[tuple[int, tuple[Ratio, Array]]]:
-    """Solve all patches of all wavelengths, each wavelength's fit as soon as its last patch is done."""
-    fields: list[dict[int, ComplexArray]] = [{} for _ in ensembles]
+    """Solve all patterns of all wavelengths, each wavelength's fit as soon as its last pattern is done."""
+    solved: list[dict[int, dict[Block, Sums]]] = [{} for _ in ensembles]
     lock = threading.Lock()
     out: list[tuple[int, tuple[Ratio, Array]]] = []
     prepared = [threading.Lock() for _ in ensembles]
 
     def work(item: tuple[int, int]) -> None:
-        n, patch = item
+        n, number = item
         with prepared[n]:  # its tables once, by whoever comes first
             ensembles[n].prepare()
-        one = ensembles[n].far_fields(patch)
+        one = ensembles[n].solve(number)
         with lock:
-            fields[n][patch] = one
-            is_last = len(fields[n]) == len(ensembles[n].patches)
+            solved[n][number] = one
+            is_last = len(solved[n]) == len(ensembles[n].cells)
         if is_last:
-            ratio, errors = ensembles[n].ratio([fields[n][k] for k in range(len(fields[n]))])
-            fields[n].clear()
+            ratio, errors = ensembles[n].ratio([solved[n][k] for k in range(len(solved[n]))])
+            solved[n].clear()
             ensembles[n].forget()
             _keep(keys[n], ratio, errors)
             with lock:
                 out.append((names[n], (ratio, errors)))
 
-    in_threads(work, [(n, k) for n, one in enumerate(ensembles) for k in range(len(one.patches))])
+    in_threads(work, [(n, k) for n, one in enumerate(ensembles) for k in range(len(one.cells))])
     return out
 
 
@@ -177,12 +188,14 @@ def _key(one: Ensemble, settings: EnsembleSettings) -> str:
     digest = hashlib.sha256()
     for array in (
         surface.indices, surface.thicknesses_nm, *(p.t_matrix for p in particles), structure.q_per_nm, structure.s,
-        structure.r_nm, structure.h, *one.patches, *(one.kinds or []),
+        structure.r_nm, structure.h, *(cell.xy_nm for cell in one.cells), *(cell.period.bloch for cell in one.cells),
+        *(cell.kinds for cell in one.cells if cell.kinds is not None),
     ):  # fmt: skip
         digest.update(np.ascontiguousarray(array).tobytes())
     numbers = [
         surface.wavelength_nm, structure.density_per_nm2, structure.diameter_nm,
-        *(n for p in particles for n in (p.centre_nm, p.cut or 0.0)),
+        *(n for p in particles for n in (p.share, p.centre_nm, p.cut or 0.0)),
+        *(n for cell in one.cells for n in (cell.period.side_nm, float(cell.seed))),
     ]  # fmt: skip
     return "ensemble-" + identity(
         {"arrays": digest.hexdigest(), "numbers": [float(n).hex() for n in numbers]}, {}, settings=str(settings)
@@ -191,16 +204,16 @@ def _key(one: Ensemble, settings: EnsembleSettings) -> str:
 
 def _keep(key: str, ratio: Ratio, errors: Array) -> None:
     names = {"-".join(map(str, block)): values for block, values in ratio.coefficients.items()}
-    keep_arrays(key, {**names, "errors": errors, "reach": np.array(ratio.reach)})
+    keep_arrays(key, {**names, "errors": errors})
 
 
 def _read(key: str) -> tuple[Ratio, Array] | None:
     stored = kept_arrays(key)
-    if not stored or not {"errors", "reach"} <= stored.keys():
+    if not stored or "errors" not in stored:
         return None
-    errors, reach = stored.pop("errors"), float(stored.pop("reach"))
+    errors = stored.pop("errors")
     blocks = {}
     for name, values in stored.items():
         a, b, c, d = (int(part) for part in name.split("-"))
         blocks[(a, b, c, d)] = values
-    return Ratio(blocks, reach), errors
+    return Ratio(blocks), errors

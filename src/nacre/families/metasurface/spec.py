@@ -174,7 +174,7 @@ class EnsembleSpec(RecipeModel):
         default=130, description="spheres of one pattern; the time grows with the cube"
     )
     realisations: Annotated[int, pydantic.Field(ge=4, le=1000)] = pydantic.Field(
-        default=24, description="patterns; the standard error falls with the root"
+        default=48, description="patterns; the standard error falls with the root"
     )
     multipole_order: Annotated[int, pydantic.Field(ge=1, le=4)] = pydantic.Field(
         default=2, description="highest multipole of a sphere in the ensemble and in the model that it is set against"

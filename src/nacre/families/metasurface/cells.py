@@ -1,0 +1,293 @@
+"""Patterns that repeat, and how the spheres of an endless one see each other.
+
+A finite patch has an edge: near grazing, light leaves it that an endless layer would have scattered. So the pattern
+repeats on a square. One Bloch wavevector serves all orders of the square, which are some hundred directions of light
+and of view alike; every order but the straight one is diffuse light, and nothing has to be subtracted. What the spheres
+and all their images do to each other is summed near by in space, through a window, and beyond it over the orders.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.special import jv, spherical_jn
+
+from nacre.arrays import Array, ComplexArray
+from nacre.families.metasurface.angular import legendre
+from nacre.families.metasurface.cluster import (
+    Coupling,
+    IntArray,
+    Period,
+    PlaneWaves,
+    SingleComplex,
+    all_kinds,
+    direct_coupling,
+    reflected_coupling,
+    window,
+)
+from nacre.families.metasurface.monolayer import Monolayer
+from nacre.families.metasurface.neighbours import (
+    folded,
+    half_index,
+    multipole_index,
+    pair_orders,
+    translation_coefficients,
+)
+from nacre.families.metasurface.patterns import Pattern
+from nacre.families.metasurface.qca import NeighbourTable, barycentric, chebyshev, mixed
+from nacre.families.metasurface.structure import Structure
+from nacre.families.metasurface.substrate import Substrate
+
+BEYOND = 24.0  # over k times the window's reach: how far past the light line, over k, its smooth edge is felt
+QUIET = 3e-5  # of the response of one sphere: weaker waves, of random phases, add up to nothing
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One square of a pattern that repeats.
+
+    Attributes:
+        xy_nm: positions, `[sphere, 2]`.
+        period: what it repeats on.
+        seed: for what is drawn in it.
+        kinds: which of a mixture each sphere is, `[sphere]`; None: all are the first.
+    """
+
+    xy_nm: Array
+    period: Period
+    seed: int
+    kinds: IntArray | None = None
+
+
+def cells(
+    pattern: Callable[[int, int], Pattern],
+    density_per_nm2: float,
+    least_nm: float,
+    spheres: int,
+    realisations: int,
+    seed: int,
+    is_list: bool = False,
+) -> list[Cell]:
+    """Return squares of about so many spheres, each with a Bloch wavevector drawn at random.
+
+    Args:
+        pattern: function of count and seed that returns a pattern.
+        least_nm: the least distance; of a pair that is closer (a lattice with much jitter, a seam) one is left out.
+        is_list: whether the pattern is always the same list of points: a longer one is cut to squares from within it.
+    """
+    out = []
+    for number in range(realisations):
+        rng = np.random.default_rng((seed, number))
+        made = pattern(spheres, int(rng.integers(2**31)))
+        xy, box = made.xy_nm, made.box_nm
+        wanted = float(np.sqrt(spheres / density_per_nm2))
+        if is_list and box > 1.2 * wanted:
+            xy = xy - rng.uniform(0.0, box - wanted, 2)
+            xy, box = xy[np.all((xy >= 0) & (xy < wanted), axis=1)], wanted
+        xy = xy % box
+        close = np.asarray(cKDTree(xy, boxsize=box).query_pairs(least_nm * (1 - 1e-6), output_type="ndarray"))
+        xy = np.delete(xy, close[:, 0], axis=0)
+        bloch = rng.uniform(-0.5, 0.5, 2) * 2 * np.pi / box
+        out.append(Cell(xy, Period(box, bloch), int(rng.integers(2**31))))
+    return out
+
+
+def with_kinds(patterns: list[Cell], shares: Array, seed: int) -> list[Cell]:
+    """Return the patterns of a mixture, its kinds at random on their places, of all patterns together just the shares.
+
+    What the patterns together had too much of a bright kind would be an error of the mean that no fit takes out.
+    """
+    counts = [len(one.xy_nm) for one in patterns]
+    drawn = dealt(sum(counts), shares, np.random.default_rng((seed, len(counts), 1)))
+    parts = np.split(drawn, np.cumsum(counts)[:-1])
+    return [dataclasses.replace(one, kinds=part) for one, part in zip(patterns, parts)]
+
+
+def dealt(count: int, shares: Array, rng: np.random.Generator) -> IntArray:
+    """Return kinds in whole numbers nearest to the shares, in random order, `[particle]`."""
+    edges = np.round(count * np.cumsum(shares) / np.sum(shares)).astype(np.intp)
+    which = np.searchsorted(edges, np.arange(count), side="right")
+    return np.asarray(rng.permutation(which) if len(edges) > 1 else which, dtype=np.intp)
+
+
+def orders(period: Period, largest: float) -> Array:
+    """Return the in-plane wavevectors up to a size that one Bloch wavevector serves, `[order, 2]`, 1/nm."""
+    step = 2 * np.pi / period.side_nm
+    top = int(np.ceil(largest / step)) + 1
+    n = np.arange(-top, top + 1)
+    every = period.bloch + step * np.stack(np.meshgrid(n, n, indexing="ij"), axis=-1).reshape(-1, 2)
+    return np.asarray(every[np.hypot(*every.T) < largest])
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """The sums over an endless uncorrelated layer beyond the window, source and observer at heights of one mean.
+
+    Attributes:
+        table: the whole sums less their plane waves, see `NeighbourTable`.
+        within: the part of them within the window, folded, `[pol, node, h, h']`, at Chebyshev nodes.
+        largest: in-plane wavevector over k up to which both are known.
+    """
+
+    table: NeighbourTable
+    within: ComplexArray
+    largest: float
+
+    @classmethod
+    def build(
+        cls, surface: Substrate, centre_nm: float, structure: Structure, order: int, reach_nm: float, largest: float
+    ) -> Sheet:
+        """Tabulate; `structure` gives density and least distance, and has no correlation."""
+        k = surface.wavenumber
+        a, far = structure.diameter_nm * k, reach_nm * k
+        edges = np.linspace(a, far, int(np.ceil((far - a) / min(a / 2, 2.0))) + 1)
+        x, weight = np.polynomial.legendre.leggauss(8)
+        half = np.diff(edges)[:, None] / 2
+        r, w = (edges[:-1, None] + half * (1 + x)).ravel(), (half * weight).ravel()
+        single = direct_coupling(order, r) + reflected_coupling(surface, centre_nm, order, r)
+        kappa, _ = chebyshev(int(30 + 0.7 * far * largest), 0.0, largest)
+        mu = pair_orders(order)
+        sums = np.zeros((*mu.shape, kappa.size), dtype=complex)
+        seen = (w * r * window(r / far))[:, None]
+        for m in range(2 * order + 1):
+            rows, columns = np.nonzero(mu == m)
+            sums[rows, columns] = (-1j) ** m * (single[rows, columns] @ (seen * jv(m, np.outer(r, kappa))))
+        sums *= 2 * np.pi * structure.density_per_nm2 / k**2
+        within = np.stack([np.moveaxis(folded(sums, order, pol), -1, 0) for pol in range(2)])
+        table = NeighbourTable.build(surface, centre_nm, structure, order, largest=largest)
+        return cls(table, within, largest)
+
+    def at(self, kappa: Array) -> ComplexArray:
+        """Return W summed beyond the window a sphere, at in-plane wavevectors over k along x, `[wave, n, n']`, nm^2."""
+        w = np.sqrt((1.0 - kappa**2).astype(complex))
+        nodes, weights = chebyshev(self.within.shape[1], 0.0, self.largest)
+        rest = self.table.sums(kappa, w) - mixed(barycentric(nodes, weights, kappa), self.within)
+        return unfolded(rest, self.table.order) / self.table.structure.density_per_nm2
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """How the images of a sphere beyond the window act on another, as waves of in-plane wavevectors.
+
+    Attributes:
+        coupling: the tables of single pairs within the window.
+        sheets: one for each mean height of two kinds.
+        direct: the direct waves alone, of a higher order; None where all centres have one height.
+        largest: in-plane wavevector over k up to which all are known.
+    """
+
+    coupling: Coupling
+    sheets: dict[float, Sheet]
+    direct: Sheet | None
+    largest: float
+
+    @classmethod
+    def build(cls, layer: Monolayer, coupling: Coupling, reach_nm: float) -> Lattice:
+        """Tabulate; `coupling` fades out at `reach_nm`."""
+        surface, order, heights = layer.surface, coupling.order, coupling.centres_nm
+        k = surface.wavenumber
+        alone = dataclasses.replace(layer.structure, h=np.zeros_like(layer.structure.h))
+        largest = (max(1.0, surface.index_below) if surface.is_transparent else 1.0) + BEYOND / (reach_nm * k)
+        sheets = {
+            float(mean): Sheet.build(surface, float(mean), alone, order, reach_nm, largest)
+            for mean in np.unique(0.5 * (heights[:, None] + heights))
+        }
+        direct, step = None, k * float(np.ptp(heights))
+        if step > 0.0:
+            nothing = dataclasses.replace(surface, indices=np.full(2, surface.indices[0]), thicknesses_nm=np.zeros(0))
+            # the window is open to half of the reach: what lies nearer cancels, and high multipoles are large there
+            further = dataclasses.replace(alone, diameter_nm=max(alone.diameter_nm, reach_nm / 2))
+            top = order + 2 + int(np.ceil(1.5 * step))
+            direct = Sheet.build(nothing, float(heights.max()), further, top, reach_nm, largest)
+        return cls(coupling, sheets, direct, largest)
+
+    def beyond(self, wavevectors: Array) -> ComplexArray:
+        """Return M times the transform of what lies beyond the window, `[kind, kind', wave, n, n']`, nm^2.
+
+        Args:
+            wavevectors: `[wave, 2]`, 1/nm, none of them on the light line.
+        """
+        heights, dressed = self.coupling.centres_nm, self.coupling.dressed
+        k = self.coupling.surface.wavenumber
+        kappa = np.hypot(*wavevectors.T) / k
+        sums = {mean: sheet.at(kappa) for mean, sheet in self.sheets.items()}
+        m = multipole_index(self.coupling.order).m
+        turn = np.exp(1j * (m[None, :] - m[:, None]) * np.arctan2(wavevectors[:, 1], wavevectors[:, 0])[:, None, None])
+        straight = None if self.direct is None else self.direct.at(kappa)
+        out = np.empty((len(heights), len(heights), *turn.shape), dtype=complex)
+        for i, j in np.ndindex(out.shape[:2]):
+            whole = sums[float(0.5 * (heights[i] + heights[j]))]
+            if straight is not None and heights[i] != heights[j]:
+                whole = whole + self._lifted(straight, k * float(heights[i] - heights[j]))
+            out[i, j] = dressed[i] @ (whole * turn)
+        return out
+
+    def _lifted(self, straight: ComplexArray, height: float) -> ComplexArray:
+        """What it adds to the direct waves, `[wave, n, n']`, that the observer is higher by a height times k.
+
+        What comes from beyond the window is regular at the observer: it is carried up or down as regular waves.
+        """
+        assert self.direct is not None  # made where heights differ
+        top = self.direct.table.order
+        low = multipole_index(top).l <= self.coupling.order
+        carried = lift(top, height) - np.eye(len(low))
+        return np.asarray(carried[low] @ straight[:, :, low])
+
+    def matrix(self, cell: Cell) -> SingleComplex:
+        """Return 1 - M W of a pattern and all its images, `[sphere x n, sphere x n]`, by columns."""
+        xy, period, kinds = cell.xy_nm, cell.period, all_kinds(cell.xy_nm, cell.kinds)
+        out = self.coupling.matrix(xy, period, kinds).T  # rows: source and its multipole
+        waves = orders(period, self.largest * self.coupling.surface.wavenumber)
+        couples = self.beyond(waves) / period.side_nm**2
+        heard = np.abs(couples).max(axis=(0, 1, 3, 4)) > QUIET
+        couples, waves = couples[:, :, heard], waves[heard]
+        count, size = couples.shape[0], couples.shape[-1]
+        flat = np.ascontiguousarray(
+            np.swapaxes(couples, 3, 4).reshape(count, count, len(waves), -1), dtype=np.complex64
+        )
+        phases = np.exp(1j * (xy @ waves.T)).astype(np.complex64)
+        blocks = out.reshape(len(xy), size, len(xy), size)
+        members = [(kind, np.nonzero(kinds == kind)[0]) for kind in np.unique(kinds)]
+        for k in range(len(xy)):
+            for kind, rows in members:
+                added = (phases[rows] * phases[k].conj()) @ flat[kind, kinds[k]]  # observer, (source's n, observer's n)
+                blocks[k][:, rows] -= np.moveaxis(added.reshape(len(rows), size, size), 0, 1)
+        return out.T
+
+    def solve(self, cell: Cell, waves: PlaneWaves) -> SingleComplex:
+        """Return the multipoles of every sphere, `[sphere, n, wave]`."""
+        return self.coupling.solve(cell.xy_nm, waves, cell.kinds, self.matrix(cell))
+
+
+def lift(order: int, height: float) -> ComplexArray:
+    """Return regular waves seen from a centre that lies higher by `height` times 1/k, `[n, n']`."""
+    top = 2 * order
+    p = np.arange(top + 1)
+    along = legendre(np.array(np.sign(height)), top, top)[0] * spherical_jn(p, abs(height))
+    same_m = pair_orders(order) == 0
+    return np.where(same_m, translation_coefficients(order) @ along, 0.0)
+
+
+def unfolded(q: ComplexArray, order: int) -> ComplexArray:
+    """Return the whole of what `neighbours.folded` folded for both polarisations, `[angle, n, n']`.
+
+    A column with m > 0 was added to that of -m, with opposite signs in the two polarisations; a row with m = 0 is dark
+    in one of them, so that the other holds twice its share.
+    """
+    size = len(multipole_index(order).m)
+    out = np.zeros((q.shape[1], size, size), dtype=complex)
+    for pol in range(2):
+        half = half_index(order, pol)
+        paired = half.m > 0
+        value = q[pol] / np.where(paired, 2.0, 1.0)
+        rows, turned, sign = half.place[:, None], half.partner[paired], half.sign[paired]
+        out[:, rows, half.place] += value
+        out[:, rows, turned] += value[:, :, paired] * sign
+        # -m and -m' are coupled as m and m', up to signs
+        out[:, turned[:, None], half.place] += value[:, paired] * sign[:, None]
+        out[:, turned[:, None], turned] += value[:, paired][:, :, paired] * sign[:, None] * sign
+    return out

@@ -1,0 +1,166 @@
+"""The fit of a ratio to the orders of many patterns, less what each pattern's own structure factor explains.
+
+The light of one pattern is speckle. Most of it is the pattern's own: where its S(q) happens to be high, so is the
+light, and S(q) is known without solving anything. So the deviation of S, times how much of it the light follows, is
+taken off before the fit (a control variate); on average it is nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.arrays import Array
+from nacre.families.metasurface.ratio import BLOCKS_ABOVE, Block, Ratio, Ways, products
+
+PRIOR = 3.0  # spread of the coefficients before anything is known: keeps undetermined ones small
+# of the mean square over a direction: weaker light weighs no more. Where the model sends hardly anything, others' light
+# fills in, and no smooth factor follows that: a lower floor lets it draw the ratio up everywhere (0.1: by 5 %)
+FLOOR = 0.3
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """One block of the light of one pattern, `[s, i]`.
+
+    Attributes:
+        left, right: the directions s and i.
+        phi: between their in-plane wavevectors.
+        truth: |F|^2 / (n_s n_i) a sphere.
+        model: the same of the model.
+        control: the model with the pattern's S less the mean one in place of S.
+        level: mean square of the model over the pairs with s and with i.
+        left_bins, right_bins: bins of the angles of s and of i, ascending.
+    """
+
+    left: Ways
+    right: Ways
+    phi: Array
+    truth: Array
+    model: Array
+    control: Array
+    level: Array
+    left_bins: NDArray[np.intp]
+    right_bins: NDArray[np.intp]
+
+    def exchanged(self) -> Pairs:
+        """The same light sent back."""
+        return Pairs(
+            self.right, self.left, self.phi.T, self.truth.T, self.model.T, self.control.T, self.level.T,
+            self.right_bins, self.left_bins,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Sums:
+    """What the fit of a block needs of one pattern; `b` are bins of angles, `t` the products of the ratio.
+
+    Attributes:
+        normal, rest, controls: `[t, t]`, `[t]` and `[b, t]`: products with each other, with what the model leaves, and
+            with the control of each bin, all weighted.
+        follows: `[2, b]`: what the model leaves times the control, and the control squared, weighted.
+        totals: `[3, b]`: truth, model and control.
+        shapes: `[b, t]`: model times products.
+        noise: mean weighted square of what the model leaves.
+    """
+
+    normal: Array
+    rest: Array
+    controls: Array
+    follows: Array
+    totals: Array
+    shapes: Array
+    noise: float
+
+    def __add__(self, other: Sums) -> Sums:
+        return Sums(
+            self.normal + other.normal, self.rest + other.rest, self.controls + other.controls,
+            self.follows + other.follows, self.totals + other.totals, self.shapes + other.shapes,
+            0.5 * (self.noise + other.noise),
+        )  # fmt: skip
+
+
+def block_sums(block: Block, pairs: Pairs, bins: int) -> Sums:
+    """Return the sums of one block of one pattern.
+
+    Args:
+        bins: how many bins of angles there are, each way.
+    """
+    columns = products(pairs.left, pairs.right, block, pairs.phi[..., None])[..., 0]
+    x, rest, control = pairs.model, pairs.truth - pairs.model, pairs.control
+    weight = 1.0 / (x**2 + FLOOR * pairs.level)
+    design = columns * x
+    scaled = design * weight
+    flat = scaled.reshape(len(design), -1)
+
+    def by_bin(values: Array) -> Array:
+        """Sums over each bin, `[..., b]`."""
+        rows = _summed(values, pairs.left_bins, bins, -2)
+        return _summed(rows, pairs.right_bins, bins, -1).reshape(*values.shape[:-2], bins**2)
+
+    return Sums(
+        flat @ design.reshape(len(design), -1).T,
+        flat @ rest.ravel(),
+        by_bin(scaled * control).T,
+        by_bin(np.stack([weight * rest * control, weight * control**2])),
+        by_bin(np.stack([pairs.truth, x, control])),
+        by_bin(design).T,
+        float(np.mean(weight * rest**2)),
+    )
+
+
+def _summed(values: Array, ascending: NDArray[np.intp], bins: int, axis: int) -> Array:
+    """Sum what falls into each bin along an axis."""
+    starts = np.searchsorted(ascending, np.arange(bins))
+    filled = np.bincount(ascending, minlength=bins) > 0
+    found = np.add.reduceat(values, starts[filled], axis=axis)
+    out = np.zeros((*found.shape[:axis], bins, *found.shape[len(found.shape) + axis + 1 :]))
+    where = [slice(None)] * out.ndim
+    where[axis] = filled  # type: ignore[call-overload]
+    out[tuple(where)] = found
+    return out
+
+
+def fit_ratio(patterns: list[dict[Block, Sums]]) -> tuple[Ratio, Array]:
+    """Return the ratio and the relative standard error of the diffuse light above in each bin of angles, `[b]`."""
+    found: dict[Block, Array] = {}
+    shares: dict[Block, Array] = {}
+    for block in patterns[0]:
+        sums = [one[block] for one in patterns]
+        count = len(sums)
+        normal = np.sum([s.normal for s in sums], axis=0)
+        follows = np.sum([s.follows for s in sums], axis=0)
+        share = shares[block] = np.clip(follows[0] / np.maximum(follows[1], 1e-300), 0.0, 2.0)
+        rest = np.stack([s.rest - share @ s.controls for s in sums])
+        system = normal + np.eye(len(normal)) * 2.0 * float(np.mean([s.noise for s in sums])) / PRIOR**2
+        whole = np.linalg.solve(system, rest.sum(axis=0))
+        # the estimates of the single patterns: their mean is the whole one's, their spread its error
+        left = np.stack([r - s.normal @ whole for r, s in zip(rest, sums)])
+        found[block] = whole + count * np.linalg.solve(system, (left - left.mean(axis=0)).T).T
+    ratio = Ratio(found)
+    return ratio, _errors(ratio, patterns, shares)
+
+
+def _errors(ratio: Ratio, patterns: list[dict[Block, Sums]], shares: dict[Block, Array]) -> Array:
+    """The spread of the single patterns, and what the smooth ratio leaves open beyond their speckle, `[b]`."""
+    above = [block for block in patterns[0] if block in BLOCKS_ABOVE]
+    count = len(patterns)
+    model = np.stack([np.sum([one[b].totals[1] for b in above], axis=0) for one in patterns])
+    seen = np.stack(
+        [np.sum([one[b].totals[0] - shares[b] * one[b].totals[2] for b in above], axis=0) for one in patterns]
+    )
+    base = np.maximum(model.mean(axis=0), 1e-300)
+    fitted = (
+        1.0
+        + np.sum(
+            [ratio.coefficients[b] @ np.mean([one[b].shapes for one in patterns], axis=0).T for b in above], axis=0
+        )
+        / base
+    )
+    seen = 1.0 + (seen - model) / base
+    level = np.maximum(fitted.mean(axis=0), 1e-3)
+    noise = (seen - fitted).var(axis=0, ddof=1) / count
+    left_open = np.maximum((seen.mean(axis=0) - level) ** 2 - noise, 0.0)
+    return np.asarray(np.sqrt(fitted.var(axis=0, ddof=1) / count + left_open) / level)
