@@ -33,14 +33,8 @@ IMPORTS = ".csv (goniometer), .binary (MERL), .bsdf (RGL tensor or Zemax), .gltf
 
 
 def export_material(
-    material: Material,
-    target: str,
-    path: Path,
-    *,
-    angle_step_deg: float = 10.0,
-    wavelength_nm: float | None = None,
-    illuminant: str = "D65",
-    progress: Callable[[str], None] = lambda what: None,
+    material: Material, target: str, path: Path, *, angle_step_deg: float = 10.0, wavelength_nm: float | None = None,
+    illuminant: str = "D65", progress: Callable[[str], None] = lambda what: None,
 ) -> dict[str, Any]:
     """Write a material in another program's format.
 
@@ -76,7 +70,7 @@ def export_material(
     bsdf = material.bsdf()
     if target in OF_VALUES and any(lobe.is_stochastic for lobe in bsdf.lobes):
         raise UnsupportedError(
-            f"{material.context.source}: is a random walk, and a file of kind {target} holds values; give it "
+            f'{material.context.source}: is a random walk, and a file of kind {target} holds values; give it '
             'quality = "fast" where the family has that (--set quality=fast), or export a lut'
         )
     if target == "nacre":
@@ -106,7 +100,9 @@ def export_material(
     return facts
 
 
-def _export_table(material: Material, folder: Path, illuminant: str, progress: Callable[[str], None]) -> dict[str, Any]:
+def _export_table(
+    material: Material, folder: Path, illuminant: str, progress: Callable[[str], None]
+) -> dict[str, Any]:
     from nacre.exchange.lut.write import check_folder, write_table
     from nacre.study.lut import make_table
 
