@@ -28,6 +28,7 @@ layers = [
   {material = "TiO2", thickness_nm = 60},
 ]
 """
+PORT, TOKEN = 8124, "a-token-for-the-tests"  # of servers that are asked without a socket
 FILM = COMMENTED_FILM.replace("  # oxide", "")
 THICKNESS = "layers[0].thickness_nm"
 SEEN = 8  # of 255: a change of the mean colour that nobody could miss

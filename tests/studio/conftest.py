@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from helpers_browser import FLAGS, find_chromium
-from helpers_studio import FILM, PATIENCE_S, Server, opened
+from helpers_studio import COMMENTED_FILM, FILM, PATIENCE_S, PORT, TOKEN, Server, opened
 from playwright.sync_api import Browser, Page, sync_playwright
+from starlette.testclient import TestClient
+
+from nacre.studio.folder import Opened
+from nacre.studio.security import HEADER
+from nacre.studio.server import make_app
 
 
 @pytest.fixture(scope="module")
@@ -32,3 +38,20 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
 def page(browser: Browser, server: Server) -> Iterator[Page]:
     with opened(browser, server) as fresh:
         yield fresh
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    inside = tmp_path / "recipes"
+    inside.mkdir()
+    (inside / "film.toml").write_text(COMMENTED_FILM)
+    (tmp_path / "secret.toml").write_text(COMMENTED_FILM)
+    (tmp_path / "secret.csv").write_text("400,1.5,0\n700,1.5,0\n")
+    return inside
+
+
+@pytest.fixture
+def client(folder: Path) -> Iterator[TestClient]:
+    app = make_app(Opened.of(str(folder)), TOKEN, PORT)
+    with TestClient(app, base_url=f"http://127.0.0.1:{PORT}", headers={HEADER: TOKEN}) as client:
+        yield client

@@ -5,39 +5,20 @@ from __future__ import annotations
 import io
 import json
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers_studio import COMMENTED_FILM as FILM
+from helpers_studio import PORT, TOKEN
 from PIL import Image
 from starlette.testclient import TestClient
 
 import nacre
 from nacre.light import delta_e_2000
 from nacre.studio.folder import Opened
-from nacre.studio.security import HEADER
 from nacre.studio.server import make_app
-
-PORT, TOKEN = 8124, "a-token-for-the-tests"
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    inside = tmp_path / "recipes"
-    inside.mkdir()
-    (inside / "film.toml").write_text(FILM)
-    (tmp_path / "secret.toml").write_text(FILM)
-    return inside
-
-
-@pytest.fixture
-def client(folder: Path) -> Iterator[TestClient]:
-    app = make_app(Opened.of(str(folder)), TOKEN, PORT)
-    with TestClient(app, base_url=f"http://127.0.0.1:{PORT}", headers={HEADER: TOKEN}) as client:
-        yield client
 
 
 @pytest.mark.parametrize("place", ["/api/report", "/api/targets", "/api/file", "/api/mesh?name=a.obj"])

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers_studio import COMMENTED_FILM as FILM
+from helpers_studio import PORT, TOKEN
 from starlette.testclient import TestClient
 
 import nacre
@@ -27,32 +27,14 @@ from nacre.light import (
 from nacre.recipe.toml import parse_toml
 from nacre.studio.folder import Opened
 from nacre.studio.reachable import distance_to
-from nacre.studio.security import HEADER
 from nacre.studio.server import make_app
 from nacre.study.tolerance import read_spreads, run_tolerance
 
-PORT, TOKEN = 8125, "a-token-for-the-tests"
 FREE = [{"path": f"layers[{i}].thickness_nm", "low": 5, "high": high} for i, high in enumerate((600, 120))]
 ASKED: dict[str, Any] = {
     "name": "film.toml", "text": FILM, "look": "specular", "free": FREE, "seconds": 2, "solutions": 2,
     "wants": [{"at": 0, "colour": "#2f7f8f", "within": 2}],
 }  # fmt: skip
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    inside = tmp_path / "recipes"
-    inside.mkdir()
-    (inside / "film.toml").write_text(FILM)
-    (tmp_path / "secret.csv").write_text("400,1.5,0\n700,1.5,0\n")
-    return inside
-
-
-@pytest.fixture
-def client(folder: Path) -> Iterator[TestClient]:
-    app = make_app(Opened.of(str(folder)), TOKEN, PORT)
-    with TestClient(app, base_url=f"http://127.0.0.1:{PORT}", headers={HEADER: TOKEN}) as client:
-        yield client
 
 
 def events(client: TestClient, kind: str, **change: Any) -> list[dict[str, Any]]:

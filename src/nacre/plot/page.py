@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+DPI = 170  # of sheets on a page
+
 
 def framed(name: str, body: Sequence[str]) -> str:
     """Return a whole page of its parts."""

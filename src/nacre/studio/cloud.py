@@ -15,7 +15,6 @@ import numpy as np
 from nacre.arrays import Array
 from nacre.errors import NacreError
 from nacre.light import (
-    ILLUMINANTS,
     SRGB_WHITE_XYZ,
     adapt_xyz,
     delta_e_2000,
@@ -28,7 +27,7 @@ from nacre.materials.material import Material
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.studio.folder import Opened
 from nacre.studio.freedom import LENGTH, THICKNESS, number, opened_parts
-from nacre.studio.measured import built, placed
+from nacre.studio.measured import built, placed, read_lamp
 from nacre.studio.told import Tell
 
 DRAWS = (4, 400)
@@ -46,9 +45,7 @@ def read_cloud(body: Mapping[str, Any], opened: Opened) -> dict[str, Any]:
     Raises:
         NacreError: a value that is not allowed, in one line.
     """
-    lamp = body.get("lamp", "D65")
-    if not isinstance(lamp, str) or lamp not in ILLUMINANTS:
-        raise NacreError(f'lamp "{str(lamp)[:40]}" is not known')
+    lamp = read_lamp(body)
     return {
         "recipe": placed(body, opened), "lamp": lamp,
         "percent": number(body.get("percent", 2), "spread in %", 0.0, MOST_PERCENT),

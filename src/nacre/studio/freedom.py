@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nacre.errors import NacreError, RecipeError, UnsupportedError
-from nacre.light import ILLUMINANTS
 from nacre.materials.material import Material
 from nacre.recipe.paths import find_by_path
 from nacre.studio.folder import Opened
-from nacre.studio.measured import built, placed
+from nacre.studio.measured import built, placed, read_lamp
 
 if TYPE_CHECKING:
     from nacre.design.wants.target import Target
@@ -47,9 +46,7 @@ def read_design(body: Mapping[str, Any], opened: Opened) -> dict[str, Any]:
     Raises:
         NacreError: a value that is not allowed, in one line.
     """
-    lamp, look = body.get("lamp", "D65"), body.get("look", "specular")
-    if not isinstance(lamp, str) or lamp not in ILLUMINANTS:
-        raise NacreError(f'lamp "{str(lamp)[:40]}" is not known')
+    lamp, look = read_lamp(body), body.get("look", "specular")
     if look not in LOOKS:
         raise NacreError(f'"{str(look)[:40]}" is no way to see it; choose from {", ".join(LOOKS)}')
     wants, free = body.get("wants"), body.get("free")

@@ -29,6 +29,7 @@ from nacre.light import (
     adapt_xyz,
     clip_to_srgb,
     spans_colour,
+    spectrum_to_rgb_linear,
     spectrum_to_xyz,
     srgb_to_hex,
     white_xyz,
@@ -202,7 +203,7 @@ def _look(material: Material, illuminant: str, is_superseded: Callable[[], bool]
     if np.any(spread > 0):
         if grid is None and not material.model.is_quick:
             _go_on(is_superseded)
-            lobe = lobe_picture(material, bsdf, functools.partial(_linear, illuminant=illuminant))
+            lobe = lobe_picture(material, bsdf, functools.partial(spectrum_to_rgb_linear, illuminant=illuminant))
         notes.append(LOBES if lobe is not None else SPREAD if gloss is None else GLOSS)
     is_clear = any(bool(np.any(parts[name] > 0)) for name in THROUGH)
     if np.max(parts[THROUGH[0]]) > SEEN_THROUGH:
@@ -257,13 +258,8 @@ def _go_on(is_superseded: Callable[[], bool]) -> None:
 
 def _rgb(values: Array, wavelengths: Array, illuminant: str, angles_deg: Array) -> Array:
     """Return the colours of spectra at the angles of the table, `[angle, 3]`."""
-    rgb = _linear(values, wavelengths, illuminant)
+    rgb = spectrum_to_rgb_linear(values, wavelengths, illuminant)
     return np.stack([np.interp(ANGLES_DEG, angles_deg, channel) for channel in rgb.T], axis=-1)
-
-
-def _linear(values: Array, wavelengths: Array, illuminant: str) -> Array:
-    xyz = adapt_xyz(spectrum_to_xyz(values, wavelengths, illuminant), white_xyz(illuminant), SRGB_WHITE_XYZ)
-    return np.asarray(xyz_to_srgb_linear(xyz))
 
 
 def _at_angles(total: Array, angles_deg: Array) -> Array:

@@ -20,11 +20,10 @@ from nacre.exchange.drawings import SUFFIXES
 from nacre.exchange.formats import EXPORTS, FOLDER, OF_SOME, said_of
 from nacre.exchange.number_maps import FORMATS as MAP_FORMATS
 from nacre.exchange.number_maps import SUFFIXES as MAP_SUFFIXES
-from nacre.light import ILLUMINANTS
 from nacre.materials.material import Material
 from nacre.materials.number_maps import number_maps
 from nacre.studio.folder import Opened
-from nacre.studio.measured import built, placed
+from nacre.studio.measured import built, placed, read_lamp
 from nacre.studio.picture import shape_of
 from nacre.studio.surround import NAMES
 
@@ -64,15 +63,13 @@ def read_wanted(body: Mapping[str, Any], opened: Opened) -> dict[str, Any]:
     Raises:
         NacreError: a value that is not allowed, or a recipe outside the folder.
     """
-    verb, to, lamp, scene = (body.get(key, usual) for key, usual in
-                             (("verb", ""), ("to", ""), ("lamp", "D65"), ("scene", "sphere")))  # fmt: skip
+    verb, to, scene = (body.get(key, usual) for key, usual in (("verb", ""), ("to", ""), ("scene", "sphere")))
     known = {"export": EXPORTS, "fabricate": SUFFIXES | MAP_SUFFIXES, "picture": PICTURES}
     if not isinstance(verb, str) or verb not in known:
         raise NacreError("a file is an export, to fabricate or a picture")
     if not isinstance(to, str) or to not in known[verb]:
         raise NacreError(f'{verb} to "{str(to)[:40]}" is not known; choose from {", ".join(known[verb])}')
-    if not isinstance(lamp, str) or lamp not in ILLUMINANTS:
-        raise NacreError(f'lamp "{str(lamp)[:40]}" is not known')
+    lamp = read_lamp(body)
     if not isinstance(scene, str) or scene not in SCENES:
         raise NacreError(f'scene "{str(scene)[:40]}" is not known; choose from {", ".join(SCENES)}')
     light = body.get("light")

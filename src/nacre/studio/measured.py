@@ -23,10 +23,19 @@ def read_recipes(body: Mapping[str, Any], opened: Opened) -> dict[str, Any]:
     recipes = body.get("recipes")
     if not isinstance(recipes, list) or not 1 <= len(recipes) <= MOST_RECIPES:
         raise NacreError("a report takes one recipe or two")
-    lamp = str(body.get("lamp", "D65"))
-    if lamp not in ILLUMINANTS:
-        raise NacreError(f'lamp "{lamp[:40]}" is not known')
-    return {"recipes": [placed(recipe, opened) for recipe in recipes], "lamp": lamp}
+    return {"lamp": read_lamp(body), "recipes": [placed(recipe, opened) for recipe in recipes]}
+
+
+def read_lamp(body: Mapping[str, Any]) -> str:
+    """Return the lamp that a question names, D65 where it names none.
+
+    Raises:
+        NacreError: it is not known.
+    """
+    lamp = body.get("lamp", "D65")
+    if not isinstance(lamp, str) or lamp not in ILLUMINANTS:
+        raise NacreError(f'lamp "{str(lamp)[:40]}" is not known')
+    return lamp
 
 
 def placed(recipe: Any, opened: Opened) -> dict[str, str]:

@@ -53,9 +53,8 @@ def reachable(question: Mapping[str, Any], tell: Tell) -> None:
             until = begun + each * (1.0 - AIMED_SHARE + AIMED_SHARE * (len(asked) + 1) / len(wants))
             labs_near, distance = _aim(target, want, found.lab, found.structures, look, until)
             labs += labs_near
-            lab = want.lab if want.lab is not None else None
             asked.append({
-                "lab": None if lab is None else np.round(lab, 2).tolist(), "asked": want.asked,
+                "lab": None if want.lab is None else np.round(want.lab, 2).tolist(), "asked": want.asked,
                 "distance": round(distance, 2), "inside": distance <= want.within, "within": want.within,
             })  # fmt: skip
         points = [[*np.round(lab, 1).tolist(), lab_hex(lab, white)] for lab in labs]

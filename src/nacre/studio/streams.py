@@ -17,7 +17,7 @@ from nacre.studio.folder import Opened
 from nacre.studio.freedom import free_numbers, read_design
 from nacre.studio.measured import built, placed
 from nacre.studio.picture import read_question
-from nacre.studio.streamed import stream_apart
+from nacre.studio.streamed import WORK, stream_apart
 
 LINES = "application/x-ndjson"
 DESIGNS, OTHERS = 2, 2  # processes at once; the others wait
@@ -54,10 +54,7 @@ class Streams:
         return [
             Route("/api/free", self.free, methods=["POST"]),
             Route("/api/stop", self.stop, methods=["POST"]),
-            *(
-                Route(f"/api/{kind}", self._of(kind), methods=["POST"])
-                for kind in ("design", "reach", "cloud", "picture")
-            ),
+            *(Route(f"/api/{kind}", self._of(kind), methods=["POST"]) for kind in WORK),
         ]
 
     async def free(self, request: Request) -> Response:

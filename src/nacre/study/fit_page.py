@@ -15,14 +15,13 @@ from nacre.files import write_text
 from nacre.light import delta_e_2000, smooth_weights, spans_colour, swatch_hex, white_xyz, xyz_to_lab
 from nacre.materials.free import Free
 from nacre.materials.layers import layers_of
-from nacre.plot.page import data_uri, framed
+from nacre.plot.page import DPI, data_uri, framed
 from nacre.study.fit import Fit, FittedNumber, Measured
 
 if TYPE_CHECKING:
     from nacre.plot import DesignSheet, Figure
 
 LIGHT = ("D65", "10deg")
-DPI = 170
 MOST_CURVES = 5  # of a measurement with many angles: those that are furthest off
 RIBBON_DEG = np.linspace(0.0, 80.0, 41)
 AT_BOUND = 1e-3  # of the bounds
@@ -141,6 +140,7 @@ def _pair(seen: Array, made: Array, nm: Array) -> tuple[str, str, str]:
 def _ribbon(fit: Fit, measured: Measured) -> tuple[Array, Array, str]:
     """Return angles and spectra of the first measured part; of what takes long the measured angles alone."""
     part, nm = measured.parts[0], measured.wavelengths_nm
+    label = f"Angle of the light, fitted {part.replace('_', ' ')} (degrees)"
     assert measured.angles_deg is not None
     if fit.material.model.is_quick:
         try:
@@ -148,12 +148,12 @@ def _ribbon(fit: Fit, measured: Measured) -> tuple[Array, Array, str]:
         except NacreError:  # an angle that this family does not answer
             found = None
         if found is not None:
-            return RIBBON_DEG, found, f"Angle of the light, fitted {part.replace('_', ' ')} (degrees)"
+            return RIBBON_DEG, found, label
     values = measured.values[0] + fit.residual[0]
     angles = measured.angles_deg
     if len(angles) == 1:  # a ribbon has a width
         angles, values = angles[0] + np.array([-0.5, 0.5]), np.repeat(values, 2, axis=0)
-    return angles, values, f"Angle of the light, fitted {part.replace('_', ' ')} (degrees)"
+    return angles, values, label
 
 
 __all__ = ["write_fit_page"]

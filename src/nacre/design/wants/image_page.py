@@ -11,11 +11,11 @@ import numpy as np
 
 from nacre.design.wants.answers import Design
 from nacre.design.wants.image_picture import Picture, srgb_lab
-from nacre.design.wants.page import DPI, PICTURE, REPORT
+from nacre.design.wants.page import PICTURE, REPORT
 from nacre.design.wants.target import Target
 from nacre.files import write_text
 from nacre.light import white_xyz, xyz_to_lab
-from nacre.plot.page import data_uri, framed, png_uri
+from nacre.plot.page import DPI, data_uri, framed, png_uri
 
 if TYPE_CHECKING:
     from nacre.plot import Figure

@@ -22,7 +22,7 @@ from nacre.files import write_text
 from nacre.light import white_xyz
 from nacre.materials.layers import layers_of
 from nacre.materials.material import Material
-from nacre.plot.page import data_uri, framed
+from nacre.plot.page import DPI, data_uri, framed
 from nacre.recipe.paths import numbers_of
 
 if TYPE_CHECKING:
@@ -32,7 +32,6 @@ REPORT, PICTURE = "report.html", "report.png"
 RIBBON_DEG = np.linspace(0.0, 80.0, 41)
 COARSE_DEG = np.linspace(0.0, 80.0, 9)  # where an angle takes long
 ASPECULAR_DEG = np.array([-15.0, 0.0, 15.0, 25.0, 35.0, 45.0, 60.0, 75.0, 90.0, 110.0])
-DPI = 170
 LEAST_GAMUT_S = 3.0
 
 
