@@ -8,6 +8,7 @@ where there is no NVIDIA GPU.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import uuid
 from collections.abc import Generator, Iterator
@@ -25,6 +26,10 @@ sys.path.insert(0, str(Path(__file__).parent / "toy"))
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 os.environ.setdefault("NUMBA_NUM_THREADS", str(min(8, os.cpu_count() or 1)))
+
+# a suite started in the background of a shell inherits an ignored interrupt, and its children from it: what an
+# interrupt does could then not be tested, and a render that waits for one would never end
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # tests measure pictures as they were rendered; those of the denoiser ask for it
 os.environ["NACRE_DENOISE"] = "0"
