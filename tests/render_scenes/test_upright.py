@@ -102,7 +102,7 @@ def tile_scene(path: Path) -> Scene:
     return with_subject(scene, lambda: subject_parts(path, scene))
 
 
-@pytest.mark.parametrize("name", ["sphere", "panel", "knob", "tile.obj"])
+@pytest.mark.parametrize("name", ["sphere", "panel", "knob", "ring", "card", "tile.obj"])
 def test_a_letter_r_reads_as_drawn_on(tmp_path: Path, name: str) -> None:
     """Of the eight ways to lay the letter on what the camera sees of u and v, as drawn is the picture."""
     drawn = letter(tmp_path / "r.png")

@@ -13,7 +13,7 @@ from nacre.cli.status import STATUS_INTERRUPTED, STOPPED
 from nacre.errors import NacreError
 
 MOVIES = (".gif", ".mp4")
-SCENES = "sphere|probe|speedshape|panel|butterfly|bottle|knob|body|screen|SCENE.xml"
+SCENES = "sphere|probe|speedshape|panel|butterfly|beetle|bottle|knob|body|ring|cuff|card|banknote|screen|SCENE.xml"
 
 
 @click.command()

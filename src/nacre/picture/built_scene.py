@@ -18,7 +18,7 @@ from nacre.errors import UnsupportedError
 from nacre.picture.camera import Framing, View
 from nacre.picture.endless import endless_of
 from nacre.picture.lights.named import Light
-from nacre.picture.scenes.catalogue import MATERIALS, SUBJECT, Part, Scene, backdrop_parts
+from nacre.picture.scenes.catalogue import SUBJECT, Part, Scene, backdrop_parts, plain_material
 from nacre.picture.shapes.ball import bounding_ball
 from nacre.picture.shapes.mesh import Mesh, rotation
 
@@ -75,7 +75,7 @@ class BuiltScene:
 
         def material(name: str) -> Any:
             if name not in made:
-                made[name] = mi.load_dict(MATERIALS[name] if name != SUBJECT else MATERIALS["white"])
+                made[name] = mi.load_dict(plain_material(name if name != SUBJECT else "white"))
             return made[name]
 
         content: dict[str, Any] = {"type": "scene"}

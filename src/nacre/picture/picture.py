@@ -83,8 +83,8 @@ def render(
 
     Args:
         material: a material, a `Bsdf`, or a ready Mitsuba BSDF or its dict.
-        scene: sphere, probe, speedshape, panel, butterfly, bottle, knob, body, screen, or a Mitsuba .xml file whose
-            BSDFs of id "nacre" the material replaces.
+        scene: sphere, probe, speedshape, panel, butterfly, beetle, bottle, knob, body, ring, cuff, card, banknote,
+            screen, or a Mitsuba .xml file whose BSDFs of id "nacre" the material replaces.
         shape: another object for the scene: a name of those or a mesh file (.ply, .obj, .stl, .glb, .gltf, .off).
         up: which axis of a mesh file points up, x, y or z; None: y for .obj, .glb and .gltf, z for the others.
         turn: degrees by which the object is turned about the vertical axis, counter-clockwise seen from above.

@@ -24,7 +24,8 @@ SUBJECT = "nacre"  # parts with this material take the one that is rendered
 # half width, front, back, radius and height of `backdrop.sweep`; flat, reach and rise of `backdrop.bowl`; chequers
 SWEEP, BOARD, BOWL = (20.0, 16.0, 5.0, 4.5, 5.2), (12.0, 12.0, 12.0, 2.0, 3.0), (1.4, 9.0, 4.2)
 SQUARE, BOWL_SQUARE = 0.55, 0.62
-Backdrop = Literal["sweep", "bowl", "board", "none"]
+RING_DEG = -24.0  # so turned, a film in its ring mirrors the large soft box
+Backdrop = Literal["sweep", "bowl", "board", "dark", "none"]
 
 
 @dataclass(frozen=True)
@@ -103,11 +104,17 @@ MATERIALS: dict[str, dict[str, Any]] = {
     "lamp": {"type": "plastic", "int_ior": 1.5, "diffuse_reflectance": 0.55},
     "chrome": {"type": "roughconductor", "material": "Cr", "alpha": 0.18},
     "white": {"type": "diffuse", "reflectance": 0.8},
+    "paper": {"type": "diffuse", "reflectance": 0.74},
+    "black": {"type": "diffuse", "reflectance": 0.012},
 }
 
 
-def floor_material(name: str) -> dict[str, Any]:
-    """A floor by name: one of `MATERIALS`, or the room's own boards with their spectrum."""
+def plain_material(name: str) -> dict[str, Any]:
+    """What is not the subject, by name: one of `MATERIALS`, a printed note, a room's boards with their spectrum."""
+    if name == "banknote":
+        from nacre.picture.shapes.paper import banknote_print
+
+        return {"type": "diffuse", "reflectance": _grey_bitmap(banknote_print()[::-1])}  # v upward
     if name != "boards":
         return MATERIALS[name]
     from nacre.light import table_wavelengths_nm
@@ -132,6 +139,14 @@ def chessboard(square: float, dark: float = 0.035, bright: float = 0.6) -> dict[
     }
 
 
+def _grey_bitmap(reflectance: Array, **options: Any) -> dict[str, Any]:
+    """A texture of reflectances `[row, column]`, equal at all wavelengths; what `options` are, see Mitsuba's bitmap."""
+    import mitsuba as mi
+
+    values = np.ascontiguousarray(reflectance[..., None], dtype=np.float32)
+    return {"type": "bitmap", "data": mi.TensorXf(values), "raw": True, "wrap_mode": "clamp", **options}
+
+
 def graded(across: float, along: float, centre: float) -> dict[str, Any]:
     """A matt backdrop for uv in lengths, lightest under the subject and darker towards its edges and up the wall."""
     import mitsuba as mi
@@ -139,16 +154,8 @@ def graded(across: float, along: float, centre: float) -> dict[str, Any]:
     u, v = np.meshgrid((np.arange(128) + 0.5) / 128 * across, (np.arange(128) + 0.5) / 128 * along)
     distance = np.hypot((u - 0.5 * across) / 1.5, v - centre)
     reflectance = 0.035 + 0.14 * np.exp(-((distance / 5.5) ** 2))
-    return {
-        "type": "diffuse",
-        "reflectance": {
-            "type": "bitmap",
-            "data": mi.TensorXf(np.ascontiguousarray(reflectance[..., None], dtype=np.float32)),
-            "raw": True,
-            "wrap_mode": "clamp",
-            "to_uv": mi.ScalarTransform4f().scale([1 / across, 1 / along, 1.0]),
-        },
-    }
+    over = mi.ScalarTransform4f().scale([1 / across, 1 / along, 1.0])
+    return {"type": "diffuse", "reflectance": _grey_bitmap(reflectance, to_uv=over)}
 
 
 @functools.cache
@@ -217,6 +224,43 @@ def _body() -> list[Part]:
     ]
 
 
+@functools.cache
+def _beetle() -> list[Part]:
+    from nacre.picture.shapes.beetle import beetle_limbs, beetle_shell
+
+    return [Part(beetle_shell()), Part(beetle_limbs(), "dark")]
+
+
+@functools.cache
+def _ring() -> list[Part]:
+    from nacre.picture.shapes.ring import film_in_ring, ring_stand, ring_wire
+
+    turn = rotation("z", RING_DEG)
+    film, wire, stand = (surface.moved(turn) for surface in (film_in_ring(), ring_wire(), ring_stand()))
+    return [Part(film), Part(wire, "dark"), Part(stand, "dark")]
+
+
+@functools.cache
+def _cuff() -> list[Part]:
+    from nacre.picture.shapes.cuff import cuff
+
+    return [Part(cuff())]
+
+
+@functools.cache
+def _banknote() -> list[Part]:
+    from nacre.picture.shapes.paper import banknote, banknote_foil
+
+    return [Part(banknote_foil()), Part(banknote(), "banknote")]
+
+
+@functools.cache
+def _card() -> list[Part]:
+    from nacre.picture.shapes.paper import card_coat, card_paper
+
+    return [Part(card_coat()), Part(card_paper(False), "paper"), Part(card_paper(True), "black")]
+
+
 SCENES: dict[str, Scene] = {
     scene.name: scene
     for scene in (
@@ -234,6 +278,11 @@ SCENES: dict[str, Scene] = {
             size=(960, 540),
             place_view=View((6.9, -7.6, 1.35), (0.05, 0.0, 0.86), 30.0),
         ),  # fmt: skip
+        Scene("beetle", _beetle, View((0.0, -5.6, 8.6), (0.0, -0.05, 0.2), 25.0), "board", size=(640, 720)),
+        Scene("ring", _ring, View((0.0, -9.0, 2.6), (0.0, 0.0, 1.6), 22.5), "dark", size=(640, 720)),
+        Scene("cuff", _cuff, View((0.0, -8.0, 4.2), (0.0, 0.0, 0.55), 24.5), size=(800, 600), max_depth=8),
+        Scene("banknote", _banknote, View((0.0, -6.4, 5.6), (0.0, 0.0, 0.3), 27.0), size=(800, 520)),
+        Scene("card", _card, View((0.0, -8.6, 5.2), (0.0, 0.1, 0.95), 21.0), size=(640, 720)),
     )
 }
 # shapes that `shape=` knows: the subjects of the scenes above
@@ -258,7 +307,8 @@ def scene(name: str) -> Scene:
 def backdrop_parts(kind: Backdrop, see_through: bool, place_floor: str | None) -> list[tuple[Mesh, dict[str, Any]]]:
     """The stage: a sweep, a chessboard bowl, a board; a plain ground where an environment is to be seen.
 
-    A transparent subject gets a chequered sweep, since glass is seen by its refraction.
+    A transparent subject gets a chequered sweep, since glass is seen by its refraction, but for one that is shown by
+    what it reflects, before a dark one.
     """
     if kind == "none":
         return []
@@ -267,10 +317,12 @@ def backdrop_parts(kind: Backdrop, see_through: bool, place_floor: str | None) -
     if place_floor is not None:
         # a place paints its own ground beyond the subject's surroundings; a bare sky has none below the horizon
         side = 8000.0 if place_floor == "plain" else 60.0
-        return [(stages.tile(side, side), floor_material(place_floor))]
+        return [(stages.tile(side, side), plain_material(place_floor))]
     if kind == "board":
         return [(stages.sweep(*BOARD), MATERIALS["board"])]
     surface = stages.sweep(*SWEEP)
+    if kind == "dark":
+        return [(surface, MATERIALS["black"])]
     if see_through:  # dark, so that the faint colours of a film on glass stand before it
         return [(surface, chessboard(SQUARE, 0.012, 0.11))]
     return [(surface, graded(40.0, float(surface.uv[:, 1].max()), 16.0))]

@@ -44,6 +44,10 @@ class Mesh:
         faces = self.faces[:, ::-1] if np.linalg.det(matrix) < 0 else self.faces
         return Mesh(self.vertices @ matrix.T + np.asarray(offset, dtype=float), normals, self.uv, faces)
 
+    def turned(self) -> Mesh:
+        """The same surface seen from its other side."""
+        return Mesh(self.vertices, -self.normals, self.uv, self.faces[:, ::-1])
+
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Lowest and highest corner."""

@@ -1,0 +1,122 @@
+"""Flat things of paper: a banknote with its security foil, and the card that paints are drawn down on.
+
+On both u runs across and v upward, over the whole sheet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from nacre.picture.shapes.mesh import Array, Mesh, merge, parametric
+
+NOTE_WIDTH, NOTE_HEIGHT = 3.5, 1.7
+_ABOVE = 0.004  # foil and paint lie so far above the paper
+_STRIPE = (0.66, 0.77)  # of the note's width
+_SEAL = (0.45, 0.52, 0.1)  # centre u, v and radius over the width
+
+CARD_WIDTH, CARD_HEIGHT = 2.5, 3.0
+_COAT = (0.08, 0.92, 0.06, 0.83)  # u and v of what is painted
+_BLACK = (0.62, 1.0)  # v of the black half
+
+
+def _note(u: Array, v: Array, above: float = 0.0) -> Array:
+    """A note that was folded in a purse: it rises to the back, with a wave along it."""
+    bend = np.radians(4.0 + 50.0 * v)
+    start, radius = np.radians(4.0), NOTE_HEIGHT / np.radians(50.0)
+    y = radius * (np.sin(bend) - np.sin(start)) - 0.5 * NOTE_HEIGHT
+    z = radius * (np.cos(start) - np.cos(bend))
+    wave = 0.045 * np.sin(2 * np.pi * (1.1 * u + 0.15 * v)) + 0.05
+    normal = np.stack([0 * bend, -np.sin(bend), np.cos(bend)], axis=-1)
+    flat = np.stack([(u - 0.5) * NOTE_WIDTH, y, z], axis=-1)
+    return np.asarray(flat + normal * (wave + above)[..., None])
+
+
+def _patch(sheet: Callable[[Array, Array, float], Array], u: Callable[[Array, Array], Array],
+           v: Callable[[Array, Array], Array], cells: tuple[int, int]) -> Mesh:  # fmt: skip
+    """A part of a sheet that lies above it, with the sheet's own uv."""
+    part = parametric(lambda a, b: sheet(u(a, b), v(a, b), _ABOVE), *cells)
+    a, b = part.uv[:, 0], part.uv[:, 1]
+    return Mesh(part.vertices, part.normals, np.stack([u(a, b), v(a, b)], axis=1), part.faces)
+
+
+def banknote() -> Mesh:
+    """The paper."""
+    return parametric(_note, 160, 80)
+
+
+def banknote_foil() -> Mesh:
+    """The security stripe and the round seal: what takes the material."""
+    low, high = _STRIPE
+    stripe = _patch(_note, lambda a, b: low + (high - low) * a, lambda a, b: 0.0 * a + b, (24, 120))
+    u, v, radius = _SEAL
+    share = NOTE_WIDTH / NOTE_HEIGHT
+    seal = _patch(
+        _note, lambda a, b: u + radius * b * np.cos(-2 * np.pi * a) * -1,
+        lambda a, b: v + share * radius * b * np.sin(-2 * np.pi * a) * -1, (96, 32),
+    )  # fmt: skip
+    return merge([_upward(stripe), _upward(seal)])
+
+
+def _upward(surface: Mesh) -> Mesh:
+    """The same surface with its normals upward."""
+    return surface if surface.normals[:, 2].mean() > 0 else surface.turned()
+
+
+def banknote_print(rows: int = 1024) -> Array:
+    """Reflectance `[row, column]` of the printed paper, first row on top: guilloches, fine lines, a number."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    columns = int(rows * NOTE_WIDTH / NOTE_HEIGHT)
+    x, y = np.meshgrid((np.arange(columns) + 0.5) / rows, 1.0 - (np.arange(rows) + 0.5) / rows)
+    ink = np.zeros((rows, columns))
+
+    def lines(field: Array, share: float) -> Array:
+        return np.clip((share - np.abs(np.mod(field, 1.0) - 0.5)) * 30.0, 0.0, 1.0)
+
+    ink += 0.25 * lines(26 * (y + 0.05 * np.sin(5 * x) + 0.02 * np.sin(13 * x + 6 * y)), 0.16)
+    ink += 0.18 * lines(26 * (y + 0.05 * np.sin(5 * x + 2.1) + 0.02 * np.sin(11 * x - 5 * y)), 0.12)
+    for centre, size, lobes in ((0.36, 0.32, 9), (1.62, 0.2, 7)):
+        r, phi = np.hypot(x - centre, y - 0.5) / size, np.arctan2(y - 0.5, x - centre)
+        inside = np.clip((1.0 + 0.08 * np.cos(lobes * phi) - r) * 40.0, 0.0, 1.0)
+        rosette = sum(lines(7 * r * (1.0 + 0.16 * np.cos(lobes * phi + turn)), 0.15) for turn in (0.0, 2.1, 4.2))
+        ink = ink * (1.0 - 0.6 * inside) + 0.4 * inside * rosette
+    frame = np.minimum(np.minimum(x, columns / rows - x), np.minimum(y, 1.0 - y))
+    ink *= np.clip((frame - 0.04) * 100.0, 0.0, 1.0)
+    words = Image.new("L", (columns, rows), 0)
+    draw = ImageDraw.Draw(words)
+    for text, place, size in (("550", (0.125, 0.37), 0.26), ("550", (0.07, 0.07), 0.11), ("550", (1.73, 0.8), 0.11),
+                              ("NANOMETRES", (0.74, 0.1), 0.075)):  # fmt: skip
+        font = ImageFont.load_default(size * rows)
+        draw.text((place[0] * rows, place[1] * rows), text, fill=255, font=font)
+    ink = np.maximum(np.clip(ink, 0.0, 0.75), 0.9 * np.asarray(words) / 255.0)
+    return np.asarray(0.72 * (1.0 - 0.85 * ink))
+
+
+def _card(u: Array, v: Array, above: float = 0.0) -> Array:
+    """A card bent over a stand, as paints are shown for their flop: upright in front, flat behind."""
+    first, last = np.radians(78.0), np.radians(8.0)
+    radius = CARD_HEIGHT / (first - last)
+    slope = first + (last - first) * v
+    y = radius * (np.sin(first) - np.sin(slope))
+    z = radius * (np.cos(slope) - np.cos(first))
+    normal = np.stack([0 * slope, -np.sin(slope), np.cos(slope)], axis=-1)
+    return np.asarray(np.stack([(u - 0.5) * CARD_WIDTH, y - 1.0, z], axis=-1) + above * normal)
+
+
+def card_coat() -> Mesh:
+    """The paint that was drawn down: what takes the material."""
+    left, right, low, high = _COAT
+    return _upward(
+        _patch(_card, lambda a, b: left + (right - left) * a, lambda a, b: low + (high - low) * b, (16, 200))
+    )
+
+
+def card_paper(is_black: bool) -> Mesh:
+    """The card's white part, or its black one."""
+    low, high = _BLACK if is_black else (0.0, _BLACK[0])
+    return _upward(parametric(lambda u, v: _card(u, low + (high - low) * v), 8, 100))
+
+
+__all__ = ["banknote", "banknote_foil", "banknote_print", "card_coat", "card_paper"]
