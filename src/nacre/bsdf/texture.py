@@ -237,8 +237,8 @@ def _bilinear(image: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.
 
 def place_formula(thing: Any) -> str | None:
     """Return a formula of x, y or z within a texture, a Bsdf, a model or tables of them; None where there is none."""
-    if thing is None or isinstance(thing, str | int | float | complex | np.ndarray):
-        return None  # most of what is met, and quickest told apart
+    if thing is None or isinstance(thing, str | int | float | complex | np.ndarray) or hasattr(thing, "n_complex"):
+        return None  # most of what is met, and quickest told apart; a medium is the same everywhere
     if isinstance(thing, Texture):
         return thing.formula.text if thing.formula is not None and thing.formula.uses_place else None
     if isinstance(thing, Mapping):

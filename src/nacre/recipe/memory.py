@@ -37,6 +37,8 @@ def check_memory(asked_bytes: float, what: str, advice: str = "") -> None:
 
     Example: `check_memory(1e15, "feature_um = 1e-06")` raises on today's machines.
     """
+    if asked_bytes <= LEAST and VARIABLE not in os.environ:
+        return  # of every machine; asked for each look at a film, and the limit stands in a file
     allowed, why = _limit()
     if not asked_bytes <= allowed:  # NaN is refused as well
         raise UnsupportedError(

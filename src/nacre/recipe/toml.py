@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import tomllib
 from collections.abc import Mapping
 from typing import Any
@@ -12,6 +13,11 @@ from nacre.errors import RecipeError
 from nacre.recipe.data import plain_data
 from nacre.recipe.paths import set_by_path
 
+MOST_REMEMBERED = 20_000  # characters of a text whose reading is kept for the next time
+
+# a change of the studio reads one text three times: before the change, to check it, and to build it
+_read_again = functools.lru_cache(maxsize=32)(tomllib.loads)
+
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
     """Parse TOML.
@@ -20,7 +26,8 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         RecipeError: naming the line and column of the first mistake.
     """
     try:
-        return plain_data(tomllib.loads(text), source)
+        read = _read_again if len(text) <= MOST_REMEMBERED else tomllib.loads
+        return plain_data(read(text), source)  # a copy, which is the caller's own
     except tomllib.TOMLDecodeError as error:
         raise RecipeError(f"{source}: not valid TOML: {' '.join(str(error).split())}") from None
     except RecursionError:

@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from typing import Any
 
@@ -83,30 +83,25 @@ class Session:
 
     async def _answer(self, question: Mapping[str, Any]) -> None:
         loop = asyncio.get_running_loop()
-        seq = question["seq"]
-        text = str(question.get("text", ""))
+        answer = _Answer(question, self._opened, self._is_superseded)
         try:
-            name, lamp = str(question.get("name", "")), str(question.get("lamp", "D65"))
-            text = await loop.run_in_executor(self._workers, _written, question, name, text)
-            material = await loop.run_in_executor(self._workers, self._opened.material, text, name)
-            parsed = {"seq": seq, "text": text, "data": _plain(material.data)}
-            solving = looks(material, lamp if lamp in ILLUMINANTS else "D65", self._is_superseded)
             while True:
-                look = await loop.run_in_executor(self._workers, next, solving, None)
-                if look is None:
+                # one job a look, from the text to the bytes: each hand-over would queue behind other pages' work
+                sent = await loop.run_in_executor(self._workers, answer.next_look)
+                if sent is None:
                     return
-                await self._socket.send_bytes(look.packed(**parsed, **_difference(question.get("beside"), look)))
-                if look.is_draft:
+                await self._socket.send_bytes(sent)
+                if answer.is_draft:
                     await self._rest()
         except SupersededError:
             return
         except NacreError as error:
-            await self._tell(seq, text, str(error))
+            await self._tell(answer, str(error))
         except MemoryError:
-            await self._tell(seq, text, f"{question.get('name', 'recipe')}: not enough memory for this recipe")
+            await self._tell(answer, f"{question.get('name', 'recipe')}: not enough memory for this recipe")
         except Exception as error:  # whatever it was: the page must hear of it, and the next question be answered
             what = f"this is a bug in nacre, please report it: {type(error).__name__}: {str(error)[:200]}"
-            await self._tell(seq, text, what)
+            await self._tell(answer, what)
 
     async def _rest(self) -> None:
         """Wait until nothing new has come for a moment, so that a long solution is not begun in vain."""
@@ -114,13 +109,52 @@ class Session:
         while time.monotonic() < until and not self._is_superseded():
             await asyncio.sleep(0.02)
 
-    async def _tell(self, seq: int, text: str, message: str) -> None:
+    async def _tell(self, answer: _Answer, message: str) -> None:
+        text = answer.text
         try:
             data = _plain(parse_toml(text, "recipe"))
         except NacreError:
             data = None
-        told = {"seq": seq, "text": text, "error": message, "line": line_of(text, message), "data": data}
+        told = {"seq": answer.seq, "text": text, "error": message, "line": line_of(text, message), "data": data}
         await self._socket.send_text(json.dumps(told))
+
+
+class _Answer:
+    """The looks that answer one question, packed; made in a thread of the workers.
+
+    Attributes:
+        seq: the question's number.
+        text: the recipe's, with the changes written into it as soon as they are.
+        is_draft: whether the look given last was one.
+    """
+
+    def __init__(self, question: Mapping[str, Any], opened: Opened, is_superseded: Callable[[], bool]) -> None:
+        self.seq: int = question["seq"]
+        self.text = str(question.get("text", ""))
+        self.is_draft = False
+        self._question = question
+        self._opened = opened
+        self._is_superseded = is_superseded
+        self._looks = self._solved()
+
+    def next_look(self) -> bytes | None:
+        """Return the next look; None after the last one.
+
+        Raises:
+            NacreError: the recipe is wrong, or cannot be solved.
+            SupersededError: a newer question has come.
+        """
+        return next(self._looks, None)
+
+    def _solved(self) -> Iterator[bytes]:
+        question = self._question
+        name, lamp = str(question.get("name", "")), str(question.get("lamp", "D65"))
+        self.text = _written(question, name, self.text)
+        material = self._opened.material(self.text, name)
+        told = {"seq": self.seq, "text": self.text, "data": _plain(material.data)}
+        for look in looks(material, lamp if lamp in ILLUMINANTS else "D65", self._is_superseded):
+            self.is_draft = look.is_draft
+            yield look.packed(**told, **_difference(question.get("beside"), look))
 
 
 def _written(question: Mapping[str, Any], name: str, text: str) -> str:

@@ -27,6 +27,7 @@ Extrapolation = Literal["error", "edge"]
 
 RANGE_TOLERANCE = 1e-9  # relative: 0.360 um in a file is 360 nm up to rounding
 MIN_INDEX = 1e-6  # as the stack solver takes; no published one is below 0.01
+MOST_REMEMBERED = 1000  # wavelengths of a call whose answer is kept for the next one
 MAX_INDEX = 100.0  # far above any material of optics: more is a formula in the wrong unit
 
 
@@ -65,6 +66,11 @@ class OpticalConstant:
         Example: `index("SiO2").n_complex([587.6])` is 1.4585.
         """
         wavelengths = floats(wavelengths_nm, "wavelengths_nm")
+        if wavelengths.size > MOST_REMEMBERED:
+            return self._computed(wavelengths)
+        return _remembered(self, wavelengths.tobytes()).reshape(wavelengths.shape).copy()
+
+    def _computed(self, wavelengths: Array) -> ComplexArray:
         if not (np.isfinite(wavelengths).all() and (wavelengths > 0.0).all()):
             raise NacreError(f'"{self.name}": wavelengths_nm must be finite and positive')
         low, high = self.range_nm
@@ -115,6 +121,12 @@ class OpticalConstant:
             raise NacreError(
                 f'"{self.name}" has k < 0 at {at:g} nm, which would be gain; nacre takes n + ik with k >= 0'
             )
+
+
+@functools.lru_cache(maxsize=256)
+def _remembered(constant: OpticalConstant, samples: bytes) -> ComplexArray:
+    """Return n + ik at wavelengths given as bytes: one look at a film asks for the same ones a dozen times."""
+    return constant._computed(np.frombuffer(samples))
 
 
 def constant(value: complex, name: str | None = None) -> OpticalConstant:
