@@ -323,7 +323,7 @@ def serve(opened: Opened, port: int | None, is_browser_wanted: bool) -> None:
     app = make_app(opened, token, chosen)
     config = uvicorn.Config(
         app, log_level="critical", access_log=False, lifespan="off", ws_max_size=MAX_MESSAGE,
-        timeout_graceful_shutdown=1, server_header=False,
+        timeout_graceful_shutdown=1, server_header=False, ws_per_message_deflate=False,  # it all stays on this machine
     )  # fmt: skip
     address = f"http://{LOOPBACK}:{chosen}/?token={token}"
     click.echo(address)

@@ -18,7 +18,9 @@ import { View } from "./view.js";
 import { Wire } from "./wire.js";
 
 const { recipe } = app, models = new Map(), TABS = ["form", "toml", "design"];
-const CHART_MS = 150;   // between two drawings of the charts while a slider is dragged: they take as long as the object
+// between two drawings of the charts while a slider is dragged, which take as long as the object; and after the object,
+// whose picture would otherwise wait for theirs
+const CHART_MS = 150, CHART_AFTER_MS = 40;
 let charting = 0, charted = -CHART_MS;
 
 // ---- what is shown of the connection and of the answer
@@ -35,7 +37,7 @@ async function onAnswer(answer, isNewest) {
   const isOurs = recipe.settle(answer, isNewest);
   app.lastGood = answer;
   if (app.view) app.view.setLook(answer);
-  if (!charting) charting = setTimeout(chart, Math.max(0, charted + CHART_MS - performance.now()));
+  if (!charting) charting = setTimeout(chart, Math.max(CHART_AFTER_MS, charted + CHART_MS - performance.now()));
   $("notes").replaceChildren(...answer.notes.map((note) => el("li", { textContent: note })));
   if (!isNewest) return;
   setError(null);

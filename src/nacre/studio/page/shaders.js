@@ -160,60 +160,69 @@ vec3 material(vec3 spot, vec3 d, vec3 n, vec3 down) {
 export const BALL = `${COMMON}
 uniform sampler2D throughMirror, throughGloss, throughMatt, backdrop, mirrored;
 uniform float gathered, spreads;
+const float BANDS = 6.0;
+vec3 rayAt(vec2 place) {
+  vec2 at = (place - 0.5 * size) / (0.5 * size.x);
+  return normalize(ahead + at.x * right + at.y * up);
+}
 #ifdef GATHERED
-vec3 ballSeen(vec3 p, vec3 d) {
-  vec3 toEye = normalize(eye - CENTRE);
-  float far = acos(clamp(dot(p, toEye), -1.0, 1.0)) / acos(1.0 / length(eye - CENTRE));
+// what lobes of some width and a matt surface send to the eye; what a mirror sends is looked up without all this
+vec3 wide(vec3 d) {
+  vec3 o = eye - CENTRE;
+  float b = dot(o, d);
+  vec3 p = normalize(o + d * (-b - sqrt(max(b * b - dot(o, o) + 1.0, 0.0)))), toEye = normalize(o);
+  float far = acos(clamp(dot(p, toEye), -1.0, 1.0)) / acos(1.0 / length(o));
   vec2 side = vec2(dot(p, normalize(right)), dot(p, cross(toEye, normalize(right))));
   vec2 at = 0.5 + 0.5 * min(far, 1.0) * side / max(length(side), 1e-6);
-  float cosine = clamp(-dot(d, p), 0.0, 1.0);
   vec3 seen = vec3(0.0);
-  if (spreads > 0.5) seen = texture(throughMatt, at).rgb * (gathered < 1.5 ? nacreColour(table, cosine, 0.0, first + 2.0, 6.0) : vec3(1.0));
-  if (alpha < 0.001) seen += nacreColour(table, cosine, 0.0, first, 6.0) * texelFetch(mirrored, ivec2(gl_FragCoord.xy), 0).rgb;
-  else {
+  if (spreads > 0.5) seen = texture(throughMatt, at).rgb * (gathered < 1.5 ? nacreColour(table, clamp(-dot(d, p), 0.0, 1.0), 0.0, first + 2.0, BANDS) : vec3(1.0));
+  if (alpha >= 0.001) {
     vec4 m = texture(throughMirror, at);
-    seen += nacreColour(table, m.a, 0.0, first, 6.0) * m.rgb;
+    seen += nacreColour(table, m.a, 0.0, first, BANDS) * m.rgb;
   }
   if (gloss > 0.0 && gathered < 1.5) {
     vec4 g = texture(throughGloss, at);
-    seen += nacreColour(table, g.a, 0.0, first + 1.0, 6.0) * g.rgb;
+    seen += nacreColour(table, g.a, 0.0, first + 1.0, BANDS) * g.rgb;
   }
   return seen;
 }
 #endif
 void main() {
-  vec2 at = (gl_FragCoord.xy - 0.5 * size) / (0.5 * size.x);
-  vec3 d = normalize(ahead + at.x * right + at.y * up);
-  vec3 o = eye - CENTRE;
-  float b = dot(o, d), c = dot(o, o) - 1.0, disc = b * b - c;
-  float pixel = 2.0 * length(right) / size.x * length(o);
-  float cover = clamp(0.5 + (1.0 - sqrt(max(dot(o, o) - b * b, 0.0))) / pixel, 0.0, 1.0);
 #ifdef GATHERED
-  vec3 back = texelFetch(backdrop, ivec2(gl_FragCoord.xy), 0).rgb;
+  vec4 back = texelFetch(backdrop, ivec2(gl_FragCoord.xy), 0);
+  if (back.a > 0.0) {
+    vec3 seen = vec3(0.0);
+    if (alpha < 0.001) {
+      vec4 m = texelFetch(mirrored, ivec2(gl_FragCoord.xy), 0);
+      seen = nacreTexel(table, m.a, 0.0, first, BANDS) * m.rgb;
+    }
+    if (alpha >= 0.001 || spreads > 0.5 || gloss > 0.0) seen += wide(rayAt(gl_FragCoord.xy));
+    back.rgb = mix(back.rgb, seen, back.a);
+  }
 #else
-  vec3 back = behind(d, pixel / length(o));
-#endif
+  vec3 d = rayAt(gl_FragCoord.xy), o = eye - CENTRE;
+  float b = dot(o, d), disc = b * b - dot(o, o) + 1.0, pixel = 2.0 * length(right) / size.x;
+  float cover = clamp(0.5 + (1.0 - sqrt(max(dot(o, o) - b * b, 0.0))) / (pixel * length(o)), 0.0, 1.0);
+  vec4 back = vec4(behind(d, pixel), cover);
   if (cover > 0.0) {
     vec3 p = normalize(o + d * (-b - sqrt(max(disc, 0.0))));
-#ifdef GATHERED
-    back = mix(back, ballSeen(p, d), cover);
-#else
-    back = mix(back, material(p + CENTRE, d, p, p * 1.6), cover);
-#endif
+    back.rgb = mix(back.rgb, material(p + CENTRE, d, p, p * 1.6), cover);
   }
-  colour = vec4(encode(back * exp2(exposure)), 1.0);
+#endif
+  colour = vec4(encode(back.rgb * exp2(exposure)), 1.0);
 }`;
 
-// What stands behind the ball, and what a smooth ball mirrors, once for a view: no recipe changes it.
+// What stands behind the ball and how much of it the ball covers; what a smooth ball mirrors and the angle to the eye,
+// as a place in a table over the angle. Once for a view: no recipe changes it.
 export const BACKDROP = `${COMMON}
 layout(location = 1) out vec4 inMirror;
 void main() {
   vec2 at = (gl_FragCoord.xy - 0.5 * size) / (0.5 * size.x);
   vec3 d = normalize(ahead + at.x * right + at.y * up), o = eye - CENTRE;
-  colour = vec4(behind(d, 2.0 * length(right) / size.x), 1.0);
-  float b = dot(o, d), c = dot(o, o) - 1.0;
+  float pixel = 2.0 * length(right) / size.x, b = dot(o, d), c = dot(o, o) - 1.0;
+  colour = vec4(behind(d, pixel), clamp(0.5 + (1.0 - sqrt(max(dot(o, o) - b * b, 0.0))) / (pixel * length(o)), 0.0, 1.0));
   vec3 p = normalize(o + d * (-b - sqrt(max(b * b - c, 0.0))));
-  inMirror = vec4(vec3(trace(p + CENTRE, reflect(d, p), 0.0)), 1.0);
+  inMirror = vec4(vec3(trace(p + CENTRE, reflect(d, p), 0.0)), nacreAngle(-dot(d, p)));
 }`;
 
 // The light that reaches the eye off a white ball, by lobe: of facets about the normal (with the mean cosine at which

@@ -14,6 +14,7 @@ const SHADERS = { ball: [COVER, BALL], gathered: [COVER, BALL], gather: [COVER, 
 const FINER = 2;        // triangles are drawn at twice the size, so that their edges are smooth
 const MOST_PARTS = 8;
 const SLOW_MS = 20, FEWEST = 400;  // pixels a side
+let backdrops = 0;      // drawn so far
 
 // what is gathered: facets, gloss, a matt surface; or instead of the last two what a table says of spread light
 const wantsOf = (look) => (look.lobe ? 8 : 0) + (look.alpha >= 0.001 ? 1 : 0) + (look.gloss_alpha > 0 ? 2 : 0) + (look.spread.some((value) => value > 1e-4) ? 4 : 0);
@@ -37,6 +38,8 @@ export class View {
     this.light = new Light(gl, (look, pixels) => this.gather(look, pixels), () => this.draw());
     this.use("ball");
     this.buffer = this.corners = this.lobeTexture = this.backdrop = null;
+    this.painted = {};          // by row of the look: behind which ball the canvas was drawn whole, see `boxOf`
+    this.columns = 0;           // of the table as it lies on the card
     this.tableTexture = this.texture(0, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE);
     this.roomTexture = this.texture(1, gl.TEXTURE_2D_ARRAY, gl.REPEAT);
   }
@@ -129,7 +132,9 @@ export class View {
       for (let i = 0; i < count; i++) texels.set([part[3 * i], part[3 * i + 1], part[3 * i + 2], 1], 4 * (row * count + i));
     });
     gl.activeTexture(gl.TEXTURE0);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, count, 6, 0, gl.RGBA, gl.FLOAT, texels);
+    if (this.columns === count) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, count, 6, gl.RGBA, gl.FLOAT, texels);
+    else gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, count, 6, 0, gl.RGBA, gl.FLOAT, texels);
+    this.columns = count;
   }
 
   resize() {
@@ -177,10 +182,11 @@ export class View {
   drawLook(look, first, from, to) {
     if (to <= from) return;
     const gl = this.gl, { places, parts } = this.object, used = places ? "shade" : "ball";
-    gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(from, 0, to - from, this.canvas.height);
     const isGathered = !places && this.light.bind(this.keyOf(look), look);
     if (isGathered) this.drawBackdrop(look, first);
+    const [left, bottom, right, top] = this.boxOf(isGathered, first, from, to);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(left, bottom, Math.max(right - left, 0), top - bottom);
     const at = this.prepare(isGathered ? "gathered" : used, look, first);
     this.canvas.dataset.light = isGathered ? "gathered" : places || !this.light.isAble ? "blurred" : "gathering";
     if (isGathered) gl.uniform1f(at.spreads, wantsOf(look) >= 4 ? 1 : 0);
@@ -192,6 +198,23 @@ export class View {
       gl.uniform1f(at.grid, this.grid ? 1 : 0);
     }
     gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  // The part of the canvas that a look changes: all of it, or, where the same backdrop stands on it already (the canvas
+  // keeps what was drawn), the box around the ball.
+  boxOf(isGathered, first, from, to) {
+    const { width, height } = this.canvas, key = isGathered ? [this.backdrop.count, this.exposure, from, to].join() : "", known = key && this.painted[first] === key;
+    if (!isGathered) this.painted = {};
+    else this.painted[first] = key;
+    if (!known) return [from, 0, to, height];
+    const { toEye, right, up, half } = this.frame(), { distance, target } = this.object;
+    const off = [0, 0, 1].map((c, i) => c - target[i]), dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2], z = distance - dot(off, toEye);
+    const span = (axis, size) => {      // where lines through the eye touch a ball of radius 1, in pixels
+      const x = dot(off, axis) / half, reach = Math.sqrt(x * x + z * z - 1);
+      return [-1, 1].map((way) => size * (0.5 + (0.5 * (x * z + way * reach)) / (z * z - 1) / half) + 2 * way);
+    };
+    const [left, last] = span(right, width).map(Math.round), [bottom, top] = span(up, height).map(Math.round);
+    return [Math.max(from, left), Math.max(0, bottom), Math.min(to, last), Math.min(height, top)];
   }
 
   // What stands behind the ball and what it mirrors, kept while the view, its size, the room and the kind of stage stay.
@@ -211,7 +234,7 @@ export class View {
       gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
     }
     const bind = (textures) => textures.forEach((texture, i) => { gl.activeTexture(gl.TEXTURE9 + i); gl.bindTexture(gl.TEXTURE_2D, texture); });
-    Object.assign(this.backdrop, { key, room: this.room });
+    Object.assign(this.backdrop, { key, room: this.room, count: (backdrops += 1) });
     bind([null, null]);         // no picture may be read while it is drawn
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.backdrop.frame);
     gl.disable(gl.SCISSOR_TEST);
@@ -285,14 +308,21 @@ export class View {
     this.buffer = made;
   }
 
-  prepare(name, look, first) {
-    const gl = this.gl, at = this.use(name), { distance, target, fov, foot } = this.object;
-    const azimuth = (this.azimuth * Math.PI) / 180, elevation = (this.elevation * Math.PI) / 180, half = Math.tan((fov * Math.PI) / 360);
+  // Towards the eye, and half the picture's width and height at distance 1.
+  frame() {
+    const azimuth = (this.azimuth * Math.PI) / 180, elevation = (this.elevation * Math.PI) / 180, half = Math.tan((this.object.fov * Math.PI) / 360);
     const toEye = [Math.sin(azimuth) * Math.cos(elevation), -Math.cos(azimuth) * Math.cos(elevation), Math.sin(elevation)];
+    const right = [Math.cos(azimuth) * half, Math.sin(azimuth) * half, 0];
+    return { toEye, right, up: [-Math.sin(azimuth) * Math.sin(elevation) * half, Math.cos(azimuth) * Math.sin(elevation) * half, Math.cos(elevation) * half], half };
+  }
+
+  prepare(name, look, first) {
+    const gl = this.gl, at = this.use(name), { distance, target, foot } = this.object;
+    const { toEye, right, up } = this.frame();
     gl.uniform3fv(at.eye, target.map((t, i) => t + distance * toEye[i]));
     gl.uniform3fv(at.ahead, toEye.map((x) => -x));
-    gl.uniform3fv(at.right, [Math.cos(azimuth) * half, Math.sin(azimuth) * half, 0]);
-    gl.uniform3fv(at.up, [-Math.sin(azimuth) * Math.sin(elevation) * half, Math.cos(azimuth) * Math.sin(elevation) * half, Math.cos(elevation) * half]);
+    gl.uniform3fv(at.right, right);
+    gl.uniform3fv(at.up, up);
     gl.uniform2f(at.size, this.canvas.width, this.canvas.height);
     gl.uniform4fv(at.foot, foot);
     gl.uniform1f(at.first, first);
