@@ -15,7 +15,7 @@ from nacre.bsdf.directions import direction
 from nacre.errors import NacreError, UnsupportedError
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.fresnel import coating_reflectance, fresnel_reflectance
-from nacre.families.relief.material import Relief
+from nacre.families.relief.material import SKETCH_ERROR, Relief
 from nacre.families.relief.slice import SliceGeometry, plan_slice
 from nacre.families.relief.spectrum_map import spectrum_map
 from nacre.families.relief.spots import local_response
@@ -285,3 +285,16 @@ def test_a_few_pairs_have_the_values_of_the_whole_table(tmp_path: Path, bounded:
     assert whole.max() > 0
     found = relief.values_at(wi, wo, grid)
     np.testing.assert_allclose(found, whole, rtol=0.0, atol=FEW_PAIRS * whole.max())
+
+
+def test_a_sketch_is_the_relief_within_its_coarser_accuracy_where_the_bound_is_idle(tmp_path: Path) -> None:
+    """Away from grazing light a gentle relief keeps within Fresnel by itself, so nothing but the nodes differs."""
+    np.save(tmp_path / "h.npy", tile(300.0).heights_nm / 1e3)
+    model = nacre.material(RECIPE, tmp_path).model
+    assert isinstance(model, Relief)
+    polar, azimuth = np.random.default_rng(3).uniform(0.0, [[0.6], [2.0 * np.pi]], (2, 60))
+    wi = direction(polar, azimuth)
+    wo = direction(polar[::-1], azimuth)
+    own, sketched = (one.values_at(wi, wo, WAVELENGTHS) for one in (model, model.sketch))
+    assert np.linalg.norm(sketched - own) < SKETCH_ERROR * np.linalg.norm(own)
+    assert not model.sketch.bounded and model.sketch.tile is model.tile

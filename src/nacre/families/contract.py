@@ -128,6 +128,14 @@ class Model(abc.ABC):
         """
         return self
 
+    @property
+    def sketch(self) -> Model | None:
+        """The model without what costs most and changes its colours least, for drafts; None: it has no such form.
+
+        Nothing that is kept is made of it: what is told is a draft until the model itself has answered.
+        """
+        return None
+
     def likeness_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> tuple[Array, Array] | None:
         """Return what a random walk would give at a few pairs `[pair, 3]`, without its noise: known, and guessed.
 

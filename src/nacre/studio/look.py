@@ -148,7 +148,7 @@ def looks(material: Material, illuminant: str, is_superseded: Callable[[], bool]
         material = material.for_many()  # a page waits for no ensemble of minutes
     if not _is_quick(material):
         family = material.family
-        draft = _look(_without_noise(material), illuminant, is_superseded, drafts.of(family))
+        draft = _look(_sketched(material), illuminant, is_superseded, drafts.of(family))
         drafts.took(family, draft.seconds)
         yield draft
         if is_superseded():
@@ -158,8 +158,12 @@ def looks(material: Material, illuminant: str, is_superseded: Callable[[], bool]
         yield _look(material, illuminant, is_superseded, EVERY_DEGREE)
 
 
-def _without_noise(material: Material) -> Material:
-    """Return a material that gives spectra without noise where its own are walked; itself where there is none."""
+def _sketched(material: Material) -> Material:
+    """Return a material as drafts are solved: its family's sketch, or one that gives spectra without noise where its
+    own are walked; itself where there is neither."""
+    sketch = material.model.sketch
+    if sketch is not None:
+        return replace(material, model=sketch)
     near = material.model.among_many({})
     if material.model.is_direct or not near.is_direct or near.spectrum(PROBE_RAD, PROBE_NM, "both", 0) is None:
         return material

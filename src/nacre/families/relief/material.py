@@ -27,6 +27,7 @@ from nacre.matter.indices.constant import OpticalConstant
 
 # the relief's spectra change over about lambda / 10 at most (a blurred line sweeping past): 30 nm resolve that
 WAVELENGTH_COUNT = 17
+SKETCH_ERROR = 1e-2  # of a draft's sampling and nodes: eight bits show no less
 INDEX_NM = 550.0  # where the medium's index is taken for the window, one for all colours
 
 
@@ -89,6 +90,14 @@ class Relief(Model):
         window, n, reflectance = self._optics(grid)
         lobe, report = spectrum_map(self.tile, window, grid / n, reflectance, self.prefactor, self.error, self.bounded)
         return replace(lobe, wavelengths_nm=grid), report
+
+    @property
+    def sketch(self) -> Relief:
+        """The relief on coarser nodes, and not bounded: the sums over all exits that the bound needs cost the most.
+
+        What the bound takes away it takes near grazing light; see `spectrum_map.energy_guard`.
+        """
+        return replace(self, error=max(self.error, SKETCH_ERROR), bounded=False)
 
     def _optics(self, grid: Array) -> tuple[Coherence, Array, Reflectance]:
         """The window in the medium above, that medium's index `[wavelength]`, and the coating's reflectance."""
