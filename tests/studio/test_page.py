@@ -52,6 +52,32 @@ def test_the_light_on_the_sphere_is_gathered_anew_for_a_new_view_and_kept_for_a_
     assert np.abs(picture(page).astype(int) - front).mean() > 1
 
 
+def test_a_new_colour_drawn_over_the_ball_alone_is_the_picture_drawn_whole(page: Page) -> None:
+    """From the front, from above near the canvas's edge, under another exposure, and beside another look."""
+    whole = """async () => { const { app } = await import('/page/common.js'); app.view.painted = {}; app.view.draw(); }"""
+
+    def check(thickness: str) -> None:
+        before = picture(page)
+        slider(page, THICKNESS).fill(thickness)
+        until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == float(thickness))
+        settled(page)
+        drawn = picture(page)
+        page.evaluate(whole)
+        np.testing.assert_array_equal(drawn, picture(page))
+        assert np.abs(drawn.astype(int) - before).max() > SEEN
+
+    check("110")
+    page.locator("#view").focus()
+    for key in ["ArrowUp"] * 9 + ["ArrowRight"] * 3:
+        page.keyboard.press(key)
+    settled(page)
+    check("180")
+    page.locator("#exposure").fill("1")
+    check("120")
+    page.get_by_role("button", name="Keep as B").click()
+    check("200")
+
+
 def test_a_page_without_the_token_is_refused(browser: Browser, server: Server) -> None:
     context = browser.new_context()
     answer = context.new_page().goto(f"http://127.0.0.1:{server.port}/")

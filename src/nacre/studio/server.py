@@ -27,11 +27,14 @@ from nacre.errors import NacreError
 from nacre.exchange.lut.write import template
 from nacre.families.registry import family_names
 from nacre.materials.examples import examples
+from nacre.materials.material import material_from_data
 from nacre.matter.indices import library
+from nacre.recipe.model import RecipeContext
 from nacre.studio.apart import run_apart
 from nacre.studio.edit import line_of
 from nacre.studio.folder import EXAMPLE, MAX_TEXT, STARTS, Opened, mark_of
 from nacre.studio.form import family_form
+from nacre.studio.look import looks
 from nacre.studio.made import read_wanted, targets, unpacked
 from nacre.studio.measured import built, placed, read_recipes
 from nacre.studio.objects import MAX_UPLOAD, OBJECTS, OwnMeshes, packed_object, read_upload
@@ -51,6 +54,7 @@ MEDIA = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".j
 SAID = "x-nacre-said"  # header of a file: what an export came to, as JSON
 MOST_S_OF_A_FILE = 1800.0
 TABLES = "table.glsl"
+WARMING = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]}
 BAD_INPUT, TOO_LARGE, NOT_FOUND = 422, 413, 404
 
 
@@ -335,5 +339,7 @@ def serve(opened: Opened, port: int | None, is_browser_wanted: bool) -> None:
 
 
 def _warm() -> None:
-    """Do what every first page needs, before it asks."""
+    """Do what every first page needs, before it asks: the room's light, and the compiled loops of a look at a film."""
     blurred_surround()
+    material = material_from_data(WARMING, RecipeContext())
+    next(looks(material, "D65", lambda: False), None)
