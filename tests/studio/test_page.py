@@ -54,7 +54,7 @@ def test_the_light_on_the_sphere_is_gathered_anew_for_a_new_view_and_kept_for_a_
 
 def test_a_new_colour_drawn_over_the_ball_alone_is_the_picture_drawn_whole(page: Page) -> None:
     """From the front, from above near the canvas's edge, under another exposure, and beside another look."""
-    whole = """async () => { const { app } = await import('/page/common.js'); app.view.painted = {}; app.view.draw(); }"""
+    whole = "async () => { const { app } = await import('/page/common.js'); app.view.painted = {}; app.view.draw(); }"
 
     def check(thickness: str) -> None:
         before = picture(page)

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
-from scipy.spatial.transform import Rotation
 
 from nacre.arrays import Array
 
@@ -56,6 +54,8 @@ class Mesh:
 
 def rotation(axis: str, angle_deg: float) -> Array:
     """Matrix `[3, 3]` of a right-handed turn about the axis "x", "y" or "z"."""
+    from scipy.spatial.transform import Rotation  # a quarter of the time of the studio's imports
+
     return np.asarray(Rotation.from_euler(axis, angle_deg, degrees=True).as_matrix())
 
 
@@ -133,6 +133,8 @@ def bspline(points: Sequence[Sequence[float]] | Array, t: Array) -> Array:
     control = np.asarray(points, dtype=float)
     control = np.concatenate([2 * control[:1] - control[1:2], control, 2 * control[-1:] - control[-2:-1]])
     spans = len(control) - 3
+    from scipy.interpolate import BSpline
+
     spline = BSpline(np.arange(-3.0, spans + 4.0), control, 3)
     t = np.asarray(t, dtype=float)
     inside = np.clip(t, 0.0, 1.0)
