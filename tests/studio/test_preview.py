@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import nacre
+from nacre.bsdf.directions import direction
 from nacre.exchange.lut.table import lobe_directions, lobe_weight
+from nacre.light import spectrum_to_xyz
 from nacre.picture.lights.environments import studio
 from nacre.recipe.toml import parse_toml
 from nacre.studio import stage
@@ -16,6 +18,7 @@ from nacre.studio.lobe import LOBE_NM, SHAPE, lobe_picture
 from nacre.studio.look import looks
 
 ROWS = 64
+HARDLY_SEEN = 0.2  # of the tristimulus values of a ground of 2 %: a step of 2 in lightness or chroma
 QUADRATURE = 0.02  # of the room's light: a direction stands for a patch of 5.6 degrees
 
 
@@ -67,6 +70,19 @@ def test_a_picture_of_where_light_goes_holds_the_materials_own_values() -> None:
     pair = wi[1, row, column], wo[1, row, column]
     own = material.bsdf(LOBE_NM[:3]).evaluate(*pair)
     np.testing.assert_allclose(made[1, row, column], np.pi * own * lobe_weight(*pair), rtol=0.02)
+
+
+def test_a_pearls_picture_is_made_of_the_colours_that_its_walk_sends_there() -> None:
+    """In the mirror direction, beside it, and far from it, where the base shows that dark parts are seen by."""
+    model = nacre.load("pearl/bottle3").model
+    for eye_deg in (0.0, 40.0):
+        light_rad = np.radians(np.array([-60.0, -eye_deg - 5.0, -eye_deg, 0.5, 50.0]))
+        wi = np.stack([np.sin(light_rad), 0.0 * light_rad, np.cos(light_rad)], axis=-1)
+        eye = np.broadcast_to(direction(np.radians(eye_deg)), wi.shape).copy()
+        sure, guessed = model.likeness_at(eye, wi, LOBE_NM)
+        walked, _ = model.walked_at(eye, wi, LOBE_NM, 20_000, 1)
+        own, known = (spectrum_to_xyz(values, LOBE_NM) for values in (sure + guessed, walked))
+        np.testing.assert_allclose(own, known, rtol=HARDLY_SEEN)
 
 
 def test_a_film_has_no_such_picture_and_needs_no_draft() -> None:
