@@ -104,3 +104,53 @@ def test_a_matt_lobe_is_drawn_by_the_cosine_and_all_its_draws_weigh_the_same(tri
     weights = draws.weight[draws.pdf > 0]
     assert np.ptp(weights) <= 1e-3 * weights.mean()
     assert trials.chi_square(flat, 50.0, 20.0, samples=200_000).passes(CHI_SQUARE_LEVEL, 1)
+
+
+@pytest.mark.parametrize(("fall", "words"), [(0.1, 2), (0.8, 4)])
+def test_numbers_that_share_a_word_are_rounded_to_half_of_their_last_bit(trials, fall, words):
+    """Also those with others below them in their word, which are a part of what is read."""
+    import mitsuba as mi
+
+    from nacre.device import packed_series
+
+    generator = np.random.default_rng(3)
+    sizes = fall ** np.arange(8.0)
+    rows = (sizes[:, None] * generator.uniform(-1.0, 1.0, (200, 8, 3))).astype(np.float32)
+    rows[0] = sizes[:, None] * [1.0, 0.5, 2.0]
+    made = packed_series.PackedSeries([rows], 1)
+    assert made.words == words
+    bits = {n: count for word in packed_series._fields(sizes, words) for n, _, count in word}
+    assert sum(bits.values()) == 32 * words
+    largest = np.abs(rows).max(axis=0)[0]
+    for node in range(3):
+        numbers = made.read(mi.UInt32(3 * np.arange(200) + node), 0, True)
+        for k, number in enumerate(numbers):
+            got = np.array(number) * np.array(made.units[k]) * largest[node]
+            last = sizes[k] * largest[node] / (2.0 ** (bits[k] - 1) - 1.0)
+            reach = np.abs(rows[:, k, node]) <= sizes[k] * largest[node]  # the scale is that of the first number
+            assert np.abs(got - rows[:, k, node])[reach].max() <= 0.51 * last + 3e-7 * largest[node]
+
+
+def test_a_density_of_tents_is_linear_between_its_nodes_and_its_draws_follow_it(trials):
+    import mitsuba as mi
+
+    from nacre.device.tents import Tents
+
+    generator = np.random.default_rng(4)
+    weights = generator.uniform(0.2, 2.0, (2, 2, 4, 5))
+    tents, part, count = Tents(weights), 0.3, 400_000
+    u = [mi.Float(generator.random(count).astype(np.float32)) for _ in range(3)]
+    row = mi.UInt32(np.zeros(count, dtype=np.uint32))
+    face, x, y, rest = (np.array(v) for v in tents.sample(row, mi.Float(part), u[0], mi.Point2f(u[1], u[2]), True))
+    # the middle of each of 2 x 12 x 12 boxes of the two faces: the density is bilinear within each
+    at = (np.arange(12) + 0.5) / 12
+    f, v, w = (g.ravel() for g in np.meshgrid(np.arange(2), at, at, indexing="ij"))
+    low, faces = mi.UInt32(np.zeros(288, np.uint32)), mi.UInt32(f.astype(np.uint32))
+    places = (mi.Float(g.astype(np.float32)) for g in (w, v))
+    density = np.array(tents.density(low, mi.Float(part), faces, *places, True))
+    assert density.mean() * 2 == pytest.approx(1.0, abs=1e-5)
+    box = (face.astype(int) * 12 + np.minimum(y * 12, 11).astype(int)) * 12 + np.minimum(x * 12, 11).astype(int)
+    expected = density / density.sum() * count
+    chi = np.sum((np.bincount(box, minlength=288) - expected) ** 2 / expected)
+    assert chi < 287 + 5 * np.sqrt(2 * 287)
+    assert abs(rest.mean() - 0.5) < 5 / np.sqrt(12 * count)

@@ -1,8 +1,8 @@
 """The diffuse light of a monolayer on the device: harmonics over the azimuth times the sharp structure factor.
 
-A look-up is bound by the cache lines that it touches, not by its arithmetic. So the harmonics of one pair of angles at
-two neighbouring wavelengths lie side by side as 16-bit integers: a corner is one load of half a line, and the table is
-no larger than the lobe's own. S is read at the exact |q| of each wavelength.
+A look-up is bound by the cache lines that it touches, then by its arithmetic. So the harmonics of one pair of angles at
+one wavelength lie in two or four words, see `packed_series`, beside those of the next wavelength. S is read at the
+exact |q| of each wavelength. Directions are drawn from a coarse table of where light goes, see `tents`.
 """
 
 from __future__ import annotations
@@ -13,21 +13,20 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from nacre.arrays import Array
 from nacre.bsdf.lobes.harmonic import Harmonic
-from nacre.device.base import MIN_COS, LobePlugin, device_array, flag, is_radiance, opaque, opaque_int, read, read2
+from nacre.device.base import MIN_COS, LobePlugin, device_array, flag, is_radiance, opaque, opaque_int, read2
+from nacre.device.packed_series import PACKET, PackedSeries
 from nacre.device.tables import WavelengthAxis
+from nacre.device.tents import Tents
 from nacre.errors import UnsupportedError
 
 COSINE_SHARE = 0.1  # of the draws: no direction is left out, and no weight grows without bound
-PACKET = 8  # harmonics of a load, of each of two wavelengths
-LEVELS = 32767  # of 16-bit integers; their rounding is 1.5e-5 of each harmonic's largest value
 # mean square of the weights up to which an opaque lobe is drawn by the cosine alone: a tenth more variance of each draw
 # for a sixth of the time
 BROAD = 1.1
-VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 32, 64, 64  # for each side
+VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 16, 12, 12  # for each side
 
 
 class HarmonicPlugin(LobePlugin[Harmonic]):
@@ -50,11 +49,11 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
     def _set(self, lobe: Harmonic) -> None:
         self.shape = (lobe.above.shape, lobe.below.shape, lobe.across.shape)
         self.axis.update(lobe.wavelengths_nm)
-        self.intervals = opaque_int(max(1, len(lobe.wavelengths_nm) - 1))
-        self.values = _Packed([lobe.above, lobe.below, lobe.across], self.packets)
+        self.nodes = opaque_int(max(2, len(lobe.wavelengths_nm)))
+        self.values = PackedSeries([lobe.above, lobe.below, lobe.across], self.packets)
         self.free = None
         if self.has_free:
-            self.free = _Packed([lobe.above_free, lobe.below_free, lobe.across_free], self.packets)
+            self.free = PackedSeries([lobe.above_free, lobe.below_free, lobe.across_free], self.packets)
         self.starts = (opaque_int(len(lobe.above)), opaque_int(len(lobe.above) + len(lobe.below)))
         self.count_above = opaque_int(lobe.count_above)
         self.edge_above, self.top_above = opaque(lobe.count_above - 0.5), opaque(lobe.count_above - 1)
@@ -78,38 +77,43 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         self._set_sampling(lobe)
 
     def _set_sampling(self, lobe: Harmonic) -> None:
-        """Tabulate f |cos_o| sin_o, averaged over wavelengths, on (theta_i; theta_o, |dphi|)."""
+        """Tabulate f, averaged over wavelengths, on (theta_i; side, |dphi|, sin^2 theta_o), for draws by |cos_o| f."""
         hemispheres = 2 if self.transmits else 1
-        views, exits = VIEW_NODES * hemispheres, EXIT_NODES * hemispheres
+        views = VIEW_NODES * hemispheres
         span = math.pi * (1.0 if self.transmits else 0.5)
         ti = np.clip(np.linspace(0.0, span, views), 1e-3, span - 1e-3)
-        to = np.linspace(0.0, span, exits)
+        square = np.clip(np.linspace(0.0, 1.0, EXIT_NODES), 1e-6, 1.0 - 1e-5)
         dphi = np.linspace(0.0, math.pi, AZIMUTH_NODES)
-        wo = _directions(to[None, :], dphi[:, None])
-        weight = np.abs(np.cos(to)) * np.sin(to)
+        up = _directions(np.arcsin(np.sqrt(square)), dphi[:, None])  # azimuth, exit
+        wo = np.stack([up * [1.0, 1.0, sign] for sign in (1.0, -1.0)[:hemispheres]])
         thin = _thinned(lobe)
-        densities = np.empty((views, AZIMUTH_NODES, exits), dtype=np.float32)
-        means, squares = np.empty(views), np.empty(views)
+        means = np.empty((views, hemispheres, AZIMUTH_NODES, EXIT_NODES))
         for k, angle in enumerate(ti):
             # the camera is `wi` of the device, the light `wo`; their roles differ by a factor only
-            mean = thin.evaluate(wo, np.broadcast_to(_directions(angle, 0.0), wo.shape)).mean(axis=-1)
-            densities[k] = np.maximum(mean, 1e-3 * mean.max() + 1e-9) * weight
-            means[k] = 2.0 * math.pi * float(np.mean(mean * weight)) * span
-            squares[k] = 2.0 * math.pi**2 * float(np.mean(mean**2 * weight)) * span
-        self.is_broad = not self.transmits and bool(np.all(squares <= BROAD * means**2))
+            means[k] = thin.evaluate(wo, np.broadcast_to(_directions(angle, 0.0), wo.shape)).mean(axis=-1)
+        # equal areas of the square are equal shares of the cosine
+        inner = np.ones((AZIMUTH_NODES, EXIT_NODES))
+        inner[[0, -1]] *= 0.5
+        inner[:, [0, -1]] *= 0.5
+        inner /= inner.sum()
+        albedo = math.pi * np.einsum("vsae,ae->v", means, inner)
+        squares = math.pi**2 * np.einsum("vsae,ae->v", means**2, inner)
+        self.is_broad = not self.transmits and bool(np.all(squares <= BROAD * albedo**2))
         self.exits: Any = None
         if not self.is_broad:
-            self.exits = mi.MarginalContinuous2D1(densities, [np.linspace(0.0, 1.0, views).tolist()], True, True)
+            level = (albedo / math.pi / hemispheres)[:, None, None, None]
+            self.exits = Tents((1.0 - COSINE_SHARE) * means + COSINE_SHARE * level + 1e-9)
         self.span = span
-        self.albedo = device_array(means)
+        self.albedo = device_array(_pairs(albedo))
         self.view_top, self.view_max = opaque(views - 1), opaque(views - 2)
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Draw from the table of exits, now and then by the cosine on either side; a broad lobe by the cosine alone."""
+        """Draw from the table of exits; a broad lobe by the cosine alone."""
         active = active & self._visible(si.wi)
-        wo = mi.warp.square_to_cosine_hemisphere(sample2)
-        if not self.is_broad:
-            wo = self._drawn(si, sample1, sample2, wo, active)
+        if self.is_broad:
+            wo = mi.warp.square_to_cosine_hemisphere(sample2)
+        else:
+            wo = self._drawn(si, sample1, sample2, active)
         value, pdf = self.eval_pdf(ctx, si, wo, active, enabled)
         bs = dr.zeros(mi.BSDFSample3f)
         bs.wo, bs.pdf, bs.eta = wo, pdf, mi.Float(1.0)
@@ -123,20 +127,19 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
             )
         return bs, (value / dr.maximum(pdf, 1e-20)) & (active & (pdf > 0.0))
 
-    def _drawn(self, si: Any, sample1: Any, sample2: Any, flat: Any, active: Any) -> Any:
-        """Return a direction of the table of exits, or `flat`, on either side, with the chance `COSINE_SHARE`."""
-        by_cosine = sample1 < COSINE_SHARE
-        rest = dr.clip((sample1 - COSINE_SHARE) / (1.0 - COSINE_SHARE), 0.0, 1.0)
-        place, _ = self.exits.sample(sample2, [self._view(si.wi)], active)
-        theta = place[0] * self.span
-        azimuth = dr.select(rest < 0.5, -place[1], place[1]) * math.pi
-        sin_theta, cos_theta = dr.sincos(theta)
+    def _drawn(self, si: Any, sample1: Any, sample2: Any, active: Any) -> Any:
+        """Return a direction of the table of exits."""
+        row, part = self._view(si.wi)
+        face, square, azimuth, rest = self.exits.sample(row, part, sample1, sample2, active)
+        azimuth = dr.select(rest < 0.5, -azimuth, azimuth) * math.pi
+        sin_theta, cos_theta = dr.sqrt(square), dr.sqrt(1.0 - square)
         sin_phi, cos_phi = dr.sincos(azimuth)
         x, y = _unit(si.wi)
-        drawn = mi.Vector3f(sin_theta * (cos_phi * x - sin_phi * y), sin_theta * (cos_phi * y + sin_phi * x), cos_theta)
-        if self.transmits:
-            flat.z = dr.select(sample1 < 0.5 * COSINE_SHARE, flat.z, -flat.z)
-        return dr.select(by_cosine, flat, drawn)
+        return mi.Vector3f(
+            sin_theta * (cos_phi * x - sin_phi * y),
+            sin_theta * (cos_phi * y + sin_phi * x),
+            dr.select(face == 0, cos_theta, -cos_theta),
+        )
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return `(f |cos wo|, pdf)`."""
@@ -149,22 +152,23 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         value = self._look_up(si, light, eye, active) * dr.abs(wo.z)
         if self.is_broad:
             return value & active, dr.select(active, wo.z * dr.inv_pi, 0.0)
-        theta = dr.acos(dr.clip(wo.z, -1.0, 1.0))
         cross = si.wi.x * wo.y - si.wi.y * wo.x
         azimuth = dr.abs(dr.atan2(cross, si.wi.x * wo.x + si.wi.y * wo.y))
-        place = mi.Point2f(theta * (1.0 / self.span), azimuth * dr.inv_pi)
-        density = self.exits.eval(place, [self._view(si.wi)], active)
-        sin_theta = dr.sqrt(dr.maximum(1.0 - wo.z * wo.z, 1e-12))
-        # unit square -> theta in [0, span], dphi in [-pi, pi] -> solid angle
-        spread = density / (2.0 * math.pi * self.span * sin_theta)
-        cosine = dr.abs(wo.z) * dr.inv_pi * (0.5 if self.transmits else 1.0)
-        return value & active, dr.select(active, dr.lerp(spread, cosine, COSINE_SHARE), 0.0)
+        face = dr.select(wo.z > 0.0, mi.UInt32(0), mi.UInt32(1))
+        square = dr.minimum(wo.x * wo.x + wo.y * wo.y, 1.0)
+        row, part = self._view(si.wi)
+        density = self.exits.density(row, part, face, square, azimuth * dr.inv_pi, active)
+        # unit square -> sin^2 theta, dphi in [-pi, pi] -> solid angle
+        return value & active, dr.select(active, density * dr.abs(wo.z) * dr.inv_pi, 0.0)
 
     def _visible(self, w: Any) -> Any:
         return dr.abs(w.z) > MIN_COS if self.transmits else w.z > MIN_COS
 
-    def _view(self, wi: Any) -> Any:
-        return dr.acos(dr.clip(wi.z, -1.0, 1.0)) * (1.0 / self.span)
+    def _view(self, wi: Any) -> tuple[Any, Any]:
+        """Return the lower row of the angle of view, and the part of the way to the next."""
+        position = dr.acos(dr.clip(wi.z, -1.0, 1.0)) * (1.0 / self.span) * self.view_top
+        low = dr.minimum(dr.floor(position), self.view_max)
+        return mi.UInt32(low), position - low
 
     def _coordinate(self, w: Any, sine: Any) -> tuple[Any, Any]:
         """Return the lower node and the fraction of a direction's polar angle; see `PolarGrid`."""
@@ -226,19 +230,16 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
             result = result * dr.select(up_e, 1.0, dr.square(self.eta))
         return result
 
-    def _series(self, source: _Packed, low: Any, part: Any, corners: list[Any], cosines: list[Any], active: Any) -> Any:
+    def _series(
+        self, source: PackedSeries, low: Any, part: Any, corners: list[Any], cosines: list[Any], active: Any
+    ) -> Any:
         """Interpolate over the angles and between two wavelengths, and sum the harmonics."""
         near, far = mi.Float(0.0), mi.Float(0.0)
         for row, weight in corners:
-            at = (row * self.intervals + low) * self.packets
-            for j in range(self.packets):
-                packet = source.read(at + j, active)
-                harmonics = cosines[PACKET * j : PACKET * (j + 1)]
-                near = dr.fma(weight, _dot(packet[:PACKET], harmonics), near)
-                far = dr.fma(weight, _dot(packet[PACKET:], harmonics), far)
-        ends = read2(source.scales, low, active)
+            ends = source.sum(row, low, self.nodes, cosines, active)
+            near, far = dr.fma(weight, ends[0], near), dr.fma(weight, ends[1], far)
         # a cut cosine series may dip below zero where the light is next to nothing
-        return dr.maximum(dr.lerp(near * ends[0], far * ends[1], part), 0.0)
+        return dr.maximum(source.between(near, far, low, part, active), 0.0)
 
     def _structure(
         self, wavelength: Any, low: Any, part: Any, sin_l: Any, sin_e: Any, dot: Any, up_l: Any, up_e: Any, active: Any
@@ -265,11 +266,9 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
 
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return the albedo from this direction, averaged over wavelengths."""
-        position = self._view(si.wi) * self.view_top
-        low = dr.minimum(dr.floor(position), self.view_max)
-        at = mi.UInt32(low)
-        value = dr.lerp(read(self.albedo, at, active), read(self.albedo, at + 1, active), position - low)
-        return dr.select(self._visible(si.wi), value, 0.0)
+        row, part = self._view(si.wi)
+        ends = read2(self.albedo, row, active)
+        return dr.select(self._visible(si.wi), dr.lerp(ends[0], ends[1], part), 0.0)
 
     def update(self, lobe: Harmonic) -> None:
         """Take over the numbers of another monolayer.
@@ -283,57 +282,6 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         if shape != self.shape or (lobe.above_free.shape[0] > 0) != self.has_free:
             raise UnsupportedError("the harmonic tables changed their shape; build the scene again")
         self._set(lobe)
-
-
-class _Packed:
-    """A table `[row, harmonic, wavelength]` as 16-bit integers `[row, interval, packet, end of interval, harmonic]`.
-
-    Attributes:
-        units: of each harmonic, to be multiplied by the cosines; the higher ones are small.
-        scales: of the two ends of each interval of wavelengths.
-    """
-
-    def __init__(self, tables: list[NDArray[np.float32]], packets: int) -> None:
-        rows = np.concatenate([t for t in tables if t.shape[0]])
-        if rows.shape[2] == 1:
-            rows = np.repeat(rows, 2, axis=2)
-        count, kept, wavelengths = rows.shape
-        shape = (count, wavelengths - 1, packets, 2, PACKET)
-        if math.prod(shape) >= 2**32:
-            raise UnsupportedError("the harmonic table is too large to be rendered; give fewer wavelengths")
-        largest = np.maximum(np.abs(rows).max(axis=0), np.float32(1e-30)).astype(float)
-        units = (largest / largest[0]).max(axis=1)
-        scale = largest[0]
-        packed = np.zeros(shape, dtype=np.int16)
-        for node in range(wavelengths):
-            levels = np.zeros((count, packets * PACKET), dtype=np.int16)
-            levels[:, :kept] = np.rint(rows[..., node] * (LEVELS / (units * scale[node])))
-            for interval, end in ((node, 0), (node - 1, 1)):
-                if 0 <= interval < wavelengths - 1:
-                    packed[:, interval, :, end] = levels.reshape(count, packets, PACKET)
-        self.units = [opaque(unit) for unit in units] + [opaque(0.0)] * (packets * PACKET - kept)
-        self.scales = device_array(_pairs(scale / LEVELS))
-        self.on_device = dr.is_jit_v(mi.Float)
-        flat = packed.reshape(-1, 2 * PACKET)
-        self.values = mi.UInt32(flat.view(np.uint32).ravel()) if self.on_device else flat
-
-    def read(self, index: Any, active: Any) -> list[Any]:
-        """Return the integers of a packet: `PACKET` of the lower wavelength, then as many of the upper."""
-        if not self.on_device:
-            return [float(v) for v in self.values[int(index)]] if active else [0.0] * (2 * PACKET)
-        words = dr.gather(mi.ArrayXu, self.values, index, active, shape=(PACKET, dr.width(index)))
-        numbers = []
-        for word in words:
-            signed = mi.Int32(word)  # the lower half of a word is the first of its two numbers
-            numbers += [mi.Float((signed << 16) >> 16), mi.Float(signed >> 16)]
-        return numbers
-
-
-def _dot(numbers: list[Any], cosines: list[Any]) -> Any:
-    total = mi.Float(0.0)
-    for number, cosine in zip(numbers, cosines, strict=True):
-        total = dr.fma(number, cosine, total)
-    return total
 
 
 def _keeps_index(lobe: Harmonic) -> bool:
