@@ -17,7 +17,7 @@ from nacre.errors import NacreError
 from nacre.files import atomic_path
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     import numpy as np
     from numpy.typing import NDArray
@@ -100,6 +100,16 @@ def kept_arrays(key: str) -> dict[str, NDArray[np.float64]] | None:
         os.utime(path)  # the time of the last use
         return found
     return None
+
+
+def drop_arrays(keys: Iterable[str]) -> None:
+    """Remove arrays that are needed no more."""
+    folder = cache_folder()
+    if folder is None or not is_ours(folder):
+        return
+    for key in keys:
+        with contextlib.suppress(OSError):
+            (folder / f"{key}.npz").unlink(missing_ok=True)
 
 
 def keep_arrays(key: str, arrays: Mapping[str, NDArray[np.float64]]) -> None:

@@ -7,7 +7,8 @@ taken off before the fit (a control variate); on average it is nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +83,30 @@ class Sums:
         )  # fmt: skip
 
 
+def as_arrays(pattern: Mapping[Block, Sums]) -> dict[str, Array]:
+    """Return the sums of a pattern as arrays by name, to be kept."""
+    return {
+        f"{'-'.join(map(str, block))}.{field.name}": np.asarray(getattr(sums, field.name), dtype=float)
+        for block, sums in pattern.items()
+        for field in fields(Sums)
+    }
+
+
+def from_arrays(arrays: Mapping[str, Array]) -> dict[Block, Sums]:
+    """Return the sums of a pattern from what `as_arrays` made of them.
+
+    Raises:
+        KeyError: arrays are missing.
+    """
+    out: dict[Block, Sums] = {}
+    for name in sorted({name.partition(".")[0] for name in arrays}):
+        a, b, c, d = (int(part) for part in name.split("-"))
+        values = {field.name: arrays[f"{name}.{field.name}"] for field in fields(Sums)}
+        noise = float(values.pop("noise"))
+        out[(a, b, c, d)] = Sums(noise=noise, **values)
+    return out
+
+
 def block_sums(block: Block, pairs: Pairs, bins: int) -> Sums:
     """Return the sums of one block of one pattern.
 
@@ -90,7 +115,9 @@ def block_sums(block: Block, pairs: Pairs, bins: int) -> Sums:
     """
     columns = products(pairs.left, pairs.right, block, pairs.phi[..., None])[..., 0]
     x, rest, control = pairs.model, pairs.truth - pairs.model, pairs.control
-    weight = 1.0 / (x**2 + FLOOR * pairs.level)
+    size = x**2 + FLOOR * pairs.level
+    # a list that is a lattice has no light at all between its orders: such pairs tell nothing
+    weight = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
     design = columns * x
     scaled = design * weight
     flat = scaled.reshape(len(design), -1)

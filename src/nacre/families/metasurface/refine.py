@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import threading
 from collections.abc import Callable
@@ -16,10 +17,10 @@ from nacre.families.metasurface.ensemble import Ensemble, EnsembleSettings, midd
 from nacre.families.metasurface.monolayer import Monolayer
 from nacre.families.metasurface.patterns import Pattern
 from nacre.families.metasurface.ratio import Block, Ratio
-from nacre.families.metasurface.ratio_fit import Sums
+from nacre.families.metasurface.ratio_fit import Sums, as_arrays, from_arrays
 from nacre.matter.jobs import available_jobs, in_threads
 from nacre.recipe.identity import identity
-from nacre.recipe.kept import keep_arrays, kept_arrays
+from nacre.recipe.kept import drop_arrays, keep_arrays, kept_arrays
 from nacre.recipe.long_work import announce, duration
 from nacre.recipe.memory import check_memory
 
@@ -85,7 +86,8 @@ def chosen(wavelengths_nm: Array) -> Array:
 def expected_seconds(wavelengths: int, settings: EnsembleSettings) -> float:
     """Return about how long an ensemble takes on this machine, by the clock."""
     size = settings.spheres * 2 * settings.multipole_order * (settings.multipole_order + 2)
-    one = SOLVE_S * (0.5 * (size / UNKNOWNS) ** 3 + 0.5 * (size / UNKNOWNS) ** 2)
+    share = size / UNKNOWNS
+    one = SOLVE_S * (0.3 * share**3 + 0.4 * share**2 + 0.3 * share)  # factors, the filling, directions and their fit
     return wavelengths * (1.0 + settings.realisations * one / min(available_jobs(), settings.realisations))
 
 
@@ -140,27 +142,54 @@ def refine(
     found = [_read(key) for key in keys]
     missing = [n for n, one in enumerate(found) if one is None]
     if missing:
-        seconds = expected_seconds(len(missing), settings)
-        kept = f" ({len(found) - len(missing)} more are kept from before)" if len(missing) < len(found) else ""
+        begun = [_begun(keys[n], len(made)) for n in missing]
+        done_before = sum(len(patterns) for patterns in begun)
+        share = 1.0 - done_before / (len(missing) * len(made))
+        seconds = share * expected_seconds(len(missing), settings)
+        parts = []
+        if len(missing) < len(found):
+            parts.append(f"{len(found) - len(missing)} more are kept from before")
+        if done_before:
+            noun = "pattern" if done_before == 1 else "patterns"
+            parts.append(f"{done_before} {noun} of these {'is' if done_before == 1 else 'are'} kept")
+        kept = f" ({', '.join(parts)})" if parts else ""
         noun = "wavelength" if len(missing) == 1 else "wavelengths"
         announce(
-            f"{source}: {because}{settings.realisations} patterns of {settings.spheres} spheres at {len(missing)} "
+            f"{source}: {because}{settings.realisations} patterns of {settings.spheres} particles at {len(missing)} "
             f"{noun}{kept}: about {duration(seconds)}",
             seconds,
         )
-        for n, solved in _solve([ensembles[n] for n in missing], [keys[n] for n in missing], missing):
+        for n, solved in _solve([ensembles[n] for n in missing], [keys[n] for n in missing], missing, begun):
             found[n] = solved
     done = [one for one in found if one is not None]
     angles = ensembles[0].angles_rad
     return Refinement(solved_at, tuple(r for r, _ in done), np.stack([e for _, e in done]), angles, settings)
 
 
-def _solve(ensembles: list[Ensemble], keys: list[str], names: list[int]) -> list[tuple[int, tuple[Ratio, Array]]]:
-    """Solve all patterns of all wavelengths, each wavelength's fit as soon as its last pattern is done."""
-    solved: list[dict[int, dict[Block, Sums]]] = [{} for _ in ensembles]
+def _solve(
+    ensembles: list[Ensemble], keys: list[str], names: list[int], begun: list[dict[int, dict[Block, Sums]]]
+) -> list[tuple[int, tuple[Ratio, Array]]]:
+    """Solve all patterns of all wavelengths, each wavelength's fit as soon as its last pattern is done.
+
+    Each pattern is kept until the fit, so that a run that was stopped solves none twice.
+
+    Args:
+        keys, names: of each ensemble, on disk and for the answer.
+        begun: patterns of each that are solved already.
+    """
+    solved = [dict(patterns) for patterns in begun]
     lock = threading.Lock()
     out: list[tuple[int, tuple[Ratio, Array]]] = []
     prepared = [threading.Lock() for _ in ensembles]
+
+    def fit(n: int) -> None:
+        ratio, errors = ensembles[n].ratio([solved[n][k] for k in range(len(solved[n]))])
+        solved[n].clear()
+        ensembles[n].forget()
+        _keep(keys[n], ratio, errors)
+        drop_arrays(_of_pattern(keys[n], k) for k in range(len(ensembles[n].cells)))
+        with lock:
+            out.append((names[n], (ratio, errors)))
 
     def work(item: tuple[int, int]) -> None:
         n, number = item
@@ -171,14 +200,30 @@ def _solve(ensembles: list[Ensemble], keys: list[str], names: list[int]) -> list
             solved[n][number] = one
             is_last = len(solved[n]) == len(ensembles[n].cells)
         if is_last:
-            ratio, errors = ensembles[n].ratio([solved[n][k] for k in range(len(solved[n]))])
-            solved[n].clear()
-            ensembles[n].forget()
-            _keep(keys[n], ratio, errors)
-            with lock:
-                out.append((names[n], (ratio, errors)))
+            fit(n)
+        else:
+            keep_arrays(_of_pattern(keys[n], number), as_arrays(one))
 
-    in_threads(work, [(n, k) for n, one in enumerate(ensembles) for k in range(len(one.cells))])
+    items = [(n, k) for n, one in enumerate(ensembles) for k in range(len(one.cells)) if k not in begun[n]]
+    for n, one in enumerate(ensembles):
+        if len(begun[n]) == len(one.cells):
+            fit(n)
+    in_threads(work, items)
+    return out
+
+
+def _of_pattern(key: str, number: int) -> str:
+    return f"{key}-{number}"
+
+
+def _begun(key: str, patterns: int) -> dict[int, dict[Block, Sums]]:
+    """Return what a run that was stopped has solved of a wavelength, by the number of the pattern."""
+    out = {}
+    for number in range(patterns):
+        stored = kept_arrays(_of_pattern(key, number))
+        with contextlib.suppress(KeyError, ValueError):  # what is damaged is solved anew
+            if stored:
+                out[number] = from_arrays(stored)
     return out
 
 
