@@ -36,6 +36,7 @@ def metasurface(substrate: str, core: str, radius_nm: float, monolayer: dict[str
             "layers": layers,
             "particle": {"material": core, "radius_nm": radius_nm, **more},
             "monolayer": monolayer,
+            "model": {"correction": "qca-balanced"},
         }
     )
 

@@ -255,7 +255,7 @@ def window_rows(axes: Any) -> list[Row]:
         "substrate": {"n": 1.5},
         "particle": {"material": {"n": 3.5}, "radius_nm": 70},
         "monolayer": {"coverage": 0.1, "packing": 0.4},
-        "model": {"multipole_order": 6},
+        "model": {"multipole_order": 6, "correction": "qca-balanced"},
     }
     clear = make_bsdf(nacre.material(recipe).bsdf(WAVELENGTHS))
     uniform = {"type": "constant", "radiance": {"type": "uniform", "value": 1.0}}

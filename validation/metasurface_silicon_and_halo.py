@@ -23,6 +23,7 @@ def silicon(radius_nm: float) -> Any:
             "substrate": "glass",
             "particle": {"material": "Si", "radius_nm": radius_nm},
             "monolayer": {"coverage": 0.1},
+            "model": {"correction": "qca-balanced"},
         }
     )
 

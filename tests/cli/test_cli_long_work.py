@@ -26,6 +26,19 @@ def test_a_person_is_asked_before_minutes(monkeypatch, capsys, asked, terminal, 
     assert "about 3 minutes" in capsys.readouterr().err
 
 
+@pytest.mark.filterwarnings("always")
+def test_a_warning_is_one_line_without_the_code_that_told_it(tmp_path, capsys):
+    recipe = tmp_path / "dense.toml"
+    recipe.write_text(
+        'family = "metasurface"\nsubstrate = "air"\n[particle]\nmaterial = "Ag"\nradius_nm = 60\n'
+        '[monolayer]\ncoverage = 0.2\n[model]\ncorrection = "qca-balanced"\nmultipole_order = 2\n'
+    )
+    assert run(["spectrum", str(recipe), "--wavelengths-nm", "500:500:10", "--angles-deg", "0"]) == 0
+    told = capsys.readouterr().err.strip().splitlines()
+    assert len(told) == 1
+    assert told[0].startswith(f"{recipe}: the mean field is taken of metal spheres with nothing below")
+
+
 def test_yes_may_stand_anywhere(capsys):
     assert run(["keys", "--yes", "film.substrate"]) == 0
     assert "substrate" in capsys.readouterr().out

@@ -47,6 +47,7 @@ def random_metasurface(g: np.random.Generator) -> dict[str, Any]:
             "gap_nm": 2,
         },
         "monolayer": {"coverage": coverage, "packing": float(min(0.5, coverage * g.uniform(1.0, 4.0)))},
+        "model": {"correction": "qca-balanced"},
     }
 
 

@@ -230,8 +230,39 @@ def test_far_apart_spheres_need_no_ratio():
 
 @pytest.mark.parametrize("system", choice.MEASURED, ids=lambda m: f"{m.system}, f {m.coverage:g}")
 def test_the_choice_keeps_the_mean_field_where_it_was_measured_to_hold(system):
-    holds, _ = choice.mean_field_holds(system.kind, system.on_substrate, system.coverage)
-    assert holds == (system.error <= choice.HOLDS)
+    """One that fails decides for all like it that are as dense, also at wavelengths where it would do."""
+    holds, _ = choice.mean_field_holds(system.kinds, system.on_substrate, system.coverage)
+    alike = [m for m in choice.MEASURED if (m.kinds, m.on_substrate) == (system.kinds, system.on_substrate)]
+    assert holds == all(m.error <= choice.HOLDS for m in alike if m.coverage <= system.coverage)
+
+
+DISC = {"shape": "cylinder", "material": "Ag", "diameter_nm": 150, "height_nm": 60, "gap_nm": 10}
+SILICON = {"radius_nm": 60, "material": {"n": 4.0, "k": 0.05}, "share": 0.4}
+SILVER = {"radius_nm": 75, "material": {"n": 0.05, "k": 3.1}}
+
+
+@pytest.mark.parametrize(
+    ("particle", "substrate", "coverage", "taken", "why"),
+    [
+        # discs are judged by discs: of spheres the mean field would be taken up to 0.2
+        (DISC, {"n": 1.5}, 0.1, "ensemble", "metal discs on a substrate"),
+        (DISC, {"n": 1.5}, 0.02, "qca-balanced", "metal discs on a substrate"),
+        # 14 % off, though it would do of either kind alone
+        ({**SILVER, "second": SILICON}, {"n": 1.5}, 0.08, "ensemble", "a mixture of metal spheres and high-index"),
+        ({**SILVER, "second": SILICON}, {"n": 1.5}, 0.04, "qca-balanced", "a mixture of"),
+        # nothing like it was measured
+        ({**SILVER, "second": SILICON}, "air", 0.01, "ensemble", "no such layer was measured"),
+        ({**DISC, "second": {**SILVER, "share": 0.2}}, {"n": 1.5}, 0.01, "ensemble", "no such layer was measured"),
+    ],
+)
+def test_discs_and_mixtures_are_judged_by_their_own_kind(particle, substrate, coverage, taken, why):
+    given = {"substrate": substrate, "particle": particle, "monolayer": {"coverage": coverage}}
+    correction, because = material(recipe({"correction": "auto"}, **given)).model.chosen_correction
+    assert correction == taken and why in because
+
+
+def test_a_shape_that_only_a_t_matrix_tells_is_not_taken_for_a_sphere():
+    assert not choice.mean_field_holds([choice.Like(choice.SHAPES[""], choice.METAL)], True, 0.01)[0]
 
 
 def test_an_ensemble_is_told_stored_and_solved_once(tmp_path, monkeypatch, caplog):
@@ -252,6 +283,62 @@ def test_an_ensemble_is_told_stored_and_solved_once(tmp_path, monkeypatch, caplo
     assert np.array_equal(both.lobes[1].above[..., 0], first.lobes[1].above[..., 0])
     both.save(tmp_path / "kept.nacre")
     assert Bsdf.load(tmp_path / "kept.nacre").provenance["ensemble"] == notes
+
+
+def _stopping(monkeypatch, after):
+    """Solve patterns until so many are done, then be interrupted; return the list of what was solved."""
+    solved, solve = [], Ensemble.solve
+
+    def once(self, number):
+        if len(solved) == after:
+            raise KeyboardInterrupt
+        solved.append(number)
+        return solve(self, number)
+
+    monkeypatch.setattr(Ensemble, "solve", once)
+    monkeypatch.setattr(refine, "in_threads", lambda work, items: [work(item) for item in items])
+    return solved
+
+
+def test_a_stopped_run_solves_no_pattern_twice_and_comes_to_the_same(tmp_path, monkeypatch):
+    dark, heard = {"substrate": {"n": 1.5, "k": 0.01}}, []
+    monkeypatch.setenv("NACRE_CACHE", str(tmp_path / "whole"))
+    whole = material(recipe(**dark)).bsdf(np.array([500.0]))
+    monkeypatch.setenv("NACRE_CACHE", str(tmp_path / "stopped"))
+    with monkeypatch.context() as patched:
+        first = _stopping(patched, 3)
+        with pytest.raises(KeyboardInterrupt):
+            material(recipe(**dark)).bsdf(np.array([500.0]))
+    with monkeypatch.context() as patched, heard_by(lambda what, seconds: heard.append(what)):
+        rest = _stopping(patched, 99)
+        found = material(recipe(**dark)).bsdf(np.array([500.0]))
+    assert sorted(first + rest) == list(range(SMALL["realisations"])) and len(first) == 3
+    assert "3 patterns of these are kept" in heard[0]
+    assert np.array_equal(found.lobes[1].above, whole.lobes[1].above)
+    # what was kept for a fit goes once it is made
+    assert len(list((tmp_path / "stopped").rglob("ensemble-*"))) == 1
+
+
+def test_a_stopped_run_goes_on_with_nothing_of_a_file_that_changed(tmp_path, monkeypatch):
+    monkeypatch.setenv("NACRE_CACHE", str(tmp_path / "cache"))
+    places = np.random.default_rng(1).permutation(np.stack(np.meshgrid(np.arange(8), np.arange(8)), -1).reshape(-1, 2))
+    given = {"substrate": {"n": 1.5, "k": 0.01}, "monolayer": {"structure": {"points": "xy.csv"}}}
+
+    def write(shift):
+        rows = 0.5 * places + shift * (places[:, :1] % 2)
+        (tmp_path / "xy.csv").write_text("".join(f"{x},{y}\n" for x, y in rows))
+
+    write(0.0)
+    with monkeypatch.context() as patched:
+        _stopping(patched, 3)
+        with pytest.raises(KeyboardInterrupt):
+            material(recipe(**given), tmp_path).bsdf(np.array([500.0]))
+    write(0.03)
+    with monkeypatch.context() as patched:
+        solved = _stopping(patched, 99)
+        found = material(recipe(**given), tmp_path).bsdf(np.array([500.0]))
+    assert sorted(solved) == list(range(SMALL["realisations"]))
+    assert np.all(np.isfinite(found.lobes[1].above))  # of a lattice, whose light is next to nothing between its orders
 
 
 def test_a_judged_material_is_solved_once_without_a_cache_and_keeps_energy_and_reciprocity(monkeypatch):
@@ -277,9 +364,25 @@ def test_many_materials_take_the_mean_field_unless_the_recipe_names_the_ensemble
     with caplog.at_level(logging.WARNING, "nacre"):
         quick = alone.for_many()
     assert "among many it takes the quick way" in caplog.text
+    caplog.clear()
+    with caplog.at_level(logging.WARNING, "nacre"):
+        alone.for_many(is_told=True)
+    assert not caplog.text
     assert quick.vary({"monolayer.coverage": 0.2}).model.chosen_correction[0] == "qca-balanced"
     assert quick.identity != alone.identity
     assert material(recipe()).for_many().model.chosen_correction[0] == "ensemble"
+
+
+def test_numbers_that_vary_take_the_mean_field_and_say_so_once(caplog):
+    varying = {"monolayer": {"coverage": {"formula": "0.15 + 0.05*u"}}}
+    with caplog.at_level(logging.WARNING, "nacre"):
+        material(recipe({"correction": "auto"}, substrate="air", **varying)).spectrum([0.0], [500.0])
+    assert caplog.text.count("with numbers that vary it takes the quick way") == 1
+    caplog.clear()
+    low = {"monolayer": {"coverage": {"formula": "0.02 + 0.02*u"}}}
+    with caplog.at_level(logging.WARNING, "nacre"):
+        material(recipe({"correction": "auto"}, substrate="air", **low)).spectrum([0.0], [500.0])
+    assert "quick way" not in caplog.text
 
 
 def test_positions_that_nobody_knows_are_refused_and_not_needed_by_auto(tmp_path):

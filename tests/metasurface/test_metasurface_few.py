@@ -25,6 +25,7 @@ def _made(substrate="Si", **particle):
             "layers": [{"material": "SiO2", "thickness_nm": 150.0}],
             "particle": {"material": "Ag", "radius_nm": 70.0, "gap_nm": 2.0, **particle},
             "monolayer": {"coverage": 0.1, "packing": 0.3},
+            "model": {"correction": "qca-balanced"},
         }
     )
 
@@ -105,7 +106,7 @@ def test_a_rough_candidate_leaves_the_near_fields_of_neighbours_out():
 
 
 def test_coverage_beyond_what_was_tested_is_told_for_a_few_pairs_too():
-    made = _made().vary({"monolayer.coverage": 0.2})
+    made = _made().vary({"monolayer.coverage": 0.3})
     wi = direction(np.radians([30.0]))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

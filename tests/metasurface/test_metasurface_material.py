@@ -28,7 +28,8 @@ def recipe(substrate="glass", layers=(), monolayer=None, model=None, **particle)
         "particle": {"material": {"n": 3.5, "k": 0.01}, "radius_nm": 70, **particle},
         "monolayer": monolayer or {"coverage": 0.1, "packing": 0.3},
     }
-    return {**data, "model": model} if model else data
+    # in seconds: "auto" takes the ensemble of such spheres
+    return {**data, "model": {"correction": "qca-balanced", **(model or {})}}
 
 
 def vectors(n, seed, both):
@@ -335,7 +336,7 @@ def test_energy_beyond_one_is_scaled_away_symmetrically():
 def test_coverage_beyond_the_tested_warns():
     with pytest.warns(MetasurfaceWarning, match="coverage"):
         plain = {"correction": "qca-balanced"}
-        material(recipe("Si", monolayer={"coverage": 0.2}, model=plain)).spectrum([0.0], [500.0])
+        material(recipe("Si", monolayer={"coverage": 0.3}, model=plain)).spectrum([0.0], [500.0])
 
 
 @pytest.mark.parametrize("ending", ["gds", "oas"])

@@ -16,7 +16,7 @@ CLEAR = {
     "substrate": {"n": 1.5},
     "particle": {"material": {"n": 3.5}, "radius_nm": 70},
     "monolayer": {"coverage": 0.1, "packing": 0.4},
-    "model": {"multipole_order": 5},
+    "model": {"multipole_order": 5, "correction": "qca-balanced"},
 }
 
 

@@ -10,6 +10,7 @@ import gc
 import importlib
 import os
 import sys
+import warnings
 from typing import Any
 
 import click
@@ -108,7 +109,8 @@ def run(argv: list[str]) -> int:
     try:
         if any("\0" in word for word in argv):
             raise NacreError("an argument holds a NUL character, which no file name and no number has")
-        with heard_by(listener(yes)):
+        with heard_by(listener(yes)), warnings.catch_warnings():
+            warnings.showwarning = _say_warning  # type: ignore[assignment]  # takes the rest by *where
             cli.main(args=argv, prog_name="nacre", standalone_mode=False)
         sys.stdout.flush()
     except (KeyboardInterrupt, click.Abort):
@@ -150,6 +152,14 @@ def run(argv: list[str]) -> int:
         )
         return 1
     return 0
+
+
+def _say_warning(message: Warning | str, category: type[Warning], *where: Any) -> None:
+    """Say a warning of ours as all else is said: what it tells, without the line of code that told it."""
+    if category.__module__.partition(".")[0] == "nacre":
+        say(str(message))
+    else:
+        say(f"{category.__name__}: {message}")
 
 
 def _was_interrupted(error: BaseException | None) -> bool:

@@ -168,6 +168,11 @@ class Model(abc.ABC):
         return ""
 
     @property
+    def spared_way(self) -> str:
+        """The way of minutes that a quick one stands in for because it is one of many; empty: nothing was spared."""
+        return ""
+
+    @property
     def unbounded_because(self) -> str:
         """Why its spectra may sum to more than one: the data or the model chosen say so; empty: they never do."""
         return ""

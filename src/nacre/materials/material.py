@@ -213,15 +213,15 @@ class Material:
             set_by_path(data, path, value, self.context.source)
         return material_from_data(data, dataclasses.replace(self.context, text=""))
 
-    def for_many(self) -> Material:
+    def for_many(self, is_told: bool = False) -> Material:
         """Return the material as one of many that are solved, without the way of minutes that it may take alone.
 
         Sweeps, searches, fits and drafts ask for it; what is made of it by `vary` is so too. A way that the recipe
-        names itself is kept. What is left out is told.
+        names itself is kept. What is left out is told, unless it was before.
         """
         if self.context.is_one_of_many or isinstance(self.model, StoredBsdf):
             return self
-        if self.model.slow_way:
+        if self.model.slow_way and not is_told:
             logger.warning(
                 "%s: alone it takes %s; among many it takes the quick way, unless the recipe names the slow one",
                 self.context.source, self.model.slow_way,
@@ -358,6 +358,7 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
     spec_class = family_spec(data.get("family"), context.source)
     plain = without_names(data, context.source)
     if spec_class.varies_by_nodes and (numbers := varying_numbers(plain, spec_class.varies_by_nodes)):
+        told: list[str] = []
 
         def fixed(values: Mapping[str, float]) -> Material:
             even = copy.deepcopy(plain)
@@ -365,6 +366,12 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
                 set_by_path(even, path, value, context.source)
             node = material_from_data(even, dataclasses.replace(context, is_one_of_many=True))
             context.reach(node.context.reached)
+            if node.model.spared_way and not told and not context.is_one_of_many:
+                told.append(node.model.spared_way)
+                logger.warning(
+                    "%s: with even numbers it may take %s; with numbers that vary it takes the quick way, unless the "
+                    "recipe names the slow one", context.source, told[0],
+                )  # fmt: skip
             return node
 
         return Material(Varying.read(numbers, fixed, context), data, context)

@@ -42,8 +42,9 @@ logger = logging.getLogger("nacre")
 
 
 AUTO, ENSEMBLE = "auto", "ensemble"  # of the corrections
+SLOW_WAY = 'an ensemble (model.correction = "ensemble")'
+VALIDATED_COVERAGE = 0.13  # above it what is known against the mean field is told, below it kept with the Bsdf alone
 JUDGED_NM = 550.0  # where a core is called metal or not
-VALIDATED_COVERAGE = 0.13
 # films up to here keep the error of interpolation at 0.4 % of the L2 norm with 120 angles (0.3 % without any film)
 THICK_FILM_NM = 1000.0
 TOLD_EXCESS = 0.01  # of energy: what the default correction is tested to keep
@@ -79,6 +80,7 @@ class Metasurface(Model):
         memory: multipole orders of candidates near this one, see `among_many`; None: each is chosen anew.
         sees_neighbours: False leaves the near fields of neighbours out.
         body: the particles, where they are no spheres; `sizes` then holds their largest distances from the axis.
+        is_spared: whether the mean field stands in, among many, for what "auto" would choose alone.
         second: of a mixture the other kind, whose share leaves the rest to the first; None: there is one kind.
     """
 
@@ -106,6 +108,7 @@ class Metasurface(Model):
     ensemble: EnsembleSettings = EnsembleSettings()
     body: Body | None = None
     second: Kind | None = None
+    is_spared: bool = False
 
     @cached_property
     def kinds(self) -> tuple[Kind, ...]:
@@ -172,26 +175,37 @@ class Metasurface(Model):
     @cached_property
     def chosen_correction(self) -> tuple[str, str]:
         """The correction that is taken, and why where the material chose it by itself, else ""."""
-        if self.correction != AUTO:
-            return self.correction, ""
+        return self._choice if self.correction == AUTO else (self.correction, "")
+
+    @cached_property
+    def _choice(self) -> tuple[str, str]:
+        """What the table of measured systems says."""
         if self.arrangement is None:
             return "qca-balanced", "only S(q) is known, so there are no positions for an ensemble"
+        holds, why = choice.mean_field_holds(*self._judged_as, self.coverage)
+        return ("qca-balanced" if holds else ENSEMBLE), why
+
+    @cached_property
+    def _judged_as(self) -> tuple[list[choice.Like], bool]:
+        """What the table of measured systems looks at: the kinds of particle, and whether there is a substrate."""
         surface = self.surface(float(np.clip(JUDGED_NM, *self.range_nm)))
         below = np.max(np.abs(surface.indices[1:] / surface.ambient_index - 1.0)) > choice.SAME_INDEX
-        verdicts = []
+        kinds = []
         for kind in self.kinds:
-            core = kind.index(surface.wavelength_nm) / surface.ambient_index
-            noun = "spheres" if kind.body is None else "particles"
-            verdicts.append(choice.mean_field_holds(choice.kind_of(core), bool(below), self.coverage, noun))
-        holds, why = min(verdicts, key=lambda verdict: verdict[0])  # of a mixture the stricter kind decides
-        return ("qca-balanced" if holds else ENSEMBLE), why
+            core = choice.kind_of(kind.index(surface.wavelength_nm) / surface.ambient_index)
+            shape = choice.SPHERE if kind.body is None else choice.SHAPES.get(kind.body.shape, choice.OTHER)
+            kinds.append(choice.Like(shape, core))
+        return kinds, bool(below)
 
     @property
     def slow_way(self) -> str:
         """An ensemble, where the material takes one by itself."""
-        if self.correction != AUTO or self.chosen_correction[0] != ENSEMBLE:
-            return ""
-        return 'an ensemble (model.correction = "ensemble")'
+        return SLOW_WAY if self.correction == AUTO and self._choice[0] == ENSEMBLE else ""
+
+    @property
+    def spared_way(self) -> str:
+        """An ensemble, where the mean field stands in for one."""
+        return SLOW_WAY if self.is_spared and self._choice[0] == ENSEMBLE else ""
 
     def layers_at(self, wavelengths_nm: ArrayLike) -> tuple[Callable[[float], Monolayer], Refinement | None]:
         """Return the monolayer at each of some wavelengths, with an ensemble's ratio where one is taken.
@@ -220,7 +234,7 @@ class Metasurface(Model):
         because = f'model.correction = "auto" takes an ensemble: {why}; "qca-balanced" takes seconds; ' if why else ""
         found = refine(wavelengths_nm, self.monolayer, self.pattern, self.ensemble, seed, self.source, is_list, because)
         logger.warning(
-            "%s: ensemble of %d patterns of %d spheres: standard error %.2g %%, rms over pairs of angles",
+            "%s: ensemble of %d patterns of %d particles: standard error %.2g %%, rms over pairs of angles",
             self.source, self.ensemble.realisations, self.ensemble.spheres, 100 * found.standard_error,
         )  # fmt: skip
         return found
@@ -271,8 +285,11 @@ class Metasurface(Model):
         A rough one knows its neighbours' plane waves, as a sheet does, and nothing of their near fields. One that would
         take an ensemble by itself takes the mean field; a recipe that names the ensemble gets it.
         """
-        mean_field = "qca-balanced" if self.correction == AUTO else self.correction
-        return dataclasses.replace(self, memory=memory, sees_neighbours=not is_rough, correction=mean_field)
+        spared = self.correction == AUTO
+        return dataclasses.replace(
+            self, memory=memory, sees_neighbours=not is_rough, is_spared=spared or self.is_spared,
+            correction="qca-balanced" if spared else self.correction,
+        )  # fmt: skip
 
     @property
     def eta(self) -> float:
@@ -312,6 +329,8 @@ class Metasurface(Model):
         }
         if self.chosen_correction[1]:
             notes["correction_because"] = self.chosen_correction[1]
+        if self._doubt:
+            notes["correction_doubt"] = self._doubt
         stated = [k.body.stated_error for k in self.kinds if k.body is not None and k.body.stated_error is not None]
         if stated:
             notes["t_matrix_error"] = float(f"{max(stated):.2g}")
@@ -344,13 +363,20 @@ class Metasurface(Model):
                     MetasurfaceWarning,
                     stacklevel=3,
                 )
-        if self.coverage > VALIDATED_COVERAGE and self.chosen_correction[0] != ENSEMBLE:
+        doubt = self._doubt
+        if doubt and self.coverage > VALIDATED_COVERAGE and not self.is_spared:  # what was spared is told once for all
             warnings.warn(
-                f"{self.source}: coverage f = {self.coverage:.3g} is above {VALIDATED_COVERAGE}, up to which the "
-                "diffuse light was tested: silver on glass at 0.2 was 11 % off, silicon on resonance 25 % too bright",
+                f'{self.source}: {doubt}; model.correction = "ensemble" solves the particles together',
                 MetasurfaceWarning,
                 stacklevel=3,
             )
+
+    @property
+    def _doubt(self) -> str:
+        """What is known against the mean field where it is taken; empty where it was measured to hold."""
+        if self.chosen_correction[0] == ENSEMBLE or choice.mean_field_holds(*self._judged_as, self.coverage)[0]:
+            return ""
+        return choice.warning(*self._judged_as)
 
     def spectrum(
         self,

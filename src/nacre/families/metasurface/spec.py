@@ -296,6 +296,7 @@ class MetasurfaceSpec(RecipeModel):
             )
         index = max(1.0, n_substrate.real if n_substrate.imag < 1e-4 else 1.0, n_ambient.real)
         asked = self.model.correction
+        is_spared = context.is_one_of_many and asked == "auto"
         kinds = self.particle.kinds(context, ambient, self.extrapolate == "edge")
         structure, arrangement = self._structure(context, kinds, 4.2 * np.pi * index / 360.0)
         first = kinds[0]
@@ -308,7 +309,8 @@ class MetasurfaceSpec(RecipeModel):
             structure=structure,
             shell=first.shell,
             gap_nm=first.gap_nm,
-            correction="qca-balanced" if context.is_one_of_many and asked == "auto" else asked,
+            correction="qca-balanced" if is_spared else asked,
+            is_spared=is_spared,
             ensemble=EnsembleSettings(**self.model.ensemble.model_dump()),
             multipole_order=self.model.multipole_order,
             multipole_tolerance=self.model.tolerance,
