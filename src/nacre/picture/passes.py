@@ -19,7 +19,7 @@ from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, white_xyz, xyz_to_srgb_linear
 from nacre.light.spaces import RGB_TO_XYZ
 from nacre.picture import interrupt
 from nacre.picture.camera import View
-from nacre.picture.cut_out import cut_out
+from nacre.picture.cut_out import cut_out, sees_objects
 from nacre.picture.denoise import GUIDE_SPP
 from nacre.picture.endless import without_edges
 from nacre.picture.paths import make_paths
@@ -48,7 +48,8 @@ class Until:
 
     Attributes:
         spp: samples a pixel; with `noise` or `seconds` the most that are taken.
-        noise: median over the pixels of the relative standard error of their luminance, as rendered.
+        noise: median, over the pixels that see an object, of the relative standard error of their luminance, as
+            rendered; over all pixels where none does.
         seconds: wall time of the passes; the picture then depends on the machine.
     """
 
@@ -94,7 +95,7 @@ class Frame:
         spectral, bands_nm: `[row, column, band]`, where asked for, and the centres of the bands.
         guides: albedo, normal, and depth of what each pixel sees first.
         not_finite: pixels with a value that is no number.
-        noise: median relative standard error of the pixels, where there were passes enough to tell.
+        noise: median relative standard error of the pixels that see an object, where there were passes enough to tell.
         is_interrupted: whether it was ended before the samples were enough.
     """
 
@@ -146,7 +147,8 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
     plan = pass_plan(until.spp, most, is_open)
     count = len(plan)
     total: NDArray[np.float64] | None = None
-    done, clock, spread, noise = 0, Clock(), Spread(), None
+    judged = sees_objects(stage.mitsuba_scene, sensor, stage.objects, shot.size) if is_open else None
+    done, clock, spread, noise = 0, Clock(), Spread(judged), None
     stopped = False
     guides: dict[str, NDArray[np.float32]] = {}
 
@@ -206,9 +208,14 @@ def _left(until: Until, plan: Sequence[Part], done: int, noise: float | None, se
 
 
 class Spread:
-    """How far the sequences of a picture lie apart, which tells the noise of their mean."""
+    """How far the sequences of a picture lie apart, which tells the noise of their mean.
 
-    def __init__(self) -> None:
+    Args:
+        judged: the pixels `[row, column]` whose noise counts; None, or none of them lit: all.
+    """
+
+    def __init__(self, judged: NDArray[np.bool_] | None = None) -> None:
+        self._judged = judged
         self._sums: list[Any] = [0.0] * SEQUENCES
         self._weights = [0] * SEQUENCES
 
@@ -220,15 +227,17 @@ class Spread:
         self._weights[part.sequence] += part.spp
 
     def noise(self) -> float | None:
-        """Return the median over lit pixels of the relative standard error of the mean; None if turns are missing.
+        """Return the median over the lit pixels that count of the relative standard error of the mean.
 
-        The median of a variance from two values lies below its mean, as that of a normal variable's square does, which
-        is given back.
+        None if turns are missing. The median of a variance from two values lies below its mean, as that of a normal
+        variable's square does, which is given back.
         """
         if min(self._weights) != max(self._weights) or self._weights[0] == 0:
             return None
         mean = sum(self._sums) / SEQUENCES
         lit = mean > 0
+        if self._judged is not None and np.any(lit & self._judged):
+            lit = lit & self._judged
         if not np.any(lit):
             return 0.0
         variance = sum((each - mean) ** 2 for each in self._sums) / SEQUENCES
