@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 
 from nacre.arrays import Array
 from nacre.device.variant import use_variant
-from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, white_xyz, xyz_to_srgb_linear
-from nacre.light.spaces import RGB_TO_XYZ
 from nacre.picture import interrupt
 from nacre.picture.camera import View
 from nacre.picture.cut_out import cut_out, sees_objects
 from nacre.picture.denoise import GUIDE_SPP
 from nacre.picture.endless import without_edges
-from nacre.picture.paths import make_paths
+from nacre.picture.guides import first_hits, guide_tracer
+from nacre.picture.paths import can_split, make_paths
 from nacre.picture.progress import Clock, ProgressCallback
 from nacre.picture.samples import begin, going_on
 from nacre.recipe.memory import check_memory
@@ -156,7 +155,7 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
         assert total is not None  # spp is at least 1
         if shot.with_guides and not guides:
             begun = pass_seed(shot.seed, GUIDES_FROM)
-            guides.update(first_hits(stage.mitsuba_scene, sensor, sampler, pass_plan(GUIDE_SPP, most), begun))
+            guides.update(_guides(stage.mitsuba_scene, sensor, sampler, pass_plan(GUIDE_SPP, most), begun))
         mean = total / done
         not_finite = int(np.count_nonzero(~np.isfinite(mean).all(axis=-1)))
         clean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
@@ -257,7 +256,8 @@ def _tracer(stage: Any) -> Any:
     clear = lets_through(stage.mitsuba_scene)
     if light is None or mi.variant().startswith("scalar") or (light.soft is None and not clear):
         return mi.load_dict(path_tracer(stage))
-    return make_paths(stage.depth, RUSSIAN_ROULETTE_DEPTH, clear, light.soft)
+    bsdfs = [shape.bsdf() for shape in stage.mitsuba_scene.shapes() if shape.bsdf() is not None]
+    return make_paths(stage.depth, RUSSIAN_ROULETTE_DEPTH, clear, light.soft, clear and all(map(can_split, bsdfs)))
 
 
 def lets_through(scene: Any) -> bool:
@@ -270,10 +270,10 @@ def lets_through(scene: Any) -> bool:
     return any(shape.bsdf() is not None and int(shape.bsdf().flags()) & null for shape in scene.shapes())
 
 
-def first_hits(
+def _guides(
     scene: Any, sensor: Any, sampler: Any, passes: Sequence[Part], seed: int
 ) -> dict[str, NDArray[np.float32]]:
-    """Return what each pixel sees first: albedo (diffuse reflectance) and normal `[row, column, 3]`, depth `[..., 1]`.
+    """Return the guides of the denoiser, see `nacre.picture.guides.first_hits`.
 
     Args:
         scene, sensor: of Mitsuba.
@@ -281,22 +281,13 @@ def first_hits(
         passes: `GUIDE_SPP` samples in all.
         seed: of the samples.
     """
-    mi = use_variant()
-    integrator = mi.load_dict({"type": "aov", "aovs": "albedo:albedo,normal:sh_normal,depth:depth"})
-    seen = sum(
-        part.spp * np.array(
-            mi.render(scene, sensor=sensor, integrator=integrator, spp=part.spp,
-                      seed=begin(sampler, seed, part.first, part.spp))
-        )[..., -7:]
-        for part in passes
-    )  # fmt: skip
-    mean = np.asarray(seen / sum(part.spp for part in passes), dtype=np.float32)
-    mean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
-    # Mitsuba shows reflectances under light of equal energy, as sRGB under D65 would see it: make its white white
-    seen_as = adapt_xyz(mean[..., :3] @ RGB_TO_XYZ.T, white_xyz("E"), SRGB_WHITE_XYZ)
-    albedo = np.clip(xyz_to_srgb_linear(seen_as), 0.0, 1.0).astype(np.float32)
-    normal = np.clip(mean[..., 3:6], -1.0, 1.0)
-    return {"albedo": albedo, "normal": normal, "depth": np.maximum(mean[..., 6:], 0.0)}
+    mi, integrator = use_variant(), guide_tracer()
+    seen = 0.0
+    for part in passes:
+        begun = begin(sampler, seed, part.first, part.spp)
+        made = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=part.spp, seed=begun))
+        seen = seen + part.spp * made[..., [0, 1, 2, -4, -3, -2, -1]]
+    return first_hits(np.asarray(seen / sum(part.spp for part in passes), dtype=float))
 
 
 @dataclass(frozen=True)
