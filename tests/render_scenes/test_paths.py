@@ -20,7 +20,7 @@ from nacre.picture.lights.environments import BEAM_DEG, beam, unit_spectrum
 from nacre.picture.lights.named import SUN_DEG, make_light, make_lights
 from nacre.picture.lights.places import street
 from nacre.picture.lights.several import read_lamps
-from nacre.picture.paths import SOFT_LAMP_DEG, make_paths
+from nacre.picture.paths import SOFT_LAMP_DEG, can_split, make_paths
 from nacre.picture.picture import scene_dict
 
 pytestmark = pytest.mark.render
@@ -49,17 +49,44 @@ def _scene(material: Any, scene: str, light: str) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("recipe", "light", "kind", "clear"),
-    [("soap", "studio", "volpath", True), ("jewel-beetle", "line", "path", False)],
+    ("recipe", "light", "kind", "clear", "splits"),
+    [
+        ("soap", "studio", "volpath", True, False),
+        ("soap", "studio", "volpath", True, True),
+        ("jewel-beetle", "line", "path", False, False),
+    ],
 )
-def test_the_mean_is_that_of_mitsubas_own(recipe: str, light: str, kind: str, clear: bool) -> None:
-    """With films to pass and with lamps that are bodies."""
+def test_the_mean_is_that_of_mitsubas_own(recipe: str, light: str, kind: str, clear: bool, splits: bool) -> None:
+    """With films to pass, drawn or both ways at once, and with lamps that are bodies."""
     mi = use_variant()
     scene = _scene(nacre.load(EXAMPLES / f"{recipe}.toml"), "sphere", light)
-    own, own_error = _mean_and_error(scene, make_paths(8, 6, clear), 64)
+    own, own_error = _mean_and_error(scene, make_paths(8, 6, clear, splits=splits), 64)
     theirs, error = _mean_and_error(scene, mi.load_dict({"type": kind, "max_depth": 8, "rr_depth": 6}), 64)
     # five degrees of freedom on each side: Student's t needs more room than a normal variable would
     assert np.all(np.abs(own - theirs) < 2.0 * SIGMAS * np.hypot(own_error, error) + 1e-6)
+
+
+def test_what_a_soap_film_mirrors_is_no_grain() -> None:
+    """A film mirrors some 4 % of lamps that are thirty times as bright as what is behind it: drawn by that share they
+    would be 24 times as noisy as the light itself, here as the median over the bubble of a few seeds."""
+    mi = use_variant()
+    scene = _scene(nacre.load(EXAMPLES / "soap.toml"), "sphere", "studio")
+
+    def noise(splits: bool) -> float:
+        tracer = make_paths(8, 6, True, splits=splits)
+        made = np.array([np.array(mi.render(scene, integrator=tracer, spp=16, seed=s))[..., 1] for s in range(8)])
+        return float(np.mean((made.var(axis=0, ddof=1) / made.mean(axis=0) ** 2)[8:24, 8:24]))
+
+    assert noise(True) < noise(False) / 4
+
+
+def test_only_a_null_interaction_of_its_own_can_be_followed_apart() -> None:
+    film = make_bsdf(nacre.load(EXAMPLES / "soap.toml").bsdf())
+    stratum = {"resin": {"n": 1.5}, "thickness_um": 20, "platelets": []}
+    pearl = make_bsdf(nacre.material({"family": "pearl", "strata": [stratum], "base": {"none": True}}).bsdf())
+    assert can_split(film)
+    null = int(use_variant().BSDFFlags.Null)
+    assert int(pearl.flags()) & null and not can_split(pearl)
 
 
 def _floor_under_mirror(integrator: Any, soft_light: Any) -> tuple[np.ndarray, Any]:
@@ -196,3 +223,4 @@ def test_small_lamps_and_clear_films_are_traced_by_ours_and_the_rest_by_mitsuba(
     assert (type(tracer).__name__ == "Paths") == is_ours
     if is_ours:
         assert (tracer.passes_through, tracer.soft is not None) == (recipe == "soap", recipe != "soap")
+        assert tracer.splits == (recipe == "soap")

@@ -48,6 +48,27 @@ def test_passes_of_any_size_take_the_same_samples() -> None:
     np.testing.assert_array_equal(drawn([(0, 1), (1, 7), (8, 32), (40, 8)]), whole)
 
 
+def test_neighbours_share_a_sequence_where_its_length_is_known() -> None:
+    """512 pixels of two whole tiles: each pixel's samples are even, those of a tile together far more so."""
+    use_variant()
+    found = []
+    for first, spp in ((0, 5), (5, 11)):
+        sampler = going_on()
+        begin(sampler, 3, first, spp, total=16, width=32)
+        sampler.seed(0, PIXELS * spp)
+        pair = sampler.next_2d()
+        found.append(np.stack([pair.x, pair.y], axis=-1).reshape(16, 32, spp, 2))
+    points = np.concatenate(found, axis=2)
+    for a in range(5):  # of a pixel: 16 points, one in each box of 2^-a by 2^-(4-a)
+        box = np.floor(points[..., 0] * 2**a) * 2 ** (4 - a) + np.floor(points[..., 1] * 2 ** (4 - a))
+        assert np.array_equal(np.sort(box, axis=-1), np.broadcast_to(np.arange(16.0), (16, 32, 16)))
+    for tile in (points[:, :16], points[:, 16:]):  # 4,096 points
+        for a in range(13):
+            box = np.floor(tile[..., 0] * 2**a) * 2 ** (12 - a) + np.floor(tile[..., 1] * 2 ** (12 - a))
+            assert np.array_equal(np.sort(box.ravel()), np.arange(4096.0))
+    assert not np.array_equal(points[:, :16], points[:, 16:])
+
+
 def test_one_sample_of_many_pixels_is_uniform_and_pixels_seeds_and_dimensions_are_strangers() -> None:
     points = drawn([(5, 1)])[:, 0]
     others = [drawn([(5, 1)], seed=4)[:, 0], drawn([(5, 1)], skip=1)[:, 0], np.roll(points, 1, axis=0), points[:, ::-1]]

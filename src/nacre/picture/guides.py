@@ -66,9 +66,7 @@ def _class(variant: str) -> type:
                 seen = dr.select(active, dr.fma(weight, light, seen), seen)
                 active = active & si.is_valid()
                 bsdf = si.bsdf()
-                seen = dr.select(
-                    active, dr.fma(weight, bsdf.eval_diffuse_reflectance(si, active), seen), seen
-                )
+                seen = dr.select(active, dr.fma(weight, bsdf.eval_diffuse_reflectance(si, active), seen), seen)
                 bs, scattered = bsdf.sample(context, si, sampler.next_1d(active), sampler.next_2d(active), active)
                 active = active & ((bs.sampled_type & sharp) != 0) & (count < MOST_SHARP)
                 weight = weight * scattered

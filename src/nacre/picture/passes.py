@@ -172,7 +172,8 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
     with interrupt.held_back() as is_interrupted:
         for index, part in enumerate(plan):
             now = part.spp
-            seed = begin(sampler, pass_seed(shot.seed, part.sequence), part.first, now)
+            known = 0 if is_open else until.spp
+            seed = begin(sampler, pass_seed(shot.seed, part.sequence), part.first, now, known, shot.size[0])
             picture = mi.render(stage.mitsuba_scene, sensor=sensor, integrator=integrator, spp=now, seed=seed)
             values = np.array(picture, dtype=np.float64)
             total = values * now if total is None else total + values * now
@@ -270,9 +271,7 @@ def lets_through(scene: Any) -> bool:
     return any(shape.bsdf() is not None and int(shape.bsdf().flags()) & null for shape in scene.shapes())
 
 
-def _guides(
-    scene: Any, sensor: Any, sampler: Any, passes: Sequence[Part], seed: int
-) -> dict[str, NDArray[np.float32]]:
+def _guides(scene: Any, sensor: Any, sampler: Any, passes: Sequence[Part], seed: int) -> dict[str, NDArray[np.float32]]:
     """Return the guides of the denoiser, see `nacre.picture.guides.first_hits`.
 
     Args:

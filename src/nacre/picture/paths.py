@@ -31,9 +31,7 @@ MOST_PASSED = 64  # clear surfaces that one shadow ray passes
 MOST_SPLIT = 4  # clear surfaces at which a camera's ray goes both ways
 
 
-def make_paths(
-    max_depth: int, rr_depth: int, passes_through: bool, soft: Any = None, splits: bool = False
-) -> Any:
+def make_paths(max_depth: int, rr_depth: int, passes_through: bool, soft: Any = None, splits: bool = False) -> Any:
     """Return an integrator of the current variant, which must not be a scalar one.
 
     Args:
