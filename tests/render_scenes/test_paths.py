@@ -20,7 +20,7 @@ from nacre.picture.lights.environments import BEAM_DEG, beam, unit_spectrum
 from nacre.picture.lights.named import SUN_DEG, make_light, make_lights
 from nacre.picture.lights.places import street
 from nacre.picture.lights.several import read_lamps
-from nacre.picture.paths import SOFT_LAMP_DEG, can_split, make_paths
+from nacre.picture.paths import SOFT_LAMP_DEG, WITHIN_LAMP_DEG, can_split, make_paths
 from nacre.picture.picture import scene_dict
 
 pytestmark = pytest.mark.render
@@ -148,6 +148,34 @@ def test_a_sun_that_is_made_wide_keeps_its_power() -> None:
     assert found[1] == pytest.approx(found[0], rel=0.03)
 
 
+def test_the_beam_within_an_object_is_wide_of_the_same_power() -> None:
+    sharp, wide = beam("D65"), beam("D65", width_deg=WITHIN_LAMP_DEG)
+    rows = sharp.weights.shape[1]
+    area = np.sin((np.arange(rows) + 0.5) * math.pi / rows)[:, None]
+    power = [float((light.weights[0] * area).sum()) for light in (sharp, wide)]
+    assert power[1] == pytest.approx(power[0], rel=1e-6)
+    assert (wide.weights > 0.05).sum() > 10 * (sharp.weights > 0.05).sum()
+    light = make_light("directional")
+    assert light.soft is None and light.soft_within is not None
+    two = make_lights(read_lamps("directional:0.5,studio"))
+    assert two.soft is None and two.soft_within is not None
+
+
+def test_light_that_a_ball_of_glass_spreads_is_lit_by_the_wide_beam_without_loss() -> None:
+    """Particles on glass: light leaves the ball by refraction, where no lamp can be drawn."""
+    scene = _scene(nacre.load(EXAMPLES / "metasurface" / "silver_halo.toml"), "probe", "directional")
+    bends = int(use_variant().BSDFFlags.DeltaTransmission)
+    ball = next(shape for shape in scene.shapes() if int(shape.bsdf().flags()) & bends)
+    within = make_light("directional").soft_within
+    hard, hard_error = _mean_and_error(scene, use_variant().load_dict({"type": "path", "max_depth": 16}), 256)
+    soft, error = _mean_and_error(scene, make_paths(16, 6, False, within, spread_by=[ball]), 256)
+    middle = np.s_[1:3, 1:3]  # blocks that hold the ball
+    assert error[middle].mean() < 0.6 * hard_error[middle].mean()
+    # five degrees of freedom on each side, and 3 % of what a lobe changes over the width of the lamp
+    assert np.all(np.abs(hard - soft) < 2.0 * SIGMAS * np.hypot(hard_error, error) + 0.03 * hard)
+    assert soft[middle].mean() == pytest.approx(hard[middle].mean(), rel=0.05)
+
+
 def test_glass_focuses_the_beam_as_a_light_tracer_says() -> None:
     """The patch of floor behind a glass ball where the beam of `directional` comes together."""
     mi = use_variant()
@@ -220,6 +248,8 @@ def test_small_lamps_and_clear_films_are_traced_by_ours_and_the_rest_by_mitsuba(
     made = make_lights(read_lamps(light))
     stage = SimpleNamespace(light=made, depth=6, mitsuba_scene=mi.load_dict({"type": "scene", "ball": ball}))
     tracer = passes._tracer(stage)
+    if is_ours:
+        assert tracer.spread_by == []
     assert (type(tracer).__name__ == "Paths") == is_ours
     if is_ours:
         assert (tracer.passes_through, tracer.soft is not None) == (recipe == "soap", recipe != "soap")

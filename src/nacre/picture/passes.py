@@ -255,10 +255,18 @@ def _tracer(stage: Any) -> Any:
     mi = use_variant()
     light = getattr(stage, "light", None)  # a user's scene has lights of its own, and may have media
     clear = lets_through(stage.mitsuba_scene)
-    if light is None or mi.variant().startswith("scalar") or (light.soft is None and not clear):
+    if light is None or mi.variant().startswith("scalar"):
         return mi.load_dict(path_tracer(stage))
-    bsdfs = [shape.bsdf() for shape in stage.mitsuba_scene.shapes() if shape.bsdf() is not None]
-    return make_paths(stage.depth, RUSSIAN_ROULETTE_DEPTH, clear, light.soft, clear and all(map(can_split, bsdfs)))
+    shapes = [shape for shape in stage.mitsuba_scene.shapes() if shape.bsdf() is not None]
+    bends = int(mi.BSDFFlags.DeltaTransmission | mi.BSDFFlags.GlossyTransmission)
+    refracting = [shape for shape in shapes if int(shape.bsdf().flags()) & bends]
+    soft, spread_by = light.soft, []
+    if soft is None and light.soft_within is not None and refracting:
+        soft, spread_by = light.soft_within, refracting
+    if soft is None and not clear:
+        return mi.load_dict(path_tracer(stage))
+    splits = clear and all(can_split(shape.bsdf()) for shape in shapes)
+    return make_paths(stage.depth, RUSSIAN_ROULETTE_DEPTH, clear, soft, splits, spread_by)
 
 
 def lets_through(scene: Any) -> bool:

@@ -11,9 +11,10 @@ few per cent of a bright lamp that a soap film mirrors would otherwise be seen b
 Light that a matt surface gets by way of a mirror (its caustics) can only be found by chance: a path has to leave the
 matt surface just so that the mirror sends it to the lamp. For the sun one path in 100,000 does, and is then a firefly.
 On such paths the lamp is taken `SOFT_LAMP_DEG` wide with the same irradiance: the light falls about where it did, with
-a softer rim, and none is lost in the mean. Next-event estimation leaves these paths out, which are those by lobes
-narrower than that lamp. The sun as the camera sees it, in mirrors too, and the light and shadows that it throws
-directly are as sharp as it is.
+a softer rim, and none is lost in the mean. So is the lamp of `directional`, `WITHIN_LAMP_DEG` wide, for light that a
+clear object has spread itself and that leaves it by refraction. Next-event estimation leaves these paths out, which are
+those by lobes narrower than a lamp of `SOFT_LAMP_DEG`. The sun as the camera sees it, in mirrors too, and the light and
+shadows that it throws directly are as sharp as it is.
 """
 
 from __future__ import annotations
@@ -25,13 +26,16 @@ from typing import Any
 from nacre.device.variant import use_variant
 
 SOFT_LAMP_DEG = 10.0
+WITHIN_LAMP_DEG = 40.0
 # density of directions above which a lobe is narrower than that lamp
 NARROW = 1.0 / (2.0 * math.pi * (1.0 - math.cos(math.radians(0.5 * SOFT_LAMP_DEG))))
 MOST_PASSED = 64  # clear surfaces that one shadow ray passes
 MOST_SPLIT = 4  # clear surfaces at which a camera's ray goes both ways
 
 
-def make_paths(max_depth: int, rr_depth: int, passes_through: bool, soft: Any = None, splits: bool = False) -> Any:
+def make_paths(
+    max_depth: int, rr_depth: int, passes_through: bool, soft: Any = None, splits: bool = False, spread_by: Any = ()
+) -> Any:
     """Return an integrator of the current variant, which must not be a scalar one.
 
     Args:
@@ -40,9 +44,10 @@ def make_paths(max_depth: int, rr_depth: int, passes_through: bool, soft: Any = 
         soft: the scene's environment with its small lamps `SOFT_LAMP_DEG` wide; None: it has none.
         splits: whether camera rays go both ways at clear surfaces; then every BSDF must be able to leave its null
             interaction out when asked to (`can_split`).
+        spread_by: shapes; only light that one of these has spread is lit by `soft`; none: by whatever spread it.
     """
     mi = use_variant()
-    return _class(mi.variant())(mi.Properties(), max_depth, rr_depth, passes_through, soft, splits)
+    return _class(mi.variant())(mi.Properties(), max_depth, rr_depth, passes_through, soft, splits, spread_by)
 
 
 def can_split(bsdf: Any) -> bool:
@@ -85,11 +90,13 @@ def _class(variant: str) -> type:
         """Path tracing without media."""
 
         def __init__(
-            self, properties: Any, max_depth: int, rr_depth: int, passes_through: bool, soft: Any, splits: bool
-        ) -> None:
+            self, properties: Any, max_depth: int, rr_depth: int, passes_through: bool, soft: Any, splits: bool,
+            spread_by: Any,
+        ) -> None:  # fmt: skip
             super().__init__(properties)
             self.max_depth, self.rr_depth = max_depth, rr_depth
             self.passes_through, self.soft, self.splits = passes_through, soft, splits
+            self.spread_by = list(spread_by)
 
         def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
             context = mi.BSDFContext()
@@ -162,7 +169,13 @@ def _class(variant: str) -> type:
                 pdf = dr.select(is_event, bs.pdf, pdf)
                 is_delta = dr.select(is_event, is_sharp, is_delta)
                 is_led = dr.select(is_event, has_spread & is_narrow, is_led)
-                has_spread = has_spread | (is_event & (is_narrow ^ True))
+                spreads = is_event & (is_narrow ^ True)
+                if self.spread_by:
+                    is_it = mi.Bool(False)
+                    for shape in self.spread_by:
+                        is_it = is_it | (si.shape == mi.ShapePtr(shape))
+                    spreads = spreads & is_it
+                has_spread = has_spread | spreads
                 is_seen = is_seen | is_event
                 depth = dr.select(is_event, depth + 1, depth)
                 ray = si.spawn_ray(dr.select(goes_on, ray.d, si.to_world(bs.wo)))
