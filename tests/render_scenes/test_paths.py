@@ -81,11 +81,11 @@ def test_what_a_soap_film_mirrors_is_no_grain() -> None:
 
 
 def test_only_a_null_interaction_of_its_own_can_be_followed_apart() -> None:
+    null = int(use_variant().BSDFFlags.Null)
     film = make_bsdf(nacre.load(EXAMPLES / "soap.toml").bsdf())
     stratum = {"resin": {"n": 1.5}, "thickness_um": 20, "platelets": []}
     pearl = make_bsdf(nacre.material({"family": "pearl", "strata": [stratum], "base": {"none": True}}).bsdf())
     assert can_split(film)
-    null = int(use_variant().BSDFFlags.Null)
     assert int(pearl.flags()) & null and not can_split(pearl)
 
 
@@ -170,7 +170,7 @@ def test_light_that_a_ball_of_glass_spreads_is_lit_by_the_wide_beam_without_loss
     hard, hard_error = _mean_and_error(scene, use_variant().load_dict({"type": "path", "max_depth": 16}), 256)
     soft, error = _mean_and_error(scene, make_paths(16, 6, False, within, spread_by=[ball]), 256)
     middle = np.s_[1:3, 1:3]  # blocks that hold the ball
-    assert error[middle].mean() < 0.6 * hard_error[middle].mean()
+    assert error[middle].mean() < 0.8 * hard_error[middle].mean()
     # five degrees of freedom on each side, and 3 % of what a lobe changes over the width of the lamp
     assert np.all(np.abs(hard - soft) < 2.0 * SIGMAS * np.hypot(hard_error, error) + 0.03 * hard)
     assert soft[middle].mean() == pytest.approx(hard[middle].mean(), rel=0.05)

@@ -231,7 +231,7 @@ def render(
         rgb, stops = develop(xyz, balance, exposure)
         clipped = show(rgb, frame.alpha, behind.colour, tone)[1]
         stats |= {"exposure_stops": stops, "clipped_pixels": clipped, "seconds": time.perf_counter() - started}
-        layers = {name: (FIRST_HIT[name], values.astype(float)) for name, values in guides.items()}
+        layers = {name: (FIRST_HIT[name], values) for name, values in guides.items()}
         return RenderResult(
             xyz, rgb, None, stats, frame.spectral, frame.bands_nm, raw, frame.alpha, behind.colour, tone, alone, layers
         )
