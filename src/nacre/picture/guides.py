@@ -26,7 +26,7 @@ def guide_tracer() -> Any:
 
 
 def first_hits(mean: NDArray[np.float64]) -> dict[str, NDArray[np.float32]]:
-    """Return albedo (diffuse reflectance) and normal `[row, column, 3]`, depth `[..., 1]` of what the tracer gave.
+    """Return albedo (reflectance) and normal `[row, column, 3]` and depth `[..., 1]` from what the tracer gave.
 
     Args:
         mean: `[row, column, 7]`: XYZ, normal and depth.
@@ -66,9 +66,11 @@ def _class(variant: str) -> type:
                 seen = dr.select(active, dr.fma(weight, light, seen), seen)
                 active = active & si.is_valid()
                 bsdf = si.bsdf()
-                seen = dr.select(active, dr.fma(weight, bsdf.eval_diffuse_reflectance(si, active), seen), seen)
                 bs, scattered = bsdf.sample(context, si, sampler.next_1d(active), sampler.next_2d(active), active)
-                active = active & ((bs.sampled_type & sharp) != 0) & (count < MOST_SHARP)
+                # the mean weight of a draw is the share of light that is reflected, for matt surfaces exactly
+                is_sharp = (bs.sampled_type & sharp) != 0
+                seen = dr.select(active & (is_sharp ^ True), dr.fma(weight, dr.minimum(scattered, 1.0), seen), seen)
+                active = active & is_sharp & (count < MOST_SHARP)
                 weight = weight * scattered
                 active = active & (dr.max(weight) > 0.0)
                 return si.spawn_ray(si.to_world(bs.wo)), seen, weight, count + 1, active, sampler
