@@ -9,7 +9,7 @@ ours, and grows as the 0.7th power of small errors: ten times less takes 27 time
 
 Floor: half a CPU second for guides and denoiser of 256 x 256, about a microsecond a sample.
 Prediction (before the first run): 30 times less error in the median; FLIP of 0.03 within 10 s; no bias above 0.5.
-Outcome: eight scenes, references of 1,024 to 2,048 samples, a loaded machine: errors 7.3 times lower in the median (1.04
+Outcome: eight scenes, references of 1,024 to 2,048 samples, a loaded machine: errors 7.3 times lower in the median (1.0
 to 12.2), FLIP 1.1 times (0.87 to 1.33; missed, and no denoiser gets there: the halves of the references alone lie 0.009
 to 0.026 apart, the pictures 0.018 to 0.037). With guides by mean weights, after that: oil slick 15 times at the same
 samples, morpho 1.26. A picture of 4096 x 4096 stood at 6 GB and did not end in a quarter of an hour: missed; one of
