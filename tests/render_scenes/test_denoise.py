@@ -91,6 +91,26 @@ def test_frames_without_the_denoiser_are_not_kept_beside_frames_with_it(
     assert kept() == 0
 
 
+def test_a_large_picture_is_denoised_in_bands_without_seams(monkeypatch: pytest.MonkeyPatch) -> None:
+    from nacre.picture import denoise
+
+    rng = np.random.default_rng(1)
+    x, y = np.meshgrid(np.linspace(0, 1, 64), np.linspace(0, 1, 700))
+    truth = np.stack([0.2 + 0.5 * y + 0.1 * x] * 3, axis=-1) * [0.95, 1.0, 1.09]
+    noisy = truth * rng.gamma(20.0, 0.05, truth.shape)
+    albedo, normal = np.full(truth.shape, 0.5, np.float32), np.zeros(truth.shape, np.float32)
+    whole = denoise.denoised(noisy, albedo, normal)
+    monkeypatch.setattr(denoise, "BAND_PIXELS", 1)
+    parts = denoise.bands(700, 64)
+    assert [kept for _, kept, _ in parts] == [slice(0, 256), slice(256, 512), slice(512, 700)]
+    split = denoise.denoised(noisy, albedo, normal)
+    assert np.abs(noisy - truth).mean() > 10 * np.abs(whole - truth).mean()
+    # far below what grain is left, at the seams as anywhere
+    assert np.abs(split - whole).max() < 0.25 * np.abs(whole - truth).max()
+    guide = denoise.clean_albedo(np.clip(noisy, 0, 1).astype(np.float32))
+    assert guide.shape == albedo.shape and np.isfinite(guide).all()
+
+
 def test_glints_and_spectra_stay_as_rendered(tmp_path: Path) -> None:
     from nacre.picture.denoise import why_not
 

@@ -20,7 +20,7 @@ from nacre.picture.lights.environments import BEAM_DEG, beam, unit_spectrum
 from nacre.picture.lights.named import SUN_DEG, make_light, make_lights
 from nacre.picture.lights.places import street
 from nacre.picture.lights.several import read_lamps
-from nacre.picture.paths import SOFT_LAMP_DEG, make_paths
+from nacre.picture.paths import SOFT_LAMP_DEG, WITHIN_LAMP_DEG, can_split, make_paths
 from nacre.picture.picture import scene_dict
 
 pytestmark = pytest.mark.render
@@ -49,17 +49,44 @@ def _scene(material: Any, scene: str, light: str) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("recipe", "light", "kind", "clear"),
-    [("soap", "studio", "volpath", True), ("jewel-beetle", "line", "path", False)],
+    ("recipe", "light", "kind", "clear", "splits"),
+    [
+        ("soap", "studio", "volpath", True, False),
+        ("soap", "studio", "volpath", True, True),
+        ("jewel-beetle", "line", "path", False, False),
+    ],
 )
-def test_the_mean_is_that_of_mitsubas_own(recipe: str, light: str, kind: str, clear: bool) -> None:
-    """With films to pass and with lamps that are bodies."""
+def test_the_mean_is_that_of_mitsubas_own(recipe: str, light: str, kind: str, clear: bool, splits: bool) -> None:
+    """With films to pass, drawn or both ways at once, and with lamps that are bodies."""
     mi = use_variant()
     scene = _scene(nacre.load(EXAMPLES / f"{recipe}.toml"), "sphere", light)
-    own, own_error = _mean_and_error(scene, make_paths(8, 6, clear), 64)
+    own, own_error = _mean_and_error(scene, make_paths(8, 6, clear, splits=splits), 64)
     theirs, error = _mean_and_error(scene, mi.load_dict({"type": kind, "max_depth": 8, "rr_depth": 6}), 64)
     # five degrees of freedom on each side: Student's t needs more room than a normal variable would
     assert np.all(np.abs(own - theirs) < 2.0 * SIGMAS * np.hypot(own_error, error) + 1e-6)
+
+
+def test_what_a_soap_film_mirrors_is_no_grain() -> None:
+    """A film mirrors some 4 % of lamps that are thirty times as bright as what is behind it: drawn by that share they
+    would be 24 times as noisy as the light itself, here as the median over the bubble of a few seeds."""
+    mi = use_variant()
+    scene = _scene(nacre.load(EXAMPLES / "soap.toml"), "sphere", "studio")
+
+    def noise(splits: bool) -> float:
+        tracer = make_paths(8, 6, True, splits=splits)
+        made = np.array([np.array(mi.render(scene, integrator=tracer, spp=16, seed=s))[..., 1] for s in range(8)])
+        return float(np.mean((made.var(axis=0, ddof=1) / made.mean(axis=0) ** 2)[8:24, 8:24]))
+
+    assert noise(True) < noise(False) / 4
+
+
+def test_only_a_null_interaction_of_its_own_can_be_followed_apart() -> None:
+    null = int(use_variant().BSDFFlags.Null)
+    film = make_bsdf(nacre.load(EXAMPLES / "soap.toml").bsdf())
+    stratum = {"resin": {"n": 1.5}, "thickness_um": 20, "platelets": []}
+    pearl = make_bsdf(nacre.material({"family": "pearl", "strata": [stratum], "base": {"none": True}}).bsdf())
+    assert can_split(film)
+    assert int(pearl.flags()) & null and not can_split(pearl)
 
 
 def _floor_under_mirror(integrator: Any, soft_light: Any) -> tuple[np.ndarray, Any]:
@@ -119,6 +146,34 @@ def test_a_sun_that_is_made_wide_keeps_its_power() -> None:
         picture = mi.render(scene, integrator=mi.load_dict({"type": "path", "max_depth": 2}), spp=512)
         found.append(np.array(picture)[..., 1].mean())
     assert found[1] == pytest.approx(found[0], rel=0.03)
+
+
+def test_the_beam_within_an_object_is_wide_of_the_same_power() -> None:
+    sharp, wide = beam("D65"), beam("D65", width_deg=WITHIN_LAMP_DEG)
+    rows = sharp.weights.shape[1]
+    area = np.sin((np.arange(rows) + 0.5) * math.pi / rows)[:, None]
+    power = [float((light.weights[0] * area).sum()) for light in (sharp, wide)]
+    assert power[1] == pytest.approx(power[0], rel=1e-6)
+    assert (wide.weights > 0.05).sum() > 10 * (sharp.weights > 0.05).sum()
+    light = make_light("directional")
+    assert light.soft is None and light.soft_within is not None
+    two = make_lights(read_lamps("directional:0.5,studio"))
+    assert two.soft is None and two.soft_within is not None
+
+
+def test_light_that_a_ball_of_glass_spreads_is_lit_by_the_wide_beam_without_loss() -> None:
+    """Particles on glass: light leaves the ball by refraction, where no lamp can be drawn."""
+    scene = _scene(nacre.load(EXAMPLES / "metasurface" / "silver_halo.toml"), "probe", "directional")
+    bends = int(use_variant().BSDFFlags.DeltaTransmission)
+    ball = next(shape for shape in scene.shapes() if int(shape.bsdf().flags()) & bends)
+    within = make_light("directional").soft_within
+    hard, hard_error = _mean_and_error(scene, use_variant().load_dict({"type": "path", "max_depth": 16}), 256)
+    soft, error = _mean_and_error(scene, make_paths(16, 6, False, within, spread_by=[ball]), 256)
+    middle = np.s_[1:3, 1:3]  # blocks that hold the ball
+    assert error[middle].mean() < 0.8 * hard_error[middle].mean()
+    # five degrees of freedom on each side, and 3 % of what a lobe changes over the width of the lamp
+    assert np.all(np.abs(hard - soft) < 2.0 * SIGMAS * np.hypot(hard_error, error) + 0.03 * hard)
+    assert soft[middle].mean() == pytest.approx(hard[middle].mean(), rel=0.05)
 
 
 def test_glass_focuses_the_beam_as_a_light_tracer_says() -> None:
@@ -193,6 +248,9 @@ def test_small_lamps_and_clear_films_are_traced_by_ours_and_the_rest_by_mitsuba(
     made = make_lights(read_lamps(light))
     stage = SimpleNamespace(light=made, depth=6, mitsuba_scene=mi.load_dict({"type": "scene", "ball": ball}))
     tracer = passes._tracer(stage)
+    if is_ours:
+        assert tracer.spread_by == []
     assert (type(tracer).__name__ == "Paths") == is_ours
     if is_ours:
         assert (tracer.passes_through, tracer.soft is not None) == (recipe == "soap", recipe != "soap")
+        assert tracer.splits == (recipe == "soap")

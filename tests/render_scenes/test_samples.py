@@ -48,6 +48,27 @@ def test_passes_of_any_size_take_the_same_samples() -> None:
     np.testing.assert_array_equal(drawn([(0, 1), (1, 7), (8, 32), (40, 8)]), whole)
 
 
+def test_neighbours_share_a_sequence_where_its_length_is_known() -> None:
+    """512 pixels of two whole tiles: each pixel's samples are even, those of a tile together far more so."""
+    use_variant()
+    found = []
+    for first, spp in ((0, 5), (5, 11)):
+        sampler = going_on()
+        begin(sampler, 3, first, spp, total=16, width=32)
+        sampler.seed(0, PIXELS * spp)
+        pair = sampler.next_2d()
+        found.append(np.stack([pair.x, pair.y], axis=-1).reshape(16, 32, spp, 2))
+    points = np.concatenate(found, axis=2)
+    for a in range(5):  # of a pixel: 16 points, one in each box of 2^-a by 2^-(4-a)
+        box = np.floor(points[..., 0] * 2**a) * 2 ** (4 - a) + np.floor(points[..., 1] * 2 ** (4 - a))
+        assert np.array_equal(np.sort(box, axis=-1), np.broadcast_to(np.arange(16.0), (16, 32, 16)))
+    for tile in (points[:, :16], points[:, 16:]):  # 4,096 points
+        for a in range(13):
+            box = np.floor(tile[..., 0] * 2**a) * 2 ** (12 - a) + np.floor(tile[..., 1] * 2 ** (12 - a))
+            assert np.array_equal(np.sort(box.ravel()), np.arange(4096.0))
+    assert not np.array_equal(points[:, :16], points[:, 16:])
+
+
 def test_one_sample_of_many_pixels_is_uniform_and_pixels_seeds_and_dimensions_are_strangers() -> None:
     points = drawn([(5, 1)])[:, 0]
     others = [drawn([(5, 1)], seed=4)[:, 0], drawn([(5, 1)], skip=1)[:, 0], np.roll(points, 1, axis=0), points[:, ::-1]]
@@ -92,9 +113,52 @@ def test_small_passes_are_quieter_than_mitsubas_own(monkeypatch: pytest.MonkeyPa
 
 
 def test_the_noise_that_a_picture_states_is_that_of_its_pixels() -> None:
-    made = [nacre.render(GREY, size=(32, 32), noise=0.04, seed=seed, denoise=False) for seed in range(12)]
+    asked: dict[str, Any] = {"size": (32, 32), "zoom": 3.0, "denoise": False}  # so near that all of them see the ball
+    made = [nacre.render(GREY, **asked, noise=0.04, seed=seed) for seed in range(12)]
     luminance = np.array([each.xyz[..., 1] for each in made])
     found = float(np.median(np.std(luminance, axis=0, ddof=1) / np.mean(luminance, axis=0)))
     stated = float(np.median([each.stats["noise"] for each in made]))
     # 12 pictures tell a standard deviation to 21 % a pixel, and the median of a thousand pixels to far less
     assert found == pytest.approx(stated, rel=0.1)
+
+
+def test_the_noise_that_is_judged_is_that_of_the_object() -> None:
+    """A car in a street is small in its picture; the houses, seen directly, have hardly any noise."""
+    asked: dict[str, Any] = {"scene": "sphere", "light": "street", "zoom": 0.4, "size": (32, 32), "exposure": 0.0}
+    is_object = nacre.render(GREY, **asked, background="transparent", spp=16).alpha > 0.99
+    assert 0.02 < is_object.mean() < 0.3
+    made = [nacre.render(GREY, **asked, noise=0.05, seed=seed, denoise=False) for seed in range(12)]
+    luminance = np.array([each.xyz[..., 1] for each in made])
+    of_pixels = np.std(luminance, axis=0, ddof=1) / np.mean(luminance, axis=0)
+    stated = float(np.median([each.stats["noise"] for each in made]))
+    assert float(np.median(of_pixels)) < 0.75 * stated  # that of all pixels would have ended it far earlier
+    # 12 pictures tell a standard deviation to 21 % a pixel, and the median of a hundred pixels to 4 %
+    assert float(np.median(of_pixels[is_object])) == pytest.approx(stated, rel=0.15)
+
+
+def test_without_a_pixel_that_sees_the_object_all_of_them_count() -> None:
+    part = passes.pass_plan(2, 1, True)
+    found = []
+    for judged in (None, np.zeros((4, 4), dtype=bool), np.eye(4, dtype=bool)):
+        spread = passes.Spread(judged)
+        spread.add(np.full((4, 4), 1.0), part[0])
+        spread.add(1.0 + 0.2 * (1.0 - np.eye(4)), part[1])
+        found.append(spread.noise())
+    assert found[0] is not None and found[0] > 0.05
+    assert found[1] == found[0] and found[2] == 0.0
+
+
+@pytest.mark.parametrize("at_once", [5, 1 << 20])
+def test_the_pixels_that_see_the_object_are_those_that_it_covers(at_once: int) -> None:
+    from nacre.picture.cut_out import sees_objects
+    from nacre.picture.picture import scene_dict
+
+    mi = use_variant()
+    content = scene_dict(None, "knob", size=(24, 16))
+    scene = mi.load_dict({key: value for key, value in content.items() if key != "integrator"})
+    shapes = [value for key, value in content.items() if key.startswith("part")]
+    seen = sees_objects(scene, content["sensor"], shapes, (24, 16), at_once)
+    cover = nacre.render(GREY, scene="knob", size=(24, 16), background="transparent", spp=64, denoise=False).alpha
+    assert seen.shape == (16, 24) and seen.any()
+    # the film's filter is wider than a pixel
+    assert seen[cover > 0.95].all() and not seen[cover < 0.05].any()

@@ -60,7 +60,8 @@ SCENES = "sphere|probe|speedshape|panel|butterfly|beetle|bottle|knob|body|ring|c
     type=float,
     default=None,
     metavar="SHARE",
-    help="Go on until the median pixel's noise, as rendered, is this; default: 0.02, in at most 1024 samples a pixel.",
+    help="Go on until the noise of the object's median pixel, as rendered, is this; default: 0.02, in at most 1024 "
+    "samples a pixel.",
 )
 @click.option("--spp", type=int, default=None, help="In place of --noise: samples a pixel.")
 @click.option("--seconds", type=float, default=None, metavar="S", help="In place of --noise: go on for so long.")

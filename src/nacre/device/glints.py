@@ -33,31 +33,61 @@ class DeviceGlints:
 
     def factor(self, kind: int, uv: Any, tx: Any, ty: Any, active: Any) -> Any:
         """Return g of a kind at a point for the slope (tx, ty) over the flakes' deviation; see `nacre.bsdf.glints`."""
+        return self.answers(kind, uv, tx, ty, active)[0] / self.mean(kind, tx, ty, active)
+
+    def answers(self, kind: int, uv: Any, tx: Any, ty: Any, active: Any) -> tuple[Any, Any]:
+        """Return the sum of the kernels of a kind's discs that hold a point, and how many discs do."""
         row = self.kinds[kind]
-        x, y = uv.x * row.cells_u, uv.y * row.cells_v
-        column, line = mi.Int32(dr.floor(x - 0.5)), mi.Int32(dr.floor(y - 0.5))
 
-        def body(n: Any, total: Any) -> tuple[Any, Any]:
-            i, j = column + mi.Int32(n & 1), line + mi.Int32((n >> 1) & 1)
-            key = mix(row.seed + (n >> 2) * FLAKE_STEP)
-            key = mix(mix(key ^ _word(i)) + _word(j))
-            dx, dy = x - mi.Float(i) - uniform(key, 0), y - mi.Float(j) - uniform(key, 1)
-            share = uniform(key, 2)
-            t = dr.sqrt(share / (1.0 - share))
-            sine, cosine = dr.sincos(dr.two_pi * uniform(key, 3))
-            away = dr.square(tx - t * cosine) + dr.square(ty - t * sine)
-            radius = row.read(row.radii, uniform(key, 4), active)
-            inside = dx * dx + dy * dy <= dr.square(radius)
-            return n + 1, total + dr.select(inside, dr.exp(-0.5 * away * row.per_width2), 0.0)
+        def body(n: Any, total: Any, count: Any) -> tuple[Any, Any, Any]:
+            holds, cx, cy = row.disc(n, uv, active)
+            away = dr.square(tx - cx) + dr.square(ty - cy)
+            total = total + dr.select(holds, dr.exp(-0.5 * away * row.per_width2), 0.0)
+            return n + 1, total, count + dr.select(holds, 1.0, 0.0)
 
-        state = (mi.UInt32(0), mi.Float(0.0))
-        _, total = dr.while_loop(
-            state, lambda n, total: mi.Bool(active) & (n < row.discs), body, ("n", "total"), label="glints"
-        )
+        state = (mi.UInt32(0), mi.Float(0.0), mi.Float(0.0))
+        _, total, count = dr.while_loop(
+            state, lambda n, total, count: mi.Bool(active) & (n < row.discs), body, ("n", "total", "count"),
+            label="glints",
+        )  # fmt: skip
+        return total, count
+
+    def mean(self, kind: int, tx: Any, ty: Any, active: Any) -> Any:
+        """Return the mean of that sum over the surface."""
+        row = self.kinds[kind]
         t2 = tx * tx + ty * ty
         t = dr.sqrt(t2)
-        mean = row.read(row.ratio, t / (1.0 + t), active) * row.area / dr.square(1.0 + t2)
-        return total / mean
+        return row.read(row.ratio, t / (1.0 + t), active) * row.area / dr.square(1.0 + t2)
+
+    def one_of(self, uv: Any, sample: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+        """Draw one of the discs that hold a point.
+
+        Returns:
+            Its kind, the slope (x, y) of its normal over the deviation, how many discs hold the point, and what is left
+            of `sample`, uniform in [0, 1).
+        """
+        found = (mi.UInt32(0), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0), mi.Float(sample))
+        for k, row in enumerate(self.kinds):
+
+            def body(
+                n: Any, kind: Any, sx: Any, sy: Any, count: Any, left: Any, row: _Kind = row, k: int = k
+            ) -> tuple[Any, ...]:
+                holds, cx, cy = row.disc(n, uv, active)
+                count = count + dr.select(holds, 1.0, 0.0)
+                share = dr.rcp(dr.maximum(count, 1.0))  # the newest of so many
+                is_it = left < share
+                rest = dr.select(is_it, left / share, (left - share) / dr.maximum(1.0 - share, 1e-6))
+                left = dr.select(holds, dr.clip(rest, 0.0, dr.one_minus_epsilon(mi.Float)), left)
+                is_it = is_it & holds
+                kind = dr.select(is_it, mi.UInt32(k), kind)
+                return n + 1, kind, dr.select(is_it, cx, sx), dr.select(is_it, cy, sy), count, left
+
+            state = (mi.UInt32(0), *found)
+            found = dr.while_loop(
+                state, lambda n, *rest, row=row: mi.Bool(active) & (n < row.discs), body,
+                ("n", "kind", "sx", "sy", "count", "left"), label="one glint",
+            )[1:]  # fmt: skip
+        return found
 
     def factor_of(self, slot: Any, axes: Any, m: Any, uv: Any, active: Any) -> Any:
         """Return g for a normal in its flake's frame, `axes` being the semi-axes of that kind, lane by lane."""
@@ -75,10 +105,25 @@ class _Kind:
         self.cells_u, self.cells_v = opaque(numbers[CELLS_U]), opaque(numbers[CELLS_V])
         self.discs, self.seed = opaque_int(4 * int(numbers[COUNT])), opaque_int(int(numbers[SEED]))
         self.per_width2 = opaque(numbers[WIDTH] ** -2)
+        self.width = opaque(numbers[WIDTH])
         self.area = opaque(2.0 * numbers[COVERAGE] * numbers[WIDTH] ** 2)
         self.radii, self.ratio = device_array(radii), device_array(ratio)
         self.last = opaque(len(radii) - 1)
         self.last_cell = opaque_int(len(radii) - 2)
+
+    def disc(self, n: Any, uv: Any, active: Any) -> tuple[Any, Any, Any]:
+        """Return whether the n-th of the discs about a point holds it, and the slope of its normal (x, y)."""
+        x, y = uv.x * self.cells_u, uv.y * self.cells_v
+        i = mi.Int32(dr.floor(x - 0.5)) + mi.Int32(n & 1)
+        j = mi.Int32(dr.floor(y - 0.5)) + mi.Int32((n >> 1) & 1)
+        key = mix(self.seed + (n >> 2) * FLAKE_STEP)
+        key = mix(mix(key ^ _word(i)) + _word(j))
+        dx, dy = x - mi.Float(i) - uniform(key, 0), y - mi.Float(j) - uniform(key, 1)
+        share = uniform(key, 2)
+        t = dr.sqrt(share / (1.0 - share))
+        sine, cosine = dr.sincos(dr.two_pi * uniform(key, 3))
+        radius = self.read(self.radii, uniform(key, 4), active)
+        return dx * dx + dy * dy <= dr.square(radius), t * cosine, t * sine
 
     def read(self, table: Any, share: Any, active: Any) -> Any:
         """Interpolate one of the two tables."""

@@ -30,6 +30,7 @@ AUTO_PERCENTILE = 98.5
 AUTO_LEVEL = 0.7
 AUTO_STOPS = (-0.5, 2.5)
 TONES = ("srgb", "filmic")
+SHOWN_AT_ONCE = 1 << 20  # pixels that are shown at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +148,13 @@ def show(
         background: linear sRGB behind a cut-out subject; None: clear, with alpha as the fourth channel.
         tone: see `toned`.
     """
+    rows = max(SHOWN_AT_ONCE // max(rgb.shape[1], 1), 1)
+    if rgb.ndim == 3 and len(rgb) > rows:  # a large picture: what it takes on the way is several times its size
+        parts = [
+            show(rgb[first : first + rows], None if alpha is None else alpha[first : first + rows], background, tone)
+            for first in range(0, len(rgb), rows)
+        ]
+        return np.concatenate([shown for shown, _ in parts]), sum(count for _, count in parts)
     if alpha is None:
         return encode(rgb, tone)
     cover = np.clip(alpha, 0.0, 1.0)[..., None]

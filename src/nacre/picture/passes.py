@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 
 from nacre.arrays import Array
 from nacre.device.variant import use_variant
-from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, white_xyz, xyz_to_srgb_linear
-from nacre.light.spaces import RGB_TO_XYZ
 from nacre.picture import interrupt
 from nacre.picture.camera import View
-from nacre.picture.cut_out import cut_out
+from nacre.picture.cut_out import cut_out, sees_objects
 from nacre.picture.denoise import GUIDE_SPP
 from nacre.picture.endless import without_edges
-from nacre.picture.paths import make_paths
+from nacre.picture.guides import first_hits, guide_tracer
+from nacre.picture.paths import can_split, make_paths
 from nacre.picture.progress import Clock, ProgressCallback
 from nacre.picture.samples import begin, going_on
 from nacre.recipe.memory import check_memory
@@ -48,7 +47,8 @@ class Until:
 
     Attributes:
         spp: samples a pixel; with `noise` or `seconds` the most that are taken.
-        noise: median over the pixels of the relative standard error of their luminance, as rendered.
+        noise: median, over the pixels that see an object, of the relative standard error of their luminance, as
+            rendered; over all pixels where none does.
         seconds: wall time of the passes; the picture then depends on the machine.
     """
 
@@ -94,7 +94,7 @@ class Frame:
         spectral, bands_nm: `[row, column, band]`, where asked for, and the centres of the bands.
         guides: albedo, normal, and depth of what each pixel sees first.
         not_finite: pixels with a value that is no number.
-        noise: median relative standard error of the pixels, where there were passes enough to tell.
+        noise: median relative standard error of the pixels that see an object, where there were passes enough to tell.
         is_interrupted: whether it was ended before the samples were enough.
     """
 
@@ -146,7 +146,8 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
     plan = pass_plan(until.spp, most, is_open)
     count = len(plan)
     total: NDArray[np.float64] | None = None
-    done, clock, spread, noise = 0, Clock(), Spread(), None
+    judged = sees_objects(stage.mitsuba_scene, sensor, stage.objects, shot.size) if is_open else None
+    done, clock, spread, noise = 0, Clock(), Spread(judged), None
     stopped = False
     guides: dict[str, NDArray[np.float32]] = {}
 
@@ -154,7 +155,7 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
         assert total is not None  # spp is at least 1
         if shot.with_guides and not guides:
             begun = pass_seed(shot.seed, GUIDES_FROM)
-            guides.update(first_hits(stage.mitsuba_scene, sensor, sampler, pass_plan(GUIDE_SPP, most), begun))
+            guides.update(_guides(stage.mitsuba_scene, sensor, sampler, pass_plan(GUIDE_SPP, most), begun))
         mean = total / done
         not_finite = int(np.count_nonzero(~np.isfinite(mean).all(axis=-1)))
         clean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
@@ -171,7 +172,8 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
     with interrupt.held_back() as is_interrupted:
         for index, part in enumerate(plan):
             now = part.spp
-            seed = begin(sampler, pass_seed(shot.seed, part.sequence), part.first, now)
+            known = 0 if is_open else until.spp
+            seed = begin(sampler, pass_seed(shot.seed, part.sequence), part.first, now, known, shot.size[0])
             picture = mi.render(stage.mitsuba_scene, sensor=sensor, integrator=integrator, spp=now, seed=seed)
             values = np.array(picture, dtype=np.float64)
             total = values * now if total is None else total + values * now
@@ -206,9 +208,14 @@ def _left(until: Until, plan: Sequence[Part], done: int, noise: float | None, se
 
 
 class Spread:
-    """How far the sequences of a picture lie apart, which tells the noise of their mean."""
+    """How far the sequences of a picture lie apart, which tells the noise of their mean.
 
-    def __init__(self) -> None:
+    Args:
+        judged: the pixels `[row, column]` whose noise counts; None, or none of them lit: all.
+    """
+
+    def __init__(self, judged: NDArray[np.bool_] | None = None) -> None:
+        self._judged = judged
         self._sums: list[Any] = [0.0] * SEQUENCES
         self._weights = [0] * SEQUENCES
 
@@ -220,15 +227,17 @@ class Spread:
         self._weights[part.sequence] += part.spp
 
     def noise(self) -> float | None:
-        """Return the median over lit pixels of the relative standard error of the mean; None if turns are missing.
+        """Return the median over the lit pixels that count of the relative standard error of the mean.
 
-        The median of a variance from two values lies below its mean, as that of a normal variable's square does, which
-        is given back.
+        None if turns are missing. The median of a variance from two values lies below its mean, as that of a normal
+        variable's square does, which is given back.
         """
         if min(self._weights) != max(self._weights) or self._weights[0] == 0:
             return None
         mean = sum(self._sums) / SEQUENCES
         lit = mean > 0
+        if self._judged is not None and np.any(lit & self._judged):
+            lit = lit & self._judged
         if not np.any(lit):
             return 0.0
         variance = sum((each - mean) ** 2 for each in self._sums) / SEQUENCES
@@ -246,9 +255,18 @@ def _tracer(stage: Any) -> Any:
     mi = use_variant()
     light = getattr(stage, "light", None)  # a user's scene has lights of its own, and may have media
     clear = lets_through(stage.mitsuba_scene)
-    if light is None or mi.variant().startswith("scalar") or (light.soft is None and not clear):
+    if light is None or mi.variant().startswith("scalar"):
         return mi.load_dict(path_tracer(stage))
-    return make_paths(stage.depth, RUSSIAN_ROULETTE_DEPTH, clear, light.soft)
+    shapes = [shape for shape in stage.mitsuba_scene.shapes() if shape.bsdf() is not None]
+    bends = int(mi.BSDFFlags.DeltaTransmission | mi.BSDFFlags.GlossyTransmission)
+    refracting = [shape for shape in shapes if int(shape.bsdf().flags()) & bends]
+    soft, spread_by = light.soft, []
+    if soft is None and light.soft_within is not None and refracting:
+        soft, spread_by = light.soft_within, refracting
+    if soft is None and not clear:
+        return mi.load_dict(path_tracer(stage))
+    splits = clear and all(can_split(shape.bsdf()) for shape in shapes)
+    return make_paths(stage.depth, RUSSIAN_ROULETTE_DEPTH, clear, soft, splits, spread_by)
 
 
 def lets_through(scene: Any) -> bool:
@@ -261,10 +279,8 @@ def lets_through(scene: Any) -> bool:
     return any(shape.bsdf() is not None and int(shape.bsdf().flags()) & null for shape in scene.shapes())
 
 
-def first_hits(
-    scene: Any, sensor: Any, sampler: Any, passes: Sequence[Part], seed: int
-) -> dict[str, NDArray[np.float32]]:
-    """Return what each pixel sees first: albedo (diffuse reflectance) and normal `[row, column, 3]`, depth `[..., 1]`.
+def _guides(scene: Any, sensor: Any, sampler: Any, passes: Sequence[Part], seed: int) -> dict[str, NDArray[np.float32]]:
+    """Return the guides of the denoiser, see `nacre.picture.guides.first_hits`.
 
     Args:
         scene, sensor: of Mitsuba.
@@ -272,22 +288,13 @@ def first_hits(
         passes: `GUIDE_SPP` samples in all.
         seed: of the samples.
     """
-    mi = use_variant()
-    integrator = mi.load_dict({"type": "aov", "aovs": "albedo:albedo,normal:sh_normal,depth:depth"})
-    seen = sum(
-        part.spp * np.array(
-            mi.render(scene, sensor=sensor, integrator=integrator, spp=part.spp,
-                      seed=begin(sampler, seed, part.first, part.spp))
-        )[..., -7:]
-        for part in passes
-    )  # fmt: skip
-    mean = np.asarray(seen / sum(part.spp for part in passes), dtype=np.float32)
-    mean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
-    # Mitsuba shows reflectances under light of equal energy, as sRGB under D65 would see it: make its white white
-    seen_as = adapt_xyz(mean[..., :3] @ RGB_TO_XYZ.T, white_xyz("E"), SRGB_WHITE_XYZ)
-    albedo = np.clip(xyz_to_srgb_linear(seen_as), 0.0, 1.0).astype(np.float32)
-    normal = np.clip(mean[..., 3:6], -1.0, 1.0)
-    return {"albedo": albedo, "normal": normal, "depth": np.maximum(mean[..., 6:], 0.0)}
+    mi, integrator = use_variant(), guide_tracer()
+    seen = 0.0
+    for part in passes:
+        begun = begin(sampler, seed, part.first, part.spp)
+        made = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=part.spp, seed=begun))
+        seen = seen + part.spp * made[..., [0, 1, 2, -4, -3, -2, -1]]
+    return first_hits(np.asarray(seen / sum(part.spp for part in passes), dtype=float))
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,16 @@ Both are handled in one loop after Mitsuba's `path` (next-event estimation and s
 heuristic). Shadow rays pass null interactions and take their colour; these do not count as events either. `volpath`
 does the same at the price of media, which our scenes do not have.
 
+Where the camera looks straight through clear surfaces, what passes and what the surface sends are both followed: the
+few per cent of a bright lamp that a soap film mirrors would otherwise be seen by as few of the samples, as grain.
+
 Light that a matt surface gets by way of a mirror (its caustics) can only be found by chance: a path has to leave the
 matt surface just so that the mirror sends it to the lamp. For the sun one path in 100,000 does, and is then a firefly.
 On such paths the lamp is taken `SOFT_LAMP_DEG` wide with the same irradiance: the light falls about where it did, with
-a softer rim, and none is lost in the mean. Next-event estimation leaves these paths out, which are those by lobes
-narrower than that lamp. The sun as the camera sees it, in mirrors too, and the light and shadows that it throws
-directly are as sharp as it is.
+a softer rim, and none is lost in the mean. So is the lamp of `directional`, `WITHIN_LAMP_DEG` wide, for light that a
+clear object has spread itself and that leaves it by refraction. Next-event estimation leaves these paths out, which are
+those by lobes narrower than a lamp of `SOFT_LAMP_DEG`. The sun as the camera sees it, in mirrors too, and the light and
+shadows that it throws directly are as sharp as it is.
 """
 
 from __future__ import annotations
@@ -22,21 +26,36 @@ from typing import Any
 from nacre.device.variant import use_variant
 
 SOFT_LAMP_DEG = 10.0
+WITHIN_LAMP_DEG = 40.0
 # density of directions above which a lobe is narrower than that lamp
 NARROW = 1.0 / (2.0 * math.pi * (1.0 - math.cos(math.radians(0.5 * SOFT_LAMP_DEG))))
 MOST_PASSED = 64  # clear surfaces that one shadow ray passes
+MOST_SPLIT = 4  # clear surfaces at which a camera's ray goes both ways
 
 
-def make_paths(max_depth: int, rr_depth: int, passes_through: bool, soft: Any = None) -> Any:
+def make_paths(
+    max_depth: int, rr_depth: int, passes_through: bool, soft: Any = None, splits: bool = False, spread_by: Any = ()
+) -> Any:
     """Return an integrator of the current variant, which must not be a scalar one.
 
     Args:
         max_depth, rr_depth: as those of Mitsuba's `path`.
         passes_through: whether shadow rays pass null interactions.
         soft: the scene's environment with its small lamps `SOFT_LAMP_DEG` wide; None: it has none.
+        splits: whether camera rays go both ways at clear surfaces; then every BSDF must be able to leave its null
+            interaction out when asked to (`can_split`).
+        spread_by: shapes; only light that one of these has spread is lit by `soft`; none: by whatever spread it.
     """
     mi = use_variant()
-    return _class(mi.variant())(mi.Properties(), max_depth, rr_depth, passes_through, soft)
+    return _class(mi.variant())(mi.Properties(), max_depth, rr_depth, passes_through, soft, splits, spread_by)
+
+
+def can_split(bsdf: Any) -> bool:
+    """Whether what a BSDF lets straight through is a component of its own, which its draws can leave out."""
+    mi = use_variant()
+    null, kinds = int(mi.BSDFFlags.Null), int(mi.BSDFFlags.All)
+    words = [int(bsdf.flags(index)) & kinds for index in range(bsdf.component_count())]
+    return all(word == null or not word & null for word in words)
 
 
 @functools.cache
@@ -70,18 +89,26 @@ def _class(variant: str) -> type:
     class Paths(mi.SamplingIntegrator):
         """Path tracing without media."""
 
-        def __init__(self, properties: Any, max_depth: int, rr_depth: int, passes_through: bool, soft: Any) -> None:
+        def __init__(
+            self, properties: Any, max_depth: int, rr_depth: int, passes_through: bool, soft: Any, splits: bool,
+            spread_by: Any,
+        ) -> None:  # fmt: skip
             super().__init__(properties)
             self.max_depth, self.rr_depth = max_depth, rr_depth
-            self.passes_through, self.soft = passes_through, soft
+            self.passes_through, self.soft, self.splits = passes_through, soft, splits
+            self.spread_by = list(spread_by)
 
         def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
             context = mi.BSDFContext()
+            scatters = mi.BSDFContext()
+            if self.splits:
+                scatters.type_mask = int(mi.BSDFFlags.All) & ~int(mi.BSDFFlags.Null)
             has_environment = scene.environment() is not None
 
             def body(
                 ray: Any, light: Any, weight: Any, eta: Any, depth: Any, last: Any, pdf: Any, is_delta: Any,
-                has_spread: Any, is_led: Any, is_seen: Any, active: Any, sampler: Any,
+                has_spread: Any, is_led: Any, kept: Any, kept_weight: Any, is_kept: Any, splits: Any, is_seen: Any,
+                active: Any, sampler: Any,
             ) -> Any:  # fmt: skip
                 si = scene.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
                 before = dr.zeros(mi.Interaction3f)
@@ -116,9 +143,25 @@ def _class(variant: str) -> type:
                 light = dr.select(is_broad, dr.fma(weight * share, value * drawn, light), light)
 
                 # on
-                bs, scattered = bsdf.sample(context, si, sampler.next_1d(active), sampler.next_2d(active), active)
-                weight, eta = weight * scattered, eta * bs.eta
-                is_null = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
+                goes_on = mi.Bool(False)
+                if self.splits:
+                    straight = bsdf.eval_null_transmission(si, active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null))
+                    share = dr.clip(dr.mean(straight), 0.0, 1.0)
+                    is_both = active & (share > 0.0) & (depth == 0) & (splits > 0)
+                    kept = dr.select(is_both, si.spawn_ray(ray.d), kept)
+                    kept_weight = dr.select(is_both, weight * straight, kept_weight)
+                    is_kept, splits = is_kept | is_both, dr.select(is_both, splits - 1, splits)
+                    # elsewhere one way is drawn: roots, since what is mirrored is often the brighter
+                    root, other = dr.sqrt(share), dr.sqrt(1.0 - share)
+                    root = dr.select(is_both, 0.0, root / (root + other))
+                    goes_on = active & (sampler.next_1d(active) < root)
+                    weight = dr.select(goes_on, weight * straight / dr.maximum(root, 1e-20), weight / (1.0 - root))
+                bs, scattered = bsdf.sample(
+                    scatters, si, sampler.next_1d(active), sampler.next_2d(active), active & (goes_on ^ True)
+                )
+                weight = dr.select(goes_on, weight, weight * scattered)
+                eta = dr.select(goes_on, eta, eta * bs.eta)
+                is_null = goes_on | mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
                 is_event = active & (is_null ^ True)
                 is_sharp = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
                 is_narrow = is_sharp | (bs.pdf > NARROW)
@@ -126,31 +169,48 @@ def _class(variant: str) -> type:
                 pdf = dr.select(is_event, bs.pdf, pdf)
                 is_delta = dr.select(is_event, is_sharp, is_delta)
                 is_led = dr.select(is_event, has_spread & is_narrow, is_led)
-                has_spread = has_spread | (is_event & (is_narrow ^ True))
+                spreads = is_event & (is_narrow ^ True)
+                if self.spread_by:
+                    is_it = mi.Bool(False)
+                    for shape in self.spread_by:
+                        is_it = is_it | (si.shape == mi.ShapePtr(shape))
+                    spreads = spreads & is_it
+                has_spread = has_spread | spreads
                 is_seen = is_seen | is_event
                 depth = dr.select(is_event, depth + 1, depth)
-                ray = si.spawn_ray(si.to_world(bs.wo))
+                ray = si.spawn_ray(dr.select(goes_on, ray.d, si.to_world(bs.wo)))
 
                 most = dr.max(weight)
                 active = active & (most != 0.0)
                 survival = dr.minimum(most * dr.square(eta), 0.95)
                 is_judged = depth >= self.rr_depth
-                is_kept = sampler.next_1d(active) < survival
+                lives = sampler.next_1d(active) < survival
                 weight = dr.select(is_judged, weight / dr.maximum(survival, 1e-20), weight)
-                active = active & ((is_judged ^ True) | is_kept)
+                active = active & ((is_judged ^ True) | lives)
+
+                # what was kept, once the other way has ended: as the camera's own ray beyond the surface
+                if self.splits:
+                    turns = is_kept & (active ^ True)
+                    ray, weight = dr.select(turns, kept, ray), dr.select(turns, kept_weight, weight)
+                    eta, pdf = dr.select(turns, 1.0, eta), dr.select(turns, 1.0, pdf)
+                    depth = dr.select(turns, 0, depth)
+                    is_delta, active = is_delta | turns, active | turns
+                    stays = turns ^ True
+                    has_spread, is_led, is_kept = has_spread & stays, is_led & stays, is_kept & stays
                 return (
-                    ray, light, weight, eta, depth, last, pdf, is_delta, has_spread, is_led, is_seen, active, sampler
+                    ray, light, weight, eta, depth, last, pdf, is_delta, has_spread, is_led, kept, kept_weight,
+                    is_kept, splits, is_seen, active, sampler,
                 )  # fmt: skip
 
             state = (
                 mi.Ray3f(ray), mi.Spectrum(0.0), mi.Spectrum(1.0), mi.Float(1.0), mi.UInt32(0), mi.Point3f(0.0),
-                mi.Float(1.0), mi.Bool(True), mi.Bool(False), mi.Bool(False), mi.Bool(has_environment),
-                mi.Bool(active), sampler,
+                mi.Float(1.0), mi.Bool(True), mi.Bool(False), mi.Bool(False), mi.Ray3f(ray), mi.Spectrum(0.0),
+                mi.Bool(False), mi.UInt32(MOST_SPLIT), mi.Bool(has_environment), mi.Bool(active), sampler,
             )  # fmt: skip
             done = dr.while_loop(
                 state, lambda *state: state[-2], body,
                 ("ray", "light", "weight", "eta", "depth", "last", "pdf", "is_delta", "has_spread", "is_led",
-                 "is_seen", "active", "sampler"), label="paths",
+                 "kept", "kept_weight", "is_kept", "splits", "is_seen", "active", "sampler"), label="paths",
             )  # fmt: skip
             light, is_seen = done[1], done[-3]
             return dr.select(is_seen, light, 0.0), is_seen, []

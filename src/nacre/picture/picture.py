@@ -101,8 +101,9 @@ def render(
         illuminant: spectrum of the light sources (D65, A, F11, ...).
         background: "scene"; or the objects cut out, on nothing ("transparent") or on a colour ("grey", "#30343a").
         size: (width, height) in pixels or "800x600"; None: the scene's own.
-        noise: go on until the median relative standard error of the pixels, as rendered, is this; judged after certain
-            passes, so that the same seed stays the same picture. None: 0.02, in at most 1,024 samples a pixel.
+        noise: go on until the median relative standard error of the pixels that see an object, as rendered, is this (of
+            all pixels where none does); judged after certain passes, so that the same seed stays the same picture.
+            None: 0.02, in at most 1,024 samples a pixel.
         spp: in place of noise: samples per pixel.
         seconds: in place of noise: go on for so long; the picture then depends on the machine.
         seed: the same seed takes the same samples; on one machine and variant the picture is the same up to the
@@ -230,7 +231,7 @@ def render(
         rgb, stops = develop(xyz, balance, exposure)
         clipped = show(rgb, frame.alpha, behind.colour, tone)[1]
         stats |= {"exposure_stops": stops, "clipped_pixels": clipped, "seconds": time.perf_counter() - started}
-        layers = {name: (FIRST_HIT[name], values.astype(float)) for name, values in guides.items()}
+        layers = {name: (FIRST_HIT[name], values) for name, values in guides.items()}
         return RenderResult(
             xyz, rgb, None, stats, frame.spectral, frame.bands_nm, raw, frame.alpha, behind.colour, tone, alone, layers
         )

@@ -18,6 +18,7 @@ LAINE_KARRAS = (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6)
 GOLDEN, OFFSET = 0x9E3779B1, 0x7F4A7C15
 AVALANCHE = ((16, 0x85EBCA6B), (13, 0xC2B2AE35), (16, 1))  # shifts and factors of MurmurHash3's end
 TOP = 1 << 31
+TILE = 16  # pixels along a side of those that share a sequence
 
 
 def going_on() -> Any:
@@ -28,17 +29,20 @@ def going_on() -> Any:
     return _class(mi.variant())(mi.Properties())
 
 
-def begin(sampler: Any, seed: int, first: int, spp: int) -> int:
+def begin(sampler: Any, seed: int, first: int, spp: int, total: int = 0, width: int = 0) -> int:
     """Let a sampler of `going_on` begin a pass; return the seed for `mi.render`.
 
     Args:
         seed: of the sequences, 32 bits.
         first: how many samples a pixel of these sequences are taken already.
         spp: samples a pixel of this pass.
+        total: how many will be taken in all, where that is known: then neighbouring pixels share a sequence.
+        width: of the picture, where `total` is given.
     """
     if not hasattr(sampler, "start"):
         return (seed + first * GOLDEN) & 0xFFFFFFFF
     sampler.start, sampler.key_seed, sampler.spp = first, seed & 0xFFFFFFFF, spp
+    sampler.block, sampler.width = (1 << max(total - 1, 0).bit_length() if total else 0), max(width, 1)
     return 0
 
 
@@ -71,6 +75,13 @@ def _class(variant: str) -> type:
             column ^= column >> 1
         return found
 
+    def interleaved(column: Any, row: Any) -> Any:
+        """A pixel's place in its tile along a Z."""
+        found = whole(0)
+        for bit in range(TILE.bit_length() - 1):
+            found |= (((column >> bit) & 1) << (2 * bit)) | (((row >> bit) & 1) << (2 * bit + 1))
+        return found
+
     def unit(x: Any) -> Any:
         return mi.Float(x >> 8) * (1.0 / (1 << 24))
 
@@ -80,11 +91,13 @@ def _class(variant: str) -> type:
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
             self.start, self.key_seed, self.spp = 0, 0, 1
+            self.block, self.width = 0, 1
             self.index, self.key, self.dimension = whole(0), whole(0), whole(0)
 
         def fork(self) -> Any:
             other = GoingOn(mi.Properties())
             other.start, other.key_seed, other.spp = self.start, self.key_seed, self.spp
+            other.block, other.width = self.block, self.width
             return other
 
         clone = fork
@@ -94,6 +107,13 @@ def _class(variant: str) -> type:
             lane = dr.arange(whole, wavefront_size)
             pixel = lane // dr.opaque(whole, self.spp)
             self.index = dr.opaque(whole, self.start) + (lane - pixel * dr.opaque(whole, self.spp))
+            if self.block:
+                # pixels of a tile along a Z, each with its share of the tile's sequence
+                row = pixel // dr.opaque(whole, self.width)
+                column = pixel - row * dr.opaque(whole, self.width)
+                self.index += dr.opaque(whole, self.block) * interleaved(column, row)
+                tiles = dr.opaque(whole, (self.width + TILE - 1) // TILE)
+                pixel = (row // TILE) * tiles + column // TILE
             self.key = mixed(pixel, dr.opaque(whole, self.key_seed))
             self.dimension = dr.zeros(whole, wavefront_size)
 

@@ -1,7 +1,8 @@
 """Noise-free flakes on the device: the interface's facets, the flakes' lobe times its smooth table, and the base.
 
 Draws come from a mixture: the interface's own facets (or its mirror image), facets as wide as the flakes' lobe
-about the outer half vector, and a cosine; shares follow the power of the three at the angle of the ray.
+about the outer half vector, and a cosine; shares follow the power of the three at the angle of the ray. Where flakes
+are resolved, most draws of the second kind come from the lobe of one of the flakes that lie at the point.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ MAX_ALPHA = 2.0  # of the facets that stand for the flakes' lobe; near grazing i
 # studio at 1 instead of 3: 1.16, 1.5 and 1.1 times as much; for bottle 2 at 2 and 4: 1.13 and 0.93 times.
 DIFFUSE_SHARE, DIFFUSE_LESS = 0.1, 3.0
 SMALLEST_ALPHA = 1e-4
+# of the draws by the flakes' lobe, at a point where flakes are seen: the rest of their light is theirs together
+GLINT_SHARE = 0.75
 
 
 class FlakedPlugin(LobePlugin[Flaked]):
@@ -88,6 +91,12 @@ class FlakedPlugin(LobePlugin[Flaked]):
             alpha = dr.select(by_surface, self.alpha, alpha)
         m = Ggx(alpha, alpha).sample(wi, sample2)
         drawn = dr.fma(m, 2.0 * dr.dot(wi, m), -wi)
+        if self.glints is not None:
+            part = (sample1 - surface) / dr.maximum(lobe, 1e-9)  # uniform among the draws by the flakes' lobe
+            part = dr.select(sample1 < surface + 0.5 * lobe, 2.0 * part, 2.0 * part - 1.0) if wide is not None else part
+            is_flake = active & by_facet & (by_surface ^ True) & (part < GLINT_SHARE)
+            glint, is_there = self._by_flake(si, part / GLINT_SHARE, sample2, is_flake)
+            drawn = dr.select(is_flake & is_there, glint, drawn)
         wo = dr.select(by_facet, drawn, mi.warp.square_to_cosine_hemisphere(sample2))
         bs = dr.zeros(mi.BSDFSample3f)
         bs.eta = mi.Float(1.0)
@@ -106,6 +115,29 @@ class FlakedPlugin(LobePlugin[Flaked]):
             bare = mi.Spectrum(mi.fresnel(wi.z, self.index)[0])
             weight = dr.select(is_mirror, bare / dr.maximum(mirror, 1e-20), weight)
         return bs, weight
+
+    def _by_flake(self, si: Any, sample1: Any, sample2: Any, active: Any) -> tuple[Any, Any]:
+        """Draw a direction by one of the flakes at the point; return it and whether there is a flake."""
+        assert self.glints is not None
+        which = dr.clip(sample1, 0.0, dr.one_minus_epsilon(mi.Float))
+        kind, tx, ty, count, _ = self.glints.one_of(si.uv, which, active)
+        width, deviation = mi.Float(self.glints.kinds[0].width), mi.Float(dr.sqrt(self.deviation2[0]))
+        for k in range(1, self.kinds):
+            width = dr.select(kind == k, self.glints.kinds[k].width, width)
+            deviation = dr.select(kind == k, dr.sqrt(self.deviation2[k]), deviation)
+        away = mi.warp.square_to_std_normal(sample2)
+        sx, sy = (tx + width * away.x) * deviation, (ty + width * away.y) * deviation
+        wi = si.wi
+        inner = dr.sqrt(1.0 - (1.0 - dr.square(wi.z)) * self.inverse2)
+        # the mirror image inside the resin, and out of it
+        h = dr.normalize(mi.Vector3f(sx, sy, 1.0))
+        into = mi.Vector3f(wi.x / self.index, wi.y / self.index, inner)
+        out = dr.fma(h, 2.0 * dr.dot(into, h), -into)
+        x, y = out.x * self.index, out.y * self.index
+        z2 = 1.0 - x * x - y * y
+        leaves = (out.z > 0.0) & (z2 > 0.0) & (dr.dot(into, h) > 0.0)
+        # below the surface where it cannot leave: without a value
+        return mi.Vector3f(x, y, dr.select(leaves, dr.safe_sqrt(z2), -1.0)), count > 0.0
 
     def _shares(self, wi: Any, active: Any, enabled: tuple[bool, ...]) -> tuple[Any, Any, Any]:
         """Return the chances of the interface's facets, the flakes' facets and the mirror; the rest is a cosine."""
@@ -147,7 +179,8 @@ class FlakedPlugin(LobePlugin[Flaked]):
             flakes = self._flakes(wi, wo, where, active)
             smooth = flakes[0]
             if self.glints is not None:
-                smooth = smooth + flakes[1] * (self._sparkle(si.uv, wi, wo, active) - 1.0)
+                sparkle, by_flake, is_there = self._sparkle(si.uv, wi, wo, active)
+                smooth = smooth + flakes[1] * (sparkle - 1.0)
             rest = rest + smooth * (entry * self._lobe(wi, wo))
         value = rest * wo.z
         surface_share, lobe_share, mirror = shares
@@ -156,6 +189,8 @@ class FlakedPlugin(LobePlugin[Flaked]):
         spread = 0.25 * Ggx(narrow, narrow).spread(wi, h, wi_h)
         if wide is not None:
             spread = 0.5 * spread + 0.125 * Ggx(wide, wide).spread(wi, h, wi_h)
+        if self.kinds and self.glints is not None:
+            spread = dr.select(is_there, dr.lerp(spread, by_flake, GLINT_SHARE), spread)
         pdf = pdf + lobe_share * spread
         if self.is_rough:
             facets = Ggx(self.alpha, self.alpha)
@@ -196,18 +231,27 @@ class FlakedPlugin(LobePlugin[Flaked]):
             density += fraction * width2 * dr.square((1.0 + slope2) / (width2 + slope2))
         return density * (0.25 * dr.inv_pi) * self.inverse2 / (inner_i * inner_o)
 
-    def _sparkle(self, uv: Any, wi: Any, wo: Any, active: Any) -> Any:
-        """Return g at the half vector inside, the kinds weighted by their densities there."""
+    def _sparkle(self, uv: Any, wi: Any, wo: Any, active: Any) -> tuple[Any, Any, Any]:
+        """Return g at the half vector inside, the kinds weighted by their densities there; the density of draws by the
+        flakes at the point; and whether there are any."""
         assert self.glints is not None
-        _, _, _, sx, sy = self._half(wi, wo)
+        inner_i, inner_o, _, sx, sy = self._half(wi, wo)
         slope2 = sx * sx + sy * sy
-        total, weights = mi.Float(0.0), mi.Float(0.0)
+        total, weights, draws, flakes = mi.Float(0.0), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
         for k, (fraction, deviation2) in enumerate(zip(self.fractions, self.deviation2, strict=True)):
             weight = fraction * deviation2 * dr.square(dr.rcp(deviation2 + slope2))
             per = dr.rsqrt(deviation2)
-            total += weight * self.glints.factor(k, uv, sx * per, sy * per, active)
+            tx, ty = sx * per, sy * per
+            answer, count = self.glints.answers(k, uv, tx, ty, active)
+            total += weight * answer / self.glints.mean(k, tx, ty, active)
             weights += weight
-        return total / weights
+            draws += answer * self.glints.kinds[k].per_width2 / deviation2
+            flakes += count
+        # of the slope, over the solid angle outside
+        turn = dr.abs((wi.x * sx + wi.y * sy) / self.index + inner_i)
+        jacobian = dr.square(1.0 + slope2) * wo.z * self.inverse2 / (4.0 * dr.maximum(turn * inner_o, 1e-9))
+        density = 0.5 * dr.inv_pi * draws / dr.maximum(flakes, 1.0) * jacobian
+        return total / weights, density, flakes > 0.0
 
     def _flakes(self, wi: Any, wo: Any, where: Any, active: Any) -> Any:
         """Read M at q, c and phi, and with glints its part of one flake."""

@@ -112,17 +112,24 @@ def studio(light: str | Illuminant = "D65", rows: int = 256) -> Environment:
     return Environment(weights, (spectrum,), f"studio, {spectrum.name}")
 
 
-def beam(light: str | Illuminant = "D65", rows: int = 512) -> Environment:
+def beam(light: str | Illuminant = "D65", rows: int = 512, width_deg: float = BEAM_DEG) -> Environment:
     """One lamp far away at the upper left front, `BEAM_DEG` wide, and a weak fill that keeps shadows readable.
 
     So wide that light which glass focuses or a mirror throws is found by the paths that look for it, and a mirror shows
-    the lamp; white paper on the floor has a luminance of 0.6 under the lamp.
+    the lamp; white paper on the floor has a luminance of 0.6 under the lamp. Another width keeps its power.
     """
     towards = np.array([-0.5, -0.62, 0.95])
     towards /= np.linalg.norm(towards)
-    inside = 2.0 * np.arccos(np.clip(directions(rows) @ towards, -1.0, 1.0)) - np.radians(BEAM_DEG)
-    disc = 0.5 - 0.5 * np.clip(inside / np.radians(BEAM_EDGE_DEG), -1.0, 1.0)
+    across = 2.0 * np.arccos(np.clip(directions(rows) @ towards, -1.0, 1.0))
+
+    def lamp_of(width: float) -> Array:
+        return np.asarray(0.5 - 0.5 * np.clip((across - np.radians(width)) / np.radians(BEAM_EDGE_DEG), -1.0, 1.0))
+
     spectrum = unit_spectrum(light)
-    lamp = Environment(disc[None], (spectrum,), "lamp")
-    weights = 0.04 + disc * (0.6 * np.pi / lamp.irradiance)
+    level = 0.6 * np.pi / Environment(lamp_of(BEAM_DEG)[None], (spectrum,), "lamp").irradiance
+    disc = lamp_of(width_deg)
+    if width_deg != BEAM_DEG:
+        area = np.sin((np.arange(rows) + 0.5) * np.pi / rows)[:, None]
+        level *= float((lamp_of(BEAM_DEG) * area).sum() / (disc * area).sum())
+    weights = 0.04 + level * disc
     return Environment(weights[None], (spectrum,), f"beam, {spectrum.name}")

@@ -20,7 +20,7 @@ from nacre.light import illuminant as light_illuminant
 from nacre.picture.lights.environment_plugin import make_environment, spectrum_texture
 from nacre.picture.lights.environments import BEAM_DEG, Environment, beam, studio, unit_spectrum
 from nacre.picture.lights.several import Lamp, sum_of_environments
-from nacre.picture.paths import SOFT_LAMP_DEG
+from nacre.picture.paths import SOFT_LAMP_DEG, WITHIN_LAMP_DEG
 
 LIGHTS = ("studio", "line", "sun", "sky", "directional", "interior", "street")
 TURNING_LIGHTS = ("studio", "interior", "street", "directional")
@@ -43,6 +43,7 @@ class Light:
         floor: material of the floor where it is a place (`nacre.picture.scenes.catalogue.MATERIALS`).
         turning: emitters that turn in place (`turn`), with the turn that each has of its own, in degrees.
         soft: its environment with the small lamps `SOFT_LAMP_DEG` wide, for `nacre.picture.paths`; None: it has none.
+        soft_within: the same for light that the object itself has spread, `WITHIN_LAMP_DEG` wide; None: none is wanted.
     """
 
     emitters: dict[str, Any]
@@ -52,6 +53,7 @@ class Light:
     floor: str = "ground"
     turning: tuple[tuple[Any, float], ...] = ()
     soft: Any = None
+    soft_within: Any = None
 
     def turn(self, angle_deg: float) -> None:
         """Turn our own environments about the vertical axis; the other lights were built at their angle."""
@@ -119,24 +121,37 @@ def make_lights(lamps: Sequence[Lamp], illuminant: str = "D65", turn_deg: float 
     )
     if len(lamps) == 1 and lamps[0].strength == 1.0:
         return replace(lights[0], turning=turning)
-    mi = use_variant()
     emitters: dict[str, Any] = {}
     environments, softened = [], []
     for index, (lamp, light) in enumerate(zip(lamps, lights, strict=True)):
         for name, emitter in light.emitters.items():
-            if isinstance(emitter, mi.Emitter) and emitter.is_environment():
+            if emitter is _environment_of(light):
                 environments.append((emitter, lamp.strength))
                 softened.append((light.soft or emitter, lamp.strength))
             else:
                 emitters[f"{name}{index}"] = emitter
     emitters["environments"] = sum_of_environments(environments)
     soft = sum_of_environments(softened) if any(light.soft is not None for light in lights) else None
+    within = None
+    if any(light.soft_within is not None for light in lights):
+        # in order of the environments above
+        softest = [light.soft_within or light.soft for light in lights if _environment_of(light) is not None]
+        within = sum_of_environments(
+            [(wide or emitter, strength) for wide, (emitter, strength) in zip(softest, environments, strict=True)]
+        )
     note = " + ".join(
         light.note + ("" if lamp.strength == 1.0 else f" at {lamp.strength:g}")
         for lamp, light in zip(lamps, lights, strict=True)
     )
     place = next((light for light in lights if light.is_surrounding), lights[0])
-    return Light(emitters, lights[0].illuminant, place.is_surrounding, note, place.floor, turning, soft)
+    return Light(emitters, lights[0].illuminant, place.is_surrounding, note, place.floor, turning, soft, within)
+
+
+def _environment_of(light: Light) -> Any:
+    """Return the emitter of a light that is an environment; None: it has none."""
+    mi = use_variant()
+    found = (each for each in light.emitters.values() if isinstance(each, mi.Emitter) and each.is_environment())
+    return next(found, None)
 
 
 def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0, strength: float = 1.0) -> Light:
@@ -156,7 +171,10 @@ def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0, streng
     if name == "line":
         return Light(_tubes(white, turn_deg, strength), white, False, f"line of tubes, {white}")
     if name == "directional":
-        return _surrounding(beam(white), white, f"beam of {BEAM_DEG:g} degrees, {white}", turn_deg, False)
+        note = f"beam of {BEAM_DEG:g} degrees, {white}"
+        light = _surrounding(beam(white), white, note, turn_deg, False)
+        within = make_environment(beam(white, width_deg=WITHIN_LAMP_DEG), 1.0, turn_deg)
+        return replace(light, turning=(*light.turning, (within, 0.0)), soft_within=within)
     if name in ("sun", "sky"):
         note = f"{name}, Mitsuba sunsky, turbidity 3"
         mi = use_variant()
