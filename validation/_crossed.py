@@ -23,13 +23,17 @@ from validation._gratings import normal_parts
 Array = NDArray[Any]
 
 
-def kept(radius: float) -> Array:
-    """The orders `[order, 2]` in a circle, by distance from 0."""
-    reach = np.arange(-int(radius), int(radius) + 1)
+def kept(radius: float, shift: float = 0.0) -> Array:
+    """The orders `[order, 2]` in a circle about (-shift, 0), which leaves along the normal, the nearest first."""
+    reach = np.arange(-int(radius + abs(shift)), int(radius + abs(shift)) + 1)
     all_orders = np.stack(np.meshgrid(reach, reach, indexing="ij"), axis=-1).reshape(-1, 2)
-    distance = np.hypot(*all_orders.T)
+    distance = np.hypot(all_orders[:, 0] + shift, all_orders[:, 1])
     rank = np.argsort(distance, kind="stable")
     return np.asarray(all_orders[rank][distance[rank] <= radius])
+
+
+def _kept(radius: float, period: float, wavelength: float, angle_deg: float) -> Array:
+    return kept(radius, float(np.sin(np.radians(angle_deg))) * period / wavelength)
 
 
 def _lateral(orders: Array, period: float, wavelength: float, angle_deg: float) -> Array:
@@ -71,7 +75,7 @@ def by_plane_waves(
         slopes: `[2, x, y]`, dh/dx and dh/dy.
         radius: of the circle of orders that are kept.
     """
-    k0, orders = 2 * np.pi / wavelength, kept(radius)
+    k0, orders = 2 * np.pi / wavelength, _kept(radius, period, wavelength, angle_deg)
     lateral = _lateral(orders, period, wavelength, angle_deg)
     square = np.sum(lateral**2, axis=1)
     up, down = normal_parts(1.0, np.sqrt(square)), -normal_parts(n, np.sqrt(square))
@@ -103,7 +107,7 @@ def by_coordinates(
     period: float, heights: Array, slopes: Array, n: complex, wavelength: float, angle_deg: float, radius: float
 ) -> tuple[Array, dict[str, Array]]:
     """The same by the coordinate-transformation method."""
-    k0, orders = 2 * np.pi / wavelength, kept(radius)
+    k0, orders = 2 * np.pi / wavelength, _kept(radius, period, wavelength, angle_deg)
     lateral = _lateral(orders, period, wavelength, angle_deg)
     count = len(orders)
     difference = orders[:, None, :] - orders[None, :, :]

@@ -45,6 +45,39 @@ def grating_orders(
     return numbers[goes], {which: values[rank][goes] for which, values in found.items()}
 
 
+def layered_orders(
+    period: float, filled: Any, thicknesses: Any, n: complex, wavelength: float, angle_deg: float, truncation: int
+) -> tuple[Any, dict[str, Any]]:
+    """The same for layers of any thickness, from the top down: `filled[layer, x]` says where the body is.
+
+    Layers are solved one by one and not compiled together: for a hundred of them that would take minutes.
+    """
+    numbers = np.arange(-truncation, truncation + 1)
+    order = np.concatenate([[0], np.delete(numbers, truncation)])
+    expansion = basis.Expansion(basis_coefficients=np.stack([order, 0 * order], axis=-1))
+    lattice = basis.LatticeVectors(u=period * basis.X, v=0.1 * period * basis.Y)
+    wave = 2 * np.pi / wavelength * np.array([np.sin(np.radians(angle_deg)), 0.0])
+    solve = jax.jit(
+        functools.partial(
+            fmm.eigensolve_isotropic_media, jnp.asarray(wavelength), jnp.asarray(wave), lattice, expansion=expansion,
+            formulation=fmm.Formulation.JONES_DIRECT_FOURIER,
+        )
+    )  # fmt: skip
+    above = solve(permittivity=jnp.ones((1, 1), dtype=complex))
+    below = solve(permittivity=jnp.full((1, 1), n**2, dtype=complex))
+    layers = [solve(permittivity=jnp.asarray(np.where(row, n**2, 1.0))[:, None]) for row in filled]
+    matrix = scattering.stack_s_matrix(
+        [above, *layers, below], [jnp.zeros(()), *map(jnp.asarray, thicknesses), jnp.zeros(())]
+    )
+    alpha = np.sin(np.radians(angle_deg)) + numbers * wavelength / period
+    goes, rank = np.abs(alpha) < 1.0, np.argsort(order)
+    flux = np.asarray(_flux(matrix, above, len(order)))
+    size = len(order)
+    return numbers[goes], {
+        which: (flux[k, :size] + flux[k, size:])[rank][goes] for k, which in enumerate("sp")
+    }  # fmt: skip
+
+
 def relief_orders(
     period: float, heights: Any, slices: int, n: complex, wavelength: float, angle_deg: float, terms: int
 ) -> tuple[Any, dict[str, Any]]:
@@ -99,7 +132,11 @@ def _solve(
     matrix = scattering.stack_s_matrix(
         [above, *layers, below], [jnp.zeros(()), *[jnp.asarray(thickness)] * len(layers), jnp.zeros(())]
     )
-    count = expansion.num_terms
+    return _flux(matrix, above, expansion.num_terms)
+
+
+def _flux(matrix: Any, above: Any, count: int) -> Any:
+    """Power of each reflected wave, `[incident state, wave]`, of light of power 1 in order 0."""
     found = []
     for column in (0, count):
         incident = jnp.zeros((2 * count, 1), dtype=complex).at[column, 0].set(1.0)

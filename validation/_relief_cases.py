@@ -27,6 +27,14 @@ MORE_STEEP = 2  # sinusoids, drawn later: with all shallow ones agreed on, a thi
 RELIEFS = 40
 RELIEF_PERIOD_UM = (0.8, 2.0)
 RELIEF_GRID = 64
+SMOOTH_KINDS = ("hill", "swell")
+SMOOTHS = 40  # of these reliefs
+COLOURED = 4  # of every so many of them the colour is solved, of the others a few wavelengths
+FEW_UM = [0.45, 0.55, 0.65]
+SMOOTH_PERIOD_UM, SMOOTH_DEPTH_UM = (0.6, 1.2), (0.04, 0.35)
+SMOOTH_STEEP = {"hill": 0.7, "swell": 0.0}  # shares of them that are deep
+SMOOTH_MOST = {"hill": 0.38, "swell": 0.16}  # depth over period
+SWELLS = 2  # highest order of the waves that a swell is made of
 
 
 def draw_groups(seed: int = 1) -> list[dict[str, Any]]:
@@ -67,11 +75,45 @@ def draw_groups(seed: int = 1) -> list[dict[str, Any]]:
             "period_um": round(period, 4), "depth_um": round(ratio * period, 4), "share": 0.5,
             "angle_deg": int(random.choice(ANGLES_DEG)), "wavelengths_um": WAVELENGTHS_UM.round(4).tolist(),
         })  # fmt: skip
+    return [*groups, *_draw_smooth_reliefs(np.random.default_rng(seed + 2))]
+
+
+def _draw_smooth_reliefs(random: np.random.Generator) -> list[dict[str, Any]]:
+    groups = []
+    for number in range(SMOOTHS):
+        kind, rank = SMOOTH_KINDS[number % 2], number // 2
+        is_steep = rank < SMOOTHS // 2 * SMOOTH_STEEP[kind]
+        while True:
+            spans = SMOOTH_PERIOD_UM, SMOOTH_DEPTH_UM
+            period, depth = (float(np.exp(random.uniform(*np.log(span)))) for span in spans)
+            if is_steep == (depth / period > STEEP) and depth / period < SMOOTH_MOST[kind]:
+                break
+        all_waves = WAVELENGTHS_UM.round(4).tolist()
+        groups.append({
+            "name": f"{kind}-{rank}", "kind": kind, "material": MATERIALS[rank % 3],
+            "period_um": round(period, 4), "depth_um": round(depth, 4), "seed": rank,
+            "angle_deg": int(random.choice(ANGLES_DEG[:4])),
+            "wavelengths_um": all_waves if rank % COLOURED == 0 else FEW_UM,
+        })  # fmt: skip
     return groups
 
 
 def relief_heights(group: dict[str, Any]) -> Any:
-    """The heights of a relief over its depth, `[x, y]`: a round bump of three steps, or 4 x 4 random ones of two."""
+    """The heights of a relief over its depth, `[x, y]`.
+
+    A round bump of three steps, 4 x 4 random features of two, a smooth hill, or a swell of the lowest waves.
+    """
+    if group["kind"] == "hill":
+        wave = 0.5 + 0.5 * np.cos(2 * np.pi * np.arange(RELIEF_GRID) / RELIEF_GRID)
+        return wave[:, None] * wave[None, :]
+    if group["kind"] == "swell":
+        random = np.random.default_rng(group["seed"])
+        series = np.zeros((RELIEF_GRID, RELIEF_GRID), dtype=complex)
+        low = np.arange(-SWELLS, SWELLS + 1)
+        parts = random.normal(size=(2, len(low), len(low)))
+        series[low[:, None], low[None, :]] = parts[0] + 1j * parts[1]
+        heights = np.fft.ifft2(series).real
+        return (heights - heights.min()) / np.ptp(heights)
     middle = (np.arange(RELIEF_GRID) + 0.5) / RELIEF_GRID - 0.5
     if group["kind"] == "bump":
         radius = np.hypot(middle[:, None], middle[None, :])
@@ -81,6 +123,13 @@ def relief_heights(group: dict[str, Any]) -> Any:
         features = random.integers(0, 2, (4, 4))
         if 4 <= features.sum() <= 12:
             return np.kron(features, np.ones((RELIEF_GRID // 4, RELIEF_GRID // 4)))
+
+
+def relief_slopes(group: dict[str, Any]) -> Any:
+    """dh/dx and dh/dy `[2, x, y]` of a smooth relief, exact: its waves are resolved."""
+    series = np.fft.fft2(group["depth_um"] * relief_heights(group))
+    wave = 2j * np.pi * np.fft.fftfreq(RELIEF_GRID, 1 / RELIEF_GRID) / group["period_um"]
+    return np.array([np.fft.ifft2(wave[:, None] * series).real, np.fft.ifft2(wave[None, :] * series).real])
 
 
 def profile(group: dict[str, Any], samples: int) -> tuple[Any, Any]:

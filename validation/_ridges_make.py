@@ -50,6 +50,12 @@ def read_cells() -> dict[tuple[str, float, int], list[dict[str, Any]]]:
     return {(line["wing"], line["angle_deg"], line["draw"]): line["cases"] for line in lines}
 
 
+def read_check() -> dict[str, Any]:
+    """The checked cell: what we found with two numbers of orders, and `fmmax`."""
+    document: dict[str, Any] = json.loads(CHECK.read_text(encoding="utf-8"))
+    return document
+
+
 def solve_by_fmmax(truncation: int) -> dict[str, Any]:
     """The same for the cell of `CHECKED`, by `fmmax`."""
     from validation._fmmax_orders import layered_orders

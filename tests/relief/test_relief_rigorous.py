@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from validation._crossed import by_coordinates, by_plane_waves
 from validation._gratings import lamellar, sliced, smooth
 from validation.relief_rcwa import scalar_orders
 
@@ -79,3 +80,35 @@ def test_a_gentle_relief_is_as_maxwell_has_it(angle_deg: float) -> None:
     np.testing.assert_allclose(ours[strong], rigorous[strong], rtol=0.03)
     flat = fresnel_reflectance(np.cos(np.radians([angle_deg])), np.array([SILVER]))[0, 0]
     assert ours.sum() == pytest.approx(flat, rel=0.01)
+
+
+CROSSED = np.arange(32) / 32
+
+
+@pytest.mark.parametrize("method", [by_coordinates, by_plane_waves])
+def test_a_relief_that_varies_along_x_alone_is_the_grating(method: Any) -> None:
+    phase = 2 * np.pi * CROSSED[:, None] * np.ones(32)
+    slopes = np.stack([-np.pi * 0.06 / 0.9 * np.sin(phase), 0 * phase])
+    orders, found = method(0.9, 0.03 * np.cos(phase), slopes, SILVER, 0.55, 20.0, 4.6)
+    in_plane = orders[:, 1] == 0
+    for which in "sp":
+        numbers, wanted = smooth(0.9, *wave(0.06, 0.9), SILVER, 0.55, 20.0, which == "p", 12)
+        rank = np.argsort(orders[in_plane, 0])
+        assert orders[in_plane, 0][rank].tolist() == numbers.tolist()
+        np.testing.assert_allclose(found[which][in_plane][rank], wanted, rtol=0.01)
+        assert found[which][~in_plane].max() < 1e-9
+
+
+@pytest.mark.parametrize("n", [SILVER, GLASS])
+def test_two_methods_that_share_no_step_agree_on_a_hill(n: complex) -> None:
+    cosine, sine = np.cos(2 * np.pi * CROSSED), np.sin(2 * np.pi * CROSSED)
+    depth, period = 0.06, 0.9
+    heights = 0.25 * depth * np.outer(1 + cosine, 1 + cosine)
+    slope = -0.5 * np.pi * depth / period * np.outer(sine, 1 + cosine)
+    args = period, heights, np.stack([slope, slope.T]), n, 0.55, 20.0
+    orders, first = by_coordinates(*args, 4.6)
+    others, second = by_plane_waves(*args, 4.6)
+    assert orders.tolist() == others.tolist()
+    for which in "sp":
+        strong = first[which] > 0.05 * first[which].max()
+        np.testing.assert_allclose(second[which][strong], first[which][strong], rtol=0.01)
