@@ -2,22 +2,34 @@
 
 `python -m validation [NAME ...]` runs the scripts whose names contain one of the words; all by default. A script is a
 module with `main(out_dir) -> rows`; a row has claim, claimed, ours, verdict and figure. Each script's rows are kept
-beside its figures, so that the report of a partial run, in any clone, still holds the others.
+beside its figures, so that the report of a partial run, in any clone, still holds the others. Scripts run in processes
+of their own, two at a time where there are two cores (`--jobs N`), the longest first; those that search or measure by
+the clock run alone.
 """
 
 from __future__ import annotations
 
 import importlib
 import json
+import os
+import resource
+import subprocess
 import sys
+import threading
 import time
 import traceback
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
+
+from validation._limits import sources
 
 HERE = Path(__file__).resolve().parent
 FIGURES = HERE / "figures"
 ROWS = "rows.json"
+ONE = "--one"  # of the process that runs a single script
+MOST_JOBS = 2
+ALONE = ("pearl_equal_time", "relief_ablations", "relief_designs")  # what they find depends on the time they get
 GOOD = ("holds", "ok", "pass", "reached", "agrees", "yes", "true", "reproduced")
 
 
@@ -67,21 +79,49 @@ def _codes(results: dict[str, tuple[list[dict[str, Any]], float]]) -> list[str]:
 
 
 def run_script(name: str) -> tuple[list[dict[str, Any]], float]:
-    """Run one script; a crash is a row of its own."""
+    """Run one script here; a crash is a row of its own."""
     start = time.monotonic()
     try:
         rows = importlib.import_module(f"validation.{name}").main(FIGURES / name)
     except Exception as error:
         traceback.print_exc()
-        rows = [{"claim": "the script runs", "claimed": "", "ours": f"{type(error).__name__}: {error}",
-                 "verdict": "fails", "figure": ""}]  # fmt: skip
+        rows = _crash(f"{type(error).__name__}: {error}")
     return list(rows), time.monotonic() - start
 
 
-def write_rows(name: str, rows: list[dict[str, Any]], seconds: float) -> None:
+def _crash(what: str) -> list[dict[str, Any]]:
+    return [{"claim": "the script runs", "claimed": "", "ours": what, "verdict": "fails", "figure": ""}]
+
+
+def run_apart(name: str, jobs: int) -> str:
+    """Run one script in a process of its own, which keeps its rows; return what it printed."""
+    start = time.monotonic()
+    threads = str(max(1, (os.cpu_count() or 1) // jobs))
+    environment = {"OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads, **os.environ}
+    command = [sys.executable, "-m", "validation", ONE, name]
+    done = subprocess.run(
+        command, env=environment, cwd=HERE.parent, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    if done.returncode:  # it did not even reach its rows
+        write_rows(name, _crash(f"its process ended with status {done.returncode}"), time.monotonic() - start)
+    return done.stdout
+
+
+def cpu_seconds() -> float:
+    """Time of all cores that this process and those it waited for have used."""
+    return sum(
+        usage.ru_utime + usage.ru_stime
+        for usage in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    )
+
+
+def write_rows(name: str, rows: list[dict[str, Any]], seconds: float, cpu: float | None = None) -> None:
     """Keep a script's rows beside its figures."""
     named = [{**row, "figure": Path(str(row.get("figure", ""))).name} for row in rows]  # no folder of this machine
-    document = {"seconds": round(seconds), "rows": named}
+    document: dict[str, Any] = {"seconds": round(seconds)}
+    if cpu is not None:
+        document["cpu_seconds"] = round(cpu)
+    document["rows"] = named
     (FIGURES / name / ROWS).write_text(json.dumps(document, indent=1, default=str) + "\n", encoding="utf-8")
 
 
@@ -112,6 +152,8 @@ def write_report(results: dict[str, tuple[list[dict[str, Any]], float]]) -> None
     for name, (rows, seconds) in results.items():
         doc = (importlib.import_module(f"validation.{name}").__doc__ or "").strip().splitlines()
         lines += ["", f"## {name}", "", doc[0] if doc else "", "", *_table(rows), ""]
+        if found := sources(name, rows):
+            lines += [f"Limits from: {'; '.join(found)}.", ""]
         figures = dict.fromkeys(str(row["figure"]) for row in rows if row.get("figure"))
         lines += [f"![{name}](figures/{name}/{Path(figure).name})" for figure in figures]
         lines += ["", f"{seconds:.0f} s"]
@@ -138,18 +180,39 @@ def _table(rows: list[dict[str, Any]]) -> list[str]:
 
 def main() -> int:
     """Run the chosen scripts; the status is 1 if one crashed."""
-    words = [word for word in sys.argv[1:] if not word.startswith("-")]
+    arguments = sys.argv[1:]
+    if arguments[:1] == [ONE]:
+        name = arguments[1]
+        rows, seconds = run_script(name)
+        write_rows(name, rows, seconds, cpu_seconds())
+        return 0
+    jobs = min(MOST_JOBS, os.cpu_count() or 1)
+    if "--jobs" in arguments:
+        at = arguments.index("--jobs")
+        jobs = max(1, int(arguments[at + 1]))
+        del arguments[at : at + 2]
     names = sorted(p.stem for p in HERE.glob("*_*.py") if not p.stem.startswith("_"))
-    chosen = [name for name in names if not words or any(word in name for word in words)]
-    results: dict[str, tuple[list[dict[str, Any]], float]] = {}
-    for number, name in enumerate(chosen):
-        print(f"== [{number + 1}/{len(chosen)}] {name}", flush=True)
+    chosen = [name for name in names if not arguments or any(word in name for word in arguments)]
+    last = {name: found[1] for name in chosen if (found := read_rows(name)) is not None}
+    chosen.sort(key=lambda name: -last.get(name, 0.0))
+    done: list[str] = []
+    lock = threading.Lock()
+
+    def run(name: str, beside: int) -> None:
         (FIGURES / name).mkdir(parents=True, exist_ok=True)
-        results[name] = run_script(name)
-        write_rows(name, *results[name])
-        # the rows of scripts that are not run, or that run in another process, come from their last run
-        write_report({n: found for n in names if (found := results.get(n) or read_rows(n)) is not None})
-    return int(any(row["verdict"] == "fails" for name in chosen for row in results[name][0]))
+        told = run_apart(name, beside)
+        with lock:
+            done.append(name)
+            print(f"== [{len(done)}/{len(chosen)}] {name}\n{told}", end="", flush=True)
+            # the rows of scripts that are not run come from their last run
+            write_report({each: found for each in names if (found := read_rows(each)) is not None})
+
+    with ThreadPoolExecutor(jobs) as pool:
+        list(pool.map(lambda name: run(name, jobs), [name for name in chosen if name not in ALONE]))
+    for name in chosen:
+        if name in ALONE:
+            run(name, 1)
+    return int(any(row["verdict"] == "fails" for name in chosen for row in (read_rows(name) or ([], 0))[0]))
 
 
 if __name__ == "__main__":

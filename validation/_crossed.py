@@ -4,8 +4,8 @@
 the surface becomes the plane u = z - h(x, y) = 0, and the waves of each side are eigenvectors of Maxwell's equations
 there. `by_plane_waves` takes plane waves that leave the surface on both sides all the way to it (Rayleigh) and meets
 the continuity of the tangential fields in least squares (Ikuno and Yasuura, IEEE Trans. Antennas Propag. 21, 657
-(1973)): no coordinates, no eigenvalues, no series of the profile; for slopes up to about .45, where Rayleigh's
-assumption holds (Millar, Proc. Camb. Phil. Soc. 69, 217 (1971), for sinusoids), and some way beyond it in least squares.
+(1973)): no coordinates, no eigenvalues, no series of the profile. It is for slopes up to about .45, to which Rayleigh's
+assumption holds for sinusoids (Millar, Proc. Camb. Phil. Soc. 69, 217 (1971)).
 
 Time goes as exp(-i omega t), an index is n + ik, lengths are in micrometres; the plane of incidence is that of x and z.
 """

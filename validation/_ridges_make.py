@@ -22,7 +22,7 @@ ORDERS, CHECK = DATA / "ridge_orders.jsonl", DATA / "ridge_check.json"
 WAVELENGTHS_NM = np.arange(380.0, 701.0, 20.0)
 DRAWS = 20
 TRUNCATION = 36  # orders to each side; with 64 no strong one of the checked cell changes by 1 %
-ANGLES_DEG = (0.0, 30.0)
+ANGLES_DEG = (0.0,)
 CUTICLE = 1.56 + 0.06j
 WINGS = {
     "letter": Ridge(35.0, 190.0, 9, 300.0, 700.0, 120.0, CUTICLE),

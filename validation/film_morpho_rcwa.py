@@ -3,10 +3,10 @@
 Light falls along the normal; `_ridges.py` draws and solves, `_ridges_make.py` keeps what it found in
 `validation/data/ridge_orders.jsonl`, and three drawn cases are solved again here. Two wings: the lamellae of 35 nm that
 the preset's numbers describe (*letter*), and those of 70 nm in ridges that fill about half of the width, which the
-preset says that it enters in that way (*meant*). What leaves along the mirror direction counts in neither. Power over the
-sine across the ridges is compared; a view is 15 degrees wide, both sides together, so that grains of 20 draws average
-out. Colours are under D65 with the rigorous solution seen along the normal as white for both; "two standard errors" are
-by the bootstrap over draws.
+preset says that it enters in that way (*meant*). What leaves along the mirror direction counts in neither. Power over
+the sine across the ridges is compared; a view is 15 degrees wide, both sides together, so that grains of 20 draws
+average out. Colours are under D65 with the rigorous solution seen along the normal as white for both; "two standard
+errors" are by the bootstrap over draws.
 """
 
 from __future__ import annotations
@@ -221,7 +221,8 @@ def _compared(wing: str, fan: Fan, lobe: Ridge) -> list[dict[str, Any]]:
     within = ", ".join(f"{np.sum(away <= level)} within {level:g}" for level in CLASSES)
     rows.append(
         row(f"{name}: colour seen at {views} degrees, dE00", "each <= 10",
-            f"{_list(away)}: {within} (of another 20 draws: {_list(grains)})", bool(np.all(away <= CLASSES[-1])), FIGURE)
+            f"{_list(away)}: {within} (of another 20 draws: {_list(grains)})", bool(np.all(away <= CLASSES[-1])),
+            FIGURE)
     )  # fmt: skip
     shown = [int(WAVELENGTHS_NM[at]) for at in np.argmax(rigorous, axis=1)]
     our_shown = [int(WAVELENGTHS_NM[at]) for at in np.argmax(ours.views(), axis=1)]
@@ -236,7 +237,7 @@ def _compared(wing: str, fan: Fan, lobe: Ridge) -> list[dict[str, Any]]:
     rows.append(
         row(f"{name}: the lamellae's phase by the normal part, (cos_i + cos_o) / 2, in place of the half angle's "
             "cosine: does it halve the error?", "taken if it does",
-            f"mean dE00 {away.mean():.1f} to {changed.mean():.1f} ({_list(changed)})" + ("" if is_better else ": not taken"),
+            f"mean dE00 {away.mean():.1f} to {changed.mean():.1f} ({_list(changed)}){'' if is_better else ': not taken'}",
             not is_better, FIGURE)
     )  # fmt: skip
     return rows
@@ -255,8 +256,8 @@ def _draw(fans: dict[str, Fan], lobe: Ridge, out_dir: str | Path) -> None:
         spectra.plot(WAVELENGTHS_NM, fan.total(), color=colour, label=label)
         order = np.argsort(fan.sines[BLUE])
         fan_axis.plot(
-            np.degrees(np.arcsin(fan.sines[BLUE][order])), fan.values[BLUE].mean(axis=0)[order], color=colour, label=label,
-            marker="" if name == "nacre" else ".", lw=1.0,
+            np.degrees(np.arcsin(fan.sines[BLUE][order])), fan.values[BLUE].mean(axis=0)[order], color=colour,
+            label=label, marker="" if name == "nacre" else ".", lw=1.0,
         )  # fmt: skip
     spectra.set(xlabel="wavelength (nm)", ylim=(0, 1))
     spectra.set_title("reflected, but for the mirror direction", fontsize=9)

@@ -2,8 +2,9 @@
 
 The gratings and both solvers' efficiencies are kept in `validation/data` (`_relief_cases.py` draws them,
 `_relief_cases_make.py` solves them); ten of the cases, drawn by the day, are solved again here. A case counts where two
-solvers agree to 1 % in each strong order; of reliefs in x and y, where one answer with N orders and one with 2N do. The colour of an order is that of its efficiency over 400-700 nm, light
-unpolarised, under D65, with the brightest order of the rigorous solution as white for both.
+solvers agree to 1 % in each strong order; of reliefs in x and y, where answers with N and with 2N orders do. The colour
+of an order is that of its efficiency over 400-700 nm, light unpolarised, under D65, with the brightest order of the
+rigorous solution as white for both.
 """
 
 from __future__ import annotations
