@@ -142,10 +142,12 @@ def write_report(results: dict[str, tuple[list[dict[str, Any]], float]]) -> None
         "Claims of the published sources, and of physics, against what nacre computes. *Hold only as printed*: in the "
         "source's own counting of light, which is not physical (`counting = \"published\"` of a platelet). *False*: "
         "shown so by a calculation here. *Undecided*: the source gives nothing to decide it by. *Miss*: ours differs. "
-        "Made by `make validate`; each figure is made by the same run.", "",
+        "Made by `make validate`; each figure is made by the same run. Of limits, *bar* marks a number asked before "
+        "the work and not derived, *word* a measure of ours for a source's word.", "",
         *_summary(results),
         "", "Against other codes and other people's data:", "",
         *_codes(results),
+        "", _whole_time(results),
         "", "## What does not hold", "",
     ]  # fmt: skip
     lines += _table([{**row, "claim": f"{name}: {row['claim']}"} for name, row in misses]) if misses else ["None."]
@@ -156,8 +158,26 @@ def write_report(results: dict[str, tuple[list[dict[str, Any]], float]]) -> None
             lines += [f"Limits from: {'; '.join(found)}.", ""]
         figures = dict.fromkeys(str(row["figure"]) for row in rows if row.get("figure"))
         lines += [f"![{name}](figures/{name}/{Path(figure).name})" for figure in figures]
-        lines += ["", f"{seconds:.0f} s"]
+        cpu = _cpu_seconds(name)
+        lines += ["", f"{seconds:.0f} s" + ("" if cpu is None else f", {cpu:.0f} s of one core")]
     (HERE / "REPORT.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _cpu_seconds(name: str) -> float | None:
+    """What the last run of a script took of all cores, if that was kept."""
+    path = FIGURES / name / ROWS
+    found: float | None = json.loads(path.read_text(encoding="utf-8")).get("cpu_seconds") if path.exists() else None
+    return found
+
+
+def _whole_time(results: dict[str, tuple[list[dict[str, Any]], float]]) -> str:
+    """How long the last runs took, one after the other, and the longest of them."""
+    longest = max(results, key=lambda name: results[name][1])
+    whole = sum(seconds for _, seconds in results.values()) / 60
+    return (
+        f"The last runs of all {len(results)} scripts took {whole:.0f} minutes together, on whatever else the machine "
+        f"did; the longest, `{longest}`, {results[longest][1] / 60:.1f}. `make validate` runs {MOST_JOBS} at a time."
+    )
 
 
 def _table(rows: list[dict[str, Any]]) -> list[str]:
