@@ -150,11 +150,11 @@ def _terms(group: dict[str, Any]) -> Any:
 
 def main(out_dir: str | Path) -> list[dict[str, Any]]:
     """Print claimed | ours | verdict, write the figure, return the rows."""
-    orders = read_orders()
-    groups = [group for group in read_groups() if group["name"] in orders]
+    orders, drawn = read_orders(), read_groups()
+    groups = [group for group in drawn if group["name"] in orders]
     return [
         *_counts(groups, orders),
-        *_reliefs(groups, orders),
+        *_reliefs(groups, orders, sum(group["kind"] not in KINDS for group in drawn)),
         _again(groups, orders),
         *_map(groups, orders, out_dir),
     ]
@@ -185,7 +185,7 @@ def _counts(groups: list[dict[str, Any]], orders: dict[str, Any]) -> list[dict[s
     ]  # fmt: skip
 
 
-def _reliefs(groups: list[dict[str, Any]], orders: dict[str, Any]) -> list[dict[str, Any]]:
+def _reliefs(groups: list[dict[str, Any]], orders: dict[str, Any], drawn: int) -> list[dict[str, Any]]:
     """The reliefs in x and y: how many count, a method that shares no step, and whether the stated error holds."""
     reliefs = [group for group in groups if group["kind"] not in KINDS]
     agreed = [
@@ -211,16 +211,20 @@ def _reliefs(groups: list[dict[str, Any]], orders: dict[str, Any]) -> list[dict[
             if between <= AGREED_COLOUR:
                 errors.append(max(float(found.mean()), LEAST_DE00))
                 stated.append(_stated(group))
-    held = float(np.mean(np.array(errors) <= np.array(stated)))
+    stays = np.array(errors) <= np.array(stated)
+    inside = np.array(stated) <= OUTSIDE_DE00
+    held = float(np.mean(stays[inside]))
     return [
         row("bump and random reliefs in x and y with two agreeing answers", ">= 40",
-            f"{len(agreed)} of {len(reliefs)}, {metals} of them metals", len(agreed) >= 40, FIGURE),
+            f"{len(agreed)}, {metals} of them metals, of {len(reliefs)} solved and {drawn} drawn", len(agreed) >= 40, FIGURE),
         row("smooth ones by plane waves, slopes to "
             f"{PLANES_SLOPE:g}: strong orders, relative, worst of {count}", f"within {AGREE:.0%}",
             f"{worst:.2%}", worst <= AGREE, FIGURE),
-        row("reliefs in x and y, none of them fitted: the error stays within the one nacre states", ">= 95 %",
-            f"{held:.0%} of {len(errors)}; dE00 {', '.join(f'{e:.0f}' for e in errors)}, stated "
-            f"{', '.join(f'{e:.0f}' for e in stated)}", held >= 0.95, FIGURE),
+        row("inside the region, reliefs in x and y, to none of which it was fitted: the error stays within the stated "
+            "one", ">= 95 %",
+            f"{held:.0%} of {inside.sum()}; outside too: {stays.mean():.0%} of {len(errors)} (dE00 "
+            f"{', '.join(f'{e:.0f}' for e in errors)}, stated {', '.join(f'{e:.0f}' for e in stated)})",
+            held >= 0.95, FIGURE),
     ]  # fmt: skip
 
 
