@@ -41,7 +41,7 @@ STEEP_ELEMENTS = 1.5  # how much finer elements are where a dielectric is steep:
 TERMS = (200, 400)
 MORE = (4.8, 2.9)  # the circle of a smooth relief's orders reaches so far beyond those that propagate
 PLANES = DATA / "relief_planes.json"
-PLANES_MORE, PLANES_SLOPE = 5.5, 0.45  # Rayleigh's assumption
+PLANES_MORE, PLANES_SLOPE = 7.5, 0.45  # plane waves converge later; Rayleigh's assumption
 PLANES_AT = 1  # which wavelength
 
 
