@@ -47,6 +47,14 @@ def test_a_feature_is_half_a_period_whatever_the_axis_and_the_profile() -> None:
     assert trust(Tile(np.zeros((4, 4)), 1000.0, 200.0)).de00 == 0.0
 
 
+def test_a_feature_is_half_a_period_of_hills_too() -> None:
+    """Round hills, half of whose lines across lie too low to meet one."""
+    wave = 1.0 + np.cos(2 * np.pi * np.arange(64) / 64)
+    feature_nm, _ = mean_feature_nm(np.outer(wave, wave), 10.0)
+    # the circle's chords are narrower than the gaps, but both together are a period
+    assert feature_nm == pytest.approx(320.0, rel=0.05)
+
+
 def test_smoothness_tells_walls_from_waves() -> None:
     x = (np.arange(32) + 0.5) / 32
     wave = Tile(np.tile(100.0 * np.cos(2 * np.pi * x)[:, None], (1, 32)), 100.0, 100.0)

@@ -92,9 +92,11 @@ def trust(tile: Tile, wavelength_scale: float = 1.0) -> Trust:
 def mean_feature_nm(surface: Array, pitch_nm: float) -> tuple[float, int]:
     """Return the mean distance between crossings of the middle height, along x or y, the shorter, and that axis.
 
-    Half a period of a grating: the mean width of its ridges and grooves.
+    Half a period of a grating: the mean width of its ridges and grooves. Lines that never cross it, between hills, say
+    nothing of their width and are left out.
     """
     above = surface > 0.5 * (surface.max() + surface.min())
-    crossings = [float(np.mean(above != np.roll(above, 1, axis=axis))) for axis in (0, 1)]
+    lines = [np.mean(above != np.roll(above, 1, axis=axis), axis=axis) for axis in (0, 1)]
+    crossings = [float(each[each > 0].mean()) if each.any() else 0.0 for each in lines]
     axis = int(np.argmax(crossings))
     return pitch_nm / max(crossings[axis], 1.0 / max(surface.shape)), axis
