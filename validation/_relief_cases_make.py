@@ -142,10 +142,10 @@ def solve_by_planes(group: dict[str, Any]) -> dict[str, Any] | None:
     if np.hypot(*slopes).max() > PLANES_SLOPE:
         return None
     wavelength, period = group["wavelengths_um"][PLANES_AT], group["period_um"]
-    few = slice(None, None, 2)  # points are five times as many as waves all the same
+    few = slice(None, None, 2)  # equations are three times as many as waves all the same
     orders, found = by_plane_waves(
-        period, group["depth_um"] * relief_heights(group)[few, few], slopes[:, few, few], group["n"][PLANES_AT], wavelength,
-        group["angle_deg"], period / wavelength + PLANES_MORE,
+        period, group["depth_um"] * relief_heights(group)[few, few], slopes[:, few, few], group["n"][PLANES_AT],
+        wavelength, group["angle_deg"], period / wavelength + PLANES_MORE,
     )  # fmt: skip
     return {"orders": orders.tolist()} | {which: _short(found[which]) for which in "sp"}
 

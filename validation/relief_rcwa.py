@@ -216,7 +216,8 @@ def _reliefs(groups: list[dict[str, Any]], orders: dict[str, Any], drawn: int) -
     held = float(np.mean(stays[inside]))
     return [
         row("bump and random reliefs in x and y with two agreeing answers", ">= 40",
-            f"{len(agreed)}, {metals} of them metals, of {len(reliefs)} solved and {drawn} drawn", len(agreed) >= 40, FIGURE),
+            f"{len(agreed)}, {metals} of them metals, of {len(reliefs)} solved and {drawn} drawn", len(agreed) >= 40,
+            FIGURE),
         row("smooth ones by plane waves, slopes to "
             f"{PLANES_SLOPE:g}: strong orders, relative, worst of {count}", f"within {AGREE:.0%}",
             f"{worst:.2%}", worst <= AGREE, FIGURE),
