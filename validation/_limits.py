@@ -42,7 +42,7 @@ LIMITS: dict[str, tuple[tuple[str, str], ...]] = {
         ("one cell|fmmax", "issue: two answers agree to 1 % in strong orders"),
         ("solved again", "rounding of the kept digits"),
         ("peak of the light|its height", "Vukusic et al. 1999, with their spread"),
-        ("nacre's (peak|height)|half of the light", "statistics: the spread of means of 20, and half a wavelength step"),
+        ("nacre's (peak|height)|half of the light", "statistics: spread of means of 20, half a wavelength step"),
         ("colour seen", "issue's classes of dE00 2, 5, 10; beyond 10 a relief is called outside"),
         ("peaks seen", "one step of the wavelengths"),
         ("halve", "issue: an improvement is taken when it halves the error"),
