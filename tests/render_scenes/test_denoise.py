@@ -44,6 +44,19 @@ def test_grain_goes_and_colours_stay() -> None:
     assert float(np.mean(delta_e_2000(*lab))) <= LARGEST_BIAS
 
 
+def test_skewed_noise_keeps_its_mean() -> None:
+    """Few wavelengths a path: most pixels hold too little blue, one in twenty six times as much as the mean."""
+    from nacre.picture.denoise import denoised
+
+    generator, size, share, spike = np.random.default_rng(3), (96, 96), 0.05, 6.0
+    xyz = np.full((*size, 3), 0.2) * generator.normal(1.0, 0.05, (*size, 3))
+    xyz[..., 2] *= np.where(generator.random(size) < share, spike, (1.0 - share * spike) / (1.0 - share))
+    albedo, normal = np.full((*size, 3), 0.5, np.float32), np.tile(np.float32([0.0, 0.0, 1.0]), (*size, 1))
+    kept = denoised(xyz, albedo, normal).mean(axis=(0, 1)) / xyz.mean(axis=(0, 1))
+    # 2 % of the blue of a grey are dE00 0.5, the bar of mean colours
+    assert np.abs(kept - 1.0).max() < 0.02
+
+
 def test_fine_lines_keep_their_contrast() -> None:
     """Stripes of some four pixels on the sphere: a thickness that makes silver dark and bright by turns."""
     layer = {"material": "Ge", "thickness_nm": {"formula": "20 + 20*sin(2*pi*90*u)"}}

@@ -45,7 +45,7 @@ class Linear(Protocol):
     @property
     def lights(self) -> Mapping[str, Array]: ...
     @property
-    def layers(self) -> Mapping[str, tuple[str, Array]]: ...
+    def layers(self) -> Mapping[str, tuple[str, NDArray[np.float32]]]: ...
     @property
     def spectral(self) -> NDArray[np.float32] | None: ...
     @property
@@ -148,7 +148,7 @@ def write_exr(path: str | Path, result: Linear) -> None:
     white = white_xyz(str(result.stats.get("illuminant", "D65")))
     channels: dict[str, Any] = {}
 
-    def add(layer: str, names: str, values: Array) -> None:
+    def add(layer: str, names: str, values: Array | NDArray[np.float32]) -> None:
         for index, name in enumerate(names):
             channels[f"{layer}{name}"] = np.ascontiguousarray(values[..., index], dtype=np.float32)
 

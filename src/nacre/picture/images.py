@@ -63,7 +63,7 @@ class RenderResult:
     background: tuple[float, float, float] | None = None
     tone: str = "srgb"
     lights: Mapping[str, Array] = field(default_factory=dict)
-    layers: Mapping[str, tuple[str, Array]] = field(default_factory=dict)
+    layers: Mapping[str, tuple[str, NDArray[np.float32]]] = field(default_factory=dict)
 
     @property
     def srgb8(self) -> NDArray[np.uint8]:

@@ -289,7 +289,7 @@ def _guides(scene: Any, sensor: Any, sampler: Any, passes: Sequence[Part], seed:
         seed: of the samples.
     """
     mi, integrator = use_variant(), guide_tracer()
-    seen = 0.0
+    seen: Any = 0.0
     for part in passes:
         begun = begin(sampler, seed, part.first, part.spp)
         made = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=part.spp, seed=begun))
