@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -133,3 +134,13 @@ def test_a_picture_comes_at_its_size(client: TestClient) -> None:
         "/api/file", json={**SHEET, "verb": "picture", "to": ".png", "scene": "knob", "options": options}
     )
     assert Image.open(io.BytesIO(answer.content)).size == (96, 64)
+
+
+def test_the_page_offers_every_scene_for_its_pictures() -> None:
+    from importlib.resources import files
+
+    from nacre.picture.scenes.catalogue import SCENE_NAMES
+
+    page = files("nacre.studio").joinpath("page/index.html").read_text(encoding="utf-8")
+    choice = page.partition('<select id="file-scene">')[2].partition("</select>")[0]
+    assert set(re.findall("<option>([a-z]+)</option>", choice)) == set(SCENE_NAMES)

@@ -22,6 +22,7 @@ from nacre.exchange.number_maps import FORMATS as MAP_FORMATS
 from nacre.exchange.number_maps import SUFFIXES as MAP_SUFFIXES
 from nacre.materials.material import Material
 from nacre.materials.number_maps import number_maps
+from nacre.picture.scenes.catalogue import SCENE_NAMES
 from nacre.studio.folder import Opened
 from nacre.studio.measured import built, placed, read_lamp
 from nacre.studio.picture import shape_of
@@ -30,7 +31,6 @@ from nacre.studio.surround import NAMES
 MAX_FILE = 96 << 20  # bytes that are sent; the command writes larger ones
 MAX_SAID = 30
 PICTURES = (".png", ".jpg", ".webp", ".exr", ".spectral.exr")
-SCENES = ("sphere", "probe", "speedshape", "panel", "butterfly", "bottle", "knob", "body", "screen")
 # option -> kind, lowest and highest value
 NUMBERS: dict[str, tuple[type, float, float]] = {
     "angle_step_deg": (float, 0.5, 30.0), "wavelength_nm": (float, 1.0, 1e6), "levels": (int, 2, 256),
@@ -70,8 +70,8 @@ def read_wanted(body: Mapping[str, Any], opened: Opened) -> dict[str, Any]:
     if not isinstance(to, str) or to not in known[verb]:
         raise NacreError(f'{verb} to "{str(to)[:40]}" is not known; choose from {", ".join(known[verb])}')
     lamp = read_lamp(body)
-    if not isinstance(scene, str) or scene not in SCENES:
-        raise NacreError(f'scene "{str(scene)[:40]}" is not known; choose from {", ".join(SCENES)}')
+    if not isinstance(scene, str) or scene not in SCENE_NAMES:
+        raise NacreError(f'scene "{str(scene)[:40]}" is not known; choose from {", ".join(SCENE_NAMES)}')
     light = body.get("light")
     if light is not None and light not in NAMES:
         raise NacreError(f'light "{str(light)[:40]}" is not known; choose from {", ".join(NAMES)}')
