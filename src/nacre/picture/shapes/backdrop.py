@@ -23,7 +23,7 @@ def sweep(half_width: float, front: float, back: float, radius: float, height: f
         y = -front + np.minimum(s, floor) + radius * np.sin(angle)
         return np.stack([(2 * u - 1) * half_width, y, radius * (1 - np.cos(angle)) + beyond], axis=-1)
 
-    surface = parametric(position, 2, 400)
+    surface = parametric(position, 40, 400)  # rays slip between triangles much longer than wide
     return Mesh(surface.vertices, surface.normals, surface.uv * np.array([2 * half_width, total]), surface.faces)
 
 
