@@ -26,8 +26,8 @@ FULL_FRAMES, QUICK_FRAMES = 24, 8
 FULL_SPP, QUICK_SPP = 128, 32
 FULL_FRAME_SPP, QUICK_FRAME_SPP = 32, 16
 # seconds that a still and an animation may take on the machine at hand, in full and in quick runs
-STILL_S = {False: 16.0, True: 5.0}
-MOVIE_S = {False: 55.0, True: 6.0}
+STILL_S = {False: 8.0, True: 5.0}
+MOVIE_S = {False: 34.0, True: 6.0}
 PROBE_SPP, LEAST_SPP = (4, 36), 8
 # the sheet: cells in full and in quick runs, a row at most of so many; the rest for cells of 320
 FULL_CELL, QUICK_CELL, MOST_COLUMNS = 480, 320, 6
