@@ -59,12 +59,11 @@ class DeviceGlints:
         t = dr.sqrt(t2)
         return row.read(row.ratio, t / (1.0 + t), active) * row.area / dr.square(1.0 + t2)
 
-    def one_of(self, uv: Any, sample: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+    def one_of(self, uv: Any, sample: Any, active: Any) -> tuple[Any, Any, Any, Any]:
         """Draw one of the discs that hold a point.
 
         Returns:
-            Its kind, the slope (x, y) of its normal over the deviation, how many discs hold the point, and what is left
-            of `sample`, uniform in [0, 1).
+            Its kind, the slope (x, y) of its normal over the deviation, and how many discs hold the point.
         """
         found = (mi.UInt32(0), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0), mi.Float(sample))
         for k, row in enumerate(self.kinds):
@@ -87,7 +86,7 @@ class DeviceGlints:
                 state, lambda n, *rest, row=row: mi.Bool(active) & (n < row.discs), body,
                 ("n", "kind", "sx", "sy", "count", "left"), label="one glint",
             )[1:]  # fmt: skip
-        return found
+        return found[:4]
 
     def factor_of(self, slot: Any, axes: Any, m: Any, uv: Any, active: Any) -> Any:
         """Return g for a normal in its flake's frame, `axes` being the semi-axes of that kind, lane by lane."""

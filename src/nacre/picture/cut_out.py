@@ -49,18 +49,18 @@ def sees_objects(
         place = mi.Point2f(float(x[0]), float(y[0])) if step == 1 else mi.Point2f(mi.Float(x), mi.Float(y))
         ray, _ = sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5, 0.5))
         first = scene.ray_intersect_preliminary(ray, True)
-        is_seen = _is_one_of(first, shapes)
+        is_seen = is_one_of(first, shapes)
         found[index] = np.asarray(is_seen) if step == 1 else np.asarray(is_seen & dr.full(mi.Bool, True, len(index)))
     return found.reshape(height, width)
 
 
-def _is_one_of(first: Any, shapes: Sequence[Any]) -> Any:
-    """Whether rays met one of the shapes first."""
+def is_one_of(met: Any, shapes: Sequence[Any]) -> Any:
+    """Whether what rays met, an interaction of Mitsuba, belongs to one of the shapes."""
     mi = use_variant()
     is_scalar = mi.variant().startswith("scalar")
     is_seen = mi.Bool(False)
     for shape in shapes:
-        is_seen = is_seen | (first.shape == (shape if is_scalar else mi.ShapePtr(shape)))
+        is_seen = is_seen | (met.shape == (shape if is_scalar else mi.ShapePtr(shape)))
     return is_seen
 
 
@@ -79,7 +79,7 @@ def _class(variant: str) -> type:
             self.inner, self.shapes = inner, list(shapes)
 
         def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
-            is_seen = _is_one_of(scene.ray_intersect_preliminary(ray, True, active), self.shapes)
+            is_seen = is_one_of(scene.ray_intersect_preliminary(ray, True, active), self.shapes)
             light, is_valid, rest = self.inner.sample(scene, sampler, ray, medium, active & is_seen)
             is_seen = is_seen & is_valid & active
             return dr.select(is_seen, light, 0.0), is_seen, rest

@@ -24,6 +24,7 @@ import math
 from typing import Any
 
 from nacre.device.variant import use_variant
+from nacre.picture.cut_out import is_one_of
 
 SOFT_LAMP_DEG = 10.0
 WITHIN_LAMP_DEG = 40.0
@@ -171,10 +172,7 @@ def _class(variant: str) -> type:
                 is_led = dr.select(is_event, has_spread & is_narrow, is_led)
                 spreads = is_event & (is_narrow ^ True)
                 if self.spread_by:
-                    is_it = mi.Bool(False)
-                    for shape in self.spread_by:
-                        is_it = is_it | (si.shape == mi.ShapePtr(shape))
-                    spreads = spreads & is_it
+                    spreads = spreads & is_one_of(si, self.spread_by)
                 has_spread = has_spread | spreads
                 is_seen = is_seen | is_event
                 depth = dr.select(is_event, depth + 1, depth)

@@ -120,7 +120,7 @@ class FlakedPlugin(LobePlugin[Flaked]):
         """Draw a direction by one of the flakes at the point; return it and whether there is a flake."""
         assert self.glints is not None
         which = dr.clip(sample1, 0.0, dr.one_minus_epsilon(mi.Float))
-        kind, tx, ty, count, _ = self.glints.one_of(si.uv, which, active)
+        kind, tx, ty, count = self.glints.one_of(si.uv, which, active)
         width, deviation = mi.Float(self.glints.kinds[0].width), mi.Float(dr.sqrt(self.deviation2[0]))
         for k in range(1, self.kinds):
             width = dr.select(kind == k, self.glints.kinds[k].width, width)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nacre.picture.shapes.butterfly import tube
+from nacre.picture.shapes.butterfly import pair, tube
 from nacre.picture.shapes.mesh import Array, Mesh, bspline, merge, parametric
 
 _HALF_WIDTH, _TAIL, _LENGTH = 1.0, -1.75, 3.3  # what uv spans
@@ -61,10 +61,6 @@ def beetle_shell() -> Mesh:
     return Mesh(whole.vertices, whole.normals, uv, whole.faces)
 
 
-def _mirrored(right: Mesh) -> Mesh:
-    return merge([right, right.moved(np.diag([-1.0, 1.0, 1.0]))])
-
-
 def _ellipsoid(centre: Sequence[float], size: Sequence[float]) -> Mesh:
     def position(u: Array, v: Array) -> Array:
         phi, theta = 2 * np.pi * u, np.pi * (1 - v)
@@ -93,7 +89,7 @@ def beetle_limbs() -> Mesh:
     path = np.stack([0.2 + 0.5 * t**0.8, 1.28 + 0.42 * np.sin(2.0 * t), 0.3 + 0.08 * np.sin(np.pi * t)], axis=1)
     feeler = tube(path, 0.026 + 0.009 * np.cos(2 * np.pi * 6.5 * t) - 0.008 * t)
     eye = _ellipsoid((0.34, 1.13, _FLOOR + 0.14), (0.085, 0.12, 0.11))
-    return merge([belly, _mirrored(merge([*legs, feeler, eye]))])
+    return merge([belly, pair(merge([*legs, feeler, eye]))])
 
 
 def _limb(joints: Sequence[tuple[float, float, float]], radii: tuple[float, float, float]) -> Mesh:

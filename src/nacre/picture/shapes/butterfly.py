@@ -58,19 +58,20 @@ def _wing(name: str, start: float, stop: float) -> Mesh:
     return Mesh(part.vertices, part.normals, part.uv * np.array([1.0, stop - start]) + np.array([0, start]), part.faces)
 
 
-def _pair(right: Mesh) -> Mesh:
+def pair(right: Mesh) -> Mesh:
+    """A right half and its mirror image to the left; u runs to the right over each of the two."""
     left = right.moved(np.diag([-1.0, 1.0, 1.0]))
     return merge([right, Mesh(left.vertices, left.normals, left.uv * [-1, 1] + [1, 0], left.faces)])
 
 
 def butterfly_wings() -> Mesh:
     """The coloured part of all four wings, facing up."""
-    return _pair(merge([_wing("fore", 0.015, MARGIN), _wing("hind", 0.015, MARGIN)]))
+    return pair(merge([_wing("fore", 0.015, MARGIN), _wing("hind", 0.015, MARGIN)]))
 
 
 def butterfly_margins() -> Mesh:
     """The dark margins of the four wings."""
-    return _pair(merge([_wing("fore", MARGIN, 1.0), _wing("hind", MARGIN, 1.0)]))
+    return pair(merge([_wing("fore", MARGIN, 1.0), _wing("hind", MARGIN, 1.0)]))
 
 
 def butterfly_veins() -> Mesh:
@@ -83,7 +84,7 @@ def butterfly_veins() -> Mesh:
             t = np.linspace(0.02, 0.985, 24)
             path = _wing_point(outline, lift, plane, root, veins, np.full_like(t, u), t)
             tubes.append(tube(path, np.linspace(0.014, 0.005, 24)))
-    return _pair(merge(tubes))
+    return pair(merge(tubes))
 
 
 def tube(path: Array, radius: Array, around: int = 24) -> Mesh:
@@ -132,4 +133,4 @@ def butterfly_body() -> Mesh:
     t = np.linspace(0, 1, 16)
     feeler = np.stack([0.035 + 0.36 * t**1.2, 0.6 + 0.75 * t - 0.06 * t**3, 0.2 + 0.16 * t - 0.06 * t**2], axis=1)
     thickness = 0.009 + 0.016 * np.exp(-(((t - 0.97) / 0.06) ** 2))
-    return merge([solid, _pair(tube(feeler, thickness))])
+    return merge([solid, pair(tube(feeler, thickness))])

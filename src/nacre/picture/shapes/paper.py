@@ -53,8 +53,8 @@ def banknote_foil() -> Mesh:
     u, v, radius = _SEAL
     share = NOTE_WIDTH / NOTE_HEIGHT
     seal = _patch(
-        _note, lambda a, b: u + radius * b * np.cos(-2 * np.pi * a) * -1,
-        lambda a, b: v + share * radius * b * np.sin(-2 * np.pi * a) * -1, (96, 32),
+        _note, lambda a, b: u + radius * b * np.cos(2 * np.pi * a),
+        lambda a, b: v + share * radius * b * np.sin(2 * np.pi * a), (96, 32),
     )  # fmt: skip
     return merge([_upward(stripe), _upward(seal)])
 
