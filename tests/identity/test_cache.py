@@ -140,7 +140,24 @@ def test_the_command_shows_and_clears(folder: Path, capsys: pytest.CaptureFixtur
     shown = json.loads(capsys.readouterr().out)
     assert shown["folder"] == str(folder) and shown["entries"] == 1 and shown["bytes"] > 0
     assert run(["cache", "--clear"]) == 0
-    assert "0 materials" in capsys.readouterr().out and list(folder.iterdir()) == []
+    told = capsys.readouterr().out
+    assert ": 0 materials, " in told and "removed: 1 material\n" in told and list(folder.iterdir()) == []
+
+
+def test_the_command_counts_parts_of_materials_apart(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import json
+
+    from nacre.cli import run
+    from nacre.recipe.kept import keep_arrays
+
+    numbers(nacre.material(CACHED))
+    for number in range(3):  # as the patterns of an ensemble are
+        keep_arrays(f"ensemble-{number}", {"a": np.ones(2)})
+    assert run(["cache", "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert (shown["materials"], shown["parts"], shown["entries"]) == (1, 3, 4)
+    assert run(["cache"]) == 0
+    assert ": 1 material and 3 parts of materials, " in capsys.readouterr().out
 
 
 def test_no_cache_neither_takes_nor_keeps(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

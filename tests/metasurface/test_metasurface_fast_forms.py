@@ -52,7 +52,7 @@ def test_the_mean_field_of_one_mirror_half_is_that_of_all_multipoles(below):
     directions = layer.spheres[0].directions(np.sqrt((1 - sines) * (1 + sines)), below, sines)
     own = apply_response(dressed, directions.excitation)
     lmax, order = dressed.shape[1] // 2, table.order
-    index, q = _whole_sums(layer, order, directions.transverse, directions.ambient_cosines)
+    index, q = _whole_sums(layer, order, directions.inner, directions.inner_cosines)
     rows = index.tau * lmax + index.l - 1
     kept = np.concatenate([np.arange(order), lmax + np.arange(order)])
     free = neighbours.with_negative_orders(own[: order + 1][:, :, kept], index)

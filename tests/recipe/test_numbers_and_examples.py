@@ -160,6 +160,13 @@ def test_odd_names_are_no_examples(name: str, tmp_path: Path, monkeypatch: pytes
         nacre.load(name)
 
 
+@pytest.mark.parametrize("name, meant", [("bragg-miror", "bragg-mirror"), ("pearl/botle3", "pearl/bottle3")])
+def test_a_misspelt_example_is_guessed(name: str, meant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(NacreError, match=f'{name}: does not exist.* Did you mean "{meant}"'):
+        nacre.load(name)
+
+
 def test_examples_are_listed_and_copied(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["examples", "film", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 from nacre.bsdf import Bsdf
 from nacre.errors import NacreError
-from nacre.recipe.kept import MAX_BYTES, OFF, VARIABLE, cache_folder, clear, entries, is_ours, make_room
+from nacre.recipe.kept import MAX_BYTES, OFF, VARIABLE, cache_folder, clear, entries, is_material, is_ours, make_room
 
 WORTH_S = 2.0  # what is solved faster is not kept: writing and reading cost too
 
@@ -42,4 +42,4 @@ def solved(key: str, solve: Callable[[], Bsdf], keep: bool = True) -> Bsdf:
     return bsdf
 
 
-__all__ = ["MAX_BYTES", "OFF", "VARIABLE", "cache_folder", "clear", "entries", "solved"]
+__all__ = ["MAX_BYTES", "OFF", "VARIABLE", "cache_folder", "clear", "entries", "is_material", "solved"]

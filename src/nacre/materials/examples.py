@@ -78,8 +78,27 @@ def find_example(name: str) -> Path | None:
 
 
 def or_example(path: str | Path) -> Path:
-    """Return the path of a file of one's own or, where there is none, of the example of that name."""
-    return (None if os.path.lexists(path) else find_example(str(path))) or Path(path)
+    """Return the path of a file of one's own or, where there is none, of the example of that name.
+
+    Raises:
+        NacreError: a word that is neither, and is near the name of an example.
+    """
+    if os.path.lexists(path):
+        return Path(path)
+    found = find_example(str(path))
+    if found is None and not Path(path).suffix and (meant := did_you_mean(str(path), _words())):
+        raise NacreError(f"{path}: does not exist, as a file or as an example.{meant}")
+    return found or Path(path)
+
+
+def _words() -> set[str]:
+    """What an example may be called by: its name, with its folder and without."""
+    try:
+        folder = examples_folder()
+    except NacreError:
+        return set()
+    paths = [path.relative_to(folder).with_suffix("") for path in folder.rglob("*.toml") if path.name not in NO_RECIPES]
+    return {word for path in paths for word in (path.as_posix(), path.name)}
 
 
 def copy_examples(names: list[str], to: Path) -> list[Path]:

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 VARIABLE = "NACRE_CACHE"
 OFF = "off"  # as the variable's value
 MAX_BYTES = 2_000_000_000
-SUFFIXES = (".nacre", ".npz")
+MATERIAL, PART = ".nacre", ".npz"
+SUFFIXES = (MATERIAL, PART)
 
 
 def cache_folder() -> Path | None:
@@ -59,6 +60,11 @@ def entries(folder: Path) -> list[tuple[float, int, Path]]:
             status = path.stat()
             found.append((status.st_mtime, status.st_size, path))
     return sorted(found)
+
+
+def is_material(path: Path) -> bool:
+    """Whether an entry is a whole material, not a part that one is made of."""
+    return path.suffix == MATERIAL
 
 
 def make_room(folder: Path, most: int) -> None:

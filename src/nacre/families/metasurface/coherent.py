@@ -40,7 +40,7 @@ def sheet_field(
     Args:
         response: `[m, n, n']`, the free T (diagonal blocks) or the dressed M.
     """
-    k, w = surface.wavenumber, directions.ambient_cosines
+    k, w = surface.wavenumber, directions.inner_cosines
     lmax, mmax = response.shape[1] // 2, response.shape[0] - 1
     up = plane_wave_vectors(w, lmax, mmax, directions.transverse.astype(complex))
     down = mirrored(up)
@@ -71,7 +71,7 @@ def sheet_field(
 
 def sheet_vectors(field: SheetField, directions: Directions, lmax: int, mmax: int) -> tuple[ComplexArray, ComplexArray]:
     """Excitation and emission vectors with the sheet's mean field in place of the bare waves, `[m, pol, n, angle]`."""
-    up = plane_wave_vectors(directions.ambient_cosines, lmax, mmax, directions.transverse.astype(complex))
+    up = plane_wave_vectors(directions.inner_cosines, lmax, mmax, directions.transverse.astype(complex))
     down = mirrored(up)
     excitation = 4 * (adjoint(down) * field.e_d[None, :, None] + adjoint(up) * field.e_u[None, :, None])
     emission = up * field.e_d[None, :, None] + down * field.e_u[None, :, None]

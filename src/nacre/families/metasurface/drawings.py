@@ -69,7 +69,7 @@ def layer_sheet(material: Metasurface) -> LayerSheet:
             entries.append((f"{name}shell", kind.shell.material, "thickness_nm", kind.shell.thickness_nm))
         if kind.core is not None:
             entries.append((f"{name}core", kind.core, "radius_nm", kind.mean_radius_nm))
-        if kind.gap_nm:
+        if kind.gap_nm and not material.host:
             entries.append((f"{name}gap", material.ambient, "thickness_nm", kind.gap_nm))
     entries += [(str(k), m, "thickness_nm", d) for k, (m, d) in enumerate(material.layers, start=1)]
     entries.append(("substrate", material.substrate, "", ""))
@@ -81,9 +81,15 @@ def layer_sheet(material: Metasurface) -> LayerSheet:
         if len(material.kinds) > 1:
             remarks.append(f"{name}: {100 * kind.share:.4g} % of them, {kind.noun}")
         if kind.body is not None:
+            place = "" if material.host else f", {kind.gap_nm:g} nm above the layers"
             remarks.append(
                 f"{name}: {kind.body.name}, {2 * kind.body.radius_nm:.6g} nm wide, "
-                f"{kind.body.height_nm:.6g} nm high, {kind.gap_nm:g} nm above the layers"
+                f"{kind.body.height_nm:.6g} nm high{place}"
+            )
+        if material.host:
+            remarks.append(
+                f"{name}: inside layer {material.host}, their tops {kind.depth_nm:g} nm below the top of the layers, "
+                f"{kind.gap_nm:g} nm over its lower face"
             )
         if len(kind.sizes.radii_nm) > 1:
             shares, radii = np.array(kind.sizes.shares), np.array(kind.sizes.radii_nm)

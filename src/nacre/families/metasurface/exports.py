@@ -31,7 +31,7 @@ def particle_t_matrices(material: Metasurface) -> AxialTMatrices:
     blocks = np.stack([as_blocks(material.t_matrix(lmax, s, radius)) for s in surfaces])
     outer = material.outer_radius_nm
     index = None if material.shell is not None else material.core.n_complex(material.wavelengths_nm)
-    ambient = np.array([s.ambient_index for s in surfaces])
+    ambient = np.array([s.inner_index for s in surfaces])
     name = f"sphere of {material.core.name}, radius {outer:g} nm"
     return AxialTMatrices(material.wavelengths_nm, blocks, ambient, name, outer, 2 * outer, outer, index)
 

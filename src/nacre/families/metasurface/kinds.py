@@ -41,10 +41,11 @@ class Kind:
         core: its material; None where only the T-matrix is known.
         sizes: radii of the cores of spheres; of a body, largest distances from the axis.
         shell: a coating, or None.
-        gap_nm: between the particle and the stack.
+        gap_nm: between the particle and the stack, or the lower face of the layer that it lies in.
         body: what is no sphere, of the mean size; None: spheres.
         share: in number, of all particles.
         key: of the recipe's table.
+        depth_nm: of the top, of the mean size, below the top of the layers; None: they lie above these.
     """
 
     core: OpticalConstant | None
@@ -54,6 +55,7 @@ class Kind:
     body: Body | None = None
     share: float = 1.0
     key: str = "particle"
+    depth_nm: float | None = None
 
     @property
     def mean_radius_nm(self) -> float:
@@ -64,6 +66,11 @@ class Kind:
     def outer_radius_nm(self) -> float:
         """Mean radius with the shell; of a body the largest distance from its axis."""
         return self.mean_radius_nm + (self.shell.thickness_nm if self.shell else 0.0)
+
+    @property
+    def height_nm(self) -> float:
+        """From bottom to top, of the mean size."""
+        return 2 * self.outer_radius_nm if self.body is None else self.body.height_nm
 
     @property
     def reach_nm(self) -> float:
@@ -168,7 +175,8 @@ class Settling:
         lam = np.array([surface.wavelength_nm])
         inside = [kind.core, *([] if kind.shell is None else [kind.shell.material])]
         near = 0.0 if self.first_film_nm is None else min(self.first_film_nm, kind.outer_radius_nm)
-        lengths = (*kind.sizes.radii_nm, kind.outer_radius_nm, 1.0 + kind.gap_nm + near)
+        over = max(surface.inner_nm - kind.gap_nm - kind.height_nm, 0.0)  # to the upper face of a layer around them
+        lengths = (*kind.sizes.radii_nm, kind.outer_radius_nm, 1.0 + kind.gap_nm + near, 1.0 + over)
         steps = tuple(int(np.floor(np.log(length) / NEAR)) for length in lengths)
         return (
             surface.wavelength_nm, tuple(complex(m.n_complex(lam)[0]) for m in inside), tuple(surface.indices.tolist()),
@@ -187,12 +195,17 @@ class Settling:
                 self.unsettled[surface.wavelength_nm] = refusal.change
                 return refusal.order
             accept = ""
+            mend = (
+                'put 2 nm of native oxide (layers = [{material = "SiO2", thickness_nm = 2}]) and a gap_nm = 1 '
+                "under it, or a gap_nm of 2"
+            )
+            where = f"gap_nm = {kind.gap_nm:g}"
+            if kind.depth_nm is not None:
+                where, mend = f"depth_nm = {kind.depth_nm:g}", "leave some nm between it and the faces of its layer"
             if refusal.change < LOOSEST_TOLERANCE:
                 accept = f", or accept model.tolerance = {rounded_up(refusal.change):g}"
             raise ConvergenceRefusal(
-                f"{self.source}: {kind.key}.gap_nm = {kind.gap_nm:g}: at {surface.wavelength_nm:g} nm {refusal}; "
-                'put 2 nm of native oxide (layers = [{material = "SiO2", thickness_nm = 2}]) and a gap_nm = 1 '
-                f"under it, or a gap_nm of 2{accept}",
+                f"{self.source}: {kind.key}.{where}: at {surface.wavelength_nm:g} nm {refusal}; {mend}{accept}",
                 refusal.change,
                 refusal.order,
             ) from None

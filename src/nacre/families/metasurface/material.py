@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -33,7 +33,7 @@ from nacre.families.metasurface.qca import INTERACTION_ORDER
 from nacre.families.metasurface.refine import Refinement, refine
 from nacre.families.metasurface.sphere import ORDER_TOLERANCE, hemisphere_rule
 from nacre.families.metasurface.structure import Structure
-from nacre.families.metasurface.substrate import LOSSLESS_K, Substrate
+from nacre.families.metasurface.substrate import LOSSLESS_K, Embedded, Substrate
 from nacre.light import default_wavelengths
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.jobs import in_threads
@@ -50,6 +50,12 @@ THICK_FILM_NM = 1000.0
 TOLD_EXCESS = 0.01  # of energy: what the default correction is tested to keep
 SAME_INDEX = 1e-3
 FEW_ANGLES, LEAST_COS = 48, 0.05  # that are solved one by one, and off grazing
+
+
+INSIDE = (
+    "the mean field of particles inside a layer was held against energy, reciprocity and limits alone, not against "
+    "multi-sphere solutions"
+)
 
 
 class MetasurfaceWarning(UserWarning):
@@ -81,6 +87,8 @@ class Metasurface(Model):
         sees_neighbours: False leaves the near fields of neighbours out.
         body: the particles, where they are no spheres; `sizes` then holds their largest distances from the axis.
         is_spared: whether the mean field stands in, among many, for what "auto" would choose alone.
+        host: the layer that the particles lie in, from 1; 0: they lie above all.
+        depth_nm: of their tops below the top of the layers, there; None above.
         second: of a mixture the other kind, whose share leaves the rest to the first; None: there is one kind.
     """
 
@@ -109,13 +117,16 @@ class Metasurface(Model):
     body: Body | None = None
     second: Kind | None = None
     is_spared: bool = False
+    host: int = 0
+    depth_nm: float | None = None
 
     @cached_property
     def kinds(self) -> tuple[Kind, ...]:
         """The particles: one kind, or two."""
         rest = () if self.second is None else (self.second,)
         share = 1.0 - sum(kind.share for kind in rest)
-        return (Kind(self.core, self.sizes, self.shell, self.gap_nm, self.body, share), *rest)
+        first = Kind(self.core, self.sizes, self.shell, self.gap_nm, self.body, share, depth_nm=self.depth_nm)
+        return (first, *rest)
 
     def pattern(self, count: int, seed: int | None = None) -> Pattern:
         """Return about `count` particles on a periodic square; of a list of points, the list itself.
@@ -166,7 +177,11 @@ class Metasurface(Model):
         n[0] = n[0].real
         if abs(n[-1].imag) < LOSSLESS_K:
             n[-1] = n[-1].real
-        return Substrate(float(wavelength_nm), n, np.array([d for _, d in self.layers], dtype=float))
+        thicknesses = np.array([d for _, d in self.layers], dtype=float)
+        if not self.host:
+            return Substrate(float(wavelength_nm), n, thicknesses)
+        n[self.host] = n[self.host].real
+        return Embedded(float(wavelength_nm), n, thicknesses, self.host)
 
     def t_matrix(self, lmax: int, surface: Substrate, radius_nm: float) -> ComplexArray:
         """Return the diagonal T of one sphere, `[n]`."""
@@ -180,6 +195,8 @@ class Metasurface(Model):
     @cached_property
     def _choice(self) -> tuple[str, str]:
         """What the table of measured systems says."""
+        if self.host:
+            return "qca-balanced", "the particles lie inside a layer, where no ensemble is modelled"
         if self.arrangement is None:
             return "qca-balanced", "only S(q) is known, so there are no positions for an ensemble"
         holds, why = choice.mean_field_holds(*self._judged_as, self.coverage)
@@ -192,7 +209,7 @@ class Metasurface(Model):
         below = np.max(np.abs(surface.indices[1:] / surface.ambient_index - 1.0)) > choice.SAME_INDEX
         kinds = []
         for kind in self.kinds:
-            core = choice.kind_of(kind.index(surface.wavelength_nm) / surface.ambient_index)
+            core = choice.kind_of(kind.index(surface.wavelength_nm) / surface.inner_index)
             shape = choice.SPHERE if kind.body is None else choice.SHAPES.get(kind.body.shape, choice.OTHER)
             kinds.append(choice.Like(shape, core))
         return kinds, bool(below)
@@ -206,6 +223,11 @@ class Metasurface(Model):
     def spared_way(self) -> str:
         """An ensemble, where the mean field stands in for one."""
         return SLOW_WAY if self.is_spared and self._choice[0] == ENSEMBLE else ""
+
+    @property
+    def spared_changes(self) -> Mapping[str, Any]:
+        """The mean field by name, where it stood in for an ensemble."""
+        return {"model.correction": "qca-balanced"} if self.spared_way else {}
 
     def layers_at(self, wavelengths_nm: ArrayLike) -> tuple[Callable[[float], Monolayer], Refinement | None]:
         """Return the monolayer at each of some wavelengths, with an ensemble's ratio where one is taken.
@@ -365,15 +387,14 @@ class Metasurface(Model):
                 )
         doubt = self._doubt
         if doubt and self.coverage > VALIDATED_COVERAGE and not self.is_spared:  # what was spared is told once for all
-            warnings.warn(
-                f'{self.source}: {doubt}; model.correction = "ensemble" solves the particles together',
-                MetasurfaceWarning,
-                stacklevel=3,
-            )
+            instead = "" if self.host else '; model.correction = "ensemble" solves the particles together'
+            warnings.warn(f"{self.source}: {doubt}{instead}", MetasurfaceWarning, stacklevel=3)
 
     @property
     def _doubt(self) -> str:
         """What is known against the mean field where it is taken; empty where it was measured to hold."""
+        if self.host:
+            return INSIDE
         if self.chosen_correction[0] == ENSEMBLE or choice.mean_field_holds(*self._judged_as, self.coverage)[0]:
             return ""
         return choice.warning(*self._judged_as)

@@ -151,7 +151,7 @@ class Monolayer:
             weight = np.full(len(response), 2.0)
             weight[0] = 1.0
             total = total + share * np.einsum("m,mpna,mpna->pa", weight, out.emission, response)
-        return np.asarray(total / self.surface.wavenumber)
+        return np.asarray(total / self.surface.inner_wavenumber)
 
     def specular_above(self, cosines: Array, lit: Lit | None = None) -> tuple[Array, Array]:
         """Power reflectance and transmittance of the coherent light from above, `[pol, angle]`.
@@ -211,7 +211,7 @@ class Monolayer:
 
     def fields(self, emissions: list[ComplexArray], responses: list[ComplexArray]) -> ComplexArray:
         """Return X_m of every pair, `[size, m, pol_s, s, pol_i, i]`, nm."""
-        return np.stack([emission_harmonics(u, x, self.surface.wavenumber) for u, x in zip(emissions, responses)])
+        return np.stack([emission_harmonics(u, x, self.surface.inner_wavenumber) for u, x in zip(emissions, responses)])
 
     def mean_field_vectors(self, lit: Lit) -> tuple[ComplexArray, ComplexArray]:
         """Excitation and emission vectors in the closed-form mean field, `[m, pol, n, angle]`."""

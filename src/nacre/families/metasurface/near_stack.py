@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from nacre.arrays import ComplexArray
-from nacre.families.metasurface.angular import adjoint, mirrored, plane_wave_vectors
+from nacre.families.metasurface.angular import plane_wave_vectors
 from nacre.families.metasurface.substrate import Substrate
 
 CUT, LOWER_CUT = 0.6, 0.5  # of L / (k r): at L = 10, .1 % to 1 % of finite elements for discs and flat spheroids
@@ -38,9 +38,10 @@ def cut_reflection_operator(
     w = np.sqrt((1 - kappa) * (1 + kappa))
     w = np.where(w.imag < 0, -w, w)
     b = plane_wave_vectors(w, lmax, mmax, kappa)
-    measure = 4 * weight * slope * kappa / w * np.exp(2j * surface.wavenumber * centre_nm * w)
-    left = adjoint(b) * (measure * surface.reflection(w))[None, :, None, :]
+    measure = 4 * weight * slope * kappa / w
     shape = (mmax + 1, 2 * lmax, -1)
-    rows = left.transpose(0, 2, 1, 3).reshape(shape)
-    columns = mirrored(b).transpose(0, 2, 1, 3).reshape(shape).transpose(0, 2, 1)
-    return np.asarray(rows @ columns)
+    out = np.zeros((mmax + 1, 2 * lmax, 2 * lmax), dtype=complex)
+    for left, right in surface.echo(centre_nm, w).pairs(b):
+        rows = (left * measure).transpose(0, 2, 1, 3).reshape(shape)
+        out += rows @ right.transpose(0, 2, 1, 3).reshape(shape).transpose(0, 2, 1)
+    return out

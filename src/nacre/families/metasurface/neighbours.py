@@ -19,6 +19,7 @@ from scipy.special import jv
 from nacre.arrays import Array, ComplexArray
 from nacre.families.metasurface.angular import adjoint, legendre, mirrored, plane_wave_vectors
 from nacre.families.metasurface.bessel import bessel_j, hankel_scaled, spherical_hankel_scaled
+from nacre.families.metasurface.echo import Echo
 from nacre.families.metasurface.structure import Structure
 from nacre.families.metasurface.substrate import Substrate
 
@@ -210,8 +211,10 @@ def stack_contour(
         depth: of the detour, in k.
         heard: up to which distance, times k, the steep waves at its end are not over.
     """
-    far = (2 * order + 46) / (2 * surface.wavenumber * centre_nm)
-    relative = np.abs(surface.indices.real).max() / surface.ambient_index
+    far = (2 * order + 46) / (2 * surface.inner_wavenumber * surface.clear_nm(centre_nm))
+    relative = np.abs(surface.indices.real).max() / surface.inner_index
+    # a layer around the particles draws its own fringes over the angle
+    reach = reach + 2 * surface.inner_wavenumber * surface.inner_nm
     bend = max(6.0, relative + 1.0)
     # to 1e-8 of the largest sum; over a pattern the wide last panel would miss the Bessel function's waves
     edges = [0.0, 1.0, 2.0, bend] if depth == CONTOUR_DEPTH else [0.0, 1.0, *np.linspace(2.0, bend, 5)]
@@ -234,7 +237,7 @@ def _stack_sums(
     int (g-1) W^R(R) J_mu(kappa_i R) R dR with the Sommerfeld integral of W^R drawn outside: the radial integral
     of two Bessel functions is done first, and W^R(R) never appears.
     """
-    k = surface.wavenumber
+    k = surface.inner_wavenumber
     index = multipole_index(order)
     a, reach = structure.diameter_nm * k, _correlation_range(structure) * k
     # W^R is smooth inside the core too (the image lies 2 d below), where g - 1 = -1
@@ -246,9 +249,11 @@ def _stack_sums(
     w = np.sqrt((1 - kappa) * (1 + kappa))
     w = np.where(w.imag < 0, -w, w)
     b = plane_wave_vectors(w, order, order, kappa)
-    spectral = 4 * weight * kappa / w * np.exp(2j * k * centre_nm * w) * surface.reflection(w)
-    left = with_negative_orders(adjoint(b), index) * spectral[:, None]
-    right = with_negative_orders(mirrored(b), index)
+    measured = 4 * weight * kappa / w
+    ways = [
+        (with_negative_orders(left, index) * measured, with_negative_orders(right, index))
+        for left, right in surface.echo(centre_nm, w).pairs(b)
+    ]
     top = 2 * order if np.any(kappa_i >= ALONG_THE_NORMAL) else 0  # J_mu(0) = delta_{mu 0}
     radial = bessel_j(np.outer(kappa, r), top)  # mu, kappa, R
     seen = jv(np.arange(top + 1)[:, None, None], r[:, None] * kappa_i)
@@ -258,7 +263,7 @@ def _stack_sums(
     wanted = np.broadcast_to(every_row | (index.m[:, None] >= 0), mu.shape)
     for order_mu in range(top + 1):
         rows, columns = np.nonzero((mu == order_mu) & wanted)
-        pairs = left[0, rows] * right[0, columns] + left[1, rows] * right[1, columns]
+        pairs = sum(left[pol, rows] * right[pol, columns] for left, right in ways for pol in range(2))
         out[rows, columns] = (1j) ** order_mu * (pairs @ moments[order_mu])
     return out
 
@@ -276,8 +281,8 @@ def neighbour_sums(
     """
     mu = pair_orders(order)
     phase = (-1j) ** mu
-    k2 = surface.wavenumber**2
-    direct = _direct_sums(structure, surface.wavenumber, order, kappa)
+    k2 = surface.inner_wavenumber**2
+    direct = _direct_sums(structure, surface.inner_wavenumber, order, kappa)
     size, top = len(mu), 2 * order
     table = direct_coefficients(order).reshape(size * size, -1)
     total = (table @ direct.reshape((top + 1) ** 2, -1)).reshape(size, size, -1)
@@ -290,7 +295,7 @@ def neighbour_sums(
 
 
 def _wave_sums(
-    structure: Structure, surface: Substrate, order: int, w: ComplexArray, kappa: Array, echo: ComplexArray | None
+    structure: Structure, surface: Substrate, order: int, w: ComplexArray, kappa: Array, echo: Echo | None
 ) -> ComplexArray:
     """Half the monolayer's own plane waves in both directions, and the echo of those, folded, `[pol, angle, h, h']`.
 
@@ -298,10 +303,10 @@ def _wave_sums(
     of one polarisation excites that one's multipoles alone.
 
     Args:
-        echo: `[pol, angle]`, reflection by the stack with its phase; None for the own waves alone.
+        echo: what the stack sends back; None for the own waves alone.
     """
     b = plane_wave_vectors(w, order, order, kappa.astype(complex))
-    factor = 4 * np.pi * structure.density_per_nm2 / (surface.wavenumber**2 * w)
+    factor = 4 * np.pi * structure.density_per_nm2 / (surface.inner_wavenumber**2 * w)
     turned = mirrored(np.ones((*b.shape[:3], 1), dtype=complex)).real[..., 0]
     left_all = adjoint(b)
     out = []
@@ -311,7 +316,7 @@ def _wave_sums(
         sign = turned[half.m, pol, half.block]
         ways: ComplexArray = factor[:, None, None] * (1.0 + sign[:, None] * sign)
         if echo is not None:
-            ways = ways + (2.0 * factor * echo[pol])[:, None, None] * sign
+            ways = ways + (2.0 * factor)[:, None, None] * echo.signed(pol, sign, sign)
         out.append(left[:, :, None] * (right * half.multiplicity)[:, None, :] * ways)
     return np.stack(out)
 
@@ -325,5 +330,5 @@ def plane_wave_sums(
     """
     echo = None
     if not surface.is_absent:
-        echo = np.exp(2j * surface.wavenumber * centre_nm * w) * surface.reflection(w)
+        echo = surface.echo(centre_nm, w)
     return _wave_sums(structure, surface, order, w, kappa, echo)

@@ -24,8 +24,6 @@ WIDEST_RELATIVE_SIZE = 0.3
 SAME_MEDIUM = 1e-3  # relative, of the index that a T-matrix is for
 SAME_LENGTH = 1e-2  # relative, of a length that recipe and file both give
 NOT_MODELLED = {  # what a stranger may ask for, and why there is no such key
-    "depth_nm": "particles inside a layer are not modelled: T-matrix, neighbours and both faces of the layer would "
-    "have to meet in its medium; they lie on the stack, or gap_nm above it, in the ambient",
     "orientation": "particles that all point one way are not modelled; of one that is not axisymmetric the mean over "
     "its turn about the normal is taken",
 }
@@ -77,6 +75,12 @@ class KindSpec(RecipeModel):
     gap_nm: NotNegative = pydantic.Field(
         default=0.0, description="distance between the particles and the stack below them", examples=[2]
     )
+    depth_nm: NotNegative | None = pydantic.Field(
+        default=None,
+        description="in place of gap_nm: the particles lie inside a layer, which is clear and holds them whole, their "
+        "tops (of the mean size) this far below the top of the layers",
+        examples=[100],
+    )
     shell: ShellSpec | None = pydantic.Field(default=None, description="a coat round the core of a sphere")
     tmatrix: str | None = pydantic.Field(
         default=None,
@@ -102,6 +106,12 @@ class KindSpec(RecipeModel):
             if key in data:
                 raise ValueError(f"gives {key}: {NOT_MODELLED[key]}")
         return data
+
+    @pydantic.model_validator(mode="after")
+    def _one_place(self) -> Self:
+        if self.depth_nm is not None and "gap_nm" in self.model_fields_set:
+            raise ValueError("gives gap_nm and depth_nm; particles lie above the layers or inside one")
+        return self
 
     @pydantic.model_validator(mode="after")
     def _one_kind(self) -> Self:
@@ -142,38 +152,38 @@ class KindSpec(RecipeModel):
             )
         return self
 
-    def kind(self, context: RecipeContext, ambient: OpticalConstant, hold_ends: bool, share: float = 1.0) -> Kind:
+    def kind(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool, share: float = 1.0) -> Kind:
         """Return the particles, `share` of all; see `body`."""
 
         def built(spec: IndexSpec) -> OpticalConstant:
             made = spec.build()
             return made.with_extrapolation("edge") if hold_ends else made
 
-        body = self.body(context, ambient, hold_ends)
+        body = self.body(context, around, hold_ends)
         mean = body.radius_nm if body is not None else self.radius_nm
         assert mean is not None  # of spheres it is given, see _one_kind
         shell = Shell(built(self.shell.material), self.shell.thickness_nm) if self.shell else None
         sizes = Sizes.of(mean, self.deviation_nm, self.distribution)
         core = None if self.material is None else built(self.material)
-        return Kind(core, sizes, shell, self.gap_nm, body, share, self.table)
+        return Kind(core, sizes, shell, self.gap_nm, body, share, self.table, self.depth_nm)
 
-    def body(self, context: RecipeContext, ambient: OpticalConstant, hold_ends: bool) -> Body | None:
+    def body(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool) -> Body | None:
         """Return what is no sphere, or None.
 
         Args:
-            ambient: the medium around.
+            around: the medium that they lie in.
             hold_ends: whether T-matrices hold beyond their wavelengths.
 
         Raises:
             RecipeError: the file is not usable, or is of another medium or of an unknown size.
         """
         if self.tmatrix is None:
-            return None if self.shape == "sphere" else self._solid(context, ambient, hold_ends)
+            return None if self.shape == "sphere" else self._solid(context, around, hold_ends)
         try:
             known = read_tmatrices(context.path(self.tmatrix))
         except TMatrixFileError as error:
             raise context.fail(f"{self.table}.tmatrix", self.tmatrix, str(error)) from None
-        self._check_medium(context, known, ambient)
+        self._check_medium(context, known, around)
         radius = self._extent(context, "diameter_nm", None if known.radius_nm is None else 2 * known.radius_nm) / 2
         height = self._extent(context, "height_nm", known.height_nm)
         # without a shape the particle may fill the cylinder that its two lengths name
@@ -181,24 +191,25 @@ class KindSpec(RecipeModel):
         source = f'{context.source}: {self.table}.tmatrix = "{self.tmatrix}"'
         return KnownBody(known, radius, height, reach, source, hold_ends)
 
-    def _solid(self, context: RecipeContext, ambient: OpticalConstant, hold_ends: bool) -> SolvedBody:
+    def _solid(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool) -> SolvedBody:
         assert self.material is not None and self.diameter_nm is not None and self.height_nm is not None  # _one_kind
         core = self.material.build()
         core = core.with_extrapolation("edge") if hold_ends else core
         source = f'{context.source}: {self.table}.shape = "{self.shape}"'
-        return SolvedBody(self.shape, self.diameter_nm / 2, self.height_nm, core, ambient, source)
+        return SolvedBody(self.shape, self.diameter_nm / 2, self.height_nm, core, around, source)
 
-    def _check_medium(self, context: RecipeContext, known: AxialTMatrices, ambient: OpticalConstant) -> None:
+    def _check_medium(self, context: RecipeContext, known: AxialTMatrices, medium: OpticalConstant) -> None:
         for wavelength, index in zip(known.wavelengths_nm, known.ambient_index):
             try:
-                around = float(ambient.n_complex(np.array([wavelength]))[0].real)
+                around = float(medium.n_complex(np.array([wavelength]))[0].real)
             except MaterialRangeError:
-                continue  # where the ambient is not known nothing is computed
+                continue  # where the medium is not known nothing is computed
             if abs(around / index - 1) > SAME_MEDIUM:
+                place = "the ambient" if self.depth_nm is None else "the layer"
                 raise context.fail(
                     f"{self.table}.tmatrix",
                     self.tmatrix,
-                    f"is for particles in a medium of n = {index:.5g}, and the ambient has {around:.5g}",
+                    f"is for particles in a medium of n = {index:.5g}, and {place} has {around:.5g}",
                 )
 
     def _extent(self, context: RecipeContext, key: str, told: float | None) -> float:
@@ -241,15 +252,21 @@ class ParticleSpec(KindSpec):
         default=None, description="another kind of particle among these: a mixture"
     )
 
-    def kinds(self, context: RecipeContext, ambient: OpticalConstant, hold_ends: bool) -> tuple[Kind, ...]:
-        """Return the one or two kinds of particle.
+    @pydantic.model_validator(mode="after")
+    def _all_inside_or_none(self) -> Self:
+        if self.second is not None and (self.depth_nm is None) != (self.second.depth_nm is None):
+            raise ValueError("and second: one gives depth_nm; both kinds lie inside one layer, or both above all")
+        return self
+
+    def kinds(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool) -> tuple[Kind, ...]:
+        """Return the one or two kinds of particle, in the medium `around` them.
 
         Raises:
             RecipeError: see `body`.
         """
         if self.second is None:
-            return (self.kind(context, ambient, hold_ends),)
+            return (self.kind(context, around, hold_ends),)
         share = self.second.share
         return (
-            self.kind(context, ambient, hold_ends, 1.0 - share), self.second.kind(context, ambient, hold_ends, share),
+            self.kind(context, around, hold_ends, 1.0 - share), self.second.kind(context, around, hold_ends, share),
         )  # fmt: skip

@@ -52,6 +52,6 @@ def sphere_t_matrix(
     if shell is not None:
         radii.append(radius_nm + shell.thickness_nm)
         indices.append(complex(shell.material.n_complex(lam)[0]))
-    x = surface.wavenumber * np.array(radii)
-    a, b = mie_coefficients(lmax, x, np.array(indices) / surface.ambient_index)
+    x = surface.inner_wavenumber * np.array(radii)
+    a, b = mie_coefficients(lmax, x, np.array(indices) / surface.inner_index)
     return np.concatenate([-b, -a])

@@ -75,13 +75,14 @@ class NeighbourTable:
         Args:
             largest: in-plane wavevector over k up to which it must reach, if that is more.
         """
-        a = structure.diameter_nm * surface.wavenumber
+        a = structure.diameter_nm * surface.inner_wavenumber
         count = int(14 + 2.0 * a)
         theta, _ = chebyshev(count, 0.0, np.pi / 2)
         kappa = np.sin(theta)
         eta_max, evanescent = 0.0, None
         if from_below:
-            largest = max(largest, surface.index_below)
+            largest = max(largest, surface.index_below * surface.ambient_index / surface.inner_index)
+        largest = max(largest, surface.ambient_index / surface.inner_index)
         if largest > 1.0 + 1e-9:
             eta_max = float(np.arccosh(largest))
             eta, _ = chebyshev(count, 0.0, eta_max)
@@ -93,7 +94,7 @@ class NeighbourTable:
 
     def at(self, directions: Directions) -> ComplexArray:
         """Return the whole Q, folded, `[pol, angle, h, h']`, at the in-plane wavevectors of `directions`."""
-        return self.sums(directions.transverse, directions.ambient_cosines)
+        return self.sums(directions.inner, directions.inner_cosines)
 
     def sums(self, kappa: Array, w: ComplexArray) -> ComplexArray:
         """Return the same at in-plane wavevectors over k, w = kz/k with Im w >= 0."""
@@ -124,8 +125,8 @@ def sums_at(
 
     Without the neighbours' near fields it holds the plane waves of the monolayer, as if it were a sheet.
     """
-    kappa = directions.transverse
-    waves = plane_wave_sums(structure, surface, centre_nm, order, directions.ambient_cosines, kappa)
+    kappa = directions.inner
+    waves = plane_wave_sums(structure, surface, centre_nm, order, directions.inner_cosines, kappa)
     return neighbour_sums(surface, centre_nm, structure, order, kappa) + waves if sees_neighbours else waves
 
 

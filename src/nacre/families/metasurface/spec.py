@@ -24,6 +24,7 @@ from nacre.families.metasurface.drawings import layer_sheet, layout
 from nacre.families.metasurface.ensemble import EnsembleSettings
 from nacre.families.metasurface.exports import write_particle
 from nacre.families.metasurface.figures import FIGURES
+from nacre.families.metasurface.inside import held, host_layer
 from nacre.families.metasurface.kinds import LOOSEST_TOLERANCE, Kind, mean_square_radius
 from nacre.families.metasurface.material import Metasurface
 from nacre.families.metasurface.micrograph import SUFFIXES, is_picture
@@ -247,10 +248,12 @@ class MetasurfaceSpec(RecipeModel):
         "particle.height_nm",
         "particle.shell.thickness_nm",
         "particle.gap_nm",
+        "particle.depth_nm",
         "particle.second.radius_nm",
         "particle.second.diameter_nm",
         "particle.second.height_nm",
         "particle.second.gap_nm",
+        "particle.second.depth_nm",
         "particle.second.share",
         "monolayer.coverage",
         "monolayer.density_per_um2",
@@ -297,12 +300,20 @@ class MetasurfaceSpec(RecipeModel):
         index = max(1.0, n_substrate.real if n_substrate.imag < 1e-4 else 1.0, n_ambient.real)
         asked = self.model.correction
         is_spared = context.is_one_of_many and asked == "auto"
-        kinds = self.particle.kinds(context, ambient, self.extrapolate == "edge")
+        layers = tuple((self._index(layer.material), layer.thickness_nm) for layer in self.layers)
+        host = host_layer(context, self.particle.depth_nm, layers)
+        if host and asked not in ("auto", "qca-balanced"):
+            why = 'is not modelled for particles inside a layer; "qca-balanced" is, the mean field'
+            raise context.fail("model.correction", asked, why)
+        around = layers[host - 1][0] if host else ambient
+        kinds = self.particle.kinds(context, around, self.extrapolate == "edge")
+        if host:
+            kinds = held(context, kinds, host, layers)
         structure, arrangement = self._structure(context, kinds, 4.2 * np.pi * index / 360.0)
         first = kinds[0]
         return MetasurfaceModel(
             ambient=ambient,
-            layers=tuple((self._index(layer.material), layer.thickness_nm) for layer in self.layers),
+            layers=layers,
             substrate=substrate,
             core=first.core,
             sizes=first.sizes,
@@ -319,6 +330,8 @@ class MetasurfaceSpec(RecipeModel):
             arrangement=arrangement,
             body=first.body,
             second=kinds[1] if len(kinds) > 1 else None,
+            host=host,
+            depth_nm=first.depth_nm,
         )
 
     def _index(self, spec: IndexSpec) -> OpticalConstant:

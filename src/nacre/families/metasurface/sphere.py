@@ -56,7 +56,7 @@ def reflection_operator(
 
     Args:
         surface: the stack.
-        centre_nm: height of the sphere's centre over the stack.
+        centre_nm: height of the sphere's centre over what lies below.
         lmax, mmax: highest multipole and azimuthal orders.
         nodes: quadrature nodes; 48 + 2 lmax by default (error below 1e-8).
     """
@@ -67,19 +67,21 @@ def reflection_operator(
         orders = np.arange(lmax)
         rows = np.concatenate([orders, kept.shape[1] // 2 + orders])
         return np.asarray(kept[: mmax + 1, rows[:, None], rows])
-    u, weight = _path_rule(nodes or 48 + 2 * lmax)
-    kd = surface.wavenumber * centre_nm
+    # between two mirrors waves run to and fro, at two distances
+    u, weight = _path_rule(nodes or (48 if surface.inner_nm == 0.0 else 96) + 2 * lmax)
+    kd = surface.inner_wavenumber * surface.clear_nm(centre_nm)
     t_max = (2 * lmax + 46) / (2 * kd)
     t = t_max * u**2
     w = 1.0 + 1j * t
     # sin from t itself: 1 - w^2 = t (t - 2i) loses digits near the axis otherwise
     sine = np.sqrt(t * (t - 2j))
     b = plane_wave_vectors(w, lmax, mmax, sine)
-    measure = -4j * weight * 2 * t_max * u * np.exp(2j * kd * w)
-    left = adjoint(b) * (measure * surface.reflection(w))[None, :, None, :]
-    right = mirrored(b)
+    measure = -4j * weight * 2 * t_max * u
     shape = (mmax + 1, 2 * lmax, -1)
-    found = left.transpose(0, 2, 1, 3).reshape(shape) @ right.transpose(0, 2, 1, 3).reshape(shape).transpose(0, 2, 1)
+    found = np.zeros((mmax + 1, 2 * lmax, 2 * lmax), dtype=complex)
+    for left, right in surface.echo(centre_nm, w).pairs(b):
+        rows = (left * measure).transpose(0, 2, 1, 3).reshape(shape)
+        found += rows @ right.transpose(0, 2, 1, 3).reshape(shape).transpose(0, 2, 1)
     if nodes is None:
         surface.operators[centre_nm] = found
     return np.asarray(found)
@@ -173,7 +175,7 @@ class SphereOnStack:
         F_qp = sum_m G_m (cos m dphi if q == p else i sin m dphi), see `amplitude`.
         """
         return emission_harmonics(
-            scattered.emission, apply_response(self.dressed, incident.excitation), self.surface.wavenumber
+            scattered.emission, apply_response(self.dressed, incident.excitation), self.surface.inner_wavenumber
         )
 
 
@@ -184,7 +186,8 @@ class Directions:
     Attributes:
         cosines: `[angle]`, against the normal, positive, in the medium of that side.
         transverse: `[angle]`, in-plane wavevector over the ambient k.
-        ambient_cosines: `[angle]`, kz/k in the ambient; imaginary beyond the critical angle.
+        inner: `[angle]`, in-plane wavevector over k of the particles' medium, which is the ambient but inside a layer.
+        inner_cosines: `[angle]`, kz/k there; imaginary beyond the critical angle.
         index: index of that side over the ambient's.
         below: whether the side is the substrate's.
         excitation: v, `[m, pol, n, angle]`.
@@ -195,7 +198,8 @@ class Directions:
 
     cosines: Array
     transverse: Array
-    ambient_cosines: ComplexArray
+    inner: Array
+    inner_cosines: ComplexArray
     index: float
     below: bool
     excitation: ComplexArray
@@ -227,27 +231,28 @@ class Directions:
                 raise UnsupportedError("light cannot arrive through, or leave to, an absorbing substrate")
             index = surface.index_below
         transverse = index * sines_real
-        if below:
-            w: ComplexArray = np.sqrt((1.0 - transverse**2).astype(complex))
+        inside = surface.ambient_index / surface.inner_index
+        inner = transverse * inside
+        if below or inside != 1.0:
+            w: ComplexArray = np.sqrt((1.0 - inner**2).astype(complex))
             w = np.where(w.imag < 0, -w, w)
         else:
             w = cosines.astype(complex)
-        # b = e^{ikd cos} moves the phase reference from the stack's top to the sphere's centre
-        b = np.exp(1j * surface.wavenumber * centre_nm * w)
-        up = plane_wave_vectors(w, lmax, mmax, transverse.astype(complex))
+        up = plane_wave_vectors(w, lmax, mmax, inner.astype(complex))
         down = mirrored(up)
-        if below:
-            reflection, transmission = surface.from_below(cosines)
-            # by reciprocity t_down kz_below/kz = t_up: one amplitude serves both the way in and the way out
-            t_up = (transmission * b)[None, :, None, :]
-            excitation = 4.0 * adjoint(up) * t_up
-            emission = down * t_up
-        else:
-            reflection, transmission = surface.reflection(w), None
-            r = (reflection * b)[None, :, None, :]
-            excitation = 4.0 * (adjoint(down) / b + adjoint(up) * r)
-            emission = up / b + down * r
-        return cls(cosines, transverse, w, index, below, excitation, emission, reflection, transmission)
+        ahead, back = (up, down) if below else (down, up)
+        light = surface.arriving(centre_nm, cosines, w, below)
+        first = light.ahead[None, :, None, :]
+        excitation = adjoint(ahead) * first
+        emission = back * first  # what leaves takes the way in backwards
+        if light.back is not None:
+            second = light.back[None, :, None, :]
+            excitation = excitation + adjoint(back) * second
+            emission = emission + ahead * second
+        excitation *= 4.0
+        return cls(
+            cosines, transverse, inner, w, index, below, excitation, emission, light.reflection, light.transmission_up
+        )
 
 
 def apply_response(dressed: ComplexArray, excitation: ComplexArray) -> ComplexArray:
@@ -256,7 +261,10 @@ def apply_response(dressed: ComplexArray, excitation: ComplexArray) -> ComplexAr
 
 
 def emission_harmonics(emission: ComplexArray, response: ComplexArray, wavenumber: float) -> ComplexArray:
-    """Return eps_m u_m . x_m / k in nm, `[m, pol_s, s, pol_i, i]`, for u `[m, pol, n, s]` and x `[m, pol, n, i]`."""
+    """Return eps_m u_m . x_m / k in nm, `[m, pol_s, s, pol_i, i]`, for u `[m, pol, n, s]` and x `[m, pol, n, i]`.
+
+    k is that of the particles' medium.
+    """
     mcount, _, n, incident = response.shape
     left = emission.transpose(0, 1, 3, 2).reshape(mcount, -1, n)
     right = response.transpose(0, 2, 1, 3).reshape(mcount, n, -1)
@@ -303,9 +311,9 @@ def beam_extinction(
 
 def _beam_parts(sphere: SphereOnStack, incident: Directions) -> tuple[Array, Array]:
     """Extinction of the reflected and of the transmitted beam, `[pol, angle]`; see `CrossSections`."""
-    k, index = sphere.surface.wavenumber, incident.index
+    k, inner, index = sphere.surface.wavenumber, sphere.surface.inner_wavenumber, incident.index
     solved = apply_response(sphere.dressed, incident.excitation)
-    reflected = beam_extinction(emission_harmonics(incident.emission, solved, k), incident.reflection, k, index)
+    reflected = beam_extinction(emission_harmonics(incident.emission, solved, inner), incident.reflection, k, index)
     if not sphere.surface.is_transparent:
         return reflected, np.zeros_like(reflected)
     passes = incident.transverse < min(1.0, sphere.surface.index_below)
@@ -320,7 +328,8 @@ def _beam_parts(sphere: SphereOnStack, incident: Directions) -> tuple[Array, Arr
         out = sphere.directions(np.sqrt((1 - sines) * (1 + sines)), True, sines)
         assert out.transmission_up is not None
         beam = out.transmission_up * incident.cosines[passes] / (out.index * out.cosines)
-    transmitted[:, passes] = beam_extinction(emission_harmonics(out.emission, solved[..., passes], k), beam, k, index)
+    sent = emission_harmonics(out.emission, solved[..., passes], inner)
+    transmitted[:, passes] = beam_extinction(sent, beam, k, index)
     return reflected, transmitted
 
 
@@ -337,7 +346,7 @@ def cross_sections(sphere: SphereOnStack, cosines: ArrayLike, below: bool = Fals
     each side (and on each side of the critical angle).
     """
     incident = sphere.directions(cosines, below)
-    k = sphere.surface.wavenumber
+    k = sphere.surface.inner_wavenumber
     solved = apply_response(sphere.dressed, incident.excitation)
     reflected, transmitted = _beam_parts(sphere, incident)
     mu, weight = _path_rule(nodes)
@@ -386,7 +395,7 @@ def choose_order(
     Raises:
         ConvergenceRefusal: no order up to 40 does, as for a metal sphere touching a high-index solid.
     """
-    largest = _representable(surface.wavenumber * centre_nm, 2 * ORDER_LADDER[-1])
+    largest = _representable(surface.inner_wavenumber * surface.clear_nm(centre_nm), 2 * ORDER_LADDER[-1])
     begin = 0  # of the ladder: what a smaller operator left open is not asked again
     for top in (12, 24, largest):
         t_top = coefficients(top)

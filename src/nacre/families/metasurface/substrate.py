@@ -1,4 +1,4 @@
-"""The planar stack under the particles, at one wavelength, as the particles see it.
+"""The planar stack under the particles, or around them, at one wavelength, as they see it.
 
 All stratified-media work is done by `nacre.matter.stack.case`; this module only asks it at the angles that
 multipole fields need, w = kz/k in the ambient medium, which may be complex.
@@ -13,9 +13,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.arrays import Array, ComplexArray
+from nacre.families.metasurface.echo import Echo
 from nacre.matter.stack import solve as solver
 
 LOSSLESS_K = 1e-4  # a substrate with k below this is transparent, as for films
+
+
+@dataclass(frozen=True)
+class Arriving:
+    """Plane waves of one side as a particle meets them, `[pol, angle]`, phase at its centre.
+
+    Attributes:
+        ahead: the part that still travels as the light came.
+        back: the part that a mirror beyond the particle has turned round; None: there is none.
+        reflection: of the bare stack, back to where the light came from.
+        transmission_up: of the bare stack, for light from the substrate; None for light from above.
+    """
+
+    ahead: ComplexArray
+    back: ComplexArray | None
+    reflection: ComplexArray
+    transmission_up: ComplexArray | None
 
 
 @dataclass(frozen=True)
@@ -41,6 +59,25 @@ class Substrate:
     def wavenumber(self) -> float:
         """k of the ambient medium, 1/nm."""
         return 2 * np.pi * self.ambient_index / self.wavelength_nm
+
+    @property
+    def inner_index(self) -> float:
+        """Index of the medium that the particles lie in: the ambient."""
+        return self.ambient_index
+
+    @property
+    def inner_wavenumber(self) -> float:
+        """k of the medium that the particles lie in, 1/nm."""
+        return 2 * np.pi * self.inner_index / self.wavelength_nm
+
+    @property
+    def inner_nm(self) -> float:
+        """Thickness of the layer that the particles lie in; 0 where they lie over the stack."""
+        return 0.0
+
+    def clear_nm(self, centre_nm: float) -> float:
+        """Return how far the nearest mirror is from a centre, of the height `centre_nm` over what lies below."""
+        return centre_nm
 
     @cached_property
     def operators(self) -> dict[float, ComplexArray]:
@@ -73,6 +110,26 @@ class Substrate:
         )
         return np.stack([found.r_s[:, 0], found.r_p[:, 0]])
 
+    def echo(self, centre_nm: float, w: NDArray) -> Echo:
+        """Return what comes back to a centre of plane waves at w = kz/k in the medium of the particles."""
+        return Echo(np.exp(2j * self.inner_wavenumber * centre_nm * w) * self.reflection(w))
+
+    def arriving(self, centre_nm: float, cosines: Array, w: ComplexArray, below: bool) -> Arriving:
+        """Return what light of one side is at a centre.
+
+        Args:
+            cosines: of the light on its side.
+            w: kz/k in the medium of the particles.
+        """
+        # b = e^{ikd cos} moves the phase reference from the stack's top to the centre
+        b = np.exp(1j * self.inner_wavenumber * centre_nm * w)
+        if below:
+            reflection, transmission = self.from_below(cosines)
+            # by reciprocity t_down kz_below/kz = t_up: one amplitude serves both the way in and the way out
+            return Arriving(transmission * b, None, reflection, transmission)
+        reflection = self.reflection(w)
+        return Arriving(np.broadcast_to(1 / b, reflection.shape), reflection * b, reflection, None)
+
     def from_below(self, cos_below: NDArray) -> tuple[ComplexArray, ComplexArray]:
         """Return reflection and transmission amplitudes, `[pol, angle]`, for light from a lossless substrate.
 
@@ -89,3 +146,64 @@ class Substrate:
             jobs=1,
         )
         return np.stack([found.r_s[:, 0], found.r_p[:, 0]]), np.stack([found.t_s[:, 0], found.t_p[:, 0]])
+
+
+@dataclass(frozen=True)
+class Embedded(Substrate):
+    """A stack with the particles inside one of its layers; heights of centres count from that layer's lower face.
+
+    Attributes:
+        host: which of the media; it is lossless.
+    """
+
+    host: int
+
+    @property
+    def inner_index(self) -> float:
+        """Index of the layer that the particles lie in."""
+        return float(self.indices[self.host].real)
+
+    @property
+    def inner_nm(self) -> float:
+        """Thickness of that layer."""
+        return float(self.thicknesses_nm[self.host - 1])
+
+    def clear_nm(self, centre_nm: float) -> float:
+        """Return how far the nearer face is from a centre."""
+        return min(centre_nm, self.inner_nm - centre_nm)
+
+    @cached_property
+    def _below(self) -> Substrate:
+        """What lies under the layer, seen from inside."""
+        return Substrate(self.wavelength_nm, self.indices[self.host :], self.thicknesses_nm[self.host :])
+
+    @cached_property
+    def _above(self) -> Substrate:
+        """What lies over it, seen from inside."""
+        return Substrate(
+            self.wavelength_nm, self.indices[: self.host + 1][::-1], self.thicknesses_nm[: self.host - 1][::-1]
+        )
+
+    def _mirrors(self, centre_nm: float, w: NDArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return R_b and R_a, `[pol, angle]`."""
+        k = self.inner_wavenumber
+        return (
+            np.exp(2j * k * centre_nm * w) * self._below.reflection(w),
+            np.exp(2j * k * (self.inner_nm - centre_nm) * w) * self._above.reflection(w),
+        )
+
+    def echo(self, centre_nm: float, w: NDArray) -> Echo:
+        """Return what both faces send back; see `Substrate.echo`."""
+        return Echo.between(*self._mirrors(centre_nm, w))
+
+    def arriving(self, centre_nm: float, cosines: Array, w: ComplexArray, below: bool) -> Arriving:
+        """Return what light of one side is at a centre between both faces; see `Substrate.arriving`."""
+        under, over = self._mirrors(centre_nm, w)
+        # the way in from one side is `from_below` of what lies there, seen from inside; the way out is the same
+        near, way_nm = (self._below, centre_nm) if below else (self._above, self.inner_nm - centre_nm)
+        _, into = near.from_below(cosines)
+        ahead = into * np.exp(1j * self.inner_wavenumber * way_nm * w) / (1.0 - under * over)
+        if below:
+            reflection, transmission = self.from_below(cosines)
+            return Arriving(ahead, ahead * over, reflection, transmission)
+        return Arriving(ahead, ahead * under, self.reflection(cosines), None)
