@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_studio import SEEN, THICKNESS, Server, ball, picture, settled, slider, toml, until
+import trimesh
+from helpers_studio import FILM, SEEN, THICKNESS, Server, ball, picture, settled, slider, toml, until
 from playwright.sync_api import Page, expect
 
+NEAR_MESH = 2.0  # of 255: eight bits, and chords of triangles instead of a ball
 STRUCTURES = [
     ("bragg-mirror", "20 layers, 1461 nm in all, to scale", 21),
     ("pearl/bottle3", "1 stratum, 150 µm; below a section of its flakes", 5),
@@ -82,6 +84,7 @@ def test_another_object_is_drawn_turned_by_keys_and_follows_the_slider(page: Pag
     assert np.abs(knob.astype(int) - sphere).mean() > 3 and ball(knob).max() > 20
     slider(page, THICKNESS).fill("110")
     until(page, lambda: bool(np.abs(ball(picture(page)) - ball(knob)).max() > SEEN))
+    settled(page)  # and has its light
     before = picture(page)
     page.locator("#view").focus()
     for _ in range(6):
@@ -119,6 +122,28 @@ def test_an_own_mesh_is_drawn_and_a_broken_one_is_one_line(page: Page, tmp_path:
     page.locator("#stage").evaluate(drop, corners.replace("0 2 0", "3 2 0") + "f 1 5 2\nf 2 5 3\nf 3 5 1\n")
     expect(page.locator("#object option:checked")).to_have_text("flag.obj")
     until(page, lambda: not np.array_equal(picture(page), tent))
+
+
+@pytest.mark.full
+def test_a_ball_of_triangles_has_the_light_of_the_sphere(page: Page, tmp_path: Path) -> None:
+    """Rough, so that light is gathered over lobes; with one look-up in a blurred room the rim is dark."""
+    page.locator("#text").evaluate(
+        "(e, text) => { e.value = text; e.dispatchEvent(new Event('input')); }", FILM + "[surface]\nroughness = 0.3\n"
+    )
+    until(page, lambda: toml(page).get("surface") == {"roughness": 0.3})
+    settled(page)
+    wanted = picture(page).astype(int)
+    trimesh.creation.icosphere(subdivisions=5).export(tmp_path / "ball.obj")
+    page.locator("#object").select_option("own")
+    page.locator("#own-mesh").set_input_files(tmp_path / "ball.obj")
+    expect(page.locator("#view")).to_have_attribute("data-object", "own")
+    settled(page)
+    expect(page.locator("#view")).to_have_attribute("data-light", "gathered")
+    side = len(wanted)
+    y, x = np.mgrid[:side, :side]
+    # middle and radius of the sphere in the canvas, as shares of it; inside the edge
+    inside = np.hypot(x / side - 0.5, y / side - 0.477) < 0.3
+    assert np.abs(picture(page).astype(int) - wanted)[inside].mean() < NEAR_MESH
 
 
 @pytest.mark.full

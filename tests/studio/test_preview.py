@@ -11,7 +11,7 @@ from nacre.exchange.lut.table import lobe_directions, lobe_weight
 from nacre.light import spectrum_to_xyz
 from nacre.picture.lights.environments import studio
 from nacre.recipe.toml import parse_toml
-from nacre.studio import stage
+from nacre.studio import look, stage
 from nacre.studio.care import DRAFTS, SLOW_S, Drafts
 from nacre.studio.edit import edited
 from nacre.studio.lobe import LOBE_NM, SHAPE, lobe_picture
@@ -87,9 +87,20 @@ def test_a_pearls_picture_is_made_of_the_colours_that_its_walk_sends_there() -> 
 
 def test_a_film_has_no_such_picture_and_needs_no_draft() -> None:
     found = list(looks(nacre.load("blue-oxide"), "D65", lambda: False))
-    assert [look.is_draft for look in found] == [False] and found[0].lobe is None
+    assert [one.is_draft for one in found] == [False] and found[0].lobe is None
     assert found[0].facets["distribution"] == "ggx" and not found[0].is_clear
     assert next(looks(nacre.load("gold"), "D65", lambda: False)).is_clear  # its glass is, as pictures count it
+
+
+def test_a_film_that_was_quick_once_needs_no_draft_on_a_busy_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    layers = [{"material": "SiO2", "thickness_nm": 130}, {"material": "Ag", "thickness_nm": 7}]
+    film = nacre.material({"family": "film", "substrate": "Si", "layers": layers})
+    next(looks(film, "D65", lambda: False))
+    monkeypatch.setattr(look, "QUICK_S", 0.0)  # no clock is that fast
+    varied = film.vary({"layers[0].thickness_nm": 140.0})
+    assert [found.is_draft for found in looks(varied, "D65", lambda: False)] == [False]
+    other = nacre.material({"family": "film", "substrate": "Ge", "layers": layers})
+    assert next(looks(other, "D65", lambda: False)).is_draft
 
 
 def test_drafts_grow_coarser_where_they_are_slow_and_finer_where_they_are_swift() -> None:

@@ -13,7 +13,7 @@ import json
 import math
 import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -47,12 +47,12 @@ from nacre.studio.lobe import lobe_picture
 LAMPS = ("D65", "A", "F11")
 PROBE_RAD, PROBE_NM = np.array([0.0]), np.array([450.0, 550.0, 650.0])
 QUICK_S = 0.01  # of one angle at three wavelengths; layered films take a tenth of it
+MOST_KNOWN = 256  # kinds of recipe that are known to be quick
 SHOWN_DEG = (0.0, 30.0, 60.0)  # angles of the spectra
 BAND = 12  # wavelengths that are solved without looking up
 RIDGE_FAN = 0.5  # roughness by which the page draws the fan of ridges
 SPREAD = "Spread light is drawn as if it left evenly in all directions; its lobes are in the settled picture."
 GLOSS = "Spread light is drawn as a rough mirror of fitted width over an even ground; see the settled picture."
-LOBES = "On objects other than the sphere spread light is drawn more simply; its lobes are in the settled picture."
 OF_HEIGHTS = "stl"  # the drawing that only height maps have
 MOST_FEATURES = 160  # of a profile
 PARTS = ("specular_reflectance", "diffuse_reflectance")
@@ -173,10 +173,14 @@ def _sketched(material: Material) -> Material:
 def _is_quick(material: Material) -> bool:
     """Whether the whole look takes milliseconds: spectra are at hand, and nothing has to be integrated for them.
 
-    The clock decides: ridges are films too. The second of two trials counts, as the first one may compile.
+    The clock decides: ridges are films too. The second of two trials counts, as the first one may compile. What was
+    quick once stays so while only its numbers change: a machine that was busy for a moment makes no draft of a film.
     """
     if not material.model.is_quick:
         return False
+    kind = _kind(material.data)
+    if kind in _known_quick:
+        return True
     took = math.inf
     for _ in range(2):
         if took > QUICK_S:
@@ -184,7 +188,23 @@ def _is_quick(material: Material) -> bool:
             if material.model.spectrum(PROBE_RAD, PROBE_NM, "both", 0) is None:
                 return False
             took = time.perf_counter() - started
+    if took <= QUICK_S:
+        if len(_known_quick) >= MOST_KNOWN:
+            _known_quick.clear()
+        _known_quick.add(kind)
     return took <= QUICK_S
+
+
+_known_quick: set[str] = set()
+
+
+def _kind(data: Any) -> str:
+    """Return a recipe's dictionary without its numbers, as text."""
+    if isinstance(data, Mapping):
+        return "{" + ",".join(f"{key}:{_kind(value)}" for key, value in data.items()) + "}"
+    if isinstance(data, list | tuple):
+        return "[" + ",".join(map(_kind, data)) + "]"
+    return "0" if isinstance(data, int | float) and not isinstance(data, bool) else repr(data)
 
 
 def _look(material: Material, illuminant: str, is_superseded: Callable[[], bool], care: Care) -> Look:
@@ -208,7 +228,8 @@ def _look(material: Material, illuminant: str, is_superseded: Callable[[], bool]
         if grid is None and not material.model.is_quick:
             _go_on(is_superseded)
             lobe = lobe_picture(material, bsdf, functools.partial(spectrum_to_rgb_linear, illuminant=illuminant))
-        notes.append(LOBES if lobe is not None else SPREAD if gloss is None else GLOSS)
+        if lobe is None:
+            notes.append(SPREAD if gloss is None else GLOSS)
     is_clear = any(bool(np.any(parts[name] > 0)) for name in THROUGH)
     if np.max(parts[THROUGH[0]]) > SEEN_THROUGH:
         notes.append("Light that goes through is not drawn.")

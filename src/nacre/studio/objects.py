@@ -26,8 +26,11 @@ from nacre.picture.camera import View
 from nacre.picture.scenes.catalogue import MATERIALS, SCENES, SUBJECT, Part
 from nacre.picture.scenes.subjects import MESH_SUFFIXES, TO_Z_UP, read_mesh, stand_on_floor
 from nacre.picture.shapes.mesh import Mesh
+from nacre.picture.shapes.paper import banknote_print
 
-OBJECTS = ("speedshape", "knob", "body", "bottle", "panel", "butterfly")
+OBJECTS = (
+    "speedshape", "knob", "body", "bottle", "panel", "butterfly", "beetle", "ring", "cuff", "banknote", "card",
+)  # fmt: skip
 MOST_FACES = 160_000  # all parts together: what a page without a graphics card still turns
 MAX_UPLOAD = 64 << 20  # bytes of an own mesh
 BISECTIONS = 10
@@ -114,7 +117,7 @@ def packed(parts: Sequence[Part], view: View, **about: str) -> bytes:
         indices.append(surface.faces.ravel() + first)
         entry: dict[str, Any] = {"start": start, "count": int(surface.faces.size)}
         if part.material != SUBJECT:
-            entry["plain"] = plain_look(MATERIALS[part.material])
+            entry["plain"] = plain_look(part.material)
         told.append(entry)
         start, first = start + int(surface.faces.size), first + len(surface.vertices)
     corners, order = np.concatenate(blocks), np.concatenate(indices)
@@ -132,8 +135,15 @@ def packed(parts: Sequence[Part], view: View, **about: str) -> bytes:
     return struct.pack("<I", len(header)) + header + corners.astype("<f4").tobytes() + order.astype("<u4").tobytes()
 
 
-def plain_look(material: Mapping[str, Any]) -> list[float]:
-    """Return matt reflectance, mirror reflectance at normal incidence and roughness of a companion of the subject."""
+def plain_look(name: str) -> list[float]:
+    """Return matt reflectance, mirror reflectance at normal incidence and roughness of a companion of the subject.
+
+    Args:
+        name: of its material, as in the scenes of pictures; a printed note is drawn as grey as its print is on average.
+    """
+    if name == "banknote":
+        return [float(banknote_print().mean()), 0.0, 1.0]
+    material = MATERIALS[name]
     kind, index = material["type"], float(material.get("int_ior", 1.5))
     if kind == "diffuse":
         return [float(material["reflectance"]), 0.0, 1.0]

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 SIZES = (128, 640)
 SECONDS = (1.0, 120.0)
-SCENES = ("sphere", "probe", "speedshape", "panel", "butterfly", "bottle", "knob", "body")
+SCENES = (
+    "sphere", "probe", "speedshape", "panel", "butterfly", "bottle", "knob", "body", "beetle", "ring", "cuff",
+    "banknote", "card",
+)  # fmt: skip
 MAX_PNG = 16 << 20
 
 

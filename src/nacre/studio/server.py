@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import socket
 import sys
@@ -343,3 +344,5 @@ def _warm() -> None:
     blurred_surround()
     material = material_from_data(WARMING, RecipeContext())
     next(looks(material, "D65", lambda: False), None)
+    # the library's own objects are never garbage: to walk them all (0.1 s) would now and then hold an answer up
+    gc.freeze()

@@ -1,6 +1,8 @@
 // What the numbers say: the ribbon over the angle, spectra, the track in a*b*, colours under lamps.
 
 const SVG = "http://www.w3.org/2000/svg";
+// Straight lines are lines, not paths: from the sixth path on browsers smooth a drawing's edges in a way that takes them twice
+// as long where there is no graphics card (each drawing is a layer of its own, see studio.css).
 const DASHES = ["", "5 3", "1.5 2.5"];
 export const clear = (node) => node.replaceChildren();
 export const add = (root, tag, props, text) => {
@@ -51,13 +53,14 @@ export function hex(lightness, a, b) {
 }
 
 export function drawRibbon(canvas, text, look) {
-  const context = canvas.getContext("2d"), all = total(look), count = all.length / 3;
+  const context = canvas.getContext("2d", { willReadFrequently: true }), all = total(look), count = all.length / 3;
+  const row = context.createImageData(canvas.width, 1);
   for (let x = 0; x < canvas.width; x++) {
     const at = (x / (canvas.width - 1)) * (count - 1), low = Math.min(Math.floor(at), count - 2), part = at - low;
     const rgb = [0, 1, 2].map((c) => all[3 * low + c] * (1 - part) + all[3 * low + 3 + c] * part);
-    context.fillStyle = `rgb(${shown(...rgb).join(" ")})`;
-    context.fillRect(x, 0, 1, canvas.height);
+    row.data.set([...shown(...rgb), 255], 4 * x);
   }
+  context.putImageData(row, 0, 0);
   text.textContent = look.shown_deg.map((angle, i) => `${angle}°: ${look.swatches[0].hex[i]}`).join("   ");
 }
 
@@ -68,7 +71,7 @@ export function drawSpectrum(svg, look, other) {
   const most = peak > 1.001 ? peak : [0.05, 0.1, 0.2, 0.5, 1].find((m) => peak <= m) ?? 1;
   const y = (value) => bottom - (value / most) * (bottom - top);
   for (const share of [0, 0.5, 1]) {
-    add(svg, "path", { d: `M${left} ${y(share * most)}H${right}`, class: "axis" });
+    add(svg, "line", { x1: left, x2: right, y1: y(share * most), y2: y(share * most), class: "axis" });
     add(svg, "text", { x: left - 4, y: y(share * most) + 3, "text-anchor": "end" }, Number((share * most).toPrecision(3)));
   }
   for (const nm of [400, 500, 600, 700]) add(svg, "text", { x: x(nm), y: bottom + 13, "text-anchor": "middle" }, `${nm}${nm === 700 ? " nm" : ""}`);
@@ -83,12 +86,12 @@ export function drawSpectrum(svg, look, other) {
     });
   }
   look.shown_deg.forEach((angle, row) => {
-    add(svg, "path", { d: `M${left + 54 * row} 146h18`, class: "curve", "stroke-dasharray": DASHES[row] });
+    add(svg, "line", { x1: left + 54 * row, x2: left + 54 * row + 18, y1: 146, y2: 146, class: "curve", "stroke-dasharray": DASHES[row] });
     add(svg, "text", { x: left + 22 + 54 * row, y: 149 }, `${angle}°`);
   });
   if (!other) return;
   [["A", "curve", 192], ["B", "curve other", 236]].forEach(([name, kind, at]) => {
-    add(svg, "path", { d: `M${at} 146h18`, class: kind });
+    add(svg, "line", { x1: at, x2: at + 18, y1: 146, y2: 146, class: kind });
     add(svg, "text", { x: at + 22, y: 149 }, name);
   });
 }
@@ -104,7 +107,8 @@ export function drawTrack(svg, look, other, least) {
   const tracks = (other ? [other, look] : [look]).map(track);
   const reach = Math.max(20, least, ...tracks.flatMap(({ points }) => points.map(([, a, b]) => Math.max(Math.abs(a), Math.abs(b))))) * 1.1;
   const x = (a) => 140 + (a / reach) * 88, y = (b) => 95 - (b / reach) * 88;
-  add(svg, "path", { d: "M52 95H228M140 7V183", class: "axis" });
+  add(svg, "line", { x1: 52, x2: 228, y1: 95, y2: 95, class: "axis" });
+  add(svg, "line", { x1: 140, x2: 140, y1: 7, y2: 183, class: "axis" });
   add(svg, "text", { x: 232, y: 98 }, `a* ${Math.round(reach)}`);
   add(svg, "text", { x: 144, y: 14 }, `b* ${Math.round(reach)}`);
   for (const { all, points, is } of tracks) {

@@ -25,10 +25,21 @@ export async function api(path, body, signal) {
   return (await ask(path, body, signal)).json();
 }
 
-export function tell(kind, text) {
+const RESTING_MS = 150;
+let written = "", writing = 0;
+
+// The line about the answer. What comes again and again while a number is dragged (`isNews` false) is written once it has
+// rested: to write it each time would paint a part of the page beside every picture of the object.
+export function tell(kind, text, isNews = true) {
   const box = $("state");
   box.dataset.kind = kind;
-  if (box.textContent !== text) box.textContent = text;
+  clearTimeout(writing);
+  const write = () => {
+    written = kind;
+    if (box.textContent !== text) box.textContent = text;
+  };
+  if (isNews || (kind !== "solving" && kind !== written)) write();
+  else writing = setTimeout(write, RESTING_MS);
 }
 
 // Changes that the server has not yet written into the text are written before the text leaves the page.

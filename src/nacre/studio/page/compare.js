@@ -5,6 +5,7 @@ import { $, app, el, shortName, tell, wholeText } from "./common.js";
 const { recipe } = app;
 const THUMBNAIL = 56, RESTING_MS = 300;
 let kept = null, page = null, timer = 0;    // page: what main.js does: chart(), go(by), showRecipe(), listRecipes()
+let placed = "";        // which step the strip was scrolled to; asking where it lies lays the whole page out
 const pictures = new Map(), colours = new Map();     // of recipes, by their text: a small picture; before there is one, three colours
 
 // ---- A and B
@@ -107,16 +108,19 @@ export function showHistory() {
     const name = `Step ${i + 1} of ${past.length}: ${what}`;
     if (made.title !== name) { made.title = name; made.setAttribute("aria-label", name); }
     if (picture && image.src !== picture) image.src = picture;
-    image.hidden = !picture;
-    made.lastChild.hidden = Boolean(picture);
-    if (colours.has(text)) made.style.background = `linear-gradient(90deg, ${colours.get(text).join(", ")})`;
+    // the step that is being dragged keeps its picture until it rests: each repainted button delays the object
+    const isKept = i === at && image.src && !image.hidden;
+    image.hidden = !picture && !isKept;
+    made.lastChild.hidden = !image.hidden;
+    if (image.hidden && colours.has(text)) made.style.background = `linear-gradient(90deg, ${colours.get(text).join(", ")})`;
     made.tabIndex = i === at ? 0 : -1;      // one stop for Tab; arrow keys go along
     if (i === at) made.setAttribute("aria-current", "step");
     else made.removeAttribute("aria-current");
   });
   strip.hidden = past.length < 2;
-  const here = strip.children[at];
-  if (here) strip.scrollLeft = here.offsetLeft - strip.offsetLeft - strip.clientWidth / 2;
+  const here = strip.children[at], where = `${at} of ${past.length}`;
+  if (here && where !== placed) strip.scrollLeft = here.offsetLeft - strip.offsetLeft - strip.clientWidth / 2;
+  placed = where;
   clearTimeout(timer);
   timer = setTimeout(take, RESTING_MS);
 }
@@ -130,6 +134,7 @@ function button(i) {
 // The picture of the step that is shown, once it has settled and nothing has changed for a moment.
 function take() {
   const now = recipe.past[recipe.at];
+  if (app.view && !$("view").dataset.seq) { timer = setTimeout(take, RESTING_MS); return; }       // the room has not come yet
   if (!app.view || !now || recipe.edits.length || app.lastGood?.draft || app.lastGood?.text !== now.text) return;
   pictures.set(now.text, app.view.thumbnail(THUMBNAIL));
   const texts = new Set(recipe.past.map(({ text }) => text));

@@ -83,7 +83,7 @@ function label(svg, places, from, to) {
   for (let i = 1; i < at.length; i++) at[i] = Math.max(at[i], at[i - 1] + LINE);
   for (let i = at.length - 1; i >= 0; i--) at[i] = Math.min(at[i], i === at.length - 1 ? to : at[i + 1] - LINE);
   places.forEach(({ y, text }, i) => {
-    add(svg, "path", { d: `M${LEFT + BAR} ${y.toFixed(1)}L${TEXT_X - 3} ${at[i].toFixed(1)}`, class: "lead" });
+    add(svg, "line", { x1: LEFT + BAR, y1: y.toFixed(1), x2: TEXT_X - 3, y2: at[i].toFixed(1), class: "lead" });
     add(svg, "text", { x: TEXT_X, y: at[i] + 3 }, text.length > 30 ? `${text.slice(0, 29)}…` : text);
   });
   return true;
@@ -196,7 +196,8 @@ function flakes(svg, { volume_fraction: share, normal_deviation: deviation }, to
   const tilt = (typeof deviation === "number" ? deviation : 0.1) * 1.2;
   for (let i = 0; i < many; i++) {
     const x = LEFT + 7 + next() * (BAR - 14), y = top + 3 + next() * Math.max(bottom - top - 6, 0), turn = (next() - 0.5) * 2 * tilt;
-    add(svg, "path", { d: `M${(x - 5 * Math.cos(turn)).toFixed(1)} ${(y - 5 * Math.sin(turn)).toFixed(1)}L${(x + 5 * Math.cos(turn)).toFixed(1)} ${(y + 5 * Math.sin(turn)).toFixed(1)}`, class: "flake" });
+    const [dx, dy] = [5 * Math.cos(turn), 5 * Math.sin(turn)];
+    add(svg, "line", { x1: (x - dx).toFixed(1), y1: (y - dy).toFixed(1), x2: (x + dx).toFixed(1), y2: (y + dy).toFixed(1), class: "flake" });
   }
 }
 

@@ -1,6 +1,7 @@
 // The light of the room that reaches the eye off the ball, gathered over each lobe: it does not depend on the recipe's
 // colours, so that it is gathered when the view, the room or a roughness has come to rest, strip by strip, and kept.
-// Until then, and on other objects, the page draws with one look-up in a blurred room.
+// Until then the page draws with one look-up in a blurred room. Other objects look up what was gathered for a ball in
+// their place: each pixel where the ball mirrors the same part of the room.
 
 const REST_MS = 160, STRIP_MS = 12, STRIPS = 16;
 const FINE = 256, ROUGH = 0.08;                 // pixels a side; the coarse ones are for lobes above such a roughness

@@ -1,15 +1,14 @@
 // The page: the recipe on the left, the object in the middle, what the numbers say on the right.
 
-import { drawRibbon, drawSpectrum, drawSwatches, drawTrack } from "./charts.js";
-import { beside, isStale, listenCompare, other, question, showHistory, takes } from "./compare.js";
+import { beside, isStale, listenCompare, question, showHistory, takes } from "./compare.js";
 import { $, api, app, el, shortName, tell } from "./common.js";
 import { listRecipes, listenFiles, open, saveHere, welcome } from "./files.js";
-import { cloudReach, cloudSettled, drawCloud, listenCloud } from "./cloud.js";
+import { cloudSettled, listenCloud } from "./cloud.js";
 import { designSettled, listenDesign } from "./design.js";
-import { drawStructure } from "./drawing.js";
 import { Form } from "./form.js";
 import { listenMaker } from "./maker.js";
 import { listObjects, listenObjects } from "./objects.js";
+import { drawPanels, panels } from "./panels.js";
 import { valueAt } from "./recipe.js";
 import { listenReport } from "./report.js";
 import { listenSettled, render, settledEdited } from "./settled.js";
@@ -18,17 +17,14 @@ import { View } from "./view.js";
 import { Wire } from "./wire.js";
 
 const { recipe } = app, models = new Map(), TABS = ["form", "toml", "design"];
-// between two drawings of the charts while a slider is dragged, which take as long as the object; and after the object,
-// whose picture would otherwise wait for theirs
-const CHART_MS = 150, CHART_AFTER_MS = 40;
-let charting = 0, charted = -CHART_MS;
+let noted = "";         // what the notes say
 
 // ---- what is shown of the connection and of the answer
 
 function onState(kind) {
   if (kind === "lost") tell("lost", "Connection lost; trying again. Nothing typed is lost.");
   else if (kind === "open") tell("solving", "Connected");
-  else if (kind === "asked" && $("state").dataset.kind !== "lost") tell("solving", "Solving");
+  else if (kind === "asked" && $("state").dataset.kind !== "lost") tell("solving", "Solving", false);
 }
 
 async function onAnswer(answer, isNewest) {
@@ -37,12 +33,12 @@ async function onAnswer(answer, isNewest) {
   const isOurs = recipe.settle(answer, isNewest);
   app.lastGood = answer;
   if (app.view) app.view.setLook(answer);
-  if (!charting) charting = setTimeout(chart, Math.max(CHART_AFTER_MS, charted + CHART_MS - performance.now()));
-  $("notes").replaceChildren(...answer.notes.map((note) => el("li", { textContent: note })));
+  panels();
+  showNotes(answer.notes);
   if (!isNewest) return;
   setError(null);
   const ms = Math.max(1, Math.round(answer.seconds * 1000));
-  tell(answer.draft ? "draft" : "settled", answer.draft ? "Draft: few angles and wavelengths. Settling" : `Settled, solved in ${ms} ms`);
+  tell(answer.draft ? "draft" : "settled", answer.draft ? "Draft: few angles and wavelengths. Settling" : `Settled, solved in ${ms} ms`, false);
   if (isOurs) {
     recipe.step();
     await showRecipe();
@@ -53,21 +49,10 @@ async function onAnswer(answer, isNewest) {
   if (!answer.draft && isStale()) app.wire.ask();
 }
 
-// The object comes first, the charts after it, once for all answers that came meanwhile.
-function chart() {
-  charting = 0;
-  charted = performance.now();
-  const look = app.lastGood, kept = other();
-  if (!look) return;
-  drawRibbon($("ribbon"), $("ribbon-text"), look);
-  $("ribbons").classList.toggle("two", Boolean(kept));
-  if (kept) drawRibbon($("ribbon-b"), $("ribbon-b-text"), kept);
-  drawSpectrum($("spectrum"), look, kept);
-  drawCloud($("cloud-ribbon"), $("track"), drawTrack($("track"), look, kept, cloudReach()));
-  drawSwatches($("swatches"), look, kept);
-  const words = drawStructure($("structure"), look.data, look.profile);
-  $("structure-text").textContent = words;
-  $("structure-box").hidden = !words;
+function showNotes(notes) {
+  const said = notes.join("\n");
+  if (said !== noted) $("notes").replaceChildren(...notes.map((note) => el("li", { textContent: note })));
+  noted = said;
 }
 
 async function onError(answer, isNewest) {
@@ -167,7 +152,7 @@ function listen() {
   listenMaker();
   listenObjects();
   listenSurround();
-  listenCompare({ chart, go: step, showRecipe, listRecipes });
+  listenCompare({ chart: drawPanels, go: step, showRecipe, listRecipes });
   click("undo", () => step(-1));
   click("redo", () => step(1));
   click("front", () => app.view?.front());
@@ -181,7 +166,7 @@ function listen() {
     });
   });
   listenDesign({ showRecipe });
-  listenCloud(chart);
+  listenCloud(drawPanels);
   $("lamp").addEventListener("change", () => app.wire.ask());
   $("theme").addEventListener("change", () => theme($("theme").value));
   $("text").addEventListener("input", typed);

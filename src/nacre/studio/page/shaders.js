@@ -351,6 +351,8 @@ void main() {
 export const SHADE = `${COMMON}
 ${DEPTHS}
 uniform sampler2D facing, kind, depth;
+uniform sampler2D throughMirror, throughGloss, throughMatt;
+uniform float gathered, spreads;
 uniform vec3 plain[8];          // of what is not of the material: matt and mirror reflectance, roughness; else below 0
 uniform float grid;
 
@@ -362,6 +364,35 @@ vec3 normalAt(ivec2 at) {
   if (n.z < 0.0) n.xy = (1.0 - abs(n.yx)) * vec2(n.x >= 0.0 ? 1.0 : -1.0, n.y >= 0.0 ? 1.0 : -1.0);
   return normalize(n);
 }
+#ifdef GATHERED
+// a place in what was gathered for the ball, by the normal there
+vec2 placeOf(vec3 n) {
+  vec3 o = eye - CENTRE, toEye = normalize(o), across = normalize(right);
+  float far = acos(clamp(dot(n, toEye), -1.0, 1.0)) / acos(1.0 / length(o));
+  vec2 side = vec2(dot(n, across), dot(n, cross(toEye, across)));
+  return 0.5 + 0.5 * min(far, 1.0) * side / max(length(side), 1e-6);
+}
+// as the ball's place that mirrors the same part of the room: flat parts are seen along other directions at each pixel
+vec3 byLobes(vec3 spot, vec3 d, vec3 n) {
+  vec3 r = reflect(d, n), o = eye - CENTRE, there = normalize(r + normalize(o));
+  there = normalize(r + normalize(o - there));
+  float cosine = clamp(-dot(d, n), 0.0, 1.0), change = cosine - clamp(dot(there, normalize(o - there)), 0.0, 1.0);
+  vec2 at = placeOf(there);
+  vec3 seen = vec3(0.0);
+  if (alpha < 0.001) seen = nacreColour(table, cosine, 0.0, first, 6.0) * incoming(spot, r, alpha);
+  else {
+    vec4 m = texture(throughMirror, at);
+    seen = nacreColour(table, clamp(m.a + change, 0.0, 1.0), 0.0, first, 6.0) * m.rgb;
+  }
+  if (gathered > 1.5) return seen + texture(throughMatt, gloss > 0.0 ? at : placeOf(n)).rgb;
+  if (spreads > 0.5) seen += nacreColour(table, cosine, 0.0, first + 2.0, 6.0) * texture(throughMatt, placeOf(n)).rgb;
+  if (gloss > 0.0) {
+    vec4 g = texture(throughGloss, at);
+    seen += nacreColour(table, clamp(g.a + change, 0.0, 1.0), 0.0, first + 1.0, 6.0) * g.rgb;
+  }
+  return seen;
+}
+#endif
 vec3 seenAt(ivec2 fine) {
   vec2 at = (vec2(fine) + 0.5 - size) / size.x;        // fine pixels: two to one
   vec3 ray = ahead + at.x * right + at.y * up, d = normalize(ray);
@@ -372,7 +403,11 @@ vec3 seenAt(ivec2 fine) {
   if (dot(n, d) > 0.12) n = -n;                        // seen from behind, not just over a rounded edge
   vec3 own = plain[part - 1];
   if (own.x < 0.0) {
+#ifdef GATHERED
+    seen = byLobes(spot, d, n);
+#else
     seen = material(spot, d, n, spot * 1.2);
+#endif
     return grid > 0.5 ? mix(seen, vec3(0.02), 0.75 * texelFetch(kind, fine, 0).g) : seen;
   }
   float cosine = clamp(-dot(d, n), 0.0, 1.0), under = 0.5 * (1.0 - n.z);

@@ -8,9 +8,9 @@ const SPHERE = { distance: Math.hypot(8.6, 1.77), target: [0, 0, 0.93], fov: 19,
 const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "gathered", "square", "pixels", "beckmann", "compensated", "wants", "count", "nacreLobe", "backdrop", "spreads", "mirrored"];
 const SAMPLERS = ["table", "room", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "nacreLobe", "backdrop", "mirrored"];
 const SQUARE = 0.55;    // of the chequers that clear materials stand on, as in pictures
-const DEFINES = { gathered: "#define GATHERED\n", gather: "#define NACRE_LOBE\n#define NACRE_LOBE_SLICES 4.0\n#define NACRE_LOBE_SCALE 1.0\n" };   // see lobe.py
+const DEFINES = { gathered: "#define GATHERED\n", shadeGathered: "#define GATHERED\n", gather: "#define NACRE_LOBE\n#define NACRE_LOBE_SLICES 4.0\n#define NACRE_LOBE_SCALE 1.0\n" };   // see lobe.py
 const EXTRA = 2;        // layers of the room beside those of its light: the ball's shade, the stage's light
-const SHADERS = { ball: [COVER, BALL], gathered: [COVER, BALL], gather: [COVER, GATHER], backdrop: [COVER, BACKDROP], mesh: [MESH_VERTEX, MESH], shade: [COVER, SHADE] };
+const SHADERS = { ball: [COVER, BALL], gathered: [COVER, BALL], gather: [COVER, GATHER], backdrop: [COVER, BACKDROP], mesh: [MESH_VERTEX, MESH], shade: [COVER, SHADE], shadeGathered: [COVER, SHADE] };
 const FINER = 2;        // triangles are drawn at twice the size, so that their edges are smooth
 const MOST_PARTS = 8;
 const SLOW_MS = 20, FEWEST = 400;  // pixels a side
@@ -22,7 +22,7 @@ const wantsOf = (look) => (look.lobe ? 8 : 0) + (look.alpha >= 0.001 ? 1 : 0) + 
 export class View {
   // Throws where the browser has no WebGL2; `tables` is the text of the exported shaders.
   constructor(canvas, onTurn, tables) {
-    const gl = canvas.getContext("webgl2", { antialias: false, preserveDrawingBuffer: true });
+    const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, preserveDrawingBuffer: true });
     if (!gl) throw new Error("no WebGL2");
     Object.assign(this, { canvas, gl, onTurn, tables, look: null, other: null, side: "a", split: 0.5, room: null, exposure: 0, object: SPHERE, grid: false, azimuth: SPHERE.azimuth, elevation: SPHERE.elevation, isAsked: false, most: 1024, trials: 3 });
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
@@ -174,21 +174,21 @@ export class View {
     gl.viewport(0, 0, width, height);
     this.drawLook(this.look, 0, 0, cut);
     if (this.other) this.drawLook(this.other, 3, cut, width);
-    this.light.settle(this.object.places ? [] : [this.look, this.other ?? this.look].map((look) => this.keyOf(look)));
+    this.light.settle(this.isLit ? [this.look, this.other ?? this.look].map((look) => this.keyOf(look)) : []);
     if (this.trials > 0) this.judge(began);
     this.canvas.dataset.seq = this.look.seq;
   }
 
   drawLook(look, first, from, to) {
     if (to <= from) return;
-    const gl = this.gl, { places, parts } = this.object, used = places ? "shade" : "ball";
-    const isGathered = !places && this.light.bind(this.keyOf(look), look);
-    if (isGathered) this.drawBackdrop(look, first);
-    const [left, bottom, right, top] = this.boxOf(isGathered, first, from, to);
+    const gl = this.gl, { places, parts } = this.object, [plainly, well] = places ? ["shade", "shadeGathered"] : ["ball", "gathered"];
+    const isGathered = this.isLit && this.light.bind(this.keyOf(look), look);
+    if (isGathered && !places) this.drawBackdrop(look, first);
+    const [left, bottom, right, top] = this.boxOf(isGathered && !places, first, from, to);
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(left, bottom, Math.max(right - left, 0), top - bottom);
-    const at = this.prepare(isGathered ? "gathered" : used, look, first);
-    this.canvas.dataset.light = isGathered ? "gathered" : places || !this.light.isAble ? "blurred" : "gathering";
+    const at = this.prepare(isGathered ? well : plainly, look, first);
+    this.canvas.dataset.light = isGathered ? "gathered" : this.light.isAble && this.isLit ? "gathering" : "blurred";
     if (isGathered) gl.uniform1f(at.spreads, wantsOf(look) >= 4 ? 1 : 0);
     if (isGathered) gl.uniform1f(at.gathered, look.lobe ? 2 : 1);
     if (places) {
@@ -245,9 +245,14 @@ export class View {
     bind(this.backdrop.textures);
   }
 
+  // Whether light is gathered: not for other objects in a place, whose flat parts enlarge a piece of the ball so far that
+  // the few directions to a small bright sky show as streaks.
+  get isLit() { return !(this.object.places && this.room.floor); }
+
   // What the light off the ball depends on; none of the recipe's colours.
   keyOf(look) {
-    return JSON.stringify([this.azimuth, this.elevation, look.alpha, look.gloss_alpha, wantsOf(look), look.facets, look.lobe ? look.seq : 0]);
+    const { target, distance, foot } = this.object;
+    return JSON.stringify([target, distance, foot, this.azimuth, this.elevation, look.alpha, look.gloss_alpha, wantsOf(look), look.facets, look.lobe ? look.seq : 0]);
   }
 
   gather(look, pixels) {
