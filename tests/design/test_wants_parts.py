@@ -1,9 +1,12 @@
 """Designs that reach into the parts of a blend."""
 
+from pathlib import Path
+
 import pytest
 
 import nacre
 from nacre.design.wants.answers import write_recipe
+from nacre.design.wants.run import as_judged
 from nacre.design.wants.target import read_target
 from nacre.errors import RecipeError
 
@@ -62,3 +65,18 @@ def test_a_design_of_a_blend_moves_the_part_that_is_free(blend):
     found = nacre.design(_target(blend, **{"second.layers[0].thickness_nm": [20, 200]}), blend / "out")
     assert nacre.load(found.folder).get("second.recipe") == "second.toml"
     assert nacre.load(found.folder).spectrum([0.0]).specular_reflectance.shape[0] == 1
+
+
+def test_an_answers_file_names_the_quick_way_that_it_was_judged_by(tmp_path: Path) -> None:
+    """Loaded alone it would otherwise take an ensemble of minutes, and show other colours than its report."""
+    dense = {
+        "family": "metasurface", "substrate": "glass", "particle": {"material": "Si", "radius_nm": 70.0, "gap_nm": 3.0},
+        "monolayer": {"coverage": 0.1, "packing": 0.3},
+    }  # fmt: skip
+    start = nacre.material(dense)
+    assert start.model.slow_way
+    many = start.for_many()
+    recipe, _ = write_recipe(tmp_path / "dense", many, as_judged(many, {"particle.radius_nm": 60.0}), {})
+    assert not nacre.load(recipe).model.slow_way and nacre.load(recipe).get("model.correction") == "qca-balanced"
+    recipe, _ = write_recipe(tmp_path / "thin", many, as_judged(many, {"monolayer.coverage": 0.02}), {})
+    assert "model" not in nacre.load(recipe).data

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+from typing import TYPE_CHECKING
 
 import click
 
 from nacre.cli import common
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 @click.command()
@@ -102,25 +106,39 @@ def indices_show(name: str, output: str | None, as_json: bool) -> None:
 def cache(clear: bool, as_json: bool) -> None:
     """Show where solved materials are kept on disk and how much there is; --clear removes them.
 
+    Beside whole materials there are parts: patterns of an ensemble, T-matrices, from which a stopped run goes on.
     The folder is $NACRE_CACHE, or nacre in the user's cache folder; NACRE_CACHE=off keeps nothing.
     """
     from nacre.materials import cache as kept
 
     folder = kept.cache_folder()
+    before = kept.entries(folder) if folder else []
     removed = kept.clear(folder) if clear and folder else 0
     found = kept.entries(folder) if folder else []
     total = sum(size for _, size, _ in found)
+    materials = sum(kept.is_material(path) for _, _, path in found)
     if as_json:
         click.echo(json.dumps({
-            "folder": None if folder is None else str(folder), "entries": len(found), "bytes": total,
-            "most_bytes": kept.MAX_BYTES, "removed": removed,
+            "folder": None if folder is None else str(folder), "entries": len(found), "materials": materials,
+            "parts": len(found) - materials, "bytes": total, "most_bytes": kept.MAX_BYTES, "removed": removed,
         }))  # fmt: skip
         return
     if folder is None:
         click.echo("off: NACRE_CACHE=off")
         return
-    gone = f", {removed} removed" if clear else ""
-    click.echo(f"{folder}: {len(found)} materials, {total / 1e6:.1f} of at most {kept.MAX_BYTES / 1e6:.0f} MB{gone}")
+    gone = f"; removed: {_in_words(before)}" if clear else ""
+    room = f"{total / 1e6:.1f} of at most {kept.MAX_BYTES / 1e6:.0f} MB"
+    click.echo(f"{folder}: {_in_words(found)}, {room}{gone}")
+
+
+def _in_words(entries: list[tuple[float, int, Path]]) -> str:
+    """Return how many materials the entries are, and how many parts that materials are made of."""
+    from nacre.materials.cache import is_material
+
+    materials = sum(is_material(path) for _, _, path in entries)
+    parts = len(entries) - materials
+    also = f" and {parts} part{'s' * (parts != 1)} of materials" if parts else ""
+    return f"{materials} material{'s' * (materials != 1)}{also}"
 
 
 commands = {"doctor": doctor, "indices": indices, "cache": cache}

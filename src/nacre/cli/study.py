@@ -225,7 +225,8 @@ def fit(
         material, measured, numbers, starts=starts, weights=weights, samples=samples, seed=seed,
         progress=lambda what, best: common.note(f"{what}: relative rms {best:.4g}"),
     )  # fmt: skip
-    write_text(path, edit_toml(material.text, {n.path: n.value for n in result.numbers}, recipe))
+    changes = {**{n.path: n.value for n in result.numbers}, **result.material.model.spared_changes}
+    write_text(path, edit_toml(material.text, changes, recipe))
     if residual:
         with atomic_path(residual) as temporary, open(temporary, "wb") as file:
             np.savez(file, residual=result.residual, wavelengths_nm=measured.wavelengths_nm)

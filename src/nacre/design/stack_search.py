@@ -32,6 +32,7 @@ FRESH = 0.1
 MARGIN = 0.15  # of `within`, by which ranges are narrowed
 REACHED = 0.2  # of `within`: the end of a search
 PLAIN_SHARE, ROBUST_SHARE = 0.95, 0.9  # of the seconds for the search itself; the rest finishes and judges
+COMPILED_SHARE = 0.5  # of the seconds that a search keeps where kernels are compiled first, once an installation
 YIELD_DRAWS = 1000  # for the yield that is told
 YIELD_SEED = 21
 MADE = 0.01  # share of misses at which a search for yield ends
@@ -265,6 +266,10 @@ def _explore(engine: _Engine, seconds: float, seed: int, on_progress: Any, stop:
     island, islands, rounds, children = _Island(engine.slots), 1, 0, 0
     robust = engine.problem.has_spread
     end, target = (MADE, 0.0) if robust else (REACHED, 0.9 * REACHED)
+    pool, size = island.brood()
+    # no children: what is not compiled yet is compiled here, and the search keeps half of its time all the same
+    breed(engine.tables, engine.looks, engine.space, pool, size, 0, FRESH, target, 0, engine.spaces[0], outs[0])
+    begun = max(begun, time.monotonic() - (1.0 - COMPILED_SHARE) * seconds)
     # where few layers are preferred, the first island has one, the next two, and so on
     fewest = engine.problem.fewest and engine.problem.slots is None
     space = _shorter(engine.space, 1) if fewest else engine.space

@@ -173,6 +173,11 @@ class Model(abc.ABC):
         return ""
 
     @property
+    def spared_changes(self) -> Mapping[str, Any]:
+        """Changes of the recipe, by path, that name the quick way where it stood in; an answer's file has them."""
+        return {}
+
+    @property
     def unbounded_because(self) -> str:
         """Why its spectra may sum to more than one: the data or the model chosen say so; empty: they never do."""
         return ""

@@ -33,6 +33,7 @@ from nacre.design.wants.slow import slow_search
 from nacre.design.wants.target import Target, read_target
 from nacre.errors import NacreError, RecipeError
 from nacre.files import read_text, write_text
+from nacre.materials.material import Material
 from nacre.recipe.paths import is_within, numbers_of
 
 STATE = "search.json"
@@ -134,7 +135,7 @@ class _Keeper:
         spent = time.monotonic() - self.begun
         if worst < self.best and values and spent - self.last > WRITE_EVERY_S:
             self.best, self.last = worst, spent
-            path, files = write_recipe(self.folder, self.target.material, values, {})
+            path, files = write_recipe(self.folder, self.target.material, as_judged(self.target.material, values), {})
             solution = {"recipe": str(path), "files": files, "changes": values, "worst": worst}
             self.write({"status": "running", "seconds": round(spent, 3), "solutions": [solution]})
             self.save([values])
@@ -201,7 +202,8 @@ def _finish(
     written = []
     for number, solution in enumerate(solutions, start=1):
         tolerance = _tolerance(target, solution)
-        path, files = write_recipe(folder_of(folder, number), target.material, solution.changes, tolerance)
+        changes = as_judged(target.material, solution.changes)
+        path, files = write_recipe(folder_of(folder, number), target.material, changes, tolerance)
         facts = {**solution.facts, "files": files}
         written.append(replace(solution, recipe=path, facts=facts))
     return _report(target, folder, written, ended, begun, keeper)
@@ -236,6 +238,15 @@ def _judged(target: Target, changes: dict[str, Any], seconds: float) -> Solution
     return Solution(None, made, changes, wants, facts)
 
 
+def as_judged(start: Material, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return changes that name the quick way too where it stood in for one of minutes: the file shows what was judged.
+
+    Args:
+        start: the recipe that is changed, as one of many.
+    """
+    return {**changes, **start.vary(changes).model.spared_changes}
+
+
 def is_changed(path: str, changes: Mapping[str, Any]) -> bool:
     """Whether a number of the recipe is one that the search chose."""
     return any(is_within(path, each) for each in changes)
@@ -250,8 +261,12 @@ def _tolerance(target: Target, solution: Solution) -> dict[str, Any]:
     return own | {s.path: {"deviation": s.deviation, "distribution": s.distribution} for s in spreads}
 
 
-def in_words(solutions: Sequence[Solution], status: str) -> str:
-    """Return the outcome as a sentence: what was reached, or how far it is and which want costs most."""
+def in_words(solutions: Sequence[Solution], status: str, seconds: float | None = None) -> str:
+    """Return the outcome as a sentence: what was reached, or how far it is and which want costs most.
+
+    Args:
+        seconds: that a search had which ended with its time and may be resumed.
+    """
     best = solutions[0]
     worst = best.worst
     unit = " % rms" if worst.lamp is None else ""
@@ -263,9 +278,11 @@ def in_words(solutions: Sequence[Solution], status: str) -> str:
     head = "stopped; " if status == "interrupted" else ""
     if best.is_met:
         return f"{head}every want is met so far; the farthest is {where}: {distance}"
+    far = f"out of reach in {seconds:g} s" if seconds is not None else "out of reach"
+    again = "" if seconds is None else "; --resume searches on"
     return (
-        f"{head}out of reach with what is free: the nearest answer misses {where} by {distance} "
-        f"(within {worst.want.within:g} was asked); that want costs most"
+        f"{head}{far} with what is free: the nearest answer misses {where} by {distance} "
+        f"(within {worst.want.within:g} was asked); that want costs most{again}"
     )
 
 
@@ -275,7 +292,7 @@ def _report(
     """Write design.json and the report."""
     is_met = solutions[0].is_met
     status = "interrupted" if ended == "interrupted" else "met" if is_met else "out of reach"
-    message = in_words(solutions, status)
+    message = in_words(solutions, status, target.spec.search.seconds if ended == "time" else None)
     summary: dict[str, Any] = {
         "status": status,
         "message": message,
