@@ -439,3 +439,16 @@ def test_the_trust_in_sample_moves_noise_but_no_light(mi):
         variances.append(np.var(totals, ddof=1) / len(totals))
     assert abs(means[0] - means[1]) < MAX_Z * np.sqrt(sum(variances))
     assert np.sqrt(sum(variances)) < 0.02 * means[0]
+
+
+def test_one_walk_serves_all_wavelengths_and_their_squares(mi) -> None:
+    """An evaluation that walks anew for each sum is slow and yet right."""
+    import drjit as dr
+
+    from nacre.device.walk.arrays import evaluate_layered
+
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history()
+        evaluate_layered(layered_lobe(), direction(0.5), np.array([[0.0, 0.0, 1.0]]), samples=256)
+        made = [one["operation_count"] for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT]
+    assert sum(count > max(made) / 2 for count in made) == 1

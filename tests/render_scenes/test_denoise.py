@@ -57,6 +57,113 @@ def test_skewed_noise_keeps_its_mean() -> None:
     assert np.abs(kept - 1.0).max() < 0.02
 
 
+def noisy_pair(truth: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """A picture with grain of a relative strength, and a draw of it as two halves tell it."""
+    generator = np.random.default_rng(7)
+    halves = [truth * generator.normal(1.0, noise * 2**0.5, truth.shape) for _ in range(2)]
+    return 0.5 * (halves[0] + halves[1]), np.asarray(0.5 * (halves[0] - halves[1]), dtype=np.float32)
+
+
+def flat_guides() -> tuple[np.ndarray, np.ndarray]:
+    return np.full((*SIZE, 3), 0.5, np.float32), np.tile(np.float32([0.0, 0.0, 1.0]), (*SIZE, 1))
+
+
+def test_texture_stronger_than_the_noise_is_given_back() -> None:
+    """A pattern as fine as the pixels, without an order that the denoiser could see, and guides that know nothing."""
+    from nacre.picture.denoise import denoised
+
+    texture = np.random.default_rng(5).uniform(0.85, 1.15, (*SIZE, 1))
+    truth = 0.3 * texture * [0.95, 1.0, 1.09]
+    noisy, doubt = noisy_pair(truth, 0.02)
+
+    def error(xyz: np.ndarray) -> float:
+        return float(np.sqrt(np.mean((xyz - truth) ** 2)))
+
+    raw, smooth, found = (error(xyz) for xyz in (
+        noisy, denoised(noisy, *flat_guides()), denoised(noisy, *flat_guides(), doubt)))  # fmt: skip
+    assert smooth > 1.5 * raw  # else it is no test
+    assert found < 1.05 * raw  # Wiener's share of texture so strong is nearly 1
+
+
+def test_no_grain_comes_back_where_there_is_no_texture() -> None:
+    from nacre.picture.denoise import denoised
+
+    truth = np.full((*SIZE, 3), 0.3) * [0.95, 1.0, 1.09]
+    noisy, doubt = noisy_pair(truth, 0.2)
+    grain = [np.std(xyz[..., 1]) for xyz in (noisy, denoised(noisy, *flat_guides(), doubt))]
+    # a tenth of the mean square error is the bar of whole pictures
+    assert grain[1] < grain[0] / 10**0.5
+
+
+def test_fireflies_do_not_come_back_as_texture() -> None:
+    """One path in a hundred pixels brings as much as all others: halves that meet two nearby seem to agree on them."""
+    from nacre.picture.denoise import denoised
+
+    generator = np.random.default_rng(11)
+    truth = np.full((*SIZE, 3), 0.3) * [0.95, 1.0, 1.09]
+    halves = []
+    for _ in range(2):
+        met = generator.random((*SIZE, 1)) < 0.01
+        halves.append(truth * (generator.normal(1.0, 0.1, truth.shape) + met * generator.uniform(2.0, 8.0, met.shape)))
+    noisy, doubt = 0.5 * (halves[0] + halves[1]), np.asarray(0.5 * (halves[0] - halves[1]), dtype=np.float32)
+    without, found = (denoised(noisy, *flat_guides(), *each)[..., 1] for each in ((), (doubt,)))
+    spots = [float(np.abs(each / np.median(each) - 1.0).max()) for each in (without, found)]
+    assert spots[1] < 1.25 * spots[0]
+
+
+def test_light_does_not_leave_an_object_with_the_means_of_its_colours() -> None:
+    """A rim that the denoiser dims gives its light back to itself, not to the dark beside it."""
+    from nacre.picture.denoise import beyond_noise
+
+    lost = np.zeros((*SIZE, 3))
+    lost[:, 40:42] = 0.2
+    texture, mean = beyond_noise(lost, np.full((*SIZE, 3), 1e-4))
+    assert np.abs((texture + mean) - lost).max() < 0.01 * lost.max()
+
+
+def test_halves_of_the_samples_tell_the_noise_of_a_picture() -> None:
+    from nacre.picture import passes
+    from nacre.picture import picture as pictures
+
+    material, found = nacre.material(GOLD), []
+    real = passes.shoot
+
+    def noting(*arguments: Any) -> Any:
+        found.append(real(*arguments))
+        return found[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pictures, "shoot", noting)
+        for options in ({"spp": 16}, {"spp": 16}, {"noise": 0.5}, {"spp": 1}):
+            render(material, seed=len(found), **options)
+    first, second, by_noise, single = found
+    spread = np.mean((first.xyz - second.xyz) ** 2) / 2.0
+    told = np.mean(first.doubt**2)
+    # halves of a sequence that evens itself out lie further apart than independent ones, never nearer; twice the
+    # variance would be as if half of the samples did nothing
+    assert 0.7 * spread < told < 3.0 * spread
+    assert by_noise.doubt is not None and single.doubt is None
+
+
+def test_walks_have_no_halves_to_compare() -> None:
+    """Their noise has such tails that spots of it would come back as texture."""
+    from nacre.picture import passes
+
+    flakes = [{"volume_fraction": 0.02, "substrate": {"material": "mica", "thickness_nm": 400.0}}]
+    stratum = {"resin": {"n": 1.5}, "thickness_um": 30.0, "platelets": flakes}
+    pearl = nacre.material({"family": "pearl", "strata": [stratum]})
+    found = []
+
+    def noting(*arguments: Any) -> Any:
+        found.append(passes.shoot(*arguments))
+        return found[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("nacre.picture.picture.shoot", noting)
+        nacre.render.render(pearl, size=(16, 16), spp=2)
+    assert found[0].doubt is None and found[0].guides
+
+
 def test_fine_lines_keep_their_contrast() -> None:
     """Stripes of some four pixels on the sphere: a thickness that makes silver dark and bright by turns."""
     layer = {"material": "Ge", "thickness_nm": {"formula": "20 + 20*sin(2*pi*90*u)"}}

@@ -50,6 +50,14 @@ def test_every_scene_renders_its_subject(scene: str, gold: Any) -> None:
     assert change[6:14, 6:18].mean() > change.mean()
 
 
+@pytest.mark.full
+@pytest.mark.parametrize("scene", ["sphere", "butterfly", "speedshape", "ring"])
+def test_of_two_million_paths_none_leaves_a_pixel_black(scene: str, gold: Any) -> None:
+    """What is no number in one path in 100,000 stands in every picture as black dots, and in no small one."""
+    made = nacre.render(gold, scene, size=(256, 256), spp=32, denoise=False)
+    assert made.stats["not_finite_pixels"] == 0 and (made.xyz[..., 1] > 0.0).mean() > 0.999
+
+
 @pytest.mark.parametrize("light", ["street", "interior", "sun", "sky", "line"])
 def test_every_light_shines(light: str, gold: Any) -> None:
     result = nacre.render(gold, "sphere", light=light, **SMALL)

@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.special import ive, ndtr, ndtri
 
 from nacre.arrays import Array
 from nacre.matter.jit import compiled
@@ -42,6 +41,8 @@ def kind_of_flake(
         width: of a flake's own lobe, as a slope over the flakes' deviation.
         seed: of the hash, below 2^24.
     """
+    from scipy.special import ndtr, ndtri  # slow to import, and most materials have no flakes
+
     low = float(ndtr(-CUT))
     radii_mm = 0.5e-3 * diameter_um * np.exp(spread * ndtri(np.linspace(low, 1.0 - low, NODES)))
     # the mean square of what is linear between nodes
@@ -75,6 +76,8 @@ def mean_ratio(width: float) -> Array:
     low, high = np.maximum(t - 10.0 * width, 0.0), t + 10.0 * width
     other = low[:, None] + 0.5 * (high - low)[:, None] * (x + 1.0)
     density = 1.0 / (np.pi * (1.0 + other**2) ** 2)
+    from scipy.special import ive
+
     kernel = np.exp(-0.5 * ((t[:, None] - other) / width) ** 2) * ive(0, t[:, None] * other / width**2)
     mean = 0.5 * (high - low) * np.sum(weight * kernel * density * 2.0 * np.pi * other, axis=1)
     ratio = mean / (2.0 * np.pi * width**2) * np.pi * (1.0 + t**2) ** 2

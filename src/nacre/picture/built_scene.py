@@ -136,22 +136,26 @@ class BuiltScene:
         place_view = self.scene.place_view if self.light.is_surrounding else None
         return framing.of(place_view or self.scene.view, self.radius)
 
-    def sensor(self, view: View, size: tuple[int, int], film: dict[str, Any], spp: int = 4, sampler: Any = None) -> Any:
-        """Return a camera with its film; `sampler` None: one of Mitsuba's own."""
+    def sensor(
+        self, view: View, size: tuple[int, int], film: dict[str, Any], spp: int = 4, sampler: Any = None,
+        response: Any = None, rows: int | None = None,
+    ) -> Any:  # fmt: skip
+        """Return a camera with its film; `sampler`, `response` None: Mitsuba's own; `rows`: so many in the middle."""
         mi = use_variant()
         # a wider picture keeps the scene's height, a narrower one its width: the subject always fits
         half = np.tan(np.radians(0.5 * view.fov_deg))
         is_wider = size[0] / size[1] > self.scene.size[0] / self.scene.size[1]
-        half_y = half * self.scene.size[1] / self.scene.size[0]
+        half_x = half * (self.scene.size[1] / self.scene.size[0]) * (size[0] / size[1]) if is_wider else half
         return mi.load_dict(
             {
                 "type": "perspective",
-                "fov": float(2 * np.degrees(np.arctan(half_y if is_wider else half))),
-                "fov_axis": "y" if is_wider else "x",
+                "fov": float(2 * np.degrees(np.arctan(half_x))),
+                "fov_axis": "x",
                 "near_clip": 1e-3,  # depths count from there
                 "far_clip": 1e4,
                 "to_world": mi.ScalarTransform4f().look_at(list(view.origin), list(view.target), list(view.up)),
-                "film": {**film, "width": size[0], "height": size[1]},
+                "film": {**film, "width": size[0], "height": rows or size[1]},
+                **({"srf": response} if response else {}),
                 "sampler": sampler or {"type": "multijitter", "sample_count": spp},
             }
         )

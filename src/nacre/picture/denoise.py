@@ -3,8 +3,10 @@
 It works on linear Rec. 2020, near the colours that it was trained on and wide enough that little is negative (the
 denoiser cuts that), and is guided by what the camera sees first (`nacre.picture.guides`): the diffuse reflectance and
 the normal of every pixel. What it takes from the mean colour of a neighbourhood, since it judges grain on a compressive
-scale, is given back. It needs pixels that share no samples, so the picture has to be made with the box filter; through
-a wider filter it takes grain for texture.
+scale, is given back, and so is the texture that it took for grain: what lies between the raw picture and the clean one
+is split into scales, of each of which the share is given back that noise cannot have made. How much noise there is tell
+two halves of the samples. It needs pixels that share no samples, so the picture has to be made with the box filter;
+through a wider filter it takes grain for texture.
 """
 
 from __future__ import annotations
@@ -20,13 +22,22 @@ GUIDE_SPP = 16  # of the guides, which only need the first hit
 TO_RGB = np.array(
     [[1.7166512, -0.3556708, -0.2533663], [-0.6666844, 1.6164812, 0.0157685], [0.0176399, -0.0427706, 0.9421031]]
 )
-# Standard deviation, in pixels, over which mean colours are kept: in XYZ alone they were off by dE00 0.2 to 0.4 at 64
-# samples a pixel, by 0.1 with it; what grain it brings back is a twentieth of the raw picture's, and smooth
+# Standard deviations, in pixels, that part the scales. Beyond the last all that was lost is given back: mean colours in
+# XYZ alone were off by dE00 0.2 to 0.4 at 64 samples a pixel
+SCALES = (1.0, 2.0, 5.0)
+NEARBY = 2.5  # times the scale: over which noise and loss are averaged before they are compared
+# the only scale where the noise is not known: what grain comes back is a twentieth of the raw picture's
 KEPT_MEANS = 6.0
+# luminance, and two differences from it, in which noise of few wavelengths a path and texture part better than in XYZ
+OPPONENT = np.array([[0.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, -1.0, 1.0]])
 # Of a pixel's own light: a firefly is not to come back as a spot. Few wavelengths a path make skewed noise, many pixels
 # too dark and few far too bright: with a bound of 1 a blue pearl lost 12 % of its blue and was dE00 3.4 off, at 8 it
 # loses 0.3 %, and what comes back of a firefly is 3.5 % of a pixel's light.
 LARGEST_RETURN = 8.0
+LARGEST_TEXTURE = 1.0  # likewise, of the light of the cleaned pixel: a firefly can be met by both halves
+SURE = 0.5  # shares below this may be chance and count for less: grain would come back where there is no texture
+CHANCE = 1.5  # standard errors up to which an excess over the noise is chance; from twice as many it counts in full
+TAILS = 6.0, 9.0  # fourth moment over the second squared, 3 of normal noise: from where to where texture fades out
 BAND_PIXELS = 1 << 21  # of a large picture at a time: half a gigabyte
 MARGIN = 128  # rows beyond a band that the denoiser sees, as far as it looks
 BLOCK, MIDDLE_GREY = 16, 0.18
@@ -62,21 +73,38 @@ def clean_albedo(albedo: NDArray[np.float32]) -> NDArray[np.float32]:
     return clean
 
 
-def denoised(xyz: NDArray[np.float64], albedo: NDArray[np.float32], normal: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return a linear XYZ picture `[row, column, 3]` without its grain; `albedo` should be clean already."""
+def denoised(
+    xyz: NDArray[np.float64],
+    albedo: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    doubt: NDArray[np.float32] | None = None,
+) -> NDArray[np.float64]:
+    """Return a linear XYZ picture `[row, column, 3]` without its grain.
+
+    Args:
+        xyz: as rendered.
+        albedo, normal: what each pixel sees first; the albedo should be clean already.
+        doubt: `[row, column, 3]`, a draw of the noise of `xyz` (see `nacre.picture.passes.Frame`); without it mean
+            colours are kept, and texture only as far as the denoiser sees it.
+    """
     found = np.empty_like(xyz)
     parts = bands(*xyz.shape[:2])
     scale = None if len(parts) == 1 else exposure(xyz[..., 1])
     for seen, kept, inner in parts:
-        found[kept] = _band(xyz[seen], albedo[seen], normal[seen], scale)[inner]
+        found[kept] = _band(
+            xyz[seen], albedo[seen], normal[seen], scale, None if doubt is None else doubt[seen]
+        )[inner]
     return found
 
 
 def _band(
-    xyz: NDArray[np.float64], albedo: NDArray[np.float32], normal: NDArray[np.float32], scale: float | None
+    xyz: NDArray[np.float64],
+    albedo: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    scale: float | None,
+    doubt: NDArray[np.float32] | None,
 ) -> NDArray[np.float64]:
     import mitsuba_oidn as oidn
-    from scipy.ndimage import gaussian_filter
 
     rgb = np.ascontiguousarray(np.maximum(xyz @ TO_RGB.T, 0.0), dtype=np.float32)
     # guides as clean as these may be trusted: with the denoiser's own doubts the error was 1.3 times as large, at edges
@@ -85,7 +113,54 @@ def _band(
     clean = np.maximum(np.asarray(clean, dtype=np.float64) @ np.linalg.inv(TO_RGB).T, 0.0)
     bound = LARGEST_RETURN * clean.max(axis=-1, keepdims=True)
     lost = np.clip(xyz - clean, -bound, bound)
-    return np.maximum(clean + gaussian_filter(lost, (KEPT_MEANS, KEPT_MEANS, 0.0)), 0.0)
+    if doubt is None:
+        return np.maximum(clean + _smooth(lost, KEPT_MEANS), 0.0)
+    _, mean = beyond_noise(lost, np.clip(doubt, -bound, bound))
+    bound *= LARGEST_TEXTURE / LARGEST_RETURN
+    texture, _ = beyond_noise(np.clip(lost, -bound, bound), np.clip(doubt, -bound, bound))
+    return np.maximum(clean + np.clip(texture, -bound, bound) + mean, 0.0)
+
+
+def beyond_noise(
+    lost: NDArray[np.float64], noise: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the parts of `lost` that noise does not explain: texture, and the mean of each neighbourhood.
+
+    Of each scale and opponent colour the share 1 - (power of the noise) / (power of what was lost) is kept, both
+    averaged nearby, which has the least expected error among shares (Wiener's filter, with the powers as found); small
+    ones are lowered.
+
+    Args:
+        lost: XYZ `[row, column, 3]`, raw picture less clean one.
+        noise: another draw of the noise that `lost` contains.
+    """
+    lost, noise = lost @ OPPONENT.T, noise @ OPPONENT.T
+    kept = np.zeros_like(lost)
+    before = 1.0
+    for scale in SCALES:
+        wide, wide_noise = _smooth(lost, scale), _smooth(noise, scale)
+        fine, fine_noise = lost - wide, noise - wide_noise
+        reach = NEARBY * before
+        excess = fine**2 - fine_noise**2
+        found = _smooth(excess, reach)
+        share = np.maximum(found / np.maximum(_smooth(fine**2, reach), 1e-20), 0.0)
+        # by how many standard errors of such a mean the noise is exceeded: near a firefly it says nothing of texture
+        blot = 1.0 if scale == SCALES[0] else 2.0 * np.pi * before**2  # pixels that are one draw of the noise
+        error = np.sqrt(2.0 * _smooth(fine_noise**4, reach / np.sqrt(2.0)) * blot / (4.0 * np.pi * reach**2))
+        sure = np.clip((found / np.maximum(error, 1e-20) - CHANCE) / CHANCE, 0.0, 1.0)
+        # where the noise has long tails two halves of the samples agree by chance on what one path of many brought
+        tails = _smooth(fine_noise**4, 2.0 * reach) / np.maximum(_smooth(fine_noise**2, 2.0 * reach) ** 2, 1e-40)
+        sure *= np.clip((TAILS[1] - tails) / (TAILS[1] - TAILS[0]), 0.0, 1.0)
+        kept += fine * share * np.minimum(share / SURE, 1.0) * sure
+        lost, noise, before = wide, wide_noise, scale
+    back = np.linalg.inv(OPPONENT).T
+    return kept @ back, lost @ back
+
+
+def _smooth(picture: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(picture, (sigma, sigma, 0.0), mode="nearest", truncate=3.0))
 
 
 def bands(rows: int, columns: int) -> list[tuple[slice, slice, slice]]:

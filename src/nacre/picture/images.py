@@ -111,8 +111,13 @@ def auto_stops(xyz: Array) -> float:
 def develop(xyz: Array, illuminant: str, exposure: Exposure = "auto") -> tuple[Array, float]:
     """Return linear sRGB `[..., 3]`, not clipped, and the stops used."""
     stops = auto_stops(xyz) if exposure == "auto" else float(exposure)
-    balanced = adapt_xyz(xyz, white_xyz(illuminant), SRGB_WHITE_XYZ)
-    return xyz_to_srgb_linear(balanced) * 2.0**stops, stops
+    rgb: Array = np.empty_like(xyz, dtype=float)
+    rows = max(SHOWN_AT_ONCE // max(rgb.shape[1], 1), 1) if rgb.ndim == 3 else max(len(rgb), 1)
+    for first in range(0, len(rgb), rows):  # as in `show`
+        part = slice(first, first + rows)
+        balanced = adapt_xyz(xyz[part], white_xyz(illuminant), SRGB_WHITE_XYZ)
+        rgb[part] = xyz_to_srgb_linear(balanced) * 2.0**stops
+    return rgb, stops
 
 
 def encode(rgb: Array, tone: str = "srgb") -> tuple[NDArray[np.uint8], int]:

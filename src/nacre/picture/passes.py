@@ -3,6 +3,7 @@ is done, and memory stays bounded; and the guides of the denoiser."""
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -16,21 +17,25 @@ from numpy.typing import NDArray
 from nacre.arrays import Array
 from nacre.device.variant import use_variant
 from nacre.picture import interrupt
+from nacre.picture.bands import Banded
 from nacre.picture.camera import View
 from nacre.picture.cut_out import cut_out, sees_objects
 from nacre.picture.denoise import GUIDE_SPP
 from nacre.picture.endless import without_edges
 from nacre.picture.guides import first_hits, guide_tracer
-from nacre.picture.paths import can_split, make_paths
+from nacre.picture.paths import DRAWS, can_split, make_paths
 from nacre.picture.progress import Clock, ProgressCallback
-from nacre.picture.samples import begin, going_on
+from nacre.picture.samples import going_on
+from nacre.picture.wavelengths import by_colour, evened
 from nacre.recipe.memory import check_memory
+
+logger = logging.getLogger("nacre")
 
 # samples of one pass: bounds memory (some hundred bytes each) and keeps passes near a second
 PASS_SAMPLES = 1 << 22
 BYTES_A_PIXEL = 240  # measured: 195, of a large picture, whose passes take one sample a pixel; and what tells the noise
 BYTES_A_BAND = 32  # in single precision as rendered, in double twice as added up
-BYTES_OF_GUIDES = 100
+BYTES_OF_GUIDES = 124  # and of what tells the denoiser the noise
 BAND_STEP_NM = 10.0
 FIRST_HIT = {"albedo": "RGB", "normal": "XYZ", "depth": "Z"}
 RUSSIAN_ROULETTE_DEPTH = 6
@@ -96,6 +101,8 @@ class Frame:
         not_finite: pixels with a value that is no number.
         noise: median relative standard error of the pixels that see an object, where there were passes enough to tell.
         is_interrupted: whether it was ended before the samples were enough.
+        doubt: `[row, column, 3]`, a draw of the noise of `xyz`, from how far two halves of the samples lie apart; only
+            where there are guides, and samples for both halves.
     """
 
     xyz: Array
@@ -107,6 +114,7 @@ class Frame:
     not_finite: int = 0
     noise: float | None = None
     is_interrupted: bool = False
+    doubt: NDArray[np.float32] | None = None
 
 
 def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[[Frame], None] | None = None) -> Frame:
@@ -119,7 +127,6 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
     Raises:
         KeyboardInterrupt: before the first pass was done.
     """
-    mi = use_variant()
     film: dict[str, Any] = {
         "type": "hdrfilm",
         "pixel_format": "xyza" if shot.cut else "xyz",
@@ -134,18 +141,29 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
     each = BYTES_A_PIXEL + BYTES_A_BAND * len(bands) + (BYTES_OF_GUIDES if shot.with_guides else 0)
     check_memory(float(each) * shot.size[0] * shot.size[1], f"size = {shot.size[0]}x{shot.size[1]}: the picture")
     sampler = going_on()
-    sensor = stage.sensor(shot.view, shot.size, film, sampler=sampler)
+    response = None if shot.spectral else _response(stage)
+    guided = {"sampler": sampler, **({"response": response} if response else {})}  # a user's scene knows no response
+    sensor = stage.sensor(shot.view, shot.size, film, **guided)
+    camera = Banded(
+        lambda size: stage.sensor(shot.view, shot.size, film, rows=size[1], **guided), shot.size, sampler,
+        # a film of bands of the spectrum knows one filter, as wide as this
+        is_boxed=shot.boxed and not shot.spectral,
+    )  # fmt: skip
     integrator = _tracer(stage)
     if shot.cut:
         integrator = cut_out(integrator, stage.objects)
     elif shot.is_framed and stage.endless is not None:
         integrator = without_edges(integrator, stage.endless)
+    integrator = evened(integrator, response) if response else integrator
     most = max(1, PASS_SAMPLES // (shot.size[0] * shot.size[1]))
     until = shot.until
     is_open = until.noise is not None or until.seconds is not None
-    plan = pass_plan(until.spp, most, is_open)
+    # the noise of walks has such tails that two halves of it look alike by chance: spots would come back as texture
+    halved = shot.with_guides and not shot.spectral and until.spp > 1 and not _walks(stage.mitsuba_scene)
+    plan = pass_plan(until.spp, min(most, (until.spp + 1) // 2) if halved and not is_open else most, is_open)
     count = len(plan)
     total: NDArray[np.float64] | None = None
+    half, in_half = np.zeros(0, dtype=np.float32), 0
     judged = sees_objects(stage.mitsuba_scene, sensor, stage.objects, shot.size) if is_open else None
     done, clock, spread, noise = 0, Clock(), Spread(judged), None
     stopped = False
@@ -154,8 +172,8 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
     def frame() -> Frame:
         assert total is not None  # spp is at least 1
         if shot.with_guides and not guides:
-            begun = pass_seed(shot.seed, GUIDES_FROM)
-            guides.update(_guides(stage.mitsuba_scene, sensor, sampler, pass_plan(GUIDE_SPP, most), begun))
+            tracer = evened(guide_tracer(), response) if response else guide_tracer()
+            guides.update(_guides(stage.mitsuba_scene, camera, tracer, pass_seed(shot.seed, GUIDES_FROM)))
         mean = total / done
         not_finite = int(np.count_nonzero(~np.isfinite(mean).all(axis=-1)))
         clean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
@@ -165,19 +183,34 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
             xyz = bands_to_xyz(clean, bands)
             return Frame(xyz, done, None, clean.astype(np.float32), bands, guides, not_finite, noise, stopped)
         alpha = clean[..., 3] if shot.cut else None
-        return Frame(clean[..., :3], done, alpha, None, None, guides, not_finite, noise, stopped)
+        doubt = None
+        if halved and 0 < in_half < done:
+            # the halves' difference, as large as the noise of their mean
+            share = math.sqrt(in_half / (done - in_half))
+            doubt = np.asarray(share * (half / in_half - clean[..., :3]), dtype=np.float32)
+            doubt = np.nan_to_num(doubt, nan=0.0, posinf=0.0, neginf=0.0)
+        return Frame(clean[..., :3], done, alpha, None, None, guides, not_finite, noise, stopped, doubt)
 
     shown = 0  # samples of the picture that was last given away
     started = time.perf_counter()
     with interrupt.held_back() as is_interrupted:
+
+        def is_over() -> bool:
+            return done > 0 and is_interrupted()
+
         for index, part in enumerate(plan):
             now = part.spp
             known = 0 if is_open else until.spp
-            seed = begin(sampler, pass_seed(shot.seed, part.sequence), part.first, now, known, shot.size[0])
-            picture = mi.render(stage.mitsuba_scene, sensor=sensor, integrator=integrator, spp=now, seed=seed)
-            values = np.array(picture, dtype=np.float64)
-            total = values * now if total is None else total + values * now
+            seed = pass_seed(shot.seed, part.sequence)
+            values = camera.render(stage.mitsuba_scene, integrator, seed, part.first, now, known, is_over)
+            if values is None:
+                stopped = True
+                break
+            total = _added(total, values, now)
             done += now
+            if halved and (part.sequence == 0 if is_open else 2 * part.first < until.spp):
+                part_of = (now * values[..., :3]).astype(np.float32)
+                half, in_half = part_of if in_half == 0 else half + part_of, in_half + now
             interrupt.keep_passes()
             if is_open:
                 spread.add(values.mean(axis=-1) if shot.spectral else values[..., 1], part)
@@ -193,7 +226,11 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
             if on_better is not None and done >= 2 * shown and index + 1 < len(plan):
                 shown = done
                 on_better(frame())
-    return frame()
+    made = frame()
+    if made.not_finite:
+        logger.warning("%d pixels came out as no number and are black; please report it", made.not_finite)
+    camera.let_go()
+    return made
 
 
 def _left(until: Until, plan: Sequence[Part], done: int, noise: float | None, seconds: float) -> tuple[int, bool]:
@@ -219,7 +256,7 @@ class Spread:
         self._sums: list[Any] = [0.0] * SEQUENCES
         self._weights = [0] * SEQUENCES
 
-    def add(self, luminance: NDArray[np.float64], part: Part) -> None:
+    def add(self, luminance: NDArray[Any], part: Part) -> None:
         """Take a pass `[row, column]` into account."""
         luminance = np.nan_to_num(luminance, nan=0.0, posinf=0.0, neginf=0.0)
         # in single precision: as many bytes as one sum and its squares would take
@@ -250,8 +287,15 @@ def path_tracer(stage: Any) -> dict[str, Any]:
     return {"type": kind, "max_depth": stage.depth, "rr_depth": RUSSIAN_ROULETTE_DEPTH}
 
 
+def _response(stage: Any) -> Any:
+    """Return what guides the draws of wavelengths; None: Mitsuba's own curve, as in a user's scene."""
+    if getattr(stage, "light", None) is None or use_variant().variant().startswith("scalar"):
+        return None
+    return by_colour()
+
+
 def _tracer(stage: Any) -> Any:
-    """Return the integrator of a stage: our own where Mitsuba's would be slow or leave fireflies."""
+    """Return the integrator of a stage: our own, but for scalar variants and scenes of the user's."""
     mi = use_variant()
     light = getattr(stage, "light", None)  # a user's scene has lights of its own, and may have media
     clear = lets_through(stage.mitsuba_scene)
@@ -263,10 +307,21 @@ def _tracer(stage: Any) -> Any:
     soft, spread_by = light.soft, []
     if soft is None and light.soft_within is not None and refracting:
         soft, spread_by = light.soft_within, refracting
-    if soft is None and not clear:
-        return mi.load_dict(path_tracer(stage))
     splits = clear and all(can_split(shape.bsdf()) for shape in shapes)
-    return make_paths(stage.depth, RUSSIAN_ROULETTE_DEPTH, clear, soft, splits, spread_by)
+    draws = 1 if _walks(stage.mitsuba_scene) or _glitters(stage.mitsuba_scene) else DRAWS
+    return make_paths(stage.depth, RUSSIAN_ROULETTE_DEPTH, clear, soft, splits, spread_by, draws)
+
+
+def _walks(scene: Any) -> bool:
+    """Whether a surface of the scene answers by random walks."""
+    bsdfs = [shape.bsdf() for shape in scene.shapes()]
+    return any(not plugin.pdf_is_exact for bsdf in bsdfs for plugin in getattr(bsdf, "plugins", ()))
+
+
+def _glitters(scene: Any) -> bool:
+    """Whether flakes are seen one by one, which takes many places of a pixel, not many of a lamp."""
+    bsdfs = [shape.bsdf() for shape in scene.shapes()]
+    return any(getattr(plugin, "glints", None) is not None for bsdf in bsdfs for plugin in getattr(bsdf, "plugins", ()))
 
 
 def lets_through(scene: Any) -> bool:
@@ -279,22 +334,36 @@ def lets_through(scene: Any) -> bool:
     return any(shape.bsdf() is not None and int(shape.bsdf().flags()) & null for shape in scene.shapes())
 
 
-def _guides(scene: Any, sensor: Any, sampler: Any, passes: Sequence[Part], seed: int) -> dict[str, NDArray[np.float32]]:
+def _added(total: NDArray[np.float64] | None, values: NDArray[np.float32], spp: int) -> NDArray[np.float64]:
+    """Add a pass to the sum of those before, in its place: a large picture is not to be there three times."""
+    if total is None:
+        total = np.zeros(values.shape)
+    for row, line in enumerate(values):
+        total[row] += line.astype(np.float64) * spp
+    return total
+
+
+def _guides(scene: Any, camera: Banded, tracer: Any, seed: int) -> dict[str, NDArray[np.float32]]:
     """Return the guides of the denoiser, see `nacre.picture.guides.first_hits`.
 
     Args:
-        scene, sensor: of Mitsuba.
-        sampler: of the sensor, from `going_on`.
-        passes: `GUIDE_SPP` samples in all.
+        scene: of Mitsuba.
+        camera: of the picture.
+        tracer: a `guide_tracer`.
         seed: of the samples.
     """
-    mi, integrator = use_variant(), guide_tracer()
-    seen: Any = 0.0
-    for part in passes:
-        begun = begin(sampler, seed, part.first, part.spp)
-        made = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=part.spp, seed=begun))
-        seen = seen + part.spp * made[..., [0, 1, 2, -4, -3, -2, -1]]
-    return first_hits(np.asarray(seen / sum(part.spp for part in passes), dtype=float))
+    passes = pass_plan(GUIDE_SPP, max(1, PASS_SAMPLES // (camera.size[0] * camera.rows)))
+    found: dict[str, NDArray[np.float32]] = {}
+    for band in camera.bands:
+        seen: Any = 0.0
+        for part in passes:
+            made = camera.band(band, scene, tracer, seed, part.first, part.spp)
+            seen = seen + part.spp * made[..., [0, 1, 2, -4, -3, -2, -1]]
+        for name, values in first_hits(np.asarray(seen / GUIDE_SPP, dtype=float)).items():
+            if name not in found:
+                found[name] = np.empty((camera.size[1], *values.shape[1:]), dtype=np.float32)
+            found[name][band.kept] = values[band.inner]
+    return found
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,11 @@
-"""The path tracer of our own scenes, where Mitsuba's would leave noise: films that light goes straight through, and
-small lamps that mirrors throw on matt surfaces.
+"""The path tracer of our own scenes, where Mitsuba's would leave noise: matt and rough surfaces under several lamps,
+films that light goes straight through, and small lamps that mirrors throw on matt surfaces.
 
-Both are handled in one loop after Mitsuba's `path` (next-event estimation and scattering, joined by the power
-heuristic). Shadow rays pass null interactions and take their colour; these do not count as events either. `volpath`
-does the same at the price of media, which our scenes do not have.
+All are handled in one loop after Mitsuba's `path` (next-event estimation and scattering, joined by the power
+heuristic). The first surface on a way that is no mirror draws several places of lamps, evenly among themselves, since
+that is where most of the noise comes from; what matt surfaces send each other is little and gets fewer paths. Shadow
+rays pass null interactions and take their colour; these do not count as events either. `volpath` does the same at the
+price of media, which our scenes do not have.
 
 Where the camera looks straight through clear surfaces, what passes and what the surface sends are both followed: the
 few per cent of a bright lamp that a soap film mirrors would otherwise be seen by as few of the samples, as grain.
@@ -30,13 +32,16 @@ SOFT_LAMP_DEG = 10.0
 WITHIN_LAMP_DEG = 40.0
 # density of directions above which a lobe is narrower than that lamp
 NARROW = 1.0 / (2.0 * math.pi * (1.0 - math.cos(math.radians(0.5 * SOFT_LAMP_DEG))))
+DRAWS = 4  # places of lamps that the first surface draws which is no mirror; of pearls one: each takes a walk
+FAINT = 0.3  # share of the light of a way beside the straight one that one draw does for
 MOST_PASSED = 64  # clear surfaces that one shadow ray passes
 MOST_SPLIT = 4  # clear surfaces at which a camera's ray goes both ways
 
 
 def make_paths(
-    max_depth: int, rr_depth: int, passes_through: bool, soft: Any = None, splits: bool = False, spread_by: Any = ()
-) -> Any:
+    max_depth: int, rr_depth: int, passes_through: bool, soft: Any = None, splits: bool = False, spread_by: Any = (),
+    draws: int = DRAWS,
+) -> Any:  # fmt: skip
     """Return an integrator of the current variant, which must not be a scalar one.
 
     Args:
@@ -46,9 +51,10 @@ def make_paths(
         splits: whether camera rays go both ways at clear surfaces; then every BSDF must be able to leave its null
             interaction out when asked to (`can_split`).
         spread_by: shapes; only light that one of these has spread is lit by `soft`; none: by whatever spread it.
+        draws: places of lamps that the first surface draws which is no mirror.
     """
     mi = use_variant()
-    return _class(mi.variant())(mi.Properties(), max_depth, rr_depth, passes_through, soft, splits, spread_by)
+    return _class(mi.variant())(mi.Properties(), max_depth, rr_depth, passes_through, soft, splits, spread_by, draws)
 
 
 def can_split(bsdf: Any) -> bool:
@@ -87,29 +93,54 @@ def _class(variant: str) -> type:
         # one that is still going met too many surfaces: dark, as an opaque one would be
         return dr.select(loop[3], 0.0, loop[1])
 
+    def drawn_light(
+        paths: Any, scene: Any, si: Any, bsdf: Any, place: Any, draws: Any, has_spread: Any, active: Any
+    ) -> Any:
+        """Light of so many drawn places of lamps that `si` sends on, the mean of the draws."""
+        context, many = mi.BSDFContext(), mi.Float(draws)
+
+        def body(count: Any, found: Any) -> Any:
+            # a lattice, turned by the sample's own draw
+            x, y = place.x + mi.Float(count) / many, place.y + mi.Float(dr.brev(count) >> 8) * (1.0 / (1 << 24))
+            at = mi.Point2f(x - dr.floor(x), y - dr.floor(y))
+            ds, shine = scene.sample_emitter_direction(si, at, not paths.passes_through, active)
+            is_lit = active & (ds.pdf != 0.0)
+            if paths.passes_through:
+                shine = shine * passed(scene, si, ds, is_lit)
+            value, by_bsdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), is_lit)
+            if paths.soft is not None:  # found by the lobe alone, as the soft lamp
+                is_far = ds.emitter == mi.EmitterPtr(scene.environment())
+                is_lit = is_lit & ((is_far & has_spread & (by_bsdf > NARROW)) ^ True)
+            share = dr.select(ds.delta, 1.0, weigh(many * ds.pdf, by_bsdf))
+            return count + 1, dr.select(is_lit, dr.fma(share, value * shine, found), found)
+
+        state = (mi.UInt32(0), mi.Spectrum(0.0))
+        labels = ("count", "found")
+        loop = dr.while_loop(state, lambda count, found: active & (count < draws), body, labels, label="lamps")
+        return loop[1] / many
+
     class Paths(mi.SamplingIntegrator):
         """Path tracing without media."""
 
         def __init__(
             self, properties: Any, max_depth: int, rr_depth: int, passes_through: bool, soft: Any, splits: bool,
-            spread_by: Any,
+            spread_by: Any, draws: int,
         ) -> None:  # fmt: skip
             super().__init__(properties)
             self.max_depth, self.rr_depth = max_depth, rr_depth
             self.passes_through, self.soft, self.splits = passes_through, soft, splits
-            self.spread_by = list(spread_by)
+            self.spread_by, self.draws = list(spread_by), draws
 
         def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
-            context = mi.BSDFContext()
             scatters = mi.BSDFContext()
             if self.splits:
                 scatters.type_mask = int(mi.BSDFFlags.All) & ~int(mi.BSDFFlags.Null)
             has_environment = scene.environment() is not None
 
             def body(
-                ray: Any, light: Any, weight: Any, eta: Any, depth: Any, last: Any, pdf: Any, is_delta: Any,
-                has_spread: Any, is_led: Any, kept: Any, kept_weight: Any, is_kept: Any, splits: Any, is_seen: Any,
-                active: Any, sampler: Any,
+                ray: Any, light: Any, weight: Any, base: Any, eta: Any, depth: Any, last: Any, pdf: Any, draws: Any,
+                is_delta: Any, has_spread: Any, is_led: Any, kept: Any, kept_weight: Any, is_kept: Any, splits: Any,
+                is_seen: Any, active: Any, sampler: Any,
             ) -> Any:  # fmt: skip
                 si = scene.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
                 before = dr.zeros(mi.Interaction3f)
@@ -117,7 +148,7 @@ def _class(variant: str) -> type:
 
                 # a lamp that is met
                 ds = mi.DirectionSample3f(scene, si, before)
-                by_lamp = scene.pdf_emitter_direction(before, ds, active & (is_delta ^ True))
+                by_lamp = mi.Float(draws) * scene.pdf_emitter_direction(before, ds, active & (is_delta ^ True))
                 share = dr.select(is_delta, 1.0, weigh(pdf, by_lamp))
                 shine = ds.emitter.eval(si, active)
                 if self.soft is not None:
@@ -126,24 +157,27 @@ def _class(variant: str) -> type:
                     share = dr.select(is_soft, 1.0, share)
                 light = dr.select(active, dr.fma(weight * share, shine, light), light)
 
-                # light from a lamp that is drawn
+                # what comes by way of several matt surfaces is little: fewer paths look for it, by the root of what
+                # they bring, since its noise counts beside their time
                 active = active & si.is_valid() & (depth + 1 < self.max_depth)
+                worth = dr.sqrt(dr.minimum(dr.max(weight) / dr.maximum(base, 1e-20), 1.0))
+                is_judged = active & (base > 0.0)
+                lives = sampler.next_1d(active) < worth
+                weight = dr.select(is_judged, weight / dr.maximum(worth, 1e-20), weight)
+                active = active & ((is_judged ^ True) | lives)
+
+                # light from lamps that are drawn
                 bsdf = si.bsdf()
                 is_broad = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-                ds, drawn = scene.sample_emitter_direction(
-                    si, sampler.next_2d(active), not self.passes_through, is_broad
-                )
-                is_broad = is_broad & (ds.pdf != 0.0)
-                if self.passes_through:
-                    drawn = drawn * passed(scene, si, ds, is_broad)
-                value, by_bsdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), is_broad)
-                if self.soft is not None:  # found by the lobe alone, as the soft lamp
-                    is_far = ds.emitter == mi.EmitterPtr(scene.environment())
-                    is_broad = is_broad & ((is_far & has_spread & (by_bsdf > NARROW)) ^ True)
-                share = dr.select(ds.delta, 1.0, weigh(ds.pdf, by_bsdf))
-                light = dr.select(is_broad, dr.fma(weight * share, value * drawn, light), light)
+                is_first = base == 0.0
+                if self.splits:
+                    is_first = is_first & ((is_kept & (dr.max(weight) < FAINT)) ^ True)
+                here = dr.select(is_first, mi.UInt32(self.draws), 1)
+                found = drawn_light(self, scene, si, bsdf, sampler.next_2d(active), here, has_spread, is_broad)
+                light = dr.select(is_broad, dr.fma(weight, found, light), light)
 
                 # on
+                most_before = dr.max(weight)
                 goes_on = mi.Bool(False)
                 if self.splits:
                     straight = bsdf.eval_null_transmission(si, active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null))
@@ -173,6 +207,9 @@ def _class(variant: str) -> type:
                 spreads = is_event & (is_narrow ^ True)
                 if self.spread_by:
                     spreads = spreads & is_one_of(si, self.spread_by)
+                draws = dr.select(is_event, here, draws)
+                is_matt = is_event & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Diffuse) & (base == 0.0)
+                base = dr.select(is_matt, most_before, base)
                 has_spread = has_spread | spreads
                 is_seen = is_seen | is_event
                 depth = dr.select(is_event, depth + 1, depth)
@@ -191,24 +228,25 @@ def _class(variant: str) -> type:
                     turns = is_kept & (active ^ True)
                     ray, weight = dr.select(turns, kept, ray), dr.select(turns, kept_weight, weight)
                     eta, pdf = dr.select(turns, 1.0, eta), dr.select(turns, 1.0, pdf)
-                    depth = dr.select(turns, 0, depth)
+                    depth, base = dr.select(turns, 0, depth), dr.select(turns, 0.0, base)
                     is_delta, active = is_delta | turns, active | turns
                     stays = turns ^ True
                     has_spread, is_led, is_kept = has_spread & stays, is_led & stays, is_kept & stays
                 return (
-                    ray, light, weight, eta, depth, last, pdf, is_delta, has_spread, is_led, kept, kept_weight,
-                    is_kept, splits, is_seen, active, sampler,
+                    ray, light, weight, base, eta, depth, last, pdf, draws, is_delta, has_spread, is_led, kept,
+                    kept_weight, is_kept, splits, is_seen, active, sampler,
                 )  # fmt: skip
 
             state = (
-                mi.Ray3f(ray), mi.Spectrum(0.0), mi.Spectrum(1.0), mi.Float(1.0), mi.UInt32(0), mi.Point3f(0.0),
-                mi.Float(1.0), mi.Bool(True), mi.Bool(False), mi.Bool(False), mi.Ray3f(ray), mi.Spectrum(0.0),
-                mi.Bool(False), mi.UInt32(MOST_SPLIT), mi.Bool(has_environment), mi.Bool(active), sampler,
+                mi.Ray3f(ray), mi.Spectrum(0.0), mi.Spectrum(1.0), mi.Float(0.0), mi.Float(1.0), mi.UInt32(0),
+                mi.Point3f(0.0), mi.Float(1.0), mi.UInt32(1), mi.Bool(True), mi.Bool(False), mi.Bool(False),
+                mi.Ray3f(ray), mi.Spectrum(0.0), mi.Bool(False), mi.UInt32(MOST_SPLIT), mi.Bool(has_environment),
+                mi.Bool(active), sampler,
             )  # fmt: skip
             done = dr.while_loop(
                 state, lambda *state: state[-2], body,
-                ("ray", "light", "weight", "eta", "depth", "last", "pdf", "is_delta", "has_spread", "is_led",
-                 "kept", "kept_weight", "is_kept", "splits", "is_seen", "active", "sampler"), label="paths",
+                ("ray", "light", "weight", "base", "eta", "depth", "last", "pdf", "draws", "is_delta", "has_spread",
+                 "is_led", "kept", "kept_weight", "is_kept", "splits", "is_seen", "active", "sampler"), label="paths",
             )  # fmt: skip
             light, is_seen = done[1], done[-3]
             return dr.select(is_seen, light, 0.0), is_seen, []

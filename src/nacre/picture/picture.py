@@ -201,7 +201,7 @@ def render(
         if not kept_raw:
             clean[:] = clean or [clean_albedo(guides["albedo"])]
             guides["albedo"] = clean[0]
-            raw, xyz = xyz, denoised(xyz, guides["albedo"], guides["normal"])
+            raw, xyz = xyz, denoised(xyz, guides["albedo"], guides["normal"], frame.doubt)
         stats = {
             **notes,
             "scene": str(scene),

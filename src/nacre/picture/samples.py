@@ -17,7 +17,7 @@ from nacre.device.variant import use_variant
 LAINE_KARRAS = (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6)
 GOLDEN, OFFSET = 0x9E3779B1, 0x7F4A7C15
 AVALANCHE = ((16, 0x85EBCA6B), (13, 0xC2B2AE35), (16, 1))  # shifts and factors of MurmurHash3's end
-TOP = 1 << 31
+PARTS = (0x55555555, 0x33333333, 0x0F0F0F0F, 0x00FF00FF, 0x0000FFFF)  # whose bit 0, 1, ... of the place is 0
 TILE = 16  # pixels along a side of those that share a sequence
 
 
@@ -42,7 +42,7 @@ def begin(sampler: Any, seed: int, first: int, spp: int, total: int = 0, width: 
     if not hasattr(sampler, "start"):
         return (seed + first * GOLDEN) & 0xFFFFFFFF
     sampler.start, sampler.key_seed, sampler.spp = first, seed & 0xFFFFFFFF, spp
-    sampler.block, sampler.width = (1 << max(total - 1, 0).bit_length() if total else 0), max(width, 1)
+    sampler.block, sampler.width = total, max(width, 1)  # shares without gaps: a tile's samples are one run of Sobol's
     return 0
 
 
@@ -60,20 +60,24 @@ def _class(variant: str) -> type:
             h = (h ^ (h >> shift)) * whole(factor)
         return h
 
-    def scrambled(x: Any, seed: Any) -> Any:
-        """Owen's scrambling: each binary digit is flipped or not by a hash of those before it."""
-        x = dr.brev(x) + seed
+    def scrambled(digits: Any, seed: Any) -> Any:
+        """Owen's scrambling: each binary digit is flipped or not by a hash of those before it.
+
+        The digits come in reversed order, the highest as bit 0.
+        """
+        x = digits + seed
         for factor in LAINE_KARRAS:
             x = x ^ (x * whole(factor))
         return dr.brev(x)
 
     def second(index: Any) -> Any:
-        """Sobol's second dimension, 32 binary digits: columns of Pascal's triangle modulo 2."""
-        found, column = whole(0), TOP
-        for bit in range(32):
-            found ^= whole(column) & (whole(0) - ((index >> bit) & 1))
-            column ^= column >> 1
-        return found
+        """Sobol's second dimension, its 32 binary digits in reversed order: Pascal's triangle modulo 2.
+
+        Its entry for bits b and j is odd where j is a part of b, so five sums over supersets make it.
+        """
+        for bit, kept in enumerate(PARTS):
+            index = index ^ ((index >> (1 << bit)) & whole(kept))
+        return index
 
     def interleaved(column: Any, row: Any) -> Any:
         """A pixel's place in its tile along a Z."""
@@ -91,13 +95,13 @@ def _class(variant: str) -> type:
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
             self.start, self.key_seed, self.spp = 0, 0, 1
-            self.block, self.width = 0, 1
+            self.block, self.width, self.first_pixel = 0, 1, 0
             self.index, self.key, self.dimension = whole(0), whole(0), whole(0)
 
         def fork(self) -> Any:
             other = GoingOn(mi.Properties())
             other.start, other.key_seed, other.spp = self.start, self.key_seed, self.spp
-            other.block, other.width = self.block, self.width
+            other.block, other.width, other.first_pixel = self.block, self.width, self.first_pixel
             return other
 
         clone = fork
@@ -107,6 +111,7 @@ def _class(variant: str) -> type:
             lane = dr.arange(whole, wavefront_size)
             pixel = lane // dr.opaque(whole, self.spp)
             self.index = dr.opaque(whole, self.start) + (lane - pixel * dr.opaque(whole, self.spp))
+            pixel += dr.opaque(whole, self.first_pixel)  # of a band, in the whole picture
             if self.block:
                 # pixels of a tile along a Z, each with its share of the tile's sequence
                 row = pixel // dr.opaque(whole, self.width)
@@ -126,15 +131,15 @@ def _class(variant: str) -> type:
         def _next(self) -> tuple[Any, Any]:
             key = mixed(self.key, self.dimension)
             self.dimension = self.dimension + 1
-            return key, scrambled(self.index, key)  # each dimension has an order of its own
+            return key, scrambled(dr.brev(self.index), key)  # each dimension has an order of its own
 
         def next_1d(self, active: Any = True) -> Any:
             key, index = self._next()
-            return unit(scrambled(dr.brev(index), mixed(key, whole(1))))
+            return unit(scrambled(index, mixed(key, whole(1))))
 
         def next_2d(self, active: Any = True) -> Any:
             key, index = self._next()
-            x = scrambled(dr.brev(index), mixed(key, whole(1)))
+            x = scrambled(index, mixed(key, whole(1)))
             return mi.Point2f(unit(x), unit(scrambled(second(index), mixed(key, whole(2)))))
 
     return GoingOn

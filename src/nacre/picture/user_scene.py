@@ -68,8 +68,10 @@ class UserScene:
         for shape in self.subjects:
             shape.set_bsdf(made)
 
-    def sensor(self, view: object, size: tuple[int, int], film: dict[str, Any], sampler: Any = None) -> Any:
-        """Return the scene's first camera with our film; `view` is ignored.
+    def sensor(
+        self, view: object, size: tuple[int, int], film: dict[str, Any], sampler: Any = None, rows: int | None = None
+    ) -> Any:
+        """Return the scene's first camera with our film; `view` is ignored; `rows`: as many about the middle alone.
 
         Raises:
             NacreError: the camera is of a kind that cannot be copied.
@@ -84,7 +86,7 @@ class UserScene:
         settings: dict[str, Any] = {
             "type": "perspective",
             "to_world": mi.ScalarTransform4f(transform.matrix.numpy().reshape(4, 4)),
-            "film": {**film, "width": size[0], "height": size[1]},
+            "film": {**film, "width": size[0], "height": rows or size[1]},
             "sampler": sampler or {"type": "multijitter"},
         }
         try:

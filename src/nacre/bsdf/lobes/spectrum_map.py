@@ -10,6 +10,7 @@ half vector's angle, and the guard g <= 1 keeps the albedo within F. Every facto
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -134,13 +135,16 @@ class SpectrumMap(Lobe):
         """Integrate over all exits, in cos(theta_o) and azimuth where 1/cos_o does no harm, finer than the peaks."""
         wo, weight = exits(self.psi_step)
         wi = np.asarray(wi, dtype=float)
+        is_bounded = bool(np.any(self.guard != 1.0))  # a guard of ones is not worth a look-up for each exit
         total = np.zeros(len(self.wavelengths_nm))
         for start in range(0, len(wo), CHUNK):
-            part = slice(start, start + CHUNK)
-            total += weight[part] @ self.evaluate(wi, wo[part])
-        return total, np.zeros_like(total)
+            part = wo[start : start + CHUNK]
+            values = self.bare(np.broadcast_to(wi, part.shape), part)
+            total += weight[start : start + CHUNK] @ (values * self.guard_at(part) if is_bounded else values)
+        return total * self.guard_at(wi[None])[0], np.zeros_like(total)
 
 
+@functools.lru_cache(maxsize=2)
 def exits(peak_width: float) -> tuple[Array, Array]:
     """Return directions `[n, 3]` and weights cos(theta) d(omega) that resolve peaks of `peak_width` in psi.
 

@@ -96,8 +96,9 @@ class _Lanes:
 
     def __init__(self, first: int, jobs: int, samples: int) -> None:
         lane = dr.arange(mi.UInt32, jobs * samples)
-        self.job = lane // samples
-        self.index = lane + np.uint32(first * samples % (1 << 24))
+        # as data, not as numbers in the kernel: other samples run in the one that is compiled
+        self.job = lane // dr.opaque(mi.UInt32, samples)
+        self.index = lane + dr.opaque(mi.UInt32, first * samples % (1 << 24))
 
     def vector(self, values: Array, row: Any) -> Any:
         """Return each lane's row of `[row, 3]` or `[row, 2]`."""
@@ -153,6 +154,7 @@ def _run(walk: Any, pairs: int, jobs: NDArray[np.int64], count: int, samples: in
             job = all_jobs[first : first + at_once]
             lanes = _Lanes(turn * len(all_jobs) + first, len(job), share)
             results = walk(job, lanes)
+            dr.eval(*results)  # all wavelengths by one walk: each sum would walk anew for its own
             for i, value in enumerate(results):
                 if len(sums) <= i:
                     sums.append(np.zeros((pairs, count)))

@@ -22,6 +22,7 @@ _DENSITY_FLOOR = 1e-4
 # most of a picture is a floor that sees light by its height, and that hides what shines from below; the rest of the
 # directions keep this share of the samples (noise at 64 of them: street -29 %, interior -18 %, studio -5 to -12 %)
 _SHARE_BELOW, _SHARE_LEVEL = 0.05, 0.1
+FAR = 1e3  # radius within which a scene lies that does not tell its own
 
 
 def make_environment(environment: Environment, scale: float = 1.0, turn_deg: float = 0.0) -> Any:
@@ -47,6 +48,31 @@ def spectrum_texture(wavelengths_nm: Any, power: Any) -> Any:
     )
 
 
+def thrown_ray(
+    lamp: Any, centre: Any, radius: Any, time: Any, samples: tuple[Any, Any, Any], active: Any
+) -> tuple[Any, Any]:
+    """Return a ray that an environment throws on the scene, and its weight, as a light tracer asks for it.
+
+    It starts on a disc as wide as the scene's bounding sphere, which faces the direction that it comes from.
+
+    Args:
+        samples: one number for the wavelengths, two for the place on the disc, two for the direction.
+    """
+    import drjit as dr
+
+    mi = use_variant()
+    it, si = dr.zeros(mi.Interaction3f), dr.zeros(mi.SurfaceInteraction3f)
+    it.p = centre
+    ds, _ = lamp.sample_direction(it, samples[2], active)
+    towards = -ds.d
+    place = mi.warp.square_to_uniform_disk_concentric(samples[1])
+    start = centre + (mi.Frame3f(towards).to_world(mi.Vector3f(place.x, place.y, 0.0)) - towards) * radius
+    si.wi = towards
+    wavelengths, weight = lamp.sample_wavelengths(si, samples[0], active)
+    weight *= dr.select(ds.pdf > 0.0, dr.pi * dr.square(radius) / dr.maximum(ds.pdf, 1e-20), 0.0)
+    return mi.Ray3f(start, towards, time, wavelengths), weight & active
+
+
 @functools.cache
 def _emitter_class(variant: str) -> type:
     """Define the class for a variant: Mitsuba's base class differs from variant to variant."""
@@ -67,7 +93,7 @@ def _emitter_class(variant: str) -> type:
             self.spectra = [spectrum_texture(s.wavelengths_nm, s.power) for s in environment.spectra]
             self.density = mi.Hierarchical2D0(_density(environment))
             self.turn, self.scale = mi.Float(0.0), mi.Float(1.0)
-            self.centre, self.radius = mi.Point3f(0.0), mi.Float(1e3)
+            self.centre, self.radius = mi.Point3f(0.0), mi.Float(FAR)
             flags = mi.EmitterFlags.Infinite | mi.EmitterFlags.SpatiallyVarying
             self.m_flags = int(flags)
             self.m_needs_sample_3 = False
@@ -115,6 +141,13 @@ def _emitter_class(variant: str) -> type:
             ds.dist = distance
             weight = self._radiance(d, it.wavelengths, active) / dr.maximum(ds.pdf, 1e-12)
             return ds, weight & active
+
+        def sample_ray(self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True) -> Any:
+            return thrown_ray(self, self.centre, self.radius, time, (sample1, sample2, sample3), active)
+
+        def sample_position(self, time: Any, sample: Any, active: Any = True) -> Any:
+            # never used, but recorded for every lamp that lives, those of other scenes too
+            return dr.zeros(mi.PositionSample3f), mi.Float(0.0)
 
         def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
             uv, sin_theta = self._uv(ds.d, self.turn)

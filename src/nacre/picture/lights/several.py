@@ -16,6 +16,7 @@ from typing import Any
 
 from nacre.device.variant import use_variant
 from nacre.errors import NacreError
+from nacre.picture.lights.environment_plugin import FAR, thrown_ray
 
 MAX_STRENGTH = 1e4
 MAX_TURN_DEG = 36_000.0
@@ -124,6 +125,13 @@ def _sum_class(variant: str) -> type:
             weight = self.eval_direction(it, ds, is_drawn) / dr.maximum(ds.pdf, 1e-12)
             return ds, weight & is_drawn & (ds.pdf > 0.0)
 
+        def sample_ray(self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True) -> Any:
+            return thrown_ray(self, mi.Point3f(0.0), mi.Float(FAR), time, (sample1, sample2, sample3), active)
+
+        def sample_position(self, time: Any, sample: Any, active: Any = True) -> Any:
+            # never used, but recorded for every lamp that lives, those of other scenes too
+            return dr.zeros(mi.PositionSample3f), mi.Float(0.0)
+
         def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
             total = mi.Float(0.0)
             for part in self.parts:
@@ -135,6 +143,11 @@ def _sum_class(variant: str) -> type:
             for part, strength in zip(self.parts, self.strengths, strict=True):
                 total = total + strength * part.eval_direction(it, ds, active)
             return total & active
+
+        def sample_wavelengths(self, si: Any, sample: Any, active: Any = True) -> Any:
+            wavelengths, weight = mi.sample_rgb_spectrum(mi.sample_shifted(sample))
+            si.wavelengths = wavelengths
+            return wavelengths, self.eval(si, active) * weight
 
         def bbox(self) -> Any:
             return mi.ScalarBoundingBox3f()

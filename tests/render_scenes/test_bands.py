@@ -1,0 +1,77 @@
+"""A large picture is rendered in bands of rows, and is the picture that it would be in one piece."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.picture import passes
+from nacre.picture.bands import MARGIN, Banded, divide
+
+pytestmark = pytest.mark.render
+
+SIZE = (48, 40)
+ROWS = 12
+# camera rays are reckoned in single precision, from the middle of a band: a ray that grazes an edge may go another way
+NEAR, GRAZING = 1e-4, 0.005
+FILM = {"family": "film", "substrate": "air", "layers": [{"material": {"n": 1.33}, "thickness_nm": 350}]}
+
+
+@pytest.mark.parametrize(("size", "pixels", "margin"), [((10, 100), 200, 0), ((10, 101), 200, 3), ((100, 33), 10, 3)])
+def test_every_row_is_decided_once_by_a_band_that_has_its_surroundings(
+    size: tuple[int, int], pixels: int, margin: int
+) -> None:
+    rows, bands = divide(size, pixels, margin)
+    assert [row for band in bands for row in range(band.kept.start, band.kept.stop)] == list(range(size[1]))
+    for band in bands:
+        assert 0 <= band.first <= max(band.kept.start - margin, 0)
+        assert min(band.kept.stop + margin, size[1]) <= band.first + rows <= size[1]
+
+
+def _in_bands(monkeypatch: pytest.MonkeyPatch, pixels: int, **options: Any) -> Any:
+    monkeypatch.setattr(passes, "Banded", functools.partial(Banded, pixels=pixels))
+    return nacre.render(nacre.material(FILM), size=SIZE, seed=3, progress=False, **options)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"spp": 4},
+        {"noise": 0.2},
+        {"spp": 4, "denoise": False},  # a filter that is wider than a pixel
+        {"spp": 2, "background": "transparent"},
+        {"spp": 3, "scene": "panel", "view": "20,30", "light": "studio,line", "light_layers": True},
+        {"spp": 1, "spectral": True},
+    ],
+    ids=lambda options: ",".join(options),
+)
+def test_bands_join_to_the_picture_of_one_pass(monkeypatch: pytest.MonkeyPatch, options: dict[str, Any]) -> None:
+    """Picture, noise, alpha, guides and lights, by the same samples."""
+    whole = _in_bands(monkeypatch, SIZE[0] * SIZE[1], **options)
+    banded = _in_bands(monkeypatch, SIZE[0] * ROWS, **options)
+    assert banded.stats["spp"] == whole.stats["spp"]
+    if "noise" in whole.stats:
+        assert banded.stats["noise"] == pytest.approx(whole.stats["noise"], rel=0.01)
+    pairs = [(whole.xyz, banded.xyz), *((whole.lights[name], banded.lights[name]) for name in whole.lights)]
+    if whole.raw is not None:
+        pairs.append((whole.raw, banded.raw))
+    if whole.alpha is not None:
+        pairs.append((whole.alpha, banded.alpha))
+    pairs += [(values, banded.layers[name][1]) for name, (_, values) in whole.layers.items()]
+    for one, other in pairs:
+        is_far = np.abs(one - other) > NEAR * np.maximum(np.abs(one), np.mean(np.abs(one)))
+        assert np.mean(is_far) <= GRAZING
+
+
+def test_a_filter_needs_the_margin(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without it the rows at the edges of bands would miss samples of their neighbours: seams."""
+    assert MARGIN >= 2  # Mitsuba's Gaussian filter reaches so far
+    whole = _in_bands(monkeypatch, SIZE[0] * SIZE[1], spp=2, denoise=False)
+    monkeypatch.setattr("nacre.picture.bands.MARGIN", 0)
+    seams = _in_bands(monkeypatch, SIZE[0] * ROWS, spp=2, denoise=False)
+    off = np.abs(seams.xyz - whole.xyz).max(axis=(1, 2)) > 0.01 * whole.xyz.mean()
+    assert {ROWS - 1, ROWS} <= set(np.flatnonzero(off))
