@@ -24,10 +24,11 @@ from nacre.materials.examples import examples_folder
 IMAGES = Path(__file__).parent / "images"
 THUMBNAIL = (256, 256)
 PANEL = (400, 320)
+HERO_PANEL = (664, 530)  # three of them and their gaps are 2,004 pixels wide
 GAP = 6
 GROUND = (18, 18, 20)
 SPP = 64
-MAX_BYTES = 300_000
+MAX_BYTES = 600_000
 
 
 @dataclass(frozen=True)
@@ -46,9 +47,9 @@ class Panel:
 
 # a bubble, a wing, a bottle / a car, a metasurface, a relief on a screen: all families, no two shapes alike
 HERO = (
-    Panel("soap.toml", "sphere", spp=224),
+    Panel("soap.toml", "sphere", spp=96),
     Panel("morpho.toml", "butterfly"),
-    Panel("pearl/bottle1.toml", "bottle", spp=256),
+    Panel("pearl/bottle1.toml", "bottle", spp=96),
     Panel("anodised-titanium.toml", "panel"),
     Panel("metasurface/silver_on_oxide.toml", "speedshape"),
     Panel("targets/star.toml", "screen"),
@@ -91,7 +92,7 @@ GLASS = (
 )
 
 
-def _pixels(panel: Panel, folder: Path, scratch: Path) -> Image.Image:
+def _pixels(panel: Panel, size: tuple[int, int], folder: Path, scratch: Path) -> Image.Image:
     """Render one panel; a target is designed first."""
     if isinstance(panel.recipe, dict):
         material = nacre.material(panel.recipe)
@@ -100,7 +101,7 @@ def _pixels(panel: Panel, folder: Path, scratch: Path) -> Image.Image:
         material = nacre.load(_designed(source, scratch) if panel.recipe.startswith("targets/") else source)
     shape = _feather(folder, scratch) if panel.shape == "feather" else panel.shape
     result = nacre.render(
-        material, panel.scene, light=panel.light, size=PANEL, spp=panel.spp, quality=panel.quality,
+        material, panel.scene, light=panel.light, size=size, spp=panel.spp, quality=panel.quality,
         shape=shape, up="z" if shape else None, zoom=panel.zoom, view_turn_deg=panel.view_turn_deg, progress=False,
     )  # fmt: skip
     return Image.fromarray(np.asarray(result.srgb8))
@@ -120,15 +121,15 @@ def _feather(folder: Path, scratch: Path) -> str:
     return str(mesh)
 
 
-def make_sheet(name: str, panels: tuple[Panel, ...], folder: Path, scratch: Path) -> Path:
-    """Set six panels three by two on a dark ground."""
-    width, height = PANEL
+def make_sheet(name: str, panels: tuple[Panel, ...], size: tuple[int, int], folder: Path, scratch: Path) -> Path:
+    """Set six panels of a size three by two on a dark ground."""
+    width, height = size
     sheet = Image.new("RGB", (3 * width + 2 * GAP, 2 * height + GAP), GROUND)
     for number, panel in enumerate(panels):
         print(f"{name}: {panel.recipe if isinstance(panel.recipe, str) else panel.recipe['family']}", flush=True)
         kept = scratch / f"{name}-{number}.png"  # so that a stopped run goes on
         if not kept.exists():
-            _pixels(panel, folder, scratch).save(kept)
+            _pixels(panel, size, folder, scratch).save(kept)
         row, column = divmod(number, 3)
         sheet.paste(Image.open(kept), (column * (width + GAP), row * (height + GAP)))
     for kept in scratch.glob(f"{name}-*.png"):
@@ -188,9 +189,9 @@ def main(names: list[str]) -> None:
         if not names or "gallery" in names or thumbnail_name(picture) in names:
             make_thumbnail(picture, folder, scratch)
     if not names or "hero" in names:
-        make_sheet("families", HERO, folder, scratch)
+        make_sheet("families", HERO, HERO_PANEL, folder, scratch)
     if not names or "glass" in names:
-        make_sheet("glass", GLASS, folder, scratch)
+        make_sheet("glass", GLASS, PANEL, folder, scratch)
     if not names or "sem" in names:
         make_sem(scratch)
 
