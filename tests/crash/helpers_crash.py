@@ -212,7 +212,9 @@ def _serve() -> None:
     import nacre.cli
     import nacre.plot.material
     import nacre.study.sweep
+    from nacre.materials import cache
 
+    cache.WORTH_S = 0.0  # every solve is kept, on a fast machine as on a slow one
     out = os.dup(1)
     for line in sys.stdin:
         arguments, folder = json.loads(line)

@@ -282,6 +282,7 @@ def test_what_a_killed_solver_was_keeping_on_disk_is_no_obstacle(
     with forker(kept) as cold:
         seconds = cold.run(arguments, folder)
         entries = names(kept)
+        assert [name for name in entries if name.endswith(".nacre")], "nothing was kept"
         for _ in range(4):
             shutil.rmtree(kept)
             kept.mkdir(mode=0o700)
