@@ -30,6 +30,11 @@ FIRST = "layers[0].thickness_nm"
 # what a notebook's front end gives a module, by the documentation of anywidget; ids for the helpers of the page
 STUB = """async ([source, style]) => {
   document.body.innerHTML = `<style>${style}</style><div id="cell"></div>`;
+  document.addEventListener('keydown', (e) => {   // JupyterLab: `:focus` matches its shortcuts of the arrow keys
+    if (e.target.hasAttribute('data-lm-suppress-shortcuts')) return;
+    e.preventDefault();
+    e.stopPropagation();
+  }, true);
   const heard = new Set(), sent = (window.sent = []);
   const model = { on: (name, f) => name === 'msg:custom' && heard.add(f), off: (name, f) => heard.delete(f),
     send: (content) => sent.push(content) };
@@ -239,9 +244,13 @@ def test_the_sphere_is_seen_in_a_cell_and_follows_the_material_and_its_slider(br
     assert asked.material.get(FIRST) == 120
     assert np.abs(ball(picture(page)) - seen).max() > SEEN
 
+    page.locator(f'[data-path="{FIRST}"]').press("ArrowRight")
+    until(page, lambda: settles(3))
+    assert asked.material.get(FIRST) > 120
+
     seen = ball(picture(page))
     asked.show(nacre.load("jewel-beetle"))
-    until(page, lambda: settles(3))
+    until(page, lambda: settles(4))
     assert np.abs(ball(picture(page)) - seen).max() > SEEN
     assert page.locator(".sliders label").count() == 6
     asked.hear({"kind": "vary", "path": page.locator(".sliders input").first.get_attribute("data-path"), "value": -1})

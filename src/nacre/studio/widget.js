@@ -5,6 +5,7 @@ import { unpack } from "./page/unpack.js";
 import { View } from "./page/view.js";
 
 const PATIENCE_MS = 40;         // between two messages of a slider that is dragged
+const OWN_KEYS = { "data-lm-suppress-shortcuts": "true" };  // JupyterLab takes the arrow keys from what has the focus, unless it says so
 const LABEL = "Sphere of the material in the studio's light; arrow keys turn the view";
 
 function make(root, tag, props = {}, space = "http://www.w3.org/1999/xhtml") {
@@ -38,7 +39,7 @@ function fillSliders(root, look, vary) {
     root.replaceChildren();
     root.dataset.given = look.given;
     for (const { path, most } of look.numbers) {
-      const label = make(root, "label"), range = { type: "range", min: most / 200, max: most, step: most / 200, "data-path": path, "aria-label": path };
+      const label = make(root, "label"), range = { ...OWN_KEYS, type: "range", min: most / 200, max: most, step: most / 200, "data-path": path, "aria-label": path };
       make(label, "span", { textContent: path });
       const slider = make(label, "input", range), told = make(label, "output");
       slider.addEventListener("input", () => {
@@ -58,7 +59,7 @@ function fillSliders(root, look, vary) {
 
 export function render({ model, el }) {
   const root = make(el, "div", { class: "nacre-studio" });
-  const canvas = make(root, "canvas", { class: "view", tabindex: "0", role: "img", "aria-label": LABEL });
+  const canvas = make(root, "canvas", { ...OWN_KEYS, class: "view", tabindex: "0", role: "img", "aria-label": LABEL });
   const side = make(root, "div", { class: "side" });
   const state = make(side, "p", { class: "state", role: "status", textContent: "Solving" });
   const ribbon = make(side, "canvas", { class: "ribbon", width: "182", height: "1", role: "img", "aria-label": "Colour over angle, 0 to 90 degrees" });
