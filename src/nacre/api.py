@@ -24,7 +24,7 @@ from nacre.exchange.number_maps import SUFFIXES as MAP_SUFFIXES
 from nacre.exchange.number_maps import NumberMap, write_number_maps
 from nacre.families.contract import Model
 from nacre.files import check_writable
-from nacre.materials.material import Material, load
+from nacre.materials.material import Material, MaterialLike, as_material, load, loaded
 from nacre.materials.number_maps import number_maps
 from nacre.matter.drawings import DrawingRequest
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
@@ -38,23 +38,21 @@ from nacre.study.tolerance import Tolerance, read_spreads, run_tolerance
 __all__ = ["evaluate", "export", "fabricate", "fit", "gamut", "import_", "report", "spectrum", "sweep", "tolerance"]
 
 
-def as_bsdf(thing: HasBsdf | Bsdf | str | Path) -> Bsdf:
-    """Return the Bsdf of a material, a Bsdf, a recipe's path or a `.nacre` file.
+def as_bsdf(thing: HasBsdf | Bsdf | MaterialLike) -> Bsdf:
+    """Return the Bsdf of a material, a Bsdf, a recipe's path or table, or a `.nacre` file.
 
     Raises:
         NacreError: the file is not a material.
     """
     if isinstance(thing, Bsdf):
         return thing
-    if isinstance(thing, str | Path):
-        return load(thing).bsdf()
-    if not hasattr(thing, "bsdf"):
-        raise UnsupportedError(f"{thing!r:.60} is no material, no Bsdf and no path of one")
-    return thing.bsdf()
+    found = loaded(thing)
+    made: Bsdf = (found if hasattr(found, "bsdf") else as_material(found)).bsdf()
+    return made
 
 
 def evaluate(
-    thing: HasBsdf | Bsdf | str | Path,
+    thing: HasBsdf | Bsdf | MaterialLike,
     wi: ArrayLike,
     wo: ArrayLike,
     *,
@@ -65,7 +63,7 @@ def evaluate(
     """Return the non-delta BSDF, `[..., wavelength]`, in 1/sr, without the cosine.
 
     Args:
-        thing: a material, a Bsdf, or the path of a recipe or `.nacre` file.
+        thing: a material, a Bsdf, or the path of a recipe or `.nacre` file, an example's name or a recipe's table.
         wi: unit vectors to the light, `[..., 3]`, in the local frame (z is the normal).
         wo: unit vectors to the viewer, `[..., 3]`; on the other side of the surface: the radiance BTDF.
         uv: surface coordinates `[..., 2]` for materials that vary over the surface; default: (0.5, 0.5).
@@ -78,7 +76,7 @@ def evaluate(
 
 
 def spectrum(
-    thing: Material | str | Path,
+    thing: MaterialLike,
     angles_deg: ArrayLike = 0.0,
     wavelengths_nm: ArrayLike | None = None,
     polarisation: str = "both",
@@ -88,15 +86,11 @@ def spectrum(
     Raises:
         NacreError: the recipe is wrong, or an optical constant is not known at a wavelength.
     """
-    return _material(thing).spectrum(np.radians(floats(angles_deg, "angles_deg")), wavelengths_nm, polarisation)
-
-
-def _material(thing: Material | str | Path) -> Material:
-    return thing if isinstance(thing, Material) else load(thing)
+    return as_material(thing).spectrum(np.radians(floats(angles_deg, "angles_deg")), wavelengths_nm, polarisation)
 
 
 def report(
-    thing: Material | str | Path,
+    thing: MaterialLike,
     *,
     illuminant: str = "D65",
     observer: str = "10deg",
@@ -106,7 +100,8 @@ def report(
     """Measure a material in the standard geometries: Lab at 15 to 110 degrees, flop, gloss, haze, totals.
 
     Args:
-        thing: a material, or the path of a recipe, `.nacre` file or design folder.
+        thing: a material, or the path of a recipe, `.nacre` file or design folder, an example's name or a recipe's
+            table.
         illuminant, observer: of the colours.
         samples, seed: of the walk, for families that are evaluated by one.
 
@@ -115,11 +110,11 @@ def report(
 
     Example: `nacre.report("soap.toml").flop_index`.
     """
-    return make_report(_material(thing), illuminant, observer, samples, seed)
+    return make_report(as_material(thing), illuminant, observer, samples, seed)
 
 
 def tolerance(
-    thing: Material | str | Path, spreads: Iterable[str] = (), *, draws: int = 500, limit: float = 1.0, **options: Any
+    thing: MaterialLike, spreads: Iterable[str] = (), *, draws: int = 500, limit: float = 1.0, **options: Any
 ) -> Tolerance:
     """Turn manufacturing spreads into the distribution of colour, yield and ranked sensitivities.
 
@@ -132,12 +127,12 @@ def tolerance(
     Raises:
         NacreError: no spread, or one that names no number of the recipe.
     """
-    material = _material(thing)
+    material = as_material(thing)
     return run_tolerance(material, read_spreads(material, tuple(spreads)), draws=draws, limit=limit, **options)
 
 
 def fit(
-    measurement: str | Path, thing: Material | str | Path, free: Iterable[str] = (), *, starts: int = 4,
+    measurement: str | Path, thing: MaterialLike, free: Iterable[str] = (), *, starts: int = 4,
     report: str | Path | None = None, **options: Any,
 ) -> Fit:  # fmt: skip
     """Fit some numbers of a recipe, called free, to a measurement.
@@ -156,7 +151,7 @@ def fit(
         if Path(report).suffix != ".html":
             raise NacreError(f"{report}: the suffix must be .html")
         check_writable(report)
-    material, measured = _material(thing), read_measurement(measurement)
+    material, measured = as_material(thing), read_measurement(measurement)
     numbers = read_free(material, tuple(free))
     found = run_fit(material, measured, numbers, starts=starts, **options)
     if report is not None:
@@ -167,7 +162,7 @@ def fit(
 
 
 def gamut(
-    thing: Material | str | Path,
+    thing: MaterialLike,
     free: Iterable[str] | Mapping[str, Any] = (),
     at: str | None = None,
     *,
@@ -199,7 +194,7 @@ def gamut(
     """
     table = free if isinstance(free, Mapping) else parse_free(free)
     return find_gamut(
-        _material(thing), table, at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
+        as_material(thing), table, at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
         within=within, samples=samples, seed=seed,
     )  # fmt: skip
 
@@ -232,7 +227,7 @@ def sweep(
     return store
 
 
-def export(thing: Material | str | Path, to: str, output: str | Path, **options: Any) -> dict[str, Any]:
+def export(thing: MaterialLike, to: str, output: str | Path, **options: Any) -> dict[str, Any]:
     """Write a material in another program's format; `["lost"]` of the result lists what it cannot hold.
 
     Args:
@@ -247,7 +242,7 @@ def export(thing: Material | str | Path, to: str, output: str | Path, **options:
     """
     if to != "lut":
         check_writable(output)
-    return export_material(_material(thing), to, Path(output), **options)
+    return export_material(as_material(thing), to, Path(output), **options)
 
 
 def import_(source: str | Path, recipe: str | Path) -> Material:
@@ -266,7 +261,7 @@ def import_(source: str | Path, recipe: str | Path) -> Material:
 
 
 def fabricate(
-    source: Material | Model | str | Path,
+    source: MaterialLike | Model,
     to: str,
     path: str | Path | None = None,
     *,
@@ -301,13 +296,15 @@ def fabricate(
         UnsupportedError: a format that the material's family has no drawing for.
         NacreError: the calibration does not fit, or the file cannot be written.
     """
-    folder, name, model = Path(), "material", source
+    folder, name = Path(), "material"
     if isinstance(source, str | Path):
         folder = Path(source) if Path(source).is_dir() else Path()
-        source = load(source)
+    source = loaded(source)
+    model = source
     if isinstance(source, Material):
         name, model = Path(source.context.source).name, source.model
-    assert isinstance(model, Model)
+    if not isinstance(model, Model):
+        raise UnsupportedError(f"{model!r:.60} is no material, no path or name of one and no table of a recipe")
     drawers = model.fabrications
     if to not in drawers:
         maps = number_maps(source) if isinstance(source, Material) else []

@@ -276,6 +276,9 @@ class StoredBsdf(Model):
         return self.stored
 
 
+MaterialLike = Material | str | Path | Mapping[str, Any]  # the last: a table with a recipe's keys
+
+
 def load(path: str | Path) -> Material:
     """Load a material: a recipe (.toml), a compiled file (.nacre), a design folder, or an example by its name.
 
@@ -345,6 +348,34 @@ def material(data: Mapping[str, Any], folder: str | Path = ".") -> Material:
 
     context = RecipeContext("recipe", folder.resolve(), "", load_recipe)
     return material_from_data(data, context)
+
+
+def loaded(thing: Any) -> Any:
+    """Return the material of a path, of an example's name, or of a table with a recipe's keys; else the thing itself.
+
+    A table with the key `type` is Mitsuba's, and left as it is.
+
+    Raises:
+        NacreError: there is no such material, or it is wrong.
+    """
+    if isinstance(thing, str | Path):
+        return load(thing)
+    if isinstance(thing, Mapping) and "type" not in thing:
+        return material(thing)
+    return thing
+
+
+def as_material(thing: MaterialLike) -> Material:
+    """Return a material as it is, and what names one, or is a recipe's table, as a material.
+
+    Raises:
+        UnsupportedError: it is nothing of the kind.
+        NacreError: there is no such material, or it is wrong.
+    """
+    found = loaded(thing)
+    if not callable(getattr(found, "bsdf", None)):
+        raise UnsupportedError(f"{thing!r:.60} is no material, no path or name of one and no table of a recipe")
+    return found
 
 
 def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Material:

@@ -82,7 +82,8 @@ def render(
     """Render a material on an object.
 
     Args:
-        material: a material, a `Bsdf`, or a ready Mitsuba BSDF or its dict.
+        material: a material, a `Bsdf`, or a ready Mitsuba BSDF or its dict; `nacre.render` also takes a recipe's path,
+            an example's name and a recipe's table.
         scene: sphere, probe, speedshape, panel, butterfly, beetle, bottle, knob, body, ring, cuff, card, banknote,
             screen, or a Mitsuba .xml file whose BSDFs of id "nacre" the material replaces.
         shape: another object for the scene: a name of those or a mesh file (.ply, .obj, .stl, .glb, .gltf, .off).

@@ -15,7 +15,7 @@ from nacre.arrays import Array
 from nacre.bsdf import Bsdf
 from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import NacreError, RecipeError, UnsupportedError, did_you_mean
-from nacre.materials.material import Material, recipe_provenance
+from nacre.materials.material import Material, MaterialLike, as_material, recipe_provenance
 from nacre.measure.colour_wavelengths import colour_bsdf, colour_grid, colour_spectrum
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.plot.colours import chromaticity_figure, colour_map_figure
@@ -44,7 +44,7 @@ DIRECTIONAL_KINDS = ("slice", "lobe", "tracks")
 
 
 def material_figure(
-    material: Material,
+    material: MaterialLike,
     kind: str,
     *,
     angles_deg: ArrayLike | None = None,
@@ -57,7 +57,7 @@ def material_figure(
     """Draw a figure of a material.
 
     Args:
-        material: any material.
+        material: any material, its recipe's path, an example's name or a recipe's table.
         kind: one of `KINDS`.
         angles_deg: of incidence, where the kind has such an axis; sensible ones by default.
         wavelengths_nm: ascending; default: chosen by the material, with the lines of a narrow-band lamp.
@@ -71,6 +71,7 @@ def material_figure(
         UnsupportedError: no such kind, or the family has no such figure.
         NacreError: what the material itself refuses.
     """
+    material = as_material(material)
     if kind not in KINDS:
         raise UnsupportedError(
             f'no figure is of kind "{kind}".{did_you_mean(kind, KINDS)} There are {", ".join(KINDS)}'
@@ -252,7 +253,7 @@ def save_index(constant: Any, path: str | Path, title: str = "", wavelengths_nm:
 
 
 def plot_material(
-    material: Material,
+    material: MaterialLike,
     kind: str,
     path: str | Path,
     *,
@@ -271,6 +272,7 @@ def plot_material(
         UnsupportedError: the material has no such figure.
         NacreError: the recipe is wrong, or the file cannot be written.
     """
+    material = as_material(material)
     save_material(
         as_drawn(material, kind, over), kind, path, angles_deg=angles_deg, wavelengths_nm=wavelengths_nm,
         illuminant=illuminant, over=over, lightness=lightness, provenance=recipe_provenance(material),

@@ -12,5 +12,5 @@ from nacre.render.scene_plugin import install
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-make_callable(__name__, "nacre.picture.picture:render")  # nacre.render(material, scene="probe")
+make_callable(__name__, "nacre.render.face:render")  # nacre.render(material, scene="probe")
 install()

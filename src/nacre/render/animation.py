@@ -18,6 +18,7 @@ import numpy as np
 
 from nacre.errors import NacreError, UnsupportedError
 from nacre.files import atomic_path, check_writable
+from nacre.materials.material import loaded
 from nacre.picture.denoise import why_not
 from nacre.picture.image_files import read_provenance
 from nacre.picture.lights.several import read_lamps
@@ -141,6 +142,7 @@ def animate(
         motion = parse_motion(motion)
     elif not isinstance(motion, Motion):
         motion = Motion("value", float(motion[0]), float(motion[1]))
+    material = loaded(material)
     path = Path(output)
     if path.suffix.lower() not in MOVIE_SUFFIXES:
         raise NacreError(f"{path}: animations are written as {' or '.join(MOVIE_SUFFIXES)}")

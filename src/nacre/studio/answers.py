@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-from nacre.errors import NacreError, UnsupportedError, did_you_mean
+from nacre.errors import NacreError, did_you_mean
 from nacre.exchange.lut.write import template
 from nacre.light import ILLUMINANTS
-from nacre.materials.material import Material, load
+from nacre.materials.material import Material
 from nacre.studio.look import SupersededError, looks
 from nacre.studio.surround import ALPHAS, ROWS, blurred_surround
 
@@ -38,19 +37,6 @@ def checked_lamp(illuminant: str) -> str:
         hint = did_you_mean(str(illuminant), ILLUMINANTS)
         raise NacreError(f'illuminant "{str(illuminant)[:40]}" is not known.{hint} Lamps: {", ".join(ILLUMINANTS)}')
     return illuminant
-
-
-def checked_material(thing: Material | str | Path) -> Material:
-    """Return a material, loaded where a path or a name is given.
-
-    Raises:
-        NacreError: it is none, or cannot be loaded.
-    """
-    if isinstance(thing, str | Path):
-        return load(thing)
-    if not isinstance(thing, Material):
-        raise UnsupportedError(f"{thing!r:.60} is no material and no path of one")
-    return thing
 
 
 def sliders(material: Material) -> list[dict[str, Any]]:

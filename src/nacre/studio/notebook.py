@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nacre.errors import NacreError
-from nacre.materials.material import Material
-from nacre.studio.answers import checked_lamp, checked_material
+from nacre.materials.material import MaterialLike, as_material
+from nacre.studio.answers import checked_lamp
 
 if TYPE_CHECKING:
     from nacre.studio.widget import StudioWidget
 
 
-def show(material: Material | str | Path, *, illuminant: str = "D65") -> StudioWidget:
+def show(material: MaterialLike, *, illuminant: str = "D65") -> StudioWidget:
     """Return a widget that shows a material: the sphere, colour over the angle, reflectance, sliders.
 
     Setting `widget.material` shows another one; after a slider was moved it is the material with that number. It is
@@ -34,4 +33,4 @@ def show(material: Material | str | Path, *, illuminant: str = "D65") -> StudioW
         raise NacreError("nacre.studio in a notebook needs anywidget: pip install 'nacre[notebook]'") from None
     from nacre.studio.widget import StudioWidget
 
-    return StudioWidget(checked_material(material), checked_lamp(illuminant))
+    return StudioWidget(as_material(material), checked_lamp(illuminant))

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import functools
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import anywidget
 
-from nacre.materials.material import Material
-from nacre.studio.answers import Answers, checked_material
+from nacre.materials.material import Material, MaterialLike, as_material
+from nacre.studio.answers import Answers
 from nacre.studio.bundle import bundle
 
 
@@ -38,8 +37,8 @@ class StudioWidget(anywidget.AnyWidget):
         return self._answers.material
 
     @material.setter
-    def material(self, other: Material | str | Path) -> None:
-        self._answers.show(checked_material(other))
+    def material(self, other: MaterialLike) -> None:
+        self._answers.show(as_material(other))
 
     def close(self) -> None:
         """Take the widget away, and end what is being solved for it."""
