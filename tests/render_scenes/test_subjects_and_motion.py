@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from nacre.picture.image_files import read_provenance
 from nacre.picture.scenes.catalogue import SCENES, SHAPES
 from nacre.picture.scenes.subjects import read_mesh, stand_on_floor, subject_parts
 from nacre.picture.screen import BEAM_DEG, screen_directions
+from nacre.picture.shapes.mesh import Mesh, merge, revolve
 from nacre.render import animation
 
 SMALL: dict[str, Any] = {"size": (16, 14), "spp": 1}
@@ -59,6 +61,47 @@ def test_a_broken_mesh_is_one_line(tmp_path: Path, suffix: str, content: bytes) 
     with pytest.raises(NacreError) as caught:
         subject_parts(path, SCENES["sphere"])
     assert path.name in str(caught.value) and "\n" not in str(caught.value)
+
+
+def _volume(surface: Mesh) -> float:
+    a, b, c = (surface.vertices[surface.faces[:, corner]] for corner in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+@pytest.mark.parametrize("file_normals", [None, 1.0, -1.0])
+@pytest.mark.parametrize("uv", [True, False])
+@pytest.mark.parametrize("is_turned", [True, False])
+def test_a_closed_mesh_looks_outward_however_its_file_winds_it(
+    tmp_path: Path, is_turned: bool, uv: bool, file_normals: float | None
+) -> None:
+    """Glass would be the air about it. Of a hollow ball the inner skin looks into the hollow."""
+    ball = revolve([(math.sin(t), -math.cos(t)) for t in np.linspace(0.0, math.pi, 17)], 24, 16)
+    hollow = merge([ball, ball.moved(0.5 * np.eye(3)).turned()])
+    words = [f"v {x} {y} {z}" for x, y, z in hollow.vertices]
+    words += [f"vt {u} {v}" for u, v in hollow.uv] if uv else []
+    words += [] if file_normals is None else [f"vn {x} {y} {z}" for x, y, z in file_normals * hollow.normals]
+    mark = {(True, False): "{0}/{0}", (True, True): "{0}/{0}/{0}", (False, True): "{0}//{0}", (False, False): "{0}"}
+    corner = mark[uv, file_normals is not None]
+    for face in (hollow.faces[:, ::-1] if is_turned else hollow.faces) + 1:
+        words.append("f " + " ".join(corner.format(index) for index in face))
+    (tmp_path / "hollow.obj").write_text("\n".join(words) + "\n")
+    read = read_mesh(tmp_path / "hollow.obj", "z")
+    assert _volume(read) == pytest.approx(_volume(hollow), rel=1e-6)
+    radius = np.linalg.norm(read.vertices, axis=1)
+    outside = np.einsum("ij,ij->i", read.vertices, read.normals)[radius > 0.75]
+    inside = np.einsum("ij,ij->i", read.vertices, read.normals)[radius < 0.75]
+    assert outside.min() > 0.0 > inside.max()
+
+
+def test_an_open_mesh_stays_as_its_file_winds_it(tmp_path: Path) -> None:
+    """It has no outside; a bowl would be turned if its volume alone were asked."""
+    bowl = revolve([(math.sin(t), -math.cos(t)) for t in np.linspace(0.0, 0.5 * math.pi, 17)], 24, 16)
+    for surface in (bowl, bowl.turned()):
+        words = [f"v {x} {y} {z}" for x, y, z in surface.vertices]
+        words += [f"f {a} {b} {c}" for a, b, c in surface.faces + 1]
+        (tmp_path / "bowl.obj").write_text("\n".join(words) + "\n")
+        read = read_mesh(tmp_path / "bowl.obj", "z")
+        assert _volume(read) == pytest.approx(_volume(surface), rel=1e-6)
 
 
 @pytest.mark.parametrize("shape", [name for name in SHAPES if name != "body"])  # quick to build
