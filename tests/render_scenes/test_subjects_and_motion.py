@@ -136,6 +136,44 @@ def test_a_mitsuba_scene_takes_the_material(tmp_path: Path) -> None:
     assert bright[0, 0, 1] == pytest.approx(dark[0, 0, 1])
 
 
+LENS = '<float name="aperture_radius" value="0.5"/><float name="focus_distance" value="3"/>'
+SHIFT = '<float name="principal_point_offset_x" value="0.2"/><float name="principal_point_offset_y" value="-0.3"/>'
+FOG = (
+    '<shape type="cube"><bsdf type="dielectric"><float name="int_ior" value="1.2"/></bsdf><medium name="interior" '
+    'type="homogeneous"><float name="sigma_t" value="2"/><float name="albedo" value="0.3"/></medium></shape></scene>'
+)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "integrator"),
+    [
+        ('"perspective">', '"thinlens">' + LENS, "path"),
+        ('"perspective">', '"perspective">' + SHIFT, "path"),
+        ('"perspective">', '"perspective"><float name="near_clip" value="5.3"/>', "path"),
+        ("</scene>", FOG, "volpath"),
+    ],
+    ids=["lens", "shift", "clip", "medium"],
+)
+def test_a_mitsuba_scene_is_seen_as_mitsuba_sees_it(
+    tmp_path: Path, grey: Any, old: str, new: str, integrator: str
+) -> None:
+    """Its camera with all its numbers, and its media, behind which `path` would be blind."""
+    from nacre.device.variant import use_variant
+
+    mi = use_variant()
+    text = SCENE.format(name="nacre").replace(old, new)
+    (tmp_path / "mine.xml").write_text(text)
+    ours = nacre.render(grey, str(tmp_path / "mine.xml"), spp=512, denoise=False, seed=1, progress=False).xyz
+    theirs = mi.load_string(text.replace('"hdrfilm">', '"hdrfilm"><string name="pixel_format" value="xyz"/>'))
+    tracer = mi.load_dict({"type": integrator, "max_depth": 16})
+    for shape in theirs.shapes():
+        if shape.bsdf().id() == "nacre":
+            shape.set_bsdf(grey)
+    runs = [np.array(mi.render(theirs, integrator=tracer, spp=512, seed=seed)) for seed in range(2, 8)]
+    error = np.std(runs, axis=0, ddof=1) + 0.01 * np.mean(runs)
+    assert np.all(np.abs(ours - np.mean(runs, axis=0)) < 6.0 * error)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [(SCENE.format(name="other"), 'id "nacre"'), ("<scene", "cannot load"), ("<scene version='3.0.0'/>", "no camera")],
