@@ -321,8 +321,9 @@ def test_without_llvm_small_previews_still_render(tmp_path: Path) -> None:
         "import nacre\n"
         "r = nacre.render({'type': 'diffuse', 'reflectance': 0.5}, size=(6, 6), spp=1, output='p.png')\n"
         "assert r.stats['variant'] == 'scalar_spectral' and r.xyz.mean() > 0.01\n"
+        "assert r.raw is not None\n"  # denoised, by guides
     )
-    environment = {**os.environ, "NACRE_VARIANT": "scalar_spectral"}
+    environment = {**os.environ, "NACRE_VARIANT": "scalar_spectral", "NACRE_DENOISE": "1"}
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
     )
