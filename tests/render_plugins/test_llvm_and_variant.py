@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from nacre.device import llvm, variant
-from nacre.errors import UnsupportedError
+from nacre.errors import MachineError, UnsupportedError
 
 PLAIN_SCENE = """
 import warnings
@@ -338,6 +338,28 @@ def test_an_llvm_that_mitsuba_chose_wrongly_is_told_with_the_way_out(monkeypatch
     monkeypatch.setattr(variant, "_why_not", lambda name, mi: "it fails")
     with pytest.warns(RuntimeWarning, match=r"imported before nacre.render.*DRJIT_LIBLLVM_PATH=/x/libLLVM-19.so"):
         assert variant._available(None, sys) == "scalar_spectral"
+
+
+def test_a_variant_that_was_set_on_a_broken_llvm_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Mitsuba was imported first and found LLVM 14 to 16, whose first minimum would end the whole process."""
+    import nacre.render
+
+    mi = nacre.render.use_variant()
+    if not mi.variant().startswith("llvm"):
+        pytest.skip("the variant that is set needs no LLVM")
+    broken = llvm.Probe("", "15.0.7", "it aborts")
+    found = llvm.Probe("/x/libLLVM-19.so", "19.1.7", "")
+    monkeypatch.setattr(llvm, "use_llvm", lambda: None)
+    monkeypatch.setattr(llvm, "probe_library", lambda path: broken)
+    monkeypatch.setattr(llvm, "find_llvm", lambda: (found, (found,)))
+    variant._why_set_fails.cache_clear()
+    try:
+        with pytest.raises(MachineError, match=r"imported before nacre.render.*DRJIT_LIBLLVM_PATH=/x/libLLVM-19.so"):
+            variant.use_variant()
+        with pytest.raises(RuntimeError, match="imported before nacre.render"):
+            mi.load_dict({"type": "nacre", "recipe": "not asked for.toml"})
+    finally:
+        variant._why_set_fails.cache_clear()
 
 
 @pytest.mark.render

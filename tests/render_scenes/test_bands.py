@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -75,3 +76,23 @@ def test_a_filter_needs_the_margin(monkeypatch: pytest.MonkeyPatch) -> None:
     seams = _in_bands(monkeypatch, SIZE[0] * ROWS, spp=2, denoise=False)
     off = np.abs(seams.xyz - whole.xyz).max(axis=(1, 2)) > 0.01 * whole.xyz.mean()
     assert {ROWS - 1, ROWS} <= set(np.flatnonzero(off))
+
+
+@pytest.mark.parametrize("camera", ["perspective", "thinlens"])
+def test_a_camera_of_the_user_s_is_kept_in_bands(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, camera: str) -> None:
+    """One with a shifted picture, and one with a lens, which cannot be turned to bands."""
+    special = {
+        "perspective": {"principal_point_offset_y": 0.3, "principal_point_offset_x": -0.1},
+        "thinlens": {"aperture_radius": 0.5, "focus_distance": 3.0},
+    }
+    numbers = {"fov": 40.0, **special[camera]}
+    words = "".join(f'<float name="{name}" value="{value}"/>' for name, value in numbers.items())
+    scene = tmp_path / "mine.xml"
+    scene.write_text(
+        f"""<scene version="3.0.0"><sensor type="{camera}">{words}
+<transform name="to_world"><lookat origin="0,-6,1" target="0,0,0" up="0,0,1"/></transform></sensor>
+<emitter type="constant"/><shape type="sphere"><bsdf type="diffuse" id="nacre"/></shape></scene>"""
+    )
+    whole = _in_bands(monkeypatch, SIZE[0] * SIZE[1], scene=str(scene), spp=2, denoise=False)
+    banded = _in_bands(monkeypatch, SIZE[0] * ROWS, scene=str(scene), spp=2, denoise=False)
+    assert np.mean(np.abs(whole.xyz - banded.xyz) > NEAR) < GRAZING

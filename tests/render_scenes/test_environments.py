@@ -149,3 +149,41 @@ def test_lights_are_scaled_to_white_paper_of_luminance_0_6(name: str) -> None:
 
     xyz = _floor_xyz(dict(make_light(name).emitters), 1.0, spp=256)
     assert abs(np.log2(xyz[1] / 0.6)) < 0.5
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("light", ["studio,sky", "line,studio", "sun:0.5,sky@90", "sky"])
+def test_no_light_is_drawn_from_beyond_what_stands_in_its_way(light: str) -> None:
+    """A floor within a black ball gets none, however far away the ball is; without the ball it is lit."""
+    from nacre.device.variant import use_variant
+    from nacre.picture.lights.named import make_lights
+    from nacre.picture.lights.several import read_lamps
+
+    mi = use_variant()
+    surroundings = [each for each in make_lights(read_lamps(light)).emitters.values() if not _is_lamp(each)]
+    assert len(surroundings) == 1  # with the tubes themselves, which may stand within the ball, left out
+
+    def luminance(radius: float | None) -> float:
+        content = {
+            "type": "scene",
+            "light": surroundings[0],
+            "floor": {"type": "rectangle", "bsdf": {"type": "diffuse"}},
+            "sensor": {
+                "type": "perspective",
+                "fov": 30,
+                "to_world": mi.ScalarTransform4f().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0]),
+                "film": {"type": "hdrfilm", "pixel_format": "xyz", "width": 8, "height": 8},
+            },
+        }
+        if radius is not None:
+            black = {"type": "twosided", "matt": {"type": "diffuse", "reflectance": 0.0}}
+            content["ball"] = {"type": "sphere", "radius": radius, "bsdf": black}
+        drawn = mi.load_dict({"type": "direct", "emitter_samples": 4, "bsdf_samples": 0})
+        return float(np.array(mi.render(mi.load_dict(content), integrator=drawn, spp=64))[..., 1].mean())
+
+    assert luminance(None) > 0.01
+    assert luminance(5.0) == luminance(100.0) == 0.0
+
+
+def _is_lamp(emitter: object) -> bool:
+    return isinstance(emitter, dict) and "emitter" in emitter

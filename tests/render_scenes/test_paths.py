@@ -67,6 +67,19 @@ def test_the_mean_is_that_of_mitsubas_own(recipe: str, light: str, kind: str, cl
     assert np.all(np.abs(own - theirs) < 2.0 * SIGMAS * np.hypot(own_error, error) + 1e-6)
 
 
+@pytest.mark.parametrize("kind", ["mask", "thindielectric"])
+def test_what_mitsubas_own_surfaces_let_through_is_seen_once(kind: str) -> None:
+    """A mask draws its null interaction also when asked to leave it out: followed apart too it would count twice."""
+    mi = use_variant()
+    matt = {"type": "twosided", "matt": {"type": "diffuse"}}
+    bsdf = mi.load_dict({"type": "mask", "opacity": 0.4, "matt": matt} if kind == "mask" else {"type": kind})
+    scene = _scene(bsdf, "sphere", "studio")
+    tracer = passes._tracer(SimpleNamespace(mitsuba_scene=scene, light=make_light("studio"), depth=8))
+    own, own_error = _mean_and_error(scene, tracer, 64)
+    theirs, error = _mean_and_error(scene, mi.load_dict({"type": "volpath", "max_depth": 8, "rr_depth": 6}), 64)
+    assert np.all(np.abs(own - theirs) < 2.0 * SIGMAS * np.hypot(own_error, error) + 1e-6)
+
+
 def test_what_a_soap_film_mirrors_is_no_grain() -> None:
     """A film mirrors some 4 % of lamps that are thirty times as bright as what is behind it: drawn by that share they
     would be 24 times as noisy as the light itself, here as the median over the bubble of a few seeds."""

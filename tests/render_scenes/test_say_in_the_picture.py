@@ -133,6 +133,16 @@ def test_layers_hold_what_the_camera_sees_first(tmp_path: Path) -> None:
     np.testing.assert_allclose(result.layers["albedo"][1][16:24, 16:24].mean(axis=(0, 1)), 0.5, atol=0.03)
 
 
+def test_nothing_shines_where_a_cut_out_picture_is_clear(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The denoiser spreads light beyond a bright rim; an EXR is premultiplied, so that it would be added to whatever
+    the picture is laid on."""
+    monkeypatch.delenv("NACRE_DENOISE", raising=False)
+    mirror = nacre.material({"family": "film", "substrate": "Ag", "layers": []})
+    result = nacre.render(mirror, background="transparent", size=(64, 56), spp=16, progress=False)
+    assert result.raw is not None and result.alpha is not None  # denoised
+    assert result.xyz[result.alpha == 0.0].max() == 0.0 < result.xyz.max()
+
+
 def test_a_cut_out_object_stands_on_nothing_or_on_the_colour(tmp_path: Path) -> None:
     from PIL import Image
 

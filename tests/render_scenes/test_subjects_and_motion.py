@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from nacre.picture.image_files import read_provenance
 from nacre.picture.scenes.catalogue import SCENES, SHAPES
 from nacre.picture.scenes.subjects import read_mesh, stand_on_floor, subject_parts
 from nacre.picture.screen import BEAM_DEG, screen_directions
+from nacre.picture.shapes.mesh import Mesh, merge, revolve
 from nacre.render import animation
 
 SMALL: dict[str, Any] = {"size": (16, 14), "spp": 1}
@@ -61,6 +63,47 @@ def test_a_broken_mesh_is_one_line(tmp_path: Path, suffix: str, content: bytes) 
     assert path.name in str(caught.value) and "\n" not in str(caught.value)
 
 
+def _volume(surface: Mesh) -> float:
+    a, b, c = (surface.vertices[surface.faces[:, corner]] for corner in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+@pytest.mark.parametrize("file_normals", [None, 1.0, -1.0])
+@pytest.mark.parametrize("uv", [True, False])
+@pytest.mark.parametrize("is_turned", [True, False])
+def test_a_closed_mesh_looks_outward_however_its_file_winds_it(
+    tmp_path: Path, is_turned: bool, uv: bool, file_normals: float | None
+) -> None:
+    """Glass would be the air about it. Of a hollow ball the inner skin looks into the hollow."""
+    ball = revolve([(math.sin(t), -math.cos(t)) for t in np.linspace(0.0, math.pi, 17)], 24, 16)
+    hollow = merge([ball, ball.moved(0.5 * np.eye(3)).turned()])
+    words = [f"v {x} {y} {z}" for x, y, z in hollow.vertices]
+    words += [f"vt {u} {v}" for u, v in hollow.uv] if uv else []
+    words += [] if file_normals is None else [f"vn {x} {y} {z}" for x, y, z in file_normals * hollow.normals]
+    mark = {(True, False): "{0}/{0}", (True, True): "{0}/{0}/{0}", (False, True): "{0}//{0}", (False, False): "{0}"}
+    corner = mark[uv, file_normals is not None]
+    for face in (hollow.faces[:, ::-1] if is_turned else hollow.faces) + 1:
+        words.append("f " + " ".join(corner.format(index) for index in face))
+    (tmp_path / "hollow.obj").write_text("\n".join(words) + "\n")
+    read = read_mesh(tmp_path / "hollow.obj", "z")
+    assert _volume(read) == pytest.approx(_volume(hollow), rel=1e-6)
+    radius = np.linalg.norm(read.vertices, axis=1)
+    outside = np.einsum("ij,ij->i", read.vertices, read.normals)[radius > 0.75]
+    inside = np.einsum("ij,ij->i", read.vertices, read.normals)[radius < 0.75]
+    assert outside.min() > 0.0 > inside.max()
+
+
+def test_an_open_mesh_stays_as_its_file_winds_it(tmp_path: Path) -> None:
+    """It has no outside; a bowl would be turned if its volume alone were asked."""
+    bowl = revolve([(math.sin(t), -math.cos(t)) for t in np.linspace(0.0, 0.5 * math.pi, 17)], 24, 16)
+    for surface in (bowl, bowl.turned()):
+        words = [f"v {x} {y} {z}" for x, y, z in surface.vertices]
+        words += [f"f {a} {b} {c}" for a, b, c in surface.faces + 1]
+        (tmp_path / "bowl.obj").write_text("\n".join(words) + "\n")
+        read = read_mesh(tmp_path / "bowl.obj", "z")
+        assert _volume(read) == pytest.approx(_volume(surface), rel=1e-6)
+
+
 @pytest.mark.parametrize("shape", [name for name in SHAPES if name != "body"])  # quick to build
 @pytest.mark.parametrize("place", SCENES)
 def test_every_shape_stands_whole_in_the_frame_of_every_scene(shape: str, place: str) -> None:
@@ -91,6 +134,44 @@ def test_a_mitsuba_scene_takes_the_material(tmp_path: Path) -> None:
     assert dark.shape == (10, 20, 3)
     assert bright[5, 10, 1] == pytest.approx(8 * dark[5, 10, 1], rel=0.1)
     assert bright[0, 0, 1] == pytest.approx(dark[0, 0, 1])
+
+
+LENS = '<float name="aperture_radius" value="0.5"/><float name="focus_distance" value="3"/>'
+SHIFT = '<float name="principal_point_offset_x" value="0.2"/><float name="principal_point_offset_y" value="-0.3"/>'
+FOG = (
+    '<shape type="cube"><bsdf type="dielectric"><float name="int_ior" value="1.2"/></bsdf><medium name="interior" '
+    'type="homogeneous"><float name="sigma_t" value="2"/><float name="albedo" value="0.3"/></medium></shape></scene>'
+)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "integrator"),
+    [
+        ('"perspective">', '"thinlens">' + LENS, "path"),
+        ('"perspective">', '"perspective">' + SHIFT, "path"),
+        ('"perspective">', '"perspective"><float name="near_clip" value="5.3"/>', "path"),
+        ("</scene>", FOG, "volpath"),
+    ],
+    ids=["lens", "shift", "clip", "medium"],
+)
+def test_a_mitsuba_scene_is_seen_as_mitsuba_sees_it(
+    tmp_path: Path, grey: Any, old: str, new: str, integrator: str
+) -> None:
+    """Its camera with all its numbers, and its media, behind which `path` would be blind."""
+    from nacre.device.variant import use_variant
+
+    mi = use_variant()
+    text = SCENE.format(name="nacre").replace(old, new)
+    (tmp_path / "mine.xml").write_text(text)
+    ours = nacre.render(grey, str(tmp_path / "mine.xml"), spp=512, denoise=False, seed=1, progress=False).xyz
+    theirs = mi.load_string(text.replace('"hdrfilm">', '"hdrfilm"><string name="pixel_format" value="xyz"/>'))
+    tracer = mi.load_dict({"type": integrator, "max_depth": 16})
+    for shape in theirs.shapes():
+        if shape.bsdf().id() == "nacre":
+            shape.set_bsdf(grey)
+    runs = [np.array(mi.render(theirs, integrator=tracer, spp=512, seed=seed)) for seed in range(2, 8)]
+    error = np.std(runs, axis=0, ddof=1) + 0.01 * np.mean(runs)
+    assert np.all(np.abs(ours - np.mean(runs, axis=0)) < 6.0 * error)
 
 
 @pytest.mark.parametrize(
@@ -240,8 +321,9 @@ def test_without_llvm_small_previews_still_render(tmp_path: Path) -> None:
         "import nacre\n"
         "r = nacre.render({'type': 'diffuse', 'reflectance': 0.5}, size=(6, 6), spp=1, output='p.png')\n"
         "assert r.stats['variant'] == 'scalar_spectral' and r.xyz.mean() > 0.01\n"
+        "assert r.raw is not None\n"  # denoised, by guides
     )
-    environment = {**os.environ, "NACRE_VARIANT": "scalar_spectral"}
+    environment = {**os.environ, "NACRE_VARIANT": "scalar_spectral", "NACRE_DENOISE": "1"}
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
     )

@@ -7,6 +7,7 @@ carry our materials, because a structural colour is a spectrum.
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import os
 import sys
@@ -41,9 +42,10 @@ def use_variant(requested: str | None = None) -> ModuleType:
         _check_name(wanted)
     mi = import_mitsuba()
     current = mi.variant()
-    if wanted is None and current is not None:
+    if current is not None and wanted in (None, current):
         _check_name(current)
-    elif current is None or wanted != current:
+        check_set_variant(current)
+    else:
         mi.set_variant(_available(wanted, mi))
     return mi
 
@@ -82,6 +84,22 @@ def _available(wanted: str | None, mi: ModuleType) -> str:
     # stacklevel: the line that called use_variant
     warnings.warn(_scalar_warning(), RuntimeWarning, stacklevel=3)
     return "scalar_spectral"
+
+
+@functools.cache
+def _why_set_fails(name: str) -> str:
+    """Say why a variant that is set already does not work here; an empty string if it does."""
+    return why_no_llvm() if name.startswith("llvm") else ""
+
+
+def check_set_variant(name: str) -> None:
+    """Refuse a variant that is set already, maybe by others, and whose first kernel would end the whole process.
+
+    Raises:
+        MachineError: it does not work on this machine.
+    """
+    if reason := _why_set_fails(name):
+        raise MachineError(f"Mitsuba variant {name} does not work here: {reason}")
 
 
 def _scalar_warning() -> str:

@@ -18,6 +18,7 @@ from nacre.device.variant import use_variant
 from nacre.picture.samples import begin
 
 BAND_PIXELS = 1 << 20  # of one band; a picture of up to twice as many is rendered whole
+OFFSET = "principal_point_offset_y"
 MARGIN = 3  # rows beyond a band whose samples a filter wider than a pixel spreads into it
 
 
@@ -57,8 +58,14 @@ class Banded:
         self.size, self.sampler = size, sampler
         # Mitsuba's own samplers, of the scalar variants, know no place in a larger picture
         can_divide = hasattr(sampler, "first_pixel") and size[0] * size[1] > 2 * pixels
-        self.rows, self.bands = divide(size, pixels if can_divide else size[0] * size[1], 0 if is_boxed else MARGIN)
+        margin = 0 if is_boxed else MARGIN
+        self.rows, self.bands = divide(size, pixels if can_divide else size[0] * size[1], margin)
         self.sensor = make_sensor((size[0], self.rows))
+        values = use_variant().traverse(self.sensor)
+        if len(self.bands) > 1 and OFFSET not in values:  # a camera with a lens cannot be turned to a band
+            self.rows, self.bands = divide(size, size[0] * size[1], margin)
+            self.sensor = make_sensor(size)
+        self.own_offset = float(np.ravel(values[OFFSET])[0]) if OFFSET in values else 0.0
 
     def look_at(self, band: Band) -> None:
         """Turn camera and random numbers to a band."""
@@ -67,7 +74,8 @@ class Banded:
         mi = use_variant()
         values = mi.traverse(self.sensor)
         # in heights of the band: where its middle lies below the picture's
-        values["principal_point_offset_y"] = mi.Float((band.first - 0.5 * self.size[1]) / self.rows + 0.5)
+        below = (band.first - 0.5 * self.size[1]) / self.rows + 0.5
+        values[OFFSET] = mi.Float(below + self.own_offset)
         values.update()
         self.sampler.first_pixel = band.first * self.size[0]
 
@@ -101,7 +109,6 @@ class Banded:
         begun = begin(self.sampler, seed, first, spp, total, self.size[0])
         made = use_variant().render(scene, sensor=self.sensor, integrator=integrator, spp=spp, seed=begun)
         return np.asarray(made, dtype=np.float32)
-
 
     def let_go(self) -> None:
         """Give back the memory that the renderer keeps for another pass, where bands were made to spare it."""

@@ -62,7 +62,9 @@ def _class(variant: str) -> type:
 
             def body(ray: Any, seen: Any, weight: Any, count: Any, active: Any, sampler: Any) -> Any:
                 si = scene.ray_intersect(ray, mi.RayFlags.All, count == 0, active)
-                light = dr.minimum(si.emitter(scene).eval(si, active), 1.0)
+                lamp = si.emitter(scene)
+                # a scalar variant says so where there is none
+                light = mi.Spectrum(0.0) if lamp is None else dr.minimum(lamp.eval(si, active), 1.0)
                 seen = dr.select(active, dr.fma(weight, light, seen), seen)
                 active = active & si.is_valid()
                 bsdf = si.bsdf()

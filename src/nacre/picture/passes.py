@@ -283,7 +283,8 @@ class Spread:
 
 def path_tracer(stage: Any) -> dict[str, Any]:
     """Return the integrator that a stage with its material needs, as a dict of Mitsuba."""
-    kind = "volpath" if lets_through(stage.mitsuba_scene) else "path"
+    has_media = getattr(stage, "has_media", False)
+    kind = "volpath" if has_media or lets_through(stage.mitsuba_scene) else "path"
     return {"type": kind, "max_depth": stage.depth, "rr_depth": RUSSIAN_ROULETTE_DEPTH}
 
 

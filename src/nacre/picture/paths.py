@@ -58,8 +58,13 @@ def make_paths(
 
 
 def can_split(bsdf: Any) -> bool:
-    """Whether what a BSDF lets straight through is a component of its own, which its draws can leave out."""
+    """Whether what a BSDF lets straight through is a component of its own, which its draws can leave out.
+
+    Of those that let light straight through only nacre's are known to: Mitsuba's `mask` draws it whatever is asked for.
+    """
     mi = use_variant()
+    if int(bsdf.flags()) & int(mi.BSDFFlags.Null) and not hasattr(bsdf, "plugins"):
+        return False
     null, kinds = int(mi.BSDFFlags.Null), int(mi.BSDFFlags.All)
     words = [int(bsdf.flags(index)) & kinds for index in range(bsdf.component_count())]
     return all(word == null or not word & null for word in words)
@@ -97,7 +102,7 @@ def _class(variant: str) -> type:
         paths: Any, scene: Any, si: Any, bsdf: Any, place: Any, draws: Any, has_spread: Any, active: Any
     ) -> Any:
         """Light of so many drawn places of lamps that `si` sends on, the mean of the draws."""
-        context, many = mi.BSDFContext(), mi.Float(draws)
+        context, many = paths.scatters(), mi.Float(draws)  # densities as those of the draws that they are weighed with
 
         def body(count: Any, found: Any) -> Any:
             # a lattice, turned by the sample's own draw
@@ -131,10 +136,15 @@ def _class(variant: str) -> type:
             self.passes_through, self.soft, self.splits = passes_through, soft, splits
             self.spread_by, self.draws = list(spread_by), draws
 
-        def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
-            scatters = mi.BSDFContext()
+        def scatters(self) -> Any:
+            """Return what surfaces are asked for: all, or all but what goes straight through."""
+            context = mi.BSDFContext()
             if self.splits:
-                scatters.type_mask = int(mi.BSDFFlags.All) & ~int(mi.BSDFFlags.Null)
+                context.type_mask = int(mi.BSDFFlags.All) & ~int(mi.BSDFFlags.Null)
+            return context
+
+        def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
+            scatters = self.scatters()
             has_environment = scene.environment() is not None
 
             def body(

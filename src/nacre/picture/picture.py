@@ -203,6 +203,8 @@ def render(
             clean[:] = clean or [clean_albedo(guides["albedo"])]
             guides["albedo"] = clean[0]
             raw, xyz = xyz, denoised(xyz, guides["albedo"], guides["normal"], frame.doubt)
+            if frame.alpha is not None:  # the denoiser spreads a little of a rim's light into what is clear
+                xyz = np.where(frame.alpha[..., None] > 0.0, xyz, 0.0)
         stats = {
             **notes,
             "scene": str(scene),

@@ -14,6 +14,11 @@ from nacre.files import plain, why_unreadable
 from nacre.picture.scenes.catalogue import SUBJECT
 
 DEFAULT_DEPTH = 16
+# numbers of a perspective camera, and of one with a lens, besides its angle and place
+KEPT_OF_CAMERAS = (
+    "near_clip", "far_clip", "principal_point_offset_x", "principal_point_offset_y", "aperture_radius",
+    "focus_distance",
+)  # fmt: skip
 FARTHEST = 1e30  # beyond, the square of a distance overflows in single precision
 
 
@@ -53,6 +58,7 @@ class UserScene:
             )
         _check_extents(scene, path)
         self.objects = self.subjects
+        self.has_media = any(shape.is_medium_transition() for shape in scene.shapes())
         size = scene.sensors()[0].film().size()
         self.size = (int(size[0]), int(size[1]))
         self._source: Any = None
@@ -83,8 +89,9 @@ class UserScene:
             kind, transform = camera.plugin_name(), values["to_world"]
         except (AttributeError, KeyError):
             kind, transform = "perspective", camera.world_transform()
+        is_lens = "aperture_radius" in values
         settings: dict[str, Any] = {
-            "type": "perspective",
+            "type": "thinlens" if is_lens else "perspective",
             "to_world": mi.ScalarTransform4f(transform.matrix.numpy().reshape(4, 4)),
             "film": {**film, "width": size[0], "height": rows or size[1]},
             "sampler": sampler or {"type": "multijitter"},
@@ -93,6 +100,9 @@ class UserScene:
             settings |= {"fov": float(values["x_fov"].numpy()[0]), "fov_axis": "x"}
         except KeyError:
             raise NacreError(f"scene {self.path}: only perspective cameras are supported, not {kind}") from None
+        settings |= {name: float(np.ravel(values[name])[0]) for name in KEPT_OF_CAMERAS if name in values}
+        if rows and "principal_point_offset_y" in settings:  # in heights of the picture, not of its middle rows
+            settings["principal_point_offset_y"] *= size[1] / rows
         return mi.load_dict(settings)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from nacre.bsdf import Bsdf
 from nacre.device.bsdf import make_bsdf
+from nacre.device.variant import check_set_variant
 from nacre.errors import NacreError, RecipeError
 from nacre.materials.material import load
 
@@ -63,8 +64,12 @@ def from_properties(properties: Any) -> Any:
     Raises:
         RecipeError: none or several sources are given, or the key of a handed-over Bsdf is not known.
         NacreError: the file cannot be read or is not valid.
+        MachineError: the variant that is set does not work on this machine.
     """
     try:
+        import mitsuba as mi
+
+        check_set_variant(str(mi.variant()))
         return _from_properties(properties)
     except NacreError as error:
         _failures.append(error)

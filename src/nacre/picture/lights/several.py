@@ -119,6 +119,10 @@ def _sum_class(variant: str) -> type:
                 here, _ = part.sample_direction(it, sample, active & (chosen == index))
                 ds = dr.select(chosen == index, here, ds)
             is_drawn = active & (ds.pdf > 0.0)
+            # a part of Mitsuba's that is no light of the scene itself does not know how wide the scene is: what stands
+            # farther away than its guess would throw no shadow
+            ds.dist = 2.0 * (FAR + dr.norm(it.p))
+            ds.p, ds.n = it.p + ds.d * ds.dist, -ds.d
             ds.delta = mi.Bool(False)
             ds.emitter = self if variant.startswith("scalar") else mi.EmitterPtr(self)
             ds.pdf = dr.select(is_drawn, self.pdf_direction(it, ds, is_drawn), 0.0)

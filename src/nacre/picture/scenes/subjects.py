@@ -13,7 +13,7 @@ from nacre.errors import NacreError, did_you_mean
 from nacre.files import plain, why_unreadable
 from nacre.picture.camera import View
 from nacre.picture.scenes.catalogue import SHAPES, Part, Scene
-from nacre.picture.shapes.mesh import Mesh, open_seam
+from nacre.picture.shapes.mesh import Mesh, open_seam, outward
 from nacre.recipe.memory import check_memory
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
@@ -62,7 +62,7 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
     """Read a mesh as one surface with normals and uv, turned so that z is up.
 
     Without uv of its own, a mesh is wrapped: u runs once round the vertical axis, v up from the lowest point to the
-    highest.
+    highest. A closed surface is turned outward.
 
     Args:
         path: the file; up: see `subject_parts`.
@@ -111,8 +111,8 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
     vertices, normals = vertices @ turn.T, normals @ turn.T
     uv = getattr(mesh.visual, "uv", None)
     if uv is None or np.shape(uv) != (len(vertices), 2) or not np.isfinite(np.asarray(uv, dtype=np.float64)).all():
-        return open_seam(Mesh(vertices, normals, _wrapped_uv(vertices), faces))
-    return Mesh(vertices, normals, np.asarray(uv, dtype=np.float64), faces)
+        return outward(open_seam(Mesh(vertices, normals, _wrapped_uv(vertices), faces)))
+    return outward(Mesh(vertices, normals, np.asarray(uv, dtype=np.float64), faces))
 
 
 def _wrapped_uv(vertices: NDArray[np.float64]) -> NDArray[np.float64]:

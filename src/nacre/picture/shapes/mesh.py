@@ -72,6 +72,32 @@ def open_seam(surface: Mesh) -> Mesh:
     return Mesh(vertices, normals, uv, faces)
 
 
+def outward(surface: Mesh) -> Mesh:
+    """Turn the faces and normals of a closed surface that look inward; an open one stays as it is.
+
+    Glass would be the air about it. Hollow bodies are judged as a whole, since their inner faces look inward rightly.
+    """
+    corners = (surface.vertices - surface.vertices.mean(axis=0))[surface.faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    is_inward = float(np.einsum("ij,ij->", across, corners.mean(axis=1))) < 0.0
+    agrees = float(np.einsum("ij,ij->", across, surface.normals[surface.faces].sum(axis=1))) >= 0.0
+    if not is_inward and agrees or not _is_closed(surface):
+        return surface
+    normals = surface.normals if agrees != is_inward else -surface.normals
+    return Mesh(surface.vertices, normals, surface.uv, surface.faces[:, ::-1] if is_inward else surface.faces)
+
+
+def _is_closed(surface: Mesh) -> bool:
+    """Whether each edge is followed once to and once fro, where corners at one place count as one."""
+    grain = 1e-6 * float(np.ptp(surface.vertices, axis=0).max())
+    _, place = np.unique(np.round(surface.vertices / grain).astype(np.int64), axis=0, return_inverse=True)
+    faces = place.reshape(-1)[surface.faces]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]  # those of no area, as at a pole
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    count = len(surface.vertices)
+    return np.array_equal(np.sort(start * count + end), np.sort(end * count + start))
+
+
 def merge(surfaces: Sequence[Mesh]) -> Mesh:
     """Join surfaces into one mesh."""
     offsets = np.cumsum([0] + [len(s.vertices) for s in surfaces[:-1]])
