@@ -43,6 +43,8 @@ GUIDES_FROM = 1 << 20  # the number of their first pass: beyond those of any pic
 # where a noise or a time ends the picture, so many independent sequences of samples take turns: what they differ by
 # tells the noise. Each is the more even the longer it is, so there are no more than it takes
 SEQUENCES, TURN = 2, 8
+# where many a picture ends, a whole turn would be a third more than it takes
+FINE, FINE_TURN = range(16, 32), 4
 MEDIAN = NormalDist().inv_cdf(0.75) ** 2  # of the square of a normal variable of variance 1: of two sequences' variance
 
 
@@ -394,15 +396,20 @@ def pass_plan(spp: int, most: int, is_open: bool = False) -> list[Part]:
     """
     if not is_open:
         return [Part(0, first, min(most, spp - first)) for first in range(0, spp, most)]
-    turn = min(max(spp // SEQUENCES, 1), TURN)
-    plan = []
-    for number in range(1, max(spp // (SEQUENCES * turn), 1) + 1):
+    plan: list[Part] = []
+    begun, each = 0, max(spp // SEQUENCES, 1)  # samples of one sequence
+    while begun < each:
+        turn = FINE_TURN if begun in FINE else TURN
+        end = begun + turn
+        if end > each and plan:
+            break
+        end = min(end, each)
         for sequence in range(SEQUENCES):
-            begun, end = (number - 1) * turn, number * turn
             for first in range(begun, end, most):
                 now = min(most, end - first)
                 is_last = sequence == SEQUENCES - 1 and first + now == end
                 plan.append(Part(sequence, first, now, is_last))
+        begun = end
     return plan
 
 
