@@ -113,12 +113,12 @@ def test_fireflies_do_not_come_back_as_texture() -> None:
 
 def test_light_does_not_leave_an_object_with_the_means_of_its_colours() -> None:
     """A rim that the denoiser dims gives its light back to itself, not to the dark beside it."""
-    from nacre.picture.denoise import beyond_noise
+    from nacre.picture.denoise import beyond_noise, means
 
     lost = np.zeros((*SIZE, 3))
     lost[:, 40:42] = 0.2
-    texture, mean = beyond_noise(lost, np.full((*SIZE, 3), 1e-4))
-    assert np.abs((texture + mean) - lost).max() < 0.01 * lost.max()
+    texture = beyond_noise(lost, np.full((*SIZE, 3), 1e-4))
+    assert np.abs((texture + means(lost)) - lost).max() < 0.01 * lost.max()
 
 
 def test_halves_of_the_samples_tell_the_noise_of_a_picture() -> None:
@@ -194,6 +194,9 @@ def test_guides_are_made_in_passes_that_bound_memory_as_the_picture_is(monkeypat
     monkeypatch.setattr(passes, "PASS_SAMPLES", 4 * SIZE[0] * SIZE[1])
     assert render(nacre.material(GOLD), spp=4).stats["denoised"]
     assert max(asked) <= 4 and sum(asked) == 4 + 16
+    asked.clear()
+    assert render(nacre.material(GOLD), spp=1).stats["denoised"]
+    assert sum(asked) == 1 + 4  # guides do not take longer than the picture
 
 
 def test_frames_without_the_denoiser_are_not_kept_beside_frames_with_it(
@@ -229,6 +232,29 @@ def test_a_large_picture_is_denoised_in_bands_without_seams(monkeypatch: pytest.
     assert np.abs(split - whole).max() < 0.25 * np.abs(whole - truth).max()
     guide = denoise.clean_albedo(np.clip(noisy, 0, 1).astype(np.float32))
     assert guide.shape == albedo.shape and np.isfinite(guide).all()
+
+
+def test_a_bound_on_the_denoisers_memory_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    from nacre.picture import denoise
+
+    rng = np.random.default_rng(2)
+    picture = rng.gamma(2.0, 0.2, (400, 640, 3))
+    albedo, normal = rng.random((400, 640, 3)).astype(np.float32), np.zeros((400, 640, 3), np.float32)
+    asked: list[int] = []
+
+    def both() -> list[Any]:
+        return [denoise.denoised(picture, albedo, normal), denoise.clean_albedo(albedo)]
+
+    whole = both()
+    import mitsuba_oidn
+
+    real = mitsuba_oidn.Device
+    monkeypatch.setattr(mitsuba_oidn, "Device", lambda: asked.append(1) or real())
+    monkeypatch.setattr(denoise, "TILED_FROM", 0)
+    monkeypatch.setattr(denoise, "TILED_MB", 64)
+    for tiled, expected in zip(both(), whole, strict=True):
+        np.testing.assert_allclose(tiled, expected, rtol=1e-4, atol=1e-5)
+    assert len(asked) == 2
 
 
 def test_glints_and_spectra_stay_as_rendered(tmp_path: Path) -> None:

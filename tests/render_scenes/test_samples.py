@@ -69,6 +69,23 @@ def test_neighbours_share_a_sequence_where_its_length_is_known() -> None:
     assert not np.array_equal(points[:, :16], points[:, 16:])
 
 
+def test_several_points_of_each_sample_are_even_among_those_of_all_samples() -> None:
+    """16 samples of four points: 64, one in each box of 2^-a by 2^-(6-a), also where they are drawn in two passes."""
+    use_variant()
+    found = []
+    for first, spp in ((0, 5), (5, 11)):
+        sampler = going_on()
+        begin(sampler, 3, first, spp)
+        sampler.seed(0, PIXELS * spp)
+        point = sampler.several_2d(use_variant().UInt32(4))
+        drawn_here = [point(number) for number in range(4)]
+        found.append(np.stack([np.stack([each.x, each.y], -1).reshape(PIXELS, spp, 2) for each in drawn_here], 2))
+    points = np.concatenate(found, axis=1).reshape(PIXELS, 64, 2)
+    for a in range(7):
+        box = np.floor(points[..., 0] * 2**a) * 2 ** (6 - a) + np.floor(points[..., 1] * 2 ** (6 - a))
+        assert np.array_equal(np.sort(box, axis=1), np.tile(np.arange(64.0), (PIXELS, 1)))
+
+
 def test_one_sample_of_many_pixels_is_uniform_and_pixels_seeds_and_dimensions_are_strangers() -> None:
     points = drawn([(5, 1)])[:, 0]
     others = [drawn([(5, 1)], seed=4)[:, 0], drawn([(5, 1)], skip=1)[:, 0], np.roll(points, 1, axis=0), points[:, ::-1]]

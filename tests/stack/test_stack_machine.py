@@ -52,6 +52,18 @@ def test_kernels_work_where_no_cache_can_be_written(tmp_path: Path) -> None:
     assert done.stderr == ""
 
 
+def test_numba_is_imported_by_the_first_call_of_a_kernel_and_not_before() -> None:
+    code = (
+        "import sys, nacre; from nacre.bsdf.glints import mix; from nacre.bsdf.lobes.flaked import sparkle\n"
+        "nacre.load('soap'); assert 'numba' not in sys.modules\n"
+        "import numpy as np; mix(np.uint64(3)); assert 'numba' in sys.modules\n"
+        "print(mix.py_func.__name__, sparkle.__doc__ == sparkle.py_func.__doc__)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["mix", "True"]
+
+
 def test_the_number_of_threads_can_be_set_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
     assert jobs.available_jobs() == 3

@@ -6,6 +6,7 @@ once. Bad input ends with one line on stderr and status 2; `--debug` shows the t
 
 from __future__ import annotations
 
+import atexit
 import gc
 import importlib
 import os
@@ -99,6 +100,7 @@ def main(argv: list[str] | None = None) -> None:
     hold_closed_streams()
     # imports make a million objects that all stay: searching them for garbage costs a command 0.3 s by default
     gc.set_threshold(GARBAGE_AFTER)
+    atexit.register(gc.freeze)  # nor are they searched once more, 0.2 s, when the process ends
     sys.exit(run(sys.argv[1:] if argv is None else argv))
 
 

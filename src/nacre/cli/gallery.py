@@ -28,7 +28,8 @@ FULL_FRAME_SPP, QUICK_FRAME_SPP = 32, 16
 # seconds that a still and an animation may take on the machine at hand, in full and in quick runs
 STILL_S = {False: 8.0, True: 5.0}
 MOVIE_S = {False: 34.0, True: 6.0}
-PROBE_SPP, LEAST_SPP = (4, 36), 8
+# samples of the pictures that tell what one costs, in passes of four or more as those of a still: one kernel for all
+PROBE_SPP, PROBE_SIDE, LEAST_SPP = (8, 40), 128, 8
 # the sheet: cells in full and in quick runs, a row at most of so many; the rest for cells of 320
 FULL_CELL, QUICK_CELL, MOST_COLUMNS = 480, 320, 6
 GAP, CAPTION, LINE, FONT = 16, 46, 19, 15
@@ -284,18 +285,19 @@ def _size(width: int, ratio: float) -> tuple[int, int]:
 def _affordable_spp(material: Any, look: dict[str, Any], size: tuple[int, int], wanted: int, seconds: float) -> int:
     """Return the samples a pixel that fit into the time: families differ a hundredfold in cost.
 
-    Two small pictures compile the kernels, one a number of samples; two more tell what a sample costs apart from what
-    any picture costs. Too few samples make no picture, so a still or frame gets `LEAST_SPP` whatever it takes.
+    One small picture compiles the kernels; two more tell what a sample costs apart from what any picture costs. Too few
+    samples make no picture, so a still or frame gets `LEAST_SPP` whatever it takes.
     """
     from nacre.picture.picture import render
 
-    small = (max(16, size[0] // 4), max(16, size[1] // 4))
+    part = max(4.0, max(size) / PROBE_SIDE)
+    small = (max(16, round(size[0] / part)), max(16, round(size[1] / part)))
     spent = []
-    for spp in (*PROBE_SPP, *PROBE_SPP):
+    for spp in (PROBE_SPP[0], *PROBE_SPP):
         start = time.monotonic()
         render(material, size=small, spp=spp, progress=False, **look)
         spent.append(time.monotonic() - start)
-    few, many = spent[2:]
+    _, few, many = spent
     a_sample = max(many - few, 0.1 * many) / ((PROBE_SPP[1] - PROBE_SPP[0]) * small[0] * small[1])
     return int(min(max((seconds - few) / (a_sample * size[0] * size[1]), LEAST_SPP), wanted))
 

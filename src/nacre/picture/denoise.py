@@ -12,10 +12,14 @@ through a wider filter it takes grain for texture.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from nacre.matter.jobs import available_jobs
 
 GUIDE_SPP = 16  # of the guides, which only need the first hit
 # XYZ -> linear Rec. 2020 (ITU-R BT.2020, white D65)
@@ -39,6 +43,7 @@ SURE = 0.5  # shares below this may be chance and count for less: grain would co
 CHANCE = 1.5  # standard errors up to which an excess over the noise is chance; from twice as many it counts in full
 TAILS = 6.0, 9.0  # fourth moment over the second squared, 3 of normal noise: from where to where texture fades out
 BAND_PIXELS = 1 << 21  # of a large picture at a time: half a gigabyte
+TILED_FROM, TILED_MB = 3 << 19, 512  # pixels of a picture that bounds the denoiser's memory, and the bound
 MARGIN = 128  # rows beyond a band that the denoiser sees, as far as it looks
 BLOCK, MIDDLE_GREY = 16, 0.18
 OFF = "NACRE_DENOISE"  # "0": never, whatever is asked; for tests and measurements
@@ -64,11 +69,9 @@ def _has_glints(lobe: Any) -> bool:
 
 def clean_albedo(albedo: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the guide `[row, column, 3]` without the noise that few wavelengths a path leave in its colours."""
-    import mitsuba_oidn as oidn
-
     clean = np.empty_like(albedo)
     for seen, kept, inner in bands(*albedo.shape[:2]):
-        part = np.asarray(oidn.denoise(np.ascontiguousarray(albedo[seen]), filter="RT"))
+        part = _filtered(albedo[seen])
         clean[kept] = np.clip(part[inner], 0.0, 1.0)
     return clean
 
@@ -104,27 +107,49 @@ def _band(
     scale: float | None,
     doubt: NDArray[np.float32] | None,
 ) -> NDArray[np.float64]:
-    import mitsuba_oidn as oidn
-
-    rgb = np.ascontiguousarray(np.maximum(xyz @ TO_RGB.T, 0.0), dtype=np.float32)
+    rgb = np.asarray(np.maximum(xyz @ TO_RGB.T, 0.0), dtype=np.float32)
     # guides as clean as these may be trusted: with the denoiser's own doubts the error was 1.3 times as large, at edges
-    guides = (np.ascontiguousarray(albedo), np.ascontiguousarray(normal))
-    clean = oidn.denoise(rgb, *guides, hdr=True, clean_aux=True, input_scale=scale)
+    clean = _filtered(rgb, {"albedo": albedo, "normal": normal}, hdr=True, clean_aux=True, input_scale=scale)
     clean = np.maximum(np.asarray(clean, dtype=np.float64) @ np.linalg.inv(TO_RGB).T, 0.0)
     bound = LARGEST_RETURN * clean.max(axis=-1, keepdims=True)
     lost = np.clip(xyz - clean, -bound, bound)
     if doubt is None:
         return np.maximum(clean + _smooth(lost, KEPT_MEANS), 0.0)
-    _, mean = beyond_noise(lost, np.clip(doubt, -bound, bound))
+    mean = means(lost)
     bound *= LARGEST_TEXTURE / LARGEST_RETURN
-    texture, _ = beyond_noise(np.clip(lost, -bound, bound), np.clip(doubt, -bound, bound))
+    texture = beyond_noise(np.clip(lost, -bound, bound), np.clip(doubt, -bound, bound))
     return np.maximum(clean + np.clip(texture, -bound, bound) + mean, 0.0)
+
+
+def _filtered(
+    colour: NDArray[np.float32], guides: Mapping[str, NDArray[np.float32]] | None = None, **options: Any
+) -> NDArray[np.float32]:
+    """Return what the denoiser makes of a picture `[row, column, 3]`; of a large one in tiles of its own.
+
+    It takes a kilobyte a pixel unless it is told a bound, and keeps it for the next picture. In tiles the answer is the
+    same; so that its memory comes back, a large picture has a device of its own.
+    """
+    import mitsuba_oidn as oidn
+
+    images = {name: np.ascontiguousarray(values) for name, values in {"color": colour, **(guides or {})}.items()}
+    if colour.shape[0] * colour.shape[1] > TILED_FROM:
+        device = oidn.Device()
+        if all(device.can_share(image) for image in images.values()):
+            tiled = device.new_filter("RT")
+            made = np.empty_like(images["color"])
+            for name, image in {**images, "output": made}.items():
+                tiled.set_image(name, image)
+            for name, value in {**options, "max_memory_mb": TILED_MB}.items():
+                setattr(tiled, name, value)
+            tiled.execute()
+            return made
+    return np.asarray(oidn.denoise(*images.values(), **options))
 
 
 def beyond_noise(
     lost: NDArray[np.float64], noise: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the parts of `lost` that noise does not explain: texture, and the mean of each neighbourhood.
+) -> NDArray[np.float64]:
+    """Return the part of `lost` that noise does not explain, but for the means of neighbourhoods: texture.
 
     Of each scale and opponent colour the share 1 - (power of the noise) / (power of what was lost) is kept, both
     averaged nearby, which has the least expected error among shares (Wiener's filter, with the powers as found); small
@@ -134,7 +159,22 @@ def beyond_noise(
         lost: XYZ `[row, column, 3]`, raw picture less clean one.
         noise: another draw of the noise that `lost` contains.
     """
-    lost, noise = lost @ OPPONENT.T, noise @ OPPONENT.T
+    pairs = zip(np.moveaxis(lost @ OPPONENT.T, -1, 0), np.moveaxis(noise @ OPPONENT.T, -1, 0), strict=True)
+    with ThreadPoolExecutor(min(available_jobs(), len(OPPONENT))) as pool:
+        kept = list(pool.map(lambda pair: _texture(*pair), pairs))
+    return np.asarray(np.stack(kept, axis=-1) @ np.linalg.inv(OPPONENT).T)
+
+
+def means(lost: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what the scales of `beyond_noise` leave of a picture: the mean of each neighbourhood."""
+    for scale in SCALES:
+        lost = _smooth(lost, scale)
+    return lost
+
+
+def _texture(lost: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return `beyond_noise` of one colour `[row, column]`."""
+    lost, noise = np.ascontiguousarray(lost), np.ascontiguousarray(noise)
     kept = np.zeros_like(lost)
     before = 1.0
     for scale in SCALES:
@@ -153,14 +193,14 @@ def beyond_noise(
         sure *= np.clip((TAILS[1] - tails) / (TAILS[1] - TAILS[0]), 0.0, 1.0)
         kept += fine * share * np.minimum(share / SURE, 1.0) * sure
         lost, noise, before = wide, wide_noise, scale
-    back = np.linalg.inv(OPPONENT).T
-    return kept @ back, lost @ back
+    return kept
 
 
 def _smooth(picture: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
     from scipy.ndimage import gaussian_filter
 
-    return np.asarray(gaussian_filter(picture, (sigma, sigma, 0.0), mode="nearest", truncate=3.0))
+    widths = (sigma, sigma, 0.0)[: picture.ndim]
+    return np.asarray(gaussian_filter(picture, widths, mode="nearest", truncate=3.0))
 
 
 def bands(rows: int, columns: int) -> list[tuple[slice, slice, slice]]:

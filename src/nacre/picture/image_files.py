@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import html
 import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
-from xml.sax.saxutils import escape, unescape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +73,7 @@ def write_picture(path: Path, picture: NDArray[np.uint8], stats: Mapping[str, An
 
     if suffix in OPAQUE_SUFFIXES and picture.shape[-1] == 4:
         raise NacreError(f"{path}: a JPEG knows no transparency; write .png, .webp or .exr")
-    packet = _XMP.format(version=__version__, text=escape(provenance(stats))).encode("utf-8")
+    packet = _XMP.format(version=__version__, text=html.escape(provenance(stats), quote=False)).encode("utf-8")
     with atomic_path(path) as temporary:
         if suffix == ".webp":
             Image.fromarray(picture).save(temporary, format="WEBP", quality=WEBP_QUALITY, method=6, xmp=packet)
@@ -107,7 +107,7 @@ def read_provenance(path: str | Path) -> dict[str, Any]:
         packet = picture.info.get("xmp", b"")
     if not text:
         words = packet.decode("utf-8", "replace") if isinstance(packet, bytes) else str(packet)
-        text = unescape(words.partition(_XMP_TEXT[0])[2].partition(_XMP_TEXT[1])[0]) or "{}"
+        text = html.unescape(words.partition(_XMP_TEXT[0])[2].partition(_XMP_TEXT[1])[0]) or "{}"
     loaded = json.loads(text)
     return loaded if isinstance(loaded, dict) else {}
 

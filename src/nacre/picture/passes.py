@@ -39,10 +39,13 @@ BYTES_OF_GUIDES = 124  # and of what tells the denoiser the noise
 BAND_STEP_NM = 10.0
 FIRST_HIT = {"albedo": "RGB", "normal": "XYZ", "depth": "Z"}
 RUSSIAN_ROULETTE_DEPTH = 6
+GUIDES_A_SAMPLE = 4  # of the guides for one of the picture, where that has few: they are not to take longer than it
 GUIDES_FROM = 1 << 20  # the number of their first pass: beyond those of any picture
 # where a noise or a time ends the picture, so many independent sequences of samples take turns: what they differ by
 # tells the noise. Each is the more even the longer it is, so there are no more than it takes
 SEQUENCES, TURN = 2, 8
+# where many a picture ends, a whole turn would be a third more than it takes
+FINE, FINE_TURN = range(16, 32), 4
 MEDIAN = NormalDist().inv_cdf(0.75) ** 2  # of the square of a normal variable of variance 1: of two sequences' variance
 
 
@@ -169,14 +172,16 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
     stopped = False
     guides: dict[str, NDArray[np.float32]] = {}
 
-    def frame() -> Frame:
+    def frame(is_last: bool = False) -> Frame:
         assert total is not None  # spp is at least 1
         if shot.with_guides and not guides:
             tracer = evened(guide_tracer(), response) if response else guide_tracer()
-            guides.update(_guides(stage.mitsuba_scene, camera, tracer, pass_seed(shot.seed, GUIDES_FROM)))
-        mean = total / done
-        not_finite = int(np.count_nonzero(~np.isfinite(mean).all(axis=-1)))
-        clean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
+            samples = min(GUIDE_SPP, GUIDES_A_SAMPLE * until.spp)
+            guides.update(_guides(stage.mitsuba_scene, camera, tracer, pass_seed(shot.seed, GUIDES_FROM), samples))
+        # of a large picture there is to be no copy more than it takes
+        clean = np.divide(total, done, out=total if is_last else None)
+        not_finite = int(np.count_nonzero(~np.isfinite(clean).all(axis=-1)))
+        np.nan_to_num(clean, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
         if shot.spectral:
             from nacre.picture.spectral_film import bands_to_xyz
 
@@ -226,7 +231,7 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
             if on_better is not None and done >= 2 * shown and index + 1 < len(plan):
                 shown = done
                 on_better(frame())
-    made = frame()
+    made = frame(is_last=True)
     if made.not_finite:
         logger.warning("%d pixels came out as no number and are black; please report it", made.not_finite)
     camera.let_go()
@@ -344,7 +349,7 @@ def _added(total: NDArray[np.float64] | None, values: NDArray[np.float32], spp: 
     return total
 
 
-def _guides(scene: Any, camera: Banded, tracer: Any, seed: int) -> dict[str, NDArray[np.float32]]:
+def _guides(scene: Any, camera: Banded, tracer: Any, seed: int, samples: int) -> dict[str, NDArray[np.float32]]:
     """Return the guides of the denoiser, see `nacre.picture.guides.first_hits`.
 
     Args:
@@ -352,15 +357,16 @@ def _guides(scene: Any, camera: Banded, tracer: Any, seed: int) -> dict[str, NDA
         camera: of the picture.
         tracer: a `guide_tracer`.
         seed: of the samples.
+        samples: a pixel.
     """
-    passes = pass_plan(GUIDE_SPP, max(1, PASS_SAMPLES // (camera.size[0] * camera.rows)))
+    passes = pass_plan(samples, max(1, PASS_SAMPLES // (camera.size[0] * camera.rows)))
     found: dict[str, NDArray[np.float32]] = {}
     for band in camera.bands:
         seen: Any = 0.0
         for part in passes:
             made = camera.band(band, scene, tracer, seed, part.first, part.spp)
             seen = seen + part.spp * made[..., [0, 1, 2, -4, -3, -2, -1]]
-        for name, values in first_hits(np.asarray(seen / GUIDE_SPP, dtype=float)).items():
+        for name, values in first_hits(np.asarray(seen / samples, dtype=float)).items():
             if name not in found:
                 found[name] = np.empty((camera.size[1], *values.shape[1:]), dtype=np.float32)
             found[name][band.kept] = values[band.inner]
@@ -395,15 +401,20 @@ def pass_plan(spp: int, most: int, is_open: bool = False) -> list[Part]:
     """
     if not is_open:
         return [Part(0, first, min(most, spp - first)) for first in range(0, spp, most)]
-    turn = min(max(spp // SEQUENCES, 1), TURN)
-    plan = []
-    for number in range(1, max(spp // (SEQUENCES * turn), 1) + 1):
+    plan: list[Part] = []
+    begun, each = 0, max(spp // SEQUENCES, 1)  # samples of one sequence
+    while begun < each:
+        turn = FINE_TURN if begun in FINE else TURN
+        end = begun + turn
+        if end > each and plan:
+            break
+        end = min(end, each)
         for sequence in range(SEQUENCES):
-            begun, end = (number - 1) * turn, number * turn
             for first in range(begun, end, most):
                 now = min(most, end - first)
                 is_last = sequence == SEQUENCES - 1 and first + now == end
                 plan.append(Part(sequence, first, now, is_last))
+        begun = end
     return plan
 
 

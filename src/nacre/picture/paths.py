@@ -84,7 +84,9 @@ def _class(variant: str) -> type:
 
     def passed(scene: Any, si: Any, ds: Any, active: Any) -> Any:
         """Share of the light that reaches `si` from the sampled place of a lamp through clear surfaces."""
-        state = (si.spawn_ray_to(ds.p), mi.Spectrum(1.0), mi.UInt32(0), mi.Bool(active))
+        straight = si.spawn_ray_to(ds.p)
+        # most meet nothing, which is told for less than what the others meet
+        state = (straight, mi.Spectrum(1.0), mi.UInt32(0), active & scene.ray_test(straight, active))
 
         def body(ray: Any, share: Any, count: Any, going: Any) -> Any:
             hit = scene.ray_intersect(ray, mi.RayFlags.All, False, going)
@@ -99,16 +101,13 @@ def _class(variant: str) -> type:
         return dr.select(loop[3], 0.0, loop[1])
 
     def drawn_light(
-        paths: Any, scene: Any, si: Any, bsdf: Any, place: Any, draws: Any, has_spread: Any, active: Any
+        paths: Any, scene: Any, si: Any, bsdf: Any, places: Any, draws: Any, has_spread: Any, active: Any
     ) -> Any:
         """Light of so many drawn places of lamps that `si` sends on, the mean of the draws."""
         context, many = paths.scatters(), mi.Float(draws)  # densities as those of the draws that they are weighed with
 
         def body(count: Any, found: Any) -> Any:
-            # a lattice, turned by the sample's own draw
-            x, y = place.x + mi.Float(count) / many, place.y + mi.Float(dr.brev(count) >> 8) * (1.0 / (1 << 24))
-            at = mi.Point2f(x - dr.floor(x), y - dr.floor(y))
-            ds, shine = scene.sample_emitter_direction(si, at, not paths.passes_through, active)
+            ds, shine = scene.sample_emitter_direction(si, places(count), not paths.passes_through, active)
             is_lit = active & (ds.pdf != 0.0)
             if paths.passes_through:
                 shine = shine * passed(scene, si, ds, is_lit)
@@ -123,6 +122,19 @@ def _class(variant: str) -> type:
         labels = ("count", "found")
         loop = dr.while_loop(state, lambda count, found: active & (count < draws), body, labels, label="lamps")
         return loop[1] / many
+
+    def places_of(sampler: Any, draws: Any, active: Any) -> Any:
+        """Return a function of a number below `draws` that gives a point of the unit square."""
+        if hasattr(sampler, "several_2d"):
+            return sampler.several_2d(draws)
+        place, many = sampler.next_2d(active), mi.Float(draws)
+
+        def point(number: Any) -> Any:
+            # a lattice, turned by the sample's own draw
+            x, y = place.x + mi.Float(number) / many, place.y + mi.Float(dr.brev(number) >> 8) * (1.0 / (1 << 24))
+            return mi.Point2f(x - dr.floor(x), y - dr.floor(y))
+
+        return point
 
     class Paths(mi.SamplingIntegrator):
         """Path tracing without media."""
@@ -183,7 +195,7 @@ def _class(variant: str) -> type:
                 if self.splits:
                     is_first = is_first & ((is_kept & (dr.max(weight) < FAINT)) ^ True)
                 here = dr.select(is_first, mi.UInt32(self.draws), 1)
-                found = drawn_light(self, scene, si, bsdf, sampler.next_2d(active), here, has_spread, is_broad)
+                found = drawn_light(self, scene, si, bsdf, places_of(sampler, here, active), here, has_spread, is_broad)
                 light = dr.select(is_broad, dr.fma(weight, found, light), light)
 
                 # on

@@ -142,4 +142,20 @@ def _class(variant: str) -> type:
             x = scrambled(index, mixed(key, whole(1)))
             return mi.Point2f(unit(x), unit(scrambled(second(index), mixed(key, whole(2)))))
 
+        def several_2d(self, many: Any) -> Any:
+            """Return a function of a number below `many` that gives a point; they take the place of one `next_2d`.
+
+            The points of all samples of a pixel are one run of Sobol's: as even as if each were a sample's own.
+            """
+            key = mixed(mixed(self.key, self.dimension), many)
+            self.dimension = self.dimension + 1
+            first = self.index * many
+
+            def point(number: Any) -> Any:
+                index = scrambled(dr.brev(first + number), key)
+                x = scrambled(index, mixed(key, whole(1)))
+                return mi.Point2f(unit(x), unit(scrambled(second(index), mixed(key, whole(2)))))
+
+            return point
+
     return GoingOn

@@ -15,7 +15,6 @@ from nacre.light import delta_e_2000
 from nacre.light.wavelengths import REFERENCE_NM
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.stack import solve as solver
-from nacre.matter.stack.field import field_profile
 from nacre.matter.stack.incoherent import incoherent_powers
 
 MAP_NM = 1000.0  # where a clear layer's colours have all passed once and begin to pale
@@ -31,6 +30,8 @@ def field(
     Raises:
         UnsupportedError: a layer is incoherent and has no standing wave.
     """
+    from nacre.matter.stack.field import field_profile  # takes numba, which a picture does without
+
     if not film.stack.is_coherent:
         raise UnsupportedError("a stack with an incoherent layer has no field profile")
     lam = film.wavelengths_nm if wavelengths_nm is None else np.atleast_1d(np.asarray(wavelengths_nm, dtype=float))

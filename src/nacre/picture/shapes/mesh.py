@@ -54,9 +54,12 @@ class Mesh:
 
 def rotation(axis: str, angle_deg: float) -> Array:
     """Matrix `[3, 3]` of a right-handed turn about the axis "x", "y" or "z"."""
-    from scipy.spatial.transform import Rotation  # a quarter of the time of the studio's imports
-
-    return np.asarray(Rotation.from_euler(axis, angle_deg, degrees=True).as_matrix())
+    cos, sin = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+    matrix = np.eye(3)
+    matrix[first, first] = matrix[second, second] = cos
+    matrix[first, second], matrix[second, first] = -sin, sin
+    return matrix
 
 
 def open_seam(surface: Mesh) -> Mesh:
