@@ -142,6 +142,7 @@ function theme(kind) {
   if (kind === "auto") delete document.documentElement.dataset.theme;
   else document.documentElement.dataset.theme = kind;
   localStorage.setItem("nacre-studio-theme", kind);
+  drawPanels();         // its pens have colours of the theme
 }
 
 function listen() {
@@ -169,6 +170,7 @@ function listen() {
   listenCloud(drawPanels);
   $("lamp").addEventListener("change", () => app.wire.ask());
   $("theme").addEventListener("change", () => theme($("theme").value));
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawPanels);
   $("text").addEventListener("input", typed);
   $("text").addEventListener("scroll", number);
   $("exposure").addEventListener("input", () => {
