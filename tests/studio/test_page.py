@@ -161,6 +161,40 @@ def test_nothing_typed_is_lost_when_the_server_is_killed_and_started_anew(page: 
     expect(field(page, THICKNESS)).to_have_value("123")
 
 
+def test_what_a_dead_server_is_asked_is_told_and_the_object_that_is_shown_stays_chosen(
+    page: Page, server: Server
+) -> None:
+    server.kill()
+    expect(page.locator("#state")).to_have_attribute("data-kind", "lost")
+    page.locator("#object").select_option("ring")
+    expect(page.locator("#object-error")).to_have_text("nacre studio does not answer; is it still running?")
+    expect(page.locator("#object")).to_have_value("sphere")
+    server.start()
+    settled(page)
+    page.locator("#object").select_option("ring")
+    expect(page.locator("#view")).to_have_attribute("data-object", "ring")
+
+
+def test_a_server_with_a_new_token_is_told_and_its_address_brings_back_what_was_typed(
+    browser: Browser, server: Server
+) -> None:
+    context = browser.new_context()
+    page = context.new_page()
+    page.goto(server.address)
+    page.get_by_role("button", name="Close").click()
+    settled(page)
+    server.kill()
+    (kept,) = server.cache.parent.rglob(f"studio-{server.port}.token")
+    kept.unlink()
+    field(page, THICKNESS).fill("123")
+    server.start()
+    expect(page.locator("#state")).to_contain_text("open the address that it printed")
+    page.goto(server.address)
+    settled(page)
+    expect(field(page, THICKNESS)).to_have_value("123")
+    context.close()
+
+
 def test_two_tabs_hold_two_recipes_and_no_link_holds_the_token(page: Page, server: Server) -> None:
     assert page.url == f"http://127.0.0.1:{server.port}/"
     assert page.evaluate("document.cookie") == ""

@@ -23,6 +23,7 @@ let noted = "";         // what the notes say
 
 function onState(kind) {
   if (kind === "lost") tell("lost", "Connection lost; trying again. Nothing typed is lost.");
+  else if (kind === "refused") tell("lost", "nacre studio was started anew: open the address that it printed, in this tab. Nothing typed is lost.");
   else if (kind === "open") tell("solving", "Connected");
   else if (kind === "asked" && $("state").dataset.kind !== "lost") tell("solving", "Solving", false);
 }
