@@ -233,6 +233,10 @@ def test_the_sphere_is_seen_in_a_cell_and_follows_the_material_and_its_slider(br
     assert before.std() > 10 and ball(before).max() > 20
     ribbon = "[...document.querySelector('.ribbon').getContext('2d').getImageData(0, 0, 182, 1).data].slice(0, 3)"
     assert max(page.evaluate(ribbon)) > 20
+    curves = """(canvas) => {
+        const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+        return data.filter((value, i) => i % 4 === 3 && value).length; }"""
+    assert page.locator(".chart canvas").evaluate(curves) > 200  # pixels: three curves over the width
     page.locator("#view").focus()
     for _ in range(8):
         page.keyboard.press("ArrowRight")

@@ -26,6 +26,7 @@ from nacre.bsdf.contract import Lobe
 LobeT = TypeVar("LobeT", bound=Lobe)
 MakePlugin = Callable[[Lobe], "LobePlugin[Any]"]
 
+PACKET_BYTES = 64  # a place in memory from which Dr.Jit gathers packets
 logger = logging.getLogger("nacre")
 
 # A cosine below this is seen edge-on and gives nothing; it also keeps 1/cos finite in single precision.
@@ -134,9 +135,22 @@ def replaced(old: Any, new: Any) -> Any:
     return old
 
 
+def aligned(values: NDArray[Any], dtype: Any = np.float32) -> NDArray[Any]:
+    """Return a flat copy that begins at a multiple of `PACKET_BYTES`.
+
+    On the CPU Dr.Jit reads numpy's own memory, and gathers packets only from where that begins so; else it compiles
+    another kernel, which gathers one by one. Numpy begins where it happens to: kernels would differ by chance.
+    """
+    room = np.empty(values.size * np.dtype(dtype).itemsize + PACKET_BYTES, dtype=np.uint8)
+    start = -room.ctypes.data % PACKET_BYTES
+    copy = room[start : start + values.size * np.dtype(dtype).itemsize].view(dtype)
+    copy[:] = np.asarray(values).ravel()
+    return copy
+
+
 def device_array(values: NDArray[Any]) -> Any:
     """Copy to a flat float32 array on the device (a numpy array in scalar variants)."""
-    flat = np.ascontiguousarray(values, dtype=np.float32).ravel()
+    flat = aligned(values)
     return mi.Float(flat) if dr.is_jit_v(mi.Float) else flat
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.arrays import Array
-from nacre.device.base import device_array, opaque, read2
+from nacre.device.base import aligned, device_array, opaque, read2
 from nacre.errors import UnsupportedError
 
 PACKET = 8  # numbers of a series in one load
@@ -71,7 +71,7 @@ class PackedSeries:
         self.on_device = dr.is_jit_v(mi.Float)
         flat = packed.reshape(-1, self.words)
         self.shifts = [dr.opaque(mi.UInt32, s) if self.on_device else s for s in shifts]
-        self.values = mi.UInt32(flat.ravel()) if self.on_device else flat
+        self.values = mi.UInt32(aligned(flat, np.uint32)) if self.on_device else flat
 
     def read(self, index: Any, packet: int, active: Any) -> list[Any]:
         """Return the numbers of a packet, which `units` and `scales` make true to size.

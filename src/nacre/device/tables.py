@@ -137,7 +137,7 @@ class DeviceTable:
         self.row_stride = opaque_int(values.shape[-2] - 1 if self.is_packed else values.shape[-2])
         self.rows_opaque = opaque_int(values.shape[-3])
         if dr.is_jit_v(mi.Float):
-            self.values = replaced(self.values, mi.TensorXf(np.ascontiguousarray(values, dtype=np.float32)))
+            self.values = replaced(self.values, mi.TensorXf(device_array(values), values.shape))
         else:
             self.values = np.ascontiguousarray(values, dtype=np.float32)
         self.repack()

@@ -64,7 +64,9 @@ export function render({ model, el }) {
   const state = make(side, "p", { class: "state", role: "status", textContent: "Solving" });
   const ribbon = make(side, "canvas", { class: "ribbon", width: "182", height: "1", role: "img", "aria-label": "Colour over angle, 0 to 90 degrees" });
   const colours = make(side, "p", { class: "quiet" });
-  const spectrum = make(side, "svg", { viewBox: "0 0 280 150", role: "img", "aria-label": "Reflectance over wavelength" }, "http://www.w3.org/2000/svg");
+  const chart = make(side, "div", { class: "chart" });
+  make(chart, "canvas", { "aria-hidden": "true" });     // of its curves
+  const spectrum = make(chart, "svg", { viewBox: "0 0 280 150", role: "img", "aria-label": "Reflectance over wavelength" }, "http://www.w3.org/2000/svg");
   const sliders = make(side, "div", { class: "sliders" }), notes = make(side, "p", { class: "quiet" });
   const vary = sender(model);
   let view = null, look = null;

@@ -1,8 +1,8 @@
 // What the numbers say: the ribbon over the angle, spectra, the track in a*b*, colours under lamps.
 
 const SVG = "http://www.w3.org/2000/svg";
-// Straight lines are lines, not paths: from the sixth path on browsers smooth a drawing's edges in a way that takes them twice
-// as long where there is no graphics card (each drawing is a layer of its own, see studio.css).
+// Straight lines are lines, curves are drawn on a canvas: where there is no graphics card, one path makes a browser paint its
+// whole drawing (a layer of its own, see studio.css) in a way that takes it twice as long.
 const DASHES = ["", "5 3", "1.5 2.5"];
 export const clear = (node) => node.replaceChildren();
 export const add = (root, tag, props, text) => {
@@ -12,6 +12,25 @@ export const add = (root, tag, props, text) => {
   root.append(made);
   return made;
 };
+
+// Draws curves under a drawing, on the canvas before it, in the drawing's units: points, whether they are B's, dashes.
+function pencil(svg) {
+  const canvas = svg.previousElementSibling, context = canvas.getContext("2d", { willReadFrequently: true });     // by the CPU
+  const { width, height } = svg.viewBox.baseVal, scale = (Math.max(canvas.clientWidth, 1) * devicePixelRatio) / width, { color, caretColor } = getComputedStyle(canvas);
+  const size = [width, height].map((side) => Math.round(side * scale));
+  if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
+  context.setTransform(1, 0, 0, 1, 0, 0);
+  context.clearRect(0, 0, ...size);
+  context.setTransform(scale, 0, 0, scale, 0, 0);
+  context.lineJoin = "round";
+  return (points, isOther = false, dashes = "") => {
+    Object.assign(context, isOther ? { strokeStyle: caretColor, lineWidth: 1 } : { strokeStyle: color, lineWidth: 1.4 });
+    context.setLineDash(dashes.split(" ").filter(Boolean).map(Number));
+    context.beginPath();
+    for (const [x, y] of points) context.lineTo(x, y);
+    context.stroke();
+  };
+}
 
 export function total(look) {
   return look.mirror.map((value, i) => value + look.gloss[i] + look.spread[i]);
@@ -65,6 +84,7 @@ export function drawRibbon(canvas, text, look) {
 }
 
 export function drawSpectrum(svg, look, other) {
+  const draw = pencil(svg);
   clear(svg);
   const [left, right, top, bottom] = [26, 276, 6, 128], looks = other ? [other, look] : [look];
   const x = (nm) => left + ((nm - 380) / 400) * (right - left), peak = Math.max(...looks.map(({ total }) => Math.max(...total)));
@@ -76,13 +96,10 @@ export function drawSpectrum(svg, look, other) {
   }
   for (const nm of [400, 500, 600, 700]) add(svg, "text", { x: x(nm), y: bottom + 13, "text-anchor": "middle" }, `${nm}${nm === 700 ? " nm" : ""}`);
   for (const { wavelengths: lam, total: values, shown_deg } of looks) {
-    const kind = looks.length > 1 && values === other.total ? "curve other" : "curve";
     shown_deg.forEach((_, row) => {
-      let d = "";
-      for (let i = 0; i < lam.length; i++) {
-        if (lam[i] >= 380 && lam[i] <= 780) d += `${d ? "L" : "M"}${x(lam[i]).toFixed(1)} ${y(values[row * lam.length + i]).toFixed(1)}`;
-      }
-      add(svg, "path", { d, class: kind, "stroke-dasharray": DASHES[row] });
+      const points = [];
+      for (let i = 0; i < lam.length; i++) if (lam[i] >= 380 && lam[i] <= 780) points.push([x(lam[i]), y(values[row * lam.length + i])]);
+      draw(points, looks.length > 1 && values === other.total, DASHES[row]);
     });
   }
   look.shown_deg.forEach((angle, row) => {
@@ -98,6 +115,7 @@ export function drawSpectrum(svg, look, other) {
 
 // `least`: of what the axes reach.
 export function drawTrack(svg, look, other, least) {
+  const draw = pencil(svg);
   clear(svg);
   const track = (one) => {
     const all = total(one), points = [];
@@ -113,7 +131,7 @@ export function drawTrack(svg, look, other, least) {
   add(svg, "text", { x: 144, y: 14 }, `b* ${Math.round(reach)}`);
   for (const { all, points, is } of tracks) {
     const isOther = tracks.length > 1 && is === other;
-    add(svg, "path", { d: points.map(([, a, b], i) => `${i ? "L" : "M"}${x(a).toFixed(1)} ${y(b).toFixed(1)}`).join(""), class: isOther ? "curve other" : "curve" });
+    draw(points.map(([, a, b]) => [x(a), y(b)]), isOther);
     for (const angle of [0, 30, 60]) {
       const [, a, b] = points[angle], fill = `rgb(${shown(all[3 * angle], all[3 * angle + 1], all[3 * angle + 2]).join(" ")})`;
       if (isOther) add(svg, "rect", { x: x(a) - 4, y: y(b) - 4, width: 8, height: 8, class: "dot other", fill });

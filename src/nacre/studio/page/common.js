@@ -12,10 +12,20 @@ export const el = (tag, props = {}, ...inside) => {
 };
 export const shortName = (name) => (name.startsWith("example:") ? `${name.slice(8)} (example)` : name);
 
+// What the server says to a question; without one, in words (browsers say "Failed to fetch", each its own).
+export async function reach(path, options) {
+  try {
+    return await fetch(path, options);
+  } catch (problem) {
+    if (problem.name === "AbortError") throw problem;
+    throw new Error("nacre studio does not answer; is it still running?");
+  }
+}
+
 // The answer to a question, whole; an error of the server's as an Error with its line of text.
 export async function ask(path, body, signal) {
   const options = body ? { method: "POST", body: JSON.stringify(body), headers: { "content-type": "application/json" } } : {};
-  const answer = await fetch(path, { ...options, signal });
+  const answer = await reach(path, { ...options, signal });
   if (answer.ok) return answer;
   const told = await answer.json().catch(() => ({}));
   throw new Error(told.error ?? `the server answered ${answer.status}`);

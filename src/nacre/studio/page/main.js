@@ -23,6 +23,7 @@ let noted = "";         // what the notes say
 
 function onState(kind) {
   if (kind === "lost") tell("lost", "Connection lost; trying again. Nothing typed is lost.");
+  else if (kind === "refused") tell("lost", "nacre studio was started anew: open the address that it printed, in this tab. Nothing typed is lost.");
   else if (kind === "open") tell("solving", "Connected");
   else if (kind === "asked" && $("state").dataset.kind !== "lost") tell("solving", "Solving", false);
 }
@@ -142,6 +143,7 @@ function theme(kind) {
   if (kind === "auto") delete document.documentElement.dataset.theme;
   else document.documentElement.dataset.theme = kind;
   localStorage.setItem("nacre-studio-theme", kind);
+  drawPanels();         // its pens have colours of the theme
 }
 
 function listen() {
@@ -169,6 +171,7 @@ function listen() {
   listenCloud(drawPanels);
   $("lamp").addEventListener("change", () => app.wire.ask());
   $("theme").addEventListener("change", () => theme($("theme").value));
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawPanels);
   $("text").addEventListener("input", typed);
   $("text").addEventListener("scroll", number);
   $("exposure").addEventListener("input", () => {

@@ -1,6 +1,6 @@
 // The object in the middle: the sphere, the shapes of pictures, or an own mesh that is dropped or chosen.
 
-import { $, app, ask } from "./common.js";
+import { $, app, ask, reach } from "./common.js";
 
 const kept = new Map();         // objects by their names, as the server sent them
 const NAMES = { speedshape: "speed shape", body: "car" };
@@ -42,6 +42,8 @@ async function choose(name) {
     $("view").dataset.object = name;
     $("view").setAttribute("aria-label", `${name === "own" ? own.name : NAMES[name] ?? name} of the material in the studio's light; arrow keys turn the view, B shows the kept look`);
   } catch (problem) {
+    if (wanted !== name) return;
+    await choose($("view").dataset.object ?? "sphere");         // the one that is still shown
     $("object-error").textContent = problem.message;
   }
 }
@@ -53,7 +55,7 @@ async function give(given) {
   try {
     if (given.size > MOST_MESH) throw new Error(`${given.name}: ${given.size >> 20} MiB; the page takes meshes of ${MOST_MESH >> 20} MiB at most`);
     const address = `api/mesh?name=${encodeURIComponent(given.name)}&up=${$("up").value}`;
-    const answer = await fetch(address, { method: "POST", body: given });
+    const answer = await reach(address, { method: "POST", body: given });
     if (!answer.ok) throw new Error((await answer.json().catch(() => ({}))).error ?? `the server answered ${answer.status}`);
     if (given !== file) return;
     own = unpack(await answer.arrayBuffer());

@@ -159,13 +159,13 @@ vec3 material(vec3 spot, vec3 d, vec3 n, vec3 down) {
 // angle to the eye as the radius and the turn about it.
 export const BALL = `${COMMON}
 uniform sampler2D throughMirror, throughGloss, throughMatt, backdrop, mirrored;
-uniform float gathered, spreads;
 const float BANDS = 6.0;
 vec3 rayAt(vec2 place) {
   vec2 at = (place - 0.5 * size) / (0.5 * size.x);
   return normalize(ahead + at.x * right + at.y * up);
 }
-#ifdef GATHERED
+#if defined(FACETS) || defined(GLOSS) || defined(MATT) || defined(LOBE)
+#define WIDE
 // what lobes of some width and a matt surface send to the eye; what a mirror sends is looked up without all this
 vec3 wide(vec3 d) {
   vec3 o = eye - CENTRE;
@@ -175,15 +175,20 @@ vec3 wide(vec3 d) {
   vec2 side = vec2(dot(p, normalize(right)), dot(p, cross(toEye, normalize(right))));
   vec2 at = 0.5 + 0.5 * min(far, 1.0) * side / max(length(side), 1e-6);
   vec3 seen = vec3(0.0);
-  if (spreads > 0.5) seen = texture(throughMatt, at).rgb * (gathered < 1.5 ? nacreColour(table, clamp(-dot(d, p), 0.0, 1.0), 0.0, first + 2.0, BANDS) : vec3(1.0));
-  if (alpha >= 0.001) {
-    vec4 m = texture(throughMirror, at);
-    seen += nacreColour(table, m.a, 0.0, first, BANDS) * m.rgb;
-  }
-  if (gloss > 0.0 && gathered < 1.5) {
-    vec4 g = texture(throughGloss, at);
-    seen += nacreColour(table, g.a, 0.0, first + 1.0, BANDS) * g.rgb;
-  }
+#ifdef LOBE
+  seen = texture(throughMatt, at).rgb;
+#endif
+#ifdef MATT
+  seen = texture(throughMatt, at).rgb * nacreColour(table, clamp(-dot(d, p), 0.0, 1.0), 0.0, first + 2.0, BANDS);
+#endif
+#ifdef FACETS
+  vec4 m = texture(throughMirror, at);
+  seen += nacreColour(table, m.a, 0.0, first, BANDS) * m.rgb;
+#endif
+#ifdef GLOSS
+  vec4 g = texture(throughGloss, at);
+  seen += nacreColour(table, g.a, 0.0, first + 1.0, BANDS) * g.rgb;
+#endif
   return seen;
 }
 #endif
@@ -192,11 +197,13 @@ void main() {
   vec4 back = texelFetch(backdrop, ivec2(gl_FragCoord.xy), 0);
   if (back.a > 0.0) {
     vec3 seen = vec3(0.0);
-    if (alpha < 0.001) {
-      vec4 m = texelFetch(mirrored, ivec2(gl_FragCoord.xy), 0);
-      seen = nacreTexel(table, m.a, 0.0, first, BANDS) * m.rgb;
-    }
-    if (alpha >= 0.001 || spreads > 0.5 || gloss > 0.0) seen += wide(rayAt(gl_FragCoord.xy));
+#ifndef FACETS
+    vec4 m = texelFetch(mirrored, ivec2(gl_FragCoord.xy), 0);
+    seen = nacreTexel(table, m.a, 0.0, first, BANDS) * m.rgb;
+#endif
+#ifdef WIDE
+    seen += wide(rayAt(gl_FragCoord.xy));
+#endif
     back.rgb = mix(back.rgb, seen, back.a);
   }
 #else
@@ -352,7 +359,6 @@ export const SHADE = `${COMMON}
 ${DEPTHS}
 uniform sampler2D facing, kind, depth;
 uniform sampler2D throughMirror, throughGloss, throughMatt;
-uniform float gathered, spreads;
 uniform vec3 plain[8];          // of what is not of the material: matt and mirror reflectance, roughness; else below 0
 uniform float grid;
 
@@ -378,18 +384,22 @@ vec3 byLobes(vec3 spot, vec3 d, vec3 n) {
   there = normalize(r + normalize(o - there));
   float cosine = clamp(-dot(d, n), 0.0, 1.0), change = cosine - clamp(dot(there, normalize(o - there)), 0.0, 1.0);
   vec2 at = placeOf(there);
-  vec3 seen = vec3(0.0);
-  if (alpha < 0.001) seen = nacreColour(table, cosine, 0.0, first, 6.0) * incoming(spot, r, alpha);
-  else {
-    vec4 m = texture(throughMirror, at);
-    seen = nacreColour(table, clamp(m.a + change, 0.0, 1.0), 0.0, first, 6.0) * m.rgb;
-  }
-  if (gathered > 1.5) return seen + texture(throughMatt, gloss > 0.0 ? at : placeOf(n)).rgb;
-  if (spreads > 0.5) seen += nacreColour(table, cosine, 0.0, first + 2.0, 6.0) * texture(throughMatt, placeOf(n)).rgb;
-  if (gloss > 0.0) {
-    vec4 g = texture(throughGloss, at);
-    seen += nacreColour(table, clamp(g.a + change, 0.0, 1.0), 0.0, first + 1.0, 6.0) * g.rgb;
-  }
+#ifdef FACETS
+  vec4 m = texture(throughMirror, at);
+  vec3 seen = nacreColour(table, clamp(m.a + change, 0.0, 1.0), 0.0, first, 6.0) * m.rgb;
+#else
+  vec3 seen = nacreColour(table, cosine, 0.0, first, 6.0) * incoming(spot, r, alpha);
+#endif
+#ifdef LOBE
+  seen += texture(throughMatt, gloss > 0.0 ? at : placeOf(n)).rgb;
+#endif
+#ifdef MATT
+  seen += nacreColour(table, cosine, 0.0, first + 2.0, 6.0) * texture(throughMatt, placeOf(n)).rgb;
+#endif
+#ifdef GLOSS
+  vec4 g = texture(throughGloss, at);
+  seen += nacreColour(table, clamp(g.a + change, 0.0, 1.0), 0.0, first + 1.0, 6.0) * g.rgb;
+#endif
   return seen;
 }
 #endif

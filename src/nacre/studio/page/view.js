@@ -5,7 +5,7 @@ import { BACKDROP, BALL, COVER, GATHER, MESH, MESH_VERTEX, SHADE } from "./shade
 
 // the camera of pictures of a sphere, and the shade below it
 const SPHERE = { distance: Math.hypot(8.6, 1.77), target: [0, 0, 0.93], fov: 19, foot: [0, 0, 1, 1], azimuth: 0, elevation: 11.63 };
-const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "gathered", "square", "pixels", "beckmann", "compensated", "wants", "count", "nacreLobe", "backdrop", "spreads", "mirrored"];
+const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "square", "pixels", "beckmann", "compensated", "wants", "count", "nacreLobe", "backdrop", "mirrored"];
 const SAMPLERS = ["table", "room", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "nacreLobe", "backdrop", "mirrored"];
 const SQUARE = 0.55;    // of the chequers that clear materials stand on, as in pictures
 const DEFINES = { gathered: "#define GATHERED\n", shadeGathered: "#define GATHERED\n", gather: "#define NACRE_LOBE\n#define NACRE_LOBE_SLICES 4.0\n#define NACRE_LOBE_SCALE 1.0\n" };   // see lobe.py
@@ -18,6 +18,10 @@ let backdrops = 0;      // drawn so far
 
 // what is gathered: facets, gloss, a matt surface; or instead of the last two what a table says of spread light
 const wantsOf = (look) => (look.lobe ? 8 : 0) + (look.alpha >= 0.001 ? 1 : 0) + (look.gloss_alpha > 0 ? 2 : 0) + (look.spread.some((value) => value > 1e-4) ? 4 : 0);
+
+// Of what is gathered for a look, what is looked up; of a table of spread light the matt part's place holds all.
+const lobesOf = (look) => [[1, "FACETS"], ...(look.lobe ? [[8, "LOBE"]] : [[2, "GLOSS"], [4, "MATT"]])].map(([bit, lobe]) => (wantsOf(look) & bit ? `#define ${lobe}\n` : "")).join("");
+const OF_LOBES = ["gathered", "shadeGathered"];
 
 export class View {
   // Throws where the browser has no WebGL2; `tables` is the text of the exported shaders.
@@ -44,12 +48,13 @@ export class View {
     this.roomTexture = this.texture(1, gl.TEXTURE_2D_ARRAY, gl.REPEAT);
   }
 
-  // A program by what it draws, made when it is first wanted; in a place the light has colours.
-  use(name) {
-    const gl = this.gl, isPlace = Boolean(this.room?.floor) && name !== "mesh", key = name + isPlace;
+  // A program by what it draws, made when it is first wanted; in a place the light has colours. For each set of lobes
+  // there is one of its own: where the CPU draws, a branch that is not taken costs as much as one that is.
+  use(name, look) {
+    const gl = this.gl, isPlace = Boolean(this.room?.floor) && name !== "mesh", lobes = look && OF_LOBES.includes(name) ? lobesOf(look) : "", key = name + isPlace + lobes;
     if (!this.programs.has(key)) {
       const program = gl.createProgram(), [vertex, fragment] = SHADERS[name];
-      for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, `#version 300 es\n${DEFINES[name] ?? ""}${isPlace ? "#define PLACE\n" : ""}${this.tables}${fragment}`]]) {
+      for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, `#version 300 es\n${DEFINES[name] ?? ""}${lobes}${isPlace ? "#define PLACE\n" : ""}${this.tables}${fragment}`]]) {
         const shader = gl.createShader(kind);
         gl.shaderSource(shader, source);
         gl.compileShader(shader);
@@ -189,8 +194,6 @@ export class View {
     gl.scissor(left, bottom, Math.max(right - left, 0), top - bottom);
     const at = this.prepare(isGathered ? well : plainly, look, first);
     this.canvas.dataset.light = isGathered ? "gathered" : this.light.isAble && this.isLit ? "gathering" : "blurred";
-    if (isGathered) gl.uniform1f(at.spreads, wantsOf(look) >= 4 ? 1 : 0);
-    if (isGathered) gl.uniform1f(at.gathered, look.lobe ? 2 : 1);
     if (places) {
       const plain = new Float32Array(3 * MOST_PARTS).fill(-1);      // of the material: no plain look
       parts.forEach((part, i) => { if (part.plain) plain.set(part.plain, 3 * i); });
@@ -322,7 +325,7 @@ export class View {
   }
 
   prepare(name, look, first) {
-    const gl = this.gl, at = this.use(name), { distance, target, foot } = this.object;
+    const gl = this.gl, at = this.use(name, look), { distance, target, foot } = this.object;
     const { toEye, right, up } = this.frame();
     gl.uniform3fv(at.eye, target.map((t, i) => t + distance * toEye[i]));
     gl.uniform3fv(at.ahead, toEye.map((x) => -x));

@@ -24,6 +24,7 @@ export class Wire {
     this.socket = socket;
     socket.onopen = () => {
       this.wait = FIRST_WAIT_MS;
+      this.isRefused = false;
       this.onState("open");
       this.ask();
     };
@@ -35,10 +36,17 @@ export class Wire {
     };
     socket.onclose = () => {
       if (this.socket !== socket) return;
-      this.onState("lost");
+      if (!this.isRefused) this.onState("lost");
+      this.knock(socket);
       this.timer = setTimeout(() => this.open(), this.wait);
       this.wait = Math.min(2 * this.wait, LONGEST_WAIT_MS);
     };
+  }
+
+  // A socket does not tell whether nobody answered or a server did that knows this page's token no more.
+  async knock(socket) {
+    this.isRefused = await fetch("favicon.ico").then(({ status }) => status === 403, () => false);
+    if (this.isRefused && this.socket === socket) this.onState("refused");
   }
 
   hurry() {
