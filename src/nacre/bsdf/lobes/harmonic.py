@@ -78,7 +78,8 @@ def _coordinate(sine, cosine, count, beyond, eta):  # type: ignore[no-untyped-de
     else:
         critical = np.arcsin(1.0 / eta)
         x = edge + beyond * np.sqrt(max(np.arctan2(sine, cosine) - critical, 0.0) / (0.5 * np.pi - critical))
-    return min(max(x, 0.0), count + beyond - 1.0)
+    # the last half step goes on as the one before: f falls to zero there
+    return min(max(x, 0.0), count + beyond - 0.5)
 
 
 @compiled(nogil=True, fastmath=True)

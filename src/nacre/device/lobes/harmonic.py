@@ -173,13 +173,14 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
     def _coordinate(self, w: Any, sine: Any) -> tuple[Any, Any]:
         """Return the lower node and the fraction of a direction's polar angle; see `PolarGrid`."""
         angle = dr.atan2(sine, dr.abs(w.z))
-        x = dr.minimum(angle * (2.0 / math.pi) * self.edge_above, self.top_above)
+        # the last half step goes on as the one before: f falls to zero there
+        x = dr.minimum(angle * (2.0 / math.pi) * self.edge_above, self.edge_above)
         top = self.top_above
         if self.transmits:
             outer = self.eta * sine
             inner = dr.asin(dr.minimum(outer, 1.0)) * (2.0 / math.pi) * self.edge_below
             past = dr.sqrt(dr.maximum(angle - self.critical, 0.0) * self.per_beyond) * self.beyond
-            below = dr.minimum(inner + dr.select(outer >= 1.0, past, 0.0), self.top_below)
+            below = dr.minimum(inner + dr.select(outer >= 1.0, past, 0.0), self.top_below + 0.5)
             x = dr.select(w.z > 0.0, x, below)
             top = dr.select(w.z > 0.0, self.top_above, self.top_below)
         low = dr.minimum(dr.floor(x), top - 1.0)

@@ -47,6 +47,7 @@ VALIDATED_COVERAGE = 0.13  # above it what is known against the mean field is to
 JUDGED_NM = 550.0  # where a core is called metal or not
 # films up to here keep the error of interpolation at 0.4 % of the L2 norm with 120 angles (0.3 % without any film)
 THICK_FILM_NM = 1000.0
+LOW_WAVELENGTHS = 1.65  # of films and particles' height, up to which 64 angles resolve the light: 600 nm at 360 nm
 TOLD_EXCESS = 0.01  # of energy: what the default correction is tested to keep
 SAME_INDEX = 1e-3
 FEW_ANGLES, LEAST_COS = 48, 0.05  # that are solved one by one, and off grazing
@@ -338,9 +339,13 @@ class Metasurface(Model):
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         self._warn()
         eta = self.eta
-        thick = sum(d for _, d in self.layers) > THICK_FILM_NM
-        grids = choose_grids(eta if self.transmits else None, self.varies, thick)
+        thickness = sum(d for _, d in self.layers)
         layer, judged = self.layers_at(lam)
+        # a particle's light and its mirror image's run apart by twice the height of its centre
+        height = thickness + max(2.0 * kind.gap_nm + kind.height_nm for kind in self.kinds)
+        # a film on a clear substrate may guide light, which draws lines over the angle
+        low = height <= LOW_WAVELENGTHS * lam[0] and not (self.transmits and self.layers)
+        grids = choose_grids(eta if self.transmits else None, self.varies, thickness > THICK_FILM_NM, low)
         specular, harmonic, excess = tabulate(lam, layer, self.structure, grids, eta)
         notes: dict[str, Any] = {
             "energy_excess": round(excess, 6),
