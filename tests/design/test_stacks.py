@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
+
 import numpy as np
 import pytest
 import tmm
@@ -10,7 +13,7 @@ from nacre.design.goals import Goal, Goals, default_wavelengths_nm
 from nacre.design.stack_descent import descend, workspace
 from nacre.design.stack_looks import compile_goals, look, share_outside
 from nacre.design.stack_problem import Medium, Slot, StackProblem
-from nacre.design.stack_search import StackSolution, is_alike, many, search
+from nacre.design.stack_search import StackSolution, _Candidate, _Engine, is_alike, many, search
 from nacre.errors import NacreError
 from nacre.light import delta_e_2000
 from nacre.matter.indices.library import index
@@ -278,6 +281,19 @@ def test_the_yield_of_a_search_for_it_is_higher_and_is_that_of_its_draws() -> No
     # 400 and 1000 draws: a standard deviation of 0.03
     assert own == pytest.approx(robust.yield_share, abs=0.1)
     assert own > np.mean([share_within(one) for one in plain]) + 0.1
+
+
+def test_a_stack_settles_where_more_of_its_samples_are_good() -> None:
+    """By draws that its steps were not chosen by, and within bounds, the sum's included."""
+    problem = dataclasses.replace(spread_problem(2.0, 0.03), total_nm=179.0)
+    engine = _Engine(problem, 1)
+    media, d = np.zeros(engine.slots + 3, dtype=np.int64), np.zeros(engine.slots + 3)
+    media[:3], d[:3] = (2, 4, 3), (97.0, 22.5, 58.5)  # some per cent from a stack of the wanted colours
+    begun = _Candidate(0.0, media, d, 3, len(PALETTE) + 1)
+    settled = engine.settle(begun, math.inf)
+    assert 0.0 < engine.made(begun, 7) + 0.05 < engine.made(settled, 7)
+    assert settled.d[:3].sum() <= 179.0 and settled.d[:3].min() >= 2.0 and begun.d[:3].tolist() == [97.0, 22.5, 58.5]
+    assert engine.settle(begun, 0.0).d.tolist() == d.tolist()  # no time is left
 
 
 def test_the_linear_yield_is_near_that_of_draws() -> None:
