@@ -13,8 +13,8 @@ look-up takes 30 ns for 90, so what remains is memory; on glass the table is 13 
 help: 12 terms leave 2-5 % of the largest value.
 On glass it is the look-ups, not the paths: these meet the sphere 2.5 times, the dielectric's 2.65 times, and cut off
 after the first hit the ratio is .24 (.15 against .60 CPU s for a million samples, under a load of 10).
-With 64 angles where 120 and 100 were (a third of the memory), idle, old and new in turn, twice: opaque .60, .81 ->
-1.05, .93; on glass .20, .30 -> .37, .37.
+With 64 angles where 120 and 100 were (a third of the memory), old and new in turn, four times: opaque .60, .81,
+.69, .71 -> 1.05, .93, .81, .92; on glass .20, .30, .18, .21 -> .37, .37, .23, .25 (idle, idle, load of 1.4 twice).
 Not paid: the same pairs as a square, the view counting slowest (twice the memory: as slow or slower); the share of the
 mirror part from one mean over wavelengths (a tenth less time, twice the variance in blue: it passes .5 to .98 of the
 light over the spectrum); a branch round the look-up. A gather costs by the word, not by the packet (16 of 1, 2, 4, 8
