@@ -91,7 +91,10 @@ def backscatter_rows(axis: Any) -> list[Row]:
 
 
 def map_rows(axes: Any) -> list[Row]:
-    """Colour over the view, for packing and density, light from 30 degrees; the dark disk's half width."""
+    """Colour over the view, for packing and density, light from 30 degrees; the dark disk's half width.
+
+    By the mean field, which has S as the source's model has; the ensemble of the dense silicon would take minutes each.
+    """
     theta = np.radians(np.arange(-80.0, 80.1, 2.0))
     wi = np.array([0.5, 0.0, np.sqrt(0.75)])
     wo = np.stack([-np.sin(theta), 0 * theta, np.cos(theta)], axis=1)
@@ -106,6 +109,7 @@ def map_rows(axes: Any) -> list[Row]:
                         "substrate": "glass",
                         "particle": {"material": core, "radius_nm": radius},
                         "monolayer": {"density_per_um2": density, "packing": packing},
+                        "model": {"correction": "qca-balanced"},
                     }
                 )
                 f = np.asarray(made.bsdf(COARSE).lobes[1].evaluate(np.broadcast_to(wi, wo.shape), wo))
