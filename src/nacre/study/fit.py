@@ -271,6 +271,7 @@ class _Problem:
         shares = np.maximum(np.abs(measured.values), RELATIVE_FLOOR * rms)
         self._beyond: Array | float = 0.0  # what walks give more than the form without noise
         self.is_corrected = False
+        self._walked: Array | None = None  # `[seed, value]`, residuals that differ by the walks' noise alone
         self._scale = shares if weights == "relative" else np.full(measured.values.shape, rms)
 
     def build(self, unit: Array) -> Material:
@@ -298,11 +299,9 @@ class _Problem:
             quick = self._measured.without_noise(material.model)
             if quick is None:
                 break
-            seeds = range(self._seed, self._seed + CORRECTION_SEEDS)
-            walked = [self._measured.model(material, self._samples, seed) for seed in seeds]
+            walked = self._walks(material)
             self._beyond = np.mean(walked, axis=0) - quick
             self.is_corrected = True
-            self.evaluations += len(walked)
             refined = self.refine(end[1])
             if refined is None:
                 break
@@ -311,6 +310,13 @@ class _Problem:
             if moved < SETTLED:
                 break
         return end
+
+    def _walks(self, material: Material) -> list[Array]:
+        seeds = range(self._seed, self._seed + CORRECTION_SEEDS)
+        walked = [self._measured.model(material, self._samples, seed) for seed in seeds]
+        self._walked = np.stack([(values / self._scale).ravel() for values in walked])
+        self.evaluations += len(walked)
+        return walked
 
     def relative(self, loss: float) -> float:
         """Turn a sum of squares into a relative rms."""
@@ -370,22 +376,43 @@ class _Problem:
     def confidence(self, unit: Array, jacobian: Array) -> tuple[FittedNumber, ...]:
         """Return each number with its 95 % half width, from the Gauss-Newton covariance of the residuals.
 
-        The errors are taken as independent and equal; a direction that the data do not see has no half width.
+        The errors are taken as independent and equal; a direction that the data do not see has no half width. Walks'
+        noise is the same in every residual of a fit, so the residuals do not tell it: what independent walks would
+        have moved the numbers by is added, as uncertainties of two kinds are (JCGM 100:2008, G.4).
         """
         from scipy.stats import t
 
         residual = self.residual(unit)
         freedom = max(1, residual.size - len(unit))
         variance = float(np.sum(residual**2)) / freedom
-        _, singular, rotation = np.linalg.svd(jacobian, full_matrices=False)
+        left, singular, rotation = np.linalg.svd(jacobian, full_matrices=False)
         floor = np.finfo(float).eps * jacobian.shape[0] * (singular.max() if singular.size else 0.0)
         inverse = np.where(singular > floor, 1.0 / np.maximum(singular, 1e-300), np.inf)
         with np.errstate(invalid="ignore"):
-            spread = np.sqrt(variance * np.nansum((rotation * inverse[:, None]) ** 2, axis=0))
-        half = spread * float(t.ppf(0.975, freedom))
+            data = variance * np.nansum((rotation * inverse[:, None]) ** 2, axis=0)
+            seen = np.where(singular > floor, inverse, 0.0)
+            walks = self._walk_variance(unit, (rotation.T * seen) @ left.T)
+            total = data + walks
+            degrees = total**2 / (data**2 / freedom + walks**2 / (CORRECTION_SEEDS - 1))
+            half = np.where(total > 0.0, np.sqrt(total) * t.ppf(0.975, np.nan_to_num(degrees, nan=freedom)), 0.0)
         return tuple(
             FittedNumber(
                 n.path, n.value(u), float(h * (n.high - n.low)), bool(np.isfinite(h) and h < UNDETERMINED_SHARE)
             )
             for n, u, h in zip(self._free, unit, half, strict=True)
         )
+
+    def _walk_variance(self, unit: Array, pseudoinverse: Array) -> Array:
+        """Return the variance of each number, in units of its bounds, that comes from the seed of the walks."""
+        if self._walked is None:
+            material = self.build(unit)
+            if material.model.is_direct or not _is_walked(material, self._measured.wavelengths_nm):
+                return np.zeros(len(unit))
+            self._walks(material)
+        assert self._walked is not None
+        moved = np.var(self._walked @ pseudoinverse.T, axis=0, ddof=1)
+        return np.asarray(moved / len(self._walked) if self.is_corrected else moved)
+
+
+def _is_walked(material: Material, wavelengths_nm: Array) -> bool:
+    return any(lobe.is_stochastic for lobe in material.bsdf(wavelengths_nm).lobes)
