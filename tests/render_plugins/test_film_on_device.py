@@ -179,15 +179,19 @@ def test_zero_film_on_glass_is_mitsubas_roughdielectric(mi: Any, distribution: s
     assert np.quantile(np.abs(ours[seen] / reference[seen] - 1.0), 0.99) <= DIELECTRIC_ALL
 
 
-def test_soap_film_passes_light_unbent(mi: Any) -> None:
-    """The transmission of a free film is Mitsuba's null interaction, for shadow rays too."""
+@pytest.mark.parametrize(("k", "tolerance"), [(0.0, 1e-5), (1e-5, 1e-4), (1e-3, 1e-5)])
+def test_soap_film_passes_light_unbent(mi: Any, k: float, tolerance: float) -> None:
+    """The transmission of a free film is Mitsuba's null interaction, for shadow rays too.
+
+    Of one that absorbs less than lobes and arrays may differ by (1e-4) it is what is not reflected.
+    """
     from lobe_trials import direction, interaction
 
     from nacre.device.bsdf import make_bsdf
 
-    bsdf = film(substrate="air", layers=[{"material": {"n": 1.33}, "thickness_nm": 350}])
+    bsdf = film(substrate="air", layers=[{"material": {"n": 1.33, "k": k}, "thickness_nm": 350}])
     plugin = make_bsdf(bsdf)
     assert mi.has_flag(plugin.flags(), mi.BSDFFlags.Null)
     si = interaction(direction(40.0, 10.0)[None, :], bsdf.wavelengths_nm[[3, 20, 30, 40]])
     passed = np.array(plugin.eval_null_transmission(si)).ravel()
-    assert np.allclose(passed, bsdf.specular(np.radians(40.0)).transmittance[[3, 20, 30, 40]], atol=1e-5)
+    assert np.allclose(passed, bsdf.specular(np.radians(40.0)).transmittance[[3, 20, 30, 40]], rtol=0.0, atol=tolerance)

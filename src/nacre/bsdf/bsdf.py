@@ -44,13 +44,17 @@ class Bsdf:
         trees, arrays, _ = describe_lobes(self.lobes, "Bsdf")
         return identity(trees, {}, arrays={name: sha256(array.tobytes()).hexdigest() for name, array in arrays.items()})
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path, *, is_packed: bool = True) -> None:
         """Write one `.nacre` file, whole or not at all.
+
+        Args:
+            path: of the file.
+            is_packed: deflated, for a file that is sent; else larger by a tenth or more, written and read quickly.
 
         Raises:
             NacreError: the file cannot be written.
         """
-        write_lobes(path, self.lobes, self.provenance)
+        write_lobes(path, self.lobes, self.provenance, is_packed)
 
     @classmethod
     def load(cls, path: str | Path) -> Bsdf:

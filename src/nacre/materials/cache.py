@@ -16,7 +16,7 @@ from nacre.bsdf import Bsdf
 from nacre.errors import NacreError
 from nacre.recipe.kept import MAX_BYTES, OFF, VARIABLE, cache_folder, clear, entries, is_material, is_ours, make_room
 
-WORTH_S = 2.0  # what is solved faster is not kept: writing and reading cost too
+WORTH_S = 0.5  # what is solved faster is not kept: writing and reading cost too
 
 
 def solved(key: str, solve: Callable[[], Bsdf], keep: bool = True) -> Bsdf:
@@ -37,7 +37,7 @@ def solved(key: str, solve: Callable[[], Bsdf], keep: bool = True) -> Bsdf:
     bsdf = solve()
     if keep and time.perf_counter() - begun > WORTH_S:
         with contextlib.suppress(NacreError, OSError):
-            bsdf.save(entry)
+            bsdf.save(entry, is_packed=False)  # packing a film's tables takes as long as solving them
             make_room(folder, MAX_BYTES)
     return bsdf
 
