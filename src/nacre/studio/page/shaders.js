@@ -22,6 +22,8 @@ uniform float alpha, gloss, layers, exposure, square;
 #define TINT(t) (t).r
 #endif
 uniform LIGHT level, ground;    // of a place's matt white floor, and its reflectance
+uniform vec3 lampTo, lampPower; // what of a place is small and very bright (the sun), which the room is without
+uniform float lampRadius;
 layout(location = 0) out vec4 colour;
 const float PI = 3.14159265;
 const vec3 CENTRE = vec3(0.0, 0.0, 1.0);
@@ -30,14 +32,36 @@ const float WIDTH = 20.0, FRONT = 16.0, BACK = 5.0, BEND = 4.5, TOP = 5.2, LENGT
 const float HALF_WAY = 1.5;                              // radii from a ball, of its shade's rows
 const float NEAR_PLACE = 12.0, FAR_PLACE = 30.0;         // of a place: where the floor goes over into it
 
+// what facets of a unit density send in from a lamp; smooth ones show its disc
+vec3 lampAt(vec3 d, float rough) {
+  float between = acos(clamp(dot(d, lampTo), -1.0, 1.0));
+  if (rough < 0.25 * lampRadius) return lampPower / (PI * lampRadius * lampRadius) * smoothstep(1.1, 0.9, between / lampRadius);
+  float a2 = rough * rough + 0.125 * lampRadius * lampRadius, half2 = 0.5 + 0.5 * dot(d, lampTo), s = half2 * (a2 - 1.0) + 1.0;
+  return lampPower * a2 / (4.0 * PI * s * s);
+}
+float layerOf(float rough) {
+  return rough < 0.001 ? 0.0 : clamp(log2(rough / 0.03125) + 1.0, min(rough / 0.03125, 1.0), layers - 2.0);
+}
 LIGHT lookup(vec3 d, float layer) {
   float low = floor(layer);
   vec2 at = vec2(atan(d.y, d.x) / (2.0 * PI), acos(clamp(d.z, -1.0, 1.0)) / PI);
   LIGHT one = TINT(texture(room, vec3(at, low)));
   return mix(one, TINT(texture(room, vec3(at, min(low + 1.0, layers - 2.0)))), layer - low);
 }
+// the room, and its lamp; what is gathered asks for the lamp apart
+LIGHT roomAt(vec3 d, float rough) {
+  LIGHT seen = lookup(d, layerOf(rough));
+#if defined(PLACE) && !defined(GATHERS)
+  seen += lampAt(d, rough);
+#endif
+  return seen;
+}
 LIGHT matt(vec3 n) {
-  return TINT(texture(room, vec3(atan(n.y, n.x) / (2.0 * PI), acos(clamp(n.z, -1.0, 1.0)) / PI, layers - 1.0)));
+  LIGHT seen = TINT(texture(room, vec3(atan(n.y, n.x) / (2.0 * PI), acos(clamp(n.z, -1.0, 1.0)) / PI, layers - 1.0)));
+#ifdef PLACE
+  seen += lampPower * max(dot(n, lampTo), 0.0) / PI;
+#endif
+  return seen;
 }
 // the share of the floor's light that a ball leaves; an object as its own ellipsoid
 LIGHT shade(vec2 p) {
@@ -62,12 +86,9 @@ LIGHT stage(vec2 p, float along, float wide) {
 #endif
 }
 LIGHT floorAt(vec2 p) { return stage(p, dot(p, normalize(ahead.xy)) + FRONT, 1.0); }
-float layerOf(float rough) {
-  return rough < 0.001 ? 0.0 : clamp(log2(rough / 0.03125) + 1.0, min(rough / 0.03125, 1.0), layers - 2.0);
-}
 // What arrives from a direction d, of a cone so wide as a mirror's of that roughness; edges of the stage are sharp.
 LIGHT trace(vec3 from, vec3 d, float rough) {
-  LIGHT sky = lookup(d, layerOf(rough));
+  LIGHT sky = roomAt(d, rough);
 #ifdef PLACE
   if (d.z > -1e-3) return sky;
   vec2 hit = from.xy + d.xy * (from.z / -d.z);
@@ -97,7 +118,7 @@ LIGHT trace(vec3 from, vec3 d, float rough) {
 }
 LIGHT incoming(vec3 from, vec3 d, float rough) {
   if (rough < 0.02) return trace(from, d, rough);
-  LIGHT seen = lookup(d, layerOf(rough));
+  LIGHT seen = roomAt(d, rough);
   float spread = 0.01 + 0.9 * rough;
   float below = smoothstep(spread, -spread, d.z);
   vec3 down = vec3(d.xy, min(d.z, -0.06 - 0.5 * rough));
@@ -118,7 +139,7 @@ vec3 behind(vec3 d, float pixel) {
   float t = eye.z / max(-d.z, 0.01);
   vec2 hit = eye.xy + d.xy * t;
 #ifdef PLACE
-  LIGHT seen = lookup(d, 0.6);
+  LIGHT seen = lookup(d, 0.6) + lampAt(d, 0.0);
   return d.z < 0.0 ? mix(stage(hit, 0.0, 0.0), seen, smoothstep(NEAR_PLACE, FAR_PLACE, length(hit))) : seen;
 #else
   // beyond its edges the stage goes on: its front's light, and its wall's
@@ -264,6 +285,17 @@ vec4 facets(vec3 spot, vec3 n, vec3 side, vec3 v, float a, bool isBeckmann, out 
     float y = weight * dot(light, vec3(0.2126, 0.7152, 0.0722));
     sum += weight * light; whole += weight; met += y * vm; bright += y;
   }
+#ifdef PLACE
+  float cl = dot(lampTo, n);
+  if (cl > 0.0) {     // the lamp, as wide as it is
+    vec3 m = normalize(lampTo + v);
+    float z = dot(n, m), z2 = z * z, a2 = a * a + 0.125 * lampRadius * lampRadius, s = z2 * (a2 - 1.0) + 1.0;
+    float density = isBeckmann ? exp((1.0 - 1.0 / z2) / a2) / (PI * a2 * z2 * z2) : a2 / (PI * s * s);
+    vec3 light = count * density * smith(cl, a, isBeckmann) * smith(cv, a, isBeckmann) / (4.0 * cv) * lampPower;
+    float y = dot(light, vec3(0.2126, 0.7152, 0.0722));
+    sum += light; met += y * dot(v, m); bright += y;
+  }
+#endif
   lost = max(1.0 - whole / count, 0.0);
   return vec4(sum / count, bright > 0.0 ? met / bright : cv);
 }
@@ -292,6 +324,10 @@ vec3 scattered(vec3 spot, vec3 n, vec3 side, vec3 v) {
     sum += f * vec3(trace(spot, wi.x * side + wi.y * other + wi.z * n, 0.5 * inversesqrt(count * density * PI)));
     whole += f;
   }
+#ifdef PLACE
+  vec3 lit = vec3(dot(lampTo, side), dot(lampTo, other), dot(lampTo, n));
+  if (lit.z > 0.0) sum += nacreScattered(lit, wo) * lit.z * lampPower;
+#endif
   float cosine = wo.z;
   return sum / whole * (nacreColour(table, cosine, 0.0, first + 1.0, 6.0) + nacreColour(table, cosine, 0.0, first + 2.0, 6.0));
 }
@@ -318,6 +354,11 @@ void main() {
     float loss = 1.0 - smith(z, alpha, beckmann > 0.5) + 1e-4;      // about what facets lose of light from there
     between += loss * light; whole += loss;
   }
+#ifdef PLACE
+  float cl = max(dot(lampTo, n), 0.0);
+  asMatt.rgb += lampPower * cl / PI;
+  between += count * (1.0 - smith(max(cl, 1e-4), alpha, beckmann > 0.5)) * lampPower * cl / PI;
+#endif
   if (isKept) colour.rgb += lost * between / whole;    // what facets lose comes back from between them
 }`;
 

@@ -5,10 +5,10 @@ import { BACKDROP, BALL, COVER, GATHER, MESH, MESH_VERTEX, SHADE } from "./shade
 
 // the camera of pictures of a sphere, and the shade below it
 const SPHERE = { distance: Math.hypot(8.6, 1.77), target: [0, 0, 0.93], fov: 19, foot: [0, 0, 1, 1], azimuth: 0, elevation: 11.63 };
-const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "square", "pixels", "beckmann", "compensated", "wants", "count", "nacreLobe", "backdrop", "mirrored"];
+const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "square", "lampTo", "lampPower", "lampRadius", "pixels", "beckmann", "compensated", "wants", "count", "nacreLobe", "backdrop", "mirrored"];
 const SAMPLERS = ["table", "room", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "nacreLobe", "backdrop", "mirrored"];
 const SQUARE = 0.55;    // of the chequers that clear materials stand on, as in pictures
-const DEFINES = { gathered: "#define GATHERED\n", shadeGathered: "#define GATHERED\n", gather: "#define NACRE_LOBE\n#define NACRE_LOBE_SLICES 4.0\n#define NACRE_LOBE_SCALE 1.0\n" };   // see lobe.py
+const DEFINES = { gathered: "#define GATHERED\n", shadeGathered: "#define GATHERED\n", gather: "#define GATHERS\n#define NACRE_LOBE\n#define NACRE_LOBE_SLICES 4.0\n#define NACRE_LOBE_SCALE 1.0\n" };   // see lobe.py
 const EXTRA = 2;        // layers of the room beside those of its light: the ball's shade, the stage's light
 const SHADERS = { ball: [COVER, BALL], gathered: [COVER, BALL], gather: [COVER, GATHER], backdrop: [COVER, BACKDROP], mesh: [MESH_VERTEX, MESH], shade: [COVER, SHADE], shadeGathered: [COVER, SHADE] };
 const FINER = 2;        // triangles are drawn at twice the size, so that their edges are smooth
@@ -84,12 +84,13 @@ export class View {
   }
 
   // Radiance over all directions by layers, of one channel or three; `floor`: the floor's colour
-  // where it is a place that is seen behind the object, else null.
-  setRoom(values, { rows, columns, alphas }, floor) {
+  // where it is a place that is seen behind the object, else null; `lamp`: what of the place is small and very bright.
+  setRoom(values, { rows, columns, alphas }, floor, lamp = null) {
     const layers = alphas.length + 1, channels = values.length / ((layers + EXTRA) * rows * columns);
-    const zenith = channels * (layers - 1) * rows * columns, of = (c) => values[zenith + Math.min(c, channels - 1)];     // of the last layer
+    const zenith = channels * (layers - 1) * rows * columns, power = lamp ? lamp.irradiance : [0, 0, 0], towards = lamp ? lamp.towards : [0, 0, 1];
+    const of = (c) => values[zenith + Math.min(c, channels - 1)] + (power[c] * towards[2]) / Math.PI;       // of the last layer, and of the lamp
     this.light.forget();
-    this.room = { values, rows, columns, layers, channels, floor, level: [of(0), of(1), of(2)] };
+    this.room = { values, rows, columns, layers, channels, floor, level: [of(0), of(1), of(2)], lamp: { towards, power, radius: lamp ? lamp.radius : 1 } };
     this.upload();
     this.draw();
   }
@@ -179,7 +180,7 @@ export class View {
     gl.viewport(0, 0, width, height);
     this.drawLook(this.look, 0, 0, cut);
     if (this.other) this.drawLook(this.other, 3, cut, width);
-    this.light.settle(this.isLit ? [this.look, this.other ?? this.look].map((look) => this.keyOf(look)) : []);
+    this.light.settle([this.look, this.other ?? this.look].map((look) => this.keyOf(look)));
     if (this.trials > 0) this.judge(began);
     this.canvas.dataset.seq = this.look.seq;
   }
@@ -187,13 +188,13 @@ export class View {
   drawLook(look, first, from, to) {
     if (to <= from) return;
     const gl = this.gl, { places, parts } = this.object, [plainly, well] = places ? ["shade", "shadeGathered"] : ["ball", "gathered"];
-    const isGathered = this.isLit && this.light.bind(this.keyOf(look), look);
+    const isGathered = this.light.bind(this.keyOf(look), look);
     if (isGathered && !places) this.drawBackdrop(look, first);
     const [left, bottom, right, top] = this.boxOf(isGathered && !places, first, from, to);
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(left, bottom, Math.max(right - left, 0), top - bottom);
     const at = this.prepare(isGathered ? well : plainly, look, first);
-    this.canvas.dataset.light = isGathered ? "gathered" : this.light.isAble && this.isLit ? "gathering" : "blurred";
+    this.canvas.dataset.light = isGathered ? "gathered" : this.light.isAble ? "gathering" : "blurred";
     if (places) {
       const plain = new Float32Array(3 * MOST_PARTS).fill(-1);      // of the material: no plain look
       parts.forEach((part, i) => { if (part.plain) plain.set(part.plain, 3 * i); });
@@ -247,10 +248,6 @@ export class View {
     gl.enable(gl.SCISSOR_TEST);
     bind(this.backdrop.textures);
   }
-
-  // Whether light is gathered: not for other objects in a place, whose flat parts enlarge a piece of the ball so far that
-  // the few directions to a small bright sky show as streaks.
-  get isLit() { return !(this.object.places && this.room.floor); }
 
   // What the light off the ball depends on; none of the recipe's colours.
   keyOf(look) {
@@ -337,9 +334,11 @@ export class View {
     gl.uniform1f(at.alpha, look.alpha);
     gl.uniform1f(at.gloss, look.gloss_alpha);
     gl.uniform1f(at.layers, this.room.layers);
-    const { floor, level } = this.room;
-    if (floor) { gl.uniform3fv(at.level, level); gl.uniform3fv(at.ground, floor); }
-    else gl.uniform1f(at.square, look.clear ? SQUARE : 0);
+    const { floor, level, lamp } = this.room;
+    if (floor) {
+      for (const [where, value] of [[at.level, level], [at.ground, floor], [at.lampTo, lamp.towards], [at.lampPower, lamp.power]]) gl.uniform3fv(where, value);
+      gl.uniform1f(at.lampRadius, lamp.radius);
+    } else gl.uniform1f(at.square, look.clear ? SQUARE : 0);
     gl.uniform1f(at.exposure, this.exposure);
     return at;
   }
