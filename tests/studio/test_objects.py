@@ -56,8 +56,9 @@ def unpack(data: bytes) -> dict[str, Any]:
     told: dict[str, Any] = json.loads(data[4 : 4 + length])
     corners = np.frombuffer(data, "<f4", 8 * told["vertices"], 4 + length).reshape(-1, 8)
     order = np.frombuffer(data, "<u4", told["indices"], 4 + length + corners.nbytes)
-    assert 4 + length + corners.nbytes + order.nbytes == len(data)
-    return {**told, "corners": corners, "order": order}
+    sheet = np.frombuffer(data, "u1", int(np.prod(told["print"])), 4 + length + corners.nbytes + order.nbytes)
+    assert 4 + length + corners.nbytes + order.nbytes + sheet.nbytes == len(data)
+    return {**told, "corners": corners, "order": order, "sheet": sheet.reshape(told["print"])}
 
 
 def unpack_place(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
@@ -81,6 +82,18 @@ def test_an_object_is_whole_and_small_enough(client: TestClient, name: str) -> N
     assert any("plain" not in part for part in found["parts"])
     np.testing.assert_allclose(np.linalg.norm(found["corners"][:, 3:6], axis=1), 1.0, atol=1e-4)
     assert found["corners"][:, 2].min() > -0.05 and np.isfinite(found["corners"]).all()
+
+
+def test_what_is_printed_on_a_note_comes_with_it(client: TestClient) -> None:
+    found = unpack(client.get("/api/object?name=banknote").content)
+    assert [part.get("printed", False) for part in found["parts"]] == [False, True]
+    sheet = found["sheet"] / 255.0
+    assert sheet.max() == pytest.approx(0.72, abs=0.01) and sheet.min() < 0.3  # blank paper, and ink
+    rows, columns = sheet.shape
+    # the large number stands on the left, below the middle: rows run from below
+    number = sheet[int(0.37 * rows) : int(0.6 * rows), int(0.06 * columns) : int(0.25 * columns)]
+    assert number.mean() < sheet.mean() - 0.05
+    assert unpack(client.get("/api/object?name=panel").content)["sheet"].size == 0
 
 
 @pytest.mark.parametrize("name", ["", "sphere", "../knob"])
