@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from numpy.typing import NDArray
 from PIL import Image
 from starlette.testclient import TestClient
 
 from nacre.errors import NacreError
+from nacre.picture.lights.environments import directions
 from nacre.picture.scenes.subjects import read_mesh
 from nacre.picture.shapes.mesh import Mesh, parametric
 from nacre.studio import objects, server
@@ -24,7 +26,7 @@ from nacre.studio.folder import Opened
 from nacre.studio.objects import OBJECTS, OwnMeshes, simplified
 from nacre.studio.security import HEADER
 from nacre.studio.server import make_app
-from nacre.studio.surround import ALPHAS, GREY, LAYERS, ROWS
+from nacre.studio.surround import ALPHAS, GREY, LAYERS, ROWS, without_lamp
 
 PORT, TOKEN = 8125, "a-token-for-the-tests"
 FILM = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n'
@@ -54,8 +56,20 @@ def unpack(data: bytes) -> dict[str, Any]:
     told: dict[str, Any] = json.loads(data[4 : 4 + length])
     corners = np.frombuffer(data, "<f4", 8 * told["vertices"], 4 + length).reshape(-1, 8)
     order = np.frombuffer(data, "<u4", told["indices"], 4 + length + corners.nbytes)
-    assert 4 + length + corners.nbytes + order.nbytes == len(data)
-    return {**told, "corners": corners, "order": order}
+    sheet = np.frombuffer(data, "u1", int(np.prod(told["print"])), 4 + length + corners.nbytes + order.nbytes)
+    assert 4 + length + corners.nbytes + order.nbytes + sheet.nbytes == len(data)
+    return {**told, "corners": corners, "order": order, "sheet": sheet.reshape(told["print"])}
+
+
+def unpack_place(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Layers of a place, and what its lamp adds to a matt white floor."""
+    (length,) = struct.unpack_from("<I", data)
+    told = json.loads(data[4 : 4 + length])
+    ((name, shape),) = told["arrays"]
+    assert name == "room" and shape == [LAYERS, ROWS, 2 * ROWS, 3]
+    lamp = told["lamp"]
+    added = np.zeros(3) if lamp is None else np.array(lamp["irradiance"]) * lamp["towards"][2] / np.pi
+    return np.frombuffer(data, "<f4", offset=4 + length).reshape(shape), added
 
 
 @pytest.mark.parametrize(
@@ -68,6 +82,18 @@ def test_an_object_is_whole_and_small_enough(client: TestClient, name: str) -> N
     assert any("plain" not in part for part in found["parts"])
     np.testing.assert_allclose(np.linalg.norm(found["corners"][:, 3:6], axis=1), 1.0, atol=1e-4)
     assert found["corners"][:, 2].min() > -0.05 and np.isfinite(found["corners"]).all()
+
+
+def test_what_is_printed_on_a_note_comes_with_it(client: TestClient) -> None:
+    found = unpack(client.get("/api/object?name=banknote").content)
+    assert [part.get("printed", False) for part in found["parts"]] == [False, True]
+    sheet = found["sheet"] / 255.0
+    assert sheet.max() == pytest.approx(0.72, abs=0.01) and sheet.min() < 0.3  # blank paper, and ink
+    rows, columns = sheet.shape
+    # the large number stands on the left, below the middle: rows run from below
+    number = sheet[int(0.37 * rows) : int(0.6 * rows), int(0.06 * columns) : int(0.25 * columns)]
+    assert number.mean() < sheet.mean() - 0.05
+    assert unpack(client.get("/api/object?name=panel").content)["sheet"].size == 0
 
 
 @pytest.mark.parametrize("name", ["", "sphere", "../knob"])
@@ -180,7 +206,6 @@ def test_a_sky_lights_the_floor_as_mitsuba_says(name: str) -> None:
     from nacre.light import xyz_to_srgb_linear
     from nacre.picture.lights.named import make_light
     from nacre.studio.skies import sky_layers
-    from nacre.studio.surround import ALPHAS
 
     mi = use_variant()
     above = mi.ScalarTransform4f().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])
@@ -191,21 +216,44 @@ def test_a_sky_lights_the_floor_as_mitsuba_says(name: str) -> None:
         "sensor": {"type": "orthographic", "to_world": above, "film": film},
     })  # fmt: skip
     shown = mi.render(scene, spp=2048, integrator=mi.load_dict({"type": "path", "max_depth": 2}))
-    rooms = np.frombuffer(sky_layers({"name": name}), "<f4").reshape(LAYERS, ROWS, 2 * ROWS, 3)
+    rooms, lamp = unpack_place(sky_layers({"name": name}))
+    assert (lamp.max() > 0) == (name == "sun")
     wanted = xyz_to_srgb_linear(np.array(shown).mean(axis=(0, 1)))
     # rows of 1.4 degrees, wavelengths of 10 nm, and the noise of what is rendered
-    np.testing.assert_allclose(rooms[len(ALPHAS), 0].mean(axis=0), wanted, rtol=0.03, atol=0.01)
+    on_floor = rooms[len(ALPHAS), 0].mean(axis=0) + lamp
+    np.testing.assert_allclose(on_floor, wanted, rtol=0.03, atol=0.01)
     ground = rooms[0, 3 * ROWS // 4].mean(axis=0)
-    np.testing.assert_allclose(ground, GREY * rooms[len(ALPHAS), 0].mean(axis=0), rtol=0.03)
+    np.testing.assert_allclose(ground, GREY * on_floor, rtol=0.03)
 
 
 @pytest.mark.parametrize("name", ["interior", "street"])
 def test_a_place_lights_the_floor_as_in_pictures_and_has_colours(client: TestClient, name: str) -> None:
     answer = client.get(f"/api/surround?name={name}")
-    rooms = np.frombuffer(answer.content, "<f4").reshape(LAYERS, ROWS, 2 * ROWS, 3)
-    on_floor = rooms[len(ALPHAS), 0].mean(axis=0)  # a matt white floor, by the layer's row at the zenith
+    rooms, lamp = unpack_place(answer.content)
+    on_floor = rooms[len(ALPHAS), 0].mean(axis=0) + lamp  # a matt white floor, by the layer's row at the zenith
     # its luminance as pictures balance every place, `_Canvas.finish`; the rows are 1.4 degrees wide
     assert on_floor @ [0.2126, 0.7152, 0.0722] == pytest.approx(0.6, rel=0.03)
     assert np.ptp(rooms[0], axis=2).max() > 0.1 and rooms.min() >= -1e-3
+    assert (lamp.max() > 0) == (name == "street")
     unknown = client.get("/api/surround?name=moon")
     assert unknown.status_code == 422 and "moon" in unknown.json()["error"]
+
+
+def test_a_lamp_is_taken_out_of_its_place_whole() -> None:
+    """A disc of 4 degrees in an even room: its direction, its light on a surface that faces it, its width."""
+    rows, level, sun = 512, 0.5, np.array([900.0, 800.0, 600.0])
+    d = directions(rows)
+    middle = np.array([0.3, -0.5, 0.8]) / np.linalg.norm([0.3, -0.5, 0.8])
+    radius = np.radians(2.0)
+    disc = np.arccos(np.clip(d @ middle, -1.0, 1.0)) < radius
+    rgb = np.full((*disc.shape, 3), level) + disc[..., None] * sun
+    rest, lamp = without_lamp(rgb)
+    assert lamp is not None
+    np.testing.assert_allclose(rest, level, rtol=1e-9)
+    np.testing.assert_allclose(lamp.towards, middle, atol=1e-3)
+    # rows of 0.35 degrees in a disc of 4: a fiftieth of its area
+    np.testing.assert_allclose(lamp.irradiance, sun * np.pi * np.sin(radius) ** 2, rtol=0.02)
+    assert lamp.radius_rad == pytest.approx(radius, rel=0.02)
+    np.testing.assert_allclose(lamp.matt(middle), lamp.irradiance / np.pi)
+    even, none = without_lamp(np.full((32, 64, 3), level))
+    assert none is None and np.all(even == level)

@@ -11,6 +11,8 @@ from helpers_studio import FILM, SEEN, THICKNESS, Server, ball, picture, settled
 from playwright.sync_api import Page, expect
 
 NEAR_MESH = 2.0  # of 255: eight bits, and chords of triangles instead of a ball
+THIN = '{material = "SiO2", thickness_nm = 0.01}'
+STEP = 6  # of 255, from pixel to pixel: more than any curve of a ball has
 STRUCTURES = [
     ("bragg-mirror", "20 layers, 1461 nm in all, to scale", 21),
     ("pearl/bottle3", "1 stratum, 150 µm; below a section of its flakes", 5),
@@ -179,3 +181,28 @@ def test_a_kept_look_follows_the_lamp(page: Page) -> None:
     settled(page)
     until(page, lambda: bool(np.array_equal(picture(page), before)))
     assert page.locator("#ribbon-b-text").text_content() == ribbon
+
+
+@pytest.mark.full
+def test_a_free_film_shows_what_stands_behind_it_and_a_film_on_silicon_does_not(page: Page) -> None:
+    """A film so thin that it is hardly there, on a ball and before the print of a note."""
+    type_in = "(e, text) => { e.value = text; e.dispatchEvent(new Event('input')); }"
+    films = {side: f'family = "film"\nsubstrate = "{side}"\nlayers = [{THIN}]\n' for side in ("air", "Si")}
+    steps = {}
+    for side, text in films.items():
+        page.locator("#text").evaluate(type_in, text)
+        until(page, lambda side=side: toml(page)["substrate"] == side)  # type: ignore[misc]
+        settled(page)
+        shown = picture(page).astype(int).mean(axis=2)
+        line = shown[len(shown) // 2, 2 * len(shown) // 5 : 3 * len(shown) // 5]  # through the ball's middle
+        steps[side] = int(np.sum(np.abs(np.diff(line)) > STEP))
+    assert steps["air"] >= 2 and steps["Si"] == 0  # edges of chequers
+    page.locator("#text").evaluate(type_in, films["air"])
+    page.locator("#object").select_option("banknote")
+    expect(page.locator("#view")).to_have_attribute("data-object", "banknote")
+    settled(page)
+    bare = picture(page)
+    side = len(bare)
+    print_ = bare[45 * side // 100 : 58 * side // 100, 10 * side // 100 : 25 * side // 100]  # of the number, left
+    foil = bare[45 * side // 100 : 55 * side // 100, 66 * side // 100 : 72 * side // 100]
+    assert print_.std() > 10 and foil.mean() > 90  # paper under the foil, which the film on silicon covers

@@ -8,7 +8,7 @@ import pytest
 import nacre
 from nacre.bsdf.directions import direction
 from nacre.exchange.lut.table import lobe_directions, lobe_weight
-from nacre.light import spectrum_to_xyz
+from nacre.light import spectrum_to_rgb_linear, spectrum_to_xyz
 from nacre.picture.lights.environments import studio
 from nacre.recipe.toml import parse_toml
 from nacre.studio import look, stage
@@ -90,6 +90,17 @@ def test_a_film_has_no_such_picture_and_needs_no_draft() -> None:
     assert [one.is_draft for one in found] == [False] and found[0].lobe is None
     assert found[0].facets["distribution"] == "ggx" and not found[0].is_clear
     assert next(looks(nacre.load("gold"), "D65", lambda: False)).is_clear  # its glass is, as pictures count it
+
+
+def test_only_a_free_film_is_seen_through_in_the_preview() -> None:
+    """Light goes on straight; what it leaves is what it does not mirror, as a soap film takes up nothing."""
+    bubble = next(looks(nacre.load("soap"), "D65", lambda: False))
+    assert bubble.through_rgb is not None
+    white = spectrum_to_rgb_linear(np.ones((1, 471)), np.arange(360.0, 831.0))
+    np.testing.assert_allclose(bubble.through_rgb + bubble.mirror_rgb, white * np.ones((91, 1)), atol=2e-3)
+    glass = nacre.load("coated-glass-400")  # bends what passes
+    found = next(looks(glass, "D65", lambda: False))
+    assert found.through_rgb is None and any("goes through the substrate" in note for note in found.notes)
 
 
 def test_a_film_that_was_quick_once_needs_no_draft_on_a_busy_machine(monkeypatch: pytest.MonkeyPatch) -> None:

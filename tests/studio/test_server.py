@@ -386,7 +386,7 @@ def test_a_relief_comes_with_a_line_of_its_heights(page: TestClient, folder: Pat
 
 
 def test_the_blurred_surround_keeps_a_uniform_room_and_the_key_light() -> None:
-    layers = blurred_surround()
+    layers = blurred_surround().layers
     assert layers.shape[0] == LAYERS
     layers = layers[: len(ALPHAS) + 1]  # the others are no directions
     peaks = [float(layer.max()) for layer in layers]

@@ -151,7 +151,7 @@ class Answers:
 
     def _furnish(self) -> None:
         """Tell a view that has just come all that it needs."""
-        room = blurred_surround().astype("<f4").tobytes()
+        room = blurred_surround().layers.astype("<f4").tobytes()
         size = {"rows": ROWS, "columns": 2 * ROWS, "alphas": ALPHAS}
         with self._telling:
             self._tell({"kind": "room", "tables": template(TABLES), **size}, room)

@@ -39,6 +39,7 @@ from nacre.light import (
 from nacre.light.spaces import srgb_encode
 from nacre.materials.material import Material
 from nacre.matter.drawings import DrawingRequest, HeightMap
+from nacre.matter.indices.constant import OpticalConstant
 from nacre.measure.gloss import Gloss, find_gloss
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.studio.care import ANGLES_DEG, EVERY_DEGREE, SETTLED, Care, drafts
@@ -71,6 +72,7 @@ class Look:
     Attributes:
         mirror_rgb, gloss_rgb, spread_rgb: `[angle, 3]` over `ANGLES_DEG`, linear sRGB, not clipped, adapted from
             the lamp.
+        through_rgb: the same of the light that goes straight on through a free film; None: nothing is seen through it.
         facets: of the mirror-like part: their `distribution`, and whether the light lost between them is `compensated`.
         is_clear: light goes through, so that pictures have a chequered stage.
         alpha, gloss_alpha: roughness that the mirror-like and the glossy part are drawn with.
@@ -85,6 +87,7 @@ class Look:
     mirror_rgb: Array
     gloss_rgb: Array
     spread_rgb: Array
+    through_rgb: Array | None
     facets: dict[str, Any]
     is_clear: bool
     alpha: float
@@ -111,6 +114,7 @@ class Look:
             "wavelengths": self.wavelengths_nm,
             "total": self.total,
             **({} if self.lobe is None else {"lobe": self.lobe}),
+            **({} if self.through_rgb is None else {"through": self.through_rgb}),
         }
         told = {
             **header,
@@ -231,10 +235,14 @@ def _look(material: Material, illuminant: str, is_superseded: Callable[[], bool]
         if lobe is None:
             notes.append(SPREAD if gloss is None else GLOSS)
     is_clear = any(bool(np.any(parts[name] > 0)) for name in THROUGH)
+    through = None
     if np.max(parts[THROUGH[0]]) > SEEN_THROUGH:
-        notes.append("Light that goes through is not drawn.")
+        if _is_free(material):
+            through = _rgb(parts[THROUGH[0]], wavelengths, illuminant, angles_deg)
+        else:
+            notes.append("Light that goes through the substrate is not drawn.")
     return Look(
-        mirror_rgb, gloss_rgb, spread_rgb, facets, is_clear, alpha,
+        mirror_rgb, gloss_rgb, spread_rgb, through, facets, is_clear, alpha,
         0.0 if gloss is None else gloss.alpha, lobe, wavelengths, shown,
         _swatches(shown, wavelengths), grid is not None, tuple(notes), time.perf_counter() - started,
         _profile(material),
@@ -329,6 +337,15 @@ def _surface(material: Material) -> tuple[float, dict[str, Any], list[str]]:
     if _varies(material.data):
         notes.append("What varies over the surface is drawn as it is at the surface's middle.")
     return alpha, facets, notes
+
+
+def _is_free(material: Material) -> bool:
+    """Whether light that goes through goes straight on: the same medium lies on both sides."""
+    sides = [getattr(material.model, name, None) for name in ("ambient", "substrate")]
+    if not all(isinstance(side, OpticalConstant) for side in sides):
+        return False
+    above, below = (side.n_complex(PROBE_NM) for side in sides)  # type: ignore[union-attr]  # as just seen
+    return bool(np.array_equal(above, below))
 
 
 def _profile(material: Material) -> dict[str, Any] | None:

@@ -38,6 +38,7 @@ MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6
                 0xE7037ED1A0B428DB], dtype=np.uint64).astype(np.int64)  # fmt: skip
 WELD = 1e-6  # of the extent: corners so near are one
 METAL_F0 = 0.55  # of chrome, about the luminance that Mitsuba's tables of chromium give at normal incidence
+PRINTED, PRINT_ROWS = "banknote", 512
 FOOT_SHARE = 0.72  # of the half extent: how wide the shade below an object is
 
 
@@ -59,7 +60,7 @@ def _built(name: str) -> bytes:
     # the page is as high as it is wide
     half = math.tan(math.radians(0.5 * scene.view.fov_deg)) * max(1.0, height / width)
     view = replace(scene.view, fov_deg=2.0 * math.degrees(math.atan(half)))
-    return packed(scene.parts(), view)
+    return packed(scene.parts(), view, dark=scene.backdrop == "dark")
 
 
 def own_mesh(question: Mapping[str, Any]) -> bytes:
@@ -97,17 +98,20 @@ def read_upload(name: str, up: str) -> str:
     return suffix
 
 
-def packed(parts: Sequence[Part], view: View, **about: str) -> bytes:
-    """Return length of the header, header as JSON, then float32 `[vertex, 8]` (place, normal, uv) and uint32 indices.
+def packed(parts: Sequence[Part], view: View, **about: str | bool) -> bytes:
+    """Return length of the header, header as JSON, then float32 `[vertex, 8]` (place, normal, uv), uint32 indices, and
+    the reflectances of what is printed on one of the parts, a byte each, rows from below.
 
     The header has `vertices`, `indices`, `parts` (each `start`, `count` of indices and, where it is not of the
-    material, its `plain` look: matt reflectance, mirror reflectance, roughness), the camera (`target`, `distance`,
+    material, its `plain` look: matt reflectance, mirror reflectance, roughness; whether it is `printed`), the rows and
+    columns of the `print`, the camera (`target`, `distance`,
     `fov`, `azimuth`, `elevation` in degrees), the shade on the floor (`foot`: x, y and half its extents), and how many
-    triangles there are in full (`faces`), beside what `about` says.
+    triangles there are in full (`faces`), beside what `about` says (`dark`: pictures have it on a black stage).
     """
     full = [part for part in parts if isinstance(part.shape, Mesh)]
     total = sum(len(part.shape.faces) for part in full if isinstance(part.shape, Mesh))
     told, blocks, indices, start, first = [], [], [], 0, 0
+    sheet = np.zeros((0, 0), dtype=np.uint8)
     for part in full:
         assert isinstance(part.shape, Mesh)
         surface = part.shape
@@ -118,13 +122,16 @@ def packed(parts: Sequence[Part], view: View, **about: str) -> bytes:
         entry: dict[str, Any] = {"start": start, "count": int(surface.faces.size)}
         if part.material != SUBJECT:
             entry["plain"] = plain_look(part.material)
+        if part.material == PRINTED:
+            entry["printed"] = True
+            sheet = _print()
         told.append(entry)
         start, first = start + int(surface.faces.size), first + len(surface.vertices)
     corners, order = np.concatenate(blocks), np.concatenate(indices)
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     offset = np.array(view.origin) - np.array(view.target)
     header = json.dumps({
-        **about, "vertices": len(corners), "indices": len(order), "parts": told, "faces": total,
+        **about, "vertices": len(corners), "indices": len(order), "parts": told, "faces": total, "print": sheet.shape,
         "target": view.target, "distance": float(np.linalg.norm(offset)), "fov": view.fov_deg,
         "azimuth": math.degrees(math.atan2(offset[0], -offset[1])),
         "elevation": math.degrees(math.asin(offset[2] / np.linalg.norm(offset))),
@@ -132,17 +139,23 @@ def packed(parts: Sequence[Part], view: View, **about: str) -> bytes:
         "height": float(corners[:, 2].max()),
     }).encode()  # fmt: skip
     header += b" " * (-len(header) % 4)
-    return struct.pack("<I", len(header)) + header + corners.astype("<f4").tobytes() + order.astype("<u4").tobytes()
+    arrays = corners.astype("<f4").tobytes() + order.astype("<u4").tobytes() + sheet.tobytes()
+    return struct.pack("<I", len(header)) + header + arrays
+
+
+def _print() -> NDArray[np.uint8]:
+    """Return the reflectance of the printed paper as bytes `[row, column]`, first row below."""
+    return np.asarray(np.round(255.0 * banknote_print(PRINT_ROWS)[::-1]), dtype=np.uint8)
 
 
 def plain_look(name: str) -> list[float]:
     """Return matt reflectance, mirror reflectance at normal incidence and roughness of a companion of the subject.
 
     Args:
-        name: of its material, as in the scenes of pictures; a printed note is drawn as grey as its print is on average.
+        name: of its material, as in the scenes of pictures; of what is printed the print tells the reflectance.
     """
-    if name == "banknote":
-        return [float(banknote_print().mean()), 0.0, 1.0]
+    if name == PRINTED:
+        return [1.0, 0.0, 1.0]
     material = MATERIALS[name]
     kind, index = material["type"], float(material.get("int_ior", 1.5))
     if kind == "diffuse":

@@ -109,10 +109,10 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
             if name in SKIES and name not in skies:
                 skies[name] = await work(request, "surround", {"name": name})
             elif name not in SKIES:
-                layers = await asyncio.get_running_loop().run_in_executor(workers, blurred_surround, name)
+                place = await asyncio.get_running_loop().run_in_executor(workers, blurred_surround, name)
         except NacreError as error:
             return _told(error)
-        sent = skies[name] if name in SKIES else layers.astype("<f4").tobytes()
+        sent = skies[name] if name in SKIES else place.packed()
         return Response(sent, media_type="application/octet-stream")
 
     async def recipe(request: Request) -> Response:

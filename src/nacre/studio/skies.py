@@ -14,20 +14,19 @@ from numpy.typing import NDArray
 from nacre.arrays import Array
 from nacre.errors import NacreError
 from nacre.light import observer, table_wavelengths_nm, xyz_to_srgb_linear
-from nacre.studio.surround import GREY, ROWS, SKIES, in_layers
+from nacre.studio.surround import BRIGHT, GREY, ROWS, SKIES, surround_of
 
 FINER, FINEST = 4, 32  # directions a row and column of the table; where the sun stands, which is as wide as one row
-BRIGHT = 30.0  # times the mean: a sun
 STEP_NM = 10
 
 
 def sky_layers(question: Mapping[str, Any]) -> bytes:
-    """Return the layers of `blurred_surround` for `name`, linear sRGB, as bytes of float32.
+    """Return the surrounding `name`, linear sRGB, as `nacre.studio.surround.Surround.packed`.
 
     Raises:
         NacreError: Mitsuba cannot be used on this machine.
     """
-    return in_layers(with_ground(radiance(question["name"]))).astype("<f4").tobytes()
+    return surround_of(with_ground(radiance(question["name"]))).packed()
 
 
 def radiance(name: str) -> Array:

@@ -1,5 +1,7 @@
 // What the numbers say: the ribbon over the angle, spectra, the track in a*b*, colours under lamps.
 
+import { boxOf, placeLabels } from "./labels.js";
+
 const SVG = "http://www.w3.org/2000/svg";
 // Straight lines are lines, curves are drawn on a canvas: where there is no graphics card, one path makes a browser paint its
 // whole drawing (a layer of its own, see studio.css) in a way that takes it twice as long.
@@ -127,8 +129,8 @@ export function drawTrack(svg, look, other, least) {
   const x = (a) => 140 + (a / reach) * 88, y = (b) => 95 - (b / reach) * 88;
   add(svg, "line", { x1: 52, x2: 228, y1: 95, y2: 95, class: "axis" });
   add(svg, "line", { x1: 140, x2: 140, y1: 7, y2: 183, class: "axis" });
-  add(svg, "text", { x: 232, y: 98 }, `a* ${Math.round(reach)}`);
-  add(svg, "text", { x: 144, y: 14 }, `b* ${Math.round(reach)}`);
+  const words = [[244, 95, "a*"], [158, 11, "b*"]].map(([left, top, name]) => [left, top, `${name} ${Math.round(reach)}`]), marks = [];
+  for (const [left, top, text] of words) add(svg, "text", { x: left, y: top + 3, "text-anchor": "middle" }, text);
   for (const { all, points, is } of tracks) {
     const isOther = tracks.length > 1 && is === other;
     draw(points.map(([, a, b]) => [x(a), y(b)]), isOther);
@@ -136,9 +138,15 @@ export function drawTrack(svg, look, other, least) {
       const [, a, b] = points[angle], fill = `rgb(${shown(all[3 * angle], all[3 * angle + 1], all[3 * angle + 2]).join(" ")})`;
       if (isOther) add(svg, "rect", { x: x(a) - 4, y: y(b) - 4, width: 8, height: 8, class: "dot other", fill });
       else add(svg, "circle", { cx: x(a), cy: y(b), r: 5, class: "dot", fill });
-      add(svg, "text", { x: x(a) + 7, y: y(b) - 5 }, `${tracks.length > 1 ? (isOther ? "B " : "A ") : ""}${angle}°`);
+      marks.push({ x: x(a), y: y(b), r: 5, text: `${tracks.length > 1 ? (isOther ? "B " : "A ") : ""}${angle}°` });
     }
   }
+  const curve = tracks.flatMap(({ points }) => points.filter((_, i) => i % 3 === 0).map(([, a, b]) => [x(a), y(b)]));
+  placeLabels(marks, words.map(([left, top, text]) => boxOf(left, top, text)), curve, [0, 0, 280, 190]).forEach((at, i) => {
+    const { x: left, y: top, text } = marks[i];
+    if (at.isLed) add(svg, "line", { x1: left, y1: top, x2: Math.min(Math.max(left, at.box[0]), at.box[2]), y2: Math.min(Math.max(top, at.box[1]), at.box[3]), class: "lead" });
+    add(svg, "text", { x: at.x.toFixed(1), y: (at.y + 3.5).toFixed(1), "text-anchor": "middle", class: "mark" }, text);
+  });
   return { x, y };
 }
 

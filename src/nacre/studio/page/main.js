@@ -214,7 +214,7 @@ async function start() {
     await open(app.state.first || app.state.recipes[0] || app.state.starts[0].name);
     if (!app.state.first) $("welcome").showModal();
   }
-  if (app.view) app.view.setRoom(await roomAsked, app.state.surround, null);
+  if (app.view) app.view.setRoom((await roomAsked).room, app.state.surround, null);
   else render();
 }
 

@@ -11,7 +11,8 @@ function unpack(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
   const told = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
   const places = new Float32Array(buffer, 4 + length, 8 * told.vertices);
-  return { ...told, places, order: new Uint32Array(buffer, 4 + length + places.byteLength, told.indices) };
+  const order = new Uint32Array(buffer, 4 + length + places.byteLength, told.indices), [rows, columns] = told.print;
+  return { ...told, places, order, paper: new Uint8Array(buffer, order.byteOffset + order.byteLength, rows * columns) };
 }
 
 // The mesh that pictures are asked of, by the name that the server keeps it under.

@@ -1,18 +1,20 @@
-// The shaders of the object. BALL: one triangle over the whole canvas, with the sphere. MESH: what triangles are seen where;
-// SHADE: their colours, each pixel once, or more often at an edge. Each looks up its colour over the angle and the blurred room. Look-ups are those of exported tables: table.glsl stands before it, the same text as in `shader.glsl`.
+// The shaders of the sphere, one triangle over the whole canvas, and of the light that is gathered on it; those of other objects
+// are in meshes.js. Each looks up its colour over the angle and the blurred room. Look-ups are those of exported tables:
+// table.glsl stands before it, the same text as in `shader.glsl`.
 
 export const COVER = `#version 300 es
 void main() { vec2 p = vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0); gl_Position = vec4(p, 0.0, 1.0); }`;
 
-const COMMON = `
+export const COMMON = `
 precision highp sampler2DArray;
-uniform sampler2D table;        // rows: mirror-like, glossy, spread, of A and of B; over the angle from 0 to 90 degrees
+uniform sampler2D table;        // rows: mirror-like, glossy, spread, through, of A and of B; over the angle from 0 to 90 degrees
 uniform float first;            // row of the look that is drawn
 uniform sampler2DArray room;    // so many layers: blurred by roughness, the last for a matt white surface; then the ball's shade, the stage's light
 uniform vec3 eye, right, up, ahead;
 uniform vec2 size;
 uniform vec4 foot;              // the shade on the floor: its middle and half its extents
 uniform float alpha, gloss, layers, exposure, square;
+uniform float solid;            // how much of the light the object keeps from the floor
 // PLACE: surroundings with colours of their own, seen behind the object; else the studio: light of one channel, a stage
 #ifdef PLACE
 #define LIGHT vec3
@@ -22,28 +24,52 @@ uniform float alpha, gloss, layers, exposure, square;
 #define TINT(t) (t).r
 #endif
 uniform LIGHT level, ground;    // of a place's matt white floor, and its reflectance
+uniform vec3 lampTo, lampPower; // what of a place is small and very bright (the sun), which the room is without
+uniform float lampRadius;
 layout(location = 0) out vec4 colour;
-const float PI = 3.14159265;
+const float PI = 3.14159265, BANDS = 8.0;
 const vec3 CENTRE = vec3(0.0, 0.0, 1.0);
 // the stage of pictures (see stage.py): half its width, its front edge and where it begins to bend, radius, height, length
 const float WIDTH = 20.0, FRONT = 16.0, BACK = 5.0, BEND = 4.5, TOP = 5.2, LENGTH = FRONT + BACK + 0.5 * PI * BEND + TOP - BEND;
 const float HALF_WAY = 1.5;                              // radii from a ball, of its shade's rows
 const float NEAR_PLACE = 12.0, FAR_PLACE = 30.0;         // of a place: where the floor goes over into it
 
+// what facets of a unit density send in from a lamp; smooth ones show its disc
+vec3 lampAt(vec3 d, float rough) {
+  float between = acos(clamp(dot(d, lampTo), -1.0, 1.0));
+  if (rough < 0.25 * lampRadius) return lampPower / (PI * lampRadius * lampRadius) * smoothstep(1.1, 0.9, between / lampRadius);
+  float a2 = rough * rough + 0.125 * lampRadius * lampRadius, half2 = 0.5 + 0.5 * dot(d, lampTo), s = half2 * (a2 - 1.0) + 1.0;
+  return lampPower * a2 / (4.0 * PI * s * s);
+}
+float layerOf(float rough) {
+  return rough < 0.001 ? 0.0 : clamp(log2(rough / 0.03125) + 1.0, min(rough / 0.03125, 1.0), layers - 2.0);
+}
 LIGHT lookup(vec3 d, float layer) {
   float low = floor(layer);
   vec2 at = vec2(atan(d.y, d.x) / (2.0 * PI), acos(clamp(d.z, -1.0, 1.0)) / PI);
   LIGHT one = TINT(texture(room, vec3(at, low)));
   return mix(one, TINT(texture(room, vec3(at, min(low + 1.0, layers - 2.0)))), layer - low);
 }
+// the room, and its lamp; what is gathered asks for the lamp apart
+LIGHT roomAt(vec3 d, float rough) {
+  LIGHT seen = lookup(d, layerOf(rough));
+#if defined(PLACE) && !defined(GATHERS)
+  seen += lampAt(d, rough);
+#endif
+  return seen;
+}
 LIGHT matt(vec3 n) {
-  return TINT(texture(room, vec3(atan(n.y, n.x) / (2.0 * PI), acos(clamp(n.z, -1.0, 1.0)) / PI, layers - 1.0)));
+  LIGHT seen = TINT(texture(room, vec3(atan(n.y, n.x) / (2.0 * PI), acos(clamp(n.z, -1.0, 1.0)) / PI, layers - 1.0)));
+#ifdef PLACE
+  seen += lampPower * max(dot(n, lampTo), 0.0) / PI;
+#endif
+  return seen;
 }
 // the share of the floor's light that a ball leaves; an object as its own ellipsoid
 LIGHT shade(vec2 p) {
   vec2 q = (p - foot.xy) / foot.zw;
   float far = length(q);
-  return TINT(texture(room, vec3(atan(q.y, q.x) / (2.0 * PI), far / (far + HALF_WAY), layers)));
+  return mix(LIGHT(1.0), TINT(texture(room, vec3(atan(q.y, q.x) / (2.0 * PI), far / (far + HALF_WAY), layers))), solid);
 }
 // a place p on the floor, or on the wall: then along is the way up to it
 LIGHT stage(vec2 p, float along, float wide) {
@@ -53,6 +79,7 @@ LIGHT stage(vec2 p, float along, float wide) {
   float across = dot(p, normalize(right.xy)), half_ = 0.5 * WIDTH;
   LIGHT lit = TINT(texture(room, vec3(clamp(0.5 + across / (2.0 * WIDTH), 0.005, 0.995), along / LENGTH, layers + 1.0)));
   float from = length(vec2(across / 1.5, along - FRONT)) / 5.5, reflectance = 0.035 + 0.14 * exp(-from * from);
+  if (square < 0.0) reflectance = 0.012;        // a dark stage
   if (square > 0.0) {
     vec2 at = abs(fract(vec2(across + WIDTH, along) / (2.0 * square) - 0.25) - 0.5) - 0.25;     // of a period, to the next edge
     vec2 sign_ = clamp(at * 2.0 * square / max(wide, 1e-4), -1.0, 1.0) * smoothstep(2.0 * square, 0.7 * square, wide);
@@ -62,12 +89,9 @@ LIGHT stage(vec2 p, float along, float wide) {
 #endif
 }
 LIGHT floorAt(vec2 p) { return stage(p, dot(p, normalize(ahead.xy)) + FRONT, 1.0); }
-float layerOf(float rough) {
-  return rough < 0.001 ? 0.0 : clamp(log2(rough / 0.03125) + 1.0, min(rough / 0.03125, 1.0), layers - 2.0);
-}
 // What arrives from a direction d, of a cone so wide as a mirror's of that roughness; edges of the stage are sharp.
 LIGHT trace(vec3 from, vec3 d, float rough) {
-  LIGHT sky = lookup(d, layerOf(rough));
+  LIGHT sky = roomAt(d, rough);
 #ifdef PLACE
   if (d.z > -1e-3) return sky;
   vec2 hit = from.xy + d.xy * (from.z / -d.z);
@@ -97,7 +121,7 @@ LIGHT trace(vec3 from, vec3 d, float rough) {
 }
 LIGHT incoming(vec3 from, vec3 d, float rough) {
   if (rough < 0.02) return trace(from, d, rough);
-  LIGHT seen = lookup(d, layerOf(rough));
+  LIGHT seen = roomAt(d, rough);
   float spread = 0.01 + 0.9 * rough;
   float below = smoothstep(spread, -spread, d.z);
   vec3 down = vec3(d.xy, min(d.z, -0.06 - 0.5 * rough));
@@ -118,7 +142,7 @@ vec3 behind(vec3 d, float pixel) {
   float t = eye.z / max(-d.z, 0.01);
   vec2 hit = eye.xy + d.xy * t;
 #ifdef PLACE
-  LIGHT seen = lookup(d, 0.6);
+  LIGHT seen = lookup(d, 0.6) + lampAt(d, 0.0);
   return d.z < 0.0 ? mix(stage(hit, 0.0, 0.0), seen, smoothstep(NEAR_PLACE, FAR_PLACE, length(hit))) : seen;
 #else
   // beyond its edges the stage goes on: its front's light, and its wall's
@@ -146,31 +170,45 @@ vec3 encode(vec3 c) {
 // what the material sends to the eye from a place on it
 vec3 material(vec3 spot, vec3 d, vec3 n, vec3 down) {
   float cosine = clamp(-dot(d, n), 0.0, 1.0);
-  vec3 mirror = nacreColour(table, cosine, 0.0, first, 6.0), glossy = nacreColour(table, cosine, 0.0, first + 1.0, 6.0);
-  vec3 spread = nacreColour(table, cosine, 0.0, first + 2.0, 6.0);
+  vec3 mirror = nacreColour(table, cosine, 0.0, first, BANDS), glossy = nacreColour(table, cosine, 0.0, first + 1.0, BANDS);
+  vec3 spread = nacreColour(table, cosine, 0.0, first + 2.0, BANDS);
   float under = 0.5 * (1.0 - n.z);
   LIGHT light = matt(n) * smoothstep(-1.0, 0.6, n.z) + under * under * floorAt(down.xy);
   vec3 seen = mirror * incoming(spot, reflect(d, n), alpha) + spread * light;
   if (gloss > 0.0) seen += glossy * incoming(spot, reflect(d, n), gloss);
   return seen;
-}`;
+}
+#ifdef CLEAR
+vec3 through(float cosine) { return nacreColour(table, cosine, 0.0, first + 3.0, BANDS); }
+#endif`;
 
 // What arrives at the ball through its lobes is known over its normals once it has been gathered (see light.js): over the
 // angle to the eye as the radius and the turn about it.
 export const BALL = `${COMMON}
 uniform sampler2D throughMirror, throughGloss, throughMatt, backdrop, mirrored;
-const float BANDS = 6.0;
 vec3 rayAt(vec2 place) {
   vec2 at = (place - 0.5 * size) / (0.5 * size.x);
   return normalize(ahead + at.x * right + at.y * up);
+}
+#ifdef CLEAR
+// what a ball of a free film lets through: what stands behind it, and the image in its far wall
+vec3 passed(vec3 d, vec3 p, vec3 straight) {
+  float cosine = clamp(-dot(d, p), 0.0, 1.0);
+  vec3 wall = p + 2.0 * cosine * d, back = reflect(d, wall), t = through(cosine);
+  vec3 image = vec3(trace(wall + 2.0 * cosine * back + CENTRE, back, alpha));
+  return t * t * (straight + nacreColour(table, cosine, 0.0, first, BANDS) * image);
+}
+#endif
+vec3 onBall(vec3 d) {
+  vec3 o = eye - CENTRE;
+  float b = dot(o, d);
+  return normalize(o + d * (-b - sqrt(max(b * b - dot(o, o) + 1.0, 0.0))));
 }
 #if defined(FACETS) || defined(GLOSS) || defined(MATT) || defined(LOBE)
 #define WIDE
 // what lobes of some width and a matt surface send to the eye; what a mirror sends is looked up without all this
 vec3 wide(vec3 d) {
-  vec3 o = eye - CENTRE;
-  float b = dot(o, d);
-  vec3 p = normalize(o + d * (-b - sqrt(max(b * b - dot(o, o) + 1.0, 0.0)))), toEye = normalize(o);
+  vec3 o = eye - CENTRE, p = onBall(d), toEye = normalize(o);
   float far = acos(clamp(dot(p, toEye), -1.0, 1.0)) / acos(1.0 / length(o));
   vec2 side = vec2(dot(p, normalize(right)), dot(p, cross(toEye, normalize(right))));
   vec2 at = 0.5 + 0.5 * min(far, 1.0) * side / max(length(side), 1e-6);
@@ -204,16 +242,23 @@ void main() {
 #ifdef WIDE
     seen += wide(rayAt(gl_FragCoord.xy));
 #endif
+#ifdef CLEAR
+    vec3 d = rayAt(gl_FragCoord.xy);
+    seen += passed(d, onBall(d), back.rgb);
+#endif
     back.rgb = mix(back.rgb, seen, back.a);
   }
 #else
   vec3 d = rayAt(gl_FragCoord.xy), o = eye - CENTRE;
-  float b = dot(o, d), disc = b * b - dot(o, o) + 1.0, pixel = 2.0 * length(right) / size.x;
+  float b = dot(o, d), pixel = 2.0 * length(right) / size.x;
   float cover = clamp(0.5 + (1.0 - sqrt(max(dot(o, o) - b * b, 0.0))) / (pixel * length(o)), 0.0, 1.0);
   vec4 back = vec4(behind(d, pixel), cover);
   if (cover > 0.0) {
-    vec3 p = normalize(o + d * (-b - sqrt(max(disc, 0.0))));
-    back.rgb = mix(back.rgb, material(p + CENTRE, d, p, p * 1.6), cover);
+    vec3 p = onBall(d), seen = material(p + CENTRE, d, p, p * 1.6);
+#ifdef CLEAR
+    seen += passed(d, p, back.rgb);
+#endif
+    back.rgb = mix(back.rgb, seen, cover);
   }
 #endif
   colour = vec4(encode(back.rgb * exp2(exposure)), 1.0);
@@ -264,6 +309,17 @@ vec4 facets(vec3 spot, vec3 n, vec3 side, vec3 v, float a, bool isBeckmann, out 
     float y = weight * dot(light, vec3(0.2126, 0.7152, 0.0722));
     sum += weight * light; whole += weight; met += y * vm; bright += y;
   }
+#ifdef PLACE
+  float cl = dot(lampTo, n);
+  if (cl > 0.0) {     // the lamp, as wide as it is
+    vec3 m = normalize(lampTo + v);
+    float z = dot(n, m), z2 = z * z, a2 = a * a + 0.125 * lampRadius * lampRadius, s = z2 * (a2 - 1.0) + 1.0;
+    float density = isBeckmann ? exp((1.0 - 1.0 / z2) / a2) / (PI * a2 * z2 * z2) : a2 / (PI * s * s);
+    vec3 light = count * density * smith(cl, a, isBeckmann) * smith(cv, a, isBeckmann) / (4.0 * cv) * lampPower;
+    float y = dot(light, vec3(0.2126, 0.7152, 0.0722));
+    sum += light; met += y * dot(v, m); bright += y;
+  }
+#endif
   lost = max(1.0 - whole / count, 0.0);
   return vec4(sum / count, bright > 0.0 ? met / bright : cv);
 }
@@ -292,8 +348,12 @@ vec3 scattered(vec3 spot, vec3 n, vec3 side, vec3 v) {
     sum += f * vec3(trace(spot, wi.x * side + wi.y * other + wi.z * n, 0.5 * inversesqrt(count * density * PI)));
     whole += f;
   }
+#ifdef PLACE
+  vec3 lit = vec3(dot(lampTo, side), dot(lampTo, other), dot(lampTo, n));
+  if (lit.z > 0.0) sum += nacreScattered(lit, wo) * lit.z * lampPower;
+#endif
   float cosine = wo.z;
-  return sum / whole * (nacreColour(table, cosine, 0.0, first + 1.0, 6.0) + nacreColour(table, cosine, 0.0, first + 2.0, 6.0));
+  return sum / whole * (nacreColour(table, cosine, 0.0, first + 1.0, BANDS) + nacreColour(table, cosine, 0.0, first + 2.0, BANDS));
 }
 void main() {
   vec2 at = (gl_FragCoord.xy - 0.5 * pixels) / (0.5 * pixels - 1.0);
@@ -318,126 +378,10 @@ void main() {
     float loss = 1.0 - smith(z, alpha, beckmann > 0.5) + 1e-4;      // about what facets lose of light from there
     between += loss * light; whole += loss;
   }
+#ifdef PLACE
+  float cl = max(dot(lampTo, n), 0.0);
+  asMatt.rgb += lampPower * cl / PI;
+  between += count * (1.0 - smith(max(cl, 1e-4), alpha, beckmann > 0.5)) * lampPower * cl / PI;
+#endif
   if (isKept) colour.rgb += lost * between / whole;    // what facets lose comes back from between them
-}`;
-
-const DEPTHS = `const float NEAR = 1.0, FAR = 60.0;`;
-
-export const MESH_VERTEX = `#version 300 es
-precision highp float;
-layout(location = 0) in vec3 corner;
-layout(location = 1) in vec3 normal;
-layout(location = 2) in vec2 surface;
-uniform vec3 eye, right, up, ahead;
-out vec3 n;
-out vec2 uv;
-${DEPTHS}
-void main() {
-  vec3 v = corner - eye;
-  float depth = dot(v, ahead), half2 = dot(right, right);
-  n = normal; uv = surface;
-  gl_Position = vec4(dot(v, right) / half2, dot(v, up) / half2, (depth * (FAR + NEAR) - 2.0 * FAR * NEAR) / (FAR - NEAR), depth);
-}`;
-
-// The normal as a place on an octahedron, 16 bits each way; the part's number, and whether a line of u, v runs there.
-export const MESH = `
-in vec3 n;
-in vec2 uv;
-uniform float part;
-layout(location = 0) out vec4 facing;
-layout(location = 1) out vec4 kind;
-vec2 split(float x) { float whole = floor(x * 65535.0 + 0.5), high = floor(whole / 256.0); return vec2(high, whole - 256.0 * high) / 255.0; }
-void main() {
-  vec3 m = n / max(abs(n.x) + abs(n.y) + abs(n.z), 1e-9);
-  vec2 o = m.z >= 0.0 ? m.xy : (1.0 - abs(m.yx)) * vec2(m.x >= 0.0 ? 1.0 : -1.0, m.y >= 0.0 ? 1.0 : -1.0);
-  facing = vec4(split(0.5 + 0.5 * o.x), split(0.5 + 0.5 * o.y));
-  vec2 line = abs(fract(uv * 10.0 + 0.5) - 0.5) / max(fwidth(uv * 10.0), vec2(1e-5));
-  kind = vec4(part / 255.0, smoothstep(2.5, 0.8, min(line.x, line.y)), 0.0, 1.0);
-}`;
-
-export const SHADE = `${COMMON}
-${DEPTHS}
-uniform sampler2D facing, kind, depth;
-uniform sampler2D throughMirror, throughGloss, throughMatt;
-uniform vec3 plain[8];          // of what is not of the material: matt and mirror reflectance, roughness; else below 0
-uniform float grid;
-
-int partAt(ivec2 at) { return int(texelFetch(kind, at, 0).r * 255.0 + 0.5); }
-vec3 normalAt(ivec2 at) {
-  vec4 f = texelFetch(facing, at, 0) * 255.0;
-  vec2 o = vec2(f.x * 256.0 + f.y, f.z * 256.0 + f.w) / 65535.0 * 2.0 - 1.0;
-  vec3 n = vec3(o, 1.0 - abs(o.x) - abs(o.y));
-  if (n.z < 0.0) n.xy = (1.0 - abs(n.yx)) * vec2(n.x >= 0.0 ? 1.0 : -1.0, n.y >= 0.0 ? 1.0 : -1.0);
-  return normalize(n);
-}
-#ifdef GATHERED
-// a place in what was gathered for the ball, by the normal there
-vec2 placeOf(vec3 n) {
-  vec3 o = eye - CENTRE, toEye = normalize(o), across = normalize(right);
-  float far = acos(clamp(dot(n, toEye), -1.0, 1.0)) / acos(1.0 / length(o));
-  vec2 side = vec2(dot(n, across), dot(n, cross(toEye, across)));
-  return 0.5 + 0.5 * min(far, 1.0) * side / max(length(side), 1e-6);
-}
-// as the ball's place that mirrors the same part of the room: flat parts are seen along other directions at each pixel
-vec3 byLobes(vec3 spot, vec3 d, vec3 n) {
-  vec3 r = reflect(d, n), o = eye - CENTRE, there = normalize(r + normalize(o));
-  there = normalize(r + normalize(o - there));
-  float cosine = clamp(-dot(d, n), 0.0, 1.0), change = cosine - clamp(dot(there, normalize(o - there)), 0.0, 1.0);
-  vec2 at = placeOf(there);
-#ifdef FACETS
-  vec4 m = texture(throughMirror, at);
-  vec3 seen = nacreColour(table, clamp(m.a + change, 0.0, 1.0), 0.0, first, 6.0) * m.rgb;
-#else
-  vec3 seen = nacreColour(table, cosine, 0.0, first, 6.0) * incoming(spot, r, alpha);
-#endif
-#ifdef LOBE
-  seen += texture(throughMatt, gloss > 0.0 ? at : placeOf(n)).rgb;
-#endif
-#ifdef MATT
-  seen += nacreColour(table, cosine, 0.0, first + 2.0, 6.0) * texture(throughMatt, placeOf(n)).rgb;
-#endif
-#ifdef GLOSS
-  vec4 g = texture(throughGloss, at);
-  seen += nacreColour(table, clamp(g.a + change, 0.0, 1.0), 0.0, first + 1.0, 6.0) * g.rgb;
-#endif
-  return seen;
-}
-#endif
-vec3 seenAt(ivec2 fine) {
-  vec2 at = (vec2(fine) + 0.5 - size) / size.x;        // fine pixels: two to one
-  vec3 ray = ahead + at.x * right + at.y * up, d = normalize(ray);
-  int part = partAt(fine);
-  if (part == 0) return behind(d, 2.0 * length(right) / size.x);
-  float z = 2.0 * texelFetch(depth, fine, 0).r - 1.0;
-  vec3 spot = eye + ray * (2.0 * FAR * NEAR / (FAR + NEAR - z * (FAR - NEAR))), n = normalAt(fine), seen;
-  if (dot(n, d) > 0.12) n = -n;                        // seen from behind, not just over a rounded edge
-  vec3 own = plain[part - 1];
-  if (own.x < 0.0) {
-#ifdef GATHERED
-    seen = byLobes(spot, d, n);
-#else
-    seen = material(spot, d, n, spot * 1.2);
-#endif
-    return grid > 0.5 ? mix(seen, vec3(0.02), 0.75 * texelFetch(kind, fine, 0).g) : seen;
-  }
-  float cosine = clamp(-dot(d, n), 0.0, 1.0), under = 0.5 * (1.0 - n.z);
-  LIGHT light = matt(n) * smoothstep(-1.0, 0.6, n.z) + under * under * floorAt(spot.xy * 1.2);
-  float fresnel = own.y > 0.0 ? own.y + (1.0 - own.y) * pow(1.0 - cosine, 5.0) * (1.0 - own.z) : 0.0;
-  return vec3(own.x * light + fresnel * incoming(spot, reflect(d, n), own.z));
-}
-void main() {
-  ivec2 first = 2 * ivec2(gl_FragCoord.xy);
-  int part = partAt(first);
-  vec3 n = normalAt(first);
-  bool isEdge = false;
-  for (int i = 1; i < 4; i++) {
-    ivec2 at = first + ivec2(i & 1, i >> 1);
-    isEdge = isEdge || partAt(at) != part || (part != 0 && dot(normalAt(at), n) < 0.97);
-  }
-  vec3 sum = seenAt(first);
-  if (isEdge || (grid > 0.5 && part != 0)) {
-    for (int i = 1; i < 4; i++) sum += seenAt(first + ivec2(i & 1, i >> 1));
-    sum *= 0.25;
-  }
-  colour = vec4(encode(sum * exp2(exposure)), 1.0);
 }`;

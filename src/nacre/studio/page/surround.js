@@ -1,6 +1,7 @@
 // The surroundings of the object: the studio, or a place that is seen behind it.
 
 import { $, app, ask } from "./common.js";
+import { unpack } from "./unpack.js";
 
 const kept = new Map();
 let wanted = "studio";
@@ -13,7 +14,7 @@ export const lightOf = () => ({ light: wanted });
 export const placeOf = () => (wanted === "studio" ? {} : { light: wanted });
 
 export async function fetchRoom(name) {
-  if (!kept.has(name)) kept.set(name, ask(`api/surround?name=${name}`).then((answer) => answer.arrayBuffer()).then((buffer) => new Float32Array(buffer)));
+  if (!kept.has(name)) kept.set(name, ask(`api/surround?name=${name}`).then((answer) => answer.arrayBuffer()).then(unpack));
   try {
     return await kept.get(name);
   } catch (problem) {
@@ -26,9 +27,9 @@ async function choose() {
   const name = (wanted = $("surround").value);
   try {
     if (name in SKIES && !kept.has(name)) $("surround-note").textContent = "Asking Mitsuba for this sky; that takes some seconds, once.";
-    const values = await fetchRoom(name), { surround } = app.state;
+    const { room, lamp } = await fetchRoom(name), { surround } = app.state;
     if (wanted !== name || !app.view) return;
-    app.view.setRoom(values, surround, surround.places[name]);
+    app.view.setRoom(room, surround, surround.places[name], lamp);
     $("view").dataset.surround = name;
     $("surround-note").textContent = surround.places[name] ? `This place has light of its own colours, which the lamp above does not change; the preview multiplies by them, the settled picture is spectral.${SKIES[name] ?? ""}` : "";
   } catch (problem) {

@@ -1,18 +1,20 @@
 // The object on its stage, turned by the pointer or by keys; one look, or two side by side.
 
 import { COARSE, Light } from "./light.js";
-import { BACKDROP, BALL, COVER, GATHER, MESH, MESH_VERTEX, SHADE } from "./shaders.js";
+import { MESH, MESH_VERTEX, SHADE } from "./meshes.js";
+import { BACKDROP, BALL, COVER, GATHER } from "./shaders.js";
 
 // the camera of pictures of a sphere, and the shade below it
 const SPHERE = { distance: Math.hypot(8.6, 1.77), target: [0, 0, 0.93], fov: 19, foot: [0, 0, 1, 1], azimuth: 0, elevation: 11.63 };
-const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "square", "pixels", "beckmann", "compensated", "wants", "count", "nacreLobe", "backdrop", "mirrored"];
-const SAMPLERS = ["table", "room", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "nacreLobe", "backdrop", "mirrored"];
+const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "square", "lampTo", "lampPower", "lampRadius", "paper", "printed", "pixels", "beckmann", "compensated", "wants", "count", "nacreLobe", "backdrop", "mirrored", "solid", "farFacing", "farKind", "farDepth", "sheets"];
+const SAMPLERS = ["table", "room", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "nacreLobe", "backdrop", "mirrored", "paper", "farFacing", "farKind", "farDepth", "sheets"];
 const SQUARE = 0.55;    // of the chequers that clear materials stand on, as in pictures
-const DEFINES = { gathered: "#define GATHERED\n", shadeGathered: "#define GATHERED\n", gather: "#define NACRE_LOBE\n#define NACRE_LOBE_SLICES 4.0\n#define NACRE_LOBE_SCALE 1.0\n" };   // see lobe.py
+const DEFINES = { gathered: "#define GATHERED\n", shadeGathered: "#define GATHERED\n", gather: "#define GATHERS\n#define NACRE_LOBE\n#define NACRE_LOBE_SLICES 4.0\n#define NACRE_LOBE_SCALE 1.0\n" };   // see lobe.py
 const EXTRA = 2;        // layers of the room beside those of its light: the ball's shade, the stage's light
 const SHADERS = { ball: [COVER, BALL], gathered: [COVER, BALL], gather: [COVER, GATHER], backdrop: [COVER, BACKDROP], mesh: [MESH_VERTEX, MESH], shade: [COVER, SHADE], shadeGathered: [COVER, SHADE] };
 const FINER = 2;        // triangles are drawn at twice the size, so that their edges are smooth
 const MOST_PARTS = 8;
+const NEAR_UNIT = 2, PAPER_UNIT = 11, FAR_UNIT = 12;    // of textures: see `SAMPLERS`
 const SLOW_MS = 20, FEWEST = 400;  // pixels a side
 let backdrops = 0;      // drawn so far
 
@@ -21,7 +23,12 @@ const wantsOf = (look) => (look.lobe ? 8 : 0) + (look.alpha >= 0.001 ? 1 : 0) + 
 
 // Of what is gathered for a look, what is looked up; of a table of spread light the matt part's place holds all.
 const lobesOf = (look) => [[1, "FACETS"], ...(look.lobe ? [[8, "LOBE"]] : [[2, "GLOSS"], [4, "MATT"]])].map(([bit, lobe]) => (wantsOf(look) & bit ? `#define ${lobe}\n` : "")).join("");
-const OF_LOBES = ["gathered", "shadeGathered"];
+const OF_LOBES = ["gathered", "shadeGathered"], OF_THROUGH = [...OF_LOBES, "ball", "shade"];
+const definesOf = (name, look) => (look && OF_LOBES.includes(name) ? lobesOf(look) : "") + (look?.through && OF_THROUGH.includes(name) ? "#define CLEAR\n" : "");
+const BANDS = 4;        // rows of the table for a look
+
+// How much of the light an object keeps from its floor: a free film is passed twice.
+const solidOf = ({ through }) => (through ? 1 - (0.2126 * through[0] + 0.7152 * through[1] + 0.0722 * through[2]) ** 2 : 1);
 
 export class View {
   // Throws where the browser has no WebGL2; `tables` is the text of the exported shaders.
@@ -45,13 +52,14 @@ export class View {
     this.painted = {};          // by row of the look: behind which ball the canvas was drawn whole, see `boxOf`
     this.columns = 0;           // of the table as it lies on the card
     this.tableTexture = this.texture(0, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE);
+    this.paperTexture = this.texture(PAPER_UNIT, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE);
     this.roomTexture = this.texture(1, gl.TEXTURE_2D_ARRAY, gl.REPEAT);
   }
 
   // A program by what it draws, made when it is first wanted; in a place the light has colours. For each set of lobes
   // there is one of its own: where the CPU draws, a branch that is not taken costs as much as one that is.
   use(name, look) {
-    const gl = this.gl, isPlace = Boolean(this.room?.floor) && name !== "mesh", lobes = look && OF_LOBES.includes(name) ? lobesOf(look) : "", key = name + isPlace + lobes;
+    const gl = this.gl, isPlace = Boolean(this.room?.floor) && name !== "mesh", lobes = definesOf(name, look), key = name + isPlace + lobes;
     if (!this.programs.has(key)) {
       const program = gl.createProgram(), [vertex, fragment] = SHADERS[name];
       for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, `#version 300 es\n${DEFINES[name] ?? ""}${lobes}${isPlace ? "#define PLACE\n" : ""}${this.tables}${fragment}`]]) {
@@ -84,12 +92,13 @@ export class View {
   }
 
   // Radiance over all directions by layers, of one channel or three; `floor`: the floor's colour
-  // where it is a place that is seen behind the object, else null.
-  setRoom(values, { rows, columns, alphas }, floor) {
+  // where it is a place that is seen behind the object, else null; `lamp`: what of the place is small and very bright.
+  setRoom(values, { rows, columns, alphas }, floor, lamp = null) {
     const layers = alphas.length + 1, channels = values.length / ((layers + EXTRA) * rows * columns);
-    const zenith = channels * (layers - 1) * rows * columns, of = (c) => values[zenith + Math.min(c, channels - 1)];     // of the last layer
+    const zenith = channels * (layers - 1) * rows * columns, power = lamp ? lamp.irradiance : [0, 0, 0], towards = lamp ? lamp.towards : [0, 0, 1];
+    const of = (c) => values[zenith + Math.min(c, channels - 1)] + (power[c] * towards[2]) / Math.PI;       // of the last layer, and of the lamp
     this.light.forget();
-    this.room = { values, rows, columns, layers, channels, floor, level: [of(0), of(1), of(2)] };
+    this.room = { values, rows, columns, layers, channels, floor, level: [of(0), of(1), of(2)], lamp: { towards, power, radius: lamp ? lamp.radius : 1 } };
     this.upload();
     this.draw();
   }
@@ -132,13 +141,14 @@ export class View {
       gl.texImage3D(gl.TEXTURE_2D_ARRAY, 0, held, columns, rows, layers + EXTRA, 0, sent, gl.FLOAT, values);
     }
     if (!this.look) return;
-    const count = this.look.mirror.length / 3, texels = new Float32Array(6 * count * 4), other = this.other ?? this.look;
-    [this.look.mirror, this.look.gloss, this.look.spread, other.mirror, other.gloss, other.spread].forEach((part, row) => {
+    const count = this.look.mirror.length / 3, texels = new Float32Array(2 * BANDS * count * 4), other = this.other ?? this.look;
+    [this.look, other].flatMap((look) => [look.mirror, look.gloss, look.spread, look.through]).forEach((part, row) => {
+      if (!part) return;
       for (let i = 0; i < count; i++) texels.set([part[3 * i], part[3 * i + 1], part[3 * i + 2], 1], 4 * (row * count + i));
     });
     gl.activeTexture(gl.TEXTURE0);
-    if (this.columns === count) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, count, 6, gl.RGBA, gl.FLOAT, texels);
-    else gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, count, 6, 0, gl.RGBA, gl.FLOAT, texels);
+    if (this.columns === count) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, count, 2 * BANDS, gl.RGBA, gl.FLOAT, texels);
+    else gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, count, 2 * BANDS, 0, gl.RGBA, gl.FLOAT, texels);
     this.columns = count;
   }
 
@@ -161,6 +171,7 @@ export class View {
       gl.bufferData(gl.ARRAY_BUFFER, this.object.places, gl.STATIC_DRAW);
       gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.order);
       gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, this.object.order, gl.STATIC_DRAW);
+      this.print(this.object);
       [[0, 3, 0], [1, 3, 12], [2, 2, 24]].forEach(([at, count, offset]) => {
         gl.enableVertexAttribArray(at);
         gl.vertexAttribPointer(at, count, gl.FLOAT, false, 32, offset);
@@ -170,16 +181,28 @@ export class View {
     this.draw();
   }
 
+  // What is printed on a part; a blank sheet where nothing is.
+  print({ paper, print: [rows, columns] }) {
+    const gl = this.gl;
+    gl.activeTexture(gl.TEXTURE0 + PAPER_UNIT);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    if (rows) gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, columns, rows, 0, gl.RED, gl.UNSIGNED_BYTE, paper);
+    else gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, 1, 1, 0, gl.RED, gl.UNSIGNED_BYTE, new Uint8Array([255]));
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 4);
+    gl.generateMipmap(gl.TEXTURE_2D);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+  }
+
   draw() {
     const gl = this.gl;
     if (!this.look || !this.room || gl.isContextLost()) return;
     const { width, height } = this.canvas, side = this.other ? this.side : "a", began = performance.now();
     const cut = side === "a" ? width : side === "b" ? 0 : Math.round(width * this.split);
-    if (this.object.places) this.drawTriangles(FINER * width, FINER * height);
+    if (this.object.places) this.drawTriangles(FINER * width, FINER * height, [this.look, this.other].some((look) => look?.through));
     gl.viewport(0, 0, width, height);
     this.drawLook(this.look, 0, 0, cut);
-    if (this.other) this.drawLook(this.other, 3, cut, width);
-    this.light.settle(this.isLit ? [this.look, this.other ?? this.look].map((look) => this.keyOf(look)) : []);
+    if (this.other) this.drawLook(this.other, BANDS, cut, width);
+    this.light.settle([this.look, this.other ?? this.look].map((look) => this.keyOf(look)));
     if (this.trials > 0) this.judge(began);
     this.canvas.dataset.seq = this.look.seq;
   }
@@ -187,13 +210,13 @@ export class View {
   drawLook(look, first, from, to) {
     if (to <= from) return;
     const gl = this.gl, { places, parts } = this.object, [plainly, well] = places ? ["shade", "shadeGathered"] : ["ball", "gathered"];
-    const isGathered = this.isLit && this.light.bind(this.keyOf(look), look);
+    const isGathered = this.light.bind(this.keyOf(look), look);
     if (isGathered && !places) this.drawBackdrop(look, first);
     const [left, bottom, right, top] = this.boxOf(isGathered && !places, first, from, to);
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(left, bottom, Math.max(right - left, 0), top - bottom);
     const at = this.prepare(isGathered ? well : plainly, look, first);
-    this.canvas.dataset.light = isGathered ? "gathered" : this.light.isAble && this.isLit ? "gathering" : "blurred";
+    this.canvas.dataset.light = isGathered ? "gathered" : this.light.isAble ? "gathering" : "blurred";
     if (places) {
       const plain = new Float32Array(3 * MOST_PARTS).fill(-1);      // of the material: no plain look
       parts.forEach((part, i) => { if (part.plain) plain.set(part.plain, 3 * i); });
@@ -222,7 +245,7 @@ export class View {
 
   // What stands behind the ball and what it mirrors, kept while the view, its size, the room and the kind of stage stay.
   drawBackdrop(look, first) {
-    const gl = this.gl, { width, height } = this.canvas, key = [this.azimuth, this.elevation, width, height, look.clear].join();
+    const gl = this.gl, { width, height } = this.canvas, key = [this.azimuth, this.elevation, width, height, look.clear, solidOf(look)].join();
     if (this.backdrop?.key === key && this.backdrop.room === this.room) return;
     if (this.backdrop?.width !== width) {
       if (this.backdrop) { this.backdrop.textures.forEach((old) => gl.deleteTexture(old)); gl.deleteFramebuffer(this.backdrop.frame); }
@@ -248,10 +271,6 @@ export class View {
     bind(this.backdrop.textures);
   }
 
-  // Whether light is gathered: not for other objects in a place, whose flat parts enlarge a piece of the ball so far that
-  // the few directions to a small bright sky show as streaks.
-  get isLit() { return !(this.object.places && this.room.floor); }
-
   // What the light off the ball depends on; none of the recipe's colours.
   keyOf(look) {
     const { target, distance, foot } = this.object;
@@ -259,7 +278,7 @@ export class View {
   }
 
   gather(look, pixels) {
-    const gl = this.gl, at = this.prepare("gather", look, look === this.other ? 3 : 0), { distribution, compensated } = look.facets;
+    const gl = this.gl, at = this.prepare("gather", look, look === this.other ? BANDS : 0), { distribution, compensated } = look.facets;
     gl.uniform1f(at.pixels, pixels);
     gl.uniform1f(at.count, pixels > COARSE ? 64 : 128);      // directions of a lobe: fewer where they are near each other
     gl.uniform1f(at.beckmann, distribution === "ggx" ? 0 : 1);
@@ -279,40 +298,79 @@ export class View {
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, columns, slices * rows, 0, gl.RGBA, gl.FLOAT, texels);
   }
 
-  // What is seen where: normal, part and depth. Each pixel is coloured after that, once, or more often at an edge.
-  drawTriangles(width, height) {
+  // What is seen where: normal, part and depth. Each pixel is coloured after that, once, or more often at an edge. For a
+  // free film also what stands behind it, and how many times it is passed before that.
+  drawTriangles(width, height, isClear) {
     const gl = this.gl;
-    if (this.buffer?.width !== width) this.makeBuffer(width, height);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.buffer.frame);
+    if (this.buffer?.width !== width || (isClear && !this.buffer.far)) this.makeBuffer(width, height, isClear);
+    const { near, far, sheets } = this.buffer, isPlain = ({ plain }) => Boolean(plain);
     gl.viewport(0, 0, width, height);
     gl.disable(gl.SCISSOR_TEST);
     gl.enable(gl.DEPTH_TEST);
-    gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
-    gl.clearBufferfv(gl.COLOR, 1, [0, 0, 0, 0]);
-    gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
-    const at = this.prepare("mesh", this.look, 0);
-    this.object.parts.slice(0, MOST_PARTS).forEach(({ start, count }, i) => {
-      gl.uniform1f(at.part, i + 1);
-      gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_INT, 4 * start);
-    });
+    this.drawParts(near, () => true);
+    if (isClear) {
+      this.drawParts(far, isPlain);
+      gl.depthMask(false);
+      gl.enable(gl.BLEND);
+      gl.blendFunc(gl.ONE, gl.ONE);
+      this.drawParts(sheets, (part) => !isPlain(part), 1);
+      gl.disable(gl.BLEND);
+      gl.depthMask(true);
+    }
     gl.disable(gl.DEPTH_TEST);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
 
-  makeBuffer(width, height) {
-    const gl = this.gl, made = { width, frame: gl.createFramebuffer(), textures: [] };
+  // `number`: that all parts are drawn with; else each has its own.
+  drawParts(frame, isWanted, number) {
+    const gl = this.gl;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
+    for (const i of number ? [1] : [0, 1]) gl.clearBufferfv(gl.COLOR, i, [0, 0, 0, 0]);
+    if (!number) gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
+    const at = this.prepare("mesh", this.look, 0);
+    this.object.parts.slice(0, MOST_PARTS).forEach((part, i) => {
+      if (!isWanted(part)) return;
+      gl.uniform1f(at.part, number ?? i + 1);
+      gl.uniform1f(at.printed, part.printed ? 1 : 0);
+      gl.drawElements(gl.TRIANGLES, part.count, gl.UNSIGNED_INT, 4 * part.start);
+    });
+  }
+
+  makeBuffer(width, height, isClear) {
+    const gl = this.gl, made = { width, textures: [], frames: [] };
     if (this.buffer) {
       for (const old of this.buffer.textures) gl.deleteTexture(old);
-      gl.deleteFramebuffer(this.buffer.frame);
+      for (const old of this.buffer.frames) gl.deleteFramebuffer(old);
     }
-    gl.bindFramebuffer(gl.FRAMEBUFFER, made.frame);
-    [[gl.RGBA8, gl.COLOR_ATTACHMENT0], [gl.RGBA8, gl.COLOR_ATTACHMENT1], [gl.DEPTH24_STENCIL8, gl.DEPTH_STENCIL_ATTACHMENT]].forEach(([format, point], i) => {
-      const texture = this.texture(2 + i, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE, gl.NEAREST);
+    const frame = () => {
+      const one = gl.createFramebuffer();
+      made.frames.push(one);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, one);
+      return one;
+    };
+    const attach = (unit, format, point) => {
+      const texture = this.texture(unit, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE, gl.NEAREST);
       gl.texStorage2D(gl.TEXTURE_2D, 1, format, width, height);
       gl.framebufferTexture2D(gl.FRAMEBUFFER, point, gl.TEXTURE_2D, texture, 0);
       made.textures.push(texture);
-    });
-    gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
+      return texture;
+    };
+    const whole = (unit) => {
+      const one = frame();
+      attach(unit, gl.RGBA8, gl.COLOR_ATTACHMENT0);
+      attach(unit + 1, gl.RGBA8, gl.COLOR_ATTACHMENT1);
+      gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
+      return [one, attach(unit + 2, gl.DEPTH24_STENCIL8, gl.DEPTH_STENCIL_ATTACHMENT)];
+    };
+    [made.near] = whole(NEAR_UNIT);
+    if (isClear) {
+      const [far, depth] = whole(FAR_UNIT);
+      made.far = far;
+      made.sheets = frame();
+      attach(FAR_UNIT + 3, gl.RGBA8, gl.COLOR_ATTACHMENT1);
+      gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.DEPTH_STENCIL_ATTACHMENT, gl.TEXTURE_2D, depth, 0);
+      gl.drawBuffers([gl.NONE, gl.COLOR_ATTACHMENT1]);
+    }
     this.buffer = made;
   }
 
@@ -334,12 +392,15 @@ export class View {
     gl.uniform2f(at.size, this.canvas.width, this.canvas.height);
     gl.uniform4fv(at.foot, foot);
     gl.uniform1f(at.first, first);
+    gl.uniform1f(at.solid, solidOf(look));
     gl.uniform1f(at.alpha, look.alpha);
     gl.uniform1f(at.gloss, look.gloss_alpha);
     gl.uniform1f(at.layers, this.room.layers);
-    const { floor, level } = this.room;
-    if (floor) { gl.uniform3fv(at.level, level); gl.uniform3fv(at.ground, floor); }
-    else gl.uniform1f(at.square, look.clear ? SQUARE : 0);
+    const { floor, level, lamp } = this.room;
+    if (floor) {
+      for (const [where, value] of [[at.level, level], [at.ground, floor], [at.lampTo, lamp.towards], [at.lampPower, lamp.power]]) gl.uniform3fv(where, value);
+      gl.uniform1f(at.lampRadius, lamp.radius);
+    } else gl.uniform1f(at.square, this.object.dark ? -1 : look.clear ? SQUARE : 0);
     gl.uniform1f(at.exposure, this.exposure);
     return at;
   }
