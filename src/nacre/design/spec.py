@@ -83,9 +83,14 @@ class TargetTable(RecipeModel):
         json_schema_extra={"enum": [*KINDS, *KIND_ALIASES]}, description="kind of the look", examples=["anti-mirror"]
     )
     image: str | None = pydantic.Field(
-        default=None, description="the picture, for the kinds image and inverted-image", examples=["grey.png"]
+        default=None,
+        description="the picture, for the kinds image and inverted-image: what is bright in it is lit, what is clear "
+        "is dark",
+        examples=["grey.png"],
     )
-    image_scale: Positive = pydantic.Field(default=1.5, description="size of the picture over the directions")
+    image_scale: Positive = pydantic.Field(
+        default=1.5, description="size of the picture over the directions, by its longer side"
+    )
     file: str | None = pydantic.Field(
         default=None, description="a .npy array over the slice, for the kind array", examples=["look.npy"]
     )
@@ -183,7 +188,7 @@ class TargetTable(RecipeModel):
         if self.kind == "array":
             return self._array(context)
         assert self.image is not None
-        image = pictures.load_picture(context.path(self.image), context.source)
+        image = pictures.load_picture(context.path(self.image), f"{context.source}: target.image")
         shape = pictures.picture_on_directions(image, u, v, self.image_scale)
         if self.kind == "image":
             return shape
@@ -214,8 +219,8 @@ class TargetTable(RecipeModel):
         if isinstance(self.colour, str):
             return pictures.colour_on_directions(self.colour, u, v, self.iridescent_range, context.source)
         if self.colour.image is not None:
-            image = pictures.load_picture(context.path(self.colour.image), context.source)
-            # a colour image spans the slice
+            where = f"{context.source}: target.colour.image"
+            image = pictures.load_picture(context.path(self.colour.image), where, is_stretched=True)  # over the slice
             scale = self.range / 2.0 / pictures.HALF_VECTOR_PER_SCALE
             return pictures.picture_on_directions(image, u, v, scale)
         assert self.colour.spectrum is not None
