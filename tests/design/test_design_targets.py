@@ -181,6 +181,7 @@ def test_a_photograph_of_a_drawing_is_turned_upright(tmp_path: Path) -> None:
         ('kind = "image"\nimage = "blank.png"\nrange = 0.3', "blank"),
         ('kind = "array"\nfile = "text.npy"\nrange = 0.3', "not a .npy array"),
         ('kind = "uniform"\ncolour = "mauve-ish"\nrange = 0.3', "target.colour"),
+        ('kind = "uniform"\ncolour = {spectrum = "percent.csv"}\nrange = 0.3', "not per cent"),
         ('kind = "uniform"\ncolour = "#12345"\nrange = 0.3', "target.colour"),
         ('kind = "uniform"\nrange = 1.2', "outside the hemisphere"),
         ('kind = "uniform"\nrange = -0.1', "target.range"),
@@ -192,6 +193,7 @@ def test_a_photograph_of_a_drawing_is_turned_upright(tmp_path: Path) -> None:
 def test_a_bad_target_is_one_clear_line(tmp_path: Path, target: str, says: str) -> None:
     (tmp_path / "broken.png").write_bytes(b"\x89PNG nothing")
     (tmp_path / "text.npy").write_text("hello")
+    (tmp_path / "percent.csv").write_text("nm,R\n400,20\n700,60\n")
     Image.fromarray(np.full((9, 9, 3), 77, dtype=np.uint8)).save(tmp_path / "blank.png")
     with pytest.raises(RecipeError, match=says) as caught:
         built(tmp_path, target)

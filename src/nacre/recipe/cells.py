@@ -39,7 +39,9 @@ def rows(text: str) -> Iterator[tuple[int, list[str]]]:
     lines = [(number, line) for number, line in lines if line]
     parting = _parting([line for _, line in lines])
     for number, line in lines:
-        cells = [cell.strip().strip('"') for cell in line.split(parting)]
+        cells = line.split(parting)
+        if '"' in line or " " in line:  # not of every line of a large table
+            cells = [cell.strip().strip('"') for cell in cells]
         while cells and not cells[-1]:
             cells.pop()
         if parting != ",":
