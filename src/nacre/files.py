@@ -269,7 +269,7 @@ def _opened(path: str | Path) -> BinaryIO:
 
 
 def read_text(path: str | Path, what: str = "file") -> str:
-    """Read a small UTF-8 text file.
+    """Read a small UTF-8 text file, with the mark that Windows puts before its text or without.
 
     Raises:
         RecipeError: missing, unreadable, too large or not text.
@@ -281,7 +281,7 @@ def read_text(path: str | Path, what: str = "file") -> str:
             data = file.read(MAX_TOML_BYTES + 1)
         if len(data) > MAX_TOML_BYTES:
             raise RecipeError(f"{path}: is larger than {MAX_TOML_BYTES} bytes, the most that a {what} may have")
-        return data.decode("utf-8")
+        return data.decode("utf-8-sig")
     except IsADirectoryError:
         raise RecipeError(f"{path}: is a folder, not a {what}") from None
     except UnicodeDecodeError:

@@ -77,6 +77,21 @@ def test_an_image_of_numbers_is_cut_to_the_range_of_grey(tmp_path: Path) -> None
     np.testing.assert_allclose(read_grey(tmp_path / "grey.png", "r.toml: k"), whole / 65535)
 
 
+def test_an_image_is_taken_as_a_viewer_shows_it(tmp_path: Path) -> None:
+    from PIL import Image
+
+    levels = np.arange(12, dtype=np.uint8).reshape(3, 4) * 20
+    exif = Image.Exif()
+    exif[0x0112] = 6  # the camera was turned by a quarter: viewers turn the picture clockwise
+    Image.fromarray(np.rot90(levels)).save(tmp_path / "turned.png", exif=exif)
+    np.testing.assert_allclose(read_grey(tmp_path / "turned.png", "r.toml: k"), levels / 255)
+    Image.fromarray(np.dstack([levels, np.full_like(levels, 255)])).save(tmp_path / "opaque.png")
+    np.testing.assert_allclose(read_grey(tmp_path / "opaque.png", "r.toml: k"), levels / 255)
+    Image.fromarray(np.dstack([levels, levels])).save(tmp_path / "clear.png")
+    with pytest.raises(RecipeError, match="k: clear.png is transparent in places"):
+        read_grey(tmp_path / "clear.png", "r.toml: k")
+
+
 def test_images_are_read_at_texel_centres_and_wrap_round() -> None:
     image = np.array([[0.0, 1.0], [0.5, 0.25]])
     texture = Texture(10.0, 20.0, image=image)

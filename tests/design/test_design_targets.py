@@ -122,6 +122,55 @@ def test_a_length_may_carry_any_unit(tmp_path: Path) -> None:
     assert load_target(path)[0].feature_um == pytest.approx(0.8)
 
 
+def stroke(size: tuple[int, int]) -> np.ndarray:
+    """A bright bar in the upper left quarter of a drawing of (width, height)."""
+    drawing = np.zeros((size[1], size[0]), dtype=np.uint8)
+    drawing[size[1] // 8 : size[1] // 4, size[0] // 8 : size[0] // 2] = 255
+    return drawing
+
+
+def test_a_drawing_is_read_with_all_its_greys_whatever_its_depth(tmp_path: Path) -> None:
+    ramp = np.tile(np.linspace(0, 255, 64).astype(np.uint8), (64, 1))
+    Image.fromarray(ramp).save(tmp_path / "8.png")
+    Image.fromarray(ramp.astype(np.uint16) * 257).save(tmp_path / "16.png")
+    shallow, deep = (pictures.load_picture(tmp_path / name, "t") for name in ("8.png", "16.png"))
+    np.testing.assert_allclose(deep, shallow, atol=1.0 / 255)  # 8 bits round
+
+
+def test_what_is_clear_in_a_drawing_is_dark(tmp_path: Path) -> None:
+    drawing = stroke((64, 64))
+    Image.fromarray(drawing).save(tmp_path / "opaque.png")
+    white = np.full_like(drawing, 255)
+    Image.fromarray(np.dstack([white, white, white, drawing])).save(tmp_path / "white.png")
+    opaque, white_on_clear = (pictures.load_picture(tmp_path / name, "t") for name in ("opaque.png", "white.png"))
+    np.testing.assert_allclose(white_on_clear, opaque, atol=1.0 / 255)
+    black = np.zeros_like(drawing)
+    Image.fromarray(np.dstack([black, black, black, drawing])).save(tmp_path / "black.png")
+    with pytest.raises(RecipeError, match="blank; .* what is clear in it is taken as black"):
+        pictures.load_picture(tmp_path / "black.png", "t")
+
+
+@pytest.mark.parametrize("size", [(96, 48), (48, 96)])
+def test_a_drawing_that_is_not_square_keeps_its_shape(tmp_path: Path, size: tuple[int, int]) -> None:
+    Image.fromarray(stroke(size)).save(tmp_path / "wide.png")
+    shown = pictures.load_picture(tmp_path / "wide.png", "t")[..., 0] > 0.5
+    rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
+    drawn = stroke(size) > 0
+    wanted = drawn.any(axis=0).sum() / drawn.any(axis=1).sum()
+    # the bar is 32 of the 512 rows high at least; bilinear edges blur by less than three
+    assert len(columns) / len(rows) == pytest.approx(wanted, rel=0.1)
+
+
+def test_a_photograph_of_a_drawing_is_turned_upright(tmp_path: Path) -> None:
+    drawing = stroke((64, 64))
+    exif = Image.Exif()
+    exif[0x0112] = 6  # the camera was turned by a quarter: viewers turn the picture clockwise
+    Image.fromarray(np.rot90(drawing)).save(tmp_path / "turned.png", exif=exif)
+    Image.fromarray(drawing).save(tmp_path / "upright.png")
+    turned, upright = (pictures.load_picture(tmp_path / name, "t") for name in ("turned.png", "upright.png"))
+    np.testing.assert_array_equal(turned, upright)
+
+
 @pytest.mark.parametrize(
     ("target", "says"),
     [
@@ -132,6 +181,7 @@ def test_a_length_may_carry_any_unit(tmp_path: Path) -> None:
         ('kind = "image"\nimage = "blank.png"\nrange = 0.3', "blank"),
         ('kind = "array"\nfile = "text.npy"\nrange = 0.3', "not a .npy array"),
         ('kind = "uniform"\ncolour = "mauve-ish"\nrange = 0.3', "target.colour"),
+        ('kind = "uniform"\ncolour = {spectrum = "percent.csv"}\nrange = 0.3', "not per cent"),
         ('kind = "uniform"\ncolour = "#12345"\nrange = 0.3', "target.colour"),
         ('kind = "uniform"\nrange = 1.2', "outside the hemisphere"),
         ('kind = "uniform"\nrange = -0.1', "target.range"),
@@ -143,6 +193,7 @@ def test_a_length_may_carry_any_unit(tmp_path: Path) -> None:
 def test_a_bad_target_is_one_clear_line(tmp_path: Path, target: str, says: str) -> None:
     (tmp_path / "broken.png").write_bytes(b"\x89PNG nothing")
     (tmp_path / "text.npy").write_text("hello")
+    (tmp_path / "percent.csv").write_text("nm,R\n400,20\n700,60\n")
     Image.fromarray(np.full((9, 9, 3), 77, dtype=np.uint8)).save(tmp_path / "blank.png")
     with pytest.raises(RecipeError, match=says) as caught:
         built(tmp_path, target)

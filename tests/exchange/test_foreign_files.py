@@ -133,11 +133,48 @@ def test_a_gltf_that_cannot_be_is_refused_before_a_recipe_is_written(tmp_path: P
     assert "\n" not in str(found.value) and not recipe.exists()
 
 
-@pytest.mark.parametrize(("value", "says"), [(34.2, "not per cent"), (-0.3, "below 0")])
+@pytest.mark.parametrize(("value", "says"), [(34.2, "name the column specular_reflectance_percent"), (-0.3, "below 0")])
 def test_reflectance_in_per_cent_is_refused_by_a_fit(tmp_path: Path, value: float, says: str) -> None:
     path = tmp_path / "wafer.csv"
     path.write_text("wavelength_nm,angle_deg,specular_reflectance\n" + f"500,0,{value}\n600,0,{value}\n")
     with pytest.raises(NacreError, match=says):
+        read_measurement(path)
+
+
+SPECTRUM = [(400.0, 0.2), (500.5, 0.3), (600.0, 0.25)]
+WRITTEN = {
+    "per cent": ("Wavelength (nm),Specular reflectance (%)", ",", lambda nm, r: (f"{nm}", f"{100 * r}")),
+    "decimal commas": (
+        "wavelength_nm;specular_reflectance", ";", lambda nm, r: (f"{nm}".replace(".", ","), f"{r}".replace(".", ",")),
+    ),
+    "um and tabs": ("wavelength_um\tspecular_reflectance", "\t", lambda nm, r: (f"{nm / 1000:.6g}", f"{r}")),
+    "other order": ("specular_reflectance,angle_deg,wavelength_nm", ",", lambda nm, r: (f"{r}", "0", f"{nm}")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", WRITTEN)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_a_spectrum_is_read_as_its_instrument_wrote_it(tmp_path: Path, form: str, encoding: str) -> None:
+    heading, parting, cells = WRITTEN[form]
+    lines = [heading, *(parting.join(cells(nm, r)) for nm, r in reversed(SPECTRUM))]
+    (tmp_path / "wafer.csv").write_bytes("\r\n".join(lines).encode(encoding))
+    found = read_measurement(tmp_path / "wafer.csv")
+    np.testing.assert_allclose(found.wavelengths_nm, [nm for nm, _ in SPECTRUM])
+    np.testing.assert_allclose(found.values[0, 0], [r for _, r in SPECTRUM])
+
+
+def test_rows_without_a_measurement_are_left_out_and_holes_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "wafer.csv"
+    path.write_text("wavelength_nm,specular_reflectance\n400,0.2\n410,\n420,nan\n430,0.3\n")
+    assert list(read_measurement(path).wavelengths_nm) == [400.0, 430.0]
+    path.write_text("wavelength_nm,angle_deg,specular_reflectance\n400,0,0.2\n400,45,0.2\n410,0,0.2\n410,45,\n")
+    with pytest.raises(NacreError, match="specular_reflectance is missing at 45 degrees and 410 nm"):
+        read_measurement(path)
+    path.write_text("wavelength_nm,specular_reflectance\n400,0.2\n400,0.3\n")
+    with pytest.raises(NacreError, match="given twice"):
+        read_measurement(path)
+    path.write_text("wavelength_nm,specular_reflectance\n400,\n")
+    with pytest.raises(NacreError, match="something measured"):
         read_measurement(path)
 
 

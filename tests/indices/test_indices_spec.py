@@ -101,6 +101,12 @@ CSV = {
     "bare nm": "400 1.5 0.1\n800 1.7 0.3\n",
     "bare um": "0.4, 1.5, 0.1\n0.8, 1.7, 0.3\n",
     "database export": "wl,n\n0.4,1.5\n0.8,1.7\nwl,k\n0.4,0.1\n0.8,0.3\n",
+    "decimal commas": "Wavelength (nm);n;k\n400,0;1,5;0,1\n800,0;1,7;0,3\n",
+    "bare decimal commas": "400;1,5;0,1\n800;1,7;0,3\n",
+    "decimal commas and blanks": "400 1,5 0,1\n800 1,7 0,3\n",
+    "unit apart": "Wavelength [nm] n k\n400 1.5 0.1\n800 1.7 0.3\n",
+    "heading parted otherwise": "wavelength_nm n k\n400,1.5,0.1\n800,1.7,0.3\n",
+    "unit by size": "Lambda,n,k\n0.4,1.5,0.1\n0.8,1.7,0.3\n",
     "extra column": "nm,n,error,k\n400,1.5,9,0.1\n800,1.7,9,0.3\n",
 }
 
@@ -115,6 +121,63 @@ def test_a_table_is_read_in_every_usual_layout(form, tmp_path):
         constant.n_complex([399])
 
 
+def test_decimal_commas_of_n_alone_are_no_second_column(tmp_path):
+    # read as commas between columns, these were n = 1 and k = 5
+    (tmp_path / "nk.csv").write_text("400;1,5\n800;1,5\n")
+    assert check({"file": "nk.csv"}, tmp_path).n_complex([600]) == 1.5
+
+
+def test_a_table_in_the_text_of_windows_is_read(tmp_path):
+    text = "Wavelength (µm);n\n0,4;1,5\n0,8;1,7\n"
+    for encoding in ("cp1252", "utf-8-sig", "utf-16"):
+        (tmp_path / "nk.csv").write_bytes(text.encode(encoding))
+        np.testing.assert_allclose(check({"file": "nk.csv"}, tmp_path).n_complex([600]), 1.6)
+
+
+PAGES = {
+    "tabulated nk": ("tabulated nk\n    data: |\n        0.4 1.5 0.1\n        0.8 1.7 0.3\n", 1.6 + 0.2j),
+    "tabulated n": ("tabulated n\n    data: |\n        0.4 1.5\n        0.8 1.7\n", 1.6),
+    "n and k": (
+        "formula 5\n    wavelength_range: 0.3 1.0\n    coefficients: 1.5 0.036 -2\n"
+        "  - type: tabulated k\n    data: |\n        0.4 0.1\n        0.8 0.3\n",
+        1.6 + 0.2j,
+    ),
+}
+
+
+@pytest.mark.parametrize("form", PAGES)
+def test_a_page_of_the_database_is_read_as_a_file_of_ones_own(form, tmp_path):
+    data, wanted = PAGES[form]
+    (tmp_path / "mine.yml").write_text(f'REFERENCES: "mine"\nDATA:\n  - type: {data}')
+    np.testing.assert_allclose(check({"file": "mine.yml"}, tmp_path).n_complex([600]), wanted)
+
+
+def test_a_page_from_the_package_is_the_entry_itself(tmp_path):
+    from nacre.matter.indices.database import database_folder, find_page
+
+    key, waves = "specs/SCHOTT-optical/N-BK7", np.linspace(400, 700, 7)
+    page = database_folder() / "data" / find_page(key).file
+    (tmp_path / "glass.yml").write_bytes(page.read_bytes())
+    np.testing.assert_array_equal(
+        check({"file": "glass.yml"}, tmp_path).n_complex(waves), check({"rii": key}, tmp_path).n_complex(waves)
+    )
+
+
+@pytest.mark.parametrize("data", [
+    "tabulated k\n    data: |\n        0.4 0.1\n        0.8 0.3\n",
+    "formula 12\n    range: 0.3 1.0\n    coefficients: 1.5 0 0\n",
+    "formula 9\n    range: 0.3 1.0\n    coefficients: 1.5\n",
+    "tabulated nk\n    data: |\n        0.4 1.5 x\n",
+    "tabulated nk\n    data: {a: 1}\n",
+    "[",
+])  # fmt: skip
+def test_a_broken_page_is_told_in_a_line(data, tmp_path):
+    (tmp_path / "mine.yml").write_text(f"DATA:\n  - type: {data}")
+    with pytest.raises(RecipeError, match="mine.yml") as told:
+        check({"file": "mine.yml"}, tmp_path)
+    assert "\n" not in str(told.value)
+
+
 @pytest.mark.parametrize("text, words", [
     ("", "no column n"),
     ("wavelength_nm,n\n", "no rows"),
@@ -127,7 +190,7 @@ def test_a_table_is_read_in_every_usual_layout(form, tmp_path):
     ("a,b,c\n400,1.5,3\n", "no header"),
     ("400\n500\n", "line 1"),
     ("wl,n\n0.4,1.5\nwl,k\n0.5,0.1\n", "different wavelengths"),
-    ("\x00\x01", "no header"),
+    ("\x00\x01", "not a text file"),
 ])  # fmt: skip
 def test_a_broken_table_is_told_with_its_line(text, words, tmp_path):
     (tmp_path / "nk.csv").write_text(text)

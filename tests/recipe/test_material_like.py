@@ -49,7 +49,11 @@ def plot(thing: Any, folder: Path) -> Any:
     return np.asarray(Image.open(folder / "out.png").convert("L"))[60:]  # below the title, which names the file
 
 
-FUNCTIONS = (spectrum, evaluate, report, tolerance, export, fabricate, plot)
+def load(thing: Any, _: Path) -> Any:
+    return nacre.load(thing).bsdf().evaluate(np.array([0.0, 0.0, 1.0]), np.array([0.6, 0.0, 0.8]))
+
+
+FUNCTIONS = (load, spectrum, evaluate, report, tolerance, export, fabricate, plot)
 
 
 @pytest.mark.parametrize("function", FUNCTIONS, ids=lambda f: f.__name__)
@@ -60,6 +64,19 @@ def test_a_path_and_a_table_stand_for_the_material(function: Callable[[Any, Path
     wanted = function(nacre.material(ROUGH), tmp_path)
     for thing in (ROUGH, recipe, str(recipe)):
         np.testing.assert_array_equal(function(thing, tmp_path), wanted)
+
+
+def test_the_mark_that_windows_puts_before_a_text_is_no_part_of_the_recipe(tmp_path: Path) -> None:
+    text = 'family = "film"\r\nsubstrate = "Si"\r\n'
+    (tmp_path / "marked.toml").write_bytes(text.encode("utf-8-sig"))
+    assert nacre.load(tmp_path / "marked.toml").data == {"family": "film", "substrate": "Si"}
+
+
+def test_a_material_and_its_bsdf_show_themselves_in_a_line() -> None:
+    rough = nacre.material(ROUGH)
+    assert repr(rough) == "<film material: recipe>"
+    assert repr(rough.bsdf()).startswith("<Bsdf of ") and "360 to 830 nm" in repr(rough.bsdf())
+    assert "\n" not in repr(rough.bsdf())
 
 
 @pytest.mark.render

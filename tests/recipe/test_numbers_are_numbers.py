@@ -65,8 +65,42 @@ def test_a_length_as_text_is_not_taken_in_the_wrong_unit() -> None:
     with pytest.raises(RecipeError, match=r'ridges.pitch_nm = "700" is not allowed'):
         nacre.material({"family": "film", "substrate": "Si", "ridges": {**RIDGES, "pitch_nm": "700"}})
     del (um := dict(RIDGES))["pitch_nm"]
-    with pytest.raises(RecipeError, match='"0.7" is not allowed; it should be a number'):
+    with pytest.raises(RecipeError, match='ridges.pitch_um = "0.7" is not allowed; write pitch_um = 0.7:'):
         nacre.material({"family": "film", "substrate": "Si", "ridges": {**um, "pitch_um": "0.7"}})
+
+
+@pytest.mark.parametrize(
+    ("key", "text", "written"),
+    [
+        ("thickness_nm", "60 nm", "thickness_nm = 60"),
+        ("thickness_nm", "60", "thickness_nm = 60"),
+        ("thickness_nm", "0.06um", "thickness_um = 0.06"),
+        ("thickness_um", "0,06 µm", "thickness_um = 0.06"),
+        ("thickness_um", "60 nm", "thickness_nm = 60"),
+        ("thickness_nm", "600 Å", "thickness_nm = 60"),
+        ("thickness_um", "0.000006 cm", "thickness_um = 0.06"),
+    ],
+)
+def test_a_measure_as_text_is_refused_with_the_line_that_means_it(key: str, text: str, written: str) -> None:
+    recipe = {"family": "film", "substrate": "Si"}
+    with pytest.raises(RecipeError) as told:
+        nacre.material({**recipe, "layers": [{"material": "SiO2", key: text}]})
+    assert f'layers[0].{key} = "{text}" is not allowed; write {written}:' in str(told.value)
+    meant = {**recipe, "layers": [{"material": "SiO2", **tomllib.loads(written)}]}
+    assert nacre.material(meant).model.layers[0].thickness_nm == pytest.approx(60.0)
+
+
+def test_shares_and_angles_as_text_are_told_in_the_unit_of_their_key() -> None:
+    film: dict[str, Any] = {"family": "film", "substrate": "Si"}
+    with pytest.raises(RecipeError, match=r"write roughness = 0\.1:"):
+        nacre.material({**film, "surface": {"roughness": "10 %"}})
+    with pytest.raises(RecipeError, match=r"write rotation_deg = 30:"):
+        nacre.material({**film, "surface": {"roughness": 0.1, "rotation_deg": "30°"}})
+    with pytest.raises(RecipeError, match=r'substrate = "1,5" is text; .* without quotes: 1\.5'):
+        nacre.material({**film, "substrate": "1,5"})
+    for unknown in ("60 kg", "60 deg", "thick"):  # no length: nothing is guessed
+        with pytest.raises(RecipeError, match="write a number"):
+            nacre.material({**film, "layers": [{"material": "SiO2", "thickness_nm": unknown}]})
 
 
 @pytest.mark.parametrize("wrong", ["7", True, 7.5])

@@ -28,6 +28,12 @@ class Bsdf:
     lobes: tuple[Lobe, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """Say what it is in a line: its lobes hold whole tables."""
+        waves = self.wavelengths_nm
+        kinds = ", ".join(lobe.kind for lobe in self.lobes)
+        return f"<Bsdf of {kinds} at {len(waves)} wavelengths, {waves[0]:g} to {waves[-1]:g} nm>"
+
     @property
     def wavelengths_nm(self) -> Array:
         """The wavelength grid of all lobes, ascending."""

@@ -15,6 +15,7 @@ from nacre.arrays import Array
 from nacre.bsdf.texture import Formula, Texture, parse_formula
 from nacre.errors import NacreError, RecipeError
 from nacre.files import plain, why_unreadable
+from nacre.recipe.images import LARGEST_16_BIT, opacity, upright
 from nacre.recipe.memory import check_memory
 from nacre.recipe.model import RecipeContext, RecipeModel
 
@@ -143,11 +144,14 @@ NumberOrTexture = Annotated[
 def read_grey(path: Path, where: str, longest_side: int = MAX_IMAGE_PIXELS) -> NDArray[np.float64]:
     """Read an image as grey values in [0, 1], `[row, column]`; 8 and 16 bit, colours by their mean luma.
 
+    Turned upright where its camera says how it was held.
+
     Args:
         where: file and key of the recipe, for messages.
 
     Raises:
-        RecipeError: missing, not an image, larger than `MAX_IMAGE_PIXELS` or longer than `longest_side`.
+        RecipeError: missing, not an image, transparent in places, larger than `MAX_IMAGE_PIXELS` or longer than
+            `longest_side`.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -164,11 +168,14 @@ def read_grey(path: Path, where: str, longest_side: int = MAX_IMAGE_PIXELS) -> N
             check_memory(BYTES_A_PIXEL * float(size), f"{where}: {path.name} of {image.width} x {image.height} pixels")
             if max(image.size) > longest_side:
                 raise RecipeError(f"{where}: {path.name} is {image.size} pixels; at most {longest_side} a side")
-            if image.mode.startswith("I") or image.mode == "F":
-                values = np.asarray(image, dtype=float)
-                scale = 1.0 if image.mode == "F" else 65535.0
+            if opacity(image) is not None:
+                raise RecipeError(f"{where}: {path.name} is transparent in places; lay it on a ground first")
+            picture = upright(image)
+            if picture.mode.startswith("I") or picture.mode == "F":
+                values = np.asarray(picture, dtype=float)
+                scale = 1.0 if picture.mode == "F" else LARGEST_16_BIT
             else:
-                values, scale = np.asarray(image.convert("L"), dtype=float), 255.0
+                values, scale = np.asarray(picture.convert("L"), dtype=float), 255.0
     except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError):
         raise RecipeError(f'{where} = "{path.name}" is not a readable image') from None
     except OSError as error:

@@ -6,14 +6,20 @@ are the published ones (physics/relief.md, sections 7 and 11.6); every width can
 
 from __future__ import annotations
 
+import functools
 import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from nacre.arrays import Array
 from nacre.errors import RecipeError, did_you_mean
 from nacre.files import plain, why_unreadable
+from nacre.recipe.images import LARGEST_16_BIT, opacity, upright
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 PUBLISHED_COLOURS: dict[str, tuple[float, float, float]] = {
     # display-referred triples of the source, not the CSS colours of the same names
@@ -74,35 +80,61 @@ def anisotropic_anti_mirror(
     return (1.0 - gaussian(angle, hole)) * normal_x * normal_y / 1.8
 
 
-def load_picture(path: Path, source: str) -> Array:
-    """Read an image as `[row, column, 3]` in 0..1, resampled to 512 x 512; alpha is dropped.
+def load_picture(path: Path, where: str, is_stretched: bool = False) -> Array:
+    """Read an image as `[row, column, 3]` in 0..1, resampled to 512 x 512; what is clear in it is black.
+
+    Turned upright where its camera says how it was held. One that is not square keeps its shape, between black bands.
+
+    Args:
+        path: the image; where: file and key of the target, for messages.
+        is_stretched: fill the square in place of keeping the shape.
 
     Raises:
         RecipeError: missing, not an image, too large, or blank.
     """
-    from PIL import Image
+    from PIL import Image, ImageOps
 
+    named = f'{where} = "{path}"'
     try:
         plain(path)
     except OSError as error:
-        raise RecipeError(f'{source}: target.image = "{path}" {why_unreadable(error)}') from None
+        raise RecipeError(f"{named} {why_unreadable(error)}") from None
     try:
         with warnings.catch_warnings(), Image.open(path) as image:
             warnings.simplefilter("ignore")  # of broken tags, which are read or are not
             if image.width * image.height > MAX_IMAGE_PIXELS:
                 raise RecipeError(
-                    f'{source}: target.image = "{path}" has {image.width} x {image.height} pixels; '
-                    f"at most {MAX_IMAGE_PIXELS} are allowed"
+                    f"{named} has {image.width} x {image.height} pixels; at most {MAX_IMAGE_PIXELS} are allowed"
                 )
-            rgb = image.convert("RGB").resize((IMAGE_PIXELS, IMAGE_PIXELS), Image.Resampling.BILINEAR)
+            drawn = _on_black(upright(image))
+            if np.ptp(np.asarray(drawn)) == 0:
+                is_clear = opacity(image) is not None
+                why = "; what is clear in it is taken as black: draw what is to be bright" if is_clear else ""
+                raise RecipeError(f"{named} is blank; every pixel is alike{why}")
+            size = (IMAGE_PIXELS, IMAGE_PIXELS)
+            fit = drawn.resize if is_stretched else functools.partial(ImageOps.pad, drawn)
+            square = fit(size, Image.Resampling.BILINEAR)
     except RecipeError:
         raise
     except Exception as error:  # Pillow raises many kinds for a broken file
-        raise RecipeError(f'{source}: target.image = "{path}" cannot be read as an image: {error}') from None
-    values = np.asarray(rgb, dtype=float) / 255.0
-    if np.ptp(values) == 0.0:
-        raise RecipeError(f'{source}: target.image = "{path}" is blank; every pixel is {values[0, 0].tolist()}')
-    return values
+        hint = "; export it as PNG" if path.suffix.lower() in (".svg", ".pdf", ".ai", ".eps") else ""
+        raise RecipeError(f"{named} cannot be read as an image{hint}: {error}") from None
+    values = np.asarray(square, dtype=float) / (1.0 if square.mode == "F" else 255.0)
+    return np.repeat(values[..., None], 3, axis=-1) if values.ndim == 2 else values
+
+
+def _on_black(image: Image) -> Image:
+    """Return an image without transparency: in RGB, or grey of 16 bits as floats from 0 to 1."""
+    from PIL import Image as images
+
+    if image.mode[0] in "IF":
+        scale = 1.0 if image.mode == "F" else LARGEST_16_BIT
+        return images.fromarray(np.clip(np.asarray(image, dtype=np.float32) / np.float32(scale), 0.0, 1.0))
+    if opacity(image) is None:
+        return image.convert("RGB")
+    ground = images.new("RGBA", image.size, "black")
+    ground.alpha_composite(image.convert("RGBA"))
+    return ground.convert("RGB")
 
 
 def picture_on_directions(picture: Array, u: Array, v: Array, image_scale: float) -> Array:

@@ -26,6 +26,7 @@ from nacre.families.relief.fresnel import coating_reflectance, fresnel_reflectan
 from nacre.families.relief.slice import SliceGeometry
 from nacre.files import plain, why_unreadable
 from nacre.matter.indices.spec import IndexSpec
+from nacre.recipe.columns import two_columns
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
@@ -46,6 +47,7 @@ LARGEST_TARGET_VALUES = 64_000_000
 LARGEST_TILE_FEATURES = 512
 # a free scale may darken a design until its picture holds this share of the light; the published ones hold 6 % or more
 LEAST_LIGHT = 0.05
+MOST_REFLECTANCE = 1.1  # a white of an instrument may err by that much
 VISIBLE_THRESHOLD = 1e-3  # target values under this may lie beyond the horizon
 
 
@@ -83,9 +85,14 @@ class TargetTable(RecipeModel):
         json_schema_extra={"enum": [*KINDS, *KIND_ALIASES]}, description="kind of the look", examples=["anti-mirror"]
     )
     image: str | None = pydantic.Field(
-        default=None, description="the picture, for the kinds image and inverted-image", examples=["grey.png"]
+        default=None,
+        description="the picture, for the kinds image and inverted-image: what is bright in it is lit, what is clear "
+        "is dark",
+        examples=["grey.png"],
     )
-    image_scale: Positive = pydantic.Field(default=1.5, description="size of the picture over the directions")
+    image_scale: Positive = pydantic.Field(
+        default=1.5, description="size of the picture over the directions, by its longer side"
+    )
     file: str | None = pydantic.Field(
         default=None, description="a .npy array over the slice, for the kind array", examples=["look.npy"]
     )
@@ -183,7 +190,7 @@ class TargetTable(RecipeModel):
         if self.kind == "array":
             return self._array(context)
         assert self.image is not None
-        image = pictures.load_picture(context.path(self.image), context.source)
+        image = pictures.load_picture(context.path(self.image), f"{context.source}: target.image")
         shape = pictures.picture_on_directions(image, u, v, self.image_scale)
         if self.kind == "image":
             return shape
@@ -214,8 +221,8 @@ class TargetTable(RecipeModel):
         if isinstance(self.colour, str):
             return pictures.colour_on_directions(self.colour, u, v, self.iridescent_range, context.source)
         if self.colour.image is not None:
-            image = pictures.load_picture(context.path(self.colour.image), context.source)
-            # a colour image spans the slice
+            where = f"{context.source}: target.colour.image"
+            image = pictures.load_picture(context.path(self.colour.image), where, is_stretched=True)  # over the slice
             scale = self.range / 2.0 / pictures.HALF_VECTOR_PER_SCALE
             return pictures.picture_on_directions(image, u, v, scale)
         assert self.colour.spectrum is not None
@@ -404,13 +411,11 @@ def _spectrum_colour(name: str, context: RecipeContext) -> Array:
     """Return the display-referred colour of a reflectance spectrum under D65."""
     from nacre.light import spectrum_to_rgb_linear
 
-    try:
-        table: Any = np.loadtxt(plain(context.path(name)), delimiter=",", comments="#", ndmin=2)
-    except OSError as error:
-        raise context.fail("target.colour.spectrum", name, why_unreadable(error)) from None
-    except ValueError as error:
-        raise context.fail("target.colour.spectrum", name, f"cannot be read as CSV of nm, value: {error}") from None
-    if table.shape[1] != 2 or len(table) < 2 or not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
-        raise context.fail("target.colour.spectrum", name, "should hold two columns, ascending nm and reflectance")
+    key = "target.colour.spectrum"
+    table = two_columns(context, key, name)
+    if len(table) < 2 or (np.diff(table[:, 0]) <= 0).any():
+        raise context.fail(key, name, "should hold two columns, ascending nm and reflectance")
+    if table[:, 1].min() < 0.0 or table[:, 1].max() > MOST_REFLECTANCE:
+        raise context.fail(key, name, "should hold reflectances from 0 to 1, not per cent")
     rgb = spectrum_to_rgb_linear(table[:, 1], table[:, 0])
     return np.clip(rgb, 0.0, 1.0) ** (1.0 / 2.2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,10 +12,12 @@ from nacre.arrays import Array
 from nacre.bsdf.directions import direction
 from nacre.errors import NacreError
 from nacre.files import atomic_path, plain, why_unreadable
+from nacre.recipe.cells import decoded, headings, rows
 from nacre.recipe.memory import check_memory
 
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "wavelength", "value")
 MAX_BYTES = 1 << 30
+GAPS = ("", "nan", "-", "--", "n/a", "na")  # cells of what was not measured
 BYTES_A_BYTE = 8  # of a file: its text, its lines, their fields
 LARGEST_VALUE = 1e12  # no BSDF is near it
 ROUND_TRIP_DIGITS = 9  # float32 survives a decimal round trip with nine significant digits
@@ -118,8 +121,14 @@ def _check_plausible(path: str | Path, columns: Array) -> None:
         )
 
 
-def read_table(path: str | Path) -> tuple[list[str], Array]:
-    """Read a CSV of numbers with a header line; lines starting with # are comments.
+def read_table(path: str | Path, has_gaps: bool = False) -> tuple[list[str], Array]:
+    """Read a table of numbers with a line of headings, parted as `nacre.recipe.cells` knows; # starts a remark.
+
+    Args:
+        has_gaps: whether a cell may be empty; it is then NaN.
+
+    Returns:
+        The headings, in small letters with their units behind an underscore, and `[row, column]`.
 
     Raises:
         NacreError: missing, too large, without header or rows, or with a cell that is not a finite number.
@@ -129,35 +138,37 @@ def read_table(path: str | Path) -> tuple[list[str], Array]:
         if plain(path).stat().st_size > MAX_BYTES:
             raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
         check_memory(BYTES_A_BYTE * float(path.stat().st_size), f"{path}: read as a table, it")
-        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+        lines = rows(decoded(path.read_bytes()))
     except UnicodeDecodeError:
         raise NacreError(f"{path}: is not text") from None
     except OSError as error:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None
-    lines = [line for line in lines if not line.lstrip().startswith("#")]
-    if len(lines) < 2:
+    names = headings(next(lines, (0, [""]))[1])
+    table = [_numbers(path, number, cells, len(names), has_gaps) for number, cells in lines]
+    if not table:
         raise NacreError(f"{path}: holds no data; a header line and rows of numbers are needed")
-    names = [name.strip().strip('"').lower() for name in lines[0].split(",")]
+    return names, np.array(table)
+
+
+def _numbers(path: Path, line: int, cells: list[str], width: int, has_gaps: bool) -> list[float]:
+    """Return a row's numbers."""
+    if has_gaps:
+        cells = [cell if cell.strip().lower() not in GAPS else "nan" for cell in cells]
+        cells += ["nan"] * (width - len(cells))
+    if len(cells) != width:
+        raise NacreError(f"{path}: line {line} has {len(cells)} cells, the header has {width}")
     try:
-        table = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
+        numbers = [float(cell) for cell in cells]
     except ValueError:
-        table = np.empty((0, 0))
-    if table.ndim != 2 or table.shape[1:] != (len(names),) or not np.all(np.isfinite(table)):
-        raise NacreError(f"{path}: {_first_bad_line(lines, len(names))}")
-    return names, table
+        numbers = []
+    if not numbers or not all(math.isfinite(number) or (has_gaps and math.isnan(number)) for number in numbers):
+        wrong = next(cell for cell in cells if not _is_finite(cell))
+        raise NacreError(f'{path}: line {line}: "{wrong.strip()[:40]}" is not a finite number')
+    return numbers
 
 
-def _first_bad_line(lines: list[str], width: int) -> str:
-    """Say which row is not `width` finite numbers."""
-    for number, line in enumerate(lines[1:], start=2):
-        cells = line.split(",")
-        if len(cells) != width:
-            return f"row {number} has {len(cells)} cells, the header has {width}"
-        for cell in cells:
-            try:
-                finite = np.isfinite(float(cell))
-            except ValueError:
-                finite = False
-            if not finite:
-                return f'row {number}: "{cell.strip()[:40]}" is not a finite number'
-    return "cannot be read as a table of numbers"
+def _is_finite(cell: str) -> bool:
+    try:
+        return math.isfinite(float(cell))
+    except ValueError:
+        return False

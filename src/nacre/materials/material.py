@@ -68,6 +68,10 @@ class Material:
     data: Mapping[str, Any]
     context: RecipeContext = field(default_factory=RecipeContext)
 
+    def __repr__(self) -> str:
+        """Say what it is in a line: its model holds whole tables."""
+        return f"<{self.family} material: {self.context.source}>"
+
     @property
     def family(self) -> str:
         """The family's name, such as "film"."""
@@ -279,10 +283,11 @@ class StoredBsdf(Model):
 MaterialLike = Material | str | Path | Mapping[str, Any]  # the last: a table with a recipe's keys
 
 
-def load(path: str | Path) -> Material:
+def load(path: MaterialLike) -> Material:
     """Load a material: a recipe (.toml), a compiled file (.nacre), a design folder, or an example by its name.
 
-    A name is that of an example ("soap", "pearl/foil") only where there is no such file.
+    A name is that of an example ("soap", "pearl/foil") only where there is no such file. A recipe's table is taken too,
+    as `material` takes it (its paths are relative to the working folder), and a material is returned as it is.
 
     Raises:
         RecipeError: naming file, key, value and what is allowed.
@@ -290,6 +295,10 @@ def load(path: str | Path) -> Material:
 
     Example: `nacre.load("soap.toml").spectrum([0.0])`.
     """
+    if isinstance(path, Material):
+        return path
+    if isinstance(path, Mapping):
+        return material(path)
     return _load(or_example(named(path)), depth=0)
 
 
@@ -358,10 +367,8 @@ def loaded(thing: Any) -> Any:
     Raises:
         NacreError: there is no such material, or it is wrong.
     """
-    if isinstance(thing, str | Path):
+    if isinstance(thing, str | Path) or (isinstance(thing, Mapping) and "type" not in thing):
         return load(thing)
-    if isinstance(thing, Mapping) and "type" not in thing:
-        return material(thing)
     return thing
 
 

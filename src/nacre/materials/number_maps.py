@@ -8,7 +8,7 @@ from typing import Any
 from nacre.bsdf.texture_spec import read_grey
 from nacre.exchange.number_maps import NumberMap
 from nacre.materials.material import Material
-from nacre.recipe.model import LENGTH_UNITS_NM
+from nacre.recipe.measures import LENGTH_UNITS_NM
 
 
 def number_maps(material: Material) -> list[NumberMap]:

@@ -7,31 +7,30 @@ from numpy.typing import NDArray
 
 from nacre.errors import NacreError
 from nacre.files import read_text
+from nacre.recipe.cells import rows
 from nacre.recipe.model import RecipeContext
 
 
 def two_columns(context: RecipeContext, key: str, name: str) -> NDArray[np.float64]:
-    """Read a text file of two columns of numbers; commas, blanks and # comments are understood."""
+    """Read a text file of two columns of numbers, parted as `nacre.recipe.cells` knows; headings are passed over."""
     path = context.path(name)
     try:
         text = read_text(path, key)
     except NacreError as error:
         why = str(error).removeprefix(f"{path}").lstrip(": ")
         raise context.fail(key, name, f"is not usable: {why}") from None
-    rows = []
-    for line in text.splitlines():
-        parts = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
-        if not parts:
-            continue
+    found: list[list[float]] = []
+    for number, cells in rows(text):
         try:
-            rows.append([float(x) for x in parts])
+            found.append([float(cell) for cell in cells])
         except ValueError:
-            if not rows:
+            if not found:
                 continue  # a heading
-            raise context.fail(key, name, f'holds "{line.strip()[:40]}" where two numbers should stand') from None
-    if not rows or any(len(row) != 2 for row in rows) or len(rows) > 100_000:
+            wrong = " ".join(cells)[:40]
+            raise context.fail(key, name, f'holds "{wrong}" in line {number} where two numbers should stand') from None
+    if not found or any(len(row) != 2 for row in found) or len(found) > 100_000:
         raise context.fail(key, name, "must hold two columns of numbers")
-    table = np.array(rows)
+    table = np.array(found)
     if not np.all(np.isfinite(table)):
         raise context.fail(key, name, "holds numbers that are not finite")
     return table

@@ -10,7 +10,7 @@ import contextlib
 import hashlib
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -20,10 +20,9 @@ from pydantic_core import PydanticCustomError, core_schema
 
 from nacre.errors import RecipeError, did_you_mean
 from nacre.recipe.identity import file_digest
+from nacre.recipe.measures import LENGTH_UNITS_NM, written_as_number
 from nacre.recipe.paths import TEXTURE_KEYS
 from nacre.recipe.wishes import wish
-
-LENGTH_UNITS_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
 
 
 @dataclass(frozen=True)
@@ -224,13 +223,29 @@ def _is_texture(data: Any, location: tuple[int | str, ...]) -> bool:
     """Whether an unknown key stands in a table that could only be a texture or formula: one where a number belongs."""
     if location[-1] not in TEXTURE_KEYS:
         return False
+    holder = _walked(data, location[:-1])
+    return isinstance(holder, Mapping) and set(holder) <= set(TEXTURE_KEYS)
+
+
+def _walked(data: Any, location: Iterable[int | str]) -> Any:
+    """Return what stands at a location; members of unions stand in it, and not in the recipe."""
     holder = data
-    for part in location[:-1]:  # members of unions stand in the location, and not in the recipe
+    for part in location:
         if isinstance(holder, Mapping) and part in holder:
             holder = holder[part]
         elif isinstance(holder, list | tuple) and isinstance(part, int) and part < len(holder):
             holder = holder[part]
-    return isinstance(holder, Mapping) and set(holder) <= set(TEXTURE_KEYS)
+    return holder
+
+
+def _own_spelling(data: Any, location: tuple[int | str, ...]) -> tuple[int | str, ...]:
+    """Return a location with the units of lengths that the recipe itself wrote."""
+    spelt: list[int | str] = []
+    for part in location:
+        holder = _walked(data, spelt)
+        ways = spellings(part) if isinstance(part, str) and isinstance(holder, Mapping) else ()
+        spelt.append(next((way for way in ways if way in holder), part))
+    return tuple(spelt)
 
 
 def _first_line(
@@ -240,6 +255,8 @@ def _first_line(
     # the deepest location is the most telling one when a union of forms was tried
     problem = max(problems, key=lambda p: (p["type"] == "extra_forbidden", len(p["loc"])))
     key = _key(problem["loc"], ends_in_a_key=problem["type"] == "extra_forbidden")
+    if as_text := _number_as_text(problem, data):
+        return f"{context.source}: {as_text}"
     is_form = problem["type"] == "extra_forbidden" and _is_texture(data, problem["loc"])
     is_number = problem["type"] in ("float_type", "int_type") and isinstance(problem["input"], Mapping)
     if is_form or (is_number and set(problem["input"]) & set(TEXTURE_KEYS)):
@@ -271,6 +288,21 @@ def _first_line(
         return f"{context.source}: {where}{message}"
     should = wish(problem["type"], problem.get("ctx", {}), problem["input"], _tables_in(model))
     return f"{context.source}: {key} = {show_value(problem['input'])} is not allowed; it should {should}"
+
+
+def _number_as_text(problem: Any, data: Mapping[str, Any]) -> str | None:
+    """Return the line's end for a number that stands as text, or None where something else is wrong."""
+    given = problem["input"]
+    wants_number = problem["type"] in ("float_type", "int_type") or " is not a " in problem["msg"]
+    if not wants_number or not isinstance(given, str):
+        return None
+    key = _key(_own_spelling(data, problem["loc"]))
+    word = re.sub(r"(\[\d+\])+$", "", key)
+    number = written_as_number(word.rpartition(".")[2], given)
+    if number is None:
+        return None
+    write = number if word == key else f"{number.rpartition(' ')[2]} in its place"
+    return f"{key} = {show_value(given)} is not allowed; write {write}: no quotes, the unit is in the key"
 
 
 def _key(location: tuple[int | str, ...], ends_in_a_key: bool = False) -> str:

@@ -136,39 +136,55 @@ class Fit:
 def read_measurement(path: str | Path) -> Measured:
     """Read a measurement: a spectrum CSV as `nacre spectrum` writes it, or a gonio CSV.
 
+    A column of a spectrum may be in per cent and its wavelengths in um where its heading says so. Rows in which nothing
+    was measured are left out.
+
     Raises:
         NacreError: naming the file and what is wrong.
     """
-    names, table = read_table(path)
+    names, table = read_table(path, has_gaps=True)
     if "theta_i" in names or "value" in names:
         gonio = read_gonio_csv(path)
         return Measured("gonio", gonio.wavelengths_nm, gonio.values, gonio=gonio)
-    parts = tuple(part for part in PARTS if part in names)
-    if "wavelength_nm" not in names or not parts:
+    columns = {name: column for name, column in zip(names, table.T)}
+    per_cent = {part: f"{part}_percent" for part in PARTS}
+    measured = {part: columns[part] for part in PARTS if part in columns}
+    measured |= {part: columns[name] / 100.0 for part, name in per_cent.items() if name in columns}
+    wavelengths = columns.get("wavelength_nm", 1e3 * columns["wavelength_um"] if "wavelength_um" in columns else None)
+    if wavelengths is None or not measured:
         raise NacreError(
-            f"{path}: is neither a gonio CSV ({', '.join(COLUMNS)}) nor a spectrum CSV "
-            f"(wavelength_nm, angle_deg, and one of {', '.join(PARTS)})"
+            f"{path}: is neither a gonio CSV ({', '.join(COLUMNS)}) nor a spectrum CSV (wavelength_nm, angle_deg, and "
+            f"one of {', '.join(PARTS)}, or with _percent behind it); its columns are {', '.join(names)[:80]}"
         )
-    waves = np.unique(table[:, names.index("wavelength_nm")])
-    angle_column = table[:, names.index("angle_deg")] if "angle_deg" in names else np.zeros(len(table))
-    angles = np.unique(angle_column)
-    values = np.full((len(parts), len(angles), len(waves)), np.nan)
-    place = (np.searchsorted(angles, angle_column), np.searchsorted(waves, table[:, names.index("wavelength_nm")]))
-    for i, part in enumerate(parts):
-        values[i][place] = table[:, names.index(part)]
-    if np.isnan(values).any() or len(table) != values[0].size:
-        raise NacreError(f"{path}: every angle must be given once at every wavelength")
-    for i, part in enumerate(parts):
+    angle_column = columns.get("angle_deg", np.zeros(len(table)))
+    told = ~np.isnan([*measured.values()]).all(axis=0)
+    wavelengths, angle_column = wavelengths[told], angle_column[told]
+    if not told.any() or not np.isfinite(wavelengths).all() or not np.isfinite(angle_column).all():
+        raise NacreError(f"{path}: needs a number for each wavelength and angle, and something measured there")
+    waves, angles = np.unique(wavelengths), np.unique(angle_column)
+    values = np.full((len(measured), len(angles), len(waves)), np.nan)
+    place = (np.searchsorted(angles, angle_column), np.searchsorted(waves, wavelengths))
+    for i, part in enumerate(measured):
+        values[i][place] = measured[part][told]
+    if len(wavelengths) != len(set(zip(*place))):
+        raise NacreError(f"{path}: a wavelength is given twice at an angle; keep one row of each")
+    if np.isnan(values).any():
+        i, angle, wave = (int(where) for where in np.argwhere(np.isnan(values))[0])
+        raise NacreError(
+            f"{path}: every angle must be given at every wavelength; {list(measured)[i]} is missing at "
+            f"{angles[angle]:g} degrees and {waves[wave]:g} nm"
+        )
+    for i, part in enumerate(measured):
         if values[i].max() > MOST_POWER:
             raise NacreError(
-                f"{path}: {part} = {values[i].max():g} is above 1; it is a share of the light that arrives, "
-                "not per cent"
+                f"{path}: {part} = {values[i].max():g} is above 1; it is a share of the light that arrives; if it "
+                f"is in per cent, name the column {per_cent[part]}"
             )
         if values[i].min() < -LEAST_POWER:
             raise NacreError(f"{path}: {part} = {values[i].min():g} is below 0")
     if angles.min() < 0 or angles.max() > 90:
         raise NacreError(f"{path}: angle_deg must lie in [0, 90]")
-    return Measured("spectrum", waves, values, parts, angles)
+    return Measured("spectrum", waves, values, tuple(measured), angles)
 
 
 def read_free(material: Material, options: tuple[str, ...] = ()) -> tuple[Free, ...]:

@@ -29,7 +29,7 @@ from nacre.errors import RecipeError
 from nacre.families.film.material import Film
 from nacre.materials.material import Material
 from nacre.matter.stack.solve import powers
-from nacre.recipe.model import LENGTH_UNITS_NM
+from nacre.recipe.measures import LENGTH_UNITS_NM
 from nacre.recipe.tables import by_path
 
 ENGINE_KINDS = ("specular", "transmitted")

@@ -12,6 +12,7 @@ import numpy as np
 from nacre.arrays import Array
 from nacre.errors import RecipeError
 from nacre.files import plain, why_unreadable
+from nacre.recipe.images import LARGEST_16_BIT, opacity, upright
 from nacre.recipe.memory import check_memory
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ MOST_PIXELS = 16_000_000
 LEAST_SIDE = 2
 BYTES_A_PIXEL = 400  # of the search: colours, in several spaces, their order, the maps
 MODES = ("RGB", "L", "P", "1", "I;16", "I;16B", "I;16L")
-LARGEST_16_BIT = 65535.0
 
 
 def read_picture(path: Path, where: str) -> Array:
@@ -61,17 +61,13 @@ def _check_size(opened: Image, where: str) -> None:
 
 
 def _pixels(opened: Image, where: str) -> Array:
-    from PIL import ImageOps
-
     if getattr(opened, "n_frames", 1) > 1 and opened.format != "MPO":
         raise RecipeError(f"{where} has {getattr(opened, 'n_frames', 1)} frames; give one still picture")
-    upright = ImageOps.exif_transpose(opened)
-    picture = opened if upright is None else upright
-    if "A" in picture.getbands() or "transparency" in picture.info:
-        clear = picture.convert("RGBA")
-        if np.asarray(clear.getchannel("A")).min() < 255:
-            raise RecipeError(f"{where} is transparent in places; lay it on a ground first")
-        picture = clear.convert("RGB")
+    picture = upright(opened)
+    if opacity(picture) is not None:
+        raise RecipeError(f"{where} is transparent in places; lay it on a ground first")
+    if "A" in picture.getbands():
+        picture = picture.convert("RGB")
     if picture.mode not in MODES:
         raise RecipeError(f"{where} is a picture of the kind {picture.mode}; sRGB or grey, of 8 bits or grey of 16")
     if picture.mode.startswith("I"):

@@ -27,6 +27,7 @@ from nacre.light import (
     xyy_to_xyz,
     xyz_to_lab,
 )
+from nacre.recipe.cells import decoded, rows
 from nacre.recipe.model import RecipeContext, show_value
 
 GAP_STEPS = 3.0  # times a table's usual step: wider apart, two rows leave out what lies between them
@@ -232,11 +233,10 @@ def _spectrum(name: str, where: str, context: RecipeContext) -> Array:
 
 def _read_table(path: Any) -> Array:
     """Read two columns, with a head line of words or without."""
-    lines = plain(path).read_text(encoding="utf-8").splitlines()
-    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    if lines and re.match(r"\s*[A-Za-z_\"]", lines[0]):
+    lines = [cells for _, cells in rows(decoded(plain(path).read_bytes()))]
+    if lines and re.match(r"[A-Za-z_]", lines[0][0].strip()):
         lines = lines[1:]
-    return np.array([[float(word) for word in re.split(r"[,;\s]+", line.strip())] for line in lines], dtype=float)
+    return np.array([[float(word) for word in cells] for cells in lines], dtype=float)
 
 
 def _check_agreement(wants: Sequence[Want], light: LightSpec) -> None:

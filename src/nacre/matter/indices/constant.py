@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import re
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,9 +19,7 @@ from nacre.errors import MaterialRangeError, NacreError, UnknownMaterialError, d
 from nacre.matter.indices.database import catalogue, find_page, load_entry
 from nacre.matter.indices.defaults import DEFAULTS, find_default
 from nacre.matter.indices.models import Clear, Constant, Dispersion
-
-if TYPE_CHECKING:
-    pass
+from nacre.recipe.measures import written_as_number
 
 Extrapolation = Literal["error", "edge"]
 
@@ -178,6 +176,8 @@ def database_index(key: str) -> OpticalConstant:
 
 def unknown_material(name: str) -> str:
     """Return the end of the message for an unknown name: what is near, and where to look."""
+    if number := written_as_number("n", name):
+        return f"is text; a constant index stands without quotes: {number.rpartition(' ')[2]}"
     books = {page.key.split("/")[1] for page in catalogue().values()}
     if name in books:
         return f"has no default entry. Choose one for {{rii = ...}}: nacre indices search {name}"

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 
 from nacre.errors import NacreError
 from nacre.files import plain, why_unreadable
 from nacre.matter.indices.models import Table
+from nacre.recipe.cells import decoded, headings, rows
 
 MAX_BYTES = 20_000_000
 _WAVELENGTH_NM = {
     "wavelength_nm": 1.0, "wavelengths_nm": 1.0, "nm": 1.0, "wavelength_um": 1000.0, "wavelengths_um": 1000.0,
-    "um": 1000.0, "wl": 1000.0,
+    "um": 1000.0, "wl": 1000.0, "lambda_nm": 1.0, "lambda_um": 1000.0,
 }  # fmt: skip
+_WAVELENGTH = ("wavelength", "wavelengths", "lambda")  # the unit shows in the numbers
 _FORM = 'write a header "wavelength_nm,n,k" (or wavelength_um) and one row of numbers per wavelength'
 # Without a header the unit shows in the numbers: no table of optics reaches 20 um in um or below 20 nm in nm.
 _UM_LIMIT = 20.0
@@ -23,8 +24,9 @@ _UM_LIMIT = 20.0
 def read_index_csv(path: Path) -> Table:
     """Read wavelength, n and (optionally) k from a text file.
 
-    Columns are separated by commas, semicolons, tabs or spaces; `#` starts a comment. The header names the
-    columns: `wavelength_nm` or `wavelength_um`, `n`, `k` in any order. The database's own export (`wl,n`, then
+    Columns are separated by commas, semicolons, tabs or spaces; `#` starts a comment; where no comma separates, one
+    within a number is its decimal point. The header names the columns: `wavelength_nm` or `wavelength_um` (or
+    `Wavelength (nm)`), `n`, `k` in any order. The database's own export (`wl,n`, then
     a second block `wl,k`, in um) is read as well; so are headerless rows of two or three numbers.
 
     Raises:
@@ -49,7 +51,7 @@ def _read(path: Path) -> str:
     try:
         if plain(path).stat().st_size > MAX_BYTES:
             raise NacreError(f"{path.name}: is larger than {MAX_BYTES // 1_000_000} MB; is it a table of n and k?")
-        return path.read_text(encoding="utf-8-sig")
+        return decoded(path.read_bytes())
     except OSError as error:
         raise NacreError(f"{path.name}: {why_unreadable(error)}") from None
     except UnicodeDecodeError:
@@ -60,11 +62,8 @@ def _blocks(path: Path) -> list[dict[str, list[float]]]:
     """Return the file's blocks, each a column of numbers by name, wavelengths in nm."""
     blocks: list[dict[str, list[float]]] = []
     columns: list[str] = []
-    scale = 1.0
-    for number, raw in enumerate(_read(path).splitlines(), start=1):
-        cells = [c.strip().strip('"') for c in re.split(r"[,;\s]+", raw.partition("#")[0].strip()) if c.strip()]
-        if not cells:
-            continue
+    scale = 0.0  # not known yet
+    for number, cells in rows(_read(path)):
         values = _numbers(cells)
         if values is None:
             columns, scale = _header(path, number, cells)
@@ -72,11 +71,12 @@ def _blocks(path: Path) -> list[dict[str, list[float]]]:
             continue
         if not columns:
             columns = ["wavelength", "n", "k"][: len(values)]
-            scale = 1000.0 if values[0] < _UM_LIMIT else 1.0
             blocks.append({name: [] for name in columns})
         if len(values) != len(columns) or len(columns) < 2:
             raise NacreError(f"{path.name}: line {number} has {len(values)} numbers; {_FORM}")
-        _check_row(path, number, dict(zip(columns, values)))
+        row = dict(zip(columns, values))
+        _check_row(path, number, row)
+        scale = scale or (1000.0 if row["wavelength"] < _UM_LIMIT else 1.0)
         for name, value in zip(columns, values):
             if name:
                 blocks[-1][name].append(value * scale if name == "wavelength" else value)
@@ -96,11 +96,12 @@ def _numbers(cells: list[str]) -> list[float] | None:
 
 
 def _header(path: Path, number: int, cells: list[str]) -> tuple[list[str], float]:
+    """Return the columns' names and what brings their wavelengths to nm, 0 where the numbers have to show it."""
     columns, scale = [], 0.0
-    for cell in (c.lower() for c in cells):
-        if cell in _WAVELENGTH_NM:
+    for cell in headings(cells):
+        if cell in _WAVELENGTH_NM or cell in _WAVELENGTH:
             columns.append("wavelength")
-            scale = _WAVELENGTH_NM[cell]
+            scale = _WAVELENGTH_NM.get(cell, 0.0)
         else:
             columns.append(cell if cell in ("n", "k") else "")
     if columns.count("wavelength") != 1 or not {"n", "k"} & set(columns) or max(map(columns.count, "nk")) > 1:

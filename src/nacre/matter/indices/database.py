@@ -16,12 +16,14 @@ import numpy as np
 
 from nacre.arrays import Array, ComplexArray
 from nacre.errors import NacreError, UnknownMaterialError, did_you_mean
+from nacre.files import plain, why_unreadable
 from nacre.matter.indices.models import Constant, Dispersion, Joined, Table
 
 # Two pages of the catalogue point at a third material's file (an upstream slip, mended there after the release).
 _CATALOGUE_SLIP = "main/As2S3/nk/Synowicki.yml"
 _CATALOGUE_MENDED = {"main/MgO/Synowicki", "main/ZrO2/Synowicki"}
 _CATALOGUE_LINE = re.compile(r"^\s*(?:- )?(SHELF|BOOK|PAGE|name|data):\s*(.*?)\s*$")
+MAX_PAGE_BYTES = 20_000_000  # of a user's own
 _MARKUP = re.compile(r"<[^>]+>")
 
 
@@ -144,20 +146,36 @@ def load_entry(key: str) -> Entry:
 
 def read_entry(key: str, file: str) -> Entry:
     """Read one file of the database; see `load_entry`."""
+    return _entry(key, database_folder() / "data" / file, f'"{key}" of the refractiveindex.info database')
+
+
+def read_page(path: Path) -> Dispersion:
+    """Read a user's own file of the database's form, a YAML page as refractiveindex.info offers it.
+
+    Raises:
+        NacreError: it cannot be read, or tabulates no refractive index.
+    """
+    try:
+        if plain(path).stat().st_size > MAX_PAGE_BYTES:
+            raise NacreError(f"{path.name}: is larger than {MAX_PAGE_BYTES // 1_000_000} MB; is it a page of n and k?")
+    except OSError as error:
+        raise NacreError(f"{path.name}: {why_unreadable(error)}") from None
+    return _entry(path.name, path, f"{path.name}:").model
+
+
+def _entry(key: str, path: Path, what: str) -> Entry:
     import yaml
 
     # the C parser where PyYAML was built with it; strings stay strings, numbers are parsed below
     loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
-    path = database_folder() / "data" / file
     try:
-        content = yaml.load(path.read_text(encoding="utf-8"), Loader=loader)
+        content = yaml.load(path.read_text(encoding="utf-8-sig"), Loader=loader)
         n_model, k_model = _models(content["DATA"])
-    except (OSError, yaml.YAMLError, KeyError, IndexError, TypeError, ValueError) as error:
-        raise NacreError(f'"{key}" of the refractiveindex.info database cannot be read: {error}') from None
+    except (OSError, yaml.YAMLError, KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
+        why = " ".join(str(error).split())[:200]
+        raise NacreError(f"{what} cannot be read: {why}") from None
     if n_model is None:
-        raise UnknownMaterialError(
-            f'"{key}" of the refractiveindex.info database tabulates k only; choose an entry that has n'
-        )
+        raise UnknownMaterialError(f"{what} tabulates k only; choose an entry that has n")
     model: Dispersion = n_model
     if k_model is not None and k_model is not n_model:
         model = Joined(n_model, k_model)
@@ -194,6 +212,7 @@ def _models(blocks: list[dict[str, str]]) -> tuple[Dispersion | None, Dispersion
             if int(detail) in _PAIRED and len(coefficients) % 2 == 0:
                 raise ValueError(f"formula {detail} with {len(coefficients)} coefficients lacks one")
             n_model = Formula(int(detail), coefficients, (low, high))
+            n_model(np.array([low, high]))  # a number that is no formula's, or too few coefficients, show at once
         elif kind == "constant":
             n_model = Constant(float(block["value"]))
     return n_model, k_model

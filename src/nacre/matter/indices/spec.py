@@ -10,7 +10,7 @@ import pydantic
 from nacre.errors import NacreError, did_you_mean
 from nacre.matter.indices.constant import OpticalConstant, database_index, named_constant, unknown_material
 from nacre.matter.indices.csv import read_index_csv
-from nacre.matter.indices.database import find_page
+from nacre.matter.indices.database import find_page, read_page
 from nacre.matter.indices.defaults import BY_NAME, find_default
 from nacre.matter.indices.models import Cauchy, Constant, Dispersion, Oscillators, Sellmeier, abbe_cauchy
 from nacre.matter.stack.case import CLEAR_K
@@ -20,6 +20,7 @@ FORMS = ("name", "n", "cauchy", "sellmeier", "n_d", "drude", "lorentz", "file", 
 EXAMPLES = (
     '"Ag", {n = 1.5}, {n = 1.5, k = 0.1}, {cauchy = [1.5, 0.005]}, {file = "nk.csv"} or {rii = "main/Ag/Johnson"}'
 )
+PAGE_SUFFIXES = (".yml", ".yaml")
 PROBE_NM = (360.0, 550.0, 830.0)
 JUDGED_NM = (450.0, 550.0, 650.0)
 SAME_INDEX = 2e-3  # media closer than this reflect less than 1e-6 of the light between them
@@ -134,7 +135,8 @@ class IndexSpec(RecipeModel):
     lorentz: LorentzSpec | None = pydantic.Field(default=None, description="bound oscillators, alone or beside drude")
     file: str | None = pydantic.Field(
         default=None,
-        description="a text table beside the recipe: wavelength in nm, n, and k if there is one",
+        description="a text table beside the recipe: wavelength in nm, n, and k if there is one; or a page of "
+        "refractiveindex.info (.yml)",
         examples=["nk.csv"],
     )
     rii: str | None = pydantic.Field(
@@ -205,7 +207,9 @@ class IndexSpec(RecipeModel):
             find_page(self.rii)
             made = database_index(self.rii)
         elif self.file is not None:
-            made = OpticalConstant(self.file, read_index_csv(context.path(self.file)), self.file)
+            path = context.path(self.file)
+            read = read_page if path.suffix.lower() in PAGE_SUFFIXES else read_index_csv
+            made = OpticalConstant(self.file, read(path), self.file)
         else:
             label, model = self._formula()
             made = OpticalConstant(label, model, "given in the recipe")

@@ -1,0 +1,41 @@
+"""Numbers that were written as text, with their unit or without: what the recipe should say instead."""
+
+from __future__ import annotations
+
+import re
+
+LENGTH_UNITS_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
+_OTHER_LENGTHS_NM = {"å": 0.1, "angstrom": 0.1, "cm": 1e7, "m": 1e9}
+_DEGREES = ("deg", "degree", "degrees", "°")
+_MEASURE = re.compile(r"([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?)\s*([^\W\d_]*|[%°])")
+
+
+def written_as_number(key: str, text: str) -> str | None:
+    """Return how a recipe gives what stands as text at a key: `key = number`, or None where the text is no measure.
+
+    A length keeps the unit that the text names, where recipes take that unit; what has no unit at all is taken to be
+    in the key's own.
+
+    Args:
+        key: the key's own word, such as `thickness_nm`.
+        text: what stood there, such as "60 nm" or "0,06 µm".
+
+    Example: `written_as_number("thickness_nm", "0,06 µm")` is "thickness_um = 0.06".
+    """
+    match = _MEASURE.fullmatch(text.strip())
+    if match is None:
+        return None
+    number = match[1].replace(",", ".")
+    value, unit = float(number), match[2].lower().replace("µ", "u").replace("μ", "u")
+    stem, _, own = key.rpartition("_")
+    if own in LENGTH_UNITS_NM:
+        if unit in LENGTH_UNITS_NM:
+            return f"{stem}_{unit} = {value:.12g}"
+        if unit in _OTHER_LENGTHS_NM:
+            return f"{key} = {value * _OTHER_LENGTHS_NM[unit] / LENGTH_UNITS_NM[own]:.12g}"
+    elif own == "deg":
+        if unit in _DEGREES:
+            return f"{key} = {value:.12g}"
+    elif unit == "%":
+        return f"{key} = {value / 100:.12g}"
+    return None if unit else f"{key} = {value:.12g}"
