@@ -17,7 +17,6 @@ import { View } from "./view.js";
 import { Wire } from "./wire.js";
 
 const { recipe } = app, models = new Map(), TABS = ["form", "toml", "design"];
-let noted = "";         // what the notes say
 
 // ---- what is shown of the connection and of the answer
 
@@ -28,32 +27,23 @@ function onState(kind) {
   else if (kind === "asked" && $("state").dataset.kind !== "lost") tell("solving", "Solving", false);
 }
 
-async function onAnswer(answer, isNewest) {
+function onAnswer(answer, isNewest) {
   if (takes(answer)) return;
   if (answer.error) return onError(answer, isNewest);
   const isOurs = recipe.settle(answer, isNewest);
   app.lastGood = answer;
   if (app.view) app.view.setLook(answer);
-  panels();
-  showNotes(answer.notes);
+  const isChanged = isNewest && isOurs;
+  if (isChanged) recipe.step();
+  panels(isChanged ? showRecipe : null);
   if (!isNewest) return;
   setError(null);
   const ms = Math.max(1, Math.round(answer.seconds * 1000));
   tell(answer.draft ? "draft" : "settled", answer.draft ? "Draft: few angles and wavelengths. Settling" : `Settled, solved in ${ms} ms`, false);
-  if (isOurs) {
-    recipe.step();
-    await showRecipe();
-    settledEdited();
-  }
+  if (isOurs) settledEdited();
   designSettled(answer);
   if (!answer.draft) cloudSettled();
   if (!answer.draft && isStale()) app.wire.ask();
-}
-
-function showNotes(notes) {
-  const said = notes.join("\n");
-  if (said !== noted) $("notes").replaceChildren(...notes.map((note) => el("li", { textContent: note })));
-  noted = said;
 }
 
 async function onError(answer, isNewest) {
@@ -65,6 +55,7 @@ async function onError(answer, isNewest) {
 }
 
 function setError(told) {
+  if (!told && !app.error) return;      // as nearly always: to number the lines lays the page out
   app.error = told;
   $("error").hidden = !told;
   if (told) $("error").textContent = (told.line ? `Line ${told.line}: ` : "") + told.error;
