@@ -94,13 +94,20 @@ def test_passed_on_light_is_reciprocal_between_its_nodes_already():
     assert np.abs(power - swapped).max() <= 1e-4 * np.abs(power).max()
 
 
-def test_the_nodes_of_passed_on_light_are_enough(monkeypatch):
-    layer = ladder(500.0, 90.0, SILVER, 4.1 + 0.04j, 0.1, 0.1, films=((1.46, 400.0),), lmax=2)
-    mu, w = hemisphere_rule(16)
-    few = passing.passed_on(layer, [(layer.light(mu), w)], 8)
+@pytest.mark.parametrize(
+    "substrate, films", [(4.1 + 0.04j, ((1.46, 400.0),)), (1.5, ()), (1.0, ())], ids=["oxide", "glass", "alone"]
+)
+def test_the_nodes_of_passed_on_light_are_enough(substrate, films, monkeypatch):
+    """Also of the radiance towards grazing, where the power falls as the cosine."""
+    layer = ladder(500.0, 90.0, SILVER, substrate, 0.1, 0.1, films=films, lmax=2)
+    mu = np.cos(np.radians([0.5, 20.0, 40.0, 55.0, 70.0, 80.0, 86.0, 89.0]))
+    lit = layer.light(mu)
+    few = passing.passed_on(layer, [(lit, mu)], 8)
     monkeypatch.setattr(passing, "NODES", (24, 12, 14))
-    many = passing.passed_on(layer, [(layer.light(mu), w)], 8)
+    many = passing.passed_on(layer, [(lit, mu)], 8)
+    steep = np.outer(mu, mu)[..., None, None, None]
     assert np.abs(few - many).max() <= 0.01 * np.abs(many).max()
+    assert np.abs((few - many) / steep).max() <= 0.02 * np.abs(many / steep).max()
 
 
 def test_a_mixture_of_two_equal_kinds_is_one_kind():

@@ -9,7 +9,7 @@ fluctuations, with S between the modes:
     B_1 = S(kappa - kappa_i) b b^+,  B_n+1 = 1/rho int d^2kappa'/(2 pi)^2 S(kappa - kappa') G B_n G^+,  G = D - 1,
 
 and u D B D^+ u^+ leaves. The single scattering keeps S and its ring; the sum of all others is smooth. The neighbours
-also answer to each particle itself, as a stack would: 1/rho int d^2kappa/(2 pi)^2 Q M D^T Q is added to the stack's
+also answer to each particle itself, as a stack would: 1/rho int d^2kappa/(2 pi)^2 Q D M Q is added to the stack's
 W_m, without S. Both follow dense-media radiative transfer (Tsang and Kong, Scattering of Electromagnetic Waves:
 Advanced Topics, 2001), here with multipoles over a stack.
 """

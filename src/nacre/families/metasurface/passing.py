@@ -41,7 +41,8 @@ def passed_on(layer: Monolayer, sides: list[tuple[Lit, Array]], count: int) -> A
         sines = np.concatenate(node_sines(index, first.below, NODES))
         lit.append(layer.light(np.sqrt((1.0 - sines) * (1.0 + sines)), first.below, sines, at_once=True))
         kappa.append(lit[-1].directions[0].inner)
-        spread.append(node_weights(first, index, NODES))
+        # towards grazing it falls as the cosine, which is taken out so that a few nodes do
+        spread.append(first.cosines[:, None] * node_weights(first, index, NODES) / lit[-1].cosines)
     met = np.concatenate([_lights([_low(b, order) for b in one.response]) for one in lit], axis=2)
     leaving = np.concatenate([_low(_leaving(layer, one), order) for one in lit], axis=-1)
     views = np.concatenate(kappa)
