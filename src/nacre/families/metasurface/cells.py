@@ -32,10 +32,10 @@ from nacre.families.metasurface.cluster import (
 from nacre.families.metasurface.monolayer import Monolayer
 from nacre.families.metasurface.neighbours import (
     folded,
-    half_index,
     multipole_index,
     pair_orders,
     translation_coefficients,
+    unfolded,
 )
 from nacre.families.metasurface.patterns import Pattern
 from nacre.families.metasurface.qca import NeighbourTable, barycentric, chebyshev, mixed
@@ -270,24 +270,3 @@ def lift(order: int, height: float) -> ComplexArray:
     along = legendre(np.array(np.sign(height)), top, top)[0] * spherical_jn(p, abs(height))
     same_m = pair_orders(order) == 0
     return np.where(same_m, translation_coefficients(order) @ along, 0.0)
-
-
-def unfolded(q: ComplexArray, order: int) -> ComplexArray:
-    """Return the whole of what `neighbours.folded` folded for both polarisations, `[angle, n, n']`.
-
-    A column with m > 0 was added to that of -m, with opposite signs in the two polarisations; a row with m = 0 is dark
-    in one of them, so that the other holds twice its share.
-    """
-    size = len(multipole_index(order).m)
-    out = np.zeros((q.shape[1], size, size), dtype=complex)
-    for pol in range(2):
-        half = half_index(order, pol)
-        paired = half.m > 0
-        value = q[pol] / np.where(paired, 2.0, 1.0)
-        rows, turned, sign = half.place[:, None], half.partner[paired], half.sign[paired]
-        out[:, rows, half.place] += value
-        out[:, rows, turned] += value[:, :, paired] * sign
-        # -m and -m' are coupled as m and m', up to signs
-        out[:, turned[:, None], half.place] += value[:, paired] * sign[:, None]
-        out[:, turned[:, None], turned] += value[:, paired][:, :, paired] * sign[:, None] * sign
-    return out

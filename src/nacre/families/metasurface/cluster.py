@@ -20,6 +20,7 @@ from nacre.families.metasurface.angular import adjoint, legendre, mirrored, plan
 from nacre.families.metasurface.bessel import bessel_j, spherical_hankel_scaled
 from nacre.families.metasurface.monolayer import Particle
 from nacre.families.metasurface.neighbours import (
+    all_orders,
     direct_coefficients,
     multipole_index,
     pair_orders,
@@ -100,16 +101,6 @@ def window(share: Array) -> Array:
     return np.asarray(1.0 / (1.0 + np.exp(1.0 / (1.0 - t) - 1.0 / t)))
 
 
-def _all_orders(surface: Substrate, particle: Particle, order: int) -> ComplexArray:
-    """Return M over all m, `[n, n']`."""
-    index = multipole_index(order)
-    blocks = SphereOnStack(surface, particle.centre_nm, particle.t_matrix, order, particle.cut).dressed
-    rows = index.block
-    sign = np.where((index.m[:, None] < 0) & (index.tau[:, None] != index.tau), -1.0, 1.0)
-    same = index.m[:, None] == index.m
-    return np.asarray(np.where(same, blocks[np.abs(index.m)[:, None], rows[:, None], rows] * sign, 0.0))
-
-
 @dataclass(frozen=True)
 class Period:
     """A square on which a pattern repeats.
@@ -158,7 +149,8 @@ class Coupling:
         The `others` of a mixture are of the same order.
         """
         particles, order = (particle, *others), particle.lmax
-        dressed = np.stack([_all_orders(surface, particle, order) for particle in particles])
+        alone = [SphereOnStack(surface, p.centre_nm, p.t_matrix, order, p.cut) for p in particles]
+        dressed = np.stack([all_orders(sphere.dressed, order) for sphere in alone])
         k = surface.wavenumber
         start = max(k * nearest_nm - 2 * STEP, STEP)
         count = int(np.ceil((k * farthest_nm - start) / STEP)) + 4

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from nacre.arrays import Array
 from nacre.bsdf.balance import balance, balance_across
 from nacre.families.metasurface.diffuse import DirectionSet, PairPowers, pair_powers, structure_harmonics
+from nacre.families.metasurface.ladder import NAME as LADDER
 from nacre.families.metasurface.monolayer import Lit, Monolayer
+from nacre.families.metasurface.passing import emission_added, passed_on
 from nacre.families.metasurface.ratio import Ratio, Ways
 from nacre.families.metasurface.sphere import extinction
 
@@ -64,6 +66,9 @@ def diffuse_term(
     ]
     responses = [np.concatenate([lit.response[j] for lit, _ in sides], axis=-1) for j in range(len(layer.particles))]
     one_sided = emissions, responses
+    if layer.correction == LADDER:
+        added = np.concatenate([emission_added(lit.added) for lit, _ in sides if lit.added is not None], axis=-1)
+        emissions = [emission + added for emission in emissions]
     if layer.correction in ("in-only", "in-out", "gv-balanced"):
         vectors = [layer.mean_field_vectors(lit) for lit, _ in sides]
         mean_in = np.concatenate([v for v, _ in vectors], axis=-1)
@@ -74,7 +79,7 @@ def diffuse_term(
             responses = met
         elif layer.correction == "in-out":
             emissions, responses = [mean_out] * len(met), met
-    two_sided = layer.correction == "qca-balanced" or (symmetric and layer.correction == "in-only")
+    two_sided = layer.has_mean_field or (symmetric and layer.correction == "in-only")
     # a ratio multiplies the series, so all of it is needed, and the sums with S are made anew
     series = kept if layer.ratio is None else max(kept, s_count)
     powers = pair_powers(layer.fields(emissions, responses), s_harmonics, layer.shares, two_sided, series)
@@ -94,6 +99,9 @@ def diffuse_term(
         factors = _uniform(_depth_factors(layer, sides))
     else:
         factors = _uniform(np.ones((2, joined.cosines.size)))
+    if layer.correction == LADDER:
+        powers = powers.with_passed_on(passed_on(layer, sides, max(series, kept)))
+        kernel = powers.kernel * scale[None, :, None, :]
     # a pair's C: g of s as seen from the side of i, times g of i as seen from the side of s
     pair = factors[:, :, is_below.astype(int)]  # [pol_s, s, i]
     both = pair[:, None] * np.swapaxes(pair, 1, 2)[None]  # pol_s, pol_i, s, i

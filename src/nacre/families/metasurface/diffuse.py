@@ -8,6 +8,7 @@ power of each direction is what the mean field of the quasi-crystalline approxim
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -212,7 +213,7 @@ class PairPowers:
 
     Attributes:
         coherent: `[s, i, pol_s, pol_i, k]`, harmonics of |<X>||<Y>| (to be weighted by S).
-        varying: the same of the size variance, which S does not multiply; empty for equal particles.
+        varying: the same of what S does not multiply: size variance, passed-on light; empty where there is neither.
         kernel: `[pol_s, s, pol_i, i]`, int dphi of (varying + coherent S).
         target: `[pol_s, s, pol_i, i]`, int dphi of the one-sided (|X|^2 with S) power.
     """
@@ -221,6 +222,13 @@ class PairPowers:
     varying: Array
     kernel: Array
     target: Array
+
+    def with_passed_on(self, power: Array) -> PairPowers:
+        """Return them with the light that neighbours pass on, `[s, i, pol_s, pol_i, k]`, which S does not multiply."""
+        varying = self.varying + power if self.varying.size else power
+        return dataclasses.replace(
+            self, varying=varying, kernel=self.kernel + 2 * np.pi * power[..., 0].transpose(2, 0, 3, 1)
+        )
 
 
 def pair_powers(

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from nacre.arrays import Array, ComplexArray
+from nacre.families.metasurface.angle_nodes import node_sines, node_weights
 from nacre.families.metasurface.axial import truncated
 from nacre.families.metasurface.cells import Cell, Lattice, orders
 from nacre.families.metasurface.cluster import Coupling, PlaneWaves, all_kinds
 from nacre.families.metasurface.corrections import diffuse_term
 from nacre.families.metasurface.monolayer import Lit, Monolayer, Particle
 from nacre.families.metasurface.neighbours import multipole_index, with_negative_orders
-from nacre.families.metasurface.qca import barycentric, chebyshev
 from nacre.families.metasurface.ratio import Block, Ratio, Ways, blocks
 from nacre.families.metasurface.ratio_fit import Pairs, Sums, block_sums, fit_ratio
 from nacre.families.metasurface.sphere import Directions, hemisphere_rule
@@ -280,19 +280,9 @@ class ModelTable:
 
     def _weights(self, side: Side) -> tuple[slice, Array]:
         """Which nodes are a side's, and the interpolation from them, `[direction, node]`."""
-        d, layer = side.directions, self.layer
-        if not d.below:
-            nodes, weights = chebyshev(MODEL_NODES[0], 0.0, WIDEST)
-            return slice(0, MODEL_NODES[0]), barycentric(nodes, weights, np.arcsin(d.transverse))
-        first = MODEL_NODES[1]
-        out = np.zeros((d.cosines.size, sum(len(part) for part in _nodes(layer, True))))
-        inside = d.transverse <= 1.0
-        nodes, weights = chebyshev(first, 0.0, np.pi / 2)
-        out[inside, :first] = barycentric(nodes, weights, np.arcsin(d.transverse[inside]))
-        if not np.all(inside):
-            nodes, weights = chebyshev(MODEL_NODES[2], 0.0, np.arccosh(layer.surface.index_below))
-            out[~inside, first:] = barycentric(nodes, weights, np.arccosh(d.transverse[~inside]))
-        return slice(MODEL_NODES[0], MODEL_NODES[0] + out.shape[1]), out
+        start = MODEL_NODES[0] if side.directions.below else 0
+        out = node_weights(side.directions, self.layer.surface.index_below, MODEL_NODES, WIDEST)
+        return slice(start, start + out.shape[1]), out
 
     def series(self, view: Side, light: Side, phi: Array, pol: int, p: int, is_varying: bool = False) -> Array:
         """The model without S at all pairs, `[view, light]`: what S multiplies, or what it does not."""
@@ -318,13 +308,7 @@ class ModelTable:
 
 def _nodes(layer: Monolayer, below: bool) -> list[Array]:
     """Sines of the model's nodes on one side."""
-    if not below:
-        return [np.sin(chebyshev(MODEL_NODES[0], 0.0, WIDEST)[0])]
-    index = layer.surface.index_below
-    inside = np.sin(chebyshev(MODEL_NODES[1], 0.0, np.pi / 2)[0]) / index
-    if index <= 1.0 + ON_THE_LINE:
-        return [inside]
-    return [inside, np.cosh(chebyshev(MODEL_NODES[2], 0.0, np.arccosh(index))[0]) / index]
+    return node_sines(layer.surface.index_below, below, MODEL_NODES, WIDEST)
 
 
 def _solid(layer: Monolayer, below: bool) -> Array:

@@ -26,6 +26,7 @@ from nacre.families.metasurface.corrections import diffuse_term, within_what_arr
 from nacre.families.metasurface.ensemble import EnsembleSettings
 from nacre.families.metasurface.few import few_powers, few_values
 from nacre.families.metasurface.kinds import Kind, Settling, mean_square_radius
+from nacre.families.metasurface.ladder import check as check_ladder
 from nacre.families.metasurface.monolayer import Monolayer
 from nacre.families.metasurface.particles import Shell, Sizes
 from nacre.families.metasurface.patterns import Pattern
@@ -272,11 +273,12 @@ class Metasurface(Model):
 
         Raises:
             ConvergenceRefusal: the multipole series does not converge, with what to do.
-            MaterialRangeError: an index is not known there.
+            MaterialRangeError, UnsupportedError: an index is not known there; the ladder asked for where it is none.
         """
         wavelength_nm = float(wavelength_nm)
         if wavelength_nm not in self._solved:
             surface = self.surface(wavelength_nm)
+            check_ladder(self.correction, surface, self.structure, self.source)
             particles = self._settling.particles(self.kinds, surface)
             mean_field = "qca-balanced" if self.correction in (AUTO, ENSEMBLE) else self.correction
             self._solved[wavelength_nm] = Monolayer(

@@ -6,6 +6,7 @@ particles' T-matrices, the arrangement and the chosen correction.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,13 +15,18 @@ import numpy as np
 from nacre.arrays import Array, ComplexArray
 from nacre.families.metasurface.axial import multipole_order
 from nacre.families.metasurface.coherent import sheet_field, sheet_vectors
+from nacre.families.metasurface.ladder import NAME as LADDER
+from nacre.families.metasurface.ladder import ORDER as LADDER_ORDER
+from nacre.families.metasurface.ladder import Modes
+from nacre.families.metasurface.neighbours import all_orders, azimuthal_blocks
 from nacre.families.metasurface.qca import INTERACTION_ORDER, NeighbourTable, mean_excitation, sums_at
 from nacre.families.metasurface.ratio import Ratio
 from nacre.families.metasurface.sphere import Directions, SphereOnStack, apply_response, emission_harmonics
 from nacre.families.metasurface.structure import Structure
 from nacre.families.metasurface.substrate import Substrate
 
-CORRECTIONS = ("qca-balanced", "gv-balanced", "optical-depth", "in-only", "in-out", "none")
+CORRECTIONS = ("qca-balanced", LADDER, "gv-balanced", "optical-depth", "in-only", "in-out", "none")
+MEAN_FIELDS = ("qca-balanced", LADDER)
 
 
 @dataclass(frozen=True)
@@ -54,10 +60,12 @@ class Lit:
     Attributes:
         directions: excitation and emission vectors, per size (they carry each size's own height).
         response: b, `[m, pol, n, angle]`, per size: multipoles of a particle among its neighbours.
+        added: what the neighbours add to its excitation, `[m, pol, n, angle]`; None: there is no mean field.
     """
 
     directions: list[Directions]
     response: list[ComplexArray]
+    added: ComplexArray | None = None
 
     @property
     def cosines(self) -> Array:
@@ -99,12 +107,34 @@ class Monolayer:
         """Whether the substrate transmits."""
         return self.surface.is_transparent
 
+    @property
+    def has_mean_field(self) -> bool:
+        """Whether the particles are excited by the quasi-crystalline mean field."""
+        return self.correction in MEAN_FIELDS
+
     @cached_property
-    def spheres(self) -> tuple[SphereOnStack, ...]:
+    def _alone(self) -> tuple[SphereOnStack, ...]:
         """The particles, each alone on the stack."""
         return tuple(
             SphereOnStack(self.surface, p.centre_nm, p.t_matrix, min(self.mmax, p.lmax), p.cut) for p in self.particles
         )
+
+    @cached_property
+    def spheres(self) -> tuple[SphereOnStack, ...]:
+        """The particles, each alone on the stack; with the ladder also what neighbours send back to each."""
+        if self.correction != LADDER:
+            return self._alone
+        back = self.modes.back
+        return tuple(
+            dataclasses.replace(s, neighbours=azimuthal_blocks(back, s.lmax, s.mmax)) for s in self._alone
+        )
+
+    @cached_property
+    def modes(self) -> Modes:
+        """What the ladder needs of the layer."""
+        order = min(LADDER_ORDER, *(s.lmax for s in self._alone))
+        alone = np.stack([all_orders(s.dressed, order) for s in self._alone])
+        return Modes.build(self.surface, self.mean_centre_nm, self.structure, alone, self.shares)
 
     @cached_property
     def mean_dressed(self) -> ComplexArray:
@@ -127,12 +157,12 @@ class Monolayer:
 
         With `at_once` the neighbours' sums are made at these angles, of which there should be few, and not tabulated.
 
-        `qca-balanced` takes the quasi-crystalline mean field, all else the particles alone (their corrections
+        `MEAN_FIELDS` take the quasi-crystalline mean field, all else the particles alone (their corrections
         use the closed-form field where they need one).
         """
         directions = [s.directions(cosines, below, sines) for s in self.spheres]
         own = [apply_response(s.dressed, d.excitation) for s, d in zip(self.spheres, directions)]
-        if self.correction != "qca-balanced":
+        if not self.has_mean_field:
             return Lit(directions, own)
         order = min(self.interaction_order, self.spheres[0].lmax)
         if at_once:
@@ -142,7 +172,7 @@ class Monolayer:
         else:
             sums = self.neighbours.at(directions[0])
         added = mean_excitation(sums, order, self.mean_dressed, sum_over(self.shares, own))
-        return Lit(directions, [o + apply_response(s.dressed, added) for o, s in zip(own, self.spheres)])
+        return Lit(directions, [o + apply_response(s.dressed, added) for o, s in zip(own, self.spheres)], added)
 
     def coherent_sum(self, leaving: list[Directions], lit: Lit) -> ComplexArray:
         """Return the mean F towards `leaving`, paired one to one with the directions of `lit`, nm, `[pol, angle]`."""
@@ -161,7 +191,7 @@ class Monolayer:
             lit: `light` at these, if it is known.
         """
         k, rho = self.surface.wavenumber, self.structure.density_per_nm2
-        if self.correction != "qca-balanced":
+        if not self.has_mean_field:
             return self._closed_form(cosines)
         lit = self.light(cosines) if lit is None else lit
         bare = lit.directions[0].reflection
@@ -179,7 +209,7 @@ class Monolayer:
         k, rho = self.surface.wavenumber, self.structure.density_per_nm2
         lit = self.light(cosines, below=True)
         first = lit.directions[0]
-        if self.correction == "qca-balanced":
+        if self.has_mean_field:
             summed = self.coherent_sum(lit.directions, lit)
         else:
             field = sheet_field(self.surface, self.mean_centre_nm, self.mean_dressed, rho, first)

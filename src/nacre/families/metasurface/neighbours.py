@@ -65,6 +65,30 @@ def with_negative_orders(vectors: ComplexArray, index: MultipoleIndex) -> Comple
     return np.moveaxis(picked * sign, 0, 1)
 
 
+def all_orders(blocks: ComplexArray, order: int) -> ComplexArray:
+    """Spread blocks `[m >= 0, (tau, l), (tau, l)']` of any order over all m up to `order`: `[n, n']`.
+
+    m -> -m turns the sign of what couples the two tau.
+    """
+    index = multipole_index(order)
+    rows = index.tau * (blocks.shape[1] // 2) + index.l - 1
+    sign = np.where((index.m[:, None] < 0) & (index.tau[:, None] != index.tau), -1.0, 1.0)
+    same = index.m[:, None] == index.m
+    return np.asarray(np.where(same, blocks[np.abs(index.m)[:, None], rows[:, None], rows] * sign, 0.0))
+
+
+def azimuthal_blocks(matrix: ComplexArray, lmax: int, mmax: int) -> ComplexArray:
+    """Return the blocks `[m, (tau, l), (tau, l)']` of an `[n, n']` of any order, zero beyond it; see `all_orders`."""
+    order = round(np.sqrt(matrix.shape[-1] / 2 + 1)) - 1
+    index = multipole_index(order)
+    rows = index.tau * lmax + index.l - 1
+    out = np.zeros((mmax + 1, 2 * lmax, 2 * lmax), dtype=complex)
+    for m in range(min(order, mmax) + 1):
+        here = index.m == m
+        out[m, rows[here][:, None], rows[here]] = matrix[here][:, here]
+    return out
+
+
 @dataclass(frozen=True)
 class HalfIndex:
     """The multipoles with m >= 0 that one polarisation excites, as places in `MultipoleIndex`: arrays `[h]`.
@@ -103,6 +127,27 @@ def folded(q: ComplexArray, order: int, pol: int) -> ComplexArray:
     shape = (1, -1, *([1] * (q.ndim - 2)))
     doubled = np.where(half.m > 0, half.sign, 0.0).reshape(shape)
     return rows[:, half.place] + doubled * rows[:, half.partner]
+
+
+def unfolded(q: ComplexArray, order: int) -> ComplexArray:
+    """Return the whole of what `folded` folded for both polarisations, `[angle, n, n']`.
+
+    A column with m > 0 was added to that of -m, with opposite signs in the two polarisations; a row with m = 0 is dark
+    in one of them, so that the other holds twice its share.
+    """
+    size = len(multipole_index(order).m)
+    out = np.zeros((q.shape[1], size, size), dtype=complex)
+    for pol in range(2):
+        half = half_index(order, pol)
+        paired = half.m > 0
+        value = q[pol] / np.where(paired, 2.0, 1.0)
+        rows, turned, sign = half.place[:, None], half.partner[paired], half.sign[paired]
+        out[:, rows, half.place] += value
+        out[:, rows, turned] += value[:, :, paired] * sign
+        # -m and -m' are coupled as m and m', up to signs
+        out[:, turned[:, None], half.place] += value[:, paired] * sign[:, None]
+        out[:, turned[:, None], turned] += value[:, paired][:, :, paired] * sign[:, None] * sign
+    return out
 
 
 @lru_cache(maxsize=8)

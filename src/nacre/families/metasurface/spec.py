@@ -200,12 +200,13 @@ class ModelSpec(RecipeModel):
         default=3, description="highest multipole that neighbouring spheres exchange"
     )
     correction: Literal[
-        "auto", "ensemble", "qca-balanced", "gv-balanced", "optical-depth", "in-only", "in-out", "none"
+        "auto", "ensemble", "qca-balanced", "qca-ladder", "gv-balanced", "optical-depth", "in-only", "in-out", "none"
     ] = pydantic.Field(
         default="auto",
         description="how the balance C between neighbouring spheres is taken into account: by a mean field "
-        '("qca-balanced"), which takes seconds, or by solving patterns of many spheres ("ensemble"), which takes '
-        'minutes; "auto" takes the mean field where it was measured to hold to 12 %',
+        '("qca-balanced"), which takes seconds, by that and the light that neighbours pass on ("qca-ladder"), which '
+        "takes up to two seconds a wavelength and is nearer, or by solving patterns of many spheres "
+        '("ensemble"), which takes minutes; "auto" takes the mean field where it was measured to hold to 12 %',
     )
     ensemble: EnsembleSpec = pydantic.Field(default=EnsembleSpec(), description="how large an ensemble is")
 

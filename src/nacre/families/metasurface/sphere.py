@@ -140,6 +140,7 @@ class SphereOnStack:
         t_matrix: `[n]`, n = (tau, l): -b_l, then -a_l of `mie_coefficients`; or blocks `[m, n, n']` of `axial`.
         mmax: highest azimuthal order.
         cut: in-plane wavenumber over k at which the coupling with the stack ends, see `near_stack`; None: nowhere.
+        neighbours: what neighbours send back to it beside the stack, `[m, n, n']`, see `ladder`; None: nothing.
     """
 
     surface: Substrate
@@ -147,6 +148,7 @@ class SphereOnStack:
     t_matrix: ComplexArray
     mmax: int = AZIMUTHAL_ORDERS
     cut: float | None = None
+    neighbours: ComplexArray | None = None
 
     @property
     def lmax(self) -> int:
@@ -163,7 +165,9 @@ class SphereOnStack:
     @cached_property
     def dressed(self) -> ComplexArray:
         """The dressed response M_m, `[m, n, n']`."""
-        return dressed_matrix(self.t_matrix, self.coupling)
+        if self.neighbours is None:
+            return dressed_matrix(self.t_matrix, self.coupling)
+        return dressed_matrix(self.t_matrix, self.coupling + self.neighbours)
 
     def directions(self, cosines: ArrayLike, below: bool = False, sines: ArrayLike | None = None) -> Directions:
         """Excitation and emission vectors at `cosines` > 0 in the ambient, or in the substrate if `below`."""
