@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from PIL import Image
@@ -76,3 +77,28 @@ def test_an_out_folder_that_cannot_be_made_is_refused(tmp_path: Path, capsys: py
     (tmp_path / "file").write_text("")
     assert run(["demo", "--quick", "--out", str(tmp_path / "file" / "demo")]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("is_late", [False, True])
+def test_an_interrupt_in_one_of_its_pictures_ends_the_demo(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_late: bool
+) -> None:
+    """A picture ends early with what it has; the demo had gone on with the next."""
+    from nacre.picture import interrupt, picture
+
+    drawn: list[object] = []
+
+    def render(material: object, **options: object) -> SimpleNamespace:
+        drawn.append(material)
+        interrupt.begin_picture()
+        if is_late:
+            interrupt.note_late()
+        return SimpleNamespace(stats={"interrupted": not is_late})
+
+    monkeypatch.setattr(picture, "render", render)
+    film = next(picture for picture in load_gallery(examples_folder()).picture if picture.quick)
+    name = f"{film.name or Path(film.recipe).stem}.png"
+    still = next(item for item in plan(examples_folder(), tmp_path, True) if item.path.name == name)
+    with pytest.raises(KeyboardInterrupt):
+        still.make()
+    assert len(drawn) == 1

@@ -1,5 +1,7 @@
 """Structure factor, pair correlation and point patterns."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from helpers_metasurface import reference
@@ -7,6 +9,7 @@ from scipy.special import j0, j1
 
 from nacre.errors import NacreError
 from nacre.families.metasurface import patterns
+from nacre.families.metasurface.arrangement import points_pattern
 from nacre.families.metasurface.structure import (
     _compressibility,
     baus_colot,
@@ -14,6 +17,7 @@ from nacre.families.metasurface.structure import (
     baus_colot_scale,
     hard_disk_structure,
 )
+from nacre.recipe.model import RecipeContext
 
 MONTE_CARLO_BAR = 0.02
 
@@ -151,3 +155,32 @@ def test_too_dense_patterns_are_refused():
         patterns.poisson_disk(1000, 1.0, 0.6)
     with pytest.raises(NacreError, match="at most 0.7"):
         patterns.hard_disks(1000, 1.0, 0.75)
+
+
+LISTS = {
+    "bare": ("", ",", lambda x, y: (f"{x:.4f}", f"{y:.4f}")),
+    "um": ("x_um,y_um,radius_um", ",", lambda x, y: (f"{x:.4f}", f"{y:.4f}", "0.05")),
+    "nm": ("X (nm);Y (nm)", ";", lambda x, y: (f"{1e3 * x:.1f}", f"{1e3 * y:.1f}")),
+    "decimal commas": ("", ";", lambda x, y: (f"{x:.4f}".replace(".", ","), f"{y:.4f}".replace(".", ","))),
+    "numbered": (" ,Area,X,Y", ",", lambda x, y: ("7", "0.008", f"{x:.4f}", f"{y:.4f}")),
+}
+
+
+@pytest.mark.parametrize("form", LISTS)
+def test_a_list_of_points_is_read_by_its_heading_and_decimal_mark(form: str, tmp_path: Path) -> None:
+    heading, parting, cells = LISTS[form]
+    xy = np.stack(np.meshgrid(np.arange(8) * 0.5, np.arange(8) * 0.5), axis=-1).reshape(-1, 2)
+    lines = [heading] * bool(heading) + [parting.join(cells(*point)) for point in xy]
+    (tmp_path / "xy.csv").write_text("\n".join(lines))
+    pattern = points_pattern(RecipeContext("r.toml", tmp_path), "xy.csv", 100.0)
+    np.testing.assert_allclose(pattern.xy_nm, 1e3 * xy, atol=0.1)
+
+
+def test_a_list_from_a_strip_has_the_density_of_its_points(tmp_path: Path) -> None:
+    """Its longer side had been the period of both: a strip of 4 to 1 came out with a fourth of its density."""
+    rng = np.random.default_rng(3)
+    xy = np.stack(np.meshgrid(np.arange(80) * 0.5, np.arange(20) * 0.5), axis=-1).reshape(-1, 2)
+    np.savetxt(tmp_path / "xy.csv", xy + rng.uniform(-0.1, 0.1, xy.shape), delimiter=",")
+    pattern = points_pattern(RecipeContext("r.toml", tmp_path), "xy.csv", 100.0)
+    # 4 particles a square um; which rows the edges of the square take or leave is worth one of 20
+    assert len(pattern.xy_nm) / (pattern.box_nm * 1e-3) ** 2 == pytest.approx(4.0, rel=0.1)

@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 import nacre
+from nacre.cli import run
 from nacre.errors import NacreError
 from nacre.picture.image_files import read_provenance
 from nacre.picture.scenes.catalogue import SCENES, SHAPES
@@ -198,6 +199,42 @@ def test_an_environment_map_lights_and_a_broken_one_is_one_line(tmp_path: Path, 
     with pytest.raises(NacreError) as caught:
         nacre.render(grey, light=str(broken), **SMALL)
     assert "broken.exr" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_an_interrupt_in_a_frames_last_pass_ends_the_animation(
+    tmp_path: Path, grey: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The frame is whole, so nothing of it is ended; the animation went on as if nobody had asked it to stop."""
+    made: list[int] = []
+    real = animation.render
+
+    def stop(done: int, total: int, seconds_left: float) -> None:
+        if len(made) == 2 and done == total:
+            raise KeyboardInterrupt
+
+    def counting(*arguments: Any, **settings: Any) -> Any:
+        made.append(1)
+        return real(*arguments, **{**settings, "progress": stop})
+
+    monkeypatch.setattr(animation, "render", counting)
+    first = nacre.render.animate(grey, "light", tmp_path / "turn.gif", frames=4, **SMALL)
+    assert first.interrupted and first.path is None and len(made) == len(first.frames) == 2
+    assert all(read_provenance(name)["frame"] == index for index, name in enumerate(first.frames))
+    assert not (tmp_path / "turn.gif").exists()
+
+
+def test_the_command_tells_that_an_animation_was_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It had named the movie that is not there, with exit status 0."""
+
+    def stopped(*arguments: Any, **settings: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(animation, "render", stopped)
+    status = run(["render", "gold", "--animate", "light", "--frames", "2", "-o", str(tmp_path / "turn.gif")])
+    assert status == 130 and "turn.gif" not in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_animation_resumes_where_it_was_stopped(tmp_path: Path, grey: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,6 +20,7 @@ pytestmark = pytest.mark.render
 UPRIGHT = [name for name in SCENES if name != "butterfly"]
 # of the visible surface; what bends away over a rim may differ
 MOST = 0.97
+MIRROR = {"family": "film", "substrate": "Al"}
 
 
 def seen(scene: Scene, count: int = 96) -> tuple[np.ndarray, np.ndarray]:
@@ -229,3 +230,28 @@ def test_a_designed_letter_reads_as_drawn_on_the_screen_and_in_the_preview(tmp_p
             sized = np.asarray(Image.fromarray(way).resize(picture.shape[::-1], Image.Resampling.BILINEAR))
             likeness.append(np.corrcoef(sized.ravel(), picture.ravel())[0, 1])
         assert np.argmax(likeness) == 0, likeness
+
+
+def test_a_map_is_not_mirrored_and_turns_counter_clockwise(tmp_path: Path) -> None:
+    """A mirror ball shows a lamp of the map's middle in its middle, one of the map's right half on its left."""
+    from nacre.device.variant import use_variant
+
+    mi = use_variant()
+    rows, columns = 32, 64
+    levels = np.full((rows, columns, 3), 0.02, dtype=np.float32)
+    levels[10:20, 30:34, 1] = 8.0  # green in the middle
+    levels[10:20, 45:50, 0] = 8.0  # red right of it, by some 87 degrees
+    mi.Bitmap(levels).write(str(tmp_path / "map.exr"))
+
+    def column(turn_deg: float, channel: int) -> float:
+        light = f"{tmp_path / 'map.exr'}@{turn_deg:g}"
+        seen = nacre.render(MIRROR, scene="sphere", size=64, spp=16, light=light, denoise=False, progress=False)
+        levels = seen.srgb8[16:38].astype(int)  # the ball, above the grain of the floor
+        rest = [other for other in range(3) if other != channel]
+        lit = (levels[..., channel : channel + 1] - levels[..., rest]).min(axis=-1) > 80
+        return float(np.argwhere(lit)[:, 1].mean()) / 64
+
+    assert column(0.0, channel=1) == pytest.approx(0.5, abs=0.05)
+    assert column(0.0, channel=0) < 0.35
+    # from above the viewer stands at 6 o'clock and the red lamp at 9: a quarter turn brings it before the viewer
+    assert column(90.0, channel=0) == pytest.approx(0.5, abs=0.05)

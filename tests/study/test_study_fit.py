@@ -90,7 +90,8 @@ def test_a_spectrum_csv_of_our_own_reads_back(tmp_path: Path) -> None:
         ("", "no data"),
         ("a,b\n1,2\n", "neither"),
         ("wavelength_nm,specular_reflectance\n500,x\n", "not a finite"),
-        ("wavelength_nm,specular_reflectance\n500\n", "cells"),
+        ("wavelength_nm,specular_reflectance\n500\n", "something measured"),
+        ("wavelength_nm,specular_reflectance\n500,0.5,0.5\n", "3 cells, the header has 2"),
         ("theta_i,phi_i,theta_o,phi_o,wavelength,value\n10,0,20,0,500,1\n10,0,20,0,500,1\n", "once"),
     ],
 )

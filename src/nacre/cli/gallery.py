@@ -188,13 +188,11 @@ def _picture(folder: Path, out: Path, spec: PictureSpec, is_quick: bool) -> Item
     path = out / f"{spec.name or Path(spec.recipe).stem}.png"
 
     def make() -> None:
-        from nacre.picture.picture import render
-
         bsdf = _solved(folder, out, spec.recipe, spec.quality)
         look = {**_look(spec), "view_turn_deg": spec.view_turn_deg, "light_turn_deg": spec.light_turn_deg}
         size = _size(side, spec.ratio)
         affordable = _affordable_spp(bsdf, look, size, spp, STILL_S[is_quick] * spec.spp)
-        render(bsdf, output=path, size=size, spp=affordable, progress=False, **look)
+        _rendered(bsdf, output=path, size=size, spp=affordable, progress=False, **look)
 
     return Item(spec.title, path, 2.0 + STILL_S[is_quick] * spec.spp, make)
 
@@ -282,20 +280,27 @@ def _size(width: int, ratio: float) -> tuple[int, int]:
     return width, 2 * round(0.5 * ratio * width)
 
 
+def _rendered(material: Any, **options: Any) -> None:
+    """Render one picture of many: an interrupt that ends it, or comes at its end, ends them all."""
+    from nacre.picture import interrupt
+    from nacre.picture.picture import render
+
+    if render(material, **options).stats["interrupted"] or interrupt.came_late():
+        raise KeyboardInterrupt
+
+
 def _affordable_spp(material: Any, look: dict[str, Any], size: tuple[int, int], wanted: int, seconds: float) -> int:
     """Return the samples a pixel that fit into the time: families differ a hundredfold in cost.
 
     One small picture compiles the kernels; two more tell what a sample costs apart from what any picture costs. Too few
     samples make no picture, so a still or frame gets `LEAST_SPP` whatever it takes.
     """
-    from nacre.picture.picture import render
-
     part = max(4.0, max(size) / PROBE_SIDE)
     small = (max(16, round(size[0] / part)), max(16, round(size[1] / part)))
     spent = []
     for spp in (PROBE_SPP[0], *PROBE_SPP):
         start = time.monotonic()
-        render(material, size=small, spp=spp, progress=False, **look)
+        _rendered(material, size=small, spp=spp, progress=False, **look)
         spent.append(time.monotonic() - start)
     _, few, many = spent
     a_sample = max(many - few, 0.1 * many) / ((PROBE_SPP[1] - PROBE_SPP[0]) * small[0] * small[1])

@@ -121,7 +121,8 @@ def _render(material: Any, path: Path, animate: str | None, frames: int, options
     if animate:
         from nacre.render.animation import animate as render_animation
 
-        render_animation(material, animate, path, frames=frames, **options)
+        if render_animation(material, animate, path, frames=frames, **options).interrupted:
+            raise KeyboardInterrupt
         common.note(str(path))
         return
     from nacre.render import render as render_picture

@@ -29,7 +29,7 @@ def read_curve(path: Path, what: str, columns: str, example: str = "") -> tuple[
         NacreError: it cannot be read, a line is no pair of numbers, or fewer than two are.
     """
     try:
-        lines = plain(path).read_text(encoding="utf-8").splitlines()
+        lines = plain(path).read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None
     except UnicodeDecodeError:

@@ -14,11 +14,23 @@ from collections.abc import Callable, Iterator
 
 LEAVING_S = 5.0
 _has_passes = threading.Event()  # the picture being made has a pass to keep
+_came_late = threading.Event()  # the last picture was whole when an interrupt came
 
 
 def begin_picture() -> None:
     """Say that a picture begins: nothing of it is there to be kept."""
     _has_passes.clear()
+    _came_late.clear()
+
+
+def note_late() -> None:
+    """Say that an interrupt came when the picture had all its passes: it ended nothing."""
+    _came_late.set()
+
+
+def came_late() -> bool:
+    """Whether the last picture was whole when an interrupt came; who makes several ends with this one."""
+    return _came_late.is_set()
 
 
 def keep_passes() -> None:

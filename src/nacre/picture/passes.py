@@ -196,6 +196,7 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
             doubt = np.nan_to_num(doubt, nan=0.0, posinf=0.0, neginf=0.0)
         return Frame(clean[..., :3], done, alpha, None, None, guides, not_finite, noise, stopped, doubt)
 
+    is_asked = False  # to end
     shown = 0  # samples of the picture that was last given away
     started = time.perf_counter()
     with interrupt.held_back() as is_interrupted:
@@ -225,12 +226,15 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
                 report(index + 1, count, clock.left(index + 1, count))
             except KeyboardInterrupt:
                 stopped = True
-            stopped = (stopped or is_interrupted()) and not is_enough and index + 1 < len(plan)
+            is_asked = stopped or is_interrupted()
+            stopped = is_asked and not is_enough and index + 1 < len(plan)
             if stopped or is_enough:
                 break
             if on_better is not None and done >= 2 * shown and index + 1 < len(plan):
                 shown = done
                 on_better(frame())
+    if (is_asked or is_interrupted()) and not stopped:
+        interrupt.note_late()
     made = frame(is_last=True)
     if made.not_finite:
         logger.warning("%d pixels came out as no number and are black; please report it", made.not_finite)

@@ -19,6 +19,7 @@ import numpy as np
 from nacre.errors import NacreError, UnsupportedError
 from nacre.files import atomic_path, check_writable
 from nacre.materials.material import loaded
+from nacre.picture import interrupt
 from nacre.picture.denoise import why_not
 from nacre.picture.image_files import read_provenance
 from nacre.picture.lights.several import read_lamps
@@ -193,6 +194,8 @@ def animate(
                 moving = {"frame_key": key, "motion": motion.name, "value": value, "frame": index}
                 pixels = hashlib.sha256(result.srgb8.tobytes()).hexdigest()
                 replace(result, stats={**result.stats, **moving, "pixels": pixels}).save(name)
+                if interrupt.came_late() and index + 1 < frames:
+                    return Animation(None, names[: index + 1], kept, True)
             exposure = stops if index == 0 else exposure
             report(index + 1, frames, 0.0)
     join(names, path)

@@ -24,6 +24,8 @@ from nacre.families.metasurface.patterns import (
 )
 from nacre.families.metasurface.structure import RANGE_IN_DIAMETERS, Structure
 from nacre.files import plain, why_unreadable
+from nacre.recipe.cells import decoded, headings, rows
+from nacre.recipe.measures import LENGTH_UNITS_NM
 from nacre.recipe.model import RecipeContext
 
 logger = logging.getLogger("nacre")
@@ -31,6 +33,7 @@ logger = logging.getLogger("nacre")
 ARRANGEMENTS = ("hard-disk", "rsa", "poisson-disk", "lattice")
 MEASURED_POINTS = 200_000
 MAX_FILE_BYTES = 200 << 20
+LEAST_POINTS = 50
 BIN_REDUCED = 0.1  # width of the bins of a measured S, in q a
 
 
@@ -124,7 +127,7 @@ def jittered_structure(
 def points_pattern(context: RecipeContext, name: str, diameter_nm: float, width_um: float | None = None) -> Pattern:
     """Read points, taken as one period of a square: a list, x and y in um, one a line, or a picture of particles.
 
-    Of a picture that is not square its middle is taken.
+    Of what is not square the middle square is taken.
 
     Args:
         width_um: of the picture.
@@ -133,16 +136,19 @@ def points_pattern(context: RecipeContext, name: str, diameter_nm: float, width_
         RecipeError: the file is unusable, or particles overlap.
     """
     key = "monolayer.structure.points"
-    rows = read_columns(context, key, name) if width_um is None else _points_in_picture(context, name, width_um)
-    if len(rows) < 50:
-        raise context.fail(key, name, f"holds {len(rows)} points; a list needs at least 50 to have a structure")
-    low, high = rows.min(axis=0), rows.max(axis=0)
-    area = float(np.prod(high - low))
-    if area <= 0:
+    xy_um = read_columns(context, key, name) if width_um is None else _points_in_picture(context, name, width_um)
+    _check_count(context, key, name, xy_um)
+    low, high = xy_um.min(axis=0), xy_um.max(axis=0)
+    short, long = sorted(high - low)
+    if short <= 0:
         raise context.fail(key, name, "holds points on one line")
+    if short < long * (1 - 2 / np.sqrt(len(xy_um))):  # no square to within a row of particles
+        xy_um = xy_um[np.abs(xy_um - (low + high) / 2).max(axis=1) <= short / 2]
+        _check_count(context, key, name, xy_um, " in its middle square")
+        low, high = xy_um.min(axis=0), xy_um.max(axis=0)
     # the period is not in the list; N random points leave 2/(N+1) of a side free at its ends
-    side = float(np.max(high - low)) * 1e3 * (len(rows) + 1) / (len(rows) - 1)
-    pattern = Pattern((rows - low) * 1e3, side)
+    side = float(np.max(high - low)) * 1e3 * (len(xy_um) + 1) / (len(xy_um) - 1)
+    pattern = Pattern((xy_um - low) * 1e3, side)
     # overlaps are looked for in the list alone: its guessed repetition may bring edges too close
     nearest = float(nearest_distances(Pattern(pattern.xy_nm, 3 * side)).min())
     if nearest < diameter_nm * (1 - 1e-6):
@@ -150,6 +156,12 @@ def points_pattern(context: RecipeContext, name: str, diameter_nm: float, width_
             key, name, f"has particles {nearest:.4g} nm apart, which overlap: they are {diameter_nm:.4g} nm wide"
         )
     return pattern
+
+
+def _check_count(context: RecipeContext, key: str, name: str, xy_um: Array, where: str = "") -> None:
+    if len(xy_um) < LEAST_POINTS:
+        needed = f"a list needs at least {LEAST_POINTS} to have a structure"
+        raise context.fail(key, name, f"holds {len(xy_um)} points{where}; {needed}")
 
 
 def _points_in_picture(context: RecipeContext, name: str, width_um: float) -> Array:
@@ -188,8 +200,8 @@ def sq_structure(
         RecipeError: the file is unusable.
     """
     key = "monolayer.structure.sq"
-    rows = read_columns(context, key, name)
-    q, s = rows[:, 0] * 1e-3, rows[:, 1]
+    table = read_columns(context, key, name)
+    q, s = table[:, 0] * 1e-3, table[:, 1]
     if len(q) < 4 or np.any(np.diff(q) <= 0) or q[0] < 0 or np.any(s < 0):
         raise context.fail(key, name, "must hold at least 4 rows of ascending q >= 0 in 1/um and S >= 0")
     a = float(np.sqrt(4 * packing / (np.pi * density_per_nm2)))
@@ -205,7 +217,9 @@ def sq_structure(
 
 
 def read_columns(context: RecipeContext, key: str, name: str) -> Array:
-    """Read two columns of numbers, comma or blank separated, with comment lines by #, and a heading or not.
+    """Read two columns of numbers, parted as `nacre.recipe.cells` knows, with a heading or not.
+
+    The first two count; of a heading that names x and y (in nm, um or mm) those do, brought to um.
 
     Raises:
         RecipeError: the file is missing, too large or not numbers.
@@ -214,19 +228,25 @@ def read_columns(context: RecipeContext, key: str, name: str) -> Array:
     try:
         if plain(path).stat().st_size > MAX_FILE_BYTES:
             raise context.fail(key, name, f"is larger than {MAX_FILE_BYTES >> 20} MB")
-        lines = path.read_text(errors="replace").replace(",", " ").replace(";", " ").splitlines()
+        lines = [cells for _, cells in rows(decoded(path.read_bytes()))]
+    except UnicodeDecodeError:
+        raise context.fail(key, name, "must hold two numbers a line; it is not text") from None
     except OSError as error:
         raise context.fail(key, name, why_unreadable(error)) from None
-    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    if lines and not _is_number(lines[0].split()[0]):
-        lines = lines[1:]
+    first, second, to_um = 0, 1, 1.0
+    if lines and not _is_number(lines[0][0]):
+        names = headings(lines.pop(0))
+        for unit, factor in {"": 1e3, **LENGTH_UNITS_NM}.items():
+            x, y = (f"{axis}_{unit}".rstrip("_") for axis in "xy")
+            if x in names and y in names:
+                first, second, to_um = names.index(x), names.index(y), factor * 1e-3
     try:
-        rows = np.array([[float(v) for v in line.split()[:2]] for line in lines])
-    except ValueError:
+        table = np.array([[float(cells[first]), float(cells[second])] for cells in lines])
+    except (ValueError, IndexError):
         raise context.fail(key, name, "must hold two numbers a line") from None
-    if rows.ndim != 2 or rows.shape[1:] != (2,) or not np.all(np.isfinite(rows)):
+    if table.ndim != 2 or table.shape[1:] != (2,) or not np.all(np.isfinite(table)):
         raise context.fail(key, name, "must hold two finite numbers a line")
-    return rows
+    return table * to_um
 
 
 def _is_number(text: str) -> bool:
