@@ -57,6 +57,19 @@ def test_skewed_noise_keeps_its_mean() -> None:
     assert np.abs(kept - 1.0).max() < 0.02
 
 
+@pytest.mark.parametrize("shape", [(96, 64), (33, 129, 3), (1, 5)])
+@pytest.mark.parametrize("sigma", [1.0, 2.5, 10.0])
+def test_smoothing_is_a_gaussian_whose_picture_goes_on_beyond_its_edges(shape: tuple[int, ...], sigma: float) -> None:
+    from scipy.ndimage import gaussian_filter
+
+    from nacre.picture.smooth import smooth
+
+    picture = np.random.default_rng(5).random(shape)
+    widths = (sigma, sigma, 0.0)[: len(shape)]
+    expected = gaussian_filter(picture, widths, mode="nearest", truncate=3.0)
+    assert np.abs(smooth(picture, sigma) - expected).max() < 1e-13
+
+
 def noisy_pair(truth: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
     """A picture with grain of a relative strength, and a draw of it as two halves tell it."""
     generator = np.random.default_rng(7)

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.matter.jobs import available_jobs
+from nacre.matter.jobs import available_jobs, one_thread_each
+from nacre.picture.smooth import smooth
 
 GUIDE_SPP = 16  # of the guides, which only need the first hit
 # XYZ -> linear Rec. 2020 (ITU-R BT.2020, white D65)
@@ -93,10 +94,11 @@ def denoised(
     found = np.empty_like(xyz)
     parts = bands(*xyz.shape[:2])
     scale = None if len(parts) == 1 else exposure(xyz[..., 1])
-    for seen, kept, inner in parts:
-        found[kept] = _band(
-            xyz[seen], albedo[seen], normal[seen], scale, None if doubt is None else doubt[seen]
-        )[inner]
+    with one_thread_each():  # its products are small, and some are made in threads
+        for seen, kept, inner in parts:
+            found[kept] = _band(
+                xyz[seen], albedo[seen], normal[seen], scale, None if doubt is None else doubt[seen]
+            )[inner]
     return found
 
 
@@ -114,7 +116,7 @@ def _band(
     bound = LARGEST_RETURN * clean.max(axis=-1, keepdims=True)
     lost = np.clip(xyz - clean, -bound, bound)
     if doubt is None:
-        return np.maximum(clean + _smooth(lost, KEPT_MEANS), 0.0)
+        return np.maximum(clean + smooth(lost, KEPT_MEANS), 0.0)
     mean = means(lost)
     bound *= LARGEST_TEXTURE / LARGEST_RETURN
     texture = beyond_noise(np.clip(lost, -bound, bound), np.clip(doubt, -bound, bound))
@@ -168,7 +170,7 @@ def beyond_noise(
 def means(lost: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what the scales of `beyond_noise` leave of a picture: the mean of each neighbourhood."""
     for scale in SCALES:
-        lost = _smooth(lost, scale)
+        lost = smooth(lost, scale)
     return lost
 
 
@@ -178,29 +180,22 @@ def _texture(lost: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[n
     kept = np.zeros_like(lost)
     before = 1.0
     for scale in SCALES:
-        wide, wide_noise = _smooth(lost, scale), _smooth(noise, scale)
+        wide, wide_noise = smooth(lost, scale), smooth(noise, scale)
         fine, fine_noise = lost - wide, noise - wide_noise
         reach = NEARBY * before
         excess = fine**2 - fine_noise**2
-        found = _smooth(excess, reach)
-        share = np.maximum(found / np.maximum(_smooth(fine**2, reach), 1e-20), 0.0)
+        found = smooth(excess, reach)
+        share = np.maximum(found / np.maximum(smooth(fine**2, reach), 1e-20), 0.0)
         # by how many standard errors of such a mean the noise is exceeded: near a firefly it says nothing of texture
         blot = 1.0 if scale == SCALES[0] else 2.0 * np.pi * before**2  # pixels that are one draw of the noise
-        error = np.sqrt(2.0 * _smooth(fine_noise**4, reach / np.sqrt(2.0)) * blot / (4.0 * np.pi * reach**2))
+        error = np.sqrt(2.0 * smooth(fine_noise**4, reach / np.sqrt(2.0)) * blot / (4.0 * np.pi * reach**2))
         sure = np.clip((found / np.maximum(error, 1e-20) - CHANCE) / CHANCE, 0.0, 1.0)
         # where the noise has long tails two halves of the samples agree by chance on what one path of many brought
-        tails = _smooth(fine_noise**4, 2.0 * reach) / np.maximum(_smooth(fine_noise**2, 2.0 * reach) ** 2, 1e-40)
+        tails = smooth(fine_noise**4, 2.0 * reach) / np.maximum(smooth(fine_noise**2, 2.0 * reach) ** 2, 1e-40)
         sure *= np.clip((TAILS[1] - tails) / (TAILS[1] - TAILS[0]), 0.0, 1.0)
         kept += fine * share * np.minimum(share / SURE, 1.0) * sure
         lost, noise, before = wide, wide_noise, scale
     return kept
-
-
-def _smooth(picture: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
-    from scipy.ndimage import gaussian_filter
-
-    widths = (sigma, sigma, 0.0)[: picture.ndim]
-    return np.asarray(gaussian_filter(picture, widths, mode="nearest", truncate=3.0))
 
 
 def bands(rows: int, columns: int) -> list[tuple[slice, slice, slice]]:
