@@ -35,7 +35,7 @@ BATCH = 12  # lights carried at once
 LEAST_STEP = 1e-3  # of two indices that count as different
 HIGHEST_PEAK = 3.0  # of S: the fluid up to a packing of about 0.6; sharper ones fall between the modes
 STEEP = 9.0  # in-plane wavenumber, times the least distance, past the light line: up to which near fields are taken
-NEAR_NODES = 10  # of these; what lies beyond, a tenth of what neighbours send back, falls as 1/STEEP and moves no look
+NEAR_NODES = 10  # of these; beyond lies up to a fifth of what touching neighbours send back, which moves no look
 
 
 @dataclass(frozen=True)
