@@ -13,10 +13,11 @@ Floor: one candidate is three pigments' tables, 65 cosines x 21 wavelengths x 2 
 were it only the amplitudes; averaging over the substrate costs 15 ms. Prediction (before the first run): 50 ms a
 candidate that changes thicknesses, 10 ms one that changes amounts; 10 numbers, so 0.4 s a step; 8 starts of 25 steps:
 80 s, 5 walks of 5 s: 25 s; mean dE00 0.3, as the data have 18 numbers for 10.
-Outcome so far (seed 17; a machine that others used): one pigment as predicted, 0.08 in 91 s of CPU by the judge. Two
-dense pigments: when one correction served all starts, recipe 1 was missed by 17. With a walk for each start it was
-missed by 1.3 after 70 s of CPU, recipe 3 by 1.1 after 55 s by the clock, recipe 2 matched to 0.1 after 23 s of CPU
-(these by the family's own walk with another seed, not by the judge). The whole table is yet to be run.
+Outcome so far (seed 17; a machine that others used; clocks that run with CPU time): one pigment as predicted, mean .08 to
+.17 by the judge (2, 4; 0 in 91 s of CPU). Two dense pigments are what is hard: mean .09 (9) and .71 (13) by the judge;
+1.19 (15) and 2.6 (11) were missed. With steps that are taken back where the walk finds them worse, and walks only as
+quiet as a place is good, by the search's own walks: 1.5 (11), .77 (1), .27 (3), .09 (7), .65 (13), 1.2 (15). The whole
+table is yet to be run.
 """
 
 from __future__ import annotations

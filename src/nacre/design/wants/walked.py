@@ -44,6 +44,9 @@ REACH = 0.2  # of the bounds: how far a walk is trusted to tell how far off the 
 LEAST = 1e-4  # of its bounds: what may be 0 is not nearer to it unless it is 0
 FEW_WALKS, MOST_WALKS = 1 << 15, 1 << 17
 SETTLINGS = 12
+LOUD_SHARE = 0.2  # of the objective: the noise of a place's colours that says enough of it
+GAIN, MOST_IDLE = 0.95, 3  # of the objective: so many steps that leave more, and the next valley has its turn
+SHORTER = 0.4  # times the reach, after a step that the walk finds worse
 WORSE = 1.6  # times the rms of the best start: what is not settled
 POOR = 4.0  # an objective beyond which a valley must go down quickly, or is left
 HOPELESS = 20.0  # times the best of before
@@ -412,25 +415,39 @@ class WalkedSearch:
         self._walk(fewer, walks)
 
     def _settle(self, start: Array) -> None:
-        """Let walk and likeness agree about a place: walk there, refine with what that says, walk again."""
-        place, walks = start, FEW_WALKS
-        last, best = np.inf, self.best
+        """Let walk and likeness agree about a place: walk there, refine with what that says, walk again.
+
+        A step that the walk finds worse is not taken; the next one from there is shorter. Walks are as quiet as the
+        place is good: what is far off needs no more of them.
+        """
+        place, walks, reach = start, FEW_WALKS, REACH
+        objective, noise = self._walk(place, walks)
+        told, best, idle = self._correction, self.best, 0
         for turn in range(SETTLINGS):
-            objective, noise = self._walk(place, walks)
             if objective <= MET and noise <= QUIET_SHARE:
                 self._simplify(objective, place, walks)
                 return
-            if objective > 3.0 * max(last, 1.0) or objective > HOPELESS * max(best, 1.0) or objective >= FAR_OFF:
+            if objective > HOPELESS * max(best, 1.0) or objective >= FAR_OFF:
                 return
-            if turn >= 2 and objective > POOR and objective > 0.8 * last:
+            quiet = max(QUIET_SHARE, LOUD_SHARE * objective)
+            if noise > quiet:
+                walks = int(min(walks * np.clip((noise / quiet) ** 2, 1.5, 4.0), MOST_WALKS))
+            self._correction = told
+            _, moved = self._without(*self._refine(place, reach=reach))
+            if np.max(np.abs(moved - place)) < SETTLED and noise <= quiet:
+                return
+            found, loud = self._walk(moved, walks)
+            if found - noise - loud > objective:
+                reach *= SHORTER
+                if reach < SETTLED:
+                    return
+                continue
+            if turn >= 3 and found > POOR and found > 0.8 * objective:
                 return  # a valley that does not go down far enough
-            quieter = noise > QUIET_SHARE
-            if quieter:
-                walks = int(min(walks * np.clip((noise / QUIET_SHARE) ** 2, 1.5, 4.0), MOST_WALKS))
-            _, moved = self._without(*self._refine(place, reach=REACH))
-            if np.max(np.abs(moved - place)) < SETTLED and not quieter:
+            idle = idle + 1 if found > GAIN * objective else 0
+            if idle >= MOST_IDLE and found > 1.0:
                 return
-            place, last = moved, objective
+            place, objective, noise, told = moved, found, loud, self._correction
 
 
 def walked_search(target: Target, seed: int) -> WalkedSearch | None:
