@@ -59,7 +59,7 @@ def clear_errors() -> Iterator[None]:
 
 
 def from_properties(properties: Any) -> Any:
-    """Build the BSDF of a scene entry; keys: one of recipe, file, bsdf, and two_sided (default false).
+    """Build the BSDF of a scene entry; keys: one of recipe, file, bsdf; two_sided and v_up (default false).
 
     Raises:
         RecipeError: none or several sources are given, or the key of a handed-over Bsdf is not known.
@@ -82,14 +82,14 @@ def _from_properties(properties: Any) -> Any:
         got = f"got {', '.join(given)}" if given else "got none"
         raise RecipeError(f'scene: a "nacre" BSDF needs exactly one of recipe, file, bsdf; {got}')
     value = str(properties[given[0]])
-    two_sided = bool(properties.get("two_sided", False))
+    two_sided, v_up = (bool(properties.get(key, False)) for key in ("two_sided", "v_up"))
     if given[0] == "bsdf":
         if value not in _handed_over:
             raise RecipeError(f'scene: bsdf = "{value}" was not handed over, or its Bsdf object is gone')
         bsdf = _handed_over[value]
     else:
         bsdf = load_bsdf(_resolved(value))
-    return make_bsdf(bsdf, two_sided=two_sided, properties=properties)
+    return make_bsdf(bsdf, two_sided=two_sided, properties=properties, v_up=v_up)
 
 
 def _resolved(path: str) -> str:
