@@ -62,7 +62,8 @@ def from_properties(properties: Any) -> Any:
     """Build the BSDF of a scene entry; keys: one of recipe, file, bsdf; two_sided and v_up (default false).
 
     Raises:
-        RecipeError: none or several sources are given, or the key of a handed-over Bsdf is not known.
+        RecipeError: none or several sources are given, the key of a handed-over Bsdf is not known, or a switch is no
+            boolean.
         NacreError: the file cannot be read or is not valid.
         MachineError: the variant that is set does not work on this machine.
     """
@@ -82,7 +83,7 @@ def _from_properties(properties: Any) -> Any:
         got = f"got {', '.join(given)}" if given else "got none"
         raise RecipeError(f'scene: a "nacre" BSDF needs exactly one of recipe, file, bsdf; {got}')
     value = str(properties[given[0]])
-    two_sided, v_up = (bool(properties.get(key, False)) for key in ("two_sided", "v_up"))
+    two_sided, v_up = (_switch(properties, key) for key in ("two_sided", "v_up"))
     if given[0] == "bsdf":
         if value not in _handed_over:
             raise RecipeError(f'scene: bsdf = "{value}" was not handed over, or its Bsdf object is gone')
@@ -90,6 +91,14 @@ def _from_properties(properties: Any) -> Any:
     else:
         bsdf = load_bsdf(_resolved(value))
     return make_bsdf(bsdf, two_sided=two_sided, properties=properties, v_up=v_up)
+
+
+def _switch(properties: Any, key: str) -> bool:
+    """Read a boolean that may be left out; the text "false" would count as true."""
+    value = properties.get(key, False)
+    if not isinstance(value, bool):
+        raise RecipeError(f'scene: {key} = {value!r} of a "nacre" BSDF is no boolean; write true or false')
+    return value
 
 
 def _resolved(path: str) -> str:
