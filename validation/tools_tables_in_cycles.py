@@ -83,7 +83,7 @@ def mitsuba_picture(name: str, mesh: dict[str, Array], light: Any, samples: int)
         held[key] = mesh[values].astype(np.float32).ravel()
     held["faces"] = mesh["faces"].astype(np.uint32).ravel()
     held.update()
-    shape.set_bsdf(nacre.render.make_bsdf(nacre.load(name).bsdf(), v_up=True))
+    shape.set_bsdf(nacre.render.make_bsdf(nacre.load(name).bsdf()))
     transform = mi.ScalarTransform4f().look_at(origin=[0, -DISTANCE, 0], target=[0, 0, 0], up=[0, 0, 1])
     film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}, "pixel_format": "xyz"}
     scene = mi.load_dict(

@@ -74,7 +74,7 @@ def test_the_plugin_gives_the_arrays_values(folder: Path) -> None:
 
     bsdf = blend(folder, '{formula = "clip(1.3*u*v, 0, 1)"}').bsdf()
     wi, wo, uv = pairs()
-    plugin = make_bsdf(bsdf, v_up=True)
+    plugin = make_bsdf(bsdf)
     si = mi.SurfaceInteraction3f()
     si.wi, si.uv = mi.Vector3f(wi.T.astype(np.float32)), mi.Point2f(uv.T.astype(np.float32))
     waves = bsdf.wavelengths_nm[[5, 15, 25, 35]]

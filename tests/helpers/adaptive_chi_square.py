@@ -203,7 +203,7 @@ def lobe_chi_square(
     from nacre.bsdf.bsdf import Bsdf
     from nacre.device.bsdf import make_bsdf
 
-    plugin = make_bsdf(bsdf, v_up=True) if isinstance(bsdf, Bsdf) else bsdf
+    plugin = make_bsdf(bsdf) if isinstance(bsdf, Bsdf) else bsdf
     wi = direction(theta_deg, phi_deg)
 
     def sample(count: int, number: int) -> tuple[Array, Array]:

@@ -127,7 +127,7 @@ def plugin_values(
         uv: `[n, 2]` or None.
         radiance: trace from the eye (True) or from the light; the value must be the same physics.
     """
-    plugin = make_bsdf(bsdf, v_up=True) if isinstance(bsdf, Bsdf) else bsdf
+    plugin = make_bsdf(bsdf) if isinstance(bsdf, Bsdf) else bsdf
     here, there = (eye, light) if radiance else (light, eye)
     wo = mi.Vector3f(np.ascontiguousarray(there.T, dtype=np.float32))
     found = []
@@ -167,7 +167,7 @@ def chi_square(
     """
     from mitsuba.chi2 import ChiSquareTest, SphericalDomain
 
-    plugin = make_bsdf(bsdf, v_up=True) if isinstance(bsdf, Bsdf) else bsdf
+    plugin = make_bsdf(bsdf) if isinstance(bsdf, Bsdf) else bsdf
     ctx = context()
     wi = direction(theta_deg, phi_deg)
 
@@ -195,7 +195,7 @@ def chi_square(
 
 def draw(bsdf: Bsdf | Any, wi: Array, n: int, seed: int = 0, uv: Array | None = None, radiance: bool = True) -> Draws:
     """Draw `n` samples for one direction `wi[3]`, and evaluate the directions drawn."""
-    plugin = make_bsdf(bsdf, v_up=True) if isinstance(bsdf, Bsdf) else bsdf
+    plugin = make_bsdf(bsdf) if isinstance(bsdf, Bsdf) else bsdf
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, n)
     ctx = context(radiance)

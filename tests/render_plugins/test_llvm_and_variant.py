@@ -293,7 +293,7 @@ recipes = (
 worst = 0.0
 for recipe in recipes:
     bsdf = nacre.material({"family": "film", **recipe}).bsdf()
-    plugin = nacre.render.make_bsdf(bsdf, v_up=True)
+    plugin = nacre.render.make_bsdf(bsdf)
     eye, light = directions(6, 1, bsdf.transmits), directions(6, 2, bsdf.transmits)
     uv = np.array([0.3, 0.4])
     expected = bsdf.evaluate(light, eye, np.broadcast_to(uv, (6, 2)))

@@ -310,8 +310,8 @@ def test_a_narrow_range_of_wavelengths_is_announced(mi: Any, caplog: pytest.LogC
     assert "known from 450 to 650 nm only" in caplog.text
 
 
-def test_an_image_lies_as_mitsubas_own_bitmap_does(mi: Any, tmp_path: Path) -> None:
-    """On Mitsuba's shapes and in its file readers v runs down an image; `v_up` tells that a shape's runs up."""
+def test_where_v_runs_down_an_image_lies_as_mitsubas_own_bitmap_does(mi: Any, tmp_path: Path) -> None:
+    """On Mitsuba's sphere and in its OBJ reader v runs down an image; elsewhere, and at first, it runs up."""
     from PIL import Image
 
     levels = (np.random.default_rng(3).random((5, 7)) > 0.5).astype(np.uint8) * 255
@@ -334,7 +334,8 @@ def test_an_image_lies_as_mitsubas_own_bitmap_does(mi: Any, tmp_path: Path) -> N
     drawn = is_bright(theirs, row)
     assert drawn.tolist() == (levels.ravel() > 0).tolist()
     recipe = {"type": "nacre", "recipe": str(tmp_path / "f.toml")}
-    made = nacre.render.make_bsdf(nacre.load(tmp_path / "f.toml").bsdf())
-    for bsdf in (mi.load_dict(recipe), made, mi.load_dict({"type": "twosided", "a": recipe})):
+    down = {**recipe, "v_up": False}
+    made = nacre.render.make_bsdf(nacre.load(tmp_path / "f.toml").bsdf(), v_up=False)
+    for bsdf in (mi.load_dict(down), made, mi.load_dict({"type": "twosided", "a": down})):
         assert is_bright(bsdf, row).tolist() == (~drawn).tolist()  # germanium makes the silver dark
-    assert is_bright(mi.load_dict({**recipe, "v_up": True}), 1.0 - row).tolist() == (~drawn).tolist()
+    assert is_bright(mi.load_dict(recipe), 1.0 - row).tolist() == (~drawn).tolist()

@@ -24,7 +24,7 @@ def make_bsdf(
     two_sided: bool = False,
     properties: Any = None,
     object_frame: ObjectFrame | None = None,
-    v_up: bool = False,
+    v_up: bool = True,
 ) -> Any:
     """Turn a Bsdf into a `mi.BSDF` of the current variant.
 
@@ -34,6 +34,7 @@ def make_bsdf(
             of its own in any case.
         properties: Mitsuba's properties when called by the scene loader.
         object_frame: where the object stands, for formulas of x, y and z.
+        v_up: whether v runs up on the shapes that wear it (not on Mitsuba's sphere and in its OBJ reader).
 
     Raises:
         UnsupportedError: a lobe kind has no plugin, the variant carries no spectra, or a formula runs over x, y, z

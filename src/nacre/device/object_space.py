@@ -31,8 +31,8 @@ class ObjectSpace:
 
     Args:
         frame: where the object stands, for formulas of x, y and z; None: they are not told a place.
-        v_up: whether v runs up on the scene's shapes, as on nacre's own. Mitsuba's run down: its `bitmap` lays an
-            image's first row at v = 0, its sphere has v = 0 on top, and its OBJ reader turns a file's v about.
+        v_up: whether v runs up on the shapes, as on nacre's own and on Mitsuba's rectangle; it runs down on Mitsuba's
+            sphere and on what its OBJ reader reads, which turns a file's v about.
     """
 
     def __init__(self, frame: ObjectFrame | None, v_up: bool = True) -> None:

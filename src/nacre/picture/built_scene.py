@@ -113,7 +113,7 @@ class BuiltScene:
                     return
                 except UnsupportedError:
                     pass  # another structure: exchange the whole BSDF instead
-            self._material = make_bsdf(material, two_sided=True, object_frame=self.frame, v_up=True)
+            self._material = make_bsdf(material, two_sided=True, object_frame=self.frame)
         else:
             self._material = material
         for shape in self.subjects:
