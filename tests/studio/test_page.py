@@ -25,6 +25,8 @@ from playwright.sync_api import Browser, Page, expect
 
 from nacre.recipe.toml import parse_toml
 
+PICTURE = re.compile("^data:image/jpeg")
+DRAGS = 30  # changes of a number, 100 ms apart
 A_CURVE = 20  # pixels of a pen's own colour that a curve has at least: it is some hundred pixels long
 PENS = """(id) => {
   const canvas = document.getElementById(id).previousElementSibling, { color, caretColor } = getComputedStyle(canvas);
@@ -225,14 +227,35 @@ def test_saving_writes_the_file_and_a_starting_point_is_opened(page: Page, serve
     assert ball(picture(page))[1] > ball(picture(page))[0]  # a green beetle
 
 
+def test_pictures_of_steps_are_taken_at_rest_and_none_while_a_number_is_dragged(page: Page) -> None:
+    """To read a picture back holds the next one up for as long as two take to draw."""
+    expect(page.locator("#history img")).to_be_visible()  # of the beginning, before anything changed
+    taken = page.evaluate(
+        """async (path) => {
+          let count = 0;
+          const read = HTMLCanvasElement.prototype.toDataURL;
+          HTMLCanvasElement.prototype.toDataURL = function (...how) { count += 1; return read.apply(this, how); };
+          const turned = document.querySelector(`[data-path="${path}"] input[type=range]`);
+          for (let i = 0; i < DRAGS; i++) {
+            turned.value = 100 + i;
+            turned.dispatchEvent(new Event("input", { bubbles: true }));
+            await new Promise((done) => setTimeout(done, 100));
+          }
+          return count;
+        }""".replace("DRAGS", str(DRAGS)),
+        THICKNESS,
+    )
+    assert taken == 0
+    expect(page.locator("#history img").last).to_have_attribute("src", PICTURE)
+
+
 def test_a_kept_look_stands_beside_the_new_one_and_steps_are_gone_back_to_by_their_pictures(page: Page) -> None:
     before = picture(page)
     half = before.shape[1] // 2
     for drawing in ("spectrum", "track"):
         own, others = drawn_by_pens(page, drawing)
         assert own > A_CURVE and others == 0
-    drawn = re.compile("^data:image/jpeg")
-    expect(page.locator("#history img")).to_have_attribute("src", drawn)
+    expect(page.locator("#history img")).to_have_attribute("src", PICTURE)
     page.get_by_role("button", name="Keep as B").click()
     slider(page, THICKNESS).fill("110")
     until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 110)
@@ -250,7 +273,7 @@ def test_a_kept_look_stands_beside_the_new_one_and_steps_are_gone_back_to_by_the
     page.keyboard.press("b")
     assert np.abs(ball(picture(page)) - ball(before)).max() > SEEN
     step = page.get_by_role("button", name="Step 1 of 2: Opened")
-    expect(step.locator("img")).to_have_attribute("src", drawn)
+    expect(step.locator("img")).to_have_attribute("src", PICTURE)
     page.get_by_role("button", name="Step 2 of 2").focus()
     page.keyboard.press("ArrowLeft")
     page.keyboard.press("Enter")
