@@ -180,7 +180,8 @@ def gamut(
         thing: a material or a path.
         free: such as "layers[0].thickness_nm=50:400" or "substrate=Al,Ag"; or a mapping as a design's `[free]`.
         at: "specular 0", "transmitted 0", "diffuse 0", "hemispherical 0" or "45as15", as in a design's wants; None:
-            what shows a family's colour: "45as45" for a photonic glass, "specular 0" for the others.
+            what shows a family's colour: "45as15" for a pearl, "45as45" for a photonic glass, "specular 0" for the
+            others.
         points: number of materials.
         seconds: after which the colours found so far are told.
         within: the dE00 within which a colour counts as reached.

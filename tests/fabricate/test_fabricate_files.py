@@ -174,13 +174,47 @@ def test_a_falling_calibration_works_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "text",
+    [
+        "grey,depth_um\n0,2.0\n1000,1.0\n4000,0.1\n",
+        "depth_um,grey\n2.0,0\n1.0,1000\n0.1,4000\n",
+        "% the laser of hall 3\nGrey;Depth (nm)\n0;2000,0\n1000;1000\n4000;100\n",
+        "depth_nm\tgrey value\n100\t4000\n1000\t1000\n2000\t0\n",
+        "0 2.0\n1000 1.0\n4000 0.1\n",
+    ],
+)
+def test_a_calibration_is_read_as_its_heading_says(tmp_path: Path, text: str) -> None:
+    """Depth before grey was taken for a curve of 0 to 4000 um."""
+    (tmp_path / "curve.csv").write_text(text)
+    curve = read_calibration(tmp_path / "curve.csv")
+    assert curve.grey.tolist() == [0.0, 1000.0, 4000.0] and curve.depth_um == pytest.approx([2.0, 1.0, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("volts,oxide_nm\n0,2\n10,30\n50,120\n", ("volts", "oxide_nm")),
+        ("Oxide (um);U (V)\n0,002;0\n0,03;10\n0,12;50\n", ("U (V)", "Oxide (um)")),
+    ],
+)
+def test_a_process_curve_is_read_as_its_heading_says(tmp_path: Path, text: str, words: tuple[str, str]) -> None:
+    from nacre.exchange.number_maps import read_process
+
+    (tmp_path / "volts.csv").write_text(text)
+    curve = read_process(tmp_path / "volts.csv")
+    assert curve.settings.tolist() == [0.0, 10.0, 50.0] and curve.words == words
+    assert curve.values == pytest.approx([2.0, 30.0, 120.0])
+
+
+@pytest.mark.parametrize(
     ("text", "says"),
     [
         ("1,0.1\n2,0.3\n3,0.2\n", "not monotonic"),
         ("1,0.1\n1,0.3\n", "not monotonic"),
         ("1,0.1\n", "at least two"),
         ("1,0.1\n99999,0.3\n", "0 to 65535"),
-        ("1,0.1\nzwei,0.3\n3;x\n", "line 3"),
+        ("1,0.1\n3,x\n", "line 2"),
+        ("1,0.1\nzwei,0.3\n3,0.5\n", "line 2"),
         ("1,nan\n2,1\n", "finite"),
     ],
 )

@@ -125,7 +125,7 @@ class _Screen:
     "--at",
     default=None,
     help="Where it is seen: specular T, transmitted T, diffuse T, hemispherical T or IasA. Default: specular 0; of a "
-    "photonic glass 45as45.",
+    "pearl 45as15, of a photonic glass 45as45.",
 )
 @click.option("--points", type=click.IntRange(8, 1_000_000), default=1000, show_default=True, help="Materials tried.")
 @click.option(

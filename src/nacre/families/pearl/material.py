@@ -58,6 +58,7 @@ class Pearl(Model):
     """
 
     noun = "pearl"
+    usual_look = "45as15"  # where its flakes show; its mirror is that of its upper face and has no colour
     has_strata = True
     why_unpolarised = "scatters light many times and is known for unpolarised light only"
 
