@@ -16,12 +16,18 @@ NOISE = 0.01
 
 
 def _places() -> dict[str, Environment]:
-    from nacre.picture.lights import places
+    from nacre.picture.lights.garden import garden
+    from nacre.picture.lights.places import interior, street
 
-    return {"studio": studio(rows=ROWS), "street": places.street(ROWS), "interior": places.interior(ROWS)}
+    return {
+        "studio": studio(rows=ROWS),
+        "street": street(ROWS),
+        "interior": interior(ROWS),
+        "garden": garden(ROWS),
+    }
 
 
-@pytest.mark.parametrize("name", ["studio", "street", "interior"])
+@pytest.mark.parametrize("name", ["studio", "street", "interior", "garden"])
 def test_an_environment_is_finite_and_never_negative(name: str) -> None:
     environment = _places()[name]
     assert np.isfinite(environment.weights).all() and environment.weights.min() >= 0
@@ -30,7 +36,7 @@ def test_an_environment_is_finite_and_never_negative(name: str) -> None:
         assert np.isfinite(spectrum.power).all() and spectrum.power.min() >= 0
 
 
-@pytest.mark.parametrize("name", ["street", "interior"])
+@pytest.mark.parametrize("name", ["street", "interior", "garden"])
 def test_places_hold_more_than_three_spectra(name: str) -> None:
     """What RGB cannot hold: the spectra are linearly independent beyond three."""
     environment = _places()[name]

@@ -58,7 +58,7 @@ def test_of_two_million_paths_none_leaves_a_pixel_black(scene: str, gold: Any) -
     assert made.stats["not_finite_pixels"] == 0 and (made.xyz[..., 1] > 0.0).mean() > 0.999
 
 
-@pytest.mark.parametrize("light", ["street", "interior", "sun", "sky", "line"])
+@pytest.mark.parametrize("light", ["street", "interior", "garden", "sun", "sky", "line"])
 def test_every_light_shines(light: str, gold: Any) -> None:
     result = nacre.render(gold, "sphere", light=light, **SMALL)
     assert result.xyz[..., 1].mean() > 0.02 and result.stats["illuminant"] == "D65"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nacre.picture.shapes import backdrop as stage
-from nacre.picture.shapes import bottle, butterfly, knob
+from nacre.picture.shapes import bottle, butterfly, hair, knob, lens, pass_card, specimen, strip
 from nacre.picture.shapes.body import car
 from nacre.picture.shapes.implicit import smooth_max, smooth_min, surface_net
 from nacre.picture.shapes.mesh import (
@@ -38,6 +38,8 @@ CLOSED: dict[str, Callable[[], Mesh]] = {
     "knob core": knob.knob_core,
     "knob foot": knob.knob_foot,
     "sheet": lambda: stage.sheet(1.7, 1.9),
+    "lens elements": lens.elements,
+    "balls": strip.balls,
 }
 
 
@@ -56,6 +58,11 @@ OPEN: dict[str, Callable[[], Mesh]] = {
     "bowl": lambda: stage.bowl(1.4, 9.0, 4.2),
     "rolled": lambda: stage.rolled(1.7, 0.8, 170.0),
     "tile": lambda: stage.tile(1, 1),
+    "seal": pass_card.seal,
+    "card": pass_card.card_face,
+    "name ring": lens.name_ring,
+    "label": lambda: specimen.label(1.0, -1.0),
+    "pin": lambda: specimen.pin(0.0, 0.0, 1.0),
 }
 ALL = {**CLOSED, **OPEN, "car hull": _car_hull}
 
@@ -190,3 +197,22 @@ def test_an_opened_seam_has_no_jump_in_u() -> None:
     wrapped = Mesh(surface.vertices, surface.normals, np.mod(surface.uv, [0.9999999, 2.0]), surface.faces)
     opened = open_seam(wrapped)
     assert np.ptp(opened.uv[opened.faces][..., 0], axis=1).max() < 0.5
+
+
+def test_hairs_start_on_the_surface_and_lean_as_told() -> None:
+    ball = strip.balls()
+    lean = np.array([0.0, 0.0, 2.0])
+    coat = hair.fur(ball, 50, (0.1, 0.2), 0.002, lean, seed=1)
+    path = coat.vertices.reshape(50, -1, 3)  # rings from root to tip, three corners each
+    root, tip = path[:, :3].mean(axis=1), path[:, -3:].mean(axis=1)
+    near = np.array([np.linalg.norm(ball.vertices - one, axis=1).min() for one in root])
+    assert near.max() < 0.02
+    length = np.linalg.norm(tip - root, axis=1)
+    assert 0.1 < length.min() and length.max() < 0.5
+    assert (tip - root)[:, 2].min() > 0.0
+
+
+def test_ten_millimetres_on_a_label_are_as_long_as_told() -> None:
+    drawn = specimen.label_print(("A", "B", "C"), 0.5) < 0.3
+    runs = np.diff(np.flatnonzero(~np.pad(drawn, ((0, 0), (1, 1))).ravel()))  # the bar is the longest of ink
+    assert (runs.max() - 1) / drawn.shape[1] * specimen.LABEL_WIDTH == pytest.approx(0.5, abs=0.02)

@@ -108,7 +108,9 @@ def test_an_open_mesh_stays_as_its_file_winds_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize("shape", [name for name in SHAPES if name != "body"])  # quick to build
 @pytest.mark.parametrize("place", SCENES)
 def test_every_shape_stands_whole_in_the_frame_of_every_scene(shape: str, place: str) -> None:
-    import mitsuba as mi
+    from nacre.device.variant import use_variant
+
+    mi = use_variant()
 
     scene = SCENES[place]
     view, (width, height) = scene.view, scene.size
@@ -120,6 +122,40 @@ def test_every_shape_stands_whole_in_the_frame_of_every_scene(shape: str, place:
     assert (seen[:, 2] > 0).all() and across.max() <= 1.0 and along.max() <= 1.0
     assert max(across.max(), along.max()) > 0.4  # and not lost in it
     assert points[:, 2].min() == pytest.approx(0.0, abs=0.07)
+
+
+def test_what_belongs_to_a_subject_is_not_left_with_another() -> None:
+    """The pin and the label of the beetle stand neither by another shape nor in a street."""
+    from nacre.picture.built_scene import BuiltScene, with_subject
+    from nacre.picture.lights.named import make_light
+
+    scene = SCENES["beetle"]
+    other = with_subject(scene, SCENES["cuff"].parts)
+    counts = [
+        sum(name.startswith("prop") for name in BuiltScene(one, make_light(light), see_through=False).content)
+        for one, light in ((scene, "studio"), (other, "studio"), (scene, "garden"))
+    ]
+    assert counts == [2, 0, 0]
+
+
+def test_an_open_lens_blurs_what_is_not_in_focus() -> None:
+    """A view keeps its lens however it is moved, and the camera that is built has it."""
+    from nacre.picture.built_scene import BuiltScene
+    from nacre.picture.lights.named import make_light
+
+    view = SCENES["cuff"].view
+    assert view.placed(30.0, 40.0).lens == view.turned(10.0).lens == view.zoomed(2.0).lens == view.lens > 0
+    assert view.placed(30.0, 40.0).focus == pytest.approx(view.focus)
+    stage = BuiltScene(SCENES["cuff"], make_light("directional"), see_through=False)
+    import mitsuba as mi
+
+    sensor = stage.sensor(view, (32, 32), {"type": "hdrfilm"})
+    ends = []
+    for place in ((0.1, 0.2), (0.9, 0.7)):
+        ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(0.5, 0.5), mi.Point2f(*place))
+        ends.append([np.array(ray(t)).ravel() for t in (0.0, view.focus, 2.0 * view.focus)])
+    apart = [float(np.linalg.norm(a - b)) for a, b in zip(*ends, strict=True)]
+    assert apart[1] < 1e-3 and apart[0] > 0.3 * view.lens and apart[2] > 0.3 * view.lens
 
 
 def test_our_shapes_go_by_name_in_any_scene(grey: Any) -> None:

@@ -13,7 +13,10 @@ from nacre.cli.status import STATUS_INTERRUPTED, STOPPED
 from nacre.errors import NacreError
 
 MOVIES = (".gif", ".mp4")
-SCENES = "sphere|probe|speedshape|panel|butterfly|beetle|bottle|knob|body|ring|cuff|card|banknote|screen|SCENE.xml"
+SCENES = (
+    "sphere|probe|speedshape|panel|butterfly|beetle|bottle|knob|body|ring|bubble|feather|cuff|card|strip|lens|banknote|pass|"
+    "screen|SCENE.xml"
+)
 
 
 @click.command()
@@ -43,7 +46,7 @@ SCENES = "sphere|probe|speedshape|panel|butterfly|beetle|bottle|knob|body|ring|c
     "--light",
     default=None,
     metavar="NAME|ENVMAP[:STRENGTH][@TURN],...",
-    help="studio, line, sun, sky, directional, interior, street, or a map; several: studio:0.5,sun@120.",
+    help="studio, line, sun, sky, directional, interior, street, garden, or a map; several: studio:0.5,sun@120.",
 )
 @click.option("--light-layers", is_flag=True, help="Write what each light gives alone as layers of the EXR.")
 @click.option("--illuminant", default="D65", show_default=True, help="Spectrum of the light sources.")

@@ -85,6 +85,9 @@ class BuiltScene:
             content[f"part{index}"] = _shape(part, material(part.material), f"{part.material}{index}")
             if part.material == SUBJECT:
                 subjects.append(content[f"part{index}"])
+        if not light.is_surrounding:
+            for index, prop in enumerate(scene.props()):
+                content[f"prop{index}"] = _shape(prop, material(prop.material), f"{prop.material}{index}")
         floor = light.floor if light.is_surrounding else None
         is_chequered = see_through and not is_plain
         self.endless = endless_of(scene.backdrop, is_chequered, backdrop_deg) if floor is None else None
@@ -148,7 +151,8 @@ class BuiltScene:
         half_x = half * (self.scene.size[1] / self.scene.size[0]) * (size[0] / size[1]) if is_wider else half
         return mi.load_dict(
             {
-                "type": "perspective",
+                "type": "thinlens" if view.lens else "perspective",
+                **({"aperture_radius": view.lens, "focus_distance": view.focus} if view.lens else {}),
                 "fov": float(2 * np.degrees(np.arctan(half_x))),
                 "fov_axis": "x",
                 "near_clip": 1e-3,  # depths count from there
@@ -176,5 +180,5 @@ def _shape(part: Part, bsdf: Any, name: str) -> Any:
 
 
 def with_subject(scene: Scene, parts: Any) -> Scene:
-    """The same scene around another subject."""
-    return replace(scene, parts=parts)
+    """The same scene around another subject, without what belongs to its own."""
+    return replace(scene, parts=parts, props=list)

@@ -20,12 +20,23 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class View:
-    """A camera: where it stands, what it looks at, how wide it sees (across the picture, degrees), what is up."""
+    """A camera: where it stands, what it looks at, how wide it sees (across the picture, degrees), what is up.
+
+    `lens` is the radius of its opening in the scene's units: sharp is what is as far away as the target, and `nearer`
+    brings that closer; 0 is a pinhole, sharp everywhere.
+    """
 
     origin: Point
     target: Point
     fov_deg: float
     up: Point = (0.0, 0.0, 1.0)
+    lens: float = 0.0
+    nearer: float = 0.0
+
+    @property
+    def focus(self) -> float:
+        """Distance of what is sharp."""
+        return float(np.linalg.norm(np.array(self.target) - np.array(self.origin))) - self.nearer
 
     def turned(self, angle_deg: float) -> View:
         """The same camera turned about the vertical axis through its target."""
@@ -50,7 +61,7 @@ class View:
                 f"view: an elevation of {elevation_deg:g} degrees lies below the floor; "
                 f"in this scene {math.ceil(lowest)} to 90 degrees are above it"
             )
-        return View(_point(np.array(self.target) + offset), self.target, self.fov_deg, _point(up))
+        return replace(self, origin=_point(np.array(self.target) + offset), up=_point(up))
 
     def with_lens(self, fov_deg: float, radius: float) -> View:
         """The same camera with another angle of view, moved so that a ball about its target fills as much of it.

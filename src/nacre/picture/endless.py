@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from nacre.device.variant import use_variant
-from nacre.picture.scenes.catalogue import BOARD, BOWL, BOWL_SQUARE, SQUARE, SWEEP, Backdrop
+from nacre.picture.scenes.catalogue import BOWL, BOWL_SQUARE, SQUARE, SWEEPS, Backdrop
 from nacre.picture.shapes.backdrop import sweep_length
 
 START = 0.05  # before the surface, which is matt, a led ray begins: nothing else stands in its way
@@ -25,7 +25,7 @@ class Endless:
     """A backdrop that goes on for ever.
 
     Attributes:
-        kind: "sweep", "bowl" or "board".
+        kind: as of its scene.
         square: side of its chequers, 0 without any: they go on evenly.
         turn_deg: about the vertical axis.
     """
@@ -98,7 +98,7 @@ def _class(variant: str) -> type:
 
     def _on_sweep(backdrop: Endless, o: Any, d: Any) -> Any:
         """Where a ray meets an endless floor, cove and wall, folded into those of `sweep`, and the normal there."""
-        half_width, front, back, radius, _ = BOARD if backdrop.kind == "board" else SWEEP
+        half_width, front, back, radius, _ = SWEEPS[backdrop.kind]
         flat, bent = front + back, 0.5 * dr.pi * radius
         t_floor = dr.select(d.z < 0.0, -o.z / dr.minimum(d.z, -1e-9), FAR)
         is_floor = (d.z < 0.0) & (o.y + t_floor * d.y <= back)
@@ -115,7 +115,7 @@ def _class(variant: str) -> type:
         along = dr.select(is_floor, o.y + t_floor * d.y + front, along)
         across = o.x + dr.select(is_floor, t_floor, dr.select(is_cove, t_cove, t_wall)) * d.x + half_width
         across = fold(across, *_ends(2.0 * half_width, backdrop.square)) - half_width
-        along = fold(along, *_ends(sweep_length(*(BOARD if backdrop.kind == "board" else SWEEP)), backdrop.square))
+        along = fold(along, *_ends(sweep_length(*(SWEEPS[backdrop.kind])), backdrop.square))
         angle = dr.clip((along - flat) / radius, 0.0, 0.5 * dr.pi)
         up = radius * (1.0 - dr.cos(angle)) + dr.maximum(along - flat - bent, 0.0)
         place = mi.Point3f(across, dr.minimum(along, flat) - front + radius * dr.sin(angle), up)

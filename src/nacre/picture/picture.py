@@ -84,8 +84,8 @@ def render(
     Args:
         material: a material, a `Bsdf`, or a ready Mitsuba BSDF or its dict; `nacre.render` also takes a recipe's path,
             an example's name and a recipe's table.
-        scene: sphere, probe, speedshape, panel, butterfly, beetle, bottle, knob, body, ring, cuff, card, banknote,
-            screen, or a Mitsuba .xml file whose BSDFs of id "nacre" the material replaces.
+        scene: sphere, probe, speedshape, panel, butterfly, beetle, bottle, knob, body, ring, bubble, feather, cuff,
+            card, strip, lens, banknote, pass, screen, or a Mitsuba .xml file whose BSDFs of id "nacre" are replaced.
         shape: another object for the scene: a name of those or a mesh file (.ply, .obj, .stl, .glb, .gltf, .off).
         up: which axis of a mesh file points up, x, y or z; None: y for .obj, .glb and .gltf, z for the others.
         turn: degrees by which the object is turned about the vertical axis, counter-clockwise seen from above.
@@ -95,7 +95,7 @@ def render(
         fov: angle of view across the picture, degrees; the camera comes nearer or goes back so that the object keeps
             its size.
         zoom: magnification, from where the camera stands.
-        light: studio, line, sun, sky, directional, interior, street or an environment map; several as
+        light: studio, line, sun, sky, directional, interior, street, garden or an environment map; several as
             "studio:0.5,sun@120", with strengths (:) and turns about the vertical axis in degrees (@), or a list of
             such words; the picture is balanced to the white of the first. None: the scene's own.
         light_layers: also keep what each light gives alone: the result's `lights`, layers of an .exr.

@@ -60,7 +60,7 @@ def _built(name: str) -> bytes:
     # the page is as high as it is wide
     half = math.tan(math.radians(0.5 * scene.view.fov_deg)) * max(1.0, height / width)
     view = replace(scene.view, fov_deg=2.0 * math.degrees(math.atan(half)))
-    return packed(scene.parts(), view, dark=scene.backdrop == "dark")
+    return packed(scene.parts(), view, dark=scene.backdrop == "acrylic")
 
 
 def own_mesh(question: Mapping[str, Any]) -> bytes:

@@ -22,13 +22,13 @@ from nacre.picture.lights.environments import BEAM_DEG, Environment, beam, studi
 from nacre.picture.lights.several import Lamp, sum_of_environments
 from nacre.picture.paths import SOFT_LAMP_DEG, WITHIN_LAMP_DEG
 
-LIGHTS = ("studio", "line", "sun", "sky", "directional", "interior", "street")
-TURNING_LIGHTS = ("studio", "interior", "street", "directional")
+LIGHTS = ("studio", "line", "sun", "sky", "directional", "interior", "street", "garden")
+TURNING_LIGHTS = ("studio", "interior", "street", "garden", "directional")
 MAP_SUFFIXES = (".exr", ".hdr", ".pfm")
 MAX_MAP_BYTES = 1 << 30
 SUN_DEG = 1.5  # wider than the sun, of its power, which softens the glint of a mirror
 BLACK = {"type": "diffuse", "reflectance": 0.0}
-PLACE_FLOORS = {"street": "ground", "interior": "boards"}
+PLACE_FLOORS = {"street": "ground", "interior": "boards", "garden": "deck"}
 
 
 @dataclass(frozen=True)
@@ -181,13 +181,20 @@ def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0, streng
         sky = mi.load_dict(_sunsky(SUN_DEG if name == "sun" else 0.0, turn_deg))
         soft = mi.load_dict(_sunsky(SOFT_LAMP_DEG, turn_deg)) if name == "sun" else None
         return Light({"sky": sky}, "D65", True, note, "plain", soft=soft)
-    if name in ("interior", "street"):
-        from nacre.picture.lights import places
-
-        place = places.interior() if name == "interior" else places.street()
-        soft_place = None if name == "interior" else places.street(sun_deg=SOFT_LAMP_DEG)
+    if name in PLACE_FLOORS:
+        place, soft_place = _place(name)
         return _surrounding(place, "D65", place.name, turn_deg, True, PLACE_FLOORS[name], soft_place)
     return Light({"map": _map(Path(name), turn_deg)}, "D65", True, f"environment map {Path(name).name}, RGB up-sampled")
+
+
+def _place(name: str) -> tuple[Environment, Environment | None]:
+    """A place by name, and the same with a wider sun; None: it has none."""
+    from nacre.picture.lights import garden, places
+
+    if name == "interior":
+        return places.interior(), None
+    made = garden.garden if name == "garden" else places.street
+    return made(), made(sun_deg=SOFT_LAMP_DEG)
 
 
 def _surrounding(

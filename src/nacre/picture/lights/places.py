@@ -34,7 +34,7 @@ CLOTH = _edge(0.30, 0.06, 520.0, 25.0)
 LEAF = 0.04 + 0.07 * np.exp(-(((_GRID - 550.0) / 32.0) ** 2)) + _edge(0.0, 0.42, 705.0, 9.0)
 
 
-def _blue_sky() -> Illuminant:
+def blue_sky() -> Illuminant:
     """Light of the clear zenith: daylight scattered by air, D65 times (lambda / 550 nm)^-2.2."""
     day = illuminant("D65")
     return unit_spectrum(Illuminant(_GRID, day.at(_GRID) * (_GRID / 550.0) ** -2.2, "clear sky"))
@@ -46,7 +46,7 @@ def _hash(*values: Array) -> Array:
     return np.mod(np.sin(mix) * 43758.5453, 1.0)
 
 
-class _Canvas:
+class Canvas:
     """Collects weights by spectrum."""
 
     def __init__(self, rows: int) -> None:
@@ -75,7 +75,7 @@ def street(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
     half, eye = 8.5, 1.3
     sun_direction = np.array([-0.52, -0.42, 0.74])
     sun_direction /= np.linalg.norm(sun_direction)
-    sun, haze, blue = unit_spectrum("D50"), unit_spectrum("D65"), _blue_sky()
+    sun, haze, blue = unit_spectrum("D50"), unit_spectrum("D65"), blue_sky()
 
     # the house front that a direction meets, and how high above the road
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -120,7 +120,7 @@ def street(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
     is_brick = is_front & ~pane & (_hash(house, side + 3.0) < 0.5)
     is_plaster = is_front & ~pane & ~is_brick
 
-    canvas = _Canvas(rows)
+    canvas = Canvas(rows)
     power_sun, power_sky = 3.0, 1.0  # irradiances, in units of the sky's luminance
     canvas.add(tinted(sun, BRICK, "brick in sun"), is_brick * mottled * sun_on_front * power_sun)
     canvas.add(tinted(blue, BRICK, "brick in shade"), is_brick * mottled * sky_on_front * power_sky)
@@ -201,7 +201,7 @@ def interior(rows: int = ROWS) -> Environment:
     grey = np.where(wall, np.where(is_ceiling, 0.8, 0.66), 0.0) * solid * np.where(post, 0.2, 1.0)
     outside = window & ~frame
 
-    canvas = _Canvas(rows)
+    canvas = Canvas(rows)
     sky_line = 0.5 + 0.5 * smooth_step(z + 0.1 * np.sin(4 * y), -0.1, 0.4)
     d_all, t_all, l_all = day_light + 0.14, 0.55 * tube_light + 0.06, lamp_light + 0.015
     canvas.add(day, (outside * 4.0 * sky_line + (window & frame) * 0.2 + grey * d_all) * solid)

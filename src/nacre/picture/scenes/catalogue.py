@@ -17,6 +17,7 @@ from nacre.arrays import Array
 from nacre.device.variant import use_variant
 from nacre.errors import NacreError, did_you_mean
 from nacre.picture.camera import View
+from nacre.picture.scenes import grounds
 from nacre.picture.shapes import backdrop as stages
 from nacre.picture.shapes.mesh import Mesh, rotation
 
@@ -24,8 +25,24 @@ SUBJECT = "nacre"  # parts with this material take the one that is rendered
 # half width, front, back, radius and height of `backdrop.sweep`; flat, reach and rise of `backdrop.bowl`; chequers
 SWEEP, BOARD, BOWL = (20.0, 16.0, 5.0, 4.5, 5.2), (12.0, 12.0, 12.0, 2.0, 3.0), (1.4, 9.0, 4.2)
 SQUARE, BOWL_SQUARE = 0.55, 0.62
+# by backdrop, where it is a sweep; behind black acrylic the wall is so high that the plate mirrors no edge of it
+SWEEPS = {
+    "sweep": SWEEP,
+    "desk": BOARD,
+    "specimen": BOARD,
+    "acrylic": (20.0, 16.0, 5.0, 4.5, 10.0),
+}
+PLATE = (40.0, 26.0)  # of black acrylic: wide and deep
+# what stands on the labels of insects, and how long ten millimetres are beside them
+LABELS = {
+    "label-butterfly": (("Morpho didius", "PERU  Satipo, 700 m", "leg. 12.iv.1987"), 0.436),
+    "label-feather": (("Garrulus glandarius", "upper wing covert", "SAXONY  9.x.1991"), 0.86),
+    "label-beetle": (("Chrysochroa sp.", "THAILAND  Chiang Mai", "leg. 3.vi.1994"), 0.886),
+}
+# sizes of soap bubbles, and how far they have drifted from where a ball of that size rests on the floor
+BUBBLES = ((1.0, (-0.1, 0.0, 0.03)), (0.3, (1.02, -0.9, 0.05)), (0.17, (0.98, 1.6, 1.9)), (0.12, (-1.25, 2.4, 0.3)))
 RING_DEG = -24.0  # so turned, a film in its ring mirrors the large soft box
-Backdrop = Literal["sweep", "bowl", "board", "dark", "none"]
+Backdrop = Literal["sweep", "bowl", "desk", "acrylic", "specimen", "none"]
 
 
 @dataclass(frozen=True)
@@ -80,6 +97,7 @@ class Scene:
         max_depth: path length that the scene needs (opaque subjects; transparent ones get more).
         size: width and height of a default picture.
         place_view: the camera where the light is a place to be seen (street, room, sky); None: the same.
+        props: what stands beside the subject on its stage, but not where the light is a place.
     """
 
     name: str
@@ -90,11 +108,11 @@ class Scene:
     max_depth: int = 6
     size: tuple[int, int] = (640, 640)
     place_view: View | None = None
+    props: Callable[[], list[Part]] = list
 
 
 # reflectances and simple models of everything that is not the subject
 MATERIALS: dict[str, dict[str, Any]] = {
-    "board": {"type": "diffuse", "reflectance": 0.14},
     "ground": {"type": "diffuse", "reflectance": 0.16},
     "plain": {"type": "diffuse", "reflectance": 0.16},
     "dark": {"type": "plastic", "int_ior": 1.5, "diffuse_reflectance": 0.015},
@@ -106,56 +124,47 @@ MATERIALS: dict[str, dict[str, Any]] = {
     "white": {"type": "diffuse", "reflectance": 0.8},
     "paper": {"type": "diffuse", "reflectance": 0.74},
     "black": {"type": "diffuse", "reflectance": 0.012},
+    "velvet": {"type": "diffuse", "reflectance": 0.008},
+    "fur": {"type": "roughplastic", "int_ior": 1.55, "alpha": 0.3, "diffuse_reflectance": 0.02},
+    "horn": {"type": "roughplastic", "int_ior": 1.55, "alpha": 0.16, "diffuse_reflectance": 0.008},
+    "enamel": {"type": "roughplastic", "int_ior": 1.5, "alpha": 0.22, "diffuse_reflectance": 0.006},
+    "barbs": {"type": "diffuse", "reflectance": 0.02},
+    "quill": {"type": "roughplastic", "int_ior": 1.54, "alpha": 0.2, "diffuse_reflectance": 0.1},
+    "down": {"type": "diffuse", "reflectance": 0.3},
+    "gilt": {"type": "roughconductor", "material": "Au", "alpha": 0.15},
+    "steel": {"type": "roughconductor", "material": "Cr", "alpha": 0.08},
 }
 
 
 def plain_material(name: str) -> dict[str, Any]:
     """What is not the subject, by name: one of `MATERIALS`, a printed note, a room's boards with their spectrum."""
     if name == "banknote":
-        from nacre.picture.shapes.paper import banknote_print
+        return grounds.printed_note()
+    if name == "deck":
+        return grounds.wood()
+    if name in LABELS:
+        from nacre.picture.shapes.specimen import label_print
 
-        return {"type": "diffuse", "reflectance": _grey_bitmap(banknote_print()[::-1])}  # v upward
+        return {"type": "diffuse", "reflectance": grounds.grey_bitmap(label_print(*LABELS[name])[::-1])}
+    if name == "pass":
+        return grounds.printed_card()
+    if name == "name-ring":
+        from nacre.picture.shapes.lens import ring_print
+
+        return {"type": "diffuse", "reflectance": grounds.grey_bitmap(ring_print()[::-1])}
+    if name == "plate":
+        from nacre.picture.shapes.body_details import plate_print
+
+        return {"type": "diffuse", "reflectance": grounds.grey_bitmap(plate_print()[::-1])}
+    if name == "margins":
+        from nacre.picture.shapes.butterfly import margin_print
+
+        return {"type": "diffuse", "reflectance": grounds.grey_bitmap(margin_print()[::-1])}
     if name != "boards":
         return MATERIALS[name]
-    from nacre.light import table_wavelengths_nm
-    from nacre.picture.lights.environment_plugin import spectrum_texture
     from nacre.picture.lights.places import WOOD
 
-    return {"type": "diffuse", "reflectance": spectrum_texture(table_wavelengths_nm(), WOOD)}
-
-
-def chessboard(square: float, dark: float = 0.035, bright: float = 0.6) -> dict[str, Any]:
-    """A diffuse chessboard for uv in lengths, with squares of side `square`."""
-    import mitsuba as mi
-
-    return {
-        "type": "diffuse",
-        "reflectance": {
-            "type": "checkerboard",
-            "color0": {"type": "uniform", "value": dark},
-            "color1": {"type": "uniform", "value": bright},
-            "to_uv": mi.ScalarTransform4f().scale([0.5 / square, 0.5 / square, 1.0]),
-        },
-    }
-
-
-def _grey_bitmap(reflectance: Array, **options: Any) -> dict[str, Any]:
-    """A texture of reflectances `[row, column]`, equal at all wavelengths; what `options` are, see Mitsuba's bitmap."""
-    import mitsuba as mi
-
-    values = np.ascontiguousarray(reflectance[..., None], dtype=np.float32)
-    return {"type": "bitmap", "data": mi.TensorXf(values), "raw": True, "wrap_mode": "clamp", **options}
-
-
-def graded(across: float, along: float, centre: float) -> dict[str, Any]:
-    """A matt backdrop for uv in lengths, lightest under the subject and darker towards its edges and up the wall."""
-    import mitsuba as mi
-
-    u, v = np.meshgrid((np.arange(128) + 0.5) / 128 * across, (np.arange(128) + 0.5) / 128 * along)
-    distance = np.hypot((u - 0.5 * across) / 1.5, v - centre)
-    reflectance = 0.035 + 0.14 * np.exp(-((distance / 5.5) ** 2))
-    over = mi.ScalarTransform4f().scale([1 / across, 1 / along, 1.0])
-    return {"type": "diffuse", "reflectance": _grey_bitmap(reflectance, to_uv=over)}
+    return grounds.matt(WOOD)
 
 
 @functools.cache
@@ -166,6 +175,22 @@ def _sphere() -> list[Part]:
     # right. The reflection turns the normals inward, which `flip_normals` undoes.
     upright = mi.ScalarTransform4f().translate([0.0, 0.0, 1.0]).scale([1.0, 1.0, -1.0])
     return [Part({"type": "sphere", "to_world": upright, "flip_normals": True})]
+
+
+@functools.cache
+def _bubbles() -> list[Part]:
+    return [part for size, place in BUBBLES for part in _at(_sphere(), size, place)]
+
+
+def _at(parts: list[Part], scale: float, place: tuple[float, float, float]) -> list[Part]:
+    """Pieces in another size, moved so far."""
+    mi = use_variant()
+    moved = []
+    for part in (part.scaled(scale) for part in parts):
+        assert isinstance(part.shape, dict)
+        to_world = mi.ScalarTransform4f().translate(list(place)) @ part.shape["to_world"]
+        moved.append(Part({**part.shape, "to_world": to_world}, part.material))
+    return moved
 
 
 @functools.cache
@@ -189,10 +214,25 @@ def _butterfly() -> list[Part]:
     lift = (0.0, 0.0, 0.06)
     return [
         Part(b.butterfly_wings().moved(np.eye(3), lift)),
-        Part(b.butterfly_margins().moved(np.eye(3), lift), "matt-dark"),
-        Part(b.butterfly_veins().moved(np.eye(3), lift), "matt-dark"),
-        Part(b.butterfly_body().moved(np.eye(3), lift), "rubber"),
+        Part(b.butterfly_margins().moved(np.eye(3), lift), "margins"),
+        Part(b.butterfly_veins().moved(np.eye(3), lift), "velvet"),
+        Part(b.butterfly_body().moved(np.eye(3), lift), "velvet"),
+        Part(b.butterfly_fur().moved(np.eye(3), lift), "fur"),
     ]
+
+
+@functools.cache
+def _butterfly_props() -> list[Part]:
+    from nacre.picture.shapes.specimen import label, pin
+
+    return [Part(pin(0.0, 0.3, 1.0), "steel"), Part(label(1.9, -1.95), "label-butterfly")]
+
+
+@functools.cache
+def _beetle_props() -> list[Part]:
+    from nacre.picture.shapes.specimen import label, pin
+
+    return [Part(pin(0.24, 0.28, 1.25), "steel"), Part(label(1.3, -2.0), "label-beetle")]
 
 
 @functools.cache
@@ -221,6 +261,10 @@ def _body() -> list[Part]:
         Part(built.lamps, "lamp"),
         Part(built.tyres, "rubber"),
         Part(built.rims, "chrome"),
+        Part(built.mirrors),
+        Part(built.seams, "matt-dark"),
+        Part(built.handles, "chrome"),
+        Part(built.plate, "plate"),
     ]
 
 
@@ -228,7 +272,7 @@ def _body() -> list[Part]:
 def _beetle() -> list[Part]:
     from nacre.picture.shapes.beetle import beetle_limbs, beetle_shell
 
-    return [Part(beetle_shell()), Part(beetle_limbs(), "dark")]
+    return [Part(beetle_shell()), Part(beetle_limbs(), "horn")]
 
 
 @functools.cache
@@ -255,6 +299,58 @@ def _banknote() -> list[Part]:
 
 
 @functools.cache
+def _feather() -> list[Part]:
+    from nacre.picture.shapes import feather as f
+
+    return [
+        Part(f.feather_blue()),
+        Part(f.feather_dark(), "barbs"),
+        Part(f.feather_shaft(), "quill"),
+        Part(f.feather_down(), "down"),
+    ]
+
+
+@functools.cache
+def _feather_props() -> list[Part]:
+    from nacre.picture.shapes.specimen import label
+
+    return [Part(label(1.85, -1.9), "label-feather")]
+
+
+@functools.cache
+def _pass() -> list[Part]:
+    from nacre.picture.shapes import pass_card as p
+
+    return [Part(p.seal()), Part(p.card_face(), "pass"), Part(p.card_rim(), "white"), Part(p.chip(), "gilt")]
+
+
+@functools.cache
+def _pass_props() -> list[Part]:
+    from nacre.picture.shapes.pass_card import block
+
+    return [Part(block(), "dark")]
+
+
+@functools.cache
+def _strip() -> list[Part]:
+    from nacre.picture.shapes.strip import balls, holders
+
+    return [Part(balls()), Part(holders(), "horn")]
+
+
+@functools.cache
+def _lens() -> list[Part]:
+    from nacre.picture.shapes import lens
+
+    return [
+        Part(lens.elements()),
+        Part(lens.barrel(), "enamel"),
+        Part(lens.name_ring(), "name-ring"),
+        Part(lens.blades(), "velvet"),
+    ]
+
+
+@functools.cache
 def _card() -> list[Part]:
     from nacre.picture.shapes.paper import card_coat, card_paper
 
@@ -268,25 +364,71 @@ SCENES: dict[str, Scene] = {
         Scene("probe", _sphere, View((0.0, -7.6, 4.2), (0.0, 0.0, 0.85), 24.0), "bowl", "directional"),
         Scene("speedshape", _speedshape, View((-4.6, -7.6, 4.1), (0.0, 0.0, 0.5), 26.0), size=(800, 520)),
         Scene("panel", _panel, View((0.0, -8.2, 4.6), (0.0, 0.1, 0.36), 27.5), light="line", size=(800, 520)),
-        Scene("butterfly", _butterfly, View((0.0, -4.4, 9.4), (0.0, 0.12, 0.1), 29.0), "board", size=(800, 600)),
+        Scene(
+            "butterfly",
+            _butterfly,
+            View((0.0, -3.3, 9.9), (0.0, -0.24, 0.1), 29.0, lens=0.05),
+            "specimen",
+            size=(800, 600),
+            props=_butterfly_props,
+        ),
         Scene("bottle", _bottle, View((0.0, -11.5, 3.6), (0.0, 0.0, 1.6), 17.5), max_depth=8, size=(512, 640)),
         Scene("knob", _knob, View((1.3, -8.8, 4.0), (0.0, 0.0, 1.18), 20.5), max_depth=8),
         Scene(
             "body",
             _body,
-            View((6.4, -7.6, 2.3), (0.05, 0.0, 0.56), 26.5),
+            View((6.4, -7.6, 2.3), (0.05, 0.0, 0.42), 28.0, lens=0.05, nearer=1.2),
+            "acrylic",
             size=(960, 540),
-            place_view=View((6.9, -7.6, 1.35), (0.05, 0.0, 0.86), 30.0),
+            place_view=View((6.9, -7.6, 1.35), (0.05, 0.0, 0.86), 30.0, lens=0.06, nearer=1.2),
         ),  # fmt: skip
-        Scene("beetle", _beetle, View((0.0, -5.6, 8.6), (0.0, -0.05, 0.2), 25.0), "board", size=(640, 720)),
-        Scene("ring", _ring, View((0.0, -9.0, 2.6), (0.0, 0.0, 1.6), 22.5), "dark", size=(640, 720)),
-        Scene("cuff", _cuff, View((0.0, -8.0, 4.2), (0.0, 0.0, 0.55), 24.5), size=(800, 600), max_depth=8),
-        Scene("banknote", _banknote, View((0.0, -6.4, 5.6), (0.0, 0.0, 0.3), 27.0), size=(800, 520)),
+        Scene("bubble", _bubbles, View((0.0, -9.0, 0.3), (0.0, 0.0, 1.07), 19.0, lens=0.09), "acrylic", "garden"),
+        Scene(
+            "beetle",
+            _beetle,
+            View((0.0, -3.6, 9.6), (0.05, -0.3, 0.35), 25.0, lens=0.1),
+            "specimen",
+            size=(640, 720),
+            props=_beetle_props,
+        ),
+        Scene("ring", _ring, View((0.0, -9.0, 2.6), (0.0, 0.0, 1.56), 22.5, lens=0.05), "acrylic", size=(640, 720)),
+        Scene(
+            "cuff",
+            _cuff,
+            View((0.0, -8.4, 3.0), (0.0, 0.0, 0.46), 24.5, lens=0.06, nearer=1.0),
+            "acrylic",
+            size=(800, 600),
+            max_depth=8,
+        ),
+        Scene(
+            "banknote", _banknote, View((-1.2, -6.4, 4.4), (0.08, -0.02, 0.22), 28.6, lens=0.1), "desk", size=(800, 520)
+        ),
+        Scene(
+            "feather",
+            _feather,
+            View((0.35, -3.3, 9.9), (0.5, -0.13, 0.1), 27.8, lens=0.06),
+            "specimen",
+            size=(640, 640),
+            props=_feather_props,
+        ),
+        Scene(
+            "pass",
+            _pass,
+            View((0.0, -6.2, 5.4), (0.0, 0.0, 0.62), 31.0, lens=0.07),
+            "desk",
+            "directional",
+            size=(800, 600),
+            props=_pass_props,
+        ),
+        Scene("strip", _strip, View((0.0, -9.4, 3.0), (0.0, 0.0, 0.3), 40.0, lens=0.07), "acrylic", size=(960, 400)),
+        Scene("lens", _lens, View((1.0, -5.2, 6.2), (0.0, 0.0, 1.05), 26.0, lens=0.09, nearer=0.7), "desk"),
         Scene("card", _card, View((0.0, -8.6, 5.2), (0.0, 0.1, 0.95), 21.0), size=(640, 720)),
     )
 }
-# shapes that `shape=` knows: the subjects of the scenes above
-SHAPES: dict[str, Callable[[], list[Part]]] = {name: scene.parts for name, scene in SCENES.items() if name != "probe"}
+# shapes that `shape=` knows: the subjects of the scenes above that stand, once each
+SHAPES: dict[str, Callable[[], list[Part]]] = {
+    name: scene.parts for name, scene in SCENES.items() if name not in ("probe", "bubble")
+}
 SCENE_NAMES = (*SCENES, "screen")
 
 
@@ -305,7 +447,7 @@ def scene(name: str) -> Scene:
 
 
 def backdrop_parts(kind: Backdrop, see_through: bool, place_floor: str | None) -> list[tuple[Mesh, dict[str, Any]]]:
-    """The stage: a sweep, a chessboard bowl, a board; a plain ground where an environment is to be seen.
+    """The stage: a sweep, a bowl, a desk, a museum's board, black acrylic; a plain ground where a place is to be seen.
 
     A transparent subject gets a chequered sweep, since glass is seen by its refraction, but for one that is shown by
     what it reflects, before a dark one.
@@ -313,16 +455,19 @@ def backdrop_parts(kind: Backdrop, see_through: bool, place_floor: str | None) -
     if kind == "none":
         return []
     if kind == "bowl":
-        return [(stages.bowl(*BOWL), chessboard(BOWL_SQUARE))]
+        return [(stages.bowl(*BOWL), grounds.chessboard(BOWL_SQUARE))]
     if place_floor is not None:
         # a place paints its own ground beyond the subject's surroundings; a bare sky has none below the horizon
         side = 8000.0 if place_floor == "plain" else 60.0
         return [(stages.tile(side, side), plain_material(place_floor))]
-    if kind == "board":
-        return [(stages.sweep(*BOARD), MATERIALS["board"])]
-    surface = stages.sweep(*SWEEP)
-    if kind == "dark":
-        return [(surface, MATERIALS["black"])]
+    surface = stages.sweep(*SWEEPS[kind])
+    if kind == "desk":
+        return [(surface, grounds.wood())]
+    if kind == "specimen":
+        return [(surface, grounds.museum_board())]
+    if kind == "acrylic":
+        plate = stages.tile(*PLATE).moved(np.eye(3), (0.0, -6.0, 0.001))  # above the matt ground
+        return [(surface, grounds.halo(40.0, float(surface.uv[:, 1].max()), 25.5)), (plate, grounds.acrylic())]
     if see_through:  # dark, so that the faint colours of a film on glass stand before it
-        return [(surface, chessboard(SQUARE, 0.012, 0.11))]
-    return [(surface, graded(40.0, float(surface.uv[:, 1].max()), 16.0))]
+        return [(surface, grounds.chessboard(SQUARE, 0.012, 0.11))]
+    return [(surface, grounds.graded(40.0, float(surface.uv[:, 1].max()), 16.0))]

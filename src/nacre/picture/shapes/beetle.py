@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nacre.picture.shapes.butterfly import pair, tube
+from nacre.picture.shapes.hair import along_tube
 from nacre.picture.shapes.mesh import Array, Mesh, bspline, merge, parametric
 
 _HALF_WIDTH, _TAIL, _LENGTH = 1.0, -1.75, 3.3  # what uv spans
@@ -71,30 +72,50 @@ def _ellipsoid(centre: Sequence[float], size: Sequence[float]) -> Mesh:
 
 
 def beetle_limbs() -> Mesh:
-    """Belly, eyes, six legs and two feelers."""
+    """Belly, eyes, six legs with their bristles, two feelers."""
     belly = _ellipsoid((0.0, -0.25, _FLOOR + 0.02), (0.66, 1.42, 0.13))
-    legs = []
-    for y, out, along in ((0.78, 0.95, 0.5), (0.3, 1.2, 0.02), (-0.2, 1.18, -0.62)):
+    legs: list[Mesh] = []
+    for number, (y, out, along) in enumerate(((0.78, 0.95, 0.5), (0.3, 1.2, 0.02), (-0.2, 1.18, -0.62))):
         knee = (0.5 + 0.42 * out, y + 0.45 * along, 0.38)
         foot = (0.5 + 0.68 * out, y + 1.05 * along, 0.05)
-        legs.append(_limb([(0.3, y, 0.16), (0.5, y + 0.1 * along, 0.2), knee], (0.055, 0.085, 0.05)))
-        legs.append(_limb([knee, (0.55 * knee[0] + 0.45 * foot[0], 0.5 * (knee[1] + foot[1]), 0.24), foot],
-                          (0.05, 0.045, 0.025)))  # fmt: skip
-        toe = (foot[0] + 0.16, foot[1] + 0.22 * np.sign(along + 0.01), 0.03)
-        legs.append(_limb([foot, (0.5 * (foot[0] + toe[0]), 0.5 * (foot[1] + toe[1]), 0.05), toe],
-                          (0.025, 0.02, 0.012)))  # fmt: skip
-        legs += [_ellipsoid(knee, (0.055, 0.055, 0.055)), _ellipsoid(foot, (0.03, 0.03, 0.03))]
-        legs.append(_ellipsoid(toe, (0.014, 0.014, 0.014)))
+        legs += _limb([(0.3, y, 0.16), (0.5, y + 0.1 * along, 0.2), knee], (0.055, 0.085, 0.05), 60, 10 * number)
+        shin = (0.55 * knee[0] + 0.45 * foot[0], 0.5 * (knee[1] + foot[1]), 0.24)
+        legs += _limb([knee, shin, foot], (0.05, 0.045, 0.032), 110, 10 * number + 1)
+        legs += [_ellipsoid(knee, (0.055, 0.055, 0.055)), _ellipsoid(foot, (0.034, 0.034, 0.034))]
+        legs += _foot(foot, (0.18, 0.24 * float(np.sign(along + 0.01))), 10 * number + 2)
     t = np.linspace(0, 1, 14)
     path = np.stack([0.2 + 0.5 * t**0.8, 1.28 + 0.42 * np.sin(2.0 * t), 0.3 + 0.08 * np.sin(np.pi * t)], axis=1)
-    feeler = tube(path, 0.026 + 0.009 * np.cos(2 * np.pi * 6.5 * t) - 0.008 * t)
+    thickness = 0.026 + 0.009 * np.cos(2 * np.pi * 6.5 * t) - 0.008 * t
+    feeler = [tube(path, thickness), along_tube(path, thickness, 60, (0.02, 0.045), 0.0022, 77)]
     eye = _ellipsoid((0.34, 1.13, _FLOOR + 0.14), (0.085, 0.12, 0.11))
-    return merge([belly, pair(merge([*legs, feeler, eye]))])
+    return merge([belly, pair(merge([*legs, *feeler, eye]))])
 
 
-def _limb(joints: Sequence[tuple[float, float, float]], radii: tuple[float, float, float]) -> Mesh:
+def _limb(
+    joints: Sequence[tuple[float, float, float]], radii: tuple[float, float, float], bristles: int, seed: int
+) -> list[Mesh]:
     t = np.linspace(0.0, 1.0, 10)
-    return tube(bspline(joints, t), np.interp(t, (0.0, 0.5, 1.0), radii), 16)
+    path, radius = bspline(joints, t), np.interp(t, (0.0, 0.5, 1.0), radii)
+    return [tube(path, radius, 16), along_tube(path, radius, bristles, (0.03, 0.075), 0.0032, seed)]
+
+
+def _foot(start: tuple[float, float, float], reach: tuple[float, float], seed: int) -> list[Mesh]:
+    """Five short joints, each wider at its end, and two claws."""
+    parts: list[Mesh] = []
+    step = np.array([reach[0], reach[1], -0.01]) / 4.0
+    for joint in range(4):
+        begin = np.array(start) + joint * step
+        path = begin + np.linspace(0.0, 1.0, 5)[:, None] * step * 0.96
+        width = 0.02 * np.array([0.62, 0.75, 0.95, 1.1, 0.7]) * (1.0 - 0.1 * joint)
+        parts += [tube(path, width, 12), along_tube(path, width, 12, (0.025, 0.05), 0.0024, seed + 100 * joint)]
+    end = np.array(start) + 4 * step
+    ahead = step / np.linalg.norm(step)
+    across = np.array([-ahead[1], ahead[0], 0.0])
+    t = np.linspace(0.0, 1.0, 6)[:, None]
+    for side in (-1, 1):
+        claw = end + 0.085 * t * ahead + side * (0.05 * t - 0.035 * t**2) * across - [0.0, 0.0, 0.02] * t**2
+        parts.append(tube(claw, np.linspace(0.011, 0.003, 6), 8))
+    return parts
 
 
 __all__ = ["beetle_limbs", "beetle_shell"]

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nacre.picture.shapes import body_details as details
 from nacre.picture.shapes.implicit import smooth_max, smooth_min, superellipse, surface_net
 from nacre.picture.shapes.mesh import Array, Mesh, curve, merge, parametric, revolve, rotation, split
 
@@ -32,7 +33,7 @@ _CABIN = [(-2.1, 0.42), (-1.7, 0.58), (-1.2, 0.70), (-0.6, 0.765), (0.0, 0.775),
 
 @dataclass(frozen=True)
 class Car:
-    """The parts of the car; `paint` is what a material goes on."""
+    """The parts of the car; `paint` and `mirrors` are what a material goes on."""
 
     paint: Mesh
     glass: Mesh
@@ -40,6 +41,10 @@ class Car:
     lamps: Mesh
     tyres: Mesh
     rims: Mesh
+    mirrors: Mesh
+    seams: Mesh
+    handles: Mesh
+    plate: Mesh
 
 
 def _cabin(x: Array, y: Array, z: Array) -> Array:
@@ -96,6 +101,8 @@ def car(spacing: float = 0.0225) -> Car:
         turned = part.moved(rotation("x", -90.0 * side))  # wheel axis z -> outward along y
         return turned.moved(np.eye(3), (axle, side * TRACK, WHEEL_RADIUS))
 
+    mirror = details.mirrors(_hull)
+    painted = Mesh(mirror.vertices, mirror.normals, _uv(mirror.vertices), mirror.faces)
     return Car(
         paint,
         glass,
@@ -103,6 +110,10 @@ def car(spacing: float = 0.0225) -> Car:
         lamps,
         merge([place(tyre, *w) for w in wheels]),
         merge([place(rim, *w) for w in wheels]),
+        painted,
+        details.shut_lines(_hull),
+        details.handles(_hull),
+        details.plate(_hull),
     )
 
 

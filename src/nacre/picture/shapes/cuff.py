@@ -15,8 +15,8 @@ from nacre.picture.shapes.mesh import Array, Mesh, merge, parametric
 
 _RADIUS, _HALF_HEIGHT, _THICKNESS = 1.3, 0.62, 0.07
 _GAP_DEG = 38.0  # open at the back
-_BLOWS, _DEPTH, _BOWL, _SEED = 420, 0.011, 0.13, 7
-_NEAREST, _EDGE = 6, 12.0  # bowls that matter at a place, and how sharp the ridges between them are
+_BLOWS, _DEPTH, _BOWL, _SEED = 300, 0.022, 0.18, 7
+_NEAREST, _EDGE = 6, 22.0  # bowls that matter at a place, and how sharp the ridges between them are
 
 
 @functools.cache

@@ -14,7 +14,7 @@ from nacre.picture.shapes.mesh import Array, Mesh, merge, parametric
 NOTE_WIDTH, NOTE_HEIGHT = 3.5, 1.7
 _ABOVE = 0.004  # foil and paint lie so far above the paper
 _STRIPE = (0.66, 0.77)  # of the note's width
-_SEAL = (0.45, 0.52, 0.1)  # centre u, v and radius over the width
+_SEAL = (0.5, 0.52, 0.092)  # centre u, v and radius over the width
 
 CARD_WIDTH, CARD_HEIGHT = 2.5, 3.0
 _COAT = (0.08, 0.92, 0.06, 0.83)  # u and v of what is painted
@@ -65,33 +65,10 @@ def _upward(surface: Mesh) -> Mesh:
 
 
 def banknote_print(rows: int = 1024) -> Array:
-    """Reflectance `[row, column]` of the printed paper, first row on top: guilloches, fine lines, a number."""
-    from PIL import Image, ImageDraw, ImageFont
+    """Reflectance `[row, column]` of the printed paper as the eye sees it, first row on top."""
+    from nacre.picture.shapes.note_print import note_reflectance
 
-    columns = int(rows * NOTE_WIDTH / NOTE_HEIGHT)
-    x, y = np.meshgrid((np.arange(columns) + 0.5) / rows, 1.0 - (np.arange(rows) + 0.5) / rows)
-    ink = np.zeros((rows, columns))
-
-    def lines(field: Array, share: float) -> Array:
-        return np.clip((share - np.abs(np.mod(field, 1.0) - 0.5)) * 30.0, 0.0, 1.0)
-
-    ink += 0.25 * lines(26 * (y + 0.05 * np.sin(5 * x) + 0.02 * np.sin(13 * x + 6 * y)), 0.16)
-    ink += 0.18 * lines(26 * (y + 0.05 * np.sin(5 * x + 2.1) + 0.02 * np.sin(11 * x - 5 * y)), 0.12)
-    for centre, size, lobes in ((0.36, 0.32, 9), (1.62, 0.2, 7)):
-        r, phi = np.hypot(x - centre, y - 0.5) / size, np.arctan2(y - 0.5, x - centre)
-        inside = np.clip((1.0 + 0.08 * np.cos(lobes * phi) - r) * 40.0, 0.0, 1.0)
-        rosette = sum(lines(7 * r * (1.0 + 0.16 * np.cos(lobes * phi + turn)), 0.15) for turn in (0.0, 2.1, 4.2))
-        ink = ink * (1.0 - 0.6 * inside) + 0.4 * inside * rosette
-    frame = np.minimum(np.minimum(x, columns / rows - x), np.minimum(y, 1.0 - y))
-    ink *= np.clip((frame - 0.04) * 100.0, 0.0, 1.0)
-    words = Image.new("L", (columns, rows), 0)
-    draw = ImageDraw.Draw(words)
-    for text, place, size in (("550", (0.125, 0.37), 0.26), ("550", (0.07, 0.07), 0.11), ("550", (1.73, 0.8), 0.11),
-                              ("NANOMETRES", (0.74, 0.1), 0.075)):  # fmt: skip
-        font = ImageFont.load_default(size * rows)
-        draw.text((place[0] * rows, place[1] * rows), text, fill=255, font=font)
-    ink = np.maximum(np.clip(ink, 0.0, 0.75), 0.9 * np.asarray(words) / 255.0)
-    return np.asarray(0.72 * (1.0 - 0.85 * ink))
+    return note_reflectance(rows, NOTE_WIDTH / NOTE_HEIGHT)
 
 
 def _card(u: Array, v: Array, above: float = 0.0) -> Array:
