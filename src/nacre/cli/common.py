@@ -109,6 +109,11 @@ def cache_option(function: F) -> F:
     )(function)  # fmt: skip
 
 
+LAMPS = "A, C, D50, D65, E, F2, F11 or LED-B3."  # nacre.light.ILLUMINANTS, which is not loaded for a help
+
+WALKS = "Random walks a direction (pearls); default: 4096, or what the command's own question needs."
+
+
 def set_option(function: F) -> F:
     """Add `--set PATH=VALUE`, which changes a number of the recipe for this run."""
     return click.option(
