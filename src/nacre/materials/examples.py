@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nacre.errors import NacreError, did_you_mean
-from nacre.files import check_writable, read_text
+from nacre.files import atomic_path, check_writable, read_text
 from nacre.recipe.toml import parse_toml
 
 NO_RECIPES = ("gallery.toml",)
@@ -129,7 +129,8 @@ def copy_examples(names: list[str], to: Path) -> list[Path]:
         check_writable(to)
     for source, target in pairs:
         target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(source, target)
+        with atomic_path(target) as temporary:
+            shutil.copyfile(source, temporary)
     return [target for _, target in pairs]
 
 
