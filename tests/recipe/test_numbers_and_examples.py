@@ -167,6 +167,13 @@ def test_a_misspelt_example_is_guessed(name: str, meant: str, tmp_path: Path, mo
         nacre.load(name)
 
 
+def test_a_recipe_of_ones_own_is_guessed_before_an_example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "titanium.toml").write_text('family = "film"\nsubstrate = "Ti"\n')
+    with pytest.raises(NacreError, match=r'titanium: does not exist.* Did you mean "titanium.toml"'):
+        nacre.load("titanium")
+
+
 def test_examples_are_listed_and_copied(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["examples", "film", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)

@@ -149,7 +149,7 @@ def gamut(
     from nacre.design.wants.gamut import find_gamut, gamut_chart, gamut_page, parse_free
     from nacre.files import check_writable, write_text
 
-    path = Path(output) if output else None if as_json else Path(f"{Path(recipe).resolve().stem}-gamut.png")
+    path = Path(output) if output else None if as_json else Path(f"{common.stem_of(recipe)}-gamut.png")
     if path is not None:
         if path.suffix not in (".png", ".pdf", ".svg", ".json", ".html"):
             raise NacreError(f"-o {path}: the suffix must be .png, .pdf, .svg, .json or .html")
@@ -213,7 +213,7 @@ def fabricate(
     from nacre.exchange.number_maps import SUFFIXES as MAP_SUFFIXES
     from nacre.files import check_writable
 
-    name = Path(source).resolve().stem
+    name = common.stem_of(source)
     path = Path(output) if output else Path(f"{name}-{target}{(MAP_SUFFIXES | SUFFIXES)[target]}")
     check_writable(path)
     area = None

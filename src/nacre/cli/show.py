@@ -183,7 +183,7 @@ def plot(
     if kind is None or kind not in allowed:
         given = "--kind is missing" if kind is None else f"--kind {kind} is not for {Path(recipe).name}"
         raise NacreError(f"{given}; choose one of {', '.join(allowed)}")
-    path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}-{kind}.png")
+    path = Path(output) if output else Path(f"{common.stem_of(recipe)}-{kind}.png")
     if path.suffix not in (".png", ".pdf", ".svg"):
         raise NacreError(f"-o {path}: the suffix must be .png, .pdf or .svg")
     check_writable(path)
@@ -242,7 +242,7 @@ def compile_(recipe: str, wavelengths_nm: str | None, output: str | None, change
     """Solve RECIPE once and store its BSDF, to be rendered many times."""
     from nacre.files import check_writable
 
-    path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}.nacre")
+    path = Path(output) if output else Path(f"{common.stem_of(recipe)}.nacre")
     if path.suffix != ".nacre":
         raise NacreError(f"-o {path}: the suffix must be .nacre")
     check_writable(path)

@@ -212,7 +212,7 @@ def fit(
     from nacre.recipe.toml import edit_toml
     from nacre.study.fit import read_free, read_measurement, run_fit
 
-    path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}-fitted.toml")
+    path = Path(output) if output else Path(f"{common.stem_of(recipe)}-fitted.toml")
     asked = ((path, ".toml"), (residual and Path(residual), ".npz"), (page and Path(page), ".html"))
     for target, suffix in asked:
         if target:

@@ -86,6 +86,9 @@ def or_example(path: str | Path) -> Path:
     if os.path.lexists(path):
         return Path(path)
     found = find_example(str(path))
+    beside = f"{path}.toml"
+    if found is None and os.path.isfile(beside):
+        raise NacreError(f'{path}: does not exist, as a file or as an example. Did you mean "{beside}"?')
     if found is None and not Path(path).suffix and (meant := did_you_mean(str(path), _words())):
         raise NacreError(f"{path}: does not exist, as a file or as an example.{meant}")
     return found or Path(path)
