@@ -310,6 +310,8 @@ def fabricate(
     if to not in drawers:
         maps = number_maps(source) if isinstance(source, Material) else []
         if maps and to in MAP_FORMATS:
+            if seed is not None:
+                raise UnsupportedError(f"{name}: --to {to} takes no --seed here: nothing of a map is drawn at random")
             target = Path(path) if path is not None else folder / f"{_maps_stem(maps)}{MAP_SUFFIXES[to]}"
             return write_number_maps(
                 maps, to, target, name, size_mm=size_mm, calibration=calibration, levels=levels
@@ -321,7 +323,7 @@ def fabricate(
         raise UnsupportedError(f"{name}: --calibration PATH=CSV is for maps of numbers; --to {to} takes one curve")
     drawing = drawers[to](DrawingRequest(size_mm, seed))
     target = Path(path) if path is not None else folder / f"{drawing.stem}{SUFFIXES[to]}"
-    options = HeightOptions(size_mm, calibration, levels, pixels_per_feature, base_um)
+    options = HeightOptions(size_mm, calibration, levels, pixels_per_feature, base_um, seed)
     return write_drawing(drawing, to, target, name, options)
 
 

@@ -156,6 +156,8 @@ def test_an_stl_is_watertight_and_holds_the_heights(tmp_path: Path) -> None:
     assert np.abs(heights - (material.tile.heights_nm - material.tile.heights_nm.min()) / 1e3).max() < 1e-5
     repeated = trimesh.load(fabricate(material, "stl", tmp_path / "many_um.stl", size_mm=(0.016, 0.016)))
     assert np.allclose(repeated.extents[:2], 16.0)
+    oblong = trimesh.load(fabricate(material, "stl", tmp_path / "oblong_um.stl", size_mm=(0.024, 0.008)))
+    assert np.allclose(oblong.extents[:2], [24.0, 8.0]) and oblong.is_watertight
 
 
 def test_a_csv_holds_the_heights(tmp_path: Path) -> None:
@@ -239,6 +241,10 @@ def test_a_calibration_that_does_not_cover_the_heights_is_refused(tmp_path: Path
         ("png16", {"pixels_per_feature": 0}, "1 or more"),
         ("gds", {"levels": 1000}, "levels"),
         ("stl", {"size_mm": (100.0, 100.0)}, "triangles"),
+        ("png16", {"levels": 8}, "--to png16 takes no --levels"),
+        ("gds", {"seed": 3}, "--to gds takes no --seed"),
+        ("stl", {"calibration": "published"}, "--to stl takes no --calibration"),
+        ("csv", {"size_mm": (1.0, 1.0)}, "--to csv takes no --size-mm"),
     ],
 )
 def test_impossible_requests_are_refused(tmp_path: Path, to: str, options: dict, says: str) -> None:

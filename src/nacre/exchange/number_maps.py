@@ -139,6 +139,8 @@ def write_number_maps(
     """
     if path.suffix.lower() != SUFFIXES[to]:
         raise UnsupportedError(f"{path}: --to {to} needs a name that ends in {SUFFIXES[to]}")
+    if levels is not None and to not in ("gds", "oas"):
+        raise UnsupportedError(f"--to {to} takes no --levels here: only the masks of gds and oas have them")
     curves = _curves(maps, calibration)
     prepared = []
     for one in maps:
