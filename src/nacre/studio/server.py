@@ -93,7 +93,8 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
                 "version": __version__,
                 "folder": opened.folder.name,
                 "first": opened.first,
-                "recipes": opened.names(),
+                "recipes": (names := opened.names()),
+                "begin": next(filter(opened.is_readable, names), next(iter(names), "")),
                 "families": sorted(known),
                 "starts": [_example(shipped[name]) for name in chosen],
                 "examples": [_example(e) for e in shipped.values() if {e.family} <= known],
@@ -334,9 +335,18 @@ def serve(opened: Opened, port: int | None, is_browser_wanted: bool) -> None:
     click.echo(address)
     sys.stdout.flush()
     if is_browser_wanted:
-        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+        threading.Thread(target=_open_browser, args=(address,), daemon=True).start()
     threading.Thread(target=_warm, daemon=True).start()
     uvicorn.Server(config).run(sockets=[listening])
+
+
+def _open_browser(address: str) -> None:
+    try:
+        is_opened = webbrowser.open(address)
+    except (OSError, webbrowser.Error):
+        is_opened = False
+    if not is_opened:
+        click.echo("nacre: no browser was found on this machine; open the address above in one", err=True)
 
 
 def _warm() -> None:
