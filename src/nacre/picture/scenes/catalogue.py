@@ -233,7 +233,7 @@ def _butterfly() -> list[Part]:
 def _butterfly_props() -> list[Part]:
     from nacre.picture.shapes.specimen import label, pin
 
-    return [Part(pin(0.0, 0.3, 1.0), "steel"), Part(label(1.9, -1.95), "label-butterfly")]
+    return [Part(pin(0.0, 0.3, 1.0), "steel"), Part(label(1.85, -2.0), "label-butterfly")]
 
 
 @functools.cache
@@ -375,7 +375,7 @@ SCENES: dict[str, Scene] = {
         Scene(
             "butterfly",
             _butterfly,
-            View((0.0, -3.3, 9.9), (0.0, -0.24, 0.1), 29.0, lens=0.05),
+            View((0.0, -3.3, 9.9), (0.0, -0.22, 0.1), 31.0, lens=0.05),
             "specimen",
             size=(800, 600),
             props=_butterfly_props,
