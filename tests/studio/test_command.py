@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import subprocess
@@ -11,6 +12,8 @@ from pathlib import Path
 import pytest
 
 from nacre.cli import run
+
+FILES = 512  # that a server may have open; half of what Linux gives
 
 
 def test_folders_and_files_that_cannot_be_opened_are_one_line(
@@ -66,3 +69,29 @@ def test_without_a_browser_one_line_says_so_and_the_server_serves_on(folder: Pat
             socket.create_connection(("127.0.0.1", port), timeout=60).close()
         finally:
             process.kill()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit of open files to reach")
+def test_half_requests_without_number_do_not_keep_the_page_from_being_answered(folder: Path) -> None:
+    import resource
+
+    def few_files() -> None:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (FILES, FILES))
+
+    command = [sys.executable, "-m", "nacre", "studio", str(folder), "--no-browser", "--port", "0"]
+    with contextlib.ExitStack() as held:
+        process = held.enter_context(
+            subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=few_files)
+        )
+        held.callback(process.kill)
+        assert process.stdout is not None
+        port = int(process.stdout.readline().split(":")[2].split("/")[0])
+        half = [held.enter_context(socket.create_connection(("127.0.0.1", port), timeout=60)) for _ in range(FILES)]
+        for one in half:
+            with contextlib.suppress(OSError):  # it may be closed already
+                one.sendall(b"GET / HTTP/1.1\r\nHost: loc")
+        with socket.create_connection(("127.0.0.1", port), timeout=60) as whole:
+            whole.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: close\r\n\r\n".encode())
+            assert b" 403 " in whole.recv(100)
+        process.kill()
+        assert process.communicate()[1] == ""  # nor is the terminal filled with the system's complaints

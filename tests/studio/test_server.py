@@ -130,6 +130,22 @@ def test_a_foreign_origin_is_refused_even_with_the_token(page: TestClient, origi
         pass
 
 
+@pytest.mark.parametrize("site", ["same-site", "cross-site"])
+def test_what_another_servers_page_asks_for_is_refused_even_with_the_token(page: TestClient, site: str) -> None:
+    """As an image or a script, which has no origin; a page on another port of this host is sent our cookie."""
+    asked = {"sec-fetch-site": site, "sec-fetch-mode": "no-cors", "sec-fetch-dest": "image"}
+    assert page.get("/api/surround?name=sky", headers=asked).status_code == 403
+    assert page.get("/", headers=asked).status_code == 403
+    framed = {**asked, "sec-fetch-mode": "navigate", "sec-fetch-dest": "iframe"}
+    assert page.get("/", headers=framed).status_code == 403
+    led = {**framed, "sec-fetch-dest": "document"}
+    assert page.get("/", headers=led).status_code == 200 and page.get("/api/state", headers=led).status_code == 403
+    with pytest.raises(WebSocketDisconnect), page.websocket_connect(SOCKET, headers={"origin": HERE, **asked}):
+        pass
+    for own in ("none", "same-origin"):
+        assert page.get("/api/state", headers={"sec-fetch-site": own}).status_code == 200
+
+
 def test_a_socket_needs_the_token_and_an_origin(stranger: TestClient) -> None:
     for headers in ({}, {"origin": HERE}, {"cookie": f"nacre_studio_{PORT}={TOKEN}"}):
         with pytest.raises(WebSocketDisconnect), stranger.websocket_connect(SOCKET, headers=headers):

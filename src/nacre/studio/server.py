@@ -32,6 +32,7 @@ from nacre.materials.material import material_from_data
 from nacre.matter.indices import library
 from nacre.recipe.model import RecipeContext
 from nacre.studio.apart import run_apart
+from nacre.studio.connections import impatient
 from nacre.studio.edit import line_of
 from nacre.studio.folder import EXAMPLE, MAX_TEXT, STARTS, Opened, mark_of
 from nacre.studio.form import family_form
@@ -49,6 +50,7 @@ USUAL_PORT = 8642  # the same from start to start, so that a page finds its serv
 APART = 2  # processes for pictures, reports and files; the others wait
 SOLVERS = 2  # sessions that are answered at once; the others wait
 MAX_SESSIONS = 64
+AT_ONCE = 64  # connections that are taken on in one go, before any of them is judged
 MAX_FOUND = 40
 MAX_BODY = 2 * MAX_MESSAGE  # two recipes
 MEDIA = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".jpg": "image/jpeg"}
@@ -306,7 +308,7 @@ def open_port(port: int | None) -> socket.socket:
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((LOOPBACK, USUAL_PORT if port is None else port))
-        listening.listen(128)
+        listening.listen(AT_ONCE)
     except OSError as error:
         listening.close()
         if port is None:
@@ -328,7 +330,8 @@ def serve(opened: Opened, port: int | None, is_browser_wanted: bool) -> None:
     token = kept_token(chosen) if chosen in (port, USUAL_PORT) else new_token()
     app = make_app(opened, token, chosen)
     config = uvicorn.Config(
-        app, log_level="critical", access_log=False, lifespan="off", ws_max_size=MAX_MESSAGE,
+        app, http=impatient(), backlog=AT_ONCE, log_level="critical", access_log=False, lifespan="off",
+        ws_max_size=MAX_MESSAGE,
         timeout_graceful_shutdown=1, server_header=False, ws_per_message_deflate=False,  # it all stays on this machine
     )  # fmt: skip
     address = f"http://{LOOPBACK}:{chosen}/?token={token}"
