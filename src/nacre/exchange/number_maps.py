@@ -31,6 +31,8 @@ DEFAULT_LEVELS = 16
 SAME_LEVEL = 2.0 / LARGEST_GREY  # of the range: as far as a 16-bit map may have rounded one level
 SQUARE = 0.01  # of a pixel's side: how far its two sides may differ
 
+_LENGTH = re.compile(r"(?:^|[\W_])(nm|um|µm|μm)(?:$|[\W_])")
+
 
 @dataclass(frozen=True, eq=False)
 class NumberMap:
@@ -93,7 +95,8 @@ class ProcessCurve:
 def read_process(path: str | Path) -> ProcessCurve:
     """Read a CSV of two columns, the setting and the value that it makes; lengths in nm.
 
-    A first line of words names them; lines that start with # are left out.
+    A first line of words names them; lines that start with # are left out. Where it says nm or um of the first column
+    alone, that is the value; um become nm.
 
     Raises:
         NacreError: it cannot be read, has fewer than two points, or is not monotonic.
@@ -102,6 +105,12 @@ def read_process(path: str | Path) -> ProcessCurve:
     table, words = read_curve(path, "process curve", "setting, value", ", as volts and nm")
     if not np.isfinite(table).all():
         raise NacreError(f"{path}: all numbers must be finite")
+    lengths = [_LENGTH.search(word.lower()) for word in words or ()]
+    if words and lengths[0] and not lengths[1]:
+        table, words, lengths = table[np.argsort(table[:, 1]), ::-1], (words[1], words[0]), lengths[::-1]
+    if lengths and lengths[1] and lengths[1][1] != "nm":
+        table, name = table * [1.0, 1e3], lengths[1][1]
+        words = (words[0], words[1].replace(name, "nm")) if words else None
     if not is_monotonic(table):
         raise NacreError(f"{path}: the process curve is not monotonic; each value needs one setting")
     return ProcessCurve(table[:, 0], table[:, 1], str(path), words or ("setting", "value"))
