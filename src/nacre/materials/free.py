@@ -20,6 +20,7 @@ from nacre.recipe.paths import expand_path
 from nacre.recipe.tables import FreeNumberSpec, FreeSpec, by_path, known_only
 
 MOST_FREE = 200
+JUST_INSIDE = 1e-6  # of the bounds
 
 
 @dataclass(frozen=True)
@@ -123,19 +124,24 @@ def _tried(path: str, low: float, high: float, material: Material, where: str) -
         except NacreError:
             continue
         ends = math.ceil(low), math.floor(high)
-        _check_ends(path, *ends, material, where)
+        _check_ends(path, *ends, material, where, True)
         return Free(path, float(ends[0]), float(ends[1]), (), True)
     raise RecipeError(f"{where}: {said}")
 
 
-def _check_ends(path: str, low: float, high: float, material: Material, where: str) -> None:
-    """Refuse an end that the recipe never allows; one that other numbers may make room for is left to the search."""
-    for end in (low, high):
+def _check_ends(path: str, low: float, high: float, material: Material, where: str, is_whole: bool = False) -> None:
+    """Refuse an end that the recipe never allows; one that other numbers may make room for is left to the search.
+
+    An end alone may be refused: an amount must be above 0, and at 0 a design leaves its table out.
+    """
+    inside = 0.0 if is_whole else JUST_INSIDE * (high - low)
+    for end, value in ((low, low + inside), (high, high - inside)):
         try:
-            material.vary({path: end})
+            material.vary({path: value})
         except NacreError as error:
             if f"{path} = " in str(error) and "is not allowed" in str(error):
-                raise RecipeError(f"{where} = {show_value([low, high])}: {error}") from None
+                said = str(error).replace(show_value(value), show_value(end))
+                raise RecipeError(f"{where} = {show_value([low, high])}: {said}") from None
 
 
 def _choices(path: str, entry: Mapping[str, Any], material: Material, where: str) -> Free:

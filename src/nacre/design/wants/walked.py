@@ -40,7 +40,8 @@ SCOUTS_PER_NUMBER, LEAST_SCOUTS, MOST_SCOUTS = 48, 128, 1024
 SCOUT_SHARE, REFINE_SHARE = 0.2, 0.45  # of the time
 RANKED = 48  # of the scouts, by the fine likeness
 HOPE = 0.3  # what the first steps down make of the rms
-FEW_STEPS, GOES_ON = 3, 0.9  # steps a turn; a turn that leaves less is followed by another
+FEW_STEPS, GOES_ON = 6, 0.97  # steps a turn; a turn that leaves less is followed by another
+SETTLING_STEPS = 3
 FINE_SHARE = 0.75  # of the time, for scouts and descents
 STARTS, STARTS_OF_A_SET, KEPT_STARTS = 6, 2, 3
 GOOD = 0.5  # rms over `within` of a valley that is settled at once
@@ -347,6 +348,8 @@ class WalkedSearch:
                 self._settle(place)
                 if self._is_met():
                     break
+            elif now <= POOR:
+                self._walk(place, FEW_WALKS)  # one of the other answers
         found += [(rms, place) for rms, place, is_begun in open_ if is_begun]
         found.sort(key=lambda pair: pair[0])
         return found[:KEPT_STARTS]
@@ -376,14 +379,21 @@ class WalkedSearch:
         for turn in range(1 + (weightings if len(weights) > 1 else 0)):
             is_first = turn == 0
             spread = np.repeat(weights, blocks)
+            known: dict[bytes, Array] = {}  # where slopes are asked for the descent has just been
 
-            def residuals(x: Array, place: Array = place, spread: Array = spread) -> Array:
-                full = place.copy()
-                full[numbers] = x
-                spectra = self.spectra(full)
-                if spectra is None:
-                    return np.full(len(spread), FAR_OFF)
-                return np.asarray(self.goals.residuals(spectra)) * spread
+            def residuals(
+                x: Array, place: Array = place, spread: Array = spread, known: dict[bytes, Array] = known
+            ) -> Array:
+                found = known.get(x.tobytes())
+                if found is None:
+                    full = place.copy()
+                    full[numbers] = x
+                    spectra = self.spectra(full)
+                    found = np.full(len(spread), FAR_OFF)
+                    if spectra is not None:
+                        found = np.asarray(self.goals.residuals(spectra)) * spread
+                    known[x.tobytes()] = found
+                return found
 
             def slopes(x: Array, residuals: Callable[[Array], Array] = residuals) -> Array:
                 steps = np.where(x > 0.5, -STEP, STEP)
@@ -437,7 +447,7 @@ class WalkedSearch:
         place is good: what is far off needs no more of them.
         """
         place, walks, reach = start, FEW_WALKS, REACH
-        most = STEPS if self._told.off is None else FEW_STEPS
+        most = STEPS if self._told.off is None else SETTLING_STEPS
         objective, noise = self._walk(place, walks)
         told, best, idle = self._correction, self.best, 0
         for turn in range(SETTLINGS):
