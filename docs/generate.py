@@ -68,6 +68,7 @@ def gallery(docs: Path) -> str:
         options += [f"--light {picture.light}"] if picture.light else []
         options += [f"--illuminant {picture.illuminant}"] if picture.illuminant != "D65" else []
         options += [f"--components {picture.components}"] if picture.components != "sum" else []
+        options += [f"--quality {picture.quality}"] if picture.quality else []
         target = targets.get(picture.recipe)
         made = [f"nacre design examples/{target} -o {picture.recipe}"] if target else []
         source = picture.recipe if target else f"examples/{picture.recipe}"

@@ -22,7 +22,7 @@ from nacre.cli.gallery import PictureSpec, load_gallery
 from nacre.materials.examples import examples_folder
 
 IMAGES = Path(__file__).parent / "images"
-THUMBNAIL = (256, 256)
+THUMBNAIL = 360
 PANEL = (400, 320)
 HERO_PANEL = (664, 530)  # three of them and their gaps are 2,004 pixels wide
 GAP = 6
@@ -45,14 +45,14 @@ class Panel:
     view_turn_deg: float = 0.0
 
 
-# a bubble, a wing, a bottle / a car, a metasurface, a relief on a screen: all families, no two shapes alike
+# bubbles, a wing, a bottle / jewellery, a metasurface, a foil on a card: all families, no two shapes alike
 HERO = (
-    Panel("soap.toml", "sphere", spp=96),
+    Panel("soap.toml", "bubble", spp=96),
     Panel("morpho.toml", "butterfly"),
-    Panel("pearl/bottle1.toml", "bottle", spp=96),
-    Panel("anodised-titanium.toml", "panel"),
+    Panel("pearl/bottle1.toml", "bottle", spp=96, quality="fast"),
+    Panel("anodised-titanium.toml", "cuff"),
     Panel("metasurface/silver_on_oxide.toml", "speedshape"),
-    Panel("targets/star.toml", "screen"),
+    Panel("relief/rainbow.toml", "pass"),
 )
 
 # blue where they are lit and seen steeply, as a feather barb is
@@ -142,10 +142,10 @@ def make_thumbnail(picture: PictureSpec, folder: Path, scratch: Path) -> Path:
     target = folder / "targets" / f"{picture.recipe}.toml"
     source = _designed(target, scratch) if target.is_file() else folder / picture.recipe
     result = nacre.render(
-        nacre.load(source), picture.scene, shape=picture.shape, light=picture.light,
-        illuminant=picture.illuminant, components=picture.components, exposure=picture.exposure, size=THUMBNAIL,
-        spp=int(40 * picture.spp), light_turn_deg=picture.light_turn_deg, view_turn_deg=picture.view_turn_deg,
-        quality=picture.quality, progress=False,
+        nacre.load(source), picture.scene, shape=picture.shape, light=picture.light, illuminant=picture.illuminant,
+        components=picture.components, exposure=picture.exposure, zoom=picture.zoom, spp=int(32 * picture.spp),
+        size=(THUMBNAIL, 2 * round(0.5 * picture.ratio * THUMBNAIL)), light_turn_deg=picture.light_turn_deg,
+        view_turn_deg=picture.view_turn_deg, quality=picture.quality, progress=False,
     )  # fmt: skip
     return _save(Image.fromarray(np.asarray(result.srgb8)), IMAGES / "gallery" / f"{thumbnail_name(picture)}.jpg")
 

@@ -111,17 +111,31 @@ def _tried(path: str, low: float, high: float, material: Material, where: str) -
     """Try a value between the bounds in the recipe, which tells paths that do not exist and numbers that are whole."""
     try:
         material.vary({path: low + 0.4142 * (high - low)})
-        return Free(path, low, high)
     except NacreError as error:
         said = error
+    else:
+        _check_ends(path, low, high, material, where)
+        return Free(path, low, high)
     whole = [math.ceil(low), math.floor((low + high) / 2), math.floor(high)]
     for value in whole:
         try:
             material.vary({path: value})
         except NacreError:
             continue
-        return Free(path, float(math.ceil(low)), float(math.floor(high)), (), True)
+        ends = math.ceil(low), math.floor(high)
+        _check_ends(path, *ends, material, where)
+        return Free(path, float(ends[0]), float(ends[1]), (), True)
     raise RecipeError(f"{where}: {said}")
+
+
+def _check_ends(path: str, low: float, high: float, material: Material, where: str) -> None:
+    """Refuse an end that the recipe never allows; one that other numbers may make room for is left to the search."""
+    for end in (low, high):
+        try:
+            material.vary({path: end})
+        except NacreError as error:
+            if f"{path} = " in str(error) and "is not allowed" in str(error):
+                raise RecipeError(f"{where} = {show_value([low, high])}: {error}") from None
 
 
 def _choices(path: str, entry: Mapping[str, Any], material: Material, where: str) -> Free:

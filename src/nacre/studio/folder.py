@@ -149,6 +149,14 @@ class Opened:
         path, _ = self.place(name)
         return read_text(path, "recipe")
 
+    def is_readable(self, name: str) -> bool:
+        """Whether a recipe of the folder is TOML; what it says may still be wrong."""
+        try:
+            parse_toml(self.read(name), name)
+        except NacreError:
+            return False
+        return True
+
     def material(self, text: str, name: str) -> Material:
         """Build a recipe's text as the file of that name.
 

@@ -62,7 +62,8 @@ def garden(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
     )
     cloud = cloud * smooth_step(up, 0.05, 0.3)
     glow = 0.5 * np.exp(-to_sun / 0.2) + 0.2 * np.exp(-to_sun / 0.7)
-    disc = (to_sun < np.radians(0.5 * sun_deg)) * (SUN_DEG / sun_deg) ** 2
+    rim = (to_sun - np.radians(0.5 * sun_deg)) / pixel  # soft, as texels can show it
+    disc = (0.5 - 0.5 * np.clip(rim, -1.0, 1.0)) * (SUN_DEG / sun_deg) ** 2
     canvas.add(sun, sky * (disc * 250.0 + 0.35 * cloud))
     canvas.add(haze, sky * (0.12 + 0.5 * np.exp(-up / 0.14) + glow + 0.45 * cloud))
     canvas.add(blue, sky * (1 - 0.7 * cloud) * 0.34 * (1 - 0.7 * np.exp(-up / 0.2)))

@@ -111,7 +111,7 @@ class Scene:
     props: Callable[[], list[Part]] = list
 
 
-# reflectances and simple models of everything that is not the subject
+# reflectances and simple models of everything that is not the subject; of what is printed as it is on the whole
 MATERIALS: dict[str, dict[str, Any]] = {
     "ground": {"type": "diffuse", "reflectance": 0.16},
     "plain": {"type": "diffuse", "reflectance": 0.16},
@@ -122,12 +122,16 @@ MATERIALS: dict[str, dict[str, Any]] = {
     "lamp": {"type": "plastic", "int_ior": 1.5, "diffuse_reflectance": 0.55},
     "chrome": {"type": "roughconductor", "material": "Cr", "alpha": 0.18},
     "white": {"type": "diffuse", "reflectance": 0.8},
-    "paper": {"type": "diffuse", "reflectance": 0.74},
-    "black": {"type": "diffuse", "reflectance": 0.012},
     "velvet": {"type": "diffuse", "reflectance": 0.008},
     "fur": {"type": "roughplastic", "int_ior": 1.55, "alpha": 0.3, "diffuse_reflectance": 0.02},
     "horn": {"type": "roughplastic", "int_ior": 1.55, "alpha": 0.16, "diffuse_reflectance": 0.008},
     "enamel": {"type": "roughplastic", "int_ior": 1.5, "alpha": 0.22, "diffuse_reflectance": 0.006},
+    "margins": {"type": "diffuse", "reflectance": 0.02},
+    "plate": {"type": "diffuse", "reflectance": 0.5},
+    "card-white": {"type": "diffuse", "reflectance": 0.74},
+    "card-black": {"type": "diffuse", "reflectance": 0.012},
+    "name-ring": {"type": "diffuse", "reflectance": 0.03},
+    "pass": {"type": "roughplastic", "int_ior": 1.5, "alpha": 0.06, "diffuse_reflectance": 0.06},
     "barbs": {"type": "diffuse", "reflectance": 0.02},
     "quill": {"type": "roughplastic", "int_ior": 1.54, "alpha": 0.2, "diffuse_reflectance": 0.1},
     "down": {"type": "diffuse", "reflectance": 0.3},
@@ -146,6 +150,10 @@ def plain_material(name: str) -> dict[str, Any]:
         from nacre.picture.shapes.specimen import label_print
 
         return {"type": "diffuse", "reflectance": grounds.grey_bitmap(label_print(*LABELS[name])[::-1])}
+    if name in ("card-white", "card-black"):
+        from nacre.picture.shapes.paper import card_print
+
+        return {"type": "diffuse", "reflectance": grounds.grey_bitmap(card_print(name == "card-black")[::-1])}
     if name == "pass":
         return grounds.printed_card()
     if name == "name-ring":
@@ -225,7 +233,7 @@ def _butterfly() -> list[Part]:
 def _butterfly_props() -> list[Part]:
     from nacre.picture.shapes.specimen import label, pin
 
-    return [Part(pin(0.0, 0.3, 1.0), "steel"), Part(label(1.9, -1.95), "label-butterfly")]
+    return [Part(pin(0.0, 0.3, 1.0), "steel"), Part(label(1.85, -2.0), "label-butterfly")]
 
 
 @functools.cache
@@ -354,7 +362,7 @@ def _lens() -> list[Part]:
 def _card() -> list[Part]:
     from nacre.picture.shapes.paper import card_coat, card_paper
 
-    return [Part(card_coat()), Part(card_paper(False), "paper"), Part(card_paper(True), "black")]
+    return [Part(card_coat()), Part(card_paper(False), "card-white"), Part(card_paper(True), "card-black")]
 
 
 SCENES: dict[str, Scene] = {
@@ -367,7 +375,7 @@ SCENES: dict[str, Scene] = {
         Scene(
             "butterfly",
             _butterfly,
-            View((0.0, -3.3, 9.9), (0.0, -0.24, 0.1), 29.0, lens=0.05),
+            View((0.0, -3.3, 9.9), (0.0, -0.22, 0.1), 31.0, lens=0.05),
             "specimen",
             size=(800, 600),
             props=_butterfly_props,
@@ -422,7 +430,7 @@ SCENES: dict[str, Scene] = {
         ),
         Scene("strip", _strip, View((0.0, -9.4, 3.0), (0.0, 0.0, 0.3), 40.0, lens=0.07), "acrylic", size=(960, 400)),
         Scene("lens", _lens, View((1.0, -5.2, 6.2), (0.0, 0.0, 1.05), 26.0, lens=0.09, nearer=0.7), "desk"),
-        Scene("card", _card, View((0.0, -8.6, 5.2), (0.0, 0.1, 0.95), 21.0), size=(640, 720)),
+        Scene("card", _card, View((-1.6, -8.4, 5.2), (0.0, 0.1, 0.9), 22.0, lens=0.07), "desk", size=(640, 720)),
     )
 }
 # shapes that `shape=` knows: the subjects of the scenes above that stand, once each

@@ -20,6 +20,7 @@ MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
 MAX_MESH_BYTES = 1 << 30
 MAX_FACES = 20_000_000
 BYTES_A_BYTE = 6  # of a file: its text, and the corners, normals and faces of it
+LEAST_AREA, AREAS = 1e-12, 1 << 16  # of its extent squared: more than rounding; triangles at a time
 HEIGHT = 2.0  # a mesh is scaled to the height of our sphere, or less where it would leave the frame
 FRAME_SHARE = 0.94  # of the frame's half width and height
 # which axis is up: Blender, Maya and the web write y into these formats; printers and scanners write z into the others
@@ -105,6 +106,8 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
         or faces.max() >= len(vertices)
     ):
         raise NacreError(f"shape {path}: its vertices are not finite, all at one place, or missing")
+    if not _has_area(vertices, faces):
+        raise NacreError(f"shape {path}: no triangle of it has an area; its vertices lie along lines")
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.where(length > 0, normals / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
     turn = TO_Z_UP[up or ("y" if path.suffix.lower() in Y_UP else "z")]
@@ -113,6 +116,16 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
     if uv is None or np.shape(uv) != (len(vertices), 2) or not np.isfinite(np.asarray(uv, dtype=np.float64)).all():
         return outward(open_seam(Mesh(vertices, normals, _wrapped_uv(vertices), faces)))
     return outward(Mesh(vertices, normals, np.asarray(uv, dtype=np.float64), faces))
+
+
+def _has_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> bool:
+    """Whether a mesh can be seen at all; the first triangles nearly always tell."""
+    least = LEAST_AREA * float(np.ptp(vertices, axis=0).max()) ** 2
+    for start in range(0, len(faces), AREAS):
+        first, second, third = vertices[faces[start : start + AREAS]].transpose(1, 0, 2)
+        if 0.5 * np.linalg.norm(np.cross(second - first, third - first), axis=1).sum() > least:
+            return True
+    return False
 
 
 def _wrapped_uv(vertices: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -96,4 +96,22 @@ def card_paper(is_black: bool) -> Mesh:
     return _upward(parametric(lambda u, v: _card(u, low + (high - low) * v), 8, 100))
 
 
-__all__ = ["banknote", "banknote_foil", "banknote_print", "card_coat", "card_paper"]
+def card_print(is_black: bool, rows: int = 600) -> Array:
+    """Reflectance `[row, column]` of the card's white or black part, first row on top: what is printed at its edge."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    height = _BLACK[1] - _BLACK[0] if is_black else _BLACK[0]
+    columns = int(rows * CARD_WIDTH / (CARD_HEIGHT * height))
+    scale = columns / CARD_WIDTH
+    image = Image.new("L", (columns, rows), 0)
+    draw = ImageDraw.Draw(image)
+    font = ImageFont.load_default(0.085 * scale)
+    if is_black:
+        draw.text((0.2 * scale, 0.2 * scale), "OPACITY CHART   FORM 2A", fill=255, font=font)
+    else:
+        draw.text((0.2 * scale, rows - 0.135 * scale), "No.  550      film 40 um      drawn", fill=255, font=font)
+    ink = np.asarray(image, dtype=float) / 255.0
+    return np.asarray(0.012 + 0.5 * ink if is_black else 0.74 * (1.0 - 0.9 * ink))
+
+
+__all__ = ["banknote", "banknote_foil", "banknote_print", "card_coat", "card_paper", "card_print"]

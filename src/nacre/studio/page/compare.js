@@ -102,7 +102,8 @@ function show() {
 export function showHistory() {
   const strip = $("history"), { past, at } = recipe, look = app.lastGood;
   if (look && past[at]?.text === look.text) colours.set(look.text, look.swatches[0].hex[0]);
-  if (strip.childElementCount !== past.length) strip.replaceChildren(...past.map((_, i) => button(i)));
+  if (strip.childElementCount !== past.length || strip.dataset.of !== recipe.name) strip.replaceChildren(...past.map((_, i) => button(i)));
+  strip.dataset.of = recipe.name;       // a button keeps its picture while it is dragged, but for no other recipe
   [...strip.children].forEach((made, i) => {
     const { text, what } = past[i], picture = pictures.get(text), image = made.firstChild;
     const name = `Step ${i + 1} of ${past.length}: ${what}`;
