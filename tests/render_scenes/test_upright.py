@@ -126,6 +126,47 @@ def test_a_letter_r_reads_as_drawn_on(tmp_path: Path, name: str) -> None:
     assert likeness[0] > 0.8
 
 
+OWN = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/>{shape}
+<sensor type="perspective"><float name="fov" value="28.07"/><transform name="to_world">
+<lookat origin="0,-0.001,4" target="0,0,0" up="0,1,0"/></transform><film type="hdrfilm">
+<integer name="width" value="64"/><integer name="height" value="64"/></film></sensor></scene>"""
+QUAD = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3 4/4\n"
+BALL = '<transform name="to_world"><rotate x="1" angle="-90"/></transform>'  # its pole up in the picture
+
+
+@pytest.mark.parametrize(
+    ("kind", "inside"),
+    [
+        ("obj", '<string name="filename" value="quad.obj"/>'),
+        ("obj", '<string name="filename" value="quad.obj"/><boolean name="flip_tex_coords" value="false"/>'),
+        ("rectangle", ""),
+        ("sphere", BALL),
+    ],
+    ids=["obj", "obj as it is", "rectangle", "sphere"],
+)
+def test_a_letter_r_stands_upright_in_a_mitsuba_scene_of_ones_own(tmp_path: Path, kind: str, inside: str) -> None:
+    """Mitsuba's OBJ reader turns v about, and its sphere counts it from the top: the R stood on its head."""
+    (tmp_path / "quad.obj").write_text(QUAD)
+    shape = f'<shape type="{kind}">{inside}<bsdf type="diffuse" id="nacre"/></shape>'
+    (tmp_path / "own.xml").write_text(OWN.format(shape=shape))
+    drawn = letter(tmp_path / "r.png")
+    seen_at = np.s_[8:56, 8:56]
+    if kind == "sphere":  # u = 0.75 and v = 0.5 in its middle, where the letter is half as wide as the ball
+        canvas = np.zeros((268, 536), dtype=np.uint8)
+        canvas[102:166, 370:434] = drawn
+        Image.fromarray(canvas).save(tmp_path / "r.png")
+        drawn, seen_at = drawn[::2, ::2], np.s_[16:48, 16:48]
+    pictures = []
+    for thickness in ({"texture": str(tmp_path / "r.png"), "min": 0, "max": 40}, 0):
+        layer = {"material": "Ge", "thickness_nm": thickness}
+        recipe = {"family": "film", "substrate": "Ag", "layers": [layer], "surface": {"roughness": 0.5}}
+        pictures.append(brightness(nacre.material(recipe), scene=str(tmp_path / "own.xml")))
+    darkening = 1 - pictures[0][seen_at] / pictures[1][seen_at]
+    ways = [way if kind == "sphere" else way[seen_at] for way in turnings(drawn)]
+    likeness = [np.corrcoef(way.ravel(), darkening.ravel())[0, 1] for way in ways]
+    assert np.argmax(likeness) == 0 and likeness[0] > 0.7, likeness
+
+
 def test_a_formula_of_v_darkens_the_top_of_the_sphere() -> None:
     pictures = []
     for thickness in ({"formula": "40*clip((v - 0.5)*100, 0, 1)"}, 0):

@@ -48,7 +48,9 @@ class UserScene:
             raise NacreError(f"scene {path}: holds no scene")
         if not scene.sensors():
             raise NacreError(f"scene {path}: has no camera (sensor)")
-        _check_reach(mi, path)
+        wearers = _wearers(mi, path)
+        # images stand upright where all who wear them agree; Mitsuba melts meshes together, and with them their v
+        self.v_up = not wearers or not all(map(_runs_down, wearers))
         self.endless = None  # its surroundings are its own
         self.path, self.mitsuba_scene, self.depth = path, scene, DEFAULT_DEPTH
         self.subjects = [s for s in scene.shapes() if s.bsdf() is not None and s.bsdf().id() == SUBJECT]
@@ -71,7 +73,7 @@ class UserScene:
         from nacre.device.bsdf import make_bsdf
 
         self._source = material
-        made = make_bsdf(material, two_sided=True) if isinstance(material, Bsdf) else material
+        made = make_bsdf(material, two_sided=True, v_up=self.v_up) if isinstance(material, Bsdf) else material
         for shape in self.subjects:
             shape.set_bsdf(made)
 
@@ -107,11 +109,12 @@ class UserScene:
         return mi.load_dict(settings)
 
 
-def _check_reach(mi: Any, path: Path) -> None:
-    """Refuse a named BSDF where Mitsuba lets nobody exchange it: it would stay what it is in silence.
+def _wearers(mi: Any, path: Path) -> list[Any]:
+    """Return the nodes of the shapes whose BSDF is to be exchanged.
 
     Raises:
-        NacreError: it stands inside another BSDF, or on a shape of a shapegroup.
+        NacreError: one of them is where Mitsuba lets nobody exchange it, and would stay what it is in silence: inside
+            another BSDF, or on a shape of a shapegroup.
     """
     config = mi.parser.ParserConfig(mi.variant())
     state = mi.parser.parse_file(config, str(path))
@@ -137,6 +140,14 @@ def _check_reach(mi: Any, path: Path) -> None:
             f'scene {path}: the BSDF of id "{SUBJECT}" stands {where}, where it cannot be exchanged; {what}, or write '
             '<bsdf type="nacre"> with your recipe there and render with Mitsuba after `import nacre.render`'
         )
+    return [node for node in nodes if node.type.name == "Shape" and wears_it(node)]
+
+
+def _runs_down(shape: Any) -> bool:
+    """Whether v runs down on a shape of Mitsuba: its sphere, and a mesh whose reader turns the file's v about."""
+    kind = shape.props.plugin_name()
+    turned = shape.props.get("flip_tex_coords", kind == "obj")
+    return kind == "sphere" or (kind in ("obj", "ply", "serialized") and bool(turned))
 
 
 def _check_extents(scene: Any, path: Path) -> None:
