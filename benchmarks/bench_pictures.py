@@ -1,9 +1,10 @@
 """Pictures against long references: noise and LDR-FLIP at equal CPU time, bias of the denoiser, fireflies, memory.
 
-`python benchmarks/picture_references.py` makes the references, once; `.venv-bench` (`python tools/bench_env.py`) holds
-FLIP. "Before" are the samples a pixel that commit a3558d7 took, by Mitsuba's samplers and path tracers and without a
-denoiser, through the same box filter; "now" is the denoised picture in at most the CPU time of before, guides and
-denoiser included. Seconds are those of all cores of the process, which another process disturbs less than the clock.
+`benchmarks/references` holds the references (`picture_references.py` makes them), `.venv-bench`
+(`python tools/bench_env.py`) FLIP. "Before" are the samples a pixel that commit a3558d7 took, by Mitsuba's samplers and
+path tracers and without a denoiser, through the same box filter; "now" is the denoised picture in at most the CPU time
+of before, guides and denoiser included. Seconds are those of all cores of the process, which another process disturbs
+less than the clock.
 What is left of a reference's own noise is taken off the relative mean square errors; FLIP contains it, at the cost of
 ours, and grows as the 0.7th power of small errors: ten times less takes 27 times less error.
 
@@ -27,6 +28,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -150,7 +152,7 @@ def at_equal_time(case: Case, worker: Worker) -> dict[str, float]:
 
 def time_to_flip(case: Case, worker: Worker) -> float:
     """Return the CPU seconds to the bar's FLIP at twice the side, judged in the middle; infinite if never."""
-    bsdf, truth = case.bsdf(), reference(case, 2)
+    bsdf, truth = case.bsdf(), reference(case, of_middle=True)
     render(case, bsdf, 2 * SIDE, spp=LADDER[0])
     for spp in LADDER:
         made, seconds = cpu_of(lambda n=spp: render(case, bsdf, 2 * SIDE, spp=n))
@@ -221,8 +223,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for case in cases:
             made, truth = render(case, case.bsdf(), SIDE), reference(case)
             biases[case.name] = worst_patch(made.xyz, truth, str(made.stats["illuminant"]))
-            halves = [Reference(half[None], truth.spp[:1]) for half in truth.halves]
-            unsure[case.name] = 0.5 * worst_patch(halves[0].xyz, halves[1], str(made.stats["illuminant"]))
+            first, second = truth.halves
+            unsure[case.name] = 0.5 * worst_patch(first, replace(truth, xyz=second), str(made.stats["illuminant"]))
             flies[case.name] = float(new_flies(made.xyz, truth))
             raw_flies[case.name] = float(new_flies(made.raw if made.raw is not None else made.xyz, truth))
             samples[case.name] = float(made.stats["spp"])
@@ -241,7 +243,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         row(f"memory of a picture of {MEMORY_SIDE} x {MEMORY_SIDE}", memory, "GB", BARS["memory_gb"],
             note=f"one sample a pixel, denoised; {seconds_of_large:.0f} CPU s")  # fmt: skip
     kept = {case.name: reference(case) for case in cases} if set(parts) - {"memory"} else {}
-    notes = {"samples a pixel of the references": told({name: float(r.spp.sum()) for name, r in kept.items()})}
+    notes = {"samples a pixel of the references": told({name: float(r.spp) for name, r in kept.items()})}
     return report("pictures: noise, bias and fireflies against long references", rows, chosen.json, notes)
 
 

@@ -51,10 +51,14 @@ SLIDE = """async (count) => {
   const s = document.querySelector('[data-path="layers[0].thickness_nm"] input[type=range]');
   const v = document.getElementById('view'), gl = v.getContext('webgl2'), out = [], pixel = new Uint8Array(4);
   for (let i = 0; i < count; i++) {
-    const seq = v.dataset.seq, began = performance.now();
+    const drawn = new Promise((done) => {
+      const watch = new MutationObserver(() => { watch.disconnect(); done(); });
+      watch.observe(v, {attributes: true, attributeFilter: ['data-seq']});
+    });
+    const began = performance.now();
     s.value = 20 + (7 * i) % 150;
     s.dispatchEvent(new Event('input', {bubbles: true}));
-    while (v.dataset.seq === seq) await new Promise((done) => setTimeout(done, 0));
+    await drawn;
     gl.readPixels(v.width / 2, v.height / 2, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
     out.push(performance.now() - began);
     await new Promise((done) => setTimeout(done, 60));

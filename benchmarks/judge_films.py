@@ -12,6 +12,7 @@ import colour
 import numpy as np
 import tmm
 from common import serve
+from reach_lamps import reach
 
 from nacre.matter.indices.library import index
 
@@ -99,4 +100,4 @@ def rms(stack: dict[str, Any], angle_deg: float, wavelengths_nm: list[float], wa
 
 
 if __name__ == "__main__":
-    serve({"labs": labs, "differences": differences, "made": made, "rms": rms})
+    serve({"labs": labs, "differences": differences, "made": made, "reach": reach, "rms": rms})

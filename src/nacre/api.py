@@ -180,7 +180,8 @@ def gamut(
         thing: a material or a path.
         free: such as "layers[0].thickness_nm=50:400" or "substrate=Al,Ag"; or a mapping as a design's `[free]`.
         at: "specular 0", "transmitted 0", "diffuse 0", "hemispherical 0" or "45as15", as in a design's wants; None:
-            what shows a family's colour: "45as45" for a photonic glass, "specular 0" for the others.
+            what shows a family's colour: "45as15" for a pearl, "45as45" for a photonic glass, "specular 0" for the
+            others.
         points: number of materials.
         seconds: after which the colours found so far are told.
         within: the dE00 within which a colour counts as reached.
@@ -309,6 +310,8 @@ def fabricate(
     if to not in drawers:
         maps = number_maps(source) if isinstance(source, Material) else []
         if maps and to in MAP_FORMATS:
+            if seed is not None:
+                raise UnsupportedError(f"{name}: --to {to} takes no --seed here: nothing of a map is drawn at random")
             target = Path(path) if path is not None else folder / f"{_maps_stem(maps)}{MAP_SUFFIXES[to]}"
             return write_number_maps(
                 maps, to, target, name, size_mm=size_mm, calibration=calibration, levels=levels
@@ -320,7 +323,7 @@ def fabricate(
         raise UnsupportedError(f"{name}: --calibration PATH=CSV is for maps of numbers; --to {to} takes one curve")
     drawing = drawers[to](DrawingRequest(size_mm, seed))
     target = Path(path) if path is not None else folder / f"{drawing.stem}{SUFFIXES[to]}"
-    options = HeightOptions(size_mm, calibration, levels, pixels_per_feature, base_um)
+    options = HeightOptions(size_mm, calibration, levels, pixels_per_feature, base_um, seed)
     return write_drawing(drawing, to, target, name, options)
 
 

@@ -178,6 +178,11 @@ def named(path: str | Path) -> Path:
     return Path(given)
 
 
+def real(path: str | Path) -> Path:
+    """Return an absolute path with its links followed; one that leads to itself stays, where `Path.resolve` raises."""
+    return Path(os.path.realpath(path))
+
+
 def check_writable(path: str | Path) -> Path:
     """Return the folder of `path` if a file can be made there; call it before long work, not after.
 

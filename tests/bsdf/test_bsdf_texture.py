@@ -66,15 +66,33 @@ def test_values_without_meaning_become_the_lower_bound() -> None:
     assert float(Texture(2.0, 5.0, formula=parse_formula("9"))(np.array([0.5, 0.5]))) == 5.0
 
 
-def test_an_image_of_numbers_is_cut_to_the_range_of_grey(tmp_path: Path) -> None:
+def test_an_image_of_numbers_goes_from_black_to_white(tmp_path: Path) -> None:
     from PIL import Image
 
-    values = np.array([[-3.0, 0.25, np.nan], [0.75, 7.0, 1.0]], dtype=np.float32)
+    values = np.array([[-1e-6, 0.25, 0.0], [0.75, 1.0 + 1e-6, 1.0]], dtype=np.float32)
     Image.fromarray(values).save(tmp_path / "grey.tif")
     np.testing.assert_array_equal(read_grey(tmp_path / "grey.tif", "r.toml: k"), [[0, 0.25, 0], [0.75, 1, 1]])
     whole = np.array([[0, 13107], [65535, 32768]], dtype=np.uint16)
     Image.fromarray(whole).save(tmp_path / "grey.png")
     np.testing.assert_allclose(read_grey(tmp_path / "grey.png", "r.toml: k"), whole / 65535)
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        (np.array([[20.0, 160.0]], dtype=np.float32), "holds 20 to 160; black is 0 and white 1 in"),
+        (np.array([[0.0, np.nan]], dtype=np.float32), "holds nan to nan"),
+        (np.array([[0, 70_000]], dtype=np.int32), "holds 0 to 70000; black is 0 and white 65535"),
+        (np.array([[0, 4_000_000_000]], dtype=np.uint32), "black is 0 and white 65535"),
+    ],
+)
+def test_an_image_of_numbers_beyond_black_and_white_is_refused(tmp_path: Path, values: np.ndarray, says: str) -> None:
+    """A map of thickness in nm was white all over, in silence."""
+    import tifffile
+
+    tifffile.imwrite(tmp_path / "map.tif", values)
+    with pytest.raises(RecipeError, match=f'k = "map.tif" .*{says}'):
+        read_grey(tmp_path / "map.tif", "r.toml: k")
 
 
 def test_an_image_is_taken_as_a_viewer_shows_it(tmp_path: Path) -> None:

@@ -110,6 +110,15 @@ def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixtu
     assert "Usage: nacre" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("command", ["report", "tolerance", "gamut", "plot"])
+def test_help_names_every_lamp(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    from nacre.light import ILLUMINANTS
+
+    assert run([command, "--help"]) == 0
+    said = capsys.readouterr().out.replace(",", " ").replace(".", " ").split()
+    assert set(ILLUMINANTS) <= set(said)
+
+
 @pytest.mark.parametrize(
     "kind", ["spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity", "field", "structure"]
 )

@@ -119,6 +119,30 @@ def test_what_is_no_file_is_named_for_what_it_is(
     refused(capsys, filled, place if place != "device" else "device", reason)
 
 
+@pytest.mark.parametrize("words", [["render"], ["plot", "--kind", "ribbon"], ["compile"], ["export", "--to", "csv"]])
+def test_a_link_that_leads_to_itself_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "ring.toml").symlink_to("ring.toml")
+    refused(capsys, [*words, "ring.toml"], "ring.toml", "symbolic links")
+
+
+def test_a_named_file_that_is_a_link_to_itself_is_refused(
+    film: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(film.parent)
+    for name in ("ring.csv", "ring.xml", "ring.toml"):
+        Path(name).symlink_to(name)
+    for material in ('{file = "ring.csv"}', '{rii = "ring.csv"}'):
+        Path("of-ring.toml").write_text(f'family = "film"\nsubstrate = {material}\n')
+        refused(capsys, ["spectrum", "of-ring.toml"], "ring.csv", "")
+    strata = "[[strata]]\nresin = 1.5\nthickness_um = 9\n"
+    Path("on-ring.toml").write_text('family = "pearl"\nbase = {recipe = "ring.toml"}\n' + strata)
+    refused(capsys, ["spectrum", "on-ring.toml"], "ring.toml", "")
+    refused(capsys, ["render", str(film), "--scene", "ring.xml"], "ring.xml", "symbolic links")
+
+
 def test_a_recipe_may_come_through_a_pipe(film: Path) -> None:
     command = f"{sys.executable} -m nacre spectrum <(cat {film}) --wavelengths-nm 550"
     found = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=120, check=False)

@@ -93,3 +93,16 @@ def test_bad_options_are_told_in_one_line(option: str, word: str) -> None:
 def test_choices_and_bounds_are_told_apart() -> None:
     table = parse_free(["substrate=Al,Ag", "layers[0].thickness_nm=10:20"])
     assert table == {"substrate": {"choices": ["Al", "Ag"]}, "layers[0].thickness_nm": [10.0, 20.0]}
+
+
+def test_a_pearl_is_looked_at_where_its_flakes_show() -> None:
+    """Its mirror is the face of the resin: one grey for all pigments."""
+    flakes = {
+        "volume_fraction": 0.02,
+        "substrate": {"material": "mica", "thickness_nm": 400, "deviation_nm": 50},
+        "coatings": [{"material": "TiO2", "thickness_nm": 90}],
+    }
+    pearl = {"family": "pearl", "strata": [{"resin": {"n": 1.5}, "thickness_um": 25, "platelets": [flakes]}]}
+    free = ["strata[0].platelets[0].coatings[0].thickness_nm=40:160"]
+    found = nacre.gamut(nacre.material(pearl), free, points=8, samples=64)
+    assert found.at == "45as15" and np.ptp(found.lab[:, 1:], axis=0).min() > 20.0

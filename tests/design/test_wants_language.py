@@ -168,8 +168,14 @@ BAD = {
     "both forms of target": (target(target={"kind": "uniform"}), "one form"),
     "a recipe that is wrong": (target(recipe={**FILM, "substrat": "Si"}), "Did you mean"),
     "layers of what is no film": (
-        target(recipe={"family": "pearl"}, free=None, layers={"palette": ["TiO2"]}), "recipe",
+        target(recipe={"family": "pearl"}, free=None, layers={"palette": ["TiO2"]}), "only the stack of a film",
     ),
+    "a bound that the recipe never allows": (target(free={"layers[0].thickness_nm": [-50, 50]}), "= [-50, 50]: "),
+    "a chromaticity outside all colours": (target(want=[{"at": "specular 0", "xyy": [0.3, 0, 0.2]}]), "no colour"),
+    "a total below every layer": (
+        target(free=None, layers={"palette": ["SiO2"], "thickness_nm": [50, 90]}, limits={"total_nm": 20}), "no layer",
+    ),
+    "a spread of an index that does not exist": (target(spread={"layers[9].thickness_nm": 3}), "does not exist"),
     "a key that is not known": (target(wants=3), 'Did you mean "want"'),
 }  # fmt: skip
 

@@ -17,6 +17,7 @@ from nacre.design.wants.image_file import read_picture
 from nacre.design.wants.image_match import HUE_WORTH, has_same_hue, match
 from nacre.design.wants.target import read_target
 from nacre.errors import NacreError, RecipeError
+from nacre.exchange.number_maps import read_process
 from nacre.light import delta_e_2000, lab_to_lch, lab_to_xyz, white_xyz, xyz_to_lab
 
 WHITE = white_xyz("D65", "10deg")
@@ -186,6 +187,23 @@ def test_levels_are_those_of_the_process_and_a_mask_has_a_layer_for_each(tmp_pat
         assert sum(p.area() for p in polygons) == pytest.approx(1e4 * held.sum())
         low = min(p.bounding_box()[0][1] for p in polygons)  # y runs up: the last row lies at 0
         assert low == pytest.approx(100.0 * (19 - np.flatnonzero(held.any(axis=1)).max()))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "volts,thickness_nm\n0,2\n20,42\n60,126\n",
+        "thickness_nm,volts\n2,0\n42,20\n126,60\n",
+        "volts,thickness (um)\n0,0.002\n20,0.042\n60,0.126\n",
+        "nm;V\n126;60\n2;0\n42;20\n",
+        "0,2\n20,42\n60,126\n",
+    ],
+)
+def test_a_process_curve_is_read_by_its_headings(tmp_path: Path, text: str) -> None:
+    (tmp_path / "volts.csv").write_text(text)
+    curve = read_process(tmp_path / "volts.csv")
+    np.testing.assert_allclose(curve.settings, [0, 20, 60])
+    np.testing.assert_allclose(curve.values, [2, 42, 126])
 
 
 def test_a_calibration_turns_thickness_into_volts(designed: Path, tmp_path: Path) -> None:

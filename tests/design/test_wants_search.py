@@ -167,6 +167,14 @@ def test_an_interrupt_ends_with_the_best_and_a_resumed_run_goes_on_from_it(
     assert "another target" in capsys.readouterr().err
 
 
+def test_a_recipe_of_ones_own_in_the_folder_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "recipe.toml").write_text("# mine\n")
+    wanted = asked(0.0, hidden=film(55, 110), recipe=film(30, 110), free={"layers[0].thickness_nm": [20, 90]})
+    with pytest.raises(NacreError, match="no design wrote"):
+        nacre.design(wanted, tmp_path)
+    assert (tmp_path / "recipe.toml").read_text() == "# mine\n"
+
+
 def test_a_folder_can_be_moved_with_the_files_that_its_recipe_names(tmp_path: Path) -> None:
     (tmp_path / "tables").mkdir()
     (tmp_path / "tables" / "nk.csv").write_text("360, 1.5, 0\n830, 1.4, 0\n")

@@ -162,7 +162,21 @@ def test_the_rgb_basis_is_exact_and_smooth() -> None:
 
     grid = default_wavelengths()
     basis = rgb_basis(grid)
-    np.testing.assert_allclose(spectrum_to_rgb_linear(basis, grid), np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(spectrum_to_rgb_linear(basis, grid), np.eye(3), atol=1e-8)
+    np.testing.assert_allclose(basis.sum(axis=0), 1.0, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "rgb", [(1.0, 0.77, 0.34), (0.95, 0.64, 0.54), (0.2, 0.5, 0.9), (0.6, 0.25, 0.2), (1.0, 1.0, 1.0)]
+)
+def test_the_spectrum_of_a_colour_that_reflects_no_more_than_white_does_so_at_every_wavelength(
+    rgb: tuple[float, float, float],
+) -> None:
+    """Gold's was 1.26 at 830 nm, copper's 1.63: an imported MERL sent out more light than arrived."""
+    from nacre.light import default_wavelengths
+
+    spectrum = np.array(rgb) @ rgb_basis(default_wavelengths())
+    assert spectrum.min() > 0.0 and spectrum.max() < 1.0 + 1e-3
 
 
 def test_a_zemax_table_round_trips_and_looks_where_its_format_says(tmp_path: Path, film: nacre.Bsdf) -> None:

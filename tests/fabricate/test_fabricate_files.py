@@ -156,6 +156,8 @@ def test_an_stl_is_watertight_and_holds_the_heights(tmp_path: Path) -> None:
     assert np.abs(heights - (material.tile.heights_nm - material.tile.heights_nm.min()) / 1e3).max() < 1e-5
     repeated = trimesh.load(fabricate(material, "stl", tmp_path / "many_um.stl", size_mm=(0.016, 0.016)))
     assert np.allclose(repeated.extents[:2], 16.0)
+    oblong = trimesh.load(fabricate(material, "stl", tmp_path / "oblong_um.stl", size_mm=(0.024, 0.008)))
+    assert np.allclose(oblong.extents[:2], [24.0, 8.0]) and oblong.is_watertight
 
 
 def test_a_csv_holds_the_heights(tmp_path: Path) -> None:
@@ -174,13 +176,47 @@ def test_a_falling_calibration_works_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "text",
+    [
+        "grey,depth_um\n0,2.0\n1000,1.0\n4000,0.1\n",
+        "depth_um,grey\n2.0,0\n1.0,1000\n0.1,4000\n",
+        "% the laser of hall 3\nGrey;Depth (nm)\n0;2000,0\n1000;1000\n4000;100\n",
+        "depth_nm\tgrey value\n100\t4000\n1000\t1000\n2000\t0\n",
+        "0 2.0\n1000 1.0\n4000 0.1\n",
+    ],
+)
+def test_a_calibration_is_read_as_its_heading_says(tmp_path: Path, text: str) -> None:
+    """Depth before grey was taken for a curve of 0 to 4000 um."""
+    (tmp_path / "curve.csv").write_text(text)
+    curve = read_calibration(tmp_path / "curve.csv")
+    assert curve.grey.tolist() == [0.0, 1000.0, 4000.0] and curve.depth_um == pytest.approx([2.0, 1.0, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("volts,oxide_nm\n0,2\n10,30\n50,120\n", ("volts", "oxide_nm")),
+        ("Oxide (um);U (V)\n0,002;0\n0,03;10\n0,12;50\n", ("U (V)", "Oxide (um)")),
+    ],
+)
+def test_a_process_curve_is_read_as_its_heading_says(tmp_path: Path, text: str, words: tuple[str, str]) -> None:
+    from nacre.exchange.number_maps import read_process
+
+    (tmp_path / "volts.csv").write_text(text)
+    curve = read_process(tmp_path / "volts.csv")
+    assert curve.settings.tolist() == [0.0, 10.0, 50.0] and curve.words == words
+    assert curve.values == pytest.approx([2.0, 30.0, 120.0])
+
+
+@pytest.mark.parametrize(
     ("text", "says"),
     [
         ("1,0.1\n2,0.3\n3,0.2\n", "not monotonic"),
         ("1,0.1\n1,0.3\n", "not monotonic"),
         ("1,0.1\n", "at least two"),
         ("1,0.1\n99999,0.3\n", "0 to 65535"),
-        ("1,0.1\nzwei,0.3\n3;x\n", "line 3"),
+        ("1,0.1\n3,x\n", "line 2"),
+        ("1,0.1\nzwei,0.3\n3,0.5\n", "line 2"),
         ("1,nan\n2,1\n", "finite"),
     ],
 )
@@ -205,6 +241,10 @@ def test_a_calibration_that_does_not_cover_the_heights_is_refused(tmp_path: Path
         ("png16", {"pixels_per_feature": 0}, "1 or more"),
         ("gds", {"levels": 1000}, "levels"),
         ("stl", {"size_mm": (100.0, 100.0)}, "triangles"),
+        ("png16", {"levels": 8}, "--to png16 takes no --levels"),
+        ("gds", {"seed": 3}, "--to gds takes no --seed"),
+        ("stl", {"calibration": "published"}, "--to stl takes no --calibration"),
+        ("csv", {"size_mm": (1.0, 1.0)}, "--to csv takes no --size-mm"),
     ],
 )
 def test_impossible_requests_are_refused(tmp_path: Path, to: str, options: dict, says: str) -> None:

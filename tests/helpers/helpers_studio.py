@@ -77,9 +77,10 @@ def opened(browser: Browser, server: Server, **options: Any) -> Iterator[Page]:
     expect(page.locator("#view")).to_have_attribute("data-judged", "true")  # how many pixels this machine can draw
     yield page
     context.close()
-    # while the server is away, or refuses what was asked, the browser says so on the console, whatever a page does
-    told = ("ERR_CONNECTION_REFUSED", "status of 422")
-    assert [trouble for trouble in troubles if not any(words in trouble for words in told)] == []
+    # while the server is away, was killed in an answer, or refuses what was asked, the browser says so on the console
+    told = ("ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", "status of 422")
+    left = [trouble for trouble in troubles if not any(words in trouble for words in told)]
+    assert left == [], left
 
 
 def is_own(url: str, server: Server) -> bool:

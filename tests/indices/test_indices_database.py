@@ -101,6 +101,8 @@ def test_an_entry_without_n_is_refused():
 def test_spaces_underscores_and_capitals_of_a_key_do_not_matter():
     assert find_page("main/SiO2/Rodriguez-de Marcos").key == "main/SiO2/Rodriguez-de_Marcos"
     assert find_page("Main/ag/johnson").key == "main/Ag/Johnson"
+    copied = "https://refractiveindex.info/?shelf=main&book=Ag&page=Johnson"
+    assert find_page(copied).key == "main/Ag/Johnson"
     with pytest.raises(UnknownMaterialError, match='Did you mean "main/Ag/Johnson"'):
         find_page("main/Ag/Jonson")
 

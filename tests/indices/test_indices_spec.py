@@ -94,6 +94,7 @@ def test_every_fault_is_one_line_with_file_and_key(material, line):
     assert text.startswith("morpho.toml: ") and line in text and "\n" not in text
 
 
+EV_NM = 6.62607015e-34 * 299792458 / 1.602176634e-19 * 1e9  # h c / e
 CSV = {
     "comma": "wavelength_nm,n,k\n400,1.5,0.1\n800,1.7,0.3\n",
     "um": "# measured\nwavelength_um;n;k\n0.8;1.7;0.3\n0.4;1.5;0.1\n",
@@ -108,6 +109,12 @@ CSV = {
     "heading parted otherwise": "wavelength_nm n k\n400,1.5,0.1\n800,1.7,0.3\n",
     "unit by size": "Lambda,n,k\n0.4,1.5,0.1\n0.8,1.7,0.3\n",
     "extra column": "nm,n,error,k\n400,1.5,9,0.1\n800,1.7,9,0.3\n",
+    "database heading in nm": "wl,n,k\n400,1.5,0.1\n800,1.7,0.3\n",
+    "database heading with its unit": "WL (um),n,k\n0.4,1.5,0.1\n0.8,1.7,0.3\n",
+    "angstrom": "Wavelength (Å);n;k\n4000;1,5;0,1\n8000;1,7;0,3\n",
+    "electron volt": f"E [eV]\tn\tk\n{EV_NM / 800:.17g}\t1.7\t0.3\n{EV_NM / 400:.17g}\t1.5\t0.1\n",
+    "energy": f"energy_eV,n,k\n{EV_NM / 800:.17g},1.7,0.3\n{EV_NM / 400:.17g},1.5,0.1\n",
+    "remarks of other programs": "% my oxide\n! measured\nwavelength_nm,n,k\n400,1.5,0.1 # first\n800,1.7,0.3\n",
 }
 
 

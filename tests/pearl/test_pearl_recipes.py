@@ -117,12 +117,21 @@ def test_platelets_may_fill_three_tenths():
 def test_a_histogram_that_does_not_sum_is_refused_with_its_key(tmp_path):
     (tmp_path / "h.csv").write_text("thickness_nm,fraction\n300,0.2\n400,0.2\n500,0.2\n")
     data = changed(FLAKE + "substrate", {"material": "mica", "histogram": "h.csv"})
-    with pytest.raises(RecipeError, match=r"strata\[0\]\.platelets\[0\]\.substrate.*sum to 0\.6"):
+    with pytest.raises(RecipeError, match=r"strata\[0\]\.platelets\[0\]\.substrate\.histogram = .*sum to 0\.6"):
         material(data, tmp_path)
 
 
-def test_a_measured_histogram_builds(tmp_path):
-    (tmp_path / "h.csv").write_text("thickness_nm,fraction\n300,0.2\n400,0.5\n500,0.3\n")
+@pytest.mark.parametrize(
+    "text",
+    [
+        "thickness_nm,fraction\n300,0.2\n400,0.5\n500,0.3\n",
+        "thickness (nm);share (%)\n300;20,0\n400;50,0\n500;30,0\n",
+        "nm\tcount\n300\t124\n400\t310\n500\t186\n",
+    ],
+    ids=["shares", "per cent", "counts"],
+)
+def test_a_measured_histogram_builds(tmp_path, text):
+    (tmp_path / "h.csv").write_text(text)
     data = changed(FLAKE + "substrate", {"material": "mica", "histogram": "h.csv"})
     lobe = material(data, tmp_path).bsdf(COARSE).lobes[0]
     assert lobe.flake_number[0] == pytest.approx(0.066 * 150e3 / (410 + 280), rel=1e-6)

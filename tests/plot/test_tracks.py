@@ -135,6 +135,8 @@ def test_a_colour_map_runs_over_the_layer_that_moves_the_colour():
     assert int(data["layer"]) == 1 and data["thicknesses_nm"][-1] == 1000.0
     chromium = cavity.figure_data("colour-map", layer=0, wavelengths_nm=NM)["thicknesses_nm"]
     assert 12.0 <= chromium[-1] <= 100.0
+    axes = plot.material_figure(cavity, "colour-map", wavelengths_nm=NM).axes[0]
+    assert axes.get_ylabel() == "Thickness of layers[1] (nm)"  # which one is nowhere else in the figure
 
 
 @pytest.mark.parametrize("kind", ["colour-map", "chromaticity", "tracks"])

@@ -14,6 +14,7 @@ from nacre.errors import RecipeError
 from nacre.families.registry import FAMILIES, family_spec
 from nacre.recipe.keys import tables_below
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
+from nacre.recipe.toml import parse_toml
 from nacre.study.plan import SweepSpec
 
 ODD: list[Any] = [
@@ -51,3 +52,23 @@ def test_a_word_that_is_none_of_the_allowed_gets_a_hint() -> None:
     data = {"family": "film", "substrate": "Si", "surface": {"distribution": "gxx"}}
     with pytest.raises(RecipeError, match='one of "ggx".* Did you mean "ggx"'):
         validate(family_spec("film", "here"), data, RecipeContext("r"))
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [
+        ("family = \u201cfilm\u201d\n", 'write straight quotes: "'),
+        ('family = "film\nsubstrate = "Ti"\n', "a quote is not closed in this line"),
+        ('layers = [{material = "Ti", thickness_nm = 1,5}]\n', "write a decimal point, not a comma"),
+        ("roughness = 0,2\n", "write a decimal point, not a comma"),
+        ('layers = [{material = "Ti", thickness_nm = 15,}]\n', "leave out the comma before the }"),
+    ],
+)
+def test_usual_slips_in_toml_are_told(text: str, hint: str) -> None:
+    with pytest.raises(RecipeError, match=r"line 1, column \d+\); " + re.escape(hint)):
+        parse_toml(text, "my.toml")
+
+
+def test_other_mistakes_in_toml_get_no_hint() -> None:
+    with pytest.raises(RecipeError, match=r"column \d+\)$"):
+        parse_toml("a = {b = 1, c 2}\n", "my.toml")

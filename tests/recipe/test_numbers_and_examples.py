@@ -13,7 +13,7 @@ import nacre
 from nacre.bsdf.texture import parse_formula
 from nacre.cli import run
 from nacre.errors import NacreError, RecipeError
-from nacre.materials.examples import examples, examples_folder, find_example
+from nacre.materials.examples import copy_examples, examples, examples_folder, find_example
 from nacre.recipe.numbers import uses_time, without_names
 
 FORMULA = "100 + 500*v^drain + 40*sin(drain*u) + t"
@@ -167,6 +167,13 @@ def test_a_misspelt_example_is_guessed(name: str, meant: str, tmp_path: Path, mo
         nacre.load(name)
 
 
+def test_a_recipe_of_ones_own_is_guessed_before_an_example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "titanium.toml").write_text('family = "film"\nsubstrate = "Ti"\n')
+    with pytest.raises(NacreError, match=r'titanium: does not exist.* Did you mean "titanium.toml"'):
+        nacre.load("titanium")
+
+
 def test_examples_are_listed_and_copied(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["examples", "film", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)
@@ -182,3 +189,18 @@ def test_examples_are_listed_and_copied(tmp_path: Path, capsys: pytest.CaptureFi
     assert (tmp_path / "mine" / "gold.toml").read_text() == "mine"
     assert run(["examples", "sopa", "-o", str(tmp_path / "other")]) == 2
     assert not (tmp_path / "other").exists()
+
+
+def test_an_example_that_the_disk_has_no_room_for_leaves_no_half_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A half would be in the way of the next copy, as a file of another content."""
+
+    def full(source: Path, target: Path) -> None:
+        Path(target).write_bytes(b"half")
+        raise OSError(28, "No space left on device", str(source))
+
+    monkeypatch.setattr("nacre.materials.examples.shutil.copyfile", full)
+    with pytest.raises(NacreError, match=r"mine/soap.toml: cannot be written: No space left"):
+        copy_examples(["soap"], tmp_path / "mine")
+    assert not list((tmp_path / "mine").iterdir())

@@ -363,12 +363,19 @@ def test_a_variant_that_was_set_on_a_broken_llvm_is_refused(monkeypatch: pytest.
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("name", ["scalar_rgb", "llvm_ad_rgb"])
-def test_a_scene_of_another_variant_says_that_a_spectral_one_is_needed(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("scalar_rgb", "nacre needs a spectral variant"),
+        ("llvm_ad_rgb", "nacre needs a spectral variant"),
+        ("scalar_spectral_polarized", "nacre's BSDFs are for unpolarised light"),
+    ],
+)
+def test_a_scene_of_another_variant_says_which_one_is_needed_and_why(name: str, why: str, tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text('family = "film"\nsubstrate = "Si"\n')
     code = (
         f"import nacre.render, mitsuba as mi\nmi.set_variant({name!r})\n"
         f"mi.load_dict({{'type': 'nacre', 'recipe': {str(tmp_path / 'a.toml')!r}}})\n"
     )
     done = python(code, dict(os.environ))
-    assert done.returncode != 0 and "nacre needs a spectral variant" in done.stderr and name in done.stderr
+    assert done.returncode != 0 and why in done.stderr and f"this is {name}. Use llvm" in done.stderr

@@ -97,6 +97,7 @@ def test_a_scene_file_finds_recipes_beside_itself(mi: Any, tmp_path: Path, monke
         ({"recipe": "bad.toml"}, 'substrate = "aar" is not known. Did you mean "air"?'),
         ({"bsdf": "nobody"}, 'bsdf = "nobody" was not handed over'),
         ({"recipe": "good.toml", "colour": 3.0}, "unreferenced property"),
+        ({"recipe": "good.toml", "two_sided": "false"}, "two_sided = 'false' of a \"nacre\" BSDF is no boolean"),
     ],
 )
 def test_errors_in_a_scene_are_one_line(
@@ -307,3 +308,34 @@ def test_a_narrow_range_of_wavelengths_is_announced(mi: Any, caplog: pytest.LogC
     with caplog.at_level("WARNING", logger="nacre"):
         _made(bsdf)
     assert "known from 450 to 650 nm only" in caplog.text
+
+
+def test_where_v_runs_down_an_image_lies_as_mitsubas_own_bitmap_does(mi: Any, tmp_path: Path) -> None:
+    """On Mitsuba's sphere and in its OBJ reader v runs down an image; elsewhere, and at first, it runs up."""
+    from PIL import Image
+
+    levels = (np.random.default_rng(3).random((5, 7)) > 0.5).astype(np.uint8) * 255
+    Image.fromarray(levels).save(tmp_path / "map.png")
+    (tmp_path / "f.toml").write_text(
+        'family = "film"\nsubstrate = "Ag"\nsurface = {roughness = 0.5}\nlayers = [{material = "Ge", thickness_nm = '
+        '{texture = "map.png", min = 0, max = 40, interpolation = "nearest"}}]\n'
+    )
+    bitmap = {"type": "bitmap", "filename": str(tmp_path / "map.png"), "filter_type": "nearest"}
+    theirs = mi.load_dict({"type": "diffuse", "reflectance": bitmap})
+    column, row = (t.ravel() for t in np.meshgrid((np.arange(7) + 0.5) / 7, (np.arange(5) + 0.5) / 5))
+
+    def is_bright(bsdf: Any, v: np.ndarray) -> np.ndarray:
+        si = mi.SurfaceInteraction3f()
+        si.uv, si.wi = mi.Point2f(column, v), mi.Vector3f(0.0, 0.0, 1.0)
+        si.wavelengths = mi.Spectrum(550.0)
+        values = np.array(bsdf.eval(mi.BSDFContext(), si, mi.Vector3f(0.0, 0.0, 1.0)))[0]
+        return np.asarray(values > 0.5 * (values.min() + values.max()))
+
+    drawn = is_bright(theirs, row)
+    assert drawn.tolist() == (levels.ravel() > 0).tolist()
+    recipe = {"type": "nacre", "recipe": str(tmp_path / "f.toml")}
+    down = {**recipe, "v_up": False}
+    made = nacre.render.make_bsdf(nacre.load(tmp_path / "f.toml").bsdf(), v_up=False)
+    for bsdf in (mi.load_dict(down), made, mi.load_dict({"type": "twosided", "a": down})):
+        assert is_bright(bsdf, row).tolist() == (~drawn).tolist()  # germanium makes the silver dark
+    assert is_bright(mi.load_dict(recipe), 1.0 - row).tolist() == (~drawn).tolist()

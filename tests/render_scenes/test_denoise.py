@@ -124,6 +124,25 @@ def test_fireflies_do_not_come_back_as_texture() -> None:
     assert spots[1] < 1.25 * spots[0]
 
 
+def test_highlights_that_both_halves_hold_stay_as_bright_and_as_small() -> None:
+    """Lamps mirrored in a wheel: spots of two pixels, thirty times as bright as what is about them."""
+    from nacre.picture.denoise import denoised
+
+    truth = np.full((*SIZE, 3), 0.1) * [0.95, 1.0, 1.09]
+    places = np.random.default_rng(13).integers(8, 88, (24, 2))
+    for row, column in places:
+        truth[row : row + 2, column] = 3.0
+    noisy, doubt = noisy_pair(truth, 0.03)
+    is_spot = truth[..., 1] > 1.0
+    alone, found = (
+        [float(np.mean((xyz / truth - 1.0)[where] ** 2)) for where in (is_spot, ~is_spot)]
+        for xyz in (denoised(noisy, *flat_guides()), denoised(noisy, *flat_guides(), doubt))
+    )
+    # a tenth of the mean square error is the bar of whole pictures; against the denoiser that knows no halves
+    assert found[0] < alone[0] / 10
+    assert found[1] < alone[1]  # no glow about them
+
+
 def test_light_does_not_leave_an_object_with_the_means_of_its_colours() -> None:
     """A rim that the denoiser dims gives its light back to itself, not to the dark beside it."""
     from nacre.picture.denoise import beyond_noise, means

@@ -266,9 +266,12 @@ def test_our_tracer_knows_what_a_stage_has(light: str, recipe: str) -> None:
     mi = use_variant()
     ball = {"type": "sphere", "bsdf": make_bsdf(nacre.load(EXAMPLES / f"{recipe}.toml").bsdf())}
     made = make_lights(read_lamps(light))
-    stage = SimpleNamespace(light=made, depth=6, mitsuba_scene=mi.load_dict({"type": "scene", "ball": ball}))
+    scene = mi.load_dict({"type": "scene", "ball": ball})
+    stage = SimpleNamespace(light=made, depth=6, mitsuba_scene=scene, subjects=scene.shapes())
     tracer = passes._tracer(stage)
     assert tracer.spread_by == []
+    # a bare film only mirrors: draws of lamps would not lessen its noise
+    assert tracer.draws == (1 if recipe == "soap" else passes.DRAWS)
     assert (tracer.passes_through, tracer.splits) == (recipe == "soap", recipe == "soap")
     assert (tracer.soft is not None) == (light != "studio")
 

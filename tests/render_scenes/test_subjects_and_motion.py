@@ -181,6 +181,14 @@ FOG = (
 )
 
 
+# beside a shape whose BSDF can be exchanged, one where it cannot
+NESTED = '<shape type="cube"><bsdf type="twosided"><ref id="nacre"/></bsdf></shape></scene>'
+GROUPED = (
+    '<shape type="shapegroup" id="g"><shape type="cube"><ref id="nacre"/></shape></shape>'
+    '<shape type="instance"><ref id="g"/></shape></scene>'
+)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "integrator"),
     [
@@ -213,7 +221,13 @@ def test_a_mitsuba_scene_is_seen_as_mitsuba_sees_it(
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [(SCENE.format(name="other"), 'id "nacre"'), ("<scene", "cannot load"), ("<scene version='3.0.0'/>", "no camera")],
+    [
+        (SCENE.format(name="other"), 'id "nacre"'),
+        ("<scene", "cannot load"),
+        ("<scene version='3.0.0'/>", "no camera"),
+        (SCENE.format(name="nacre").replace("</scene>", NESTED), "inside a BSDF of type twosided"),
+        (SCENE.format(name="nacre").replace("</scene>", GROUPED), "on a shape of a shapegroup"),
+    ],
 )
 def test_a_useless_scene_is_one_line(tmp_path: Path, text: str, words: str, grey: Any) -> None:
     path = tmp_path / "bad.xml"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +127,47 @@ def test_a_letter_r_reads_as_drawn_on(tmp_path: Path, name: str) -> None:
     assert likeness[0] > 0.8
 
 
+OWN = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/>{shape}
+<sensor type="perspective"><float name="fov" value="28.07"/><transform name="to_world">
+<lookat origin="0,-0.001,4" target="0,0,0" up="0,1,0"/></transform><film type="hdrfilm">
+<integer name="width" value="64"/><integer name="height" value="64"/></film></sensor></scene>"""
+QUAD = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3 4/4\n"
+BALL = '<transform name="to_world"><rotate x="1" angle="-90"/></transform>'  # its pole up in the picture
+
+
+@pytest.mark.parametrize(
+    ("kind", "inside"),
+    [
+        ("obj", '<string name="filename" value="quad.obj"/>'),
+        ("obj", '<string name="filename" value="quad.obj"/><boolean name="flip_tex_coords" value="false"/>'),
+        ("rectangle", ""),
+        ("sphere", BALL),
+    ],
+    ids=["obj", "obj as it is", "rectangle", "sphere"],
+)
+def test_a_letter_r_stands_upright_in_a_mitsuba_scene_of_ones_own(tmp_path: Path, kind: str, inside: str) -> None:
+    """Mitsuba's OBJ reader turns v about, and its sphere counts it from the top: the R stood on its head."""
+    (tmp_path / "quad.obj").write_text(QUAD)
+    shape = f'<shape type="{kind}">{inside}<bsdf type="diffuse" id="nacre"/></shape>'
+    (tmp_path / "own.xml").write_text(OWN.format(shape=shape))
+    drawn = letter(tmp_path / "r.png")
+    seen_at = np.s_[8:56, 8:56]
+    if kind == "sphere":  # u = 0.75 and v = 0.5 in its middle, where the letter is half as wide as the ball
+        canvas = np.zeros((268, 536), dtype=np.uint8)
+        canvas[102:166, 370:434] = drawn
+        Image.fromarray(canvas).save(tmp_path / "r.png")
+        drawn, seen_at = drawn[::2, ::2], np.s_[16:48, 16:48]
+    pictures = []
+    for thickness in ({"texture": str(tmp_path / "r.png"), "min": 0, "max": 40}, 0):
+        layer = {"material": "Ge", "thickness_nm": thickness}
+        recipe = {"family": "film", "substrate": "Ag", "layers": [layer], "surface": {"roughness": 0.5}}
+        pictures.append(brightness(nacre.material(recipe), scene=str(tmp_path / "own.xml")))
+    darkening = 1 - pictures[0][seen_at] / pictures[1][seen_at]
+    ways = [way if kind == "sphere" else way[seen_at] for way in turnings(drawn)]
+    likeness = [np.corrcoef(way.ravel(), darkening.ravel())[0, 1] for way in ways]
+    assert np.argmax(likeness) == 0 and likeness[0] > 0.7, likeness
+
+
 def test_a_formula_of_v_darkens_the_top_of_the_sphere() -> None:
     pictures = []
     for thickness in ({"formula": "40*clip((v - 0.5)*100, 0, 1)"}, 0):
@@ -150,6 +192,61 @@ def test_each_format_is_read_with_its_own_axis_up(tmp_path: Path, suffix: str, a
         top = surface.vertices[np.argmax(surface.vertices[:, 2])]
         assert np.hypot(*top[:2]) < 1e-3 * top[2]
         assert (surface.normals[:, 2] < -0.5).any()  # the base looks down
+
+
+def quad_with(material: Any, shift: float) -> Any:
+    import trimesh
+
+    vertices = np.array([[-1, 0, 0], [1, 0, 0], [1, 2, 0], [-1, 2, 0]], float) + [shift, 0, 0]
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
+    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    return trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3]], process=False, visual=visual)
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".glb"])
+def test_uv_of_a_mesh_of_several_materials_is_that_of_its_file(tmp_path: Path, suffix: str) -> None:
+    """Joined by trimesh, their images were packed into one, and uv shrank to 0.02 ... 0.5 of it."""
+    import trimesh
+
+    kind = trimesh.visual.material.PBRMaterial
+    first = kind(name="a", baseColorTexture=Image.new("RGB", (64, 64), "red"))
+    second = kind(name="b", baseColorFactor=[0, 0, 255, 255])
+    trimesh.Scene([quad_with(first, 0.0), quad_with(second, 3.0)]).export(tmp_path / f"two{suffix}")
+    uv = read_mesh(tmp_path / f"two{suffix}").uv
+    assert sorted(map(tuple, uv.round(6))) == sorted(2 * [(0, 0), (1, 0), (1, 1), (0, 1)])
+
+
+@pytest.mark.parametrize("suffix", [".gltf", ".glb"])
+def test_a_gltf_without_materials_keeps_its_uv(tmp_path: Path, suffix: str) -> None:
+    """trimesh reads the uv of what names a material alone; in glTF v runs down."""
+    import base64
+    import struct
+
+    corners = np.array([[-1, 0, 0], [1, 0, 0], [1, 2, 0], [-1, 2, 0]], "<f4")
+    uv = np.array([[0.1, 0.9], [0.8, 0.9], [0.8, 0.3], [0.1, 0.3]], "<f4")
+    data = corners.tobytes() + uv.tobytes() + np.array([0, 1, 2, 0, 2, 3], "<u2").tobytes()
+    buffer = {"byteLength": len(data)}
+    if suffix == ".gltf":
+        buffer["uri"] = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    tree = {
+        "asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}], "buffers": [buffer],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2}]}],
+        "bufferViews": [{"buffer": 0, "byteOffset": a, "byteLength": b} for a, b in ((0, 48), (48, 32), (80, 12))],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [-1, 0, 0], "max": [1, 2, 0]},
+            {"bufferView": 1, "componentType": 5126, "count": 4, "type": "VEC2"},
+            {"bufferView": 2, "componentType": 5123, "count": 6, "type": "SCALAR"},
+        ],
+    }  # fmt: skip
+    text = json.dumps(tree).encode()
+    if suffix == ".glb":
+        text, data = text + b" " * (-len(text) % 4), data + b"\0" * (-len(data) % 4)
+        chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
+        text = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    (tmp_path / f"bare{suffix}").write_bytes(text)
+    read = read_mesh(tmp_path / f"bare{suffix}")
+    np.testing.assert_allclose(read.uv, uv * [1, -1] + [0, 1], atol=1e-6)
+    assert len(read_mesh(tmp_path / f"bare{suffix}", is_alone=True).uv) == 4
 
 
 def test_an_upward_axis_without_a_mesh_is_refused(tmp_path: Path) -> None:

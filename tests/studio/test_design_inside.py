@@ -108,8 +108,17 @@ def test_a_range_of_hues_may_cross_0_and_asks_for_chroma() -> None:
         [50.0, c * np.cos(np.radians(h)), c * np.sin(np.radians(h))] for c, h in ((30, 5), (30, 355), (15, 0), (30, 40))
     ]
     found = distance_to(want, np.array(labs))
-    np.testing.assert_allclose(found[:3], [0.0, 0.0, 5.0], atol=1e-9)
-    assert found[3] == pytest.approx(2 * 30 * np.sin(np.radians(15)))  # the chord over the 30 degrees beyond
+    np.testing.assert_allclose(found[:2], 0.0, atol=1e-9)
+    # by formula, of colours near the edge: 5 of chroma 20, and 30 degrees beyond at chroma 30
+    assert found[2] == pytest.approx(float(delta_e_2000([50.0, 20.0, 0.0], labs[2])), abs=0.02)
+    edge = [50.0, *(30.0 * np.array([np.cos(np.radians(10)), np.sin(np.radians(10))]))]
+    assert 0.8 * float(delta_e_2000(edge, labs[3])) < found[3] <= float(delta_e_2000(edge, labs[3]))
+
+
+def test_a_lightness_that_is_asked_for_counts_on_the_chart_too() -> None:
+    want = Want(At("specular", 0.0), {}, 2.0, 1.0, "", ranges={"lightness": (70.0, None), "chroma": (10.0, None)})
+    dark, light = distance_to(want, np.array([[40.0, 20.0, 0.0], [75.0, 20.0, 0.0]]))
+    assert dark == pytest.approx(float(delta_e_2000([70.0, 20.0, 0.0], [40.0, 20.0, 0.0]))) and light == 0.0
 
 
 def test_the_answer_that_is_loaded_shows_what_is_said_of_it(client: TestClient) -> None:

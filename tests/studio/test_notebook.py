@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import io
 import json
 import shutil
 import struct
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers_studio import PATIENCE_S, SEEN, ball, picture, until
+from PIL import Image
 from playwright.sync_api import Browser
 
 import nacre
@@ -262,3 +264,49 @@ def test_the_sphere_is_seen_in_a_cell_and_follows_the_material_and_its_slider(br
     page.evaluate("window.end()")
     page.close()
     assert troubles == []
+
+
+MANY = 18  # a browser has 16 contexts of WebGL
+CELLS = """async ([source, style, count]) => {
+  document.body.innerHTML = `<style>${style} .cell { margin-bottom: 40px; }</style>`;
+  const made = await import(URL.createObjectURL(new Blob([source], { type: 'text/javascript' })));
+  window.cells = [];
+  for (let i = 0; i < count; i++) {
+    const el = Object.assign(document.createElement('div'), { className: 'cell' }), heard = new Set();
+    document.body.append(el);
+    const model = { on: (name, f) => heard.add(f), off: (name, f) => heard.delete(f), send: () => {} };
+    await made.default.render({ model, el });
+    window.cells.push((content, text) => heard.forEach((f) => f(content,
+      [new DataView(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer)])));
+  }
+}"""
+
+
+@pytest.mark.full
+def test_a_notebook_of_more_materials_than_a_browser_has_contexts_shows_each_where_it_is_looked_at(
+    browser: Browser,
+) -> None:
+    page = browser.new_page(viewport={"width": 900, "height": 700})
+    page.set_default_timeout(1e3 * PATIENCE_S)
+    troubles: list[str] = []
+    page.on("console", lambda said: troubles.append(said.text) if said.type in ("error", "warning") else None)
+    style = room.files("nacre.studio").joinpath("widget.css").read_text(encoding="utf-8")
+    page.evaluate(CELLS, [room.bundle("widget.js"), style, MANY])
+    for cell in range(MANY):
+        asked, told = answers()
+        asked.show(nacre.material({**FILM, "layers": [{"material": "SiO2", "thickness_nm": 100 + 20 * cell}]}))
+        assert asked.wait(PATIENCE_S)
+        asked._furnish()
+        for content, packed in told:
+            page.evaluate("([i, c, b]) => window.cells[i](c, b)", [cell, content, base64.b64encode(packed).decode()])
+
+    def seen(cell: int) -> float:
+        canvas = page.locator(".view").nth(cell)
+        canvas.scroll_into_view_if_needed()
+        pixels = np.asarray(Image.open(io.BytesIO(canvas.screenshot())).convert("RGB"))
+        return float(pixels.std())
+
+    for cell in (*range(MANY), 0):
+        until(page, lambda cell=cell: seen(cell) > 10)  # type: ignore[misc]
+    page.close()
+    assert [trouble for trouble in troubles if "Too many active WebGL contexts" in trouble] == []

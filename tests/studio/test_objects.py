@@ -141,6 +141,7 @@ BROKEN = [
     ("roof.obj", b"", "roof.obj"),
     ("roof.stl", b"no mesh at all", "roof.stl"),
     ("roof.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "roof.ply"),
+    ("line.obj", b"v 0 0 0\nv 1 1 1\nv 2 2 2\nv 3 3 3\nf 1 2 3\nf 2 3 4\n", "no triangle of it has an area"),
     ("roof.txt", ROOF.encode(), "no mesh that can be read"),
     ("../../x.obj", b"junk", "x.obj"),
 ]

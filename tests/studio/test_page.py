@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers_studio import (
     FILM,
+    PATIENCE_S,
     SEEN,
     THICKNESS,
     Server,
@@ -25,6 +26,8 @@ from playwright.sync_api import Browser, Page, expect
 
 from nacre.recipe.toml import parse_toml
 
+PICTURE = re.compile("^data:image/jpeg")
+DRAGS = 30  # changes of a number, 100 ms apart
 A_CURVE = 20  # pixels of a pen's own colour that a curve has at least: it is some hundred pixels long
 PENS = """(id) => {
   const canvas = document.getElementById(id).previousElementSibling, { color, caretColor } = getComputedStyle(canvas);
@@ -149,6 +152,33 @@ def test_a_broken_recipe_marks_its_line_and_the_last_good_one_stays(page: Page) 
     expect(field(page, THICKNESS)).to_have_value("150")
 
 
+def test_a_recipe_that_cannot_be_read_is_opened_as_text_and_nothing_of_the_one_before_passes_for_it(
+    browser: Browser, server: Server
+) -> None:
+    """Its name comes before the good one's, and yet the good one is what a page on the folder begins with."""
+    broken = server.folder / "a-broken.toml"
+    broken.write_text('family = "film"\nlayers = [\nsubstrate = "Si"\n')
+    try:
+        with opened(browser, server) as page:
+            expect(page.locator("#recipes")).to_have_value("film.toml")
+            expect(page.locator("#history img")).to_be_visible()
+            page.locator("#recipes").select_option("a-broken.toml")
+            expect(page.get_by_role("alert").first).to_contain_text("Line 3")
+            expect(page.get_by_label("Recipe as TOML")).to_be_visible()
+            expect(page.locator("#state")).to_have_text("The recipe has a mistake; film.toml is still shown")
+            expect(page.locator("#history img")).to_be_hidden()
+            page.get_by_role("tab", name="Form").click()
+            expect(page.locator("#form")).to_contain_text("as soon as its TOML can be read")
+            expect(page.locator("#form .row")).to_have_count(0)
+            page.get_by_role("tab", name="TOML").click()
+            page.locator("#text").fill('family = "film"\nlayers = []\nsubstrate = "Ti"\n')
+            settled(page)
+            page.get_by_role("tab", name="Form").click()
+            expect(field(page, "substrate")).to_have_value("Ti")
+    finally:
+        broken.unlink()
+
+
 def test_nothing_typed_is_lost_when_the_server_is_killed_and_started_anew(page: Page, server: Server) -> None:
     server.kill()
     expect(page.locator("#state")).to_have_attribute("data-kind", "lost")
@@ -225,14 +255,35 @@ def test_saving_writes_the_file_and_a_starting_point_is_opened(page: Page, serve
     assert ball(picture(page))[1] > ball(picture(page))[0]  # a green beetle
 
 
+def test_pictures_of_steps_are_taken_at_rest_and_none_while_a_number_is_dragged(page: Page) -> None:
+    """To read a picture back holds the next one up for as long as two take to draw."""
+    expect(page.locator("#history img")).to_be_visible()  # of the beginning, before anything changed
+    taken = page.evaluate(
+        """async (path) => {
+          let count = 0;
+          const read = HTMLCanvasElement.prototype.toDataURL;
+          HTMLCanvasElement.prototype.toDataURL = function (...how) { count += 1; return read.apply(this, how); };
+          const turned = document.querySelector(`[data-path="${path}"] input[type=range]`);
+          for (let i = 0; i < DRAGS; i++) {
+            turned.value = 100 + i;
+            turned.dispatchEvent(new Event("input", { bubbles: true }));
+            await new Promise((done) => setTimeout(done, 100));
+          }
+          return count;
+        }""".replace("DRAGS", str(DRAGS)),
+        THICKNESS,
+    )
+    assert taken == 0
+    expect(page.locator("#history img").last).to_have_attribute("src", PICTURE)
+
+
 def test_a_kept_look_stands_beside_the_new_one_and_steps_are_gone_back_to_by_their_pictures(page: Page) -> None:
     before = picture(page)
     half = before.shape[1] // 2
     for drawing in ("spectrum", "track"):
         own, others = drawn_by_pens(page, drawing)
         assert own > A_CURVE and others == 0
-    drawn = re.compile("^data:image/jpeg")
-    expect(page.locator("#history img")).to_have_attribute("src", drawn)
+    expect(page.locator("#history img")).to_have_attribute("src", PICTURE)
     page.get_by_role("button", name="Keep as B").click()
     slider(page, THICKNESS).fill("110")
     until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 110)
@@ -250,7 +301,7 @@ def test_a_kept_look_stands_beside_the_new_one_and_steps_are_gone_back_to_by_the
     page.keyboard.press("b")
     assert np.abs(ball(picture(page)) - ball(before)).max() > SEEN
     step = page.get_by_role("button", name="Step 1 of 2: Opened")
-    expect(step.locator("img")).to_have_attribute("src", drawn)
+    expect(step.locator("img")).to_have_attribute("src", PICTURE)
     page.get_by_role("button", name="Step 2 of 2").focus()
     page.keyboard.press("ArrowLeft")
     page.keyboard.press("Enter")
@@ -259,6 +310,21 @@ def test_a_kept_look_stands_beside_the_new_one_and_steps_are_gone_back_to_by_the
     settled(page)
     page.get_by_role("button", name="Drop B").click()
     np.testing.assert_array_equal(picture(page), before)
+
+
+def test_object_and_sliders_are_seen_together_on_laptops_tablets_and_zoomed_pages(page: Page) -> None:
+    for width, height in ((1280, 800), (1024, 768), (768, 1024), (640, 400)):  # the last: a laptop's page at 200 %
+        page.set_viewport_size({"width": width, "height": height})
+        for part in (page.locator("#view"), slider(page, THICKNESS)):
+            place = part.bounding_box()
+            assert place is not None, (width, height)
+            assert 0 <= place["x"] and place["x"] + place["width"] <= width, (width, height)
+            assert 0 <= place["y"] and place["y"] + place["height"] <= height, (width, height)
+            middle = [place["x"] + place["width"] / 2, place["y"] + place["height"] / 2]
+            assert part.evaluate("(e, [x, y]) => e === document.elementFromPoint(x, y)", middle), (width, height)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+    cut = "[...document.querySelectorAll('.row > label')].filter((e) => e.scrollWidth > e.clientWidth + 1).length"
+    assert page.evaluate(cut) == 0
 
 
 def test_every_control_has_a_name_and_without_webgl_the_page_says_so(browser: Browser, server: Server) -> None:
@@ -324,3 +390,38 @@ def test_the_settled_picture_comes_and_the_page_stays_free(page: Page, server: S
     until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 90)
     expect(page.locator("#picture")).to_be_visible()
     assert page.evaluate("document.getElementById('picture').naturalWidth") == 192
+
+
+@pytest.mark.full
+@pytest.mark.render
+def test_without_webgl_the_servers_picture_stands_in_the_objects_place_and_follows(
+    browser: Browser, server: Server
+) -> None:
+    context = browser.new_context(viewport={"width": 1280, "height": 800})
+    page = context.new_page()
+    page.add_init_script(
+        """const get = HTMLCanvasElement.prototype.getContext;
+        HTMLCanvasElement.prototype.getContext = function (kind, how) {
+          return kind === "webgl2" ? null : get.call(this, kind, how);
+        };"""
+    )
+    page.set_default_timeout(1e3 * PATIENCE_S)
+    page.goto(server.address)
+    page.get_by_role("button", name="Close").click()
+    image = page.locator("#stage #picture")
+    expect(image).to_be_visible()
+    place = image.bounding_box()
+    assert place is not None and place["y"] + place["height"] < 800 and place["width"] > 300
+    changes = [
+        lambda: slider(page, THICKNESS).fill("90"),
+        lambda: page.locator("#lamp").select_option("A"),
+        lambda: page.locator("#object").select_option("knob"),
+        lambda: page.locator("#surround").select_option("street"),
+    ]
+    for change in changes:
+        expect(page.locator("#cancel")).to_be_hidden()
+        before = image.get_attribute("src")
+        change()
+        until(page, lambda before=before: image.get_attribute("src") != before)  # type: ignore[misc]
+    expect(page.locator("#exposure")).to_be_hidden()
+    context.close()

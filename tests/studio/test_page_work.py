@@ -124,6 +124,20 @@ def test_an_own_mesh_is_drawn_and_a_broken_one_is_one_line(page: Page, tmp_path:
     page.locator("#stage").evaluate(drop, corners.replace("0 2 0", "3 2 0") + "f 1 5 2\nf 2 5 3\nf 3 5 1\n")
     expect(page.locator("#object option:checked")).to_have_text("flag.obj")
     until(page, lambda: not np.array_equal(picture(page), tent))
+    # pictures are asked of the mesh by its own name, or of another scene without it
+    expect(page.locator("#scene option:checked")).to_have_text("flag.obj")
+    expect(page.locator("#file-scene option:checked")).to_have_text("flag.obj")
+    asked = []
+    page.on("request", lambda request: asked.append(request.post_data_json) if "api/picture" in request.url else None)
+    for scene in ("own", "knob"):
+        page.locator("#scene").select_option(scene)
+        page.locator("#render").click()
+        until(page, lambda: bool(asked))
+        page.locator("#cancel").click()
+        question = asked.pop()
+        assert ("mesh" in question) == (scene == "own")
+        assert question["scene"] == ("sphere" if scene == "own" else "knob")
+        asked.clear()
 
 
 @pytest.mark.full

@@ -11,7 +11,7 @@ from nacre.exchange.lut.table import lobe_directions, lobe_weight
 from nacre.light import spectrum_to_rgb_linear, spectrum_to_xyz
 from nacre.picture.lights.environments import studio
 from nacre.recipe.toml import parse_toml
-from nacre.studio import look, stage
+from nacre.studio import look, stage, surround
 from nacre.studio.care import DRAFTS, SLOW_S, Drafts
 from nacre.studio.edit import edited
 from nacre.studio.lobe import LOBE_NM, SHAPE, lobe_picture
@@ -38,6 +38,19 @@ def test_a_balls_shade_falls_away_from_the_light() -> None:
     row, columns = ROWS // 3, 2 * ROWS
     key = round(216 / 360 * columns)  # azimuth of the largest soft box
     assert left[row, (key + columns // 2) % columns] < left[row, key] - 0.02
+
+
+@pytest.mark.parametrize("name", ["studio", "street"])
+def test_a_place_that_is_kept_between_runs_is_the_place_that_was_made(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    surround._blurred_surround.cache_clear()
+    made = surround.blurred_surround(name)
+    surround._blurred_surround.cache_clear()  # as in the next run
+    monkeypatch.setattr(surround, "_made", lambda name: pytest.fail("it was made anew"))
+    kept = surround.blurred_surround(name)
+    assert kept.layers.dtype == np.float32
+    assert kept.packed() == made.packed()
 
 
 def test_the_stage_is_darker_the_less_sky_it_sees() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import struct
 import subprocess
 import sys
@@ -18,7 +17,6 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 import nacre
-from nacre.cli import run
 from nacre.errors import NacreError
 from nacre.families.registry import FAMILIES
 from nacre.light import delta_e_2000, spectrum_to_rgb_linear, spectrum_to_srgb, srgb_to_hex
@@ -130,6 +128,22 @@ def test_a_foreign_origin_is_refused_even_with_the_token(page: TestClient, origi
     assert page.post("/api/save", headers={"origin": origin}, json={}).status_code == 403
     with pytest.raises(WebSocketDisconnect), page.websocket_connect(SOCKET, headers={"origin": origin}):
         pass
+
+
+@pytest.mark.parametrize("site", ["same-site", "cross-site"])
+def test_what_another_servers_page_asks_for_is_refused_even_with_the_token(page: TestClient, site: str) -> None:
+    """As an image or a script, which has no origin; a page on another port of this host is sent our cookie."""
+    asked = {"sec-fetch-site": site, "sec-fetch-mode": "no-cors", "sec-fetch-dest": "image"}
+    assert page.get("/api/surround?name=sky", headers=asked).status_code == 403
+    assert page.get("/", headers=asked).status_code == 403
+    framed = {**asked, "sec-fetch-mode": "navigate", "sec-fetch-dest": "iframe"}
+    assert page.get("/", headers=framed).status_code == 403
+    led = {**framed, "sec-fetch-dest": "document"}
+    assert page.get("/", headers=led).status_code == 200 and page.get("/api/state", headers=led).status_code == 403
+    with pytest.raises(WebSocketDisconnect), page.websocket_connect(SOCKET, headers={"origin": HERE, **asked}):
+        pass
+    for own in ("none", "same-origin"):
+        assert page.get("/api/state", headers={"sec-fetch-site": own}).status_code == 200
 
 
 def test_a_socket_needs_the_token_and_an_origin(stranger: TestClient) -> None:
@@ -450,41 +464,3 @@ def test_the_settled_picture_is_a_picture_of_the_text(page: TestClient) -> None:
     assert last["kind"] == "picture" and last["is_last"]
     picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(last["png"].partition(",")[2]))))
     assert picture.shape == (128, 128, 3) and picture.std() > 5
-
-
-def test_folders_and_files_that_cannot_be_opened_are_one_line(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    empty = tmp_path / "empty"
-    empty.mkdir()
-    for what, words in ((empty, "no recipe"), (tmp_path / "none.toml", "no such file"), (__file__, "is no recipe")):
-        assert run(["studio", str(what), "--no-browser"]) == 2
-        said = capsys.readouterr()
-        assert words in said.err and said.err.count("\n") == 1 and not said.out
-
-
-def test_a_port_in_use_is_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen(1)
-        port = taken.getsockname()[1]
-        assert run(["studio", str(folder), "--no-browser", "--port", str(port)]) == 2
-    said = capsys.readouterr()
-    assert f"--port {port}: address already in use" in said.err and said.err.count("\n") == 1 and not said.out
-
-
-def test_the_command_prints_one_address_and_listens_on_loopback_alone(folder: Path) -> None:
-    command = [sys.executable, "-m", "nacre", "studio", str(folder), "--no-browser"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None and process.stderr is not None
-            address = process.stdout.readline().strip()
-            assert address.startswith("http://127.0.0.1:") and "?token=" in address
-            port = int(address.split(":")[2].split("/")[0])
-            with socket.create_connection(("127.0.0.1", port), timeout=60) as open_one:
-                open_one.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: close\r\n\r\n".encode())
-                assert b" 403 " in open_one.recv(100)
-        finally:
-            process.send_signal(2)
-            out, err = process.communicate(timeout=120)
-    assert out == "" and "Traceback" not in err and process.returncode == 130

@@ -21,6 +21,7 @@ from nacre.recipe.model import RecipeContext, RecipeModel
 
 MAX_IMAGE_PIXELS = 64_000_000
 BYTES_A_PIXEL = 24  # as read, in double precision, and scaled
+ROUNDING = 1e-5  # by which numbers of an image in floating point may pass black and white
 FORMULA_SAMPLES = 257  # a side of u and v
 PLACE_SAMPLES, SURFACE_SAMPLES = 17, 9  # of formulas of the place: along a side of space, and of u and v beside it
 
@@ -150,8 +151,8 @@ def read_grey(path: Path, where: str, longest_side: int = MAX_IMAGE_PIXELS) -> N
         where: file and key of the recipe, for messages.
 
     Raises:
-        RecipeError: missing, not an image, transparent in places, larger than `MAX_IMAGE_PIXELS` or longer than
-            `longest_side`.
+        RecipeError: missing, not an image, transparent in places, of numbers beyond black and white, larger than
+            `MAX_IMAGE_PIXELS` or longer than `longest_side`.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -182,4 +183,12 @@ def read_grey(path: Path, where: str, longest_side: int = MAX_IMAGE_PIXELS) -> N
         # Pillow's own errors of a broken file have no number
         reason = why_unreadable(error) if error.errno else "is not a readable image"
         raise RecipeError(f'{where} = "{path.name}" {reason}') from None
-    return np.clip(np.nan_to_num(values / scale), 0.0, 1.0)
+    values = values / scale
+    low, high = float(values.min()), float(values.max())
+    if not (low >= -ROUNDING and high <= 1.0 + ROUNDING):  # NaN too
+        most = f"{LARGEST_16_BIT:.0f}" if scale == LARGEST_16_BIT else "1"
+        raise RecipeError(
+            f'{where} = "{path.name}" holds {low * scale:g} to {high * scale:g}; black is 0 and white {most} in an '
+            "image of this kind: scale its numbers, and say by min and max what black and white mean"
+        )
+    return np.clip(values, 0.0, 1.0)

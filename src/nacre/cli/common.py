@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
@@ -15,6 +16,14 @@ from nacre.errors import NacreError
 
 F = TypeVar("F", bound=Callable[..., Any])
 MAX_LIST = 100_000
+
+
+def stem_of(recipe: str) -> str:
+    """Return what files made of a recipe are called: its own name, of a folder such as "." the folder's.
+
+    Links are not followed: one that leads to itself has a name too.
+    """
+    return Path(os.path.abspath(recipe)).stem
 
 
 def numbers(text: str, option: str) -> NDArray[np.float64]:
@@ -107,6 +116,11 @@ def cache_option(function: F) -> F:
         "--no-cache", is_flag=True, is_eager=True, expose_value=False, callback=_no_cache_callback,
         help="Solve anew, and keep nothing; see nacre cache.",
     )(function)  # fmt: skip
+
+
+LAMPS = "A, C, D50, D65, E, F2, F11 or LED-B3."  # nacre.light.ILLUMINANTS, which is not loaded for a help
+
+WALKS = "Random walks a direction (pearls); default: 4096, or what the command's own question needs."
 
 
 def set_option(function: F) -> F:

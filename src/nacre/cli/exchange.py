@@ -35,7 +35,7 @@ def export(
     from nacre.files import check_writable
     from nacre.study.foreign import export_material
 
-    path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}{EXPORTS[target]}")
+    path = Path(output) if output else Path(f"{common.stem_of(recipe)}{EXPORTS[target]}")
     options: dict[str, Any] = {"angle_step_deg": angle_step_deg, "wavelength_nm": wavelength_nm}
     if target == FOLDER:
         check_folder(path)

@@ -125,16 +125,16 @@ class _Screen:
     "--at",
     default=None,
     help="Where it is seen: specular T, transmitted T, diffuse T, hemispherical T or IasA. Default: specular 0; of a "
-    "photonic glass 45as45.",
+    "pearl 45as15, of a photonic glass 45as45.",
 )
 @click.option("--points", type=click.IntRange(8, 1_000_000), default=1000, show_default=True, help="Materials tried.")
 @click.option(
     "--seconds", type=click.FloatRange(1.0), default=60.0, show_default=True, help="After which what is found is shown."
 )
 @click.option("--within", type=float, default=2.0, show_default=True, help="dE00 within which a colour is reached.")
-@click.option("--illuminant", default="D65", show_default=True)
+@click.option("--illuminant", default="D65", show_default=True, help=common.LAMPS)
 @click.option("--observer", type=click.Choice(["2deg", "10deg"]), default="10deg", show_default=True)
-@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help="Random walks a direction (pearls).")
+@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print every point with its colour and its structure.")
 @click.option("-o", "output", default=None, metavar="FILE.png|.json|.html", help="Default: RECIPE-gamut.png.")
@@ -149,7 +149,7 @@ def gamut(
     from nacre.design.wants.gamut import find_gamut, gamut_chart, gamut_page, parse_free
     from nacre.files import check_writable, write_text
 
-    path = Path(output) if output else None if as_json else Path(f"{Path(recipe).resolve().stem}-gamut.png")
+    path = Path(output) if output else None if as_json else Path(f"{common.stem_of(recipe)}-gamut.png")
     if path is not None:
         if path.suffix not in (".png", ".pdf", ".svg", ".json", ".html"):
             raise NacreError(f"-o {path}: the suffix must be .png, .pdf, .svg, .json or .html")
@@ -213,7 +213,7 @@ def fabricate(
     from nacre.exchange.number_maps import SUFFIXES as MAP_SUFFIXES
     from nacre.files import check_writable
 
-    name = Path(source).resolve().stem
+    name = common.stem_of(source)
     path = Path(output) if output else Path(f"{name}-{target}{(MAP_SUFFIXES | SUFFIXES)[target]}")
     check_writable(path)
     area = None

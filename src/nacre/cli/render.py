@@ -106,7 +106,7 @@ def render(
     from nacre.picture.interrupt import leaving_at_once
 
     suffixes = MOVIES if animate else STILL_SUFFIXES
-    path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}{suffixes[0]}")
+    path = Path(output) if output else Path(f"{common.stem_of(recipe)}{suffixes[0]}")
     if path.suffix.lower() not in suffixes:
         what = "an animation" if animate else "a picture"
         raise NacreError(f"-o {path}: {what} is written as {', '.join(suffixes[:-1])} or {suffixes[-1]}")

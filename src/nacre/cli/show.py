@@ -77,11 +77,20 @@ def _csv(wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np
 
 @click.command()
 @click.argument("recipe")
-@click.option("--directions", required=True, metavar="DIRS.npz", help="Arrays wi[N,3] and wo[N,3].")
+@click.option(
+    "--directions", required=True, metavar="DIRS.npz",
+    help="Arrays wi[N,3] and wo[N,3], of unit length, z along the normal; uv[N,2] if it varies.",
+)  # fmt: skip
 @click.option("--wavelengths-nm", default=None, help="Such as 380:780:5; default: chosen by the material.")
-@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help="Random walks a direction pair (pearls).")
+@click.option(
+    "--samples", type=click.IntRange(1, 10**8), default=None,
+    help="Random walks a direction pair (pearls); default: 4096.",
+)  # fmt: skip
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
-@click.option("-o", "output", required=True, metavar="VALUES.npz")
+@click.option(
+    "-o", "output", required=True, metavar="VALUES.npz",
+    help="Arrays f[N, wavelength] and wavelengths_nm; of pearls also f_std, the standard error.",
+)  # fmt: skip
 @common.set_option
 @common.cache_option
 @common.jobs_option
@@ -146,7 +155,7 @@ def _read_directions(path: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | No
 @click.option("--kind", default=None, type=click.Choice(PLOT_KINDS + SWEEP_ONLY_KINDS), help="Needed for a RECIPE.")
 @click.option("--angles-deg", default=None, help="Incidence, such as 0,30,60; the default depends on the kind.")
 @click.option("--wavelengths-nm", default=None, help="Such as 380:780:5; default: chosen by the material.")
-@click.option("--illuminant", default="D65", show_default=True)
+@click.option("--illuminant", default="D65", show_default=True, help=common.LAMPS)
 @click.option(
     "--over",
     default=None,
@@ -174,7 +183,7 @@ def plot(
     if kind is None or kind not in allowed:
         given = "--kind is missing" if kind is None else f"--kind {kind} is not for {Path(recipe).name}"
         raise NacreError(f"{given}; choose one of {', '.join(allowed)}")
-    path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}-{kind}.png")
+    path = Path(output) if output else Path(f"{common.stem_of(recipe)}-{kind}.png")
     if path.suffix not in (".png", ".pdf", ".svg"):
         raise NacreError(f"-o {path}: the suffix must be .png, .pdf or .svg")
     check_writable(path)
@@ -225,7 +234,7 @@ def _over(text: str | None, kind: str) -> tuple[str, np.ndarray] | None:
 @click.command(name="compile")
 @click.argument("recipe")
 @click.option("--wavelengths-nm", default=None, help="Such as 380:780:5; default: chosen by the material.")
-@click.option("-o", "output", default=None, metavar="FILE.nacre", help="Default: beside the current folder's name.")
+@click.option("-o", "output", default=None, metavar="FILE.nacre", help="Default: RECIPE.nacre, in the current folder.")
 @common.set_option
 @common.cache_option
 @common.jobs_option
@@ -233,7 +242,7 @@ def compile_(recipe: str, wavelengths_nm: str | None, output: str | None, change
     """Solve RECIPE once and store its BSDF, to be rendered many times."""
     from nacre.files import check_writable
 
-    path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}.nacre")
+    path = Path(output) if output else Path(f"{common.stem_of(recipe)}.nacre")
     if path.suffix != ".nacre":
         raise NacreError(f"-o {path}: the suffix must be .nacre")
     check_writable(path)

@@ -63,12 +63,12 @@ def sweep(
 
 @click.command()
 @click.argument("recipes", nargs=-1, required=True, metavar="RECIPE [RECIPE]")
-@click.option("--illuminant", default="D65", show_default=True)
+@click.option("--illuminant", default="D65", show_default=True, help=common.LAMPS)
 @click.option("--observer", type=click.Choice(["2deg", "10deg"]), default="10deg", show_default=True)
-@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help="Random walks a direction (pearls).")
+@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@click.option("-o", "output", default=None, metavar="FILE.txt|.json|.html")
+@click.option("-o", "output", default=None, metavar="FILE.txt|.json|.html", help="Write it there, not to stdout.")
 @common.set_option
 @common.cache_option
 @common.jobs_option
@@ -117,17 +117,18 @@ def report(
 @click.command()
 @click.argument("recipe")
 @click.option(
-    "--spread", "spreads", multiple=True, metavar="PATH=VALUE", help="Such as layers[0].thickness_nm=2% or =5."
-)
-@click.option("--draws", type=int, default=500, show_default=True)
+    "--spread", "spreads", multiple=True, metavar="PATH=VALUE",
+    help="Standard deviation of a number, such as layers[0].thickness_nm=2% or =5; default: the recipe's [tolerance].",
+)  # fmt: skip
+@click.option("--draws", type=int, default=500, show_default=True, help="Materials drawn at random.")
 @click.option(
     "--limit", type=float, default=1.0, show_default=True, help="CIEDE2000 difference within which a material passes."
 )
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
-@click.option("--illuminant", default="D65", show_default=True)
-@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help="Random walks a direction (pearls).")
+@click.option("--illuminant", default="D65", show_default=True, help=common.LAMPS)
+@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@click.option("-o", "output", default=None, metavar="FILE.json")
+@click.option("-o", "output", default=None, metavar="FILE.json", help="Also write the numbers, as JSON.")
 @common.set_option
 @common.cache_option
 @common.jobs_option
@@ -194,7 +195,7 @@ def tolerance(
     show_default=True,
     help="Whether the noise is the same for all values or a share of each.",
 )
-@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help="Random walks a direction (pearls).")
+@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("--residual", default=None, metavar="FILE.npz", help="Store the residual map.")
@@ -211,7 +212,7 @@ def fit(
     from nacre.recipe.toml import edit_toml
     from nacre.study.fit import read_free, read_measurement, run_fit
 
-    path = Path(output) if output else Path(f"{Path(recipe).resolve().stem}-fitted.toml")
+    path = Path(output) if output else Path(f"{common.stem_of(recipe)}-fitted.toml")
     asked = ((path, ".toml"), (residual and Path(residual), ".npz"), (page and Path(page), ".html"))
     for target, suffix in asked:
         if target:

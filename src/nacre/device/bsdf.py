@@ -20,7 +20,11 @@ SEEN_NM = (400.0, 700.0)
 
 
 def make_bsdf(
-    bsdf: Bsdf, two_sided: bool = False, properties: Any = None, object_frame: ObjectFrame | None = None
+    bsdf: Bsdf,
+    two_sided: bool = False,
+    properties: Any = None,
+    object_frame: ObjectFrame | None = None,
+    v_up: bool = True,
 ) -> Any:
     """Turn a Bsdf into a `mi.BSDF` of the current variant.
 
@@ -30,6 +34,7 @@ def make_bsdf(
             of its own in any case.
         properties: Mitsuba's properties when called by the scene loader.
         object_frame: where the object stands, for formulas of x, y and z.
+        v_up: whether v runs up on the shapes that wear it (not on Mitsuba's sphere and in its OBJ reader).
 
     Raises:
         UnsupportedError: a lobe kind has no plugin, the variant carries no spectra, or a formula runs over x, y, z
@@ -52,7 +57,8 @@ def make_bsdf(
             f'formula "{formula[:80]}" runs over x, y, z of the object, which a Mitsuba scene of your own does not '
             "tell; use u and v, one of nacre's scenes with shape = your mesh, or make_bsdf(..., object_frame=...)"
         )
-    space = ObjectSpace(object_frame) if formula is not None and object_frame is not None else None
+    frame = object_frame if formula is not None else None
+    space = None if frame is None and v_up else ObjectSpace(frame, v_up)
     plugins = [make_plugin(lobe) for lobe in bsdf.lobes]
     cls = bsdf_class(mi.variant())
     return cls(mi.Properties() if properties is None else properties, plugins, two_sided and not bsdf.transmits, space)
@@ -65,6 +71,7 @@ def update_bsdf(target: Any, bsdf: Bsdf) -> None:
         UnsupportedError: number, kinds or shapes of the lobes differ, or formulas of x, y, z came or went: build the
             scene again.
     """
-    if (place_formula(bsdf) is None) != (target.object_space is None):
+    has_place = target.object_space is not None and target.object_space.has_place
+    if (place_formula(bsdf) is not None) != has_place:
         raise UnsupportedError("formulas of x, y, z came or went; build the scene again")
     update_lobes(target, bsdf.lobes)

@@ -287,17 +287,22 @@ def _reason(status: int, message: str) -> str:
 
 def _cache_key(path: str) -> str:
     """Key by everything that may change the verdict: the file, drjit and the interpreter."""
-    try:
-        drjit_version = metadata.version("drjit")
-    except metadata.PackageNotFoundError:
-        drjit_version = "none"
     stamp = ""
     if path and os.path.exists(path):
         status = os.stat(path)
         stamp = f"{status.st_size}:{status.st_mtime_ns}"
     if not path:  # drjit's own search: any installed file may change its outcome
         stamp = ";".join(sorted(_installed()))
-    return "|".join((path, stamp, drjit_version, sys.executable))
+    return "|".join((path, stamp, _drjit_version(), sys.executable))
+
+
+@functools.cache
+def _drjit_version() -> str:
+    """Of this process: a picture asks some twenty times, and each answer takes 4 ms."""
+    try:
+        return metadata.version("drjit")
+    except metadata.PackageNotFoundError:
+        return "none"
 
 
 def _cache_file() -> Path:

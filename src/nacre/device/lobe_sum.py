@@ -45,7 +45,7 @@ def bsdf_class(variant: str) -> type:
             object_space: ObjectSpace | None = None,
         ) -> None:
             super().__init__(properties)
-            self.object_space = object_space  # of formulas of x, y, z; None: none uses them
+            self.object_space = object_space  # None: uv and p are read as they are
             self.plugins = list(plugins)
             self.mirrors_back = mirrors_back
             back = int(mi.BSDFFlags.BackSide) if self.mirrors_back else 0

@@ -1,4 +1,4 @@
-"""Where the object of a picture stands, and what is told of a point on it in the object's own space."""
+"""What textures are told of a point on a surface: v as nacre counts it, and the place in the object's own space."""
 
 from __future__ import annotations
 
@@ -27,20 +27,32 @@ class ObjectFrame:
 
 
 class ObjectSpace:
-    """Turns interactions in the scene into interactions in the object's own space."""
+    """Turns interactions in the scene into interactions as textures read them.
 
-    def __init__(self, frame: ObjectFrame) -> None:
+    Args:
+        frame: where the object stands, for formulas of x, y and z; None: they are not told a place.
+        v_up: whether v runs up on the shapes, as on nacre's own and on Mitsuba's rectangle; it runs down on Mitsuba's
+            sphere and on what its OBJ reader reads, which turns a file's v about.
+    """
+
+    def __init__(self, frame: ObjectFrame | None, v_up: bool = True) -> None:
+        self.has_place, self.v_up = frame is not None, v_up
+        if frame is None:
+            return
         turn = np.radians(frame.turn_deg)
         self._cos, self._sin = opaque(np.cos(turn)), opaque(np.sin(turn))
         self._centre = [opaque(value) for value in frame.centre]
         self._per_radius = opaque(1.0 / frame.radius)
 
     def __call__(self, si: Any) -> Any:
-        """Return a copy of an interaction whose p is the place on the object; all else stays."""
+        """Return a copy of an interaction whose v runs up and whose p is the place on the object; all else stays."""
         own = mi.SurfaceInteraction3f(si)
-        x, y = si.p.x * self._cos + si.p.y * self._sin, si.p.y * self._cos - si.p.x * self._sin
-        placed = [
-            (value - middle) * self._per_radius for value, middle in zip((x, y, si.p.z), self._centre, strict=True)
-        ]
-        own.p = mi.Point3f(*placed)
+        if not self.v_up:
+            own.uv = mi.Point2f(si.uv.x, 1.0 - si.uv.y)
+        if self.has_place:
+            x, y = si.p.x * self._cos + si.p.y * self._sin, si.p.y * self._cos - si.p.x * self._sin
+            placed = [
+                (value - middle) * self._per_radius for value, middle in zip((x, y, si.p.z), self._centre, strict=True)
+            ]
+            own.p = mi.Point3f(*placed)
         return own

@@ -90,16 +90,20 @@ def find_calibration(name: str | Path, folder: Path = Path()) -> Calibration:
     return PUBLISHED_CALIBRATION if str(name) == PUBLISHED else read_calibration(folder / name)
 
 
+def _is_depth(heading: str) -> bool:
+    return heading.startswith("depth")
+
+
 def read_calibration(path: str | Path) -> Calibration:
     """Read a CSV of two columns, grey value (of 8 or of 16 bits) and depth in um.
 
-    Lines that start with a letter or # are headings.
+    A heading may name them the other way round, and the depth in nm (`depth_nm`, `Depth (nm)`).
 
     Raises:
         NacreError: not readable, fewer than two points, grey values out of range, or depths that are not monotonic.
     """
     path = Path(path)
-    table, _ = read_curve(path, "calibration curve", "grey value, depth in um")
+    table, _ = read_curve(path, "calibration curve", "grey value, depth in um", _is_depth, "um")
     if table[0, 0] < 0 or table[-1, 0] > LARGEST_GREY or not np.isfinite(table).all():
         raise NacreError(f"{path}: grey values must be from 0 to {LARGEST_GREY}, all numbers finite")
     if not is_monotonic(table):

@@ -38,7 +38,7 @@ MAX_CSV_POINTS = 5_000_000
 
 @dataclass(frozen=True)
 class HeightOptions:
-    """How heights are written.
+    """How heights are written, and what was asked for besides.
 
     Attributes:
         size_mm: repeat the tile over an area (x, y); None: one tile.
@@ -47,6 +47,7 @@ class HeightOptions:
         levels: number of heights of a mask; None: as many as the heights have, or 16.
         pixels_per_feature: pixels along a feature's side, for images.
         base_um: thickness of an STL's base.
+        seed: of positions drawn at random, for layouts alone.
     """
 
     size_mm: tuple[float, float] | None = None
@@ -54,6 +55,7 @@ class HeightOptions:
     levels: int | None = None
     pixels_per_feature: int = 1
     base_um: float = 1.0
+    seed: int | None = None
 
 
 def write_drawing(drawing: Drawing, to: str, path: Path, source: str, options: HeightOptions) -> tuple[Path, ...]:
@@ -64,15 +66,16 @@ def write_drawing(drawing: Drawing, to: str, path: Path, source: str, options: H
         to: a key of `SUFFIXES` that the family offers.
         path: where.
         source: the recipe's name, for the provenance.
-        options: for heights.
+        options: what was asked for besides; most are for heights.
 
     Returns:
         the files' paths, the one asked for first.
 
     Raises:
-        UnsupportedError: the format cannot hold the drawing.
+        UnsupportedError: the format cannot hold the drawing, or has no use for an option that was given.
         NacreError: the calibration does not fit, or the file cannot be written.
     """
+    _refuse_unused(drawing, to, options)
     check_writable(path)
     if isinstance(drawing, LayerSheet):
         write_text(path, _sheet(drawing, source))
@@ -85,6 +88,25 @@ def write_drawing(drawing: Drawing, to: str, path: Path, source: str, options: H
     beside = path.with_name(path.name + ".json")
     write_text(beside, json.dumps(facts, indent=2) + "\n")
     return path, beside
+
+
+def _refuse_unused(drawing: Drawing, to: str, options: HeightOptions) -> None:
+    """Refuse what was asked for and would change nothing of the file.
+
+    Raises:
+        UnsupportedError: naming the option and the format.
+    """
+    is_map = isinstance(drawing, HeightMap)
+    takes = {
+        "--size-mm": isinstance(drawing, Layout) or (is_map and to != "csv"),
+        "--calibration": is_map and to in ("png16", "tiff16"),
+        "--levels": is_map and to in ("gds", "oas"),
+        "--seed": isinstance(drawing, Layout),
+    }
+    given = (options.size_mm, options.calibration, options.levels, options.seed)
+    for (name, is_taken), value in zip(takes.items(), given, strict=True):
+        if value is not None and not is_taken:
+            raise UnsupportedError(f"--to {to} takes no {name} here: it would change nothing")
 
 
 def _sheet(sheet: LayerSheet, source: str) -> str:
@@ -157,8 +179,8 @@ def _write_heights(drawing: HeightMap, to: str, path: Path, options: HeightOptio
     elif to in ("gds", "oas"):
         _write_mask(path, heights_um, feature_um, options, facts)
     elif to == "stl":
-        repeat = max(_tiles(options.size_mm, heights_um.shape[0] * feature_um))
-        facts |= {"unit": "um", "base_um": options.base_um, "tiles": [repeat, repeat]}
+        repeat = _tiles(options.size_mm, heights_um.shape[0] * feature_um)
+        facts |= {"unit": "um", "base_um": options.base_um, "tiles": list(repeat)}
         write_stl(path, heights_um, feature_um, options.base_um, repeat)
     else:
         with atomic_path(path) as temporary:

@@ -61,15 +61,15 @@ def gonio_grid(bsdf: Bsdf, step_deg: float) -> GonioData:
 def rgb_basis(wavelengths_nm: Array) -> Array:
     """Return the smoothest three spectra that have the linear sRGB colours (1,0,0), (0,1,0), (0,0,1) under D65.
 
-    Smooth in the sense of the summed squared second differences; they may dip below zero, which the table's
-    evaluation cuts, and they sum to a flat spectrum up to that smoothness.
+    Smooth in the sense of the summed squared first differences, so that they end flat where the eye is blind (second
+    ones let them run on: the spectrum of gold's colour reached 1.26 at 830 nm). They may dip below zero, which the
+    table's evaluation cuts, and they sum to one.
     """
     matrix = np.asarray(spectrum_to_rgb_matrix(wavelengths_nm))
     matrix = matrix if matrix.shape[0] == 3 else matrix.T
     count = len(wavelengths_nm)
-    second = np.diff(np.eye(count), 2, axis=0)
-    # a small penalty on size keeps the ends, where the eye is blind, from drifting off
-    stiffness = second.T @ second + 1e-6 * np.eye(count)
+    first = np.diff(np.eye(count), 1, axis=0)
+    stiffness = first.T @ first + 1e-9 * np.eye(count)  # a flat spectrum alone would have none
     inverse = np.linalg.inv(stiffness)
     return np.asarray((inverse @ matrix.T @ np.linalg.inv(matrix @ inverse @ matrix.T)).T)
 

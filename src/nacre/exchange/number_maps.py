@@ -90,16 +90,21 @@ class ProcessCurve:
         return np.asarray(np.interp(wanted.values, self.values[order], self.settings[order]))
 
 
+def _is_length(heading: str) -> bool:
+    return heading.rpartition("_")[2] in ("nm", "um", "mm")
+
+
 def read_process(path: str | Path) -> ProcessCurve:
     """Read a CSV of two columns, the setting and the value that it makes; lengths in nm.
 
-    A first line of words names them; lines that start with # are left out.
+    A first line of words names them, and a length's unit (`thickness_um`, `Oxide (nm)`); where the first column is the
+    length alone, the columns are turned about. Lines that start with # are left out.
 
     Raises:
         NacreError: it cannot be read, has fewer than two points, or is not monotonic.
     """
     path = Path(path)
-    table, words = read_curve(path, "process curve", "setting, value", ", as volts and nm")
+    table, words = read_curve(path, "process curve", "setting, value", _is_length, "nm", ", as volts and nm")
     if not np.isfinite(table).all():
         raise NacreError(f"{path}: all numbers must be finite")
     if not is_monotonic(table):
@@ -134,6 +139,8 @@ def write_number_maps(
     """
     if path.suffix.lower() != SUFFIXES[to]:
         raise UnsupportedError(f"{path}: --to {to} needs a name that ends in {SUFFIXES[to]}")
+    if levels is not None and to not in ("gds", "oas"):
+        raise UnsupportedError(f"--to {to} takes no --levels here: only the masks of gds and oas have them")
     curves = _curves(maps, calibration)
     prepared = []
     for one in maps:

@@ -18,25 +18,27 @@ BYTES_A_TRIANGLE = 300  # its corners twice, edges and normal in double precisio
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
-def write_stl(path: str | Path, heights_um: Array, pitch_um: float, base_um: float = 1.0, repeat: int = 1) -> None:
+def write_stl(
+    path: str | Path, heights_um: Array, pitch_um: float, base_um: float = 1.0, repeat: tuple[int, int] = (1, 1)
+) -> None:
     """Write a watertight solid: flat features with steep walls, on a base.
 
     Args:
         heights_um: `[x, y]` feature heights.
         pitch_um: feature width.
         base_um: thickness of the base under the lowest feature.
-        repeat: tiles along each side.
+        repeat: tiles along x and y.
 
     Raises:
         UnsupportedError: too many triangles for an STL file.
         NacreError: the file cannot be written.
     """
-    nx, ny = heights_um.shape[0] * repeat, heights_um.shape[1] * repeat
+    nx, ny = heights_um.shape[0] * repeat[0], heights_um.shape[1] * repeat[1]
     triangles = 2 * (2 * (2 * nx - 1) * (2 * ny - 1) + 2 * (2 * nx - 1) + 2 * (2 * ny - 1))
     if triangles > MAX_TRIANGLES:
         raise UnsupportedError(f"{nx} x {ny} features make {triangles} triangles; an STL here holds {MAX_TRIANGLES}")
     check_memory(BYTES_A_TRIANGLE * float(triangles), f"an STL of {nx} x {ny} features")
-    heights = np.tile(heights_um - heights_um.min() + base_um, (repeat, repeat))
+    heights = np.tile(heights_um - heights_um.min() + base_um, repeat)
     x, y = (_plateau_edges(n) * pitch_um for n in (nx, ny))
     z = np.repeat(np.repeat(heights, 2, axis=0), 2, axis=1)
     top = np.stack([*np.broadcast_arrays(x[:, None], y[None, :]), z], axis=-1)

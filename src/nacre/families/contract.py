@@ -136,12 +136,24 @@ class Model(abc.ABC):
         """
         return None
 
-    def likeness_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> tuple[Array, Array] | None:
+    def likeness_at(
+        self, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False
+    ) -> tuple[Array, Array] | None:
         """Return what a random walk would give at a few pairs `[pair, 3]`, without its noise: known, and guessed.
 
         For searches, which steer by it: cheap, and smooth in every number of the recipe. The value is about the sum of
         the two, each `[pair, wavelength]`, 1/sr; the second is the part that a walk may correct. None: there is none.
+
+        Args:
+            wi, wo: `[pair, 3]`, above the surface.
+            wavelengths_nm: `[wavelength]`.
+            is_fine: the better guess of two where there are two, at some hundred times the time.
         """
+        return None
+
+    @property
+    def likeness_error(self) -> float | None:
+        """The share of its fine guess by which `likeness_at` is off, as a standard deviation; None: not known."""
         return None
 
     def walked_at(

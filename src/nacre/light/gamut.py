@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,9 @@ from nacre.light.spaces import RGB_TO_XYZ, SRGB_WHITE_XYZ, XYZ_TO_RGB, lab_f, la
 # Half an 8-bit step at the dark end, where the steps of linear light are finest: less than this outside the
 # gamut cannot be seen in a file and is rounding (of the sRGB matrix, of single precision), not a colour.
 CLIP_TOLERANCE = 0.5 / 255 / 12.92
-BISECTIONS = 22  # chroma to 2.4e-7 of itself
+HALVINGS = 22  # chroma to 2.4e-7 of itself
+# of few colours numpy's calls cost more than its numbers: their range is cut in so many parts at once
+PARTS, FEW = 64, 64
 BLOCK = 1 << 14  # colours at a time: the temporaries stay in cache
 
 
@@ -83,13 +86,16 @@ def _lower_chroma(rgb: Array) -> Array:
         z = lab_f_inverse(fy + scale * dz) * SRGB_WHITE_XYZ[2]
         return [m[0] * x + m[1] * y + m[2] * z for m in XYZ_TO_RGB]
 
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (good + bad)
-        red, green, blue = at(middle)
+    parts = PARTS if len(rows) <= FEW else 2
+    inner = np.arange(1, parts)[:, None] / parts
+    for _ in range(math.ceil(HALVINGS / math.log2(parts))):
+        between = good + (bad - good) * inner
+        red, green, blue = at(between)
         low = np.minimum(np.minimum(red, green), blue)
         high = np.maximum(np.maximum(red, green), blue)
-        is_inside = (low >= 0.0) & (high <= 1.0)
-        good = np.where(is_inside, middle, good)
-        bad = np.where(is_inside, bad, middle)
+        is_outside = (low < 0.0) | (high > 1.0)
+        first = np.where(is_outside.any(axis=0), is_outside.argmax(axis=0), parts - 1)
+        step = (bad - good) / parts
+        good, bad = good + first * step, good + (first + 1) * step
     result[rows] = np.stack(at(good), axis=1)
     return result

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nacre.errors import NacreError, did_you_mean
-from nacre.files import check_writable, read_text
+from nacre.files import atomic_path, check_writable, read_text
 from nacre.recipe.toml import parse_toml
 
 NO_RECIPES = ("gallery.toml",)
@@ -86,6 +86,9 @@ def or_example(path: str | Path) -> Path:
     if os.path.lexists(path):
         return Path(path)
     found = find_example(str(path))
+    beside = f"{path}.toml"
+    if found is None and os.path.isfile(beside):
+        raise NacreError(f'{path}: does not exist, as a file or as an example. Did you mean "{beside}"?')
     if found is None and not Path(path).suffix and (meant := did_you_mean(str(path), _words())):
         raise NacreError(f"{path}: does not exist, as a file or as an example.{meant}")
     return found or Path(path)
@@ -129,7 +132,8 @@ def copy_examples(names: list[str], to: Path) -> list[Path]:
         check_writable(to)
     for source, target in pairs:
         target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(source, target)
+        with atomic_path(target) as temporary:
+            shutil.copyfile(source, temporary)
     return [target for _, target in pairs]
 
 

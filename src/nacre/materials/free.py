@@ -20,6 +20,7 @@ from nacre.recipe.paths import expand_path
 from nacre.recipe.tables import FreeNumberSpec, FreeSpec, by_path, known_only
 
 MOST_FREE = 200
+JUST_INSIDE = 1e-6  # of the bounds
 
 
 @dataclass(frozen=True)
@@ -111,17 +112,36 @@ def _tried(path: str, low: float, high: float, material: Material, where: str) -
     """Try a value between the bounds in the recipe, which tells paths that do not exist and numbers that are whole."""
     try:
         material.vary({path: low + 0.4142 * (high - low)})
-        return Free(path, low, high)
     except NacreError as error:
         said = error
+    else:
+        _check_ends(path, low, high, material, where)
+        return Free(path, low, high)
     whole = [math.ceil(low), math.floor((low + high) / 2), math.floor(high)]
     for value in whole:
         try:
             material.vary({path: value})
         except NacreError:
             continue
-        return Free(path, float(math.ceil(low)), float(math.floor(high)), (), True)
+        ends = math.ceil(low), math.floor(high)
+        _check_ends(path, *ends, material, where, True)
+        return Free(path, float(ends[0]), float(ends[1]), (), True)
     raise RecipeError(f"{where}: {said}")
+
+
+def _check_ends(path: str, low: float, high: float, material: Material, where: str, is_whole: bool = False) -> None:
+    """Refuse an end that the recipe never allows; one that other numbers may make room for is left to the search.
+
+    An end alone may be refused: an amount must be above 0, and at 0 a design leaves its table out.
+    """
+    inside = 0.0 if is_whole else JUST_INSIDE * (high - low)
+    for end, value in ((low, low + inside), (high, high - inside)):
+        try:
+            material.vary({path: value})
+        except NacreError as error:
+            if f"{path} = " in str(error) and "is not allowed" in str(error):
+                said = str(error).replace(show_value(value), show_value(end))
+                raise RecipeError(f"{where} = {show_value([low, high])}: {said}") from None
 
 
 def _choices(path: str, entry: Mapping[str, Any], material: Material, where: str) -> Free:

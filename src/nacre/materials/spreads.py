@@ -57,6 +57,8 @@ def read_spread(material: Material, path: str, value: Any, where: str) -> Spread
         RecipeError: naming the path and what is allowed.
     """
     nominal = material.get(path) if _has(material, path) else None
+    if nominal is None:
+        raise RecipeError(f'{where}."{path}" does not exist in the recipe')
     if isinstance(nominal, bool) or not isinstance(nominal, int | float):
         raise RecipeError(f'{where}."{path}": the recipe\'s value {show_value(nominal)} is not a number')
     distribution = "gaussian"

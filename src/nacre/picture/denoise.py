@@ -5,8 +5,8 @@ denoiser cuts that), and is guided by what the camera sees first (`nacre.picture
 the normal of every pixel. What it takes from the mean colour of a neighbourhood, since it judges grain on a compressive
 scale, is given back, and so is the texture that it took for grain: what lies between the raw picture and the clean one
 is split into scales, of each of which the share is given back that noise cannot have made. How much noise there is tell
-two halves of the samples. It needs pixels that share no samples, so the picture has to be made with the box filter;
-through a wider filter it takes grain for texture.
+two halves of the samples; highlights that both hold come back. It needs pixels that share no samples, so the picture
+has to be made with the box filter; through a wider filter it takes grain for texture.
 """
 
 from __future__ import annotations
@@ -40,9 +40,12 @@ OPPONENT = np.array([[0.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, -1.0, 1.0]])
 # loses 0.3 %, and what comes back of a firefly is 3.5 % of a pixel's light.
 LARGEST_RETURN = 8.0
 LARGEST_TEXTURE = 1.0  # likewise, of the light of the cleaned pixel: a firefly can be met by both halves
+# A highlight is what both halves hold beyond so many times the fourth root of the noise's fourth moment about it: where
+# fireflies are many, two halves meet some in the same place
+BEYOND_CHANCE, ABOUT = 6.0, 5.0
 SURE = 0.5  # shares below this may be chance and count for less: grain would come back where there is no texture
-CHANCE = 1.5  # standard errors up to which an excess over the noise is chance; from twice as many it counts in full
-TAILS = 6.0, 9.0  # fourth moment over the second squared, 3 of normal noise: from where to where texture fades out
+CHANCE = 0.5  # standard errors up to which an excess over the noise is chance; from twice as many it counts in full
+TAILS = 20.0, 40.0  # fourth moment over the second squared, 3 of normal noise: from where to where texture fades out
 BAND_PIXELS = 1 << 21  # of a large picture at a time: half a gigabyte
 TILED_FROM, TILED_MB = 3 << 19, 512  # pixels of a picture that bounds the denoiser's memory, and the bound
 MARGIN = 128  # rows beyond a band that the denoiser sees, as far as it looks
@@ -114,13 +117,29 @@ def _band(
     clean = _filtered(rgb, {"albedo": albedo, "normal": normal}, hdr=True, clean_aux=True, input_scale=scale)
     clean = np.maximum(np.asarray(clean, dtype=np.float64) @ np.linalg.inv(TO_RGB).T, 0.0)
     bound = LARGEST_RETURN * clean.max(axis=-1, keepdims=True)
-    lost = np.clip(xyz - clean, -bound, bound)
+    lost = xyz - clean
     if doubt is None:
-        return np.maximum(clean + smooth(lost, KEPT_MEANS), 0.0)
-    mean = means(lost)
+        return np.maximum(clean + smooth(np.clip(lost, -bound, bound), KEPT_MEANS), 0.0)
+    # apart from the rest: scale by scale, what is not given back of it in one would lie about it as a glow in another
+    sharp = highlights(lost, doubt)
+    lost -= sharp
+    mean = means(np.clip(lost, -bound, bound))
     bound *= LARGEST_TEXTURE / LARGEST_RETURN
     texture = beyond_noise(np.clip(lost, -bound, bound), np.clip(doubt, -bound, bound))
-    return np.maximum(clean + np.clip(texture, -bound, bound) + mean, 0.0)
+    return np.maximum(clean + np.clip(texture, -bound, bound) + mean + sharp, 0.0)
+
+
+def highlights(lost: NDArray[np.float64], doubt: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the part of `lost` that both halves of the samples hold beyond all chance: mirrored lamps, no fireflies.
+
+    Args:
+        lost: XYZ `[row, column, 3]`, raw picture less clean one.
+        doubt: half of what the halves differ by.
+    """
+    first, second = lost + doubt, lost - doubt
+    held = np.where(first * second > 0.0, np.minimum(np.abs(first), np.abs(second)), 0.0)
+    chance = BEYOND_CHANCE * np.sqrt(np.sqrt(smooth(doubt.astype(np.float64) ** 4, ABOUT)))
+    return np.asarray(np.copysign(np.maximum(held - chance, 0.0), lost))
 
 
 def _filtered(

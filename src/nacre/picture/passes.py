@@ -318,7 +318,8 @@ def _tracer(stage: Any) -> Any:
     if soft is None and light.soft_within is not None and refracting:
         soft, spread_by = light.soft_within, refracting
     splits = clear and all(can_split(shape.bsdf()) for shape in shapes)
-    draws = 1 if _walks(stage.mitsuba_scene) or _glitters(stage.mitsuba_scene) else DRAWS
+    is_one = _walks(stage.mitsuba_scene) or _glitters(stage.mitsuba_scene) or _mirrors(getattr(stage, "subjects", ()))
+    draws = 1 if is_one else DRAWS
     return make_paths(stage.depth, RUSSIAN_ROULETTE_DEPTH, clear, soft, splits, spread_by, draws)
 
 
@@ -332,6 +333,13 @@ def _glitters(scene: Any) -> bool:
     """Whether flakes are seen one by one, which takes many places of a pixel, not many of a lamp."""
     bsdfs = [shape.bsdf() for shape in scene.shapes()]
     return any(getattr(plugin, "glints", None) is not None for bsdf in bsdfs for plugin in getattr(bsdf, "plugins", ()))
+
+
+def _mirrors(subjects: Sequence[Any]) -> bool:
+    """Whether the subject only mirrors: what noise there is comes from edges and patterns in it, which many places of a
+    pixel tell, and draws of lamps on the matt surfaces about it do not."""
+    smooth = int(use_variant().BSDFFlags.Smooth)
+    return bool(subjects) and not any(int(shape.bsdf().flags()) & smooth for shape in subjects)
 
 
 def lets_through(scene: Any) -> bool:

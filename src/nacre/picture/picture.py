@@ -19,7 +19,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.texture import refuse_place
 from nacre.device.variant import use_variant
 from nacre.errors import NacreError, RecipeError, UnsupportedError
-from nacre.files import check_writable
+from nacre.files import check_writable, real
 from nacre.picture import interrupt
 from nacre.picture.camera import read_framing, read_turn
 from nacre.picture.denoise import clean_albedo, denoised, why_not
@@ -167,7 +167,7 @@ def render(
                 f"scene {scene}: a Mitsuba scene brings its own shapes, camera and light; leave shape, up, turn, view, "
                 "fov, zoom, light and light layers out"
             )
-        stage = _kept(("xml", str(Path(scene).resolve()), _stamp(scene)), lambda: UserScene(Path(scene)))
+        stage = _kept(("xml", str(real(scene)), _stamp(scene)), lambda: UserScene(Path(scene)))
         camera, balance, light_note, lamps = None, "D65", "the scene's own", ()
         default_size = stage.size
     else:

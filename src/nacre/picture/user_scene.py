@@ -48,6 +48,9 @@ class UserScene:
             raise NacreError(f"scene {path}: holds no scene")
         if not scene.sensors():
             raise NacreError(f"scene {path}: has no camera (sensor)")
+        wearers = _wearers(mi, path)
+        # images stand upright where all who wear them agree; Mitsuba melts meshes together, and with them their v
+        self.v_up = not wearers or not all(map(_runs_down, wearers))
         self.endless = None  # its surroundings are its own
         self.path, self.mitsuba_scene, self.depth = path, scene, DEFAULT_DEPTH
         self.subjects = [s for s in scene.shapes() if s.bsdf() is not None and s.bsdf().id() == SUBJECT]
@@ -70,7 +73,7 @@ class UserScene:
         from nacre.device.bsdf import make_bsdf
 
         self._source = material
-        made = make_bsdf(material, two_sided=True) if isinstance(material, Bsdf) else material
+        made = make_bsdf(material, two_sided=True, v_up=self.v_up) if isinstance(material, Bsdf) else material
         for shape in self.subjects:
             shape.set_bsdf(made)
 
@@ -104,6 +107,47 @@ class UserScene:
         if rows and "principal_point_offset_y" in settings:  # in heights of the picture, not of its middle rows
             settings["principal_point_offset_y"] *= size[1] / rows
         return mi.load_dict(settings)
+
+
+def _wearers(mi: Any, path: Path) -> list[Any]:
+    """Return the nodes of the shapes whose BSDF is to be exchanged.
+
+    Raises:
+        NacreError: one of them is where Mitsuba lets nobody exchange it, and would stay what it is in silence: inside
+            another BSDF, or on a shape of a shapegroup.
+    """
+    config = mi.parser.ParserConfig(mi.variant())
+    state = mi.parser.parse_file(config, str(path))
+    mi.parser.transform_resolve_references(config, state)
+    nodes = state.nodes
+
+    def children(node: Any) -> list[Any]:
+        held = (value for _, value in node.props.items())
+        return [nodes[value.index()] for value in held if isinstance(value, mi.Properties.ResolvedReference)]
+
+    def wears_it(node: Any) -> bool:
+        return any(child.type.name == "BSDF" and child.props.id() == SUBJECT for child in children(node))
+
+    for node in nodes:
+        kind = node.props.plugin_name()
+        if node.type.name == "BSDF" and wears_it(node):
+            where, what = f"inside a BSDF of type {kind}", f'give the id "{SUBJECT}" to that one'
+        elif kind == "shapegroup" and any(wears_it(shape) for shape in children(node)):
+            where, what = "on a shape of a shapegroup", "put the shape into the scene itself"
+        else:
+            continue
+        raise NacreError(
+            f'scene {path}: the BSDF of id "{SUBJECT}" stands {where}, where it cannot be exchanged; {what}, or write '
+            '<bsdf type="nacre"> with your recipe there and render with Mitsuba after `import nacre.render`'
+        )
+    return [node for node in nodes if node.type.name == "Shape" and wears_it(node)]
+
+
+def _runs_down(shape: Any) -> bool:
+    """Whether v runs down on a shape of Mitsuba: its sphere, and a mesh whose reader turns the file's v about."""
+    kind = shape.props.plugin_name()
+    turned = shape.props.get("flip_tex_coords", kind == "obj")
+    return kind == "sphere" or (kind in ("obj", "ply", "serialized") and bool(turned))
 
 
 def _check_extents(scene: Any, path: Path) -> None:

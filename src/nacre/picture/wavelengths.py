@@ -24,13 +24,15 @@ HUMP_NM, SLOPE = 538.0, 0.0072  # of Mitsuba's curve: sech^2(slope (wavelength -
 
 def by_colour() -> Any:
     """Return the density of wavelengths, up to a factor, as a response for a sensor; needs `evened` around it."""
-    mi = use_variant()
+    return use_variant().load_dict({"type": "regular", **_density()})
+
+
+@functools.cache
+def _density() -> dict[str, Any]:
     nodes = table_wavelengths_nm()
     by_sum, broad = observer("2deg").sum(axis=-1), np.cosh(SLOPE * (nodes - HUMP_NM)) ** -2
     values = ",".join(f"{value:.7g}" for value in SHARE * by_sum / by_sum.sum() + (1.0 - SHARE) * broad / broad.sum())
-    return mi.load_dict(
-        {"type": "regular", "wavelength_min": float(nodes[0]), "wavelength_max": float(nodes[-1]), "values": values}
-    )
+    return {"wavelength_min": float(nodes[0]), "wavelength_max": float(nodes[-1]), "values": values}
 
 
 def evened(integrator: Any, response: Any) -> Any:

@@ -212,7 +212,7 @@ def _colour_map(data: Mapping[str, Any], illuminant: str) -> Figure:
     if missing:
         raise NacreError(f"figure colour-map: {missing[0]} is missing")
     if "thicknesses_nm" in data:
-        y, label = data["thicknesses_nm"], "Thickness (nm)"
+        y, label = data["thicknesses_nm"], str(data.get("y_label", "Thickness (nm)"))
     else:
         y, label = data["y"], str(data.get("y_label", ""))
     return colour_map_figure(

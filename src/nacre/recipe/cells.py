@@ -6,10 +6,11 @@ import re
 from collections.abc import Iterator
 
 UTF_16_MARKS = (b"\xff\xfe", b"\xfe\xff")
-_UNIT = re.compile(r"(.*?)(?:[\s,]*[\[(]\s*|[\s,]+)(nm|um|µm|μm|mm|%|percent|deg|°)\s*[\])]?")
-_UNIT_WORDS = {"µm": "um", "μm": "um", "%": "percent", "°": "deg"}
+_UNIT = re.compile(r"(.*?)(?:[\s,]*[\[(]\s*|[\s,]+)(nm|um|µm|μm|mm|å|angstroms?|ev|%|percent|deg|°)\s*[\])]?")
+_UNIT_WORDS = {"µm": "um", "μm": "um", "å": "angstrom", "angstroms": "angstrom", "%": "percent", "°": "deg"}
 _BETWEEN_NUMBERS = re.compile(r"[\d.]\s+[-+.\d]")
 _COMMA_APART = re.compile(r",\s|\s,")
+REMARKS = "%!"
 JUDGED = 200  # rows by which it is seen what parts the cells
 
 
@@ -30,13 +31,13 @@ def decoded(data: bytes) -> str:
 
 
 def rows(text: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the line number and the cells of each line that is neither empty nor a # remark.
+    """Yield the line number and the cells of each line that is neither empty nor a remark: behind # or led by % or !.
 
     Cells are parted by semicolons where the text has any, else by tabs, else by commas, else by blanks. Where no
     comma parts them, one within a number is its decimal point. Empty cells at a line's end are dropped.
     """
     lines = [(number, line.partition("#")[0].strip()) for number, line in enumerate(text.splitlines(), start=1)]
-    lines = [(number, line) for number, line in lines if line]
+    lines = [(number, line) for number, line in lines if line and line[0] not in REMARKS]
     parting = _parting([line for _, line in lines])
     for number, line in lines:
         cells = line.split(parting)

@@ -35,7 +35,10 @@ def _copied(value: Any, source: str, key: str, depth: int, count: list[int]) -> 
     if depth > MAX_DEPTH or count[0] > MAX_VALUES:
         what = f"tables and lists are nested more than {MAX_DEPTH} deep"
         raise RecipeError(f"{source}: {key[:60]}: {what if depth > MAX_DEPTH else f'over {MAX_VALUES} values'}")
-    if isinstance(value, Mapping):
+    kind = type(value)
+    if kind is float or kind is bool:  # most of a recipe
+        return value
+    if kind is dict or isinstance(value, Mapping):
         made = {}
         for inner, content in value.items():
             if not isinstance(inner, str):
@@ -43,13 +46,13 @@ def _copied(value: Any, source: str, key: str, depth: int, count: list[int]) -> 
                 raise RecipeError(f"{source}: key {_shown(inner)}{where} is not text, as every key of a recipe is")
             made[str(inner)] = _copied(content, source, f"{key}.{inner}" if key else inner, depth + 1, count)
         return made
-    if isinstance(value, list | tuple):
+    if kind is list or isinstance(value, list | tuple):
         return [_copied(inner, source, f"{key}[{i}]", depth + 1, count) for i, inner in enumerate(value)]
     if isinstance(value, np.ndarray | np.generic):
         if value.dtype.kind not in "biufU" or value.ndim > MAX_DEPTH:
             return value  # the key's own check says what may stand there
         return _copied(value.tolist(), source, key, depth, count)
-    if isinstance(value, str) and any("\ud800" <= letter <= "\udfff" for letter in value):
+    if isinstance(value, str) and not value.isascii() and any("\ud800" <= letter <= "\udfff" for letter in value):
         raise RecipeError(f"{source}: {key[:60]} = {ascii(value):.60} is no Unicode text")
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) >= LARGEST_WHOLE:
         raise RecipeError(

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from nacre._version import __version__
+from nacre.files import real
 
 MAX_HASHED_BYTES = 4 << 30  # no reader takes more; such a file stands for itself by size and time
 # text in which one file names others: a Mitsuba scene, a glTF; every quoted word that is a file counts
@@ -67,9 +68,9 @@ def file_digest(path: str | Path, seen: frozenset[Path] = frozenset()) -> str:
         with path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256")
         if path.suffix.lower() in NAMING_SUFFIXES and status.st_size <= MAX_NAMING_BYTES:
-            here = path.resolve()
+            here = real(path)
             for name in sorted(set(re.findall(r'"([^"\0\n]{1,255})"', path.read_text("utf-8", "replace")))):
-                other = (here.parent / name).resolve()
+                other = real(here.parent / name)
                 if other != here and other not in seen:
                     digest.update(file_digest(other, seen | {here}).encode())
         return digest.hexdigest()

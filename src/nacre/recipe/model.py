@@ -19,6 +19,7 @@ import pydantic
 from pydantic_core import PydanticCustomError, core_schema
 
 from nacre.errors import RecipeError, did_you_mean
+from nacre.files import real
 from nacre.recipe.identity import file_digest
 from nacre.recipe.measures import LENGTH_UNITS_NM, written_as_number
 from nacre.recipe.paths import TEXTURE_KEYS
@@ -58,7 +59,7 @@ class RecipeContext:
         """
         path = Path(name) if Path(name).is_absolute() else self.folder / name
         with contextlib.suppress(OSError, ValueError):  # no name for a file; who reads it says so with its key
-            path = path if Path(name).is_absolute() else path.resolve()
+            path = path if Path(name).is_absolute() else real(path)
         self.reach({path: file_digest(path)})
         return path
 

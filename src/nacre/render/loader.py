@@ -59,10 +59,11 @@ def clear_errors() -> Iterator[None]:
 
 
 def from_properties(properties: Any) -> Any:
-    """Build the BSDF of a scene entry; keys: one of recipe, file, bsdf, and two_sided (default false).
+    """Build the BSDF of a scene entry; keys: one of recipe, file, bsdf; two_sided (default false), v_up (default true).
 
     Raises:
-        RecipeError: none or several sources are given, or the key of a handed-over Bsdf is not known.
+        RecipeError: none or several sources are given, the key of a handed-over Bsdf is not known, or a switch is no
+            boolean.
         NacreError: the file cannot be read or is not valid.
         MachineError: the variant that is set does not work on this machine.
     """
@@ -82,14 +83,22 @@ def _from_properties(properties: Any) -> Any:
         got = f"got {', '.join(given)}" if given else "got none"
         raise RecipeError(f'scene: a "nacre" BSDF needs exactly one of recipe, file, bsdf; {got}')
     value = str(properties[given[0]])
-    two_sided = bool(properties.get("two_sided", False))
+    two_sided, v_up = _switch(properties, "two_sided", False), _switch(properties, "v_up", True)
     if given[0] == "bsdf":
         if value not in _handed_over:
             raise RecipeError(f'scene: bsdf = "{value}" was not handed over, or its Bsdf object is gone')
         bsdf = _handed_over[value]
     else:
         bsdf = load_bsdf(_resolved(value))
-    return make_bsdf(bsdf, two_sided=two_sided, properties=properties)
+    return make_bsdf(bsdf, two_sided=two_sided, properties=properties, v_up=v_up)
+
+
+def _switch(properties: Any, key: str, default: bool) -> bool:
+    """Read a boolean that may be left out; the text "false" would count as true."""
+    value = properties.get(key, default)
+    if not isinstance(value, bool):
+        raise RecipeError(f'scene: {key} = {value!r} of a "nacre" BSDF is no boolean; write true or false')
+    return value
 
 
 def _resolved(path: str) -> str:

@@ -30,10 +30,12 @@ def _refuse(properties: Any) -> NoReturn:
     """Say why an RGB, mono or polarised scene holds no `nacre`, where Mitsuba would say "not found"."""
     import mitsuba as mi
 
-    raise UnsupportedError(
-        f"nacre needs a spectral variant, for a structural colour is a spectrum; this is {mi.variant()}. "
-        f"Use {', '.join(VARIANTS)}"
-    )
+    variant = str(mi.variant())
+    if "spectral" in variant and "polarized" in variant:
+        why = "nacre's BSDFs are for unpolarised light"
+    else:
+        why = "nacre needs a spectral variant, for a structural colour is a spectrum"
+    raise UnsupportedError(f"{why}; this is {variant}. Use {', '.join(VARIANTS)}")
 
 
 def register() -> None:

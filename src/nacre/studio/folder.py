@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from nacre.errors import NacreError, RecipeError
-from nacre.files import atomic_path, check_writable, read_text
+from nacre.files import atomic_path, check_writable, read_text, real
 from nacre.materials.examples import examples, examples_folder
 from nacre.materials.material import MAX_NESTED_RECIPES, Material, material_from_data
 from nacre.recipe.model import RecipeContext
@@ -65,7 +65,7 @@ def build(text: str, source: str, folder: Path, fence: Path, depth: int = 0, amb
     def load_recipe(other: str | Mapping[str, Any], ambient: Any = ambient) -> Material:
         if isinstance(other, Mapping):
             return material_from_data(other, dataclasses.replace(context, text="", ambient=ambient))
-        path = context.path(other).resolve()
+        path = real(context.path(other))
         if path.suffix != ".toml":
             raise RecipeError(f'{source}: the recipe "{other[:80]}" should end in .toml')
         return build(read_text(path, "recipe"), str(path), path.parent, fence, depth + 1, ambient)
@@ -148,6 +148,14 @@ class Opened:
         """
         path, _ = self.place(name)
         return read_text(path, "recipe")
+
+    def is_readable(self, name: str) -> bool:
+        """Whether a recipe of the folder is TOML; what it says may still be wrong."""
+        try:
+            parse_toml(self.read(name), name)
+        except NacreError:
+            return False
+        return True
 
     def material(self, text: str, name: str) -> Material:
         """Build a recipe's text as the file of that name.

@@ -291,6 +291,8 @@ def _go_on(is_superseded: Callable[[], bool]) -> None:
 
 def _rgb(values: Array, wavelengths: Array, illuminant: str, angles_deg: Array) -> Array:
     """Return the colours of spectra at the angles of the table, `[angle, 3]`."""
+    if not values.any():  # a part that the material has not
+        return np.zeros((len(ANGLES_DEG), 3))
     rgb = spectrum_to_rgb_linear(values, wavelengths, illuminant)
     return np.stack([np.interp(ANGLES_DEG, angles_deg, channel) for channel in rgb.T], axis=-1)
 

@@ -12,7 +12,7 @@ from nacre.arrays import Array
 from nacre.design.wants.free import place_of, values_at
 from nacre.design.wants.gamut import find_gamut, optimal_limits, srgb_limits
 from nacre.design.wants.geometry import search_wavelengths, see
-from nacre.design.wants.judge import lab_hex, rows_of
+from nacre.design.wants.judge import lab_hex, nearest_in_ranges, rows_of
 from nacre.design.wants.target import Target
 from nacre.design.wants.wanted import Want
 from nacre.errors import NacreError
@@ -86,23 +86,11 @@ def _looker(target: Target, row: Any, lamp: str, white: Array) -> Callable[[Arra
 
 
 def distance_to(want: Want, labs: Array) -> Array:
-    """Return how far colours `[n, 3]` are from what is wanted: dE00; of a range the miss in a*b*, 0 inside."""
+    """Return how far colours `[n, 3]` are from what is wanted: dE00, of ranges to the nearest colour in them."""
     if want.lab is not None:
         return np.asarray(delta_e_2000(labs, want.lab))
     ranges = want.ranges or {}
-    chroma = np.hypot(labs[:, 1], labs[:, 2])
-    miss = np.zeros(len(labs))
-    if "chroma" in ranges:
-        low, high = ranges["chroma"]
-        miss = np.maximum(miss, np.maximum((low or 0.0) - chroma, 0.0))
-        miss = np.maximum(miss, 0.0 if high is None else np.maximum(chroma - high, 0.0))
-    if "hue" in ranges:
-        low, high = (float(end) for end in ranges["hue"] if end is not None)
-        middle, half = (low + 0.5 * ((high - low) % 360.0)) % 360.0, 0.5 * ((high - low) % 360.0)
-        hue = np.degrees(np.arctan2(labs[:, 2], labs[:, 1]))
-        beyond = np.maximum(np.abs((hue - middle + 180.0) % 360.0 - 180.0) - half, 0.0)
-        miss = miss + 2.0 * chroma * np.sin(np.radians(np.minimum(beyond, 90.0) / 2.0))
-    return miss
+    return np.asarray(delta_e_2000(labs, np.array([nearest_in_ranges(lab, ranges) for lab in labs])))
 
 
 def _aim(

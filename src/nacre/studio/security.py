@@ -91,7 +91,8 @@ class Gate:
             await self._app(scope, receive, send)
             return
         headers = {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
-        if why := self._why_foreign(headers, is_socket=scope["type"] == "websocket"):
+        why = self._why_foreign(headers, is_socket=scope["type"] == "websocket") or _why_from_elsewhere(headers, scope)
+        if why:
             await _refuse(scope, send, why)
             return
         given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[-1]
@@ -141,6 +142,20 @@ class Gate:
         headers = {**HEADERS, "content-type": "text/html; charset=utf-8", "set-cookie": cookie}
         await send({"type": "http.response.start", "status": 200, "headers": _encoded(headers)})
         await send({"type": "http.response.body", "body": body})
+
+
+def _why_from_elsewhere(headers: Mapping[str, str], scope: Mapping[str, Any]) -> str:
+    """Refuse what a page of another server asks for without an origin, as images and scripts are.
+
+    A server on another port of this host is of the same site: browsers send it our cookie. It cannot read the answer,
+    but it could set us to work. It may lead to the page itself, as any link may.
+    """
+    if headers.get("sec-fetch-site", "none") in ("none", "same-origin"):
+        return ""
+    is_page = scope["type"] == "http" and scope["path"] == "/" and scope["method"] == "GET"
+    if is_page and headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document":
+        return ""
+    return "another page may not talk to the studio"
 
 
 async def _refuse(scope: Mapping[str, Any], send: Send, why: str) -> None:

@@ -32,6 +32,7 @@ from nacre.materials.material import material_from_data
 from nacre.matter.indices import library
 from nacre.recipe.model import RecipeContext
 from nacre.studio.apart import run_apart
+from nacre.studio.connections import impatient
 from nacre.studio.edit import line_of
 from nacre.studio.folder import EXAMPLE, MAX_TEXT, STARTS, Opened, mark_of
 from nacre.studio.form import family_form
@@ -49,6 +50,7 @@ USUAL_PORT = 8642  # the same from start to start, so that a page finds its serv
 APART = 2  # processes for pictures, reports and files; the others wait
 SOLVERS = 2  # sessions that are answered at once; the others wait
 MAX_SESSIONS = 64
+AT_ONCE = 64  # connections that are taken on in one go, before any of them is judged
 MAX_FOUND = 40
 MAX_BODY = 2 * MAX_MESSAGE  # two recipes
 MEDIA = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".jpg": "image/jpeg"}
@@ -93,7 +95,8 @@ def make_app(opened: Opened, token: str, port: int) -> Asgi:
                 "version": __version__,
                 "folder": opened.folder.name,
                 "first": opened.first,
-                "recipes": opened.names(),
+                "recipes": (names := opened.names()),
+                "begin": next(filter(opened.is_readable, names), next(iter(names), "")),
                 "families": sorted(known),
                 "starts": [_example(shipped[name]) for name in chosen],
                 "examples": [_example(e) for e in shipped.values() if {e.family} <= known],
@@ -305,7 +308,7 @@ def open_port(port: int | None) -> socket.socket:
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((LOOPBACK, USUAL_PORT if port is None else port))
-        listening.listen(128)
+        listening.listen(AT_ONCE)
     except OSError as error:
         listening.close()
         if port is None:
@@ -327,16 +330,26 @@ def serve(opened: Opened, port: int | None, is_browser_wanted: bool) -> None:
     token = kept_token(chosen) if chosen in (port, USUAL_PORT) else new_token()
     app = make_app(opened, token, chosen)
     config = uvicorn.Config(
-        app, log_level="critical", access_log=False, lifespan="off", ws_max_size=MAX_MESSAGE,
+        app, http=impatient(), backlog=AT_ONCE, log_level="critical", access_log=False, lifespan="off",
+        ws_max_size=MAX_MESSAGE,
         timeout_graceful_shutdown=1, server_header=False, ws_per_message_deflate=False,  # it all stays on this machine
     )  # fmt: skip
     address = f"http://{LOOPBACK}:{chosen}/?token={token}"
     click.echo(address)
     sys.stdout.flush()
     if is_browser_wanted:
-        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+        threading.Thread(target=_open_browser, args=(address,), daemon=True).start()
     threading.Thread(target=_warm, daemon=True).start()
     uvicorn.Server(config).run(sockets=[listening])
+
+
+def _open_browser(address: str) -> None:
+    try:
+        is_opened = webbrowser.open(address)
+    except (OSError, webbrowser.Error):
+        is_opened = False
+    if not is_opened:
+        click.echo("nacre: no browser was found on this machine; open the address above in one", err=True)
 
 
 def _warm() -> None:

@@ -9,7 +9,6 @@ open floor that a black ball leaves. The page multiplies both: near the ball the
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from nacre.arrays import Array
 from nacre.picture.lights.environments import directions
@@ -140,6 +139,8 @@ def _sky(room: Array) -> tuple[Array, Array]:
 
 
 def _at(values: Array, where: Array) -> Array:
+    from scipy.ndimage import map_coordinates  # here, as what is baked is kept: most pages begin without
+
     rows, columns = values.shape
     places = [where[:, 0] / LENGTH * rows - 0.5, (where[:, 1] / HALF_WIDTH + 1.0) / 2.0 * columns - 0.5]
     return np.asarray(map_coordinates(values, places, order=1, mode="nearest"))
@@ -147,6 +148,8 @@ def _at(values: Array, where: Array) -> Array:
 
 def _larger(values: Array, shape: tuple[int, ...], is_round: bool) -> Array:
     """Return values at the middles of cells, between those of larger ones; the columns of a round one go on."""
+    from scipy.ndimage import map_coordinates
+
     places = [(np.arange(n) + 0.5) * m / n - 0.5 for n, m in zip(shape, values.shape, strict=True)]
     pad = 2
     wide = np.pad(values, ((0, 0), (pad, pad)), mode="wrap" if is_round else "edge")

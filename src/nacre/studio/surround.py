@@ -22,6 +22,8 @@ from nacre.arrays import Array
 from nacre.errors import NacreError
 from nacre.light import observer, table_wavelengths_nm, xyz_to_srgb_linear
 from nacre.picture.lights.environments import Environment, directions, studio, unit_spectrum
+from nacre.recipe.identity import identity
+from nacre.recipe.kept import keep_arrays, kept_arrays
 from nacre.studio.stage import ball_shade, stage_light
 
 ROWS = 128
@@ -101,6 +103,21 @@ def blurred_surround(name: str = "studio") -> Surround:
 
 @functools.cache
 def _blurred_surround(name: str) -> Surround:
+    """Return a place as it is kept between runs, or make it: the studio takes a third of a second, another one."""
+    key = identity({"surround": name}, {})
+    kept = kept_arrays(key)
+    if kept is not None and "layers" in kept:
+        lamp = Lamp(kept["towards"], kept["irradiance"], float(kept["radius"])) if "radius" in kept else None
+        return Surround(kept["layers"].astype(np.float32), lamp)
+    made = _made(name)
+    arrays: dict[str, Any] = {"layers": made.layers}
+    if made.lamp is not None:
+        arrays.update(towards=made.lamp.towards, irradiance=made.lamp.irradiance, radius=np.array(made.lamp.radius_rad))
+    keep_arrays(key, arrays)
+    return made
+
+
+def _made(name: str) -> Surround:
     if name == "studio":
         room = studio("D65", ROWS).weights[0]
         return Surround(_layers(room, room))

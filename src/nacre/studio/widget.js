@@ -58,8 +58,9 @@ function fillSliders(root, look, vary) {
 }
 
 export function render({ model, el }) {
-  const root = make(el, "div", { class: "nacre-studio" });
-  const canvas = make(root, "canvas", { ...OWN_KEYS, class: "view", tabindex: "0", role: "img", "aria-label": LABEL });
+  const root = make(el, "div", { class: "nacre-studio" }), stage = make(root, "div", { class: "stage" });
+  const canvas = make(stage, "canvas", { ...OWN_KEYS, class: "view", tabindex: "0", role: "img", "aria-label": LABEL });
+  const picture = make(stage, "img", { alt: "", hidden: "" });       // of the sphere while it sleeps
   const side = make(root, "div", { class: "side" });
   const state = make(side, "p", { class: "state", role: "status", textContent: "Solving" });
   const ribbon = make(side, "canvas", { class: "ribbon", width: "182", height: "1", role: "img", "aria-label": "Colour over angle, 0 to 90 degrees" });
@@ -69,20 +70,39 @@ export function render({ model, el }) {
   const spectrum = make(chart, "svg", { viewBox: "0 0 280 150", role: "img", "aria-label": "Reflectance over wavelength" }, "http://www.w3.org/2000/svg");
   const sliders = make(side, "div", { class: "sliders" }), notes = make(side, "p", { class: "quiet" });
   const vary = sender(model);
-  let view = null, look = null;
+  let view = null, look = null, room = null, card = null, isNear = false;      // card: what takes the context away, and gives it back
 
-  function furnish({ tables, rows, columns, alphas }, buffer) {
-    if (view || canvas.hidden) return;  // another view of this material has just come
+  // A browser has 16 contexts of WebGL and blanks the oldest when one more is made: a notebook of many materials holds those that
+  // are on the screen, or nearly, and pictures of the others.
+  function wake() {
+    if (!isNear || !room || canvas.hidden) return;
+    if (view) { if (view.gl.isContextLost()) card?.restoreContext(); return; }
     try {
-      view = new View(canvas, null, tables);
+      view = new View(canvas, null, room.tables);
     } catch {
       canvas.hidden = true;
       make(root, "p", { class: "quiet", textContent: "This browser has no WebGL2: the sphere is not drawn." });
       return;
     }
-    view.setRoom(new Float32Array(buffer), { rows, columns, alphas }, null);
+    card = view.gl.getExtension("WEBGL_lose_context");
+    canvas.addEventListener("webglcontextrestored", () => { picture.hidden = true; });        // the view has drawn itself anew
+    view.setRoom(new Float32Array(room.buffer), room, null);
     if (look) view.setLook(look);
   }
+
+  function sleep() {
+    if (!view || !card || view.gl.isContextLost()) return;
+    picture.src = canvas.toDataURL("image/jpeg", 0.9);
+    picture.hidden = false;
+    card.loseContext();
+  }
+
+  const watch = new IntersectionObserver((seen) => {
+    isNear = seen.at(-1).isIntersecting;
+    if (isNear) wake();
+    else sleep();
+  }, { rootMargin: "50%" });
+  watch.observe(stage);
 
   function show(made) {
     look = made;
@@ -99,7 +119,10 @@ export function render({ model, el }) {
   function hear(content, buffers) {
     // floats must begin at a multiple of four bytes, which a buffer of several messages does not promise
     const [buffer] = (buffers ?? []).map(({ buffer, byteOffset, byteLength }) => buffer.slice(byteOffset, byteOffset + byteLength));
-    if (content.kind === "room") furnish(content, buffer);
+    if (content.kind === "room") {
+      room ??= { ...content, buffer };  // another view of this material may have asked as well
+      wake();
+    }
     else if (content.kind === "look") show(unpack(buffer));
     else if (content.kind === "error") {
       state.textContent = content.message;
@@ -111,6 +134,7 @@ export function render({ model, el }) {
   model.send({ kind: "ready" });
   return () => {
     model.off("msg:custom", hear);
-    view?.gl.getExtension("WEBGL_lose_context")?.loseContext();         // a browser has few of them
+    watch.disconnect();
+    card?.loseContext();
   };
 }

@@ -209,14 +209,16 @@ def clear_answers(out: Path, keep: int) -> None:
 
 
 def check_folder(out: Path, start: Material) -> None:
-    """Refuse a folder whose recipe is the one that the search starts from: it would be overwritten.
+    """Refuse a folder whose recipe is the one that the search starts from, or that no design wrote.
 
     Raises:
-        RecipeError: so it is.
+        RecipeError: it would be overwritten.
     """
     used = {Path(start.context.source).resolve(), *start.context.reached}
     if start.context.text and (out / RECIPE).resolve() in used:
         raise RecipeError(f"{out}: holds the recipe that the design starts from; choose another folder with -o")
+    if (out / RECIPE).exists() and not (out / SUMMARY).exists():
+        raise RecipeError(f"{out}: holds a {RECIPE} that no design wrote; choose another folder with -o")
 
 
 __all__ = ["Design", "Solution", "WantsProgress", "clear_answers", "check_folder", "folder_of", "write_recipe"]

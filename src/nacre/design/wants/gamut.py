@@ -144,7 +144,7 @@ def find_gamut(
     Args:
         free: path -> bounds or choices, as the table `[free]` of a design.
         at: "specular 0", "45as15" and so on, as in a want; None: what shows a family's colour, such as the mirror of a
-            film and light from 45 degrees seen from the normal of a photonic glass.
+            film, light from 45 degrees that is seen from the normal of a photonic glass, or near the mirror of a pearl.
         points: number of materials; fewer where the seconds are up.
         seconds: after which what is there is told.
         within: dE00 within which a colour counts as reached.

@@ -31,7 +31,7 @@ from nacre.design.wants.image_reach import Eye
 from nacre.design.wants.judge import JUDGE_SEED, Reached
 from nacre.design.wants.target import Target
 from nacre.errors import RecipeError
-from nacre.files import write_text
+from nacre.files import real, write_text
 from nacre.light import (
     delta_e_2000,
     xyz_to_lab,
@@ -111,7 +111,7 @@ def _check_places(target: Target, folder: Path) -> None:
     """Refuse a folder in which the picture itself would be overwritten."""
     name = target.spec.want[0].image
     assert name is not None
-    path = target.context.path(name).resolve()
+    path = real(target.context.path(name))
     written = [f"{FoundMap(n.path, np.zeros((1, 1)), 0.0, 1.0, None).stem}.png" for n in target.free]
     if path in [(folder / other).resolve() for other in (*written, REACHED, "report.png")]:
         raise RecipeError(

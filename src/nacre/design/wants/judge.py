@@ -221,4 +221,4 @@ def rank(objective: float, tables: int) -> tuple[float, int, float]:
     return (0.0, tables, objective) if objective <= SAME_LOOKS else (1.0, 0, objective)
 
 
-__all__ = ["Reached", "judge", "lab_hex", "objective", "rank", "reached", "rows_of"]
+__all__ = ["Reached", "judge", "lab_hex", "nearest_in_ranges", "objective", "rank", "reached", "rows_of"]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nacre.errors import RecipeError
-from nacre.files import read_text
+from nacre.files import read_text, real
 from nacre.materials.material import Material, material_from_data
 from nacre.recipe.toml import dump_toml, parse_toml
 
@@ -46,7 +46,7 @@ def _open(data: dict[str, Any], words: list[str], folder: Path, depth: int) -> b
     name = part.get("recipe")
     if set(part) != {"recipe"} or not isinstance(name, str) or rest[0] == "recipe":
         return False
-    file = (folder / name).resolve()
+    file = real(folder / name)
     if file.suffix != ".toml":
         raise RecipeError(f'{name}: is no recipe whose numbers can be free; "{".".join(words)}" leads nowhere')
     inner = _moved(parse_toml(read_text(file, "recipe"), str(file)), file.parent)

@@ -110,6 +110,7 @@ def read_target(target: str | Path | Mapping[str, Any]) -> Target:
     wants = read_wants(spec.want, spec.light, context)
     if spec.layers is not None:
         check_layers(spec.layers, base, source)
+        _check_total(spec, source)
     for free_path in by_path(spec.free, {"min", "max", "choices"}, source, "free"):
         word = free_path.partition("[")[0].partition(".")[0]
         if spec.layers is not None and word == "layers":
@@ -149,12 +150,22 @@ def _recipe(spec: WantsSpec, context: RecipeContext) -> Material:
         else:
             data, folder = dict(spec.recipe), context.folder
         if spec.layers is not None:
+            _check_film(data, context.source)
             data["layers"] = []
             if spec.layers.substrate is not None:
                 data["substrate"] = substrates(spec.layers)[0]
         return material(data, folder).for_many()
     except NacreError as error:
-        raise RecipeError(f"{context.source}: recipe: {str(error).removeprefix('recipe: ')}") from None
+        said = str(error).removeprefix("recipe: ").removeprefix(f"{context.source}: ")
+        raise RecipeError(
+            f"{context.source}: " + (said if said.startswith("layers: ") else f"recipe: {said}")
+        ) from None
+
+
+def _check_film(data: Mapping[str, Any], source: str) -> None:
+    family = data.get("family")
+    if family is not None and family != "film":
+        raise RecipeError(f"{source}: layers: only the stack of a film can be sought; the recipe is of a {family}")
 
 
 def substrates(layers: LayersSpec) -> list[Any]:
@@ -170,8 +181,6 @@ def check_layers(layers: LayersSpec, base: Material, source: str) -> None:
     Raises:
         RecipeError: naming the key, with a guess.
     """
-    if base.family != "film":
-        raise RecipeError(f"{source}: layers: only the stack of a film can be sought; the recipe is of a {base.family}")
     for name, values in (("palette", layers.palette), ("substrate", substrates(layers))):
         for value in values:
             check_index(value, f"{source}: layers.{name}", base.context)
@@ -193,6 +202,15 @@ def check_layers(layers: LayersSpec, base: Material, source: str) -> None:
             raise RecipeError(
                 f'{source}: layers.thickness_nm has no bounds for "{missing[0]}"; add it, or other = [5, 250]'
             )
+
+
+def _check_total(spec: WantsSpec, source: str) -> None:
+    """Refuse a total below the thinnest layer: only the bare substrate would be left."""
+    assert spec.layers is not None
+    least = min(bounds_of(spec.layers, entry)[0] for entry in spec.layers.palette)
+    if spec.limits.total_nm is not None and spec.limits.total_nm < least:
+        total = f"{source}: limits.total_nm = {spec.limits.total_nm:g}"
+        raise RecipeError(f"{total}: no layer is so thin; layers.thickness_nm begins at {least:g}")
 
 
 def palette_name(entry: Any) -> str:

@@ -1,16 +1,16 @@
 """The search of what is a random walk but has a smooth likeness: pearls, in the geometries of the trade.
 
-The likeness (`Model.likeness_at`) is cheap and has no noise: it finds the valleys. What it only guesses is set right by
-a walk at the place where the search stands (spectrum = known + walked rest x guess / guess there), the search goes on
-from there, and the walk is asked again, until it no longer moves and the noise of its colours is a tenth of `within`.
-Draws and walks keep their seeds for all candidates.
+The likeness (`Model.likeness_at`) has no noise: its cheap form finds the valleys, its fine one goes down in them. What
+it only guesses is set right by a walk at the place where the search stands (spectrum = known + walked rest x guess /
+guess there), the search goes on from there, and the walk is asked again, until it no longer moves and the noise of its
+colours is a tenth of `within`. Where a family knows how far off its guess is, a walk is believed as far as it is
+quieter than that, and valleys are gone down without one. Draws and walks keep their seeds for all candidates.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from nacre.design.wants.general import APART, FAR_OFF, MET, QUIET_SHARE, Pool, T
 from nacre.design.wants.geometry import search_wavelengths
 from nacre.design.wants.judge import rank, rows_of
 from nacre.design.wants.target import Target
+from nacre.design.wants.told import Correction, Told
 from nacre.design.wants.wanted import goals_of
 from nacre.errors import NacreError
 from nacre.light import delta_e_2000
@@ -37,10 +38,17 @@ from nacre.recipe.paths import is_within
 KINDS_OF_EACH = 24  # draws of what is in a table that may go; any of them go together
 SCOUTS_PER_NUMBER, LEAST_SCOUTS, MOST_SCOUTS = 48, 128, 1024
 SCOUT_SHARE, REFINE_SHARE = 0.2, 0.45  # of the time
+RANKED = 48  # of the scouts, by the fine likeness
+HOPE = 0.3  # what the first steps down make of the rms
+FEW_STEPS, GOES_ON = 6, 0.97  # steps a turn; a turn that leaves less is followed by another
+SETTLING_STEPS = 3
+FINE_SHARE = 0.75  # of the time, for scouts and descents
 STARTS, STARTS_OF_A_SET, KEPT_STARTS = 6, 2, 3
+GOOD = 0.5  # rms over `within` of a valley that is settled at once
 DESCENTS, SCOUT_WALKS, REACH_OF_START = 2, 8192, 0.35
 STEPS, STEP = 10, 1e-3
 REACH = 0.2  # of the bounds: how far a walk is trusted to tell how far off the likeness is
+TELL_EVERY_S = 0.3
 LEAST = 1e-4  # of its bounds: what may be 0 is not nearer to it unless it is 0
 FEW_WALKS, MOST_WALKS = 1 << 15, 1 << 17
 SETTLINGS = 12
@@ -51,29 +59,9 @@ WORSE = 1.6  # times the rms of the best start: what is not settled
 POOR = 4.0  # an objective beyond which a valley must go down quickly, or is left
 HOPELESS = 20.0  # times the best of before
 SETTLED = 5e-3  # of the bounds: a step that no longer counts
-ALIKE = 0.1  # mean difference of the logarithms of two guesses, within which the walks at their places tell the same
-MOST_FACTOR = 10.0  # by which a correction is trusted to grow
 SMALL = 0.1  # of its bounds: an amount that it is tried to do without
 WITHOUT = 0.05  # of `within`: what that may cost
 ROUNDS_WITHOUT_GAIN = 6
-
-
-@dataclass(frozen=True, eq=False)
-class Correction:
-    """What a walk told at one place.
-
-    Attributes:
-        rest: `[row, wavelength]`, factors beyond what is known.
-        guess: `[row, wavelength]`, what the likeness said of them.
-    """
-
-    rest: Array
-    guess: Array
-
-    def of(self, known: Array, guess: Array) -> Array:
-        """Return the factors of another place."""
-        ratio = np.where(self.guess > 1e-9, guess / np.maximum(self.guess, 1e-9), 1.0)
-        return np.asarray(known + self.rest * np.clip(ratio, 0.0, MOST_FACTOR))
 
 
 class WalkedSearch:
@@ -100,10 +88,12 @@ class WalkedSearch:
         self.noise = np.inf  # of the best, over `within`
         self.evaluations = self.walks = 0
         self._correction: Correction | None = None
-        self._told: list[tuple[int, Array, Array, Array]] = []  # walks, guess, rest and its error at places walked at
+        self._told = Told(self.material.model.likeness_error)
         self._deadline = np.inf
         self._tell: Callable[[float, dict[str, Any]], None] | None = None
         self._likely: tuple[float, Array] | None = None  # best by likeness alone, should no walk end in time
+        self._is_fine = False
+        self._last_told = -np.inf
 
     def run(
         self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None = None,
@@ -132,8 +122,12 @@ class WalkedSearch:
             while idle < ROUNDS_WITHOUT_GAIN:
                 turn = time.monotonic()
                 places = self._scout(generator, [*starts, self._allowed(own)], turn + SCOUT_SHARE * seconds)
-                refined = self._explore(places, turn + (SCOUT_SHARE + REFINE_SHARE) * seconds)
                 before = self.best
+                is_sure = self._told.off is not None
+                share = FINE_SHARE if is_sure else SCOUT_SHARE + REFINE_SHARE
+                refined = self._explore(places, turn + share * seconds)
+                if self._is_met() and len(self.pool.answers) >= self.target.spec.search.solutions:
+                    return "met"
                 for rms, place in refined:
                     if rms > WORSE * refined[0][0] + MET:
                         continue
@@ -199,7 +193,7 @@ class WalkedSearch:
         self._check_time()
         self.evaluations += 1
         try:
-            found = self._made(place).model.likeness_at(self.wi, self.wo, self.grid)
+            found = self._made(place).model.likeness_at(self.wi, self.wo, self.grid, self._is_fine)
         except (NacreError, ArithmeticError):
             return None
         if found is None:
@@ -211,6 +205,7 @@ class WalkedSearch:
     def _mean(self, place: Array) -> float:
         """Return the rms of weight x distance / within by the likeness: far off it says more than the worst."""
         spectra = self.spectra(place)
+        self._report()
         if spectra is None:
             return FAR_OFF
         return float(np.sqrt(np.mean((self.goals.distances(spectra) * self.goals.scale) ** 2)))
@@ -222,30 +217,35 @@ class WalkedSearch:
         objective = float(self.goals.objective(self.goals.distances(spectra)))
         if self._likely is None or objective < self._likely[0]:
             self._likely = (objective, place)
-        if self._tell is not None and self.evaluations % 16 == 0:
-            self._tell(self.best, self.best_changes)
+        self._report()
         return objective
+
+    def _report(self) -> None:
+        """Tell how far the search is, now and then."""
+        if self._tell is not None and time.monotonic() - self._last_told > TELL_EVERY_S:
+            self._last_told = time.monotonic()
+            self._tell(self.best, self.best_changes)
 
     def _walk(self, place: Array, walks: int) -> tuple[float, float]:
         """Walk at a place, keep what that says of the likeness; return the objective and its noise over `within`."""
         self._check_time()
+        self._is_fine = True  # what a walk sets right
         self.walks += walks
         try:
             model = self._made(place).model
-            seed = self.seed + len(self._told)
+            seed = self.seed + self._told.count
             found = model.walked_at(self.wi, self.wo, self.grid, walks, seed)
             if found is None:
                 found = evaluate_with_error(
                     model.bsdf(self.grid), self.wi, self.wo, samples=max(walks // 4, DEFAULT_SAMPLES), seed=seed
                 )  # type: ignore[assignment]  # its error is None only of what is no walk
-            likeness = model.likeness_at(self.wi, self.wo, self.grid)
+            likeness = model.likeness_at(self.wi, self.wo, self.grid, True)
         except (NacreError, ArithmeticError):
             return FAR_OFF, 0.0
         assert found is not None and likeness is not None
         known, guess = np.pi * likeness[0], np.pi * likeness[1]
         error = np.zeros_like(guess) if found[1] is None else np.pi * found[1]
-        self._told.append((walks, guess, np.pi * found[0] - known, error))
-        rest, error = self._pooled(guess)
+        rest, error = self._told.told(walks, known, guess, np.pi * found[0] - known, error)
         self._correction = Correction(rest, guess)
         factors = known + rest
         objective = float(self.goals.objective(self.goals.distances(factors)))
@@ -259,22 +259,6 @@ class WalkedSearch:
         if self._tell is not None:
             self._tell(self.best, self.best_changes)
         return objective, noise
-
-    def _pooled(self, guess: Array) -> tuple[Array, Array]:
-        """Return what the walks at places of much the same light say of the rest at the last one, and its error.
-
-        Each had its own seed: together they are quieter than the last alone.
-        """
-        total, rest, square = 0.0, np.zeros_like(guess), np.zeros_like(guess)
-        floor = np.maximum(guess, 1e-9)
-        for walks, other, found, error in self._told:
-            apart = float(np.mean(np.abs(np.log(floor / np.maximum(other, 1e-9)))))
-            weight = walks * np.exp(-((apart / ALIKE) ** 2))
-            scale = np.where(other > 1e-9, floor / np.maximum(other, 1e-9), 1.0)
-            total += weight
-            rest += weight * scale * found
-            square += (weight * scale * error) ** 2
-        return rest / total, np.sqrt(square) / total
 
     def _noise(self, factors: Array, error: Array) -> float:
         """Return the noise of the colours as dE00, over `within` of their wants, at worst."""
@@ -293,7 +277,7 @@ class WalkedSearch:
         inside = {i: [j for j, n in enumerate(self.free) if j != i and is_within(n.path, h)]
                   for i, h in self.drops.items()}  # fmt: skip
         drawn = {i: generator.random((KINDS_OF_EACH, len(js))) for i, js in inside.items()}
-        self._correction = None  # what was told of one place is not true of them all
+        self._correction, self._is_fine = None, False  # what was told of one place is not true of them all
         judged = [(self._mean(place), place) for place in known]
         for _ in range(count):
             place = generator.random(size)
@@ -318,9 +302,11 @@ class WalkedSearch:
         """
         begun: list[Array] = []
         found: list[tuple[float, Array]] = []
+        self._is_fine = True
+        if self._told.off is not None:
+            return self._descend_finely(places, until)
         for place in places:
-            kept = tuple(place[i] > 0.0 for i in self.drops)
-            alike = [other for other in begun if tuple(other[i] > 0.0 for i in self.drops) == kept]
+            alike = [other for other in begun if self._kept(other) == self._kept(place)]
             if not apart(place, begun, APART) or len(alike) >= STARTS_OF_A_SET:
                 continue
             begun.append(place)
@@ -338,6 +324,39 @@ class WalkedSearch:
         return [pair for k, pair in enumerate(found)
                 if all(np.max(np.abs(pair[1] - other)) >= APART for _, other in found[:k])][:KEPT_STARTS]  # fmt: skip
 
+    def _descend_finely(self, places: Sequence[Array], until: float) -> list[tuple[float, Array]]:
+        """As `_explore`, by a likeness that needs no walk; a good valley is settled before the next one is tried."""
+        open_: list[tuple[float, Array, bool]] = []  # what may be gone on from: rms, place, whether it was begun
+        for place in places:
+            if len(open_) >= RANKED:
+                break
+            if apart(place, [other for _, other, _ in open_], APART):
+                open_.append((self._mean(place), place, False))
+        found: list[tuple[float, Array]] = []
+        while open_ and time.monotonic() < until:
+            # a place not yet gone down from is worth more than it seems
+            at = min(range(len(open_)), key=lambda i: open_[i][0] * (1.0 if open_[i][2] else HOPE))
+            rms, place, _ = open_.pop(at)
+            self._correction = None
+            place = self._refine(place, 0, most=FEW_STEPS)[1]
+            now = self._mean(place)
+            if now < GOES_ON * rms and apart(place, [other for _, other in found], APART):
+                open_.append((now, place, True))
+                continue
+            found.append((now, place))
+            if now <= GOOD:
+                self._settle(place)
+                if self._is_met():
+                    break
+            elif now <= POOR:
+                self._walk(place, FEW_WALKS)  # one of the other answers
+        found += [(rms, place) for rms, place, is_begun in open_ if is_begun]
+        found.sort(key=lambda pair: pair[0])
+        return found[:KEPT_STARTS]
+
+    def _kept(self, place: Array) -> tuple[bool, ...]:
+        return tuple(bool(place[i] > 0.0) for i in self.drops)
+
     def _numbers(self, place: Array) -> list[int]:
         """Return which numbers may be refined: none of a table that is gone."""
         gone = [holder for i, holder in self.drops.items() if place[i] == 0.0]
@@ -346,7 +365,7 @@ class WalkedSearch:
             if not n.choices and not n.is_whole and not any(is_within(n.path, h) for h in gone)
         ]  # fmt: skip
 
-    def _refine(self, start: Array, weightings: int = 1, reach: float = 1.0) -> tuple[float, Array]:
+    def _refine(self, start: Array, weightings: int = 1, reach: float = 1.0, most: int = STEPS) -> tuple[float, Array]:
         """Refine the numbers of a place by the likeness; the last steps weigh what is worst."""
         place, numbers = start.copy(), self._numbers(start)
         best = self._likeness(place)
@@ -360,21 +379,28 @@ class WalkedSearch:
         for turn in range(1 + (weightings if len(weights) > 1 else 0)):
             is_first = turn == 0
             spread = np.repeat(weights, blocks)
+            known: dict[bytes, Array] = {}  # where slopes are asked for the descent has just been
 
-            def residuals(x: Array, place: Array = place, spread: Array = spread) -> Array:
-                full = place.copy()
-                full[numbers] = x
-                spectra = self.spectra(full)
-                if spectra is None:
-                    return np.full(len(spread), FAR_OFF)
-                return np.asarray(self.goals.residuals(spectra)) * spread
+            def residuals(
+                x: Array, place: Array = place, spread: Array = spread, known: dict[bytes, Array] = known
+            ) -> Array:
+                found = known.get(x.tobytes())
+                if found is None:
+                    full = place.copy()
+                    full[numbers] = x
+                    spectra = self.spectra(full)
+                    found = np.full(len(spread), FAR_OFF)
+                    if spectra is not None:
+                        found = np.asarray(self.goals.residuals(spectra)) * spread
+                    known[x.tobytes()] = found
+                return found
 
             def slopes(x: Array, residuals: Callable[[Array], Array] = residuals) -> Array:
                 steps = np.where(x > 0.5, -STEP, STEP)
                 here, *there = in_threads(residuals, [x, *(x + steps[:, None] * np.eye(len(x)))])
                 return np.stack([(r - here) / step for r, step in zip(there, steps, strict=True)], axis=1)
 
-            found = descend(residuals, place[numbers], low=low, high=high, slopes=slopes, most=STEPS, tolerance=1e-5)
+            found = descend(residuals, place[numbers], low=low, high=high, slopes=slopes, most=most, tolerance=1e-5)
             trial = place.copy()
             trial[numbers] = found.place
             objective = self._likeness(trial)
@@ -421,6 +447,7 @@ class WalkedSearch:
         place is good: what is far off needs no more of them.
         """
         place, walks, reach = start, FEW_WALKS, REACH
+        most = STEPS if self._told.off is None else SETTLING_STEPS
         objective, noise = self._walk(place, walks)
         told, best, idle = self._correction, self.best, 0
         for turn in range(SETTLINGS):
@@ -433,7 +460,7 @@ class WalkedSearch:
             if noise > quiet:
                 walks = int(min(walks * np.clip((noise / quiet) ** 2, 1.5, 4.0), MOST_WALKS))
             self._correction = told
-            _, moved = self._without(*self._refine(place, reach=reach))
+            _, moved = self._without(*self._refine(place, reach=reach, most=most))
             if np.max(np.abs(moved - place)) < SETTLED and noise <= quiet:
                 return
             found, loud = self._walk(moved, walks)

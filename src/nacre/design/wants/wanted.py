@@ -170,6 +170,8 @@ def _want(spec: WantSpec, key: str, context: RecipeContext) -> Want:
         given = spec.xyz or spec.xyy or (0.0, 0.0, 0.0)
         if min(given) < 0:
             raise RecipeError(f"{key}.{name} = {show_value(list(given))} holds a negative number")
+        if name == "xyy" and (given[0] + given[1] > 1 or (given[1] == 0 and given[2] > 0)):
+            raise RecipeError(f"{key}.xyy = {show_value(list(given))} is no colour: y is above 0, x + y at most 1")
         found["xyz"] = np.array(given) if name == "xyz" else np.asarray(xyy_to_xyz(given))
     elif spec.image is not None:
         found["image"] = read_picture(context.path(spec.image), f"{key}.image = {show_value(spec.image)}")

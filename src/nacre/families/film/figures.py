@@ -92,6 +92,7 @@ def colour_map(
         "reflectance": reflectance,
         "transmittance": transmittance if tables.transmits else np.zeros_like(transmittance),
         "layer": np.array(layer),
+        "y_label": np.array(f"Thickness of layers[{layer}] (nm)" if len(film.layers) > 1 else "Thickness (nm)"),
     }
 
 

@@ -201,7 +201,9 @@ class Glass(Model):
             composite = replace(composite, walkers=FEW_WALKERS)
         return FastGlass(composite, self.thickness_nm, self.surface, self.base, "fast", is_checked=False)
 
-    def likeness_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> tuple[Array, Array] | None:
+    def likeness_at(
+        self, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False
+    ) -> tuple[Array, Array] | None:
         """Return the light at pairs as transfer in modes of the azimuth gives it; see `radiance`.
 
         It is the walk's own value but for what a rough face does to the diffuse light, and for the dispersion of
@@ -314,7 +316,9 @@ class FastGlass(Glass):
         """Return what transfer gives at a few pairs, and a rough face."""
         return self._scattered(wi, wo, np.asarray(wavelengths_nm, dtype=float))
 
-    def likeness_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> tuple[Array, Array] | None:
+    def likeness_at(
+        self, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False
+    ) -> tuple[Array, Array] | None:
         """Return None: `values_at` is no likeness."""
         return None
 

@@ -19,6 +19,7 @@ from nacre.bsdf.interface_loss import interface_losses
 from nacre.bsdf.lobes.layered import Layered
 from nacre.errors import NacreError
 from nacre.families.contract import Figure, Model
+from nacre.families.pearl.doubling import OFF
 from nacre.families.pearl.dye import DyeResponse, dye_response
 from nacre.families.pearl.fast import bake, obstacle
 from nacre.families.pearl.glance import LOBES_SHARE, Glance, likeness, walked, why_not, why_not_walked
@@ -58,6 +59,7 @@ class Pearl(Model):
     """
 
     noun = "pearl"
+    usual_look = "45as15"  # where its flakes show; its mirror is that of its upper face and has no colour
     has_strata = True
     why_unpolarised = "scatters light many times and is known for unpolarised light only"
 
@@ -192,11 +194,18 @@ class Pearl(Model):
         """Return the arrays of the walk."""
         return self._layered(wavelengths_nm)
 
-    def likeness_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> tuple[Array, Array] | None:
-        """Return light of the interface and one flake, and what two streams make of the rest; see `glance`."""
+    def likeness_at(
+        self, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False
+    ) -> tuple[Array, Array] | None:
+        """Return light of the interface and one flake, and the rest by two streams (`glance`) or by `doubling`."""
         if why_not(self.strata) is not None:
             return None
-        return likeness(self._glance(wavelengths_nm), wi, wo)
+        return likeness(self._glance(wavelengths_nm), wi, wo, is_fine)
+
+    @property
+    def likeness_error(self) -> float | None:
+        """Off by what a rough interface spreads, and by steps of directions; see `doubling`."""
+        return None if (why_not(self.strata) or why_not_walked(self.strata, self.base)) is not None else OFF
 
     def walked_at(
         self, wi: Array, wo: Array, wavelengths_nm: Array, walks: int, seed: int

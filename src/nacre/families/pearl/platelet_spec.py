@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
+from numpy.typing import NDArray
 
 from nacre.errors import NacreError
 from nacre.families.pearl.material import NO_SPREAD
@@ -60,7 +61,7 @@ class ThicknessKeys(RecipeModel):
     )
     histogram: str | None = pydantic.Field(
         default=None,
-        description="in place of thickness_nm: a file of two columns, thickness in nm and share",
+        description="in place of thickness_nm: a file of two columns: thickness in nm; share, per cent or count",
         examples=["thickness.csv"],
     )
 
@@ -83,14 +84,23 @@ class ThicknessKeys(RecipeModel):
         try:
             if self.histogram is not None:
                 table = two_columns(context, f"{key}.histogram", self.histogram)
-                return Thickness.from_histogram(table[:, 0], table[:, 1])
+                return Thickness.from_histogram(table[:, 0], _shares(table[:, 1]))
             high = np.inf if self.max_nm is None else self.max_nm
             assert self.thickness_nm is not None
             return Thickness(self.thickness_nm, self.deviation_nm, self.distribution, self.min_nm, high)
         except NacreError as error:
             if str(error).startswith(context.source):
                 raise
-            raise context.fail(key, self.histogram or self.thickness_nm, f"is not allowed: {error}") from None
+            value, place = (self.histogram, ".histogram") if self.histogram else (self.thickness_nm, "")
+            raise context.fail(f"{key}{place}", value, f"is not allowed: {error}") from None
+
+
+def _shares(column: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the shares that a column of shares, of per cent or of counts means; else the column, which is refused."""
+    total = float(column.sum())
+    is_percent = abs(total - 100.0) <= 0.1
+    is_count = total > 1.5 and bool(np.all(column == np.round(column)))
+    return column / total if is_percent or is_count else column
 
 
 class LayerSpec(ThicknessKeys):

@@ -7,16 +7,16 @@ from pathlib import Path
 
 from nacre.errors import NacreError
 from nacre.files import plain, why_unreadable
-from nacre.matter.indices.models import Table
+from nacre.matter.indices.models import EV_NM, Table
 from nacre.recipe.cells import decoded, headings, rows
 
 MAX_BYTES = 20_000_000
-_WAVELENGTH_NM = {
-    "wavelength_nm": 1.0, "wavelengths_nm": 1.0, "nm": 1.0, "wavelength_um": 1000.0, "wavelengths_um": 1000.0,
-    "um": 1000.0, "wl": 1000.0, "lambda_nm": 1.0, "lambda_um": 1000.0,
-}  # fmt: skip
-_WAVELENGTH = ("wavelength", "wavelengths", "lambda")  # the unit shows in the numbers
-_FORM = 'write a header "wavelength_nm,n,k" (or wavelength_um) and one row of numbers per wavelength'
+_UNITS_NM = {"": 0.0, "nm": 1.0, "um": 1000.0, "angstrom": 0.1}  # 0: the unit shows in the numbers
+_WORDS = ("wavelength", "wavelengths", "lambda", "wl")
+_WAVELENGTH_NM = {f"{word}_{unit}".strip("_"): nm for word in ("", *_WORDS) for unit, nm in _UNITS_NM.items()}
+del _WAVELENGTH_NM[""]
+_ENERGY = tuple(f"{word}_ev".strip("_") for word in ("", "e", "energy", "photon_energy"))
+_FORM = 'write a header "wavelength_nm,n,k" (or wavelength_um, energy_eV) and one row of numbers per wavelength'
 # Without a header the unit shows in the numbers: no table of optics reaches 20 um in um or below 20 nm in nm.
 _UM_LIMIT = 20.0
 
@@ -25,8 +25,8 @@ def read_index_csv(path: Path) -> Table:
     """Read wavelength, n and (optionally) k from a text file.
 
     Columns are separated by commas, semicolons, tabs or spaces; `#` starts a comment; where no comma separates, one
-    within a number is its decimal point. The header names the columns: `wavelength_nm` or `wavelength_um` (or
-    `Wavelength (nm)`), `n`, `k` in any order. The database's own export (`wl,n`, then
+    within a number is its decimal point. The header names the columns: `wavelength_nm` (or `Wavelength (nm)`, in um or
+    angstrom) or `energy_eV`, `n`, `k` in any order. The database's own export (`wl,n`, then
     a second block `wl,k`, in um) is read as well; so are headerless rows of two or three numbers.
 
     Raises:
@@ -62,7 +62,7 @@ def _blocks(path: Path) -> list[dict[str, list[float]]]:
     """Return the file's blocks, each a column of numbers by name, wavelengths in nm."""
     blocks: list[dict[str, list[float]]] = []
     columns: list[str] = []
-    scale = 0.0  # not known yet
+    scale = 0.0  # not known yet; below 0: of energies
     for number, cells in rows(_read(path)):
         values = _numbers(cells)
         if values is None:
@@ -79,13 +79,17 @@ def _blocks(path: Path) -> list[dict[str, list[float]]]:
         scale = scale or (1000.0 if row["wavelength"] < _UM_LIMIT else 1.0)
         for name, value in zip(columns, values):
             if name:
-                blocks[-1][name].append(value * scale if name == "wavelength" else value)
+                blocks[-1][name].append(_in_nm(value, scale) if name == "wavelength" else value)
     for block in blocks:
         if not block.get("wavelength"):
             raise NacreError(f"{path.name}: holds no rows; {_FORM}")
         if len(set(block["wavelength"])) != len(block["wavelength"]):
             raise NacreError(f"{path.name}: a wavelength is given twice; keep one row of each")
     return blocks
+
+
+def _in_nm(value: float, scale: float) -> float:
+    return -scale / value if scale < 0.0 else value * scale
 
 
 def _numbers(cells: list[str]) -> list[float] | None:
@@ -96,12 +100,15 @@ def _numbers(cells: list[str]) -> list[float] | None:
 
 
 def _header(path: Path, number: int, cells: list[str]) -> tuple[list[str], float]:
-    """Return the columns' names and what brings their wavelengths to nm, 0 where the numbers have to show it."""
+    """Return the columns' names and what brings their wavelengths to nm.
+
+    That is a factor; 0 where the numbers have to show the unit; -h c/e for energies in eV.
+    """
     columns, scale = [], 0.0
     for cell in headings(cells):
-        if cell in _WAVELENGTH_NM or cell in _WAVELENGTH:
+        if cell in _WAVELENGTH_NM or cell in _ENERGY:
             columns.append("wavelength")
-            scale = _WAVELENGTH_NM.get(cell, 0.0)
+            scale = -EV_NM if cell in _ENERGY else _WAVELENGTH_NM[cell]
         else:
             columns.append(cell if cell in ("n", "k") else "")
     if columns.count("wavelength") != 1 or not {"n", "k"} & set(columns) or max(map(columns.count, "nk")) > 1:

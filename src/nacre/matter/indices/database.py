@@ -23,6 +23,7 @@ from nacre.matter.indices.models import Constant, Dispersion, Joined, Table
 _CATALOGUE_SLIP = "main/As2S3/nk/Synowicki.yml"
 _CATALOGUE_MENDED = {"main/MgO/Synowicki", "main/ZrO2/Synowicki"}
 _CATALOGUE_LINE = re.compile(r"^\s*(?:- )?(SHELF|BOOK|PAGE|name|data):\s*(.*?)\s*$")
+_IN_ADDRESS = re.compile(r"[?&](shelf|book|page)=([^&#\s]+)")  # as the site's pages are copied from a browser
 MAX_PAGE_BYTES = 20_000_000  # of a user's own
 _MARKUP = re.compile(r"<[^>]+>")
 
@@ -111,12 +112,15 @@ def catalogue() -> dict[str, Page]:
 
 
 def find_page(key: str) -> Page:
-    """Return the page "shelf/book/page"; spaces and underscores in it are alike.
+    """Return the page "shelf/book/page", or that of an address of the site; spaces and underscores in it are alike.
 
     Raises:
         UnknownMaterialError: no such page, with the nearest one or the pages of the book.
     """
     pages = catalogue()
+    address = dict(_IN_ADDRESS.findall(key))
+    if len(address) == 3:
+        key = f"{address['shelf']}/{address['book']}/{address['page']}"
     if key in pages:
         return pages[key]
     wanted = key.strip().replace(" ", "_").lower()

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +11,15 @@ from nacre.errors import NacreError, did_you_mean
 from nacre.files import plain, why_unreadable
 from nacre.picture.camera import View
 from nacre.picture.scenes.catalogue import SHAPES, Part, Scene
-from nacre.picture.shapes.mesh import Mesh, open_seam, outward
+from nacre.picture.scenes.mesh_file import Triangles, read_triangles
+from nacre.picture.shapes.mesh import Mesh, merge, open_seam, outward
 from nacre.recipe.memory import check_memory
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
 MAX_MESH_BYTES = 1 << 30
 MAX_FACES = 20_000_000
 BYTES_A_BYTE = 6  # of a file: its text, and the corners, normals and faces of it
+LEAST_AREA, AREAS = 1e-12, 1 << 16  # of its extent squared: more than rounding; triangles at a time
 HEIGHT = 2.0  # a mesh is scaled to the height of our sphere, or less where it would leave the frame
 FRAME_SHARE = 0.94  # of the frame's half width and height
 # which axis is up: Blender, Maya and the web write y into these formats; printers and scanners write z into the others
@@ -71,8 +71,6 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
     Raises:
         NacreError: missing, unreadable, empty or too large.
     """
-    import trimesh
-
     try:
         plain(path)
     except OSError as error:
@@ -81,43 +79,55 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
         raise NacreError(f"shape {path}: {path.stat().st_size} bytes; a mesh has at most {MAX_MESH_BYTES}")
     check_memory(float(BYTES_A_BYTE) * path.stat().st_size, f"shape {path}: read as a mesh, it")
     try:
-        if is_alone:
-            # bytes alone have no folder in which other files would be looked for
-            kind, content = path.suffix.lower().removeprefix("."), io.BytesIO(path.read_bytes())
-            mesh: Any = trimesh.load(content, file_type=kind, force="mesh", process=False)
-        else:
-            mesh = trimesh.load(str(path), force="mesh", process=False)
-        vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
-        normals = np.asarray(mesh.vertex_normals, dtype=np.float64)
+        parts = read_triangles(path, is_alone)
     except Exception:  # every format's parser raises its own kind, in words of its own; all mean: not a mesh
         raise NacreError(
             f"shape {path}: cannot be read as a mesh; it is damaged, or of another kind than its ending says "
             "(.obj, .ply, .stl, .gltf, .glb)"
         ) from None
-    if len(faces) == 0 or len(vertices) == 0 or faces.shape[1:] != (3,):
+    if not parts or any(part.faces.shape[1:] != (3,) for part in parts):
         raise NacreError(f"shape {path}: holds no triangles")
-    if len(faces) > MAX_FACES:
-        raise NacreError(f"shape {path}: {len(faces)} triangles; at most {MAX_FACES}")
-    if (
-        vertices.shape[1:] != (3,)
-        or not np.isfinite(vertices).all()
-        or np.ptp(vertices, axis=0).max() <= 0
-        or faces.max() >= len(vertices)
-    ):
-        raise NacreError(f"shape {path}: its vertices are not finite, all at one place, or missing")
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.where(length > 0, normals / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
+    count = sum(len(part.faces) for part in parts)
+    if count > MAX_FACES:
+        raise NacreError(f"shape {path}: {count} triangles; at most {MAX_FACES}")
     turn = TO_Z_UP[up or ("y" if path.suffix.lower() in Y_UP else "z")]
-    vertices, normals = vertices @ turn.T, normals @ turn.T
-    uv = getattr(mesh.visual, "uv", None)
-    if uv is None or np.shape(uv) != (len(vertices), 2) or not np.isfinite(np.asarray(uv, dtype=np.float64)).all():
-        return outward(open_seam(Mesh(vertices, normals, _wrapped_uv(vertices), faces)))
-    return outward(Mesh(vertices, normals, np.asarray(uv, dtype=np.float64), faces))
+    if not all(map(_is_sound, parts)) or not any(np.ptp(part.vertices, axis=0).max() > 0 for part in parts):
+        raise NacreError(f"shape {path}: its vertices are not finite, all at one place, or missing")
+    whole = np.concatenate([part.vertices for part in parts]) @ turn.T
+    surface = merge([_surface(part, turn, whole) for part in parts])
+    if not _has_area(surface.vertices, surface.faces):
+        raise NacreError(f"shape {path}: no triangle of it has an area; its vertices lie along lines")
+    return outward(surface)
 
 
-def _wrapped_uv(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """uv round the vertical axis, for meshes without their own: u by azimuth, v by height."""
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
+def _is_sound(part: Triangles) -> bool:
+    vertices = part.vertices
+    return vertices.shape[1:] == (3,) and bool(np.isfinite(vertices).all()) and part.faces.max() < len(vertices)
+
+
+def _surface(part: Triangles, turn: NDArray[np.float64], whole: NDArray[np.float64]) -> Mesh:
+    """Return a part turned so that z is up; without uv it is wrapped about the vertices of the whole."""
+    length = np.linalg.norm(part.normals, axis=1, keepdims=True)
+    normals = np.where(length > 0, part.normals / np.maximum(length, 1e-30), [0.0, 0.0, 1.0]) @ turn.T
+    vertices = part.vertices @ turn.T
+    if part.uv is None:
+        return open_seam(Mesh(vertices, normals, _wrapped_uv(vertices, whole), part.faces))
+    return Mesh(vertices, normals, part.uv, part.faces)
+
+
+def _has_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> bool:
+    """Whether a mesh can be seen at all; the first triangles nearly always tell."""
+    least = LEAST_AREA * float(np.ptp(vertices, axis=0).max()) ** 2
+    for start in range(0, len(faces), AREAS):
+        first, second, third = vertices[faces[start : start + AREAS]].transpose(1, 0, 2)
+        if 0.5 * np.linalg.norm(np.cross(second - first, third - first), axis=1).sum() > least:
+            return True
+    return False
+
+
+def _wrapped_uv(vertices: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float64]:
+    """uv round the vertical axis of the whole, for what has none of its own: u by azimuth, v by height."""
+    low, high = whole.min(axis=0), whole.max(axis=0)
     d = vertices - 0.5 * (low + high)
     height = max(float(high[2] - low[2]), 1e-12)
     return np.stack([0.5 + np.arctan2(d[:, 1], d[:, 0]) / (2 * np.pi), (vertices[:, 2] - low[2]) / height], axis=1)

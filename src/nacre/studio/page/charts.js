@@ -4,7 +4,7 @@ import { boxOf, placeLabels } from "./labels.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 // Straight lines are lines, curves are drawn on a canvas: where there is no graphics card, one path makes a browser paint its
-// whole drawing (a layer of its own, see studio.css) in a way that takes it twice as long.
+// whole panel in a way that takes it twice as long.
 const DASHES = ["", "5 3", "1.5 2.5"];
 export const clear = (node) => node.replaceChildren();
 export const add = (root, tag, props, text) => {

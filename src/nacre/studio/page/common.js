@@ -2,7 +2,7 @@
 
 import { Recipe } from "./recipe.js";
 
-export const app = { recipe: new Recipe(), wire: null, view: null, form: null, state: null, lastGood: null, error: null };
+export const app = { recipe: new Recipe(), wire: null, view: null, form: null, state: null, lastGood: null, lastName: "", error: null };
 
 export const $ = (id) => document.getElementById(id);
 export const el = (tag, props = {}, ...inside) => {

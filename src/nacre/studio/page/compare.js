@@ -3,10 +3,10 @@
 import { $, app, el, shortName, tell, wholeText } from "./common.js";
 
 const { recipe } = app;
-const THUMBNAIL = 56, RESTING_MS = 300;
+const THUMBNAIL = 56, RESTING_MS = 600;         // to read a picture back takes as long as to draw two: not while a number is dragged
 let kept = null, page = null, timer = 0;    // page: what main.js does: chart(), go(by), showRecipe(), listRecipes()
 let placed = "";        // which step the strip was scrolled to; asking where it lies lays the whole page out
-const pictures = new Map(), colours = new Map();     // of recipes, by their text: a small picture; before there is one, three colours
+const pictures = new Map(), colours = new Map();     // of recipes, by their text: a small picture; before there is one, a colour
 
 // ---- A and B
 
@@ -101,8 +101,9 @@ function show() {
 
 export function showHistory() {
   const strip = $("history"), { past, at } = recipe, look = app.lastGood;
-  if (look && past[at]?.text === look.text) colours.set(look.text, look.swatches[0].hex);
-  if (strip.childElementCount !== past.length) strip.replaceChildren(...past.map((_, i) => button(i)));
+  if (look && past[at]?.text === look.text) colours.set(look.text, look.swatches[0].hex[0]);
+  if (strip.childElementCount !== past.length || strip.dataset.of !== recipe.name) strip.replaceChildren(...past.map((_, i) => button(i)));
+  strip.dataset.of = recipe.name;       // a button keeps its picture while it is dragged, but for no other recipe
   [...strip.children].forEach((made, i) => {
     const { text, what } = past[i], picture = pictures.get(text), image = made.firstChild;
     const name = `Step ${i + 1} of ${past.length}: ${what}`;
@@ -112,12 +113,12 @@ export function showHistory() {
     const isKept = i === at && image.src && !image.hidden;
     image.hidden = !picture && !isKept;
     made.lastChild.hidden = !image.hidden;
-    if (image.hidden && colours.has(text)) made.style.background = `linear-gradient(90deg, ${colours.get(text).join(", ")})`;
+    if (image.hidden && colours.has(text)) made.style.background = colours.get(text);
     made.tabIndex = i === at ? 0 : -1;      // one stop for Tab; arrow keys go along
     if (i === at) made.setAttribute("aria-current", "step");
     else made.removeAttribute("aria-current");
   });
-  strip.hidden = past.length < 2;
+  strip.hidden = !past.length;
   const here = strip.children[at], where = `${at} of ${past.length}`;
   if (here && where !== placed) strip.scrollLeft = here.offsetLeft - strip.offsetLeft - strip.clientWidth / 2;
   placed = where;
@@ -133,8 +134,11 @@ function button(i) {
 
 // The picture of the step that is shown, once it has settled and nothing has changed for a moment.
 function take() {
-  const now = recipe.past[recipe.at];
-  if (app.view && !$("view").dataset.seq) { timer = setTimeout(take, RESTING_MS); return; }       // the room has not come yet
+  const now = recipe.past[recipe.at], rested = performance.now() - app.wire.asked;
+  if (rested < RESTING_MS || (app.view && !$("view").dataset.seq)) {     // or the room has not come yet
+    timer = setTimeout(take, Math.max(RESTING_MS - rested, RESTING_MS / 4));
+    return;
+  }
   if (!app.view || !now || recipe.edits.length || app.lastGood?.draft || app.lastGood?.text !== now.text) return;
   pictures.set(now.text, app.view.thumbnail(THUMBNAIL));
   const texts = new Set(recipe.past.map(({ text }) => text));

@@ -10,9 +10,9 @@ const el = (tag, props = {}, ...inside) => {
 };
 const words = (name) => {
   const stem = name.replace(/_(nm|um|mm|deg)$/, "").replace(/_per_um2$/, "").replaceAll("_", " ");
-  return stem.length < 4 ? stem : stem[0].toUpperCase() + stem.slice(1);
+  return stem.length < 3 ? stem : stem[0].toUpperCase() + stem.slice(1);
 };
-const unitOf = (name, key) => (/_(nm|um|mm)$/.exec(name)?.[1] ?? (key.unit === "degrees" ? "°" : key.unit ?? "")).replace("um", "µm");
+const unitOf = (name, key) => (/_(nm|um|mm)$/.exec(name)?.[1] ?? (key.unit === "degrees" ? "°" : key.unit ?? "")).replace("um", "µm").replace(/^1\/(.+)\^2$/, "$1⁻²");
 const short = (x) => String(Number(x.toPrecision(7)));
 const isTable = (x) => x !== null && typeof x === "object" && !Array.isArray(x);
 
@@ -44,6 +44,12 @@ export class Form {
     this.root.replaceChildren(this.table(model.tables[model.root], data, ""));
     this.root.scrollTop = scroll;
     if (focus) document.getElementById(focus)?.focus();
+  }
+
+  // Show a line in place of a recipe that has no data.
+  clear(line) {
+    Object.assign(this, { model: null, shape: "", fields: new Map() });
+    this.root.replaceChildren(el("p", { className: "quiet", textContent: line }));
   }
 
   read = () => undefined;       // (path) => value; set by the page

@@ -11,7 +11,7 @@ import { listObjects, listenObjects } from "./objects.js";
 import { drawPanels, panels } from "./panels.js";
 import { valueAt } from "./recipe.js";
 import { listenReport } from "./report.js";
-import { listenSettled, render, settledEdited } from "./settled.js";
+import { listenSettled, render, settledEdited, standIn } from "./settled.js";
 import { fetchRoom, listenSurround } from "./surround.js";
 import { View } from "./view.js";
 import { Wire } from "./wire.js";
@@ -32,14 +32,15 @@ function onAnswer(answer, isNewest) {
   if (answer.error) return onError(answer, isNewest);
   const isOurs = recipe.settle(answer, isNewest);
   app.lastGood = answer;
+  if (isOurs) app.lastName = recipe.name;
   if (app.view) app.view.setLook(answer);
   const isChanged = isNewest && isOurs;
   if (isChanged) recipe.step();
   panels(isChanged ? showRecipe : null);
   if (!isNewest) return;
   setError(null);
-  const ms = Math.max(1, Math.round(answer.seconds * 1000));
-  tell(answer.draft ? "draft" : "settled", answer.draft ? "Draft: few angles and wavelengths. Settling" : `Settled, solved in ${ms} ms`, false);
+  const ms = Math.max(1, Math.round(answer.seconds * 1000)), took = ms < 1000 ? `${ms} ms` : `${(ms / 1000).toFixed(1)} s`;
+  tell(answer.draft ? "draft" : "settled", answer.draft ? "Draft: few angles and wavelengths. Settling" : `Settled, solved in ${took}`, false);
   if (isOurs) settledEdited();
   designSettled(answer);
   if (!answer.draft) cloudSettled();
@@ -50,7 +51,9 @@ async function onError(answer, isNewest) {
   if (!isNewest) return;
   recipe.settle(answer, true);
   setError(answer);
-  tell("error", app.lastGood ? "The recipe has a mistake; the last good one is shown" : "The recipe has a mistake");
+  const shown = app.lastGood && (app.lastName === recipe.name ? "; the last good one is shown" : `; ${shortName(app.lastName)} is still shown`);
+  tell("error", `The recipe has a mistake${shown ?? ""}`);
+  if (!recipe.data && !$("form").hidden && recipe.past.length === 1) tab("toml");      // just opened: nothing else can be seen of it
   await showRecipe();
 }
 
@@ -82,7 +85,7 @@ async function showRecipe() {
   document.title = `${recipe.isChanged ? "• " : ""}${shortName(recipe.name)} – nacre studio`;
   recipe.keep();
   showHistory();
-  if (!recipe.data) return;
+  if (!recipe.data) { app.form.clear("The form is here as soon as its TOML can be read."); return; }
   const model = await modelOf(recipe.data.family ?? "");
   if (model) app.form.show(model, recipe.data);
 }
@@ -192,6 +195,7 @@ async function start() {
     $("no-gl").hidden = false;
   }
   listen();
+  if (!app.view) standIn();
   const roomAsked = app.view ? fetchRoom("studio") : null;
   app.state = await api("api/state");
   app.wire = new Wire((seq) => (recipe.name ? question(seq, own) : null), onAnswer, onState);
@@ -202,7 +206,7 @@ async function start() {
     $("text").value = recipe.text;
     app.wire.ask();
   } else {
-    await open(app.state.first || app.state.recipes[0] || app.state.starts[0].name);
+    await open(app.state.first || app.state.begin || app.state.starts[0].name);
     if (!app.state.first) $("welcome").showModal();
   }
   if (app.view) app.view.setRoom((await roomAsked).room, app.state.surround, null);

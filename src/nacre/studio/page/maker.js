@@ -1,7 +1,7 @@
 // Files to take away: export, fabricate, a picture at its size; made by the server, given to the browser as a download.
 
 import { $, api, app, ask, el, shortName, wholeText } from "./common.js";
-import { meshOf } from "./objects.js";
+import { sceneOf } from "./objects.js";
 import { placeOf } from "./surround.js";
 
 const VERBS = { export: "Export", fabricate: "Fabricate", picture: "Picture" };
@@ -80,7 +80,7 @@ async function make(event) {
   event.preventDefault();
   making?.abort();
   const mine = (making = new AbortController()), [verb, to] = $("file-to").value.split(/:(.*)/s);
-  const question = { text: await wholeText(), name: app.recipe.name, verb, to, lamp: $("lamp").value, scene: $("file-scene").value, options: options(), ...meshOf(), ...placeOf() };
+  const question = { text: await wholeText(), name: app.recipe.name, verb, to, lamp: $("lamp").value, ...sceneOf($("file-scene")), options: options(), ...placeOf() };
   $("file-error").textContent = "";
   $("file-said").replaceChildren();
   $("file-state").textContent = "The file is being made; close this and go on if you like.";

@@ -15,8 +15,13 @@ function unpack(buffer) {
   return { ...told, places, order, paper: new Uint8Array(buffer, order.byteOffset + order.byteLength, rows * columns) };
 }
 
-// The mesh that pictures are asked of, by the name that the server keeps it under.
-export const meshOf = () => (wanted === "own" && own ? { mesh: own.id } : {});
+// What pictures are asked of: a scene, or in the sphere's place the own mesh, by the name that the server keeps it under.
+export const sceneOf = (select) => (select.value === "own" ? { scene: "sphere", mesh: own.id } : { scene: select.value });
+
+// In words.
+export const sceneName = (select) => select.selectedOptions[0].textContent;
+
+const SCENES = ["scene", "file-scene"];
 
 async function choose(name) {
   $("pick-mesh").hidden = name !== "own";
@@ -29,8 +34,7 @@ async function choose(name) {
   $("object-error").textContent = "";
   $("up").closest("label").hidden = name !== "own";
   $("grid").closest("label").hidden = name === "sphere";
-  if ([...$("scene").options].some(({ value }) => value === name)) $("scene").value = name;
-  else if (name === "own") $("scene").value = "sphere";
+  for (const select of SCENES.map($)) if ([...select.options].some(({ value }) => value === name)) select.value = name;
   if (!app.view) return;
   try {
     if (name !== "sphere" && name !== "own" && !kept.has(name)) {
@@ -60,8 +64,10 @@ async function give(given) {
     if (!answer.ok) throw new Error((await answer.json().catch(() => ({}))).error ?? `the server answered ${answer.status}`);
     if (given !== file) return;
     own = unpack(await answer.arrayBuffer());
-    const option = [...$("object").options].find(({ value }) => value === "own");
-    option.textContent = own.name;
+    for (const select of ["object", ...SCENES].map($)) {
+      const option = [...select.options].find(({ value }) => value === "own") ?? select.appendChild(new Option("", "own"));
+      option.textContent = own.name;
+    }
     await choose("own");
     const drawn = own.indices / 3;
     if (drawn < own.faces) $("object-error").textContent = `${own.name}: drawn with ${drawn} of its ${own.faces} triangles; pictures take all`;

@@ -11,6 +11,7 @@ export class Wire {
     Object.assign(this, { makeQuestion, onAnswer, onState });
     this.seq = 0;
     this.heard = 0;
+    this.asked = -Infinity;     // when, by the page's clock
     this.wait = FIRST_WAIT_MS;
     this.open();
     addEventListener("online", () => this.hurry());
@@ -59,6 +60,7 @@ export class Wire {
     const question = this.makeQuestion(this.seq + 1);
     if (!question) return 0;
     this.seq += 1;
+    this.asked = performance.now();
     this.socket.send(JSON.stringify({ seq: this.seq, ...question }));
     this.onState("asked");
     return this.seq;

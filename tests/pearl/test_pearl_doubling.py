@@ -1,0 +1,123 @@
+"""Light between the flakes of a pearl by doubling: against the walk, against itself, and where the answer is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.bsdf.directions import direction
+from nacre.bsdf.facet_distributions import fresnel
+from nacre.families.pearl import doubling, glance
+from nacre.measure.instruments import ASPECULAR_DEG, aspecular_direction
+
+NM = np.array([440.0, 500.0, 560.0, 640.0])
+WI = np.repeat(direction(np.radians([45.0])), len(ASPECULAR_DEG), axis=0)
+WO = np.stack([aspecular_direction(45.0, a) for a in ASPECULAR_DEG])
+WALKS = 1 << 16
+SIGMAS = 4.0
+ROUNDING = 2e-4  # of float32 matrices after their doublings
+
+
+def pearl(roughness: float, albedo: float, *amounts: float) -> Any:
+    kinds = [("mica", 425.0, 106.0, "TiO2", 110.0, 0.06), ("SiO2", 325.0, 26.0, "TiO2", 60.0, 0.08)]
+    platelets = [
+        {"volume_fraction": amount, "substrate": {"material": a, "thickness_nm": d, "deviation_nm": spread},
+         "coatings": [{"material": b, "thickness_nm": e}], "normal_deviation": flat}
+        for amount, (a, d, spread, b, e, flat) in zip(amounts, kinds)
+    ]  # fmt: skip
+    strata = [{"resin": {"n": 1.5}, "thickness_um": 60, "roughness": roughness, "platelets": platelets}]
+    return nacre.material({"family": "pearl", "strata": strata, "base": {"albedo": albedo}}).model
+
+
+@pytest.mark.parametrize(("roughness", "amounts"), [(0.0, (0.01,)), (0.02, (0.03, 0.04)), (0.1, (0.01, 0.02))])
+def test_it_is_what_the_walk_finds_for_thin_and_dense_paints(roughness: float, amounts: tuple[float, ...]) -> None:
+    model = pearl(roughness, 0.4, *amounts)
+    known, guess = model.likeness_at(WI, WO, NM, True)
+    found, error = model.walked_at(WI, WO, NM, WALKS, 3)
+    allowed = model.likeness_error * guess + 0.01 * known + SIGMAS * error
+    assert np.all(np.abs(known + guess - found) < allowed)
+    # and it is this that does it: the two streams of the coarse form are far off where many flakes are met
+    if sum(amounts) > 0.05:
+        coarse = model.likeness_at(WI, WO, NM)[1]
+        assert np.max(np.abs(known + coarse - found) / allowed) > 3.0
+
+
+def test_without_flakes_the_ground_shines_through_as_saunderson_says() -> None:
+    albedo, n = 0.6, 1.5
+    cos = (np.arange(4000) + 0.5) / 4000
+    outside = float(np.average(1.0 - fresnel(cos, n), weights=cos))
+    t = (1 - fresnel(WI[:, 2], n)) * (1 - fresnel(WO[:, 2], n))
+    expected = t * albedo / (np.pi * n**2 * (1 - albedo * (1.0 - outside / n**2)))
+    known, guess = pearl(0.0, albedo).likeness_at(WI, WO, NM, True)
+    assert np.all(known == 0.0)
+    np.testing.assert_allclose(guess, expected[:, None] * np.ones(len(NM)), rtol=2e-3)
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.1])
+def test_both_ways_of_the_light_are_alike(roughness: float) -> None:
+    wi, wo = direction(np.radians([20.0, 60.0])), direction(np.radians([-50.0, -35.0]))
+    model = pearl(roughness, 0.3, 0.02, 0.01)
+    there, back = (model.likeness_at(a, b, NM, True)[1] for a, b in ((wi, wo), (wo, wi)))
+    np.testing.assert_allclose(there, back, rtol=ROUNDING)
+
+
+def test_flakes_that_absorb_nothing_lose_no_light() -> None:
+    """Light from the ground under a stratum of clear flakes either comes back to it or leaves: all over a white ground.
+
+    What leaves is counted by reciprocity, as the share of outer light that arrives at the ground.
+    """
+    lam = np.array([550.0])
+    clear = {"n": 2.2}
+    platelet = {"volume_fraction": 0.02, "substrate": {"material": {"n": 1.6}, "thickness_nm": 300, "deviation_nm": 40},
+                "coatings": [{"material": clear, "thickness_nm": 80}], "normal_deviation": 0.08}  # fmt: skip
+    strata = [{"resin": {"n": 1.5}, "thickness_um": 60, "platelets": [platelet]}]
+    model = nacre.material({"family": "pearl", "strata": strata, "base": {"albedo": 0.5}}).model
+    medium = glance._medium(model._glance(lam), glance.COS_NODES)
+    n = medium.index
+    theta = (np.arange(24) + 0.5) * np.pi / 48
+    wi = direction(theta)
+    # T(w) of each direction out of f at two albedos: f = T T a / (pi n^2 (1 - a r)) + what never is at the ground
+    black, grey, white = (doubling.between(medium, wi, wi * [-1, -1, 1], np.array([a])) for a in (0.0, 0.5, 1.0))
+    low, high = (grey - black)[:, 0], (white - black)[:, 0]
+    # low = c / (2 - r), high = c / (1 - r), with c = T^2 / (pi n^2) of each direction
+    r = float(np.mean((2.0 * low - high) / (low - high)))
+    arrives = np.sqrt(high * (1.0 - r) * np.pi * n * n)
+    leaves = float(np.sum(arrives * np.cos(theta) * np.sin(theta)) / np.sum(np.cos(theta) * np.sin(theta))) / n**2
+    assert abs(1.0 - r - leaves) < 0.01
+
+
+def test_finer_steps_change_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = pearl(0.02, 0.2, 0.04, 0.05)
+    own = sum(model.likeness_at(WI, WO, NM, True))
+    for name, value in (("NODES", 32), ("AZIMUTHS", 28), ("TERMS", 18), ("DOUBLINGS", 9)):
+        monkeypatch.setattr(doubling, name, value)
+    caches = (doubling._directions, doubling._pairs, doubling._cosines, doubling._rough_mirror)
+    for cache in caches:
+        cache.cache_clear()
+    fine = sum(model.likeness_at(WI, WO, NM, True))
+    for cache in caches:
+        cache.cache_clear()
+    assert np.max(np.abs(own / fine - 1.0)) < model.likeness_error
+
+
+def test_it_is_smooth_in_thickness_and_amount() -> None:
+    def at(change: float, name: str) -> np.ndarray:
+        amounts = {"volume_fraction": 0.02}
+        model = pearl(0.05, 0.4, amounts["volume_fraction"] + (change if name == "f" else 0.0))
+        if name == "c":
+            stratum = model.strata[0]
+            flakes = stratum.flakes[0]
+            coating = flakes.platelet.upper[0]
+            thicker = replace(coating, thickness=replace(coating.thickness, mean_nm=110.0 + change))
+            flakes = replace(flakes, platelet=replace(flakes.platelet, upper=(thicker,)))
+            model = replace(model, strata=(replace(stratum, flakes=(flakes,)),))
+        return np.asarray(model.likeness_at(WI, WO, NM, True)[1])
+
+    for name, step in (("f", 2e-4), ("c", 0.2)):
+        whole = (at(step, name) - at(-step, name)) / (2 * step)
+        half = (at(step / 2, name) - at(-step / 2, name)) / step
+        np.testing.assert_allclose(half, whole, atol=2e-2 * np.max(np.abs(whole)))

@@ -1,0 +1,97 @@
+"""`nacre studio` in a terminal: what it opens, what it prints, and what it says when it cannot."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from nacre.cli import run
+
+FILES = 512  # that a server may have open; half of what Linux gives
+
+
+def test_folders_and_files_that_cannot_be_opened_are_one_line(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    for what, words in ((empty, "no recipe"), (tmp_path / "none.toml", "no such file"), (__file__, "is no recipe")):
+        assert run(["studio", str(what), "--no-browser"]) == 2
+        said = capsys.readouterr()
+        assert words in said.err and said.err.count("\n") == 1 and not said.out
+
+
+def test_a_port_in_use_is_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen(1)
+        port = taken.getsockname()[1]
+        assert run(["studio", str(folder), "--no-browser", "--port", str(port)]) == 2
+    said = capsys.readouterr()
+    assert f"--port {port}: address already in use" in said.err and said.err.count("\n") == 1 and not said.out
+
+
+def test_the_command_prints_one_address_and_listens_on_loopback_alone(folder: Path) -> None:
+    command = [sys.executable, "-m", "nacre", "studio", str(folder), "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None and process.stderr is not None
+            address = process.stdout.readline().strip()
+            assert address.startswith("http://127.0.0.1:") and "?token=" in address
+            port = int(address.split(":")[2].split("/")[0])
+            with socket.create_connection(("127.0.0.1", port), timeout=60) as open_one:
+                open_one.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: close\r\n\r\n".encode())
+                assert b" 403 " in open_one.recv(100)
+        finally:
+            process.send_signal(2)
+            out, err = process.communicate(timeout=120)
+    assert out == "" and "Traceback" not in err and process.returncode == 130
+
+
+def test_without_a_browser_one_line_says_so_and_the_server_serves_on(folder: Path) -> None:
+    command = [sys.executable, "-m", "nacre", "studio", str(folder), "--port", "0"]
+    environment = {**os.environ, "BROWSER": "/no/such/browser"}
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        try:
+            address = process.stdout.readline().strip()
+            assert "no browser" in process.stderr.readline()
+            assert process.poll() is None
+            port = int(address.split(":")[2].split("/")[0])
+            socket.create_connection(("127.0.0.1", port), timeout=60).close()
+        finally:
+            process.kill()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit of open files to reach")
+def test_half_requests_without_number_do_not_keep_the_page_from_being_answered(folder: Path) -> None:
+    import resource
+
+    def few_files() -> None:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (FILES, FILES))
+
+    command = [sys.executable, "-m", "nacre", "studio", str(folder), "--no-browser", "--port", "0"]
+    with contextlib.ExitStack() as held:
+        process = held.enter_context(
+            subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=few_files)
+        )
+        held.callback(process.kill)
+        assert process.stdout is not None
+        port = int(process.stdout.readline().split(":")[2].split("/")[0])
+        half = [held.enter_context(socket.create_connection(("127.0.0.1", port), timeout=60)) for _ in range(FILES)]
+        for one in half:
+            with contextlib.suppress(OSError):  # it may be closed already
+                one.sendall(b"GET / HTTP/1.1\r\nHost: loc")
+        with socket.create_connection(("127.0.0.1", port), timeout=60) as whole:
+            whole.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: close\r\n\r\n".encode())
+            assert b" 403 " in whole.recv(100)
+        process.kill()
+        assert process.communicate()[1] == ""  # nor is the terminal filled with the system's complaints
