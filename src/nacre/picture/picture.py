@@ -47,7 +47,8 @@ QUALITIES = ("reference", "fast")
 MIRROR_KINDS = ("specular", "microfacet")
 KEPT_STAGES = 3
 
-_P, _R = ParamSpec("_P"), TypeVar("_R")
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 _stages: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
 _in_turn = threading.RLock()
 
