@@ -118,11 +118,12 @@ def one(number: int, seed: int, seconds: float, judge: Worker) -> dict[str, Any]
 
 
 def measure(
-    count: int, seed: int, seconds: float, keep: bool, judge: Worker, clock: Mapping[str, float]
+    count: int, seed: int, seconds: float, keep: bool, only_kept: bool, judge: Worker, clock: Mapping[str, float]
 ) -> list[dict[str, Any]]:
     """Do the recipes, those that are kept already left out."""
     kept = Kept("design_pearls", keep, seed=seed, seconds=seconds, **clock)
-    return [kept.result(number, partial(one, number, seed, seconds, judge)) for number in range(count)]
+    numbers = [number for number in range(count) if number in kept or not only_kept]
+    return [kept.result(number, partial(one, number, seed, seconds, judge)) for number in numbers]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -131,17 +132,21 @@ def main(arguments: list[str] | None = None) -> int:
     options.add_argument("--seed", type=int, default=17)
     options.add_argument("--count", type=int, help="recipes")
     options.add_argument("--seconds", type=float, default=SECONDS, help="of each search, by the clock")
+    options.add_argument("--kept", action="store_true", help="with --all: what a stopped run has done, and no more")
     chosen = options.parse_args(arguments)
     clock = run_clock_by_cpu(chosen.cores)
     count = chosen.count or (NUMBER if chosen.all else FEWER)
     with Worker("judge_pearls.py", Path(sys.executable)) as judge:
-        found = measure(count, chosen.seed, chosen.seconds, chosen.all, judge, clock)
+        found = measure(count, chosen.seed, chosen.seconds, chosen.all, chosen.kept, judge, clock)
+    if not found:
+        raise SystemExit("nothing is kept")
     mean = np.array([r["mean"] for r in found])
+    of_all = "" if len(found) == count else f" of the {count}"
     noise = f"noise of the judge at most {max(r['error'] for r in found):.2f} dE00"
     apart = max(float(np.max(np.abs(np.subtract(r["de00"], r["own"])))) for r in found)
     rows = [
-        Row(f"six angles: share of {len(found)} with a mean dE00 of 1 or less", float(np.mean(mean <= BAR_DE00)), "",
-            SHARE, note=f"median {np.median(mean):.2f}, largest {mean.max():.2f}; {noise}"),
+        Row(f"six angles: share of {len(found)}{of_all} with a mean of 1 or less", float(np.mean(mean <= BAR_DE00)),
+            "", SHARE, note=f"median {np.median(mean):.2f}, largest {mean.max():.2f}; {noise}"),
         Row("six angles: largest mean dE00", float(mean.max()), "",
             note=f"worst angle {max(r['worst'] for r in found):.2f}; judge and design differ by {apart:.2f} at most"),
         Row("six angles: longest, CPU", max(r["cpu"] for r in found), "s", CORES * SECONDS, higher_is_better=False,

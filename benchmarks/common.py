@@ -212,6 +212,9 @@ class Kept:
             lines = [json.loads(line) for line in self._path.read_text(encoding="utf-8").splitlines()]
             self._found = {r["number"]: r for r in lines if self._facts.items() <= r.items()}
 
+    def __contains__(self, number: int) -> bool:
+        return number in self._found
+
     def result(self, number: int, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """Return a result that is kept, or measure it; it is told on stderr."""
         found = self._found.get(number)
