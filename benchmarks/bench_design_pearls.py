@@ -13,11 +13,11 @@ Floor: one candidate is three pigments' tables, 65 cosines x 21 wavelengths x 2 
 were it only the amplitudes; averaging over the substrate costs 15 ms. Prediction (before the first run): 50 ms a
 candidate that changes thicknesses, 10 ms one that changes amounts; 10 numbers, so 0.4 s a step; 8 starts of 25 steps:
 80 s, 5 walks of 5 s: 25 s; mean dE00 0.3, as the data have 18 numbers for 10.
-Outcome so far (seed 17; a machine that others used; clocks that run with CPU time): one pigment as predicted, mean
-.08 to .17 by the judge (2, 4; 0 in 91 s of CPU). Two dense pigments are what is hard: mean .09 (9) and .71 (13) by
-the judge; 1.19 (15) and 2.6 (11) were missed. With steps that are taken back where the walk finds them worse, and
-walks only as quiet as a place is good, by the search's own walks: 1.5 (11), .77 (1), .27 (3), .09 (7), .65 (13), 1.2
-(15). The whole table is yet to be run.
+Outcome so far (seed 17, `--all --cores 1.4`, beside much other work): a noise-free likeness by doubling takes 50 to 70
+ms a candidate; two dense pigments are what is hard. Mean dE00 by the judge: .13, .14, .07, .07, .10 for one pigment
+(0, 2, 4, 6, 8; 49 to 91 s of CPU), .45 (5) and .37 (11, 2.6 before) for two. 17 was missed, 1.6: its search ended at
+1.6 too, so the judge agrees and the right valley was not found in the time. Earlier: .31 (1) and .21 (3) by 7
+doublings, .09 (9) and .71 (13) by two streams. 7, 10, 12, 14, 15, 16, 18 and 19 are yet to be run.
 """
 
 from __future__ import annotations

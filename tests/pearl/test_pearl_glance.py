@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +14,7 @@ import pytest
 import nacre
 from nacre.bsdf.directions import direction
 from nacre.bsdf.facet_distributions import fresnel
+from nacre.families.pearl import glance
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.instruments import ASPECULAR_DEG, aspecular_direction
 
@@ -126,3 +131,33 @@ def test_what_has_no_likeness_says_so() -> None:
     metal = nacre.material({"family": "pearl", "strata": [{"resin": {"n": 1.5}, "thickness_um": 20}],
                             "base": {"material": "Al"}}).model  # fmt: skip
     assert metal.likeness_at(WI, WO, NM) is not None and metal.walked_at(WI, WO, NM, 64, 0) is None
+
+
+class Slow(dict[Any, Any]):
+    """Lets another thread in between the look for the oldest and its name."""
+
+    def __iter__(self) -> Iterator[Any]:
+        keys = super().__iter__()
+        time.sleep(1e-4)
+        yield from keys
+
+
+def test_pigments_are_remembered_by_many_threads_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search asks for neighbours of one place from every thread, and its oldest pigments are forgotten meanwhile."""
+    stratum = pearl().strata[0]
+    flakes = stratum.flakes[0]
+    coating = flakes.platelet.upper[0]
+    monkeypatch.setattr(glance, "REMEMBERED", 2)
+    monkeypatch.setattr(glance, "_tables", Slow())
+
+    def table(nm: float) -> np.ndarray:
+        upper = (replace(coating, thickness=replace(coating.thickness, mean_nm=nm)),)
+        kind = replace(flakes, platelet=replace(flakes.platelet, upper=upper))
+        return glance._pigment(stratum, kind, 3, NM[:1].tobytes())[0]
+
+    thicknesses = [100.0 + k % 5 for k in range(30)]
+    known = {nm: table(nm) for nm in set(thicknesses)}
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(table, thicknesses))
+    assert all(np.array_equal(f, known[nm]) for f, nm in zip(found, thicknesses, strict=True))
+    assert len(glance._tables) <= 2

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,6 +160,8 @@ def _medium(at: Glance, nodes: int) -> Medium:
 
 _tables: dict[tuple[object, ...], tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]] = {}
 
+_tables_change = Lock()  # searches ask from many threads
+
 
 def _pigment(
     stratum: Stratum, flakes: Flakes, nodes: int, grid: bytes
@@ -172,14 +175,17 @@ def _pigment(
     layers += [(c.material, c.thickness) for c in (*platelet.upper, *(platelet.lower or ()))]
     shape = (platelet.counting, len(platelet.upper), platelet.lower is None, nodes, deviation, grid, n.tobytes())
     key = (*shape, *((material.n_complex(wavelengths).tobytes(), _told(thickness)) for material, thickness in layers))
-    if key not in _tables:
-        while len(_tables) >= REMEMBERED:
-            _tables.pop(next(iter(_tables)), None)
+    found = _tables.get(key)
+    if found is None:
         cos = np.linspace(0.0, 1.0, nodes) ** 2
         reflect, transmit = platelet_response(platelet, n, cos, wavelengths).unpolarised()
         extinct = mean_extinction(_weights(deviation, nodes), transmit)[0]
-        _tables[key] = (reflect.astype(np.float32), transmit.astype(np.float32), extinct.astype(np.float32))
-    return _tables[key]
+        found = (reflect.astype(np.float32), transmit.astype(np.float32), extinct.astype(np.float32))
+        with _tables_change:
+            while len(_tables) >= REMEMBERED:
+                _tables.pop(next(iter(_tables)))
+            _tables[key] = found
+    return found
 
 
 def _told(thickness: object) -> str:
