@@ -5,7 +5,7 @@ Prediction (before the first run): twice the floor with right sides, far fields 
 CPU time over two cores stands for the clock of two free cores; the clock of a shared machine is in the note.
 With patterns that repeat, the sum over images (a product of 400 waves with all pairs), more directions and the fit of
 single orders take as long as the factors: about 0.9 CPU s a pattern.
-Outcome: see RESULTS.md.
+Outcome (ahead, on two shared cores): 2.7 min of both cores, 5.4 by the clock, .54 GB.
 """
 
 from __future__ import annotations

@@ -231,16 +231,20 @@ def test_the_numbers_message_names_them_all() -> None:
 def test_the_plugin_gives_the_arrays_values(recipe: dict[str, Any], path: str, ends: tuple[float, float]) -> None:
     import nacre.render
     from nacre.bsdf import Bsdf
+    from nacre.bsdf.series_words import ROUNDING
 
     nacre.render.use_variant()
     from lobe_trials import array_mismatch
+
+    # words round the series of a metasurface by up to ROUNDING in root mean square: by four times that at most
+    bar = 4 * ROUNDING if recipe["family"] == "metasurface" else 1e-4
 
     bsdf = across(recipe, path, ends).bsdf(WAVES)
     wi, wo = pairs(100)
     uv = np.random.default_rng(2).random((100, 2))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        assert array_mismatch(Bsdf(tuple(x for x in bsdf.lobes if not x.is_delta)), wi, wo, uv) <= 1e-4
+        assert array_mismatch(Bsdf(tuple(x for x in bsdf.lobes if not x.is_delta)), wi, wo, uv) <= bar
 
 
 @pytest.mark.full

@@ -358,10 +358,12 @@ def test_points_csv_comes_back(tmp_path):
 
 
 @pytest.mark.parametrize("deviation_nm", [0.0, 6.0])
-def test_the_dense_grid_averages_to_the_bsdf(deviation_nm):
+def test_the_dense_grid_averages_to_the_bsdf(deviation_nm, monkeypatch):
     from nacre.bsdf.lobes.harmonic import PolarGrid
+    from nacre.families.metasurface import compile as tables
     from nacre.families.metasurface.dense import stream_dense
 
+    monkeypatch.setattr(tables, "fit_linear", lambda table, grids: table)  # the nodes as solved, not as lines like them
     made = material(
         {
             "family": "metasurface",
@@ -374,7 +376,7 @@ def test_the_dense_grid_averages_to_the_bsdf(deviation_nm):
     lobe = made.bsdf(np.array([500.0])).lobes[1]
     theta, dphi = PolarGrid(lobe.count_above).nodes, np.radians(np.arange(0.0, 181.0, 30.0))
     ((_, dense),) = stream_dense(made.model, [500.0], theta, dphi)
-    i, o = 38, np.array([3, 21, 48])
+    i, o = 28, np.array([3, 16, 36])
     wi = np.array([-np.sin(theta[i]), 0.0, np.cos(theta[i])])
     wo = np.stack(
         np.broadcast_arrays(
@@ -398,7 +400,7 @@ def test_tables_of_every_stack_stay_under_100_megabytes(eta, polydisperse, thick
     grids = choose_grids(eta, polydisperse, thick, low)
     n, m = grids.above.size, grids.below.size if grids.below else 0
     rows = n * (n + 1) // 2 + m * (m + 1) // 2 + n * m
-    wavelengths = 48  # 360 to 830 nm; the device keeps two of 16 bits for each interval, which is as much
+    wavelengths = 48  # 360 to 830 nm; the device keeps two or four words for eight numbers, which is less
     assert rows * HARMONICS * 4 * wavelengths * (2 if polydisperse else 1) <= 100e6
 
 
@@ -407,8 +409,8 @@ RESOLVED = 5e-3  # relative L2 of f, linear between the stored angles
 
 @pytest.mark.parametrize(
     ("substrate", "oxide_nm", "wavelength_nm", "count"),
-    [("Si", 400, 380.0, 64), ("Si", 400, 450.0, 64), ("Si", 950, 450.0, 120), ("Si", 0, 450.0, 64),
-     ("glass", 0, 450.0, 64), ("air", 0, 450.0, 100)],
+    [("Si", 400, 380.0, 48), ("Si", 400, 450.0, 48), ("Si", 950, 450.0, 120), ("Si", 0, 450.0, 48),
+     ("glass", 0, 450.0, 32), ("air", 0, 450.0, 100)],
 )  # fmt: skip
 def test_the_stored_angles_resolve_films_up_to_a_micrometre(substrate, oxide_nm, wavelength_nm, count):
     from nacre.bsdf.lobes.harmonic import PolarGrid

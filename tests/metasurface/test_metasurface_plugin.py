@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from nacre.bsdf import Bsdf
+from nacre.bsdf.lobes.harmonic import PolarGrid
+from nacre.bsdf.series_words import ROUNDING, encode
 from nacre.materials.material import material
 
 pytestmark = pytest.mark.render
@@ -21,8 +23,33 @@ CASES = {
 }
 
 
+def rounded(tables):
+    """Return tables with the numbers that their words on the device can hold; empty ones stay empty."""
+    if not any(table.shape[0] for table in tables):
+        return tables
+    rows = np.concatenate(tables)
+    for _ in range(6):
+        before, rows = rows, encode(rows).numbers()[:, : rows.shape[1]].astype(np.float32)
+        if np.allclose(before, rows, rtol=1e-6, atol=1e-7 * np.abs(rows).max()):
+            break  # rounding a row may bring it below the next power, or a largest number below the next size
+    return [np.ascontiguousarray(t) for t in np.split(rows, np.cumsum([len(t) for t in tables])[:-1])]
+
+
 @cache
 def lobe(name):
+    """As the device holds it: so what it reads should be what the arrays say."""
+    made = exact_lobe(name)
+    return Bsdf((dataclasses.replace(made, **_rounded_tables(made)),))
+
+
+def _rounded_tables(made, wavelengths=slice(None)):
+    names = ("above", "below", "across", "above_free", "below_free", "across_free")
+    groups = [rounded([getattr(made, n)[..., wavelengths] for n in group]) for group in (names[:3], names[3:])]
+    return dict(zip(names, groups[0] + groups[1], strict=True))
+
+
+@cache
+def exact_lobe(name):
     stack, particle, _ = CASES[name]
     data = {
         "family": "metasurface",
@@ -32,7 +59,7 @@ def lobe(name):
         "model": {"multipole_order": 4, "correction": "qca-balanced"},
     }
     made = material(data).bsdf(np.array([400.0, 480.0, 560.0, 640.0, 720.0]))
-    return Bsdf((made.lobes[1],))
+    return made.lobes[1]
 
 
 @pytest.fixture(scope="module")
@@ -66,21 +93,80 @@ def test_directions_are_drawn_as_their_density_says(trials, name):
         assert np.all(mean - 3 * error <= FURNACE_TOP) and np.all(mean > 0)
 
 
-def test_the_device_is_linear_between_wavelengths(trials):
-    """H is interpolated as the arrays would be, S is exact: so with one S for all, f is linear too."""
+def test_the_device_interpolates_on_tetrahedra_of_both_angles_and_the_wavelength(trials):
+    """H at the corners as the arrays have it, S exact: so with one S for all, f is the sum over four corners."""
     made = lobe("free, spread radii").lobes[0]
     flat = dataclasses.replace(made, structure=np.ones_like(made.structure))
-    a, b = trials.directions(500, 1, True), trials.directions(500, 2, True)
     at, grid = np.array([400.0, 433.0, 541.5, 715.0]), made.wavelengths_nm
-    nodes = flat.evaluate(a.astype(np.float32), b.astype(np.float32))
-    expected = np.stack([[np.interp(w, grid, row) for w in at] for row in nodes])
+    nodes = PolarGrid(made.count_above).nodes
+    a, b = (trials.directions(500, seed, True) for seed in (1, 2))
+    inside = np.minimum(np.abs(a[:, 2]), np.abs(b[:, 2])) > np.cos(nodes[-1])  # beyond, f falls as the cosine
+    a, b = a[inside].astype(np.float32), b[inside].astype(np.float32)
+    place = np.stack([np.interp(np.arccos(np.abs(w[:, 2])), nodes, np.arange(len(nodes))) for w in (a, b)], axis=1)
+
+    def at_nodes(w, node):
+        up = np.where(w[:, 2] > 0.0, 1.0, -1.0)
+        flat_part = w[:, :2] / np.hypot(w[:, 0], w[:, 1])[:, None] * np.sin(nodes[node])[:, None]
+        return np.column_stack([flat_part, up * np.cos(nodes[node])])
+
+    expected = []
+    for wavelength in at:
+        x = np.column_stack([place, np.full(len(a), np.interp(wavelength, grid, np.arange(len(grid))))])
+        corner = np.minimum(np.floor(x).astype(int), [len(nodes) - 2, len(nodes) - 2, len(grid) - 2])
+        part = x - corner
+        order = np.argsort(-part, axis=1)
+        falling = np.column_stack([np.ones(len(a)), np.take_along_axis(part, order, axis=1), np.zeros(len(a))])
+        total = np.zeros(len(a))
+        for step in range(4):
+            values = flat.evaluate(at_nodes(a, corner[:, 0]), at_nodes(b, corner[:, 1]))
+            total += (falling[:, step] - falling[:, step + 1]) * values[np.arange(len(a)), corner[:, 2]]
+            if step < 3:
+                corner[np.arange(len(a)), order[:, step]] += 1
+        expected.append(total)
     got = trials.plugin_values(Bsdf((flat,)), a, b, at)
-    assert np.max(np.abs(got - expected)) <= ARRAY_BAR * expected.max()
+    assert np.max(np.abs(got - np.stack(expected, axis=1))) <= ARRAY_BAR * np.max(expected)
+
+
+def test_lines_between_fitted_nodes_follow_a_smooth_table_better_than_through_it():
+    """And leave next to nothing in the mean: the second differences are those of the angles, not of something else."""
+    from nacre.families.metasurface.compile import Grids, fit_linear
+
+    def table(count):
+        theta = PolarGrid(count).nodes
+        first = (
+            np.cos(theta)[:, None] * np.cos(theta) * (1.0 + 0.5 * np.cos(6.0 * theta[:, None]) * np.cos(6.0 * theta))
+        )
+        second = 0.4 * np.sin(2 * theta)[:, None] * np.sin(2 * theta)
+        return np.stack([first, second], axis=-1)
+
+    coarse, grids = table(25), Grids(PolarGrid(25), None)
+    fitted = fit_linear(coarse, grids)
+    assert np.array_equal(fitted[0, :, 1], coarse[0, :, 1])  # at the normal nothing depends on the azimuth
+    generator = np.random.default_rng(6)
+    x = generator.uniform(0.0, 23.0, (2, 4000))
+    angle = x / 24.5 * np.pi / 2
+    exact = [
+        np.cos(angle[0]) * np.cos(angle[1]) * (1.0 + 0.5 * np.cos(6.0 * angle[0]) * np.cos(6.0 * angle[1])),
+        0.4 * np.sin(2 * angle[0]) * np.sin(2 * angle[1]),
+    ]
+    low = np.floor(x).astype(int)
+    part = x - low
+    step = np.where(part[0] > part[1], [[1], [0]], [[0], [1]])
+
+    def error(values):
+        corners = ((low, 1 - part.max(axis=0)), (low + step, np.ptp(part, axis=0)), (low + 1, part.min(axis=0)))
+        found = sum(values[tuple(at)] * weight[:, None] for at, weight in corners)
+        wrong = found - np.stack(exact, axis=-1)
+        return np.sqrt(np.mean(wrong**2, axis=0)), np.abs(wrong.mean(axis=0))
+
+    through, along = error(coarse), error(fitted)
+    assert np.all(along[0] <= 0.5 * through[0]), (along, through)  # 0.4 for a parabola, and two edges
+    assert np.all(along[1] <= 0.1 * through[1] + 0.01 * through[0]), (along, through)
 
 
 def test_the_device_takes_one_wavelength_and_more_than_eight_harmonics(trials):
     made = lobe("opaque").lobes[0]
-    widened = np.concatenate([made.above, 0.03 * made.above[:, ::-1]], axis=1)
+    (widened,) = rounded([np.concatenate([made.above, 0.03 * made.above[:, ::-1]], axis=1)])
     for changed in (
         dataclasses.replace(made, above=widened, below=widened[:0], across=widened[:0], above_free=widened[:0]),
         _at_one_wavelength(made),
@@ -90,9 +176,18 @@ def test_the_device_takes_one_wavelength_and_more_than_eight_harmonics(trials):
 
 
 def _at_one_wavelength(made):
-    tables = {n: getattr(made, n)[..., 2:3] for n in ("above", "below", "across", "above_free", "below_free")}
     numbers = {n: getattr(made, n)[2:3] for n in ("wavelengths_nm", "wavenumbers", "index_below")}
-    return dataclasses.replace(made, across_free=made.across_free[..., 2:3], **tables, **numbers)
+    return dataclasses.replace(made, **_rounded_tables(made, slice(2, 3)), **numbers)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_a_render_reads_is_rounded_by_no_more_than_its_words_promise(trials, name):
+    made = Bsdf((exact_lobe(name),))
+    a, b = trials.directions(3000, 3, made.transmits), trials.directions(3000, 4, made.transmits)
+    a, b = a.astype(np.float32).astype(float), b.astype(np.float32).astype(float)
+    expected = made.evaluate(a, b)
+    wrong = trials.plugin_values(made, a, b, made.wavelengths_nm) - expected
+    assert np.all(np.sqrt(np.mean(wrong**2, axis=0)) <= ROUNDING * np.sqrt(np.mean(expected**2, axis=0)))
 
 
 def test_a_matt_lobe_is_drawn_by_the_cosine_and_all_its_draws_weigh_the_same(trials):
@@ -106,29 +201,54 @@ def test_a_matt_lobe_is_drawn_by_the_cosine_and_all_its_draws_weigh_the_same(tri
     assert trials.chi_square(flat, 50.0, 20.0, samples=200_000).passes(CHI_SQUARE_LEVEL, 1)
 
 
-@pytest.mark.parametrize(("fall", "words"), [(0.1, 2), (0.8, 4)])
+@pytest.mark.parametrize(("fall", "words"), [(0.3, 2), (0.95, 4)])
 def test_numbers_that_share_a_word_are_rounded_to_half_of_their_last_bit(trials, fall, words):
-    """Also those with others below them in their word, which are a part of what is read."""
+    """Also those with others below them in their word, which are a part of what is read; dark rows as finely."""
     import mitsuba as mi
 
-    from nacre.device import packed_series
+    from nacre.device.packed_series import PackedSeries
 
     generator = np.random.default_rng(3)
     sizes = fall ** np.arange(8.0)
-    rows = (sizes[:, None] * generator.uniform(-1.0, 1.0, (200, 8, 3))).astype(np.float32)
-    rows[0] = sizes[:, None] * [1.0, 0.5, 2.0]
-    made = packed_series.PackedSeries([rows], 1)
-    assert made.words == words
-    bits = {n: count for word in packed_series._fields(sizes, words) for n, _, count in word}
-    assert sum(bits.values()) == 32 * words
-    largest = np.abs(rows).max(axis=0)[0]
+    light = 2.0 ** -generator.integers(0, 8, (200, 1, 3))
+    rows = (sizes[:, None] * light * generator.uniform(-1.0, 1.0, (200, 8, 3))).astype(np.float32)
+    wanted = encode(rows)
+    made = PackedSeries(rows, 1)
+    assert made.words == words == wanted.words.shape[3]
+    bits = np.array([count for _, _, count in wanted.fields])
+    assert bits.sum() == 32 * words - 4  # a power of two takes the others
+    scaled = np.abs(rows) / 2.0 ** np.ceil(np.log2(np.abs(rows).max(axis=1, keepdims=True)))
     for node in range(3):
-        numbers = made.read(mi.UInt32(3 * np.arange(200) + node), 0, True)
+        numbers, factor = made.read(mi.UInt32(3 * np.arange(200) + node), 0, True)
         for k, number in enumerate(numbers):
-            got = np.array(number) * np.array(made.units[k]) * largest[node]
-            last = sizes[k] * largest[node] / (2.0 ** (bits[k] - 1) - 1.0)
-            reach = np.abs(rows[:, k, node]) <= sizes[k] * largest[node]  # the scale is that of the first number
-            assert np.abs(got - rows[:, k, node])[reach].max() <= 0.51 * last + 3e-7 * largest[node]
+            last = made.units[k][0] * 2.0 ** (32 - bits[k])
+            top = 2.0 ** (bits[k] - 1) - 1.0
+            # a field is as long as the largest of its numbers needs, to the next eighth of a factor of two
+            assert scaled[:, k].max() <= last * top * (1 + 1e-6) <= scaled[:, k].max() * 2.0**0.125 * (1 + 1e-6)
+            wrong = np.abs(np.array(number) * np.array(made.units[k]) - rows[:, k, node] / np.array(factor)) / last
+            full = np.abs(rows[:, k, node]) / np.array(factor) > last * (top - 1.0)
+            rounding = 2e-6 * np.abs(rows[:, k, node]).max() / last  # of single precision
+            assert np.all(wrong[~full] <= 0.5 + rounding), k
+            assert np.all(wrong <= 1.0 + rounding), k  # at its top, a field has no way up
+            got = np.array(number) * np.array(factor) * np.array(made.units[k])
+            assert np.allclose(got, wanted.numbers()[:, k, node], rtol=1e-6, atol=1e-9)
+
+
+def test_what_was_rounded_for_its_words_is_rounded_no_more():
+    """So the arrays say what the device reads, and a root mean square of the error is what the words promise."""
+    generator = np.random.default_rng(8)
+    sizes = 0.4 ** np.arange(8.0)
+    light = 10.0 ** generator.uniform(-3.0, 0.0, (300, 1, 5))
+    tables = [
+        (sizes[:, None] * light * generator.uniform(-1.0, 1.0, (300, 8, 5))).astype(np.float32),
+        np.zeros((0, 8, 5)),
+    ]
+    once = rounded(tables)
+    twice = rounded(once)
+    assert once[1].shape == (0, 8, 5)
+    assert np.abs(twice[0] - once[0]).max() <= 1e-6 * np.abs(once[0]).max()
+    wrong = np.sqrt(np.sum((once[0] - tables[0]) ** 2, axis=(1,)) / np.sum(tables[0] ** 2, axis=1))
+    assert 1e-5 < np.sqrt(np.mean(wrong**2)) <= 3e-3  # a dark row as a bright one
 
 
 def test_a_density_of_tents_is_linear_between_its_nodes_and_its_draws_follow_it(trials):

@@ -13,7 +13,7 @@ import drjit as dr
 import mitsuba as mi
 
 from nacre.bsdf.contract import Lobe
-from nacre.device.base import LobePlugin, negated, with_wi
+from nacre.device.base import LobePlugin, larger, negated, smaller, with_wi
 from nacre.device.object_space import ObjectSpace
 from nacre.errors import UnsupportedError
 
@@ -148,7 +148,7 @@ def bsdf_class(variant: str) -> type:
                 for plugin, mask in zip(self.plugins, enabled, strict=True)
             ]
             total = sum(weights[1:], weights[0])
-            inverse = dr.select(total > 0.0, 1.0 / dr.maximum(total, 1e-20), 0.0)
+            inverse = dr.select(total > 0.0, 1.0 / larger(total, 1e-20), 0.0)
             return [weight * inverse for weight in weights]
 
         def _sample_sum(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: Any) -> Any:
@@ -161,19 +161,21 @@ def bsdf_class(variant: str) -> type:
                 chosen = active & (sample1 >= below) & (share > 0.0)
                 if k + 1 < len(self.plugins):  # rounding may leave the last bound below 1
                     chosen = chosen & (sample1 < above)
-                rest = dr.clip((sample1 - below) / dr.maximum(share, 1e-20), 0.0, 0.99999994)
-                one, value = plugin.sample(ctx, si, rest, sample2, chosen, enabled[k])
+                rest = larger(smaller((sample1 - below) / larger(share, 1e-20), 0.99999994), 0.0)
+                # a mirror reads what its share was made of: asked with the same mask, that is one read
+                asked = active if self.delta[k] else chosen
+                one, value = plugin.sample(ctx, si, rest, sample2, asked, enabled[k])
                 one.pdf = one.pdf * share
                 one.sampled_component = one.sampled_component + first
                 bs = dr.select(chosen, one, bs)
-                weight = dr.select(chosen, value / dr.maximum(share, 1e-20), weight)
+                weight = dr.select(chosen, value * dr.rcp(larger(share, 1e-20)), weight)
                 is_delta = dr.select(chosen, (one.sampled_type & _DELTA) != 0, is_delta)
                 below, first = above, first + len(plugin.components)
             if sum(not delta for delta in self.delta) > 1 and all(p.pdf_is_exact for p in self.plugins):
                 # two broad lobes may overlap: weigh by the whole sum, as multiple importance sampling would
                 value, pdf = self._eval_pdf_sum(ctx, si, bs.wo, active & negated(is_delta), enabled, shares)
                 broad = active & negated(is_delta) & (pdf > 0.0) & (bs.pdf > 0.0)
-                weight = dr.select(broad, value / dr.maximum(pdf, 1e-20), weight)
+                weight = dr.select(broad, value / larger(pdf, 1e-20), weight)
                 bs.pdf = dr.select(broad, pdf, bs.pdf)
             return bs, weight & active
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.response import InterfaceResponse
-from nacre.device.base import opaque
+from nacre.device.base import larger, opaque, smaller
 from nacre.device.tables import DeviceTable, Located, WavelengthAxis
 from nacre.device.textures import DeviceParameters
 from nacre.errors import UnsupportedError
@@ -21,6 +21,7 @@ MIN_SHARE = 0.1  # bounds the weight of a wavelength that differs much from the 
 # of the power: as near as lobes on the device come to their arrays. A soap film, which absorbs up to 0.7e-4, is then
 # read from a quarter of the places
 LOSSLESS = 1e-4
+DIM, DIM_SHARE = 1e-3, 0.1
 
 
 class DeviceResponse:
@@ -45,7 +46,8 @@ class DeviceResponse:
         self.is_lossless = _is_lossless(response)
         self.axis = WavelengthAxis(response.wavelengths_nm)
         self.parameters = DeviceParameters(response.parameters)
-        self.table = DeviceTable(_stacked(response, self.is_lossless))
+        stacked = _stacked(response, self.is_lossless)
+        self.table = DeviceTable(stacked, may_halve=_is_bright(stacked))
         self.shares = DeviceTable(_shares(response)) if self.transmits and not self.is_lossless else None
         self._set_numbers(response)
 
@@ -96,10 +98,10 @@ class DeviceResponse:
         """
         where = self.axis.locate(si.wavelengths, active)
         corners = self.parameters.corners(si, active)
-        cos = dr.minimum(cos, 1.0)
+        cos = smaller(cos, 1.0)
         if not self.transmits:
             position = cos * self.top
-            low = dr.minimum(dr.floor(position), self.max_low)
+            low = smaller(dr.floor(position), self.max_low)
             (reflected,) = self.table.look_up(mi.UInt32(low), position - low, where, corners, active)
             return reflected, None
         if self.is_lossless:
@@ -120,7 +122,7 @@ class DeviceResponse:
             return share, lambda reflects: dr.select(reflects, reflected, transmitted)
         where = self.axis.locate(si.wavelengths, active)
         corners = self.parameters.corners(si, active)
-        row, fraction = self._row(dr.minimum(cos, 1.0), inside)
+        row, fraction = self._row(smaller(cos, 1.0), inside)
         lines = dr.size_v(mi.Spectrum)
         grey = Located([mi.UInt32(0)] * lines, [mi.Float(0.0)] * lines)
         share = self.shares.look_up(row, fraction, grey, corners, active)[0][0]
@@ -136,11 +138,11 @@ class DeviceResponse:
     ) -> tuple[Any, Any]:
         if self.bends:
             outside2 = 1.0 - self.eta * self.eta * (1.0 - cos * cos)
-            outer = dr.select(inside, dr.sqrt(dr.maximum(outside2, 0.0)), cos)
+            outer = dr.select(inside, dr.sqrt(larger(outside2, 0.0)), cos)
         else:
             outer = cos
         position = outer * self.top
-        low = dr.minimum(dr.floor(position), self.max_low)
+        low = smaller(dr.floor(position), self.max_low)
         (reflected,) = self.table.look_up(mi.UInt32(low), position - low, where, corners, active)
         if self.bends:
             reflected = dr.select(inside & (cos < self.critical), mi.Spectrum(1.0), reflected)
@@ -150,14 +152,14 @@ class DeviceResponse:
         """Find the row of a transmitting interface."""
         if not self.bends:
             position = cos * self.top
-            low = dr.minimum(dr.floor(position), self.max_low)
+            low = smaller(dr.floor(position), self.max_low)
             return mi.UInt32(low + dr.select(inside, self.inside_row, 0.0)), position - low
         sin2_outside = self.eta * self.eta * (1.0 - cos * cos)
-        outer = dr.select(inside, dr.sqrt(dr.maximum(1.0 - sin2_outside, 0.0)), cos)
+        outer = dr.select(inside, dr.sqrt(larger(1.0 - sin2_outside, 0.0)), cos)
         is_beyond = inside & (cos < self.critical)
-        beyond = dr.acos(dr.clip(cos * self.inv_critical, 0.0, 1.0)) * self.beyond_scale
+        beyond = dr.acos(larger(smaller(cos * self.inv_critical, 1.0), 0.0)) * self.beyond_scale
         position = dr.select(is_beyond, beyond, outer * self.top)
-        low = dr.minimum(dr.floor(position), dr.select(is_beyond, self.beyond_max_low, self.max_low))
+        low = smaller(dr.floor(position), dr.select(is_beyond, self.beyond_max_low, self.max_low))
         start = dr.select(is_beyond, self.beyond_row, dr.select(inside, self.inside_row, 0.0))
         return mi.UInt32(low + start), position - low
 
@@ -172,6 +174,12 @@ def _is_lossless(response: InterfaceResponse) -> bool:
         float(np.max(np.abs(response.total - 1.0), initial=0.0)),
     )
     return missing <= LOSSLESS
+
+
+def _is_bright(stacked: NDArray[np.float64]) -> bool:
+    """Whether hardly any place is so dim that 16 bits a number would round it by more than a hundredth."""
+    lit = stacked[stacked > 0.0]
+    return bool(lit.size and np.mean(lit < DIM) < DIM_SHARE)
 
 
 def _stacked(response: InterfaceResponse, is_lossless: bool) -> NDArray[np.float64]:
@@ -202,4 +210,4 @@ def share_reflected(reflected: Any, transmitted: Any) -> Any:
     if transmitted is None:
         return mi.Float(1.0)
     r, t = dr.sum(reflected), dr.sum(transmitted)
-    return dr.select(r + t > 0.0, r / dr.maximum(r + t, 1e-20), 1.0)
+    return dr.select(r + t > 0.0, r / larger(r + t, 1e-20), 1.0)

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.arrays import Array
-from nacre.device.base import device_array, opaque, opaque_int, read, read2, read4, replaced
+from nacre.device.base import aligned, device_array, larger, opaque, opaque_int, read, read2, read4, replaced, smaller
 from nacre.errors import UnsupportedError
 
 MAX_CELL_BYTES = 48 * 2**20
+HALF = 0xFFFF  # the largest number of 16 bits
 
 
 @dataclass
@@ -89,7 +90,7 @@ class WavelengthAxis:
 
     def _locate_one(self, wavelength: Any, active: Any) -> tuple[Any, Any]:
         if self.is_uniform:
-            position = dr.clip((wavelength - self.first) * self.per_nm, 0.0, self.last_cell)
+            position = larger(smaller((wavelength - self.first) * self.per_nm, self.last_cell), 0.0)
             low = dr.minimum(mi.UInt32(position), self.max_low)
             return low, position - mi.Float(low)
         position = dr.clip((wavelength - self.first) * self.per_nm, 0.0, self.last_bin)
@@ -106,15 +107,17 @@ class DeviceTable:
     Args:
         values: the array.
         as_cells: False for a table that is read at its nodes (`at_nodes`).
+        may_halve: whether 16 bits a number are enough, where nobody asks for gradients: 8e-6 of the largest.
 
     Attributes:
         shape: that of the values; channels: 1 or 2.
         values: the tensor itself, for `traverse`; call `repack()` after a change.
     """
 
-    def __init__(self, values: Array, as_cells: bool = True) -> None:
+    def __init__(self, values: Array, as_cells: bool = True, may_halve: bool = False) -> None:
         values = _padded(np.asarray(values, dtype=float))
         self.channels = values.shape[-1]
+        self.may_halve = may_halve and as_cells and self.channels == 2 and _fits_as_cells(values.shape)
         self.as_cells = as_cells
         self.is_packed = as_cells and _fits_as_cells(values.shape)
         self.values: Any = None
@@ -145,6 +148,9 @@ class DeviceTable:
     def repack(self) -> None:
         """Derive the layout that look-ups read from `values`."""
         flat = self.values.array if dr.is_jit_v(mi.Float) else self.values.ravel()
+        self.halves: Any = None
+        if self.may_halve and dr.is_jit_v(mi.Float) and not dr.grad_enabled(self.values):
+            self._halve(np.array(flat))
         if not self.is_packed:
             self.packed = flat
             return
@@ -154,6 +160,13 @@ class DeviceTable:
             dr.eval(self.packed)
         else:
             self.packed = flat[order]
+
+    def _halve(self, flat: NDArray[np.float32]) -> None:
+        """Keep cells as four words of two numbers, 16 bits each: one load for both channels, of half the memory."""
+        top = max(float(flat.max()), 1e-30)
+        steps = np.rint(flat * (HALF / top)).astype(np.uint32)[_cell_order(self.shape)].reshape(-1, 2)
+        words = aligned(steps[:, 0] | steps[:, 1] << np.uint32(16), np.uint32)
+        self.halves, self.half_unit = mi.UInt32(words), opaque(top / HALF)
 
     def look_up(
         self, row: Any, fraction: Any, where: Located, corners: list[tuple[Any, Any]] | None = None, active: Any = True
@@ -204,6 +217,11 @@ class DeviceTable:
             found = mi.Spectrum(0.0)
             for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
                 cell = start + low
+                if self.halves is not None:
+                    words = dr.gather(mi.Vector2u, self.halves, cell * 2 + channel, active)
+                    ends = [_between_halves(word, part) for word in words]
+                    found[k] = dr.lerp(ends[0], ends[1], fraction) * self.half_unit
+                    continue
                 if self.is_packed:
                     c = read4(self.packed, cell * self.channels + channel, active)
                 else:
@@ -218,6 +236,13 @@ class DeviceTable:
         start = row * self.row_stride
         for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
             cell = start + low
+            if self.halves is not None:
+                words = dr.gather(mi.ArrayXu, self.halves, cell, active, shape=(4, dr.width(cell)))
+                ends = [_between_halves(word, part) for word in words]
+                for channel in range(2):
+                    found = dr.lerp(ends[2 * channel], ends[2 * channel + 1], fraction)
+                    results[channel][k] = found * self.half_unit
+                continue
             if self.is_packed:
                 for channel in range(self.channels):
                     c = read4(self.packed, cell * self.channels + channel, active)
@@ -239,6 +264,11 @@ class DeviceTable:
     def _corner(self, at: Any, active: Any) -> Any:
         """Read all channels of one place in the plain layout."""
         return [read(self.packed, at, active)] if self.channels == 1 else read2(self.packed, at, active)
+
+
+def _between_halves(word: Any, part: Any) -> Any:
+    """Interpolate between the two numbers of a word."""
+    return dr.lerp(mi.Float(word & HALF), mi.Float(word >> 16), part)
 
 
 def _fits_as_cells(shape: tuple[int, ...]) -> bool:

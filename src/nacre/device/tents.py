@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.arrays import Array
-from nacre.device.base import device_array, read4
+from nacre.device.base import device_array, larger, read4, smaller
 
 CHANCES = 65535  # of the 16 bits that hold the chance of a column
 
@@ -51,14 +51,14 @@ class Tents:
         faces, height, width = self.size
         nodes = faces * height * width
         upper = number < part
-        number = dr.select(upper, number / dr.maximum(part, 1e-6), (number - part) / dr.maximum(1.0 - part, 1e-6))
-        at = dr.clip(number * nodes, 0.0, nodes - 0.01)
+        number = dr.select(upper, number / larger(part, 1e-6), (number - part) / larger(1.0 - part, 1e-6))
+        at = larger(smaller(number * nodes, nodes - 0.01), 0.0)
         column = mi.UInt32(at)
         number = at - mi.Float(column)
         word = self._column((row + dr.select(upper, mi.UInt32(1), 0)) * nodes + column, active)
         chance = mi.Float(word & CHANCES) * (1.0 / CHANCES)
         keeps = number < chance
-        number = dr.select(keeps, number / dr.maximum(chance, 1e-6), (number - chance) / dr.maximum(1.0 - chance, 1e-6))
+        number = dr.select(keeps, number / larger(chance, 1e-6), (number - chance) / larger(1.0 - chance, 1e-6))
         node = dr.select(keeps, column, word >> 16)
         face, rest = node // (height * width), node % (height * width)
         x = _folded(mi.Float(rest % width) + _tent(square.x), width - 1)
@@ -69,8 +69,8 @@ class Tents:
         """Return the density on the faces, whose integral over all of them is one."""
         faces, height, width = self.size
         u, v = x * (width - 1), y * (height - 1)
-        i = dr.clip(dr.floor(u), 0.0, width - 2)
-        j = dr.clip(dr.floor(v), 0.0, height - 2)
+        i = larger(smaller(dr.floor(u), width - 2.0), 0.0)
+        j = larger(smaller(dr.floor(v), height - 2.0), 0.0)
         cells = (height - 1) * (width - 1)
         cell = (row * faces + face) * cells + mi.UInt32(j) * (width - 1) + mi.UInt32(i)
         u, v = u - i, v - j
@@ -95,13 +95,13 @@ def _edge_halves(count: int) -> Array:
 def _tent(number: Any) -> Any:
     """Return a number in (-1, 1) with the density of a tent."""
     low = dr.sqrt(2.0 * number) - 1.0
-    return dr.select(number < 0.5, low, 1.0 - dr.sqrt(dr.maximum(2.0 - 2.0 * number, 0.0)))
+    return dr.select(number < 0.5, low, 1.0 - dr.sqrt(larger(2.0 - 2.0 * number, 0.0)))
 
 
 def _folded(x: Any, top: float) -> Any:
     """Fold what lies beyond either end back, and bring [0, top] to [0, 1]."""
     x = dr.abs(x)
-    return dr.minimum(x, 2.0 * top - x) * (1.0 / top)
+    return smaller(x, 2.0 * top - x) * (1.0 / top)
 
 
 def _columns(chances: Array) -> Any:

@@ -78,8 +78,7 @@ def _coordinate(sine, cosine, count, beyond, eta):  # type: ignore[no-untyped-de
     else:
         critical = np.arcsin(1.0 / eta)
         x = edge + beyond * np.sqrt(max(np.arctan2(sine, cosine) - critical, 0.0) / (0.5 * np.pi - critical))
-    # the last half step goes on as the one before: f falls to zero there
-    return min(max(x, 0.0), count + beyond - 0.5)
+    return min(max(x, 0.0), count + beyond - 1.0)
 
 
 @compiled(nogil=True, fastmath=True)
@@ -91,7 +90,7 @@ def _accumulate(table, row, weight, cosines, out):  # type: ignore[no-untyped-de
 
 
 @compiled(nogil=True)
-def _evaluate(wi, wo, above, below, across, free, grids, eta, wavenumbers, index, step, s, out):  # type: ignore[no-untyped-def]  # numba
+def _evaluate(wi, wo, above, below, across, free, grids, last_cos, eta, wavenumbers, index, step, s, out):  # type: ignore[no-untyped-def]  # numba
     kept, count = above.shape[1], above.shape[2]
     cosines = np.empty(kept)
     smooth, bare = np.empty(count), np.empty(count)
@@ -147,6 +146,8 @@ def _evaluate(wi, wo, above, below, across, free, grids, eta, wavenumbers, index
                 if free[0].shape[0]:
                     _accumulate(free[0], row, weight, cosines, bare)
         scale = eta * eta if go else 1.0
+        # beyond the last node f falls to zero as the cosine
+        scale *= min(abs(wi[n, 2]) / last_cos[gi], 1.0) * min(abs(wo[n, 2]) / last_cos[go], 1.0)
         for l in range(count):
             ni, no = (index[l] if gi else 1.0), (index[l] if go else 1.0)
             q2 = (ni * sin_i) ** 2 + (no * sin_o) ** 2 + 2.0 * ni * no * dot
@@ -214,6 +215,12 @@ class Harmonic(Lobe):
         """Polar angles below."""
         return PolarGrid(self.count_below, self.count_beyond, self.eta)
 
+    @property
+    def last_cosines(self) -> Array:
+        """Cosines of the last nodes above and below, from where f falls to zero as the cosine does, `[2]`."""
+        sides = (PolarGrid(self.count_above), self.grid_below)
+        return np.array([np.cos(side.nodes[-1]) if side.size else 1.0 for side in sides])
+
     def check(self) -> None:
         """Check that the tables fit together.
 
@@ -252,6 +259,7 @@ class Harmonic(Lobe):
             self.across,
             (self.above_free, self.below_free, self.across_free),
             grids,
+            self.last_cosines,
             float(self.eta),
             self.wavenumbers,
             self.index_below,

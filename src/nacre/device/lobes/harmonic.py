@@ -14,19 +14,34 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from nacre.arrays import Array
+from nacre.arrays import Array, SingleArray
 from nacre.bsdf.lobes.harmonic import Harmonic
-from nacre.device.base import MIN_COS, LobePlugin, device_array, flag, is_radiance, opaque, opaque_int, read2
-from nacre.device.packed_series import PACKET, PackedSeries
+from nacre.bsdf.series_words import PACKET
+from nacre.device.base import (
+    MIN_COS,
+    LobePlugin,
+    aligned,
+    device_array,
+    flag,
+    is_radiance,
+    larger,
+    negated,
+    opaque,
+    opaque_int,
+    read2,
+    smaller,
+)
+from nacre.device.packed_series import PackedSeries
 from nacre.device.tables import WavelengthAxis
 from nacre.device.tents import Tents
 from nacre.errors import UnsupportedError
 
+HALF = 0xFFFF  # the largest number of 16 bits
 COSINE_SHARE = 0.1  # of the draws: no direction is left out, and no weight grows without bound
 # mean square of the weights up to which an opaque lobe is drawn by the cosine alone: a tenth more variance of each draw
 # for a sixth of the time
 BROAD = 1.1
-VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 16, 12, 12  # for each side
+VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 12, 9, 9  # for each side; with more the noise is the same
 
 
 class HarmonicPlugin(LobePlugin[Harmonic]):
@@ -50,19 +65,21 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         self.shape = (lobe.above.shape, lobe.below.shape, lobe.across.shape)
         self.axis.update(lobe.wavelengths_nm)
         self.nodes = opaque_int(max(2, len(lobe.wavelengths_nm)))
-        self.values = PackedSeries([lobe.above, lobe.below, lobe.across], self.packets)
+        self.values = PackedSeries(_one_triangle(lobe.above, lobe.below, lobe.across), self.packets)
         self.free = None
         if self.has_free:
-            self.free = PackedSeries([lobe.above_free, lobe.below_free, lobe.across_free], self.packets)
-        self.starts = (opaque_int(len(lobe.above)), opaque_int(len(lobe.above) + len(lobe.below)))
+            free = _one_triangle(lobe.above_free, lobe.below_free, lobe.across_free)
+            self.free = PackedSeries(free, self.packets)
         self.count_above = opaque_int(lobe.count_above)
         self.edge_above, self.top_above = opaque(lobe.count_above - 0.5), opaque(lobe.count_above - 1)
         if lobe.transmits:
             size = lobe.count_below + lobe.count_beyond
             self.edge_below, self.top_below = opaque(lobe.count_below - 0.5), opaque(size - 1)
             self.beyond = opaque(lobe.count_beyond)
-            self.critical = opaque(lobe.grid_below.critical_rad)
-            self.per_beyond = opaque(1.0 / max(math.pi / 2 - lobe.grid_below.critical_rad, 1e-6))
+            critical = lobe.grid_below.critical_rad
+            self.cos_critical, self.sin_critical = opaque(math.cos(critical)), opaque(math.sin(critical))
+            self.per_beyond = opaque(1.0 / max(math.pi / 2 - critical, 1e-6))
+        self.per_last = [opaque(1.0 / cosine) for cosine in lobe.last_cosines]
         self.eta = opaque(lobe.eta)
         # wavenumber over the table's step, and the index below, at the ends of each interval of wavelengths
         self.per_step = None
@@ -72,7 +89,7 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         else:
             self.per_step = device_array(_pairs(lobe.wavenumbers / lobe.q_step))
         self.index = device_array(_pairs(lobe.index_below))
-        self.s_values = device_array(_pairs(lobe.structure))
+        self.s_values, self.s_unit = _halves(lobe.structure)
         self.s_last = opaque(len(lobe.structure) - 1)
         self._set_sampling(lobe)
 
@@ -80,8 +97,9 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         """Tabulate f, averaged over wavelengths, on (theta_i; side, |dphi|, sin^2 theta_o), for draws by |cos_o| f."""
         hemispheres = 2 if self.transmits else 1
         views = VIEW_NODES * hemispheres
-        span = math.pi * (1.0 if self.transmits else 0.5)
-        ti = np.clip(np.linspace(0.0, span, views), 1e-3, span - 1e-3)
+        # uniform in the cosine, which costs no arc to find
+        depth = 2.0 if self.transmits else 1.0
+        ti = np.arccos(np.clip(1.0 - np.linspace(0.0, depth, views), 1e-3 - (depth - 1.0), 1.0 - 1e-6))
         square = np.clip(np.linspace(0.0, 1.0, EXIT_NODES), 1e-6, 1.0 - 1e-5)
         dphi = np.linspace(0.0, math.pi, AZIMUTH_NODES)
         up = _directions(np.arcsin(np.sqrt(square)), dphi[:, None])  # azimuth, exit
@@ -103,18 +121,21 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         if not self.is_broad:
             level = (albedo / math.pi / hemispheres)[:, None, None, None]
             self.exits = Tents((1.0 - COSINE_SHARE) * means + COSINE_SHARE * level + 1e-9)
-        self.span = span
+        self.per_depth = opaque((views - 1) / depth)
         self.albedo = device_array(_pairs(albedo))
-        self.view_top, self.view_max = opaque(views - 1), opaque(views - 2)
+        self.view_max = opaque(views - 2)
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Draw from the table of exits; a broad lobe by the cosine alone."""
         active = active & self._visible(si.wi)
         if self.is_broad:
             wo = mi.warp.square_to_cosine_hemisphere(sample2)
+            value, pdf = self.eval_pdf(ctx, si, wo, active, enabled)
         else:
-            wo = self._drawn(si, sample1, sample2, active)
-        value, pdf = self.eval_pdf(ctx, si, wo, active, enabled)
+            wo, place = self._drawn(si, sample1, sample2, active)
+            active = active & self._wanted(si, wo, enabled)
+            value = self._value(ctx, si, wo, active) & active
+            pdf = self._density(si, wo, *place, active)
         bs = dr.zeros(mi.BSDFSample3f)
         bs.wo, bs.pdf, bs.eta = wo, pdf, mi.Float(1.0)
         bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
@@ -125,76 +146,89 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
             bs.sampled_type = dr.select(
                 reflects, mi.UInt32(int(mi.BSDFFlags.GlossyReflection)), mi.UInt32(int(mi.BSDFFlags.GlossyTransmission))
             )
-        return bs, (value / dr.maximum(pdf, 1e-20)) & (active & (pdf > 0.0))
+        return bs, (value * dr.rcp(larger(pdf, 1e-20))) & (active & (pdf > 0.0))
 
-    def _drawn(self, si: Any, sample1: Any, sample2: Any, active: Any) -> Any:
-        """Return a direction of the table of exits."""
+    def _drawn(self, si: Any, sample1: Any, sample2: Any, active: Any) -> tuple[Any, tuple[Any, Any, Any]]:
+        """Return a direction of the table of exits, and where it lies in there."""
         row, part = self._view(si.wi)
-        face, square, azimuth, rest = self.exits.sample(row, part, sample1, sample2, active)
-        azimuth = dr.select(rest < 0.5, -azimuth, azimuth) * math.pi
+        face, square, turn, rest = self.exits.sample(row, part, sample1, sample2, active)
+        azimuth = dr.select(rest < 0.5, -turn, turn) * math.pi
         sin_theta, cos_theta = dr.sqrt(square), dr.sqrt(1.0 - square)
         sin_phi, cos_phi = dr.sincos(azimuth)
         x, y = _unit(si.wi)
-        return mi.Vector3f(
+        wo = mi.Vector3f(
             sin_theta * (cos_phi * x - sin_phi * y),
             sin_theta * (cos_phi * y + sin_phi * x),
             dr.select(face == 0, cos_theta, -cos_theta),
         )
+        return wo, (face, square, turn)
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return `(f |cos wo|, pdf)`."""
-        active = active & self._visible(si.wi) & self._visible(wo)
-        if self.transmits:
-            active = active & dr.select(si.wi.z * wo.z > 0.0, mi.Bool(enabled[0]), mi.Bool(enabled[1]))
-        else:
-            active = active & enabled[0]
-        light, eye = (wo, si.wi) if is_radiance(ctx) else (si.wi, wo)
-        value = self._look_up(si, light, eye, active) * dr.abs(wo.z)
+        active = active & self._visible(si.wi) & self._wanted(si, wo, enabled)
+        value = self._value(ctx, si, wo, active) & active
         if self.is_broad:
-            return value & active, dr.select(active, wo.z * dr.inv_pi, 0.0)
+            return value, dr.select(active, wo.z * dr.inv_pi, 0.0)
         cross = si.wi.x * wo.y - si.wi.y * wo.x
         azimuth = dr.abs(dr.atan2(cross, si.wi.x * wo.x + si.wi.y * wo.y))
         face = dr.select(wo.z > 0.0, mi.UInt32(0), mi.UInt32(1))
-        square = dr.minimum(wo.x * wo.x + wo.y * wo.y, 1.0)
+        square = smaller(wo.x * wo.x + wo.y * wo.y, 1.0)
+        return value, self._density(si, wo, face, square, azimuth * dr.inv_pi, active)
+
+    def _value(self, ctx: Any, si: Any, wo: Any, active: Any) -> Any:
+        light, eye = (wo, si.wi) if is_radiance(ctx) else (si.wi, wo)
+        return self._look_up(si, light, eye, active) * dr.abs(wo.z)
+
+    def _density(self, si: Any, wo: Any, face: Any, square: Any, turn: Any, active: Any) -> Any:
+        """Return the density at a place of the table of exits: its side, sin^2 theta and azimuth / pi."""
         row, part = self._view(si.wi)
-        density = self.exits.density(row, part, face, square, azimuth * dr.inv_pi, active)
+        density = self.exits.density(row, part, face, square, turn, active)
         # unit square -> sin^2 theta, dphi in [-pi, pi] -> solid angle
-        return value & active, dr.select(active, density * dr.abs(wo.z) * dr.inv_pi, 0.0)
+        return dr.select(active, density * dr.abs(wo.z) * dr.inv_pi, 0.0)
+
+    def _wanted(self, si: Any, wo: Any, enabled: tuple[bool, ...]) -> Any:
+        """Whether a direction out can be seen and is of a component that is asked for."""
+        if not self.transmits:
+            return self._visible(wo) & enabled[0]
+        return self._visible(wo) & dr.select(si.wi.z * wo.z > 0.0, mi.Bool(enabled[0]), mi.Bool(enabled[1]))
 
     def _visible(self, w: Any) -> Any:
         return dr.abs(w.z) > MIN_COS if self.transmits else w.z > MIN_COS
 
     def _view(self, wi: Any) -> tuple[Any, Any]:
-        """Return the lower row of the angle of view, and the part of the way to the next."""
-        position = dr.acos(dr.clip(wi.z, -1.0, 1.0)) * (1.0 / self.span) * self.view_top
-        low = dr.minimum(dr.floor(position), self.view_max)
+        """Return the lower row of the direction of view, and the part of the way to the next."""
+        position = larger(1.0 - wi.z, 0.0) * self.per_depth
+        low = smaller(dr.floor(position), self.view_max)
         return mi.UInt32(low), position - low
 
     def _coordinate(self, w: Any, sine: Any) -> tuple[Any, Any]:
-        """Return the lower node and the fraction of a direction's polar angle; see `PolarGrid`."""
-        angle = dr.atan2(sine, dr.abs(w.z))
-        # the last half step goes on as the one before: f falls to zero there
-        x = dr.minimum(angle * (2.0 / math.pi) * self.edge_above, self.edge_above)
-        top = self.top_above
-        if self.transmits:
-            outer = self.eta * sine
-            inner = dr.asin(dr.minimum(outer, 1.0)) * (2.0 / math.pi) * self.edge_below
-            past = dr.sqrt(dr.maximum(angle - self.critical, 0.0) * self.per_beyond) * self.beyond
-            below = dr.minimum(inner + dr.select(outer >= 1.0, past, 0.0), self.top_below + 0.5)
-            x = dr.select(w.z > 0.0, x, below)
-            top = dr.select(w.z > 0.0, self.top_above, self.top_below)
-        low = dr.minimum(dr.floor(x), top - 1.0)
-        return mi.UInt32(low), x - low
-
-    def _row(self, a: Any, b: Any, a_above: Any, b_above: Any) -> Any:
-        """Return the row of the pair of nodes a (of the light) and b (of the camera)."""
-        high, low = dr.maximum(a, b), dr.minimum(a, b)
-        row = ((high * (high + 1)) >> 1) + low
+        """Return the lower node, those below after those above, and the fraction of a polar angle; see `PolarGrid`."""
         if not self.transmits:
-            return row
-        below, above = dr.select(a_above, b, a), dr.select(a_above, a, b)
-        across = self.starts[1] + below * self.count_above + above
-        return dr.select(a_above == b_above, dr.select(a_above, row, self.starts[0] + row), across)
+            x = dr.atan2(sine, w.z) * (2.0 / math.pi) * self.edge_above
+            top = self.top_above
+        else:
+            # one arc tangent for three angles: against the normal above, that of the refracted ray below, and
+            # against the critical angle beyond it
+            cosine, up = dr.abs(w.z), w.z > 0.0
+            outer = self.eta * sine
+            past = negated(up) & (outer >= 1.0)
+            outer_cosine = dr.sqrt(larger(1.0 - outer * outer, 0.0))
+            y = dr.select(up, sine, dr.select(past, sine * self.cos_critical - cosine * self.sin_critical, outer))
+            z = dr.select(
+                up, cosine, dr.select(past, sine * self.sin_critical + cosine * self.cos_critical, outer_cosine)
+            )
+            angle = dr.atan2(y, z)
+            below = dr.select(
+                past,
+                dr.fma(dr.sqrt(larger(angle, 0.0) * self.per_beyond), self.beyond, self.edge_below),
+                angle * (2.0 / math.pi) * self.edge_below,
+            )
+            top = dr.select(up, self.top_above, self.top_below)
+            x = dr.select(up, angle * (2.0 / math.pi) * self.edge_above, below)
+        x = smaller(x, top)
+        low = smaller(dr.floor(x), top - 1.0)
+        node = mi.UInt32(low)
+        return (node + dr.select(up, 0, self.count_above) if self.transmits else node), x - low
 
     def _look_up(self, si: Any, light: Any, eye: Any, active: Any) -> Any:
         """Interpolate f at the four wavelengths."""
@@ -202,7 +236,7 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         sin_e = dr.sqrt(eye.x * eye.x + eye.y * eye.y)
         dot = light.x * eye.x + light.y * eye.y
         size = sin_l * sin_e
-        cos_phi = dr.select(size > 1e-12, dr.clip(-dot / dr.maximum(size, 1e-12), -1.0, 1.0), 1.0)
+        cos_phi = dr.select(size > 1e-12, larger(smaller(-dot / larger(size, 1e-12), 1.0), -1.0), 1.0)
         cosines = [mi.Float(1.0), cos_phi]
         for _ in range(2, PACKET * self.packets):
             cosines.append(2.0 * cos_phi * cosines[-1] - cosines[-2])
@@ -210,60 +244,61 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         low_e, part_e = self._coordinate(eye, sin_e)
         up_l, up_e = light.z > 0.0, eye.z > 0.0
         where = self.axis.locate(si.wavelengths, active)
-        # linear on the triangle of the cell that holds the point, as the arrays are
+        # the three corners of the triangle of the two angles that holds the point, as in the arrays
         first = part_l > part_e
         step_l, step_e = dr.select(first, mi.UInt32(1), mi.UInt32(0)), dr.select(first, mi.UInt32(0), mi.UInt32(1))
-        corners = [
-            (self._row(low_l, low_e, up_l, up_e), 1.0 - dr.maximum(part_l, part_e)),
-            (self._row(low_l + 1, low_e + 1, up_l, up_e), dr.minimum(part_l, part_e)),
-            (self._row(low_l + step_l, low_e + step_e, up_l, up_e), dr.abs(part_l - part_e)),
-        ]
+        steps = [(0, 0), (step_l, step_e), (1, 1)]
+        rows = [_row(low_l + to_l, low_e + to_e) * self.nodes for to_l, to_e in steps]
+        upper, lower = larger(part_l, part_e), smaller(part_l, part_e)
         kinds = [self.values] if self.free is None else [self.values, self.free]
         series = [[c * unit for c, unit in zip(cosines, kind.units, strict=True)] for kind in kinds]
+        squares = self._squares(sin_l, sin_e, dot, up_l, up_e)
         result = mi.Spectrum(0.0)
         for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
-            value = self._series(self.values, low, part, corners, series[0], active)
-            value = value * self._structure(si.wavelengths[k], low, part, sin_l, sin_e, dot, up_l, up_e, active)
+            corners = _tetrahedron([row + low for row in rows], upper, lower, part)
+            value = _interpolated(self.values, corners, series[0], active)
+            value = value * self._structure(si.wavelengths[k], low, part, squares, active)
             if self.free is not None:
-                value = value + self._series(self.free, low, part, corners, series[1], active)
+                value = value + _interpolated(self.free, corners, series[1], active)
             result[k] = value
-        if self.transmits:
-            result = result * dr.select(up_e, 1.0, dr.square(self.eta))
-        return result
+        return result * (self._fall(light, up_l, 1.0) * self._fall(eye, up_e, self.eta * self.eta))
 
-    def _series(
-        self, source: PackedSeries, low: Any, part: Any, corners: list[Any], cosines: list[Any], active: Any
-    ) -> Any:
-        """Interpolate over the angles and between two wavelengths, and sum the harmonics."""
-        near, far = mi.Float(0.0), mi.Float(0.0)
-        for row, weight in corners:
-            ends = source.sum(row, low, self.nodes, cosines, active)
-            near, far = dr.fma(weight, ends[0], near), dr.fma(weight, ends[1], far)
-        # a cut cosine series may dip below zero where the light is next to nothing
-        return dr.maximum(source.between(near, far, low, part, active), 0.0)
+    def _fall(self, w: Any, up: Any, below: Any) -> Any:
+        """Return 1 above, and a number below; beyond the last node of its side they fall to zero as the cosine."""
+        fall = smaller(dr.abs(w.z) * self.per_last[0], 1.0)
+        if not self.transmits:
+            return fall
+        return dr.select(up, fall, smaller(dr.abs(w.z) * self.per_last[1], 1.0) * below)
 
-    def _structure(
-        self, wavelength: Any, low: Any, part: Any, sin_l: Any, sin_e: Any, dot: Any, up_l: Any, up_e: Any, active: Any
-    ) -> Any:
+    def _squares(self, sin_l: Any, sin_e: Any, dot: Any, up_l: Any, up_e: Any) -> list[Any]:
+        """Return |q|^2 over k^2 as a polynomial of the index below: what both, one and no direction above adds."""
+        light, eye, both = sin_l * sin_l, sin_e * sin_e, 2.0 * dot
+        if not self.transmits:
+            return [light + eye + both]
+        above = dr.select(up_l, light, 0.0) + dr.select(up_e, eye, 0.0) + dr.select(up_l & up_e, both, 0.0)
+        across = dr.select(up_l ^ up_e, both, 0.0)
+        return [above, across, light + eye + both - above - across]
+
+    def _structure(self, wavelength: Any, low: Any, part: Any, squares: list[Any], active: Any) -> Any:
         """Read S at |q| of a wavelength."""
         if self.per_step is None:
-            scale = self.steps_nm / dr.clip(wavelength, self.shortest, self.longest)
+            scale = self.steps_nm / larger(smaller(wavelength, self.longest), self.shortest)
         else:
             ends = read2(self.per_step, low, active)
             scale = dr.lerp(ends[0], ends[1], part)
+        square = squares[0]
         if self.transmits:
-            ends = read2(self.index, low, active)
+            # a node is always within the table: read without a mask, it is one read for `eval` and `sample`
+            ends = read2(self.index, low)
             index = dr.lerp(ends[0], ends[1], part)
-            n_l, n_e = dr.select(up_l, 1.0, index), dr.select(up_e, 1.0, index)
-            square = dr.square(n_l * sin_l) + dr.square(n_e * sin_e) + 2.0 * n_l * n_e * dot
-        else:
-            square = dr.square(sin_l) + dr.square(sin_e) + 2.0 * dot
-        x = scale * dr.sqrt(dr.maximum(square, 0.0))
+            square = dr.fma(dr.fma(squares[2], index, squares[1]), index, square)
+        x = scale * dr.sqrt(larger(square, 0.0))
         inside = x < self.s_last
-        x = dr.minimum(x, self.s_last - 1e-3)
+        x = smaller(x, self.s_last - 1e-3)
         at = dr.floor(x)
-        ends = read2(self.s_values, mi.UInt32(at), active)
-        return dr.select(inside, dr.lerp(ends[0], ends[1], x - at), 1.0)
+        word = _word(self.s_values, mi.UInt32(at), active)
+        value = dr.lerp(mi.Float(word & HALF), mi.Float(word >> 16), x - at) * self.s_unit
+        return dr.select(inside, value, 1.0)
 
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return the albedo from this direction, averaged over wavelengths."""
@@ -285,6 +320,53 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         self._set(lobe)
 
 
+def _one_triangle(above: SingleArray, below: SingleArray, across: SingleArray) -> SingleArray:
+    """Return the pairs of all nodes, those below after those above, as one triangle: row a (a + 1) / 2 + b, b <= a."""
+    count = int(round(math.sqrt(2.0 * len(below) + 0.25) - 0.5))
+    lines = [above]
+    for node in range(count):
+        first, each = node * (node + 1) // 2, len(across) // count
+        lines += [across[node * each : (node + 1) * each], below[first : first + node + 1]]
+    return np.concatenate(lines)
+
+
+def _row(a: Any, b: Any) -> Any:
+    """Return the row of a pair of nodes."""
+    high, low = dr.maximum(a, b), dr.minimum(a, b)
+    return ((high * (high + 1)) >> 1) + low
+
+
+def _tetrahedron(rows: list[Any], upper: Any, lower: Any, part: Any) -> list[tuple[Any, Any]]:
+    """Return the corners of the tetrahedron of two angles and the wavelength that holds a point, with their weights.
+
+    From the lowest corner of the cell to the highest, one coordinate after the other goes up, that with the largest
+    fraction first. So four corners are read, not three at either wavelength; at a wavelength's node it is the triangle.
+
+    Args:
+        rows: places of the triangle's three corners, from the lowest to the highest, at the lower wavelength.
+        upper, lower: the larger and the smaller of the angles' fractions.
+        part: the wavelength's.
+    """
+    is_first, is_last = part > upper, part <= lower
+    one, two = larger(upper, part), smaller(lower, part)
+    middle = larger(lower, smaller(upper, part))
+    return [
+        (rows[0], 1.0 - one),
+        (dr.select(is_first, rows[0] + 1, rows[1]), one - middle),
+        (dr.select(is_last, rows[2], rows[1] + 1), middle - two),
+        (rows[2] + 1, two),
+    ]
+
+
+def _interpolated(source: PackedSeries, corners: list[tuple[Any, Any]], harmonics: list[Any], active: Any) -> Any:
+    """Sum the harmonics at the corners, by their weights."""
+    total = mi.Float(0.0)
+    for place, weight in corners:
+        total = dr.fma(weight, source.sum(place, harmonics, active), total)
+    # a cut cosine series may dip below zero where the light is next to nothing
+    return larger(total, 0.0)
+
+
 def _keeps_index(lobe: Harmonic) -> bool:
     """Whether the ambient has one index, so that the wavenumber is a number over the wavelength."""
     product = lobe.wavenumbers * lobe.wavelengths_nm
@@ -294,6 +376,20 @@ def _keeps_index(lobe: Harmonic) -> bool:
 def _pairs(values: Array) -> Array:
     """Return `[i, 2]`: each value and the next, which one load then fetches."""
     return np.stack([values[:-1], values[1:]], axis=1) if len(values) > 1 else np.stack([values, values], axis=1)
+
+
+def _halves(values: Array) -> tuple[Any, Any]:
+    """Return words of 16 bits for each value and 16 for the next, and their unit."""
+    top = max(float(values.max()), 1e-30)
+    steps = np.rint(values * (HALF / top)).astype(np.uint32)
+    words = steps[:-1] | steps[1:] << np.uint32(16)
+    return (mi.UInt32(aligned(words, np.uint32)) if dr.is_jit_v(mi.Float) else words), opaque(top / HALF)
+
+
+def _word(words: Any, index: Any, active: Any) -> Any:
+    if dr.is_jit_v(mi.Float):
+        return dr.gather(mi.UInt32, words, index, active)
+    return int(words[int(index)]) if active else 0
 
 
 def _thinned(lobe: Harmonic) -> Harmonic:
@@ -320,5 +416,5 @@ def _directions(theta: Any, phi: Any) -> Array:
 def _unit(wi: Any) -> tuple[Any, Any]:
     """Return cosine and sine of the azimuth; any will do at the pole."""
     flat = wi.x * wi.x + wi.y * wi.y
-    inverse = dr.rsqrt(dr.maximum(flat, 1e-20))
+    inverse = dr.rsqrt(larger(flat, 1e-20))
     return dr.select(flat > 1e-14, wi.x * inverse, 1.0), dr.select(flat > 1e-14, wi.y * inverse, 0.0)

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from nacre.bsdf.lobes.specular import Specular
-from nacre.device.base import MIN_COS, LobePlugin, flag, flip_z, is_radiance
+from nacre.device.base import MIN_COS, LobePlugin, flag, flip_z, is_radiance, larger
 from nacre.device.response import DeviceResponse, share_reflected
 
 
@@ -32,8 +32,8 @@ class SpecularPlugin(LobePlugin[Specular]):
         wi = flip_z(si.wi) if response.flipped else si.wi
         inside = wi.z < 0
         cos = dr.abs(wi.z)
+        reflected, transmitted = response.look_up(cos, inside, si, active)  # as `choice_weight` does, mask and all
         active = active & ((cos > MIN_COS) if response.transmits else (wi.z > MIN_COS))
-        reflected, transmitted = response.look_up(cos, inside, si, active)
 
         bs = dr.zeros(mi.BSDFSample3f)
         if transmitted is None:
@@ -52,7 +52,7 @@ class SpecularPlugin(LobePlugin[Specular]):
         pdf = dr.select(reflects, share, 1.0 - share)
         ratio = dr.select(inside, response.inv_eta, response.eta)  # n beyond / n here
         inverse = dr.select(inside, response.eta, response.inv_eta)
-        cos_t = dr.sqrt(dr.maximum(1.0 - (1.0 - cos * cos) * inverse * inverse, 0.0))
+        cos_t = dr.sqrt(larger(1.0 - (1.0 - cos * cos) * inverse * inverse, 0.0))
         up = dr.select(si.wi.z < 0, mi.Float(-1.0), 1.0)
         bend = inverse if response.bends else mi.Float(1.0)
         bs.wo = dr.select(
@@ -67,7 +67,7 @@ class SpecularPlugin(LobePlugin[Specular]):
         # radiance is squeezed into a smaller solid angle by a denser medium, importance is not
         squeeze = inverse * inverse if is_radiance(ctx) else mi.Float(1.0)
         value = dr.select(reflects, reflected, transmitted * squeeze)
-        return bs, (value / dr.maximum(pdf, 1e-20)) & (active & (pdf > 0.0))
+        return bs, (value * dr.rcp(larger(pdf, 1e-20))) & (active & (pdf > 0.0))
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return zeros: a direction given from outside never meets a delta."""
