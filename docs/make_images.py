@@ -1,12 +1,13 @@
 """Render the pictures that README and gallery show, and store them small in docs/images.
 
 `python docs/make_images.py` makes all; names after it make some: `hero`, `glass`, `sem`, `gallery`, or names of the
-gallery.
+gallery. `--demo DIR` takes the gallery's and the hero's from what `make demo OUT=DIR` made, which shows the same.
 They are committed, so that the documentation builds in minutes; make them anew when a picture has changed.
 """
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
 import tempfile
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageOps
 
 import nacre
 from nacre.cli.gallery import PictureSpec, load_gallery
@@ -43,15 +44,16 @@ class Panel:
     shape: str | None = None
     zoom: float = 1.0
     view_turn_deg: float = 0.0
+    centre: float = 0.5  # across, of the part that is taken of a demo's picture
 
 
 # bubbles, a wing, a bottle / jewellery, a metasurface, a foil on a card: all families, no two shapes alike
 HERO = (
     Panel("soap.toml", "bubble", spp=96),
-    Panel("morpho.toml", "butterfly"),
+    Panel("morpho.toml", "butterfly", centre=1.0),  # its label stands on the right
     Panel("pearl/bottle1.toml", "bottle", spp=96, quality="fast"),
     Panel("anodised-titanium.toml", "cuff"),
-    Panel("metasurface/silver_on_oxide.toml", "speedshape"),
+    Panel("metasurface/silver_on_oxide.toml", "speedshape", centre=0.3),
     Panel("relief/rainbow.toml", "pass"),
 )
 
@@ -121,20 +123,35 @@ def _feather(folder: Path, scratch: Path) -> str:
     return str(mesh)
 
 
-def make_sheet(name: str, panels: tuple[Panel, ...], size: tuple[int, int], folder: Path, scratch: Path) -> Path:
-    """Set six panels of a size three by two on a dark ground."""
+def make_sheet(
+    name: str, panels: tuple[Panel, ...], size: tuple[int, int], folder: Path, scratch: Path, demo: Path | None = None
+) -> Path:
+    """Set six panels of a size three by two on a dark ground; out of a demo's pictures where there is one."""
     width, height = size
     sheet = Image.new("RGB", (3 * width + 2 * GAP, 2 * height + GAP), GROUND)
     for number, panel in enumerate(panels):
         print(f"{name}: {panel.recipe if isinstance(panel.recipe, str) else panel.recipe['family']}", flush=True)
         kept = scratch / f"{name}-{number}.png"  # so that a stopped run goes on
         if not kept.exists():
-            _pixels(panel, size, folder, scratch).save(kept)
+            if demo is None:
+                _pixels(panel, size, folder, scratch).save(kept)
+            else:
+                with Image.open(demo / f"{Path(str(panel.recipe)).stem}.png") as made:
+                    ImageOps.fit(made.convert("RGB"), size, centering=(panel.centre, 0.5)).save(kept)
         row, column = divmod(number, 3)
         sheet.paste(Image.open(kept), (column * (width + GAP), row * (height + GAP)))
     for kept in scratch.glob(f"{name}-*.png"):
         kept.unlink()
     return _save(sheet, IMAGES / f"{name}.jpg")
+
+
+def take_thumbnail(picture: PictureSpec, demo: Path) -> Path:
+    """Store a picture of a demo small."""
+    name = thumbnail_name(picture)
+    with Image.open(demo / f"{name}.png") as made:
+        size = (THUMBNAIL, 2 * round(0.5 * picture.ratio * THUMBNAIL))
+        small = made.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+    return _save(small, IMAGES / "gallery" / f"{name}.jpg")
 
 
 def make_thumbnail(picture: PictureSpec, folder: Path, scratch: Path) -> Path:
@@ -180,16 +197,23 @@ def _save(image: Image.Image, path: Path) -> Path:
     return path
 
 
-def main(names: list[str]) -> None:
-    """Make the pictures that are named; all, where none is."""
+def main(names: list[str], demo: Path | None = None) -> None:
+    """Make the pictures that are named; all, where none is.
+
+    Args:
+        demo: folder of a demo, to take the gallery's and the hero's from.
+    """
     folder = examples_folder()
     scratch = Path(tempfile.gettempdir()) / "nacre-docs-images"
     scratch.mkdir(exist_ok=True)
     for picture in load_gallery(folder).picture:
         if not names or "gallery" in names or thumbnail_name(picture) in names:
-            make_thumbnail(picture, folder, scratch)
+            if demo is None:
+                make_thumbnail(picture, folder, scratch)
+            else:
+                take_thumbnail(picture, demo)
     if not names or "hero" in names:
-        make_sheet("families", HERO, HERO_PANEL, folder, scratch)
+        make_sheet("families", HERO, HERO_PANEL, folder, scratch, demo)
     if not names or "glass" in names:
         make_sheet("glass", GLASS, PANEL, folder, scratch)
     if not names or "sem" in names:
@@ -197,4 +221,8 @@ def main(names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    asked = argparse.ArgumentParser()
+    asked.add_argument("names", nargs="*")
+    asked.add_argument("--demo", type=Path)
+    given = asked.parse_args()
+    main(given.names, given.demo)

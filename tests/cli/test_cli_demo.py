@@ -10,7 +10,17 @@ import pytest
 from PIL import Image
 
 from nacre.cli import run
-from nacre.cli.gallery import QUICK_CELL, contact_sheet, load_gallery, plan, tile
+from nacre.cli.gallery import (
+    FULL_CELL,
+    FULL_FRAME,
+    FULL_FRAMES,
+    FULL_SIZE,
+    QUICK_CELL,
+    contact_sheet,
+    load_gallery,
+    plan,
+    tile,
+)
 from nacre.design.run import load_target
 from nacre.design.wants.target import is_wants, read_target
 from nacre.materials.examples import examples_folder
@@ -18,6 +28,7 @@ from nacre.materials.material import load
 from nacre.picture.scenes.catalogue import SCENE_NAMES
 
 FAMILIES = ("film", "pearl", "metasurface", "relief")
+IMAGES = Path(__file__).parents[2] / "docs" / "images" / "gallery"
 
 
 def test_every_entry_of_the_gallery_can_be_made() -> None:
@@ -46,6 +57,33 @@ def test_the_demo_shows_every_family(tmp_path: Path, is_quick: bool) -> None:
     assert shown >= set(FAMILIES)
     items = plan(folder, tmp_path, is_quick)
     assert len({item.path for item in items}) == len(items)
+
+
+def test_the_whole_demo_is_as_large_as_it_says(tmp_path: Path) -> None:
+    """24 pictures of 1,024 pixels, 6 animations of 24 frames and 512 pixels, a sheet of 3,000 pixels."""
+    folder = examples_folder()
+    gallery = load_gallery(folder)
+    assert len(gallery.picture) >= 24 and FULL_SIZE >= 1024
+    items = plan(folder, tmp_path, False)
+    assert len([item for item in items if item.path.suffix == ".mp4"]) >= 6
+    assert FULL_FRAMES >= 24 and FULL_FRAME >= 512
+    assert all(row.cell[0] * row.columns >= 512 for row in gallery.row)
+    dot = tmp_path / "dot.png"
+    Image.new("RGB", (8, 8)).save(dot)
+    stills = [(item.title, dot) for item in items if item.path.suffix == ".png"]
+    contact_sheet(stills, tmp_path / "sheet.png", FULL_CELL)
+    with Image.open(tmp_path / "sheet.png") as sheet:
+        assert sheet.width >= 3000
+
+
+def test_the_documentation_has_a_picture_of_each_entry_and_no_other() -> None:
+    entries = {p.name or Path(p.recipe).stem: p.ratio for p in load_gallery(examples_folder()).picture}
+    shown = {path.stem: path for path in IMAGES.glob("*.jpg")}
+    assert set(shown) == set(entries)
+    for name, ratio in entries.items():
+        with Image.open(shown[name]) as picture:
+            # of the scene as it is now: its own height over its width
+            assert picture.height == pytest.approx(ratio * picture.width, abs=2), name
 
 
 def test_the_contact_sheet_holds_every_picture(tmp_path: Path) -> None:

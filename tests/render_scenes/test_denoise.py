@@ -11,6 +11,7 @@ import pytest
 
 import nacre
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
+from nacre.picture import denoise
 
 pytestmark = pytest.mark.render
 
@@ -151,6 +152,23 @@ def test_light_does_not_leave_an_object_with_the_means_of_its_colours() -> None:
     lost[:, 40:42] = 0.2
     texture = beyond_noise(lost, np.full((*SIZE, 3), 1e-4))
     assert np.abs((texture + means(lost)) - lost).max() < 0.01 * lost.max()
+
+
+def test_what_a_highlight_lost_is_not_taken_from_the_dark_beside_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The denoiser is off by some per cent in a mirrored sun, which is more than all the light of what lies beside."""
+    rows, columns = np.mgrid[:96, :96]
+    sun = np.hypot(rows - 48, columns - 48) < 20
+    truth = np.where(sun, 100.0, 0.1)[..., None] * np.array([0.95, 1.0, 1.09])
+    made = np.where(sun[..., None], 1.04, 1.0) * truth
+
+    def filtered(rgb: np.ndarray, guides: object = None, **options: object) -> np.ndarray:
+        return (made @ denoise.TO_RGB.T).astype(np.float32)
+
+    monkeypatch.setattr(denoise, "_filtered", filtered)
+    flat = np.zeros((96, 96, 3), dtype=np.float32)
+    found = denoise.denoised(truth, flat, flat, 1e-3 * truth.astype(np.float32))
+    np.testing.assert_allclose(found[~sun], truth[~sun], rtol=0.05)  # LARGEST_TEXTURE let it glow twice as bright
+    assert found[sun].mean() == pytest.approx(truth[sun].mean(), rel=0.02)  # and its own comes back
 
 
 def test_halves_of_the_samples_tell_the_noise_of_a_picture() -> None:

@@ -23,13 +23,13 @@ from nacre.recipe.toml import parse_toml
 FULL_SIZE, QUICK_SIZE = 1024, 224
 FULL_FRAME, QUICK_FRAME = 512, 128
 FULL_FRAMES, QUICK_FRAMES = 24, 8
-FULL_SPP, QUICK_SPP = 128, 32
-FULL_FRAME_SPP, QUICK_FRAME_SPP = 32, 16
-# seconds that a still and an animation may take on the machine at hand, in full and in quick runs
-STILL_S = {False: 8.0, True: 5.0}
-MOVIE_S = {False: 34.0, True: 6.0}
-# samples of the pictures that tell what one costs, in passes of four or more as those of a still: one kernel for all
-PROBE_SPP, PROBE_SIDE, LEAST_SPP = (8, 40), 128, 8
+# samples a pixel, as few as the denoiser makes clean; by number, so that the pictures are the same on every machine
+FULL_SPP, QUICK_SPP = 12, 24
+FULL_FRAME_SPP, QUICK_FRAME_SPP = 6, 12
+# seconds that a still, a frame, and twelve samples of a still take besides, on two cores: what is left is told by them
+STILL_S = {False: 10.0, True: 3.0}
+FRAME_S = {False: 3.0, True: 0.4}
+SAMPLES_S = {False: 8.0, True: 1.0}
 # the sheet: cells in full and in quick runs, a row at most of so many; the rest for cells of 320
 FULL_CELL, QUICK_CELL, MOST_COLUMNS = 480, 320, 6
 GAP, CAPTION, LINE, FONT = 16, 46, 19, 15
@@ -57,7 +57,7 @@ class PictureSpec(RecipeModel):
     light_turn_deg: float = pydantic.Field(default=0.0, description="turns the light round the object")
     ratio: float = pydantic.Field(default=1.0, gt=0, le=1, description="height of the picture over its width")
     zoom: float | None = pydantic.Field(default=None, description="magnification, as `nacre render --zoom` takes it")
-    spp: float = pydantic.Field(default=1.0, description="times the usual number of samples and the usual time")
+    spp: float = pydantic.Field(default=1.0, description="times the usual number of samples")
     quick: bool = pydantic.Field(default=False, description="whether it is part of `nacre demo --quick`")
     name: str | None = pydantic.Field(default=None, description="name of the picture's file; the recipe's if not given")
     quality: Literal["reference", "fast"] | None = pydantic.Field(
@@ -81,7 +81,7 @@ class RowSpec(RecipeModel):
     scene: str = pydantic.Field(description="scene, as `nacre render --scene` takes it")
     animate: Literal["light", "view"] = pydantic.Field(description="what moves")
     cell: tuple[int, int] = pydantic.Field(description="width and height of one material's picture, in pixels")
-    spp: float = pydantic.Field(default=1.0, description="times the usual number of samples and the usual time")
+    spp: float = pydantic.Field(default=1.0, description="times the usual number of samples")
     quick: bool = pydantic.Field(default=False, description="whether it is part of `nacre demo --quick`")
     quality: Literal["reference", "fast"] | None = pydantic.Field(
         default=None, description="quality of a pearl, in place of the recipe's own"
@@ -185,16 +185,15 @@ def run_demo(out: Path, is_quick: bool, report: Report) -> list[Path]:
 def _picture(folder: Path, out: Path, spec: PictureSpec, is_quick: bool) -> Item:
     side = QUICK_SIZE if is_quick else FULL_SIZE
     spp = max(4, round((QUICK_SPP if is_quick else FULL_SPP) * spec.spp))
+    seconds = STILL_S[is_quick] + SAMPLES_S[is_quick] * spec.spp
     path = out / f"{spec.name or Path(spec.recipe).stem}.png"
 
     def make() -> None:
         bsdf = _solved(folder, out, spec.recipe, spec.quality)
         look = {**_look(spec), "view_turn_deg": spec.view_turn_deg, "light_turn_deg": spec.light_turn_deg}
-        size = _size(side, spec.ratio)
-        affordable = _affordable_spp(bsdf, look, size, spp, STILL_S[is_quick] * spec.spp)
-        _rendered(bsdf, output=path, size=size, spp=affordable, progress=False, **look)
+        _rendered(bsdf, output=path, size=_size(side, spec.ratio), spp=spp, progress=False, **look)
 
-    return Item(spec.title, path, 2.0 + STILL_S[is_quick] * spec.spp, make)
+    return Item(spec.title, path, seconds, make)
 
 
 def _animation(folder: Path, out: Path, spec: AnimationSpec, is_quick: bool) -> Item:
@@ -208,13 +207,10 @@ def _animation(folder: Path, out: Path, spec: AnimationSpec, is_quick: bool) -> 
 
         moving = spec.animate in ("light", "view")
         material = _solved(folder, out, spec.recipe, spec.quality) if moving else _find(folder, out, spec.recipe)
-        look = _look(spec)
-        budget = MOVIE_S[is_quick] * spec.spp / frames
         size = _size(side, spec.ratio)
-        affordable = _affordable_spp(material, look, size, spp, budget)
-        animate(material, spec.animate, path, frames=frames, size=size, spp=affordable, progress=False, **look)
+        animate(material, spec.animate, path, frames=frames, size=size, spp=spp, progress=False, **_look(spec))
 
-    return Item(spec.title, path, 3.0 + MOVIE_S[is_quick] * spec.spp, make)
+    return Item(spec.title, path, FRAME_S[is_quick] * frames, make)
 
 
 def _row(folder: Path, out: Path, spec: RowSpec, is_quick: bool) -> Item:
@@ -222,7 +218,7 @@ def _row(folder: Path, out: Path, spec: RowSpec, is_quick: bool) -> Item:
     path = out / f"{spec.name}-moving.mp4"
     half = 2 if is_quick else 1
     size = (spec.cell[0] // half, spec.cell[1] // half)
-    seconds = MOVIE_S[is_quick] * spec.spp
+    spp = max(4, round((QUICK_FRAME_SPP if is_quick else FULL_FRAME_SPP) * spec.spp))
 
     def make() -> None:
         from nacre.picture.image_files import read_provenance
@@ -233,8 +229,6 @@ def _row(folder: Path, out: Path, spec: RowSpec, is_quick: bool) -> Item:
         for recipe in spec.recipes:
             bsdf = _solved(folder, out, recipe, spec.quality)
             look = {"scene": spec.scene}
-            budget = seconds / (frames * len(spec.recipes))
-            spp = _affordable_spp(bsdf, look, size, FULL_FRAME_SPP, budget)
             part = path.with_name(f"{spec.name}-parts") / f"{Path(recipe).stem}.mp4"
             part.parent.mkdir(exist_ok=True)
             made = animate(
@@ -252,7 +246,7 @@ def _row(folder: Path, out: Path, spec: RowSpec, is_quick: bool) -> Item:
             tile([part[index] for part in parts], spec.columns, name)
         join(whole, path)
 
-    return Item(spec.title, path, 3.0 + seconds, make)
+    return Item(spec.title, path, FRAME_S[is_quick] * frames, make)
 
 
 def tile(pictures: Sequence[Path], columns: int, path: Path) -> None:
@@ -287,24 +281,6 @@ def _rendered(material: Any, **options: Any) -> None:
 
     if render(material, **options).stats["interrupted"] or interrupt.came_late():
         raise KeyboardInterrupt
-
-
-def _affordable_spp(material: Any, look: dict[str, Any], size: tuple[int, int], wanted: int, seconds: float) -> int:
-    """Return the samples a pixel that fit into the time: families differ a hundredfold in cost.
-
-    One small picture compiles the kernels; two more tell what a sample costs apart from what any picture costs. Too few
-    samples make no picture, so a still or frame gets `LEAST_SPP` whatever it takes.
-    """
-    part = max(4.0, max(size) / PROBE_SIDE)
-    small = (max(16, round(size[0] / part)), max(16, round(size[1] / part)))
-    spent = []
-    for spp in (PROBE_SPP[0], *PROBE_SPP):
-        start = time.monotonic()
-        _rendered(material, size=small, spp=spp, progress=False, **look)
-        spent.append(time.monotonic() - start)
-    _, few, many = spent
-    a_sample = max(many - few, 0.1 * many) / ((PROBE_SPP[1] - PROBE_SPP[0]) * small[0] * small[1])
-    return int(min(max((seconds - few) / (a_sample * size[0] * size[1]), LEAST_SPP), wanted))
 
 
 def _plot(folder: Path, out: Path, spec: PlotSpec) -> Item:

@@ -126,7 +126,10 @@ def _band(
     mean = means(np.clip(lost, -bound, bound))
     bound *= LARGEST_TEXTURE / LARGEST_RETURN
     texture = beyond_noise(np.clip(lost, -bound, bound), np.clip(doubt, -bound, bound))
-    return np.maximum(clean + np.clip(texture, -bound, bound) + mean + sharp, 0.0)
+    # what a neighbourhood lost is given to its pixels by their light: a dark card beside a mirrored sun had gone black
+    own = clean.max(axis=-1)
+    share = np.minimum(own / np.maximum(means(own), 1e-20), 1.0)[..., None]
+    return np.maximum(clean + share * (np.clip(texture, -bound, bound) + mean) + sharp, 0.0)
 
 
 def highlights(lost: NDArray[np.float64], doubt: NDArray[np.float32]) -> NDArray[np.float64]:
