@@ -1,7 +1,8 @@
 """Run every benchmark, one process each, and write RESULTS.md with the machine and the versions.
 
 `python -m benchmarks [NAME ...]` runs those whose names contain one of the words; all by default. Each answer is kept
-in `results/`, so that RESULTS.md after a partial run still holds the others.
+in `results/`, so that RESULTS.md after a partial run still holds the others. Options, such as `design_pearls --all`, go
+to the benchmarks named; with `--all` none is cut short, since they go on where they were stopped.
 """
 
 from __future__ import annotations
@@ -21,9 +22,13 @@ PACKAGES = ("numpy", "numba", "jax", "mitsuba", "drjit", "scipy")
 TIME_LIMIT_S = 1800
 
 
-def run_one(script: Path) -> dict[str, Any]:
+def run_one(script: Path, options: list[str]) -> dict[str, Any]:
     """Run one benchmark and keep what it says; a crash or a time-out is a result of its own."""
-    result = {**_answer(script), "script": script.name, "on": datetime.date.today().isoformat()}
+    result = {
+        **_answer(script, options),
+        "script": " ".join([script.name, *options]),
+        "on": datetime.date.today().isoformat(),
+    }
     KEPT.mkdir(exist_ok=True)
     _kept(script).write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return result
@@ -33,11 +38,12 @@ def _kept(script: Path) -> Path:
     return KEPT / f"{script.stem}.json"
 
 
-def _answer(script: Path) -> dict[str, Any]:
-    command = [sys.executable, str(script), "--json"]
+def _answer(script: Path, options: list[str]) -> dict[str, Any]:
+    command = [sys.executable, str(script), "--json", *options]
     start = time.monotonic()
+    limit_s = None if "--all" in options else TIME_LIMIT_S
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT_S, cwd=HERE.parent)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=limit_s, cwd=HERE.parent)
     except subprocess.TimeoutExpired:
         return {"benchmark": script.stem, "rows": [], "error": f"took more than {TIME_LIMIT_S} s"}
     lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
@@ -87,13 +93,16 @@ def _table(rows: list[dict[str, Any]]) -> list[str]:
 
 def main() -> int:
     """Run the benchmarks whose names contain one of the words given; all by default."""
-    words = sys.argv[1:]
+    named = [i for i, word in enumerate(sys.argv) if i and word.startswith("-")]
+    words, options = (sys.argv[1:], []) if not named else (sys.argv[1 : named[0]], sys.argv[named[0] :])
+    if options and not words:
+        raise SystemExit("options go to the benchmarks that are named before them")
     scripts = sorted(HERE.glob("bench_*.py"))
     chosen = [s for s in scripts if not words or any(w in s.stem for w in words)]
     results = {}
     for number, script in enumerate(chosen):
         print(f"== [{number + 1}/{len(chosen)}] {script.stem}", flush=True)
-        results[script] = run_one(script)
+        results[script] = run_one(script, options)
         # those that are not run now, or not yet, come from their last run
         write_results([json.loads(_kept(s).read_text(encoding="utf-8")) for s in scripts if _kept(s).exists()])
     return int(any("error" in result for result in results.values()))

@@ -21,13 +21,13 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Kept, Row, Worker, parser, report
+from common import Kept, Row, Worker, report, run_clock_by_cpu, searcher
 
 from nacre.design.goals import Goal, Goals, default_wavelengths_nm
 from nacre.design.stack_problem import Medium, StackProblem
@@ -184,9 +184,11 @@ EACH: dict[str, Callable[[int, int, Worker], dict[str, Any]]] = {
 }
 
 
-def measure(kind: str, count: int, seed: int, keep: bool, judge: Worker) -> list[dict[str, Any]]:
+def measure(
+    kind: str, count: int, seed: int, keep: bool, judge: Worker, clock: Mapping[str, float]
+) -> list[dict[str, Any]]:
     """Do the targets of a kind, those that are kept already left out."""
-    kept = Kept("design_films", keep, kind=kind, seed=seed, **({"count": count} if kind == "colour" else {}))
+    kept = Kept("design_films", keep, kind=kind, seed=seed, **({"count": count} if kind == "colour" else {}), **clock)
     if kind == "colour":  # all in one call
         found = cache(lambda: colours(count, seed, judge))
         return [kept.result(number, lambda number=number: found()[number]) for number in range(count)]
@@ -248,18 +250,18 @@ def rows_of(kind: str, results: list[dict[str, Any]]) -> list[Row]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark; 0 if the bars are reached."""
-    options = parser(__doc__)
-    options.add_argument("--all", action="store_true", help="all targets, resumably")
+    options = searcher(__doc__)
     options.add_argument("--seed", type=int, default=17)
     options.add_argument("--count", type=int, help="targets of each kind")
     options.add_argument("kinds", nargs="*", choices=[*NUMBERS, []], help="default: every kind")
     chosen = options.parse_args(arguments)
+    clock = run_clock_by_cpu(chosen.cores)
     rows: list[Row] = []
     with Worker("judge_films.py", Path(sys.executable)) as judge:
         for kind in chosen.kinds or NUMBERS:
             count = chosen.count or NUMBERS[kind][0 if chosen.all else 1]
-            rows += rows_of(kind, measure(kind, count, chosen.seed, chosen.all, judge))
-    notes = {"seed": chosen.seed, "load": f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores at the end"}
+            rows += rows_of(kind, measure(kind, count, chosen.seed, chosen.all, judge, clock))
+    notes = {**clock, "seed": chosen.seed, "load": f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores at the end"}
     return report("design_films: films from wanted colours", rows, chosen.json, notes)
 
 

@@ -21,12 +21,13 @@ import os
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Kept, Row, Worker, parser, report
+from common import Kept, Row, Worker, report, run_clock_by_cpu, searcher
 
 import nacre
 from nacre.design.wants.geometry import At, see
@@ -99,9 +100,9 @@ def candidate_seconds(seed: int, count: int = 20) -> float:
     return float(np.median(spent[-count:]))
 
 
-def measure(count: int, seed: int, seconds: float, keep: bool) -> list[dict[str, Any]]:
+def measure(count: int, seed: int, seconds: float, keep: bool, clock: Mapping[str, float]) -> list[dict[str, Any]]:
     """Do the recipes, those that are kept already left out."""
-    kept = Kept("design_metasurfaces", keep, seed=seed, seconds=seconds)
+    kept = Kept("design_metasurfaces", keep, seed=seed, seconds=seconds, **clock)
 
     def design(number: int) -> dict[str, Any]:
         with Worker("judge_metasurfaces.py", Path(sys.executable)) as judge:
@@ -115,14 +116,14 @@ def measure(count: int, seed: int, seconds: float, keep: bool) -> list[dict[str,
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark; 0 if the bars are reached."""
-    options = parser(__doc__)
-    options.add_argument("--all", action="store_true", help="all recipes, resumably")
+    options = searcher(__doc__)
     options.add_argument("--seed", type=int, default=17)
     options.add_argument("--count", type=int, help="hidden recipes")
     options.add_argument("--seconds", type=float, default=SECONDS, help="of each search; more where others share cores")
     chosen = options.parse_args(arguments)
+    clock = run_clock_by_cpu(chosen.cores)
     spent = candidate_seconds(chosen.seed)
-    done = measure(chosen.count or (10 if chosen.all else 5), chosen.seed, chosen.seconds, chosen.all)
+    done = measure(chosen.count or (10 if chosen.all else 5), chosen.seed, chosen.seconds, chosen.all, clock)
     worst = np.array([r["worst"] for r in done])
     off = float(np.max(np.abs(worst - [r["own"] for r in done])))
     share = float(np.mean(worst <= WITHIN))
@@ -135,7 +136,7 @@ def main(arguments: list[str] | None = None) -> int:
         Row("hidden metasurfaces: longest", wall, "s", 180.0, higher_is_better=False, note=f"{cpu:.0f} s of CPU"),
         Row("candidate at 16 wavelengths and 6 directions, CPU", spent, "s", 0.25, higher_is_better=False),
     ]  # fmt: skip
-    notes = {"seed": chosen.seed, "load": f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores at the end"}
+    notes = {**clock, "seed": chosen.seed, "load": f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores at the end"}
     return report("design_metasurfaces: metasurfaces from wanted colours", rows, chosen.json, notes)
 
 

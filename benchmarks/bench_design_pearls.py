@@ -26,12 +26,13 @@ import os
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Kept, Row, Worker, parser, report
+from common import Kept, Row, Worker, report, run_clock_by_cpu, searcher
 
 import nacre
 from nacre.recipe.toml import dump_toml
@@ -116,35 +117,42 @@ def one(number: int, seed: int, seconds: float, judge: Worker) -> dict[str, Any]
     }  # fmt: skip
 
 
-def measure(count: int, seed: int, seconds: float, keep: bool, judge: Worker) -> list[dict[str, Any]]:
+def measure(
+    count: int, seed: int, seconds: float, keep: bool, only_kept: bool, judge: Worker, clock: Mapping[str, float]
+) -> list[dict[str, Any]]:
     """Do the recipes, those that are kept already left out."""
-    kept = Kept("design_pearls", keep, seed=seed, seconds=seconds)
-    return [kept.result(number, partial(one, number, seed, seconds, judge)) for number in range(count)]
+    kept = Kept("design_pearls", keep, seed=seed, seconds=seconds, **clock)
+    numbers = [number for number in range(count) if number in kept or not only_kept]
+    return [kept.result(number, partial(one, number, seed, seconds, judge)) for number in numbers]
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark; 0 if the bars are reached."""
-    options = parser(__doc__)
-    options.add_argument("--all", action="store_true", help="all recipes, resumably")
+    options = searcher(__doc__)
     options.add_argument("--seed", type=int, default=17)
     options.add_argument("--count", type=int, help="recipes")
     options.add_argument("--seconds", type=float, default=SECONDS, help="of each search, by the clock")
+    options.add_argument("--kept", action="store_true", help="with --all: what a stopped run has done, and no more")
     chosen = options.parse_args(arguments)
+    clock = run_clock_by_cpu(chosen.cores)
     count = chosen.count or (NUMBER if chosen.all else FEWER)
     with Worker("judge_pearls.py", Path(sys.executable)) as judge:
-        found = measure(count, chosen.seed, chosen.seconds, chosen.all, judge)
+        found = measure(count, chosen.seed, chosen.seconds, chosen.all, chosen.kept, judge, clock)
+    if not found:
+        raise SystemExit("nothing is kept")
     mean = np.array([r["mean"] for r in found])
+    of_all = "" if len(found) == count else f" of the {count}"
     noise = f"noise of the judge at most {max(r['error'] for r in found):.2f} dE00"
     apart = max(float(np.max(np.abs(np.subtract(r["de00"], r["own"])))) for r in found)
     rows = [
-        Row(f"six angles: share of {len(found)} with a mean dE00 of 1 or less", float(np.mean(mean <= BAR_DE00)), "",
-            SHARE, note=f"median {np.median(mean):.2f}, largest {mean.max():.2f}; {noise}"),
+        Row(f"six angles: share of {len(found)}{of_all} with a mean of 1 or less", float(np.mean(mean <= BAR_DE00)),
+            "", SHARE, note=f"median {np.median(mean):.2f}, largest {mean.max():.2f}; {noise}"),
         Row("six angles: largest mean dE00", float(mean.max()), "",
             note=f"worst angle {max(r['worst'] for r in found):.2f}; judge and design differ by {apart:.2f} at most"),
         Row("six angles: longest, CPU", max(r["cpu"] for r in found), "s", CORES * SECONDS, higher_is_better=False,
             note=f"{max(r['wall'] for r in found):.0f} s by the clock"),
     ]  # fmt: skip
-    notes = {"seed": chosen.seed, "load": f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores at the end"}
+    notes = {**clock, "seed": chosen.seed, "load": f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores at the end"}
     return report("design_pearls: pearls from their colours at six angles", rows, chosen.json, notes)
 
 

@@ -5,6 +5,8 @@
 path tracers and without a denoiser, through the same box filter; "now" is the denoised picture in at most the CPU time
 of before, guides and denoiser included. Seconds are those of all cores of the process, which another process disturbs
 less than the clock.
+Figures of a case are kept in `results/pictures.jsonl` while neither nacre nor the reference changes: a stopped run
+goes on, and so does one of `--part` and `--case` after another.
 What is left of a reference's own noise is taken off the relative mean square errors; FLIP contains it, at the cost of
 ours, and grows as the 0.7th power of small errors: ten times less takes 27 times less error.
 
@@ -29,12 +31,13 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from common import Row, Worker, parser, report
+from common import Kept, Row, Worker, parser, report
 from numpy.typing import NDArray
 from picture_references import CASES, SIDE, Case, Reference, reference, take
 from scipy.ndimage import maximum_filter
@@ -49,7 +52,7 @@ BARS = {"error": 10.0, "flip": 0.03, "flip_s": 10.0, "bias": 0.5, "raw_flies": 2
 DARK = 0.01  # added to the squared luminance: what is darker than a tenth of white paper counts less
 PATCH, PATCHES = 24, [(row, column) for row in (88, 152) for column in (28, 76, 116, 156, 204)]
 FLY = 10.0  # times the median of the eight neighbours
-LADDER = (8, 16, 32, 64, 128, 256, 512)
+LADDER = (4, 8, 16, 32, 64, 128, 256, 512)
 NEAR, TRIES = 0.92, 4  # how near to the CPU time of before, in so many tries
 PARTS = ("error", "time", "bias", "memory")
 MEMORY_SIDE = 4096
@@ -150,7 +153,7 @@ def at_equal_time(case: Case, worker: Worker) -> dict[str, float]:
     }  # fmt: skip
 
 
-def time_to_flip(case: Case, worker: Worker) -> float:
+def time_to_flip(case: Case, worker: Worker) -> dict[str, float]:
     """Return the CPU seconds to the bar's FLIP at twice the side, judged in the middle; infinite if never."""
     bsdf, truth = case.bsdf(), reference(case, of_middle=True)
     render(case, bsdf, 2 * SIDE, spp=LADDER[0])
@@ -158,12 +161,27 @@ def time_to_flip(case: Case, worker: Worker) -> float:
         made, seconds = cpu_of(lambda n=spp: render(case, bsdf, 2 * SIDE, spp=n))
         middle = made.xyz[SIDE // 2 : -SIDE // 2, SIDE // 2 : -SIDE // 2]
         stops, white = float(made.stats["exposure_stops"]), str(made.stats["illuminant"])
-        if flip(worker, middle, truth.xyz, stops, white) <= BARS["flip"]:
-            return seconds
-    return float("inf")
+        found = flip(worker, middle, truth.xyz, stops, white)
+        if found <= BARS["flip"]:
+            return {"s": seconds, "spp": spp, "flip": found}
+    return {"s": float("inf"), "spp": spp, "flip": found}
 
 
-def peak_gb() -> tuple[float, float]:
+def of_default(case: Case) -> dict[str, float]:
+    """Return what is wrong with the picture that a user gets who asks for nothing: mean colours and fireflies."""
+    made, truth = render(case, case.bsdf(), SIDE), reference(case)
+    white = str(made.stats["illuminant"])
+    first, second = truth.halves
+    return {
+        "bias": worst_patch(made.xyz, truth, white),
+        "unsure": 0.5 * worst_patch(first, replace(truth, xyz=second), white),
+        "flies": float(new_flies(made.xyz, truth)),
+        "raw_flies": float(new_flies(made.raw if made.raw is not None else made.xyz, truth)),
+        "spp": float(made.stats["spp"]),
+    }
+
+
+def peak_gb() -> dict[str, float]:
     """Return the peak memory, in GB, and the CPU seconds of a large picture in a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
         size = f"{MEMORY_SIDE}x{MEMORY_SIDE}"
@@ -173,7 +191,14 @@ def peak_gb() -> tuple[float, float]:
         child.returncode = os.waitstatus_to_exitcode(status)
         if child.returncode != 0 or not (Path(folder) / "large.png").exists():
             raise SystemExit("the large picture was not made")
-    return used.ru_maxrss * 1024 / 1e9, used.ru_utime + used.ru_stime
+    return {"gb": used.ru_maxrss * 1024 / 1e9, "cpu_s": used.ru_utime + used.ru_stime}
+
+
+def once(part: str, case: Case | None, measure: Callable[[], dict[str, float]]) -> dict[str, Any]:
+    """Return a part's figures of a case; those of the same source and reference are kept."""
+    facts = {} if case is None else {"case": case.name, "reference_spp": reference(case).spp}
+    number = 0 if case is None else CASES.index(case)
+    return Kept("pictures", is_used=True, part=part, **facts).result(number, measure)
 
 
 def told(values: dict[str, float]) -> str:
@@ -187,6 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.add_argument("--part", choices=PARTS, action="append", help="all by default")
     options.add_argument("--case", choices=[case.name for case in CASES], action="append", help="all by default")
     chosen = options.parse_args(arguments)
+    os.environ.pop("NACRE_DENOISE", None)  # off in other benchmarks; here it is what is judged
     parts = chosen.part or PARTS
     cases = [case for case in CASES if not chosen.case or case.name in chosen.case]
     gallery = [case for case in cases if case.in_gallery]
@@ -197,10 +223,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     if "error" in parts:
         with Worker("peer_flip.py") as worker:
-            found = {}
-            for case in gallery:
-                found[case.name] = at_equal_time(case, worker)
-                print(case.name, told(found[case.name]), file=sys.stderr, flush=True)
+            found = {case.name: once("error", case, partial(at_equal_time, case, worker)) for case in gallery}
         halves = {case: f["flip_halves"] for case, f in found.items()}
         row("mean LDR-FLIP of the halves of a reference, largest: what it cannot tell apart", max(halves.values()), "",
             None, note=told(halves))  # fmt: skip
@@ -215,20 +238,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "x", None, note=told({case: f["before_s"] for case, f in found.items()}))  # fmt: skip
     if "time" in parts:
         with Worker("peer_flip.py") as worker:
-            seconds = {case.name: time_to_flip(case, worker) for case in gallery}
+            seconds = {case.name: once("time", case, partial(time_to_flip, case, worker))["s"] for case in gallery}
         row(f"CPU time to a mean FLIP of {BARS['flip']} at {2 * SIDE} px, median", statistics.median(seconds.values()),
             "s", BARS["flip_s"], note=told(seconds))  # fmt: skip
     if "bias" in parts:
-        biases, flies, raw_flies, samples, unsure = {}, {}, {}, {}, {}
-        for case in cases:
-            made, truth = render(case, case.bsdf(), SIDE), reference(case)
-            biases[case.name] = worst_patch(made.xyz, truth, str(made.stats["illuminant"]))
-            first, second = truth.halves
-            unsure[case.name] = 0.5 * worst_patch(first, replace(truth, xyz=second), str(made.stats["illuminant"]))
-            flies[case.name] = float(new_flies(made.xyz, truth))
-            raw_flies[case.name] = float(new_flies(made.raw if made.raw is not None else made.xyz, truth))
-            samples[case.name] = float(made.stats["spp"])
-            print(case.name, biases[case.name], flies[case.name], raw_flies[case.name], file=sys.stderr, flush=True)
+        judged = {case.name: once("bias", case, partial(of_default, case)) for case in cases}
+        biases, unsure, flies, raw_flies, samples = (
+            {name: f[key] for name, f in judged.items()} for key in ("bias", "unsure", "flies", "raw_flies", "spp")
+        )
         row("mean colour of ten patches a scene, denoised, worst", max(biases.values()), "dE00", BARS["bias"],
             note=told(biases))  # fmt: skip
         row("of that, what the reference itself does not know, largest", max(unsure.values()), "dE00", None,
@@ -239,9 +256,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         row("samples a pixel of a default picture, median", statistics.median(samples.values()), "", None,
             note=told(samples))  # fmt: skip
     if "memory" in parts:
-        memory, seconds_of_large = peak_gb()
-        row(f"memory of a picture of {MEMORY_SIDE} x {MEMORY_SIDE}", memory, "GB", BARS["memory_gb"],
-            note=f"one sample a pixel, denoised; {seconds_of_large:.0f} CPU s")  # fmt: skip
+        large = once("memory", None, peak_gb)
+        row(f"memory of a picture of {MEMORY_SIDE} x {MEMORY_SIDE}", large["gb"], "GB", BARS["memory_gb"],
+            note=f"one sample a pixel, denoised; {large['cpu_s']:.0f} CPU s")  # fmt: skip
     kept = {case.name: reference(case) for case in cases} if set(parts) - {"memory"} else {}
     notes = {"samples a pixel of the references": told({name: float(r.spp) for name, r in kept.items()})}
     return report("pictures: noise, bias and fireflies against long references", rows, chosen.json, notes)

@@ -151,6 +151,29 @@ def parser(description: str | None, repeats: int = 7) -> argparse.ArgumentParser
     return result
 
 
+def searcher(description: str | None) -> argparse.ArgumentParser:
+    """The options of benchmarks whose searches end by the clock."""
+    result = parser(description)
+    result.add_argument("--all", action="store_true", help="all targets, resumably")
+    result.add_argument(
+        "--cores", type=float, help="let the clock run with the CPU time of this process over so many cores: where "
+        "others use the machine too",
+    )  # fmt: skip
+    return result
+
+
+def run_clock_by_cpu(cores: float | None) -> dict[str, float]:
+    """Let `time.monotonic`, by which searches end, run with this process's CPU time over `cores`; None lets it be.
+
+    Returns what a kept result and a report shall tell of it.
+    """
+    if cores is None:
+        return {}
+    start = time.monotonic()
+    time.monotonic = lambda: start + time.process_time() / cores  # type: ignore[assignment]
+    return {"cores of the clock": cores}
+
+
 def report(name: str, rows: list[Row], as_json: bool, notes: Mapping[str, Any] | None = None) -> int:
     """Print the rows; return 0 if every bar is reached and 1 otherwise."""
     passed = all(row.passed is not False for row in rows)
@@ -188,6 +211,9 @@ class Kept:
         if is_used and self._path.exists():
             lines = [json.loads(line) for line in self._path.read_text(encoding="utf-8").splitlines()]
             self._found = {r["number"]: r for r in lines if self._facts.items() <= r.items()}
+
+    def __contains__(self, number: int) -> bool:
+        return number in self._found
 
     def result(self, number: int, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """Return a result that is kept, or measure it; it is told on stderr."""

@@ -12,6 +12,7 @@ import nacre
 from nacre.bsdf.directions import direction
 from nacre.bsdf.facet_distributions import fresnel
 from nacre.families.pearl import doubling, glance
+from nacre.families.pearl.fast import Medium
 from nacre.measure.instruments import ASPECULAR_DEG, aspecular_direction
 
 NM = np.array([440.0, 500.0, 560.0, 640.0])
@@ -20,6 +21,7 @@ WO = np.stack([aspecular_direction(45.0, a) for a in ASPECULAR_DEG])
 WALKS = 1 << 16
 SIGMAS = 4.0
 ROUNDING = 2e-4  # of float32 matrices after their doublings
+CLEAR = 1.0 + 1e-6  # index of a resin whose interface is none
 
 
 def pearl(roughness: float, albedo: float, *amounts: float) -> Any:
@@ -90,10 +92,54 @@ def test_flakes_that_absorb_nothing_lose_no_light() -> None:
     assert abs(1.0 - r - leaves) < 0.01
 
 
+def spheres(depth: float, albedo: float) -> Medium:
+    """Flakes that lie every way and mirror alike at every angle: as grey mirror spheres, they scatter evenly."""
+    reflect = np.full((1, 9, 1), albedo, np.float32)
+    ones = np.ones_like(reflect)
+    return Medium(CLEAR, 0.0, np.array([depth]), np.ones(1), reflect, 0.0 * ones, ones, np.zeros(0))
+
+
+def chandrasekhar_h(mu: np.ndarray, albedo: float) -> np.ndarray:
+    """H(mu) of isotropic scattering, by iterating 1 / H = sqrt(1 - a) + a / 2 int_0^1 x H(x) / (mu + x) dx."""
+    x, weight = np.polynomial.legendre.leggauss(64)
+    x, weight = 0.5 + 0.5 * x, 0.5 * weight
+
+    def nearer(h: np.ndarray, at: np.ndarray) -> np.ndarray:
+        return 1.0 / (np.sqrt(1.0 - albedo) + albedo / 2.0 * (x / (at[:, None] + x)) @ (weight * h))
+
+    h = np.ones_like(x)
+    for _ in range(500):
+        h = np.sqrt(h * nearer(h, x))  # the mean, since a white one jumps to and fro about the answer
+    return nearer(h, mu)
+
+
+def test_a_deep_layer_of_even_scatterers_is_chandrasekhars() -> None:
+    """Light of a half space: a H(mu) H(mu0) / (4 pi (mu + mu0)), less what is turned once (Chandrasekhar 1950, III)."""
+    np.testing.assert_allclose(chandrasekhar_h(np.array([0.5, 1.0]), 1.0), [2.0128, 2.9078], rtol=1e-3)  # his table XI
+    mu = np.array([0.2, 0.4, 0.6, 0.8, 1.0])
+    wi, wo = direction(np.arccos(mu)), direction(np.arccos(mu[::-1]))
+    for albedo, depth in ((0.5, 6.0), (0.8, 8.0)):  # deep enough: less than 1e-3 comes back from below
+        h = chandrasekhar_h(mu, albedo)
+        expected = albedo * (h * h[::-1] - 1.0) / (4.0 * np.pi * (mu + mu[::-1]))
+        found = doubling.between(spheres(depth, albedo), wi, wo, np.zeros(1))[:, 0]
+        np.testing.assert_allclose(found, expected, rtol=0.01)  # doubling.OFF of a smooth interface
+
+
+def test_a_layer_that_absorbs_nothing_sends_on_all_light() -> None:
+    mu, weight = doubling._directions((0.3, 1.0), CLEAR)
+    medium = spheres(1.0, 1.0)
+    x = doubling._weakening(medium, mu)
+    reflect, transmit, direct = doubling._doubled(*doubling._turned(medium, mu), x, mu, weight)
+    # of light along each direction, [in]; its matrices give radiance for radiance
+    sent = np.einsum("i,ij->j", weight * mu, reflect[0, 0] + transmit[0, 0]) / mu + direct[0]
+    np.testing.assert_allclose(sent, 1.0, rtol=0.01)  # doubling.OFF of a smooth interface, grazing light too
+    np.testing.assert_allclose(2.0 * np.sum(weight * mu * sent), 1.0, rtol=1e-3)  # light from all sides
+
+
 def test_finer_steps_change_little(monkeypatch: pytest.MonkeyPatch) -> None:
     model = pearl(0.02, 0.2, 0.04, 0.05)
     own = sum(model.likeness_at(WI, WO, NM, True))
-    for name, value in (("NODES", 32), ("AZIMUTHS", 28), ("TERMS", 18), ("DOUBLINGS", 9)):
+    for name, value in (("NODES", 32), ("AZIMUTHS", 28), ("TERMS", 18), ("DOUBLINGS", 12)):
         monkeypatch.setattr(doubling, name, value)
     caches = (doubling._directions, doubling._pairs, doubling._cosines, doubling._rough_mirror)
     for cache in caches:

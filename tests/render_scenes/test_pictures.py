@@ -77,6 +77,23 @@ def test_a_stage_remembers_nothing_of_the_last_material(gold: Any) -> None:
     np.testing.assert_allclose(nacre.render(gold, seed=1, **SMALL).xyz, first, rtol=ORDER_OF_ADDITION)
 
 
+def test_each_of_several_threads_gets_its_own_picture() -> None:
+    """They share the kept stage, which wears one material at a time: a thread got the picture of another's."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    def made(thickness_nm: float) -> Any:
+        layers = [{"material": "TiO2-film", "thickness_nm": thickness_nm}]
+        film = nacre.material({"family": "film", "substrate": "Ti", "layers": layers, "surface": {"roughness": 0.2}})
+        return picture.render(film, "sphere", **SMALL, denoise=False, progress=False).xyz
+
+    thicknesses = [20.0, 60.0, 100.0] * 2
+    alone = {value: made(value) for value in set(thicknesses)}
+    with ThreadPoolExecutor(3) as threads:
+        together = list(threads.map(made, thicknesses))
+    for value, seen in zip(thicknesses, together, strict=True):
+        np.testing.assert_allclose(seen, alone[value], rtol=ORDER_OF_ADDITION, atol=ORDER_OF_ADDITION)
+
+
 def test_turning_the_light_there_and_back_changes_nothing(gold: Any) -> None:
     first = nacre.render(gold, **SMALL).xyz
     turned = nacre.render(gold, light_turn_deg=120.0, **SMALL).xyz

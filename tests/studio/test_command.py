@@ -73,15 +73,14 @@ def test_without_a_browser_one_line_says_so_and_the_server_serves_on(folder: Pat
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit of open files to reach")
 def test_half_requests_without_number_do_not_keep_the_page_from_being_answered(folder: Path) -> None:
-    import resource
-
-    def few_files() -> None:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (FILES, FILES))
-
-    command = [sys.executable, "-m", "nacre", "studio", str(folder), "--no-browser", "--port", "0"]
+    # The limit is set by a process of its own, which then becomes the command: a `preexec_fn` would fork this one,
+    # which has threads once a test before it in the same worker has imported JAX.
+    few_files = f"import resource, os, sys; resource.setrlimit(resource.RLIMIT_NOFILE, ({FILES}, {FILES})); "
+    command = [sys.executable, "-c", few_files + "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"]
+    command += ["-m", "nacre", "studio", str(folder), "--no-browser", "--port", "0"]
     with contextlib.ExitStack() as held:
         process = held.enter_context(
-            subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=few_files)
+            subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         )
         held.callback(process.kill)
         assert process.stdout is not None

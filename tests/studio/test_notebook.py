@@ -37,6 +37,8 @@ STUB = """async ([source, style]) => {
     e.preventDefault();
     e.stopPropagation();
   }, true);
+  window.passed = [];                             // VS Code: what reaches the window is a key of the notebook
+  window.addEventListener('keydown', (e) => window.passed.push(e.key));
   const heard = new Set(), sent = (window.sent = []);
   const model = { on: (name, f) => name === 'msg:custom' && heard.add(f), off: (name, f) => heard.delete(f),
     send: (content) => sent.push(content) };
@@ -253,6 +255,8 @@ def test_the_sphere_is_seen_in_a_cell_and_follows_the_material_and_its_slider(br
     page.locator(f'[data-path="{FIRST}"]').press("ArrowRight")
     until(page, lambda: settles(3))
     assert asked.material.get(FIRST) > 120
+    page.keyboard.press("Tab")
+    assert page.evaluate("window.passed") == ["Tab"]  # arrows have turned the view and moved the slider alone
 
     seen = ball(picture(page))
     asked.show(nacre.load("jewel-beetle"))

@@ -6,12 +6,14 @@ what is done, and memory stays bounded. Built scenes are kept: fifty pictures co
 
 from __future__ import annotations
 
+import functools
+import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -45,9 +47,24 @@ QUALITIES = ("reference", "fast")
 MIRROR_KINDS = ("specular", "microfacet")
 KEPT_STAGES = 3
 
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 _stages: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
+_in_turn = threading.RLock()
 
 
+def _one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Let threads wait for each other: a kept stage wears one material and one light at a time."""
+
+    @functools.wraps(function)
+    def call(*arguments: _P.args, **options: _P.kwargs) -> _R:
+        with _in_turn:
+            return function(*arguments, **options)
+
+    return call
+
+
+@_one_at_a_time
 def render(
     material: Any,
     scene: str = "sphere",
@@ -364,6 +381,7 @@ def _kept(key: tuple[Any, ...], build: Any) -> Any:
     return _stages[key]
 
 
+@_one_at_a_time
 def forget_stages() -> None:
     """Drop all built scenes and free their memory."""
     _stages.clear()

@@ -6,6 +6,8 @@ import { View } from "./page/view.js";
 
 const PATIENCE_MS = 40;         // between two messages of a slider that is dragged
 const OWN_KEYS = { "data-lm-suppress-shortcuts": "true" };  // JupyterLab takes the arrow keys from what has the focus, unless it says so
+// VS Code hears of every key that leaves the output, and moves to another cell.
+const MOVES = new Set(["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown"]);
 const LABEL = "Sphere of the material in the studio's light; arrow keys turn the view";
 
 function make(root, tag, props = {}, space = "http://www.w3.org/1999/xhtml") {
@@ -70,6 +72,9 @@ export function render({ model, el }) {
   const spectrum = make(chart, "svg", { viewBox: "0 0 280 150", role: "img", "aria-label": "Reflectance over wavelength" }, "http://www.w3.org/2000/svg");
   const sliders = make(side, "div", { class: "sliders" }), notes = make(side, "p", { class: "quiet" });
   const vary = sender(model);
+  root.addEventListener("keydown", (event) => {
+    if (MOVES.has(event.key) && !event.ctrlKey && !event.metaKey && !event.altKey) event.stopPropagation();
+  });
   let view = null, look = null, room = null, card = null, isNear = false;      // card: what takes the context away, and gives it back
 
   // A browser has 16 contexts of WebGL and blanks the oldest when one more is made: a notebook of many materials holds those that
@@ -117,8 +122,9 @@ export function render({ model, el }) {
   }
 
   function hear(content, buffers) {
-    // floats must begin at a multiple of four bytes, which a buffer of several messages does not promise
-    const [buffer] = (buffers ?? []).map(({ buffer, byteOffset, byteLength }) => buffer.slice(byteOffset, byteOffset + byteLength));
+    // floats must begin at a multiple of four bytes, which a buffer of several messages does not promise; hosts give a view or all of it
+    const [buffer] = (buffers ?? []).map((given) => ArrayBuffer.isView(given)
+      ? given.buffer.slice(given.byteOffset, given.byteOffset + given.byteLength) : given);
     if (content.kind === "room") {
       room ??= { ...content, buffer };  // another view of this material may have asked as well
       wake();

@@ -233,7 +233,7 @@ def _butterfly() -> list[Part]:
 def _butterfly_props() -> list[Part]:
     from nacre.picture.shapes.specimen import label, pin
 
-    return [Part(pin(0.0, 0.3, 1.0), "steel"), Part(label(1.85, -2.0), "label-butterfly")]
+    return [Part(pin(0.0, 0.3, 1.0), "steel"), Part(label(1.85, -1.8), "label-butterfly")]
 
 
 @functools.cache

@@ -90,7 +90,7 @@ def note_drawing(rows: int, ratio: float) -> tuple[Array, Mapping[str, Array]]:
     big = _words(rows, columns, (("550", (1.6, 0.385), 0.21),))
     small = _words(rows, columns, (
         ("550", (0.07, 0.065), 0.1), ("550", (1.82, 0.83), 0.1), ("NANOMETRES", (0.905, 0.79), 0.062),
-        ("FIVE HUNDRED AND FIFTY", (0.905, 0.855), 0.036), ("BANK OF NACRE", (0.905, 0.07), 0.062),
+        ("FIVE HUNDRED AND FIFTY", (0.905, 0.855), 0.036), ("BANK OF NACRE", (0.83, 0.07), 0.058),
     ))  # fmt: skip
     serial = _words(rows, columns, (("NA 2405 550 7", (0.075, 0.88), 0.055),))
     shell = _nautilus(x, y, 1.0 / rows)

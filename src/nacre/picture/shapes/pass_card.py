@@ -111,7 +111,7 @@ def card_print(rows: int = 900) -> tuple[Array, Array]:
     image = Image.new("L", (columns, rows), 0)
     draw = ImageDraw.Draw(image)
     for text, place, size in (
-        ("nacre", (0.115, 0.085), 0.17), ("5500 0400 0700 0550", (0.115, 0.63), 0.1),
+        ("nacre", (0.115, 0.085), 0.17), ("5500 0400 0700 0550", (0.115, 0.63), 0.072),
         ("VALID THRU 05/50", (0.115, 0.77), 0.05), ("A. OPTICIAN", (0.115, 0.85), 0.066),
     ):  # fmt: skip
         draw.text((place[0] * rows, place[1] * rows), text, fill=255, font=ImageFont.load_default(size * rows))
