@@ -314,7 +314,8 @@ def test_a_stopped_run_solves_no_pattern_twice_and_comes_to_the_same(tmp_path, m
         found = material(recipe(**dark)).bsdf(np.array([500.0]))
     assert sorted(first + rest) == list(range(SMALL["realisations"])) and len(first) == 3
     assert "3 patterns of these are kept" in heard[0]
-    assert np.array_equal(found.lobes[1].above, whole.lobes[1].above)
+    # the whole run solved in threads, which may sum in another order: the last bits; a pattern moves per cents
+    assert np.abs(found.lobes[1].above - whole.lobes[1].above).max() <= 1e-6 * np.abs(whole.lobes[1].above).max()
     # what was kept for a fit goes once it is made
     assert len(list((tmp_path / "stopped").rglob("ensemble-*"))) == 1
 
