@@ -144,3 +144,16 @@ def test_packages_are_verbs(recipe: Path) -> None:
     result = nacre.render(nacre.load(recipe), size=(16, 16), spp=4, progress=False)
     assert result.srgb8.shape == (16, 16, 3)
     assert "<img" in nacre.load(recipe)._repr_html_()
+
+
+@pytest.mark.render
+def test_a_notebook_shows_the_files_of_a_recipe_as_they_are_now(tmp_path: Path) -> None:
+    table = tmp_path / "metal.csv"
+    path = tmp_path / "plain.toml"
+    path.write_text('family = "film"\nsubstrate = {file = "metal.csv"}\nlayers = []\n')
+
+    def shown(index: float, absorption: float) -> str:
+        table.write_text("".join(f"{w},{index},{absorption}\n" for w in (300, 600, 900)))
+        return str(nacre.load(path)._repr_html_())
+
+    assert shown(0.2, 3.0) != shown(3.0, 0.1)
