@@ -171,6 +171,18 @@ def test_what_a_highlight_lost_is_not_taken_from_the_dark_beside_it(monkeypatch:
     assert found[sun].mean() == pytest.approx(truth[sun].mean(), rel=0.02)  # and its own comes back
 
 
+def test_what_a_red_body_lost_leaves_no_seam_around_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures of walks have no halves; a car of a red pearl had a green seam along its roof."""
+    body = np.mgrid[:96, :96][1] < 48
+    truth = np.where(body[..., None], [0.5, 0.3, 0.3], 0.03 * np.array([0.95, 1.0, 1.09]))
+    made = np.where(body[..., None], truth * np.array([1.2, 1.0, 0.9]), truth)
+    monkeypatch.setattr(denoise, "_filtered", lambda *seen, **options: (made @ denoise.TO_RGB.T).astype(np.float32))
+    flat = np.zeros((96, 96, 3), dtype=np.float32)
+    found = denoise.denoised(truth, flat, flat)
+    np.testing.assert_allclose(found[~body], truth[~body], rtol=0.05)  # the means of both took all but a tenth of X
+    np.testing.assert_allclose(found[body].mean(axis=0), truth[body].mean(axis=0), rtol=0.02)
+
+
 def test_halves_of_the_samples_tell_the_noise_of_a_picture() -> None:
     from nacre.picture import passes
     from nacre.picture import picture as pictures
