@@ -5,7 +5,7 @@ from __future__ import annotations
 import psutil
 import pytest
 from helpers_studio import THICKNESS, Server, field, settled, slider, toml, until
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 OPEN = "(e, name) => { e.value = 'example:' + name; e.dispatchEvent(new Event('change')); }"
 
@@ -127,6 +127,18 @@ def test_a_search_ends_with_its_page_and_with_its_server(page: Page, server: Ser
     until(other, lambda: searching() == [])
     expect(other.locator("#design-go")).to_be_visible()
     server.start()
+
+
+@pytest.mark.full
+def test_who_asks_before_the_free_numbers_have_come_is_answered(page: Page) -> None:
+    held: list[Route] = []
+    page.route("**/api/free*", lambda route: held.append(route))
+    page.get_by_role("tab", name="Design").click()
+    page.locator("#design-seconds").fill("2")
+    page.get_by_role("button", name="Show gamut").click()
+    until(page, lambda: bool(held))
+    held[0].continue_()
+    expect(page.locator("#gamut-said")).to_contain_text("specular 0")  # "tick what may change" was said
 
 
 @pytest.mark.full

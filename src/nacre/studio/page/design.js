@@ -9,6 +9,7 @@ import { angleOf, forgetReach, hearReach, listenReach } from "./reach.js";
 const { recipe } = app;
 const FIRST_WANTS = [{ at: 0, colour: "#8a4fb0" }], MOST_WANTS = 8, BESIDE_DEG = 15, SAID_MS = 1500;
 let page = null, searching = null, reaching = null;      // page: what main.js does: showRecipe()
+let listing = Promise.resolve();        // of what may change
 let shape = "", isChosen = false, count = 0;    // of the recipe that the free numbers are of; whether the way of seeing was chosen by hand
 
 // ---- what is wanted
@@ -83,7 +84,9 @@ function free() {
 }
 
 async function question() {
-  return { text: await wholeText(), name: recipe.name, lamp: $("lamp").value, look: $("look").value, wants: wants(), free: free(), seconds: $("design-seconds").valueAsNumber };
+  const text = await wholeText();
+  await listing;        // whoever is quick asks before the numbers that may change have come
+  return { text, name: recipe.name, lamp: $("lamp").value, look: $("look").value, wants: wants(), free: free(), seconds: $("design-seconds").valueAsNumber };
 }
 
 // ---- the gamut, and the search
@@ -208,7 +211,7 @@ export function designSettled(look) {
   }
   shape = now;
   forgetReach();
-  showFree();
+  listing = showFree();
 }
 
 export function listenDesign(given) {
