@@ -2,9 +2,11 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import nacre
+from nacre.cli import run
 from nacre.design.wants.answers import write_recipe
 from nacre.design.wants.run import as_judged
 from nacre.design.wants.target import read_target
@@ -80,3 +82,31 @@ def test_an_answers_file_names_the_quick_way_that_it_was_judged_by(tmp_path: Pat
     assert not nacre.load(recipe).model.slow_way and nacre.load(recipe).get("model.correction") == "qca-balanced"
     recipe, _ = write_recipe(tmp_path / "thin", many, as_judged(many, {"monolayer.coverage": 0.02}), {})
     assert "model" not in nacre.load(recipe).data
+
+
+def test_every_verb_reaches_into_the_parts_of_a_blend(blend):
+    """What a design may free, and writes as [tolerance] of its answer, is a number for the other commands too."""
+    path = "second.layers[0].thickness_nm"
+    material = nacre.load(blend / "blend.toml")
+    assert material.get(path) == 100
+    thin, thick = (each.spectrum([0.0], [500.0]) for each in (material, material.vary({path: 150.0})))
+    assert thick.specular_reflectance != thin.specular_reflectance
+    found = nacre.gamut(material, ["second.layers[*].thickness_nm=20:200"], points=8)
+    assert {*found.structures[0]} == {path}
+    spread = '[tolerance]\n"second.layers[*].thickness_nm" = "5%"\n'
+    (blend / "spread.toml").write_text(BLEND + spread, encoding="utf-8")
+    assert np.ptp(nacre.tolerance(blend / "spread.toml", draws=3).lab[:, 0, 0]) > 0.0
+    (blend / "axes.toml").write_text(f'recipe = "blend.toml"\naxes = {{"{path}" = [20, 200]}}\n', encoding="utf-8")
+    store = nacre.sweep(blend / "axes.toml", blend / "axes.zarr", workers=1)
+    assert not store.with_suffix(".errors.jsonl").exists()
+
+
+def test_a_fit_of_a_part_writes_a_recipe_that_holds_it(blend):
+    path = "second.layers[0].thickness_nm"
+    truth = nacre.load(blend / "blend.toml").vary({path: 130.0}).spectrum(np.radians([0.0]))
+    rows = zip(truth.wavelengths_nm, truth.specular_reflectance[0])
+    lines = ["wavelength_nm,angle_deg,specular_reflectance", *(f"{nm},0,{value}" for nm, value in rows)]
+    (blend / "seen.csv").write_text("\n".join(lines), encoding="utf-8")
+    arguments = ["fit", str(blend / "seen.csv"), str(blend / "blend.toml"), "--free", f"{path}=20:200"]
+    assert run([*arguments, "--starts", "1", "-o", str(blend / "fitted.toml")]) == 0
+    assert nacre.load(blend / "fitted.toml").get(path) == pytest.approx(130.0, abs=0.1)

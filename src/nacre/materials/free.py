@@ -75,6 +75,7 @@ def read_free(
     found: dict[str, Free] = {}
     for path, entry in by_path(table, {"min", "max", "choices"}, source, name).items():
         where = f'{source}: {name}."{path}"'
+        material = material.reaching([path])
         for each in expand_path(material.data, path, f'{source}: {name}: recipe "{material.name}"'):
             found[each] = _free(each, entry, material, where, words)
     if len(found) > most:

@@ -10,7 +10,7 @@ import copy
 import dataclasses
 import functools
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ from nacre.recipe.identity import file_digest, identity
 from nacre.recipe.memory import check_memory
 from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.numbers import without_names
+from nacre.recipe.parts import open_parts
 from nacre.recipe.paths import find_by_path, numbers_of, set_by_path, varying_numbers
 from nacre.recipe.toml import dump_toml, parse_toml
 
@@ -208,13 +209,27 @@ class Material:
         Raises:
             RecipeError: a path does not exist or a value is not allowed.
 
-        Example: `soap.vary({"layers[0].thickness_nm": 420})`.
+        Example: `soap.vary({"layers[0].thickness_nm": 420})`; of a blend, whose parts are files of their own,
+        `door.vary({"first.layers[0].thickness_nm": 420})`.
         """
         if not isinstance(changes, Mapping):
             raise RecipeError(f"{type(changes).__name__} names no changes; give a table of paths and values")
-        data = copy.deepcopy(dict(self.data))
+        data = open_parts(self.data, changes, self.context.folder)
         for path, value in changes.items():
             set_by_path(data, path, value, self.context.source)
+        return material_from_data(data, dataclasses.replace(self.context, text=""))
+
+    def reaching(self, paths: Iterable[str]) -> Material:
+        """Return the material with each recipe inside its own that a path reaches into as a table, not as a file.
+
+        `first.layers[0].thickness_nm` names a number of the recipe that `first = {recipe = "film.toml"}` names.
+
+        Raises:
+            RecipeError: a part cannot be read.
+        """
+        data = open_parts(self.data, paths, self.context.folder)
+        if data == self.data:
+            return self
         return material_from_data(data, dataclasses.replace(self.context, text=""))
 
     def for_many(self, is_told: bool = False) -> Material:
@@ -238,7 +253,8 @@ class Material:
         Raises:
             RecipeError: the path does not exist in the recipe.
         """
-        holder, last = find_by_path(self.data, path, self.context.source)
+        data = open_parts(self.data, [path], self.context.folder)
+        holder, last = find_by_path(data, path, self.context.source)
         return holder[last]
 
     @property

@@ -12,7 +12,8 @@ from nacre.arrays import Array
 from nacre.errors import RecipeError
 from nacre.materials.material import Material
 from nacre.recipe.model import show_value
-from nacre.recipe.tables import SpreadSpec, known_only
+from nacre.recipe.paths import expand_path
+from nacre.recipe.tables import SpreadSpec, by_path, known_only
 
 DISTRIBUTIONS = ("gaussian", "uniform")
 
@@ -45,6 +46,24 @@ class Spread:
         else:
             values = self.nominal + self.deviation * generator.standard_normal(count)
         return np.maximum(values, 0.0) if self.nominal >= 0 else values
+
+
+def spreads_of(table: Any, material: Material, source: str, name: str = "spread") -> tuple[Spread, ...]:
+    """Read a `[spread]` or `[tolerance]` table for one material, whose numbers the percentages are of.
+
+    Args:
+        table: path -> spread; `[*]` in a path stands for every index.
+        source: the file, for messages; name: the table's.
+
+    Raises:
+        RecipeError: naming the path and what is allowed.
+    """
+    found = {}
+    for path, entry in by_path(table, {"deviation", "percent"}, source, name).items():
+        material = material.reaching([path])
+        for each in expand_path(material.data, path, f'{source}: {name}: recipe "{material.name}"'):
+            found[each] = read_spread(material, each, entry, f"{source}: {name}")
+    return tuple(found.values())
 
 
 def read_spread(material: Material, path: str, value: Any, where: str) -> Spread:
@@ -96,4 +115,4 @@ def share_interval(good: int, count: int, z: float = 1.96) -> tuple[float, float
     return max(0.0, float(centre - half)), min(1.0, float(centre + half))
 
 
-__all__ = ["Spread", "read_spread", "share_interval"]
+__all__ = ["Spread", "read_spread", "share_interval", "spreads_of"]

@@ -105,12 +105,10 @@ def _free(entry: Any) -> tuple[str, list[float]]:
 
 def opened_parts(material: Material) -> Material:
     """Return a material whose recipes inside the recipe stand in it as tables, so that their numbers can be named."""
-    from nacre.design.wants.parts import with_parts
-
     for key, value in material.data.items():
         if isinstance(value, Mapping) and "recipe" in value:
             with contextlib.suppress(RecipeError):  # a part that may only be named keeps its name
-                material = with_parts(material, [f"{key}.family"])
+                material = material.reaching([f"{key}.family"])
     return material
 
 

@@ -13,7 +13,7 @@ from nacre.bsdf.directions import direction
 from nacre.errors import NacreError, RecipeError
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.materials.material import Material
-from nacre.materials.spreads import Spread, read_spread, share_interval
+from nacre.materials.spreads import Spread, share_interval, spreads_of
 from nacre.measure import instruments as geometry
 from nacre.measure.colour_wavelengths import colour_spectrum, colour_values
 from nacre.recipe.tables import by_path
@@ -55,7 +55,7 @@ def read_spreads(material: Material, options: tuple[str, ...] = ()) -> tuple[Spr
     """Collect the spreads of the recipe's `[tolerance]` table and of `PATH=SPREAD` options, which win.
 
     A spread is a number (standard deviation), a percentage ("2%"), or in the recipe a table
-    `{deviation = 5}`, `{percent = 2}`, each with `distribution = "uniform"` if wanted.
+    `{deviation = 5}`, `{percent = 2}`, each with `distribution = "uniform"` if wanted; `[*]` stands for every index.
 
     Raises:
         RecipeError: naming the path and what is allowed.
@@ -69,7 +69,7 @@ def read_spreads(material: Material, options: tuple[str, ...] = ()) -> tuple[Spr
         table[path.strip()] = text.strip()
     if not table:
         raise RecipeError(f"{source}: no spread is given; add a [tolerance] table or use --spread PATH=VALUE")
-    return tuple(read_spread(material, path, value, f"{source}: tolerance") for path, value in table.items())
+    return spreads_of(table, material, source, "tolerance")
 
 
 def run_tolerance(
@@ -102,7 +102,7 @@ def run_tolerance(
         raise NacreError(f"--draws = {draws} must lie in [1, {MAX_DRAWS}]")
     if not limit > 0:
         raise NacreError(f"--limit = {limit} must be above 0")
-    material = material.for_many()
+    material = material.for_many().reaching(spread.path for spread in spreads)
     measure = ColourProbe(material, illuminant, observer, samples, seed)
     nominal = measure(material)
     generator = np.random.default_rng(seed)

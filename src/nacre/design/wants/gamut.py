@@ -160,7 +160,7 @@ def find_gamut(
     if not within > 0:
         raise NacreError(f"--within = {within:g} must be above 0")
     check_light(LightSpec(illuminants=[illuminant], observer=observer), RecipeContext(source))
-    material = material.for_many()
+    material = material.for_many().reaching(free)
     where = At.read(material.model.usual_look if at is None else at, f"{source}: at")
     numbers = read_free(dict(free), material, source)
     if not numbers:

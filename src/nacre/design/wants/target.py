@@ -13,7 +13,6 @@ from nacre.design.wants.free import Free, read_free, spreads_of, values_at
 from nacre.design.wants.geometry import check_answers
 from nacre.design.wants.image_free import check_free
 from nacre.design.wants.judge import rows_of
-from nacre.design.wants.parts import with_parts
 from nacre.design.wants.spec import LayersSpec, WantsSpec
 from nacre.design.wants.wanted import Want, read_wants
 from nacre.errors import NacreError, RecipeError, did_you_mean
@@ -105,7 +104,7 @@ def read_target(target: str | Path | Mapping[str, Any]) -> Target:
         raise RecipeError(f"{context.source}: holds both [[want]] and [target]; a file is of one form")
     spec: WantsSpec = validate(WantsSpec, data, context)
     source = context.source
-    base = with_parts(_recipe(spec, context), [*spec.free, *spec.spread])
+    base = _recipe(spec, context).reaching([*spec.free, *spec.spread])
     refuse_place(base.model, f"{context.source}: recipe")
     wants = read_wants(spec.want, spec.light, context)
     if spec.layers is not None:
