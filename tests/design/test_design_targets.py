@@ -181,7 +181,7 @@ def test_a_photograph_of_a_drawing_is_turned_upright(tmp_path: Path) -> None:
         ('kind = "image"\nimage = "blank.png"\nrange = 0.3', "blank"),
         ('kind = "array"\nfile = "text.npy"\nrange = 0.3', "not a .npy array"),
         ('kind = "uniform"\ncolour = "mauve-ish"\nrange = 0.3', "target.colour"),
-        ('kind = "uniform"\ncolour = {spectrum = "percent.csv"}\nrange = 0.3', "not per cent"),
+        ('kind = "uniform"\ncolour = {spectrum = "percent.csv"}\nrange = 0.3', "head a column in per cent"),
         ('kind = "uniform"\ncolour = "#12345"\nrange = 0.3', "target.colour"),
         ('kind = "uniform"\nrange = 1.2', "outside the hemisphere"),
         ('kind = "uniform"\nrange = -0.1', "target.range"),

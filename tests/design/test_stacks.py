@@ -214,6 +214,15 @@ def test_fewer_layers_are_preferred_where_that_is_wished() -> None:
     assert len(best.materials) == 1
 
 
+def test_short_stacks_leave_time_for_longer_ones_where_few_layers_are_preferred(monkeypatch) -> None:
+    """On a loaded machine the stacks of one layer had the whole time, and what two can do was called out of reach."""
+    monkeypatch.setattr("nacre.design.stack_search.STILL_LITTERS", 10**9)  # a search that never stands still
+    goals = Goals(wanted_of(["Cr", "SiO2"], [8.0, 180.0], "Al", [0.0]))
+    problem = StackProblem(goals, PALETTE, (medium("Al"),), most=2, bounds_nm=BOUNDS, fewest=True)
+    best = search(problem, seconds=2.0, solutions=1, seed=1, jobs=1)[0]
+    assert len(best.materials) == 2
+
+
 def test_a_search_stops_when_told_and_ends_with_the_best() -> None:
     goals = Goals([Goal(0, "colour", lab=(20, 80, 60), within=0.01)])
     problem = StackProblem(goals, PALETTE, (medium("Al"),), most=2, bounds_nm=BOUNDS)

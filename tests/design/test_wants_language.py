@@ -14,10 +14,12 @@ from nacre.cli import run
 from nacre.design.goals import hue_excess
 from nacre.design.wants.geometry import At, see
 from nacre.design.wants.judge import nearest_in_ranges
+from nacre.design.wants.spec import LightSpec, WantSpec
 from nacre.design.wants.target import read_target
-from nacre.design.wants.wanted import srgb_to_lab
+from nacre.design.wants.wanted import read_wants, srgb_to_lab
 from nacre.errors import NacreError
 from nacre.light import delta_e_2000, lab_to_lch, lch_to_lab, white_xyz, xyz_to_lab
+from nacre.recipe.model import RecipeContext
 
 FILM: dict[str, Any] = {
     "family": "film",
@@ -196,3 +198,20 @@ def test_the_command_tells_it_with_status_2(tmp_path: Path, capsys: pytest.Captu
     err = capsys.readouterr().err
     assert "no.toml" in err and len(err.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("heading", "nm", "share"),
+    [
+        ("nm,R", 1.0, 1.0), ("Wavelength (nm),%R", 1.0, 100.0), ("wavelength / nm;Reflectance (%)", 1.0, 100.0),
+        ("wavelength_um,R [%]", 1e-3, 100.0), ("lambda (angstrom)\tR", 10.0, 1.0),
+    ],
+)  # fmt: skip
+def test_the_heading_of_a_wanted_spectrum_tells_its_units(tmp_path, heading, nm, share) -> None:
+    """0.4 under "R (%)" is 0.4 per cent, not 40; and what an instrument exports in per cent can be wanted as it is."""
+    part = next(mark for mark in ";\t," if mark in heading)
+    rows = [f"{400 * nm}{part}{0.004 * share}", f"{500 * nm}{part}{0.4 * share}", f"{700 * nm}{part}{0.35 * share}"]
+    (tmp_path / "r.csv").write_text("\n".join([heading, *rows]), encoding="utf-8")
+    want = WantSpec(at="specular 0", spectrum="r.csv")
+    (found,) = read_wants([want], LightSpec(), RecipeContext("t.toml", tmp_path))
+    np.testing.assert_allclose(found.spectrum, [[400, 500, 700], [0.004, 0.4, 0.35]], rtol=1e-12)

@@ -124,9 +124,10 @@ class BaseSpec(RecipeModel):
         if self.recipe is not None:
             return _recipe_base(self.recipe, medium, context)
         if isinstance(self.albedo, AlbedoSpec):
-            table = two_columns(context, "base.albedo.file", self.albedo.file)
+            table = two_columns(context, "base.albedo.file", self.albedo.file, is_share=True)
             if not (np.all(np.diff(table[:, 0]) > 0) and np.all((table[:, 1] >= 0) & (table[:, 1] <= 1))):
-                raise context.fail("base.albedo.file", self.albedo.file, "must hold ascending nm and albedos in [0, 1]")
+                rule = "must hold ascending nm and albedos in [0, 1]; head a column in per cent '%'"
+                raise context.fail("base.albedo.file", self.albedo.file, rule)
             return Base("diffuse", (table[:, 0], table[:, 1]))
         return Base("diffuse", 0.0 if self.albedo is None else self.albedo)
 

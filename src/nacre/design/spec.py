@@ -412,10 +412,10 @@ def _spectrum_colour(name: str, context: RecipeContext) -> Array:
     from nacre.light import spectrum_to_rgb_linear
 
     key = "target.colour.spectrum"
-    table = two_columns(context, key, name)
+    table = two_columns(context, key, name, is_share=True)
     if len(table) < 2 or (np.diff(table[:, 0]) <= 0).any():
         raise context.fail(key, name, "should hold two columns, ascending nm and reflectance")
     if table[:, 1].min() < 0.0 or table[:, 1].max() > MOST_REFLECTANCE:
-        raise context.fail(key, name, "should hold reflectances from 0 to 1, not per cent")
+        raise context.fail(key, name, "should hold reflectances from 0 to 1; head a column in per cent '%'")
     rgb = spectrum_to_rgb_linear(table[:, 1], table[:, 0])
     return np.clip(rgb, 0.0, 1.0) ** (1.0 / 2.2)

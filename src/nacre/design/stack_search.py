@@ -33,6 +33,7 @@ FRESH = 0.1
 MARGIN = 0.15  # of `within`, by which ranges are narrowed
 REACHED = 0.2  # of `within`: the end of a search
 PLAIN_SHARE, ROBUST_SHARE = 0.95, 0.9  # of the seconds for the search itself; the rest finishes and judges
+LADDER_SHARE = 0.5  # of that time: what stacks of fewer layers than are allowed may take, where few are preferred
 COMPILED_SHARE = 0.5  # of the seconds that a search keeps where kernels are compiled first, once an installation
 YIELD_DRAWS = 1000  # for the yield that is told
 YIELD_SEED, SETTLING_SEED = 21, 22  # the yield that is told was not what the last steps were chosen by
@@ -298,6 +299,7 @@ def _explore(engine: _Engine, seconds: float, seed: int, on_progress: Any, stop:
     # where few layers are preferred, the first island has one, the next two, and so on
     fewest = engine.problem.fewest and engine.problem.slots is None
     space = _shorter(engine.space, 1) if fewest else engine.space
+    end_of_time = (ROBUST_SHARE if robust else PLAIN_SHARE) * seconds
     with ThreadPoolExecutor(engine.jobs) as threads:
         while True:
             pool, size = island.brood()
@@ -318,11 +320,12 @@ def _explore(engine: _Engine, seconds: float, seed: int, on_progress: Any, stop:
             if on_progress is not None:
                 near = min([*island.ordered()[:1], *done], key=lambda c: c.score)
                 on_progress(Progress(spent, children, best, functools.partial(engine.solution, near)))
-            if spent >= (ROBUST_SHARE if robust else PLAIN_SHARE) * seconds or (stop is not None and stop()):
+            if spent >= end_of_time or (stop is not None and stop()):
                 break
             if island.best <= end and (robust or _is_reached(engine, island.ordered()[0])):
                 break
-            if island.still >= STILL_LITTERS:
+            share = LADDER_SHARE * islands / engine.slots if fewest and islands < engine.slots else 1.0
+            if island.still >= STILL_LITTERS or spent >= share * end_of_time:
                 done += island.ordered()[:FINISHED]
                 islands += 1
                 island = _Island(engine.slots)

@@ -61,8 +61,8 @@ class WantSpec(RecipeModel):
     )
     spectrum: str | None = pydantic.Field(
         default=None,
-        description="a CSV of wavelength in nm and the factor wanted there, from 0 to 1; of a band that its rows leave "
-        "out (a step above 3 times the usual one) nothing is wanted",
+        description="a CSV of wavelength and the factor wanted there: nm and 0 to 1, or um and per cent where its "
+        "heading says so; of a band that its rows leave out (a step above 3 times the usual one) nothing is wanted",
         examples=["filter.csv"],
     )
     image: str | None = pydantic.Field(

@@ -28,6 +28,7 @@ from nacre.light import (
     xyz_to_lab,
 )
 from nacre.recipe.cells import decoded, rows
+from nacre.recipe.columns import shares_over_nm
 from nacre.recipe.model import RecipeContext, show_value
 
 GAP_STEPS = 3.0  # times a table's usual step: wider apart, two rows leave out what lies between them
@@ -229,16 +230,17 @@ def _spectrum(name: str, where: str, context: RecipeContext) -> Array:
     if table.shape[1] != 2 or len(table) < 2 or not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
         raise RecipeError(f"{said} should hold two columns, ascending nm and a factor from 0 to 1")
     if table[:, 1].min() < 0 or table[:, 1].max() > MOST_FACTOR:
-        raise RecipeError(f"{said} should hold factors from 0 to 1, not per cent")
+        raise RecipeError(f"{said} should hold factors from 0 to 1; head a column in per cent '%'")
     return np.ascontiguousarray(table.T)
 
 
 def _read_table(path: Any) -> Array:
-    """Read two columns, with a head line of words or without."""
+    """Read two columns, with a head line of words, which may name their units, or without."""
     lines = [cells for _, cells in rows(decoded(plain(path).read_bytes()))]
-    if lines and re.match(r"[A-Za-z_]", lines[0][0].strip()):
-        lines = lines[1:]
-    return np.array([[float(word) for word in cells] for cells in lines], dtype=float)
+    heading: list[str] = []
+    if lines and re.match(r"[A-Za-z_λ]", lines[0][0].strip()):
+        heading, lines = lines[0], lines[1:]
+    return shares_over_nm(heading, np.array([[float(word) for word in cells] for cells in lines], dtype=float))
 
 
 def _check_agreement(wants: Sequence[Want], light: LightSpec) -> None:
