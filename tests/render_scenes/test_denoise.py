@@ -261,6 +261,18 @@ def test_guides_are_made_in_passes_that_bound_memory_as_the_picture_is(monkeypat
     assert sum(asked) == 1 + 4  # guides do not take longer than the picture
 
 
+def test_the_albedo_of_an_even_colour_has_no_grain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four wavelengths a path would leave 6 % between neighbours, which the denoiser takes for texture of the ball."""
+    from nacre.picture import picture
+
+    found: list[np.ndarray] = []
+    monkeypatch.setattr(picture, "clean_albedo", lambda albedo: found.append(albedo) or albedo)
+    blue = {"family": "film", "substrate": "Si", "layers": [{"material": "TiO2", "thickness_nm": 45.0}]}
+    render(nacre.material({**blue, "surface": {"roughness": 0.3}}), spp=4, light="sky")
+    middle = found[0][40:56, 40:56, 2]
+    assert np.abs(np.diff(middle, axis=1)).mean() < 0.01 * middle.mean()
+
+
 def test_frames_without_the_denoiser_are_not_kept_beside_frames_with_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -102,11 +102,12 @@ class Banded:
         return np.asarray(whole, dtype=np.float32)
 
     def band(
-        self, band: Band, scene: Any, integrator: Any, seed: int, first: int, spp: int, total: int = 0
+        self, band: Band, scene: Any, integrator: Any, seed: int, first: int, spp: int, total: int = 0,
+        alike: bool = False,
     ) -> NDArray[np.float32]:
         """Return a pass `[row, column, channel]` of one band, its margins included; see `render`."""
         self.look_at(band)
-        begun = begin(self.sampler, seed, first, spp, total, self.size[0])
+        begun = begin(self.sampler, seed, first, spp, total, self.size[0], alike)
         made = use_variant().render(scene, sensor=self.sensor, integrator=integrator, spp=spp, seed=begun)
         return np.asarray(made, dtype=np.float32)
 

@@ -376,7 +376,8 @@ def _guides(scene: Any, camera: Banded, tracer: Any, seed: int, samples: int) ->
     for band in camera.bands:
         seen: Any = 0.0
         for part in passes:
-            made = camera.band(band, scene, tracer, seed, part.first, part.spp)
+            # grain here would be taken for texture of the picture, or smoothed away with thin lines
+            made = camera.band(band, scene, tracer, seed, part.first, part.spp, alike=True)
             seen = seen + part.spp * made[..., [0, 1, 2, -4, -3, -2, -1]]
         for name, values in first_hits(np.asarray(seen / samples, dtype=float)).items():
             if name not in found:

@@ -29,7 +29,7 @@ def going_on() -> Any:
     return _class(mi.variant())(mi.Properties())
 
 
-def begin(sampler: Any, seed: int, first: int, spp: int, total: int = 0, width: int = 0) -> int:
+def begin(sampler: Any, seed: int, first: int, spp: int, total: int = 0, width: int = 0, alike: bool = False) -> int:
     """Let a sampler of `going_on` begin a pass; return the seed for `mi.render`.
 
     Args:
@@ -38,11 +38,13 @@ def begin(sampler: Any, seed: int, first: int, spp: int, total: int = 0, width: 
         spp: samples a pixel of this pass.
         total: how many will be taken in all, where that is known: then neighbouring pixels share a sequence.
         width: of the picture, where `total` is given.
+        alike: all pixels take the same numbers: what would be grain is one small error everywhere.
     """
     if not hasattr(sampler, "start"):
         return (seed + first * GOLDEN) & 0xFFFFFFFF
     sampler.start, sampler.key_seed, sampler.spp = first, seed & 0xFFFFFFFF, spp
     sampler.block, sampler.width = total, max(width, 1)  # shares without gaps: a tile's samples are one run of Sobol's
+    sampler.alike = alike
     return 0
 
 
@@ -95,13 +97,14 @@ def _class(variant: str) -> type:
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
             self.start, self.key_seed, self.spp = 0, 0, 1
-            self.block, self.width, self.first_pixel = 0, 1, 0
+            self.block, self.width, self.first_pixel, self.alike = 0, 1, 0, False
             self.index, self.key, self.dimension = whole(0), whole(0), whole(0)
 
         def fork(self) -> Any:
             other = GoingOn(mi.Properties())
             other.start, other.key_seed, other.spp = self.start, self.key_seed, self.spp
             other.block, other.width, other.first_pixel = self.block, self.width, self.first_pixel
+            other.alike = self.alike
             return other
 
         clone = fork
@@ -112,7 +115,9 @@ def _class(variant: str) -> type:
             pixel = lane // dr.opaque(whole, self.spp)
             self.index = dr.opaque(whole, self.start) + (lane - pixel * dr.opaque(whole, self.spp))
             pixel += dr.opaque(whole, self.first_pixel)  # of a band, in the whole picture
-            if self.block:
+            if self.alike:
+                pixel = dr.zeros(whole, wavefront_size)
+            elif self.block:
                 # pixels of a tile along a Z, each with its share of the tile's sequence
                 row = pixel // dr.opaque(whole, self.width)
                 column = pixel - row * dr.opaque(whole, self.width)
