@@ -4,13 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import nacre
 from nacre.cli import run
 from nacre.design.wants.answers import write_recipe
 from nacre.design.wants.run import as_judged
 from nacre.design.wants.target import read_target
-from nacre.errors import RecipeError
+from nacre.errors import NacreError, RecipeError
 
 GOLD = 'family = "film"\nsubstrate = "BK7"\nlayers = [{material = "Au", thickness_nm = 400}]\n'
 OXIDE = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = {file = "own.csv"}, thickness_nm = 100}]\n'
@@ -110,3 +111,41 @@ def test_a_fit_of_a_part_writes_a_recipe_that_holds_it(blend):
     arguments = ["fit", str(blend / "seen.csv"), str(blend / "blend.toml"), "--free", f"{path}=20:200"]
     assert run([*arguments, "--starts", "1", "-o", str(blend / "fitted.toml")]) == 0
     assert nacre.load(blend / "fitted.toml").get(path) == pytest.approx(130.0, abs=0.1)
+
+
+def test_the_time_of_an_animation_runs_in_the_parts_of_a_blend(blend):
+    """Animated over the time, a blend was said to have no formula with t, since it stands in the part's own file."""
+    formula = '{formula = "drain*(1 + t)", min = 1, max = 300}'
+    moving = GOLD.replace("thickness_nm = 400", f"thickness_nm = {formula}") + "[numbers]\ndrain = 40\n"
+    (blend / "gold.toml").write_text(moving, encoding="utf-8")
+    made = nacre.render.animate(
+        blend / "blend.toml", "time", blend / "t.gif", frames=2, size=(8, 8), spp=1, denoise=False, progress=False
+    )
+    first, last = (np.asarray(Image.open(frame)) for frame in made.frames)
+    assert (first != last).any()
+
+
+def test_a_named_number_that_is_not_there_is_no_new_one():
+    """`--set numbers.drian=2` changed nothing, and said nothing."""
+    moving = {
+        "family": "film", "substrate": "Si", "numbers": {"drain": 100.0},
+        "layers": [{"material": "SiO2", "thickness_nm": {"formula": "drain*(1 + u)", "min": 1, "max": 300}}],
+    }  # fmt: skip
+    material = nacre.material(moving)
+    material.vary({"numbers.drain": 90.0, "numbers.t": 1.0})
+    with pytest.raises(RecipeError, match=r'"numbers.drian" does not exist in the recipe. Did you mean "drain"\?'):
+        material.vary({"numbers.drian": 90.0})
+
+
+@pytest.mark.parametrize(("labs", "words"), [("red", "labs should be"), ([[50, 0, 0], [700, 0, 0]], r"labs\[1\]")])
+def test_many_colours_that_are_none_are_refused(labs, words):
+    one = {"recipe": {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 90}]}}
+    one |= {"free": {"layers[0].thickness_nm": [20, 200]}, "want": [{"at": "specular 0", "colour": "#605040"}]}
+    with pytest.raises(NacreError, match=words):
+        nacre.design.many(one, labs)
+
+
+def test_a_tone_curve_is_refused_where_the_file_holds_the_light_itself(tmp_path, capfd):
+    out = tmp_path / "soap.exr"
+    assert run(["render", "soap", "--tone", "filmic", "--size", "8x8", "--spp", "1", "-o", str(out)]) == 2
+    assert "--tone is for pictures in sRGB" in capfd.readouterr().err and not out.exists()

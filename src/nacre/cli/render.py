@@ -113,6 +113,8 @@ def render(
     check_writable(path)
     if looks["light_layers"] and path.suffix.lower() != ".exr":
         raise NacreError(f"-o {path}: --light-layers are layers of an EXR; write .exr")
+    if looks["tone"] != "srgb" and path.suffix.lower() == ".exr":
+        raise NacreError(f"-o {path}: --tone is for pictures in sRGB; an EXR holds the light itself, without a curve")
     if animate:
         del looks["light_layers"]
     options: dict[str, Any] = {**looks, "exposure": _exposure(exposure)}

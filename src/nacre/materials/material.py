@@ -35,8 +35,8 @@ from nacre.recipe.data import plain_data
 from nacre.recipe.identity import file_digest, identity
 from nacre.recipe.memory import check_memory
 from nacre.recipe.model import RecipeContext, validate
-from nacre.recipe.numbers import without_names
-from nacre.recipe.parts import open_parts
+from nacre.recipe.numbers import refuse_new_number, without_names
+from nacre.recipe.parts import open_all, open_parts
 from nacre.recipe.paths import find_by_path, numbers_of, set_by_path, varying_numbers
 from nacre.recipe.toml import dump_toml, parse_toml
 
@@ -216,6 +216,7 @@ class Material:
             raise RecipeError(f"{type(changes).__name__} names no changes; give a table of paths and values")
         data = open_parts(self.data, changes, self.context.folder)
         for path, value in changes.items():
+            refuse_new_number(data, str(path), self.context.source)
             set_by_path(data, path, value, self.context.source)
         return material_from_data(data, dataclasses.replace(self.context, text=""))
 
@@ -228,6 +229,17 @@ class Material:
             RecipeError: a part cannot be read.
         """
         data = open_parts(self.data, paths, self.context.folder)
+        if data == self.data:
+            return self
+        return material_from_data(data, dataclasses.replace(self.context, text=""))
+
+    def opened(self) -> Material:
+        """Return the material with every recipe inside its own as a table, not as a file.
+
+        Raises:
+            RecipeError: a part cannot be read.
+        """
+        data = open_all(self.data, self.context.folder)
         if data == self.data:
             return self
         return material_from_data(data, dataclasses.replace(self.context, text=""))

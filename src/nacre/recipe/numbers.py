@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from nacre.errors import RecipeError
+from nacre.errors import RecipeError, did_you_mean
 from nacre.recipe.model import show_value
 
 NUMBERS = "numbers"
@@ -40,6 +40,25 @@ def named_numbers(data: Mapping[str, Any], source: str) -> dict[str, float]:
             raise RecipeError(f"{source}: {NUMBERS}.{name} = {show_value(value)} should be a number")
         found[str(name)] = float(value)
     return found
+
+
+def refuse_new_number(data: Mapping[str, Any], path: str, source: str) -> None:
+    """Refuse to give a value to a named number that the recipe does not have: no formula could use it.
+
+    Args:
+        path: of what is to be set, such as `numbers.drain`; others pass.
+
+    Raises:
+        RecipeError: with a guess at the name that was meant.
+    """
+    holder, dot, name = path.rpartition(".")
+    if not dot or holder.rpartition(".")[2] != NUMBERS or name == TIME:
+        return
+    table: Any = data
+    for word in holder.split("."):
+        table = table.get(word, {}) if isinstance(table, Mapping) else {}
+    if isinstance(table, Mapping) and name not in table:
+        raise RecipeError(f'{source}: "{path}" does not exist in the recipe.{did_you_mean(name, table)}')
 
 
 def without_names(data: Mapping[str, Any], source: str) -> dict[str, Any]:

@@ -32,6 +32,26 @@ def open_parts(data: Mapping[str, Any], paths: Iterable[str], folder: Path) -> d
     return opened
 
 
+def open_all(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return a copy of a recipe in which every part that a recipe's file gives stands as a table, at any depth.
+
+    Raises:
+        RecipeError: a part cannot be read.
+    """
+    opened = copy.deepcopy(dict(data))
+    _open_below(opened, folder, DEEPEST)
+    return opened
+
+
+def _open_below(data: dict[str, Any], folder: Path, depth: int) -> None:
+    for key, part in list(data.items()):
+        if depth and isinstance(part, Mapping):
+            if str(part.get("recipe", "")).endswith(".toml"):  # a solved or measured part stays as it is
+                _open(data, [key, "family"], folder, 1)
+            if "family" in data[key]:
+                _open_below(data[key], folder, depth - 1)
+
+
 def _open(data: dict[str, Any], words: list[str], folder: Path, depth: int) -> None:
     """Put the parts on the way of one path in place."""
     key, rest = words[0], words[1:]
@@ -65,4 +85,4 @@ def _moved(value: Any, folder: Path) -> Any:
     return value
 
 
-__all__ = ["open_parts"]
+__all__ = ["open_all", "open_parts"]

@@ -18,7 +18,7 @@ import numpy as np
 
 from nacre.errors import NacreError, UnsupportedError
 from nacre.files import atomic_path, check_writable
-from nacre.materials.material import loaded
+from nacre.materials.material import Material, loaded
 from nacre.picture import interrupt
 from nacre.picture.denoise import why_not
 from nacre.picture.image_files import read_provenance
@@ -154,6 +154,8 @@ def animate(
         raise NacreError(f"animate does not take {', '.join(sorted(unknown))}")
     if read_background(settings.get("background", "scene")).is_clear:
         raise NacreError('background = "transparent": animations know no transparency; give a colour')
+    if isinstance(material, Material):
+        material = material.opened()  # a formula of a part may run with the time
     has_time = uses_time(getattr(material, "data", None))
     if motion.name in ("time", TIME_PATH) and not has_time:
         raise NacreError(f'animate = "{asked_motion}": no formula of the material uses the time t')

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from nacre.arrays import floats
 from nacre.design.wants.answers import Solution
 from nacre.design.wants.films import film_search_many
 from nacre.design.wants.judge import judge
 from nacre.design.wants.run import search_of
 from nacre.design.wants.target import Target, read_target
+from nacre.design.wants.wanted import plausible
 from nacre.errors import NacreError
 
 
@@ -34,13 +36,15 @@ def many(target: str | Path | Mapping[str, Any], labs: ArrayLike) -> list[Soluti
     read = read_target(target)
     if read.wants[0].image is not None:
         raise NacreError(f"{read.context.source}: want[0].image: a picture is many colours already; take nacre.design")
-    wanted = np.asarray(labs, dtype=float)
+    wanted = floats(labs, "labs")
     if wanted.ndim == 2 and wanted.shape[-1] == 3:
         wanted = np.repeat(wanted[:, None], len(read.wants), axis=1)
     if wanted.ndim != 3 or wanted.shape[1:] != (len(read.wants), 3) or not np.isfinite(wanted).all():
         raise NacreError(
             f"labs has shape {list(np.shape(labs))}; it should be [n, 3] or [n, {len(read.wants)}, 3], all finite"
         )
+    for number, lab in enumerate(wanted.reshape(-1, 3)):
+        plausible(lab, f"labs[{number // len(read.wants)}]", lab.tolist())
     targets = [replace(read, wants=tuple(w.with_lab(c) for w, c in zip(read.wants, row))) for row in wanted]
     together = film_search_many(read, targets)
     if together is not None:

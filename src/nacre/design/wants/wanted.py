@@ -163,9 +163,9 @@ def _want(spec: WantSpec, key: str, context: RecipeContext) -> Want:
     if spec.colour is not None:
         found["lab"] = srgb_to_lab(spec.colour, f"{key}.colour")
     elif spec.lab is not None:
-        found["lab"] = _plausible(np.array(spec.lab), f"{key}.lab", spec.lab)
+        found["lab"] = plausible(np.array(spec.lab), f"{key}.lab", spec.lab)
     elif spec.lch is not None:
-        found["lab"] = _plausible(np.asarray(lch_to_lab(spec.lch)), f"{key}.lch", spec.lch)
+        found["lab"] = plausible(np.asarray(lch_to_lab(spec.lch)), f"{key}.lch", spec.lch)
     elif spec.xyz is not None or spec.xyy is not None:
         name = "xyz" if spec.xyz is not None else "xyy"
         given = spec.xyz or spec.xyy or (0.0, 0.0, 0.0)
@@ -183,7 +183,12 @@ def _want(spec: WantSpec, key: str, context: RecipeContext) -> Want:
     return Want(at, asked, spec.within, spec.weight, key, **found)
 
 
-def _plausible(lab: Array, where: str, given: Any) -> Array:
+def plausible(lab: Array, where: str, given: Any) -> Array:
+    """Return a CIELAB colour; one that nothing can have is refused.
+
+    Raises:
+        RecipeError: it is darker than black, or far beyond what a lobe can be.
+    """
     if not 0.0 <= lab[0] <= MOST_LIGHTNESS or float(np.hypot(lab[1], lab[2])) > MOST_CHROMA:
         raise RecipeError(f"{where} = {show_value(list(given))} is no colour: L* runs from 0, with 100 for white")
     return lab
@@ -277,4 +282,4 @@ def goals_of(wants: Sequence[Want], rows: Sequence[At], light: LightSpec, wavele
     return Goals(goals, tuple(light.illuminants), light.observer, wavelengths_nm)
 
 
-__all__ = ["Want", "goals_of", "read_wants", "srgb_to_lab"]
+__all__ = ["Want", "goals_of", "plausible", "read_wants", "srgb_to_lab"]
