@@ -125,6 +125,21 @@ def test_fireflies_do_not_come_back_as_texture() -> None:
     assert spots[1] < 1.25 * spots[0]
 
 
+def test_light_thrown_by_few_paths_does_not_come_back_as_specks() -> None:
+    """A tenth of the pixels of each half met the lamp by way of a mirror: by chance both met it in some of them."""
+    bright = specks = 0
+    for seed in range(5):
+        generator = np.random.default_rng(seed)
+        halves = [
+            np.where(generator.random((128, 128, 1)) < 0.1, generator.exponential(1.0, (128, 128, 1)), 0.0) * np.ones(3)
+            for _ in range(2)
+        ]
+        met = 0.5 * (halves[0] + halves[1]) - 0.1
+        back = denoise.beyond_noise(met, 0.5 * (halves[0] - halves[1]))
+        bright, specks = bright + np.sum(met[..., 1] > 0.5), specks + np.sum(back[..., 1] > 0.5)
+    assert specks < 0.01 * bright  # of a hundred bright ones not one; two did
+
+
 def test_highlights_that_both_halves_hold_stay_as_bright_and_as_small() -> None:
     """Lamps mirrored in a wheel: spots of two pixels, thirty times as bright as what is about them."""
     from nacre.picture.denoise import denoised

@@ -260,8 +260,12 @@ def test_the_beam_is_ten_degrees_wide_and_lights_white_paper_to_its_level() -> N
 
 
 @pytest.mark.parametrize(
-    ("light", "recipe"), [("studio", "copper"), ("sun", "copper"), ("studio,street:0.5", "copper"), ("studio", "soap")]
-)
+    ("light", "recipe"),
+    [
+        ("studio", "copper"), ("sun", "copper"), ("studio,street:0.5", "copper"), ("studio", "soap"),
+        ("studio", "bragg-mirror"),
+    ],
+)  # fmt: skip
 def test_our_tracer_knows_what_a_stage_has(light: str, recipe: str) -> None:
     mi = use_variant()
     ball = {"type": "sphere", "bsdf": make_bsdf(nacre.load(EXAMPLES / f"{recipe}.toml").bsdf())}
@@ -270,8 +274,8 @@ def test_our_tracer_knows_what_a_stage_has(light: str, recipe: str) -> None:
     stage = SimpleNamespace(light=made, depth=6, mitsuba_scene=scene, subjects=scene.shapes())
     tracer = passes._tracer(stage)
     assert tracer.spread_by == []
-    # a bare film only mirrors: draws of lamps would not lessen its noise
-    assert tracer.draws == (1 if recipe == "soap" else passes.DRAWS)
+    # a bare mirror only mirrors: draws of lamps would not lessen its noise; through a clear film matt walls are seen
+    assert tracer.draws == (1 if recipe == "bragg-mirror" else passes.DRAWS)
     assert (tracer.passes_through, tracer.splits) == (recipe == "soap", recipe == "soap")
     assert (tracer.soft is not None) == (light != "studio")
 

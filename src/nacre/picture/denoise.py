@@ -47,7 +47,11 @@ LARGEST_TEXTURE = 1.0  # likewise, of the light of the cleaned pixel: a firefly 
 BEYOND_CHANCE, ABOUT = 6.0, 5.0
 SURE = 0.5  # shares below this may be chance and count for less: grain would come back where there is no texture
 CHANCE = 0.5  # standard errors up to which an excess over the noise is chance; from twice as many it counts in full
-TAILS = 20.0, 40.0  # fourth moment over the second squared, 3 of normal noise: from where to where texture fades out
+# fourth moment over the second squared: of normal noise, whose chance counts as above, that of longer tails for more,
+# by their ratio (light that a bubble throws on its floor came back as specks); from where to where texture fades out
+NORMAL_TAILS, TAILS = 3.0, (20.0, 40.0)
+# times the noise nearby: where the halves lie further apart one path made the pixel, unless that is still little of it
+OUTLIER, FAR_LARGER = 2.0, 0.25
 BAND_PIXELS = 1 << 21  # of a large picture at a time: half a gigabyte
 TILED_FROM, TILED_MB = 3 << 19, 512  # pixels of a picture that bounds the denoiser's memory, and the bound
 MARGIN = 128  # rows beyond a band that the denoiser sees, as far as it looks
@@ -237,11 +241,15 @@ def _texture(lost: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[n
         # by how many standard errors of such a mean the noise is exceeded: near a firefly it says nothing of texture
         blot = 1.0 if scale == SCALES[0] else 2.0 * np.pi * before**2  # pixels that are one draw of the noise
         error = np.sqrt(2.0 * smooth(fine_noise**4, reach / np.sqrt(2.0)) * blot / (4.0 * np.pi * reach**2))
-        sure = np.clip((found / np.maximum(error, 1e-20) - CHANCE) / CHANCE, 0.0, 1.0)
         # where the noise has long tails two halves of the samples agree by chance on what one path of many brought
         tails = smooth(fine_noise**4, 2.0 * reach) / np.maximum(smooth(fine_noise**2, 2.0 * reach) ** 2, 1e-40)
+        chance = CHANCE * np.clip(tails / NORMAL_TAILS, 1.0, None)
+        sure = np.clip((found / np.maximum(error, 1e-20) - chance) / chance, 0.0, 1.0)
         sure *= np.clip((TAILS[1] - tails) / (TAILS[1] - TAILS[0]), 0.0, 1.0)
-        kept += fine * share * np.minimum(share / SURE, 1.0) * sure
+        rms = np.sqrt(smooth(fine_noise**2, 2.0 * reach))
+        usual = np.maximum(OUTLIER * rms, FAR_LARGER * np.abs(fine))
+        calm = np.minimum(usual / np.maximum(np.abs(fine_noise), 1e-20), 1.0) ** 2
+        kept += fine * calm * share * np.minimum(share / SURE, 1.0) * sure
         lost, noise, before = wide, wide_noise, scale
     return kept
 

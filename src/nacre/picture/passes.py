@@ -338,8 +338,9 @@ def _glitters(scene: Any) -> bool:
 def _mirrors(subjects: Sequence[Any]) -> bool:
     """Whether the subject only mirrors: what noise there is comes from edges and patterns in it, which many places of a
     pixel tell, and draws of lamps on the matt surfaces about it do not."""
-    smooth = int(use_variant().BSDFFlags.Smooth)
-    return bool(subjects) and not any(int(shape.bsdf().flags()) & smooth for shape in subjects)
+    flags = use_variant().BSDFFlags
+    shows_more = int(flags.Smooth | flags.Null)  # what is seen through a clear one is matt, too
+    return bool(subjects) and not any(int(shape.bsdf().flags()) & shows_more for shape in subjects)
 
 
 def lets_through(scene: Any) -> bool:
