@@ -42,3 +42,25 @@ def test_a_warning_is_one_line_without_the_code_that_told_it(tmp_path, capsys):
 def test_yes_may_stand_anywhere(capsys):
     assert run(["keys", "--yes", "film.substrate"]) == 0
     assert "substrate" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("seconds", "pace", "lines"), [(200.0, 25.0, 4), (200.0, 1e9, 1), (30.0, 0.0, 0)])
+def test_where_no_terminal_is_minutes_of_work_tell_how_far_they_are_in_lines_of_their_own(
+    monkeypatch, capsys, seconds, pace, lines
+):
+    clock = iter(range(0, 1000, 10))  # each look at the clock finds it ten seconds on
+    monkeypatch.setattr(long_work, "_is_terminal", lambda: False)
+    monkeypatch.setattr(long_work, "PACE_S", pace)
+    monkeypatch.setattr(long_work.time, "monotonic", lambda: float(next(clock)))
+    watchers = list(jobs._watchers)
+    long_work.listener(False)("a.toml: 10 patterns: about 3 minutes", seconds)
+    for done in range(1, 11):
+        for tell in list(jobs._watchers):
+            tell(done, 10)
+    told = [line for line in capsys.readouterr().err.splitlines() if "of 10 patterns" in line]
+    assert len(told) == lines
+    if lines:
+        assert told[-1].startswith("10 of 10 patterns, after ")
+    if lines > 1:
+        assert told[0] == "3 of 10 patterns, about 70 seconds left"
+    assert jobs._watchers == watchers

@@ -9,7 +9,10 @@ from helpers_metasurface import surface, t_matrix
 import nacre
 from nacre.errors import NacreError
 from nacre.families.metasurface.angular import adjoint, mirrored, plane_wave_vectors
+from nacre.families.metasurface.arrangement import Arrangement
+from nacre.families.metasurface.cells import cells, orders
 from nacre.families.metasurface.echo import Echo
+from nacre.families.metasurface.ensemble import Ensemble, EnsembleSettings
 from nacre.families.metasurface.few import few_powers
 from nacre.families.metasurface.monolayer import Monolayer, Particle
 from nacre.families.metasurface.sphere import SphereOnStack, amplitude, cross_sections, reflection_operator
@@ -151,7 +154,7 @@ def recipe(**particle):
 
 
 def test_a_recipe_s_light_is_reciprocal_keeps_energy_and_says_what_it_is_known_by():
-    made = nacre.material(recipe())
+    made = nacre.material({**recipe(), "model": {"multipole_order": 4, "correction": "qca-balanced"}})
     bsdf = made.bsdf(np.array([500.0]))
     g = np.random.default_rng(0)
     wi, wo = g.normal(size=(2, 64, 3))
@@ -164,8 +167,46 @@ def test_a_recipe_s_light_is_reciprocal_keeps_energy_and_says_what_it_is_known_b
     sent = s.specular_reflectance + s.diffuse_reflectance + s.specular_transmittance + s.diffuse_transmittance
     assert np.all(sent <= 1)
     assert bsdf.provenance["correction"] == "qca-balanced"
-    assert "inside a layer" in bsdf.provenance["correction_because"]
-    assert "not against multi-sphere" in bsdf.provenance["correction_doubt"]
+    assert "78 % off" in bsdf.provenance["correction_doubt"]
+
+
+@pytest.mark.parametrize(("coverage", "taken"), [(0.1, "ensemble"), (0.002, "qca-balanced")])
+def test_auto_takes_the_ensemble_of_all_but_few_particles_inside_a_layer(coverage, taken):
+    model = nacre.material({**recipe(), "monolayer": {"coverage": coverage}}).model
+    correction, because = model.chosen_correction
+    assert correction == taken and "inside a layer at coverage" in because
+    assert not model._doubt
+
+
+def test_an_ensemble_in_a_layer_of_the_ambient_s_index_is_that_of_a_gap():
+    """The couplings by way of both faces, the far fields and their units: all of one pattern's light."""
+    density, found = 0.1 / np.pi / RADIUS**2, []
+    made = Arrangement("hard-disk", density, 0.1, 0)
+    patterns = cells(lambda count, _: made.pattern(count), density, 2 * RADIUS, 20, 1, 0)
+    for below in (surface(WAVELENGTH, 1.5), inside([1.0, 1.0, 1.5], [400.0])):
+        particle = Particle(1.0, 150.0, t_matrix(2, below.inner_wavenumber * RADIUS, 3.5))
+        one = Ensemble(Monolayer(below, (particle,), hard_disk_structure(density, 0.1, 7 * below.wavenumber)), patterns)
+        every = orders(patterns[0].period, 0.97 * below.wavenumber)
+        solved = one.lattice.solve(patterns[0], one.waves(one.side(every[::5], False), False))
+        for under in (False, True):
+            view = one.waves(one.side(every, under), True)
+            found.append(one.coupling.far_field(patterns[0].xy_nm, solved, view))
+    for a, b in zip(found[:2], found[2:]):
+        # but for where the sum over the waves from beyond the window ends
+        assert np.linalg.norm(np.abs(a) - np.abs(b)) <= 1e-3 * np.linalg.norm(a)
+
+
+def test_one_solution_is_not_taken_for_that_of_the_same_stack_seen_from_another_layer():
+    from nacre.families.metasurface.refine import _key
+
+    density = 0.1 / np.pi / RADIUS**2
+    keys = set()
+    for host in (1, 2):
+        below = inside([1.0, 1.4, 1.4, 1.5], [300.0, 300.0], host)
+        particle = Particle(1.0, 150.0, t_matrix(2, below.inner_wavenumber * RADIUS, 3.5))
+        one = Monolayer(below, (particle,), hard_disk_structure(density, 0.1, 7 * below.wavenumber))
+        keys.add(_key(Ensemble(one, []), EnsembleSettings()))
+    assert len(keys) == 2
 
 
 def test_depth_counts_from_the_top_of_all_layers_to_the_particles_tops():
@@ -190,9 +231,16 @@ def test_a_mixture_lies_in_a_layer_level_by_its_own_depths():
     second = {"material": {"n": 3.5}, "radius_nm": 40, "depth_nm": 260, "share": 0.5}
     given = recipe(second=second)
     given["monolayer"] = {"coverage": 0.05, "packing": 0.3}
+    given["model"]["correction"] = "qca-balanced"
     mixed = nacre.material(given).model
     assert [kind.gap_nm for kind in mixed.kinds] == [pytest.approx(100), pytest.approx(80)]
     assert sum(mixed.powers([0.9], 550.0)).max() <= 1.0
+    assert nacre.material({**given, "model": {}}).model.chosen_correction[0] == "qca-balanced"
+    given["model"]["correction"] = "ensemble"
+    with pytest.raises(NacreError, match="centres at unlike heights"):
+        nacre.material(given)
+    second["depth_nm"] = 220  # 60 nm under 200, or 40 nm under 220: the centres are level
+    assert nacre.material(given).model.chosen_correction[0] == "ensemble"
 
 
 @pytest.mark.parametrize(
@@ -222,7 +270,7 @@ def test_what_no_layer_holds_is_refused_in_one_line(change, said):
 @pytest.mark.parametrize(
     ("key", "value", "said"),
     [
-        ("model", {"correction": "ensemble"}, "is not modelled for particles inside a layer"),
+        ("model", {"correction": "qca-ladder"}, "is not modelled for particles inside a layer"),
         ("model", {"correction": "none"}, "is not modelled for particles inside a layer"),
         ("layers", [{"material": "Ag", "thickness_nm": 500}], "absorbs"),
         ("layers", [], "is not inside a layer"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 
 import click
@@ -10,6 +11,7 @@ import click
 from nacre.cli.status import one_line, say
 
 ASK_S = 60.0  # work that takes longer is asked about where a person can answer
+PACE_S = 30.0  # between lines where nobody sees a line that changes
 
 
 def listener(yes: bool) -> Callable[[str, float], None]:
@@ -27,12 +29,34 @@ def listener(yes: bool) -> Callable[[str, float], None]:
             click.confirm("Go on? (--yes answers)", default=True, abort=True, err=True)
         if is_terminal:
             _follow()
+        elif seconds > ASK_S:
+            _report()
 
     return hear
 
 
 def _is_terminal() -> bool:
     return all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr))
+
+
+def _report() -> None:
+    """Say in a line of its own, every half minute at most, how many parts are done and how long the rest may take."""
+    from nacre.matter import jobs
+    from nacre.recipe.long_work import duration
+
+    begun = said = time.monotonic()
+
+    def tell(done: int, total: int) -> None:
+        nonlocal said
+        now = time.monotonic()
+        if done == total:
+            jobs.unwatch(tell)
+            say(f"{total} of {total} patterns, after {duration(now - begun)}")
+        elif now - said >= PACE_S:
+            said = now
+            say(f"{done} of {total} patterns, about {duration((now - begun) * (total - done) / done)} left")
+
+    jobs.watch(tell)
 
 
 def _follow() -> None:

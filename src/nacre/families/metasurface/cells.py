@@ -43,6 +43,7 @@ from nacre.families.metasurface.structure import Structure
 from nacre.families.metasurface.substrate import Substrate
 
 BEYOND = 24.0  # over k times the window's reach: how far past the light line, over k, its smooth edge is felt
+BEYOND_IN_A_LAYER = 36.0  # the same where a layer that guides light is the particles' own
 QUIET = 3e-5  # of the response of one sphere: weaker waves, of random phases, add up to nothing
 
 
@@ -142,7 +143,7 @@ class Sheet:
         cls, surface: Substrate, centre_nm: float, structure: Structure, order: int, reach_nm: float, largest: float
     ) -> Sheet:
         """Tabulate; `structure` gives density and least distance, and has no correlation."""
-        k = surface.wavenumber
+        k = surface.inner_wavenumber
         a, far = structure.diameter_nm * k, reach_nm * k
         edges = np.linspace(a, far, int(np.ceil((far - a) / min(a / 2, 2.0))) + 1)
         x, weight = np.polynomial.legendre.leggauss(8)
@@ -189,16 +190,17 @@ class Lattice:
     def build(cls, layer: Monolayer, coupling: Coupling, reach_nm: float) -> Lattice:
         """Tabulate; `coupling` fades out at `reach_nm`."""
         surface, order, heights = layer.surface, coupling.order, coupling.centres_nm
-        k = surface.wavenumber
+        k = surface.inner_wavenumber
         alone = dataclasses.replace(layer.structure, h=np.zeros_like(layer.structure.h))
-        largest = (max(1.0, surface.index_below) if surface.is_transparent else 1.0) + BEYOND / (reach_nm * k)
+        beyond = BEYOND_IN_A_LAYER if surface.inner_nm else BEYOND
+        largest = steepest(surface) / surface.inner_index + beyond / (reach_nm * k)
         sheets = {
             float(mean): Sheet.build(surface, float(mean), alone, order, reach_nm, largest)
             for mean in np.unique(0.5 * (heights[:, None] + heights))
         }
         direct, step = None, k * float(np.ptp(heights))
         if step > 0.0:
-            nothing = dataclasses.replace(surface, indices=np.full(2, surface.indices[0]), thicknesses_nm=np.zeros(0))
+            nothing = Substrate(surface.wavelength_nm, np.full(2, surface.inner_index + 0j), np.zeros(0))
             # the window is open to half of the reach: what lies nearer cancels, and high multipoles are large there
             further = dataclasses.replace(alone, diameter_nm=max(alone.diameter_nm, reach_nm / 2))
             top = order + 2 + int(np.ceil(1.5 * step))
@@ -212,7 +214,7 @@ class Lattice:
             wavevectors: `[wave, 2]`, 1/nm, none of them on the light line.
         """
         heights, dressed = self.coupling.centres_nm, self.coupling.dressed
-        k = self.coupling.surface.wavenumber
+        k = self.coupling.surface.inner_wavenumber
         kappa = np.hypot(*wavevectors.T) / k
         sums = {mean: sheet.at(kappa) for mean, sheet in self.sheets.items()}
         m = multipole_index(self.coupling.order).m
@@ -241,7 +243,7 @@ class Lattice:
         """Return 1 - M W of a pattern and all its images, `[sphere x n, sphere x n]`, by columns."""
         xy, period, kinds = cell.xy_nm, cell.period, all_kinds(cell.xy_nm, cell.kinds)
         out = self.coupling.matrix(xy, period, kinds).T  # rows: source and its multipole
-        waves = orders(period, self.largest * self.coupling.surface.wavenumber)
+        waves = orders(period, self.largest * self.coupling.surface.inner_wavenumber)
         couples = self.beyond(waves) / period.side_nm**2
         heard = np.abs(couples).max(axis=(0, 1, 3, 4)) > QUIET
         couples, waves = couples[:, :, heard], waves[heard]
@@ -261,6 +263,16 @@ class Lattice:
     def solve(self, cell: Cell, waves: PlaneWaves) -> SingleComplex:
         """Return the multipoles of every sphere, `[sphere, n, wave]`."""
         return self.coupling.solve(cell.xy_nm, waves, cell.kinds, self.matrix(cell))
+
+
+def steepest(surface: Substrate) -> float:
+    """Return the index up to whose in-plane wavevectors light goes far: of its media, and of a film that guides it."""
+    outside = [surface.inner_index, surface.ambient_index]
+    if surface.is_transparent:
+        outside.append(float(surface.indices[-1].real))
+    films = surface.indices[1:-1]
+    guides = films[films.real > max(surface.ambient_index, surface.indices[-1].real)]
+    return max([*outside, *(float(n.real) for n in guides)])
 
 
 def lift(order: int, height: float) -> ComplexArray:

@@ -85,6 +85,13 @@ MEASURED = (
     Measured("silver r 75 and silica r 90 nm on glass, 650 nm", _spheres(METAL, FAINT), True, 0.10, 0.10, 0.078),
 )
 
+# inside a layer at a coverage of 0.1, by the ensemble: silver r 60 nm in resin on glass 38 to 58 %, on silicon 28 %, in
+# n = 1.7 54 to 74 %; silicon r 75 nm 44 to 78 %; titania r 75 nm 10 to 75 %. What goes up is a small share there, and
+# light that went down or was turned back by the faces is scattered into it. At 550 nm silver is 17 % off at 0.02 and
+# 4.6 % at 0.003, titania 8 and 1.8 %
+INSIDE_HOLDS = 0.003
+INSIDE_OFF = "10 to 78 % off at a coverage of 0.1"
+
 
 def kind_of(index: complex) -> str:
     """Return the kind of a core by its index over the ambient's."""
@@ -135,6 +142,14 @@ def mean_field_holds(kinds: Sequence[Like], on_substrate: bool, coverage: float)
     return coverage <= limit * (1 + 1e-6), (
         f"{what} at coverage {coverage:.3g}; measured: {by.system}, coverage {by.coverage:g}, "
         f"{100 * by.error:.0f} % off, so the mean field is taken up to {limit:.2g}"
+    )
+
+
+def holds_inside(coverage: float) -> tuple[bool, str]:
+    """Tell whether the mean field is taken of particles inside a layer, and why in words."""
+    return coverage <= INSIDE_HOLDS, (
+        f"particles inside a layer at coverage {coverage:.3g}; measured: the mean field is {INSIDE_OFF}, so it is "
+        f"taken up to {INSIDE_HOLDS:g}"
     )
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import cgetrf, cgetrs
 
 from nacre.arrays import Array, ComplexArray
-from nacre.families.metasurface.angular import adjoint, legendre, mirrored, plane_wave_vectors
+from nacre.families.metasurface.angular import legendre, plane_wave_vectors
 from nacre.families.metasurface.bessel import bessel_j, spherical_hankel_scaled
 from nacre.families.metasurface.monolayer import Particle
 from nacre.families.metasurface.neighbours import (
@@ -34,7 +34,7 @@ from nacre.matter.jit import compiled
 
 STEP = 0.05  # of k times the distance: cubic interpolation leaves 1e-5 of the coupling of touching spheres
 GROWTH = 10.0  # e^10 of cancellation at the largest distance, with double's 16 digits
-LOW = 1.0  # of k times the height of a centre: below, waves six times as steep as light still reach far neighbours
+LOW = 1.0  # of k times a centre's way to the nearest mirror: below, waves six times as steep as light reach far
 SingleComplex = NDArray[np.complex64]
 IntArray = NDArray[np.intp]
 
@@ -44,7 +44,8 @@ def reflected_coupling(
 ) -> ComplexArray:
     """Return W^R(R), how the stack carries multipole n' to n at a horizontal distance, `[n, n', distance]`.
 
-    4 int kap dkap/(k kz) i^mu J_mu(kap R) e^(2ikzd) sum_pol Bdag_n(kz/k) R B_n'(-kz/k), mu = |m' - m|.
+    4 int kap dkap/(k kz) i^mu J_mu(kap R) e^(2ikzd) sum_pol Bdag_n(kz/k) R B_n'(-kz/k), mu = |m' - m|; inside a layer
+    the waves of `Echo` take the place of that one.
 
     Args:
         distances: k R, `[distance]`, real.
@@ -56,19 +57,21 @@ def reflected_coupling(
     if surface.is_absent:
         return out
     far = float(max(distances.max(), 1.0)) if reach is None else reach
-    heard = far if surface.wavenumber * centre_nm < LOW else 10.0
+    heard = far if surface.inner_wavenumber * surface.clear_nm(centre_nm) < LOW else 10.0
     kappa, weight = stack_contour(surface, centre_nm, order, far, min(0.3, GROWTH / far), heard)
     w = np.sqrt((1 - kappa) * (1 + kappa))
     w = np.where(w.imag < 0, -w, w)
     b = plane_wave_vectors(w, order, order, kappa)
-    spectral = 4 * weight * kappa / w * np.exp(2j * surface.wavenumber * centre_nm * w) * surface.reflection(w)
-    left = with_negative_orders(adjoint(b), index) * spectral[:, None]
-    right = with_negative_orders(mirrored(b), index)
+    measure = 4 * weight * kappa / w
+    ways = [
+        (with_negative_orders(left, index) * measure, with_negative_orders(right, index))
+        for left, right in surface.echo(centre_nm, w).pairs(b)
+    ]
     # what lies beyond the reach of e^{2ikzd} is nothing: long distances need no Bessel functions there
     radial = bessel_j(np.outer(kappa, distances), 2 * order)
     for m in range(2 * order + 1):
         rows, columns = np.nonzero(mu == m)
-        pairs = left[0, rows] * right[0, columns] + left[1, rows] * right[1, columns]
+        pairs = sum(left[pol, rows] * right[pol, columns] for left, right in ways for pol in range(2))
         out[rows, columns] = (1j) ** m * (pairs @ radial[m])
     return out
 
@@ -151,7 +154,7 @@ class Coupling:
         particles, order = (particle, *others), particle.lmax
         alone = [SphereOnStack(surface, p.centre_nm, p.t_matrix, order, p.cut) for p in particles]
         dressed = np.stack([all_orders(sphere.dressed, order) for sphere in alone])
-        k = surface.wavenumber
+        k = surface.inner_wavenumber
         start = max(k * nearest_nm - 2 * STEP, STEP)
         count = int(np.ceil((k * farthest_nm - start) / STEP)) + 4
         distances = np.asarray(start + STEP * np.arange(count), dtype=np.float64)
@@ -180,7 +183,7 @@ class Coupling:
         index = multipole_index(self.order)
         size = len(xy_nm) * len(index.m)
         turned = np.zeros((size, size), dtype=np.complex64)
-        k = self.surface.wavenumber
+        k = self.surface.inner_wavenumber
         side, shift, far, images = 0.0, np.zeros(2), 1e30, 0
         if period is not None:
             far = self.start + self.step * (self.table.shape[2] - 4)
@@ -217,7 +220,7 @@ class Coupling:
         self, xy_nm: Array, multipoles: SingleComplex, waves: PlaneWaves, kinds: IntArray | None = None
     ) -> SingleComplex:
         """Return F towards the directions of `waves`, `[direction, wave of multipoles]`, nm."""
-        phases = waves.phases(xy_nm).conj() / self.surface.wavenumber  # sphere, direction
+        phases = waves.phases(xy_nm).conj() / self.surface.inner_wavenumber  # sphere, direction
         rows = (waves.emission[all_kinds(xy_nm, kinds)] * phases[:, None]).astype(np.complex64)
         return np.asarray(rows.reshape(-1, rows.shape[-1]).T @ multipoles.reshape(-1, multipoles.shape[-1]))
 

@@ -25,7 +25,7 @@ from nacre.families.metasurface.compile import choose_grids, tabulate
 from nacre.families.metasurface.corrections import diffuse_term, within_what_arrives
 from nacre.families.metasurface.ensemble import EnsembleSettings
 from nacre.families.metasurface.few import few_powers, few_values
-from nacre.families.metasurface.kinds import Kind, Settling, mean_square_radius
+from nacre.families.metasurface.kinds import Kind, Settling, mean_square_radius, uneven
 from nacre.families.metasurface.ladder import check as check_ladder
 from nacre.families.metasurface.monolayer import Monolayer
 from nacre.families.metasurface.particles import Shell, Sizes
@@ -41,7 +41,6 @@ from nacre.matter.jobs import in_threads
 
 logger = logging.getLogger("nacre")
 
-
 AUTO, ENSEMBLE = "auto", "ensemble"  # of the corrections
 SLOW_WAY = 'an ensemble (model.correction = "ensemble")'
 VALIDATED_COVERAGE = 0.13  # above it what is known against the mean field is told, below it kept with the Bsdf alone
@@ -52,12 +51,7 @@ LOW_WAVELENGTHS = 1.65  # of films and particles' height, up to which 64 angles 
 TOLD_EXCESS = 0.01  # of energy: what the default correction is tested to keep
 SAME_INDEX = 1e-3
 FEW_ANGLES, LEAST_COS = 48, 0.05  # that are solved one by one, and off grazing
-
-
-INSIDE = (
-    "the mean field of particles inside a layer was held against energy, reciprocity and limits alone, not against "
-    "multi-sphere solutions"
-)
+INSIDE = f"the mean field is taken of particles inside a layer, where the ensemble says that it is {choice.INSIDE_OFF}"
 
 
 class MetasurfaceWarning(UserWarning):
@@ -197,12 +191,19 @@ class Metasurface(Model):
     @cached_property
     def _choice(self) -> tuple[str, str]:
         """What the table of measured systems says."""
-        if self.host:
-            return "qca-balanced", "the particles lie inside a layer, where no ensemble is modelled"
+        if self.host and uneven(self.kinds):
+            return "qca-balanced", "two kinds with centres at unlike heights inside a layer have no ensemble"
         if self.arrangement is None:
             return "qca-balanced", "only S(q) is known, so there are no positions for an ensemble"
-        holds, why = choice.mean_field_holds(*self._judged_as, self.coverage)
+        holds, why = self._is_held
         return ("qca-balanced" if holds else ENSEMBLE), why
+
+    @property
+    def _is_held(self) -> tuple[bool, str]:
+        """Whether the mean field was measured to hold, and why in words."""
+        if self.host:
+            return choice.holds_inside(self.coverage)
+        return choice.mean_field_holds(*self._judged_as, self.coverage)
 
     @cached_property
     def _judged_as(self) -> tuple[list[choice.Like], bool]:
@@ -394,17 +395,16 @@ class Metasurface(Model):
                 )
         doubt = self._doubt
         if doubt and self.coverage > VALIDATED_COVERAGE and not self.is_spared:  # what was spared is told once for all
-            instead = "" if self.host else '; model.correction = "ensemble" solves the particles together'
+            alone = self.host and uneven(self.kinds)
+            instead = "" if alone else '; model.correction = "ensemble" solves the particles together'
             warnings.warn(f"{self.source}: {doubt}{instead}", MetasurfaceWarning, stacklevel=3)
 
     @property
     def _doubt(self) -> str:
         """What is known against the mean field where it is taken; empty where it was measured to hold."""
-        if self.host:
-            return INSIDE
-        if self.chosen_correction[0] == ENSEMBLE or choice.mean_field_holds(*self._judged_as, self.coverage)[0]:
+        if self.chosen_correction[0] == ENSEMBLE or self._is_held[0]:
             return ""
-        return choice.warning(*self._judged_as)
+        return INSIDE if self.host else choice.warning(*self._judged_as)
 
     def spectrum(
         self,

@@ -18,6 +18,7 @@ from nacre.families.metasurface.monolayer import Monolayer
 from nacre.families.metasurface.patterns import Pattern
 from nacre.families.metasurface.ratio import Block, Ratio
 from nacre.families.metasurface.ratio_fit import Sums, as_arrays, from_arrays
+from nacre.families.metasurface.substrate import Embedded
 from nacre.matter.jobs import available_jobs, in_threads
 from nacre.recipe.identity import identity
 from nacre.recipe.kept import drop_arrays, keep_arrays, kept_arrays
@@ -241,6 +242,7 @@ def _key(one: Ensemble, settings: EnsembleSettings) -> str:
         surface.wavelength_nm, structure.density_per_nm2, structure.diameter_nm,
         *(n for p in particles for n in (p.share, p.centre_nm, p.cut or 0.0)),
         *(n for cell in one.cells for n in (cell.period.side_nm, float(cell.seed))),
+        *([float(surface.host)] if isinstance(surface, Embedded) else ()),
     ]  # fmt: skip
     return "ensemble-" + identity(
         {"arrays": digest.hexdigest(), "numbers": [float(n).hex() for n in numbers]}, {}, settings=str(settings)
