@@ -57,6 +57,10 @@ def _tell_relief(result: Any, target: str, as_json: bool) -> None:
             f"loss {s['loss_fixed']:.5f} at the fixed scale, {s['loss_free']:.5f} at the best one "
             f"(scale {s['scale_free']:.4g}); {s['evaluations']} evaluations in {s['seconds']:.1f} s"
         )
+        for want in result.summary.get("solutions", [{"wants": []}])[0]["wants"]:
+            if want.get("de00") is not None:
+                missed = "" if want["met"] else f", out of reach so far (within {want['within']:g} was asked)"
+                click.echo(f'  dE00 {want["de00"]:.2f} at {want["at"]} under {want["lamp"]}{missed}')
     if result.summary.get("outside"):
         common.note(f"{result.folder}: {result.summary['outside']}")
     curve = result.summary.get("calibration")
