@@ -2,11 +2,13 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import nacre
+from nacre.cli.make import _tell_relief
 from nacre.design.run import load_target
 from nacre.design.wants.reliefs import read_relief
 from nacre.design.wants.target import seeks_heights
@@ -103,3 +105,19 @@ def test_a_relief_of_a_wanted_colour_shows_it_and_every_file_is_there(tmp_path):
     assert found.summary["solutions"] == told["solutions"]
     assert nacre.load(tmp_path / "out").family == "relief"
     nacre.design(target, tmp_path / "out", resume=True)
+
+
+def test_how_far_each_colour_is_missed_is_said_beside_the_loss(capsys):
+    """A colour missed by dE00 35 stood in design.json alone; the command told a loss."""
+    losses = {"loss_fixed": 0.5, "loss_free": 0.1, "scale_free": 1.0, "evaluations": 3, "seconds": 1.0}
+    wants = [
+        {"at": "directions", "lamp": None, **losses},
+        {"at": "30as20", "lamp": "D65", "de00": 35.4, "within": 8.0, "met": False},
+        {"at": "45as10", "lamp": "A", "de00": 1.2, "within": 8.0, "met": True},
+    ]
+    _tell_relief(SimpleNamespace(summary={**losses, "solutions": [{"wants": wants}]}, folder="out"), "t.toml", False)
+    _tell_relief(SimpleNamespace(summary=losses, folder="out"), "t.toml", False)  # a target without wants
+    told = capsys.readouterr().out.splitlines()
+    assert told[1:3] == [
+        "  dE00 35.40 at 30as20 under D65, out of reach so far (within 8 was asked)", "  dE00 1.20 at 45as10 under A"
+    ]  # fmt: skip

@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 from read_back import heights_from_grey, read_grey16, read_levels, read_stl_heights
 
 from nacre.api import fabricate as fabricate_all
+from nacre.cli import run
 from nacre.errors import NacreError, UnsupportedError
 from nacre.exchange.calibration import PUBLISHED_CALIBRATION, read_calibration
 from nacre.exchange.height_image import write_png16, write_tiff16
@@ -272,3 +274,17 @@ def test_a_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.M
 
 def test_published_calibration_is_the_published_range() -> None:
     assert PUBLISHED_CALIBRATION.depth_of(np.array([201, 989], dtype=np.uint16)).tolist() == [0.376, 1.185]
+
+
+def test_each_of_several_maps_is_told_with_its_own_grey_values(tmp_path: Path, capfd: Any) -> None:
+    """The last one's range was told as that of all."""
+    Image.fromarray(np.arange(0, 256, 16, dtype=np.uint8).reshape(4, 4)).save(tmp_path / "ramp.png")
+    layers = ", ".join(
+        f'{{material = "{name}", thickness_nm = {{texture = "ramp.png", min = 10, max = {high}}}}}'
+        for name, high in (("TiO2", 150), ("SiO2", 300))
+    )
+    (tmp_path / "two.toml").write_text(f'family = "film"\nsubstrate = "Al"\nlayers = [{layers}]\n', encoding="utf-8")
+    assert run(["fabricate", str(tmp_path / "two.toml"), "--to", "png16", "-o", str(tmp_path / "x.png")]) == 0
+    said = capfd.readouterr().err
+    assert "grey values of layers[0].thickness_nm: 0 is 10, 65535 is 150 nm" in said
+    assert "grey values of layers[1].thickness_nm: 0 is 10, 65535 is 300 nm" in said

@@ -100,7 +100,7 @@ REFUSED = {
     "no picture": ({"points": "text.png", "width_um": 5}, "is no picture that can be read"),
     "empty": ({"points": "grey.png", "width_um": 5}, "is of one grey level"),
     "noise": ({"points": "noise.png", "width_um": 5}, "has no two levels"),
-    "few": ({"points": "sem.png", "width_um": 2}, "a list needs at least 50"),
+    "few": ({"points": "sem.png", "width_um": 2}, "which is what is taken; at least 50 are needed"),
     "too small": ({"points": "dots.png", "width_um": 5}, "pixels wide"),
 }
 

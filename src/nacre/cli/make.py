@@ -57,6 +57,10 @@ def _tell_relief(result: Any, target: str, as_json: bool) -> None:
             f"loss {s['loss_fixed']:.5f} at the fixed scale, {s['loss_free']:.5f} at the best one "
             f"(scale {s['scale_free']:.4g}); {s['evaluations']} evaluations in {s['seconds']:.1f} s"
         )
+        for want in result.summary.get("solutions", [{"wants": []}])[0]["wants"]:
+            if want.get("de00") is not None:
+                missed = "" if want["met"] else f", out of reach so far (within {want['within']:g} was asked)"
+                click.echo(f'  dE00 {want["de00"]:.2f} at {want["at"]} under {want["lamp"]}{missed}')
     if result.summary.get("outside"):
         common.note(f"{result.folder}: {result.summary['outside']}")
     curve = result.summary.get("calibration")
@@ -229,7 +233,8 @@ def fabricate(
     for file in written:
         common.note(str(file))
     if target in ("png16", "tiff16"):
-        _tell_curve(written[-1])
+        for beside in (file for file in written if file.suffix == ".json"):
+            _tell_curve(beside)
 
 
 def _curves(given: tuple[str, ...]) -> str | dict[str, str | Path] | None:
@@ -254,7 +259,8 @@ def _tell_curve(beside: Path) -> None:
     facts = json.loads(beside.read_text(encoding="utf-8"))
     if "depth_um" not in facts:
         unit = facts["setting"] if "setting" in facts else facts["unit"] or ""
-        common.note(f"grey values: 0 is {facts['black']:.6g}, 65535 is {facts['white']:.6g} {unit}".rstrip())
+        of = f" of {facts['path']}" if "path" in facts else ""
+        common.note(f"grey values{of}: 0 is {facts['black']:.6g}, 65535 is {facts['white']:.6g} {unit}".rstrip())
         return
     low, high = min(facts["depth_um"]), max(facts["depth_um"])
     stretched = ", stretched from 8 bits" if facts["stretched_from_8_bit"] else ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 
 import numpy as np
 
@@ -134,9 +135,9 @@ def read_framing(view: str | Sequence[float] | None, fov: float | None, zoom: fl
         if not (abs(azimuth) <= 3600 and -90 <= elevation <= 90):
             raise NacreError(f'view = "{view}" is not allowed; the elevation goes up to 90 degrees')
         direction = (azimuth, elevation)
-    if fov is not None and not FOV_DEG[0] <= fov <= FOV_DEG[1]:
+    if fov is not None and not (_is_number(fov) and FOV_DEG[0] <= fov <= FOV_DEG[1]):
         raise NacreError(f"fov = {fov!r} is not allowed; give {FOV_DEG[0]:g} to {FOV_DEG[1]:g} degrees")
-    if zoom is not None and not ZOOM[0] <= zoom <= ZOOM[1]:
+    if zoom is not None and not (_is_number(zoom) and ZOOM[0] <= zoom <= ZOOM[1]):
         raise NacreError(f"zoom = {zoom!r} is not allowed; give {ZOOM[0]:g} to {ZOOM[1]:g}")
     return Framing(direction, fov, 1.0 if zoom is None else float(zoom))
 
@@ -147,9 +148,13 @@ def read_turn(turn: float) -> float:
     Raises:
         NacreError: no usable angle.
     """
-    if not math.isfinite(turn) or abs(turn) > 3600:
+    if not _is_number(turn) or not math.isfinite(turn) or abs(turn) > 3600:
         raise NacreError(f"turn = {turn!r} is not allowed; give degrees, counter-clockwise seen from above")
     return float(turn) % 360.0
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def _point(values: np.ndarray) -> Point:

@@ -137,7 +137,7 @@ def points_pattern(context: RecipeContext, name: str, diameter_nm: float, width_
     """
     key = "monolayer.structure.points"
     xy_um = read_columns(context, key, name) if width_um is None else _points_in_picture(context, name, width_um)
-    _check_count(context, key, name, xy_um)
+    _check_count(context, key, name, xy_um, "" if width_um is None else " in its middle square, which is what is taken")
     low, high = xy_um.min(axis=0), xy_um.max(axis=0)
     short, long = sorted(high - low)
     if short <= 0:
@@ -160,7 +160,7 @@ def points_pattern(context: RecipeContext, name: str, diameter_nm: float, width_
 
 def _check_count(context: RecipeContext, key: str, name: str, xy_um: Array, where: str = "") -> None:
     if len(xy_um) < LEAST_POINTS:
-        needed = f"a list needs at least {LEAST_POINTS} to have a structure"
+        needed = f"at least {LEAST_POINTS} are needed to have a structure"
         raise context.fail(key, name, f"holds {len(xy_um)} points{where}; {needed}")
 
 
