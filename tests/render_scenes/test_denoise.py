@@ -11,6 +11,7 @@ import pytest
 
 import nacre
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
+from nacre.materials.examples import examples_folder
 from nacre.picture import denoise
 
 pytestmark = pytest.mark.render
@@ -286,6 +287,20 @@ def test_the_albedo_of_an_even_colour_has_no_grain(monkeypatch: pytest.MonkeyPat
     render(nacre.material({**blue, "surface": {"roughness": 0.3}}), spp=4, light="sky")
     middle = found[0][40:56, 40:56, 2]
     assert np.abs(np.diff(middle, axis=1)).mean() < 0.01 * middle.mean()
+
+
+@pytest.mark.parametrize(("recipe", "is_alike"), [("gold", True), ("soap", False), ("pearl/bottle3", False)])
+def test_guides_take_chances_of_their_own_where_a_surface_has_several_ways(
+    recipe: str, is_alike: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A share of one in twenty would be met by no sample here, by all there: steps, or patterns of random walks."""
+    from nacre.picture import bands
+
+    asked: list[bool] = []
+    real = bands.begin
+    monkeypatch.setattr(bands, "begin", lambda *given: asked.append(given[-1]) or real(*given))
+    nacre.render.render(nacre.load(examples_folder() / f"{recipe}.toml"), size=(16, 16), spp=1)
+    assert asked[-1] is is_alike and not any(asked[:-1])
 
 
 def test_frames_without_the_denoiser_are_not_kept_beside_frames_with_it(

@@ -329,6 +329,14 @@ def _walks(scene: Any) -> bool:
     return any(not plugin.pdf_is_exact for bsdf in bsdfs for plugin in getattr(bsdf, "plugins", ()))
 
 
+def _mixes(scene: Any) -> bool:
+    """Whether a surface draws a sharp way among others: the same draws in all pixels would make steps of its shares."""
+    flags = use_variant().BSDFFlags
+    sharp = int(flags.Delta | flags.Null)
+    bsdfs = [shape.bsdf() for shape in scene.shapes() if shape.bsdf() is not None]
+    return any(int(bsdf.flags()) & sharp and bsdf.component_count() > 1 for bsdf in bsdfs)
+
+
 def _glitters(scene: Any) -> bool:
     """Whether flakes are seen one by one, which takes many places of a pixel, not many of a lamp."""
     bsdfs = [shape.bsdf() for shape in scene.shapes()]
@@ -373,12 +381,13 @@ def _guides(scene: Any, camera: Banded, tracer: Any, seed: int, samples: int) ->
         samples: a pixel.
     """
     passes = pass_plan(samples, max(1, PASS_SAMPLES // (camera.size[0] * camera.rows)))
+    # grain here would be taken for texture of the picture, or smoothed away with thin lines
+    alike = not _walks(scene) and not _mixes(scene)
     found: dict[str, NDArray[np.float32]] = {}
     for band in camera.bands:
         seen: Any = 0.0
         for part in passes:
-            # grain here would be taken for texture of the picture, or smoothed away with thin lines
-            made = camera.band(band, scene, tracer, seed, part.first, part.spp, alike=True)
+            made = camera.band(band, scene, tracer, seed, part.first, part.spp, alike=alike)
             seen = seen + part.spp * made[..., [0, 1, 2, -4, -3, -2, -1]]
         for name, values in first_hits(np.asarray(seen / samples, dtype=float)).items():
             if name not in found:
