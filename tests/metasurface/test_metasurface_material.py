@@ -1,6 +1,7 @@
 """The material from its recipe: lobes, energy, file, spectrum, figures; bad input in one line."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from read_back import read_layout, read_points_csv
 from nacre.bsdf import Bsdf
 from nacre.errors import MaterialRangeError, NacreError, RecipeError
 from nacre.exchange.point_pattern import write_layout, write_points_csv
+from nacre.families.metasurface.kinds import GAPS_NM
 from nacre.families.metasurface.material import Metasurface, MetasurfaceWarning
 from nacre.families.metasurface.sphere import ConvergenceRefusal
 from nacre.materials.material import load, material
@@ -244,6 +246,24 @@ def test_metal_touching_silicon_is_refused_with_the_remedy():
     assert "\n" not in str(caught.value)
     data["particle"]["gap_nm"] = 2
     assert np.all(np.isfinite(material(data).spectrum([0.0], [450.0]).diffuse_reflectance))
+
+
+@pytest.mark.parametrize(("substrate", "tolerance"), [("glass", 1e-3), ("Si", 4e-3)])
+def test_the_gap_that_a_refusal_names_works_and_is_the_least_of_those_tried(substrate, tolerance):
+    def order(gap_nm):
+        particle = {"material": "Ag", "radius_nm": 75, "gap_nm": gap_nm}
+        model = material({**recipe(substrate), "particle": particle, "model": {"tolerance": tolerance}}).model
+        return model.order(model.surface(360.0))
+
+    with pytest.raises(ConvergenceRefusal, match="or a gap_nm of ") as told:
+        order(0.0)
+    named = float(re.search(r"or a gap_nm of ([\d.]+)", str(told.value))[1])
+    assert order(named) <= 40
+    smaller = [gap for gap in GAPS_NM if gap < named]
+    for gap in smaller[-1:]:
+        with pytest.raises(ConvergenceRefusal):
+            order(gap)
+    assert (named >= 1.0) == (substrate == "Si")  # bare silicon: 1 to 2 nm, as the physics note found
 
 
 SILVER_ON_GLASS = {

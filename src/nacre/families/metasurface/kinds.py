@@ -6,6 +6,7 @@ one arrangement. All are given to one multipole order, that of the one that need
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -31,6 +32,8 @@ LOOSEST_TOLERANCE = 0.02  # of the change on doubling: above it the series has n
 UNASKED_TOLERANCE = 0.01
 UNTOLD_INDEX = 4.0
 SAME_HEIGHT_NM = 1e-6
+GAPS_NM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # that are tried where a sphere's multipoles do not settle
+USUAL_GAP_NM = 2.0
 NEAR = 0.1  # of the logarithm of a length: spheres so alike take one multipole order
 
 
@@ -198,7 +201,7 @@ class Settling:
             accept = ""
             mend = (
                 'put 2 nm of native oxide (layers = [{material = "SiO2", thickness_nm = 2}]) and a gap_nm = 1 '
-                "under it, or a gap_nm of 2"
+                f"under it, or {self._remedy(kind, surface, tolerance)}"
             )
             where = f"gap_nm = {kind.gap_nm:g}"
             if kind.depth_nm is not None:
@@ -210,6 +213,20 @@ class Settling:
                 refusal.change,
                 refusal.order,
             ) from None
+
+
+    def _remedy(self, kind: Kind, surface: Substrate, tolerance: float) -> str:
+        """Return the least gap of a few whose series settles, in words; one that mostly does where many are tried."""
+        if self.memory is not None:
+            return f"a gap_nm of {USUAL_GAP_NM:g}"
+        for gap in (g for g in GAPS_NM if g > kind.gap_nm):
+            with contextlib.suppress(ConvergenceRefusal):
+                choose_order(
+                    surface, kind.outer_radius_nm + gap,
+                    lambda lmax: kind.t_matrix(lmax, surface, kind.mean_radius_nm), tolerance,
+                )  # fmt: skip
+                return f"a gap_nm of {gap:g}"
+        return f"a gap_nm of more than {GAPS_NM[-1]:g}"
 
 
 def widened(t_matrix: ComplexArray, lmax: int) -> ComplexArray:
