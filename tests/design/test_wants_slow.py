@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 import nacre
+from nacre.design.wants.broyden import Descent, step_of
 from nacre.design.wants.geometry import At, see
 from nacre.design.wants.judge import judge
 from nacre.design.wants.run import search_of
-from nacre.design.wants.slow import SlowSearch, _Run, _step
+from nacre.design.wants.slow import SlowSearch
 from nacre.design.wants.target import read_target
 from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
 
@@ -31,15 +32,15 @@ def _target(hidden, free, seconds):
 def test_a_step_of_a_linear_problem_ends_at_its_solution():
     slopes, solution = np.array([[2.0, 1.0], [0.0, 1.0], [1.0, -1.0]]), np.array([0.52, 0.45])
     place = np.array([0.5, 0.5])
-    run = _Run(place, slopes @ (place - solution), slopes, damping=1e-12)
-    assert np.allclose(place + _step(run, np.ones(3), [0, 1]), solution, atol=1e-6)
+    run = Descent(place, slopes @ (place - solution), slopes, damping=1e-12)
+    assert np.allclose(place + step_of(run, np.ones(3), [0, 1]), solution, atol=1e-6)
 
 
 def test_a_step_that_leans_against_its_bound_stays_there():
     slopes, solution = np.eye(2), np.array([-0.4, 0.45])
     place = np.array([0.0, 0.5])
-    run = _Run(place, slopes @ (place - solution), slopes, damping=1e-12)
-    assert _step(run, np.ones(2), [0, 1])[0] == 0.0
+    run = Descent(place, slopes @ (place - solution), slopes, damping=1e-12)
+    assert step_of(run, np.ones(2), [0, 1])[0] == 0.0
 
 
 @pytest.mark.full

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from nacre.errors import NacreError
 from nacre.families.pearl.platelet import Coating, Platelet, platelet_response
@@ -133,6 +134,20 @@ def test_a_narrow_distribution_tends_to_one_thickness():
     one = platelet_response(CASES["one thickness"], np.full(3, PET), COS, LAM).reflectance
     narrow = Platelet(MICA, Thickness(400, 1e-3), (coating(TIO2, 60),))
     assert np.abs(platelet_response(narrow, np.full(3, PET), COS, LAM).reflectance - one).max() < 1e-6
+
+
+def test_a_gaussian_that_is_hardly_cut_may_count_as_whole():
+    thickness = Thickness(425, 106)
+    assert thickness.cut_share == pytest.approx(norm.cdf(-425 / 106), rel=1e-9)
+    assert Thickness(425, 106, "truncated", 300, 500).cut_share == pytest.approx(
+        1 - norm.cdf(75 / 106) + norm.cdf(-125 / 106), rel=1e-9
+    )
+    resin, platelet = np.full(len(LAM), PET), Platelet(MICA, thickness, (coating(TIO2, 60),))
+    exact = platelet_response(platelet, resin, COS, LAM)
+    whole, no_more = (platelet_response(platelet, resin, COS, LAM, uncut) for uncut in (1e-3, 1e-6))
+    off = np.abs(whole.reflectance - exact.reflectance)[:, COS > 0.1].max()
+    assert 0.0 < off < 1e-3
+    assert np.array_equal(no_more.reflectance, exact.reflectance)  # 3e-5 are cut
 
 
 def test_a_matched_flake_is_invisible():

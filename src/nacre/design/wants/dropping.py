@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from nacre.arrays import Array
 from nacre.design.wants.free import Free
 from nacre.errors import NacreError
 from nacre.families.registry import family_spec
 from nacre.materials.material import Material
 from nacre.recipe.paths import find_by_path, is_within, set_by_path
+
+KINDS_OF_EACH = 24  # draws of what is in a table that may go; any of them go together
+DRAWS_PER_NUMBER, LEAST_DRAWS, MOST_DRAWS = 48, 128, 1024
+GONE_SHARE = 0.4
 
 _INDEX = re.compile(r"\[\d+\]")
 
@@ -24,6 +31,25 @@ def droppable(free: Sequence[Free], material: Material) -> dict[int, str]:
         if _INDEX.sub("[]", number.path) in spec.zero_drops and not number.choices and number.low == 0.0:
             found[i] = number.path.rpartition(".")[0]
     return found
+
+
+def draws(generator: np.random.Generator, free: Sequence[Free], drops: Mapping[int, str]) -> Iterator[Array]:
+    """Yield places of the unit cube, some without some of the tables that may go.
+
+    What is in such a table is drawn a few times only and put together anew each time, with other amounts: a family
+    that remembers its pigments answers the more quickly.
+    """
+    inside = {i: [j for j, n in enumerate(free) if j != i and is_within(n.path, h)] for i, h in drops.items()}
+    drawn = {i: generator.random((KINDS_OF_EACH, len(js))) for i, js in inside.items()}
+    for _ in range(int(np.clip(DRAWS_PER_NUMBER * len(free), LEAST_DRAWS, MOST_DRAWS))):
+        place = generator.random(len(free))
+        is_gone = generator.random(len(drops)) < GONE_SHARE
+        for gone, (i, columns) in zip(is_gone, inside.items()):
+            place[columns] = drawn[i][int(generator.integers(KINDS_OF_EACH))]
+            place[i] = 0.0 if gone else place[i] ** 2  # amounts are spread over decades
+        if drops and is_gone.all():
+            place[list(drops)[int(generator.integers(len(drops)))]] = generator.random()
+        yield place
 
 
 def changes_of(material: Material, free: Sequence[Free], values: Sequence[Any]) -> dict[str, Any]:
@@ -114,4 +140,4 @@ def _numbers(path: str) -> list[int]:
     return [int(n[1:-1]) for n in _INDEX.findall(path)]
 
 
-__all__ = ["changes_of", "droppable", "tables_kept", "values_of"]
+__all__ = ["changes_of", "draws", "droppable", "tables_kept", "values_of"]

@@ -18,6 +18,7 @@ import numpy as np
 
 from nacre.arrays import Array
 from nacre.design.goals import Goals
+from nacre.design.wants.broyden import Descent, go_down
 from nacre.design.wants.free import Free, own_place, place_of, values_at
 from nacre.design.wants.general import LAST_TRIES, MET, GeneralSearch, TimeIsUp
 from nacre.design.wants.geometry import judge_wavelengths, see
@@ -35,30 +36,11 @@ RUNS = 12  # descents that a round begins with
 FAIR_SHARE = 2  # one of so many starts goes to each of the words in turn, whatever it looks like
 NEAR = 0.08  # of a free number's range: draws so near each other are one start
 STEP = 1e-3  # of a free number's range, for the slopes
-LONGEST = 0.2  # of a range: the longest step
-SETTLED = 1e-6  # relative: a step that gains less ends a descent
 TRIES_OF_A_SLICE, TRIES_TO_SETTLE = 3, 10
 WEIGHTINGS = 2
 ENOUGH = 0.5  # of what ends the search: a descent that is so near goes no further
 NEARLY = 0.7  # of `within`: who comes so near on few wavelengths is settled at once
 DISTURBANCE = 0.15
-
-
-@dataclass
-class _Run:
-    """One descent: where it is, what it sees there, and what it knows of the slopes."""
-
-    place: Array
-    residuals: Array
-    slopes: Array | None = None
-    damping: float = 1e-2
-    weights: Array | None = None  # of each residual
-    is_settled: bool = False
-
-    @property
-    def cost(self) -> float:
-        """Sum of the squares of what is wanted and not there."""
-        return float(np.sum(self.residuals**2))
 
 
 @dataclass
@@ -147,7 +129,7 @@ class SlowSearch(GeneralSearch):
             self._tell(self.best, self.best_values)
         return residuals
 
-    def _draws(self, turn: int, until: float, known: Sequence[Mapping[str, Any]]) -> list[_Run]:
+    def _draws(self, turn: int, until: float, known: Sequence[Mapping[str, Any]]) -> list[Descent]:
         """Look at even draws roughly, at the best, the recipe's own place and known answers again; return starts."""
         from scipy.stats import qmc
 
@@ -165,7 +147,7 @@ class SlowSearch(GeneralSearch):
         for place in qmc.Sobol(len(self.free), scramble=True, rng=generator).random(DRAWS):
             seen = self._look(place, self.rough)
             if seen is not None:
-                rough.append(_Run(place, seen))
+                rough.append(Descent(place, seen))
             if time.monotonic() > until:
                 break
         places += [run.place for run in self._fair(rough, SECOND_LOOKS)]
@@ -175,19 +157,19 @@ class SlowSearch(GeneralSearch):
             clipped = np.clip(place, 0.0, 1.0)
             seen = self._look(clipped, self.few)
             if seen is not None:
-                found.append(_Run(clipped, seen))
+                found.append(Descent(clipped, seen))
             if time.monotonic() > until and len(found) >= LEAST_LOOKS:
                 break
-        apart: list[_Run] = []
+        apart: list[Descent] = []
         for run in self._fair(found, len(found)):
             if len(apart) < RUNS and all(np.max(np.abs(run.place - other.place)) > NEAR for other in apart):
                 apart.append(run)
         return apart
 
-    def _fair(self, runs: list[_Run], count: int) -> list[_Run]:
+    def _fair(self, runs: list[Descent], count: int) -> list[Descent]:
         """Return the best runs, after some of each of the words in turn: a rough look may misjudge a material."""
         runs = sorted(runs, key=lambda run: run.cost)
-        words: dict[Any, list[_Run]] = {}
+        words: dict[Any, list[Descent]] = {}
         for run in runs:
             chosen = tuple(str(n.value(u)) for n, u in zip(self.free, run.place, strict=True) if n.choices)
             words.setdefault(chosen, []).append(run)
@@ -195,7 +177,7 @@ class SlowSearch(GeneralSearch):
         first = turns[: count // FAIR_SHARE] if len(words) > 1 else []
         return [*first, *(run for run in runs if not any(run is other for other in first))][:count]
 
-    def _tournament(self, runs: list[_Run]) -> list[_Run]:
+    def _tournament(self, runs: list[Descent]) -> list[Descent]:
         """Let descents go on side by side, the better half at a time; return the last ones, the best first."""
         while len(runs) > 2:
             for run in runs:
@@ -207,7 +189,7 @@ class SlowSearch(GeneralSearch):
                 break
         return runs[:2]
 
-    def _settle(self, run: _Run) -> None:
+    def _settle(self, run: Descent) -> None:
         """Take a descent to its end, on the wavelengths of the judge; then weigh more what is met worst."""
         self._descend(run, self.few, TRIES_TO_SETTLE)
         if self.few is not self.fine:
@@ -226,7 +208,7 @@ class SlowSearch(GeneralSearch):
             run.is_settled, run.damping = False, 1e-2
             self._descend(run, self.fine, TRIES_OF_A_SLICE)
 
-    def _distances(self, run: _Run) -> Array:
+    def _distances(self, run: Descent) -> Array:
         """Return about how far each term is, scaled: the length of its residuals."""
         parts = np.split(run.residuals, np.cumsum(self._sizes())[:-1])
         return np.array([float(np.linalg.norm(part)) for part in parts])
@@ -238,44 +220,14 @@ class SlowSearch(GeneralSearch):
     def _first_rows(self) -> Any:
         return np.concatenate([[0], np.cumsum(self._sizes())[:-1]])
 
-    def _descend(self, run: _Run, eye: _Eye, tries: int) -> None:
+    def _descend(self, run: Descent, eye: _Eye, tries: int) -> None:
         """Go down by damped Gauss-Newton steps, inside the bounds."""
-        if run.is_settled:
-            return
-        fresh = run.slopes is None
-        if run.slopes is None:
-            run.slopes = self._slopes(run, eye)
-        weight = np.ones(len(run.residuals)) if run.weights is None else run.weights
-        for _ in range(tries):
-            step = _step(run, weight, self._numbers)
-            place = run.place.copy()
-            place[self._numbers] = np.clip(place[self._numbers] + step, 0.0, 1.0)
-            moved = place[self._numbers] - run.place[self._numbers]
-            size = float(moved @ moved)
-            if size < SETTLED**2:
-                run.is_settled = True
-                return
-            seen = self._look(place, eye)
-            if seen is not None:
-                error = seen - run.residuals - run.slopes @ moved
-                run.slopes = run.slopes + np.outer(error, moved) / size
-            before = float(np.sum((weight * run.residuals) ** 2))
-            after = np.inf if seen is None else float(np.sum((weight * seen) ** 2))
-            if seen is not None and after < before:
-                run.place, run.residuals, run.damping = place, seen, max(0.3 * run.damping, 1e-8)
-                fresh = False
-                if before - after < SETTLED * before or self.best <= ENOUGH * MET:
-                    run.is_settled = True
-                    return
-            elif run.damping > 1.0 and not fresh:
-                run.slopes, run.damping, fresh = self._slopes(run, eye), 1e-2, True  # the updates have gone astray
-            else:
-                run.damping *= 6.0
-                if run.damping > 1e4:
-                    run.is_settled = True
-                    return
+        go_down(
+            run, lambda place: self._look(place, eye), lambda here: self._slopes(here, eye), self._numbers, tries,
+            is_enough=lambda: self.best <= ENOUGH * MET,
+        )  # fmt: skip
 
-    def _slopes(self, run: _Run, eye: _Eye) -> Array:
+    def _slopes(self, run: Descent, eye: _Eye) -> Array:
         """Return d residual / d place by differences, `[residual, number]`, always on the few wavelengths."""
         base = run.residuals
         if eye is not self.few:
@@ -289,23 +241,6 @@ class SlowSearch(GeneralSearch):
             seen = self._look(place, self.few)
             columns.append(np.zeros(len(base)) if seen is None else (seen - base) / step)
         return np.stack(columns, axis=1)
-
-
-def _step(run: _Run, weight: Array, numbers: Sequence[int]) -> Array:
-    """Return a damped Gauss-Newton step of the free numbers; one that leans against its bound stays there."""
-    assert run.slopes is not None
-    slopes = weight[:, None] * run.slopes
-    gradient = slopes.T @ (weight * run.residuals)
-    x = run.place[list(numbers)]
-    moves = ~(((x <= 0.0) & (gradient > 0.0)) | ((x >= 1.0) & (gradient < 0.0)))
-    step = np.zeros(len(x))
-    if np.any(moves):
-        normal = slopes[:, moves].T @ slopes[:, moves]
-        scale = np.diag(normal)
-        damped = normal + np.diag(run.damping * (scale + 1e-3 * scale.max()) + 1e-12)
-        step[moves] = -np.linalg.solve(damped, gradient[moves])
-    longest = float(np.max(np.abs(step), initial=0.0))
-    return step if longest <= LONGEST else step * (LONGEST / longest)
 
 
 def slow_search(material: Material, free: Sequence[Free], wants: Sequence[Want], light: LightSpec, seed: int,

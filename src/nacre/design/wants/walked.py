@@ -18,29 +18,27 @@ import numpy as np
 from nacre.arrays import Array
 from nacre.bsdf.directions import direction
 from nacre.design.goals import Goals
-from nacre.design.wants.dropping import changes_of, droppable, tables_kept, values_of
+from nacre.design.wants.dropping import changes_of, draws, droppable, tables_kept, values_of
+from nacre.design.wants.fewer import fewer_wavelengths, within_of
 from nacre.design.wants.general import APART, FAR_OFF, MET, QUIET_SHARE, Pool, TimeIsUp
 from nacre.design.wants.geometry import search_wavelengths
 from nacre.design.wants.judge import rank, rows_of
 from nacre.design.wants.target import Target
 from nacre.design.wants.told import Correction, Told
+from nacre.design.wants.valleys import Valleys
 from nacre.design.wants.wanted import goals_of
 from nacre.errors import NacreError
 from nacre.light import delta_e_2000
 from nacre.materials.descent import apart, descend
 from nacre.materials.free import place_of
 from nacre.materials.material import Material
-from nacre.matter.jobs import in_threads
+from nacre.matter.jobs import in_threads, one_thread_each
 from nacre.measure.evaluate import DEFAULT_SAMPLES, evaluate_with_error
 from nacre.measure.instruments import aspecular_direction
 from nacre.recipe.paths import is_within
 
-KINDS_OF_EACH = 24  # draws of what is in a table that may go; any of them go together
-SCOUTS_PER_NUMBER, LEAST_SCOUTS, MOST_SCOUTS = 48, 128, 1024
 SCOUT_SHARE, REFINE_SHARE = 0.2, 0.45  # of the time
-RANKED = 48  # of the scouts, by the fine likeness
-HOPE = 0.3  # what the first steps down make of the rms
-FEW_STEPS, GOES_ON = 6, 0.97  # steps a turn; a turn that leaves less is followed by another
+RANKED = 72  # of the scouts, by the fine likeness
 SETTLING_STEPS = 3
 FINE_SHARE = 0.75  # of the time, for scouts and descents
 STARTS, STARTS_OF_A_SET, KEPT_STARTS = 6, 2, 3
@@ -95,6 +93,7 @@ class WalkedSearch:
         self._is_fine = False
         self._last_told = -np.inf
 
+    @one_thread_each()  # its candidates would each find out anew how many there are
     def run(
         self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None = None,
         known: Sequence[Mapping[str, Any]] = (),
@@ -188,12 +187,13 @@ class WalkedSearch:
         if time.monotonic() > self._deadline:
             raise TimeIsUp
 
-    def spectra(self, place: Array) -> Array | None:
+    def spectra(self, place: Array, grid: Array | None = None) -> Array | None:
         """Return `[row, wavelength]` of a candidate by its likeness, set right; None where it cannot be computed."""
         self._check_time()
         self.evaluations += 1
         try:
-            found = self._made(place).model.likeness_at(self.wi, self.wo, self.grid, self._is_fine)
+            model = self._made(place).model
+            found = model.likeness_at(self.wi, self.wo, self.grid if grid is None else grid, self._is_fine)
         except (NacreError, ArithmeticError):
             return None
         if found is None:
@@ -263,30 +263,13 @@ class WalkedSearch:
     def _noise(self, factors: Array, error: Array) -> float:
         """Return the noise of the colours as dE00, over `within` of their wants, at worst."""
         moved = delta_e_2000(self.goals.labs(factors), self.goals.labs(factors + error)).max(axis=-1)
-        within = np.array([min(w.within / w.weight for w in self.target.wants if w.at == at) for at in self.rows])
-        return float(np.max(moved / within))
+        return float(np.max(moved / within_of(self.target, self.rows)))
 
     def _scout(self, generator: np.random.Generator, known: Sequence[Array], until: float) -> list[Array]:
-        """Return places, the best first, by the likeness.
-
-        What is in a table that may go is drawn a few times only and put together anew each time, with other amounts:
-        a family that remembers its pigments answers the more quickly.
-        """
-        size = len(self.free)
-        count = int(np.clip(SCOUTS_PER_NUMBER * size, LEAST_SCOUTS, MOST_SCOUTS))
-        inside = {i: [j for j, n in enumerate(self.free) if j != i and is_within(n.path, h)]
-                  for i, h in self.drops.items()}  # fmt: skip
-        drawn = {i: generator.random((KINDS_OF_EACH, len(js))) for i, js in inside.items()}
+        """Return places, the best first, by the likeness."""
         self._correction, self._is_fine = None, False  # what was told of one place is not true of them all
         judged = [(self._mean(place), place) for place in known]
-        for _ in range(count):
-            place = generator.random(size)
-            is_gone = generator.random(len(self.drops)) < 0.4
-            for gone, (i, columns) in zip(is_gone, inside.items()):
-                place[columns] = drawn[i][int(generator.integers(KINDS_OF_EACH))]
-                place[i] = 0.0 if gone else place[i] ** 2  # amounts are spread over decades
-            if self.drops and is_gone.all():
-                place[list(self.drops)[int(generator.integers(len(self.drops)))]] = generator.random()
+        for place in draws(generator, self.free, self.drops):
             place = self._allowed(place)
             judged.append((self._mean(place), place))
             if time.monotonic() > until:
@@ -326,33 +309,54 @@ class WalkedSearch:
 
     def _descend_finely(self, places: Sequence[Array], until: float) -> list[tuple[float, Array]]:
         """As `_explore`, by a likeness that needs no walk; a good valley is settled before the next one is tried."""
-        open_: list[tuple[float, Array, bool]] = []  # what may be gone on from: rms, place, whether it was begun
-        for place in places:
-            if len(open_) >= RANKED:
-                break
-            if apart(place, [other for _, other, _ in open_], APART):
-                open_.append((self._mean(place), place, False))
+        lengths = [j for j, n in enumerate(self.free) if n.path.endswith("_nm") and not n.choices and not n.is_whole]
+        low = np.array([LEAST if j in self.drops else 0.0 for j in range(len(self.free))])
+        valleys = Valleys(self._residuals, self._numbers, low, lengths, self._with_less, self._kept)
+        self._correction = None
+        whole = self.grid, self.goals
+        best = np.inf
         found: list[tuple[float, Array]] = []
-        while open_ and time.monotonic() < until:
-            # a place not yet gone down from is worth more than it seems
-            at = min(range(len(open_)), key=lambda i: open_[i][0] * (1.0 if open_[i][2] else HOPE))
-            rms, place, _ = open_.pop(at)
-            self._correction = None
-            place = self._refine(place, 0, most=FEW_STEPS)[1]
-            now = self._mean(place)
-            if now < GOES_ON * rms and apart(place, [other for _, other in found], APART):
-                open_.append((now, place, True))
-                continue
-            found.append((now, place))
-            if now <= GOOD:
-                self._settle(place)
-                if self._is_met():
-                    break
-            elif now <= POOR:
-                self._walk(place, FEW_WALKS)  # one of the other answers
-        found += [(rms, place) for rms, place, is_begun in open_ if is_begun]
+        try:
+            self.grid, self.goals = fewer_wavelengths(self.target, self.rows, whole, places, self.spectra)
+            valleys.begin(places[:RANKED])
+            for run in valleys.run(until):
+                rms = self._mean(run.place)
+                found.append((rms, run.place))
+                if rms > max(GOOD, min(POOR, GAIN * best)):
+                    continue
+                best = min(best, rms)
+                few, (self.grid, self.goals) = (self.grid, self.goals), whole
+                if rms <= GOOD:
+                    self._settle(run.place)
+                    if self._is_met():
+                        break
+                else:
+                    self._walk(run.place, FEW_WALKS)  # the best so far, should the time end
+                self.grid, self.goals = few
+                self._correction = None
+            found += [(self._mean(run.place), run.place) for run in valleys.open if run.slopes is not None]
+        finally:
+            self.grid, self.goals = whole
         found.sort(key=lambda pair: pair[0])
+        for rms, place in found[1 : self.target.spec.search.solutions]:
+            if rms <= POOR and not self._is_met():
+                self._walk(place, FEW_WALKS)  # one of the other answers
         return found[:KEPT_STARTS]
+
+    def _residuals(self, place: Array) -> Array | None:
+        spectra = self.spectra(place)
+        self._report()
+        return None if spectra is None else np.asarray(self.goals.residuals(spectra))
+
+    def _with_less(self, place: Array) -> list[Array]:
+        """Return a place without any one of what may be left out, as far as anything is left."""
+        there = [i for i in self.drops if place[i] > 0.0]
+        found = []
+        for i in there if len(there) > 1 else []:
+            fewer = place.copy()
+            fewer[i] = 0.0
+            found.append(self._allowed(fewer))
+        return found
 
     def _kept(self, place: Array) -> tuple[bool, ...]:
         return tuple(bool(place[i] > 0.0) for i in self.drops)

@@ -35,6 +35,7 @@ from nacre.matter.jobs import in_threads
 
 COS_NODES = 65  # of the likeness: half the time of 257, and 1e-2 of R at worst
 FACETS = 1024  # of the likeness, where the interface is rough
+UNCUT = 1e-3  # of a pigment's thicknesses, what bounds may cut off and the likeness not see
 WALK_COS_NODES, WALK_FACETS = 257, 1 << 16
 WIDER = 3.5  # variance of slopes over that of one flake, of light that met three flakes or more
 DIFFUSE_COS = 33
@@ -178,7 +179,8 @@ def _pigment(
     found = _tables.get(key)
     if found is None:
         cos = np.linspace(0.0, 1.0, nodes) ** 2
-        reflect, transmit = platelet_response(platelet, n, cos, wavelengths).unpolarised()
+        uncut = UNCUT if nodes == COS_NODES else 0.0
+        reflect, transmit = platelet_response(platelet, n, cos, wavelengths, uncut).unpolarised()
         extinct = mean_extinction(_weights(deviation, nodes), transmit)[0]
         found = (reflect.astype(np.float32), transmit.astype(np.float32), extinct.astype(np.float32))
         with _tables_change:

@@ -100,7 +100,9 @@ class PlateletResponse:
         return self.reflectance.mean(axis=0), self.transmittance.mean(axis=0)
 
 
-def platelet_response(platelet: Platelet, container_n: Array, cos_i: Array, wavelengths_nm: Array) -> PlateletResponse:
+def platelet_response(
+    platelet: Platelet, container_n: Array, cos_i: Array, wavelengths_nm: Array, uncut: float = 0.0
+) -> PlateletResponse:
     """Reflectance and transmittance of a flake in its resin, averaged over its thickness distributions.
 
     The two sides of an asymmetric flake face up equally often, and their mean is returned. This is the one place where
@@ -111,6 +113,8 @@ def platelet_response(platelet: Platelet, container_n: Array, cos_i: Array, wave
         container_n: `[wavelength]`, real index of the resin (1 for a powder in air).
         cos_i: `[cos]`, cosines between ray and flake normal in the resin, in [0, 1].
         wavelengths_nm: `[wavelength]`, vacuum.
+        uncut: a Gaussian of thicknesses of which the bounds cut off less than this share counts as a whole one, which
+            takes a fifth of the time; R and T are off by no more than about the share.
 
     Raises:
         MaterialRangeError: an index is not tabulated at a wavelength.
@@ -123,7 +127,7 @@ def platelet_response(platelet: Platelet, container_n: Array, cos_i: Array, wave
         lower = upper if platelet.lower is None else (platelet.lower, lower_nm)
         faces = [(upper, lower)] if platelet.is_symmetric else [(upper, lower), (lower, upper)]
         for top, bottom in faces:
-            part = _one_face(platelet, top, bottom, container_n, cos_i, wavelengths_nm)
+            part = _one_face(platelet, top, bottom, container_n, cos_i, wavelengths_nm, uncut)
             scale = weight / len(faces)
             if total is None:
                 total = PlateletResponse(scale * part.reflectance, scale * part.transmittance)
@@ -201,7 +205,7 @@ Face = tuple[tuple[Coating, ...], Array]  # coatings, outermost first, and their
 
 
 def _one_face(
-    platelet: Platelet, upper: Face, lower: Face, container_n: Array, cos_i: Array, wavelengths_nm: Array
+    platelet: Platelet, upper: Face, lower: Face, container_n: Array, cos_i: Array, wavelengths_nm: Array, uncut: float
 ) -> PlateletResponse:
     cos_i = np.asarray(cos_i, dtype=float)
     n_c = np.asarray(container_n, dtype=float)
@@ -225,7 +229,7 @@ def _one_face(
     table, step = np.zeros(1, dtype=complex), 1.0
     nodes, weights, starts = np.zeros(1), np.ones(1), np.array([0, 1])
     if not thickness.is_fixed:
-        if not thickness.is_uncut:
+        if not (thickness.is_uncut or (thickness.is_gaussian and thickness.cut_share < uncut)):
             kind = average.TABULATED
             x_max = float(np.max(np.abs(p.real))) * SERIES_REACH
             table, step, centre = _characteristic(thickness, x_max)

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
+from math import erfc, sqrt
 
 import numpy as np
 
@@ -105,6 +107,12 @@ class Thickness:
         return self.is_gaussian and self.mean_nm - reach >= self.low_nm and self.mean_nm + reach <= self.high_nm
 
     @property
+    def cut_share(self) -> float:
+        """Share of its Gaussian that the bounds cut off."""
+        scale = sqrt(2.0) * self.deviation_nm
+        return 0.5 * (erfc((self.mean_nm - self.low_nm) / scale) + erfc((self.high_nm - self.mean_nm) / scale))
+
+    @property
     def support(self) -> tuple[float, float]:
         """The interval that holds all but 1e-16 of the flakes, in nm."""
         if self.is_fixed:
@@ -135,7 +143,7 @@ class Thickness:
         """Return quadrature nodes (nm) and weights summing to 1: Gauss-Legendre on `panels` panels or more."""
         if self.is_fixed:
             return np.array([self.mean_nm]), np.array([1.0])
-        x, w = np.polynomial.legendre.leggauss(POINTS_PER_PANEL)
+        x, w = _gauss()
         if self.distribution == "histogram":
             assert self.edges_nm is not None and self.fractions is not None
             split = max(1, -(-panels // len(self.fractions)))
@@ -211,6 +219,11 @@ class Thickness:
             value = value - _tail(b, z, wofz) * np.exp(1j * x * (self.high_nm - centre))
         value = value - _tail(-a, -z, wofz) * np.exp(1j * x * (self.low_nm - centre))
         return np.asarray(value / total)
+
+
+@lru_cache(maxsize=1)
+def _gauss() -> tuple[Array, Array]:
+    return np.polynomial.legendre.leggauss(POINTS_PER_PANEL)
 
 
 def _tail(bound: float, z: Array, wofz: object) -> ComplexArray:

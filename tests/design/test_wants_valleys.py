@@ -1,0 +1,83 @@
+"""The way through many valleys: from one order of interference to the next, and by how many wavelengths."""
+
+import time
+from typing import Any
+
+import numpy as np
+
+from nacre.design.wants.fewer import FEW_NM, fewer_wavelengths
+from nacre.design.wants.judge import rows_of
+from nacre.design.wants.target import read_target
+from nacre.design.wants.valleys import Valleys
+from nacre.design.wants.wanted import goals_of
+
+WAVES, HIDDEN = 3.0, np.array([0.8, 0.3])  # orders over the bounds of a length; an order and an amount
+
+
+def _seen(place: np.ndarray) -> np.ndarray:
+    """Two lines of a film of no dispersion: the orders look alike, and only the second line tells them apart."""
+    phase = 2.0 * np.pi * WAVES * place[0]
+    return np.array([np.cos(phase), np.sin(phase), 0.3 * np.cos(phase / 5.0), place[1]])
+
+
+def _valleys(
+    low: Any = (0.0, 0.0), others: Any = lambda place: [], lengths: Any = (0,), unmet: float = 0.0
+) -> Valleys:  # fmt: skip
+    wanted = _seen(HIDDEN)
+
+    def look(place: np.ndarray) -> np.ndarray:
+        return np.append(_seen(place) - wanted, unmet)
+
+    return Valleys(look, lambda place: [0, 1], np.array(low), list(lengths), others, lambda place: 0)
+
+
+def test_from_a_wrong_order_of_interference_the_right_one_is_found() -> None:
+    start = np.array([0.45, 0.5])  # an order too low
+    for lengths, is_found in ((), False), ((0,), True):
+        valleys = _valleys(lengths=lengths)
+        valleys.begin([start])
+        ends = list(valleys.run(time.monotonic() + 30.0))
+        assert abs(ends[0].place[0] - (HIDDEN[0] - 1.0 / WAVES)) < 0.05
+        assert any(np.allclose(end.place, HIDDEN, atol=1e-2) for end in ends) == is_found
+
+
+def test_ends_that_look_the_same_count_once() -> None:
+    valleys = _valleys(lengths=(), unmet=0.1)
+    valleys.begin([np.array([0.78, u]) for u in (0.1, 0.5, 0.9)])
+    assert len(list(valleys.run(time.monotonic() + 30.0))) == 1
+
+
+def test_a_good_valley_is_tried_without_each_of_its_parts() -> None:
+    asked = []
+
+    def others(place: np.ndarray) -> list[np.ndarray]:
+        asked.append(place)
+        return [np.array([HIDDEN[0], 0.0])]
+
+    valleys = _valleys(others=others, lengths=())
+    valleys.begin([np.array([0.45, 0.5])])
+    ends = list(valleys.run(time.monotonic() + 30.0))
+    assert np.array_equal(asked[0], ends[0].place)
+    assert any(np.allclose(end.place, HIDDEN, atol=1e-2) for end in ends)
+
+
+def test_a_number_keeps_above_its_least() -> None:
+    valleys = _valleys(low=(0.0, 0.4), lengths=())
+    valleys.begin([np.array([0.78, 0.9])])
+    assert next(valleys.run(time.monotonic() + 30.0)).place[1] == 0.4
+
+
+def test_few_wavelengths_serve_smooth_spectra_and_no_others() -> None:
+    data = {"recipe": {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]},
+            "free": {"layers[0].thickness_nm": [50, 200]}, "want": [{"at": "specular 0", "lab": 3 * [50]}]}  # fmt: skip
+    for lamp, waves, is_few in (("D65", 1.0, True), ("D65", 9.0, False), ("F11", 1.0, True)):
+        target = read_target({**data, "light": {"illuminants": [lamp]}})
+        rows, grid = rows_of(target.wants), np.arange(380.0, 781.0, 4.0)
+        whole = grid, goals_of(target.wants, rows, target.spec.light, grid)
+
+        def spectra(place: np.ndarray, nm: np.ndarray, waves: float = waves) -> np.ndarray:
+            return 0.5 + 0.4 * np.sin(2.0 * np.pi * waves * (nm[None] - 380.0) / 400.0 + place[0])
+
+        found, _ = fewer_wavelengths(target, rows, whole, [np.array([0.2])], spectra)
+        assert (len(found) < len(grid)) == is_few, (lamp, waves)
+        assert set(FEW_NM) <= set(found) or not is_few
