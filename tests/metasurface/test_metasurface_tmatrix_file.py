@@ -1,5 +1,6 @@
 """Files of T-matrices: what another program writes, what we write, what is refused, and what a recipe makes of them."""
 
+import json
 import shutil
 
 import h5py
@@ -165,6 +166,80 @@ def test_export_writes_what_a_recipe_reads_to_the_same_numbers(tmp_path, capsys)
     for w in (400.0, 600.0):
         for a, b in zip(by_file.model.powers([0.9], w), nacre.load(mie).model.powers([0.9], w), strict=True):
             assert np.abs(a - b).max() <= SAME
+
+
+ROUND = """
+family = "metasurface"
+substrate = "%s"
+layers = [{material = {n = 1.5}, thickness_nm = 200}]
+[particle]
+%s
+[monolayer]
+coverage = %g
+packing = 0.2
+"""
+
+
+@pytest.mark.parametrize(
+    ("substrate", "more", "coverage", "around"),
+    [("glass", "", 0.03, 1.0), ("Si", "gap_nm = 3", 0.03, 1.0), ("glass", "depth_nm = 20", 0.002, 1.5)],
+)
+def test_at_default_orders_a_sphere_and_its_file_are_the_same(tmp_path, substrate, more, coverage, around):
+    """The file holds more multipoles than are taken, and "auto" takes the mean field of silicon spheres there."""
+    write_tmatrices(tmp_path / "s.tmat.h5", _spheres((500.0, 650.0), lmax=12, ambient=around), "sphere")
+    particles = (f"material = {{n = 4.0, k = 0.05}}\nradius_nm = 75\n{more}", f'tmatrix = "s.tmat.h5"\n{more}')
+    found = []
+    for name, particle in zip(("mie.toml", "file.toml"), particles, strict=True):
+        (tmp_path / name).write_text(ROUND % (substrate, particle, coverage))
+        model = nacre.load(tmp_path / name).model
+        assert model.chosen_correction[0] == "qca-balanced"
+        at = np.array([[0.6, 0.0, 0.8], [0.0, 0.5, np.sqrt(0.75)]])
+        found.append([model.values_at(at, at[::-1], np.array([500.0, 650.0])), *model.powers([1.0, 0.5], 650.0)])
+    assert max(np.abs(a - b).max() for a, b in zip(*found, strict=True)) <= SAME
+
+
+def test_what_the_command_exports_gives_the_same_spectrum_at_default_orders(tmp_path, capsys):
+    mie, by_file = tmp_path / "mie.toml", tmp_path / "file.toml"
+    mie.write_text(ROUND % ("glass", 'material = "Ag"\nradius_nm = 50', 0.05))
+    by_file.write_text(ROUND % ("glass", 'tmatrix = "s.tmat.h5"', 0.05))
+    assert run(["export", str(mie), "--to", "tmat", "-o", str(tmp_path / "s.tmat.h5")]) == 0
+    capsys.readouterr()
+    told = []
+    for path in (mie, by_file):
+        assert run(["spectrum", str(path), "--angles-deg", "0,60", "--wavelengths-nm", "400,550,700", "--json"]) == 0
+        told.append(json.loads(capsys.readouterr().out))
+    for key in told[0]:
+        if key.endswith(("reflectance", "transmittance")):
+            assert np.abs(np.subtract(told[0][key], told[1][key])).max() <= SAME, key
+
+
+def test_a_file_of_too_few_multipoles_of_a_sphere_says_so(tmp_path, caplog):
+    """By how much is held against the same sphere of more multipoles."""
+    write_tmatrices(tmp_path / "s.tmat.h5", _spheres((500.0,), radius=60.0, lmax=3), "sphere")
+    path = _recipe(tmp_path, 'tmatrix = "s.tmat.h5"\ngap_nm = 2')
+    path.write_text(path.read_text().replace("multipole_order = 5", ""))
+    assert run(["spectrum", str(path), "--wavelengths-nm", "500"]) == 0
+    said = [line for line in caplog.messages if "multipoles" in line]
+    assert len(said) == 1 and "holds multipoles up to l = 3, and this sphere takes up to 4 over this stack" in said[0]
+    (note,) = nacre.load(path).model.bsdf(np.array([500.0])).provenance["multipoles"]
+    views = np.radians(np.arange(5.0, 90.0, 12.0))
+    patterns = [_pattern_over_glass(lmax, views) for lmax in (3, 12)]
+    squares = [np.sum(each**2, axis=(0, 1, 4)) for each in (patterns[0] - patterns[1], patterns[1])]
+    assert note["change"] == pytest.approx(np.sqrt(squares[0] / squares[1]).max(), rel=0.1)
+
+
+def _pattern_over_glass(lmax, views):
+    """d sigma/d Omega of the sphere at four incidences, `[pol out, view, pol, light, azimuth]`."""
+    from nacre.families.metasurface.sphere import SphereOnStack, amplitude
+    from nacre.families.metasurface.substrate import Substrate
+
+    one = SphereOnStack(
+        Substrate(500.0, np.array([1.0, 1.5], complex), np.array([])), 62.0,
+        t_matrix(lmax, 2 * np.pi * 60 / 500, 4.0 + 0.05j), min(4, lmax),
+    )  # fmt: skip
+    light = one.directions(np.cos(np.radians([0.0, 30.0, 60.0, 80.0])))
+    field = amplitude(one.harmonics(one.directions(np.cos(views)), light), np.linspace(0, np.pi, 9))
+    return np.abs(field) ** 2
 
 
 def test_a_film_has_no_t_matrix(tmp_path, capsys):
