@@ -266,6 +266,16 @@ def test_between_wavelengths_a_particle_stays_passive():
         ("angular_vacuum_wavenumber", "um^{-1}", 2e3 * np.pi / 500.0),
         ("frequency", "THz", 299792.458 / 500.0),
         ("angular_frequency", "fs^{-1}", 2e-3 * np.pi * 299792.458 / 500.0),
+        ("vacuum_wavelength", "µm", 0.5),
+        ("vacuum_wavenumber", "cm^{-1}", 1e7 / 500.0),
+        ("vacuum_wavenumber", "1/cm", 1e7 / 500.0),
+        ("angular_vacuum_wavenumber", "rad/um", 2e3 * np.pi / 500.0),
+        ("angular_vacuum_wavenumber", "nm-1", 2 * np.pi / 500.0),
+        ("frequency", "s^{-1}", 299792458e9 / 500.0),
+        ("frequency", "PHz", 299.792458 / 500.0),
+        ("angular_frequency", "rad/s", 2e9 * np.pi * 299792458 / 500.0),
+        ("angular_frequency", "rad fs^{-1}", 2e-3 * np.pi * 299792.458 / 500.0),
+        ("angular_frequency", "THz", 2 * np.pi * 299792.458 / 500.0),  # as the format's own tools read it
     ],
 )
 def test_every_spectral_axis_and_unit_of_the_format(tmp_path, name, unit, value):
@@ -276,6 +286,31 @@ def test_every_spectral_axis_and_unit_of_the_format(tmp_path, name, unit, value)
         file[name] = value
         file[name].attrs["unit"] = unit
     assert read_tmatrices(path).wavelengths_nm[0] == pytest.approx(500.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "allowed"),
+    [
+        ("vacuum_wavelength", "angstrom", "m with an SI prefix, as nm"),
+        ("vacuum_wavelength", "cm^{-1}", "m with an SI prefix, as nm"),
+        ("vacuum_wavelength", "eV", "m with an SI prefix, as nm"),
+        ("vacuum_wavenumber", "rad/m", "m^{-1} with an SI prefix, as nm^{-1} or cm^{-1}"),
+        ("angular_vacuum_wavenumber", "eV", "m^{-1} with an SI prefix, as nm^{-1} or cm^{-1}"),
+        ("frequency", "rad/s", "Hz or s^{-1} with an SI prefix, as THz or fs^{-1}"),
+        ("frequency", "eV", "Hz or s^{-1} with an SI prefix, as THz or fs^{-1}"),
+        ("angular_frequency", "cm^{-1}", "Hz or s^{-1} with an SI prefix, as THz or fs^{-1}"),
+        ("angular_frequency", "s", "Hz or s^{-1} with an SI prefix, as THz or fs^{-1}"),
+    ],
+)
+def test_a_unit_that_the_format_does_not_have_is_refused_with_what_it_has(tmp_path, capsys, name, unit, allowed):
+    path = tmp_path / "a.tmat.h5"
+    write_tmatrices(path, _spheres((500.0,)), "sphere")
+    with h5py.File(path, "a") as file:
+        del file["vacuum_wavelength"]
+        file[name] = 2.0
+        file[name].attrs["unit"] = unit
+    line = _refusal(tmp_path, capsys, 'tmatrix = "a.tmat.h5"')
+    assert f'gives {name} in "{unit}", which is no unit of' in line and line.endswith(f"it should be {allowed}")
 
 
 def test_modes_may_stand_in_any_order_and_scattered_apart_from_incident(tmp_path):
