@@ -28,6 +28,7 @@ from nacre.design.wants.free import spreads_of
 from nacre.design.wants.general import GeneralSearch
 from nacre.design.wants.image_run import design_picture
 from nacre.design.wants.judge import judge, objective, rank
+from nacre.design.wants.limits import total_nm
 from nacre.design.wants.making import sensitivity, yield_of
 from nacre.design.wants.slow import slow_search
 from nacre.design.wants.target import Target, read_target
@@ -85,14 +86,15 @@ def run(
     read = target if isinstance(target, Target) else read_target(target)
     folder = Path(out) if out is not None else Path(read.name)
     check_folder(folder, read.material)
+    known, runs = _known(folder, read) if resume else ([], 0)
+    is_picture = read.wants[0].image is not None
+    search = None if is_picture else search_of(read, read.spec.search.seed + RESUMED_SEED * runs)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
-    known, runs = _known(folder, read) if resume else ([], 0)
-    if read.wants[0].image is not None:
+    if search is None:
         return design_picture(read, folder, begun, progress)
-    search = search_of(read, read.spec.search.seed + RESUMED_SEED * runs)
     keeper = _Keeper(folder, read, begun, runs + 1, progress)
     total = read.spec.search.seconds
     closing = CLOSING_SHARE * total
@@ -108,16 +110,27 @@ def run(
 
 
 def search_of(target: Target, seed: int) -> Search:
-    """Return the search that a target needs."""
+    """Return the search that a target needs.
+
+    Raises:
+        RecipeError: what is wanted cannot be computed of the recipe.
+    """
     from nacre.design.wants.films import film_search
     from nacre.design.wants.walked import walked_search
 
-    return film_search(target, seed) or walked_search(target, seed) or _general(target, seed)
+    try:
+        return film_search(target, seed) or walked_search(target, seed) or _general(target, seed)
+    except RecipeError:
+        raise
+    except NacreError as error:
+        raise RecipeError(f"{target.context.source}: {error}") from None
 
 
 def _general(target: Target, seed: int) -> Search:
     asked = (target.material, target.free, target.wants, target.spec.light, seed, target.spec.search.solutions)
-    return slow_search(*asked) or GeneralSearch(*asked)
+    search = slow_search(*asked) or GeneralSearch(*asked)
+    search.most_nm = target.spec.limits.total_nm
+    return search
 
 
 class _Keeper:
@@ -239,8 +252,7 @@ def _judged(target: Target, changes: dict[str, Any], seconds: float, least: floa
         if spec.spread:
             spreads = spreads_of(spec.spread, made, target.context.source)
             facts["yield"] = yield_of(made, spreads, *asked, 0.3 * seconds, seen)
-    total = sum(v for p, v in numbers_of(made.data).items() if p.startswith("layers[") and p.endswith("].thickness_nm"))
-    if total:
+    if total := total_nm(made):
         facts["total_nm"] = total
     return Solution(None, made, changes, wants, facts)
 
