@@ -24,10 +24,12 @@ SMALLEST_CORE_NM = 0.1  # less than an atom; squares of far smaller ones are 0 i
 WIDEST_RELATIVE_SIZE = 0.3
 SAME_MEDIUM = 1e-3  # relative, of the index that a T-matrix is for
 SAME_LENGTH = 1e-2  # relative, of a length that recipe and file both give
-NOT_MODELLED = {  # what a stranger may ask for, and why there is no such key
-    "orientation": "particles that all point one way are not modelled; of one that is not axisymmetric the mean over "
-    "its turn about the normal is taken",
-}
+ALIGNED = (
+    "particles that all point one way are not modelled; of one that is not axisymmetric the mean over its turn about "
+    "the normal is taken"
+)
+TURNS = ("orientation", "orientation_deg", "turn", "turn_deg", "rotation", "rotation_deg", "azimuth_deg", "aligned")
+NOT_MODELLED = dict.fromkeys(TURNS, ALIGNED)  # what a stranger may ask for, and why there is no such key
 NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
 Extent = Annotated[float, pydantic.Field(ge=2 * SMALLEST_CORE_NM, le=2 * CORE_LIMIT_NM)]
 
