@@ -217,7 +217,7 @@ def render(
         xyz, raw = frame.xyz, None
         guides = dict(frame.guides)
         if not kept_raw:
-            clean[:] = clean or [clean_albedo(guides["albedo"])]
+            clean[:] = clean or [clean_albedo(guides["albedo"]) if frame.has_grain else guides["albedo"]]
             guides["albedo"] = clean[0]
             raw, xyz = xyz, denoised(xyz, guides["albedo"], guides["normal"], frame.doubt)
             if frame.alpha is not None:  # the denoiser spreads a little of a rim's light into what is clear
