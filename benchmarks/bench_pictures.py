@@ -59,7 +59,7 @@ DARK = 0.01  # added to the squared luminance: what is darker than a tenth of wh
 PATCH, PATCHES = 24, [(row, column) for row in (88, 152) for column in (28, 76, 116, 156, 204)]
 FLY = 10.0  # times the median of the eight neighbours
 LADDER = (4, 8, 16, 32, 64, 128, 256, 512)
-LONG_S = 30.0  # no more samples are tried once a picture takes so long: three times the bar, and a median is asked for
+LONG_S = 20.0  # no more samples are tried once a picture takes so long: twice the bar, and a median is asked for
 NEAR, TRIES = 0.92, 4  # how near to the CPU time of before, in so many tries
 PARTS = ("error", "time", "bias", "memory")
 MEMORY_SIDE = 4096
@@ -161,19 +161,29 @@ def at_equal_time(case: Case, worker: Worker) -> dict[str, float]:
 
 
 def time_to_flip(case: Case, worker: Worker) -> dict[str, float]:
-    """Return the CPU seconds to the bar's FLIP at twice the side, judged in the middle; infinite if far above it."""
+    """Return the CPU seconds to the bar's FLIP at twice the side, judged in the middle; infinite if far above it.
+
+    Once a number of samples does, the mean of it and of half as many is tried.
+    """
     bsdf, truth = case.bsdf(), reference(case, of_middle=True)
     render(case, bsdf, 2 * SIDE, spp=LADDER[0])
-    for spp in LADDER:
-        made, seconds = cpu_of(lambda n=spp: render(case, bsdf, 2 * SIDE, spp=n))
+
+    def tried(spp: int) -> dict[str, float]:
+        made, seconds = cpu_of(lambda: render(case, bsdf, 2 * SIDE, spp=spp))
         middle = made.xyz[SIDE // 2 : -SIDE // 2, SIDE // 2 : -SIDE // 2]
         stops, white = float(made.stats["exposure_stops"]), str(made.stats["illuminant"])
-        found = flip(worker, middle, truth.xyz, stops, white)
-        if found <= BARS["flip"]:
-            return {"s": seconds, "spp": spp, "flip": found}
-        if seconds > LONG_S:
+        return {"s": seconds, "spp": spp, "flip": flip(worker, middle, truth.xyz, stops, white)}
+
+    before = 0
+    for spp in LADDER:
+        found = tried(spp)
+        if found["flip"] <= BARS["flip"]:
+            nearer = tried((before + spp) // 2) if before else found
+            return nearer if nearer["flip"] <= BARS["flip"] else found
+        if found["s"] > LONG_S:
             break
-    return {"s": float("inf"), "spp": spp, "flip": found}
+        before = spp
+    return {**found, "s": float("inf")}
 
 
 def of_default(case: Case) -> dict[str, float]:

@@ -22,7 +22,7 @@ from nacre.picture.camera import View
 from nacre.picture.cut_out import cut_out, sees_objects
 from nacre.picture.denoise import GUIDE_SPP
 from nacre.picture.endless import without_edges
-from nacre.picture.guides import first_hits, guide_tracer
+from nacre.picture.guides import first_hits, guide_tracer, ways_of
 from nacre.picture.paths import DRAWS, can_split, make_paths
 from nacre.picture.progress import Clock, ProgressCallback
 from nacre.picture.samples import going_on
@@ -39,7 +39,8 @@ BYTES_OF_GUIDES = 124  # and of what tells the denoiser the noise
 BAND_STEP_NM = 10.0
 FIRST_HIT = {"albedo": "RGB", "normal": "XYZ", "depth": "Z"}
 RUSSIAN_ROULETTE_DEPTH = 6
-GUIDES_A_SAMPLE = 4  # of the guides for one of the picture, where that has few: they are not to take longer than it
+# of the guides for one of the picture, where that has few: they are not to take longer than it; without grain one does
+GUIDES_A_SAMPLE, FEWEST_GUIDES = 4, 4
 GUIDES_FROM = 1 << 20  # the number of their first pass: beyond those of any picture
 # where a noise or a time ends the picture, so many independent sequences of samples take turns: what they differ by
 # tells the noise. Each is the more even the longer it is, so there are no more than it takes
@@ -106,6 +107,7 @@ class Frame:
         is_interrupted: whether it was ended before the samples were enough.
         doubt: `[row, column, 3]`, a draw of the noise of `xyz`, from how far two halves of the samples lie apart; only
             where there are guides, and samples for both halves.
+        has_grain: whether the guides may have some.
     """
 
     xyz: Array
@@ -118,6 +120,7 @@ class Frame:
     noise: float | None = None
     is_interrupted: bool = False
     doubt: NDArray[np.float32] | None = None
+    has_grain: bool = True
 
 
 def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[[Frame], None] | None = None) -> Frame:
@@ -171,13 +174,16 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
     done, clock, spread, noise = 0, Clock(), Spread(judged), None
     stopped = False
     guides: dict[str, NDArray[np.float32]] = {}
+    ways = ways_of(stage.mitsuba_scene, is_ours=getattr(stage, "light", None) is not None)
 
     def frame(is_last: bool = False) -> Frame:
         assert total is not None  # spp is at least 1
         if shot.with_guides and not guides:
-            tracer = evened(guide_tracer(), response) if response else guide_tracer()
-            samples = min(GUIDE_SPP, GUIDES_A_SAMPLE * until.spp)
-            guides.update(_guides(stage.mitsuba_scene, camera, tracer, pass_seed(shot.seed, GUIDES_FROM), samples))
+            tracer = guide_tracer(stage.mitsuba_scene, ways)
+            tracer = evened(tracer, response) if response else tracer
+            samples = min(GUIDE_SPP, GUIDES_A_SAMPLE * until.spp if ways.has_grain else max(FEWEST_GUIDES, until.spp))
+            seed_of = pass_seed(shot.seed, GUIDES_FROM)
+            guides.update(_guides(stage.mitsuba_scene, camera, tracer, seed_of, samples, alike=not ways.draws))
         # of a large picture there is to be no copy more than it takes
         clean = np.divide(total, done, out=total if is_last else None)
         not_finite = int(np.count_nonzero(~np.isfinite(clean).all(axis=-1)))
@@ -186,7 +192,10 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
             from nacre.picture.spectral_film import bands_to_xyz
 
             xyz = bands_to_xyz(clean, bands)
-            return Frame(xyz, done, None, clean.astype(np.float32), bands, guides, not_finite, noise, stopped)
+            return Frame(
+                xyz, done, None, clean.astype(np.float32), bands, guides, not_finite, noise, stopped,
+                has_grain=ways.has_grain,
+            )  # fmt: skip
         alpha = clean[..., 3] if shot.cut else None
         doubt = None
         if halved and 0 < in_half < done:
@@ -194,7 +203,7 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
             share = math.sqrt(in_half / (done - in_half))
             doubt = np.asarray(share * (half / in_half - clean[..., :3]), dtype=np.float32)
             doubt = np.nan_to_num(doubt, nan=0.0, posinf=0.0, neginf=0.0)
-        return Frame(clean[..., :3], done, alpha, None, None, guides, not_finite, noise, stopped, doubt)
+        return Frame(clean[..., :3], done, alpha, None, None, guides, not_finite, noise, stopped, doubt, ways.has_grain)
 
     is_asked = False  # to end
     shown = 0  # samples of the picture that was last given away
@@ -329,14 +338,6 @@ def _walks(scene: Any) -> bool:
     return any(not plugin.pdf_is_exact for bsdf in bsdfs for plugin in getattr(bsdf, "plugins", ()))
 
 
-def _mixes(scene: Any) -> bool:
-    """Whether a surface draws a sharp way among others: the same draws in all pixels would make steps of its shares."""
-    flags = use_variant().BSDFFlags
-    sharp = int(flags.Delta | flags.Null)
-    bsdfs = [shape.bsdf() for shape in scene.shapes() if shape.bsdf() is not None]
-    return any(int(bsdf.flags()) & sharp and bsdf.component_count() > 1 for bsdf in bsdfs)
-
-
 def _glitters(scene: Any) -> bool:
     """Whether flakes are seen one by one, which takes many places of a pixel, not many of a lamp."""
     bsdfs = [shape.bsdf() for shape in scene.shapes()]
@@ -370,7 +371,9 @@ def _added(total: NDArray[np.float64] | None, values: NDArray[np.float32], spp: 
     return total
 
 
-def _guides(scene: Any, camera: Banded, tracer: Any, seed: int, samples: int) -> dict[str, NDArray[np.float32]]:
+def _guides(
+    scene: Any, camera: Banded, tracer: Any, seed: int, samples: int, alike: bool
+) -> dict[str, NDArray[np.float32]]:
     """Return the guides of the denoiser, see `nacre.picture.guides.first_hits`.
 
     Args:
@@ -379,10 +382,10 @@ def _guides(scene: Any, camera: Banded, tracer: Any, seed: int, samples: int) ->
         tracer: a `guide_tracer`.
         seed: of the samples.
         samples: a pixel.
+        alike: all pixels take the same numbers: grain here would be taken for texture of the picture, or smoothed away
+            with thin lines.
     """
     passes = pass_plan(samples, max(1, PASS_SAMPLES // (camera.size[0] * camera.rows)))
-    # grain here would be taken for texture of the picture, or smoothed away with thin lines
-    alike = not _walks(scene) and not _mixes(scene)
     found: dict[str, NDArray[np.float32]] = {}
     for band in camera.bands:
         seen: Any = 0.0

@@ -217,7 +217,7 @@ def render(
         xyz, raw = frame.xyz, None
         guides = dict(frame.guides)
         if not kept_raw:
-            clean[:] = clean or [clean_albedo(guides["albedo"])]
+            clean[:] = clean or [clean_albedo(guides["albedo"]) if frame.has_grain else guides["albedo"]]
             guides["albedo"] = clean[0]
             raw, xyz = xyz, denoised(xyz, guides["albedo"], guides["normal"], frame.doubt)
             if frame.alpha is not None:  # the denoiser spreads a little of a rim's light into what is clear
@@ -295,9 +295,13 @@ def scene_dict(
         NacreError: as `render`.
     """
     framing, turn = read_framing(view, fov, zoom), read_turn(turn)
-    use_variant()
+    if scene == "screen":
+        raise UnsupportedError("scene screen: is what a tile projects, no scene of objects; render makes its picture")
     chosen = find_scene(scene)
     lamps = read_lamps(light or chosen.light)
+    for lamp in lamps:
+        check_light(lamp.name)
+    use_variant()
     bsdf = None if material is None else resolve_material(material, None, "sum")[0]
     clear = bool(getattr(bsdf, "transmits", False))
     set_up = _SetUp(scene, shape, up, turn, framing.azimuth_deg, illuminant, 0.0, clear, is_plain=False)

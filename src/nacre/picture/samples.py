@@ -99,6 +99,7 @@ def _class(variant: str) -> type:
             self.start, self.key_seed, self.spp = 0, 0, 1
             self.block, self.width, self.first_pixel, self.alike = 0, 1, 0, False
             self.index, self.key, self.dimension = whole(0), whole(0), whole(0)
+            self.own_key = whole(0)  # of the pixel, where the others take the same numbers
 
         def fork(self) -> Any:
             other = GoingOn(mi.Properties())
@@ -125,25 +126,28 @@ def _class(variant: str) -> type:
                 tiles = dr.opaque(whole, (self.width + TILE - 1) // TILE)
                 pixel = (row // TILE) * tiles + column // TILE
             self.key = mixed(pixel, dr.opaque(whole, self.key_seed))
+            self.own_key = mixed(dr.opaque(whole, self.first_pixel) + lane // dr.opaque(whole, self.spp), self.key)
             self.dimension = dr.zeros(whole, wavefront_size)
 
         def schedule_state(self) -> None:
-            dr.schedule(self.index, self.key, self.dimension)
+            dr.schedule(self.index, self.key, self.dimension, self.own_key)
 
         def advance(self) -> None:
             raise NotImplementedError("begin() and another call of mi.render take its place")
 
-        def _next(self) -> tuple[Any, Any]:
-            key = mixed(self.key, self.dimension)
+        def _next(self, of_pixel: bool = False) -> tuple[Any, Any]:
+            key = mixed(self.own_key if of_pixel else self.key, self.dimension)
             self.dimension = self.dimension + 1
             return key, scrambled(dr.brev(self.index), key)  # each dimension has an order of its own
 
-        def next_1d(self, active: Any = True) -> Any:
-            key, index = self._next()
+        def next_1d(self, active: Any = True, of_pixel: bool = False) -> Any:
+            """Return a number; with `of_pixel` one of the pixel's own even where all pixels take the same numbers."""
+            key, index = self._next(of_pixel)
             return unit(scrambled(index, mixed(key, whole(1))))
 
-        def next_2d(self, active: Any = True) -> Any:
-            key, index = self._next()
+        def next_2d(self, active: Any = True, of_pixel: bool = False) -> Any:
+            """Return a point of the unit square; see `next_1d`."""
+            key, index = self._next(of_pixel)
             x = scrambled(index, mixed(key, whole(1)))
             return mi.Point2f(unit(x), unit(scrambled(second(index), mixed(key, whole(2)))))
 
