@@ -101,7 +101,8 @@ def timed_search(problem: StackProblem, seconds: float, seed: int) -> tuple[Stac
 def held(i: int, seed: int, judge: Worker) -> dict[str, Any]:
     """One colour at five angles."""
     lab = random_labs(seed + 1, i + 1)[i]
-    problem = metals(wanted(lab, len(HELD_DEG)), HELD_DEG)
+    # a fifth of what is asked for ends a search
+    problem = metals(wanted(lab, len(HELD_DEG), within=TOLERANCE), HELD_DEG)
     best, wall, cpu = timed_search(problem, SECONDS["held"], seed)
     d = judge.ask("differences", stack=stack_of(best, problem), angles_deg=HELD_DEG, lamps=["D65"], lab=lab.tolist())
     return {"worst": max(d), "own": float(best.d.max()), "wall": wall, "cpu": cpu}

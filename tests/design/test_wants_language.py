@@ -26,6 +26,8 @@ FILM: dict[str, Any] = {
     "substrate": "Si",
     "layers": [{"material": "SiO2", "thickness_nm": 120}, {"material": "TiO2", "thickness_nm": 40}],
 }
+FLAKE = {"volume_fraction": 0.01, "substrate": {"material": "mica", "thickness_nm": 400}}
+PEARL = {"family": "pearl", "strata": [{"resin": {"n": 1.5}, "thickness_um": 20, "platelets": [FLAKE]}]}
 ONE = {"at": "specular 0", "colour": "#777777"}
 # nacre's white is that of the sRGB matrix, colour-science's that of the four digits of xy: 2e-2 in a blue
 SRGB_WHITE = 0.05
@@ -173,6 +175,19 @@ BAD = {
         target(recipe={"family": "pearl"}, free=None, layers={"palette": ["TiO2"]}), "only the stack of a film",
     ),
     "a bound that the recipe never allows": (target(free={"layers[0].thickness_nm": [-50, 50]}), "= [-50, 50]: "),
+    "a bound that the table of a flake never allows": (
+        target(recipe=PEARL, free={"strata[0].platelets[0].volume_fraction": [0, 0.5]}, want=[{**ONE, "at": "45as15"}]),
+        "= 0.5 is not allowed",
+    ),
+    "bounds without an end": (target(free={"layers[0].thickness_nm": {"min": 3}}), "{min = 3}"),
+    "bounds and choices": (target(free={"layers[0].thickness_nm": {"min": 3, "choices": [4]}}), "not both"),
+    "a chroma without a side": (target(want=[{"at": "specular 0", "chroma": 40}]), 'write ">=40"'),
+    "the fewest of given layers": (target(limits={"layers": "fewest"}), "add [layers]"),
+    "a total below the least of given layers": (target(limits={"total_nm": 60}), "is 90 nm"),
+    "a total of what has no layers": (
+        target(recipe=PEARL, free={"base.albedo": [0, 1]}, want=[{**ONE, "at": "45as15"}], limits={"total_nm": 60}),
+        "has no layers",
+    ),
     "a chromaticity outside all colours": (target(want=[{"at": "specular 0", "xyy": [0.3, 0, 0.2]}]), "no colour"),
     "a total below every layer": (
         target(free=None, layers={"palette": ["SiO2"], "thickness_nm": [50, 90]}, limits={"total_nm": 20}), "no layer",
@@ -197,6 +212,25 @@ def test_the_command_tells_it_with_status_2(tmp_path: Path, capsys: pytest.Captu
     assert run(["design", str(path), "-o", str(tmp_path / "out")]) == 2
     err = capsys.readouterr().err
     assert "no.toml" in err and len(err.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("", "says no look"),
+        ('recipe = {family = "film", substrate = "Si", layers = [{material = "SiO2", thickness_nm = 50}]}\n[free]\n'
+         '"layers[0].thickness_nm" = [5, 90]\n[[want]]\nat = "specular 0"\nspectrum = "uv.csv"\n', "is known from"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_searched_leaves_nothing_behind(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, word: str
+) -> None:
+    (tmp_path / "uv.csv").write_text("nm,R\n150,0.2\n190,0.3\n")
+    (tmp_path / "wrong.toml").write_text(text)
+    assert run(["design", str(tmp_path / "wrong.toml"), "-o", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert "wrong.toml: " in err and word in err and len(err.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()
 
 

@@ -14,13 +14,16 @@ import nacre
 from nacre.bsdf.directions import direction
 from nacre.cli import run
 from nacre.design.goals import smooth_weights
-from nacre.design.wants.dropping import changes_of, droppable, values_of
+from nacre.design.wants.dropping import changes_of, droppable, is_chosen, values_of
+from nacre.design.wants.judge import judge
+from nacre.design.wants.making import sensitivity
 from nacre.design.wants.run import search_of
 from nacre.design.wants.target import read_target
 from nacre.design.wants.walked import WalkedSearch
 from nacre.errors import NacreError
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
 from nacre.measure.instruments import aspecular_direction
+from nacre.recipe.paths import numbers_of
 from nacre.recipe.toml import dump_toml
 
 ANGLES = (-15, 15, 45, 110)
@@ -182,3 +185,21 @@ def test_the_command_writes_a_recipe_without_the_pigment_and_goes_on_from_it(tmp
         assert summary["runs"] == 1 + len(more)
         assert [p["coatings"][0]["material"] for p in made.data["strata"][0]["platelets"]] == ["TiO2"]
         assert len(summary["solutions"][0]["wants"]) == len(ANGLES)
+
+
+def test_what_a_pigment_s_numbers_cost_is_told_without_the_noise_of_walks() -> None:
+    free = shop(2) | {"base.albedo": [0.1, 0.6]}
+    read = read_target(target(paint(pigment(), pigment("Fe2O3", 60.0)), free, GREY))
+    # the second is left out: what is left of the first stands under its own path, beside what was never free
+    changes = changes_of(read.material, read.free, [0.02, 95.0, 0.0, 60.0, 0.3])
+    made = read.material.vary(changes)
+    chosen = [path for path in numbers_of(made.data) if is_chosen(path, changes, read.free)]
+    assert chosen == [
+        "strata[0].platelets[0].volume_fraction", "strata[0].platelets[0].coatings[0].thickness_nm", "base.albedo",
+    ]  # fmt: skip
+    _, seen = judge(made, read.wants, read.spec.light, seed=1, seconds=0.1)
+    told = [sensitivity(made, chosen, read.wants, read.spec.light, seed, 10.0, seen) for seed in (0, 1)]
+    assert told[0] == told[1] and told[0][0]["path"].endswith("thickness_nm")
+    # far more walks than a design has time for agree
+    ends = [labs_of(made.vary({chosen[1]: nm}).data, 1 << 18) for nm in (95.0 * 0.99, 95.0 * 1.01)]
+    assert told[0][0]["de00_of_1_percent"] == pytest.approx(0.5 * delta_e_2000(*ends).max(), rel=0.15)

@@ -81,3 +81,13 @@ def test_few_wavelengths_serve_smooth_spectra_and_no_others() -> None:
         found, _ = fewer_wavelengths(target, rows, whole, [np.array([0.2])], spectra)
         assert (len(found) < len(grid)) == is_few, (lamp, waves)
         assert set(FEW_NM) <= set(found) or not is_few
+
+
+def test_a_place_where_nothing_may_move_is_an_end() -> None:
+    valleys = Valleys(
+        lambda place: place - HIDDEN, lambda place: [0] if place[0] > 0.0 else [], np.zeros(2), [],
+        lambda place: [], lambda place: 0,
+    )  # fmt: skip
+    valleys.begin([np.zeros(2), np.array([0.5, 0.3])])
+    ends = list(valleys.run(time.monotonic() + 30.0))
+    assert sorted(round(float(end.place[0]), 3) for end in ends) == [0.0, 0.8]

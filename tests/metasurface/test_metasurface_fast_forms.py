@@ -6,14 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.special import hankel1e, hankel2e
+from scipy.special import hankel1e, hankel2e, jv
 
 from nacre.families.metasurface import neighbours
 from nacre.families.metasurface.angular import adjoint, mirrored, plane_wave_vectors
-from nacre.families.metasurface.bessel import hankel_scaled
+from nacre.families.metasurface.bessel import bessel_j, hankel_scaled
 from nacre.families.metasurface.diffuse import pair_powers
 from nacre.families.metasurface.qca import chebyshev, mean_excitation
 from nacre.families.metasurface.sphere import apply_response
+from nacre.families.metasurface.structure import hard_disk_structure
+from nacre.families.metasurface.substrate import Substrate
 from nacre.materials.material import load
 from nacre.matter.jobs import in_threads, one_thread_each
 
@@ -121,3 +123,35 @@ def test_linear_algebra_has_its_threads_back_after_nested_and_failed_work():
     with pytest.raises(ZeroDivisionError):
         in_threads(lambda x: 1 // x, [0], 1)
     assert threads() == before
+
+
+@pytest.mark.parametrize("top", [0, 1, 8, 40])
+def test_bessel_functions_of_many_points_are_scipys(top):
+    """By the series, the recurrence and Hankel's expansion, across the seams between them."""
+    rng = np.random.default_rng(7)
+    z = 10 ** rng.uniform(-8, 1.9, 3000) * np.exp(1j * rng.uniform(-0.6, 0.6, 3000))
+    z = np.concatenate([z, rng.uniform(0.0, 80.0, 1000), [0.0, 1e-13, 0.05, 0.0499999, 28.0, 28.0001]])
+    expected = jv(np.arange(top + 1)[:, None], z)
+    error = np.abs(bessel_j(z, top) - expected) / np.abs(expected).max(axis=0)
+    assert np.max(error) < 1e-11
+    small = np.abs(z) < 1.0  # there the high orders are small themselves
+    size = np.abs(expected[:, small])
+    relative = np.abs(bessel_j(z[small], top) - expected[:, small]) / np.where(size > 1e-250, size, np.inf)
+    assert np.max(relative) < 1e-11
+
+
+def test_few_nodes_of_a_search_give_the_sums():
+    """Over stacks whose guided modes, mirrors and thick films draw fringes on the contour."""
+    kappa = np.sin(np.radians([0.0, 30.0, 60.0]))
+    structure = hard_disk_structure(0.1 / (np.pi * 75.0**2), 0.4, 0.05)
+    stacks = [
+        ([1.0, 1.46, 0.9 + 6.5j], [600.0]),
+        ([1.0, 4.1 + 0.05j, 1.52], [220.0]),
+        ([1.0, 0.9 + 6.5j, 1.52, 1.46, 0.9 + 6.5j], [20.0, 600.0, 600.0]),
+        ([1.0, 1.46, 4.1 + 0.05j], [2.0]),
+    ]
+    for indices, thicknesses in stacks:
+        surface = Substrate(550.0, np.array(indices, dtype=complex), np.array(thicknesses))
+        args = (surface, 78.0, structure, 4, kappa)
+        fine, quick = neighbours._stack_sums(*args), neighbours._stack_sums(*args, quick=True)
+        assert np.max(np.abs(quick - fine)) < 1e-4 * np.max(np.abs(fine))

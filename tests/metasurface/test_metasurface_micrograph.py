@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from PIL import Image
+from scipy import ndimage
 
 from nacre.cli import run
 from nacre.errors import NacreError
@@ -43,6 +44,31 @@ def test_what_was_drawn_is_found_where_it_was_drawn(dark, noise):
     assert gaps.max() <= 0.3 * PIXEL_NM + 40 * noise  # noise moves an outline of 25 pixels by some tenths
     assert len(whole) <= len(found.xy_um) <= 150 and found.is_bright is not dark
     assert found.diameters_nm.mean() == pytest.approx(160.0, rel=0.05)
+
+
+@pytest.mark.parametrize("what", ["banner", "bar", "shade"])
+def test_what_a_microscope_adds_is_no_particle(what):
+    """A banner with the scale, a bar drawn into the picture, light that falls off: the same particles are found."""
+    pattern = hard_disks(150, 3e-6, 0.2, 4)
+    levels = drawn(pattern.xy_nm, 80.0, (pattern.box_nm, pattern.box_nm), 0.06)
+    plain, width_um = find_particles(levels, levels.shape[1] * PIXEL_NM * 1e-3), levels.shape[1] * PIXEL_NM * 1e-3
+    rows, columns = levels.shape
+    if what == "banner":
+        strip = np.zeros((60, columns))
+        strip[20:28, 100:300] = strip[12:36, 400:404] = strip[12:36, 420:440] = 1.0
+        levels = np.vstack([levels, strip])
+    if what == "bar":
+        free = ndimage.uniform_filter(np.where(levels > 0.5, 1.0, 0.0), (20, 60))
+        row, column = np.unravel_index(np.argmin(free[40:-40, 80:-80]), free[40:-40, 80:-80].shape)
+        levels[row + 34 : row + 46, column + 60 : column + 100] = 1.0
+    if what == "shade":
+        levels = 0.7 * levels + 0.3 * np.arange(columns) / columns
+    found = find_particles(levels, width_um)
+    assert found.size_um == pytest.approx((width_um, rows * PIXEL_NM * 1e-3))
+    gaps = np.linalg.norm(plain.xy_um[:, None] - found.xy_um, axis=2).min(axis=1)
+    assert len(found.xy_um) == pytest.approx(len(plain.xy_um), abs=0 if what != "shade" else 2)
+    assert np.sort(1e3 * gaps)[-3] <= PIXEL_NM
+    assert found.left_out == {"banner": "a banner of 60 rows", "bar": "marks drawn in", "shade": ""}[what]
 
 
 def test_discs_that_touch_are_two_and_specks_are_none():
@@ -101,6 +127,7 @@ REFUSED = {
     "empty": ({"points": "grey.png", "width_um": 5}, "is of one grey level"),
     "noise": ({"points": "noise.png", "width_um": 5}, "has no two levels"),
     "few": ({"points": "sem.png", "width_um": 2}, "which is what is taken; at least 50 are needed"),
+    "in nm": ({"points": "nm.csv"}, "lengths are in um unless a heading says else, as x_nm,y_nm"),
     "too small": ({"points": "dots.png", "width_um": 5}, "pixels wide"),
 }
 
@@ -113,6 +140,7 @@ def test_a_picture_that_shows_nothing_gets_one_line(tmp_path, what):
     dots = np.zeros((300, 300))
     dots[5::9, 5::9] = dots[6::9, 5::9] = dots[5::9, 6::9] = dots[6::9, 6::9] = 1.0
     picture(tmp_path / "dots.png", dots)
+    np.savetxt(tmp_path / "nm.csv", hard_disks(100, 3e-6, 0.2, 2).xy_nm, delimiter=",")
     (tmp_path / "text.png").write_text("no picture")
     structure, said = REFUSED[what]
     with pytest.raises(NacreError) as told:

@@ -288,7 +288,7 @@ def test_what_a_mixture_cannot_be_gets_one_line():
         )
 
 
-@pytest.mark.parametrize(("key", "value", "said"), [("orientation", "aligned", "one way")])
+@pytest.mark.parametrize(("key", "value", "said"), [("orientation", "aligned", "one way"), ("turn_deg", 30, "one way")])
 def test_what_is_not_modelled_says_why(key, value, said):
     with pytest.raises(NacreError, match=f"gives {key}: particles .*{said}.* not modelled") as told:
         material(recipe({"material": SILICON, "radius_nm": 70, key: value}))

@@ -1,5 +1,6 @@
 """Files of T-matrices: what another program writes, what we write, what is refused, and what a recipe makes of them."""
 
+import json
 import shutil
 
 import h5py
@@ -167,6 +168,80 @@ def test_export_writes_what_a_recipe_reads_to_the_same_numbers(tmp_path, capsys)
             assert np.abs(a - b).max() <= SAME
 
 
+ROUND = """
+family = "metasurface"
+substrate = "%s"
+layers = [{material = {n = 1.5}, thickness_nm = 200}]
+[particle]
+%s
+[monolayer]
+coverage = %g
+packing = 0.2
+"""
+
+
+@pytest.mark.parametrize(
+    ("substrate", "more", "coverage", "around"),
+    [("glass", "", 0.03, 1.0), ("Si", "gap_nm = 3", 0.03, 1.0), ("glass", "depth_nm = 20", 0.002, 1.5)],
+)
+def test_at_default_orders_a_sphere_and_its_file_are_the_same(tmp_path, substrate, more, coverage, around):
+    """The file holds more multipoles than are taken, and "auto" takes the mean field of silicon spheres there."""
+    write_tmatrices(tmp_path / "s.tmat.h5", _spheres((500.0, 650.0), lmax=12, ambient=around), "sphere")
+    particles = (f"material = {{n = 4.0, k = 0.05}}\nradius_nm = 75\n{more}", f'tmatrix = "s.tmat.h5"\n{more}')
+    found = []
+    for name, particle in zip(("mie.toml", "file.toml"), particles, strict=True):
+        (tmp_path / name).write_text(ROUND % (substrate, particle, coverage))
+        model = nacre.load(tmp_path / name).model
+        assert model.chosen_correction[0] == "qca-balanced"
+        at = np.array([[0.6, 0.0, 0.8], [0.0, 0.5, np.sqrt(0.75)]])
+        found.append([model.values_at(at, at[::-1], np.array([500.0, 650.0])), *model.powers([1.0, 0.5], 650.0)])
+    assert max(np.abs(a - b).max() for a, b in zip(*found, strict=True)) <= SAME
+
+
+def test_what_the_command_exports_gives_the_same_spectrum_at_default_orders(tmp_path, capsys):
+    mie, by_file = tmp_path / "mie.toml", tmp_path / "file.toml"
+    mie.write_text(ROUND % ("glass", 'material = "Ag"\nradius_nm = 50', 0.05))
+    by_file.write_text(ROUND % ("glass", 'tmatrix = "s.tmat.h5"', 0.05))
+    assert run(["export", str(mie), "--to", "tmat", "-o", str(tmp_path / "s.tmat.h5")]) == 0
+    capsys.readouterr()
+    told = []
+    for path in (mie, by_file):
+        assert run(["spectrum", str(path), "--angles-deg", "0,60", "--wavelengths-nm", "400,550,700", "--json"]) == 0
+        told.append(json.loads(capsys.readouterr().out))
+    for key in told[0]:
+        if key.endswith(("reflectance", "transmittance")):
+            assert np.abs(np.subtract(told[0][key], told[1][key])).max() <= SAME, key
+
+
+def test_a_file_of_too_few_multipoles_of_a_sphere_says_so(tmp_path, caplog):
+    """By how much is held against the same sphere of more multipoles."""
+    write_tmatrices(tmp_path / "s.tmat.h5", _spheres((500.0,), radius=60.0, lmax=3), "sphere")
+    path = _recipe(tmp_path, 'tmatrix = "s.tmat.h5"\ngap_nm = 2')
+    path.write_text(path.read_text().replace("multipole_order = 5", ""))
+    assert run(["spectrum", str(path), "--wavelengths-nm", "500"]) == 0
+    said = [line for line in caplog.messages if "multipoles" in line]
+    assert len(said) == 1 and "holds multipoles up to l = 3, and this sphere takes up to 4 over this stack" in said[0]
+    (note,) = nacre.load(path).model.bsdf(np.array([500.0])).provenance["multipoles"]
+    views = np.radians(np.arange(5.0, 90.0, 12.0))
+    patterns = [_pattern_over_glass(lmax, views) for lmax in (3, 12)]
+    squares = [np.sum(each**2, axis=(0, 1, 4)) for each in (patterns[0] - patterns[1], patterns[1])]
+    assert note["change"] == pytest.approx(np.sqrt(squares[0] / squares[1]).max(), rel=0.1)
+
+
+def _pattern_over_glass(lmax, views):
+    """d sigma/d Omega of the sphere at four incidences, `[pol out, view, pol, light, azimuth]`."""
+    from nacre.families.metasurface.sphere import SphereOnStack, amplitude
+    from nacre.families.metasurface.substrate import Substrate
+
+    one = SphereOnStack(
+        Substrate(500.0, np.array([1.0, 1.5], complex), np.array([])), 62.0,
+        t_matrix(lmax, 2 * np.pi * 60 / 500, 4.0 + 0.05j), min(4, lmax),
+    )  # fmt: skip
+    light = one.directions(np.cos(np.radians([0.0, 30.0, 60.0, 80.0])))
+    field = amplitude(one.harmonics(one.directions(np.cos(views)), light), np.linspace(0, np.pi, 9))
+    return np.abs(field) ** 2
+
+
 def test_a_film_has_no_t_matrix(tmp_path, capsys):
     (tmp_path / "film.toml").write_text('family = "film"\nsubstrate = "Si"\nlayers = []\n')
     assert run(["export", str(tmp_path / "film.toml"), "--to", "tmat", "-o", str(tmp_path / "x.tmat.h5")]) == 2
@@ -191,6 +266,16 @@ def test_between_wavelengths_a_particle_stays_passive():
         ("angular_vacuum_wavenumber", "um^{-1}", 2e3 * np.pi / 500.0),
         ("frequency", "THz", 299792.458 / 500.0),
         ("angular_frequency", "fs^{-1}", 2e-3 * np.pi * 299792.458 / 500.0),
+        ("vacuum_wavelength", "µm", 0.5),
+        ("vacuum_wavenumber", "cm^{-1}", 1e7 / 500.0),
+        ("vacuum_wavenumber", "1/cm", 1e7 / 500.0),
+        ("angular_vacuum_wavenumber", "rad/um", 2e3 * np.pi / 500.0),
+        ("angular_vacuum_wavenumber", "nm-1", 2 * np.pi / 500.0),
+        ("frequency", "s^{-1}", 299792458e9 / 500.0),
+        ("frequency", "PHz", 299.792458 / 500.0),
+        ("angular_frequency", "rad/s", 2e9 * np.pi * 299792458 / 500.0),
+        ("angular_frequency", "rad fs^{-1}", 2e-3 * np.pi * 299792.458 / 500.0),
+        ("angular_frequency", "THz", 2 * np.pi * 299792.458 / 500.0),  # as the format's own tools read it
     ],
 )
 def test_every_spectral_axis_and_unit_of_the_format(tmp_path, name, unit, value):
@@ -201,6 +286,31 @@ def test_every_spectral_axis_and_unit_of_the_format(tmp_path, name, unit, value)
         file[name] = value
         file[name].attrs["unit"] = unit
     assert read_tmatrices(path).wavelengths_nm[0] == pytest.approx(500.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "allowed"),
+    [
+        ("vacuum_wavelength", "angstrom", "m with an SI prefix, as nm"),
+        ("vacuum_wavelength", "cm^{-1}", "m with an SI prefix, as nm"),
+        ("vacuum_wavelength", "eV", "m with an SI prefix, as nm"),
+        ("vacuum_wavenumber", "rad/m", "m^{-1} with an SI prefix, as nm^{-1} or cm^{-1}"),
+        ("angular_vacuum_wavenumber", "eV", "m^{-1} with an SI prefix, as nm^{-1} or cm^{-1}"),
+        ("frequency", "rad/s", "Hz or s^{-1} with an SI prefix, as THz or fs^{-1}"),
+        ("frequency", "eV", "Hz or s^{-1} with an SI prefix, as THz or fs^{-1}"),
+        ("angular_frequency", "cm^{-1}", "Hz or s^{-1} with an SI prefix, as THz or fs^{-1}"),
+        ("angular_frequency", "s", "Hz or s^{-1} with an SI prefix, as THz or fs^{-1}"),
+    ],
+)
+def test_a_unit_that_the_format_does_not_have_is_refused_with_what_it_has(tmp_path, capsys, name, unit, allowed):
+    path = tmp_path / "a.tmat.h5"
+    write_tmatrices(path, _spheres((500.0,)), "sphere")
+    with h5py.File(path, "a") as file:
+        del file["vacuum_wavelength"]
+        file[name] = 2.0
+        file[name].attrs["unit"] = unit
+    line = _refusal(tmp_path, capsys, 'tmatrix = "a.tmat.h5"')
+    assert f'gives {name} in "{unit}", which is no unit of' in line and line.endswith(f"it should be {allowed}")
 
 
 def test_modes_may_stand_in_any_order_and_scattered_apart_from_incident(tmp_path):

@@ -217,6 +217,16 @@ def test_a_scene_can_be_had_as_a_dict_to_build_on() -> None:
     assert np.array(mi.render(mi.load_dict({**dark, "lamp": {"type": "constant"}}), spp=4)).mean() > 1.5 * own
 
 
+def test_a_scene_that_is_no_dict_is_refused_as_a_picture_would_be() -> None:
+    for words, wishes in (
+        ("scene screen: is what a tile projects", {"scene": "screen"}),
+        ('scene "sphre" is not known. Did you mean "sphere"', {"scene": "sphre"}),
+        ('light "sunn" is not known. Did you mean "sun"', {"light": "sunn"}),
+    ):
+        with pytest.raises(NacreError, match=words):
+            nacre.render.scene_dict(GREY, **wishes)
+
+
 def test_a_picture_ends_by_one_rule_alone() -> None:
     result = nacre.render(GREY, seconds=1e-6, size=(16, 16), progress=False)  # over before the first pass is
     assert result.stats["spp"] == TURN and not result.stats["interrupted"]

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from nacre.design.wants.target import is_wants, seeks_heights
+from nacre.errors import RecipeError
 from nacre.files import named, read_text
 from nacre.materials.examples import or_example
 from nacre.recipe.toml import parse_toml
@@ -49,6 +50,8 @@ def run(
         from nacre.design.wants.run import run as run_wants
 
         return run_wants(target, out, resume=resume, progress=progress)
+    if "target" not in data:
+        raise RecipeError(f"{target}: says no look; add [[want]] tables (nacre keys wants), or [target] of a relief")
     from nacre.design.run import run as run_relief
 
     return run_relief(target, Path(target).stem if out is None else out, resume, progress, jobs)

@@ -6,6 +6,7 @@ Fits, designs and gamuts have the same freedom, written in the same way; see `de
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -95,7 +96,9 @@ def _free(path: str, entry: Any, material: Material, where: str, words: bool) ->
         forms = "[low, high], {min = ..., max = ...} or {choices = [...]}" if words else "{min = ..., max = ...}"
         raise RecipeError(f"{where} = {show_value(entry)} should be {forms}")
     if not (_is_number(low) and _is_number(high)):
-        raise RecipeError(f"{where} = {show_value(entry)} should hold two numbers")
+        missing = next((end for end in ("min", "max") if isinstance(entry, Mapping) and end not in entry), None)
+        short = f": {missing} is missing" if missing else ""
+        raise RecipeError(f"{where} = {show_value(entry)} should hold two numbers{short}")
     low, high = float(low), float(high)  # type: ignore[arg-type]  # both are numbers
     if not low < high:
         raise RecipeError(f"{where} = {show_value(entry)}: the bounds cross; the first should be below the second")
@@ -140,14 +143,21 @@ def _check_ends(path: str, low: float, high: float, material: Material, where: s
         try:
             material.vary({path: value})
         except NacreError as error:
-            if f"{path} = " in str(error) and "is not allowed" in str(error):
-                said = str(error).replace(show_value(value), show_value(end))
+            # where a table is checked as a whole, its path and the key stand apart
+            holder, _, key = path.rpartition(".")
+            told = re.search(
+                rf"({re.escape(path)}|{re.escape(holder)}: {re.escape(key)}) = (\S+) is not allowed", str(error)
+            )
+            if told is not None:
+                said = str(error).replace(told[2], show_value(end))
                 raise RecipeError(f"{where} = {show_value([low, high])}: {said}") from None
 
 
 def _choices(path: str, entry: Mapping[str, Any], material: Material, where: str) -> Free:
     choices = entry["choices"]
-    if "min" in entry or "max" in entry or not isinstance(choices, list) or not choices:
+    if "min" in entry or "max" in entry:
+        raise RecipeError(f"{where} = {show_value(entry)} should hold choices, or bounds, not both")
+    if not isinstance(choices, list) or not choices:
         raise RecipeError(f"{where} = {show_value(entry)} should be {{choices = [...]}} with one choice at least")
     for value in choices:
         try:

@@ -295,9 +295,13 @@ def scene_dict(
         NacreError: as `render`.
     """
     framing, turn = read_framing(view, fov, zoom), read_turn(turn)
-    use_variant()
+    if scene == "screen":
+        raise UnsupportedError("scene screen: is what a tile projects, no scene of objects; render makes its picture")
     chosen = find_scene(scene)
     lamps = read_lamps(light or chosen.light)
+    for lamp in lamps:
+        check_light(lamp.name)
+    use_variant()
     bsdf = None if material is None else resolve_material(material, None, "sum")[0]
     clear = bool(getattr(bsdf, "transmits", False))
     set_up = _SetUp(scene, shape, up, turn, framing.azimuth_deg, illuminant, 0.0, clear, is_plain=False)

@@ -102,6 +102,10 @@ def show_value(value: object) -> str:
         text = f'"{value}"'
     elif isinstance(value, bool):
         text = str(value).lower()
+    elif isinstance(value, Mapping):
+        text = "{" + ", ".join(f"{key} = {show_value(inner)}" for key, inner in value.items()) + "}"
+    elif isinstance(value, list):
+        text = "[" + ", ".join(show_value(inner) for inner in value) + "]"
     else:
         text = repr(value)
     text = " ".join(text.split())

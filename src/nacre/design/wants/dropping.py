@@ -110,6 +110,15 @@ def tables_kept(material: Material, free: Sequence[Free], changes: Mapping[str, 
     return len(drops) if values is None else sum(values[i] != 0 for i in drops)
 
 
+def is_chosen(path: str, changes: Mapping[str, Any], free: Sequence[Free]) -> bool:
+    """Whether a number of an answer is one that the search chose, not one that stands beside it in a changed list."""
+    if path in changes or not free:
+        return any(is_within(path, each) for each in changes)
+    plain = _INDEX.sub("[]", path)  # entries move up where one before them went
+    chosen = any(is_within(plain, _INDEX.sub("[]", number.path)) for number in free)
+    return chosen and any(is_within(path, each) for each in changes)
+
+
 def _moved(material: Material, data: Mapping[str, Any], holder: str, free: Sequence[str]) -> dict[str, str | None]:
     """Return where a table is now: entries of a list are known again by all that is not free in them."""
     source = material.context.source
@@ -140,4 +149,4 @@ def _numbers(path: str) -> list[int]:
     return [int(n[1:-1]) for n in _INDEX.findall(path)]
 
 
-__all__ = ["changes_of", "draws", "droppable", "tables_kept", "values_of"]
+__all__ = ["changes_of", "draws", "droppable", "is_chosen", "tables_kept", "values_of"]

@@ -19,6 +19,7 @@ from nacre.design.goals import Goals
 from nacre.design.wants.alike import are_alike
 from nacre.design.wants.free import Free, own_place, place_of, values_at
 from nacre.design.wants.geometry import At, search_wavelengths, see
+from nacre.design.wants.limits import total_nm
 from nacre.design.wants.spec import LightSpec
 from nacre.design.wants.wanted import Want, goals_of
 from nacre.errors import NacreError
@@ -93,6 +94,7 @@ class GeneralSearch:
         self.best_values: dict[str, Any] = {}
         self._deadline = np.inf
         self._tell: Callable[[float, dict[str, Any]], None] | None = None
+        self.most_nm: float | None = None  # of all layers together
         self._numbers = [i for i, number in enumerate(self.free) if not number.choices and not number.is_whole]
 
     def _widest_works(self) -> bool:
@@ -156,13 +158,24 @@ class GeneralSearch:
         self.pool.offer(self.best, self.best_values)
         return list(self.pool.answers)
 
+    def made(self, values: Mapping[str, Any]) -> Material:
+        """Return a candidate.
+
+        Raises:
+            NacreError: it cannot be, or is thicker than it may be.
+        """
+        made = self.material.vary(values)
+        if self.most_nm is not None and total_nm(made) > self.most_nm:
+            raise NacreError(f"its layers are thicker than {self.most_nm:g} nm")
+        return made
+
     def spectra(self, place: Array) -> Array:
         """Return `[row, wavelength]` of a candidate.
 
         Raises:
             NacreError: it cannot be computed.
         """
-        made = self.material.vary(values_at(self.free, place))
+        made = self.made(values_at(self.free, place))
         return see(made, self.rows, self.grid, samples=self.samples, seed=self.seed).factors
 
     def _judge(self, place: Array) -> tuple[float, Array | None]:

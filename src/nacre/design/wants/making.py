@@ -10,16 +10,19 @@ from typing import Any
 import numpy as np
 
 from nacre.arrays import Array
+from nacre.bsdf.directions import direction
 from nacre.design.goals import Goals
 from nacre.design.wants.films import drawn_factors
-from nacre.design.wants.geometry import search_wavelengths, see
+from nacre.design.wants.geometry import At, Seen, search_wavelengths, see
 from nacre.design.wants.judge import rows_of
 from nacre.design.wants.spec import LightSpec
+from nacre.design.wants.told import Correction
 from nacre.design.wants.wanted import Want, goals_of
 from nacre.errors import NacreError
 from nacre.light import delta_e_2000
 from nacre.materials.material import Material
 from nacre.materials.spreads import Spread, share_interval
+from nacre.measure.instruments import aspecular_direction
 
 DRAWS, FEWEST_DRAWS = 256, 16
 STEP_SHARE = 0.01  # of a number, for the sensitivity that is told
@@ -27,12 +30,18 @@ STEP_SHARE = 0.01  # of a number, for the sensitivity that is told
 
 @dataclass(frozen=True)
 class _Eye:
-    """Looks at variants of one material: stacks all at once, anything else one by one."""
+    """Looks at variants of one material: stacks all at once, anything else one by one.
+
+    Attributes:
+        correction: what the walk that judged a material says of its likeness, by which variants are then seen: a walk
+            of each would tell its own noise from the next one's, not what a change of 1 % does.
+    """
 
     material: Material
     wants: Sequence[Want]
     grid: Array
     seed: int
+    correction: Correction | None = None
     memory: dict[Any, Any] = field(default_factory=dict)
 
     def at_once(self, paths: Sequence[str], values: Array) -> Array | None:
@@ -46,21 +55,35 @@ class _Eye:
             NacreError: it cannot be computed.
         """
         made = self.material.vary({path: float(v) for path, v in zip(paths, row, strict=True)})
+        if self.correction is not None and (found := _likeness(made, rows_of(self.wants), self.grid)) is not None:
+            return self.correction.of(*found)
         return see(made, rows_of(self.wants), self.grid, seed=self.seed, memory=self.memory).factors
 
 
+def _likeness(material: Material, rows: Sequence[At], grid: Array) -> tuple[Array, Array] | None:
+    """Return what a random walk would give, known and guessed factors `[row, wavelength]`; None: it cannot be told."""
+    if any(at.kind != "aspecular" for at in rows):
+        return None
+    wi = direction(np.radians([at.theta_deg for at in rows]))
+    wo = np.stack([aspecular_direction(at.theta_deg, at.aspecular_deg) for at in rows])
+    found = material.model.likeness_at(wi, wo, grid, True)
+    return None if found is None else (np.pi * found[0], np.pi * found[1])
+
+
 def yield_of(
-    material: Material, spreads: Sequence[Spread], wants: Sequence[Want], light: LightSpec, seed: int, seconds: float
-) -> dict[str, Any]:
+    material: Material, spreads: Sequence[Spread], wants: Sequence[Want], light: LightSpec, seed: int, seconds: float,
+    judged: Seen | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Return the share of draws that keep every want, its 95 % interval, and what each spread costs alone.
 
     Fewer materials are drawn where one takes long.
 
     Args:
         seconds: time allowed.
+        judged: what the judge saw of the material.
     """
     begun = time.monotonic()
-    eye, goals = _eye(material, wants, light, seed)
+    eye, goals = _eye(material, wants, light, seed, judged)
     within = np.array([goals.goals[index].within for index, _ in goals.terms])
     generator = np.random.default_rng([seed, 3])
     paths = [spread.path for spread in spreads]
@@ -85,9 +108,16 @@ def yield_of(
     }  # fmt: skip
 
 
-def _eye(material: Material, wants: Sequence[Want], light: LightSpec, seed: int) -> tuple[_Eye, Goals]:
+def _eye(
+    material: Material, wants: Sequence[Want], light: LightSpec, seed: int, judged: Seen | None
+) -> tuple[_Eye, Goals]:
     grid = search_wavelengths(material, light.illuminants)
-    return _Eye(material, wants, grid, seed), goals_of(wants, rows_of(wants), light, grid)
+    correction = None
+    if judged is not None and judged.error is not None and np.array_equal(judged.wavelengths_nm, grid):
+        found = _likeness(material, rows_of(wants), grid)
+        if found is not None:
+            correction = Correction(judged.factors - found[0], found[1])
+    return _Eye(material, wants, grid, seed, correction), goals_of(wants, rows_of(wants), light, grid)
 
 
 def _costs(eye: _Eye, goals: Goals, spreads: Sequence[Spread]) -> list[dict[str, Any]]:
@@ -105,11 +135,17 @@ def _costs(eye: _Eye, goals: Goals, spreads: Sequence[Spread]) -> list[dict[str,
 
 
 def sensitivity(
-    material: Material, paths: Sequence[str], wants: Sequence[Want], light: LightSpec, seed: int, seconds: float
-) -> list[dict[str, Any]]:
-    """Return how far a change of 1 % of each number moves the looks at worst, in dE00, the farthest first."""
+    material: Material, paths: Sequence[str], wants: Sequence[Want], light: LightSpec, seed: int, seconds: float,
+    judged: Seen | None = None,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Return how far a change of 1 % of each number moves the looks at worst, in dE00, the farthest first.
+
+    Args:
+        seconds: after which no other number is tried, where one takes long.
+        judged: what the judge saw of the material.
+    """
     begun = time.monotonic()
-    eye, goals = _eye(material, wants, light, seed)
+    eye, goals = _eye(material, wants, light, seed, judged)
     found = []
     for path in paths:
         value = float(material.get(path))

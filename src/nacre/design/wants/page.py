@@ -13,6 +13,7 @@ import numpy as np
 
 from nacre.arrays import Array
 from nacre.design.wants.answers import Solution
+from nacre.design.wants.dropping import is_chosen
 from nacre.design.wants.gamut import gamut_chart, gamut_svg
 from nacre.design.wants.geometry import At, search_wavelengths, see
 from nacre.design.wants.judge import Reached, rows_of
@@ -106,14 +107,14 @@ def sheet_of(target: Target, solution: Solution, number: int, design: Any) -> De
     curves = {str(at): row for at, row in zip(rows, seen.factors)}
     wanted = {str(w.at): w.spectrum for w in target.wants if w.spectrum is not None}
     media, thicknesses = layers_of(made)
-    bars, title = _bars(solution)
+    bars, title = _bars(solution, target)
     share = solution.yield_share
     made_well = "" if share is None else f"; yield {100 * share:.0f} %"
     return DesignSheet(
         f"{target.name}, answer {number} of {len(design.solutions)}: {_distance(solution.worst)}"
         f" at {solution.worst.want.at}{made_well}",
         swatches, seen.wavelengths_nm, curves, wanted, angles, seen.factors[len(rows):], label, media, thicknesses,
-        _numbers(solution), bars, title, light.illuminants[0],
+        _numbers(solution, target), bars, title, light.illuminants[0],
     )  # fmt: skip
 
 
@@ -127,12 +128,13 @@ def _ribbon(first: At, material: Material) -> tuple[Array, list[At], str]:
     return angles, [At(first.kind, float(a)) for a in angles], f"Angle of the light, {first.kind} (degrees)"
 
 
-def _numbers(solution: Solution) -> list[str]:
+def _numbers(solution: Solution, target: Target) -> list[str]:
     """Return what was chosen, a number a line; of a list of tables, out of which some may be gone, all numbers."""
     lines = []
     for path, value in solution.changes.items():
         if isinstance(value, list | dict) and (inner := numbers_of(value, path)):
-            lines += [f"{each} = {_short(number)}" for each, number in inner.items()]
+            chosen = [each for each in inner if is_chosen(each, solution.changes, target.free)]
+            lines += [f"{each} = {_short(inner[each])}" for each in chosen]
         else:
             lines.append(f"{path} = {_short(value)}")
     return lines
@@ -142,12 +144,14 @@ def _short(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-def _bars(solution: Solution) -> tuple[list[tuple[str, float]], str]:
+def _bars(solution: Solution, target: Target) -> tuple[list[tuple[str, float]], str]:
     details = solution.facts.get("yield")
     if details is not None:
         return [(c["path"], c["moves"]) for c in details["costs"]], "dE00 of one standard deviation"
     found = solution.facts.get("sensitivity", [])
-    return [(s["path"], s["de00_of_1_percent"]) for s in found], "dE00 of a change of 1 %"
+    count = len([p for p in numbers_of(solution.material.data) if is_chosen(p, solution.changes, target.free)])
+    part = f" ({len(found)} of {count} numbers, in the time)" if 0 < len(found) < count else ""
+    return [(s["path"], s["de00_of_1_percent"]) for s in found], f"dE00 of a change of 1 %{part}"
 
 
 def _distance(reached: Reached) -> str:
@@ -187,7 +191,7 @@ def _section(number: int, solution: Solution, picture: str, folder: Path, target
         mark = "" if r.is_met else " (missed)"
         rows.append(f"<tr><td>{r.want.at}</td><td>{r.lamp or ''}</td><td>{pair}</td><td class=small>{said}</td>"
                     f"<td>{_distance(r)}{mark}</td></tr>")  # fmt: skip
-    made = [f"<li>{html.escape(line)}</li>" for line in _numbers(solution) if len(line) < 200]
+    made = [f"<li>{html.escape(line)}</li>" for line in _numbers(solution, target) if len(line) < 200]
     where = solution.recipe.parent.relative_to(folder).as_posix() if solution.recipe is not None else ""
     details = solution.facts.get("yield")
     said = ""

@@ -23,24 +23,25 @@ from nacre.design.wants.answers import (
     folder_of,
     write_recipe,
 )
-from nacre.design.wants.dropping import tables_kept
+from nacre.design.wants.dropping import is_chosen, tables_kept
 from nacre.design.wants.free import spreads_of
 from nacre.design.wants.general import GeneralSearch
 from nacre.design.wants.image_run import design_picture
 from nacre.design.wants.judge import judge, objective, rank
+from nacre.design.wants.limits import total_nm
 from nacre.design.wants.making import sensitivity, yield_of
 from nacre.design.wants.slow import slow_search
 from nacre.design.wants.target import Target, read_target
 from nacre.errors import NacreError, RecipeError
 from nacre.files import read_text, write_text
 from nacre.materials.material import Material
-from nacre.recipe.paths import is_within, numbers_of
+from nacre.recipe.paths import numbers_of
 
 STATE = "search.json"
 WRITE_EVERY_S = 2.0
 # kept back from the time for judging and the report
 CLOSING_SHARE, CLOSING_S, CLOSING_OF_EACH_S = 0.3, 3.0, 0.6
-LEAST_PAGE_S = 1.0
+LEAST_PAGE_S, LEAST_SENSITIVITY_S = 1.0, 0.5
 LEAST_SEARCH = 0.4  # of the time, whatever was compiled before it began
 RESUMED_SEED = 1_000_003  # a search that goes on draws anew
 
@@ -85,14 +86,15 @@ def run(
     read = target if isinstance(target, Target) else read_target(target)
     folder = Path(out) if out is not None else Path(read.name)
     check_folder(folder, read.material)
+    known, runs = _known(folder, read) if resume else ([], 0)
+    is_picture = read.wants[0].image is not None
+    search = None if is_picture else search_of(read, read.spec.search.seed + RESUMED_SEED * runs)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
-    known, runs = _known(folder, read) if resume else ([], 0)
-    if read.wants[0].image is not None:
+    if search is None:
         return design_picture(read, folder, begun, progress)
-    search = search_of(read, read.spec.search.seed + RESUMED_SEED * runs)
     keeper = _Keeper(folder, read, begun, runs + 1, progress)
     total = read.spec.search.seconds
     closing = CLOSING_SHARE * total
@@ -108,16 +110,27 @@ def run(
 
 
 def search_of(target: Target, seed: int) -> Search:
-    """Return the search that a target needs."""
+    """Return the search that a target needs.
+
+    Raises:
+        RecipeError: what is wanted cannot be computed of the recipe.
+    """
     from nacre.design.wants.films import film_search
     from nacre.design.wants.walked import walked_search
 
-    return film_search(target, seed) or walked_search(target, seed) or _general(target, seed)
+    try:
+        return film_search(target, seed) or walked_search(target, seed) or _general(target, seed)
+    except RecipeError:
+        raise
+    except NacreError as error:
+        raise RecipeError(f"{target.context.source}: {error}") from None
 
 
 def _general(target: Target, seed: int) -> Search:
     asked = (target.material, target.free, target.wants, target.spec.light, seed, target.spec.search.solutions)
-    return slow_search(*asked) or GeneralSearch(*asked)
+    search = slow_search(*asked) or GeneralSearch(*asked)
+    search.most_nm = target.spec.limits.total_nm
+    return search
 
 
 class _Keeper:
@@ -191,9 +204,10 @@ def _finish(
     chosen = list(found[: spec.search.solutions])
     solutions = []
     for number, (_, changes) in enumerate(chosen):
-        if ended == "interrupted" and number > 0:
-            break
-        solution = _judged(target, changes, 0.5 * left / len(chosen))
+        is_late = time.monotonic() - begun > spec.search.seconds
+        if number > 0 and (is_late or ended == "interrupted"):
+            break  # the others are kept in the search's state
+        solution = _judged(target, changes, 0.5 * left / len(chosen), LEAST_SENSITIVITY_S if number == 0 else 0.0)
         if solution is not None:
             solutions.append(solution)
     if not solutions:
@@ -217,23 +231,28 @@ def _order(solutions: list[Solution], target: Target) -> None:
         solutions.sort(key=lambda s: rank(objective(s.wants), tables_kept(target.material, target.free, s.changes)))
 
 
-def _judged(target: Target, changes: dict[str, Any], seconds: float) -> Solution | None:
-    """Return an answer as its recipe shows it; None where it cannot be computed."""
+def _judged(target: Target, changes: dict[str, Any], seconds: float, least: float) -> Solution | None:
+    """Return an answer as its recipe shows it; None where it cannot be computed.
+
+    Args:
+        seconds: for all.
+        least: seconds that its sensitivity gets in any case.
+    """
     spec = target.spec
     try:
         made = target.material.vary(changes)
-        wants, _ = judge(made, target.wants, spec.light, seed=spec.search.seed, seconds=0.5 * seconds)
+        wants, seen = judge(made, target.wants, spec.light, seed=spec.search.seed, seconds=0.5 * seconds)
     except NacreError:
         return None
     facts: dict[str, Any] = {}
     with contextlib.suppress(NacreError):
-        paths = [path for path in numbers_of(made.data) if is_changed(path, changes) and made.get(path)]
-        facts["sensitivity"] = sensitivity(made, paths, target.wants, spec.light, spec.search.seed, 0.2 * seconds)
+        paths = [p for p in numbers_of(made.data) if is_chosen(p, changes, target.free) and made.get(p)]
+        asked = (target.wants, spec.light, spec.search.seed)
+        facts["sensitivity"] = sensitivity(made, paths, *asked, max(0.2 * seconds, least), seen)
         if spec.spread:
             spreads = spreads_of(spec.spread, made, target.context.source)
-            facts["yield"] = yield_of(made, spreads, target.wants, spec.light, spec.search.seed, 0.3 * seconds)
-    total = sum(v for p, v in numbers_of(made.data).items() if p.startswith("layers[") and p.endswith("].thickness_nm"))
-    if total:
+            facts["yield"] = yield_of(made, spreads, *asked, 0.3 * seconds, seen)
+    if total := total_nm(made):
         facts["total_nm"] = total
     return Solution(None, made, changes, wants, facts)
 
@@ -245,11 +264,6 @@ def as_judged(start: Material, changes: Mapping[str, Any]) -> dict[str, Any]:
         start: the recipe that is changed, as one of many.
     """
     return {**changes, **start.vary(changes).model.spared_changes}
-
-
-def is_changed(path: str, changes: Mapping[str, Any]) -> bool:
-    """Whether a number of the recipe is one that the search chose."""
-    return any(is_within(path, each) for each in changes)
 
 
 def _tolerance(target: Target, solution: Solution) -> dict[str, Any]:

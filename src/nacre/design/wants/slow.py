@@ -109,7 +109,7 @@ class SlowSearch(GeneralSearch):
         self.evaluations += not eye.is_rough
         values = values_at(self.free, place)
         try:
-            made = self.material.vary(values)
+            made = self.made(values)
             seen = see(made, self.rows, eye.grid, seed=self.seed, memory=eye.memory, is_rough=eye.is_rough)
             spectra = seen.factors
             objective = float(eye.goals.objective(eye.goals.distances(spectra)))

@@ -92,6 +92,13 @@ class WantSpec(RecipeModel):
     )
     weight: Positive = pydantic.Field(default=1.0, description="how much the want counts beside the others")
 
+    @pydantic.field_validator("chroma", "lightness", mode="before")
+    @classmethod
+    def _bound(cls, value: Any) -> Any:
+        if isinstance(value, int | float):
+            raise ValueError(f'{value} does not say which side; write ">={value}", "<={value}" or [low, high]')
+        return value
+
     @pydantic.model_validator(mode="after")
     def _one_colour(self) -> WantSpec:
         given = [name for name in (*COLOURS, "directions") if getattr(self, name) is not None]

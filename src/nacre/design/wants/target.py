@@ -13,6 +13,7 @@ from nacre.design.wants.free import Free, read_free, spreads_of, values_at
 from nacre.design.wants.geometry import check_answers
 from nacre.design.wants.image_free import check_free
 from nacre.design.wants.judge import rows_of
+from nacre.design.wants.limits import check_limits
 from nacre.design.wants.spec import LayersSpec, WantsSpec
 from nacre.design.wants.wanted import Want, read_wants
 from nacre.errors import NacreError, RecipeError, did_you_mean
@@ -129,10 +130,8 @@ def read_target(target: str | Path | Mapping[str, Any]) -> Target:
         raise RecipeError(f"{source}: limits.trusted = true is of a relief whose heights are sought")
     if wants[0].image is not None:
         check_free(spec, base, free, source)
-    elif spec.limits.levels is not None:
-        raise RecipeError(
-            f"{source}: limits.levels = {spec.limits.levels}: levels are of a picture; no want is an image"
-        )
+    else:
+        check_limits(spec, base, free, source)
     found = Target(spec, context, base, wants, free)
     _check_wants(found)
     return found

@@ -67,10 +67,13 @@ class Valleys:
                 continue
             run = self._next()
             before, numbers = run.cost, self._numbers(run.place)
-            go_down(
-                run, self._look, lambda run, numbers=numbers: self._slopes(run, numbers), numbers, TRIES,  # type: ignore[misc]
-                low=self._low[numbers], settled=SETTLED,
-            )  # fmt: skip
+            if numbers:
+                go_down(
+                    run, self._look, lambda run, numbers=numbers: self._slopes(run, numbers), numbers, TRIES,  # type: ignore[misc]
+                    low=self._low[numbers], settled=SETTLED,
+                )  # fmt: skip
+            else:
+                run.is_settled = True  # all that was free is left out
             if not self._is_new(run):
                 continue
             if not run.is_settled and run.cost < GOES_ON * before:

@@ -55,6 +55,7 @@ GAIN, MOST_IDLE = 0.95, 3  # of the objective: so many steps that leave more, an
 SHORTER = 0.4  # times the reach, after a step that the walk finds worse
 WORSE = 1.6  # times the rms of the best start: what is not settled
 POOR = 4.0  # an objective beyond which a valley must go down quickly, or is left
+UNSEEN = 0.5  # times the best that was walked, where that is poor: what the likeness alone promises is an answer too
 HOPELESS = 20.0  # times the best of before
 SETTLED = 5e-3  # of the bounds: a step that no longer counts
 SMALL = 0.1  # of its bounds: an amount that it is tried to do without
@@ -89,7 +90,7 @@ class WalkedSearch:
         self._told = Told(self.material.model.likeness_error)
         self._deadline = np.inf
         self._tell: Callable[[float, dict[str, Any]], None] | None = None
-        self._likely: tuple[float, Array] | None = None  # best by likeness alone, should no walk end in time
+        self._likely = (np.inf, np.zeros(0))  # best by likeness alone, should no walk end there in time
         self._is_fine = False
         self._last_told = -np.inf
 
@@ -148,7 +149,7 @@ class WalkedSearch:
     def answers(self) -> list[tuple[float, dict[str, Any]]]:
         """Return answers that differ from one another, the best first: of equal looks, those of the fewest tables."""
         self.pool.offer(self.best, self.best_changes)
-        if not self.pool.answers and self._likely is not None:
+        if self._likely[0] < UNSEEN * self.best and self.best > POOR:
             self.pool.offer(self._likely[0], self._changes(self._likely[1]))
         return sorted(self.pool.answers, key=lambda a: rank(a[0], tables_kept(self.material, self.free, a[1])))
 
@@ -208,15 +209,16 @@ class WalkedSearch:
         self._report()
         if spectra is None:
             return FAR_OFF
-        return float(np.sqrt(np.mean((self.goals.distances(spectra) * self.goals.scale) ** 2)))
+        distances = self.goals.distances(spectra)
+        self._likely = min(self._likely, (float(self.goals.objective(distances)), place), key=lambda pair: pair[0])
+        return float(np.sqrt(np.mean((distances * self.goals.scale) ** 2)))
 
     def _likeness(self, place: Array) -> float:
         spectra = self.spectra(place)
         if spectra is None:
             return FAR_OFF
         objective = float(self.goals.objective(self.goals.distances(spectra)))
-        if self._likely is None or objective < self._likely[0]:
-            self._likely = (objective, place)
+        self._likely = min(self._likely, (objective, place), key=lambda pair: pair[0])
         self._report()
         return objective
 

@@ -34,6 +34,7 @@ ARRANGEMENTS = ("hard-disk", "rsa", "poisson-disk", "lattice")
 MEASURED_POINTS = 200_000
 MAX_FILE_BYTES = 200 << 20
 LEAST_POINTS = 50
+FARTHEST_UM = 4.0  # that neighbours are apart: beyond, S(q) has more rings than light can tell, and takes minutes
 BIN_REDUCED = 0.1  # width of the bins of a measured S, in q a
 
 
@@ -151,6 +152,11 @@ def points_pattern(context: RecipeContext, name: str, diameter_nm: float, width_
     pattern = Pattern((xy_um - low) * 1e3, side)
     # overlaps are looked for in the list alone: its guessed repetition may bring edges too close
     nearest = float(nearest_distances(Pattern(pattern.xy_nm, 3 * side)).min())
+    if nearest > 1e3 * FARTHEST_UM:
+        what = "lengths are in um unless a heading says else, as x_nm,y_nm" if width_um is None else "width_um is in um"
+        raise context.fail(
+            key, name, f"has particles at least {1e-3 * nearest:.3g} um apart, and {FARTHEST_UM:g} is the most; {what}"
+        )
     if nearest < diameter_nm * (1 - 1e-6):
         raise context.fail(
             key, name, f"has particles {nearest:.4g} nm apart, which overlap: they are {diameter_nm:.4g} nm wide"
@@ -179,7 +185,7 @@ def _points_in_picture(context: RecipeContext, name: str, width_um: float) -> Ar
         raise context.fail("monolayer.structure.points", name, why_unreadable(error)) from None
     except NacreError as error:
         raise context.fail("monolayer.structure.points", name, str(error)) from None
-    logger.info("%s: %s: %s", context.source, name, found.summary)
+    logger.log(logging.WARNING if found.left_out else logging.INFO, "%s: %s: %s", context.source, name, found.summary)
     side = min(found.size_um)
     away = np.abs(found.xy_um - np.array(found.size_um) / 2).max(axis=1)
     return found.xy_um[away < side / 2]

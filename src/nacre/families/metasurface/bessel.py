@@ -14,6 +14,8 @@ from nacre.arrays import ComplexArray
 from nacre.matter.jit import compiled
 
 ASYMPTOTIC_FROM = 28.0  # beyond, Hankel's expansion has 13 digits
+SERIES_BELOW = 0.05
+LANES = 16  # points side by side: two or four vectors of the processor, whose waits they fill
 
 
 @compiled(nogil=True)
@@ -75,14 +77,82 @@ def hankel_scaled(z: ComplexArray, sign: int) -> ComplexArray:
 
 
 @compiled(nogil=True)
+def _series(x, out, i):  # type: ignore[no-untyped-def]  # numba
+    """J_m of a small x: three terms of the power series are enough below `SERIES_BELOW`, five are taken."""
+    half = 0.5 * x
+    square, lead = -half * half, 1.0 + 0.0j
+    for m in range(out.shape[0]):
+        term, total = 1.0 + 0.0j, 1.0 + 0.0j
+        for j in range(1, 5):
+            term = term * square / (j * (j + m))
+            total += term
+        out[m, i] = lead * total
+        lead = lead * half / (m + 1)
+
+
+@compiled(nogil=True, error_model="numpy", fastmath={"contract"})
+def _downward(state, start, top, kept):  # type: ignore[no-untyped-def]  # numba
+    """Miller's recurrence of `LANES` points side by side, `state` in rows of LANES: 2/x, J_n+1, J_n, even, odd sums.
+
+    One point alone waits for each of its products; side by side in one array they become vector instructions. Rows
+    alternate real and imaginary parts.
+    """
+    sign = 1.0 if start % 4 < 2 else -1.0  # of turn^n, but for a factor `turn` where n is odd
+    for n in range(start, 0, -1):
+        if n <= top:
+            for j in range(2 * LANES):
+                kept[n * 2 * LANES + j] = state[4 * LANES + j]
+        even = sign if n % 2 == 0 else 0.0
+        odd = sign - even
+        for j in range(LANES):
+            ratio, turned = n * state[j], n * state[LANES + j]
+            re, im = state[4 * LANES + j], state[5 * LANES + j]
+            next_re = ratio * re - turned * im - state[2 * LANES + j]
+            next_im = ratio * im + turned * re - state[3 * LANES + j]
+            state[6 * LANES + j] += even * re
+            state[7 * LANES + j] += even * im
+            state[8 * LANES + j] += odd * re
+            state[9 * LANES + j] += odd * im
+            state[2 * LANES + j], state[3 * LANES + j] = re, im
+            state[4 * LANES + j], state[5 * LANES + j] = next_re, next_im
+        if n % 2 == 0:
+            sign = -sign
+
+
+@compiled(nogil=True)
+def _together(z, places, count, start, out, state, kept):  # type: ignore[no-untyped-def]  # numba
+    """Fill in `count` points, at most `LANES`, by the recurrence down from order `start`."""
+    top = out.shape[0] - 1
+    state[:] = 0.0
+    for j in range(LANES):
+        x = z[places[min(j, count - 1)]]
+        double = 2.0 / (x.real * x.real + x.imag * x.imag)
+        state[j], state[LANES + j] = x.real * double, -x.imag * double
+        state[4 * LANES + j] = 1e-280
+    _downward(state, start, top, kept)
+    for j in range(count):
+        i = places[j]
+        # e^{-+iz} = J_0 + 2 sum (-+i)^n J_n: the sign is taken so that the sum is large and does not cancel
+        turn = -1.0j if z[i].imag >= 0 else 1.0j
+        now = complex(state[4 * LANES + j], state[5 * LANES + j])
+        even = complex(state[6 * LANES + j], state[7 * LANES + j])
+        odd = complex(state[8 * LANES + j], state[9 * LANES + j])
+        scale = np.exp(turn * z[i]) / (2.0 * (even + turn * odd) + now)
+        out[0, i] = now * scale
+        for m in range(1, top + 1):
+            out[m, i] = complex(kept[2 * m * LANES + j], kept[(2 * m + 1) * LANES + j]) * scale
+
+
+@compiled(nogil=True)
 def _fill(z, out):  # type: ignore[no-untyped-def]  # numba
     top = out.shape[0] - 1
+    state, kept = np.empty(10 * LANES), np.empty(2 * LANES * (top + 1))
+    places, count, start = np.empty(LANES, np.int64), 0, 0
     for i in range(z.size):
         x = z[i]
         size = abs(x)
-        if size < 1e-12:
-            for m in range(top + 1):
-                out[m, i] = 1.0 if m == 0 else 0.0
+        if size < SERIES_BELOW:
+            _series(x, out, i)
             continue
         if size > ASYMPTOTIC_FROM and size > 2.0 * top:
             before, now = _asymptotic(x)
@@ -94,27 +164,16 @@ def _fill(z, out):  # type: ignore[no-untyped-def]  # numba
                 before, now = now, m * (twice * now) - before
                 out[m + 1, i] = now
             continue
-        start = int(max(size, top) + 12 + 4.0 * max(size, top) ** (1.0 / 3.0) + 12)
-        after, now = 0.0j, 1e-280 + 0.0j
-        # e^{-+iz} = J_0 + 2 sum (-+i)^n J_n: the sign is taken so that the sum is large and does not cancel
-        turn = -1.0j if x.imag >= 0 else 1.0j
-        twice = 2.0 / x  # one division a point: a complex one costs as much as ten products
-        even, odd = 0.0j, 0.0j
-        sign = 1.0 if start % 4 < 2 else -1.0  # of turn^n, but for a factor `turn` where n is odd
-        for n in range(start, 0, -1):
-            if n <= top:
-                out[n, i] = now
-            if n % 2 == 0:
-                even += sign * now
-                sign = -sign
-            else:
-                odd += sign * now
-            after, now = now, n * (twice * now) - after
-        out[0, i] = now
-        total = 2.0 * (even + turn * odd) + now
-        scale = np.exp(turn * x) / total
-        for m in range(top + 1):
-            out[m, i] *= scale
+        # J_n ~ (e x / 2n)^n is below 1e-17 from here on
+        silent = min(18.0 + 2.0 * size, size + 24.0 + 4.0 * size ** (1.0 / 3.0))
+        start = max(start, int(max(silent, top + 2.0 + size)))
+        places[count] = i
+        count += 1
+        if count == LANES:
+            _together(z, places, count, start, out, state, kept)
+            count, start = 0, 0
+    if count > 0:
+        _together(z, places, count, start, out, state, kept)
 
 
 def bessel_j(z: NDArray, top: int) -> ComplexArray:

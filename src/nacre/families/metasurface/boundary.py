@@ -21,9 +21,10 @@ from nacre.families.metasurface.angular import angular_functions, legendre
 
 @dataclass(frozen=True)
 class Mesh:
-    """How finely a body is solved: panels, degree of the polynomials, and nodes."""
+    """How finely a body is solved: panels, of its core too where it is a coat, degree of the polynomials, nodes."""
 
     panels: Array
+    core: Array | None = None
     degree: int = 6
     outer: int = 14
     far: int = 10
@@ -36,104 +37,143 @@ def _outer_rule(count: int) -> tuple[Array, Array]:
     return 0.5 * x * (3 - x**2), 1.5 * w * (1 - x**2)
 
 
-def block_t_matrix(mesh: Mesh, index: complex, lmax: int, mmax: int | None = None) -> ComplexArray:
+def block_t_matrix(
+    mesh: Mesh, index: complex, lmax: int, mmax: int | None = None, core: complex | None = None
+) -> ComplexArray:
     """Return T, `[m, n, n']`, in the basis of `axial`.
+
+    The field in a shell is that of the currents on both its surfaces: on the diagonal stand the operators of the media
+    on either side of a surface, off it those of the shell alone, with a minus.
 
     Args:
         mesh: of lengths times the ambient k.
-        index: of the body over the ambient's.
+        index: of the body, or of its shell, over the ambient's.
+        core: index of what lies inside the mesh's second surface.
     """
     top = lmax if mmax is None else mmax
-    panels, degree = np.ascontiguousarray(mesh.panels, dtype=float), mesh.degree
-    count, size = len(panels), degree + 1
-    s, w = _outer_rule(mesh.outer)
-    points = np.array([[*rev.locate(p, x), x] for p in panels for x in s])
-    speeds = points[:, 4]
-    targets = np.ascontiguousarray(points[:, [0, 1, 2, 3, 5]])
-    homes = np.repeat(np.arange(count), len(s))
-    rows = np.zeros((len(targets), 2, count, 16, top + 1, size), dtype=complex)
-    rev.fill_rows(panels, targets, homes, complex(index), degree, mesh.far, mesh.on_itself, *rev.gauss_table(), rows)
-    tests = _tests(mesh, s, w, targets, speeds)
+    surfaces = [_Surface.of(mesh, panels) for panels in (mesh.panels, mesh.core) if panels is not None]
+    media = [1.0, index] if core is None else [1.0, index, core]
+    parities, orders = (1.0, -1.0), range(top + 1)
+    parts: dict[tuple[float, int], list[list[ComplexArray]]]
+    parts = {(parity, m): [[] for _ in surfaces] for parity in parities for m in orders}
+    for i, at in enumerate(surfaces):
+        for j, of in enumerate(surfaces):
+            between = [media[i + 1], media[i]] if i == j else [media[1]]
+            rows = _rows(mesh, at, of, between, top)
+            for parity in parities:
+                with_images = tuple(np.asarray(rows[:, 0] + sign * rows[:, 1]) for sign in (parity, -parity))
+                for m in orders:
+                    block = _block(with_images, at, of, m, parity)
+                    parts[parity, m][i].append(block if i == j else -block)
     out = np.zeros((top + 1, 2 * lmax, 2 * lmax), dtype=complex)
-    waves = _waves(targets, lmax, top)
-    for parity in (1.0, -1.0):
-        with_images = tuple(np.asarray(rows[:, 0] + sign * rows[:, 1], dtype=complex) for sign in (parity, -parity))
-        for m in range(top + 1):
-            matrix = _system(with_images, tests, m, count, parity)
-            right, left, kept = _excitations(waves, tests, m, lmax, count, parity)
-            if kept.size == 0:
-                continue
-            found = 2.0 * left.T @ np.linalg.solve(matrix, right)
-            out[m, kept[:, None], kept] = found
+    outermost = surfaces[0]
+    waves = _waves(outermost.targets, lmax, top)
+    for (parity, m), blocks in parts.items():
+        right, left, kept = _excitations(waves, outermost, m, lmax, parity)
+        if kept.size == 0:
+            continue
+        matrix = np.block(blocks)
+        unlit = np.zeros((len(matrix) - len(right), right.shape[1]))
+        currents = np.linalg.solve(matrix, np.concatenate([right, unlit]))
+        out[m, kept[:, None], kept] = 2.0 * left.T @ currents[: len(right)]
     return out
 
 
 @dataclass(frozen=True)
-class _Tests:
-    """Test functions at the targets, by panel, `[panel, shape, target]`: rho b_t, (rho b_t)', rho b_p, b_p."""
+class _Surface:
+    """A surface's panels, its targets (rho, z, t_rho, t_z, s), and test functions there, `[panel, shape, target]`.
 
+    The test functions are rho b_t, (rho b_t)', rho b_p and b_p.
+    """
+
+    panels: Array
+    targets: Array
     t: Array
     spread: Array
     p: Array
     plain: Array
 
+    @property
+    def count(self) -> int:
+        """Number of panels."""
+        return len(self.panels)
 
-def _tests(mesh: Mesh, s: Array, w: Array, targets: Array, speeds: Array) -> _Tests:
-    size, count = mesh.degree + 1, len(mesh.panels)
-    along, slope, around = (np.empty((size, len(s))) for _ in range(3))
-    for n, x in enumerate(s):
-        a, b, c = (np.empty(size) for _ in range(3))
-        rev.shapes(x, mesh.degree, a, b, c)
-        along[:, n], slope[:, n], around[:, n] = a, b, c
-    rho = targets[:, 0].reshape(count, 1, -1)
-    t_rho, speed = targets[:, 2].reshape(count, 1, -1), speeds.reshape(count, 1, -1)
-    return _Tests(
-        rho * along * speed * w, (t_rho * speed * along + rho * slope) * w, rho * around * speed * w,
-        np.broadcast_to(around * w, (count, *around.shape)) * speed,
-    )  # fmt: skip
+    @property
+    def size(self) -> int:
+        """Number of shape functions on a panel."""
+        return int(self.t.shape[1])
+
+    @classmethod
+    def of(cls, mesh: Mesh, panels: Array) -> _Surface:
+        """Prepare a surface at the nodes of a mesh."""
+        panels = np.ascontiguousarray(panels, dtype=float)
+        s, w = _outer_rule(mesh.outer)
+        points = np.array([[*rev.locate(p, x), x] for p in panels for x in s])
+        targets = np.ascontiguousarray(points[:, [0, 1, 2, 3, 5]])
+        size, count = mesh.degree + 1, len(panels)
+        along, slope, around = (np.empty((size, len(s))) for _ in range(3))
+        for n, x in enumerate(s):
+            a, b, c = (np.empty(size) for _ in range(3))
+            rev.shapes(x, mesh.degree, a, b, c)
+            along[:, n], slope[:, n], around[:, n] = a, b, c
+        rho, t_rho, speed = (points[:, k].reshape(count, 1, -1) for k in (0, 2, 4))
+        return cls(
+            panels, targets, rho * along * speed * w, (t_rho * speed * along + rho * slope) * w,
+            rho * around * speed * w, np.broadcast_to(around * w, (count, *around.shape)) * speed,
+        )  # fmt: skip
 
 
-def _system(with_images: tuple[ComplexArray, ...], tests: _Tests, m: int, count: int, parity: float) -> ComplexArray:
-    """Return S of one azimuthal order and one parity: the unknowns are J_t, J_p, M_t, M_p."""
-    targets = with_images[0].shape[0] // count
+def _rows(mesh: Mesh, at: _Surface, of: _Surface, waves: list[complex], top: int) -> ComplexArray:
+    """Return the integrals over one surface's panels at the targets of one, see `revolution.fill_rows`."""
+    homes = np.repeat(np.arange(at.count), len(at.targets) // at.count) if at is of else np.full(len(at.targets), -1)
+    rows = np.zeros((len(at.targets), 2, of.count, 16, top + 1, of.size), dtype=complex)
+    numbers = np.array(waves, dtype=complex)
+    rev.fill_rows(
+        of.panels, at.targets, homes, numbers, mesh.degree, mesh.far, mesh.on_itself, *rev.gauss_table(), rows
+    )
+    return rows
 
-    def of(image: int, kernel: int, test: Array) -> ComplexArray:
-        part = with_images[image][:, :, kernel, m].reshape(count, targets, -1)
-        return (test @ part).reshape(count * test.shape[1], -1)
+
+def _block(with_images: tuple[ComplexArray, ...], at: _Surface, of: _Surface, m: int, parity: float) -> ComplexArray:
+    """Return a block of S of one azimuthal order and one parity: the unknowns are J_t, J_p, M_t, M_p."""
+
+    def tested(image: int, kernel: int, test: Array) -> ComplexArray:
+        part = with_images[image][:, :, kernel, m].reshape(at.count, -1, of.count * of.size)
+        return (test @ part).reshape(at.count * at.size, -1)
 
     def electric(image: int, first: int) -> tuple[ComplexArray, ...]:
         tt, tp, pt, pp, st, sp = (first + n for n in range(6))
         im = 1j * m
         return (
-            of(image, tt, tests.t) - of(image, st, tests.spread),
-            of(image, tp, tests.t) - im * of(image, sp, tests.spread),
-            of(image, pt, tests.p) + im * of(image, st, tests.plain),
-            of(image, pp, tests.p) - m**2 * of(image, sp, tests.plain),
+            tested(image, tt, at.t) - tested(image, st, at.spread),
+            tested(image, tp, at.t) - im * tested(image, sp, at.spread),
+            tested(image, pt, at.p) + im * tested(image, st, at.plain),
+            tested(image, pp, at.p) - m**2 * tested(image, sp, at.plain),
         )
 
     def crossed(image: int) -> tuple[ComplexArray, ...]:
         return (
-            of(image, rev.K_TT, tests.t), of(image, rev.K_TP, tests.t), of(image, rev.K_PT, tests.p),
-            of(image, rev.K_PP, tests.p),
+            tested(image, rev.K_TT, at.t), tested(image, rev.K_TP, at.t), tested(image, rev.K_PT, at.p),
+            tested(image, rev.K_PP, at.p),
         )  # fmt: skip
 
     def square(parts: tuple[ComplexArray, ...], rows: float, columns: float) -> ComplexArray:
-        left, right = _joined(count, tests.t.shape[1], rows), _joined(count, tests.t.shape[1], columns)
+        left, right = _joined(at, rows), _joined(of, columns)
         return np.block([[left.T @ parts[0] @ right, left.T @ parts[1]], [parts[2] @ right, parts[3]]])
 
     # J goes with the parity, M against it; of the t components the odd ones vanish on the equator
     j, mag = parity, -parity
     e_j, h_m = square(electric(0, rev.E_TT), j, j), square(electric(1, rev.H_TT), mag, mag)
     k_m, k_j = square(crossed(1), j, mag), square(crossed(0), mag, j)
-    whole = np.block([[1j * e_j, -k_m], [-k_j, -1j * h_m]])
-    return whole
+    return np.block([[1j * e_j, -k_m], [-k_j, -1j * h_m]])
 
 
-def _joined(count: int, size: int, parity: float) -> Array:
+def _joined(surface: _Surface, parity: float) -> Array:
     """Return the matrix from continuous functions to the panels' own, `[panel x shape, unknown]`.
 
     A vector field that goes with the mirror has an odd t component, counted along the curve: none on the equator.
     """
+    count, size = surface.count, surface.size
     unknowns = count * (size - 2) + count + (0 if parity > 0 else 1)
     out = np.zeros((count * size, unknowns))
     for q in range(count):
@@ -167,18 +207,17 @@ def _waves(targets: Array, lmax: int, top: int) -> dict[str, Array]:
 
 
 def _excitations(
-    waves: dict[str, Array], tests: _Tests, m: int, lmax: int, count: int, parity: float
+    waves: dict[str, Array], surface: _Surface, m: int, lmax: int, parity: float
 ) -> tuple[ComplexArray, ComplexArray, Array]:
-    """Return v and v~, `[unknown, wave]`, of the waves of one parity, and their places n = (tau, l)."""
+    """Return v and v~, `[unknown, wave]`, of the waves of one parity on a surface, and their places n = (tau, l)."""
     l = np.arange(1, lmax + 1)
     even = (-1.0) ** (l + m)
     magnetic = l[(l >= max(m, 1)) & (-even == parity)] - 1
     electric = l[(l >= max(m, 1)) & (even == parity)] - 1
-    size = tests.t.shape[1]
 
     def tested(values: ComplexArray, test: Array) -> ComplexArray:
-        cut = values.reshape(len(values), count, -1)
-        return np.asarray(np.einsum("qks,nqs->qkn", test, cut).reshape(count * size, len(values)))
+        cut = values.reshape(len(values), surface.count, -1)
+        return np.asarray(np.einsum("qks,nqs->qkn", test, cut).reshape(-1, len(values)))
 
     def side(conjugate: float) -> ComplexArray:
         i = 1j * conjugate
@@ -190,8 +229,8 @@ def _excitations(
         )  # fmt: skip
         return np.concatenate(
             [
-                -_joined(count, size, parity).T @ tested(e_t, tests.t), -tested(e_p, tests.p),
-                _joined(count, size, -parity).T @ tested(h_t, tests.t), tested(h_p, tests.p),
+                -_joined(surface, parity).T @ tested(e_t, surface.t), -tested(e_p, surface.p),
+                _joined(surface, -parity).T @ tested(h_t, surface.t), tested(h_p, surface.p),
             ]
         )  # fmt: skip
 

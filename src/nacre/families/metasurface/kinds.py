@@ -7,14 +7,17 @@ one arrangement. All are given to one multipole order, that of the one that need
 from __future__ import annotations
 
 import contextlib
+import logging
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from nacre.arrays import Array, ComplexArray
+from nacre.errors import UnsupportedError
 from nacre.families.metasurface.axial import Body, as_blocks, multipole_order
 from nacre.families.metasurface.bodies import place, refuse
+from nacre.families.metasurface.known_sphere import KnownSphere
 from nacre.families.metasurface.monolayer import Particle
 from nacre.families.metasurface.particles import Shell, Sizes, sphere_t_matrix
 from nacre.families.metasurface.sphere import (
@@ -22,10 +25,13 @@ from nacre.families.metasurface.sphere import (
     ORDER_TOLERANCE,
     ConvergenceRefusal,
     choose_order,
+    order_change,
     rounded_up,
 )
 from nacre.families.metasurface.substrate import Substrate
 from nacre.matter.indices.constant import OpticalConstant
+
+logger = logging.getLogger("nacre")
 
 LOOSEST_TOLERANCE = 0.02  # of the change on doubling: above it the series has no limit to speak of
 # accepted with a warning where the recipe names no tolerance: silver on glass leaves up to 0.9 %, at 360 nm only
@@ -82,6 +88,11 @@ class Kind:
         return self.outer_radius_nm if self.body is None else self.body.circumscribing_nm
 
     @property
+    def is_sphere(self) -> bool:
+        """Whether it is a sphere, by its keys or by a file."""
+        return self.body is None or isinstance(self.body, KnownSphere)
+
+    @property
     def noun(self) -> str:
         """What a drawing calls them."""
         if self.body is None:
@@ -97,6 +108,8 @@ class Kind:
 
     def t_matrix(self, lmax: int, surface: Substrate, radius_nm: float) -> ComplexArray:
         """Return the diagonal T of one sphere, `[n]`."""
+        if isinstance(self.body, KnownSphere):
+            return self.body.coefficients(lmax, surface)
         assert self.core is not None  # of spheres it is known
         return sphere_t_matrix(self.core, self.shell, radius_nm, lmax, surface)
 
@@ -112,6 +125,8 @@ class Settling:
         source: name of the recipe, for messages.
         first_film_nm: thickness of the stack's first layer; None: it has none.
         unsettled: what the highest order left open, by wavelength, where that is more than the tolerance.
+        missing: of files that hold fewer multipoles of a sphere than it takes: the orders held and taken, and about by
+            how much the far field still changes, by source.
     """
 
     order: int | None
@@ -120,6 +135,7 @@ class Settling:
     source: str
     first_film_nm: float | None
     unsettled: dict[float, float] = field(default_factory=dict)
+    missing: dict[str, tuple[int, int, float]] = field(default_factory=dict)
 
     def particles(self, kinds: tuple[Kind, ...], surface: Substrate) -> tuple[Particle, ...]:
         """Return the particles over a stack, all of one multipole order.
@@ -128,20 +144,38 @@ class Settling:
             ConvergenceRefusal, UnsupportedError: their multipoles do not settle.
             MaterialRangeError: an index is not known.
         """
-        bodies = [[self._body(kind, r, surface) for r in kind.sizes.radii_nm] if kind.body else [] for kind in kinds]
-        orders = [self.sphere_order(kind, surface) for kind in kinds if kind.body is None]
+        bodies = [
+            [] if kind.is_sphere else [self._body(kind, r, surface) for r in kind.sizes.radii_nm] for kind in kinds
+        ]
+        orders = [self.sphere_order(kind, surface) for kind in kinds if kind.is_sphere]
         top = max([p.lmax for row in bodies for p in row] + orders)
         out = []
         for number, (kind, row) in enumerate(zip(kinds, bodies)):
             above = (kind.shell.thickness_nm if kind.shell else 0.0) + kind.gap_nm
+            held = top if kind.body is None else min(top, kind.body.lmax)
             alone = row or [
-                Particle(1.0, radius + above, kind.t_matrix(top, surface, radius)) for radius in kind.sizes.radii_nm
+                Particle(1.0, radius + above, kind.t_matrix(held, surface, radius)) for radius in kind.sizes.radii_nm
             ]
             out += [
                 replace(p, share=kind.share * share, t_matrix=widened(p.t_matrix, top), kind=number)
                 for p, share in zip(alone, kind.sizes.shares)
             ]
         return tuple(out)
+
+    def tell(self, is_body: bool) -> None:
+        """Log what is not settled, and of which files more multipoles are missing, once for all wavelengths."""
+        if self.unsettled:
+            logger.warning(
+                "%s: at %s nm the far field is converged to %.2g only (%s); model.tolerance sets what is accepted",
+                self.source, " and ".join(f"{w:g}" for w in sorted(self.unsettled)), max(self.unsettled.values()),
+                "the particle lies close to the solid" if is_body
+                else "a metal sphere touches the solid; with a gap_nm of 2 it converges",
+            )  # fmt: skip
+        for source, (held, wanted, change) in self.missing.items():
+            logger.warning(
+                "%s: holds multipoles up to l = %d, and this sphere takes up to %d over this stack: without them the "
+                "far field changes by up to %.2g", source, held, wanted, change,
+            )  # fmt: skip
 
     def _body(self, kind: Kind, radius_nm: float, surface: Substrate) -> Particle:
         assert kind.body is not None
@@ -165,13 +199,42 @@ class Settling:
             ConvergenceRefusal: no order keeps within the tolerance; it names the remedies.
         """
         if self.order is not None:
+            if kind.body is not None:
+                kind.body.check_order(self.order)
             return self.order
+        if isinstance(kind.body, KnownSphere):
+            return self._known_order(kind, kind.body, surface)
         if self.memory is not None:
             near = self._neighbourhood(kind, surface)
             if near not in self.memory:
                 self.memory[near] = self._chosen_order(kind, surface)
             return int(self.memory[near])
         return self._chosen_order(kind, surface)
+
+    def _known_order(self, kind: Kind, sphere: KnownSphere, surface: Substrate) -> int:
+        """Return the order of a sphere of a file: what spheres take, or all that it holds, and note what is missing.
+
+        Raises:
+            ConvergenceRefusal, UnsupportedError: what it holds is not enough, or no order is.
+        """
+        wanted, held = self._chosen_order(kind, surface), sphere.lmax
+        tolerance = self.tolerance or LOOSEST_TOLERANCE
+        if not sphere.goes_on:  # the order was chosen as if there were no more than what it holds
+            placed = place(sphere, surface, kind.gap_nm)
+            if 2 * wanted > held and placed.change > tolerance:
+                raise refuse(sphere, surface, kind.gap_nm, placed, tolerance, None)
+        elif wanted > held:
+            centre = kind.outer_radius_nm + kind.gap_nm
+            change = order_change(surface, centre, lambda l: sphere.coefficients(l, surface), held, 2 * wanted)
+            if change > tolerance:
+                raise UnsupportedError(
+                    f"{sphere.source}: holds multipoles up to l = {held}, and at {surface.wavelength_nm:g} nm this "
+                    f"sphere takes {wanted} over this stack: the far field changes by {change:.2g}, {tolerance:g} is "
+                    "allowed; a file of higher order or a larger gap_nm is needed"
+                )
+            _, most, worst = self.missing.get(sphere.source, (held, 0, 0.0))
+            self.missing[sphere.source] = held, max(wanted, most), max(change, worst)
+        return min(wanted, held)
 
     def _neighbourhood(self, kind: Kind, surface: Substrate) -> tuple[Any, ...]:
         """What the order depends on, to within a tenth; of the stack the media and the first film's thickness."""
@@ -213,7 +276,6 @@ class Settling:
                 refusal.change,
                 refusal.order,
             ) from None
-
 
     def _remedy(self, kind: Kind, surface: Substrate, tolerance: float) -> str:
         """Return the least gap of a few whose series settles, in words; one that mostly does where many are tried."""

@@ -373,15 +373,9 @@ class Metasurface(Model):
             notes["multipole_tolerance"] = max(
                 [self.multipole_tolerance or ORDER_TOLERANCE, *self._settling.unsettled.values()]
             )
-        if self._settling.unsettled:
-            logger.warning(
-                "%s: at %s nm the far field is converged to %.2g only (%s); model.tolerance sets what is accepted",
-                self.source,
-                " and ".join(f"{w:g}" for w in sorted(self._settling.unsettled)),
-                max(self._settling.unsettled.values()),
-                "the particle lies close to the solid" if self.body is not None
-                else "a metal sphere touches the solid; with a gap_nm of 2 it converges",
-            )  # fmt: skip
+        if self._settling.missing:
+            notes["multipoles"] = [{"held": h, "taken": t, "change": c} for h, t, c in self._settling.missing.values()]
+        self._settling.tell(self.body is not None)
         return Bsdf((specular, harmonic), notes)
 
     def _warn(self) -> None:
@@ -438,6 +432,8 @@ class Metasurface(Model):
             return [share @ part for part in self.powers(np.cos(theta), float(wavelength), layer(float(wavelength)))]
 
         columns = in_threads(powers, lam)
+        if self.memory is None:
+            self._settling.tell(self.body is not None)
         r, t, up, down = (np.stack([c[i] for c in columns], axis=-1) for i in range(4))
         if self.correction != "none":
             up, down, excess = within_what_arrives(r + t, up, down)

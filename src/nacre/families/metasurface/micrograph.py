@@ -2,7 +2,7 @@
 
 The grey levels are smoothed and split in two by Otsu's threshold (IEEE Trans. Syst. Man Cybern. 9, 62, 1979); the
 particles are the rarer level, bright or dark. Blobs that touch are told apart by the maxima of the distance to their
-edge. What the picture's border cuts is left out.
+edge. What the picture's border cuts is left out, and so is what was drawn in after: a banner with the scale, marks.
 """
 
 from __future__ import annotations
@@ -23,6 +23,11 @@ SMOOTHING = 1.0  # pixels
 LEAST_WIDTH = 4.0  # pixels across a particle, below which an outline says nothing
 SPECK = 0.25  # of the median area: less is dust or noise
 LEVELS = 256
+SHADE = 0.1  # of the width: what varies more slowly is the light's shade, not particles
+BANNER, IN_PICTURE = 0.5, 0.2  # of a row that has one level: at least in a banner, at most in a picture
+LEAST_BANNER = 0.02  # of the height
+DRAWN = 0.1  # of the median noise within particles: what has less was drawn in
+LEAST_NOISE = 1e-3  # a quarter of a step of 8 bits
 SURE = 0.7  # of the variance of the grey levels that two levels must explain: of noise alone they explain 0.64
 
 
@@ -35,12 +40,14 @@ class Found:
         diameters_nm: `[particle]`, of discs of the blobs' areas.
         size_um: width and height of the picture.
         is_bright: whether the particles are its bright parts.
+        left_out: what was taken for a banner or for marks, in words; "" where nothing was.
     """
 
     xy_um: Array
     diameters_nm: Array
     size_um: tuple[float, float]
     is_bright: bool
+    left_out: str = ""
 
     @property
     def summary(self) -> str:
@@ -49,6 +56,7 @@ class Found:
         return (
             f"{len(self.xy_um)} {'bright' if self.is_bright else 'dark'} particles, {mean:.4g} nm wide (standard "
             f"deviation {spread:.3g} nm), in {self.size_um[0]:.4g} x {self.size_um[1]:.4g} um"
+            + (f", without {self.left_out}" if self.left_out else "")
         )
 
 
@@ -92,10 +100,15 @@ def find_particles(levels: Array, width_um: float) -> Found:
     """
     from scipy import ndimage
 
+    above, below = _banner(levels), _banner(levels[::-1])
+    levels = levels[above : len(levels) - below]
     rows, columns = levels.shape
     pixel_nm = 1e3 * width_um / columns
     smooth = ndimage.gaussian_filter(levels, SMOOTHING)
     threshold, explained = otsu(smooth)
+    if explained < SURE:  # a shade over the picture, as of charging, or of a detector at one side
+        smooth = smooth - ndimage.gaussian_filter(levels, SHADE * columns)
+        threshold, explained = otsu(smooth)
     if explained < SURE:
         raise NacreError(
             f"has no two levels: they explain {100 * explained:.0f} % of its contrast, {100 * SURE:.0f} % are needed"
@@ -110,7 +123,9 @@ def find_particles(levels: Array, width_um: float) -> Found:
     whole = ~np.isin(labels, cut)
     if not np.any(whole):
         raise NacreError("shows no particle that its border does not cut")
-    kept = labels[whole & (areas >= SPECK * np.median(areas[whole]))]
+    whole &= areas >= SPECK * np.median(areas[whole])
+    drawn = whole & _of_one_level(levels, np.where(ndimage.binary_erosion(inside, iterations=2), blobs, 0), whole)
+    kept = labels[whole & ~drawn]
     diameters = 2 * np.sqrt(areas[kept - 1] / np.pi)
     if np.median(diameters) < LEAST_WIDTH:
         raise NacreError(
@@ -118,7 +133,36 @@ def find_particles(levels: Array, width_um: float) -> Found:
         )
     at = np.array(ndimage.center_of_mass(inside, blobs, kept)).reshape(-1, 2)
     xy = np.column_stack([at[:, 1] + 0.5, rows - 0.5 - at[:, 0]]) * pixel_nm * 1e-3
-    return Found(xy, diameters * pixel_nm, (width_um, rows * pixel_nm * 1e-3), is_bright)
+    told = [f"a banner of {above + below} rows"] * (above + below > 0) + ["marks drawn in"] * bool(drawn.any())
+    return Found(xy, diameters * pixel_nm, (width_um, rows * pixel_nm * 1e-3), is_bright, " and ".join(told))
+
+
+def _banner(levels: Array) -> int:
+    """Return how many rows at the top are a banner, as microscopes put below a picture: mostly of one level each."""
+    alike = np.array([np.unique(row, return_counts=True)[1].max() for row in levels]) / levels.shape[1]
+    ends = np.flatnonzero(alike < BANNER)
+    count = int(ends[0]) if ends.size else 0
+    is_one = count >= LEAST_BANNER * len(levels) and float(np.median(alike[count:])) < IN_PICTURE
+    return count if is_one else 0
+
+
+def _of_one_level(levels: Array, cores: NDArray[np.intp], whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which blobs are drawn marks, `[blob]`: of one level, where what a microscope sees has noise.
+
+    Args:
+        cores: `[row, column]`, numbers of the blobs from 1 where outlines are far, else 0.
+        whole: `[blob]`, which of them count.
+    """
+    count, first, second = (
+        np.bincount(cores.ravel(), by, len(whole) + 1)[1:] for by in (None, levels.ravel(), levels.ravel() ** 2)
+    )
+    there = count > 1
+    size = np.maximum(count, 1)
+    noise = np.where(there, np.sqrt(np.maximum(second / size - (first / size) ** 2, 0.0)), np.inf)
+    usual = noise[whole & there]
+    if not usual.size or np.median(usual) < LEAST_NOISE:  # a drawing as a whole
+        return np.zeros_like(there)
+    return np.asarray(noise < DRAWN * np.median(usual))
 
 
 def otsu(levels: Array) -> tuple[float, float]:

@@ -11,6 +11,7 @@ import pydantic
 from nacre.errors import MaterialRangeError
 from nacre.families.metasurface.axial import AxialTMatrices, Body, KnownBody
 from nacre.families.metasurface.kinds import Kind
+from nacre.families.metasurface.known_sphere import SAME_SIZE, SPHERE, KnownSphere, is_spherical, shape_of
 from nacre.families.metasurface.particles import Shell, Sizes
 from nacre.families.metasurface.solids import SolvedBody
 from nacre.families.metasurface.tmatrix_file import TMatrixFileError, read_tmatrices
@@ -23,10 +24,12 @@ SMALLEST_CORE_NM = 0.1  # less than an atom; squares of far smaller ones are 0 i
 WIDEST_RELATIVE_SIZE = 0.3
 SAME_MEDIUM = 1e-3  # relative, of the index that a T-matrix is for
 SAME_LENGTH = 1e-2  # relative, of a length that recipe and file both give
-NOT_MODELLED = {  # what a stranger may ask for, and why there is no such key
-    "orientation": "particles that all point one way are not modelled; of one that is not axisymmetric the mean over "
-    "its turn about the normal is taken",
-}
+ALIGNED = (
+    "particles that all point one way are not modelled; of one that is not axisymmetric the mean over its turn about "
+    "the normal is taken"
+)
+TURNS = ("orientation", "orientation_deg", "turn", "turn_deg", "rotation", "rotation_deg", "azimuth_deg", "aligned")
+NOT_MODELLED = dict.fromkeys(TURNS, ALIGNED)  # what a stranger may ask for, and why there is no such key
 NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
 Extent = Annotated[float, pydantic.Field(ge=2 * SMALLEST_CORE_NM, le=2 * CORE_LIMIT_NM)]
 
@@ -189,7 +192,10 @@ class KindSpec(RecipeModel):
         # without a shape the particle may fill the cylinder that its two lengths name
         reach = float(np.hypot(radius, height / 2)) if known.circumscribing_nm is None else known.circumscribing_nm
         source = f'{context.source}: {self.table}.tmatrix = "{self.tmatrix}"'
-        return KnownBody(known, radius, height, reach, source, hold_ends)
+        shape = shape_of(known)
+        if shape in ("", SPHERE) and abs(2 * radius - height) <= SAME_SIZE * height and is_spherical(known):
+            return KnownSphere(known, radius, height, radius, source, hold_ends, shape)
+        return KnownBody(known, radius, height, reach, source, hold_ends, shape)
 
     def _solid(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool) -> SolvedBody:
         assert self.material is not None and self.diameter_nm is not None and self.height_nm is not None  # _one_kind

@@ -127,7 +127,7 @@ def sums_at(
     """
     kappa = directions.inner
     waves = plane_wave_sums(structure, surface, centre_nm, order, directions.inner_cosines, kappa)
-    return neighbour_sums(surface, centre_nm, structure, order, kappa) + waves if sees_neighbours else waves
+    return neighbour_sums(surface, centre_nm, structure, order, kappa, quick=True) + waves if sees_neighbours else waves
 
 
 def mean_excitation(q: ComplexArray, order: int, dressed: ComplexArray, own: ComplexArray) -> ComplexArray:

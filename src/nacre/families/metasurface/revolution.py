@@ -4,9 +4,10 @@ The kernels exp(ikR)/(4 pi R) and its gradient are integrated over the azimuth i
 singularity, psi = a sinh u, then over panels of the generating curve: plainly where a panel is far, split towards the
 target where it is near, and with nodes that crowd at the target where it lies on the panel itself.
 
-Lengths are times the ambient k. A panel is a row (kind, p0, p1, p2, p3): a line from (rho, z) to (rho, z), kind 0; or
-an arc of a spheroid, kind 1, with semi-axes a, c between two parametric angles. Panels cover the upper half, z >= 0,
-from the pole to the equator; the lower half is its mirror image.
+Lengths are times the ambient k. A panel is a row (kind, p0, p1, p2, p3, d): a line from (rho, z) to (rho, z), kind 0;
+or, kind 1, what lies d outside an arc of a spheroid with semi-axes a, c between two parametric angles; or, kind 2, an
+arc of radius d round the ring (rho, z) between two angles from the normal. Panels cover the upper half, z >= 0, from
+the pole to the equator; the lower half is its mirror image.
 """
 
 from __future__ import annotations
@@ -48,9 +49,37 @@ def locate(panel, s):  # type: ignore[no-untyped-def]  # numba
         return panel[1] + 2.0 * dr * h, panel[2] + 2.0 * dz * h, dr / speed, dz / speed, speed
     middle, half = 0.5 * (panel[3] + panel[4]), 0.5 * (panel[4] - panel[3])
     theta = middle + half * s
-    dr, dz = panel[1] * np.cos(theta) * half, -panel[2] * np.sin(theta) * half
-    speed = np.sqrt(dr * dr + dz * dz)
-    return panel[1] * np.sin(theta), panel[2] * np.cos(theta), dr / speed, dz / speed, speed
+    cos, sin, out = np.cos(theta), np.sin(theta), panel[5]
+    if panel[0] == 2.0:
+        return panel[1] + out * sin, panel[2] + out * cos, cos, -sin, out * half
+    a, c = panel[1], panel[2]
+    dr, dz = a * cos, -c * sin
+    slope = np.sqrt(dr * dr + dz * dz)
+    speed = half * (slope + out * a * c / (slope * slope))  # the curvature is a c / slope^3
+    return a * sin - out * dz / slope, c * cos + out * dr / slope, dr / slope, dz / slope, speed
+
+
+@compiled(nogil=True, error_model="numpy")
+def _apart(panel, s, step):  # type: ignore[no-untyped-def]  # numba
+    """Return rho and z at s + step less those at s, which lose no digits as the step vanishes."""
+    if panel[0] == 0.0:
+        return 0.5 * (panel[3] - panel[1]) * step, 0.5 * (panel[4] - panel[2]) * step
+    half = 0.5 * (panel[4] - panel[3])
+    theta, turn = 0.5 * (panel[3] + panel[4]) + half * s, half * step
+    chord, mean = 2.0 * np.sin(0.5 * turn), theta + 0.5 * turn
+    d_sin, d_cos, out = np.cos(mean) * chord, -np.sin(mean) * chord, panel[5]
+    if panel[0] == 2.0:
+        return out * d_sin, out * d_cos
+    a, c = panel[1], panel[2]
+    dr, dz = a * d_sin, c * d_cos
+    if out != 0.0:  # the normals are (c sin, a cos) / slope
+        sin, cos = np.sin(theta), np.cos(theta)
+        slope = np.sqrt((a * cos) ** 2 + (c * sin) ** 2)
+        there = np.sqrt((a * (cos + d_cos)) ** 2 + (c * (sin + d_sin)) ** 2)
+        steeper = (c - a) * (c + a) * d_sin * (2.0 * sin + d_sin) / (slope + there)
+        dr += out * c * (d_sin * slope - sin * steeper) / (slope * there)
+        dz += out * a * (d_cos * slope - cos * steeper) / (slope * there)
+    return dr, dz
 
 
 @compiled(nogil=True, error_model="numpy")
@@ -67,16 +96,16 @@ def shapes(s, degree, along, slope, around):  # type: ignore[no-untyped-def]  # 
 
 
 @compiled(nogil=True, error_model="numpy")
-def _modes(rho, z, rho_s, z_s, k_in, nodes, weights, modal):  # type: ignore[no-untyped-def]  # numba
+def _modes(rho, rho_s, plane, waves, nodes, weights, modal):  # type: ignore[no-untyped-def]  # numba
     """Fill `[kind, medium, m]`: int G cos, G cos psi cos, G sin psi sin, h cos, h (1 - cos psi) cos, h sin psi sin."""
     modal[:] = 0.0
     top = modal.shape[2]
-    plane = (rho - rho_s) ** 2 + (z - z_s) ** 2
     if plane == 0.0:  # closer than numbers tell apart: its weight is nothing
         return
     a = np.sqrt(plane / (rho * rho_s))
     reach = np.arcsinh(np.pi / a)
-    count = min(int(14 + 0.7 * top + 2.2 * reach + 2.0 * abs(k_in) * min(rho, rho_s)), nodes.shape[0] - 1)
+    turns = np.max(np.abs(waves)) * min(rho, rho_s)
+    count = min(int(14 + 0.7 * top + 2.2 * reach + 2.0 * turns), nodes.shape[0] - 1)
     for n in range(count):
         u = reach * nodes[count, n]
         psi = a * np.sinh(u)
@@ -85,8 +114,8 @@ def _modes(rho, z, rho_s, z_s, k_in, nodes, weights, modal):  # type: ignore[no-
         less = 2.0 * half * half
         distance = np.sqrt(plane + 2.0 * rho * rho_s * less)
         c, s = 1.0 - less, np.sin(psi)
-        for medium in range(2):
-            ik = 1j if medium == 0 else 1j * k_in
+        for medium in range(waves.shape[0]):
+            ik = 1j * waves[medium]
             g = np.exp(ik * distance) * (weight / distance)
             h = g * (ik * distance - 1.0) / (distance * distance)
             gc, gs, hl, hs = g * c, g * s, h * less, h * s
@@ -102,28 +131,34 @@ def _modes(rho, z, rho_s, z_s, k_in, nodes, weights, modal):  # type: ignore[no-
 
 
 @compiled(nogil=True, error_model="numpy")
-def _add(target, panel, s, weight, sign, k_in, degree, nodes, weights, modal, work, row):  # type: ignore[no-untyped-def]  # numba
-    """Add one source point to `row`, `[kernel, m, shape]`; `sign` -1 takes the point's mirror image."""
+def _add(target, panel, s, step, weight, sign, waves, degree, nodes, weights, modal, work, row):  # type: ignore[no-untyped-def]  # numba
+    """Add one source point to `row`, `[kernel, m, shape]`; `sign` -1 takes the point's mirror image.
+
+    `step`: from the target along its own panel; 0 on any other.
+    """
     rho, z, t_rho, t_z = target[0], target[1], target[2], target[3]
     rho_s, z_s, u_rho, u_z, speed = locate(panel, s)
     z_s, u_z = sign * z_s, sign * u_z
-    _modes(rho, z, rho_s, z_s, k_in, nodes, weights, modal)
+    dr, dz = rho - rho_s, z - z_s
+    if step != 0.0:  # the normal part of their distance is of its square: all digits count
+        dr, dz = _apart(panel, target[4], step)
+        dr, dz = -dr, -dz
+    _modes(rho, rho_s, dr * dr + dz * dz, waves, nodes, weights, modal)
     shapes(s, degree, work[0], work[1], work[2])
-    epsilon = k_in * k_in
-    dz = z - z_s
+    eps_in, eps_out = waves[0] * waves[0], waves[-1] * waves[-1]
     k_tt = rho * u_rho * t_z - rho_s * u_z * t_rho - dz * t_rho * u_rho
-    pt_0, pt_1 = -(rho - rho_s) * u_z + dz * u_rho, -(rho_s * u_z + dz * u_rho)
-    tp_0, tp_1 = t_z * (rho - rho_s) - dz * t_rho, -(rho * t_z - dz * t_rho)
+    pt_0, pt_1 = -dr * u_z + dz * u_rho, -(rho_s * u_z + dz * u_rho)
+    tp_0, tp_1 = t_z * dr - dz * t_rho, -(rho * t_z - dz * t_rho)
     measure = weight * speed * rho_s
     for m in range(modal.shape[2]):
-        g0, g1, g2 = modal[0, 0, m], modal[1, 0, m], modal[2, 0, m]
-        i0, i1, i2 = modal[0, 1, m], modal[1, 1, m], modal[2, 1, m]
+        i0, i1, i2 = modal[0, 0, m], modal[1, 0, m], modal[2, 0, m]
+        g0, g1, g2 = modal[0, 1, m], modal[1, 1, m], modal[2, 1, m]
         h0, hl, hs = modal[3, 0, m] + modal[3, 1, m], modal[4, 0, m] + modal[4, 1, m], modal[5, 0, m] + modal[5, 1, m]
         e0, e1, e2 = g0 + i0, g1 + i1, g2 + i2
-        f0, f1, f2 = g0 + epsilon * i0, g1 + epsilon * i1, g2 + epsilon * i2
+        f0, f1, f2 = eps_out * g0 + eps_in * i0, eps_out * g1 + eps_in * i1, eps_out * g2 + eps_in * i2
         e_tt, e_tp, e_pt = t_rho * u_rho * e1 + t_z * u_z * e0, -1j * t_rho * e2, 1j * u_rho * e2
         f_tt, f_tp, f_pt = t_rho * u_rho * f1 + t_z * u_z * f0, -1j * t_rho * f2, 1j * u_rho * f2
-        e_s, f_s = g0 + i0 / epsilon, g0 + i0
+        e_s, f_s = g0 / eps_out + i0 / eps_in, g0 + i0
         q_tt, q_pp = 1j * k_tt * hs, -1j * dz * hs
         q_tp, q_pt = tp_0 * h0 + tp_1 * hl, pt_0 * h0 + pt_1 * hl
         for k in range(degree + 1):
@@ -178,8 +213,12 @@ def _nearest(panel, rho, z, sign):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, error_model="numpy")
-def fill_rows(panels, targets, homes, k_in, degree, far, self_count, nodes, weights, rows):  # type: ignore[no-untyped-def]  # numba
-    """Fill `[target, mirror, panel, kernel, m, shape]` for the targets (rho, z, t_rho, t_z, s) on their home panels."""
+def fill_rows(panels, targets, homes, waves, degree, far, self_count, nodes, weights, rows):  # type: ignore[no-untyped-def]  # numba
+    """Fill `[target, mirror, panel, kernel, m, shape]` for the targets (rho, z, t_rho, t_z, s) on their home panels.
+
+    `waves` holds the wavenumbers, over the ambient's, of the media inside and outside the panels, whose kernels are
+    summed; or that of the one medium between them and targets on another surface, whose home is -1.
+    """
     orders = rows.shape[4]
     modal = np.zeros((6, 2, orders), dtype=np.complex128)
     work = np.empty((3, degree + 1))
@@ -194,16 +233,16 @@ def fill_rows(panels, targets, homes, k_in, degree, far, self_count, nodes, weig
                         span = target[4] + 1.0 if side == 0 else 1.0 - target[4]
                         for n in range(self_count):
                             x = nodes[self_count, n]
-                            step = span * x**CROWDING
-                            s = target[4] - step if side == 0 else target[4] + step
+                            step = (2 * side - 1) * span * x**CROWDING
                             w = weights[self_count, n] * span * CROWDING * x ** (CROWDING - 1)
-                            _add(target, panel, s, w, sign, k_in, degree, nodes, weights, modal, work, row)
+                            s = target[4] + step
+                            _add(target, panel, s, step, w, sign, waves, degree, nodes, weights, modal, work, row)
                     continue
                 where, distance, length = _nearest(panel, target[0], target[1], sign)
                 if length <= NEAR * distance:
                     for n in range(far):
                         s, w = 2.0 * nodes[far, n] - 1.0, 2.0 * weights[far, n]
-                        _add(target, panel, s, w, sign, k_in, degree, nodes, weights, modal, work, row)
+                        _add(target, panel, s, 0.0, w, sign, waves, degree, nodes, weights, modal, work, row)
                     continue
                 # pieces that halve towards the nearest point, down to its distance
                 least = 2.0 * distance / length
@@ -220,7 +259,7 @@ def fill_rows(panels, targets, homes, k_in, degree, far, self_count, nodes, weig
                             step = inner + (outer - inner) * nodes[far, n]
                             s = where - step if side == 0 else where + step
                             w = (outer - inner) * weights[far, n]
-                            _add(target, panel, s, w, sign, k_in, degree, nodes, weights, modal, work, row)
+                            _add(target, panel, s, 0.0, w, sign, waves, degree, nodes, weights, modal, work, row)
                         outer = inner
 
 

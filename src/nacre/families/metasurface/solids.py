@@ -1,9 +1,11 @@
-"""Discs, rods and spheroids: meshes of their outlines, and their T-matrices by wavelength with a stated error."""
+"""Discs, rods and spheroids, bare or in a coat: meshes of their outlines, and T-matrices with a stated error."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -12,6 +14,7 @@ from nacre.arrays import Array, ComplexArray
 from nacre.errors import UnsupportedError
 from nacre.families.metasurface.axial import AxialTMatrices, Body, gain, reciprocal, truncated
 from nacre.families.metasurface.boundary import Mesh, block_t_matrix
+from nacre.families.metasurface.particles import Shell
 from nacre.families.metasurface.sphere import AZIMUTHAL_ORDERS
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.jobs import in_threads, one_thread_each
@@ -23,54 +26,107 @@ EXPORTED_ORDER = 10  # of a file: 48 wavelengths of all orders would have 600 MB
 SHORTEST_NM = 360.0
 GRADING = 0.15  # of panels towards an edge: after n levels GRADING^(2 n nu) is left, nu the exponent of the field there
 LADDER, CONTENT = (3, 7, 14), 1e-3  # levels, and what is good enough: nu is .5 to .8, but near 0 for silver at 360 nm
+SMOOTH_LADDER = (-1, 0, 3)  # panels more than needed, of a spheroid
 LONGEST = 4.0  # of a panel, over the index: degree 6 resolves two thirds of a wavelength to 1e-7
 LONGEST_OVER_WIDTH = 3.0  # of a panel over the least extent: the far side's field varies as fast
-MOST_PANELS = 40
+MOST_PANELS, MOST_WITH_COAT = 40, 60
 REFUSED = 1e-2  # of the estimated error, relative
 CHECKED_ORDER = 3
-COARSE = {"degree": 4, "outer": 10, "far": 8, "on_itself": 10}
+RIM_PIECES = 2  # of a coat's rim
+CLOSER = 1.5  # of a coat's next mesh
+COAT_STEPS = 4.0  # of the grading beyond its thickness
+SEEN = 0.5  # of a coat's thickness: nearer to the edge its outside does not see how the core is cut
+COARSE = partial(Mesh, degree=4, outer=10, far=8, on_itself=10)
 
 
-def cylinder_panels(radius: float, height: float, index: complex, levels: int = LADDER[0]) -> Array:
-    """Return panels of the upper half of an upright cylinder, from the axis along the top and down to the middle.
+def cylinder_panels(
+    radius: float, height: float, index: float, levels: int = LADDER[0], coat: float = 0.0
+) -> tuple[Array, Array]:
+    """Return panels of the upper half of an upright cylinder, and of the outside of a coat, round about the edge.
 
-    Graded towards the edge. Lengths times the ambient k; `index` over the ambient's.
+    From the axis along the top and down to the middle, graded towards the edge. Where the two surfaces are close they
+    are cut at the same places, since the fields of a panel's currents change at its ends.
+
+    Args:
+        radius, height: of the cylinder, times the ambient k.
+        index: the highest modulus there is, over the ambient's.
+        levels: of the grading.
+        coat: its thickness times the ambient k.
     """
-    longest = min(LONGEST / max(1.0, abs(index)), LONGEST_OVER_WIDTH * min(2 * radius, height))
-    rows = []
-    for r0, z0, length in ((0.0, height / 2, radius), (radius, 0.0, height / 2)):
-        first = min(radius, height / 2, length)
-        from_edge = [0.0, *(first * GRADING**n for n in range(levels, 0, -1)), length]
+    longest = min(LONGEST / max(1.0, index), LONGEST_OVER_WIDTH * min(2 * radius, height))
+    bare: list[tuple[float, ...]] = []
+    coated: list[tuple[float, ...]] = []
+    for is_top, length in ((True, radius), (False, height / 2)):
         marks = [0.0]
-        for low, high in zip(from_edge, from_edge[1:]):
+        for low, high in pairwise([0.0, *_grading(length, min(radius, height / 2), levels, coat), length]):
             pieces = max(1, int(np.ceil((high - low) / longest)))
             marks += [low + (high - low) * n / pieces for n in range(1, pieces + 1)]
-        ends = length - np.array(marks[::-1])  # from the axis, or from the middle, to the edge
-        if r0 == 0.0:
-            rows += [(0.0, a, z0, b, z0) for a, b in zip(ends, ends[1:])]
-        else:
-            down = ends[::-1]
-            rows += [(0.0, r0, a, r0, b) for a, b in zip(down, down[1:])]
-    return np.array(rows)
+        seen = [0.0, *(m for m in marks[1:-1] if m > SEEN * coat), length]
+        for rows, kept, out in ((bare, marks, 0.0), (coated, seen, coat)):
+            ends = [length - m for m in kept]  # from the axis, or from the middle
+            if is_top:
+                rows += [(0.0, low, height / 2 + out, high, height / 2 + out, 0.0) for high, low in pairwise(ends)][
+                    ::-1
+                ]
+            else:
+                rows += [(0.0, radius + out, high, radius + out, low, 0.0) for high, low in pairwise(ends)]
+        if is_top:
+            turns = _turns(max(RIM_PIECES, int(np.ceil(coat * np.pi / 2 * max(1.0, index) / LONGEST))))
+            coated += [(2.0, radius, height / 2, a, b, coat) for a, b in pairwise(turns)]
+    return np.array(bare), np.array(coated)
 
 
-def spheroid_panels(radius: float, height: float, index: complex, coarser: int = 0) -> Array:
-    """Return panels of the upper half of a spheroid, from the pole to the equator; see `cylinder_panels`."""
+def _grading(length: float, width: float, levels: int, coat: float) -> list[float]:
+    """Return where a line is cut, from an edge; steps of a coat's thickness are among the cuts."""
+    first = min(width, length)
+    finest = first * GRADING**levels
+    if not finest < coat < length / 2:
+        return [first * GRADING**n for n in range(levels, 0, -1)]
+    inner = [coat * GRADING**n for n in range(1, levels + 1) if coat * GRADING**n >= finest]
+    outer = [coat * COAT_STEPS**n for n in range(levels + 9) if coat * COAT_STEPS**n < length / 2]
+    return [*inner[::-1], *outer]
+
+
+def film_mode(core: complex, coat: complex, thickness: float) -> float:
+    """Return the wavenumber of the shortest wave that a thin coat guides, of a metal say, over the ambient's k.
+
+    Without retardation, between two half spaces: e^(2 k t) = (e - e1)(e - e2) / ((e + e1)(e + e2)).
+    """
+    e, around = coat**2, (1.0 + 0.0j, core**2)
+    above, below = (complex(np.prod([e + sign * other for other in around])) for sign in (-1.0, 1.0))
+    if abs(above) <= abs(below) or below == 0.0:  # none; or of no wavelength at all, at the surface's own resonance
+        return 0.0
+    return float(abs(np.log(above / below))) / (2 * thickness)
+
+
+def _turns(count: int) -> Array:
+    return np.linspace(0.0, np.pi / 2, count + 1)
+
+
+def spheroid_panels(radius: float, height: float, index: float, coarser: int = 0, coat: float = 0.0) -> Array:
+    """Return panels of the upper half of a spheroid, from the pole to the equator; see `cylinder_panels`.
+
+    With a `coat`, of the outside of one so thick; without their last column they are the core's.
+    """
     a, c = radius, height / 2
-    longest = min(LONGEST / max(1.0, abs(index)), LONGEST_OVER_WIDTH * min(2 * a, 2 * c))
+    count = 2
+    for wide, high in ((a, c), (a + coat, c + coat)):
+        longest = min(LONGEST / max(1.0, index), LONGEST_OVER_WIDTH * min(2 * wide, 2 * high))
+        count = max(count, int(np.ceil(max(wide, high) * np.pi / 2 / longest)))
     tips = int(np.ceil(np.log2(max(a / c, c / a, 1.0))))
-    count = max(2, int(np.ceil(max(a, c) * np.pi / 2 / longest))) + tips - coarser
-    edges = np.linspace(0.0, np.pi / 2, max(count, 1) + 1)
-    return np.array([(1.0, a, c, low, high) for low, high in zip(edges, edges[1:])])
+    edges = _turns(max(count + tips - coarser, 1))
+    return np.array([(1.0, a, c, low, high, coat) for low, high in zip(edges, edges[1:])])
 
 
 @dataclass(frozen=True)
 class SolvedBody(Body):
-    """A homogeneous cylinder or spheroid, its axis along the normal, whose T-matrix is computed. See `Body`.
+    """A cylinder or spheroid, its axis along the normal, whose T-matrix is computed. See `Body`.
 
     Attributes:
-        core: its material.
+        radius_nm, height_nm: with the shell.
+        core: its material, or what the shell coats.
         ambient: the medium around.
+        shell: a coat of even thickness, round about a cylinder's edges, or None.
     """
 
     method: ClassVar[str] = "PMCHWT, Galerkin, body of revolution"
@@ -81,18 +137,29 @@ class SolvedBody(Body):
     core: OpticalConstant
     ambient: OpticalConstant
     source: str
+    shell: Shell | None = None
     errors: dict[float, float] = field(default_factory=dict, compare=False)
 
     @property
     def name(self) -> str:  # type: ignore[override]  # read only, as all of a frozen dataclass
         """What it is, in words."""
-        return f"{self.shape} of {self.core.name}, {2 * self.radius_nm:g} x {self.height_nm:g} nm"
+        radius, height = self.core_extents_nm
+        coat = "" if self.shell is None else f", in {self.shell.thickness_nm:g} nm of {self.shell.material.name}"
+        return f"{self.shape} of {self.core.name}, {2 * radius:g} x {height:g} nm{coat}"
+
+    @property
+    def core_extents_nm(self) -> tuple[float, float]:
+        """Largest distance from the axis and height of the core."""
+        coat = 0.0 if self.shell is None else self.shell.thickness_nm
+        return self.radius_nm - coat, self.height_nm - 2 * coat
 
     @property
     def circumscribing_nm(self) -> float:  # type: ignore[override]
         """Largest distance from the centre."""
-        half = self.height_nm / 2
-        return float(np.hypot(self.radius_nm, half)) if self.shape == "cylinder" else max(self.radius_nm, half)
+        if self.shape != "cylinder":
+            return max(self.radius_nm, self.height_nm / 2)
+        radius, height = self.core_extents_nm
+        return float(np.hypot(radius, height / 2)) + self.radius_nm - radius
 
     def of_radius(self, radius_nm: float) -> SolvedBody:
         """Return the same particle with another width, its height as it is; estimated errors are gathered in both."""
@@ -141,22 +208,37 @@ class SolvedBody(Body):
         return self._solved[key]
 
     def _numbers(self, wavelength_nm: float) -> tuple[float, float, complex]:
-        """Radius and height times k, and the index over the ambient's."""
-        lam = np.array([wavelength_nm])
-        around = float(self.ambient.n_complex(lam)[0].real)
-        k = 2 * np.pi * around / wavelength_nm
-        return k * self.radius_nm, k * self.height_nm, complex(self.core.n_complex(lam)[0]) / around
+        """Radius and height of the core times k, and its index over the ambient's."""
+        k, around = self._around(wavelength_nm)
+        radius, height = self.core_extents_nm
+        return k * radius, k * height, complex(self.core.n_complex(np.array([wavelength_nm]))[0]) / around
+
+    def _coat(self, wavelength_nm: float) -> tuple[float, complex] | None:
+        """Thickness of the shell times k, and its index over the ambient's."""
+        if self.shell is None:
+            return None
+        k, around = self._around(wavelength_nm)
+        index = complex(self.shell.material.n_complex(np.array([wavelength_nm]))[0])
+        return k * self.shell.thickness_nm, index / around
+
+    def _around(self, wavelength_nm: float) -> tuple[float, float]:
+        """Wavenumber and index of the ambient."""
+        around = float(self.ambient.n_complex(np.array([wavelength_nm]))[0].real)
+        return 2 * np.pi * around / wavelength_nm, around
 
     def _kept(self, wavelength_nm: float, mmax: int) -> ComplexArray:
         radius, height, index = self._numbers(wavelength_nm)
-        numbers = [float(v).hex() for v in (radius, height, index.real, index.imag)]
+        coat = self._coat(wavelength_nm)
+        thickness, outside = (0.0, 1.0) if coat is None else coat
+        parts = (radius, height, index.real, index.imag, thickness, outside.real, outside.imag)
+        numbers = [float(v).hex() for v in parts]
         key = "tmatrix-" + identity({"shape": self.shape, "numbers": numbers}, {}, lmax=self.lmax, mmax=mmax)
         stored = kept_arrays(key)
         if stored and {"real", "imaginary", "error"} <= stored.keys():
             found, error = stored["real"] + 1j * stored["imaginary"], float(stored["error"])
         else:
             with one_thread_each():  # the matrices are small, and whoever asks has threads of its own
-                found, error = self._solve(radius, height, index, mmax)
+                found, error = self._solve(radius, height, index, mmax, coat)
             keep_arrays(key, {"real": found.real, "imaginary": found.imag, "error": np.array(error)})
         self.errors[wavelength_nm] = max(error, self.errors.get(wavelength_nm, 0.0))
         if error > REFUSED:
@@ -167,29 +249,49 @@ class SolvedBody(Body):
             )
         return found
 
-    def _solve(self, radius: float, height: float, index: complex, mmax: int) -> tuple[ComplexArray, float]:
-        """Return T and its estimated error."""
-        if self.shape != "cylinder":
-            fine, coarse = (spheroid_panels(radius, height, index, n) for n in (0, 1))
-            return self._compared(fine, Mesh(coarse, **COARSE), index, mmax)
-        before = Mesh(cylinder_panels(radius, height, index, LADDER[0] - 1), **COARSE)
-        for levels in LADDER:
-            panels = cylinder_panels(radius, height, index, levels)
-            found, error = self._compared(panels, before, index, mmax)
+    def _solve(
+        self, radius: float, height: float, index: complex, mmax: int, coat: tuple[float, complex] | None = None
+    ) -> tuple[ComplexArray, float]:
+        """Return T and its estimated error; `coat`: its thickness and index."""
+        thickness, shell = (0.0, index) if coat is None else coat
+        highest = max(abs(index), abs(shell))
+        if coat is not None:
+            highest = max(highest, film_mode(index, shell, thickness))
+
+        def mesh(fineness: int, closer: float, make: Callable[..., Mesh] = Mesh) -> Mesh:
+            if self.shape == "cylinder":
+                core, outside = cylinder_panels(radius, height, closer * highest, fineness, thickness)
+            else:
+                outside = spheroid_panels(radius, height, closer * highest, -fineness, thickness)
+                core = np.column_stack([outside[:, :-1], np.zeros(len(outside))])
+            return make(core) if coat is None else make(outside, core)
+
+        start, *finer = (LADDER[0] - 1, *LADDER) if self.shape == "cylinder" else SMOOTH_LADDER
+        before, closer = mesh(start, 1.0, COARSE), 1.0
+        for fineness in finer:
+            now = mesh(fineness, closer)
+            found, error = self._compared(now, before, index, mmax, coat)
             if error <= CONTENT:
                 break
-            before = Mesh(panels)
+            before = now
+            # beside a coat's edge and over a thin film the grading towards the core's edge is not all there is to it
+            closer *= 1.0 if coat is None else CLOSER
         return found, error
 
-    def _compared(self, panels: Array, coarse: Mesh, index: complex, mmax: int) -> tuple[ComplexArray, float]:
+    def _compared(
+        self, fine: Mesh, coarse: Mesh, index: complex, mmax: int, coat: tuple[float, complex] | None
+    ) -> tuple[ComplexArray, float]:
         """Return T and what a coarser mesh differs by, which is more than what is left."""
-        if len(panels) > MOST_PANELS:
+        count = len(fine.panels) + (0 if fine.core is None else len(fine.core))
+        if count > (MOST_PANELS if coat is None else MOST_WITH_COAT):
             raise UnsupportedError(
                 f"{self.source}: a particle {2 * self.radius_nm:g} nm wide and {self.height_nm:g} nm high takes "
-                f"{len(panels)} panels, too many to be solved; it is too large or too flat"
+                f"{count} panels, too many to be solved; it is too large or too flat"
+                + ("" if coat is None else ", or its coat too thin")
             )
-        found = reciprocal(block_t_matrix(Mesh(panels), index, self.lmax, mmax))
-        again = reciprocal(block_t_matrix(coarse, index, CHECKED_ORDER, 1))
+        outermost, core = (index, None) if coat is None else (coat[1], index)
+        found = reciprocal(block_t_matrix(fine, outermost, self.lmax, mmax, core))
+        again = reciprocal(block_t_matrix(coarse, outermost, CHECKED_ORDER, 1, core))
         kept = np.concatenate([np.arange(CHECKED_ORDER), self.lmax + np.arange(CHECKED_ORDER)])
         change = float(np.linalg.norm(again - found[:2, kept[:, None], kept]) / np.linalg.norm(again))
         return found, max(change, gain(found), 1e-6)
@@ -208,5 +310,5 @@ class SolvedBody(Body):
         around = self.ambient.n_complex(wavelengths_nm).real
         return AxialTMatrices(
             wavelengths_nm, np.stack(blocks), around, self.name, self.radius_nm, self.height_nm, self.circumscribing_nm,
-            self.core.n_complex(wavelengths_nm),
+            None if self.shell is not None else self.core.n_complex(wavelengths_nm),
         )  # fmt: skip

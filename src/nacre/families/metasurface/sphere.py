@@ -404,8 +404,7 @@ def choose_order(
     for top in (12, 24, largest):
         t_top = coefficients(top)
         blocks = reflection_operator(surface, centre_nm, top, mmax)
-        incident = Directions.build(surface, centre_nm, top, mmax, np.cos(np.radians([0.0, 30.0, 60.0, 80.0])))
-        scattered = Directions.build(surface, centre_nm, top, mmax, np.cos(np.radians(np.arange(5.0, 90.0, 12.0))))
+        incident, scattered = _probes(surface, centre_nm, top, mmax)
         solved: dict[int, Array] = {}
         worst = np.inf
         rungs = [o for o in ORDER_LADDER if 2 * o <= top]
@@ -414,8 +413,7 @@ def choose_order(
             for l in (order, 2 * order):
                 if l not in solved:
                     solved[l] = _probe_pattern(t_top, blocks, incident, scattered, l)
-            change = np.sqrt(np.sum((solved[order] - solved[2 * order]) ** 2, axis=(0, 1, 2)))
-            worst = float(np.max(change / np.sqrt(np.sum(solved[2 * order] ** 2, axis=(0, 1, 2)))))
+            worst = _worst(solved[order], solved[2 * order])
             if worst <= tolerance:
                 return order
         begin = len(rungs)
@@ -425,6 +423,27 @@ def choose_order(
         worst,
         order,
     )
+
+
+def order_change(surface: Substrate, centre_nm: float, coefficients: Coefficients, low: int, high: int) -> float:
+    """Return by how much the far field of a sphere changes from one multipole order to a higher; see `choose_order`."""
+    high = _representable(surface.inner_wavenumber * surface.clear_nm(centre_nm), high)
+    t_top, blocks = coefficients(high), reflection_operator(surface, centre_nm, high, AZIMUTHAL_ORDERS)
+    probes = _probes(surface, centre_nm, high, AZIMUTHAL_ORDERS)
+    return _worst(*(_probe_pattern(t_top, blocks, *probes, l) for l in (low, high)))
+
+
+def _probes(surface: Substrate, centre_nm: float, lmax: int, mmax: int) -> tuple[Directions, Directions]:
+    """Return the light and the views at which orders are compared."""
+    angles = np.array([0.0, 30.0, 60.0, 80.0]), np.arange(5.0, 90.0, 12.0)
+    light, views = (Directions.build(surface, centre_nm, lmax, mmax, np.cos(np.radians(each))) for each in angles)
+    return light, views
+
+
+def _worst(of: Array, to: Array) -> float:
+    """Return the largest relative L2 difference of two probe patterns over incidences and polarisations."""
+    change = np.sqrt(np.sum((of - to) ** 2, axis=(0, 1, 2)))
+    return float(np.max(change / np.sqrt(np.sum(to**2, axis=(0, 1, 2)))))
 
 
 def _representable(kd: float, top: int) -> int:

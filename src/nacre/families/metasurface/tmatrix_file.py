@@ -54,6 +54,11 @@ PREFIXES = {
     "c": 1e-2, "d": 1e-1, "": 1.0, "da": 1e1, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12, "P": 1e15, "E": 1e18,
     "Z": 1e21, "Y": 1e24,
 }  # fmt: skip
+UNITS = {  # what the format allows, for messages; spelled with 1/ they are read as well
+    "length": "m with an SI prefix, as nm",
+    "inverse length": "m^{-1} with an SI prefix, as nm^{-1} or cm^{-1}",
+    "frequency": "Hz or s^{-1} with an SI prefix, as THz or fs^{-1}",
+}
 SPECTRAL: Mapping[str, tuple[str, Callable[[Array], Array]]] = {  # name -> kind of unit, and vacuum wavelength in m
     "vacuum_wavelength": ("length", lambda x: x),
     "vacuum_wavenumber": ("inverse length", lambda x: 1.0 / x),
@@ -184,10 +189,14 @@ def _unit(attributes: Any, kind: str, name: str) -> float:
         raise TMatrixFileError(f"gives {name} without a unit")
     given = given.decode("utf-8", "replace") if isinstance(given, bytes) else str(np.ravel(given)[0])
     text, sign = given.strip(), 1.0
-    for ending in ("^{-1}", "^-1", "-1"):
-        if text.endswith(ending):
+    if name.startswith("angular") and text.startswith("rad"):  # an angle has no dimension, and some write it
+        text = text.removeprefix("rad").strip(" *·")
+        text = f"1{text}" if text.startswith("/") else text
+    if text.startswith("1/"):
+        text, sign = text[2:], -1.0
+    for ending in ("^{-1}", "^-1", "-1", "⁻¹"):
+        if text.endswith(ending) and sign > 0:
             text, sign = text.removesuffix(ending), -1.0
-            break
     wanted, power = {"length": ("m", 1.0), "inverse length": ("m", -1.0), "frequency": ("s", -1.0)}[kind]
     if kind == "frequency" and text.endswith("Hz") and sign > 0:
         prefix, power = text.removesuffix("Hz"), 1.0
@@ -196,7 +205,9 @@ def _unit(attributes: Any, kind: str, name: str) -> float:
     else:
         prefix = "?"
     if prefix not in PREFIXES:
-        raise TMatrixFileError(f'gives {name} in "{_shown(given)}", which is no unit of {kind}')
+        raise TMatrixFileError(
+            f'gives {name} in "{_shown(given)}", which is no unit of {kind} in this format; it should be {UNITS[kind]}'
+        )
     return float(PREFIXES[prefix] ** power)
 
 

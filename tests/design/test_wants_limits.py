@@ -1,0 +1,40 @@
+"""What an answer must keep to, whatever search found it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nacre.design.wants.general import GeneralSearch
+from nacre.design.wants.limits import total_nm
+from nacre.design.wants.run import search_of
+from nacre.design.wants.slow import SlowSearch
+from nacre.design.wants.target import read_target
+from nacre.errors import NacreError
+
+LAYERS = [{"material": "SiO2", "thickness_um": 0.2}, {"material": "TiO2", "thickness_nm": 40}]
+ROUGH = {"family": "film", "substrate": "Si", "layers": LAYERS, "surface": {"roughness": 0.1}}
+DISCS = {
+    "family": "metasurface", "substrate": "Si", "layers": LAYERS,
+    "particle": {"material": "Ag", "radius_nm": 50}, "monolayer": {"coverage": 0.1, "packing": 0.3},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("recipe", "at", "kind"), [(ROUGH, "45as15", GeneralSearch), (DISCS, "diffuse 0", SlowSearch)])
+def test_a_search_of_any_family_makes_no_candidate_above_the_total(
+    recipe: dict[str, Any], at: str, kind: type[GeneralSearch]
+) -> None:
+    free = {"layers[0].thickness_um": [0.1, 0.5], "layers[1].thickness_nm": [20, 90]}
+    want = [{"at": at, "colour": "#446688"}]
+    read = read_target({"recipe": recipe, "free": free, "want": want, "limits": {"total_nm": 300}})
+    assert total_nm(read.material) == pytest.approx(240.0)
+    search = search_of(read, 0)
+    assert isinstance(search, kind)
+    thin, thick = ({"layers[0].thickness_um": um, "layers[1].thickness_nm": 40.0} for um in (0.25, 0.27))
+    assert total_nm(search.made(thin)) == pytest.approx(290.0)
+    with pytest.raises(NacreError, match="thicker than 300 nm"):
+        search.made(thick)
+    with pytest.raises(NacreError, match="thicker"):
+        search.spectra(np.ones(2))

@@ -1,0 +1,165 @@
+"""Discs and spheroids in a coat: against Mie and a closed form, what coats of one's own matter do, conservation."""
+
+import numpy as np
+import pytest
+
+from nacre.families.metasurface import solids
+from nacre.families.metasurface.axial import as_blocks, gain, mirror_signs
+from nacre.families.metasurface.boundary import Mesh, block_t_matrix
+from nacre.families.metasurface.particles import Shell
+from nacre.families.metasurface.revolution import locate
+from nacre.families.metasurface.solids import SolvedBody, cylinder_panels, spheroid_panels
+from nacre.matter.indices.spec import IndexSpec
+from nacre.matter.jobs import one_thread_each
+from nacre.matter.mie import mie_coefficients
+
+OF_OWN_METHOD = 1e-6  # what is exact but for quadrature
+SILVER, SILICA, SILICON = 0.06 + 3.4j, 1.46, 4.0 + 0.03j
+
+
+@pytest.fixture(autouse=True)
+def small_matrices_on_one_thread():
+    """As the product solves them: on a loaded machine threads of linear algebra wait for each other."""
+    with one_thread_each():
+        yield
+
+
+def _mesh(shape, radius, height, thickness, index):
+    if shape == "cylinder":
+        core, outside = cylinder_panels(radius, height, abs(index), coat=thickness)
+        return Mesh(outside, core)
+    outside = spheroid_panels(radius, height, abs(index), coat=thickness)
+    return Mesh(outside, outside * [1, 1, 1, 1, 1, 0])
+
+
+def _index(n):
+    n = complex(n)
+    return IndexSpec.model_validate({"n": n.real, "k": n.imag}).build()
+
+
+def _body(shape, radius, height, core, thickness, coat):
+    shell = Shell(_index(coat), thickness)
+    return SolvedBody(shape, radius + thickness, height + 2 * thickness, _index(core), _index(1.0), "test", shell=shell)
+
+
+@pytest.mark.parametrize(("coat", "core"), [(SILICA, SILVER), (SILVER, SILICA), (SILICON, 0.1 + 4.0j)])
+@pytest.mark.parametrize(("x", "thickness"), [(0.05, 0.01), (0.8, 0.06), (0.8, 0.0004), (2.0, 0.5)])
+def test_a_coated_spheroid_as_wide_as_high_is_a_coated_sphere(x, thickness, coat, core):
+    index = max(coat, core, key=abs)
+    found = block_t_matrix(_mesh("spheroid", x, 2 * x, thickness, index), coat, 4, 4, core)
+    a, b = mie_coefficients(4, np.array([x, x + thickness]), np.array([core, coat]))
+    wanted = as_blocks(np.concatenate([-b, -a]))
+    assert np.abs(found - wanted).max() <= OF_OWN_METHOD * np.abs(wanted).max()
+
+
+SHAPES = {"disc": ("cylinder", 0.7, 0.5), "rod": ("cylinder", 0.3, 1.2), "flat spheroid": ("spheroid", 0.7, 0.3)}
+
+
+@pytest.mark.parametrize("thickness", [0.01, 0.2])
+@pytest.mark.parametrize("what", SHAPES)
+def test_a_coat_of_the_cores_matter_is_a_larger_body_and_one_of_the_mediums_is_none(what, thickness):
+    """The second one holds the outer surface's waves against the inner's: neither surface is where the other is."""
+    mesh = _mesh(*SHAPES[what], thickness, SILICON)
+    larger = block_t_matrix(Mesh(mesh.panels), SILICON, 3, 2)
+    found = block_t_matrix(mesh, SILICON, 3, 2, SILICON)
+    assert np.abs(found - larger).max() <= OF_OWN_METHOD * np.abs(larger).max()
+    bare = block_t_matrix(Mesh(mesh.core), SILICON, 3, 2)
+    found = block_t_matrix(mesh, 1.0, 3, 2, SILICON)
+    assert np.abs(found - bare).max() <= OF_OWN_METHOD * np.abs(bare).max()
+
+
+def _depolarisation(a, c):
+    """Factors of a spheroid along x and z (Bohren and Huffman, 5.3)."""
+    if c > a:
+        e = np.sqrt(1 - (a / c) ** 2)
+        along = (1 - e**2) / e**2 * (np.log((1 + e) / (1 - e)) / (2 * e) - 1)
+    else:
+        g = np.sqrt(c**2 / (a**2 - c**2))
+        across = g / (2 * (a**2 - c**2) / a**2) * (np.pi / 2 - np.arctan(g)) - g**2 / 2
+        along = 1 - 2 * across
+    return (1 - along) / 2, along
+
+
+@pytest.mark.parametrize(("a", "c"), [(0.01, 0.004), (0.004, 0.01)])
+@pytest.mark.parametrize(("coat", "core"), [(SILICA, SILVER), (0.5 + 2.0j, 2.0)])
+def test_a_small_confocal_coat_has_the_dipoles_of_the_closed_form(a, c, coat, core):
+    """Bohren and Huffman, eq. 8.38; the rest is of the order of the size parameter squared."""
+    wide, high = np.sqrt(a**2 + 0.004**2), np.sqrt(c**2 + 0.004**2)
+    mesh = Mesh(spheroid_panels(wide, 2 * high, 1.0, -2), spheroid_panels(a, 2 * c, 1.0, -2))
+    t = block_t_matrix(mesh, coat, 1, 1, core)
+    share, volume = a**2 * c / (wide**2 * high), 4 / 3 * np.pi * wide**2 * high
+    e1, e2 = core**2, coat**2
+    for m, inner, outer in zip((1, 0), _depolarisation(a, c), _depolarisation(wide, high), strict=True):
+        middle = e2 + (e1 - e2) * (inner - share * outer)
+        alpha = volume * ((e2 - 1) * middle + share * e2 * (e1 - e2))
+        alpha /= middle * (1 + (e2 - 1) * outer) + share * outer * e2 * (e1 - e2)
+        wanted = 1j * alpha / (6 * np.pi)
+        assert abs(t[m, 1, 1] / wanted - 1) <= 10 * wide**2, m
+
+
+@pytest.mark.parametrize("what", SHAPES)
+def test_what_absorbs_nothing_scatters_all_and_reciprocally(what):
+    """Neither is built in: the blocks are not made symmetric here, and absorption is what energy is missing."""
+    mesh = _mesh(*SHAPES[what], 0.1, 2.5)
+    t = block_t_matrix(mesh, 1.5, 5, 5, 2.5)
+    back = mirror_signs(5) * t.transpose(0, 2, 1)
+    assert np.abs(t - back).max() <= OF_OWN_METHOD * np.abs(t).max()
+    unitary = np.eye(10) + 2 * t
+    product = unitary.conj().transpose(0, 2, 1) @ unitary
+    assert np.abs(product - np.eye(10)).max() <= OF_OWN_METHOD
+    for coat, core in ((1.5 + 0.1j, 2.5), (1.5, 2.5 + 0.1j)):
+        lossy = block_t_matrix(mesh, coat, 5, 5, core)
+        taken = -0.5 * (lossy + lossy.conj().transpose(0, 2, 1)) - lossy.conj().transpose(0, 2, 1) @ lossy
+        assert gain(lossy) <= OF_OWN_METHOD and np.linalg.eigvalsh(taken).max() > 1e-3
+
+
+@pytest.mark.parametrize("what", SHAPES)
+def test_a_coat_is_as_thick_everywhere(what):
+    mesh = _mesh(*SHAPES[what], 0.1, 2.5)
+    s = np.linspace(-1, 1, 401)
+    core, outside = (np.array([locate(p, x)[:2] for p in panels for x in s]) for panels in (mesh.core, mesh.panels))
+    apart = np.array([np.hypot(*(core - point).T).min() for point in outside])
+    assert np.abs(apart / 0.1 - 1).max() <= 1e-3  # as finely as the core is sampled
+    _, radius, height = SHAPES[what]
+    assert outside.max(0) == pytest.approx([radius + 0.1, height / 2 + 0.1])
+    steps = np.hypot(*np.diff(outside, axis=0).T)
+    assert steps.max() <= 0.02  # no hole
+    speeds = np.array([locate(p, x)[4] for p in mesh.panels for x in s])
+    length = np.hypot(*np.diff(np.array([locate(p, x)[:2] for p in mesh.panels for x in s]).T)).sum()
+    assert speeds.sum() * 2 / 401 == pytest.approx(length, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("shape", "radius", "height", "coat", "core"),
+    [("cylinder", 60.0, 80.0, SILICA, SILVER), ("cylinder", 60.0, 20.0, SILVER, SILICA),
+     ("spheroid", 60.0, 20.0, SILICA, SILVER)],
+)  # fmt: skip
+def test_the_stated_error_covers_a_finer_mesh(shape, radius, height, coat, core):
+    body, k = _body(shape, radius, height, core, 5.0, coat), 2 * np.pi / 550.0
+    found, stated = body._solve(*body._numbers(550.0), 1, body._coat(550.0))
+    lengths = radius * k, height * k
+    if shape == "cylinder":
+        inside, outside = cylinder_panels(*lengths, 10.0, 7, 5.0 * k)
+    else:
+        outside = spheroid_panels(*lengths, 3.4, -3, 5.0 * k)
+        inside = outside * [1, 1, 1, 1, 1, 0]
+    fine = block_t_matrix(Mesh(outside, inside, degree=8), coat, 4, 1, core)
+    kept = np.concatenate([np.arange(4), body.lmax + np.arange(4)])
+    change = np.linalg.norm(fine - found[:2, kept[:, None], kept]) / np.linalg.norm(fine)
+    assert change <= stated <= 1e-3
+
+
+def test_a_coated_disc_is_kept_and_its_coat_names_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("NACRE_CACHE", str(tmp_path / "cache"))
+    first = _body("spheroid", 40.0, 60.0, 3.5, 5.0, 1.5).t_matrix(500.0)
+
+    def solve_again(*args, **options):
+        raise AssertionError("solved again")
+
+    monkeypatch.setattr(solids, "block_t_matrix", solve_again)
+    assert np.array_equal(_body("spheroid", 40.0, 60.0, 3.5, 5.0, 1.5).t_matrix(500.0), first)
+    bare = SolvedBody("spheroid", 45.0, 70.0, _index(3.5), _index(1.0), "test")
+    thicker, other = _body("spheroid", 40.0, 60.0, 3.5, 6.0, 1.5), _body("spheroid", 40.0, 60.0, 3.5, 5.0, 1.6)
+    for unlike in (bare, thicker, other):
+        with pytest.raises(AssertionError, match="solved again"):
+            unlike.t_matrix(500.0)
