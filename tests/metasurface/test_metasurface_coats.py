@@ -1,14 +1,19 @@
 """Discs and spheroids in a coat: against Mie and a closed form, what coats of one's own matter do, conservation."""
 
+import json
+
 import numpy as np
 import pytest
 
+import nacre
+from nacre.cli import run
 from nacre.families.metasurface import solids
 from nacre.families.metasurface.axial import as_blocks, gain, mirror_signs
 from nacre.families.metasurface.boundary import Mesh, block_t_matrix
-from nacre.families.metasurface.particles import Shell
+from nacre.families.metasurface.particles import Shell, Sizes
 from nacre.families.metasurface.revolution import locate
 from nacre.families.metasurface.solids import SolvedBody, cylinder_panels, spheroid_panels
+from nacre.families.metasurface.tmatrix_file import write_tmatrices
 from nacre.matter.indices.spec import IndexSpec
 from nacre.matter.jobs import one_thread_each
 from nacre.matter.mie import mie_coefficients
@@ -163,3 +168,66 @@ def test_a_coated_disc_is_kept_and_its_coat_names_it(tmp_path, monkeypatch):
     for unlike in (bare, thicker, other):
         with pytest.raises(AssertionError, match="solved again"):
             unlike.t_matrix(500.0)
+
+
+RECIPE = """
+family = "metasurface"
+substrate = {n = 1.5}
+[particle]
+shape = "%s"
+material = {n = 4, k = 0.03}
+diameter_nm = 80
+height_nm = 60
+gap_nm = 20
+shell = {material = {n = 1.46}, thickness_nm = 10}
+[monolayer]
+coverage = 0.05
+[model]
+correction = "qca-balanced"
+"""
+
+
+@pytest.mark.parametrize(("shape", "reach"), [("cylinder", 60.0), ("spheroid", 50.0)])
+def test_a_recipe_counts_distances_by_the_outside_and_draws_it(tmp_path, capsys, shape, reach):
+    """A disc 80 nm wide and 60 high reaches 50 nm from its centre, with the shell 60; a spheroid 40 and 50."""
+    path = tmp_path / "coated.toml"
+    path.write_text(RECIPE % shape)
+    model = nacre.load(path).model
+    assert (model.outer_radius_nm, model.kinds[0].height_nm) == (50.0, 80.0)
+    assert model.structure.density_per_nm2 * np.pi * 50.0**2 == pytest.approx(0.05)
+    assert model.structure.diameter_nm == pytest.approx(2 * reach)
+    up, down = model.powers([0.8], 550.0)[:2]
+    assert np.all(up >= 0) and np.all(up + down <= 1.0)
+    assert run(["fabricate", str(path), "--to", "gds", "-o", str(tmp_path / "x.gds")]) == 0
+    assert json.loads((tmp_path / "x.gds.json").read_text())["radius_um"] == pytest.approx(0.05)
+    assert run(["fabricate", str(path), "--to", "sheet", "-o", str(tmp_path / "sheet.csv")]) == 0
+    sheet = (tmp_path / "sheet.csv").read_text()
+    assert "shell" in sheet and "thickness_nm,10" in sheet and "radius_nm,40" in sheet
+
+
+def test_sizes_spread_as_the_cores_do(tmp_path):
+    path = tmp_path / "coated.toml"
+    path.write_text((RECIPE % "cylinder").replace("gap_nm", 'deviation_nm = 5\ndistribution = "lognormal"\ngap_nm'))
+    kind = nacre.load(path).model.kinds[0]
+    assert kind.outer_radius_nm == pytest.approx(50.0) and kind.core_radius_nm == pytest.approx(40.0)
+    bare = Sizes.of(40.0, 5.0, "lognormal")
+    assert np.array(kind.sizes.radii_nm) - 10.0 == pytest.approx(np.array(bare.radii_nm))
+    assert kind.body.of_radius(kind.sizes.radii_nm[0]).core_extents_nm[0] == pytest.approx(bare.radii_nm[0])
+
+
+def test_an_exported_coat_is_read_to_the_same_numbers(tmp_path, capsys):
+    path = tmp_path / "coated.toml"
+    text = (RECIPE % "spheroid").replace("[model]", "[model]\nmultipole_order = 4")
+    # clear of the stack also with the cylinder that two lengths alone may mean
+    text = text.replace("gap_nm = 20", "gap_nm = 30").replace("[monolayer]", "[monolayer]\npacking = 0.1")
+    path.write_text(text)
+    model = nacre.load(path).model
+    known = model.body.all_known(np.array([550.0]))
+    assert known.material_index is None and "in 10 nm of" in known.name
+    write_tmatrices(tmp_path / "coated.tmat.h5", known)
+    particle = text[text.index("[particle]") : text.index("[monolayer]")]
+    file = '[particle]\ntmatrix = "coated.tmat.h5"\ndiameter_nm = 100\nheight_nm = 80\ngap_nm = 30\n'
+    (tmp_path / "file.toml").write_text(text.replace(particle, file))
+    other = nacre.load(tmp_path / "file.toml").model
+    for a, b in zip(model.powers([0.8], 550.0), other.powers([0.8], 550.0), strict=True):
+        assert np.abs(a - b).max() <= 1e-10

@@ -225,10 +225,15 @@ REFUSED = {
         'shape = "spheroid"\nmaterial = "Si"\ndiameter_nm = 90\nheight_nm = 60\nradius_nm = 45',
         "gives radius_nm, which a spheroid does not have",
     ),
-    "a shell": (
+    "a shell without thickness": (
         'shape = "cylinder"\nmaterial = "Si"\ndiameter_nm = 90\nheight_nm = 60\n'
-        'shell = {material = "SiO2", thickness_nm = 5}',
-        "gives shell, which no cylinder can have: its T-matrix is solved on one surface",
+        'shell = {material = "SiO2", thickness_nm = 0}',
+        "particle.shell.thickness_nm = 0",
+    ),
+    "too thin a shell": (
+        'shape = "spheroid"\nmaterial = {n = 1.5}\ndiameter_nm = 90\nheight_nm = 60\n'
+        "shell = {material = {n = 0.05, k = 3.5}, thickness_nm = 0.01}",
+        "or its coat too thin",
     ),
     "unknown": ('shape = "cube"\nmaterial = "Si"\ndiameter_nm = 90\nheight_nm = 60', '"cube"'),
     "no sharp edge": (

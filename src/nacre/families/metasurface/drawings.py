@@ -68,7 +68,7 @@ def layer_sheet(material: Metasurface) -> LayerSheet:
         if kind.shell is not None:
             entries.append((f"{name}shell", kind.shell.material, "thickness_nm", kind.shell.thickness_nm))
         if kind.core is not None:
-            entries.append((f"{name}core", kind.core, "radius_nm", kind.mean_radius_nm))
+            entries.append((f"{name}core", kind.core, "radius_nm", kind.core_radius_nm))
         if kind.gap_nm and not material.host:
             entries.append((f"{name}gap", material.ambient, "thickness_nm", kind.gap_nm))
     entries += [(str(k), m, "thickness_nm", d) for k, (m, d) in enumerate(material.layers, start=1)]
@@ -82,9 +82,10 @@ def layer_sheet(material: Metasurface) -> LayerSheet:
             remarks.append(f"{name}: {100 * kind.share:.4g} % of them, {kind.noun}")
         if kind.body is not None:
             place = "" if material.host else f", {kind.gap_nm:g} nm above the layers"
+            with_coat = "" if kind.shell is None else " with the shell"
             remarks.append(
                 f"{name}: {kind.body.name}, {2 * kind.body.radius_nm:.6g} nm wide, "
-                f"{kind.body.height_nm:.6g} nm high{place}"
+                f"{kind.body.height_nm:.6g} nm high{with_coat}{place}"
             )
         if material.host:
             remarks.append(

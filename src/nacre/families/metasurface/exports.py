@@ -49,8 +49,8 @@ def write_particle(material: Metasurface, path: Path, description: str) -> list[
         raise UnsupportedError(f"{path}: the T-matrices would take {size >> 20} MB; fewer multipoles are needed")
     shape = "sphere" if material.body is None else material.body.shape
     method = "Mie" if material.body is None else material.body.method
-    if material.body is None and material.shell is not None:
-        shape = ""  # the format's sphere is of one material
+    if material.shell is not None:
+        shape = ""  # the format's shapes are of one material
     error = None if material.body is None else material.body.stated_error
     if error is not None:
         method += f", estimated relative error {error:.1g}"

@@ -49,7 +49,7 @@ class Kind:
 
     Attributes:
         core: its material; None where only the T-matrix is known.
-        sizes: radii of the cores of spheres; of a body, largest distances from the axis.
+        sizes: radii of the cores of spheres; of a body, largest distances from the axis, with its shell.
         shell: a coating, or None.
         gap_nm: between the particle and the stack, or the lower face of the layer that it lies in.
         body: what is no sphere, of the mean size; None: spheres.
@@ -69,13 +69,18 @@ class Kind:
 
     @property
     def mean_radius_nm(self) -> float:
-        """Of the core, or of the body."""
+        """Of the core of a sphere, or of the whole body."""
         return float(np.dot(self.sizes.radii_nm, self.sizes.shares))
 
     @property
     def outer_radius_nm(self) -> float:
         """Mean radius with the shell; of a body the largest distance from its axis."""
-        return self.mean_radius_nm + (self.shell.thickness_nm if self.shell else 0.0)
+        return self.mean_radius_nm + (self.shell.thickness_nm if self.shell and self.body is None else 0.0)
+
+    @property
+    def core_radius_nm(self) -> float:
+        """Mean radius without the shell."""
+        return self.outer_radius_nm - (self.shell.thickness_nm if self.shell else 0.0)
 
     @property
     def height_nm(self) -> float:
@@ -151,7 +156,7 @@ class Settling:
         top = max([p.lmax for row in bodies for p in row] + orders)
         out = []
         for number, (kind, row) in enumerate(zip(kinds, bodies)):
-            above = (kind.shell.thickness_nm if kind.shell else 0.0) + kind.gap_nm
+            above = kind.outer_radius_nm - kind.mean_radius_nm + kind.gap_nm
             held = top if kind.body is None else min(top, kind.body.lmax)
             alone = row or [
                 Particle(1.0, radius + above, kind.t_matrix(held, surface, radius)) for radius in kind.sizes.radii_nm

@@ -147,7 +147,7 @@ class Metasurface(Model):
 
     @property
     def outer_radius_nm(self) -> float:
-        """Mean radius with the shell; of a body the largest distance from its axis; of a mixture its first kind's."""
+        """Mean radius with the shell; of a body its largest distance from its axis; of a mixture its first kind's."""
         return self.kinds[0].outer_radius_nm
 
     @property

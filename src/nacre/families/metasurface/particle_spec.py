@@ -35,13 +35,15 @@ Extent = Annotated[float, pydantic.Field(ge=2 * SMALLEST_CORE_NM, le=2 * CORE_LI
 
 
 class ShellSpec(RecipeModel):
-    """A coating round the core; the outer radius is radius_nm plus this thickness."""
+    """A coat round the core, which the particle's own lengths are of; it is this much larger on every side."""
 
     forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 10}',)
 
     material: IndexSpec = pydantic.Field(description="what the shell is made of")
     thickness_nm: Annotated[float, pydantic.Field(gt=0.0, le=CORE_LIMIT_NM)] = pydantic.Field(
-        description="thickness of the shell, from the core's radius outward", examples=[10]
+        description="thickness of the shell, the same all over, from the core outward: twice as much is added to "
+        "diameter_nm and height_nm, once to radius_nm",
+        examples=[10],
     )
 
 
@@ -53,12 +55,14 @@ class KindSpec(RecipeModel):
         '{material = "Ag", radius_nm = 90}',
         '{material = "Au", radius_nm = 60, deviation_nm = 5, shell = {material = "SiO2", thickness_nm = 10}}',
         '{shape = "cylinder", material = "Si", diameter_nm = 120, height_nm = 80}',
+        '{shape = "cylinder", material = "Ag", diameter_nm = 120, height_nm = 80, '
+        'shell = {material = "SiO2", thickness_nm = 5}}',
         '{tmatrix = "disc.tmat.h5", gap_nm = 5}',
     )
     one_of: ClassVar[tuple[str, ...]] = ("material", "tmatrix")
 
     material: IndexSpec | None = pydantic.Field(
-        default=None, description="what the particle, or the core of a sphere, is made of", examples=["Ag"]
+        default=None, description="what the particle, or its core, is made of", examples=["Ag"]
     )
     radius_nm: Annotated[float, pydantic.Field(ge=SMALLEST_CORE_NM, le=CORE_LIMIT_NM)] | None = pydantic.Field(
         default=None, description="mean radius of the core of a sphere", examples=[90]
@@ -84,7 +88,10 @@ class KindSpec(RecipeModel):
         "tops (of the mean size) this far below the top of the layers",
         examples=[100],
     )
-    shell: ShellSpec | None = pydantic.Field(default=None, description="a coat round the core of a sphere")
+    shell: ShellSpec | None = pydantic.Field(
+        default=None,
+        description="a coat round the core, round about a cylinder's edges; gap_nm and depth_nm are of its outside",
+    )
     tmatrix: str | None = pydantic.Field(
         default=None,
         description="in place of material and radius_nm: a file of T-matrices of an axisymmetric particle, axis z, "
@@ -93,12 +100,14 @@ class KindSpec(RecipeModel):
     )
     diameter_nm: Extent | None = pydantic.Field(
         default=None,
-        description="width of a cylinder or spheroid; or of what tmatrix describes, if its file does not say",
+        description="width of a cylinder or spheroid (of its core); or of what tmatrix describes, if its file does "
+        "not say",
         examples=[120],
     )
     height_nm: Extent | None = pydantic.Field(
         default=None,
-        description="height of a cylinder or spheroid; or of what tmatrix describes, if its file does not say",
+        description="height of a cylinder or spheroid (of its core); or of what tmatrix describes, if its file does "
+        "not say",
         examples=[80],
     )
 
@@ -128,11 +137,6 @@ class KindSpec(RecipeModel):
         foreign: tuple[str, ...] = ("diameter_nm", "height_nm")
         if self.shape != "sphere":
             wanted, foreign = ("material", *foreign), ("radius_nm",)
-            if self.shell is not None:
-                raise ValueError(
-                    f"gives shell, which no {self.shape} can have: its T-matrix is solved on one surface, and a coat "
-                    "has two; a file of another program's T-matrices (tmatrix) may hold it"
-                )
         given = [name for name in foreign if name in self.model_fields_set]
         if given:
             raise ValueError(f"gives {given[0]}, which a {self.shape} does not have; it has {', '.join(wanted)}")
@@ -162,26 +166,30 @@ class KindSpec(RecipeModel):
             made = spec.build()
             return made.with_extrapolation("edge") if hold_ends else made
 
-        body = self.body(context, around, hold_ends)
-        mean = body.radius_nm if body is not None else self.radius_nm
-        assert mean is not None  # of spheres it is given, see _one_kind
         shell = Shell(built(self.shell.material), self.shell.thickness_nm) if self.shell else None
-        sizes = Sizes.of(mean, self.deviation_nm, self.distribution)
+        body = self.body(context, around, hold_ends, shell)
+        coat = shell.thickness_nm if shell is not None and body is not None else 0.0
+        mean = body.radius_nm - coat if body is not None else self.radius_nm
+        assert mean is not None  # of spheres it is given, see _one_kind
+        sizes = Sizes.of(mean, self.deviation_nm, self.distribution).larger_by(coat)
         core = None if self.material is None else built(self.material)
         return Kind(core, sizes, shell, self.gap_nm, body, share, self.table, self.depth_nm)
 
-    def body(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool) -> Body | None:
+    def body(
+        self, context: RecipeContext, around: OpticalConstant, hold_ends: bool, shell: Shell | None = None
+    ) -> Body | None:
         """Return what is no sphere, or None.
 
         Args:
             around: the medium that they lie in.
             hold_ends: whether T-matrices hold beyond their wavelengths.
+            shell: what coats it.
 
         Raises:
             RecipeError: the file is not usable, or is of another medium or of an unknown size.
         """
         if self.tmatrix is None:
-            return None if self.shape == "sphere" else self._solid(context, around, hold_ends)
+            return None if self.shape == "sphere" else self._solid(context, around, hold_ends, shell)
         try:
             known = read_tmatrices(context.path(self.tmatrix))
         except TMatrixFileError as error:
@@ -197,12 +205,17 @@ class KindSpec(RecipeModel):
             return KnownSphere(known, radius, height, radius, source, hold_ends, shape)
         return KnownBody(known, radius, height, reach, source, hold_ends, shape)
 
-    def _solid(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool) -> SolvedBody:
+    def _solid(
+        self, context: RecipeContext, around: OpticalConstant, hold_ends: bool, shell: Shell | None
+    ) -> SolvedBody:
         assert self.material is not None and self.diameter_nm is not None and self.height_nm is not None  # _one_kind
         core = self.material.build()
         core = core.with_extrapolation("edge") if hold_ends else core
         source = f'{context.source}: {self.table}.shape = "{self.shape}"'
-        return SolvedBody(self.shape, self.diameter_nm / 2, self.height_nm, core, around, source)
+        coat = 0.0 if shell is None else shell.thickness_nm
+        return SolvedBody(
+            self.shape, self.diameter_nm / 2 + coat, self.height_nm + 2 * coat, core, around, source, shell=shell
+        )
 
     def _check_medium(self, context: RecipeContext, known: AxialTMatrices, medium: OpticalConstant) -> None:
         for wavelength, index in zip(known.wavelengths_nm, known.ambient_index):

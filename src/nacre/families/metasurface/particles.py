@@ -24,10 +24,14 @@ class Shell:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Radii of the cores and their shares in number."""
+    """Radii of the cores of spheres, or whole ones of other particles, and their shares in number."""
 
     radii_nm: tuple[float, ...]
     shares: tuple[float, ...]
+
+    def larger_by(self, coat_nm: float) -> Sizes:
+        """Return the sizes with a coat."""
+        return Sizes(tuple(r + coat_nm for r in self.radii_nm), self.shares)
 
     @classmethod
     def of(cls, radius_nm: float, deviation_nm: float = 0.0, distribution: str = "gaussian") -> Sizes:

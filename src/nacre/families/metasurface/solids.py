@@ -242,10 +242,11 @@ class SolvedBody(Body):
             keep_arrays(key, {"real": found.real, "imaginary": found.imag, "error": np.array(error)})
         self.errors[wavelength_nm] = max(error, self.errors.get(wavelength_nm, 0.0))
         if error > REFUSED:
+            beside = "ambient's" if self.shell is None else "shell's"
             raise UnsupportedError(
                 f"{self.source}: the T-matrix does not converge at {wavelength_nm:g} nm: two meshes differ by "
-                f"{error:.2g}, {REFUSED:g} is allowed (at a sharp edge a metal of permittivity near -1 has no finite "
-                'field); a "spheroid" of the same size has no edge'
+                f"{error:.2g}, {REFUSED:g} is allowed (at a sharp edge a metal whose permittivity is near minus the "
+                f'{beside} has no finite field); a "spheroid" of the same size has no edge'
             )
         return found
 
