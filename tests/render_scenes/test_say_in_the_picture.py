@@ -240,6 +240,12 @@ def test_a_picture_ends_by_one_rule_alone() -> None:
             nacre.render(GREY, size=(16, 16), progress=False, **wishes)
 
 
+@pytest.mark.parametrize(("view", "named"), [("nan,20", "azimuth"), ("30,nan", "elevation"), ("30,91", "elevation")])
+def test_a_refused_view_names_the_angle_that_is_wrong(view: str, named: str) -> None:
+    with pytest.raises(NacreError, match=f"is not allowed; the {named}"):
+        read_framing(view, None, None)
+
+
 def test_lights_are_read_as_written() -> None:
     assert read_lamps("studio:0.5,sun@120") == (Lamp("studio", 0.5), Lamp("sun", 1.0, 120.0))
     assert read_lamps("sky@-30:2") == (Lamp("sky", 2.0, -30.0),)

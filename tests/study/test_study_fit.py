@@ -106,3 +106,19 @@ def test_a_bad_measurement_is_refused_in_one_line(tmp_path: Path, text: str, wha
 def test_a_bad_free_number_is_refused(option: str) -> None:
     with pytest.raises(NacreError):
         read_free(nacre.material({k: v for k, v in FILM.items() if k != "fit"}), (option,))
+
+
+def test_files_that_are_swapped_are_told_so(tmp_path: Path) -> None:
+    recipe = tmp_path / "film.toml"
+    recipe.write_text('family = "film"\nsubstrate = "Si"\n', encoding="utf-8")
+    with pytest.raises(NacreError, match="film.toml: is a recipe; a fit wants the measurement"):
+        read_measurement(recipe)
+
+
+def test_spectra_are_equal_where_their_numbers_are() -> None:
+    material = nacre.material(FILM)
+    once, again = (material.spectrum(np.radians(ANGLES), WAVES) for _ in range(2))
+    assert once == again
+    assert once != material.vary({"layers[0].thickness_nm": 334.0}).spectrum(np.radians(ANGLES), WAVES)
+    assert once != material.spectrum(np.radians(ANGLES[:1]), WAVES)
+    assert once != "a spectrum"

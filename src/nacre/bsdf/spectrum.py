@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Spectrum:
     """Power ratios `[angle, wavelength]` at angles in the ambient medium; None where a part does not apply.
 
@@ -30,3 +30,12 @@ class Spectrum:
         """Return the parts that apply, by name, in the order of the fields."""
         names = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all arrays are alike, number by number."""
+        if not isinstance(other, Spectrum):
+            return NotImplemented
+        pairs = zip(astuple(self), astuple(other), strict=True)
+        return all(b is None if a is None else b is not None and np.array_equal(a, b) for a, b in pairs)
+
+    __hash__ = None  # type: ignore[assignment]  # arrays can be written to

@@ -142,6 +142,8 @@ def read_measurement(path: str | Path) -> Measured:
     Raises:
         NacreError: naming the file and what is wrong.
     """
+    if Path(path).suffix.lower() == ".toml":
+        raise NacreError(f"{path}: is a recipe; a fit wants the measurement, a CSV, first, and then the recipe")
     names, table = read_table(path, has_gaps=True)
     if "theta_i" in names or "value" in names:
         gonio = read_gonio_csv(path)
