@@ -7,6 +7,7 @@ import pytest
 
 import nacre
 from nacre.cli import run
+from nacre.errors import NacreError, UnsupportedError
 from nacre.families.metasurface import solids
 from nacre.families.metasurface.axial import as_blocks, gain, mirror_signs
 from nacre.families.metasurface.boundary import Mesh, block_t_matrix
@@ -231,3 +232,57 @@ def test_an_exported_coat_is_read_to_the_same_numbers(tmp_path, capsys):
     other = nacre.load(tmp_path / "file.toml").model
     for a, b in zip(model.powers([0.8], 550.0), other.powers([0.8], 550.0), strict=True):
         assert np.abs(a - b).max() <= 1e-10
+
+
+def _rounded(radius, height, edge, core, thickness=0.0, coat=1.46):
+    shell = Shell(_index(coat), thickness) if thickness else None
+    sizes = radius + thickness, height + 2 * thickness
+    return SolvedBody("cylinder", *sizes, _index(core), _index(1.0), "test", shell=shell, edge_nm=edge)
+
+
+@pytest.mark.parametrize(("core", "thickness"), [(SILICON, 0.0), (SILVER, 0.0), (SILVER, 5.0)])
+def test_a_cylinder_rounded_all_over_is_a_sphere(core, thickness):
+    """Half a nanometre is left flat, then a quarter: the difference halves, and what both point to is the sphere's."""
+    radius, wavelength = 50.0, 550.0
+    k = 2 * np.pi / wavelength
+    x = k * np.array([radius, radius + thickness] if thickness else [radius])
+    a, b = mie_coefficients(3, x, np.array([core, 1.46] if thickness else [core]))
+    wanted = np.concatenate([-b, -a])
+    found = []
+    for flat in (0.5, 0.25):
+        t = _rounded(radius, 2 * radius, radius - flat, core, thickness).azimuthal(wavelength, 1)
+        order = len(t[1]) // 2
+        found.append(np.diag(t[1])[[0, 1, 2, order, order + 1, order + 2]])
+    scale = np.abs(wanted).max()
+    far, near = (np.abs(one - wanted).max() / scale for one in found)
+    assert near < 0.6 * far
+    assert np.abs(2 * found[1] - found[0] - wanted).max() < 2e-4 * scale
+
+
+def test_a_rounded_edge_settles_where_a_sharp_one_has_no_finite_field():
+    """Silver in silica at 420 nm, epsilon -2.56 relative: a sharp edge is refused; a radius of 1 nm is enough."""
+    relative = 1.6j  # squared -2.56
+    with pytest.raises(UnsupportedError, match="give the edges a radius: edge_radius_nm = 1"):
+        _rounded(45.0, 40.0, 0.0, relative).azimuthal(420.0, 1)
+    made = _rounded(45.0, 40.0, 1.0, relative)
+    made.azimuthal(420.0, 1)
+    assert made.stated_error < 1e-3
+
+
+def test_a_cylinders_edge_is_a_key_of_the_recipe_and_refused_where_it_does_not_fit():
+    def recipe(**keys):
+        particle = {"material": "Si", "gap_nm": 2, "shape": "cylinder", "diameter_nm": 80, "height_nm": 60, **keys}
+        return {"family": "metasurface", "substrate": "glass", "particle": particle, "monolayer": {"coverage": 0.1}}
+
+    (kind,) = nacre.material(recipe(edge_radius_nm=3, shell={"material": "SiO2", "thickness_nm": 5})).model.kinds
+    assert kind.body.edge_nm == 3.0 and kind.body.height_nm == 70.0
+    assert "edges of 3 nm" in kind.body.name
+    assert kind.body.circumscribing_nm == pytest.approx(np.hypot(37.0, 27.0) + 8.0)
+    for keys, words in (
+        ({"edge_radius_nm": 16}, "particle.edge_radius_nm = 16.0 is too large for a cylinder 80 nm wide"),
+        ({"edge_radius_nm": -1}, "edge_radius_nm"),
+        ({"edge_radius_nm": 2, "shape": "spheroid"}, "gives edge_radius_nm, which a spheroid does not have"),
+        ({"edge_radius_nm": 12, "deviation_nm": 12}, "the narrowest of the spread"),
+    ):
+        with pytest.raises(NacreError, match=words):
+            nacre.material(recipe(**keys))

@@ -66,7 +66,8 @@ def test_cutting_their_layer_in_two_changes_nothing(cut, below):
     f, g = fields(alone(whole, whole_height, 2.5)), fields(alone(parts, height, 2.5))
     assert np.abs(f - g).max() <= 1e-11 * np.abs(f).max()
     for a, b in zip(few_powers(layer(whole, whole_height, 2.5), LIGHT), few_powers(layer(parts, height, 2.5), LIGHT)):
-        assert np.abs(a - b).max() <= 1e-11
+        # a search takes few nodes, 1e-4 at the worst of stacks, and another number of them for the cut layer
+        assert np.abs(a - b).max() <= 1e-9
 
 
 @pytest.mark.parametrize("from_below", [False, True])

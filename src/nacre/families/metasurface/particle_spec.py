@@ -111,6 +111,13 @@ class KindSpec(RecipeModel):
         examples=[80],
     )
 
+    edge_radius_nm: NotNegative = pydantic.Field(
+        default=0.0,
+        description="radius of the edges of a cylinder (of its core), which are sharp at 0; at most half of the "
+        "cylinder's radius and a quarter of its height",
+        examples=[2],
+    )
+
     @pydantic.model_validator(mode="before")
     @classmethod
     def _is_modelled(cls, data: Any) -> Any:
@@ -128,7 +135,7 @@ class KindSpec(RecipeModel):
     @pydantic.model_validator(mode="after")
     def _one_kind(self) -> Self:
         if self.tmatrix is not None:
-            of_others = ("material", "radius_nm", "shape", "deviation_nm", "shell")
+            of_others = ("material", "radius_nm", "shape", "deviation_nm", "shell", "edge_radius_nm")
             given = [name for name in of_others if name in self.model_fields_set]
             if given:
                 raise ValueError(f"gives tmatrix and {given[0]}; a file of T-matrices says what the particle is")
@@ -137,6 +144,8 @@ class KindSpec(RecipeModel):
         foreign: tuple[str, ...] = ("diameter_nm", "height_nm")
         if self.shape != "sphere":
             wanted, foreign = ("material", *foreign), ("radius_nm",)
+        if self.shape != "cylinder":
+            foreign = (*foreign, "edge_radius_nm")
         given = [name for name in foreign if name in self.model_fields_set]
         if given:
             raise ValueError(f"gives {given[0]}, which a {self.shape} does not have; it has {', '.join(wanted)}")
@@ -172,6 +181,13 @@ class KindSpec(RecipeModel):
         mean = body.radius_nm - coat if body is not None else self.radius_nm
         assert mean is not None  # of spheres it is given, see _one_kind
         sizes = Sizes.of(mean, self.deviation_nm, self.distribution).larger_by(coat)
+        thinnest = min(sizes.radii_nm) - coat
+        if self.edge_radius_nm > min(thinnest, (self.height_nm or 0.0) / 2) / 2:
+            raise context.fail(
+                f"{self.table}.edge_radius_nm", self.edge_radius_nm,
+                f"is too large for a cylinder {2 * thinnest:.4g} nm wide, the narrowest of the spread, and "
+                f"{self.height_nm:.4g} nm high; it should be at most half of its radius and a quarter of its height",
+            )  # fmt: skip
         core = None if self.material is None else built(self.material)
         return Kind(core, sizes, shell, self.gap_nm, body, share, self.table, self.depth_nm)
 
@@ -214,8 +230,9 @@ class KindSpec(RecipeModel):
         source = f'{context.source}: {self.table}.shape = "{self.shape}"'
         coat = 0.0 if shell is None else shell.thickness_nm
         return SolvedBody(
-            self.shape, self.diameter_nm / 2 + coat, self.height_nm + 2 * coat, core, around, source, shell=shell
-        )
+            self.shape, self.diameter_nm / 2 + coat, self.height_nm + 2 * coat, core, around, source, shell=shell,
+            edge_nm=self.edge_radius_nm,
+        )  # fmt: skip
 
     def _check_medium(self, context: RecipeContext, known: AxialTMatrices, medium: OpticalConstant) -> None:
         for wavelength, index in zip(known.wavelengths_nm, known.ambient_index):

@@ -127,6 +127,7 @@ class SolvedBody(Body):
         core: its material, or what the shell coats.
         ambient: the medium around.
         shell: a coat of even thickness, round about a cylinder's edges, or None.
+        edge_nm: radius of the edges of a cylinder, of its core; 0: they are sharp.
     """
 
     method: ClassVar[str] = "PMCHWT, Galerkin, body of revolution"
@@ -138,6 +139,7 @@ class SolvedBody(Body):
     ambient: OpticalConstant
     source: str
     shell: Shell | None = None
+    edge_nm: float = 0.0
     errors: dict[float, float] = field(default_factory=dict, compare=False)
 
     @property
@@ -145,7 +147,8 @@ class SolvedBody(Body):
         """What it is, in words."""
         radius, height = self.core_extents_nm
         coat = "" if self.shell is None else f", in {self.shell.thickness_nm:g} nm of {self.shell.material.name}"
-        return f"{self.shape} of {self.core.name}, {2 * radius:g} x {height:g} nm{coat}"
+        edge = f", edges of {self.edge_nm:g} nm" if self.edge_nm else ""
+        return f"{self.shape} of {self.core.name}, {2 * radius:g} x {height:g} nm{edge}{coat}"
 
     @property
     def core_extents_nm(self) -> tuple[float, float]:
@@ -159,7 +162,8 @@ class SolvedBody(Body):
         if self.shape != "cylinder":
             return max(self.radius_nm, self.height_nm / 2)
         radius, height = self.core_extents_nm
-        return float(np.hypot(radius, height / 2)) + self.radius_nm - radius
+        corner = float(np.hypot(radius - self.edge_nm, height / 2 - self.edge_nm))
+        return corner + self.edge_nm + self.radius_nm - radius
 
     def of_radius(self, radius_nm: float) -> SolvedBody:
         """Return the same particle with another width, its height as it is; estimated errors are gathered in both."""
@@ -231,29 +235,46 @@ class SolvedBody(Body):
         coat = self._coat(wavelength_nm)
         thickness, outside = (0.0, 1.0) if coat is None else coat
         parts = (radius, height, index.real, index.imag, thickness, outside.real, outside.imag)
-        numbers = [float(v).hex() for v in parts]
+        edge = self._around(wavelength_nm)[0] * self.edge_nm
+        numbers = [float(v).hex() for v in (*parts, *([edge] if edge else []))]
         key = "tmatrix-" + identity({"shape": self.shape, "numbers": numbers}, {}, lmax=self.lmax, mmax=mmax)
         stored = kept_arrays(key)
         if stored and {"real", "imaginary", "error"} <= stored.keys():
             found, error = stored["real"] + 1j * stored["imaginary"], float(stored["error"])
         else:
             with one_thread_each():  # the matrices are small, and whoever asks has threads of its own
-                found, error = self._solve(radius, height, index, mmax, coat)
+                found, error = self._solve(radius, height, index, mmax, coat, edge)
             keep_arrays(key, {"real": found.real, "imaginary": found.imag, "error": np.array(error)})
         self.errors[wavelength_nm] = max(error, self.errors.get(wavelength_nm, 0.0))
         if error > REFUSED:
-            beside = "ambient's" if self.shell is None else "shell's"
             raise UnsupportedError(
                 f"{self.source}: the T-matrix does not converge at {wavelength_nm:g} nm: two meshes differ by "
-                f"{error:.2g}, {REFUSED:g} is allowed (at a sharp edge a metal whose permittivity is near minus the "
-                f'{beside} has no finite field); a "spheroid" of the same size has no edge'
+                f"{error:.2g}, {REFUSED:g} is allowed{self._remedy}"
             )
         return found
 
+    @property
+    def _remedy(self) -> str:
+        if self.shape != "cylinder":
+            return ""
+        if self.edge_nm:
+            return "; a larger edge_radius_nm may help"
+        beside = "ambient's" if self.shell is None else "shell's"
+        return (
+            f" (at a sharp edge a metal whose permittivity is near minus the {beside} has no finite field); give the "
+            "edges a radius: edge_radius_nm = 1, say"
+        )
+
     def _solve(
-        self, radius: float, height: float, index: complex, mmax: int, coat: tuple[float, complex] | None = None
+        self,
+        radius: float,
+        height: float,
+        index: complex,
+        mmax: int,
+        coat: tuple[float, complex] | None = None,
+        edge: float = 0.0,
     ) -> tuple[ComplexArray, float]:
-        """Return T and its estimated error; `coat`: its thickness and index."""
+        """Return T and its estimated error; `coat`: its thickness and index; `edge`: its radius."""
         thickness, shell = (0.0, index) if coat is None else coat
         highest = max(abs(index), abs(shell))
         if coat is not None:
@@ -261,7 +282,11 @@ class SolvedBody(Body):
 
         def mesh(fineness: int, closer: float, make: Callable[..., Mesh] = Mesh) -> Mesh:
             if self.shape == "cylinder":
-                core, outside = cylinder_panels(radius, height, closer * highest, fineness, thickness)
+                # a rounded cylinder is the even coat of a smaller sharp one
+                sharp = (radius - edge, height - 2 * edge, closer * highest, fineness)
+                core, outside = cylinder_panels(*sharp, edge + thickness)
+                if edge:
+                    core = cylinder_panels(*sharp, edge)[1]
             else:
                 outside = spheroid_panels(radius, height, closer * highest, -fineness, thickness)
                 core = np.column_stack([outside[:, :-1], np.zeros(len(outside))])
@@ -276,7 +301,7 @@ class SolvedBody(Body):
                 break
             before = now
             # beside a coat's edge and over a thin film the grading towards the core's edge is not all there is to it
-            closer *= 1.0 if coat is None else CLOSER
+            closer *= 1.0 if coat is None and not edge else CLOSER
         return found, error
 
     def _compared(
