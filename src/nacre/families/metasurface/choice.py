@@ -66,8 +66,8 @@ MEASURED = (
     # against the ensemble, the worst of 450, 550 and 650 nm
     Measured("silver r 90 nm on glass, 650 nm", _spheres(METAL), True, 0.10, 0.10, 0.116),
     Measured("silver r 90 nm on glass, 650 nm", _spheres(METAL), True, 0.20, 0.20, 0.197),
-    # alone: half of what it is off the other code's discs of 130 spheres are their edges (by our equations .32, .26, .21,
-    # .17 and .15 for discs of 33, 65, 130, 260 and 400 at 0.1), but samples have edges too
+    # alone: half of what it is off the other code's discs of 130 spheres is their edges (by our equations .32, .26,
+    # .21, .17 and .15 for discs of 33, 65, 130, 260 and 400 at 0.1), but samples have edges too
     Measured("silver r 75 nm alone, 450 nm, in discs of 130", _spheres(METAL), False, 0.10, 0.10, 0.20),
     Measured("silver r 75 nm alone, 450 nm, in discs of 130", _spheres(METAL), False, 0.20, 0.20, 0.24),
     Measured("silver r 75 nm alone, 550 nm", _spheres(METAL), False, 0.05, 0.05, 0.054),
