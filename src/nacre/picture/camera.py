@@ -135,7 +135,7 @@ def read_framing(view: str | Sequence[float] | None, fov: float | None, zoom: fl
         if not abs(azimuth) <= 3600:
             raise NacreError(f'view = "{view}" is not allowed; the azimuth goes from -3600 to 3600 degrees')
         if not -90 <= elevation <= 90:
-            raise NacreError(f'view = "{view}" is not allowed; the elevation goes from -90 to 90 degrees')
+            raise NacreError(f'view = "{view}" is not allowed; the elevation goes from -90 up to 90 degrees')
         direction = (azimuth, elevation)
     if fov is not None and not (_is_number(fov) and FOV_DEG[0] <= fov <= FOV_DEG[1]):
         raise NacreError(f"fov = {fov!r} is not allowed; give {FOV_DEG[0]:g} to {FOV_DEG[1]:g} degrees")
