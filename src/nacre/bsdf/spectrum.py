@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,7 @@ class Spectrum:
         """Whether all arrays are alike, number by number."""
         if not isinstance(other, Spectrum):
             return NotImplemented
-        pairs = zip(astuple(self), astuple(other), strict=True)
+        pairs = [(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)]
         return all(b is None if a is None else b is not None and np.array_equal(a, b) for a, b in pairs)
 
     __hash__ = None  # type: ignore[assignment]  # arrays can be written to

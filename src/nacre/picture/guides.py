@@ -44,6 +44,12 @@ class Ways:
     has_grain: bool
 
 
+def walks(scene: Any) -> bool:
+    """Whether a surface of a scene of Mitsuba answers by random walks."""
+    bsdfs = [shape.bsdf() for shape in scene.shapes()]
+    return any(not plugin.pdf_is_exact for bsdf in bsdfs for plugin in getattr(bsdf, "plugins", ()))
+
+
 def ways_of(scene: Any, is_ours: bool) -> Ways:
     """Return how the guides of a scene take its light.
 
@@ -54,10 +60,9 @@ def ways_of(scene: Any, is_ours: bool) -> Ways:
     flags = use_variant().BSDFFlags
     sharp = int(flags.Delta | flags.Null)
     bsdfs = [shape.bsdf() for shape in scene.shapes() if shape.bsdf() is not None]
-    plugins = [plugin for bsdf in bsdfs for plugin in getattr(bsdf, "plugins", ())]
     others = [bsdf for bsdf in bsdfs if not hasattr(bsdf, "plugins")]
     mixes = not is_ours and any(int(b.flags()) & sharp and b.component_count() > 1 for b in others)
-    draws = mixes or any(not plugin.pdf_is_exact for plugin in plugins)
+    draws = mixes or walks(scene)
     spread = [_spread(bsdf) for bsdf in bsdfs if hasattr(bsdf, "plugins")]
     own = any(kinds and kinds not in EVEN + LINED for kinds in spread)
     # rough plastic of Mitsuba sends on by its coat or by what lies below it

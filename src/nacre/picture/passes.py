@@ -22,7 +22,7 @@ from nacre.picture.camera import View
 from nacre.picture.cut_out import cut_out, sees_objects
 from nacre.picture.denoise import GUIDE_SPP
 from nacre.picture.endless import without_edges
-from nacre.picture.guides import first_hits, guide_tracer, ways_of
+from nacre.picture.guides import first_hits, guide_tracer, walks, ways_of
 from nacre.picture.paths import DRAWS, can_split, make_paths
 from nacre.picture.progress import Clock, ProgressCallback
 from nacre.picture.samples import going_on
@@ -165,7 +165,7 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
     until = shot.until
     is_open = until.noise is not None or until.seconds is not None
     # the noise of walks has such tails that two halves of it look alike by chance: spots would come back as texture
-    halved = shot.with_guides and not shot.spectral and until.spp > 1 and not _walks(stage.mitsuba_scene)
+    halved = shot.with_guides and not shot.spectral and until.spp > 1 and not walks(stage.mitsuba_scene)
     plan = pass_plan(until.spp, min(most, (until.spp + 1) // 2) if halved and not is_open else most, is_open)
     count = len(plan)
     total: NDArray[np.float64] | None = None
@@ -327,15 +327,9 @@ def _tracer(stage: Any) -> Any:
     if soft is None and light.soft_within is not None and refracting:
         soft, spread_by = light.soft_within, refracting
     splits = clear and all(can_split(shape.bsdf()) for shape in shapes)
-    is_one = _walks(stage.mitsuba_scene) or _glitters(stage.mitsuba_scene) or _mirrors(getattr(stage, "subjects", ()))
+    is_one = walks(stage.mitsuba_scene) or _glitters(stage.mitsuba_scene) or _mirrors(getattr(stage, "subjects", ()))
     draws = 1 if is_one else DRAWS
     return make_paths(stage.depth, RUSSIAN_ROULETTE_DEPTH, clear, soft, splits, spread_by, draws)
-
-
-def _walks(scene: Any) -> bool:
-    """Whether a surface of the scene answers by random walks."""
-    bsdfs = [shape.bsdf() for shape in scene.shapes()]
-    return any(not plugin.pdf_is_exact for bsdf in bsdfs for plugin in getattr(bsdf, "plugins", ()))
 
 
 def _glitters(scene: Any) -> bool:

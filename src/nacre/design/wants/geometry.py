@@ -96,6 +96,13 @@ class Seen:
     missing: frozenset[At]
 
 
+def aspecular_pairs(ats: Sequence[At]) -> tuple[Array, Array]:
+    """Return to the light and to the eye, `[at, 3]` each, of places of the kind `IasA`."""
+    wi = direction(np.radians([at.theta_deg for at in ats]))
+    wo = np.array([aspecular_direction(at.theta_deg, at.aspecular_deg) for at in ats]).reshape(-1, 3)
+    return wi, wo
+
+
 def see(
     material: Material,
     ats: Sequence[At],
@@ -125,8 +132,7 @@ def see(
     model = material.model
     asked = [at for at in ats if at.kind != "aspecular"]
     rows = [row for row, at in enumerate(ats) if at.kind == "aspecular"]
-    wi = direction(np.radians([ats[row].theta_deg for row in rows]))
-    wo = np.array([aspecular_direction(ats[row].theta_deg, ats[row].aspecular_deg) for row in rows]).reshape(-1, 3)
+    wi, wo = aspecular_pairs([ats[row] for row in rows])
     few = None
     if rows and memory is not None and wavelengths_nm is not None:
         few = model.values_at(wi, wo, wavelengths_nm)
@@ -275,4 +281,4 @@ def _probe(material: Material) -> Any:
     return grid[:: max(1, len(grid) // 3)]
 
 
-__all__ = ["At", "Seen", "check_answers", "judge_wavelengths", "search_wavelengths", "see"]
+__all__ = ["At", "Seen", "aspecular_pairs", "check_answers", "judge_wavelengths", "search_wavelengths", "see"]

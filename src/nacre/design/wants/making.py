@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from nacre.arrays import Array
-from nacre.bsdf.directions import direction
 from nacre.design.goals import Goals
 from nacre.design.wants.films import drawn_factors
-from nacre.design.wants.geometry import At, Seen, search_wavelengths, see
+from nacre.design.wants.geometry import At, Seen, aspecular_pairs, search_wavelengths, see
 from nacre.design.wants.judge import rows_of
 from nacre.design.wants.spec import LightSpec
 from nacre.design.wants.told import Correction
@@ -22,7 +21,6 @@ from nacre.errors import NacreError
 from nacre.light import delta_e_2000
 from nacre.materials.material import Material
 from nacre.materials.spreads import Spread, share_interval
-from nacre.measure.instruments import aspecular_direction
 
 DRAWS, FEWEST_DRAWS = 256, 16
 STEP_SHARE = 0.01  # of a number, for the sensitivity that is told
@@ -64,8 +62,7 @@ def _likeness(material: Material, rows: Sequence[At], grid: Array) -> tuple[Arra
     """Return what a random walk would give, known and guessed factors `[row, wavelength]`; None: it cannot be told."""
     if any(at.kind != "aspecular" for at in rows):
         return None
-    wi = direction(np.radians([at.theta_deg for at in rows]))
-    wo = np.stack([aspecular_direction(at.theta_deg, at.aspecular_deg) for at in rows])
+    wi, wo = aspecular_pairs(rows)
     found = material.model.likeness_at(wi, wo, grid, True)
     return None if found is None else (np.pi * found[0], np.pi * found[1])
 

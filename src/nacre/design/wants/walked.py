@@ -16,12 +16,11 @@ from typing import Any
 import numpy as np
 
 from nacre.arrays import Array
-from nacre.bsdf.directions import direction
 from nacre.design.goals import Goals
 from nacre.design.wants.dropping import changes_of, draws, droppable, tables_kept, values_of
 from nacre.design.wants.fewer import fewer_wavelengths, within_of
 from nacre.design.wants.general import APART, FAR_OFF, MET, QUIET_SHARE, Pool, TimeIsUp
-from nacre.design.wants.geometry import search_wavelengths
+from nacre.design.wants.geometry import aspecular_pairs, search_wavelengths
 from nacre.design.wants.judge import rank, rows_of
 from nacre.design.wants.target import Target
 from nacre.design.wants.told import Correction, Told
@@ -34,7 +33,6 @@ from nacre.materials.free import place_of
 from nacre.materials.material import Material
 from nacre.matter.jobs import in_threads, one_thread_each
 from nacre.measure.evaluate import DEFAULT_SAMPLES, evaluate_with_error
-from nacre.measure.instruments import aspecular_direction
 from nacre.recipe.paths import is_within
 
 SCOUT_SHARE, REFINE_SHARE = 0.2, 0.45  # of the time
@@ -78,8 +76,7 @@ class WalkedSearch:
         self.rows = rows_of(target.wants)
         self.grid = np.asarray(search_wavelengths(self.material, light.illuminants), dtype=float)
         self.goals: Goals = goals_of(target.wants, self.rows, light, self.grid)
-        self.wi = direction(np.radians([at.theta_deg for at in self.rows]))
-        self.wo = np.stack([aspecular_direction(at.theta_deg, at.aspecular_deg) for at in self.rows])
+        self.wi, self.wo = aspecular_pairs(self.rows)
         self.drops = droppable(self.free, self.material)
         self.pool = Pool(4 * target.spec.search.solutions)
         self.best, self.best_changes = np.inf, dict[str, Any]()
