@@ -81,6 +81,8 @@ class AxialTMatrices:
         circumscribing_nm: largest distance from the centre, or None.
         material_index: `[wavelength]`, of the particle, or None: unknown or of several materials.
         turn_loss: share of the scattered power that depends on the turn about the axis and is not in the blocks.
+        whole: T over all m, `[wavelength, n, n']`, see `whole`, of a particle that is not axisymmetric and is not taken
+            as the mean over its turn, which the blocks then are; else None.
     """
 
     wavelengths_nm: Array
@@ -92,14 +94,15 @@ class AxialTMatrices:
     circumscribing_nm: float | None = None
     material_index: ComplexArray | None = None
     turn_loss: float = 0.0
+    whole: ComplexArray | None = None
 
     @property
     def lmax(self) -> int:
         """Highest multipole order."""
         return multipole_order(self.blocks)
 
-    def at(self, wavelength_nm: float, hold_ends: bool = False) -> ComplexArray:
-        """Return T at a wavelength, `[m, n, n']`, linear between those that are known.
+    def at(self, wavelength_nm: float, hold_ends: bool = False, is_whole: bool = False) -> ComplexArray:
+        """Return T at a wavelength, `[m, n, n']`, or `[n, n']` over all m, linear between those that are known.
 
         A mean of passive T-matrices is passive (the scattering matrices of norm <= 1 are a convex set), so the energy
         stays right between the wavelengths; a curve through more points could exceed it.
@@ -119,7 +122,8 @@ class AxialTMatrices:
         x = float(np.interp(wavelength_nm, known, np.arange(len(known))))
         start = min(int(x), len(known) - 1)
         end = min(start + 1, len(known) - 1)
-        return np.asarray(self.blocks[start] + (x - start) * (self.blocks[end] - self.blocks[start]))
+        known_t = self.whole if is_whole and self.whole is not None else self.blocks
+        return np.asarray(known_t[start] + (x - start) * (known_t[end] - known_t[start]))
 
 
 class Body(abc.ABC):
@@ -176,6 +180,11 @@ class Body(abc.ABC):
         """Share of the scattered power that depends on the turn about the axis and is left out; 0: axisymmetric."""
         return 0.0
 
+    @property
+    def is_aligned(self) -> bool:
+        """Whether it is not axisymmetric and stands at one turn about the normal, as all of its kind."""
+        return False
+
     @abc.abstractmethod
     def all_known(self, wavelengths_nm: Array) -> AxialTMatrices:
         """Return the T-matrices for a file: those that are known, or those at some wavelengths."""
@@ -194,7 +203,10 @@ class Body(abc.ABC):
 
 @dataclass(frozen=True)
 class KnownBody(Body):
-    """A particle whose T-matrices a file gives; `hold_ends`: they hold beyond their wavelengths. See `Body`."""
+    """A particle whose T-matrices a file gives; `hold_ends`: they hold beyond their wavelengths. See `Body`.
+
+    `turn_rad` is the angle from the surface's x towards y by which one that `is_aligned` is turned about the normal.
+    """
 
     known: AxialTMatrices
     radius_nm: float
@@ -203,6 +215,20 @@ class KnownBody(Body):
     source: str
     hold_ends: bool = False
     shape: str = ""
+    turn_rad: float = 0.0
+
+    @property
+    def is_aligned(self) -> bool:
+        """Whether its turn about the normal counts: it is not axisymmetric, and no mean over turns is taken."""
+        return self.known.whole is not None
+
+    def whole_t_matrix(self, wavelength_nm: float) -> ComplexArray:
+        """Return T over all m at a wavelength, `[n, n']`, of one that `is_aligned`, before it is turned.
+
+        Raises:
+            MaterialRangeError: it is not known there.
+        """
+        return self.known.at(wavelength_nm, self.hold_ends, is_whole=True)
 
     @property
     def name(self) -> str:  # type: ignore[override]  # read only, as all of a frozen dataclass

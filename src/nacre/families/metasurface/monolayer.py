@@ -198,7 +198,7 @@ class Monolayer:
         r = bare + 2 * np.pi * rho / (k * cosines) * self.coherent_sum(lit.directions, lit)
         if not self.has_below:
             return np.abs(r) ** 2, np.zeros(r.shape)
-        out, cos_below, t = self._refracted(cosines)
+        out, cos_below, t = self.refracted(cosines)
         t = t + 2 * np.pi * rho / (k * cos_below) * self.coherent_sum(out, lit)
         return np.abs(r) ** 2, cos_below / cosines * np.abs(t) ** 2
 
@@ -218,7 +218,7 @@ class Monolayer:
         r = first.reflection + 2 * np.pi * rho / (k * cosines * first.index) * summed
         return np.abs(r) ** 2
 
-    def _refracted(self, cosines: Array) -> tuple[list[Directions], Array, ComplexArray]:
+    def refracted(self, cosines: Array) -> tuple[list[Directions], Array, ComplexArray]:
         """Directions below that go with `cosines` above, n cos there, and the bare stack's t, `[pol, angle]`."""
         index = self.surface.index_below
         sines = np.sqrt((1 - cosines) * (1 + cosines)) / index
@@ -235,7 +235,7 @@ class Monolayer:
         reflected = np.abs(field.reflection(directions.reflection)) ** 2
         if not self.has_below:
             return reflected, np.zeros(reflected.shape)
-        _, cos_below, t = self._refracted(cosines)
+        _, cos_below, t = self.refracted(cosines)
         passed = t * (1 + field.phase * field.a_d)
         return reflected, cos_below / cosines * np.abs(passed) ** 2
 

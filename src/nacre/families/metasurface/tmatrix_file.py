@@ -21,8 +21,10 @@ from numpy.typing import NDArray
 
 from nacre._version import __version__
 from nacre.arrays import Array, ComplexArray
-from nacre.errors import NacreError
-from nacre.families.metasurface.axial import AxialTMatrices, gain, mirror_signs, reciprocal
+from nacre.families.metasurface.axial import AxialTMatrices
+from nacre.families.metasurface.neighbours import multipole_index
+from nacre.families.metasurface.tmatrix_symmetry import TMatrixFileError, axial, mean_blocks, whole_or_none
+from nacre.families.metasurface.whole import file_signs
 from nacre.files import atomic_path, plain, why_unreadable
 from nacre.recipe.identity import file_digest
 
@@ -46,9 +48,6 @@ try:
 except Exception:
     pass
 """
-AXIS_TOLERANCE = 1e-3  # of the Frobenius norm: what a mesh leaves of couplings that the symmetry forbids
-TURN_TOLERANCE = 0.05  # of the scattered power that a mean over the turn leaves out; the mean field itself is .1 off
-GAIN_TOLERANCE = 1e-2  # of the largest singular value that a passive particle's scattering matrix has, 1
 PREFIXES = {
     "y": 1e-24, "z": 1e-21, "a": 1e-18, "f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3,
     "c": 1e-2, "d": 1e-1, "": 1.0, "da": 1e1, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12, "P": 1e15, "E": 1e18,
@@ -70,16 +69,17 @@ ELECTRIC, MAGNETIC = ("electric", "tm", "n"), ("magnetic", "te", "m")
 POSITIVE, NEGATIVE = ("positive", "plus"), ("negative", "minus")
 
 
-class TMatrixFileError(NacreError):
-    """A file of T-matrices cannot be used; the message is the end of a sentence that begins with the file."""
-
-
-def read_tmatrices(path: str | Path) -> AxialTMatrices:
+def read_tmatrices(path: str | Path, is_aligned: bool = False) -> AxialTMatrices:
     """Read a file of T-matrices of one particle, of one that is not axisymmetric the mean over its turn about z.
 
     That mean is T without couplings of unlike m: the mean scattered field of particles turned at random, exactly. The
     power of what differs between turns is not in it; see `AxialTMatrices.turn_loss`. What a mesh leaves of forbidden
     couplings, up to 1e-3 of the norm, is taken out.
+
+    Args:
+        path: of the file.
+        is_aligned: keep the whole T beside that mean, where the particle is not axisymmetric; then it may depend on
+            its turn as it likes, and be handed.
 
     Raises:
         TMatrixFileError: it is damaged, is no passive, reciprocal particle, is handed, or depends much on its turn.
@@ -93,7 +93,7 @@ def read_tmatrices(path: str | Path) -> AxialTMatrices:
     _try_apart(os.path.abspath(path), file_digest(path))
     try:
         with h5py.File(path, "r") as file:
-            return _read(file)
+            return _read(file, is_aligned)
     except TMatrixFileError:
         raise
     except OSError:
@@ -120,7 +120,7 @@ def _try_apart(path: str, digest: str) -> None:
         raise TMatrixFileError("is damaged: HDF5 crashes on it")
 
 
-def _read(file: h5py.File) -> AxialTMatrices:
+def _read(file: h5py.File, is_aligned: bool) -> AxialTMatrices:
     matrix = _dataset(file, "tmatrix")
     if matrix is None:
         raise TMatrixFileError('holds no dataset "tmatrix"')
@@ -139,14 +139,16 @@ def _read(file: h5py.File) -> AxialTMatrices:
     order = np.argsort(wavelengths)
     if np.any(np.diff(wavelengths[order]) <= 0):
         raise TMatrixFileError("gives a wavelength twice")
-    blocks, turn_loss = _axial(_parity_blocks(file, values[order]))
+    parity = _parity_blocks(file, values[order])
+    whole = whole_or_none(parity) if is_aligned else None
+    blocks, turn_loss = axial(parity) if whole is None else (mean_blocks(parity), 0.0)
     geometry = _geometry(file)
     name = file.attrs.get("name", "")
     name = _shown(name.decode("utf-8", "replace") if isinstance(name, bytes) else str(name), 60)
     return AxialTMatrices(
         wavelengths[order], blocks, index[order], name or Path(file.filename).name,
         geometry.get("radius"), geometry.get("height"), geometry.get("circumscribing"),
-        _material(file, len(values), order), turn_loss,
+        _material(file, len(values), order), turn_loss, whole,
     )  # fmt: skip
 
 
@@ -322,46 +324,6 @@ def _places(
     return place[kept], kept
 
 
-def _axial(blocks: ComplexArray) -> tuple[ComplexArray, float]:
-    """Return the blocks of m >= 0, `[wavelength, m, n, n']`, of the mean over the turn, and what it leaves out.
-
-    Raises:
-        TMatrixFileError: it depends too much on the turn, is handed, not reciprocal, or gives out more than it gets.
-    """
-    count = blocks.shape[1]
-    lmax = count // 2
-    m = np.arange(count)
-    own = blocks[:, m, m]  # wavelength, m, n, n'
-    total = np.linalg.norm(blocks.reshape(len(blocks), -1), axis=1)
-    if np.any(total == 0):
-        raise TMatrixFileError("holds a T-matrix of zeros")
-    # over all directions of the light the scattered power goes as the squared norm
-    kept = np.linalg.norm(own.reshape(len(own), -1), axis=1) / total
-    turn_loss = float(np.max(np.maximum(1.0 - kept**2, 0.0)))
-    if turn_loss > TURN_TOLERANCE:
-        raise TMatrixFileError(
-            f"is of a particle that is not axisymmetric about z: {100 * turn_loss:.2g} % of what it scatters depends "
-            f"on its turn, and a mean over turns, which is what is taken, may leave out {100 * TURN_TOLERANCE:g} %"
-        )
-    partners = mirror_signs(lmax) * own[:, ::-1]
-    uneven = np.linalg.norm((own - partners).reshape(len(own), -1), axis=1) / total
-    if np.max(uneven) > AXIS_TOLERANCE:
-        raise TMatrixFileError(
-            f"is of a handed particle, with no mirror plane through z ({100 * np.max(uneven):.2g} % of T says so); it "
-            "would turn the polarisation, which is not modelled"
-        )
-    half = 0.5 * (own + partners)[:, lmax:]
-    even = reciprocal(half)
-    if np.linalg.norm(half - even) > AXIS_TOLERANCE * np.linalg.norm(half):
-        raise TMatrixFileError("is of a particle that is not reciprocal, or in other waves than the format's")
-    excess = gain(even)
-    if excess > GAIN_TOLERANCE:
-        raise TMatrixFileError(
-            f"is of a particle that radiates more than it gets (by {100 * excess:.2g} %): not passive"
-        )
-    return even, turn_loss if turn_loss > AXIS_TOLERANCE**2 else 0.0
-
-
 def _geometry(file: h5py.File) -> dict[str, float]:
     """Return radius, height and circumscribing radius in nm of the shapes with an axis that the format names."""
     import h5py
@@ -428,12 +390,18 @@ def write_tmatrices(
     )
     place = tau * lmax + l - 1
     signs = np.where((m[:, None] < 0) & (tau[:, None] != tau), -1.0, 1.0)
-    whole = np.where(m[:, None] == m, known.blocks[:, np.abs(m)[:, None], place[:, None], place] * signs, 0.0)
+    if known.whole is None:
+        whole = np.where(m[:, None] == m, known.blocks[:, np.abs(m)[:, None], place[:, None], place] * signs, 0.0)
+    else:
+        index = multipole_index(lmax)
+        ours = np.lexsort((1 - index.tau, index.m, index.l))  # l first, then m, electric before magnetic
+        sign = file_signs(index)[ours]
+        whole = known.whole[:, ours[:, None], ours] * sign[:, None] * sign
     with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
         file.attrs.update(
             {
                 "name": known.name, "description": description, "storage_format_version": "v1",
-                "keywords": "czinfinity, passive, reciprocal",
+                "keywords": "passive, reciprocal" if known.whole is not None else "czinfinity, passive, reciprocal",
             }
         )  # fmt: skip
         file.create_dataset("tmatrix", data=whole, compression="gzip")
