@@ -8,6 +8,7 @@ up to a factor of three; `in-only` is not reciprocal by itself: its table holds 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -159,39 +160,54 @@ def _uniform(factors: Array) -> Array:
 
 
 def _balanced(kernel: Array, target: Array, weights: Array, is_below: NDArray[np.bool_]) -> Array:
-    """Balance the three blocks (above-above, below-below, across) on their own, `[pol, angle, side of the other]`.
+    """Balance all directions, `[pol, angle, side of the other]`; see `balanced_factors`."""
+    size = weights.size
+    matrix, sums = kernel.reshape(2 * size, -1), target.reshape(2 * size, -1)
+    both = np.tile(weights, 2)
+    above, below = (np.nonzero(np.tile(side, 2))[0] for side in (~is_below, is_below))
+    out = np.ones((2 * size, 2))
+    balanced_factors(
+        out,
+        lambda seen, lit: matrix[seen[:, None], lit],
+        lambda seen, lit: both[seen] @ sums[seen[:, None], lit],
+        both, above, below,
+    )  # fmt: skip
+    return out.reshape(2, size, 2)
+
+
+Rows = NDArray[np.intp]
+
+
+def balanced_factors(
+    out: Array, block: Callable[[Rows, Rows], Array], total: Callable[[Rows, Rows], Array], weights: Array,
+    above: Rows, below: Rows,
+) -> None:  # fmt: skip
+    """Balance the three blocks (above-above, below-below, across) on their own, into `[direction, side of the other]`.
 
     One balance for all sides together would let light that the model sends wrongly into the substrate take from
     the reflected side: on silicon resonances that doubles the error of the reflected light.
+
+    Args:
+        out: of ones, to be filled; a direction has a polarisation too.
+        block: function of seen and lit directions that gives the powers between them.
+        total: function of the same that gives what each lit one should send to all that are seen.
+        weights: `[direction]`, of solid angle.
+        above, below: which directions these are.
     """
-    out = np.ones((2, weights.size, 2))
-    above, below = np.nonzero(~is_below)[0], np.nonzero(is_below)[0]
-    w_up, w_down = np.tile(weights[above], 2), np.tile(weights[below], 2)
-    g = balance(_block(kernel, above, above), _totals(target, weights, above, above), w_up)
-    out[:, above, 0] = g.reshape(2, -1)
+    w_up, w_down = weights[above], weights[below]
+    out[above, 0] = balance(block(above, above), total(above, above), w_up)
     if not below.size:
-        return out
-    up, down = _totals(target, weights, below, above), _totals(target, weights, above, below)
+        return
+    up, down = total(below, above), total(above, below)
     # across, sum w t_u = sum w t_d must hold, and a mean field keeps it only to some per cent: light from above
     # stays exact, and what light from below cannot send up is sent back down, so that its total stays exact too
-    back = _totals(target, weights, below, below)
+    back = total(below, below)
     passed = w_down @ down
     consistent = down
     if passed > NOTHING * (w_down @ back):  # layers that let nothing through leave nothing to balance
         consistent = down * ((w_up @ up) / passed)
-        g_up, g_down = balance_across(_block(kernel, below, above), up, consistent, w_up, w_down)
-        out[:, above, 1], out[:, below, 0] = g_up.reshape(2, -1), g_down.reshape(2, -1)
-    g = balance(_block(kernel, below, below), np.maximum(back + down - consistent, 0.2 * back), w_down)
-    out[:, below, 1] = g.reshape(2, -1)
-    return out
-
-
-def _block(kernel: Array, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
-    return kernel[:, rows][:, :, :, columns].reshape(2 * rows.size, 2 * columns.size)
-
-
-def _totals(target: Array, weights: Array, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
-    return np.einsum("s,qspi->pi", weights[rows], target[:, rows][:, :, :, columns]).ravel()
+        out[above, 1], out[below, 0] = balance_across(block(below, above), up, consistent, w_up, w_down)
+    out[below, 1] = balance(block(below, below), np.maximum(back + down - consistent, 0.2 * back), w_down)
 
 
 def _depth_factors(layer: Monolayer, sides: list[tuple[Lit, Array]]) -> Array:
