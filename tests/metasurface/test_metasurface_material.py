@@ -454,7 +454,7 @@ def test_the_stored_angles_resolve_films_up_to_a_micrometre(substrate, oxide_nm,
         below = PolarGrid(160, 70, made.eta) if made.eta > 1.0 else PolarGrid(240)
     fine = tabulate(
         np.array([wavelength_nm]), made.monolayer, made.structure, Grids(PolarGrid(240), below), stored.eta
-    )[1]
+    )[0][1]
     f, best = stored.evaluate(a, b), fine.evaluate(a, b)
     assert stored.count_above == count
     assert np.linalg.norm(f - best) <= RESOLVED * np.linalg.norm(best)

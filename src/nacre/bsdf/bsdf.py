@@ -79,10 +79,12 @@ class Bsdf:
             total = total + lobe.evaluate(wi, wo, uv)
         return total
 
-    def specular(self, theta_rad: Array | float, uv: Array | None = None) -> SpecularResponse:
-        """Sum the lobes' delta parts at incidence `theta_rad` (beyond pi/2: light from behind)."""
+    def specular(
+        self, theta_rad: Array | float, uv: Array | None = None, phi_rad: Array | float = 0.0
+    ) -> SpecularResponse:
+        """Sum the lobes' delta parts at incidence `theta_rad` (beyond pi/2: light from behind), azimuth `phi_rad`."""
         cos_i = np.cos(np.asarray(theta_rad, dtype=float))
-        parts = [lobe.specular(cos_i, uv) for lobe in self.lobes]
+        parts = [lobe.specular_at(cos_i, phi_rad, uv) for lobe in self.lobes]
         return SpecularResponse(
             np.sum([p.reflectance for p in parts], axis=0), np.sum([p.transmittance for p in parts], axis=0)
         )

@@ -87,3 +87,7 @@ class Lobe(abc.ABC):
         cos_i = np.asarray(cos_i, dtype=float)
         zero = np.zeros((*cos_i.shape, len(self.wavelengths_nm)))
         return SpecularResponse(zero, zero)
+
+    def specular_at(self, cos_i: Array, phi_rad: Array | float, uv: Array | None = None) -> SpecularResponse:
+        """Return the delta part for light from an azimuth, where that matters; `specular` is for light from 0."""
+        return self.specular(cos_i, uv)

@@ -24,6 +24,8 @@ LOBES: dict[str, str] = {
     "ridge": "nacre.bsdf.lobes.ridge:Ridge",
     "table": "nacre.bsdf.lobes.table:TableLobe",
     "harmonic": "nacre.bsdf.lobes.harmonic:Harmonic",
+    "aligned": "nacre.bsdf.lobes.aligned:Aligned",
+    "aligned-specular": "nacre.bsdf.lobes.aligned_specular:AlignedSpecular",
     "spectrum-map": "nacre.bsdf.lobes.spectrum_map:SpectrumMap",
     "layered": "nacre.bsdf.lobes.layered:Layered",
     "flaked": "nacre.bsdf.lobes.flaked:Flaked",

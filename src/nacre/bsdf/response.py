@@ -114,8 +114,12 @@ class InterfaceResponse:
         Returns:
             `(R, T)`, each `[..., wavelength]`.
         """
+        shape = np.broadcast_shapes(np.shape(cos), np.shape(inside))
+        return self.lookup_at(cos, inside, parameter_coordinates(self.parameters, uv, shape))
+
+    def lookup_at(self, cos: Array, inside: NDArray[np.bool_], coords: tuple[Array, ...]) -> tuple[Array, Array]:
+        """Return what `lookup` does, at node coordinates of the leading axes, each of the shape of `cos`."""
         cos, inside = np.broadcast_arrays(np.clip(np.abs(cos), 0.0, 1.0), inside)
-        coords = parameter_coordinates(self.parameters, uv, cos.shape)
         outer = np.where(inside, self.outside_cosine(cos), cos)
         at = (*coords, outer * (len(self.cos_outside) - 1))
         transmitted = interpolate(self.transmittance, at) if self.transmits else np.zeros((*cos.shape, self.size))

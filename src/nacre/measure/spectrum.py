@@ -30,7 +30,7 @@ def directional_hemispherical(bsdf: Bsdf, wi: Array, uv: Array | None = None, no
     flat = wi.reshape(-1, 3)
     back, through = [], []
     for w in flat:
-        delta = bsdf.specular(float(np.arccos(np.clip(w[2], -1.0, 1.0))), uv)
+        delta = bsdf.specular(float(np.arccos(np.clip(w[2], -1.0, 1.0))), uv, float(np.arctan2(w[1], w[0])))
         sums = [hemispherical(lobe, w, uv, nodes) for lobe in bsdf.lobes if not lobe.is_delta]
         back.append(delta.reflectance + sum(s[0] for s in sums))
         through.append(delta.transmittance + sum(s[1] for s in sums))

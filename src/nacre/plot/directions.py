@@ -183,7 +183,7 @@ def lobe_figure(
             theta = np.radians(angle)
             wi = -np.sin(theta) * across + np.array([0.0, 0.0, np.cos(theta)])
             values = (evaluate or bsdf.evaluate)(np.broadcast_to(wi, wo.shape).copy(), wo) * np.abs(wo[:, 2:])
-            specular = bsdf.specular(np.array([theta]))
+            specular = bsdf.specular(np.array([theta]), phi_rad=turn + np.pi)
             clipped_here, total_here = _polar(axes, exits, values, bsdf.wavelengths_nm, illuminant)
             clipped, total = clipped + clipped_here, total + total_here
             _spokes(axes, theta, specular, bsdf, illuminant)

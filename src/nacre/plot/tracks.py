@@ -91,7 +91,7 @@ def number_tracks(
 
 
 def _gloss(bsdf: Bsdf, half_deg: float, difference_deg: Array, evaluate: Evaluate | None) -> Array:
-    if any(lobe.kind == "specular" for lobe in bsdf.lobes):
+    if any(lobe.is_delta for lobe in bsdf.lobes):
         return np.asarray(bsdf.specular(np.radians(difference_deg)).reflectance)
     return _scattered(bsdf, np.full(len(difference_deg), half_deg), difference_deg, evaluate)
 

@@ -69,7 +69,7 @@ class PolarGrid:
 
 
 @compiled(nogil=True)
-def _coordinate(sine, cosine, count, beyond, eta):  # type: ignore[no-untyped-def]  # numba
+def coordinate(sine, cosine, count, beyond, eta):  # type: ignore[no-untyped-def]  # numba
     edge = count - 0.5
     outer = eta * sine
     if outer < 1.0 or beyond == 0:
@@ -110,8 +110,8 @@ def _evaluate(wi, wo, above, below, across, free, grids, last_cos, eta, wavenumb
         for k in range(2, kept):
             cosines[k] = 2.0 * c * cosines[k - 1] - cosines[k - 2]
         gi, go = (0 if up_i else 1), (0 if up_o else 1)
-        xi = _coordinate(sin_i, abs(wi[n, 2]), grids[gi, 0], grids[gi, 1], eta if gi else 1.0)
-        xo = _coordinate(sin_o, abs(wo[n, 2]), grids[go, 0], grids[go, 1], eta if go else 1.0)
+        xi = coordinate(sin_i, abs(wi[n, 2]), grids[gi, 0], grids[gi, 1], eta if gi else 1.0)
+        xo = coordinate(sin_o, abs(wo[n, 2]), grids[go, 0], grids[go, 1], eta if go else 1.0)
         i0 = min(int(xi), grids[gi, 0] + grids[gi, 1] - 2)
         o0 = min(int(xo), grids[go, 0] + grids[go, 1] - 2)
         fi, fo = xi - i0, xo - o0

@@ -92,8 +92,12 @@ class MaskedLobe(Lobe):
 
     def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
         """Return the inner lobe's delta part times the share."""
+        return self.specular_at(cos_i, 0.0, uv)
+
+    def specular_at(self, cos_i: Array, phi_rad: Array | float, uv: Array | None = None) -> SpecularResponse:
+        """Return the same for light from an azimuth."""
         cos_i = np.asarray(cos_i, dtype=float)
-        inner = self.inner.specular(cos_i, uv)
+        inner = self.inner.specular_at(cos_i, phi_rad, uv)
         share = self.share(uv, cos_i.shape)[..., None]
         return SpecularResponse(inner.reflectance * share, inner.transmittance * share)
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.arrays import Array, ComplexArray
 from nacre.families.metasurface.monolayer import Monolayer
@@ -54,7 +55,7 @@ class AlignedLayer:
         return self._kept[0]
 
     @cached_property
-    def _kept(self) -> tuple[MultipoleIndex, Array]:
+    def _kept(self) -> tuple[MultipoleIndex, NDArray[np.intp]]:
         alone = self.mean.spheres[0]
         return kept_index(alone.lmax, alone.mmax)
 
@@ -66,7 +67,7 @@ class AlignedLayer:
         return np.asarray(dressed_matrix(t[None], spread(self.mean.spheres[0].coupling, index)[None])[0])
 
     @cached_property
-    def _exchanged(self) -> tuple[int, Array]:
+    def _exchanged(self) -> tuple[int, NDArray[np.intp]]:
         """The order up to which neighbours exchange multipoles, and the places of these in `index`."""
         order = min(self.mean.interaction_order, self.index.order, self.mean.spheres[0].mmax)
         places = {k: i for i, k in enumerate(zip(self.index.m, self.index.tau, self.index.l, strict=True))}
@@ -99,6 +100,10 @@ class AlignedLayer:
         added = (sums @ met).transpose(0, 3, 2, 1)  # azimuth, pol, n, angle
         passed = self.dressed[:, few] @ (here.conj()[:, None, :, None] * added)
         return AlignedLit(directions, with_negative_orders(directions.emission, self.index), own + turn * passed)
+
+    def leaving(self, cosines: Array, below: bool) -> Directions:
+        """Return directions of one side as light leaves to them."""
+        return self.mean.spheres[0].directions(cosines, below)
 
     def coherent_sum(self, emission: ComplexArray, lit: AlignedLit) -> ComplexArray:
         """Return F towards the reflected or the refracted direction of each of `lit`, nm, `[azimuth, q, p, angle]`."""

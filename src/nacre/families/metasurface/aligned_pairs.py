@@ -19,6 +19,8 @@ from nacre.arrays import Array, ComplexArray
 from nacre.families.metasurface.aligned import AlignedLayer, AlignedLit
 from nacre.families.metasurface.corrections import S_HARMONICS, balanced_factors
 from nacre.families.metasurface.diffuse import DirectionSet, structure_harmonics
+from nacre.families.metasurface.neighbours import with_negative_orders
+from nacre.families.metasurface.sphere import Directions
 
 AZIMUTHS = 24  # of directions: a multiple of four, so that turns by a right angle are exact
 
@@ -38,7 +40,7 @@ class AlignedTerm:
 
 def azimuth_nodes(count: int) -> Array:
     """Return the azimuths of directions, `[azimuth]`."""
-    return np.arange(count) * (2 * np.pi / count)
+    return np.asarray(np.arange(count) * (2 * np.pi / count), dtype=np.float64)
 
 
 def light_of(layer: AlignedLayer, cosines: Array, below: bool, count: int) -> AlignedLit:
@@ -117,13 +119,31 @@ def _squared(leaving: ComplexArray, met: ComplexArray, is_reverse: bool = False)
     return np.asarray((found.real**2 + found.imag**2).reshape(*one.shape[:2], *many.shape[:3]))
 
 
-def smooth_structure(joined: DirectionSet, layer: AlignedLayer, wavenumber: float, count: int) -> Array:
-    """Return the low harmonics of S between pairs of directions, `[s, i, b, a]`."""
+def far_powers(layer: AlignedLayer, leaving: Directions, lit: AlignedLit, count: int) -> Array:
+    """Return |F|^2 towards directions at `count` azimuths from the light's own, `[q, azimuth, s, p, i]`, nm^2.
+
+    The light has one azimuth; those of the views are counted from that of its wavevector.
+    """
+    emission = with_negative_orders(leaving.emission, layer.index)  # q, n, s
+    wave = np.exp(1j * np.multiply.outer(azimuth_nodes(count), layer.index.m))
+    found = np.einsum("qns,bn,pni->qbspi", emission, wave, lit.response[0], optimize=True)
+    return np.asarray((found.real**2 + found.imag**2) / layer.mean.surface.inner_wavenumber**2)
+
+
+def smooth_structure(
+    joined: DirectionSet, layer: AlignedLayer, wavenumber: float, count: int, against_wave: bool = False
+) -> Array:
+    """Return the low harmonics of S between pairs of directions, `[s, i, b, a]`.
+
+    Args:
+        joined, layer, wavenumber, count: the directions and what they see.
+        against_wave: count the azimuths of the light by its wavevector.
+    """
     few = min(S_HARMONICS, count // 2)
     harmonics = structure_harmonics(joined, layer.mean.structure, wavenumber, few) / (2 * np.pi)
     k = np.arange(few)
     # between wavevectors, which of the light runs the other way than its direction
-    difference = azimuth_nodes(count) - np.pi
+    difference = azimuth_nodes(count) - (0.0 if against_wave else np.pi)
     waves = np.where(k == 0, 1.0, 2.0)[:, None] * np.cos(np.multiply.outer(k, difference))
     by_difference = harmonics @ waves
     nodes = np.arange(count)

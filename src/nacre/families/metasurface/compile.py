@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.arrays import Array
+from nacre.bsdf.contract import Lobe
 from nacre.bsdf.lobes.harmonic import Harmonic, PolarGrid, pack_triangle
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.response import InterfaceResponse
@@ -74,18 +75,24 @@ def fit_linear(table: Array, grids: Grids) -> Array:
         table: `[s, i, harmonic]`, the nodes above, then those below, symmetric.
         grids: whose nodes they are; no difference is taken across the critical angle.
     """
+    starts = grid_groups(grids)
+    rows = np.swapaxes(table, 0, 1)
+    second = differences(table, starts, 2) + np.swapaxes(differences(rows, starts, 2), 0, 1)
+    mixed = np.swapaxes(differences(np.swapaxes(differences(table, starts, 1), 0, 1), starts, 1), 0, 1)
+    return table - (second + mixed) / 12.0
+
+
+def grid_groups(grids: Grids) -> list[tuple[int, int]]:
+    """Return the first node, and one beyond the last, of each part of the grids that is smooth within."""
     starts = [(0, grids.above.count)]
     if grids.below is not None:
         n, below = grids.above.size, grids.below
         starts += [(n, n + below.count), (n + below.count, n + below.size)]
-    rows = np.swapaxes(table, 0, 1)
-    second = _differences(table, starts, 2) + np.swapaxes(_differences(rows, starts, 2), 0, 1)
-    mixed = np.swapaxes(_differences(np.swapaxes(_differences(table, starts, 1), 0, 1), starts, 1), 0, 1)
-    return table - (second + mixed) / 12.0
+    return starts
 
 
-def _differences(table: Array, groups: list[tuple[int, int]], order: int) -> Array:
-    """First or second central differences along the first axis within groups; zero where a neighbour is missing."""
+def differences(table: Array, groups: list[tuple[int, int]], order: int) -> Array:
+    """Return first or second central differences along the first axis within groups; zero where a neighbour is not."""
     out = np.zeros_like(table)
     for start, stop in groups:
         if stop - start < 3:
@@ -133,7 +140,7 @@ def solve_wavelength(layer: Monolayer, grids: Grids, eta: float) -> WavelengthRe
         sides.append((layer.light(np.cos(grids.below.nodes), True), grids.below.weights))
     term = diffuse_term(layer, sides, HARMONICS)
     reflected, passed, inside, total = (np.clip(t, 0.0, 1.0) for t in (reflected, passed, inside, total))
-    delta = _specular_at_nodes(grids, eta, reflected, passed, inside, total)
+    delta = specular_at_nodes(grids, eta, reflected, passed, inside, total)
     scale, excess = _energy_scale(term, sides, delta, index)
     n_above = grids.above.size
     dispersion = index / eta if grids.below is not None else 1.0
@@ -157,7 +164,7 @@ def solve_wavelength(layer: Monolayer, grids: Grids, eta: float) -> WavelengthRe
     return WavelengthResult(reflected, passed, inside, total, *tables[0], tables[1], excess)
 
 
-def _specular_at_nodes(grids: Grids, eta: float, reflected: Array, passed: Array, inside: Array, total: Array) -> Array:
+def specular_at_nodes(grids: Grids, eta: float, reflected: Array, passed: Array, inside: Array, total: Array) -> Array:
     """R + T of the stored specular tables at the diffuse grid's angles, `[angle]`."""
     out = take_uniform((reflected + passed)[:, None], np.cos(grids.above.nodes), 0)[:, 0]
     if grids.below is None:
@@ -179,7 +186,18 @@ def _energy_scale(
     cosines = np.concatenate([lit.cosines for lit, _ in sides])
     n2 = np.concatenate([np.full(w.size, index**2 if i else 1.0) for i, (_, w) in enumerate(sides)])
     weights = np.concatenate([w for _, w in sides]) * n2
-    pairs = 0.5 * (term.unpolarised + term.unpolarised.T)
+    return energy_factors(0.5 * (term.unpolarised + term.unpolarised.T), weights, cosines, specular)
+
+
+def energy_factors(pairs: Array, weights: Array, cosines: Array, specular: Array) -> tuple[Array, float]:
+    """Return the factors of `_energy_scale`, and the excess, of powers between any directions.
+
+    Args:
+        pairs: `[direction, direction]`, symmetric.
+        weights: of solid angle, times the square of the index.
+        cosines: of the directions.
+        specular: R + T there.
+    """
     room = np.maximum(1.0 - specular, 0.0)
     diffuse = weights @ pairs / cosines
     excess = float(np.max(diffuse - room, initial=0.0))
@@ -200,7 +218,7 @@ def tabulate(
     grids: Grids,
     eta: float,
     jobs: int | None = None,
-) -> tuple[Specular, Harmonic, float]:
+) -> tuple[tuple[Lobe, ...], float]:
     """Solve all wavelengths, in parallel, and return the two lobes and the largest raw excess of energy over 1."""
 
     def work(wavelength: float) -> tuple[WavelengthResult, float, float]:
@@ -246,4 +264,4 @@ def tabulate(
         float(structure.q_per_nm[1] - structure.q_per_nm[0]),
         structure.s,
     )
-    return Specular(response), harmonic, max(r.excess for r in results)
+    return (Specular(response), harmonic), max(r.excess for r in results)

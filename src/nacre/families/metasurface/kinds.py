@@ -182,6 +182,16 @@ class Settling:
                 "far field changes by up to %.2g", source, held, wanted, change,
             )  # fmt: skip
 
+    @property
+    def notes(self) -> dict[str, Any]:
+        """What is kept with a Bsdf of the choice of multipoles."""
+        found: dict[str, Any] = {}
+        if self.order is None:
+            found["multipole_tolerance"] = max([self.tolerance or ORDER_TOLERANCE, *self.unsettled.values()])
+        if self.missing:
+            found["multipoles"] = [{"held": h, "taken": t, "change": c} for h, t, c in self.missing.values()]
+        return found
+
     def _body(self, kind: Kind, radius_nm: float, surface: Substrate) -> Particle:
         assert kind.body is not None
         body = kind.body if len(kind.sizes.radii_nm) == 1 else kind.body.of_radius(radius_nm)
@@ -312,6 +322,28 @@ def uneven(kinds: tuple[Kind, ...]) -> bool:
     """Return whether the centres of the kinds, of their mean sizes, lie at unlike heights."""
     heights = [kind.gap_nm + kind.height_nm / 2 for kind in kinds]
     return max(heights) - min(heights) > SAME_HEIGHT_NM
+
+
+def body_notes(kinds: tuple[Kind, ...]) -> dict[str, Any]:
+    """Return what is kept with a Bsdf of particles that are no spheres."""
+    bodies = [kind.body for kind in kinds if kind.body is not None]
+    stated = [body.stated_error for body in bodies if body.stated_error is not None]
+    found: dict[str, Any] = {"t_matrix_error": float(f"{max(stated):.2g}")} if stated else {}
+    turned = max((body.turn_loss for body in bodies), default=0.0)
+    if turned:
+        found["left_out_by_turns"] = float(f"{turned:.2g}")
+    return found
+
+
+def turns_left_out(kinds: tuple[Kind, ...]) -> list[str]:
+    """Return a line for each kind of which only the mean over its turn about the normal is taken."""
+    return [
+        f"{kind.body.source}: is not axisymmetric: the mean over its turn about the normal is taken, and "
+        f"{100 * kind.body.turn_loss:.2g} % of what it scatters, which depends on the turn, is left out; "
+        'orientation = "aligned" takes all of it, of particles that point one way'
+        for kind in kinds
+        if kind.body is not None and kind.body.turn_loss
+    ]
 
 
 def mean_square_radius(kinds: tuple[Kind, ...]) -> float:

@@ -7,7 +7,7 @@ import logging
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -19,20 +19,21 @@ from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import UnsupportedError
 from nacre.families.contract import Model
 from nacre.families.metasurface import choice
+from nacre.families.metasurface.aligned_kind import NO_ENSEMBLE, aligned_lobes, powers_of_aligned
 from nacre.families.metasurface.arrangement import Arrangement
 from nacre.families.metasurface.axial import Body
 from nacre.families.metasurface.compile import choose_grids, tabulate
 from nacre.families.metasurface.corrections import diffuse_term, within_what_arrives
 from nacre.families.metasurface.ensemble import EnsembleSettings
 from nacre.families.metasurface.few import few_powers, few_values
-from nacre.families.metasurface.kinds import Kind, Settling, mean_square_radius, uneven
+from nacre.families.metasurface.kinds import Kind, Settling, body_notes, mean_square_radius, turns_left_out, uneven
 from nacre.families.metasurface.ladder import check as check_ladder
 from nacre.families.metasurface.monolayer import Monolayer
 from nacre.families.metasurface.particles import Shell, Sizes
 from nacre.families.metasurface.patterns import Pattern
 from nacre.families.metasurface.qca import INTERACTION_ORDER
 from nacre.families.metasurface.refine import Refinement, refine
-from nacre.families.metasurface.sphere import ORDER_TOLERANCE, hemisphere_rule
+from nacre.families.metasurface.sphere import hemisphere_rule
 from nacre.families.metasurface.structure import Structure
 from nacre.families.metasurface.substrate import LOSSLESS_K, Embedded, Substrate
 from nacre.light import default_wavelengths
@@ -151,6 +152,11 @@ class Metasurface(Model):
         return self.kinds[0].outer_radius_nm
 
     @property
+    def is_aligned(self) -> bool:
+        """Whether the particles are not axisymmetric and all point one way."""
+        return self.body is not None and self.body.is_aligned
+
+    @property
     def varies(self) -> bool:
         """Whether the particles are of several sizes or kinds."""
         return len(self.kinds) > 1 or len(self.sizes.shares) > 1
@@ -191,6 +197,8 @@ class Metasurface(Model):
     @cached_property
     def _choice(self) -> tuple[str, str]:
         """What the table of measured systems says."""
+        if self.is_aligned:
+            return "qca-balanced", NO_ENSEMBLE
         if self.host and uneven(self.kinds):
             return "qca-balanced", "two kinds with centres at unlike heights inside a layer have no ensemble"
         if self.arrangement is None:
@@ -331,7 +339,7 @@ class Metasurface(Model):
         return all(self.surface(w).is_transparent for w in self.wavelengths_nm)
 
     def bsdf(self, wavelengths_nm: ArrayLike | None = None) -> Bsdf:
-        """Solve the optics: a specular lobe and a harmonic lobe.
+        """Solve the optics: a specular lobe and a harmonic one, of aligned particles both of another kind.
 
         Args:
             wavelengths_nm: `[wavelength]`, ascending; default: `self.wavelengths_nm`.
@@ -349,7 +357,8 @@ class Metasurface(Model):
         # a film on a clear substrate may guide light, which draws lines over the angle
         low = height <= LOW_WAVELENGTHS * lam[0] and not (self.transmits and self.layers)
         grids = choose_grids(eta if self.transmits else None, self.varies, thickness > THICK_FILM_NM, low)
-        specular, harmonic, excess = tabulate(lam, layer, self.structure, grids, eta)
+        made = partial(aligned_lobes, self.kinds[0]) if self.is_aligned else tabulate
+        lobes, excess = made(lam, layer, self.structure, grids, eta)
         notes: dict[str, Any] = {
             "energy_excess": round(excess, 6),
             "coverage": self.coverage,
@@ -361,41 +370,26 @@ class Metasurface(Model):
             notes["correction_because"] = self.chosen_correction[1]
         if self._doubt:
             notes["correction_doubt"] = self._doubt
-        stated = [k.body.stated_error for k in self.kinds if k.body is not None and k.body.stated_error is not None]
-        if stated:
-            notes["t_matrix_error"] = float(f"{max(stated):.2g}")
-        turned = max((k.body.turn_loss for k in self.kinds if k.body is not None), default=0.0)
-        if turned:
-            notes["left_out_by_turns"] = float(f"{turned:.2g}")
         if judged is not None:
             notes["ensemble"] = judged.notes
-        if self.multipole_order is None:
-            notes["multipole_tolerance"] = max(
-                [self.multipole_tolerance or ORDER_TOLERANCE, *self._settling.unsettled.values()]
-            )
-        if self._settling.missing:
-            notes["multipoles"] = [{"held": h, "taken": t, "change": c} for h, t, c in self._settling.missing.values()]
+        notes |= body_notes(self.kinds) | self._settling.notes
         self._settling.tell(self.body is not None)
-        return Bsdf((specular, harmonic), notes)
+        return Bsdf(lobes, notes)
 
     def _warn(self) -> None:
-        for kind in self.kinds:
-            if kind.body is not None and kind.body.turn_loss:
-                warnings.warn(
-                    f"{kind.body.source}: is not axisymmetric: the mean over its turn about the normal is taken, and "
-                    f"{100 * kind.body.turn_loss:.2g} % of what it scatters, which depends on the turn, is left out",
-                    MetasurfaceWarning,
-                    stacklevel=3,
-                )
+        for line in turns_left_out(self.kinds):
+            warnings.warn(line, MetasurfaceWarning, stacklevel=3)
         doubt = self._doubt
         if doubt and self.coverage > VALIDATED_COVERAGE and not self.is_spared:  # what was spared is told once for all
-            alone = self.host and uneven(self.kinds)
+            alone = self.is_aligned or (self.host and uneven(self.kinds))
             instead = "" if alone else '; model.correction = "ensemble" solves the particles together'
             warnings.warn(f"{self.source}: {doubt}{instead}", MetasurfaceWarning, stacklevel=3)
 
     @property
     def _doubt(self) -> str:
         """What is known against the mean field where it is taken; empty where it was measured to hold."""
+        if self.is_aligned:
+            return NO_ENSEMBLE
         if self.chosen_correction[0] == ENSEMBLE or self._is_held[0]:
             return ""
         return INSIDE if self.host else choice.warning(*self._judged_as)
@@ -451,11 +445,11 @@ class Metasurface(Model):
         """Return the diffuse lobe's values at a few pairs, `[pair, wavelength]`, without its tables.
 
         Those of `bsdf` but for the tables' interpolation: 0.5 % of the largest, and near grazing the scaling to what
-        arrives. None for pairs on the other side, of an order beyond reach, or where the pairs are not few.
+        arrives. None for pairs on the other side, of an order beyond reach, or that are not few; of aligned particles.
         """
         arriving, leaving = (np.asarray(v, dtype=float).reshape(-1, 3) for v in (wi, wo))
         angles = np.unique(np.round(np.concatenate([arriving[:, 2], leaving[:, 2]]), 12))
-        if angles.size > FEW_ANGLES or np.any(angles < LEAST_COS):
+        if self.is_aligned or angles.size > FEW_ANGLES or np.any(angles < LEAST_COS):
             return None
         self._warn()
         layer, _ = self.layers_at(wavelengths_nm)
@@ -482,6 +476,8 @@ class Metasurface(Model):
         """
         cos = np.maximum(np.atleast_1d(np.asarray(cosines, dtype=float)), np.cos(np.radians(89.9)))
         layer = self.monolayer(wavelength_nm) if layer is None else layer
+        if self.is_aligned:
+            return powers_of_aligned(self.kinds[0], layer, cos)
         if layer.correction == "qca-balanced" and layer.ratio is None:
             return few_powers(layer, cos)
         reflected, passed = layer.specular_above(cos)

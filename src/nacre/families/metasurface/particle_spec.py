@@ -24,12 +24,10 @@ SMALLEST_CORE_NM = 0.1  # less than an atom; squares of far smaller ones are 0 i
 WIDEST_RELATIVE_SIZE = 0.3
 SAME_MEDIUM = 1e-3  # relative, of the index that a T-matrix is for
 SAME_LENGTH = 1e-2  # relative, of a length that recipe and file both give
-ALIGNED = (
-    "particles that all point one way are not modelled; of one that is not axisymmetric the mean over its turn about "
-    "the normal is taken"
+ALIGNED = 'write orientation = "aligned", and turn_deg for the angle by which all are turned about the normal'
+OTHER_WORDS = dict.fromkeys(  # that a stranger may ask by, and what to write in their place
+    ("orientation_deg", "turn", "rotation", "rotation_deg", "azimuth_deg", "aligned"), ALIGNED
 )
-TURNS = ("orientation", "orientation_deg", "turn", "turn_deg", "rotation", "rotation_deg", "azimuth_deg", "aligned")
-NOT_MODELLED = dict.fromkeys(TURNS, ALIGNED)  # what a stranger may ask for, and why there is no such key
 NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
 Extent = Annotated[float, pydantic.Field(ge=2 * SMALLEST_CORE_NM, le=2 * CORE_LIMIT_NM)]
 
@@ -58,6 +56,7 @@ class KindSpec(RecipeModel):
         '{shape = "cylinder", material = "Ag", diameter_nm = 120, height_nm = 80, '
         'shell = {material = "SiO2", thickness_nm = 5}}',
         '{tmatrix = "disc.tmat.h5", gap_nm = 5}',
+        '{tmatrix = "bar.tmat.h5", orientation = "aligned", turn_deg = 30}',
     )
     one_of: ClassVar[tuple[str, ...]] = ("material", "tmatrix")
 
@@ -94,7 +93,7 @@ class KindSpec(RecipeModel):
     )
     tmatrix: str | None = pydantic.Field(
         default=None,
-        description="in place of material and radius_nm: a file of T-matrices of an axisymmetric particle, axis z, "
+        description="in place of material and radius_nm: a file of T-matrices of a particle, axis z, "
         "as programs exchange them (arXiv:2408.10727)",
         examples=["disc.tmat.h5"],
     )
@@ -118,13 +117,35 @@ class KindSpec(RecipeModel):
         examples=[2],
     )
 
+    orientation: Literal["averaged", "aligned"] = pydantic.Field(
+        default="averaged",
+        description="of a particle of tmatrix that is not axisymmetric: the mean over its turn about the normal, or "
+        "all point one way, the file's x along the surface's u",
+    )
+    turn_deg: Annotated[float, pydantic.Field(ge=-360.0, le=360.0)] = pydantic.Field(
+        default=0.0,
+        description="angle by which aligned particles are turned about the normal, from u towards v",
+        examples=[30],
+    )
+
     @pydantic.model_validator(mode="before")
     @classmethod
-    def _is_modelled(cls, data: Any) -> Any:
-        for key in NOT_MODELLED if isinstance(data, Mapping) else ():
+    def _in_our_words(cls, data: Any) -> Any:
+        for key in OTHER_WORDS if isinstance(data, Mapping) else ():
             if key in data:
-                raise ValueError(f"gives {key}: {NOT_MODELLED[key]}")
+                raise ValueError(f"gives {key}: {OTHER_WORDS[key]}")
         return data
+
+    @pydantic.model_validator(mode="after")
+    def _turned_as_one(self) -> Self:
+        if self.tmatrix is None and self.orientation == "aligned":
+            raise ValueError(
+                f'gives orientation = "aligned" of a {self.shape}, which looks the same at any turn about the normal; '
+                "it is for a particle of tmatrix"
+            )
+        if "turn_deg" in self.model_fields_set and self.orientation != "aligned":
+            raise ValueError('gives turn_deg, which is of aligned particles alone; write orientation = "aligned" too')
+        return self
 
     @pydantic.model_validator(mode="after")
     def _one_place(self) -> Self:
@@ -207,7 +228,7 @@ class KindSpec(RecipeModel):
         if self.tmatrix is None:
             return None if self.shape == "sphere" else self._solid(context, around, hold_ends, shell)
         try:
-            known = read_tmatrices(context.path(self.tmatrix))
+            known = read_tmatrices(context.path(self.tmatrix), self.orientation == "aligned")
         except TMatrixFileError as error:
             raise context.fail(f"{self.table}.tmatrix", self.tmatrix, str(error)) from None
         self._check_medium(context, known, around)
@@ -219,7 +240,7 @@ class KindSpec(RecipeModel):
         shape = shape_of(known)
         if shape in ("", SPHERE) and abs(2 * radius - height) <= SAME_SIZE * height and is_spherical(known):
             return KnownSphere(known, radius, height, radius, source, hold_ends, shape)
-        return KnownBody(known, radius, height, reach, source, hold_ends, shape)
+        return KnownBody(known, radius, height, reach, source, hold_ends, shape, float(np.radians(self.turn_deg)))
 
     def _solid(
         self, context: RecipeContext, around: OpticalConstant, hold_ends: bool, shell: Shell | None
@@ -277,7 +298,7 @@ class SecondSpec(KindSpec):
 
 
 class ParticleSpec(KindSpec):
-    """The particles: spheres, upright cylinders or spheroids, or any with an axis along the normal, by a file."""
+    """The particles: spheres, upright cylinders or spheroids, or any other, by a file."""
 
     forms: ClassVar[tuple[str, ...]] = (
         *KindSpec.forms,

@@ -319,6 +319,7 @@ class MetasurfaceSpec(RecipeModel):
                     'height by depth_nm, or take "qca-balanced", the mean field'
                 )
                 raise context.fail("model.correction", asked, why)
+        self._check_aligned(context, kinds)
         structure, arrangement = self._structure(context, kinds, 4.2 * np.pi * index / 360.0)
         first = kinds[0]
         return MetasurfaceModel(
@@ -343,6 +344,23 @@ class MetasurfaceSpec(RecipeModel):
             host=host,
             depth_nm=first.depth_nm,
         )
+
+    def _check_aligned(self, context: RecipeContext, kinds: tuple[Kind, ...]) -> None:
+        """Refuse what aligned particles are not modelled with.
+
+        Raises:
+            RecipeError: a mixture, or a correction other than the mean field.
+        """
+        if not any(kind.body is not None and kind.body.is_aligned for kind in kinds):
+            return
+        if len(kinds) > 1:
+            key = "particle" if kinds[0].body is not None and kinds[0].body.is_aligned else "particle.second"
+            why = 'is not modelled in a mixture; write "averaged", or leave particle.second out'
+            raise context.fail(f"{key}.orientation", "aligned", why)
+        asked = self.model.correction
+        if asked not in ("auto", "qca-balanced"):
+            why = 'is not modelled for aligned particles; the mean field, "qca-balanced", is'
+            raise context.fail("model.correction", asked, why)
 
     def _index(self, spec: IndexSpec) -> OpticalConstant:
         return self._edge(spec.build())
