@@ -22,6 +22,8 @@ PLUGINS: dict[str, str] = {
     "ridge": "nacre.device.lobes.ridge:RidgePlugin",
     "table": "nacre.device.lobes.table:TablePlugin",
     "harmonic": "nacre.device.lobes.harmonic:HarmonicPlugin",
+    "aligned": "nacre.device.lobes.aligned:AlignedPlugin",
+    "aligned-specular": "nacre.device.lobes.aligned_specular:AlignedSpecularPlugin",
     "spectrum-map": "nacre.device.lobes.spectrum_map:SpectrumMapPlugin",
     "layered": "nacre.device.lobes.layered:LayeredPlugin",
     "flaked": "nacre.device.lobes.flaked:FlakedPlugin",

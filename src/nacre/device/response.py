@@ -37,15 +37,20 @@ class DeviceResponse:
         eta: n_inside/n_outside, opaque; `bends` says whether it differs from 1 (refraction).
         transmits: whether there are an inside and a T.
         flipped: whether outside lies at -z.
+
+    Args:
+        response: the tables.
+        nodes: what finds the nodes of a leading axis that no texture drives, as `DeviceParameters` does; None: that.
     """
 
-    def __init__(self, response: InterfaceResponse) -> None:
+    def __init__(self, response: InterfaceResponse, nodes: Any = None) -> None:
         self.transmits = bool(response.transmits)
         self.flipped = bool(response.flipped)
         self.bends = response.eta > 1.0
         self.is_lossless = _is_lossless(response)
         self.axis = WavelengthAxis(response.wavelengths_nm)
-        self.parameters = DeviceParameters(response.parameters)
+        self.has_own_nodes = nodes is not None
+        self.parameters = nodes if self.has_own_nodes else DeviceParameters(response.parameters)
         stacked = _stacked(response, self.is_lossless)
         self.table = DeviceTable(stacked, may_halve=_is_bright(stacked))
         self.shares = DeviceTable(_shares(response)) if self.transmits and not self.is_lossless else None
@@ -75,7 +80,8 @@ class DeviceResponse:
         structure = (bool(response.transmits), bool(response.flipped), response.eta > 1.0, _is_lossless(response))
         if structure != (self.transmits, self.flipped, self.bends, self.is_lossless):
             raise UnsupportedError("absorption, transmission or the denser side changed; build the scene again")
-        self.parameters.update(response.parameters)
+        if not self.has_own_nodes:
+            self.parameters.update(response.parameters)
         self.table.update(_stacked(response, self.is_lossless))
         if self.shares is not None:
             self.shares.update(_shares(response))

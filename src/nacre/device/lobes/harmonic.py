@@ -7,14 +7,17 @@ exact |q| of each wavelength. Directions are drawn from a coarse table of where 
 
 from __future__ import annotations
 
+import abc
+import dataclasses
 import math
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from nacre.arrays import Array, SingleArray
+from nacre.bsdf.lobes.aligned import Aligned
 from nacre.bsdf.lobes.harmonic import Harmonic
 from nacre.bsdf.series_words import PACKET
 from nacre.device.base import (
@@ -41,35 +44,53 @@ COSINE_SHARE = 0.1  # of the draws: no direction is left out, and no weight grow
 # mean square of the weights up to which an opaque lobe is drawn by the cosine alone: a tenth more variance of each draw
 # for a sixth of the time
 BROAD = 1.1
+TABLES = ("above", "below", "across", "above_free", "below_free", "across_free")
 VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 12, 9, 9  # for each side; with more the noise is the same
 
+MonolayerLobe = TypeVar("MonolayerLobe", Harmonic, Aligned)
 
-class HarmonicPlugin(LobePlugin[Harmonic]):
-    """Broad reflection, and transmission if the lobe transmits."""
 
-    kind = "harmonic"
+class MonolayerPlugin(LobePlugin[MonolayerLobe]):
+    """What the diffuse light of monolayers has in common: polar angles, S, and draws from a table of exits.
 
-    def __init__(self, lobe: Harmonic) -> None:
+    Attributes:
+        is_turned: whether values depend on both azimuths, not on their difference alone.
+    """
+
+    is_turned: ClassVar[bool] = False
+
+    def __init__(self, lobe: MonolayerLobe) -> None:
         sides = ("FrontSide", "BackSide") if lobe.transmits else ("FrontSide",)
+        sides = ("Anisotropic", *sides) if self.is_turned else sides
         self.transmits = lobe.transmits
         self.components = (flag("GlossyReflection", *sides),)
         if lobe.transmits:
             self.components += (flag("GlossyTransmission", *sides),)
         self.axis = WavelengthAxis(lobe.wavelengths_nm)
-        self.packets = -(-lobe.above.shape[1] // PACKET)
         self.keeps_index = _keeps_index(lobe)
-        self.has_free = lobe.above_free.shape[0] > 0
         self._set(lobe)
 
-    def _set(self, lobe: Harmonic) -> None:
-        self.shape = (lobe.above.shape, lobe.below.shape, lobe.across.shape)
+    @abc.abstractmethod
+    def _set_tables(self, lobe: MonolayerLobe) -> None:
+        """Put the series on the device."""
+
+    @abc.abstractmethod
+    def _thinned(self, lobe: MonolayerLobe) -> MonolayerLobe:
+        """Return the lobe at some dozen wavelengths: sampling needs the shape, not the colour."""
+
+    @abc.abstractmethod
+    def _look_up(self, si: Any, light: Any, eye: Any, active: Any) -> Any:
+        """Interpolate f at the four wavelengths."""
+
+    def _mean(self, lobe: MonolayerLobe, light: Array, eye: Array) -> Array:
+        """Return f averaged over wavelengths, `[...]`, of directions `[..., 3]`."""
+        return np.asarray(lobe.evaluate(light, eye).mean(axis=-1))
+
+    def _set(self, lobe: MonolayerLobe) -> None:
+        self.shape = _shape(lobe)
         self.axis.update(lobe.wavelengths_nm)
         self.nodes = opaque_int(max(2, len(lobe.wavelengths_nm)))
-        self.values = PackedSeries(_one_triangle(lobe.above, lobe.below, lobe.across), self.packets)
-        self.free = None
-        if self.has_free:
-            free = _one_triangle(lobe.above_free, lobe.below_free, lobe.across_free)
-            self.free = PackedSeries(free, self.packets)
+        self._set_tables(lobe)
         self.count_above = opaque_int(lobe.count_above)
         self.edge_above, self.top_above = opaque(lobe.count_above - 0.5), opaque(lobe.count_above - 1)
         if lobe.transmits:
@@ -93,7 +114,7 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         self.s_last = opaque(len(lobe.structure) - 1)
         self._set_sampling(lobe)
 
-    def _set_sampling(self, lobe: Harmonic) -> None:
+    def _set_sampling(self, lobe: MonolayerLobe) -> None:
         """Tabulate f, averaged over wavelengths, on (theta_i; side, |dphi|, sin^2 theta_o), for draws by |cos_o| f."""
         hemispheres = 2 if self.transmits else 1
         views = VIEW_NODES * hemispheres
@@ -104,11 +125,11 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         dphi = np.linspace(0.0, math.pi, AZIMUTH_NODES)
         up = _directions(np.arcsin(np.sqrt(square)), dphi[:, None])  # azimuth, exit
         wo = np.stack([up * [1.0, 1.0, sign] for sign in (1.0, -1.0)[:hemispheres]])
-        thin = _thinned(lobe)
+        thin = self._thinned(lobe)
         means = np.empty((views, hemispheres, AZIMUTH_NODES, EXIT_NODES))
         for k, angle in enumerate(ti):
             # the camera is `wi` of the device, the light `wo`; their roles differ by a factor only
-            means[k] = thin.evaluate(wo, np.broadcast_to(_directions(angle, 0.0), wo.shape)).mean(axis=-1)
+            means[k] = self._mean(thin, wo, np.broadcast_to(_directions(angle, 0.0), wo.shape))
         # equal areas of the square are equal shares of the cosine
         inner = np.ones((AZIMUTH_NODES, EXIT_NODES))
         inner[[0, -1]] *= 0.5
@@ -230,39 +251,6 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         node = mi.UInt32(low)
         return (node + dr.select(up, 0, self.count_above) if self.transmits else node), x - low
 
-    def _look_up(self, si: Any, light: Any, eye: Any, active: Any) -> Any:
-        """Interpolate f at the four wavelengths."""
-        sin_l = dr.sqrt(light.x * light.x + light.y * light.y)
-        sin_e = dr.sqrt(eye.x * eye.x + eye.y * eye.y)
-        dot = light.x * eye.x + light.y * eye.y
-        size = sin_l * sin_e
-        cos_phi = dr.select(size > 1e-12, larger(smaller(-dot / larger(size, 1e-12), 1.0), -1.0), 1.0)
-        cosines = [mi.Float(1.0), cos_phi]
-        for _ in range(2, PACKET * self.packets):
-            cosines.append(2.0 * cos_phi * cosines[-1] - cosines[-2])
-        low_l, part_l = self._coordinate(light, sin_l)
-        low_e, part_e = self._coordinate(eye, sin_e)
-        up_l, up_e = light.z > 0.0, eye.z > 0.0
-        where = self.axis.locate(si.wavelengths, active)
-        # the three corners of the triangle of the two angles that holds the point, as in the arrays
-        first = part_l > part_e
-        step_l, step_e = dr.select(first, mi.UInt32(1), mi.UInt32(0)), dr.select(first, mi.UInt32(0), mi.UInt32(1))
-        steps = [(0, 0), (step_l, step_e), (1, 1)]
-        rows = [_row(low_l + to_l, low_e + to_e) * self.nodes for to_l, to_e in steps]
-        upper, lower = larger(part_l, part_e), smaller(part_l, part_e)
-        kinds = [self.values] if self.free is None else [self.values, self.free]
-        series = [[c * unit for c, unit in zip(cosines, kind.units, strict=True)] for kind in kinds]
-        squares = self._squares(sin_l, sin_e, dot, up_l, up_e)
-        result = mi.Spectrum(0.0)
-        for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
-            corners = _tetrahedron([row + low for row in rows], upper, lower, part)
-            value = _interpolated(self.values, corners, series[0], active)
-            value = value * self._structure(si.wavelengths[k], low, part, squares, active)
-            if self.free is not None:
-                value = value + _interpolated(self.free, corners, series[1], active)
-            result[k] = value
-        return result * (self._fall(light, up_l, 1.0) * self._fall(eye, up_e, self.eta * self.eta))
-
     def _fall(self, w: Any, up: Any, below: Any) -> Any:
         """Return 1 above, and a number below; beyond the last node of its side they fall to zero as the cosine."""
         fall = smaller(dr.abs(w.z) * self.per_last[0], 1.0)
@@ -306,18 +294,67 @@ class HarmonicPlugin(LobePlugin[Harmonic]):
         ends = read2(self.albedo, row, active)
         return dr.select(self._visible(si.wi), dr.lerp(ends[0], ends[1], part), 0.0)
 
-    def update(self, lobe: Harmonic) -> None:
+    def update(self, lobe: MonolayerLobe) -> None:
         """Take over the numbers of another monolayer.
 
         Raises:
             UnsupportedError: the shape of its tables differs.
         """
-        shape = (lobe.above.shape, lobe.below.shape, lobe.across.shape)
         if _keeps_index(lobe) != self.keeps_index:
             raise UnsupportedError("one ambient disperses and the other does not; build the scene again")
-        if shape != self.shape or (lobe.above_free.shape[0] > 0) != self.has_free:
+        if _shape(lobe) != self.shape:
             raise UnsupportedError("the harmonic tables changed their shape; build the scene again")
         self._set(lobe)
+
+
+class HarmonicPlugin(MonolayerPlugin[Harmonic]):
+    """Broad reflection, and transmission if the lobe transmits."""
+
+    kind = "harmonic"
+
+    def _set_tables(self, lobe: Harmonic) -> None:
+        self.packets = -(-lobe.above.shape[1] // PACKET)
+        self.values = PackedSeries(_one_triangle(lobe.above, lobe.below, lobe.across), self.packets)
+        self.free = None
+        if lobe.above_free.shape[0]:
+            free = _one_triangle(lobe.above_free, lobe.below_free, lobe.across_free)
+            self.free = PackedSeries(free, self.packets)
+
+    def _thinned(self, lobe: Harmonic) -> Harmonic:
+        return dataclasses.replace(lobe, **thinned_rows(lobe, TABLES))
+
+    def _look_up(self, si: Any, light: Any, eye: Any, active: Any) -> Any:
+        """Interpolate f at the four wavelengths."""
+        sin_l = dr.sqrt(light.x * light.x + light.y * light.y)
+        sin_e = dr.sqrt(eye.x * eye.x + eye.y * eye.y)
+        dot = light.x * eye.x + light.y * eye.y
+        size = sin_l * sin_e
+        cos_phi = dr.select(size > 1e-12, larger(smaller(-dot / larger(size, 1e-12), 1.0), -1.0), 1.0)
+        cosines = [mi.Float(1.0), cos_phi]
+        for _ in range(2, PACKET * self.packets):
+            cosines.append(2.0 * cos_phi * cosines[-1] - cosines[-2])
+        low_l, part_l = self._coordinate(light, sin_l)
+        low_e, part_e = self._coordinate(eye, sin_e)
+        up_l, up_e = light.z > 0.0, eye.z > 0.0
+        where = self.axis.locate(si.wavelengths, active)
+        # the three corners of the triangle of the two angles that holds the point, as in the arrays
+        first = part_l > part_e
+        step_l, step_e = dr.select(first, mi.UInt32(1), mi.UInt32(0)), dr.select(first, mi.UInt32(0), mi.UInt32(1))
+        steps = [(0, 0), (step_l, step_e), (1, 1)]
+        rows = [_row(low_l + to_l, low_e + to_e) * self.nodes for to_l, to_e in steps]
+        upper, lower = larger(part_l, part_e), smaller(part_l, part_e)
+        kinds = [self.values] if self.free is None else [self.values, self.free]
+        series = [[c * unit for c, unit in zip(cosines, kind.units, strict=True)] for kind in kinds]
+        squares = self._squares(sin_l, sin_e, dot, up_l, up_e)
+        result = mi.Spectrum(0.0)
+        for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
+            corners = tetrahedron([row + low for row in rows], upper, lower, part)
+            value = interpolated(self.values, corners, series[0], active)
+            value = value * self._structure(si.wavelengths[k], low, part, squares, active)
+            if self.free is not None:
+                value = value + interpolated(self.free, corners, series[1], active)
+            result[k] = value
+        return result * (self._fall(light, up_l, 1.0) * self._fall(eye, up_e, self.eta * self.eta))
 
 
 def _one_triangle(above: SingleArray, below: SingleArray, across: SingleArray) -> SingleArray:
@@ -336,7 +373,7 @@ def _row(a: Any, b: Any) -> Any:
     return ((high * (high + 1)) >> 1) + low
 
 
-def _tetrahedron(rows: list[Any], upper: Any, lower: Any, part: Any) -> list[tuple[Any, Any]]:
+def tetrahedron(rows: list[Any], upper: Any, lower: Any, part: Any) -> list[tuple[Any, Any]]:
     """Return the corners of the tetrahedron of two angles and the wavelength that holds a point, with their weights.
 
     From the lowest corner of the cell to the highest, one coordinate after the other goes up, that with the largest
@@ -358,7 +395,7 @@ def _tetrahedron(rows: list[Any], upper: Any, lower: Any, part: Any) -> list[tup
     ]
 
 
-def _interpolated(source: PackedSeries, corners: list[tuple[Any, Any]], harmonics: list[Any], active: Any) -> Any:
+def interpolated(source: PackedSeries, corners: list[tuple[Any, Any]], harmonics: list[Any], active: Any) -> Any:
     """Sum the harmonics at the corners, by their weights."""
     total = mi.Float(0.0)
     for place, weight in corners:
@@ -367,7 +404,7 @@ def _interpolated(source: PackedSeries, corners: list[tuple[Any, Any]], harmonic
     return larger(total, 0.0)
 
 
-def _keeps_index(lobe: Harmonic) -> bool:
+def _keeps_index(lobe: Any) -> bool:
     """Whether the ambient has one index, so that the wavenumber is a number over the wavelength."""
     product = lobe.wavenumbers * lobe.wavelengths_nm
     return bool(np.allclose(product, product[0], rtol=1e-7, atol=0.0))
@@ -392,18 +429,18 @@ def _word(words: Any, index: Any, active: Any) -> Any:
     return int(words[int(index)]) if active else 0
 
 
-def _thinned(lobe: Harmonic) -> Harmonic:
-    """The lobe at some dozen wavelengths: sampling needs the shape, not the colour."""
-    import dataclasses
-
+def thinned_rows(lobe: Any, tables: tuple[str, ...]) -> dict[str, Any]:
+    """Return some tables of a lobe, and what else goes by the wavelength, at some dozen wavelengths."""
     step = max(1, len(lobe.wavelengths_nm) // 12)
-    changes: dict[str, Any] = {
-        name: np.ascontiguousarray(getattr(lobe, name)[..., ::step])
-        for name in ("above", "below", "across", "above_free", "below_free", "across_free")
-    }
-    for name in ("wavelengths_nm", "wavenumbers", "index_below"):
-        changes[name] = np.ascontiguousarray(getattr(lobe, name)[::step])
-    return dataclasses.replace(lobe, **changes)
+    names = (*tables, "wavelengths_nm", "wavenumbers", "index_below")
+    return {name: np.ascontiguousarray(getattr(lobe, name)[..., ::step]) for name in names}
+
+
+def _shape(lobe: Any) -> tuple[tuple[int, ...], ...]:
+    """Return the shapes of a lobe's tables, which stay when its numbers are replaced."""
+    return tuple(getattr(lobe, name).shape for name in TABLES if hasattr(lobe, name)) + (
+        (lobe.table.shape,) if hasattr(lobe, "table") else ()
+    )
 
 
 def _directions(theta: Any, phi: Any) -> Array:

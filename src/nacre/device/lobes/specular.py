@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
-from typing import Any
+import abc
+from typing import Any, TypeVar
 
 import drjit as dr
 import mitsuba as mi
 
+from nacre.bsdf.lobes.aligned_specular import AlignedSpecular
 from nacre.bsdf.lobes.specular import Specular
 from nacre.device.base import MIN_COS, LobePlugin, flag, flip_z, is_radiance, larger
 from nacre.device.response import DeviceResponse, share_reflected
 
+InterfaceLobe = TypeVar("InterfaceLobe", Specular, AlignedSpecular)
 
-class SpecularPlugin(LobePlugin[Specular]):
+
+class InterfacePlugin(LobePlugin[InterfaceLobe]):
     """Mirror reflection, and refraction by one index; a free film transmits light undeviated."""
 
-    kind = "specular"
-
-    def __init__(self, lobe: Specular) -> None:
-        self.response = DeviceResponse(lobe.response)
+    def __init__(self, lobe: InterfaceLobe) -> None:
+        self.response = self._respond(lobe)
         both = ("FrontSide", "BackSide") if lobe.transmits else ("FrontSide",)
         self.components = (flag("DeltaReflection", *both),)
         if lobe.transmits:
             # "Null" lets volumes and shadow rays see through a film that does not refract
             straight = "DeltaTransmission" if self.response.bends else "Null"
             self.components += (flag(straight, *both),)
+
+    @abc.abstractmethod
+    def _respond(self, lobe: InterfaceLobe) -> DeviceResponse:
+        """Put the tables on the device."""
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Choose between the two directions."""
@@ -87,7 +93,7 @@ class SpecularPlugin(LobePlugin[Specular]):
         total = dr.mean(reflected if transmitted is None else reflected + transmitted)
         return total if self.response.transmits else dr.select(wi.z > 0, total, 0.0)
 
-    def update(self, lobe: Specular) -> None:
+    def update(self, lobe: InterfaceLobe) -> None:
         """Take over other tables."""
         self.response.update(lobe.response)
 
@@ -98,3 +104,12 @@ class SpecularPlugin(LobePlugin[Specular]):
     def parameters_changed(self) -> None:
         """Repack the tables."""
         self.response.table.repack()
+
+
+class SpecularPlugin(InterfacePlugin[Specular]):
+    """A smooth interface that looks the same at any turn."""
+
+    kind = "specular"
+
+    def _respond(self, lobe: Specular) -> DeviceResponse:
+        return DeviceResponse(lobe.response)
