@@ -1,0 +1,308 @@
+"""Particles that all point one way: known particles by this route, turns, other codes, energy, reciprocity."""
+
+import dataclasses
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers_metasurface import monolayer, surface, t_matrix
+
+from nacre.bsdf.directions import direction
+from nacre.bsdf.lobes.harmonic import PolarGrid
+from nacre.families.metasurface import aligned_compile
+from nacre.families.metasurface.aligned import AlignedLayer
+from nacre.families.metasurface.aligned_compile import aligned_powers, tabulate_aligned
+from nacre.families.metasurface.aligned_pairs import aligned_term, azimuth_nodes, light_of
+from nacre.families.metasurface.axial import as_blocks
+from nacre.families.metasurface.cluster import Coupling, PlaneWaves
+from nacre.families.metasurface.compile import Grids, tabulate
+from nacre.families.metasurface.corrections import diffuse_term
+from nacre.families.metasurface.few import few_powers
+from nacre.families.metasurface.monolayer import Monolayer, Particle
+from nacre.families.metasurface.neighbours import multipole_index, with_negative_orders
+from nacre.families.metasurface.sphere import hemisphere_rule
+from nacre.families.metasurface.structure import hard_disk_structure
+from nacre.families.metasurface.tmatrix_file import read_tmatrices, write_tmatrices
+from nacre.families.metasurface.whole import reversed_whole, spread, turned_whole
+from nacre.measure.spectrum import directional_hemispherical
+
+SAME = 1e-10  # of what is computed another way from the same numbers
+SINGLE = 2e-6  # of tables of single precision, over the largest value
+OTHER_CODE = 1e-6
+EXPANDED = 2e-3  # of the largest far field: multipoles up to 5 about the middle of two spheres that reach 106 nm
+LINES = 1e-2  # of the root mean square: what 64 angles leave over a film, twice the bar of tables of 120
+QCA_ENERGY = 1e-2  # the mean field's own, see the physics note, section 7
+FILE = Path(__file__).with_name("dimer.tmat.h5")
+RADIUS, APART, INDEX = 50.0, 112.0, 4.0 + 0.05j  # of the two spheres of the file
+LENGTH, HEIGHT = APART + 2 * RADIUS, 2 * RADIUS
+
+
+@cache
+def known():
+    return read_tmatrices(FILE, is_aligned=True)
+
+
+def dimers(substrate, coverage=0.1, packing=0.4, films=(), gap=60.0, whole=None, wavelength=500.0):
+    """Return a monolayer of the file's particles, or of others of the same size."""
+    below = surface(wavelength, substrate, films)
+    density = coverage / (np.pi * (LENGTH / 2) ** 2)
+    structure = hard_disk_structure(density, packing, 4.5 * below.wavenumber * max(1.0, below.index_below))
+    at = int(np.argmin(np.abs(known().wavelengths_nm - wavelength)))
+    mean = Monolayer(below, (Particle(1.0, HEIGHT / 2 + gap, known().blocks[at]),), structure)
+    return AlignedLayer(mean, known().whole[at] if whole is None else whole)
+
+
+def spheres(substrate, lmax=4):
+    """Return a monolayer of spheres by today's way, and by this one."""
+    layer = monolayer(520.0, 75.0, 4 + 0.05j, substrate, 0.1, 0.3, lmax=lmax)
+    return layer, AlignedLayer(layer, spread(as_blocks(layer.particles[0].t_matrix), multipole_index(lmax)))
+
+
+def lobes(layer, above=24, below=None, turn=0.0):
+    """Return the two lobes at one wavelength."""
+    eta = 1.0 if below is None else below.eta
+    grids = Grids(PolarGrid(above), below)
+    nm = np.array([layer.mean.surface.wavelength_nm])
+    return tabulate_aligned(nm, lambda _: layer, layer.mean.structure, grids, eta, turn)[0]
+
+
+def vectors(count, seed, both=False):
+    rng = np.random.default_rng(seed)
+    z = rng.uniform(-1.0 if both else 0.0, 1.0, count)
+    return direction(np.arccos(z), rng.uniform(0, 2 * np.pi, count))
+
+
+def about_z(w, angle):
+    cos, sin = np.cos(angle), np.sin(angle)
+    return w @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+# -- what is known already, by this route -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("substrate", [4.0 + 0.05j, 1.5])
+def test_axisymmetric_particles_send_what_they_always_did(substrate):
+    today, here = spheres(substrate)
+    cosines, turns = np.array([0.15, 0.5, 0.97]), np.array([0.0, 0.7, 3.0])
+    for known_power, power in zip(today.specular_above(cosines), here.specular_above(cosines, turns), strict=True):
+        assert np.abs(power - known_power).max() <= SAME
+    count = 36  # azimuths: as many as today's sums over the azimuth have points
+    rules = [(*hemisphere_rule(6), False)]
+    if today.has_below:
+        rules.append((*hemisphere_rule(4, 1.5), True))
+        assert np.abs(here.specular_below(cosines, turns) - today.specular_below(cosines)).max() <= SAME
+    wanted = diffuse_term(today, [(today.light(mu, below), w) for mu, w, below in rules], 8)
+    found = aligned_term(here, [(light_of(here, mu, below, count), w) for mu, w, below in rules])
+    # from wavevector to wavevector: that of the light runs the other way than its direction
+    waves = np.cos(np.multiply.outer(azimuth_nodes(count) - np.pi, np.arange(8)))
+    series = np.einsum("sbi,bk->sik", found.power[..., 0], waves) * np.where(np.arange(8) == 0, 1.0, 2.0) / count
+    expected = 0.5 * wanted.coherent.sum(axis=(2, 3))
+    assert np.abs(series - expected).max() <= SAME * np.abs(expected).max()
+    sent = found.flow[..., 5].sum(axis=1) * 2 * np.pi / count
+    assert np.abs(sent - wanted.unpolarised).max() <= SAME * wanted.unpolarised.max()
+
+
+@pytest.mark.parametrize("below", [None, PolarGrid(8, 5, 1.5)])
+def test_their_lobes_are_the_same_too(below, monkeypatch):
+    monkeypatch.setattr(aligned_compile, "LEFT_OUT", 0.0)
+    monkeypatch.setattr(aligned_compile.solve_aligned, "__defaults__", (36,))
+    today, here = spheres(4.0 + 0.05j if below is None else 1.5)
+    grids, eta = Grids(PolarGrid(12), below), 1.0 if below is None else 1.5
+    mirror, harmonic = tabulate(np.array([520.0]), lambda _: today, today.structure, grids, eta)[0]
+    mirror_here, aligned = lobes(here, 12, below, turn=0.4)
+    a, b = vectors(2000, 0, below is not None), vectors(2000, 1, below is not None)
+    expected = harmonic.evaluate(a, b)
+    assert np.abs(aligned.evaluate(a, b) - expected).max() <= SINGLE * expected.max()
+    expected, found = mirror.specular(a[:, 2]), mirror_here.specular_at(a[:, 2], b[:, 0])
+    assert np.abs(found.reflectance - expected.reflectance).max() <= SAME
+    assert np.abs(found.transmittance - expected.transmittance).max() <= SAME
+
+
+def test_and_their_few_powers():
+    today, here = spheres(1.5)
+    cosines = np.array([0.2, 0.8])
+    for expected, found in zip(few_powers(today, cosines), aligned_powers(here, cosines, 0.3), strict=True):
+        assert np.abs(found - expected).max() <= 1e-6  # another rule over the azimuth
+
+
+# -- turns ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("turn_deg", [90.0, 30.0])
+def test_a_turned_particle_is_the_material_turned(turn_deg, monkeypatch):
+    monkeypatch.setattr(aligned_compile, "LEFT_OUT", 0.0)
+    monkeypatch.setattr(aligned_compile, "MOST_TERMS", 500)
+    turn = np.radians(turn_deg)
+    films = ((1.46, 120.0),)
+    straight, turned = dimers(4.3 + 0.07j, films=films), dimers(4.3 + 0.07j, films=films)
+    turned = AlignedLayer(turned.mean, turned_whole(turned.whole, turn))
+    mirror, diffuse = lobes(straight, 10)
+    mirror_turned, diffuse_turned = lobes(turned, 10)
+    a, b = vectors(1000, 2), vectors(1000, 3)
+    expected = diffuse.evaluate(about_z(a, -turn), about_z(b, -turn))
+    assert np.abs(diffuse_turned.evaluate(a, b) - expected).max() <= SINGLE * expected.max()
+    assert np.abs(diffuse.evaluate(a, b) - expected).max() > 0.05 * expected.max()  # a turn does count
+    by_number = dataclasses.replace(diffuse, rotation=turn)
+    assert np.abs(by_number.evaluate(a, b) - expected).max() <= SINGLE * expected.max()
+    phi = np.arctan2(a[:, 1], a[:, 0])
+    of = [
+        lobe.specular_at(a[:, 2], at).reflectance
+        for lobe, at in ((mirror, phi - turn), (mirror_turned, phi), (dataclasses.replace(mirror, rotation=turn), phi))
+    ]
+    assert np.abs(of[1] - of[0]).max() <= SAME and np.abs(of[2] - of[0]).max() <= SAME
+    assert np.ptp(mirror.specular_at(np.full(8, 0.8), azimuth_nodes(8)).reflectance) > 1e-3
+
+
+def _alone(layer, light, views, wave, away):
+    """Return F of one particle without neighbours, `[q, view, p]`, nm: light and views by cosine, waves' azimuths."""
+    sphere = layer.mean.spheres[0]
+    v = with_negative_orders(sphere.directions([light]).excitation, layer.index)[:, :, 0]
+    u = with_negative_orders(sphere.directions(views).emission, layer.index)
+    m = layer.index.m
+    b = layer.dressed @ (np.exp(-1j * m * wave)[:, None] * v.T)
+    return np.einsum("qnv,nv,np->qvp", u, np.exp(1j * np.outer(m, away)), b) / layer.mean.surface.wavenumber
+
+
+def test_the_mean_over_turns_is_the_averaged_particle():
+    """Its field exactly, alone in space; the power that it leaves out is what the file's reader says."""
+    layer = dimers(1.0)
+    averaged = AlignedLayer(layer.mean, spread(known().blocks[0], multipole_index(known().lmax)))
+    views, away = np.array([0.3, 0.9]), np.array([0.5, 2.0])
+    turns = azimuth_nodes(16)
+    fields = np.stack([_alone(layer, 0.6, views, 0.2 - t, away - t) for t in turns])
+    expected = _alone(averaged, 0.6, views, 0.2, away)
+    assert np.abs(fields.mean(axis=0) - expected).max() <= SAME * np.abs(fields).max()
+    kept = np.sum(np.abs(averaged.dressed) ** 2) / np.sum(np.abs(layer.dressed) ** 2)
+    rng = np.random.default_rng(5)
+    powers = np.zeros(2)
+    for _ in range(400):  # light and views from anywhere, both polarisations: the squared norms of T
+        cosines, phi = rng.uniform(0.0, 1.0, 2), rng.uniform(0, 2 * np.pi, 2)
+        for k, one in enumerate((layer, averaged)):
+            powers[k] += np.sum(np.abs(_alone(one, cosines[0], cosines[1:], phi[0], phi[1:])) ** 2)
+    assert 0.005 < 1 - kept < 0.2
+    assert powers[1] / powers[0] == pytest.approx(kept, abs=0.25 * (1 - kept))
+
+
+# -- other codes ------------------------------------------------------------------------------------------
+
+
+def test_one_particle_in_free_space_scatters_as_treams_says():
+    treams = pytest.importorskip("treams.io").treams
+
+    layer = dimers(1.0, wavelength=600.0)
+    matrix = treams.io.load_hdf5(str(FILE))[1]
+    light, wave = 0.7, 0.4
+    theta, away = np.radians([10.0, 40.0, 75.0]), np.array([0.3, 2.0, 4.5])
+    found = _alone(layer, np.cos(light), np.cos(theta), wave, away)
+    phi = np.array([np.cos(wave), np.sin(wave)])
+    for pol in range(2):
+        vector = layer.mean.surface.wavenumber * np.array([*(np.sin(light) * phi), -np.cos(light)])
+        field = [-phi[1], phi[0], 0.0] if pol == 0 else [*(-np.cos(light) * phi), -np.sin(light)]
+        sent = matrix @ treams.plane_wave(vector, field, k0=float(matrix.k0), material=1, poltype="parity").expand(
+            matrix.basis
+        )
+        for i, (t, p) in enumerate(zip(theta, away, strict=True)):
+            place = 1e9 * np.array([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)])
+            theirs = np.sum(np.abs(np.asarray(sent.efield(place))) ** 2) * 1e18
+            assert np.sum(np.abs(found[:, i, pol]) ** 2) == pytest.approx(theirs, rel=OTHER_CODE)
+
+
+def _two_spheres(below, centre, theta_i, wave, theta_s, away):
+    """Return F of the two spheres, each solved as a sphere over the stack, `[q, view, view azimuth, p]`."""
+    order = 6
+    coupling = Coupling.build(
+        below, Particle(1.0, centre, t_matrix(order, below.wavenumber * RADIUS, INDEX)), APART, APART + 1.0
+    )
+    places = np.array([[-APART / 2, 0.0], [APART / 2, 0.0]])
+
+    def waves(theta, azimuths):
+        from nacre.families.metasurface.sphere import Directions
+
+        made = Directions.build(below, centre, order, order, np.cos(theta))
+        return PlaneWaves.build(made, np.asarray(azimuths), order, below.wavenumber)
+
+    light, views = waves(np.array([theta_i]), [wave]), waves(theta_s, away)
+    found = coupling.far_field(places, coupling.solve(places, light), views)
+    return found.reshape(2, len(theta_s), len(away), 2)
+
+
+@pytest.mark.parametrize(("substrate", "films"), [(1.5, ()), (4.3 + 0.07j, ((1.46, 120.0),))])
+def test_one_particle_over_a_stack_scatters_as_the_two_spheres_that_it_is(substrate, films):
+    layer = dimers(substrate, films=films)
+    theta, away, wave = np.radians([5.0, 35.0, 70.0]), np.array([0.2, 1.9, 3.3, 5.0]), 0.6
+    expected = _two_spheres(layer.mean.surface, HEIGHT / 2 + 60.0, 0.8, wave, theta, away)
+    at, around = np.repeat(np.cos(theta), 4), np.tile(away, 3)
+    found = _alone(layer, np.cos(0.8), at, wave, around).reshape(2, 3, 4, 2)
+    assert np.abs(found - expected).max() <= EXPANDED * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 40.0])
+def test_a_thin_layer_sends_what_its_particles_do_alone(turn_deg):
+    """The whole way to a value of the lobe, against spheres over the stack, at azimuths of both directions."""
+    films, density = ((1.46, 120.0),), 1e-9
+    coverage = density * np.pi * (LENGTH / 2) ** 2
+    layer = dimers(4.3 + 0.07j, coverage, coverage, films)
+    lobe = lobes(layer, 48, turn=np.radians(turn_deg))[1]
+    theta, away = np.radians([12.0, 40.0, 66.0]), np.array([0.2, 1.1, 1.9, 3.3, 5.0])
+    for theta_i, phi_i in ((0.3, 0.0), (0.8, 1.2), (1.2, 2.5)):
+        turn = np.radians(turn_deg)
+        # the light's wavevector runs from phi_i away; all azimuths count from the particles' long axis
+        fields = _two_spheres(
+            layer.mean.surface, HEIGHT / 2 + 60.0, theta_i, phi_i + np.pi - turn, theta, away - turn
+        )
+        cosines = np.cos(theta)[:, None] * np.cos(theta_i)
+        expected = density * 0.5 * np.sum(np.abs(fields) ** 2, axis=(0, 3)) / cosines
+        wo = direction(theta[:, None], away)
+        found = lobe.evaluate(np.broadcast_to(direction(theta_i, phi_i), wo.shape), wo)[..., 0]
+        assert np.sqrt(np.mean((found - expected) ** 2)) <= LINES * np.sqrt(np.mean(expected**2))
+
+
+# -- energy and reciprocity -------------------------------------------------------------------------------
+
+
+def _lossless():
+    """Return the file's T without its absorption: the unitary matrix next to 1 + 2 T."""
+    u, _, vh = np.linalg.svd(np.eye(known().whole.shape[-1]) + 2 * known().whole[0])
+    return 0.5 * (u @ vh - np.eye(len(u)))
+
+
+@pytest.mark.parametrize(("substrate", "coverage", "packing"), [(1.0, 0.1, 0.4), (1.0, 0.2, 0.4), (1.5, 0.1, 0.4)])
+def test_where_nothing_absorbs_all_light_comes_back(substrate, coverage, packing):
+    """At each azimuth, though R, T and what is scattered change with it: the mean field's own balance of energy."""
+    layer = dimers(substrate, coverage, packing, whole=_lossless())
+    assert np.abs(reversed_whole(layer.whole) - layer.whole).max() <= SAME
+    cosines = np.cos(np.radians([0.0, 30.0, 55.0]))
+    parts = np.stack([np.stack(aligned_powers(layer, cosines, a)) for a in (0.0, 0.5, np.pi / 2)])
+    assert np.abs(parts.sum(axis=1) - 1.0).max() <= QCA_ENERGY
+    assert np.ptp(parts[:, 2:], axis=0).max() > 0.03  # the diffuse part changes with the azimuth
+
+
+@pytest.mark.parametrize("below", [None, PolarGrid(16, 10, 1.5)])
+def test_lobes_are_reciprocal_and_keep_energy(below):
+    layer = dimers(4.3 + 0.07j, films=((1.46, 120.0),)) if below is None else dimers(1.5, whole=_lossless())
+    made = lobes(layer, 24, below, turn=0.7)
+    both = below is not None
+    a, b = vectors(2000, 4, both), vectors(2000, 5, both)
+    index = [np.where(w[:, 2:] > 0, 1.0, made[1].eta) for w in (a, b)]
+    forth, back = made[1].evaluate(a, b) / index[1] ** 2, made[1].evaluate(b, a) / index[0] ** 2
+    assert np.abs(forth - back).max() <= SAME * forth.max() and forth.min() >= 0.0
+    from nacre.bsdf.bsdf import Bsdf
+
+    light = np.concatenate([direction(np.radians([0.0, 20.0, 50.0, 75.0, 86.0]), 0.3), vectors(10, 6, both)])
+    reflected, passed = directional_hemispherical(Bsdf(made), light)
+    assert np.all(reflected + passed <= 1.0 + 2e-3)  # a quadrature of 64 nodes over the critical angle's kink
+    turned = light * [-1.0, -1.0, 1.0]
+    for one, way in zip(light, turned, strict=True):
+        phi, opposite = (np.arctan2(w[1], w[0]) for w in (one, way))
+        mirror = [made[0].specular_at(one[2], p).reflectance for p in (phi, opposite)]
+        assert np.abs(mirror[0] - mirror[1]).max() <= 1e-6  # mirror light takes its way back
+
+
+def test_a_file_is_written_and_read_the_same(tmp_path):
+    write_tmatrices(tmp_path / "again.tmat.h5", known())
+    again = read_tmatrices(tmp_path / "again.tmat.h5", is_aligned=True)
+    assert np.abs(again.whole - known().whole).max() <= 1e-15
+    treams = pytest.importorskip("treams.io").treams
+    theirs, ours = (treams.io.load_hdf5(str(p))[0] for p in (FILE, tmp_path / "again.tmat.h5"))
+    assert np.abs(np.asarray(theirs) - np.asarray(ours)).max() <= 1e-15

@@ -1,0 +1,54 @@
+"""Write the T-matrix file of the tests of aligned particles: two spheres side by side, solved by treams.
+
+    python tools/dimer_t_matrix.py tests/metasurface/dimer.tmat.h5
+
+treams couples the spheres and expands what both send out about their middle; both lie along x.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from nacre.families.metasurface.tmatrix_file import read_tmatrices, write_tmatrices
+
+RADIUS_NM, APART_NM, INDEX = 50.0, 112.0, 4.0 + 0.05j
+WAVELENGTHS_NM, ORDER = (500.0, 600.0), 5
+NOISE = 1e-12  # of the largest number: what symmetry forbids and rounding left
+
+
+def main(path: str) -> None:
+    """Write the file."""
+    import h5py
+    import treams
+    import treams.io
+
+    solved = []
+    for wavelength in WAVELENGTHS_NM:
+        one = treams.TMatrix.sphere(
+            ORDER + 5, 2 * np.pi / wavelength, RADIUS_NM, [treams.Material(INDEX**2), treams.Material()]
+        )
+        places = np.array([[-APART_NM / 2, 0.0, 0.0], [APART_NM / 2, 0.0, 0.0]])
+        both = treams.TMatrix.cluster([one, one], places).interaction.solve()
+        solved.append(both.expand(treams.SphericalWaveBasis.default(ORDER)).changepoltype("parity"))
+    with tempfile.TemporaryDirectory() as folder:
+        theirs = Path(folder) / "theirs.tmat.h5"
+        with h5py.File(theirs, "w") as file:
+            treams.io.save_hdf5(
+                file, solved, name="two spheres side by side along x", computation={"keywords": "semi-analytical"},
+                scatterers={}, lunit="nm",
+            )  # fmt: skip
+        known = read_tmatrices(theirs, is_aligned=True)
+    assert known.whole is not None  # of what is not axisymmetric
+    size = np.abs(known.whole)
+    known = dataclasses.replace(known, whole=np.where(size > NOISE * size.max(), known.whole, 0.0))
+    told = f"radius {RADIUS_NM:g} nm, n = {INDEX}, centres {APART_NM:g} nm apart, in vacuum"
+    write_tmatrices(path, known, "", "treams: two coupled spheres, expanded about their middle", told)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
