@@ -10,7 +10,7 @@ from helpers_metasurface import monolayer, surface, t_matrix
 
 from nacre.bsdf.directions import direction
 from nacre.bsdf.lobes.harmonic import PolarGrid
-from nacre.families.metasurface import aligned_compile
+from nacre.families.metasurface import aligned_compile, tmatrix_symmetry
 from nacre.families.metasurface.aligned import AlignedLayer
 from nacre.families.metasurface.aligned_compile import aligned_powers, tabulate_aligned
 from nacre.families.metasurface.aligned_pairs import aligned_term, azimuth_nodes, light_of
@@ -23,19 +23,19 @@ from nacre.families.metasurface.monolayer import Monolayer, Particle
 from nacre.families.metasurface.neighbours import multipole_index, with_negative_orders
 from nacre.families.metasurface.sphere import hemisphere_rule
 from nacre.families.metasurface.structure import hard_disk_structure
-from nacre.families.metasurface.tmatrix_file import read_tmatrices, write_tmatrices
+from nacre.families.metasurface.tmatrix_file import TMatrixFileError, read_tmatrices, write_tmatrices
 from nacre.families.metasurface.whole import reversed_whole, spread, turned_whole
 from nacre.measure.spectrum import directional_hemispherical
 
 SAME = 1e-10  # of what is computed another way from the same numbers
 SINGLE = 2e-6  # of tables of single precision, over the largest value
 OTHER_CODE = 1e-6
-EXPANDED = 2e-3  # of the largest far field: multipoles up to 5 about the middle of two spheres that reach 106 nm
+EXPANDED = 2e-3  # of the largest far field: multipoles up to 5 about the middle of two spheres that reach 100 nm
 LINES = 1e-2  # of the root mean square: what 64 angles leave over a film, twice the bar of tables of 120
 QCA_ENERGY = 1e-2  # the mean field's own, see the physics note, section 7
 FILE = Path(__file__).with_name("dimer.tmat.h5")
-RADIUS, APART, INDEX = 50.0, 112.0, 4.0 + 0.05j  # of the two spheres of the file
-LENGTH, HEIGHT = APART + 2 * RADIUS, 2 * RADIUS
+RADII, APART, INDEX = (50.0, 38.0), 100.0, 4.0 + 0.05j  # of the two spheres of the file, the larger one at -x
+LENGTH, HEIGHT = APART + 2 * RADII[0], 2 * RADII[0]
 
 
 @cache
@@ -43,13 +43,13 @@ def known():
     return read_tmatrices(FILE, is_aligned=True)
 
 
-def dimers(substrate, coverage=0.1, packing=0.4, films=(), gap=60.0, whole=None, wavelength=500.0):
+def dimers(substrate, coverage=0.1, packing=0.4, films=(), gap=60.0, whole=None, wavelength=500.0, mmax=4):
     """Return a monolayer of the file's particles, or of others of the same size."""
     below = surface(wavelength, substrate, films)
     density = coverage / (np.pi * (LENGTH / 2) ** 2)
     structure = hard_disk_structure(density, packing, 4.5 * below.wavenumber * max(1.0, below.index_below))
     at = int(np.argmin(np.abs(known().wavelengths_nm - wavelength)))
-    mean = Monolayer(below, (Particle(1.0, HEIGHT / 2 + gap, known().blocks[at]),), structure)
+    mean = Monolayer(below, (Particle(1.0, HEIGHT / 2 + gap, known().blocks[at]),), structure, mmax=mmax)
     return AlignedLayer(mean, known().whole[at] if whole is None else whole)
 
 
@@ -164,24 +164,36 @@ def _alone(layer, light, views, wave, away):
     return np.einsum("qnv,nv,np->qvp", u, np.exp(1j * np.outer(m, away)), b) / layer.mean.surface.wavenumber
 
 
-def test_the_mean_over_turns_is_the_averaged_particle():
+def test_the_mean_over_turns_is_the_averaged_particle(monkeypatch):
     """Its field exactly, alone in space; the power that it leaves out is what the file's reader says."""
-    layer = dimers(1.0)
-    averaged = AlignedLayer(layer.mean, spread(known().blocks[0], multipole_index(known().lmax)))
+    layer = dimers(1.0, wavelength=600.0, mmax=5)
+    averaged = AlignedLayer(layer.mean, spread(known().blocks[1], multipole_index(known().lmax)))
     views, away = np.array([0.3, 0.9]), np.array([0.5, 2.0])
     turns = azimuth_nodes(16)
     fields = np.stack([_alone(layer, 0.6, views, 0.2 - t, away - t) for t in turns])
     expected = _alone(averaged, 0.6, views, 0.2, away)
     assert np.abs(fields.mean(axis=0) - expected).max() <= SAME * np.abs(fields).max()
-    kept = np.sum(np.abs(averaged.dressed) ** 2) / np.sum(np.abs(layer.dressed) ** 2)
-    rng = np.random.default_rng(5)
-    powers = np.zeros(2)
-    for _ in range(400):  # light and views from anywhere, both polarisations: the squared norms of T
-        cosines, phi = rng.uniform(0.0, 1.0, 2), rng.uniform(0, 2 * np.pi, 2)
-        for k, one in enumerate((layer, averaged)):
-            powers[k] += np.sum(np.abs(_alone(one, cosines[0], cosines[1:], phi[0], phi[1:])) ** 2)
-    assert 0.005 < 1 - kept < 0.2
-    assert powers[1] / powers[0] == pytest.approx(kept, abs=0.25 * (1 - kept))
+    # |F|^2 summed over all light and views: u and v of both sides at the nodes of a product rule
+    mu, weights = hemisphere_rule(8)
+    sphere, m, around = layer.mean.spheres[0], layer.index.m, azimuth_nodes(24)
+    sums = np.zeros((2, len(m), len(m)), dtype=complex)
+    for below in (False, True):
+        made = sphere.directions(mu, below)
+        for k, (vectors_of, sign) in enumerate(((made.emission, 1), (made.excitation, -1))):
+            w = (
+                with_negative_orders(vectors_of, layer.index)[..., None]
+                * np.exp(sign * 1j * np.outer(m, around))[:, None]
+            )
+            sums[k] += np.einsum("pnaf,pkaf,a->nk", w, w.conj(), weights, optimize=True)
+    powers = [
+        np.einsum("nk,nj,ji,ki->", sums[0], one.dressed, sums[1], one.dressed.conj(), optimize=True).real
+        for one in (layer, averaged)
+    ]
+    with pytest.raises(TMatrixFileError, match=r"5\.1 % of what it scatters"):
+        read_tmatrices(FILE)
+    monkeypatch.setattr(tmatrix_symmetry, "TURN_TOLERANCE", 0.1)
+    left_out = read_tmatrices(FILE).turn_loss  # at 600 nm, which is the more
+    assert left_out > 0.01 and 1 - powers[1] / powers[0] == pytest.approx(left_out, rel=1e-6)
 
 
 # -- other codes ------------------------------------------------------------------------------------------
@@ -190,7 +202,7 @@ def test_the_mean_over_turns_is_the_averaged_particle():
 def test_one_particle_in_free_space_scatters_as_treams_says():
     treams = pytest.importorskip("treams.io").treams
 
-    layer = dimers(1.0, wavelength=600.0)
+    layer = dimers(1.0, wavelength=600.0, mmax=5)
     matrix = treams.io.load_hdf5(str(FILE))[1]
     light, wave = 0.7, 0.4
     theta, away = np.radians([10.0, 40.0, 75.0]), np.array([0.3, 2.0, 4.5])
@@ -211,19 +223,18 @@ def test_one_particle_in_free_space_scatters_as_treams_says():
 def _two_spheres(below, centre, theta_i, wave, theta_s, away):
     """Return F of the two spheres, each solved as a sphere over the stack, `[q, view, view azimuth, p]`."""
     order = 6
-    coupling = Coupling.build(
-        below, Particle(1.0, centre, t_matrix(order, below.wavenumber * RADIUS, INDEX)), APART, APART + 1.0
-    )
+    pair = [Particle(1.0, centre, t_matrix(order, below.wavenumber * r, INDEX)) for r in RADII]
+    coupling, kinds = Coupling.build(below, pair[0], APART, APART + 1.0, pair[1]), np.array([0, 1])
     places = np.array([[-APART / 2, 0.0], [APART / 2, 0.0]])
 
     def waves(theta, azimuths):
         from nacre.families.metasurface.sphere import Directions
 
         made = Directions.build(below, centre, order, order, np.cos(theta))
-        return PlaneWaves.build(made, np.asarray(azimuths), order, below.wavenumber)
+        return PlaneWaves.build(made, np.asarray(azimuths), order, below.wavenumber, made)
 
     light, views = waves(np.array([theta_i]), [wave]), waves(theta_s, away)
-    found = coupling.far_field(places, coupling.solve(places, light), views)
+    found = coupling.far_field(places, coupling.solve(places, light, kinds), views, kinds)
     return found.reshape(2, len(theta_s), len(away), 2)
 
 
@@ -248,9 +259,7 @@ def test_a_thin_layer_sends_what_its_particles_do_alone(turn_deg):
     for theta_i, phi_i in ((0.3, 0.0), (0.8, 1.2), (1.2, 2.5)):
         turn = np.radians(turn_deg)
         # the light's wavevector runs from phi_i away; all azimuths count from the particles' long axis
-        fields = _two_spheres(
-            layer.mean.surface, HEIGHT / 2 + 60.0, theta_i, phi_i + np.pi - turn, theta, away - turn
-        )
+        fields = _two_spheres(layer.mean.surface, HEIGHT / 2 + 60.0, theta_i, phi_i + np.pi - turn, theta, away - turn)
         cosines = np.cos(theta)[:, None] * np.cos(theta_i)
         expected = density * 0.5 * np.sum(np.abs(fields) ** 2, axis=(0, 3)) / cosines
         wo = direction(theta[:, None], away)
@@ -275,7 +284,7 @@ def test_where_nothing_absorbs_all_light_comes_back(substrate, coverage, packing
     cosines = np.cos(np.radians([0.0, 30.0, 55.0]))
     parts = np.stack([np.stack(aligned_powers(layer, cosines, a)) for a in (0.0, 0.5, np.pi / 2)])
     assert np.abs(parts.sum(axis=1) - 1.0).max() <= QCA_ENERGY
-    assert np.ptp(parts[:, 2:], axis=0).max() > 0.03  # the diffuse part changes with the azimuth
+    assert np.ptp(parts[:, 2:], axis=0).max() > 0.01  # the diffuse part changes with the azimuth
 
 
 @pytest.mark.parametrize("below", [None, PolarGrid(16, 10, 1.5)])

@@ -288,9 +288,16 @@ def test_what_a_mixture_cannot_be_gets_one_line():
         )
 
 
-@pytest.mark.parametrize(("key", "value", "said"), [("orientation", "aligned", "one way"), ("turn_deg", 30, "one way")])
-def test_what_is_not_modelled_says_why(key, value, said):
-    with pytest.raises(NacreError, match=f"gives {key}: particles .*{said}.* not modelled") as told:
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("orientation", "aligned", "looks the same at any turn"),
+        ("turn_deg", 30, 'write orientation = "aligned" too'),
+        ("rotation_deg", 30, 'write orientation = "aligned", and turn_deg'),
+    ],
+)
+def test_spheres_are_not_turned_and_the_line_says_what_to_write(key, value, said):
+    with pytest.raises(NacreError, match=f"gives {key}.*{said}|gives orientation.*{said}") as told:
         material(recipe({"material": SILICON, "radius_nm": 70, key: value}))
     assert "\n" not in str(told.value)
 

@@ -205,8 +205,8 @@ def _chosen(series: NDArray[np.float32]) -> NDArray[np.intp]:
     partner = [places.get((b, a, sine), places.get((-b, -a, sine), 0)) for a, b, sine in orders.tolist()]
     both = power + power[partner]
     order = np.argsort(-both, kind="stable")
-    left = 1.0 - np.cumsum(power[order]) / power.sum()
-    count = min(int(np.searchsorted(-left, -(LEFT_OUT**2))) + 1, MOST_TERMS)
+    left = 1.0 - np.cumsum(power[order]) / max(float(power.sum()), 1e-300)
+    count = min(int(np.searchsorted(-left, -(LEFT_OUT**2))) + 1, MOST_TERMS, len(order))
     chosen = np.nonzero(both >= both[order[count - 1]])[0]
     return np.asarray(chosen[np.argsort(-both[chosen], kind="stable")])
 

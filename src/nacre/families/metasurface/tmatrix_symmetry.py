@@ -38,7 +38,8 @@ def axial(blocks: ComplexArray) -> tuple[ComplexArray, float]:
     if turn_loss > TURN_TOLERANCE:
         raise TMatrixFileError(
             f"is of a particle that is not axisymmetric about z: {100 * turn_loss:.2g} % of what it scatters depends "
-            f"on its turn, and a mean over turns, which is what is taken, may leave out {100 * TURN_TOLERANCE:g} %"
+            f"on its turn, and a mean over turns, which is what is taken, may leave out {100 * TURN_TOLERANCE:g} %; "
+            'orientation = "aligned" takes it whole, of particles that all point one way'
         )
     partners = mirror_signs(lmax) * own[:, ::-1]
     uneven = np.linalg.norm((own - partners).reshape(len(own), -1), axis=1) / total
