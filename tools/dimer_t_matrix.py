@@ -38,8 +38,8 @@ def main(path: str) -> None:
         theirs = Path(folder) / "theirs.tmat.h5"
         with h5py.File(theirs, "w") as file:
             treams.io.save_hdf5(
-                file, solved, name="two unlike spheres side by side along x", computation={"keywords": "semi-analytical"},
-                scatterers={}, lunit="nm",
+                file, solved, name="two unlike spheres side by side along x", scatterers={}, lunit="nm",
+                computation={"keywords": "semi-analytical"},
             )  # fmt: skip
         known = read_tmatrices(theirs, is_aligned=True)
     assert known.whole is not None  # of what is not axisymmetric

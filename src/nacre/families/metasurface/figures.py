@@ -22,7 +22,15 @@ def scattering(material: Metasurface, wavelength_nm: float = 400.0, theta_deg: f
     """d sigma/d Omega of one particle on its stack in the plane of incidence, um^2/sr.
 
     `theta_deg[t]` is the signed scattering angle against the normal: positive on the specular side.
+
+    Raises:
+        UnsupportedError: the particles are aligned.
     """
+    if material.is_aligned:
+        raise UnsupportedError(
+            f"{material.source}: the scattering of one particle that points one way is not drawn; "
+            "the lobe of the layer is (--kind lobe)"
+        )
     sphere = material.monolayer(wavelength_nm).spheres[len(material.sizes.shares) // 2]
     theta = np.arange(-89.5, 90.0, 0.5)
     scattered = sphere.directions(np.cos(np.radians(np.abs(theta))))
