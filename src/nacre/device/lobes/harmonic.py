@@ -60,7 +60,7 @@ class MonolayerPlugin(LobePlugin[MonolayerLobe]):
     is_turned: ClassVar[bool] = False
 
     def __init__(self, lobe: MonolayerLobe) -> None:
-        sides = ("FrontSide", "BackSide") if lobe.transmits else ("FrontSide",)
+        sides: tuple[str, ...] = ("FrontSide", "BackSide") if lobe.transmits else ("FrontSide",)
         sides = ("Anisotropic", *sides) if self.is_turned else sides
         self.transmits = lobe.transmits
         self.components = (flag("GlossyReflection", *sides),)
@@ -87,7 +87,7 @@ class MonolayerPlugin(LobePlugin[MonolayerLobe]):
         return np.asarray(lobe.evaluate(light, eye).mean(axis=-1))
 
     def _set(self, lobe: MonolayerLobe) -> None:
-        self.shape = _shape(lobe)
+        self.shape: tuple[tuple[int, ...], ...] = _shape(lobe)
         self.axis.update(lobe.wavelengths_nm)
         self.nodes = opaque_int(max(2, len(lobe.wavelengths_nm)))
         self._set_tables(lobe)
