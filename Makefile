@@ -41,7 +41,7 @@ bench validate: export NACRE_DENOISE = 0
 
 bench: setup
 	@$(PY) tools/bench_env.py
-	@$(PY) -m benchmarks
+	@$(PY) -m benchmarks $(if $(ALL),--all)
 
 validate: setup
 	@$(PY) tools/bench_env.py validation || true
