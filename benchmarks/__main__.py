@@ -1,8 +1,8 @@
 """Run every benchmark, one process each, and write RESULTS.md with the machine and the versions.
 
 `python -m benchmarks [NAME ...]` runs those whose names contain one of the words; all by default. Each answer is kept
-in `results/`, so that RESULTS.md after a partial run still holds the others. Options, such as `glass --repeats 9`, go to
-the benchmarks named. By default those with many targets take a tenth of them, all in 25 minutes on two free cores;
+`results/`, so that RESULTS.md after a partial run still holds the others. Options, such as `glass --repeats 9`, go
+to the benchmarks named. By default those with many targets take a tenth of them, all in 25 minutes on two free cores;
 `--all` gives all targets to those that have more, which go on where they were stopped, are never cut short, and
 whose answers are kept beside those of short runs.
 """
