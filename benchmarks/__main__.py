@@ -15,11 +15,16 @@ import json
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
 KEPT = HERE / "results"
+# searches that may end by CPU time, so two of these share two cores in a run of all benchmarks
+SIDE_BY_SIDE = ("bench_design_films", "bench_design_metasurfaces", "bench_design_pearls")
+SIDE_OPTIONS, SIDES = ["--cores", "1.4"], 2  # the cores that a search fills of two that it has alone
 PACKAGES = ("numpy", "numba", "jax", "mitsuba", "drjit", "scipy")
 TIME_LIMIT_S = 1800
 
@@ -107,15 +112,22 @@ def main() -> int:
         raise SystemExit("options but --all go to the benchmarks that are named before them")
     scripts = sorted(HERE.glob("bench_*.py"))
     chosen = [s for s in scripts if not words or any(w in s.stem for w in words)]
-    results = {}
-    for number, script in enumerate(chosen):
-        print(f"== [{number + 1}/{len(chosen)}] {script.stem}", flush=True)
+    beside = [] if words else [s for s in chosen if s.stem in SIDE_BY_SIDE]
+    results = []
+
+    def run(script: Path) -> dict[str, Any]:
+        print(f"== [{chosen.index(script) + 1}/{len(chosen)}] {script.stem}", flush=True)
         known = options if words or _takes_all(script) else []
-        results[script] = run_one(script, known)
-        # those that are not run now, or not yet, come from their last run
-        kept = [path for s in scripts for path in (_kept(s, False), _kept(s, True)) if path.exists()]
-        write_results([json.loads(path.read_text(encoding="utf-8")) for path in kept])
-    return int(any("error" in result for result in results.values()))
+        return run_one(script, [*known, *SIDE_OPTIONS] if script in beside else known)
+
+    with ThreadPoolExecutor(SIDES) as pool:
+        found = chain(pool.map(run, beside), map(run, [s for s in chosen if s not in beside]))
+        for result in found:
+            results.append(result)
+            # those that are not run now, or not yet, come from their last run
+            kept = [path for s in scripts for path in (_kept(s, False), _kept(s, True)) if path.exists()]
+            write_results([json.loads(path.read_text(encoding="utf-8")) for path in kept])
+    return int(any("error" in result for result in results))
 
 
 if __name__ == "__main__":

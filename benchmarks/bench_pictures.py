@@ -58,7 +58,7 @@ from nacre.picture.images import auto_stops, develop, show
 
 BARS = {"error": 10.0, "flip": 0.03, "flip_s": 10.0, "bias": 0.5, "raw_flies": 20.0, "memory_gb": 4.0}
 DARK = 0.01  # added to the squared luminance: what is darker than a tenth of white paper counts less
-SOME = ["soap", "bottle3"]
+SOME = ["soap"]
 PATCH, PATCHES = 24, [(row, column) for row in (88, 152) for column in (28, 76, 116, 156, 204)]
 FLY = 10.0  # times the median of the eight neighbours
 LADDER = (4, 8, 16, 32, 64, 128, 256, 512)
