@@ -2,7 +2,7 @@
 
 Every answer is judged by `tmm` and colour-science (`judge_films.py`) in steps of 1 nm, in another process; materials,
 thicknesses and the number of layers are checked too. By default a tenth of the targets, at least 5 of each kind, where
-a search ends within half its bar and one for yield has 15 s; with `--all` all of them, to a fifth of the bar and 30 s,
+a search ends within half its bar and one for yield has 10 s; with `--all` all of them, to a fifth of the bar and 30 s,
 kept in a file as they are done, so that a run that was cut short goes on.
 
 Bars: see the rows. Floor: a step of descent of 6 layers at 5 angles x 24 wavelengths is 6 x 24 x (9 x 80 + 5 x 45)
@@ -44,7 +44,7 @@ FLOP_DEG = [0.0, 60.0]
 HELD_NM, PLAIN_NM = (2.0, 300.0), (5.0, 300.0)
 HUE_DEG, CHROMA = 5.0, (40.0, 30.0)
 SECONDS = {"held": 60.0, "flop": 15.0, "lamps": 15.0, "yield": 30.0}
-SHORT_YIELD_S = 15.0  # of a run that is not of all targets
+SHORT_YIELD_S = 10.0  # of a run that is not of all targets
 NUMBERS = {"colour": (1000, 100), "held": (100, 10), "flop": (100, 10), "lamps": (100, 10), "yield": (30, 5)}
 SPREAD, TOLERANCE, MADE_DRAWS = 0.02, 2.0, 200
 

@@ -104,13 +104,13 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark; print a table or JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--time-limit-s", type=float, help="of each design; default: 60 with --all, else 15")
+    parser.add_argument("--time-limit-s", type=float, help="of each design; default: 60 with --all, else 10")
     parser.add_argument("--all", action="store_true", help="every published design, in 16 minutes")
     parser.add_argument("designs", nargs="*", type=int, help=f"numbers of published designs; default: {SOME}")
     from common import Row, report  # found beside this script; validation imports the rest of it
 
     options = parser.parse_args(arguments)
-    limit_s = options.time_limit_s or (60.0 if options.all else 15.0)
+    limit_s = options.time_limit_s or (60.0 if options.all else 10.0)
     from nacre.design.problem import measure_design
     from nacre.design.search import one_thread_each
 
