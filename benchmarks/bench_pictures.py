@@ -237,7 +237,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     options.add_argument("--all", action="store_true", help="all scenes and parts, in an hour, resumably")
     chosen = options.parse_args(arguments)
-    os.environ.pop("NACRE_DENOISE", None)  # off in other benchmarks; here it is what is judged
     parts = chosen.part or (PARTS if chosen.all else ["error", "bias"])
     names = chosen.case or ([case.name for case in CASES] if chosen.all else SOME)
     cases = [case for case in CASES if case.name in names]

@@ -196,7 +196,6 @@ def main(arguments: list[str] | None = None) -> int:
     takes = parser(__doc__, repeats=60)
     takes.add_argument("--drag", type=float, default=60.0, help="seconds of dragging on the socket; 3600 for the hour")
     options = takes.parse_args(arguments)
-    os.environ.pop("NACRE_DENOISE", None)  # off in other benchmarks; what the page shows has no grain
     chromium = shutil.which("chromium")
     assert chromium, "no chromium; make setup gets it"
     page_folder = Path(nacre.__file__).parent / "studio" / "page"
