@@ -25,7 +25,7 @@ from nacre.families.metasurface.ensemble import EnsembleSettings
 from nacre.families.metasurface.exports import write_particle
 from nacre.families.metasurface.figures import FIGURES
 from nacre.families.metasurface.inside import held, host_layer
-from nacre.families.metasurface.kinds import LOOSEST_TOLERANCE, Kind, mean_square_radius, uneven
+from nacre.families.metasurface.kinds import LOOSEST_TOLERANCE, Kind, mean_square_radius
 from nacre.families.metasurface.material import Metasurface
 from nacre.families.metasurface.micrograph import SUFFIXES, is_picture
 from nacre.families.metasurface.particle_spec import ParticleSpec
@@ -313,12 +313,6 @@ class MetasurfaceSpec(RecipeModel):
         kinds = self.particle.kinds(context, around, self.extrapolate == "edge")
         if host:
             kinds = held(context, kinds, host, layers)
-            if asked == "ensemble" and uneven(kinds):
-                why = (
-                    "is not modelled for two kinds with their centres at unlike heights inside a layer; give both one "
-                    'height by depth_nm, or take "qca-balanced", the mean field'
-                )
-                raise context.fail("model.correction", asked, why)
         structure, arrangement = self._structure(context, kinds, 4.2 * np.pi * index / 360.0)
         first = kinds[0]
         return MetasurfaceModel(
