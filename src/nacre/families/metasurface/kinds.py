@@ -187,7 +187,7 @@ class Settling:
         placed = place(body, surface, kind.gap_nm, self.order)
         tolerance = self.tolerance or LOOSEST_TOLERANCE
         if placed.change > tolerance and (placed.is_near or self.order is None):
-            raise refuse(body, surface, kind.gap_nm, placed, tolerance, self.order)
+            raise refuse(body, surface, kind.gap_nm, placed, tolerance, self.order, kind.key)
         self._note(surface, placed.change)
         return placed.particle
 
@@ -226,7 +226,7 @@ class Settling:
         if not sphere.goes_on:  # the order was chosen as if there were no more than what it holds
             placed = place(sphere, surface, kind.gap_nm)
             if 2 * wanted > held and placed.change > tolerance:
-                raise refuse(sphere, surface, kind.gap_nm, placed, tolerance, None)
+                raise refuse(sphere, surface, kind.gap_nm, placed, tolerance, None, kind.key)
         elif wanted > held:
             centre = kind.outer_radius_nm + kind.gap_nm
             change = order_change(surface, centre, lambda l: sphere.coefficients(l, surface), held, 2 * wanted)
