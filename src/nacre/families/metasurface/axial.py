@@ -81,6 +81,7 @@ class AxialTMatrices:
         circumscribing_nm: largest distance from the centre, or None.
         material_index: `[wavelength]`, of the particle, or None: unknown or of several materials.
         turn_loss: share of the scattered power that depends on the turn about the axis and is not in the blocks.
+        shape: "sphere", "spheroid" or "cylinder", or "": none that is named.
     """
 
     wavelengths_nm: Array
@@ -92,6 +93,7 @@ class AxialTMatrices:
     circumscribing_nm: float | None = None
     material_index: ComplexArray | None = None
     turn_loss: float = 0.0
+    shape: str = ""
 
     @property
     def lmax(self) -> int:

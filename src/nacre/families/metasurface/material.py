@@ -25,7 +25,7 @@ from nacre.families.metasurface.compile import choose_grids, tabulate
 from nacre.families.metasurface.corrections import diffuse_term, within_what_arrives
 from nacre.families.metasurface.ensemble import EnsembleSettings
 from nacre.families.metasurface.few import few_powers, few_values
-from nacre.families.metasurface.kinds import Kind, Settling, mean_square_radius, uneven
+from nacre.families.metasurface.kinds import Kind, Settling, mean_square_radius
 from nacre.families.metasurface.ladder import check as check_ladder
 from nacre.families.metasurface.monolayer import Monolayer
 from nacre.families.metasurface.particles import Shell, Sizes
@@ -191,8 +191,6 @@ class Metasurface(Model):
     @cached_property
     def _choice(self) -> tuple[str, str]:
         """What the table of measured systems says."""
-        if self.host and uneven(self.kinds):
-            return "qca-balanced", "two kinds with centres at unlike heights inside a layer have no ensemble"
         if self.arrangement is None:
             return "qca-balanced", "only S(q) is known, so there are no positions for an ensemble"
         holds, why = self._is_held
@@ -389,9 +387,8 @@ class Metasurface(Model):
                 )
         doubt = self._doubt
         if doubt and self.coverage > VALIDATED_COVERAGE and not self.is_spared:  # what was spared is told once for all
-            alone = self.host and uneven(self.kinds)
-            instead = "" if alone else '; model.correction = "ensemble" solves the particles together'
-            warnings.warn(f"{self.source}: {doubt}{instead}", MetasurfaceWarning, stacklevel=3)
+            instead = 'model.correction = "ensemble" solves the particles together'
+            warnings.warn(f"{self.source}: {doubt}; {instead}", MetasurfaceWarning, stacklevel=3)
 
     @property
     def _doubt(self) -> str:
