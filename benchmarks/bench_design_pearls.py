@@ -4,9 +4,8 @@ A hidden recipe is drawn by seed; what the search is told is the resin, the film
 shop has (their materials, how flat they lie), and CIELAB at 45as-15 ... 45as110. Free are coating and substrate
 thickness and the amount of each pigment, where 0 drops it, and the albedo of the ground. Targets and answers are
 computed by the reference walk in another process (`judge_pearls.py`), each with its own seed, 16 times the samples,
-and until the standard error is below 0.1 dE00. By default 5 of the 20 recipes, each search ending where all six colours
-are within half the bar; with `--all` all of them and to a fifth of it, kept in a file as they are done, so that a run
-that was cut short goes on.
+and until the standard error is below 0.1 dE00. By default 5 of the 20 recipes; with `--all` all of them, kept in a file
+as they are done, so that a run that was cut short goes on.
 
 Bar: mean dE00 over the six angles <= 1 for 18 of 20, each in <= 120 s on two cores. A loaded machine is judged by its
 CPU time against twice that.
@@ -35,7 +34,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Kept, Row, Worker, report, run_clock_by_cpu, searcher, within_of
+from common import Kept, Row, Worker, report, run_clock_by_cpu, searcher
 
 import nacre
 from nacre.recipe.toml import dump_toml
@@ -86,22 +85,23 @@ def hidden(number: int, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
     )
 
 
-def target(
-    start: dict[str, Any], labs: list[list[float]], seconds: float, within: float, seed: int
-) -> dict[str, Any]:
-    """Return what `nacre.design` is asked, each colour `within` so much."""
+def target(start: dict[str, Any], labs: list[list[float]], seconds: float, seed: int) -> dict[str, Any]:
+    """Return what `nacre.design` is asked.
+
+    A short run asks for no less: at 2.5 times the `within`, and so of the noise, recipe 3 was met to 1.2 and not to .2.
+    """
     free: dict[str, Any] = {"base.albedo": [0.0, 0.9]}
     for k, (_, _, _, coating, substrate, _) in enumerate(SHOP):
         head = f"strata[0].platelets[{k}]"
         free[f"{head}.volume_fraction"] = [0.0, 0.08]
         free[f"{head}.coatings[0].thickness_nm"] = list(coating)
         free[f"{head}.substrate.thickness_nm"] = list(substrate)
-    wants = [{"at": at, "lab": lab, "within": within} for at, lab in zip(GEOMETRIES, labs, strict=True)]
+    wants = [{"at": at, "lab": lab, "within": BAR_DE00} for at, lab in zip(GEOMETRIES, labs, strict=True)]
     search = {"seconds": seconds, "solutions": 1, "seed": seed}
     return {"recipe": start, "free": free, "want": wants, "search": search}
 
 
-def one(number: int, seed: int, seconds: float, within: float, judge: Worker) -> dict[str, Any]:
+def one(number: int, seed: int, seconds: float, judge: Worker) -> dict[str, Any]:
     """Hide a recipe, find one that looks alike, let it be judged."""
     recipe, start = hidden(number, seed)
     with tempfile.TemporaryDirectory() as name:
@@ -109,7 +109,7 @@ def one(number: int, seed: int, seconds: float, within: float, judge: Worker) ->
         (folder / "hidden.toml").write_text(dump_toml(recipe), encoding="utf-8")
         wanted = judge.ask("colours", recipe=str(folder / "hidden.toml"), seed=1000 + number)
         wall, cpu = time.monotonic(), time.process_time()
-        found = nacre.design(target(start, wanted["labs"], seconds, within, seed), folder / "out")
+        found = nacre.design(target(start, wanted["labs"], seconds, seed), folder / "out")
         wall, cpu = time.monotonic() - wall, time.process_time() - cpu
         judged = judge.ask(
             "differences", recipe=str(folder / "out" / "recipe.toml"), labs=wanted["labs"], seed=500_000 + number
@@ -128,8 +128,7 @@ def measure(
     """Do the recipes, those that are kept already left out."""
     kept = Kept("design_pearls", keep, seed=seed, seconds=seconds, **clock)
     numbers = [number for number in range(count) if number in kept or not only_kept]
-    within = within_of(BAR_DE00, keep)
-    return [kept.result(number, partial(one, number, seed, seconds, within, judge)) for number in numbers]
+    return [kept.result(number, partial(one, number, seed, seconds, judge)) for number in numbers]
 
 
 def main(arguments: list[str] | None = None) -> int:
