@@ -1,8 +1,10 @@
 """Run every benchmark, one process each, and write RESULTS.md with the machine and the versions.
 
 `python -m benchmarks [NAME ...]` runs those whose names contain one of the words; all by default. Each answer is kept
-in `results/`, so that RESULTS.md after a partial run still holds the others. Options, such as `design_pearls --all`, go
-to the benchmarks named; with `--all` none is cut short, since they go on where they were stopped.
+`results/`, so that RESULTS.md after a partial run still holds the others. Options, such as `glass --repeats 9`, go
+to the benchmarks named. By default those with many targets take a tenth of them, all in 25 minutes on two free cores;
+`--all` gives all targets to those that have more, which go on where they were stopped, are never cut short, and
+whose answers are kept beside those of short runs.
 """
 
 from __future__ import annotations
@@ -13,11 +15,16 @@ import json
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
 KEPT = HERE / "results"
+# searches that may end by CPU time, so two of these share two cores in a run of all benchmarks
+SIDE_BY_SIDE = ("bench_design_films", "bench_design_metasurfaces", "bench_design_pearls")
+SIDE_OPTIONS, SIDES = ["--cores", "1.4"], 2  # the cores that a search fills of two that it has alone
 PACKAGES = ("numpy", "numba", "jax", "mitsuba", "drjit", "scipy")
 TIME_LIMIT_S = 1800
 
@@ -30,12 +37,17 @@ def run_one(script: Path, options: list[str]) -> dict[str, Any]:
         "on": datetime.date.today().isoformat(),
     }
     KEPT.mkdir(exist_ok=True)
-    _kept(script).write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    _kept(script, "--all" in options).write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return result
 
 
-def _kept(script: Path) -> Path:
-    return KEPT / f"{script.stem}.json"
+def _kept(script: Path, is_all: bool) -> Path:
+    return KEPT / f"{script.stem}{'_all' if is_all else ''}.json"
+
+
+def _takes_all(script: Path) -> bool:
+    text = script.read_text(encoding="utf-8")
+    return '"--all"' in text or "searcher(" in text
 
 
 def _answer(script: Path, options: list[str]) -> dict[str, Any]:
@@ -68,7 +80,8 @@ def write_results(results: list[dict[str, Any]]) -> None:
     ]  # fmt: skip
     lines += _table([{**row, "claim": f"{name}: {row['claim']}"} for name, row in missed]) if missed else ["None."]
     for result in results:
-        lines += ["", f"## {result['benchmark']}", ""]
+        of_all = ", all targets" if "--all" in result["script"] else ""
+        lines += ["", f"## {result['benchmark']}{of_all}", ""]
         if "error" in result:
             lines.append(f"did not run: {result['error']}")
             continue
@@ -95,17 +108,26 @@ def main() -> int:
     """Run the benchmarks whose names contain one of the words given; all by default."""
     named = [i for i, word in enumerate(sys.argv) if i and word.startswith("-")]
     words, options = (sys.argv[1:], []) if not named else (sys.argv[1 : named[0]], sys.argv[named[0] :])
-    if options and not words:
-        raise SystemExit("options go to the benchmarks that are named before them")
+    if set(options) - {"--all"} and not words:
+        raise SystemExit("options but --all go to the benchmarks that are named before them")
     scripts = sorted(HERE.glob("bench_*.py"))
     chosen = [s for s in scripts if not words or any(w in s.stem for w in words)]
-    results = {}
-    for number, script in enumerate(chosen):
-        print(f"== [{number + 1}/{len(chosen)}] {script.stem}", flush=True)
-        results[script] = run_one(script, options)
-        # those that are not run now, or not yet, come from their last run
-        write_results([json.loads(_kept(s).read_text(encoding="utf-8")) for s in scripts if _kept(s).exists()])
-    return int(any("error" in result for result in results.values()))
+    beside = [] if words else [s for s in chosen if s.stem in SIDE_BY_SIDE]
+    results = []
+
+    def run(script: Path) -> dict[str, Any]:
+        print(f"== [{chosen.index(script) + 1}/{len(chosen)}] {script.stem}", flush=True)
+        known = options if words or _takes_all(script) else []
+        return run_one(script, [*known, *SIDE_OPTIONS] if script in beside else known)
+
+    with ThreadPoolExecutor(SIDES) as pool:
+        found = chain(pool.map(run, beside), map(run, [s for s in chosen if s not in beside]))
+        for result in found:
+            results.append(result)
+            # those that are not run now, or not yet, come from their last run
+            kept = [path for s in scripts for path in (_kept(s, False), _kept(s, True)) if path.exists()]
+            write_results([json.loads(path.read_text(encoding="utf-8")) for path in kept])
+    return int(any("error" in result for result in results))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from common import ROOT, Row, parser, report, resident_mb
 import nacre
 
 GROWTH_BAR = 1.05
-ROUNDS = 5
+ROUNDS = 3
 RECIPES = (
     "soap.toml", "gold.toml", "morpho.toml", "coated-glass-600.toml", "metasurface/silver_halo.toml",
     "metasurface/silicon_on_glass.toml", "pearl/bottle1.toml", "pearl/bottle3.toml", "pearl/car_front.toml",

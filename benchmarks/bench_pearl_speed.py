@@ -108,7 +108,7 @@ def object_pixels() -> np.ndarray:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark; 0 if the bars are reached."""
-    options = parser(__doc__, repeats=5).parse_args(arguments)
+    options = parser(__doc__, repeats=3).parse_args(arguments)
     mi = use_variant("llvm_ad_spectral")
     import drjit as dr
 

@@ -72,7 +72,7 @@ def _second_picture(folder: Path, repeats: int) -> Row:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the three; 0 if the bars are reached."""
-    options = parser(__doc__, repeats=2).parse_args(arguments)
+    options = parser(__doc__, repeats=1).parse_args(arguments)
     rows = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -104,7 +104,7 @@ def bench_workers(count: int, repeats: int) -> Row:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run both parts."""
-    options = parser(__doc__, repeats=3)
+    options = parser(__doc__, repeats=2)
     options.add_argument("--points", type=int, default=POINTS, help="points of the first part")
     options.add_argument("--worker-points", type=int, default=400, help="points of the second part")
     given = options.parse_args(arguments)

@@ -162,6 +162,13 @@ def searcher(description: str | None) -> argparse.ArgumentParser:
     return result
 
 
+def within_of(bar: float, is_all: bool) -> float:
+    """Return the `within` of wants whose bar is `bar`: a search ends at a fifth of it, so at a fifth of the bar in a
+    run of all targets, and at half the bar in a short one.
+    """
+    return bar if is_all else 2.5 * bar
+
+
 def run_clock_by_cpu(cores: float | None) -> dict[str, float]:
     """Let `time.monotonic`, by which searches end, run with this process's CPU time over `cores`; None lets it be.
 

@@ -297,13 +297,14 @@ def fabricate(
         UnsupportedError: a format that the material's family has no drawing for.
         NacreError: the calibration does not fit, or the file cannot be written.
     """
-    folder, name = Path(), "material"
+    folder, name, place = Path(), "material", "material"
     if isinstance(source, str | Path):
         folder = Path(source) if Path(source).is_dir() else Path()
     source = loaded(source)
     model = source
     if isinstance(source, Material):
-        name, model = Path(source.context.source).name, source.model
+        place, model = source.context.source, source.model
+        name = Path(place).name
     if not isinstance(model, Model):
         raise UnsupportedError(f"{model!r:.60} is no material, no path or name of one and no table of a recipe")
     drawers = model.fabrications
@@ -311,16 +312,17 @@ def fabricate(
         maps = number_maps(source) if isinstance(source, Material) else []
         if maps and to in MAP_FORMATS:
             if seed is not None:
-                raise UnsupportedError(f"{name}: --to {to} takes no --seed here: nothing of a map is drawn at random")
+                raise UnsupportedError(f"{place}: --to {to} takes no --seed here: nothing of a map is drawn at random")
             target = Path(path) if path is not None else folder / f"{_maps_stem(maps)}{MAP_SUFFIXES[to]}"
             return write_number_maps(
                 maps, to, target, name, size_mm=size_mm, calibration=calibration, levels=levels
             )  # fmt: skip
         formats = [*drawers, *(MAP_FORMATS if maps else ())]
         known = f"Formats: {', '.join(formats)}" if formats else "It has none: nothing of it can be drawn"
-        raise UnsupportedError(f"{name}: --to {to} is not known for a {model.noun}.{did_you_mean(to, drawers)} {known}")
+        hint = did_you_mean(to, drawers)
+        raise UnsupportedError(f"{place}: --to {to} is not known for a {model.noun}.{hint} {known}")
     if isinstance(calibration, Mapping):
-        raise UnsupportedError(f"{name}: --calibration PATH=CSV is for maps of numbers; --to {to} takes one curve")
+        raise UnsupportedError(f"{place}: --calibration PATH=CSV is for maps of numbers; --to {to} takes one curve")
     drawing = drawers[to](DrawingRequest(size_mm, seed))
     target = Path(path) if path is not None else folder / f"{drawing.stem}{SUFFIXES[to]}"
     options = HeightOptions(size_mm, calibration, levels, pixels_per_feature, base_um, seed)

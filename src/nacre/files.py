@@ -22,6 +22,7 @@ from nacre.errors import NacreError, RecipeError
 MAX_TOML_BYTES = 4 << 20  # a recipe is a page of text; anything longer is not a recipe
 PIPE_WAIT_S = 10.0
 NUL = "\0"
+DESIGN_RECIPE = "recipe.toml"  # in a folder that stands for a material
 HAS_NUL = "holds a NUL character, which no file name has"
 
 _TEMPORARY = re.compile(r"\..*\.nacre-([0-9a-f]{8})-(\d+)-(\d+)-\w{8}(\..*)?")
@@ -176,6 +177,21 @@ def named(path: str | Path) -> Path:
     except OSError as error:
         raise NacreError(f"{given!r:.80}: cannot be the name of a file: {error.strerror}") from None
     return Path(given)
+
+
+def short_name(path: str | Path) -> str:
+    """Return what titles and files made of a recipe are called: its own name, or of a design's folder the folder's.
+
+    Links are not followed: one that leads to itself has a name too.
+
+    Example: "soap.toml" is soap; the second answer of a design, "sign/2" or "sign/2/recipe.toml", is sign-2.
+    """
+    whole = Path(os.path.abspath(path))
+    is_of_folder = whole.name == DESIGN_RECIPE
+    folder = whole.parent if is_of_folder else whole
+    if not (is_of_folder or os.path.isdir(whole)) or not folder.name:
+        return whole.stem
+    return f"{folder.parent.name}-{folder.name}".lstrip("-") if folder.name.isdigit() else folder.name
 
 
 def real(path: str | Path) -> Path:

@@ -44,14 +44,21 @@ def test_yes_may_stand_anywhere(capsys):
     assert "substrate" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("seconds", "pace", "lines"), [(200.0, 25.0, 4), (200.0, 1e9, 1), (30.0, 0.0, 0)])
+@pytest.mark.parametrize(
+    ("seconds", "pace", "lines", "share"),
+    [(200.0, 25.0, 4, 1.0), (200.0, 25.0, 4, 0.2), (200.0, 1e9, 1, 1.0), (30.0, 0.0, 0, 1.0)],
+)
 def test_where_no_terminal_is_minutes_of_work_tell_how_far_they_are_in_lines_of_their_own(
-    monkeypatch, capsys, seconds, pace, lines
+    monkeypatch, capsys, seconds, pace, lines, share
 ):
+    """On a machine that gives it a fifth of its cores, also how long the rest takes of free ones."""
     clock = iter(range(0, 1000, 10))  # each look at the clock finds it ten seconds on
     monkeypatch.setattr(long_work, "_is_terminal", lambda: False)
     monkeypatch.setattr(long_work, "PACE_S", pace)
-    monkeypatch.setattr(long_work.time, "monotonic", lambda: float(next(clock)))
+    looks = [0.0]
+    monkeypatch.setattr(long_work.time, "monotonic", lambda: looks.append(float(next(clock))) or looks[-1])
+    monkeypatch.setattr(long_work.time, "process_time", lambda: 2 * share * looks[-1])
+    monkeypatch.setattr(jobs, "available_jobs", lambda: 2)
     watchers = list(jobs._watchers)
     long_work.listener(False)("a.toml: 10 patterns: about 3 minutes", seconds)
     for done in range(1, 11):
@@ -62,5 +69,6 @@ def test_where_no_terminal_is_minutes_of_work_tell_how_far_they_are_in_lines_of_
     if lines:
         assert told[-1].startswith("10 of 10 patterns, after ")
     if lines > 1:
-        assert told[0] == "3 of 10 patterns, about 70 seconds left"
+        rest = "70 seconds left" if share == 1.0 else "14 seconds left on free cores, 70 seconds as busy as it is"
+        assert told[0] == f"3 of 10 patterns, about {rest}"
     assert jobs._watchers == watchers

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from nacre.errors import NacreError
-from nacre.files import Process, atomic_path, check_writable, write_text
+from nacre.files import Process, atomic_path, check_writable, short_name, write_text
 
 HANG = "import sys, time\nfrom nacre.files import atomic_path\nwith atomic_path(sys.argv[1]):\n    print(flush=True)\n"
 
@@ -101,3 +101,14 @@ def test_a_failed_write_leaves_nothing(tmp_path: Path) -> None:
         temporary.write_text("0.")
         raise ValueError("half-way")
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("path", "name"),
+    [("soap.toml", "soap"), ("sign/recipe.toml", "sign"), ("sign", "sign"), ("sign/2", "sign-2"),
+     ("sign/2/recipe.toml", "sign-2"), ("v1.5", "v1.5"), ("2.toml", "2"), ("recipe", "recipe")],
+)  # fmt: skip
+def test_what_is_made_of_a_design_is_called_after_its_folder(tmp_path: Path, path: str, name: str) -> None:
+    for folder in ("sign/2", "v1.5"):
+        (tmp_path / folder).mkdir(parents=True)
+    assert short_name(tmp_path / path) == name

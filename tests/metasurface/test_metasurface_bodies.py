@@ -89,7 +89,8 @@ def test_where_two_cuts_disagree_the_least_gap_is_named_and_works():
     below = surface(620.0, 4.0 + 0.03j)
     placed = place(body, below, 1.0)
     assert placed.is_near and placed.change > 0.02
-    line = str(refuse(body, below, 1.0, placed, 0.02, None))
+    line = str(refuse(body, below, 1.0, placed, 0.02, None, "particle.second"))
+    assert "the least particle.second.gap_nm that works" in line
     gap = float(line.rsplit(" ", 1)[1])
     assert 1.0 < gap < known.circumscribing_nm and place(body, below, gap).change <= 0.02
 

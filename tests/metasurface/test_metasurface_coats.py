@@ -216,20 +216,29 @@ def test_sizes_spread_as_the_cores_do(tmp_path):
     assert kind.body.of_radius(kind.sizes.radii_nm[0]).core_extents_nm[0] == pytest.approx(bare.radii_nm[0])
 
 
-def test_an_exported_coat_is_read_to_the_same_numbers(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("shape", "edge", "coat", "named"),
+    [("spheroid", 0, True, ""), ("cylinder", 0, True, ""), ("cylinder", 12, False, "cylinder")],
+)
+def test_an_exported_body_is_read_with_its_own_sphere_around_it(tmp_path, capsys, shape, edge, coat, named):
+    """That of the cylinder which two lengths alone may mean would cut the stack, and keep neighbours further apart."""
     path = tmp_path / "coated.toml"
-    text = (RECIPE % "spheroid").replace("[model]", "[model]\nmultipole_order = 4")
-    # clear of the stack also with the cylinder that two lengths alone may mean
-    text = text.replace("gap_nm = 20", "gap_nm = 30").replace("[monolayer]", "[monolayer]\npacking = 0.1")
+    text = (RECIPE % shape).replace("[model]", "[model]\nmultipole_order = 4").replace("gap_nm = 20", "gap_nm = 24")
+    rows = [row for row in text.splitlines() if coat or not row.startswith("shell")]
+    text = "\n".join([row + f"\nedge_radius_nm = {edge}" if edge and "height_nm" in row else row for row in rows])
     path.write_text(text)
     model = nacre.load(path).model
+    wide, high = 2 * model.body.radius_nm, model.body.height_nm
+    assert high / 2 + 24 > model.body.circumscribing_nm < np.hypot(wide, high) / 2 - 1.0
     known = model.body.all_known(np.array([550.0]))
-    assert known.material_index is None and "in 10 nm of" in known.name
-    write_tmatrices(tmp_path / "coated.tmat.h5", known)
+    assert "in 10 nm of" in known.name or not coat
+    write_tmatrices(tmp_path / "coated.tmat.h5", known, named)
     particle = text[text.index("[particle]") : text.index("[monolayer]")]
-    file = '[particle]\ntmatrix = "coated.tmat.h5"\ndiameter_nm = 100\nheight_nm = 80\ngap_nm = 30\n'
-    (tmp_path / "file.toml").write_text(text.replace(particle, file))
+    (tmp_path / "file.toml").write_text(text.replace(particle, '[particle]\ntmatrix = "coated.tmat.h5"\ngap_nm = 24\n'))
     other = nacre.load(tmp_path / "file.toml").model
+    assert other.body.circumscribing_nm == pytest.approx(model.body.circumscribing_nm)
+    assert other.structure.diameter_nm == pytest.approx(model.structure.diameter_nm)
+    assert other.body.shape == named  # what is coated is none of the shapes by which "auto" judges
     for a, b in zip(model.powers([0.8], 550.0), other.powers([0.8], 550.0), strict=True):
         assert np.abs(a - b).max() <= 1e-10
 

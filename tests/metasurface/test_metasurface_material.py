@@ -220,7 +220,25 @@ BAD = {
     "wide spread": ({"deviation_nm": 60}, "deviation_nm"),
     "lighter substrate": ({"substrate": {"n": 0.9}}, "less dense"),
     "missing points": ({"monolayer": {"structure": {"points": "no.csv"}}}, "no.csv"),
-}
+    # what would be ignored is refused
+    **{
+        f"points and {key}": ({"monolayer": {key: 0.3, "structure": {"points": "xy.csv"}}},
+                              f'gives {key} and points = "xy.csv", which says it; leave {key} out')
+        for key in ("coverage", "density_per_um2", "packing")
+    },
+    "jitter of no lattice": (
+        {"monolayer": {"coverage": 0.1, "structure": {"name": "rsa", "jitter": 0.3}}},
+        'monolayer.structure: gives jitter, which name = "rsa" does not have; it is of name = "lattice"',
+    ),
+    "lattice of points": (
+        {"monolayer": {"structure": {"points": "xy.csv", "lattice": "square"}}},
+        "monolayer.structure: gives lattice, which points does not have",
+    ),
+    "seed of S(q)": (
+        {"monolayer": {"coverage": 0.1, "structure": {"sq": "s.csv", "seed": 4}}},
+        "gives seed, which sq does not have; it is of arrangements that are drawn at random",
+    ),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", BAD)

@@ -1,5 +1,6 @@
 """Files of T-matrices: what another program writes, what we write, what is refused, and what a recipe makes of them."""
 
+import dataclasses
 import json
 import shutil
 
@@ -378,6 +379,14 @@ def _elsewhere(file):
     file["tmatrix"] = h5py.ExternalLink("other.h5", "/tmatrix")
 
 
+def _too_small(file):
+    geometry = file["scatterer/geometry"]  # its lengths are in nm
+    geometry.attrs["shape"] = "cylinder"
+    for name, value in (("radius", 30.0), ("height", 90.0), ("circumscribing_radius", 44.0)):
+        geometry.pop(name, None)
+        geometry[name] = value
+
+
 BROKEN = {
     "no matrix": (_without("tmatrix"), 'holds no dataset "tmatrix"'),
     "no axis": (_without("vacuum_wavelength"), "gives no wavelength"),
@@ -400,6 +409,7 @@ BROKEN = {
     "what a terminal obeys": (_set("modes/polarization", ["\x1b[2Jred\n"] * 70), 'names a polarization "[2jred"'),
     "a mode twice": (_set("modes/m", np.zeros(70, int)), "every mode up to l = 5 once"),
     "wrong shape": (_set("tmatrix", np.zeros(5)), "of shape (5,)"),
+    "too small a sphere around it": (_too_small, "gives a circumscribing_radius of 44 nm, and what is"),
 }
 
 
@@ -441,7 +451,7 @@ def test_a_file_that_hdf5_does_not_survive_gets_one_line(tmp_path, capsys, monke
 def test_what_does_not_fit_the_recipe_gets_one_line(tmp_path, capsys):
     write_tmatrices(tmp_path / "water.tmat.h5", _spheres(ambient=1.33), "sphere")
     write_tmatrices(tmp_path / "air.tmat.h5", _spheres(), "sphere")
-    write_tmatrices(tmp_path / "unsized.tmat.h5", _spheres(), "")
+    write_tmatrices(tmp_path / "unsized.tmat.h5", dataclasses.replace(_spheres(), radius_nm=None))
     air = 'tmatrix = "air.tmat.h5"\n'
     assert "in a medium of n = 1.33, and the ambient has 1" in _refusal(tmp_path, capsys, 'tmatrix = "water.tmat.h5"')
     assert "give particle.diameter_nm" in _refusal(tmp_path, capsys, 'tmatrix = "unsized.tmat.h5"')

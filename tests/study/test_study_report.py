@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 import nacre
+from nacre.errors import NacreError
 from nacre.light import spectrum_to_xyz
 from nacre.measure import instruments as geometry
 from nacre.study.report import differences, flop_index, gloss, make_report, transmission_haze
@@ -159,3 +160,13 @@ def test_a_mirror_travels_by_its_mirror_direction() -> None:
     assert report.specular is not None
     drawn = np.asarray(travel_figure([report]).axes[0].collections[-1].get_offsets())
     np.testing.assert_allclose(drawn, report.specular.lab[:, 1:], atol=1e-9)
+
+
+def test_the_report_of_an_answer_is_titled_by_the_designs_folder(tmp_path: Path) -> None:
+    (tmp_path / "sign" / "2").mkdir(parents=True)
+    for folder in ("sign", "sign/2"):
+        (tmp_path / folder / "recipe.toml").write_text('family = "film"\nsubstrate = "Si"\n')
+    reports = [make_report(nacre.load(tmp_path / folder)) for folder in ("sign", "sign/2")]
+    assert [report.name for report in reports] == ["sign", "sign-2"]
+    with pytest.raises(NacreError, match=re.escape(str(tmp_path / "sign" / "2" / "recipe.toml") + ": --to gds")):
+        nacre.fabricate(tmp_path / "sign" / "2", "gds", tmp_path / "x.gds")

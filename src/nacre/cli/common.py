@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar
 
 import click
@@ -16,14 +15,6 @@ from nacre.errors import NacreError
 
 F = TypeVar("F", bound=Callable[..., Any])
 MAX_LIST = 100_000
-
-
-def stem_of(recipe: str) -> str:
-    """Return what files made of a recipe are called: its own name, of a folder such as "." the folder's.
-
-    Links are not followed: one that leads to itself has a name too.
-    """
-    return Path(os.path.abspath(recipe)).stem
 
 
 def numbers(text: str, option: str) -> NDArray[np.float64]:

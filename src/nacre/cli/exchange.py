@@ -32,10 +32,10 @@ def export(
 ) -> None:  # fmt: skip
     """Write RECIPE in another program's format and say what the format cannot hold."""
     from nacre.exchange.lut.write import check_folder
-    from nacre.files import check_writable
+    from nacre.files import check_writable, short_name
     from nacre.study.foreign import export_material
 
-    path = Path(output) if output else Path(f"{common.stem_of(recipe)}{EXPORTS[target]}")
+    path = Path(output) if output else Path(f"{short_name(recipe)}{EXPORTS[target]}")
     options: dict[str, Any] = {"angle_step_deg": angle_step_deg, "wavelength_nm": wavelength_nm}
     if target == FOLDER:
         check_folder(path)

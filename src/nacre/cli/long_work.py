@@ -12,6 +12,7 @@ from nacre.cli.status import one_line, say
 
 ASK_S = 60.0  # work that takes longer is asked about where a person can answer
 PACE_S = 30.0  # between lines where nobody sees a line that changes
+BUSY = 1.5  # by the clock over what the work takes of free cores, from where both are told
 
 
 def listener(yes: bool) -> Callable[[str, float], None]:
@@ -40,11 +41,15 @@ def _is_terminal() -> bool:
 
 
 def _report() -> None:
-    """Say in a line of its own, every half minute at most, how many parts are done and how long the rest may take."""
+    """Say in a line of its own, every half minute at most, how many parts are done and how long the rest may take.
+
+    Other work on the machine slows the clock's time, not the processor's: where they differ much, both are told.
+    """
     from nacre.matter import jobs
     from nacre.recipe.long_work import duration
 
     begun = said = time.monotonic()
+    spent = time.process_time()
 
     def tell(done: int, total: int) -> None:
         nonlocal said
@@ -54,7 +59,12 @@ def _report() -> None:
             say(f"{total} of {total} patterns, after {duration(now - begun)}")
         elif now - said >= PACE_S:
             said = now
-            say(f"{done} of {total} patterns, about {duration((now - begun) * (total - done) / done)} left")
+            rest = (total - done) / done
+            by_clock, free = rest * (now - begun), rest * (time.process_time() - spent) / jobs.available_jobs()
+            left = f"about {duration(by_clock)} left"
+            if by_clock > BUSY * free:
+                left = f"about {duration(free)} left on free cores, {duration(by_clock)} as busy as it is"
+            say(f"{done} of {total} patterns, {left}")
 
     jobs.watch(tell)
 

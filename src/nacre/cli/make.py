@@ -151,9 +151,9 @@ def gamut(
 ) -> None:  # fmt: skip
     """Show the colours that the free numbers of RECIPE can reach, in a*b* and xy, and their share of all colours."""
     from nacre.design.wants.gamut import find_gamut, gamut_chart, gamut_page, parse_free
-    from nacre.files import check_writable, write_text
+    from nacre.files import check_writable, short_name, write_text
 
-    path = Path(output) if output else None if as_json else Path(f"{common.stem_of(recipe)}-gamut.png")
+    path = Path(output) if output else None if as_json else Path(f"{short_name(recipe)}-gamut.png")
     if path is not None:
         if path.suffix not in (".png", ".pdf", ".svg", ".json", ".html"):
             raise NacreError(f"-o {path}: the suffix must be .png, .pdf, .svg, .json or .html")
@@ -215,9 +215,9 @@ def fabricate(
     from nacre.api import fabricate as write
     from nacre.exchange.drawings import SUFFIXES
     from nacre.exchange.number_maps import SUFFIXES as MAP_SUFFIXES
-    from nacre.files import check_writable
+    from nacre.files import check_writable, short_name
 
-    name = common.stem_of(source)
+    name = short_name(source)
     path = Path(output) if output else Path(f"{name}-{target}{(MAP_SUFFIXES | SUFFIXES)[target]}")
     check_writable(path)
     area = None

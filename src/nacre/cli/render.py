@@ -101,12 +101,12 @@ def render(
     **looks: Any,
 ) -> None:  # fmt: skip
     """Render a material on an object."""
-    from nacre.files import check_writable
+    from nacre.files import check_writable, short_name
     from nacre.picture.image_files import STILL_SUFFIXES
     from nacre.picture.interrupt import leaving_at_once
 
     suffixes = MOVIES if animate else STILL_SUFFIXES
-    path = Path(output) if output else Path(f"{common.stem_of(recipe)}{suffixes[0]}")
+    path = Path(output) if output else Path(f"{short_name(recipe)}{suffixes[0]}")
     if path.suffix.lower() not in suffixes:
         what = "an animation" if animate else "a picture"
         raise NacreError(f"-o {path}: {what} is written as {', '.join(suffixes[:-1])} or {suffixes[-1]}")

@@ -174,7 +174,7 @@ def plot(
     over: str | None, lightness: float | None, part: str | None, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Draw a figure of RECIPE, of publication quality, or of a sweep: gamut, colour-map or parallel coordinates."""
-    from nacre.files import check_writable
+    from nacre.files import check_writable, short_name
     from nacre.plot.material import plot_material
 
     is_sweep = Path(recipe).suffix == ".zarr"
@@ -183,7 +183,7 @@ def plot(
     if kind is None or kind not in allowed:
         given = "--kind is missing" if kind is None else f"--kind {kind} is not for {Path(recipe).name}"
         raise NacreError(f"{given}; choose one of {', '.join(allowed)}")
-    path = Path(output) if output else Path(f"{common.stem_of(recipe)}-{kind}.png")
+    path = Path(output) if output else Path(f"{short_name(recipe)}-{kind}.png")
     if path.suffix not in (".png", ".pdf", ".svg"):
         raise NacreError(f"-o {path}: the suffix must be .png, .pdf or .svg")
     check_writable(path)
@@ -240,9 +240,9 @@ def _over(text: str | None, kind: str) -> tuple[str, np.ndarray] | None:
 @common.jobs_option
 def compile_(recipe: str, wavelengths_nm: str | None, output: str | None, changes: tuple[str, ...]) -> None:
     """Solve RECIPE once and store its BSDF, to be rendered many times."""
-    from nacre.files import check_writable
+    from nacre.files import check_writable, short_name
 
-    path = Path(output) if output else Path(f"{common.stem_of(recipe)}.nacre")
+    path = Path(output) if output else Path(f"{short_name(recipe)}.nacre")
     if path.suffix != ".nacre":
         raise NacreError(f"-o {path}: the suffix must be .nacre")
     check_writable(path)

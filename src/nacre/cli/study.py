@@ -208,11 +208,11 @@ def fit(
     as_json: bool, residual: str | None, page: str | None, output: str | None,
 ) -> None:  # fmt: skip
     """Fit the free numbers of RECIPE to MEASUREMENT (spectrum or gonio CSV)."""
-    from nacre.files import atomic_path, check_writable, write_text
+    from nacre.files import atomic_path, check_writable, short_name, write_text
     from nacre.recipe.toml import edit_toml
     from nacre.study.fit import read_free, read_measurement, run_fit
 
-    path = Path(output) if output else Path(f"{common.stem_of(recipe)}-fitted.toml")
+    path = Path(output) if output else Path(f"{short_name(recipe)}-fitted.toml")
     asked = ((path, ".toml"), (residual and Path(residual), ".npz"), (page and Path(page), ".html"))
     for target, suffix in asked:
         if target:

@@ -17,7 +17,7 @@ from nacre.arrays import Array
 from nacre.errors import NacreError, RecipeError
 from nacre.materials.material import Material
 from nacre.recipe.model import show_value
-from nacre.recipe.paths import expand_path
+from nacre.recipe.paths import expand_table
 from nacre.recipe.tables import FreeNumberSpec, FreeSpec, by_path, known_only
 
 MOST_FREE = 200
@@ -64,7 +64,7 @@ def read_free(
     """Read a `[free]` table of a design, or a `[fit]` table of a recipe.
 
     Args:
-        table: path -> bounds or choices; `[*]` in a path stands for every index.
+        table: path -> bounds or choices; `[*]` in a path stands for every index that no other path names.
         material: the recipe that it is about.
         source: the file's name, for messages; name: the table's.
         most: numbers that may be free.
@@ -73,12 +73,12 @@ def read_free(
     Raises:
         RecipeError: naming the path and what is allowed.
     """
+    entries = by_path(table, {"min", "max", "choices"}, source, name)
+    material = material.reaching(entries)
     found: dict[str, Free] = {}
-    for path, entry in by_path(table, {"min", "max", "choices"}, source, name).items():
-        where = f'{source}: {name}."{path}"'
-        material = material.reaching([path])
-        for each in expand_path(material.data, path, f'{source}: {name}: recipe "{material.name}"'):
-            found[each] = _free(each, entry, material, where, words)
+    where = f'{source}: {name}: recipe "{material.name}"'
+    for each, (path, entry) in expand_table(material.data, entries, where).items():
+        found[each] = _free(each, entry, material, f'{source}: {name}."{path}"', words)
     if len(found) > most:
         raise RecipeError(f"{source}: {name}: {len(found)} numbers are free; at most {most} are allowed")
     return tuple(found.values())

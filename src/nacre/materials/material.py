@@ -26,7 +26,7 @@ from nacre.bsdf.texture import refuse_place
 from nacre.errors import RecipeError, UnsupportedError
 from nacre.families.contract import Model
 from nacre.families.registry import family_source, family_spec
-from nacre.files import named, read_text
+from nacre.files import DESIGN_RECIPE, named, read_text, short_name
 from nacre.materials.cache import solved
 from nacre.materials.examples import or_example
 from nacre.materials.varying import Varying
@@ -81,7 +81,7 @@ class Material:
     @property
     def name(self) -> str:
         """A short name for titles and file names."""
-        return Path(self.context.source).stem
+        return short_name(self.context.source)
 
     @property
     def identity(self) -> str:
@@ -338,11 +338,11 @@ def _load(path: Path, depth: int, ambient: Any = None) -> Material:
     except OSError as error:  # a name that no file system takes
         raise RecipeError(f"{str(path)[:80]}: cannot be read: {error.strerror}") from None
     if is_folder:
-        if not (path / "recipe.toml").is_file():
+        if not (path / DESIGN_RECIPE).is_file():
             raise RecipeError(
                 f"{path}: is a folder without a recipe.toml; give a recipe, a .nacre file or a design folder"
             )
-        path = path / "recipe.toml"
+        path = path / DESIGN_RECIPE
     if path.suffix == ".nacre":
         bsdf = Bsdf.load(path)
         text = str(bsdf.provenance.get("recipe", ""))

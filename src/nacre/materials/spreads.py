@@ -12,7 +12,7 @@ from nacre.arrays import Array
 from nacre.errors import RecipeError
 from nacre.materials.material import Material
 from nacre.recipe.model import show_value
-from nacre.recipe.paths import expand_path
+from nacre.recipe.paths import expand_table
 from nacre.recipe.tables import SpreadSpec, by_path, known_only
 
 DISTRIBUTIONS = ("gaussian", "uniform")
@@ -52,18 +52,16 @@ def spreads_of(table: Any, material: Material, source: str, name: str = "spread"
     """Read a `[spread]` or `[tolerance]` table for one material, whose numbers the percentages are of.
 
     Args:
-        table: path -> spread; `[*]` in a path stands for every index.
+        table: path -> spread; `[*]` in a path stands for every index that no other path names.
         source: the file, for messages; name: the table's.
 
     Raises:
         RecipeError: naming the path and what is allowed.
     """
-    found = {}
-    for path, entry in by_path(table, {"deviation", "percent"}, source, name).items():
-        material = material.reaching([path])
-        for each in expand_path(material.data, path, f'{source}: {name}: recipe "{material.name}"'):
-            found[each] = read_spread(material, each, entry, f"{source}: {name}")
-    return tuple(found.values())
+    entries = by_path(table, {"deviation", "percent"}, source, name)
+    material = material.reaching(entries)
+    found = expand_table(material.data, entries, f'{source}: {name}: recipe "{material.name}"')
+    return tuple(read_spread(material, each, entry, f"{source}: {name}") for each, (_, entry) in found.items())
 
 
 def read_spread(material: Material, path: str, value: Any, where: str) -> Spread:

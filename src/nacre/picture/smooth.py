@@ -7,25 +7,28 @@ denoiser has to smooth in a small picture, and then up to twice as long. The num
 from __future__ import annotations
 
 import functools
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+Real = TypeVar("Real", np.float32, np.float64)
 
 REACH = 3.0  # standard deviations
 BLOCK = 32  # rows or columns that one product gives: of more, most factors would be zeros
 
 
-def smooth(picture: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
-    """Return a picture `[row, column]` or `[row, column, colour]` under a Gaussian of so many pixels.
+def smooth(picture: NDArray[Real], sigma: float) -> NDArray[Real]:
+    """Return a picture `[row, column]` or `[row, column, colour]` under a Gaussian of so many pixels, as precise as it.
 
     Beyond its edges the picture goes on as its last row or column.
     """
     if picture.ndim == 3:
         return np.stack([smooth(colour, sigma) for colour in np.moveaxis(picture, -1, 0)], axis=-1)
-    spread = _spread(sigma)
+    spread = _spread(sigma).astype(picture.dtype, copy=False)
     reach = (spread.shape[1] - BLOCK) // 2
     padded = np.pad(picture, ((reach, reach), (0, 0)), mode="edge")
-    along = np.empty(picture.shape)
+    along = np.empty_like(picture)
     for start in range(0, len(picture), BLOCK):
         count = min(BLOCK, len(picture) - start)
         seen = padded[start : start + count + 2 * reach]

@@ -10,6 +10,7 @@ from nacre.errors import RecipeError
 
 MAX_PATH = 1000  # characters; the longest of a recipe has some 60
 TEXTURE_KEYS = ("formula", "texture")  # what a recipe writes where a number varies over the surface
+EVERY = "[*]"  # in place of an index
 _PATH_PART = re.compile(r"([A-Za-z_][A-Za-z_0-9-]*)((?:\[\d+\])*)$")
 
 
@@ -41,7 +42,7 @@ def expand_path(data: Any, path: str, source: str) -> tuple[str, ...]:
 
     Example: "layers[*].thickness_nm" of two layers is "layers[0].thickness_nm" and "layers[1].thickness_nm".
     """
-    head, star, tail = path.partition("[*]")
+    head, star, tail = path.partition(EVERY)
     if not star:
         return (path,)
     holder, last = find_by_path(data, head, source)
@@ -50,6 +51,25 @@ def expand_path(data: Any, path: str, source: str) -> tuple[str, ...]:
         raise RecipeError(f'{source}: "{path}" names no entry; {head} is no list, or an empty one')
     inner = (expand_path(data, f"{head}[{i}]{tail}", source) for i in range(len(entries)))
     return tuple(found for paths in inner for found in paths)
+
+
+def expand_table(data: Any, table: Mapping[str, Any], source: str) -> dict[str, tuple[str, Any]]:
+    """Return each path of a table -> the entry that holds for it and how the table writes its path.
+
+    A path with an index wins over one with `[*]`, wherever either stands: the more `[*]`, the weaker.
+
+    Raises:
+        RecipeError: a path leads nowhere, or two that are as strong name the same number.
+    """
+    found: dict[str, tuple[str, Any]] = {}
+    for path, entry in table.items():
+        for each in expand_path(data, path, source):
+            other = found.get(each, (path, entry))[0]
+            if other != path and other.count(EVERY) == path.count(EVERY):
+                raise RecipeError(f'{source}: "{other}" and "{path}" both name {each}; keep one')
+            if other.count(EVERY) >= path.count(EVERY):
+                found[each] = path, entry
+    return found
 
 
 def find_by_path(data: Any, path: str, source: str) -> tuple[Any, Any]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
@@ -10,6 +11,7 @@ import pydantic
 from nacre.errors import RecipeError, did_you_mean
 from nacre.recipe.keys import ByPath
 from nacre.recipe.model import RecipeModel, show_value
+from nacre.recipe.paths import EVERY
 
 
 class FreeSpec(RecipeModel):
@@ -89,6 +91,24 @@ def known_only(entry: Any, model: type[RecipeModel], where: str) -> None:
             known = ", ".join(model.model_fields)
             hint = did_you_mean(str(key), model.model_fields)
             raise RecipeError(f"{where}.{key} is not known.{hint} Keys: {known}")
+
+
+def with_options(table: Mapping[str, Any], options: Iterable[tuple[str, Any]], name: str) -> dict[str, Any]:
+    """Return path -> entry of a table and of a command's options, which win, those with `[*]` too.
+
+    Args:
+        name: the option's, for messages.
+
+    Raises:
+        RecipeError: a path is given twice.
+    """
+    given: dict[str, Any] = {}
+    for path, entry in options:
+        if path in given:
+            raise RecipeError(f"{name} {path} is given twice; keep one")
+        given[path] = entry
+    named = [re.compile(r"\[(?:\d+|\*)\]".join(map(re.escape, path.split(EVERY))) + "$") for path in given]
+    return {p: e for p, e in table.items() if not any(one.match(p) for one in named)} | given
 
 
 def by_path(table: Any, own_keys: frozenset[str] | set[str], source: str, name: str) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from nacre.materials import free as freedom
 from nacre.materials.descent import SCOUTS_PER_NUMBER, STEP, STOCHASTIC_STEP, apart, descend, draw
 from nacre.materials.free import Free, own_place, values_at
 from nacre.materials.material import Material
-from nacre.recipe.tables import by_path
+from nacre.recipe.tables import by_path, with_options
 
 PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
 MOST_POWER, LEAST_POWER = 1.1, 0.05  # instruments err by less, at a white's end and at a black's
@@ -197,12 +197,14 @@ def read_free(material: Material, options: tuple[str, ...] = ()) -> tuple[Free, 
     """
     source = material.context.source
     table = by_path(material.data.get("fit", {}), {"min", "max"}, source, "fit")
+    given = []
     for option in options:
         path, equals, text = option.rpartition("=")
         bounds = text.split(":")
         if not equals or len(bounds) != 2:
             raise RecipeError(f'--free "{option}" cannot be read; write it like layers[0].thickness_nm=100:600')
-        table[path.strip()] = [_number(bounds[0]), _number(bounds[1])]
+        given.append((path.strip(), [_number(bounds[0]), _number(bounds[1])]))
+    table = with_options(table, given, "--free")
     if not table:
         raise RecipeError(f"{source}: nothing is free; add a [fit] table or use --free PATH=LOW:HIGH")
     return freedom.read_free(table, material, source, "fit", MAX_FREE, words=False)

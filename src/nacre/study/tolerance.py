@@ -16,7 +16,7 @@ from nacre.materials.material import Material
 from nacre.materials.spreads import Spread, share_interval, spreads_of
 from nacre.measure import instruments as geometry
 from nacre.measure.colour_wavelengths import colour_spectrum, colour_values
-from nacre.recipe.tables import by_path
+from nacre.recipe.tables import by_path, with_options
 from nacre.study.report import SPECULAR_ANGLES_DEG
 
 MAX_DRAWS = 1_000_000
@@ -62,11 +62,13 @@ def read_spreads(material: Material, options: tuple[str, ...] = ()) -> tuple[Spr
     """
     source = material.context.source
     table = by_path(material.data.get("tolerance", {}), {"deviation", "percent"}, source, "tolerance")
+    given = []
     for option in options:
         path, equals, text = option.rpartition("=")
         if not equals:
             raise RecipeError(f'--spread "{option}" cannot be read; write it like layers[0].thickness_nm=2% or =5')
-        table[path.strip()] = text.strip()
+        given.append((path.strip(), text.strip()))
+    table = with_options(table, given, "--spread")
     if not table:
         raise RecipeError(f"{source}: no spread is given; add a [tolerance] table or use --spread PATH=VALUE")
     return spreads_of(table, material, source, "tolerance")

@@ -30,6 +30,7 @@ from nacre.families.film.material import Film
 from nacre.materials.material import Material
 from nacre.matter.stack.solve import powers
 from nacre.recipe.measures import LENGTH_UNITS_NM
+from nacre.recipe.paths import EVERY
 from nacre.recipe.tables import by_path
 
 ENGINE_KINDS = ("specular", "transmitted")
@@ -201,7 +202,8 @@ class StackSearch:
         """
         table = by_path(self.target.spec.spread, {"deviation", "percent"}, self.target.context.source, "spread")
         relative, absolute = np.zeros(max(slots or 1, 1)), np.zeros(max(slots or 1, 1))
-        for path, entry in table.items():
+        # of an index last: it wins over every one
+        for path, entry in sorted(table.items(), key=lambda pair: -pair[0].count(EVERY)):
             match = _SPREAD.match(path)
             if match is None or (slots is None and match[1] != "*"):
                 raise RecipeError(

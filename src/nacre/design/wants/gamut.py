@@ -106,6 +106,8 @@ def parse_free(options: Iterable[str]) -> dict[str, Any]:
             raise RecipeError(
                 f'--free "{option}" cannot be read; write it like layers[0].thickness_nm=50:400 or substrate=Al,Ag'
             )
+        if path.strip() in found:
+            raise RecipeError(f"--free {path.strip()} is given twice; keep one")
         ends = text.split(":")
         try:
             found[path.strip()] = [float(ends[0]), float(ends[1])] if len(ends) == 2 else None

@@ -81,6 +81,7 @@ class AxialTMatrices:
         circumscribing_nm: largest distance from the centre, or None.
         material_index: `[wavelength]`, of the particle, or None: unknown or of several materials.
         turn_loss: share of the scattered power that depends on the turn about the axis and is not in the blocks.
+        shape: "sphere", "spheroid" or "cylinder", or "": none that is named.
         whole: T over all m, `[wavelength, n, n']`, see `whole`, of a particle that is not axisymmetric and is not taken
             as the mean over its turn, which the blocks then are; else None.
     """
@@ -94,6 +95,7 @@ class AxialTMatrices:
     circumscribing_nm: float | None = None
     material_index: ComplexArray | None = None
     turn_loss: float = 0.0
+    shape: str = ""
     whole: ComplexArray | None = None
 
     @property

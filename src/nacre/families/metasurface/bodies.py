@@ -66,17 +66,28 @@ def least_gap(
 
 
 def refuse(
-    body: Body, surface: Substrate, gap_nm: float, placed: Placed, tolerance: float, order: int | None
+    body: Body,
+    surface: Substrate,
+    gap_nm: float,
+    placed: Placed,
+    tolerance: float,
+    order: int | None,
+    key: str = "particle",
 ) -> UnsupportedError:
-    """Return the line that refuses a particle whose far field is not settled, with what to do."""
+    """Return the line that refuses a particle whose far field is not settled, with what to do.
+
+    Args:
+        key: of the recipe's table of these particles.
+    """
     if not placed.is_near:
+        further = f"a larger {key}.gap_nm" if surface.inner_nm == 0.0 else "more room to the faces of the layer"
         return UnsupportedError(
             f"{body.source}: at {surface.wavelength_nm:g} nm its multipoles up to l = {placed.particle.lmax} do not "
             f"settle over this stack (the far field still changes by {placed.change:.2g}, {tolerance:g} is allowed); "
-            "a T-matrix of higher order or a larger particle.gap_nm is needed"
+            f"a T-matrix of higher order or {further} is needed"
         )
     gap = least_gap(body, surface, gap_nm, tolerance, order)
-    advice = f"the least particle.gap_nm that works is {gap:g}" if gap is not None else "no gap_nm mends it"
+    advice = f"the least {key}.gap_nm that works is {gap:g}" if gap is not None else "no gap_nm mends it"
     return UnsupportedError(
         f"{body.source}: at {surface.wavelength_nm:g} nm it lies too close to the stack for multipoles up to l = "
         f"{placed.particle.lmax}: two cuts of the coupling differ by {placed.change:.2g}, {tolerance:g} is allowed; "

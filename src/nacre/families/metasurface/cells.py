@@ -26,6 +26,7 @@ from nacre.families.metasurface.cluster import (
     SingleComplex,
     all_kinds,
     direct_coupling,
+    mean_and_lift,
     reflected_coupling,
     window,
 )
@@ -126,7 +127,7 @@ def orders(period: Period, largest: float) -> Array:
 
 @dataclass(frozen=True)
 class Sheet:
-    """The sums over an endless uncorrelated layer beyond the window, source and observer at heights of one mean.
+    """The sums over an endless uncorrelated layer beyond the window, source and observer at two heights.
 
     Attributes:
         table: the whole sums less their plane waves, see `NeighbourTable`.
@@ -140,16 +141,22 @@ class Sheet:
 
     @classmethod
     def build(
-        cls, surface: Substrate, centre_nm: float, structure: Structure, order: int, reach_nm: float, largest: float
-    ) -> Sheet:
-        """Tabulate; `structure` gives density and least distance, and has no correlation."""
+        cls, surface: Substrate, centre_nm: float, structure: Structure, order: int, reach_nm: float, largest: float,
+        lift_nm: float = 0.0,
+    ) -> Sheet:  # fmt: skip
+        """Tabulate; `structure` gives density and least distance, and has no correlation.
+
+        Args:
+            centre_nm: mean of both heights.
+            lift_nm: of the observer over the source, for the way by the stack; the direct waves are of one height.
+        """
         k = surface.inner_wavenumber
         a, far = structure.diameter_nm * k, reach_nm * k
         edges = np.linspace(a, far, int(np.ceil((far - a) / min(a / 2, 2.0))) + 1)
         x, weight = np.polynomial.legendre.leggauss(8)
         half = np.diff(edges)[:, None] / 2
         r, w = (edges[:-1, None] + half * (1 + x)).ravel(), (half * weight).ravel()
-        single = direct_coupling(order, r) + reflected_coupling(surface, centre_nm, order, r)
+        single = direct_coupling(order, r) + reflected_coupling(surface, centre_nm, order, r, lift_nm=lift_nm)
         kappa, _ = chebyshev(int(30 + 0.7 * far * largest), 0.0, largest)
         mu = pair_orders(order)
         sums = np.zeros((*mu.shape, kappa.size), dtype=complex)
@@ -159,7 +166,7 @@ class Sheet:
             sums[rows, columns] = (-1j) ** m * (single[rows, columns] @ (seen * jv(m, np.outer(r, kappa))))
         sums *= 2 * np.pi * structure.density_per_nm2 / k**2
         within = np.stack([np.moveaxis(folded(sums, order, pol), -1, 0) for pol in range(2)])
-        table = NeighbourTable.build(surface, centre_nm, structure, order, largest=largest)
+        table = NeighbourTable.build(surface, centre_nm, structure, order, largest=largest, lift_nm=lift_nm)
         return cls(table, within, largest)
 
     def at(self, kappa: Array) -> ComplexArray:
@@ -176,13 +183,13 @@ class Lattice:
 
     Attributes:
         coupling: the tables of single pairs within the window.
-        sheets: one for each mean height of two kinds.
+        sheets: one for each pair of heights, see `mean_and_lift`.
         direct: the direct waves alone, of a higher order; None where all centres have one height.
         largest: in-plane wavevector over k up to which all are known.
     """
 
     coupling: Coupling
-    sheets: dict[float, Sheet]
+    sheets: dict[tuple[float, float], Sheet]
     direct: Sheet | None
     largest: float
 
@@ -194,9 +201,9 @@ class Lattice:
         alone = dataclasses.replace(layer.structure, h=np.zeros_like(layer.structure.h))
         beyond = BEYOND_IN_A_LAYER if surface.inner_nm else BEYOND
         largest = steepest(surface) / surface.inner_index + beyond / (reach_nm * k)
+        pairs = {mean_and_lift(surface, float(a), float(b)) for a in heights for b in heights}
         sheets = {
-            float(mean): Sheet.build(surface, float(mean), alone, order, reach_nm, largest)
-            for mean in np.unique(0.5 * (heights[:, None] + heights))
+            (mean, up): Sheet.build(surface, mean, alone, order, reach_nm, largest, up) for mean, up in sorted(pairs)
         }
         direct, step = None, k * float(np.ptp(heights))
         if step > 0.0:
@@ -216,13 +223,13 @@ class Lattice:
         heights, dressed = self.coupling.centres_nm, self.coupling.dressed
         k = self.coupling.surface.inner_wavenumber
         kappa = np.hypot(*wavevectors.T) / k
-        sums = {mean: sheet.at(kappa) for mean, sheet in self.sheets.items()}
+        sums = {pair: sheet.at(kappa) for pair, sheet in self.sheets.items()}
         m = multipole_index(self.coupling.order).m
         turn = np.exp(1j * (m[None, :] - m[:, None]) * np.arctan2(wavevectors[:, 1], wavevectors[:, 0])[:, None, None])
         straight = None if self.direct is None else self.direct.at(kappa)
         out = np.empty((len(heights), len(heights), *turn.shape), dtype=complex)
         for i, j in np.ndindex(out.shape[:2]):
-            whole = sums[float(0.5 * (heights[i] + heights[j]))]
+            whole = sums[mean_and_lift(self.coupling.surface, float(heights[i]), float(heights[j]))]
             if straight is not None and heights[i] != heights[j]:
                 whole = whole + self._lifted(straight, k * float(heights[i] - heights[j]))
             out[i, j] = dressed[i] @ (whole * turn)

@@ -40,7 +40,7 @@ IntArray = NDArray[np.intp]
 
 
 def reflected_coupling(
-    surface: Substrate, centre_nm: float, order: int, distances: Array, reach: float | None = None
+    surface: Substrate, centre_nm: float, order: int, distances: Array, reach: float | None = None, lift_nm: float = 0.0
 ) -> ComplexArray:
     """Return W^R(R), how the stack carries multipole n' to n at a horizontal distance, `[n, n', distance]`.
 
@@ -48,7 +48,9 @@ def reflected_coupling(
     the waves of `Echo` take the place of that one.
 
     Args:
+        centre_nm: mean height of the centres of both.
         distances: k R, `[distance]`, real.
+        lift_nm: height of the target's centre over the source's.
         reach: the largest k R that the contour must serve; that of `distances` by default.
     """
     index = multipole_index(order)
@@ -65,7 +67,7 @@ def reflected_coupling(
     measure = 4 * weight * kappa / w
     ways = [
         (with_negative_orders(left, index) * measure, with_negative_orders(right, index))
-        for left, right in surface.echo(centre_nm, w).pairs(b)
+        for left, right in surface.echo(centre_nm, w, lift_nm).pairs(b)
     ]
     # what lies beyond the reach of e^{2ikzd} is nothing: long distances need no Bessel functions there
     radial = bessel_j(np.outer(kappa, distances), 2 * order)
@@ -96,6 +98,14 @@ def direct_coupling(order: int, distances: Array, height: float = 0.0) -> Comple
     mu = pair_orders(order)
     rows, columns = np.indices(mu.shape)
     return np.asarray(by_order[mu, rows, columns])
+
+
+def mean_and_lift(surface: Substrate, target_nm: float, source_nm: float) -> tuple[float, float]:
+    """Return what the stack's part of a coupling asks of two heights: their mean, and inside a layer their difference.
+
+    Over a stack the image of one lies as far below as both are high together, and nothing else counts.
+    """
+    return 0.5 * (target_nm + source_nm), target_nm - source_nm if surface.inner_nm else 0.0
 
 
 def window(share: Array) -> Array:
@@ -161,14 +171,14 @@ class Coupling:
         share = window(distances / (k * farthest_nm)) if fades else np.ones(count)
         kinds, size = len(particles), dressed.shape[-1]
         table = np.empty((kinds, kinds, count, size, size), dtype=np.complex64)
-        by_height: dict[float, ComplexArray] = {}  # the image of one lies as far below as both are high
+        by_heights: dict[tuple[float, float], ComplexArray] = {}
         for i, target in enumerate(particles):
             for j, source in enumerate(particles):
-                mean_nm = 0.5 * (target.centre_nm + source.centre_nm)
-                if mean_nm not in by_height:
-                    by_height[mean_nm] = reflected_coupling(surface, mean_nm, order, distances)
+                heights = mean_and_lift(surface, target.centre_nm, source.centre_nm)
+                if heights not in by_heights:
+                    by_heights[heights] = reflected_coupling(surface, heights[0], order, distances, lift_nm=heights[1])
                 direct = direct_coupling(order, distances, k * (target.centre_nm - source.centre_nm))
-                total = (direct + by_height[mean_nm]) * share
+                total = (direct + by_heights[heights]) * share
                 table[i, j] = np.einsum("ab,bcr->rac", dressed[i], total, optimize=True)
         centres_nm = np.array([particle.centre_nm for particle in particles])
         return cls(surface, order, centres_nm, start, STEP, table, dressed)

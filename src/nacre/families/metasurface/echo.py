@@ -2,7 +2,8 @@
 
 Over a stack a wave that goes down comes back up, and that is all. In a layer both faces reflect: with R_b and R_a the
 reflections below and above, phase at the centre, waves sent down (up) come back up (down) with R_b (R_a) over
-1 - R_a R_b, and either in its own direction with R_a R_b over the same.
+1 - R_a R_b, and either in its own direction with R_a R_b over the same. Between centres at unlike heights the phases of
+the first two count from the mean height; in its own direction a wave that rises gathers more on its way to the higher.
 """
 
 from __future__ import annotations
@@ -20,34 +21,47 @@ class Echo:
     Attributes:
         up: of a wave sent down, which comes back up.
         down: of one sent up, which comes back down; None: nothing reflects above.
-        again: of either, in its own direction; None: nothing reflects above.
+        risen: of one sent up, in its own direction; None: nothing reflects above.
+        fallen: of one sent down, in its own direction; None: nothing reflects above.
     """
 
     up: ComplexArray
     down: ComplexArray | None = None
-    again: ComplexArray | None = None
+    risen: ComplexArray | None = None
+    fallen: ComplexArray | None = None
 
     @classmethod
-    def between(cls, below: ComplexArray, above: ComplexArray) -> Echo:
-        """Return it for two mirrors that see one another, R_b and R_a."""
-        left = 1.0 - below * above
-        return cls(below / left, above / left, below * above / left)
+    def between(
+        cls, below: ComplexArray, above: ComplexArray, risen: ComplexArray | None = None,
+        fallen: ComplexArray | None = None,
+    ) -> Echo:  # fmt: skip
+        """Return it for two mirrors that see one another, R_b and R_a.
+
+        Args:
+            risen, fallen: R_a R_b with the phases of a wave on its way to another height; R_a R_b of one height.
+        """
+        both = below * above
+        left = 1.0 - both
+        return cls(
+            below / left, above / left, (both if risen is None else risen) / left,
+            (both if fallen is None else fallen) / left,
+        )  # fmt: skip
 
     def pairs(self, b: ComplexArray) -> list[tuple[ComplexArray, ComplexArray]]:
         """Return what comes to multipole n and what n' sent, `[m, pol, n, angle]` each: sums of products over both.
 
-        sum_pairs left_n right_n' = Bdag_n(+) (up B_n'(-) + again B_n'(+)) + Bdag_n(-) (down B_n'(+) + again B_n'(-)).
+        sum_pairs left_n right_n' = Bdag_n(+) (up B_n'(-) + risen B_n'(+)) + Bdag_n(-) (down B_n'(+) + fallen B_n'(-)).
 
         Args:
             b: B(+) of the angles, `[m, pol, n, angle]`.
         """
         rising = adjoint(b)
-        if self.down is None or self.again is None:
+        if self.down is None or self.risen is None or self.fallen is None:
             return [(rising * _wide(self.up), mirrored(b))]
         falling = mirrored(rising)
         return [
-            (rising * _wide(self.up) + falling * _wide(self.again), mirrored(b)),
-            (falling * _wide(self.down) + rising * _wide(self.again), b),
+            (rising * _wide(self.up) + falling * _wide(self.fallen), mirrored(b)),
+            (falling * _wide(self.down) + rising * _wide(self.risen), b),
         ]
 
     def signed(self, pol: int, target: Array, source: Array) -> ComplexArray:
@@ -58,9 +72,9 @@ class Echo:
             target, source: signs, `[n]` and `[n']`.
         """
         out: ComplexArray = self.up[pol][:, None, None] * source
-        if self.down is not None and self.again is not None:
-            both = 1.0 + target[:, None] * source
-            out = out + self.down[pol][:, None, None] * target[:, None] + self.again[pol][:, None, None] * both
+        if self.down is not None and self.risen is not None and self.fallen is not None:
+            out = out + self.down[pol][:, None, None] * target[:, None] + self.risen[pol][:, None, None]
+            out = out + self.fallen[pol][:, None, None] * (target[:, None] * source)
         return out
 
 

@@ -37,7 +37,6 @@ LOOSEST_TOLERANCE = 0.02  # of the change on doubling: above it the series has n
 # accepted with a warning where the recipe names no tolerance: silver on glass leaves up to 0.9 %, at 360 nm only
 UNASKED_TOLERANCE = 0.01
 UNTOLD_INDEX = 4.0
-SAME_HEIGHT_NM = 1e-6
 GAPS_NM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # that are tried where a sphere's multipoles do not settle
 USUAL_GAP_NM = 2.0
 NEAR = 0.1  # of the logarithm of a length: spheres so alike take one multipole order
@@ -198,7 +197,7 @@ class Settling:
         placed = place(body, surface, kind.gap_nm, self.order)
         tolerance = self.tolerance or LOOSEST_TOLERANCE
         if placed.change > tolerance and (placed.is_near or self.order is None):
-            raise refuse(body, surface, kind.gap_nm, placed, tolerance, self.order)
+            raise refuse(body, surface, kind.gap_nm, placed, tolerance, self.order, kind.key)
         self._note(surface, placed.change)
         return placed.particle
 
@@ -237,7 +236,7 @@ class Settling:
         if not sphere.goes_on:  # the order was chosen as if there were no more than what it holds
             placed = place(sphere, surface, kind.gap_nm)
             if 2 * wanted > held and placed.change > tolerance:
-                raise refuse(sphere, surface, kind.gap_nm, placed, tolerance, None)
+                raise refuse(sphere, surface, kind.gap_nm, placed, tolerance, None, kind.key)
         elif wanted > held:
             centre = kind.outer_radius_nm + kind.gap_nm
             change = order_change(surface, centre, lambda l: sphere.coefficients(l, surface), held, 2 * wanted)
@@ -316,12 +315,6 @@ def widened(t_matrix: ComplexArray, lmax: int) -> ComplexArray:
     out = np.zeros((min(AZIMUTHAL_ORDERS, lmax) + 1, 2 * lmax, 2 * lmax), dtype=complex)
     out[: len(blocks), places[:, None], places] = blocks[: len(out)]
     return out
-
-
-def uneven(kinds: tuple[Kind, ...]) -> bool:
-    """Return whether the centres of the kinds, of their mean sizes, lie at unlike heights."""
-    heights = [kind.gap_nm + kind.height_nm / 2 for kind in kinds]
-    return max(heights) - min(heights) > SAME_HEIGHT_NM
 
 
 def body_notes(kinds: tuple[Kind, ...]) -> dict[str, Any]:

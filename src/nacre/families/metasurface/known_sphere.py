@@ -18,17 +18,7 @@ from nacre.matter.mie import mie_coefficients
 
 SAME_T = 1e-9  # relative to the norm: what rounding leaves, and far less than what any mesh does
 SAME_SIZE = 1e-9
-SPHERE, CYLINDER, SPHEROID = "sphere", "cylinder", "spheroid"
-
-
-def shape_of(known: AxialTMatrices) -> str:
-    """Return the shape that a file names, by the extents that follow from it; "" where it names none."""
-    radius, height, reach = known.radius_nm, known.height_nm, known.circumscribing_nm
-    if radius is None or height is None or reach is None:
-        return ""
-    if abs(reach - max(radius, height / 2)) > SAME_SIZE * reach:
-        return CYLINDER
-    return SPHERE if abs(2 * radius - height) <= SAME_SIZE * height else SPHEROID
+SPHERE = "sphere"
 
 
 def is_spherical(known: AxialTMatrices) -> bool:

@@ -26,7 +26,7 @@ from nacre.families.metasurface.compile import choose_grids, tabulate
 from nacre.families.metasurface.corrections import diffuse_term, within_what_arrives
 from nacre.families.metasurface.ensemble import EnsembleSettings
 from nacre.families.metasurface.few import few_powers, few_values
-from nacre.families.metasurface.kinds import Kind, Settling, body_notes, mean_square_radius, turns_left_out, uneven
+from nacre.families.metasurface.kinds import Kind, Settling, body_notes, mean_square_radius, turns_left_out
 from nacre.families.metasurface.ladder import check as check_ladder
 from nacre.families.metasurface.monolayer import Monolayer
 from nacre.families.metasurface.particles import Shell, Sizes
@@ -199,8 +199,6 @@ class Metasurface(Model):
         """What the table of measured systems says."""
         if self.is_aligned:
             return "qca-balanced", NO_ENSEMBLE
-        if self.host and uneven(self.kinds):
-            return "qca-balanced", "two kinds with centres at unlike heights inside a layer have no ensemble"
         if self.arrangement is None:
             return "qca-balanced", "only S(q) is known, so there are no positions for an ensemble"
         holds, why = self._is_held
@@ -381,8 +379,7 @@ class Metasurface(Model):
             warnings.warn(line, MetasurfaceWarning, stacklevel=3)
         doubt = self._doubt
         if doubt and self.coverage > VALIDATED_COVERAGE and not self.is_spared:  # what was spared is told once for all
-            alone = self.is_aligned or (self.host and uneven(self.kinds))
-            instead = "" if alone else '; model.correction = "ensemble" solves the particles together'
+            instead = "" if self.is_aligned else '; model.correction = "ensemble" solves the particles together'
             warnings.warn(f"{self.source}: {doubt}{instead}", MetasurfaceWarning, stacklevel=3)
 
     @property

@@ -288,6 +288,7 @@ def _stack_sums(
     kappa_i: Array,
     every_row: bool = False,
     quick: bool = False,
+    lift_nm: float = 0.0,
 ) -> ComplexArray:
     """The part by way of the stack, of g - 1 alone, `[n, n', angle]` (g = 1 is a plane wave, in closed form).
 
@@ -311,7 +312,7 @@ def _stack_sums(
     measured = 4 * weight * kappa / w
     ways = [
         (with_negative_orders(left, index) * measured, with_negative_orders(right, index))
-        for left, right in surface.echo(centre_nm, w).pairs(b)
+        for left, right in surface.echo(centre_nm, w, lift_nm).pairs(b)
     ]
     top = 2 * order if np.any(kappa_i >= ALONG_THE_NORMAL) else 0  # J_mu(0) = delta_{mu 0}
     radial = bessel_j(np.outer(kappa, r), top)  # mu, kappa, R
@@ -328,7 +329,13 @@ def _stack_sums(
 
 
 def neighbour_sums(
-    surface: Substrate, centre_nm: float, structure: Structure, order: int, kappa: Array, quick: bool = False
+    surface: Substrate,
+    centre_nm: float,
+    structure: Structure,
+    order: int,
+    kappa: Array,
+    quick: bool = False,
+    lift_nm: float = 0.0,
 ) -> ComplexArray:
     """Return Q less its plane-wave terms, folded, `[pol, angle, h, h']`, at in-plane wavevectors `kappa` over k.
 
@@ -338,6 +345,7 @@ def neighbour_sums(
         order: highest multipole of the interaction.
         kappa: `[angle]`, real, >= 0 and not 1.
         quick: to a part in 1e4 or 1e5, as a search wants it.
+        lift_nm: of what is met over what sends, `centre_nm` being their mean: of the way by the stack alone.
     """
     mu = pair_orders(order)
     phase = (-1j) ** mu
@@ -347,7 +355,7 @@ def neighbour_sums(
     table = direct_coefficients(order).reshape(size * size, -1)
     total = (table @ direct.reshape((top + 1) ** 2, -1)).reshape(size, size, -1)
     if not surface.is_absent:
-        total = total + _stack_sums(surface, centre_nm, structure, order, kappa, quick=quick)
+        total = total + _stack_sums(surface, centre_nm, structure, order, kappa, quick=quick, lift_nm=lift_nm)
     total = total * (2 * np.pi * structure.density_per_nm2 / k2) * phase[:, :, None]
     w = np.sqrt((1 - kappa**2).astype(complex))
     waves = _wave_sums(structure, surface, order, w, kappa, None)
@@ -382,7 +390,13 @@ def _wave_sums(
 
 
 def plane_wave_sums(
-    structure: Structure, surface: Substrate, centre_nm: float, order: int, w: ComplexArray, kappa: Array
+    structure: Structure,
+    surface: Substrate,
+    centre_nm: float,
+    order: int,
+    w: ComplexArray,
+    kappa: Array,
+    lift_nm: float = 0.0,
 ) -> ComplexArray:
     """The plane-wave terms of Q, folded: the monolayer's own waves and their reflection by the stack.
 
@@ -390,5 +404,5 @@ def plane_wave_sums(
     """
     echo = None
     if not surface.is_absent:
-        echo = surface.echo(centre_nm, w)
+        echo = surface.echo(centre_nm, w, lift_nm)
     return _wave_sums(structure, surface, order, w, kappa, echo)

@@ -11,7 +11,7 @@ import pydantic
 from nacre.errors import MaterialRangeError
 from nacre.families.metasurface.axial import AxialTMatrices, Body, KnownBody
 from nacre.families.metasurface.kinds import Kind
-from nacre.families.metasurface.known_sphere import SAME_SIZE, SPHERE, KnownSphere, is_spherical, shape_of
+from nacre.families.metasurface.known_sphere import SAME_SIZE, SPHERE, KnownSphere, is_spherical
 from nacre.families.metasurface.particles import Shell, Sizes
 from nacre.families.metasurface.solids import SolvedBody
 from nacre.families.metasurface.tmatrix_file import TMatrixFileError, read_tmatrices
@@ -237,7 +237,7 @@ class KindSpec(RecipeModel):
         # without a shape the particle may fill the cylinder that its two lengths name
         reach = float(np.hypot(radius, height / 2)) if known.circumscribing_nm is None else known.circumscribing_nm
         source = f'{context.source}: {self.table}.tmatrix = "{self.tmatrix}"'
-        shape = shape_of(known)
+        shape = known.shape
         if shape in ("", SPHERE) and abs(2 * radius - height) <= SAME_SIZE * height and is_spherical(known):
             return KnownSphere(known, radius, height, radius, source, hold_ends, shape)
         return KnownBody(known, radius, height, reach, source, hold_ends, shape, float(np.radians(self.turn_deg)))

@@ -52,7 +52,7 @@ class NeighbourTable:
     """Q of one monolayer at one wavelength for every angle, tabulated where it is smooth.
 
     Attributes:
-        surface, centre_nm, structure, order: what it was made of.
+        surface, centre_nm, structure, order, lift_nm: what it was made of, see `neighbour_sums`.
         propagating: `[pol, node, h, h']` at Chebyshev nodes of theta in (0, pi/2), folded (see `HalfIndex`).
         evanescent: the same at nodes of eta, kappa = cosh(eta), up to `eta_max` (for light from below).
     """
@@ -64,11 +64,12 @@ class NeighbourTable:
     propagating: ComplexArray
     evanescent: ComplexArray | None
     eta_max: float
+    lift_nm: float = 0.0
 
     @classmethod
     def build(
         cls, surface: Substrate, centre_nm: float, structure: Structure, order: int, from_below: bool = False,
-        largest: float = 1.0,
+        largest: float = 1.0, lift_nm: float = 0.0,
     ) -> NeighbourTable:  # fmt: skip
         """Tabulate; `from_below` adds the angles beyond the critical one of a denser substrate.
 
@@ -87,10 +88,10 @@ class NeighbourTable:
             eta_max = float(np.arccosh(largest))
             eta, _ = chebyshev(count, 0.0, eta_max)
             kappa = np.concatenate([kappa, np.cosh(eta)])
-        sums = neighbour_sums(surface, centre_nm, structure, order, kappa)
+        sums = neighbour_sums(surface, centre_nm, structure, order, kappa, lift_nm=lift_nm)
         if eta_max:
             evanescent = sums[:, count:]
-        return cls(surface, centre_nm, structure, order, sums[:, :count], evanescent, eta_max)
+        return cls(surface, centre_nm, structure, order, sums[:, :count], evanescent, eta_max, lift_nm)
 
     def at(self, directions: Directions) -> ComplexArray:
         """Return the whole Q, folded, `[pol, angle, h, h']`, at the in-plane wavevectors of `directions`."""
@@ -110,7 +111,9 @@ class NeighbourTable:
             nodes, weights = chebyshev(self.evanescent.shape[1], 0.0, self.eta_max)
             matrix = barycentric(nodes, weights, np.arccosh(kappa[~inside]))
             out[:, ~inside] = mixed(matrix, self.evanescent)
-        return out + plane_wave_sums(self.structure, self.surface, self.centre_nm, self.order, w, kappa)
+        return out + plane_wave_sums(
+            self.structure, self.surface, self.centre_nm, self.order, w, kappa, self.lift_nm
+        )
 
 
 def sums_at(

@@ -25,7 +25,7 @@ from nacre.families.metasurface.ensemble import EnsembleSettings
 from nacre.families.metasurface.exports import write_particle
 from nacre.families.metasurface.figures import FIGURES
 from nacre.families.metasurface.inside import held, host_layer
-from nacre.families.metasurface.kinds import LOOSEST_TOLERANCE, Kind, mean_square_radius, uneven
+from nacre.families.metasurface.kinds import LOOSEST_TOLERANCE, Kind, mean_square_radius
 from nacre.families.metasurface.material import Metasurface
 from nacre.families.metasurface.micrograph import SUFFIXES, is_picture
 from nacre.families.metasurface.particle_spec import ParticleSpec
@@ -114,6 +114,12 @@ class StructureSpec(RecipeModel):
         given = [key for key in ("name", "points", "sq") if getattr(self, key) is not None]
         if len(given) != 1:
             raise ValueError(f"gives {' and '.join(given) or 'nothing'}; it needs one of name, points, sq")
+        foreign = {"lattice": ("lattice",), "jitter": ("lattice",), "seed": ARRANGEMENTS}
+        for key, names in foreign.items():
+            if key in self.model_fields_set and self.name not in names:
+                of = "arrangements that are drawn at random" if key == "seed" else 'name = "lattice"'
+                what = f'name = "{self.name}"' if self.name else given[0]
+                raise ValueError(f"gives {key}, which {what} does not have; it is of {of}")
         shown = self.points is not None and is_picture(self.points)
         if shown and self.width_um is None:
             raise ValueError(f'names a picture, points = "{self.points}", and not how wide it is; give width_um')
@@ -154,6 +160,9 @@ class MonolayerSpec(RecipeModel):
     def _one_density(self) -> MonolayerSpec:
         if (self.coverage is None) == (self.density_per_um2 is None) and self.structure.points is None:
             raise ValueError("needs either coverage or density_per_um2")
+        for key in ("coverage", "density_per_um2", "packing") if self.structure.points is not None else ():
+            if getattr(self, key) is not None:
+                raise ValueError(f'gives {key} and points = "{self.structure.points}", which says it; leave {key} out')
         if self.coverage is not None and self.coverage >= 0.9:
             raise ValueError(
                 f"coverage = {self.coverage:g} is not allowed; it should be below 0.9, and at most 0.7 of hard disks"
@@ -313,12 +322,6 @@ class MetasurfaceSpec(RecipeModel):
         kinds = self.particle.kinds(context, around, self.extrapolate == "edge")
         if host:
             kinds = held(context, kinds, host, layers)
-            if asked == "ensemble" and uneven(kinds):
-                why = (
-                    "is not modelled for two kinds with their centres at unlike heights inside a layer; give both one "
-                    'height by depth_nm, or take "qca-balanced", the mean field'
-                )
-                raise context.fail("model.correction", asked, why)
         self._check_aligned(context, kinds)
         structure, arrangement = self._structure(context, kinds, 4.2 * np.pi * index / 360.0)
         first = kinds[0]

@@ -110,8 +110,13 @@ class Substrate:
         )
         return np.stack([found.r_s[:, 0], found.r_p[:, 0]])
 
-    def echo(self, centre_nm: float, w: NDArray) -> Echo:
-        """Return what comes back to a centre of plane waves at w = kz/k in the medium of the particles."""
+    def echo(self, centre_nm: float, w: NDArray, lift_nm: float = 0.0) -> Echo:
+        """Return what comes back to a centre of plane waves at w = kz/k in the medium of the particles.
+
+        Args:
+            centre_nm: height of the centre, or the mean of the one that sends and the one that is met.
+            lift_nm: by how much the one that is met lies higher; over a stack the mean alone counts.
+        """
         return Echo(np.exp(2j * self.inner_wavenumber * centre_nm * w) * self.reflection(w))
 
     def arriving(self, centre_nm: float, cosines: Array, w: ComplexArray, below: bool) -> Arriving:
@@ -192,9 +197,17 @@ class Embedded(Substrate):
             np.exp(2j * k * (self.inner_nm - centre_nm) * w) * self._above.reflection(w),
         )
 
-    def echo(self, centre_nm: float, w: NDArray) -> Echo:
+    def echo(self, centre_nm: float, w: NDArray, lift_nm: float = 0.0) -> Echo:
         """Return what both faces send back; see `Substrate.echo`."""
-        return Echo.between(*self._mirrors(centre_nm, w))
+        if lift_nm == 0.0:
+            return Echo.between(*self._mirrors(centre_nm, w))
+        k, (under, over) = self.inner_wavenumber, (self._below.reflection(w), self._above.reflection(w))
+        # the phases in one go: e^{-ikw lift} alone may be too large for a number
+        risen, fallen = (under * over * np.exp(1j * k * (2 * self.inner_nm + way) * w) for way in (lift_nm, -lift_nm))
+        return Echo.between(
+            under * np.exp(2j * k * centre_nm * w), over * np.exp(2j * k * (self.inner_nm - centre_nm) * w), risen,
+            fallen,
+        )  # fmt: skip
 
     def arriving(self, centre_nm: float, cosines: Array, w: ComplexArray, below: bool) -> Arriving:
         """Return what light of one side is at a centre between both faces; see `Substrate.arriving`."""

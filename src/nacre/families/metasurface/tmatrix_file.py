@@ -65,6 +65,8 @@ SPECTRAL: Mapping[str, tuple[str, Callable[[Array], Array]]] = {  # name -> kind
     "frequency": ("frequency", lambda x: SPEED_OF_LIGHT / x),
     "angular_frequency": ("frequency", lambda x: 2 * np.pi * SPEED_OF_LIGHT / x),
 }
+SHAPES = ("sphere", "spheroid", "cylinder")  # with an axis, of those that the format names
+REACH, ROUNDED = "circumscribing_radius", 1e-9  # of the geometry; what rounding leaves of a length, relative
 ELECTRIC, MAGNETIC = ("electric", "tm", "n"), ("magnetic", "te", "m")
 POSITIVE, NEGATIVE = ("positive", "plus"), ("negative", "minus")
 
@@ -142,13 +144,13 @@ def _read(file: h5py.File, is_aligned: bool) -> AxialTMatrices:
     parity = _parity_blocks(file, values[order])
     whole = whole_or_none(parity) if is_aligned else None
     blocks, turn_loss = axial(parity) if whole is None else (mean_blocks(parity), 0.0)
-    geometry = _geometry(file)
+    shape, geometry = _geometry(file)
     name = file.attrs.get("name", "")
     name = _shown(name.decode("utf-8", "replace") if isinstance(name, bytes) else str(name), 60)
     return AxialTMatrices(
         wavelengths[order], blocks, index[order], name or Path(file.filename).name,
         geometry.get("radius"), geometry.get("height"), geometry.get("circumscribing"),
-        _material(file, len(values), order), turn_loss, whole,
+        _material(file, len(values), order), turn_loss, shape, whole,
     )  # fmt: skip
 
 
@@ -324,13 +326,17 @@ def _places(
     return place[kept], kept
 
 
-def _geometry(file: h5py.File) -> dict[str, float]:
-    """Return radius, height and circumscribing radius in nm of the shapes with an axis that the format names."""
+def _geometry(file: h5py.File) -> tuple[str, dict[str, float]]:
+    """Return the shape, of those with an axis that the format names, or "", and lengths in nm.
+
+    These are radius, height and circumscribing radius. The last is none of the format's, nor are radius and height
+    without a shape: nacre writes them of what is rounded or coated.
+    """
     import h5py
 
     group = file.get("scatterer/geometry")
     if not isinstance(group, h5py.Group):
-        return {}
+        return "", {}
     shape = group.attrs.get("shape", "")
     shape = shape.decode("utf-8", "replace") if isinstance(shape, bytes) else str(shape)
 
@@ -347,14 +353,22 @@ def _geometry(file: h5py.File) -> dict[str, float]:
     for name in ("position", "expansion_center"):
         moved = _dataset(group, name)
         if moved is not None and np.any(np.asarray(moved[()], dtype=float) != 0.0):
-            return {}  # the centre of the waves is not the particle's: its extents must be given
+            return "", {}  # the centre of the waves is not the particle's: its extents must be given
     if shape == "sphere" and (radius := length("radius")):
-        return {"radius": radius, "height": 2 * radius, "circumscribing": radius}
+        return shape, {"radius": radius, "height": 2 * radius, "circumscribing": radius}
     if shape == "spheroid" and (radius := length("radiusxy")) and (axis := length("radiusz")):
-        return {"radius": radius, "height": 2 * axis, "circumscribing": max(radius, axis)}
-    if shape == "cylinder" and (radius := length("radius")) and (height := length("height")):
-        return {"radius": radius, "height": height, "circumscribing": float(np.hypot(radius, height / 2))}
-    return {}
+        return shape, {"radius": radius, "height": 2 * axis, "circumscribing": max(radius, axis)}
+    reach = length(REACH)
+    if (shape == "cylinder" or reach) and (radius := length("radius")) and (height := length("height")):
+        least, most = max(radius, height / 2), float(np.hypot(radius, height / 2))
+        if reach and not least * (1 - ROUNDED) <= reach <= most * (1 + ROUNDED):
+            raise TMatrixFileError(
+                f"gives a {REACH} of {reach:.5g} nm, and what is {2 * radius:.5g} nm wide and {height:.5g} nm high has "
+                f"one from {least:.5g} to {most:.5g} nm"
+            )
+        named = shape if shape == "cylinder" else ""
+        return named, {"radius": radius, "height": height, "circumscribing": reach or most}
+    return "", {}
 
 
 def _material(file: h5py.File, count: int, order: NDArray[np.intp]) -> ComplexArray | None:
@@ -423,17 +437,23 @@ def write_tmatrices(
         if known.material_index is not None:
             file["scatterer/material/relative_permittivity"] = known.material_index**2
             file["scatterer/material/relative_permeability"] = 1.0
-        for name, value in _extents(shape, known.radius_nm, known.height_nm).items():
+        if shape in SHAPES:
+            geometry.attrs["shape"] = shape
+        for name, value in _extents(shape, known).items():
             geometry[name] = value
             geometry[name].attrs["unit"] = "nm"
-            geometry.attrs["shape"] = shape
 
 
-def _extents(shape: str, radius_nm: float | None, height_nm: float | None) -> dict[str, float]:
-    if radius_nm is None or height_nm is None or shape not in ("sphere", "spheroid", "cylinder"):
+def _extents(shape: str, known: AxialTMatrices) -> dict[str, float]:
+    radius_nm, height_nm, reach_nm = known.radius_nm, known.height_nm, known.circumscribing_nm
+    if radius_nm is None or height_nm is None:
         return {}
     if shape == "sphere":
         return {"radius": radius_nm}
     if shape == "spheroid":
         return {"radiusxy": radius_nm, "radiusz": height_nm / 2}
-    return {"radius": radius_nm, "height": height_nm}
+    lengths = {"radius": radius_nm, "height": height_nm}
+    is_sharp = reach_nm is None or reach_nm > np.hypot(radius_nm, height_nm / 2) * (1 - ROUNDED)
+    if shape == "cylinder" and is_sharp:
+        return lengths
+    return {} if reach_nm is None else {**lengths, REACH: reach_nm}

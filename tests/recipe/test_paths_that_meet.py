@@ -1,0 +1,62 @@
+"""A number that two paths of one table name: the path with an index wins over `[*]`, and two as strong are refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import nacre
+from nacre.design.wants.gamut import parse_free
+from nacre.errors import RecipeError
+from nacre.materials.free import read_free
+from nacre.materials.spreads import spreads_of
+from nacre.recipe.paths import expand_table
+from nacre.study.fit import read_free as read_fit
+from nacre.study.tolerance import read_spreads
+
+EVERY, FIRST, SECOND = "layers[*].thickness_nm", "layers[0].thickness_nm", "layers[1].thickness_nm"
+
+
+def film(**tables: Any) -> nacre.Material:
+    layers = [{"material": name, "thickness_nm": 100.0} for name in ("SiO2", "TiO2")]
+    return nacre.material({"family": "film", "substrate": "Si", "layers": layers, **tables})
+
+
+@pytest.mark.parametrize("order", [(EVERY, FIRST), (FIRST, EVERY)])
+def test_the_path_with_an_index_wins_wherever_it_stands(order: tuple[str, str]) -> None:
+    bounds: dict[str, Any] = {EVERY: [5, 300], FIRST: [20, 40]}
+    free = {f.path: (f.low, f.high) for f in read_free({path: bounds[path] for path in order}, film(), "t.toml")}
+    assert free == {FIRST: (20.0, 40.0), SECOND: (5.0, 300.0)}
+    sizes = {EVERY: "2%", FIRST: "10%"}
+    spreads = {s.path: s.deviation for s in spreads_of({path: sizes[path] for path in order}, film(), "t.toml")}
+    assert spreads == {FIRST: 10.0, SECOND: 2.0}
+
+
+@pytest.mark.parametrize("order", [(EVERY, FIRST), (FIRST, EVERY)])
+def test_a_stack_is_designed_for_the_spread_of_the_path_with_an_index(order: tuple[str, str]) -> None:
+    from nacre.design.wants.films import film_search
+    from nacre.design.wants.target import read_target
+
+    sizes = {EVERY: "2%", FIRST: "10%"}
+    target = {
+        "recipe": dict(film().data), "free": {EVERY: [5, 300]}, "want": [{"at": "specular 0", "lab": [50, 0, 0]}],
+        "spread": {path: sizes[path] for path in order},
+    }  # fmt: skip
+    search = film_search(read_target(target), 0)
+    assert search is not None and search.problem.spread_relative == (0.1, 0.02)
+
+
+def test_two_paths_that_are_as_strong_are_refused() -> None:
+    data = {"strata": [{"platelets": [{"x": 1}]}]}
+    with pytest.raises(RecipeError, match=r'"strata\[0\].platelets\[\*\].x" both name strata\[0\].platelets\[0\].x'):
+        expand_table(data, {"strata[*].platelets[0].x": 1, "strata[0].platelets[*].x": 2}, "t.toml")
+
+
+@pytest.mark.parametrize("path", [FIRST, EVERY])
+def test_an_option_wins_over_the_recipe_and_stands_once(path: str) -> None:
+    fitted = film(fit={FIRST: {"min": 50, "max": 150}}, tolerance={FIRST: "2%"})
+    assert (read_fit(fitted, (f"{path}=10:20",))[0].low, read_spreads(fitted, (f"{path}=5%",))[0].deviation) == (10, 5)
+    for read in (lambda o: read_fit(film(), o), lambda o: read_spreads(film(), o), parse_free):
+        with pytest.raises(RecipeError, match="is given twice; keep one"):
+            read((f"{path}=10:20", f"{path}=10:30"))
