@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST_SWATCHES, MOST_CURVES, MOST_BARS, MOST_NAMED = 24, 10, 8, 30
+LONGEST_NAME = 24  # characters that the panel of layers has room for
 THINNEST_DRAWN = 0.035  # of the whole height: a layer of some nanometres is drawn thicker than it is
 QUIET = "#5a6b7c"
 
@@ -161,9 +162,15 @@ def _layers(axes: Axes, sheet: DesignSheet) -> None:
         axes.add_patch(Rectangle((0, edges[i]), 0.42, height, facecolor=face, alpha=0.55 if is_layer else 1.0,
                                  edgecolor="white", linewidth=0.6))  # fmt: skip
         if len(sheet.media) <= MOST_NAMED:
-            text = f"{name}, {sheet.thicknesses_nm[i - 1]:.4g} nm" if is_layer else name
+            known = _short(name)
+            text = f"{known}, {sheet.thicknesses_nm[i - 1]:.4g} nm" if is_layer else known
             axes.text(0.46, edges[i] + height / 2, text, va="center", fontsize=min(6.0, 150.0 / len(sheet.media)))
     panel_title(axes, f"Layers, {total:.0f} nm in all")
+
+
+def _short(name: str) -> str:
+    """Return a medium's name as it fits beside a layer; of a long path, or an entry of a database, its end."""
+    return name if len(name) <= LONGEST_NAME else "\u2026" + name[1 - LONGEST_NAME :]
 
 
 def _bars(axes: Axes, sheet: DesignSheet) -> None:

@@ -99,8 +99,9 @@ class Design:
 
 
 def write_recipe(
-    folder: Path, start: Material, changes: Mapping[str, Any], tolerance: Mapping[str, Any]
-) -> tuple[Path, list[str]]:
+    folder: Path, start: Material, changes: Mapping[str, Any], tolerance: Mapping[str, Any],
+    made: Material | None = None,
+) -> tuple[Path, list[str]]:  # fmt: skip
     """Write an answer's recipe, with comments where the start has some, and copy beside it what it reaches.
 
     Args:
@@ -108,6 +109,7 @@ def write_recipe(
         start: the recipe that the search started from.
         changes: path -> value.
         tolerance: spreads of manufacture by path, for `nacre tolerance`.
+        made: the answer, where it may reach files that the start does not: of optical constants to choose from.
 
     Returns:
         the recipe's path, and the names of all files written.
@@ -122,11 +124,12 @@ def write_recipe(
     data = copy.deepcopy(dict(start.data))
     all_changes = dict(changes)
     for path, value in changes.items():
-        set_by_path(data, path, value, start.context.source)
+        set_by_path(data, path, copy.deepcopy(value), start.context.source)
     if tolerance:
         data["tolerance"] = all_changes["tolerance"] = dict(tolerance)
     copied: list[str] = []
-    moved = _bring(data, start.context.folder, set(start.context.reached), folder, copied)
+    reached = {*start.context.reached, *(made.context.reached if made is not None else ())}
+    moved = _bring(data, start.context.folder, reached, folder, copied)
     for path, name in moved.items():
         set_by_path(data, path, name, start.context.source)
     for name, part in take_apart(data, copied).items():

@@ -148,7 +148,8 @@ class _Keeper:
         spent = time.monotonic() - self.begun
         if worst < self.best and values and spent - self.last > WRITE_EVERY_S:
             self.best, self.last = worst, spent
-            path, files = write_recipe(self.folder, self.target.material, as_judged(self.target.material, values), {})
+            start = self.target.material
+            path, files = write_recipe(self.folder, start, as_judged(start, values), {}, start.vary(values))
             solution = {"recipe": str(path), "files": files, "changes": values, "worst": worst}
             self.write({"status": "running", "seconds": round(spent, 3), "solutions": [solution]})
             self.save([values])
@@ -217,7 +218,7 @@ def _finish(
     for number, solution in enumerate(solutions, start=1):
         tolerance = _tolerance(target, solution)
         changes = as_judged(target.material, solution.changes)
-        path, files = write_recipe(folder_of(folder, number), target.material, changes, tolerance)
+        path, files = write_recipe(folder_of(folder, number), target.material, changes, tolerance, solution.material)
         facts = {**solution.facts, "files": files}
         written.append(replace(solution, recipe=path, facts=facts))
     return _report(target, folder, written, ended, begun, keeper)

@@ -60,9 +60,21 @@ class Target:
     @property
     def fingerprint(self) -> str:
         """A hash of all that decides what is searched for, but for the time allowed."""
-        files = {**self.context.files, **self.material.context.files}
+        files = {**self.context.files, **self.material.context.files, **self._choices_files}
         search = {"search": {"seconds"}}
         return identity(self.spec.model_dump(exclude=search), files, material=self.material.identity)
+
+    @property
+    def _choices_files(self) -> dict[str, str]:
+        """The digests of files that a choice names, by their names: optical constants of a palette, say."""
+        tried: list[dict[str, Any]] = [{n.path: choice} for n in self.free for choice in n.choices]
+        if self.spec.layers is not None:
+            tried += [{"layers": [{"material": e, "thickness_nm": 1.0}]} for e in self.spec.layers.palette]
+            tried += [{"substrate": entry} for entry in substrates(self.spec.layers)]
+        found: dict[str, str] = {}
+        for changes in tried:
+            found |= self.material.vary(changes).context.files
+        return found
 
 
 def is_wants(data: Mapping[str, Any]) -> bool:

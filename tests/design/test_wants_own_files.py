@@ -1,0 +1,56 @@
+"""Targets that name files of the user: optical constants to choose from come along, and a changed one is noticed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import nacre
+from nacre.design.wants.target import read_target
+from nacre.errors import RecipeError
+
+CONSTANT = "".join(f"{nm},2.0,0.001\n" for nm in range(300, 901, 50))
+
+
+def target(folder: Path, **tables: Any) -> dict[str, Any]:
+    (folder / "own.csv").write_text("nm,n,k\n" + CONSTANT)
+    return {
+        "recipe": {"family": "film", "substrate": "Al", "layers": []},
+        "want": [{"at": "specular 0", "lab": [60, 0, 20], "within": 30.0}],
+        "search": {"seconds": 1, "solutions": 1},
+        **tables,
+    }
+
+
+def sought(folder: Path) -> dict[str, Any]:
+    return target(folder, layers={"palette": [{"file": str(folder / "own.csv")}], "most": 2})
+
+
+def chosen(folder: Path) -> dict[str, Any]:
+    recipe = {"family": "film", "substrate": "Al", "layers": [{"material": "SiO2", "thickness_nm": 90}]}
+    own = {"choices": [{"file": str(folder / "own.csv")}]}
+    free = {"layers[0].material": own, "layers[0].thickness_nm": [5, 300]}
+    return target(folder, recipe=recipe, free=free)
+
+
+@pytest.mark.parametrize("asked", [sought, chosen])
+def test_an_answer_has_the_constants_that_it_chose_beside_it(tmp_path: Path, asked: Any) -> None:
+    design = nacre.design(asked(tmp_path), tmp_path / "out")
+    (tmp_path / "own.csv").unlink()
+    (tmp_path / "out").rename(tmp_path / "elsewhere")
+    made = nacre.load(tmp_path / "elsewhere")
+    assert "own.csv" in design.summary["solutions"][0]["files"]
+    assert made.name == "elsewhere" and made.spectrum([0.0])
+
+
+@pytest.mark.parametrize("asked", [sought, chosen])
+def test_a_search_goes_not_on_when_a_constant_to_choose_from_has_changed(tmp_path: Path, asked: Any) -> None:
+    wanted = asked(tmp_path)
+    before = read_target(wanted).fingerprint
+    nacre.design(wanted, tmp_path / "out")
+    (tmp_path / "own.csv").write_text(CONSTANT.replace("2.0", "1.9"))
+    assert read_target(wanted).fingerprint != before
+    with pytest.raises(RecipeError, match="a file that it names"):
+        nacre.design(wanted, tmp_path / "out", resume=True)
