@@ -155,7 +155,7 @@ def test_an_interrupt_ends_with_the_best_and_a_resumed_run_goes_on_from_it(
             raise KeyboardInterrupt
 
     design = nacre.design(path, out, progress=interrupt)
-    assert design.status == "interrupted" and nacre.load(out).name == "recipe"
+    assert design.status == "interrupted" and nacre.load(out).name == "out"
     first = json.loads((out / "design.json").read_text())["solutions"][0]["worst"]
     monkeypatch.setattr("nacre.cli.make._Screen.show", lambda self, progress: interrupt(progress))
     seen.clear()
