@@ -239,6 +239,7 @@ def test_what_cannot_be_searched_leaves_nothing_behind(
     [
         ("nm,R", 1.0, 1.0), ("Wavelength (nm),%R", 1.0, 100.0), ("wavelength / nm;Reflectance (%)", 1.0, 100.0),
         ("wavelength_um,R [%]", 1e-3, 100.0), ("lambda (angstrom)\tR", 10.0, 1.0),
+        ("nm,percent", 1.0, 100.0),
     ],
 )  # fmt: skip
 def test_the_heading_of_a_wanted_spectrum_tells_its_units(tmp_path, heading, nm, share) -> None:
@@ -249,3 +250,31 @@ def test_the_heading_of_a_wanted_spectrum_tells_its_units(tmp_path, heading, nm,
     want = WantSpec(at="specular 0", spectrum="r.csv")
     (found,) = read_wants([want], LightSpec(), RecipeContext("t.toml", tmp_path))
     np.testing.assert_allclose(found.spectrum, [[400, 500, 700], [0.004, 0.4, 0.35]], rtol=1e-12)
+
+
+def spectrum_of(folder: Path, text: str) -> Any:
+    (folder / "r.csv").write_text(text, encoding="utf-8")
+    want = WantSpec(at="specular 0", spectrum="r.csv")
+    return read_wants([want], LightSpec(), RecipeContext("t.toml", folder))[0].spectrum
+
+
+def test_a_wanted_spectrum_may_descend_as_instruments_write_it(tmp_path: Path) -> None:
+    found = spectrum_of(tmp_path, "nm,R\n700,0.3\n500,0.2\n400,0.1\n")
+    np.testing.assert_array_equal(found, [[400, 500, 700], [0.1, 0.2, 0.3]])
+    with pytest.raises(NacreError, match="ascending or descending"):
+        spectrum_of(tmp_path, "nm,R\n700,0.3\n400,0.2\n500,0.1\n")
+
+
+def test_wavelengths_that_are_no_nm_are_told_with_the_file(tmp_path: Path) -> None:
+    with pytest.raises(NacreError, match=r'spectrum = "r.csv" holds wavelengths of 0.4 to 0.7.*"um"'):
+        spectrum_of(tmp_path, "0.4,0.1\n0.55,0.2\n0.7,0.3\n")
+
+
+@pytest.mark.parametrize("colour", [{"xyz": [25, 33, 20]}, {"xyy": [0.33, 0.42, 33]}])
+def test_a_colour_counted_to_100_is_told_that_white_is_1(colour: dict[str, Any]) -> None:
+    def read(at: str) -> Any:
+        return read_wants([WantSpec(at=at, **colour)], LightSpec(), RecipeContext("t.toml"))
+
+    with pytest.raises(NacreError, match="white has Y = 1, .*divide by 100"):
+        read("specular 0")
+    assert read("45as15")  # a lobe may be that bright

@@ -33,6 +33,8 @@ def design(target: str, output: str | None, resume: bool, as_json: bool) -> None
     from nacre.files import check_writable
 
     folder = Path(output) if output else Path(Path(target).stem)
+    if folder.exists() and not folder.is_dir():
+        raise NacreError(f"-o {folder}: is a file; the answers need a folder")
     check_writable(folder / "x") if folder.exists() else check_writable(folder)
     jobs = os.environ.get("NACRE_JOBS")
     with _Screen() as screen:

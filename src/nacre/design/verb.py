@@ -50,6 +50,11 @@ def run(
         from nacre.design.wants.run import run as run_wants
 
         return run_wants(target, out, resume=resume, progress=progress)
+    if "target" not in data and "family" in data:
+        raise RecipeError(
+            f'{target}: is a recipe, not a target; write one with recipe = "{Path(target).name}", [free] and [[want]] '
+            "(nacre keys wants)"
+        )
     if "target" not in data:
         raise RecipeError(f"{target}: says no look; add [[want]] tables (nacre keys wants), or [target] of a relief")
     from nacre.design.run import run as run_relief

@@ -55,5 +55,5 @@ def shares_over_nm(heading: Sequence[str], table: NDArray[np.float64]) -> NDArra
     if len(names) < 2 or table.ndim != 2 or table.shape[1] != 2:
         return table
     factor = NM_IN.get(names[0].rpartition("_")[2], 1.0)
-    is_per_cent = "%" in names[1] or names[1].endswith(("_percent", "_per_cent"))
+    is_per_cent = "%" in names[1] or f"_{names[1]}".endswith(("_percent", "_per_cent"))
     return table * np.array([factor, 0.01 if is_per_cent else 1.0])

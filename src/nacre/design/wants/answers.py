@@ -16,11 +16,13 @@ from nacre.design.wants.parts import take_apart
 from nacre.errors import NacreError, RecipeError
 from nacre.files import read_text, write_text
 from nacre.materials.material import Material
+from nacre.recipe.identity import file_digest
 from nacre.recipe.paths import set_by_path
 from nacre.recipe.toml import dump_toml, edit_toml, parse_toml
 
 RECIPE = "recipe.toml"
 SUMMARY = "design.json"
+WRITTEN = (RECIPE, SUMMARY, "report.html", "report.png", "search.json")  # beside the best answer
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,17 +213,41 @@ def clear_answers(out: Path, keep: int) -> None:
             folder.rmdir()
 
 
-def check_folder(out: Path, start: Material) -> None:
-    """Refuse a folder whose recipe is the one that the search starts from, or that no design wrote.
+def check_folder(out: Path, start: Material, solutions: int = 1) -> None:
+    """Refuse a folder in which a design would overwrite the recipe that it starts from, or what no design wrote.
+
+    Args:
+        solutions: answers that may be written.
 
     Raises:
-        RecipeError: it would be overwritten.
+        RecipeError: naming the file.
     """
+    if out.exists() and not out.is_dir():
+        raise RecipeError(f"{out}: is a file; the answers need a folder, choose another with -o")
     used = {Path(start.context.source).resolve(), *start.context.reached}
     if start.context.text and (out / RECIPE).resolve() in used:
         raise RecipeError(f"{out}: holds the recipe that the design starts from; choose another folder with -o")
-    if (out / RECIPE).exists() and not (out / SUMMARY).exists():
-        raise RecipeError(f"{out}: holds a {RECIPE} that no design wrote; choose another folder with -o")
+    earlier = _earlier(out)
+    names = [] if earlier is not None else [*WRITTEN, *(f"{n}/{RECIPE}" for n in range(2, solutions + 1))]
+    foreign = [name for name in names if (out / name).exists()]
+    for file in start.context.reached:
+        beside = out / file.name
+        is_another = beside.exists() and beside.resolve() != file and file_digest(beside) != file_digest(file)
+        if is_another and file.name not in (earlier or ()):
+            foreign.append(file.name)
+    if foreign:
+        raise RecipeError(f"{out}: holds a {foreign[0]} that no design wrote; choose another folder with -o")
+
+
+def _earlier(out: Path) -> set[str] | None:
+    """Return the names of the files beside the best answer of the design that a folder holds; None: it holds none."""
+    try:
+        summary = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
+        if not set(summary) & {"solutions", "loss_fixed"}:  # the latter of a relief
+            return None
+        return {str(name) for solution in summary.get("solutions", [])[:1] for name in solution.get("files", [])}
+    except (OSError, ValueError, TypeError, AttributeError):
+        return None
 
 
 __all__ = ["Design", "Solution", "WantsProgress", "clear_answers", "check_folder", "folder_of", "write_recipe"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,8 +25,11 @@ POINTS = 4000  # of what can be reached, in the chart
 MARKS = 400  # of the picture's colours
 
 
-def write_page(folder: Path, target: Target, design: Design, picture: Picture) -> None:
+def write_page(folder: Path, target: Target, design: Design, picture: Picture, begun: float) -> None:
     """Write report.html and report.png.
+
+    Args:
+        begun: when the whole design did, by the monotonic clock; its summary gets the seconds that the page tells.
 
     Raises:
         NacreError: the folder cannot be written.
@@ -50,10 +54,11 @@ def write_page(folder: Path, target: Target, design: Design, picture: Picture) -
     text = html.escape(
         target.context.text or json.dumps(target.spec.model_dump(exclude_none=True), indent=2, default=str)
     )
+    took = design.summary["seconds"] = round(time.monotonic() - begun, 3)
     body = [
         f"<h1>{html.escape(target.name)}</h1>",
         f'<p class="{"good" if design.status == "met" else "far"}">{html.escape(design.message)}.</p>',
-        f"<p>{design.seconds:.1f} s. {html.escape(note)}. {facts}</p>",
+        f"<p>{took:.1f} s. {html.escape(note)}. {facts}</p>",
         f'<img alt="asked, reached, how far off, and the maps" src="{png_uri(shown)}">',
         "<h2>What can be reached</h2><p>Every colour that the free numbers make (with levels: before they are "
         "dithered); crosses are colours of the picture.</p>",

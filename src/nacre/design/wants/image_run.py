@@ -90,8 +90,7 @@ def design_picture(
     design = Design(folder, status, message, summary["seconds"], [solution], summary)
     _summarise(folder, summary)
     with contextlib.suppress(KeyboardInterrupt):
-        write_page(folder, target, design, picture)
-    summary["seconds"] = round(time.monotonic() - begun, 3)
+        write_page(folder, target, design, picture, begun)
     _summarise(folder, summary)
     return replace(design, seconds=summary["seconds"])
 

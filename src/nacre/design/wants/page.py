@@ -36,7 +36,7 @@ ASPECULAR_DEG = np.array([-15.0, 0.0, 15.0, 25.0, 35.0, 45.0, 60.0, 75.0, 90.0, 
 LEAST_GAMUT_S = 3.0
 
 
-def write_page(folder: Path, target: Target, design: Any, seconds: float) -> None:
+def write_page(folder: Path, target: Target, design: Any, seconds: float, begun: float) -> None:
     """Write report.html and report.png.
 
     Args:
@@ -45,6 +45,7 @@ def write_page(folder: Path, target: Target, design: Any, seconds: float) -> Non
         design: the `Design`.
         seconds: time for it; answers behind the first go without their pictures, and the page without its gamut, where
             it is short.
+        begun: when the whole design did, by the monotonic clock; its summary gets the seconds that the page tells.
 
     Raises:
         NacreError: the folder cannot be written.
@@ -52,25 +53,28 @@ def write_page(folder: Path, target: Target, design: Any, seconds: float) -> Non
     from nacre.plot import save_figure
     from nacre.plot.designs import design_figure
 
-    begun = time.monotonic()
+    page_begun = time.monotonic()
     sections = []
     for number, solution in enumerate(design.solutions, start=1):
         picture = ""
-        if number == 1 or time.monotonic() - begun < 0.5 * seconds:
+        if number == 1 or time.monotonic() - page_begun < 0.5 * seconds:
             figure = design_figure(sheet_of(target, solution, number, design))
             picture = data_uri(figure, DPI)
         if number == 1:
             save_figure(figure, folder / PICTURE, {"target": target.fingerprint})
         sections.append(_section(number, solution, picture, folder, target))
+    # who has the answer is not kept waiting for the gamut: no longer than for all the rest
+    left = 0.7 * seconds - (time.monotonic() - page_begun)
+    gamut = _gamut(target, min(left, max(design.seconds, LEAST_GAMUT_S)))
+    took = design.summary["seconds"] = round(time.monotonic() - begun, 3)
     body = [
         f"<h1>{html.escape(target.name)}</h1>",
         f'<p class="{"good" if design.status == "met" else "far"}">{html.escape(_capital(design.message))}.</p>',
-        f"<p>{len(design.solutions)} answers, {design.seconds:.1f} s. {_light(target)}</p>",
+        f"<p>{len(design.solutions)} answers, {took:.1f} s. {_light(target)}</p>",
         _overview(design.solutions),
         *sections,
+        *gamut,
     ]
-    # who has the answer is not kept waiting for the gamut: no longer than for all the rest
-    body += _gamut(target, min(0.7 * seconds - (time.monotonic() - begun), max(design.seconds, LEAST_GAMUT_S)))
     text = html.escape(
         target.context.text or json.dumps(target.spec.model_dump(exclude_none=True), indent=2, default=str)
     )

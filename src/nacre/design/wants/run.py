@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from nacre._version import __version__
+from nacre.design.wants.alike import are_alike
 from nacre.design.wants.answers import (
     SUMMARY,
     Design,
@@ -85,8 +86,9 @@ def run(
     begun = time.monotonic()
     read = target if isinstance(target, Target) else read_target(target)
     folder = Path(out) if out is not None else Path(read.name)
-    check_folder(folder, read.material)
+    check_folder(folder, read.material, read.spec.search.solutions)
     known, runs = _known(folder, read) if resume else ([], 0)
+    stood = _stood(folder) if known else None
     is_picture = read.wants[0].image is not None
     search = None if is_picture else search_of(read, read.spec.search.seed + RESUMED_SEED * runs)
     try:
@@ -106,7 +108,7 @@ def run(
     if not found:
         raise RecipeError(f"{read.context.source}: the recipe cannot be computed anywhere in its bounds")
     keeper.save([values for _, values in found])
-    return _finish(read, folder, found, ended, begun, keeper)
+    return _finish(read, folder, found, stood, ended, begun, keeper)
 
 
 def search_of(target: Target, seed: int) -> Search:
@@ -191,29 +193,48 @@ def _known(folder: Path, target: Target) -> tuple[list[dict[str, Any]], int]:
     return answers, runs
 
 
+def _stood(folder: Path) -> dict[str, Any] | None:
+    """Return the changes of the best answer that a folder tells; None where it tells none."""
+    try:
+        changes = json.loads(read_text(folder / SUMMARY, "design"))["solutions"][0]["changes"]
+    except (NacreError, ValueError, KeyError, TypeError, IndexError):
+        return None
+    return changes if isinstance(changes, dict) else None
+
+
 def _finish(
     target: Target,
     folder: Path,
     found: Sequence[tuple[float, dict[str, Any]]],
+    stood: dict[str, Any] | None,
     ended: str,
     begun: float,
     keeper: _Keeper,
 ) -> Design:
-    """Judge the answers by the reference route, order them by what was found, write all."""
+    """Judge the answers by the reference route, order them by what was found, write all.
+
+    Args:
+        stood: the best answer of the run that is resumed. The search compares by its own quicker route, so it is judged
+            beside the new best: what is told never gets worse.
+    """
     spec = target.spec
     left = max(spec.search.seconds - (time.monotonic() - begun), 1.0)
-    chosen = list(found[: spec.search.solutions])
-    solutions = []
-    for number, (_, changes) in enumerate(chosen):
+    chosen = [changes for _, changes in found[: spec.search.solutions]]
+    if stood is not None and stood != chosen[0]:
+        chosen[1:] = [stood, *(changes for changes in chosen[1:] if changes != stood)]
+    surely = 1 + (stood is not None)
+    solutions: list[Solution] = []
+    for number, changes in enumerate(chosen):
         is_late = time.monotonic() - begun > spec.search.seconds
-        if number > 0 and (is_late or ended == "interrupted"):
+        if number >= surely and (is_late or ended == "interrupted"):
             break  # the others are kept in the search's state
         solution = _judged(target, changes, 0.5 * left / len(chosen), LEAST_SENSITIVITY_S if number == 0 else 0.0)
         if solution is not None:
-            solutions.append(solution)
+            _take(solutions, solution, target)
     if not solutions:
         raise RecipeError(f"{target.context.source}: no answer can be computed anew; this is a bug in nacre")
-    _order(solutions, target)
+    _order(solutions, target, stood)
+    del solutions[spec.search.solutions :]
     written = []
     for number, solution in enumerate(solutions, start=1):
         tolerance = _tolerance(target, solution)
@@ -224,12 +245,36 @@ def _finish(
     return _report(target, folder, written, ended, begun, keeper)
 
 
-def _order(solutions: list[Solution], target: Target) -> None:
-    """Put the best first: of the largest yield, or the nearest; a search for the fewest layers has its own order."""
+def _take(solutions: list[Solution], new: Solution, target: Target) -> None:
+    """Add an answer; of two that are alike the better one stays, in the place of the first."""
+    for place, other in enumerate(solutions):
+        if are_alike(other.changes, new.changes):
+            solutions[place] = min(other, new, key=lambda s: _worth(s, target))
+            return
+    solutions.append(new)
+
+
+def _worth(solution: Solution, target: Target) -> Any:
+    """Return what answers are ordered by, the least first: the largest yield, or the nearest."""
     if target.spec.spread:
-        solutions.sort(key=lambda s: (-(s.yield_share or 0.0), objective(s.wants)))
-    elif target.spec.limits.layers != "fewest":
-        solutions.sort(key=lambda s: rank(objective(s.wants), tables_kept(target.material, target.free, s.changes)))
+        return -(solution.yield_share or 0.0), objective(solution.wants)
+    return rank(objective(solution.wants), tables_kept(target.material, target.free, solution.changes))
+
+
+def _order(solutions: list[Solution], target: Target, stood: dict[str, Any] | None) -> None:
+    """Put the best first; a search for the fewest layers has its own order, which what stood before may only lead."""
+    if target.spec.spread or target.spec.limits.layers != "fewest":
+        solutions.sort(key=lambda s: _worth(s, target))
+        return
+    for place, solution in enumerate(solutions):
+        if solution.changes == stood and _layers(solution) <= _layers(solutions[0]):
+            if objective(solution.wants) < objective(solutions[0].wants):
+                solutions.insert(0, solutions.pop(place))
+            return
+
+
+def _layers(solution: Solution) -> int:
+    return len(solution.material.data.get("layers", ()))
 
 
 def _judged(target: Target, changes: dict[str, Any], seconds: float, least: float) -> Solution | None:
@@ -327,8 +372,8 @@ def _report(
     with contextlib.suppress(KeyboardInterrupt):
         left = target.spec.search.seconds - (time.monotonic() - begun)
         # whoever interrupts does not want to wait for all that belongs to a report
-        write_page(folder, target, design, LEAST_PAGE_S if ended == "interrupted" else max(left, LEAST_PAGE_S))
-    summary["seconds"] = round(time.monotonic() - begun, 3)
+        left = LEAST_PAGE_S if ended == "interrupted" else max(left, LEAST_PAGE_S)
+        write_page(folder, target, design, left, begun)
     keeper.write(summary)
     return replace(design, seconds=summary["seconds"])
 

@@ -79,7 +79,9 @@ class Target:
 
 def is_wants(data: Mapping[str, Any]) -> bool:
     """Whether a target's dictionary is of this form, and not of the older one of reliefs."""
-    return "want" in data or ("target" not in data and bool(set(data) & {"free", "layers", "recipe", "spread"}))
+    if "want" in data or "target" in data or "family" in data:  # the last is of a recipe
+        return "want" in data
+    return bool(set(data) & {"free", "layers", "recipe", "spread"})
 
 
 def seeks_heights(data: Mapping[str, Any]) -> bool:

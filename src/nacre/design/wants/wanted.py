@@ -33,6 +33,8 @@ from nacre.recipe.model import RecipeContext, show_value
 
 GAP_STEPS = 3.0  # times a table's usual step: wider apart, two rows leave out what lies between them
 MOST_FACTOR = 1.1  # of a wanted spectrum: above it, it is in per cent
+MOST_LUMINANCE = 2.0  # of a mirror or a sum over directions, far above the 1 that it may have: it is counted to 100
+LEAST_NM, MOST_NM = 10.0, 1e5  # of a wanted spectrum: beyond, it is in another unit, or of another quantity
 MOST_LIGHTNESS, MOST_CHROMA = 500.0, 500.0  # lobes are brighter than white, but no number says so much
 _HEX = re.compile(r"#([0-9a-fA-F]{6}|[0-9a-fA-F]{3})$")
 _BOUND = re.compile(r"\s*(>=|<=)\s*([-+]?[\d.]+)\s*$")
@@ -173,6 +175,10 @@ def _want(spec: WantSpec, key: str, context: RecipeContext) -> Want:
             raise RecipeError(f"{key}.{name} = {show_value(list(given))} holds a negative number")
         if name == "xyy" and (given[0] + given[1] > 1 or (given[1] == 0 and given[2] > 0)):
             raise RecipeError(f"{key}.xyy = {show_value(list(given))} is no colour: y is above 0, x + y at most 1")
+        luminance = given[1] if name == "xyz" else given[2]
+        if at.kind != "aspecular" and luminance > MOST_LUMINANCE:
+            said = f"{key}.{name} = {show_value(list(given))}"
+            raise RecipeError(f"{said}: white has Y = 1, which nothing exceeds {at.kind}; divide by 100")
         found["xyz"] = np.array(given) if name == "xyz" else np.asarray(xyy_to_xyz(given))
     elif spec.image is not None:
         found["image"] = read_picture(context.path(spec.image), f"{key}.image = {show_value(spec.image)}")
@@ -232,8 +238,16 @@ def _spectrum(name: str, where: str, context: RecipeContext) -> Array:
         raise RecipeError(f"{said} does not exist") from None
     except (OSError, ValueError, NacreError) as error:
         raise RecipeError(f"{said} cannot be read as CSV of nm, value: {' '.join(str(error).split())}") from None
+    if table.ndim == 2 and len(table) > 1 and table[0, 0] > table[-1, 0]:
+        table = table[::-1]  # as many instruments write it
     if table.shape[1] != 2 or len(table) < 2 or not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
-        raise RecipeError(f"{said} should hold two columns, ascending nm and a factor from 0 to 1")
+        raise RecipeError(f"{said} should hold two columns, ascending or descending nm and a factor from 0 to 1")
+    low, high = table[0, 0], table[-1, 0]
+    if not LEAST_NM <= low < high <= MOST_NM:
+        raise RecipeError(
+            f"{said} holds wavelengths of {low:g} to {high:g}, which are no nm from {LEAST_NM:g} to {MOST_NM:g}; head "
+            'the column "um" or "angstrom" if it holds those'
+        )
     if table[:, 1].min() < 0 or table[:, 1].max() > MOST_FACTOR:
         raise RecipeError(f"{said} should hold factors from 0 to 1; head a column in per cent '%'")
     return np.ascontiguousarray(table.T)

@@ -1,0 +1,100 @@
+"""The folder of a design: what is not its own stays, what stood is not made worse, both files tell one time."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import nacre
+from nacre.cli import run as command
+from nacre.design.wants import run as runs
+from nacre.errors import NacreError, RecipeError
+
+TARGET: dict[str, Any] = {
+    "recipe": {"family": "film", "substrate": "Ti", "layers": [{"material": "SiO2", "thickness_nm": 100.0}]},
+    "free": {"layers[0].thickness_nm": [5, 300]},
+    "want": [{"at": "specular 0", "lab": [50, 5, 20], "within": 30.0}],
+    "search": {"seconds": 1, "solutions": 3},
+}
+
+
+@pytest.mark.parametrize("name", ["report.html", "report.png", "search.json", "design.json", "3/recipe.toml"])
+def test_what_no_design_wrote_is_not_overwritten(tmp_path: Path, name: str) -> None:
+    mine = tmp_path / "out" / name
+    mine.parent.mkdir(parents=True)
+    mine.write_text("{}")
+    with pytest.raises(RecipeError, match=f"holds a {re.escape(name)} that no design wrote"):
+        nacre.design(TARGET, tmp_path / "out")
+    assert mine.read_text() == "{}" and len(list((tmp_path / "out").iterdir())) == 1
+
+
+@pytest.mark.full
+def test_another_file_of_the_name_of_one_that_comes_along_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "own.csv").write_text("nm,n,k\n300,2,0\n900,2,0\n")
+    layers = [{"material": {"file": str(tmp_path / "own.csv")}, "thickness_nm": 100.0}]
+    target = {**TARGET, "recipe": {**TARGET["recipe"], "layers": layers}}
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "own.csv").write_text("mine")
+    with pytest.raises(RecipeError, match=r"holds a own.csv that no design wrote"):
+        nacre.design(target, tmp_path / "out")
+    (tmp_path / "out" / "own.csv").unlink()
+    nacre.design(target, tmp_path / "out")
+    (tmp_path / "own.csv").write_text("nm,n,k\n300,1.9,0\n900,1.9,0\n")
+    nacre.design(target, tmp_path / "out")  # the copy is the first design's own
+    assert "1.9" in (tmp_path / "out" / "own.csv").read_text()
+
+
+def test_a_file_in_place_of_the_folder_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "out").write_text("mine")
+    with pytest.raises(RecipeError, match="out: is a file; the answers need a folder"):
+        nacre.design(TARGET, tmp_path / "out")
+    (tmp_path / "t.toml").write_text('family = "film"\nsubstrate = "Si"\nlayers = []\n')
+    assert command(["design", str(tmp_path / "t.toml"), "-o", str(tmp_path / "out")]) == 2
+    assert "is a file; the answers need a folder" in capsys.readouterr().err
+
+
+def test_a_recipe_given_as_a_target_is_told_so(tmp_path: Path) -> None:
+    (tmp_path / "film.toml").write_text('family = "film"\nsubstrate = "Si"\nlayers = []\n')
+    with pytest.raises(RecipeError, match='is a recipe, not a target; write one with recipe = "film.toml"'):
+        nacre.design(tmp_path / "film.toml", tmp_path / "out")
+
+
+def test_the_page_and_the_summary_tell_the_same_seconds(tmp_path: Path) -> None:
+    design = nacre.design(TARGET, tmp_path / "out")
+    told = json.loads((tmp_path / "out" / "design.json").read_text())["seconds"]
+    assert design.seconds == told
+    assert f"answers, {told:.1f} s." in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("limits", [{}, {"layers": "fewest"}])
+def test_a_resumed_search_tells_nothing_worse_than_what_stood(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limits: dict[str, str]
+) -> None:
+    """A search compares by its own route: here one that takes another answer for the best than the judge does."""
+    target: dict[str, Any] = {key: value for key, value in TARGET.items() if key != "free"}
+    target |= {"layers": {"palette": ["SiO2"], "most": 1}, "limits": limits, "search": {"seconds": 1, "solutions": 1}}
+    first = nacre.design(target, tmp_path / "out")
+
+    class Misled:
+        def run(self, *_: object) -> str:
+            return "time"
+
+        def answers(self) -> list[tuple[float, dict[str, Any]]]:
+            return [(0.0, {"layers": [{"material": "SiO2", "thickness_nm": 5.0}]})]
+
+    monkeypatch.setattr(runs, "search_of", lambda target, seed: Misled())
+    again = nacre.design(target, tmp_path / "out", resume=True)
+    assert again.best.worst.distance == first.best.worst.distance
+    assert nacre.design(target, tmp_path / "other").best.worst.distance > first.best.worst.distance
+    assert len(again.solutions) == 1
+
+
+def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(NacreError, match="cannot be made"):
+        nacre.design(TARGET, tmp_path / "file" / "out")
