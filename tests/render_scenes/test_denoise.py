@@ -260,7 +260,6 @@ def test_fine_lines_keep_their_contrast() -> None:
 def test_guides_are_made_in_passes_that_bound_memory_as_the_picture_is(monkeypatch: pytest.MonkeyPatch) -> None:
     from nacre.device.variant import use_variant
     from nacre.picture import passes
-    from nacre.picture.denoise import EVEN_GUIDE_SPP
 
     mi, asked = use_variant(), []
     real = mi.render
@@ -272,7 +271,7 @@ def test_guides_are_made_in_passes_that_bound_memory_as_the_picture_is(monkeypat
     monkeypatch.setattr(mi, "render", noting)
     monkeypatch.setattr(passes, "PASS_SAMPLES", 4 * SIZE[0] * SIZE[1])
     assert render(nacre.material(GOLD), spp=16).stats["denoised"]
-    assert max(asked) <= 4 and sum(asked) == 16 + EVEN_GUIDE_SPP
+    assert max(asked) <= 4 and sum(asked) == 16 + 16
     asked.clear()
     assert render(nacre.material(GOLD), spp=1).stats["denoised"]
     assert sum(asked) == 1 + 4  # guides do not take longer than the picture

@@ -84,7 +84,11 @@ class Bsdf:
     ) -> SpecularResponse:
         """Sum the lobes' delta parts at incidence `theta_rad` (beyond pi/2: light from behind), azimuth `phi_rad`."""
         cos_i = np.cos(np.asarray(theta_rad, dtype=float))
-        parts = [lobe.specular_at(cos_i, phi_rad, uv) for lobe in self.lobes]
+        # a lobe that is one by its methods alone knows no azimuth
+        parts = [
+            lobe.specular_at(cos_i, phi_rad, uv) if isinstance(lobe, Lobe) else lobe.specular(cos_i, uv)
+            for lobe in self.lobes
+        ]
         return SpecularResponse(
             np.sum([p.reflectance for p in parts], axis=0), np.sum([p.transmittance for p in parts], axis=0)
         )

@@ -22,9 +22,7 @@ from numpy.typing import NDArray
 from nacre.matter.jobs import available_jobs, one_thread_each
 from nacre.picture.smooth import smooth
 
-# of the guides, which only need the first hit. Without grain of their own fewer tell the edges: twice as many make the
-# FLIP of a bubble .0279 -> .0277, and take as long as a sample and a half of the picture
-GUIDE_SPP, EVEN_GUIDE_SPP = 16, 8
+GUIDE_SPP = 16  # of the guides, which only need the first hit; 8 would do for edges, not for the albedo of an EXR
 # XYZ -> linear Rec. 2020 (ITU-R BT.2020, white D65)
 TO_RGB = np.array(
     [[1.7166512, -0.3556708, -0.2533663], [-0.6666844, 1.6164812, 0.0157685], [0.0176399, -0.0427706, 0.9421031]]

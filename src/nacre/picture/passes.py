@@ -20,7 +20,7 @@ from nacre.picture import interrupt
 from nacre.picture.bands import Banded
 from nacre.picture.camera import View
 from nacre.picture.cut_out import cut_out, sees_objects
-from nacre.picture.denoise import EVEN_GUIDE_SPP, GUIDE_SPP
+from nacre.picture.denoise import GUIDE_SPP
 from nacre.picture.endless import without_edges
 from nacre.picture.guides import first_hits, guide_tracer, walks, ways_of
 from nacre.picture.paths import DRAWS, can_split, make_paths
@@ -181,9 +181,7 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
         if shot.with_guides and not guides:
             tracer = guide_tracer(stage.mitsuba_scene, ways)
             tracer = evened(tracer, response) if response else tracer
-            samples = min(EVEN_GUIDE_SPP, max(FEWEST_GUIDES, until.spp))
-            if ways.has_grain:
-                samples = min(GUIDE_SPP, GUIDES_A_SAMPLE * until.spp)
+            samples = min(GUIDE_SPP, GUIDES_A_SAMPLE * until.spp if ways.has_grain else max(FEWEST_GUIDES, until.spp))
             seed_of = pass_seed(shot.seed, GUIDES_FROM)
             guides.update(_guides(stage.mitsuba_scene, camera, tracer, seed_of, samples, alike=not ways.draws))
         # of a large picture there is to be no copy more than it takes
