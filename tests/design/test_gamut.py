@@ -106,3 +106,12 @@ def test_a_pearl_is_looked_at_where_its_flakes_show() -> None:
     free = ["strata[0].platelets[0].coatings[0].thickness_nm=40:160"]
     found = nacre.gamut(nacre.material(pearl), free, points=8, samples=64)
     assert found.at == "45as15" and np.ptp(found.lab[:, 1:], axis=0).min() > 20.0
+
+
+def test_words_alone_are_tried_once_each(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    found = nacre.gamut(nacre.material(OXIDE), ["substrate=Si,Al,Ag"], points=30)
+    assert [s["substrate"] for s in found.structures] == ["Si", "Al", "Ag"] and found.possible == 3
+    (tmp_path / "o.toml").write_text(nacre.material(OXIDE).text)
+    assert run(["gamut", str(tmp_path / "o.toml"), "--free", "substrate=Si,Al", "-o", str(tmp_path / "g.json")]) == 0
+    said = capsys.readouterr().out
+    assert "2 points" in said and "stopped" not in said

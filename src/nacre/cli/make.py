@@ -183,6 +183,7 @@ def gamut(
         click.echo(f"  within dE00 {within:g}: {100 * found.share_of_srgb:.1f} % of the colours of sRGB, "
                    f"{100 * found.share_of_optimal:.1f} % of the optimal colours")  # fmt: skip
         tried = len(found.lab) + found.failed
+        points = points if found.possible is None else found.possible
         if tried < points:
             click.echo(f"  stopped after {seconds:g} s: {tried} of {points} points; --seconds gives it more")
         if found.failed:

@@ -28,6 +28,8 @@ DEFAULT_PIXEL_UM = 100.0  # where no size is given
 FORMATS = ("png16", "tiff16", "npy", "csv", "gds", "oas")
 SUFFIXES = {"png16": ".png", "tiff16": ".tif", "npy": ".npy", "csv": ".csv", "gds": ".gds", "oas": ".oas"}
 DEFAULT_LEVELS = 16
+# units that a heading may name where a length is needed: read as nm they would be wrong in silence
+NO_LENGTHS = ("v", "volt", "volts", "a", "s", "min", "kg", "g", "mg", "deg", "percent", "%", "ev", "roughness")
 SAME_LEVEL = 2.0 / LARGEST_GREY  # of the range: as far as a 16-bit map may have rounded one level
 SQUARE = 0.01  # of a pixel's side: how far its two sides may differ
 
@@ -77,6 +79,9 @@ class ProcessCurve:
         Raises:
             NacreError: the curve does not reach them.
         """
+        given = re.split(r"[_(\[\s]+", self.words[1].rstrip(")] ").lower())[-1]
+        if wanted.unit == "nm" and given in NO_LENGTHS:
+            raise NacreError(f'{self.name}: "{self.words[1]}" is no length; {wanted.path} is one, in nm, um or mm')
         low, high = float(self.values.min()), float(self.values.max())
         slack = SAME_LEVEL * (wanted.high - wanted.low)
         least, most = float(wanted.values.min()), float(wanted.values.max())

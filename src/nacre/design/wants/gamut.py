@@ -10,7 +10,7 @@ import functools
 import html
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -66,6 +66,7 @@ class Gamut:
         share_of_srgb: of the colours of sRGB, how many lie within that of a point.
         share_of_optimal: the same of the optimal colours, the limits of MacAdam: all that a reflectance can be.
         failed: points that could not be computed.
+        possible: all that there are where only words and whole numbers are free; None: without end.
     """
 
     at: str
@@ -78,6 +79,7 @@ class Gamut:
     share_of_srgb: float
     share_of_optimal: float
     failed: int
+    possible: int | None = None
 
     def document(self) -> dict[str, Any]:
         """Return it as JSON can hold it."""
@@ -196,7 +198,8 @@ def gamut_of_free(
     if not len(factors):
         raise NacreError(f"{material.context.source}: no point of the gamut can be computed")
     structures = [values_at(numbers, place) for place in places]
-    return gamut_of(factors, grid, structures, str(at), illuminant, observer, within, failed)
+    found = gamut_of(factors, grid, structures, str(at), illuminant, observer, within, failed)
+    return replace(found, possible=len(every) if (every := _every_place(numbers, points)) else None)
 
 
 def gamut_of(
@@ -245,6 +248,8 @@ def _draw(
     places = list(qmc.Sobol(len(numbers), scramble=True, rng=np.random.default_rng(seed)).random(_power(even))[:even])
     own = own_place(numbers, material)
     places[:0] = [own] if own is not None else []
+    if every := _every_place(numbers, points):
+        places, points = every, len(every)
     generator = np.random.default_rng([seed, 4])
     white, weights = white_xyz(*light), xyz_weights(grid, *light)
     kept: list[Array] = []
@@ -267,6 +272,20 @@ def _draw(
         if progress is not None:
             progress(done, points)
     return kept, np.array(factors), failed
+
+
+def _every_place(numbers: Sequence[Free], most: int) -> list[Array]:
+    """Return each combination of words and whole numbers once; none where other numbers are free, or of too many."""
+    if not all(n.choices or n.is_whole for n in numbers):
+        return []
+    counts = [len(n.choices) if n.choices else int(n.high - n.low) + 1 for n in numbers]
+    if np.prod(counts, dtype=float) > most:
+        return []
+    return [
+        np.array([(pick + 0.5) / count if n.choices else pick / max(count - 1, 1)
+                  for n, pick, count in zip(numbers, picks, counts, strict=True)])
+        for picks in np.ndindex(*counts)
+    ]  # fmt: skip
 
 
 def _power(count: int) -> int:

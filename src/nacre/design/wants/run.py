@@ -228,7 +228,7 @@ def _finish(
         is_late = time.monotonic() - begun > spec.search.seconds
         if number >= surely and (is_late or ended == "interrupted"):
             break  # the others are kept in the search's state
-        solution = _judged(target, changes, 0.5 * left / len(chosen), LEAST_SENSITIVITY_S if number == 0 else 0.0)
+        solution = judged(target, changes, 0.5 * left / len(chosen), LEAST_SENSITIVITY_S if number == 0 else 0.0)
         if solution is not None:
             _take(solutions, solution, target)
     if not solutions:
@@ -277,8 +277,8 @@ def _layers(solution: Solution) -> int:
     return len(solution.material.data.get("layers", ()))
 
 
-def _judged(target: Target, changes: dict[str, Any], seconds: float, least: float) -> Solution | None:
-    """Return an answer as its recipe shows it; None where it cannot be computed.
+def judged(target: Target, changes: dict[str, Any], seconds: float, least: float) -> Solution | None:
+    """Return an answer as its recipe shows it, with its yield and sensitivity; None where it cannot be computed.
 
     Args:
         seconds: for all.
@@ -392,4 +392,4 @@ def _document(solution: Solution, target: Target) -> dict[str, Any]:
     }
 
 
-__all__ = ["Design", "Solution", "WantsProgress", "run"]
+__all__ = ["Design", "Solution", "WantsProgress", "judged", "run", "search_of"]
