@@ -28,9 +28,10 @@ of 4096 x 4096 took 2.3 GB, it was 6, and 336 CPU s, most of them the denoiser's
 halo's .87, of which its reference of 2,560 samples does not know .68; no firefly. Against one of 4,096 samples three
 seeds give .55, .50 and .49, their mean .16 from that of the raw pictures: noise for the most part. The bubble's
 reference and that of silver under the sky have 1,536 and 2,560 samples; a thousand more of the first took 132 CPU s.
-With texture in single precision and guides of 8 samples (taken back since: the albedo of an EXR needs 16) (both under load) the bubble takes 10.3 CPU s to .03, silver
-9.3 of 22 samples; other scenes were not run again. Bragg's tracer loses to Mitsuba's by the roulette between matt
-surfaces (.0273 and .0242 raw at 64 samples), which pays where the denoiser follows.
+With texture in single precision and guides of 8 samples (both under load) the bubble takes 10.3 CPU s to .03, silver
+9.3 of 22 samples; the guides have 16 again, .5 CPU s more, since the albedo of an EXR needs them; other scenes were not
+run again. Bragg's tracer loses to Mitsuba's by the roulette between matt surfaces (.0273 and .0242 raw at 64 samples),
+which pays where the denoiser follows.
 """
 
 from __future__ import annotations
