@@ -33,9 +33,8 @@ def design(target: str, output: str | None, resume: bool, as_json: bool) -> None
     from nacre.files import check_writable
 
     folder = Path(output) if output else Path(Path(target).stem)
-    if folder.exists() and not folder.is_dir():
-        raise NacreError(f"-o {folder}: is a file; the answers need a folder")
-    check_writable(folder / "x") if folder.exists() else check_writable(folder)
+    if not folder.exists():
+        check_writable(folder)
     jobs = os.environ.get("NACRE_JOBS")
     with _Screen() as screen:
         result = run(target, folder, resume, screen.show, int(jobs) if jobs else None)
@@ -131,7 +130,7 @@ class _Screen:
     "--at",
     default=None,
     help="Where it is seen: specular T, transmitted T, diffuse T, hemispherical T or IasA. Default: specular 0; of a "
-    "pearl 45as15, of a photonic glass 45as45.",
+    "pearl or relief 45as15, of a photonic glass 45as45; the next of these where the recipe does not answer it.",
 )
 @click.option("--points", type=click.IntRange(8, 1_000_000), default=1000, show_default=True, help="Materials tried.")
 @click.option(
