@@ -8,9 +8,12 @@ from typing import Any
 
 from nacre.design.wants.target import is_wants, seeks_heights
 from nacre.errors import RecipeError
-from nacre.files import named, read_text
+from nacre.files import check_room, named, read_text
 from nacre.materials.examples import or_example
 from nacre.recipe.toml import parse_toml
+
+DICTIONARY = "target"  # the folder's name where the target has none
+NEED_BYTES = 8_000_000  # of a folder's disk: answers, pictures, report
 
 
 def run(
@@ -41,6 +44,7 @@ def run(
     """
     if not isinstance(target, Mapping):
         target = or_example(named(target))
+    check_room(out if out is not None else DICTIONARY if isinstance(target, Mapping) else target.stem, NEED_BYTES)
     data = target if isinstance(target, Mapping) else parse_toml(read_text(target, "target"), str(target))
     if is_wants(data) and seeks_heights(data):
         from nacre.design.wants.reliefs import run_relief as run_heights

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import json
+import os
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -230,6 +231,8 @@ def check_folder(out: Path, start: Material, solutions: int = 1) -> None:
     earlier = _earlier(out)
     names = [] if earlier is not None else [*WRITTEN, *(f"{n}/{RECIPE}" for n in range(2, solutions + 1))]
     foreign = [name for name in names if (out / name).exists()]
+    later = [folder_of(out, number) for number in range(2, solutions + 1)]
+    foreign += [folder.name for folder in later if os.path.lexists(folder) and not folder.is_dir()]
     for file in start.context.reached:
         beside = out / file.name
         is_another = beside.exists() and beside.resolve() != file and file_digest(beside) != file_digest(file)
