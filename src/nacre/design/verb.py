@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from nacre.design.wants.answers import NEED_BYTES
 from nacre.design.wants.target import is_wants, seeks_heights
 from nacre.errors import RecipeError
 from nacre.files import check_room, named, read_text
@@ -13,7 +14,6 @@ from nacre.materials.examples import or_example
 from nacre.recipe.toml import parse_toml
 
 DICTIONARY = "target"  # the folder's name where the target has none
-NEED_BYTES = 8_000_000  # of a folder's disk: answers, pictures, report
 
 
 def run(

@@ -23,6 +23,7 @@ from nacre.recipe.toml import dump_toml, edit_toml, parse_toml
 
 RECIPE = "recipe.toml"
 SUMMARY = "design.json"
+NEED_BYTES = 8_000_000  # of a folder's disk: answers, pictures, report
 WRITTEN = (RECIPE, SUMMARY, "report.html", "report.png", "search.json")  # beside the best answer
 
 
