@@ -1,5 +1,7 @@
 """The search of what takes long: metasurfaces from their mirror and diffuse colours."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -61,3 +63,27 @@ def test_a_hidden_metasurface_is_found_from_mirror_and_diffuse_colours():
     assert search.run(50.0, None, []) == "met"
     reached, _ = judge(target.material.vary(search.answers()[0][1]), target.wants, target.spec.light)
     assert max(r.distance for r in reached) <= 1.5
+
+
+def test_what_judging_will_take_is_kept_back():
+    """Of a candidate that takes long: the deadline comes the sooner, and nobody settles who has no time for it."""
+    want = {"at": "specular 0", "lab": [50, 0, 0]}
+    target = read_target({"recipe": START, "free": {"particle.radius_nm": [50, 90]}, "want": [want]})
+    search = search_of(target, 0)
+    looks = []
+
+    def look(place, eye):
+        eye.seconds = 0.5  # for one look on few wavelengths
+        looks.append(len(eye.grid))
+
+    search._look = look
+    begun = time.monotonic()
+    search._deadline = begun + 10.0
+    search._keep_time(10.0)
+    judging = 0.5 * len(search.fine.grid) / len(search.few.grid)
+    assert looks == [len(search.few.grid)]
+    assert search._deadline - begun == pytest.approx(10.0 - min(max(judging - 2.5, 0.0), 5.0))
+    search._deadline = time.monotonic() + 1.9 * judging
+    assert not search._can_settle()
+    search._deadline = time.monotonic() + 2.5 * judging
+    assert search._can_settle()

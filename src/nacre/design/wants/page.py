@@ -15,7 +15,7 @@ from nacre.arrays import Array
 from nacre.design.wants.answers import Solution
 from nacre.design.wants.dropping import is_chosen
 from nacre.design.wants.gamut import gamut_chart, gamut_svg
-from nacre.design.wants.geometry import At, search_wavelengths, see
+from nacre.design.wants.geometry import At, judge_wavelengths, search_wavelengths, see
 from nacre.design.wants.judge import Reached, rows_of
 from nacre.design.wants.making import RMS_OF_1_PERCENT
 from nacre.design.wants.reach import reach_of_or_none
@@ -97,7 +97,8 @@ def sheet_of(target: Target, solution: Solution, number: int, design: Any) -> De
 
     light = target.spec.light
     made, seed = solution.material, target.spec.search.seed
-    grid = search_wavelengths(made, light.illuminants)
+    # of what was judged, bodies that take long are solved already
+    grid = (judge_wavelengths if made.model.is_direct else search_wavelengths)(made, light.illuminants)
     rows = rows_of(target.wants)
     angles, ribbon_rows, label = _ribbon(rows[0], made)
     seen = see(made, [*rows, *ribbon_rows], grid, seed=seed, memory={})

@@ -284,13 +284,15 @@ def judged(target: Target, changes: dict[str, Any], seconds: float, least: float
         seconds: for all.
         least: seconds that its sensitivity gets in any case.
     """
-    spec = target.spec
+    spec, begun = target.spec, time.monotonic()
     try:
         made = target.material.vary(changes)
         wants, seen = judge(made, target.wants, spec.light, seed=spec.search.seed, seconds=0.5 * seconds)
     except NacreError:
         return None
     facts: dict[str, Any] = {}
+    if made.model.is_direct and time.monotonic() - begun > seconds:
+        return Solution(None, made, changes, wants, _thickness(made))  # two more looks for each number would come late
     with contextlib.suppress(NacreError):
         paths = [p for p in numbers_of(made.data) if is_chosen(p, changes, target.free) and made.get(p)]
         asked = (target.wants, spec.light, spec.search.seed)
@@ -298,9 +300,11 @@ def judged(target: Target, changes: dict[str, Any], seconds: float, least: float
         if spec.spread:
             spreads = spreads_of(spec.spread, made, target.context.source)
             facts["yield"] = yield_of(made, spreads, *asked, 0.3 * seconds, seen)
-    if total := total_nm(made):
-        facts["total_nm"] = total
-    return Solution(None, made, changes, wants, facts)
+    return Solution(None, made, changes, wants, facts | _thickness(made))
+
+
+def _thickness(made: Material) -> dict[str, Any]:
+    return {"total_nm": total} if (total := total_nm(made)) else {}
 
 
 def as_judged(start: Material, changes: Mapping[str, Any]) -> dict[str, Any]:

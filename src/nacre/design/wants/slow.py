@@ -41,6 +41,9 @@ WEIGHTINGS = 2
 ENOUGH = 0.5  # of what ends the search: a descent that is so near goes no further
 NEARLY = 0.7  # of `within`: who comes so near on few wavelengths is settled at once
 DISTURBANCE = 0.15
+FEWEST_FINE = 2  # looks of the judge, below which a descent stays on few wavelengths
+KEPT_FOR_IT = 0.25  # of the search's time: so much is kept for judging in any case, by who gives it its time
+MOST_KEPT = 0.5  # of the search's time
 
 
 @dataclass
@@ -51,6 +54,7 @@ class _Eye:
     goals: Goals
     is_rough: bool = False
     memory: dict[Any, Any] = field(default_factory=dict)
+    seconds: float = 0.0  # of the last look
 
 
 class SlowSearch(GeneralSearch):
@@ -88,6 +92,7 @@ class SlowSearch(GeneralSearch):
         begun = time.monotonic()
         self._deadline, self._tell = begun + seconds, tell
         try:
+            self._keep_time(seconds)
             turn = 0
             while True:
                 turn += 1
@@ -102,12 +107,24 @@ class SlowSearch(GeneralSearch):
         except KeyboardInterrupt:
             return "interrupted"
 
+    def _keep_time(self, seconds: float) -> None:
+        """End the sooner, the longer one look of the judge takes: what follows the search needs one or more."""
+        own = own_place(self.free, self.material)
+        self._look(np.full(len(self.free), 0.5) if own is None else own, self.few)
+        judging = self.few.seconds * len(self.fine.grid) / len(self.few.grid)
+        self._deadline -= min(max(judging - KEPT_FOR_IT * seconds, 0.0), MOST_KEPT * seconds)
+
+    def _can_settle(self) -> bool:
+        """Whether there is time for some looks on the wavelengths of the judge."""
+        need = FEWEST_FINE * self.few.seconds * len(self.fine.grid) / len(self.few.grid)
+        return time.monotonic() + need < self._deadline
+
     def _look(self, place: Array, eye: _Eye) -> Array | None:
         """Return the residuals of a place, and note it where it is the best; None where it cannot be computed."""
         if time.monotonic() > self._deadline and (np.isfinite(self.best) or self.evaluations >= LAST_TRIES):
             raise TimeIsUp
         self.evaluations += not eye.is_rough
-        values = values_at(self.free, place)
+        values, begun = values_at(self.free, place), time.monotonic()
         try:
             made = self.made(values)
             seen = see(made, self.rows, eye.grid, seed=self.seed, memory=eye.memory, is_rough=eye.is_rough)
@@ -116,6 +133,7 @@ class SlowSearch(GeneralSearch):
             residuals = np.asarray(eye.goals.residuals(spectra))
         except (NacreError, ArithmeticError):
             return None
+        eye.seconds = time.monotonic() - begun
         if not (np.isfinite(objective) and np.isfinite(residuals).all()):
             return None
         if eye is self.fine and not self.is_fine_known:
@@ -193,6 +211,8 @@ class SlowSearch(GeneralSearch):
         """Take a descent to its end, on the wavelengths of the judge; then weigh more what is met worst."""
         self._descend(run, self.few, TRIES_TO_SETTLE)
         if self.few is not self.fine:
+            if not self._can_settle():
+                return
             seen = self._look(run.place, self.fine)
             if seen is None:
                 return
