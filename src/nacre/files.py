@@ -173,8 +173,8 @@ def named(path: str | Path) -> Path:
         raise NacreError(f"{path!r:.80} is not a path; give the name of a file") from None
     try:
         os.path.lexists(_nameable(given)) or os.stat(given)
-    except FileNotFoundError:
-        pass
+    except (FileNotFoundError, NotADirectoryError):
+        pass  # who reads or writes says which
     except OSError as error:
         raise NacreError(f"{given!r:.80}: cannot be the name of a file: {error.strerror}") from None
     return Path(given)

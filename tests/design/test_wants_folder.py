@@ -129,5 +129,5 @@ def test_a_resumed_search_tells_nothing_worse_than_what_stood(
 
 def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(NacreError, match="cannot be made"):
+    with pytest.raises(NacreError, match="file is a file; the answers need a folder"):
         nacre.design(TARGET, tmp_path / "file" / "out")

@@ -11,6 +11,7 @@ import click
 from nacre.cli import common
 from nacre.errors import NacreError
 
+LONG_COMPILE_S = 3.0  # of compiling, from where it is told
 MOST_TOLD = 20  # colours of many, a line each
 TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "npy", "sheet")
 
@@ -128,17 +129,29 @@ class _Screen:
     def __init__(self) -> None:
         from rich.console import Console
 
+        self._has_told = False
         self._console = Console(stderr=True)
         self._status = self._console.status("designing") if self._console.is_terminal else None
 
     def __enter__(self) -> _Screen:
+        from nacre.matter.jit import hearing
+
+        self._ear = hearing(self._tell_compiling)
+        self._ear.__enter__()
         if self._status:
             self._status.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._ear.__exit__(None, None, None)
         if self._status:
             self._status.stop()
+
+    def _tell_compiling(self, seconds: float) -> None:
+        """Say once what a first run waits for."""
+        if seconds > LONG_COMPILE_S and not self._has_told:
+            self._has_told = True
+            common.note("compiling what this machine has not run yet; later runs find it ready")
 
     def count(self, done: int, total: int) -> None:
         """Show how many of many designs are done."""

@@ -129,7 +129,8 @@ def _number(cell: str) -> float | None:
 
 def _columns(heading: Sequence[str], wants: int, where: str) -> tuple[int | None, list[int]]:
     """Return the column of names, if any, and those of L, a, b, want by want."""
-    words = [re.sub(r"[(\[].*|[^a-z0-9]+", "", cell.lower()) for cell in heading]  # without lamp and observer
+    without = [re.split(r"[(\[]", cell.lower())[0] for cell in heading]  # lamp and observer
+    words = [re.sub(r"[^a-z0-9]+", "", cell) for cell in without]
     found: dict[str, int] = {}
     for place, word in enumerate(words):
         match = _COLUMN.fullmatch(word)
