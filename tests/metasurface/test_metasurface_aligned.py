@@ -1,6 +1,7 @@
 """Particles that all point one way: known particles by this route, turns, other codes, energy, reciprocity."""
 
 import dataclasses
+import importlib.util
 from functools import cache
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from helpers_metasurface import monolayer, surface, t_matrix
 
+import nacre
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.contract import SpecularResponse
 from nacre.bsdf.directions import direction
@@ -38,6 +40,8 @@ OTHER_CODE = 1e-6
 EXPANDED = 2e-3  # of the largest far field: multipoles up to 5 about the middle of two spheres that reach 100 nm
 LINES = 1e-2  # of the root mean square: what 64 angles leave over a film, twice the bar of tables of 120
 QCA_ENERGY = 1e-2  # the mean field's own, see the physics note, section 7
+ROOT = Path(__file__).parents[2]
+EXAMPLE, TOOL = ROOT / "examples" / "metasurface" / "silver_rods.toml", ROOT / "tools" / "lying_rods.py"
 FILE = Path(__file__).with_name("dimer.tmat.h5")
 RADII, APART, INDEX = (50.0, 38.0), 100.0, 4.0 + 0.05j  # of the two spheres of the file, the larger one at -x
 LENGTH, HEIGHT = APART + 2 * RADII[0], 2 * RADII[0]
@@ -402,3 +406,33 @@ def test_a_file_is_written_and_read_the_same(tmp_path):
     treams = pytest.importorskip("treams.io").treams
     theirs, ours = (treams.io.load_hdf5(str(p))[0] for p in (FILE, tmp_path / "again.tmat.h5"))
     assert np.abs(np.asarray(theirs) - np.asarray(ours)).max() <= 1e-15
+
+
+# -- the example ------------------------------------------------------------------------------------------
+
+
+def test_the_rods_of_the_example_lie_along_u_until_they_are_turned():
+    """At the normal the light that swings along them, p of the plane of u, meets their long resonance; s does not."""
+    rods = nacre.load(EXAMPLE)
+    seen = {
+        (turn, pol): rods.vary({"particle.turn_deg": turn}).model.spectrum([0.0], np.array([640.0]), pol)
+        for turn in (0.0, 90.0)
+        for pol in "sp"
+    }
+    mirror = {key: float(one.specular_reflectance[0, 0]) for key, one in seen.items()}
+    assert mirror[0.0, "p"] > 2 * mirror[0.0, "s"]
+    assert mirror[90.0, "s"] == pytest.approx(mirror[0.0, "p"], abs=SAME)
+    assert mirror[90.0, "p"] == pytest.approx(mirror[0.0, "s"], abs=SAME)
+
+
+def test_the_example_s_file_is_what_its_tool_writes_and_a_turned_upright_rod():
+    spec = importlib.util.spec_from_file_location("lying_rods", TOOL)
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    nm = np.array([640.0])
+    again = tool.lying_spheroid(tool.LENGTH_NM, tool.WIDTH_NM, "Ag", tool.FILM_INDEX, nm, tool.ORDER)
+    held = read_tmatrices(EXAMPLE.with_name("silver_rods.tmat.h5"), is_aligned=True)
+    at = int(np.argmin(np.abs(held.wavelengths_nm - 640.0)))
+    assert np.abs(held.whole[at] - again.whole[0]).max() <= 2 * tool.KEPT * np.abs(held.whole).max()
+    upright = spread(again.blocks[0], multipole_index(tool.ORDER))
+    assert np.abs(tilted_whole(again.whole[0], -np.pi / 2) - upright).max() <= 1e-7 * np.abs(upright).max()
