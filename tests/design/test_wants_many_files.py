@@ -107,6 +107,11 @@ def test_each_row_is_an_answer_and_second_runs_keep_what_stands(
     assert [row["met"] for row in table] == ["yes", "yes", "yes", "no"]
     for row, told in zip(summary["rows"], table, strict=True):
         made = nacre.load(tmp_path / "o" / row["folder"])
+        assert (
+            row["total_nm"]
+            == pytest.approx(made.get("layers[0].thickness_nm"))
+            == pytest.approx(float(told["total_nm"]), abs=0.01)
+        )
         assert made.get("layers[0].thickness_nm") == pytest.approx(float(told["layers[0].thickness_nm"]), rel=1e-5)
         seen = nacre.gamut(made, ["layers[0].thickness_nm=60:160"], points=8).lab[0]  # of its own number
         np.testing.assert_allclose(seen, row["wants"][0]["reached"]["lab"], atol=0.3)  # by another grid

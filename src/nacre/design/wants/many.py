@@ -14,6 +14,7 @@ from nacre.design.wants.answers import Solution
 from nacre.design.wants.films import film_search_many
 from nacre.design.wants.judge import judge
 from nacre.design.wants.labs_file import LabRow, lab_rows
+from nacre.design.wants.limits import total_nm
 from nacre.design.wants.many_folder import ManyFolder
 from nacre.design.wants.run import CLOSING_SHARE, judged, search_of
 from nacre.design.wants.target import Target, read_data, read_target, seeks_heights
@@ -132,7 +133,8 @@ def _solve(
             one = targets[number]
             made = one.material.vary(changes)
             wants, _ = judge(made, one.wants, one.spec.light, seed=one.spec.search.seed)
-            take(number, Solution(None, made, changes, wants))
+            total = total_nm(made)
+            take(number, Solution(None, made, changes, wants, {"total_nm": total} if total else {}))
 
     is_plain = not target.spec.spread and target.spec.limits.layers is None  # else a search that knows of them
     if is_plain and film_search_many(target, targets, which, judge_stack):

@@ -43,7 +43,7 @@ WRITE_EVERY_S = 2.0
 # kept back from the time for judging and the report
 CLOSING_SHARE, CLOSING_S, CLOSING_OF_EACH_S = 0.3, 3.0, 0.6
 LEAST_PAGE_S, LEAST_SENSITIVITY_S = 1.0, 0.5
-LEAST_SEARCH = 0.4  # of the time, whatever was compiled before it began
+LEAST_SEARCH = 0.25  # of the time, whatever was compiled before it began
 RESUMED_SEED = 1_000_003  # a search that goes on draws anew
 
 
