@@ -51,7 +51,7 @@ LARGEST_TEXTURE = 1.0  # likewise, of the light of the cleaned pixel: a firefly 
 # fireflies are many, two halves meet some in the same place
 BEYOND_CHANCE, ABOUT = 6.0, 5.0
 SURE = 0.5  # shares below this may be chance and count for less: grain would come back where there is no texture
-CHANCE = 0.5  # standard errors up to which an excess over the noise is chance; from twice as many it counts in full
+CHANCE = 0.25  # standard errors up to which an excess over the noise is chance; from twice as many it counts in full
 # fourth moment over the second squared: of normal noise, whose chance counts as above, that of longer tails for more,
 # by their ratio (light that a bubble throws on its floor came back as specks); from where to where texture fades out
 NORMAL_TAILS, TAILS = 3.0, (20.0, 40.0)
