@@ -1,11 +1,12 @@
 """The search of what takes long: metasurfaces from their mirror and diffuse colours."""
 
-import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import nacre
+from nacre.design.wants import slow
 from nacre.design.wants.broyden import Descent, step_of
 from nacre.design.wants.geometry import At, see
 from nacre.design.wants.judge import judge
@@ -45,6 +46,28 @@ def test_a_step_that_leans_against_its_bound_stays_there():
     assert step_of(run, np.ones(2), [0, 1])[0] == 0.0
 
 
+@pytest.mark.parametrize("of_one_s", [0.05, 0.3])
+def test_a_search_leaves_the_time_to_judge_what_takes_long(of_one_s, monkeypatch):
+    """By a clock that only looks move: each wavelength of a new body costs as much, and who judges sees all of them."""
+    clock = [0.0]
+
+    def seen(made, rows, grid, **_):
+        clock[0] += of_one_s * len(grid)
+        return SimpleNamespace(factors=np.full((len(rows), len(grid)), 0.1 + 1e-3 * made.get("particle.radius_nm")))
+
+    target = _target(nacre.material(START), {"particle.radius_nm": [58, 62]}, 60)
+    search = search_of(target, 0)
+    assert isinstance(search, SlowSearch) and search.kept_s == pytest.approx(18.0)
+    search.kept_s = 3.0
+    monkeypatch.setattr(slow, "see", seen)
+    monkeypatch.setattr(slow, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    assert search.run(60.0, None, []) == "time"
+    judging = of_one_s * len(search.fine.grid)
+    assert np.isfinite(search.best) and search.evaluations >= 5
+    assert clock[0] + max(judging - 3.0, 0.0) <= 60.0
+    assert clock[0] + max(judging - 3.0, 0.0) > 60.0 - 2 * judging  # and does not end long before
+
+
 @pytest.mark.full
 def test_a_search_that_is_over_before_it_began_still_has_an_answer():
     hidden = nacre.material(START)
@@ -63,27 +86,3 @@ def test_a_hidden_metasurface_is_found_from_mirror_and_diffuse_colours():
     assert search.run(50.0, None, []) == "met"
     reached, _ = judge(target.material.vary(search.answers()[0][1]), target.wants, target.spec.light)
     assert max(r.distance for r in reached) <= 1.5
-
-
-def test_what_judging_will_take_is_kept_back():
-    """Of a candidate that takes long: the deadline comes the sooner, and nobody settles who has no time for it."""
-    want = {"at": "specular 0", "lab": [50, 0, 0]}
-    target = read_target({"recipe": START, "free": {"particle.radius_nm": [50, 90]}, "want": [want]})
-    search = search_of(target, 0)
-    looks = []
-
-    def look(place, eye):
-        eye.seconds = 0.5  # for one look on few wavelengths
-        looks.append(len(eye.grid))
-
-    search._look = look
-    begun = time.monotonic()
-    search._deadline = begun + 10.0
-    search._keep_time(10.0)
-    judging = 0.5 * len(search.fine.grid) / len(search.few.grid)
-    assert looks == [len(search.few.grid)]
-    assert search._deadline - begun == pytest.approx(10.0 - min(max(judging - 2.5, 0.0), 5.0))
-    search._deadline = time.monotonic() + 1.9 * judging
-    assert not search._can_settle()
-    search._deadline = time.monotonic() + 2.5 * judging
-    assert search._can_settle()

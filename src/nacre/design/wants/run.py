@@ -43,6 +43,7 @@ WRITE_EVERY_S = 2.0
 # kept back from the time for judging and the report
 CLOSING_SHARE, CLOSING_S, CLOSING_OF_EACH_S = 0.3, 3.0, 0.6
 LEAST_PAGE_S, LEAST_SENSITIVITY_S = 1.0, 0.5
+DEAR_S = 2.0  # for two looks: what takes longer is told how it moves the looks only where there is time
 LEAST_SEARCH = 0.25  # of the time, whatever was compiled before it began
 RESUMED_SEED = 1_000_003  # a search that goes on draws anew
 
@@ -130,7 +131,10 @@ def search_of(target: Target, seed: int) -> Search:
 
 def _general(target: Target, seed: int) -> Search:
     asked = (target.material, target.free, target.wants, target.spec.light, seed, target.spec.search.solutions)
-    search = slow_search(*asked) or GeneralSearch(*asked)
+    slow = slow_search(*asked)
+    if slow is not None:
+        slow.kept_s = CLOSING_SHARE * target.spec.search.seconds
+    search = slow or GeneralSearch(*asked)
     search.most_nm = target.spec.limits.total_nm
     return search
 
@@ -225,7 +229,8 @@ def _finish(
     surely = 1 + (stood is not None)
     solutions: list[Solution] = []
     for number, changes in enumerate(chosen):
-        is_late = time.monotonic() - begun > spec.search.seconds
+        last_s = solutions[-1].facts.get("judging_s", 0.0) if solutions else 0.0
+        is_late = time.monotonic() - begun + last_s > spec.search.seconds
         if number >= surely and (is_late or ended == "interrupted"):
             break  # the others are kept in the search's state
         solution = judged(target, changes, 0.5 * left / len(chosen), LEAST_SENSITIVITY_S if number == 0 else 0.0)
@@ -284,27 +289,26 @@ def judged(target: Target, changes: dict[str, Any], seconds: float, least: float
         seconds: for all.
         least: seconds that its sensitivity gets in any case.
     """
-    spec, begun = target.spec, time.monotonic()
+    spec = target.spec
+    begun = time.monotonic()
     try:
         made = target.material.vary(changes)
         wants, seen = judge(made, target.wants, spec.light, seed=spec.search.seed, seconds=0.5 * seconds)
     except NacreError:
         return None
-    facts: dict[str, Any] = {}
-    if made.model.is_direct and time.monotonic() - begun > seconds:
-        return Solution(None, made, changes, wants, _thickness(made))  # two more looks for each number would come late
+    took = time.monotonic() - begun
+    facts: dict[str, Any] = {"judging_s": took}
     with contextlib.suppress(NacreError):
         paths = [p for p in numbers_of(made.data) if is_chosen(p, changes, target.free) and made.get(p)]
         asked = (target.wants, spec.light, spec.search.seed)
-        facts["sensitivity"] = sensitivity(made, paths, *asked, max(0.2 * seconds, least), seen)
+        if 2.0 * took <= max(0.2 * seconds, DEAR_S) or made.model.is_quick:
+            facts["sensitivity"] = sensitivity(made, paths, *asked, max(0.2 * seconds, least), seen)
         if spec.spread:
             spreads = spreads_of(spec.spread, made, target.context.source)
             facts["yield"] = yield_of(made, spreads, *asked, 0.3 * seconds, seen)
-    return Solution(None, made, changes, wants, facts | _thickness(made))
-
-
-def _thickness(made: Material) -> dict[str, Any]:
-    return {"total_nm": total} if (total := total_nm(made)) else {}
+    if total := total_nm(made):
+        facts["total_nm"] = total
+    return Solution(None, made, changes, wants, facts)
 
 
 def as_judged(start: Material, changes: Mapping[str, Any]) -> dict[str, Any]:

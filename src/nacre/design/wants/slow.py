@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -41,20 +42,18 @@ WEIGHTINGS = 2
 ENOUGH = 0.5  # of what ends the search: a descent that is so near goes no further
 NEARLY = 0.7  # of `within`: who comes so near on few wavelengths is settled at once
 DISTURBANCE = 0.15
-FEWEST_FINE = 2  # looks of the judge, below which a descent stays on few wavelengths
-KEPT_FOR_IT = 0.25  # of the search's time: so much is kept for judging in any case, by who gives it its time
-MOST_KEPT = 0.5  # of the search's time
+REMEMBERED = 5  # looks whose time is remembered: the next one is taken to last as long as their median
 
 
 @dataclass
 class _Eye:
-    """Wavelengths, and the goals on them."""
+    """Wavelengths, and the goals on them; `took_s`: how long the last looks lasted."""
 
     grid: Array
     goals: Goals
     is_rough: bool = False
     memory: dict[Any, Any] = field(default_factory=dict)
-    seconds: float = 0.0  # of the last look
+    took_s: deque[float] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
 
 
 class SlowSearch(GeneralSearch):
@@ -81,6 +80,7 @@ class SlowSearch(GeneralSearch):
         self.few = eye(FEW_NM) if is_coarse else self.fine
         self.rough = eye(ROUGH_NM if is_coarse else fine, True)
         self.is_fine_known = False  # whether `best` is one of the fine wavelengths
+        self.kept_s = 0.0  # that whoever judges the answers has of its own
 
     def run(
         self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None = None,
@@ -92,7 +92,6 @@ class SlowSearch(GeneralSearch):
         begun = time.monotonic()
         self._deadline, self._tell = begun + seconds, tell
         try:
-            self._keep_time(seconds)
             turn = 0
             while True:
                 turn += 1
@@ -107,24 +106,13 @@ class SlowSearch(GeneralSearch):
         except KeyboardInterrupt:
             return "interrupted"
 
-    def _keep_time(self, seconds: float) -> None:
-        """End the sooner, the longer one look of the judge takes: what follows the search needs one or more."""
-        own = own_place(self.free, self.material)
-        self._look(np.full(len(self.free), 0.5) if own is None else own, self.few)
-        judging = self.few.seconds * len(self.fine.grid) / len(self.few.grid)
-        self._deadline -= min(max(judging - KEPT_FOR_IT * seconds, 0.0), MOST_KEPT * seconds)
-
-    def _can_settle(self) -> bool:
-        """Whether there is time for some looks on the wavelengths of the judge."""
-        need = FEWEST_FINE * self.few.seconds * len(self.fine.grid) / len(self.few.grid)
-        return time.monotonic() + need < self._deadline
-
     def _look(self, place: Array, eye: _Eye) -> Array | None:
         """Return the residuals of a place, and note it where it is the best; None where it cannot be computed."""
-        if time.monotonic() > self._deadline and (np.isfinite(self.best) or self.evaluations >= LAST_TRIES):
+        if self._is_late(eye) and (np.isfinite(self.best) or self.evaluations >= LAST_TRIES):
             raise TimeIsUp
         self.evaluations += not eye.is_rough
-        values, begun = values_at(self.free, place), time.monotonic()
+        values = values_at(self.free, place)
+        begun = time.monotonic()
         try:
             made = self.made(values)
             seen = see(made, self.rows, eye.grid, seed=self.seed, memory=eye.memory, is_rough=eye.is_rough)
@@ -133,7 +121,7 @@ class SlowSearch(GeneralSearch):
             residuals = np.asarray(eye.goals.residuals(spectra))
         except (NacreError, ArithmeticError):
             return None
-        eye.seconds = time.monotonic() - begun
+        eye.took_s.append(time.monotonic() - begun)
         if not (np.isfinite(objective) and np.isfinite(residuals).all()):
             return None
         if eye is self.fine and not self.is_fine_known:
@@ -146,6 +134,20 @@ class SlowSearch(GeneralSearch):
         if self._tell is not None:
             self._tell(self.best, self.best_values)
         return residuals
+
+    def _is_late(self, eye: _Eye) -> bool:
+        """Whether a look would end after the time, or leave too little of it for a judgement of what was found.
+
+        A body that is no sphere costs seconds, each wavelength anew, and who judges looks at all of them.
+        """
+        times = [(each, float(np.median(each.took_s))) for each in (eye, self.few, self.rough) if each.took_s]
+        if not times:
+            return time.monotonic() > self._deadline
+        known, took = times[0]
+        of_one = took / len(known.grid)
+        judging = of_one * len(self.fine.grid)
+        needed = of_one * len(eye.grid) + max(judging - self.kept_s, 0.0)
+        return time.monotonic() + needed > self._deadline
 
     def _draws(self, turn: int, until: float, known: Sequence[Mapping[str, Any]]) -> list[Descent]:
         """Look at even draws roughly, at the best, the recipe's own place and known answers again; return starts."""
@@ -211,8 +213,6 @@ class SlowSearch(GeneralSearch):
         """Take a descent to its end, on the wavelengths of the judge; then weigh more what is met worst."""
         self._descend(run, self.few, TRIES_TO_SETTLE)
         if self.few is not self.fine:
-            if not self._can_settle():
-                return
             seen = self._look(run.place, self.fine)
             if seen is None:
                 return

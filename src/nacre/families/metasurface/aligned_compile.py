@@ -12,7 +12,8 @@ from nacre.arrays import Array, ComplexArray
 from nacre.bsdf.contract import Lobe
 from nacre.bsdf.lobes.aligned import Aligned
 from nacre.bsdf.lobes.aligned_specular import AlignedSpecular
-from nacre.bsdf.lobes.harmonic import PolarGrid, pack_triangle
+from nacre.bsdf.lobes.harmonic import pack_triangle
+from nacre.bsdf.lobes.monolayer import PolarGrid
 from nacre.bsdf.response import InterfaceResponse
 from nacre.families.metasurface.aligned import AlignedLayer, AlignedLit
 from nacre.families.metasurface.aligned_pairs import (
