@@ -115,3 +115,24 @@ def test_words_alone_are_tried_once_each(capsys: pytest.CaptureFixture[str], tmp
     assert run(["gamut", str(tmp_path / "o.toml"), "--free", "substrate=Si,Al", "-o", str(tmp_path / "g.json")]) == 0
     said = capsys.readouterr().out
     assert "2 points" in said and "stopped" not in said
+
+
+def test_a_relief_is_looked_at_beside_its_mirror(tmp_path: Path) -> None:
+    """It has no part that is a mirror's alone."""
+    np.save(tmp_path / "h.npy", np.random.default_rng(3).uniform(0.0, 0.4, (8, 8)))
+    relief = {"family": "relief", "heights": str(tmp_path / "h.npy"), "feature_um": 2, "blur_um": 0.3,
+              "coherence": {"sigma": 2.6}}  # fmt: skip
+    found = nacre.gamut(nacre.material(relief), ["blur_um=0.1:1"], points=8)
+    assert found.at == "45as15" and found.failed == 0
+    with pytest.raises(NacreError, match="no mirror-like part"):
+        nacre.gamut(nacre.material(relief), ["blur_um=0.1:1"], "specular 0", points=8)
+
+
+def test_what_a_recipe_has_no_mirror_for_is_looked_at_elsewhere(tmp_path: Path) -> None:
+    """The usual look of blends is that of films, and both reliefs of this one only scatter."""
+    np.save(tmp_path / "h.npy", np.random.default_rng(3).uniform(0.0, 0.4, (8, 8)))
+    relief = {"family": "relief", "heights": str(tmp_path / "h.npy"), "feature_um": 2, "blur_um": 0.3,
+              "coherence": {"sigma": 2.6}}  # fmt: skip
+    blend = {"family": "blend", "first": relief, "second": {**relief, "coating": "Cu"}, "mask": 0.5}
+    found = nacre.gamut(nacre.material(blend), ["mask=0:1"], points=8)
+    assert found.at == "45as15" and np.ptp(found.lab[:, 2]) > 1.0

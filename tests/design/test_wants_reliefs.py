@@ -1,6 +1,7 @@
 """Reliefs in the file of wants: pictures hand over to the search of reliefs as it is, colours join it."""
 
 import json
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,9 +11,11 @@ import pytest
 import nacre
 from nacre.cli.make import _tell_relief
 from nacre.design.run import load_target
+from nacre.design.search import Search
 from nacre.design.wants.reliefs import read_relief
 from nacre.design.wants.target import seeks_heights
 from nacre.errors import RecipeError
+from nacre.families.relief.material import Relief
 from nacre.recipe.model import RecipeContext
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "targets"
@@ -121,3 +124,22 @@ def test_how_far_each_colour_is_missed_is_said_beside_the_loss(capsys):
     assert told[1:3] == [
         "  dE00 35.40 at 30as20 under D65, out of reach so far (within 8 was asked)", "  dE00 1.20 at 45as10 under A"
     ]  # fmt: skip
+
+
+def test_what_judging_takes_is_kept_back_from_the_search(tmp_path, monkeypatch):
+    """It is tried before: here it takes half a second, of which a machine as busy as this one takes no less after."""
+    limits = []
+
+    def slow(self, wi, wo, wavelengths_nm):
+        time.sleep(0.5)
+        return np.zeros((len(wi), len(wavelengths_nm)))
+
+    def run(self, limit, tell):
+        limits.append(limit)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Relief, "values_at", slow)
+    monkeypatch.setattr(Search, "run", run)
+    with pytest.raises(KeyboardInterrupt):
+        nacre.design({**_target(COLOUR), "search": {"seconds": 20}}, tmp_path / "out")
+    assert 0.25 * 20 <= limits[0] <= 20 - 3 - 0.5 - 0.5

@@ -18,8 +18,10 @@ from nacre.picture.images import (
     AUTO_STOPS,
     RenderResult,
     auto_stops,
+    count_clipped,
     develop,
     encode,
+    show,
 )
 from nacre.picture.scenes.catalogue import SCENES
 
@@ -184,6 +186,16 @@ def test_exposure_is_bounded_and_fixed_exposures_compare() -> None:
     assert stops == 1.0 and rgb == pytest.approx(np.full((2, 2, 3), 0.5), rel=1e-3)
     picture8, count = encode(np.array([[[0.2, 0.9, -0.4], [0.5, 0.5, 0.5]]]))
     assert count == 1 and picture8.dtype == np.uint8
+
+
+@pytest.mark.parametrize("tone", ["srgb", "filmic"])
+def test_as_many_pixels_are_counted_as_clipped_as_are_when_it_is_shown(tone: str) -> None:
+    generator = np.random.default_rng(3)
+    rgb, alpha = generator.normal(0.5, 0.5, (40, 30, 3)), generator.random((40, 30)).round(1)
+    counts = [count_clipped(rgb, cover, tone) for cover in (None, alpha)]
+    assert counts == [show(rgb, cover, None, tone)[1] for cover in (None, alpha)]
+    # the filmic curve leads into the gamut; what is covered in part is brighter than it counts in the picture
+    assert counts == [0, 0] if tone == "filmic" else 0 < counts[0] < counts[1] < rgb[..., 0].size
 
 
 def test_ctrl_c_keeps_the_finished_passes(tmp_path: Path, gold: Any, monkeypatch: pytest.MonkeyPatch) -> None:

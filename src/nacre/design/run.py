@@ -29,6 +29,7 @@ CHECKPOINT_EVERY_S = 2.0
 STATE = "search.npz"
 # kept back from the time limit for the final measurement and the report
 CLOSING_SHARE, CLOSING_MOST_S = 0.15, 3.0
+LEAST_SEARCH = 0.25  # of the time limit, whatever was done before
 
 
 @dataclass(frozen=True)
@@ -99,9 +100,17 @@ def design(
     progress: Callable[[Progress], None] | None = None,
     jobs: int | None = None,
     problem: Problem | None = None,
+    begun: float | None = None,
+    closing_s: float = 0.0,
 ) -> DesignResult:
-    """As `run`, for a target that is already checked; `problem` where it is more than the target says."""
-    begun = time.monotonic()
+    """As `run`, for a target that is already checked.
+
+    Args:
+        problem: where it is more than the target says.
+        begun: when the work began of which the time limit is, as `time.monotonic` has it; default: now.
+        closing_s: to keep back for what the caller does after the search.
+    """
+    begun = time.monotonic() if begun is None else begun
     problem = spec.build(context) if problem is None else problem
     folder = Path(out_dir)
     try:
@@ -117,7 +126,8 @@ def design(
     keeper.write(search.best.x, "started")
     limit = spec.search.time_limit_s
     if limit is not None:
-        limit = max(limit - min(CLOSING_SHARE * limit, CLOSING_MOST_S) - (time.monotonic() - begun), 0.0)
+        closing = closing_s + min(CLOSING_SHARE * limit, CLOSING_MOST_S)
+        limit = max(limit - closing - (time.monotonic() - begun), LEAST_SEARCH * limit)
     best = search.run(limit, keeper.tell)
     save_state(search, folder, fingerprint)
     closing = time.monotonic()

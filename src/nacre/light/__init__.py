@@ -9,7 +9,7 @@ from nacre.light.adaptation import ADAPTATIONS, Adaptation, adapt_xyz, adaptatio
 from nacre.light.constancy import IlluminantShift, illuminant_shift, metamerism
 from nacre.light.difference import delta_e_76, delta_e_2000
 from nacre.light.display import spectrum_to_rgb_linear, spectrum_to_rgb_matrix, spectrum_to_srgb, swatch_hex
-from nacre.light.gamut import Clipped, clip_to_srgb
+from nacre.light.gamut import Clipped, clip_to_srgb, outside_srgb
 from nacre.light.spaces import (
     SRGB_WHITE_XYZ,
     lab_to_lch,
@@ -61,6 +61,7 @@ __all__ = [
     "lch_to_lab",
     "metamerism",
     "observer",
+    "outside_srgb",
     "smooth_weights",
     "spans_colour",
     "spectrum_to_rgb_linear",

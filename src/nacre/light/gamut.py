@@ -56,16 +56,26 @@ def clip_to_srgb(rgb_linear: ArrayLike) -> Clipped:
     if rgb.ndim == 0 or rgb.shape[-1] != 3:
         raise NacreError(f"rgb_linear must have 3 values in its last axis; got shape {rgb.shape}")
     flat = rgb.reshape(-1, 3)
-    low, high = flat.min(axis=1), flat.max(axis=1)
-    if not (np.isfinite(low).all() and np.isfinite(high).all()):
-        raise NacreError("rgb_linear holds a value that is not finite")
-    is_outside = (low < -CLIP_TOLERANCE) | (high > 1.0 + CLIP_TOLERANCE)
+    is_outside = outside_srgb(flat)
     outside = np.flatnonzero(is_outside)
     for start in range(0, len(outside), BLOCK):
         rows = outside[start : start + BLOCK]
         flat[rows] = _lower_chroma(flat[rows])
     np.clip(flat, 0.0, 1.0, out=flat)
     return Clipped(flat.reshape(rgb.shape), is_outside.reshape(rgb.shape[:-1]))
+
+
+def outside_srgb(rgb: Array) -> NDArray[np.bool_]:
+    """Return which linear sRGB colours `[..., 3]` lie outside [0, 1] and would be clipped: `[...]`.
+
+    Raises:
+        NacreError: a value is not finite.
+    """
+    red, green, blue = (rgb[..., channel] for channel in range(3))
+    low, high = np.minimum(np.minimum(red, green), blue), np.maximum(np.maximum(red, green), blue)
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
+        raise NacreError("rgb_linear holds a value that is not finite")
+    return np.asarray((low < -CLIP_TOLERANCE) | (high > 1.0 + CLIP_TOLERANCE))
 
 
 def _lower_chroma(rgb: Array) -> Array:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from nacre.device.variant import use_variant
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, white_xyz, xyz_to_srgb_linear
 
-MOST_SHARP = 5  # surfaces that a guide's ray passes or is mirrored by
+MOST_SHARP = 3  # surfaces that a guide's ray passes or is mirrored by; 5 take half as long again and tell no more
 MOST_SPLIT = 3  # of those that it passes unbent, where it goes both ways
 # surfaces whose lobes send on about as much whatever is drawn, and those whose weights make faint lines: the same draws
 # in all pixels leave less of these in a guide than its own would leave grain

