@@ -18,13 +18,13 @@ from nacre.bsdf.lobes.monolayer import PolarGrid
 from nacre.bsdf.texture import Texture
 from nacre.families.metasurface import aligned_compile, tmatrix_symmetry
 from nacre.families.metasurface.aligned import AlignedLayer
-from nacre.families.metasurface.aligned_compile import aligned_powers, tabulate_aligned
+from nacre.families.metasurface.aligned_compile import aligned_powers, aligned_values, tabulate_aligned
 from nacre.families.metasurface.aligned_pairs import aligned_term, azimuth_nodes, light_of
 from nacre.families.metasurface.axial import as_blocks
 from nacre.families.metasurface.cluster import Coupling, PlaneWaves
 from nacre.families.metasurface.compile import Grids, tabulate
 from nacre.families.metasurface.corrections import diffuse_term
-from nacre.families.metasurface.few import few_powers
+from nacre.families.metasurface.few import few_powers, few_values
 from nacre.families.metasurface.monolayer import Monolayer, Particle
 from nacre.families.metasurface.neighbours import multipole_index, with_negative_orders
 from nacre.families.metasurface.sphere import Directions, hemisphere_rule
@@ -139,6 +139,32 @@ def test_and_their_few_powers():
     cosines = np.array([0.2, 0.8])
     for expected, found in zip(few_powers(today, cosines), aligned_powers(here, cosines, 0.3), strict=True):
         assert np.abs(found - expected).max() <= 1e-6  # another rule over the azimuth
+
+
+@pytest.mark.parametrize("substrate", [4.0 + 0.05j, 1.5])
+def test_and_their_values_at_a_few_pairs(substrate):
+    today, here = spheres(substrate)
+    wi, wo = vectors(5, 12), vectors(5, 13)
+    wi[:, 2], wo[:, 2] = np.maximum(wi[:, 2], 0.2), np.maximum(wo[:, 2], 0.2)
+    wi, wo = (w / np.linalg.norm(w, axis=1)[:, None] for w in (wi, wo))
+    expected = few_values(today, wi, wo)
+    assert (
+        np.abs(aligned_values(here, wi, wo, 0.3) - expected).max() <= 1e-4 * expected.max()
+    )  # other sums over the azimuth
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+def test_values_at_a_few_pairs_are_those_of_the_lobe_between_its_angles(turn):
+    layer = dimers(4.3 + 0.07j, films=((1.46, 120.0),))
+    lobe = lobes(layer, 64, turn=turn)[1]
+    wi, wo = (
+        direction(np.radians([15.0, 35.0, 50.0, 60.0]), phi) for phi in ([0.0, 1.0, 2.5, 4.0], [0.5, 3.0, 3.1, 0.2])
+    )
+    expected = lobe.evaluate(wi, wo)[:, 0]
+    found = aligned_values(layer, wi, wo, turn)
+    assert np.sqrt(np.mean((found - expected) ** 2)) <= LINES * np.sqrt(np.mean(expected**2))
+    assert np.abs(aligned_values(layer, wo, wi, turn) - found).max() <= SAME * found.max()
+    assert np.abs(aligned_values(layer, wi, wo, turn + 1.0) / found - 1.0).max() > 0.05
 
 
 # -- turns ------------------------------------------------------------------------------------------------
@@ -423,6 +449,15 @@ def test_the_rods_of_the_example_lie_along_u_until_they_are_turned():
     assert mirror[0.0, "p"] > 2 * mirror[0.0, "s"]
     assert mirror[90.0, "s"] == pytest.approx(mirror[0.0, "p"], abs=SAME)
     assert mirror[90.0, "p"] == pytest.approx(mirror[0.0, "s"], abs=SAME)
+
+
+def test_a_few_values_of_the_example_are_those_of_its_tables():
+    rods, nm = nacre.load(EXAMPLE).vary({"particle.turn_deg": 25.0}), np.array([560.0, 640.0])
+    wi, wo = direction(np.radians([45.0, 45.0]), 0.0), direction(np.radians([30.0, 20.0]), [np.pi, 0.0])
+    expected = rods.bsdf(nm).evaluate(wi, wo)
+    few = rods.model.values_at(wi, wo, nm)
+    assert np.abs(few - expected).max() <= LINES * expected.max()
+    assert rods.model.values_at(*(2 * [direction(np.radians(np.linspace(0, 80, 30)))]), nm) is None
 
 
 def test_the_example_s_file_is_what_its_tool_writes_and_a_turned_upright_rod():

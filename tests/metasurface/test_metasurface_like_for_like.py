@@ -32,6 +32,7 @@ def test_the_ensemble_s_way_meets_finite_discs_by_finite_discs():
     assert np.mean(shares) >= WITHIN_BAR, shares
 
 
+@pytest.mark.full
 def test_edges_are_what_discs_have_more_than_an_endless_layer():
     """Discs of few spheres, lit at 75 degrees, send up more than those of many, in proportion of edge to area."""
     theirs = systems()[NAMES.index(ensembles.DENSE)]
