@@ -11,7 +11,7 @@ import dataclasses
 import functools
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -420,12 +420,14 @@ def many(
                 on_progress(i, one)
 
     with ThreadPoolExecutor(workers) as threads:
+        futures = [threads.submit(work) for _ in range(workers)]
         try:
-            for future in [threads.submit(work) for _ in range(workers)]:
-                future.result()
+            wait(futures, return_when=FIRST_EXCEPTION)
         finally:
             for _ in numbers:
                 pass  # what an error or an interrupt leaves over is not begun
+        for future in futures:
+            future.result()
     return [one for one in found if one is not None]
 
 
