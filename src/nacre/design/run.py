@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -102,13 +102,15 @@ def design(
     problem: Problem | None = None,
     begun: float | None = None,
     closing_s: float = 0.0,
+    judge: Callable[[Path, Mapping[str, Any]], dict[str, Any]] | None = None,
 ) -> DesignResult:
     """As `run`, for a target that is already checked.
 
     Args:
         problem: where it is more than the target says.
         begun: when the work began of which the time limit is, as `time.monotonic` has it; default: now.
-        closing_s: to keep back for what the caller does after the search.
+        closing_s: to keep back for `judge`.
+        judge: returns what else the summary holds, of the finished folder and what the summary holds already.
     """
     begun = time.monotonic() if begun is None else begun
     problem = spec.build(context) if problem is None else problem
@@ -136,6 +138,8 @@ def design(
         measured = measure_design(problem, heights_nm, workers)
     search.seconds += time.monotonic() - closing
     summary = keeper.write(best, search.stop_reason or "done", measured)
+    if judge is not None:
+        summary |= judge(folder, summary)
     with one_thread_each():
         summary |= write_report(folder / "report.html", spec, problem, heights_nm, measured, summary)
     write_text(folder / "design.json", json.dumps(summary, indent=2) + "\n")

@@ -17,6 +17,7 @@ from nacre.design.wants.dropping import is_chosen
 from nacre.design.wants.gamut import LEAST_POINTS, gamut_chart, gamut_svg
 from nacre.design.wants.geometry import At, judge_wavelengths, search_wavelengths, see
 from nacre.design.wants.judge import Reached, rows_of
+from nacre.design.wants.making import RMS_OF_1_PERCENT
 from nacre.design.wants.reach import reach_of_or_none
 from nacre.design.wants.target import Target
 from nacre.files import write_text
@@ -165,12 +166,14 @@ def _short(value: Any) -> str:
 
 def _bars(solution: Solution, target: Target) -> tuple[list[tuple[str, float]], str]:
     details = solution.facts.get("yield")
+    unit = "rms % " if all(want.spectrum is not None for want in target.wants) else "dE00 "
     if details is not None:
-        return [(c["path"], c["moves"]) for c in details["costs"]], "dE00 of one standard deviation"
+        return [(c["path"], c["moves"]) for c in details["costs"]], f"{unit}of one standard deviation"
     found = solution.facts.get("sensitivity", [])
     count = len([p for p in numbers_of(solution.material.data) if is_chosen(p, solution.changes, target.free)])
-    part = f" ({len(found)} of {count} numbers, in the time)" if 0 < len(found) < count else ""
-    return [(s["path"], s["de00_of_1_percent"]) for s in found], f"dE00 of a change of 1 %{part}"
+    part = f"\n({len(found)} of {count} numbers, in the time)" if 0 < len(found) < count else ""
+    moves = [(s["path"], s.get("de00_of_1_percent", s.get(RMS_OF_1_PERCENT))) for s in found]
+    return moves, f"{unit}of a change of 1 %{part}"
 
 
 def _distance(reached: Reached) -> str:

@@ -7,7 +7,6 @@ steers by are display values under D65; the colours that an answer reaches are m
 from __future__ import annotations
 
 import copy
-import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -34,7 +33,7 @@ from nacre.families.relief.material import Relief
 from nacre.families.relief.slice import SliceGeometry
 from nacre.families.relief.surface import Tile
 from nacre.families.relief.trust import largest_depth_nm
-from nacre.files import read_text, write_text
+from nacre.files import read_text
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, lab_to_xyz, white_xyz, xyz_to_srgb_linear
 from nacre.materials.material import Material, load
 from nacre.matter.jit import seconds_compiled
@@ -245,13 +244,10 @@ def run_relief(
     data, context = read_data(target)
     read = read_relief(data, context)
     folder = Path(out) if out is not None else Path(Path(context.source).stem)
-    found = design(
+    return design(
         read.spec, read.context, folder, resume=resume, progress=progress, jobs=jobs, problem=read.problem, begun=begun,
-        closing_s=_rehearsed(read),
+        closing_s=_rehearsed(read), judge=lambda folder, found: {"solutions": [_solution(read, folder, found)]},
     )  # fmt: skip
-    summary = {**found.summary, "solutions": [_solution(read, folder, found)]}
-    write_text(folder / "design.json", json.dumps(summary, indent=2) + "\n")
-    return replace(found, summary=summary)
 
 
 def _rehearsed(read: ReliefTarget) -> float:
@@ -279,9 +275,9 @@ def _judged(read: ReliefTarget, made: Material) -> list[Reached]:
     return reached(see(made, rows_of(read.colours), grid, memory={}), read.colours, read.asked.light)
 
 
-def _solution(read: ReliefTarget, folder: Path, found: DesignResult) -> dict[str, Any]:
+def _solution(read: ReliefTarget, folder: Path, found: Mapping[str, Any]) -> dict[str, Any]:
     light = read.asked.light
-    losses = {name: found.summary[name] for name in ("loss_fixed", "loss_free")}
+    losses = {name: found[name] for name in ("loss_fixed", "loss_free")}
     tables = [want.directions for want in read.asked.want if want.directions is not None]
     pictures = [
         {
