@@ -83,6 +83,23 @@ def test_what_cannot_be_written_is_told_before_the_search(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["note.txt", "t.toml"]
 
 
+class _Interrupted:
+    def run(self, *_: Any) -> str:
+        return "interrupted"
+
+    def answers(self) -> list[Any]:
+        return []
+
+
+def test_an_interrupt_before_the_first_answer_is_no_fault_of_the_recipe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(runs, "search_of", lambda *_: _Interrupted())
+    (tmp_path / "t.toml").write_text(dump_toml(TARGET))
+    assert command(["design", str(tmp_path / "t.toml"), "-o", str(tmp_path / "out")]) == 130
+    assert "cannot be computed" not in capsys.readouterr().err
+
+
 def test_a_file_where_a_second_answer_goes_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "2").write_text("mine")

@@ -106,6 +106,8 @@ def run(
     left = total - closing - (time.monotonic() - begun)
     ended = search.run(max(left, LEAST_SEARCH * total), keeper.tell, known)
     found = search.answers()
+    if not found and ended == "interrupted":
+        raise KeyboardInterrupt  # before there was an answer
     if not found:
         raise RecipeError(f"{read.context.source}: the recipe cannot be computed anywhere in its bounds")
     keeper.save([values for _, values in found])
