@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import nacre
 from nacre.cli import run
-from nacre.design.wants.gamut import optimal_colours, parse_free, share_within, srgb_colours
+from nacre.design.wants.gamut import _answered, optimal_colours, parse_free, share_within, srgb_colours
 from nacre.errors import NacreError
 from nacre.light import lab_to_xyz, spectrum_to_xyz, table_wavelengths_nm, white_xyz, xyz_to_lab
 
@@ -117,22 +118,22 @@ def test_words_alone_are_tried_once_each(capsys: pytest.CaptureFixture[str], tmp
     assert "2 points" in said and "stopped" not in said
 
 
+def _relief(folder: Path) -> dict[str, Any]:
+    np.save(folder / "h.npy", np.random.default_rng(3).uniform(0.0, 0.2, (8, 8)))
+    return {"family": "relief", "heights": str(folder / "h.npy"), "feature_um": 1, "blur_um": 0.3,
+            "coherence": {"sigma": 0.8}, "bounded": False, "accuracy": 0.1}  # fmt: skip
+
+
 def test_a_relief_is_looked_at_beside_its_mirror(tmp_path: Path) -> None:
     """It has no part that is a mirror's alone."""
-    np.save(tmp_path / "h.npy", np.random.default_rng(3).uniform(0.0, 0.4, (8, 8)))
-    relief = {"family": "relief", "heights": str(tmp_path / "h.npy"), "feature_um": 2, "blur_um": 0.3,
-              "coherence": {"sigma": 2.6}}  # fmt: skip
-    found = nacre.gamut(nacre.material(relief), ["blur_um=0.1:1"], points=8)
-    assert found.at == "45as15" and found.failed == 0
+    relief = nacre.material(_relief(tmp_path))
+    assert str(_answered([relief], None, "r: at")) == "45as15"
     with pytest.raises(NacreError, match="no mirror-like part"):
-        nacre.gamut(nacre.material(relief), ["blur_um=0.1:1"], "specular 0", points=8)
+        _answered([relief], "specular 0", "r: at")
 
 
 def test_what_a_recipe_has_no_mirror_for_is_looked_at_elsewhere(tmp_path: Path) -> None:
     """The usual look of blends is that of films, and both reliefs of this one only scatter."""
-    np.save(tmp_path / "h.npy", np.random.default_rng(3).uniform(0.0, 0.4, (8, 8)))
-    relief = {"family": "relief", "heights": str(tmp_path / "h.npy"), "feature_um": 2, "blur_um": 0.3,
-              "coherence": {"sigma": 2.6}}  # fmt: skip
-    blend = {"family": "blend", "first": relief, "second": {**relief, "coating": "Cu"}, "mask": 0.5}
-    found = nacre.gamut(nacre.material(blend), ["mask=0:1"], points=8)
-    assert found.at == "45as15" and np.ptp(found.lab[:, 2]) > 1.0
+    relief = _relief(tmp_path)
+    blend = nacre.material({"family": "blend", "first": relief, "second": {**relief, "coating": "Cu"}, "mask": 0.5})
+    assert blend.model.usual_look == "specular 0" and str(_answered([blend], None, "r: at")) == "45as15"
