@@ -241,6 +241,32 @@ def test_the_device_lays_the_same_flakes(fast: Flaked, mi) -> None:  # type: ign
 
 
 @pytest.mark.render
+def test_where_flakes_are_not_seen_apart_a_lobe_is_the_one_without_glints(fast: Flaked, mi) -> None:  # type: ignore[no-untyped-def]
+    """Values, densities and draws of what falls by way of a matt ground, beside those of a lobe that has no glints."""
+    import drjit as dr
+
+    from nacre.device.glints import blurred
+    from nacre.device.registry import make_plugin
+
+    count, generator = 4_000, np.random.default_rng(15)
+    si = dr.zeros(mi.SurfaceInteraction3f, count)
+    si.wi, si.wavelengths = mi.Vector3f(*WI.tolist()), mi.Spectrum(550.0)
+    si.uv = mi.Point2f(generator.random((2, count)).astype(np.float32))
+    one, two = mi.Float(generator.random(count)), mi.Point2f(generator.random((2, count)).astype(np.float32))
+    found = []
+    for glints, asked in ((True, True), (False, False), (True, False)):
+        none = {} if glints else {"glint_numbers": None, "glint_radii": None, "glint_ratio": None}
+        plugin, enabled = make_plugin(dataclasses.replace(fast, **none)), (True, True)
+        here = blurred(si, mi.Bool(asked))
+        value, pdf = plugin.eval_pdf(mi.BSDFContext(), here, mi.Vector3f(*WO.tolist()), mi.Bool(True), enabled)
+        bs, weight = plugin.sample(mi.BSDFContext(), here, one, two, mi.Bool(True), enabled)
+        found.append([np.array(a + dr.zeros(mi.Float, count)) for a in (value[0], pdf, bs.wo.x, weight[0])])
+    for name, mean, plain, sparkling in zip(("value", "pdf", "wo", "weight"), *found, strict=True):
+        np.testing.assert_allclose(mean, plain, rtol=1e-4, atol=1e-5 * np.abs(plain).max(), err_msg=name)
+        assert np.abs(sparkling - plain).max() > 0.1 * np.abs(plain).max()  # else it is no test
+
+
+@pytest.mark.render
 def test_the_walk_sees_the_same_flakes_as_the_fast_route(fast: Flaked, walk: Layered) -> None:
     from nacre.device.walk.arrays import evaluate_layered
 

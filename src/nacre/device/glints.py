@@ -15,6 +15,22 @@ from nacre.device.base import device_array, opaque, opaque_int, read
 
 WORD = 0xFFFFFFFF
 FLATTEST = 1e-4  # a normal in the plane of the flakes has no slope
+WIDE = 1e3  # in uv: of a footprint in which no flake is seen apart
+
+
+def blurred(si: Any, where: Any) -> Any:
+    """Return a copy of an interaction that sees the mean over the flakes instead of single ones, where asked for.
+
+    Mitsuba leaves the footprint at 0 unless it is asked for one.
+    """
+    other = mi.SurfaceInteraction3f(si)
+    other.duv_dx = dr.select(where, mi.Vector2f(WIDE, 0.0), si.duv_dx)
+    return other
+
+
+def seen_apart(si: Any) -> Any:
+    """Tell whether an interaction sees flakes one by one; see `blurred`."""
+    return dr.abs(si.duv_dx.x) < WIDE
 
 
 class DeviceGlints:
@@ -88,14 +104,15 @@ class DeviceGlints:
             )[1:]  # fmt: skip
         return found[:4]
 
-    def factor_of(self, slot: Any, axes: Any, m: Any, uv: Any, active: Any) -> Any:
+    def factor_of(self, slot: Any, axes: Any, m: Any, si: Any, active: Any) -> Any:
         """Return g for a normal in its flake's frame, `axes` being the semi-axes of that kind, lane by lane."""
+        active = active & seen_apart(si)
         z = dr.select(dr.abs(m.z) < FLATTEST, FLATTEST, m.z)
         tx, ty = m.x / (z * axes.x), m.y / (z * axes.y)
         total = mi.Float(1.0)
         for k in range(len(self.kinds)):
             mine = active & (slot == k)
-            total = dr.select(mine, self.factor(k, uv, tx, ty, mine), total)
+            total = dr.select(mine, self.factor(k, si.uv, tx, ty, mine), total)
         return total
 
 

@@ -132,8 +132,9 @@ def _band(
     bound = np.float32(LARGEST_RETURN) * own[..., None]
     lost = (xyz - clean).astype(np.float32)  # what is given back of it is added to the clean one: no more is needed
     if doubt is None:
-        mean, share = means_by_light(np.clip(lost, -bound, bound), own, lambda values: smooth(values, KEPT_MEANS))
-        return np.maximum(clean + share * mean, 0.0)
+        lost = np.clip(lost, -bound, bound)
+        mean, share = means_by_light(lost, own, lambda values: smooth(values, KEPT_MEANS))
+        return np.maximum(clean + share * mean * beyond_chance(mean, lost), 0.0)
     # apart from the rest: scale by scale, what is not given back of it in one would lie about it as a glow in another
     sharp = highlights(lost, doubt)
     lost -= sharp
@@ -204,6 +205,21 @@ def beyond_noise(lost: NDArray[Any], noise: NDArray[Any]) -> NDArray[np.float32]
 def means(lost: NDArray[Real]) -> NDArray[Real]:
     """Return what the scales of `beyond_noise` leave of a picture: the mean of each neighbourhood."""
     return smooth(lost, ALL_SCALES)
+
+
+def beyond_chance(mean: NDArray[np.float32], lost: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the share of the means of neighbourhoods that the grain in them does not explain, Wiener's again.
+
+    Where halves of the samples do not tell the noise, what was lost is taken for it: a mean over so many pixels has
+    that much less. Paint of flakes, walked, came out in blotches as large as the neighbourhoods.
+
+    Args:
+        mean: of what was lost, `[row, column, 3]`.
+        lost: the same as it is.
+    """
+    chance = smooth(lost**2, KEPT_MEANS) / np.float32(4.0 * np.pi * KEPT_MEANS**2)
+    power = smooth(mean**2, KEPT_MEANS)
+    return np.clip(1.0 - chance / np.maximum(power, 1e-20), 0.0, 1.0)
 
 
 def means_by_light(

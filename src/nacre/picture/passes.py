@@ -338,9 +338,10 @@ def _tracer(stage: Any) -> Any:
     if soft is None and light.soft_within is not None and refracting:
         soft, spread_by = light.soft_within, refracting
     splits = clear and all(can_split(shape.bsdf()) for shape in shapes)
-    is_one = walks(stage.mitsuba_scene) or _glitters(stage.mitsuba_scene) or _mirrors(getattr(stage, "subjects", ()))
+    glitters = _glitters(stage.mitsuba_scene)
+    is_one = walks(stage.mitsuba_scene) or glitters or _mirrors(getattr(stage, "subjects", ()))
     draws = 1 if is_one else DRAWS
-    return make_paths(stage.depth, RUSSIAN_ROULETTE_DEPTH, clear, soft, splits, spread_by, draws)
+    return make_paths(stage.depth, RUSSIAN_ROULETTE_DEPTH, clear, soft, splits, spread_by, draws, glitters)
 
 
 def _glitters(scene: Any) -> bool:

@@ -40,7 +40,7 @@ MOST_SPLIT = 4  # clear surfaces at which a camera's ray goes both ways
 
 def make_paths(
     max_depth: int, rr_depth: int, passes_through: bool, soft: Any = None, splits: bool = False, spread_by: Any = (),
-    draws: int = DRAWS,
+    draws: int = DRAWS, glitters: bool = False,
 ) -> Any:  # fmt: skip
     """Return an integrator of the current variant, which must not be a scalar one.
 
@@ -52,9 +52,12 @@ def make_paths(
             interaction out when asked to (`can_split`).
         spread_by: shapes; only light that one of these has spread is lit by `soft`; none: by whatever spread it.
         draws: places of lamps that the first surface draws which is no mirror.
+        glitters: flakes are seen one by one, but for the light that they throw on matt surfaces, which takes the mean
+            over them: it was grains of light on the ground, each by one path of many.
     """
     mi = use_variant()
-    return _class(mi.variant())(mi.Properties(), max_depth, rr_depth, passes_through, soft, splits, spread_by, draws)
+    given = (max_depth, rr_depth, passes_through, soft, splits, spread_by, draws, glitters)
+    return _class(mi.variant())(mi.Properties(), *given)
 
 
 def can_split(bsdf: Any) -> bool:
@@ -74,6 +77,8 @@ def can_split(bsdf: Any) -> bool:
 def _class(variant: str) -> type:
     """Define the class for a variant: Mitsuba's base class differs from variant to variant."""
     import drjit as dr
+
+    from nacre.device.glints import blurred
 
     mi: Any = use_variant()
     shiny = int(mi.BSDFFlags.Glossy | mi.BSDFFlags.Delta | mi.BSDFFlags.Null)
@@ -142,12 +147,12 @@ def _class(variant: str) -> type:
 
         def __init__(
             self, properties: Any, max_depth: int, rr_depth: int, passes_through: bool, soft: Any, splits: bool,
-            spread_by: Any, draws: int,
+            spread_by: Any, draws: int, glitters: bool,
         ) -> None:  # fmt: skip
             super().__init__(properties)
             self.max_depth, self.rr_depth = max_depth, rr_depth
             self.passes_through, self.soft, self.splits = passes_through, soft, splits
-            self.spread_by, self.draws = list(spread_by), draws
+            self.spread_by, self.draws, self.glitters = list(spread_by), draws, glitters
 
         def scatters(self) -> Any:
             """Return what surfaces are asked for: all, or all but what goes straight through."""
@@ -185,6 +190,8 @@ def _class(variant: str) -> type:
                 # all paths are wanted: without those a Bragg mirror had 45 % more error at the same samples
                 active = active & si.is_valid() & (depth + 1 < self.max_depth)
                 bsdf = si.bsdf()
+                if self.glitters:
+                    si = blurred(si, base > 0.0)
                 worth = dr.sqrt(dr.minimum(dr.max(weight) / dr.maximum(base, 1e-20), 1.0))
                 is_judged = active & (base > 0.0) & ((bsdf.flags() & shiny) == 0)
                 lives = sampler.next_1d(active) < worth

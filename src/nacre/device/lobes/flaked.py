@@ -17,7 +17,7 @@ from nacre.arrays import Array
 from nacre.bsdf.lobes.flaked import Flaked
 from nacre.device.base import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read, read2
 from nacre.device.facet_distributions import Ggx
-from nacre.device.glints import DeviceGlints
+from nacre.device.glints import DeviceGlints, seen_apart
 from nacre.device.tables import DeviceTable, WavelengthAxis
 from nacre.errors import UnsupportedError
 
@@ -94,7 +94,7 @@ class FlakedPlugin(LobePlugin[Flaked]):
         if self.glints is not None:
             part = (sample1 - surface) / dr.maximum(lobe, 1e-9)  # uniform among the draws by the flakes' lobe
             part = dr.select(sample1 < surface + 0.5 * lobe, 2.0 * part, 2.0 * part - 1.0) if wide is not None else part
-            is_flake = active & by_facet & (by_surface ^ True) & (part < GLINT_SHARE)
+            is_flake = active & by_facet & (by_surface ^ True) & (part < GLINT_SHARE) & seen_apart(si)
             glint, is_there = self._by_flake(si, part / GLINT_SHARE, sample2, is_flake)
             drawn = dr.select(is_flake & is_there, glint, drawn)
         wo = dr.select(by_facet, drawn, mi.warp.square_to_cosine_hemisphere(sample2))
@@ -179,7 +179,7 @@ class FlakedPlugin(LobePlugin[Flaked]):
             flakes = self._flakes(wi, wo, where, active)
             smooth = flakes[0]
             if self.glints is not None:
-                sparkle, by_flake, is_there = self._sparkle(si.uv, wi, wo, active)
+                sparkle, by_flake, is_there = self._sparkle(si, wi, wo, active)
                 smooth = smooth + flakes[1] * (sparkle - 1.0)
             rest = rest + smooth * (entry * self._lobe(wi, wo))
         value = rest * wo.z
@@ -231,10 +231,12 @@ class FlakedPlugin(LobePlugin[Flaked]):
             density += fraction * width2 * dr.square((1.0 + slope2) / (width2 + slope2))
         return density * (0.25 * dr.inv_pi) * self.inverse2 / (inner_i * inner_o)
 
-    def _sparkle(self, uv: Any, wi: Any, wo: Any, active: Any) -> tuple[Any, Any, Any]:
+    def _sparkle(self, si: Any, wi: Any, wo: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return g at the half vector inside, the kinds weighted by their densities there; the density of draws by the
-        flakes at the point; and whether there are any."""
+        flakes at the point; and whether there are any. Where flakes are not seen apart, as if there were none."""
         assert self.glints is not None
+        apart = seen_apart(si)
+        active = active & apart
         inner_i, inner_o, _, sx, sy = self._half(wi, wo)
         slope2 = sx * sx + sy * sy
         total, weights, draws, flakes = mi.Float(0.0), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
@@ -242,7 +244,7 @@ class FlakedPlugin(LobePlugin[Flaked]):
             weight = fraction * deviation2 * dr.square(dr.rcp(deviation2 + slope2))
             per = dr.rsqrt(deviation2)
             tx, ty = sx * per, sy * per
-            answer, count = self.glints.answers(k, uv, tx, ty, active)
+            answer, count = self.glints.answers(k, si.uv, tx, ty, active)
             total += weight * answer / self.glints.mean(k, tx, ty, active)
             weights += weight
             draws += answer * self.glints.kinds[k].per_width2 / deviation2
@@ -251,7 +253,7 @@ class FlakedPlugin(LobePlugin[Flaked]):
         turn = dr.abs((wi.x * sx + wi.y * sy) / self.index + inner_i)
         jacobian = dr.square(1.0 + slope2) * wo.z * self.inverse2 / (4.0 * dr.maximum(turn * inner_o, 1e-9))
         density = 0.5 * dr.inv_pi * draws / dr.maximum(flakes, 1.0) * jacobian
-        return total / weights, density, flakes > 0.0
+        return dr.select(apart, total / weights, 1.0), density, flakes > 0.0
 
     def _flakes(self, wi: Any, wo: Any, where: Any, active: Any) -> Any:
         """Read M at q, c and phi, and with glints its part of one flake."""

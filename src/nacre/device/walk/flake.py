@@ -104,7 +104,7 @@ def flake_gain(
     reflect = strata.flake_response(flake.kind, dr.abs(dr.dot(flake.v, h)), node, where, active)[0]
     fresh = light.fresh(active)
     if fresh is not None and strata.glints is not None:
-        density *= strata.glints.factor_of(flake.slot, flake.axes, h, where.site.uv, fresh)
+        density *= strata.glints.factor_of(flake.slot, flake.axes, h, where.site, fresh)
     return worth * reflect * (0.25 * density / flake.area)
 
 

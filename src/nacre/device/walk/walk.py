@@ -68,7 +68,7 @@ def _with_glint(strata: Strata, turn: tuple[Any, ...], weight: Any, where: Locat
     turned, x, y, z, slot = turn
     by_flake = active & (turned == BY_FLAKE) & (dr.max(weight) > 0)
     axes = strata.flake_axes(slot, by_flake)
-    return weight * strata.glints.factor_of(slot, axes, mi.Vector3f(x, y, z), where.site.uv, by_flake)
+    return weight * strata.glints.factor_of(slot, axes, mi.Vector3f(x, y, z), where.site, by_flake)
 
 
 def eval_walk(strata: Strata, rng: Any, wi: Any, wo: Any, where: Located, active: Any) -> Any:
