@@ -22,9 +22,9 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 KEPT = HERE / "results"
-# searches that may end by CPU time, so two of these share two cores in a run of all benchmarks
+# searches that may end by CPU time, so these three share two cores in a run of all benchmarks: one ends before others
 SIDE_BY_SIDE = ("bench_design_films", "bench_design_metasurfaces", "bench_design_pearls")
-SIDE_OPTIONS, SIDES = ["--cores", "1.4"], 2  # the cores that a search fills of two that it has alone
+SIDE_OPTIONS, SIDES = ["--cores", "1.4"], 3  # the cores that a search fills of two that it has alone
 PACKAGES = ("numpy", "numba", "jax", "mitsuba", "drjit", "scipy")
 TIME_LIMIT_S = 1800
 

@@ -2,8 +2,8 @@
 
 Every answer is judged by `tmm` and colour-science (`judge_films.py`) in steps of 1 nm, in another process; materials,
 thicknesses and the number of layers are checked too. By default a tenth of the targets, at least 5 of each kind, where
-a search ends within half its bar and one for yield has 10 s; with `--all` all of them, to a fifth of the bar and 30 s,
-kept in a file as they are done, so that a run that was cut short goes on.
+a search ends within three quarters of its bar and one for yield has 10 s; with `--all` all of them, to a fifth of the
+bar and 30 s, kept in a file as they are done, so that a run that was cut short goes on.
 
 Bars: see the rows. Floor: a step of descent of 6 layers at 5 angles x 24 wavelengths is 6 x 24 x (9 x 80 + 5 x 45)
 operations, 136,000, some 10 us; 10 layers at normal incidence x 35 wavelengths 44,000, 3 us.

@@ -3,8 +3,8 @@
 Each hidden recipe (spheres of one of four materials on an oxide over one of three substrates) gives six colours:
 mirror and diffuse, for light from 0, 30 and 60 degrees. They are computed, and the answer is judged, in another process
 from the tables of the Bsdf (`judge_metasurfaces.py`), which the search never builds. By default 5 recipes, each search
-ending where all six colours are within half the bar; with `--all` ten and to a fifth of it, kept in a file as they are
-done, so that a run that was cut short goes on.
+ending where all six colours are within three quarters of the bar; with `--all` ten and to a fifth of it, kept in a file
+as they are done, so that a run that was cut short goes on.
 
 Bars: dE00 <= 1.5 at all six for 9 of 10, <= 180 s each; <= 0.25 CPU s for a candidate of 16 wavelengths at 6
 directions.

@@ -42,7 +42,7 @@ BAR, FAST_BAR = 0.25, 0.6
 TABLES_S, BAKE_S, FILE_S = 0.5, 30.0, 1.0
 FAST = ("bottle1", "bottle2", "bottle5")
 NOISE_RATIO, KNOB_S = 10.0, 600.0
-KNOB_SIZE, KNOB_SPP, KNOB_REFERENCE_SPP = 512, 16, 4096
+KNOB_SIZE, KNOB_SPP, KNOB_REFERENCE_SPP = 512, 8, 4096
 
 
 def physical(name: str) -> nacre.Material:
@@ -94,7 +94,7 @@ def noise(name: str, fast: nacre.Bsdf) -> list[Row]:
 def knob(bsdf: Any, spp: int, seed: int) -> np.ndarray:
     """Return the luminance of the knob in studio light."""
     size = (KNOB_SIZE, KNOB_SIZE)
-    picture = nacre.render.render(bsdf, scene="knob", light="studio", size=size, spp=spp, seed=seed)
+    picture = nacre.render.render(bsdf, scene="knob", light="studio", size=size, spp=spp, seed=seed, denoise=False)
     return np.asarray(picture.xyz[..., 1], dtype=float)
 
 

@@ -194,7 +194,7 @@ def compare(page: Page, name: str) -> float:
 def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark; 0 if the bars are reached."""
     takes = parser(__doc__, repeats=60)
-    takes.add_argument("--drag", type=float, default=40.0, help="seconds of dragging on the socket; 3600 for the hour")
+    takes.add_argument("--drag", type=float, default=25.0, help="seconds of dragging on the socket; 3600 for the hour")
     options = takes.parse_args(arguments)
     chromium = shutil.which("chromium")
     assert chromium, "no chromium; make setup gets it"

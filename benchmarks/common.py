@@ -164,9 +164,9 @@ def searcher(description: str | None) -> argparse.ArgumentParser:
 
 def within_of(bar: float, is_all: bool) -> float:
     """Return the `within` of wants whose bar is `bar`: a search ends at a fifth of it, so at a fifth of the bar in a
-    run of all targets, and at half the bar in a short one.
+    run of all targets, and at three quarters of the bar in a short one.
     """
-    return bar if is_all else 2.5 * bar
+    return bar if is_all else 3.75 * bar
 
 
 def run_clock_by_cpu(cores: float | None) -> dict[str, float]:

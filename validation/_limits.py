@@ -69,6 +69,7 @@ LIMITS: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "metasurface_ensembles": (
         ("130 to 260", "statistics: the standard error of 48 patterns"),
+        ("straight line", "theory: edge over area; statistics: two standard errors"),
         ("standard errors", "statistics: two standard errors, and the other code's 4 %; *bar*: of 90 % of angles"),
         ("", "*bar*: 8 % each, 6 % on the mean, of relative L2"),
     ),

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 import nacre
 from nacre.arrays import Array
 from nacre.bsdf import Bsdf
-from nacre.bsdf.lobes.harmonic import PolarGrid, pack_triangle
+from nacre.bsdf.lobes.harmonic import pack_triangle
+from nacre.bsdf.lobes.monolayer import PolarGrid
 from nacre.light import delta_e_2000, xyz_to_lab
 from validation._rows import finish, row
 

@@ -23,7 +23,7 @@ from nacre.exchange.number_maps import FORMATS as MAP_FORMATS
 from nacre.exchange.number_maps import SUFFIXES as MAP_SUFFIXES
 from nacre.exchange.number_maps import NumberMap, write_number_maps
 from nacre.families.contract import Model
-from nacre.files import check_writable
+from nacre.files import DESIGN_RECIPE, check_writable, short_name
 from nacre.materials.material import Material, MaterialLike, as_material, load, loaded
 from nacre.materials.number_maps import number_maps
 from nacre.matter.drawings import DrawingRequest
@@ -304,7 +304,7 @@ def fabricate(
     model = source
     if isinstance(source, Material):
         place, model = source.context.source, source.model
-        name = Path(place).name
+        name = short_name(place) if Path(place).name == DESIGN_RECIPE else Path(place).name
     if not isinstance(model, Model):
         raise UnsupportedError(f"{model!r:.60} is no material, no path or name of one and no table of a recipe")
     drawers = model.fabrications

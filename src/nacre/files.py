@@ -20,6 +20,7 @@ from typing import BinaryIO
 from nacre.errors import NacreError, RecipeError
 
 MAX_TOML_BYTES = 4 << 20  # a recipe is a page of text; anything longer is not a recipe
+PROBE_BYTES = 1 << 16
 PIPE_WAIT_S = 10.0
 NUL = "\0"
 DESIGN_RECIPE = "recipe.toml"  # in a folder that stands for a material
@@ -172,8 +173,8 @@ def named(path: str | Path) -> Path:
         raise NacreError(f"{path!r:.80} is not a path; give the name of a file") from None
     try:
         os.path.lexists(_nameable(given)) or os.stat(given)
-    except FileNotFoundError:
-        pass
+    except (FileNotFoundError, NotADirectoryError):
+        pass  # who reads or writes says which
     except OSError as error:
         raise NacreError(f"{given!r:.80}: cannot be the name of a file: {error.strerror}") from None
     return Path(given)
@@ -210,7 +211,8 @@ def check_writable(path: str | Path) -> Path:
     path = named(path)
     folder = path.parent if str(path.parent) else Path()
     if not folder.is_dir():
-        raise NacreError(f"{path}: the folder {folder} does not exist")
+        wrong = "is no folder" if os.path.lexists(folder) else "does not exist"
+        raise NacreError(f"{path}: the folder {folder} {wrong}")
     if path.is_dir():
         raise NacreError(f"{path}: is a folder; give a file name")
     if _is_special(path):
@@ -225,6 +227,37 @@ def check_writable(path: str | Path) -> Path:
     os.close(handle)
     os.unlink(probe)
     return folder
+
+
+def check_room(folder: str | Path, need: int) -> None:
+    """Refuse a folder into which nothing can be written, whether it is there or still to be made; nothing is made.
+
+    Args:
+        need: bytes that its disk should have left.
+
+    Raises:
+        NacreError: it, or what it would lie in, is no folder or read-only, or its disk is full.
+    """
+    path = named(folder)
+    place = Path(os.path.abspath(path))
+    while not os.path.lexists(place) and place != place.parent:
+        place = place.parent
+    if not place.is_dir():
+        inside = "" if place == Path(os.path.abspath(path)) else f"{place} "
+        raise NacreError(f"{path}: {inside}is a file; the answers need a folder")
+    try:
+        handle, probe = tempfile.mkstemp(prefix=temporary_prefix(path), dir=place)
+        try:
+            with open(handle, "wb") as file:
+                file.write(bytes(PROBE_BYTES))  # of a full disk a name may still be had
+        finally:
+            os.unlink(probe)
+        disk = shutil.disk_usage(place)
+    except OSError as error:
+        raise NacreError(f"{path}: the folder {place} cannot be written: {error.strerror}") from None
+    if 0 < disk.total and disk.free < need:
+        left = f"{disk.free / 1e6:.1f} MB are left on its disk, and {need / 1e6:.0f} MB are needed"
+        raise NacreError(f"{path}: the folder {place} cannot be written: {left}")
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -40,3 +40,12 @@ def test_a_relief_has_no_layer_sheet(tmp_path: Path, capsys: pytest.CaptureFixtu
     source = EXAMPLES / "relief" / "star.toml"
     assert run(["fabricate", str(source), "--to", "sheet", "-o", str(tmp_path / "x.csv")]) == 2
     assert "--to sheet is not known for a relief" in capsys.readouterr().err
+
+
+def test_a_sheet_of_a_design_is_called_after_its_folder(tmp_path: Path) -> None:
+    (tmp_path / "stamp").mkdir()
+    (tmp_path / "stamp" / "recipe.toml").write_text(
+        'family = "film"\nsubstrate = "Al"\nlayers = [{material = "MgF2", thickness_nm = 400}]\n'
+    )
+    assert run(["fabricate", str(tmp_path / "stamp"), "--to", "sheet", "-o", str(tmp_path / "s.csv")]) == 0
+    assert (tmp_path / "s.csv").read_text().startswith("# layer sheet of stamp, nacre ")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import nacre
 from nacre.cli import run
-from nacre.design.wants.gamut import optimal_colours, parse_free, share_within, srgb_colours
+from nacre.design.wants.gamut import _answered, optimal_colours, parse_free, share_within, srgb_colours
 from nacre.errors import NacreError
 from nacre.light import lab_to_xyz, spectrum_to_xyz, table_wavelengths_nm, white_xyz, xyz_to_lab
 
@@ -115,3 +116,24 @@ def test_words_alone_are_tried_once_each(capsys: pytest.CaptureFixture[str], tmp
     assert run(["gamut", str(tmp_path / "o.toml"), "--free", "substrate=Si,Al", "-o", str(tmp_path / "g.json")]) == 0
     said = capsys.readouterr().out
     assert "2 points" in said and "stopped" not in said
+
+
+def _relief(folder: Path) -> dict[str, Any]:
+    np.save(folder / "h.npy", np.random.default_rng(3).uniform(0.0, 0.2, (8, 8)))
+    return {"family": "relief", "heights": str(folder / "h.npy"), "feature_um": 1, "blur_um": 0.3,
+            "coherence": {"sigma": 0.8}, "bounded": False, "accuracy": 0.1}  # fmt: skip
+
+
+def test_a_relief_is_looked_at_beside_its_mirror(tmp_path: Path) -> None:
+    """It has no part that is a mirror's alone."""
+    relief = nacre.material(_relief(tmp_path))
+    assert str(_answered([relief], None, "r: at")) == "45as15"
+    with pytest.raises(NacreError, match="no mirror-like part"):
+        _answered([relief], "specular 0", "r: at")
+
+
+def test_what_a_recipe_has_no_mirror_for_is_looked_at_elsewhere(tmp_path: Path) -> None:
+    """The usual look of blends is that of films, and both reliefs of this one only scatter."""
+    relief = _relief(tmp_path)
+    blend = nacre.material({"family": "blend", "first": relief, "second": {**relief, "coating": "Cu"}, "mask": 0.5})
+    assert blend.model.usual_look == "specular 0" and str(_answered([blend], None, "r: at")) == "45as15"

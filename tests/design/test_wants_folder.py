@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import nacre
 from nacre.cli import run as command
 from nacre.design.wants import run as runs
 from nacre.errors import NacreError, RecipeError
+from nacre.recipe.toml import dump_toml
 
 TARGET: dict[str, Any] = {
     "recipe": {"family": "film", "substrate": "Ti", "layers": [{"material": "SiO2", "thickness_nm": 100.0}]},
@@ -50,11 +52,59 @@ def test_another_file_of_the_name_of_one_that_comes_along_is_not_overwritten(tmp
 
 def test_a_file_in_place_of_the_folder_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "out").write_text("mine")
-    with pytest.raises(RecipeError, match="out: is a file; the answers need a folder"):
+    with pytest.raises(NacreError, match="out: is a file; the answers need a folder"):
         nacre.design(TARGET, tmp_path / "out")
     (tmp_path / "t.toml").write_text('family = "film"\nsubstrate = "Si"\nlayers = []\n')
     assert command(["design", str(tmp_path / "t.toml"), "-o", str(tmp_path / "out")]) == 2
     assert "is a file; the answers need a folder" in capsys.readouterr().err
+
+
+def _must_not_search(*_: Any) -> None:
+    raise AssertionError("the search began")
+
+
+def test_what_cannot_be_written_is_told_before_the_search(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(runs, "search_of", _must_not_search)
+    (tmp_path / "note.txt").write_text("mine")
+    with pytest.raises(NacreError, match=r"note.txt is a file; the answers need a folder$"):
+        nacre.design(TARGET, tmp_path / "note.txt" / "deeper" / "out")
+    with pytest.raises(NacreError, match=r"out: the folder /proc cannot be written"):  # nobody may, root neither
+        nacre.design(TARGET, "/proc/out")
+    (tmp_path / "t.toml").write_text(dump_toml(TARGET))
+    assert command(["design", str(tmp_path / "t.toml"), "-o", str(tmp_path / "note.txt" / "out")]) == 2
+    assert "note.txt is no folder" in capsys.readouterr().err
+    full = type(shutil.disk_usage(tmp_path))(10**9, 10**9 - 1000, 1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: full)
+    assert command(["design", str(tmp_path / "t.toml"), "-o", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err
+    assert "0.0 MB are left on its disk" in told and told.count("\n") == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["note.txt", "t.toml"]
+
+
+class _Interrupted:
+    def run(self, *_: Any) -> str:
+        return "interrupted"
+
+    def answers(self) -> list[Any]:
+        return []
+
+
+def test_an_interrupt_before_the_first_answer_is_no_fault_of_the_recipe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(runs, "search_of", lambda *_: _Interrupted())
+    (tmp_path / "t.toml").write_text(dump_toml(TARGET))
+    assert command(["design", str(tmp_path / "t.toml"), "-o", str(tmp_path / "out")]) == 130
+    assert "cannot be computed" not in capsys.readouterr().err
+
+
+def test_a_file_where_a_second_answer_goes_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "2").write_text("mine")
+    with pytest.raises(RecipeError, match="holds a 2 that no design wrote"):
+        nacre.design(TARGET, tmp_path / "out")
 
 
 def test_a_recipe_given_as_a_target_is_told_so(tmp_path: Path) -> None:
@@ -96,5 +146,5 @@ def test_a_resumed_search_tells_nothing_worse_than_what_stood(
 
 def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(NacreError, match="cannot be made"):
+    with pytest.raises(NacreError, match="file is a file; the answers need a folder"):
         nacre.design(TARGET, tmp_path / "file" / "out")

@@ -142,6 +142,7 @@ BAD = {
     "one number": (target(free={"layers[0].thickness_nm": 5}), "[low, high]"),
     "an unknown choice": (target(free={"layers[0].material": {"choices": ["SiO3"]}}), "SiO2"),
     "nothing free": (target(free=None), "nothing is free"),
+    "a file as a palette's name": (target(free=None, layers={"palette": ["own.csv"]}), 'write {file = "own.csv"}'),
     "an unknown palette name": (target(free=None, layers={"palette": ["TiO3"]}), 'Did you mean "TiO2"'),
     "an unknown substrate": (target(free=None, layers={"palette": ["TiO2"], "substrate": ["Aq"]}), "substrate"),
     "bounds of nothing": (

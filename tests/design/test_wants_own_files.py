@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import nacre
@@ -54,3 +55,21 @@ def test_a_search_goes_not_on_when_a_constant_to_choose_from_has_changed(tmp_pat
     assert read_target(wanted).fingerprint != before
     with pytest.raises(RecipeError, match="a file that it names"):
         nacre.design(wanted, tmp_path / "out", resume=True)
+
+
+def test_the_sensitivity_of_spectra_is_told_in_their_own_unit(tmp_path: Path) -> None:
+    (tmp_path / "s.csv").write_text("\n".join(f"{nm},{0.3 + 0.2 * (nm > 550)}" for nm in range(400, 701, 10)))
+    film = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100.0}]}
+    want = {"at": "specular 0", "spectrum": str(tmp_path / "s.csv"), "within": 50.0}
+    target = {"recipe": film, "free": {"layers[0].thickness_nm": [50, 300]}, "want": [want],
+              "search": {"seconds": 1, "solutions": 1}}  # fmt: skip
+    design = nacre.design(target, tmp_path / "out")
+    told = design.best.facts["sensitivity"][0]
+    thickness = design.best.changes["layers[0].thickness_nm"]
+    ends = [
+        design.best.material.vary({"layers[0].thickness_nm": thickness * (1 + step)})
+        .spectrum([0.0], np.arange(400.0, 701.0, 10.0)).specular_reflectance
+        for step in (-0.01, 0.01)
+    ]  # fmt: skip
+    rms = 0.5 * 100.0 * np.sqrt(np.mean((ends[1] - ends[0]) ** 2))
+    assert "de00_of_1_percent" not in told and told["rms_percent_of_1_percent"] == pytest.approx(rms, rel=0.3)

@@ -137,7 +137,10 @@ def test_a_named_number_that_is_not_there_is_no_new_one():
         material.vary({"numbers.drian": 90.0})
 
 
-@pytest.mark.parametrize(("labs", "words"), [("red", "labs should be"), ([[50, 0, 0], [700, 0, 0]], r"labs\[1\]")])
+@pytest.mark.parametrize(
+    ("labs", "words"),
+    [("red", "red: does not exist"), ({"L": 50}, "labs should be"), ([[50, 0, 0], [700, 0, 0]], r"labs\[1\]")],
+)
 def test_many_colours_that_are_none_are_refused(labs, words):
     one = {"recipe": {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 90}]}}
     one |= {"free": {"layers[0].thickness_nm": [20, 200]}, "want": [{"at": "specular 0", "colour": "#605040"}]}

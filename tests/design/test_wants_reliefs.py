@@ -1,6 +1,7 @@
 """Reliefs in the file of wants: pictures hand over to the search of reliefs as it is, colours join it."""
 
 import json
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,15 +11,18 @@ import pytest
 import nacre
 from nacre.cli.make import _tell_relief
 from nacre.design.run import load_target
+from nacre.design.search import Search
 from nacre.design.wants.reliefs import read_relief
 from nacre.design.wants.target import seeks_heights
 from nacre.errors import RecipeError
+from nacre.families.relief.material import Relief
 from nacre.recipe.model import RecipeContext
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "targets"
 RELIEF = {"family": "relief", "feature_um": 0.8, "blur_um": 0.13, "coating": "Al", "coherence": {"sigma": 2.6}}
 PICTURE = {"kind": "image", "image": "star.png", "image_scale": 1.5, "colour": "white", "range": 0.3,
            "resolution": 64, "intensity_scale": 0.02}  # fmt: skip
+ROUGH = {**RELIEF, "coherence": {"sigma": 1.0}}  # whose window fits a tile of 8 features
 COLOUR = {"at": "30as15", "colour": "#3060c0", "within": 5}
 
 
@@ -121,3 +125,34 @@ def test_how_far_each_colour_is_missed_is_said_beside_the_loss(capsys):
     assert told[1:3] == [
         "  dE00 35.40 at 30as20 under D65, out of reach so far (within 8 was asked)", "  dE00 1.20 at 45as10 under A"
     ]  # fmt: skip
+
+
+def test_what_judging_takes_is_kept_back_from_the_search(tmp_path, monkeypatch):
+    """It is tried before: here it takes half a second, of which a machine as busy as this one takes no less after."""
+    limits = []
+
+    def slow(self, wi, wo, wavelengths_nm):
+        time.sleep(0.5)
+        return np.zeros((len(wi), len(wavelengths_nm)))
+
+    def run(self, limit, tell):
+        limits.append(limit)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Relief, "values_at", slow)
+    monkeypatch.setattr(Search, "run", run)
+    with pytest.raises(KeyboardInterrupt):
+        nacre.design({**_target(COLOUR), "search": {"seconds": 20}}, tmp_path / "out")
+    assert 0.25 * 20 <= limits[0] <= 20 - 3 - 0.5 - 0.5
+
+
+def test_the_page_of_a_relief_shows_the_colours_asked_and_reached(tmp_path):
+    free, search = {"heights": [0, 0.4], "features": 8}, {"seconds": 1}
+    quick = {**_target({**COLOUR, "within": 0.1}), "recipe": ROUGH, "free": free, "search": search}
+    found = nacre.design(quick, tmp_path / "out")
+    want = found.summary["solutions"][0]["wants"][0]
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "30as15, D65" in page and "background:#3060c0" in page
+    assert f"background:{want['reached']['colour']}" in page
+    assert f"dE00 {want['de00']:.2f} (within 0.1) (missed)" in page
+    assert json.loads((tmp_path / "out" / "design.json").read_text())["solutions"] == found.summary["solutions"]

@@ -1,9 +1,12 @@
 """The search of what takes long: metasurfaces from their mirror and diffuse colours."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import nacre
+from nacre.design.wants import slow
 from nacre.design.wants.broyden import Descent, step_of
 from nacre.design.wants.geometry import At, see
 from nacre.design.wants.judge import judge
@@ -41,6 +44,28 @@ def test_a_step_that_leans_against_its_bound_stays_there():
     place = np.array([0.0, 0.5])
     run = Descent(place, slopes @ (place - solution), slopes, damping=1e-12)
     assert step_of(run, np.ones(2), [0, 1])[0] == 0.0
+
+
+@pytest.mark.parametrize("of_one_s", [0.05, 0.3])
+def test_a_search_leaves_the_time_to_judge_what_takes_long(of_one_s, monkeypatch):
+    """By a clock that only looks move: each wavelength of a new body costs as much, and who judges sees all of them."""
+    clock = [0.0]
+
+    def seen(made, rows, grid, **_):
+        clock[0] += of_one_s * len(grid)
+        return SimpleNamespace(factors=np.full((len(rows), len(grid)), 0.1 + 1e-3 * made.get("particle.radius_nm")))
+
+    target = _target(nacre.material(START), {"particle.radius_nm": [58, 62]}, 60)
+    search = search_of(target, 0)
+    assert isinstance(search, SlowSearch) and search.kept_s == pytest.approx(18.0)
+    search.kept_s = 3.0
+    monkeypatch.setattr(slow, "see", seen)
+    monkeypatch.setattr(slow, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    assert search.run(60.0, None, []) == "time"
+    judging = of_one_s * len(search.fine.grid)
+    assert np.isfinite(search.best) and search.evaluations >= 5
+    assert clock[0] + max(judging - 3.0, 0.0) <= 60.0
+    assert clock[0] + max(judging - 3.0, 0.0) > 60.0 - 2 * judging  # and does not end long before
 
 
 @pytest.mark.full

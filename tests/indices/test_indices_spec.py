@@ -61,6 +61,10 @@ def test_drude_and_lorentz_absorb_and_add():
 
 
 @pytest.mark.parametrize("material, line", [
+    ("own.csv", 'layers[2].material = "own.csv" is the name of a file, not of a material; '
+                'write {file = "own.csv"} in its place'),
+    ("a/b/own.TXT", 'layers[2].material = "a/b/own.TXT" is the name of a file, not of a material; '
+                    'write {file = "a/b/own.TXT"} in its place'),
     ("TiO3", 'layers[2].material = "TiO3" is not known. Did you mean "TiO2"? List: nacre indices search Ti'),
     ("GaAs", 'layers[2].material = "GaAs" has no default entry. Choose one for {rii = ...}: nacre indices search GaAs'),
     ({"n": 1.5, "k": -0.1}, "layers[2].material.k = -0.1 is not allowed; nacre takes n + ik with k >= 0"),

@@ -1,6 +1,7 @@
 """Particles that all point one way: known particles by this route, turns, other codes, energy, reciprocity."""
 
 import dataclasses
+import importlib.util
 from functools import cache
 from pathlib import Path
 
@@ -8,23 +9,29 @@ import numpy as np
 import pytest
 from helpers_metasurface import monolayer, surface, t_matrix
 
+import nacre
+from nacre.bsdf.bsdf import Bsdf
+from nacre.bsdf.contract import SpecularResponse
 from nacre.bsdf.directions import direction
-from nacre.bsdf.lobes.harmonic import PolarGrid
+from nacre.bsdf.lobes.masked import MaskedLobe
+from nacre.bsdf.lobes.monolayer import PolarGrid
+from nacre.bsdf.texture import Texture
 from nacre.families.metasurface import aligned_compile, tmatrix_symmetry
 from nacre.families.metasurface.aligned import AlignedLayer
-from nacre.families.metasurface.aligned_compile import aligned_powers, tabulate_aligned
+from nacre.families.metasurface.aligned_compile import aligned_powers, aligned_values, tabulate_aligned
 from nacre.families.metasurface.aligned_pairs import aligned_term, azimuth_nodes, light_of
 from nacre.families.metasurface.axial import as_blocks
 from nacre.families.metasurface.cluster import Coupling, PlaneWaves
 from nacre.families.metasurface.compile import Grids, tabulate
 from nacre.families.metasurface.corrections import diffuse_term
-from nacre.families.metasurface.few import few_powers
+from nacre.families.metasurface.few import few_powers, few_values
 from nacre.families.metasurface.monolayer import Monolayer, Particle
 from nacre.families.metasurface.neighbours import multipole_index, with_negative_orders
-from nacre.families.metasurface.sphere import hemisphere_rule
+from nacre.families.metasurface.sphere import Directions, hemisphere_rule
 from nacre.families.metasurface.structure import hard_disk_structure
+from nacre.families.metasurface.substrate import Embedded
 from nacre.families.metasurface.tmatrix_file import TMatrixFileError, read_tmatrices, write_tmatrices
-from nacre.families.metasurface.whole import reversed_whole, spread, turned_whole
+from nacre.families.metasurface.whole import reversed_whole, spread, tilted_whole, turned_whole
 from nacre.measure.spectrum import directional_hemispherical
 
 SAME = 1e-10  # of what is computed another way from the same numbers
@@ -33,6 +40,8 @@ OTHER_CODE = 1e-6
 EXPANDED = 2e-3  # of the largest far field: multipoles up to 5 about the middle of two spheres that reach 100 nm
 LINES = 1e-2  # of the root mean square: what 64 angles leave over a film, twice the bar of tables of 120
 QCA_ENERGY = 1e-2  # the mean field's own, see the physics note, section 7
+ROOT = Path(__file__).parents[2]
+EXAMPLE, TOOL = ROOT / "examples" / "metasurface" / "silver_rods.toml", ROOT / "tools" / "lying_rods.py"
 FILE = Path(__file__).with_name("dimer.tmat.h5")
 RADII, APART, INDEX = (50.0, 38.0), 100.0, 4.0 + 0.05j  # of the two spheres of the file, the larger one at -x
 LENGTH, HEIGHT = APART + 2 * RADII[0], 2 * RADII[0]
@@ -76,6 +85,12 @@ def vectors(count, seed, both=False):
 def about_z(w, angle):
     cos, sin = np.cos(angle), np.sin(angle)
     return w @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+def about_y(w, angle):
+    """From z towards x."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return w @ np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
 
 
 # -- what is known already, by this route -----------------------------------------------------------------
@@ -126,7 +141,55 @@ def test_and_their_few_powers():
         assert np.abs(found - expected).max() <= 1e-6  # another rule over the azimuth
 
 
+@pytest.mark.parametrize("substrate", [4.0 + 0.05j, 1.5])
+def test_and_their_values_at_a_few_pairs(substrate):
+    today, here = spheres(substrate)
+    wi, wo = vectors(5, 12), vectors(5, 13)
+    wi[:, 2], wo[:, 2] = np.maximum(wi[:, 2], 0.2), np.maximum(wo[:, 2], 0.2)
+    wi, wo = (w / np.linalg.norm(w, axis=1)[:, None] for w in (wi, wo))
+    expected = few_values(today, wi, wo)
+    assert (
+        np.abs(aligned_values(here, wi, wo, 0.3) - expected).max() <= 1e-4 * expected.max()
+    )  # other sums over the azimuth
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+def test_values_at_a_few_pairs_are_those_of_the_lobe_between_its_angles(turn):
+    layer = dimers(4.3 + 0.07j, films=((1.46, 120.0),))
+    lobe = lobes(layer, 64, turn=turn)[1]
+    wi, wo = (
+        direction(np.radians([15.0, 35.0, 50.0, 60.0]), phi) for phi in ([0.0, 1.0, 2.5, 4.0], [0.5, 3.0, 3.1, 0.2])
+    )
+    expected = lobe.evaluate(wi, wo)[:, 0]
+    found = aligned_values(layer, wi, wo, turn)
+    assert np.sqrt(np.mean((found - expected) ** 2)) <= LINES * np.sqrt(np.mean(expected**2))
+    assert np.abs(aligned_values(layer, wo, wi, turn) - found).max() <= SAME * found.max()
+    assert np.abs(aligned_values(layer, wi, wo, turn + 1.0) / found - 1.0).max() > 0.05
+
+
 # -- turns ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tilt_deg", [90.0, 35.0])
+def test_a_tilted_particle_is_light_and_view_tilted_back(tilt_deg):
+    """In free space, of the lopsided particle of the file: all |F|^2 over both polarisations stay."""
+    tilt, layer = np.radians(tilt_deg), dimers(1.0, mmax=5)
+    tilted = AlignedLayer(layer.mean, tilted_whole(layer.whole, tilt))
+    a = vectors(6, 8)
+    b = about_y(a, tilt)
+    keep = b[:, 2] > 0.05
+    a, b = a[keep], b[keep]
+    assert len(a) >= 2
+
+    def sent(of, w):
+        """From the first direction to the others; the light's wavevector runs the other way."""
+        phi = np.arctan2(w[:, 1], w[:, 0])
+        f = _alone(of, w[0, 2], w[1:, 2], phi[0] + np.pi, phi[1:])
+        return np.sum(np.abs(f) ** 2, axis=(0, 2))
+
+    expected = sent(layer, a)
+    assert np.abs(sent(tilted, b) - expected).max() <= SAME * expected.max()
+    assert np.abs(sent(layer, b) - expected).max() > 0.05 * expected.max()
 
 
 @pytest.mark.parametrize("turn_deg", [90.0, 30.0])
@@ -154,14 +217,35 @@ def test_a_turned_particle_is_the_material_turned(turn_deg, monkeypatch):
     assert np.ptp(mirror.specular_at(np.full(8, 0.8), azimuth_nodes(8)).reflectance) > 1e-3
 
 
-def _alone(layer, light, views, wave, away):
+def test_mirror_light_at_many_azimuths_is_summed_over_lobes_of_every_sort():
+    """One that depends on the azimuth, its diffuse one, one of its methods alone, and all of them in a mask."""
+    made = lobes(dimers(4.3 + 0.07j), 10)
+    nm, phi = made[0].wavelengths_nm, azimuth_nodes(5)
+
+    class OfMethodsAlone:
+        wavelengths_nm = nm
+
+        def specular(self, cos_i, uv=None):
+            return SpecularResponse(np.full((*np.shape(cos_i), 1), 0.1), np.zeros((*np.shape(cos_i), 1)))
+
+    expected = made[0].specular_at(np.full(5, np.cos(0.5)), phi).reflectance
+    found = Bsdf((*made, OfMethodsAlone())).specular(0.5, phi_rad=phi)
+    assert np.abs(found.reflectance - expected - 0.1).max() <= SAME and np.ptp(expected) > 1e-3
+    half = Texture(0.0, 1.0, image=np.full((2, 2), 0.25))
+    masked = Bsdf(tuple(MaskedLobe(nm, lobe, half) for lobe in made)).specular(0.5, phi_rad=phi)
+    assert np.abs(masked.reflectance - 0.25 * expected).max() <= SAME
+    assert np.abs(Bsdf(made).specular(0.5).reflectance - expected[0]).max() <= SAME
+
+
+def _alone(layer, light, views, wave, away, is_lit_from_below=False):
     """Return F of one particle without neighbours, `[q, view, p]`, nm: light and views by cosine, waves' azimuths."""
     sphere = layer.mean.spheres[0]
-    v = with_negative_orders(sphere.directions([light]).excitation, layer.index)[:, :, 0]
+    lit = sphere.directions(np.array([light]), is_lit_from_below)
+    v = with_negative_orders(lit.excitation, layer.index)[:, :, 0]
     u = with_negative_orders(sphere.directions(views).emission, layer.index)
     m = layer.index.m
     b = layer.dressed @ (np.exp(-1j * m * wave)[:, None] * v.T)
-    return np.einsum("qnv,nv,np->qvp", u, np.exp(1j * np.outer(m, away)), b) / layer.mean.surface.wavenumber
+    return np.einsum("qnv,nv,np->qvp", u, np.exp(1j * np.outer(m, away)), b) / layer.mean.surface.inner_wavenumber
 
 
 def test_the_mean_over_turns_is_the_averaged_particle(monkeypatch):
@@ -220,20 +304,18 @@ def test_one_particle_in_free_space_scatters_as_treams_says():
             assert np.sum(np.abs(found[:, i, pol]) ** 2) == pytest.approx(theirs, rel=OTHER_CODE)
 
 
-def _two_spheres(below, centre, theta_i, wave, theta_s, away):
+def _two_spheres(below, centre, theta_i, wave, theta_s, away, is_lit_from_below=False):
     """Return F of the two spheres, each solved as a sphere over the stack, `[q, view, view azimuth, p]`."""
     order = 6
     pair = [Particle(1.0, centre, t_matrix(order, below.wavenumber * r, INDEX)) for r in RADII]
     coupling, kinds = Coupling.build(below, pair[0], APART, APART + 1.0, pair[1]), np.array([0, 1])
     places = np.array([[-APART / 2, 0.0], [APART / 2, 0.0]])
 
-    def waves(theta, azimuths):
-        from nacre.families.metasurface.sphere import Directions
-
-        made = Directions.build(below, centre, order, order, np.cos(theta))
+    def waves(theta, azimuths, is_below=False):
+        made = Directions.build(below, centre, order, order, np.cos(theta), is_below)
         return PlaneWaves.build(made, np.asarray(azimuths), order, below.wavenumber, made)
 
-    light, views = waves(np.array([theta_i]), [wave]), waves(theta_s, away)
+    light, views = waves(np.array([theta_i]), [wave], is_lit_from_below), waves(theta_s, away)
     found = coupling.far_field(places, coupling.solve(places, light, kinds), views, kinds)
     return found.reshape(2, len(theta_s), len(away), 2)
 
@@ -246,6 +328,43 @@ def test_one_particle_over_a_stack_scatters_as_the_two_spheres_that_it_is(substr
     at, around = np.repeat(np.cos(theta), 4), np.tile(away, 3)
     found = _alone(layer, np.cos(0.8), at, wave, around).reshape(2, 3, 4, 2)
     assert np.abs(found - expected).max() <= EXPANDED * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("is_lit_from_below", [False, True])
+def test_one_particle_inside_a_layer_scatters_as_the_two_spheres_that_it_is(is_lit_from_below):
+    """Between a film of high index above, which sends much back, and what is below; the layer has the file's index."""
+    last = 1.5 if is_lit_from_below else 4.3 + 0.07j
+    within = Embedded(500.0, np.array([1.0, 2.1, 1.0, last], complex), np.array([70.0, 330.0]), 2)
+    layer, centre = _inside(within), 180.0
+    theta, away, wave = np.radians([5.0, 35.0, 70.0]), np.array([0.2, 1.9, 3.3, 5.0]), 0.6
+    light = np.cos(0.5 if is_lit_from_below else 0.8)
+    expected = _two_spheres(within, centre, np.arccos(light), wave, theta, away, is_lit_from_below)
+    at, around = np.repeat(np.cos(theta), 4), np.tile(away, 3)
+    found = _alone(layer, light, at, wave, around, is_lit_from_below).reshape(2, 3, 4, 2)
+    assert np.abs(found - expected).max() <= EXPANDED * np.abs(expected).max()
+    over = dimers(last, gap=centre - HEIGHT / 2)  # without the film it is another answer
+    assert np.abs(np.abs(_alone(over, 0.7, at, wave, around)) - np.abs(_alone(layer, 0.7, at, wave, around))).max() > (
+        0.1 * np.abs(expected).max()
+    )
+
+
+def test_where_nothing_absorbs_and_nothing_guides_all_light_comes_out_of_a_layer():
+    """The energy of the whole monolayer inside, at each azimuth; a layer no denser than its sides guides no light."""
+    within = Embedded(500.0, np.array([1.0, 1.0, 1.5], complex), np.array([330.0]), 1)
+    layer = _inside(within, whole=_lossless())
+    over = dimers(1.5, gap=180.0 - HEIGHT / 2, whole=_lossless())
+    cosines = np.cos(np.radians([0.0, 30.0, 55.0]))
+    for azimuth in (0.0, 0.7):
+        parts = np.stack(aligned_powers(layer, cosines, azimuth))
+        assert np.abs(parts.sum(axis=0) - 1.0).max() <= QCA_ENERGY
+        assert np.abs(parts - np.stack(aligned_powers(over, cosines, azimuth))).max() <= SAME
+
+
+def _inside(within, centre=180.0, whole=None):
+    mean = dimers(1.5).mean
+    structure = hard_disk_structure(mean.structure.density_per_nm2, 0.4, 4.5 * within.wavenumber * 1.5)
+    inner = Monolayer(within, (dataclasses.replace(mean.particles[0], centre_nm=centre),), structure)
+    return AlignedLayer(inner, known().whole[0] if whole is None else whole)
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 40.0])
@@ -296,8 +415,6 @@ def test_lobes_are_reciprocal_and_keep_energy(below):
     index = [np.where(w[:, 2:] > 0, 1.0, made[1].eta) for w in (a, b)]
     forth, back = made[1].evaluate(a, b) / index[1] ** 2, made[1].evaluate(b, a) / index[0] ** 2
     assert np.abs(forth - back).max() <= SAME * forth.max() and forth.min() >= 0.0
-    from nacre.bsdf.bsdf import Bsdf
-
     light = np.concatenate([direction(np.radians([0.0, 20.0, 50.0, 75.0, 86.0]), 0.3), vectors(10, 6, both)])
     reflected, passed = directional_hemispherical(Bsdf(made), light)
     assert np.all(reflected + passed <= 1.0 + 2e-3)  # a quadrature of 64 nodes over the critical angle's kink
@@ -315,3 +432,42 @@ def test_a_file_is_written_and_read_the_same(tmp_path):
     treams = pytest.importorskip("treams.io").treams
     theirs, ours = (treams.io.load_hdf5(str(p))[0] for p in (FILE, tmp_path / "again.tmat.h5"))
     assert np.abs(np.asarray(theirs) - np.asarray(ours)).max() <= 1e-15
+
+
+# -- the example ------------------------------------------------------------------------------------------
+
+
+def test_the_rods_of_the_example_lie_along_u_until_they_are_turned():
+    """At the normal the light that swings along them, p of the plane of u, meets their long resonance; s does not."""
+    rods = nacre.load(EXAMPLE)
+    seen = {
+        (turn, pol): rods.vary({"particle.turn_deg": turn}).model.spectrum([0.0], np.array([640.0]), pol)
+        for turn in (0.0, 90.0)
+        for pol in "sp"
+    }
+    mirror = {key: float(one.specular_reflectance[0, 0]) for key, one in seen.items()}
+    assert mirror[0.0, "p"] > 2 * mirror[0.0, "s"]
+    assert mirror[90.0, "s"] == pytest.approx(mirror[0.0, "p"], abs=SAME)
+    assert mirror[90.0, "p"] == pytest.approx(mirror[0.0, "s"], abs=SAME)
+
+
+def test_a_few_values_of_the_example_are_those_of_its_tables():
+    rods, nm = nacre.load(EXAMPLE).vary({"particle.turn_deg": 25.0}), np.array([560.0, 640.0])
+    wi, wo = direction(np.radians([45.0, 45.0]), 0.0), direction(np.radians([30.0, 20.0]), [np.pi, 0.0])
+    expected = rods.bsdf(nm).evaluate(wi, wo)
+    few = rods.model.values_at(wi, wo, nm)
+    assert np.abs(few - expected).max() <= LINES * expected.max()
+    assert rods.model.values_at(*(2 * [direction(np.radians(np.linspace(0, 80, 30)))]), nm) is None
+
+
+def test_the_example_s_file_is_what_its_tool_writes_and_a_turned_upright_rod():
+    spec = importlib.util.spec_from_file_location("lying_rods", TOOL)
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    nm = np.array([640.0])
+    again = tool.lying_spheroid(tool.LENGTH_NM, tool.WIDTH_NM, "Ag", tool.FILM_INDEX, nm, tool.ORDER)
+    held = read_tmatrices(EXAMPLE.with_name("silver_rods.tmat.h5"), is_aligned=True)
+    at = int(np.argmin(np.abs(held.wavelengths_nm - 640.0)))
+    assert np.abs(held.whole[at] - again.whole[0]).max() <= 2 * tool.KEPT * np.abs(held.whole).max()
+    upright = spread(again.blocks[0], multipole_index(tool.ORDER))
+    assert np.abs(tilted_whole(again.whole[0], -np.pi / 2) - upright).max() <= 1e-7 * np.abs(upright).max()

@@ -397,7 +397,7 @@ def test_points_csv_comes_back(tmp_path):
 
 @pytest.mark.parametrize("deviation_nm", [0.0, 6.0])
 def test_the_dense_grid_averages_to_the_bsdf(deviation_nm, monkeypatch):
-    from nacre.bsdf.lobes.harmonic import PolarGrid
+    from nacre.bsdf.lobes.monolayer import PolarGrid
     from nacre.families.metasurface import compile as tables
     from nacre.families.metasurface.dense import stream_dense
 
@@ -451,7 +451,7 @@ RESOLVED = 5e-3  # relative L2 of f, linear between the stored angles
      ("glass", 0, 450.0, 32), ("air", 0, 450.0, 100)],
 )  # fmt: skip
 def test_the_stored_angles_resolve_films_up_to_a_micrometre(substrate, oxide_nm, wavelength_nm, count):
-    from nacre.bsdf.lobes.harmonic import PolarGrid
+    from nacre.bsdf.lobes.monolayer import PolarGrid
     from nacre.families.metasurface.compile import Grids, tabulate
 
     particle = {"material": "Si", "radius_nm": 75} if substrate == "glass" else {"material": "Ag", "radius_nm": 90}

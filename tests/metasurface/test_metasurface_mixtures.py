@@ -16,10 +16,11 @@ from nacre.errors import NacreError
 from nacre.families.metasurface.axial import as_blocks
 from nacre.families.metasurface.cells import Cell, lift, with_kinds
 from nacre.families.metasurface.cluster import Coupling, Period, PlaneWaves, direct_coupling
-from nacre.families.metasurface.ensemble import _kind_factor
+from nacre.families.metasurface.ensemble import EnsembleSettings, _kind_factor
 from nacre.families.metasurface.kinds import widened
 from nacre.families.metasurface.monolayer import Monolayer, Particle
 from nacre.families.metasurface.neighbours import multipole_index
+from nacre.families.metasurface.refine import expected_seconds
 from nacre.families.metasurface.sphere import Directions
 from nacre.families.metasurface.structure import hard_disk_structure
 from nacre.materials.material import material
@@ -183,6 +184,19 @@ def test_the_ensemble_of_a_mixture_is_what_discs_of_it_send_without_any_model():
     theta_s, theta_i = np.radians(np.linspace(3.5, 80.5, 12)), np.radians([10.5, 24.5, 38.5, 52.5])
     ratio, _, _ = judged(layer, 130, 12)
     assert distance(light(layer, theta_s, theta_i, ratio), of_discs(layer, theta_s, theta_i, 24), theta_s) <= 0.08
+
+
+def test_a_mixture_s_ensemble_is_told_to_take_longer_where_its_kinds_lie_at_unlike_heights():
+    """Two kinds of 60 spheres took 2.2 times the work of one; level ones hardly more. What is opaque takes half."""
+    level, apart = (mixture(500.0, (70.0, MIE_SILVER), (radius, DARK_SILICON), 0.4, 0.08) for radius in (70.0, 50.0))
+    one = dataclasses.replace(level, particles=(dataclasses.replace(level.particles[0], share=1.0),))
+    opaque = dataclasses.replace(one.surface, indices=np.array([1.0, 4.0 + 0.1j]))
+    dark = dataclasses.replace(one, surface=opaque)
+    settings = EnsembleSettings(60, 48, 2)
+    alone, level_s, apart_s, dark_s = (expected_seconds(16, settings, each) for each in (one, level, apart, dark))
+    assert dark_s < 0.7 * alone and alone < level_s < 1.3 * alone and 1.7 * alone < apart_s < 3.0 * alone
+    higher = EnsembleSettings(60, 48, 3)
+    assert expected_seconds(16, higher, apart) / expected_seconds(16, higher, one) > apart_s / alone
 
 
 def test_each_kind_has_its_share_of_all_patterns():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from nacre.bsdf import Bsdf
-from nacre.bsdf.lobes.harmonic import PolarGrid
+from nacre.bsdf.lobes.monolayer import PolarGrid
 from nacre.bsdf.series_words import ROUNDING, encode
 from nacre.materials.material import material
 

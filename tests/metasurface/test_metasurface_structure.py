@@ -176,6 +176,23 @@ def test_a_list_of_points_is_read_by_its_heading_and_decimal_mark(form: str, tmp
     np.testing.assert_allclose(pattern.xy_nm, 1e3 * xy, atol=0.1)
 
 
+WORDS = {
+    "a word": ("0,0\n# remark\n0.5,north\n", 'holds "0.5 north" in line 3 where two numbers should stand'),
+    "one number": ("x,y\n0,0\n\n1.5\n", 'holds "1.5" in line 4 where two numbers should stand'),
+    "no number": ("0,0\n0.5,nan\n", "must hold finite numbers; line 2 does not"),
+    "nothing": ("x,y\n", "must hold two numbers a line"),
+}
+
+
+@pytest.mark.parametrize("form", WORDS)
+def test_a_list_that_is_none_is_refused_with_its_line(form: str, tmp_path: Path) -> None:
+    text, why = WORDS[form]
+    (tmp_path / "xy.csv").write_text(text)
+    with pytest.raises(NacreError) as refused:
+        points_pattern(RecipeContext("r.toml", tmp_path), "xy.csv", 100.0)
+    assert str(refused.value) == f'r.toml: monolayer.structure.points = "xy.csv" {why}'
+
+
 def test_a_list_from_a_strip_has_the_density_of_its_points(tmp_path: Path) -> None:
     """Its longer side had been the period of both: a strip of 4 to 1 came out with a fourth of its density."""
     rng = np.random.default_rng(3)

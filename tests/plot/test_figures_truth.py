@@ -201,3 +201,12 @@ def test_plot_loads_matplotlib_late_and_never_pyplot():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
     assert done.stdout.split() == ["False", "True", "False"]
+
+
+def test_names_of_thin_layers_do_not_cover_each_other() -> None:
+    from nacre.plot.designs import apart
+
+    np.testing.assert_allclose(apart(np.array([0.1, 0.5, 0.51]), 0.05), [0.1, 0.5, 0.55])
+    crowded = apart(np.array([0.9, 0.95, 0.96, 0.97]), 0.05)
+    assert crowded.max() <= 1.0 + 1e-12 and np.diff(crowded).min() >= 0.05 - 1e-12
+    assert np.diff(apart(np.full(40, 0.5), 0.05)).min() > 0.02  # more than there is room for

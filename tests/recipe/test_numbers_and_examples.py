@@ -14,7 +14,8 @@ from nacre.bsdf.texture import parse_formula
 from nacre.cli import run
 from nacre.errors import NacreError, RecipeError
 from nacre.materials.examples import copy_examples, examples, examples_folder, find_example
-from nacre.recipe.numbers import uses_time, without_names
+from nacre.recipe.formulas import with_values
+from nacre.recipe.numbers import uses_time
 
 FORMULA = "100 + 500*v^drain + 40*sin(drain*u) + t"
 
@@ -41,14 +42,37 @@ def test_a_named_number_stands_in_the_formula() -> None:
 
 
 def test_names_are_whole_words_and_no_functions() -> None:
-    layer = {"formula": "s*sin(u) + 1e2*e2 + sin + steps"}
-    data = {"numbers": {"s": 2.0, "sin": 3.0, "e2": 4.0}, "layer": layer}
-    assert without_names(data, "r")["layer"]["formula"] == "(2.0)*sin(u) + 1e2*(4.0) + (3.0) + steps"
+    names = {"s": 2.0, "sin": 3.0, "e2": 4.0}
+    assert with_values("s*sin(u) + 1e2*e2 + sin + steps", names) == "(2.0)*sin(u) + 1e2*(4.0) + (3.0) + steps"
 
 
 def test_a_recipe_inside_keeps_its_own_numbers() -> None:
-    inner = {"numbers": {"a": 1.0}, "formula": "a + b"}
-    assert without_names({"numbers": {"a": 5.0, "b": 6.0}, "first": inner}, "r")["first"]["formula"] == "a + (6.0)"
+    """Of a share a + b the inner a counts, and the b around it."""
+    inner = {"family": "blend", "first": {"family": "film", "substrate": "Ag"},
+             "second": {"family": "film", "substrate": "Cu"}, "mask": {"formula": "a + b"}}  # fmt: skip
+    numbers = {"a": 0.5, "b": 0.2}
+    outer = {"family": "blend", "first": inner, "second": {"family": "film", "substrate": "Si"}, "mask": 1.0}
+
+    def shown(share: float | None) -> Any:
+        own = {**inner, "numbers": {"a": 0.1}} if share is None else {**inner, "mask": share}
+        return nacre.material({**outer, "numbers": numbers, "first": own}).spectrum([0.0]).specular_reflectance
+
+    np.testing.assert_allclose(shown(None), shown(0.3), atol=1e-12)
+    assert np.abs(shown(None) - shown(0.7)).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("formula", "words"),
+    [
+        ("100*drain + foo(u)", r'formula "100\*drain \+ foo\(u\)": "foo\(u\)" is not allowed'),
+        ("100*drain +", r'formula "100\*drain \+" cannot be read'),
+        ("log(drain - 2 - u)", r'thickness_nm.formula = "log\(drain - 2 - u\)" has no finite value'),
+    ],
+)
+def test_messages_show_a_formula_as_it_is_written(formula: str, words: str) -> None:
+    with pytest.raises(RecipeError, match=words) as caught:
+        nacre.material(_film(formula, numbers={"drain": 1.0}))
+    assert "1.0" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -163,3 +163,14 @@ def test_a_number_is_exchanged_where_it_stands(path: str, value: float) -> None:
     holder[path.rpartition(".")[2]] = value
     assert parse_toml(made, "film.toml") == wanted
     assert "# oxide" in made and "# thickness_nm = 5" in made
+
+
+@pytest.mark.full
+def test_aligned_particles_are_drawn_in_the_plane_of_u_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(look, "lobe_picture", lambda *_: pytest.fail("its picture would hold no azimuth"))
+    rods = nacre.load("silver_rods")
+    seen = {turn: list(looks(rods.vary({"particle.turn_deg": turn}), "D65", lambda: False)) for turn in (0.0, 90.0)}
+    for one in (each for both in seen.values() for each in both):
+        assert look.ALIGNED in one.notes and one.lobe is None
+    mirrors = [both[-1].mirror_rgb for both in seen.values()]
+    assert np.abs(mirrors[0] - mirrors[1]).max() > 0.1 * mirrors[0].max()

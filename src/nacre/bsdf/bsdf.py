@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from nacre.arrays import Array
-from nacre.bsdf.contract import Lobe, SpecularResponse
+from nacre.bsdf.contract import Lobe, SpecularResponse, specular_at
 from nacre.bsdf.file import describe_lobes, read_lobes, write_lobes
 from nacre.recipe.identity import identity
 
@@ -83,12 +83,8 @@ class Bsdf:
         self, theta_rad: Array | float, uv: Array | None = None, phi_rad: Array | float = 0.0
     ) -> SpecularResponse:
         """Sum the lobes' delta parts at incidence `theta_rad` (beyond pi/2: light from behind), azimuth `phi_rad`."""
-        cos_i = np.cos(np.asarray(theta_rad, dtype=float))
-        # a lobe that is one by its methods alone knows no azimuth
-        parts = [
-            lobe.specular_at(cos_i, phi_rad, uv) if isinstance(lobe, Lobe) else lobe.specular(cos_i, uv)
-            for lobe in self.lobes
-        ]
+        cos_i, phi = np.broadcast_arrays(np.cos(np.asarray(theta_rad, dtype=float)), np.asarray(phi_rad, dtype=float))
+        parts = [specular_at(lobe, cos_i, phi, uv) for lobe in self.lobes]
         return SpecularResponse(
             np.sum([p.reflectance for p in parts], axis=0), np.sum([p.transmittance for p in parts], axis=0)
         )

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -88,6 +88,22 @@ class Lobe(abc.ABC):
         zero = np.zeros((*cos_i.shape, len(self.wavelengths_nm)))
         return SpecularResponse(zero, zero)
 
+
+@runtime_checkable
+class FollowsAzimuth(Protocol):
+    """A lobe whose delta part may depend on the azimuth of the light, as that of aligned particles does."""
+
     def specular_at(self, cos_i: Array, phi_rad: Array | float, uv: Array | None = None) -> SpecularResponse:
-        """Return the delta part for light from an azimuth, where that matters; `specular` is for light from 0."""
-        return self.specular(cos_i, uv)
+        """Return the delta part for light from an azimuth; `specular` is for light from 0."""
+        ...
+
+
+def specular_at(lobe: Lobe, cos_i: Array, phi_rad: Array, uv: Array | None = None) -> SpecularResponse:
+    """Return the delta part of any lobe for light from an azimuth, which most of them do not ask for.
+
+    Args:
+        cos_i, phi_rad: of one shape `[...]`.
+    """
+    if isinstance(lobe, FollowsAzimuth):
+        return lobe.specular_at(cos_i, phi_rad, uv)
+    return lobe.specular(cos_i, uv)

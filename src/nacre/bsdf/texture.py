@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from nacre.arrays import Array
 from nacre.errors import RecipeError, UnsupportedError
+from nacre.recipe.formulas import with_values
 
 MAX_FORMULA_LENGTH = 1000
 MAX_FORMULA_NODES = 200
@@ -34,10 +35,16 @@ _FUNCTIONS = {
 
 @dataclass(frozen=True)
 class Formula:
-    """A parsed formula of u, v, x, y and z: nested tuples (operation, operand, ...), numbers and those names."""
+    """A parsed formula of u, v, x, y and z: nested tuples (operation, operand, ...), numbers and those names.
+
+    Attributes:
+        text: with values in place of a recipe's own names, so that it can be read without the recipe.
+        written: as its author wrote it, for messages.
+    """
 
     text: str
     tree: Any
+    written: str = dataclasses.field(default="", compare=False)
 
     def __call__(
         self,
@@ -77,14 +84,19 @@ class Formula:
         return Formula(repr(tree), tree), numbers
 
 
-def parse_formula(text: str) -> Formula:
+def parse_formula(text: str, names: Mapping[str, float] | None = None) -> Formula:
     """Parse a formula of u and v such as `100 + 600*v`, or of x, y and z.
 
+    Args:
+        names: numbers that the recipe names, and the time `t`.
+
     Raises:
-        RecipeError: the text is not a formula of u, v, x, y, z, numbers and the known functions.
+        RecipeError: the text is not a formula of u, v, x, y, z, numbers, those names and the known functions.
     """
-    if len(text) > MAX_FORMULA_LENGTH:
-        raise RecipeError(f"formula is {len(text)} characters long; at most {MAX_FORMULA_LENGTH} are allowed")
+    names = names or {}
+    filled = with_values(text, names)
+    if len(filled) > MAX_FORMULA_LENGTH:
+        raise RecipeError(f"formula is {len(filled)} characters long; at most {MAX_FORMULA_LENGTH} are allowed")
     text = " ".join(text.split())  # one line, also in messages
     try:
         body = ast.parse(text.replace("^", "**"), mode="eval").body
@@ -92,10 +104,10 @@ def parse_formula(text: str) -> Formula:
         raise RecipeError(f'formula "{text[:80]}" cannot be read; write an expression of u and v') from None
     if sum(1 for _ in ast.walk(body)) > MAX_FORMULA_NODES:
         raise RecipeError(f'formula "{text[:40]}..." has too many terms; at most {MAX_FORMULA_NODES} are allowed')
-    return Formula(text, _convert(body, text))
+    return Formula(" ".join(filled.split()), _convert(body, text, names), text)
 
 
-def _convert(node: ast.AST, text: str) -> Any:
+def _convert(node: ast.AST, text: str, names: Mapping[str, float]) -> Any:
     if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
         try:
             value = float(node.value)
@@ -108,15 +120,17 @@ def _convert(node: ast.AST, text: str) -> Any:
         return node.id
     if isinstance(node, ast.Name) and node.id in _CONSTANTS:
         return _CONSTANTS[node.id]
+    if isinstance(node, ast.Name) and node.id in names:
+        return names[node.id]
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
-        operand = _convert(node.operand, text)
+        operand = _convert(node.operand, text, names)
         return ("neg", operand) if isinstance(node.op, ast.USub) else operand
     if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
-        return (_BINARY[type(node.op)], _convert(node.left, text), _convert(node.right, text))
+        return (_BINARY[type(node.op)], _convert(node.left, text, names), _convert(node.right, text, names))
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
         name = node.func.id
         if _FUNCTIONS.get(name) == len(node.args):
-            return (name, *(_convert(arg, text) for arg in node.args))
+            return (name, *(_convert(arg, text, names) for arg in node.args))
     allowed = "u, v, x, y, z, t, pi, e, numbers, names of [numbers], + - * / ^ and " + ", ".join(_FUNCTIONS)
     part = ast.get_source_segment(text, node) if hasattr(node, "lineno") else None
     raise RecipeError(f'formula "{text[:80]}": "{part or type(node).__name__}" is not allowed; use {allowed}')
@@ -240,7 +254,7 @@ def place_formula(thing: Any) -> str | None:
     if thing is None or isinstance(thing, str | int | float | complex | np.ndarray) or hasattr(thing, "n_complex"):
         return None  # most of what is met, and quickest told apart; a medium is the same everywhere
     if isinstance(thing, Texture):
-        return thing.formula.text if thing.formula is not None and thing.formula.uses_place else None
+        return thing.formula.written if thing.formula is not None and thing.formula.uses_place else None
     if isinstance(thing, Mapping):
         parts = list(thing.values())
     elif dataclasses.is_dataclass(thing) and not isinstance(thing, type):

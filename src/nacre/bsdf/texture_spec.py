@@ -65,8 +65,10 @@ class TextureSpec(RecipeModel):
         examples=["nearest"],
     )
 
+    _names: dict[str, float] = pydantic.PrivateAttr(default_factory=dict)  # of the recipe, which formulas know
+
     @pydantic.model_validator(mode="after")
-    def _one_of_two(self) -> TextureSpec:
+    def _one_of_two(self, info: pydantic.ValidationInfo) -> TextureSpec:
         if (self.texture is None) == (self.formula is None):
             raise ValueError("give either texture = an image file or formula = an expression of u and v")
         if self.texture is not None and (self.min is None or self.max is None):
@@ -76,8 +78,10 @@ class TextureSpec(RecipeModel):
         if self.min is not None and self.max is not None and self.min > self.max:
             raise ValueError(f"min = {self.min:g} is above max = {self.max:g}")
         if self.formula is not None:
+            if info.context is not None:
+                self._names = info.context["recipe"].names
             try:
-                parse_formula(self.formula)
+                parse_formula(self.formula, self._names)
             except NacreError as error:
                 raise ValueError(str(error)) from None
         return self
@@ -96,7 +100,7 @@ class TextureSpec(RecipeModel):
             image = read_grey(context.path(self.texture), f"{context.source}: {key}.texture")
             return Texture(self.min, self.max, image=image, is_stepped=self.interpolation == "nearest")
         assert self.formula is not None
-        formula = parse_formula(self.formula)
+        formula = parse_formula(self.formula, self._names)
         u, v, place = _everywhere(formula)
         with np.errstate(all="ignore"):
             values = np.asarray(formula(u, v, place=place), dtype=float)

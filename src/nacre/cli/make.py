@@ -11,6 +11,8 @@ import click
 from nacre.cli import common
 from nacre.errors import NacreError
 
+LONG_COMPILE_S = 3.0  # of compiling, from where it is told
+MOST_TOLD = 20  # colours of many, a line each
 TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "npy", "sheet")
 
 
@@ -18,10 +20,15 @@ TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "npy", "sheet")
 @click.argument("target", metavar="TARGET.toml")
 @click.option("-o", "output", default=None, metavar="DIR", help="Default: the target's name.")
 @click.option("--resume", is_flag=True, help="Go on where a stopped run of the same target ended.")
+@click.option(
+    "--many", "labs", default=None, metavar="LABS.csv",
+    help="Design for each row of L, a, b, or name, L, a, b, in place of TARGET's colours; a folder and a row of "
+    "many.csv for each.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result's numbers as JSON.")
 @common.cache_option
 @common.jobs_option
-def design(target: str, output: str | None, resume: bool, as_json: bool) -> None:
+def design(target: str, output: str | None, resume: bool, labs: str | None, as_json: bool) -> None:
     """Find the structure with the look that TARGET asks for; the best so far is always on disk.
 
     TARGET holds [[want]] tables, for a film, pearl, metasurface or any other recipe, or a [target] table, for a
@@ -32,10 +39,13 @@ def design(target: str, output: str | None, resume: bool, as_json: bool) -> None
     from nacre.design.verb import run
     from nacre.files import check_writable
 
-    folder = Path(output) if output else Path(Path(target).stem)
-    if folder.exists() and not folder.is_dir():
-        raise NacreError(f"-o {folder}: is a file; the answers need a folder")
-    check_writable(folder / "x") if folder.exists() else check_writable(folder)
+    name = Path(target).stem
+    folder = Path(output or (name if labs is None else f"{name}-{Path(labs).stem}"))
+    if not folder.exists():
+        check_writable(folder)
+    if labs is not None:
+        _design_many(target, labs, folder, resume, as_json)
+        return
     jobs = os.environ.get("NACRE_JOBS")
     with _Screen() as screen:
         result = run(target, folder, resume, screen.show, int(jobs) if jobs else None)
@@ -47,6 +57,31 @@ def design(target: str, output: str | None, resume: bool, as_json: bool) -> None
         _tell_relief(result, target, as_json)
     if "interrupted" in (result.summary.get("status"), result.summary.get("interrupted") and "interrupted"):
         raise KeyboardInterrupt
+
+
+def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bool) -> None:
+    """Design for each row of a CSV, and tell how it went."""
+    from nacre.design.wants.many import many_designs
+    from nacre.design.wants.many_folder import SUMMARY, TABLE
+    from nacre.materials.examples import or_example
+
+    with _Screen() as screen:
+        found = many_designs(or_example(Path(target)), labs, folder, resume=resume, progress=screen.count)
+    if as_json:
+        click.echo((folder / SUMMARY).read_text(encoding="utf-8"), nl=False)
+    else:
+        met = sum(solution.is_met for solution in found.solutions)
+        click.echo(f"{met} of {len(found.rows)} colours are met")
+        pairs = list(zip(found.rows, found.solutions, strict=True))
+        if len(pairs) > MOST_TOLD:
+            pairs = sorted(pairs, key=lambda pair: -pair[1].worst.scaled)[:MOST_TOLD]
+            click.echo(f"the {MOST_TOLD} farthest; all are in {folder / TABLE}")
+        for row, solution in pairs:
+            worst = solution.worst
+            missed = "" if solution.is_met else f", out of reach (within {worst.want.within:g} was asked)"
+            click.echo(f"  {row['name'] or row['folder']}: dE00 {worst.distance:.2f} at {worst.want.at} under "
+                       f"{worst.lamp}{missed}   {solution.recipe.parent if solution.recipe else ''}")  # fmt: skip
+    common.note(f"{folder}: {TABLE}; nacre render {folder / found.rows[0]['folder']}")
 
 
 def _tell_relief(result: Any, target: str, as_json: bool) -> None:
@@ -94,17 +129,34 @@ class _Screen:
     def __init__(self) -> None:
         from rich.console import Console
 
+        self._has_told = False
         self._console = Console(stderr=True)
         self._status = self._console.status("designing") if self._console.is_terminal else None
 
     def __enter__(self) -> _Screen:
+        from nacre.matter.jit import hearing
+
+        self._ear = hearing(self._tell_compiling)
+        self._ear.__enter__()
         if self._status:
             self._status.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._ear.__exit__(None, None, None)
         if self._status:
             self._status.stop()
+
+    def _tell_compiling(self, seconds: float) -> None:
+        """Say once what a first run waits for."""
+        if seconds > LONG_COMPILE_S and not self._has_told:
+            self._has_told = True
+            common.note("compiling what this machine has not run yet; later runs find it ready")
+
+    def count(self, done: int, total: int) -> None:
+        """Show how many of many designs are done."""
+        if self._status:
+            self._status.update(f"{done} of {total} colours")
 
     def show(self, progress: Any) -> None:
         """Show the progress of the search."""
@@ -131,7 +183,7 @@ class _Screen:
     "--at",
     default=None,
     help="Where it is seen: specular T, transmitted T, diffuse T, hemispherical T or IasA. Default: specular 0; of a "
-    "pearl 45as15, of a photonic glass 45as45.",
+    "pearl or relief 45as15, of a photonic glass 45as45; the next of these where the recipe does not answer it.",
 )
 @click.option("--points", type=click.IntRange(8, 1_000_000), default=1000, show_default=True, help="Materials tried.")
 @click.option(

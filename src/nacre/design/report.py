@@ -175,6 +175,7 @@ def write_report(
         "<h1>Relief design</h1>",
         "".join(f'<p class="warning">{html.escape(note)}</p>' for note in notes),
         '<div class="row">' + "".join(_figure(title, image) for title, image in pictures) + "</div>",
+        _colours(summary),
         "<table>" + "".join(f"<tr><td>{k}</td><td>{html.escape(v)}</td></tr>" for k, v in rows.items()) + "</table>",
         '<div class="row">',
         _spectra_chart(problem, heights_nm),
@@ -188,10 +189,30 @@ def write_report(
     return found if spread is None else {**found, "robustness": asdict(spread)}
 
 
+def _colours(summary: dict[str, Any]) -> str:
+    """Return a table of the colours that were wanted at directions, asked beside reached; nothing where none was."""
+    wants = [want for solution in summary.get("solutions", []) for want in solution["wants"] if want.get("asked_lab")]
+    rows = [
+        f"<tr><td>{html.escape(want['at'])}, {html.escape(want['lamp'])}</td>"
+        + "".join(
+            f'<td><i style="background:{colour}"></i> Lab {", ".join(f"{v:.1f}" for v in lab)}</td>'
+            for colour, lab in (
+                (want["asked_colour"], want["asked_lab"]),
+                (want["reached"]["colour"], want["reached"]["lab"]),
+            )
+        )
+        + f"<td>dE00 {want['de00']:.2f} (within {want['within']:g}){'' if want['met'] else ' (missed)'}</td></tr>"
+        for want in wants
+    ]
+    head = "<tr><th>want</th><th>asked</th><th>reached</th><th>distance</th></tr>"
+    return f"<table>{head}{''.join(rows)}</table>" if rows else ""
+
+
 _PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>nacre: relief design</title><style>
 body{font:15px/1.5 system-ui,sans-serif;max-width:1180px;margin:2em auto;padding:0 1em;color:#222}
 .row{display:flex;flex-wrap:wrap;gap:18px}figure{margin:0}figcaption{font-size:13px;max-width:256px}
 img{image-rendering:pixelated;width:256px;height:256px;background:#000}
+th{text-align:left}td i{display:inline-block;width:48px;height:18px;vertical-align:middle;border:1px solid #222}
 td{padding:2px 18px 2px 0;border-bottom:1px solid #ddd}.warning{background:#fff2cc;padding:8px 12px}
 </style></head><body>BODY</body></html>
 """

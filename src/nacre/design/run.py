@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ CHECKPOINT_EVERY_S = 2.0
 STATE = "search.npz"
 # kept back from the time limit for the final measurement and the report
 CLOSING_SHARE, CLOSING_MOST_S = 0.15, 3.0
+LEAST_SEARCH = 0.25  # of the time limit, whatever was done before
 
 
 @dataclass(frozen=True)
@@ -99,9 +100,19 @@ def design(
     progress: Callable[[Progress], None] | None = None,
     jobs: int | None = None,
     problem: Problem | None = None,
+    begun: float | None = None,
+    closing_s: float = 0.0,
+    judge: Callable[[Path, Mapping[str, Any]], dict[str, Any]] | None = None,
 ) -> DesignResult:
-    """As `run`, for a target that is already checked; `problem` where it is more than the target says."""
-    begun = time.monotonic()
+    """As `run`, for a target that is already checked.
+
+    Args:
+        problem: where it is more than the target says.
+        begun: when the work began of which the time limit is, as `time.monotonic` has it; default: now.
+        closing_s: to keep back for `judge`.
+        judge: returns what else the summary holds, of the finished folder and what the summary holds already.
+    """
+    begun = time.monotonic() if begun is None else begun
     problem = spec.build(context) if problem is None else problem
     folder = Path(out_dir)
     try:
@@ -117,7 +128,8 @@ def design(
     keeper.write(search.best.x, "started")
     limit = spec.search.time_limit_s
     if limit is not None:
-        limit = max(limit - min(CLOSING_SHARE * limit, CLOSING_MOST_S) - (time.monotonic() - begun), 0.0)
+        closing = closing_s + min(CLOSING_SHARE * limit, CLOSING_MOST_S)
+        limit = max(limit - closing - (time.monotonic() - begun), LEAST_SEARCH * limit)
     best = search.run(limit, keeper.tell)
     save_state(search, folder, fingerprint)
     closing = time.monotonic()
@@ -126,6 +138,8 @@ def design(
         measured = measure_design(problem, heights_nm, workers)
     search.seconds += time.monotonic() - closing
     summary = keeper.write(best, search.stop_reason or "done", measured)
+    if judge is not None:
+        summary |= judge(folder, summary)
     with one_thread_each():
         summary |= write_report(folder / "report.html", spec, problem, heights_nm, measured, summary)
     write_text(folder / "design.json", json.dumps(summary, indent=2) + "\n")

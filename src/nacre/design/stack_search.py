@@ -383,6 +383,7 @@ def many(
     seed: int = 0,
     jobs: int | None = None,
     on_progress: Callable[[int, StackSolution], None] | None = None,
+    which: Sequence[int] | None = None,
 ) -> list[StackSolution]:
     """Find a stack for each of many goals that look at the same rows under the same lamps, with all else shared.
 
@@ -391,7 +392,8 @@ def many(
 
     Args:
         goals_list: colours as in `problem.goals`, in the same order of rows and lamps.
-        on_progress: called with the number of each goal and its answer.
+        on_progress: called with the number of each goal and its answer, from threads.
+        which: numbers of the goals that are asked for, whose answers are as if all were; default: all.
 
     Raises:
         NacreError: goals that are no colours, or of another shape.
@@ -406,7 +408,7 @@ def many(
     labs = np.zeros((SHARED_DRAWS, terms, 3))
     first = int(np.random.SeedSequence([seed, 0]).generate_state(1)[0])
     draw_many(engine.tables, engine.looks, engine.space, first, engine.spaces[0], draws, labs)
-    numbers = iter(range(len(goals_list)))
+    numbers = iter(range(len(goals_list)) if which is None else which)
     found: list[StackSolution | None] = [None] * len(goals_list)
 
     def work() -> None:
@@ -418,8 +420,12 @@ def many(
                 on_progress(i, one)
 
     with ThreadPoolExecutor(workers) as threads:
-        for future in [threads.submit(work) for _ in range(workers)]:
-            future.result()
+        try:
+            for future in [threads.submit(work) for _ in range(workers)]:
+                future.result()
+        finally:
+            for _ in numbers:
+                pass  # what an error or an interrupt leaves over is not begun
     return [one for one in found if one is not None]
 
 

@@ -6,11 +6,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from nacre.design.wants.answers import NEED_BYTES
 from nacre.design.wants.target import is_wants, seeks_heights
 from nacre.errors import RecipeError
-from nacre.files import named, read_text
+from nacre.files import check_room, named, read_text
 from nacre.materials.examples import or_example
 from nacre.recipe.toml import parse_toml
+
+DICTIONARY = "target"  # the folder's name where the target has none
 
 
 def run(
@@ -41,6 +44,7 @@ def run(
     """
     if not isinstance(target, Mapping):
         target = or_example(named(target))
+    check_room(out if out is not None else DICTIONARY if isinstance(target, Mapping) else target.stem, NEED_BYTES)
     data = target if isinstance(target, Mapping) else parse_toml(read_text(target, "target"), str(target))
     if is_wants(data) and seeks_heights(data):
         from nacre.design.wants.reliefs import run_relief as run_heights

@@ -35,9 +35,9 @@ from nacre.recipe.data import plain_data
 from nacre.recipe.identity import file_digest, identity
 from nacre.recipe.memory import check_memory
 from nacre.recipe.model import RecipeContext, validate
-from nacre.recipe.numbers import refuse_new_number, without_names
+from nacre.recipe.numbers import named_numbers, refuse_new_number
 from nacre.recipe.parts import open_all, open_parts
-from nacre.recipe.paths import find_by_path, numbers_of, set_by_path, varying_numbers
+from nacre.recipe.paths import NUMBERS, find_by_path, numbers_of, set_by_path, varying_numbers
 from nacre.recipe.toml import dump_toml, parse_toml
 
 logger = logging.getLogger("nacre")
@@ -419,15 +419,14 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
     Raises:
         RecipeError: naming file, key, value and what is allowed.
     """
-    context = dataclasses.replace(context, reached={})
     data = plain_data(data, context.source)
     spec_class = family_spec(data.get("family"), context.source)
-    plain = without_names(data, context.source)
-    if spec_class.varies_by_nodes and (numbers := varying_numbers(plain, spec_class.varies_by_nodes)):
+    context = dataclasses.replace(context, reached={}, names=named_numbers(data, context.source))
+    if spec_class.varies_by_nodes and (numbers := varying_numbers(data, spec_class.varies_by_nodes)):
         told: list[str] = []
 
         def fixed(values: Mapping[str, float]) -> Material:
-            even = copy.deepcopy(plain)
+            even = copy.deepcopy(dict(data))
             for path, value in values.items():
                 set_by_path(even, path, value, context.source)
             node = material_from_data(even, dataclasses.replace(context, is_one_of_many=True))
@@ -441,7 +440,8 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
             return node
 
         return Material(Varying.read(numbers, fixed, context), data, context)
-    spec = validate(spec_class, {key: value for key, value in plain.items() if key not in STUDY_TABLES}, context)
+    own = {key: value for key, value in data.items() if key not in (*STUDY_TABLES, NUMBERS)}
+    spec = validate(spec_class, own, context)
     return Material(spec.build(context), data, context)
 
 

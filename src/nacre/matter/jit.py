@@ -6,8 +6,10 @@ function is handed to it at its first call.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import threading
+import time
 from collections.abc import Callable, Iterator
 from types import CodeType
 from typing import Any, TypeVar
@@ -54,6 +56,54 @@ class Deferred:
             return self._dispatcher
 
 
+@contextlib.contextmanager
+def hearing(tell: Callable[[float], None]) -> Iterator[None]:
+    """Call `tell(seconds)` while numba compiles what no earlier run left in its cache, with the seconds so far.
+
+    For a line that says what a first run waits for; called from whichever thread compiles.
+    """
+    _ears.append(tell)
+    try:
+        yield
+    finally:
+        _ears.remove(tell)
+
+
+def seconds_compiled() -> float:
+    """Return the seconds, by the clock, for which this process has compiled what no earlier run left in the cache."""
+    return _spent["seconds"]
+
+
+_ears: list[Callable[[float], None]] = []
+_spent = {"seconds": 0.0}
+
+
+@functools.cache
+def _listen() -> None:
+    from numba.core import event
+
+    class Ear(event.Listener):
+        """Adds up the time of compiling; a function's includes that of those that it calls."""
+
+        def __init__(self) -> None:
+            self.depth, self.begun = 0, 0.0
+
+        def on_start(self, event: Any) -> None:
+            if self.depth == 0:
+                self.begun = time.monotonic()
+            self.depth += 1
+
+        def on_end(self, event: Any) -> None:
+            self.depth -= 1
+            spent = _spent["seconds"] + time.monotonic() - self.begun
+            if self.depth == 0:
+                _spent["seconds"] = spent
+            for tell in list(_ears):
+                tell(spent)
+
+    event.register("numba:compile", Ear())
+
+
 def compiled(**options: Any) -> Callable[[Function], Any]:
     """Decorator: `numba.njit(cache=True, **options)` at the first call, falling back to no cache.
 
@@ -66,6 +116,7 @@ def compiled(**options: Any) -> Callable[[Function], Any]:
 def _jitted(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     import numba
 
+    _listen()
     try:
         return numba.njit(cache=True, **options)(function)
     except RuntimeError as error:

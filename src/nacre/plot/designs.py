@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 MOST_SWATCHES, MOST_CURVES, MOST_BARS, MOST_NAMED = 24, 10, 8, 30
 LONGEST_NAME = 24  # characters that the panel of layers has room for
+LINE_OF_NAMES = 0.06  # of the panel's height
 THINNEST_DRAWN = 0.035  # of the whole height: a layer of some nanometres is drawn thicker than it is
 QUIET = "#5a6b7c"
 
@@ -83,13 +84,14 @@ class DesignSheet:
 
 def design_figure(sheet: DesignSheet) -> Figure:
     """Draw a design's sheet: swatches asked and reached, ribbon over the angle, spectra, layers, sensitivity."""
-    rows = max(1, (min(len(sheet.swatches), MOST_SWATCHES) + 2) // 3)
+    rows = (min(len(sheet.swatches), MOST_SWATCHES) + 2) // 3  # none of spectra
     colours, exposure, clipped = shown_colours(sheet.ribbon, sheet.wavelengths_nm, sheet.illuminant)
     with house_style():
         figure = new_figure(SHEET_IN, 3.9 + 0.42 * rows)
         figure.suptitle(sheet.title, fontsize=9, x=0.01, ha="left")
         outer = figure.add_gridspec(2, 1, height_ratios=(0.42 * rows + 0.1, 3.6))
-        _swatches(figure.add_subplot(outer[0]), sheet.swatches, rows)
+        if rows:
+            _swatches(figure.add_subplot(outer[0]), sheet.swatches, rows)
         inner = outer[1].subgridspec(2, 2, width_ratios=(1.45, 1.0), height_ratios=(0.3, 1.0))
         _ribbon(figure.add_subplot(inner[0, 0]), sheet, colours)
         _curves(figure.add_subplot(inner[1, 0]), sheet)
@@ -155,6 +157,7 @@ def _layers(axes: Axes, sheet: DesignSheet) -> None:
     drawn = 0.72 * drawn / max(float(drawn.sum()), 1e-9) if len(drawn) else drawn
     edges = np.concatenate([[0.0, 0.12], 0.12 + np.cumsum(drawn), [1.0]])
     kinds = list(dict.fromkeys(sheet.media[1:-1]))
+    beside = apart(0.5 * (edges[:-1] + edges[1:]), LINE_OF_NAMES)  # names of thin neighbours would cover each other
     for i, name in enumerate(sheet.media):
         is_layer = 0 < i < len(sheet.media) - 1
         face = LINES[kinds.index(name) % (len(LINES) - 1)] if is_layer else ("white" if i == 0 else "#cfcfcf")
@@ -164,8 +167,19 @@ def _layers(axes: Axes, sheet: DesignSheet) -> None:
         if len(sheet.media) <= MOST_NAMED:
             known = _short(name)
             text = f"{known}, {sheet.thicknesses_nm[i - 1]:.4g} nm" if is_layer else known
-            axes.text(0.46, edges[i] + height / 2, text, va="center", fontsize=min(6.0, 150.0 / len(sheet.media)))
+            axes.text(0.46, beside[i], text, va="center", fontsize=min(6.0, 150.0 / len(sheet.media)))
     panel_title(axes, f"Layers, {total:.0f} nm in all")
+
+
+def apart(places: Array, least: float) -> Array:
+    """Return ascending places in [0, 1] moved so that neighbours are `least` apart, or evenly apart where many are.
+
+    Example: `apart([0.1, 0.5, 0.51], 0.05)` is [0.1, 0.5, 0.55].
+    """
+    steps = np.arange(len(places)) * min(least, 1.0 / max(len(places) - 1, 1))
+    lowered = np.maximum.accumulate(places - steps) + steps
+    room = 1.0 - steps[-1] + steps  # the last may have been pushed out
+    return np.minimum(lowered, room)
 
 
 def _short(name: str) -> str:

@@ -22,7 +22,7 @@ from nacre.errors import RecipeError, did_you_mean
 from nacre.files import real
 from nacre.recipe.identity import file_digest
 from nacre.recipe.measures import LENGTH_UNITS_NM, written_as_number
-from nacre.recipe.paths import TEXTURE_KEYS
+from nacre.recipe.paths import NUMBERS, TEXTURE_KEYS
 from nacre.recipe.wishes import wish
 
 
@@ -40,6 +40,7 @@ class RecipeContext:
         ambient: the medium that another recipe puts this one into (an optical constant), or None.
         is_one_of_many: whether it is solved beside many near it (a sweep, a search), so that a family takes its quick
             way where the recipe leaves the choice to it.
+        names: numbers that its formulas know by name, the time among them.
         reached: the digest of every file that was read for the recipe, those of nested recipes among them.
     """
 
@@ -49,6 +50,7 @@ class RecipeContext:
     load_recipe: Callable[..., Any] | None = None
     ambient: Any = None
     is_one_of_many: bool = False
+    names: dict[str, float] = field(default_factory=dict, compare=False, repr=False)
     reached: dict[Path, str] = field(default_factory=dict, compare=False, repr=False)
 
     def path(self, name: str) -> Path:
@@ -66,6 +68,11 @@ class RecipeContext:
     def recipe(self, name: str | Mapping[str, Any], **options: Any) -> Any:
         """Load another recipe (`load_recipe`), by its file or given as a table; its files are this one's too."""
         assert self.load_recipe is not None
+        if isinstance(name, Mapping):
+            own = name.get(NUMBERS, {})
+            is_named = len(self.names) > 1 or any(self.names.values())  # more than the time of a still
+            if is_named and isinstance(own, Mapping):
+                name = {**name, NUMBERS: {**self.names, **own}}  # its own stand above those around it
         made = self.load_recipe(name, **options)
         if self.is_one_of_many:
             made = made.for_many()

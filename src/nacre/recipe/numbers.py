@@ -8,14 +8,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from nacre.errors import RecipeError, did_you_mean
+from nacre.recipe.formulas import words
 from nacre.recipe.model import show_value
+from nacre.recipe.paths import NUMBERS
 
-NUMBERS = "numbers"
 TIME = "t"  # of an animation: 0 in its first frame and in stills, 1 in its last
 RESERVED = ("u", "v", "x", "y", "z", "pi", "e")
 MAX_NUMBERS = 100
 _NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]{0,39}\Z")
-_WORD = re.compile(r"(?<![A-Za-z_0-9.])[A-Za-z_][A-Za-z_0-9]*(?!\s*\(|[A-Za-z_0-9])")
 
 
 def named_numbers(data: Mapping[str, Any], source: str) -> dict[str, float]:
@@ -61,43 +61,10 @@ def refuse_new_number(data: Mapping[str, Any], path: str, source: str) -> None:
         raise RecipeError(f'{source}: "{path}" does not exist in the recipe.{did_you_mean(name, table)}')
 
 
-def without_names(data: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """Return the recipe without `[numbers]`, their values standing in its formulas.
-
-    A recipe inside this one that has numbers of its own keeps them for itself.
-
-    Raises:
-        RecipeError: as `named_numbers`.
-    """
-    numbers = named_numbers(data, source)
-    return {key: _filled(value, numbers) for key, value in data.items() if key != NUMBERS}
-
-
 def uses_time(data: Any) -> bool:
     """Whether a formula of the recipe runs with the time `t`."""
     if isinstance(data, Mapping):
         formula = data.get("formula")
-        own = isinstance(formula, str) and TIME in _WORD.findall(formula)
+        own = isinstance(formula, str) and TIME in words(formula)
         return own or any(uses_time(value) for value in data.values())
     return isinstance(data, list) and any(uses_time(value) for value in data)
-
-
-def _filled(data: Any, numbers: Mapping[str, float]) -> Any:
-    if isinstance(data, list):
-        return [_filled(value, numbers) for value in data]
-    if not isinstance(data, Mapping):
-        return data
-    if NUMBERS in data:  # its own numbers stand above those around it
-        numbers = {name: value for name, value in numbers.items() if name not in (data[NUMBERS] or ())}
-    return {
-        key: _with_values(value, numbers) if key == "formula" and isinstance(value, str) else _filled(value, numbers)
-        for key, value in data.items()
-    }
-
-
-def _with_values(formula: str, numbers: Mapping[str, float]) -> str:
-    def value(found: re.Match[str]) -> str:
-        name = found[0]
-        return f"({numbers[name]!r})" if name in numbers else name
-
-    return _WORD.sub(value, formula)

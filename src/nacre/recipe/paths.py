@@ -9,6 +9,7 @@ from typing import Any
 from nacre.errors import RecipeError
 
 MAX_PATH = 1000  # characters; the longest of a recipe has some 60
+NUMBERS = "numbers"  # the table of the names that a recipe gives to numbers, which its formulas know
 TEXTURE_KEYS = ("formula", "texture")  # what a recipe writes where a number varies over the surface
 EVERY = "[*]"  # in place of an index
 _PATH_PART = re.compile(r"([A-Za-z_][A-Za-z_0-9-]*)((?:\[\d+\])*)$")

@@ -27,7 +27,8 @@ from nacre.picture.options import read_background
 from nacre.picture.picture import render, resolve_material
 from nacre.picture.progress import ProgressCallback, progress_bar
 from nacre.recipe.identity import file_digest, identity
-from nacre.recipe.numbers import NUMBERS, TIME, uses_time
+from nacre.recipe.numbers import TIME, uses_time
+from nacre.recipe.paths import NUMBERS
 
 TURNS = ("light", "view")
 MOTIONS = (*TURNS, "time")

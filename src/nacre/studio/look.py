@@ -54,6 +54,7 @@ BAND = 12  # wavelengths that are solved without looking up
 RIDGE_FAN = 0.5  # roughness by which the page draws the fan of ridges
 SPREAD = "Spread light is drawn as if it left evenly in all directions; its lobes are in the settled picture."
 GLOSS = "Spread light is drawn as a rough mirror of fitted width over an even ground; see the settled picture."
+ALIGNED = "Aligned particles are drawn as they look in the plane of u; the settled picture knows the azimuth."
 OF_HEIGHTS = "stl"  # the drawing that only height maps have
 MOST_FEATURES = 160  # of a profile
 PARTS = ("specular_reflectance", "diffuse_reflectance")
@@ -229,7 +230,8 @@ def _look(material: Material, illuminant: str, is_superseded: Callable[[], bool]
     alpha, facets, notes = _surface(material)
     lobe = None
     if np.any(spread > 0):
-        if grid is None and not material.model.is_quick:
+        # the page's picture of a lobe holds no azimuth, and to find that out takes most of a minute
+        if grid is None and not material.model.is_quick and not _is_aligned(material):
             _go_on(is_superseded)
             lobe = lobe_picture(material, bsdf, functools.partial(spectrum_to_rgb_linear, illuminant=illuminant))
         if lobe is None:
@@ -321,6 +323,11 @@ def _swatches(total: Array, wavelengths: Array) -> list[dict[str, Any]]:
     ]
 
 
+def _is_aligned(material: Material) -> bool:
+    """Whether the material looks otherwise when it is turned about its normal, as one of aligned particles does."""
+    return bool(getattr(material.model, "is_aligned", False))
+
+
 def _surface(material: Material) -> tuple[float, dict[str, Any], list[str]]:
     """Return the roughness to draw with, of what facets, and what the drawing leaves out."""
     notes: list[str] = []
@@ -336,6 +343,8 @@ def _surface(material: Material) -> tuple[float, dict[str, Any], list[str]]:
     if getattr(material.model, "ridges", None) is not None:
         alpha = RIDGE_FAN
         notes.append("The fan of light of the ridges is drawn as a rough mirror; its shape is in the settled picture.")
+    if _is_aligned(material):
+        notes.append(ALIGNED)
     if _varies(material.data):
         notes.append("What varies over the surface is drawn as it is at the surface's middle.")
     return alpha, facets, notes

@@ -14,8 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from nacre.arrays import Array, SingleArray
-from nacre.bsdf.contract import Lobe
-from nacre.bsdf.lobes.harmonic import PolarGrid, coordinate
+from nacre.bsdf.lobes.monolayer import MonolayerLobe, coordinate
 from nacre.matter.jit import compiled
 
 HIGHEST_ORDER = 64
@@ -81,7 +80,7 @@ def _evaluate(wi, wo, table, orders, grids, last_cos, eta, rotation, wavenumbers
 
 
 @dataclass(frozen=True)
-class Aligned(Lobe):
+class Aligned(MonolayerLobe):
     """Diffuse reflection, and transmission where there are nodes below, of a monolayer of aligned particles.
 
     Attributes:
@@ -89,13 +88,8 @@ class Aligned(Lobe):
         table: `[pair, term, wavelength]`, f / n_o^2 in 1/sr; row a (a + 1)/2 + b of the nodes a >= b, those below
             after those above.
         orders: `[term, 3]`: whole numbers a_t, b_t of the azimuths at the nodes a and b, and 0 (cosine) or 1 (sine).
-        count_above, count_below, count_beyond: nodes of `PolarGrid` above, and below.
-        eta: index of the substrate over the ambient's, one number, as for the specular lobe.
         rotation: angle in rad about the normal, from +x to +y, by which the particles are turned.
-        wavenumbers: `[wavelength]`, k of the ambient, 1/nm.
-        index_below: `[wavelength]`, index of the substrate over the ambient's; ones where nothing is transmitted.
-        q_step: step of `structure` in 1/nm, from 0.
-        structure: `[q]`, the structure factor; 1 beyond the table.
+        the others: see `MonolayerLobe`.
     """
 
     kind: ClassVar[str] = "aligned"
@@ -121,32 +115,14 @@ class Aligned(Lobe):
         "structure": "q",
     }
 
-    @property
-    def transmits(self) -> bool:
-        """Whether light is transmitted to the other side."""
-        return self.count_below > 0
-
-    @property
-    def grid_below(self) -> PolarGrid:
-        """Polar angles below."""
-        return PolarGrid(self.count_below, self.count_beyond, self.eta)
-
-    @property
-    def last_cosines(self) -> Array:
-        """Cosines of the last nodes above and below, from where f falls to zero as the cosine does, `[2]`."""
-        sides = (PolarGrid(self.count_above), self.grid_below)
-        return np.array([np.cos(side.nodes[-1]) if side.size else 1.0 for side in sides])
-
     def check(self) -> None:
         """Check that the tables fit together.
 
         Raises:
             ValueError: saying what does not fit.
         """
-        below = self.count_below + self.count_beyond
-        if self.count_above < 2 or (below and self.count_below < 2) or self.count_beyond < 0 or not self.eta >= 1.0:
-            raise ValueError("an aligned lobe needs two angles a side and eta >= 1")
-        nodes = self.count_above + below
+        self.check_grids(self.table.shape[-1])
+        nodes = self.count_above + self.count_below + self.count_beyond
         if self.table.ndim != 3 or len(self.table) != nodes * (nodes + 1) // 2:
             raise ValueError(f"table has the shape {self.table.shape}, for {nodes} angles")
         if self.orders.shape != (self.table.shape[1], 3) or not len(self.orders):
@@ -154,19 +130,14 @@ class Aligned(Lobe):
         whole = np.array_equal(self.orders, np.round(self.orders)) and np.abs(self.orders).max() <= HIGHEST_ORDER
         if not whole or not np.isin(self.orders[:, 2], (0, 1)).all() or not np.isfinite(self.rotation):
             raise ValueError(f"orders are not whole, or above {HIGHEST_ORDER}")
-        if self.table.shape[2] != len(self.wavelengths_nm) or not self.q_step > 0 or len(self.structure) < 2:
-            raise ValueError("wavelengths or structure do not fit")
-        if self.wavenumbers.shape != self.wavelengths_nm.shape or self.index_below.shape != self.wavelengths_nm.shape:
-            raise ValueError("wavenumbers or index_below do not fit")
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Return f, `[..., wavelength]`, 1/sr, for unit vectors `[..., 3]`; zero where no light can go."""
         wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
         flat = (np.ascontiguousarray(wi).reshape(-1, 3), np.ascontiguousarray(wo).reshape(-1, 3))
         out = np.zeros((flat[0].shape[0], len(self.wavelengths_nm)))
-        grids = np.array([[self.count_above, 0], [self.count_below, self.count_beyond]])
         _evaluate(
-            *flat, self.table, np.asarray(self.orders, dtype=float), grids, self.last_cosines, float(self.eta),
+            *flat, self.table, np.asarray(self.orders, dtype=float), self.grids, self.last_cosines, float(self.eta),
             float(self.rotation), self.wavenumbers, self.index_below, float(self.q_step), self.structure, out,
         )  # fmt: skip
         return out.reshape(*wi.shape[:-1], -1)

@@ -9,12 +9,13 @@ from typing import ClassVar
 import numpy as np
 
 from nacre.arrays import Array
-from nacre.bsdf.contract import Lobe, SpecularResponse
+from nacre.bsdf.contract import SpecularResponse
+from nacre.bsdf.lobes.specular import InterfaceLobe
 from nacre.bsdf.response import InterfaceResponse
 
 
 @dataclass(frozen=True)
-class AlignedSpecular(Lobe):
+class AlignedSpecular(InterfaceLobe):
     """Reflection and refraction as of `Specular`, with powers that depend on the azimuth too.
 
     Attributes:
@@ -26,21 +27,6 @@ class AlignedSpecular(Lobe):
     kind: ClassVar[str] = "aligned-specular"
     response: InterfaceResponse
     rotation: float
-
-    @property
-    def wavelengths_nm(self) -> Array:  # type: ignore[override]  # the base declares a plain attribute
-        """The wavelength grid of the tables."""
-        return self.response.wavelengths_nm
-
-    @property
-    def is_delta(self) -> bool:
-        """Always: a smooth interface has no other part."""
-        return True
-
-    @property
-    def transmits(self) -> bool:
-        """Whether light is transmitted to the other side."""
-        return self.response.transmits
 
     @property
     def azimuths(self) -> int:
@@ -63,11 +49,6 @@ class AlignedSpecular(Lobe):
         for node in range(self.azimuths):
             rows = {name: getattr(self.response, name)[node] for name in tables}
             dataclasses.replace(self.response, **rows).check()
-
-    def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
-        """Return zeros `[..., wavelength]`: two directions chosen freely never meet a delta."""
-        shape = np.broadcast_shapes(np.shape(wi), np.shape(wo))[:-1]
-        return np.zeros((*shape, len(self.wavelengths_nm)))
 
     def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
         """Return reflectance and transmittance for light from the azimuth 0; see `specular_at`."""

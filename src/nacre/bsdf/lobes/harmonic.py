@@ -10,75 +10,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from nacre.arrays import Array, SingleArray
-from nacre.bsdf.contract import Lobe
+from nacre.bsdf.lobes.monolayer import MonolayerLobe, coordinate
 from nacre.matter.jit import compiled
-
-
-@dataclass(frozen=True)
-class PolarGrid:
-    """Polar angles of one side of a surface, uniform in a coordinate x = 0..count-1.
-
-    Above, and below down to the critical angle, x is uniform in the angle of the rarer medium; beyond, the root
-    of the distance to the critical angle takes over. Fields have a square-root kink there, which this resolves.
-
-    Attributes:
-        count: nodes below the critical angle (all of them above).
-        beyond: nodes beyond the critical angle; 0 above.
-        eta: index of this side over the other's; 1 above.
-    """
-
-    count: int
-    beyond: int = 0
-    eta: float = 1.0
-
-    @property
-    def size(self) -> int:
-        """Number of nodes."""
-        return self.count + self.beyond
-
-    @property
-    def critical_rad(self) -> float:
-        """The critical angle; pi/2 where there is none."""
-        return float(np.arcsin(min(1.0, 1.0 / self.eta)))
-
-    def theta(self, x: ArrayLike) -> Array:
-        """Return the angle against the normal, in this side's medium, rad, at coordinates x >= 0."""
-        x = np.asarray(x, dtype=float)
-        edge = self.count - 0.5
-        outer = np.sin(np.clip(x / edge, 0.0, 1.0) * np.pi / 2)
-        inner = np.arcsin(np.clip(outer / self.eta, 0.0, 1.0))
-        if self.beyond == 0:
-            return inner
-        u = np.clip((x - edge) / self.beyond, 0.0, 1.0)
-        return np.where(x <= edge, inner, self.critical_rad + u**2 * (np.pi / 2 - self.critical_rad))
-
-    @property
-    def nodes(self) -> Array:
-        """Angles of the nodes, rad, `[node]`."""
-        return self.theta(np.arange(self.size))
-
-    @property
-    def weights(self) -> Array:
-        """Solid-angle weights dmu of the cells round the nodes, `[node]`; they sum to 1."""
-        edges = np.cos(self.theta(np.concatenate([[0.0], np.arange(self.size - 1) + 0.5, [self.size - 0.5]])))
-        edges[0], edges[-1] = 1.0, 0.0
-        return edges[:-1] - edges[1:]
-
-
-@compiled(nogil=True)
-def coordinate(sine, cosine, count, beyond, eta):  # type: ignore[no-untyped-def]  # numba
-    edge = count - 0.5
-    outer = eta * sine
-    if outer < 1.0 or beyond == 0:
-        x = np.arctan2(sine, cosine) if eta == 1.0 else np.arcsin(min(outer, 1.0))
-        x = x * (2.0 / np.pi) * edge
-    else:
-        critical = np.arcsin(1.0 / eta)
-        x = edge + beyond * np.sqrt(max(np.arctan2(sine, cosine) - critical, 0.0) / (0.5 * np.pi - critical))
-    return min(max(x, 0.0), count + beyond - 1.0)
 
 
 @compiled(nogil=True, fastmath=True)
@@ -159,7 +95,7 @@ def _evaluate(wi, wo, above, below, across, free, grids, last_cos, eta, wavenumb
 
 
 @dataclass(frozen=True)
-class Harmonic(Lobe):
+class Harmonic(MonolayerLobe):
     """Diffuse reflection, and transmission where `across` is not empty, of a monolayer of particles.
 
     Tables are float32 and hold f / n_o^2, which is symmetric in the two directions: `above` and `below` keep one
@@ -170,12 +106,7 @@ class Harmonic(Lobe):
         wavelengths_nm: `[wavelength]`, ascending.
         above, below, across: `[pair, harmonic, wavelength]`, 1/sr.
         above_free, below_free, across_free: the same, or empty.
-        count_above, count_below, count_beyond: nodes of `PolarGrid` above, and below.
-        eta: index of the substrate over the ambient's, one number, as for the specular lobe.
-        wavenumbers: `[wavelength]`, k of the ambient, 1/nm.
-        index_below: `[wavelength]`, index of the substrate over the ambient's; ones where nothing is transmitted.
-        q_step: step of `structure` in 1/nm, from 0.
-        structure: `[q]`, the structure factor; 1 beyond the table.
+        the others: see `MonolayerLobe`.
     """
 
     kind: ClassVar[str] = "harmonic"
@@ -205,22 +136,6 @@ class Harmonic(Lobe):
         "structure": "q",
     }
 
-    @property
-    def transmits(self) -> bool:
-        """Whether light is transmitted to the other side."""
-        return self.across.shape[0] > 0
-
-    @property
-    def grid_below(self) -> PolarGrid:
-        """Polar angles below."""
-        return PolarGrid(self.count_below, self.count_beyond, self.eta)
-
-    @property
-    def last_cosines(self) -> Array:
-        """Cosines of the last nodes above and below, from where f falls to zero as the cosine does, `[2]`."""
-        sides = (PolarGrid(self.count_above), self.grid_below)
-        return np.array([np.cos(side.nodes[-1]) if side.size else 1.0 for side in sides])
-
     def check(self) -> None:
         """Check that the tables fit together.
 
@@ -229,8 +144,7 @@ class Harmonic(Lobe):
         """
         n = self.count_above
         m = self.count_below + self.count_beyond
-        if n < 2 or (self.transmits and m < 2) or not self.eta >= 1.0:
-            raise ValueError("a harmonic lobe needs two angles a side and eta >= 1")
+        self.check_grids(self.above.shape[-1])
         rows = {"above": n * (n + 1) // 2, "below": m * (m + 1) // 2, "across": n * m}
         for name, count in rows.items():
             for suffix in ("", "_free"):
@@ -241,24 +155,19 @@ class Harmonic(Lobe):
                     raise ValueError(f"{name + suffix} has {table.shape[0]} rows, not {count}")
                 if table.shape[0] and table.shape[1:] != self.above.shape[1:]:
                     raise ValueError(f"{name + suffix} has the shape {table.shape}")
-        if self.above.shape[2] != len(self.wavelengths_nm) or not self.q_step > 0 or len(self.structure) < 2:
-            raise ValueError("wavelengths or structure do not fit")
-        if self.wavenumbers.shape != self.wavelengths_nm.shape or self.index_below.shape != self.wavelengths_nm.shape:
-            raise ValueError("wavenumbers or index_below do not fit")
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Return f, `[..., wavelength]`, 1/sr, for unit vectors `[..., 3]`; zero where no light can go."""
         wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
         flat = (np.ascontiguousarray(wi).reshape(-1, 3), np.ascontiguousarray(wo).reshape(-1, 3))
         out = np.zeros((flat[0].shape[0], len(self.wavelengths_nm)))
-        grids = np.array([[self.count_above, 0], [self.count_below, self.count_beyond]])
         _evaluate(
             *flat,
             self.above,
             self.below,
             self.across,
             (self.above_free, self.below_free, self.across_free),
-            grids,
+            self.grids,
             self.last_cosines,
             float(self.eta),
             self.wavenumbers,

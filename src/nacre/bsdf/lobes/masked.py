@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from nacre.arrays import Array
-from nacre.bsdf.contract import Lobe, SpecularResponse
+from nacre.bsdf.contract import Lobe, SpecularResponse, specular_at
 from nacre.bsdf.texture import Texture
 
 
@@ -96,8 +96,8 @@ class MaskedLobe(Lobe):
 
     def specular_at(self, cos_i: Array, phi_rad: Array | float, uv: Array | None = None) -> SpecularResponse:
         """Return the same for light from an azimuth."""
-        cos_i = np.asarray(cos_i, dtype=float)
-        inner = self.inner.specular_at(cos_i, phi_rad, uv)
+        cos_i, phi = np.broadcast_arrays(np.asarray(cos_i, dtype=float), np.asarray(phi_rad, dtype=float))
+        inner = specular_at(self.inner, cos_i, phi, uv)
         share = self.share(uv, cos_i.shape)[..., None]
         return SpecularResponse(inner.reflectance * share, inner.transmittance * share)
 

@@ -1,18 +1,22 @@
-"""The look-up in a spectrum map, compiled: 27 nodes a point, all wavelengths together."""
+"""The look-up in a spectrum map, compiled: 27 nodes a point, all wavelengths together.
+
+The loops are shared among plain threads: numba's own parallel loops take three times as long to compile, which a first
+design or picture of a relief waits for.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 
 from nacre.matter.jit import compiled
+from nacre.matter.jobs import share
 
+WORK_OF_A_VALUE = 4  # of 27 nodes or 4 turns, as `share` counts it
 SERIES_UP_TO = 0.75  # of the sine: three terms of the series leave 1e-8 there for nodes 0.06 apart
 
 
-@compiled(parallel=True)
 def interpolate(power: Any, position: Any) -> Any:
     """Return the quadratic spline `[n, wavelength]` at node coordinates `position[n, 3]`; negative values become 0.
 
@@ -22,12 +26,23 @@ def interpolate(power: Any, position: Any) -> Any:
         power: `[x, y, xi, wavelength]`, float32 coefficients.
         position: node coordinates, float64.
     """
-    nx, ny, nz, count = power.shape
-    points = position.shape[0]
+    points, count = len(position), power.shape[-1]
     result = np.zeros((points, count))
-    for k in numba.prange(points):
-        weight = np.empty((3, 3))
-        index = np.empty((3, 3), dtype=np.int64)
+    share(
+        lambda first, last, *_: _interpolate(power, position, first, last, result), points, 1,
+        work=points * count * WORK_OF_A_VALUE, jobs=None,
+    )  # fmt: skip
+    return result
+
+
+@compiled(nogil=True)
+def _interpolate(power, position, first, last, result):  # type: ignore[no-untyped-def]  # numba
+    """Fill the rows of some points."""
+    nx, ny, nz, count = power.shape
+    weight = np.empty((3, 3))
+    index = np.empty((3, 3), dtype=np.int64)
+    total = np.empty(count)
+    for k in range(first, last):
         for axis in range(3):
             size = nx if axis == 0 else (ny if axis == 1 else nz)
             x = min(max(position[k, axis], -1.0), float(size))
@@ -38,20 +53,19 @@ def interpolate(power: Any, position: Any) -> Any:
             weight[axis, 2] = 0.5 * (0.5 + f) ** 2
             for j in range(3):
                 index[axis, j] = min(max(centre + j - 1, 0), size - 1)
+        total[:] = 0.0
         for a in range(3):
             for b in range(3):
                 w_ab = weight[0, a] * weight[1, b]
                 for c in range(3):
                     w = w_ab * weight[2, c]
+                    row = power[index[0, a], index[1, b], index[2, c]]
                     for m in range(count):
-                        result[k, m] += w * power[index[0, a], index[1, b], index[2, c], m]
+                        total[m] += w * row[m]
         for m in range(count):
-            if result[k, m] < 0.0:
-                result[k, m] = 0.0
-    return result
+            result[k, m] = 0.0 if total[m] < 0.0 else total[m]
 
 
-@compiled(parallel=True, error_model="numpy", fastmath={"contract", "reassoc"})
 def albedo_shares(power: Any, psi_step: float, xi_first: float, xi_step: float, reflectance: Any, ring_cosines: Any,
                   cosines: int, azimuths: int, is_kirchhoff: bool) -> Any:  # fmt: skip
     """Return how much light of each incidence leaves into each cell of exits, `[incidence, cell, wavelength]`, float32.
@@ -71,20 +85,31 @@ def albedo_shares(power: Any, psi_step: float, xi_first: float, xi_step: float, 
         ring_cosines: cosines of incidence of the rings.
         cosines, azimuths: nodes of the guard; azimuths a multiple of 8.
     """
+    rings = len(ring_cosines)
+    shares = np.zeros((rings * azimuths, cosines * azimuths, power.shape[-1]), dtype=np.float32)
+    tasks = rings * (azimuths // 8 + 1)
+    one = (power, psi_step, xi_first, xi_step, reflectance, ring_cosines, cosines, azimuths, is_kirchhoff)
+    share(
+        lambda begin, end, *_: _shares(*one, begin, end, shares), tasks, 1,
+        work=tasks * power.size // power.shape[2] * WORK_OF_A_VALUE, jobs=None,
+    )  # fmt: skip
+    return shares
+
+
+@compiled(nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
+def _shares(power, width, xi_first, xi_step, reflectance, ring_cosines, cosines, azimuths, is_kirchhoff, begin, end, out):  # type: ignore[no-untyped-def]  # numba  # noqa: E501
+    """Add what some tasks send out: each a ring and an azimuth, whose rows no other task has."""
     n, _, nz, count = power.shape
-    rings = ring_cosines.shape[0]
-    shares = np.zeros((rings * azimuths, cosines * azimuths, count), dtype=np.float32)
     last = reflectance.shape[0] - 1
-    width = psi_step
     eighth, quarter = azimuths // 8, azimuths // 4
     each = eighth + 1
-    for task in numba.prange(rings * each):
+    factor = np.empty(count, dtype=np.float32)
+    for task in range(begin, end):
         ring, own = task // each, task % each
         cos_i = ring_cosines[ring]
         sin_i = np.sqrt(1.0 - cos_i * cos_i)
         wi_x, wi_y = sin_i * np.cos(2.0 * np.pi * own / azimuths), sin_i * np.sin(2.0 * np.pi * own / azimuths)
         mirrors = 1 if own == 0 or own == eighth else 2  # on an axis of symmetry its mirror image is itself
-        factor = np.empty(count, dtype=np.float32)
         for a in range(n):
             u = (a - 0.5 * (n - 1)) * width
             x = u - wi_x
@@ -140,7 +165,6 @@ def albedo_shares(power: Any, psi_step: float, xi_first: float, xi_step: float, 
                         for m in range(count):
                             value = w0 * power[p, q, z0, m] + w1 * power[p, q, z1, m] + w2 * power[p, q, z2, m]
                             amount = max(value, np.float32(0.0)) * factor[m]
-                            shares[row, cell, m] += amount * lower
-                            shares[row, cell + azimuths, m] += amount * upper
+                            out[row, cell, m] += amount * lower
+                            out[row, cell + azimuths, m] += amount * upper
                         p, q = n - 1 - q, p  # a quarter turn: (u, v) -> (-v, u)
-    return shares

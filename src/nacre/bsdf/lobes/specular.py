@@ -13,18 +13,16 @@ from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import ParameterAxis
 
 
-@dataclass(frozen=True)
-class Specular(Lobe):
+class InterfaceLobe(Lobe):
     """A smooth interface: mirror reflection, and refraction with the one relative index `response.eta`.
 
     `eta = 1` (a free film) transmits light undeviated. The part is lit from both sides; light from inside
     an opaque interface gets zero, because its tables are zero.
 
     Attributes:
-        response: the tables; see there for `flipped`.
+        response: the tables.
     """
 
-    kind: ClassVar[str] = "specular"
     response: InterfaceResponse
 
     @property
@@ -42,6 +40,23 @@ class Specular(Lobe):
         """Whether light is transmitted to the other side."""
         return self.response.transmits
 
+    def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
+        """Return zeros `[..., wavelength]`: two directions chosen freely never meet a delta."""
+        shape = np.broadcast_shapes(np.shape(wi), np.shape(wo))[:-1]
+        return np.zeros((*shape, len(self.wavelengths_nm)))
+
+
+@dataclass(frozen=True)
+class Specular(InterfaceLobe):
+    """A smooth interface that looks the same at any turn about its normal.
+
+    Attributes:
+        response: the tables; see there for `flipped`.
+    """
+
+    kind: ClassVar[str] = "specular"
+    response: InterfaceResponse
+
     @property
     def parameters(self) -> tuple[ParameterAxis, ...]:
         """The axes that textures drive."""
@@ -50,11 +65,6 @@ class Specular(Lobe):
     def check(self) -> None:
         """Check the tables; see `InterfaceResponse.check`."""
         self.response.check()
-
-    def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
-        """Return zeros `[..., wavelength]`: two directions chosen freely never meet a delta."""
-        shape = np.broadcast_shapes(np.shape(wi), np.shape(wo))[:-1]
-        return np.zeros((*shape, len(self.wavelengths_nm)))
 
     def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
         """Return reflectance and transmittance `[..., wavelength]` for light at `cos_i` (< 0: from behind)."""

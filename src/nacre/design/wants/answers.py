@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import json
+import os
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -22,6 +23,7 @@ from nacre.recipe.toml import dump_toml, edit_toml, parse_toml
 
 RECIPE = "recipe.toml"
 SUMMARY = "design.json"
+NEED_BYTES = 8_000_000  # of a folder's disk: answers, pictures, report
 WRITTEN = (RECIPE, SUMMARY, "report.html", "report.png", "search.json")  # beside the best answer
 
 
@@ -230,6 +232,8 @@ def check_folder(out: Path, start: Material, solutions: int = 1) -> None:
     earlier = _earlier(out)
     names = [] if earlier is not None else [*WRITTEN, *(f"{n}/{RECIPE}" for n in range(2, solutions + 1))]
     foreign = [name for name in names if (out / name).exists()]
+    later = [folder_of(out, number) for number in range(2, solutions + 1)]
+    foreign += [folder.name for folder in later if os.path.lexists(folder) and not folder.is_dir()]
     for file in start.context.reached:
         beside = out / file.name
         is_another = beside.exists() and beside.resolve() != file and file_digest(beside) != file_digest(file)

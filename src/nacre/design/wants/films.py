@@ -249,13 +249,32 @@ def film_search(target: Target, seed: int) -> StackSearch | None:
     return StackSearch(target, seed) if is_stack and all(_SPREAD.match(path) for path in spreads) else None
 
 
-def film_search_many(target: Target, targets: Sequence[Target]) -> list[dict[str, Any]] | None:
-    """Return the best changes for each of many targets that differ in their colours only, or None as above."""
+def film_search_many(
+    target: Target, targets: Sequence[Target], which: Sequence[int], take: Callable[[int, dict[str, Any]], None]
+) -> bool:
+    """Find the best changes for some of many targets that differ in their colours only.
+
+    Args:
+        targets: all of them.
+        which: numbers of those that are sought.
+        take: called with the number of each and its changes, from threads.
+
+    Returns:
+        False, with nothing done, where the free numbers are not those of a stack.
+
+    Raises:
+        RecipeError: as of `film_search`.
+    """
     one = film_search(targets[0] if targets else target, target.spec.search.seed)
-    if one is None or not targets:
-        return None
-    found = many_stacks(one.problem, [one.goals(other.wants) for other in targets], target.spec.search.seed)
-    return [one.changes(solution) for solution in found]
+    if one is None:
+        return False
+    if which:
+        goals = [one.goals(other.wants) for other in targets]
+        many_stacks(
+            one.problem, goals, target.spec.search.seed, which=which,
+            on_progress=lambda number, solution: take(number, one.changes(solution)),
+        )  # fmt: skip
+    return True
 
 
 def _check_plain(target: Target) -> None:

@@ -49,6 +49,7 @@ HUES = 36  # directions in which the rim is pushed outward
 SOLID_POINTS, BATCH = 1200, 2048
 NEIGHBOURS = 12
 LIMIT_STEP_NM = 10.0  # of the optimal colours' edges
+OTHER_LOOKS = ("45as15", "45as45", "transmitted 0")  # tried in turn where the usual one is not answered
 SECONDS = 60.0  # unless told; films are done with in a few
 LEAST_POINTS, MOST_POINTS = 8, 1_000_000
 
@@ -148,7 +149,8 @@ def find_gamut(
     Args:
         free: path -> bounds or choices, as the table `[free]` of a design.
         at: "specular 0", "45as15" and so on, as in a want; None: what shows a family's colour, such as the mirror of a
-            film, light from 45 degrees that is seen from the normal of a photonic glass, or near the mirror of a pearl.
+            film, light from 45 degrees that is seen from the normal of a photonic glass, or near the mirror of a pearl
+            or a relief; or another that the recipe answers.
         points: number of materials; fewer where the seconds are up.
         seconds: after which what is there is told.
         within: dE00 within which a colour counts as reached.
@@ -165,15 +167,36 @@ def find_gamut(
         raise NacreError(f"--within = {within:g} must be above 0")
     check_light(LightSpec(illuminants=[illuminant], observer=observer), RecipeContext(source))
     material = material.for_many().reaching(free)
-    where = At.read(material.model.usual_look if at is None else at, f"{source}: at")
     numbers = read_free(dict(free), material, source)
     if not numbers:
         raise RecipeError(f"{source}: nothing is free; use --free PATH=LOW:HIGH")
-    check_answers([material, *_tried(material, numbers)], [where], [f"{source}: at"])
+    where = _answered([material, *_tried(material, numbers)], at, f"{source}: at")
     return gamut_of_free(
         material, numbers, where, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
         within=within, samples=samples, seed=seed, progress=progress,
     )  # fmt: skip
+
+
+def _answered(materials: Sequence[Material], at: str | None, where: str) -> At:
+    """Return the geometry asked for; of none the family's usual one, or the first other that is answered.
+
+    What a family usually shows may be missing in one of its recipes: a blend of two pearls has no mirror.
+
+    Raises:
+        RecipeError: the geometry is not known or not answered.
+    """
+    usual = materials[0].model.usual_look
+    asked = [usual, *(look for look in OTHER_LOOKS if look != usual)] if at is None else [at]
+    refused: list[RecipeError] = []
+    for text in asked:
+        found = At.read(text, where)
+        try:
+            check_answers(materials, [found], [where])
+        except RecipeError as error:
+            refused.append(error)
+        else:
+            return found
+    raise refused[0]
 
 
 def gamut_of_free(

@@ -23,6 +23,7 @@ from nacre.materials.material import Material
 from nacre.materials.spreads import Spread, share_interval
 
 DRAWS, FEWEST_DRAWS = 256, 16
+RMS_OF_1_PERCENT = "rms_percent_of_1_percent"
 STEP_SHARE = 0.01  # of a number, for the sensitivity that is told
 
 
@@ -135,7 +136,9 @@ def sensitivity(
     material: Material, paths: Sequence[str], wants: Sequence[Want], light: LightSpec, seed: int, seconds: float,
     judged: Seen | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Return how far a change of 1 % of each number moves the looks at worst, in dE00, the farthest first.
+    """Return how far a change of 1 % of each number moves the looks at worst, the farthest first.
+
+    In dE00, `de00_of_1_percent`; where spectra alone are wanted by their rms in per cent, `rms_percent_of_1_percent`.
 
     Args:
         seconds: after which no other number is tried, where one takes long.
@@ -143,14 +146,19 @@ def sensitivity(
     """
     begun = time.monotonic()
     eye, goals = _eye(material, wants, light, seed, judged)
-    found = []
+    found: list[dict[str, Any]] = []
+    unit = RMS_OF_1_PERCENT if _are_spectra(wants) else "de00_of_1_percent"
     for path in paths:
         value = float(material.get(path))
         moved = _moved(eye, goals, path, value, STEP_SHARE * abs(value))
-        found.append({"path": path, "value": value, "de00_of_1_percent": moved})
+        found.append({"path": path, "value": value, unit: moved})
         if time.monotonic() - begun > seconds and eye.at_once([path], np.array([[value]])) is None:
             break
-    return sorted(found, key=lambda entry: -entry["de00_of_1_percent"])
+    return sorted(found, key=lambda entry: -entry[unit])
+
+
+def _are_spectra(wants: Sequence[Want]) -> bool:
+    return all(want.spectrum is not None for want in wants)
 
 
 def _moved(eye: _Eye, goals: Goals, path: str, value: float, step: float) -> float:
@@ -164,9 +172,9 @@ def _moved(eye: _Eye, goals: Goals, path: str, value: float, step: float) -> flo
             seen = np.stack([eye.one([path], row) for row in ends])
         except NacreError:
             return 0.0
-    if all(want.spectrum is not None for want in eye.wants):
+    if _are_spectra(eye.wants):
         return float(0.5 * 100.0 * np.sqrt(np.mean((seen[1] - seen[0]) ** 2, axis=-1)).max())
     return float(0.5 * np.max(delta_e_2000(goals.labs(seen[0]), goals.labs(seen[1]))))
 
 
-__all__ = ["sensitivity", "yield_of"]
+__all__ = ["RMS_OF_1_PERCENT", "sensitivity", "yield_of"]

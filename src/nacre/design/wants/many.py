@@ -1,39 +1,108 @@
-"""Many colours of one target, in one process and without files."""
+"""Many colours of one target, in one process: as answers in memory, or as a folder for each of them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import floats
 from nacre.design.wants.answers import Solution
 from nacre.design.wants.films import film_search_many
 from nacre.design.wants.judge import judge
+from nacre.design.wants.labs_file import LabRow, lab_rows
+from nacre.design.wants.limits import total_nm
+from nacre.design.wants.many_folder import ManyFolder
 from nacre.design.wants.run import CLOSING_SHARE, judged, search_of
 from nacre.design.wants.target import Target, read_data, read_target, seeks_heights
-from nacre.design.wants.wanted import plausible
 from nacre.errors import NacreError, RecipeError
 
+Progress = Callable[[int, int], None]
 
-def many(target: str | Path | Mapping[str, Any], labs: ArrayLike) -> list[Solution]:
-    """Return the best answer for each of many colours of one target; nothing is written.
+
+@dataclass(frozen=True, eq=False)
+class ManyDesigns:
+    """The answers to many colours.
+
+    Attributes:
+        solutions: the best one for each colour.
+        rows: what many.json tells of each; empty where nothing was written.
+        folder: where the answers are; None where nothing was written.
+    """
+
+    solutions: list[Solution]
+    rows: list[dict[str, Any]]
+    folder: Path | None
+
+
+def many(
+    target: str | Path | Mapping[str, Any],
+    labs: ArrayLike | str | Path,
+    out: str | Path | None = None,
+    *,
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> list[Solution]:
+    """Return the best answer for each of many colours of one target.
 
     Args:
         target: as of `nacre.design`; the colours in it are replaced, everything else holds for each design. Its
             `search.seconds` are of each design; a stack without `[spread]` and `layers = "fewest"` asks no clock and
             takes some hundredths of a second.
-        labs: `[n, 3]`, CIELAB wanted at every want of the target, or `[n, want, 3]`, one for each want.
+        labs: `[n, 3]`, CIELAB wanted at every want of the target, or `[n, want, 3]`, one for each want; or a CSV file
+            of L, a, b or name, L, a, b (see `nacre.design.wants.labs_file`).
+        out: a folder for the answers, one folder each, with many.csv and many.json; None: nothing is written.
+        resume: keep the answers that `out` holds to the same colours of the same target.
+        progress: called with how many are done and how many there are.
 
     Raises:
-        NacreError: the target is not usable, or seeks the heights of a relief, or the colours have another shape.
+        NacreError: the target is not usable, or seeks the heights of a relief, or the colours have another shape, or
+            the folder cannot be written.
 
     Example: `nacre.design.many("paint.toml", [(50, 20, 10), (60, -30, 5)])[0].wants[0].distance`.
     """
+    return many_designs(target, labs, out, resume=resume, progress=progress).solutions
+
+
+def many_designs(
+    target: str | Path | Mapping[str, Any],
+    labs: ArrayLike | str | Path,
+    out: str | Path | None = None,
+    *,
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> ManyDesigns:
+    """As `many`, and tell what was written; an interrupt leaves what was finished."""
+    read = _read(target)
+    rows = lab_rows(labs, len(read.wants))
+    folder = None if out is None else ManyFolder(Path(out), read, rows, resume)
+    targets = [_aimed(read, row) for row in rows]
+    found: dict[int, Solution] = {}
+    if folder is not None:
+        found = {number: folder.kept(number, targets[number]) for number in folder.done}
+    which = [number for number in range(len(rows)) if number not in found]
+
+    def take(number: int, solution: Solution) -> None:
+        found[number] = solution if folder is None else folder.take(number, targets[number], solution)
+        if progress is not None:
+            progress(len(found), len(rows))
+
+    try:
+        _solve(read, targets, which, take)
+    except BaseException as error:
+        if folder is not None:
+            folder.write("interrupted" if isinstance(error, KeyboardInterrupt) else "stopped")
+        raise
+    if folder is not None:
+        folder.write("done")
+    solutions = [found[number] for number in range(len(rows))]
+    return ManyDesigns(solutions, folder.rows if folder is not None else [], folder.folder if folder else None)
+
+
+def _read(target: str | Path | Mapping[str, Any]) -> Target:
     data, context = read_data(target)
     if seeks_heights(data):
         raise NacreError(f"{context.source}: the heights of a relief are sought one look at a time; take nacre.design")
@@ -42,40 +111,45 @@ def many(target: str | Path | Mapping[str, Any], labs: ArrayLike) -> list[Soluti
     read = read_target(target)
     if read.wants[0].image is not None:
         raise NacreError(f"{read.context.source}: want[0].image: a picture is many colours already; take nacre.design")
-    wanted = floats(labs, "labs")
-    if wanted.size == 0 and wanted.shape[:1] == (0,):
-        return []
-    if wanted.ndim == 2 and wanted.shape[-1] == 3:
-        wanted = np.repeat(wanted[:, None], len(read.wants), axis=1)
-    if wanted.ndim != 3 or wanted.shape[1:] != (len(read.wants), 3):
-        raise NacreError(f"labs has shape {list(np.shape(labs))}; it should be [n, 3] or [n, {len(read.wants)}, 3]")
-    for number, lab in enumerate(wanted.reshape(-1, 3)):
-        where = f"labs[{number // len(read.wants)}]"
-        if not np.isfinite(lab).all():
-            raise NacreError(f"{where} = {lab.tolist()} should hold finite numbers")
-        plausible(lab, where, lab.tolist())
-    targets = [replace(read, wants=tuple(w.with_lab(c) for w, c in zip(read.wants, row))) for row in wanted]
-    is_plain = not read.spec.spread and read.spec.limits.layers is None  # else a search that knows of them
-    together = film_search_many(read, targets) if is_plain else None
-    if together is not None:
-        return [_solution(one, changes) for one, changes in zip(targets, together, strict=True)]
-    found = []
-    for one in targets:
+    return read
+
+
+def _aimed(target: Target, row: LabRow) -> Target:
+    return replace(target, wants=tuple(want.with_lab(lab) for want, lab in zip(target.wants, row.lab, strict=True)))
+
+
+def _solve(
+    target: Target, targets: Sequence[Target], which: Sequence[int], take: Callable[[int, Solution], None]
+) -> None:
+    """Search for some of the targets and hand each answer on, one at a time.
+
+    Raises:
+        KeyboardInterrupt: as it comes; what was handed on stays.
+    """
+    lock = threading.Lock()
+
+    def judge_stack(number: int, changes: dict[str, Any]) -> None:
+        with lock:
+            one = targets[number]
+            made = one.material.vary(changes)
+            wants, _ = judge(made, one.wants, one.spec.light, seed=one.spec.search.seed)
+            total = total_nm(made)
+            take(number, Solution(None, made, changes, wants, {"total_nm": total} if total else {}))
+
+    is_plain = not target.spec.spread and target.spec.limits.layers is None  # else a search that knows of them
+    if is_plain and film_search_many(target, targets, which, judge_stack):
+        return
+    for number in which:
+        one = targets[number]
         search = search_of(one, one.spec.search.seed)
         seconds = one.spec.search.seconds
-        search.run((1.0 - CLOSING_SHARE) * seconds, None, [])
+        if search.run((1.0 - CLOSING_SHARE) * seconds, None, []) == "interrupted":
+            raise KeyboardInterrupt
         answers = search.answers()
         made = judged(one, answers[0][1], CLOSING_SHARE * seconds, 0.0) if answers else None
         if made is None:
-            raise RecipeError(f"{read.context.source}: the recipe cannot be computed anywhere in its bounds")
-        found.append(made)
-    return found
+            raise RecipeError(f"{target.context.source}: the recipe cannot be computed anywhere in its bounds")
+        take(number, made)
 
 
-def _solution(target: Target, changes: dict[str, Any]) -> Solution:
-    made = target.material.vary(changes)
-    wants, _ = judge(made, target.wants, target.spec.light, seed=target.spec.search.seed)
-    return Solution(None, made, changes, wants)
-
-
-__all__ = ["many"]
+__all__ = ["ManyDesigns", "many", "many_designs"]

@@ -14,13 +14,14 @@ import numpy as np
 from nacre.arrays import Array
 from nacre.design.wants.answers import Solution
 from nacre.design.wants.dropping import is_chosen
-from nacre.design.wants.gamut import gamut_chart, gamut_svg
-from nacre.design.wants.geometry import At, search_wavelengths, see
+from nacre.design.wants.gamut import LEAST_POINTS, gamut_chart, gamut_svg
+from nacre.design.wants.geometry import At, judge_wavelengths, search_wavelengths, see
 from nacre.design.wants.judge import Reached, rows_of
+from nacre.design.wants.making import RMS_OF_1_PERCENT
 from nacre.design.wants.reach import reach_of_or_none
 from nacre.design.wants.target import Target
 from nacre.files import write_text
-from nacre.light import white_xyz
+from nacre.light import lamp_lines_nm, white_xyz
 from nacre.materials.layers import layers_of
 from nacre.materials.material import Material
 from nacre.plot.page import DPI, data_uri, framed
@@ -65,7 +66,9 @@ def write_page(folder: Path, target: Target, design: Any, seconds: float, begun:
         sections.append(_section(number, solution, picture, folder, target))
     # who has the answer is not kept waiting for the gamut: no longer than for all the rest
     left = 0.7 * seconds - (time.monotonic() - page_begun)
-    gamut = _gamut(target, min(left, max(design.seconds, LEAST_GAMUT_S)))
+    gamut = _gamut(
+        target, min(left, max(design.seconds, LEAST_GAMUT_S)), design.solutions[0].facts.get("judging_s", 0.0)
+    )
     took = design.summary["seconds"] = round(time.monotonic() - begun, 3)
     body = [
         f"<h1>{html.escape(target.name)}</h1>",
@@ -96,7 +99,7 @@ def sheet_of(target: Target, solution: Solution, number: int, design: Any) -> De
 
     light = target.spec.light
     made, seed = solution.material, target.spec.search.seed
-    grid = search_wavelengths(made, light.illuminants)
+    grid = _shown_wavelengths(made, light.illuminants)
     rows = rows_of(target.wants)
     angles, ribbon_rows, label = _ribbon(rows[0], made)
     seen = see(made, [*rows, *ribbon_rows], grid, seed=seed, memory={})
@@ -120,6 +123,19 @@ def sheet_of(target: Target, solution: Solution, number: int, design: Any) -> De
         swatches, seen.wavelengths_nm, curves, wanted, angles, seen.factors[len(rows):], label, media, thicknesses,
         _numbers(solution, target), bars, title, light.illuminants[0],
     )  # fmt: skip
+
+
+def _shown_wavelengths(made: Material, lamps: Sequence[str]) -> Array:
+    """Return the grid of the curves and of the ribbon: that of the search.
+
+    Where a wavelength takes long (a body that is no sphere), those of the judge, who has solved them: about as many.
+    """
+    few = search_wavelengths(made, lamps)
+    if not made.model.is_direct:
+        return few
+    known = judge_wavelengths(made, lamps)
+    lines = [line for lamp in lamps for line in lamp_lines_nm(lamp)]
+    return np.unique([*known[:: max(1, len(known) // len(few))], known[-1], *np.intersect1d(known, lines)])
 
 
 def _ribbon(first: At, material: Material) -> tuple[Array, list[At], str]:
@@ -150,12 +166,14 @@ def _short(value: Any) -> str:
 
 def _bars(solution: Solution, target: Target) -> tuple[list[tuple[str, float]], str]:
     details = solution.facts.get("yield")
+    unit = "rms % " if all(want.spectrum is not None for want in target.wants) else "dE00 "
     if details is not None:
-        return [(c["path"], c["moves"]) for c in details["costs"]], "dE00 of one standard deviation"
+        return [(c["path"], c["moves"]) for c in details["costs"]], f"{unit}of one standard deviation"
     found = solution.facts.get("sensitivity", [])
     count = len([p for p in numbers_of(solution.material.data) if is_chosen(p, solution.changes, target.free)])
-    part = f" ({len(found)} of {count} numbers, in the time)" if 0 < len(found) < count else ""
-    return [(s["path"], s["de00_of_1_percent"]) for s in found], f"dE00 of a change of 1 %{part}"
+    part = f"\n({len(found)} of {count} numbers, in the time)" if 0 < len(found) < count else ""
+    moves = [(s["path"], s.get("de00_of_1_percent", s.get(RMS_OF_1_PERCENT))) for s in found]
+    return moves, f"{unit}of a change of 1 %{part}"
 
 
 def _distance(reached: Reached) -> str:
@@ -215,9 +233,15 @@ def _section(number: int, solution: Solution, picture: str, folder: Path, target
     )
 
 
-def _gamut(target: Target, seconds: float) -> list[str]:
-    """Return what can be reached at the first colour that is wanted, as parts of the page."""
-    if seconds <= 0.0:
+def _gamut(target: Target, seconds: float, judging_s: float) -> list[str]:
+    """Return what can be reached at the first colour that is wanted, as parts of the page; nothing without the time.
+
+    Args:
+        judging_s: what a look at one answer took, on all of its wavelengths.
+    """
+    lamps = target.spec.light.illuminants
+    few, every = (len(choose(target.material, lamps)) for choose in (search_wavelengths, judge_wavelengths))
+    if seconds <= 0.0 or (target.material.model.is_direct and LEAST_POINTS * judging_s * few / every > seconds):
         return []
     found = reach_of_or_none(target, seconds)
     if found is None:

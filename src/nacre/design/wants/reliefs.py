@@ -7,7 +7,7 @@ steers by are display values under D65; the colours that an answer reaches are m
 from __future__ import annotations
 
 import copy
-import json
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,17 +22,21 @@ from nacre.design.loss import GAMMA
 from nacre.design.problem import Problem, View
 from nacre.design.run import DesignResult, design
 from nacre.design.spec import LARGEST_TILE_FEATURES, TargetSpec
-from nacre.design.wants.judge import judge
+from nacre.design.wants.geometry import aspecular_pairs, judge_wavelengths, see
+from nacre.design.wants.judge import Reached, reached, rows_of
 from nacre.design.wants.spec import WantsSpec
 from nacre.design.wants.target import read_data
 from nacre.design.wants.wanted import Want, read_wants
 from nacre.errors import RecipeError
 from nacre.families.relief.fresnel import coating_reflectance
+from nacre.families.relief.material import Relief
 from nacre.families.relief.slice import SliceGeometry
+from nacre.families.relief.surface import Tile
 from nacre.families.relief.trust import largest_depth_nm
-from nacre.files import read_text, write_text
+from nacre.files import read_text
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, lab_to_xyz, white_xyz, xyz_to_srgb_linear
-from nacre.materials.material import load
+from nacre.materials.material import Material, load
+from nacre.matter.jit import seconds_compiled
 from nacre.measure.instruments import aspecular_direction
 from nacre.recipe.model import RecipeContext, show_value, validate
 from nacre.recipe.toml import parse_toml
@@ -236,18 +240,44 @@ def run_relief(
         RecipeError: the target is not usable.
         NacreError: the folder cannot be written, or holds the search of another target.
     """
+    begun = time.monotonic()
     data, context = read_data(target)
     read = read_relief(data, context)
     folder = Path(out) if out is not None else Path(Path(context.source).stem)
-    found = design(read.spec, read.context, folder, resume=resume, progress=progress, jobs=jobs, problem=read.problem)
-    summary = {**found.summary, "solutions": [_solution(read, folder, found)]}
-    write_text(folder / "design.json", json.dumps(summary, indent=2) + "\n")
-    return replace(found, summary=summary)
+    return design(
+        read.spec, read.context, folder, resume=resume, progress=progress, jobs=jobs, problem=read.problem, begun=begun,
+        closing_s=_rehearsed(read), judge=lambda folder, found: {"solutions": [_solution(read, folder, found)]},
+    )  # fmt: skip
 
 
-def _solution(read: ReliefTarget, folder: Path, found: DesignResult) -> dict[str, Any]:
+def _rehearsed(read: ReliefTarget) -> float:
+    """Return the seconds that judging an answer takes on this machine as it is, by judging some relief of its kind.
+
+    What a first run has to compile is compiled by that, before the search is given its time.
+    """
+    if not read.colours:
+        return 0.0
+    spec = read.spec
+    heights_nm = 1e3 * spec.height_max_um * np.random.default_rng(0).random((spec.features, spec.features))
+    tile = Tile(heights_nm, 1e3 * spec.feature_um, 1e3 * spec.blur_um)
+    some = Relief(tile, spec.coherence.build(), spec.coating.build(read.context), spec.chosen_prefactor)
+    wi, wo = aspecular_pairs(rows_of(read.colours))
+    begun, compiled = time.monotonic(), seconds_compiled()
+    some.values_at(wi, wo, some.wavelengths_nm)
+    return time.monotonic() - begun - (seconds_compiled() - compiled)
+
+
+def _judged(read: ReliefTarget, made: Material) -> list[Reached]:
+    """Return what a relief reaches of the colours, looked at in their directions alone, by its own physics."""
+    if not read.colours:
+        return []
+    grid = judge_wavelengths(made, read.asked.light.illuminants)
+    return reached(see(made, rows_of(read.colours), grid, memory={}), read.colours, read.asked.light)
+
+
+def _solution(read: ReliefTarget, folder: Path, found: Mapping[str, Any]) -> dict[str, Any]:
     light = read.asked.light
-    losses = {name: found.summary[name] for name in ("loss_fixed", "loss_free")}
+    losses = {name: found[name] for name in ("loss_fixed", "loss_free")}
     tables = [want.directions for want in read.asked.want if want.directions is not None]
     pictures = [
         {
@@ -258,8 +288,7 @@ def _solution(read: ReliefTarget, folder: Path, found: DesignResult) -> dict[str
         }
         for table in tables
     ]
-    reached = judge(load(folder / "recipe.toml"), read.colours, light, seed=0)[0] if read.colours else []
-    wants = [*pictures, *(r.document(light.observer) for r in reached)]
+    wants = [*pictures, *(r.document(light.observer) for r in _judged(read, load(folder / "recipe.toml")))]
     return {"recipe": str(folder / "recipe.toml"), "wants": wants, "yield": None}
 
 

@@ -43,7 +43,8 @@ WRITE_EVERY_S = 2.0
 # kept back from the time for judging and the report
 CLOSING_SHARE, CLOSING_S, CLOSING_OF_EACH_S = 0.3, 3.0, 0.6
 LEAST_PAGE_S, LEAST_SENSITIVITY_S = 1.0, 0.5
-LEAST_SEARCH = 0.4  # of the time, whatever was compiled before it began
+DEAR_S = 2.0  # for two looks: what takes longer is told how it moves the looks only where there is time
+LEAST_SEARCH = 0.25  # of the time, whatever was compiled before it began
 RESUMED_SEED = 1_000_003  # a search that goes on draws anew
 
 
@@ -105,6 +106,8 @@ def run(
     left = total - closing - (time.monotonic() - begun)
     ended = search.run(max(left, LEAST_SEARCH * total), keeper.tell, known)
     found = search.answers()
+    if not found and ended == "interrupted":
+        raise KeyboardInterrupt  # before there was an answer
     if not found:
         raise RecipeError(f"{read.context.source}: the recipe cannot be computed anywhere in its bounds")
     keeper.save([values for _, values in found])
@@ -130,7 +133,10 @@ def search_of(target: Target, seed: int) -> Search:
 
 def _general(target: Target, seed: int) -> Search:
     asked = (target.material, target.free, target.wants, target.spec.light, seed, target.spec.search.solutions)
-    search = slow_search(*asked) or GeneralSearch(*asked)
+    slow = slow_search(*asked)
+    if slow is not None:
+        slow.kept_s = CLOSING_SHARE * target.spec.search.seconds
+    search = slow or GeneralSearch(*asked)
     search.most_nm = target.spec.limits.total_nm
     return search
 
@@ -225,7 +231,8 @@ def _finish(
     surely = 1 + (stood is not None)
     solutions: list[Solution] = []
     for number, changes in enumerate(chosen):
-        is_late = time.monotonic() - begun > spec.search.seconds
+        last_s = solutions[-1].facts.get("judging_s", 0.0) if solutions else 0.0
+        is_late = time.monotonic() - begun + last_s > spec.search.seconds
         if number >= surely and (is_late or ended == "interrupted"):
             break  # the others are kept in the search's state
         solution = judged(target, changes, 0.5 * left / len(chosen), LEAST_SENSITIVITY_S if number == 0 else 0.0)
@@ -237,7 +244,7 @@ def _finish(
     del solutions[spec.search.solutions :]
     written = []
     for number, solution in enumerate(solutions, start=1):
-        tolerance = _tolerance(target, solution)
+        tolerance = tolerance_of(target, solution)
         changes = as_judged(target.material, solution.changes)
         path, files = write_recipe(folder_of(folder, number), target.material, changes, tolerance, solution.material)
         facts = {**solution.facts, "files": files}
@@ -285,16 +292,19 @@ def judged(target: Target, changes: dict[str, Any], seconds: float, least: float
         least: seconds that its sensitivity gets in any case.
     """
     spec = target.spec
+    begun = time.monotonic()
     try:
         made = target.material.vary(changes)
         wants, seen = judge(made, target.wants, spec.light, seed=spec.search.seed, seconds=0.5 * seconds)
     except NacreError:
         return None
-    facts: dict[str, Any] = {}
+    took = time.monotonic() - begun
+    facts: dict[str, Any] = {"judging_s": took}
     with contextlib.suppress(NacreError):
         paths = [p for p in numbers_of(made.data) if is_chosen(p, changes, target.free) and made.get(p)]
         asked = (target.wants, spec.light, spec.search.seed)
-        facts["sensitivity"] = sensitivity(made, paths, *asked, max(0.2 * seconds, least), seen)
+        if 2.0 * took <= max(0.2 * seconds, DEAR_S) or made.model.is_quick:
+            facts["sensitivity"] = sensitivity(made, paths, *asked, max(0.2 * seconds, least), seen)
         if spec.spread:
             spreads = spreads_of(spec.spread, made, target.context.source)
             facts["yield"] = yield_of(made, spreads, *asked, 0.3 * seconds, seen)
@@ -312,7 +322,7 @@ def as_judged(start: Material, changes: Mapping[str, Any]) -> dict[str, Any]:
     return {**changes, **start.vary(changes).model.spared_changes}
 
 
-def _tolerance(target: Target, solution: Solution) -> dict[str, Any]:
+def tolerance_of(target: Target, solution: Solution) -> dict[str, Any]:
     """Return the spreads as a recipe's [tolerance] has them, so that `nacre tolerance` goes on from the answer."""
     if not target.spec.spread:
         return {}
@@ -357,7 +367,7 @@ def _report(
         "status": status,
         "message": message,
         "seconds": round(time.monotonic() - begun, 3),
-        "solutions": [_document(s, target) for s in solutions],
+        "solutions": [document_of(s, target) for s in solutions],
         "light": target.spec.light.model_dump(),
         "costs_most": {"at": str(solutions[0].worst.want.at), "lamp": solutions[0].worst.lamp},
         "seed": target.spec.search.seed,
@@ -378,7 +388,8 @@ def _report(
     return replace(design, seconds=summary["seconds"])
 
 
-def _document(solution: Solution, target: Target) -> dict[str, Any]:
+def document_of(solution: Solution, target: Target) -> dict[str, Any]:
+    """Return an answer as JSON can hold it."""
     return {
         "recipe": str(solution.recipe),
         "worst": solution.worst.scaled,
@@ -392,4 +403,4 @@ def _document(solution: Solution, target: Target) -> dict[str, Any]:
     }
 
 
-__all__ = ["Design", "Solution", "WantsProgress", "judged", "run", "search_of"]
+__all__ = ["Design", "Solution", "WantsProgress", "document_of", "judged", "run", "search_of", "tolerance_of"]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -41,16 +42,18 @@ WEIGHTINGS = 2
 ENOUGH = 0.5  # of what ends the search: a descent that is so near goes no further
 NEARLY = 0.7  # of `within`: who comes so near on few wavelengths is settled at once
 DISTURBANCE = 0.15
+REMEMBERED = 5  # looks whose time is remembered: the next one is taken to last as long as their median
 
 
 @dataclass
 class _Eye:
-    """Wavelengths, and the goals on them."""
+    """Wavelengths, and the goals on them; `took_s`: how long the last looks lasted."""
 
     grid: Array
     goals: Goals
     is_rough: bool = False
     memory: dict[Any, Any] = field(default_factory=dict)
+    took_s: deque[float] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
 
 
 class SlowSearch(GeneralSearch):
@@ -77,6 +80,7 @@ class SlowSearch(GeneralSearch):
         self.few = eye(FEW_NM) if is_coarse else self.fine
         self.rough = eye(ROUGH_NM if is_coarse else fine, True)
         self.is_fine_known = False  # whether `best` is one of the fine wavelengths
+        self.kept_s = 0.0  # that whoever judges the answers has of its own
 
     def run(
         self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None = None,
@@ -104,10 +108,11 @@ class SlowSearch(GeneralSearch):
 
     def _look(self, place: Array, eye: _Eye) -> Array | None:
         """Return the residuals of a place, and note it where it is the best; None where it cannot be computed."""
-        if time.monotonic() > self._deadline and (np.isfinite(self.best) or self.evaluations >= LAST_TRIES):
+        if self._is_late(eye) and (np.isfinite(self.best) or self.evaluations >= LAST_TRIES):
             raise TimeIsUp
         self.evaluations += not eye.is_rough
         values = values_at(self.free, place)
+        begun = time.monotonic()
         try:
             made = self.made(values)
             seen = see(made, self.rows, eye.grid, seed=self.seed, memory=eye.memory, is_rough=eye.is_rough)
@@ -116,6 +121,7 @@ class SlowSearch(GeneralSearch):
             residuals = np.asarray(eye.goals.residuals(spectra))
         except (NacreError, ArithmeticError):
             return None
+        eye.took_s.append(time.monotonic() - begun)
         if not (np.isfinite(objective) and np.isfinite(residuals).all()):
             return None
         if eye is self.fine and not self.is_fine_known:
@@ -128,6 +134,20 @@ class SlowSearch(GeneralSearch):
         if self._tell is not None:
             self._tell(self.best, self.best_values)
         return residuals
+
+    def _is_late(self, eye: _Eye) -> bool:
+        """Whether a look would end after the time, or leave too little of it for a judgement of what was found.
+
+        A body that is no sphere costs seconds, each wavelength anew, and who judges looks at all of them.
+        """
+        times = [(each, float(np.median(each.took_s))) for each in (eye, self.few, self.rough) if each.took_s]
+        if not times:
+            return time.monotonic() > self._deadline
+        known, took = times[0]
+        of_one = took / len(known.grid)
+        judging = of_one * len(self.fine.grid)
+        needed = of_one * len(eye.grid) + max(judging - self.kept_s, 0.0)
+        return time.monotonic() + needed > self._deadline
 
     def _draws(self, turn: int, until: float, known: Sequence[Mapping[str, Any]]) -> list[Descent]:
         """Look at even draws roughly, at the best, the recipe's own place and known answers again; return starts."""

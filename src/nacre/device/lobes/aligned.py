@@ -30,6 +30,7 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
     """Broad reflection, and transmission if the lobe transmits."""
 
     kind = "aligned"
+    tables = ("table",)
     is_turned = True
 
     def _set_tables(self, lobe: Aligned) -> None:
@@ -39,7 +40,7 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
         self.cos_turn, self.sin_turn = opaque(math.cos(lobe.rotation)), opaque(math.sin(lobe.rotation))
 
     def _thinned(self, lobe: Aligned) -> Aligned:
-        return dataclasses.replace(lobe, **thinned_rows(lobe, ("table",)))
+        return dataclasses.replace(lobe, **thinned_rows(lobe, self.tables))
 
     def _mean(self, lobe: Aligned, light: Array, eye: Array) -> Array:
         """Return f averaged over wavelengths, turns and mirror images, `[...]`, of directions `[..., 3]`."""

@@ -17,8 +17,8 @@ import mitsuba as mi
 import numpy as np
 
 from nacre.arrays import Array, SingleArray
-from nacre.bsdf.lobes.aligned import Aligned
 from nacre.bsdf.lobes.harmonic import Harmonic
+from nacre.bsdf.lobes.monolayer import MonolayerLobe
 from nacre.bsdf.series_words import PACKET
 from nacre.device.base import (
     MIN_COS,
@@ -44,22 +44,23 @@ COSINE_SHARE = 0.1  # of the draws: no direction is left out, and no weight grow
 # mean square of the weights up to which an opaque lobe is drawn by the cosine alone: a tenth more variance of each draw
 # for a sixth of the time
 BROAD = 1.1
-TABLES = ("above", "below", "across", "above_free", "below_free", "across_free")
 VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 12, 9, 9  # for each side; with more the noise is the same
 
-MonolayerLobe = TypeVar("MonolayerLobe", Harmonic, Aligned)
+AnyMonolayer = TypeVar("AnyMonolayer", bound=MonolayerLobe)
 
 
-class MonolayerPlugin(LobePlugin[MonolayerLobe]):
+class MonolayerPlugin(LobePlugin[AnyMonolayer]):
     """What the diffuse light of monolayers has in common: polar angles, S, and draws from a table of exits.
 
     Attributes:
+        tables: names of the lobe's tables.
         is_turned: whether values depend on both azimuths, not on their difference alone.
     """
 
+    tables: ClassVar[tuple[str, ...]]
     is_turned: ClassVar[bool] = False
 
-    def __init__(self, lobe: MonolayerLobe) -> None:
+    def __init__(self, lobe: AnyMonolayer) -> None:
         sides: tuple[str, ...] = ("FrontSide", "BackSide") if lobe.transmits else ("FrontSide",)
         sides = ("Anisotropic", *sides) if self.is_turned else sides
         self.transmits = lobe.transmits
@@ -71,23 +72,27 @@ class MonolayerPlugin(LobePlugin[MonolayerLobe]):
         self._set(lobe)
 
     @abc.abstractmethod
-    def _set_tables(self, lobe: MonolayerLobe) -> None:
+    def _set_tables(self, lobe: AnyMonolayer) -> None:
         """Put the series on the device."""
 
     @abc.abstractmethod
-    def _thinned(self, lobe: MonolayerLobe) -> MonolayerLobe:
+    def _thinned(self, lobe: AnyMonolayer) -> AnyMonolayer:
         """Return the lobe at some dozen wavelengths: sampling needs the shape, not the colour."""
 
     @abc.abstractmethod
     def _look_up(self, si: Any, light: Any, eye: Any, active: Any) -> Any:
         """Interpolate f at the four wavelengths."""
 
-    def _mean(self, lobe: MonolayerLobe, light: Array, eye: Array) -> Array:
+    def _mean(self, lobe: AnyMonolayer, light: Array, eye: Array) -> Array:
         """Return f averaged over wavelengths, `[...]`, of directions `[..., 3]`."""
         return np.asarray(lobe.evaluate(light, eye).mean(axis=-1))
 
-    def _set(self, lobe: MonolayerLobe) -> None:
-        self.shape: tuple[tuple[int, ...], ...] = _shape(lobe)
+    def _shape(self, lobe: AnyMonolayer) -> list[tuple[int, ...]]:
+        """Return the shapes of the tables, which stay when their numbers are replaced."""
+        return [getattr(lobe, name).shape for name in self.tables]
+
+    def _set(self, lobe: AnyMonolayer) -> None:
+        self.shape = self._shape(lobe)
         self.axis.update(lobe.wavelengths_nm)
         self.nodes = opaque_int(max(2, len(lobe.wavelengths_nm)))
         self._set_tables(lobe)
@@ -114,7 +119,7 @@ class MonolayerPlugin(LobePlugin[MonolayerLobe]):
         self.s_last = opaque(len(lobe.structure) - 1)
         self._set_sampling(lobe)
 
-    def _set_sampling(self, lobe: MonolayerLobe) -> None:
+    def _set_sampling(self, lobe: AnyMonolayer) -> None:
         """Tabulate f, averaged over wavelengths, on (theta_i; side, |dphi|, sin^2 theta_o), for draws by |cos_o| f."""
         hemispheres = 2 if self.transmits else 1
         views = VIEW_NODES * hemispheres
@@ -294,7 +299,7 @@ class MonolayerPlugin(LobePlugin[MonolayerLobe]):
         ends = read2(self.albedo, row, active)
         return dr.select(self._visible(si.wi), dr.lerp(ends[0], ends[1], part), 0.0)
 
-    def update(self, lobe: MonolayerLobe) -> None:
+    def update(self, lobe: AnyMonolayer) -> None:
         """Take over the numbers of another monolayer.
 
         Raises:
@@ -302,7 +307,7 @@ class MonolayerPlugin(LobePlugin[MonolayerLobe]):
         """
         if _keeps_index(lobe) != self.keeps_index:
             raise UnsupportedError("one ambient disperses and the other does not; build the scene again")
-        if _shape(lobe) != self.shape:
+        if self._shape(lobe) != self.shape:
             raise UnsupportedError("the harmonic tables changed their shape; build the scene again")
         self._set(lobe)
 
@@ -311,6 +316,7 @@ class HarmonicPlugin(MonolayerPlugin[Harmonic]):
     """Broad reflection, and transmission if the lobe transmits."""
 
     kind = "harmonic"
+    tables = ("above", "below", "across", "above_free", "below_free", "across_free")
 
     def _set_tables(self, lobe: Harmonic) -> None:
         self.packets = -(-lobe.above.shape[1] // PACKET)
@@ -321,7 +327,7 @@ class HarmonicPlugin(MonolayerPlugin[Harmonic]):
             self.free = PackedSeries(free, self.packets)
 
     def _thinned(self, lobe: Harmonic) -> Harmonic:
-        return dataclasses.replace(lobe, **thinned_rows(lobe, TABLES))
+        return dataclasses.replace(lobe, **thinned_rows(lobe, self.tables))
 
     def _look_up(self, si: Any, light: Any, eye: Any, active: Any) -> Any:
         """Interpolate f at the four wavelengths."""
@@ -434,13 +440,6 @@ def thinned_rows(lobe: Any, tables: tuple[str, ...]) -> dict[str, Any]:
     step = max(1, len(lobe.wavelengths_nm) // 12)
     names = (*tables, "wavelengths_nm", "wavenumbers", "index_below")
     return {name: np.ascontiguousarray(getattr(lobe, name)[..., ::step]) for name in names}
-
-
-def _shape(lobe: Any) -> tuple[tuple[int, ...], ...]:
-    """Return the shapes of a lobe's tables, which stay when its numbers are replaced."""
-    return tuple(getattr(lobe, name).shape for name in TABLES if hasattr(lobe, name)) + (
-        (lobe.table.shape,) if hasattr(lobe, "table") else ()
-    )
 
 
 def _directions(theta: Any, phi: Any) -> Array:

@@ -8,18 +8,17 @@ from typing import Any, TypeVar
 import drjit as dr
 import mitsuba as mi
 
-from nacre.bsdf.lobes.aligned_specular import AlignedSpecular
-from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.lobes.specular import InterfaceLobe, Specular
 from nacre.device.base import MIN_COS, LobePlugin, flag, flip_z, is_radiance, larger
 from nacre.device.response import DeviceResponse, share_reflected
 
-InterfaceLobe = TypeVar("InterfaceLobe", Specular, AlignedSpecular)
+AnyInterface = TypeVar("AnyInterface", bound=InterfaceLobe)
 
 
-class InterfacePlugin(LobePlugin[InterfaceLobe]):
+class InterfacePlugin(LobePlugin[AnyInterface]):
     """Mirror reflection, and refraction by one index; a free film transmits light undeviated."""
 
-    def __init__(self, lobe: InterfaceLobe) -> None:
+    def __init__(self, lobe: AnyInterface) -> None:
         self.response = self._respond(lobe)
         both = ("FrontSide", "BackSide") if lobe.transmits else ("FrontSide",)
         self.components = (flag("DeltaReflection", *both),)
@@ -29,7 +28,7 @@ class InterfacePlugin(LobePlugin[InterfaceLobe]):
             self.components += (flag(straight, *both),)
 
     @abc.abstractmethod
-    def _respond(self, lobe: InterfaceLobe) -> DeviceResponse:
+    def _respond(self, lobe: AnyInterface) -> DeviceResponse:
         """Put the tables on the device."""
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
@@ -93,7 +92,7 @@ class InterfacePlugin(LobePlugin[InterfaceLobe]):
         total = dr.mean(reflected if transmitted is None else reflected + transmitted)
         return total if self.response.transmits else dr.select(wi.z > 0, total, 0.0)
 
-    def update(self, lobe: InterfaceLobe) -> None:
+    def update(self, lobe: AnyInterface) -> None:
         """Take over other tables."""
         self.response.update(lobe.response)
 

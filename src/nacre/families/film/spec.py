@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -386,6 +387,7 @@ def angle_texture(value: float | TextureSpec, context: RecipeContext, key: str) 
         made = value.build(context, key)
         if made.formula is not None:
             scaled = parse_formula(f"({made.formula.text})*{degree!r}")
+            scaled = dataclasses.replace(scaled, written=made.formula.written)
             return Texture(made.low * degree, made.high * degree, formula=scaled)
         return Texture(made.low * degree, made.high * degree, image=made.image, is_stepped=made.is_stepped)
     if value == 0.0:

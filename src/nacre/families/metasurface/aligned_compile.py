@@ -12,7 +12,8 @@ from nacre.arrays import Array, ComplexArray
 from nacre.bsdf.contract import Lobe
 from nacre.bsdf.lobes.aligned import Aligned
 from nacre.bsdf.lobes.aligned_specular import AlignedSpecular
-from nacre.bsdf.lobes.harmonic import PolarGrid, pack_triangle
+from nacre.bsdf.lobes.harmonic import pack_triangle
+from nacre.bsdf.lobes.monolayer import PolarGrid
 from nacre.bsdf.response import InterfaceResponse
 from nacre.families.metasurface.aligned import AlignedLayer, AlignedLit
 from nacre.families.metasurface.aligned_pairs import (
@@ -43,6 +44,7 @@ from nacre.matter.jobs import in_threads
 SPECULAR_STEPS = 72  # azimuths of the mirror's tables: straight lines between them are .4 % of what varies off
 LEFT_OUT = 5e-4  # of the root mean square of f: Fourier terms below are dropped, all together
 MOST_TERMS = 48
+VALUE_NODES = 12  # of the balance over the cosine, for a few values to 1e-4
 MOST_ANGLES = 64, (40, 20, 14)  # above what is opaque; on a clear substrate above, below and beyond the critical angle
 
 
@@ -227,6 +229,30 @@ def aligned_powers(layer: AlignedLayer, cosines: Array, azimuth_rad: float) -> t
         return reflected, passed, up, np.zeros_like(up)
     rule = hemisphere_rule(BELOW_NODES, layer.mean.surface.index_below)
     return reflected, passed, up, _sent(layer, lit, wave[0], *rule, True)
+
+
+def aligned_values(layer: AlignedLayer, wi: Array, wo: Array, turn_rad: float) -> Array:
+    """Return the diffuse value of pairs of directions above the surface, `[pair]`, 1/sr, unpolarised; see `few_values`.
+
+    Args:
+        layer: the monolayer.
+        wi, wo: `[pair, 3]`, unit vectors, z > 0.
+        turn_rad: by which the particles are turned.
+    """
+    mu, weights = hemisphere_rule(VALUE_NODES)
+    cosines, place = np.unique(np.concatenate([wi[:, 2], wo[:, 2]]), return_inverse=True)
+    lit = light_of(layer, np.concatenate([mu, cosines]), False, AZIMUTHS)
+    term = aligned_term(layer, [(lit, np.concatenate([weights, np.zeros(cosines.size)]))])
+    i, o = mu.size + place[: len(wi)], mu.size + place[len(wi) :]
+    series: ComplexArray = np.fft.fft2(term.power[o[:, None], :, i[:, None]][:, 0]) / AZIMUTHS**2  # pair, of wo, of wi
+    order = np.fft.fftfreq(AZIMUTHS, 1.0 / AZIMUTHS)
+    order[AZIMUTHS // 2] = 0.0  # of unknown sign, and next to nothing
+    series[:, AZIMUTHS // 2] = series[:, :, AZIMUTHS // 2] = 0.0
+    of_o, of_i = (np.exp(1j * np.outer(np.arctan2(w[:, 1], w[:, 0]) - turn_rad, order)) for w in (wo, wi))
+    smooth = np.einsum("nb,nba,na->n", of_o, series, of_i).real
+    q = np.hypot(*(wi + wo)[:, :2].T)  # between the in-plane wavevectors, -wi and wo
+    s = layer.mean.structure.structure_factor(layer.mean.surface.wavenumber * q)
+    return np.asarray(np.maximum(smooth, 0.0) * s / (wi[:, 2] * wo[:, 2]))
 
 
 def _sent(layer: AlignedLayer, lit: AlignedLit, wave: float, mu: Array, weights: Array, below: bool) -> Array:

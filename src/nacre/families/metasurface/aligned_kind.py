@@ -7,7 +7,7 @@ from collections.abc import Callable
 from nacre.arrays import Array
 from nacre.bsdf.contract import Lobe
 from nacre.families.metasurface.aligned import AlignedLayer
-from nacre.families.metasurface.aligned_compile import aligned_grids, aligned_powers, tabulate_aligned
+from nacre.families.metasurface.aligned_compile import aligned_grids, aligned_powers, aligned_values, tabulate_aligned
 from nacre.families.metasurface.axial import KnownBody
 from nacre.families.metasurface.compile import Grids
 from nacre.families.metasurface.kinds import Kind
@@ -41,6 +41,13 @@ def powers_of_aligned(kind: Kind, layer: Monolayer, cosines: Array) -> tuple[Arr
     body = _body(kind)
     whole = AlignedLayer(layer, body.whole_t_matrix(layer.surface.wavelength_nm))
     return aligned_powers(whole, cosines, -body.turn_rad)
+
+
+def values_of_aligned(kind: Kind, layer: Monolayer, wi: Array, wo: Array) -> Array:
+    """Return the diffuse values of a few pairs of directions above, `[pair]`; arguments as of `powers_of_aligned`."""
+    body = _body(kind)
+    whole = AlignedLayer(layer, body.whole_t_matrix(layer.surface.wavelength_nm))
+    return aligned_values(whole, wi, wo, body.turn_rad)
 
 
 def _body(kind: Kind) -> KnownBody:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -234,24 +235,30 @@ def read_columns(context: RecipeContext, key: str, name: str) -> Array:
     try:
         if plain(path).stat().st_size > MAX_FILE_BYTES:
             raise context.fail(key, name, f"is larger than {MAX_FILE_BYTES >> 20} MB")
-        lines = [cells for _, cells in rows(decoded(path.read_bytes()))]
+        lines = list(rows(decoded(path.read_bytes())))
     except UnicodeDecodeError:
         raise context.fail(key, name, "must hold two numbers a line; it is not text") from None
     except OSError as error:
         raise context.fail(key, name, why_unreadable(error)) from None
     first, second, to_um = 0, 1, 1.0
-    if lines and not _is_number(lines[0][0]):
-        names = headings(lines.pop(0))
+    if lines and not _is_number(lines[0][1][0]):
+        names = headings(lines.pop(0)[1])
         for unit, factor in {"": 1e3, **LENGTH_UNITS_NM}.items():
             x, y = (f"{axis}_{unit}".rstrip("_") for axis in "xy")
             if x in names and y in names:
                 first, second, to_um = names.index(x), names.index(y), factor * 1e-3
-    try:
-        table = np.array([[float(cells[first]), float(cells[second])] for cells in lines])
-    except (ValueError, IndexError):
-        raise context.fail(key, name, "must hold two numbers a line") from None
-    if table.ndim != 2 or table.shape[1:] != (2,) or not np.all(np.isfinite(table)):
-        raise context.fail(key, name, "must hold two finite numbers a line")
+    found = []
+    for number, cells in lines:
+        try:
+            found.append((float(cells[first]), float(cells[second])))
+        except (ValueError, IndexError):
+            said = " ".join(cells)[:40]
+            raise context.fail(key, name, f'holds "{said}" in line {number} where two numbers should stand') from None
+        if not all(map(math.isfinite, found[-1])):
+            raise context.fail(key, name, f"must hold finite numbers; line {number} does not")
+    if not found:
+        raise context.fail(key, name, "must hold two numbers a line")
+    table = np.array(found)
     return table * to_um
 
 

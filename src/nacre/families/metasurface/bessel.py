@@ -147,7 +147,8 @@ def _together(z, places, count, start, out, state, kept):  # type: ignore[no-unt
 def _fill(z, out):  # type: ignore[no-untyped-def]  # numba
     top = out.shape[0] - 1
     state, kept = np.empty(10 * LANES), np.empty(2 * LANES * (top + 1))
-    places, count, start = np.empty(LANES, np.int64), 0, 0
+    # in an array: of plain numbers numba compiles what it calls twice, once for a 0 that it knows
+    places, waiting = np.empty(LANES, np.int64), np.zeros(2, np.int64)  # how many wait, and the order to begin at
     for i in range(z.size):
         x = z[i]
         size = abs(x)
@@ -166,14 +167,14 @@ def _fill(z, out):  # type: ignore[no-untyped-def]  # numba
             continue
         # J_n ~ (e x / 2n)^n is below 1e-17 from here on
         silent = min(18.0 + 2.0 * size, size + 24.0 + 4.0 * size ** (1.0 / 3.0))
-        start = max(start, int(max(silent, top + 2.0 + size)))
-        places[count] = i
-        count += 1
-        if count == LANES:
-            _together(z, places, count, start, out, state, kept)
-            count, start = 0, 0
-    if count > 0:
-        _together(z, places, count, start, out, state, kept)
+        waiting[1] = max(waiting[1], int(max(silent, top + 2.0 + size)))
+        places[waiting[0]] = i
+        waiting[0] += 1
+        if waiting[0] == LANES:
+            _together(z, places, waiting[0], waiting[1], out, state, kept)
+            waiting[0], waiting[1] = 0, 0
+    if waiting[0] > 0:
+        _together(z, places, waiting[0], waiting[1], out, state, kept)
 
 
 def bessel_j(z: NDArray, top: int) -> ComplexArray:

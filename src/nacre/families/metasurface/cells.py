@@ -199,8 +199,7 @@ class Lattice:
         surface, order, heights = layer.surface, coupling.order, coupling.centres_nm
         k = surface.inner_wavenumber
         alone = dataclasses.replace(layer.structure, h=np.zeros_like(layer.structure.h))
-        beyond = BEYOND_IN_A_LAYER if surface.inner_nm else BEYOND
-        largest = steepest(surface) / surface.inner_index + beyond / (reach_nm * k)
+        largest = beyond_the_window(surface, reach_nm)
         pairs = {mean_and_lift(surface, float(a), float(b)) for a in heights for b in heights}
         sheets = {
             (mean, up): Sheet.build(surface, mean, alone, order, reach_nm, largest, up) for mean, up in sorted(pairs)
@@ -210,7 +209,7 @@ class Lattice:
             nothing = Substrate(surface.wavelength_nm, np.full(2, surface.inner_index + 0j), np.zeros(0))
             # the window is open to half of the reach: what lies nearer cancels, and high multipoles are large there
             further = dataclasses.replace(alone, diameter_nm=max(alone.diameter_nm, reach_nm / 2))
-            top = order + 2 + int(np.ceil(1.5 * step))
+            top = carried_order(order, step)
             direct = Sheet.build(nothing, float(heights.max()), further, top, reach_nm, largest)
         return cls(coupling, sheets, direct, largest)
 
@@ -270,6 +269,17 @@ class Lattice:
     def solve(self, cell: Cell, waves: PlaneWaves) -> SingleComplex:
         """Return the multipoles of every sphere, `[sphere, n, wave]`."""
         return self.coupling.solve(cell.xy_nm, waves, cell.kinds, self.matrix(cell))
+
+
+def carried_order(order: int, step: float) -> int:
+    """Return the order of waves that are carried up or down by `step`, a height times k, to arrive with `order`."""
+    return order + 2 + int(np.ceil(1.5 * step))
+
+
+def beyond_the_window(surface: Substrate, reach_nm: float) -> float:
+    """Return the in-plane wavevector, over the k of the particles' medium, of waves from beyond a window's reach."""
+    beyond = BEYOND_IN_A_LAYER if surface.inner_nm else BEYOND
+    return steepest(surface) / surface.inner_index + beyond / (reach_nm * surface.inner_wavenumber)
 
 
 def steepest(surface: Substrate) -> float:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from nacre.arrays import Array
 from nacre.bsdf.contract import Lobe
-from nacre.bsdf.lobes.harmonic import Harmonic, PolarGrid, pack_triangle
+from nacre.bsdf.lobes.harmonic import Harmonic, pack_triangle
+from nacre.bsdf.lobes.monolayer import PolarGrid
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.uniform import take_uniform

@@ -19,7 +19,7 @@ from nacre.bsdf.spectrum import Spectrum
 from nacre.errors import UnsupportedError
 from nacre.families.contract import Model
 from nacre.families.metasurface import choice
-from nacre.families.metasurface.aligned_kind import NO_ENSEMBLE, aligned_lobes, powers_of_aligned
+from nacre.families.metasurface.aligned_kind import NO_ENSEMBLE, aligned_lobes, powers_of_aligned, values_of_aligned
 from nacre.families.metasurface.arrangement import Arrangement
 from nacre.families.metasurface.axial import Body
 from nacre.families.metasurface.compile import choose_grids, tabulate
@@ -52,6 +52,7 @@ LOW_WAVELENGTHS = 1.65  # of films and particles' height, up to which 64 angles 
 TOLD_EXCESS = 0.01  # of energy: what the default correction is tested to keep
 SAME_INDEX = 1e-3
 FEW_ANGLES, LEAST_COS = 48, 0.05  # that are solved one by one, and off grazing
+FEW_ALIGNED_ANGLES = 24  # the same, each at all azimuths
 INSIDE = f"the mean field is taken of particles inside a layer, where the ensemble says that it is {choice.INSIDE_OFF}"
 
 
@@ -446,12 +447,15 @@ class Metasurface(Model):
         """
         arriving, leaving = (np.asarray(v, dtype=float).reshape(-1, 3) for v in (wi, wo))
         angles = np.unique(np.round(np.concatenate([arriving[:, 2], leaving[:, 2]]), 12))
-        if self.is_aligned or angles.size > FEW_ANGLES or np.any(angles < LEAST_COS):
+        most = FEW_ALIGNED_ANGLES if self.is_aligned else FEW_ANGLES
+        if angles.size > most or np.any(angles < LEAST_COS):
             return None
         self._warn()
         layer, _ = self.layers_at(wavelengths_nm)
 
         def column(wavelength_nm: float) -> Array:
+            if self.is_aligned:
+                return values_of_aligned(self.kinds[0], layer(wavelength_nm), arriving, leaving)
             return few_values(layer(wavelength_nm), arriving, leaving)
 
         return np.stack(in_threads(column, [float(w) for w in wavelengths_nm]), axis=-1)

@@ -106,7 +106,8 @@ def _move(xy, box, cells, seed, sweeps, step):  # type: ignore[no-untyped-def]  
     grid = np.full((cells, cells, 2), -1.0)
     wrap = (np.arange(cells + 4) - 2) % cells
     for j in range(xy.shape[0]):
-        grid[min(int(xy[j, 0] / side), cells - 1), min(int(xy[j, 1] / side), cells - 1)] = xy[j]
+        ox, oy = min(int(xy[j, 0] / side), cells - 1), min(int(xy[j, 1] / side), cells - 1)
+        grid[ox, oy, 0], grid[ox, oy, 1] = xy[j, 0], xy[j, 1]  # of a slice numba would compile the words of its error
     accepted = 0
     for _ in range(sweeps):
         for j in range(xy.shape[0]):

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from nacre.arrays import Array
-from nacre.families.metasurface.cells import cells, with_kinds
-from nacre.families.metasurface.ensemble import Ensemble, EnsembleSettings, middle_sizes, same_order
+from nacre.families.metasurface.cells import beyond_the_window, carried_order, cells, with_kinds
+from nacre.families.metasurface.ensemble import REACH, Ensemble, EnsembleSettings, middle_sizes, same_order
 from nacre.families.metasurface.monolayer import Monolayer
 from nacre.families.metasurface.patterns import Pattern
 from nacre.families.metasurface.ratio import Block, Ratio
@@ -28,6 +28,11 @@ from nacre.recipe.memory import check_memory
 MOST_WAVELENGTHS = 16  # that are solved; the ratio is smooth where no resonance is sharper than 30 nm
 SOLVE_S = 0.9  # of one pattern of `UNKNOWNS` on one core
 UNKNOWNS = 2080
+ONE_SIDE, OF_MIXTURES = 0.5, 1.15  # of the work but the factors: over what is opaque, and with kinds to be told apart
+TABLES_S = 1.0  # of a wavelength, once
+# of kinds at unlike heights, whose waves are carried from one to the other: of a pattern, for each wave and pair of
+# multipoles, and of a wavelength
+CARRYING_S, CARRIED_TABLES_S = 6.6e-9, 6e-5
 MOST_UNKNOWNS = 12_000  # 1.2 GB a matrix
 
 
@@ -84,12 +89,27 @@ def chosen(wavelengths_nm: Array) -> Array:
     return wavelengths_nm[np.linspace(0, len(wavelengths_nm) - 1, MOST_WAVELENGTHS).round().astype(int)]
 
 
-def expected_seconds(wavelengths: int, settings: EnsembleSettings) -> float:
-    """Return about how long an ensemble takes on this machine, by the clock."""
-    size = settings.spheres * 2 * settings.multipole_order * (settings.multipole_order + 2)
-    share = size / UNKNOWNS
-    one = SOLVE_S * (0.3 * share**3 + 0.4 * share**2 + 0.3 * share)  # factors, the filling, directions and their fit
-    return wavelengths * (1.0 + settings.realisations * one / min(available_jobs(), settings.realisations))
+def expected_seconds(wavelengths: int, settings: EnsembleSettings, layer: Monolayer) -> float:
+    """Return about how long an ensemble takes on this machine, by the clock.
+
+    Args:
+        layer: the model at one of the wavelengths.
+    """
+    n = 2 * settings.multipole_order * (settings.multipole_order + 2)
+    share = settings.spheres * n / UNKNOWNS
+    seen = (1.0 if layer.has_below else ONE_SIDE) * (1.0 if layer.shares.size == 1 else OF_MIXTURES)
+    one = SOLVE_S * (0.3 * share**3 + seen * (0.4 * share**2 + 0.3 * share))  # factors, the filling, directions, fit
+    tables = TABLES_S
+    heights = np.unique([p.centre_nm for p in layer.particles])
+    if len(heights) > 1:
+        surface, side = layer.surface, float(np.sqrt(settings.spheres / layer.structure.density_per_nm2))
+        top = carried_order(settings.multipole_order, surface.inner_wavenumber * float(np.ptp(heights)))
+        carried = (2 * top * (top + 2)) ** 2
+        largest = beyond_the_window(surface, REACH * side) * surface.inner_wavenumber
+        waves = np.pi * (largest * side / (2 * np.pi)) ** 2
+        one += CARRYING_S * waves * n * carried
+        tables += CARRIED_TABLES_S * carried
+    return wavelengths * (tables + settings.realisations * one / min(available_jobs(), settings.realisations))
 
 
 def refine(
@@ -146,7 +166,7 @@ def refine(
         begun = [_begun(keys[n], len(made)) for n in missing]
         done_before = sum(len(patterns) for patterns in begun)
         share = 1.0 - done_before / (len(missing) * len(made))
-        seconds = share * expected_seconds(len(missing), settings)
+        seconds = share * expected_seconds(len(missing), settings, ensembles[0].layer)
         parts = []
         if len(missing) < len(found):
             parts.append(f"{len(found) - len(missing)} more are kept from before")

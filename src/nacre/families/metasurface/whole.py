@@ -63,3 +63,24 @@ def turned_whole(matrix: ComplexArray, turn_rad: float) -> ComplexArray:
     """Return T, `[..., n, n']`, of the particle turned about the normal, from x towards y."""
     phase = np.exp(-1j * multipole_index(whole_order(matrix)).m * turn_rad)
     return np.asarray(phase[:, None] * matrix * phase.conj())
+
+
+def tilted_whole(matrix: ComplexArray, tilt_rad: float) -> ComplexArray:
+    """Return T, `[..., n, n']`, of the particle turned about y, from z towards x: by a right angle an upright rod lies.
+
+    Multipoles of one l and kind turn among themselves by d = exp(-i tilt J_y), in the phases of Condon and Shortley;
+    J_y has (m + 1, m) = sqrt(l (l + 1) - m (m + 1)) / 2i.
+    """
+    index = multipole_index(whole_order(matrix))
+    turn = np.zeros((len(index.m), len(index.m)))
+    for l in range(1, index.order + 1):
+        m = np.arange(-l, l)
+        raised = np.diag(np.sqrt(l * (l + 1.0) - m * (m + 1)), -1) / 2.0
+        values, vectors = np.linalg.eigh((raised - raised.T) / 1j)
+        d = ((vectors * np.exp(-1j * tilt_rad * values)) @ vectors.conj().T).real
+        for tau in range(2):
+            rows = np.nonzero((index.l == l) & (index.tau == tau))[0]  # m ascends
+            turn[rows[:, None], rows] = d
+    sign = file_signs(index)
+    turn *= sign[:, None] * sign
+    return np.asarray(turn @ matrix @ turn.T)

@@ -47,6 +47,7 @@ class Relief(Model):
 
     noun = "relief"
     why_unpolarised = "is computed by scalar diffraction, which has no polarisation; ask for both"
+    usual_look = "45as15"  # its mirror is a lobe like all else, and has no part of its own
 
     tile: Tile
     coherence: Coherence

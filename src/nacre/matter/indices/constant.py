@@ -26,6 +26,7 @@ Extrapolation = Literal["error", "edge"]
 RANGE_TOLERANCE = 1e-9  # relative: 0.360 um in a file is 360 nm up to rounding
 MIN_INDEX = 1e-6  # as the stack solver takes; no published one is below 0.01
 MOST_REMEMBERED = 1000  # wavelengths of a call whose answer is kept for the next one
+FILE_ENDS = (".csv", ".txt", ".dat", ".tsv", ".nk", ".yml", ".yaml")  # of tables, which a recipe names otherwise
 MAX_INDEX = 100.0  # far above any material of optics: more is a formula in the wrong unit
 
 
@@ -174,10 +175,17 @@ def database_index(key: str) -> OpticalConstant:
     return OpticalConstant(page.key, entry.model, source, splice, f"{page.book_title}; {page.title}")
 
 
+def names_file(name: str) -> bool:
+    """Whether the name of a material is that of somebody's table: it ends as such files do."""
+    return name.lower().endswith(FILE_ENDS)
+
+
 def unknown_material(name: str) -> str:
     """Return the end of the message for an unknown name: what is near, and where to look."""
     if number := written_as_number("n", name):
         return f"is text; a constant index stands without quotes: {number.rpartition(' ')[2]}"
+    if names_file(name):
+        return f'is the name of a file, not of a material; write {{file = "{name}"}} in its place'
     books = {page.key.split("/")[1] for page in catalogue().values()}
     if name in books:
         return f"has no default entry. Choose one for {{rii = ...}}: nacre indices search {name}"

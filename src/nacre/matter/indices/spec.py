@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import pydantic
 
 from nacre.errors import NacreError, did_you_mean
-from nacre.matter.indices.constant import OpticalConstant, database_index, named_constant, unknown_material
+from nacre.matter.indices.constant import OpticalConstant, database_index, named_constant, names_file, unknown_material
 from nacre.matter.indices.csv import read_index_csv
 from nacre.matter.indices.database import find_page, read_page
 from nacre.matter.indices.defaults import BY_NAME, find_default
@@ -200,7 +200,8 @@ class IndexSpec(RecipeModel):
 
     def _make(self, context: RecipeContext) -> OpticalConstant:
         if self.name is not None:
-            if find_default(self.name) is None and self.name.count("/") < 2:
+            is_no_entry = self.name.count("/") < 2 or names_file(self.name)
+            if find_default(self.name) is None and is_no_entry:
                 raise NacreError(f"= {show_value(self.name)} {unknown_material(self.name)}")
             made = named_constant(self.name)
         elif self.rii is not None:

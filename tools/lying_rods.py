@@ -1,0 +1,49 @@
+"""Write the T-matrix file of the example of aligned particles: silver spheroids that lie in a polymer film.
+
+    python tools/lying_rods.py examples/metasurface/silver_rods.tmat.h5
+
+The body of revolution is solved upright, as every spheroid is, and its T-matrix turned until its axis lies along x.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+from nacre.families.metasurface.axial import AxialTMatrices, truncated
+from nacre.families.metasurface.neighbours import multipole_index
+from nacre.families.metasurface.solids import SolvedBody
+from nacre.families.metasurface.tmatrix_file import write_tmatrices
+from nacre.families.metasurface.whole import spread, tilted_whole
+from nacre.matter.indices.spec import IndexSpec
+
+LENGTH_NM, WIDTH_NM, FILM_INDEX = 110.0, 50.0, 1.5
+WAVELENGTHS_NM, ORDER = np.arange(360.0, 831.0, 10.0), 4
+KEPT = 2.0**-30  # of the largest number: the rest, far below the error of a mesh, would not compress
+
+
+def lying_spheroid(length_nm: float, width_nm: float, material: str, around: float, wavelengths_nm: np.ndarray,
+                   order: int) -> AxialTMatrices:  # fmt: skip
+    """Return the T-matrices of a prolate spheroid whose long axis is x, in a medium of a constant index."""
+    core, medium = (IndexSpec.model_validate(spec).build() for spec in (material, {"n": around}))
+    upright = SolvedBody("spheroid", width_nm / 2, length_nm, core, medium, "lying rod").all_known(wavelengths_nm)
+    kept = np.stack([truncated(blocks, order) for blocks in upright.blocks])
+    whole = np.stack([tilted_whole(spread(blocks, multipole_index(order)), np.pi / 2) for blocks in kept])
+    step = KEPT * np.abs(whole).max()
+    whole = np.round(whole / step) * step
+    name = f"lying spheroid of {material}, {length_nm:g} x {width_nm:g} nm"
+    return AxialTMatrices(
+        wavelengths_nm, kept, upright.ambient_index, name, length_nm / 2, width_nm, length_nm / 2,
+        upright.material_index, whole=whole,
+    )  # fmt: skip
+
+
+def main(path: str) -> None:
+    """Write the file."""
+    known = lying_spheroid(LENGTH_NM, WIDTH_NM, "Ag", FILM_INDEX, WAVELENGTHS_NM, ORDER)
+    write_tmatrices(path, known, "", SolvedBody.method, f"{known.name}, its axis along x, in n = {FILM_INDEX:g}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
