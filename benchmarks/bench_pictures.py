@@ -12,26 +12,24 @@ ours, and grows as the 0.7th power of small errors: ten times less takes 27 time
 
 Floor: half a CPU second for guides and denoiser of 256 x 256, about a microsecond a sample.
 Prediction (before the first run): 30 times less error in the median; FLIP of 0.03 within 10 s; no bias above 0.5.
-Outcome: references of 512 to 2,560 samples, a loaded machine: errors 10.0 times lower in the median (one run of each;
-8.3 without the halo, whose error the reference's own noise hides), none worse: 1.97, the car of silver, to 19. FLIP
-1.36 times lower, worse for that car (.96) and the Bragg mirror (.98). Ten times lower could not be told with these
-references, whose halves lie .008 to .055 apart, the pictures of now .013 to .064; and FLIP filters the finest grain of
-raw pictures away as an eye does, while it counts each edge that a denoiser bends. A FLIP of .03 takes 3.6 to 12 CPU s
-in six scenes, the mean of the fifth and sixth is 11.5 (missed: a bubble 11.0 of 16 samples, silver under the sky 12.0
-of 24); four do not come there: the halves of their references lie .030 (morpho) to .149 (halo) apart there. Of 512 x
-512 pixels guides and denoiser take 3 to 4.5 CPU s, a sample .3 to .46. What moved since the first run (7.3 times; FLIP
-1.1, .87 to 1.33): guides by mean weights (oil slick 15 times at the same samples), texture given back (FLIP of the
-Bragg mirror .0281 -> .0248 at 55 samples), highlights that both halves hold, one lamp drawn where the subject only
-mirrors, guides that follow what is mirrored and what shines through side by side (a bubble of 8 samples .0391 ->
-.0357; Bragg .94 -> .98 times before; more guide samples give .0261 -> .0255 there and cost as much again). A picture
-of 4096 x 4096 took 2.3 GB, it was 6, and 336 CPU s, most of them the denoiser's. Biases are below .49 but for the
-halo's .87, of which its reference of 2,560 samples does not know .68; no firefly. Against one of 4,096 samples three
-seeds give .55, .50 and .49, their mean .16 from that of the raw pictures: noise for the most part. The bubble's
-reference and that of silver under the sky have 1,536 and 2,560 samples; a thousand more of the first took 132 CPU s.
-With texture in single precision and guides of 8 samples (both under load) the bubble takes 10.3 CPU s to .03, silver
-9.3 of 22 samples; the guides have 16 again, .5 CPU s more, since the albedo of an EXR needs them; other scenes were not
-run again. Bragg's tracer loses to Mitsuba's by the roulette between matt surfaces (.0273 and .0242 raw at 64 samples),
-which pays where the denoiser follows.
+Outcome (references of 512 to 4,096 samples; beside other work, load 6 to 9): errors 10.2 times lower in the median (one
+run of each; 7.9 without the halo, whose error the reference's own noise hides), 2.2, the butterfly, to 18. FLIP 1.34
+times lower, none worse: 1.02, the Bragg mirror, to 1.71. Ten times lower cannot be told with these references, whose
+halves lie .008 to .048 apart, the pictures of now .014 to .063; and FLIP filters the finest grain of raw pictures away
+as an eye does, while it counts each edge that a denoiser bends. A FLIP of .03 takes 3.1 to 11.4 CPU s in six scenes,
+the mean of the fifth and sixth is 9.5 (silver under the sky 7.7 of 18 samples, a bubble 11.4 of 14, at a load of 7);
+four do not come there in 20 s (the session before): the halves of their references lie .030 (morpho) to .149 (halo)
+apart there.
+What moved since the first run (7.3 times; FLIP 1.1, .87 to 1.33): guides by mean weights, texture given back,
+highlights that both halves hold, one lamp drawn where the subject only mirrors, guides that follow what is mirrored and
+what shines through side by side. Then, at 48 samples: all paths on which a mirror may throw a lamp on matt ground
+(Bragg raw .0300 -> .0270, denoised .0266 -> .0252, 5 % more time), guides of 8 samples and three sharp surfaces (.0252,
+.2 CPU s less of 4.2), texture from half a standard error over the noise (.0251). Tried, not taken: the denoiser's
+smaller network (.2 CPU s less of 256 x 256, FLIP 2 to 10 % higher), 4 guide samples (.0257; 16: .0248 for .4 CPU s), 5
+to 20 % of the raw picture mixed in (Bragg and bubble 1 to 2 % lower, oil 2 % higher, errors 4 to 27 % higher). A
+picture of 4096 x 4096 took 2.3 GB and 336 CPU s before these. The largest bias is the halo's, .50, which is what its
+reference of 4,096 samples does not know, then gold's in the sun, .36, and the bubble's, .35; no firefly. The search for
+the least samples went on for ever where three did and two did not.
 """
 
 from __future__ import annotations
@@ -193,7 +191,7 @@ def time_to_flip(case: Case, worker: Worker) -> dict[str, float]:
         failed = spp
     else:
         return {**found, "s": float("inf")}
-    while found["spp"] - failed > found["spp"] // FINEST:
+    while found["spp"] - failed > max(found["spp"] // FINEST, 1):
         middle = tried(int(found["spp"] + failed) // 2)
         if middle["flip"] <= BARS["flip"]:
             found = middle
