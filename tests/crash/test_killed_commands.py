@@ -238,13 +238,19 @@ def test_a_killed_animation_keeps_its_frames(warm: Forker, inputs: Path, tmp_pat
     shutil.rmtree(reference / "out_frames")
     seconds = warm.run(arguments, reference)
     killed = 0
-    for _ in range(5):
+    for _ in range(15):
+        if killed == 3:
+            break
         before = contents(folder)
-        killed += warm.kill(arguments, folder, chance, seconds)
+        is_killed = warm.kill(arguments, folder, chance, seconds)
         check_after_kill(folder, reference, before)
         frames = {name: data for name, data in before.items() if name.startswith("out_frames")}
         assert {name: (folder / name).read_bytes() for name in frames} == frames, "a finished frame was made again"
-    assert killed >= 3
+        killed += is_killed
+        if not is_killed:  # the machine was quicker than when it was timed, or few frames were left: anew, and sooner
+            shutil.rmtree(folder / "out_frames")
+            seconds *= 0.7
+    assert killed == 3
     warm.run(arguments, folder)
     assert names(folder) == names(reference)
 
