@@ -24,7 +24,7 @@ HERE = Path(__file__).resolve().parent
 KEPT = HERE / "results"
 # searches that may end by CPU time, so these three share two cores in a run of all benchmarks: one ends before others
 SIDE_BY_SIDE = ("bench_design_films", "bench_design_metasurfaces", "bench_design_pearls")
-SIDE_OPTIONS, SIDES = ["--cores", "1.4"], 3  # the cores that a search fills of two that it has alone
+SIDE_OPTIONS = ["--cores", "1.4"]  # the cores that a search fills of two that it has alone
 PACKAGES = ("numpy", "numba", "jax", "mitsuba", "drjit", "scipy")
 TIME_LIMIT_S = 1800
 
@@ -120,7 +120,7 @@ def main() -> int:
         known = options if words or _takes_all(script) else []
         return run_one(script, [*known, *SIDE_OPTIONS] if script in beside else known)
 
-    with ThreadPoolExecutor(SIDES) as pool:
+    with ThreadPoolExecutor(len(SIDE_BY_SIDE)) as pool:
         found = chain(pool.map(run, beside), map(run, [s for s in chosen if s not in beside]))
         for result in found:
             results.append(result)
