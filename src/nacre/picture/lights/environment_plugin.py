@@ -139,7 +139,7 @@ def _emitter_class(variant: str) -> type:
             ds.emitter = self if variant.startswith("scalar") else mi.EmitterPtr(self)
             ds.d = d
             ds.dist = distance
-            weight = self._radiance(d, it.wavelengths, active) / dr.maximum(ds.pdf, 1e-12)
+            weight = self._shine(uv, it.wavelengths, active) / dr.maximum(ds.pdf, 1e-12)
             return ds, weight & active
 
         def sample_ray(self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True) -> Any:
@@ -174,7 +174,10 @@ def _emitter_class(variant: str) -> type:
             return mi.Point2f(u - dr.floor(u), v), dr.safe_sqrt(1.0 - dr.square(d.z))
 
         def _radiance(self, d: Any, wavelengths: Any, active: Any) -> Any:
-            uv, _ = self._uv(d, self.turn)
+            return self._shine(self._uv(d, self.turn)[0], wavelengths, active)
+
+        def _shine(self, uv: Any, wavelengths: Any, active: Any) -> Any:
+            """Radiance from a place of the map, which a draw knows without asking for its direction's angles."""
             # stay half a texel off the poles: the map repeats sideways only
             half = 0.5 / self.rows
             uv = mi.Point2f(uv.x, dr.clip(uv.y, half, 1.0 - half))
