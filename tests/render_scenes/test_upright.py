@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 import nacre
@@ -216,37 +219,85 @@ def test_uv_of_a_mesh_of_several_materials_is_that_of_its_file(tmp_path: Path, s
     assert sorted(map(tuple, uv.round(6))) == sorted(2 * [(0, 0), (1, 0), (1, 1), (0, 1)])
 
 
-@pytest.mark.parametrize("suffix", [".gltf", ".glb"])
-def test_a_gltf_without_materials_keeps_its_uv(tmp_path: Path, suffix: str) -> None:
-    """trimesh reads the uv of what names a material alone; in glTF v runs down."""
-    import base64
-    import struct
+GLTF_CORNERS = np.array([[-1, 0, 0], [1, 0, 0], [1, 2, 0], [-1, 2, 0]], "<f4")
+GLTF_UV = np.array([[0.1, 0.9], [0.8, 0.9], [0.8, 0.3], [0.1, 0.3]])
 
-    corners = np.array([[-1, 0, 0], [1, 0, 0], [1, 2, 0], [-1, 2, 0]], "<f4")
-    uv = np.array([[0.1, 0.9], [0.8, 0.9], [0.8, 0.3], [0.1, 0.3]], "<f4")
-    data = corners.tobytes() + uv.tobytes() + np.array([0, 1, 2, 0, 2, 3], "<u2").tobytes()
-    buffer = {"byteLength": len(data)}
-    if suffix == ".gltf":
-        buffer["uri"] = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+
+def gltf(uv: NDArray[Any], component: int = 5126) -> tuple[dict[str, Any], bytes]:
+    """Return the tree and the buffer of a square; `component` is the kind of the numbers of its uv."""
+    rows = np.zeros((4, 8 // uv.itemsize), uv.dtype)  # 8 bytes a row, whatever the kind
+    rows[:, :2] = uv
+    data = GLTF_CORNERS.tobytes() + rows.tobytes() + np.array([0, 1, 2, 0, 2, 3], "<u2").tobytes()
+    views = [{"buffer": 0, "byteOffset": a, "byteLength": b} for a, b in ((0, 48), (48, 32), (80, 12))]
+    views[1]["byteStride"] = 8
     tree = {
-        "asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}], "buffers": [buffer],
+        "asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "buffers": [{"byteLength": len(data)}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2}]}],
-        "bufferViews": [{"buffer": 0, "byteOffset": a, "byteLength": b} for a, b in ((0, 48), (48, 32), (80, 12))],
+        "bufferViews": views,
         "accessors": [
             {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [-1, 0, 0], "max": [1, 2, 0]},
-            {"bufferView": 1, "componentType": 5126, "count": 4, "type": "VEC2"},
+            {"bufferView": 1, "componentType": component, "normalized": component != 5126, "count": 4, "type": "VEC2"},
             {"bufferView": 2, "componentType": 5123, "count": 6, "type": "SCALAR"},
         ],
     }  # fmt: skip
+    return tree, data
+
+
+def write_gltf(path: Path, tree: dict[str, Any], data: bytes) -> None:
+    """Write a tree with its buffer within: as a data URI, or as the second chunk of a GLB."""
+    if path.suffix == ".gltf":
+        tree["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+        path.write_text(json.dumps(tree))
+        return
     text = json.dumps(tree).encode()
-    if suffix == ".glb":
-        text, data = text + b" " * (-len(text) % 4), data + b"\0" * (-len(data) % 4)
-        chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
-        text = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-    (tmp_path / f"bare{suffix}").write_bytes(text)
+    text, data = text + b" " * (-len(text) % 4), data + b"\0" * (-len(data) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
+    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+
+
+@pytest.mark.parametrize("suffix", [".gltf", ".glb"])
+@pytest.mark.parametrize(("kind", "component"), [("<f4", 5126), ("<u2", 5123), ("u1", 5121)])
+def test_a_gltf_without_materials_keeps_its_uv(tmp_path: Path, suffix: str, kind: str, component: int) -> None:
+    """trimesh reads the uv of what names a material alone, and integers as they are; in glTF v runs down."""
+    white = 1 if kind == "<f4" else np.iinfo(kind).max
+    stored = (GLTF_UV * white).astype(kind) if white == 1 else np.rint(GLTF_UV * white).astype(kind)
+    write_gltf(tmp_path / f"bare{suffix}", *gltf(stored, component))
     read = read_mesh(tmp_path / f"bare{suffix}")
-    np.testing.assert_allclose(read.uv, uv * [1, -1] + [0, 1], atol=1e-6)
+    np.testing.assert_allclose(read.uv, GLTF_UV * [1, -1] + [0, 1], atol=1e-6 if white == 1 else 0.5 / white)
     assert len(read_mesh(tmp_path / f"bare{suffix}", is_alone=True).uv) == 4
+
+
+def test_a_gltf_finds_the_buffer_that_its_uri_names(tmp_path: Path) -> None:
+    """Modelling programs write %20 for a space; what is missing is named."""
+    tree, data = gltf(GLTF_UV.astype("<f4"))
+    (tmp_path / "my tile é.bin").write_bytes(data)
+    for uri in ("my%20tile%20%C3%A9.bin", "my tile é.bin"):
+        tree["buffers"][0]["uri"] = uri
+        (tmp_path / "a.gltf").write_text(json.dumps(tree))
+        np.testing.assert_array_equal(read_mesh(tmp_path / "a.gltf").vertices[:, 2], GLTF_CORNERS[:, 1])
+    tree["buffers"][0]["uri"] = "gone.bin"
+    (tmp_path / "a.gltf").write_text(json.dumps(tree))
+    with pytest.raises(NacreError, match='names "gone.bin", which is not beside it'):
+        read_mesh(tmp_path / "a.gltf")
+
+
+def test_what_a_gltf_packs_is_refused(tmp_path: Path) -> None:
+    """trimesh reads such numbers as zeros, or as they are."""
+    for packing in ("EXT_meshopt_compression", "sparse accessors", "normalized positions", "signed numbers"):
+        tree, data = gltf(GLTF_UV.astype("<f4"))
+        position, uv, _ = tree["accessors"]
+        if packing.startswith("EXT"):
+            tree["extensionsRequired"] = [packing]
+        elif packing.startswith("sparse"):
+            position["sparse"] = {"count": 1}
+        elif packing.startswith("normal"):
+            position["normalized"] = True
+        else:
+            uv |= {"componentType": 5122, "normalized": True}
+        write_gltf(tmp_path / "a.glb", tree, data)
+        with pytest.raises(NacreError, match=packing):
+            read_mesh(tmp_path / "a.glb")
 
 
 def test_an_upward_axis_without_a_mesh_is_refused(tmp_path: Path) -> None:

@@ -80,6 +80,10 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
     check_memory(float(BYTES_A_BYTE) * path.stat().st_size, f"shape {path}: read as a mesh, it")
     try:
         parts = read_triangles(path, is_alone)
+    except NacreError:
+        raise
+    except FileNotFoundError as error:
+        raise NacreError(f'shape {path}: names "{error.args[-1]}", which is not beside it') from None
     except Exception:  # every format's parser raises its own kind, in words of its own; all mean: not a mesh
         raise NacreError(
             f"shape {path}: cannot be read as a mesh; it is damaged, or of another kind than its ending says "
