@@ -11,8 +11,8 @@ import pytest
 import nacre
 from nacre.errors import NacreError
 from nacre.picture.camera import View, read_framing
-from nacre.picture.image_files import read_provenance
-from nacre.picture.images import toned
+from nacre.picture.image_files import LEFT_OUT, read_provenance, write_picture
+from nacre.picture.images import RenderResult, toned
 from nacre.picture.lights.several import Lamp, read_lamps
 from nacre.picture.passes import TURN
 
@@ -115,7 +115,7 @@ def test_light_layers_sum_to_the_raw_picture(tmp_path: Path) -> None:
     assert np.abs(total - raw).mean() < 0.03 * raw.mean()
     with OpenEXR.File(str(path), separate_channels=True) as file:
         channels = set(file.channels())
-    wanted = {"R", "G", "B", "light.studio.R", "light.line:0.5.B", "albedo.G", "normal.Z", "depth.Z"}
+    wanted = {"R", "G", "B", "light.studio.R", "light.line:0,5.B", "albedo.G", "normal.Z", "depth.Z"}
     assert wanted <= channels
 
 
@@ -173,6 +173,27 @@ def test_every_format_tells_how_it_was_made(tmp_path: Path, suffix: str) -> None
         read = np.asarray(picture.convert("RGB")).astype(float)
     # 95 of 100 in both lossy formats: two or three of 255 levels
     assert np.abs(read - result.srgb8).mean() < 3
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".webp"])
+def test_a_recipe_that_is_too_long_for_a_jpeg_costs_no_picture(tmp_path: Path, suffix: str) -> None:
+    """A segment of a JPEG holds 64 kB."""
+    stats = {"seed": 5, "material": {"recipe": "# <batch> & 1\n" * 9000, "identity": "ab"}, "notes": ["é" * 40]}
+    write_picture(tmp_path / f"a{suffix}", np.zeros((4, 4, 3), np.uint8), stats)
+    said = read_provenance(tmp_path / f"a{suffix}")
+    assert (said["seed"], said["material"]["identity"], said["notes"]) == (5, "ab", stats["notes"])
+    assert said["material"]["recipe"] == (LEFT_OUT if suffix == ".jpg" else stats["material"]["recipe"])
+
+
+def test_a_point_in_a_lights_name_parts_no_layer(tmp_path: Path) -> None:
+    """Readers take what stands before the last point as the layer, and points in it for layers of layers."""
+    import OpenEXR
+
+    picture = np.zeros((2, 2, 3))
+    result = RenderResult(picture, picture, lights={"studio:0.5": picture, "sun@120": picture})
+    result.save(tmp_path / "a.exr")
+    with OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True) as file:
+        assert {"light.studio:0,5.R", "light.sun@120.G"} < set(file.channels())
 
 
 def test_filmic_keeps_order_and_rolls_off() -> None:

@@ -173,6 +173,24 @@ def test_a_mitsuba_scene_takes_the_material(tmp_path: Path) -> None:
     assert bright[0, 0, 1] == pytest.approx(dark[0, 0, 1])
 
 
+def test_a_file_that_a_scene_names_is_read_anew_once_it_has_changed(tmp_path: Path, grey: Any) -> None:
+    """A stage is kept from picture to picture: the mesh of an XML scene and the buffer of a glTF are part of it."""
+    import trimesh
+
+    mesh, options = tmp_path / "m.ply", {"spp": 1, "exposure": 0.0, "progress": False, "denoise": False}
+    worn = '<shape type="ply"><string name="filename" value="m.ply"/><ref id="nacre"/></shape></scene>'
+    (tmp_path / "mine.xml").write_text(SCENE.format(name="nacre").replace("</scene>", worn))
+    seen = []
+    for shape in (trimesh.creation.box((0.1, 0.1, 3.0)), trimesh.creation.box((4.0, 4.0, 4.0))):
+        shape.export(mesh)
+        for name, content in trimesh.Scene(shape).export(file_type="gltf").items():
+            (tmp_path / name).write_bytes(content)
+        scenes = ({"scene": str(tmp_path / "mine.xml")}, {"shape": tmp_path / "model.gltf", "size": (16, 16)})
+        seen.append([nacre.render(grey, **scene, **options).xyz for scene in scenes])
+    for before, after in zip(*seen, strict=True):
+        assert np.abs(before - after).max() > 0.01
+
+
 LENS = '<float name="aperture_radius" value="0.5"/><float name="focus_distance" value="3"/>'
 SHIFT = '<float name="principal_point_offset_x" value="0.2"/><float name="principal_point_offset_y" value="-0.3"/>'
 FOG = (
@@ -399,7 +417,7 @@ def test_the_screen_by_arrays_equals_the_screen_by_plugin() -> None:
 
 
 def test_without_llvm_small_previews_still_render(tmp_path: Path) -> None:
-    """scalar_spectral, in a process of its own: the variant of this one is chosen already."""
+    """scalar_spectral, in a process of its own, as this one has its variant; own scenes and several lights too."""
     import os
     import subprocess
     import sys
@@ -409,13 +427,16 @@ def test_without_llvm_small_previews_still_render(tmp_path: Path) -> None:
         "r = nacre.render({'type': 'diffuse', 'reflectance': 0.5}, size=(6, 6), spp=1, output='p.png')\n"
         "assert r.stats['variant'] == 'scalar_spectral' and r.xyz.mean() > 0.01\n"
         "assert r.raw is not None\n"  # denoised, by guides
+        "nacre.render({'type': 'diffuse'}, 'mine.xml', size=(4, 4), spp=1, output='own.png')\n"
+        "nacre.render({'type': 'diffuse'}, light='studio,sun', size=(4, 4), spp=1, output='two.png')\n"
     )
+    (tmp_path / "mine.xml").write_text(SCENE.format(name="nacre"))
     environment = {**os.environ, "NACRE_VARIANT": "scalar_spectral", "NACRE_DENOISE": "1"}
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    assert (tmp_path / "p.png").exists()
+    assert {name.name for name in tmp_path.glob("*.png")} == {"p.png", "own.png", "two.png"}
 
 
 def test_a_frame_keeps_its_exposure_when_threads_sum_it_in_another_order() -> None:

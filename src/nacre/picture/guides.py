@@ -128,6 +128,8 @@ def _class(variant: str) -> type:
 
         def one_way(self, si: Any, sampler: Any, active: Any) -> tuple[Any, Any, Any]:
             """Return what is spread of the way that is drawn, its direction, and its weight where it is sharp."""
+            if active is False:  # a scalar variant has no surface to ask where nothing is hit
+                return mi.Spectrum(0.0), mi.Vector3f(0.0, 0.0, 1.0), mi.Spectrum(0.0)
             bs, share = si.bsdf().sample(mi.BSDFContext(), si, sampler.next_1d(active), sampler.next_2d(active), active)
             # the mean weight of a draw is the share of light that is reflected, for matt surfaces exactly
             is_sharp = (bs.sampled_type & sharp) != 0
@@ -135,7 +137,7 @@ def _class(variant: str) -> type:
 
         def of_kind(self, kind: int, si: Any, first: Any, second: Any, active: Any) -> tuple[Any, Any]:
             """Return the direction and weight of the light of a kind; weight 0 where there is none."""
-            if not self.flags & kind:
+            if not self.flags & kind or active is False:  # a scalar variant has no surface to ask where nothing is hit
                 return mi.Vector3f(0.0, 0.0, 1.0), mi.Spectrum(0.0)
             context = mi.BSDFContext()
             context.type_mask = kind

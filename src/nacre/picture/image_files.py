@@ -22,6 +22,8 @@ STILL_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".exr")
 OPAQUE_SUFFIXES = (".jpg", ".jpeg")
 JPEG_QUALITY = 95
 WEBP_QUALITY = 95
+JPEG_PACKET = 65_502  # bytes of XMP that one segment of a JPEG holds
+LEFT_OUT = "left out: too long for a JPEG"
 # an XMP packet with one property of our own namespace
 _XMP = (
     '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?><x:xmpmeta xmlns:x="adobe:ns:meta/">'
@@ -73,12 +75,39 @@ def write_picture(path: Path, picture: NDArray[np.uint8], stats: Mapping[str, An
 
     if suffix in OPAQUE_SUFFIXES and picture.shape[-1] == 4:
         raise NacreError(f"{path}: a JPEG knows no transparency; write .png, .webp or .exr")
-    packet = _XMP.format(version=__version__, text=html.escape(provenance(stats), quote=False)).encode("utf-8")
+    packet = _xmp(stats, JPEG_PACKET if suffix in OPAQUE_SUFFIXES else None)
     with atomic_path(path) as temporary:
         if suffix == ".webp":
             Image.fromarray(picture).save(temporary, format="WEBP", quality=WEBP_QUALITY, method=6, xmp=packet)
         else:
             Image.fromarray(picture).save(temporary, format="JPEG", quality=JPEG_QUALITY, subsampling=0, xmp=packet)
+
+
+def _xmp(stats: Mapping[str, Any], most: int | None) -> bytes:
+    """Return the packet of how a picture was made, without its longest texts where it would have more bytes."""
+    tree = json.loads(provenance(stats))
+    while True:
+        text = html.escape(json.dumps(tree, sort_keys=True), quote=False)
+        packet = _XMP.format(version=__version__, text=text).encode("utf-8")
+        if most is None or len(packet) <= most:
+            return packet
+        _leave_out_the_longest(tree)
+
+
+def _leave_out_the_longest(tree: Any) -> None:
+    """Replace the longest text in a tree, such as a recipe, by a word that tells of it."""
+    longest, holder, key = -1, None, None
+    nodes = [tree]
+    while nodes:
+        node = nodes.pop()
+        for name, value in node.items() if isinstance(node, dict) else enumerate(node):
+            if isinstance(value, dict | list):
+                nodes.append(value)
+            size = len(json.dumps(value))
+            if not isinstance(value, dict) and size > longest:
+                longest, holder, key = size, node, name
+    if holder is not None:
+        holder[key] = LEFT_OUT
 
 
 def write_png(path: Path, picture: NDArray[np.uint8], stats: Mapping[str, Any]) -> None:
@@ -152,7 +181,8 @@ def write_exr(path: str | Path, result: Linear) -> None:
         for index, name in enumerate(names):
             channels[f"{layer}{name}"] = np.ascontiguousarray(values[..., index], dtype=np.float32)
 
-    lights = {f"light.{name}.": xyz for name, xyz in result.lights.items()}
+    # a point would part a layer's name: as in spectral channels, a comma stands for it
+    lights = {f"light.{name.replace('.', ',')}.": xyz for name, xyz in result.lights.items()}
     for layer, xyz in {"": result.xyz, "raw.": result.raw, **lights}.items():
         if xyz is not None:
             add(layer, "RGB", xyz_to_srgb_linear(adapt_xyz(xyz, white, SRGB_WHITE_XYZ)))

@@ -40,6 +40,7 @@ from nacre.picture.options import (
 from nacre.picture.passes import FIRST_HIT, Frame, Shot, Until, pass_seed, path_tracer, shoot
 from nacre.picture.progress import ProgressCallback, progress_bar
 from nacre.picture.scenes.catalogue import scene as find_scene
+from nacre.picture.stamps import stamp
 from nacre.picture.user_scene import UserScene
 
 COMPONENTS = ("sum", "specular", "diffuse")
@@ -184,7 +185,7 @@ def render(
                 f"scene {scene}: a Mitsuba scene brings its own shapes, camera and light; leave shape, up, turn, view, "
                 "fov, zoom, light and light layers out"
             )
-        stage = _kept(("xml", str(real(scene)), _stamp(scene)), lambda: UserScene(Path(scene)))
+        stage = _kept(("xml", str(real(scene)), stamp(scene)), lambda: UserScene(Path(scene)))
         camera, balance, light_note, lamps = None, "D65", "the scene's own", ()
         default_size = stage.size
     else:
@@ -341,7 +342,7 @@ class _SetUp:
         # our own environments turn in place; other lights are built for their angle
         turns_in_place = all(lamp.name in TURNING_LIGHTS for lamp in lamps)
         built_turn = 0.0 if turns_in_place else self.light_turn_deg
-        stamps = (_stamp(self.shape), *(_stamp(lamp.name) for lamp in lamps))
+        stamps = (stamp(self.shape), *(stamp(lamp.name) for lamp in lamps))
         key = (replace(self, light_turn_deg=built_turn), lamps, among, stamps)
         stage = _kept(key, lambda: self.build(lamps, among, built_turn))
         stage.light.turn(self.light_turn_deg)
@@ -391,16 +392,6 @@ def _kept(key: tuple[Any, ...], build: Any) -> Any:
 def forget_stages() -> None:
     """Drop all built scenes and free their memory."""
     _stages.clear()
-
-
-def _stamp(path: str | Path | None) -> float:
-    """Time of a file's last change, so that an edited mesh or map is read again; 0 for a mere name."""
-    if path is None:
-        return 0.0
-    try:
-        return Path(path).stat().st_mtime
-    except OSError:
-        return 0.0
 
 
 def resolve_material(material: Any, quality: str | None, components: str) -> tuple[Any, dict[str, Any]]:

@@ -95,12 +95,12 @@ class UserScene:
         is_lens = "aperture_radius" in values
         settings: dict[str, Any] = {
             "type": "thinlens" if is_lens else "perspective",
-            "to_world": mi.ScalarTransform4f(transform.matrix.numpy().reshape(4, 4)),
+            "to_world": mi.ScalarTransform4f(np.array(transform.matrix, dtype=float).reshape(4, 4)),
             "film": {**film, "width": size[0], "height": rows or size[1]},
             "sampler": sampler or {"type": "multijitter"},
         }
         try:
-            settings |= {"fov": float(values["x_fov"].numpy()[0]), "fov_axis": "x"}
+            settings |= {"fov": float(np.ravel(values["x_fov"])[0]), "fov_axis": "x"}
         except KeyError:
             raise NacreError(f"scene {self.path}: only perspective cameras are supported, not {kind}") from None
         settings |= {name: float(np.ravel(values[name])[0]) for name in KEPT_OF_CAMERAS if name in values}

@@ -84,6 +84,7 @@ def _sum_class(variant: str) -> type:
     import drjit as dr
 
     mi: Any = use_variant()
+    is_scalar = variant.startswith("scalar")
 
     class NacreEnvironments(mi.Emitter):
         """The sum of several environments."""
@@ -114,7 +115,7 @@ def _sum_class(variant: str) -> type:
             slot = sample.x / self.share
             chosen = dr.minimum(mi.UInt32(slot), len(self.parts) - 1)
             sample = mi.Point2f(dr.clip(slot - mi.Float(chosen), 0.0, BELOW_ONE), sample.y)
-            ds = dr.zeros(mi.DirectionSample3f)
+            ds = mi.DirectionSample3f() if is_scalar else dr.zeros(mi.DirectionSample3f)
             for index, part in enumerate(self.parts):
                 here, _ = part.sample_direction(it, sample, active & (chosen == index))
                 ds = dr.select(chosen == index, here, ds)
@@ -124,7 +125,7 @@ def _sum_class(variant: str) -> type:
             ds.dist = 2.0 * (FAR + dr.norm(it.p))
             ds.p, ds.n = it.p + ds.d * ds.dist, -ds.d
             ds.delta = mi.Bool(False)
-            ds.emitter = self if variant.startswith("scalar") else mi.EmitterPtr(self)
+            ds.emitter = self if is_scalar else mi.EmitterPtr(self)
             ds.pdf = dr.select(is_drawn, self.pdf_direction(it, ds, is_drawn), 0.0)
             weight = self.eval_direction(it, ds, is_drawn) / dr.maximum(ds.pdf, 1e-12)
             return ds, weight & is_drawn & (ds.pdf > 0.0)
@@ -134,7 +135,7 @@ def _sum_class(variant: str) -> type:
 
         def sample_position(self, time: Any, sample: Any, active: Any = True) -> Any:
             # never used, but recorded for every lamp that lives, those of other scenes too
-            return dr.zeros(mi.PositionSample3f), mi.Float(0.0)
+            return mi.PositionSample3f() if is_scalar else dr.zeros(mi.PositionSample3f), mi.Float(0.0)
 
         def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
             total = mi.Float(0.0)
