@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -105,6 +107,40 @@ def test_the_environment_light_gives_the_irradiance_of_its_map(turn_deg: float) 
 
 
 @pytest.mark.render
+@pytest.mark.render
+@pytest.mark.parametrize("name", ["sun", "sky", "studio", "directional", "map.exr"])
+def test_a_light_that_is_told_its_turn_shines_from_there(name: str, tmp_path: Path) -> None:
+    """Turned by 90 degrees, counter-clockwise from above, it shows in each direction what stood 90 degrees before."""
+    import OpenEXR
+
+    from nacre.device.variant import use_variant
+    from nacre.picture.lights.named import make_lights
+    from nacre.picture.lights.several import Lamp
+
+    mi = use_variant()
+    if name == "map.exr":
+        name = str(tmp_path / name)
+        pixels = np.random.default_rng(1).uniform(0.1, 1.0, (8, 16)).astype(np.float32)
+        OpenEXR.File({}, dict.fromkeys("RGB", pixels)).write(name)
+
+    def seen(turn_deg: float, azimuth: np.ndarray) -> np.ndarray:
+        light = make_lights([Lamp(name, turn_deg=turn_deg)])
+        light.turn(0.0)
+        scene = mi.load_dict({"type": "scene", "ball": {"type": "sphere"}, **light.emitters})
+        si = mi.SurfaceInteraction3f()
+        si.wavelengths = mi.Spectrum(550.0)
+        ahead = [np.cos(rise) * np.cos(azimuth), np.cos(rise) * np.sin(azimuth), np.sin(rise)]
+        si.wi = -mi.Vector3f(*ahead)
+        return np.array(scene.environment().eval(si))[0]
+
+    azimuth, rise = (
+        each.ravel() for each in np.radians(np.meshgrid(np.arange(1.0, 360.0, 3.0), np.arange(5, 86, 3.0)))
+    )
+    before, after = seen(0.0, azimuth - 0.5 * np.pi), seen(90.0, azimuth)
+    np.testing.assert_allclose(after, before, rtol=2e-3, atol=1e-3 * before.max())
+    assert np.abs(seen(0.0, azimuth) - after).max() > 0.01 * before.max()
+
+
 def test_light_sampling_agrees_with_looking() -> None:
     """Next event estimation of a lit floor equals the radiance found by chance alone."""
     from nacre.device.variant import use_variant

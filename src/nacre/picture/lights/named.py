@@ -234,13 +234,13 @@ def _tubes(white: str, turn_deg: float, strength: float) -> dict[str, Any]:
 
 def _sunsky(sun_deg: float, turn_deg: float) -> dict[str, Any]:
     """A clear sky and a sun as wide as this, of the same power; 0: none."""
-    sun = np.array([-0.55, -0.55, 0.75])
+    # Mitsuba takes it as of the world, so that a `to_world` would not turn it
+    sun = np.array(_turn(turn_deg) @ use_variant().ScalarVector3f(-0.55, -0.55, 0.75))
     sky: dict[str, Any] = {
         "type": "sunsky",
         "turbidity": 3.0,
         "albedo": 0.2,
         "sun_direction": list(sun / np.linalg.norm(sun)),
-        "to_world": _turn(turn_deg),
         # measured: a white floor has Y = 0.38 with the sun and 0.075 without it
         "sky_scale": 1.6 if sun_deg else 8.0,
         "sun_scale": 1.6 if sun_deg else 0.0,
