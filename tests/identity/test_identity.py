@@ -14,7 +14,7 @@ from PIL import Image
 
 import nacre
 from nacre.errors import NacreError
-from nacre.recipe.identity import file_digest, source_digest
+from nacre.recipe.identity import file_digest, file_stamp, source_digest
 from nacre.study.plan import load_sweep
 from nacre.study.sweep import run_sweep
 
@@ -138,13 +138,21 @@ def test_changed_code_is_another_source(tmp_path: Path) -> None:
     assert source_digest(package) != before
 
 
-def test_a_scene_is_also_the_files_that_it_names(tmp_path: Path) -> None:
-    grey(tmp_path / "wall.png", 10)
-    text = '<scene><texture><string name="filename" value="wall.png"/></texture></scene>'
-    scene = write(tmp_path / "scene.xml", text)
-    before = file_digest(scene)
-    grey(tmp_path / "wall.png", 11)
-    assert file_digest(scene) != before
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("scene.xml", '<scene><texture><string name="filename" value="wall é.png"/></texture></scene>'),
+        ("scene.xml", "<scene><!-- it's --><string name='filename' value='wall é.png'/></scene>"),
+        ("scene.gltf", '{"buffers": [{"uri": "wall%20%C3%A9.png"}]}'),
+    ],
+)
+def test_a_scene_is_also_the_files_that_it_names(tmp_path: Path, name: str, text: str) -> None:
+    grey(tmp_path / "wall é.png", 10)
+    scene = write(tmp_path / name, text)
+    before = file_digest(scene), file_stamp(scene)
+    assert before == (file_digest(scene), file_stamp(scene))
+    grey(tmp_path / "wall é.png", 11)
+    assert file_digest(scene) != before[0] and file_stamp(scene) != before[1]
 
 
 def test_every_output_of_a_material_carries_its_identity(tmp_path: Path) -> None:

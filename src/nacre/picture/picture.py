@@ -40,8 +40,8 @@ from nacre.picture.options import (
 from nacre.picture.passes import FIRST_HIT, Frame, Shot, Until, pass_seed, path_tracer, shoot
 from nacre.picture.progress import ProgressCallback, progress_bar
 from nacre.picture.scenes.catalogue import scene as find_scene
-from nacre.picture.stamps import stamp
 from nacre.picture.user_scene import UserScene
+from nacre.recipe.identity import file_stamp
 
 COMPONENTS = ("sum", "specular", "diffuse")
 QUALITIES = ("reference", "fast")
@@ -185,7 +185,7 @@ def render(
                 f"scene {scene}: a Mitsuba scene brings its own shapes, camera and light; leave shape, up, turn, view, "
                 "fov, zoom, light and light layers out"
             )
-        stage = _kept(("xml", str(real(scene)), stamp(scene)), lambda: UserScene(Path(scene)))
+        stage = _kept(("xml", str(real(scene)), file_stamp(scene)), lambda: UserScene(Path(scene)))
         camera, balance, light_note, lamps = None, "D65", "the scene's own", ()
         default_size = stage.size
     else:
@@ -342,7 +342,7 @@ class _SetUp:
         # our own environments turn in place; other lights are built for their angle
         turns_in_place = all(lamp.name in TURNING_LIGHTS for lamp in lamps)
         built_turn = 0.0 if turns_in_place else self.light_turn_deg
-        stamps = (stamp(self.shape), *(stamp(lamp.name) for lamp in lamps))
+        stamps = (file_stamp(self.shape), *(file_stamp(lamp.name) for lamp in lamps))
         key = (replace(self, light_turn_deg=built_turn), lamps, among, stamps)
         stage = _kept(key, lambda: self.build(lamps, among, built_turn))
         stage.light.turn(self.light_turn_deg)
