@@ -107,7 +107,7 @@ def _scalar_warning() -> str:
     found, _ = llvm.find_llvm()
     if found is not None and llvm.use_llvm() is None:
         what = f"import nacre.render first, or set {llvm.ENVIRONMENT_VARIABLE}={found.path}"
-        why = "mitsuba was imported before nacre.render, and the LLVM that it chose fails"
+        why = "mitsuba or drjit was imported before nacre.render, and the LLVM that it chose fails"
     else:
         why, what = "no usable LLVM was found", "`nacre doctor` tells how to get LLVM"
     return SCALAR_WARNING.format(why=why, what=what)
@@ -148,8 +148,8 @@ def why_no_llvm() -> str:
         found, _ = llvm.find_llvm()
         if found is not None:
             return (
-                f"mitsuba was imported before nacre.render and its LLVM fails ({probe.reason}); import nacre.render "
-                f"first, or set {llvm.ENVIRONMENT_VARIABLE}={found.path}"
+                f"mitsuba or drjit was imported before nacre.render and its LLVM fails ({probe.reason}); import "
+                f"nacre.render first, or set {llvm.ENVIRONMENT_VARIABLE}={found.path}"
             )
     _, tried = llvm.find_llvm()
     named = [f"{probe.path or 'the default of drjit'}: {probe.reason}" for probe in tried]
