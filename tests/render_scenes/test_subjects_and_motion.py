@@ -255,6 +255,18 @@ def test_a_useless_scene_is_one_line(tmp_path: Path, text: str, words: str, grey
     assert words in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(("pixel", "words"), [(np.inf, "1 of its 128 pixels"), (np.nan, "1 of its"), (None, "black")])
+def test_a_map_whose_light_cannot_be_drawn_is_refused(tmp_path: Path, pixel: float | None, words: str) -> None:
+    """The whole picture came out as no number; suns beyond a half float are written as infinite."""
+    import OpenEXR
+
+    pixels = np.full((8, 16), 0.0 if pixel is None else 0.5, dtype=np.float16)
+    pixels[2, 3] = 0.0 if pixel is None else pixel
+    OpenEXR.File({}, dict.fromkeys("RGB", pixels)).write(str(tmp_path / "sky.exr"))
+    with pytest.raises(NacreError, match=words):
+        nacre.render({"type": "diffuse"}, light=f"studio,{tmp_path / 'sky.exr'}", **SMALL)
+
+
 def test_an_environment_map_lights_and_a_broken_one_is_one_line(tmp_path: Path, grey: Any) -> None:
     import OpenEXR
 

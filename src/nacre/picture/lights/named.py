@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.device.variant import use_variant
 from nacre.errors import NacreError, did_you_mean
@@ -255,6 +256,24 @@ def _map(path: Path, turn_deg: float) -> Any:
     # Mitsuba's maps have y up
     upright = _turn(turn_deg) @ mi.ScalarTransform4f().rotate([1, 0, 0], 90.0)
     try:
-        return mi.load_dict({"type": "envmap", "filename": str(path), "to_world": upright})
+        bitmap = mi.Bitmap(str(path))
+        _check_pixels(np.asarray(bitmap), path)
+        return mi.load_dict({"type": "envmap", "bitmap": bitmap, "to_world": upright})
     except (RuntimeError, OSError, ValueError) as error:
         raise NacreError(f"light {path}: cannot be read: {' '.join(str(error).split())[-160:]}") from None
+
+
+def _check_pixels(pixels: NDArray[Any], path: Path) -> None:
+    """Refuse a map whose light cannot be drawn from: all of the picture would come out as no number.
+
+    Raises:
+        NacreError: pixels that are not finite, as suns brighter than a half float holds, or none that shines.
+    """
+    bad = int(np.count_nonzero(~np.isfinite(pixels).reshape(*pixels.shape[:2], -1).all(axis=-1)))
+    if bad:
+        raise NacreError(
+            f"light {path}: {bad} of its {pixels.shape[0] * pixels.shape[1]} pixels are infinite or no number; write "
+            "the map anew with finite ones (a half float holds up to 65504)"
+        )
+    if not (pixels[..., :3] if pixels.ndim == 3 else pixels).max() > 0:
+        raise NacreError(f"light {path}: is black everywhere; no pixel of it is above 0")
