@@ -300,6 +300,29 @@ def test_what_a_gltf_packs_is_refused(tmp_path: Path) -> None:
             read_mesh(tmp_path / "a.glb")
 
 
+@pytest.mark.parametrize("seen_along", ["x", "y", "z"])
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_a_polygon_with_notches_is_cut_within_its_outline(tmp_path: Path, seen_along: str, is_turned: bool) -> None:
+    """An E has the area of its strokes, whichever corner comes first; readers fan it out over its gaps."""
+    outline = [(0, 0), (3, 0), (3, 1), (1, 1), (1, 2), (2, 2), (2, 3), (1, 3), (1, 4), (3, 4), (3, 5), (0, 5)]
+    area = 5.0 + 2.0 + 1.0 + 2.0
+    around = outline[::-1] if is_turned else outline
+    place = {"x": "v 7 {} {}", "y": "v {1} 7 {0}", "z": "v {} {} 7"}[seen_along]
+    for first in range(len(outline)):
+        corners = around[first:] + around[:first]
+        text = [*(place.format(*corner) for corner in corners), *(f"vt {u / 3} {v / 5}" for u, v in corners)]
+        numbers = (f"{k + 1}/{k + 1}" if first % 2 else f"{k - 12}/{k - 12}" for k in range(12))
+        (tmp_path / "e.obj").write_text("\n".join([*text, "f " + " ".join(numbers), ""]))
+        mesh = read_mesh(tmp_path / "e.obj")
+        a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
+        across = 0.5 * np.cross(b - a, c - a)
+        np.testing.assert_allclose(np.linalg.norm(across, axis=1).sum(), area)
+        around_it = mesh.vertices[:12] - mesh.vertices[0]  # one after the other, as they go round the polygon
+        outward = 0.5 * np.cross(around_it, np.roll(around_it, -1, axis=0)).sum(axis=0)
+        np.testing.assert_allclose(across.sum(axis=0), outward, atol=1e-9)  # all face one way, and the right one
+        assert len(mesh.faces) == 10 and np.ptp(mesh.uv, axis=0).tolist() == [1.0, 1.0]
+
+
 def test_an_upward_axis_without_a_mesh_is_refused(tmp_path: Path) -> None:
     for options, what in (({"up": "y"}, "shape"), ({"up": "w", "shape": tmp_path / "a.obj"}, "x, y, z"),
                           ({"up": "y", "shape": "knob"}, "mesh files")):  # fmt: skip

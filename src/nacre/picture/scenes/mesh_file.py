@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.errors import NacreError
+from nacre.picture.scenes.polygons import with_triangles
 
 _GLB_HEADER = struct.Struct("<4sII")  # magic, version, length of all
 _GLB_CHUNK = struct.Struct("<I4s")  # length, kind
@@ -67,8 +68,10 @@ def read_triangles(path: Path, is_alone: bool = False) -> list[Triangles]:
 
     suffix = path.suffix.lower()
     uv_white = 1.0
-    if is_alone or suffix in (".gltf", ".glb"):
+    if is_alone or suffix in (".gltf", ".glb", ".obj"):
         content = path.read_bytes()
+        if suffix == ".obj":
+            content = with_triangles(content)
         uv_white = _uv_white(path, content, suffix)
         # bytes alone have no folder in which other files would be looked for
         resolver = None if is_alone else Beside(str(path))
