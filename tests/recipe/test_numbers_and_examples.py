@@ -91,6 +91,15 @@ def test_bad_numbers_get_one_line(numbers: Any, words: str) -> None:
         nacre.material(_film("100", numbers=numbers))
 
 
+@pytest.mark.parametrize(("formula", "words"), [("9 + sqrt(u - 0.25)", "no number at 25 %"), ("9 + sin(9*u)/u", "")])
+def test_a_formula_without_a_value_in_places_is_told(
+    formula: str, words: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its lowest value stands there; a quotient 0/0 at a point or along a line tells nothing."""
+    nacre.material(_film(formula)).bsdf()
+    assert [record.getMessage().count(words) for record in caplog.records] == ([1] if words else [])
+
+
 def test_an_unknown_name_says_what_is_known() -> None:
     with pytest.raises(RecipeError, match=r'"drian" is not allowed; use u, v, x, y, z, t, .* names of \[numbers\]'):
         nacre.material(_film("100*drian", numbers={"drain": 1.0}))

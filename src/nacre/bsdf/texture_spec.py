@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import logging
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,9 +21,12 @@ from nacre.recipe.images import LARGEST_16_BIT, opacity, upright
 from nacre.recipe.memory import check_memory
 from nacre.recipe.model import RecipeContext, RecipeModel
 
+logger = logging.getLogger("nacre")
+
 MAX_IMAGE_PIXELS = 64_000_000
 BYTES_A_PIXEL = 24  # as read, in double precision, and scaled
 ROUNDING = 1e-5  # by which numbers of an image in floating point may pass black and white
+TOLD_GAPS = 0.01  # share of the surface: 0/0 at a point or along a line is left alone
 FORMULA_SAMPLES = 257  # a side of u and v
 PLACE_SAMPLES, SURFACE_SAMPLES = 17, 9  # of formulas of the place: along a side of space, and of u and v beside it
 
@@ -104,6 +109,7 @@ class TextureSpec(RecipeModel):
         u, v, place = _everywhere(formula)
         with np.errstate(all="ignore"):
             values = np.asarray(formula(u, v, place=place), dtype=float)
+        gaps = float(np.isnan(values).mean())
         values = values[np.isfinite(values)]
         if not values.size:
             raise context.fail(f"{key}.formula", self.formula, "has no finite value anywhere")
@@ -111,7 +117,15 @@ class TextureSpec(RecipeModel):
         high = self.max if self.max is not None else float(values.max())
         if low > high:
             raise context.fail(f"{key}.formula", self.formula, f"leaves no range between {low:g} and {high:g}")
+        if gaps > TOLD_GAPS:
+            _tell_gaps(f'{context.source}: {key}.formula = "{self.formula}"', gaps, low)
         return Texture(low, high, formula=formula)
+
+
+@functools.lru_cache(maxsize=256)
+def _tell_gaps(what: str, share: float, low: float) -> None:
+    """Say once that a formula has no value in places."""
+    logger.warning("%s is no number at %.0f %% of the places; its lowest, %g, stands there", what, 100 * share, low)
 
 
 def _everywhere(formula: Formula) -> tuple[Array, Array, Array]:
