@@ -67,7 +67,7 @@ FLY = 10.0  # times the median of the eight neighbours
 LADDER = (4, 8, 16, 32, 64, 128, 256, 512)
 LONG_S = 20.0  # no more samples are tried once a picture takes so long: twice the bar, and a median is asked for
 FINEST = 8  # part of the samples to which the least number is sought that does
-NEAR, TRIES = 0.92, 4  # how near to the CPU time of before, in so many tries
+NEAR, TRIES = 0.97, 8  # how near to the CPU time of before, in so many tries
 PARTS = ("error", "time", "bias", "memory")
 MEMORY_SIDE = 4096
 
@@ -151,18 +151,29 @@ def at_equal_time(case: Case, worker: Worker) -> dict[str, float]:
     render(case, bsdf, SIDE, spp=few)
     spent = [cpu_of(lambda n=spp: render(case, bsdf, SIDE, spp=n))[1] for spp in (few, case.before_spp)]
     a_sample = max(spent[1] - spent[0], 1e-3) / (case.before_spp - few)
-    spp = max(1, int((seconds - spent[0]) / a_sample) + few)
+    spp, now, taken = max(1, int((seconds - spent[0]) / a_sample) + few), None, 0.0
+    least, most = 0, None  # samples that were tried: the most that keep within the time, the least that do not
     for _ in range(TRIES):  # the clock of a machine with other work is no good one: what it gave is tried
-        now, taken = cpu_of(lambda n=spp: render(case, bsdf, SIDE, spp=n))
-        if NEAR <= taken / seconds <= 1.0:
+        made, span = cpu_of(lambda n=spp: render(case, bsdf, SIDE, spp=n))
+        if span <= seconds:
+            least, now, taken = spp, made, span
+            if span >= NEAR * seconds:
+                break
+        else:
+            most = spp if most is None else min(most, spp)
+        spp = max(1, spp + round((0.5 * (1.0 + NEAR) * seconds - span) / a_sample))
+        if most is not None and spp >= most:
+            spp = most - 1
+        if spp <= least:
             break
-        spp = max(1, int(spp * (0.5 + 0.5 * NEAR) * seconds / taken))
+    if now is None:
+        raise SystemExit(f"{case.name}: no number of samples kept within the CPU time of before")
     stops, white = auto_stops(truth.xyz), str(now.stats["illuminant"])
     flips = [flip(worker, picture, truth.xyz, stops, white) for picture in (before, now.xyz)]
     errors = [relative_error(picture, truth) for picture in (before, now.xyz)]
     floor = flip(worker, truth.halves[0], truth.halves[1], stops, white)
     return {
-        "error": errors[0] / max(errors[1], 1e-9), "flip": flips[0] / flips[1], "flip_now": flips[1], "spp": spp,
+        "error": errors[0] / max(errors[1], 1e-9), "flip": flips[0] / flips[1], "flip_now": flips[1], "spp": least,
         "flip_halves": floor, "before_s": seconds, "now_s": taken,
     }  # fmt: skip
 

@@ -413,6 +413,13 @@ def test_glints_and_spectra_stay_as_rendered(tmp_path: Path) -> None:
     assert not result.stats["denoised"] and result.raw is None
 
 
+def test_a_picture_of_one_pixel_is_denoised(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of it nothing is lost, and its noise is not to be told in units of that."""
+    monkeypatch.delenv("NACRE_DENOISE", raising=False)
+    made = nacre.render("gold", size=(1, 1), spp=8)
+    assert made.stats["denoised"] and np.isfinite(made.xyz).all() and (made.xyz > 0.0).all()
+
+
 def test_without_the_package_the_picture_is_raw_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
     result = render(nacre.material(GOLD), spp=1)

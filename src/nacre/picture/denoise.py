@@ -194,7 +194,7 @@ def beyond_noise(lost: NDArray[Any], noise: NDArray[Any]) -> NDArray[np.float32]
         noise: another draw of the noise that `lost` contains.
     """
     # in units of its size, since fourth powers of it are to keep within single precision, which takes half the time
-    size = max(float(np.mean(np.abs(lost))), 1e-30)
+    size = max(float(np.mean(np.abs(lost))), float(np.mean(np.abs(noise))), 1e-30)  # nothing is lost of one pixel
     mix = (OPPONENT.T / size).astype(np.float32)
     planes = [np.moveaxis(part.astype(np.float32, copy=False) @ mix, -1, 0) for part in (lost, noise)]
     with ThreadPoolExecutor(min(available_jobs(), len(OPPONENT))) as pool:
