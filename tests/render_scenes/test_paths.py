@@ -48,6 +48,10 @@ def _scene(material: Any, scene: str, light: str) -> Any:
     return mi.load_dict({key: value for key, value in content.items() if key != "integrator"})
 
 
+def _ball(scene: Any) -> list[Any]:
+    return [shape for shape in scene.shapes() if shape.id() == "part0"]
+
+
 @pytest.mark.parametrize(
     ("recipe", "light", "kind", "clear", "splits"),
     [
@@ -61,7 +65,8 @@ def test_the_mean_is_that_of_mitsubas_own(recipe: str, light: str, kind: str, cl
     """With films to pass, drawn or both ways at once, with lamps that are bodies, and with a matt base under a film."""
     mi = use_variant()
     scene = _scene(nacre.load(EXAMPLES / f"{recipe}.toml"), "sphere", light)
-    own, own_error = _mean_and_error(scene, make_paths(8, 6, clear, splits=splits), 64)
+    ball = [] if clear else _ball(scene)  # the others draw fewer lamps
+    own, own_error = _mean_and_error(scene, make_paths(8, 6, clear, splits=splits, objects=ball), 64)
     theirs, error = _mean_and_error(scene, mi.load_dict({"type": kind, "max_depth": 8, "rr_depth": 6}), 64)
     # five degrees of freedom on each side: Student's t needs more room than a normal variable would
     assert np.all(np.abs(own - theirs) < 2.0 * SIGMAS * np.hypot(own_error, error) + 1e-6)
@@ -74,7 +79,7 @@ def test_what_mitsubas_own_surfaces_let_through_is_seen_once(kind: str) -> None:
     matt = {"type": "twosided", "matt": {"type": "diffuse"}}
     bsdf = mi.load_dict({"type": "mask", "opacity": 0.4, "matt": matt} if kind == "mask" else {"type": kind})
     scene = _scene(bsdf, "sphere", "studio")
-    tracer = passes._tracer(SimpleNamespace(mitsuba_scene=scene, light=make_light("studio"), depth=8))
+    tracer = passes._tracer(SimpleNamespace(mitsuba_scene=scene, light=make_light("studio"), depth=8, objects=[]))
     own, own_error = _mean_and_error(scene, tracer, 64)
     theirs, error = _mean_and_error(scene, mi.load_dict({"type": "volpath", "max_depth": 8, "rr_depth": 6}), 64)
     assert np.all(np.abs(own - theirs) < 2.0 * SIGMAS * np.hypot(own_error, error) + 1e-6)
@@ -106,6 +111,22 @@ def test_several_places_of_lamps_a_path_take_noise_from_a_matt_ball() -> None:
         return float(np.median((made.var(axis=0, ddof=1) / made.mean(axis=0) ** 2)[8:24, 8:24]))
 
     assert variance(4) < 5 / 8 * variance(1)
+
+
+def test_what_an_object_stands_on_draws_fewer_places_of_lamps() -> None:
+    """By the same share: of two draws in place of four some more of the variance is left, on the floor alone."""
+    mi = use_variant()
+    scene = _scene(None, "sphere", "studio")
+    ball = _ball(scene)
+    seen = passes.sees_objects(scene, scene.sensors()[0], ball, (32, 32))
+
+    def variance(objects: list[Any], where: np.ndarray) -> float:
+        tracer = make_paths(6, 6, False, objects=objects)
+        made = np.array([np.array(mi.render(scene, integrator=tracer, spp=16, seed=s))[..., 1] for s in range(8)])
+        return float(np.median((made.var(axis=0, ddof=1) / made.mean(axis=0) ** 2)[where]))
+
+    assert variance(ball, ~seen) > 1.2 * variance([], ~seen)
+    assert variance(ball, seen) == pytest.approx(variance([], seen), rel=0.1)
 
 
 def test_only_a_null_interaction_of_its_own_can_be_followed_apart() -> None:
@@ -271,12 +292,14 @@ def test_our_tracer_knows_what_a_stage_has(light: str, recipe: str) -> None:
     ball = {"type": "sphere", "bsdf": make_bsdf(nacre.load(EXAMPLES / f"{recipe}.toml").bsdf())}
     made = make_lights(read_lamps(light))
     scene = mi.load_dict({"type": "scene", "ball": ball})
-    stage = SimpleNamespace(light=made, depth=6, mitsuba_scene=scene, subjects=scene.shapes())
+    stage = SimpleNamespace(light=made, depth=6, mitsuba_scene=scene, subjects=scene.shapes(), objects=scene.shapes())
     tracer = passes._tracer(stage)
     assert tracer.spread_by == []
     # a bare mirror only mirrors: draws of lamps would not lessen its noise; through a clear film matt walls are seen
     assert tracer.draws == (1 if recipe == "bragg-mirror" else passes.DRAWS)
     assert (tracer.passes_through, tracer.splits) == (recipe == "soap", recipe == "soap")
+    # what is seen through a clear film draws as many as the film's own light does; a mirror's surroundings draw one
+    assert len(tracer.objects) == (1 if recipe == "copper" else 0)
     assert (tracer.soft is not None) == (light != "studio")
 
 

@@ -341,7 +341,8 @@ def _tracer(stage: Any) -> Any:
     glitters = _glitters(stage.mitsuba_scene)
     is_one = walks(stage.mitsuba_scene) or glitters or _mirrors(getattr(stage, "subjects", ()))
     draws = 1 if is_one else DRAWS
-    return make_paths(stage.depth, RUSSIAN_ROULETTE_DEPTH, clear, soft, splits, spread_by, draws, glitters)
+    objects = [] if clear else stage.objects  # what is seen through a clear one counts as it does
+    return make_paths(stage.depth, RUSSIAN_ROULETTE_DEPTH, clear, soft, splits, spread_by, draws, glitters, objects)
 
 
 def _glitters(scene: Any) -> bool:

@@ -32,7 +32,10 @@ SOFT_LAMP_DEG = 10.0
 WITHIN_LAMP_DEG = 40.0
 # density of directions above which a lobe is narrower than that lamp
 NARROW = 1.0 / (2.0 * math.pi * (1.0 - math.cos(math.radians(0.5 * SOFT_LAMP_DEG))))
-DRAWS = 4  # places of lamps that the first surface draws which is no mirror; of pearls one: each takes a walk
+# places of lamps that the first surface draws which is no mirror: of an object, and of what it stands on, whose even
+# grain goes for less (errors of denoised pictures times their CPU time: 5 to 12 % lower than with four on all). Of
+# pearls one: each takes a walk
+DRAWS, BEHIND = 4, 2
 # how many times what a matt floor sees by a drawn lamp counts beside what it meets by chance: lamps are drawn by their
 # light and height, which is nearly what a floor sees of them (a bubble's noise 4 % lower; from 2 to 4 it is the same)
 TRUST = 3.0
@@ -43,7 +46,7 @@ MOST_SPLIT = 4  # clear surfaces at which a camera's ray goes both ways
 
 def make_paths(
     max_depth: int, rr_depth: int, passes_through: bool, soft: Any = None, splits: bool = False, spread_by: Any = (),
-    draws: int = DRAWS, glitters: bool = False,
+    draws: int = DRAWS, glitters: bool = False, objects: Any = (),
 ) -> Any:  # fmt: skip
     """Return an integrator of the current variant, which must not be a scalar one.
 
@@ -57,9 +60,10 @@ def make_paths(
         draws: places of lamps that the first surface draws which is no mirror.
         glitters: flakes are seen one by one, but for the light that they throw on matt surfaces, which takes the mean
             over them: it was grains of light on the ground, each by one path of many.
+        objects: shapes; all others draw `BEHIND` places at most; none: all draw alike.
     """
     mi = use_variant()
-    given = (max_depth, rr_depth, passes_through, soft, splits, spread_by, draws, glitters)
+    given = (max_depth, rr_depth, passes_through, soft, splits, spread_by, draws, glitters, objects)
     return _class(mi.variant())(mi.Properties(), *given)
 
 
@@ -158,12 +162,13 @@ def _class(variant: str) -> type:
 
         def __init__(
             self, properties: Any, max_depth: int, rr_depth: int, passes_through: bool, soft: Any, splits: bool,
-            spread_by: Any, draws: int, glitters: bool,
+            spread_by: Any, draws: int, glitters: bool, objects: Any,
         ) -> None:  # fmt: skip
             super().__init__(properties)
             self.max_depth, self.rr_depth = max_depth, rr_depth
             self.passes_through, self.soft, self.splits = passes_through, soft, splits
             self.spread_by, self.draws, self.glitters = list(spread_by), draws, glitters
+            self.objects = list(objects) if draws > BEHIND else []
 
         def scatters(self) -> Any:
             """Return what surfaces are asked for: all, or all but what goes straight through."""
@@ -214,7 +219,10 @@ def _class(variant: str) -> type:
                 is_first = base == 0.0
                 if self.splits:
                     is_first = is_first & ((is_kept & (dr.max(weight) < FAINT)) ^ True)
-                here = dr.select(is_first, mi.UInt32(self.draws), 1)
+                here = mi.UInt32(self.draws)
+                if self.objects:
+                    here = dr.select(is_one_of(si, self.objects), here, BEHIND)
+                here = dr.select(is_first, here, 1)
                 trusted = mi.Float(here) * trust_in_lamps(si, bsdf)
                 places = places_of(sampler, here, active)
                 found = drawn_light(self, scene, si, bsdf, places, here, trusted, has_spread, is_broad)
