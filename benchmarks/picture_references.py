@@ -8,8 +8,7 @@ noise. They are part of the repository and made again only where scenes, lights 
 
     python benchmarks/picture_references.py --anew NAME ...
 
-in 3 to 16 CPU minutes a picture. A run with more samples, or one after a stopped run, adds to what is there; those that
-are kept have 512 to 4,096 samples so far, which the benchmark tells, and go on without `--anew`.
+in 3 to 16 CPU minutes a picture. A run with more samples, or one after a stopped run, adds to what is there.
 """
 
 from __future__ import annotations
