@@ -156,35 +156,35 @@ def at_equal_time(case: Case, worker: Worker) -> dict[str, float]:
     spent = [cpu_of(lambda n=spp: render(case, bsdf, SIDE, spp=n))[1] for spp in (few, case.before_spp)]
     a_sample = max(spent[1] - spent[0], 1e-3) / (case.before_spp - few)
     spp, now, taken = max(1, int((seconds - spent[0]) / a_sample) + few), None, 0.0
-    least, most = 0, None  # samples that were tried: the most that keep within the time, the least that do not
+    within, beyond = 0, None  # of the numbers tried, the largest that keeps within the time, the smallest that does not
     for _ in range(TRIES):  # the clock of a machine with other work is no good one: what it gave is tried
         made, span = cpu_of(lambda n=spp: render(case, bsdf, SIDE, spp=n))
         if span > seconds:  # the lesser of two, as that of before is
             span = min(span, cpu_of(lambda n=spp: render(case, bsdf, SIDE, spp=n))[1])
         if span <= seconds:
-            least, now, taken = spp, made, span
+            within, now, taken = spp, made, span
             if span >= NEAR * seconds:
                 break
         else:
-            most = spp if most is None else min(most, spp)
+            beyond = spp if beyond is None else min(beyond, spp)
         spp = max(1, spp + round((0.5 * (1.0 + NEAR) * seconds - span) / a_sample))
-        if most is not None and spp >= most:
-            spp = most - 1
-        if spp <= least:
+        if beyond is not None and spp >= beyond:
+            spp = beyond - 1
+        if spp <= within:
             break
     if now is None:
         raise SystemExit(f"{case.name}: no number of samples kept within the CPU time of before")
     stops, white = auto_stops(truth.xyz), str(now.stats["illuminant"])
     pictures = [(before, now.xyz)] + [
-        (by_multijitter(case, bsdf, seed), render(case, bsdf, SIDE, seed, spp=least).xyz) for seed in SEEDS[1:]
+        (by_multijitter(case, bsdf, seed), render(case, bsdf, SIDE, seed, spp=within).xyz) for seed in SEEDS[1:]
     ]
     flips = np.mean([[flip(worker, each, truth.xyz, stops, white) for each in pair] for pair in pictures], axis=0)
     errors = np.mean([[relative_error(each, truth) for each in pair] for pair in pictures], axis=0)
     floor = flip(worker, truth.halves[0], truth.halves[1], stops, white)
     return {
         "error": float(errors[0] / max(errors[1], 1e-9)), "flip": float(flips[0] / flips[1]),
-        "flip_now": float(flips[1]), "spp": least,
-        "flip_halves": floor, "before_s": seconds, "now_s": taken,
+        "flip_now": float(flips[1]), "spp": within, "flip_halves": floor,
+        "before_s": seconds, "now_s": taken,
     }  # fmt: skip
 
 
