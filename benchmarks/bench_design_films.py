@@ -30,11 +30,11 @@ from typing import Any
 import numpy as np
 from common import Kept, Row, Worker, report, run_clock_by_cpu, searcher, within_of
 
-from nacre.design.goals import Goal, Goals, default_wavelengths_nm
-from nacre.design.stack_problem import Medium, StackProblem
-from nacre.design.stack_search import StackSolution, many, search
 from nacre.light import SRGB_WHITE_XYZ, srgb_decode, srgb_linear_to_xyz, xyz_to_lab
 from nacre.matter.indices.library import index
+from nacre.optimise.merit import Goal, Goals, default_wavelengths_nm
+from nacre.optimise.thin_film.problem import Medium, StackProblem
+from nacre.optimise.thin_film.search import StackSolution, many, search
 
 GRID = default_wavelengths_nm()
 COATINGS = ("SiO2", "MgF2", "TiO2", "Si", "Ge", "Cr", "Ti", "W")

@@ -30,11 +30,11 @@ from common import PEER_PYTHON, Kept, Row, Worker, parser, report
 
 os.environ["NACRE_JOBS"] = "1"
 
-from nacre.design.stack_search import search
-from nacre.design.wants.films import StackSearch
-from nacre.design.wants.run import search_of
-from nacre.design.wants.target import read_target
 from nacre.matter.indices.library import index
+from nacre.optimise.run import search_of
+from nacre.optimise.task import read_target
+from nacre.optimise.thin_film.adapter import StackSearch
+from nacre.optimise.thin_film.search import search
 
 LEAST_NM, MOST_NM = 5.0, 400.0
 STEP_NM = 2.0

@@ -31,8 +31,8 @@ import numpy as np
 from common import Kept, Row, Worker, report, run_clock_by_cpu, searcher, within_of
 
 import nacre
-from nacre.design.wants.geometry import At, see
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
+from nacre.optimise.measurement import At, see
 
 WANTS = [f"{kind} {angle}" for kind in ("specular", "diffuse") for angle in (0, 30, 60)]
 FREE = {

@@ -18,10 +18,10 @@ from bench_render_plugins import ALPHA, SIZE, SPP, scene
 from common import Row, interleaved, parser, report, timed
 
 import nacre
-from nacre.bsdf.directions import direction
-from nacre.families.glass.effective import bruggeman
+from nacre.bsdf.grids import direction
+from nacre.families.glass.composite import bruggeman
 from nacre.families.glass.medium import Medium, Spheres, solve_medium
-from nacre.families.glass.walk import walk
+from nacre.families.glass.random_walk import walk
 from nacre.render import make_bsdf, use_variant
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -20,7 +20,7 @@ import numpy as np
 from common import Row, parser, report, timed
 
 import nacre
-from nacre.materials.material import material
+from nacre.material.material import material
 
 CORES = 2
 RECIPE = {

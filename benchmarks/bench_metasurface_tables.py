@@ -22,9 +22,9 @@ from common import Row, interleaved, parser, report, timed
 
 import nacre
 from nacre.bsdf import Bsdf
-from nacre.families.metasurface.sphere import SphereOnStack
-from nacre.materials.material import load, material
-from nacre.matter.jobs import one_thread_each
+from nacre.core.parallel import one_thread_each
+from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack
+from nacre.material.material import load, material
 from nacre.matter.mie import mie_coefficients
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "metasurface" / "silver_on_oxide.toml"

@@ -17,10 +17,9 @@ import numpy as np
 from common import Row, parser, report, timed
 
 import nacre
-from nacre.families.metasurface.particles import Shell
-from nacre.families.metasurface.solids import SolvedBody
+from nacre.core.parallel import in_threads
+from nacre.families.metasurface.tmatrix.particle_shapes import Shell, SolvedBody
 from nacre.matter.indices.spec import IndexSpec
-from nacre.matter.jobs import in_threads
 
 CORES = 2
 GRID = np.linspace(400.0, 700.0, 16)

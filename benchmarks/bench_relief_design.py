@@ -62,7 +62,7 @@ def target_data(designs: Any, i: int, time_limit_s: float | None) -> dict[str, A
 
 def checked(designs: Any, i: int, time_limit_s: float | None) -> tuple[Any, Any]:
     """Return the checked target and its context."""
-    from nacre.design.spec import TargetSpec
+    from nacre.optimise.relief.target import TargetSpec
     from nacre.recipe.model import RecipeContext, validate
 
     context = RecipeContext("published", REFERENCE / "targets")
@@ -74,8 +74,8 @@ def time_to_beat(spec: Any, context: Any, published: Any) -> tuple[float, Any]:
 
     The best design so far is measured every second of search; measuring counts as time.
     """
-    from nacre.design.problem import measure_design
-    from nacre.design.run import design
+    from nacre.optimise.relief.merit import measure_design
+    from nacre.optimise.relief.run import design
 
     begun = time.monotonic()
     problem = spec.build(context)
@@ -112,8 +112,8 @@ def main(arguments: list[str] | None = None) -> int:
 
     options = parser.parse_args(arguments)
     limit_s = options.time_limit_s or (MINUTE_S if options.all else 10.0)
-    from nacre.design.problem import measure_design
-    from nacre.design.search import one_thread_each
+    from nacre.optimise.relief.merit import measure_design
+    from nacre.optimise.relief.search import one_thread_each
 
     with np.load(REFERENCE / "published_designs.npz") as data:
         designs = {name: data[name] for name in data.files}

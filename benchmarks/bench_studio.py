@@ -31,8 +31,8 @@ from scipy.ndimage import gaussian_filter
 
 import nacre
 from nacre.light import delta_e_2000, srgb_decode, srgb_encode, srgb_linear_to_xyz, xyz_to_lab
-from nacre.light.gamut import clip_to_srgb
-from nacre.studio.look import looks
+from nacre.light.display import clip_to_srgb
+from nacre.studio.appearance import looks
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 LAYERS = [{"material": ("TiO2", "SiO2")[i % 2], "thickness_nm": (60, 92)[i % 2] + i} for i in range(10)]

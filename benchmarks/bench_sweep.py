@@ -50,8 +50,8 @@ def write_sweep(folder: Path, recipe: str, count: int, low: float, high: float) 
 
 def bench_points(count: int) -> list[Row]:
     """Time one process over many points and watch its memory."""
-    from nacre.study.plan import load_sweep
-    from nacre.study.sweep import run_sweep
+    from nacre.analysis.sweep import run_sweep
+    from nacre.analysis.sweep_plan import load_sweep
 
     marks: list[float] = []
 
@@ -81,8 +81,8 @@ def bench_workers(count: int, repeats: int) -> Row:
 
     from helpers_study import dask_over_tcp
 
-    from nacre.study.plan import load_sweep
-    from nacre.study.sweep import run_sweep
+    from nacre.analysis.sweep import run_sweep
+    from nacre.analysis.sweep_plan import load_sweep
 
     times: dict[int, list[float]] = {1: [], 2: []}
     with tempfile.TemporaryDirectory() as name:

@@ -210,7 +210,7 @@ class Kept:
     """
 
     def __init__(self, name: str, is_used: bool, **facts: Any) -> None:
-        from nacre.recipe.identity import source_digest
+        from nacre.recipe.fingerprint import source_digest
 
         self._path = ROOT / "benchmarks" / "results" / f"{name}.jsonl"
         self._is_used, self._facts = is_used, {**facts, "source": source_digest()}

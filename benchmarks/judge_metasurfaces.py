@@ -16,8 +16,8 @@ from common import serve
 from judge_films import weights
 
 import nacre
-from nacre.errors import NacreError
-from nacre.materials.material import Material
+from nacre.core.errors import NacreError
+from nacre.material.material import Material
 from nacre.measure.spectrum import bsdf_spectrum
 
 FINE_NM = np.arange(380.0, 781.0, 1.0)

@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.files import atomic_path
-from nacre.materials.examples import examples_folder
-from nacre.materials.material import load
+from nacre.core.files import atomic_path
+from nacre.material.examples import examples_folder
+from nacre.material.material import load
 from nacre.picture import picture as pictures
 from nacre.picture.camera import Framing
-from nacre.picture.lights.several import read_lamps
+from nacre.picture.lights.light_mixture import read_lamps
 from nacre.picture.passes import Frame, Shot, Until, shoot
 from nacre.picture.scenes.catalogue import scene as find_scene
 

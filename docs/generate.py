@@ -46,7 +46,7 @@ def write(path: Path, text: str) -> None:
 def gallery(docs: Path) -> str:
     """Return the gallery: each picture of examples/gallery.toml, its command and its recipe."""
     from nacre.cli.gallery import load_gallery
-    from nacre.materials.examples import examples_folder
+    from nacre.material.examples import examples_folder
 
     folder = examples_folder()
     shows = load_gallery(folder)

@@ -20,7 +20,7 @@ from PIL import Image, ImageOps
 
 import nacre
 from nacre.cli.gallery import PictureSpec, load_gallery
-from nacre.materials.examples import examples_folder
+from nacre.material.examples import examples_folder
 
 IMAGES = Path(__file__).parent / "images"
 THUMBNAIL = 360

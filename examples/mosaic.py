@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from nacre.design.mosaic import Mosaic, mosaic, write_mosaic
-from nacre.design.problem import measure_design
-from nacre.design.search import Search
-from nacre.design.spec import TargetSpec
-from nacre.exchange.calibration import PUBLISHED_CALIBRATION
+from nacre.formats.calibration import PUBLISHED_CALIBRATION
+from nacre.optimise.relief.merit import measure_design
+from nacre.optimise.relief.mosaic import Mosaic, mosaic, write_mosaic
+from nacre.optimise.relief.search import Search
+from nacre.optimise.relief.target import TargetSpec
 from nacre.recipe.model import RecipeContext, validate
 
 FEATURE_UM, BLUR_UM, HEIGHT_UM = 0.8, 0.13, 0.8

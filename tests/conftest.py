@@ -68,8 +68,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def _why_no_render() -> str:
     if "render" not in _why:
+        from nacre.core.errors import NacreError
         from nacre.device.variant import import_mitsuba, why_no_llvm
-        from nacre.errors import NacreError
 
         try:
             import_mitsuba()
@@ -81,8 +81,8 @@ def _why_no_render() -> str:
 
 def _why_no_gpu() -> str:
     if "gpu" not in _why:
+        from nacre.core.errors import NacreError
         from nacre.device.variant import import_mitsuba, why_no_cuda
-        from nacre.errors import NacreError
 
         try:
             import_mitsuba()

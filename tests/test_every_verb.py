@@ -19,11 +19,11 @@ from PIL import Image
 
 import nacre
 from nacre.cli import run
-from nacre.cli.make import TARGETS
-from nacre.errors import NacreError
-from nacre.exchange.formats import EXPORTS
+from nacre.cli.design import TARGETS
+from nacre.core.errors import NacreError
 from nacre.families.contract import Model
 from nacre.families.registry import FAMILIES, family_names, family_spec
+from nacre.formats.export_formats import EXPORTS
 from nacre.recipe.toml import dump_toml
 
 TWO_NM = np.array([400.0, 700.0])  # the least that a colour takes
@@ -189,7 +189,7 @@ def both(
     nacre.Bsdf((table,)).save(folder / "measured.nacre")
     for side in ("python", "command"):
         (tmp_path / side).mkdir()
-    monkeypatch.setattr("nacre.study.fit.SCOUTS_PER_NUMBER", 2)  # both ways search alike; how well is not asked here
+    monkeypatch.setattr("nacre.analysis.fit.SCOUTS_PER_NUMBER", 2)  # both ways search alike; how well is not asked here
     monkeypatch.chdir(folder)
     return Both(folder / f"{request.param}.toml", tmp_path / "python", tmp_path / "command", capsys)
 
@@ -323,9 +323,9 @@ def test_export(both: Both, to: str) -> None:
 @families()
 @pytest.mark.parametrize("to", TARGETS)
 def test_fabricate(both: Both, to: str) -> None:
-    from nacre.exchange import drawings, number_maps
+    from nacre.formats import fabrication, number_maps
 
-    suffix = {**number_maps.SUFFIXES, **drawings.SUFFIXES}[to]
+    suffix = {**number_maps.SUFFIXES, **fabrication.SUFFIXES}[to]
     family = both.recipe.stem
     if family == "metasurface" and to in ("gds", "oas", "csv"):
         size = {"size_mm": (0.005, 0.005)}, ["--size-mm", "0.005x0.005"]
@@ -352,7 +352,7 @@ def test_gamut(both: Both) -> None:
 @pytest.mark.render
 def test_design(both: Both, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every candidate meets the want, so that the clock, which may let one come further, does not matter."""
-    monkeypatch.setattr("nacre.design.wants.general.MET", 1e9)  # the first answer will do
+    monkeypatch.setattr("nacre.optimise.methods.least_squares.MET", 1e9)  # the first answer will do
     number = NUMBERS.get(both.recipe.stem) or next(iter(nacre.load(both.recipe).free_numbers))
     value = nacre.load(both.recipe).get(number)
     (both.recipe.parent / "asked.toml").write_text(

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre import lazy
 from nacre.bsdf.registry import LOBES, LobeEntry, lobe_kinds, outside_lobe
-from nacre.errors import NacreError
+from nacre.core import lazy
+from nacre.core.errors import NacreError
 from nacre.families.registry import FAMILIES, family_names, family_spec
 
 OUTSIDE_FAMILIES = [name for name in family_names() if name not in FAMILIES]

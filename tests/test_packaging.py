@@ -101,7 +101,7 @@ def test_the_wheel_holds_the_code_and_its_data(installed: Path) -> None:
 def test_the_wheel_brings_the_examples_of_the_demo(installed: Path) -> None:
     said = run_installed(
         installed,
-        "from nacre.cli.gallery import load_gallery\nfrom nacre.materials.examples import examples_folder\n"
+        "from nacre.cli.gallery import load_gallery\nfrom nacre.material.examples import examples_folder\n"
         "folder = examples_folder(); gallery = load_gallery(folder); print(folder)\n"
         "print(all((folder / p.recipe).exists() for p in gallery.picture if '.toml' in p.recipe))\n"
         "print(all((folder / d.target).exists() for d in gallery.design))",
@@ -165,7 +165,7 @@ def test_after_pip_install_alone_everything_works_outside_the_checkout(wheel: Pa
     nacre("design", "target.toml", "-o", "design")
     nacre("render", "design", "--size", "64x64", "--spp", "16", "-o", "design.png")
     nacre("sweep", "sweep.toml", "-o", "sweep.zarr", "--workers", "1")
-    code = "from nacre.materials.examples import examples_folder; print(examples_folder())"
+    code = "from nacre.material.examples import examples_folder; print(examples_folder())"
     said = subprocess.run([str(python), "-c", code], cwd=home, env=environment, capture_output=True, text=True)
     examples = Path(said.stdout.strip())
     assert examples.is_relative_to(place)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nacre.families.metasurface.tmatrix_file import read_tmatrices, write_tmatrices
+from nacre.families.metasurface.tmatrix.tmatrix_file import read_tmatrices, write_tmatrices
 
 RADII_NM, APART_NM, INDEX = (50.0, 38.0), 100.0, 4.0 + 0.05j  # the larger one lies at -x
 WAVELENGTHS_NM, ORDER = (500.0, 600.0), 5

@@ -11,11 +11,11 @@ import sys
 
 import numpy as np
 
-from nacre.families.metasurface.axial import AxialTMatrices, truncated
-from nacre.families.metasurface.neighbours import multipole_index
-from nacre.families.metasurface.solids import SolvedBody
-from nacre.families.metasurface.tmatrix_file import write_tmatrices
-from nacre.families.metasurface.whole import spread, tilted_whole
+from nacre.families.metasurface.monolayer.translation_sums import multipole_index
+from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, truncated
+from nacre.families.metasurface.tmatrix.full_tmatrix import spread, tilted_whole
+from nacre.families.metasurface.tmatrix.particle_shapes import SolvedBody
+from nacre.families.metasurface.tmatrix.tmatrix_file import write_tmatrices
 from nacre.matter.indices.spec import IndexSpec
 
 LENGTH_NM, WIDTH_NM, FILM_INDEX = 110.0, 50.0, 1.5

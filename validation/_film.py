@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from nacre.arrays import Array
-from nacre.errors import NacreError
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
 from nacre.light import spectrum_to_srgb, spectrum_to_xyz, xyz_to_lab
-from nacre.materials.material import Material, material
+from nacre.material.material import Material, material
 
 HUES = (  # CIELAB hue angle at which each name begins, measured on spectra of one reflectance peak
     (0.0, "red"),

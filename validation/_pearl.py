@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 import nacre
-from nacre.arrays import Array
 from nacre.bsdf.lobes.layered import Layered
 from nacre.bsdf.lobes.table import from_half_difference
-from nacre.families.pearl.fast import tables
+from nacre.core.arrays import Array
+from nacre.families.pearl.tables import tables
 from nacre.light import spectrum_to_xyz, xyz_to_lab, xyz_to_xyy
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "pearl"

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from nacre.arrays import Array
-from nacre.design.problem import Evaluator, Measurement, Problem, measure_design
-from nacre.design.search import Search, one_thread_each
-from nacre.design.spec import TargetSpec
+from nacre.core.arrays import Array
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.fresnel import coating_reflectance
-from nacre.families.relief.slice import SliceGeometry, plan_slice
+from nacre.families.relief.plane_cut import SliceGeometry, plan_slice
+from nacre.families.relief.prefactor import coating_reflectance
 from nacre.families.relief.surface import Tile
 from nacre.matter.indices.library import index
+from nacre.optimise.relief.merit import Evaluator, Measurement, Problem, measure_design
+from nacre.optimise.relief.search import Search, one_thread_each
+from nacre.optimise.relief.target import TargetSpec
 from nacre.recipe.model import RecipeContext, validate
 from validation.relief_published_renders import REFERENCE, load
 

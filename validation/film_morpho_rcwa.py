@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from nacre.arrays import Array
 from nacre.bsdf.lobes.ridge import Ridge, ridge_interference
+from nacre.core.arrays import Array
 from nacre.light.difference import delta_e_2000
 from nacre.light.spaces import xyz_to_lab
 from nacre.light.tristimulus import white_xyz, xyz_weights

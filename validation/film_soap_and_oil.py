@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from nacre.light import spectrum_to_xyz
-from nacre.materials.material import load
+from nacre.material.material import load
 from validation._film import canvas, film, hue_name, picture, show, srgb
 from validation._rows import finish, row
 

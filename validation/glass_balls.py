@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import nacre
-from nacre.families.glass.slab import Slab
+from nacre.families.glass.radiative_transfer import Slab
 from validation._film import canvas
 from validation._rows import finish, row
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import nacre
-from nacre.families.glass.hard_spheres import percus_yevick
+from nacre.families.glass.medium import percus_yevick
 from validation._film import canvas
 from validation._rows import finish, row
 

@@ -16,13 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from nacre.arrays import Array
-from nacre.errors import NacreError
-from nacre.families.metasurface.arrangement import Arrangement
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
 from nacre.families.metasurface.material import MetasurfaceWarning
-from nacre.families.metasurface.patterns import measured_structure_factor
+from nacre.families.metasurface.monolayer.arrangement import Arrangement, measured_structure_factor
 from nacre.light import delta_e_2000, spectrum_to_srgb, spectrum_to_xyz, xyz_to_lab
-from nacre.materials.material import material
+from nacre.material.material import material
 from validation._film import canvas
 from validation._rows import finish, row
 

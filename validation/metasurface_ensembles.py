@@ -20,21 +20,19 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.special import j0
 from scipy.stats import norm
 
-from nacre.arrays import Array, ComplexArray
-from nacre.families.metasurface.arrangement import Arrangement
-from nacre.families.metasurface.cells import Cell, cells, dealt, with_kinds
-from nacre.families.metasurface.cluster import Coupling, Period, PlaneWaves
-from nacre.families.metasurface.corrections import diffuse_term
-from nacre.families.metasurface.ensemble import ANGLES, WIDEST, Ensemble, Side, middle_sizes, same_order
-from nacre.families.metasurface.ladder import NAME as LADDER
-from nacre.families.metasurface.monolayer import Monolayer, Particle
-from nacre.families.metasurface.patterns import Pattern
-from nacre.families.metasurface.ratio import Block, Ratio
-from nacre.families.metasurface.ratio_fit import Pairs, Sums, block_sums
-from nacre.families.metasurface.sphere import Directions, hemisphere_rule
-from nacre.families.metasurface.structure import hard_disk_structure
-from nacre.families.metasurface.substrate import Substrate
-from nacre.matter.jobs import in_threads
+from nacre.core.arrays import Array, ComplexArray
+from nacre.core.parallel import in_threads
+from nacre.families.metasurface.ensemble.ensemble import ANGLES, WIDEST, Ensemble, Side, middle_sizes, same_order
+from nacre.families.metasurface.ensemble.multisphere import Coupling, Period, PlaneWaves
+from nacre.families.metasurface.ensemble.supercells import Cell, cells, dealt, with_kinds
+from nacre.families.metasurface.monolayer.arrangement import Arrangement, Pattern
+from nacre.families.metasurface.monolayer.diffuse import diffuse_term
+from nacre.families.metasurface.monolayer.ensemble_ratio import Block, Pairs, Ratio, Sums, block_sums
+from nacre.families.metasurface.monolayer.ladder import NAME as LADDER
+from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
+from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
+from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.mie import mie_coefficients
 from validation._rows import finish, row
 

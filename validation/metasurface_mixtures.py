@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from nacre.families.metasurface.ensemble import middle_sizes, same_order
-from nacre.families.metasurface.ladder import NAME as LADDER
-from nacre.families.metasurface.monolayer import Monolayer, Particle
-from nacre.families.metasurface.structure import hard_disk_structure
-from nacre.families.metasurface.substrate import Substrate
+from nacre.families.metasurface.ensemble.ensemble import middle_sizes, same_order
+from nacre.families.metasurface.monolayer.ladder import NAME as LADDER
+from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
+from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.mie import mie_coefficients
 from validation._film import canvas
 from validation._rows import finish, row

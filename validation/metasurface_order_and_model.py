@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
-from nacre.arrays import Array
-from nacre.families.metasurface.corrections import diffuse_term
-from nacre.families.metasurface.monolayer import Monolayer, Particle
-from nacre.families.metasurface.sphere import SphereOnStack, amplitude, choose_order, hemisphere_rule
-from nacre.families.metasurface.structure import hard_disk_structure
-from nacre.families.metasurface.substrate import Substrate
+from nacre.core.arrays import Array
+from nacre.families.metasurface.monolayer.diffuse import diffuse_term
+from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
+from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack, amplitude, choose_order, hemisphere_rule
+from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.light import spectrum_to_xyz, srgb_encode, xyz_to_srgb_linear
-from nacre.materials.material import material
+from nacre.material.material import material
 from nacre.matter.mie import mie_coefficients
 from validation._rows import finish, row
 

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.families.metasurface.near_stack import cut_of
-from nacre.families.metasurface.solids import SolvedBody
-from nacre.families.metasurface.sphere import SphereOnStack, amplitude, cross_sections
-from nacre.families.metasurface.substrate import Substrate
+from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack, amplitude, cross_sections, cut_of
+from nacre.families.metasurface.tmatrix.particle_shapes import SolvedBody
+from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.indices.spec import IndexSpec
 from validation._film import canvas
 from validation._rows import finish, row

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from nacre.light import spectrum_to_xyz, xyz_to_lab
-from nacre.materials.material import material
+from nacre.material.material import material
 from validation._rows import finish, row
 
 OXIDES_NM = (2.0, 100.0, 200.0, 400.0, 600.0)

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import nacre
-from nacre.arrays import Array
 from nacre.bsdf import Bsdf
-from nacre.bsdf.lobes.harmonic import pack_triangle
-from nacre.bsdf.lobes.monolayer import PolarGrid
+from nacre.bsdf.lobes.monolayer import PolarGrid, pack_triangle
+from nacre.core.arrays import Array
 from nacre.light import delta_e_2000, xyz_to_lab
 from validation._rows import finish, row
 
@@ -167,7 +166,7 @@ def convergence_rows(axis: Any) -> list[Row]:
         "particle": {"material": "Ag", "radius_nm": 90},
         "monolayer": {"coverage": 0.1},
     }
-    # angles and wavelengths of the stored grid: see `nacre.families.metasurface.compile.choose_grids`
+    # angles and wavelengths of the stored grid: see `nacre.families.metasurface.monolayer.evaluation.choose_grids`
     whole: Bsdf = nacre.material(recipe).bsdf(np.arange(380.0, 781.0, 10.0))
 
     def lab(bsdf: Bsdf, seed: int) -> Array:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from nacre.materials.material import material
+from nacre.material.material import material
 from validation._rows import finish, row
 
 

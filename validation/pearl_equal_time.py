@@ -63,8 +63,8 @@ class OneWavelength:
 
 def switched(bsdf: Any, switch: str) -> Any:
     """The material's BSDF with one of the switches set."""
-    from nacre.device.base import opaque
     from nacre.device.bsdf import make_bsdf
+    from nacre.device.plugin import opaque
 
     made = make_bsdf(bsdf, two_sided=True)
     plugin = made.plugins[0]

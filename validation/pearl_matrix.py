@@ -1,8 +1,8 @@
 """Pictures of pearls over their parameters: density against coating, silica and mica; the spread of thickness.
 
-After figures 5 and 11 of Guillen et al. 2020, by the noise-free form (`nacre.families.pearl.fast`, at a fraction of its
-effort), on a knob of our own; nothing is denoised. Figure 5 prints neither density nor spread of the normals; ours
-stand below.
+After figures 5 and 11 of Guillen et al. 2020, by the noise-free form (`nacre.families.pearl.tables`, at a fraction of
+its effort), on a knob of our own; nothing is denoised. Figure 5 prints neither density nor spread of the normals;
+ours stand below.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib import pyplot
 
-from nacre.arrays import Array
+from nacre.core.arrays import Array
 from nacre.families.pearl.platelet import Coating, Platelet, platelet_response
 from nacre.families.pearl.thickness import Thickness
 from nacre.light import spectrum_to_srgb, spectrum_to_xyz, xyz_to_lab

@@ -1,7 +1,7 @@
 """Pictures of pearls: the source's nine bottles and three cars, on shapes and under lights of our own.
 
 After figures 1 and 14 of Guillen et al. 2020: statements are compared, not pictures. The bottles are shown by their
-noise-free form (`nacre.families.pearl.fast`, at a fraction of its effort), the cars by the walk; nothing is denoised.
+noise-free form (`nacre.families.pearl.tables`, at a fraction of its effort), the cars by the walk; nothing is denoised.
 """
 
 from __future__ import annotations

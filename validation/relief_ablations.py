@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from nacre.arrays import Array
+from nacre.core.arrays import Array
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.surface import Tile, slopes
 from validation._relief import PIXELS, Model, exposed, sheet
@@ -30,8 +30,8 @@ import json, re, sys, time
 begun = time.monotonic()
 from benchmarks import bench_relief_design as tool
 import numpy as np
-from nacre.design.problem import measure_design
-from nacre.design.search import Search, one_thread_each
+from nacre.optimise.relief.merit import measure_design
+from nacre.optimise.relief.search import Search, one_thread_each
 with np.load(tool.REFERENCE / "published_designs.npz") as data:
     designs = {name: data[name] for name in data.files}
 problem = tool.checked(designs, int(sys.argv[1]), None)[0].build(tool.checked(designs, 0, None)[1])

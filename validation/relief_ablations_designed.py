@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from nacre.arrays import Array
-from nacre.design.problem import Problem
-from nacre.design.robustness import robustness
-from nacre.families.relief.slice import SliceGeometry, plan_slice
+from nacre.core.arrays import Array
+from nacre.families.relief.plane_cut import SliceGeometry, plan_slice
 from nacre.families.relief.surface import Tile
+from nacre.optimise.relief.merit import Problem
+from nacre.optimise.relief.report import robustness
 from validation._relief import STARTS, display, measured, picture, problem_of, sheet, short_design, spectra_of
 
 CIRCLE = {"kind": "diffuse", "colour": "inv_disk_iri", "iridescent_range": 0.09}

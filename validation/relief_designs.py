@@ -27,7 +27,7 @@ TRAINED = 0.106  # half width of the square inside the disc in which the uniform
 
 def main(out_dir: Path, tool: ModuleType = bench_relief_design) -> list[dict[str, Any]]:
     """Design all targets; return rows and write target | published | ours at the fixed and at the best scale."""
-    from nacre.design.run import design
+    from nacre.optimise.relief.run import design
 
     out_dir = Path(out_dir)
     out_dir.mkdir(parents=True, exist_ok=True)

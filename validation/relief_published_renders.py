@@ -13,10 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from nacre.arrays import Array
+from nacre.core.arrays import Array
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.kappa_nodes import chebyshev_nodes, interpolation_weights
-from nacre.families.relief.slice import SliceGeometry, plan_slice, smoothing_matrix
+from nacre.families.relief.plane_cut import (
+    SliceGeometry,
+    chebyshev_nodes,
+    interpolation_weights,
+    plan_slice,
+    smoothing_matrix,
+)
 from nacre.families.relief.surface import Tile
 
 REFERENCE = Path(__file__).resolve().parents[2] / "shared" / "reference" / "relief"

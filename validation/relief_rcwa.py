@@ -18,9 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from nacre.families.relief.fresnel import fresnel_reflectance
-from nacre.families.relief.geometry import brdf_factor, difference_cosine
-from nacre.families.relief.trust import COEFFICIENTS, OUTSIDE_DE00, SINUSOID, expected_de00, mean_feature_nm
+from nacre.families.relief.prefactor import brdf_factor, difference_cosine, fresnel_reflectance
+from nacre.families.relief.validity import COEFFICIENTS, OUTSIDE_DE00, SINUSOID, expected_de00, mean_feature_nm
 from nacre.light.difference import delta_e_2000
 from nacre.light.spaces import xyz_to_lab
 from nacre.light.tristimulus import white_xyz, xyz_weights
@@ -123,7 +122,7 @@ def colour_errors(group: dict[str, Any], cases: list[dict[str, Any]]) -> tuple[f
 
 
 def scales(group: dict[str, Any]) -> tuple[float, float]:
-    """Mean slope, and feature over wavelength, of a grating, as `nacre.families.relief.trust` has them."""
+    """Mean slope, and feature over wavelength, of a grating, as `nacre.families.relief.validity` has them."""
     feature = 0.5 * group["period_um"]
     return group["depth_um"] / feature, feature / MIDDLE_UM
 

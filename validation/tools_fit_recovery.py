@@ -15,12 +15,12 @@ import numpy as np
 from matplotlib import pyplot
 
 import nacre
-from nacre.arrays import Array
-from nacre.bsdf.directions import direction
-from nacre.exchange.gonio_csv import GonioData
+from nacre.analysis.fit import Fit, Measured, read_free, run_fit
+from nacre.bsdf.grids import direction
+from nacre.core.arrays import Array
+from nacre.formats.gonio_csv import GonioData
 from nacre.measure import instruments as geometry
 from nacre.measure.evaluate import evaluate_with_error
-from nacre.study.fit import Fit, Measured, read_free, run_fit
 
 NOISE = 0.01
 DRAWS, NEEDED = 20, 17

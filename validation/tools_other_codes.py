@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import tmm
 
-from nacre.families.glass.effective import bruggeman
+from nacre.families.glass.composite import bruggeman
 from nacre.families.glass.medium import Spheres, solve_medium
-from nacre.families.glass.slab import Slab
-from nacre.families.metasurface.sphere import SphereOnStack, amplitude
-from nacre.families.metasurface.structure import baus_colot
-from nacre.families.metasurface.substrate import Substrate
+from nacre.families.glass.radiative_transfer import Slab
+from nacre.families.metasurface.monolayer.structure import baus_colot
+from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack, amplitude
+from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter import solve
 from nacre.matter.mie import default_order, mie_coefficients, mie_efficiencies
 from validation._film import canvas

@@ -14,7 +14,7 @@ from .api import spectrum as spectrum
 from .api import sweep as sweep
 from .api import tolerance as tolerance
 from .bsdf import Bsdf as Bsdf
-from .errors import NacreError as NacreError
-from .materials.material import Material as Material
-from .materials.material import load as load
-from .materials.material import material as material
+from .core.errors import NacreError as NacreError
+from .material.material import Material as Material
+from .material.material import load as load
+from .material.material import material as material

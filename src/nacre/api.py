@@ -13,27 +13,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import Array, floats
+from nacre.analysis.fit import Fit, read_free, read_measurement, run_fit
+from nacre.analysis.import_export import export_material, import_material
+from nacre.analysis.report import Report, make_report
+from nacre.analysis.sweep import run_sweep
+from nacre.analysis.sweep_plan import load_sweep
+from nacre.analysis.tolerance import Tolerance, read_spreads, run_tolerance
 from nacre.bsdf import Bsdf
-from nacre.bsdf.spectrum import Spectrum
-from nacre.design.wants.gamut import Gamut, find_gamut, parse_free
-from nacre.errors import NacreError, UnsupportedError, did_you_mean
-from nacre.exchange.drawings import SUFFIXES, HeightOptions, write_drawing
-from nacre.exchange.number_maps import FORMATS as MAP_FORMATS
-from nacre.exchange.number_maps import SUFFIXES as MAP_SUFFIXES
-from nacre.exchange.number_maps import NumberMap, write_number_maps
+from nacre.bsdf.bsdf import Spectrum
+from nacre.core.arrays import Array, floats
+from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
+from nacre.core.files import DESIGN_RECIPE, check_writable, short_name
 from nacre.families.contract import Model
-from nacre.files import DESIGN_RECIPE, check_writable, short_name
-from nacre.materials.material import Material, MaterialLike, as_material, load, loaded
-from nacre.materials.number_maps import number_maps
+from nacre.formats.fabrication import SUFFIXES, HeightOptions, write_drawing
+from nacre.formats.number_maps import FORMATS as MAP_FORMATS
+from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
+from nacre.formats.number_maps import NumberMap, write_number_maps
+from nacre.material.material import Material, MaterialLike, as_material, load, loaded
+from nacre.material.number_maps import number_maps
 from nacre.matter.drawings import DrawingRequest
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
-from nacre.study.fit import Fit, read_free, read_measurement, run_fit
-from nacre.study.foreign import export_material, import_material
-from nacre.study.plan import load_sweep
-from nacre.study.report import Report, make_report
-from nacre.study.sweep import run_sweep
-from nacre.study.tolerance import Tolerance, read_spreads, run_tolerance
+from nacre.optimise.gamut import Gamut, find_gamut, parse_free
 
 __all__ = ["evaluate", "export", "fabricate", "fit", "gamut", "import_", "report", "spectrum", "sweep", "tolerance"]
 
@@ -122,7 +122,7 @@ def tolerance(
         thing: a material or a path.
         spreads: such as "layers[0].thickness_nm=2%", beside those of the recipe's `[tolerance]`.
         draws: number of materials drawn; limit: CIEDE2000 difference (dE00) within which one passes.
-        options: the others of `nacre.study.tolerance.run_tolerance`.
+        options: the others of `nacre.analysis.tolerance.run_tolerance`.
 
     Raises:
         NacreError: no spread, or one that names no number of the recipe.
@@ -141,7 +141,7 @@ def fit(
         measurement: CSV of a spectrum or of goniometer values.
         thing: a material or a path.
         free: such as "layers[0].thickness_nm=50:400", beside those of the recipe's `[fit]`.
-        starts: starting points that are refined; options: the others of `nacre.study.fit.run_fit`.
+        starts: starting points that are refined; options: the others of `nacre.analysis.fit.run_fit`.
         report: an HTML file to be written: what was measured beside what the fitted material gives.
 
     Raises:
@@ -155,7 +155,7 @@ def fit(
     numbers = read_free(material, tuple(free))
     found = run_fit(material, measured, numbers, starts=starts, **options)
     if report is not None:
-        from nacre.study.fit_page import write_fit_page
+        from nacre.analysis.fit_report import write_fit_page
 
         write_fit_page(report, found, measured, numbers)
     return found
@@ -215,7 +215,7 @@ def sweep(
     Args:
         path: the sweep's TOML file.
         output: the Zarr folder; default: the file's name with .zarr, in the current folder.
-        workers, scheduler, security, progress, break_lock: as `nacre.study.sweep.run_sweep`.
+        workers, scheduler, security, progress, break_lock: as `nacre.analysis.sweep.run_sweep`.
 
     Raises:
         NacreError: the file is wrong, or the folder holds another sweep.
@@ -235,7 +235,7 @@ def export(thing: MaterialLike, to: str, output: str | Path, **options: Any) -> 
         thing: a material or a path.
         to: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr", "nacre" or "lut".
         output: the file; of "lut" the folder, which is new, empty or holds such tables.
-        options: those of `nacre.study.foreign.export_material`.
+        options: those of `nacre.analysis.import_export.export_material`.
 
     Raises:
         UnsupportedError: the format can hold nothing of the material.

@@ -9,7 +9,7 @@ import pytest
 
 import nacre
 from nacre.cli import run
-from nacre.errors import RecipeError
+from nacre.core.errors import RecipeError
 
 GOLD = 'family = "film"\nsubstrate = "Au"\n[surface]\nroughness = 0.3\n'
 OXIDE = GOLD.replace('"Au"', '"Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]')

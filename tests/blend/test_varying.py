@@ -11,10 +11,10 @@ import pytest
 
 import nacre
 from nacre.bsdf.lobes.masked import hat
-from nacre.errors import NacreError, RecipeError, UnsupportedError
+from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
-from nacre.materials.material import material
-from nacre.materials.varying import COLOUR_ERROR, MAX_NODES, Varying, choose_nodes, judged_colours
+from nacre.material.material import material
+from nacre.material.spatial_variation import COLOUR_ERROR, MAX_NODES, Varying, choose_nodes, judged_colours
 from nacre.recipe.paths import varying_numbers
 from nacre.recipe.toml import dump_toml
 
@@ -231,7 +231,7 @@ def test_the_numbers_message_names_them_all() -> None:
 def test_the_plugin_gives_the_arrays_values(recipe: dict[str, Any], path: str, ends: tuple[float, float]) -> None:
     import nacre.render
     from nacre.bsdf import Bsdf
-    from nacre.bsdf.series_words import ROUNDING
+    from nacre.bsdf.packed_series import ROUNDING
 
     nacre.render.use_variant()
     from lobe_trials import array_mismatch

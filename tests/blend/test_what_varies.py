@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import nacre
-from nacre.errors import RecipeError
+from nacre.core.errors import RecipeError
 
 TEXTURE = {"formula": "50 + 10*u"}
 METASURFACE: dict[str, Any] = {"family": "metasurface", "substrate": "glass"}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from nacre.arrays import Array
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.response import InterfaceResponse
+from nacre.core.arrays import Array
 
 WAVELENGTHS = np.array([450.0, 550.0, 650.0])
 

@@ -19,7 +19,7 @@ from nacre.bsdf.lobes.diffuse import Diffuse, bare_base
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.texture import Texture, parse_formula
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.families.film import Ridges
 
 

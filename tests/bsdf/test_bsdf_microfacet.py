@@ -10,14 +10,14 @@ from helpers_bsdf import dielectric, metal, mirror, random_directions, reciproci
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.compensation import compensate, facet_transmittance
-from nacre.bsdf.directions import direction, hemisphere_nodes, product_rule
 from nacre.bsdf.facet_distributions import DISTRIBUTIONS, normal_density, smith_masking, visible_normals
+from nacre.bsdf.grids import direction, hemisphere_nodes, product_rule
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.tabulate import StackTables
 from nacre.bsdf.texture import Texture, parse_formula
-from nacre.errors import UnsupportedError
+from nacre.core.errors import UnsupportedError
 from nacre.measure.spectrum import directional_hemispherical
 
 RECIPROCITY = 1e-10

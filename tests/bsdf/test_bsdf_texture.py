@@ -10,7 +10,7 @@ import pytest
 
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.bsdf.texture_spec import read_grey
-from nacre.errors import RecipeError
+from nacre.core.errors import RecipeError
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from PIL import Image
 import nacre
 from nacre.bsdf import Bsdf
 from nacre.bsdf.texture import Texture
-from nacre.errors import RecipeError
+from nacre.core.errors import RecipeError
 
 IMAGE = np.random.default_rng(2).uniform(size=(5, 7))
 STEPPED = Texture(10.0, 50.0, image=IMAGE, is_stepped=True)
@@ -28,7 +28,7 @@ def test_a_stepped_texture_is_the_pixel_to_its_edge_with_the_first_row_on_top() 
 
 @pytest.mark.render
 def test_the_device_steps_where_numpy_does(mi) -> None:  # type: ignore[no-untyped-def]  # mitsuba has no types
-    from nacre.device.textures import DeviceTexture
+    from nacre.device.texture import DeviceTexture
 
     uv = np.random.default_rng(4).uniform(-1.0, 2.0, (4000, 2))
     # single precision may put what lies on an edge to its other side

@@ -130,7 +130,7 @@ def test_every_figure_of_a_film_is_drawn(recipe: Path, tmp_path: Path, kind: str
 
 @pytest.mark.render
 def test_a_picture_carries_its_provenance(recipe: Path, tmp_path: Path) -> None:
-    from nacre.picture.image_files import read_provenance
+    from nacre.picture.images import read_provenance
 
     output = tmp_path / "x.png"
     assert run(["render", str(recipe), "--size", "32x24", "--spp", "4", "--seed", "5", "-o", str(output)]) == 0

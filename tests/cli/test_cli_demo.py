@@ -21,10 +21,10 @@ from nacre.cli.gallery import (
     plan,
     tile,
 )
-from nacre.design.run import load_target
-from nacre.design.wants.target import is_wants, read_target
-from nacre.materials.examples import examples_folder
-from nacre.materials.material import load
+from nacre.material.examples import examples_folder
+from nacre.material.material import load
+from nacre.optimise.relief.run import load_target
+from nacre.optimise.task import is_wants, read_target
 from nacre.picture.scenes.catalogue import SCENE_NAMES
 
 FAMILIES = ("film", "pearl", "metasurface", "relief")

@@ -3,15 +3,15 @@
 import click
 import pytest
 
-from nacre.cli import long_work, run
-from nacre.matter import jobs
+from nacre.cli import progress, run
+from nacre.core import parallel
 
 
 @pytest.fixture
 def asked(monkeypatch):
     questions = []
     monkeypatch.setattr(click, "confirm", lambda text, **_: questions.append(text))
-    monkeypatch.setattr(jobs, "watch", lambda tell: None)
+    monkeypatch.setattr(parallel, "watch", lambda tell: None)
     return questions
 
 
@@ -20,8 +20,8 @@ def asked(monkeypatch):
     [(True, 200.0, False, 1), (True, 200.0, True, 0), (True, 5.0, False, 0), (False, 200.0, False, 0)],
 )
 def test_a_person_is_asked_before_minutes(monkeypatch, capsys, asked, terminal, seconds, yes, questions):
-    monkeypatch.setattr(long_work, "_is_terminal", lambda: terminal)
-    long_work.listener(yes)("a.toml: 24 patterns: about 3 minutes", seconds)
+    monkeypatch.setattr(progress, "_is_terminal", lambda: terminal)
+    progress.listener(yes)("a.toml: 24 patterns: about 3 minutes", seconds)
     assert len(asked) == questions
     assert "about 3 minutes" in capsys.readouterr().err
 
@@ -53,16 +53,16 @@ def test_where_no_terminal_is_minutes_of_work_tell_how_far_they_are_in_lines_of_
 ):
     """On a machine that gives it a fifth of its cores, also how long the rest takes of free ones."""
     clock = iter(range(0, 1000, 10))  # each look at the clock finds it ten seconds on
-    monkeypatch.setattr(long_work, "_is_terminal", lambda: False)
-    monkeypatch.setattr(long_work, "PACE_S", pace)
+    monkeypatch.setattr(progress, "_is_terminal", lambda: False)
+    monkeypatch.setattr(progress, "PACE_S", pace)
     looks = [0.0]
-    monkeypatch.setattr(long_work.time, "monotonic", lambda: looks.append(float(next(clock))) or looks[-1])
-    monkeypatch.setattr(long_work.time, "process_time", lambda: 2 * share * looks[-1])
-    monkeypatch.setattr(jobs, "available_jobs", lambda: 2)
-    watchers = list(jobs._watchers)
-    long_work.listener(False)("a.toml: 10 patterns: about 3 minutes", seconds)
+    monkeypatch.setattr(progress.time, "monotonic", lambda: looks.append(float(next(clock))) or looks[-1])
+    monkeypatch.setattr(progress.time, "process_time", lambda: 2 * share * looks[-1])
+    monkeypatch.setattr(parallel, "available_jobs", lambda: 2)
+    watchers = list(parallel._watchers)
+    progress.listener(False)("a.toml: 10 patterns: about 3 minutes", seconds)
     for done in range(1, 11):
-        for tell in list(jobs._watchers):
+        for tell in list(parallel._watchers):
             tell(done, 10)
     told = [line for line in capsys.readouterr().err.splitlines() if "of 10 patterns" in line]
     assert len(told) == lines
@@ -71,4 +71,4 @@ def test_where_no_terminal_is_minutes_of_work_tell_how_far_they_are_in_lines_of_
     if lines > 1:
         rest = "70 seconds left" if share == 1.0 else "14 seconds left on free cores, 70 seconds as busy as it is"
         assert told[0] == f"3 of 10 patterns, about {rest}"
-    assert jobs._watchers == watchers
+    assert parallel._watchers == watchers

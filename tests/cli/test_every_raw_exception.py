@@ -17,9 +17,9 @@ import pytest
 
 import nacre
 from nacre.cli import run
-from nacre.errors import NacreError
-from nacre.exchange.rgl_tensor import MAGIC, read_tensor
-from nacre.files import check_writable, read_text
+from nacre.core.errors import NacreError
+from nacre.core.files import check_writable, read_text
+from nacre.formats.rgl import MAGIC, read_tensor
 
 RECIPE = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n'
 ROUGH = RECIPE + "[surface]\nroughness = 0.1\n"
@@ -150,7 +150,7 @@ def test_a_recipe_may_come_through_a_pipe(film: Path) -> None:
 
 
 def test_a_pipe_that_nobody_fills_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nacre.files.PIPE_WAIT_S", 0.1)
+    monkeypatch.setattr("nacre.core.files.PIPE_WAIT_S", 0.1)
     os.mkfifo(tmp_path / "pipe.toml")
     with pytest.raises(NacreError, match="into which nothing is written"):
         nacre.load(tmp_path / "pipe.toml")
@@ -280,7 +280,7 @@ def test_a_closed_or_full_stdout_is_told_and_files_are_written_all_the_same(film
 
 
 def test_a_full_disk_is_told_of_an_exr(film: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from nacre.exchange.slice_exr import write_slice
+    from nacre.formats.half_angle_tables import write_slice
 
     class Full:
         def __init__(self, *_: object) -> None: ...

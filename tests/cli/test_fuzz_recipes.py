@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 from helpers_fuzz import HANG_S, mutate
 
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.families.registry import FAMILIES, family_names, family_spec
-from nacre.materials.material import load
+from nacre.material.material import load
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 QUICK, FULL = 500, 10_000
@@ -63,7 +63,7 @@ def throw(count: int, folder: Path, sources: list[Path], read: Any, seed: int) -
 
 
 def read_target(path: Path) -> None:
-    from nacre.design.run import load_target
+    from nacre.optimise.relief.run import load_target
 
     spec, context = load_target(path)
     spec.build(context)

@@ -208,11 +208,11 @@ def _serve() -> None:
     import numba  # noqa: F401  # what every command needs, once
     import scipy.optimize  # noqa: F401
 
+    import nacre.analysis.sweep
     import nacre.api
     import nacre.cli
     import nacre.plot.material
-    import nacre.study.sweep
-    from nacre.materials import cache
+    from nacre.material import cache
 
     cache.WORTH_S = 0.0  # every solve is kept, on a fast machine as on a slow one
     out = os.dup(1)

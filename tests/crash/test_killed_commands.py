@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from helpers_crash import Forker, check_whole, forker, names, visible
 
 import nacre
-from nacre.study.sweep import DONE
+from nacre.analysis.sweep import DONE
 
 pytestmark = pytest.mark.full
 

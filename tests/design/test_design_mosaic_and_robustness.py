@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from read_back import read_grey16
 
-from nacre.design.colour_weights import published_weights
-from nacre.design.mosaic import mosaic, write_mosaic
-from nacre.design.problem import Problem, View
-from nacre.design.robustness import robustness
-from nacre.errors import NacreError, UnsupportedError
-from nacre.exchange.calibration import PUBLISHED_CALIBRATION
+from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.slice import SliceGeometry
+from nacre.families.relief.plane_cut import SliceGeometry
+from nacre.formats.calibration import PUBLISHED_CALIBRATION
+from nacre.optimise.relief.merit import Problem, View, published_weights
+from nacre.optimise.relief.mosaic import mosaic, write_mosaic
+from nacre.optimise.relief.report import robustness
 
 COLOURS = np.array([[3.0, 0.2, 0.1], [0.3, 2.0, 0.2], [0.1, 0.2, 4.0]])
 PALETTE = np.random.default_rng(1).random((3, 6, 6)) * 0.7

@@ -11,12 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nacre.design.colour_weights import default_weights
-from nacre.design.loss import FIXED_SHARE, measure, objective
-from nacre.design.problem import Evaluator, Problem, measure_design
-from nacre.design.run import load_target, run
-from nacre.design.search import Search, robust_objective
-from nacre.errors import NacreError, RecipeError
+from nacre.core.errors import NacreError, RecipeError
+from nacre.optimise.relief.merit import (
+    FIXED_SHARE,
+    Evaluator,
+    Problem,
+    default_weights,
+    measure,
+    measure_design,
+    objective,
+)
+from nacre.optimise.relief.run import load_target, run
+from nacre.optimise.relief.search import Search, robust_objective
 
 GRADIENT = 1e-5  # the issue's bar against finite differences
 TARGET = """
@@ -213,7 +219,7 @@ def test_a_stopped_search_leaves_its_best_and_goes_on(tmp_path: Path) -> None:
 
 
 def test_an_interrupt_from_the_keyboard_is_a_clean_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import nacre.design.search as module
+    import nacre.optimise.relief.search as module
 
     calls = threading.Event()
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from nacre.design import pictures
-from nacre.design.run import load_target
-from nacre.errors import RecipeError
+from nacre.core.errors import RecipeError
+from nacre.optimise.relief import pictures
+from nacre.optimise.relief.run import load_target
 
 BASE = """
 family = "relief"

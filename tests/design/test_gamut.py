@@ -11,9 +11,9 @@ import pytest
 
 import nacre
 from nacre.cli import run
-from nacre.design.wants.gamut import _answered, optimal_colours, parse_free, share_within, srgb_colours
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.light import lab_to_xyz, spectrum_to_xyz, table_wavelengths_nm, white_xyz, xyz_to_lab
+from nacre.optimise.gamut import _answered, optimal_colours, parse_free, share_within, srgb_colours
 
 OXIDE = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]}
 FREE = ["layers[0].thickness_nm=0:400"]

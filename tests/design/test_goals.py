@@ -6,9 +6,9 @@ import colour
 import numpy as np
 import pytest
 
-from nacre.design.goals import Goal, Goals, default_wavelengths_nm, difference_components, smooth_weights
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, lch_to_lab, xyz_weights
+from nacre.optimise.merit import Goal, Goals, default_wavelengths_nm, difference_components, smooth_weights
 
 ROUNDING = 1e-9
 # colour-science cuts off at 380 and 780 nm, where nacre's tables go on to 360 and 830 nm

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 import tmm
 
-from nacre.design.goals import Goal, Goals, default_wavelengths_nm
-from nacre.design.stack_descent import descend, workspace
-from nacre.design.stack_looks import compile_goals, look, share_outside
-from nacre.design.stack_problem import Medium, Slot, StackProblem
-from nacre.design.stack_search import StackSolution, _Candidate, _Engine, is_alike, many, search
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000
 from nacre.matter.indices.library import index
-from nacre.matter.stack.slopes import scratch, spectra_and_slopes, stack_tables
 from nacre.matter.stack.solve import powers
+from nacre.matter.stack.thickness_gradient import scratch, spectra_and_slopes, stack_tables
+from nacre.optimise.merit import Goal, Goals, default_wavelengths_nm
+from nacre.optimise.thin_film.levenberg_marquardt import descend, workspace
+from nacre.optimise.thin_film.merit_kernel import compile_goals, look, share_outside
+from nacre.optimise.thin_film.problem import Medium, Slot, StackProblem
+from nacre.optimise.thin_film.search import StackSolution, _Candidate, _Engine, is_alike, many, search
 
 ROUNDING = 1e-11
 GRID = default_wavelengths_nm()
@@ -216,7 +216,7 @@ def test_fewer_layers_are_preferred_where_that_is_wished() -> None:
 
 def test_short_stacks_leave_time_for_longer_ones_where_few_layers_are_preferred(monkeypatch) -> None:
     """On a loaded machine the stacks of one layer had the whole time, and what two can do was called out of reach."""
-    monkeypatch.setattr("nacre.design.stack_search.STILL_LITTERS", 10**9)  # a search that never stands still
+    monkeypatch.setattr("nacre.optimise.thin_film.search.STILL_LITTERS", 10**9)  # a search that never stands still
     goals = Goals(wanted_of(["Cr", "SiO2"], [8.0, 180.0], "Al", [0.0]))
     problem = StackProblem(goals, PALETTE, (medium("Al"),), most=2, bounds_nm=BOUNDS, fewest=True)
     best = search(problem, seconds=2.0, solutions=1, seed=1, jobs=1)[0]

@@ -12,8 +12,8 @@ import pytest
 
 import nacre
 from nacre.cli import run as command
-from nacre.design.wants import run as runs
-from nacre.errors import NacreError, RecipeError
+from nacre.core.errors import NacreError, RecipeError
+from nacre.optimise import run as runs
 from nacre.recipe.toml import dump_toml
 
 TARGET: dict[str, Any] = {

@@ -11,14 +11,14 @@ import pytest
 
 import nacre
 from nacre.cli import run
-from nacre.design.goals import hue_excess
-from nacre.design.wants.geometry import At, see
-from nacre.design.wants.judge import nearest_in_ranges
-from nacre.design.wants.spec import LightSpec, WantSpec
-from nacre.design.wants.target import read_target
-from nacre.design.wants.wanted import read_wants, srgb_to_lab
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, lab_to_lch, lch_to_lab, white_xyz, xyz_to_lab
+from nacre.optimise.evaluation import nearest_in_ranges
+from nacre.optimise.measurement import At, see
+from nacre.optimise.merit import hue_excess
+from nacre.optimise.spec import LightSpec, WantSpec
+from nacre.optimise.targets import read_wants, srgb_to_lab
+from nacre.optimise.task import read_target
 from nacre.recipe.model import RecipeContext
 
 FILM: dict[str, Any] = {
@@ -63,7 +63,7 @@ def test_forms_of_one_colour_are_one_want() -> None:
 
 
 def test_xyz_are_wanted_under_the_first_lamp_only_and_lab_under_every_one() -> None:
-    from nacre.design.wants.judge import judge
+    from nacre.optimise.evaluation import judge
 
     light = {"illuminants": ["D65", "A"]}
     for form, count in (({"xyz": [0.2, 0.2, 0.2]}, 1), ({"lab": [50, 0, 0]}, 2), ({"chroma": "<=5"}, 2)):

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nacre.design.wants.general import GeneralSearch
-from nacre.design.wants.limits import total_nm
-from nacre.design.wants.run import search_of
-from nacre.design.wants.slow import SlowSearch
-from nacre.design.wants.target import read_target
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
+from nacre.optimise.methods.least_squares import GeneralSearch
+from nacre.optimise.methods.successive_halving import SlowSearch
+from nacre.optimise.run import search_of
+from nacre.optimise.task import read_target, total_nm
 
 LAYERS = [{"material": "SiO2", "thickness_um": 0.2}, {"material": "TiO2", "thickness_nm": 40}]
 ROUGH = {"family": "film", "substrate": "Si", "layers": LAYERS, "surface": {"roughness": 0.1}}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 
 TARGET: dict[str, Any] = {
     "recipe": {"family": "film", "substrate": "BK7", "layers": []},

@@ -12,10 +12,10 @@ import pytest
 
 import nacre
 from nacre.cli import run
-from nacre.design.wants.labs_file import lab_rows
-from nacre.design.wants.many_folder import folder_names
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000
+from nacre.optimise.batch import folder_names
+from nacre.optimise.colour_list import lab_rows
 from nacre.recipe.toml import dump_toml
 
 TARGET: dict[str, Any] = {

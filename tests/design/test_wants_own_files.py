@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.design.wants.target import read_target
-from nacre.errors import RecipeError
+from nacre.core.errors import RecipeError
+from nacre.optimise.task import read_target
 
 CONSTANT = "".join(f"{nm},2.0,0.001\n" for nm in range(300, 901, 50))
 

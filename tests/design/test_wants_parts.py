@@ -8,10 +8,10 @@ from PIL import Image
 
 import nacre
 from nacre.cli import run
-from nacre.design.wants.answers import write_recipe
-from nacre.design.wants.run import as_judged
-from nacre.design.wants.target import read_target
-from nacre.errors import NacreError, RecipeError
+from nacre.core.errors import NacreError, RecipeError
+from nacre.optimise.run import as_judged
+from nacre.optimise.solutions import write_recipe
+from nacre.optimise.task import read_target
 
 GOLD = 'family = "film"\nsubstrate = "BK7"\nlayers = [{material = "Au", thickness_nm = 400}]\n'
 OXIDE = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = {file = "own.csv"}, thickness_nm = 100}]\n'

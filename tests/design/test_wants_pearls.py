@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.bsdf.directions import direction
+from nacre.bsdf.grids import direction
 from nacre.cli import run
-from nacre.design.goals import smooth_weights
-from nacre.design.wants.dropping import changes_of, droppable, is_chosen, values_of
-from nacre.design.wants.judge import judge
-from nacre.design.wants.making import sensitivity
-from nacre.design.wants.run import search_of
-from nacre.design.wants.target import read_target
-from nacre.design.wants.walked import WalkedSearch
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
 from nacre.measure.instruments import aspecular_direction
+from nacre.optimise.evaluation import judge
+from nacre.optimise.merit import smooth_weights
+from nacre.optimise.methods.surrogate import WalkedSearch
+from nacre.optimise.run import search_of
+from nacre.optimise.sparsify import changes_of, droppable, is_chosen, values_of
+from nacre.optimise.task import read_target
+from nacre.optimise.yield_analysis import sensitivity
 from nacre.recipe.paths import numbers_of
 from nacre.recipe.toml import dump_toml
 

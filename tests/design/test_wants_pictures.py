@@ -11,14 +11,13 @@ import pytest
 from PIL import Image
 
 import nacre
-from nacre.arrays import Array
-from nacre.design.wants.image_dither import dither, into_solid
-from nacre.design.wants.image_file import read_picture
-from nacre.design.wants.image_match import HUE_WORTH, has_same_hue, match
-from nacre.design.wants.target import read_target
-from nacre.errors import NacreError, RecipeError
-from nacre.exchange.number_maps import read_process
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError, RecipeError
+from nacre.formats.number_maps import read_process
 from nacre.light import delta_e_2000, lab_to_lch, lab_to_xyz, white_xyz, xyz_to_lab
+from nacre.optimise.image.files import read_picture
+from nacre.optimise.image.matching import HUE_WORTH, dither, has_same_hue, into_solid, match
+from nacre.optimise.task import read_target
 
 WHITE = white_xyz("D65", "10deg")
 HALF_A_STEP = 0.5 / 65535  # of a 16-bit map's range

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.cli.make import _tell_relief
-from nacre.design.run import load_target
-from nacre.design.search import Search
-from nacre.design.wants.reliefs import read_relief
-from nacre.design.wants.target import seeks_heights
-from nacre.errors import RecipeError
+from nacre.cli.design import _tell_relief
+from nacre.core.errors import RecipeError
 from nacre.families.relief.material import Relief
+from nacre.optimise.relief.adapter import read_relief
+from nacre.optimise.relief.run import load_target
+from nacre.optimise.relief.search import Search
+from nacre.optimise.task import seeks_heights
 from nacre.recipe.model import RecipeContext
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "targets"

@@ -14,15 +14,15 @@ import pytest
 
 import nacre
 from nacre.cli import run
-from nacre.design.wants.alike import are_alike
-from nacre.design.wants.films import StackSearch, stack_factors
-from nacre.design.wants.free import Free
-from nacre.design.wants.general import GeneralSearch
-from nacre.design.wants.judge import judge, rows_of
-from nacre.design.wants.run import WantsProgress, search_of
-from nacre.design.wants.target import read_target
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
+from nacre.optimise.evaluation import judge, rows_of
+from nacre.optimise.free import Free
+from nacre.optimise.methods.least_squares import GeneralSearch
+from nacre.optimise.run import WantsProgress, search_of
+from nacre.optimise.solutions import are_alike
+from nacre.optimise.task import read_target
+from nacre.optimise.thin_film.adapter import StackSearch, stack_factors
 
 ROOT = Path(__file__).resolve().parents[2]
 JUDGES_AGREE = 0.02  # dE00 of two quadratures of the same spectrum
@@ -157,7 +157,7 @@ def test_an_interrupt_ends_with_the_best_and_a_resumed_run_goes_on_from_it(
     design = nacre.design(path, out, progress=interrupt)
     assert design.status == "interrupted" and nacre.load(out).name == "out"
     first = json.loads((out / "design.json").read_text())["solutions"][0]["worst"]
-    monkeypatch.setattr("nacre.cli.make._Screen.show", lambda self, progress: interrupt(progress))
+    monkeypatch.setattr("nacre.cli.design._Screen.show", lambda self, progress: interrupt(progress))
     seen.clear()
     assert run(["design", str(path), "-o", str(out), "--resume"]) == 130
     document = json.loads((out / "design.json").read_text())

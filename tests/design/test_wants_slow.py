@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.design.wants import slow
-from nacre.design.wants.broyden import Descent, step_of
-from nacre.design.wants.geometry import At, see
-from nacre.design.wants.judge import judge
-from nacre.design.wants.run import search_of
-from nacre.design.wants.slow import SlowSearch
-from nacre.design.wants.target import read_target
 from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
+from nacre.optimise.evaluation import judge
+from nacre.optimise.measurement import At, see
+from nacre.optimise.methods import successive_halving
+from nacre.optimise.methods.broyden import Descent, step_of
+from nacre.optimise.methods.successive_halving import SlowSearch
+from nacre.optimise.run import search_of
+from nacre.optimise.task import read_target
 
 START = {
     "family": "metasurface",
@@ -59,8 +59,8 @@ def test_a_search_leaves_the_time_to_judge_what_takes_long(of_one_s, monkeypatch
     search = search_of(target, 0)
     assert isinstance(search, SlowSearch) and search.kept_s == pytest.approx(18.0)
     search.kept_s = 3.0
-    monkeypatch.setattr(slow, "see", seen)
-    monkeypatch.setattr(slow, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    monkeypatch.setattr(successive_halving, "see", seen)
+    monkeypatch.setattr(successive_halving, "time", SimpleNamespace(monotonic=lambda: clock[0]))
     assert search.run(60.0, None, []) == "time"
     judging = of_one_s * len(search.fine.grid)
     assert np.isfinite(search.best) and search.evaluations >= 5

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from nacre.design.wants.fewer import FEW_NM, fewer_wavelengths
-from nacre.design.wants.judge import rows_of
-from nacre.design.wants.target import read_target
-from nacre.design.wants.valleys import Valleys
-from nacre.design.wants.wanted import goals_of
+from nacre.optimise.evaluation import rows_of
+from nacre.optimise.methods.local_minima import Valleys
+from nacre.optimise.methods.surrogate import FEW_NM, fewer_wavelengths
+from nacre.optimise.targets import goals_of
+from nacre.optimise.task import read_target
 
 WAVES, HIDDEN = 3.0, np.array([0.8, 0.3])  # orders over the bounds of a length; an order and an amount
 

@@ -60,7 +60,7 @@ def test_a_render_shows_its_progress_in_a_notebook_and_cleans_up(tmp_path: Path)
     notebook = nbformat.v4.new_notebook()
     notebook.cells = [
         nbformat.v4.new_code_cell(
-            "from nacre.picture.progress import progress_bar\n"
+            "from nacre.core.progress import progress_bar\n"
             "bar = progress_bar('render', None)\nshow = bar.__enter__()\nshow(1, 2, 3.0)"
         )
     ]

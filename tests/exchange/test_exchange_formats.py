@@ -12,18 +12,15 @@ from read_back import read_slice
 import nacre
 from nacre.bsdf.lobes.table import from_half_difference, half_difference
 from nacre.cli import run
-from nacre.errors import NacreError, UnsupportedError
-from nacre.exchange.gltf import read_gltf, write_gltf
-from nacre.exchange.gonio_csv import read_gonio_csv, write_gonio_csv
-from nacre.exchange.lobes import gonio_grid, gonio_table, merl_lobe, rgb_basis
-from nacre.exchange.materialx import read_materialx, write_materialx
-from nacre.exchange.merl import SHAPE, read_merl, write_merl
-from nacre.exchange.rgl_reader import RglBsdf
-from nacre.exchange.rgl_tensor import read_tensor, rgl_fields, write_tensor
-from nacre.exchange.slice_exr import slice_values, write_slice
-from nacre.exchange.thin_film import ThinFilm
-from nacre.exchange.warp import Warp
-from nacre.exchange.zemax import read_zemax, scatter_direction, write_zemax, zemax_table
+from nacre.core.errors import NacreError, UnsupportedError
+from nacre.formats.gltf import read_gltf, write_gltf
+from nacre.formats.gonio_csv import read_gonio_csv, write_gonio_csv
+from nacre.formats.half_angle_tables import SHAPE, read_merl, slice_values, write_merl, write_slice
+from nacre.formats.lobes import gonio_grid, gonio_table, merl_lobe, rgb_basis
+from nacre.formats.materialx import read_materialx, write_materialx
+from nacre.formats.rgl import RglBsdf, Warp, read_tensor, rgl_fields, write_tensor
+from nacre.formats.thin_film import ThinFilm
+from nacre.formats.zemax import read_zemax, scatter_direction, write_zemax, zemax_table
 from nacre.recipe.toml import dump_toml
 
 ROUGH_FILM = {
@@ -248,7 +245,7 @@ def test_a_spectral_slice_round_trips_to_single_precision(tmp_path: Path, film: 
 
 
 def test_one_film_on_a_dielectric_is_found_again() -> None:
-    from nacre.study.thin_film import fit_thin_film
+    from nacre.analysis.thin_film import fit_thin_film
 
     data = {"family": "film", "substrate": {"n": 1.5}, "layers": [{"material": {"n": 2.0}, "thickness_nm": 350}]}
     fit = fit_thin_film(nacre.material(data))
@@ -283,7 +280,7 @@ def test_a_stored_material_is_taken_as_measured_and_scaled_only_where_it_is_a_ta
 
 
 def test_scattered_directions_become_a_table_too(film: nacre.Bsdf) -> None:
-    from nacre.exchange.gonio_csv import GonioData
+    from nacre.formats.gonio_csv import GonioData
 
     generator = np.random.default_rng(3)
     angles = np.stack([generator.uniform(0, 80, 400), np.zeros(400), generator.uniform(0, 80, 400),

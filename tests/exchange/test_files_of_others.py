@@ -12,7 +12,7 @@ import pytest
 
 import nacre
 from nacre.cli import run
-from nacre.exchange.zemax import read_zemax, scatter_direction
+from nacre.formats.zemax import read_zemax, scatter_direction
 
 DATA = Path(__file__).parent / "data"
 BLACK = DATA / "anodised_black_632nm.bsdf"
@@ -31,7 +31,7 @@ def brought(tmp_path: Path):
 
 
 def test_a_measured_table_holds_the_totals_that_its_own_program_stated() -> None:
-    from nacre.exchange.zemax import _total
+    from nacre.formats.zemax import _total
 
     table = read_zemax(BLACK)
     assert (table.spectral_content, table.scatter_type, table.values.shape) == ("Monochrome", "BRDF", (1, 4, 19, 21))

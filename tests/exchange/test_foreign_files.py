@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import nacre
+from nacre.analysis.fit import read_measurement
+from nacre.analysis.import_export import import_material
 from nacre.cli import run
-from nacre.errors import NacreError
-from nacre.exchange.gltf import read_gltf
-from nacre.exchange.materialx import read_materialx
-from nacre.exchange.rgl_tensor import read_tensor, rgl_fields
-from nacre.study.fit import read_measurement
-from nacre.study.foreign import import_material
+from nacre.core.errors import NacreError
+from nacre.formats.gltf import read_gltf
+from nacre.formats.materialx import read_materialx
+from nacre.formats.rgl import read_tensor, rgl_fields
 
 ROUGH = {"family": "film", "substrate": "Ti", "surface": {"roughness": 0.3}}
 

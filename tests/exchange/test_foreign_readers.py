@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import nacre
+from nacre.analysis.thin_film import fit_thin_film
 from nacre.cli import run
-from nacre.exchange.gltf import read_gltf
-from nacre.exchange.materialx import read_materialx
-from nacre.exchange.slice_exr import slice_values, write_slice
+from nacre.formats.gltf import read_gltf
+from nacre.formats.half_angle_tables import slice_values, write_slice
+from nacre.formats.materialx import read_materialx
 from nacre.recipe.toml import dump_toml
-from nacre.study.thin_film import fit_thin_film
 
 FILM = {
     "family": "film",

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import nacre
 from nacre.cli import run
-from nacre.errors import NacreError, UnsupportedError
+from nacre.core.errors import NacreError, UnsupportedError
 from nacre.light import srgb_decode
 from nacre.recipe.toml import dump_toml
 

@@ -15,12 +15,12 @@ from read_back import heights_from_grey, read_grey16, read_levels, read_stl_heig
 
 from nacre.api import fabricate as fabricate_all
 from nacre.cli import run
-from nacre.errors import NacreError, UnsupportedError
-from nacre.exchange.calibration import PUBLISHED_CALIBRATION, read_calibration
-from nacre.exchange.height_image import write_png16, write_tiff16
+from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.material import Relief
 from nacre.families.relief.surface import Tile
+from nacre.formats.calibration import PUBLISHED_CALIBRATION, read_calibration
+from nacre.formats.height_fields import write_png16, write_tiff16
 from nacre.matter.indices.library import index
 
 
@@ -104,7 +104,7 @@ def test_a_50_mm_wafer_at_1600_nm_streams(tmp_path: Path) -> None:
     code = (
         "import re, sys; sys.path.insert(0, sys.argv[2])\n"
         "import numpy as np\n"
-        "from nacre.exchange.height_image import write_tiff16, write_png16\n"
+        "from nacre.formats.height_fields import write_tiff16, write_png16\n"
         "tile = np.random.default_rng(0).integers(201, 989, (32, 32)).astype(np.uint16)\n"
         "write_png16(sys.argv[1] + '/wafer.png', tile, {}, 1.6, 31250, 31250)\n"
         "write_tiff16(sys.argv[1] + '/wafer.tif', tile, {}, 1.6, 31250, 31250)\n"
@@ -202,7 +202,7 @@ def test_a_calibration_is_read_as_its_heading_says(tmp_path: Path, text: str) ->
     ],
 )
 def test_a_process_curve_is_read_as_its_heading_says(tmp_path: Path, text: str, words: tuple[str, str]) -> None:
-    from nacre.exchange.number_maps import read_process
+    from nacre.formats.number_maps import read_process
 
     (tmp_path / "volts.csv").write_text(text)
     curve = read_process(tmp_path / "volts.csv")
@@ -261,7 +261,7 @@ def test_a_missing_folder_is_named(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import nacre.exchange.height_image as module
+    import nacre.formats.height_fields as module
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")

@@ -9,9 +9,9 @@ from read_back import read_layout, read_points_csv
 
 from nacre.api import fabricate
 from nacre.cli import run
-from nacre.errors import UnsupportedError
-from nacre.families.metasurface.patterns import Pattern, nearest_distances
-from nacre.materials.material import material
+from nacre.core.errors import UnsupportedError
+from nacre.families.metasurface.monolayer.arrangement import Pattern, nearest_distances
+from nacre.material.material import material
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "metasurface" / "silver_native_oxide.toml"
 LAYOUT_STEP_UM = 1.5e-3  # two coordinates rounded to 1 nm

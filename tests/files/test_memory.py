@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 import nacre
+from nacre.analysis.sweep_plan import load_sweep
 from nacre.cli import run
-from nacre.errors import MachineError, UnsupportedError
-from nacre.exchange.rgl_tensor import read_tensor
-from nacre.families.metasurface.patterns import random_sequential
+from nacre.core import memory
+from nacre.core.errors import MachineError, UnsupportedError
+from nacre.families.metasurface.monolayer.arrangement import random_sequential
+from nacre.formats.rgl import read_tensor
 from nacre.light import delta_e_2000, spectrum_to_xyz, xyz_to_lab
-from nacre.recipe import memory
-from nacre.study.plan import load_sweep
 
 RELIEF = """family = "relief"
 heights = "heights.npy"

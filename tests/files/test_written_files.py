@@ -12,10 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from nacre.errors import NacreError
-from nacre.files import Process, atomic_path, check_writable, short_name, write_text
+from nacre.core.errors import NacreError
+from nacre.core.files import Process, atomic_path, check_writable, short_name, write_text
 
-HANG = "import sys, time\nfrom nacre.files import atomic_path\nwith atomic_path(sys.argv[1]):\n    print(flush=True)\n"
+HANG = (
+    "import sys, time\nfrom nacre.core.files import atomic_path\n"
+    "with atomic_path(sys.argv[1]):\n    print(flush=True)\n"
+)
 
 
 def writer(path: Path) -> subprocess.Popen[str]:

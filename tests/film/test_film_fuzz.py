@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from nacre.errors import NacreError
-from nacre.materials.material import material_from_data
+from nacre.core.errors import NacreError
+from nacre.material.material import material_from_data
 from nacre.recipe.model import RecipeContext
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from helpers_bsdf import reciprocity_error
 
-from nacre.bsdf.directions import direction
+from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.specular import Specular
-from nacre.errors import UnsupportedError
+from nacre.core.errors import UnsupportedError
 from nacre.light import delta_e_2000, spectrum_to_xyz, xyz_to_lab
-from nacre.materials.material import material
+from nacre.material.material import material
 from nacre.measure.spectrum import directional_hemispherical
 
 LAM = np.array([450.0, 550.0, 650.0])

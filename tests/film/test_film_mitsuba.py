@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nacre.materials.material import material
+from nacre.material.material import material
 
 COUNT = 20000
 LAM = np.array([500.0, 550.0, 600.0])

@@ -9,8 +9,8 @@ import pytest
 from helpers_bsdf import reciprocity_error
 
 from nacre.bsdf import Bsdf
-from nacre.bsdf.directions import direction
-from nacre.materials.material import material
+from nacre.bsdf.grids import direction
+from nacre.material.material import material
 from nacre.measure.spectrum import directional_hemispherical
 
 LAM = np.array([400.0, 460.0, 550.0, 700.0])

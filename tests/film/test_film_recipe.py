@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from nacre.errors import NacreError, RecipeError
+from nacre.core.errors import NacreError, RecipeError
 from nacre.families.film.spec import FilmSpec
-from nacre.materials.material import load, material
+from nacre.material.material import load, material
 from nacre.recipe.model import RecipeContext, validate
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nacre.families.glass.effective import bruggeman
+from nacre.families.glass.composite import bruggeman
 from nacre.families.glass.medium import Spheres
 
 REFERENCE = Path(__file__).resolve().parents[3] / "shared" / "reference" / "glass" / "photonic_glass_open.npz"

@@ -10,9 +10,9 @@ import pytest
 from two_scale import place_balls, trace
 
 import nacre
-from nacre.errors import RecipeError
+from nacre.core.errors import RecipeError
 from nacre.families.glass.balls import Balls, ball_light
-from nacre.families.glass.slab import Slab
+from nacre.families.glass.radiative_transfer import Slab
 
 LAM = np.array([430.0, 600.0])
 RADIUS_NM = 4000.0
@@ -149,7 +149,7 @@ def test_a_binder_that_absorbs_does_so_between_the_balls() -> None:
 
 @pytest.mark.render
 def test_the_walk_of_the_renderer_agrees_with_transfer() -> None:
-    from nacre.bsdf.directions import direction
+    from nacre.bsdf.grids import direction
     from nacre.measure.evaluate import evaluate_with_error
 
     material = nacre.material(paint(0.3))

@@ -11,8 +11,7 @@ from helpers_glass import plain_spheres
 
 import nacre
 from nacre.families.glass.medium import Medium, solve_medium
-from nacre.families.glass.one_index import with_one_index
-from nacre.families.glass.slab import Slab
+from nacre.families.glass.radiative_transfer import Slab, with_one_index
 from nacre.measure.evaluate import evaluate_with_error
 
 LAM = np.array([400.0, 450.0, 500.0, 600.0, 700.0])

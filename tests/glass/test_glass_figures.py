@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.errors import UnsupportedError
+from nacre.core.errors import UnsupportedError
 
 ONE: dict[str, Any] = {
     "family": "glass",

@@ -9,13 +9,12 @@ import pytest
 from helpers_glass import plain_spheres
 
 import nacre
-from nacre.arrays import Array
-from nacre.bsdf.directions import direction
+from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.layered import Layered
-from nacre.families.glass.balance import balanced, table_weights
+from nacre.core.arrays import Array
 from nacre.families.glass.medium import solve_medium
-from nacre.families.glass.radiance import brdf_table
-from nacre.families.glass.slab import AZIMUTHS, Slab
+from nacre.families.glass.radiative_transfer import AZIMUTHS, Slab, brdf_table
+from nacre.families.glass.tables import balanced, table_weights
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.spectrum import bsdf_spectrum, directional_hemispherical
 

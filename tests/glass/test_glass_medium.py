@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from helpers_glass import CASES, effective_index, plain_spheres, reference, spheres
 
-from nacre.errors import NacreError
-from nacre.families.glass.effective import bruggeman, maxwell_garnett
-from nacre.families.glass.hard_spheres import mixture_power, percus_yevick
-from nacre.families.glass.medium import phase_quantiles, solve_medium
+from nacre.core.errors import NacreError
+from nacre.families.glass.composite import bruggeman, maxwell_garnett
+from nacre.families.glass.medium import mixture_power, percus_yevick, phase_quantiles, solve_medium
 
 MONODISPERSE = [case for case in CASES if case != 12]
 POLYDISPERSE = 12

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.errors import NacreError, RecipeError, UnsupportedError
-from nacre.families.glass.hard_spheres import percus_yevick
+from nacre.core.errors import NacreError, RecipeError, UnsupportedError
+from nacre.families.glass.medium import percus_yevick
 
 PLAIN: dict[str, Any] = {
     "family": "glass",

@@ -9,8 +9,7 @@ import pytest
 from helpers_glass import CASES, plain_spheres, reference, spheres
 
 from nacre.families.glass.medium import Medium, solve_medium
-from nacre.families.glass.radiance import brdf_pairs, brdf_table
-from nacre.families.glass.slab import AZIMUTHS, Slab
+from nacre.families.glass.radiative_transfer import AZIMUTHS, Slab, brdf_pairs, brdf_table
 
 WALKED = [case for case in CASES if case not in (12, 14)]  # those with a walk through the right medium
 WALK_BAR = 0.004  # the issue's; the reference's own noise is .001 (one standard error)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.bsdf.directions import direction
-from nacre.errors import RecipeError
+from nacre.bsdf.grids import direction
+from nacre.core.errors import RecipeError
 from nacre.measure.evaluate import evaluate_with_error
 
 SPHERES = {"material": {"n": 1.59}, "radius_nm": 125, "volume_fraction": 0.55}

@@ -11,8 +11,8 @@ from helpers_glass import CASES, plain_spheres, reference, spheres
 import nacre
 from nacre.bsdf.lobes.layered import Layered
 from nacre.families.glass.medium import solve_medium
-from nacre.families.glass.slab import Slab
-from nacre.families.glass.walk import walk
+from nacre.families.glass.radiative_transfer import Slab
+from nacre.families.glass.random_walk import walk
 from nacre.measure.spectrum import bsdf_spectrum
 
 WALKED = [case for case in CASES if case not in (12, 14)]
@@ -68,7 +68,10 @@ def test_exits_are_spread_as_transfer_says() -> None:
         for i in range(8):
             cos = (i + (x + 1) / 2) / 8
             modes = (slab.between(np.array([0.8])) @ slab.modes() @ np.swapaxes(slab.between(cos), -1, -2))[0, 0]
-            enters = [1 - nacre.families.glass.slab.face(np.asarray(c), slab.directions.index) for c in (0.8, cos)]
+            enters = [
+                1 - nacre.families.glass.radiative_transfer.face(np.asarray(c), slab.directions.index)
+                for c in (0.8, cos)
+            ]
             light = 2 * np.pi * np.sum(w / 16 * cos * modes * enters[0] * enters[1])
             assert abs(found.reflected[i, band] - light) < 4 * np.sqrt(max(light, 1e-4) / 200_000)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from nacre.arrays import Array
+from nacre.core.arrays import Array
 
 Sample = Callable[[int, int], tuple[Array, Array]]  # (count, seed) -> directions [n, 3], which of them are meant [n]
 Density = Callable[[Array], Array]  # directions [n, 3] -> [n], 1/sr

@@ -14,8 +14,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.arrays import Array
 from nacre.bsdf.bsdf import Bsdf
+from nacre.core.arrays import Array
 from nacre.device.bsdf import make_bsdf
 
 HERO_WAVELENGTHS_NM = (452.0, 513.0, 587.0, 644.0)

@@ -13,8 +13,8 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
-from nacre.arrays import Array
-from nacre.exchange.calibration import Calibration
+from nacre.core.arrays import Array
+from nacre.formats.calibration import Calibration
 
 STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 

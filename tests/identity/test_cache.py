@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 import nacre
-from nacre.materials import cache
-from nacre.materials.material import Material
+from nacre.material import cache
+from nacre.material.material import Material
 
 CACHED = {"family": "film", "substrate": "Si", "surface": {"roughness": 0.2}}
 GRID = [400.0, 500.0, 600.0, 700.0]
@@ -62,7 +62,7 @@ def test_another_file_or_another_nacre_is_solved_anew(
     first = numbers(nacre.material(recipe, tmp_path))
     (tmp_path / "glass.csv").write_text("300,1.7\n900,1.7\n")
     assert numbers(nacre.material(recipe, tmp_path)) != first
-    monkeypatch.setattr("nacre.recipe.identity.source_digest", lambda: "changed code")
+    monkeypatch.setattr("nacre.recipe.fingerprint.source_digest", lambda: "changed code")
     numbers(nacre.material(recipe, tmp_path))
     assert len(made) == 3
 
@@ -148,7 +148,7 @@ def test_the_command_counts_parts_of_materials_apart(folder: Path, capsys: pytes
     import json
 
     from nacre.cli import run
-    from nacre.recipe.kept import keep_arrays
+    from nacre.core.disk_cache import keep_arrays
 
     numbers(nacre.material(CACHED))
     for number in range(3):  # as the patterns of an ensemble are
@@ -179,7 +179,7 @@ def test_a_second_picture_of_a_metasurface_solves_nothing(tmp_path: Path, monkey
     from nacre.cli import run
 
     monkeypatch.setenv("NACRE_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("nacre.materials.cache.WORTH_S", 0.0)  # a quick machine solves it in less
+    monkeypatch.setattr("nacre.material.cache.WORTH_S", 0.0)  # a quick machine solves it in less
     silver = Path(__file__).resolve().parents[2] / "examples" / "metasurface" / "silver_on_oxide.toml"
     words = ["render", str(silver), "--size", "32x32", "--spp", "2", "--no-denoise", "-o"]
     assert run([*words, str(tmp_path / "a.png")]) == 0

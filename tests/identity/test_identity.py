@@ -13,10 +13,10 @@ import pytest
 from PIL import Image
 
 import nacre
-from nacre.errors import NacreError
-from nacre.recipe.identity import file_digest, file_stamp, source_digest
-from nacre.study.plan import load_sweep
-from nacre.study.sweep import run_sweep
+from nacre.analysis.sweep import run_sweep
+from nacre.analysis.sweep_plan import load_sweep
+from nacre.core.errors import NacreError
+from nacre.recipe.fingerprint import file_digest, file_stamp, source_digest
 
 INDEX = "wavelength_nm,n\n300,{n}\n900,{n}\n"
 SMALL: dict[str, Any] = {"size": (16, 14), "spp": 1}
@@ -218,7 +218,7 @@ def test_a_file_changed_while_a_sweep_runs_fails_the_points_after_it(tmp_path: P
 
 
 def test_a_search_is_not_resumed_with_another_calibration(tmp_path: Path) -> None:
-    from nacre.design.run import load_target, target_fingerprint
+    from nacre.optimise.relief.run import load_target, target_fingerprint
 
     curve = write(tmp_path / "curve.csv", "0,0\n255,10\n")
     target = write(

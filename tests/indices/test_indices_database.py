@@ -7,9 +7,9 @@ import warnings
 import numpy as np
 import pytest
 
-from nacre.errors import MaterialRangeError, NacreError, UnknownMaterialError
+from nacre.core.errors import MaterialRangeError, NacreError, UnknownMaterialError
+from nacre.matter.indices.constant import DEFAULTS
 from nacre.matter.indices.database import catalogue, find_page, load_entry
-from nacre.matter.indices.defaults import DEFAULTS
 from nacre.matter.indices.library import index
 
 SAME = 1e-9  # relative; the two readers round um and nm differently

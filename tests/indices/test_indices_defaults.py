@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from nacre.errors import MaterialRangeError, UnknownMaterialError
-from nacre.matter.indices.defaults import DEFAULTS
+from nacre.core.errors import MaterialRangeError, UnknownMaterialError
+from nacre.matter.indices.constant import DEFAULTS
 from nacre.matter.indices.library import describe, index, material_names, search
 
 ISSUE_NAMES = (

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.matter.indices.library import index
 from nacre.matter.indices.spec import IndexSpec, index_spec
 

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from nacre.errors import NacreError, RecipeError
+from nacre.core.errors import NacreError, RecipeError
 from nacre.matter.indices.library import index
 from nacre.matter.indices.spec import IndexSpec
 from nacre.recipe.model import RecipeContext, RecipeModel, validate

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nacre.families.metasurface.monolayer import Monolayer, Particle
-from nacre.families.metasurface.sphere import SphereOnStack
-from nacre.families.metasurface.structure import hard_disk_structure
-from nacre.families.metasurface.substrate import Substrate
+from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
+from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack
+from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.mie import mie_coefficients
 
 REFERENCE = Path(__file__).parents[2] / ".." / "shared" / "reference" / "metasurface"

@@ -11,27 +11,33 @@ from helpers_metasurface import monolayer, surface, t_matrix
 
 import nacre
 from nacre.bsdf.bsdf import Bsdf
-from nacre.bsdf.contract import SpecularResponse
-from nacre.bsdf.directions import direction
+from nacre.bsdf.grids import direction
+from nacre.bsdf.lobe import SpecularResponse
 from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.lobes.monolayer import PolarGrid
 from nacre.bsdf.texture import Texture
-from nacre.families.metasurface import aligned_compile, tmatrix_symmetry
-from nacre.families.metasurface.aligned import AlignedLayer
-from nacre.families.metasurface.aligned_compile import aligned_powers, aligned_values, tabulate_aligned
-from nacre.families.metasurface.aligned_pairs import aligned_term, azimuth_nodes, light_of
-from nacre.families.metasurface.axial import as_blocks
-from nacre.families.metasurface.cluster import Coupling, PlaneWaves
-from nacre.families.metasurface.compile import Grids, tabulate
-from nacre.families.metasurface.corrections import diffuse_term
-from nacre.families.metasurface.few import few_powers, few_values
-from nacre.families.metasurface.monolayer import Monolayer, Particle
-from nacre.families.metasurface.neighbours import multipole_index, with_negative_orders
-from nacre.families.metasurface.sphere import Directions, hemisphere_rule
-from nacre.families.metasurface.structure import hard_disk_structure
-from nacre.families.metasurface.substrate import Embedded
-from nacre.families.metasurface.tmatrix_file import TMatrixFileError, read_tmatrices, write_tmatrices
-from nacre.families.metasurface.whole import reversed_whole, spread, tilted_whole, turned_whole
+from nacre.families.metasurface.ensemble.multisphere import Coupling, PlaneWaves
+from nacre.families.metasurface.monolayer import aligned as aligned_compile
+from nacre.families.metasurface.monolayer.aligned import (
+    AlignedLayer,
+    aligned_powers,
+    aligned_term,
+    aligned_values,
+    azimuth_nodes,
+    light_of,
+    tabulate_aligned,
+)
+from nacre.families.metasurface.monolayer.diffuse import diffuse_term
+from nacre.families.metasurface.monolayer.evaluation import Grids, few_powers, few_values, tabulate
+from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
+from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.monolayer.translation_sums import multipole_index, with_negative_orders
+from nacre.families.metasurface.tmatrix import tmatrix_file
+from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks
+from nacre.families.metasurface.tmatrix.full_tmatrix import reversed_whole, spread, tilted_whole, turned_whole
+from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
+from nacre.families.metasurface.tmatrix.substrate import Embedded
+from nacre.families.metasurface.tmatrix.tmatrix_file import TMatrixFileError, read_tmatrices, write_tmatrices
 from nacre.measure.spectrum import directional_hemispherical
 
 SAME = 1e-10  # of what is computed another way from the same numbers
@@ -275,7 +281,7 @@ def test_the_mean_over_turns_is_the_averaged_particle(monkeypatch):
     ]
     with pytest.raises(TMatrixFileError, match=r"5\.1 % of what it scatters"):
         read_tmatrices(FILE)
-    monkeypatch.setattr(tmatrix_symmetry, "TURN_TOLERANCE", 0.1)
+    monkeypatch.setattr(tmatrix_file, "TURN_TOLERANCE", 0.1)
     left_out = read_tmatrices(FILE).turn_loss  # at 500 nm, which is the more
     assert left_out > 0.01 and 1 - powers[1] / powers[0] == pytest.approx(left_out, rel=1e-6)
 

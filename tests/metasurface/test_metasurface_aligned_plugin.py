@@ -10,10 +10,10 @@ import pytest
 
 import nacre
 from nacre.bsdf import Bsdf
-from nacre.bsdf.directions import direction
-from nacre.bsdf.series_words import ROUNDING, encode
+from nacre.bsdf.grids import direction
+from nacre.bsdf.packed_series import ROUNDING, encode
 from nacre.cli import run
-from nacre.materials.material import material
+from nacre.material.material import material
 from nacre.measure.spectrum import bsdf_spectrum
 
 ARRAY_BAR = 1e-4
@@ -133,8 +133,8 @@ def test_mirror_light_on_the_device_has_the_powers_of_the_tables(trials, folder,
 
 @pytest.mark.render
 def test_a_built_scene_takes_other_numbers_and_no_other_terms(trials, folder):
+    from nacre.core.errors import UnsupportedError
     from nacre.device.bsdf import make_bsdf, update_bsdf
-    from nacre.errors import UnsupportedError
 
     bsdf = made("opaque", folder)
     plugin = make_bsdf(bsdf)
@@ -181,7 +181,7 @@ def test_a_bsdf_of_aligned_particles_is_saved_and_loaded(folder, tmp_path):
 def test_the_file_of_an_aligned_particle_is_exported_whole(folder, tmp_path, capsys):
     out = tmp_path / "out.tmat.h5"
     assert run(["export", str(recipe(folder)), "--to", "tmat", "-o", str(out)]) == 0
-    from nacre.families.metasurface.tmatrix_file import read_tmatrices
+    from nacre.families.metasurface.tmatrix.tmatrix_file import read_tmatrices
 
     assert np.abs(read_tmatrices(out, True).whole - read_tmatrices(FILE, True).whole).max() <= 1e-15
 
@@ -206,8 +206,8 @@ def test_what_aligned_particles_cannot_be_gets_one_line(folder, capsys, particle
 
 
 def test_an_axisymmetric_file_aligned_is_the_same_as_averaged(tmp_path):
-    from nacre.families.metasurface.axial import AxialTMatrices
-    from nacre.families.metasurface.tmatrix_file import read_tmatrices, write_tmatrices
+    from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices
+    from nacre.families.metasurface.tmatrix.tmatrix_file import read_tmatrices, write_tmatrices
 
     known = read_tmatrices(FILE, True)
     disc = AxialTMatrices(known.wavelengths_nm, known.blocks, known.ambient_index)

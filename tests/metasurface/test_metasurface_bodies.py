@@ -7,23 +7,25 @@ import pytest
 from helpers_metasurface import REFERENCE, reference, surface
 
 import nacre
-from nacre.families.metasurface.axial import KnownBody, as_blocks, truncated
-from nacre.families.metasurface.bodies import place, refuse
-from nacre.families.metasurface.cluster import Coupling, PlaneWaves
-from nacre.families.metasurface.corrections import diffuse_term
-from nacre.families.metasurface.ensemble import same_order
-from nacre.families.metasurface.monolayer import Monolayer, Particle
-from nacre.families.metasurface.near_stack import NODES, cut_of, cut_reflection_operator
-from nacre.families.metasurface.sphere import (
+from nacre.families.metasurface.ensemble.ensemble import same_order
+from nacre.families.metasurface.ensemble.multisphere import Coupling, PlaneWaves
+from nacre.families.metasurface.monolayer.diffuse import diffuse_term
+from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
+from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.species import place, refuse
+from nacre.families.metasurface.tmatrix.axisymmetric import KnownBody, as_blocks, truncated
+from nacre.families.metasurface.tmatrix.particle_on_stack import (
+    NODES,
     Directions,
     SphereOnStack,
     amplitude,
     cross_sections,
+    cut_of,
+    cut_reflection_operator,
     hemisphere_rule,
     reflection_operator,
 )
-from nacre.families.metasurface.structure import hard_disk_structure
-from nacre.families.metasurface.tmatrix_file import read_tmatrices
+from nacre.families.metasurface.tmatrix.tmatrix_file import read_tmatrices
 
 FEM_SPHEROID, FEM_DISC, FEM_NEAR = 2e-3, 1e-2, 2e-2  # relative L2 of d sigma/d Omega at l = 10: the bars
 SAME_TRUNCATION = 2e-6  # against SMUTHI at the same orders; its own contour leaves 1e-7 of the whole, 1e-6 of one row

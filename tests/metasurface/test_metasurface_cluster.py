@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 from helpers_metasurface import surface, t_matrix
 
-from nacre.families.metasurface.axial import AxialTMatrices, reciprocal
-from nacre.families.metasurface.boundary import Mesh, block_t_matrix
-from nacre.families.metasurface.cluster import Coupling, PlaneWaves, direct_coupling, reflected_coupling
-from nacre.families.metasurface.monolayer import Particle
-from nacre.families.metasurface.neighbours import multipole_index
-from nacre.families.metasurface.solids import cylinder_panels
-from nacre.families.metasurface.sphere import (
+from nacre.families.metasurface.ensemble.multisphere import Coupling, PlaneWaves, direct_coupling, reflected_coupling
+from nacre.families.metasurface.monolayer.monolayer import Particle
+from nacre.families.metasurface.monolayer.translation_sums import multipole_index
+from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, reciprocal
+from nacre.families.metasurface.tmatrix.bem import Mesh, block_t_matrix
+from nacre.families.metasurface.tmatrix.particle_on_stack import (
     Directions,
     SphereOnStack,
     amplitude,
     hemisphere_rule,
     reflection_operator,
 )
-from nacre.families.metasurface.tmatrix_file import write_tmatrices
+from nacre.families.metasurface.tmatrix.particle_shapes import cylinder_panels
+from nacre.families.metasurface.tmatrix.tmatrix_file import write_tmatrices
 
 SINGLE = 2e-5  # of the largest amplitude: the matrix is in single precision, its tables good to 1e-5
 STACKS = {"glass": (1.5, ()), "oxide": (4.3 + 0.07j, ((1.46, 400.0),))}

@@ -7,16 +7,20 @@ import pytest
 
 import nacre
 from nacre.cli import run
-from nacre.errors import NacreError, UnsupportedError
-from nacre.families.metasurface import solids
-from nacre.families.metasurface.axial import as_blocks, gain, mirror_signs
-from nacre.families.metasurface.boundary import Mesh, block_t_matrix
-from nacre.families.metasurface.particles import Shell, Sizes
-from nacre.families.metasurface.revolution import locate
-from nacre.families.metasurface.solids import SolvedBody, cylinder_panels, spheroid_panels
-from nacre.families.metasurface.tmatrix_file import write_tmatrices
+from nacre.core.errors import NacreError, UnsupportedError
+from nacre.core.parallel import one_thread_each
+from nacre.families.metasurface.tmatrix import particle_shapes
+from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks, gain, mirror_signs
+from nacre.families.metasurface.tmatrix.bem import Mesh, block_t_matrix, locate
+from nacre.families.metasurface.tmatrix.particle_shapes import (
+    Shell,
+    Sizes,
+    SolvedBody,
+    cylinder_panels,
+    spheroid_panels,
+)
+from nacre.families.metasurface.tmatrix.tmatrix_file import write_tmatrices
 from nacre.matter.indices.spec import IndexSpec
-from nacre.matter.jobs import one_thread_each
 from nacre.matter.mie import mie_coefficients
 
 OF_OWN_METHOD = 1e-6  # what is exact but for quadrature
@@ -162,7 +166,7 @@ def test_a_coated_disc_is_kept_and_its_coat_names_it(tmp_path, monkeypatch):
     def solve_again(*args, **options):
         raise AssertionError("solved again")
 
-    monkeypatch.setattr(solids, "block_t_matrix", solve_again)
+    monkeypatch.setattr(particle_shapes, "block_t_matrix", solve_again)
     assert np.array_equal(_body("spheroid", 40.0, 60.0, 3.5, 5.0, 1.5).t_matrix(500.0), first)
     bare = SolvedBody("spheroid", 45.0, 70.0, _index(3.5), _index(1.0), "test")
     thicker, other = _body("spheroid", 40.0, 60.0, 3.5, 6.0, 1.5), _body("spheroid", 40.0, 60.0, 3.5, 5.0, 1.6)

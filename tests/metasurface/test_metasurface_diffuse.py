@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from helpers_metasurface import monolayer, reference, surface, t_matrix
 
-from nacre.families.metasurface.coherent import sheet_field
-from nacre.families.metasurface.corrections import diffuse_term
 from nacre.families.metasurface.material import Sizes
-from nacre.families.metasurface.monolayer import CORRECTIONS, MEAN_FIELDS, Monolayer, Particle
-from nacre.families.metasurface.sphere import Directions, hemisphere_rule
-from nacre.families.metasurface.structure import baus_colot, hard_disk_structure
+from nacre.families.metasurface.monolayer.diffuse import diffuse_term
+from nacre.families.metasurface.monolayer.monolayer import CORRECTIONS, MEAN_FIELDS, Monolayer, Particle, sheet_field
+from nacre.families.metasurface.monolayer.structure import baus_colot, hard_disk_structure
+from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
 from nacre.matter.mie import mie_amplitudes, mie_coefficients
 
 CLOSED_FORM_BAR = 1e-12

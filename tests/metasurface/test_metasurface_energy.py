@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nacre.families.metasurface.material import MetasurfaceWarning
-from nacre.materials.material import material
+from nacre.material.material import material
 
 EXCESS_BAR = 0.01
 

@@ -10,20 +10,29 @@ from scipy.interpolate import RegularGridInterpolator
 from validation.metasurface_ensembles import light
 
 from nacre.bsdf import Bsdf
-from nacre.errors import NacreError
-from nacre.families.metasurface import choice, refine
-from nacre.families.metasurface.arrangement import Arrangement
-from nacre.families.metasurface.cells import cells, orders, with_kinds
-from nacre.families.metasurface.corrections import diffuse_term
-from nacre.families.metasurface.ensemble import ANGLES, Ensemble, same_order
-from nacre.families.metasurface.monolayer import Monolayer, Particle
-from nacre.families.metasurface.ratio import BLOCKS_ABOVE, Ratio, Ways, _terms, blocks
-from nacre.families.metasurface.ratio_fit import Pairs, block_sums, fit_ratio
-from nacre.families.metasurface.sphere import hemisphere_rule
-from nacre.families.metasurface.structure import hard_disk_structure
-from nacre.families.metasurface.substrate import Embedded
-from nacre.materials.material import material
-from nacre.recipe.long_work import heard_by
+from nacre.core.errors import NacreError
+from nacre.core.progress import heard_by
+from nacre.families.metasurface import model_selection
+from nacre.families.metasurface.ensemble import interpolation
+from nacre.families.metasurface.ensemble.ensemble import ANGLES, Ensemble, same_order
+from nacre.families.metasurface.ensemble.supercells import cells, orders, with_kinds
+from nacre.families.metasurface.monolayer.arrangement import Arrangement
+from nacre.families.metasurface.monolayer.diffuse import diffuse_term
+from nacre.families.metasurface.monolayer.ensemble_ratio import (
+    BLOCKS_ABOVE,
+    Pairs,
+    Ratio,
+    Ways,
+    _terms,
+    block_sums,
+    blocks,
+    fit_ratio,
+)
+from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
+from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
+from nacre.families.metasurface.tmatrix.substrate import Embedded
+from nacre.material.material import material
 
 TRUTH_BAR, TRUTH_MEAN_BAR = 0.08, 0.06
 UP_TO = np.radians(60.0)
@@ -165,7 +174,7 @@ def _ensemble(name, realisations):
 
 def _ratio(layer, density, packing, spheres, realisations):
     one = _patterns(layer, density, packing, spheres, realisations)
-    ratio, errors = one.ratio(refine.in_threads(one.solve, range(realisations)))
+    ratio, errors = one.ratio(interpolation.in_threads(one.solve, range(realisations)))
     return layer, ratio, errors, one
 
 
@@ -229,12 +238,12 @@ def test_far_apart_spheres_need_no_ratio():
     assert errors.max() < 0.2
 
 
-@pytest.mark.parametrize("system", choice.MEASURED, ids=lambda m: f"{m.system}, f {m.coverage:g}")
+@pytest.mark.parametrize("system", model_selection.MEASURED, ids=lambda m: f"{m.system}, f {m.coverage:g}")
 def test_the_choice_keeps_the_mean_field_where_it_was_measured_to_hold(system):
     """One that fails decides for all like it that are as dense, also at wavelengths where it would do."""
-    holds, _ = choice.mean_field_holds(system.kinds, system.on_substrate, system.coverage)
-    alike = [m for m in choice.MEASURED if (m.kinds, m.on_substrate) == (system.kinds, system.on_substrate)]
-    assert holds == all(m.error <= choice.HOLDS for m in alike if m.coverage <= system.coverage)
+    holds, _ = model_selection.mean_field_holds(system.kinds, system.on_substrate, system.coverage)
+    alike = [m for m in model_selection.MEASURED if (m.kinds, m.on_substrate) == (system.kinds, system.on_substrate)]
+    assert holds == all(m.error <= model_selection.HOLDS for m in alike if m.coverage <= system.coverage)
 
 
 DISC = {"shape": "cylinder", "material": "Ag", "diameter_nm": 150, "height_nm": 60, "gap_nm": 10}
@@ -263,7 +272,9 @@ def test_discs_and_mixtures_are_judged_by_their_own_kind(particle, substrate, co
 
 
 def test_a_shape_that_only_a_t_matrix_tells_is_not_taken_for_a_sphere():
-    assert not choice.mean_field_holds([choice.Like(choice.SHAPES[""], choice.METAL)], True, 0.01)[0]
+    assert not model_selection.mean_field_holds(
+        [model_selection.Like(model_selection.SHAPES[""], model_selection.METAL)], True, 0.01
+    )[0]
 
 
 def test_an_ensemble_is_told_stored_and_solved_once(tmp_path, monkeypatch, caplog):
@@ -273,7 +284,7 @@ def test_an_ensemble_is_told_stored_and_solved_once(tmp_path, monkeypatch, caplo
         dark = {"substrate": {"n": 1.5, "k": 0.01}}  # nothing comes from below: a third of the work
         first = material(recipe(**dark)).bsdf(grid[:1])
         both = material(recipe(**dark)).bsdf(grid)
-        monkeypatch.setattr(refine, "_solve", lambda *_: pytest.fail("solved again"))
+        monkeypatch.setattr(interpolation, "_solve", lambda *_: pytest.fail("solved again"))
         again = material(recipe(title="under another name", **dark)).bsdf(grid)
     assert len(heard) == 2 and "1 wavelength (1 more are kept from before)" in heard[1]
     assert "standard error" in caplog.text
@@ -297,7 +308,7 @@ def _stopping(monkeypatch, after):
         return solve(self, number)
 
     monkeypatch.setattr(Ensemble, "solve", once)
-    monkeypatch.setattr(refine, "in_threads", lambda work, items: [work(item) for item in items])
+    monkeypatch.setattr(interpolation, "in_threads", lambda work, items: [work(item) for item in items])
     return solved
 
 
@@ -346,8 +357,8 @@ def test_a_stopped_run_goes_on_with_nothing_of_a_file_that_changed(tmp_path, mon
 def test_a_judged_material_is_solved_once_without_a_cache_and_keeps_energy_and_reciprocity(monkeypatch):
     monkeypatch.setenv("NACRE_CACHE", "off")
     asked = []
-    solve = refine._solve
-    monkeypatch.setattr(refine, "_solve", lambda *given: asked.append(1) or solve(*given))
+    solve = interpolation._solve
+    monkeypatch.setattr(interpolation, "_solve", lambda *given: asked.append(1) or solve(*given))
     made = material(recipe())
     total = np.sum(list(made.spectrum(np.radians([0.0, 60.0, 85.0]), [500.0]).parts().values()), axis=0)
     assert total.max() <= 1 + 1e-9
@@ -405,7 +416,7 @@ def test_a_size_that_is_not_allowed_is_told_with_its_key(key, value):
 
 
 def test_squares_cut_from_a_list_stay_inside_it_and_a_close_pair_loses_one():
-    from nacre.families.metasurface.patterns import Pattern
+    from nacre.families.metasurface.monolayer.arrangement import Pattern
 
     xy = np.random.default_rng(2).uniform(0, 8000, (600, 2))
     listed = Pattern(xy, 8000.0)
@@ -436,8 +447,15 @@ INSIDE = {
 
 @pytest.mark.parametrize(
     ("substrate", "is_mixture"),
-    [(1.0, False), (1.5, False), (1.0, True), (1.5, True), *((name, False) for name in INSIDE), ("thin", True),
-     ("covered", True)],
+    [
+        (1.0, False),
+        (1.5, False),
+        (1.0, True),
+        (1.5, True),
+        *((name, False) for name in INSIDE),
+        ("thin", True),
+        ("covered", True),
+    ],
 )
 def test_each_endless_pattern_of_lossless_spheres_sends_out_what_arrives(substrate, is_mixture):
     """All orders on both sides, the straight ones with the stack's own beams: no light has an edge to leave by."""
@@ -484,16 +502,24 @@ def test_each_endless_pattern_of_lossless_spheres_sends_out_what_arrives(substra
 
 @pytest.mark.parametrize(
     ("second", "place"),
-    [(None, "glass"), (0.05 + 3.1j, "glass"), (3.9, "glass"), (None, "film"), (None, "guides"), (None, "covered"),
-     (3.9, "guides"), (0.05 + 3.1j, "covered")],
+    [
+        (None, "glass"),
+        (0.05 + 3.1j, "glass"),
+        (3.9, "glass"),
+        (None, "film"),
+        (None, "guides"),
+        (None, "covered"),
+        (3.9, "guides"),
+        (0.05 + 3.1j, "covered"),
+    ],
 )
 def test_where_the_window_ends_changes_no_coupling(second, place):
     """Of a mixture the direct waves beyond it go between unlike heights: left out, they miss by 2 to 3 %.
 
     Light that a film guides goes far too: without the waves beyond its index they miss by 2.6 %.
     """
-    from nacre.families.metasurface.cells import Lattice
-    from nacre.families.metasurface.cluster import Coupling
+    from nacre.families.metasurface.ensemble.multisphere import Coupling
+    from nacre.families.metasurface.ensemble.supercells import Lattice
 
     stacks = {"glass": (surface(500.0, 1.5), 90.0), "film": (surface(500.0, 1.5, ((2.4, 120.0),)), 90.0), **INSIDE}
     (below, height), radius = stacks[place], 90.0

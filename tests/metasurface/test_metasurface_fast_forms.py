@@ -8,16 +8,21 @@ import numpy as np
 import pytest
 from scipy.special import hankel1e, hankel2e, jv
 
-from nacre.families.metasurface import neighbours
-from nacre.families.metasurface.angular import adjoint, mirrored, plane_wave_vectors
-from nacre.families.metasurface.bessel import bessel_j, hankel_scaled
-from nacre.families.metasurface.diffuse import pair_powers
-from nacre.families.metasurface.qca import chebyshev, mean_excitation
-from nacre.families.metasurface.sphere import apply_response
-from nacre.families.metasurface.structure import hard_disk_structure
-from nacre.families.metasurface.substrate import Substrate
-from nacre.materials.material import load
-from nacre.matter.jobs import in_threads, one_thread_each
+from nacre.core.parallel import in_threads, one_thread_each
+from nacre.families.metasurface.monolayer import translation_sums
+from nacre.families.metasurface.monolayer.diffuse import pair_powers
+from nacre.families.metasurface.monolayer.qca import chebyshev, mean_excitation
+from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.tmatrix.particle_on_stack import apply_response
+from nacre.families.metasurface.tmatrix.special_functions import (
+    adjoint,
+    bessel_j,
+    hankel_scaled,
+    mirrored,
+    plane_wave_vectors,
+)
+from nacre.families.metasurface.tmatrix.substrate import Substrate
+from nacre.material.material import load
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "metasurface"
 ROUNDING = 1e-10  # at the nodes of the interpolation over the angle, where that adds nothing
@@ -27,16 +32,16 @@ HANKEL_DIGITS = 1e-12  # of Hankel's expansion from |z| = 28 on
 def _whole_sums(layer, order, kappa, w):
     """Q for every multipole, m < 0 too, as the plain formula has it: no fold, no interpolation."""
     structure, surface, centre = layer.structure, layer.surface, layer.mean_centre_nm
-    index, mu = neighbours.multipole_index(order), neighbours.pair_orders(order)
-    direct = neighbours._direct_sums(structure, surface.wavenumber, order, kappa)
-    table = neighbours.direct_coefficients(order).reshape(mu.size, -1)
+    index, mu = translation_sums.multipole_index(order), translation_sums.pair_orders(order)
+    direct = translation_sums._direct_sums(structure, surface.wavenumber, order, kappa)
+    table = translation_sums.direct_coefficients(order).reshape(mu.size, -1)
     total = (table @ direct.reshape(table.shape[1], -1)).reshape(*mu.shape, -1)
-    total = total + neighbours._stack_sums(surface, centre, structure, order, kappa, every_row=True)
+    total = total + translation_sums._stack_sums(surface, centre, structure, order, kappa, every_row=True)
     scale = 2 * np.pi * structure.density_per_nm2 / surface.wavenumber**2
     b = plane_wave_vectors(w, order, order, kappa.astype(complex))
     echo = 4 * scale / w * np.exp(2j * surface.wavenumber * centre * w) * surface.reflection(w)
-    left = neighbours.with_negative_orders(adjoint(b), index) * echo[:, None]
-    right = neighbours.with_negative_orders(mirrored(b), index)
+    left = translation_sums.with_negative_orders(adjoint(b), index) * echo[:, None]
+    right = translation_sums.with_negative_orders(mirrored(b), index)
     q = total * scale * ((-1j) ** mu)[:, :, None] + np.einsum("pna,pma->nma", left, right)
     return index, np.moveaxis(q, -1, 0)
 
@@ -57,7 +62,7 @@ def test_the_mean_field_of_one_mirror_half_is_that_of_all_multipoles(below):
     index, q = _whole_sums(layer, order, directions.inner, directions.inner_cosines)
     rows = index.tau * lmax + index.l - 1
     kept = np.concatenate([np.arange(order), lmax + np.arange(order)])
-    free = neighbours.with_negative_orders(own[: order + 1][:, :, kept], index)
+    free = translation_sums.with_negative_orders(own[: order + 1][:, :, kept], index)
     sign = np.where((index.m[:, None] < 0) & (index.tau[:, None] != index.tau), -1.0, 1.0)
     block = np.where(index.m[:, None] == index.m, dressed[np.abs(index.m)[:, None], rows[:, None], rows] * sign, 0.0)
     b = np.linalg.solve(np.eye(len(index.m)) - block @ q, free.transpose(2, 1, 0))
@@ -153,5 +158,5 @@ def test_few_nodes_of_a_search_give_the_sums():
     for indices, thicknesses in stacks:
         surface = Substrate(550.0, np.array(indices, dtype=complex), np.array(thicknesses))
         args = (surface, 78.0, structure, 4, kappa)
-        fine, quick = neighbours._stack_sums(*args), neighbours._stack_sums(*args, quick=True)
+        fine, quick = translation_sums._stack_sums(*args), translation_sums._stack_sums(*args, quick=True)
         assert np.max(np.abs(quick - fine)) < 1e-4 * np.max(np.abs(fine))

@@ -5,12 +5,12 @@ import warnings
 import numpy as np
 import pytest
 
-from nacre.bsdf.directions import direction
-from nacre.families.metasurface.corrections import diffuse_term
-from nacre.families.metasurface.few import few_powers, few_values
+from nacre.bsdf.grids import direction
 from nacre.families.metasurface.material import MetasurfaceWarning
-from nacre.families.metasurface.sphere import hemisphere_rule
-from nacre.materials.material import material
+from nacre.families.metasurface.monolayer.diffuse import diffuse_term
+from nacre.families.metasurface.monolayer.evaluation import few_powers, few_values
+from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
+from nacre.material.material import material
 
 INTERPOLATION = 3e-4  # of the neighbours' table, in power
 TABLES = 5e-3  # of the Bsdf's harmonics, of the largest value; what they are known to keep

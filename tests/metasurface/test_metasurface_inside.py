@@ -7,19 +7,23 @@ import pytest
 from helpers_metasurface import surface, t_matrix
 
 import nacre
-from nacre.errors import NacreError
-from nacre.families.metasurface.angular import adjoint, mirrored, plane_wave_vectors
-from nacre.families.metasurface.arrangement import Arrangement
-from nacre.families.metasurface.cells import BEYOND_IN_A_LAYER, cells, lift, orders, with_kinds
-from nacre.families.metasurface.cluster import reflected_coupling
-from nacre.families.metasurface.echo import Echo
-from nacre.families.metasurface.ensemble import Ensemble, EnsembleSettings
-from nacre.families.metasurface.few import few_powers
-from nacre.families.metasurface.monolayer import Monolayer, Particle
-from nacre.families.metasurface.neighbours import multipole_index
-from nacre.families.metasurface.sphere import SphereOnStack, amplitude, cross_sections, reflection_operator
-from nacre.families.metasurface.structure import hard_disk_structure
-from nacre.families.metasurface.substrate import Embedded
+from nacre.core.errors import NacreError
+from nacre.families.metasurface.ensemble.ensemble import Ensemble, EnsembleSettings
+from nacre.families.metasurface.ensemble.multisphere import reflected_coupling
+from nacre.families.metasurface.ensemble.supercells import BEYOND_IN_A_LAYER, cells, lift, orders, with_kinds
+from nacre.families.metasurface.monolayer.arrangement import Arrangement
+from nacre.families.metasurface.monolayer.evaluation import few_powers
+from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
+from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.monolayer.translation_sums import multipole_index
+from nacre.families.metasurface.tmatrix.particle_on_stack import (
+    SphereOnStack,
+    amplitude,
+    cross_sections,
+    reflection_operator,
+)
+from nacre.families.metasurface.tmatrix.special_functions import adjoint, mirrored, plane_wave_vectors
+from nacre.families.metasurface.tmatrix.substrate import Echo, Embedded
 
 WAVELENGTH, RADIUS = 550.0, 75.0
 SAME, ENERGY_ALONE, RECIPROCITY = 1e-12, 1e-8, 1e-10
@@ -206,7 +210,9 @@ def test_auto_takes_the_ensemble_of_all_but_few_particles_inside_a_layer(coverag
 @pytest.mark.parametrize("is_mixture", [False, True])
 def test_an_ensemble_in_a_layer_of_the_ambient_s_index_is_that_of_a_gap(is_mixture, monkeypatch):
     """The couplings by way of both faces, the far fields and their units: all of one pattern's light."""
-    monkeypatch.setattr(nacre.families.metasurface.cells, "BEYOND", BEYOND_IN_A_LAYER)  # where both end their sums
+    monkeypatch.setattr(
+        nacre.families.metasurface.ensemble.supercells, "BEYOND", BEYOND_IN_A_LAYER
+    )  # where both end their sums
     density, found = 0.1 / np.pi / RADIUS**2, []
     made = Arrangement("hard-disk", density, 0.1, 0)
     patterns = cells(lambda count, _: made.pattern(count), density, 2 * RADIUS, 20, 1, 0)
@@ -228,7 +234,7 @@ def test_an_ensemble_in_a_layer_of_the_ambient_s_index_is_that_of_a_gap(is_mixtu
 
 
 def test_one_solution_is_not_taken_for_that_of_the_same_stack_seen_from_another_layer():
-    from nacre.families.metasurface.refine import _key
+    from nacre.families.metasurface.ensemble.interpolation import _key
 
     density = 0.1 / np.pi / RADIUS**2
     keys = set()

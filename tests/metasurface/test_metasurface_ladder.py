@@ -7,16 +7,16 @@ import pytest
 from helpers_metasurface import monolayer, surface, t_matrix
 
 import nacre
-from nacre.errors import UnsupportedError
-from nacre.families.metasurface import ladder as ladder_module
-from nacre.families.metasurface import passing
-from nacre.families.metasurface.cluster import direct_coupling, reflected_coupling
-from nacre.families.metasurface.corrections import diffuse_term
-from nacre.families.metasurface.ladder import Modes
-from nacre.families.metasurface.monolayer import Monolayer, Particle
-from nacre.families.metasurface.neighbours import all_orders, multipole_index
-from nacre.families.metasurface.sphere import hemisphere_rule
-from nacre.families.metasurface.structure import hard_disk_structure
+from nacre.core.errors import UnsupportedError
+from nacre.families.metasurface.ensemble.multisphere import direct_coupling, reflected_coupling
+from nacre.families.metasurface.monolayer import diffuse
+from nacre.families.metasurface.monolayer import ladder as ladder_module
+from nacre.families.metasurface.monolayer.diffuse import diffuse_term
+from nacre.families.metasurface.monolayer.ladder import Modes
+from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
+from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.monolayer.translation_sums import all_orders, multipole_index
+from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
 
 FAINT = 1e-3  # of M: what is passed on twice is then nothing
 # at a wavenumber of 40 over the least distance: the jump of g at contact leaves some 3/kappa
@@ -74,7 +74,7 @@ def test_emission_through_the_neighbours_is_their_light_backwards():
     layer = ladder(550.0, 80.0, SILVER, 1.5, 0.1, 0.3, lmax=3)
     lit = layer.light(np.cos(np.array([0.1, 0.5, 0.9, 1.3])))
     first = lit.directions[0]
-    x = layer.fields([first.emission + passing.emission_added(lit.added)], lit.response)[0]  # m, q, s, p, i
+    x = layer.fields([first.emission + diffuse.emission_added(lit.added)], lit.response)[0]  # m, q, s, p, i
     there, back = np.abs(x), np.abs(x.transpose(0, 3, 4, 1, 2))
     assert np.abs(there - back).max() <= 1e-9 * there.max()
 
@@ -86,9 +86,9 @@ def test_passed_on_light_is_reciprocal_between_its_nodes_already():
     mu = np.cos(np.array([0.2, 0.7, 1.2]))
     lit = layer.light(mu)
     order = 2
-    met = passing._lights([passing._low(b, order) for b in lit.response])
+    met = diffuse._lights([diffuse._low(b, order) for b in lit.response])
     kappa = lit.directions[0].inner
-    found = modes.passed_on(met, np.tile(kappa, 2), passing._low(passing._leaving(layer, lit), order), kappa, 8)
+    found = modes.passed_on(met, np.tile(kappa, 2), diffuse._low(diffuse._leaving(layer, lit), order), kappa, 8)
     power = found.reshape(3, 2, 2, 3, 8)  # s, q, p, i, k
     swapped = power.transpose(3, 2, 1, 0, 4)
     assert np.abs(power - swapped).max() <= 1e-4 * np.abs(power).max()
@@ -102,9 +102,9 @@ def test_the_nodes_of_passed_on_light_are_enough(substrate, films, monkeypatch):
     layer = ladder(500.0, 90.0, SILVER, substrate, 0.1, 0.1, films=films, lmax=2)
     mu = np.cos(np.radians([0.5, 20.0, 40.0, 55.0, 70.0, 80.0, 86.0, 89.0]))
     lit = layer.light(mu)
-    few = passing.passed_on(layer, [(lit, mu)], 8)
-    monkeypatch.setattr(passing, "NODES", (24, 12, 14))
-    many = passing.passed_on(layer, [(lit, mu)], 8)
+    few = diffuse.passed_on(layer, [(lit, mu)], 8)
+    monkeypatch.setattr(diffuse, "NODES", (24, 12, 14))
+    many = diffuse.passed_on(layer, [(lit, mu)], 8)
     steep = np.outer(mu, mu)[..., None, None, None]
     assert np.abs(few - many).max() <= 0.01 * np.abs(many).max()
     assert np.abs((few - many) / steep).max() <= 0.02 * np.abs(many / steep).max()
@@ -131,7 +131,7 @@ def test_a_mixture_with_a_dark_kind_passes_on_by_chance_of_who_is_who():
     mu, w = hemisphere_rule(12)
     passed = []
     for layer in (mixed, alone):
-        part = passing.passed_on(layer, [(layer.light(mu), w)], 1)
+        part = diffuse.passed_on(layer, [(layer.light(mu), w)], 1)
         passed.append(part * layer.structure.density_per_nm2)
     assert np.abs(passed[0] - passed[1]).max() <= DARK_BAR * passed[1].max()
 

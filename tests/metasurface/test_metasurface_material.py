@@ -9,12 +9,12 @@ import pytest
 from read_back import read_layout, read_points_csv
 
 from nacre.bsdf import Bsdf
-from nacre.errors import MaterialRangeError, NacreError, RecipeError
-from nacre.exchange.point_pattern import write_layout, write_points_csv
-from nacre.families.metasurface.kinds import GAPS_NM
+from nacre.core.errors import MaterialRangeError, NacreError, RecipeError
 from nacre.families.metasurface.material import Metasurface, MetasurfaceWarning
-from nacre.families.metasurface.sphere import ConvergenceRefusal
-from nacre.materials.material import load, material
+from nacre.families.metasurface.species import GAPS_NM
+from nacre.families.metasurface.tmatrix.particle_on_stack import ConvergenceRefusal
+from nacre.formats.layouts import write_layout, write_points_csv
+from nacre.material.material import load, material
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "metasurface"
 
@@ -154,7 +154,7 @@ def test_measured_arrangements_scatter_by_their_order(structure, least, most):
 
 
 def test_points_and_sq_files_make_materials(tmp_path):
-    from nacre.families.metasurface.patterns import random_sequential
+    from nacre.families.metasurface.monolayer.arrangement import random_sequential
 
     pattern = random_sequential(3000, 6.5e-6, 0.3)
     write_points_csv(tmp_path / "xy.csv", pattern.xy_nm * 1e-3)
@@ -360,8 +360,8 @@ def test_packing_goes_over_into_the_coverage(deviation_nm):
 
 def test_energy_beyond_one_is_scaled_away_symmetrically():
     """A monolayer that would send back 1.4 times what it gets: the factors leave no direction above 1."""
-    from nacre.families.metasurface.compile import _energy_scale
-    from nacre.families.metasurface.corrections import DiffuseTerm
+    from nacre.families.metasurface.monolayer.diffuse import DiffuseTerm
+    from nacre.families.metasurface.monolayer.evaluation import _energy_scale
 
     layer = material(recipe("Si")).model.monolayer(500.0)
     mu, weights = np.polynomial.legendre.leggauss(12)
@@ -403,8 +403,8 @@ def test_points_csv_comes_back(tmp_path):
 @pytest.mark.parametrize("deviation_nm", [0.0, 6.0])
 def test_the_dense_grid_averages_to_the_bsdf(deviation_nm, monkeypatch):
     from nacre.bsdf.lobes.monolayer import PolarGrid
-    from nacre.families.metasurface import compile as tables
     from nacre.families.metasurface.dense import stream_dense
+    from nacre.families.metasurface.monolayer import evaluation as tables
 
     monkeypatch.setattr(tables, "fit_linear", lambda table, grids: table)  # the nodes as solved, not as lines like them
     made = material(
@@ -438,7 +438,7 @@ def test_the_dense_grid_averages_to_the_bsdf(deviation_nm, monkeypatch):
 @pytest.mark.parametrize("polydisperse", [False, True])
 @pytest.mark.parametrize(("thick", "low"), [(False, False), (True, False), (False, True)])
 def test_tables_of_every_stack_stay_under_100_megabytes(eta, polydisperse, thick, low):
-    from nacre.families.metasurface.compile import HARMONICS, choose_grids
+    from nacre.families.metasurface.monolayer.evaluation import HARMONICS, choose_grids
 
     grids = choose_grids(eta, polydisperse, thick, low)
     n, m = grids.above.size, grids.below.size if grids.below else 0
@@ -457,7 +457,7 @@ RESOLVED = 5e-3  # relative L2 of f, linear between the stored angles
 )  # fmt: skip
 def test_the_stored_angles_resolve_films_up_to_a_micrometre(substrate, oxide_nm, wavelength_nm, count):
     from nacre.bsdf.lobes.monolayer import PolarGrid
-    from nacre.families.metasurface.compile import Grids, tabulate
+    from nacre.families.metasurface.monolayer.evaluation import Grids, tabulate
 
     particle = {"material": "Si", "radius_nm": 75} if substrate == "glass" else {"material": "Ag", "radius_nm": 90}
     made = material(

@@ -6,10 +6,10 @@ from PIL import Image
 from scipy import ndimage
 
 from nacre.cli import run
-from nacre.errors import NacreError
-from nacre.families.metasurface.micrograph import find_particles, grey_levels, otsu
-from nacre.families.metasurface.patterns import hard_disks
-from nacre.materials.material import material
+from nacre.core.errors import NacreError
+from nacre.families.metasurface.monolayer.arrangement import hard_disks
+from nacre.families.metasurface.monolayer.micrograph import find_particles, grey_levels, otsu
+from nacre.material.material import material
 
 PIXEL_NM = 20.0
 

@@ -5,7 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nacre.families.metasurface.angular import angular_functions, legendre, mirrored, plane_wave_vectors
+from nacre.families.metasurface.tmatrix.special_functions import (
+    angular_functions,
+    legendre,
+    mirrored,
+    plane_wave_vectors,
+)
 from nacre.matter.mie import default_order, mie_amplitudes, mie_coefficients, mie_efficiencies
 
 REFERENCE = Path(__file__).parents[2] / ".." / "shared" / "reference" / "metasurface"

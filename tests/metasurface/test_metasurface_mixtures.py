@@ -12,18 +12,18 @@ from validation.metasurface_mixtures import SILVER as MIE_SILVER
 from validation.metasurface_mixtures import mixture
 
 from nacre.cli import run
-from nacre.errors import NacreError
-from nacre.families.metasurface.axial import as_blocks
-from nacre.families.metasurface.cells import Cell, lift, with_kinds
-from nacre.families.metasurface.cluster import Coupling, Period, PlaneWaves, direct_coupling
-from nacre.families.metasurface.ensemble import EnsembleSettings, _kind_factor
-from nacre.families.metasurface.kinds import widened
-from nacre.families.metasurface.monolayer import Monolayer, Particle
-from nacre.families.metasurface.neighbours import multipole_index
-from nacre.families.metasurface.refine import expected_seconds
-from nacre.families.metasurface.sphere import Directions
-from nacre.families.metasurface.structure import hard_disk_structure
-from nacre.materials.material import material
+from nacre.core.errors import NacreError
+from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings, _kind_factor
+from nacre.families.metasurface.ensemble.interpolation import expected_seconds
+from nacre.families.metasurface.ensemble.multisphere import Coupling, Period, PlaneWaves, direct_coupling
+from nacre.families.metasurface.ensemble.supercells import Cell, lift, with_kinds
+from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
+from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.monolayer.translation_sums import multipole_index
+from nacre.families.metasurface.species import widened
+from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks
+from nacre.families.metasurface.tmatrix.particle_on_stack import Directions
+from nacre.material.material import material
 
 SINGLE = 2e-5  # of the largest amplitude: the matrix is in single precision, its tables good to 1e-5
 SILICON, SILVER = {"n": 4.0, "k": 0.03}, {"n": 0.05, "k": 3.1}

@@ -8,8 +8,8 @@ import pytest
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.lobes.monolayer import PolarGrid
-from nacre.bsdf.series_words import ROUNDING, encode
-from nacre.materials.material import material
+from nacre.bsdf.packed_series import ROUNDING, encode
+from nacre.material.material import material
 
 pytestmark = pytest.mark.render
 
@@ -129,7 +129,7 @@ def test_the_device_interpolates_on_tetrahedra_of_both_angles_and_the_wavelength
 
 def test_lines_between_fitted_nodes_follow_a_smooth_table_better_than_through_it():
     """And leave next to nothing in the mean: the second differences are those of the angles, not of something else."""
-    from nacre.families.metasurface.compile import Grids, fit_linear
+    from nacre.families.metasurface.monolayer.evaluation import Grids, fit_linear
 
     def table(count):
         theta = PolarGrid(count).nodes
@@ -254,7 +254,7 @@ def test_what_was_rounded_for_its_words_is_rounded_no_more():
 def test_a_density_of_tents_is_linear_between_its_nodes_and_its_draws_follow_it(trials):
     import mitsuba as mi
 
-    from nacre.device.tents import Tents
+    from nacre.device.bilinear_sampling import Tents
 
     generator = np.random.default_rng(4)
     weights = generator.uniform(0.2, 2.0, (2, 2, 4, 5))

@@ -8,14 +8,13 @@ from helpers_metasurface import reference, surface, t_matrix
 
 import nacre
 from nacre.cli import run
-from nacre.families.metasurface import solids
-from nacre.families.metasurface.axial import as_blocks, gain, mirror_signs
-from nacre.families.metasurface.boundary import Mesh, block_t_matrix
-from nacre.families.metasurface.near_stack import cut_of
-from nacre.families.metasurface.solids import SolvedBody, cylinder_panels, spheroid_panels
-from nacre.families.metasurface.sphere import SphereOnStack, amplitude, cross_sections
+from nacre.core.parallel import one_thread_each
+from nacre.families.metasurface.tmatrix import particle_shapes
+from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks, gain, mirror_signs
+from nacre.families.metasurface.tmatrix.bem import Mesh, block_t_matrix
+from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack, amplitude, cross_sections, cut_of
+from nacre.families.metasurface.tmatrix.particle_shapes import SolvedBody, cylinder_panels, spheroid_panels
 from nacre.matter.indices.spec import IndexSpec
-from nacre.matter.jobs import one_thread_each
 
 BARS = {"spheroid": 1e-4, "silicon disc": 5e-3, "metal disc": 2e-2}  # of cross-sections: the issue's
 FEM = {"spheroid": 2e-3, "cylinder": 1e-2}  # of d sigma/d Omega over a stack at l = 10: the issue's
@@ -169,7 +168,7 @@ def test_a_solved_disc_is_kept_and_its_numbers_name_it(tmp_path, monkeypatch):
     def solve_again(*args, **options):
         raise AssertionError("solved again")
 
-    monkeypatch.setattr(solids, "block_t_matrix", solve_again)
+    monkeypatch.setattr(particle_shapes, "block_t_matrix", solve_again)
     again = _body("spheroid", 40.0, 60.0, 3.5)
     assert np.array_equal(again.t_matrix(500.0), first) and again.errors[500.0] <= 1e-4
     for other in (
@@ -210,7 +209,7 @@ def test_an_exported_disc_is_read_to_the_same_numbers(tmp_path, capsys):
     path.write_text(text)
     model = nacre.load(path).model
     lam = np.array([550.0])
-    from nacre.families.metasurface.tmatrix_file import write_tmatrices
+    from nacre.families.metasurface.tmatrix.tmatrix_file import write_tmatrices
 
     write_tmatrices(tmp_path / "disc.tmat.h5", model.body.all_known(lam), "cylinder")
     (tmp_path / "file.toml").write_text(text.replace(disc, 'tmatrix = "disc.tmat.h5"'))
@@ -247,7 +246,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("what", REFUSED)
 def test_what_cannot_be_gets_one_line(tmp_path, capsys, what, monkeypatch):
-    monkeypatch.setattr(solids, "LADDER", (3,))  # finer meshes take seconds and find the same
+    monkeypatch.setattr(particle_shapes, "LADDER", (3,))  # finer meshes take seconds and find the same
     particle, said = REFUSED[what]
     status = run(["spectrum", str(_recipe(tmp_path, particle)), "--wavelengths-nm", "500"])
     lines = capsys.readouterr().err.strip().splitlines()

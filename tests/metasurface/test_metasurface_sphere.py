@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers_metasurface import reference, sphere, surface, t_matrix
 
-from nacre.families.metasurface.sphere import (
+from nacre.families.metasurface.tmatrix.particle_on_stack import (
     ConvergenceRefusal,
     amplitude,
     choose_order,

@@ -7,10 +7,10 @@ import pytest
 from helpers_metasurface import reference
 from scipy.special import j0, j1
 
-from nacre.errors import NacreError
-from nacre.families.metasurface import patterns
-from nacre.families.metasurface.arrangement import points_pattern
-from nacre.families.metasurface.structure import (
+from nacre.core.errors import NacreError
+from nacre.families.metasurface.monolayer import arrangement
+from nacre.families.metasurface.monolayer.arrangement import points_pattern
+from nacre.families.metasurface.monolayer.structure import (
     _compressibility,
     baus_colot,
     baus_colot_pair_correlation,
@@ -88,10 +88,10 @@ def test_packing_beyond_freezing_is_refused():
 
 @pytest.mark.parametrize("maker, packing", [("hard_disks", 0.5), ("random_sequential", 0.4), ("poisson_disk", 0.4)])
 def test_patterns_keep_their_distance_their_density_and_their_seed(maker, packing):
-    make = getattr(patterns, maker)
+    make = getattr(arrangement, maker)
     pattern = make(2000, 5e-6, packing, seed=3)
     a = np.sqrt(4 * packing / np.pi / 5e-6)
-    assert patterns.nearest_distances(pattern).min() >= a * (1 - 1e-12)
+    assert arrangement.nearest_distances(pattern).min() >= a * (1 - 1e-12)
     assert abs(len(pattern.xy_nm) / pattern.box_nm**2 / 5e-6 - 1) < 1e-12
     assert np.array_equal(pattern.xy_nm, make(2000, 5e-6, packing, seed=3).xy_nm)
     assert not np.array_equal(pattern.xy_nm, make(2000, 5e-6, packing, seed=4).xy_nm)
@@ -99,12 +99,12 @@ def test_patterns_keep_their_distance_their_density_and_their_seed(maker, packin
 
 @pytest.mark.parametrize("packing", [0.3, 0.5])
 def test_monte_carlo_disks_have_the_structure_of_baus_colot(packing):
-    pattern = patterns.hard_disks(30_000, 1.0, packing, seed=1, sweeps=80)
+    pattern = arrangement.hard_disks(30_000, 1.0, packing, seed=1, sweeps=80)
     a = np.sqrt(4 * packing / np.pi)
     edges = np.arange(0.4, 12.01, 0.2) / a
-    ours = patterns.measured_structure_factor(pattern, edges)
+    ours = arrangement.measured_structure_factor(pattern, edges)
     assert np.sqrt(np.mean((ours - baus_colot((edges[1:] + edges[:-1]) / 2 * a, packing)) ** 2)) <= 0.025
-    r, g = patterns.measured_pair_correlation(pattern, 4 * a, 160)
+    r, g = arrangement.measured_pair_correlation(pattern, 4 * a, 160)
     assert np.all(g[r < a * 0.99] == 0)
     far = r > 1.2 * a
     assert np.sqrt(np.mean((g - baus_colot_pair_correlation(r / a, packing))[far] ** 2)) < 0.03
@@ -113,7 +113,7 @@ def test_monte_carlo_disks_have_the_structure_of_baus_colot(packing):
 def test_pairs_are_counted_in_three_hundred_rings_unasked():
     """Against all pairs, one by one, of a small pattern; far apart points know nothing of each other."""
     xy = np.random.default_rng(5).uniform(0, 1000.0, (400, 2))
-    r, g = patterns.measured_pair_correlation(patterns.Pattern(xy, 1000.0), 300.0)
+    r, g = arrangement.measured_pair_correlation(arrangement.Pattern(xy, 1000.0), 300.0)
     np.testing.assert_allclose(r, np.arange(0.5, 300.0))
     apart = xy[:, None] - xy
     apart -= 1000.0 * np.round(apart / 1000.0)
@@ -125,7 +125,7 @@ def test_pairs_are_counted_in_three_hundred_rings_unasked():
 
 
 def test_mesh_structure_factor_is_the_direct_sum():
-    pattern = patterns.random_sequential(300, 1.0, 0.3)
+    pattern = arrangement.random_sequential(300, 1.0, 0.3)
     n = np.array([3, 5])
     q = 2 * np.pi / pattern.box_nm * n
     direct = [abs(np.exp(1j * pattern.xy_nm @ q)[...].sum()) ** 2 / 300]
@@ -136,25 +136,25 @@ def test_mesh_structure_factor_is_the_direct_sum():
         np.mean([abs(np.exp(2j * np.pi / pattern.box_nm * pattern.xy_nm @ np.array(m)).sum()) ** 2 for m in modes])
         / 300
     )
-    found = patterns.measured_structure_factor(pattern, np.array([size * 0.9999, size * 1.0001]))
+    found = arrangement.measured_structure_factor(pattern, np.array([size * 0.9999, size * 1.0001]))
     assert abs(found[0] / direct - 1) < 1e-3
 
 
 def test_jittered_lattice_has_its_density_and_its_disorder():
     for kind in ("square", "hexagonal"):
-        perfect = patterns.lattice(900, 4e-6, kind)
+        perfect = arrangement.lattice(900, 4e-6, kind)
         spacing = np.sqrt(1 / 4e-6) if kind == "square" else np.sqrt(2 / np.sqrt(3) / 4e-6)
-        assert abs(patterns.nearest_distances(perfect).min() / spacing - 1) < 0.03
-        assert patterns.nearest_distances(patterns.lattice(900, 4e-6, kind, 0.1)).min() < 0.9 * spacing
+        assert abs(arrangement.nearest_distances(perfect).min() / spacing - 1) < 0.03
+        assert arrangement.nearest_distances(arrangement.lattice(900, 4e-6, kind, 0.1)).min() < 0.9 * spacing
 
 
 def test_too_dense_patterns_are_refused():
     with pytest.raises(NacreError, match="rsa"):
-        patterns.random_sequential(1000, 1.0, 0.6)
+        arrangement.random_sequential(1000, 1.0, 0.6)
     with pytest.raises(NacreError, match="poisson"):
-        patterns.poisson_disk(1000, 1.0, 0.6)
+        arrangement.poisson_disk(1000, 1.0, 0.6)
     with pytest.raises(NacreError, match="at most 0.7"):
-        patterns.hard_disks(1000, 1.0, 0.75)
+        arrangement.hard_disks(1000, 1.0, 0.75)
 
 
 LISTS = {

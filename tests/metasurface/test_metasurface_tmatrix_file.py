@@ -11,11 +11,11 @@ from helpers_metasurface import REFERENCE, reference, t_matrix
 
 import nacre
 from nacre.cli import run
-from nacre.errors import MaterialRangeError
-from nacre.families.metasurface import tmatrix_file
-from nacre.families.metasurface.axial import AxialTMatrices, as_blocks, gain, mirror_signs
+from nacre.core.errors import MaterialRangeError
 from nacre.families.metasurface.material import MetasurfaceWarning
-from nacre.families.metasurface.tmatrix_file import TMatrixFileError, read_tmatrices, write_tmatrices
+from nacre.families.metasurface.tmatrix import tmatrix_file
+from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, as_blocks, gain, mirror_signs
+from nacre.families.metasurface.tmatrix.tmatrix_file import TMatrixFileError, read_tmatrices, write_tmatrices
 
 SAME = 1e-10  # of spheres by way of a file, against Mie
 TREAMS = 1e-6
@@ -115,8 +115,8 @@ def test_scattering_of_a_disc_is_that_of_treams(tmp_path):
     """Far fields of a lone disc at slanted light: phases between m, l and polarisations all count."""
     treams = pytest.importorskip("treams.io").treams
 
-    from nacre.families.metasurface.sphere import SphereOnStack, amplitude, cross_sections
-    from nacre.families.metasurface.substrate import Substrate
+    from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack, amplitude, cross_sections
+    from nacre.families.metasurface.tmatrix.substrate import Substrate
 
     known = read_tmatrices(_disc())
     lam = known.wavelengths_nm[0]
@@ -231,8 +231,8 @@ def test_a_file_of_too_few_multipoles_of_a_sphere_says_so(tmp_path, caplog):
 
 def _pattern_over_glass(lmax, views):
     """d sigma/d Omega of the sphere at four incidences, `[pol out, view, pol, light, azimuth]`."""
-    from nacre.families.metasurface.sphere import SphereOnStack, amplitude
-    from nacre.families.metasurface.substrate import Substrate
+    from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack, amplitude
+    from nacre.families.metasurface.tmatrix.substrate import Substrate
 
     one = SphereOnStack(
         Substrate(500.0, np.array([1.0, 1.5], complex), np.array([])), 62.0,
@@ -516,8 +516,8 @@ def _saved(treams, matrix, path):
 def test_a_particle_with_corners_is_taken_as_the_mean_over_its_turns(tmp_path, capsys):
     """Against the code that made it: extinction at slanted light, averaged over turns about the normal."""
     treams = pytest.importorskip("treams.io").treams
-    from nacre.families.metasurface.sphere import SphereOnStack, cross_sections
-    from nacre.families.metasurface.substrate import Substrate
+    from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack, cross_sections
+    from nacre.families.metasurface.tmatrix.substrate import Substrate
 
     matrix = _cluster(treams, 4)
     _saved(treams, matrix, tmp_path / "square.tmat.h5")

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nacre.materials.material import material
+from nacre.material.material import material
 
 pytestmark = pytest.mark.render
 

@@ -7,12 +7,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from nacre.arrays import Array
-from nacre.bsdf.interface_loss import interface_loss
+from nacre.bsdf.compensation import interface_loss
+from nacre.bsdf.facet_distributions import Roughness
 from nacre.bsdf.lobes.layered import Layered
-from nacre.bsdf.roughness import Roughness
-from nacre.families.pearl.dye import Dye, DyeResponse, dye_response
-from nacre.families.pearl.medium import (
+from nacre.core.arrays import Array
+from nacre.families.pearl.flake_normals import (
     FlakeNormals,
     cos_nodes,
     mean_extinction,
@@ -20,6 +19,7 @@ from nacre.families.pearl.medium import (
     rotation_matrix,
     visible_weights,
 )
+from nacre.families.pearl.strata import Dye, DyeResponse, dye_response
 from nacre.families.pearl.thickness import Thickness
 from nacre.matter.indices.spec import IndexSpec
 

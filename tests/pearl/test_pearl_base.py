@@ -11,7 +11,7 @@ from helpers_pearl import direction
 import nacre
 from nacre.bsdf import Bsdf
 from nacre.bsdf.lobes.table import TableLobe
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.recipe.toml import dump_toml
 
 BAR = 0.005  # of the issue: a coat that is not there, and sample against eval
@@ -154,7 +154,7 @@ def check_sample_against_eval(mi, material, count=1 << 21):
     """Compare the two albedos, and that of a wide lobe about the mirror direction; energy never above 1."""
     import drjit as dr
 
-    from nacre.device.registry import make_plugin
+    from nacre.device.bsdf import make_plugin
     from nacre.device.walk.arrays import _site
     from nacre.device.walk.strata import Strata
     from nacre.device.walk.walk import eval_walk, sample_walk
@@ -182,7 +182,7 @@ def check_sample_against_eval(mi, material, count=1 << 21):
 
 @pytest.mark.render
 def test_weights_stay_bounded_where_the_draws_do(mi, folder):
-    from nacre.device.registry import make_plugin
+    from nacre.device.bsdf import make_plugin
     from nacre.device.walk.arrays import _site
     from nacre.device.walk.strata import Strata
     from nacre.device.walk.walk import sample_walk

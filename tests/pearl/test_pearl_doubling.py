@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.bsdf.directions import direction
 from nacre.bsdf.facet_distributions import fresnel
-from nacre.families.pearl import doubling, glance
-from nacre.families.pearl.fast import Medium
+from nacre.bsdf.grids import direction
+from nacre.families.pearl import doubling, surrogate
+from nacre.families.pearl.tables import Medium
 from nacre.measure.instruments import ASPECULAR_DEG, aspecular_direction
 
 NM = np.array([440.0, 500.0, 560.0, 640.0])
@@ -78,7 +78,7 @@ def test_flakes_that_absorb_nothing_lose_no_light() -> None:
                 "coatings": [{"material": clear, "thickness_nm": 80}], "normal_deviation": 0.08}  # fmt: skip
     strata = [{"resin": {"n": 1.5}, "thickness_um": 60, "platelets": [platelet]}]
     model = nacre.material({"family": "pearl", "strata": strata, "base": {"albedo": 0.5}}).model
-    medium = glance._medium(model._glance(lam), glance.COS_NODES)
+    medium = surrogate._medium(model._glance(lam), surrogate.COS_NODES)
     n = medium.index
     theta = (np.arange(24) + 0.5) * np.pi / 48
     wi = direction(theta)

@@ -11,12 +11,12 @@ import pytest
 from helpers_pearl import direction, dissolved_dye, layered_lobe, lossless_flakes, sphere_dye
 
 from nacre.bsdf import Bsdf
-from nacre.bsdf.directions import hemisphere_nodes
 from nacre.bsdf.facet_distributions import fresnel, visible_normals
+from nacre.bsdf.grids import hemisphere_nodes
 from nacre.bsdf.lobes.layered import Layered
-from nacre.families.pearl import fast_walk
-from nacre.families.pearl.fast import bake, check, obstacle, tables
-from nacre.materials.material import material
+from nacre.families.pearl import random_walk
+from nacre.families.pearl.tables import bake, check, obstacle, tables
+from nacre.material.material import material
 
 MEAN_BAR = 0.02  # of the stated error, issue's bar
 SAMPLE_BAR = 0.005
@@ -100,7 +100,7 @@ def test_few_walks_make_a_smooth_table():
 def test_the_facets_drawn_are_those_that_a_direction_sees(theta):
     w = direction(theta)
     draws = np.random.default_rng(6).random((20_000, 2))
-    drawn = np.array([fast_walk.facet(*w, 0.4, *u) for u in draws])
+    drawn = np.array([random_walk.facet(*w, 0.4, *u) for u in draws])
     normals, weight = visible_normals("ggx", w, 0.4, 0.4, 64)
     for power in (1, 2):
         moment = (weight / weight.sum()) @ normals**power
@@ -275,7 +275,7 @@ def test_what_cannot_be_baked_says_why(name):
 
 
 def test_the_recipe_states_the_error_or_falls_back_to_the_walk(caplog, monkeypatch):
-    import nacre.families.pearl.fast as fast
+    import nacre.families.pearl.tables as fast
 
     for name in ("WALKS", "RISES", "SINGLES", "MASSES", "CHECK_WALKS", "CHECK_SINGLES"):
         monkeypatch.setattr(fast, name, getattr(fast, name) // 20)
@@ -326,7 +326,7 @@ def random_material(seed: int) -> Layered:
 def test_the_stated_error_holds_for_nineteen_of_twenty_random_materials(monkeypatch):
     """Against walks of their own, in the bins of the check, where noise is taken off in the mean; and in bins so
     large, and so many walks, that the noise itself is below 0.3 % of the light."""
-    import nacre.families.pearl.fast as fast
+    import nacre.families.pearl.tables as fast
 
     made = [(lobe := random_material(seed), bake(lobe, 0.35, seed=1)) for seed in range(20)]
     fine = [check(lobe, table, 0.7, seed=9000 + seed)[0] for seed, (lobe, table) in enumerate(made)]

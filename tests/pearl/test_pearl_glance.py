@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.bsdf.directions import direction
 from nacre.bsdf.facet_distributions import fresnel
-from nacre.families.pearl import glance
+from nacre.bsdf.grids import direction
+from nacre.families.pearl import surrogate
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.instruments import ASPECULAR_DEG, aspecular_direction
 
@@ -147,17 +147,17 @@ def test_pigments_are_remembered_by_many_threads_at_once(monkeypatch: pytest.Mon
     stratum = pearl().strata[0]
     flakes = stratum.flakes[0]
     coating = flakes.platelet.upper[0]
-    monkeypatch.setattr(glance, "REMEMBERED", 2)
-    monkeypatch.setattr(glance, "_tables", Slow())
+    monkeypatch.setattr(surrogate, "REMEMBERED", 2)
+    monkeypatch.setattr(surrogate, "_tables", Slow())
 
     def table(nm: float) -> np.ndarray:
         upper = (replace(coating, thickness=replace(coating.thickness, mean_nm=nm)),)
         kind = replace(flakes, platelet=replace(flakes.platelet, upper=upper))
-        return glance._pigment(stratum, kind, 3, NM[:1].tobytes())[0]
+        return surrogate._pigment(stratum, kind, 3, NM[:1].tobytes())[0]
 
     thicknesses = [100.0 + k % 5 for k in range(30)]
     known = {nm: table(nm) for nm in set(thicknesses)}
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(table, thicknesses))
     assert all(np.array_equal(f, known[nm]) for f, nm in zip(found, thicknesses, strict=True))
-    assert len(glance._tables) <= 2
+    assert len(surrogate._tables) <= 2

@@ -11,10 +11,10 @@ import pytest
 import nacre
 from nacre.bsdf import Bsdf
 from nacre.bsdf.glints import COVERAGE, WIDTH, factors, kind_of_flake, mean_ratio
-from nacre.bsdf.lobes.flaked import Flaked
 from nacre.bsdf.lobes.layered import Layered
-from nacre.errors import RecipeError
-from nacre.materials.material import material
+from nacre.bsdf.lobes.platelet_layer import Flaked
+from nacre.core.errors import RecipeError
+from nacre.material.material import material
 
 LAM = np.array([450.0, 550.0, 650.0, 700.0])
 FLAKE = {
@@ -223,7 +223,7 @@ def test_a_flake_without_a_diameter_is_named() -> None:
 def test_the_device_lays_the_same_flakes(fast: Flaked, mi) -> None:  # type: ignore[no-untyped-def]
     import drjit as dr
 
-    from nacre.device.registry import make_plugin
+    from nacre.device.bsdf import make_plugin
 
     count = 20_000
     uv = np.random.default_rng(9).random((count, 2)) * 2.0 - 0.5
@@ -245,8 +245,8 @@ def test_where_flakes_are_not_seen_apart_a_lobe_is_the_one_without_glints(fast: 
     """Values, densities and draws of what falls by way of a matt ground, beside those of a lobe that has no glints."""
     import drjit as dr
 
+    from nacre.device.bsdf import make_plugin
     from nacre.device.glints import blurred
-    from nacre.device.registry import make_plugin
 
     count, generator = 4_000, np.random.default_rng(15)
     si = dr.zeros(mi.SurfaceInteraction3f, count)
@@ -306,7 +306,7 @@ def test_the_fast_route_draws_by_the_density_that_it_states(roughness: float, mi
     """At places with a flake, with several, and with none: draws in cells of directions, and their power."""
     import drjit as dr
 
-    from nacre.device.registry import make_plugin
+    from nacre.device.bsdf import make_plugin
 
     # a second kind of flake, in an interface that spreads light or does not
     kinds = [FLAKE, {**FLAKE, "diameter_um": 60, "normal_deviation": 0.3}]
@@ -359,7 +359,7 @@ def test_two_seeds_of_a_default_picture_show_the_same_glints() -> None:
     """The shipped paint on the car, as large as in a picture of 256 pixels: what stands out of its neighbourhood."""
     from scipy.ndimage import median_filter
 
-    from nacre.materials.examples import examples_folder
+    from nacre.material.examples import examples_folder
 
     paint = nacre.load(examples_folder() / "pearl" / "car_paint_glints.toml")
     asked = {"scene": "body", "zoom": 4.0, "size": (64, 64), "progress": False}

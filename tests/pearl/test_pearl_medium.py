@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from helpers_pearl import draw_visible
 
-from nacre.families.pearl.dye import Dye, dye_response
-from nacre.families.pearl.medium import (
+from nacre.families.pearl.flake_normals import (
     FlakeNormals,
     cos_nodes,
     mean_extinction,
@@ -15,6 +14,7 @@ from nacre.families.pearl.medium import (
     rotation_matrix,
     visible_weights,
 )
+from nacre.families.pearl.strata import Dye, dye_response
 from nacre.families.pearl.thickness import Thickness
 from nacre.matter.indices.spec import IndexSpec
 

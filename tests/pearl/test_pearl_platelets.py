@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.families.pearl.platelet import Coating, Platelet, platelet_response
 from nacre.families.pearl.thickness import Thickness
 from nacre.matter.indices.library import index

@@ -10,8 +10,8 @@ import pytest
 
 import nacre
 from nacre.bsdf import Bsdf
-from nacre.errors import NacreError, RecipeError
-from nacre.materials.material import load, material
+from nacre.core.errors import NacreError, RecipeError
+from nacre.material.material import load, material
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "pearl").glob("*.toml"))
 COARSE = np.arange(400.0, 701.0, 50.0)

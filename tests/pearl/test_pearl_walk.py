@@ -368,9 +368,9 @@ def test_flakes_on_edge_let_light_pass_and_stay_finite(mi):
 
 
 def test_the_plugin_needs_an_llvm_variant(mi):
+    from nacre.core.errors import UnsupportedError
+    from nacre.device.bsdf import make_plugin
     from nacre.device.lobes.layered import LayeredPlugin
-    from nacre.device.registry import make_plugin
-    from nacre.errors import UnsupportedError
 
     mi.set_variant("scalar_spectral")
     try:

@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 
 from nacre import plot
-from nacre.errors import NacreError, UnsupportedError
-from nacre.materials.material import material_from_data
+from nacre.core.errors import NacreError, UnsupportedError
+from nacre.material.material import material_from_data
 from nacre.matter.indices.library import index
 from nacre.plot.material import data_figure
 from nacre.recipe.model import RecipeContext

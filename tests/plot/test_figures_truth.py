@@ -9,9 +9,8 @@ from matplotlib.collections import PathCollection, PolyCollection, QuadMesh
 from matplotlib.patches import Rectangle
 
 from nacre import light, plot
-from nacre.bsdf.bsdf import Bsdf
-from nacre.bsdf.spectrum import Spectrum
-from nacre.errors import NacreError
+from nacre.bsdf.bsdf import Bsdf, Spectrum
+from nacre.core.errors import NacreError
 from nacre.plot.directions import slice_directions
 
 NM = np.arange(360.0, 831.0, 10.0)
@@ -40,7 +39,7 @@ class HalfLambert:
         return strength[..., None] * fringes(800) / np.pi
 
     def specular(self, cos_i, uv=None):
-        from nacre.bsdf.contract import SpecularResponse
+        from nacre.bsdf.lobe import SpecularResponse
 
         zero = np.zeros((*np.shape(cos_i), len(NM)))
         return SpecularResponse(zero + 0.25, zero)
@@ -204,7 +203,7 @@ def test_plot_loads_matplotlib_late_and_never_pyplot():
 
 
 def test_names_of_thin_layers_do_not_cover_each_other() -> None:
-    from nacre.plot.designs import apart
+    from nacre.plot.sheets import apart
 
     np.testing.assert_allclose(apart(np.array([0.1, 0.5, 0.51]), 0.05), [0.1, 0.5, 0.55])
     crowded = apart(np.array([0.9, 0.95, 0.96, 0.97]), 0.05)

@@ -5,10 +5,10 @@ import pytest
 
 from nacre import plot
 from nacre.cli import main
-from nacre.errors import NacreError, UnsupportedError
+from nacre.core.errors import NacreError, UnsupportedError
 from nacre.light import smooth_weights, spectrum_to_xyz, xyz_to_lab
-from nacre.materials.material import material
-from nacre.measure.walk_wavelengths import WALK_NM, solve_coarse_walk
+from nacre.material.material import material
+from nacre.measure.wavelengths import WALK_NM, solve_coarse_walk
 from nacre.plot.material import plot_walk
 
 NM = np.arange(400.0, 701.0, 20.0)

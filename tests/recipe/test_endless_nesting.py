@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nacre.errors import RecipeError
+from nacre.core.errors import RecipeError
 from nacre.recipe.toml import parse_toml
 
 DOTS = 100_000

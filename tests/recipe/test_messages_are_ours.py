@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
+from nacre.analysis.sweep_plan import SweepSpec
 from nacre.cli.gallery import GallerySpec
-from nacre.design.spec import TargetSpec
-from nacre.errors import RecipeError
+from nacre.core.errors import RecipeError
 from nacre.families.registry import FAMILIES, family_spec
+from nacre.optimise.relief.target import TargetSpec
 from nacre.recipe.keys import tables_below
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
 from nacre.recipe.toml import parse_toml
-from nacre.study.plan import SweepSpec
 
 ODD: list[Any] = [
     None, True, 0, -1, 1.5, float("nan"), float("inf"), "", "x", b"b", [], [1], [1, 2, 3], ["a"], [[]], [{}], [None],

@@ -12,10 +12,9 @@ import pytest
 import nacre
 from nacre.bsdf.texture import parse_formula
 from nacre.cli import run
-from nacre.errors import NacreError, RecipeError
-from nacre.materials.examples import copy_examples, examples, examples_folder, find_example
-from nacre.recipe.formulas import with_values
-from nacre.recipe.numbers import uses_time
+from nacre.core.errors import NacreError, RecipeError
+from nacre.material.examples import copy_examples, examples, examples_folder, find_example
+from nacre.recipe.named_numbers import uses_time, with_values
 
 FORMULA = "100 + 500*v^drain + 40*sin(drain*u) + t"
 
@@ -160,7 +159,7 @@ def test_every_example_is_found_by_its_name(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_a_target_goes_by_its_name_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from nacre.materials.examples import or_example
+    from nacre.material.examples import or_example
 
     monkeypatch.chdir(tmp_path)
     assert or_example("magenta-to-green") == examples_folder() / "wants" / "magenta-to-green.toml"
@@ -233,7 +232,7 @@ def test_an_example_that_the_disk_has_no_room_for_leaves_no_half_of_it(
         Path(target).write_bytes(b"half")
         raise OSError(28, "No space left on device", str(source))
 
-    monkeypatch.setattr("nacre.materials.examples.shutil.copyfile", full)
+    monkeypatch.setattr("nacre.material.examples.shutil.copyfile", full)
     with pytest.raises(NacreError, match=r"mine/soap.toml: cannot be written: No space left"):
         copy_examples(["soap"], tmp_path / "mine")
     assert not list((tmp_path / "mine").iterdir())

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import nacre
-from nacre.errors import RecipeError
+from nacre.core.errors import RecipeError
 from nacre.families.registry import family_spec
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
 from nacre.recipe.paths import numbers_of, set_by_path
@@ -26,7 +26,7 @@ def files() -> list[Path]:
 
 def model_of(data: dict[str, Any]) -> type[RecipeModel]:
     from nacre.cli.keys import kind
-    from nacre.design.spec import TargetSpec
+    from nacre.optimise.relief.target import TargetSpec
 
     if "want" in data:
         return kind("wants").model

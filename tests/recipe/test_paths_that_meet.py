@@ -7,13 +7,13 @@ from typing import Any
 import pytest
 
 import nacre
-from nacre.design.wants.gamut import parse_free
-from nacre.errors import RecipeError
-from nacre.materials.free import read_free
-from nacre.materials.spreads import spreads_of
+from nacre.analysis.fit import read_free as read_fit
+from nacre.analysis.tolerance import read_spreads
+from nacre.core.errors import RecipeError
+from nacre.optimise.gamut import parse_free
+from nacre.optimise.parameters import read_free
+from nacre.optimise.tolerances import spreads_of
 from nacre.recipe.paths import expand_table
-from nacre.study.fit import read_free as read_fit
-from nacre.study.tolerance import read_spreads
 
 EVERY, FIRST, SECOND = "layers[*].thickness_nm", "layers[0].thickness_nm", "layers[1].thickness_nm"
 
@@ -35,8 +35,8 @@ def test_the_path_with_an_index_wins_wherever_it_stands(order: tuple[str, str]) 
 
 @pytest.mark.parametrize("order", [(EVERY, FIRST), (FIRST, EVERY)])
 def test_a_stack_is_designed_for_the_spread_of_the_path_with_an_index(order: tuple[str, str]) -> None:
-    from nacre.design.wants.films import film_search
-    from nacre.design.wants.target import read_target
+    from nacre.optimise.task import read_target
+    from nacre.optimise.thin_film.adapter import film_search
 
     sizes = {EVERY: "2%", FIRST: "10%"}
     target = {

@@ -15,8 +15,8 @@ from helpers_recipes import EXAMPLES, examples, kind_of, write_companions
 
 import nacre
 from nacre.cli.keys import SHARED, editor_schema, kind, kind_names
-from nacre.errors import NacreError
-from nacre.materials.material import STUDY_TABLES
+from nacre.core.errors import NacreError
+from nacre.material.material import STUDY_TABLES
 from nacre.recipe.keys import keys_of, tables_below
 from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.paths import numbers_of, set_by_path

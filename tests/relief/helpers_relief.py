@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.slice import SliceGeometry
+from nacre.families.relief.plane_cut import SliceGeometry
 from nacre.families.relief.surface import Tile
 
 REFERENCE = Path(__file__).resolve().parents[3] / "shared" / "reference" / "relief"

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.fresnel import coating_reflectance, fresnel_reflectance
-from nacre.families.relief.geometry import brdf_factor
-from nacre.families.relief.kappa_nodes import chebyshev_nodes, interpolation_weights, node_count
-from nacre.families.relief.lines import (
+from nacre.families.relief.diffraction_orders import (
+    _step_limit,
+    choose_sampling,
     coefficients,
     height_gradient,
     is_fft_cheaper,
@@ -21,8 +20,14 @@ from nacre.families.relief.lines import (
     line_power,
     reflection,
 )
-from nacre.families.relief.sampling import _step_limit, choose_sampling
-from nacre.families.relief.slice import SliceGeometry, plan_slice
+from nacre.families.relief.plane_cut import (
+    SliceGeometry,
+    chebyshev_nodes,
+    interpolation_weights,
+    node_count,
+    plan_slice,
+)
+from nacre.families.relief.prefactor import brdf_factor, coating_reflectance, fresnel_reflectance
 from nacre.families.relief.surface import Tile, blur_matrix
 
 _spec = importlib.util.spec_from_file_location("helpers_relief", Path(__file__).with_name("helpers_relief.py"))

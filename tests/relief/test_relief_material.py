@@ -11,14 +11,13 @@ from PIL import Image
 
 import nacre
 from nacre.bsdf.bsdf import Bsdf
-from nacre.bsdf.directions import direction
-from nacre.errors import NacreError, UnsupportedError
+from nacre.bsdf.grids import direction
+from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.fresnel import coating_reflectance, fresnel_reflectance
 from nacre.families.relief.material import SKETCH_ERROR, Relief
-from nacre.families.relief.slice import SliceGeometry, plan_slice
+from nacre.families.relief.plane_cut import SliceGeometry, local_response, plan_slice
+from nacre.families.relief.prefactor import coating_reflectance, fresnel_reflectance
 from nacre.families.relief.spectrum_map import spectrum_map
-from nacre.families.relief.spots import local_response
 from nacre.families.relief.surface import Tile
 from nacre.matter.indices.library import index
 

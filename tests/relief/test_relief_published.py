@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nacre.design.loss import measure
-from nacre.design.spec import TargetSpec
+from nacre.optimise.relief.merit import measure
+from nacre.optimise.relief.target import TargetSpec
 from nacre.recipe.model import RecipeContext, validate
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -64,7 +64,7 @@ def test_targets_and_loss_give_the_check_values(reference: Any, i: int) -> None:
 
 
 def test_spectrum_weights_are_the_published_ones(reference: Any) -> None:
-    from nacre.design.colour_weights import published_weights
+    from nacre.optimise.relief.merit import published_weights
 
     spectrum = published_weights(None)
     assert np.abs(spectrum.wavelengths_nm / 1e3 - reference[1]["wavelength_um"]).max() < 1e-9

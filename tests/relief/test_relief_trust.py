@@ -11,16 +11,10 @@ import pytest
 
 import nacre
 from nacre.cli import run
-from nacre.design.wants.reliefs import read_relief
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.families.relief.surface import Tile
-from nacre.families.relief.trust import (
-    OUTSIDE_DE00,
-    expected_de00,
-    largest_depth_nm,
-    mean_feature_nm,
-    trust,
-)
+from nacre.families.relief.validity import OUTSIDE_DE00, expected_de00, largest_depth_nm, mean_feature_nm, trust
+from nacre.optimise.relief.adapter import read_relief
 from nacre.recipe.model import RecipeContext
 
 RECIPE = {"family": "relief", "feature_um": 1.0, "blur_um": 0.2, "coherence": {"sigma": 1.5}}

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import nacre.materials.material
+import nacre.material.material
 from nacre.bsdf.bsdf import Bsdf
 
 pytestmark = pytest.mark.render

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from nacre.core.errors import MachineError, UnsupportedError
 from nacre.device import llvm, variant
-from nacre.errors import MachineError, UnsupportedError
 
 PLAIN_SCENE = """
 import warnings

@@ -15,7 +15,7 @@ import pytest
 
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.compensation import compensate
-from nacre.bsdf.contract import Lobe
+from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.diffuse import Diffuse, bare_base
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.ridge import Ridge

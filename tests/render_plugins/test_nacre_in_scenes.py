@@ -12,7 +12,7 @@ import pytest
 
 import nacre
 from nacre.bsdf.bsdf import Bsdf
-from nacre.errors import RecipeError, UnsupportedError
+from nacre.core.errors import RecipeError, UnsupportedError
 
 pytestmark = pytest.mark.render
 
@@ -60,7 +60,7 @@ def scene(mi: Any, bsdf: Any, size: int = 16) -> Any:
 
 def test_scene_entries_take_recipes_files_and_objects(mi: Any, tmp_path: Path) -> None:
     """{"type": "nacre", ...} by recipe, by compiled file, by an object handed over."""
-    from nacre.render.loader import hand_over
+    from nacre.render.scene_plugin import hand_over
 
     (tmp_path / "soap.toml").write_text(SOAP)
     bsdf = nacre.load(tmp_path / "soap.toml").bsdf()
@@ -104,7 +104,7 @@ def test_errors_in_a_scene_are_one_line(
     mi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, entry: dict[str, Any], message: str
 ) -> None:
     """Mitsuba wraps errors into pages of traceback; `clear_errors` gets the line back."""
-    from nacre.render.loader import clear_errors
+    from nacre.render.scene_plugin import clear_errors
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "good.toml").write_text(SOAP)

@@ -18,7 +18,7 @@ def test_one_kernel_reads_a_table_wherever_numpy_put_it_and_a_copy_of_it() -> No
     import drjit as dr
     import mitsuba as mi
 
-    from nacre.device.base import device_array, read2
+    from nacre.device.plugin import device_array, read2
     from nacre.device.tables import DeviceTable
 
     if not dr.is_jit_v(mi.Float):

@@ -11,7 +11,7 @@ import pytest
 
 import nacre
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
-from nacre.materials.examples import examples_folder
+from nacre.material.examples import examples_folder
 from nacre.picture import denoise, passes
 
 pytestmark = pytest.mark.render
@@ -62,7 +62,7 @@ def test_skewed_noise_keeps_its_mean() -> None:
 def test_means_that_grain_explains_leave_no_blotches() -> None:
     """Paint of flakes, walked: one pixel in twenty holds nearly all light, and no halves tell that it is grain."""
     from nacre.picture.denoise import KEPT_MEANS, denoised
-    from nacre.picture.smooth import smooth
+    from nacre.picture.filters import smooth
 
     size = (128, 128)
     grain = np.random.default_rng(3).gamma(0.3, 1.0 / 0.3, (*size, 1))
@@ -78,7 +78,7 @@ def test_means_that_grain_explains_leave_no_blotches() -> None:
 def test_smoothing_is_a_gaussian_whose_picture_goes_on_beyond_its_edges(shape: tuple[int, ...], sigma: float) -> None:
     from scipy.ndimage import gaussian_filter
 
-    from nacre.picture.smooth import smooth
+    from nacre.picture.filters import smooth
 
     picture = np.random.default_rng(5).random(shape)
     widths = (sigma, sigma, 0.0)[: len(shape)]
@@ -311,11 +311,11 @@ def test_guides_take_chances_of_their_own_where_ways_have_to_be_drawn(
     recipe: str, is_alike: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A share of one in twenty would be met by no sample here, by all there: patterns of random walks."""
-    from nacre.picture import bands
+    from nacre.picture import tiling
 
     asked: list[bool] = []
-    real = bands.begin
-    monkeypatch.setattr(bands, "begin", lambda *given: asked.append(given[-1]) or real(*given))
+    real = tiling.begin
+    monkeypatch.setattr(tiling, "begin", lambda *given: asked.append(given[-1]) or real(*given))
     nacre.render.render(nacre.load(examples_folder() / f"{recipe}.toml"), size=(16, 16), spp=1)
     assert asked[-1] is is_alike and not any(asked[:-1])
 

@@ -11,7 +11,7 @@ import nacre
 from nacre.device.variant import use_variant
 from nacre.picture.built_scene import BuiltScene
 from nacre.picture.camera import FOV_DEG, Framing
-from nacre.picture.endless import fold, without_edges
+from nacre.picture.infinite_backdrop import fold, without_edges
 from nacre.picture.lights.named import make_light
 from nacre.picture.scenes.catalogue import SCENES
 

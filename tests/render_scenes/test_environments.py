@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.light import illuminant, spectrum_to_xyz, table_wavelengths_nm, xyz_weights
 from nacre.picture.lights.environments import Environment, soft_box, studio, unit_spectrum
 from nacre.picture.lights.named import LIGHTS, check_light
@@ -18,8 +18,7 @@ NOISE = 0.01
 
 
 def _places() -> dict[str, Environment]:
-    from nacre.picture.lights.garden import garden
-    from nacre.picture.lights.places import interior, street
+    from nacre.picture.lights.environments import garden, interior, street
 
     return {
         "studio": studio(rows=ROWS),
@@ -114,8 +113,8 @@ def test_a_light_that_is_told_its_turn_shines_from_there(name: str, tmp_path: Pa
     import OpenEXR
 
     from nacre.device.variant import use_variant
+    from nacre.picture.lights.light_mixture import Lamp
     from nacre.picture.lights.named import make_lights
-    from nacre.picture.lights.several import Lamp
 
     mi = use_variant()
     if name == "map.exr":
@@ -198,8 +197,8 @@ def test_lights_are_scaled_to_white_paper_of_luminance_0_6(name: str) -> None:
 def test_no_light_is_drawn_from_beyond_what_stands_in_its_way(light: str) -> None:
     """A floor within a black ball gets none, however far away the ball is; without the ball it is lit."""
     from nacre.device.variant import use_variant
+    from nacre.picture.lights.light_mixture import read_lamps
     from nacre.picture.lights.named import make_lights
-    from nacre.picture.lights.several import read_lamps
 
     mi = use_variant()
     surroundings = [each for each in make_lights(read_lamps(light)).emitters.values() if not _is_lamp(each)]

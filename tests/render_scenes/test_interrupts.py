@@ -20,7 +20,7 @@ SLOW = """
 import sys
 import numpy as np
 from nacre.cli import main
-from nacre.materials.material import Material
+from nacre.material.material import Material
 
 def bsdf(self, *arguments, **options):
     print("solving", flush=True)

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.picture import passes, picture
-from nacre.picture.image_files import read_provenance, spectral_channel
 from nacre.picture.images import (
     AUTO_STOPS,
     RenderResult,
@@ -21,7 +20,9 @@ from nacre.picture.images import (
     count_clipped,
     develop,
     encode,
+    read_provenance,
     show,
+    spectral_channel,
 )
 from nacre.picture.scenes.catalogue import SCENES
 

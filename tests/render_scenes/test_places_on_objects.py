@@ -11,10 +11,9 @@ import pytest
 import nacre
 from nacre.bsdf import Bsdf
 from nacre.bsdf.texture_spec import TextureSpec
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.picture.scenes.catalogue import Part
-from nacre.picture.shapes.ball import bounding_ball
-from nacre.picture.shapes.mesh import rotation
+from nacre.picture.shapes.mesh import bounding_ball, rotation
 from nacre.recipe.model import RecipeContext
 
 pytestmark = pytest.mark.render
@@ -137,7 +136,7 @@ def test_where_no_object_is_one_line_says_so(tmp_path: Path, monkeypatch: pytest
 def test_a_mitsuba_scene_of_ones_own_tells_no_object() -> None:
     """But `make_bsdf` can be told; a point on the ball's surface is at distance 1."""
     from nacre.device.bsdf import make_bsdf
-    from nacre.device.object_space import ObjectFrame, ObjectSpace
+    from nacre.device.texture import ObjectFrame, ObjectSpace
     from nacre.device.variant import use_variant
 
     mi = use_variant()

@@ -167,7 +167,7 @@ def test_without_a_pixel_that_sees_the_object_all_of_them_count() -> None:
 
 @pytest.mark.parametrize("at_once", [5, 1 << 20])
 def test_the_pixels_that_see_the_object_are_those_that_it_covers(at_once: int) -> None:
-    from nacre.picture.cut_out import sees_objects
+    from nacre.picture.paths import sees_objects
     from nacre.picture.picture import scene_dict
 
     mi = use_variant()

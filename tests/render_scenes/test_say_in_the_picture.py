@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.picture.camera import View, read_framing
-from nacre.picture.image_files import LEFT_OUT, read_provenance, write_picture
-from nacre.picture.images import RenderResult, toned
-from nacre.picture.lights.several import Lamp, read_lamps
+from nacre.picture.images import LEFT_OUT, RenderResult, read_provenance, toned, write_picture
+from nacre.picture.lights.light_mixture import Lamp, read_lamps
 from nacre.picture.passes import TURN
 
 GREY = {"type": "diffuse", "reflectance": 0.5}

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from nacre.picture.shapes import backdrop as stage
-from nacre.picture.shapes import bottle, butterfly, hair, knob, lens, pass_card, specimen, strip
-from nacre.picture.shapes.body import car
+from nacre.picture.shapes import insects, objects, printed
+from nacre.picture.shapes.car import car
 from nacre.picture.shapes.implicit import smooth_max, smooth_min, surface_net
 from nacre.picture.shapes.mesh import (
     Mesh,
@@ -23,7 +23,7 @@ from nacre.picture.shapes.mesh import (
     rotation,
     split,
 )
-from nacre.picture.shapes.speedshape import speedshape
+from nacre.picture.shapes.objects import speedshape
 
 # a coarser car, to keep the test short; the closedness does not depend on the spacing
 CAR_SPACING = 0.03
@@ -32,14 +32,14 @@ MAX_MEAN_TILT_DEG = 3.0
 
 CLOSED: dict[str, Callable[[], Mesh]] = {
     "speedshape": speedshape,
-    "bottle": bottle.bottle,
-    "bottle cap": bottle.bottle_cap,
-    "knob": knob.knob,
-    "knob core": knob.knob_core,
-    "knob foot": knob.knob_foot,
+    "bottle": objects.bottle,
+    "bottle cap": objects.bottle_cap,
+    "knob": objects.knob,
+    "knob core": objects.knob_core,
+    "knob foot": objects.knob_foot,
     "sheet": lambda: stage.sheet(1.7, 1.9),
-    "lens elements": lens.elements,
-    "balls": strip.balls,
+    "lens elements": objects.elements,
+    "balls": objects.balls,
 }
 
 
@@ -50,19 +50,19 @@ def _car_hull() -> Mesh:
 
 
 OPEN: dict[str, Callable[[], Mesh]] = {
-    "wings": butterfly.butterfly_wings,
-    "margins": butterfly.butterfly_margins,
-    "veins": butterfly.butterfly_veins,
-    "butterfly body": butterfly.butterfly_body,
+    "wings": insects.butterfly_wings,
+    "margins": insects.butterfly_margins,
+    "veins": insects.butterfly_veins,
+    "butterfly body": insects.butterfly_body,
     "sweep": lambda: stage.sweep(5, 4, 3, 2, 3),
     "bowl": lambda: stage.bowl(1.4, 9.0, 4.2),
     "rolled": lambda: stage.rolled(1.7, 0.8, 170.0),
     "tile": lambda: stage.tile(1, 1),
-    "seal": pass_card.seal,
-    "card": pass_card.card_face,
-    "name ring": lens.name_ring,
-    "label": lambda: specimen.label(1.0, -1.0),
-    "pin": lambda: specimen.pin(0.0, 0.0, 1.0),
+    "seal": printed.seal,
+    "card": printed.card_face,
+    "name ring": objects.name_ring,
+    "label": lambda: insects.label(1.0, -1.0),
+    "pin": lambda: insects.pin(0.0, 0.0, 1.0),
 }
 ALL = {**CLOSED, **OPEN, "car hull": _car_hull}
 
@@ -130,7 +130,7 @@ def test_tangents_are_defined_nearly_everywhere(name: str) -> None:
 
 
 def test_wing_tangents_run_along_the_veins() -> None:
-    wings = butterfly.butterfly_wings()
+    wings = insects.butterfly_wings()
     right = wings.vertices[:, 0] > 0.3
     mask = right[wings.faces].all(axis=1) & (wings.vertices[wings.faces][:, :, 1].min(axis=1) > 0.4)  # fore wing
     faces = wings.faces[mask]
@@ -162,7 +162,7 @@ def test_a_surface_net_of_a_ball_lies_on_the_ball() -> None:
 
 
 def test_a_split_keeps_every_area_and_closes_again() -> None:
-    body = knob.knob_core()
+    body = objects.knob_core()
     above, below = split(body, body.vertices[:, 2] - body.vertices[:, 2].mean() - 0.013)
     areas = [_face_normals(s)[1].sum() for s in (above, below, body)]
     assert areas[0] + areas[1] == pytest.approx(areas[2], rel=1e-12)
@@ -177,7 +177,7 @@ def test_smooth_unions_contain_their_parts() -> None:
 
 
 def test_a_mirrored_copy_stays_outward() -> None:
-    core = knob.knob_core()
+    core = objects.knob_core()
     mirrored = core.moved(np.diag([-1.0, 1.0, 1.0]))
     assert volume(mirrored) == pytest.approx(volume(core))
     assert volume(core.moved(rotation("x", 40.0), (1, 2, 3))) == pytest.approx(volume(core))
@@ -200,9 +200,9 @@ def test_an_opened_seam_has_no_jump_in_u() -> None:
 
 
 def test_hairs_start_on_the_surface_and_lean_as_told() -> None:
-    ball = strip.balls()
+    ball = objects.balls()
     lean = np.array([0.0, 0.0, 2.0])
-    coat = hair.fur(ball, 50, (0.1, 0.2), 0.002, lean, seed=1)
+    coat = insects.fur(ball, 50, (0.1, 0.2), 0.002, lean, seed=1)
     path = coat.vertices.reshape(50, -1, 3)  # rings from root to tip, three corners each
     root, tip = path[:, :3].mean(axis=1), path[:, -3:].mean(axis=1)
     near = np.array([np.linalg.norm(ball.vertices - one, axis=1).min() for one in root])
@@ -213,6 +213,6 @@ def test_hairs_start_on_the_surface_and_lean_as_told() -> None:
 
 
 def test_ten_millimetres_on_a_label_are_as_long_as_told() -> None:
-    drawn = specimen.label_print(("A", "B", "C"), 0.5) < 0.3
+    drawn = insects.label_print(("A", "B", "C"), 0.5) < 0.3
     runs = np.diff(np.flatnonzero(~np.pad(drawn, ((0, 0), (1, 1))).ravel()))  # the bar is the longest of ink
-    assert (runs.max() - 1) / drawn.shape[1] * specimen.LABEL_WIDTH == pytest.approx(0.5, abs=0.02)
+    assert (runs.max() - 1) / drawn.shape[1] * insects.LABEL_WIDTH == pytest.approx(0.5, abs=0.02)

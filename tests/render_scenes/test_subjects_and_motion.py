@@ -12,8 +12,8 @@ from PIL import Image
 
 import nacre
 from nacre.cli import run
-from nacre.errors import NacreError
-from nacre.picture.image_files import read_provenance
+from nacre.core.errors import NacreError
+from nacre.picture.images import read_provenance
 from nacre.picture.scenes.catalogue import SCENES, SHAPES
 from nacre.picture.scenes.subjects import read_mesh, stand_on_floor, subject_parts
 from nacre.picture.screen import BEAM_DEG, screen_directions

@@ -25,7 +25,7 @@ from nacre.matter.stack.gradient import double_precision
 
 SERIES_BELOW = 1e-3  # |x^2| below which cos x and sin x / x are summed as series: 4 terms leave 1e-12 / 8! = 2e-17;
 # above, cos x - sin x / x, which the gradient needs, loses the digits of x^2, 3 of 16
-GRAZING_COS = 1e-12  # as in `nacre.matter.stack.case`
+GRAZING_COS = 1e-12  # as in `nacre.matter.stack.inputs`
 
 
 class JaxResponse(NamedTuple):

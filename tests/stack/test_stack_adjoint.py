@@ -10,10 +10,10 @@ import numpy as np
 import oracle_jax
 import pytest
 
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.matter import powers
 from nacre.matter.stack import gradient as stack_gradient
-from nacre.matter.stack.case import powers_of, prepare
+from nacre.matter.stack.inputs import powers_of, prepare
 
 GRADIENT = 1e-6  # relative to finite differences; the bar of the film issue
 TWINS = 1e-9  # adjoint and JAX, relative to the largest entry

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import tmm
 
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.matter import Layer, Stack, powers, solve
 from nacre.matter.stack.field import field_profile
 from nacre.matter.stack.incoherent import incoherent_powers

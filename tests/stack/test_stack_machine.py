@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import nacre
-from nacre.matter import jobs
+from nacre.core import parallel
 
 SOURCE = Path(nacre.__file__).resolve().parent
 
@@ -26,7 +26,7 @@ def test_kernels_work_where_no_cache_can_be_written(tmp_path: Path) -> None:
     (copy / "__init__.py").touch()
     (copy / "matter" / "__init__.py").touch()
     (copy / "matter" / "kernel.py").write_text(
-        "from nacre.matter.jit import compiled\n\n@compiled(error_model='numpy')\ndef twice(x):\n    return 2 * x\n"
+        "from nacre.core.jit import compiled\n\n@compiled(error_model='numpy')\ndef twice(x):\n    return 2 * x\n"
     )
     (copy / "matter" / "__pycache__").write_text("not a folder")
     blocked = tmp_path / "blocked"
@@ -54,7 +54,7 @@ def test_kernels_work_where_no_cache_can_be_written(tmp_path: Path) -> None:
 
 def test_numba_is_imported_by_the_first_call_of_a_kernel_and_not_before() -> None:
     code = (
-        "import sys, nacre; from nacre.bsdf.glints import mix; from nacre.bsdf.lobes.flaked import sparkle\n"
+        "import sys, nacre; from nacre.bsdf.glints import mix; from nacre.bsdf.lobes.platelet_layer import sparkle\n"
         "nacre.load('soap'); assert 'numba' not in sys.modules\n"
         "import numpy as np; mix(np.uint64(3)); assert 'numba' in sys.modules\n"
         "print(mix.py_func.__name__, sparkle.__doc__ == sparkle.py_func.__doc__)"
@@ -66,9 +66,9 @@ def test_numba_is_imported_by_the_first_call_of_a_kernel_and_not_before() -> Non
 
 def test_the_number_of_threads_can_be_set_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
-    assert jobs.available_jobs() == 3
+    assert parallel.available_jobs() == 3
     monkeypatch.delenv("NUMBA_NUM_THREADS")
-    assert jobs.available_jobs() >= 1
+    assert parallel.available_jobs() >= 1
 
 
 def test_work_is_shared_without_gaps_or_overlaps() -> None:
@@ -78,14 +78,14 @@ def test_work_is_shared_without_gaps_or_overlaps() -> None:
         def visit(a: int, b: int, c: int, d: int, done: list[tuple[int, int]] = done) -> None:
             done.extend((i, j) for i in range(a, b) for j in range(c, d))
 
-        jobs.share(visit, batch, angles, 10**9, count)
+        parallel.share(visit, batch, angles, 10**9, count)
         assert sorted(done) == [(i, j) for i in range(batch) for j in range(angles)]
 
 
 @pytest.mark.parametrize(("batch", "angles"), [(9, 2), (2, 9), (8, 1)])
 def test_work_is_cut_along_the_longer_side(batch: int, angles: int) -> None:
     pieces: list[tuple[int, int, int, int]] = []
-    jobs.share(lambda *piece: pieces.append(piece), batch, angles, 10**9, 4)
+    parallel.share(lambda *piece: pieces.append(piece), batch, angles, 10**9, 4)
     assert len(pieces) >= 4  # each thread has something to do
     assert all((b - a, d - c)[batch >= angles] == min(batch, angles) for a, b, c, d in pieces)
 
@@ -95,4 +95,4 @@ def test_an_error_in_a_thread_reaches_the_caller() -> None:
         raise ValueError("lost")
 
     with pytest.raises(ValueError, match="lost"):
-        jobs.share(fail, 8, 1, 10**9, 2)
+        parallel.share(fail, 8, 1, 10**9, 2)

@@ -9,8 +9,8 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from nacre.errors import NacreError
-from nacre.materials.material import material
+from nacre.core.errors import NacreError
+from nacre.material.material import material
 from nacre.matter import Layer, Stack, amplitudes, powers, solve
 from nacre.matter.stack.field import field_profile
 from nacre.matter.stack.incoherent import incoherent_powers

@@ -13,8 +13,7 @@ from helpers_studio import PORT, TOKEN
 from starlette.testclient import TestClient
 
 import nacre
-from nacre.design.wants.geometry import At
-from nacre.design.wants.wanted import Want
+from nacre.analysis.tolerance import read_spreads, run_tolerance
 from nacre.light import (
     SRGB_WHITE_XYZ,
     delta_e_2000,
@@ -24,11 +23,12 @@ from nacre.light import (
     white_xyz,
     xyz_to_lab,
 )
+from nacre.optimise.measurement import At
+from nacre.optimise.targets import Want
 from nacre.recipe.toml import parse_toml
 from nacre.studio.folder import Opened
-from nacre.studio.reachable import distance_to
+from nacre.studio.gamut_job import distance_to
 from nacre.studio.server import make_app
-from nacre.study.tolerance import read_spreads, run_tolerance
 
 FREE = [{"path": f"layers[{i}].thickness_nm", "low": 5, "high": high} for i, high in enumerate((600, 120))]
 ASKED: dict[str, Any] = {

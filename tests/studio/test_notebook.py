@@ -23,7 +23,7 @@ import nacre
 from nacre.light import spectrum_to_rgb_linear
 from nacre.studio import bundle as room
 from nacre.studio.answers import Answers, sliders
-from nacre.studio.look import Look, looks
+from nacre.studio.appearance import Look, looks
 
 Messages = list[tuple[dict[str, Any], bytes]]
 FILM = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 300}]}

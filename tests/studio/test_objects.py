@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from starlette.testclient import TestClient
 
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.picture.lights.environments import directions
 from nacre.picture.scenes.subjects import read_mesh
 from nacre.picture.shapes.mesh import Mesh, parametric
@@ -26,7 +26,7 @@ from nacre.studio.folder import Opened
 from nacre.studio.objects import OBJECTS, OwnMeshes, simplified
 from nacre.studio.security import HEADER
 from nacre.studio.server import make_app
-from nacre.studio.surround import ALPHAS, GREY, LAYERS, ROWS, without_lamp
+from nacre.studio.surroundings import ALPHAS, GREY, LAYERS, ROWS, without_lamp
 
 PORT, TOKEN = 8125, "a-token-for-the-tests"
 FILM = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n'

@@ -106,7 +106,7 @@ def test_a_long_design_is_stopped_with_what_it_has_and_the_page_stays_free(page:
 def test_a_search_ends_with_its_page_and_with_its_server(page: Page, server: Server) -> None:
     def searching() -> list[psutil.Process]:
         every = psutil.process_iter(["cmdline", "environ"])
-        ours = [p for p in every if "nacre.studio.streamed" in (p.info["cmdline"] or [])]
+        ours = [p for p in every if "nacre.studio.subprocess_jobs" in (p.info["cmdline"] or [])]
         return [p for p in ours if (p.info["environ"] or {}).get("NACRE_CACHE") == str(server.cache)]
 
     def search(on: Page) -> None:

@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.bsdf.directions import direction
-from nacre.exchange.lut.table import lobe_directions, lobe_weight
+from nacre.bsdf.grids import direction
+from nacre.formats.lut.table import lobe_directions, lobe_weight
 from nacre.light import spectrum_to_rgb_linear, spectrum_to_xyz
 from nacre.picture.lights.environments import studio
 from nacre.recipe.toml import parse_toml
-from nacre.studio import look, stage, surround
-from nacre.studio.care import DRAFTS, SLOW_S, Drafts
+from nacre.studio import appearance, surroundings
+from nacre.studio.appearance import DRAFTS, LOBE_NM, SHAPE, SLOW_S, Drafts, lobe_picture, looks
 from nacre.studio.edit import edited
-from nacre.studio.lobe import LOBE_NM, SHAPE, lobe_picture
-from nacre.studio.look import looks
 
 ROWS = 64
 HARDLY_SEEN = 0.2  # of the tristimulus values of a ground of 2 %: a step of 2 in lightness or chroma
@@ -24,9 +22,9 @@ QUADRATURE = 0.02  # of the room's light: a direction stands for a patch of 5.6 
 
 def test_a_balls_shade_in_an_even_room_is_its_form_factor() -> None:
     """Of a sphere from a plane element below it that faces up: cos / d^2, here (r^2 + 1)^(-3/2)."""
-    left = stage.ball_shade(np.ones((ROWS, 2 * ROWS)))
+    left = surroundings.ball_shade(np.ones((ROWS, 2 * ROWS)))
     share = (np.arange(ROWS) + 0.5) / ROWS
-    far = stage.HALF_WAY * share / (1.0 - share)
+    far = surroundings.HALF_WAY * share / (1.0 - share)
     known = 1.0 - (far**2 + 1.0) ** -1.5
     inner = slice(1, ROWS - 1)  # the outermost rows hold the values of the middle of larger cells
     np.testing.assert_allclose(left[inner].mean(axis=1), known[inner], atol=QUADRATURE)
@@ -34,7 +32,7 @@ def test_a_balls_shade_in_an_even_room_is_its_form_factor() -> None:
 
 
 def test_a_balls_shade_falls_away_from_the_light() -> None:
-    left = stage.ball_shade(studio("D65", ROWS).weights[0])
+    left = surroundings.ball_shade(studio("D65", ROWS).weights[0])
     row, columns = ROWS // 3, 2 * ROWS
     key = round(216 / 360 * columns)  # azimuth of the largest soft box
     assert left[row, (key + columns // 2) % columns] < left[row, key] - 0.02
@@ -44,17 +42,17 @@ def test_a_balls_shade_falls_away_from_the_light() -> None:
 def test_a_place_that_is_kept_between_runs_is_the_place_that_was_made(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    surround._blurred_surround.cache_clear()
-    made = surround.blurred_surround(name)
-    surround._blurred_surround.cache_clear()  # as in the next run
-    monkeypatch.setattr(surround, "_made", lambda name: pytest.fail("it was made anew"))
-    kept = surround.blurred_surround(name)
+    surroundings._blurred_surround.cache_clear()
+    made = surroundings.blurred_surround(name)
+    surroundings._blurred_surround.cache_clear()  # as in the next run
+    monkeypatch.setattr(surroundings, "_made", lambda name: pytest.fail("it was made anew"))
+    kept = surroundings.blurred_surround(name)
     assert kept.layers.dtype == np.float32
     assert kept.packed() == made.packed()
 
 
 def test_the_stage_is_darker_the_less_sky_it_sees() -> None:
-    lit = stage.stage_light(np.ones((ROWS, 2 * ROWS)))
+    lit = surroundings.stage_light(np.ones((ROWS, 2 * ROWS)))
     assert lit.max() <= 1.0 + QUADRATURE and lit.min() > 0.0
     along = lit.mean(axis=1)
     assert along[0] > 0.97  # its front edge sees all of an even sky but the far wall
@@ -65,12 +63,14 @@ def test_the_stage_is_darker_the_less_sky_it_sees() -> None:
 def test_rays_meet_the_floor_the_bend_and_the_wall() -> None:
     start = np.array([0.0, 0.0, 1.0])
     d = np.array([[0.0, 0.6, -0.8], [0.0, 1.0, 0.0], [0.0, 0.925, 0.38], [0.0, 0.5, 0.866], [0.0, -1.0, 0.0]])
-    hits, where = stage.stage_hit(start, d)
+    hits, where = surroundings.stage_hit(start, d)
     assert hits.tolist() == [True, True, True, False, False]
-    assert where[0, 0] == pytest.approx(stage.FRONT + 0.75)
+    assert where[0, 0] == pytest.approx(surroundings.FRONT + 0.75)
     # at height 1 the bend, a quarter circle of radius r, has turned by acos(1 - 1/r)
-    assert where[1, 0] == pytest.approx(stage.FLOOR + stage.RADIUS * np.arccos(1.0 - 1.0 / stage.RADIUS))
-    assert stage.FLOOR < where[2, 0] < stage.LENGTH
+    assert where[1, 0] == pytest.approx(
+        surroundings.FLOOR + surroundings.RADIUS * np.arccos(1.0 - 1.0 / surroundings.RADIUS)
+    )
+    assert surroundings.FLOOR < where[2, 0] < surroundings.LENGTH
 
 
 def test_a_picture_of_where_light_goes_holds_the_materials_own_values() -> None:
@@ -120,7 +120,7 @@ def test_a_film_that_was_quick_once_needs_no_draft_on_a_busy_machine(monkeypatch
     layers = [{"material": "SiO2", "thickness_nm": 130}, {"material": "Ag", "thickness_nm": 7}]
     film = nacre.material({"family": "film", "substrate": "Si", "layers": layers})
     next(looks(film, "D65", lambda: False))
-    monkeypatch.setattr(look, "QUICK_S", 0.0)  # no clock is that fast
+    monkeypatch.setattr(appearance, "QUICK_S", 0.0)  # no clock is that fast
     varied = film.vary({"layers[0].thickness_nm": 140.0})
     assert [found.is_draft for found in looks(varied, "D65", lambda: False)] == [False]
     other = nacre.material({"family": "film", "substrate": "Ge", "layers": layers})
@@ -167,10 +167,10 @@ def test_a_number_is_exchanged_where_it_stands(path: str, value: float) -> None:
 
 @pytest.mark.full
 def test_aligned_particles_are_drawn_in_the_plane_of_u_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(look, "lobe_picture", lambda *_: pytest.fail("its picture would hold no azimuth"))
+    monkeypatch.setattr(appearance, "lobe_picture", lambda *_: pytest.fail("its picture would hold no azimuth"))
     rods = nacre.load("silver_rods")
     seen = {turn: list(looks(rods.vary({"particle.turn_deg": turn}), "D65", lambda: False)) for turn in (0.0, 90.0)}
     for one in (each for both in seen.values() for each in both):
-        assert look.ALIGNED in one.notes and one.lobe is None
+        assert appearance.ALIGNED in one.notes and one.lobe is None
     mirrors = [both[-1].mirror_rgb for both in seen.values()]
     assert np.abs(mirrors[0] - mirrors[1]).max() > 0.1 * mirrors[0].max()

@@ -17,16 +17,16 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 import nacre
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.families.registry import FAMILIES
 from nacre.light import delta_e_2000, spectrum_to_rgb_linear, spectrum_to_srgb, srgb_to_hex
+from nacre.studio.appearance import SupersededError, looks
 from nacre.studio.edit import edited, line_of
 from nacre.studio.folder import STARTS, Opened
 from nacre.studio.form import family_form
-from nacre.studio.look import SupersededError, looks
 from nacre.studio.security import HEADER
 from nacre.studio.server import make_app
-from nacre.studio.surround import ALPHAS, LAYERS, blurred_surround
+from nacre.studio.surroundings import ALPHAS, LAYERS, blurred_surround
 
 PORT, TOKEN = 8123, "a-token-for-the-tests"
 SOCKET = f"ws://127.0.0.1:{PORT}/ws"

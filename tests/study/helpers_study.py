@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from nacre.study.workers import ONE_THREAD
+from nacre.analysis.sweep_workers import ONE_THREAD
 
 START_TIMEOUT_S = 60.0
 

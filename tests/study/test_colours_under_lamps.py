@@ -10,12 +10,12 @@ import pytest
 
 import nacre
 from nacre import plot
-from nacre.bsdf.directions import direction
+from nacre.analysis.tolerance import ColourProbe
+from nacre.bsdf.grids import direction
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
-from nacre.measure.colour_wavelengths import colour_bsdf, colour_spectrum, colour_values
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.instruments import aspecular_direction
-from nacre.study.tolerance import ColourProbe
+from nacre.measure.wavelengths import colour_bsdf, colour_spectrum, colour_values
 
 LAMP = "F11"
 BAR = 0.5  # dE00, as promised for sweeps and reports

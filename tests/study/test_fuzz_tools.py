@@ -13,10 +13,10 @@ import pytest
 from helpers_fuzz import HANG_S, mutate, mutate_bytes
 
 import nacre
-from nacre.errors import NacreError
-from nacre.study.fit import read_measurement
-from nacre.study.foreign import export_material, import_material
-from nacre.study.plan import load_sweep
+from nacre.analysis.fit import read_measurement
+from nacre.analysis.import_export import export_material, import_material
+from nacre.analysis.sweep_plan import load_sweep
+from nacre.core.errors import NacreError
 
 QUICK, FULL = 300, 5000
 RECIPE = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n'
@@ -43,7 +43,7 @@ def imports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
         export_material(material, target, folder / name, angle_step_deg=30.0, wavelength_nm=550.0)
     for target, name in (("gltf", "film.gltf"), ("materialx", "film.mtlx")):
         export_material(smooth, target, folder / name)
-    from nacre.exchange.rgl_tensor import rgl_fields, write_tensor
+    from nacre.formats.rgl import rgl_fields, write_tensor
 
     two = material.bsdf(np.array([450.0, 550.0]))
     write_tensor(folder / "rgl.bsdf", rgl_fields(two, "x", resolution=8, theta_nodes=3))

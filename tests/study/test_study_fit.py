@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.errors import NacreError
-from nacre.study.fit import Measured, read_free, read_measurement, run_fit
+from nacre.analysis.fit import Measured, read_free, read_measurement, run_fit
+from nacre.core.errors import NacreError
 
 NOISE = 0.01
 THICKNESS_BAR = 0.01  # half width of the 95 % interval, relative

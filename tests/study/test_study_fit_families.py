@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.arrays import Array
-from nacre.study.fit import Measured, read_free, run_fit
+from nacre.analysis.fit import Measured, read_free, run_fit
+from nacre.core.arrays import Array
 
 DRAWS = 3
 

@@ -14,12 +14,11 @@ import pytest
 from PIL import Image
 
 import nacre
-from nacre.errors import NacreError
+from nacre.analysis.html_report import dump_json, report_html, report_text, travel_figure
+from nacre.analysis.report import differences, flop_index, gloss, make_report, transmission_haze
+from nacre.core.errors import NacreError
 from nacre.light import spectrum_to_xyz
 from nacre.measure import instruments as geometry
-from nacre.study.report import differences, flop_index, gloss, make_report, transmission_haze
-from nacre.study.report_figures import travel_figure
-from nacre.study.report_page import dump_json, report_html, report_text
 
 GLASS = {"family": "film", "substrate": {"n": geometry.GLOSS_BLACK_GLASS_INDEX, "k": 1e-6}}
 GRID_NM = np.arange(400.0, 701.0, 50.0)

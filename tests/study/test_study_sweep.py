@@ -15,15 +15,13 @@ import numpy as np
 import pytest
 from helpers_study import dask_over_tcp
 
-from nacre.errors import NacreError
+from nacre.analysis.report import make_report
+from nacre.analysis.sweep import Store, run_sweep
+from nacre.analysis.sweep_plan import Measurement, load_sweep, point_seed, read_points
+from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
-from nacre.materials.material import load, material
-from nacre.measure.colour_wavelengths import colour_bsdf, colour_spectrum
-from nacre.study.plan import load_sweep
-from nacre.study.report import make_report
-from nacre.study.sweep import Store, run_sweep
-from nacre.study.sweep_points import point_seed, read_points
-from nacre.study.sweep_values import Measurement
+from nacre.material.material import load, material
+from nacre.measure.wavelengths import colour_bsdf, colour_spectrum
 
 ACROSS_PROCESSES = 1e-12  # the same code on the same machine; a sum may be ordered differently
 KILLS = 20
@@ -135,7 +133,7 @@ def _kill_and_resume(tmp_path: Path, moments: list[float], workers: int) -> None
     expected = read_all(reference)
     store = tmp_path / "killed.zarr"
     code = (
-        "import sys; from nacre.study.sweep import load_sweep, run_sweep\n"
+        "import sys; from nacre.analysis.sweep import load_sweep, run_sweep\n"
         f"run_sweep(load_sweep(sys.argv[1]), sys.argv[2], workers={workers})"
     )
     kept: dict[Path, bytes] = {}
@@ -219,7 +217,7 @@ def test_two_workers_over_tcp_give_what_one_gives(tmp_path: Path) -> None:
 
 
 def test_a_scheduler_that_is_not_there_is_said_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nacre.study.workers.CONNECT_TIMEOUT_S", 1)
+    monkeypatch.setattr("nacre.analysis.sweep_workers.CONNECT_TIMEOUT_S", 1)
     sweep = load_sweep(write_sweep(tmp_path, 2))
     with pytest.raises(NacreError, match="tcp://127.0.0.1:1") as caught:
         run_sweep(sweep, tmp_path / "s.zarr", scheduler="tcp://127.0.0.1:1")
@@ -245,7 +243,7 @@ def write_pearl_sweep(folder: Path) -> Path:
 
 @pytest.mark.render
 def test_a_points_seed_reaches_the_random_walk(tmp_path: Path) -> None:
-    from nacre.study.sweep_points import point_seed
+    from nacre.analysis.sweep_plan import point_seed
 
     sweep = load_sweep(write_pearl_sweep(tmp_path))
     lam = np.array([450.0, 650.0])

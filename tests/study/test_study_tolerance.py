@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.errors import NacreError
-from nacre.study.tolerance import read_spreads, run_tolerance
+from nacre.analysis.tolerance import read_spreads, run_tolerance
+from nacre.core.errors import NacreError
 
 FILM = {
     "family": "film",

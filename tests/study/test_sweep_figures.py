@@ -9,13 +9,12 @@ import pytest
 from PIL import Image
 
 from nacre import light, plot
+from nacre.analysis.sweep import run_sweep
+from nacre.analysis.sweep_plan import load_sweep
+from nacre.analysis.sweep_results import read_sweep, sweep_figure
 from nacre.cli import run
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.plot.sweeps import AxisValues
-from nacre.study.plan import load_sweep
-from nacre.study.sweep import run_sweep
-from nacre.study.sweep_figures import sweep_figure
-from nacre.study.sweep_reader import read_sweep
 
 RECIPE = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n'
 GRID = '"layers[0].thickness_nm" = {start = 100, stop = 400, count = 5}\nsubstrate = ["Si", "Ag"]\n'
@@ -111,7 +110,7 @@ def test_what_a_sweep_cannot_show_is_said_in_one_line(
 
 
 def test_a_store_without_a_finished_point_is_refused(stores: Path, tmp_path: Path) -> None:
-    from nacre.study.sweep import Store
+    from nacre.analysis.sweep import Store
 
     sweep = load_sweep(stores / "grid.toml")
     Store.open(tmp_path / "empty.zarr", sweep)

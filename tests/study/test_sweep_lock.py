@@ -12,16 +12,15 @@ import numpy as np
 import pytest
 from test_study_sweep import read_all, write_sweep
 
-from nacre.errors import NacreError
-from nacre.files import Process
-from nacre.study.plan import load_sweep
-from nacre.study.sweep import run_sweep
-from nacre.study.sweep_lock import lock_file, locked
+from nacre.analysis.sweep import lock_file, locked, run_sweep
+from nacre.analysis.sweep_plan import load_sweep
+from nacre.core.errors import NacreError
+from nacre.core.files import Process
 
 SWEEP = [sys.executable, "-m", "nacre", "sweep"]
 HOLD = """import sys, time
 from pathlib import Path
-from nacre.study.sweep_lock import locked
+from nacre.analysis.sweep import locked
 with locked(Path(sys.argv[1])):
     print(flush=True)
     time.sleep(float(sys.argv[2]))

@@ -19,9 +19,9 @@ from helpers_study import dask_over_tcp
 from test_study_sweep import write_sweep
 
 import nacre
+from nacre.analysis.sweep import load_sweep, run_sweep
 from nacre.cli import run
-from nacre.errors import NacreError
-from nacre.study.sweep import load_sweep, run_sweep
+from nacre.core.errors import NacreError
 
 Authority = tuple[x509.Certificate, ec.EllipticCurvePrivateKey]
 
@@ -119,7 +119,7 @@ def write_security(folder: Path) -> Path:
 def test_a_cluster_of_ones_own_takes_the_key_that_it_knows_and_no_other(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("nacre.study.workers.CONNECT_TIMEOUT_S", 5)
+    monkeypatch.setattr("nacre.analysis.sweep_workers.CONNECT_TIMEOUT_S", 5)
     ours, theirs = authority("ours"), authority("theirs")
     for name in ("cluster", "client"):
         write_pair(tmp_path / "keys", name, ours)

@@ -25,7 +25,7 @@ from random_recipes import random_film  # noqa: E402
 
 import nacre  # noqa: E402
 from nacre.cli import run  # noqa: E402
-from nacre.errors import NacreError  # noqa: E402
+from nacre.core.errors import NacreError  # noqa: E402
 
 EXAMPLES = ROOT / "examples"
 GRID_NM = np.array([450.0, 550.0, 650.0])
@@ -69,8 +69,8 @@ class Sound:
     def __init__(self, folder: Path) -> None:
         from PIL import Image
 
-        from nacre.exchange.rgl_tensor import rgl_fields, write_tensor
-        from nacre.study.foreign import export_material
+        from nacre.analysis.import_export import export_material
+        from nacre.formats.rgl import rgl_fields, write_tensor
 
         (folder / "film.toml").write_text(ROUGH)
         rough, smooth = nacre.load(folder / "film.toml"), nacre.material(tomllib.loads(FILM))
@@ -187,7 +187,7 @@ def dictionaries(g: random.Random, folder: Path, sound: Sound) -> str:
 
 def targets(g: random.Random, folder: Path, sound: Sound) -> str:
     """Mutated targets of designs."""
-    from nacre.design.run import load_target
+    from nacre.optimise.relief.run import load_target
 
     (folder / "t.toml").write_bytes(mutate(g.choice(TARGETS), g).encode("utf-8", "surrogatepass"))
 
@@ -200,7 +200,7 @@ def targets(g: random.Random, folder: Path, sound: Sound) -> str:
 
 def sweeps(g: random.Random, folder: Path, sound: Sound) -> str:
     """Mutated sweeps."""
-    from nacre.study.plan import load_sweep
+    from nacre.analysis.sweep_plan import load_sweep
 
     (folder / "film.toml").write_text(FILM)
     (folder / "w.toml").write_bytes(mutate(tomllib.loads(SWEEP), g).encode("utf-8", "surrogatepass"))
@@ -260,13 +260,13 @@ def _import(path: Path, folder: Path) -> None:
 
 
 def _measurement(path: Path, folder: Path) -> None:
-    from nacre.study.fit import read_measurement
+    from nacre.analysis.fit import read_measurement
 
     read_measurement(path)
 
 
 def _calibration(path: Path, folder: Path) -> None:
-    from nacre.exchange.calibration import read_calibration
+    from nacre.formats.calibration import read_calibration
 
     read_calibration(path)
 
@@ -290,7 +290,7 @@ def _nacre(path: Path, folder: Path) -> None:
 
 
 def _scene(path: Path, folder: Path) -> None:
-    from nacre.picture.user_scene import UserScene
+    from nacre.picture.built_scene import UserScene
 
     UserScene(path)
 

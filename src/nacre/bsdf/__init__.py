@@ -1,7 +1,7 @@
 """The BSDF: a sum of lobes, evaluated, stored and loaded without knowing any material."""
 
 from nacre.bsdf.bsdf import Bsdf
-from nacre.bsdf.contract import Lobe, SpecularResponse
+from nacre.bsdf.lobe import Lobe, SpecularResponse
 from nacre.bsdf.registry import LobeEntry, lobe_class
 from nacre.bsdf.texture import ParameterAxis
 

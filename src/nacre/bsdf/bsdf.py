@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from nacre.arrays import Array
-from nacre.bsdf.contract import Lobe, SpecularResponse, specular_at
 from nacre.bsdf.file import describe_lobes, read_lobes, write_lobes
-from nacre.recipe.identity import identity
+from nacre.bsdf.lobe import Lobe, SpecularResponse, specular_at
+from nacre.core.arrays import Array
+from nacre.recipe.fingerprint import identity
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Bsdf:
 
     @property
     def identity(self) -> str:
-        """A hash of the lobes' numbers, whatever they come from; see `nacre.recipe.identity`."""
+        """A hash of the lobes' numbers, whatever they come from; see `nacre.recipe.fingerprint`."""
         trees, arrays, _ = describe_lobes(self.lobes, "Bsdf")
         return identity(trees, {}, arrays={name: sha256(array.tobytes()).hexdigest() for name, array in arrays.items()})
 
@@ -88,3 +89,39 @@ class Bsdf:
         return SpecularResponse(
             np.sum([p.reflectance for p in parts], axis=0), np.sum([p.transmittance for p in parts], axis=0)
         )
+
+
+# What a spectrophotometer would report of a material: the arrays behind `nacre spectrum`.
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Power ratios `[angle, wavelength]` at angles in the ambient medium; None where a part does not apply.
+
+    Attributes:
+        wavelengths_nm: `[wavelength]`.
+        angles_deg: `[angle]`, incidence in the ambient medium.
+        specular_reflectance, specular_transmittance: the delta part (a rough film: the values of its stack).
+        diffuse_reflectance, diffuse_transmittance: directional-hemispherical, everything else.
+    """
+
+    wavelengths_nm: NDArray[np.float64]
+    angles_deg: NDArray[np.float64]
+    specular_reflectance: NDArray[np.float64] | None = None
+    specular_transmittance: NDArray[np.float64] | None = None
+    diffuse_reflectance: NDArray[np.float64] | None = None
+    diffuse_transmittance: NDArray[np.float64] | None = None
+
+    def parts(self) -> dict[str, NDArray[np.float64]]:
+        """Return the parts that apply, by name, in the order of the fields."""
+        names = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all arrays are alike, number by number."""
+        if not isinstance(other, Spectrum):
+            return NotImplemented
+        pairs = [(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)]
+        return all(b is None if a is None else b is not None and np.array_equal(a, b) for a, b in pairs)
+
+    __hash__ = None  # type: ignore[assignment]  # arrays can be written to

@@ -7,9 +7,13 @@ e = 2/alpha^2 - 2. Directions are in a frame whose x axis is that of alpha_x. So
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 
-from nacre.arrays import Array
+from nacre.bsdf.texture import Texture
+from nacre.core.arrays import Array
 
 DISTRIBUTIONS = ("ggx", "beckmann", "blinn", "ashikhmin-shirley")
 TINY = 1e-30
@@ -182,3 +186,51 @@ def fresnel(cos_i: Array, eta: float) -> Array:
         r_p = (eta * cos_i - cos_t) / (eta * cos_i + cos_t)
     value = np.where(1 - cos_i**2 >= eta**2, 1.0, (r_s**2 + r_p**2) / 2)
     return np.asarray(np.nan_to_num(value, nan=1.0))
+
+
+# Roughness of an interface: a distribution of facet normals and its widths, which may vary over the surface.
+
+SMOOTH_BELOW = 1e-3  # alpha; such a surface spreads light by less than a tenth of a degree
+
+
+@dataclass(frozen=True)
+class Roughness:
+    """How rough an interface is; all layers of a film follow it.
+
+    Attributes:
+        distribution: "ggx", "beckmann", "blinn" or "ashikhmin-shirley".
+        alpha_x, alpha_y: widths; smooth if both are below 0.001.
+        alpha_texture: multiplies both, or None.
+        rotation: of the x axis of the roughness in rad, or None.
+        compensate: return the light lost between facets.
+    """
+
+    distribution: str = "ggx"
+    alpha_x: float = 0.0
+    alpha_y: float = 0.0
+    alpha_texture: Texture | None = None
+    rotation: Texture | None = None
+    compensate: bool = False
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether the interface is a mirror."""
+        return max(self.alpha_x, self.alpha_y) < SMOOTH_BELOW
+
+
+def check_widths(value: object, forms: str, shown: str) -> None:
+    """Check one or two widths as a recipe gives them.
+
+    Args:
+        value: what the recipe gives.
+        forms: how a roughness may be written, for the message.
+        shown: the value, for the message.
+
+    Raises:
+        ValueError: not one or two numbers, or one outside [0, 1]; the message goes on behind the key.
+    """
+    numbers: Any = value if isinstance(value, list | tuple) else [value]
+    if len(numbers) not in (1, 2) or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
+        raise ValueError(f"= {shown} is not a roughness; write {forms}")
+    if not all(0.0 <= v <= 1.0 for v in numbers):
+        raise ValueError(f"= {shown} is not allowed; it should be in [0, 1]")

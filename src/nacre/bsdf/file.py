@@ -22,14 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre._version import __version__
-from nacre.bsdf.contract import Lobe
+from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.registry import lobe_class
 from nacre.bsdf.response import InterfaceResponse
-from nacre.bsdf.sound import check_lobe
 from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
-from nacre.errors import NacreError
-from nacre.files import atomic_path, plain, why_unreadable
-from nacre.recipe.memory import check_memory
+from nacre.bsdf.validate_lobe import check_lobe
+from nacre.core.errors import NacreError
+from nacre.core.files import atomic_path, plain, why_unreadable
+from nacre.core.memory import check_memory
 
 FORMAT = "nacre-bsdf"
 VERSION = 1

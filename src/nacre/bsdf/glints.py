@@ -16,8 +16,8 @@ import math
 
 import numpy as np
 
-from nacre.arrays import Array
-from nacre.matter.jit import compiled
+from nacre.core.arrays import Array
+from nacre.core.jit import compiled
 
 # numbers of a row, one row a kind of flake
 CELLS_U, CELLS_V, COUNT, COVERAGE, WIDTH, SEED = range(6)

@@ -1,6 +1,6 @@
 """Which class is which kind of lobe: the only list of lobes.
 
-A new lobe joins with one line here and one in `nacre.device.registry`, or from another package by an entry point of
+A new lobe joins with one line here and one in `nacre.device.bsdf`, or from another package by an entry point of
 the group `nacre.lobes`. No lobe and no Mitsuba plugin imports this file.
 """
 
@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-from nacre.bsdf.contract import Lobe
-from nacre.errors import NacreError
-from nacre.lazy import entry_points
+from nacre.bsdf.lobe import Lobe
+from nacre.core.errors import NacreError
+from nacre.core.lazy import entry_points
 
 GROUP = "nacre.lobes"
 LOBES: dict[str, str] = {
@@ -23,12 +23,12 @@ LOBES: dict[str, str] = {
     "diffuse": "nacre.bsdf.lobes.diffuse:Diffuse",
     "ridge": "nacre.bsdf.lobes.ridge:Ridge",
     "table": "nacre.bsdf.lobes.table:TableLobe",
-    "harmonic": "nacre.bsdf.lobes.harmonic:Harmonic",
-    "aligned": "nacre.bsdf.lobes.aligned:Aligned",
-    "aligned-specular": "nacre.bsdf.lobes.aligned_specular:AlignedSpecular",
+    "harmonic": "nacre.bsdf.lobes.monolayer:Harmonic",
+    "aligned": "nacre.bsdf.lobes.monolayer:Aligned",
+    "aligned-specular": "nacre.bsdf.lobes.specular:AlignedSpecular",
     "spectrum-map": "nacre.bsdf.lobes.spectrum_map:SpectrumMap",
     "layered": "nacre.bsdf.lobes.layered:Layered",
-    "flaked": "nacre.bsdf.lobes.flaked:Flaked",
+    "flaked": "nacre.bsdf.lobes.platelet_layer:Flaked",
     "masked": "nacre.bsdf.lobes.masked:MaskedLobe",
 }
 

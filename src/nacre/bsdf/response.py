@@ -14,9 +14,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.arrays import Array
+from nacre.bsdf.grids import interpolate, take_uniform
 from nacre.bsdf.texture import ParameterAxis
-from nacre.bsdf.uniform import interpolate, take_uniform
+from nacre.core.arrays import Array
 
 ROUNDING = 1e-9  # of what a table of shares may fall below 0
 

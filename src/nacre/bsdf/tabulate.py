@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from nacre.arrays import Array, ComplexArray
+from nacre.bsdf.grids import interpolate
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import ParameterAxis
-from nacre.bsdf.uniform import interpolate
-from nacre.errors import UnsupportedError
+from nacre.core.arrays import Array, ComplexArray
+from nacre.core.errors import UnsupportedError
+from nacre.core.memory import check_memory
 from nacre.light import delta_e_2000, spans_colour, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.matter.stack import solve as solver
-from nacre.matter.stack.case import clear_ambient
-from nacre.recipe.memory import check_memory
+from nacre.matter.stack.inputs import clear_ambient
 
 TRANSPARENT_K = 1e-4  # a millimetre of the substrate then transmits more than a tenth at 550 nm
 SAME_INDEX = 1e-3  # relative indices this close to one refract invisibly little

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.arrays import Array
-from nacre.errors import RecipeError, UnsupportedError
-from nacre.recipe.formulas import with_values
+from nacre.core.arrays import Array
+from nacre.core.errors import RecipeError, UnsupportedError
+from nacre.recipe.named_numbers import with_values
 
 MAX_FORMULA_LENGTH = 1000
 MAX_FORMULA_NODES = 200

@@ -13,12 +13,12 @@ import numpy as np
 import pydantic
 from numpy.typing import NDArray
 
-from nacre.arrays import Array
 from nacre.bsdf.texture import Formula, Texture, parse_formula
-from nacre.errors import NacreError, RecipeError
-from nacre.files import plain, why_unreadable
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError, RecipeError
+from nacre.core.files import plain, why_unreadable
+from nacre.core.memory import check_memory
 from nacre.recipe.images import LARGEST_16_BIT, opacity, upright
-from nacre.recipe.memory import check_memory
 from nacre.recipe.model import RecipeContext, RecipeModel
 
 logger = logging.getLogger("nacre")

@@ -17,10 +17,10 @@ from typing import Any
 import click
 
 from nacre._version import __version__
-from nacre.cli.long_work import listener
-from nacre.cli.status import STATUS_BAD_INPUT, STATUS_INTERRUPTED, STOPPED, hold_closed_streams, say
-from nacre.errors import NacreError, did_you_mean
-from nacre.recipe.long_work import heard_by
+from nacre.cli.common import STATUS_BAD_INPUT, STATUS_INTERRUPTED, STOPPED, hold_closed_streams, say
+from nacre.cli.progress import listener
+from nacre.core.errors import NacreError, did_you_mean
+from nacre.core.progress import heard_by
 
 GARBAGE_AFTER = 50_000  # new objects that may hold others
 
@@ -32,16 +32,16 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "evaluate": ("nacre.cli.show", "Evaluate the BSDF for given directions."),
     "plot": ("nacre.cli.show", "Draw a figure of a material."),
     "compile": ("nacre.cli.show", "Solve a recipe once and store the result as a .nacre file."),
-    "design": ("nacre.cli.make", "Find the structure that gives a wanted appearance."),
-    "gamut": ("nacre.cli.make", "Show the colours that free numbers can reach."),
-    "fabricate": ("nacre.cli.make", "Write the files to make a design or a material."),
+    "design": ("nacre.cli.design", "Find the structure that gives a wanted appearance."),
+    "gamut": ("nacre.cli.design", "Show the colours that free numbers can reach."),
+    "fabricate": ("nacre.cli.design", "Write the files to make a design or a material."),
     "export": ("nacre.cli.exchange", "Write a material in another program's format."),
     "import": ("nacre.cli.exchange", "Read a measurement or another program's material into a recipe."),
-    "fit": ("nacre.cli.study", "Fit a recipe's free numbers to a measurement."),
+    "fit": ("nacre.cli.analysis", "Fit a recipe's free numbers to a measurement."),
     "studio": ("nacre.cli.studio", "Open a live page on a recipe, on this machine only."),
-    "report": ("nacre.cli.study", "Report colour, gloss, haze and flop as instruments measure them."),
-    "tolerance": ("nacre.cli.study", "Turn manufacturing spreads into colour spread and yield."),
-    "sweep": ("nacre.cli.study", "Compute a material over many values of its numbers."),
+    "report": ("nacre.cli.analysis", "Report colour, gloss, haze and flop as instruments measure them."),
+    "tolerance": ("nacre.cli.analysis", "Turn manufacturing spreads into colour spread and yield."),
+    "sweep": ("nacre.cli.analysis", "Compute a material over many values of its numbers."),
     "indices": ("nacre.cli.machine", "Search and show optical constants."),
     "examples": ("nacre.cli.examples", "List the recipes that come with nacre, or copy them."),
     "keys": ("nacre.cli.keys", "Print what a recipe, target or sweep may hold, key by key."),

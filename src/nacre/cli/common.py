@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import io
 import os
+import re
+import sys
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -10,8 +15,7 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.cli.status import say
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 
 F = TypeVar("F", bound=Callable[..., Any])
 MAX_LIST = 100_000
@@ -128,7 +132,7 @@ def load_material(recipe: str, changes: tuple[str, ...] = ()) -> Any:
     Raises:
         NacreError: as `nacre.load`, or a change that cannot be read.
     """
-    from nacre.materials.material import load
+    from nacre.material.material import load
 
     material = load(recipe)
     return material.vary(dict(parse_change(change) for change in changes)) if changes else material
@@ -159,3 +163,49 @@ def parse_change(text: str) -> tuple[str, Any]:
 def note(message: str) -> None:
     """Say something to the person; machine-readable output keeps stdout for itself."""
     say(message)
+
+
+# Exit statuses that are not 0, and how a line reaches the person: whole, on one line, and never in the way.
+
+STATUS_BAD_INPUT = 2
+STATUS_INTERRUPTED = 130
+STOPPED = "nacre: stopped; what was finished is kept"
+LONGEST_WORD = 200  # of a message: what is longer is somebody's 5,000 nines
+
+
+def say(message: str) -> None:
+    """Print one line on stderr, if there is one: nobody's work fails because nobody listens."""
+    with contextlib.suppress(OSError, ValueError):
+        click.echo(one_line(message), err=True)
+
+
+def one_line(message: str) -> str:
+    """Return a message on one line, endless words cut short, and nothing in it that moves a terminal's cursor."""
+    line = " ".join(message.split())
+    line = re.sub(rf"\S{{{LONGEST_WORD},}}", lambda word: f"{word[0][:60]}...{word[0][-20:]}", line)
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in line)
+
+
+class _Closed(io.TextIOBase):
+    """Stands for a stdout that its caller closed: what is written to it is not lost in silence."""
+
+    def write(self, text: str) -> int:
+        """Refuse.
+
+        Raises:
+            OSError: always.
+        """
+        raise OSError(errno.EBADF, "standard output is closed; there is nowhere to write the answer")
+
+
+def hold_closed_streams() -> None:
+    """Take the places of standard streams that are closed, so that no file of ours gets the number of one."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+    if sys.stdout is None:
+        sys.stdout = _Closed()
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # for the process's whole life

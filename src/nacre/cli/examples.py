@@ -21,8 +21,8 @@ def examples(names: tuple[str, ...], folder: str | None, as_json: bool) -> None:
     Their names stand for them wherever a command takes a recipe: nacre render soap. With NAME only those whose name
     or family holds it are listed; with -o exactly those named are copied, or all.
     """
-    from nacre.materials.examples import copy_examples
-    from nacre.materials.examples import examples as shipped
+    from nacre.material.examples import copy_examples
+    from nacre.material.examples import examples as shipped
 
     if folder is not None:
         written = copy_examples(list(names), Path(folder))

@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from nacre.cli import common
-from nacre.errors import NacreError
-from nacre.exchange.formats import EXPORTS, FOLDER, said_of
+from nacre.core.errors import NacreError
+from nacre.formats.export_formats import EXPORTS, FOLDER, said_of
 
 
 @click.command()
@@ -31,9 +31,9 @@ def export(
     illuminant: str | None, as_json: bool, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Write RECIPE in another program's format and say what the format cannot hold."""
-    from nacre.exchange.lut.write import check_folder
-    from nacre.files import check_writable, short_name
-    from nacre.study.foreign import export_material
+    from nacre.analysis.import_export import export_material
+    from nacre.core.files import check_writable, short_name
+    from nacre.formats.lut.write import check_folder
 
     path = Path(output) if output else Path(f"{short_name(recipe)}{EXPORTS[target]}")
     options: dict[str, Any] = {"angle_step_deg": angle_step_deg, "wavelength_nm": wavelength_nm}
@@ -61,8 +61,8 @@ def export(
 @common.jobs_option
 def import_(file: str, output: str | None) -> None:
     """Read a measurement or another program's material and write a recipe for it."""
-    from nacre.files import check_writable
-    from nacre.study.foreign import import_material
+    from nacre.analysis.import_export import import_material
+    from nacre.core.files import check_writable
 
     path = Path(output) if output else Path(f"{Path(file).stem}.toml")
     if path.suffix != ".toml":

@@ -14,9 +14,9 @@ from typing import Annotated, Any, Literal
 
 import pydantic
 
-from nacre.errors import NacreError
-from nacre.files import atomic_path, read_text
-from nacre.materials.examples import examples_folder
+from nacre.core.errors import NacreError
+from nacre.core.files import atomic_path, read_text
+from nacre.material.examples import examples_folder
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
 from nacre.recipe.toml import parse_toml
 
@@ -221,7 +221,7 @@ def _row(folder: Path, out: Path, spec: RowSpec, is_quick: bool) -> Item:
     spp = max(4, round((QUICK_FRAME_SPP if is_quick else FULL_FRAME_SPP) * spec.spp))
 
     def make() -> None:
-        from nacre.picture.image_files import read_provenance
+        from nacre.picture.images import read_provenance
         from nacre.render.animation import animate, join
 
         exposure: Any = "auto"
@@ -297,20 +297,20 @@ def _plot(folder: Path, out: Path, spec: PlotSpec) -> Item:
 def _design(folder: Path, out: Path, spec: DesignSpec, is_quick: bool) -> Item:
     path = out / Path(spec.target).stem
     seconds = spec.seconds / (3 if is_quick else 1)
-    from nacre.design.wants.target import is_wants
+    from nacre.optimise.task import is_wants
 
     if is_wants(parse_toml(read_text(folder / spec.target, "target"), spec.target)):
 
         def make_wants() -> None:
-            from nacre.design.wants.run import run
-            from nacre.design.wants.target import read_target
+            from nacre.optimise.run import run
+            from nacre.optimise.task import read_target
 
             run(read_target(folder / spec.target).within_seconds(seconds), path)
 
         return Item(spec.title, path / "report.png", seconds + 3, make_wants)
 
     def make() -> None:
-        from nacre.design.run import design, load_target
+        from nacre.optimise.relief.run import design, load_target
 
         target, context = load_target(folder / spec.target)
         search = target.search.model_copy(update={"time_limit_s": seconds})
@@ -321,7 +321,7 @@ def _design(folder: Path, out: Path, spec: DesignSpec, is_quick: bool) -> Item:
 
 def _find(folder: Path, out: Path, recipe: str) -> Any:
     """Load a recipe of the examples, or a design that this run has made."""
-    from nacre.materials.material import load
+    from nacre.material.material import load
 
     made = out / recipe
     return load(made if (made / "recipe.toml").is_file() else folder / recipe)

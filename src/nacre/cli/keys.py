@@ -13,20 +13,20 @@ from typing import Any
 import click
 
 from nacre.bsdf.texture_spec import TextureSpec
-from nacre.errors import NacreError, did_you_mean
+from nacre.core.errors import NacreError, did_you_mean
 from nacre.families.registry import family_names, family_spec
 from nacre.matter.indices.spec import IndexSpec
 from nacre.recipe.keys import Key, find_key, keys_of, one_sentence, shared_tables, tables_below, toml_lines
 from nacre.recipe.model import RecipeModel
-from nacre.recipe.tables import StudySpec
+from nacre.recipe.path_tables import StudySpec
 
 WIDTH = 79
 MUST = "must be given"
 # kinds of files beside recipes -> what reads them
 OTHER_FILES = {
-    "target": "nacre.design.spec:TargetSpec",
-    "wants": "nacre.design.wants.spec:WantsSpec",
-    "sweep": "nacre.study.plan:SweepSpec",
+    "target": "nacre.optimise.relief.target:TargetSpec",
+    "wants": "nacre.optimise.spec:WantsSpec",
+    "sweep": "nacre.analysis.sweep_plan:SweepSpec",
     "gallery": "nacre.cli.gallery:GallerySpec",
 }
 # forms that stand inside many tables

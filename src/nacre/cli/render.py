@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from nacre.cli import common
-from nacre.cli.status import STATUS_INTERRUPTED, STOPPED
-from nacre.errors import NacreError
+from nacre.cli.common import STATUS_INTERRUPTED, STOPPED
+from nacre.core.errors import NacreError
 
 MOVIES = (".gif", ".mp4")
 SCENES = (
@@ -101,8 +101,8 @@ def render(
     **looks: Any,
 ) -> None:  # fmt: skip
     """Render a material on an object."""
-    from nacre.files import check_writable, short_name
-    from nacre.picture.image_files import STILL_SUFFIXES
+    from nacre.core.files import check_writable, short_name
+    from nacre.picture.images import STILL_SUFFIXES
     from nacre.picture.interrupt import leaving_at_once
 
     suffixes = MOVIES if animate else STILL_SUFFIXES

@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from nacre.cli import common
-from nacre.errors import NacreError, UnsupportedError
+from nacre.core.errors import NacreError, UnsupportedError
 
 PLOT_KINDS = (
     "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity", "tracks",
@@ -37,8 +37,8 @@ def spectrum(
     changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Print reflectance and transmittance of RECIPE over angle and wavelength."""
-    from nacre.files import check_writable, write_text
-    from nacre.materials.material import recipe_provenance
+    from nacre.core.files import check_writable, write_text
+    from nacre.material.material import recipe_provenance
 
     if output:
         if Path(output).suffix not in (".csv", ".json"):
@@ -99,8 +99,8 @@ def evaluate(
     changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Evaluate the BSDF of RECIPE for given directions (the non-delta part, 1/sr, without the cosine)."""
-    from nacre.files import atomic_path, check_writable
-    from nacre.materials.material import recipe_provenance
+    from nacre.core.files import atomic_path, check_writable
+    from nacre.material.material import recipe_provenance
     from nacre.measure.evaluate import evaluate_with_error
 
     if Path(output).suffix != ".npz":
@@ -121,7 +121,7 @@ def evaluate(
 
 
 def _read_directions(path: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    from nacre.files import plain, why_unreadable
+    from nacre.core.files import plain, why_unreadable
 
     try:
         with np.load(plain(path), allow_pickle=False) as data:
@@ -174,7 +174,7 @@ def plot(
     over: str | None, lightness: float | None, part: str | None, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Draw a figure of RECIPE, of publication quality, or of a sweep: gamut, colour-map or parallel coordinates."""
-    from nacre.files import check_writable, short_name
+    from nacre.core.files import check_writable, short_name
     from nacre.plot.material import plot_material
 
     is_sweep = Path(recipe).suffix == ".zarr"
@@ -189,7 +189,7 @@ def plot(
     check_writable(path)
     angles = None if angles_deg is None else common.angles(angles_deg)
     if is_sweep:
-        from nacre.study.sweep_figures import save_sweep_figure
+        from nacre.analysis.sweep_results import save_sweep_figure
 
         if changes or wavelengths_nm or over or lightness is not None:
             raise NacreError(
@@ -240,7 +240,7 @@ def _over(text: str | None, kind: str) -> tuple[str, np.ndarray] | None:
 @common.jobs_option
 def compile_(recipe: str, wavelengths_nm: str | None, output: str | None, changes: tuple[str, ...]) -> None:
     """Solve RECIPE once and store its BSDF, to be rendered many times."""
-    from nacre.files import check_writable, short_name
+    from nacre.core.files import check_writable, short_name
 
     path = Path(output) if output else Path(f"{short_name(recipe)}.nacre")
     if path.suffix != ".nacre":

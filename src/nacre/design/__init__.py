@@ -1,13 +1,28 @@
-"""Inverse design: from a wanted appearance to a structure that has it.
+"""Inverse design: from a target appearance to a structure that has it.
 
-`nacre.design(target, folder)` takes a target file of either form; `nacre.design.many(target, labs)` many colours of
-one target.
+`nacre.design(target, folder)` takes a target file.
+`nacre.design.many(target, labs)` designs many colours of one target.
 """
 
-import lazy_loader
+import importlib
+from typing import Any
 
-from nacre.lazy import make_callable
+from nacre.core.lazy import make_callable
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_PLACES = {
+    "DesignResult": "nacre.optimise.relief.run",
+    "design": "nacre.optimise.relief.run",
+    "Design": "nacre.optimise.run",
+    "Solution": "nacre.optimise.solutions",
+    "many": "nacre.optimise.batch",
+}
+__all__ = list(_PLACES)
 
-make_callable(__name__, "nacre.design.verb:run")  # nacre.design("target.toml", "folder")
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(_PLACES[name]), name)
+
+
+make_callable(__name__, "nacre.optimise.entry:run")  # nacre.design("target.toml", "folder")

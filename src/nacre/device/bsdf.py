@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import Any
 
 import mitsuba as mi
 
 from nacre.bsdf.bsdf import Bsdf
+from nacre.bsdf.lobe import Lobe
+from nacre.bsdf.registry import outside_lobe
 from nacre.bsdf.texture import place_formula
-from nacre.device.base import logger
+from nacre.core.errors import NacreError, UnsupportedError
 from nacre.device.lobe_sum import bsdf_class, update_lobes
-from nacre.device.object_space import ObjectFrame, ObjectSpace
-from nacre.device.registry import make_plugin
+from nacre.device.plugin import LobePlugin, logger
+from nacre.device.texture import ObjectFrame, ObjectSpace
 from nacre.device.variant import VARIANTS
-from nacre.errors import UnsupportedError
 
 # The renderer draws wavelengths from 360 to 830 nm; nearly all that the eye sees lies within this.
 SEEN_NM = (400.0, 700.0)
@@ -75,3 +77,54 @@ def update_bsdf(target: Any, bsdf: Bsdf) -> None:
     if (place_formula(bsdf) is not None) != has_place:
         raise UnsupportedError("formulas of x, y, z came or went; build the scene again")
     update_lobes(target, bsdf.lobes)
+
+
+# Which plugin class renders which kind of lobe: the only list of Mitsuba plugins.
+
+PLUGINS: dict[str, str] = {
+    # lobe kind -> "module:class", imported when first needed
+    "specular": "nacre.device.lobes.specular:SpecularPlugin",
+    "microfacet": "nacre.device.lobes.microfacet:MicrofacetPlugin",
+    "diffuse": "nacre.device.lobes.diffuse:DiffusePlugin",
+    "ridge": "nacre.device.lobes.ridge:RidgePlugin",
+    "table": "nacre.device.lobes.table:TablePlugin",
+    "harmonic": "nacre.device.lobes.monolayer:HarmonicPlugin",
+    "aligned": "nacre.device.lobes.monolayer:AlignedPlugin",
+    "aligned-specular": "nacre.device.lobes.specular:AlignedSpecularPlugin",
+    "spectrum-map": "nacre.device.lobes.spectrum_map:SpectrumMapPlugin",
+    "layered": "nacre.device.lobes.layered:LayeredPlugin",
+    "flaked": "nacre.device.lobes.platelet_layer:FlakedPlugin",
+    "masked": "nacre.device.lobes.masked:MaskedPlugin",
+}
+
+
+def plugin_class(kind: str) -> type[LobePlugin[Any]]:
+    """Return the class that renders a lobe kind, importing its module.
+
+    Raises:
+        UnsupportedError: no plugin renders this kind.
+        NacreError: another package registers this kind, but not with a `LobePlugin`.
+    """
+    if kind in PLUGINS:
+        module, name = PLUGINS[kind].split(":")
+        cls: type[LobePlugin[Any]] = getattr(importlib.import_module(module), name)
+        return cls
+    try:
+        outside = outside_lobe(kind).twin()
+    except KeyError:
+        known = ", ".join(PLUGINS)
+        raise UnsupportedError(f'no Mitsuba plugin renders a lobe of kind "{kind}"; known: {known}') from None
+    if not (isinstance(outside, type) and issubclass(outside, LobePlugin)):
+        raise NacreError(f'the Mitsuba plugin of the lobe "{kind}" is not a LobePlugin')
+    return outside
+
+
+def make_plugin(lobe: Lobe) -> LobePlugin[Any]:
+    """Put one lobe on the device of the current variant.
+
+    Raises:
+        UnsupportedError: no plugin renders this kind.
+    """
+    cls: Any = plugin_class(lobe.kind)
+    plugin: LobePlugin[Any] = cls(lobe, make_plugin) if cls.holds_lobes else cls(lobe)
+    return plugin

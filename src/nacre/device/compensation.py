@@ -10,9 +10,9 @@ import mitsuba as mi
 import numpy as np
 
 from nacre.bsdf.lobes.microfacet import Microfacet
-from nacre.device.base import MIN_COS, negated, opaque
+from nacre.device.plugin import MIN_COS, negated, opaque
 from nacre.device.tables import DeviceTable, WavelengthAxis
-from nacre.device.textures import DeviceParameters
+from nacre.device.texture import DeviceParameters
 
 MAX_SHARE = 0.95
 

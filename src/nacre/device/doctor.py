@@ -12,8 +12,8 @@ import tempfile
 from dataclasses import dataclass
 
 from nacre._version import __version__
-from nacre.errors import MachineError
-from nacre.recipe.memory import VARIABLE, memory_limit, shown_bytes
+from nacre.core.errors import MachineError
+from nacre.core.memory import VARIABLE, memory_limit, shown_bytes
 
 EXTRAS = {
     "sweeps": (("xarray", "zarr", "dask", "distributed", "cryptography"), "pip install 'nacre[study]'"),

@@ -15,7 +15,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from nacre.errors import UnsupportedError
+from nacre.core.errors import UnsupportedError
 
 TINY = 1e-20
 

@@ -7,11 +7,11 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from nacre.arrays import Array
 from nacre.bsdf.glints import CELLS_U, CELLS_V, COUNT, COVERAGE, DRAWS, FLAKE_STEP, SEED, WIDTH
-from nacre.bsdf.lobes.flaked import Flaked
 from nacre.bsdf.lobes.layered import Layered
-from nacre.device.base import device_array, opaque, opaque_int, read
+from nacre.bsdf.lobes.platelet_layer import Flaked
+from nacre.core.arrays import Array
+from nacre.device.plugin import device_array, opaque, opaque_int, read
 
 WORD = 0xFFFFFFFF
 FLATTEST = 1e-4  # a normal in the plane of the flakes has no slope

@@ -12,10 +12,10 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from nacre.bsdf.contract import Lobe
-from nacre.device.base import LobePlugin, larger, negated, smaller, with_wi
-from nacre.device.object_space import ObjectSpace
-from nacre.errors import UnsupportedError
+from nacre.bsdf.lobe import Lobe
+from nacre.core.errors import UnsupportedError
+from nacre.device.plugin import LobePlugin, larger, negated, smaller, with_wi
+from nacre.device.texture import ObjectSpace
 
 
 def update_lobes(target: Any, lobes: Sequence[Lobe]) -> None:

@@ -1,4 +1,4 @@
-"""Cosine series in words (`nacre.bsdf.series_words`) on the device."""
+"""Cosine series in words (`nacre.bsdf.packed_series`) on the device."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.series_words import DARKEST, PACKET, SHARED, WORD, encode
-from nacre.device.base import aligned, opaque
-from nacre.errors import UnsupportedError
+from nacre.bsdf.packed_series import DARKEST, PACKET, SHARED, WORD, encode
+from nacre.core.errors import UnsupportedError
+from nacre.device.plugin import aligned, opaque
 
 
 class PackedSeries:

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.response import InterfaceResponse
-from nacre.device.base import larger, opaque, smaller
+from nacre.core.errors import UnsupportedError
+from nacre.device.plugin import larger, opaque, smaller
 from nacre.device.tables import DeviceTable, Located, WavelengthAxis
-from nacre.device.textures import DeviceParameters
-from nacre.errors import UnsupportedError
+from nacre.device.texture import DeviceParameters
 
 MIN_SHARE = 0.1  # bounds the weight of a wavelength that differs much from the mean
 # of the power: as near as lobes on the device come to their arrays. A soap film, which absorbs up to 0.7e-4, is then

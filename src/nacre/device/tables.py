@@ -15,9 +15,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.arrays import Array
-from nacre.device.base import aligned, device_array, larger, opaque, opaque_int, read, read2, read4, replaced, smaller
-from nacre.errors import UnsupportedError
+from nacre.core.arrays import Array
+from nacre.core.errors import UnsupportedError
+from nacre.device.plugin import aligned, device_array, larger, opaque, opaque_int, read, read2, read4, replaced, smaller
 
 MAX_CELL_BYTES = 48 * 2**20
 HALF = 0xFFFF  # the largest number of 16 bits

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
+from nacre.core.errors import MachineError, UnsupportedError, did_you_mean
 from nacre.device import llvm
-from nacre.errors import MachineError, UnsupportedError, did_you_mean
 
 ENVIRONMENT_VARIABLE = "NACRE_VARIANT"
 VARIANTS = ("llvm_ad_spectral", "cuda_ad_spectral", "scalar_spectral")

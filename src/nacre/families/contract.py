@@ -27,11 +27,11 @@ from typing import Any, ClassVar
 
 from numpy.typing import NDArray
 
-from nacre.arrays import Array
 from nacre.bsdf import Bsdf
+from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.lobes.layered import Layered
-from nacre.bsdf.spectrum import Spectrum
-from nacre.errors import UnsupportedError, did_you_mean
+from nacre.core.arrays import Array
+from nacre.core.errors import UnsupportedError, did_you_mean
 from nacre.light import default_wavelengths
 from nacre.matter.drawings import Drawer
 

@@ -10,9 +10,9 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-from nacre.errors import NacreError, RecipeError, did_you_mean
-from nacre.lazy import entry_points
-from nacre.recipe.identity import file_digest, source_digest
+from nacre.core.errors import NacreError, RecipeError, did_you_mean
+from nacre.core.lazy import entry_points
+from nacre.recipe.fingerprint import file_digest, source_digest
 from nacre.recipe.model import RecipeModel, show_value
 
 GROUP = "nacre.families"
@@ -23,8 +23,8 @@ FAMILIES: dict[str, str] = {
     "metasurface": "nacre.families.metasurface.spec:MetasurfaceSpec",
     "glass": "nacre.families.glass.spec:GlassSpec",
     "relief": "nacre.families.relief.spec:ReliefSpec",
-    "measured": "nacre.families.measured.spec:MeasuredSpec",
-    "blend": "nacre.families.blend.spec:BlendSpec",
+    "measured": "nacre.families.measured:MeasuredSpec",
+    "blend": "nacre.families.blend:BlendSpec",
 }
 
 

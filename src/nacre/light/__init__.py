@@ -5,11 +5,25 @@ the CIE 1931 2 degree observer. sRGB outputs of other illuminants are adapted to
 transform unless asked otherwise, so a white sheet stays white under every illuminant.
 """
 
-from nacre.light.adaptation import ADAPTATIONS, Adaptation, adapt_xyz, adaptation_matrix
-from nacre.light.constancy import IlluminantShift, illuminant_shift, metamerism
+from nacre.light.adaptation import (
+    ADAPTATIONS,
+    Adaptation,
+    IlluminantShift,
+    adapt_xyz,
+    adaptation_matrix,
+    illuminant_shift,
+    metamerism,
+)
 from nacre.light.difference import delta_e_76, delta_e_2000
-from nacre.light.display import spectrum_to_rgb_linear, spectrum_to_rgb_matrix, spectrum_to_srgb, swatch_hex
-from nacre.light.gamut import Clipped, clip_to_srgb, outside_srgb
+from nacre.light.display import (
+    Clipped,
+    clip_to_srgb,
+    outside_srgb,
+    spectrum_to_rgb_linear,
+    spectrum_to_rgb_matrix,
+    spectrum_to_srgb,
+    swatch_hex,
+)
 from nacre.light.spaces import (
     SRGB_WHITE_XYZ,
     lab_to_lch,

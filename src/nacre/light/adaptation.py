@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import Array
-from nacre.errors import NacreError, did_you_mean
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError, did_you_mean
+from nacre.light.difference import delta_e_76, delta_e_2000
+from nacre.light.spaces import lab_to_lch, xyz_to_lab
+from nacre.light.tables import Illuminant
+from nacre.light.tristimulus import spectrum_to_xyz, white_xyz
 
 if TYPE_CHECKING:
     pass
+
 
 Adaptation = Literal["bradford", "none"]
 ADAPTATIONS = ("bradford", "none")
@@ -46,3 +52,89 @@ def adapt_xyz(xyz: ArrayLike, white_from: ArrayLike, white_to: ArrayLike, method
     Example: `adapt_xyz(white_xyz("A"), white_xyz("A"), white_xyz("D65"))` is the white of D65.
     """
     return np.asarray(xyz, dtype=float) @ adaptation_matrix(white_from, white_to, method).T
+
+
+# What a change of illuminant does to a colour: inconstancy between two illuminants, and metamerism.
+
+
+@dataclass(frozen=True)
+class IlluminantShift:
+    """How a colour changes from one light to another, for an observer adapted to each.
+
+    Attributes:
+        lab_from, lab_to: `[..., 3]`, CIELAB under each light, both after adaptation to D65.
+        delta_e_2000, delta_e_76: `[...]`, their distance.
+        delta_lightness, delta_chroma, delta_hue_deg: `[...]`, second minus first; hue in (-180, 180].
+    """
+
+    lab_from: Array
+    lab_to: Array
+    delta_e_2000: Array
+    delta_e_76: Array
+    delta_lightness: Array
+    delta_chroma: Array
+    delta_hue_deg: Array
+
+
+def illuminant_shift(
+    values: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    illuminant_from: str | Illuminant = "D65",
+    illuminant_to: str | Illuminant = "A",
+    observer: str = "2deg",
+) -> IlluminantShift:
+    """Return the shift of the colour of reflectances `[..., wavelength]` when the light changes.
+
+    Both colours are adapted to D65 by Bradford's transform before they are compared in CIELAB, so that a grey
+    does not shift at all and what remains is the material's own inconstancy (as CIE 15's colour inconstancy
+    index compares corresponding colours; there with another adaptation).
+
+    Raises:
+        NacreError: unusable wavelengths, unknown illuminant or observer.
+    """
+    reference = white_xyz("D65", observer)
+    first = _adapted_lab(values, wavelengths_nm, illuminant_from, observer, reference)
+    second = _adapted_lab(values, wavelengths_nm, illuminant_to, observer, reference)
+    lch_first, lch_second = lab_to_lch(first), lab_to_lch(second)
+    turn = lch_second[..., 2] - lch_first[..., 2]
+    return IlluminantShift(
+        lab_from=first,
+        lab_to=second,
+        delta_e_2000=delta_e_2000(first, second),
+        delta_e_76=delta_e_76(first, second),
+        delta_lightness=second[..., 0] - first[..., 0],
+        delta_chroma=lch_second[..., 1] - lch_first[..., 1],
+        delta_hue_deg=180.0 - (180.0 - turn) % 360.0,
+    )
+
+
+def metamerism(
+    values: ArrayLike,
+    other: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    illuminant_from: str | Illuminant = "D65",
+    illuminant_to: str | Illuminant = "A",
+    observer: str = "2deg",
+) -> Array:
+    """Return the special metamerism index: dE00 under the second light of two spectra that match under the first.
+
+    A residual mismatch under the first light is taken out by the multiplicative correction of CIE 15:2018,
+    9.2.2: the second spectrum's XYZ under the second light are scaled by the ratios of the XYZ under the first.
+
+    Raises:
+        NacreError: unusable wavelengths, unknown illuminant or observer.
+    """
+    first = spectrum_to_xyz(values, wavelengths_nm, illuminant_from, observer)
+    first_other = spectrum_to_xyz(other, wavelengths_nm, illuminant_from, observer)
+    ratio = np.divide(first, first_other, out=np.ones_like(first * first_other), where=first_other > 0.0)
+    white = white_xyz(illuminant_to, observer)
+    second = spectrum_to_xyz(values, wavelengths_nm, illuminant_to, observer)
+    second_other = spectrum_to_xyz(other, wavelengths_nm, illuminant_to, observer) * ratio
+    return delta_e_2000(xyz_to_lab(second, white), xyz_to_lab(second_other, white))
+
+
+def _adapted_lab(
+    values: ArrayLike, wavelengths_nm: ArrayLike, light: str | Illuminant, observer: str, reference: Array
+) -> Array:
+    xyz = spectrum_to_xyz(values, wavelengths_nm, light, observer)
+    return xyz_to_lab(adapt_xyz(xyz, white_xyz(light, observer), reference), reference)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import Array
+from nacre.core.arrays import Array
 
 
 def delta_e_76(lab: ArrayLike, other: ArrayLike) -> Array:

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import ArrayLike
+import math
+from dataclasses import dataclass
 
-from nacre.arrays import Array
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
 from nacre.light.adaptation import Adaptation, adapt_xyz, adaptation_matrix
-from nacre.light.gamut import clip_to_srgb
-from nacre.light.spaces import SRGB_WHITE_XYZ, XYZ_TO_RGB, srgb_encode, srgb_to_hex, xyz_to_srgb_linear
+from nacre.light.spaces import (
+    RGB_TO_XYZ,
+    SRGB_WHITE_XYZ,
+    XYZ_TO_RGB,
+    lab_f,
+    lab_f_inverse,
+    srgb_encode,
+    srgb_to_hex,
+    xyz_to_srgb_linear,
+)
 from nacre.light.tables import Illuminant
 from nacre.light.tristimulus import weighted_sum, white_xyz, xyz_weights
 
@@ -77,3 +89,104 @@ def swatch_hex(xyz: ArrayLike, white: ArrayLike) -> str:
     """
     adapted = np.clip(adapt_xyz(np.clip(xyz, 0.0, None), white, SRGB_WHITE_XYZ), 0.0, None)
     return srgb_to_hex(srgb_encode(clip_to_srgb(xyz_to_srgb_linear(adapted)).rgb))
+
+
+# Gamut mapping into sRGB: hue and lightness stay, chroma is lowered.
+
+# Half an 8-bit step at the dark end, where the steps of linear light are finest: less than this outside the
+# gamut cannot be seen in a file and is rounding (of the sRGB matrix, of single precision), not a colour.
+CLIP_TOLERANCE = 0.5 / 255 / 12.92
+HALVINGS = 22  # chroma to 2.4e-7 of itself
+# of few colours numpy's calls cost more than its numbers: their range is cut in so many parts at once
+PARTS, FEW = 64, 64
+BLOCK = 1 << 14  # colours at a time: the temporaries stay in cache
+
+
+@dataclass(frozen=True)
+class Clipped:
+    """Displayable linear sRGB, and which colours had to move.
+
+    Attributes:
+        rgb: `[..., 3]`, linear, in [0, 1].
+        is_clipped: `[...]`, whether the colour was outside the gamut.
+    """
+
+    rgb: Array
+    is_clipped: NDArray[np.bool_]
+
+    @property
+    def count(self) -> int:
+        """The number of clipped colours (pixels of an image)."""
+        return int(np.count_nonzero(self.is_clipped))
+
+
+def clip_to_srgb(rgb_linear: ArrayLike) -> Clipped:
+    """Bring linear sRGB `[..., 3]` into [0, 1] at constant CIELAB hue and lightness, by lowering the chroma.
+
+    Along the line from the grey of the same L* the colour is taken back to where the line leaves the gamut (one
+    line in some thousand leaves it twice; then it is one of the two).
+    L* >= 100 (brighter than the display's white) has only white left, L* <= 0 only black. Colours within the
+    gamut are returned unchanged, to rounding. About 0.5 s for a million colours outside; most images have few.
+
+    Raises:
+        NacreError: a value is not finite.
+
+    Example: (0, 1.1, -0.2) keeps its L* and hue and becomes (0.617, 0.896, 0.000).
+    """
+    rgb = np.array(rgb_linear, dtype=float)
+    if rgb.ndim == 0 or rgb.shape[-1] != 3:
+        raise NacreError(f"rgb_linear must have 3 values in its last axis; got shape {rgb.shape}")
+    flat = rgb.reshape(-1, 3)
+    is_outside = outside_srgb(flat)
+    outside = np.flatnonzero(is_outside)
+    for start in range(0, len(outside), BLOCK):
+        rows = outside[start : start + BLOCK]
+        flat[rows] = _lower_chroma(flat[rows])
+    np.clip(flat, 0.0, 1.0, out=flat)
+    return Clipped(flat.reshape(rgb.shape), is_outside.reshape(rgb.shape[:-1]))
+
+
+def outside_srgb(rgb: Array) -> NDArray[np.bool_]:
+    """Return which linear sRGB colours `[..., 3]` lie outside [0, 1] and would be clipped: `[...]`.
+
+    Raises:
+        NacreError: a value is not finite.
+    """
+    red, green, blue = (rgb[..., channel] for channel in range(3))
+    low, high = np.minimum(np.minimum(red, green), blue), np.maximum(np.maximum(red, green), blue)
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
+        raise NacreError("rgb_linear holds a value that is not finite")
+    return np.asarray((low < -CLIP_TOLERANCE) | (high > 1.0 + CLIP_TOLERANCE))
+
+
+def _lower_chroma(rgb: Array) -> Array:
+    """Clip colours `[n, 3]` that are known to be outside."""
+    f = lab_f(rgb @ RGB_TO_XYZ.T / SRGB_WHITE_XYZ)
+    fy = f[:, 1]
+    grey = lab_f_inverse(fy)
+    result = np.repeat(np.clip(grey, 0.0, 1.0)[:, None], 3, axis=1)
+    rows = np.flatnonzero((grey > 0.0) & (grey < 1.0))
+    if len(rows) == 0:
+        return result
+    fy, y = fy[rows], grey[rows] * SRGB_WHITE_XYZ[1]
+    dx, dz = f[rows, 0] - fy, f[rows, 2] - fy
+    good, bad = np.zeros(len(rows)), np.ones(len(rows))
+
+    def at(scale: Array) -> list[Array]:
+        x = lab_f_inverse(fy + scale * dx) * SRGB_WHITE_XYZ[0]
+        z = lab_f_inverse(fy + scale * dz) * SRGB_WHITE_XYZ[2]
+        return [m[0] * x + m[1] * y + m[2] * z for m in XYZ_TO_RGB]
+
+    parts = PARTS if len(rows) <= FEW else 2
+    inner = np.arange(1, parts)[:, None] / parts
+    for _ in range(math.ceil(HALVINGS / math.log2(parts))):
+        between = good + (bad - good) * inner
+        red, green, blue = at(between)
+        low = np.minimum(np.minimum(red, green), blue)
+        high = np.maximum(np.maximum(red, green), blue)
+        is_outside = (low < 0.0) | (high > 1.0)
+        first = np.where(is_outside.any(axis=0), is_outside.argmax(axis=0), parts - 1)
+        step = (bad - good) / parts
+        good, bad = good + first * step, good + (first + 1) * step
+    result[rows] = np.stack(at(good), axis=1)
+    return result

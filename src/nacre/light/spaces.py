@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import Array
+from nacre.core.arrays import Array
 from nacre.light.tristimulus import white_xyz
 
 # IEC 61966-2-1:1999, the four-digit matrix of the standard itself; its inverse is taken numerically, so that

@@ -13,8 +13,8 @@ from importlib import resources
 
 import numpy as np
 
-from nacre.arrays import Array
-from nacre.errors import NacreError, did_you_mean
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError, did_you_mean
 
 ILLUMINANTS = ("A", "C", "D50", "D65", "E", "F2", "F11", "LED-B3")
 OBSERVERS = ("2deg", "10deg")

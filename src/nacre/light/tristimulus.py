@@ -12,9 +12,8 @@ import functools
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import Array
-from nacre.errors import NacreError
-from nacre.light.splines import spline_matrix
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
 from nacre.light.tables import Illuminant, illuminant, observer, table_wavelengths_nm
 
 # Samples that end inside the visible say nothing about the rest; beyond 400-700 nm less than 1 % of any
@@ -215,3 +214,28 @@ def weighted_sum(values: ArrayLike, matrix: Array) -> Array:
             f"the last axis of values must be the wavelength: {len(matrix)} samples, got shape {spectra.shape}"
         )
     return spectra @ matrix
+
+
+# Weights for colours of spectra that are smooth curves between samples, not straight lines.
+
+
+def spline_matrix(nodes: Array, points: Array) -> Array:
+    """Return `[point, node]`: values at points inside the nodes of the natural cubic spline through values there."""
+    count = len(nodes)
+    h = np.diff(nodes)
+    second = np.zeros((count, count))  # of the second derivatives: left side
+    rhs = np.zeros((count, count))
+    second[0, 0] = second[-1, -1] = 1.0
+    for i in range(1, count - 1):
+        second[i, i - 1], second[i, i], second[i, i + 1] = h[i - 1] / 6.0, (h[i - 1] + h[i]) / 3.0, h[i] / 6.0
+        rhs[i, i - 1], rhs[i, i], rhs[i, i + 1] = 1.0 / h[i - 1], -1.0 / h[i - 1] - 1.0 / h[i], 1.0 / h[i]
+    curvature = np.linalg.solve(second, rhs)
+    left = np.clip(np.searchsorted(nodes, points, side="right") - 1, 0, count - 2)
+    b = (points - nodes[left]) / h[left]
+    a = 1.0 - b
+    square = (h[left] ** 2 / 6.0)[:, None]
+    matrix = ((a**3 - a)[:, None] * curvature[left] + (b**3 - b)[:, None] * curvature[left + 1]) * square
+    rows = np.arange(len(points))
+    matrix[rows, left] += a
+    matrix[rows, left + 1] += b
+    return matrix

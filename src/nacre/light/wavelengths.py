@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from nacre.arrays import Array
-from nacre.errors import NacreError
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
 
 WAVELENGTH_RANGE_NM = (360.0, 830.0)
 # 470 nm is a whole number of each of these, so both ends are always on the grid

@@ -1,8 +1,8 @@
 from .indices.constant import OpticalConstant as OpticalConstant
 from .indices.library import index as index
-from .stack.case import Amplitudes as Amplitudes
-from .stack.case import Powers as Powers
-from .stack.case import Response as Response
+from .stack.inputs import Amplitudes as Amplitudes
+from .stack.inputs import Powers as Powers
+from .stack.inputs import Response as Response
 from .stack.solve import amplitudes as amplitudes
 from .stack.solve import powers as powers
 from .stack.solve import solve as solve

@@ -1,6 +1,6 @@
 """The data for fabricating a material: layers, particles in the plane, heights.
 
-A family says which of these it can give; `nacre.exchange.drawings` writes them in the usual file formats and knows
+A family says which of these it can give; `nacre.formats.fabrication` writes them in the usual file formats and knows
 no family.
 
 Seen from the light's side: x to the right, y up, heights towards the light.
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.arrays import Array
+from nacre.core.arrays import Array
 
 
 @dataclass(frozen=True)

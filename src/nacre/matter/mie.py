@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nacre.arrays import Array, ComplexArray
+from nacre.core.arrays import Array, ComplexArray
 
 
 def default_order(size_parameter: float) -> int:

@@ -7,12 +7,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import Array, floats
 from nacre.bsdf import Bsdf, Lobe
 from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.texture import refuse_place
-from nacre.errors import UnsupportedError
-from nacre.recipe.memory import check_memory
+from nacre.core.arrays import Array, floats
+from nacre.core.errors import UnsupportedError
+from nacre.core.memory import check_memory
 
 BYTES_A_VALUE = 40  # of a pair and wavelength: the sum, one lobe's values, and what they are made of
 UNIT_TOLERANCE = 1e-3  # of a vector's length; float32 directions are far within

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nacre.arrays import Array
 from nacre.bsdf import Bsdf
 from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.core.arrays import Array
 from nacre.measure.evaluate import evaluate_with_error
 
 TILTS_DEG = np.array([1.5, 3.0, 6.0, 12.0, 24.0, 50.0])  # of the half vector; at the last one there is only the ground

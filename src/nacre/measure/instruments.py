@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nacre.arrays import Array
-from nacre.bsdf.directions import direction
 from nacre.bsdf.facet_distributions import fresnel
+from nacre.bsdf.grids import direction
+from nacre.core.arrays import Array
 
 STANDARD_LIGHT = ("C", "2deg")  # ISO 2813, ASTM D523, E430 and D1003: gloss and haze are read with these, always
 FLOP_LIGHT = ("D65", "10deg")  # ASTM E2194, whose angles Alman's index is read at

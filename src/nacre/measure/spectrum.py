@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from nacre.arrays import Array
-from nacre.bsdf.bsdf import Bsdf
-from nacre.bsdf.contract import Lobe
-from nacre.bsdf.directions import direction
+from nacre.bsdf.bsdf import Bsdf, Spectrum
+from nacre.bsdf.grids import direction
+from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.bsdf.lobes.microfacet import Microfacet
-from nacre.bsdf.spectrum import Spectrum
+from nacre.core.arrays import Array
 from nacre.measure.evaluate import hemispherical
 
 

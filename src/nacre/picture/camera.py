@@ -9,7 +9,7 @@ from numbers import Real
 
 import numpy as np
 
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.picture.shapes.mesh import rotation
 
 FOV_DEG = (1.0, 120.0)

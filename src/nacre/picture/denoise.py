@@ -1,7 +1,8 @@
 """Take the grain out of a finished picture: Intel's Open Image Denoise, by the package `mitsuba-oidn`.
 
 It works on linear Rec. 2020, near the colours that it was trained on and wide enough that little is negative (the
-denoiser cuts that), and is guided by what the camera sees first (`nacre.picture.guides`): the diffuse reflectance and
+denoiser cuts that), and is guided by what the camera sees first (`nacre.picture.denoiser_aovs`): the diffuse
+reflectance and
 the normal of every pixel. What it takes from the mean colour of a neighbourhood, since it judges grain on a compressive
 scale, is given back, and so is the texture that it took for grain: what lies between the raw picture and the clean one
 is split into scales, of each of which the share is given back that noise cannot have made. How much noise there is tell
@@ -20,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.matter.jobs import available_jobs, one_thread_each
-from nacre.picture.smooth import Real, smooth
+from nacre.core.parallel import available_jobs, one_thread_each
+from nacre.picture.filters import Real, smooth
 
 # of the guides, which only need the first hit: of those with grain and of what an EXR holds of them, and of guides
 # without grain, where fewer tell the edges: twice as many make the FLIP of a bubble .0279 -> .0277, and take as long as
@@ -110,9 +111,9 @@ def denoised(
     scale = None if len(parts) == 1 else exposure(xyz[..., 1])
     with one_thread_each():  # its products are small, and some are made in threads
         for seen, kept, inner in parts:
-            found[kept] = _band(
-                xyz[seen], albedo[seen], normal[seen], scale, None if doubt is None else doubt[seen]
-            )[inner]
+            found[kept] = _band(xyz[seen], albedo[seen], normal[seen], scale, None if doubt is None else doubt[seen])[
+                inner
+            ]
     return found
 
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nacre.errors import NacreError
-from nacre.picture.image_files import OPAQUE_SUFFIXES, STILL_SUFFIXES
-from nacre.picture.images import Exposure
+from nacre.core.errors import NacreError
+from nacre.picture.images import OPAQUE_SUFFIXES, STILL_SUFFIXES, Exposure
 from nacre.picture.passes import Until
 
 MAX_SIDE = 16384

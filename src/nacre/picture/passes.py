@@ -14,20 +14,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.arrays import Array
+from nacre.core.arrays import Array
+from nacre.core.memory import check_memory
+from nacre.core.progress import Clock, ProgressCallback
 from nacre.device.variant import use_variant
 from nacre.picture import interrupt
-from nacre.picture.bands import Banded
 from nacre.picture.camera import View
-from nacre.picture.cut_out import cut_out, sees_objects
 from nacre.picture.denoise import EVEN_GUIDE_SPP, GUIDE_SPP
-from nacre.picture.endless import without_edges
-from nacre.picture.guides import first_hits, guide_tracer, walks, ways_of
-from nacre.picture.paths import DRAWS, can_split, make_paths
-from nacre.picture.progress import Clock, ProgressCallback
+from nacre.picture.denoiser_aovs import first_hits, guide_tracer, walks, ways_of
+from nacre.picture.infinite_backdrop import without_edges
+from nacre.picture.paths import DRAWS, can_split, cut_out, make_paths, sees_objects
 from nacre.picture.samples import going_on
-from nacre.picture.wavelengths import by_colour, evened
-from nacre.recipe.memory import check_memory
+from nacre.picture.spectral import by_colour, evened
+from nacre.picture.tiling import Banded
 
 logger = logging.getLogger("nacre")
 
@@ -144,7 +143,7 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
     }
     bands = np.zeros(0)
     if shot.spectral:
-        from nacre.picture.spectral_film import band_centres, band_film
+        from nacre.picture.spectral import band_centres, band_film
 
         bands = band_centres(BAND_STEP_NM)
         film = band_film(bands, BAND_STEP_NM)
@@ -198,7 +197,7 @@ def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[
         not_finite = int(np.count_nonzero(~np.isfinite(clean).all(axis=-1)))
         np.nan_to_num(clean, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
         if shot.spectral:
-            from nacre.picture.spectral_film import bands_to_xyz
+            from nacre.picture.spectral import bands_to_xyz
 
             xyz = bands_to_xyz(clean, bands)
             return Frame(
@@ -381,7 +380,7 @@ def _added(total: NDArray[np.float64] | None, values: NDArray[np.float32], spp: 
 def _guides(
     scene: Any, camera: Banded, tracer: Any, seed: int, counts: tuple[int, int], alike: bool
 ) -> tuple[dict[str, NDArray[np.float32]], ...]:
-    """Return the guides of the denoiser, see `nacre.picture.guides.first_hits`, of fewer and of more samples.
+    """Return the guides of the denoiser, see `nacre.picture.denoiser_aovs.first_hits`, of fewer and of more samples.
 
     Args:
         scene: of Mitsuba.

@@ -19,15 +19,17 @@ import numpy as np
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.texture import refuse_place
+from nacre.core.errors import NacreError, RecipeError, UnsupportedError
+from nacre.core.files import check_writable, real
+from nacre.core.progress import ProgressCallback, progress_bar
 from nacre.device.variant import use_variant
-from nacre.errors import NacreError, RecipeError, UnsupportedError
-from nacre.files import check_writable, real
 from nacre.picture import interrupt
+from nacre.picture.built_scene import UserScene
 from nacre.picture.camera import read_framing, read_turn
 from nacre.picture.denoise import clean_albedo, denoised, why_not
 from nacre.picture.images import Exposure, RenderResult, count_clipped, develop, toned
+from nacre.picture.lights.light_mixture import Lamp, read_lamps
 from nacre.picture.lights.named import TURNING_LIGHTS, check_light, make_lights
-from nacre.picture.lights.several import Lamp, read_lamps
 from nacre.picture.options import (
     check_exposure,
     check_output,
@@ -38,10 +40,8 @@ from nacre.picture.options import (
     read_until,
 )
 from nacre.picture.passes import FIRST_HIT, Frame, Shot, Until, pass_seed, path_tracer, shoot
-from nacre.picture.progress import ProgressCallback, progress_bar
 from nacre.picture.scenes.catalogue import scene as find_scene
-from nacre.picture.user_scene import UserScene
-from nacre.recipe.identity import file_stamp
+from nacre.recipe.fingerprint import file_stamp
 
 COMPONENTS = ("sum", "specular", "diffuse")
 QUALITIES = ("reference", "fast")

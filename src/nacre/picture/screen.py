@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
+from nacre.core.errors import UnsupportedError
 from nacre.device.variant import use_variant
-from nacre.errors import UnsupportedError
 from nacre.light import illuminant as find_illuminant
 from nacre.light import xyz_weights
 from nacre.picture.images import AUTO_LEVEL, Exposure, RenderResult, develop, encode

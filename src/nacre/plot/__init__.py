@@ -18,7 +18,7 @@ What a family supplies through `figure_data(kind)`, as a dictionary of arrays (`
 
 import lazy_loader
 
-from nacre.lazy import make_callable
+from nacre.core.lazy import make_callable
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 

@@ -10,9 +10,9 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from nacre import light
-from nacre.arrays import Array
 from nacre.bsdf import Bsdf
-from nacre.errors import NacreError
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
 from nacre.plot.style import (
     COLUMN_IN,
     FAINT,

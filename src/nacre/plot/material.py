@@ -11,13 +11,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from nacre.arrays import Array
 from nacre.bsdf import Bsdf
-from nacre.bsdf.spectrum import Spectrum
-from nacre.errors import NacreError, RecipeError, UnsupportedError, did_you_mean
-from nacre.materials.material import Material, MaterialLike, as_material, recipe_provenance
-from nacre.measure.colour_wavelengths import colour_bsdf, colour_grid, colour_spectrum
+from nacre.bsdf.bsdf import Spectrum
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError, RecipeError, UnsupportedError, did_you_mean
+from nacre.material.material import Material, MaterialLike, as_material, recipe_provenance
 from nacre.measure.evaluate import evaluate_with_error
+from nacre.measure.wavelengths import colour_bsdf, colour_grid, colour_spectrum
 from nacre.plot.colours import chromaticity_figure, colour_map_figure
 from nacre.plot.directions import SLICE_NODES, bsdf_slice_figure, lobe_figure, scattering_figure
 from nacre.plot.spectra import index_figure, parts_of, ribbon_figure, spectrum_figure

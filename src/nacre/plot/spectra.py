@@ -11,9 +11,9 @@ from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike
 
 from nacre import light
-from nacre.arrays import Array
-from nacre.bsdf.spectrum import Spectrum
-from nacre.errors import NacreError
+from nacre.bsdf.bsdf import Spectrum
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
 from nacre.plot.style import (
     COLUMN_IN,
     INK,

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from nacre import light
-from nacre.arrays import Array
-from nacre.errors import NacreError
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
 from nacre.plot.style import (
     COLUMN_IN,
     INK,

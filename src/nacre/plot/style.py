@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike
 
 from nacre import light
 from nacre._version import __version__
-from nacre.arrays import Array
-from nacre.errors import NacreError
-from nacre.files import atomic_path
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.core.files import atomic_path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

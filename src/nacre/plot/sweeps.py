@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from nacre import light
-from nacre.arrays import Array
-from nacre.errors import NacreError
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
 from nacre.plot.colours import draw_hue_circle
 from nacre.plot.style import (
     COLUMN_IN,

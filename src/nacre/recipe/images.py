@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nacre.arrays import Array
+from nacre.core.arrays import Array
 
 if TYPE_CHECKING:
     from PIL.Image import Image

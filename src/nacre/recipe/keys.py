@@ -16,7 +16,7 @@ from typing import Any, Literal
 import pydantic
 from pydantic.fields import FieldInfo
 
-from nacre.errors import RecipeError, did_you_mean
+from nacre.core.errors import RecipeError, did_you_mean
 from nacre.recipe.model import RecipeModel, spellings
 
 UNITS = {"deg": "degrees", "ev": "eV", "um2": "1/um^2", "s": "s"}  # the last word of a key -> its unit

@@ -18,12 +18,12 @@ from typing import Any, ClassVar
 import pydantic
 from pydantic_core import PydanticCustomError, core_schema
 
-from nacre.errors import RecipeError, did_you_mean
-from nacre.files import real
-from nacre.recipe.identity import file_digest
-from nacre.recipe.measures import LENGTH_UNITS_NM, written_as_number
+from nacre.core.errors import RecipeError, did_you_mean
+from nacre.core.files import real
+from nacre.recipe.error_messages import wish
+from nacre.recipe.fingerprint import file_digest
 from nacre.recipe.paths import NUMBERS, TEXTURE_KEYS
-from nacre.recipe.wishes import wish
+from nacre.recipe.units import LENGTH_UNITS_NM, written_as_number
 
 
 @dataclass(frozen=True)

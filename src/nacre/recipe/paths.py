@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, MutableMapping
 from typing import Any
 
-from nacre.errors import RecipeError
+from nacre.core.errors import RecipeError
 
 MAX_PATH = 1000  # characters; the longest of a recipe has some 60
 NUMBERS = "numbers"  # the table of the names that a recipe gives to numbers, which its formulas know

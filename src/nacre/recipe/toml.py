@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from nacre.errors import RecipeError
-from nacre.recipe.data import MAX_DEPTH, plain_data
+from nacre.core.errors import RecipeError
+from nacre.recipe.normalise import MAX_DEPTH, plain_data
 from nacre.recipe.paths import set_by_path
 
 NESTED = "brackets or dotted keys are nested without end"

@@ -7,10 +7,10 @@ variant is set. Importing chooses no variant; `use_variant()` does, once.
 
 import lazy_loader
 
-from nacre.lazy import make_callable
+from nacre.core.lazy import make_callable
 from nacre.render.scene_plugin import install
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-make_callable(__name__, "nacre.render.face:render")  # nacre.render(material, scene="probe")
+make_callable(__name__, "nacre.render.pictures:render")  # nacre.render(material, scene="probe")
 install()

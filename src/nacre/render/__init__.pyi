@@ -1,8 +1,8 @@
 from .animation import animate as animate
-from .face import RenderResult as RenderResult
-from .face import forget_stages as forget_stages
-from .face import make_bsdf as make_bsdf
-from .face import render as render
-from .face import report as report
-from .face import scene_dict as scene_dict
-from .face import use_variant as use_variant
+from .pictures import RenderResult as RenderResult
+from .pictures import forget_stages as forget_stages
+from .pictures import make_bsdf as make_bsdf
+from .pictures import render as render
+from .pictures import report as report
+from .pictures import scene_dict as scene_dict
+from .pictures import use_variant as use_variant

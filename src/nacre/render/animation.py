@@ -16,18 +16,18 @@ from typing import Any
 
 import numpy as np
 
-from nacre.errors import NacreError, UnsupportedError
-from nacre.files import atomic_path, check_writable
-from nacre.materials.material import Material, loaded
+from nacre.core.errors import NacreError, UnsupportedError
+from nacre.core.files import atomic_path, check_writable
+from nacre.core.progress import ProgressCallback, progress_bar
+from nacre.material.material import Material, loaded
 from nacre.picture import interrupt
 from nacre.picture.denoise import why_not
-from nacre.picture.image_files import read_provenance
-from nacre.picture.lights.several import read_lamps
+from nacre.picture.images import read_provenance
+from nacre.picture.lights.light_mixture import read_lamps
 from nacre.picture.options import read_background
 from nacre.picture.picture import render, resolve_material
-from nacre.picture.progress import ProgressCallback, progress_bar
-from nacre.recipe.identity import file_digest, identity
-from nacre.recipe.numbers import TIME, uses_time
+from nacre.recipe.fingerprint import file_digest, identity
+from nacre.recipe.named_numbers import TIME, uses_time
 from nacre.recipe.paths import NUMBERS
 
 TURNS = ("light", "view")

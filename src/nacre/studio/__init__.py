@@ -3,6 +3,6 @@
 `nacre.studio(material)` shows its object in a notebook.
 """
 
-from nacre.lazy import make_callable
+from nacre.core.lazy import make_callable
 
 make_callable(__name__, "nacre.studio.notebook:show")  # nacre.studio(material)

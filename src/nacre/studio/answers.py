@@ -11,12 +11,12 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from nacre.errors import NacreError, did_you_mean
-from nacre.exchange.lut.write import template
+from nacre.core.errors import NacreError, did_you_mean
+from nacre.formats.lut.write import template
 from nacre.light import ILLUMINANTS
-from nacre.materials.material import Material
-from nacre.studio.look import SupersededError, looks
-from nacre.studio.surround import ALPHAS, ROWS, blurred_surround
+from nacre.material.material import Material
+from nacre.studio.appearance import SupersededError, looks
+from nacre.studio.surroundings import ALPHAS, ROWS, blurred_surround
 
 TABLES = "table.glsl"
 RESTING_S = 0.25  # without a newer material, after which a slow one is settled

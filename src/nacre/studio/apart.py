@@ -12,8 +12,8 @@ import sys
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
-from nacre.errors import NacreError
-from nacre.studio.made import made
+from nacre.core.errors import NacreError
+from nacre.studio.downloads import made
 from nacre.studio.measured import measured
 from nacre.studio.objects import own_mesh
 from nacre.studio.skies import sky_layers

@@ -10,7 +10,7 @@ from typing import Any
 
 import tomlkit
 
-from nacre.errors import NacreError, RecipeError
+from nacre.core.errors import NacreError, RecipeError
 from nacre.recipe.paths import find_by_path, set_by_path
 from nacre.recipe.toml import dump_toml, edit_toml, parse_toml
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nacre.errors import NacreError, RecipeError
-from nacre.files import atomic_path, check_writable, read_text, real
-from nacre.materials.examples import examples, examples_folder
-from nacre.materials.material import MAX_NESTED_RECIPES, Material, material_from_data
+from nacre.core.errors import NacreError, RecipeError
+from nacre.core.files import atomic_path, check_writable, read_text, real
+from nacre.material.examples import examples, examples_folder
+from nacre.material.material import MAX_NESTED_RECIPES, Material, material_from_data
 from nacre.recipe.model import RecipeContext
 from nacre.recipe.toml import parse_toml
 

@@ -10,7 +10,7 @@ import typing
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal
 
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.families.registry import family_spec
 from nacre.recipe.keys import Key, as_written, keys_of, one_sentence
 from nacre.recipe.model import RecipeModel, length_factor, spellings

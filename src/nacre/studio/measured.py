@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.light import ILLUMINANTS
 from nacre.studio.folder import MAX_TEXT, Opened, build
 
@@ -68,8 +68,8 @@ def measured(question: Mapping[str, Any]) -> bytes:
     Raises:
         NacreError: a material cannot be computed.
     """
-    from nacre.study.report import make_report
-    from nacre.study.report_page import report_json, report_numbers
+    from nacre.analysis.html_report import report_json, report_numbers
+    from nacre.analysis.report import make_report
 
     reports = [make_report(built(recipe), question["lamp"]) for recipe in question["recipes"]]
     told = report_json(reports)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from nacre.errors import NacreError
-from nacre.materials.material import MaterialLike, as_material
+from nacre.core.errors import NacreError
+from nacre.material.material import MaterialLike, as_material
 from nacre.studio.answers import checked_lamp
 
 if TYPE_CHECKING:

@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.picture.camera import View
 from nacre.picture.scenes.catalogue import MATERIALS, SCENES, SUBJECT, Part
 from nacre.picture.scenes.subjects import MESH_SUFFIXES, TO_Z_UP, read_mesh, stand_on_floor
 from nacre.picture.shapes.mesh import Mesh
-from nacre.picture.shapes.paper import banknote_print
+from nacre.picture.shapes.printed import banknote_print
 
 OBJECTS = (
     "speedshape", "knob", "body", "bottle", "panel", "butterfly", "beetle", "ring", "cuff", "banknote", "card",

@@ -22,28 +22,28 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
+from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
 from nacre._version import __version__
-from nacre.errors import NacreError
-from nacre.exchange.lut.write import template
+from nacre.core.errors import NacreError
 from nacre.families.registry import family_names
-from nacre.materials.examples import examples
-from nacre.materials.material import material_from_data
+from nacre.formats.lut.write import template
+from nacre.material.examples import examples
+from nacre.material.material import material_from_data
 from nacre.matter.indices import library
 from nacre.recipe.model import RecipeContext
 from nacre.studio.apart import run_apart
-from nacre.studio.connections import impatient
+from nacre.studio.appearance import looks
+from nacre.studio.downloads import read_wanted, targets, unpacked
 from nacre.studio.edit import line_of
 from nacre.studio.folder import EXAMPLE, MAX_TEXT, STARTS, Opened, mark_of
 from nacre.studio.form import family_form
-from nacre.studio.look import looks
-from nacre.studio.made import read_wanted, targets, unpacked
 from nacre.studio.measured import built, placed, read_recipes
 from nacre.studio.objects import MAX_UPLOAD, OBJECTS, OwnMeshes, packed_object, read_upload
+from nacre.studio.routes import Streams
 from nacre.studio.security import Asgi, Gate, kept_token, new_token
 from nacre.studio.session import MAX_MESSAGE, Session
-from nacre.studio.streams import Streams
-from nacre.studio.surround import ALPHAS, ROWS, SKIES, blurred_surround, floors
+from nacre.studio.surroundings import ALPHAS, ROWS, SKIES, blurred_surround, floors
 
 LOOPBACK = "127.0.0.1"
 USUAL_PORT = 8642  # the same from start to start, so that a page finds its server again
@@ -359,3 +359,50 @@ def _warm() -> None:
     next(looks(material, "D65", lambda: False), None)
     # the library's own objects are never garbage: to walk them all (0.1 s) would now and then hold an answer up
     gc.freeze()
+
+
+# Connections that ask nothing: closed after a while, and at once where there are too many of them.
+
+SILENCE_S = 10.0  # in which the head of a request has to come
+MOST_SILENT = 64
+
+
+class Impatient(AutoHTTPProtocol):  # type: ignore[misc, valid-type]  # uvicorn chooses the class when it is imported
+    """uvicorn's protocol, which ends connections that say nothing, or only half a request."""
+
+    silent: dict[Impatient, asyncio.TimerHandle]  # of all connections of a server, the oldest first
+
+    def connection_made(self, transport: Any) -> None:
+        """Begin to wait."""
+        super().connection_made(transport)
+        self.silent[self] = asyncio.get_running_loop().call_later(SILENCE_S, self._end)
+        if len(self.silent) > MOST_SILENT:
+            next(iter(self.silent))._end()
+
+    def data_received(self, data: bytes) -> None:
+        """Wait no longer once a request is whole."""
+        super().data_received(data)
+        if self.cycle is not None or self.transport.get_protocol() is not self:  # or it has become a socket
+            self._forget()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget it."""
+        self._forget()
+        super().connection_lost(exc)
+
+    def _forget(self) -> None:
+        if timer := self.silent.pop(self, None):
+            timer.cancel()
+
+    def _end(self) -> None:
+        self._forget()
+        self.transport.abort()
+
+
+def impatient() -> type[Impatient]:
+    """Return the protocol of one server, with a list of silent connections of its own."""
+
+    class OfOneServer(Impatient):
+        silent: dict[Impatient, asyncio.TimerHandle] = {}
+
+    return OfOneServer

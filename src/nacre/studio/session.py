@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from nacre.errors import NacreError
+from nacre.core.errors import NacreError
 from nacre.light import ILLUMINANTS, delta_e_2000
 from nacre.recipe.toml import parse_toml
+from nacre.studio.appearance import Look, SupersededError, looks
 from nacre.studio.edit import edited, line_of
 from nacre.studio.folder import MAX_TEXT, Opened
-from nacre.studio.look import Look, SupersededError, looks
 
 MAX_MESSAGE = 2 * MAX_TEXT
 MOST_LAB = 1e4

@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.arrays import Array
-from nacre.errors import NacreError
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
 from nacre.light import observer, table_wavelengths_nm, xyz_to_srgb_linear
-from nacre.studio.surround import BRIGHT, GREY, ROWS, SKIES, surround_of
+from nacre.studio.surroundings import BRIGHT, GREY, ROWS, SKIES, surround_of
 
 FINER, FINEST = 4, 32  # directions a row and column of the table; where the sun stands, which is as wide as one row
 STEP_NM = 10
 
 
 def sky_layers(question: Mapping[str, Any]) -> bytes:
-    """Return the surrounding `name`, linear sRGB, as `nacre.studio.surround.Surround.packed`.
+    """Return the surrounding `name`, linear sRGB, as `nacre.studio.surroundings.Surround.packed`.
 
     Raises:
         NacreError: Mitsuba cannot be used on this machine.

@@ -8,7 +8,7 @@ from typing import Any
 
 import anywidget
 
-from nacre.materials.material import Material, MaterialLike, as_material
+from nacre.material.material import Material, MaterialLike, as_material
 from nacre.studio.answers import Answers
 from nacre.studio.bundle import bundle
 

@@ -8,8 +8,8 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import pydantic
 
-from nacre.arrays import Array
 from nacre.bsdf import Bsdf
+from nacre.core.arrays import Array
 from nacre.families.contract import Model
 from nacre.recipe.model import RecipeContext, RecipeModel
 from nacre_minnaert.lobe import Minnaert

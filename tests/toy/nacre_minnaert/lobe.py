@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from nacre.arrays import Array
 from nacre.bsdf import Lobe, LobeEntry
+from nacre.core.arrays import Array
 
 
 @dataclass(frozen=True)

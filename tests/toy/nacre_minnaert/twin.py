@@ -7,7 +7,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from nacre.device.base import MIN_COS, LobePlugin, flag, opaque
+from nacre.device.plugin import MIN_COS, LobePlugin, flag, opaque
 from nacre.device.tables import DeviceTable, WavelengthAxis
 from nacre_minnaert.lobe import Minnaert
 

@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from nacre.arrays import Array
-from nacre.bsdf.contract import Lobe
+from nacre.bsdf.grids import interpolate
+from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.response import check_parameters, check_wavelengths, parameter_coordinates
 from nacre.bsdf.texture import ParameterAxis
-from nacre.bsdf.uniform import interpolate
-from nacre.errors import UnsupportedError
+from nacre.core.arrays import Array
+from nacre.core.errors import UnsupportedError
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.arrays import Array
-from nacre.bsdf.contract import Lobe, SpecularResponse
 from nacre.bsdf.facet_distributions import fresnel
 from nacre.bsdf.glints import check_glints
-from nacre.bsdf.uniform import interpolate
-from nacre.errors import UnsupportedError
+from nacre.bsdf.grids import interpolate
+from nacre.bsdf.lobe import Lobe, SpecularResponse
+from nacre.core.arrays import Array
+from nacre.core.errors import UnsupportedError
 
 MATCHED = 1e-4  # resins closer in index than this have no interface between them, for mirrors and for walks
 

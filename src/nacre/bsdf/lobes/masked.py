@@ -11,9 +11,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from nacre.arrays import Array
-from nacre.bsdf.contract import Lobe, SpecularResponse, specular_at
+from nacre.bsdf.lobe import Lobe, SpecularResponse, specular_at
 from nacre.bsdf.texture import Texture
+from nacre.core.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,13 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.arrays import Array
-from nacre.bsdf.contract import Lobe
-from nacre.bsdf.directions import product_rule
 from nacre.bsdf.facet_distributions import DISTRIBUTIONS, exits, masking, normal_density, normal_quadrature
+from nacre.bsdf.grids import interpolate, product_rule
+from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.response import InterfaceResponse, parameter_coordinates
 from nacre.bsdf.texture import ParameterAxis, Texture
-from nacre.bsdf.uniform import interpolate
-from nacre.errors import UnsupportedError
+from nacre.core.arrays import Array
+from nacre.core.errors import UnsupportedError
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from nacre.arrays import Array
-from nacre.bsdf.contract import Lobe
+from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import ParameterAxis, Texture
+from nacre.core.arrays import Array
 
 
 @dataclass(frozen=True)

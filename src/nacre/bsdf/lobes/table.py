@@ -15,9 +15,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from nacre.arrays import Array
-from nacre.bsdf.contract import Lobe
-from nacre.bsdf.uniform import interpolate
+from nacre.bsdf.grids import interpolate
+from nacre.bsdf.lobe import Lobe
+from nacre.core.arrays import Array
 
 COORDINATES = ("direction", "half")
 HALF_PI = np.pi / 2

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.lobes.diffuse import Diffuse
-from nacre.device.base import MIN_COS, LobePlugin, flag, opaque
+from nacre.core.errors import UnsupportedError
+from nacre.device.plugin import MIN_COS, LobePlugin, flag, opaque
 from nacre.device.tables import DeviceTable, WavelengthAxis
-from nacre.device.textures import DeviceParameters
-from nacre.errors import UnsupportedError
+from nacre.device.texture import DeviceParameters
 
 
 class DiffusePlugin(LobePlugin[Diffuse]):

@@ -18,11 +18,11 @@ import mitsuba as mi
 import numpy as np
 
 from nacre.bsdf.lobes.layered import Layered
-from nacre.device.base import MIN_COS, LobePlugin, MakePlugin, flag, opaque
+from nacre.core.errors import UnsupportedError
 from nacre.device.facet_distributions import Ggx
+from nacre.device.plugin import MIN_COS, LobePlugin, MakePlugin, flag, opaque
 from nacre.device.walk.strata import Strata
 from nacre.device.walk.walk import eval_walk, joint_walk, make_rng, sample_walk
-from nacre.errors import UnsupportedError
 
 # Trust in `sample`: 1 + flakes met across the material, at most this. Measured with the power heuristic under the
 # studio: best at 4 (bottle 2, 2.3 flakes), 16 (bottle 1, 24) and 64 (bottle 3, 59; 16 keeps most of it); beyond,

@@ -11,9 +11,9 @@ import mitsuba as mi
 
 from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.texture import Texture
-from nacre.device.base import LobePlugin, MakePlugin, opaque
-from nacre.device.textures import DeviceTexture
-from nacre.errors import UnsupportedError
+from nacre.core.errors import UnsupportedError
+from nacre.device.plugin import LobePlugin, MakePlugin, opaque
+from nacre.device.texture import DeviceTexture
 
 # The nodes of a varying number share one texture: one copy on the device, read once.
 _TEXTURES: weakref.WeakValueDictionary[tuple[str, int], _Shared] = weakref.WeakValueDictionary()

@@ -12,12 +12,12 @@ import drjit as dr
 import mitsuba as mi
 
 from nacre.bsdf.lobes.microfacet import Microfacet
-from nacre.device.base import MIN_COS, LobePlugin, flag, is_radiance, negated, opaque, replaced
+from nacre.core.errors import UnsupportedError
 from nacre.device.compensation import Compensation
 from nacre.device.facet_distributions import Facets, facets_class
+from nacre.device.plugin import MIN_COS, LobePlugin, flag, is_radiance, negated, opaque, replaced
 from nacre.device.response import DeviceResponse
-from nacre.device.textures import DeviceTexture
-from nacre.errors import UnsupportedError
+from nacre.device.texture import DeviceTexture
 
 
 class MicrofacetPlugin(LobePlugin[Microfacet]):

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.lobes.ridge import Ridge
-from nacre.device.base import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read, replaced
+from nacre.core.errors import UnsupportedError
+from nacre.device.plugin import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read, replaced
 from nacre.device.response import DeviceResponse
 from nacre.device.tables import DeviceTable, WavelengthAxis
-from nacre.device.textures import DeviceTexture
-from nacre.errors import UnsupportedError
+from nacre.device.texture import DeviceTexture
 
 ENVELOPE_CELLS = 4096
 COMB_CELLS_PER_RIDGE = 64

@@ -10,9 +10,9 @@ import mitsuba as mi
 import numpy as np
 
 from nacre.bsdf.lobes.spectrum_map import SpectrumMap
-from nacre.device.base import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read
+from nacre.core.errors import UnsupportedError
+from nacre.device.plugin import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read
 from nacre.device.tables import WavelengthAxis
-from nacre.errors import UnsupportedError
 
 COSINE_SHARE = 0.15  # of the draws: no direction is left out, and no weight grows without bound
 VIEW_NODES = 12  # incidences for which the spectrum to draw from is tabulated

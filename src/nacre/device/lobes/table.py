@@ -13,11 +13,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from nacre.arrays import Array
 from nacre.bsdf.lobes.table import TableLobe
-from nacre.device.base import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read, read2
+from nacre.core.arrays import Array
+from nacre.core.errors import UnsupportedError
+from nacre.device.plugin import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read, read2
 from nacre.device.tables import DeviceTable, WavelengthAxis
-from nacre.errors import UnsupportedError
 
 COSINE_SHARE = 0.1  # of the draws: no direction is left out, and no weight grows without bound
 BROAD = 1.05  # mean square of the weights at which drawing by the cosine alone is as good; 1 for a matt surface

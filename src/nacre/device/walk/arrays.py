@@ -10,14 +10,14 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.arrays import Array
 from nacre.bsdf.lobes.layered import Layered
-from nacre.device.base import device_array
-from nacre.device.registry import make_plugin
+from nacre.core.arrays import Array
+from nacre.core.errors import UnsupportedError
+from nacre.device.bsdf import make_plugin
+from nacre.device.plugin import device_array
 from nacre.device.variant import use_variant
 from nacre.device.walk.strata import TOGETHER, Strata
 from nacre.device.walk.walk import eval_walk, make_rng, sample_walk
-from nacre.errors import UnsupportedError
 
 LANES = 1 << 20  # walks in one launch
 MIDDLE = np.array([0.5, 0.5])

@@ -23,11 +23,24 @@ import drjit as dr
 import mitsuba as mi
 
 from nacre.device.tables import Located
-from nacre.device.walk.exit import Exit, exit_importance, rough_one
-from nacre.device.walk.flake import BY_FLAKE, Walker, select
+from nacre.device.walk.delta_tracking import fly_far
+from nacre.device.walk.exit_importance import Exit, exit_importance, inner_interfaces_scatter, rough_one
 from nacre.device.walk.interface import interface_event, interface_value, refract
-from nacre.device.walk.step import TURN, Stepper, connect_interface, first_light
-from nacre.device.walk.strata import Strata
+from nacre.device.walk.platelet import (
+    BY_FLAKE,
+    BY_NOTHING,
+    TINY,
+    Flake,
+    Walker,
+    flake_gain,
+    kept_share,
+    one_of,
+    select,
+    spoilt,
+    turned_by,
+    two_numbers,
+)
+from nacre.device.walk.strata import BaseLobes, Strata
 
 MAX_EVENTS = 20_000  # a lane that is still inside after so many events is given up; its share is below 1e-6
 
@@ -153,3 +166,303 @@ def _follow(
     result = dr.while_loop(state, lambda *s: s[5], body, names, label="pearl walk")
     weight = dr.select(result[8] < MAX_EVENTS, result[3], 0.0)
     return result[0], weight, ~result[7], result[6], result[9:]
+
+
+# One step of the walk through the strata: free paths ("flights"), events at a flake, dye, an interface or the base.
+
+TURN = ("turned", "turned_x", "turned_y", "turned_z", "turned_slot")
+
+
+class Stepper:
+    """Moves walkers by a few free paths and one boundary."""
+
+    def __init__(self, strata: Strata, where: Located, connection: Exit | None = None, wo: Any = None) -> None:
+        self.strata, self.where, self.exit, self.wo = strata, where, connection, wo
+        self.last = mi.UInt32(strata.count - 1)
+        self.inner_vertices = connection is not None and inner_interfaces_scatter(strata)
+        # light that has met only mirrors so far has no vertex behind it that was connected through a rough exit
+        self.late = connection is not None and strata.any_rough and not strata.all_rough
+
+    def step(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any]:
+        """Move on by a few free paths, until a boundary is met, and by the event there.
+
+        Lanes of a SIMD packet wait for each other: several free paths share the arithmetic of one boundary.
+
+        Returns:
+            the moved light, whether it is still inside, whether it left, what the exit got, vertex seen.
+        """
+        strata = self.strata
+        light, lives, gained, goes_up, goes_down, seen = self._flights(light, rng, alive, seen)
+        v = -light.d
+        new_d, new_f, depth = mi.Vector3f(light.d), mi.Spectrum(light.f), light.depth
+        at_base = goes_down & (light.stratum == self.last) if strata.base != "none" else mi.Bool(False)
+        at_interface = (goes_up | goes_down) & ~at_base
+        interface = dr.select(goes_up, light.stratum, light.stratum + 1)
+        if self.inner_vertices or self.late:
+            gained += self._interface_gain(light, v, interface, at_interface, seen)
+        w, through = interface_event(strata, rng, v, interface, at_interface)
+        crosses = (w.z > 0) != (v.z > 0)
+        seen = seen | (at_interface & rough_one(strata, interface))
+        outer = interface == 0
+        if strata.base == "none":
+            outer |= interface == strata.count
+        leaves = at_interface & through & crosses & outer
+        new_d = dr.select(at_interface, w, new_d)
+        lives &= ~at_interface | through
+        depth = dr.select(at_interface, dr.select(w.z < 0, mi.Float(0.0), 1.0), depth)
+        stratum = light.stratum
+        if strata.count > 1:
+            moved = dr.select(w.z < 0, interface, interface - 1)
+            stratum = dr.select(at_interface & ~leaves, moved, stratum)
+        turn = spoilt(light.turn, at_interface & ~crosses & rough_one(strata, interface))
+        if strata.base != "none":
+            d, f, lives_b, got, turned = self._base(light, v, rng, at_base)
+            new_d, new_f = dr.select(at_base, d, new_d), dr.select(at_base, f, new_f)
+            lives &= ~at_base | lives_b
+            gained += dr.select(at_base, got, 0.0)
+            depth = dr.select(at_base, 1.0, depth)
+            if strata.base_scatters:
+                seen = seen | (at_base & turned)
+                turn = spoilt(turn, at_base & turned)
+        moved_light = Walker(new_d, stratum, depth, dr.select(lives, new_f, 0.0), turn)
+        return moved_light, lives & ~leaves, leaves & lives, gained, seen
+
+    def _flights(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:
+        """Move until a boundary is met, or along `Strata.flights` free paths; returns what `_fly` does."""
+        limit = self.strata.flights
+        if limit == 1:
+            return self._fly(light, rng, alive, seen)
+
+        def body(*state: Any) -> tuple[Any, ...]:
+            d, depth, f, rng, flying, lives, gained, goes_up, goes_down, seen, count, *turn = state
+            now = Walker(d, light.stratum, depth, f, tuple(turn))
+            moved, survives, got, up, down, seen = self._fly(now, rng, flying, seen)
+            return (
+                moved.d, moved.depth, moved.f, rng, survives & ~up & ~down, survives, gained + got,
+                up, down, seen, count + 1, *moved.turn,
+            )  # fmt: skip
+
+        no = alive & mi.Bool(False)
+        got, count = mi.Spectrum(0.0), mi.UInt32(0)
+        state = (light.d, light.depth, light.f, rng, alive, alive, got, no, no, seen, count, *light.turn)
+        names = (
+            "d", "depth", "f", "rng", "flying", "lives", "gained", "goes_up", "goes_down", "seen", "count",
+            *TURN[: len(light.turn)],
+        )  # fmt: skip
+        end = dr.while_loop(state, lambda *s: s[4] & (s[10] < limit), body, names, label="pearl flights")
+        rng.state, rng.inc = end[3].state, end[3].inc
+        moved = Walker(end[0], light.stratum, end[1], end[2], tuple(end[11:]))
+        return moved, end[5], end[6], end[7], end[8], end[9]
+
+    def _fly(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:
+        """Move along one free path, in the form that suits the material; returns what `fly_far` does."""
+        if self.strata.flies_far:
+            return fly_far(self.strata, self.where, self.exit, light, rng, alive, seen)
+        return self._fly_near(light, rng, alive, seen)
+
+    def _fly_near(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:
+        """Move along a free path to a flake, to dye or to a boundary.
+
+        Returns:
+            the light after what it met, whether it survived, what the exit got, whether it is at the upper or the
+            lower boundary, vertex seen.
+        """
+        strata = self.strata
+        v = -light.d
+        areas, rows, locals_ = [], [], []
+        total = mi.Float(0.0)
+        for slot in range(strata.slots):
+            row = strata.flake_row(light.stratum, slot, alive)
+            local = strata.into_flake(row, v)
+            areas.append(strata.shown_area(row, local))
+            rows.append(row)
+            locals_.append(local)
+            total += areas[-1]
+        majorant = strata.dye_majorant.read(light.stratum, alive)[0] if strata.has_dye else mi.Float(0.0)
+        total += majorant
+        flight = -dr.log(1 - rng.next_float32(alive)) / dr.maximum(total, 1e-9)
+        depth = light.depth - light.d.z * flight
+        goes_up, goes_down = alive & (depth <= 0), alive & (depth >= 1)
+        inside = alive & ~goes_up & ~goes_down
+        gained = mi.Spectrum(0.0)
+
+        new_d, new_f, turn = mi.Vector3f(light.d), mi.Spectrum(light.f), light.turn
+        lives = mi.Bool(alive)
+        at_dye = inside
+        if strata.slots:
+            at_flake = inside
+            if strata.has_dye:
+                at_dye = inside & (rng.next_float32(inside) * total < majorant)
+                at_flake = inside & ~at_dye
+            d, f, lives_f, got, turned, turn = self._flake(
+                light, areas, rows, locals_, total - majorant, depth, rng, at_flake
+            )
+            new_d, new_f = dr.select(at_flake, d, new_d), dr.select(at_flake, f, new_f)
+            lives &= ~at_flake | lives_f
+            seen = seen | (at_flake & turned)
+            gained += dr.select(at_flake, got, 0.0)
+        if strata.has_dye:
+            d, f, lives_d, got, turned = self._dye(light, majorant, depth, rng, at_dye)
+            new_d, new_f = dr.select(at_dye, d, new_d), dr.select(at_dye, f, new_f)
+            lives &= ~at_dye | lives_d
+            seen = seen | (at_dye & turned)
+            turn = spoilt(turn, at_dye & turned)
+            gained += dr.select(at_dye, got, 0.0)
+        moved = Walker(new_d, light.stratum, dr.select(inside, depth, light.depth), new_f, turn)
+        return moved, lives, gained, goes_up, goes_down, seen
+
+    def _flake(
+        self, light: Walker, areas: list[Any], rows: list[Any], locals_: list[Any], total: Any, depth: Any, rng: Any,
+        active: Any,
+    ) -> tuple[Any, Any, Any, Any, Any, tuple[Any, ...]]:  # fmt: skip
+        strata = self.strata
+        row, v, slot = list(rows[0]), locals_[0], mi.UInt32(0)
+        if strata.slots > 1:
+            left = rng.next_float32(active) * total - areas[0]
+            for i in range(1, strata.slots):
+                take = (left >= 0) & (areas[i] > 0)
+                row = list(select(take, tuple(rows[i]), tuple(row)))
+                v, slot = select(take, (locals_[i], mi.UInt32(i)), (v, slot))
+                left -= areas[i]
+        flake = Flake.of(strata, light.stratum, row, v, slot, active)
+        m, v_m = flake.normal(rng, active)
+        node, way = two_numbers(rng, active)
+        reflect, transmit = strata.flake_response(flake.kind, dr.abs(v_m), node, self.where, active)
+        gained = mi.Spectrum(0.0)
+        if self.exit is not None:
+            gained = light.f * flake_gain(strata, self.exit, self.where, light, depth, flake, node, way, active)
+        carried = dr.maximum(dr.sum(light.f), TINY)
+        p_reflect = dr.sum(light.f * reflect) / carried
+        p_transmit = dr.sum(light.f * transmit) / carried
+        choice = rng.next_float32(active)
+        reflects = choice < p_reflect
+        lives = choice < p_reflect + p_transmit
+        d = dr.select(reflects, flake.turned(strata, m, v_m), light.d)
+        f = light.f * dr.select(
+            reflects, reflect / dr.maximum(p_reflect, TINY), transmit / dr.maximum(p_transmit, TINY)
+        )
+        return d, f, lives, gained, reflects, turned_by(light, flake, m, active & reflects)
+
+    def _dye(self, light: Walker, majorant: Any, depth: Any, rng: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+        strata = self.strata
+        extinction, scattering = strata.dye_at(light.stratum, self.where, active)
+        passes = dr.maximum(1 - extinction / dr.maximum(majorant, TINY), 0.0)
+        scatters = scattering / dr.maximum(majorant, TINY)
+        carried = dr.maximum(dr.sum(light.f), TINY)
+        p_pass = dr.sum(light.f * passes) / carried
+        p_scatter = dr.sum(light.f * scatters) / carried
+        gained = mi.Spectrum(0.0)
+        choice = rng.next_float32(active)
+        goes_on = choice < p_pass
+        lives = choice < p_pass + p_scatter
+        f = light.f * dr.select(goes_on, passes / dr.maximum(p_pass, TINY), scatters / dr.maximum(p_scatter, TINY))
+        d = mi.Vector3f(light.d)
+        if not strata.dye_scatters:
+            return d, f, lives & goes_on, gained, mi.Bool(False)
+        if self.exit is not None:
+            to, worth = self.exit.upward(light.stratum, depth)
+            gained += worth * strata.dye_phase(light.stratum, dr.dot(light.d, to), self.where, active)
+            if self.exit.has_down:
+                to, worth = self.exit.downward(light.stratum, depth)
+                gained += worth * strata.dye_phase(light.stratum, dr.dot(light.d, to), self.where, active)
+            gained *= light.f * scatters
+        cosines = strata.dye_cos(light.stratum, rng.next_float32(active), self.where, active)
+        (cos,) = one_of((cosines,), f, rng.next_float32(active) * dr.sum(f))
+        azimuth = dr.two_pi * rng.next_float32(active)
+        sine = dr.safe_sqrt(1 - cos * cos)
+        turned = mi.Frame3f(light.d).to_world(mi.Vector3f(sine * dr.cos(azimuth), sine * dr.sin(azimuth), cos))
+        phase = strata.dye_phase(light.stratum, cos, self.where, active)
+        mixed = dr.sum(f * phase) / dr.maximum(dr.sum(f), TINY)
+        f = dr.select(goes_on, f, f * phase / dr.maximum(mixed, TINY))
+        return dr.select(goes_on, d, dr.normalize(turned)), f, lives, gained, lives & ~goes_on
+
+    def _interface_gain(self, light: Walker, v: Any, interface: Any, active: Any, seen: Any) -> Any:
+        strata = self.strata
+        assert self.exit is not None
+        total = mi.Spectrum(0.0)
+        if self.inner_vertices:
+            total += connect_interface(strata, self.exit, v, interface, active, ~seen, self.wo.z > 0)
+        if self.late:
+            outer = ((interface == 0) & (self.wo.z > 0)) | ((interface == strata.count) & (self.wo.z < 0))
+            first = outer & ~seen & active
+            total += dr.select(first, interface_value(strata, v, self.wo, interface, first), 0.0)
+        return total * light.f
+
+    def _base(self, light: Walker, v: Any, rng: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+        strata = self.strata
+        if strata.lobes is not None:
+            return self._base_lobes(strata.lobes, light, v, rng, active)
+        gained = mi.Spectrum(0.0)
+        point = mi.Point2f(rng.next_float32(active), rng.next_float32(active))
+        if strata.base == "diffuse":
+            albedo = strata.base_at(mi.Float(0.0), self.where, active)
+            d = mi.warp.square_to_cosine_hemisphere(point)
+            if self.exit is not None:
+                to, worth = self.exit.upward(light.stratum, mi.Float(1.0))
+                gained = light.f * worth * albedo * (dr.inv_pi * to.z)
+            masked = mi.Bool(True)
+        else:
+            m, masked = mi.Vector3f(0, 0, 1), mi.Bool(True)
+            if strata.base_rough:
+                row = strata.interfaces.read(mi.UInt32(strata.count), active)
+                facets = strata.facets(row)
+                m = facets.sample(v, point)
+            d = mi.reflect(v, m)
+            albedo = strata.base_at(dr.dot(v, m), self.where, active)
+            if strata.base_rough:
+                masked = (d.z > 0) & (rng.next_float32(active) < facets.weight(v, d, m, dr.dot(v, m), dr.dot(d, m)))
+                if self.exit is not None:
+                    to, worth = self.exit.upward(light.stratum, mi.Float(1.0))
+                    h = dr.normalize(v + to)
+                    v_h = dr.dot(v, h)
+                    value = 0.25 * facets.spread(v, h, v_h) * facets.weight(v, to, h, v_h, v_h)
+                    gained = light.f * worth * strata.base_at(v_h, self.where, active) * value
+        carried = dr.maximum(dr.sum(light.f), TINY)
+        p = dr.sum(light.f * albedo) / carried
+        lives = masked & (rng.next_float32(active) < p)
+        turned = mi.Bool(strata.base_scatters)
+        return dr.normalize(d), light.f * albedo / dr.maximum(p, TINY), lives, gained, turned
+
+    def _base_lobes(
+        self, lobes: BaseLobes, light: Walker, v: Any, rng: Any, active: Any
+    ) -> tuple[Any, Any, Any, Any, Any]:
+        gained = mi.Spectrum(0.0)
+        if self.exit is not None and lobes.scatters:
+            to, worth = self.exit.upward(light.stratum, mi.Float(1.0))
+            gained = light.f * worth * lobes.eval(v, to, self.where, active)
+        d, weight, mirror = lobes.sample(v, rng, self.where, active)
+        f = light.f * weight
+        p = kept_share(dr.sum(light.f), dr.sum(f))
+        lives = rng.next_float32(active) < p
+        return dr.normalize(d), f / dr.maximum(p, TINY), lives, gained, ~mirror
+
+
+def connect_interface(
+    strata: Strata, connection: Exit, v: Any, interface: Any, active: Any, first: Any, exits_above: Any
+) -> Any:
+    """Return what light from `v` sends through or off a rough interface towards the exit, as a vertex.
+
+    A crossing towards the exit belongs to the vertex before, which was connected through this interface; it
+    counts here only where there was none (`first`).
+    """
+    total = mi.Spectrum(0.0)
+    has_above, has_below = active & (interface > 0), active & (interface < strata.count)
+    above = dr.select(has_above, interface - 1, mi.UInt32(0))
+    below = dr.select(has_below, interface, mi.UInt32(strata.count - 1))
+    wanted = has_above & ((v.z > 0) | first | ~exits_above)
+    to, worth = connection.upward(above, mi.Float(1.0))
+    total += dr.select(wanted, worth * interface_value(strata, v, to, interface, wanted), 0.0)
+    if connection.has_down:
+        wanted = has_below & ((v.z < 0) | first | exits_above)
+        to, worth = connection.downward(below, mi.Float(0.0))
+        total += dr.select(wanted, worth * interface_value(strata, v, to, interface, wanted), 0.0)
+    return total
+
+
+def first_light(strata: Strata, w: Any, f: Any) -> Walker:
+    """Place light just inside the interface it came through."""
+    down = w.z < 0
+    stratum = dr.select(down, mi.UInt32(0), mi.UInt32(strata.count - 1)) if strata.count > 1 else mi.UInt32(0)
+    nothing = mi.UInt32(BY_NOTHING)
+    turn = () if strata.glints is None else (nothing, mi.Float(0.0), mi.Float(0.0), mi.Float(1.0), mi.UInt32(0))
+    return Walker(mi.Vector3f(w), stratum, dr.select(down, mi.Float(0.0), 1.0), f, turn)

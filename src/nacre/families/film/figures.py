@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nacre.bsdf.tabulate import reflected_lab
-from nacre.errors import UnsupportedError
+from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Figure
 from nacre.families.film.material import COLOUR_COSINES, Film
 from nacre.light import delta_e_2000

@@ -9,17 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from nacre.arrays import Array
 from nacre.bsdf import Bsdf
+from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.compensation import compensate, facet_transmittance
-from nacre.bsdf.contract import Lobe
-from nacre.bsdf.directions import direction
+from nacre.bsdf.facet_distributions import SMOOTH_BELOW, Roughness
+from nacre.bsdf.grids import direction, take_uniform
+from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.response import InterfaceResponse
-from nacre.bsdf.roughness import SMOOTH_BELOW, Roughness
-from nacre.bsdf.spectrum import Spectrum
 from nacre.bsdf.tabulate import (
     COLOUR_ERROR,
     COS_NODES_VARYING,
@@ -30,15 +29,15 @@ from nacre.bsdf.tabulate import (
     reflected_lab,
 )
 from nacre.bsdf.texture import ParameterAxis, Texture
-from nacre.bsdf.uniform import take_uniform
-from nacre.errors import UnsupportedError
+from nacre.core.arrays import Array
+from nacre.core.errors import UnsupportedError
+from nacre.core.memory import check_memory
 from nacre.families.contract import Model
 from nacre.families.film.ridges import Ridges, remainder
 from nacre.light import default_wavelengths, delta_e_2000
 from nacre.light.wavelengths import STEPS_NM
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.stack.stack import Layer, Stack
-from nacre.recipe.memory import check_memory
 
 COLOUR_COSINES = np.array([1.0, 0.8, 0.5, 0.25])  # where colours are compared when grids are chosen
 MIDDLE = np.array([0.5, 0.5])

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nacre.arrays import Array
-from nacre.bsdf.directions import direction
+from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.bsdf.lobes.ridge import Ridge, chord, gaussian, ridge_interference
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import Texture
+from nacre.core.arrays import Array
 
 SAFETY = 1.002  # the largest integral is found on a grid; what lies between its points differs by less
 SCAN_ACROSS = np.sin(np.radians([0, 5, 10, 20, 30, 40, 50, 60, 70, 80]))

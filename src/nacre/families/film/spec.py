@@ -10,15 +10,14 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
 
-from nacre.bsdf.facet_distributions import alpha_from_exponent
-from nacre.bsdf.roughness import Roughness, check_widths
+from nacre.bsdf.facet_distributions import Roughness, alpha_from_exponent, check_widths
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.bsdf.texture_spec import NumberOrTexture, TextureSpec, texture_or_number
 from nacre.families.contract import Figure
 from nacre.families.film.figures import FIGURES
+from nacre.families.film.layer_table import layer_sheet
 from nacre.families.film.material import Film, FilmLayer
 from nacre.families.film.ridges import Ridges
-from nacre.families.film.sheet import layer_sheet
 from nacre.matter.drawings import Drawer
 from nacre.matter.indices.spec import IndexSpec, ambient_in
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value

@@ -24,14 +24,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nacre.arrays import Array, ComplexArray
-from nacre.bsdf.lobes.flaked import reflected
+from nacre.bsdf.lobes.platelet_layer import reflected
+from nacre.core.arrays import Array, ComplexArray
+from nacre.core.jit import compiled
+from nacre.core.parallel import in_threads
 from nacre.families.glass.composite import INDEX_NM, Composite
-from nacre.families.glass.medium import GAUSS_NODES, PHASE_NODES, Medium
-from nacre.families.glass.quadrature import gauss_rule
+from nacre.families.glass.medium import GAUSS_NODES, PHASE_NODES, Medium, gauss_rule
 from nacre.matter.indices.constant import OpticalConstant
-from nacre.matter.jit import compiled
-from nacre.matter.jobs import in_threads
 
 TURN_NODES = 61  # of sin(theta/2), uniform, on which light from a ball is gathered
 WALKERS = 40_000  # a wavelength; all wavelengths draw the same numbers, so that noise makes no false colour

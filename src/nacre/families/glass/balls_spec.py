@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 import pydantic
 
-from nacre.errors import MaterialRangeError
+from nacre.core.errors import MaterialRangeError
 from nacre.families.glass.balls import Balls
 from nacre.families.glass.composite import INDEX_NM, MOST_ABSORBING, Composite
 from nacre.matter.indices.spec import IndexSpec

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.spectrum import Spectrum
-from nacre.errors import UnsupportedError
+from nacre.bsdf.bsdf import Spectrum
+from nacre.core.errors import UnsupportedError
 from nacre.families.glass.balls import Balls
 from nacre.families.glass.composite import Composite
-from nacre.families.glass.hard_spheres import mixture_power, percus_yevick, schulz_sizes
-from nacre.families.glass.medium import SIZES
+from nacre.families.glass.medium import SIZES, mixture_power, percus_yevick, schulz_sizes
 
 SHOWN_NM = (450.0, 550.0, 650.0)
 MAP_THICKNESSES = 13

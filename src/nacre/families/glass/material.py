@@ -10,27 +10,25 @@ from typing import Any
 
 import numpy as np
 
-from nacre.arrays import Array
 from nacre.bsdf import Bsdf
-from nacre.bsdf.base import Base
-from nacre.bsdf.interface_loss import interface_losses
+from nacre.bsdf.bsdf import Spectrum
+from nacre.bsdf.compensation import interface_losses
+from nacre.bsdf.facet_distributions import Roughness
 from nacre.bsdf.lobes.layered import Layered
-from nacre.bsdf.roughness import Roughness
-from nacre.bsdf.spectrum import Spectrum
+from nacre.bsdf.substrate import Base
+from nacre.core.arrays import Array
+from nacre.core.parallel import in_threads
 from nacre.families.contract import Figure, Model
 from nacre.families.glass.balls import Balls
 from nacre.families.glass.composite import Composite, EffectiveDispersion
-from nacre.families.glass.fast import behind_rough, diffuse_table, face_lobe, interpolation_error, walk_error
 from nacre.families.glass.figures import colour_map, scattering, structure
 from nacre.families.glass.medium import Medium
-from nacre.families.glass.one_index import with_one_index
-from nacre.families.glass.passing import Passing
-from nacre.families.glass.radiance import brdf_pairs
-from nacre.families.glass.slab import AZIMUTHS, Slab
-from nacre.families.glass.walk import Lost, walk
+from nacre.families.glass.radiative_transfer import AZIMUTHS, Slab, brdf_pairs, with_one_index
+from nacre.families.glass.random_walk import Lost, walk
+from nacre.families.glass.rough_interface import Passing
+from nacre.families.glass.tables import behind_rough, diffuse_table, face_lobe, interpolation_error, walk_error
 from nacre.light import default_wavelengths
-from nacre.light.splines import spline_matrix
-from nacre.matter.jobs import in_threads
+from nacre.light.tristimulus import spline_matrix
 
 logger = logging.getLogger("nacre")
 

@@ -8,16 +8,16 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 import pydantic
 
-from nacre.arrays import Array
-from nacre.bsdf.base_spec import OF_OTHER_FAMILY, BaseSpec, Widths, interface_roughness, nested_strata
-from nacre.errors import MaterialRangeError, NacreError
+from nacre.bsdf.substrate_spec import OF_OTHER_FAMILY, BaseSpec, Widths, interface_roughness, nested_strata
+from nacre.core.arrays import Array
+from nacre.core.errors import MaterialRangeError, NacreError
 from nacre.families.glass.balls import Balls
 from nacre.families.glass.balls_spec import BallsSpec
 from nacre.families.glass.composite import INDEX_NM, Composite, EffectiveDispersion
 from nacre.families.glass.material import FastGlass, Glass, Layer
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
-from nacre.recipe.columns import two_columns
+from nacre.recipe.delimited_text import two_columns
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 DENSEST = 0.64  # random packing of equal spheres

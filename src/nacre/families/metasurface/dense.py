@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import SingleArray
-from nacre.families.metasurface.compile import HARMONICS
-from nacre.families.metasurface.corrections import diffuse_term
-from nacre.matter.jit import compiled
+from nacre.core.arrays import SingleArray
+from nacre.core.jit import compiled
+from nacre.families.metasurface.monolayer.diffuse import diffuse_term
+from nacre.families.metasurface.monolayer.evaluation import HARMONICS
 
 if TYPE_CHECKING:
     from nacre.families.metasurface.material import Metasurface

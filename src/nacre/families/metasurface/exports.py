@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from nacre.errors import UnsupportedError
-from nacre.families.metasurface.axial import AxialTMatrices, as_blocks
+from nacre.core.errors import UnsupportedError
+from nacre.families.metasurface.ensemble.supercells import dealt
 from nacre.families.metasurface.material import Metasurface
-from nacre.families.metasurface.tmatrix_file import MAX_BYTES, write_tmatrices
+from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, as_blocks
+from nacre.families.metasurface.tmatrix.tmatrix_file import MAX_BYTES, write_tmatrices
+from nacre.matter.drawings import DrawingRequest, LayerSheet, Layout
+from nacre.matter.indices.constant import OpticalConstant
 
 HIGHEST_EXPORTED = 15  # beyond, a file of 48 wavelengths has 500 MB before it is compressed
 
@@ -61,3 +67,97 @@ def write_particle(material: Metasurface, path: Path, description: str) -> list[
     if material.second is not None:
         lost.append("the second kind of the mixture: the first was taken")
     return lost
+
+
+# The data for fabricating a metasurface: particle positions, and the layers under them.
+
+PERIOD_POINTS = 20_000  # S(q) of a period is that of the endless pattern beyond some 2 pi / period
+REFERENCE_NM = 550.0
+COLUMNS = ("position", "material", "quantity", "value", "n_550nm", "k_550nm", "source")
+
+
+def layout(material: Metasurface, request: DrawingRequest) -> Layout:
+    """Return one period of about 20 000 particles, repeated until it covers the area asked for.
+
+    Whole periods are drawn, so that the pattern reaches over the area's far edges.
+
+    Raises:
+        UnsupportedError: only S(q) is known.
+    """
+    columns, rows = 1, 1
+    wanted = PERIOD_POINTS
+    density_per_um2 = material.structure.density_per_nm2 * 1e6
+    if request.size_mm is not None:
+        # a small field needs no larger period than its longer side
+        wanted = min(wanted, max(50, math.ceil(density_per_um2 * (1e3 * max(request.size_mm)) ** 2)))
+    pattern = material.pattern(wanted, request.seed)
+    box_um = pattern.box_nm * 1e-3
+    if request.size_mm is not None:
+        columns, rows = (max(1, math.ceil(1e3 * side / box_um - 1e-9)) for side in request.size_mm)
+    seed = request.seed if request.seed is not None else getattr(material.arrangement, "seed", None)
+    which, radii = _drawn_kinds(material, len(pattern.xy_nm), seed)
+    facts: dict[str, Any] = {
+        "radii_spread": any(len(kind.sizes.radii_nm) > 1 for kind in material.kinds),
+        "arrangement": material.structure.name,
+        "density_per_um2": density_per_um2,
+        "packing": material.structure.packing,
+        "seed": seed,
+        "shape": f"circles are the outlines of {' and '.join(kind.noun for kind in material.kinds)}, seen from above",
+    }
+    if len(radii) > 1:
+        repeated = columns * rows
+        facts["kinds"] = [
+            {"shape": kind.noun, "radius_um": r, "particles": int(np.count_nonzero(which == n)) * repeated}
+            for n, (kind, r) in enumerate(zip(material.kinds, radii))
+        ]
+    return Layout(pattern.xy_nm * 1e-3, radii[0], box_um, (columns, rows), facts, radii_um=radii, kinds=which)
+
+
+def _drawn_kinds(material: Metasurface, count: int, seed: int | None) -> tuple[NDArray[np.intp], tuple[float, ...]]:
+    """Return which kind each particle is, drawn by the shares in whole numbers, and the kinds' radii in um."""
+    which = dealt(count, np.array([kind.share for kind in material.kinds]), np.random.default_rng((seed or 0, count)))
+    return which, tuple(round(kind.outer_radius_nm * 1e-3, 9) for kind in material.kinds)
+
+
+def layer_sheet(material: Metasurface) -> LayerSheet:
+    """Return the table of what to make, from the light's side inward."""
+    entries: list[tuple[str, OpticalConstant, str, float | str]] = [("ambient", material.ambient, "", "")]
+    for kind, name in zip(material.kinds, ("", "second ")):
+        if kind.shell is not None:
+            entries.append((f"{name}shell", kind.shell.material, "thickness_nm", kind.shell.thickness_nm))
+        if kind.core is not None:
+            entries.append((f"{name}core", kind.core, "radius_nm", kind.core_radius_nm))
+        if kind.gap_nm and not material.host:
+            entries.append((f"{name}gap", material.ambient, "thickness_nm", kind.gap_nm))
+    entries += [(str(k), m, "thickness_nm", d) for k, (m, d) in enumerate(material.layers, start=1)]
+    entries.append(("substrate", material.substrate, "", ""))
+    remarks = [
+        f"{material.structure.density_per_nm2 * 1e6:.6g} particles a um^2, packing {material.structure.packing:.4g}, "
+        f"{material.structure.name}"
+    ]
+    for kind, name in zip(material.kinds, ("particles", "second particles")):
+        if len(material.kinds) > 1:
+            remarks.append(f"{name}: {100 * kind.share:.4g} % of them, {kind.noun}")
+        if kind.body is not None:
+            place = "" if material.host else f", {kind.gap_nm:g} nm above the layers"
+            with_coat = "" if kind.shell is None else " with the shell"
+            remarks.append(
+                f"{name}: {kind.body.name}, {2 * kind.body.radius_nm:.6g} nm wide, "
+                f"{kind.body.height_nm:.6g} nm high{with_coat}{place}"
+            )
+        if material.host:
+            remarks.append(
+                f"{name}: inside layer {material.host}, their tops {kind.depth_nm:g} nm below the top of the layers, "
+                f"{kind.gap_nm:g} nm over its lower face"
+            )
+        if len(kind.sizes.radii_nm) > 1:
+            shares, radii = np.array(kind.sizes.shares), np.array(kind.sizes.radii_nm)
+            spread = float(np.sqrt(shares @ (radii - kind.mean_radius_nm) ** 2))
+            remarks.append(f"{name}: the radii spread by {spread:.4g} nm about their mean")
+    rows = []
+    for position, medium, quantity, value in entries:
+        low, high = medium.range_nm
+        n = complex(medium.n_complex(np.array([min(max(REFERENCE_NM, low), high)]))[0])
+        shown = float(value) if value != "" else ""
+        rows.append(dict(zip(COLUMNS, (position, medium.name, quantity, shown, n.real, n.imag, medium.source))))
+    return LayerSheet(COLUMNS, tuple(rows), tuple(remarks), "sheet", "pattern")

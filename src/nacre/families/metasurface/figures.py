@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.errors import UnsupportedError
+from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Figure
 from nacre.families.metasurface.material import Metasurface
-from nacre.families.metasurface.sphere import amplitude
-from nacre.families.metasurface.structure import PACKING_LIMIT, hard_disk_structure
+from nacre.families.metasurface.monolayer.structure import PACKING_LIMIT, hard_disk_structure
+from nacre.families.metasurface.tmatrix.particle_on_stack import amplitude
 
 MAP_DENSITIES = 13
 SHOWN_POINTS = 600

@@ -13,32 +13,34 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import Array, ComplexArray
-from nacre.bsdf.bsdf import Bsdf
-from nacre.bsdf.spectrum import Spectrum
-from nacre.errors import UnsupportedError
+from nacre.bsdf.bsdf import Bsdf, Spectrum
+from nacre.core.arrays import Array, ComplexArray
+from nacre.core.errors import UnsupportedError
+from nacre.core.parallel import in_threads
 from nacre.families.contract import Model
-from nacre.families.metasurface import choice
-from nacre.families.metasurface.aligned_kind import NO_ENSEMBLE, aligned_lobes, powers_of_aligned, values_of_aligned
-from nacre.families.metasurface.arrangement import Arrangement
-from nacre.families.metasurface.axial import Body
-from nacre.families.metasurface.compile import choose_grids, tabulate
-from nacre.families.metasurface.corrections import diffuse_term, within_what_arrives
-from nacre.families.metasurface.ensemble import EnsembleSettings
-from nacre.families.metasurface.few import few_powers, few_values
-from nacre.families.metasurface.kinds import Kind, Settling, body_notes, mean_square_radius, turns_left_out
-from nacre.families.metasurface.ladder import check as check_ladder
-from nacre.families.metasurface.monolayer import Monolayer
-from nacre.families.metasurface.particles import Shell, Sizes
-from nacre.families.metasurface.patterns import Pattern
-from nacre.families.metasurface.qca import INTERACTION_ORDER
-from nacre.families.metasurface.refine import Refinement, refine
-from nacre.families.metasurface.sphere import hemisphere_rule
-from nacre.families.metasurface.structure import Structure
-from nacre.families.metasurface.substrate import LOSSLESS_K, Embedded, Substrate
+from nacre.families.metasurface import model_selection
+from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings
+from nacre.families.metasurface.ensemble.interpolation import Refinement, refine
+from nacre.families.metasurface.monolayer.aligned import (
+    NO_ENSEMBLE,
+    aligned_lobes,
+    powers_of_aligned,
+    values_of_aligned,
+)
+from nacre.families.metasurface.monolayer.arrangement import Arrangement, Pattern
+from nacre.families.metasurface.monolayer.diffuse import diffuse_term, within_what_arrives
+from nacre.families.metasurface.monolayer.evaluation import choose_grids, few_powers, few_values, tabulate
+from nacre.families.metasurface.monolayer.ladder import check as check_ladder
+from nacre.families.metasurface.monolayer.monolayer import Monolayer
+from nacre.families.metasurface.monolayer.qca import INTERACTION_ORDER
+from nacre.families.metasurface.monolayer.structure import Structure
+from nacre.families.metasurface.species import Kind, Settling, body_notes, mean_square_radius, turns_left_out
+from nacre.families.metasurface.tmatrix.axisymmetric import Body
+from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
+from nacre.families.metasurface.tmatrix.particle_shapes import Shell, Sizes
+from nacre.families.metasurface.tmatrix.substrate import LOSSLESS_K, Embedded, Substrate
 from nacre.light import default_wavelengths
 from nacre.matter.indices.constant import OpticalConstant
-from nacre.matter.jobs import in_threads
 
 logger = logging.getLogger("nacre")
 
@@ -53,7 +55,10 @@ TOLD_EXCESS = 0.01  # of energy: what the default correction is tested to keep
 SAME_INDEX = 1e-3
 FEW_ANGLES, LEAST_COS = 48, 0.05  # that are solved one by one, and off grazing
 FEW_ALIGNED_ANGLES = 24  # the same, each at all azimuths
-INSIDE = f"the mean field is taken of particles inside a layer, where the ensemble says that it is {choice.INSIDE_OFF}"
+INSIDE = (
+    "the mean field is taken of particles inside a layer, where the ensemble says that it is "
+    f"{model_selection.INSIDE_OFF}"
+)
 
 
 class MetasurfaceWarning(UserWarning):
@@ -73,7 +78,7 @@ class Metasurface(Model):
         shell: a coating, or None; the outer radius is the core's plus its thickness.
         gap_nm: between the particles and the stack.
         structure: density, S(q), g(r).
-        correction: one of `nacre.families.metasurface.monolayer.CORRECTIONS`, "ensemble" or "auto", see `choice`.
+        correction: one of `nacre.families.metasurface.monolayer.monolayer.CORRECTIONS`, "ensemble" or "auto".
         ensemble: how large an ensemble is, where one is taken.
         multipole_order: of the spheres; None: chosen at each wavelength for `multipole_tolerance`.
         multipole_tolerance: largest change of the far field when the order is doubled; None: 0.001 is aimed at, and
@@ -209,19 +214,23 @@ class Metasurface(Model):
     def _is_held(self) -> tuple[bool, str]:
         """Whether the mean field was measured to hold, and why in words."""
         if self.host:
-            return choice.holds_inside(self.coverage)
-        return choice.mean_field_holds(*self._judged_as, self.coverage)
+            return model_selection.holds_inside(self.coverage)
+        return model_selection.mean_field_holds(*self._judged_as, self.coverage)
 
     @cached_property
-    def _judged_as(self) -> tuple[list[choice.Like], bool]:
+    def _judged_as(self) -> tuple[list[model_selection.Like], bool]:
         """What the table of measured systems looks at: the kinds of particle, and whether there is a substrate."""
         surface = self.surface(float(np.clip(JUDGED_NM, *self.range_nm)))
-        below = np.max(np.abs(surface.indices[1:] / surface.ambient_index - 1.0)) > choice.SAME_INDEX
+        below = np.max(np.abs(surface.indices[1:] / surface.ambient_index - 1.0)) > model_selection.SAME_INDEX
         kinds = []
         for kind in self.kinds:
-            core = choice.kind_of(kind.index(surface.wavelength_nm) / surface.inner_index)
-            shape = choice.SPHERE if kind.body is None else choice.SHAPES.get(kind.body.shape, choice.OTHER)
-            kinds.append(choice.Like(shape, core))
+            core = model_selection.kind_of(kind.index(surface.wavelength_nm) / surface.inner_index)
+            shape = (
+                model_selection.SPHERE
+                if kind.body is None
+                else model_selection.SHAPES.get(kind.body.shape, model_selection.OTHER)
+            )
+            kinds.append(model_selection.Like(shape, core))
         return kinds, bool(below)
 
     @property
@@ -390,7 +399,7 @@ class Metasurface(Model):
             return NO_ENSEMBLE
         if self.chosen_correction[0] == ENSEMBLE or self._is_held[0]:
             return ""
-        return INSIDE if self.host else choice.warning(*self._judged_as)
+        return INSIDE if self.host else model_selection.warning(*self._judged_as)
 
     def spectrum(
         self,

@@ -8,13 +8,19 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 import numpy as np
 import pydantic
 
-from nacre.errors import MaterialRangeError
-from nacre.families.metasurface.axial import AxialTMatrices, Body, KnownBody
-from nacre.families.metasurface.kinds import Kind
-from nacre.families.metasurface.known_sphere import SAME_SIZE, SPHERE, KnownSphere, is_spherical
-from nacre.families.metasurface.particles import Shell, Sizes
-from nacre.families.metasurface.solids import SolvedBody
-from nacre.families.metasurface.tmatrix_file import TMatrixFileError, read_tmatrices
+from nacre.core.errors import MaterialRangeError
+from nacre.families.metasurface.species import Kind
+from nacre.families.metasurface.tmatrix.axisymmetric import (
+    SAME_SIZE,
+    SPHERE,
+    AxialTMatrices,
+    Body,
+    KnownBody,
+    KnownSphere,
+    is_spherical,
+)
+from nacre.families.metasurface.tmatrix.particle_shapes import Shell, Sizes, SolvedBody
+from nacre.families.metasurface.tmatrix.tmatrix_file import TMatrixFileError, read_tmatrices
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
 from nacre.recipe.model import RecipeContext, RecipeModel

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.arrays import Array
 from nacre.bsdf.facet_distributions import fresnel
-from nacre.families.pearl.fast import Medium
-from nacre.matter.jobs import one_thread_each
+from nacre.core.arrays import Array
+from nacre.core.parallel import one_thread_each
+from nacre.families.pearl.tables import Medium
 
 NODES, AZIMUTHS, TERMS = 22, 18, 12
 DOUBLINGS = 10  # layers of a 70th of a flake at 14 flakes deep; 7 were off by 3 % there, and each costs 2 ms

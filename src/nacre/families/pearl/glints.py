@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nacre.arrays import Array
 from nacre.bsdf.glints import kind_of_flake
+from nacre.core.arrays import Array
 
 if TYPE_CHECKING:
     from nacre.families.pearl.strata import Stratum

@@ -10,22 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.arrays import Array
 from nacre.bsdf import Bsdf
-from nacre.bsdf.base import Base
-from nacre.bsdf.contract import Lobe
-from nacre.bsdf.directions import direction
-from nacre.bsdf.interface_loss import interface_losses
+from nacre.bsdf.compensation import interface_losses
+from nacre.bsdf.grids import direction
+from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.layered import Layered
-from nacre.errors import NacreError
+from nacre.bsdf.substrate import Base
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
 from nacre.families.contract import Figure, Model
 from nacre.families.pearl.doubling import OFF
-from nacre.families.pearl.dye import DyeResponse, dye_response
-from nacre.families.pearl.fast import bake, obstacle
-from nacre.families.pearl.glance import LOBES_SHARE, Glance, likeness, walked, why_not, why_not_walked
-from nacre.families.pearl.glints import Glints, glint_arrays
-from nacre.families.pearl.lost import lost_light, why_not_lost
-from nacre.families.pearl.medium import (
+from nacre.families.pearl.flake_normals import (
     COS_NODES,
     MAX_COS_NODES,
     TABLE_ERROR,
@@ -34,8 +29,12 @@ from nacre.families.pearl.medium import (
     optical_number,
     visible_weights,
 )
+from nacre.families.pearl.glints import Glints, glint_arrays
 from nacre.families.pearl.platelet import PUBLISHED, PlateletResponse, platelet_response
-from nacre.families.pearl.strata import Flakes, Stratum
+from nacre.families.pearl.random_walk import lost_light, why_not_lost
+from nacre.families.pearl.strata import DyeResponse, Flakes, Stratum, dye_response
+from nacre.families.pearl.surrogate import LOBES_SHARE, Glance, likeness, walked, why_not, why_not_walked
+from nacre.families.pearl.tables import bake, obstacle
 from nacre.light import default_wavelengths
 from nacre.matter.indices.constant import OpticalConstant
 

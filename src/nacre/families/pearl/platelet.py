@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nacre.arrays import Array, ComplexArray
-from nacre.errors import NacreError
-from nacre.families.pearl import average
+from nacre.core.arrays import Array, ComplexArray
+from nacre.core.errors import NacreError
+from nacre.core.parallel import share
+from nacre.families.pearl import thickness as average
 from nacre.families.pearl.thickness import Thickness
-from nacre.matter.jobs import share
-from nacre.matter.stack.case import Amplitudes
+from nacre.matter.stack.inputs import Amplitudes
 from nacre.matter.stack.solve import amplitudes
 
 if TYPE_CHECKING:

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from nacre.bsdf.roughness import Roughness
-from nacre.families.pearl.dye import Dye
-from nacre.families.pearl.medium import (
-    FlakeNormals,
-)
+import numpy as np
+
+from nacre.bsdf.facet_distributions import Roughness
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.families.pearl.flake_normals import FlakeNormals
 from nacre.families.pearl.platelet import Platelet
+from nacre.families.pearl.thickness import Thickness
 from nacre.matter.indices.constant import OpticalConstant
+from nacre.matter.mie import default_order, mie_amplitudes, mie_coefficients, mie_efficiencies
+
+if TYPE_CHECKING:
+    from nacre.matter.indices.constant import OpticalConstant
 
 
 @dataclass(frozen=True)
@@ -39,3 +46,92 @@ class Stratum:
     surface: Roughness = Roughness()
     flakes: tuple[Flakes, ...] = ()
     dye: Dye | None = None
+
+
+# Dye in a resin: dissolved, which only absorbs, or as small spheres, which scatter as well (Mie).
+
+PHASE_NODES = 181  # of cos in [-1, 1]
+QUANTILE_NODES = 129
+RADIUS_PANELS = 2
+MAX_SIZE_PARAMETER = 400.0
+
+
+@dataclass(frozen=True)
+class Dye:
+    """Pigment particles or a dissolved colorant.
+
+    Attributes:
+        material: index of the pigment.
+        volume_fraction: of the resin's volume.
+        radius: distribution of the particles' radius; None: dissolved, no scattering.
+    """
+
+    material: OpticalConstant
+    volume_fraction: float
+    radius: Thickness | None = None
+
+
+@dataclass(frozen=True)
+class DyeResponse:
+    """Dye across a stratum.
+
+    Attributes:
+        extinction, scattering: `[wavelength]`, optical thickness along the normal.
+        phase: `[cos, wavelength]`, 1/sr, uniform nodes of the scattering cosine in [-1, 1], or None.
+        quantile: `[u, wavelength]`, the cosine below which a share u is scattered, or None.
+    """
+
+    extinction: Array
+    scattering: Array
+    phase: Array | None = None
+    quantile: Array | None = None
+
+
+def dye_response(dye: Dye, resin_n: Array, thickness_nm: float, wavelengths_nm: Array) -> DyeResponse:
+    """Solve the dye.
+
+    A dissolved dye absorbs 4 pi k C t / lambda. Spheres of radius a: number per volume C / <4/3 pi a^3>, so the
+    optical thickness is t C <Q pi a^2> / <4/3 pi a^3>, averaged over the radii.
+
+    Args:
+        dye: what is in the resin.
+        resin_n: `[wavelength]`, real index of the resin.
+        thickness_nm: of the stratum.
+        wavelengths_nm: `[wavelength]`, vacuum.
+
+    Raises:
+        NacreError: particles too large for a Mie series to be worth it.
+    """
+    n = dye.material.n_complex(wavelengths_nm)
+    if dye.radius is None:
+        absorbed = 4 * np.pi * n.imag * dye.volume_fraction * thickness_nm / wavelengths_nm
+        return DyeResponse(absorbed, np.zeros_like(absorbed))
+    radii, weights = dye.radius.nodes(RADIUS_PANELS)
+    volume = float(np.sum(weights * 4 / 3 * np.pi * radii**3))
+    number = dye.volume_fraction / volume * thickness_nm  # per face area, 1/nm^2
+    largest = float(2 * np.pi * radii.max() * np.max(resin_n / wavelengths_nm))
+    if largest > MAX_SIZE_PARAMETER:
+        raise NacreError(f"dye particles of {radii.max():.0f} nm radius are too large; at most a few um are solved")
+    mu = np.linspace(-1, 1, PHASE_NODES)
+    extinction, scattering = np.zeros(len(wavelengths_nm)), np.zeros(len(wavelengths_nm))
+    phase = np.zeros((PHASE_NODES, len(wavelengths_nm)))
+    for radius, weight in zip(radii, weights, strict=True):
+        x = 2 * np.pi * radius * resin_n / wavelengths_nm
+        a, b = mie_coefficients(default_order(float(x.max())), x[None], (n / resin_n)[None])
+        q = mie_efficiencies(a, b, x)
+        area = number * weight * np.pi * radius**2
+        extinction += area * q.extinction
+        scattering += area * q.scattering
+        s1, s2 = mie_amplitudes(a, b, mu)
+        # dC/dOmega = (|S1|^2 + |S2|^2) / (2 k^2)
+        k = 2 * np.pi * resin_n / wavelengths_nm
+        phase += number * weight * ((np.abs(s1) ** 2 + np.abs(s2) ** 2).T / (2 * k**2))
+    step = mu[1] - mu[0]
+    cumulative = np.zeros_like(phase)
+    cumulative[1:] = np.cumsum((phase[1:] + phase[:-1]) / 2, axis=0) * step
+    total = cumulative[-1]
+    # normalised as the walk will interpolate it, so that no energy is made between nodes
+    phase = phase / (2 * np.pi * total)
+    u = np.linspace(0, 1, QUANTILE_NODES)
+    quantile = np.stack([np.interp(u, cumulative[:, i] / total[i], mu) for i in range(len(total))], axis=1)
+    return DyeResponse(extinction, np.minimum(scattering, extinction), phase, quantile)

@@ -11,17 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.bsdf import Bsdf
-from nacre.bsdf.directions import direction
+from nacre.bsdf.grids import direction
 from nacre.families.contract import Figure, Model
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.fresnel import coating_reflectance
-from nacre.families.relief.geometry import Prefactor
-from nacre.families.relief.sampling import choose_sampling
-from nacre.families.relief.slice import Reflectance
+from nacre.families.relief.diffraction_orders import choose_sampling
+from nacre.families.relief.plane_cut import Reflectance, local_response
+from nacre.families.relief.prefactor import Prefactor, coating_reflectance
 from nacre.families.relief.spectrum_map import MapReport, map_values, spectrum_map
-from nacre.families.relief.spots import local_response
 from nacre.families.relief.surface import Array, Tile, slopes
-from nacre.families.relief.trust import Trust, trust
+from nacre.families.relief.validity import Trust, trust
 from nacre.matter.drawings import Drawer, DrawingRequest, HeightMap
 from nacre.matter.indices.constant import OpticalConstant
 

@@ -11,11 +11,11 @@ import numpy as np
 import pydantic
 
 from nacre.bsdf.texture_spec import read_grey
-from nacre.errors import RecipeError
-from nacre.families.relief.coherence_spec import CoherenceSpec
+from nacre.core.errors import RecipeError
+from nacre.core.files import plain, why_unreadable
+from nacre.families.relief.coherence import CoherenceSpec
 from nacre.families.relief.material import Relief
 from nacre.families.relief.surface import Array, Tile
-from nacre.files import plain, why_unreadable
 from nacre.matter.indices.spec import IndexSpec
 from nacre.recipe.model import RecipeContext, RecipeModel
 

@@ -14,16 +14,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
 from nacre.bsdf.lobes.spectrum_map import SpectrumMap
-from nacre.errors import UnsupportedError
+from nacre.core.errors import UnsupportedError
+from nacre.core.memory import check_memory
+from nacre.core.parallel import available_jobs, in_threads
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.geometry import Prefactor
-from nacre.families.relief.kappa_nodes import chebyshev_nodes, interpolation_weights, node_count
-from nacre.families.relief.lines import is_fft_cheaper, line_basis, line_power
-from nacre.families.relief.sampling import Sampling, choose_sampling
-from nacre.families.relief.slice import Reflectance, window_norm
+from nacre.families.relief.diffraction_orders import Sampling, choose_sampling, is_fft_cheaper, line_basis, line_power
+from nacre.families.relief.plane_cut import Reflectance, chebyshev_nodes, interpolation_weights, node_count, window_norm
+from nacre.families.relief.prefactor import Prefactor
 from nacre.families.relief.surface import Array, Tile
-from nacre.matter.jobs import available_jobs, in_threads
-from nacre.recipe.memory import check_memory
 
 # steps of the grids for an error of 1e-3: of psi in units of the smoothing, of xi in radians of the highest wall's
 # phase; a quadratic spline's error grows as the third power of its step (both measured, tests hold them)
@@ -321,7 +319,7 @@ def energy_guard(lobe: SpectrumMap, blur: float) -> tuple[Array, Array]:
         lobe: with its guard still 1.
         blur: the smoothing that its spectrum has, in direction cosines.
     """
-    from nacre.bsdf.lobes.spectrum_map_kernel import albedo_shares
+    from nacre.bsdf.lobes.spectrum_map import albedo_shares
 
     chosen = _guard_wavelengths(len(lobe.wavelengths_nm))
     rings = _guard_rings()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erf
 
-from nacre.arrays import Array
+from nacre.core.arrays import Array
 
 # a Gaussian edge further away than this many blur widths has no influence in double precision
 EDGE_REACH = 8.5

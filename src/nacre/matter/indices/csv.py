@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from nacre.errors import NacreError
-from nacre.files import plain, why_unreadable
+from nacre.core.errors import NacreError
+from nacre.core.files import plain, why_unreadable
 from nacre.matter.indices.models import EV_NM, Table
-from nacre.recipe.cells import decoded, headings, rows
+from nacre.recipe.delimited_text import decoded, headings, rows
 
 MAX_BYTES = 20_000_000
 _UNITS_NM = {"": 0.0, "nm": 1.0, "um": 1000.0, "angstrom": 0.1}  # 0: the unit shows in the numbers

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from nacre.arrays import Array, ComplexArray
-from nacre.errors import NacreError, UnknownMaterialError, did_you_mean
-from nacre.files import plain, why_unreadable
+from nacre.core.arrays import Array, ComplexArray
+from nacre.core.errors import NacreError, UnknownMaterialError, did_you_mean
+from nacre.core.files import plain, why_unreadable
 from nacre.matter.indices.models import Constant, Dispersion, Joined, Table
 
 # Two pages of the catalogue point at a third material's file (an upstream slip, mended there after the release).

@@ -7,9 +7,16 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from nacre.matter.indices.constant import IndexDescription, OpticalConstant, constant, named_constant
+from nacre.matter.indices.constant import (
+    DEFAULTS,
+    Default,
+    IndexDescription,
+    OpticalConstant,
+    constant,
+    find_default,
+    named_constant,
+)
 from nacre.matter.indices.database import Page, catalogue
-from nacre.matter.indices.defaults import DEFAULTS, Default, find_default
 from nacre.matter.indices.spec import IndexSpec, index_spec
 
 

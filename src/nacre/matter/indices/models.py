@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import Array, ComplexArray
+from nacre.core.arrays import Array, ComplexArray
 
 EVERYWHERE_NM = (0.0, math.inf)
 EV_NM = 1239.8419843320026  # h c / e in eV nm, CODATA 2018

@@ -7,13 +7,20 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
 
-from nacre.errors import NacreError, did_you_mean
-from nacre.matter.indices.constant import OpticalConstant, database_index, named_constant, names_file, unknown_material
+from nacre.core.errors import NacreError, did_you_mean
+from nacre.matter.indices.constant import (
+    BY_NAME,
+    OpticalConstant,
+    database_index,
+    find_default,
+    named_constant,
+    names_file,
+    unknown_material,
+)
 from nacre.matter.indices.csv import read_index_csv
 from nacre.matter.indices.database import find_page, read_page
-from nacre.matter.indices.defaults import BY_NAME, find_default
 from nacre.matter.indices.models import Cauchy, Constant, Dispersion, Oscillators, Sellmeier, abbe_cauchy
-from nacre.matter.stack.case import CLEAR_K
+from nacre.matter.stack.inputs import CLEAR_K
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
 
 FORMS = ("name", "n", "cauchy", "sellmeier", "n_d", "drude", "lorentz", "file", "rii")

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from nacre.matter.jit import compiled
+from nacre.core.jit import compiled
 from nacre.matter.stack.kernel import (
     BLOCK,
     RESCALE_EVERY,

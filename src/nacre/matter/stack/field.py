@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import Array
-from nacre.errors import NacreError
-from nacre.matter.jit import compiled
-from nacre.matter.jobs import share
-from nacre.matter.stack.case import Case, prepare
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.core.jit import compiled
+from nacre.core.parallel import share
+from nacre.matter.stack.inputs import Case, prepare
 from nacre.matter.stack.kernel import TWO_PI, kz_squared, robust_factors, sqrt_decaying
 
 

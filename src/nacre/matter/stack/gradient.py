@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import Array
-from nacre.errors import NacreError
-from nacre.matter.stack.case import Case, Powers, power_array, prepare, with_thicknesses
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.matter.stack.inputs import Case, Powers, power_array, prepare, with_thicknesses
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import Array
-from nacre.errors import NacreError
-from nacre.matter.stack.case import Case, Powers, kernel_powers, normal_component, part_of, prepare
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.matter.stack.inputs import Case, Powers, kernel_powers, normal_component, part_of, prepare
 
 
 @dataclass(frozen=True)

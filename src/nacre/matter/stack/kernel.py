@@ -26,7 +26,7 @@ import numpy as np
 from llvmlite import ir
 from numba.extending import intrinsic
 
-from nacre.matter.jit import compiled
+from nacre.core.jit import compiled
 
 BLOCK = 64  # wavelengths a block: 20 rows of 64 doubles are 10 kB, a third of a first-level cache
 LANES = 8  # rows are filled up to a multiple of the widest vector, so that no scalar remainder is left

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nacre.arrays import Array, ComplexArray
-from nacre.matter.stack.case import Response
+from nacre.core.arrays import Array, ComplexArray
+from nacre.matter.stack.inputs import Response
 
 
 def jones_reflection(response: Response) -> ComplexArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from nacre.matter.stack.case import Amplitudes, Powers, Response, powers_of, prepare, run_kernel
+from nacre.matter.stack.inputs import Amplitudes, Powers, Response, powers_of, prepare, run_kernel
 
 
 def solve(

@@ -1,4 +1,4 @@
-"""A stack of layers made of named or given materials: the object interface to `nacre.matter.stack.case`."""
+"""A stack of layers made of named or given materials: the object interface to `nacre.matter.stack.inputs`."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.arrays import Array, ComplexArray
-from nacre.errors import NacreError
+from nacre.core.arrays import Array, ComplexArray
+from nacre.core.errors import NacreError
 from nacre.matter.stack import solve as solver
-from nacre.matter.stack.case import Amplitudes, Powers, Response, check_thicknesses
+from nacre.matter.stack.inputs import Amplitudes, Powers, Response, check_thicknesses
 
 
 class HasIndex(Protocol):

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre.core.errors import NacreError, did_you_mean
+from nacre.core.files import plain, why_unreadable
 from nacre.device.variant import use_variant
-from nacre.errors import NacreError, did_you_mean
-from nacre.files import plain, why_unreadable
 from nacre.light import illuminant as light_illuminant
 from nacre.picture.lights.environment_plugin import make_environment, spectrum_texture
 from nacre.picture.lights.environments import BEAM_DEG, Environment, beam, studio, unit_spectrum
-from nacre.picture.lights.several import Lamp, sum_of_environments
+from nacre.picture.lights.light_mixture import Lamp, sum_of_environments
 from nacre.picture.paths import SOFT_LAMP_DEG, WITHIN_LAMP_DEG
 
 LIGHTS = ("studio", "line", "sun", "sky", "directional", "interior", "street", "garden")
@@ -106,7 +106,7 @@ def make_lights(lamps: Sequence[Lamp], illuminant: str = "D65", turn_deg: float 
     """Build lights of the current variant, balanced to the white of the first.
 
     Args:
-        lamps: see `nacre.picture.lights.several.read_lamps`.
+        lamps: see `nacre.picture.lights.light_mixture.read_lamps`.
         illuminant: spectrum of the light sources; `sun`, `sky`, `street` and maps bring their own light and are
             balanced to D65, `interior` mixes daylight and its lamps.
         turn_deg: how far all of them have turned about the object.
@@ -190,7 +190,8 @@ def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0, streng
 
 def _place(name: str) -> tuple[Environment, Environment | None]:
     """A place by name, and the same with a wider sun; None: it has none."""
-    from nacre.picture.lights import garden, places
+    from nacre.picture.lights import environments as garden
+    from nacre.picture.lights import environments as places
 
     if name == "interior":
         return places.interior(), None

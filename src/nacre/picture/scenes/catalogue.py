@@ -13,9 +13,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from nacre.arrays import Array
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError, did_you_mean
 from nacre.device.variant import use_variant
-from nacre.errors import NacreError, did_you_mean
 from nacre.picture.camera import View
 from nacre.picture.scenes import grounds
 from nacre.picture.shapes import backdrop as stages
@@ -147,30 +147,30 @@ def plain_material(name: str) -> dict[str, Any]:
     if name == "deck":
         return grounds.wood()
     if name in LABELS:
-        from nacre.picture.shapes.specimen import label_print
+        from nacre.picture.shapes.insects import label_print
 
         return {"type": "diffuse", "reflectance": grounds.grey_bitmap(label_print(*LABELS[name])[::-1])}
     if name in ("card-white", "card-black"):
-        from nacre.picture.shapes.paper import card_print
+        from nacre.picture.shapes.printed import card_print
 
         return {"type": "diffuse", "reflectance": grounds.grey_bitmap(card_print(name == "card-black")[::-1])}
     if name == "pass":
         return grounds.printed_card()
     if name == "name-ring":
-        from nacre.picture.shapes.lens import ring_print
+        from nacre.picture.shapes.objects import ring_print
 
         return {"type": "diffuse", "reflectance": grounds.grey_bitmap(ring_print()[::-1])}
     if name == "plate":
-        from nacre.picture.shapes.body_details import plate_print
+        from nacre.picture.shapes.car import plate_print
 
         return {"type": "diffuse", "reflectance": grounds.grey_bitmap(plate_print()[::-1])}
     if name == "margins":
-        from nacre.picture.shapes.butterfly import margin_print
+        from nacre.picture.shapes.insects import margin_print
 
         return {"type": "diffuse", "reflectance": grounds.grey_bitmap(margin_print()[::-1])}
     if name != "boards":
         return MATERIALS[name]
-    from nacre.picture.lights.places import WOOD
+    from nacre.picture.lights.environments import WOOD
 
     return grounds.matt(WOOD)
 
@@ -203,7 +203,7 @@ def _at(parts: list[Part], scale: float, place: tuple[float, float, float]) -> l
 
 @functools.cache
 def _speedshape() -> list[Part]:
-    from nacre.picture.shapes.speedshape import speedshape
+    from nacre.picture.shapes.objects import speedshape
 
     return [Part(speedshape())]
 
@@ -217,7 +217,7 @@ def _panel() -> list[Part]:
 
 @functools.cache
 def _butterfly() -> list[Part]:
-    from nacre.picture.shapes import butterfly as b
+    from nacre.picture.shapes import insects as b
 
     lift = (0.0, 0.0, 0.06)
     return [
@@ -231,35 +231,35 @@ def _butterfly() -> list[Part]:
 
 @functools.cache
 def _butterfly_props() -> list[Part]:
-    from nacre.picture.shapes.specimen import label, pin
+    from nacre.picture.shapes.insects import label, pin
 
     return [Part(pin(0.0, 0.3, 1.0), "steel"), Part(label(1.85, -1.8), "label-butterfly")]
 
 
 @functools.cache
 def _beetle_props() -> list[Part]:
-    from nacre.picture.shapes.specimen import label, pin
+    from nacre.picture.shapes.insects import label, pin
 
     return [Part(pin(0.24, 0.28, 1.25), "steel"), Part(label(1.3, -2.0), "label-beetle")]
 
 
 @functools.cache
 def _bottle() -> list[Part]:
-    from nacre.picture.shapes.bottle import bottle, bottle_cap
+    from nacre.picture.shapes.objects import bottle, bottle_cap
 
     return [Part(bottle()), Part(bottle_cap(), "dark")]
 
 
 @functools.cache
 def _knob() -> list[Part]:
-    from nacre.picture.shapes.knob import knob, knob_core, knob_foot
+    from nacre.picture.shapes.objects import knob, knob_core, knob_foot
 
     return [Part(knob()), Part(knob_core(), "white"), Part(knob_foot(), "dark")]
 
 
 @functools.cache
 def _body() -> list[Part]:
-    from nacre.picture.shapes.body import car
+    from nacre.picture.shapes.car import car
 
     built = car()
     return [
@@ -278,14 +278,14 @@ def _body() -> list[Part]:
 
 @functools.cache
 def _beetle() -> list[Part]:
-    from nacre.picture.shapes.beetle import beetle_limbs, beetle_shell
+    from nacre.picture.shapes.insects import beetle_limbs, beetle_shell
 
     return [Part(beetle_shell()), Part(beetle_limbs(), "horn")]
 
 
 @functools.cache
 def _ring() -> list[Part]:
-    from nacre.picture.shapes.ring import film_in_ring, ring_stand, ring_wire
+    from nacre.picture.shapes.objects import film_in_ring, ring_stand, ring_wire
 
     turn = rotation("z", RING_DEG)
     film, wire, stand = (surface.moved(turn) for surface in (film_in_ring(), ring_wire(), ring_stand()))
@@ -294,21 +294,21 @@ def _ring() -> list[Part]:
 
 @functools.cache
 def _cuff() -> list[Part]:
-    from nacre.picture.shapes.cuff import cuff
+    from nacre.picture.shapes.objects import cuff
 
     return [Part(cuff())]
 
 
 @functools.cache
 def _banknote() -> list[Part]:
-    from nacre.picture.shapes.paper import banknote, banknote_foil
+    from nacre.picture.shapes.printed import banknote, banknote_foil
 
     return [Part(banknote_foil()), Part(banknote(), "banknote")]
 
 
 @functools.cache
 def _feather() -> list[Part]:
-    from nacre.picture.shapes import feather as f
+    from nacre.picture.shapes import insects as f
 
     return [
         Part(f.feather_blue()),
@@ -320,47 +320,47 @@ def _feather() -> list[Part]:
 
 @functools.cache
 def _feather_props() -> list[Part]:
-    from nacre.picture.shapes.specimen import label
+    from nacre.picture.shapes.insects import label
 
     return [Part(label(1.85, -1.9), "label-feather")]
 
 
 @functools.cache
 def _pass() -> list[Part]:
-    from nacre.picture.shapes import pass_card as p
+    from nacre.picture.shapes import printed as p
 
     return [Part(p.seal()), Part(p.card_face(), "pass"), Part(p.card_rim(), "white"), Part(p.chip(), "gilt")]
 
 
 @functools.cache
 def _pass_props() -> list[Part]:
-    from nacre.picture.shapes.pass_card import block
+    from nacre.picture.shapes.printed import block
 
     return [Part(block(), "dark")]
 
 
 @functools.cache
 def _strip() -> list[Part]:
-    from nacre.picture.shapes.strip import balls, holders
+    from nacre.picture.shapes.objects import balls, holders
 
     return [Part(balls()), Part(holders(), "horn")]
 
 
 @functools.cache
 def _lens() -> list[Part]:
-    from nacre.picture.shapes import lens
+    from nacre.picture.shapes import objects
 
     return [
-        Part(lens.elements()),
-        Part(lens.barrel(), "enamel"),
-        Part(lens.name_ring(), "name-ring"),
-        Part(lens.blades(), "velvet"),
+        Part(objects.elements()),
+        Part(objects.barrel(), "enamel"),
+        Part(objects.name_ring(), "name-ring"),
+        Part(objects.blades(), "velvet"),
     ]
 
 
 @functools.cache
 def _card() -> list[Part]:
-    from nacre.picture.shapes.paper import card_coat, card_paper
+    from nacre.picture.shapes.printed import card_coat, card_paper
 
     return [Part(card_coat()), Part(card_paper(False), "card-white"), Part(card_paper(True), "card-black")]
 

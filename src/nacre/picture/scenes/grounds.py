@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from nacre.arrays import Array
-from nacre.picture.seamless import noise
+from nacre.core.arrays import Array
+from nacre.picture.filters import noise
 
 PLANK = 1.5  # width of a plank of the desk
 _TILE = (12.0, 6.0)  # of the desk's drawing: along and across the grain, in the scene's units
@@ -147,8 +147,7 @@ def museum_board() -> dict[str, Any]:
 
 def printed_note(rows: int = 1024) -> dict[str, Any]:
     """The banknote's paper with its inks, one over the other."""
-    from nacre.picture.shapes.note_print import note_drawing
-    from nacre.picture.shapes.paper import NOTE_HEIGHT, NOTE_WIDTH
+    from nacre.picture.shapes.printed import NOTE_HEIGHT, NOTE_WIDTH, note_drawing
 
     light, inks = note_drawing(rows, NOTE_WIDTH / NOTE_HEIGHT)
     spectra = {
@@ -165,7 +164,7 @@ def printed_note(rows: int = 1024) -> dict[str, Any]:
 
 def printed_card() -> dict[str, Any]:
     """The pass card's face under its laminate: blue that runs into teal, with white ink."""
-    from nacre.picture.shapes.pass_card import card_print
+    from nacre.picture.shapes.printed import card_print_pass_card as card_print
 
     light, ink = card_print()
     ground = mixed(_glossy(_band(0.01, 0.10, 455.0, 42.0)), _glossy(_band(0.02, 0.3, 495.0, 50.0)), light[::-1])

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.errors import NacreError, did_you_mean
-from nacre.files import plain, why_unreadable
+from nacre.core.errors import NacreError, did_you_mean
+from nacre.core.files import plain, why_unreadable
+from nacre.core.memory import check_memory
 from nacre.picture.camera import View
 from nacre.picture.scenes.catalogue import SHAPES, Part, Scene
 from nacre.picture.scenes.mesh_file import Triangles, read_triangles
 from nacre.picture.shapes.mesh import Mesh, merge, open_seam, outward
-from nacre.recipe.memory import check_memory
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
 MAX_MESH_BYTES = 1 << 30

@@ -1,0 +1,243 @@
+"""The pictures of an HTML report, as data URIs: the page stays one file that needs nothing else."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nacre.analysis.report import ColourTable, Report, differences
+from nacre.bsdf.bsdf import Spectrum
+from nacre.core.errors import UnsupportedError
+from nacre.material.material import Material
+from nacre.measure.wavelengths import colour_spectrum
+from nacre.plot.html import data_uri
+
+if TYPE_CHECKING:
+    from nacre.plot import Figure
+
+
+CURVE_ANGLES_DEG = (0.0, 30.0, 60.0)
+RIBBON_ANGLES_DEG = tuple(np.linspace(0.0, 88.0, 45))
+COARSE_ANGLES_DEG = tuple(np.linspace(0.0, 80.0, 9))  # where an angle costs a hemisphere of directions
+SCREEN_DPI = 200  # sharp on a dense screen at the page's width
+
+
+def figures(materials: list[Material], reports: list[Report]) -> dict[str, str]:
+    """Return the pictures of a report, `caption -> data URI`.
+
+    For each material: its spectra, and its colour as the angle of incidence grows. For all together: the track
+    of the aspecular colours through a*, b*.
+
+    Raises:
+        NacreError: a material cannot be computed.
+    """
+    from nacre.plot import ribbon_figure, spectrum_figure
+
+    found: dict[str, str] = {}
+    for number, (material, report) in enumerate(zip(materials, reports, strict=True)):
+        # two recipes of one name must not share a caption, since captions are keys
+        name = report.name if [r.name for r in reports].count(report.name) == 1 else f"{report.name} ({number + 1})"
+        curves = _spectrum(material, CURVE_ANGLES_DEG, report.illuminant)
+        if curves is None:
+            continue
+        found[f"{name}: spectra at {', '.join(f'{a:g}' for a in CURVE_ANGLES_DEG)} degrees"] = data_uri(
+            spectrum_figure(curves, report.illuminant, name), SCREEN_DPI
+        )
+        is_plain = "diffuse_reflectance" not in curves.parts()
+        over_angle = _spectrum(material, RIBBON_ANGLES_DEG if is_plain else COARSE_ANGLES_DEG, report.illuminant)
+        if over_angle is not None:
+            found[f"{name}: colour over the angle of incidence"] = data_uri(
+                ribbon_figure(over_angle, report.illuminant, name), SCREEN_DPI
+            )
+    found["colour travel in a*b* over the aspecular angles (or over incidence, for mirrors)"] = data_uri(
+        travel_figure(reports), SCREEN_DPI
+    )
+    return found
+
+
+def travel_figure(reports: list[Report]) -> Figure:
+    """Draw the colours of the reports in a*, b* and L*, C*, one mark a report.
+
+    A report whose aspecular table is black (a mirror) shows the colours of its mirror direction instead.
+    """
+    from nacre.plot import gamut_figure
+
+    tables = [
+        r.specular if r.specular is not None and np.all(r.aspecular.xyz[:, 1] < 1e-6) else r.aspecular for r in reports
+    ]
+    longest = max(len(table.xyz) for table in tables)
+    xyz = np.full((len(tables), longest, 3), np.nan)
+    for row, table in zip(xyz, tables):
+        row[: len(table.xyz)] = table.xyz
+    labels = [report.name for report in reports] if len(reports) > 1 else []
+    return gamut_figure(xyz, reports[0].illuminant, reports[0].observer, "CIELAB, angle by angle", labels, tracks=True)
+
+
+def _spectrum(material: Material, angles_deg: tuple[float, ...], illuminant: str) -> Spectrum | None:
+    """Return the material's spectrum, None where its family has none (the report is then made without it)."""
+    try:
+        return colour_spectrum(material, np.radians(angles_deg), illuminant)
+    except UnsupportedError:
+        return None
+
+
+# A report as text, JSON and one self-contained HTML page.
+
+STYLE = """
+body{font:15px/1.5 system-ui,sans-serif;color:#222;background:#fff;max-width:60rem;margin:2rem auto;padding:0 1rem}
+h1{font-size:1.5rem;margin-bottom:.2rem}h2{font-size:1.1rem;margin-top:2rem}
+.pair{display:grid;grid-template-columns:repeat(auto-fit,minmax(24rem,1fr));gap:2rem}
+table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}
+td,th{padding:.25rem .5rem;text-align:right;border-bottom:1px solid #e5e5e5}th{font-weight:600;color:#555}
+td.s{width:3rem;padding:0;border:0}td.s div{height:1.7rem;border-radius:3px}
+p.n{color:#666;font-size:.85rem}img{max-width:100%}pre{background:#f6f6f6;padding:.8rem;overflow:auto;font-size:.8rem}
+"""
+
+
+def report_json(reports: list[Report]) -> dict[str, Any]:
+    """Return one report, or several with the differences to the first, as JSON-able data."""
+    document: dict[str, Any] = {"reports": [_document(report) for report in reports]}
+    if len(reports) > 1:
+        document["delta_e_2000_to_first"] = [
+            {name: _clean(values.tolist()) for name, values in differences(report, reports[0]).items()}
+            for report in reports[1:]
+        ]
+    return document
+
+
+def _document(report: Report) -> dict[str, Any]:
+    return {
+        "name": report.name,
+        "illuminant": report.illuminant,
+        "observer": report.observer,
+        "aspecular": _table_document(report.aspecular),
+        "specular": None if report.specular is None else _table_document(report.specular),
+        "flop_index": _clean(report.flop_index),
+        "gloss": _clean(report.gloss),
+        "reflection_haze_percent": _clean(report.reflection_haze),
+        "transmission_haze_percent": _clean(report.transmission_haze),
+        "hemispherical": _clean(report.hemispherical),
+        "largest_standard_error": report.noise,
+        "provenance": report.provenance,
+    }
+
+
+def _table_document(table: ColourTable) -> dict[str, Any]:
+    return {
+        "what": table.what, "angles_deg": table.angles_deg.tolist(), "xyz": table.xyz.tolist(),
+        "lab": table.lab.tolist(), "lch": table.lch.tolist(), "travel_ab": table.travel, "srgb": list(table.hex),
+    }  # fmt: skip
+
+
+def _clean(value: Any) -> Any:
+    """Replace what JSON cannot say (NaN, infinity) by null."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {k: _clean(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_clean(v) for v in value]
+    return value
+
+
+def report_text(reports: list[Report]) -> str:
+    """Return the report as plain text; several reports follow one another, then their differences."""
+    lines: list[str] = []
+    for report in reports:
+        lines += [f"{report.name}   ({report.illuminant}, {report.observer} observer)", ""]
+        for table in _tables(report):
+            lines += [f"  {table.what}", "    angle      L*       a*       b*       C*       h   sRGB"]
+            for angle, lab, lch, swatch in zip(table.angles_deg, table.lab, table.lch, table.hex, strict=True):
+                numbers = "  ".join(f"{v:7.2f}" for v in (*lab, lch[1]))
+                lines.append(f"    {angle:5.0f}  {numbers}  {lch[2]:6.1f}   {swatch}")
+            lines += [f"    travel in a*b*: {table.travel:.1f}", ""]
+        lines += [f"  {name:34s} {value}" for name, value in report_numbers(report)] + [""]
+    for report in reports[1:]:
+        lines.append(f"dE00 of {report.name} to {reports[0].name}")
+        for name, values in differences(report, reports[0]).items():
+            table = _named_table(report, name)
+            row = "  ".join(f"{a:g}: {v:.2f}" for a, v in zip(table.angles_deg, values, strict=True))
+            lines.append(f"  {name:10s} {row}")
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _tables(report: Report) -> list[ColourTable]:
+    return [report.aspecular] + ([report.specular] if report.specular is not None else [])
+
+
+def _named_table(report: Report, name: str) -> ColourTable:
+    return report.aspecular if name == "aspecular" or report.specular is None else report.specular
+
+
+def report_numbers(report: Report) -> list[tuple[str, str]]:
+    """Return the single numbers of a report, with their names and units."""
+    rows = [("flop index (Alman)", "-" if report.flop_index is None else f"{report.flop_index:.2f}")]
+    rows += [(f"gloss {angle} degrees (GU)", f"{value:.1f}") for angle, value in report.gloss.items()]
+    if report.reflection_haze is not None:
+        rows.append(("reflection haze 30 degrees (%)", f"{report.reflection_haze:.2f}"))
+    if report.transmission_haze is not None:
+        rows.append(("transmission haze (%)", f"{report.transmission_haze:.2f}"))
+    for name, value in report.hemispherical.items():
+        words, _, angle = name.rpartition("_")
+        rows.append((f"{words.replace('_', ' ')} at {angle} degrees", f"{value:.4f}"))
+    if report.noise > 0:
+        rows.append(("largest standard error of pi f", f"{report.noise:.2g}"))
+    return rows
+
+
+def report_html(reports: list[Report], figures: dict[str, str] | None = None) -> str:
+    """Return one HTML page; `figures` maps a caption to a data URI of a picture."""
+    title = " and ".join(html.escape(report.name) for report in reports)
+    columns = "".join(f"<section>{_section(report)}</section>" for report in reports)
+    compare = "".join(_difference_table(report, reports[0]) for report in reports[1:])
+    pictures = "".join(
+        f'<figure><img alt="{html.escape(caption)}" src="{uri}">'
+        f"<figcaption>{html.escape(caption)}</figcaption></figure>"
+        for caption, uri in (figures or {}).items()
+    )
+    recipes = "".join(
+        f"<h2>Recipe of {html.escape(r.name)}</h2><pre>{html.escape(str(r.provenance.get('recipe', '')))}</pre>"
+        for r in reports
+    )
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
+        f'<h1>{title}</h1><p class="n">{reports[0].illuminant}, {reports[0].observer} observer; '
+        f"nacre {html.escape(str(reports[0].provenance.get('nacre', '')))}</p>"
+        f'<div class="pair">{columns}</div>{compare}{pictures}{recipes}</html>\n'
+    )
+
+
+def _section(report: Report) -> str:
+    parts = [f"<h2>{html.escape(report.name)}</h2>"]
+    for table in _tables(report):
+        rows = "".join(
+            f'<tr><td class="s"><div style="background:{swatch}"></div></td><td>{angle:g}</td>'
+            + "".join(f"<td>{v:.2f}</td>" for v in (*lab, lch[1], lch[2]))
+            + "</tr>"
+            for angle, lab, lch, swatch in zip(table.angles_deg, table.lab, table.lch, table.hex, strict=True)
+        )
+        parts.append(
+            f'<p class="n">{html.escape(table.what)}; travel in a*b* {table.travel:.1f}</p><table><tr><th></th>'
+            f"<th>angle</th><th>L*</th><th>a*</th><th>b*</th><th>C*</th><th>h</th></tr>{rows}</table>"
+        )
+    numbers = "".join(f"<tr><th>{html.escape(n)}</th><td>{html.escape(v)}</td></tr>" for n, v in report_numbers(report))
+    return "".join(parts) + f"<table>{numbers}</table>"
+
+
+def _difference_table(report: Report, standard: Report) -> str:
+    rows = ""
+    for name, values in differences(report, standard).items():
+        table = _named_table(report, name)
+        heads = "".join(f"<th>{a:g}</th>" for a in table.angles_deg)
+        cells = "".join(f"<td>{v:.2f}</td>" for v in values)
+        rows += f"<table><tr><th>{name}</th>{heads}</tr><tr><th>dE00</th>{cells}</tr></table>"
+    return f"<h2>dE00 of {html.escape(report.name)} to {html.escape(standard.name)}</h2>{rows}"
+
+
+def dump_json(reports: list[Report]) -> str:
+    """Return the JSON text of `report_json`."""
+    return json.dumps(report_json(reports), indent=2) + "\n"

@@ -1,0 +1,251 @@
+"""Export and import: which format holds what of a material, and what of it is lost, said in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nacre._version import __version__
+from nacre.bsdf import Bsdf
+from nacre.bsdf.grids import direction
+from nacre.bsdf.lobes.table import TableLobe, directions_of
+from nacre.bsdf.texture import refuse_place
+from nacre.core.errors import NacreError, UnsupportedError
+from nacre.core.files import plain, why_unreadable, write_text
+from nacre.formats.gonio_csv import LARGEST_VALUE, read_gonio_csv, write_gonio_csv
+from nacre.formats.half_angle_tables import merl_table, read_merl, write_merl
+from nacre.formats.lobes import delta_lost, gonio_grid, gonio_table, is_isotropic, lost_parts, merl_lobe
+from nacre.material.material import EXCESS_TOLD, Material, material_from_data
+from nacre.recipe.model import RecipeContext
+from nacre.recipe.toml import dump_toml
+
+SNIFFED_BYTES = 4096  # of a file whose name says nothing; comments may stand before the root element
+MAX_F0 = 0.96  # a real index of 98, which a recipe still takes; a perfect mirror would need an endless one
+ENERGY_ANGLES_DEG = (0.0, 30.0, 60.0)
+MOST_ENERGY = 4.0  # real measurements, and tables made of narrow ones, exceed 1 by tens of per cent
+ROUNDING = 1e-6  # of the largest value
+TENSOR_MAGIC = b"tensor_file\0"
+OF_VALUES = ("rgl", "merl", "zemax", "csv", "exr")  # what asks a Bsdf for its values
+IMPORTS = ".csv (goniometer), .binary (MERL), .bsdf (RGL tensor or Zemax), .gltf, .mtlx"
+
+
+def export_material(
+    material: Material,
+    target: str,
+    path: Path,
+    *,
+    angle_step_deg: float = 10.0,
+    wavelength_nm: float | None = None,
+    illuminant: str = "D65",
+    progress: Callable[[str], None] = lambda what: None,
+) -> dict[str, Any]:
+    """Write a material in another program's format.
+
+    Args:
+        target: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr", "nacre", "tmat", or "lut" (a folder).
+        angle_step_deg: of the csv's direction grid.
+        wavelength_nm: for a monochrome zemax file.
+        illuminant: that the colours of lut are for.
+        progress: told what is computed for lut.
+
+    Returns:
+        what was written: `lost` lists in words what the format cannot hold.
+
+    Raises:
+        UnsupportedError: the format can hold nothing of the material, or a formula runs over an object in a picture.
+        NacreError: the file cannot be written.
+    """
+    refuse_place(material.model, f"{material.context.source}: export")
+    comment = f"nacre {__version__}, {material.name}\n{material.text}"
+    facts: dict[str, Any] = {"format": target, "file": str(path), "lost": []}
+    if target == "tmat":
+        writer = material.model.own_formats.get(target)
+        if writer is None:
+            raise UnsupportedError(
+                f"{material.context.source}: a {material.model.noun} has no T-matrix; tmat is for the particles of "
+                "metasurfaces"
+            )
+        return facts | {"lost": writer(path, comment)}
+    if target == "lut":
+        return facts | _export_table(material, path, illuminant, progress)
+    if target in ("gltf", "materialx"):
+        return facts | _export_film(material, target, path)
+    bsdf = material.bsdf()
+    if target in OF_VALUES and any(lobe.is_stochastic for lobe in bsdf.lobes):
+        raise UnsupportedError(
+            f"{material.context.source}: is a random walk, and a file of kind {target} holds values; give it "
+            'quality = "fast" where the family has that (--set quality=fast), or export a lut'
+        )
+    if target == "nacre":
+        bsdf.save(path)
+    elif target == "rgl":
+        from nacre.formats.rgl import write_rgl
+
+        facts["lost"] = write_rgl(path, bsdf, comment, is_isotropic=is_isotropic(bsdf))
+    elif target == "merl":
+        if not is_isotropic(bsdf):
+            facts["lost"].append("anisotropy: MERL holds isotropic materials, phi = 0 was taken")
+        write_merl(path, merl_table(bsdf))
+        facts["lost"] += ["the spectrum: MERL holds linear RGB"] + lost_parts(bsdf)
+    elif target == "zemax":
+        from nacre.formats.zemax import write_zemax, zemax_table
+
+        write_zemax(path, zemax_table(bsdf, wavelength_nm), comment)
+        facts["lost"] = lost_parts(bsdf)
+    elif target == "csv":
+        write_gonio_csv(path, gonio_grid(bsdf, angle_step_deg), comment)
+        facts["lost"] = delta_lost(bsdf)
+    elif target == "exr":
+        from nacre.formats.half_angle_tables import write_slice
+
+        write_slice(path, bsdf, comment)
+        facts["lost"] = ["all but one slice over (theta_half, theta_diff)"] + lost_parts(bsdf)
+    return facts
+
+
+def _export_table(material: Material, folder: Path, illuminant: str, progress: Callable[[str], None]) -> dict[str, Any]:
+    from nacre.analysis.lut import make_table
+    from nacre.formats.lut.write import check_folder, write_table
+
+    check_folder(folder)
+    table = make_table(material, illuminant, progress)
+    files = write_table(folder, table)
+    return {
+        "illuminant": table.illuminant, "lost": list(table.lost), "files": [path.name for path in files],
+        "errors_dE00": {what: dict(told) for what, told in table.errors.items()},
+    }  # fmt: skip
+
+
+def _export_film(material: Material, target: str, path: Path) -> dict[str, Any]:
+    from nacre.analysis.thin_film import fit_thin_film
+
+    fit = fit_thin_film(material)
+    provenance = {"nacre": __version__, "recipe": material.text, "residual_delta_e_2000": fit.mean_residual}
+    if target == "gltf":
+        from nacre.formats.gltf import write_gltf
+
+        write_gltf(path, fit.film, material.name, provenance)
+    else:
+        from nacre.formats.materialx import write_materialx
+
+        write_materialx(path, fit.film, material.name, f"nacre {__version__}, residual dE00 {fit.mean_residual:.2f}")
+    return {
+        "film": dict(fit.film.__dict__), "lost": list(fit.lost), "angles_deg": fit.angles_deg.tolist(),
+        "residual_delta_e_2000": fit.mean_residual, "residual_by_angle": fit.residual.tolist(),
+    }  # fmt: skip
+
+
+def import_material(source: Path, recipe: Path) -> list[str]:
+    """Read another program's file and write a recipe (and, for tables, a `.nacre` file beside it).
+
+    Returns:
+        remarks, in words.
+
+    Raises:
+        NacreError: the file is none of the known formats, or is damaged.
+    """
+    try:
+        plain(source)
+    except OSError as error:
+        raise NacreError(f"{source}: {why_unreadable(error)}") from None
+    suffix = source.suffix.lower()
+    if suffix in (".gltf", ".mtlx") or _is_materialx(source):
+        return _import_film(source, recipe)
+    if suffix == ".csv":
+        lobe, remarks = gonio_table(read_gonio_csv(source), str(source))
+    elif suffix == ".binary":
+        lobe, remarks = merl_lobe(read_merl(source)), ["RGB was given smooth spectra that have its colours under D65"]
+    elif suffix == ".bsdf":
+        lobe, remarks = _import_bsdf(source)
+    else:
+        raise NacreError(f"{source}: is of no known format; nacre imports {IMPORTS}")
+    remarks = [*remarks, *_check_energy(source, lobe)]
+    stored = recipe.with_suffix(".nacre")
+    Bsdf((lobe,), {"nacre": __version__, "imported": source.name}).save(stored)
+    write_text(recipe, dump_toml({"family": "measured", "file": stored.name}))
+    return [*remarks, str(stored)]
+
+
+def _is_materialx(source: Path) -> bool:
+    """Whether a file of whatever name is a MaterialX document: its root element says so."""
+    try:
+        with open(source, "rb") as file:
+            return b"<materialx" in file.read(SNIFFED_BYTES)
+    except OSError:
+        return False
+
+
+def _check_energy(source: Path, lobe: TableLobe) -> list[str]:
+    """Return a remark where more is sent out than arrives.
+
+    Raises:
+        NacreError: a value that no BSDF has, or a sum that no error of measurement explains.
+    """
+    low, high = float(lobe.values.min()), float(lobe.values.max())
+    if not np.isfinite(low + high) or low < -ROUNDING * high or high > LARGEST_VALUE:
+        raise NacreError(f"{source}: holds BSDF values below 0 or beyond {LARGEST_VALUE:g}; none has them")
+    for angle in ENERGY_ANGLES_DEG:
+        sums = np.sum(lobe.hemispherical(direction(np.radians(angle))), axis=0)
+        worst, nm = float(sums.max()), lobe.wavelengths_nm[int(np.argmax(sums))]
+        if worst > MOST_ENERGY:
+            raise NacreError(
+                f"{source}: sends out {worst:.3g} times the light that arrives at {angle:g} degrees ({nm:g} nm); "
+                "is it in per cent, or multiplied by something?"
+            )
+        if worst > 1.0 + EXCESS_TOLD:
+            where = f"at {angle:g} degrees ({nm:g} nm)"
+            return [f"sends out {worst:.3g} times the light that arrives {where}; kept as it is"]
+    return []
+
+
+def _import_film(source: Path, recipe: Path) -> list[str]:
+    if source.suffix.lower() == ".gltf":
+        from nacre.formats.gltf import read_gltf
+
+        film = read_gltf(source)
+    else:
+        from nacre.formats.materialx import read_materialx
+
+        film = read_materialx(source)
+    for name, value in film.__dict__.items():
+        if any(isinstance(v, float) and not np.isfinite(v) for v in np.ravel(np.asarray(value, dtype=object))):
+            raise NacreError(f"{source}: its {name} is not a finite number")
+    remarks = []
+    base = film.base_ior
+    if film.is_metal:
+        f0 = min(max(float(np.dot(film.base_rgb, (0.2126, 0.7152, 0.0722))), 0.0), MAX_F0)
+        base = (1 + f0**0.5) / (1 - f0**0.5)
+        remarks.append("the metal's RGB became one real index of the same luminance; name the metal for its own colour")
+    if film.not_read:
+        remarks.append(f"not carried over: {', '.join(film.not_read)}")
+    # a metal transmits nothing: a trace of absorption makes the base opaque without changing its reflection
+    substrate = {"n": base} if film.transmits else {"n": base, "k": 1e-4}
+    data: dict[str, Any] = {
+        "family": "film", "ambient": "air", "substrate": substrate,
+        "layers": [{"material": {"n": film.film_ior}, "thickness_nm": film.thickness_nm}],
+        "surface": {"distribution": "ggx", "roughness": film.roughness},
+    }  # fmt: skip
+    try:
+        material_from_data(data, RecipeContext("film"))
+    except NacreError as error:  # better no recipe than one that is refused on the next command
+        raise NacreError(f"{source}: holds a film that cannot be: {str(error).removeprefix('film: ')}") from None
+    write_text(recipe, dump_toml(data))
+    return remarks
+
+
+def _import_bsdf(source: Path) -> tuple[TableLobe, list[str]]:
+    with open(source, "rb") as file:
+        is_tensor = file.read(len(TENSOR_MAGIC)) == TENSOR_MAGIC
+    if is_tensor:
+        from nacre.formats.rgl import RglBsdf
+
+        rgl = RglBsdf.read(source)
+        wi, wo = directions_of("half", (90, 46, 24))
+        return TableLobe(rgl.wavelengths_nm, rgl.evaluate(wi, wo), np.eye(len(rgl.wavelengths_nm)), "half"), []
+    from nacre.formats.lobes import zemax_lobe
+    from nacre.formats.zemax import read_zemax
+
+    return zemax_lobe(read_zemax(source)), ["the table holds no spectrum beyond its channels"]

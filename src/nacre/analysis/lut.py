@@ -1,0 +1,686 @@
+"""A film's interface as pictures of colour: by the angle at a facet, and averaged over the facets by the angle of view.
+
+Colours are linear in spectra, and so are all averages here: a film's tables become three channels first.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nacre._version import __version__
+from nacre.bsdf import Bsdf
+from nacre.bsdf.facet_distributions import exits, masking, normal_quadrature
+from nacre.bsdf.grids import direction, hemisphere_nodes, take_uniform
+from nacre.bsdf.lobes.masked import MaskedLobe
+from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.texture import ParameterAxis, refuse_place
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError, UnsupportedError
+from nacre.formats.lobes import is_isotropic
+from nacre.formats.lut.table import (  # fmt: skip
+    Closure,
+    Facets,
+    LightTable,
+    Parameter,
+    Picture,
+    angle_coordinate,
+    column_angles,
+    lobe_directions,
+    lobe_value,
+    lobe_weight,
+)
+from nacre.formats.lut.write import as_png
+from nacre.light import delta_e_2000, spectrum_to_rgb_matrix, srgb_linear_to_xyz, xyz_to_lab
+from nacre.light.tables import Illuminant, illuminant
+from nacre.light.tristimulus import weighted_sum
+from nacre.material.material import Material
+from nacre.measure.evaluate import evaluate_with_error, hemispherical
+from nacre.measure.gloss import Gloss, find_gloss
+from nacre.measure.wavelengths import colour_bsdf
+
+COLUMNS = 256
+ROUGH_COLUMNS = 91  # of colours that are averaged over facets: they are smooth
+FINE = 2049  # cosines between which what a facet reflects is taken as linear
+NODES = 64  # of the quadrature over facets, along each of two coordinates
+AZIMUTH_ROWS = 9
+AZIMUTHS = 6  # over a quarter of a turn, where the facets are not the same all round
+STEEPEST = np.radians(89.5)  # no light arrives at 90 degrees
+LEAST_SEEN = 1e-4  # share of a closure's facets below which a colour is kept from the angle before
+ToRgb = Callable[[Array], Array]
+
+
+def coloured(response: InterfaceResponse, to_rgb: ToRgb) -> InterfaceResponse:
+    """Return an interface whose wavelengths are three channels."""
+    return dataclasses.replace(
+        response,
+        wavelengths_nm=np.array([1.0, 2.0, 3.0]),
+        reflectance=to_rgb(response.reflectance),
+        transmittance=to_rgb(response.transmittance),
+        reflectance_inside=to_rgb(response.reflectance_inside),
+        total=to_rgb(response.total),
+    )
+
+
+def at_node(response: InterfaceResponse, node: tuple[int, ...]) -> InterfaceResponse:
+    """Return an interface that varies as it is at one node of what varies."""
+    return dataclasses.replace(
+        response,
+        parameters=(),
+        reflectance=response.reflectance[node],
+        transmittance=response.transmittance[node],
+        reflectance_inside=response.reflectance_inside[node],
+        total=response.total[node],
+    )
+
+
+def facet_bands(response: InterfaceResponse) -> Array:
+    """Return the bands of a facet picture `[band, row, column, 3]` of a coloured interface: one if it is opaque."""
+    cos = np.cos(column_angles(COLUMNS))
+    bands = [take_uniform(response.reflectance, cos, -2)]
+    if response.transmits:
+        bands += [take_uniform(getattr(response, name), cos, -2) for name in ("transmittance", "reflectance_inside")]
+        beyond = np.linspace(0.0, 1.0, COLUMNS)
+        bands.append(take_uniform(response.total, beyond, -2) if response.eta > 1.0 else bands[2])
+    return np.stack([band.reshape(-1, COLUMNS, 3) for band in bands])
+
+
+def sides(response: InterfaceResponse, cos: Array, is_behind: bool) -> tuple[Array, Array]:
+    """Return what a coloured interface reflects and passes, each `[row, cos, 3]`, for light on one side of the surface.
+
+    Args:
+        cos: `[cos]`, in the light's own medium.
+    """
+    inside = np.full(cos.shape, is_behind != response.flipped)
+    count = len(response.parameters)
+    nodes = np.ndindex(response.reflectance.shape[:count])
+    found = [at_node(response, node).lookup(cos, inside) for node in nodes]
+    return np.stack([reflected for reflected, _ in found]), np.stack([passed for _, passed in found])
+
+
+@dataclasses.dataclass(frozen=True)
+class ViewColours:
+    """Colours of closures over the angle of view, `[row, column, 3]` each."""
+
+    reflected: Array
+    passed: Array
+
+
+def smooth_view(response: InterfaceResponse, is_behind: bool) -> ViewColours:
+    """Return the colours of a smooth surface, seen from one side.
+
+    Each channel is kept within [0, 1]: engines take no negative ones, and light that is thrown to and fro inside a body
+    would grow by what is above 1. What is reflected and passed still adds up where nothing is absorbed.
+    """
+    return ViewColours(
+        *(np.clip(part, 0.0, 1.0) for part in sides(response, np.cos(column_angles(COLUMNS)), is_behind))
+    )
+
+
+def closure_distribution(distribution: str) -> str:
+    """Return the distribution that engines have for one of ours."""
+    return "beckmann" if distribution == "blinn" else distribution
+
+
+def rough_view(lobe: Microfacet, is_behind: bool) -> ViewColours:
+    """Return the colours by which an engine's rough closure reflects and passes as much light as a rough film.
+
+    Args:
+        lobe: the film in three channels.
+
+    At each angle of view: what the film sends out under even light, over what the closure would if it lost nothing but
+    what its facets hide (Smith's masking of both directions together, as engines have it). Brushed films have a row for
+    each of some azimuths (`over_azimuth`); where a number varies too, the mean over azimuth.
+    """
+    response = lobe.response
+    tables = sides(response, np.linspace(0.0, 1.0, FINE), is_behind)
+    facets = normal_quadrature(lobe.distribution, lobe.alpha_x, lobe.alpha_y, NODES)
+    eta = inner_index(response, is_behind)
+    closure = ClosureLoss(closure_distribution(lobe.distribution), (lobe.alpha_x, lobe.alpha_y), eta)
+    between = between_facets(lobe, is_behind)
+
+    def column(turns: Array) -> tuple[Array, Array]:
+        found: tuple[list[Array], list[Array]] = ([], [])
+        for theta in np.minimum(column_angles(ROUGH_COLUMNS), STEEPEST):
+            weights, white = np.zeros((2, FINE)), np.zeros(2)
+            extra = np.zeros((2, 1, 3))
+            for w in direction(theta, turns):
+                weights += _shares(w, lobe, facets, eta)
+                white += closure.kept(w)
+                extra = extra + between(w)
+            for side, table in enumerate(tables):
+                total = np.einsum("f,rfc->rc", weights[side], table) + extra[side]
+                is_seen = white[side] > LEAST_SEEN * len(turns) or not found[side]
+                found[side].append(total / max(white[side], 1e-9) if is_seen else found[side][-1])
+        return np.stack(found[0], axis=1), np.stack(found[1], axis=1)
+
+    if not over_azimuth(lobe):
+        found = column(azimuths((lobe.alpha_x, lobe.alpha_y)))
+        return ViewColours(*(np.maximum(part, 0.0) for part in found))
+    rows = [column(np.array([turn])) for turn in np.arccos(np.sqrt(np.linspace(0.0, 1.0, AZIMUTH_ROWS)))]
+    return ViewColours(*(np.maximum(np.concatenate([row[side] for row in rows]), 0.0) for side in (0, 1)))
+
+
+def over_azimuth(lobe: Microfacet) -> bool:
+    """Whether the rows of a view picture run over the squared cosine of the azimuth of view against u, from 0 to 1."""
+    return lobe.alpha_x != lobe.alpha_y and not lobe.parameters
+
+
+def inner_index(response: InterfaceResponse, is_behind: bool) -> float:
+    """Return the index of the other side over that of the side which light comes from."""
+    return response.eta if is_behind == response.flipped else 1.0 / response.eta
+
+
+def azimuths(alpha: tuple[float, float]) -> Array:
+    """Return azimuths whose mean stands for all, in rad: one where the facets are the same all round."""
+    if alpha[0] == alpha[1]:
+        return np.array([0.0])
+    return np.asarray((np.arange(AZIMUTHS) + 0.5) * (0.5 * np.pi / AZIMUTHS))
+
+
+def _shares(w: Array, lobe: Microfacet, facets: tuple[Array, Array], eta: float) -> Array:
+    """Return by which weights facets at each of the fine cosines reflect and pass light, `[2, cos]`."""
+    m, measure = facets
+    w_m = m @ w
+    m, measure, w_m = m[w_m > 0], measure[w_m > 0], w_m[w_m > 0]
+    ways: Array = np.broadcast_to(w, m.shape)
+    found = np.zeros((2, FINE))
+    low = np.minimum((w_m * (FINE - 1)).astype(int), FINE - 2)
+    part = w_m * (FINE - 1) - low
+    for side, wo in enumerate(exits(w, m, eta)):
+        weight = measure * w_m / w[2] * masking(lobe.distribution, ways, wo, m, lobe.alpha_x, lobe.alpha_y)
+        found[side] += np.bincount(low, weight * (1 - part), FINE) + np.bincount(low + 1, weight * part, FINE)
+    return found
+
+
+class ClosureLoss:
+    """How much light an engine's white rough closure keeps: what its facets do not hide from each other.
+
+    Engines (Cycles, OSL's testrender) take Smith's masking of both directions together, 1 / (1 + Lambda_i + Lambda_o)
+    (Heitz 2014, eq. 99); Ashikhmin and Shirley's lobe is that of its source.
+    """
+
+    def __init__(self, distribution: str, alpha: tuple[float, float], eta: float = 1.0) -> None:
+        self.distribution, self.alpha, self.eta = distribution, alpha, eta
+        self.facets = normal_quadrature(distribution, *alpha, NODES)
+
+    def kept(self, w: Array) -> Array:
+        """Return the shares that are reflected, and refracted, of light along `w[3]`, z > 0."""
+        m, measure = self.facets
+        w_m = m @ w
+        m, measure, w_m = m[w_m > 0], measure[w_m > 0], w_m[w_m > 0]
+        ways = np.broadcast_to(w, m.shape)
+        found = []
+        for wo in exits(w, m, self.eta):
+            if self.distribution == "ashikhmin-shirley":
+                seen = masking(self.distribution, ways, wo, m, *self.alpha)
+            else:
+                is_seen = (np.sum(wo * m, axis=-1) * wo[:, 2] > 0) & (np.abs(wo[:, 2]) > 1e-9)
+                seen = np.where(is_seen, 1.0 / (1.0 + self._smith(ways) + self._smith(wo)), 0.0)
+            found.append(float(np.sum(measure * w_m / w[2] * seen)))
+        return np.array(found)
+
+    def _smith(self, w: Array) -> Array:
+        """Return Lambda; Beckmann's by the rational fit of Walter et al. 2007."""
+        flat2 = np.square(self.alpha[0] * w[:, 0]) + np.square(self.alpha[1] * w[:, 1])
+        tan2 = flat2 / np.maximum(w[:, 2] ** 2, 1e-12)
+        if self.distribution == "ggx":
+            return np.asarray(0.5 * (np.sqrt(1.0 + tan2) - 1.0))
+        a = 1.0 / np.sqrt(np.maximum(tan2, 1e-12))
+        return np.where(a < 1.6, (1.0 - 1.259 * a + 0.396 * a * a) / (3.535 * a + 2.181 * a * a), 0.0)
+
+
+def between_facets(lobe: Microfacet, is_behind: bool) -> Callable[[Array], Array]:
+    """Return what leaves after several facets under even light, `[reflected or passed, row, 3]`, as a function of w.
+
+    Raises:
+        UnsupportedError: what facets lose is not the same for all wavelengths.
+    """
+    if lobe.loss is None or lobe.exchange is None:
+        return lambda w: np.zeros((2, 1, 3))
+    if lobe.loss.shape[3] != 1:
+        raise UnsupportedError("a table cannot hold light between facets whose loss depends on the wavelength")
+    here = int(is_behind != lobe.response.flipped)
+    count = lobe.loss.shape[0]
+    exchange = lobe.exchange.reshape(-1, count, count, 3)
+    wo, weight = hemisphere_nodes()
+    zero = np.zeros((exchange.shape[0], 3))
+    sums = [
+        exchange[:, here, side] * float(weight @ lobe.lost_towards(wo, side)[:, 0])
+        if max(here, side) < count and (side == here or lobe.transmits) else zero
+        for side in (here, 1 - here)
+    ]  # fmt: skip
+
+    def sent(w: Array) -> Array:
+        lost = float(lobe.lost_towards(w, here)[0]) if here < count else 0.0
+        return np.stack(sums) * lost
+
+    return sent
+
+
+# Scattered light as pictures of colour: over the angle of view, and over half and difference angles.
+
+VIEW_DEG = np.array([0.0, 5, 10, 15, 20, 25, 30, 35, 40, 45, 50, 55, 60, 64, 68, 72, 75, 78, 81, 83.5, 86, 88])
+PATHS = 128  # squared: paths of a walk at each angle of view
+LOBE_SHAPE = (17, 48, 128)  # slices, rows, columns of a lobe picture
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Views of scattered light, `[column, 3]`, by what an engine's closure is called; and the lobe."""
+
+    gloss: Array | None
+    gloss_alpha: float
+    spread: Array
+    through: Array | None
+    behind: Array | None
+    lobe: Picture | None
+    lost: tuple[str, ...]
+
+
+def scatter_views(bsdf: Bsdf, to_rgb: ToRgb) -> tuple[Array, Array | None, Gloss | None]:
+    """Return colours over `VIEW_DEG` of light that is scattered back and through, and the glossy part of the first.
+
+    Args:
+        bsdf: its scattering lobes alone.
+    """
+    theta = np.radians(VIEW_DEG)
+    powers = _powers(bsdf, direction(theta, 0.0))
+    gloss = find_gloss(bsdf, theta, powers[0])
+    through = to_rgb(powers[1]) if bsdf.transmits else None
+    return to_rgb(powers[0]), through, gloss
+
+
+def _powers(bsdf: Bsdf, directions: Array) -> Array:
+    """Return what leaves on the side of the light and on the other, `[side, angle, wavelength]`."""
+    found = [[hemispherical(lobe, w, nodes=PATHS if lobe.is_stochastic else NODES) for lobe in bsdf.lobes]
+             for w in directions]  # fmt: skip
+    return np.array([[sum(part[side] for part in parts) for parts in found] for side in (0, 1)])
+
+
+def make_scatter(material: Any, bsdf: Bsdf, to_rgb: ToRgb, progress: Progress) -> Scatter:
+    """Bake the scattering lobes of a material.
+
+    Args:
+        bsdf: its scattering lobes alone, isotropic.
+        to_rgb: of spectra on its wavelengths.
+    """
+    progress("scattered light over the angle of view")
+    total, through, gloss = scatter_views(bsdf, to_rgb)
+    glossy = None
+    spread = total
+    if gloss is not None:
+        part = to_rgb(gloss.reflectance)
+        spread = total - part
+        closure = ClosureLoss("ggx", (gloss.alpha, gloss.alpha))
+        kept = np.array([closure.kept(direction(t, 0.0))[0] for t in np.radians(VIEW_DEG)])
+        glossy = _smooth(part / np.maximum(kept, 0.05)[:, None])
+    behind = None
+    if through is not None:
+        behind = to_rgb(_powers(bsdf, direction(np.pi - np.radians(VIEW_DEG), 0.0)))
+    progress("scattered light over half and difference angles")
+    lobe, lost = _lobe(material, bsdf, to_rgb)
+    return Scatter(
+        glossy, 0.0 if gloss is None else gloss.alpha, _smooth(spread), None if through is None else _smooth(through),
+        None if behind is None else np.stack([_smooth(side) for side in behind]), lobe, lost,
+    )  # fmt: skip
+
+
+def _smooth(values: Array) -> Array:
+    """Return colours at the columns of a picture from those at `VIEW_DEG`, without overshoot."""
+    from scipy.interpolate import PchipInterpolator
+
+    angles = np.minimum(column_angles(COLUMNS), STEEPEST)
+    return np.asarray(PchipInterpolator(np.radians(VIEW_DEG), values, axis=0)(np.minimum(angles, np.radians(88.0))))
+
+
+def _lobe(material: Any, bsdf: Bsdf, to_rgb: ToRgb) -> tuple[Picture | None, tuple[str, ...]]:
+    """Return the lobe picture, and what is lost."""
+    lost = ("GLSL: light that is scattered to the other side",) if bsdf.transmits else ()
+    about = "scattered light, pi f 2 cos_i cos_o / (cos_i + cos_o), over half angle, difference angle and its azimuth"
+    wi, wo = lobe_directions(*LOBE_SHAPE)
+    weight = np.pi * lobe_weight(wi, wo)[..., None]
+    if not any(lobe.is_stochastic for lobe in bsdf.lobes):
+        return Picture(_evaluated(bsdf, wi, wo, to_rgb) * weight, about), lost
+    steady = _noiseless(material, bsdf.wavelengths_nm)
+    if steady is None:
+        return None, (*lost, "GLSL: scattered light, a random walk whose recipe has no form without noise")
+    return Picture(_evaluated(steady, wi, wo, to_rgb) * weight, about), lost
+
+
+def _noiseless(material: Any, wavelengths_nm: Array) -> Bsdf | None:
+    """Return a random walk's form without noise, where its recipe has one that is the same all round."""
+    try:
+        found: Bsdf = material.vary({"quality": "fast"}).bsdf(wavelengths_nm)
+    except NacreError:
+        return None
+    lobes = tuple(lobe for lobe in found.lobes if not lobe.is_delta)
+    if not lobes or any(lobe.is_stochastic for lobe in lobes):
+        return None
+    kept = Bsdf(lobes, found.provenance)
+    return kept if is_isotropic(kept) else None
+
+
+def _evaluated(bsdf: Bsdf, wi: Array, wo: Array, to_rgb: ToRgb) -> Array:
+    """Return colours of values at pairs, a slice at a time: all wavelengths of all pairs would fill the memory."""
+    return np.stack([to_rgb(np.nan_to_num(bsdf.evaluate(i, o))) for i, o in zip(wi, wo, strict=True)])
+
+
+def lobe_pairs(count: int, seed: int, lowest: float = 0.1) -> tuple[Array, Array]:
+    """Return pairs of directions above the surface, spread over the picture's coordinates, `[count, 3]` each.
+
+    Args:
+        lowest: cosine that both directions keep at least.
+    """
+    from scipy.stats import qmc
+
+    unit = qmc.Sobol(3, seed=seed).random_base2(int(np.ceil(np.log2(8 * count))))
+    theta_h, phi = unit[:, 0] ** 2 * np.pi / 2, unit[:, 2] * np.pi / 2
+    theta_d = unit[:, 1] * np.arctan2(np.cos(theta_h), np.sin(theta_h) * np.cos(phi))
+    half = direction(theta_h, 0.0)
+    turn = np.cos(phi)[:, None] * direction(theta_h - np.pi / 2, 0.0) + np.sin(phi)[:, None] * np.array([0.0, 1.0, 0.0])
+    out, across = np.cos(theta_d)[:, None] * half, np.sin(theta_d)[:, None] * turn
+    wi, wo = out + across, out - across
+    kept = (wi[:, 2] > lowest) & (wo[:, 2] > lowest)
+    return wi[kept][:count], wo[kept][:count]
+
+
+# A material as tables of colour for engines: what is baked, what is refused, and how far it is from nacre.
+
+MAP_SIZE = 512  # pixels a side of a formula's map
+LARGEST_MAP = 4096
+CHECKED = 64  # places at which a table is compared
+CHECKED_PAIRS, CHECKED_WALKS = 64, 16384
+STEEPEST_CHECKED_DEG = 80.0
+CHECKED_DEG = np.array([2.5, 17.5, 32.5, 47.5, 62.0, 73.5])
+NOTHING = 1e-6  # reflectance below which there is no part
+
+
+def make_table(material: Material, lamp: str = "D65", progress: Progress = lambda what: None) -> LightTable:
+    """Bake a material.
+
+    Args:
+        lamp: name of the illuminant.
+        progress: told what is computed.
+
+    Raises:
+        UnsupportedError: a table cannot hold the material; says why.
+    """
+    source = material.context.source
+    refuse_place(material.model, f"{source}: export")
+    light = illuminant(lamp)
+    progress("solving the material")
+    bsdf = colour_bsdf(material, light.name)
+    try:
+        return _baked(material, bsdf, light, progress)
+    except UnsupportedError as error:
+        text = str(error)
+        raise UnsupportedError(text if text.startswith(str(source)) else f"{source}: {text}") from None
+
+
+def _baked(material: Material, bsdf: Bsdf, light: Illuminant, progress: Progress) -> LightTable:
+    matrix = np.asarray(spectrum_to_rgb_matrix(bsdf.wavelengths_nm, light))
+
+    def to_rgb(values: Array) -> Array:
+        return np.asarray(weighted_sum(values, matrix))
+
+    _refuse(bsdf)
+    pictures: dict[str, Picture] = {}
+    closures: list[Closure] = []
+    errors: dict[str, dict[str, float]] = {}
+    lost: list[str] = []
+    facets, parameter = None, None
+    interfaces = [lobe for lobe in bsdf.lobes if isinstance(lobe, Specular | Microfacet)]
+    mirror = _walk_mirror(bsdf) if not interfaces else None
+    axes = {axis.name: axis for lobe in interfaces for axis in lobe.parameters}
+    if axes:
+        (axis,) = axes.values()
+        parameter = Parameter(axis.name, float(axis.values[0]), float(axis.values[-1]))
+        pictures["map"] = Picture(_map(axis), f"{axis.name} over uv, from 0 to 1", is_data=True)
+    if interfaces or mirror is not None:
+        progress("the film's interface")
+        facets = _bake_interface(interfaces, mirror, to_rgb, pictures, closures, errors)
+    scattering = tuple(lobe for lobe in bsdf.lobes if not lobe.is_delta and not isinstance(lobe, Microfacet))
+    if scattering:
+        alone = Bsdf(scattering, bsdf.provenance)
+        scatter = make_scatter(material, alone, to_rgb, progress)
+        _add_scatter(scatter, pictures, closures)
+        progress("comparing with nacre")
+        errors |= _scatter_errors(alone, scatter, to_rgb)
+        lost += scatter.lost
+    provenance = {"nacre": __version__, "recipe": material.text, "illuminant": light.name, "observer": "2deg"}
+    return LightTable(
+        material.name, light.name, pictures, tuple(closures), facets, parameter, errors, tuple(lost), provenance
+    )
+
+
+def _refuse(bsdf: Bsdf) -> None:
+    """Refuse what no picture of this kind holds.
+
+    Raises:
+        UnsupportedError: with the reason.
+    """
+    facets = [lobe for lobe in bsdf.lobes if isinstance(lobe, Microfacet)]
+    scattering = [lobe for lobe in bsdf.lobes if not isinstance(lobe, Microfacet | Specular)]
+    names = dict.fromkeys(name for lobe in bsdf.lobes for name in lobe.varying)
+    if any(isinstance(lobe, MaskedLobe) for lobe in bsdf.lobes):
+        raise UnsupportedError(f"{', '.join(names)} blends whole materials over the surface; export each by itself")
+    if len(names) > 1:
+        raise UnsupportedError(f"{', '.join(names)} vary over the surface, and a table holds one; --set the others")
+    if names and scattering:
+        raise UnsupportedError(f"{', '.join(names)} varies and light is scattered below; a table holds one of both")
+    if len(facets) > 1:
+        raise UnsupportedError("has several rough interfaces, and a table holds one")
+    for lobe in facets:
+        if lobe.alpha_texture is not None or lobe.rotation is not None:
+            what = "roughness" if lobe.alpha_texture is not None else "rotation"
+            raise UnsupportedError(f"surface.{what} varies over the surface, which a table does not hold; --set it")
+    steady = tuple(lobe for lobe in scattering if not lobe.is_stochastic and not lobe.is_delta)
+    if steady and not is_isotropic(Bsdf(steady)):
+        raise UnsupportedError(
+            "scatters light by the direction about the normal, as grooves and reliefs do; a table of half and "
+            "difference angle cannot hold that (--to rgl or exr can)"
+        )
+
+
+def _walk_mirror(bsdf: Bsdf) -> Array | None:
+    """Return what a walk or a table sends into the mirror direction, `[column, wavelength]`; None: nothing."""
+    found = bsdf.specular(np.minimum(column_angles(COLUMNS), np.radians(89.99)))
+    return found.reflectance if found.reflectance.max() > NOTHING else None
+
+
+def _map(axis: ParameterAxis) -> Array:
+    """Return a number's map over uv, `[1, row, column, 3]`, the first row at v = 0."""
+    image = axis.texture.image
+    rows, columns = (MAP_SIZE, MAP_SIZE) if image is None else np.minimum(image.shape, LARGEST_MAP)
+    u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
+    unit = axis.coordinate(axis.texture(np.stack([u, v], axis=-1))) / max(len(axis.values) - 1, 1)
+    return np.repeat(unit[None, ..., None], 3, axis=-1)
+
+
+def _bake_interface(
+    lobes: list[Specular | Microfacet], mirror: Array | None, to_rgb: Callable[[Array], Array],
+    pictures: dict[str, Picture], closures: list[Closure], errors: dict[str, dict[str, float]],
+) -> Facets:  # fmt: skip
+    """Add the pictures and closures of what is mirror-like."""
+    if mirror is not None:
+        values = to_rgb(mirror)[None]
+        pictures["facet"] = Picture(values[None], "reflectance over the angle of incidence")
+        pictures["mirror"] = Picture(values[None], "colour of the mirror over the angle of view")
+        closures.append(Closure("glossy", "mirror"))
+        return Facets("ggx", (0.0, 0.0), 1.0, False, False, False)
+    rough = next((lobe for lobe in lobes if isinstance(lobe, Microfacet)), None)
+    lobe = rough or lobes[0]
+    response = _joined([coloured(each.response, to_rgb) for each in lobes])
+    alpha = (rough.alpha_x, rough.alpha_y) if rough else (0.0, 0.0)
+    distribution = rough.distribution if rough else "ggx"
+    bends = rough is not None and rough.transmits
+    facets = Facets(distribution, alpha, response.eta, response.flipped, response.transmits, not bends)
+    pictures["facet"] = Picture(facet_bands(response), "what a facet reflects and passes, over the angle to the light")
+    if rough is not None:
+        exchange = None if rough.exchange is None else to_rgb(rough.exchange)
+        rough = dataclasses.replace(rough, response=coloured(rough.response, to_rgb), exchange=exchange)
+        _add_loss(rough, pictures)
+    names: dict[str, list[str | None]] = {"mirror": [], "through": []}
+    for is_behind in (False, True) if response.transmits else (False,):
+        views = rough_view(rough, is_behind) if rough else smooth_view(response, is_behind)
+        passed = views.passed if bends or rough is None else smooth_view(response, is_behind).passed
+        for name, values, what in (("mirror", views.reflected, "reflects"), ("through", passed, "passes")):
+            title = name + ("-behind" if is_behind else "")
+            if values.max() <= NOTHING:
+                names[name].append(None)
+                continue
+            side = ", seen from behind" if is_behind else ""
+            about = f"colour of the closure that {what}, over the angle of view{side}"
+            rows = "parameter" if response.parameters else "azimuth" if len(values) > 1 else ""
+            pictures[title] = Picture(values[None], about, rows=rows)
+            names[name].append(title)
+    own = closure_distribution(distribution)
+    closures.append(Closure("glossy", *_pair(names["mirror"]), distribution=own, alpha=alpha))
+    if names["through"] and any(names["through"]):
+        ior = 1.0 / response.eta if response.flipped else response.eta
+        kind = "straight" if response.eta == 1.0 else "refract"
+        closures.append(Closure(kind, *_pair(names["through"]), distribution=own, alpha=alpha, ior=ior))
+    errors |= _interface_errors(lobe, rough, response, pictures)
+    return facets
+
+
+def _pair(names: list[str | None]) -> tuple[str | None, str | None]:
+    return names[0], names[1] if len(names) > 1 else None
+
+
+def _joined(responses: list[InterfaceResponse]) -> InterfaceResponse:
+    """Return one interface from those of a rough free film: its facets reflect, and light passes straight through.
+
+    Raises:
+        UnsupportedError: they do not belong together.
+    """
+    first, *others = responses
+    for other in others:
+        if other.reflectance.shape != first.reflectance.shape or (other.eta, first.eta) != (1.0, 1.0):
+            raise UnsupportedError("has several interfaces of its own, and a table holds one")
+        first = dataclasses.replace(
+            first, transmittance=first.transmittance + other.transmittance, reflectance=first.reflectance
+            + other.reflectance, reflectance_inside=first.reflectance_inside + other.reflectance_inside,
+            transmits=first.transmits or other.transmits,
+        )  # fmt: skip
+    return first
+
+
+def _add_loss(lobe: Microfacet, pictures: dict[str, Picture]) -> None:
+    """Add what makes up for light lost between facets, for shaders that know the light."""
+    if lobe.loss is None or lobe.exchange is None:
+        return
+    count = lobe.loss.shape[0]
+    loss = np.swapaxes(lobe.loss[..., :1], 1, 2)  # rows over t, columns over s
+    pictures["loss"] = Picture(np.repeat(loss, 3, axis=-1), "light lost between facets along a direction", is_data=True)
+    exchange = lobe.exchange.reshape(-1, count * count, 3)
+    bands = np.moveaxis(exchange, 1, 0)[:, :, None, :]
+    pictures["exchange"] = Picture(bands, "colour of the light between facets, 1/sr")
+
+
+def _interface_errors(
+    lobe: Specular | Microfacet, rough: Microfacet | None, response: InterfaceResponse, pictures: dict[str, Picture]
+) -> dict[str, dict[str, float]]:
+    """Compare the pictures between their nodes: a facet's colour, and the colour under even light by angle of view."""
+    generator = np.random.default_rng(0)
+    theta = np.radians(generator.uniform(0.0, STEEPEST_CHECKED_DEG, CHECKED))
+    rows = generator.integers(0, max(pictures["facet"].values.shape[1], 1), CHECKED)
+    last = max(pictures["facet"].values.shape[1] - 1, 1)
+    found = {}
+    reflected, _ = sides(response, np.cos(theta), response.flipped)
+    wanted = reflected[rows, np.arange(CHECKED)]
+    at = (angle_coordinate(np.cos(theta)), rows / last)
+    found["reflectance of a facet"] = compared(pictures["facet"], lambda p: p.at(*at), wanted)
+    if rough is None:
+        return found
+    alpha = (rough.alpha_x, rough.alpha_y)
+    closure = ClosureLoss(closure_distribution(rough.distribution), alpha, inner_index(response, False))
+    turns = generator.uniform(0.0, np.pi / 2, CHECKED)
+    sent, kept = np.zeros((CHECKED, 3)), np.zeros(CHECKED)
+    for i, (t, turn) in enumerate(zip(theta, turns, strict=True)):
+        w = direction(t, turn if len(azimuths(alpha)) > 1 else 0.0)
+        sent[i] = _node(rough, int(rows[i])).hemispherical(w)[0]
+        kept[i] = closure.kept(w)[0]
+    height = np.cos(turns) ** 2 if over_azimuth(rough) else at[1]
+    found["under even light, by angle of view"] = compared(
+        pictures["mirror"], lambda p: p.at(at[0], height) * kept[:, None], sent
+    )
+    return found
+
+
+def _node(lobe: Microfacet, row: int) -> Microfacet:
+    """Return a film that varies as it is at one node of the number."""
+    if not lobe.parameters:
+        return lobe
+    exchange = None if lobe.exchange is None else lobe.exchange[row]
+    return dataclasses.replace(lobe, response=at_node(lobe.response, (row,)), exchange=exchange)
+
+
+def _add_scatter(scatter: Scatter, pictures: dict[str, Picture], closures: list[Closure]) -> None:
+    """Add the pictures and closures of scattered light."""
+    views = "colour over the angle of view of "
+    behind = (None, None) if scatter.behind is None else ("spread-behind", "translucent-behind")
+    if scatter.gloss is not None:
+        pictures["gloss"] = view_picture(scatter.gloss, views + "the lobe about the mirror direction")
+        closures.append(Closure("glossy", "gloss", alpha=(scatter.gloss_alpha, scatter.gloss_alpha)))
+    pictures["spread"] = view_picture(scatter.spread, views + "light that leaves on all sides")
+    closures.append(Closure("diffuse", "spread", behind[0]))
+    if scatter.through is not None and scatter.behind is not None:
+        pictures["translucent"] = view_picture(scatter.through, views + "light scattered through")
+        pictures["spread-behind"] = view_picture(scatter.behind[0], views + "light that leaves below, from below")
+        pictures["translucent-behind"] = view_picture(scatter.behind[1], views + "light through, from below")
+        closures.append(Closure("translucent", "translucent", behind[1]))
+    if scatter.lobe is not None:
+        pictures["lobe"] = scatter.lobe
+
+
+def view_picture(values: Array, about: str = "") -> Picture:
+    """Return the picture of colours over the angle of view alone, `[column, 3]`."""
+    return Picture(values[None, None], about)
+
+
+def _scatter_errors(bsdf: Bsdf, scatter: Scatter, to_rgb: Callable[[Array], Array]) -> dict[str, dict[str, float]]:
+    """Compare scattered light with nacre: under one lamp, at pairs of directions."""
+    theta = np.radians(CHECKED_DEG)
+    back = [sum(hemispherical(lobe, w, nodes=PATHS, seed=1)[0] for lobe in bsdf.lobes) for w in direction(theta, 0.0)]
+    alpha = max(scatter.gloss_alpha, 1e-3)
+    kept = np.array([ClosureLoss("ggx", (alpha, alpha)).kept(w)[0] for w in direction(theta, 0.0)])
+    x = angle_coordinate(np.cos(theta))
+
+    def even(held: Picture) -> Array:
+        glossy = 0.0 if scatter.gloss is None else view_picture(scatter.gloss).at(x, 0.0 * x) * kept[:, None]
+        return held.at(x, 0.0 * x) + glossy
+
+    told = "scattered light under even light, by angle of view"
+    found = {told: compared(view_picture(scatter.spread), even, to_rgb(np.array(back)))}
+    if scatter.lobe is not None:
+        lowest = float(np.cos(np.radians(STEEPEST_CHECKED_DEG)))
+        wi, wo = lobe_pairs(CHECKED_PAIRS, 1, lowest)
+        values, _ = evaluate_with_error(bsdf, wi, wo, samples=CHECKED_WALKS, seed=1)
+        wanted = np.pi * wi[:, 2:] * to_rgb(np.nan_to_num(values))
+        found["scattered light, lit from one direction"] = compared(
+            scatter.lobe, lambda p: np.pi * wi[:, 2:] * lobe_value(p, wi, wo), wanted
+        )
+    return found
+
+
+def compared(picture: Picture, look_up: Callable[[Picture], Array], wanted: Array) -> dict[str, float]:
+    """Return mean and largest dE00 of a picture's colours to the right ones, of the EXR and of the PNG."""
+    lab = _lab(wanted)
+    told: dict[str, float] = {}
+    for ending, held in (("", picture), ("_png", as_png(picture))):
+        difference = np.asarray(delta_e_2000(_lab(look_up(held)), lab))
+        told |= {f"mean{ending}": float(difference.mean()), f"max{ending}": float(difference.max())}
+    return told
+
+
+def _lab(rgb: Array) -> Array:
+    return np.asarray(xyz_to_lab(srgb_linear_to_xyz(rgb)))

@@ -1,0 +1,229 @@
+"""Industrial appearance measures: multi-angle colour, flop, colour travel, gloss, haze, hemispherical totals.
+
+Every value states its geometry. Colours are of the reflectance factor pi f (a perfect diffuser is 1), so they
+compare with what a multi-angle spectrophotometer prints; the mirror-like part of a smooth film lies outside
+its apertures and is listed apart, as colours over the angle of incidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from nacre._version import __version__
+from nacre.bsdf import Bsdf
+from nacre.bsdf.grids import direction
+from nacre.bsdf.texture import refuse_place
+from nacre.core.arrays import Array
+from nacre.light import (
+    delta_e_2000,
+    lab_to_lch,
+    smooth_weights,
+    spectrum_to_xyz,
+    swatch_hex,
+    white_xyz,
+    xyz_to_lab,
+)
+from nacre.material.material import Material
+from nacre.measure import instruments as geometry
+from nacre.measure.evaluate import evaluate_with_error, hemispherical
+from nacre.measure.wavelengths import colour_bsdf
+
+SPECULAR_ANGLES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 75.0)
+FLOP_FACTOR, FLOP_POWER, FLOP_BASE = 2.69, 1.11, 0.86  # Alman's flop index
+MIRROR_THRESHOLD = 1e-6
+APERTURE_WALKS, LEAST_SAMPLES = 1 << 15, 64  # random walks over the gloss meter's aperture, and at each of its nodes
+
+
+@dataclass(frozen=True)
+class ColourTable:
+    """Colours at a row of angles: `angles_deg[angle]`, `xyz[angle, 3]`, `lab[angle, 3]`, and swatches as hex."""
+
+    what: str
+    angles_deg: Array
+    xyz: Array
+    lab: Array
+    hex: tuple[str, ...]
+
+    @property
+    def lch(self) -> Array:
+        """L*, C*, h (degrees), `[angle, 3]`."""
+        return np.asarray(lab_to_lch(self.lab))
+
+    @property
+    def travel(self) -> float:
+        """Length of the track through a*, b* over the angles."""
+        return float(np.sum(np.linalg.norm(np.diff(self.lab[:, 1:], axis=0), axis=1)))
+
+
+@dataclass(frozen=True)
+class Report:
+    """The report of one material.
+
+    Attributes:
+        name: of the recipe.
+        illuminant, observer: of all colours; flop index, gloss and haze have those of their standards.
+        aspecular: colours at 45 degree incidence, at the standard aspecular angles.
+        specular: colours of the mirror direction over incidence; None if nothing is mirror-like.
+        flop_index: Alman's, from L* at 15, 45 and 110 degrees under D65 with the 10 degree observer; None where L* at
+            45 is 0.
+        gloss: gloss units at 20, 60 and 85 degrees, under illuminant C with the 2 degree observer as all haze.
+        reflection_haze: ASTM E430 at 30 degrees, as a percentage of the specular flux; None for no specular flux.
+        hemispherical: `name -> luminous value` at normal incidence and 45 degrees; `lost_by_counting` where a recipe
+            counts as its source does and loses light that nothing absorbs.
+        transmission_haze: ASTM D1003 percentage, None for an opaque material.
+        noise: largest standard error of a reflectance factor, 0 where nothing is stochastic.
+    """
+
+    name: str
+    illuminant: str
+    observer: str
+    aspecular: ColourTable
+    specular: ColourTable | None
+    flop_index: float | None
+    gloss: dict[str, float]
+    reflection_haze: float | None
+    hemispherical: dict[str, float]
+    transmission_haze: float | None
+    noise: float = 0.0
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+
+def make_report(
+    material: Material, illuminant: str = "D65", observer: str = "10deg", samples: int | None = None, seed: int = 0
+) -> Report:
+    """Measure a material in the standard geometries.
+
+    Args:
+        material: from `nacre.load`.
+        illuminant, observer: of the colours; industry's usual choice is D65 and 10 degrees.
+        samples, seed: of the random walk, for families that have one.
+
+    Raises:
+        NacreError: the material cannot be computed.
+    """
+    refuse_place(material.model, f"{material.context.source}: report")
+    bsdf = colour_bsdf(material, illuminant)
+    light = (illuminant, observer)
+    wi = direction(np.radians(45.0))
+    wo = np.stack([geometry.aspecular_direction(45.0, a) for a in geometry.ASPECULAR_DEG])
+    factor, error = evaluate_with_error(bsdf, np.broadcast_to(wi, wo.shape), wo, samples=samples, seed=seed)
+    aspecular = colour_table("aspecular, 45 degree incidence", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *light)
+    mirror = bsdf.specular(np.radians(SPECULAR_ANGLES_DEG)).reflectance
+    spectrum = material.spectrum(np.radians([0.0, 45.0]), bsdf.wavelengths_nm)
+    parts = {name: _luminous(value, spectrum.wavelengths_nm, *light) for name, value in spectrum.parts().items()}
+    lost = material.model.lost_at(np.radians([0.0, 45.0]), spectrum.wavelengths_nm, seed)
+    if lost is not None:
+        parts["lost_by_counting"] = _luminous(lost, spectrum.wavelengths_nm, *light)
+    totals = {}
+    for name, values in parts.items():
+        for angle, value in zip((0, 45), values, strict=True):
+            totals[f"{name}_{angle}"] = float(value)
+    judged = colour_table("flop", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *geometry.FLOP_LIGHT).lab
+    lightness = {a: lab[0] for a, lab in zip(geometry.ASPECULAR_DEG, judged, strict=True)}
+    return Report(
+        name=material.name,
+        illuminant=illuminant,
+        observer=observer,
+        aspecular=aspecular,
+        specular=colour_table("mirror direction", SPECULAR_ANGLES_DEG, mirror, bsdf, *light)
+        if mirror.max() > MIRROR_THRESHOLD
+        else None,
+        flop_index=flop_index(lightness[15.0], lightness[45.0], lightness[110.0]),
+        gloss={f"{a:g}": gloss(bsdf, a, samples=samples, seed=seed) for a in geometry.GLOSS_APERTURES_DEG},
+        reflection_haze=_reflection_haze(bsdf, samples=samples, seed=seed),
+        hemispherical=totals,
+        transmission_haze=transmission_haze(bsdf, samples=samples, seed=seed) if bsdf.transmits else None,
+        noise=0.0 if error is None else float(np.pi * error.max()),
+        provenance={"nacre": __version__, "recipe": material.text, "seed": seed, "samples": samples},
+    )
+
+
+def colour_table(
+    what: str, angles_deg: tuple[float, ...], factors: Array, bsdf: Bsdf, illuminant: str, observer: str
+) -> ColourTable:
+    """Turn reflectance factors `[angle, wavelength]` into a table of colours."""
+    # a random walk has few wavelengths: between them a spectrum is a smooth curve
+    xyz = np.asarray(factors @ smooth_weights(bsdf.wavelengths_nm, illuminant, observer))
+    lab = xyz_to_lab(xyz, white_xyz(illuminant, observer))
+    swatches = tuple(swatch_hex(row, white_xyz(illuminant, observer)) for row in xyz)
+    return ColourTable(what, np.asarray(angles_deg), np.asarray(xyz), np.asarray(lab), swatches)
+
+
+def flop_index(lightness_15: float, lightness_45: float, lightness_110: float) -> float | None:
+    """Return Alman's flop index 2.69 (L15 - L110)^1.11 / L45^0.86, None where it has no meaning.
+
+    Example: 11.8 for lightnesses 120, 60 and 30: a strong metallic.
+    """
+    if lightness_45 <= 0 or lightness_15 < lightness_110:
+        return None
+    return float(FLOP_FACTOR * (lightness_15 - lightness_110) ** FLOP_POWER / lightness_45**FLOP_BASE)
+
+
+def _luminous(values: Array, wavelengths_nm: Array, illuminant: str, observer: str) -> Array:
+    return np.asarray(spectrum_to_xyz(values, wavelengths_nm, illuminant, observer))[..., 1]
+
+
+def aperture_flux(bsdf: Bsdf, theta_deg: float, aperture: geometry.Aperture, samples: int | None, seed: int) -> Array:
+    """Return the share of the incident flux that falls into an aperture, `[wavelength]`, delta part left out."""
+    wi = np.broadcast_to(direction(np.radians(theta_deg)), aperture.wo.shape)
+    # a walk is asked at so many nodes that each needs a few samples only
+    fair = max(LEAST_SAMPLES, APERTURE_WALKS // len(aperture.wo)) if samples is None else samples
+    values, _ = evaluate_with_error(bsdf, wi, aperture.wo, samples=fair, seed=seed)
+    return np.asarray((aperture.weight * np.abs(aperture.wo[:, 2])) @ values)
+
+
+def gloss(bsdf: Bsdf, theta_deg: float, samples: int | None = None, seed: int = 0) -> float:
+    """Return gloss units at 20, 60 or 85 degrees: the receptor's flux over that of black glass, times 100.
+
+    Source: ISO 2813 and ASTM D523 (receptor apertures, illuminant C with the 2 degree observer, black glass of
+    n = 1.567), described in NIST Special Publication 250-70; the light source is taken as collimated.
+    """
+    aperture = geometry.rectangular_aperture(theta_deg, *geometry.GLOSS_APERTURES_DEG[theta_deg])
+    flux = aperture_flux(bsdf, theta_deg, aperture, samples, seed)
+    flux = flux + bsdf.specular(np.radians(theta_deg)).reflectance
+    luminous = float(_luminous(flux, bsdf.wavelengths_nm, *geometry.STANDARD_LIGHT))
+    return 100.0 * luminous / geometry.black_glass_reflectance(theta_deg)
+
+
+def _reflection_haze(bsdf: Bsdf, samples: int | None, seed: int) -> float | None:
+    """Return ASTM E430 haze: flux 2 degrees off the mirror direction over the flux in it, same aperture, per cent.
+
+    Both sides of the mirror direction are averaged; illuminant C and the 2 degree observer, as the standard has it.
+    """
+    theta, size = geometry.HAZE_INCIDENCE_DEG, geometry.HAZE_APERTURE_DEG
+    at = {}
+    for offset in (-geometry.HAZE_OFFSET_DEG, 0.0, geometry.HAZE_OFFSET_DEG):
+        aperture = geometry.rectangular_aperture(theta + offset, *size)
+        flux = aperture_flux(bsdf, theta, aperture, samples, seed)
+        if offset == 0.0:
+            flux = flux + bsdf.specular(np.radians(theta)).reflectance
+        at[offset] = float(_luminous(flux, bsdf.wavelengths_nm, *geometry.STANDARD_LIGHT))
+    if at[0.0] <= MIRROR_THRESHOLD:
+        return None
+    return 100.0 * (at[-geometry.HAZE_OFFSET_DEG] + at[geometry.HAZE_OFFSET_DEG]) / 2 / at[0.0]
+
+
+def transmission_haze(bsdf: Bsdf, samples: int | None = None, seed: int = 0) -> float:
+    """Return ASTM D1003 haze, per cent: what leaves more than 2.5 degrees off the straight way, of all that passes.
+
+    Light along the normal, illuminant C and the 2 degree observer. Directions behind are those inside the substrate.
+    """
+    normal = direction(0.0)
+    straight = bsdf.specular(0.0).transmittance
+    spread = [hemispherical(lobe, normal, seed=seed)[1] for lobe in bsdf.lobes if not lobe.is_delta]
+    total = straight + sum(spread)
+    cone = geometry.transmission_cone(geometry.TRANSMISSION_HAZE_CONE_DEG)
+    within = straight + aperture_flux(bsdf, 0.0, cone, samples, seed)
+    all_light, near = _luminous(np.stack([total, within]), bsdf.wavelengths_nm, *geometry.STANDARD_LIGHT)
+    return 100.0 * float(np.clip(1.0 - near / all_light, 0.0, 1.0)) if all_light > 0 else 0.0
+
+
+def differences(report: Report, standard: Report) -> dict[str, Array]:
+    """Return dE00 of each table of a report to the same table of a standard, `name -> [angle]`."""
+    found = {"aspecular": delta_e_2000(standard.aspecular.lab, report.aspecular.lab)}
+    if report.specular is not None and standard.specular is not None:
+        found["specular"] = delta_e_2000(standard.specular.lab, report.specular.lab)
+    return {name: np.asarray(value) for name, value in found.items()}

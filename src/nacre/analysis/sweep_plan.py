@@ -1,0 +1,418 @@
+"""The points of a sweep: which recipe numbers take which values, in which order, with which seed."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+import pydantic
+from numpy.typing import NDArray
+
+from nacre.bsdf.bsdf import Spectrum
+from nacre.bsdf.texture import refuse_place
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError, RecipeError
+from nacre.core.files import read_text
+from nacre.core.memory import check_memory
+from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
+from nacre.material.material import Material, load
+from nacre.measure.wavelengths import colour_spectrum
+from nacre.recipe.fingerprint import identity
+from nacre.recipe.keys import ByPath
+from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
+from nacre.recipe.path_tables import by_path
+from nacre.recipe.toml import parse_toml
+
+MAX_POINTS = 10_000_000
+MAX_AXES = 12
+BYTES_A_POINT = 200  # its number, its state, and what a batch of results holds of it
+AXIS_KEYS = {"values", "start", "stop", "low", "high"}
+MODES = ("grid", "random", "sobol")
+
+
+class AxisSpec(RecipeModel):
+    """The values of one number: a list of them, or an interval.
+
+    `read_points` reads an axis and tells what is wrong in its own words; here stand its keys, for the reference.
+    """
+
+    forms: ClassVar[tuple[str, ...]] = (
+        "{start = 100, stop = 600, count = 51}",
+        "{start = 100, stop = 600, step = 10}",
+        "{low = 0.01, high = 0.3, log = true}",
+        '{values = ["Si", "Al"]}',
+    )
+
+    values: list[Any] | None = pydantic.Field(default=None, description="a list of values", examples=[[100, 200, 400]])
+    start: float | None = pydantic.Field(default=None, description="first value of the interval", examples=[100])
+    stop: float | None = pydantic.Field(default=None, description="last value of the interval", examples=[600])
+    count: int | None = pydantic.Field(
+        default=None, ge=1, le=MAX_POINTS, description="number of values, both ends included", examples=[51]
+    )
+    step: float | None = pydantic.Field(default=None, gt=0.0, description="in place of count: the step", examples=[10])
+    low: float | None = pydantic.Field(
+        default=None, description="lower end of a random or sobol sweep's interval", examples=[0.01]
+    )
+    high: float | None = pydantic.Field(
+        default=None, description="upper end of a random or sobol sweep's interval", examples=[0.3]
+    )
+    log: bool = pydantic.Field(default=False, description="spread the values evenly in the logarithm", examples=[True])
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One recipe number of a sweep.
+
+    Attributes:
+        path: where the number stands in the recipe, such as `layers[0].thickness_nm`.
+        values: the values of a grid axis (numbers or strings), or None for an interval.
+        low, high: the interval of a random or Sobol axis.
+        is_logarithmic: whether the interval is filled evenly in the logarithm.
+    """
+
+    path: str
+    values: tuple[Any, ...] | None = None
+    low: float = 0.0
+    high: float = 1.0
+    is_logarithmic: bool = False
+
+    def at(self, fraction: float) -> Any:
+        """Return the value at a fraction in [0, 1) of the axis."""
+        if self.values is not None:
+            return self.values[min(int(fraction * len(self.values)), len(self.values) - 1)]
+        if self.is_logarithmic:
+            return math.exp(math.log(self.low) + fraction * (math.log(self.high) - math.log(self.low)))
+        return self.low + fraction * (self.high - self.low)
+
+
+@dataclass(frozen=True)
+class Points:
+    """The points of a sweep, numbered; a grid runs its last axis fastest.
+
+    Attributes:
+        axes: the varied numbers.
+        mode: "grid", "random" or "sobol".
+        count: number of points.
+        fractions: `[point, axis]` in [0, 1) for random and Sobol points, None for a grid.
+    """
+
+    axes: tuple[Axis, ...]
+    mode: str
+    count: int
+    fractions: NDArray[np.float64] | None = None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the result: one dimension an axis for a grid, one for the points otherwise."""
+        if self.mode == "grid":
+            return tuple(len(axis.values or ()) for axis in self.axes)
+        return (self.count,)
+
+    def changes(self, number: int) -> dict[str, Any]:
+        """Return the recipe changes of one point."""
+        if self.fractions is not None:
+            return {axis.path: axis.at(float(f)) for axis, f in zip(self.axes, self.fractions[number], strict=True)}
+        place = np.unravel_index(number, self.shape)
+        return {axis.path: (axis.values or ())[int(i)] for axis, i in zip(self.axes, place, strict=True)}
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        return (self.changes(i) for i in range(self.count))
+
+
+def point_seed(changes: Mapping[str, Any]) -> int:
+    """Return the seed of a point: a hash of its parameters, so that it does not depend on who computes it when."""
+    text = json.dumps(changes, sort_keys=True, default=float)
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
+
+
+def read_points(axes: Mapping[str, Any], mode: str, count: int, seed: int, source: str) -> Points:
+    """Build the points from the `[axes]` table of a sweep file.
+
+    Each axis is a list of values, or a table: {values = [...]}, {start, stop, count} (both ends included),
+    {start, stop, step}, or, for random and Sobol sweeps, {low, high}; `log = true` spaces evenly in the logarithm.
+
+    Raises:
+        RecipeError: naming the axis and what is allowed.
+    """
+    if not isinstance(axes, Mapping) or not axes:
+        raise RecipeError(f"{source}: axes is empty; give at least one recipe number to vary")
+    if len(axes) > MAX_AXES:
+        raise RecipeError(f"{source}: axes has {len(axes)} entries; at most {MAX_AXES} are allowed")
+    if mode not in MODES:
+        raise RecipeError(f'{source}: mode = "{mode}" is not known; modes: {", ".join(MODES)}')
+    named = by_path(axes, AXIS_KEYS, source, "axes")
+    parsed = tuple(_read_axis(path, value, mode, source) for path, value in named.items())
+    if mode == "grid":
+        total = math.prod(len(axis.values or ()) for axis in parsed)
+        if total > MAX_POINTS:
+            raise RecipeError(f"{source}: the grid has {total} points; at most {MAX_POINTS} are allowed")
+        _check_memory(source, total, len(parsed))
+        return Points(parsed, mode, total)
+    if not 1 <= count <= MAX_POINTS:
+        raise RecipeError(f"{source}: count = {count} must lie in [1, {MAX_POINTS}]")
+    _check_memory(source, count, len(parsed))
+    if mode == "random":
+        fractions = np.random.default_rng(seed).random((count, len(parsed)))
+    else:
+        from scipy.stats import qmc
+
+        power = max(0, math.ceil(math.log2(count)))
+        fractions = qmc.Sobol(len(parsed), scramble=True, seed=seed).random_base2(power)[:count]
+    return Points(parsed, mode, count, fractions)
+
+
+def _check_memory(source: str, count: int, axes: int) -> None:
+    check_memory(float(BYTES_A_POINT + 16 * axes) * count, f"{source}: a sweep of {count} points")
+
+
+def _read_axis(path: str, value: Any, mode: str, source: str) -> Axis:
+    key = f'axes."{path}"'
+    if isinstance(value, list):
+        value = {"values": value}
+    if not isinstance(value, Mapping):
+        raise RecipeError(f"{source}: {key} = {show_value(value)} should be a list or a table {{start, stop, count}}")
+    unknown = set(value) - set(AxisSpec.model_fields)
+    if unknown:
+        known = "values, start, stop, count, step, log"
+        raise RecipeError(f"{source}: {key}.{sorted(unknown)[0]} is not known; use {known}")
+    if "values" in value:
+        values = value["values"]
+        if not isinstance(values, list) or not values or len(values) > MAX_POINTS:
+            raise RecipeError(f"{source}: {key}.values should be a list with at least one value")
+        if any(isinstance(v, float) and not math.isfinite(v) for v in values):
+            raise RecipeError(f"{source}: {key}.values holds a number that is not finite")
+        return Axis(path, tuple(values))
+    low, high = value.get("start", value.get("low")), value.get("stop", value.get("high"))
+    for name, number in (("start", low), ("stop", high)):
+        if not isinstance(number, int | float) or isinstance(number, bool) or not math.isfinite(number):
+            raise RecipeError(f"{source}: {key}.{name} = {show_value(number)} should be a finite number")
+    assert isinstance(low, int | float) and isinstance(high, int | float)
+    logarithmic = bool(value.get("log", False))
+    if logarithmic and not (low > 0 and high > 0):
+        raise RecipeError(f"{source}: {key} is logarithmic, so start and stop must be above 0")
+    if mode != "grid":
+        return Axis(path, None, float(low), float(high), logarithmic)
+    return Axis(path, _grid_values(float(low), float(high), value, logarithmic, f"{source}: {key}"))
+
+
+def _grid_values(low: float, high: float, value: Mapping[str, Any], logarithmic: bool, where: str) -> tuple[float, ...]:
+    if "count" in value:
+        count = value["count"]
+        if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MAX_POINTS:
+            raise RecipeError(f"{where}.count = {show_value(count)} should be a whole number in [1, {MAX_POINTS}]")
+        grid = np.geomspace(low, high, count) if logarithmic else np.linspace(low, high, count)
+        return tuple(float(v) for v in grid)
+    step = value.get("step")
+    if not isinstance(step, int | float) or isinstance(step, bool) or not step > 0 or high < low:
+        raise RecipeError(f"{where} needs count, or a step above 0 from start up to stop")
+    count = int((high - low) / step + 1e-9) + 1
+    if count > MAX_POINTS:
+        raise RecipeError(f"{where} has {count} values; at most {MAX_POINTS} are allowed")
+    return tuple(low + step * i for i in range(count))
+
+
+# What a sweep stores of each point: a fixed set of named arrays, the same shape for every point.
+
+PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What to measure of each material.
+
+    Attributes:
+        angles_deg: incidence in the ambient medium.
+        illuminant, observer: for the colours.
+        wavelengths_nm: the grid on which spectra are stored, or None to store colours only.
+        parts: which of the spectrum's parts are measured.
+    """
+
+    angles_deg: tuple[float, ...] = (0.0, 15.0, 30.0, 45.0, 60.0)
+    illuminant: str = "D65"
+    observer: str = "10deg"
+    wavelengths_nm: tuple[float, ...] | None = None
+    parts: tuple[str, ...] = ("specular_reflectance",)
+
+    def layout(self) -> dict[str, tuple[tuple[str, ...], tuple[int, ...]]]:
+        """Return the arrays a point gives: name -> (dimension names, shape)."""
+        angles = len(self.angles_deg)
+        arrays: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {}
+        for part in self.parts:
+            arrays[f"lab_{part}"] = (("angle_deg", "lab"), (angles, 3))
+            arrays[f"xyz_{part}"] = (("angle_deg", "xyz"), (angles, 3))
+            if self.wavelengths_nm is not None:
+                arrays[part] = (("angle_deg", "wavelength_nm"), (angles, len(self.wavelengths_nm)))
+        return arrays
+
+    def take(self, material: Material, seed: int) -> dict[str, Array]:
+        """Measure one material; `seed` serves families whose spectrum is a random walk.
+
+        Raises:
+            NacreError: the material cannot be computed.
+        """
+        theta = np.radians(self.angles_deg)
+        # on the material's own grid, and a narrow-band lamp's lines: fine enough, and wide enough for a colour
+        colours, stored = colour_spectrum(material, theta, self.illuminant, seed), None
+        if self.wavelengths_nm is not None:
+            stored = material.spectrum(theta, np.asarray(self.wavelengths_nm), seed=seed)
+        white = white_xyz(self.illuminant, self.observer)
+        arrays: dict[str, Array] = {}
+        for part in self.parts:
+            xyz = spectrum_to_xyz(_part(colours, part), colours.wavelengths_nm, self.illuminant, self.observer)
+            arrays[f"xyz_{part}"] = xyz
+            arrays[f"lab_{part}"] = xyz_to_lab(xyz, white)
+            if stored is not None:
+                arrays[part] = _part(stored, part)
+        return arrays
+
+
+def _part(spectrum: Spectrum, name: str) -> Array:
+    """Return a part of a spectrum, zeros where the material has none of it."""
+    values = spectrum.parts().get(name)
+    return np.zeros((len(spectrum.angles_deg), len(spectrum.wavelengths_nm))) if values is None else values
+
+
+def measurement_from(data: dict[str, Any]) -> Measurement:
+    """Rebuild a measurement from its dictionary (as it travels to a worker)."""
+    fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items()}
+    return Measurement(**fields)
+
+
+# What a sweep computes: its recipe, its points, and what is kept of each.
+
+
+class MeasureSpec(RecipeModel):
+    """The `[measure]` table: what is stored of each point."""
+
+    forms: ClassVar[tuple[str, ...]] = ('{angles_deg = [0, 45], illuminant = "A", parts = ["specular_reflectance"]}',)
+
+    angles_deg: list[float] = pydantic.Field(default=[0.0, 15.0, 30.0, 45.0, 60.0], description="angles of incidence")
+    illuminant: str = pydantic.Field(default="D65", description="illuminant of the colours, such as D65 or A")
+    observer: str = pydantic.Field(
+        json_schema_extra={"enum": ["2deg", "10deg"]},
+        default="10deg",
+        description="observer of the colours: 2deg or 10deg",
+    )
+    wavelengths_nm: list[float] | None = pydantic.Field(
+        default=None,
+        description="ascending grid of wavelengths; chosen by the material if not given",
+        examples=[[400, 500, 600, 700]],
+    )
+    parts: list[str] | None = pydantic.Field(
+        default=None,
+        description="parts of the spectrum to store, such as specular_reflectance; chosen by the material if not given",
+        examples=[["specular_reflectance"]],
+    )
+
+
+class SweepSpec(RecipeModel):
+    """A sweep file: a recipe, the axes, how to fill them, what to measure."""
+
+    example: ClassVar[Mapping[str, Any]] = {
+        "recipe": "film.toml",
+        "axes": {"layers[0].thickness_nm": {"start": 100, "stop": 600, "count": 51}},
+    }
+
+    recipe: str = pydantic.Field(description="file of the recipe to vary", examples=["film.toml"])
+    axes: Annotated[dict[str, Any], ByPath(AxisSpec, ({"type": "array"},))] = pydantic.Field(
+        description="path of a number of the recipe -> a list of values, or a table with start, stop and "
+        "count (or step), or low and high, and log",
+        examples=[{"layers[0].thickness_nm": {"start": 100, "stop": 600, "count": 51}}, {"substrate": ["Si", "Al"]}],
+    )
+    mode: str = pydantic.Field(
+        json_schema_extra={"enum": list(MODES)},
+        default="grid",
+        description="how the axes are filled: grid, random or sobol",
+    )
+    count: int = pydantic.Field(default=256, description="number of points of random and sobol sweeps")
+    seed: int = pydantic.Field(default=0, description="seed of the points")
+    measure: MeasureSpec = pydantic.Field(default=MeasureSpec(), description="what is stored of each point")
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A checked sweep: the material, its points and the measurement of each."""
+
+    material: Material
+    points: Points
+    measurement: Measurement
+    source: str
+    files: Mapping[str, str]  # digests of the files that any of the points reaches, by name
+
+    @property
+    def identity(self) -> str:
+        """A hash of everything that decides the results; a store of another identity is refused."""
+        axes = [[a.path, a.values, a.low, a.high, a.is_logarithmic] for a in self.points.axes]
+        fractions = (
+            None if self.points.fractions is None else hashlib.sha256(self.points.fractions.tobytes()).hexdigest()
+        )
+        return identity(
+            self.material.identity, self.files, axes=axes, fractions=fractions, mode=self.points.mode,
+            measurement=asdict(self.measurement),
+        )  # fmt: skip
+
+
+def load_sweep(path: str | Path) -> Sweep:
+    """Read and check a sweep file; every axis must exist in the recipe and its first point must build.
+
+    Raises:
+        RecipeError: naming file, key, value and what is allowed.
+    """
+    path = Path(path)
+    text = read_text(path, "sweep")
+    context = RecipeContext(str(path), path.parent.resolve(), text)
+    spec: SweepSpec = validate(SweepSpec, parse_toml(text, str(path)), context)
+    material = load(path.parent / spec.recipe).for_many()
+    points = read_points(spec.axes, spec.mode, spec.count, spec.seed, str(path))
+    measurement = _measurement(spec.measure, material, str(path))
+    try:
+        first = material.vary(points.changes(0))
+    except NacreError as error:
+        # a later point may fail and is recorded; when the first one does, the sweep is probably mistyped
+        raise RecipeError(f"{path}: the first point cannot be built: {error}") from None
+    refuse_place(first.model, f"{path}: sweep")
+    return Sweep(material, points, measurement, str(path), _files(material, points))
+
+
+def _files(material: Material, points: Points) -> dict[str, str]:
+    """Return the digests of the recipe's files, and of those that an axis names in its place."""
+    files = dict(material.context.files)
+    for axis in points.axes:
+        for value in axis.values or ():
+            if not isinstance(value, int | float):
+                # a value that cannot be built is a point that fails, which its own run tells
+                with contextlib.suppress(NacreError):
+                    files |= material.vary({axis.path: value}).context.files
+    return files
+
+
+def _measurement(spec: MeasureSpec, material: Material, source: str) -> Measurement:
+    from nacre.core.errors import did_you_mean
+    from nacre.light import ILLUMINANTS, OBSERVERS
+
+    for key, value, allowed in (("illuminant", spec.illuminant, ILLUMINANTS), ("observer", spec.observer, OBSERVERS)):
+        if value not in allowed:
+            hint = did_you_mean(value, allowed)
+            raise RecipeError(f'{source}: measure.{key} = "{value}" is not known.{hint} Known: {", ".join(allowed)}')
+    if not spec.angles_deg or not all(0 <= a <= 90 for a in spec.angles_deg):
+        raise RecipeError(f"{source}: measure.angles_deg must hold angles in [0, 90]")
+    parts = spec.parts
+    if parts is None:
+        parts = list(material.model.usual_parts)
+    for part in parts:
+        if part not in PARTS:
+            hint = did_you_mean(part, PARTS)
+            raise RecipeError(f'{source}: measure.parts: "{part}" is not known.{hint} Parts: {", ".join(PARTS)}')
+    grid = spec.wavelengths_nm
+    if grid is not None and (len(grid) < 2 or min(grid) <= 0 or any(b <= a for a, b in zip(grid, grid[1:]))):
+        raise RecipeError(f"{source}: measure.wavelengths_nm must be positive and ascending, at least two")
+    return Measurement(
+        tuple(spec.angles_deg), spec.illuminant, spec.observer, None if grid is None else tuple(grid), tuple(parts)
+    )

@@ -1,0 +1,157 @@
+"""The single thin film that best represents a material in a real-time renderer, and its residual.
+
+The fit is in colour: the material's mirror-like colours over the angle of incidence against those of one film
+of constant index on a base of constant index (dielectric) or of constant reflectance a channel (metal), under
+D65. What the renderer makes of these numbers (its own approximation of the spectrum) comes on top.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nacre.core.arrays import Array
+from nacre.core.errors import UnsupportedError
+from nacre.formats.thin_film import ThinFilm
+from nacre.light import delta_e_2000, spectrum_to_xyz, srgb_linear_to_xyz, xyz_to_lab, xyz_to_srgb_linear
+from nacre.material.material import Material
+from nacre.matter.stack.solve import powers
+
+ANGLES_DEG = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 75.0])
+THICKNESSES_NM = np.concatenate([np.arange(0.0, 1000.0, 20.0), np.arange(1000.0, 2001.0, 40.0)])
+INDICES = np.arange(1.1, 2.71, 0.1)
+LOWEST_INDEX, HIGHEST_INDEX = 1.0, 3.0
+MAX_F0 = 0.98
+
+
+@dataclass(frozen=True)
+class ThinFilmFit:
+    """The best film, its residual dE00 at `angles_deg`, and what the target cannot represent, in words."""
+
+    film: ThinFilm
+    angles_deg: Array
+    residual: Array
+    lost: tuple[str, ...]
+
+    @property
+    def mean_residual(self) -> float:
+        """Mean dE00 over the angles."""
+        return float(self.residual.mean())
+
+
+def fit_thin_film(material: Material) -> ThinFilmFit:
+    """Fit one film to the mirror-like colours of a material.
+
+    Raises:
+        UnsupportedError: the material has no mirror-like part.
+    """
+    spectrum = material.spectrum(np.radians(ANGLES_DEG))
+    reflectance = spectrum.specular_reflectance
+    if reflectance is None or reflectance.max() < 1e-6:
+        raise UnsupportedError(
+            f"{material.context.source}: has no mirror-like reflection, so no thin film represents it"
+        )
+    grid = spectrum.wavelengths_nm
+    target = np.asarray(xyz_to_lab(spectrum_to_xyz(reflectance, grid)))
+    transmits = spectrum.specular_transmittance is not None and float(spectrum.specular_transmittance.max()) > 1e-3
+    candidates = [_fit_metal(target, reflectance, grid)]
+    candidates.append(_fit_dielectric(target, grid, transmits))
+    # a transmitting material must stay one, however well a metal would match its reflection
+    film, residual = candidates[1] if transmits else min(candidates, key=lambda c: float(c[1].mean()))
+    film = ThinFilm(**{**film.__dict__, "roughness": _roughness(material)})
+    return ThinFilmFit(film, ANGLES_DEG, residual, _lost(material, film))
+
+
+def film_lab(film: ThinFilm, wavelengths_nm: Array) -> Array:
+    """Return the Lab of a thin film's mirror direction at `ANGLES_DEG`, `[angle, 3]`."""
+    if not film.is_metal:
+        values = _reflectance(film.film_ior, film.thickness_nm, film.base_ior, wavelengths_nm)
+        return np.asarray(xyz_to_lab(spectrum_to_xyz(values, wavelengths_nm)))
+    rgb = np.empty((len(ANGLES_DEG), 3))
+    for channel, f0 in enumerate(film.base_rgb):
+        values = _reflectance(film.film_ior, film.thickness_nm, _base_index(f0), wavelengths_nm)
+        rgb[:, channel] = xyz_to_srgb_linear(spectrum_to_xyz(values, wavelengths_nm))[:, channel]
+    return np.asarray(xyz_to_lab(srgb_linear_to_xyz(rgb)))
+
+
+def _base_index(f0: float) -> float:
+    """Return the real index whose reflectance at normal incidence is f0: what glTF renderers use for metals."""
+    root = np.sqrt(min(max(f0, 0.0), MAX_F0))
+    return float((1 + root) / (1 - root))
+
+
+def _reflectance(n_film: float, thickness_nm: float, n_base: float, wavelengths_nm: Array) -> Array:
+    n = np.array([[1.0], [n_film], [n_base]], dtype=complex)
+    found = powers(n, [thickness_nm], wavelengths_nm, np.radians(ANGLES_DEG))
+    return np.asarray((found.R_s + found.R_p) / 2)
+
+
+def _residual(film: ThinFilm, target: Array, grid: Array) -> Array:
+    return np.asarray(delta_e_2000(target, film_lab(film, grid)))
+
+
+def _fit_metal(target: Array, reflectance: Array, grid: Array) -> tuple[ThinFilm, Array]:
+    mean = np.clip(np.asarray(xyz_to_srgb_linear(spectrum_to_xyz(reflectance[0], grid))), 0.02, MAX_F0)
+    level = float(np.clip(mean.max(), 0.1, 0.95))
+
+    def build(x: Array) -> ThinFilm:
+        r, g, b = (float(np.clip(c, 0.0, MAX_F0)) for c in x[2:5])
+        return ThinFilm(float(abs(x[0])), float(np.clip(x[1], LOWEST_INDEX, HIGHEST_INDEX)), (r, g, b), 1.5, True)
+
+    starts = [np.array([d, n, *base]) for d in THICKNESSES_NM[::2] for n in (1.4, 2.0) for base in (mean, [level] * 3)]
+    return _search(build, starts, target, grid)
+
+
+def _fit_dielectric(target: Array, grid: Array, transmits: bool) -> tuple[ThinFilm, Array]:
+    def build(x: Array) -> ThinFilm:
+        base = float(np.clip(x[2], 1.0, HIGHEST_INDEX))
+        n_film = float(np.clip(x[1], LOWEST_INDEX, HIGHEST_INDEX))
+        return ThinFilm(float(abs(x[0])), n_film, (1.0, 1.0, 1.0), base, False, transmits=transmits)
+
+    starts = [np.array([d, n, base]) for d in THICKNESSES_NM for n in INDICES[::2] for base in (1.0, 1.5)]
+    return _search(build, starts, target, grid)
+
+
+def _search(build: object, starts: list[Array], target: Array, grid: Array) -> tuple[ThinFilm, Array]:
+    """Score all starts, then refine the best few with Nelder-Mead: dE00 has kinks where gradients fail."""
+    from scipy.optimize import minimize
+
+    coarse = grid if len(grid) <= 48 else np.linspace(grid[0], grid[-1], 48)
+
+    def loss(x: Array) -> float:
+        return float(_residual(build(x), target, coarse).mean())  # type: ignore[operator]  # one of two closures
+
+    ranked = sorted(starts, key=loss)[:4]
+    polished = [minimize(loss, x, method="Nelder-Mead", options={"maxiter": 400, "xatol": 1e-4}).x for x in ranked]
+    best = min([*polished, ranked[0]], key=loss)
+    film: ThinFilm = build(best)  # type: ignore[operator]  # as above
+    return film, _residual(film, target, grid)
+
+
+def _roughness(material: Material) -> float:
+    """Return one GGX alpha for the surface: the geometric mean of the recipe's."""
+    surface = material.data.get("surface", {})
+    alpha = surface.get("roughness", 0.0) if isinstance(surface, dict) else 0.0
+    values = np.atleast_1d(np.asarray(alpha, dtype=float)) if not isinstance(alpha, dict | str) else np.zeros(1)
+    return float(np.sqrt(values[0] * values[-1]))
+
+
+def _lost(material: Material, film: ThinFilm) -> tuple[str, ...]:
+    """Say what of the material the target cannot represent."""
+    lost = []
+    layers = material.data.get("layers", [])
+    if isinstance(layers, list) and len(layers) > 1:
+        lost.append(f"{len(layers)} layers became one film")
+    if film.is_metal:
+        lost.append("the base's complex index became a real one a colour channel")
+    surface = material.data.get("surface", {})
+    alpha = surface.get("roughness") if isinstance(surface, dict) else None
+    if isinstance(alpha, list) and len(set(alpha)) > 1:
+        lost.append("anisotropic roughness became isotropic")
+    if material.data.get("ridges") or material.data.get("preset"):
+        lost.append("the ridges' diffraction is left out")
+    if isinstance(layers, list) and any(isinstance(x.get("thickness_nm"), dict) for x in layers if isinstance(x, dict)):
+        lost.append("the thickness texture became its mean")
+    lost.append("dispersion of the film's index is left out")
+    return tuple(lost)

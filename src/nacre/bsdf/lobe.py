@@ -1,0 +1,109 @@
+"""The interface between the optics and everything that shows, stores or renders a material.
+
+A `Bsdf` is a sum of lobes. A lobe is a frozen bundle of arrays with named axes and holds no physics left to
+do: `evaluate` interpolates on NumPy arrays; the lobe's Mitsuba plugin in `nacre.device` does the same ("on the
+device").
+
+Local frame: z is the surface normal, `wi` points to the light, `wo` to the viewer, both away from the surface.
+Values are unpolarised, in 1/sr, without the cosine; wavelength is the last axis.
+"""
+
+from __future__ import annotations
+
+import abc
+from dataclasses import dataclass
+from typing import ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+
+from nacre.bsdf.grids import product_rule
+from nacre.core.arrays import Array
+
+
+@dataclass(frozen=True)
+class SpecularResponse:
+    """The delta part: reflectance and transmittance, each `[..., wavelength]`, power ratios."""
+
+    reflectance: Array
+    transmittance: Array
+
+
+class Lobe(abc.ABC):
+    """One term of a Bsdf: a frozen dataclass of arrays, strings and numbers.
+
+    Subclasses are frozen dataclasses with a line in `nacre.bsdf.registry`; every field is an ndarray, a number, a
+    bool, a string, None, a `Texture`, a tuple of `ParameterAxis` or an `InterfaceResponse`, so that one generic writer
+    (`nacre.bsdf.file`) stores them all.
+    """
+
+    kind: ClassVar[str]
+    wavelengths_nm: Array
+
+    @property
+    def is_delta(self) -> bool:
+        """Whether the lobe is a delta distribution only (then `evaluate` is zero)."""
+        return False
+
+    @property
+    def transmits(self) -> bool:
+        """Whether light passes to the other side."""
+        return False
+
+    @property
+    def is_stochastic(self) -> bool:
+        """Whether values come from a random walk that Mitsuba runs (the layered lobe)."""
+        return False
+
+    @property
+    def varying(self) -> tuple[str, ...]:
+        """Names of the numbers a texture drives."""
+        return tuple(axis.name for axis in getattr(self, "parameters", ()))
+
+    @abc.abstractmethod
+    def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
+        """Return the non-delta part, `[..., wavelength]`, for unit vectors `wi`, `wo` of shape `[..., 3]`."""
+
+    def check(self) -> None:
+        """Check that the arrays fit together; a stored file may hold anything.
+
+        Raises:
+            ValueError: saying which array does not fit.
+        """
+        if self.wavelengths_nm.ndim != 1 or np.any(np.diff(self.wavelengths_nm) <= 0):
+            raise ValueError("wavelengths_nm must ascend along one axis")
+
+    def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
+        """Integrate the non-delta part over all exits, for light along one `wi[3]`.
+
+        A product rule by default; a lobe that is narrow or has many peaks brings its own.
+
+        Returns:
+            power `(to the side of wi, to the other side)`, each `[wavelength]`.
+        """
+        return product_rule(lambda wo: self.evaluate(np.broadcast_to(wi, wo.shape), wo, uv), wi, nodes, self.transmits)
+
+    def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
+        """Return the delta part for light arriving at `cos_i` (> 0 from the ambient, < 0 from behind)."""
+        cos_i = np.asarray(cos_i, dtype=float)
+        zero = np.zeros((*cos_i.shape, len(self.wavelengths_nm)))
+        return SpecularResponse(zero, zero)
+
+
+@runtime_checkable
+class FollowsAzimuth(Protocol):
+    """A lobe whose delta part may depend on the azimuth of the light, as that of aligned particles does."""
+
+    def specular_at(self, cos_i: Array, phi_rad: Array | float, uv: Array | None = None) -> SpecularResponse:
+        """Return the delta part for light from an azimuth; `specular` is for light from 0."""
+        ...
+
+
+def specular_at(lobe: Lobe, cos_i: Array, phi_rad: Array, uv: Array | None = None) -> SpecularResponse:
+    """Return the delta part of any lobe for light from an azimuth, which most of them do not ask for.
+
+    Args:
+        cos_i, phi_rad: of one shape `[...]`.
+    """
+    if isinstance(lobe, FollowsAzimuth):
+        return lobe.specular_at(cos_i, phi_rad, uv)
+    return lobe.specular(cos_i, uv)

@@ -1,0 +1,256 @@
+"""Commands that study a material: sweep, report, tolerance, fit."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from nacre.cli import common
+from nacre.core.errors import NacreError
+
+
+def _progress_bar(description: str) -> Any:
+    """Return a rich progress bar on stderr that is silent where stderr is not a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    return Progress(
+        TextColumn(description), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        TextColumn("{task.fields[info]}"), console=console, disable=not console.is_terminal,
+    )  # fmt: skip
+
+
+@click.command()
+@click.argument("sweep_file", metavar="SWEEP.toml")
+@click.option("-o", "output", default=None, metavar="FOLDER.zarr", help="Default: SWEEP.zarr.")
+@click.option("--workers", type=int, default=None, help="Processes; 1 computes in this one; default: one a core.")
+@click.option("--scheduler", default=None, metavar="tls://HOST:PORT", help="Use this Dask scheduler instead.")
+@click.option(
+    "--security", default=None, metavar="FILE.toml", help="Of a tls:// scheduler: names the PEM files ca, cert and key."
+)
+@click.option("--break-lock", is_flag=True, help="Take over a folder that a sweep on another machine left locked.")
+@common.cache_option
+@common.jobs_option
+def sweep(
+    sweep_file: str, output: str | None, workers: int | None, scheduler: str | None, security: str | None,
+    break_lock: bool,
+) -> None:  # fmt: skip
+    """Compute a material over many values of its numbers; run again to go on after an interruption."""
+    from nacre.analysis.sweep import errors_file, run_sweep
+    from nacre.analysis.sweep_plan import load_sweep
+
+    plan = load_sweep(sweep_file)
+    path = Path(output) if output else Path(f"{Path(sweep_file).stem}.zarr")
+    with _progress_bar("sweep") as bar:
+        task = bar.add_task("sweep", total=plan.points.count, info="")
+
+        def show(done: int, failed: int, total: int) -> None:
+            bar.update(task, completed=done + failed, info=f"{failed} failed" if failed else "")
+
+        finished, failed = run_sweep(
+            plan, path, workers=workers, scheduler=scheduler, security=security, progress=show,
+            break_lock=break_lock, tell=common.note,
+        )  # fmt: skip
+    common.note(f"{path}: {finished} of {plan.points.count} points" + (f", {failed} failed" if failed else ""))
+    if failed:
+        common.note(f"{errors_file(path)} says why")
+
+
+@click.command()
+@click.argument("recipes", nargs=-1, required=True, metavar="RECIPE [RECIPE]")
+@click.option("--illuminant", default="D65", show_default=True, help=common.LAMPS)
+@click.option("--observer", type=click.Choice(["2deg", "10deg"]), default="10deg", show_default=True)
+@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("-o", "output", default=None, metavar="FILE.txt|.json|.html", help="Write it there, not to stdout.")
+@common.set_option
+@common.cache_option
+@common.jobs_option
+def report(
+    recipes: tuple[str, ...], illuminant: str, observer: str, samples: int | None, seed: int, as_json: bool,
+    output: str | None, changes: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Report colour, flop, gloss, haze and totals of one RECIPE, or of two side by side."""
+    from nacre.analysis.html_report import dump_json, report_html, report_text
+    from nacre.analysis.report import make_report
+    from nacre.core.files import check_writable, write_text
+    from nacre.core.parallel import watching
+
+    if len(recipes) > 2:
+        raise NacreError(f"report takes one recipe or two, not {len(recipes)}")
+    if output:
+        if Path(output).suffix not in (".txt", ".json", ".html"):
+            raise NacreError(f"-o {output}: the suffix must be .txt, .json or .html")
+        check_writable(output)
+    materials = [common.load_material(recipe, changes) for recipe in recipes]
+    reports = []
+    with _progress_bar("report") as bar:
+        # a family that solves wavelength by wavelength shows them; one that is done at once shows nothing
+        for number, material in enumerate(materials, start=1):
+            task = bar.add_task("report", total=None, visible=False, info=f"{number} of {len(materials)}")
+
+            def show(done: int, total: int, task: Any = task) -> None:
+                bar.update(task, completed=done, total=total, visible=True)
+
+            with watching(show):
+                reports.append(make_report(material, illuminant, observer, samples, seed))
+    if output:
+        if output.endswith(".html"):
+            from nacre.analysis.html_report import figures
+
+            write_text(output, report_html(reports, figures(materials, reports)))
+        else:
+            write_text(output, dump_json(reports) if output.endswith(".json") else report_text(reports))
+        common.note(output)
+    if as_json:
+        click.echo(dump_json(reports), nl=False)
+    elif not output:
+        click.echo(report_text(reports), nl=False)
+
+
+@click.command()
+@click.argument("recipe")
+@click.option(
+    "--spread", "spreads", multiple=True, metavar="PATH=VALUE",
+    help="Standard deviation of a number, such as layers[0].thickness_nm=2% or =5; default: the recipe's [tolerance].",
+)  # fmt: skip
+@click.option("--draws", type=int, default=500, show_default=True, help="Materials drawn at random.")
+@click.option(
+    "--limit", type=float, default=1.0, show_default=True, help="CIEDE2000 difference within which a material passes."
+)
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
+@click.option("--illuminant", default="D65", show_default=True, help=common.LAMPS)
+@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("-o", "output", default=None, metavar="FILE.json", help="Also write the numbers, as JSON.")
+@common.set_option
+@common.cache_option
+@common.jobs_option
+def tolerance(
+    recipe: str, spreads: tuple[str, ...], draws: int, limit: float, seed: int, illuminant: str, samples: int | None,
+    as_json: bool, output: str | None, changes: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Turn the manufacturing spreads of RECIPE into colour spread, yield and ranked sensitivities."""
+    from nacre.analysis.tolerance import read_spreads, run_tolerance, tolerance_document
+    from nacre.core.files import check_writable, write_text
+
+    if output:
+        if Path(output).suffix != ".json":
+            raise NacreError(f"-o {output}: the suffix must be .json")
+        check_writable(output)
+    material = common.load_material(recipe, changes)
+    found = read_spreads(material, spreads)
+    with _progress_bar("tolerance") as bar:
+        task = bar.add_task("tolerance", total=draws, info="")
+        result = run_tolerance(
+            material, found, draws=draws, limit=limit, seed=seed, illuminant=illuminant, samples=samples,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )  # fmt: skip
+    document = tolerance_document(result, found)
+    if output:
+        write_text(output, json.dumps(document, indent=2) + "\n")
+        common.note(output)
+    if as_json:
+        click.echo(json.dumps(document))
+        return
+    low, high = document["yield_interval_95"]
+    click.echo(f"{material.name}: {document['geometry']}, {draws} draws, {illuminant}, 10 degree observer")
+    click.echo("  angle   nominal L*, a*, b*          dE00 median   95 %")
+    rows = zip(document["angles_deg"], document["nominal_lab"], document["delta_e_2000_median"],
+               document["delta_e_2000_95"], strict=True)  # fmt: skip
+    for angle, lab, median, high95 in rows:
+        click.echo(f"  {angle:5g}   {lab[0]:7.2f} {lab[1]:7.2f} {lab[2]:7.2f}     {median:8.2f}  {high95:8.2f}")
+    click.echo(f"  yield within dE00 {limit:g} at all angles: {100 * document['yield']:.1f} %"
+               f"  (95 %: {100 * low:.1f} to {100 * high:.1f} %)")  # fmt: skip
+    if document["failed_draws"]:
+        click.echo(f"  {document['failed_draws']} draws could not be computed and count as outside")
+    click.echo("  what decides it (dE00 of one standard deviation, share of variance):")
+    for path, change, share in result.sensitivities:
+        click.echo(f"    {path:44s} {change:8.3f}  {100 * share:5.1f} %")
+
+
+@click.command()
+@click.argument("measurement", metavar="MEASUREMENT")
+@click.argument("recipe")
+@click.option(
+    "--free", "free", multiple=True, metavar="PATH=LOW:HIGH", help="Let the fit change a number between bounds."
+)
+@click.option(
+    "--starts",
+    type=click.IntRange(1, 1000),
+    default=4,
+    show_default=True,
+    help="Refined starts beside the recipe's own values, which are one more.",
+)
+@click.option(
+    "--weights",
+    type=click.Choice(["equal", "relative"]),
+    default="equal",
+    show_default=True,
+    help="Whether the noise is the same for all values or a share of each.",
+)
+@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("--residual", default=None, metavar="FILE.npz", help="Store the residual map.")
+@click.option("--report", "page", default=None, metavar="FIT.html", help="Write a page: measured beside fitted.")
+@click.option("-o", "output", default=None, metavar="FITTED.toml", help="Default: RECIPE-fitted.toml.")
+@common.cache_option
+@common.jobs_option
+def fit(
+    measurement: str, recipe: str, free: tuple[str, ...], starts: int, weights: str, samples: int | None, seed: int,
+    as_json: bool, residual: str | None, page: str | None, output: str | None,
+) -> None:  # fmt: skip
+    """Fit the free numbers of RECIPE to MEASUREMENT (spectrum or gonio CSV)."""
+    from nacre.analysis.fit import read_free, read_measurement, run_fit
+    from nacre.core.files import atomic_path, check_writable, short_name, write_text
+    from nacre.recipe.toml import edit_toml
+
+    path = Path(output) if output else Path(f"{short_name(recipe)}-fitted.toml")
+    asked = ((path, ".toml"), (residual and Path(residual), ".npz"), (page and Path(page), ".html"))
+    for target, suffix in asked:
+        if target:
+            if target.suffix != suffix:
+                raise NacreError(f"{target}: the suffix must be {suffix}")
+            check_writable(target)
+    measured = read_measurement(measurement)
+    material = common.load_material(recipe)
+    numbers = read_free(material, free)
+    result = run_fit(
+        material, measured, numbers, starts=starts, weights=weights, samples=samples, seed=seed,
+        progress=lambda what, best: common.note(f"{what}: relative rms {best:.4g}"),
+    )  # fmt: skip
+    changes = {**{n.path: n.value for n in result.numbers}, **result.material.model.spared_changes}
+    write_text(path, edit_toml(material.reaching(changes).text, changes, recipe))
+    if residual:
+        with atomic_path(residual) as temporary, open(temporary, "wb") as file:
+            np.savez(file, residual=result.residual, wavelengths_nm=measured.wavelengths_nm)
+    if page:
+        from nacre.analysis.fit_report import write_fit_page
+
+        write_fit_page(page, result, measured, numbers)
+    document = {
+        "numbers": [
+            {"path": n.path, "value": n.value, "half_width_95": n.half_width if np.isfinite(n.half_width) else None,
+             "determined": n.is_determined} for n in result.numbers
+        ],
+        "rms": result.rms, "relative_rms": result.relative_rms, "starts": list(result.starts),
+        "evaluations": result.evaluations, "recipe": str(path),
+    }  # fmt: skip
+    if as_json:
+        click.echo(json.dumps(document))
+    else:
+        for n in result.numbers:
+            tail = f"+- {n.half_width:.3g} (95 %)" if n.is_determined else "not determined by these data"
+            click.echo(f"{n.path:44s} {n.value:12.6g}  {tail}")
+        click.echo(f"relative rms {result.relative_rms:.4g}, {result.evaluations} evaluations")
+    common.note(str(path))
+
+
+commands: dict[str, click.Command] = {"sweep": sweep, "report": report, "tolerance": tolerance, "fit": fit}

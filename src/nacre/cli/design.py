@@ -1,0 +1,330 @@
+"""Commands on the way to fabrication: design and fabricate."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from nacre.cli import common
+from nacre.core.errors import NacreError
+
+LONG_COMPILE_S = 3.0  # of compiling, from where it is told
+MOST_TOLD = 20  # colours of many, a line each
+TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "npy", "sheet")
+
+
+@click.command()
+@click.argument("target", metavar="TARGET.toml")
+@click.option("-o", "output", default=None, metavar="DIR", help="Default: the target's name.")
+@click.option("--resume", is_flag=True, help="Go on where a stopped run of the same target ended.")
+@click.option(
+    "--many",
+    "labs",
+    default=None,
+    metavar="LABS.csv",
+    help="Design for each row of L, a, b, or name, L, a, b, in place of TARGET's colours; a folder and a row of "
+    "many.csv for each.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the result's numbers as JSON.")
+@common.cache_option
+@common.jobs_option
+def design(target: str, output: str | None, resume: bool, labs: str | None, as_json: bool) -> None:
+    """Find the structure with the look that TARGET asks for; the best so far is always on disk.
+
+    TARGET holds [[want]] tables, for a film, pearl, metasurface or any other recipe, or a [target] table, for a
+    relief. Ctrl-C ends the search with the best answer so far.
+    """
+    import os
+
+    from nacre.core.files import check_writable
+    from nacre.optimise.entry import run
+
+    name = Path(target).stem
+    folder = Path(output or (name if labs is None else f"{name}-{Path(labs).stem}"))
+    if not folder.exists():
+        check_writable(folder)
+    if labs is not None:
+        _design_many(target, labs, folder, resume, as_json)
+        return
+    jobs = os.environ.get("NACRE_JOBS")
+    with _Screen() as screen:
+        result = run(target, folder, resume, screen.show, int(jobs) if jobs else None)
+    if as_json:
+        click.echo(json.dumps(result.summary, default=str))
+    if hasattr(result, "solutions"):
+        _tell_wants(result, as_json)
+    else:
+        _tell_relief(result, target, as_json)
+    if "interrupted" in (result.summary.get("status"), result.summary.get("interrupted") and "interrupted"):
+        raise KeyboardInterrupt
+
+
+def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bool) -> None:
+    """Design for each row of a CSV, and tell how it went."""
+    from nacre.material.examples import or_example
+    from nacre.optimise.batch import SUMMARY, TABLE, many_designs
+
+    with _Screen() as screen:
+        found = many_designs(or_example(Path(target)), labs, folder, resume=resume, progress=screen.count)
+    if as_json:
+        click.echo((folder / SUMMARY).read_text(encoding="utf-8"), nl=False)
+    else:
+        met = sum(solution.is_met for solution in found.solutions)
+        click.echo(f"{met} of {len(found.rows)} colours are met")
+        pairs = list(zip(found.rows, found.solutions, strict=True))
+        if len(pairs) > MOST_TOLD:
+            pairs = sorted(pairs, key=lambda pair: -pair[1].worst.scaled)[:MOST_TOLD]
+            click.echo(f"the {MOST_TOLD} farthest; all are in {folder / TABLE}")
+        for row, solution in pairs:
+            worst = solution.worst
+            missed = "" if solution.is_met else f", out of reach (within {worst.want.within:g} was asked)"
+            click.echo(f"  {row['name'] or row['folder']}: dE00 {worst.distance:.2f} at {worst.want.at} under "
+                       f"{worst.lamp}{missed}   {solution.recipe.parent if solution.recipe else ''}")  # fmt: skip
+    common.note(f"{folder}: {TABLE}; nacre render {folder / found.rows[0]['folder']}")
+
+
+def _tell_relief(result: Any, target: str, as_json: bool) -> None:
+    """Say what a relief's design came to, and what to do with it."""
+    from nacre.formats.calibration import PUBLISHED
+
+    if not as_json:
+        s = result.summary
+        click.echo(
+            f"loss {s['loss_fixed']:.5f} at the fixed scale, {s['loss_free']:.5f} at the best one "
+            f"(scale {s['scale_free']:.4g}); {s['evaluations']} evaluations in {s['seconds']:.1f} s"
+        )
+        for want in result.summary.get("solutions", [{"wants": []}])[0]["wants"]:
+            if want.get("de00") is not None:
+                missed = "" if want["met"] else f", out of reach so far (within {want['within']:g} was asked)"
+                click.echo(f"  dE00 {want['de00']:.2f} at {want['at']} under {want['lamp']}{missed}")
+    if result.summary.get("outside"):
+        common.note(f"{result.folder}: {result.summary['outside']}")
+    curve = result.summary.get("calibration")
+    if curve and curve != PUBLISHED:
+        curve = Path(target).parent / curve
+    target_format = f"png16 --calibration {curve}" if curve else "png16"
+    common.note(f"{result.folder}: nacre render {result.folder}; nacre fabricate {result.folder} --to {target_format}")
+
+
+def _tell_wants(result: Any, as_json: bool) -> None:
+    """Say what a design by wants came to: the outcome in words, and each answer in a line."""
+    if not as_json:
+        click.echo(f"{result.message} ({result.seconds:.1f} s)")
+        for number, solution in enumerate(result.solutions, start=1):
+            worst = solution.worst
+            share = solution.yield_share
+            made = "" if share is None else f", yield {100 * share:.0f} %"
+            total = solution.facts.get("total_nm")
+            thick = "" if total is None else f", {total:.0f} nm in all"
+            distance = f"{worst.distance:.2f}" + (" % rms" if worst.lamp is None else "")
+            click.echo(f"  {number}  {'dE00 ' if worst.lamp else ''}{distance} at {worst.want.at}{thick}{made}"
+                       f"   {solution.recipe.parent}")  # fmt: skip
+    common.note(f"{result.folder}: report.html; nacre render {result.folder}; nacre report {result.folder}")
+
+
+class _Screen:
+    """One line on the terminal that follows a design: the worst want or the loss, time left."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+
+        self._has_told = False
+        self._console = Console(stderr=True)
+        self._status = self._console.status("designing") if self._console.is_terminal else None
+
+    def __enter__(self) -> _Screen:
+        from nacre.core.jit import hearing
+
+        self._ear = hearing(self._tell_compiling)
+        self._ear.__enter__()
+        if self._status:
+            self._status.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ear.__exit__(None, None, None)
+        if self._status:
+            self._status.stop()
+
+    def _tell_compiling(self, seconds: float) -> None:
+        """Say once what a first run waits for."""
+        if seconds > LONG_COMPILE_S and not self._has_told:
+            self._has_told = True
+            common.note("compiling what this machine has not run yet; later runs find it ready")
+
+    def count(self, done: int, total: int) -> None:
+        """Show how many of many designs are done."""
+        if self._status:
+            self._status.update(f"{done} of {total} colours")
+
+    def show(self, progress: Any) -> None:
+        """Show the progress of the search."""
+        if self._status and hasattr(progress, "worst"):
+            self._status.update(
+                f"worst {progress.worst:.3g} of what was asked (1 is within), {progress.seconds:.0f} s, "
+                f"{progress.seconds_left:.0f} s left"
+            )
+        elif self._status:
+            left = "" if progress.seconds_left is None else f", {progress.seconds_left:.0f} s left"
+            stage = f"{progress.stage} ({progress.stage_number} of {progress.stage_count})"
+            self._status.update(
+                f"{stage}: loss {progress.best_value:.5f}, "
+                f"{progress.evaluations} evaluations, {progress.seconds:.0f} s{left}"
+            )
+
+
+@click.command()
+@click.argument("recipe")
+@click.option(
+    "--free", "free", multiple=True, metavar="PATH=A:B", help="What may change: bounds, or choices as PATH=Al,Ag."
+)
+@click.option(
+    "--at",
+    default=None,
+    help="Where it is seen: specular T, transmitted T, diffuse T, hemispherical T or IasA. Default: specular 0; of a "
+    "pearl or relief 45as15, of a photonic glass 45as45; the next of these where the recipe does not answer it.",
+)
+@click.option("--points", type=click.IntRange(8, 1_000_000), default=1000, show_default=True, help="Materials tried.")
+@click.option(
+    "--seconds", type=click.FloatRange(1.0), default=60.0, show_default=True, help="After which what is found is shown."
+)
+@click.option("--within", type=float, default=2.0, show_default=True, help="dE00 within which a colour is reached.")
+@click.option("--illuminant", default="D65", show_default=True, help=common.LAMPS)
+@click.option("--observer", type=click.Choice(["2deg", "10deg"]), default="10deg", show_default=True)
+@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print every point with its colour and its structure.")
+@click.option("-o", "output", default=None, metavar="FILE.png|.json|.html", help="Default: RECIPE-gamut.png.")
+@common.set_option
+@common.cache_option
+@common.jobs_option
+def gamut(
+    recipe: str, free: tuple[str, ...], at: str | None, points: int, seconds: float, within: float, illuminant: str,
+    observer: str, samples: int | None, seed: int, as_json: bool, output: str | None, changes: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Show the colours that the free numbers of RECIPE can reach, in a*b* and xy, and their share of all colours."""
+    from nacre.core.files import check_writable, short_name, write_text
+    from nacre.optimise.gamut import find_gamut, gamut_chart, gamut_page, parse_free
+
+    path = Path(output) if output else None if as_json else Path(f"{short_name(recipe)}-gamut.png")
+    if path is not None:
+        if path.suffix not in (".png", ".pdf", ".svg", ".json", ".html"):
+            raise NacreError(f"-o {path}: the suffix must be .png, .pdf, .svg, .json or .html")
+        check_writable(path)
+    material = common.load_material(recipe, changes)
+    found = find_gamut(
+        material, parse_free(free), at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
+        within=within, samples=samples, seed=seed,
+    )  # fmt: skip
+    if path is not None:
+        if path.suffix == ".json":
+            write_text(path, json.dumps(found.document(), indent=1) + "\n")
+        elif path.suffix == ".html":
+            write_text(path, gamut_page(found, material.name))
+        else:
+            from nacre.plot import save_figure
+
+            save_figure(gamut_chart(found, title=f"{material.name}, {found.at}"), path, {"recipe": material.text})
+    if as_json:
+        click.echo(json.dumps(found.document()))
+    else:
+        low, high = found.lab.min(axis=0), found.lab.max(axis=0)
+        click.echo(f"{material.name}: {found.at}, {illuminant}, {observer} observer, {len(found.lab)} points")
+        click.echo("  " + ", ".join(f"{n} {a:.0f} to {b:.0f}" for n, a, b in zip(("L*", "a*", "b*"), low, high)))
+        click.echo(f"  within dE00 {within:g}: {100 * found.share_of_srgb:.1f} % of the colours of sRGB, "
+                   f"{100 * found.share_of_optimal:.1f} % of the optimal colours")  # fmt: skip
+        tried = len(found.lab) + found.failed
+        points = points if found.possible is None else found.possible
+        if tried < points:
+            click.echo(f"  stopped after {seconds:g} s: {tried} of {points} points; --seconds gives it more")
+        if found.failed:
+            click.echo(f"  {found.failed} points could not be computed")
+    if path is not None:
+        common.note(str(path))
+
+
+@click.command()
+@click.argument("source", metavar="DESIGN_DIR|RECIPE")
+@click.option("--to", "target", required=True, type=click.Choice(TARGETS))
+@click.option("-o", "output", default=None, metavar="FILE", help="Default: SOURCE-TO and the suffix.")
+@click.option(
+    "--calibration",
+    multiple=True,
+    metavar="CSV|published",
+    help="Of heights: grey value against depth in um; default: linear, 65535 the top, 0 the deepest point. Of numbers "
+    "that an image gives: setting of the machine against value, as volts, nm; of several PATH=CSV each.",
+)
+@click.option("--size-mm", default=None, metavar="WxH", help="Tile the pattern over an area; of a picture: its size.")
+@click.option("--levels", type=click.IntRange(2, 256), default=None, help="gds, oas: levels of height, or of value.")
+@click.option(
+    "--seed", type=click.IntRange(0, 2**32 - 1), default=None, help="Of a metasurface's points; default: the recipe's."
+)
+@common.cache_option
+@common.jobs_option
+def fabricate(
+    source: str, target: str, output: str | None, calibration: tuple[str, ...], size_mm: str | None,
+    levels: int | None, seed: int | None,
+) -> None:  # fmt: skip
+    """Write the files to make a design or a material."""
+    from nacre.api import fabricate as write
+    from nacre.core.files import check_writable, short_name
+    from nacre.formats.fabrication import SUFFIXES
+    from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
+
+    name = short_name(source)
+    path = Path(output) if output else Path(f"{name}-{target}{(MAP_SUFFIXES | SUFFIXES)[target]}")
+    check_writable(path)
+    area = None
+    if size_mm is not None:
+        try:
+            width, height = (float(v) for v in size_mm.lower().split("x"))
+        except ValueError:
+            raise NacreError(f'--size-mm = "{size_mm}" cannot be read; write it like 50x50') from None
+        if not (0 < width <= 1000 and 0 < height <= 1000):
+            raise NacreError(f'--size-mm = "{size_mm}" must lie between 0 and 1000 mm')
+        area = (width, height)
+    written = write(source, target, path, calibration=_curves(calibration), size_mm=area, levels=levels, seed=seed)
+    for file in written:
+        common.note(str(file))
+    if target in ("png16", "tiff16"):
+        for beside in (file for file in written if file.suffix == ".json"):
+            _tell_curve(beside)
+
+
+def _curves(given: tuple[str, ...]) -> str | dict[str, str | Path] | None:
+    """Return the one curve, or a table of those that name their number.
+
+    Raises:
+        NacreError: several curves, not all of which do.
+    """
+    if len(given) < 2 and not (given and "=" in given[0] and not Path(given[0]).exists()):
+        return given[0] if given else None
+    table: dict[str, str | Path] = {}
+    for each in given:
+        path, equals, file = each.partition("=")
+        if not equals or not file or path in table:
+            raise NacreError(f'--calibration "{each}": of several numbers write PATH=CSV each, every path once')
+        table[path] = file
+    return table
+
+
+def _tell_curve(beside: Path) -> None:
+    """Say which curve the grey values follow, and how far it goes."""
+    facts = json.loads(beside.read_text(encoding="utf-8"))
+    if "depth_um" not in facts:
+        unit = facts["setting"] if "setting" in facts else facts["unit"] or ""
+        of = f" of {facts['path']}" if "path" in facts else ""
+        common.note(f"grey values{of}: 0 is {facts['black']:.6g}, 65535 is {facts['white']:.6g} {unit}".rstrip())
+        return
+    low, high = min(facts["depth_um"]), max(facts["depth_um"])
+    stretched = ", stretched from 8 bits" if facts["stretched_from_8_bit"] else ""
+    common.note(
+        f"grey values: calibration {facts['calibration']}{stretched}, {low:.4g} to {high:.4g} um deep at grey "
+        f"{facts['grey'][0]:.0f} to {facts['grey'][-1]:.0f}, {facts['nm_per_level']:.3g} nm a level"
+    )
+
+
+commands = {"design": design, "fabricate": fabricate, "gamut": gamut}

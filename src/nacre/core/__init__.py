@@ -1,0 +1,1 @@
+"""Foundations without physics: errors, files, disk cache, memory, progress, threads, compilation."""

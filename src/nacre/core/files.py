@@ -1,0 +1,344 @@
+"""Files of the user: read with clear errors, written whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import os
+import platform
+import re
+import select
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from nacre.core.errors import NacreError, RecipeError
+
+MAX_TOML_BYTES = 4 << 20  # a recipe is a page of text; anything longer is not a recipe
+PROBE_BYTES = 1 << 16
+PIPE_WAIT_S = 10.0
+NUL = "\0"
+DESIGN_RECIPE = "recipe.toml"  # in a folder that stands for a material
+HAS_NUL = "holds a NUL character, which no file name has"
+
+_TEMPORARY = re.compile(r"\..*\.nacre-([0-9a-f]{8})-(\d+)-(\d+)-\w{8}(\..*)?")
+
+
+@dataclass(frozen=True)
+class Process:
+    """A process of some machine, told apart from a later one of the same number by the time of its start."""
+
+    host: str
+    pid: int
+    started: int
+
+    @classmethod
+    def this(cls) -> Process:
+        """Return the process that asks."""
+        return cls(_host(), os.getpid(), _started(os.getpid()) or 0)
+
+    @property
+    def is_here(self) -> bool:
+        """Whether it runs, or ran, on this machine (of containers: in this one)."""
+        return self.host == _host()
+
+    @property
+    def is_dead(self) -> bool:
+        """Whether it has ended; of another machine's nobody can tell, so never."""
+        return self.is_here and _started(self.pid) not in (self.started, 0)
+
+
+def _host() -> str:
+    space = ""
+    with contextlib.suppress(OSError):  # containers on one machine may share its name, but not their processes
+        space = os.readlink("/proc/self/ns/pid")
+    return f"{platform.node()} {space}".strip()
+
+
+def _started(pid: int) -> int | None:
+    """Return when a process started, in the system's own count; 0 where only that it runs can be told; None: ended."""
+    try:
+        state, *rest = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()
+        return None if state in (b"Z", b"X") else int(rest[18])
+    except (OSError, ValueError):
+        if os.name != "posix":
+            return 0
+    try:
+        os.kill(pid, 0)  # sends nothing
+    except (ProcessLookupError, OverflowError):
+        return None
+    except OSError:
+        pass
+    return 0
+
+
+def temporary_prefix(path: Path) -> str:
+    """Return how the names begin under which `path` is written: hidden, with the process that writes."""
+    this = Process.this()
+    host = hashlib.sha256(this.host.encode()).hexdigest()[:8]
+    return f".{path.stem[:40]}.nacre-{host}-{this.pid}-{this.started}-"
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what processes of this machine were writing in a folder when they were killed."""
+    host = hashlib.sha256(_host().encode()).hexdigest()[:8]
+    with contextlib.suppress(OSError):
+        for entry in os.scandir(folder):
+            found = _TEMPORARY.fullmatch(entry.name) if entry.name.startswith(".") else None
+            if found and found[1] == host and Process(_host(), int(found[2]), int(found[3])).is_dead:
+                if entry.is_dir(follow_symlinks=False):
+                    shutil.rmtree(entry.path, ignore_errors=True)
+                else:
+                    with contextlib.suppress(OSError):
+                        os.unlink(entry.path)
+
+
+@contextlib.contextmanager
+def atomic_path(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary path beside `path`; it takes the real name only when the block succeeds.
+
+    The temporary name keeps the suffix, since many writers choose the format by it. What a link leads to is written,
+    not the link; a device or a pipe gets the bytes and stays what it is.
+
+    Raises:
+        NacreError: the folder does not exist or cannot be written.
+    """
+    path = named(path)
+    path = Path(os.path.realpath(path)) if path.is_symlink() and not _is_special(path) else path
+    folder = check_writable(path)
+    is_special = _is_special(path)
+    place = None if is_special else folder
+    handle, name = tempfile.mkstemp(prefix=temporary_prefix(path), suffix=path.suffix, dir=place)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        if is_special:
+            with temporary.open("rb") as source, open(path, "wb", opener=_open_as_it_is) as sink:
+                shutil.copyfileobj(source, sink)
+            return
+        with contextlib.suppress(OSError):
+            # mkstemp makes files private; a finished output has the usual permissions
+            mask = os.umask(0)
+            os.umask(mask)
+            temporary.chmod(0o666 & ~mask)
+        temporary.replace(path)
+    except OSError as error:
+        raise NacreError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def told_as_os_error() -> Iterator[None]:
+    """Turn a foreign writer's RuntimeError into an OSError: OpenEXR says so that a disk is full.
+
+    Raises:
+        OSError: instead of the RuntimeError.
+    """
+    try:
+        yield
+    except RuntimeError as error:
+        # "Failed to write ... "/where/.x.exr". No space left on device."
+        said = [part.strip(" .") for part in str(error).split('"') if part.strip(" .")]
+        raise OSError(errno.EIO, said[-1] if said else "the writer failed") from error
+
+
+def _open_as_it_is(path: str, flags: int) -> int:
+    return os.open(path, os.O_WRONLY)  # neither made nor cut: root may write anywhere
+
+
+def _is_special(path: str | Path) -> bool:
+    """Whether a path leads to something that is there and is neither a file nor a folder."""
+    return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
+
+
+def named(path: str | Path) -> Path:
+    """Return a path, if any file system could have it.
+
+    Raises:
+        NacreError: it is no path, holds a NUL character or is far too long.
+    """
+    try:
+        given = os.fspath(path)
+        if not isinstance(given, str):
+            raise TypeError
+    except TypeError:
+        raise NacreError(f"{path!r:.80} is not a path; give the name of a file") from None
+    try:
+        os.path.lexists(_nameable(given)) or os.stat(given)
+    except (FileNotFoundError, NotADirectoryError):
+        pass  # who reads or writes says which
+    except OSError as error:
+        raise NacreError(f"{given!r:.80}: cannot be the name of a file: {error.strerror}") from None
+    return Path(given)
+
+
+def short_name(path: str | Path) -> str:
+    """Return what titles and files made of a recipe are called: its own name, or of a design's folder the folder's.
+
+    Links are not followed: one that leads to itself has a name too.
+
+    Example: "soap.toml" is soap; the second answer of a design, "sign/2" or "sign/2/recipe.toml", is sign-2.
+    """
+    whole = Path(os.path.abspath(path))
+    is_of_folder = whole.name == DESIGN_RECIPE
+    folder = whole.parent if is_of_folder else whole
+    if not (is_of_folder or os.path.isdir(whole)) or not folder.name:
+        return whole.stem
+    return f"{folder.parent.name}-{folder.name}".lstrip("-") if folder.name.isdigit() else folder.name
+
+
+def real(path: str | Path) -> Path:
+    """Return an absolute path with its links followed; one that leads to itself stays, where `Path.resolve` raises."""
+    return Path(os.path.realpath(path))
+
+
+def check_writable(path: str | Path) -> Path:
+    """Return the folder of `path` if a file can be made there; call it before long work, not after.
+
+    What killed runs left in the folder is removed.
+
+    Raises:
+        NacreError: the folder is missing or read-only, or `path` is a folder, a disk or a socket.
+    """
+    path = named(path)
+    folder = path.parent if str(path.parent) else Path()
+    if not folder.is_dir():
+        wrong = "is no folder" if os.path.lexists(folder) else "does not exist"
+        raise NacreError(f"{path}: the folder {folder} {wrong}")
+    if path.is_dir():
+        raise NacreError(f"{path}: is a folder; give a file name")
+    if _is_special(path):
+        if path.is_block_device() or path.is_socket() or not os.access(path, os.W_OK):
+            raise NacreError(f"{path}: is a device that cannot be written as a file; give a file name")
+        return folder
+    remove_leftovers(folder)
+    try:
+        handle, probe = tempfile.mkstemp(prefix=temporary_prefix(path), dir=folder)
+    except OSError as error:
+        raise NacreError(f"{path}: the folder {folder} cannot be written: {error.strerror}") from None
+    os.close(handle)
+    os.unlink(probe)
+    return folder
+
+
+def check_room(folder: str | Path, need: int) -> None:
+    """Refuse a folder into which nothing can be written, whether it is there or still to be made; nothing is made.
+
+    Args:
+        need: bytes that its disk should have left.
+
+    Raises:
+        NacreError: it, or what it would lie in, is no folder or read-only, or its disk is full.
+    """
+    path = named(folder)
+    place = Path(os.path.abspath(path))
+    while not os.path.lexists(place) and place != place.parent:
+        place = place.parent
+    if not place.is_dir():
+        inside = "" if place == Path(os.path.abspath(path)) else f"{place} "
+        raise NacreError(f"{path}: {inside}is a file; the answers need a folder")
+    try:
+        handle, probe = tempfile.mkstemp(prefix=temporary_prefix(path), dir=place)
+        try:
+            with open(handle, "wb") as file:
+                file.write(bytes(PROBE_BYTES))  # of a full disk a name may still be had
+        finally:
+            os.unlink(probe)
+        disk = shutil.disk_usage(place)
+    except OSError as error:
+        raise NacreError(f"{path}: the folder {place} cannot be written: {error.strerror}") from None
+    if 0 < disk.total and disk.free < need:
+        left = f"{disk.free / 1e6:.1f} MB are left on its disk, and {need / 1e6:.0f} MB are needed"
+        raise NacreError(f"{path}: the folder {place} cannot be written: {left}")
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write UTF-8 text whole or not at all.
+
+    Raises:
+        NacreError: as `atomic_path`.
+    """
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def plain(path: str | Path) -> Path:
+    """Return the path of what is read next: a file, not a folder, and no device (/dev/zero is empty and never ends).
+
+    Raises:
+        OSError: so that it joins the reader's own errors of a file that cannot be read; see `why_unreadable`.
+    """
+    mode = os.stat(_nameable(path)).st_mode
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, "is a folder, not a file", str(path))
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "is a device or a pipe, not a file", str(path))
+    return Path(path)
+
+
+def why_unreadable(error: OSError) -> str:
+    """Return in words why a file cannot be read, to stand behind its name or its key.
+
+    Example: `f"{path}: {why_unreadable(error)}"` ends in "does not exist" or "is a folder, not a file".
+    """
+    if isinstance(error, FileNotFoundError):
+        return "does not exist"
+    if isinstance(error, IsADirectoryError):
+        return "is a folder, not a file"
+    said = error.strerror or str(error)
+    return said if said.startswith(("is a ", "holds ")) else f"cannot be read: {said}"
+
+
+def _nameable(path: str | Path) -> str:
+    """Return a path as text; an OSError instead of Python's ValueError for what no file system takes as a name."""
+    name = os.fspath(path)
+    try:
+        if NUL not in name and os.fsencode(name):
+            return name
+    except UnicodeError:
+        pass
+    raise OSError(errno.EINVAL, HAS_NUL if NUL in name else "holds no name of a file", name)
+
+
+def _opened(path: str | Path) -> BinaryIO:
+    """Open a small file of text, or a pipe that somebody writes to, such as a shell's <(...)."""
+    if not stat.S_ISFIFO(os.stat(_nameable(path)).st_mode):
+        return open(path, "rb")
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # else it waits here, for ever where no writer comes
+    with contextlib.ExitStack() as undo:
+        undo.callback(os.close, descriptor)
+        if not select.select([descriptor], [], [], PIPE_WAIT_S)[0]:
+            raise OSError(errno.EINVAL, "is a pipe into which nothing is written", str(path))
+        os.set_blocking(descriptor, True)
+        undo.pop_all()
+    return os.fdopen(descriptor, "rb")
+
+
+def read_text(path: str | Path, what: str = "file") -> str:
+    """Read a small UTF-8 text file, with the mark that Windows puts before its text or without.
+
+    Raises:
+        RecipeError: missing, unreadable, too large or not text.
+    """
+    path = Path(path)
+    try:
+        with _opened(path) as file:
+            # bounded, since a device such as /dev/zero has size 0 and never ends
+            data = file.read(MAX_TOML_BYTES + 1)
+        if len(data) > MAX_TOML_BYTES:
+            raise RecipeError(f"{path}: is larger than {MAX_TOML_BYTES} bytes, the most that a {what} may have")
+        return data.decode("utf-8-sig")
+    except IsADirectoryError:
+        raise RecipeError(f"{path}: is a folder, not a {what}") from None
+    except UnicodeDecodeError:
+        raise RecipeError(f"{path}: is not UTF-8 text") from None
+    except OSError as error:
+        raise RecipeError(f"{path}: {why_unreadable(error)}") from None

@@ -1,0 +1,63 @@
+"""What is imported only when needed: packages that can be called, and entry points of other packages."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import sys
+import types
+from collections.abc import Collection
+from typing import TYPE_CHECKING, Any
+
+from nacre.core.errors import NacreError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+
+def make_callable(package: str, target: str) -> None:
+    """Make calling `package` call `target` ("module:function"), which is imported at the first call.
+
+    `nacre.render` is a package and also the function that people expect.
+    """
+    module_name, function_name = target.split(":")
+
+    class CallableModule(types.ModuleType):
+        def __call__(self, *args: Any, **options: Any) -> Any:
+            return getattr(importlib.import_module(module_name), function_name)(*args, **options)
+
+    sys.modules[package].__class__ = CallableModule
+
+
+def entry_points(group: str, own: Collection[str]) -> dict[str, EntryPoint]:
+    """Return what installed packages register under a group of entry points, by name, not yet loaded.
+
+    Args:
+        group: "nacre.families" or "nacre.lobes".
+        own: the names that nacre itself uses.
+
+    Raises:
+        NacreError: a name is registered twice, or is one of nacre's own.
+    """
+    found = _scan(group)
+    for name in found:
+        if name in own:
+            raise NacreError(f'entry point "{name}" of {group} ({_giver(found[name])}) is a name of nacre itself')
+    return found
+
+
+@functools.cache
+def _scan(group: str) -> dict[str, EntryPoint]:
+    from importlib.metadata import entry_points as installed
+
+    found: dict[str, EntryPoint] = {}
+    for point in installed(group=group):
+        if point.name in found and found[point.name].value != point.value:
+            givers = f"{_giver(found[point.name])} and {_giver(point)}"
+            raise NacreError(f'entry point "{point.name}" of {group} is registered twice: by {givers}')
+        found[point.name] = point
+    return found
+
+
+def _giver(point: EntryPoint) -> str:
+    return point.dist.name if point.dist is not None else point.value

@@ -1,1 +1,0 @@
-"""Designs by wants: colours and spectra at geometries, of a material of any family."""

@@ -1,0 +1,557 @@
+"""The diffuse light of a monolayer on the device: harmonics over the azimuth times the sharp structure factor.
+
+A look-up is bound by the cache lines that it touches, then by its arithmetic. So the harmonics of one pair of angles at
+one wavelength lie in two or four words, see `packed_series`, beside those of the next wavelength. S is read at the
+exact |q| of each wavelength. Directions are drawn from a coarse table of where light goes, see `tents`.
+"""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+import math
+from typing import Any, ClassVar, TypeVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from nacre.bsdf.lobes.monolayer import Aligned, Harmonic, MonolayerLobe
+from nacre.bsdf.packed_series import PACKET
+from nacre.core.arrays import Array, SingleArray
+from nacre.core.errors import UnsupportedError
+from nacre.device.bilinear_sampling import Tents
+from nacre.device.packed_series import PackedSeries
+from nacre.device.plugin import (
+    MIN_COS,
+    LobePlugin,
+    aligned,
+    device_array,
+    flag,
+    is_radiance,
+    larger,
+    negated,
+    opaque,
+    opaque_int,
+    read2,
+    smaller,
+)
+from nacre.device.tables import WavelengthAxis
+
+HALF = 0xFFFF  # the largest number of 16 bits
+COSINE_SHARE = 0.1  # of the draws: no direction is left out, and no weight grows without bound
+# mean square of the weights up to which an opaque lobe is drawn by the cosine alone: a tenth more variance of each draw
+# for a sixth of the time
+BROAD = 1.1
+VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 12, 9, 9  # for each side; with more the noise is the same
+
+AnyMonolayer = TypeVar("AnyMonolayer", bound=MonolayerLobe)
+
+
+class MonolayerPlugin(LobePlugin[AnyMonolayer]):
+    """What the diffuse light of monolayers has in common: polar angles, S, and draws from a table of exits.
+
+    Attributes:
+        tables: names of the lobe's tables.
+        is_turned: whether values depend on both azimuths, not on their difference alone.
+    """
+
+    tables: ClassVar[tuple[str, ...]]
+    is_turned: ClassVar[bool] = False
+
+    def __init__(self, lobe: AnyMonolayer) -> None:
+        sides: tuple[str, ...] = ("FrontSide", "BackSide") if lobe.transmits else ("FrontSide",)
+        sides = ("Anisotropic", *sides) if self.is_turned else sides
+        self.transmits = lobe.transmits
+        self.components = (flag("GlossyReflection", *sides),)
+        if lobe.transmits:
+            self.components += (flag("GlossyTransmission", *sides),)
+        self.axis = WavelengthAxis(lobe.wavelengths_nm)
+        self.keeps_index = _keeps_index(lobe)
+        self._set(lobe)
+
+    @abc.abstractmethod
+    def _set_tables(self, lobe: AnyMonolayer) -> None:
+        """Put the series on the device."""
+
+    @abc.abstractmethod
+    def _thinned(self, lobe: AnyMonolayer) -> AnyMonolayer:
+        """Return the lobe at some dozen wavelengths: sampling needs the shape, not the colour."""
+
+    @abc.abstractmethod
+    def _look_up(self, si: Any, light: Any, eye: Any, active: Any) -> Any:
+        """Interpolate f at the four wavelengths."""
+
+    def _mean(self, lobe: AnyMonolayer, light: Array, eye: Array) -> Array:
+        """Return f averaged over wavelengths, `[...]`, of directions `[..., 3]`."""
+        return np.asarray(lobe.evaluate(light, eye).mean(axis=-1))
+
+    def _shape(self, lobe: AnyMonolayer) -> list[tuple[int, ...]]:
+        """Return the shapes of the tables, which stay when their numbers are replaced."""
+        return [getattr(lobe, name).shape for name in self.tables]
+
+    def _set(self, lobe: AnyMonolayer) -> None:
+        self.shape = self._shape(lobe)
+        self.axis.update(lobe.wavelengths_nm)
+        self.nodes = opaque_int(max(2, len(lobe.wavelengths_nm)))
+        self._set_tables(lobe)
+        self.count_above = opaque_int(lobe.count_above)
+        self.edge_above, self.top_above = opaque(lobe.count_above - 0.5), opaque(lobe.count_above - 1)
+        if lobe.transmits:
+            size = lobe.count_below + lobe.count_beyond
+            self.edge_below, self.top_below = opaque(lobe.count_below - 0.5), opaque(size - 1)
+            self.beyond = opaque(lobe.count_beyond)
+            critical = lobe.grid_below.critical_rad
+            self.cos_critical, self.sin_critical = opaque(math.cos(critical)), opaque(math.sin(critical))
+            self.per_beyond = opaque(1.0 / max(math.pi / 2 - critical, 1e-6))
+        self.per_last = [opaque(1.0 / cosine) for cosine in lobe.last_cosines]
+        self.eta = opaque(lobe.eta)
+        # wavenumber over the table's step, and the index below, at the ends of each interval of wavelengths
+        self.per_step = None
+        if _keeps_index(lobe):
+            self.steps_nm = opaque(lobe.wavenumbers[0] * lobe.wavelengths_nm[0] / lobe.q_step)
+            self.shortest, self.longest = opaque(lobe.wavelengths_nm[0]), opaque(lobe.wavelengths_nm[-1])
+        else:
+            self.per_step = device_array(_pairs(lobe.wavenumbers / lobe.q_step))
+        self.index = device_array(_pairs(lobe.index_below))
+        self.s_values, self.s_unit = _halves(lobe.structure)
+        self.s_last = opaque(len(lobe.structure) - 1)
+        self._set_sampling(lobe)
+
+    def _set_sampling(self, lobe: AnyMonolayer) -> None:
+        """Tabulate f, averaged over wavelengths, on (theta_i; side, |dphi|, sin^2 theta_o), for draws by |cos_o| f."""
+        hemispheres = 2 if self.transmits else 1
+        views = VIEW_NODES * hemispheres
+        # uniform in the cosine, which costs no arc to find
+        depth = 2.0 if self.transmits else 1.0
+        ti = np.arccos(np.clip(1.0 - np.linspace(0.0, depth, views), 1e-3 - (depth - 1.0), 1.0 - 1e-6))
+        square = np.clip(np.linspace(0.0, 1.0, EXIT_NODES), 1e-6, 1.0 - 1e-5)
+        dphi = np.linspace(0.0, math.pi, AZIMUTH_NODES)
+        up = _directions(np.arcsin(np.sqrt(square)), dphi[:, None])  # azimuth, exit
+        wo = np.stack([up * [1.0, 1.0, sign] for sign in (1.0, -1.0)[:hemispheres]])
+        thin = self._thinned(lobe)
+        means = np.empty((views, hemispheres, AZIMUTH_NODES, EXIT_NODES))
+        for k, angle in enumerate(ti):
+            # the camera is `wi` of the device, the light `wo`; their roles differ by a factor only
+            means[k] = self._mean(thin, wo, np.broadcast_to(_directions(angle, 0.0), wo.shape))
+        # equal areas of the square are equal shares of the cosine
+        inner = np.ones((AZIMUTH_NODES, EXIT_NODES))
+        inner[[0, -1]] *= 0.5
+        inner[:, [0, -1]] *= 0.5
+        inner /= inner.sum()
+        albedo = math.pi * np.einsum("vsae,ae->v", means, inner)
+        squares = math.pi**2 * np.einsum("vsae,ae->v", means**2, inner)
+        self.is_broad = not self.transmits and bool(np.all(squares <= BROAD * albedo**2))
+        self.exits: Any = None
+        if not self.is_broad:
+            level = (albedo / math.pi / hemispheres)[:, None, None, None]
+            self.exits = Tents((1.0 - COSINE_SHARE) * means + COSINE_SHARE * level + 1e-9)
+        self.per_depth = opaque((views - 1) / depth)
+        self.albedo = device_array(_pairs(albedo))
+        self.view_max = opaque(views - 2)
+
+    def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Draw from the table of exits; a broad lobe by the cosine alone."""
+        active = active & self._visible(si.wi)
+        if self.is_broad:
+            wo = mi.warp.square_to_cosine_hemisphere(sample2)
+            value, pdf = self.eval_pdf(ctx, si, wo, active, enabled)
+        else:
+            wo, place = self._drawn(si, sample1, sample2, active)
+            active = active & self._wanted(si, wo, enabled)
+            value = self._value(ctx, si, wo, active) & active
+            pdf = self._density(si, wo, *place, active)
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo, bs.pdf, bs.eta = wo, pdf, mi.Float(1.0)
+        bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
+        if self.transmits:
+            reflects = si.wi.z * wo.z > 0.0
+            bs.eta = dr.select(reflects, 1.0, dr.select(si.wi.z > 0.0, self.eta, 1.0 / self.eta))
+            bs.sampled_component = dr.select(reflects, mi.UInt32(0), mi.UInt32(1))
+            bs.sampled_type = dr.select(
+                reflects, mi.UInt32(int(mi.BSDFFlags.GlossyReflection)), mi.UInt32(int(mi.BSDFFlags.GlossyTransmission))
+            )
+        return bs, (value * dr.rcp(larger(pdf, 1e-20))) & (active & (pdf > 0.0))
+
+    def _drawn(self, si: Any, sample1: Any, sample2: Any, active: Any) -> tuple[Any, tuple[Any, Any, Any]]:
+        """Return a direction of the table of exits, and where it lies in there."""
+        row, part = self._view(si.wi)
+        face, square, turn, rest = self.exits.sample(row, part, sample1, sample2, active)
+        azimuth = dr.select(rest < 0.5, -turn, turn) * math.pi
+        sin_theta, cos_theta = dr.sqrt(square), dr.sqrt(1.0 - square)
+        sin_phi, cos_phi = dr.sincos(azimuth)
+        x, y = _unit(si.wi)
+        wo = mi.Vector3f(
+            sin_theta * (cos_phi * x - sin_phi * y),
+            sin_theta * (cos_phi * y + sin_phi * x),
+            dr.select(face == 0, cos_theta, -cos_theta),
+        )
+        return wo, (face, square, turn)
+
+    def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Return `(f |cos wo|, pdf)`."""
+        active = active & self._visible(si.wi) & self._wanted(si, wo, enabled)
+        value = self._value(ctx, si, wo, active) & active
+        if self.is_broad:
+            return value, dr.select(active, wo.z * dr.inv_pi, 0.0)
+        cross = si.wi.x * wo.y - si.wi.y * wo.x
+        azimuth = dr.abs(dr.atan2(cross, si.wi.x * wo.x + si.wi.y * wo.y))
+        face = dr.select(wo.z > 0.0, mi.UInt32(0), mi.UInt32(1))
+        square = smaller(wo.x * wo.x + wo.y * wo.y, 1.0)
+        return value, self._density(si, wo, face, square, azimuth * dr.inv_pi, active)
+
+    def _value(self, ctx: Any, si: Any, wo: Any, active: Any) -> Any:
+        light, eye = (wo, si.wi) if is_radiance(ctx) else (si.wi, wo)
+        return self._look_up(si, light, eye, active) * dr.abs(wo.z)
+
+    def _density(self, si: Any, wo: Any, face: Any, square: Any, turn: Any, active: Any) -> Any:
+        """Return the density at a place of the table of exits: its side, sin^2 theta and azimuth / pi."""
+        row, part = self._view(si.wi)
+        density = self.exits.density(row, part, face, square, turn, active)
+        # unit square -> sin^2 theta, dphi in [-pi, pi] -> solid angle
+        return dr.select(active, density * dr.abs(wo.z) * dr.inv_pi, 0.0)
+
+    def _wanted(self, si: Any, wo: Any, enabled: tuple[bool, ...]) -> Any:
+        """Whether a direction out can be seen and is of a component that is asked for."""
+        if not self.transmits:
+            return self._visible(wo) & enabled[0]
+        return self._visible(wo) & dr.select(si.wi.z * wo.z > 0.0, mi.Bool(enabled[0]), mi.Bool(enabled[1]))
+
+    def _visible(self, w: Any) -> Any:
+        return dr.abs(w.z) > MIN_COS if self.transmits else w.z > MIN_COS
+
+    def _view(self, wi: Any) -> tuple[Any, Any]:
+        """Return the lower row of the direction of view, and the part of the way to the next."""
+        position = larger(1.0 - wi.z, 0.0) * self.per_depth
+        low = smaller(dr.floor(position), self.view_max)
+        return mi.UInt32(low), position - low
+
+    def _coordinate(self, w: Any, sine: Any) -> tuple[Any, Any]:
+        """Return the lower node, those below after those above, and the fraction of a polar angle; see `PolarGrid`."""
+        if not self.transmits:
+            x = dr.atan2(sine, w.z) * (2.0 / math.pi) * self.edge_above
+            top = self.top_above
+        else:
+            # one arc tangent for three angles: against the normal above, that of the refracted ray below, and
+            # against the critical angle beyond it
+            cosine, up = dr.abs(w.z), w.z > 0.0
+            outer = self.eta * sine
+            past = negated(up) & (outer >= 1.0)
+            outer_cosine = dr.sqrt(larger(1.0 - outer * outer, 0.0))
+            y = dr.select(up, sine, dr.select(past, sine * self.cos_critical - cosine * self.sin_critical, outer))
+            z = dr.select(
+                up, cosine, dr.select(past, sine * self.sin_critical + cosine * self.cos_critical, outer_cosine)
+            )
+            angle = dr.atan2(y, z)
+            below = dr.select(
+                past,
+                dr.fma(dr.sqrt(larger(angle, 0.0) * self.per_beyond), self.beyond, self.edge_below),
+                angle * (2.0 / math.pi) * self.edge_below,
+            )
+            top = dr.select(up, self.top_above, self.top_below)
+            x = dr.select(up, angle * (2.0 / math.pi) * self.edge_above, below)
+        x = smaller(x, top)
+        low = smaller(dr.floor(x), top - 1.0)
+        node = mi.UInt32(low)
+        return (node + dr.select(up, 0, self.count_above) if self.transmits else node), x - low
+
+    def _fall(self, w: Any, up: Any, below: Any) -> Any:
+        """Return 1 above, and a number below; beyond the last node of its side they fall to zero as the cosine."""
+        fall = smaller(dr.abs(w.z) * self.per_last[0], 1.0)
+        if not self.transmits:
+            return fall
+        return dr.select(up, fall, smaller(dr.abs(w.z) * self.per_last[1], 1.0) * below)
+
+    def _squares(self, sin_l: Any, sin_e: Any, dot: Any, up_l: Any, up_e: Any) -> list[Any]:
+        """Return |q|^2 over k^2 as a polynomial of the index below: what both, one and no direction above adds."""
+        light, eye, both = sin_l * sin_l, sin_e * sin_e, 2.0 * dot
+        if not self.transmits:
+            return [light + eye + both]
+        above = dr.select(up_l, light, 0.0) + dr.select(up_e, eye, 0.0) + dr.select(up_l & up_e, both, 0.0)
+        across = dr.select(up_l ^ up_e, both, 0.0)
+        return [above, across, light + eye + both - above - across]
+
+    def _structure(self, wavelength: Any, low: Any, part: Any, squares: list[Any], active: Any) -> Any:
+        """Read S at |q| of a wavelength."""
+        if self.per_step is None:
+            scale = self.steps_nm / larger(smaller(wavelength, self.longest), self.shortest)
+        else:
+            ends = read2(self.per_step, low, active)
+            scale = dr.lerp(ends[0], ends[1], part)
+        square = squares[0]
+        if self.transmits:
+            # a node is always within the table: read without a mask, it is one read for `eval` and `sample`
+            ends = read2(self.index, low)
+            index = dr.lerp(ends[0], ends[1], part)
+            square = dr.fma(dr.fma(squares[2], index, squares[1]), index, square)
+        x = scale * dr.sqrt(larger(square, 0.0))
+        inside = x < self.s_last
+        x = smaller(x, self.s_last - 1e-3)
+        at = dr.floor(x)
+        word = _word(self.s_values, mi.UInt32(at), active)
+        value = dr.lerp(mi.Float(word & HALF), mi.Float(word >> 16), x - at) * self.s_unit
+        return dr.select(inside, value, 1.0)
+
+    def choice_weight(self, si: Any, active: Any) -> Any:
+        """Return the albedo from this direction, averaged over wavelengths."""
+        row, part = self._view(si.wi)
+        ends = read2(self.albedo, row, active)
+        return dr.select(self._visible(si.wi), dr.lerp(ends[0], ends[1], part), 0.0)
+
+    def update(self, lobe: AnyMonolayer) -> None:
+        """Take over the numbers of another monolayer.
+
+        Raises:
+            UnsupportedError: the shape of its tables differs.
+        """
+        if _keeps_index(lobe) != self.keeps_index:
+            raise UnsupportedError("one ambient disperses and the other does not; build the scene again")
+        if self._shape(lobe) != self.shape:
+            raise UnsupportedError("the harmonic tables changed their shape; build the scene again")
+        self._set(lobe)
+
+
+class HarmonicPlugin(MonolayerPlugin[Harmonic]):
+    """Broad reflection, and transmission if the lobe transmits."""
+
+    kind = "harmonic"
+    tables = ("above", "below", "across", "above_free", "below_free", "across_free")
+
+    def _set_tables(self, lobe: Harmonic) -> None:
+        self.packets = -(-lobe.above.shape[1] // PACKET)
+        self.values = PackedSeries(_one_triangle(lobe.above, lobe.below, lobe.across), self.packets)
+        self.free = None
+        if lobe.above_free.shape[0]:
+            free = _one_triangle(lobe.above_free, lobe.below_free, lobe.across_free)
+            self.free = PackedSeries(free, self.packets)
+
+    def _thinned(self, lobe: Harmonic) -> Harmonic:
+        return dataclasses.replace(lobe, **thinned_rows(lobe, self.tables))
+
+    def _look_up(self, si: Any, light: Any, eye: Any, active: Any) -> Any:
+        """Interpolate f at the four wavelengths."""
+        sin_l = dr.sqrt(light.x * light.x + light.y * light.y)
+        sin_e = dr.sqrt(eye.x * eye.x + eye.y * eye.y)
+        dot = light.x * eye.x + light.y * eye.y
+        size = sin_l * sin_e
+        cos_phi = dr.select(size > 1e-12, larger(smaller(-dot / larger(size, 1e-12), 1.0), -1.0), 1.0)
+        cosines = [mi.Float(1.0), cos_phi]
+        for _ in range(2, PACKET * self.packets):
+            cosines.append(2.0 * cos_phi * cosines[-1] - cosines[-2])
+        low_l, part_l = self._coordinate(light, sin_l)
+        low_e, part_e = self._coordinate(eye, sin_e)
+        up_l, up_e = light.z > 0.0, eye.z > 0.0
+        where = self.axis.locate(si.wavelengths, active)
+        # the three corners of the triangle of the two angles that holds the point, as in the arrays
+        first = part_l > part_e
+        step_l, step_e = dr.select(first, mi.UInt32(1), mi.UInt32(0)), dr.select(first, mi.UInt32(0), mi.UInt32(1))
+        steps = [(0, 0), (step_l, step_e), (1, 1)]
+        rows = [_row(low_l + to_l, low_e + to_e) * self.nodes for to_l, to_e in steps]
+        upper, lower = larger(part_l, part_e), smaller(part_l, part_e)
+        kinds = [self.values] if self.free is None else [self.values, self.free]
+        series = [[c * unit for c, unit in zip(cosines, kind.units, strict=True)] for kind in kinds]
+        squares = self._squares(sin_l, sin_e, dot, up_l, up_e)
+        result = mi.Spectrum(0.0)
+        for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
+            corners = tetrahedron([row + low for row in rows], upper, lower, part)
+            value = interpolated(self.values, corners, series[0], active)
+            value = value * self._structure(si.wavelengths[k], low, part, squares, active)
+            if self.free is not None:
+                value = value + interpolated(self.free, corners, series[1], active)
+            result[k] = value
+        return result * (self._fall(light, up_l, 1.0) * self._fall(eye, up_e, self.eta * self.eta))
+
+
+def _one_triangle(above: SingleArray, below: SingleArray, across: SingleArray) -> SingleArray:
+    """Return the pairs of all nodes, those below after those above, as one triangle: row a (a + 1) / 2 + b, b <= a."""
+    count = int(round(math.sqrt(2.0 * len(below) + 0.25) - 0.5))
+    lines = [above]
+    for node in range(count):
+        first, each = node * (node + 1) // 2, len(across) // count
+        lines += [across[node * each : (node + 1) * each], below[first : first + node + 1]]
+    return np.concatenate(lines)
+
+
+def _row(a: Any, b: Any) -> Any:
+    """Return the row of a pair of nodes."""
+    high, low = dr.maximum(a, b), dr.minimum(a, b)
+    return ((high * (high + 1)) >> 1) + low
+
+
+def tetrahedron(rows: list[Any], upper: Any, lower: Any, part: Any) -> list[tuple[Any, Any]]:
+    """Return the corners of the tetrahedron of two angles and the wavelength that holds a point, with their weights.
+
+    From the lowest corner of the cell to the highest, one coordinate after the other goes up, that with the largest
+    fraction first. So four corners are read, not three at either wavelength; at a wavelength's node it is the triangle.
+
+    Args:
+        rows: places of the triangle's three corners, from the lowest to the highest, at the lower wavelength.
+        upper, lower: the larger and the smaller of the angles' fractions.
+        part: the wavelength's.
+    """
+    is_first, is_last = part > upper, part <= lower
+    one, two = larger(upper, part), smaller(lower, part)
+    middle = larger(lower, smaller(upper, part))
+    return [
+        (rows[0], 1.0 - one),
+        (dr.select(is_first, rows[0] + 1, rows[1]), one - middle),
+        (dr.select(is_last, rows[2], rows[1] + 1), middle - two),
+        (rows[2] + 1, two),
+    ]
+
+
+def interpolated(source: PackedSeries, corners: list[tuple[Any, Any]], harmonics: list[Any], active: Any) -> Any:
+    """Sum the harmonics at the corners, by their weights."""
+    total = mi.Float(0.0)
+    for place, weight in corners:
+        total = dr.fma(weight, source.sum(place, harmonics, active), total)
+    # a cut cosine series may dip below zero where the light is next to nothing
+    return larger(total, 0.0)
+
+
+def _keeps_index(lobe: Any) -> bool:
+    """Whether the ambient has one index, so that the wavenumber is a number over the wavelength."""
+    product = lobe.wavenumbers * lobe.wavelengths_nm
+    return bool(np.allclose(product, product[0], rtol=1e-7, atol=0.0))
+
+
+def _pairs(values: Array) -> Array:
+    """Return `[i, 2]`: each value and the next, which one load then fetches."""
+    return np.stack([values[:-1], values[1:]], axis=1) if len(values) > 1 else np.stack([values, values], axis=1)
+
+
+def _halves(values: Array) -> tuple[Any, Any]:
+    """Return words of 16 bits for each value and 16 for the next, and their unit."""
+    top = max(float(values.max()), 1e-30)
+    steps = np.rint(values * (HALF / top)).astype(np.uint32)
+    words = steps[:-1] | steps[1:] << np.uint32(16)
+    return (mi.UInt32(aligned(words, np.uint32)) if dr.is_jit_v(mi.Float) else words), opaque(top / HALF)
+
+
+def _word(words: Any, index: Any, active: Any) -> Any:
+    if dr.is_jit_v(mi.Float):
+        return dr.gather(mi.UInt32, words, index, active)
+    return int(words[int(index)]) if active else 0
+
+
+def thinned_rows(lobe: Any, tables: tuple[str, ...]) -> dict[str, Any]:
+    """Return some tables of a lobe, and what else goes by the wavelength, at some dozen wavelengths."""
+    step = max(1, len(lobe.wavelengths_nm) // 12)
+    names = (*tables, "wavelengths_nm", "wavenumbers", "index_below")
+    return {name: np.ascontiguousarray(getattr(lobe, name)[..., ::step]) for name in names}
+
+
+def _directions(theta: Any, phi: Any) -> Array:
+    """Return unit vectors `[..., 3]`."""
+    theta, phi = np.broadcast_arrays(np.asarray(theta, dtype=float), np.asarray(phi, dtype=float))
+    sin = np.sin(theta)
+    return np.stack([sin * np.cos(phi), sin * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def _unit(wi: Any) -> tuple[Any, Any]:
+    """Return cosine and sine of the azimuth; any will do at the pole."""
+    flat = wi.x * wi.x + wi.y * wi.y
+    inverse = dr.rsqrt(larger(flat, 1e-20))
+    return dr.select(flat > 1e-14, wi.x * inverse, 1.0), dr.select(flat > 1e-14, wi.y * inverse, 0.0)
+
+
+# The diffuse light of aligned particles on the device: a series in both azimuths times the sharp structure factor.
+
+TURNS = 8  # azimuths of the light that the table of exits is averaged over
+
+
+class AlignedPlugin(MonolayerPlugin[Aligned]):
+    """Broad reflection, and transmission if the lobe transmits."""
+
+    kind = "aligned"
+    tables = ("table",)
+    is_turned = True
+
+    def _set_tables(self, lobe: Aligned) -> None:
+        self.orders = np.asarray(np.rint(lobe.orders), dtype=int)
+        self.packets = -(-lobe.table.shape[1] // PACKET)
+        self.values = PackedSeries(lobe.table, self.packets)
+        self.cos_turn, self.sin_turn = opaque(math.cos(lobe.rotation)), opaque(math.sin(lobe.rotation))
+
+    def _thinned(self, lobe: Aligned) -> Aligned:
+        return dataclasses.replace(lobe, **thinned_rows(lobe, self.tables))
+
+    def _mean(self, lobe: Aligned, light: Array, eye: Array) -> Array:
+        """Return f averaged over wavelengths, turns and mirror images, `[...]`, of directions `[..., 3]`."""
+        total = np.zeros(light.shape[:-1])
+        for turn in np.arange(TURNS) * (2 * math.pi / TURNS):
+            cos, sin = math.cos(turn), math.sin(turn)
+            about = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+            for mirror in ([1.0, 1.0, 1.0], [1.0, -1.0, 1.0]):
+                total += lobe.evaluate(light * mirror @ about.T, eye * mirror @ about.T).mean(axis=-1)
+        return total / (2 * TURNS)
+
+    def _waves(self, one: list[tuple[Any, Any]], two: list[tuple[Any, Any]]) -> list[Any]:
+        """Return the cosine or the sine of each term, of the powers of both directions' azimuths."""
+        found = []
+        for a, b, is_sine in self.orders.tolist():
+            (cos_a, sin_a), (cos_b, sin_b) = one[abs(a)], two[abs(b)]
+            sin_a, sin_b = (sin_a if a >= 0 else -sin_a), (sin_b if b >= 0 else -sin_b)
+            if is_sine:
+                found.append(dr.fma(sin_a, cos_b, cos_a * sin_b))
+            else:
+                found.append(dr.fma(cos_a, cos_b, -sin_a * sin_b))
+        return found + [mi.Float(0.0)] * (PACKET * self.packets - len(found))
+
+    def _powers(self, w: Any, sine: Any) -> list[tuple[Any, Any]]:
+        """Return cosine and sine of the multiples of an azimuth against the particles, from 0 on."""
+        inverse = dr.rcp(larger(sine, 1e-12))
+        x = dr.select(sine > 1e-12, w.x * inverse, 1.0)
+        y = dr.select(sine > 1e-12, w.y * inverse, 0.0)
+        cos, sin = dr.fma(x, self.cos_turn, y * self.sin_turn), dr.fma(y, self.cos_turn, -x * self.sin_turn)
+        found = [(mi.Float(1.0), mi.Float(0.0)), (cos, sin)]
+        for _ in range(2, int(np.abs(self.orders[:, :2]).max()) + 1):
+            before, now = found[-2], found[-1]
+            found.append((2.0 * cos * now[0] - before[0], 2.0 * cos * now[1] - before[1]))
+        return found
+
+    def _look_up(self, si: Any, light: Any, eye: Any, active: Any) -> Any:
+        """Interpolate f at the four wavelengths."""
+        sin_l = dr.sqrt(light.x * light.x + light.y * light.y)
+        sin_e = dr.sqrt(eye.x * eye.x + eye.y * eye.y)
+        dot = light.x * eye.x + light.y * eye.y
+        low_l, part_l = self._coordinate(light, sin_l)
+        low_e, part_e = self._coordinate(eye, sin_e)
+        up_l, up_e = light.z > 0.0, eye.z > 0.0
+        where = self.axis.locate(si.wavelengths, active)
+        # the first direction of a pair is the one with the higher node, in the whole triangle that holds the point
+        is_first = (low_l > low_e) | ((low_l == low_e) & (part_l >= part_e))
+        powers_l, powers_e = self._powers(light, sin_l), self._powers(eye, sin_e)
+        one = [tuple(dr.select(is_first, a, b) for a, b in zip(p, q)) for p, q in zip(powers_l, powers_e)]
+        two = [tuple(dr.select(is_first, b, a) for a, b in zip(p, q)) for p, q in zip(powers_l, powers_e)]
+        waves = self._waves(one, two)
+        high, low = dr.select(is_first, low_l, low_e), dr.select(is_first, low_e, low_l)
+        part_h, part_w = dr.select(is_first, part_l, part_e), dr.select(is_first, part_e, part_l)
+        first = part_h > part_w
+        step_h, step_w = dr.select(first, mi.UInt32(1), mi.UInt32(0)), dr.select(first, mi.UInt32(0), mi.UInt32(1))
+        steps = [(0, 0), (step_h, step_w), (1, 1)]
+        rows = [_row_aligned(high + to_h, low + to_w) * self.nodes for to_h, to_w in steps]
+        upper, lower = larger(part_h, part_w), smaller(part_h, part_w)
+        series = [wave * unit for wave, unit in zip(waves, self.values.units, strict=True)]
+        squares = self._squares(sin_l, sin_e, dot, up_l, up_e)
+        result = mi.Spectrum(0.0)
+        for k, (node, part) in enumerate(zip(where.low, where.fraction, strict=True)):
+            corners = tetrahedron([row + node for row in rows], upper, lower, part)
+            value = interpolated(self.values, corners, series, active)
+            result[k] = value * self._structure(si.wavelengths[k], node, part, squares, active)
+        return result * (self._fall(light, up_l, 1.0) * self._fall(eye, up_e, self.eta * self.eta))
+
+    def update(self, lobe: Aligned) -> None:
+        """Take over the numbers of another monolayer.
+
+        Raises:
+            UnsupportedError: the shape of its tables, or the terms of its series, differ.
+        """
+        if not np.array_equal(np.rint(lobe.orders), self.orders):
+            raise UnsupportedError("the series over the azimuths changed its terms; build the scene again")
+        super().update(lobe)
+
+
+def _row_aligned(a: Any, b: Any) -> Any:
+    """Return the row of a pair of nodes, of which the first is the higher."""
+    return ((a * (a + 1)) >> 1) + b

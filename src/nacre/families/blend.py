@@ -1,0 +1,154 @@
+"""The recipe of a blend: two materials and a mask over the surface."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import pydantic
+
+from nacre.bsdf import Bsdf
+from nacre.bsdf.bsdf import Spectrum
+from nacre.bsdf.lobes.masked import MaskedLobe
+from nacre.bsdf.texture import Texture
+from nacre.bsdf.texture_spec import NumberOrTexture, TextureSpec
+from nacre.core.arrays import Array
+from nacre.families.contract import Model
+from nacre.recipe.model import RecipeContext, RecipeModel
+
+
+class PartSpec(RecipeModel):
+    """A material of the blend: another recipe, by its file or as a table with the family's keys."""
+
+    forms: ClassVar[tuple[str, ...]] = ('{recipe = "film.toml"}', '{family = "film", substrate = "Ag"}')
+    shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = (
+        {
+            "type": "object",
+            "required": ["family"],
+            "properties": {
+                "family": {"type": "string", "description": "the family of a recipe that stands here itself"}
+            },
+        },
+    )
+
+    recipe: str | dict[str, Any] = pydantic.Field(
+        description="file of the recipe of this part; the recipe itself may stand in place of the table",
+        examples=["film.toml"],
+    )
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _accept_recipe(cls, data: Any) -> Any:
+        return {"recipe": dict(data)} if isinstance(data, Mapping) and "family" in data else data
+
+
+class BlendSpec(RecipeModel):
+    """Two recipes and a mask: `first` where it is 1 (white), `second` where it is 0 (black)."""
+
+    example: ClassVar[Mapping[str, Any]] = {
+        "family": "blend",
+        "first": {"recipe": "film.toml"},
+        "second": {"recipe": "other.toml"},
+        "mask": {"texture": "grey.png", "min": 0, "max": 1},
+    }
+
+    varies: ClassVar[str] = "mask"
+
+    family: Literal["blend"] = pydantic.Field(description="the family's name")
+    first: PartSpec = pydantic.Field(description="the material shown where the mask is 1")
+    second: PartSpec = pydantic.Field(description="the material shown where the mask is 0")
+    mask: NumberOrTexture = pydantic.Field(
+        description="share of the first material, from 0 to 1; usually a texture or formula",
+        examples=[{"texture": "grey.png", "min": 0, "max": 1}, {"formula": "step(0.5, u)"}, 0.5],
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _mask_is_a_share(self) -> BlendSpec:
+        if isinstance(self.mask, float) and not 0.0 <= self.mask <= 1.0:
+            raise ValueError(f"mask = {self.mask:g} is not allowed; it should be in [0, 1]")
+        return self
+
+    def build(self, context: RecipeContext) -> Blend:
+        """Load both materials.
+
+        Raises:
+            RecipeError: a recipe cannot be loaded, or the mask leaves [0, 1].
+        """
+        if context.load_recipe is None:
+            raise context.fail("first.recipe", self.first.recipe, "cannot be loaded from here")
+        first, second = context.recipe(self.first.recipe), context.recipe(self.second.recipe)
+        if isinstance(self.mask, TextureSpec):
+            mask = self.mask.build(context, "mask")
+        else:
+            mask = Texture(self.mask, self.mask, image=np.zeros((2, 2)))
+        if not (mask.low >= 0.0 and mask.high <= 1.0):
+            raise context.fail("mask", f"{mask.low:g} ... {mask.high:g}", "is not allowed; it should be in [0, 1]")
+        return Blend(first, second, mask)
+
+
+@dataclass(frozen=True)
+class Blend(Model):
+    """Two materials and the share of the first over the surface."""
+
+    noun = "blend"
+
+    first: Any
+    second: Any
+    mask: Texture
+
+    def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
+        """Return both materials' lobes, masked, on one grid: the finer of their own unless one is given.
+
+        Raises:
+            UnsupportedError: one material cannot be computed on the other's wavelengths.
+        """
+        if wavelengths_nm is not None:
+            parts = [self.first.bsdf(wavelengths_nm), self.second.bsdf(wavelengths_nm)]
+        else:
+            parts = [self.first.bsdf(), self.second.bsdf()]
+            grids = [part.wavelengths_nm for part in parts]
+            if not np.array_equal(*grids):
+                finer = max(grids, key=len)
+                parts = [
+                    part if np.array_equal(part.wavelengths_nm, finer) else material.bsdf(finer)
+                    for part, material in zip(parts, (self.first, self.second), strict=True)
+                ]
+        lobes = tuple(
+            MaskedLobe(lobe.wavelengths_nm, lobe, self.mask, inverted)
+            for part, inverted in zip(parts, (False, True), strict=True)
+            for lobe in part.lobes
+        )
+        return Bsdf(lobes, {"first": dict(parts[0].provenance), "second": dict(parts[1].provenance)})
+
+    def spectrum(self, theta_rad: Array, wavelengths_nm: Array | None, polarisation: str, seed: int = 0) -> Spectrum:
+        """Return the spectra of both, weighed by the mask's mean over the surface; `seed` is of a pearl among them.
+
+        Raises:
+            NacreError: as either material.
+        """
+        share = self._share
+        one = self.first.spectrum(theta_rad, wavelengths_nm, polarisation, seed=seed)
+        other = self.second.spectrum(theta_rad, one.wavelengths_nm, polarisation, seed=seed)
+        names = {**one.parts(), **other.parts()}
+        zero = np.zeros((len(one.angles_deg), len(one.wavelengths_nm)))
+        mixed = {n: share * one.parts().get(n, zero) + (1 - share) * other.parts().get(n, zero) for n in names}
+        return replace(one, **mixed)
+
+    def lost_at(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
+        """Return what both lose, weighed as their spectra are."""
+        weights = (self._share, 1.0 - self._share)
+        parts = [part.model.lost_at(theta_rad, wavelengths_nm, seed) for part in (self.first, self.second)]
+        known = [weight * lost for weight, lost in zip(weights, parts, strict=True) if lost is not None]
+        return np.sum(known, axis=0) if known else None
+
+    @property
+    def _share(self) -> float:
+        """The mask's mean over the surface."""
+        axis = (np.arange(64) + 0.5) / 64
+        uv = np.stack(np.meshgrid(axis, axis), axis=-1)
+        return float(self.mask(uv).mean())
+
+
+__all__ = ["Blend", "BlendSpec"]

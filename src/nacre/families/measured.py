@@ -1,0 +1,87 @@
+"""The recipe of a measured material: the file that holds it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import pydantic
+
+from nacre.bsdf import Bsdf
+from nacre.bsdf.lobes.table import TableLobe
+from nacre.core.arrays import Array
+from nacre.core.errors import UnsupportedError
+from nacre.families.contract import Model
+from nacre.recipe.model import RecipeContext, RecipeModel
+
+
+class MeasuredSpec(RecipeModel):
+    """A measurement: a `.nacre` file, as `nacre import` writes it, and a scale."""
+
+    example: ClassVar[Mapping[str, Any]] = {"family": "measured", "file": "paint.nacre"}
+
+    family: Literal["measured"] = pydantic.Field(description="the family's name")
+    file: str = pydantic.Field(description="a .nacre file, as `nacre import` writes it", examples=["paint.nacre"])
+    scale: float = pydantic.Field(
+        json_schema_extra={"exclusiveMinimum": 0}, default=1.0, description="factor that multiplies the measured values"
+    )
+
+    def build(self, context: RecipeContext) -> Measured:
+        """Load the file.
+
+        Raises:
+            RecipeError: the file is no `.nacre` file or the scale is not positive.
+            NacreError: the file cannot be read.
+        """
+        path = context.path(self.file)
+        if path.suffix != ".nacre":
+            raise context.fail("file", self.file, "should be a .nacre file; make one with: nacre import FILE")
+        if not self.scale > 0:
+            raise context.fail("scale", self.scale, "should be above 0")
+        return Measured(path, Bsdf.load(path), self.scale)
+
+
+@dataclass(frozen=True)
+class Measured(Model):
+    """A measured material: its stored Bsdf, multiplied by a scale."""
+
+    noun = "measured material"
+    why_unpolarised = "was measured with unpolarised light"
+    unbounded_because = "so the file says"
+
+    path: Path
+    stored: Bsdf
+    scale: float = 1.0
+
+    @property
+    def wavelengths_nm(self) -> Array:
+        """The wavelengths of the measurement."""
+        return self.stored.wavelengths_nm
+
+    def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
+        """Return the measurement, interpolated linearly to other wavelengths inside its range if asked.
+
+        Raises:
+            UnsupportedError: wavelengths outside the measurement, or a lobe that cannot be resampled.
+        """
+        lobes = []
+        for lobe in self.stored.lobes:
+            if not isinstance(lobe, TableLobe):
+                if wavelengths_nm is not None or self.scale != 1.0:
+                    raise UnsupportedError(f"{self.path}: a {lobe.kind} lobe keeps its own wavelengths and scale")
+                lobes.append(lobe)
+                continue
+            grid, basis = lobe.wavelengths_nm, lobe.basis
+            if wavelengths_nm is not None:
+                if wavelengths_nm[0] < grid[0] - 1e-9 or wavelengths_nm[-1] > grid[-1] + 1e-9:
+                    raise UnsupportedError(
+                        f"{self.path}: was measured from {grid[0]:g} to {grid[-1]:g} nm, "
+                        f"asked for {wavelengths_nm[0]:g} to {wavelengths_nm[-1]:g}"
+                    )
+                basis = np.stack([np.interp(wavelengths_nm, grid, row) for row in basis])
+                grid = wavelengths_nm
+            lobes.append(TableLobe(grid, lobe.values * self.scale, basis, lobe.coordinates))
+        return Bsdf(tuple(lobes), self.stored.provenance)

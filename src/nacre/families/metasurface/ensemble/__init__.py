@@ -1,0 +1,1 @@
+"""Multi-sphere ensembles: the reference solution that corrects the mean-field model."""

@@ -1,0 +1,285 @@
+"""The ensemble's ratio over wavelengths: solved at some, between them interpolated, each kept on disk once done."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nacre.core.arrays import Array
+from nacre.core.disk_cache import drop_arrays, keep_arrays, kept_arrays
+from nacre.core.memory import check_memory
+from nacre.core.parallel import available_jobs, in_threads
+from nacre.core.progress import announce, duration
+from nacre.families.metasurface.ensemble.ensemble import REACH, Ensemble, EnsembleSettings, middle_sizes, same_order
+from nacre.families.metasurface.ensemble.supercells import beyond_the_window, carried_order, cells, with_kinds
+from nacre.families.metasurface.monolayer.arrangement import Pattern
+from nacre.families.metasurface.monolayer.ensemble_ratio import Block, Ratio, Sums, as_arrays, from_arrays
+from nacre.families.metasurface.monolayer.monolayer import Monolayer
+from nacre.families.metasurface.tmatrix.substrate import Embedded
+from nacre.recipe.fingerprint import identity
+
+MOST_WAVELENGTHS = 16  # that are solved; the ratio is smooth where no resonance is sharper than 30 nm
+SOLVE_S = 0.9  # of one pattern of `UNKNOWNS` on one core
+UNKNOWNS = 2080
+ONE_SIDE, OF_MIXTURES = 0.5, 1.15  # of the work but the factors: over what is opaque, and with kinds to be told apart
+TABLES_S = 1.0  # of a wavelength, once
+# of kinds at unlike heights, whose waves are carried from one to the other: of a pattern, for each wave and pair of
+# multipoles, and of a wavelength
+CARRYING_S, CARRIED_TABLES_S = 6.6e-9, 6e-5
+MOST_UNKNOWNS = 12_000  # 1.2 GB a matrix
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """Ratios at some wavelengths, and their standard errors.
+
+    Attributes:
+        wavelengths_nm: `[wavelength]`, ascending.
+        ratios: at each.
+        errors: relative standard error of the diffuse light above, `[wavelength, s, i]`, over azimuth and polarisation.
+        angles_rad: `[s]`, of s and i alike.
+        settings: how large the ensemble was.
+    """
+
+    wavelengths_nm: Array
+    ratios: tuple[Ratio, ...]
+    errors: Array
+    angles_rad: Array
+    settings: EnsembleSettings
+
+    def at(self, wavelength_nm: float) -> Ratio:
+        """Return the ratio at a wavelength, linear between those that were solved."""
+        x = float(np.interp(wavelength_nm, self.wavelengths_nm, np.arange(len(self.ratios))))
+        low = min(int(x), len(self.ratios) - 1)
+        high = min(low + 1, len(self.ratios) - 1)
+        return self.ratios[low] if x == low else self.ratios[low].mixed(self.ratios[high], x - low)
+
+    @property
+    def standard_error(self) -> float:
+        """Root mean square over all wavelengths and pairs of angles, by projected solid angle."""
+        projected = np.sin(2 * self.angles_rad)
+        weights = projected[:, None] * projected
+        return float(np.sqrt(np.mean(np.sum(weights * self.errors**2, axis=(1, 2)) / weights.sum())))
+
+    @property
+    def notes(self) -> dict[str, Any]:
+        """What a Bsdf says of it."""
+        return {
+            "spheres": self.settings.spheres,
+            "realisations": self.settings.realisations,
+            "multipole_order": self.settings.multipole_order,
+            "standard_error": round(self.standard_error, 4),
+            "wavelengths_nm": self.wavelengths_nm.tolist(),
+            "angles_deg": np.degrees(self.angles_rad).round(2).tolist(),
+            "standard_errors": self.errors.round(4).tolist(),
+        }
+
+
+def chosen(wavelengths_nm: Array) -> Array:
+    """Return the wavelengths that are solved for a grid: all of few, else as many as are enough, evenly spread."""
+    if len(wavelengths_nm) <= MOST_WAVELENGTHS:
+        return wavelengths_nm
+    return wavelengths_nm[np.linspace(0, len(wavelengths_nm) - 1, MOST_WAVELENGTHS).round().astype(int)]
+
+
+def expected_seconds(wavelengths: int, settings: EnsembleSettings, layer: Monolayer) -> float:
+    """Return about how long an ensemble takes on this machine, by the clock.
+
+    Args:
+        layer: the model at one of the wavelengths.
+    """
+    n = 2 * settings.multipole_order * (settings.multipole_order + 2)
+    share = settings.spheres * n / UNKNOWNS
+    seen = (1.0 if layer.has_below else ONE_SIDE) * (1.0 if layer.shares.size == 1 else OF_MIXTURES)
+    one = SOLVE_S * (0.3 * share**3 + seen * (0.4 * share**2 + 0.3 * share))  # factors, the filling, directions, fit
+    tables = TABLES_S
+    heights = np.unique([p.centre_nm for p in layer.particles])
+    if len(heights) > 1:
+        surface, side = layer.surface, float(np.sqrt(settings.spheres / layer.structure.density_per_nm2))
+        top = carried_order(settings.multipole_order, surface.inner_wavenumber * float(np.ptp(heights)))
+        carried = (2 * top * (top + 2)) ** 2
+        largest = beyond_the_window(surface, REACH * side) * surface.inner_wavenumber
+        waves = np.pi * (largest * side / (2 * np.pi)) ** 2
+        one += CARRYING_S * waves * n * carried
+        tables += CARRIED_TABLES_S * carried
+    return wavelengths * (tables + settings.realisations * one / min(available_jobs(), settings.realisations))
+
+
+def refine(
+    wavelengths_nm: Array,
+    layer: Callable[[float], Monolayer],
+    pattern: Callable[[int, int], Pattern],
+    settings: EnsembleSettings,
+    seed: int,
+    source: str,
+    is_list: bool = False,
+    because: str = "",
+) -> Refinement:
+    """Return the ratios for a grid of wavelengths; what was solved before, also by a run that was stopped, is read.
+
+    Args:
+        wavelengths_nm: ascending.
+        layer: the mean-field model at a wavelength, of which the middle particle size of each kind is taken.
+        pattern: function of count and seed that returns the arrangement.
+        source: name of the recipe, for messages.
+        is_list: whether the arrangement is a list of points.
+        because: why an ensemble is taken, for the line that announces it.
+
+    Raises:
+        UnsupportedError: the ensemble is too large for this machine's memory.
+    """
+    size = settings.spheres * 2 * settings.multipole_order * (settings.multipole_order + 2)
+    check_memory(
+        3.0 * 8.0 * size**2 * available_jobs(),
+        f"{source}: model.ensemble.spheres = {settings.spheres} of order {settings.multipole_order}",
+        "take fewer spheres, or fewer --jobs",
+    )
+    solved_at = chosen(np.atleast_1d(np.asarray(wavelengths_nm, dtype=float)))
+    first = layer(float(solved_at[0]))
+    structure = first.structure
+    made = cells(
+        pattern,
+        structure.density_per_nm2,
+        structure.diameter_nm,
+        settings.spheres,
+        settings.realisations,
+        seed,
+        is_list,
+    )
+    ensembles = []
+    for wavelength in solved_at:
+        whole = layer(float(wavelength))
+        alone = same_order(whole, settings.multipole_order, *middle_sizes(whole))
+        dealt = with_kinds(made, alone.shares, seed) if len(alone.particles) > 1 else made
+        ensembles.append(Ensemble(alone, dealt))
+    keys = [_key(one, settings) for one in ensembles]
+    found = [_read(key) for key in keys]
+    missing = [n for n, one in enumerate(found) if one is None]
+    if missing:
+        begun = [_begun(keys[n], len(made)) for n in missing]
+        done_before = sum(len(patterns) for patterns in begun)
+        share = 1.0 - done_before / (len(missing) * len(made))
+        seconds = share * expected_seconds(len(missing), settings, ensembles[0].layer)
+        parts = []
+        if len(missing) < len(found):
+            parts.append(f"{len(found) - len(missing)} more are kept from before")
+        if done_before:
+            noun = "pattern" if done_before == 1 else "patterns"
+            parts.append(f"{done_before} {noun} of these {'is' if done_before == 1 else 'are'} kept")
+        kept = f" ({', '.join(parts)})" if parts else ""
+        noun = "wavelength" if len(missing) == 1 else "wavelengths"
+        announce(
+            f"{source}: {because}{settings.realisations} patterns of {settings.spheres} particles at {len(missing)} "
+            f"{noun}{kept}: about {duration(seconds)}",
+            seconds,
+        )
+        for n, solved in _solve([ensembles[n] for n in missing], [keys[n] for n in missing], missing, begun):
+            found[n] = solved
+    done = [one for one in found if one is not None]
+    angles = ensembles[0].angles_rad
+    return Refinement(solved_at, tuple(r for r, _ in done), np.stack([e for _, e in done]), angles, settings)
+
+
+def _solve(
+    ensembles: list[Ensemble], keys: list[str], names: list[int], begun: list[dict[int, dict[Block, Sums]]]
+) -> list[tuple[int, tuple[Ratio, Array]]]:
+    """Solve all patterns of all wavelengths, each wavelength's fit as soon as its last pattern is done.
+
+    Each pattern is kept until the fit, so that a run that was stopped solves none twice.
+
+    Args:
+        keys, names: of each ensemble, on disk and for the answer.
+        begun: patterns of each that are solved already.
+    """
+    solved = [dict(patterns) for patterns in begun]
+    lock = threading.Lock()
+    out: list[tuple[int, tuple[Ratio, Array]]] = []
+    prepared = [threading.Lock() for _ in ensembles]
+
+    def fit(n: int) -> None:
+        ratio, errors = ensembles[n].ratio([solved[n][k] for k in range(len(solved[n]))])
+        solved[n].clear()
+        ensembles[n].forget()
+        _keep(keys[n], ratio, errors)
+        drop_arrays(_of_pattern(keys[n], k) for k in range(len(ensembles[n].cells)))
+        with lock:
+            out.append((names[n], (ratio, errors)))
+
+    def work(item: tuple[int, int]) -> None:
+        n, number = item
+        with prepared[n]:  # its tables once, by whoever comes first
+            ensembles[n].prepare()
+        one = ensembles[n].solve(number)
+        with lock:
+            solved[n][number] = one
+            is_last = len(solved[n]) == len(ensembles[n].cells)
+        if is_last:
+            fit(n)
+        else:
+            keep_arrays(_of_pattern(keys[n], number), as_arrays(one))
+
+    items = [(n, k) for n, one in enumerate(ensembles) for k in range(len(one.cells)) if k not in begun[n]]
+    for n, one in enumerate(ensembles):
+        if len(begun[n]) == len(one.cells):
+            fit(n)
+    in_threads(work, items)
+    return out
+
+
+def _of_pattern(key: str, number: int) -> str:
+    return f"{key}-{number}"
+
+
+def _begun(key: str, patterns: int) -> dict[int, dict[Block, Sums]]:
+    """Return what a run that was stopped has solved of a wavelength, by the number of the pattern."""
+    out = {}
+    for number in range(patterns):
+        stored = kept_arrays(_of_pattern(key, number))
+        with contextlib.suppress(KeyError, ValueError):  # what is damaged is solved anew
+            if stored:
+                out[number] = from_arrays(stored)
+    return out
+
+
+def _key(one: Ensemble, settings: EnsembleSettings) -> str:
+    """What decides the ratio: the optics, the positions, and the code."""
+    surface, particles, structure = one.layer.surface, one.layer.particles, one.layer.structure
+    digest = hashlib.sha256()
+    for array in (
+        surface.indices, surface.thicknesses_nm, *(p.t_matrix for p in particles), structure.q_per_nm, structure.s,
+        structure.r_nm, structure.h, *(cell.xy_nm for cell in one.cells), *(cell.period.bloch for cell in one.cells),
+        *(cell.kinds for cell in one.cells if cell.kinds is not None),
+    ):  # fmt: skip
+        digest.update(np.ascontiguousarray(array).tobytes())
+    numbers = [
+        surface.wavelength_nm, structure.density_per_nm2, structure.diameter_nm,
+        *(n for p in particles for n in (p.share, p.centre_nm, p.cut or 0.0)),
+        *(n for cell in one.cells for n in (cell.period.side_nm, float(cell.seed))),
+        *([float(surface.host)] if isinstance(surface, Embedded) else ()),
+    ]  # fmt: skip
+    return "ensemble-" + identity(
+        {"arrays": digest.hexdigest(), "numbers": [float(n).hex() for n in numbers]}, {}, settings=str(settings)
+    )
+
+
+def _keep(key: str, ratio: Ratio, errors: Array) -> None:
+    names = {"-".join(map(str, block)): values for block, values in ratio.coefficients.items()}
+    keep_arrays(key, {**names, "errors": errors})
+
+
+def _read(key: str) -> tuple[Ratio, Array] | None:
+    stored = kept_arrays(key)
+    if not stored or "errors" not in stored:
+        return None
+    errors = stored.pop("errors")
+    blocks = {}
+    for name, values in stored.items():
+        a, b, c, d = (int(part) for part in name.split("-"))
+        blocks[(a, b, c, d)] = values
+    return Ratio(blocks), errors

@@ -1,0 +1,1 @@
+"""The disordered monolayer at one wavelength: structure, mean field, coherent and diffuse light."""

@@ -1,0 +1,581 @@
+"""Point patterns of a monolayer on a periodic square, seeded, up to a million points; their S(q) and g(r).
+
+Distances are in units of the least distance a inside the kernels; a grid of cells of side below a/sqrt(2) holds at
+most one point a cell, so each test of overlap looks at 24 neighbours.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import j0
+
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.core.files import plain, why_unreadable
+from nacre.core.jit import compiled
+from nacre.core.memory import check_memory
+from nacre.families.metasurface.monolayer.micrograph import find_particles, grey_levels
+from nacre.families.metasurface.monolayer.structure import RANGE_IN_DIAMETERS, Structure
+from nacre.recipe.delimited_text import decoded, headings, rows
+from nacre.recipe.model import RecipeContext
+from nacre.recipe.units import LENGTH_UNITS_NM
+
+RSA_LIMIT = 0.535  # random sequential addition jams at 0.547
+POISSON_LIMIT = 0.53
+MAX_POINTS = 4_000_000
+SWEEPS = 80  # Monte-Carlo moves a disk; S(q) is stationary within its noise after some 60 at packing 0.5
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Points on a periodic square.
+
+    Attributes:
+        xy_nm: `[point, 2]`, in [0, box_nm).
+        box_nm: side of the square.
+    """
+
+    xy_nm: Array
+    box_nm: float
+
+
+@compiled(nogil=True)
+def _free(grid, wrap, ix, iy, x, y, box):  # type: ignore[no-untyped-def]  # numba
+    """Whether no point of another cell is closer than 1; cells of side <= 1/sqrt(2), the point's own one empty."""
+    for dx in range(-2, 3):
+        cx = wrap[ix + dx + 2]
+        for dy in range(-2, 3):
+            if abs(dx * dy) == 4:
+                continue  # the corners are out of reach
+            cy = wrap[iy + dy + 2]
+            px = grid[cx, cy, 0]
+            if px < 0.0:
+                continue
+            ux, uy = abs(x - px), abs(y - grid[cx, cy, 1])
+            if ux > 0.5 * box:
+                ux = box - ux
+            if uy > 0.5 * box:
+                uy = box - uy
+            if ux * ux + uy * uy < 1.0:
+                return False
+    return True
+
+
+@compiled(nogil=True)
+def _add(count, box, cells, seed, start, shrink, tries, xy):  # type: ignore[no-untyped-def]  # numba
+    """Throw darts; the least distance falls from `start` to 1 by `shrink` each `tries` failures. Points placed."""
+    np.random.seed(seed)  # noqa: NPY002  # numba knows the generator of its own thread only
+    side = box / cells
+    grid = np.full((cells, cells, 2), -1.0)
+    wrap = (np.arange(cells + 4) - 2) % cells
+    placed, failed, distance = 0, 0, start
+    while placed < count:
+        x, y = np.random.random() * box, np.random.random() * box  # noqa: NPY002
+        ix, iy = min(int(x / side), cells - 1), min(int(y / side), cells - 1)
+        clear = grid[ix, iy, 0] < 0.0 and _free(grid, wrap, ix, iy, x, y, box)
+        if clear and distance > 1.0:
+            # a wider distance needs more cells than the next ones
+            span = int(distance / side) + 1
+            for dx in range(-span, span + 1):
+                for dy in range(-span, span + 1):
+                    cx, cy = (ix + dx) % cells, (iy + dy) % cells
+                    if grid[cx, cy, 0] >= 0.0:
+                        ux, uy = abs(x - grid[cx, cy, 0]), abs(y - grid[cx, cy, 1])
+                        ux, uy = min(ux, box - ux), min(uy, box - uy)
+                        if ux * ux + uy * uy < distance * distance:
+                            clear = False
+                            break
+                if not clear:
+                    break
+        if clear:
+            xy[placed, 0], xy[placed, 1] = x, y
+            grid[ix, iy, 0], grid[ix, iy, 1] = x, y
+            placed += 1
+            failed = 0
+        else:
+            failed += 1
+            if failed > tries:
+                if distance <= 1.0:
+                    return placed
+                distance = max(1.0, distance * shrink)
+                failed = 0
+    return placed
+
+
+@compiled(nogil=True)
+def _move(xy, box, cells, seed, sweeps, step):  # type: ignore[no-untyped-def]  # numba
+    """Metropolis moves of hard disks of diameter 1, one after the other; returns the share accepted."""
+    np.random.seed(seed)  # noqa: NPY002  # numba knows the generator of its own thread only
+    side = box / cells
+    grid = np.full((cells, cells, 2), -1.0)
+    wrap = (np.arange(cells + 4) - 2) % cells
+    for j in range(xy.shape[0]):
+        ox, oy = min(int(xy[j, 0] / side), cells - 1), min(int(xy[j, 1] / side), cells - 1)
+        grid[ox, oy, 0], grid[ox, oy, 1] = xy[j, 0], xy[j, 1]  # of a slice numba would compile the words of its error
+    accepted = 0
+    for _ in range(sweeps):
+        for j in range(xy.shape[0]):
+            x = xy[j, 0] + (2 * np.random.random() - 1) * step  # noqa: NPY002
+            y = xy[j, 1] + (2 * np.random.random() - 1) * step  # noqa: NPY002
+            x = x + box if x < 0.0 else (x - box if x >= box else x)
+            y = y + box if y < 0.0 else (y - box if y >= box else y)
+            ix, iy = min(int(x / side), cells - 1), min(int(y / side), cells - 1)
+            ox, oy = min(int(xy[j, 0] / side), cells - 1), min(int(xy[j, 1] / side), cells - 1)
+            grid[ox, oy, 0] = -1.0
+            if grid[ix, iy, 0] < 0.0 and _free(grid, wrap, ix, iy, x, y, box):
+                xy[j, 0], xy[j, 1] = x, y
+                grid[ix, iy, 0], grid[ix, iy, 1] = x, y
+                accepted += 1
+            else:
+                grid[ox, oy, 0] = xy[j, 0]
+    return accepted / (sweeps * xy.shape[0])
+
+
+def _frame(count: int, packing: float) -> tuple[float, int]:
+    if not 1 <= count <= MAX_POINTS:
+        raise NacreError(f"a pattern of {count} points is not allowed; it should be 1 to {MAX_POINTS}")
+    if packing <= 0:
+        raise NacreError(f"packing = {packing:g} is not allowed; it should be over 0")
+    box = float(np.sqrt(count * np.pi / (4 * packing)))
+    if box < 3.0:
+        raise NacreError(f"a pattern of {count} points at packing {packing:g} is too small to repeat")
+    cells = int(np.ceil(box * np.sqrt(2.0))) + 1
+    check_memory(16.0 * cells**2 + 64.0 * count, f"a pattern of {count} points at packing {packing:g}")
+    return box, cells
+
+
+def _scaled(xy: Array, box: float, density_per_nm2: float, packing: float) -> Pattern:
+    a = np.sqrt(4 * packing / (np.pi * density_per_nm2))
+    return Pattern(xy * a, float(box * a))
+
+
+def random_sequential(count: int, density_per_nm2: float, packing: float, seed: int = 0) -> Pattern:
+    """Random sequential addition: points one after the other, where they fit.
+
+    Raises:
+        NacreError: a packing above 0.535, where the square jams before it is full.
+    """
+    if packing > RSA_LIMIT:
+        raise NacreError(f"packing = {packing:g} is not allowed for rsa; it should be at most {RSA_LIMIT:g}")
+    box, cells = _frame(count, packing)
+    xy = np.empty((count, 2))
+    placed = _add(count, box, cells, seed, 1.0, 1.0, 4_000_000, xy)
+    if placed < count:
+        raise NacreError(f"random sequential addition jammed after {placed} of {count} points at packing {packing:g}")
+    return _scaled(xy, box, density_per_nm2, packing)
+
+
+def poisson_disk(count: int, density_per_nm2: float, packing: float, seed: int = 0) -> Pattern:
+    """Poisson-disk sampling by relaxed dart throwing: the least distance starts wide and falls to a.
+
+    McCool & Fiume, Graphics Interface (1992). More even than random sequential addition at the same density.
+
+    Raises:
+        NacreError: the points do not fit, as above a packing of about 0.53.
+    """
+    if packing > POISSON_LIMIT:
+        raise NacreError(
+            f"packing = {packing:g} is not allowed for poisson-disk; it should be at most {POISSON_LIMIT:g}"
+        )
+    box, cells = _frame(count, packing)
+    xy = np.empty((count, 2))
+    start = max(1.0, 0.75 * np.sqrt(2 / np.sqrt(3) * np.pi / (4 * packing)))
+    placed = _add(count, box, cells, seed, start, 0.98, max(200, 2 * count), xy)
+    if placed < count:
+        raise NacreError(f"poisson-disk sampling filled up after {placed} of {count} points at packing {packing:g}")
+    return _scaled(xy, box, density_per_nm2, packing)
+
+
+def hard_disks(count: int, density_per_nm2: float, packing: float, seed: int = 0, sweeps: int = SWEEPS) -> Pattern:
+    """Hard disks in equilibrium, by Monte-Carlo moves from a random start (from a lattice above packing 0.5).
+
+    Raises:
+        NacreError: a packing above 0.7, where disks freeze.
+    """
+    if packing > 0.7:
+        raise NacreError(f"packing = {packing:g} is not allowed; it should be at most 0.7")
+    box, cells = _frame(count, packing)
+    if packing <= 0.5:
+        xy = np.empty((count, 2))
+        if _add(count, box, cells, seed, 1.0, 1.0, 4_000_000, xy) < count:
+            raise NacreError(f"no start was found for {count} disks at packing {packing:g}")
+    else:
+        xy = _hexagonal(count, box)
+    gap = max(np.sqrt(np.pi / (4 * packing)) - 0.95, 0.05)
+    # in the order of their cells, so that a sweep walks through memory
+    xy = xy[np.lexsort((xy[:, 1] * cells // box, xy[:, 0] * cells // box))]
+    _move(xy, box, cells, seed + 1, sweeps, float(min(gap, 0.5 * box)))
+    return _scaled(xy, box, density_per_nm2, packing)
+
+
+def _hexagonal(count: int, box: float) -> Array:
+    """Places of a hexagonal lattice that fit the box; spare ones stay empty, evenly."""
+    rows = int(np.ceil(np.sqrt(count * 2 / np.sqrt(3)) / 2) * 2)
+    columns = int(np.ceil(count / rows))
+    y, x = np.divmod(np.arange(rows * columns), columns)
+    xy = np.stack([(x + 0.5 * (y % 2)) * (box / columns), y * (box / rows)], axis=1)
+    return np.ascontiguousarray(xy[np.linspace(0, len(xy) - 1, count).round().astype(int)] % box)
+
+
+def lattice(count: int, density_per_nm2: float, kind: str = "hexagonal", jitter: float = 0.0, seed: int = 0) -> Pattern:
+    """A square or hexagonal lattice; each point moved by a Gaussian of `jitter` lattice constants.
+
+    The number of points is rounded so that the lattice closes on the (nearly) square box.
+    """
+    rng = np.random.default_rng(seed)
+    columns = max(2, round(np.sqrt(count)))
+    rows = columns
+    if kind == "hexagonal":
+        rows = max(2, 2 * round(columns / np.sqrt(3) * 2 / 2 * 1.0))
+        columns = max(2, round(rows * np.sqrt(3) / 2))
+    box = float(np.sqrt(rows * columns / density_per_nm2))
+    y, x = np.divmod(np.arange(rows * columns), columns)
+    shift = 0.5 * (y % 2) if kind == "hexagonal" else 0.0
+    xy = np.stack([(x + shift) * (box / columns), y * (box / rows)], axis=1)
+    xy = xy + rng.normal(scale=jitter * box / columns, size=xy.shape)
+    return Pattern(xy % box, box)
+
+
+def nearest_distances(pattern: Pattern) -> Array:
+    """The distance of each point to its nearest neighbour, periodic, in nm, `[point]`."""
+    from scipy.spatial import cKDTree
+
+    xy = pattern.xy_nm % pattern.box_nm
+    tree: Any = cKDTree(xy, boxsize=np.full(2, pattern.box_nm))
+    return np.asarray(tree.query(xy, k=2)[0][:, 1])
+
+
+def measured_structure_factor(pattern: Pattern, q_edges_per_nm: Array) -> Array:
+    """S(q) of a pattern, averaged over the modes of its box between the edges, `[bin]`; NaN-free.
+
+    Points are spread on a mesh by cubic B-splines and transformed; the spline's own transform is divided out. A bin
+    without a mode takes its neighbours' value.
+    """
+    count = len(pattern.xy_nm)
+    q_max = float(q_edges_per_nm[-1])
+    mesh = int(2 ** np.ceil(np.log2(max(32.0, 1.6 * q_max * pattern.box_nm / np.pi))))
+    if mesh > 8192:
+        raise NacreError("q is too large for a pattern of this size; ask for a smaller range")
+    density = np.zeros((mesh, mesh))
+    _spread(pattern.xy_nm / pattern.box_nm * mesh, density)
+    amplitude = np.fft.rfft2(density)
+    nx, ny = np.fft.fftfreq(mesh, 1 / mesh), np.arange(mesh // 2 + 1)
+    spline = np.sinc(nx / mesh)[:, None] ** 4 * np.sinc(ny / mesh)[None, :] ** 4
+    power = np.abs(amplitude / spline) ** 2 / count
+    q = 2 * np.pi / pattern.box_nm * np.hypot(nx[:, None], ny[None, :])
+    power, q = power.ravel()[1:], q.ravel()[1:]
+    which = np.digitize(q, q_edges_per_nm) - 1
+    inside = (which >= 0) & (which < len(q_edges_per_nm) - 1)
+    total = np.bincount(which[inside], power[inside], len(q_edges_per_nm) - 1)
+    modes = np.bincount(which[inside], minlength=len(q_edges_per_nm) - 1)
+    centres = (q_edges_per_nm[1:] + q_edges_per_nm[:-1]) / 2
+    found = modes > 0
+    return np.interp(centres, centres[found], total[found] / modes[found])
+
+
+@compiled(nogil=True)
+def _spread(u, density):  # type: ignore[no-untyped-def]  # numba
+    mesh = density.shape[0]
+    for j in range(u.shape[0]):
+        ix, iy = int(np.floor(u[j, 0])), int(np.floor(u[j, 1]))
+        fx, fy = u[j, 0] - ix, u[j, 1] - iy
+        for a in range(-1, 3):
+            wx = _spline(fx - a)
+            for b in range(-1, 3):
+                density[(ix + a) % mesh, (iy + b) % mesh] += wx * _spline(fy - b)
+
+
+@compiled(nogil=True)
+def _spline(t):  # type: ignore[no-untyped-def]  # numba
+    t = abs(t)
+    if t < 1.0:
+        return (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0
+    if t < 2.0:
+        return (2.0 - t) ** 3 / 6.0
+    return 0.0
+
+
+@compiled(nogil=True)
+def _count_pairs(xy, box, order, starts, cells, reach, bins, counts):  # type: ignore[no-untyped-def]  # numba
+    side = box / cells
+    for j in range(xy.shape[0]):
+        ix, iy = int(xy[j, 0] / side) % cells, int(xy[j, 1] / side) % cells
+        for dx in range(-1, 2):
+            for dy in range(-1, 2):
+                cell = ((ix + dx) % cells) * cells + (iy + dy) % cells
+                for n in range(starts[cell], starts[cell + 1]):
+                    k = order[n]
+                    if k <= j:
+                        continue
+                    ux, uy = abs(xy[j, 0] - xy[k, 0]), abs(xy[j, 1] - xy[k, 1])
+                    ux, uy = min(ux, box - ux), min(uy, box - uy)
+                    r = np.sqrt(ux * ux + uy * uy)
+                    if r < reach:
+                        counts[int(r / reach * bins)] += 2
+
+
+def measured_pair_correlation(pattern: Pattern, reach_nm: float, bins: int = 300) -> tuple[Array, Array]:
+    """r (bin centres, nm) and g(r) of a pattern up to `reach_nm`, which must be below a third of the box."""
+    box = pattern.box_nm
+    if reach_nm > box / 3:
+        raise NacreError(f"g(r) to {reach_nm:g} nm needs a box of at least three times that, not {box:g} nm")
+    cells = max(3, int(box / reach_nm))
+    xy = np.ascontiguousarray(pattern.xy_nm % box)
+    cell = (xy[:, 0] / box * cells).astype(int) % cells * cells + (xy[:, 1] / box * cells).astype(int) % cells
+    order = np.argsort(cell, kind="stable")
+    starts = np.searchsorted(cell[order], np.arange(cells * cells + 1))
+    counts = np.zeros(bins, dtype=np.int64)
+    _count_pairs(xy, box, order, starts, cells, reach_nm, bins, counts)
+    edges = np.linspace(0.0, reach_nm, bins + 1)
+    ring = np.pi * (edges[1:] ** 2 - edges[:-1] ** 2)
+    density = len(xy) / box**2
+    return (edges[1:] + edges[:-1]) / 2, counts / (len(xy) * density * ring)
+
+
+# From an arrangement's name, a file of points or a file of S(q) to the `Structure` that the optics reads.
+
+logger = logging.getLogger("nacre")
+
+ARRANGEMENTS = ("hard-disk", "rsa", "poisson-disk", "lattice")
+MEASURED_POINTS = 200_000
+MAX_FILE_BYTES = 200 << 20
+LEAST_POINTS = 50
+FARTHEST_UM = 4.0  # that neighbours are apart: beyond, S(q) has more rings than light can tell, and takes minutes
+BIN_REDUCED = 0.1  # width of the bins of a measured S, in q a
+
+
+@dataclass(frozen=True)
+class Arrangement:
+    """What to make: a name of `ARRANGEMENTS`, density, packing, seed, and for a lattice its kind and jitter."""
+
+    name: str
+    density_per_nm2: float
+    packing: float
+    seed: int = 0
+    lattice: str = "hexagonal"
+    jitter: float = 0.1
+
+    def pattern(self, count: int) -> Pattern:
+        """Return a pattern of about `count` points.
+
+        Raises:
+            NacreError: the packing cannot be reached this way.
+        """
+        if self.name == "lattice":
+            return lattice(count, self.density_per_nm2, self.lattice, self.jitter, self.seed)
+        makers: dict[str, Callable[..., Pattern]] = {
+            "hard-disk": hard_disks,
+            "rsa": random_sequential,
+            "poisson-disk": poisson_disk,
+        }
+        return makers[self.name](count, self.density_per_nm2, self.packing, self.seed)
+
+
+def measured_structure(name: str, pattern: Pattern, diameter_nm: float, q_max_per_nm: float) -> Structure:
+    """Measure S(q) and g(r) of a pattern and tabulate them."""
+    density = len(pattern.xy_nm) / pattern.box_nm**2
+    top = min(q_max_per_nm, 25.0 / diameter_nm)
+    edges = np.arange(0.0, top * diameter_nm + 2 * BIN_REDUCED, BIN_REDUCED) / diameter_nm
+    s = measured_structure_factor(pattern, edges)
+    centres = (edges[1:] + edges[:-1]) / 2
+    step = 0.01 / diameter_nm
+    q = np.asarray(np.arange(int(edges[-1] / step) + 1) * step, dtype=np.float64)
+    reach = min(RANGE_IN_DIAMETERS * diameter_nm, pattern.box_nm / 3.01)
+    r, g = measured_pair_correlation(pattern, reach, int(40 * reach / diameter_nm))
+    outside = r >= diameter_nm
+    grid = np.linspace(diameter_nm, reach, 385)
+    return Structure(
+        name,
+        float(density),
+        float(diameter_nm),
+        q,
+        np.asarray(np.interp(q, centres, s)),
+        grid,
+        np.interp(grid, r[outside], g[outside]) - 1.0,
+    )
+
+
+def pattern_structure(context: RecipeContext, arrangement: Arrangement, q_max_per_nm: float) -> Structure:
+    """Make a pattern and measure it.
+
+    Raises:
+        RecipeError: it cannot be made.
+    """
+    try:
+        pattern = arrangement.pattern(MEASURED_POINTS)
+    except NacreError as error:
+        raise context.fail("monolayer.packing", arrangement.packing, f"cannot be made: {error}") from None
+    a = float(np.sqrt(4 * arrangement.packing / (np.pi * arrangement.density_per_nm2)))
+    return measured_structure(arrangement.name, pattern, a, q_max_per_nm)
+
+
+def jittered_structure(
+    context: RecipeContext, arrangement: Arrangement, diameter_nm: float, q_max_per_nm: float
+) -> Structure:
+    """A jittered lattice in all orientations (a polycrystal): S averaged over them; the least distance is measured.
+
+    Raises:
+        RecipeError: the jitter makes particles overlap.
+    """
+    pattern = arrangement.pattern(10_000)
+    # Gaussian jitter has rare close pairs; one in ten thousand may be moved apart in fabrication
+    nearest = np.sort(nearest_distances(pattern))
+    close = float(np.mean(nearest < diameter_nm))
+    if close > 1e-3:
+        raise context.fail(
+            "monolayer.structure.jitter",
+            arrangement.jitter,
+            f"makes {100 * close:.2g} % of the particles overlap; take less",
+        )
+    a = max(float(nearest[len(nearest) // 1000]), diameter_nm)
+    return measured_structure("lattice", pattern, a, q_max_per_nm)
+
+
+def points_pattern(context: RecipeContext, name: str, diameter_nm: float, width_um: float | None = None) -> Pattern:
+    """Read points, taken as one period of a square: a list, x and y in um, one a line, or a picture of particles.
+
+    Of what is not square the middle square is taken.
+
+    Args:
+        width_um: of the picture.
+
+    Raises:
+        RecipeError: the file is unusable, or particles overlap.
+    """
+    key = "monolayer.structure.points"
+    xy_um = read_columns(context, key, name) if width_um is None else _points_in_picture(context, name, width_um)
+    _check_count(context, key, name, xy_um, "" if width_um is None else " in its middle square, which is what is taken")
+    low, high = xy_um.min(axis=0), xy_um.max(axis=0)
+    short, long = sorted(high - low)
+    if short <= 0:
+        raise context.fail(key, name, "holds points on one line")
+    if short < long * (1 - 2 / np.sqrt(len(xy_um))):  # no square to within a row of particles
+        xy_um = xy_um[np.abs(xy_um - (low + high) / 2).max(axis=1) <= short / 2]
+        _check_count(context, key, name, xy_um, " in its middle square")
+        low, high = xy_um.min(axis=0), xy_um.max(axis=0)
+    # the period is not in the list; N random points leave 2/(N+1) of a side free at its ends
+    side = float(np.max(high - low)) * 1e3 * (len(xy_um) + 1) / (len(xy_um) - 1)
+    pattern = Pattern((xy_um - low) * 1e3, side)
+    # overlaps are looked for in the list alone: its guessed repetition may bring edges too close
+    nearest = float(nearest_distances(Pattern(pattern.xy_nm, 3 * side)).min())
+    if nearest > 1e3 * FARTHEST_UM:
+        what = "lengths are in um unless a heading says else, as x_nm,y_nm" if width_um is None else "width_um is in um"
+        raise context.fail(
+            key, name, f"has particles at least {1e-3 * nearest:.3g} um apart, and {FARTHEST_UM:g} is the most; {what}"
+        )
+    if nearest < diameter_nm * (1 - 1e-6):
+        raise context.fail(
+            key, name, f"has particles {nearest:.4g} nm apart, which overlap: they are {diameter_nm:.4g} nm wide"
+        )
+    return pattern
+
+
+def _check_count(context: RecipeContext, key: str, name: str, xy_um: Array, where: str = "") -> None:
+    if len(xy_um) < LEAST_POINTS:
+        needed = f"at least {LEAST_POINTS} are needed to have a structure"
+        raise context.fail(key, name, f"holds {len(xy_um)} points{where}; {needed}")
+
+
+def _points_in_picture(context: RecipeContext, name: str, width_um: float) -> Array:
+    """Find the particles in the middle square of a picture, `[point, 2]`, um.
+
+    Raises:
+        RecipeError: it shows none, or cannot be read.
+    """
+    path = context.path(name)
+    try:
+        if plain(path).stat().st_size > MAX_FILE_BYTES:
+            raise NacreError(f"is larger than {MAX_FILE_BYTES >> 20} MB")
+        found = find_particles(grey_levels(path), width_um)
+    except OSError as error:
+        raise context.fail("monolayer.structure.points", name, why_unreadable(error)) from None
+    except NacreError as error:
+        raise context.fail("monolayer.structure.points", name, str(error)) from None
+    logger.log(logging.WARNING if found.left_out else logging.INFO, "%s: %s: %s", context.source, name, found.summary)
+    side = min(found.size_um)
+    away = np.abs(found.xy_um - np.array(found.size_um) / 2).max(axis=1)
+    return found.xy_um[away < side / 2]
+
+
+def points_structure(pattern: Pattern, q_max_per_nm: float) -> Structure:
+    """Measure a list of points; its least distance is the one within the list, see `points_pattern`."""
+    nearest = float(nearest_distances(Pattern(pattern.xy_nm, 3 * pattern.box_nm)).min())
+    return measured_structure("points", pattern, nearest, q_max_per_nm)
+
+
+def sq_structure(
+    context: RecipeContext, name: str, density_per_nm2: float, packing: float, q_max_per_nm: float
+) -> Structure:
+    """Read S(q): q in 1/um and S, one pair a line; g(r) is its transform outside the least distance.
+
+    Raises:
+        RecipeError: the file is unusable.
+    """
+    key = "monolayer.structure.sq"
+    table = read_columns(context, key, name)
+    q, s = table[:, 0] * 1e-3, table[:, 1]
+    if len(q) < 4 or np.any(np.diff(q) <= 0) or q[0] < 0 or np.any(s < 0):
+        raise context.fail(key, name, "must hold at least 4 rows of ascending q >= 0 in 1/um and S >= 0")
+    a = float(np.sqrt(4 * packing / (np.pi * density_per_nm2)))
+    step = 0.01 / a
+    grid = np.asarray(np.arange(int(max(q[-1], q_max_per_nm) / step) + 2) * step, dtype=np.float64)
+    values = np.interp(grid, q, s, right=1.0)
+    r = np.linspace(a, RANGE_IN_DIAMETERS * a, 385)
+    # a soft window keeps the end of the table from ringing in g
+    window = np.cos(np.clip(grid / q[-1], 0.0, 1.0) * np.pi / 2)
+    spectrum = (values - 1) * window * grid * step / (2 * np.pi * density_per_nm2)
+    h = np.array([j0(grid * x) @ spectrum for x in r])
+    return Structure("sq", density_per_nm2, a, grid, values, r, np.maximum(h, -1.0))
+
+
+def read_columns(context: RecipeContext, key: str, name: str) -> Array:
+    """Read two columns of numbers, parted as `nacre.recipe.delimited_text` knows, with a heading or not.
+
+    The first two count; of a heading that names x and y (in nm, um or mm) those do, brought to um.
+
+    Raises:
+        RecipeError: the file is missing, too large or not numbers.
+    """
+    path = context.path(name)
+    try:
+        if plain(path).stat().st_size > MAX_FILE_BYTES:
+            raise context.fail(key, name, f"is larger than {MAX_FILE_BYTES >> 20} MB")
+        lines = list(rows(decoded(path.read_bytes())))
+    except UnicodeDecodeError:
+        raise context.fail(key, name, "must hold two numbers a line; it is not text") from None
+    except OSError as error:
+        raise context.fail(key, name, why_unreadable(error)) from None
+    first, second, to_um = 0, 1, 1.0
+    if lines and not _is_number(lines[0][1][0]):
+        names = headings(lines.pop(0)[1])
+        for unit, factor in {"": 1e3, **LENGTH_UNITS_NM}.items():
+            x, y = (f"{axis}_{unit}".rstrip("_") for axis in "xy")
+            if x in names and y in names:
+                first, second, to_um = names.index(x), names.index(y), factor * 1e-3
+    found = []
+    for number, cells in lines:
+        try:
+            found.append((float(cells[first]), float(cells[second])))
+        except (ValueError, IndexError):
+            said = " ".join(cells)[:40]
+            raise context.fail(key, name, f'holds "{said}" in line {number} where two numbers should stand') from None
+        if not all(map(math.isfinite, found[-1])):
+            raise context.fail(key, name, f"must hold finite numbers; line {number} does not")
+    if not found:
+        raise context.fail(key, name, "must hold two numbers a line")
+    table = np.array(found)
+    return table * to_um
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

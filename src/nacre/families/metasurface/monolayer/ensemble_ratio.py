@@ -1,0 +1,337 @@
+"""The smooth ratio of multi-sphere truth to the mean-field model: fitted in low orders, applied to every pair.
+
+A direct answer of an ensemble of some twenty patterns is noisy; its ratio to the model's is not, for the ratio is
+smooth and a few numbers describe it. r_qp(s, i, dphi) is a sum of products f_a(s) f_b(i) (kappa_s kappa_i)^k
+cos(k dphi), with f_a powers of kz/k (beyond the critical angle of |kz|/k: the field has its kink there), symmetric
+under the exchange of s and i with their polarisations: what is reciprocal stays so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.core.arrays import Array
+
+SAME, CROSS = "same", "cross"
+Block = tuple[int, int, int, int]
+HIGHEST = (4, 3, 2)  # powers of w of each direction, with the harmonic k of the azimuth
+LEAST, MOST = 0.1, 5.0  # of a ratio: outside, the polynomial has left what it knows
+
+
+@dataclass(frozen=True)
+class Ways:
+    """Directions as the ratio sees them, of either side, `[direction]`.
+
+    Attributes:
+        real, imaginary: of kz/k in the ambient.
+        transverse: in-plane wavevector over that of grazing light of the same side.
+        below: whether it is on the substrate's side.
+    """
+
+    real: Array
+    imaginary: Array
+    transverse: Array
+    below: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, transverse: Array, index: Array, below: NDArray[np.bool_]) -> Ways:
+        """Return them from kappa/k in the ambient and the index of each one's side over the ambient's."""
+        square = 1.0 - transverse**2
+        return cls(np.sqrt(np.maximum(square, 0.0)), np.sqrt(np.maximum(-square, 0.0)), transverse / index, below)
+
+    def powers(self, below: bool) -> Array:
+        """f_a, `[a, direction]`: powers of w, and below of v, with w + iv = kz/k; their degrees are `_degrees`."""
+        rows = [self.real**a for a in range(HIGHEST[0] + 1)]
+        if below:
+            rows += [self.imaginary, self.imaginary**2]
+        return np.stack(rows)
+
+
+def _degrees(below: bool) -> tuple[int, ...]:
+    degrees = tuple(range(HIGHEST[0] + 1))
+    return (*degrees, 1, 2) if below else degrees
+
+
+@lru_cache(maxsize=16)
+def _terms(left_below: bool, right_below: bool, kind: str) -> tuple[tuple[int, int, int], ...]:
+    """The products (a, b, k) of one block; where both sides and polarisations are alike, a >= b: b, a is the same."""
+    folded = kind == SAME and left_below == right_below
+    return tuple(
+        (a, b, k)
+        for k, most in enumerate(HIGHEST)
+        for a, p in enumerate(_degrees(left_below))
+        for b, q in enumerate(_degrees(right_below))
+        if p <= most and q <= most and not (folded and b > a)
+    )
+
+
+def _columns(left: Ways, right: Ways, left_below: bool, right_below: bool, kind: str, phi: Array) -> Array:
+    """The products at all pairs, `[term, left, right, phi]`."""
+    f, g = left.powers(left_below), right.powers(right_below)
+    both = left.transverse[:, None] * right.transverse
+    waves = np.cos(np.multiply.outer(np.arange(len(HIGHEST)), phi))
+    folded = kind == SAME and left_below == right_below
+    out = []
+    for a, b, k in _terms(left_below, right_below, kind):
+        plain = f[a][:, None] * g[b]
+        if folded and a != b:
+            plain = 0.5 * (plain + f[b][:, None] * g[a])
+        out.append((plain * both**k)[..., None] * waves[k])
+    return np.stack(out)
+
+
+# (side of s, side of i, pol of s, pol of i): the others follow by exchange
+BLOCKS_ABOVE = ((0, 0, 0, 0), (0, 0, 1, 1), (0, 0, 0, 1))
+BLOCKS_BELOW = (
+    (1, 1, 0, 0), (1, 1, 1, 1), (1, 1, 0, 1),
+    (1, 0, 0, 0), (1, 0, 1, 1), (1, 0, 0, 1), (1, 0, 1, 0),
+)  # fmt: skip
+
+
+def blocks(has_below: bool) -> tuple[Block, ...]:
+    """Return the blocks that are fitted, each on its own."""
+    return BLOCKS_ABOVE + (BLOCKS_BELOW if has_below else ())
+
+
+def _kind(block: Block) -> str:
+    return SAME if block[2] == block[3] else CROSS
+
+
+def products(left: Ways, right: Ways, block: Block, phi: Array) -> Array:
+    """Return the products of one block, `[term, left, right, phi]`; `phi` is `[phi]` or `[left, right, phi]`."""
+    return _columns(left, right, bool(block[0]), bool(block[1]), _kind(block), phi)
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """The fitted ratio at one wavelength.
+
+    Attributes:
+        coefficients: of each of `blocks`, `[realisation, term]`: estimates of the single realisations, whose mean is
+            the answer and whose spread its error.
+    """
+
+    coefficients: dict[Block, Array]
+
+    def mixed(self, other: Ratio, share: float) -> Ratio:
+        """Return the ratio between this wavelength (share 0) and another one (1)."""
+        both = self.coefficients.keys() & other.coefficients.keys()
+        return Ratio({b: (1 - share) * self.coefficients[b] + share * other.coefficients[b] for b in sorted(both)})
+
+    def at(self, left: Ways, right: Ways, block: Block, phi: Array) -> Array:
+        """Return r of one block, `[left, right, phi]`."""
+        found = self.coefficients[block]
+        columns = products(left, right, block, phi)
+        return np.asarray(np.clip(1.0 + np.tensordot(found.mean(axis=0), columns, 1), LEAST, MOST))
+
+    def applied(self, harmonics: Array, ways: Ways) -> Array:
+        """Return harmonics over dphi times the ratio, `[s, i, pol_s, pol_i, k]`."""
+        kept = harmonics.shape[-1]
+        samples = 2 * kept + 4
+        phi = np.pi * np.arange(samples + 1) / samples
+        waves = np.cos(np.arange(kept)[:, None] * phi)
+        ends = np.ones(samples + 1)
+        ends[[0, -1]] = 0.5
+        back = (waves * ends * np.where(np.arange(kept) == 0, 1.0, 2.0)[:, None] / samples).T
+        out = harmonics.copy()
+        sides = [np.nonzero(ways.below == side)[0] for side in (False, True)]
+        for block in self.coefficients:
+            rows, columns = sides[block[0]], sides[block[1]]
+            if not (rows.size and columns.size):
+                continue
+            r = self.at(_picked(ways, rows), _picked(ways, columns), block, phi)
+            ways_of_it = [(rows, columns, block[2], block[3], r)]
+            if block[0] != block[1] or block[2] != block[3]:
+                ways_of_it.append((columns, rows, block[3], block[2], r.swapaxes(0, 1)))
+            for left, right, q, p, factor in ways_of_it:
+                cut = left[:, None], right, q, p
+                out[cut] = ((harmonics[cut] @ waves) * factor) @ back
+        return out
+
+
+def _picked(ways: Ways, rows: NDArray[np.intp]) -> Ways:
+    return Ways(ways.real[rows], ways.imaginary[rows], ways.transverse[rows], ways.below[rows])
+
+
+# The fit of a ratio to the orders of many patterns, less what each pattern's own structure factor explains.
+
+PRIOR = 3.0  # spread of the coefficients before anything is known: keeps undetermined ones small
+# of the mean square over a direction: weaker light weighs no more. Where the model sends hardly anything, others' light
+# fills in, and no smooth factor follows that: a lower floor lets it draw the ratio up everywhere (0.1: by 5 %)
+FLOOR = 0.3
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """One block of the light of one pattern, `[s, i]`.
+
+    Attributes:
+        left, right: the directions s and i.
+        phi: between their in-plane wavevectors.
+        truth: |F|^2 / (n_s n_i) a sphere.
+        model: the same of the model.
+        control: the model with the pattern's S less the mean one in place of S.
+        level: mean square of the model over the pairs with s and with i.
+        left_bins, right_bins: bins of the angles of s and of i, ascending.
+    """
+
+    left: Ways
+    right: Ways
+    phi: Array
+    truth: Array
+    model: Array
+    control: Array
+    level: Array
+    left_bins: NDArray[np.intp]
+    right_bins: NDArray[np.intp]
+
+    def exchanged(self) -> Pairs:
+        """The same light sent back."""
+        return Pairs(
+            self.right, self.left, self.phi.T, self.truth.T, self.model.T, self.control.T, self.level.T,
+            self.right_bins, self.left_bins,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Sums:
+    """What the fit of a block needs of one pattern; `b` are bins of angles, `t` the products of the ratio.
+
+    Attributes:
+        normal, rest, controls: `[t, t]`, `[t]` and `[b, t]`: products with each other, with what the model leaves, and
+            with the control of each bin, all weighted.
+        follows: `[2, b]`: what the model leaves times the control, and the control squared, weighted.
+        totals: `[3, b]`: truth, model and control.
+        shapes: `[b, t]`: model times products.
+        noise: mean weighted square of what the model leaves.
+    """
+
+    normal: Array
+    rest: Array
+    controls: Array
+    follows: Array
+    totals: Array
+    shapes: Array
+    noise: float
+
+    def __add__(self, other: Sums) -> Sums:
+        return Sums(
+            self.normal + other.normal, self.rest + other.rest, self.controls + other.controls,
+            self.follows + other.follows, self.totals + other.totals, self.shapes + other.shapes,
+            0.5 * (self.noise + other.noise),
+        )  # fmt: skip
+
+
+def as_arrays(pattern: Mapping[Block, Sums]) -> dict[str, Array]:
+    """Return the sums of a pattern as arrays by name, to be kept."""
+    return {
+        f"{'-'.join(map(str, block))}.{field.name}": np.asarray(getattr(sums, field.name), dtype=float)
+        for block, sums in pattern.items()
+        for field in fields(Sums)
+    }
+
+
+def from_arrays(arrays: Mapping[str, Array]) -> dict[Block, Sums]:
+    """Return the sums of a pattern from what `as_arrays` made of them.
+
+    Raises:
+        KeyError: arrays are missing.
+    """
+    out: dict[Block, Sums] = {}
+    for name in sorted({name.partition(".")[0] for name in arrays}):
+        a, b, c, d = (int(part) for part in name.split("-"))
+        values = {field.name: arrays[f"{name}.{field.name}"] for field in fields(Sums)}
+        noise = float(values.pop("noise"))
+        out[(a, b, c, d)] = Sums(noise=noise, **values)
+    return out
+
+
+def block_sums(block: Block, pairs: Pairs, bins: int) -> Sums:
+    """Return the sums of one block of one pattern.
+
+    Args:
+        bins: how many bins of angles there are, each way.
+    """
+    columns = products(pairs.left, pairs.right, block, pairs.phi[..., None])[..., 0]
+    x, rest, control = pairs.model, pairs.truth - pairs.model, pairs.control
+    size = x**2 + FLOOR * pairs.level
+    # a list that is a lattice has no light at all between its orders: such pairs tell nothing
+    weight = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
+    design = columns * x
+    scaled = design * weight
+    flat = scaled.reshape(len(design), -1)
+
+    def by_bin(values: Array) -> Array:
+        """Sums over each bin, `[..., b]`."""
+        rows = _summed(values, pairs.left_bins, bins, -2)
+        return _summed(rows, pairs.right_bins, bins, -1).reshape(*values.shape[:-2], bins**2)
+
+    return Sums(
+        flat @ design.reshape(len(design), -1).T,
+        flat @ rest.ravel(),
+        by_bin(scaled * control).T,
+        by_bin(np.stack([weight * rest * control, weight * control**2])),
+        by_bin(np.stack([pairs.truth, x, control])),
+        by_bin(design).T,
+        float(np.mean(weight * rest**2)),
+    )
+
+
+def _summed(values: Array, ascending: NDArray[np.intp], bins: int, axis: int) -> Array:
+    """Sum what falls into each bin along an axis."""
+    starts = np.searchsorted(ascending, np.arange(bins))
+    filled = np.bincount(ascending, minlength=bins) > 0
+    found = np.add.reduceat(values, starts[filled], axis=axis)
+    out = np.zeros((*found.shape[:axis], bins, *found.shape[len(found.shape) + axis + 1 :]))
+    where = [slice(None)] * out.ndim
+    where[axis] = filled  # type: ignore[call-overload]
+    out[tuple(where)] = found
+    return out
+
+
+def fit_ratio(patterns: list[dict[Block, Sums]]) -> tuple[Ratio, Array]:
+    """Return the ratio and the relative standard error of the diffuse light above in each bin of angles, `[b]`."""
+    found: dict[Block, Array] = {}
+    shares: dict[Block, Array] = {}
+    for block in patterns[0]:
+        sums = [one[block] for one in patterns]
+        count = len(sums)
+        normal = np.sum([s.normal for s in sums], axis=0)
+        follows = np.sum([s.follows for s in sums], axis=0)
+        share = shares[block] = np.clip(follows[0] / np.maximum(follows[1], 1e-300), 0.0, 2.0)
+        rest = np.stack([s.rest - share @ s.controls for s in sums])
+        system = normal + np.eye(len(normal)) * 2.0 * float(np.mean([s.noise for s in sums])) / PRIOR**2
+        whole = np.linalg.solve(system, rest.sum(axis=0))
+        # the estimates of the single patterns: their mean is the whole one's, their spread its error
+        left = np.stack([r - s.normal @ whole for r, s in zip(rest, sums)])
+        found[block] = whole + count * np.linalg.solve(system, (left - left.mean(axis=0)).T).T
+    ratio = Ratio(found)
+    return ratio, _errors(ratio, patterns, shares)
+
+
+def _errors(ratio: Ratio, patterns: list[dict[Block, Sums]], shares: dict[Block, Array]) -> Array:
+    """The spread of the single patterns, and what the smooth ratio leaves open beyond their speckle, `[b]`."""
+    above = [block for block in patterns[0] if block in BLOCKS_ABOVE]
+    count = len(patterns)
+    model = np.stack([np.sum([one[b].totals[1] for b in above], axis=0) for one in patterns])
+    seen = np.stack(
+        [np.sum([one[b].totals[0] - shares[b] * one[b].totals[2] for b in above], axis=0) for one in patterns]
+    )
+    base = np.maximum(model.mean(axis=0), 1e-300)
+    fitted = (
+        1.0
+        + np.sum(
+            [ratio.coefficients[b] @ np.mean([one[b].shapes for one in patterns], axis=0).T for b in above], axis=0
+        )
+        / base
+    )
+    seen = 1.0 + (seen - model) / base
+    level = np.maximum(fitted.mean(axis=0), 1e-3)
+    noise = (seen - fitted).var(axis=0, ddof=1) / count
+    left_open = np.maximum((seen.mean(axis=0) - level) ** 2 - noise, 0.0)
+    return np.asarray(np.sqrt(fitted.var(axis=0, ddof=1) / count + left_open) / level)

@@ -1,0 +1,388 @@
+"""From a monolayer at each wavelength to the lobes of a Bsdf: angles, tables, and the check of energy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.bsdf.grids import take_uniform
+from nacre.bsdf.lobe import Lobe
+from nacre.bsdf.lobes.monolayer import Harmonic, PolarGrid, pack_triangle
+from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.response import InterfaceResponse
+from nacre.core.arrays import Array, ComplexArray
+from nacre.core.parallel import in_threads
+from nacre.families.metasurface.monolayer.diffuse import HARMONICS as HARMONICS_few
+from nacre.families.metasurface.monolayer.diffuse import DiffuseTerm, diffuse_term
+from nacre.families.metasurface.monolayer.monolayer import Lit, Monolayer
+from nacre.families.metasurface.monolayer.structure import Structure
+from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
+
+HARMONICS = 8  # kept in the tables: two packet loads of four. What lies above is below 0.3 % of the largest value
+LOW_OPAQUE = 48  # angles above what is low and opaque
+LOW_CLEAR = (32, 24, 16)  # low and on a clear substrate: above, and below up to the critical angle and beyond
+SPECULAR_NODES = 129
+TOTAL_NODES = 33
+GRAZING_COS = 1e-3  # stands in for 0, where the monolayer's own wave is infinite relative to the incident one
+SCALING_STEPS = 200
+
+
+@dataclass(frozen=True)
+class Grids:
+    """Angular grids of the diffuse tables; `below` is None where nothing is transmitted."""
+
+    above: PolarGrid
+    below: PolarGrid | None
+
+
+def choose_grids(eta: float | None, polydisperse: bool, thick: bool, low: bool = False) -> Grids:
+    """Return grids fine enough for the stack that keep a material of 48 wavelengths under 100 MB.
+
+    Linear between the nodes, f is within 0.5 % in relative L2 (a film that guides light leaves 0.8 %, and silicon that
+    hangs free 4 % near its resonance, nearly all of it in the last two degrees); of what is low, within 0.35 %, with a
+    spread of sizes 0.45 %. Fewer nodes are not only solved sooner: a render reads the table at random, and one of a few
+    megabytes, in words of two to a series (`nacre.bsdf.packed_series`, which round by up to 0.3 %), is read from the
+    cache of its own core.
+
+    Args:
+        eta: index of a transparent substrate over the ambient's; None for an opaque one.
+        polydisperse: whether the tables without S are needed as well.
+        thick: whether films of more than a micrometre draw fringes over the angle (0.5 degree steps then).
+        low: whether films and particles together are so low that they draw next to none.
+    """
+    if eta is None:
+        count = (170 if polydisperse else 180) if thick else LOW_OPAQUE if low else 120
+        return Grids(PolarGrid(count), None)
+    if eta == 1.0:  # what hangs free falls off steeply at grazing light
+        count = 72 if polydisperse else 100
+        return Grids(PolarGrid(count), PolarGrid(count))
+    if low:
+        above, below, beyond = LOW_CLEAR
+        return Grids(PolarGrid(above), PolarGrid(below, beyond, eta))
+    above = int((130 if thick else 100) * (0.7 if polydisperse else 1.0))
+    return Grids(PolarGrid(above), PolarGrid(int(0.62 * above), int(0.26 * above), eta))
+
+
+def fit_linear(table: Array, grids: Grids) -> Array:
+    """Return nodes between which straight lines follow a smooth table best, in the mean square.
+
+    Lines between exact nodes lie above what bends upwards. The best ones do not pass through the nodes: they are moved
+    by a twelfth of the second differences, which leaves no error in the mean and 0.4 of it in its square. On triangles,
+    the mixed difference of the two angles counts like those of each.
+
+    Args:
+        table: `[s, i, harmonic]`, the nodes above, then those below, symmetric.
+        grids: whose nodes they are; no difference is taken across the critical angle.
+    """
+    starts = grid_groups(grids)
+    rows = np.swapaxes(table, 0, 1)
+    second = differences(table, starts, 2) + np.swapaxes(differences(rows, starts, 2), 0, 1)
+    mixed = np.swapaxes(differences(np.swapaxes(differences(table, starts, 1), 0, 1), starts, 1), 0, 1)
+    return table - (second + mixed) / 12.0
+
+
+def grid_groups(grids: Grids) -> list[tuple[int, int]]:
+    """Return the first node, and one beyond the last, of each part of the grids that is smooth within."""
+    starts = [(0, grids.above.count)]
+    if grids.below is not None:
+        n, below = grids.above.size, grids.below
+        starts += [(n, n + below.count), (n + below.count, n + below.size)]
+    return starts
+
+
+def differences(table: Array, groups: list[tuple[int, int]], order: int) -> Array:
+    """Return first or second central differences along the first axis within groups; zero where a neighbour is not."""
+    out = np.zeros_like(table)
+    for start, stop in groups:
+        if stop - start < 3:
+            continue
+        before, here, after = table[start : stop - 2], table[start + 1 : stop - 1], table[start + 2 : stop]
+        out[start + 1 : stop - 1] = after - 2.0 * here + before if order == 2 else 0.5 * (after - before)
+    if order == 2:
+        for start, _ in groups[:2]:  # at the normal, where the mean over the azimuth goes on as it came
+            out[start, :, 0] = 2.0 * (table[start + 1, :, 0] - table[start, :, 0])
+    return out
+
+
+@dataclass(frozen=True)
+class WavelengthResult:
+    """One wavelength's columns of the tables; directions as in `Grids`, see `tabulate`."""
+
+    reflectance: Array
+    transmittance: Array
+    reflectance_inside: Array
+    total: Array
+    above: NDArray[np.float32]
+    below: NDArray[np.float32]
+    across: NDArray[np.float32]
+    free: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+    excess: float
+
+
+def solve_wavelength(layer: Monolayer, grids: Grids, eta: float) -> WavelengthResult:
+    """Solve one wavelength on all angles: specular tables, and diffuse tables scaled to energy <= 1."""
+    cosines = np.linspace(0.0, 1.0, SPECULAR_NODES)
+    safe = np.maximum(cosines, GRAZING_COS)
+    reflected, passed = (0.5 * p.sum(axis=0) for p in layer.specular_above(safe))
+    inside, total = np.zeros_like(reflected), np.zeros(0)
+    index = layer.surface.index_below
+    if grids.below is not None:
+        conjugate = np.sqrt(1 - (1 - safe**2) / index**2)
+        inside = 0.5 * layer.specular_below(conjugate).sum(axis=0)
+        if eta > 1.0:
+            # cos_inside/cos_critical = cos(pi x/2); the ends are moved off the two singular angles
+            x = np.clip(np.linspace(0.0, 1.0, TOTAL_NODES), 1e-3, 1 - 1e-3)
+            beyond = np.cos(np.pi / 2 * x) * np.sqrt(1 - 1 / index**2)
+            total = 0.5 * layer.specular_below(beyond).sum(axis=0)
+    sides = [(layer.light(np.cos(grids.above.nodes)), grids.above.weights)]
+    if grids.below is not None:
+        sides.append((layer.light(np.cos(grids.below.nodes), True), grids.below.weights))
+    term = diffuse_term(layer, sides, HARMONICS)
+    reflected, passed, inside, total = (np.clip(t, 0.0, 1.0) for t in (reflected, passed, inside, total))
+    delta = specular_at_nodes(grids, eta, reflected, passed, inside, total)
+    scale, excess = _energy_scale(term, sides, delta, index)
+    n_above = grids.above.size
+    dispersion = index / eta if grids.below is not None else 1.0
+    all_cos = np.concatenate([lit.cosines for lit, _ in sides])
+    factor = scale[:, None] * scale / (all_cos[:, None] * all_cos)
+    tables = []
+    for source in (term.coherent, term.varying):
+        if source.size == 0:
+            empty = np.zeros((0, HARMONICS), np.float32)
+            tables.append((empty, empty, empty))
+            continue
+        full = fit_linear(0.5 * source.sum(axis=(2, 3)) * factor[..., None], grids)
+        across = full[n_above:, :n_above] * dispersion
+        tables.append(
+            (
+                pack_triangle(full[:n_above, :n_above]),
+                pack_triangle(full[n_above:, n_above:] * dispersion**2),
+                np.ascontiguousarray(across.reshape(-1, HARMONICS), dtype=np.float32),
+            )
+        )
+    return WavelengthResult(reflected, passed, inside, total, *tables[0], tables[1], excess)
+
+
+def specular_at_nodes(grids: Grids, eta: float, reflected: Array, passed: Array, inside: Array, total: Array) -> Array:
+    """R + T of the stored specular tables at the diffuse grid's angles, `[angle]`."""
+    out = take_uniform((reflected + passed)[:, None], np.cos(grids.above.nodes), 0)[:, 0]
+    if grids.below is None:
+        return out
+    theta = grids.below.nodes
+    outer = 1 - (eta * np.sin(theta)) ** 2
+    below = take_uniform((inside + passed)[:, None], np.sqrt(np.maximum(outer, 0.0)), 0)[:, 0]
+    if eta > 1.0:
+        ratio = np.clip(np.cos(theta) / np.sqrt(1 - 1 / eta**2), 0.0, 1.0)
+        beyond = take_uniform(total[:, None], 2 / np.pi * np.arccos(ratio), 0)[:, 0]
+        below = np.where(outer < 0, beyond, below)
+    return np.concatenate([out, below])
+
+
+def _energy_scale(
+    term: DiffuseTerm, sides: list[tuple[Lit, Array]], specular: Array, index: float
+) -> tuple[Array, float]:
+    """Factors c, `[angle]`, for diffuse power c_s c_i that leave no direction above 1, and the raw excess."""
+    cosines = np.concatenate([lit.cosines for lit, _ in sides])
+    n2 = np.concatenate([np.full(w.size, index**2 if i else 1.0) for i, (_, w) in enumerate(sides)])
+    weights = np.concatenate([w for _, w in sides]) * n2
+    return energy_factors(0.5 * (term.unpolarised + term.unpolarised.T), weights, cosines, specular)
+
+
+def energy_factors(pairs: Array, weights: Array, cosines: Array, specular: Array) -> tuple[Array, float]:
+    """Return the factors of `_energy_scale`, and the excess, of powers between any directions.
+
+    Args:
+        pairs: `[direction, direction]`, symmetric.
+        weights: of solid angle, times the square of the index.
+        cosines: of the directions.
+        specular: R + T there.
+    """
+    room = np.maximum(1.0 - specular, 0.0)
+    diffuse = weights @ pairs / cosines
+    excess = float(np.max(diffuse - room, initial=0.0))
+    c = np.ones_like(cosines)
+    for _ in range(SCALING_STEPS):
+        sent = c * ((weights * c) @ pairs) / cosines
+        over = sent > room * (1 + 1e-9)
+        if not np.any(over):
+            break
+        c = np.where(over, c * room / np.maximum(sent, 1e-300), c)
+    return c, excess
+
+
+def tabulate(
+    wavelengths_nm: Array,
+    monolayer: Callable[[float], Monolayer],
+    structure: Structure,
+    grids: Grids,
+    eta: float,
+    jobs: int | None = None,
+) -> tuple[tuple[Lobe, ...], float]:
+    """Solve all wavelengths, in parallel, and return the two lobes and the largest raw excess of energy over 1."""
+
+    def work(wavelength: float) -> tuple[WavelengthResult, float, float]:
+        layer = monolayer(float(wavelength))
+        return solve_wavelength(layer, grids, eta), layer.surface.wavenumber, layer.surface.index_below
+
+    solved = in_threads(work, wavelengths_nm, jobs)
+    results = [r for r, _, _ in solved]
+
+    def column(name: str) -> NDArray:
+        return np.stack([getattr(r, name) for r in results], axis=-1)
+
+    def free(i: int) -> NDArray:
+        parts = np.stack([r.free[i] for r in results], axis=-1)
+        return parts if parts.shape[0] else np.zeros((0, HARMONICS, len(results)), np.float32)
+
+    transmits = grids.below is not None
+    response = InterfaceResponse(
+        wavelengths_nm,
+        np.linspace(0.0, 1.0, SPECULAR_NODES),
+        column("reflectance"),
+        column("transmittance"),
+        column("reflectance_inside"),
+        column("total"),
+        eta,
+        transmits,
+    )
+    below = grids.below or PolarGrid(0)
+    harmonic = Harmonic(
+        wavelengths_nm,
+        column("above"),
+        column("below"),
+        column("across"),
+        free(0),
+        free(1),
+        free(2),
+        grids.above.count,
+        below.count,
+        below.beyond,
+        eta,
+        np.array([k for _, k, _ in solved]),
+        np.array([n if transmits else 1.0 for _, _, n in solved]),
+        float(structure.q_per_nm[1] - structure.q_per_nm[0]),
+        structure.s,
+    )
+    return (Specular(response), harmonic), max(r.excess for r in results)
+
+
+# A monolayer's light for a few directions alone, without the tables of the Bsdf.
+
+ABOVE_NODES, BELOW_NODES = 24, 20  # over the cosine, for totals to 1e-4
+
+
+def few_powers(layer: Monolayer, cosines: Array) -> tuple[Array, Array, Array, Array]:
+    """Return specular R and T, diffuse R and T for light from above, each `[pol, angle]`, raw (not scaled to 1).
+
+    Args:
+        layer: of the correction "qca-balanced".
+        cosines: `[angle]`, of incidence, > 0.
+    """
+    lit = layer.light(cosines, at_once=True)
+    reflected, passed = layer.specular_above(cosines, lit)
+    mu, weights = hemisphere_rule(ABOVE_NODES)
+    up = _sent(layer, lit, mu, weights, False)
+    if not layer.has_below:
+        return reflected, passed, up, np.zeros_like(up)
+    mu, weights = hemisphere_rule(BELOW_NODES, layer.surface.index_below)
+    return reflected, passed, up, _sent(layer, lit, mu, weights, True)
+
+
+def _sent(layer: Monolayer, lit: Lit, mu: Array, weights: Array, below: bool) -> Array:
+    """Return the diffuse power sent to one side per incident irradiance, `[pol, angle]`.
+
+    rho / cos_i times the integral of |F|^2 S / n over the directions, for each polarisation of incidence.
+    """
+    leaving = [s.directions(mu, below) for s in layer.spheres]
+    fields = layer.fields([d.emission for d in leaving], lit.response)  # size, m, q, s, p, i
+    phi, step = _azimuths(fields.shape[1])
+    s_weights = _structure_weights(layer, leaving[0], lit.directions[0], phi, step)
+    far = np.stack([_far_field(one, phi) for one in fields])  # size, q, s, p, i, phi
+    shares = layer.shares.reshape(-1, *([1] * 5))
+    mean = np.abs((shares * far).sum(axis=0)) ** 2
+    power = np.einsum("qspij,sij->spi", mean, s_weights)
+    if len(fields) > 1:  # the spread of sizes scatters as if nothing were ordered
+        varying = np.maximum((shares * np.abs(far) ** 2).sum(axis=0) - mean, 0.0)
+        power = power + np.einsum("qspij,j->spi", varying, step)
+    index = leaving[0].index
+    density = layer.structure.density_per_nm2
+    return np.asarray(density * index * np.einsum("s,spi->pi", weights, power) / lit.cosines)
+
+
+def _azimuths(orders: int) -> tuple[Array, Array]:
+    """Azimuths in [0, pi] and weights of the whole turn, exact for products of two patterns of so many orders."""
+    count = 2 * orders
+    phi = np.linspace(0.0, np.pi, count + 1)
+    weights = np.full(count + 1, 2.0 * np.pi / count)
+    weights[[0, -1]] *= 0.5
+    return phi, weights
+
+
+def _far_field(harmonics: ComplexArray, phi: Array) -> ComplexArray:
+    """Return F up to the phase i of the crossed parts, `[q, s, p, i, phi]`, of harmonics `[m, q, s, p, i]`."""
+    m = np.arange(len(harmonics))[:, None]
+    moved = np.moveaxis(harmonics, 0, -1)
+    out = np.empty((*moved.shape[:-1], phi.size), dtype=complex)
+    for q in range(2):
+        for p in range(2):
+            out[q, :, p] = moved[q, :, p] @ (np.cos(m * phi) if q == p else np.sin(m * phi))
+    return out
+
+
+def _structure_weights(layer: Monolayer, out: Directions, into: Directions, phi: Array, step: Array) -> Array:
+    """Return weights `[s, i, phi]` that integrate a pattern of few harmonics times the sharp S over the azimuth."""
+    k, structure = layer.surface.wavenumber, layer.structure
+    kappa_s, kappa_i = out.transverse[:, None], into.transverse
+    reach = 2.0 * float(max(kappa_s.max(), kappa_i.max())) * k * structure.diameter_nm
+    samples = int(32 + 1.2 * reach)
+    fine = np.linspace(0.0, np.pi, samples + 1)
+    s = _structure_at(structure, k, kappa_s, kappa_i, np.cos(fine))
+    count = 2 * (phi.size // 4) + 1  # of harmonics: |F|^2 has no more
+    orders = np.arange(count)
+    ends = np.full(samples + 1, 2.0 * np.pi / samples)
+    ends[[0, -1]] *= 0.5
+    harmonics = s @ (ends[:, None] * np.cos(np.outer(fine, orders)))  # int S cos(k phi) over the turn
+    share = np.where(orders == 0, 1.0, 2.0)[:, None] * np.cos(np.outer(orders, phi)) * step / (2.0 * np.pi)
+    return np.asarray(harmonics @ share)
+
+
+def _structure_at(structure: Structure, k: float, kappa_s: Array, kappa_i: Array, cos_phi: Array) -> Array:
+    squares = kappa_s**2 + kappa_i**2
+    q = np.sqrt(np.maximum(squares[..., None] - 2.0 * (kappa_s * kappa_i)[..., None] * cos_phi, 0.0))
+    return structure.structure_factor(k * q)
+
+
+def few_values(layer: Monolayer, wi: Array, wo: Array) -> Array:
+    """Return the diffuse value of pairs of directions above the surface, `[pair]`, 1/sr, unpolarised.
+
+    With the balance over the nodes of a quadrature in place of those of the Bsdf's tables; values that the tables
+    scale down to what arrives, near grazing, are left as they are.
+
+    Args:
+        wi, wo: `[pair, 3]`, unit vectors, z > 0.
+    """
+    mu, weights = hemisphere_rule(ABOVE_NODES)
+    cosines, place = np.unique(np.concatenate([wi[:, 2], wo[:, 2]]), return_inverse=True)
+    lit = layer.light(np.concatenate([mu, cosines]), at_once=True)
+    term = diffuse_term(layer, [(lit, np.concatenate([weights, np.zeros(cosines.size)]))], HARMONICS_few)
+    i, o = mu.size + place[: len(wi)], mu.size + place[len(wi) :]
+    sines = np.sqrt(np.maximum(1.0 - np.stack([wi[:, 2], wo[:, 2]]) ** 2, 0.0))
+    size = sines[0] * sines[1]
+    dot = wi[:, 0] * wo[:, 0] + wi[:, 1] * wo[:, 1]
+    # dphi lies between the in-plane wavevectors, -wi and wo
+    cos_phi = np.where(size > 1e-14, np.clip(-dot / np.maximum(size, 1e-14), -1.0, 1.0), 1.0)
+    waves = np.cos(np.arange(HARMONICS_few) * np.arccos(cos_phi)[:, None])
+    q = np.sqrt(np.maximum((sines**2).sum(axis=0) + 2.0 * dot, 0.0))
+    s = layer.structure.structure_factor(layer.surface.wavenumber * q)
+    total = np.maximum(_at(term.coherent, o, i, waves), 0.0) * s
+    if term.varying.size:
+        total = total + np.maximum(_at(term.varying, o, i, waves), 0.0)
+    return np.asarray(total / (wi[:, 2] * wo[:, 2]))
+
+
+def _at(source: Array, rows: NDArray[np.intp], columns: NDArray[np.intp], waves: Array) -> Array:
+    """Return the series of unpolarised harmonics at pairs."""
+    return np.einsum("nk,nk->n", 0.5 * source[rows, columns].sum(axis=(1, 2)), waves)

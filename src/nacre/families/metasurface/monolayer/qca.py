@@ -1,0 +1,198 @@
+"""The mean field of the monolayer: what excites a particle among its neighbours (quasi-crystalline approximation).
+
+b = (M^-1 - Q)^-1 v: each particle, its T-matrix dressed by the stack, responds to the incident wave and to its
+neighbours' mean radiation, weighted by g(r). The coherent (specular) wave and the diffuse one follow from b.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nacre.core.arrays import Array, ComplexArray
+from nacre.families.metasurface.monolayer.structure import Structure
+from nacre.families.metasurface.monolayer.translation_sums import (
+    half_index,
+    multipole_index,
+    neighbour_sums,
+    plane_wave_sums,
+)
+from nacre.families.metasurface.tmatrix.particle_on_stack import Directions
+from nacre.families.metasurface.tmatrix.substrate import Substrate
+
+INTERACTION_ORDER = 3  # order 3 against 4 changes |u.b|^2 by at most 2e-3 for the source's particles
+
+
+def chebyshev(count: int, low: float, high: float) -> tuple[Array, Array]:
+    """Chebyshev nodes of the first kind in (low, high) and their barycentric weights."""
+    j = np.arange(count)
+    angle = (2 * j + 1) * np.pi / (2 * count)
+    nodes: Array = low + (high - low) * (1 - np.cos(angle)) / 2
+    weights = np.asarray((-1.0) ** j * np.sin(angle), dtype=np.float64)
+    return nodes, weights
+
+
+def barycentric(nodes: Array, weights: Array, x: Array) -> Array:
+    """Interpolation matrix `[x, node]`."""
+    gap = x[:, None] - nodes
+    hit = np.abs(gap) < 1e-13
+    gap = np.where(hit, 1.0, gap)
+    terms = weights / gap
+    matrix = terms / terms.sum(axis=1, keepdims=True)
+    rows = hit.any(axis=1)
+    matrix[rows] = hit[rows].astype(float)
+    return matrix
+
+
+def mixed(matrix: Array, nodes: ComplexArray) -> ComplexArray:
+    """`[x, node]` times `[pol, node, h, h']`, as products of real numbers: half the work of complex ones."""
+    pols, count, size, _ = nodes.shape
+    flat = np.ascontiguousarray(nodes).reshape(pols, count, size * size).view(float)
+    return np.ascontiguousarray(matrix @ flat).view(complex).reshape(pols, -1, size, size)
+
+
+@dataclass(frozen=True)
+class NeighbourTable:
+    """Q of one monolayer at one wavelength for every angle, tabulated where it is smooth.
+
+    Attributes:
+        surface, centre_nm, structure, order, lift_nm: what it was made of, see `neighbour_sums`.
+        propagating: `[pol, node, h, h']` at Chebyshev nodes of theta in (0, pi/2), folded (see `HalfIndex`).
+        evanescent: the same at nodes of eta, kappa = cosh(eta), up to `eta_max` (for light from below).
+    """
+
+    surface: Substrate
+    centre_nm: float
+    structure: Structure
+    order: int
+    propagating: ComplexArray
+    evanescent: ComplexArray | None
+    eta_max: float
+    lift_nm: float = 0.0
+
+    @classmethod
+    def build(
+        cls, surface: Substrate, centre_nm: float, structure: Structure, order: int, from_below: bool = False,
+        largest: float = 1.0, lift_nm: float = 0.0,
+    ) -> NeighbourTable:  # fmt: skip
+        """Tabulate; `from_below` adds the angles beyond the critical one of a denser substrate.
+
+        Args:
+            largest: in-plane wavevector over k up to which it must reach, if that is more.
+        """
+        a = structure.diameter_nm * surface.inner_wavenumber
+        count = int(14 + 2.0 * a)
+        theta, _ = chebyshev(count, 0.0, np.pi / 2)
+        kappa = np.sin(theta)
+        eta_max, evanescent = 0.0, None
+        if from_below:
+            largest = max(largest, surface.index_below * surface.ambient_index / surface.inner_index)
+        largest = max(largest, surface.ambient_index / surface.inner_index)
+        if largest > 1.0 + 1e-9:
+            eta_max = float(np.arccosh(largest))
+            eta, _ = chebyshev(count, 0.0, eta_max)
+            kappa = np.concatenate([kappa, np.cosh(eta)])
+        sums = neighbour_sums(surface, centre_nm, structure, order, kappa, lift_nm=lift_nm)
+        if eta_max:
+            evanescent = sums[:, count:]
+        return cls(surface, centre_nm, structure, order, sums[:, :count], evanescent, eta_max, lift_nm)
+
+    def at(self, directions: Directions) -> ComplexArray:
+        """Return the whole Q, folded, `[pol, angle, h, h']`, at the in-plane wavevectors of `directions`."""
+        return self.sums(directions.inner, directions.inner_cosines)
+
+    def sums(self, kappa: Array, w: ComplexArray) -> ComplexArray:
+        """Return the same at in-plane wavevectors over k, w = kz/k with Im w >= 0."""
+        size = self.propagating.shape[-1]
+        out = np.empty((2, kappa.size, size, size), dtype=complex)
+        inside = kappa <= 1.0
+        if np.any(inside):
+            nodes, weights = chebyshev(self.propagating.shape[1], 0.0, np.pi / 2)
+            matrix = barycentric(nodes, weights, np.arcsin(kappa[inside]))
+            out[:, inside] = mixed(matrix, self.propagating)
+        if not np.all(inside):
+            assert self.evanescent is not None  # `build` was told of the light from below
+            nodes, weights = chebyshev(self.evanescent.shape[1], 0.0, self.eta_max)
+            matrix = barycentric(nodes, weights, np.arccosh(kappa[~inside]))
+            out[:, ~inside] = mixed(matrix, self.evanescent)
+        return out + plane_wave_sums(self.structure, self.surface, self.centre_nm, self.order, w, kappa, self.lift_nm)
+
+
+def sums_at(
+    surface: Substrate,
+    centre_nm: float,
+    structure: Structure,
+    order: int,
+    directions: Directions,
+    sees_neighbours: bool = True,
+) -> ComplexArray:
+    """Return the whole Q at a few directions, as `NeighbourTable.at` but without a table to interpolate in.
+
+    Without the neighbours' near fields it holds the plane waves of the monolayer, as if it were a sheet.
+    """
+    kappa = directions.inner
+    waves = plane_wave_sums(structure, surface, centre_nm, order, directions.inner_cosines, kappa)
+    return neighbour_sums(surface, centre_nm, structure, order, kappa, quick=True) + waves if sees_neighbours else waves
+
+
+def mean_excitation(q: ComplexArray, order: int, dressed: ComplexArray, own: ComplexArray) -> ComplexArray:
+    """Return Q b, what the neighbours add to the excitation of each particle, `[m, pol, n, angle]`.
+
+    Args:
+        q: the neighbour sums at the directions of incidence, folded, `[pol, angle, h, h']`.
+        order: highest multipole that they carry.
+        dressed: M_m, averaged over the particle sizes, `[m, n, n']`, of any multipole order.
+        own: M_m v averaged over the sizes, the answer to the incident wave alone, `[m, pol, n, angle]`.
+    """
+    lmax = dressed.shape[1] // 2
+    index = multipole_index(order)
+    out = np.zeros_like(own)
+    for pol in range(2):
+        half = half_index(order, pol)
+        rows = index.tau[half.place] * lmax + index.l[half.place] - 1
+        free = own[half.m, pol, rows]  # h, angle
+        same_m = half.m[:, None] == half.m
+        block = np.where(same_m, dressed[half.m[:, None], rows[:, None], rows], 0.0)
+        b = np.linalg.solve(np.eye(len(rows)) - block @ q[pol], free.T[..., None])
+        out[half.m, pol, rows] = (q[pol] @ b)[..., 0].T
+    return out
+
+
+# Nodes over the angle of one side, and how to go from them to other directions of that side.
+
+LEAST_STEP = 1e-3  # of the index below over the ambient's, under which no angle lies beyond the critical one
+Counts = tuple[int, int, int]  # of nodes above, below inside and beyond the critical angle
+
+
+def node_sines(index_below: float, below: bool, counts: Counts, widest_rad: float = np.pi / 2) -> list[Array]:
+    """Return sines of the nodes on one side, in parts.
+
+    Args:
+        index_below: over the ambient's.
+        counts: of nodes.
+        widest_rad: up to which angle above.
+    """
+    if not below:
+        return [np.sin(chebyshev(counts[0], 0.0, widest_rad)[0])]
+    inside = np.sin(chebyshev(counts[1], 0.0, np.pi / 2)[0]) / index_below
+    if index_below <= 1.0 + LEAST_STEP:
+        return [inside]
+    return [inside, np.cosh(chebyshev(counts[2], 0.0, np.arccosh(index_below))[0]) / index_below]
+
+
+def node_weights(directions: Directions, index_below: float, counts: Counts, widest_rad: float = np.pi / 2) -> Array:
+    """Return the interpolation from `node_sines` of their side to directions, `[direction, node]`."""
+    d = directions
+    if not d.below:
+        nodes, weights = chebyshev(counts[0], 0.0, widest_rad)
+        return barycentric(nodes, weights, np.arcsin(d.transverse))
+    first = counts[1]
+    out = np.zeros((d.cosines.size, sum(len(part) for part in node_sines(index_below, True, counts))))
+    inside = d.transverse <= 1.0
+    nodes, weights = chebyshev(first, 0.0, np.pi / 2)
+    out[inside, :first] = barycentric(nodes, weights, np.arcsin(d.transverse[inside]))
+    if not np.all(inside):
+        nodes, weights = chebyshev(counts[2], 0.0, np.arccosh(index_below))
+        out[~inside, first:] = barycentric(nodes, weights, np.arccosh(d.transverse[~inside]))
+    return out

@@ -1,0 +1,460 @@
+"""Particles that are no spheres, put over a stack: their height, how far they are settled, what is refused."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from nacre.core.arrays import Array, ComplexArray
+from nacre.core.errors import UnsupportedError
+from nacre.families.metasurface.monolayer.monolayer import Particle
+from nacre.families.metasurface.tmatrix.axisymmetric import Body, KnownSphere, as_blocks, multipole_order, truncated
+from nacre.families.metasurface.tmatrix.particle_on_stack import (
+    AZIMUTHAL_ORDERS,
+    LOWER_CUT,
+    ORDER_TOLERANCE,
+    ConvergenceRefusal,
+    SphereOnStack,
+    amplitude,
+    choose_order,
+    cut_of,
+    order_change,
+    rounded_up,
+)
+from nacre.families.metasurface.tmatrix.particle_shapes import Shell, Sizes, sphere_t_matrix
+from nacre.families.metasurface.tmatrix.substrate import Substrate
+from nacre.matter.indices.constant import OpticalConstant
+
+PROBED_LIGHT, PROBED_VIEWS = np.radians([0.0, 30.0, 60.0, 80.0]), np.radians(np.arange(5.0, 90.0, 12.0))
+GAP_STEPS = 16
+TOUCHES = 1e-9  # relative
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A particle over a stack at one wavelength, and how much its far field is still in motion.
+
+    Attributes:
+        particle: as the monolayer takes it.
+        change: relative L2 of the far field: by the highest multipoles, or between two cuts near the stack.
+        is_near: whether its circumscribing sphere cuts the stack.
+    """
+
+    particle: Particle
+    change: float
+    is_near: bool
+
+
+def place(body: Body, surface: Substrate, gap_nm: float, order: int | None = None) -> Placed:
+    """Return the particle with the multipoles up to `order`, or all that are known.
+
+    Raises:
+        UnsupportedError: the order is not known.
+        MaterialRangeError: the wavelength is not.
+    """
+    if order is not None:
+        body.check_order(order)
+    t = body.t_matrix(surface.wavelength_nm)
+    t = t if order is None else truncated(t, order)
+    particle = Particle(1.0, body.height_nm / 2 + gap_nm, t)
+    if surface.is_absent or particle.centre_nm >= body.circumscribing_nm * (1 - TOUCHES):
+        return Placed(particle, _truncation(surface, particle), False)
+    near = replace(particle, cut=cut_of(particle.lmax, surface.wavenumber, body.circumscribing_nm))
+    less = replace(particle, cut=cut_of(particle.lmax, surface.wavenumber, body.circumscribing_nm, LOWER_CUT))
+    return Placed(near, _difference(_pattern(surface, less), _pattern(surface, near)), True)
+
+
+def least_gap(
+    body: Body, surface: Substrate, gap_nm: float, tolerance: float, order: int | None = None
+) -> float | None:
+    """Return the least gap, in whole steps to where the circumscribing sphere is clear, that settles; or None."""
+    clear = body.circumscribing_nm - body.height_nm / 2
+    for gap in np.linspace(gap_nm, max(clear, gap_nm), GAP_STEPS + 1)[1:]:
+        rounded = float(np.ceil(10 * gap) / 10)
+        if place(body, surface, rounded, order).change <= tolerance:
+            return rounded
+    return None
+
+
+def refuse(
+    body: Body,
+    surface: Substrate,
+    gap_nm: float,
+    placed: Placed,
+    tolerance: float,
+    order: int | None,
+    key: str = "particle",
+) -> UnsupportedError:
+    """Return the line that refuses a particle whose far field is not settled, with what to do.
+
+    Args:
+        key: of the recipe's table of these particles.
+    """
+    if not placed.is_near:
+        further = f"a larger {key}.gap_nm" if surface.inner_nm == 0.0 else "more room to the faces of the layer"
+        return UnsupportedError(
+            f"{body.source}: at {surface.wavelength_nm:g} nm its multipoles up to l = {placed.particle.lmax} do not "
+            f"settle over this stack (the far field still changes by {placed.change:.2g}, {tolerance:g} is allowed); "
+            f"a T-matrix of higher order or {further} is needed"
+        )
+    gap = least_gap(body, surface, gap_nm, tolerance, order)
+    advice = f"the least {key}.gap_nm that works is {gap:g}" if gap is not None else "no gap_nm mends it"
+    return UnsupportedError(
+        f"{body.source}: at {surface.wavelength_nm:g} nm it lies too close to the stack for multipoles up to l = "
+        f"{placed.particle.lmax}: two cuts of the coupling differ by {placed.change:.2g}, {tolerance:g} is allowed; "
+        f"{advice}"
+    )
+
+
+def _truncation(surface: Substrate, particle: Particle) -> float:
+    """Estimate what the multipoles that are left out change: the last step, falling on as the two last ones do."""
+    top = particle.lmax
+    if top == 1:
+        return 0.0  # a dipole tells nothing of the next order; whoever gives one means a dipole
+    patterns = [
+        _pattern(surface, replace(particle, t_matrix=truncated(particle.t_matrix, l)))
+        for l in range(max(1, top - 2), top + 1)
+    ]
+    last = _difference(patterns[-2], patterns[-1])
+    if len(patterns) < 3:
+        return last
+    before = _difference(patterns[-3], patterns[-2])
+    return last * min(1.0, last / before) if before > 0 else last
+
+
+def _pattern(surface: Substrate, particle: Particle) -> Array:
+    """d sigma/d Omega at a few directions, `[pol_s, s, pol_i, i, phi]`."""
+    alone = SphereOnStack(
+        surface, particle.centre_nm, particle.t_matrix, min(AZIMUTHAL_ORDERS, particle.lmax), particle.cut
+    )
+    fields: ComplexArray = amplitude(
+        alone.harmonics(alone.directions(np.cos(PROBED_VIEWS)), alone.directions(np.cos(PROBED_LIGHT))),
+        np.linspace(0.0, np.pi, 9),
+    )
+    return np.asarray(np.abs(fields) ** 2)
+
+
+def _difference(of: Array, to: Array) -> float:
+    """The largest relative L2 difference over the incidences."""
+    axes = (0, 1, 4)
+    return float(np.max(np.sqrt(np.sum((of - to) ** 2, axis=axes) / np.maximum(np.sum(to**2, axis=axes), 1e-300))))
+
+
+# The kinds of particle of a monolayer: one, or two in a mixture; their sizes, and their multipoles over a stack.
+
+logger = logging.getLogger("nacre")
+
+LOOSEST_TOLERANCE = 0.02  # of the change on doubling: above it the series has no limit to speak of
+# accepted with a warning where the recipe names no tolerance: silver on glass leaves up to 0.9 %, at 360 nm only
+UNASKED_TOLERANCE = 0.01
+UNTOLD_INDEX = 4.0
+GAPS_NM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # that are tried where a sphere's multipoles do not settle
+USUAL_GAP_NM = 2.0
+NEAR = 0.1  # of the logarithm of a length: spheres so alike take one multipole order
+
+
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """One kind of particle.
+
+    Attributes:
+        core: its material; None where only the T-matrix is known.
+        sizes: radii of the cores of spheres; of a body, largest distances from the axis, with its shell.
+        shell: a coating, or None.
+        gap_nm: between the particle and the stack, or the lower face of the layer that it lies in.
+        body: what is no sphere, of the mean size; None: spheres.
+        share: in number, of all particles.
+        key: of the recipe's table.
+        depth_nm: of the top, of the mean size, below the top of the layers; None: they lie above these.
+    """
+
+    core: OpticalConstant | None
+    sizes: Sizes
+    shell: Shell | None = None
+    gap_nm: float = 0.0
+    body: Body | None = None
+    share: float = 1.0
+    key: str = "particle"
+    depth_nm: float | None = None
+
+    @property
+    def mean_radius_nm(self) -> float:
+        """Of the core of a sphere, or of the whole body."""
+        return float(np.dot(self.sizes.radii_nm, self.sizes.shares))
+
+    @property
+    def outer_radius_nm(self) -> float:
+        """Mean radius with the shell; of a body the largest distance from its axis."""
+        return self.mean_radius_nm + (self.shell.thickness_nm if self.shell and self.body is None else 0.0)
+
+    @property
+    def core_radius_nm(self) -> float:
+        """Mean radius without the shell."""
+        return self.outer_radius_nm - (self.shell.thickness_nm if self.shell else 0.0)
+
+    @property
+    def height_nm(self) -> float:
+        """From bottom to top, of the mean size."""
+        return 2 * self.outer_radius_nm if self.body is None else self.body.height_nm
+
+    @property
+    def reach_nm(self) -> float:
+        """Radius of the sphere around it."""
+        return self.outer_radius_nm if self.body is None else self.body.circumscribing_nm
+
+    @property
+    def is_sphere(self) -> bool:
+        """Whether it is a sphere, by its keys or by a file."""
+        return self.body is None or isinstance(self.body, KnownSphere)
+
+    @property
+    def noun(self) -> str:
+        """What a drawing calls them."""
+        if self.body is None:
+            return "spheres"
+        return f"{self.body.shape}s" if self.body.shape else "particles"
+
+    def index(self, wavelength_nm: float) -> complex:
+        """The particles' own index; of a T-matrix that does not say, a high one, the kind with the strictest limit."""
+        if self.core is not None:
+            return complex(self.core.n_complex(np.array([wavelength_nm]))[0])
+        told = None if self.body is None else self.body.index(wavelength_nm)
+        return complex(UNTOLD_INDEX) if told is None else told
+
+    def t_matrix(self, lmax: int, surface: Substrate, radius_nm: float) -> ComplexArray:
+        """Return the diagonal T of one sphere, `[n]`."""
+        if isinstance(self.body, KnownSphere):
+            return self.body.coefficients(lmax, surface)
+        assert self.core is not None  # of spheres it is known
+        return sphere_t_matrix(self.core, self.shell, radius_nm, lmax, surface)
+
+
+@dataclass(frozen=True)
+class Settling:
+    """How multipoles are chosen, and what they left open.
+
+    Attributes:
+        order: of all particles; None: chosen at each wavelength.
+        tolerance: largest change of the far field when the order is doubled; None: the default's, see `Metasurface`.
+        memory: orders of candidates near this one; None: each is chosen anew.
+        source: name of the recipe, for messages.
+        first_film_nm: thickness of the stack's first layer; None: it has none.
+        unsettled: what the highest order left open, by wavelength, where that is more than the tolerance.
+        missing: of files that hold fewer multipoles of a sphere than it takes: the orders held and taken, and about by
+            how much the far field still changes, by source.
+    """
+
+    order: int | None
+    tolerance: float | None
+    memory: dict[Any, Any] | None
+    source: str
+    first_film_nm: float | None
+    unsettled: dict[float, float] = field(default_factory=dict)
+    missing: dict[str, tuple[int, int, float]] = field(default_factory=dict)
+
+    def particles(self, kinds: tuple[Kind, ...], surface: Substrate) -> tuple[Particle, ...]:
+        """Return the particles over a stack, all of one multipole order.
+
+        Raises:
+            ConvergenceRefusal, UnsupportedError: their multipoles do not settle.
+            MaterialRangeError: an index is not known.
+        """
+        bodies = [
+            [] if kind.is_sphere else [self._body(kind, r, surface) for r in kind.sizes.radii_nm] for kind in kinds
+        ]
+        orders = [self.sphere_order(kind, surface) for kind in kinds if kind.is_sphere]
+        top = max([p.lmax for row in bodies for p in row] + orders)
+        out = []
+        for number, (kind, row) in enumerate(zip(kinds, bodies)):
+            above = kind.outer_radius_nm - kind.mean_radius_nm + kind.gap_nm
+            held = top if kind.body is None else min(top, kind.body.lmax)
+            alone = row or [
+                Particle(1.0, radius + above, kind.t_matrix(held, surface, radius)) for radius in kind.sizes.radii_nm
+            ]
+            out += [
+                replace(p, share=kind.share * share, t_matrix=widened(p.t_matrix, top), kind=number)
+                for p, share in zip(alone, kind.sizes.shares)
+            ]
+        return tuple(out)
+
+    def tell(self, is_body: bool) -> None:
+        """Log what is not settled, and of which files more multipoles are missing, once for all wavelengths."""
+        if self.unsettled:
+            logger.warning(
+                "%s: at %s nm the far field is converged to %.2g only (%s); model.tolerance sets what is accepted",
+                self.source, " and ".join(f"{w:g}" for w in sorted(self.unsettled)), max(self.unsettled.values()),
+                "the particle lies close to the solid" if is_body
+                else "a metal sphere touches the solid; with a gap_nm of 2 it converges",
+            )  # fmt: skip
+        for source, (held, wanted, change) in self.missing.items():
+            logger.warning(
+                "%s: holds multipoles up to l = %d, and this sphere takes up to %d over this stack: without them the "
+                "far field changes by up to %.2g", source, held, wanted, change,
+            )  # fmt: skip
+
+    @property
+    def notes(self) -> dict[str, Any]:
+        """What is kept with a Bsdf of the choice of multipoles."""
+        found: dict[str, Any] = {}
+        if self.order is None:
+            found["multipole_tolerance"] = max([self.tolerance or ORDER_TOLERANCE, *self.unsettled.values()])
+        if self.missing:
+            found["multipoles"] = [{"held": h, "taken": t, "change": c} for h, t, c in self.missing.values()]
+        return found
+
+    def _body(self, kind: Kind, radius_nm: float, surface: Substrate) -> Particle:
+        assert kind.body is not None
+        body = kind.body if len(kind.sizes.radii_nm) == 1 else kind.body.of_radius(radius_nm)
+        placed = place(body, surface, kind.gap_nm, self.order)
+        tolerance = self.tolerance or LOOSEST_TOLERANCE
+        if placed.change > tolerance and (placed.is_near or self.order is None):
+            raise refuse(body, surface, kind.gap_nm, placed, tolerance, self.order, kind.key)
+        self._note(surface, placed.change)
+        return placed.particle
+
+    def _note(self, surface: Substrate, change: float) -> None:
+        if change > UNASKED_TOLERANCE:
+            at = surface.wavelength_nm
+            self.unsettled[at] = max(change, self.unsettled.get(at, 0.0))
+
+    def sphere_order(self, kind: Kind, surface: Substrate) -> int:
+        """Return the multipole order of spheres at the wavelength of `surface`.
+
+        Raises:
+            ConvergenceRefusal: no order keeps within the tolerance; it names the remedies.
+        """
+        if self.order is not None:
+            if kind.body is not None:
+                kind.body.check_order(self.order)
+            return self.order
+        if isinstance(kind.body, KnownSphere):
+            return self._known_order(kind, kind.body, surface)
+        if self.memory is not None:
+            near = self._neighbourhood(kind, surface)
+            if near not in self.memory:
+                self.memory[near] = self._chosen_order(kind, surface)
+            return int(self.memory[near])
+        return self._chosen_order(kind, surface)
+
+    def _known_order(self, kind: Kind, sphere: KnownSphere, surface: Substrate) -> int:
+        """Return the order of a sphere of a file: what spheres take, or all that it holds, and note what is missing.
+
+        Raises:
+            ConvergenceRefusal, UnsupportedError: what it holds is not enough, or no order is.
+        """
+        wanted, held = self._chosen_order(kind, surface), sphere.lmax
+        tolerance = self.tolerance or LOOSEST_TOLERANCE
+        if not sphere.goes_on:  # the order was chosen as if there were no more than what it holds
+            placed = place(sphere, surface, kind.gap_nm)
+            if 2 * wanted > held and placed.change > tolerance:
+                raise refuse(sphere, surface, kind.gap_nm, placed, tolerance, None, kind.key)
+        elif wanted > held:
+            centre = kind.outer_radius_nm + kind.gap_nm
+            change = order_change(surface, centre, lambda l: sphere.coefficients(l, surface), held, 2 * wanted)
+            if change > tolerance:
+                raise UnsupportedError(
+                    f"{sphere.source}: holds multipoles up to l = {held}, and at {surface.wavelength_nm:g} nm this "
+                    f"sphere takes {wanted} over this stack: the far field changes by {change:.2g}, {tolerance:g} is "
+                    "allowed; a file of higher order or a larger gap_nm is needed"
+                )
+            _, most, worst = self.missing.get(sphere.source, (held, 0, 0.0))
+            self.missing[sphere.source] = held, max(wanted, most), max(change, worst)
+        return min(wanted, held)
+
+    def _neighbourhood(self, kind: Kind, surface: Substrate) -> tuple[Any, ...]:
+        """What the order depends on, to within a tenth; of the stack the media and the first film's thickness."""
+        assert kind.core is not None  # of spheres it is known
+        lam = np.array([surface.wavelength_nm])
+        inside = [kind.core, *([] if kind.shell is None else [kind.shell.material])]
+        near = 0.0 if self.first_film_nm is None else min(self.first_film_nm, kind.outer_radius_nm)
+        over = max(surface.inner_nm - kind.gap_nm - kind.height_nm, 0.0)  # to the upper face of a layer around them
+        lengths = (*kind.sizes.radii_nm, kind.outer_radius_nm, 1.0 + kind.gap_nm + near, 1.0 + over)
+        steps = tuple(int(np.floor(np.log(length) / NEAR)) for length in lengths)
+        return (
+            surface.wavelength_nm, tuple(complex(m.n_complex(lam)[0]) for m in inside), tuple(surface.indices.tolist()),
+            steps,
+        )  # fmt: skip
+
+    def _chosen_order(self, kind: Kind, surface: Substrate) -> int:
+        centre = kind.outer_radius_nm + kind.gap_nm
+        tolerance = ORDER_TOLERANCE if self.tolerance is None else self.tolerance
+        try:
+            return choose_order(
+                surface, centre, lambda lmax: kind.t_matrix(lmax, surface, kind.mean_radius_nm), tolerance
+            )
+        except ConvergenceRefusal as refusal:
+            if self.tolerance is None and refusal.change < UNASKED_TOLERANCE:
+                self.unsettled[surface.wavelength_nm] = refusal.change
+                return refusal.order
+            accept = ""
+            mend = (
+                'put 2 nm of native oxide (layers = [{material = "SiO2", thickness_nm = 2}]) and a gap_nm = 1 '
+                f"under it, or {self._remedy(kind, surface, tolerance)}"
+            )
+            where = f"gap_nm = {kind.gap_nm:g}"
+            if kind.depth_nm is not None:
+                where, mend = f"depth_nm = {kind.depth_nm:g}", "leave some nm between it and the faces of its layer"
+            if refusal.change < LOOSEST_TOLERANCE:
+                accept = f", or accept model.tolerance = {rounded_up(refusal.change):g}"
+            raise ConvergenceRefusal(
+                f"{self.source}: {kind.key}.{where}: at {surface.wavelength_nm:g} nm {refusal}; {mend}{accept}",
+                refusal.change,
+                refusal.order,
+            ) from None
+
+    def _remedy(self, kind: Kind, surface: Substrate, tolerance: float) -> str:
+        """Return the least gap of a few whose series settles, in words; one that mostly does where many are tried."""
+        if self.memory is not None:
+            return f"a gap_nm of {USUAL_GAP_NM:g}"
+        for gap in (g for g in GAPS_NM if g > kind.gap_nm):
+            with contextlib.suppress(ConvergenceRefusal):
+                choose_order(
+                    surface, kind.outer_radius_nm + gap,
+                    lambda lmax: kind.t_matrix(lmax, surface, kind.mean_radius_nm), tolerance,
+                )  # fmt: skip
+                return f"a gap_nm of {gap:g}"
+        return f"a gap_nm of more than {GAPS_NM[-1]:g}"
+
+
+def widened(t_matrix: ComplexArray, lmax: int) -> ComplexArray:
+    """Return a T-matrix, `[n]` or `[m, n, n']`, with room for multipoles up to `lmax`, which it does not have."""
+    top = multipole_order(t_matrix)
+    if lmax == top:
+        return t_matrix
+    blocks = as_blocks(t_matrix, AZIMUTHAL_ORDERS)
+    places = np.concatenate([np.arange(top), lmax + np.arange(top)])
+    out = np.zeros((min(AZIMUTHAL_ORDERS, lmax) + 1, 2 * lmax, 2 * lmax), dtype=complex)
+    out[: len(blocks), places[:, None], places] = blocks[: len(out)]
+    return out
+
+
+def body_notes(kinds: tuple[Kind, ...]) -> dict[str, Any]:
+    """Return what is kept with a Bsdf of particles that are no spheres."""
+    bodies = [kind.body for kind in kinds if kind.body is not None]
+    stated = [body.stated_error for body in bodies if body.stated_error is not None]
+    found: dict[str, Any] = {"t_matrix_error": float(f"{max(stated):.2g}")} if stated else {}
+    turned = max((body.turn_loss for body in bodies), default=0.0)
+    if turned:
+        found["left_out_by_turns"] = float(f"{turned:.2g}")
+    return found
+
+
+def turns_left_out(kinds: tuple[Kind, ...]) -> list[str]:
+    """Return a line for each kind of which only the mean over its turn about the normal is taken."""
+    return [
+        f"{kind.body.source}: is not axisymmetric: the mean over its turn about the normal is taken, and "
+        f"{100 * kind.body.turn_loss:.2g} % of what it scatters, which depends on the turn, is left out; "
+        'orientation = "aligned" takes all of it, of particles that point one way'
+        for kind in kinds
+        if kind.body is not None and kind.body.turn_loss
+    ]
+
+
+def mean_square_radius(kinds: tuple[Kind, ...]) -> float:
+    """Return the radius in nm of the disc whose area is the mean over the kinds: coverage counts by it."""
+    squares: Array = np.array([kind.share * kind.outer_radius_nm**2 for kind in kinds])
+    return float(np.sqrt(squares.sum()))

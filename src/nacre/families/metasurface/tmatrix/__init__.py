@@ -1,0 +1,1 @@
+"""T-matrices of particles, free and above or inside a planar stack."""

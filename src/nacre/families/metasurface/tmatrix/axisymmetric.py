@@ -1,0 +1,327 @@
+"""T-matrices of particles that look the same at any turn about the normal, at some wavelengths.
+
+In the basis of `angular` such a matrix is one block for each azimuthal order m >= 0, `[m, n, n']` with n = (tau, l);
+those of -m follow by the mirror that holds the axis, which turns the sign where tau changes. It differs from the
+orthonormal one with Condon-Shortley phases (the community's files, treams) by factors that depend on m alone, so a
+block has the same numbers in both.
+"""
+
+from __future__ import annotations
+
+import abc
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from nacre.core.arrays import Array, ComplexArray
+from nacre.core.errors import MaterialRangeError, UnsupportedError
+from nacre.families.metasurface.tmatrix.substrate import Substrate
+from nacre.matter.mie import mie_coefficients
+
+SAME_WAVELENGTH = 1e-6  # relative: files hold wavenumbers of few digits
+
+
+def multipole_order(t_matrix: ComplexArray) -> int:
+    """Return the highest l of a T-matrix: diagonal, `[n]`, or blocks, `[m, n, n']`."""
+    return int(t_matrix.shape[-1] // 2)
+
+
+def truncated(t_matrix: ComplexArray, lmax: int) -> ComplexArray:
+    """Return a T-matrix, `[n]` or `[m, n, n']`, with the multipoles up to `lmax` alone."""
+    top = multipole_order(t_matrix)
+    if lmax >= top:
+        return t_matrix
+    kept = np.concatenate([np.arange(lmax), top + np.arange(lmax)])
+    if t_matrix.ndim == 1:
+        return np.asarray(t_matrix[kept])
+    return np.asarray(t_matrix[: lmax + 1, kept[:, None], kept])
+
+
+def as_blocks(t_matrix: ComplexArray, mmax: int | None = None) -> ComplexArray:
+    """Return a diagonal T `[n]` as blocks `[m, n, n']`, where multipoles with l < m are none; blocks as they are."""
+    if t_matrix.ndim == 3:
+        return t_matrix if mmax is None else t_matrix[: mmax + 1]
+    lmax = multipole_order(t_matrix)
+    l = np.tile(np.arange(1, lmax + 1), 2)
+    m = np.arange((lmax if mmax is None else mmax) + 1)
+    return np.asarray(np.where(l >= m[:, None], t_matrix, 0.0)[:, :, None] * np.eye(2 * lmax))
+
+
+def mirror_signs(lmax: int) -> Array:
+    """Return the signs between the blocks of m and -m, `[n, n']`; T and its transpose have them too."""
+    tau = np.repeat([1.0, -1.0], lmax)
+    return np.asarray(tau[:, None] * tau)
+
+
+def reciprocal(blocks: ComplexArray) -> ComplexArray:
+    """Return the part of T, `[..., n, n']`, that is its own reverse: T_nn' = (-1)^(tau + tau') T_n'n."""
+    signs = mirror_signs(blocks.shape[-1] // 2)
+    return np.asarray(0.5 * (blocks + signs * np.swapaxes(blocks, -1, -2)))
+
+
+def gain(blocks: ComplexArray) -> float:
+    """Return by how much a particle at most radiates more than it takes, of T `[..., n, n']`; 0 where it is passive.
+
+    The largest eigenvalue of (T + T^+)/2 + T^+ T, which is 0 for a lossless particle and negative for an absorbing one.
+    """
+    turned = np.conj(np.swapaxes(blocks, -1, -2))
+    return max(0.0, float(np.linalg.eigvalsh(0.5 * (blocks + turned) + turned @ blocks).max()))
+
+
+@dataclass(frozen=True)
+class AxialTMatrices:
+    """T-matrices of one particle over the wavelength.
+
+    Attributes:
+        wavelengths_nm: `[wavelength]`, in vacuum, ascending.
+        blocks: `[wavelength, m, n, n']`, m from 0 to the highest order.
+        ambient_index: `[wavelength]`, of the medium around.
+        name: what it is, in words.
+        radius_nm: largest distance from the axis, or None: unknown.
+        height_nm: whole height along the axis, the centre in its middle, or None.
+        circumscribing_nm: largest distance from the centre, or None.
+        material_index: `[wavelength]`, of the particle, or None: unknown or of several materials.
+        turn_loss: share of the scattered power that depends on the turn about the axis and is not in the blocks.
+        shape: "sphere", "spheroid" or "cylinder", or "": none that is named.
+        whole: T over all m, `[wavelength, n, n']`, see `whole`, of a particle that is not axisymmetric and is not taken
+            as the mean over its turn, which the blocks then are; else None.
+    """
+
+    wavelengths_nm: Array
+    blocks: ComplexArray
+    ambient_index: Array
+    name: str = "particle"
+    radius_nm: float | None = None
+    height_nm: float | None = None
+    circumscribing_nm: float | None = None
+    material_index: ComplexArray | None = None
+    turn_loss: float = 0.0
+    shape: str = ""
+    whole: ComplexArray | None = None
+
+    @property
+    def lmax(self) -> int:
+        """Highest multipole order."""
+        return multipole_order(self.blocks)
+
+    def at(self, wavelength_nm: float, hold_ends: bool = False, is_whole: bool = False) -> ComplexArray:
+        """Return T at a wavelength, `[m, n, n']`, or `[n, n']` over all m, linear between those that are known.
+
+        A mean of passive T-matrices is passive (the scattering matrices of norm <= 1 are a convex set), so the energy
+        stays right between the wavelengths; a curve through more points could exceed it.
+
+        Raises:
+            MaterialRangeError: outside the range, unless `hold_ends`.
+        """
+        known = self.wavelengths_nm
+        low, high = float(known[0]), float(known[-1])
+        slack = SAME_WAVELENGTH * wavelength_nm
+        if not hold_ends and not low - slack <= wavelength_nm <= high + slack:
+            where = f"at {low:.6g} nm only" if len(known) == 1 else f"from {low:.6g} to {high:.6g} nm"
+            raise MaterialRangeError(
+                f'the T-matrix of {self.name} is known {where}, not at {wavelength_nm:g} nm; extrapolate = "edge" '
+                "holds the end values"
+            )
+        x = float(np.interp(wavelength_nm, known, np.arange(len(known))))
+        start = min(int(x), len(known) - 1)
+        end = min(start + 1, len(known) - 1)
+        known_t = self.whole if is_whole and self.whole is not None else self.blocks
+        return np.asarray(known_t[start] + (x - start) * (known_t[end] - known_t[start]))
+
+
+class Body(abc.ABC):
+    """A particle that is no sphere, as a monolayer sees it.
+
+    Attributes:
+        name: what it is, in words.
+        radius_nm: largest distance from the axis, which coverage and drawings count by.
+        height_nm: whole height, the centre in its middle.
+        circumscribing_nm: largest distance from the centre.
+        source: what a message calls it: the recipe's key and value.
+        shape: "cylinder", "spheroid" or "sphere", or "" where only the T-matrix is known.
+        lmax: highest multipole order.
+        method: where the T-matrix is from, in words.
+    """
+
+    method: ClassVar[str] = "from a file"
+    name: str
+    radius_nm: float
+    height_nm: float
+    circumscribing_nm: float
+    source: str
+    shape: str
+    lmax: int
+
+    @abc.abstractmethod
+    def t_matrix(self, wavelength_nm: float) -> ComplexArray:
+        """Return T at a wavelength, `[m, n, n']`, to the azimuthal order that monolayers need.
+
+        Raises:
+            MaterialRangeError: it is not known there.
+            UnsupportedError: it cannot be computed.
+        """
+
+    @abc.abstractmethod
+    def index(self, wavelength_nm: float) -> complex | None:
+        """Return the particle's own index, or None: it is not known."""
+
+    def of_radius(self, radius_nm: float) -> Body:
+        """Return the same particle with another width, its height as it is.
+
+        Raises:
+            UnsupportedError: only this one is known.
+        """
+        raise UnsupportedError(f"{self.source}: its T-matrix is of one size, so sizes cannot spread")
+
+    @property
+    def stated_error(self) -> float | None:
+        """The largest estimated error of what was computed so far, relative to T; None: nothing says."""
+        return None
+
+    @property
+    def turn_loss(self) -> float:
+        """Share of the scattered power that depends on the turn about the axis and is left out; 0: axisymmetric."""
+        return 0.0
+
+    @property
+    def is_aligned(self) -> bool:
+        """Whether it is not axisymmetric and stands at one turn about the normal, as all of its kind."""
+        return False
+
+    @abc.abstractmethod
+    def all_known(self, wavelengths_nm: Array) -> AxialTMatrices:
+        """Return the T-matrices for a file: those that are known, or those at some wavelengths."""
+
+    def check_order(self, asked: int) -> None:
+        """Refuse multipoles that are not known.
+
+        Raises:
+            UnsupportedError: the order is higher.
+        """
+        if asked > self.lmax:
+            raise UnsupportedError(
+                f"model.multipole_order = {asked} is higher than what {self.source} holds: l up to {self.lmax}"
+            )
+
+
+@dataclass(frozen=True)
+class KnownBody(Body):
+    """A particle whose T-matrices a file gives; `hold_ends`: they hold beyond their wavelengths. See `Body`.
+
+    `turn_rad` is the angle from the surface's x towards y by which one that `is_aligned` is turned about the normal.
+    """
+
+    known: AxialTMatrices
+    radius_nm: float
+    height_nm: float
+    circumscribing_nm: float
+    source: str
+    hold_ends: bool = False
+    shape: str = ""
+    turn_rad: float = 0.0
+
+    @property
+    def is_aligned(self) -> bool:
+        """Whether its turn about the normal counts: it is not axisymmetric, and no mean over turns is taken."""
+        return self.known.whole is not None
+
+    def whole_t_matrix(self, wavelength_nm: float) -> ComplexArray:
+        """Return T over all m at a wavelength, `[n, n']`, of one that `is_aligned`, before it is turned.
+
+        Raises:
+            MaterialRangeError: it is not known there.
+        """
+        return self.known.at(wavelength_nm, self.hold_ends, is_whole=True)
+
+    @property
+    def name(self) -> str:  # type: ignore[override]  # read only, as all of a frozen dataclass
+        """What the file calls it."""
+        return self.known.name
+
+    @property
+    def lmax(self) -> int:  # type: ignore[override]
+        """Highest multipole order of the file."""
+        return self.known.lmax
+
+    @property
+    def turn_loss(self) -> float:
+        """Share of the scattered power that depends on the turn about the axis and is left out."""
+        return self.known.turn_loss
+
+    def t_matrix(self, wavelength_nm: float) -> ComplexArray:
+        """Return T at a wavelength, `[m, n, n']`.
+
+        Raises:
+            MaterialRangeError: it is not known there.
+        """
+        return self.known.at(wavelength_nm, self.hold_ends)
+
+    def index(self, wavelength_nm: float) -> complex | None:
+        """Return the particle's own index, where the file says it."""
+        if self.known.material_index is None:
+            return None
+        nearest = int(np.argmin(np.abs(self.known.wavelengths_nm - wavelength_nm)))
+        return complex(self.known.material_index[nearest])
+
+    def all_known(self, wavelengths_nm: Array) -> AxialTMatrices:
+        """Return what the file holds, with the extents that the recipe gives."""
+        return replace(
+            self.known, radius_nm=self.radius_nm, height_nm=self.height_nm, circumscribing_nm=self.circumscribing_nm
+        )
+
+
+# Spheres whose T-matrices a file gives: they take the multipole order that spheres take, not all that the file holds.
+
+SAME_T = 1e-9  # relative to the norm: what rounding leaves, and far less than what any mesh does
+SAME_SIZE = 1e-9
+SPHERE = "sphere"
+
+
+def is_spherical(known: AxialTMatrices) -> bool:
+    """Return whether the T-matrices are those of spheres at all wavelengths."""
+    return all(
+        np.linalg.norm(as_blocks(np.diagonal(blocks[1])) - blocks) <= SAME_T * np.linalg.norm(blocks)
+        for blocks in known.blocks
+    )
+
+
+@dataclass(frozen=True)
+class KnownSphere(KnownBody):
+    """A sphere whose T-matrices a file gives. See `Body`."""
+
+    def coefficients(self, lmax: int, surface: Substrate) -> ComplexArray:
+        """Return the diagonal T, `[n]`: what the file holds, and beyond it Mie's of the sphere it names, or zeros.
+
+        Raises:
+            MaterialRangeError: the file says nothing of the wavelength.
+        """
+        held = np.diagonal(self.t_matrix(surface.wavelength_nm)[1])
+        out = np.zeros(2 * lmax, dtype=complex)
+        if self.goes_on and lmax > self.lmax:
+            told, known = self.known.material_index, self.known.wavelengths_nm
+            assert told is not None  # see `goes_on`
+            index = complex(np.interp(surface.wavelength_nm, known, told))
+            out = self._mie(lmax, surface.inner_wavenumber, index / surface.inner_index)
+        count = min(lmax, self.lmax)
+        for tau in range(2):
+            out[tau * lmax : tau * lmax + count] = held[tau * self.lmax : tau * self.lmax + count]
+        return out
+
+    @cached_property
+    def goes_on(self) -> bool:
+        """Whether multipoles beyond the file's are known: its own are those of the sphere that it names."""
+        known = self.known
+        if known.material_index is None:
+            return False
+        around = known.ambient_index
+        return all(
+            np.linalg.norm(self._mie(self.lmax, 2 * np.pi * n / w, m / n) - np.diagonal(blocks[1]))
+            <= SAME_T * np.linalg.norm(np.diagonal(blocks[1]))
+            for w, n, m, blocks in zip(known.wavelengths_nm, around, known.material_index, known.blocks)
+        )
+
+    def _mie(self, lmax: int, wavenumber: float, index: complex) -> ComplexArray:
+        a, b = mie_coefficients(lmax, np.array([wavenumber * self.radius_nm]), np.array([index]))
+        return np.concatenate([-b, -a])

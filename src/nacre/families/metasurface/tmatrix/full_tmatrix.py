@@ -1,0 +1,86 @@
+"""T-matrices that couple azimuthal orders: particles that look otherwise when they are turned about the normal.
+
+Multipoles are n = (m, tau, l) with m from -L to L, in the order of `neighbours.multipole_index` and in the phases of
+`angular`: those of the community's files but for the sign of Condon and Shortley, (-1)^m for m > 0.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.core.arrays import ComplexArray
+from nacre.families.metasurface.monolayer.translation_sums import MultipoleIndex, multipole_index
+
+
+@lru_cache(maxsize=32)
+def kept_index(lmax: int, mmax: int) -> tuple[MultipoleIndex, NDArray[np.intp]]:
+    """Return the multipoles up to `lmax` with |m| <= `mmax`, and their places among all up to `lmax`."""
+    every = multipole_index(lmax)
+    kept = np.nonzero(np.abs(every.m) <= mmax)[0]
+    return MultipoleIndex(lmax, every.m[kept], every.tau[kept], every.l[kept]), kept
+
+
+def whole_order(matrix: ComplexArray) -> int:
+    """Return the highest l of T over all m, `[..., n, n']`: there are 2 L (L + 2) multipoles."""
+    return round(np.sqrt(matrix.shape[-1] / 2 + 1)) - 1
+
+
+def truncated_whole(matrix: ComplexArray, lmax: int) -> ComplexArray:
+    """Return T over all m, `[n, n']`, with the multipoles up to `lmax` alone."""
+    kept = np.nonzero(multipole_index(whole_order(matrix)).l <= lmax)[0]
+    return np.asarray(matrix[kept[:, None], kept])
+
+
+def spread(blocks: ComplexArray, index: MultipoleIndex) -> ComplexArray:
+    """Return blocks `[m >= 0, (tau, l), (tau, l)']` of an axisymmetric operator over the multipoles of `index`."""
+    rows = index.tau * (blocks.shape[1] // 2) + index.l - 1
+    sign = np.where((index.m[:, None] < 0) & (index.tau[:, None] != index.tau), -1.0, 1.0)
+    same = index.m[:, None] == index.m
+    return np.asarray(np.where(same, blocks[np.abs(index.m)[:, None], rows[:, None], rows] * sign, 0.0))
+
+
+def file_signs(index: MultipoleIndex) -> NDArray[np.float64]:
+    """Return the sign of Condon and Shortley of each multipole, `[n]`."""
+    return np.where((index.m > 0) & (index.m % 2 == 1), -1.0, 1.0)
+
+
+def reversed_whole(matrix: ComplexArray) -> ComplexArray:
+    """Return T of light that runs backwards, `[..., n, n']`; a reciprocal particle's is the same.
+
+    T_(m tau l),(m' tau' l') becomes T_(-m' tau' l'),(-m tau l) times the sign of tau and tau': a wave that runs
+    backwards turns the other way about the axis, and B goes to its adjoint.
+    """
+    index = multipole_index(whole_order(matrix))
+    places = {key: i for i, key in enumerate(zip(index.m.tolist(), index.tau.tolist(), index.l.tolist(), strict=True))}
+    partner = [places[(-m, tau, l)] for (m, tau, l) in places]
+    return np.asarray(np.swapaxes(matrix, -1, -2)[..., partner, :][..., :, partner])
+
+
+def turned_whole(matrix: ComplexArray, turn_rad: float) -> ComplexArray:
+    """Return T, `[..., n, n']`, of the particle turned about the normal, from x towards y."""
+    phase = np.exp(-1j * multipole_index(whole_order(matrix)).m * turn_rad)
+    return np.asarray(phase[:, None] * matrix * phase.conj())
+
+
+def tilted_whole(matrix: ComplexArray, tilt_rad: float) -> ComplexArray:
+    """Return T, `[..., n, n']`, of the particle turned about y, from z towards x: by a right angle an upright rod lies.
+
+    Multipoles of one l and kind turn among themselves by d = exp(-i tilt J_y), in the phases of Condon and Shortley;
+    J_y has (m + 1, m) = sqrt(l (l + 1) - m (m + 1)) / 2i.
+    """
+    index = multipole_index(whole_order(matrix))
+    turn = np.zeros((len(index.m), len(index.m)))
+    for l in range(1, index.order + 1):
+        m = np.arange(-l, l)
+        raised = np.diag(np.sqrt(l * (l + 1.0) - m * (m + 1)), -1) / 2.0
+        values, vectors = np.linalg.eigh((raised - raised.T) / 1j)
+        d = ((vectors * np.exp(-1j * tilt_rad * values)) @ vectors.conj().T).real
+        for tau in range(2):
+            rows = np.nonzero((index.l == l) & (index.tau == tau))[0]  # m ascends
+            turn[rows[:, None], rows] = d
+    sign = file_signs(index)
+    turn *= sign[:, None] * sign
+    return np.asarray(turn @ matrix @ turn.T)

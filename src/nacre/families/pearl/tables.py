@@ -1,0 +1,355 @@
+"""`quality = "fast"` of a pearl: tabulate a layered lobe, which is a random walk, as a noise-free `Flaked` one.
+
+The light from a diffuse base is solved exactly: with A(cos) the share of light that arrives at the base and r the
+share of diffuse light that the flakes and the interface return to it, the base adds
+A(cos_i) A(cos_o) albedo / (pi n^2 (1 - albedo r)), n the index. The flakes' own light, over its analytic lobe, is
+a smooth function; its table is a least-squares fit to the tallies of random walks, so that noise is spread over
+whole cells, not nodes.
+
+The stated error comes from independent walks, of three incidences, in bins that do not follow the table's nodes;
+the product of two independent differences has no noise of its own in the mean.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from nacre.bsdf.facet_distributions import exits as facet_exits
+from nacre.bsdf.facet_distributions import fresnel, smith_masking, visible_normals
+from nacre.bsdf.grids import cell, interpolate, take_uniform
+from nacre.bsdf.lobes.layered import Layered
+from nacre.bsdf.lobes.platelet_layer import Flaked, surface_values
+from nacre.core.arrays import Array
+from nacre.core.parallel import available_jobs
+from nacre.families.pearl import random_walk
+from nacre.families.pearl.glints import interface_bend
+from nacre.families.pearl.random_walk import ANY_ANGLE, FROM_BASE
+
+SHAPE = (32, 20, 6)  # nodes of q, c, phi
+ENTRY_NODES = 129
+BASE_NODES = 25
+WALKS, RISES, SINGLES, MASSES = 1_000_000, 400_000, 4_000_000, 4_000_000
+SHARE_NODES = 17
+EASY_NUMBER = 24.0  # flakes met along the normal up to which the full numbers of walks are made
+DOUBT = 0.6  # share of the check's noise that the stated error adds: two standard errors of its own square
+NO_ALBEDO = np.zeros(0)
+RINGS = np.array([20, 6])  # bins of the check: size and azimuth of q
+MIDPOINTS = np.array([12, 6])  # within a bin
+CHECK_DEG = (10.0, 40.0, 65.0)
+CHECK_WALKS, CHECK_SINGLES = 300_000, 1_000_000
+CHUNKS = 8  # of all loops; sums are taken in this order, whatever the number of threads
+ROUGHNESS_OF_TABLE = 0.1  # relative second difference between nodes that is expected of M
+
+
+def obstacle(lobe: Layered) -> str | None:
+    """Return why a layered lobe has no noise-free form, or None if it has one."""
+    if lobe.strata > 1:
+        return "it has several strata"
+    if lobe.base != "diffuse":
+        return "its base is not a diffuse one"
+    if lobe.dye_phase is not None:
+        return "its dye scatters"
+    if lobe.loss is not None:
+        return "its interface is compensated"
+    if lobe.alpha[0, 0] != lobe.alpha[0, 1]:
+        return "its interface is anisotropic"
+    if lobe.alpha[0, 0] > 0 and lobe.is_beckmann[0]:
+        return "its interface is of the Beckmann kind"
+    if lobe.kinds and np.any(lobe.flake_axes[:, 0] != lobe.flake_axes[:, 1]):
+        return "its flakes are anisotropic"
+    if lobe.kinds and not np.all(np.abs(lobe.flake_frame[:, 2, 2]) > 1 - 1e-12):
+        return "its flakes are rotated"
+    if lobe.index[0] <= 1.0:
+        return "its resin has the index of the ambient"
+    return None
+
+
+@dataclass(frozen=True)
+class Medium:
+    """The arrays that the compiled loops take."""
+
+    index: float
+    alpha: float
+    number: Array
+    sigma: Array
+    reflect: NDArray[np.float32]
+    transmit: NDArray[np.float32]
+    extinct: NDArray[np.float32]
+    absorb: Array
+
+    @classmethod
+    def of(cls, lobe: Layered) -> Medium:
+        """Take them from a layered lobe."""
+        count = len(lobe.wavelengths_nm)
+        response = np.ascontiguousarray(np.moveaxis(lobe.flake_response, -1, 0), dtype=np.float32)
+        extinct = np.ascontiguousarray(lobe.flake_extinction[:, 0], dtype=np.float32)
+        if not lobe.kinds:
+            response, extinct = np.zeros((2, 0, 2, count), np.float32), np.zeros((0, 2, count), np.float32)
+        absorb = np.zeros(0) if lobe.dye is None else np.ascontiguousarray(lobe.dye[0, :, 0])
+        return cls(
+            float(lobe.index[0]), float(lobe.alpha[0, 0]), np.ascontiguousarray(lobe.flake_number, dtype=float),
+            np.ascontiguousarray(lobe.flake_axes[:, 0], dtype=float), response[0], response[1], extinct, absorb,
+        )  # fmt: skip
+
+
+def bake(lobe: Layered, effort: float = 1.0, seed: int = 1) -> Flaked:
+    """Return the noise-free form of a layered lobe that has no `obstacle`, with its stated error.
+
+    Args:
+        lobe: one stratum over a diffuse base.
+        effort: multiplies all numbers of walks.
+        seed: of the walks.
+    """
+    # light that meets many flakes costs more; what it then adds is smoother
+    effort = effort * min(1.0, EASY_NUMBER / max(float(np.sum(lobe.flake_number)), 1e-9))
+    table = tables(lobe, effort, seed)
+    error, noise = check(lobe, table, effort, seed + 77)
+    return dataclasses.replace(table, error=np.sqrt(error**2 + (DOUBT * noise) ** 2))
+
+
+def tables(lobe: Layered, effort: float = 1.0, seed: int = 1) -> Flaked:
+    """Make the tables without a check; the error is left at 0."""
+    medium = Medium.of(lobe)
+    entry, surface = _interface(medium)
+    spread = _spread(medium)
+    arrived, returned, flakes, single = _solve(medium, entry, spread, effort, seed)
+    albedo = lobe.base_reflectance[0]
+    base = arrived / medium.index * np.sqrt(albedo / (np.pi * (1.0 - albedo * returned)))
+    made = Flaked(
+        lobe.wavelengths_nm, medium.index, medium.alpha, medium.number, medium.sigma, spread, entry,
+        flakes.astype(np.float32), base, np.zeros((2, 3)), np.zeros(len(lobe.wavelengths_nm)),
+    )  # fmt: skip
+    if lobe.glint_numbers is not None:
+        made = dataclasses.replace(
+            made, single=np.minimum(single, flakes).astype(np.float32), glint_numbers=lobe.glint_numbers,
+            glint_radii=lobe.glint_radii, glint_ratio=lobe.glint_ratio,
+        )  # fmt: skip
+    return dataclasses.replace(made, albedo=_powers(made, surface))
+
+
+def _powers(table: Flaked, surface: Array) -> Array:
+    """Power of the interface, the flakes and the base, averaged over wavelengths, `[cos, 3]` on nodes of sqrt(cos)."""
+    root = np.linspace(0.0, 1.0, SHARE_NODES)
+    cos = np.maximum(root**2, 1e-3)
+    fine = (np.arange(400) + 0.5) / 400
+    leaves = _entering(table, fine)[:, None] * take_uniform(table.base, fine, 0)
+    arrives = _entering(table, cos)[:, None] * take_uniform(table.base, cos, 0)
+    base = arrives * (2.0 * np.pi * np.mean(leaves * fine[:, None], axis=0))
+    rest = np.stack([_bins(table, float(np.arccos(c)), table.spread)[0].sum(axis=0) for c in cos])
+    facets = np.interp(root, np.linspace(0.0, 1.0, ENTRY_NODES), surface)
+    return np.stack([facets, np.maximum(rest - base, 0.0).mean(axis=1), base.mean(axis=1)], axis=1)
+
+
+def _entering(table: Flaked, cos: Array) -> Array:
+    return np.interp(np.sqrt(cos), np.linspace(0.0, 1.0, len(table.entry)), table.entry)
+
+
+def _spread(medium: Medium) -> float:
+    if not len(medium.number):
+        return 1.0
+    return float(2.0 * medium.index * np.hypot(medium.sigma.min(), interface_bend(medium.alpha, medium.index)))
+
+
+def _interface(medium: Medium) -> tuple[Array, Array]:
+    """Share of light that enters, and that is reflected, over uniform nodes of sqrt(cos)."""
+    cos = np.maximum(np.linspace(0.0, 1.0, ENTRY_NODES) ** 2, 1e-7)
+    if medium.alpha == 0:
+        bare = fresnel(cos, medium.index)
+        return 1.0 - bare, bare
+    entry, surface = np.zeros(ENTRY_NODES), np.zeros(ENTRY_NODES)
+    for i, c in enumerate(cos):
+        w = np.array([np.sqrt(1.0 - c * c), 0.0, c])
+        m, weight = visible_normals("ggx", w, medium.alpha, medium.alpha, 64)
+        weight = weight / weight.sum()
+        bare = fresnel(np.clip(m @ w, 1e-9, 1.0), medium.index)
+        back, through = facet_exits(w, m, medium.index)
+        up = np.where(back[:, 2] > 0, smith_masking("ggx", back, medium.alpha, medium.alpha), 0.0)
+        down = np.where(through[:, 2] < 0, smith_masking("ggx", through, medium.alpha, medium.alpha), 0.0)
+        entry[i], surface[i] = np.sum(weight * (1 - bare) * down), np.sum(weight * bare * up)
+    return entry, surface
+
+
+def _solve(medium: Medium, entry: Array, spread: float, effort: float, seed: int) -> tuple[Array, Array, Array, Array]:
+    """Run the loops and fit: A/t `[cos, wavelength]`, r `[wavelength]`, M and its part of one flake, as M is."""
+    bands = medium.reflect.shape[2]
+    shape = np.array(SHAPE)
+    cells = int(np.prod(SHAPE))
+    common = (medium.index, medium.alpha, medium.number, medium.sigma)
+    flakes = bool(len(medium.number))
+    cut = np.random.default_rng(seed).random(7)
+    walks, rises = (max(1, int(effort * n / CHUNKS)) for n in (WALKS, RISES))
+    singles, masses = (max(1, int(effort * n / CHUNKS)) for n in (SINGLES, MASSES))
+
+    def chunk(i: int) -> tuple[Any, ...]:
+        many, base, back = np.zeros((cells, bands)), np.zeros((BASE_NODES, bands)), np.zeros((1, bands))
+        one, hats = np.zeros((cells, bands)), np.zeros((cells, 27))
+        rest = (medium.reflect, medium.transmit, medium.absorb, spread, shape)
+        number = random_walk.walk(seed * 1000 + i, walks, ANY_ANGLE, NO_ALBEDO, *common, *rest, many, base)
+        random_walk.walk(seed * 1000 + 500 + i, rises, FROM_BASE, NO_ALBEDO, *common, *rest, np.zeros((1, bands)), back)
+        if flakes:
+            light = (medium.reflect, medium.extinct, medium.absorb, spread, shape, one)
+            if medium.alpha > 0:
+                random_walk.single(i * singles, singles, cut, ANY_ANGLE, *common, *light)
+            random_walk.mass(i * masses, masses, cut, *common, spread, entry, shape, hats)
+        return many / walks, base / walks, back[0] / rises, one / singles, hats / masses, number
+
+    with ThreadPoolExecutor(min(CHUNKS, available_jobs())) as pool:
+        parts = list(pool.map(chunk, range(CHUNKS)))
+    many, base, back, one, hats, number = (sum(part[i] for part in parts) / CHUNKS for i in range(6))
+    arrived = _fit_base(base, entry)
+    table, alone = np.zeros((2, *SHAPE, bands))
+    if flakes:
+        stiffness = float(hats.sum()) / (CHUNKS * ROUGHNESS_OF_TABLE**2)
+        table = _fit(hats, many, stiffness / max(number, 1.0))
+        if medium.alpha == 0:
+            alone = _single(medium, spread)
+        else:
+            alone = np.maximum(_fit(hats, one, stiffness / singles), 0.0)
+    return arrived, back, np.maximum(table + alone, 0.0), alone
+
+
+def check(lobe: Layered, table: Flaked, effort: float = 1.0, seed: int = 77) -> tuple[Array, Array]:
+    """Compare with independent random walks.
+
+    Returns:
+        `(error, noise)`, each `[wavelength]`: relative L2 difference of f cos over the exits of three incidences,
+        averaged over bins, the noise of the walks taken off; and that noise.
+    """
+    medium = Medium.of(lobe)
+    spread, count = _spread(medium), len(lobe.wavelengths_nm)
+    common = (medium.index, medium.alpha, medium.number, medium.sigma)
+    cuts = np.random.default_rng(seed).random((len(CHECK_DEG), CHUNKS, 7))
+    walks, singles = (int(n * effort / CHUNKS) for n in (CHECK_WALKS, CHECK_SINGLES))
+
+    def chunk(job: tuple[int, int]) -> Array:
+        turn, i = job
+        theta = float(np.radians(CHECK_DEG[turn]))
+        many, one = np.zeros((2, int(np.prod(RINGS)), count))
+        albedo = np.ascontiguousarray(lobe.base_reflectance[0])
+        rest = (medium.reflect, medium.transmit, medium.absorb, spread, RINGS, many, np.zeros((1, count)))
+        random_walk.walk(seed * 1000 + 8 * turn + i, walks, theta, albedo, *common, *rest)
+        if len(medium.number):
+            light = (medium.reflect, medium.extinct, medium.absorb, spread, RINGS, one)
+            random_walk.single(0, singles, cuts[turn, i], theta, *common, *light)
+        return np.asarray(many / walks + one / singles)
+
+    with ThreadPoolExecutor(min(CHUNKS, available_jobs())) as pool:
+        found = list(pool.map(chunk, [(turn, i) for turn in range(len(CHECK_DEG)) for i in range(CHUNKS)]))
+    error, noise, size = np.zeros(count), np.zeros(count), np.zeros(count)
+    for turn in range(len(CHECK_DEG)):
+        walked = np.stack(found[turn * CHUNKS : (turn + 1) * CHUNKS])
+        ours, surface, solid = _bins(table, float(np.radians(CHECK_DEG[turn])), spread)
+        weight = np.where(solid > 0, 1.0 / np.maximum(solid, 1e-12), 0.0)[:, None]
+        difference = walked - ours
+        total = difference.sum(axis=0)
+        squares = np.sum(difference**2, axis=0)
+        # the mean product of differences of two different chunks
+        error += np.sum(weight * (total**2 - squares), axis=0) / (CHUNKS * (CHUNKS - 1))
+        noise += np.sum(weight * walked.var(axis=0, ddof=1), axis=0) / CHUNKS
+        size += np.sum(weight * (ours + surface[:, None]) ** 2, axis=0)
+    size = np.maximum(size, 1e-30)
+    return np.sqrt(np.maximum(error, 0.0) / size), np.sqrt(noise / size)
+
+
+def _bins(table: Flaked, theta: float, spread: float) -> tuple[Array, Array, Array]:
+    """Power of flakes and base, that of the surface, and solid angle of the check's bins, by midpoints.
+
+    In the plane of q a solid angle times its cosine is an area: no density is needed.
+    """
+    rings, turns = RINGS * MIDPOINTS
+    scale = np.arcsinh(2.0 / spread)
+    edges = spread * np.sinh(np.linspace(0.0, 1.0, rings + 1) * scale)
+    middle = spread * np.sinh((np.arange(rings) + 0.5) / rings * scale)
+    psi = (np.arange(turns) + 0.5) * (np.pi / turns)
+    x, y = middle[:, None] * np.cos(psi) - np.sin(theta), middle[:, None] * np.sin(psi)
+    area = np.broadcast_to((np.diff(edges**2) * (np.pi / turns))[:, None], x.shape)
+    cos = np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))
+    keep = cos > 1e-3
+    wo = np.stack([x, y, cos], axis=-1)[keep]
+    wi = np.broadcast_to([np.sin(theta), 0.0, np.cos(theta)], wo.shape)
+    surface = surface_values(wi, wo, table.index, table.alpha)
+    value = table.evaluate(wi, wo) - surface[:, None]
+    ring, turn = np.nonzero(keep)
+    bins = ring // MIDPOINTS[0] * RINGS[1] + turn // MIDPOINTS[1]
+    total = int(np.prod(RINGS))
+    gather = sparse.csr_matrix((area[keep], (bins, np.arange(len(bins)))), shape=(total, len(bins)))
+    return gather @ value, gather @ surface, gather @ (1.0 / cos[keep])
+
+
+def _single(medium: Medium, spread: float) -> Array:
+    """Light of one flake under a smooth interface, over K, in closed form at the nodes."""
+    u, v, w = np.meshgrid(*(np.linspace(0.0, 1.0, n) for n in SHAPE), indexing="ij")
+    q = spread * np.sinh(u * np.arcsinh(2.0 / spread))
+    sine, cosine = np.sin(0.5 * np.pi * w), np.cos(0.5 * np.pi * w)
+    c = np.sin(0.5 * np.pi * v) * (np.sqrt(np.maximum(1.0 - (0.5 * q * sine) ** 2, 0.0)) - 0.5 * q * cosine)
+    n = medium.index
+    # sines of both directions from q along x and c at phi
+    sin2 = [(0.5 * q + sign * c * cosine) ** 2 + (c * sine) ** 2 for sign in (1, -1)]
+    inner = [np.sqrt(1.0 - np.minimum(s, 1.0) / n**2) for s in sin2]
+    tall = n * (inner[0] + inner[1])
+    slope2 = (q / tall) ** 2
+    # the flake is met along its half vector: cos = (1 + wi.wo) / |wi + wo|
+    facing = np.sqrt(np.clip(0.5 * (1.0 + (0.25 * q**2 - c**2) / n**2 + inner[0] * inner[1]), 0.0, 1.0))
+    bands = medium.reflect.shape[2]
+    depth: Array = np.zeros((*SHAPE, bands))
+    for cos in inner:
+        if len(medium.absorb):
+            depth += medium.absorb / cos[..., None]
+        for k, sigma in enumerate(medium.sigma):
+            area = medium.number[k] * np.sqrt(sigma**2 * (1.0 - cos**2) + cos**2)
+            depth += (area / cos)[..., None] * interpolate(
+                medium.extinct[k], (np.sqrt(cos) * (len(medium.extinct[k]) - 1),)
+            )
+    hit = np.where(depth > 1e-6, -np.expm1(-depth) / np.maximum(depth, 1e-6), 1.0)
+    total, light = np.zeros(SHAPE), np.zeros((*SHAPE, bands))
+    for k, sigma in enumerate(medium.sigma):
+        density = medium.number[k] * ((1.0 + slope2) / (sigma**2 + slope2)) ** 2 * sigma**2
+        total += density
+        light += density[..., None] * interpolate(medium.reflect[k], (np.sqrt(facing) * (len(medium.reflect[k]) - 1),))
+    return np.asarray(hit * light * (float(np.sum(medium.number)) / total)[..., None])
+
+
+def _fit_base(tally: Array, entry: Array) -> Array:
+    """Least squares of A = t B at the nodes, weighted by t, over uniform polar angles."""
+    cos = np.cos(0.5 * np.pi * (np.arange(20_000) + 0.5) / 20_000)
+    t = np.interp(np.sqrt(cos), np.linspace(0, 1, len(entry)), entry)
+    low, share = cell(cos * (BASE_NODES - 1), BASE_NODES)
+    hats = sparse.coo_matrix(
+        (np.concatenate([1 - share, share]), (np.tile(np.arange(len(cos)), 2), np.concatenate([low, low + 1]))),
+        shape=(len(cos), BASE_NODES),
+    ).tocsr()
+    mass = (hats.T @ sparse.diags(t / len(cos)) @ hats).toarray()
+    bend = np.diff(np.eye(BASE_NODES), 2, axis=0)
+    return np.maximum(np.linalg.solve(mass + 1e-5 * bend.T @ bend, tally), 0.0)
+
+
+def _fit(hats: Array, tally: Array, penalty: float) -> Array:
+    """Least squares of the table, with second differences held down by `penalty`."""
+    cells = len(hats)
+    index = np.arange(cells).reshape(SHAPE)
+    rows, columns, values = [], [], []
+    for step in range(27):
+        shift = np.array([step // 9 - 1, step // 3 % 3 - 1, step % 3 - 1])
+        here = tuple(slice(max(0, -s), n - max(0, s)) for s, n in zip(shift, SHAPE, strict=True))
+        there = tuple(slice(max(0, s), n - max(0, -s)) for s, n in zip(shift, SHAPE, strict=True))
+        rows.append(index[here].ravel())
+        columns.append(index[there].ravel())
+        values.append(hats[rows[-1], step])
+    matrix = sparse.coo_matrix(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(cells, cells)
+    ).tocsc()
+    for axis, n in enumerate(SHAPE):
+        bend = sparse.csr_matrix(np.diff(np.eye(n), 2, axis=0))
+        factors = [bend if a == axis else sparse.identity(m) for a, m in enumerate(SHAPE)]
+        spread = sparse.kron(sparse.kron(factors[0], factors[1]), factors[2])
+        matrix = matrix + penalty * (spread.T @ spread)
+    matrix = matrix + 1e-12 * float(matrix.diagonal().max()) * sparse.identity(cells)
+    return np.asarray(splu(matrix.tocsc()).solve(tally)).reshape(*SHAPE, -1)

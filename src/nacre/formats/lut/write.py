@@ -1,0 +1,260 @@
+"""Write tables of colour into a folder: pictures, shaders, a script for Blender, a MaterialX graph and a page."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import re
+import shutil
+import struct
+import tempfile
+import zlib
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nacre._version import __version__
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.core.files import named, remove_leftovers, temporary_prefix, told_as_os_error
+from nacre.formats.lut.html_report import page_text
+from nacre.formats.lut.materialx import write_graph
+from nacre.formats.lut.osl import shader_text
+from nacre.formats.lut.table import LightTable, Picture
+from nacre.light import clip_to_srgb, srgb_decode, srgb_encode
+
+MANIFEST = "table.json"
+DEEP = 65535
+DISTRIBUTIONS = ("ggx", "beckmann", "blinn", "ashikhmin-shirley")  # as the shaders number them
+WHITE = 1.5  # what lies little above is a colour out of gamut
+
+
+def png_values(picture: Picture) -> Array:
+    """Return what a PNG holds, in [0, 1]: code values of sRGB, colours out of gamut at their hue and lightness."""
+    unit = picture.values / picture.png_scale
+    if picture.is_data:
+        return np.asarray(np.clip(unit, 0.0, 1.0))
+    # what is brighter than white anywhere is light, not a reflectance: there is no gamut to keep
+    inside = clip_to_srgb(unit).rgb if picture.png_scale <= WHITE else np.clip(unit, 0.0, 1.0)
+    return np.asarray(srgb_encode(np.clip(inside, 0.0, 1.0)))
+
+
+def as_png(picture: Picture) -> Picture:
+    """Return a picture as it is read back from its PNG."""
+    held = np.round(png_values(picture) * DEEP) / DEEP
+    return dataclasses.replace(picture, values=(held if picture.is_data else srgb_decode(held)) * picture.png_scale)
+
+
+def check_folder(folder: str | Path) -> Path:
+    """Return a folder's path if tables can be written there: it is new, empty, or holds tables of ours.
+
+    Raises:
+        NacreError: it is a file, holds other things, or cannot be made.
+    """
+    path = named(folder)
+    parent = path.parent if str(path.parent) else Path()
+    if not parent.is_dir():
+        raise NacreError(f"{path}: the folder {parent} does not exist")
+    if path.is_symlink() or (path.exists() and not path.is_dir()):
+        raise NacreError(f"{path}: is no folder; give the name of a folder for the tables")
+    if path.is_dir() and any(path.iterdir()) and not _is_ours(path):
+        raise NacreError(f"{path}: holds other files; give a new or an empty folder for the tables")
+    if not os.access(parent, os.W_OK):
+        raise NacreError(f"{path}: the folder {parent} cannot be written")
+    return path
+
+
+def _is_ours(folder: Path) -> bool:
+    """Whether all that a folder holds is named in a manifest of ours."""
+    try:
+        known = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))["files"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+    return isinstance(known, list) and {entry.name for entry in folder.iterdir()} <= {*map(str, known), MANIFEST}
+
+
+@contextlib.contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Yield a folder beside `path` that takes its name, and the place of what was there, only if the block succeeds.
+
+    Raises:
+        NacreError: it cannot be written.
+    """
+    parent = path.resolve().parent
+    remove_leftovers(parent)
+    try:
+        made = Path(tempfile.mkdtemp(prefix=temporary_prefix(path), dir=parent))
+    except OSError as error:
+        raise NacreError(f"{path}: the folder {parent} cannot be written: {error.strerror}") from None
+    try:
+        yield made
+        mask = os.umask(0)
+        os.umask(mask)
+        made.chmod(0o777 & ~mask)
+        old = Path(tempfile.mkdtemp(prefix=temporary_prefix(path), dir=parent)) if path.exists() else None
+        if old is not None:
+            path.rename(old / "old")
+        made.rename(path)
+        if old is not None:
+            shutil.rmtree(old, ignore_errors=True)
+    except OSError as error:
+        raise NacreError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+def write_table(folder: str | Path, table: LightTable) -> tuple[Path, ...]:
+    """Write all files into a folder, whole or not at all; return their paths.
+
+    Raises:
+        NacreError: as `check_folder`, or the disk is full.
+    """
+    path = check_folder(folder)
+    with new_folder(path) as made:
+        for name, picture in table.pictures.items():
+            with told_as_os_error():
+                _write_exr(made / f"{name}.exr", picture, table)
+            _write_png16(made / f"{name}.png", png_values(picture), table)
+        texts = {
+            "shader.glsl": glsl_text(table),
+            "shader.osl": osl_text(table),
+            "blender.py": blender_text(table),
+            "index.html": page_text(table),
+        }
+        for name, text in texts.items():
+            (made / name).write_text(text, encoding="utf-8")
+        write_graph(made / "material.mtlx", table)
+        names = sorted(entry.name for entry in made.iterdir())
+        document = {**description(table), "files": names}
+        (made / MANIFEST).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    return tuple(path / name for name in (*names, MANIFEST))
+
+
+def description(table: LightTable) -> dict[str, Any]:
+    """Return what a program needs to know of the table, as JSON takes it."""
+    return {
+        "name": table.name,
+        "illuminant": table.illuminant,
+        "colours": "linear sRGB (Rec. 709 primaries), adapted from the illuminant, unclipped in the EXR pictures",
+        "pictures": {
+            name: {
+                "about": p.about, "bands": p.values.shape[0], "rows": p.values.shape[1], "columns": p.values.shape[2],
+                "png_scale": p.png_scale, "is_data": p.is_data, "rows_over": p.rows,
+            }
+            for name, p in table.pictures.items()
+        },
+        "closures": [dataclasses.asdict(closure) for closure in table.closures],
+        "facets": None if table.facets is None else dataclasses.asdict(table.facets),
+        "parameter": None if table.parameter is None else dataclasses.asdict(table.parameter),
+        "errors_dE00": {what: dict(told) for what, told in table.errors.items()},
+        "lost": list(table.lost),
+        "provenance": dict(table.provenance),
+    }  # fmt: skip
+
+
+def template(name: str) -> str:
+    """Return one of the packaged shader texts."""
+    return files("nacre.exchange.lut").joinpath("templates", name).read_text(encoding="utf-8")
+
+
+def glsl_text(table: LightTable) -> str:
+    """Return the shader: what this table has as definitions, before the text that serves all tables."""
+    lines = [f"// {_line(table.name)}: colours for {table.illuminant}, by nacre {__version__}"]
+    facets = table.facets
+    scales = {name: picture.png_scale for name, picture in table.pictures.items()}
+
+    def define(name: str, value: object = "") -> None:
+        lines.append(f"#define NACRE_{name} {value}".rstrip())
+
+    if facets is not None:
+        define("FACET")
+        define("FACET_BANDS", _number(table.pictures["facet"].values.shape[0]))
+        define("FACET_SCALE", _number(scales["facet"]))
+        define("FLIPPED", "true" if facets.is_flipped else "false")
+        define("ETA", _number(facets.eta))
+        if facets.transmits:
+            define("TRANSMITS")
+        if facets.transmits and not facets.straight:
+            define("BENDS")
+        if facets.alpha[0] > 0:
+            define("ROUGH")
+            define("DISTRIBUTION", DISTRIBUTIONS.index(facets.distribution))
+            define("ALPHA_X", _number(facets.alpha[0]))
+            define("ALPHA_Y", _number(facets.alpha[1]))
+        if "loss" in table.pictures:
+            define("LOSS")
+            define("LOSS_SIDES", _number(table.pictures["loss"].values.shape[0]))
+            define("LOSS_SCALE", "1.0")
+            define("EXCHANGE_SCALE", _number(scales["exchange"]))
+    if "lobe" in table.pictures:
+        define("LOBE")
+        define("LOBE_SLICES", _number(table.pictures["lobe"].values.shape[0]))
+        define("LOBE_SCALE", _number(scales["lobe"]))
+    if table.parameter is not None:
+        p = table.parameter
+        lines.append(f"// p = ({_line(p.name)} - {p.low:g}) / {p.high - p.low:g}; the picture map holds p over uv")
+    return "\n".join(lines) + "\n\n" + template("table.glsl")
+
+
+def osl_text(table: LightTable) -> str:
+    """Return the OSL shader: one look-up and one closure a part."""
+    return shader_text(table, identifier(table.name))
+
+
+def blender_text(table: LightTable) -> str:
+    """Return the script that builds the node material: a description of the table before the text that serves all."""
+    told = description(table)
+    kept = {key: told[key] for key in ("name", "illuminant", "pictures", "closures", "parameter")}
+    return template("blender.template").replace("@TABLE@", repr(json.dumps(kept, indent=1)))
+
+
+def identifier(name: str) -> str:
+    """Return a material's name as an identifier of shading languages."""
+    return "nacre_" + (re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "material")
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _number(value: float) -> str:
+    text = f"{value:.9g}"
+    return text if set(text) & set(".e") else text + ".0"
+
+
+def _rows(values: Array) -> Array:
+    """Return bands and rows one below the other as files have them: the first one at the bottom."""
+    return np.ascontiguousarray(values.reshape(-1, *values.shape[2:])[::-1])
+
+
+def _write_exr(path: Path, picture: Picture, table: LightTable) -> None:
+    import OpenEXR
+
+    rows = _rows(picture.values).astype(np.float32)
+    header: dict[str, Any] = {
+        "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage,
+        "nacre": json.dumps({"about": picture.about, "illuminant": table.illuminant, **table.provenance}),
+    }  # fmt: skip
+    channels = {name: np.ascontiguousarray(rows[..., i]) for i, name in enumerate("RGB")}
+    OpenEXR.File(header, channels).write(str(path))
+
+
+def _write_png16(path: Path, values: Array, table: LightTable) -> None:
+    """Write RGB of 16 bits: the usual libraries of pictures write 8."""
+    rows = np.round(_rows(values) * DEEP).astype(">u2")
+    height, width = rows.shape[:2]
+    lines = np.concatenate([np.zeros((height, 1), np.uint8), rows.reshape(height, -1).view(np.uint8)], axis=1)
+    said = b"nacre\0" + json.dumps(dict(table.provenance), ensure_ascii=True).encode("latin-1")
+    chunks = [
+        (b"IHDR", struct.pack(">IIBBBBB", width, height, 16, 2, 0, 0, 0)), (b"tEXt", said),
+        (b"IDAT", zlib.compress(lines.tobytes(), 9)), (b"IEND", b""),
+    ]  # fmt: skip
+    with open(path, "wb") as stream:
+        stream.write(b"\x89PNG\r\n\x1a\n")
+        for kind, data in chunks:
+            stream.write(struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)))

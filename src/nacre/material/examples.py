@@ -1,0 +1,169 @@
+"""The example recipes that come with nacre: found by name, listed, copied."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import sys
+import sysconfig
+from dataclasses import dataclass
+from pathlib import Path
+
+from nacre.core.errors import NacreError, did_you_mean
+from nacre.core.files import atomic_path, check_writable, read_text
+from nacre.recipe.toml import parse_toml
+
+NO_RECIPES = ("gallery.toml",)
+
+
+@dataclass(frozen=True)
+class Example:
+    """A recipe or a target of a design: its name ("soap", "pearl/foil"), its family or "target", what it says of
+    itself, and its file."""
+
+    name: str
+    family: str
+    about: str
+    path: Path
+
+
+def examples_folder() -> Path:
+    """Return the folder of the example recipes: of the checkout, or of the installed package.
+
+    Raises:
+        NacreError: neither is there.
+    """
+    roots = (sys.prefix, sysconfig.get_path("data"), sysconfig.get_path("data", f"{os.name}_user"))
+    installed = [Path(root) / "share" / "nacre" / "examples" for root in dict.fromkeys(roots)]
+    places = [Path(__file__).resolve().parents[3] / "examples", *installed]
+    for place in places:
+        if (place / "gallery.toml").is_file():
+            return place
+    raise NacreError(f"the example recipes are not installed; looked in {', '.join(map(str, places))}")
+
+
+def examples() -> list[Example]:
+    """Return all shipped recipes and targets, by name.
+
+    Raises:
+        NacreError: they are not installed.
+    """
+    folder = examples_folder()
+    found = []
+    for path in sorted(folder.rglob("*.toml")):
+        if path.name in NO_RECIPES:
+            continue
+        text = read_text(path, "example")
+        name = path.relative_to(folder).with_suffix("").as_posix()
+        family = str(parse_toml(text, str(path)).get("family", "target"))
+        found.append(Example(name, family, _about(text), path))
+    return sorted(found, key=lambda example: ("/" in example.name, example.name))
+
+
+def find_example(name: str) -> Path | None:
+    """Return the file of an example by its name, with or without its folder and ending; None if there is none."""
+    try:
+        folder = examples_folder()
+    except NacreError:
+        return None
+    wanted = Path(name)
+    if wanted.is_absolute() or ".." in wanted.parts or wanted.suffix not in ("", ".toml"):
+        return None
+    wanted = wanted if wanted.suffix == ".toml" else Path(f"{name}.toml")
+    if wanted.name in NO_RECIPES or not wanted.name:
+        return None
+    places = [folder, *sorted(place for place in folder.iterdir() if place.is_dir())]
+    return next((place / wanted for place in places if (place / wanted).is_file()), None)
+
+
+def or_example(path: str | Path) -> Path:
+    """Return the path of a file of one's own or, where there is none, of the example of that name.
+
+    Raises:
+        NacreError: a word that is neither, and is near the name of an example.
+    """
+    if os.path.lexists(path):
+        return Path(path)
+    found = find_example(str(path))
+    beside = f"{path}.toml"
+    if found is None and os.path.isfile(beside):
+        raise NacreError(f'{path}: does not exist, as a file or as an example. Did you mean "{beside}"?')
+    if found is None and not Path(path).suffix and (meant := did_you_mean(str(path), _words())):
+        raise NacreError(f"{path}: does not exist, as a file or as an example.{meant}")
+    return found or Path(path)
+
+
+def _words() -> set[str]:
+    """What an example may be called by: its name, with its folder and without."""
+    try:
+        folder = examples_folder()
+    except NacreError:
+        return set()
+    paths = [path.relative_to(folder).with_suffix("") for path in folder.rglob("*.toml") if path.name not in NO_RECIPES]
+    return {word for path in paths for word in (path.as_posix(), path.name)}
+
+
+def copy_examples(names: list[str], to: Path) -> list[Path]:
+    """Copy examples, with the files that they name, to a folder; they keep their places to each other.
+
+    Args:
+        names: as `find_example` takes them; empty: all.
+
+    Returns:
+        The files written.
+
+    Raises:
+        NacreError: an unknown name, or a file of another content is in the way.
+    """
+    folder = examples_folder()
+    known = {example.name: example for example in examples()}
+    paths = []
+    for name in names or list(known):
+        path = find_example(name)
+        if path is None:
+            raise NacreError(f'example "{name}" is not known.{did_you_mean(name, known)} nacre examples lists them')
+        paths += [path, *_named_files(path)]
+    pairs = [(path, to / path.relative_to(folder)) for path in dict.fromkeys(paths)]
+    for source, target in pairs:
+        if target.exists() and target.read_bytes() != source.read_bytes():
+            raise NacreError(f"{target}: exists and differs from the example; move it away or choose another folder")
+    if not to.exists():
+        check_writable(to)
+    for source, target in pairs:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_path(target) as temporary:
+            shutil.copyfile(source, temporary)
+    return [target for _, target in pairs]
+
+
+def _named_files(path: Path) -> list[Path]:
+    """The files beside an example that its values name, and those that these name."""
+    found: list[Path] = []
+
+    def walk(value: object) -> None:
+        if isinstance(value, dict):
+            for inner in value.values():
+                walk(inner)
+        elif isinstance(value, list):
+            for inner in value:
+                walk(inner)
+        elif isinstance(value, str) and "\n" not in value and len(value) < 200:
+            beside = path.parent / value
+            if beside.suffix and beside.is_file() and beside not in found:
+                found.append(beside)
+                if beside.suffix == ".toml":
+                    found.extend(_named_files(beside))
+
+    walk(parse_toml(read_text(path, "example"), str(path)))
+    return [place.resolve() for place in found]
+
+
+def _about(text: str) -> str:
+    """The first sentence of the comment at the top."""
+    lines = []
+    for line in text.splitlines():
+        if not line.startswith("#"):
+            break
+        lines.append(line.lstrip("# ").strip())
+    return re.split(r"\. (?=[A-Z])", " ".join(lines))[0].rstrip(".")

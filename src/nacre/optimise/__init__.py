@@ -1,0 +1,1 @@
+"""Optimisation and inverse design: parameters, targets, merit functions, methods, results."""

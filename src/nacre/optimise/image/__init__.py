@@ -1,0 +1,1 @@
+"""Design of images: parameter maps that reproduce a picture."""

@@ -1,0 +1,1 @@
+"""Inverse design of relief height maps."""

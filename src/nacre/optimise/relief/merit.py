@@ -1,0 +1,374 @@
+"""The published loss, at a given intensity scale and at the best one, with gradients.
+
+pred = max(scale rgb, 0)^(1/2.2) against the display-referred target; the loss is the mean square over pixels and
+channels (physics/relief.md, sections 7 and 11.8).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.core.arrays import Array
+from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.plane_cut import SliceGeometry, SlicePlan, plan_slice
+from nacre.families.relief.prefactor import Prefactor
+from nacre.families.relief.surface import Tile, blur_matrix, largest_step_nm
+
+GAMMA = 2.2
+# x^(1/2.2) has an infinite slope at 0; this offset keeps the gradient finite and moves the loss by < 1e-4
+GRADIENT_FLOOR = 1e-6
+# weight of the fixed loss in the search; a sum, not a product of both: a free loss driven to nearly nothing would
+# outweigh any fixed one in a product, with a design far too dark or bright at the asked scale
+FIXED_SHARE = 0.7
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Both losses of a slice, with the scale of each, and that of an all-black slice.
+
+    `black` tells whether the fixed loss means anything: where `black` is lower, a dark design is rewarded.
+    """
+
+    fixed: float
+    free: float
+    scale_fixed: float
+    scale_free: float
+    black: float
+
+
+def measure(rgb: Array, target: Array, intensity_scale: float | None) -> Losses:
+    """Return the exact losses (no floor) of linear `rgb` against `target`, both `[..., 3]`.
+
+    Without an intensity scale the fixed loss is the free one.
+    """
+    target = np.asarray(target, dtype=float)
+    response = np.maximum(np.asarray(rgb, dtype=float), 0.0) ** (1.0 / GAMMA)
+    energy = float((response * response).sum())
+    best = float((response * target).sum()) / energy if energy > 0 else 0.0
+    free = float(np.mean((best * response - target) ** 2))
+    scale_free = best**GAMMA
+    scale = scale_free if intensity_scale is None else intensity_scale
+    fixed = float(np.mean((scale ** (1.0 / GAMMA) * response - target) ** 2))
+    return Losses(fixed, free, scale, scale_free, float(np.mean(target**2)))
+
+
+def objective(
+    rgb: Array, target: Array, intensity_scale: float | None, brightness_floor: float = 0.0
+) -> tuple[float, Array]:
+    """Return what the search minimises, and its gradient with respect to `rgb`.
+
+    With a fixed scale: the logarithm of a weighted mean of the fixed and the free loss. With a free scale: the
+    logarithm of the free loss, plus a penalty once the brightness (1 / scale) falls under `brightness_floor`, since a
+    free scale alone would allow a dark design.
+    """
+    reference = intensity_scale if intensity_scale is not None else max(_rough_scale(rgb, target), 1e-30)
+    floor = rgb.dtype.type(GRADIENT_FLOOR / reference)
+    positive = np.maximum(rgb, 0.0)
+    response = (positive + floor) ** rgb.dtype.type(1.0 / GAMMA)
+    slope = np.where(rgb > 0, response / (GAMMA * (positive + floor)), 0.0)
+    count = target.size
+    energy = float(np.vdot(response, response))
+    best = float(np.vdot(response, target)) / energy
+    residual = best * response - target
+    free = float(np.vdot(residual, residual)) / count
+    if intensity_scale is not None:
+        gain = intensity_scale ** (1.0 / GAMMA)
+        off = gain * response - target
+        total = FIXED_SHARE * float(np.vdot(off, off)) / count + (1.0 - FIXED_SHARE) * free
+        value = float(np.log(total))
+        # the best scale is stationary, so only the direct term remains in the gradient
+        gradient = (2.0 / count / total) * ((1.0 - FIXED_SHARE) * best * residual + FIXED_SHARE * gain * off)
+        return value, (gradient * slope).astype(rgb.dtype, copy=False)
+    value = float(np.log(free))
+    gradient = (2.0 * best / count / free) * residual
+    if brightness_floor > 0:
+        excess = GAMMA * np.log(best) + np.log(brightness_floor)
+        if excess > 0:
+            value += float(excess**2)
+            log_best_gradient = (target - 2.0 * best * response) / energy / best
+            gradient = gradient + (2.0 * excess * GAMMA) * log_best_gradient
+    return value, (gradient * slope).astype(rgb.dtype, copy=False)
+
+
+def _rough_scale(rgb: Array, target: Array) -> float:
+    response = np.maximum(rgb, 0.0) ** (1.0 / GAMMA)
+    energy = float(np.vdot(response, response))
+    return (float(np.vdot(response, target)) / energy) ** GAMMA if energy > 0 else 1.0
+
+
+# From BRDF values at a few wavelengths to the linear colours a target is compared with.
+
+# the source's sampling: 8 wavelengths in the middle of equal parts of 420-680 nm
+PUBLISHED_WAVELENGTHS_NM = 420.0 + 260.0 * (np.arange(8) + 0.5) / 8
+# normal-incidence reflectance of aluminium used by the source (physics/relief.md, section 5)
+PUBLISHED_ALUMINIUM = np.array([0.92272, 0.92042, 0.91842, 0.91635, 0.91442, 0.91111, 0.90800, 0.90336])
+PUBLISHED_XYZ_TO_RGB = np.array(
+    [[3.240479, -1.537150, -0.498535], [-0.969256, 1.875991, 0.041556], [0.055648, -0.204043, 1.057311]]
+)
+DEFAULT_WAVELENGTHS_NM = np.linspace(400.0, 700.0, 16)
+
+
+@dataclass(frozen=True)
+class ColourWeights:
+    """How a design's colours are computed.
+
+    Attributes:
+        wavelengths_nm: `[wavelength]`.
+        rgb_weights: `[3, wavelength]`, linear sRGB from BRDF values; holds Fresnel if `has_fresnel`.
+        has_fresnel: whether the coating's reflectance is already inside.
+        name: "published-8" or "default", for the report.
+    """
+
+    wavelengths_nm: Array
+    rgb_weights: Array
+    has_fresnel: bool
+    name: str
+
+
+def published_weights(
+    normal_reflectance: Callable[[Array], Array] | None,
+) -> ColourWeights:
+    """Return the source's 8 wavelengths and weights, equal-energy light.
+
+    Args:
+        normal_reflectance: maps wavelengths to the coating's reflectance at normal incidence; None takes the
+            source's own values for aluminium.
+    """
+    from nacre.light import observer, table_wavelengths_nm
+
+    # ties go to the larger wavelength, as in the source
+    rows = np.floor(PUBLISHED_WAVELENGTHS_NM + 0.5) - table_wavelengths_nm()[0]
+    functions = observer("2deg")[rows.astype(int)]
+    functions = functions / functions[:, 1].sum()
+    fresnel = PUBLISHED_ALUMINIUM if normal_reflectance is None else normal_reflectance(PUBLISHED_WAVELENGTHS_NM)
+    weights = PUBLISHED_XYZ_TO_RGB @ functions.T * fresnel
+    return ColourWeights(PUBLISHED_WAVELENGTHS_NM, weights, True, "published-8")
+
+
+def default_weights(wavelengths_nm: Array | None = None) -> ColourWeights:
+    """Return D65 and the 2 degree observer on 16 wavelengths from 400 to 700 nm, or on those given."""
+    from nacre.light import spectrum_to_rgb_matrix
+
+    grid = DEFAULT_WAVELENGTHS_NM if wavelengths_nm is None else wavelengths_nm
+    return ColourWeights(grid, spectrum_to_rgb_matrix(grid).T.copy(), False, "default")
+
+
+# A design problem in numbers, and the function that the search minimises: features in, loss and gradient out.
+
+# interpolation error over kappa: measured 1e-4 of the image in the search, 1e-6 in a measurement
+SEARCH_NODE_ERROR, MEASURE_NODE_ERROR = 0.3, 1e-2
+CHANGE_WHEN_CONVERGED = 0.01  # a loss is trusted once doubling the sampling moves it by less
+MAX_UPSAMPLING = 64
+MAX_SAMPLES = 8192
+
+
+@dataclass(frozen=True)
+class View:
+    """One part of a wanted appearance: directions, the picture wanted there, and how colour is computed.
+
+    Attributes:
+        geometry: grid of half-vector sums, incidences and wavelengths.
+        target: `[incidence, x, y, 3]`, display-referred.
+        rgb_weights: `[3, wavelength]`, linear sRGB from BRDF values of a perfect reflector.
+        reflectance: Fresnel reflectance `[..., wavelength]` at cosines, or None when `rgb_weights` holds it.
+    """
+
+    geometry: SliceGeometry
+    target: Array
+    rgb_weights: Array
+    reflectance: Callable[[Array], Array] | None = None
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything a design must meet.
+
+    Attributes:
+        features: n; the unknowns are n x n heights.
+        feature_nm, blur_nm, height_max_nm: the process.
+        coherence, prefactor: the optics.
+        views: what must be seen where.
+        intensity_scale: factor before the gamma, or None for the best one.
+        brightness_floor: with a free scale, the least brightness (1 / scale) without a penalty; else unused.
+        noise: standard deviation of each height, relative to itself.
+        blur_error: relative error of the process blur to be robust against.
+        levels: number of heights the process can make; 0 for any.
+    """
+
+    features: int
+    feature_nm: float
+    blur_nm: float
+    height_max_nm: float
+    coherence: Coherence
+    views: tuple[View, ...]
+    intensity_scale: float | None
+    prefactor: Prefactor = "kirchhoff"
+    brightness_floor: float = 0.0
+    noise: float = 0.0
+    blur_error: float = 0.0
+    levels: int = 0
+
+    @property
+    def period_nm(self) -> float:
+        """Side of the tile."""
+        return self.features * self.feature_nm
+
+    @property
+    def target(self) -> Array:
+        """All targets in one row of pixels, `[pixel, 3]`."""
+        return np.concatenate([view.target.reshape(-1, 3) for view in self.views])
+
+    def least_upsampling(self) -> int:
+        """Samples per feature that hold every wanted line (below the highest frequency the samples have)."""
+        highest = max(v.geometry.highest_line(self.period_nm, self.coherence, np.float32) for v in self.views)
+        return int(np.ceil((2 * highest + 2) / self.features))
+
+    def search_upsamplings(self) -> tuple[int, int]:
+        """Return samples per feature for exploring and for finishing.
+
+        Samples a little narrower than the blur are the coarsest that still approximate the surface.
+        """
+        ratio = self.feature_nm / self.blur_nm if self.blur_nm > 0 else 4.0
+        least = self.least_upsampling()
+        coarse = max(least, 4, int(np.ceil(1.25 * ratio - 0.25)))
+        fine = max(coarse + 2, int(np.ceil(1.75 * ratio - 0.25)))
+        return min(coarse, MAX_UPSAMPLING // 2), min(fine, MAX_UPSAMPLING)
+
+
+@dataclass
+class Evaluator:
+    """Loss and gradient of one problem at one sampling, in single precision.
+
+    Attributes:
+        problem: what is wanted.
+        upsampling: samples per feature.
+        evaluations: how often the loss was computed.
+    """
+
+    problem: Problem
+    upsampling: int
+    node_error: float = SEARCH_NODE_ERROR
+    dtype: Any = np.float32
+    workers: int = 1
+    evaluations: int = 0
+    plans: list[SlicePlan] = field(init=False)
+    blur: NDArray[Any] = field(init=False)
+
+    def __post_init__(self) -> None:
+        problem = self.problem
+        samples = problem.features * self.upsampling
+        self.plans = [
+            plan_slice(
+                view.geometry,
+                samples=samples,
+                period_nm=problem.period_nm,
+                height_range_nm=problem.height_max_nm,
+                coherence=problem.coherence,
+                prefactor=problem.prefactor,
+                reflectance=view.reflectance,
+                node_error=self.node_error,
+                dtype=self.dtype,
+                workers=self.workers,
+            )
+            for view in problem.views
+        ]
+        self.blur = self._blur(1.0)
+        self._weights = [view.rgb_weights.astype(self.dtype) for view in problem.views]
+        self._target = problem.target.astype(self.dtype)
+
+    def _blur(self, factor: float) -> NDArray[Any]:
+        p = self.problem
+        return blur_matrix(p.features, self.upsampling, factor * p.blur_nm / p.feature_nm).astype(self.dtype)
+
+    def surface(self, heights_nm: NDArray[Any], blur: NDArray[Any] | None = None) -> NDArray[Any]:
+        """Return the blurred surface, in the working precision."""
+        matrix = self.blur if blur is None else blur
+        return matrix @ heights_nm.astype(self.dtype) @ matrix.T
+
+    def rgb(self, surface: NDArray[Any], keep: bool = False) -> tuple[NDArray[Any], list[list[Any]]]:
+        """Return linear colours `[pixel, 3]` of all views and the tapes for `pullback`."""
+        colours, tapes = [], []
+        for plan, weights in zip(self.plans, self._weights):
+            values, tape = plan.forward(surface, keep)
+            flat = values.transpose(0, 2, 3, 1).reshape(-1, values.shape[1])
+            colours.append(flat @ weights.T)
+            tapes.append(tape)
+        return np.concatenate(colours), tapes
+
+    def pullback(self, surface: NDArray[Any], tapes: list[list[Any]], cotangent: NDArray[Any]) -> NDArray[Any]:
+        """Return dL/dH for dL/d(rgb)."""
+        total = np.zeros_like(surface)
+        start = 0
+        for plan, weights, tape in zip(self.plans, self._weights, tapes):
+            incidences, wavelengths, nx, ny = plan.shape
+            part = cotangent[start : start + incidences * nx * ny]
+            start += len(part)
+            back = (part @ weights).reshape(incidences, nx, ny, wavelengths).transpose(0, 3, 1, 2)
+            total += plan.pullback(surface, tape, back)
+        return total
+
+    def value_and_gradient(
+        self, x: Array, noise: NDArray[Any] | None = None, blur_factor: float = 1.0
+    ) -> tuple[float, Array]:
+        """Return the objective and its gradient at `x`, heights over the allowed range, flat `[n^2]`.
+
+        Args:
+            x: in [0, 1].
+            noise: relative height error `[n, n]` to apply, or None.
+            blur_factor: the process blur's error, as a factor.
+        """
+        self.evaluations += 1
+        problem = self.problem
+        blur = self.blur if blur_factor == 1.0 else self._blur(blur_factor)
+        gain = problem.height_max_nm * (1.0 if noise is None else 1.0 + noise)
+        surface = self.surface(x.reshape(problem.features, -1) * gain, blur)
+        rgb, tapes = self.rgb(surface, keep=True)
+        value, colour_gradient = objective(rgb, self._target, problem.intensity_scale, problem.brightness_floor)
+        gradient = blur.T @ self.pullback(surface, tapes, colour_gradient) @ blur
+        return value, np.asarray(gradient * gain, dtype=float).ravel()
+
+    def losses(self, heights_nm: Array) -> Losses:
+        """Return the exact losses of a design at this sampling."""
+        rgb, _ = self.rgb(self.surface(heights_nm))
+        return measure(rgb, self._target, self.problem.intensity_scale)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Losses by the plain model at a converged sampling, and the picture seen."""
+
+    losses: Losses
+    rgb: Array
+    upsampling: int
+    phase_step_rad: float
+
+
+def measure_design(problem: Problem, heights_nm: Array, workers: int = 1) -> Measurement:
+    """Measure a design by doubling the sampling until both losses change by less than 1 %."""
+    tile = Tile(heights_nm, problem.feature_nm, problem.blur_nm)
+    # only the heights' own range matters here, and it may be well under the allowed one
+    tight = replace(problem, height_max_nm=max(tile.height_range_nm, 1.0))
+    upsampling = problem.search_upsamplings()[1]
+    previous: Losses | None = None
+    kappa_max = max(view.geometry.kappa_range[1] for view in problem.views)
+    target = problem.target
+    while True:
+        judge = Evaluator(tight, upsampling, node_error=MEASURE_NODE_ERROR, workers=workers)
+        rgb, _ = judge.rgb(judge.surface(heights_nm - heights_nm.min()))
+        losses = measure(rgb, target, problem.intensity_scale)
+        finest = 2 * upsampling > MAX_UPSAMPLING or 2 * upsampling * problem.features > MAX_SAMPLES
+        if previous is not None and _change(previous, losses) < CHANGE_WHEN_CONVERGED or finest:
+            break
+        previous = losses
+        upsampling *= 2
+    step = 2.0 * np.pi * kappa_max * largest_step_nm(tile.surface_nm(upsampling))
+    return Measurement(losses, np.asarray(rgb, dtype=float), upsampling, step)
+
+
+def _change(a: Losses, b: Losses) -> float:
+    return max(abs(a.fixed / b.fixed - 1.0), abs(a.free / b.free - 1.0)) if b.fixed > 0 and b.free > 0 else 0.0

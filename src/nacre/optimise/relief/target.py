@@ -1,0 +1,419 @@
+"""The target file: what a relief must look like, and how long to search for it.
+
+The keys are a promise to users: add, do not rename.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from tokenize import TokenError
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+import pydantic
+
+from nacre.bsdf.grids import direction
+from nacre.core.errors import NacreError, RecipeError, did_you_mean
+from nacre.core.files import plain, why_unreadable
+from nacre.families.relief.coherence import CoherenceSpec
+from nacre.families.relief.plane_cut import SliceGeometry
+from nacre.families.relief.prefactor import coating_reflectance, fresnel_reflectance
+from nacre.formats.calibration import find_calibration
+from nacre.matter.indices.spec import IndexSpec
+from nacre.optimise.relief import pictures
+from nacre.optimise.relief.merit import GAMMA, ColourWeights, Problem, View, default_weights, published_weights
+from nacre.optimise.relief.pictures import Array
+from nacre.recipe.delimited_text import two_columns
+from nacre.recipe.model import RecipeContext, RecipeModel, show_value
+
+Positive = Annotated[float, pydantic.Field(gt=0.0)]
+KINDS = ("anti-mirror", "anisotropic-anti-mirror", "gaussian", "uniform", "image", "inverted-image", "array")
+# the source's own names are accepted too
+KIND_ALIASES = {
+    "anti_mirror": "anti-mirror",
+    "aniso_anti_mirror": "anisotropic-anti-mirror",
+    "diffuse": "gaussian",
+    "image_scale": "image",
+    "image_inverse": "inverted-image",
+}
+INVERTED_WIDTH = 0.20  # the soft disc that a picture is cut out of
+# widths of each kind when the target does not give its own, in rad (kinds) or half-vector units (anisotropic)
+WIDTHS = {"anti-mirror": 0.12, "gaussian": 0.15, "inverted-image": INVERTED_WIDTH}
+HOLES = {"anti-mirror": 0.05, "anisotropic-anti-mirror": 0.7}
+LARGEST_TARGET_VALUES = 64_000_000
+LARGEST_TILE_FEATURES = 512
+# a free scale may darken a design until its picture holds this share of the light; the published ones hold 6 % or more
+LEAST_LIGHT = 0.05
+MOST_REFLECTANCE = 1.1  # a white of an instrument may err by that much
+VISIBLE_THRESHOLD = 1e-3  # target values under this may lie beyond the horizon
+
+
+class ColourSource(RecipeModel):
+    """A colour taken from a file: an image over the slice, or a reflectance spectrum (CSV: nm, value)."""
+
+    one_of: ClassVar[tuple[str, ...]] = ("image", "spectrum")
+    forms: ClassVar[tuple[str, ...]] = ('{image = "colours.png"}', '{spectrum = "reflectance.csv"}')
+
+    image: str | None = pydantic.Field(
+        default=None, description="an image of the colours over the slice", examples=["colours.png"]
+    )
+    spectrum: str | None = pydantic.Field(
+        default=None,
+        description="a CSV of wavelength in nm and reflectance, whose colour under D65 is taken",
+        examples=["reflectance.csv"],
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _exactly_one(self) -> ColourSource:
+        if (self.image is None) == (self.spectrum is None):
+            raise ValueError("target.colour: give exactly one of image and spectrum")
+        return self
+
+
+class TargetTable(RecipeModel):
+    """One wanted picture over the directions of a slice."""
+
+    forms: ClassVar[tuple[str, ...]] = (
+        '{kind = "anti-mirror", range = 0.5}',
+        '{kind = "image", image = "grey.png", range = 0.4, colour = "#ffcc00"}',
+    )
+
+    kind: str = pydantic.Field(
+        json_schema_extra={"enum": [*KINDS, *KIND_ALIASES]}, description="kind of the look", examples=["anti-mirror"]
+    )
+    image: str | None = pydantic.Field(
+        default=None,
+        description="the picture, for the kinds image and inverted-image: what is bright in it is lit, what is clear "
+        "is dark",
+        examples=["grey.png"],
+    )
+    image_scale: Positive = pydantic.Field(
+        default=1.5, description="size of the picture over the directions, by its longer side"
+    )
+    file: str | None = pydantic.Field(
+        default=None, description="a .npy array over the slice, for the kind array", examples=["look.npy"]
+    )
+    colour: str | ColourSource = pydantic.Field(
+        default="white",
+        description="a name, #rrggbb, iridescent-half, iridescent-disk, or a table that leads to a file",
+        examples=["white", "#ffcc00", "iridescent-disk", {"spectrum": "reflectance.csv"}],
+    )
+    iridescent_range: Positive = pydantic.Field(default=0.06, description="radius at which iridescent colours change")
+    width: Positive | None = pydantic.Field(default=None, description="width of the lobe in rad", examples=[0.12])
+    hole: Positive | None = pydantic.Field(default=None, description="width of the dark centre", examples=[0.05])
+    cone: Positive | None = pydantic.Field(
+        default=None, description="radius that limits a uniform look", examples=[0.3]
+    )
+    range: Annotated[float, pydantic.Field(gt=0.0, le=2.0)] = pydantic.Field(
+        description="half the side of the slice, in components of wi + wo", examples=[0.5]
+    )
+    resolution: Annotated[int, pydantic.Field(ge=4, le=1024)] = pydantic.Field(
+        default=64, description="number of directions along a side of the slice"
+    )
+    intensity_scale: Positive | Literal["free"] = pydantic.Field(
+        default="free", description="brightness of the picture: a fixed scale, or the best one", examples=["free", 2.0]
+    )
+    brightness_floor: Annotated[float, pydantic.Field(ge=0.0)] | None = pydantic.Field(
+        default=None,
+        description="keeps a free scale from going dark; without it: 5 % of the light inside the picture",
+        examples=[0.1],
+    )
+    incidence_deg: tuple[tuple[float, float], ...] | None = pydantic.Field(
+        default=None,
+        description="directions of the light, each [theta, phi]; without it those of the search",
+        examples=[[[0, 0], [30, 0]]],
+    )
+
+    @pydantic.field_validator("kind")
+    @classmethod
+    def _known_kind(cls, kind: str) -> str:
+        name = KIND_ALIASES.get(kind, kind)
+        if name not in KINDS:
+            raise ValueError(
+                f'target.kind = "{kind}" is not known.{did_you_mean(kind, [*KINDS, *KIND_ALIASES])} '
+                f"Kinds: {', '.join(KINDS)}"
+            )
+        return name
+
+    @pydantic.model_validator(mode="after")
+    def _needs_its_file(self) -> TargetTable:
+        if self.kind in ("image", "inverted-image") and self.image is None:
+            raise ValueError(f'target.image is missing; kind = "{self.kind}" needs one')
+        if self.kind == "array" and self.file is None:
+            raise ValueError('target.file is missing; kind = "array" needs a .npy of [x, y] or [x, y, 3] in 0..1')
+        return self
+
+    def least_brightness(self, picture: Array) -> float:
+        """Return the floor of 1 / scale: as given, or where the picture would hold `LEAST_LIGHT` of the light.
+
+        A perfect reflector sends its light over the hemisphere so that the integral of the BRDF over (u, v) is 1; a
+        picture of mean m over a slice of area A, shown at a scale, therefore holds m A / scale of it.
+        """
+        if self.brightness_floor is not None:
+            return self.brightness_floor
+        mean = float(np.mean(np.asarray(picture) ** GAMMA))
+        return LEAST_LIGHT / max(mean * (2.0 * self.range) ** 2, 1e-12)
+
+    def build(self, wi: Array, context: RecipeContext) -> Array:
+        """Return the display-referred target `[x, y, 3]` for light from `wi`.
+
+        Raises:
+            RecipeError: an image, array or colour cannot be used, or the target lies below the horizon.
+        """
+        axis = pictures.slice_axis(self.range, self.resolution)
+        u, v = np.broadcast_arrays(axis[:, None], axis[None, :])
+        picture = self._shape(u, v, wi, context) * self._colour(u, v, context)
+        hidden = (u - wi[0]) ** 2 + (v - wi[1]) ** 2 >= 1.0
+        if (picture[hidden] > VISIBLE_THRESHOLD).any():
+            worst = float(np.degrees(np.arcsin(np.hypot(wi[0], wi[1]))))
+            raise context.fail(
+                "target.range",
+                self.range,
+                f"reaches outside the hemisphere for light at {worst:.3g} degrees; reduce it",
+            )
+        return np.where(hidden[..., None], 0.0, picture)
+
+    def _shape(self, u: Array, v: Array, wi: Array, context: RecipeContext) -> Array:
+        width, hole = self.width or WIDTHS.get(self.kind, 0.0), self.hole or HOLES.get(self.kind, 0.0)
+        if self.kind == "anti-mirror":
+            return pictures.anti_mirror(u, v, wi, hole, width)[..., None]
+        if self.kind == "anisotropic-anti-mirror":
+            return pictures.anisotropic_anti_mirror(u, v, wi, hole)[..., None]
+        if self.kind == "gaussian":
+            return pictures.gaussian(pictures.mirror_angle(u, v, wi), width)[..., None]
+        if self.kind == "uniform":
+            inside = np.ones_like(u) if self.cone is None else (np.hypot(u, v) <= self.cone).astype(float)
+            return inside[..., None]
+        if self.kind == "array":
+            return self._array(context)
+        assert self.image is not None
+        image = pictures.load_picture(context.path(self.image), f"{context.source}: target.image")
+        shape = pictures.picture_on_directions(image, u, v, self.image_scale)
+        if self.kind == "image":
+            return shape
+        return pictures.gaussian(pictures.mirror_angle(u, v, wi), width)[..., None] * (1.0 - shape)
+
+    def _array(self, context: RecipeContext) -> Array:
+        assert self.file is not None
+        path = context.path(self.file)
+        try:
+            values = np.load(plain(path), allow_pickle=False)
+        except OSError as error:
+            raise context.fail("target.file", self.file, why_unreadable(error)) from None
+        except (ValueError, EOFError, AttributeError, SyntaxError, TokenError, TypeError) as error:
+            raise context.fail("target.file", self.file, f"is not a .npy array: {error}") from None
+        size = self.resolution
+        if values.shape not in ((size, size), (size, size, 3)) or values.dtype.kind not in "fiub":
+            raise context.fail(
+                "target.file",
+                self.file,
+                f"holds {values.dtype}{list(values.shape)}; it should be [{size}, {size}(, 3)]",
+            )
+        values = values.astype(float)
+        if not np.isfinite(values).all() or values.min() < 0.0:
+            raise context.fail("target.file", self.file, "holds values that are negative or not finite")
+        return values if values.ndim == 3 else values[..., None]
+
+    def _colour(self, u: Array, v: Array, context: RecipeContext) -> Array:
+        if isinstance(self.colour, str):
+            return pictures.colour_on_directions(self.colour, u, v, self.iridescent_range, context.source)
+        if self.colour.image is not None:
+            where = f"{context.source}: target.colour.image"
+            image = pictures.load_picture(context.path(self.colour.image), where, is_stretched=True)  # over the slice
+            scale = self.range / 2.0 / pictures.HALF_VECTOR_PER_SCALE
+            return pictures.picture_on_directions(image, u, v, scale)
+        assert self.colour.spectrum is not None
+        return np.broadcast_to(_spectrum_colour(self.colour.spectrum, context), (*u.shape, 3))
+
+
+class SearchTable(RecipeModel):
+    """How to search; all optional. `shakes` is how often the finished design is disturbed and descended again."""
+
+    forms: ClassVar[tuple[str, ...]] = (
+        "{time_limit_s = 20}",
+        "{starts = 16, levels = 8, incidence_deg = [[0, 0], [30, 0]]}",
+    )
+
+    starts: Annotated[int, pydantic.Field(ge=1, le=256)] = pydantic.Field(
+        default=8, description="number of random starts"
+    )
+    shakes: Annotated[int, pydantic.Field(ge=0, le=10_000)] = pydantic.Field(
+        default=40, description="how often the finished design is disturbed and improved again, while time is left"
+    )
+    seed: Annotated[int, pydantic.Field(ge=0)] = pydantic.Field(default=1, description="seed of the starts")
+    time_limit_s: Positive | None = pydantic.Field(
+        default=60.0, description="stop after this time with the best design so far"
+    )
+    noise: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = pydantic.Field(
+        default=0.0, description="relative noise of each height, by the process, to be robust against"
+    )
+    blur_error: Annotated[float, pydantic.Field(ge=0.0, le=0.9)] = pydantic.Field(
+        default=0.0, description="relative error of the blur to be robust against"
+    )
+    levels: Annotated[int, pydantic.Field(ge=0, le=256)] = pydantic.Field(
+        default=0, description="number of heights that the process can make; 0: any"
+    )
+    incidence_deg: tuple[tuple[float, float], ...] = pydantic.Field(
+        default=((0.0, 0.0),), description="directions of the light, each [theta, phi]"
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _levels_are_two_or_more(self) -> SearchTable:
+        if self.levels == 1:
+            raise ValueError("search.levels = 1 is not allowed; it should be 0 (any height) or at least 2")
+        return self
+
+
+class TargetSpec(RecipeModel):
+    """The look that `nacre design` finds a relief for."""
+
+    example: ClassVar[Mapping[str, Any]] = {
+        "family": "relief",
+        "feature_um": 2,
+        "blur_um": 0.6,
+        "height_max_um": 0.5,
+        "coherence": {"sigma": 5},
+        "target": {"kind": "anti-mirror", "range": 0.5},
+        "search": {"time_limit_s": 20},
+    }
+
+    family: Literal["relief"] = pydantic.Field(default="relief", description="the family that is designed")
+    features: Annotated[int, pydantic.Field(ge=2, le=LARGEST_TILE_FEATURES)] = pydantic.Field(
+        default=32, description="number of features along a side of the tile"
+    )
+    feature_um: Positive = pydantic.Field(description="pitch of the features", examples=[2])
+    blur_um: Positive = pydantic.Field(
+        description="standard deviation of the Gaussian blur of the process", examples=[0.6]
+    )
+    height_max_um: Positive = pydantic.Field(description="largest height that the process can make", examples=[0.5])
+    calibration: str | None = pydantic.Field(
+        default=None,
+        description="CSV of grey value and depth of the process that will make it, or `published`; a deeper target "
+        "is refused",
+    )
+    coating: IndexSpec = pydantic.Field(
+        default_factory=lambda: IndexSpec.model_validate("Al"), description="metal of the surface, opaque"
+    )
+    coherence: CoherenceSpec = pydantic.Field(
+        description="coherence of the light, which is the angular size of the lamp"
+    )
+    spectrum: Literal["published-8", "default"] = pydantic.Field(
+        default="default", description="wavelengths of the colour: the source's eight, or the default grid"
+    )
+    prefactor: Literal["kirchhoff", "published"] | None = pydantic.Field(
+        default=None,
+        description="prefactor of the diffraction integral; without it: as published with the published "
+        "spectrum, else the one that conserves energy",
+    )
+    target: TargetTable = pydantic.Field(description="the wanted look")
+    targets: tuple[TargetTable, ...] = pydantic.Field(
+        default=(), description="more looks that the same relief should have"
+    )
+    search: SearchTable = pydantic.Field(default=SearchTable(), description="how to search")
+
+    @property
+    def chosen_prefactor(self) -> Literal["kirchhoff", "published"]:
+        """The prefactor: the source's with its spectrum, the one that conserves energy otherwise."""
+        return self.prefactor or ("published" if self.spectrum == "published-8" else "kirchhoff")
+
+    def build(self, context: RecipeContext) -> Problem:
+        """Turn the target into numbers.
+
+        Raises:
+            RecipeError: a file, colour, direction or window cannot be used, or the process makes no relief so deep.
+        """
+        self._check_process(context)
+        coherence = self.coherence.build()
+        spectrum = self._spectrum()
+        self._check_window(coherence.width_in_wavelengths, spectrum, context)
+        tables = (self.target, *self.targets)
+        if sum(t.resolution**2 for t in tables) * len(spectrum.wavelengths_nm) > LARGEST_TARGET_VALUES:
+            raise context.fail("target.resolution", self.target.resolution, "asks for too many directions at once")
+        scale = self.target.intensity_scale
+        views = tuple(self._view(table, spectrum, context) for table in tables)
+        return Problem(
+            features=self.features,
+            feature_nm=1e3 * self.feature_um,
+            blur_nm=1e3 * self.blur_um,
+            height_max_nm=1e3 * self.height_max_um,
+            coherence=coherence,
+            views=views,
+            intensity_scale=None if scale == "free" else scale,
+            prefactor=self.chosen_prefactor,
+            brightness_floor=self.target.least_brightness(views[0].target),
+            noise=self.search.noise,
+            blur_error=self.search.blur_error,
+            levels=self.search.levels,
+        )
+
+    def _spectrum(self) -> ColourWeights:
+        if self.spectrum == "default":
+            return default_weights()
+        if self.coating.name == "Al":
+            return published_weights(None)
+        constant = self.coating.build()
+        return published_weights(lambda nm: fresnel_reflectance(np.ones(()), constant.n_complex(nm)))
+
+    def _check_process(self, context: RecipeContext) -> None:
+        """Refuse heights that the named process cannot make, before they are searched for."""
+        if self.calibration is None:
+            return
+        try:
+            context.path(self.calibration)  # another curve is another target
+            curve = find_calibration(self.calibration, context.folder)
+        except NacreError as error:
+            raise context.fail("calibration", self.calibration, f"cannot be used: {error}") from None
+        if self.height_max_um > curve.range_um * (1 + 1e-9):
+            raise context.fail(
+                "height_max_um", self.height_max_um,
+                f"is deeper than the process of calibration = {show_value(self.calibration)} makes: "
+                f"{curve.range_um:.4g} um; lower it, or name another process",
+            )  # fmt: skip
+
+    def _check_window(self, width: float, spectrum: ColourWeights, context: RecipeContext) -> None:
+        window_um = width * float(spectrum.wavelengths_nm.max()) / 1e3
+        period_um = self.features * self.feature_um
+        if window_um > period_um / 2.0:
+            raise context.fail(
+                "coherence",
+                self.coherence.model_dump(exclude_none=True),
+                f"gives a window of {window_um:.3g} um, more than half the tile of {period_um:.3g} um: the tile's own "
+                "repetition would show; take a larger tile or a smaller window",
+            )
+
+    def _view(self, table: TargetTable, spectrum: ColourWeights, context: RecipeContext) -> View:
+        directions = [
+            _incidence(theta, phi, context) for theta, phi in (table.incidence_deg or self.search.incidence_deg)
+        ]
+        axis = pictures.slice_axis(table.range, table.resolution)
+        geometry = SliceGeometry(axis, axis, np.stack(directions), spectrum.wavelengths_nm)
+        target = np.stack([table.build(wi, context) for wi in directions])
+        if not target.any():
+            raise RecipeError(f"{context.source}: the target is black everywhere; nothing can be designed for it")
+        reflectance = None
+        if not spectrum.has_fresnel:
+            reflectance = coating_reflectance(self.coating.build().n_complex(spectrum.wavelengths_nm))
+        return View(geometry, target, spectrum.rgb_weights, reflectance)
+
+
+def _incidence(theta_deg: float, phi_deg: float, context: RecipeContext) -> Array:
+    if not 0.0 <= theta_deg < 90.0:
+        raise context.fail(
+            "search.incidence_deg", [theta_deg, phi_deg], "is outside the hemisphere; theta is in [0, 90)"
+        )
+    return direction(math.radians(theta_deg), math.radians(phi_deg))
+
+
+def _spectrum_colour(name: str, context: RecipeContext) -> Array:
+    """Return the display-referred colour of a reflectance spectrum under D65."""
+    from nacre.light import spectrum_to_rgb_linear
+
+    key = "target.colour.spectrum"
+    table = two_columns(context, key, name, is_share=True)
+    if len(table) < 2 or (np.diff(table[:, 0]) <= 0).any():
+        raise context.fail(key, name, "should hold two columns, ascending nm and reflectance")
+    if table[:, 1].min() < 0.0 or table[:, 1].max() > MOST_REFLECTANCE:
+        raise context.fail(key, name, "should hold reflectances from 0 to 1; head a column in per cent '%'")
+    rgb = spectrum_to_rgb_linear(table[:, 1], table[:, 0])
+    return np.clip(rgb, 0.0, 1.0) ** (1.0 / 2.2)

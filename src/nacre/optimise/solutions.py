@@ -1,0 +1,310 @@
+"""An answer's recipes inside its recipe, written as files again."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from nacre.core.errors import NacreError, RecipeError
+from nacre.core.files import read_text, write_text
+from nacre.material.material import Material
+from nacre.optimise.evaluation import Reached
+from nacre.recipe.fingerprint import file_digest
+from nacre.recipe.paths import set_by_path
+from nacre.recipe.toml import dump_toml, edit_toml, parse_toml
+
+
+def take_apart(data: dict[str, Any], taken: list[str]) -> dict[str, str]:
+    """Replace the recipes inside a recipe by names of files, in place; return name -> text, the innermost first.
+
+    Args:
+        data: a recipe.
+        taken: names that are used already; new ones are added.
+    """
+    found: dict[str, str] = {}
+    for key, value in data.items():
+        if isinstance(value, Mapping) and "family" in value:
+            inner = dict(value)
+            found |= take_apart(inner, taken)
+            number, name = 1, f"{key}.toml"
+            while name in taken:
+                number += 1
+                name = f"{key}-{number}.toml"
+            taken.append(name)
+            found[name] = dump_toml(inner)
+            data[key] = {"recipe": name}
+    return found
+
+
+__all__ = ["take_apart"]
+
+
+# Answers as folders that every command takes: a recipe, and beside it the files that it reaches.
+
+RECIPE = "recipe.toml"
+SUMMARY = "design.json"
+NEED_BYTES = 8_000_000  # of a folder's disk: answers, pictures, report
+WRITTEN = (RECIPE, SUMMARY, "report.html", "report.png", "search.json")  # beside the best answer
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """One answer.
+
+    Attributes:
+        recipe: the file that holds it; None where nothing was written.
+        material: the material that it is.
+        changes: what is different from the recipe that the search started from, by path.
+        wants: what it reaches of every want under every lamp.
+        facts: what else is known of it, as JSON can hold it: yield, sensitivity, thickness.
+    """
+
+    recipe: Path | None
+    material: Material
+    changes: dict[str, Any]
+    wants: list[Reached]
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def worst(self) -> Reached:
+        """The want that costs most: of the largest weight x distance / within."""
+        return max(self.wants, key=lambda r: r.scaled)
+
+    @property
+    def is_met(self) -> bool:
+        """Whether every want is within what was asked for."""
+        return all(r.is_met for r in self.wants)
+
+    @property
+    def yield_share(self) -> float | None:
+        """The share of what is made that keeps every want; None where no spread was given."""
+        found = self.facts.get("yield")
+        return None if found is None else float(found["share"])
+
+
+@dataclass(frozen=True)
+class WantsProgress:
+    """What a caller is told while a design is searched.
+
+    Attributes:
+        worst: the largest weight x distance / within so far; below 1 every want is met.
+        seconds, seconds_left: spent and left.
+    """
+
+    worst: float
+    seconds: float
+    seconds_left: float
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A finished (or cleanly stopped) design.
+
+    Attributes:
+        folder: where its files are; None where nothing was written.
+        status: "met", "out of reach" (time is up and a want is not within), "interrupted".
+        message: the outcome in words.
+        seconds: wall time.
+        solutions: the answers, the best first.
+        summary: what `design.json` holds.
+    """
+
+    folder: Path | None
+    status: str
+    message: str
+    seconds: float
+    solutions: list[Solution]
+    summary: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def best(self) -> Solution:
+        """The best answer."""
+        return self.solutions[0]
+
+
+def write_recipe(
+    folder: Path, start: Material, changes: Mapping[str, Any], tolerance: Mapping[str, Any],
+    made: Material | None = None,
+) -> tuple[Path, list[str]]:  # fmt: skip
+    """Write an answer's recipe, with comments where the start has some, and copy beside it what it reaches.
+
+    Args:
+        folder: made if it does not exist.
+        start: the recipe that the search started from.
+        changes: path -> value.
+        tolerance: spreads of manufacture by path, for `nacre tolerance`.
+        made: the answer, where it may reach files that the start does not: of optical constants to choose from.
+
+    Returns:
+        the recipe's path, and the names of all files written.
+
+    Raises:
+        NacreError: the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
+    data = copy.deepcopy(dict(start.data))
+    all_changes = dict(changes)
+    for path, value in changes.items():
+        set_by_path(data, path, copy.deepcopy(value), start.context.source)
+    if tolerance:
+        data["tolerance"] = all_changes["tolerance"] = dict(tolerance)
+    copied: list[str] = []
+    reached = {*start.context.reached, *(made.context.reached if made is not None else ())}
+    moved = _bring(data, start.context.folder, reached, folder, copied)
+    for path, name in moved.items():
+        set_by_path(data, path, name, start.context.source)
+    for name, part in take_apart(data, copied).items():
+        write_text(folder / name, part)
+    text = ""
+    if start.context.text:
+        with contextlib.suppress(NacreError, ValueError, KeyError, TypeError):
+            text = edit_toml(start.context.text, {**all_changes, **moved}, start.context.source)
+            if parse_toml(text, RECIPE) != parse_toml(dump_toml(data), RECIPE):
+                text = ""  # a list that became another kind of list may have slipped into another table
+    recipe = folder / RECIPE
+    write_text(recipe, text or dump_toml(data))
+    return recipe, [RECIPE, *copied]
+
+
+def _bring(
+    data: Any, source: Path, reached: set[Path], target: Path, copied: list[str], path: str = ""
+) -> dict[str, str]:
+    """Copy the files that strings of a recipe name; return path -> the name that the file has beside the answer."""
+    if isinstance(data, Mapping):
+        parts = [_bring(v, source, reached, target, copied, f"{path}.{k}".lstrip(".")) for k, v in data.items()]
+    elif isinstance(data, list):
+        parts = [_bring(v, source, reached, target, copied, f"{path}[{i}]") for i, v in enumerate(data)]
+    elif isinstance(data, str) and data and len(data) < 1024 and (file := _file(source, data)) in reached:
+        name = _free_name(file.name, copied)
+        copied.append(name)
+        if file.suffix == ".toml":
+            inner = parse_toml(read_text(file, "recipe"), str(file))
+            for place, other in _bring(inner, file.parent, reached, target, copied).items():
+                set_by_path(inner, place, other)
+            write_text(target / name, dump_toml(inner))
+        elif file != (target / name).resolve():
+            try:
+                shutil.copyfile(file, target / name)
+            except OSError as error:
+                raise NacreError(f"{target / name}: cannot be written: {error.strerror}") from None
+        return {path: name}
+    else:
+        return {}
+    return {place: name for part in parts for place, name in part.items()}
+
+
+def _file(source: Path, name: str) -> Path:
+    with contextlib.suppress(OSError, ValueError):
+        return (source / name).resolve()
+    return Path()
+
+
+def _free_name(name: str, taken: list[str]) -> str:
+    if name == RECIPE:
+        name = "part.toml"
+    stem, _, suffix = name.rpartition(".")
+    number, chosen = 1, name
+    while chosen in taken:
+        number += 1
+        chosen = f"{stem}-{number}.{suffix}"
+    return chosen
+
+
+def folder_of(out: Path, number: int) -> Path:
+    """Return the folder of answer 1, 2, ...: the first is the design's own."""
+    return out if number == 1 else out / str(number)
+
+
+def clear_answers(out: Path, keep: int) -> None:
+    """Remove the answers that an earlier run wrote beyond the first `keep`: they are none of this one."""
+    try:
+        earlier = json.loads((out / SUMMARY).read_text(encoding="utf-8"))["solutions"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    for number in range(keep + 1, len(earlier) + 1):
+        folder = folder_of(out, number)
+        names = earlier[number - 1].get("files", []) if isinstance(earlier[number - 1], dict) else []
+        for name in names:
+            if Path(str(name)).name == name:
+                with contextlib.suppress(OSError):
+                    (folder / name).unlink()
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+
+
+def check_folder(out: Path, start: Material, solutions: int = 1) -> None:
+    """Refuse a folder in which a design would overwrite the recipe that it starts from, or what no design wrote.
+
+    Args:
+        solutions: answers that may be written.
+
+    Raises:
+        RecipeError: naming the file.
+    """
+    if out.exists() and not out.is_dir():
+        raise RecipeError(f"{out}: is a file; the answers need a folder, choose another with -o")
+    used = {Path(start.context.source).resolve(), *start.context.reached}
+    if start.context.text and (out / RECIPE).resolve() in used:
+        raise RecipeError(f"{out}: holds the recipe that the design starts from; choose another folder with -o")
+    earlier = _earlier(out)
+    names = [] if earlier is not None else [*WRITTEN, *(f"{n}/{RECIPE}" for n in range(2, solutions + 1))]
+    foreign = [name for name in names if (out / name).exists()]
+    later = [folder_of(out, number) for number in range(2, solutions + 1)]
+    foreign += [folder.name for folder in later if os.path.lexists(folder) and not folder.is_dir()]
+    for file in start.context.reached:
+        beside = out / file.name
+        is_another = beside.exists() and beside.resolve() != file and file_digest(beside) != file_digest(file)
+        if is_another and file.name not in (earlier or ()):
+            foreign.append(file.name)
+    if foreign:
+        raise RecipeError(f"{out}: holds a {foreign[0]} that no design wrote; choose another folder with -o")
+
+
+def _earlier(out: Path) -> set[str] | None:
+    """Return the names of the files beside the best answer of the design that a folder holds; None: it holds none."""
+    try:
+        summary = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
+        if not set(summary) & {"solutions", "loss_fixed"}:  # the latter of a relief
+            return None
+        return {str(name) for solution in summary.get("solutions", [])[:1] for name in solution.get("files", [])}
+    except (OSError, ValueError, TypeError, AttributeError):
+        return None
+
+
+__all__ = ["Design", "Solution", "WantsProgress", "clear_answers", "check_folder", "folder_of", "write_recipe"]
+
+
+# When two answers are one: same materials, order and count, and no number off by more than a fifth.
+
+FAR = 0.2
+
+
+def are_alike(one: Any, other: Any) -> bool:
+    """Whether two answers, as changes of a recipe, count as one.
+
+    Example: stacks of the same materials with thicknesses (100, 50) and (110, 55) do; (100, 50) and (100, 65) do not.
+    """
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(are_alike(one[key], other[key]) for key in one)
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(are_alike, one, other))
+    if _is_number(one) and _is_number(other):
+        return abs(one - other) <= FAR * max(abs(one), abs(other))
+    return bool(one == other)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+__all__ = ["are_alike"]

@@ -1,0 +1,228 @@
+"""The file of a design by wants: which looks, of which material, with what free, made how well, searched how long.
+
+The keys are a promise to users: add, do not rename.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+import pydantic
+
+from nacre.optimise.relief.target import TargetTable
+from nacre.recipe.keys import ByPath
+from nacre.recipe.model import RecipeModel
+from nacre.recipe.path_tables import FreeNumberSpec, SpreadSpec
+
+Positive = Annotated[float, pydantic.Field(gt=0.0)]
+Triple = tuple[float, float, float]
+Bounds = tuple[float, float]
+# how a want may say its colour; the last three may stand together
+COLOURS = ("colour", "lab", "lch", "xyz", "xyy", "spectrum", "image")
+RANGES = ("hue_deg", "chroma", "lightness")
+PAIR = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
+
+
+class WantSpec(RecipeModel):
+    """One look that is wanted: where it is seen, which colour or spectrum, how exactly."""
+
+    one_of: ClassVar[tuple[str, ...]] = (*COLOURS, "|".join(RANGES), "directions")
+    forms: ClassVar[tuple[str, ...]] = (
+        '{at = "specular 0", colour = "#c2185b", within = 2.0}',
+        '{at = "45as15", lab = [62, 30, -12]}',
+        '{at = "specular 60", hue_deg = [350, 10], chroma = ">=30"}',
+        '{at = "transmitted 0", spectrum = "filter.csv", within = 1.0}',
+        '{directions = {kind = "image", image = "grey.png", range = 0.4}}',
+        '{at = "specular 0", image = "photo.png"}',
+    )
+
+    at: str | None = pydantic.Field(
+        default=None,
+        description="where it is seen: specular T, transmitted T (into the substrate), diffuse T, hemispherical T "
+        "with T the angle of the light in degrees, or IasA: light from I, seen A degrees from the mirror direction "
+        "towards the light",
+        examples=["specular 0", "45as15"],
+    )
+    colour: str | None = pydantic.Field(
+        default=None, description="an sRGB colour, #rrggbb, whose Lab is wanted", examples=["#c2185b"]
+    )
+    lab: Triple | None = pydantic.Field(
+        default=None, description="L*, a*, b* under every lamp", examples=[[41, 66, 14]]
+    )
+    lch: Triple | None = pydantic.Field(
+        default=None, description="L*, C*, h in degrees under every lamp", examples=[[41, 67, 12]]
+    )
+    xyz: Triple | None = pydantic.Field(
+        default=None, description="X, Y, Z under the first lamp, white has Y = 1", examples=[[0.2, 0.12, 0.1]]
+    )
+    xyy: Triple | None = pydantic.Field(
+        default=None, description="x, y, Y under the first lamp, white has Y = 1", examples=[[0.48, 0.28, 0.12]]
+    )
+    spectrum: str | None = pydantic.Field(
+        default=None,
+        description="a CSV of wavelength and the factor wanted there: nm and 0 to 1, or um and per cent where its "
+        "heading says so; of a band that its rows leave out (a step above 3 times the usual one) nothing is wanted",
+        examples=["filter.csv"],
+    )
+    image: str | None = pydantic.Field(
+        default=None,
+        description="an sRGB picture: each pixel is a colour wanted at its place on the surface, over which the free "
+        "numbers, one or two, may vary; it is the only want",
+        examples=["photo.png"],
+    )
+    hue_deg: Bounds | None = pydantic.Field(
+        default=None,
+        description="range of the hue angle in degrees, upward from the first to the second; may cross 0",
+        examples=[[350, 10]],
+    )
+    chroma: str | Bounds | None = pydantic.Field(
+        default=None, description="least or largest chroma, or both as a pair", examples=[">=40"]
+    )
+    lightness: str | Bounds | None = pydantic.Field(
+        default=None, description="least or largest lightness, or both as a pair", examples=["<=20"]
+    )
+    directions: TargetTable | None = pydantic.Field(
+        default=None,
+        description="in place of at and a colour: the picture that a relief of free heights shows over the directions",
+        examples=[{"kind": "anti-mirror", "range": 0.5}],
+    )
+    within: Positive = pydantic.Field(
+        default=1.0, description="distance that is good enough: dE00; of a spectrum the rms in per cent"
+    )
+    weight: Positive = pydantic.Field(default=1.0, description="how much the want counts beside the others")
+
+    @pydantic.field_validator("chroma", "lightness", mode="before")
+    @classmethod
+    def _bound(cls, value: Any) -> Any:
+        if isinstance(value, int | float):
+            raise ValueError(f'{value} does not say which side; write ">={value}", "<={value}" or [low, high]')
+        return value
+
+    @pydantic.model_validator(mode="after")
+    def _one_colour(self) -> WantSpec:
+        given = [name for name in (*COLOURS, "directions") if getattr(self, name) is not None]
+        ranges = [name for name in RANGES if getattr(self, name) is not None]
+        if len(given) + bool(ranges) != 1:
+            got = " and ".join([*given, *ranges]) or "nothing"
+            raise ValueError(
+                f"gives {got}; a want has exactly one of {', '.join(COLOURS)}, or some of {', '.join(RANGES)}"
+            )
+        if (self.at is None) == (self.directions is None):
+            raise ValueError("has directions and at; keep one" if self.at else "at is missing: where it is seen")
+        return self
+
+
+class LightSpec(RecipeModel):
+    """The lamps under which the colours are wanted, all of them at once, and who sees them."""
+
+    forms: ClassVar[tuple[str, ...]] = ('{illuminants = ["D65", "A"], observer = "10deg"}',)
+
+    illuminants: Annotated[list[str], pydantic.Field(min_length=1, max_length=16)] = pydantic.Field(
+        default=["D65"], description="the lamps, all of them at once", examples=[["D65", "A"]]
+    )
+    observer: str = pydantic.Field(
+        json_schema_extra={"enum": ["2deg", "10deg"]}, default="10deg", description="observer of the colours"
+    )
+
+
+class LimitsSpec(RecipeModel):
+    """What the answer must keep to."""
+
+    forms: ClassVar[tuple[str, ...]] = ('{total_nm = 800, layers = "fewest"}', "{levels = 8}", "{trusted = true}")
+
+    total_nm: Positive | None = pydantic.Field(
+        default=None, description="largest thickness of all layers together", examples=[800]
+    )
+    layers: Literal["fewest"] | None = pydantic.Field(
+        default=None, description="fewest: of equal looks the one with fewer layers", examples=["fewest"]
+    )
+    levels: Annotated[int, pydantic.Field(ge=2, le=256)] | None = pydantic.Field(
+        default=None,
+        description="of a picture: how many values, evenly spaced over its bounds, the process gives each free number; "
+        "colours between them are dithered",
+        examples=[8],
+    )
+    trusted: bool = pydantic.Field(
+        default=False,
+        description="of a relief: no higher than its finest features allow scalar diffraction to be trusted",
+        examples=[True],
+    )
+
+
+class WantsSearchSpec(RecipeModel):
+    """How long to search, and for how many answers."""
+
+    forms: ClassVar[tuple[str, ...]] = ("{seconds = 60, solutions = 5, seed = 0}",)
+
+    seconds: Positive = pydantic.Field(default=60.0, description="wall time of the whole command")
+    solutions: Annotated[int, pydantic.Field(ge=1, le=100)] = pydantic.Field(
+        default=5, description="number of answers to choose from, at most"
+    )
+    seed: Annotated[int, pydantic.Field(ge=0, le=2**32 - 1)] = pydantic.Field(default=0, description="seed")
+
+
+class LayersSpec(RecipeModel):
+    """The stack itself is sought: of which materials, how many layers, how thick, on which substrates."""
+
+    forms: ClassVar[tuple[str, ...]] = (
+        '{palette = ["SiO2", "TiO2"], most = 6, thickness_nm = [5, 250]}',
+        '{palette = ["Cr", "MgF2"], thickness_nm = {Cr = [3, 20], other = [20, 600]}, substrate = ["Al", "Ag"]}',
+    )
+
+    palette: Annotated[list[Any], pydantic.Field(min_length=1, max_length=64)] = pydantic.Field(
+        description="optical constants that a layer may be of", examples=[["SiO2", "TiO2", "Cr"]]
+    )
+    most: Annotated[int, pydantic.Field(ge=1, le=200)] = pydantic.Field(
+        default=6, description="largest number of layers"
+    )
+    thickness_nm: Bounds | dict[str, Bounds] = pydantic.Field(
+        default=(5.0, 250.0),
+        description="bounds of every layer, or of each material with `other` for the rest",
+        examples=[[5, 250], {"Cr": [3, 20], "other": [20, 250]}],
+    )
+    substrate: Any = pydantic.Field(
+        default=None, description="substrate, or a list of those to choose from; without it the recipe's"
+    )
+
+
+class WantsSpec(RecipeModel):
+    """Looks that `nacre design` finds the free numbers of a material for, or a whole stack of layers."""
+
+    example: ClassVar[Mapping[str, Any]] = {
+        "recipe": {"family": "film", "substrate": "Al", "layers": []},
+        "layers": {"palette": ["Cr", "MgF2"], "most": 3, "thickness_nm": {"Cr": [3, 20], "other": [50, 600]}},
+        "want": [
+            {"at": "specular 0", "hue_deg": [320, 350], "chroma": ">=40"},
+            {"at": "specular 60", "hue_deg": [140, 180], "chroma": ">=20"},
+        ],
+        "search": {"seconds": 30},
+    }
+
+    recipe: str | dict[str, Any] = pydantic.Field(
+        description="the material to start from: file of its recipe, or the recipe itself as a table",
+        examples=["start.toml", {"family": "film", "substrate": "Al", "layers": []}],
+    )
+    free: Annotated[dict[str, Any], ByPath(FreeNumberSpec, (PAIR,))] = pydantic.Field(
+        default={},
+        description="what may change: path of a number or word of the recipe, with [*] for any index -> two numbers "
+        "as bounds, or a table",
+        examples=[{"layers[0].thickness_nm": [3, 15]}, {"layers[1].material": {"choices": ["SiO2", "MgF2"]}}],
+    )
+    layers: LayersSpec | None = pydantic.Field(
+        default=None, description="in place of free layers: the stack itself is sought"
+    )
+    want: Annotated[list[WantSpec], pydantic.Field(min_length=1, max_length=200)] = pydantic.Field(
+        description="the looks that are wanted, a list of tables"
+    )
+    light: LightSpec = pydantic.Field(default=LightSpec(), description="lamps and observer")
+    spread: Annotated[
+        dict[str, Any], ByPath(SpreadSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}))
+    ] = pydantic.Field(
+        default={},
+        description="spreads of manufacture, so that the answer is one that can be made: path, with [*] for any index "
+        "-> a standard deviation, a percentage, or a table",
+        examples=[{"layers[*].thickness_nm": {"percent": 2}}, {"layers[0].thickness_nm": 5}],
+    )
+    limits: LimitsSpec = pydantic.Field(default=LimitsSpec(), description="what the answer must keep to")
+    search: WantsSearchSpec = pydantic.Field(default=WantsSearchSpec(), description="how long, and for how many")

@@ -1,0 +1,298 @@
+"""What is wanted, resolved: the colours as CIELAB or XYZ, ranges as numbers, spectra read from their files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError, RecipeError, did_you_mean
+from nacre.core.files import plain
+from nacre.light import (
+    ILLUMINANTS,
+    OBSERVERS,
+    delta_e_2000,
+    lch_to_lab,
+    srgb_decode,
+    srgb_linear_to_xyz,
+    white_xyz,
+    xyy_to_xyz,
+    xyz_to_lab,
+)
+from nacre.optimise.image.files import read_picture
+from nacre.optimise.measurement import At
+from nacre.optimise.merit import Goal, Goals
+from nacre.optimise.spec import COLOURS, RANGES, LightSpec, WantSpec
+from nacre.recipe.delimited_text import decoded, rows, shares_over_nm
+from nacre.recipe.model import RecipeContext, show_value
+
+GAP_STEPS = 3.0  # times a table's usual step: wider apart, two rows leave out what lies between them
+MOST_FACTOR = 1.1  # of a wanted spectrum: above it, it is in per cent
+MOST_LUMINANCE = 2.0  # of a mirror or a sum over directions, far above the 1 that it may have: it is counted to 100
+LEAST_NM, MOST_NM = 10.0, 1e5  # of a wanted spectrum: beyond, it is in another unit, or of another quantity
+MOST_LIGHTNESS, MOST_CHROMA = 500.0, 500.0  # lobes are brighter than white, but no number says so much
+_HEX = re.compile(r"#([0-9a-fA-F]{6}|[0-9a-fA-F]{3})$")
+_BOUND = re.compile(r"\s*(>=|<=)\s*([-+]?[\d.]+)\s*$")
+
+
+@dataclass(frozen=True, eq=False)
+class Want:
+    """One want, ready to be compared with.
+
+    Attributes:
+        at: where it is seen.
+        asked: what the file says, as JSON can hold it: {"colour": "#c2185b"}.
+        lab: `[3]`, wanted under every lamp, or None.
+        xyz: `[3]`, wanted under the first lamp, or None.
+        ranges: "hue", "chroma", "lightness" -> (low, high), None where open.
+        spectrum: wavelengths and factors wanted, `[2, wavelength]`, or None.
+        image: a picture's colours `[row, column, 3]`, encoded sRGB in [0, 1], the first row on top, or None.
+        within: distance that is good enough.
+        weight: beside the others.
+        key: its place in the file, for messages.
+    """
+
+    at: At
+    asked: dict[str, Any]
+    within: float
+    weight: float
+    key: str
+    lab: Array | None = None
+    xyz: Array | None = None
+    ranges: dict[str, tuple[float | None, float | None]] | None = None
+    spectrum: Array | None = None
+    image: Array | None = None
+
+    def with_lab(self, lab: Array) -> Want:
+        """Return the want of another colour."""
+        asked = {"lab": [float(v) for v in lab]}
+        return replace(self, asked=asked, lab=np.asarray(lab, float), xyz=None, ranges=None, spectrum=None)
+
+    def wanted_lab(self, white: Array) -> Array | None:
+        """Return the colour wanted, against a lamp's white; None of a range or a spectrum."""
+        if self.xyz is not None:
+            return np.asarray(xyz_to_lab(self.xyz, white))
+        return self.lab
+
+    def goals(self, row: int, wavelengths_nm: Array) -> list[Goal]:
+        """Return the goals that a search steers by.
+
+        Args:
+            row: of the want's geometry among the spectra.
+            wavelengths_nm: of those spectra.
+        """
+        often: dict[str, Any] = {"within": self.within, "weight": self.weight}
+        if self.spectrum is not None:
+            nm, values = self.spectrum
+            wanted = np.interp(wavelengths_nm, nm, values, left=np.nan, right=np.nan)
+            wanted[_in_gaps(nm, wavelengths_nm)] = np.nan
+            return [Goal(row, "spectrum", reflectance=wanted, **often)]
+        if self.ranges is not None:
+            return [Goal(row, kind, low=low, high=high, **often) for kind, (low, high) in self.ranges.items()]  # type: ignore[arg-type]  # the kinds are those of `_ranges`
+        if self.xyz is not None:
+            return [Goal(row, "colour", xyz=tuple(map(float, self.xyz)), **often)]  # type: ignore[arg-type]  # three numbers
+        assert self.lab is not None
+        return [Goal(row, "colour", lab=tuple(map(float, self.lab)), **often)]  # type: ignore[arg-type]  # three numbers
+
+
+def _in_gaps(nm: Array, wavelengths_nm: Array) -> Array:
+    """Return which wavelengths lie where a table of a spectrum leaves out a band, of which nothing is wanted then."""
+    steps = np.diff(nm)
+    after = np.clip(np.searchsorted(nm, wavelengths_nm, side="right") - 1, 0, len(steps) - 1)
+    is_between = ~np.isclose(wavelengths_nm, nm[after]) & ~np.isclose(wavelengths_nm, nm[after + 1])
+    return np.asarray(is_between & (steps[after] > GAP_STEPS * np.median(steps)))
+
+
+def srgb_to_lab(text: str, where: str) -> Array:
+    """Return CIELAB of `#rrggbb`, by D65 and the 2 degree observer, which sRGB is made for.
+
+    Raises:
+        RecipeError: it is not written so.
+
+    Example: "#ffffff" is (100, 0, 0).
+    """
+    match = _HEX.match(text.strip())
+    if not match:
+        raise RecipeError(f'{where} = {show_value(text)} should be written "#rrggbb"')
+    digits = match[1] if len(match[1]) == 6 else "".join(2 * d for d in match[1])
+    rgb = np.array([int(digits[i : i + 2], 16) for i in (0, 2, 4)]) / 255.0
+    return np.asarray(xyz_to_lab(srgb_linear_to_xyz(srgb_decode(rgb)), srgb_linear_to_xyz(np.ones(3))))
+
+
+def read_wants(specs: Sequence[WantSpec], light: LightSpec, context: RecipeContext) -> tuple[Want, ...]:
+    """Resolve the wants of a file.
+
+    Raises:
+        RecipeError: naming the want and what is allowed; or two colours for one geometry that no answer can have.
+    """
+    check_light(light, context)
+    wants = tuple(_want(spec, f"{context.source}: want[{i}]", context) for i, spec in enumerate(specs))
+    _check_agreement(wants, light)
+    _check_picture(wants, light, context)
+    return wants
+
+
+def check_light(light: LightSpec, context: RecipeContext) -> None:
+    """Refuse lamps and observers that are not known.
+
+    Raises:
+        RecipeError: with a guess.
+    """
+    for lamp in light.illuminants:
+        if lamp not in ILLUMINANTS:
+            hint = did_you_mean(lamp, ILLUMINANTS)
+            raise RecipeError(
+                f'{context.source}: light.illuminants: "{lamp}" is not known.{hint} Known: {", ".join(ILLUMINANTS)}'
+            )
+    if light.observer not in OBSERVERS:
+        raise RecipeError(
+            f'{context.source}: light.observer = "{light.observer}" is not known; known: {", ".join(OBSERVERS)}'
+        )
+
+
+def _want(spec: WantSpec, key: str, context: RecipeContext) -> Want:
+    if spec.at is None:
+        raise RecipeError(f"{key}.directions: a picture is sought of a relief's heights; write heights in [free]")
+    at = At.read(spec.at, f"{key}.at")
+    asked = {name: getattr(spec, name) for name in (*COLOURS, *RANGES) if getattr(spec, name) is not None}
+    asked = {name: list(value) if isinstance(value, tuple) else value for name, value in asked.items()}
+    found: dict[str, Any] = {}
+    if spec.colour is not None:
+        found["lab"] = srgb_to_lab(spec.colour, f"{key}.colour")
+    elif spec.lab is not None:
+        found["lab"] = plausible(np.array(spec.lab), f"{key}.lab", spec.lab)
+    elif spec.lch is not None:
+        found["lab"] = plausible(np.asarray(lch_to_lab(spec.lch)), f"{key}.lch", spec.lch)
+    elif spec.xyz is not None or spec.xyy is not None:
+        name = "xyz" if spec.xyz is not None else "xyy"
+        given = spec.xyz or spec.xyy or (0.0, 0.0, 0.0)
+        if min(given) < 0:
+            raise RecipeError(f"{key}.{name} = {show_value(list(given))} holds a negative number")
+        if name == "xyy" and (given[0] + given[1] > 1 or (given[1] == 0 and given[2] > 0)):
+            raise RecipeError(f"{key}.xyy = {show_value(list(given))} is no colour: y is above 0, x + y at most 1")
+        luminance = given[1] if name == "xyz" else given[2]
+        if at.kind != "aspecular" and luminance > MOST_LUMINANCE:
+            said = f"{key}.{name} = {show_value(list(given))}"
+            raise RecipeError(f"{said}: white has Y = 1, which nothing exceeds {at.kind}; divide by 100")
+        found["xyz"] = np.array(given) if name == "xyz" else np.asarray(xyy_to_xyz(given))
+    elif spec.image is not None:
+        found["image"] = read_picture(context.path(spec.image), f"{key}.image = {show_value(spec.image)}")
+    elif spec.spectrum is not None:
+        found["spectrum"] = _spectrum(spec.spectrum, f"{key}.spectrum", context)
+    else:
+        found["ranges"] = _ranges(spec, key)
+    return Want(at, asked, spec.within, spec.weight, key, **found)
+
+
+def plausible(lab: Array, where: str, given: Any) -> Array:
+    """Return a CIELAB colour; one that nothing can have is refused.
+
+    Raises:
+        RecipeError: it is darker than black, or far beyond what a lobe can be.
+    """
+    if not 0.0 <= lab[0] <= MOST_LIGHTNESS or float(np.hypot(lab[1], lab[2])) > MOST_CHROMA:
+        raise RecipeError(f"{where} = {show_value(list(given))} is no colour: L* runs from 0, with 100 for white")
+    return lab
+
+
+def _ranges(spec: WantSpec, key: str) -> dict[str, tuple[float | None, float | None]]:
+    found: dict[str, tuple[float | None, float | None]] = {}
+    if spec.hue_deg is not None:
+        if not all(-360.0 <= h <= 720.0 for h in spec.hue_deg):
+            raise RecipeError(f"{key}.hue_deg = {show_value(list(spec.hue_deg))} should hold angles in degrees")
+        found["hue"] = spec.hue_deg
+    for name in ("chroma", "lightness"):
+        given = getattr(spec, name)
+        if isinstance(given, str):
+            match = _BOUND.match(given)
+            try:
+                bound = float(match[2]) if match else float("nan")
+            except ValueError:
+                bound = float("nan")
+            if match is None or not bound >= 0:
+                raise RecipeError(
+                    f'{key}.{name} = {show_value(given)} cannot be read; write ">=40", "<=20" or [20, 40]'
+                )
+            found[name] = (bound, None) if match[1] == ">=" else (None, bound)
+        elif given is not None:
+            low, high = given
+            if not 0 <= low <= high:
+                raise RecipeError(
+                    f"{key}.{name} = {show_value(list(given))}: the first number should not be above the second"
+                )
+            found[name] = (low, high)
+    return found
+
+
+def _spectrum(name: str, where: str, context: RecipeContext) -> Array:
+    path = context.path(name)
+    said = f"{where} = {show_value(name)}"
+    try:
+        table = _read_table(path)
+    except FileNotFoundError:
+        raise RecipeError(f"{said} does not exist") from None
+    except (OSError, ValueError, NacreError) as error:
+        raise RecipeError(f"{said} cannot be read as CSV of nm, value: {' '.join(str(error).split())}") from None
+    if table.ndim == 2 and len(table) > 1 and table[0, 0] > table[-1, 0]:
+        table = table[::-1]  # as many instruments write it
+    if table.shape[1] != 2 or len(table) < 2 or not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
+        raise RecipeError(f"{said} should hold two columns, ascending or descending nm and a factor from 0 to 1")
+    low, high = table[0, 0], table[-1, 0]
+    if not LEAST_NM <= low < high <= MOST_NM:
+        raise RecipeError(
+            f"{said} holds wavelengths of {low:g} to {high:g}, which are no nm from {LEAST_NM:g} to {MOST_NM:g}; head "
+            'the column "um" or "angstrom" if it holds those'
+        )
+    if table[:, 1].min() < 0 or table[:, 1].max() > MOST_FACTOR:
+        raise RecipeError(f"{said} should hold factors from 0 to 1; head a column in per cent '%'")
+    return np.ascontiguousarray(table.T)
+
+
+def _read_table(path: Any) -> Array:
+    """Read two columns, with a head line of words, which may name their units, or without."""
+    lines = [cells for _, cells in rows(decoded(plain(path).read_bytes()))]
+    heading: list[str] = []
+    if lines and re.match(r"[A-Za-z_λ]", lines[0][0].strip()):
+        heading, lines = lines[0], lines[1:]
+    return shares_over_nm(heading, np.array([[float(word) for word in cells] for cells in lines], dtype=float))
+
+
+def _check_agreement(wants: Sequence[Want], light: LightSpec) -> None:
+    """Refuse two colours for one geometry further apart than both `within`: no answer can have both."""
+    white = white_xyz(light.illuminants[0], light.observer)
+    for i, want in enumerate(wants):
+        for other in wants[:i]:
+            mine, theirs = want.wanted_lab(white), other.wanted_lab(white)
+            if want.at != other.at or mine is None or theirs is None:
+                continue
+            apart = float(delta_e_2000(theirs, mine))
+            if apart > want.within + other.within:
+                raise RecipeError(
+                    f'{want.key} and {other.key.rpartition(" ")[2]} want two colours at "{want.at}" that are dE00 '
+                    f"{apart:.1f} apart; within {want.within:g} and {other.within:g} no answer has both"
+                )
+
+
+def _check_picture(wants: Sequence[Want], light: LightSpec, context: RecipeContext) -> None:
+    """Refuse what cannot stand beside a picture: another want, another lamp."""
+    for want in wants:
+        if want.image is None:
+            continue
+        if len(wants) > 1:
+            raise RecipeError(f"{want.key}.image: a picture is the only want; remove the other {len(wants) - 1}")
+        if len(light.illuminants) > 1:
+            lamps = show_value(light.illuminants)
+            raise RecipeError(f"{context.source}: light.illuminants = {lamps}: a picture is wanted under one lamp")
+
+
+def goals_of(wants: Sequence[Want], rows: Sequence[At], light: LightSpec, wavelengths_nm: Array) -> Goals:
+    """Return the goals of all wants, for spectra `[..., row, wavelength]`."""
+    goals = [goal for want in wants for goal in want.goals(rows.index(want.at), wavelengths_nm)]
+    return Goals(goals, tuple(light.illuminants), light.observer, wavelengths_nm)
+
+
+__all__ = ["Want", "goals_of", "plausible", "read_wants", "srgb_to_lab"]

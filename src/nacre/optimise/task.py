@@ -1,0 +1,321 @@
+"""What an answer must keep to, checked against what is free."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from nacre.bsdf.texture import refuse_place
+from nacre.core.errors import NacreError, RecipeError, did_you_mean
+from nacre.core.files import read_text
+from nacre.material.material import Material, load, material
+from nacre.matter.indices.spec import IndexSpec
+from nacre.optimise.evaluation import rows_of
+from nacre.optimise.free import Free, read_free, spreads_of, values_at
+from nacre.optimise.image.validation import check_free
+from nacre.optimise.measurement import check_answers
+from nacre.optimise.spec import LayersSpec, WantsSpec
+from nacre.optimise.targets import Want, read_wants
+from nacre.recipe.fingerprint import identity
+from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
+from nacre.recipe.path_tables import by_path
+from nacre.recipe.paths import numbers_of
+from nacre.recipe.toml import parse_toml
+from nacre.recipe.units import LENGTH_UNITS_NM
+
+_THICKNESS = re.compile(r"layers\[\d+\]\.thickness_(nm|um|mm)$")
+
+
+def total_nm(material: Material) -> float:
+    """Return the thickness of all layers of a recipe together; 0 where it has none."""
+    found = ((_THICKNESS.match(path), value) for path, value in numbers_of(material.data).items())
+    return sum(value * LENGTH_UNITS_NM[match[1]] for match, value in found if match)
+
+
+def check_limits(spec: WantsSpec, base: Material, free: Sequence[Free], source: str) -> None:
+    """Refuse limits that say nothing of this recipe, or that nothing can keep to.
+
+    Raises:
+        RecipeError: naming the key.
+    """
+    if spec.limits.levels is not None:
+        raise RecipeError(
+            f"{source}: limits.levels = {spec.limits.levels}: levels are of a picture; no want is an image"
+        )
+    if spec.layers is not None:
+        return
+    if spec.limits.layers is not None:
+        raise RecipeError(f'{source}: limits.layers = "fewest" is of a stack that is sought; add [layers]')
+    most = spec.limits.total_nm
+    if most is None:
+        return
+    if not base.data.get("layers"):
+        raise RecipeError(f"{source}: limits.total_nm = {most:g}: the recipe has no layers; bound what is in [free]")
+    least = 0.0
+    with contextlib.suppress(NacreError):  # other numbers may make room for the lowest of all
+        least = total_nm(base.vary({number.path: number.low for number in free if not number.choices}))
+    if least > most:
+        raise RecipeError(f"{source}: limits.total_nm = {most:g}: the least that [free] allows is {least:g} nm")
+
+
+__all__ = ["check_limits", "total_nm"]
+
+
+# Reading a target of wants: file or dictionary in, everything checked out.
+
+LAYER_PATHS = ("layers", "substrate")
+OTHER = "other"  # in bounds by material: all that are not named
+
+
+@dataclass(frozen=True)
+class Target:
+    """A checked target.
+
+    Attributes:
+        spec: as the file has it.
+        context: where the file stands.
+        material: the recipe that the search starts from; with [layers], without its layers.
+        wants: what is wanted.
+        free: what may change; empty where the stack itself is sought.
+    """
+
+    spec: WantsSpec
+    context: RecipeContext
+    material: Material
+    wants: tuple[Want, ...]
+    free: tuple[Free, ...]
+
+    @property
+    def name(self) -> str:
+        """A short name."""
+        return Path(self.context.source).stem
+
+    def within_seconds(self, seconds: float) -> Target:
+        """Return the target with another time for its search."""
+        search = self.spec.search.model_copy(update={"seconds": seconds})
+        return replace(self, spec=self.spec.model_copy(update={"search": search}))
+
+    @property
+    def fingerprint(self) -> str:
+        """A hash of all that decides what is searched for, but for the time allowed."""
+        files = {**self.context.files, **self.material.context.files, **self._choices_files}
+        search = {"search": {"seconds"}}
+        return identity(self.spec.model_dump(exclude=search), files, material=self.material.identity)
+
+    @property
+    def _choices_files(self) -> dict[str, str]:
+        """The digests of files that a choice names, by their names: optical constants of a palette, say."""
+        tried: list[dict[str, Any]] = [{n.path: choice} for n in self.free for choice in n.choices]
+        if self.spec.layers is not None:
+            tried += [{"layers": [{"material": e, "thickness_nm": 1.0}]} for e in self.spec.layers.palette]
+            tried += [{"substrate": entry} for entry in substrates(self.spec.layers)]
+        found: dict[str, str] = {}
+        for changes in tried:
+            found |= self.material.vary(changes).context.files
+        return found
+
+
+def is_wants(data: Mapping[str, Any]) -> bool:
+    """Whether a target's dictionary is of this form, and not of the older one of reliefs."""
+    if "want" in data or "target" in data or "family" in data:  # the last is of a recipe
+        return "want" in data
+    return bool(set(data) & {"free", "layers", "recipe", "spread"})
+
+
+def seeks_heights(data: Mapping[str, Any]) -> bool:
+    """Whether a target's dictionary asks for a relief's heights, or for a picture over directions."""
+    free, wants = data.get("free"), data.get("want")
+    pictures = isinstance(wants, list) and any(isinstance(want, Mapping) and "directions" in want for want in wants)
+    return pictures or (isinstance(free, Mapping) and "heights" in free)
+
+
+def read_data(target: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], RecipeContext]:
+    """Return a target's tables, a copy, and where they stand.
+
+    Raises:
+        NacreError: the file cannot be read, or is no TOML.
+    """
+    if isinstance(target, Mapping):
+        return copy.deepcopy(dict(target)), RecipeContext("target", Path().resolve(), "")
+    path = Path(target)
+    text = read_text(path, "target")
+    return parse_toml(text, str(path)), RecipeContext(str(path), path.parent.resolve(), text)
+
+
+def read_target(target: str | Path | Mapping[str, Any]) -> Target:
+    """Read and check a target.
+
+    Args:
+        target: a TOML file, or a dictionary with the keys of one, whose paths are relative to the current folder.
+
+    Raises:
+        RecipeError: naming file, key, value and what is allowed.
+        NacreError: the recipe cannot be computed.
+    """
+    data, context = read_data(target)
+    if "target" in data:
+        raise RecipeError(f"{context.source}: holds both [[want]] and [target]; a file is of one form")
+    spec: WantsSpec = validate(WantsSpec, data, context)
+    source = context.source
+    base = _recipe(spec, context).reaching([*spec.free, *spec.spread])
+    refuse_place(base.model, f"{context.source}: recipe")
+    wants = read_wants(spec.want, spec.light, context)
+    if spec.layers is not None:
+        check_layers(spec.layers, base, source)
+        _check_total(spec, source)
+    for free_path in by_path(spec.free, {"min", "max", "choices"}, source, "free"):
+        word = free_path.partition("[")[0].partition(".")[0]
+        if spec.layers is not None and word == "layers":
+            raise RecipeError(
+                f'{source}: free."{free_path}" names a layer, but [layers] seeks the stack itself; keep one'
+            )
+    free = read_free(spec.free, base, source)
+    if not free and spec.layers is None:
+        raise RecipeError(f"{source}: nothing is free; add a [free] table, or [layers] to seek a film's stack")
+    if spec.layers is not None and free:
+        raise RecipeError(
+            f'{source}: free."{free[0].path}" beside [layers]: the stack is sought alone; fix the number in the recipe'
+        )
+    if spec.spread and spec.layers is None:
+        spreads_of(spec.spread, base, source)
+    if spec.limits.trusted:
+        raise RecipeError(f"{source}: limits.trusted = true is of a relief whose heights are sought")
+    if wants[0].image is not None:
+        check_free(spec, base, free, source)
+    else:
+        check_limits(spec, base, free, source)
+    found = Target(spec, context, base, wants, free)
+    _check_wants(found)
+    return found
+
+
+def _recipe(spec: WantsSpec, context: RecipeContext) -> Material:
+    """Load the recipe, without layers where those are sought."""
+    try:
+        if isinstance(spec.recipe, str):
+            loaded = load(context.path(spec.recipe))
+            if spec.layers is None:
+                return loaded.for_many()
+            data, folder = dict(loaded.data), loaded.context.folder
+        else:
+            data, folder = dict(spec.recipe), context.folder
+        if spec.layers is not None:
+            _check_film(data, context.source)
+            data["layers"] = []
+            if spec.layers.substrate is not None:
+                data["substrate"] = substrates(spec.layers)[0]
+        return material(data, folder).for_many()
+    except NacreError as error:
+        said = str(error).removeprefix("recipe: ").removeprefix(f"{context.source}: ")
+        raise RecipeError(
+            f"{context.source}: " + (said if said.startswith("layers: ") else f"recipe: {said}")
+        ) from None
+
+
+def _check_film(data: Mapping[str, Any], source: str) -> None:
+    family = data.get("family")
+    if family is not None and family != "film":
+        raise RecipeError(f"{source}: layers: only the stack of a film can be sought; the recipe is of a {family}")
+
+
+def substrates(layers: LayersSpec) -> list[Any]:
+    """Return the substrates that a table of layers gives, or nothing."""
+    if layers.substrate is None:
+        return []
+    return list(layers.substrate) if isinstance(layers.substrate, list) else [layers.substrate]
+
+
+def check_layers(layers: LayersSpec, base: Material, source: str) -> None:
+    """Refuse palettes, substrates and bounds that cannot be.
+
+    Raises:
+        RecipeError: naming the key, with a guess.
+    """
+    for name, values in (("palette", layers.palette), ("substrate", substrates(layers))):
+        for value in values:
+            check_index(value, f"{source}: layers.{name}", base.context)
+        if not values and name == "substrate" and layers.substrate is not None:
+            raise RecipeError(f"{source}: layers.substrate = [] names no substrate")
+    given = layers.thickness_nm
+    names = [palette_name(entry) for entry in layers.palette]
+    bounds = given if isinstance(given, dict) else {OTHER: given}
+    for word, (low, high) in bounds.items():
+        where = f"{source}: layers.thickness_nm" + (f".{word}" if isinstance(given, dict) else "")
+        if word != OTHER and word not in names:
+            hint = did_you_mean(word, [*names, OTHER])
+            raise RecipeError(f"{where}: the palette has no such name.{hint} Palette: {', '.join(names)}")
+        if not 0.0 <= low < high:
+            raise RecipeError(f"{where} = {show_value([low, high])}: the bounds cross, or lie below 0")
+    if isinstance(given, dict) and OTHER not in given:
+        missing = [name for name in names if name not in given]
+        if missing:
+            raise RecipeError(
+                f'{source}: layers.thickness_nm has no bounds for "{missing[0]}"; add it, or other = [5, 250]'
+            )
+
+
+def _check_total(spec: WantsSpec, source: str) -> None:
+    """Refuse a total below the thinnest layer: only the bare substrate would be left."""
+    assert spec.layers is not None
+    least = min(bounds_of(spec.layers, entry)[0] for entry in spec.layers.palette)
+    if spec.limits.total_nm is not None and spec.limits.total_nm < least:
+        total = f"{source}: limits.total_nm = {spec.limits.total_nm:g}"
+        raise RecipeError(f"{total}: no layer is so thin; layers.thickness_nm begins at {least:g}")
+
+
+def palette_name(entry: Any) -> str:
+    """Return what a material of the palette is called: its name, or its text."""
+    if isinstance(entry, Mapping) and set(entry) <= {"name", "extrapolate"} and "name" in entry:
+        return str(entry["name"])
+    return entry if isinstance(entry, str) else show_value(entry)
+
+
+def bounds_of(layers: LayersSpec, entry: Any) -> tuple[float, float]:
+    """Return the bounds of a layer of one material of the palette."""
+    if not isinstance(layers.thickness_nm, dict):
+        return layers.thickness_nm
+    return layers.thickness_nm.get(palette_name(entry), layers.thickness_nm.get(OTHER, (0.0, 0.0)))
+
+
+class _Holder(RecipeModel):
+    """Holds one optical constant, to check it as recipes do."""
+
+    value: IndexSpec
+
+
+def check_index(value: Any, where: str, context: RecipeContext) -> IndexSpec:
+    """Return an optical constant as recipes write it.
+
+    Raises:
+        RecipeError: it is not known; with a guess.
+    """
+    try:
+        found: IndexSpec = validate(_Holder, {"value": value}, RecipeContext("", context.folder)).value
+    except RecipeError as error:
+        raise RecipeError(f"{where}: {str(error).removeprefix(': ').removeprefix('value').strip(' =.:')}") from None
+    return found
+
+
+def _check_wants(target: Target) -> None:
+    """Refuse a want that the material cannot answer, whatever is free."""
+    tried = [target.material]
+    if target.free:
+        for share in (0.5, 0.99):
+            values = values_at(target.free, [share] * len(target.free))  # type: ignore[arg-type]  # any sequence will do
+            try:
+                tried.append(target.material.vary(values))
+            except NacreError:
+                continue
+    for other in substrates(target.spec.layers)[1:] if target.spec.layers else ():
+        tried.append(target.material.vary({"substrate": other}))
+    rows = rows_of(target.wants)
+    keys = [next(want.key for want in target.wants if want.at == at) + ".at" for at in rows]
+    check_answers(tried, rows, keys)
+
+
+__all__ = ["Target", "bounds_of", "is_wants", "palette_name", "read_data", "read_target", "seeks_heights", "substrates"]

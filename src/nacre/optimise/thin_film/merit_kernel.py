@@ -1,0 +1,309 @@
+"""Goals in compiled form: residuals of a candidate's spectra and their slopes by its thicknesses.
+
+`nacre.optimise.merit` is the judge; this is the same in numba for the inner loop of the film search, where a call must
+take a microsecond. A test ties the two.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nacre.core.arrays import Array
+from nacre.core.jit import compiled
+from nacre.optimise.merit import KINDS, MEAN_SHARE, Goal, Goals
+
+COLOUR, HUE, CHROMA, LIGHTNESS, SPECTRUM = range(len(KINDS))
+NOTHING = -1.0
+STEP = 1e-5  # of Lab, for slopes of residuals by forward differences; what they lack is far below what steers
+HUE_MARGIN = 4.0  # degrees per dE00, at a chroma of some 40
+SOFT = 0.08  # of `within`: the width over which a miss is smoothed
+RADIANS = math.pi / 180.0
+
+
+class Looks(NamedTuple):
+    """`Goals` as arrays; terms are those of `Goals.terms`, sorted so that those of one row and lamp follow each other.
+
+    Attributes:
+        weights: `[lamp, 3, wavelength]`.
+        whites: `[lamp, 3]`.
+        kind, row, lamp: `[term]`.
+        lab: `[term, 3]`.
+        low, high: `[term]`, infinite where open.
+        scale, weight: `[term]`, weight / within, and the weight: a scaled distance above it is out of tolerance.
+        wanted: `[term, wavelength]`, of spectra; below 0 where nothing is wanted.
+        residuals: `[1]`, how many there are.
+    """
+
+    weights: Array
+    whites: Array
+    kind: Any
+    row: Any
+    lamp: Any
+    lab: Array
+    low: Array
+    high: Array
+    scale: Array
+    weight: Array
+    wanted: Array
+    residuals: Any
+
+
+def compile_goals(goals: Goals, margin: float = 0.0) -> Looks:
+    """Return the goals as arrays for `look`.
+
+    Args:
+        margin: share of `within` by which ranges are narrowed, so that what a descent calls near lies inside. A hue is
+            narrowed by as many degrees at most, and by a tenth of the range; no range is narrowed to nothing.
+    """
+    order = sorted(
+        range(len(goals.terms)), key=lambda t: (goals.goals[goals.terms[t][0]].row, goals.terms[t][1], goals.terms[t])
+    )
+    chosen = [(goals.goals[goals.terms[t][0]], goals.terms[t][1], t) for t in order]
+    ranges = [_narrowed(goal, margin) for goal, _, _ in chosen]
+    samples = len(goals.wavelengths_nm)
+    wanted, shares = np.zeros((len(chosen), samples)), np.ones(len(chosen))
+    sizes = {"colour": 3, "spectrum": samples}
+    for i, (goal, _, _) in enumerate(chosen):
+        if goal.reflectance is not None:
+            known = np.isfinite(goal.reflectance)
+            wanted[i] = np.where(known, goal.reflectance, NOTHING)
+            shares[i] = np.sqrt(samples / known.sum())
+    return Looks(
+        np.ascontiguousarray(np.swapaxes(goals.colour_weights, 1, 2)),
+        goals.whites,
+        np.array([KINDS.index(goal.kind) for goal, _, _ in chosen]),
+        np.array([goal.row for goal, _, _ in chosen]),
+        np.array([lamp for _, lamp, _ in chosen]),
+        np.ascontiguousarray(goals.lab[order]),
+        np.array([ends[0] for ends in ranges]),
+        np.array([ends[1] for ends in ranges]),
+        np.ascontiguousarray(goals.scale[order] * shares),
+        np.array([goal.weight for goal, _, _ in chosen]),
+        wanted,
+        np.array([sum(sizes.get(goal.kind, 1) for goal, _, _ in chosen)]),
+    )
+
+
+def _narrowed(goal: Goal, margin: float) -> tuple[float, float]:
+    low = -np.inf if goal.low is None else float(goal.low)
+    high = np.inf if goal.high is None else float(goal.high)
+    by = margin * goal.within
+    if goal.kind == "hue":
+        width = high - low if high - low >= 360.0 else (high - low) % 360.0
+        by = min(HUE_MARGIN * by, 0.1 * width)
+        return (low, high) if width >= 360.0 else (low + by, low + width - by)
+    if goal.kind == "chroma":
+        by *= 1.0 + 0.045 * (low if np.isfinite(low) else high)  # as much as dE00 scales chroma down by
+    by = min(by, 0.1 * (high - low))
+    return low + by, high - by
+
+
+@compiled(error_model="numpy")
+def components(l1: float, a1: float, b1: float, l2: float, a2: float, b2: float) -> tuple[float, float, float]:
+    """Three numbers whose length is the dE00 of two colours: `nacre.optimise.merit.difference_components`."""
+    c1, c2 = math.sqrt(a1 * a1 + b1 * b1), math.sqrt(a2 * a2 + b2 * b2)
+    mean = 0.5 * (c1 + c2)
+    mean7 = mean * mean * mean * mean * mean * mean * mean
+    stretch = 1.5 - 0.5 * math.sqrt(mean7 / (mean7 + 6103515625.0))
+    a1, a2 = a1 * stretch, a2 * stretch
+    c1, c2 = math.sqrt(a1 * a1 + b1 * b1), math.sqrt(a2 * a2 + b2 * b2)
+    h1, h2 = math.atan2(b1, a1), math.atan2(b2, a2)
+    turn = h2 - h1
+    if turn > math.pi:
+        turn -= 2.0 * math.pi
+    elif turn < -math.pi:
+        turn += 2.0 * math.pi
+    if c1 * c2 == 0.0:
+        turn = 0.0
+    hue = h2 if c1 == 0.0 else h1 + 0.5 * turn
+    chroma, off = 0.5 * (c1 + c2), 0.5 * (l1 + l2) - 50.0
+    weight = (
+        1.0
+        - 0.17 * math.cos(hue - 30.0 * RADIANS)
+        + 0.24 * math.cos(2.0 * hue)
+        + 0.32 * math.cos(3.0 * hue + 6.0 * RADIANS)
+        - 0.20 * math.cos(4.0 * hue - 63.0 * RADIANS)
+    )
+    x = (l2 - l1) / (1.0 + 0.015 * off * off / math.sqrt(20.0 + off * off))
+    y = (c2 - c1) / (1.0 + 0.045 * chroma)
+    z = 2.0 * math.sqrt(c1 * c2) * math.sin(0.5 * turn) / (1.0 + 0.015 * chroma * weight)
+    degrees = hue / RADIANS
+    if degrees < 0.0:
+        degrees += 360.0
+    from_blue = (degrees - 275.0) / 25.0
+    blue = 0.0
+    if from_blue * from_blue < 40.0:
+        c7 = chroma * chroma * chroma * chroma * chroma * chroma * chroma
+        blue = -2.0 * math.sqrt(c7 / (c7 + 6103515625.0)) * math.sin(60.0 * RADIANS * math.exp(-from_blue * from_blue))
+    return x, y + 0.5 * blue * z, z * math.sqrt(1.0 - 0.25 * blue * blue)
+
+
+@compiled(error_model="numpy")
+def _parts(looks: Any, t: int, l: float, a: float, b: float) -> tuple[float, float, float]:
+    """The components of the difference from what a term wants; of a range, from the colour that is put inside.
+
+    That is the smooth distance of `nacre.optimise.merit._smooth_violation`.
+    """
+    kind, low, high = looks.kind[t], looks.low[t], looks.high[t]
+    wl, wa, wb = looks.lab[t, 0], looks.lab[t, 1], looks.lab[t, 2]
+    if kind == LIGHTNESS:
+        wl, wa, wb = min(max(l, low), high), a, b
+    elif kind == CHROMA:
+        chroma = math.sqrt(a * a + b * b)
+        held = min(max(chroma, low), high)
+        wl, wa, wb = l, held, 0.0
+        if chroma > 0.0:
+            wa, wb = held * (a / chroma), held * (b / chroma)
+    elif kind == HUE:
+        width = high - low
+        if width < 360.0:
+            width = width % 360.0
+        above = (math.atan2(b, a) / RADIANS - low) % 360.0
+        chroma = math.sqrt(a * a + b * b)
+        end = high if above - width <= 360.0 - above else low
+        wl, wa, wb = l, chroma * math.cos(end * RADIANS), chroma * math.sin(end * RADIANS)
+        if above <= width:
+            wa, wb = a, b
+    return components(wl, wa, wb, l, a, b)
+
+
+@compiled(error_model="numpy", fastmath={"contract", "reassoc"})
+def _dot(a: Any, b: Any, count: int) -> float:
+    total = 0.0
+    for i in range(count):
+        total += a[i] * b[i]
+    return total
+
+
+@compiled(error_model="numpy")
+def _f(ratio: float) -> tuple[float, float]:
+    """CIELAB's cube root with a straight foot, and its slope."""
+    if ratio > 216.0 / 24389.0:
+        root = math.exp(math.log(ratio) / 3.0)
+        return root, root / (3.0 * ratio)
+    return (24389.0 / 27.0 * ratio + 16.0) / 116.0, 24389.0 / 27.0 / 116.0
+
+
+@compiled(error_model="numpy")
+def lab_of(looks: Any, spectrum: Any, lamp: int) -> tuple[float, float, float]:
+    """CIELAB of a spectrum under a lamp."""
+    count = spectrum.shape[0]
+    fx, _ = _f(_dot(looks.weights[lamp, 0], spectrum, count) / looks.whites[lamp, 0])
+    fy, _ = _f(_dot(looks.weights[lamp, 1], spectrum, count) / looks.whites[lamp, 1])
+    fz, _ = _f(_dot(looks.weights[lamp, 2], spectrum, count) / looks.whites[lamp, 2])
+    return 116.0 * fy - 16.0, 500.0 * (fx - fy), 200.0 * (fy - fz)
+
+
+@compiled(error_model="numpy", nogil=True)
+def look(looks: Any, spectra: Any, slopes: Any, layers: int, wants_slopes: bool, r: Any, jacobian: Any, u: Any) -> None:
+    """Fill the residuals `r`, their slopes `jacobian[residual, layer]` and the scaled distances `u[term]`.
+
+    Distances to ranges are the smooth ones: the judge's where they are small.
+
+    Args:
+        looks: `Looks`.
+        spectra: `[row, wavelength]`.
+        slopes: `[row, layer, wavelength]`, read only if `wants_slopes`.
+    """
+    count = spectra.shape[1]
+    at = 0
+    last_row, last_lamp = -1, -1
+    l = a = b = 0.0
+    by_layer = np.empty((3, max(layers, 1)))
+    by_lab = np.empty((3, 3))
+    f, slope = np.empty(3), np.empty(3)
+    for t in range(looks.kind.shape[0]):
+        kind, row, lamp, scale = looks.kind[t], looks.row[t], looks.lamp[t], looks.scale[t]
+        if kind == SPECTRUM:
+            share = scale * 100.0 / math.sqrt(count)
+            total = 0.0
+            for i in range(count):
+                off = share * (spectra[row, i] - looks.wanted[t, i]) if looks.wanted[t, i] >= 0.0 else 0.0
+                total += off * off
+                r[at + i] = off
+            if wants_slopes:
+                for j in range(layers):
+                    for i in range(count):
+                        jacobian[at + i, j] = share * slopes[row, j, i] if looks.wanted[t, i] >= 0.0 else 0.0
+            u[t] = math.sqrt(total)
+            at += count
+            continue
+        if row != last_row or lamp != last_lamp:
+            for c in range(3):
+                value = _dot(looks.weights[lamp, c], spectra[row], count)
+                f[c], slope[c] = _f(value / looks.whites[lamp, c])
+                slope[c] /= looks.whites[lamp, c]
+            l, a, b = 116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2])
+            if wants_slopes:
+                for j in range(layers):
+                    x = slope[0] * _dot(looks.weights[lamp, 0], slopes[row, j], count)
+                    y = slope[1] * _dot(looks.weights[lamp, 1], slopes[row, j], count)
+                    z = slope[2] * _dot(looks.weights[lamp, 2], slopes[row, j], count)
+                    by_layer[0, j], by_layer[1, j], by_layer[2, j] = 116.0 * y, 500.0 * (x - y), 200.0 * (y - z)
+            last_row, last_lamp = row, lamp
+        # one place that calls the formula, here and below: numba inlines every call, and compiles for minutes else
+        size = 3 if kind == COLOUR else 1
+        for k in range(4 if wants_slopes else 1):
+            moved_l = l + STEP if k == 1 else l
+            moved_a = a + STEP if k == 2 else a
+            moved_b = b + STEP if k == 3 else b
+            x, y, z = _parts(looks, t, moved_l, moved_a, moved_b)
+            if kind != COLOUR:
+                x = math.sqrt(x * x + y * y + z * z)
+                y = z = 0.0
+            if k == 0:
+                u[t] = scale * math.sqrt(x * x + y * y + z * z)
+                f[0], f[1], f[2] = x, y, z
+                for c in range(size):
+                    r[at + c] = scale * f[c]
+            else:
+                by_lab[0, k - 1] = scale * (x - f[0]) / STEP
+                by_lab[1, k - 1] = scale * (y - f[1]) / STEP
+                by_lab[2, k - 1] = scale * (z - f[2]) / STEP
+        if wants_slopes:
+            for c in range(size):
+                for j in range(layers):
+                    jacobian[at + c, j] = (
+                        by_lab[c, 0] * by_layer[0, j] + by_lab[c, 1] * by_layer[1, j] + by_lab[c, 2] * by_layer[2, j]
+                    )
+        at += size
+
+
+@compiled(error_model="numpy")
+def score(u: Any) -> float:
+    """The objective from scaled distances: the worst, and a thousandth of the mean."""
+    worst, total = 0.0, 0.0
+    for t in range(u.shape[0]):
+        worst = max(worst, u[t])
+        total += u[t]
+    return worst + MEAN_SHARE * total / u.shape[0]
+
+
+@compiled(error_model="numpy", fastmath={"contract", "reassoc"})
+def share_outside(looks: Any, r: Any, jacobian: Any, layers: int, sigma: Any, draws: Any) -> float:
+    """The smooth share of made stacks that miss a want, by the slopes at the nominal one.
+
+    Args:
+        sigma: `[>= layers]`, standard deviations, nm.
+        draws: `[draw, >= layers]`, standard normal numbers, the same for every stack.
+    """
+    missed = 0.0
+    for k in range(draws.shape[0]):
+        worst = 0.0
+        at = 0
+        for t in range(looks.kind.shape[0]):
+            kind = looks.kind[t]
+            size = 3 if kind == COLOUR else (looks.wanted.shape[1] if kind == SPECTRUM else 1)
+            total = 0.0
+            for c in range(at, at + size):
+                moved = r[c]
+                for j in range(layers):
+                    moved += jacobian[c, j] * sigma[j] * draws[k, j]
+                total += moved * moved
+            worst = max(worst, math.sqrt(total) / max(looks.weight[t], 1e-9))
+            at += size
+        missed += 1.0 / (1.0 + math.exp(-min(max((worst - 1.0) / SOFT, -50.0), 50.0)))
+    return missed / draws.shape[0]

@@ -1,0 +1,136 @@
+"""Tables of a recipe that are named by paths: `[fit]`, `[tolerance]` and the axes of a sweep."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+import pydantic
+
+from nacre.core.errors import RecipeError, did_you_mean
+from nacre.recipe.keys import ByPath
+from nacre.recipe.model import RecipeModel, show_value
+from nacre.recipe.paths import EVERY
+
+
+class FreeSpec(RecipeModel):
+    """The bounds of a number that `nacre fit` may change."""
+
+    forms: ClassVar[tuple[str, ...]] = ("{min = 100, max = 600}",)
+
+    min: float = pydantic.Field(description="lower bound", examples=[100])
+    max: float = pydantic.Field(description="upper bound", examples=[600])
+
+
+class FreeNumberSpec(RecipeModel):
+    """What a number or a word of the recipe may become: bounds, or choices."""
+
+    one_of: ClassVar[tuple[str, ...]] = ("min|max", "choices")
+    forms: ClassVar[tuple[str, ...]] = ("{min = 3, max = 15}", '{choices = ["SiO2", "MgF2"]}')
+
+    min: float | None = pydantic.Field(default=None, description="lower bound", examples=[3])
+    max: float | None = pydantic.Field(default=None, description="upper bound", examples=[15])
+    choices: list[Any] | None = pydantic.Field(
+        default=None, description="values to choose from", examples=[["SiO2", "MgF2"]]
+    )
+
+
+class SpreadSpec(RecipeModel):
+    """How far a number spreads in manufacture, for `nacre tolerance`."""
+
+    one_of: ClassVar[tuple[str, ...]] = ("deviation", "percent")
+    forms: ClassVar[tuple[str, ...]] = ("{deviation = 5}", '{percent = 2, distribution = "uniform"}')
+
+    deviation: float | None = pydantic.Field(
+        default=None,
+        ge=0.0,
+        description="standard deviation, or half width of a uniform spread, in the number's own unit",
+        examples=[5],
+    )
+    percent: float | None = pydantic.Field(
+        default=None, ge=0.0, description="in place of deviation: the same in per cent of the number", examples=[2]
+    )
+    distribution: Literal["gaussian", "uniform"] = pydantic.Field(
+        default="gaussian", description="shape of the spread", examples=["uniform"]
+    )
+
+
+class StudySpec(RecipeModel):
+    """The tables that every recipe may hold beside the keys of its family."""
+
+    numbers: dict[str, float] = pydantic.Field(
+        default={},
+        description="numbers by names of your own, which formulas then know, as they know `t`, the time of an "
+        "animation: 0 at its start and in stills, 1 at its end",
+        examples=[{"drain": 0.4}],
+    )
+    fit: Annotated[dict[str, Any], ByPath(FreeSpec)] = pydantic.Field(
+        default={},
+        description="numbers that `nacre fit` may change: path of the number -> its bounds",
+        examples=[{"layers[0].thickness_nm": {"min": 100, "max": 600}}],
+    )
+    tolerance: Annotated[
+        dict[str, Any], ByPath(SpreadSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}))
+    ] = pydantic.Field(
+        default={},
+        description="spreads of manufacture for `nacre tolerance`: path of the number -> a deviation, a percentage, "
+        "or a table",
+        examples=[{"layers[0].thickness_nm": {"percent": 2}}, {"layers[0].thickness_nm": 5}],
+    )
+
+
+def known_only(entry: Any, model: type[RecipeModel], where: str) -> None:
+    """Refuse a key that an entry's table does not have.
+
+    Raises:
+        RecipeError: naming the key, with a guess.
+    """
+    for key in entry if isinstance(entry, Mapping) else ():
+        if key not in model.model_fields:
+            known = ", ".join(model.model_fields)
+            hint = did_you_mean(str(key), model.model_fields)
+            raise RecipeError(f"{where}.{key} is not known.{hint} Keys: {known}")
+
+
+def with_options(table: Mapping[str, Any], options: Iterable[tuple[str, Any]], name: str) -> dict[str, Any]:
+    """Return path -> entry of a table and of a command's options, which win, those with `[*]` too.
+
+    Args:
+        name: the option's, for messages.
+
+    Raises:
+        RecipeError: a path is given twice.
+    """
+    given: dict[str, Any] = {}
+    for path, entry in options:
+        if path in given:
+            raise RecipeError(f"{name} {path} is given twice; keep one")
+        given[path] = entry
+    named = [re.compile(r"\[(?:\d+|\*)\]".join(map(re.escape, path.split(EVERY))) + "$") for path in given]
+    return {p: e for p, e in table.items() if not any(one.match(p) for one in named)} | given
+
+
+def by_path(table: Any, own_keys: frozenset[str] | set[str], source: str, name: str) -> dict[str, Any]:
+    """Return path -> entry; a TOML writer may have written `surface.roughness` unquoted, as a table in a table.
+
+    Args:
+        table: the recipe's table.
+        own_keys: a table with one of these is an entry, not a part of a path.
+        source, name: of the file and of the table, for messages.
+
+    Raises:
+        RecipeError: it is no table, or a part of it is empty.
+    """
+    if not isinstance(table, Mapping):
+        raise RecipeError(f"{source}: {name} = {show_value(table)} should be a table")
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        if not isinstance(value, Mapping) or set(value) & own_keys:
+            found[str(key)] = value
+        elif not value:
+            raise RecipeError(f"{source}: {name}.{key} is empty")
+        else:
+            inner = by_path(value, own_keys, source, f"{name}.{key}")
+            found |= {f"{key}.{path}": entry for path, entry in inner.items()}
+    return found

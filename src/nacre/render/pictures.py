@@ -1,0 +1,33 @@
+"""The names that `nacre.render` re-exports from other packages, each imported when first used."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, Concatenate, ParamSpec, TypeVar
+
+from nacre.device.bsdf import make_bsdf
+from nacre.device.variant import report, use_variant
+from nacre.material.material import loaded
+from nacre.picture import picture
+from nacre.picture.images import RenderResult
+from nacre.picture.picture import forget_stages
+
+__all__ = ["RenderResult", "forget_stages", "make_bsdf", "render", "report", "scene_dict", "use_variant"]
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+def _loading(function: Callable[Concatenate[Any, _P], _R]) -> Callable[Concatenate[Any, _P], _R]:
+    """Let a function of pictures, which knows no recipes, take a path, an example's name or a recipe's table too."""
+
+    @functools.wraps(function)
+    def call(material: Any = None, *arguments: _P.args, **options: _P.kwargs) -> _R:
+        return function(loaded(material), *arguments, **options)
+
+    return call
+
+
+render = _loading(picture.render)
+scene_dict = _loading(picture.scene_dict)
