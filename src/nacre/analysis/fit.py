@@ -246,7 +246,7 @@ def run_fit(
     """
     if weights not in WEIGHTS:
         raise NacreError(f'weights = "{weights}" is not known; choose one of {", ".join(WEIGHTS)}')
-    material = material.for_many().reaching(number.path for number in free)
+    material = material.at_low_fidelity().with_parts_loaded(number.path for number in free)
     problem = _Problem(material, measured, free, samples, seed, weights)
     candidates = problem.scout(starts, scouts)
     ends: list[tuple[float, Array, Any]] = []

@@ -227,7 +227,7 @@ def fit(
         progress=lambda what, best: common.note(f"{what}: relative rms {best:.4g}"),
     )  # fmt: skip
     changes = {**{n.path: n.value for n in result.numbers}, **result.material.model.spared_changes}
-    write_text(path, edit_toml(material.reaching(changes).text, changes, recipe))
+    write_text(path, edit_toml(material.with_parts_loaded(changes).text, changes, recipe))
     if residual:
         with atomic_path(residual) as temporary, open(temporary, "wb") as file:
             np.savez(file, residual=result.residual, wavelengths_nm=measured.wavelengths_nm)

@@ -170,7 +170,7 @@ def find_gamut(
     if not within > 0:
         raise NacreError(f"--within = {within:g} must be above 0")
     check_light(LightSpec(illuminants=[illuminant], observer=observer), RecipeContext(source))
-    material = material.for_many().reaching(free)
+    material = material.at_low_fidelity().with_parts_loaded(free)
     numbers = read_free(dict(free), material, source)
     if not numbers:
         raise RecipeError(f"{source}: nothing is free; use --free PATH=LOW:HIGH")

@@ -74,7 +74,7 @@ def read_free(
         RecipeError: naming the path and what is allowed.
     """
     entries = by_path(table, {"min", "max", "choices"}, source, name)
-    material = material.reaching(entries)
+    material = material.with_parts_loaded(entries)
     found: dict[str, Free] = {}
     where = f'{source}: {name}: recipe "{material.name}"'
     for each, (path, entry) in expand_table(material.data, entries, where).items():

@@ -21,7 +21,7 @@ from nacre.optimise.image.validation import check_free
 from nacre.optimise.measurement import check_answers
 from nacre.optimise.spec import LayersSpec, WantsSpec
 from nacre.optimise.targets import Want, read_wants
-from nacre.recipe.fingerprint import identity
+from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
 from nacre.recipe.path_tables import by_path
 from nacre.recipe.paths import numbers_of
@@ -105,7 +105,7 @@ class Target:
         """A hash of all that decides what is searched for, but for the time allowed."""
         files = {**self.context.files, **self.material.context.files, **self._choices_files}
         search = {"search": {"seconds"}}
-        return identity(self.spec.model_dump(exclude=search), files, material=self.material.identity)
+        return fingerprint(self.spec.model_dump(exclude=search), files, material=self.material.fingerprint)
 
     @property
     def _choices_files(self) -> dict[str, str]:
@@ -162,7 +162,7 @@ def read_target(target: str | Path | Mapping[str, Any]) -> Target:
         raise RecipeError(f"{context.source}: holds both [[want]] and [target]; a file is of one form")
     spec: WantsSpec = validate(WantsSpec, data, context)
     source = context.source
-    base = _recipe(spec, context).reaching([*spec.free, *spec.spread])
+    base = _recipe(spec, context).with_parts_loaded([*spec.free, *spec.spread])
     refuse_place(base.model, f"{context.source}: recipe")
     wants = read_wants(spec.want, spec.light, context)
     if spec.layers is not None:
@@ -200,7 +200,7 @@ def _recipe(spec: WantsSpec, context: RecipeContext) -> Material:
         if isinstance(spec.recipe, str):
             loaded = load(context.path(spec.recipe))
             if spec.layers is None:
-                return loaded.for_many()
+                return loaded.at_low_fidelity()
             data, folder = dict(loaded.data), loaded.context.folder
         else:
             data, folder = dict(spec.recipe), context.folder
@@ -209,7 +209,7 @@ def _recipe(spec: WantsSpec, context: RecipeContext) -> Material:
             data["layers"] = []
             if spec.layers.substrate is not None:
                 data["substrate"] = substrates(spec.layers)[0]
-        return material(data, folder).for_many()
+        return material(data, folder).at_low_fidelity()
     except NacreError as error:
         said = str(error).removeprefix("recipe: ").removeprefix(f"{context.source}: ")
         raise RecipeError(

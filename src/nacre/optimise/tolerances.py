@@ -59,7 +59,7 @@ def spreads_of(table: Any, material: Material, source: str, name: str = "spread"
         RecipeError: naming the path and what is allowed.
     """
     entries = by_path(table, {"deviation", "percent"}, source, name)
-    material = material.reaching(entries)
+    material = material.with_parts_loaded(entries)
     found = expand_table(material.data, entries, f'{source}: {name}: recipe "{material.name}"')
     return tuple(read_spread(material, each, entry, f"{source}: {name}") for each, (_, entry) in found.items())
 
