@@ -23,6 +23,7 @@ from nacre.core.files import real
 from nacre.recipe.error_messages import wish
 from nacre.recipe.fingerprint import file_digest
 from nacre.recipe.paths import NUMBERS, TEXTURE_KEYS
+from nacre.recipe.renamed_keys import renamed_hint
 from nacre.recipe.units import LENGTH_UNITS_NM, written_as_number
 
 
@@ -281,8 +282,11 @@ def _first_line(
     if problem["type"] == "extra_forbidden":
         places = _known_keys(model)
         word = str(problem["loc"][-1])
-        hint = did_you_mean(word, sorted(places))
         table = re.sub(r"\[\d+\]", "[]", key).rpartition(".")[0]
+        here = [name for name in places if f"{table}.{name}".lstrip(".") in places[name]]
+        if hint := renamed_hint(word, here):
+            return f"{context.source}: key {key} is not known.{hint}"
+        hint = did_you_mean(word, sorted(places))
         meant = next((name for name in places if hint == did_you_mean(name, [name])), None)
         if meant is not None and f"{table}.{meant}".lstrip(".") not in places[meant]:
             hint = f' Did you mean "{places[meant][0]}"?'  # the name in another table is no use without its place
