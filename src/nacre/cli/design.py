@@ -207,7 +207,7 @@ def gamut(
 ) -> None:  # fmt: skip
     """Show the colours that the free numbers of RECIPE can reach, in a*b* and xy, and their share of all colours."""
     from nacre.core.files import check_writable, short_name, write_text
-    from nacre.optimise.gamut import find_gamut, gamut_chart, gamut_page, parse_free
+    from nacre.optimise.gamut import find_gamut, gamut_chart, gamut_page, parse_parameters
 
     path = Path(output) if output else None if as_json else Path(f"{short_name(recipe)}-gamut.png")
     if path is not None:
@@ -216,7 +216,7 @@ def gamut(
         check_writable(path)
     material = common.load_material(recipe, changes)
     found = find_gamut(
-        material, parse_free(free), at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
+        material, parse_parameters(free), at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
         within=within, samples=samples, seed=seed,
     )  # fmt: skip
     if path is not None:

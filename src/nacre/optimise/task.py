@@ -16,11 +16,12 @@ from nacre.core.files import read_text
 from nacre.material.material import Material, load, material
 from nacre.matter.indices.spec import IndexSpec
 from nacre.optimise.evaluation import rows_of
-from nacre.optimise.free import Free, read_free, spreads_of, values_at
 from nacre.optimise.image.validation import check_free
 from nacre.optimise.measurement import check_answers
+from nacre.optimise.parameters import Parameter, read_parameters, values_at
 from nacre.optimise.spec import LayersSpec, WantsSpec
 from nacre.optimise.targets import Want, read_wants
+from nacre.optimise.tolerances import read_tolerances
 from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
 from nacre.recipe.path_tables import by_path
@@ -37,7 +38,7 @@ def total_nm(material: Material) -> float:
     return sum(value * LENGTH_UNITS_NM[match[1]] for match, value in found if match)
 
 
-def check_limits(spec: WantsSpec, base: Material, free: Sequence[Free], source: str) -> None:
+def check_limits(spec: WantsSpec, base: Material, free: Sequence[Parameter], source: str) -> None:
     """Refuse limits that say nothing of this recipe, or that nothing can keep to.
 
     Raises:
@@ -88,7 +89,7 @@ class Target:
     context: RecipeContext
     material: Material
     wants: tuple[Want, ...]
-    free: tuple[Free, ...]
+    free: tuple[Parameter, ...]
 
     @property
     def name(self) -> str:
@@ -174,7 +175,7 @@ def read_target(target: str | Path | Mapping[str, Any]) -> Target:
             raise RecipeError(
                 f'{source}: free."{free_path}" names a layer, but [layers] seeks the stack itself; keep one'
             )
-    free = read_free(spec.free, base, source)
+    free = read_parameters(spec.free, base, source)
     if not free and spec.layers is None:
         raise RecipeError(f"{source}: nothing is free; add a [free] table, or [layers] to seek a film's stack")
     if spec.layers is not None and free:
@@ -182,7 +183,7 @@ def read_target(target: str | Path | Mapping[str, Any]) -> Target:
             f'{source}: free."{free[0].path}" beside [layers]: the stack is sought alone; fix the number in the recipe'
         )
     if spec.spread and spec.layers is None:
-        spreads_of(spec.spread, base, source)
+        read_tolerances(spec.spread, base, source)
     if spec.limits.trusted:
         raise RecipeError(f"{source}: limits.trusted = true is of a relief whose heights are sought")
     if wants[0].image is not None:

@@ -59,10 +59,10 @@ def clouded(question: Mapping[str, Any], tell: Tell) -> None:
     Raises:
         NacreError: the recipe is wrong, has nothing that spreads, or cannot be computed.
     """
-    from nacre.analysis.tolerance import read_spreads
+    from nacre.analysis.tolerance import recipe_tolerances
 
     material = opened_parts(built(question["recipe"])).at_low_fidelity()
-    spreads = read_spreads(material, options_of(material, question["percent"]))
+    spreads = recipe_tolerances(material, options_of(material, question["percent"]))
     began = time.monotonic()
     angles, grid = _fineness(material, question["lamp"])
     nominal = _seen(material, angles, grid, question["lamp"])
