@@ -175,7 +175,7 @@ class Model(abc.ABC):
     def slow_way(self) -> str:
         """The way that it takes by itself though it takes minutes, and how to name it; empty: there is none.
 
-        Work that solves it many times builds it without that way, see `RecipeContext.is_one_of_many`, and says so.
+        Work that solves it many times builds it without that way, see `RecipeContext.is_low_fidelity`, and says so.
         """
         return ""
 

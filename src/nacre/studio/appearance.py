@@ -246,7 +246,7 @@ def looks(material: Material, illuminant: str, is_superseded: Callable[[], bool]
     """
     refuse_place(material.model, material.context.source)
     if not material.model.is_quick:
-        material = material.for_many()  # a page waits for no ensemble of minutes
+        material = material.at_low_fidelity()  # a page waits for no ensemble of minutes
     if not _is_quick(material):
         family = material.family
         draft = _look(_sketched(material), illuminant, is_superseded, drafts.of(family))
