@@ -54,6 +54,7 @@ class Model(abc.ABC):
         bytes_a_wavelength: memory that solving it takes, so that too many wavelengths are refused before.
     """
 
+    version: ClassVar[int] = 1  # raise when the numbers of this model change; part of every fingerprint
     noun: ClassVar[str] = "material"
     why_unpolarised: ClassVar[str] = "is known for unpolarised light only"
     usual_parts: ClassVar[tuple[str, ...]] = ("specular_reflectance", "diffuse_reflectance")

@@ -14,7 +14,7 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.files import write_text
 from nacre.light import lamp_lines_nm, white_xyz
-from nacre.material.material import Material, layers_of
+from nacre.material.material import Material
 from nacre.optimise.evaluation import Reached, rows_of
 from nacre.optimise.gamut import LEAST_POINTS, gamut_chart, gamut_svg, reach_of_or_none
 from nacre.optimise.measurement import At, judge_wavelengths, search_wavelengths, see
@@ -111,7 +111,7 @@ def sheet_of(target: Target, solution: Solution, number: int, design: Any) -> De
             )
     curves = {str(at): row for at, row in zip(rows, seen.factors)}
     wanted = {str(w.at): w.spectrum for w in target.wants if w.spectrum is not None}
-    media, thicknesses = layers_of(made)
+    media, thicknesses = made.layers()
     bars, title = _bars(solution, target)
     share = solution.yield_share
     made_well = "" if share is None else f"; yield {100 * share:.0f} %"
@@ -184,7 +184,7 @@ def _distance(reached: Reached) -> str:
 def _overview(solutions: Sequence[Solution]) -> str:
     lines = ["<table><tr><th>answer</th><th>worst</th><th>at</th><th>thickness</th><th>layers</th><th>yield</th></tr>"]
     for number, solution in enumerate(solutions, start=1):
-        media, _ = layers_of(solution.material)
+        media, _ = solution.material.layers()
         total, share = solution.facts.get("total_nm"), solution.yield_share
         made = "" if share is None else f"{100 * share:.0f} %"
         lines.append(
