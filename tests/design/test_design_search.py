@@ -17,7 +17,7 @@ from nacre.optimise.relief.merit import (
     Evaluator,
     Problem,
     default_weights,
-    measure,
+    exact_losses,
     measure_design,
     objective,
 )
@@ -42,7 +42,7 @@ resolution = 12
 intensity_scale = 0.2
 [search]
 starts = 3
-shakes = 4
+perturbed_restarts = 4
 seed = 4
 """
 
@@ -60,7 +60,7 @@ def write(folder: Path, text: str = TARGET, **changes: str) -> Path:
         changed = len(lines) < len(text.splitlines())
         text = "\n".join(lines)
         if changed and not key.startswith(
-            ("starts", "shakes", "seed", "levels", "noise", "time", "blur_error", "incidence")
+            ("starts", "perturbed", "seed", "levels", "noise", "seconds", "blur_error", "incidence")
         ):
             where = "[target]" if key in TARGET_KEYS else "family"
             head, mark, tail = text.partition(where)
@@ -107,17 +107,17 @@ def test_gradient_of_the_robust_loss_agrees_with_finite_differences(tmp_path: Pa
 def test_a_free_scale_is_the_best_scale() -> None:
     generator = np.random.default_rng(2)
     rgb, target = generator.random((50, 3)) * 5, generator.random((50, 3))
-    best = measure(rgb, target, None)
+    best = exact_losses(rgb, target, None)
     assert best.fixed == pytest.approx(best.free)
     for factor in (0.9, 1.1):
-        assert measure(rgb, target, best.scale_free * factor).fixed > best.free
-    assert measure(rgb, target, 0.1).black == pytest.approx(float((target**2).mean()))
+        assert exact_losses(rgb, target, best.scale_free * factor).fixed > best.free
+    assert exact_losses(rgb, target, 0.1).black == pytest.approx(float((target**2).mean()))
 
 
 def test_the_brightness_floor_makes_a_dark_answer_worse() -> None:
     generator = np.random.default_rng(3)
     rgb, target = generator.random((50, 3)), generator.random((50, 3))
-    scale = measure(rgb, target, None).scale_free
+    scale = exact_losses(rgb, target, None).scale_free
     plain = objective(rgb, target, None)[0]
     assert objective(rgb, target, None, brightness_floor=0.5 / scale)[0] == pytest.approx(plain)
     assert objective(rgb, target, None, brightness_floor=2.0 / scale)[0] > plain + 0.1
@@ -184,7 +184,7 @@ def test_the_same_seed_gives_the_same_design_on_any_number_of_cores(tmp_path: Pa
 
 def test_shaking_a_finished_design_only_makes_it_better(tmp_path: Path) -> None:
     problem = problem_of(tmp_path)
-    plain, shaken = Search(problem, 2, 4), Search(problem, 2, 4, shakes=12)
+    plain, shaken = Search(problem, 2, 4), Search(problem, 2, 4, perturbed_restarts=12)
     values = []
     for search in (plain, shaken):
         search.run()
@@ -247,7 +247,7 @@ def test_files_are_complete_before_the_search_ends(tmp_path: Path) -> None:
 
 
 def test_a_time_limit_is_kept(tmp_path: Path) -> None:
-    result = run(write(tmp_path, features="24", resolution="48", time_limit_s="0.6"), tmp_path / "out")
+    result = run(write(tmp_path, features="24", resolution="48", seconds="0.6"), tmp_path / "out")
     assert result.summary["status"] == "time limit"
     assert result.summary["seconds"] < 3.0  # the machine may be shared
 

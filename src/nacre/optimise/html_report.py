@@ -16,7 +16,7 @@ from nacre.core.files import write_text
 from nacre.light import lamp_lines_nm, white_xyz
 from nacre.material.material import Material, layers_of
 from nacre.optimise.evaluation import Reached, rows_of
-from nacre.optimise.gamut import LEAST_POINTS, gamut_chart, gamut_svg, reach_of_or_none
+from nacre.optimise.gamut import MIN_POINTS, gamut_chart, gamut_svg, target_gamut
 from nacre.optimise.measurement import At, judge_wavelengths, search_wavelengths, see
 from nacre.optimise.solutions import Solution
 from nacre.optimise.sparsify import is_chosen
@@ -239,15 +239,16 @@ def _gamut(target: Target, seconds: float, judging_s: float) -> list[str]:
     """
     lamps = target.spec.light.illuminants
     few, every = (len(choose(target.material, lamps)) for choose in (search_wavelengths, judge_wavelengths))
-    if seconds <= 0.0 or (target.material.model.is_direct and LEAST_POINTS * judging_s * few / every > seconds):
+    if seconds <= 0.0 or (target.material.model.is_direct and MIN_POINTS * judging_s * few / every > seconds):
         return []
-    found = reach_of_or_none(target, seconds)
+    found = target_gamut(target, seconds)
     if found is None:
         return []
     gamut, wanted = found
     facts = (
-        f"{html.escape(gamut.at)}, {gamut.illuminant}: within dE00 {gamut.within:g} of one of {len(gamut.lab)} colours "
-        f"that the free numbers make lie {100 * gamut.share_of_srgb:.2g} % of the colours of sRGB and "
+        f"{html.escape(gamut.geometry)}, {gamut.illuminant}: within dE00 {gamut.tolerance:g} of one of "
+        f"{len(gamut.lab)} "
+        f"colours that the free numbers make lie {100 * gamut.share_of_srgb:.2g} % of the colours of sRGB and "
         f"{100 * gamut.share_of_optimal:.2g} % of the optimal colours (solid line), which no surface goes beyond. Let "
         "the pointer rest on a point to see its structure; crosses are what was wanted."
     )
