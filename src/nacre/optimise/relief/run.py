@@ -260,7 +260,7 @@ def load_checkpoint(search: Search, folder: Path, fingerprint: str) -> None:
     if not path.exists():
         return
     try:
-        with np.load(path, allow_pickle=False) as state:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as state:
             stored = {name: state[name] for name in state.files}
         owner = str(stored["fingerprint"])
         search.stage, search.evaluations = (int(c) for c in stored["counts"])
