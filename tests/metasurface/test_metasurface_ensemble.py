@@ -375,15 +375,15 @@ def test_many_materials_take_the_mean_field_unless_the_recipe_names_the_ensemble
     alone = material(recipe({"correction": "auto"}, substrate="air"))
     assert alone.model.chosen_correction[0] == "ensemble"
     with caplog.at_level(logging.WARNING, "nacre"):
-        quick = alone.for_many()
+        quick = alone.with_fidelity("search")
     assert "among many it takes the quick way" in caplog.text
     caplog.clear()
     with caplog.at_level(logging.WARNING, "nacre"):
-        alone.for_many(is_told=True)
+        alone.with_fidelity("search", is_reported=True)
     assert not caplog.text
     assert quick.vary({"monolayer.coverage": 0.2}).model.chosen_correction[0] == "qca-balanced"
     assert quick.identity != alone.identity
-    assert material(recipe()).for_many().model.chosen_correction[0] == "ensemble"
+    assert material(recipe()).with_fidelity("search").model.chosen_correction[0] == "ensemble"
 
 
 def test_numbers_that_vary_take_the_mean_field_and_say_so_once(caplog):

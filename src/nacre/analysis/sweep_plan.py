@@ -369,7 +369,7 @@ def load_sweep(path: str | Path) -> Sweep:
     text = read_text(path, "sweep")
     context = RecipeContext(str(path), path.parent.resolve(), text)
     spec: SweepSpec = validate(SweepSpec, parse_toml(text, str(path)), context)
-    material = load(path.parent / spec.recipe).for_many()
+    material = load(path.parent / spec.recipe).with_fidelity("search")
     points = read_points(spec.axes, spec.mode, spec.count, spec.seed, str(path))
     measurement = _measurement(spec.measure, material, str(path))
     try:
@@ -405,7 +405,7 @@ def _measurement(spec: MeasureSpec, material: Material, source: str) -> Measurem
         raise RecipeError(f"{source}: measure.angles_deg must hold angles in [0, 90]")
     parts = spec.parts
     if parts is None:
-        parts = list(material.model.usual_parts)
+        parts = list(material.model.traits.default_parts)
     for part in parts:
         if part not in PARTS:
             hint = did_you_mean(part, PARTS)

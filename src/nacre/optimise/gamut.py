@@ -170,7 +170,7 @@ def find_gamut(
     if not within > 0:
         raise NacreError(f"--within = {within:g} must be above 0")
     check_light(LightSpec(illuminants=[illuminant], observer=observer), RecipeContext(source))
-    material = material.for_many().reaching(free)
+    material = material.with_fidelity("search").reaching(free)
     numbers = read_free(dict(free), material, source)
     if not numbers:
         raise RecipeError(f"{source}: nothing is free; use --free PATH=LOW:HIGH")
@@ -189,7 +189,7 @@ def _answered(materials: Sequence[Material], at: str | None, where: str) -> At:
     Raises:
         RecipeError: the geometry is not known or not answered.
     """
-    usual = materials[0].model.usual_look
+    usual = materials[0].model.traits.default_geometry
     asked = [usual, *(look for look in OTHER_LOOKS if look != usual)] if at is None else [at]
     refused: list[RecipeError] = []
     for text in asked:

@@ -200,7 +200,7 @@ def _recipe(spec: WantsSpec, context: RecipeContext) -> Material:
         if isinstance(spec.recipe, str):
             loaded = load(context.path(spec.recipe))
             if spec.layers is None:
-                return loaded.for_many()
+                return loaded.with_fidelity("search")
             data, folder = dict(loaded.data), loaded.context.folder
         else:
             data, folder = dict(spec.recipe), context.folder
@@ -209,7 +209,7 @@ def _recipe(spec: WantsSpec, context: RecipeContext) -> Material:
             data["layers"] = []
             if spec.layers.substrate is not None:
                 data["substrate"] = substrates(spec.layers)[0]
-        return material(data, folder).for_many()
+        return material(data, folder).with_fidelity("search")
     except NacreError as error:
         said = str(error).removeprefix("recipe: ").removeprefix(f"{context.source}: ")
         raise RecipeError(

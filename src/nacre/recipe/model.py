@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import pydantic
 from pydantic_core import PydanticCustomError, core_schema
@@ -24,6 +24,8 @@ from nacre.recipe.error_messages import wish
 from nacre.recipe.fingerprint import file_digest
 from nacre.recipe.paths import NUMBERS, TEXTURE_KEYS
 from nacre.recipe.units import LENGTH_UNITS_NM, written_as_number
+
+Fidelity = Literal["full", "search"]
 
 
 @dataclass(frozen=True)
@@ -38,8 +40,8 @@ class RecipeContext:
             gets a material with `.bsdf()` and need not know its family. With `ambient = `, the recipe is built in
             that medium.
         ambient: the medium that another recipe puts this one into (an optical constant), or None.
-        is_one_of_many: whether it is solved beside many near it (a sweep, a search), so that a family takes its quick
-            way where the recipe leaves the choice to it.
+        fidelity: "search": one of many similar materials (a sweep, a search), for which a family chooses its quick
+            method unless the recipe names another.
         names: numbers that its formulas know by name, the time among them.
         reached: the digest of every file that was read for the recipe, those of nested recipes among them.
     """
@@ -49,7 +51,7 @@ class RecipeContext:
     text: str = ""
     load_recipe: Callable[..., Any] | None = None
     ambient: Any = None
-    is_one_of_many: bool = False
+    fidelity: Fidelity = "full"
     names: dict[str, float] = field(default_factory=dict, compare=False, repr=False)
     reached: dict[Path, str] = field(default_factory=dict, compare=False, repr=False)
 
@@ -74,8 +76,7 @@ class RecipeContext:
             if is_named and isinstance(own, Mapping):
                 name = {**name, NUMBERS: {**self.names, **own}}  # its own stand above those around it
         made = self.load_recipe(name, **options)
-        if self.is_one_of_many:
-            made = made.for_many()
+        made = made.with_fidelity(self.fidelity)
         if isinstance(name, Mapping):
             self.reach(made.context.reached)
             return made

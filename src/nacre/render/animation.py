@@ -232,7 +232,7 @@ def _material_at(material: Any, motion: Motion, has_time: bool, frames: int) -> 
         UnsupportedError: the material is fixed.
     """
     if hasattr(material, "vary"):
-        material = material.for_many()
+        material = material.with_fidelity("search")
 
         def changed(index: int, value: float) -> Any:
             moved = {motion.name: value} if motion.is_parameter else {}
