@@ -78,7 +78,7 @@ def test_an_answers_file_names_the_quick_way_that_it_was_judged_by(tmp_path: Pat
     }  # fmt: skip
     start = nacre.material(dense)
     assert start.model.expensive_method
-    many = start.with_fidelity("search")
+    many = start.at_low_fidelity()
     recipe, _ = write_recipe(tmp_path / "dense", many, as_judged(many, {"particle.radius_nm": 60.0}), {})
     found = nacre.load(recipe)
     assert not found.model.expensive_method and found.get("model.correction") == "qca-balanced"

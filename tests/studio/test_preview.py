@@ -74,7 +74,7 @@ def test_rays_meet_the_floor_the_bend_and_the_wall() -> None:
 
 
 def test_a_picture_of_where_light_goes_holds_the_materials_own_values() -> None:
-    material = nacre.load("metasurface/silver_on_oxide").with_fidelity("search")
+    material = nacre.load("metasurface/silver_on_oxide").at_low_fidelity()
     same = lambda values, wavelengths: values[:, :3]  # three wavelengths in place of colours
     made = lobe_picture(material, None, same)
     assert made is not None and made.shape == (*SHAPE, 3)

@@ -26,9 +26,9 @@ from nacre.core.errors import NacreError, RecipeError
 from nacre.families.contract import DirectEvaluation, Model, is_direct, search_model
 from nacre.formats.gonio_csv import COLUMNS, GonioData, read_gonio_csv, read_table
 from nacre.material.material import Material
-from nacre.optimise import parameters as freedom
+from nacre.optimise import parameters
 from nacre.optimise.methods.least_squares import SCOUTS_PER_NUMBER, STEP, STOCHASTIC_STEP, apart, descend, draw
-from nacre.optimise.parameters import Free, own_place, values_at
+from nacre.optimise.parameters import Parameter, nominal_point, values_at
 from nacre.recipe.path_tables import by_path, with_options
 
 PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
@@ -190,7 +190,7 @@ def read_measurement(path: str | Path) -> Measured:
     return Measured("spectrum", waves, values, tuple(measured), angles)
 
 
-def read_free(material: Material, options: tuple[str, ...] = ()) -> tuple[Free, ...]:
+def fit_parameters(material: Material, options: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
     """Collect the free numbers of the recipe's `[fit]` table and of `PATH=LOW:HIGH` options, which win.
 
     Raises:
@@ -208,7 +208,7 @@ def read_free(material: Material, options: tuple[str, ...] = ()) -> tuple[Free, 
     table = with_options(table, given, "--free")
     if not table:
         raise RecipeError(f"{source}: nothing is free; add a [fit] table or use --free PATH=LOW:HIGH")
-    return freedom.read_free(table, material, source, "fit", MAX_FREE, words=False)
+    return parameters.read_parameters(table, material, source, "fit", MAX_FREE, words=False)
 
 
 def _number(text: str) -> float:
@@ -221,7 +221,7 @@ def _number(text: str) -> float:
 def run_fit(
     material: Material,
     measured: Measured,
-    free: tuple[Free, ...],
+    free: tuple[Parameter, ...],
     *,
     starts: int = 4,
     scouts: int = SCOUTS_PER_NUMBER,
@@ -235,7 +235,7 @@ def run_fit(
     Args:
         material: the recipe; its own values are the first start.
         measured: from `read_measurement`.
-        free: from `read_free`.
+        free: from `fit_parameters`.
         starts: refined starts beside the recipe's own values; 0 trusts those to lie near the right minimum.
         scouts: trial materials for each free number, to find the starts; fewer where one takes seconds.
         weights: "equal", where the noise is the same for all values, or "relative", where it is a share of each
@@ -247,7 +247,7 @@ def run_fit(
     """
     if weights not in WEIGHTS:
         raise NacreError(f'weights = "{weights}" is not known; choose one of {", ".join(WEIGHTS)}')
-    material = material.with_fidelity("search").reaching(number.path for number in free)
+    material = material.at_low_fidelity().with_parts_loaded(number.path for number in free)
     problem = _Problem(material, measured, free, samples, seed, weights)
     candidates = problem.scout(starts, scouts)
     ends: list[tuple[float, Array, Any]] = []
@@ -279,7 +279,7 @@ class _Problem:
         self,
         material: Material,
         measured: Measured,
-        free: tuple[Free, ...],
+        free: tuple[Parameter, ...],
         samples: int | None,
         seed: int,
         weights: str = "equal",
@@ -345,7 +345,7 @@ class _Problem:
 
     def scout(self, starts: int, scouts: int) -> list[Array]:
         """Return the recipe's own place and the best of a Sobol sample, well apart from one another."""
-        own = own_place(self._free, self._material)
+        own = nominal_point(self._free, self._material)
         if own is not None and starts == 0:
             return [own]
         sample = draw(len(self._free), scouts * len(self._free), self._seed)

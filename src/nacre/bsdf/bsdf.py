@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nacre.bsdf.file import describe_lobes, read_lobes, write_lobes
 from nacre.bsdf.lobe import Lobe, SpecularResponse, specular_at
 from nacre.core.arrays import Array
-from nacre.recipe.fingerprint import identity
+from nacre.recipe.fingerprint import fingerprint
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,12 @@ class Bsdf:
         return any(lobe.transmits for lobe in self.lobes)
 
     @property
-    def identity(self) -> str:
+    def fingerprint(self) -> str:
         """A hash of the lobes' numbers, whatever they come from; see `nacre.recipe.fingerprint`."""
         trees, arrays, _ = describe_lobes(self.lobes, "Bsdf")
-        return identity(trees, {}, arrays={name: sha256(array.tobytes()).hexdigest() for name, array in arrays.items()})
+        return fingerprint(
+            trees, {}, arrays={name: sha256(array.tobytes()).hexdigest() for name, array in arrays.items()}
+        )
 
     def save(self, path: str | Path, *, is_packed: bool = True) -> None:
         """Write one `.nacre` file, whole or not at all.

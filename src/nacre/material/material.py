@@ -29,11 +29,11 @@ from nacre.core.memory import check_memory
 from nacre.families.contract import ExcessEnergy, ExpensiveMethod, Model, Traits, figure_data, values_at
 from nacre.families.registry import family_source, family_spec
 from nacre.material.cache import solved
-from nacre.material.examples import or_example
+from nacre.material.examples import resolve_recipe_path
 from nacre.material.spatial_variation import Varying
 from nacre.measure.spectrum import bsdf_spectrum
-from nacre.recipe.fingerprint import file_digest, identity
-from nacre.recipe.model import Fidelity, RecipeContext, validate
+from nacre.recipe.fingerprint import file_digest, fingerprint
+from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.named_numbers import named_numbers, refuse_new_number
 from nacre.recipe.nested_recipes import open_all, open_parts
 from nacre.recipe.normalise import plain_data
@@ -84,13 +84,13 @@ class Material:
         return short_name(self.context.source)
 
     @property
-    def identity(self) -> str:
+    def fingerprint(self) -> str:
         """A hash of all that decides the material's answers; see `nacre.recipe.fingerprint`."""
         data = {key: value for key, value in self.data.items() if key not in STUDY_TABLES}
         outside = {"ambient": str(self.context.ambient), "family": family_source(self.data.get("family"))}
-        if self.context.fidelity == "search":
+        if self.context.is_low_fidelity:
             outside["way"] = "quick"
-        return identity(data, self.context.files, **outside)
+        return fingerprint(data, self.context.files, **outside)
 
     def bsdf(self, wavelengths_nm: ArrayLike | None = None, *, keep: bool = True) -> Bsdf:
         """Solve the optics and return the arrays, with their provenance.
@@ -114,7 +114,7 @@ class Material:
             check_memory(float(traits.bytes_per_wavelength) * grid.size, f"a {traits.noun} at {grid.size} wavelengths")
         if isinstance(self.model, StoredBsdf) or self.context.ambient is not None:
             return self.model.bsdf(grid)  # solved already; or a part of another material, which is kept as a whole
-        what = identity(self.identity, {}, wavelengths_nm=grid)
+        what = fingerprint(self.fingerprint, {}, wavelengths_nm=grid)
         return solved(what, lambda: self.model.bsdf(grid), keep)
 
     def values_at(
@@ -220,7 +220,7 @@ class Material:
             set_by_path(data, path, value, self.context.source)
         return material_from_data(data, dataclasses.replace(self.context, text=""))
 
-    def reaching(self, paths: Iterable[str]) -> Material:
+    def with_parts_loaded(self, paths: Iterable[str]) -> Material:
         """Return the material with each recipe inside its own that a path reaches into as a table, not as a file.
 
         `first.layers[0].thickness_nm` names a number of the recipe that `first = {recipe = "film.toml"}` names.
@@ -233,7 +233,7 @@ class Material:
             return self
         return material_from_data(data, dataclasses.replace(self.context, text=""))
 
-    def opened(self) -> Material:
+    def inlined(self) -> Material:
         """Return the material with every recipe inside its own as a table, not as a file.
 
         Raises:
@@ -244,20 +244,20 @@ class Material:
             return self
         return material_from_data(data, dataclasses.replace(self.context, text=""))
 
-    def with_fidelity(self, fidelity: Fidelity, is_reported: bool = False) -> Material:
-        """Return the material at full fidelity, or at that of searches, which avoids methods of minutes.
+    def at_low_fidelity(self, is_reported: bool = False) -> Material:
+        """Return the material as one of many that are solved, without the way of minutes that it may take alone.
 
         Sweeps, searches, fits and drafts use "search"; `vary` preserves it. A method that the recipe names itself
         is used at any fidelity. A replaced method is reported as a warning unless `is_reported`.
         """
-        if self.context.fidelity == fidelity or isinstance(self.model, StoredBsdf):
+        if self.context.is_low_fidelity or isinstance(self.model, StoredBsdf):
             return self
         if isinstance(self.model, ExpensiveMethod) and self.model.expensive_method and not is_reported:
             logger.warning(
                 "%s: alone it takes %s; among many it takes the quick way, unless the recipe names the slow one",
                 self.context.source, self.model.expensive_method,
             )  # fmt: skip
-        return material_from_data(self.data, dataclasses.replace(self.context, fidelity=fidelity))
+        return material_from_data(self.data, dataclasses.replace(self.context, is_low_fidelity=True))
 
     def get(self, path: str) -> Any:
         """Return the recipe's value at a path such as `strata[0].platelets[0].volume_fraction`.
@@ -270,7 +270,7 @@ class Material:
         return holder[last]
 
     @property
-    def free_numbers(self) -> dict[str, float]:
+    def parameters(self) -> dict[str, float]:
         """Every number that the recipe gives, by its path: what a fit or a search may free."""
         tables = {key: value for key, value in self.data.items() if key not in STUDY_TABLES}
         return numbers_of(tables)
@@ -329,7 +329,7 @@ def load(path: MaterialLike) -> Material:
         return path
     if isinstance(path, Mapping):
         return material(path)
-    return _load(or_example(named(path)), depth=0)
+    return _load(resolve_recipe_path(named(path)), depth=0)
 
 
 def _load(path: Path, depth: int, ambient: Any = None) -> Material:
@@ -349,7 +349,8 @@ def _load(path: Path, depth: int, ambient: Any = None) -> Material:
         bsdf = Bsdf.load(path)
         text = str(bsdf.provenance.get("recipe", ""))
         reached = {path.resolve(): file_digest(path)}
-        return Material(StoredBsdf(bsdf), {}, RecipeContext(str(path), path.parent.resolve(), text, reached=reached))
+        context = RecipeContext(str(path), path.parent.resolve(), text, dependencies=reached)
+        return Material(StoredBsdf(bsdf), {}, context)
     text = read_text(path, "recipe")
 
     def load_recipe(other: str | Mapping[str, Any], ambient: Any = ambient) -> Material:
@@ -423,7 +424,7 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
     """
     data = plain_data(data, context.source)
     spec_class = family_spec(data.get("family"), context.source)
-    context = dataclasses.replace(context, reached={}, names=named_numbers(data, context.source))
+    context = dataclasses.replace(context, dependencies={}, names=named_numbers(data, context.source))
     if spec_class.varies_by_nodes and (numbers := varying_numbers(data, spec_class.varies_by_nodes)):
         told: list[str] = []
 
@@ -431,10 +432,10 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
             even = copy.deepcopy(dict(data))
             for path, value in values.items():
                 set_by_path(even, path, value, context.source)
-            node = material_from_data(even, dataclasses.replace(context, fidelity="search"))
-            context.reach(node.context.reached)
+            node = material_from_data(even, dataclasses.replace(context, is_low_fidelity=True))
+            context.add_dependencies(node.context.dependencies)
             replaced = node.model.replaced_method if isinstance(node.model, ExpensiveMethod) else ""
-            if replaced and not told and context.fidelity == "full":
+            if replaced and not told and not context.is_low_fidelity:
                 told.append(replaced)
                 logger.warning(
                     "%s: with even numbers it may take %s; with numbers that vary it takes the quick way, unless the "
@@ -451,7 +452,7 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
 def recipe_provenance(material: Material) -> dict[str, Any]:
     """Return the provenance that a file made from a recipe carries."""
     source = Path(material.context.source).name
-    return {"nacre": __version__, "source": source, "recipe": material.text, "identity": material.identity}
+    return {"nacre": __version__, "source": source, "recipe": material.text, "fingerprint": material.fingerprint}
 
 
 # The layers of a material that is a stack, in words and numbers for sheets and pages.

@@ -18,7 +18,6 @@ from nacre.core.files import read_text, write_text
 from nacre.families.contract import method_overrides
 from nacre.material.material import Material
 from nacre.optimise.evaluation import judge, objective, rank
-from nacre.optimise.free import spreads_of
 from nacre.optimise.image.design import design_picture
 from nacre.optimise.methods.least_squares import GeneralSearch
 from nacre.optimise.methods.successive_halving import slow_search
@@ -35,6 +34,7 @@ from nacre.optimise.solutions import (
 )
 from nacre.optimise.sparsify import is_chosen, tables_kept
 from nacre.optimise.task import Target, read_target, total_nm
+from nacre.optimise.tolerances import read_tolerances
 from nacre.optimise.yield_analysis import sensitivity, yield_of
 from nacre.recipe.paths import numbers_of
 
@@ -306,7 +306,7 @@ def judged(target: Target, changes: dict[str, Any], seconds: float, least: float
         if 2.0 * took <= max(0.2 * seconds, DEAR_S) or made.model.traits.is_quick:
             facts["sensitivity"] = sensitivity(made, paths, *asked, max(0.2 * seconds, least), seen)
         if spec.spread:
-            spreads = spreads_of(spec.spread, made, target.context.source)
+            spreads = read_tolerances(spec.spread, made, target.context.source)
             facts["yield"] = yield_of(made, spreads, *asked, 0.3 * seconds, seen)
     if total := total_nm(made):
         facts["total_nm"] = total
@@ -326,7 +326,7 @@ def tolerance_of(target: Target, solution: Solution) -> dict[str, Any]:
     """Return the spreads as a recipe's [tolerance] has them, so that `nacre tolerance` goes on from the answer."""
     if not target.spec.spread:
         return {}
-    spreads = spreads_of(target.spec.spread, solution.material, target.context.source)
+    spreads = read_tolerances(target.spec.spread, solution.material, target.context.source)
     own = dict(solution.material.data.get("tolerance", {}))
     return own | {s.path: {"deviation": s.deviation, "distribution": s.distribution} for s in spreads}
 

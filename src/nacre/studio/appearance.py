@@ -247,7 +247,7 @@ def looks(material: Material, illuminant: str, is_superseded: Callable[[], bool]
     """
     refuse_place(material.model, material.context.source)
     if not material.model.traits.is_quick:
-        material = material.with_fidelity("search")  # a page waits for no ensemble of minutes
+        material = material.at_low_fidelity()  # a page waits for no ensemble of minutes
     if not _is_quick(material):
         family = material.family
         draft = _look(_sketched(material), illuminant, is_superseded, drafts.of(family))

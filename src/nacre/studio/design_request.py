@@ -109,7 +109,7 @@ def opened_parts(material: Material) -> Material:
     for key, value in material.data.items():
         if isinstance(value, Mapping) and "recipe" in value:
             with contextlib.suppress(RecipeError):  # a part that may only be named keeps its name
-                material = material.reaching([f"{key}.family"])
+                material = material.with_parts_loaded([f"{key}.family"])
     return material
 
 
@@ -124,7 +124,7 @@ def free_numbers(material: Material) -> dict[str, Any]:
         return {"look": LOOKS[0], "numbers": [], "refused": OF_HEIGHTS}
     found: dict[str, Any] = {"look": _usual_look(material), "numbers": []}
     whole = opened_parts(material)
-    numbers = list(whole.free_numbers.items())[:MOST_LISTED]
+    numbers = list(whole.parameters.items())[:MOST_LISTED]
     by_default = [path for path, _ in numbers if THICKNESS.search(path) and "[" in path]  # of layers
     by_default = by_default or [path for path, _ in numbers if LENGTH.search(path)]
     for path, value in numbers:

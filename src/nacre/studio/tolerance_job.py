@@ -59,10 +59,10 @@ def clouded(question: Mapping[str, Any], tell: Tell) -> None:
     Raises:
         NacreError: the recipe is wrong, has nothing that spreads, or cannot be computed.
     """
-    from nacre.analysis.tolerance import read_spreads
+    from nacre.analysis.tolerance import recipe_tolerances
 
-    material = opened_parts(built(question["recipe"])).with_fidelity("search")
-    spreads = read_spreads(material, options_of(material, question["percent"]))
+    material = opened_parts(built(question["recipe"])).at_low_fidelity()
+    spreads = recipe_tolerances(material, options_of(material, question["percent"]))
     began = time.monotonic()
     angles, grid = _fineness(material, question["lamp"])
     nominal = _seen(material, angles, grid, question["lamp"])
@@ -95,7 +95,7 @@ def options_of(material: Material, percent: float) -> tuple[str, ...]:
         NacreError: the recipe gives no length.
     """
     own = material.data.get("tolerance", {})
-    numbers = [path for path, value in material.free_numbers.items() if value != 0.0]
+    numbers = [path for path, value in material.parameters.items() if value != 0.0]
     spread = [path for path in numbers if THICKNESS.search(path)] or [path for path in numbers if LENGTH.search(path)]
     if not spread and not own:
         raise NacreError(

@@ -313,7 +313,7 @@ class MetasurfaceSpec(RecipeModel):
             )
         index = max(1.0, n_substrate.real if n_substrate.imag < 1e-4 else 1.0, n_ambient.real)
         asked = self.model.correction
-        is_spared = context.fidelity == "search" and asked == "auto"
+        is_spared = context.is_low_fidelity and asked == "auto"
         layers = tuple((self._index(layer.material), layer.thickness_nm) for layer in self.layers)
         host = host_layer(context, self.particle.depth_nm, layers)
         if host and asked not in ("auto", "ensemble", "qca-balanced"):

@@ -21,7 +21,7 @@ from nacre.optimise.measurement import At, aspecular_pairs, search_wavelengths
 from nacre.optimise.merit import Goals
 from nacre.optimise.methods.least_squares import APART, FAR_OFF, MET, QUIET_SHARE, Pool, TimeIsUp, apart, descend
 from nacre.optimise.methods.local_minima import Valleys
-from nacre.optimise.parameters import place_of
+from nacre.optimise.parameters import point_of
 from nacre.optimise.sparsify import changes_of, draws, droppable, tables_kept, values_of
 from nacre.optimise.targets import goals_of
 from nacre.optimise.task import Target
@@ -279,7 +279,7 @@ class WalkedSearch:
         values = values_of(self.material, self.free, changes)
         if values is None:
             return None
-        return place_of(self.free, {number.path: value for number, value in zip(self.free, values, strict=True)})
+        return point_of(self.free, {number.path: value for number, value in zip(self.free, values, strict=True)})
 
     def _allowed(self, place: Array) -> Array:
         """Return a place where what may be 0 is 0 or well above it."""

@@ -20,7 +20,7 @@ from nacre.optimise.relief.merit import Array, Evaluator, Measurement, Problem, 
 from nacre.optimise.relief.report import comparison, write_picture, write_report
 from nacre.optimise.relief.search import Candidate, Progress, Search
 from nacre.optimise.relief.target import TargetSpec
-from nacre.recipe.fingerprint import identity
+from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.toml import dump_toml, parse_toml
 
@@ -236,7 +236,7 @@ def recipe_text(spec: TargetSpec) -> str:
 def target_fingerprint(spec: TargetSpec, problem: Problem, context: RecipeContext) -> str:
     """Return a hash of everything that a search's state depends on: files that the target names, and nacre."""
     target = hashlib.sha256(np.ascontiguousarray(problem.target).tobytes()).hexdigest()
-    return identity(spec.model_dump(exclude={"search": {"time_limit_s"}}), context.files, target=target)
+    return fingerprint(spec.model_dump(exclude={"search": {"time_limit_s"}}), context.files, target=target)
 
 
 def save_state(search: Search, folder: Path, fingerprint: str) -> None:
