@@ -54,9 +54,6 @@ def adapt_xyz(xyz: ArrayLike, white_from: ArrayLike, white_to: ArrayLike, method
     return np.asarray(xyz, dtype=float) @ adaptation_matrix(white_from, white_to, method).T
 
 
-# What a change of illuminant does to a colour: inconstancy between two illuminants, and metamerism.
-
-
 @dataclass(frozen=True)
 class IlluminantShift:
     """Colour change between two lights, for an observer adapted to each.

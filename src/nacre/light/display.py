@@ -94,8 +94,6 @@ def swatch_hex(xyz: ArrayLike, white: ArrayLike) -> str:
     return srgb_to_hex(srgb_encode(clip_to_srgb(xyz_to_srgb_linear(adapted)).rgb))
 
 
-# Gamut mapping into sRGB: hue and lightness stay, chroma is lowered.
-
 # Half an 8-bit step at the dark end, the finest step of linear light: a smaller excess over the gamut is invisible
 # in a file and results from rounding (the sRGB matrix, single precision).
 CLIP_TOLERANCE = 0.5 / 255 / 12.92

@@ -45,7 +45,7 @@ class Illuminant:
         if not (np.isfinite(wavelengths).all() and (np.diff(wavelengths) > 0).all()):
             raise NacreError(f"illuminant {self.name}: wavelengths_nm must ascend")
         if not (np.isfinite(power).all() and (power >= 0).all() and power.max() > 0):
-            raise NacreError(f"illuminant {self.name}: power must be finite, >= 0 everywhere and > 0 somewhere")
+            raise NacreError(f"illuminant {self.name}: power must be finite, never negative and somewhere positive")
         object.__setattr__(self, "wavelengths_nm", wavelengths)
         object.__setattr__(self, "power", power)
 

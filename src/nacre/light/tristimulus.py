@@ -213,9 +213,6 @@ def weighted_sum(values: ArrayLike, matrix: Array) -> Array:
     return spectra @ matrix
 
 
-# Weights for colours of spectra that are smooth curves between samples, not straight lines.
-
-
 def spline_matrix(nodes: Array, points: Array) -> Array:
     """Return the matrix `[point, node]` of natural cubic spline interpolation, for points between the nodes."""
     count = len(nodes)

@@ -15,7 +15,7 @@ from nacre.bsdf.compensation import interface_losses
 from nacre.bsdf.grids import direction
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.layered import Layered
-from nacre.bsdf.substrate import Base
+from nacre.bsdf.substrate import Substrate
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.families.contract import Figure, Model
@@ -63,7 +63,7 @@ class Pearl(Model):
     why_unpolarised = "scatters light many times and is known for unpolarised light only"
 
     strata: tuple[Stratum, ...]
-    base: Base
+    base: Substrate
     quality: str = "reference"
     glints: Glints | None = None
 

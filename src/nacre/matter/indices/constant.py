@@ -137,7 +137,7 @@ class OpticalConstant:
 
 @functools.lru_cache(maxsize=256)
 def _cached_index(constant: OpticalConstant, samples: bytes) -> ComplexArray:
-"""Return n + ik at wavelengths given as bytes; one evaluation of a film repeats the same request many times."""
+    """Return n + ik at wavelengths given as bytes; one evaluation of a film repeats the same request many times."""
     return constant._computed(np.frombuffer(samples))
 
 
@@ -228,8 +228,6 @@ class IndexDescription:
     splice: str = ""
     is_default: bool = False
 
-
-# The named materials: which source a bare name in a recipe stands for.
 
 COLOUR_RANGE_NM = (360.0, 830.0)
 

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.jit import compiled
-from nacre.core.parallel import share
-from nacre.matter.stack.inputs import Case, prepare
+from nacre.core.parallel import parallel_for
+from nacre.matter.stack.inputs import StackArrays, prepare
 from nacre.matter.stack.kernel import TWO_PI, kz_squared, robust_factors, sqrt_decaying
 
 
@@ -102,7 +102,7 @@ def _absorbed_range(
                         flux = below_flux
 
 
-def absorbed_power(case: Case, jobs: int | None = None) -> Array:
+def absorbed_power(case: StackArrays, jobs: int | None = None) -> Array:
     """Return each layer's absorption, `[s or p, layer, *batch, angle, wavelength]`, over incident power."""
     batch, angles, count = case.shape
     layers = case.n.shape[1] - 2
@@ -123,7 +123,7 @@ def absorbed_power(case: Case, jobs: int | None = None) -> Array:
         )
 
     # a scalar layer step costs ten times a vectorised one: threads pay off earlier
-    share(task, batch, angles, 10 * batch * angles * count * (layers + 1), jobs)
+    parallel_for(task, batch, angles, 10 * batch * angles * count * (layers + 1), jobs)
     return out.reshape(2, layers, *case.batch, *case.angle_shape, count)
 
 

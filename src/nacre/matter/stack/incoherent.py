@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.matter.stack.inputs import Case, Powers, kernel_powers, normal_component, part_of, prepare
+from nacre.matter.stack.inputs import Powers, StackArrays, kernel_powers, normal_component, part_of, prepare
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class _Group:
         first: index of its upper medium; its layers are first .. first + count - 1 (from 0).
     """
 
-    down: Case
-    up: Case | None
+    down: StackArrays
+    up: StackArrays | None
     down_r: Array
     down_t: Array
     up_r: Array
@@ -133,7 +133,7 @@ def _gain(group: _Group, below: _Group, total_r: Array) -> Array:
     return np.where(group.down_t > 0, group.down_t / np.where(bounce < 1, 1 - bounce, 1.0), 0.0)
 
 
-def _groups(case: Case, incoherent: Sequence[bool], jobs: int | None) -> list[_Group]:
+def _groups(case: StackArrays, incoherent: Sequence[bool], jobs: int | None) -> list[_Group]:
     """Return the coherent groups from the top downward."""
     layers = case.n.shape[1] - 2
     if len(incoherent) != layers:

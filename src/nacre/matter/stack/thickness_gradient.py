@@ -181,7 +181,7 @@ def _up(b: Any, g: Any, upper_r: Any, upper_i: Any, lower_r: Any, lower_i: Any, 
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
-def _down(b: Any, a: Any, turns_r: Any, turns_i: Any, share: float, slopes: Any, count: int) -> None:
+def _down(b: Any, a: Any, turns_r: Any, turns_i: Any, share: float, gradients: Any, count: int) -> None:
     """Carry dR/dG (rows `a`) down through an interface and a layer; add the layer's derivative."""
     factor = -TWO_PI * share
     for i in range(count):
@@ -191,14 +191,14 @@ def _down(b: Any, a: Any, turns_r: Any, turns_i: Any, share: float, slopes: Any,
         xr, xi = b[2 * SAMPLES + i], b[3 * SAMPLES + i]
         cr, ci = br * xr - bi * xi, br * xi + bi * xr
         kr, ki = turns_r[i], turns_i[i]
-        slopes[i] += factor * (cr * ki + ci * kr)
+        gradients[i] += factor * (cr * ki + ci * kr)
         er, ei = b[i], b[SAMPLES + i]
         a[i] = br * er - bi * ei
         a[SAMPLES + i] = br * ei + bi * er
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
-def _down_transmitted(b: Any, a: Any, turns_r: Any, turns_i: Any, share: float, slopes: Any, count: int) -> None:
+def _down_transmitted(b: Any, a: Any, turns_r: Any, turns_i: Any, share: float, gradients: Any, count: int) -> None:
     """As `_down`, for T, whose value is in the row after `a`'s two."""
     for i in range(count):
         ar, ai = a[i], a[SAMPLES + i]
@@ -209,7 +209,7 @@ def _down_transmitted(b: Any, a: Any, turns_r: Any, turns_i: Any, share: float, 
         xr, xi = b[2 * SAMPLES + i], b[3 * SAMPLES + i]
         cr, ci = br * xr - bi * xi, br * xi + bi * xr
         kr, ki = turns_r[i], turns_i[i]
-        slopes[i] -= TWO_PI * share * (cr * ki + ci * kr + passed * ki)
+        gradients[i] -= TWO_PI * share * (cr * ki + ci * kr + passed * ki)
         er, ei = b[i], b[SAMPLES + i]
         a[i] = br * er - bi * ei
         a[SAMPLES + i] = br * ei + bi * er
@@ -247,9 +247,9 @@ def _top(a: Any, g: Any, seen: Any, share: float, is_transmitted: bool, count: i
 
 
 @compiled(error_model="numpy", fastmath={"contract"}, nogil=True)
-def spectra_and_slopes(
-    tables: Any, media: Any, thicknesses: Any, layers: int, substrate: int, wants_slopes: bool, w: Any, spectra: Any,
-    slopes: Any,
+def spectra_and_gradients(
+    tables: Any, media: Any, thicknesses: Any, layers: int, substrate: int, with_gradients: bool, w: Any, spectra: Any,
+    gradients: Any,
 ) -> None:  # fmt: skip
     """Fill R or T of one stack, and the derivatives in the thicknesses.
 
@@ -279,8 +279,8 @@ def spectra_and_slopes(
                 b = w[j * size : (j + 1) * size]
                 kr, ki = turns_r[row, m, start:stop], turns_i[row, m, start:stop]
                 _phase(b, kr, ki, thicknesses[j], tables.is_clear[m], count)
-                if wants_slopes:
-                    slopes[row, j, start:stop] = 0.0
+                if with_gradients:
+                    gradients[row, j, start:stop] = 0.0
             seen[:] = 0.0
             for channel in range(tables.first[row], tables.first[row + 1]):
                 share = tables.share[channel]
@@ -297,12 +297,12 @@ def spectra_and_slopes(
                         qr[m, start:stop], qi[m, start:stop], count,
                     )  # fmt: skip
                 _top(a, g, seen, share, tables.is_transmitted[row], count)
-                if wants_slopes:
+                if with_gradients:
                     for j in range(layers):
                         m = media[j]
                         b = w[j * size : (j + 1) * size]
                         kr, ki = turns_r[row, m, start:stop], turns_i[row, m, start:stop]
                         if tables.is_transmitted[row]:
-                            _down_transmitted(b, a, kr, ki, share, slopes[row, j, start:stop], count)
+                            _down_transmitted(b, a, kr, ki, share, gradients[row, j, start:stop], count)
                         else:
-                            _down(b, a, kr, ki, share, slopes[row, j, start:stop], count)
+                            _down(b, a, kr, ki, share, gradients[row, j, start:stop], count)
