@@ -125,7 +125,7 @@ def slab_loses(theta_deg: float, lam: float, rng: np.random.Generator) -> float:
 
 @pytest.mark.parametrize("theta_deg", [pytest.param(0.0, marks=pytest.mark.full), 45.0])
 def test_the_light_that_the_counting_loses_is_that_of_an_independent_slab_walk(theta_deg):
-    lost = nacre.material(DATA).model.lost_at(np.radians([theta_deg]), LAM)[0]
+    lost = nacre.material(DATA).model.energy_defect(np.radians([theta_deg]), LAM)[0]
     own = slab_loses(theta_deg, LAM[1], np.random.default_rng(3))
     assert abs(lost[1] - own) < LOST_BAR
     assert own > 0.2  # much is lost, or the claim would be empty
@@ -145,7 +145,7 @@ def test_every_form_of_a_platelet_reflects_r_times_one_minus_t():
     assert np.array_equal(lobes["physical"].flake_extinction, lobes["published"].flake_extinction)
     # off the mirror direction inside, one flake tilted by some 10 degrees turns the light: the likeness knows it surely
     wi, wo = np.array([[0.0, 0.0, 1.0]]), np.array([[0.3, 0.0, np.sqrt(0.91)]])
-    sure = {name: model.likeness_at(wi, wo, LAM)[0][0] for name, model in made.items()}
+    sure = {name: model.surrogate_radiance(wi, wo, LAM)[0][0] for name, model in made.items()}
     inner = np.sqrt(0.5 * (1 + np.sqrt(1 - 0.09 / INDEX**2)))
     kept = 1 - np.array([np.interp(inner, cos_nodes(len(t)), t[:, i]) for i in range(len(LAM))])
     assert np.abs(sure["published"] / sure["physical"] - kept).max() < 2e-3  # 65 nodes instead of 257
@@ -156,7 +156,7 @@ def test_platelets_are_counted_physically_unless_told():
     del plain["strata"][0]["platelets"][0]["counting"]
     model = nacre.material(plain).model
     assert model.strata[0].flakes[0].platelet.counting == "physical"
-    assert model.lost_at(np.array([0.0]), LAM) is None
+    assert model.energy_defect(np.array([0.0]), LAM) is None
 
 
 def test_one_kind_of_two_may_be_counted_so():
@@ -166,9 +166,9 @@ def test_one_kind_of_two_may_be_counted_so():
     model = nacre.material(data).model
     first, second = model.platelet_tables(LAM)
     assert np.all(first[..., 0] <= second[..., 0]) and first[-1, 0, 0] < second[-1, 0, 0]
-    both = model.lost_at(np.array([0.0]), LAM)[0]
+    both = model.energy_defect(np.array([0.0]), LAM)[0]
     data["strata"][0]["platelets"][1]["counting"] = "published"
-    assert np.all(both < nacre.material(data).model.lost_at(np.array([0.0]), LAM)[0])
+    assert np.all(both < nacre.material(data).model.energy_defect(np.array([0.0]), LAM)[0])
 
 
 def test_the_counting_warns_once(caplog):
@@ -191,7 +191,7 @@ def hue_path(name: str, counting: str):
     angles = np.radians([5.0, 20.0, 35.0, 50.0, 60.0, 70.0])
     wi, wo = from_half_difference(np.full(6, np.radians(4.0)), angles, np.full(6, np.pi / 2))
     model = nacre.load(f"pearl/{name}").vary({"strata[0].platelets[0].counting": counting}).model
-    xyz = spectrum_to_xyz(np.pi * model.walked_at(wi, wo, lam, 400, 1)[0], lam)
+    xyz = spectrum_to_xyz(np.pi * model.estimate_radiance(wi, wo, lam, 400, 1)[0], lam)
     lab = xyz_to_lab(0.1842 * xyz / xyz[:, 1:2])
     return np.degrees(np.arctan2(lab[:, 2], lab[:, 1])) % 360, np.hypot(lab[:, 1], lab[:, 2])
 

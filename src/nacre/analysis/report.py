@@ -17,6 +17,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.grids import direction
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array
+from nacre.families.contract import energy_defect
 from nacre.light import (
     delta_e_2000,
     lab_to_lch,
@@ -114,7 +115,7 @@ def make_report(
     mirror = bsdf.specular(np.radians(SPECULAR_ANGLES_DEG)).reflectance
     spectrum = material.spectrum(np.radians([0.0, 45.0]), bsdf.wavelengths_nm)
     parts = {name: _luminous(value, spectrum.wavelengths_nm, *light) for name, value in spectrum.parts().items()}
-    lost = material.model.lost_at(np.radians([0.0, 45.0]), spectrum.wavelengths_nm, seed)
+    lost = energy_defect(material.model, np.radians([0.0, 45.0]), spectrum.wavelengths_nm, seed)
     if lost is not None:
         parts["lost_by_counting"] = _luminous(lost, spectrum.wavelengths_nm, *light)
     totals = {}

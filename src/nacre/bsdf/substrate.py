@@ -6,6 +6,7 @@ different nodes are resampled to the finer nodes.
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,6 +23,14 @@ from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.stack.solve import powers
+
+
+class Strata(abc.ABC):
+    """A material solved by random walks in strata, on which strata of any family can lie."""
+
+    @abc.abstractmethod
+    def strata_at(self, wavelengths_nm: Array) -> Layered:
+        """Return the strata and the base, also if the material's Bsdf has a noise-free form."""
 
 
 def join_strata(upper: Layered, lower: Layered) -> Layered:

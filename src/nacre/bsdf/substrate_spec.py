@@ -10,7 +10,7 @@ import numpy as np
 import pydantic
 
 from nacre.bsdf.facet_distributions import SMOOTH_BELOW, Roughness, check_widths
-from nacre.bsdf.substrate import Substrate
+from nacre.bsdf.substrate import Strata, Substrate
 from nacre.core.errors import RecipeError
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
@@ -213,16 +213,16 @@ def _recipe_base(name: str | dict[str, Any], medium: OpticalConstant, context: R
         if isinstance(name, str):
             raise
         raise RecipeError(_placed(str(error), name, number, context.source)) from None
-    if other.model.has_strata:
+    if isinstance(other.model, Strata):
         if number is not None:
             return Substrate(
                 "strata", other=other, refuse=lambda why: RecipeError(f"{context.source}: strata[{number}] {why}")
             )
         return Substrate("strata", other=other, refuse=lambda why: context.fail("base.recipe", name, why))
-    if not other.model.takes_ambient:
+    if not other.model.traits.takes_ambient:
         raise context.fail("base.recipe", name, "is compiled for an unknown medium; give its recipe")
     base = Substrate("lobes", other=other, refuse=lambda why: context.fail("base.recipe", name, why))
-    if not other.model.is_quick:  # slow models are solved on demand
+    if not other.model.traits.is_quick:  # slow models are solved on demand
         return base
     first: Any = base.default_lobes[0]
     if len(base.default_lobes) > 1 or first.kind not in ("specular", "microfacet") or first.varying:

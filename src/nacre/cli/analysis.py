@@ -11,6 +11,7 @@ import numpy as np
 
 from nacre.cli import common
 from nacre.core.errors import NacreError
+from nacre.families.contract import method_overrides
 
 
 def _progress_bar(description: str) -> Any:
@@ -226,7 +227,7 @@ def fit(
         material, measured, numbers, starts=starts, weights=weights, samples=samples, seed=seed,
         progress=lambda what, best: common.note(f"{what}: relative rms {best:.4g}"),
     )  # fmt: skip
-    changes = {**{n.path: n.value for n in result.numbers}, **result.material.model.spared_changes}
+    changes = {**{n.path: n.value for n in result.numbers}, **method_overrides(result.material.model)}
     write_text(path, edit_toml(material.with_parts_loaded(changes).text, changes, recipe))
     if residual:
         with atomic_path(residual) as temporary, open(temporary, "wb") as file:

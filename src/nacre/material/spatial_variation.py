@@ -23,7 +23,7 @@ from nacre.bsdf.texture import Texture
 from nacre.bsdf.texture_spec import TextureSpec
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
-from nacre.families.contract import Figure, Model
+from nacre.families.contract import Figure, Model, Traits
 from nacre.light import delta_e_2000, spans_colour, xyz_to_lab
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.instruments import aspecular_direction
@@ -55,7 +55,7 @@ class Varying(Model):
         fixed: builds the plain material of given values.
     """
 
-    noun = "material with a varying number"
+    traits = Traits(noun="material with a varying number")
 
     numbers: tuple[Number, ...]
     fixed: Callable[[Mapping[str, float]], Any]

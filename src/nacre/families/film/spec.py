@@ -13,7 +13,7 @@ import pydantic
 from nacre.bsdf.facet_distributions import Roughness, alpha_from_exponent, check_widths
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.bsdf.texture_spec import NumberOrTexture, TextureSpec, texture_or_number
-from nacre.families.contract import Figure
+from nacre.families.contract import Fabricable, Figure
 from nacre.families.film.figures import FIGURES
 from nacre.families.film.layer_table import layer_sheet
 from nacre.families.film.material import Film, FilmLayer
@@ -254,7 +254,7 @@ class WavelengthsSpec(RecipeModel):
 
 
 @dataclass(frozen=True)
-class FilmModel(Film):
+class FilmModel(Film, Fabricable):
     """A film as its recipe builds it: with its figures and its layer sheet."""
 
     @property
