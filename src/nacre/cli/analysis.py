@@ -81,7 +81,7 @@ def report(
     from nacre.analysis.html_report import dump_json, report_html, report_text
     from nacre.analysis.report import make_report
     from nacre.core.files import check_writable, write_text
-    from nacre.core.parallel import watching
+    from nacre.core.parallel import on_progress
 
     if len(recipes) > 2:
         raise NacreError(f"report takes one recipe or two, not {len(recipes)}")
@@ -99,7 +99,7 @@ def report(
             def show(done: int, total: int, task: Any = task) -> None:
                 bar.update(task, completed=done, total=total, visible=True)
 
-            with watching(show):
+            with on_progress(show):
                 reports.append(make_report(material, illuminant, observer, samples, seed))
     if output:
         if output.endswith(".html"):

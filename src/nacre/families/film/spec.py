@@ -219,7 +219,7 @@ class RidgesSpec(RecipeModel):
         )
 
 
-class BaseSpec(RecipeModel):
+class SubstrateSpec(RecipeModel):
     """A diffuse ground inside the substrate, under the film (under the ridges: what they leave lights it)."""
 
     forms: ClassVar[tuple[str, ...]] = ("{albedo = 0.05}",)
@@ -299,7 +299,7 @@ class FilmSpec(RecipeModel):
     )
     surface: SurfaceSpec = pydantic.Field(default=SurfaceSpec(), description="roughness, which all layers follow")
     ridges: RidgesSpec | None = pydantic.Field(default=None, description="ridges of lamellae, in place of roughness")
-    base: BaseSpec = pydantic.Field(default=BaseSpec(), description="a diffuse ground under the film")
+    base: SubstrateSpec = pydantic.Field(default=SubstrateSpec(), description="a diffuse ground under the film")
     wavelengths: WavelengthsSpec = pydantic.Field(
         default=WavelengthsSpec(), description="the grid of wavelengths, where the film's own choice is not wanted"
     )

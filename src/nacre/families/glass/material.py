@@ -15,7 +15,7 @@ from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.compensation import interface_losses
 from nacre.bsdf.facet_distributions import Roughness
 from nacre.bsdf.lobes.layered import Layered
-from nacre.bsdf.substrate import Base
+from nacre.bsdf.substrate import Substrate
 from nacre.core.arrays import Array
 from nacre.core.parallel import in_threads
 from nacre.families.contract import DirectEvaluation, Figure, Model, SearchFidelity, Strata, Surrogate, Traits
@@ -70,7 +70,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
     composite: Composite | Balls
     thickness_nm: float
     surface: Roughness = Roughness()
-    base: Base = Base()
+    base: Substrate = Substrate()
     quality: str = "reference"
     is_checked: bool = True
     below: tuple[Layer, ...] = ()

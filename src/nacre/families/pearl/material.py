@@ -15,7 +15,7 @@ from nacre.bsdf.compensation import interface_losses
 from nacre.bsdf.grids import direction
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.layered import Layered
-from nacre.bsdf.substrate import Base
+from nacre.bsdf.substrate import Substrate
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.families.contract import EnergyDefect, Figure, Model, Strata, Surrogate, Traits
@@ -64,7 +64,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
     )
 
     strata: tuple[Stratum, ...]
-    base: Base
+    base: Substrate
     quality: str = "reference"
     glints: Glints | None = None
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
-from nacre.core.parallel import share
+from nacre.core.parallel import parallel_for
 from nacre.families.pearl import thickness as average
 from nacre.families.pearl.thickness import Thickness
 from nacre.matter.stack.inputs import Amplitudes
@@ -249,7 +249,7 @@ def _one_face(
         )  # fmt: skip
 
     # an absorbing point costs some hundred nodes of the quadrature, any other a few terms of a series
-    share(task, 1, p.size, p.size * (1000 if nodes.size > 1 else 50), None)
+    parallel_for(task, 1, p.size, p.size * (1000 if nodes.size > 1 else 50), None)
     full = (2, *kz_s.shape)
     result_r, result_t = big_r.reshape(full), big_t.reshape(full)
     lossless = ~absorbs

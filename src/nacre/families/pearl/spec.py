@@ -9,7 +9,7 @@ import numpy as np
 import pydantic
 from numpy.typing import NDArray
 
-from nacre.bsdf.substrate_spec import OF_OTHER_FAMILY, BaseSpec, Widths, interface_roughness, nested_strata
+from nacre.bsdf.substrate_spec import OF_OTHER_FAMILY, SubstrateSpec, Widths, interface_roughness, nested_strata
 from nacre.core.errors import NacreError, RecipeError
 from nacre.families.pearl.flake_normals import FlakeNormals, rotation_matrix
 from nacre.families.pearl.glints import Glints
@@ -213,7 +213,7 @@ class PearlSpec(RecipeModel):
     strata: tuple[StratumSpec, ...] = pydantic.Field(
         min_length=1, max_length=MAX_STRATA, description="layers of resin, from the light's side inward"
     )
-    base: BaseSpec = pydantic.Field(default=BaseSpec(), description="what lies below the last stratum")
+    base: SubstrateSpec = pydantic.Field(default=SubstrateSpec(), description="what lies below the last stratum")
     glints: GlintsSpec | None = pydantic.Field(
         default=None, description="single flakes of the uppermost stratum, seen one by one"
     )

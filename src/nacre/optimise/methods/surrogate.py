@@ -11,7 +11,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.core.parallel import in_threads, one_thread_each
+from nacre.core.parallel import in_threads, single_threaded_blas
 from nacre.families.contract import Surrogate, surrogate_radiance
 from nacre.light import delta_e_2000, lamp_lines_nm, with_lamp_lines
 from nacre.material.material import Material
@@ -206,7 +206,7 @@ class WalkedSearch:
         self._is_fine = False
         self._last_told = -np.inf
 
-    @one_thread_each()  # its candidates would each find out anew how many there are
+    @single_threaded_blas()  # its candidates would each find out anew how many there are
     def run(
         self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None = None,
         known: Sequence[Mapping[str, Any]] = (),
