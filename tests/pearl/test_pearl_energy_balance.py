@@ -1,4 +1,4 @@
-"""`energy_balance = "published"`: R (1 - T) wherever a platelet is asked, and the light that it loses, told by the report."""
+"""`energy_balance = "published"`: R (1 - T) in tables, surrogate and walk, and the energy defect in the report."""
 
 from __future__ import annotations
 
