@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
+from nacre.families.contract import is_direct
 from nacre.material.material import Material
 from nacre.recipe.paths import find_by_path
 from nacre.studio.folder import Opened
@@ -108,7 +109,7 @@ def opened_parts(material: Material) -> Material:
     for key, value in material.data.items():
         if isinstance(value, Mapping) and "recipe" in value:
             with contextlib.suppress(RecipeError):  # a part that may only be named keeps its name
-                material = material.reaching([f"{key}.family"])
+                material = material.with_parts_loaded([f"{key}.family"])
     return material
 
 
@@ -123,7 +124,7 @@ def free_numbers(material: Material) -> dict[str, Any]:
         return {"look": LOOKS[0], "numbers": [], "refused": OF_HEIGHTS}
     found: dict[str, Any] = {"look": _usual_look(material), "numbers": []}
     whole = opened_parts(material)
-    numbers = list(whole.free_numbers.items())[:MOST_LISTED]
+    numbers = list(whole.parameters.items())[:MOST_LISTED]
     by_default = [path for path, _ in numbers if THICKNESS.search(path) and "[" in path]  # of layers
     by_default = by_default or [path for path, _ in numbers if LENGTH.search(path)]
     for path, value in numbers:
@@ -140,7 +141,7 @@ def free_numbers(material: Material) -> dict[str, Any]:
         })  # fmt: skip
     if not found["numbers"]:
         found["refused"] = (
-            f"this {material.model.noun} has no number that may change; the command's [free] takes words too"
+            f"this {material.model.traits.noun} has no number that may change; the command's [free] takes words too"
         )
     return found
 
@@ -152,8 +153,8 @@ def _usual_look(material: Material) -> str:
         NacreError: the material cannot be computed.
     """
     model = material.model
-    word = model.usual_look.split()[0]
-    if word not in LOOKS or model.is_quick or model.is_direct:
+    word = model.traits.default_geometry.split()[0]
+    if word not in LOOKS or model.traits.is_quick or is_direct(model):
         return word if word in LOOKS else "aspecular"
     found = model.spectrum(np.array([0.0]), PROBE_NM, "both", 0)  # None: all of it would have to be solved; it scatters
     return word if found is not None and found.specular_reflectance is not None else "aspecular"

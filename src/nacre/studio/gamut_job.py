@@ -12,9 +12,9 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.optimise.evaluation import lab_hex, nearest_in_ranges, rows_of
-from nacre.optimise.free import place_of, values_at
 from nacre.optimise.gamut import find_gamut, optimal_limits, srgb_limits
 from nacre.optimise.measurement import search_wavelengths, see
+from nacre.optimise.parameters import point_of, values_at
 from nacre.optimise.targets import Want
 from nacre.optimise.task import Target
 from nacre.studio.design_request import OBSERVER, target_of
@@ -102,7 +102,7 @@ def _aim(
     nearest = int(np.argmin(distances))
     best = float(distances[nearest])
     seen: list[Array] = []
-    place = place_of(target.free, structures[nearest])
+    place = point_of(target.free, structures[nearest])
     generator = np.random.default_rng(0)
     for step in STEPS:
         for _ in range(TRIES):
