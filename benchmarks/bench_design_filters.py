@@ -31,9 +31,9 @@ from common import PEER_PYTHON, Kept, Row, Worker, parser, report
 os.environ["NACRE_JOBS"] = "1"
 
 from nacre.matter.indices.library import index
-from nacre.optimise.run import search_of
-from nacre.optimise.task import read_target
-from nacre.optimise.thin_film.adapter import StackSearch
+from nacre.optimise.run import choose_search
+from nacre.optimise.task import read_task
+from nacre.optimise.thin_film.adapter import ThinFilmSearch
 from nacre.optimise.thin_film.search import search
 
 LEAST_NM, MOST_NM = 5.0, 400.0
@@ -125,15 +125,15 @@ def by_nacre(one: Filter, most: int, seconds: float, seed: int) -> dict[str, Any
     with tempfile.TemporaryDirectory() as folder:
         csv = Path(folder) / "wanted.csv"
         csv.write_text("nm,R\n" + "".join(f"{a:g},{b:g}\n" for a, b in zip(nm, wanted)), encoding="utf-8")
-        target = read_target({
+        target = read_task({
             "recipe": {"family": "film", "substrate": one.substrate, "layers": []},
             "layers": {"palette": list(one.palette), "most": most, "thickness_nm": [LEAST_NM, MOST_NM]},
             "want": [{"at": f"specular {one.angle_deg:g}", "spectrum": str(csv), "within": 0.01}],
             "search": {"seconds": seconds, "solutions": 1, "seed": seed},
         })  # fmt: skip
     wall, cpu = time.monotonic(), time.process_time()
-    engine = search_of(target, seed)
-    assert isinstance(engine, StackSearch)
+    engine = choose_search(target, seed)
+    assert isinstance(engine, ThinFilmSearch)
     # by CPU, not by the clock: other work on the machine shall count for neither
     found = search(engine.problem, CLOCK * seconds, 1, seed, stop=lambda: time.process_time() - cpu > seconds, jobs=1)
     changes = engine.changes(found[0])

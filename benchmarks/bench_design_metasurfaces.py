@@ -32,7 +32,7 @@ from common import Kept, Row, Worker, report, run_clock_by_cpu, searcher, within
 
 import nacre
 from nacre.core.errors import NacreError
-from nacre.optimise.measurement import At, see
+from nacre.optimise.measurement import Geometry, simulate_measurement
 
 WANTS = [f"{kind} {angle}" for kind in ("specular", "diffuse") for angle in (0, 30, 60)]
 FREE = {
@@ -81,7 +81,7 @@ def one(number: int, seed: int, seconds: float, within: float, judge: Worker) ->
             assert low <= found.best.material.get(path) <= high, path
         assert found.best.material.get("particle.material") in MATERIALS
         d = judge.ask("differences", recipe=str(Path(folder) / "recipe.toml"), wants=WANTS, labs=labs)
-    own = max(reached.distance for reached in found.best.wants)
+    own = max(reached.distance for reached in found.best.targets)
     right = found.best.material.get("particle.material") == values["particle.material"]
     return {"worst": max(d), "own": own, "wall": wall, "cpu": cpu, "same_material": right}
 
@@ -94,7 +94,7 @@ def candidate_seconds(seed: int, count: int = 20) -> float:
         made = nacre.material(start).vary(values)
         begun = time.process_time()
         try:
-            see(made, [At.read(at, "want") for at in WANTS], grid, memory=memory)
+            simulate_measurement(made, [Geometry.read(at, "want") for at in WANTS], grid, memory=memory)
         except NacreError:
             continue
         spent.append(time.process_time() - begun)

@@ -117,7 +117,7 @@ def one(number: int, seed: int, seconds: float, judge: Worker) -> dict[str, Any]
         left = nacre.load(folder / "out" / "recipe.toml").data["strata"][0].get("platelets", [])
     return {
         "mean": float(np.mean(judged["de00"])), "worst": float(np.max(judged["de00"])), "de00": judged["de00"],
-        "own": [r.distance for r in found.best.wants], "error": float(np.max([*wanted["error"], *judged["error"]])),
+        "own": [r.distance for r in found.best.targets], "error": float(np.max([*wanted["error"], *judged["error"]])),
         "wall": wall, "cpu": cpu, "pigments": [len(recipe["strata"][0]["platelets"]), len(left)],
     }  # fmt: skip
 

@@ -14,11 +14,11 @@ from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, lab_to_lch, lch_to_lab, white_xyz, xyz_to_lab
 from nacre.optimise.evaluation import nearest_in_ranges
-from nacre.optimise.measurement import At, see
+from nacre.optimise.measurement import Geometry, simulate_measurement
 from nacre.optimise.merit import hue_excess
-from nacre.optimise.spec import LightSpec, WantSpec
-from nacre.optimise.targets import read_wants, srgb_to_lab
-from nacre.optimise.task import read_target
+from nacre.optimise.spec import LightSpec, TargetEntry
+from nacre.optimise.targets import read_targets, srgb_to_lab
+from nacre.optimise.task import read_task
 from nacre.recipe.model import RecipeContext
 
 FILM: dict[str, Any] = {
@@ -58,8 +58,8 @@ def test_forms_of_one_colour_are_one_want() -> None:
         {"xyy": nacre.light.xyz_to_xyy(xyz).tolist()},
     ]
     for form in forms:
-        want = read_target(target(want=[{"at": "specular 0", **form}])).wants[0]
-        np.testing.assert_allclose(want.wanted_lab(white), lab, atol=1e-9)
+        want = read_task(target(want=[{"at": "specular 0", **form}])).targets[0]
+        np.testing.assert_allclose(want.target_lab(white), lab, atol=1e-9)
 
 
 def test_xyz_are_wanted_under_the_first_lamp_only_and_lab_under_every_one() -> None:
@@ -67,16 +67,16 @@ def test_xyz_are_wanted_under_the_first_lamp_only_and_lab_under_every_one() -> N
 
     light = {"illuminants": ["D65", "A"]}
     for form, count in (({"xyz": [0.2, 0.2, 0.2]}, 1), ({"lab": [50, 0, 0]}, 2), ({"chroma": "<=5"}, 2)):
-        read = read_target(target(want=[{"at": "specular 0", **form}], light=light))
-        found, _ = judge(read.material, read.wants, read.spec.light)
+        read = read_task(target(want=[{"at": "specular 0", **form}], light=light))
+        found, _ = judge(read.material, read.targets, read.spec.light)
         assert [r.lamp for r in found] == ["D65", "A"][:count]
 
 
 def test_geometries_mean_what_spectrum_and_report_say() -> None:
     rough = nacre.material({**FILM, "surface": {"roughness": 0.3}})
     grid = rough.bsdf().wavelengths_nm
-    ats = [At.read(text, "x") for text in ("specular 30", "45as15", "45as-15", "45as110")]
-    seen = see(rough, ats, grid)
+    ats = [Geometry.read(text, "x") for text in ("specular 30", "45as15", "45as-15", "45as110")]
+    seen = simulate_measurement(rough, ats, grid)
     np.testing.assert_array_equal(seen.factors[0], rough.spectrum(np.radians([30.0]), grid).specular_reflectance[0])
     report = nacre.report(rough)
     table = dict(zip(report.aspecular.angles_deg, report.aspecular.lab))
@@ -88,11 +88,11 @@ def test_geometries_mean_what_spectrum_and_report_say() -> None:
 
 def test_hemispherical_is_specular_and_diffuse_and_transmitted_is_that_of_nacre_spectrum() -> None:
     ground = nacre.material({**FILM, "substrate": "glass", "base": {"albedo": 0.4}})
-    ats = [At(kind, 20.0) for kind in ("specular", "diffuse", "hemispherical")]
-    mirror, diffuse, both = see(ground, ats).factors
+    ats = [Geometry(kind, 20.0) for kind in ("specular", "diffuse", "hemispherical")]
+    mirror, diffuse, both = simulate_measurement(ground, ats).factors
     np.testing.assert_allclose(mirror + diffuse, both, atol=1e-15)
     clear = nacre.material({**FILM, "substrate": "glass"})
-    seen = see(clear, [At("transmitted", 20.0)])
+    seen = simulate_measurement(clear, [Geometry("transmitted", 20.0)])
     spectrum = clear.spectrum(np.radians([20.0]), seen.wavelengths_nm)
     np.testing.assert_array_equal(seen.factors[0], spectrum.specular_transmittance[0])
 
@@ -128,8 +128,8 @@ def test_the_nearest_colour_of_a_range_is_that_of_a_dense_search(
 
 
 def test_two_numbers_and_a_table_are_the_same_bounds_and_a_star_is_every_index() -> None:
-    plain = read_target(target(free={"layers[*].thickness_nm": [50, 300]})).free
-    table = read_target(target(free={"layers[*].thickness_nm": {"min": 50, "max": 300}})).free
+    plain = read_task(target(free={"layers[*].thickness_nm": [50, 300]})).free
+    table = read_task(target(free={"layers[*].thickness_nm": {"min": 50, "max": 300}})).free
     assert plain == table and [f.path for f in plain] == ["layers[0].thickness_nm", "layers[1].thickness_nm"]
 
 
@@ -202,7 +202,7 @@ BAD = {
 def test_everything_wrong_is_told_in_one_line(name: str) -> None:
     data, word = BAD[name]
     with pytest.raises(NacreError) as caught:
-        read_target(data)
+        read_task(data)
     message = str(caught.value)
     assert word in message and "\n" not in message and message.startswith("target: "), message
 
@@ -248,15 +248,15 @@ def test_the_heading_of_a_wanted_spectrum_tells_its_units(tmp_path, heading, nm,
     part = next(mark for mark in ";\t," if mark in heading)
     rows = [f"{400 * nm}{part}{0.004 * share}", f"{500 * nm}{part}{0.4 * share}", f"{700 * nm}{part}{0.35 * share}"]
     (tmp_path / "r.csv").write_text("\n".join([heading, *rows]), encoding="utf-8")
-    want = WantSpec(at="specular 0", spectrum="r.csv")
-    (found,) = read_wants([want], LightSpec(), RecipeContext("t.toml", tmp_path))
+    want = TargetEntry(at="specular 0", spectrum="r.csv")
+    (found,) = read_targets([want], LightSpec(), RecipeContext("t.toml", tmp_path))
     np.testing.assert_allclose(found.spectrum, [[400, 500, 700], [0.004, 0.4, 0.35]], rtol=1e-12)
 
 
 def spectrum_of(folder: Path, text: str) -> Any:
     (folder / "r.csv").write_text(text, encoding="utf-8")
-    want = WantSpec(at="specular 0", spectrum="r.csv")
-    return read_wants([want], LightSpec(), RecipeContext("t.toml", folder))[0].spectrum
+    want = TargetEntry(at="specular 0", spectrum="r.csv")
+    return read_targets([want], LightSpec(), RecipeContext("t.toml", folder))[0].spectrum
 
 
 def test_a_wanted_spectrum_may_descend_as_instruments_write_it(tmp_path: Path) -> None:
@@ -274,7 +274,7 @@ def test_wavelengths_that_are_no_nm_are_told_with_the_file(tmp_path: Path) -> No
 @pytest.mark.parametrize("colour", [{"xyz": [25, 33, 20]}, {"xyy": [0.33, 0.42, 33]}])
 def test_a_colour_counted_to_100_is_told_that_white_is_1(colour: dict[str, Any]) -> None:
     def read(at: str) -> Any:
-        return read_wants([WantSpec(at=at, **colour)], LightSpec(), RecipeContext("t.toml"))
+        return read_targets([TargetEntry(at=at, **colour)], LightSpec(), RecipeContext("t.toml"))
 
     with pytest.raises(NacreError, match="white has Y = 1, .*divide by 100"):
         read("specular 0")

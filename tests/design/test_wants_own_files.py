@@ -10,7 +10,7 @@ import pytest
 
 import nacre
 from nacre.core.errors import RecipeError
-from nacre.optimise.task import read_target
+from nacre.optimise.task import read_task
 
 CONSTANT = "".join(f"{nm},2.0,0.001\n" for nm in range(300, 901, 50))
 
@@ -49,10 +49,10 @@ def test_an_answer_has_the_constants_that_it_chose_beside_it(tmp_path: Path, ask
 @pytest.mark.parametrize("asked", [sought, chosen])
 def test_a_search_goes_not_on_when_a_constant_to_choose_from_has_changed(tmp_path: Path, asked: Any) -> None:
     wanted = asked(tmp_path)
-    before = read_target(wanted).fingerprint
+    before = read_task(wanted).fingerprint
     nacre.design(wanted, tmp_path / "out")
     (tmp_path / "own.csv").write_text(CONSTANT.replace("2.0", "1.9"))
-    assert read_target(wanted).fingerprint != before
+    assert read_task(wanted).fingerprint != before
     with pytest.raises(RecipeError, match="a file that it names"):
         nacre.design(wanted, tmp_path / "out", resume=True)
 

@@ -9,9 +9,9 @@ from PIL import Image
 import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError, RecipeError
-from nacre.optimise.run import as_judged
+from nacre.optimise.run import with_method_overrides
 from nacre.optimise.solutions import write_recipe
-from nacre.optimise.task import read_target
+from nacre.optimise.task import read_task
 
 GOLD = 'family = "film"\nsubstrate = "BK7"\nlayers = [{material = "Au", thickness_nm = 400}]\n'
 OXIDE = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = {file = "own.csv"}, thickness_nm = 100}]\n'
@@ -46,7 +46,7 @@ def test_a_part_given_as_a_table_is_the_part_of_its_file(blend):
 
 
 def test_an_answer_writes_its_parts_as_files_that_every_command_takes(blend):
-    target = read_target(_target(blend, **{"second.layers[0].thickness_nm": [20, 200]}))
+    target = read_task(_target(blend, **{"second.layers[0].thickness_nm": [20, 200]}))
     changes = {"second.layers[0].thickness_nm": 150.0}
     recipe, files = write_recipe(blend / "out", target.material, changes, {})
     assert sorted(files) == ["gold.toml", "own.csv", "recipe.toml", "second.toml"]
@@ -60,7 +60,7 @@ def test_an_answer_writes_its_parts_as_files_that_every_command_takes(blend):
 
 def test_a_path_that_is_not_in_the_part_is_refused_by_its_name(blend):
     with pytest.raises(RecipeError, match=r'free."second.layers\[4\].thickness_nm"'):
-        read_target(_target(blend, **{"second.layers[4].thickness_nm": [20, 200]}))
+        read_task(_target(blend, **{"second.layers[4].thickness_nm": [20, 200]}))
 
 
 @pytest.mark.full
@@ -79,9 +79,9 @@ def test_an_answers_file_names_the_quick_way_that_it_was_judged_by(tmp_path: Pat
     start = nacre.material(dense)
     assert start.model.slow_way
     many = start.at_low_fidelity()
-    recipe, _ = write_recipe(tmp_path / "dense", many, as_judged(many, {"particle.radius_nm": 60.0}), {})
+    recipe, _ = write_recipe(tmp_path / "dense", many, with_method_overrides(many, {"particle.radius_nm": 60.0}), {})
     assert not nacre.load(recipe).model.slow_way and nacre.load(recipe).get("model.correction") == "qca-balanced"
-    recipe, _ = write_recipe(tmp_path / "thin", many, as_judged(many, {"monolayer.coverage": 0.02}), {})
+    recipe, _ = write_recipe(tmp_path / "thin", many, with_method_overrides(many, {"monolayer.coverage": 0.02}), {})
     assert "model" not in nacre.load(recipe).data
 
 

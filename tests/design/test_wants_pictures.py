@@ -17,7 +17,7 @@ from nacre.formats.number_maps import read_process
 from nacre.light import delta_e_2000, lab_to_lch, lab_to_xyz, white_xyz, xyz_to_lab
 from nacre.optimise.image.files import read_picture
 from nacre.optimise.image.matching import HUE_WORTH, dither, has_same_hue, into_solid, match
-from nacre.optimise.task import read_target
+from nacre.optimise.task import read_task
 
 WHITE = white_xyz("D65", "10deg")
 HALF_A_STEP = 0.5 / 65535  # of a 16-bit map's range
@@ -40,7 +40,7 @@ def test_the_choice_is_the_nearest_colour_of_the_whole_sheet() -> None:
     sheet, wanted = bent_sheet(), some_colours(60)
     every = sheet.reshape(-1, 3)
     brute = np.array([delta_e_2000(one, every).min() for one in wanted])
-    found = match(wanted, sheet, within=1.0, keep_hue=False)
+    found = match(wanted, sheet, tolerance=1.0, keep_hue=False)
     assert found.distance == pytest.approx(delta_e_2000(wanted, every[found.points]), abs=1e-9)
     assert np.all(found.distance <= brute + SHEET_STEP)
     assert np.median(found.distance - brute) <= 0.01
@@ -84,7 +84,7 @@ def test_colours_are_brought_into_the_solid_that_the_levels_span() -> None:
     from scipy.spatial import ConvexHull
 
     levels, wanted = corners(), np.concatenate([some_colours(100), [[55.0, 10.0, -5.0]]])
-    found, moved = into_solid(wanted, levels, WHITE, within=1.0)
+    found, moved = into_solid(wanted, levels, WHITE, tolerance=1.0)
     planes = ConvexHull(levels).equations
     assert np.all(lab_to_xyz(found, WHITE) @ planes[:, :3].T + planes[:, 3] <= 1e-6)
     assert np.array_equal(found[-1], wanted[-1]) and not moved[-1]  # inside already
@@ -94,7 +94,7 @@ def test_colours_are_brought_into_the_solid_that_the_levels_span() -> None:
 def test_two_levels_mix_along_their_line_and_say_what_lies_beside_it() -> None:
     levels = np.asarray(lab_to_xyz(np.array([[20.0, 0.0, 0.0], [90.0, 0.0, 0.0]]), WHITE))
     wanted = np.array([[60.0, 0.0, 0.0], [60.0, 40.0, 0.0], [98.0, 0.0, 0.0]])
-    found, moved = into_solid(wanted, levels, WHITE, within=2.0)
+    found, moved = into_solid(wanted, levels, WHITE, tolerance=2.0)
     assert moved.tolist() == [False, True, True]
     assert np.abs(found[:, 1:]).max() < 1e-6 and found[2, 0] == pytest.approx(90.0)
     chosen = dither(np.broadcast_to(lab_to_xyz(found[0], WHITE), (32, 32, 3)), levels, WHITE)
@@ -228,7 +228,7 @@ def test_a_calibration_turns_thickness_into_volts(designed: Path, tmp_path: Path
 
 def refused(target: dict[str, Any]) -> str:
     with pytest.raises(RecipeError) as caught:
-        read_target(target)
+        read_task(target)
     said = str(caught.value)
     assert "\n" not in said
     return said
@@ -237,7 +237,7 @@ def refused(target: dict[str, Any]) -> str:
 def test_what_a_picture_cannot_be_made_of_is_refused_in_one_line(tmp_path: Path) -> None:
     picture = write_picture(tmp_path / "p.png", ramp())
     good = anodised(picture)
-    read_target(good)
+    read_task(good)
     layer = {"material": "SiO2", "thickness_nm": 50}
     three = {**good, "recipe": {**good["recipe"], "layers": [layer] * 3}, "free": {"layers[*].thickness_nm": [5, 90]}}
     assert "3 numbers" in refused(three)

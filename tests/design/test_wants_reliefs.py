@@ -15,7 +15,7 @@ from nacre.families.relief.material import Relief
 from nacre.optimise.relief.adapter import read_relief
 from nacre.optimise.relief.run import load_target
 from nacre.optimise.relief.search import Search
-from nacre.optimise.task import seeks_heights
+from nacre.optimise.task import is_relief_task
 from nacre.recipe.model import RecipeContext
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "targets"
@@ -60,8 +60,8 @@ def test_a_colour_is_a_view_round_its_own_pair_of_directions():
 
 
 def test_only_targets_of_heights_or_pictures_go_to_the_search_of_reliefs():
-    assert seeks_heights(_target(COLOUR)) and seeks_heights({"want": [{"directions": PICTURE}]})
-    assert not seeks_heights({"recipe": RELIEF, "free": {"blur_um": [0.1, 0.2]}, "want": [COLOUR]})
+    assert is_relief_task(_target(COLOUR)) and is_relief_task({"want": [{"directions": PICTURE}]})
+    assert not is_relief_task({"recipe": RELIEF, "free": {"blur_um": [0.1, 0.2]}, "want": [COLOUR]})
 
 
 @pytest.mark.parametrize(

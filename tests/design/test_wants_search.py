@@ -16,13 +16,13 @@ import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
-from nacre.optimise.evaluation import judge, rows_of
-from nacre.optimise.methods.least_squares import GeneralSearch
+from nacre.optimise.evaluation import geometries_of, judge
+from nacre.optimise.methods.least_squares import LeastSquaresSearch
 from nacre.optimise.parameters import Parameter
-from nacre.optimise.run import WantsProgress, search_of
+from nacre.optimise.run import DesignProgress, choose_search
 from nacre.optimise.solutions import are_alike
-from nacre.optimise.task import read_target
-from nacre.optimise.thin_film.adapter import StackSearch, stack_factors
+from nacre.optimise.task import read_task
+from nacre.optimise.thin_film.adapter import ThinFilmSearch, stack_factors
 
 ROOT = Path(__file__).resolve().parents[2]
 JUDGES_AGREE = 0.02  # dE00 of two quadratures of the same spectrum
@@ -54,8 +54,8 @@ def test_a_hidden_film_is_found_by_the_search_that_knows_nothing_of_films() -> N
     free = {"layers[0].thickness_nm": [20, 90], "layers[1].material": {"choices": ["SiO2", "MgF2", "TiO2"]}}
     target = asked(0.0, 45.0, hidden=film(55, 110), recipe=film(30, 110), free=free)
     target["recipe"]["layers"][1]["material"] = "MgF2"
-    read = read_target(target)
-    search = GeneralSearch(read.material, read.free, read.wants, read.spec.light, 0, 2)
+    read = read_task(target)
+    search = LeastSquaresSearch(read.material, read.parameters, read.targets, read.spec.light, 0, 2)
     assert search.run(20.0) == "met"
     _, changes = search.answers()[0]
     assert changes["layers[1].material"] == "SiO2" and changes["layers[0].thickness_nm"] == pytest.approx(55, abs=0.3)
@@ -74,9 +74,9 @@ def test_a_design_is_as_good_as_it_says_and_stays_within_its_bounds(tmp_path: Pa
         folder = tmp_path / "out" / (str(number) if number > 1 else "")
         made = nacre.load(folder)
         assert all(20 <= made.get(f"layers[{i}].thickness_nm") <= 130 for i in range(3))
-        for r in solution.wants:
-            assert r.lamp is not None and r.want.lab is not None
-            own = delta_e_2000(r.want.lab, lab_of(made, r.want.at.theta_deg, r.lamp))
+        for r in solution.targets:
+            assert r.lamp is not None and r.target.lab is not None
+            own = delta_e_2000(r.target.lab, lab_of(made, r.target.geometry.theta_deg, r.lamp))
             assert r.distance == pytest.approx(float(own), abs=JUDGES_AGREE)
     document = json.loads((tmp_path / "out" / "design.json").read_text())
     assert document["status"] == "met" and document["seconds"] > 0
@@ -149,7 +149,7 @@ def test_an_interrupt_ends_with_the_best_and_a_resumed_run_goes_on_from_it(
     out = tmp_path / "out"
     seen = []
 
-    def interrupt(progress: WantsProgress) -> None:
+    def interrupt(progress: DesignProgress) -> None:
         seen.append(progress.worst)
         if len(seen) == 12:
             raise KeyboardInterrupt
@@ -209,9 +209,9 @@ def test_whole_numbers_and_words_alone_are_tried_one_by_one() -> None:
         "recipe": recipe, "free": {"ridges.count": [1, 3], "layers[0].material": {"choices": ["SiO2", "TiO2"]}},
         "want": [{"at": "30as15", "lab": [50, 0, 0]}],
     }  # fmt: skip
-    read = read_target(target)
-    assert Parameter("ridges.count", 1.0, 3.0, (), True) in read.free
-    search = GeneralSearch(read.material, read.free, read.wants, read.spec.light, 0, 1)
+    read = read_task(target)
+    assert Parameter("ridges.count", 1.0, 3.0, (), True) in read.parameters
+    search = LeastSquaresSearch(read.material, read.parameters, read.targets, read.spec.light, 0, 1)
     assert search.run(30.0) in ("exhausted", "met")
     assert isinstance(search.answers()[0][1]["ridges.count"], int)
 
@@ -244,18 +244,18 @@ def test_a_search_compares_a_spectrum_as_the_judge_does(tmp_path: Path, has_colo
     csv = tmp_path / "edge.csv"
     csv.write_text("".join(f"{x:g},{float(x > 580.0):g}\n" for x in nm))
     wants = [{"at": "specular 0", "spectrum": str(csv)}, {"at": "specular 30", "colour": "#305080"}]
-    target = read_target({
+    target = read_task({
         "recipe": {"family": "film", "substrate": "BK7", "layers": [
             {"material": ("TiO2", "SiO2")[i % 2], "thickness_nm": (75, 115)[i % 2]} for i in range(9)]},
         "free": {"layers[*].thickness_nm": [5, 300]},
         "want": wants[: 1 + has_colour],
     })  # fmt: skip
-    engine = search_of(target, 0)
-    assert isinstance(engine, StackSearch)
-    goals, rows = engine.problem.goals, rows_of(target.wants)
+    engine = choose_search(target, 0)
+    assert isinstance(engine, ThinFilmSearch)
+    goals, rows = engine.problem.goals, geometries_of(target.targets)
     seen = stack_factors(target.material, rows, goals.wavelengths_nm)
     assert seen is not None
-    judged, _ = judge(target.material, target.wants, target.spec.light)
+    judged, _ = judge(target.material, target.targets, target.spec.light)
     # to the other quadrature's steps of 1 and 4 nm; with the band between it is 30 % more
     assert goals.distances(seen)[0] == pytest.approx(judged[0].distance, rel=0.02)
 
@@ -278,4 +278,4 @@ def test_a_spectrum_over_a_part_of_the_wavelengths_is_met_there_beside_a_colour(
     rms = 100.0 * float(np.sqrt(np.mean(seen[0] ** 2)))
     # bare glass has 4.3 %, one quarter wave of MgF2 1.3 %
     assert design.status == "met" and rms < 0.3
-    assert design.best.wants[0].lamp is None and design.best.wants[0].distance == pytest.approx(rms, abs=0.02)
+    assert design.best.targets[0].lamp is None and design.best.targets[0].distance == pytest.approx(rms, abs=0.02)

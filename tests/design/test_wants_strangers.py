@@ -64,8 +64,8 @@ def test_a_stranger_sees_what_the_design_says(tmp_path: Path, lamps: list[str]) 
     assert len(design.solutions) == 2
     for solution in design.solutions:
         assert solution.recipe is not None
-        for r in solution.wants:
+        for r in solution.targets:
             assert r.lamp is not None
-            seen = stranger(solution.recipe, r.want.at.theta_deg, r.lamp)
+            seen = stranger(solution.recipe, r.target.geometry.theta_deg, r.lamp)
             own = float(colour.delta_E(np.array([50.0, -20.0, 10.0]), seen, method="CIE 2000"))
             assert r.distance == pytest.approx(own, abs=CUT_OFF)

@@ -80,8 +80,8 @@ def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bo
             click.echo(f"the {MOST_TOLD} farthest; all are in {folder / TABLE}")
         for row, solution in pairs:
             worst = solution.worst
-            missed = "" if solution.is_met else f", out of reach (within {worst.want.within:g} was asked)"
-            click.echo(f"  {row['name'] or row['folder']}: dE00 {worst.distance:.2f} at {worst.want.at} under "
+            missed = "" if solution.is_met else f", out of reach (within {worst.target.tolerance:g} was asked)"
+            click.echo(f"  {row['name'] or row['folder']}: dE00 {worst.distance:.2f} at {worst.target.geometry} under "
                        f"{worst.lamp}{missed}   {solution.recipe.parent if solution.recipe else ''}")  # fmt: skip
     common.note(f"{folder}: {TABLE}; nacre render {folder / found.rows[0]['folder']}")
 
@@ -120,7 +120,7 @@ def _tell_wants(result: Any, as_json: bool) -> None:
             total = solution.facts.get("total_nm")
             thick = "" if total is None else f", {total:.0f} nm in all"
             distance = f"{worst.distance:.2f}" + (" % rms" if worst.lamp is None else "")
-            click.echo(f"  {number}  {'dE00 ' if worst.lamp else ''}{distance} at {worst.want.at}{thick}{made}"
+            click.echo(f"  {number}  {'dE00 ' if worst.lamp else ''}{distance} at {worst.target.geometry}{thick}{made}"
                        f"   {solution.recipe.parent}")  # fmt: skip
     common.note(f"{result.folder}: report.html; nacre render {result.folder}; nacre report {result.folder}")
 

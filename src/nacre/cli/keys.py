@@ -25,7 +25,7 @@ MUST = "must be given"
 # kinds of files beside recipes -> what reads them
 OTHER_FILES = {
     "target": "nacre.optimise.relief.target:TargetSpec",
-    "wants": "nacre.optimise.spec:WantsSpec",
+    "wants": "nacre.optimise.spec:DesignSpec",
     "sweep": "nacre.analysis.sweep_plan:SweepSpec",
     "gallery": "nacre.cli.gallery:GallerySpec",
 }

@@ -35,12 +35,12 @@ from nacre.light import (
 from nacre.material.material import Material
 from nacre.matter.stack.solve import powers
 from nacre.optimise.evaluation import lab_hex
-from nacre.optimise.measurement import At, check_answers, search_wavelengths, see
+from nacre.optimise.measurement import Geometry, check_answers, search_wavelengths, simulate_measurement
 from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, values_at
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import check_light
-from nacre.optimise.task import Target
-from nacre.optimise.thin_film.adapter import StackSearch, film_search
+from nacre.optimise.task import DesignTask
+from nacre.optimise.thin_film.adapter import ThinFilmSearch, thin_film_search
 from nacre.recipe.model import RecipeContext
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ def find_gamut(
     )  # fmt: skip
 
 
-def _answered(materials: Sequence[Material], at: str | None, where: str) -> At:
+def _answered(materials: Sequence[Material], at: str | None, where: str) -> Geometry:
     """Return the geometry asked for; of none the family's usual one, or the first other that is answered.
 
     What a family usually shows may be missing in one of its recipes: a blend of two pearls has no mirror.
@@ -193,7 +193,7 @@ def _answered(materials: Sequence[Material], at: str | None, where: str) -> At:
     asked = [usual, *(look for look in OTHER_LOOKS if look != usual)] if at is None else [at]
     refused: list[RecipeError] = []
     for text in asked:
-        found = At.read(text, where)
+        found = Geometry.read(text, where)
         try:
             check_answers(materials, [found], [where])
         except RecipeError as error:
@@ -204,7 +204,7 @@ def _answered(materials: Sequence[Material], at: str | None, where: str) -> At:
 
 
 def gamut_of_free(
-    material: Material, numbers: Sequence[Parameter], at: At, *, points: int, seconds: float = np.inf, illuminant: str,
+    material: Material, numbers: Sequence[Parameter], at: Geometry, *, points: int, seconds: float = np.inf, illuminant: str,
     observer: str, within: float = 2.0, samples: int | None = None, seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Gamut:  # fmt: skip
@@ -218,7 +218,9 @@ def gamut_of_free(
     memory: dict[Any, Any] = {}
 
     def look(values: Mapping[str, Any]) -> Array:
-        return see(material.vary(values), [at], grid, samples=samples, seed=seed, memory=memory).factors[0]
+        return simulate_measurement(
+            material.vary(values), [at], grid, samples=samples, seed=seed, memory=memory
+        ).factors[0]
 
     light = (illuminant, observer)
     places, factors, failed = _draw(numbers, look, material, points, seconds, seed, grid, light, progress)
@@ -498,7 +500,7 @@ POINTS = 400
 SHORT_SHARE = 0.3  # of thicknesses: drawn near the lower bound, where metals let light through
 
 
-def reach_of(target: Target, seconds: float) -> tuple[Gamut, Array] | None:
+def reach_of(target: DesignTask, seconds: float) -> tuple[Gamut, Array] | None:
     """Return the gamut at the first colour that is wanted, and the colours wanted there `[want, 3]`, CIELAB.
 
     None where only spectra are wanted.
@@ -509,25 +511,25 @@ def reach_of(target: Target, seconds: float) -> tuple[Gamut, Array] | None:
     Raises:
         NacreError: nothing can be computed.
     """
-    colours = [want for want in target.wants if want.spectrum is None]
+    colours = [want for want in target.targets if want.spectrum is None]
     if not colours:
         return None
-    at, light = colours[0].at, target.spec.light
+    at, light = colours[0].geometry, target.spec.light
     white = white_xyz(light.illuminants[0], light.observer)
-    wanted = [want.wanted_lab(white) for want in colours if want.at == at]
+    wanted = [want.target_lab(white) for want in colours if want.geometry == at]
     marks = np.array([lab for lab in wanted if lab is not None]).reshape(-1, 3)
-    search = film_search(target, 0)
+    search = thin_film_search(target, 0)
     if search is not None:
         return _of_stacks(search, target, at), marks
     seed = target.spec.search.seed
     found = gamut_of_free(
-        target.material, target.free, at, points=POINTS, seconds=seconds, illuminant=light.illuminants[0],
+        target.material, target.parameters, at, points=POINTS, seconds=seconds, illuminant=light.illuminants[0],
         observer=light.observer, seed=seed,
     )  # fmt: skip
     return found, marks
 
 
-def _of_stacks(search: StackSearch, target: Target, at: At) -> Gamut:
+def _of_stacks(search: ThinFilmSearch, target: DesignTask, at: Geometry) -> Gamut:
     """Draw stacks that the target allows, many at once."""
     problem, light = search.problem, target.spec.light
     generator = np.random.default_rng([target.spec.search.seed, 5])
@@ -560,13 +562,13 @@ def _of_stacks(search: StackSearch, target: Target, at: At) -> Gamut:
     return gamut_of(np.concatenate(factors), grid, structures, str(at), light.illuminants[0], light.observer)
 
 
-def _pick(search: StackSearch, slot: int, generator: np.random.Generator) -> str:
+def _pick(search: ThinFilmSearch, slot: int, generator: np.random.Generator) -> str:
     slots = search.problem.slots
     names = [m.name for m in search.problem.palette] if slots is None else slots[slot].materials
     return str(names[int(generator.integers(len(names)))])
 
 
-def reach_of_or_none(target: Target, seconds: float) -> tuple[Gamut, Array] | None:
+def reach_of_or_none(target: DesignTask, seconds: float) -> tuple[Gamut, Array] | None:
     """As `reach_of`; None where it cannot be computed: the report then goes without."""
     try:
         return reach_of(target, seconds)

@@ -113,4 +113,4 @@ def wilson_interval(good: int, count: int, z: float = 1.96) -> tuple[float, floa
     return max(0.0, float(centre - half)), min(1.0, float(centre + half))
 
 
-__all__ = ["Tolerance", "read_tolerance", "wilson_interval", "read_tolerances"]
+__all__ = ["Tolerance", "read_tolerance", "read_tolerances", "wilson_interval"]

@@ -20,7 +20,7 @@ from nacre.studio.folder import Opened
 from nacre.studio.measured import built, placed, read_lamp
 
 if TYPE_CHECKING:
-    from nacre.optimise.task import Target
+    from nacre.optimise.task import DesignTask
 
 LOOKS = ("specular", "transmitted", "diffuse", "hemispherical", "aspecular")
 OBSERVER = "2deg"  # as all colours of the page
@@ -184,13 +184,13 @@ def _is_allowed(material: Material, path: str, value: float) -> bool:
     return True
 
 
-def target_of(question: Mapping[str, Any]) -> Target:
+def target_of(question: Mapping[str, Any]) -> DesignTask:
     """Return the checked target of a question; the current folder becomes the recipe's.
 
     Raises:
         NacreError: the recipe is wrong or reaches outside its fence, or the material cannot answer.
     """
-    from nacre.optimise.task import read_target
+    from nacre.optimise.task import read_task
 
     material = built(question["recipe"])  # with its fence, before anything is read without one
     if "heights" in material.data:
@@ -204,6 +204,6 @@ def target_of(question: Mapping[str, Any]) -> Target:
         "search": {"seconds": question["seconds"], "solutions": question["solutions"]},
     }
     try:
-        return read_target(data)
+        return read_task(data)
     except NacreError as error:
         raise NacreError(str(error).removeprefix("target: ")) from None

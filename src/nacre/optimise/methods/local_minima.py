@@ -28,7 +28,7 @@ BESIDE = 0.1  # of the bounds: what is nearer is the same minimum
 STEP = 1e-3  # of the bounds, for slopes
 
 
-class Valleys:
+class BasinHopping:
     """All descents of one question.
 
     Args:
@@ -133,4 +133,4 @@ class Valleys:
         return np.stack(in_threads(column, numbers), axis=1)
 
 
-__all__ = ["Valleys"]
+__all__ = ["BasinHopping"]

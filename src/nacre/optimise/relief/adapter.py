@@ -28,13 +28,13 @@ from nacre.families.relief.validity import largest_depth_nm
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, lab_to_xyz, white_xyz, xyz_to_srgb_linear
 from nacre.material.material import Material, load
 from nacre.measure.instruments import aspecular_direction
-from nacre.optimise.evaluation import Reached, reached, rows_of
-from nacre.optimise.measurement import aspecular_pairs, judge_wavelengths, see
+from nacre.optimise.evaluation import TargetResult, geometries_of, reached
+from nacre.optimise.measurement import aspecular_pairs, evaluation_wavelengths, simulate_measurement
 from nacre.optimise.relief.merit import GAMMA, Problem, View, default_weights
 from nacre.optimise.relief.run import DesignResult, design
 from nacre.optimise.relief.target import LARGEST_TILE_FEATURES, TargetSpec
-from nacre.optimise.spec import WantsSpec
-from nacre.optimise.targets import Want, read_wants
+from nacre.optimise.spec import DesignSpec
+from nacre.optimise.targets import Target, read_targets
 from nacre.optimise.task import read_data
 from nacre.recipe.model import RecipeContext, show_value, validate
 from nacre.recipe.toml import parse_toml
@@ -62,8 +62,8 @@ class ReliefTarget:
     spec: TargetSpec
     context: RecipeContext
     problem: Problem
-    asked: WantsSpec
-    colours: tuple[Want, ...]
+    asked: DesignSpec
+    colours: tuple[Target, ...]
 
 
 def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget:
@@ -72,7 +72,7 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
     Raises:
         RecipeError: naming file, key, value and what is allowed.
     """
-    spec: WantsSpec = validate(WantsSpec, copy.deepcopy(dict(data)), context)
+    spec: DesignSpec = validate(DesignSpec, copy.deepcopy(dict(data)), context)
     source = context.source
     recipe = _recipe(spec, context)
     height_um, features = _free(spec, source)
@@ -80,11 +80,11 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
         given = data.get(name)
         if given and not (name in KNOWN_IN and set(given) <= KNOWN_IN[name]):
             raise RecipeError(f"{source}: {name}: is not known of a relief whose heights are sought")
-    tables = [(f"want[{i}].directions", want.directions) for i, want in enumerate(spec.want) if want.directions]
+    tables = [(f"want[{i}].directions", want.directions) for i, want in enumerate(spec.target) if want.directions]
     # a want keeps its place in the file, which messages name
     colours = tuple(
-        replace(read_wants([want], spec.light, context)[0], key=f"{source}: want[{i}]")
-        for i, want in enumerate(spec.want)
+        replace(read_targets([want], spec.light, context)[0], key=f"{source}: want[{i}]")
+        for i, want in enumerate(spec.target)
         if want.directions is None
     )
     for want in colours:
@@ -92,7 +92,7 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
     pictures = [table for _, table in tables]
     if colours and pictures and pictures[0].intensity_scale == "free":
         raise RecipeError(
-            f'{source}: {tables[0][0]}.intensity_scale = "free" beside a colour at "{colours[0].at}": how bright the '
+            f'{source}: {tables[0][0]}.intensity_scale = "free" beside a colour at "{colours[0].geometry}": how bright the '
             f"picture is must be said; write a number, with {np.pi:.4g} for that of a white of pi f = 1"
         )
     made = {
@@ -106,7 +106,7 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
         "search": {"time_limit_s": spec.search.seconds, "seed": spec.search.seed, "noise": _noise(spec, source)},
     }
     relief: TargetSpec = validate(TargetSpec, made, context)
-    if spec.limits.trusted:
+    if spec.limits.within_validity:
         highest_um = largest_depth_nm(1e3 * relief.feature_um) / 1e3
         relief = relief.model_copy(update={"height_max_um": min(relief.height_max_um, highest_um)})
     try:
@@ -119,7 +119,7 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
     return ReliefTarget(relief, context, problem, spec, colours)
 
 
-def _recipe(spec: WantsSpec, context: RecipeContext) -> dict[str, Any]:
+def _recipe(spec: DesignSpec, context: RecipeContext) -> dict[str, Any]:
     """Return the recipe's table: feature_um, blur_um, coherence, and what else a relief has beside its heights."""
     if isinstance(spec.recipe, str):
         path = context.path(spec.recipe)
@@ -139,9 +139,9 @@ def _recipe(spec: WantsSpec, context: RecipeContext) -> dict[str, Any]:
     return recipe
 
 
-def _free(spec: WantsSpec, source: str) -> tuple[float, int]:
+def _free(spec: DesignSpec, source: str) -> tuple[float, int]:
     """Return the largest height in um and the number of features along a side."""
-    free = dict(spec.free)
+    free = dict(spec.parameters)
     if HEIGHTS not in free:
         raise RecipeError(f"{source}: a picture over directions needs free heights: write heights = [0, 0.8] in [free]")
     given, features = free.pop(HEIGHTS), free.pop(FEATURES, 32)
@@ -167,9 +167,9 @@ def _pair(given: Any) -> tuple[Any, Any]:
     return (given[0], given[1]) if isinstance(given, list | tuple) and len(given) == 2 else (None, None)
 
 
-def _noise(spec: WantsSpec, source: str) -> float:
+def _noise(spec: DesignSpec, source: str) -> float:
     """Return the relative noise of each height, from `[spread] heights = "2%"`."""
-    given = spec.spread.get(HEIGHTS)
+    given = spec.tolerance.get(HEIGHTS)
     if given is None:
         return 0.0
     text = f"{given.get('percent')}%" if isinstance(given, Mapping) else str(given)
@@ -182,17 +182,17 @@ def _noise(spec: WantsSpec, source: str) -> float:
     return value
 
 
-def _check_colour(want: Want) -> None:
-    if want.at.kind != "aspecular":
+def _check_colour(want: Target) -> None:
+    if want.geometry.kind != "aspecular":
         raise RecipeError(
-            f'{want.key}.at = "{want.at}" cannot be sought of a relief\'s heights; write a pair of directions, "45as15"'
+            f'{want.key}.at = "{want.geometry}" cannot be sought of a relief\'s heights; write a pair of directions, "45as15"'
         )
     if want.lab is None and want.xyz is None:
         raise RecipeError(f"{want.key}: of a relief's heights a colour is sought; give colour, lab, lch, xyz or xyy")
 
 
 def _with_colours(
-    problem: Problem, relief: TargetSpec, colours: tuple[Want, ...], spec: WantsSpec, has_pictures: bool
+    problem: Problem, relief: TargetSpec, colours: tuple[Target, ...], spec: DesignSpec, has_pictures: bool
 ) -> Problem:
     """Return the problem with an even view round the directions of each colour."""
     scale = problem.intensity_scale if has_pictures else np.pi  # display = (scale f)^(1/2.2); pi f = 1 is white
@@ -204,10 +204,10 @@ def _with_colours(
     white = white_xyz(spec.light.illuminants[0], spec.light.observer)
     views = []
     for want in colours:
-        wi = direction(np.radians(want.at.theta_deg))
-        wo = aspecular_direction(want.at.theta_deg, want.at.aspecular_deg)
+        wi = direction(np.radians(want.geometry.theta_deg))
+        wo = aspecular_direction(want.geometry.theta_deg, want.geometry.aspecular_deg)
         geometry = SliceGeometry(wi[0] + wo[0] + offsets, wi[1] + wo[1] + offsets, wi[None], weights.wavelengths_nm)
-        lab = want.wanted_lab(white)
+        lab = want.target_lab(white)
         assert lab is not None  # `_check_colour` took none other
         linear = _linear_rgb(lab, white)
         shown = (scale / np.pi * linear) ** (1.0 / GAMMA)
@@ -259,24 +259,26 @@ def _rehearsed(read: ReliefTarget) -> float:
     heights_nm = 1e3 * spec.height_max_um * np.random.default_rng(0).random((spec.features, spec.features))
     tile = Tile(heights_nm, 1e3 * spec.feature_um, 1e3 * spec.blur_um)
     some = Relief(tile, spec.coherence.build(), spec.coating.build(read.context), spec.chosen_prefactor)
-    wi, wo = aspecular_pairs(rows_of(read.colours))
+    wi, wo = aspecular_pairs(geometries_of(read.colours))
     begun, compiled = time.monotonic(), seconds_compiled()
     some.values_at(wi, wo, some.wavelengths_nm)
     return time.monotonic() - begun - (seconds_compiled() - compiled)
 
 
-def _judged(read: ReliefTarget, made: Material) -> list[Reached]:
+def _judged(read: ReliefTarget, made: Material) -> list[TargetResult]:
     """Return what a relief reaches of the colours, looked at in their directions alone, by its own physics."""
     if not read.colours:
         return []
-    grid = judge_wavelengths(made, read.asked.light.illuminants)
-    return reached(see(made, rows_of(read.colours), grid, memory={}), read.colours, read.asked.light)
+    grid = evaluation_wavelengths(made, read.asked.light.illuminants)
+    return reached(
+        simulate_measurement(made, geometries_of(read.colours), grid, memory={}), read.colours, read.asked.light
+    )
 
 
 def _solution(read: ReliefTarget, folder: Path, found: Mapping[str, Any]) -> dict[str, Any]:
     light = read.asked.light
     losses = {name: found[name] for name in ("loss_fixed", "loss_free")}
-    tables = [want.directions for want in read.asked.want if want.directions is not None]
+    tables = [want.directions for want in read.asked.target if want.directions is not None]
     pictures = [
         {
             "at": "directions",

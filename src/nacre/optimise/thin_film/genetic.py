@@ -59,7 +59,7 @@ class Space(NamedTuple):
     draws: Array
 
 
-class Brood(NamedTuple):
+class Population(NamedTuple):
     """Stacks in arrays: `media[k, slot]`, `d[k, slot]` in nm, `layers[k]`, `substrate[k]`, `score[k]`."""
 
     media: Any
@@ -69,10 +69,10 @@ class Brood(NamedTuple):
     score: Array
 
 
-def empty_brood(size: int, slots: int) -> Brood:
+def empty_population(size: int, slots: int) -> Population:
     """Return room for so many stacks."""
     n = max(slots, 1)
-    return Brood(
+    return Population(
         np.zeros((size, n), dtype=np.int64),
         np.zeros((size, n)),
         np.zeros(size, dtype=np.int64),
@@ -238,7 +238,7 @@ def _with_yield(nominal: float, missed: float) -> float:
 
 
 @compiled(error_model="numpy", nogil=True)
-def breed(
+def evolve(
     tables: Any, looks: Any, space: Any, pool: Any, pool_size: int, children: int, fresh: float, target: float,
     seed: int, s: Any, out: Any,
 ) -> int:  # fmt: skip

@@ -14,7 +14,7 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.jit import compiled
 from nacre.matter.stack.thickness_gradient import StackTables, scratch, spectra_and_slopes
-from nacre.optimise.thin_film.merit_kernel import Looks, look, score
+from nacre.optimise.thin_film.merit_kernel import CompiledMerit, look, score
 
 FIRST_DAMPING = 1e-2
 MOST_DAMPING = 1e7
@@ -42,7 +42,7 @@ class Workspace(NamedTuple):
     best_u: Array
 
 
-def workspace(tables: StackTables, looks: Looks, layers: int) -> Workspace:
+def workspace(tables: StackTables, looks: CompiledMerit, layers: int) -> Workspace:
     """Return working memory for stacks of up to so many layers."""
     n = max(layers, 1)
     rows, _, samples = tables.turns_r.shape
