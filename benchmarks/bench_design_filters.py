@@ -127,8 +127,8 @@ def by_nacre(one: Filter, most: int, seconds: float, seed: int) -> dict[str, Any
         csv.write_text("nm,R\n" + "".join(f"{a:g},{b:g}\n" for a, b in zip(nm, wanted)), encoding="utf-8")
         target = read_task({
             "recipe": {"family": "film", "substrate": one.substrate, "layers": []},
-            "layers": {"palette": list(one.palette), "most": most, "thickness_nm": [LEAST_NM, MOST_NM]},
-            "want": [{"at": f"specular {one.angle_deg:g}", "spectrum": str(csv), "within": 0.01}],
+            "layers": {"palette": list(one.palette), "max_layers": most, "thickness_nm": [LEAST_NM, MOST_NM]},
+            "target": [{"geometry": f"specular {one.angle_deg:g}", "spectrum": str(csv), "tolerance": 0.01}],
             "search": {"seconds": seconds, "solutions": 1, "seed": seed},
         })  # fmt: skip
     wall, cpu = time.monotonic(), time.process_time()

@@ -69,8 +69,8 @@ def one(number: int, seed: int, seconds: float, within: float, judge: Worker) ->
         return {"skipped": "a sphere whose series does not converge"}
     target = {
         "recipe": start,
-        "free": {**{path: list(bounds) for path, bounds in FREE.items()}, "particle.material": {"choices": MATERIALS}},
-        "want": [{"at": at, "lab": lab, "within": within} for at, lab in zip(WANTS, labs)],
+        "parameters": {**{path: list(bounds) for path, bounds in FREE.items()}, "particle.material": {"choices": MATERIALS}},
+        "target": [{"geometry": at, "lab": lab, "tolerance": within} for at, lab in zip(WANTS, labs)],
         "search": {"seconds": seconds, "solutions": 1, "seed": seed},
     }
     with tempfile.TemporaryDirectory() as folder:

@@ -96,9 +96,9 @@ def target(start: dict[str, Any], labs: list[list[float]], seconds: float, seed:
         free[f"{head}.volume_fraction"] = [0.0, 0.08]
         free[f"{head}.coatings[0].thickness_nm"] = list(coating)
         free[f"{head}.substrate.thickness_nm"] = list(substrate)
-    wants = [{"at": at, "lab": lab, "within": BAR_DE00} for at, lab in zip(GEOMETRIES, labs, strict=True)]
+    wants = [{"geometry": at, "lab": lab, "tolerance": BAR_DE00} for at, lab in zip(GEOMETRIES, labs, strict=True)]
     search = {"seconds": seconds, "solutions": 1, "seed": seed}
-    return {"recipe": start, "free": free, "want": wants, "search": search}
+    return {"recipe": start, "parameters": free, "target": wants, "search": search}
 
 
 def one(number: int, seed: int, seconds: float, judge: Worker) -> dict[str, Any]:

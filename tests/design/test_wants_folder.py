@@ -18,8 +18,8 @@ from nacre.recipe.toml import dump_toml
 
 TARGET: dict[str, Any] = {
     "recipe": {"family": "film", "substrate": "Ti", "layers": [{"material": "SiO2", "thickness_nm": 100.0}]},
-    "free": {"layers[0].thickness_nm": [5, 300]},
-    "want": [{"at": "specular 0", "lab": [50, 5, 20], "within": 30.0}],
+    "parameters": {"layers[0].thickness_nm": [5, 300]},
+    "target": [{"geometry": "specular 0", "lab": [50, 5, 20], "tolerance": 30.0}],
     "search": {"seconds": 1, "solutions": 3},
 }
 
@@ -127,7 +127,7 @@ def test_a_resumed_search_tells_nothing_worse_than_what_stood(
 ) -> None:
     """A search compares by its own route: here one that takes another answer for the best than the judge does."""
     target: dict[str, Any] = {key: value for key, value in TARGET.items() if key != "free"}
-    target |= {"layers": {"palette": ["SiO2"], "most": 1}, "limits": limits, "search": {"seconds": 1, "solutions": 1}}
+    target |= {"layers": {"palette": ["SiO2"], "max_layers": 1}, "limits": limits, "search": {"seconds": 1, "solutions": 1}}
     first = nacre.design(target, tmp_path / "out")
 
     class Misled:

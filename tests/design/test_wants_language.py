@@ -28,13 +28,13 @@ FILM: dict[str, Any] = {
 }
 FLAKE = {"volume_fraction": 0.01, "substrate": {"material": "mica", "thickness_nm": 400}}
 PEARL = {"family": "pearl", "strata": [{"resin": {"n": 1.5}, "thickness_um": 20, "platelets": [FLAKE]}]}
-ONE = {"at": "specular 0", "colour": "#777777"}
+ONE = {"geometry": "specular 0", "colour": "#777777"}
 # nacre's white is that of the sRGB matrix, colour-science's that of the four digits of xy: 2e-2 in a blue
 SRGB_WHITE = 0.05
 
 
 def target(**changes: Any) -> dict[str, Any]:
-    base: dict[str, Any] = {"recipe": FILM, "free": {"layers[0].thickness_nm": [50, 300]}, "want": [ONE]}
+    base: dict[str, Any] = {"recipe": FILM, "parameters": {"layers[0].thickness_nm": [50, 300]}, "target": [ONE]}
     return {key: value for key, value in (base | changes).items() if value is not None}
 
 
@@ -58,7 +58,7 @@ def test_forms_of_one_colour_are_one_want() -> None:
         {"xyy": nacre.light.xyz_to_xyy(xyz).tolist()},
     ]
     for form in forms:
-        want = read_task(target(want=[{"at": "specular 0", **form}])).targets[0]
+        want = read_task(target(want=[{"geometry": "specular 0", **form}])).targets[0]
         np.testing.assert_allclose(want.target_lab(white), lab, atol=1e-9)
 
 
@@ -67,7 +67,7 @@ def test_xyz_are_wanted_under_the_first_lamp_only_and_lab_under_every_one() -> N
 
     light = {"illuminants": ["D65", "A"]}
     for form, count in (({"xyz": [0.2, 0.2, 0.2]}, 1), ({"lab": [50, 0, 0]}, 2), ({"chroma": "<=5"}, 2)):
-        read = read_task(target(want=[{"at": "specular 0", **form}], light=light))
+        read = read_task(target(want=[{"geometry": "specular 0", **form}], light=light))
         found, _ = judge(read.material, read.targets, read.spec.light)
         assert [r.lamp for r in found] == ["D65", "A"][:count]
 
@@ -153,18 +153,18 @@ BAD = {
     ),
     "crossing bounds of layers": (target(free=None, layers={"palette": ["Cr"], "thickness_nm": [20, 3]}), "cross"),
     "free naming a layer beside layers": (target(layers={"palette": ["TiO2"]}), "keep one"),
-    "a want that an opaque base cannot answer": (target(want=[{**ONE, "at": "transmitted 0"}]), "cannot be answered"),
-    "diffuse light of a mirror": (target(want=[{**ONE, "at": "diffuse 0"}]), "cannot be answered"),
-    "aspecular light of a mirror": (target(want=[{**ONE, "at": "45as15"}]), "cannot be answered"),
+    "a want that an opaque base cannot answer": (target(want=[{**ONE, "geometry": "transmitted 0"}]), "cannot be answered"),
+    "diffuse light of a mirror": (target(want=[{**ONE, "geometry": "diffuse 0"}]), "cannot be answered"),
+    "aspecular light of a mirror": (target(want=[{**ONE, "geometry": "45as15"}]), "cannot be answered"),
     "two colours at one place": (target(want=[ONE, {**ONE, "colour": "#ff0000"}]), "no answer has both"),
-    "an unknown geometry": (target(want=[{**ONE, "at": "speculr 0"}]), 'Did you mean "specular"'),
-    "light from behind": (target(want=[{**ONE, "at": "specular 95"}]), "90"),
-    "a viewer behind the surface": (target(want=[{**ONE, "at": "20as115"}]), "behind"),
+    "an unknown geometry": (target(want=[{**ONE, "geometry": "speculr 0"}]), 'Did you mean "specular"'),
+    "light from behind": (target(want=[{**ONE, "geometry": "specular 95"}]), "90"),
+    "a viewer behind the surface": (target(want=[{**ONE, "geometry": "20as115"}]), "behind"),
     "a colour that is none": (target(want=[{**ONE, "colour": "pinkish"}]), "#rrggbb"),
     "two forms of a colour": (target(want=[{**ONE, "lab": [1, 2, 3]}]), "exactly one"),
-    "no colour": (target(want=[{"at": "specular 0"}]), "exactly one"),
-    "a bound that cannot be read": (target(want=[{"at": "specular 0", "chroma": "> 40"}]), ">=40"),
-    "a spectrum that is not there": (target(want=[{"at": "specular 0", "spectrum": "no.csv"}]), "does not exist"),
+    "no colour": (target(want=[{"geometry": "specular 0"}]), "exactly one"),
+    "a bound that cannot be read": (target(want=[{"geometry": "specular 0", "chroma": "> 40"}]), ">=40"),
+    "a spectrum that is not there": (target(want=[{"geometry": "specular 0", "spectrum": "no.csv"}]), "does not exist"),
     "an unknown lamp": (target(light={"illuminants": ["D66"]}), "D65"),
     "an unknown observer": (target(light={"observer": "3deg"}), "10deg"),
     "spreads without wants": (target(want=None, spread={"layers[*].thickness_nm": "2%"}), "want is missing"),
@@ -177,21 +177,21 @@ BAD = {
     ),
     "a bound that the recipe never allows": (target(free={"layers[0].thickness_nm": [-50, 50]}), "= [-50, 50]: "),
     "a bound that the table of a flake never allows": (
-        target(recipe=PEARL, free={"strata[0].platelets[0].volume_fraction": [0, 0.5]}, want=[{**ONE, "at": "45as15"}]),
+        target(recipe=PEARL, free={"strata[0].platelets[0].volume_fraction": [0, 0.5]}, want=[{**ONE, "geometry": "45as15"}]),
         "= 0.5 is not allowed",
     ),
     "bounds without an end": (target(free={"layers[0].thickness_nm": {"min": 3}}), "{min = 3}"),
     "bounds and choices": (target(free={"layers[0].thickness_nm": {"min": 3, "choices": [4]}}), "not both"),
-    "a chroma without a side": (target(want=[{"at": "specular 0", "chroma": 40}]), 'write ">=40"'),
+    "a chroma without a side": (target(want=[{"geometry": "specular 0", "chroma": 40}]), 'write ">=40"'),
     "the fewest of given layers": (target(limits={"layers": "fewest"}), "add [layers]"),
-    "a total below the least of given layers": (target(limits={"total_nm": 60}), "is 90 nm"),
+    "a total below the least of given layers": (target(limits={"max_total_nm": 60}), "is 90 nm"),
     "a total of what has no layers": (
-        target(recipe=PEARL, free={"base.albedo": [0, 1]}, want=[{**ONE, "at": "45as15"}], limits={"total_nm": 60}),
+        target(recipe=PEARL, free={"base.albedo": [0, 1]}, want=[{**ONE, "geometry": "45as15"}], limits={"max_total_nm": 60}),
         "has no layers",
     ),
-    "a chromaticity outside all colours": (target(want=[{"at": "specular 0", "xyy": [0.3, 0, 0.2]}]), "no colour"),
+    "a chromaticity outside all colours": (target(want=[{"geometry": "specular 0", "xyy": [0.3, 0, 0.2]}]), "no colour"),
     "a total below every layer": (
-        target(free=None, layers={"palette": ["SiO2"], "thickness_nm": [50, 90]}, limits={"total_nm": 20}), "no layer",
+        target(free=None, layers={"palette": ["SiO2"], "thickness_nm": [50, 90]}, limits={"max_total_nm": 20}), "no layer",
     ),
     "a spread of an index that does not exist": (target(spread={"layers[9].thickness_nm": 3}), "does not exist"),
     "a key that is not known": (target(wants=3), 'Did you mean "want"'),
@@ -209,7 +209,7 @@ def test_everything_wrong_is_told_in_one_line(name: str) -> None:
 
 def test_the_command_tells_it_with_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "wrong.toml"
-    path.write_text('recipe = "no.toml"\n[[want]]\nat = "specular 0"\ncolour = "#777777"\n')
+    path.write_text('recipe = "no.toml"\n[[target]]\ngeometry = "specular 0"\ncolour = "#777777"\n')
     assert run(["design", str(path), "-o", str(tmp_path / "out")]) == 2
     err = capsys.readouterr().err
     assert "no.toml" in err and len(err.strip().splitlines()) == 1
@@ -220,8 +220,8 @@ def test_the_command_tells_it_with_status_2(tmp_path: Path, capsys: pytest.Captu
     ("text", "word"),
     [
         ("", "says no look"),
-        ('recipe = {family = "film", substrate = "Si", layers = [{material = "SiO2", thickness_nm = 50}]}\n[free]\n'
-         '"layers[0].thickness_nm" = [5, 90]\n[[want]]\nat = "specular 0"\nspectrum = "uv.csv"\n', "is known from"),
+        ('recipe = {family = "film", substrate = "Si", layers = [{material = "SiO2", thickness_nm = 50}]}\n[parameters]\n'
+         '"layers[0].thickness_nm" = [5, 90]\n[[target]]\ngeometry = "specular 0"\nspectrum = "uv.csv"\n', "is known from"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_searched_leaves_nothing_behind(

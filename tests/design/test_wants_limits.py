@@ -28,8 +28,8 @@ def test_a_search_of_any_family_makes_no_candidate_above_the_total(
     recipe: dict[str, Any], at: str, kind: type[LeastSquaresSearch]
 ) -> None:
     free = {"layers[0].thickness_um": [0.1, 0.5], "layers[1].thickness_nm": [20, 90]}
-    want = [{"at": at, "colour": "#446688"}]
-    read = read_task({"recipe": recipe, "free": free, "want": want, "limits": {"total_nm": 300}})
+    want = [{"geometry": at, "colour": "#446688"}]
+    read = read_task({"recipe": recipe, "parameters": free, "target": want, "limits": {"max_total_nm": 300}})
     assert total_nm(read.material) == pytest.approx(240.0)
     search = choose_search(read, 0)
     assert isinstance(search, kind)

@@ -20,8 +20,8 @@ from nacre.recipe.toml import dump_toml
 
 TARGET: dict[str, Any] = {
     "recipe": {"family": "film", "substrate": "Ti", "layers": [{"material": "SiO2", "thickness_nm": 100.0}]},
-    "free": {"layers[0].thickness_nm": [0, 300]},
-    "want": [{"at": "specular 0", "lab": [50, 0, 0], "within": 2.0}],
+    "parameters": {"layers[0].thickness_nm": [0, 300]},
+    "target": [{"geometry": "specular 0", "lab": [50, 0, 0], "tolerance": 2.0}],
     "search": {"seconds": 2, "solutions": 1},
 }
 LABS = [[50.0, 20.0, -3.5], [40.0, -1.0, 2.0]]
@@ -127,7 +127,7 @@ def test_each_row_is_an_answer_and_second_runs_keep_what_stands(
     kept = nacre.design.many(TARGET | {"search": {"seconds": 2, "solutions": 1}}, wanted[:1])[0]
     assert kept.worst.distance < 0.1
     # another target's answers are not mixed with these
-    (tmp_path / "t.toml").write_text(dump_toml({**TARGET, "free": {"layers[0].thickness_nm": [0, 250]}}))
+    (tmp_path / "t.toml").write_text(dump_toml({**TARGET, "parameters": {"layers[0].thickness_nm": [0, 250]}}))
     assert _run(tmp_path, "--resume") == 2
     assert "belongs to another target" in capsys.readouterr().err
 

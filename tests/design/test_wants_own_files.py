@@ -19,14 +19,14 @@ def target(folder: Path, **tables: Any) -> dict[str, Any]:
     (folder / "own.csv").write_text("nm,n,k\n" + CONSTANT)
     return {
         "recipe": {"family": "film", "substrate": "Al", "layers": []},
-        "want": [{"at": "specular 0", "lab": [60, 0, 20], "within": 30.0}],
+        "target": [{"geometry": "specular 0", "lab": [60, 0, 20], "tolerance": 30.0}],
         "search": {"seconds": 1, "solutions": 1},
         **tables,
     }
 
 
 def sought(folder: Path) -> dict[str, Any]:
-    return target(folder, layers={"palette": [{"file": str(folder / "own.csv")}], "most": 2})
+    return target(folder, layers={"palette": [{"file": str(folder / "own.csv")}], "max_layers": 2})
 
 
 def chosen(folder: Path) -> dict[str, Any]:
@@ -60,8 +60,8 @@ def test_a_search_goes_not_on_when_a_constant_to_choose_from_has_changed(tmp_pat
 def test_the_sensitivity_of_spectra_is_told_in_their_own_unit(tmp_path: Path) -> None:
     (tmp_path / "s.csv").write_text("\n".join(f"{nm},{0.3 + 0.2 * (nm > 550)}" for nm in range(400, 701, 10)))
     film = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100.0}]}
-    want = {"at": "specular 0", "spectrum": str(tmp_path / "s.csv"), "within": 50.0}
-    target = {"recipe": film, "free": {"layers[0].thickness_nm": [50, 300]}, "want": [want],
+    want = {"geometry": "specular 0", "spectrum": str(tmp_path / "s.csv"), "tolerance": 50.0}
+    target = {"recipe": film, "parameters": {"layers[0].thickness_nm": [50, 300]}, "target": [want],
               "search": {"seconds": 1, "solutions": 1}}  # fmt: skip
     design = nacre.design(target, tmp_path / "out")
     told = design.best.facts["sensitivity"][0]

@@ -31,8 +31,8 @@ def blend(tmp_path):
 def _target(folder, **free):
     return {
         "recipe": str(folder / "blend.toml"),
-        "free": free,
-        "want": [{"at": "specular 0", "colour": "#605040", "within": 5}],
+        "parameters": free,
+        "target": [{"geometry": "specular 0", "colour": "#605040", "tolerance": 5}],
         "search": {"seconds": 2, "solutions": 1},
     }
 
@@ -143,7 +143,7 @@ def test_a_named_number_that_is_not_there_is_no_new_one():
 )
 def test_many_colours_that_are_none_are_refused(labs, words):
     one = {"recipe": {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 90}]}}
-    one |= {"free": {"layers[0].thickness_nm": [20, 200]}, "want": [{"at": "specular 0", "colour": "#605040"}]}
+    one |= {"parameters": {"layers[0].thickness_nm": [20, 200]}, "target": [{"geometry": "specular 0", "colour": "#605040"}]}
     with pytest.raises(NacreError, match=words):
         nacre.design.many(one, labs)
 

@@ -55,8 +55,8 @@ def labs_of(recipe: dict[str, Any], walks: int = 1 << 16) -> np.ndarray:
 
 
 def target(start: dict[str, Any], free: dict[str, Any], labs: Any, seconds: float = 10.0) -> dict[str, Any]:
-    wants = [{"at": f"45as{a}", "lab": list(map(float, lab)), "within": WITHIN} for a, lab in zip(ANGLES, labs)]
-    return {"recipe": start, "free": free, "want": wants, "search": {"seconds": seconds, "solutions": 1}}
+    wants = [{"geometry": f"45as{a}", "lab": list(map(float, lab)), "tolerance": WITHIN} for a, lab in zip(ANGLES, labs)]
+    return {"recipe": start, "parameters": free, "target": wants, "search": {"seconds": seconds, "solutions": 1}}
 
 
 def shop(count: int) -> dict[str, Any]:
@@ -116,7 +116,7 @@ def test_what_has_no_likeness_is_searched_as_any_recipe() -> None:
     read = read_task(target(data, {"strata[0].thickness_um": [20, 60]}, GREY))
     assert not isinstance(choose_search(read, 0), SurrogateSearch)
     mirror = target(paint(pigment()), shop(1), GREY)
-    mirror["want"] = [{"at": "diffuse 0", "lab": [50, 0, 0]}]
+    mirror["target"] = [{"geometry": "diffuse 0", "lab": [50, 0, 0]}]
     assert not isinstance(choose_search(read_task(mirror), 0), SurrogateSearch)
 
 

@@ -115,8 +115,8 @@ def ramp(rows: int = 12, columns: int = 16) -> Array:
 def anodised(picture: Path, **more: Any) -> dict[str, Any]:
     return {
         "recipe": {"family": "film", "substrate": "Ti", "layers": [{"material": "TiO2-film", "thickness_nm": 100}]},
-        "free": {"layers[0].thickness_nm": [5, 245]},
-        "want": [{"at": "specular 0", "image": str(picture)}],
+        "parameters": {"layers[0].thickness_nm": [5, 245]},
+        "target": [{"geometry": "specular 0", "image": str(picture)}],
         **more,
     }
 
@@ -173,7 +173,7 @@ def test_levels_are_those_of_the_process_and_a_mask_has_a_layer_for_each(tmp_pat
     import gdstk
 
     picture = write_picture(tmp_path / "p.png", ramp(20, 24))
-    nacre.design(anodised(picture, limits={"levels": 5}), tmp_path / "out")
+    nacre.design(anodised(picture, limits={"height_levels": 5}), tmp_path / "out")
     values = np.load(tmp_path / "out/layers-0-thickness_nm.npy")
     assert set(np.unique(values)) <= set(np.linspace(5.0, 245.0, 5)) and len(np.unique(values)) >= 3
     written = nacre.fabricate(tmp_path / "out", "gds", tmp_path / "mask.gds", size_mm=(2.4, 2.0))
@@ -239,19 +239,19 @@ def test_what_a_picture_cannot_be_made_of_is_refused_in_one_line(tmp_path: Path)
     good = anodised(picture)
     read_task(good)
     layer = {"material": "SiO2", "thickness_nm": 50}
-    three = {**good, "recipe": {**good["recipe"], "layers": [layer] * 3}, "free": {"layers[*].thickness_nm": [5, 90]}}
+    three = {**good, "recipe": {**good["recipe"], "layers": [layer] * 3}, "parameters": {"layers[*].thickness_nm": [5, 90]}}
     assert "3 numbers" in refused(three)
-    assert "choices do not" in refused({**good, "free": {"substrate": {"choices": ["Ti", "Al"]}}})
-    cannot = {**good, "recipe": {**good["recipe"], "ambient": {"n": 1.2}}, "free": {"ambient.n": [1.1, 1.4]}}
+    assert "choices do not" in refused({**good, "parameters": {"substrate": {"choices": ["Ti", "Al"]}}})
+    cannot = {**good, "recipe": {**good["recipe"], "ambient": {"n": 1.2}}, "parameters": {"ambient.n": [1.1, 1.4]}}
     assert "cannot vary" in refused(cannot) and "layers[].thickness_nm" in refused(cannot)
     for levels in (1, 0, 257, 2.5):
-        assert "levels" in refused({**good, "limits": {"levels": levels}})
-    assert "only want" in refused({**good, "want": [*good["want"], {"at": "specular 30", "hue_deg": [0, 90]}]})
+        assert "levels" in refused({**good, "limits": {"height_levels": levels}})
+    assert "only want" in refused({**good, "target": [*good["target"], {"geometry": "specular 30", "hue_deg": [0, 90]}]})
     assert "one lamp" in refused({**good, "light": {"illuminants": ["D65", "A"]}})
-    assert "spread" in refused({**good, "spread": {"layers[0].thickness_nm": "2%"}})
+    assert "spread" in refused({**good, "tolerance": {"layers[0].thickness_nm": "2%"}})
     stack = {key: value for key, value in good.items() if key != "free"} | {"layers": {"palette": ["SiO2"]}}
     assert "cannot be sought" in refused(stack)
-    plain = {**good, "want": [{"at": "specular 0", "colour": "#888888"}], "limits": {"levels": 4}}
+    plain = {**good, "target": [{"geometry": "specular 0", "colour": "#888888"}], "limits": {"height_levels": 4}}
     assert "levels are of a picture" in refused(plain)
 
 

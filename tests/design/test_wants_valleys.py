@@ -69,7 +69,7 @@ def test_a_number_keeps_above_its_least() -> None:
 
 def test_few_wavelengths_serve_smooth_spectra_and_no_others() -> None:
     data = {"recipe": {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]},
-            "free": {"layers[0].thickness_nm": [50, 200]}, "want": [{"at": "specular 0", "lab": 3 * [50]}]}  # fmt: skip
+            "parameters": {"layers[0].thickness_nm": [50, 200]}, "target": [{"geometry": "specular 0", "lab": 3 * [50]}]}  # fmt: skip
     for lamp, waves, is_few in (("D65", 1.0, True), ("D65", 9.0, False), ("F11", 1.0, True)):
         target = read_task({**data, "light": {"illuminants": [lamp]}})
         rows, grid = geometries_of(target.targets), np.arange(380.0, 781.0, 4.0)

@@ -143,7 +143,7 @@ def tables_of(schema: Any) -> list[dict[str, Any]]:
 def model_takes(data: dict[str, Any], folder: Path) -> bool:
     """Whether nacre takes a recipe, target or sweep; paths of `varies_by_nodes` are its own business."""
     try:
-        if kind_of(data) in ("target", "wants"):
+        if kind_of(data) in ("relief-design", "design"):
             validate(kind(kind_of(data)).model, data, RecipeContext("here", folder))
         else:
             nacre.material(data, folder)
@@ -191,7 +191,7 @@ def compare(count: int, folder: Path, seed: int) -> tuple[int, int]:
     sources = [
         dict(kind(name).model.example) for name in KINDS if kind(name).is_recipe and name not in ("blend", "measured")
     ]
-    sources += [dict(kind(name).model.example) for name in ("target", "wants")]
+    sources += [dict(kind(name).model.example) for name in ("relief-design", "design")]
     sources += [
         tomllib.loads((EXAMPLES / name).read_text()) for name in ("soap.toml", "morpho.toml", "blue-oxide.toml")
     ]

@@ -34,7 +34,7 @@ TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "npy", "sheet")
 def design(target: str, output: str | None, resume: bool, labs: str | None, as_json: bool) -> None:
     """Find the structure with the look that TARGET asks for; the best so far is always on disk.
 
-    TARGET holds [[want]] tables, for a film, pearl, metasurface or any other recipe, or a [target] table, for a
+    TARGET holds [[target]] tables, for a film, pearl, metasurface or any other recipe, or a [target] table, for a
     relief. Ctrl-C ends the search with the best answer so far.
     """
     import os
@@ -96,10 +96,10 @@ def _tell_relief(result: Any, target: str, as_json: bool) -> None:
             f"loss {s['loss_fixed']:.5f} at the fixed scale, {s['loss_free']:.5f} at the best one "
             f"(scale {s['scale_free']:.4g}); {s['evaluations']} evaluations in {s['seconds']:.1f} s"
         )
-        for want in result.summary.get("solutions", [{"wants": []}])[0]["wants"]:
+        for want in result.summary.get("solutions", [{"targets": []}])[0]["targets"]:
             if want.get("de00") is not None:
-                missed = "" if want["met"] else f", out of reach so far (within {want['within']:g} was asked)"
-                click.echo(f"  dE00 {want['de00']:.2f} at {want['at']} under {want['lamp']}{missed}")
+                missed = "" if want["met"] else f", out of reach so far (within {want['tolerance']:g} was asked)"
+                click.echo(f"  dE00 {want['de00']:.2f} at {want['geometry']} under {want['lamp']}{missed}")
     if result.summary.get("outside"):
         common.note(f"{result.folder}: {result.summary['outside']}")
     curve = result.summary.get("calibration")

@@ -26,7 +26,7 @@ def run(
     """Design what a target asks for; the best so far is always on disk.
 
     Args:
-        target: a TOML file with `[[want]]` (any family) or with `[target]` (a relief), the name of an example, or a
+        target: a TOML file with `[[target]]` (any family) or with `[target]` (a relief), the name of an example, or a
             dictionary of the former.
         out: the folder, made if it does not exist; default: the target's name.
         resume: go on where a stopped run of the same target ended.
@@ -56,11 +56,11 @@ def run(
         return run_wants(target, out, resume=resume, progress=progress)
     if "target" not in data and "family" in data:
         raise RecipeError(
-            f'{target}: is a recipe, not a target; write one with recipe = "{Path(target).name}", [free] and [[want]] '
-            "(nacre keys wants)"
+            f'{target}: is a recipe, not a target; write one with recipe = "{Path(target).name}", [parameters] and [[target]] '
+            "(nacre keys design)"
         )
     if "target" not in data:
-        raise RecipeError(f"{target}: says no look; add [[want]] tables (nacre keys wants), or [target] of a relief")
+        raise RecipeError(f"{target}: says no look; add [[target]] tables (nacre keys design), or [target] of a relief")
     from nacre.optimise.relief.run import run as run_relief
 
     return run_relief(target, Path(target).stem if out is None else out, resume, progress, jobs)

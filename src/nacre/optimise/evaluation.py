@@ -71,7 +71,7 @@ class TargetResult:
 
     def document(self, observer: str) -> dict[str, Any]:
         """Return it as JSON can hold it."""
-        found: dict[str, Any] = {"at": str(self.target.geometry), "lamp": self.lamp, "asked": self.target.asked}
+        found: dict[str, Any] = {"geometry": str(self.target.geometry), "lamp": self.lamp, "asked": self.target.asked}
         if self.lab is None or self.lamp is None:
             found |= {"reached": None, "de00": None, "rms_percent": self.distance}
         else:
@@ -83,7 +83,7 @@ class TargetResult:
                 "reached": {"lab": self.lab.tolist(), "colour": lab_hex(self.lab, white)},
                 "de00": self.distance,
             }
-        return found | {"within": self.target.tolerance, "met": self.is_met, "noise": self.noise}
+        return found | {"tolerance": self.target.tolerance, "met": self.is_met, "noise": self.noise}
 
 
 def lab_hex(lab: Array, white: Array) -> str:

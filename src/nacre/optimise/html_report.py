@@ -248,7 +248,7 @@ def _gamut(target: DesignTask, seconds: float, judging_s: float) -> list[str]:
         return []
     gamut, wanted = found
     facts = (
-        f"{html.escape(gamut.at)}, {gamut.illuminant}: within dE00 {gamut.tolerance:g} of one of {len(gamut.lab)} colours "
+        f"{html.escape(gamut.at)}, {gamut.illuminant}: within dE00 {gamut.within:g} of one of {len(gamut.lab)} colours "
         f"that the free numbers make lie {100 * gamut.share_of_srgb:.2g} % of the colours of sRGB and "
         f"{100 * gamut.share_of_optimal:.2g} % of the optimal colours (solid line), which no surface goes beyond. Let "
         "the pointer rest on a point to see its structure; crosses are what was wanted."

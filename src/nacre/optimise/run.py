@@ -74,7 +74,7 @@ def run(
     search with the best answer so far.
 
     Args:
-        target: a TOML file with `[[want]]`, a dictionary with the same keys, or such a one as `read_task` gives.
+        target: a TOML file with `[[target]]`, a dictionary with the same keys, or such a one as `read_task` gives.
         out: made if it does not exist; default: the target's name.
         resume: go on from the answers of a stopped run of the same target.
         progress: called after better answers and now and then.
@@ -368,7 +368,7 @@ def _report(
         "seconds": round(time.monotonic() - begun, 3),
         "solutions": [document_of(s, target) for s in solutions],
         "light": target.spec.light.model_dump(),
-        "costs_most": {"at": str(solutions[0].worst.target.geometry), "lamp": solutions[0].worst.lamp},
+        "costs_most": {"geometry": str(solutions[0].worst.target.geometry), "lamp": solutions[0].worst.lamp},
         "seed": target.spec.search.seed,
         "runs": keeper.runs,
         "target": target.fingerprint,
@@ -392,7 +392,7 @@ def document_of(solution: Solution, target: DesignTask) -> dict[str, Any]:
     return {
         "recipe": str(solution.recipe),
         "worst": solution.worst.scaled,
-        "wants": [r.document(target.spec.light.observer) for r in solution.targets],
+        "targets": [r.document(target.spec.light.observer) for r in solution.targets],
         "changes": solution.changes,
         "yield": solution.yield_share,
         "yield_details": solution.facts.get("yield"),

@@ -130,7 +130,7 @@ def read_targets(specs: Sequence[TargetEntry], light: LightSpec, context: Recipe
         RecipeError: naming the want and what is allowed; or two colours for one geometry that no answer can have.
     """
     check_light(light, context)
-    wants = tuple(_want(spec, f"{context.source}: want[{i}]", context) for i, spec in enumerate(specs))
+    wants = tuple(_want(spec, f"{context.source}: target[{i}]", context) for i, spec in enumerate(specs))
     _check_agreement(wants, light)
     _check_picture(wants, light, context)
     return wants
@@ -156,8 +156,8 @@ def check_light(light: LightSpec, context: RecipeContext) -> None:
 
 def _want(spec: TargetEntry, key: str, context: RecipeContext) -> Target:
     if spec.geometry is None:
-        raise RecipeError(f"{key}.directions: a picture is sought of a relief's heights; write heights in [free]")
-    at = Geometry.read(spec.geometry, f"{key}.at")
+        raise RecipeError(f"{key}.directions: a picture is sought of a relief's heights; write heights in [parameters]")
+    at = Geometry.read(spec.geometry, f"{key}.geometry")
     asked = {name: getattr(spec, name) for name in (*COLOURS, *RANGES) if getattr(spec, name) is not None}
     asked = {name: list(value) if isinstance(value, tuple) else value for name, value in asked.items()}
     found: dict[str, Any] = {}

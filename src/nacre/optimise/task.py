@@ -1,4 +1,4 @@
-"""What an answer must keep to, checked against what is free."""
+"""What an answer must keep to, checked against what is parameters."""
 
 from __future__ import annotations
 
@@ -57,13 +57,13 @@ def check_limits(spec: DesignSpec, base: Material, free: Sequence[Parameter], so
         return
     if not base.data.get("layers"):
         raise RecipeError(
-            f"{source}: limits.max_total_nm = {most:g}: the recipe has no layers; bound what is in [free]"
+            f"{source}: limits.max_total_nm = {most:g}: the recipe has no layers; bound what is in [parameters]"
         )
     least = 0.0
     with contextlib.suppress(NacreError):  # other numbers may make room for the lowest of all
         least = total_nm(base.vary({number.path: number.low for number in free if not number.choices}))
     if least > most:
-        raise RecipeError(f"{source}: limits.max_total_nm = {most:g}: the least that [free] allows is {least:g} nm")
+        raise RecipeError(f"{source}: limits.max_total_nm = {most:g}: the least that [parameters] allows is {least:g} nm")
 
 
 __all__ = ["check_limits", "total_nm"]
@@ -124,15 +124,17 @@ class DesignTask:
 
 
 def is_design_task(data: Mapping[str, Any]) -> bool:
-    """Whether a target's dictionary is of this form, and not of the older one of reliefs."""
-    if "want" in data or "target" in data or "family" in data:  # the last is of a recipe
+    """Whether the dictionary of a target file has a list of targets, not the single `[target]` of a relief."""
+    if "target" in data:
+        return not isinstance(data["target"], Mapping)
+    if "family" in data:  # a recipe
         return "want" in data
-    return bool(set(data) & {"free", "layers", "recipe", "spread"})
+    return bool(set(data) & {"parameters", "layers", "recipe", "tolerance", "want"})
 
 
 def is_relief_task(data: Mapping[str, Any]) -> bool:
     """Whether a target's dictionary asks for a relief's heights, or for a picture over directions."""
-    free, wants = data.get("free"), data.get("want")
+    free, wants = data.get("parameters"), data.get("target")
     pictures = isinstance(wants, list) and any(isinstance(want, Mapping) and "directions" in want for want in wants)
     return pictures or (isinstance(free, Mapping) and "heights" in free)
 
@@ -161,8 +163,8 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
         NacreError: the recipe cannot be computed.
     """
     data, context = read_data(target)
-    if "target" in data:
-        raise RecipeError(f"{context.source}: holds both [[want]] and [target]; a file is of one form")
+    if isinstance(data.get("target"), Mapping):
+        raise RecipeError(f"{context.source}: [target] is of a relief; write [[target]]")
     spec: DesignSpec = validate(DesignSpec, data, context)
     source = context.source
     base = _recipe(spec, context).with_parts_loaded([*spec.parameters, *spec.tolerance])
@@ -171,18 +173,18 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
     if spec.layers is not None:
         check_layers(spec.layers, base, source)
         _check_total(spec, source)
-    for free_path in by_path(spec.parameters, {"min", "max", "choices"}, source, "free"):
+    for free_path in by_path(spec.parameters, {"min", "max", "choices"}, source, "parameters"):
         word = free_path.partition("[")[0].partition(".")[0]
         if spec.layers is not None and word == "layers":
             raise RecipeError(
-                f'{source}: free."{free_path}" names a layer, but [layers] seeks the stack itself; keep one'
+                f'{source}: parameters."{free_path}" names a layer, but [layers] seeks the stack itself; keep one'
             )
     free = read_parameters(spec.parameters, base, source)
     if not free and spec.layers is None:
-        raise RecipeError(f"{source}: nothing is free; add a [free] table, or [layers] to seek a film's stack")
+        raise RecipeError(f"{source}: nothing is free; add a [parameters] table, or [layers] to seek a film's stack")
     if spec.layers is not None and free:
         raise RecipeError(
-            f'{source}: free."{free[0].path}" beside [layers]: the stack is sought alone; fix the number in the recipe'
+            f'{source}: parameters."{free[0].path}" beside [layers]: the stack is sought alone; fix the number in the recipe'
         )
     if spec.tolerance and spec.layers is None:
         read_tolerances(spec.tolerance, base, source)
@@ -305,7 +307,7 @@ def check_index(value: Any, where: str, context: RecipeContext) -> IndexSpec:
 
 
 def _check_wants(target: DesignTask) -> None:
-    """Refuse a want that the material cannot answer, whatever is free."""
+    """Refuse a want that the material cannot answer, whatever is parameters."""
     tried = [target.material]
     if target.parameters:
         for share in (0.5, 0.99):
@@ -317,7 +319,7 @@ def _check_wants(target: DesignTask) -> None:
     for other in substrates(target.spec.layers)[1:] if target.spec.layers else ():
         tried.append(target.material.vary({"substrate": other}))
     rows = geometries_of(target.targets)
-    keys = [next(want.key for want in target.targets if want.geometry == at) + ".at" for at in rows]
+    keys = [next(want.key for want in target.targets if want.geometry == at) + ".geometry" for at in rows]
     check_answers(tried, rows, keys)
 
 

@@ -48,8 +48,8 @@ class Tolerance:
         return np.maximum(values, 0.0) if self.nominal >= 0 else values
 
 
-def read_tolerances(table: Any, material: Material, source: str, name: str = "spread") -> tuple[Tolerance, ...]:
-    """Read a `[spread]` or `[tolerance]` table for one material, whose numbers the percentages are of.
+def read_tolerances(table: Any, material: Material, source: str, name: str = "tolerance") -> tuple[Tolerance, ...]:
+    """Read a `[tolerance]` table for one material, whose numbers the percentages are of.
 
     Args:
         table: path -> spread; `[*]` in a path stands for every index that no other path names.

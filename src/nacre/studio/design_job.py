@@ -115,7 +115,7 @@ def _shown(
     documents = [one.document(target.spec.light.observer) for one in wants]
     told = [
         {
-            "at": each["at"], "asked": each["asked_colour"], "got": each["reached"]["colour"],
+            "at": each["geometry"], "asked": each["asked_colour"], "got": each["reached"]["colour"],
             "de00": round(each["de00"], 2), "met": each["met"],
         }
         for each in documents

@@ -35,7 +35,7 @@ OF_OPTICS = ("n", "k")
 PROBE_NM = np.array([450.0, 550.0, 650.0])
 UPWARD, DOWNWARD = (2.0, 1.5, 1.2, 1.05), (0.5, 0.7, 0.9, 0.97)  # times a number: bounds, the first that are allowed
 OF_HEIGHTS = (
-    "a relief's heights are sought by the command: nacre design TARGET with heights under [free], "
+    "a relief's heights are sought by the command: nacre design TARGET with heights under [parameters], "
     "or the picture that is wanted under [target]"
 )
 
@@ -79,8 +79,8 @@ def _want(want: Any, look: str, name: str) -> dict[str, Any]:
     if not isinstance(want, dict):
         raise NacreError(f"{name} is not a table")
     angle = number(want.get("at"), f"{name}: angle", *((-40.0, 110.0) if look == "aspecular" else (0.0, 89.0)))
-    made: dict[str, Any] = {"at": f"45as{angle:g}" if look == "aspecular" else f"{look} {angle:g}"}
-    made["within"] = number(want.get("within", 2.0), f"{name}: within", 0.1, 50.0)
+    made: dict[str, Any] = {"geometry": f"45as{angle:g}" if look == "aspecular" else f"{look} {angle:g}"}
+    made["tolerance"] = number(want.get("within", 2.0), f"{name}: within", 0.1, 50.0)
     if "hue" not in want:
         colour = want.get("colour")
         if not isinstance(colour, str) or not re.fullmatch(r"#[0-9a-fA-F]{6}", colour):
@@ -140,7 +140,7 @@ def free_numbers(material: Material) -> dict[str, Any]:
         })  # fmt: skip
     if not found["numbers"]:
         found["refused"] = (
-            f"this {material.model.noun} has no number that may change; the command's [free] takes words too"
+            f"this {material.model.noun} has no number that may change; the command's [parameters] takes words too"
         )
     return found
 
@@ -198,8 +198,8 @@ def target_of(question: Mapping[str, Any]) -> DesignTask:
     os.chdir(Path(question["recipe"]["path"]).parent)
     data = {
         "recipe": copy.deepcopy(dict(opened_parts(material).data)),
-        "free": question["free"],
-        "want": question["wants"],
+        "parameters": question["free"],
+        "target": question["wants"],
         "light": {"illuminants": [question["lamp"]], "observer": OBSERVER},
         "search": {"seconds": question["seconds"], "solutions": question["solutions"]},
     }

@@ -356,10 +356,10 @@ def _document(solution: Solution, target: DesignTask) -> dict[str, Any]:
     want, worst = target.targets[0], solution.worst
     keys = ("de00_mean", "de00_median", "de00_99_percent", "de00_largest", "share_out_of_reach", "share_hue_kept")
     entry = {
-        "at": str(want.geometry),
+        "geometry": str(want.geometry),
         "lamp": worst.lamp,
         "asked": want.asked,
-        "within": want.tolerance,
+        "tolerance": want.tolerance,
         "met": worst.is_met,
     }
     entry |= {"de00": worst.distance, **{key: solution.facts[key] for key in keys}}
@@ -367,7 +367,7 @@ def _document(solution: Solution, target: DesignTask) -> dict[str, Any]:
     return {
         "recipe": str(solution.recipe),
         "worst": worst.scaled,
-        "wants": [entry],
+        "targets": [entry],
         "changes": solution.changes,
         **rest,
     }

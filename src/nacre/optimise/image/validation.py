@@ -18,10 +18,10 @@ def check_free(spec: DesignSpec, base: Material, free: Sequence[Parameter], sour
     Raises:
         RecipeError: naming the key.
     """
-    for name, what in (("layers", "the stack itself cannot be sought"), ("spread", "spreads are not counted")):
+    for name, what in (("layers", "the stack itself cannot be sought"), ("tolerance", "spreads are not counted")):
         if getattr(spec, name):
             raise RecipeError(f"{source}: {name}: of a picture {what}; free one or two numbers that vary over it")
-    for name, value in (("total_nm", spec.limits.max_total_nm), ("layers", spec.limits.max_layers)):
+    for name, value in (("max_total_nm", spec.limits.max_total_nm), ("max_layers", spec.limits.max_layers)):
         if value is not None:
             raise RecipeError(f"{source}: limits.{name} does not hold for a picture; use bounds of what is free")
     if len(free) > MOST_NUMBERS:
@@ -29,7 +29,7 @@ def check_free(spec: DesignSpec, base: Material, free: Sequence[Parameter], sour
         raise RecipeError(f"{source}: free: {len(free)} numbers ({paths}); a picture is made of one or two")
     textures = {}
     for number in free:
-        where = f'{source}: free."{number.path}"'
+        where = f'{source}: parameters."{number.path}"'
         if number.choices:
             raise RecipeError(f"{where}: a picture is made of numbers that vary over it; choices do not")
         textures[number.path] = {

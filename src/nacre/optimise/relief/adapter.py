@@ -40,7 +40,7 @@ from nacre.recipe.model import RecipeContext, show_value, validate
 from nacre.recipe.toml import parse_toml
 
 HEIGHTS, FEATURES = "heights", "features"
-KNOWN_IN = {"spread": {HEIGHTS}, "limits": {"trusted"}}  # keys of these tables that a relief knows
+KNOWN_IN = {"tolerance": {HEIGHTS}, "limits": {"within_validity"}}  # keys of these tables that a relief knows
 PATCH_SINE, PATCH_COUNT = 0.01, 8  # half the side of the even patch round a direction, and its samples along a side
 PICTURE_SHARE = 4  # a patch beside a picture has a fourth of its samples along a side, so that it is heard
 RECIPE_KEYS = ("feature_um", "blur_um", "coating", "prefactor", "coherence")
@@ -76,14 +76,14 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
     source = context.source
     recipe = _recipe(spec, context)
     height_um, features = _free(spec, source)
-    for name in ("layers", "spread", "limits"):
+    for name in ("layers", "tolerance", "limits"):
         given = data.get(name)
         if given and not (name in KNOWN_IN and set(given) <= KNOWN_IN[name]):
             raise RecipeError(f"{source}: {name}: is not known of a relief whose heights are sought")
-    tables = [(f"want[{i}].directions", want.directions) for i, want in enumerate(spec.target) if want.directions]
+    tables = [(f"target[{i}].directions", want.directions) for i, want in enumerate(spec.target) if want.directions]
     # a want keeps its place in the file, which messages name
     colours = tuple(
-        replace(read_targets([want], spec.light, context)[0], key=f"{source}: want[{i}]")
+        replace(read_targets([want], spec.light, context)[0], key=f"{source}: target[{i}]")
         for i, want in enumerate(spec.target)
         if want.directions is None
     )
@@ -112,7 +112,7 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
     try:
         problem = relief.build(context)
     except RecipeError as error:
-        place = tables[0][0] if len(tables) == 1 else "want[...].directions"
+        place = tables[0][0] if len(tables) == 1 else "target[...].directions"
         raise RecipeError(str(error).replace(f"{source}: target.", f"{source}: {place}.")) from None
     if colours:
         problem = _with_colours(problem, relief, colours, spec, bool(pictures))
@@ -143,21 +143,21 @@ def _free(spec: DesignSpec, source: str) -> tuple[float, int]:
     """Return the largest height in um and the number of features along a side."""
     free = dict(spec.parameters)
     if HEIGHTS not in free:
-        raise RecipeError(f"{source}: a picture over directions needs free heights: write heights = [0, 0.8] in [free]")
+        raise RecipeError(f"{source}: a picture over directions needs free heights: write heights = [0, 0.8] in [parameters]")
     given, features = free.pop(HEIGHTS), free.pop(FEATURES, 32)
     if free:
         raise RecipeError(
-            f'{source}: free."{next(iter(free))}" beside heights: the heights are sought alone; fix it in the recipe'
+            f'{source}: parameters."{next(iter(free))}" beside heights: the heights are sought alone; fix it in the recipe'
         )
     low, high = (given.get("min"), given.get("max")) if isinstance(given, Mapping) else _pair(given)
     if low != 0 or isinstance(high, bool) or not isinstance(high, int | float) or not high > 0:
         raise RecipeError(
-            f"{source}: free.heights = {show_value(given)} should be [0, h], h um above the relief's lowest point"
+            f"{source}: parameters.heights = {show_value(given)} should be [0, h], h um above the relief's lowest point"
         )
     is_count = isinstance(features, int) and not isinstance(features, bool)
     if not is_count or not 2 <= features <= LARGEST_TILE_FEATURES:
         raise RecipeError(
-            f"{source}: free.features = {show_value(features)} should be a whole number from 2 to "
+            f"{source}: parameters.features = {show_value(features)} should be a whole number from 2 to "
             f"{LARGEST_TILE_FEATURES}, the features along a side of the tile"
         )
     return float(high), features
@@ -168,7 +168,7 @@ def _pair(given: Any) -> tuple[Any, Any]:
 
 
 def _noise(spec: DesignSpec, source: str) -> float:
-    """Return the relative noise of each height, from `[spread] heights = "2%"`."""
+    """Return the relative noise of each height, from `[tolerance] heights = "2%"`."""
     given = spec.tolerance.get(HEIGHTS)
     if given is None:
         return 0.0
@@ -178,14 +178,14 @@ def _noise(spec: DesignSpec, source: str) -> float:
     except ValueError:
         value = np.nan
     if not 0.0 <= value <= 1.0:
-        raise RecipeError(f'{source}: spread.heights = {show_value(given)} should be a percentage, such as "2%"')
+        raise RecipeError(f'{source}: tolerance.heights = {show_value(given)} should be a percentage, such as "2%"')
     return value
 
 
 def _check_colour(want: Target) -> None:
     if want.geometry.kind != "aspecular":
         raise RecipeError(
-            f'{want.key}.at = "{want.geometry}" cannot be sought of a relief\'s heights; write a pair of directions, "45as15"'
+            f'{want.key}.geometry = "{want.geometry}" cannot be sought of a relief\'s heights; write a pair of directions, "45as15"'
         )
     if want.lab is None and want.xyz is None:
         raise RecipeError(f"{want.key}: of a relief's heights a colour is sought; give colour, lab, lch, xyz or xyy")
@@ -281,7 +281,7 @@ def _solution(read: ReliefTarget, folder: Path, found: Mapping[str, Any]) -> dic
     tables = [want.directions for want in read.asked.target if want.directions is not None]
     pictures = [
         {
-            "at": "directions",
+            "geometry": "directions",
             "lamp": None,
             "asked": table.model_dump(exclude_none=True, exclude_defaults=True),
             **losses,
@@ -289,7 +289,7 @@ def _solution(read: ReliefTarget, folder: Path, found: Mapping[str, Any]) -> dic
         for table in tables
     ]
     wants = [*pictures, *(r.document(light.observer) for r in _judged(read, load(folder / "recipe.toml")))]
-    return {"recipe": str(folder / "recipe.toml"), "wants": wants, "yield": None}
+    return {"recipe": str(folder / "recipe.toml"), "targets": wants, "yield": None}
 
 
 __all__ = ["ReliefTarget", "read_relief", "run_relief"]

@@ -202,14 +202,14 @@ class ThinFilmSearch:
         Raises:
             RecipeError: a spread of something else than the layers' thicknesses.
         """
-        table = by_path(self.target.spec.tolerance, {"deviation", "percent"}, self.target.context.source, "spread")
+        table = by_path(self.target.spec.tolerance, {"deviation", "percent"}, self.target.context.source, "tolerance")
         relative, absolute = np.zeros(max(slots or 1, 1)), np.zeros(max(slots or 1, 1))
         # of an index last: it wins over every one
         for path, entry in sorted(table.items(), key=lambda pair: -pair[0].count(EVERY)):
             match = _SPREAD.match(path)
             if match is None or (slots is None and match[1] != "*"):
                 raise RecipeError(
-                    f'{self.target.context.source}: spread."{path}" is not of the layers that are sought; '
+                    f'{self.target.context.source}: tolerance."{path}" is not of the layers that are sought; '
                     'write "layers[*].thickness_nm"'
                 )
             share, size = _deviation(entry, LENGTH_UNITS_NM[match[2]])
@@ -241,13 +241,13 @@ def thin_film_search(target: DesignTask, seed: int) -> ThinFilmSearch | None:
     if target.spec.layers is not None:
         if others:
             raise RecipeError(
-                f'{others[0].key}.at = "{others[0].geometry}": with [layers] only specular and transmitted looks can be '
+                f'{others[0].key}.geometry = "{others[0].geometry}": with [layers] only specular and transmitted looks can be '
                 "wanted; free the thicknesses of a stack that is given for the others"
             )
         _check_plain(target)
         return ThinFilmSearch(target, seed)
     is_stack = not others and is_plain(target.material) and all(_is_of_stack(number) for number in target.parameters)
-    spreads = by_path(target.spec.tolerance, {"deviation", "percent"}, target.context.source, "spread")
+    spreads = by_path(target.spec.tolerance, {"deviation", "percent"}, target.context.source, "tolerance")
     return ThinFilmSearch(target, seed) if is_stack and all(_SPREAD.match(path) for path in spreads) else None
 
 

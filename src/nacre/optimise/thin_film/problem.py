@@ -58,7 +58,7 @@ class StackProblem:
         total_nm: bound of the sum of thicknesses.
         fewest: whether fewer layers are preferred at equal looks.
         spread_relative, spread_nm: standard deviation of a layer's thickness, as a share of it and in nm, one number
-            or one a slot; both 0 without `[spread]`.
+            or one a slot; both 0 without `[tolerance]`.
 
     Raises:
         NacreError: where these do not fit together.
