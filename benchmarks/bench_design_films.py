@@ -69,9 +69,15 @@ def oxides(goals: MeritFunction) -> StackProblem:
 def metals(goals: MeritFunction, angles_deg: list[float], spread: float = 0.0) -> StackProblem:
     """Up to 6 layers of eight materials on seven substrates."""
     return StackProblem(
-        goals, tuple(map(medium, COATINGS)), tuple(map(medium, BASES)), tuple(np.radians(angles_deg)),
-        ("reflected",) * len(angles_deg), max_layers=6, bounds_nm=dict.fromkeys(COATINGS, HELD_NM), spread_relative=spread,
-    )  # fmt: skip
+        goals,
+        tuple(map(medium, COATINGS)),
+        tuple(map(medium, BASES)),
+        tuple(np.radians(angles_deg)),
+        ("reflected",) * len(angles_deg),
+        max_layers=6,
+        bounds_nm=dict.fromkeys(COATINGS, HELD_NM),
+        spread_relative=spread,
+    )
 
 
 def wanted(lab: Iterable[float], rows: int, lamps: tuple[str, ...] = ("D65",), tolerance: float = 1.0) -> MeritFunction:
@@ -151,11 +157,17 @@ def yields(i: int, seed: int, is_all: bool, judge: Worker) -> dict[str, Any]:
     robust, wall, cpu = timed_search(robust_problem, seconds, seed)
     shares = [
         judge.ask(
-            "made", stack=stack_of(one, plain_problem), angles_deg=HELD_DEG, lab=lab.tolist(), relative=SPREAD,
-            tolerance=TOLERANCE, draws=MADE_DRAWS, seed=seed,
+            "made",
+            stack=stack_of(one, plain_problem),
+            angles_deg=HELD_DEG,
+            lab=lab.tolist(),
+            relative=SPREAD,
+            tolerance=TOLERANCE,
+            draws=MADE_DRAWS,
+            seed=seed,
         )
         for one in (plain, robust)
-    ]  # fmt: skip
+    ]
     return {"plain": shares[0], "robust": shares[1], "own": robust.yield_share, "wall": wall, "cpu": cpu}
 
 
@@ -225,11 +237,16 @@ def rows_of(kind: str, results: list[dict[str, Any]]) -> list[Row]:
         ]
     if kind == "held":
         return [
-            Row(f"held at five angles: share below 2, of {n}", float(np.mean(worst < 2.0)), "", 0.8,
-                note=f"median {np.median(worst):.2f}, largest {worst.max():.2f}; {by_judge}"),
+            Row(
+                f"held at five angles: share below 2, of {n}",
+                float(np.mean(worst < 2.0)),
+                "",
+                0.8,
+                note=f"median {np.median(worst):.2f}, largest {worst.max():.2f}; {by_judge}",
+            ),
             Row("held at five angles: share below 4", float(np.mean(worst < 4.0)), "", 0.92),
             Row("held at five angles: longest", wall, "s", 60.0, higher_is_better=False, note=f"{cpu:.0f} s of CPU"),
-        ]  # fmt: skip
+        ]
     if kind == "flop":
         return [
             Row(f"flop: share of {n} pairs met", float(np.mean([r["met"] for r in done])), "", 0.98),
@@ -240,13 +257,22 @@ def rows_of(kind: str, results: list[dict[str, Any]]) -> list[Row]:
         shown, met = float(np.mean([r["is_possible"] for r in done])), worst < 1.0
         median = float(np.median(worst[is_possible])) if is_possible.any() else np.nan
         return [
-            Row(f"D65 and A: share of {n} below 1 under both", float(np.mean(met)), "", 0.6,
+            Row(
+                f"D65 and A: share of {n} below 1 under both",
+                float(np.mean(met)),
+                "",
+                0.6,
                 note=f"of no more than {np.mean(is_possible):.2f} that any reflectance has, by a linear program; "
-                f"{shown:.2f} are shown to be had"),
-            Row(f"D65 and A: share of the {is_possible.sum()} that a reflectance has",
-                float(np.mean(met[is_possible])) if is_possible.any() else np.nan, "", 0.6,
-                note=f"median of the worse {median:.2f}; {by_judge}; {clock}"),
-        ]  # fmt: skip
+                f"{shown:.2f} are shown to be had",
+            ),
+            Row(
+                f"D65 and A: share of the {is_possible.sum()} that a reflectance has",
+                float(np.mean(met[is_possible])) if is_possible.any() else np.nan,
+                "",
+                0.6,
+                note=f"median of the worse {median:.2f}; {by_judge}; {clock}",
+            ),
+        ]
     plain, robust = (np.median([r[key] for r in done]) for key in ("plain", "robust"))
     gain = 1.5 if robust >= 0.95 else float(robust / max(plain, 1e-3))
     note = f"medians {plain:.3f} and {robust:.3f}; {len(results) - n} targets out of reach; {clock}"

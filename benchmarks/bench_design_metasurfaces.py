@@ -69,7 +69,10 @@ def one(number: int, seed: int, seconds: float, within: float, judge: Worker) ->
         return {"skipped": "a sphere whose series does not converge"}
     target = {
         "recipe": start,
-        "parameters": {**{path: list(bounds) for path, bounds in FREE.items()}, "particle.material": {"choices": MATERIALS}},
+        "parameters": {
+            **{path: list(bounds) for path, bounds in FREE.items()},
+            "particle.material": {"choices": MATERIALS},
+        },
         "target": [{"geometry": at, "lab": lab, "tolerance": within} for at, lab in zip(WANTS, labs)],
         "search": {"seconds": seconds, "solutions": 1, "seed": seed},
     }
@@ -131,12 +134,17 @@ def main(arguments: list[str] | None = None) -> int:
     right = sum(r["same_material"] for r in done)
     wall, cpu = (float(np.max([r[key] for r in done])) for key in ("wall", "cpu"))
     rows = [
-        Row(f"hidden metasurfaces: share with dE00 <= 1.5 at all six, of {len(done)}", share, "", 0.9,
+        Row(
+            f"hidden metasurfaces: share with dE00 <= 1.5 at all six, of {len(done)}",
+            share,
+            "",
+            0.9,
             note=f"median of the worst {np.median(worst):.2f}, largest {worst.max():.2f}; judge and search differ by "
-            f"{off:.2f} at most; the same material in {right}"),
+            f"{off:.2f} at most; the same material in {right}",
+        ),
         Row("hidden metasurfaces: longest", wall, "s", 180.0, higher_is_better=False, note=f"{cpu:.0f} s of CPU"),
         Row("candidate at 16 wavelengths and 6 directions, CPU", spent, "s", 0.25, higher_is_better=False),
-    ]  # fmt: skip
+    ]
     notes = {**clock, "seed": chosen.seed, "load": f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores at the end"}
     return report("design_metasurfaces: metasurfaces from wanted colours", rows, chosen.json, notes)
 

@@ -278,9 +278,15 @@ def spread_problem(within: float, spread: float) -> StackProblem:
     wanted = wanted_of(["MgF2", "Si", "TiO2"], [95.0, 22.0, 60.0], "Al", angles)
     goals = MeritFunction([Operand(g.row, g.kind, g.lab, tolerance=within) for g in wanted])
     return StackProblem(
-        goals, PALETTE, (medium("Al"),), tuple(np.radians(angles)), ("reflected",) * 2, max_layers=4, bounds_nm=BOUNDS,
+        goals,
+        PALETTE,
+        (medium("Al"),),
+        tuple(np.radians(angles)),
+        ("reflected",) * 2,
+        max_layers=4,
+        bounds_nm=BOUNDS,
         spread_relative=spread,
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.full
@@ -289,9 +295,14 @@ def test_the_yield_of_a_search_for_it_is_higher_and_is_that_of_its_draws() -> No
     rounds: list[float] = []
     robust_problem = spread_problem(2.0, 0.05)
     robust = search(
-        robust_problem, 100.0, 1, 2, on_progress=lambda p: rounds.append(p.objective),
-        stop=lambda: len(rounds) >= 25, jobs=1,
-    )[0]  # fmt: skip
+        robust_problem,
+        100.0,
+        1,
+        2,
+        on_progress=lambda p: rounds.append(p.objective),
+        stop=lambda: len(rounds) >= 25,
+        jobs=1,
+    )[0]
 
     def share_within(one: StackSolution) -> float:
         rng = np.random.default_rng(99)

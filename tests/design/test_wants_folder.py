@@ -127,7 +127,11 @@ def test_a_resumed_search_tells_nothing_worse_than_what_stood(
 ) -> None:
     """A search compares by its own route: here one that takes another answer for the best than the judge does."""
     target: dict[str, Any] = {key: value for key, value in TARGET.items() if key != "free"}
-    target |= {"layers": {"palette": ["SiO2"], "max_layers": 1}, "limits": limits, "search": {"seconds": 1, "solutions": 1}}
+    target |= {
+        "layers": {"palette": ["SiO2"], "max_layers": 1},
+        "limits": limits,
+        "search": {"seconds": 1, "solutions": 1},
+    }
     first = nacre.design(target, tmp_path / "out")
 
     class Misled:

@@ -146,14 +146,19 @@ BAD = {
     "an unknown palette name": (target(free=None, layers={"palette": ["TiO3"]}), 'Did you mean "TiO2"'),
     "an unknown substrate": (target(free=None, layers={"palette": ["TiO2"], "substrate": ["Aq"]}), "substrate"),
     "bounds of nothing": (
-        target(free=None, layers={"palette": ["Cr"], "thickness_nm": {"Cx": [3, 20], "other": [1, 2]}}), "Cx",
+        target(free=None, layers={"palette": ["Cr"], "thickness_nm": {"Cx": [3, 20], "other": [1, 2]}}),
+        "Cx",
     ),
     "a material without bounds": (
-        target(free=None, layers={"palette": ["Cr", "SiO2"], "thickness_nm": {"Cr": [3, 20]}}), "SiO2",
+        target(free=None, layers={"palette": ["Cr", "SiO2"], "thickness_nm": {"Cr": [3, 20]}}),
+        "SiO2",
     ),
     "crossing bounds of layers": (target(free=None, layers={"palette": ["Cr"], "thickness_nm": [20, 3]}), "cross"),
     "free naming a layer beside layers": (target(layers={"palette": ["TiO2"]}), "keep one"),
-    "a want that an opaque base cannot answer": (target(want=[{**ONE, "geometry": "transmitted 0"}]), "cannot be answered"),
+    "a want that an opaque base cannot answer": (
+        target(want=[{**ONE, "geometry": "transmitted 0"}]),
+        "cannot be answered",
+    ),
     "diffuse light of a mirror": (target(want=[{**ONE, "geometry": "diffuse 0"}]), "cannot be answered"),
     "aspecular light of a mirror": (target(want=[{**ONE, "geometry": "45as15"}]), "cannot be answered"),
     "two colours at one place": (target(want=[ONE, {**ONE, "colour": "#ff0000"}]), "no answer has both"),
@@ -173,11 +178,16 @@ BAD = {
     "both forms of target": (target(target={"kind": "uniform"}), "one form"),
     "a recipe that is wrong": (target(recipe={**FILM, "substrat": "Si"}), "Did you mean"),
     "layers of what is no film": (
-        target(recipe={"family": "pearl"}, free=None, layers={"palette": ["TiO2"]}), "only the stack of a film",
+        target(recipe={"family": "pearl"}, free=None, layers={"palette": ["TiO2"]}),
+        "only the stack of a film",
     ),
     "a bound that the recipe never allows": (target(free={"layers[0].thickness_nm": [-50, 50]}), "= [-50, 50]: "),
     "a bound that the table of a flake never allows": (
-        target(recipe=PEARL, free={"strata[0].platelets[0].volume_fraction": [0, 0.5]}, want=[{**ONE, "geometry": "45as15"}]),
+        target(
+            recipe=PEARL,
+            free={"strata[0].platelets[0].volume_fraction": [0, 0.5]},
+            want=[{**ONE, "geometry": "45as15"}],
+        ),
         "= 0.5 is not allowed",
     ),
     "bounds without an end": (target(free={"layers[0].thickness_nm": {"min": 3}}), "{min = 3}"),
@@ -186,16 +196,25 @@ BAD = {
     "the fewest of given layers": (target(limits={"layers": "fewest"}), "add [layers]"),
     "a total below the least of given layers": (target(limits={"max_total_nm": 60}), "is 90 nm"),
     "a total of what has no layers": (
-        target(recipe=PEARL, free={"base.albedo": [0, 1]}, want=[{**ONE, "geometry": "45as15"}], limits={"max_total_nm": 60}),
+        target(
+            recipe=PEARL,
+            free={"base.albedo": [0, 1]},
+            want=[{**ONE, "geometry": "45as15"}],
+            limits={"max_total_nm": 60},
+        ),
         "has no layers",
     ),
-    "a chromaticity outside all colours": (target(want=[{"geometry": "specular 0", "xyy": [0.3, 0, 0.2]}]), "no colour"),
+    "a chromaticity outside all colours": (
+        target(want=[{"geometry": "specular 0", "xyy": [0.3, 0, 0.2]}]),
+        "no colour",
+    ),
     "a total below every layer": (
-        target(free=None, layers={"palette": ["SiO2"], "thickness_nm": [50, 90]}, limits={"max_total_nm": 20}), "no layer",
+        target(free=None, layers={"palette": ["SiO2"], "thickness_nm": [50, 90]}, limits={"max_total_nm": 20}),
+        "no layer",
     ),
     "a spread of an index that does not exist": (target(spread={"layers[9].thickness_nm": 3}), "does not exist"),
     "a key that is not known": (target(wants=3), 'Did you mean "want"'),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -220,10 +239,14 @@ def test_the_command_tells_it_with_status_2(tmp_path: Path, capsys: pytest.Captu
     ("text", "word"),
     [
         ("", "says no look"),
-        ('recipe = {family = "film", substrate = "Si", layers = [{material = "SiO2", thickness_nm = 50}]}\n[parameters]\n'
-         '"layers[0].thickness_nm" = [5, 90]\n[[target]]\ngeometry = "specular 0"\nspectrum = "uv.csv"\n', "is known from"),
+        (
+            'recipe = {family = "film", substrate = "Si", layers = [{material = "SiO2", thickness_nm = 50}]}\n'
+            "[parameters]\n"
+            '"layers[0].thickness_nm" = [5, 90]\n[[target]]\ngeometry = "specular 0"\nspectrum = "uv.csv"\n',
+            "is known from",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_searched_leaves_nothing_behind(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, word: str
 ) -> None:
@@ -238,11 +261,14 @@ def test_what_cannot_be_searched_leaves_nothing_behind(
 @pytest.mark.parametrize(
     ("heading", "nm", "share"),
     [
-        ("nm,R", 1.0, 1.0), ("Wavelength (nm),%R", 1.0, 100.0), ("wavelength / nm;Reflectance (%)", 1.0, 100.0),
-        ("wavelength_um,R [%]", 1e-3, 100.0), ("lambda (angstrom)\tR", 10.0, 1.0),
+        ("nm,R", 1.0, 1.0),
+        ("Wavelength (nm),%R", 1.0, 100.0),
+        ("wavelength / nm;Reflectance (%)", 1.0, 100.0),
+        ("wavelength_um,R [%]", 1e-3, 100.0),
+        ("lambda (angstrom)\tR", 10.0, 1.0),
         ("nm,percent", 1.0, 100.0),
     ],
-)  # fmt: skip
+)
 def test_the_heading_of_a_wanted_spectrum_tells_its_units(tmp_path, heading, nm, share) -> None:
     """0.4 under "R (%)" is 0.4 per cent, not 40; and what an instrument exports in per cent can be wanted as it is."""
     part = next(mark for mark in ";\t," if mark in heading)

@@ -16,9 +16,12 @@ from nacre.optimise.task import read_task, total_nm
 LAYERS = [{"material": "SiO2", "thickness_um": 0.2}, {"material": "TiO2", "thickness_nm": 40}]
 ROUGH = {"family": "film", "substrate": "Si", "layers": LAYERS, "surface": {"roughness": 0.1}}
 DISCS = {
-    "family": "metasurface", "substrate": "Si", "layers": LAYERS,
-    "particle": {"material": "Ag", "radius_nm": 50}, "monolayer": {"coverage": 0.1, "packing": 0.3},
-}  # fmt: skip
+    "family": "metasurface",
+    "substrate": "Si",
+    "layers": LAYERS,
+    "particle": {"material": "Ag", "radius_nm": 50},
+    "monolayer": {"coverage": 0.1, "packing": 0.3},
+}
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,11 @@ def test_bad_colours_are_named(labs: Any, says: str) -> None:
 
 
 def test_targets_of_which_many_cannot_be_sought_are_told() -> None:
-    relief = {"recipe": {"family": "relief", "feature_um": 1}, "parameters": {"heights": [0, 1]}, "target": TARGET["target"]}
+    relief = {
+        "recipe": {"family": "relief", "feature_um": 1},
+        "parameters": {"heights": [0, 1]},
+        "target": TARGET["target"],
+    }
     with pytest.raises(NacreError, match="heights of a relief are sought one look at a time"):
         nacre.design.many(relief, [(50, 0, 0)])
     with pytest.raises(NacreError, match=r"has no \[\[want\]\]"):

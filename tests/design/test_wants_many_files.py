@@ -31,14 +31,17 @@ LABS = [[50.0, 20.0, -3.5], [40.0, -1.0, 2.0]]
     ("text", "names"),
     [
         ("50,20,-3.5\n40,-1,2\n", ["", ""]),
-        ("red,50,20,-3.5\n\n# remark\n\"grey, dark\",40,-1,2\n", ["red", "grey, dark"]),
+        ('red,50,20,-3.5\n\n# remark\n"grey, dark",40,-1,2\n', ["red", "grey, dark"]),
         ("L,a,b\n50,20,-3.5\n40,-1,2\n", ["", ""]),
-        ("Sample;L* (D65/10\u00b0);a* (D65/10\u00b0);b* (D65/10\u00b0);gloss\nred;50,0;20,0;-3,5;80\nno 2;40;-1;2;9\n",
-         ["red", "no 2"]),
+        (
+            "Sample;L* (D65/10\u00b0);a* (D65/10\u00b0);b* (D65/10\u00b0);gloss\nred;50,0;20,0;-3,5;80\n"
+            "no 2;40;-1;2;9\n",
+            ["red", "no 2"],
+        ),
         ("Farbe\tb*\ta*\tL*\nred\t-3,5\t20\t50\ngrau\t2\t-1\t40\n", ["red", "grau"]),
         ("dark red 50 20 -3.5\ngrey 40 -1 2\n", ["dark red", "grey"]),
     ],
-)  # fmt: skip
+)
 def test_lists_are_read_as_people_write_them(tmp_path: Path, text: str, names: list[str]) -> None:
     for encoding in ("utf-8", "utf-16"):
         (tmp_path / "l.csv").write_bytes(text.encode(encoding))

@@ -61,15 +61,20 @@ def test_the_sensitivity_of_spectra_is_told_in_their_own_unit(tmp_path: Path) ->
     (tmp_path / "s.csv").write_text("\n".join(f"{nm},{0.3 + 0.2 * (nm > 550)}" for nm in range(400, 701, 10)))
     film = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100.0}]}
     want = {"geometry": "specular 0", "spectrum": str(tmp_path / "s.csv"), "tolerance": 50.0}
-    target = {"recipe": film, "parameters": {"layers[0].thickness_nm": [50, 300]}, "target": [want],
-              "search": {"seconds": 1, "solutions": 1}}  # fmt: skip
+    target = {
+        "recipe": film,
+        "parameters": {"layers[0].thickness_nm": [50, 300]},
+        "target": [want],
+        "search": {"seconds": 1, "solutions": 1},
+    }
     design = nacre.design(target, tmp_path / "out")
     told = design.best.facts["sensitivity"][0]
     thickness = design.best.changes["layers[0].thickness_nm"]
     ends = [
         design.best.material.vary({"layers[0].thickness_nm": thickness * (1 + step)})
-        .spectrum([0.0], np.arange(400.0, 701.0, 10.0)).specular_reflectance
+        .spectrum([0.0], np.arange(400.0, 701.0, 10.0))
+        .specular_reflectance
         for step in (-0.01, 0.01)
-    ]  # fmt: skip
+    ]
     rms = 0.5 * 100.0 * np.sqrt(np.mean((ends[1] - ends[0]) ** 2))
     assert "de00_of_1_percent" not in told and told["rms_percent_of_1_percent"] == pytest.approx(rms, rel=0.3)

@@ -73,9 +73,11 @@ def test_a_design_of_a_blend_moves_the_part_that_is_free(blend):
 def test_an_answers_file_names_the_quick_way_that_it_was_judged_by(tmp_path: Path) -> None:
     """Loaded alone it would otherwise take an ensemble of minutes, and show other colours than its report."""
     dense = {
-        "family": "metasurface", "substrate": "glass", "particle": {"material": "Si", "radius_nm": 70.0, "gap_nm": 3.0},
+        "family": "metasurface",
+        "substrate": "glass",
+        "particle": {"material": "Si", "radius_nm": 70.0, "gap_nm": 3.0},
         "monolayer": {"coverage": 0.1, "packing": 0.3},
-    }  # fmt: skip
+    }
     start = nacre.material(dense)
     assert start.model.slow_way
     many = start.at_low_fidelity()
@@ -128,9 +130,11 @@ def test_the_time_of_an_animation_runs_in_the_parts_of_a_blend(blend):
 def test_a_named_number_that_is_not_there_is_no_new_one():
     """`--set numbers.drian=2` changed nothing, and said nothing."""
     moving = {
-        "family": "film", "substrate": "Si", "numbers": {"drain": 100.0},
+        "family": "film",
+        "substrate": "Si",
+        "numbers": {"drain": 100.0},
         "layers": [{"material": "SiO2", "thickness_nm": {"formula": "drain*(1 + u)", "min": 1, "max": 300}}],
-    }  # fmt: skip
+    }
     material = nacre.material(moving)
     material.vary({"numbers.drain": 90.0, "numbers.t": 1.0})
     with pytest.raises(RecipeError, match=r'"numbers.drian" does not exist in the recipe. Did you mean "drain"\?'):
@@ -143,7 +147,10 @@ def test_a_named_number_that_is_not_there_is_no_new_one():
 )
 def test_many_colours_that_are_none_are_refused(labs, words):
     one = {"recipe": {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 90}]}}
-    one |= {"parameters": {"layers[0].thickness_nm": [20, 200]}, "target": [{"geometry": "specular 0", "colour": "#605040"}]}
+    one |= {
+        "parameters": {"layers[0].thickness_nm": [20, 200]},
+        "target": [{"geometry": "specular 0", "colour": "#605040"}],
+    }
     with pytest.raises(NacreError, match=words):
         nacre.design.many(one, labs)
 

@@ -55,7 +55,9 @@ def labs_of(recipe: dict[str, Any], walks: int = 1 << 16) -> np.ndarray:
 
 
 def target(start: dict[str, Any], free: dict[str, Any], labs: Any, seconds: float = 10.0) -> dict[str, Any]:
-    wants = [{"geometry": f"45as{a}", "lab": list(map(float, lab)), "tolerance": WITHIN} for a, lab in zip(ANGLES, labs)]
+    wants = [
+        {"geometry": f"45as{a}", "lab": list(map(float, lab)), "tolerance": WITHIN} for a, lab in zip(ANGLES, labs)
+    ]
     return {"recipe": start, "parameters": free, "target": wants, "search": {"seconds": seconds, "solutions": 1}}
 
 
@@ -195,8 +197,10 @@ def test_what_a_pigment_s_numbers_cost_is_told_without_the_noise_of_walks() -> N
     made = read.material.vary(changes)
     chosen = [path for path in numbers_of(made.data) if is_chosen(path, changes, read.parameters)]
     assert chosen == [
-        "strata[0].platelets[0].volume_fraction", "strata[0].platelets[0].coatings[0].thickness_nm", "base.albedo",
-    ]  # fmt: skip
+        "strata[0].platelets[0].volume_fraction",
+        "strata[0].platelets[0].coatings[0].thickness_nm",
+        "base.albedo",
+    ]
     _, seen = judge(made, read.targets, read.spec.light, seed=1, seconds=0.1)
     told = [sensitivity(made, chosen, read.targets, read.spec.light, seed, 10.0, seen) for seed in (0, 1)]
     assert told[0] == told[1] and told[0][0]["path"].endswith("thickness_nm")

@@ -239,14 +239,20 @@ def test_what_a_picture_cannot_be_made_of_is_refused_in_one_line(tmp_path: Path)
     good = anodised(picture)
     read_task(good)
     layer = {"material": "SiO2", "thickness_nm": 50}
-    three = {**good, "recipe": {**good["recipe"], "layers": [layer] * 3}, "parameters": {"layers[*].thickness_nm": [5, 90]}}
+    three = {
+        **good,
+        "recipe": {**good["recipe"], "layers": [layer] * 3},
+        "parameters": {"layers[*].thickness_nm": [5, 90]},
+    }
     assert "3 numbers" in refused(three)
     assert "choices do not" in refused({**good, "parameters": {"substrate": {"choices": ["Ti", "Al"]}}})
     cannot = {**good, "recipe": {**good["recipe"], "ambient": {"n": 1.2}}, "parameters": {"ambient.n": [1.1, 1.4]}}
     assert "cannot vary" in refused(cannot) and "layers[].thickness_nm" in refused(cannot)
     for levels in (1, 0, 257, 2.5):
         assert "levels" in refused({**good, "limits": {"height_levels": levels}})
-    assert "only want" in refused({**good, "target": [*good["target"], {"geometry": "specular 30", "hue_deg": [0, 90]}]})
+    assert "only want" in refused(
+        {**good, "target": [*good["target"], {"geometry": "specular 30", "hue_deg": [0, 90]}]}
+    )
     assert "one lamp" in refused({**good, "light": {"illuminants": ["D65", "A"]}})
     assert "spread" in refused({**good, "tolerance": {"layers[0].thickness_nm": "2%"}})
     stack = {key: value for key, value in good.items() if key != "free"} | {"layers": {"palette": ["SiO2"]}}
@@ -259,9 +265,15 @@ def test_what_a_picture_cannot_be_made_of_is_refused_in_one_line(tmp_path: Path)
 def test_an_image_of_the_wrong_kind_is_refused_in_one_line(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "p.png"
     said = {
-        "text": "not a readable image", "missing": "does not exist", "clear": "transparent", "moving": "2 frames",
-        "cmyk": "CMYK", "thin": "1 x 40", "folder": "folder", "cut": "not a readable image",
-    }  # fmt: skip
+        "text": "not a readable image",
+        "missing": "does not exist",
+        "clear": "transparent",
+        "moving": "2 frames",
+        "cmyk": "CMYK",
+        "thin": "1 x 40",
+        "folder": "folder",
+        "cut": "not a readable image",
+    }
     if kind == "text":
         path.write_text("no picture")
     elif kind == "clear":

@@ -20,8 +20,15 @@ from nacre.recipe.model import RecipeContext
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "targets"
 RELIEF = {"family": "relief", "feature_um": 0.8, "blur_um": 0.13, "coating": "Al", "coherence": {"sigma": 2.6}}
-PICTURE = {"kind": "image", "image": "star.png", "image_scale": 1.5, "colour": "white", "range": 0.3,
-           "resolution": 64, "intensity_scale": 0.02}  # fmt: skip
+PICTURE = {
+    "kind": "image",
+    "image": "star.png",
+    "image_scale": 1.5,
+    "colour": "white",
+    "range": 0.3,
+    "resolution": 64,
+    "intensity_scale": 0.02,
+}
 ROUGH = {**RELIEF, "coherence": {"sigma": 1.0}}  # whose window fits a tile of 8 features
 COLOUR = {"geometry": "30as15", "colour": "#3060c0", "tolerance": 5}
 
@@ -42,8 +49,18 @@ def test_a_picture_is_the_problem_that_a_target_of_the_older_form_is(tmp_path):
     older, context = load_target(tmp_path / "star.toml")
     problem, ours = older.build(context), _read(_target({"directions": PICTURE})).problem
     assert np.array_equal(problem.target, ours.target)
-    for name in ("features", "feature_nm", "blur_nm", "height_max_nm", "coherence", "intensity_scale", "prefactor",
-                 "brightness_floor", "noise", "levels"):  # fmt: skip
+    for name in (
+        "features",
+        "feature_nm",
+        "blur_nm",
+        "height_max_nm",
+        "coherence",
+        "intensity_scale",
+        "prefactor",
+        "brightness_floor",
+        "noise",
+        "levels",
+    ):
         assert getattr(problem, name) == getattr(ours, name), name
     assert np.array_equal(problem.views[0].geometry.wi, ours.views[0].geometry.wi)
 
@@ -76,7 +93,10 @@ def test_only_targets_of_heights_or_pictures_go_to_the_search_of_reliefs():
         ({"target": [{**COLOUR, "geometry": "specular 0"}]}, 'want[0].at = "specular 0" cannot be sought'),
         ({"target": [{"geometry": "30as15", "chroma": ">=30"}]}, "want[0]: of a relief's heights a colour is sought"),
         ({"target": [{"directions": {**PICTURE, "image": "none.png"}}]}, "want[0].directions.image"),
-        ({"target": [{"directions": {**PICTURE, "intensity_scale": "free"}}, COLOUR]}, 'intensity_scale = "free" beside'),
+        (
+            {"target": [{"directions": {**PICTURE, "intensity_scale": "free"}}, COLOUR]},
+            'intensity_scale = "free" beside',
+        ),
         ({"target": [{"directions": PICTURE, "geometry": "30as15"}]}, "has directions and at; keep one"),
         ({"target": [{"colour": "#ffffff"}]}, "at is missing"),
         ({"tolerance": {"heights": "much"}}, 'spread.heights = "much" should be a percentage'),
@@ -123,8 +143,9 @@ def test_how_far_each_colour_is_missed_is_said_beside_the_loss(capsys):
     _tell_relief(SimpleNamespace(summary=losses, folder="out"), "t.toml", False)  # a target without wants
     told = capsys.readouterr().out.splitlines()
     assert told[1:3] == [
-        "  dE00 35.40 at 30as20 under D65, out of reach so far (within 8 was asked)", "  dE00 1.20 at 45as10 under A"
-    ]  # fmt: skip
+        "  dE00 35.40 at 30as20 under D65, out of reach so far (within 8 was asked)",
+        "  dE00 1.20 at 45as10 under A",
+    ]
 
 
 def test_what_judging_takes_is_kept_back_from_the_search(tmp_path, monkeypatch):

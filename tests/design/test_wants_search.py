@@ -63,9 +63,13 @@ def test_a_hidden_film_is_found_by_the_search_that_knows_nothing_of_films() -> N
 
 def test_a_design_is_as_good_as_it_says_and_stays_within_its_bounds(tmp_path: Path) -> None:
     target = asked(
-        0.0, 40.0, hidden=film(55, 110, 80), recipe=film(30, 30, 30), free={"layers[*].thickness_nm": [20, 130]},
+        0.0,
+        40.0,
+        hidden=film(55, 110, 80),
+        recipe=film(30, 30, 30),
+        free={"layers[*].thickness_nm": [20, 130]},
         light={"illuminants": ["D65", "A"]},
-    )  # fmt: skip
+    )
     for want in target["target"]:
         want["tolerance"] = 8.0  # the hidden film has these colours under D65, and others under A
     design = nacre.design(target, tmp_path / "out")
@@ -90,13 +94,17 @@ def test_a_design_is_as_good_as_it_says_and_stays_within_its_bounds(tmp_path: Pa
 def test_a_stack_is_sought_of_its_palette_and_the_report_needs_no_network(tmp_path: Path) -> None:
     target = {
         "recipe": {"family": "film", "substrate": "Al", "layers": []},
-        "layers": {"palette": ["SiO2", "Cr"], "max_layers": 4, "thickness_nm": {"Cr": [3, 20], "other": [20, 300]},
-                   "substrate": ["Al", "Ag"]},
+        "layers": {
+            "palette": ["SiO2", "Cr"],
+            "max_layers": 4,
+            "thickness_nm": {"Cr": [3, 20], "other": [20, 300]},
+            "substrate": ["Al", "Ag"],
+        },
         "target": [{"geometry": "specular 0", "lab": [45, 30, -20], "tolerance": 2.0}],
         "tolerance": {"layers[*].thickness_nm": "1%"},
         "limits": {"max_total_nm": 700},
         "search": {"seconds": 8, "solutions": 3},
-    }  # fmt: skip
+    }
     design = nacre.design(target, tmp_path / "out")
     assert design.status == "met"
     for solution in design.solutions:
@@ -183,9 +191,11 @@ def test_a_folder_can_be_moved_with_the_files_that_its_recipe_names(tmp_path: Pa
         'layers = [{material = {file = "tables/nk.csv"}, thickness_nm = 100}]\n'
     )
     target = {
-        "recipe": str(tmp_path / "start.toml"), "parameters": {"layers[0].thickness_nm": [80, 120]},
-        "target": [{"geometry": "specular 0", "lab": [40, 0, 0]}], "search": {"seconds": 1, "solutions": 1},
-    }  # fmt: skip
+        "recipe": str(tmp_path / "start.toml"),
+        "parameters": {"layers[0].thickness_nm": [80, 120]},
+        "target": [{"geometry": "specular 0", "lab": [40, 0, 0]}],
+        "search": {"seconds": 1, "solutions": 1},
+    }
     nacre.design(target, tmp_path / "out")
     shutil.move(tmp_path / "out", tmp_path / "moved")
     shutil.rmtree(tmp_path / "tables")
@@ -197,8 +207,11 @@ def test_the_recipe_that_a_design_starts_from_is_not_overwritten(tmp_path: Path)
     (tmp_path / "recipe.toml").write_text(
         'family = "film"\nsubstrate = "Si"\nlayers = [{material = 1.5, thickness_nm = 9}]\n'
     )
-    target = {"recipe": str(tmp_path / "recipe.toml"), "parameters": {"layers[0].thickness_nm": [1, 90]},
-              "target": [{"geometry": "specular 0", "lab": [40, 0, 0]}]}  # fmt: skip
+    target = {
+        "recipe": str(tmp_path / "recipe.toml"),
+        "parameters": {"layers[0].thickness_nm": [1, 90]},
+        "target": [{"geometry": "specular 0", "lab": [40, 0, 0]}],
+    }
     with pytest.raises(NacreError, match="starts from"):
         nacre.design(target, tmp_path)
 
@@ -206,9 +219,10 @@ def test_the_recipe_that_a_design_starts_from_is_not_overwritten(tmp_path: Path)
 def test_whole_numbers_and_words_alone_are_tried_one_by_one() -> None:
     recipe = film(60, substrate="Al", ridges={"pitch_nm": 700, "width_nm": 300, "height_deviation_nm": 120})
     target = {
-        "recipe": recipe, "parameters": {"ridges.count": [1, 3], "layers[0].material": {"choices": ["SiO2", "TiO2"]}},
+        "recipe": recipe,
+        "parameters": {"ridges.count": [1, 3], "layers[0].material": {"choices": ["SiO2", "TiO2"]}},
         "target": [{"geometry": "30as15", "lab": [50, 0, 0]}],
-    }  # fmt: skip
+    }
     read = read_task(target)
     assert Parameter("ridges.count", 1.0, 3.0, (), True) in read.parameters
     search = LeastSquaresSearch(read.material, read.parameters, read.targets, read.spec.light, 0, 1)
@@ -231,8 +245,11 @@ def test_many_colours_of_one_target_keep_their_order() -> None:
 
 
 def test_many_refuses_colours_of_another_shape() -> None:
-    target = {"recipe": film(40), "parameters": {"layers[0].thickness_nm": [10, 90]},
-              "target": [{"geometry": "specular 0", "lab": [50, 0, 0]}]}  # fmt: skip
+    target = {
+        "recipe": film(40),
+        "parameters": {"layers[0].thickness_nm": [10, 90]},
+        "target": [{"geometry": "specular 0", "lab": [50, 0, 0]}],
+    }
     with pytest.raises(NacreError, match=r"\[n, 3\]"):
         nacre.design.many(target, [50, 0, 0])
 
@@ -244,12 +261,17 @@ def test_a_search_compares_a_spectrum_as_the_judge_does(tmp_path: Path, has_colo
     csv = tmp_path / "edge.csv"
     csv.write_text("".join(f"{x:g},{float(x > 580.0):g}\n" for x in nm))
     wants = [{"geometry": "specular 0", "spectrum": str(csv)}, {"geometry": "specular 30", "colour": "#305080"}]
-    target = read_task({
-        "recipe": {"family": "film", "substrate": "BK7", "layers": [
-            {"material": ("TiO2", "SiO2")[i % 2], "thickness_nm": (75, 115)[i % 2]} for i in range(9)]},
-        "parameters": {"layers[*].thickness_nm": [5, 300]},
-        "target": wants[: 1 + has_colour],
-    })  # fmt: skip
+    target = read_task(
+        {
+            "recipe": {
+                "family": "film",
+                "substrate": "BK7",
+                "layers": [{"material": ("TiO2", "SiO2")[i % 2], "thickness_nm": (75, 115)[i % 2]} for i in range(9)],
+            },
+            "parameters": {"layers[*].thickness_nm": [5, 300]},
+            "target": wants[: 1 + has_colour],
+        }
+    )
     engine = choose_search(target, 0)
     assert isinstance(engine, ThinFilmSearch)
     goals, rows = engine.problem.goals, geometries_of(target.targets)
@@ -267,10 +289,12 @@ def test_a_spectrum_over_a_part_of_the_wavelengths_is_met_there_beside_a_colour(
     target = {
         "recipe": {"family": "film", "substrate": "BK7", "layers": []},
         "layers": {"palette": ["MgF2", "TiO2", "SiO2"], "max_layers": 4, "thickness_nm": [5, 200]},
-        "target": [{"geometry": "specular 0", "spectrum": str(tmp_path / "ar.csv"), "tolerance": 0.3},
-                 {"geometry": "specular 0", "lightness": "<=20", "tolerance": 2.0}],
+        "target": [
+            {"geometry": "specular 0", "spectrum": str(tmp_path / "ar.csv"), "tolerance": 0.3},
+            {"geometry": "specular 0", "lightness": "<=20", "tolerance": 2.0},
+        ],
         "search": {"seconds": 10, "solutions": 1},
-    }  # fmt: skip
+    }
     design = nacre.design(target, tmp_path / "out")
     nm = np.arange(480.0, 621.0, 10.0)
     seen = nacre.load(tmp_path / "out").spectrum([0.0], nm).specular_reflectance

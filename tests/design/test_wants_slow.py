@@ -29,7 +29,9 @@ def _target(hidden, free, seconds):
     seen = simulate_measurement(hidden, [Geometry.read(at, "") for at in LOOKS])
     labs = xyz_to_lab(spectrum_to_xyz(seen.factors, seen.wavelengths_nm, "D65", "10deg"), white_xyz("D65", "10deg"))
     wants = [{"geometry": at, "lab": lab.tolist(), "tolerance": 1.5} for at, lab in zip(LOOKS, labs)]
-    return read_task({"recipe": START, "parameters": free, "target": wants, "search": {"seconds": seconds, "solutions": 1}})
+    return read_task(
+        {"recipe": START, "parameters": free, "target": wants, "search": {"seconds": seconds, "solutions": 1}}
+    )
 
 
 def test_a_step_of_a_linear_problem_ends_at_its_solution():

@@ -59,7 +59,7 @@ def test_a_stranger_sees_what_the_design_says(tmp_path: Path, lamps: list[str]) 
         "target": [{"geometry": f"specular {a:g}", "lab": [50, -20, 10], "tolerance": 2.0} for a in angles],
         "light": {"illuminants": lamps},
         "search": {"seconds": 20, "solutions": 2},
-    }  # fmt: skip
+    }
     design = nacre.design(target, tmp_path / "out")
     assert len(design.solutions) == 2
     for solution in design.solutions:

@@ -22,7 +22,7 @@ def _seen(place: np.ndarray) -> np.ndarray:
 
 def _valleys(
     low: Any = (0.0, 0.0), others: Any = lambda place: [], lengths: Any = (0,), unmet: float = 0.0
-) -> BasinHopping:  # fmt: skip
+) -> BasinHopping:
     wanted = _seen(HIDDEN)
 
     def look(place: np.ndarray) -> np.ndarray:
@@ -68,8 +68,11 @@ def test_a_number_keeps_above_its_least() -> None:
 
 
 def test_few_wavelengths_serve_smooth_spectra_and_no_others() -> None:
-    data = {"recipe": {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]},
-            "parameters": {"layers[0].thickness_nm": [50, 200]}, "target": [{"geometry": "specular 0", "lab": 3 * [50]}]}  # fmt: skip
+    data = {
+        "recipe": {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]},
+        "parameters": {"layers[0].thickness_nm": [50, 200]},
+        "target": [{"geometry": "specular 0", "lab": 3 * [50]}],
+    }
     for lamp, waves, is_few in (("D65", 1.0, True), ("D65", 9.0, False), ("F11", 1.0, True)):
         target = read_task({**data, "light": {"illuminants": [lamp]}})
         rows, grid = geometries_of(target.targets), np.arange(380.0, 781.0, 4.0)
@@ -85,9 +88,13 @@ def test_few_wavelengths_serve_smooth_spectra_and_no_others() -> None:
 
 def test_a_place_where_nothing_may_move_is_an_end() -> None:
     valleys = BasinHopping(
-        lambda place: place - HIDDEN, lambda place: [0] if place[0] > 0.0 else [], np.zeros(2), [],
-        lambda place: [], lambda place: 0,
-    )  # fmt: skip
+        lambda place: place - HIDDEN,
+        lambda place: [0] if place[0] > 0.0 else [],
+        np.zeros(2),
+        [],
+        lambda place: [],
+        lambda place: 0,
+    )
     valleys.begin([np.zeros(2), np.array([0.5, 0.3])])
     ends = list(valleys.run(time.monotonic() + 30.0))
     assert sorted(round(float(end.place[0]), 3) for end in ends) == [0.0, 0.8]

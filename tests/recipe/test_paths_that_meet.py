@@ -40,9 +40,11 @@ def test_a_stack_is_designed_for_the_spread_of_the_path_with_an_index(order: tup
 
     sizes = {EVERY: "2%", FIRST: "10%"}
     target = {
-        "recipe": dict(film().data), "parameters": {EVERY: [5, 300]}, "target": [{"geometry": "specular 0", "lab": [50, 0, 0]}],
+        "recipe": dict(film().data),
+        "parameters": {EVERY: [5, 300]},
+        "target": [{"geometry": "specular 0", "lab": [50, 0, 0]}],
         "tolerance": {path: sizes[path] for path in order},
-    }  # fmt: skip
+    }
     search = thin_film_search(read_task(target), 0)
     assert search is not None and search.problem.spread_relative == (0.1, 0.02)
 

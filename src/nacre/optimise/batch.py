@@ -30,7 +30,21 @@ from nacre.optimise.thin_film.adapter import thin_film_search_many
 TABLE, SUMMARY = "many.csv", "many.json"
 WRITE_EVERY_S = 2.0
 LONGEST_NAME = 60
-HEAD = ("name", "folder", "L", "a", "b", "reached_L", "reached_a", "reached_b", "de00", "geometry", "lamp", "met", "total_nm")
+HEAD = (
+    "name",
+    "folder",
+    "L",
+    "a",
+    "b",
+    "reached_L",
+    "reached_a",
+    "reached_b",
+    "de00",
+    "geometry",
+    "lamp",
+    "met",
+    "total_nm",
+)
 
 
 class ManyFolder:
@@ -84,9 +98,12 @@ class ManyFolder:
         written = replace(solution, recipe=path, facts={**solution.facts, "files": files})
         row = self.wanted[number]
         self._documents[number] = {
-            "name": row.name, "folder": self.names[number], "lab": row.lab.tolist(), "met": solution.is_met,
+            "name": row.name,
+            "folder": self.names[number],
+            "lab": row.lab.tolist(),
+            "met": solution.is_met,
             **document_of(written, target),
-        }  # fmt: skip
+        }
         if time.monotonic() - self._last > WRITE_EVERY_S:
             self.write("running")
         return written
@@ -100,7 +117,7 @@ class ManyFolder:
                 want, lamp, np.array(one["reached"]["lab"]), np.array(one["asked_lab"]), one["de00"], one["noise"]
             )
             for (want, lamp), one in zip(pairs, told["targets"], strict=True)
-        ]  # fmt: skip
+        ]
         facts = {key: told[key] for key in ("sensitivity", "total_nm", "files") if told.get(key)}
         facts |= {"yield": told["yield_details"]} if told.get("yield_details") else {}
         made = self.target.material.vary(told["changes"])
@@ -203,10 +220,19 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
         worst = max(row["targets"], key=lambda want: want["de00"] / want["tolerance"])
         total = "" if row.get("total_nm") is None else f"{row['total_nm']:.2f}"
         colours = [f"{value:.3f}" for value in (*worst["asked_lab"], *worst["reached"]["lab"])]
-        writer.writerow([
-            row["name"], row["folder"], *colours, f"{worst['de00']:.4f}", worst["geometry"], worst["lamp"],
-            "yes" if row["met"] else "no", total, *(_cell(row["changes"].get(path, "")) for path in paths),
-        ])  # fmt: skip
+        writer.writerow(
+            [
+                row["name"],
+                row["folder"],
+                *colours,
+                f"{worst['de00']:.4f}",
+                worst["geometry"],
+                worst["lamp"],
+                "yes" if row["met"] else "no",
+                total,
+                *(_cell(row["changes"].get(path, "")) for path in paths),
+            ]
+        )
     return stream.getvalue()
 
 
@@ -261,7 +287,7 @@ def many(
 
     Args:
         target: as of `nacre.design`; the colours in it are replaced, everything else holds for each design. Its
-            `search.seconds` are of each design; a stack without `[tolerance]` and `max_layers = "fewest"` asks no clock and
+            `search.seconds` are per design; a stack without `[tolerance]` and `max_layers = "fewest"` asks no clock and
             takes some hundredths of a second.
         labs: `[n, 3]`, CIELAB wanted at every want of the target, or `[n, want, 3]`, one for each want; or a CSV file
             of L, a, b or name, L, a, b (see `nacre.optimise.colour_list`).
@@ -321,7 +347,9 @@ def _read(target: str | Path | Mapping[str, Any]) -> DesignTask:
         raise NacreError(f"{context.source}: has no [[target]]; many colours are wanted where one stands")
     read = read_task(target)
     if read.targets[0].image is not None:
-        raise NacreError(f"{read.context.source}: target[0].image: a picture is many colours already; take nacre.design")
+        raise NacreError(
+            f"{read.context.source}: target[0].image: a picture is many colours already; take nacre.design"
+        )
     return read
 
 

@@ -56,7 +56,7 @@ def run(
         return run_wants(target, out, resume=resume, progress=progress)
     if "target" not in data and "family" in data:
         raise RecipeError(
-            f'{target}: is a recipe, not a target; write one with recipe = "{Path(target).name}", [parameters] and [[target]] '
+            f'{target}: is a recipe; write a target with recipe = "{Path(target).name}", [parameters] and [[target]] '
             "(nacre keys design)"
         )
     if "target" not in data:

@@ -94,10 +94,16 @@ class Gamut:
             for lab, xyy, structure in zip(self.lab, self.xyy, self.structures, strict=True)
         ]
         return {
-            "at": self.at, "illuminant": self.illuminant, "observer": self.observer, "within": self.within,
-            "share_of_srgb": self.share_of_srgb, "share_of_optimal": self.share_of_optimal,
-            "count": len(points), "failed": self.failed, "points": points,
-        }  # fmt: skip
+            "at": self.at,
+            "illuminant": self.illuminant,
+            "observer": self.observer,
+            "within": self.within,
+            "share_of_srgb": self.share_of_srgb,
+            "share_of_optimal": self.share_of_optimal,
+            "count": len(points),
+            "failed": self.failed,
+            "points": points,
+        }
 
 
 def parse_parameters(options: Iterable[str]) -> dict[str, Any]:
@@ -176,9 +182,18 @@ def find_gamut(
         raise RecipeError(f"{source}: nothing is free; use --free PATH=LOW:HIGH")
     where = _answered([material, *_tried(material, numbers)], at, f"{source}: at")
     return gamut_of_free(
-        material, numbers, where, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
-        within=within, samples=samples, seed=seed, progress=progress,
-    )  # fmt: skip
+        material,
+        numbers,
+        where,
+        points=points,
+        seconds=seconds,
+        illuminant=illuminant,
+        observer=observer,
+        within=within,
+        samples=samples,
+        seed=seed,
+        progress=progress,
+    )
 
 
 def _answered(materials: Sequence[Material], at: str | None, where: str) -> Geometry:
@@ -204,10 +219,19 @@ def _answered(materials: Sequence[Material], at: str | None, where: str) -> Geom
 
 
 def gamut_of_free(
-    material: Material, numbers: Sequence[Parameter], at: Geometry, *, points: int, seconds: float = np.inf, illuminant: str,
-    observer: str, within: float = 2.0, samples: int | None = None, seed: int = 0,
+    material: Material,
+    numbers: Sequence[Parameter],
+    at: Geometry,
+    *,
+    points: int,
+    seconds: float = np.inf,
+    illuminant: str,
+    observer: str,
+    within: float = 2.0,
+    samples: int | None = None,
+    seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
-) -> Gamut:  # fmt: skip
+) -> Gamut:
     """As `find_gamut`, of numbers and a geometry that are checked already.
 
     Raises:
@@ -232,9 +256,15 @@ def gamut_of_free(
 
 
 def gamut_of(
-    factors: Array, wavelengths_nm: Array, structures: Sequence[Mapping[str, Any]], at: str, illuminant: str,
-    observer: str, within: float = 2.0, failed: int = 0,
-) -> Gamut:  # fmt: skip
+    factors: Array,
+    wavelengths_nm: Array,
+    structures: Sequence[Mapping[str, Any]],
+    at: str,
+    illuminant: str,
+    observer: str,
+    within: float = 2.0,
+    failed: int = 0,
+) -> Gamut:
     """Return the gamut of spectra `[point, wavelength]` that are known already."""
     white = white_xyz(illuminant, observer)
     xyz = np.asarray(spectrum_to_xyz(factors, wavelengths_nm, illuminant, observer))
@@ -266,9 +296,16 @@ def _tried(material: Material, numbers: Sequence[Parameter]) -> list[Material]:
 
 
 def _draw(
-    numbers: Sequence[Parameter], look: Callable[[Mapping[str, Any]], Array], material: Material, points: int,
-    seconds: float, seed: int, grid: Array, light: tuple[str, str], progress: Callable[[int, int], None] | None,
-) -> tuple[list[Array], Array, int]:  # fmt: skip
+    numbers: Sequence[Parameter],
+    look: Callable[[Mapping[str, Any]], Array],
+    material: Material,
+    points: int,
+    seconds: float,
+    seed: int,
+    grid: Array,
+    light: tuple[str, str],
+    progress: Callable[[int, int], None] | None,
+) -> tuple[list[Array], Array, int]:
     """Draw places evenly, then around those at the rim; return places, factors and how many failed."""
     from scipy.stats import qmc
 
@@ -311,10 +348,14 @@ def _every_place(numbers: Sequence[Parameter], most: int) -> list[Array]:
     if np.prod(counts, dtype=float) > most:
         return []
     return [
-        np.array([(pick + 0.5) / count if n.choices else pick / max(count - 1, 1)
-                  for n, pick, count in zip(numbers, picks, counts, strict=True)])
+        np.array(
+            [
+                (pick + 0.5) / count if n.choices else pick / max(count - 1, 1)
+                for n, pick, count in zip(numbers, picks, counts, strict=True)
+            ]
+        )
         for picks in np.ndindex(*counts)
-    ]  # fmt: skip
+    ]
 
 
 def _power(count: int) -> int:
@@ -523,9 +564,15 @@ def reach_of(target: DesignTask, seconds: float) -> tuple[Gamut, Array] | None:
         return _of_stacks(search, target, at), marks
     seed = target.spec.search.seed
     found = gamut_of_free(
-        target.material, target.parameters, at, points=POINTS, seconds=seconds, illuminant=light.illuminants[0],
-        observer=light.observer, seed=seed,
-    )  # fmt: skip
+        target.material,
+        target.parameters,
+        at,
+        points=POINTS,
+        seconds=seconds,
+        illuminant=light.illuminants[0],
+        observer=light.observer,
+        seed=seed,
+    )
     return found, marks
 
 
@@ -554,8 +601,12 @@ def _of_stacks(search: ThinFilmSearch, target: DesignTask, at: Geometry) -> Gamu
                 unit = generator.random() * (SHORT_SHARE if generator.random() < SHORT_SHARE else 1.0)
                 d[k, j] = low + unit * (min(high, 1e5) - low)
             d[k] *= min(1.0, problem.total_nm / max(float(d[k].sum()), 1e-9))
-            structures.append({"layers": [{"material": m, "thickness_nm": float(t)} for m, t in zip(names, d[k])],
-                               "substrate": below.name})  # fmt: skip
+            structures.append(
+                {
+                    "layers": [{"material": m, "thickness_nm": float(t)} for m, t in zip(names, d[k])],
+                    "substrate": below.name,
+                }
+            )
         found = powers(n, d, grid, np.radians([at.theta_deg]))
         part = found.reflectance if at.kind == "specular" else found.transmittance
         factors.append(np.asarray(part[..., 0, :]))

@@ -120,9 +120,20 @@ def sheet_of(target: DesignTask, solution: Solution, number: int, design: Any) -
     return DesignSheet(
         f"{target.name}, answer {number} of {len(design.solutions)}: {_distance(solution.worst)}"
         f" at {solution.worst.target.geometry}{made_well}",
-        swatches, seen.wavelengths_nm, curves, wanted, angles, seen.factors[len(rows):], label, media, thicknesses,
-        _numbers(solution, target), bars, title, light.illuminants[0],
-    )  # fmt: skip
+        swatches,
+        seen.wavelengths_nm,
+        curves,
+        wanted,
+        angles,
+        seen.factors[len(rows) :],
+        label,
+        media,
+        thicknesses,
+        _numbers(solution, target),
+        bars,
+        title,
+        light.illuminants[0],
+    )
 
 
 def _shown_wavelengths(made: Material, lamps: Sequence[str]) -> Array:
@@ -211,8 +222,10 @@ def _section(number: int, solution: Solution, picture: str, folder: Path, target
             assert r.target_lab is not None
             said = f"{_lab(r.target_lab)} | {_lab(r.lab)}"
         mark = "" if r.is_met else " (missed)"
-        rows.append(f"<tr><td>{r.target.geometry}</td><td>{r.lamp or ''}</td><td>{pair}</td><td class=small>{said}</td>"
-                    f"<td>{_distance(r)}{mark}</td></tr>")  # fmt: skip
+        rows.append(
+            f"<tr><td>{r.target.geometry}</td><td>{r.lamp or ''}</td><td>{pair}</td><td class=small>{said}</td>"
+            f"<td>{_distance(r)}{mark}</td></tr>"
+        )
     made = [f"<li>{html.escape(line)}</li>" for line in _numbers(solution, target) if len(line) < 200]
     where = solution.recipe.parent.relative_to(folder).as_posix() if solution.recipe is not None else ""
     details = solution.facts.get("yield")

@@ -1,11 +1,11 @@
 """Wanted looks as numbers: how far spectra are from them, and which way is nearer.
 
-`MeritFunction` is what every search of structures steers by. It knows spectra and colours and nothing of what made them: the
+`MeritFunction` ranks candidates for every search. It knows only spectra and colours: the
 spectra of a candidate come as rows (a direction, or a way through the sample), each on one grid of wavelengths, and
 1 is white. `distances` judges, `objective` ranks, `residuals` and `residual_jacobian` are for Levenberg-Marquardt.
 
-A goal under a lamp is a term. Colours under several lamps have a term for each; `MeritFunction.terms` lists them in the order
-in which `distances` does.
+An operand under a lamp is a term. Colours under several lamps have a term for each; `MeritFunction.terms` lists
+them in the order in which `distances` does.
 """
 
 from __future__ import annotations
@@ -50,8 +50,7 @@ class Operand:
         xyz: the wanted colour under the first lamp only, Y = 1 for white, instead of `lab`.
         low, high: the ends of a range; None where it is open. A hue needs both, in degrees, and runs upward from the
             first to the second, through 0 if need be; 360 degrees or more ask for nothing.
-        reflectance: the wanted spectrum on the wavelengths of the `MeritFunction` (kind "spectrum"); NaN where nothing is
-            wanted.
+        reflectance: the target spectrum on the wavelengths of the `MeritFunction` (kind "spectrum"); NaN if not specified.
         tolerance: distance that is good enough: dE00, or the rms in per cent for a spectrum.
         weight: how much the goal counts; 0 leaves it out.
     """

@@ -144,9 +144,13 @@ class _Keeper:
     """Keeps the folder up to date while the search runs."""
 
     def __init__(
-        self, folder: Path, target: DesignTask, begun: float, runs: int,
+        self,
+        folder: Path,
+        target: DesignTask,
+        begun: float,
+        runs: int,
         progress: Callable[[DesignProgress], None] | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.folder, self.target, self.begun, self.runs, self.progress = folder, target, begun, runs, progress
         self.last, self.best = -np.inf, np.inf
 

@@ -130,9 +130,12 @@ class Design:
 
 
 def write_recipe(
-    folder: Path, start: Material, changes: Mapping[str, Any], tolerance: Mapping[str, Any],
+    folder: Path,
+    start: Material,
+    changes: Mapping[str, Any],
+    tolerance: Mapping[str, Any],
     made: Material | None = None,
-) -> tuple[Path, list[str]]:  # fmt: skip
+) -> tuple[Path, list[str]]:
     """Write an answer's recipe, with comments where the start has some, and copy beside it what it reaches.
 
     Args:

@@ -84,7 +84,7 @@ class TargetEntry(RecipeModel):
     )
     directions: TargetTable | None = pydantic.Field(
         default=None,
-        description="in place of geometry and a colour: the picture that a relief of free heights shows over the directions",
+        description="instead of geometry and colour: the picture that a relief shows over the directions",
         examples=[{"kind": "anti-mirror", "range": 0.5}],
     )
     tolerance: Positive = pydantic.Field(

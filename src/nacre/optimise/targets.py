@@ -272,7 +272,7 @@ def _check_agreement(wants: Sequence[Target], light: LightSpec) -> None:
             apart = float(delta_e_2000(theirs, mine))
             if apart > want.tolerance + other.tolerance:
                 raise RecipeError(
-                    f'{want.key} and {other.key.rpartition(" ")[2]} want two colours at "{want.geometry}" that are dE00 '
+                    f'{want.key} and {other.key.rpartition(" ")[2]} give two colours at "{want.geometry}", dE00 '
                     f"{apart:.1f} apart; within {want.tolerance:g} and {other.tolerance:g} no answer has both"
                 )
 

@@ -46,7 +46,7 @@ def check_limits(spec: DesignSpec, base: Material, free: Sequence[Parameter], so
     """
     if spec.limits.height_levels is not None:
         raise RecipeError(
-            f"{source}: limits.height_levels = {spec.limits.height_levels}: levels are of a picture; no want is an image"
+            f"{source}: limits.height_levels = {spec.limits.height_levels}: only for pictures; no target is an image"
         )
     if spec.layers is not None:
         return
@@ -63,7 +63,9 @@ def check_limits(spec: DesignSpec, base: Material, free: Sequence[Parameter], so
     with contextlib.suppress(NacreError):  # other numbers may make room for the lowest of all
         least = total_nm(base.vary({number.path: number.low for number in free if not number.choices}))
     if least > most:
-        raise RecipeError(f"{source}: limits.max_total_nm = {most:g}: the least that [parameters] allows is {least:g} nm")
+        raise RecipeError(
+            f"{source}: limits.max_total_nm = {most:g}: the least that [parameters] allows is {least:g} nm"
+        )
 
 
 __all__ = ["check_limits", "total_nm"]
@@ -184,7 +186,7 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
         raise RecipeError(f"{source}: nothing is free; add a [parameters] table, or [layers] to seek a film's stack")
     if spec.layers is not None and free:
         raise RecipeError(
-            f'{source}: parameters."{free[0].path}" beside [layers]: the stack is sought alone; fix the number in the recipe'
+            f'{source}: parameters."{free[0].path}" beside [layers]: only the stack varies; fix it in the recipe'
         )
     if spec.tolerance and spec.layers is None:
         read_tolerances(spec.tolerance, base, source)

@@ -74,9 +74,14 @@ def _likeness(material: Material, rows: Sequence[Geometry], grid: Array) -> tupl
 
 
 def yield_of(
-    material: Material, spreads: Sequence[Tolerance], wants: Sequence[Target], light: LightSpec, seed: int,
-    seconds: float,     judged: Measurement | None = None,
-) -> dict[str, Any]:  # fmt: skip
+    material: Material,
+    spreads: Sequence[Tolerance],
+    wants: Sequence[Target],
+    light: LightSpec,
+    seed: int,
+    seconds: float,
+    judged: Measurement | None = None,
+) -> dict[str, Any]:
     """Return the share of draws that keep every want, its 95 % interval, and what each spread costs alone.
 
     Fewer materials are drawn where one takes long.
@@ -106,9 +111,12 @@ def yield_of(
                 break
     costs = _costs(eye, goals, spreads)
     return {
-        "share": good / done, "interval_95": list(wilson_interval(good, done)), "draws": done,
-        "costs": costs, "costs_most": costs[0]["path"] if costs else None,
-    }  # fmt: skip
+        "share": good / done,
+        "interval_95": list(wilson_interval(good, done)),
+        "draws": done,
+        "costs": costs,
+        "costs_most": costs[0]["path"] if costs else None,
+    }
 
 
 def _eye(
@@ -138,9 +146,14 @@ def _costs(eye: _Eye, goals: MeritFunction, spreads: Sequence[Tolerance]) -> lis
 
 
 def sensitivity(
-    material: Material, paths: Sequence[str], wants: Sequence[Target], light: LightSpec, seed: int, seconds: float,
+    material: Material,
+    paths: Sequence[str],
+    wants: Sequence[Target],
+    light: LightSpec,
+    seed: int,
+    seconds: float,
     judged: Measurement | None = None,
-) -> list[dict[str, Any]]:  # fmt: skip
+) -> list[dict[str, Any]]:
     """Return how far a change of 1 % of each number moves the looks at worst, the farthest first.
 
     In dE00, `de00_of_1_percent`; where spectra alone are wanted by their rms in per cent, `rms_percent_of_1_percent`.

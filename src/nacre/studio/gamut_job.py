@@ -43,9 +43,14 @@ def reachable(question: Mapping[str, Any], tell: Tell) -> None:
         wants = [want for want in target.targets if want.geometry == row]
         begun = time.monotonic()
         found = find_gamut(
-            target.material, question["free"], str(row), points=POINTS, seconds=(1.0 - AIMED_SHARE) * each,
-            illuminant=lamp, observer=OBSERVER,
-        )  # fmt: skip
+            target.material,
+            question["free"],
+            str(row),
+            points=POINTS,
+            seconds=(1.0 - AIMED_SHARE) * each,
+            illuminant=lamp,
+            observer=OBSERVER,
+        )
         look = _looker(target, row, lamp, white)
         labs = list(found.lab)
         asked: list[dict[str, Any]] = []
@@ -53,15 +58,26 @@ def reachable(question: Mapping[str, Any], tell: Tell) -> None:
             until = begun + each * (1.0 - AIMED_SHARE + AIMED_SHARE * (len(asked) + 1) / len(wants))
             labs_near, distance = _aim(target, want, found.lab, found.structures, look, until)
             labs += labs_near
-            asked.append({
-                "lab": None if want.lab is None else np.round(want.lab, 2).tolist(), "asked": want.asked,
-                "distance": round(distance, 2), "inside": distance <= want.tolerance, "within": want.tolerance,
-            })  # fmt: skip
+            asked.append(
+                {
+                    "lab": None if want.lab is None else np.round(want.lab, 2).tolist(),
+                    "asked": want.asked,
+                    "distance": round(distance, 2),
+                    "inside": distance <= want.tolerance,
+                    "within": want.tolerance,
+                }
+            )
         points = [[*np.round(lab, 1).tolist(), lab_hex(lab, white)] for lab in labs]
-        tell({
-            "kind": "reach", "at": str(row), "points": points, "asked": asked, "share_of_srgb": found.share_of_srgb,
-            "failed": found.failed,
-        })  # fmt: skip
+        tell(
+            {
+                "kind": "reach",
+                "at": str(row),
+                "points": points,
+                "asked": asked,
+                "share_of_srgb": found.share_of_srgb,
+                "failed": found.failed,
+            }
+        )
 
 
 def _rim(solid: Array) -> list[list[float]]:
@@ -94,9 +110,13 @@ def distance_to(want: Target, labs: Array) -> Array:
 
 
 def _aim(
-    target: DesignTask, want: Target, labs: Array, structures: list[dict[str, Any]], look: Callable[[Array], Array | None],
+    target: DesignTask,
+    want: Target,
+    labs: Array,
+    structures: list[dict[str, Any]],
+    look: Callable[[Array], Array | None],
     until: float,
-) -> tuple[list[Array], float]:  # fmt: skip
+) -> tuple[list[Array], float]:
     """Go towards what is wanted from the nearest draw, in steps that become smaller; return what was seen, how near."""
     distances = distance_to(want, labs)
     nearest = int(np.argmin(distances))

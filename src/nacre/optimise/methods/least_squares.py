@@ -62,9 +62,16 @@ def apart(place: Array, others: Sequence[Array], least: float) -> bool:
 
 
 def descend(
-    residuals: Callable[[Array], Array], start: Array, *, step: float = STEP, most: int = 60, low: ArrayLike = 0.0,
-    high: ArrayLike = 1.0, slopes: Callable[[Array], Array] | None = None, tolerance: float = 1e-8,
-) -> End:  # fmt: skip
+    residuals: Callable[[Array], Array],
+    start: Array,
+    *,
+    step: float = STEP,
+    most: int = 60,
+    low: ArrayLike = 0.0,
+    high: ArrayLike = 1.0,
+    slopes: Callable[[Array], Array] | None = None,
+    tolerance: float = 1e-8,
+) -> End:
     """Refine one start by bounded least squares, a trust region of finite differences.
 
     Args:
@@ -81,9 +88,16 @@ def descend(
     begin = np.clip(start, np.asarray(low) + INSIDE, np.asarray(high) - INSIDE)
     derivative = {"diff_step": np.full(len(begin), step)} if slopes is None else {"jac": slopes}
     found = least_squares(
-        residuals, begin, bounds=(low, high), x_scale=1.0, xtol=tolerance, ftol=tolerance, gtol=1e-2 * tolerance,
-        max_nfev=most, **derivative,
-    )  # fmt: skip
+        residuals,
+        begin,
+        bounds=(low, high),
+        x_scale=1.0,
+        xtol=tolerance,
+        ftol=tolerance,
+        gtol=1e-2 * tolerance,
+        max_nfev=most,
+        **derivative,
+    )
     return End(np.asarray(found.x), float(2.0 * found.cost), np.asarray(found.jac))
 
 
@@ -141,9 +155,14 @@ class LeastSquaresSearch:
     """
 
     def __init__(
-        self, material: Material, free: Sequence[Parameter], wants: Sequence[Target], light: LightSpec, seed: int,
+        self,
+        material: Material,
+        free: Sequence[Parameter],
+        wants: Sequence[Target],
+        light: LightSpec,
+        seed: int,
         solutions: int,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.material, self.parameters, self.targets, self.seed = material, tuple(free), tuple(wants), seed
         self.rows: list[Geometry] = list(dict.fromkeys(want.geometry for want in wants))
         widest = material.vary({n.path: n.high for n in free if not n.choices}) if self._widest_works() else material
@@ -169,9 +188,11 @@ class LeastSquaresSearch:
         return True
 
     def run(
-        self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None = None,
+        self,
+        seconds: float,
+        tell: Callable[[float, dict[str, Any]], None] | None = None,
         known: Sequence[Mapping[str, Any]] = (),
-    ) -> str:  # fmt: skip
+    ) -> str:
         """Search; return why it ended: "met", "time" or "interrupted".
 
         Args:
@@ -308,8 +329,12 @@ class LeastSquaresSearch:
         total = int(np.prod(counts, dtype=float))
         for index in range(min(total, 1 << 16)):
             picks = np.unravel_index(index, counts)
-            place = np.array([(pick + 0.5) / count if n.choices else pick / max(count - 1, 1)
-                              for n, pick, count in zip(self.parameters, picks, counts, strict=True)])  # fmt: skip
+            place = np.array(
+                [
+                    (pick + 0.5) / count if n.choices else pick / max(count - 1, 1)
+                    for n, pick, count in zip(self.parameters, picks, counts, strict=True)
+                ]
+            )
             self.pool.offer(self._judge(place)[0], values_at(self.parameters, place))
 
     def _starts(self, places: list[tuple[float, Array]]) -> Iterator[Array]:
@@ -356,9 +381,12 @@ class LeastSquaresSearch:
                 return np.asarray(self.goals.residuals(spectra)) * spread
 
             found = descend(
-                residuals, place[self._numbers], step=STOCHASTIC_STEP if self.is_stochastic else STEP,
-                most=STEPS_OF_A_START, tolerance=1e-7,
-            )  # fmt: skip
+                residuals,
+                place[self._numbers],
+                step=STOCHASTIC_STEP if self.is_stochastic else STEP,
+                most=STEPS_OF_A_START,
+                tolerance=1e-7,
+            )
             trial = place.copy()
             trial[self._numbers] = found.place
             objective, spectra = self._judge(trial)

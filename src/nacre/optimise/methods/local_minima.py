@@ -41,9 +41,14 @@ class BasinHopping:
     """
 
     def __init__(
-        self, look: Callable[[Array], Array | None], numbers: Callable[[Array], Sequence[int]], low: Array,
-        lengths: Sequence[int], others: Callable[[Array], Sequence[Array]], kind: Callable[[Array], Hashable],
-    ) -> None:  # fmt: skip
+        self,
+        look: Callable[[Array], Array | None],
+        numbers: Callable[[Array], Sequence[int]],
+        low: Array,
+        lengths: Sequence[int],
+        others: Callable[[Array], Sequence[Array]],
+        kind: Callable[[Array], Hashable],
+    ) -> None:
         self._look, self._numbers, self._low, self._lengths = look, numbers, low, set(lengths)
         self._others, self._kind = others, kind
         self._begun: Counter[Hashable] = Counter()
@@ -69,9 +74,14 @@ class BasinHopping:
             before, numbers = run.cost, self._numbers(run.place)
             if numbers:
                 go_down(
-                    run, self._look, lambda run, numbers=numbers: self._slopes(run, numbers), numbers, TRIES,  # type: ignore[misc]
-                    low=self._low[numbers], settled=SETTLED,
-                )  # fmt: skip
+                    run,
+                    self._look,
+                    lambda run, numbers=numbers: self._slopes(run, numbers),
+                    numbers,
+                    TRIES,  # type: ignore[misc]
+                    low=self._low[numbers],
+                    settled=SETTLED,
+                )
             else:
                 run.is_settled = True  # all that was free is left out
             if not self._is_new(run):

@@ -60,9 +60,14 @@ class SuccessiveHalvingSearch(LeastSquaresSearch):
     """The search of one problem whose candidates take long; arguments as of `LeastSquaresSearch`."""
 
     def __init__(
-        self, material: Material, free: Sequence[Parameter], wants: Sequence[Target], light: LightSpec, seed: int,
+        self,
+        material: Material,
+        free: Sequence[Parameter],
+        wants: Sequence[Target],
+        light: LightSpec,
+        seed: int,
         solutions: int,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(material, free, wants, light, seed, solutions)
         own = np.asarray(material.model.wavelengths_nm)
         # a wanted spectrum is compared on all of its wavelengths
@@ -83,9 +88,11 @@ class SuccessiveHalvingSearch(LeastSquaresSearch):
         self.kept_s = 0.0  # that whoever judges the answers has of its own
 
     def run(
-        self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None = None,
+        self,
+        seconds: float,
+        tell: Callable[[float, dict[str, Any]], None] | None = None,
         known: Sequence[Mapping[str, Any]] = (),
-    ) -> str:  # fmt: skip
+    ) -> str:
         """Search; return why it ended; see `LeastSquaresSearch.run`."""
         if not self._numbers:
             return super().run(seconds, tell, known)
@@ -245,9 +252,13 @@ class SuccessiveHalvingSearch(LeastSquaresSearch):
     def _descend(self, run: Descent, eye: _Eye, tries: int) -> None:
         """Go down by damped Gauss-Newton steps, inside the bounds."""
         go_down(
-            run, lambda place: self._look(place, eye), lambda here: self._slopes(here, eye), self._numbers, tries,
+            run,
+            lambda place: self._look(place, eye),
+            lambda here: self._slopes(here, eye),
+            self._numbers,
+            tries,
             is_enough=lambda: self.best <= ENOUGH * MET,
-        )  # fmt: skip
+        )
 
     def _slopes(self, run: Descent, eye: _Eye) -> Array:
         """Return d residual / d place by differences, `[residual, number]`, always on the few wavelengths."""
@@ -265,8 +276,9 @@ class SuccessiveHalvingSearch(LeastSquaresSearch):
         return np.stack(columns, axis=1)
 
 
-def slow_search(material: Material, free: Sequence[Parameter], wants: Sequence[Target], light: LightSpec, seed: int,
-                solutions: int) -> SuccessiveHalvingSearch | None:  # fmt: skip
+def slow_search(
+    material: Material, free: Sequence[Parameter], wants: Sequence[Target], light: LightSpec, seed: int, solutions: int
+) -> SuccessiveHalvingSearch | None:
     """Return this search for what answers a few directions without noise; None for what is quick, or walked."""
     if not material.model.is_direct:
         return None

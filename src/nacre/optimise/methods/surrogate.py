@@ -114,9 +114,12 @@ def tolerances_of(target: DesignTask, rows: Sequence[Geometry]) -> Array:
 
 
 def wavelength_subset(
-    target: DesignTask, rows: Sequence[Geometry], whole: tuple[Array, MeritFunction], places: Sequence[Array],
+    target: DesignTask,
+    rows: Sequence[Geometry],
+    whole: tuple[Array, MeritFunction],
+    places: Sequence[Array],
     spectra: Callable[[Array, Array], Array | None],
-) -> tuple[Array, MeritFunction]:  # fmt: skip
+) -> tuple[Array, MeritFunction]:
     """Return wavelengths and the goals on them: few where their colours are near those of all.
 
     Args:
@@ -207,9 +210,11 @@ class SurrogateSearch:
 
     @one_thread_each()  # its candidates would each find out anew how many there are
     def run(
-        self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None = None,
+        self,
+        seconds: float,
+        tell: Callable[[float, dict[str, Any]], None] | None = None,
         known: Sequence[Mapping[str, Any]] = (),
-    ) -> str:  # fmt: skip
+    ) -> str:
         """Search; return why it ended: "met", "time" or "interrupted".
 
         Args:
@@ -421,8 +426,11 @@ class SurrogateSearch:
             if len(begun) >= STARTS or time.monotonic() > until:
                 break
         found.sort(key=lambda pair: pair[0])
-        return [pair for k, pair in enumerate(found)
-                if all(np.max(np.abs(pair[1] - other)) >= APART for _, other in found[:k])][:KEPT_STARTS]  # fmt: skip
+        return [
+            pair
+            for k, pair in enumerate(found)
+            if all(np.max(np.abs(pair[1] - other)) >= APART for _, other in found[:k])
+        ][:KEPT_STARTS]
 
     def _descend_finely(self, places: Sequence[Array], until: float) -> list[tuple[float, Array]]:
         """As `_explore`, by a likeness that needs no walk; a good valley is settled before the next one is tried."""
@@ -484,9 +492,10 @@ class SurrogateSearch:
         """Return which numbers may be refined: none of a table that is gone."""
         gone = [holder for i, holder in self.drops.items() if place[i] == 0.0]
         return [
-            j for j, n in enumerate(self.parameters)
+            j
+            for j, n in enumerate(self.parameters)
             if not n.choices and not n.is_whole and not any(is_within(n.path, h) for h in gone)
-        ]  # fmt: skip
+        ]
 
     def _refine(self, start: Array, weightings: int = 1, reach: float = 1.0, most: int = STEPS) -> tuple[float, Array]:
         """Refine the numbers of a place by the likeness; the last steps weigh what is worst."""

@@ -92,7 +92,7 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
     pictures = [table for _, table in tables]
     if colours and pictures and pictures[0].intensity_scale == "free":
         raise RecipeError(
-            f'{source}: {tables[0][0]}.intensity_scale = "free" beside a colour at "{colours[0].geometry}": how bright the '
+            f'{source}: {tables[0][0]}.intensity_scale = "free" with a colour at "{colours[0].geometry}": how bright the '
             f"picture is must be said; write a number, with {np.pi:.4g} for that of a white of pi f = 1"
         )
     made = {
@@ -143,11 +143,13 @@ def _free(spec: DesignSpec, source: str) -> tuple[float, int]:
     """Return the largest height in um and the number of features along a side."""
     free = dict(spec.parameters)
     if HEIGHTS not in free:
-        raise RecipeError(f"{source}: a picture over directions needs free heights: write heights = [0, 0.8] in [parameters]")
+        raise RecipeError(
+            f"{source}: a picture over directions needs free heights: write heights = [0, 0.8] in [parameters]"
+        )
     given, features = free.pop(HEIGHTS), free.pop(FEATURES, 32)
     if free:
         raise RecipeError(
-            f'{source}: parameters."{next(iter(free))}" beside heights: the heights are sought alone; fix it in the recipe'
+            f'{source}: parameters."{next(iter(free))}" beside heights: only the heights vary; fix it in the recipe'
         )
     low, high = (given.get("min"), given.get("max")) if isinstance(given, Mapping) else _pair(given)
     if low != 0 or isinstance(high, bool) or not isinstance(high, int | float) or not high > 0:
@@ -185,7 +187,7 @@ def _noise(spec: DesignSpec, source: str) -> float:
 def _check_colour(want: Target) -> None:
     if want.geometry.kind != "aspecular":
         raise RecipeError(
-            f'{want.key}.geometry = "{want.geometry}" cannot be sought of a relief\'s heights; write a pair of directions, "45as15"'
+            f'{want.key}.geometry = "{want.geometry}" cannot be met by heights; write a pair of directions, "45as15"'
         )
     if want.lab is None and want.xyz is None:
         raise RecipeError(f"{want.key}: of a relief's heights a colour is sought; give colour, lab, lch, xyz or xyy")

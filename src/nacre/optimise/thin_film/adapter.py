@@ -241,7 +241,7 @@ def thin_film_search(target: DesignTask, seed: int) -> ThinFilmSearch | None:
     if target.spec.layers is not None:
         if others:
             raise RecipeError(
-                f'{others[0].key}.geometry = "{others[0].geometry}": with [layers] only specular and transmitted looks can be '
+                f'{others[0].key}.geometry = "{others[0].geometry}": with [layers] only specular and transmitted can be '
                 "wanted; free the thicknesses of a stack that is given for the others"
             )
         _check_plain(target)
@@ -273,9 +273,12 @@ def thin_film_search_many(
     if which:
         goals = [one.goals(other.targets) for other in targets]
         many_stacks(
-            one.problem, goals, target.spec.search.seed, which=which,
+            one.problem,
+            goals,
+            target.spec.search.seed,
+            which=which,
             on_progress=lambda number, solution: take(number, one.changes(solution)),
-        )  # fmt: skip
+        )
     return True
 
 

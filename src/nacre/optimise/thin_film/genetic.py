@@ -152,8 +152,9 @@ def bounds_of(space: Any, media: Any, layers: int, low: Any, high: Any) -> None:
 
 
 @compiled(error_model="numpy")
-def _change(space: Any, media: Any, d: Any, layers: int, substrate: int, mate_media: Any, mate_d: Any,
-            mate_layers: int) -> tuple[int, int]:  # fmt: skip
+def _change(
+    space: Any, media: Any, d: Any, layers: int, substrate: int, mate_media: Any, mate_d: Any, mate_layers: int
+) -> tuple[int, int]:
     """Change a stack in one way; `media` and `d` have two slots more than the space."""
     slots = space.choices.shape[0]
     is_open = space.is_open[0]
@@ -239,9 +240,18 @@ def _with_yield(nominal: float, missed: float) -> float:
 
 @compiled(error_model="numpy", nogil=True)
 def evolve(
-    tables: Any, looks: Any, space: Any, pool: Any, pool_size: int, children: int, fresh: float, target: float,
-    seed: int, s: Any, out: Any,
-) -> int:  # fmt: skip
+    tables: Any,
+    looks: Any,
+    space: Any,
+    pool: Any,
+    pool_size: int,
+    children: int,
+    fresh: float,
+    target: float,
+    seed: int,
+    s: Any,
+    out: Any,
+) -> int:
     """Make children of the first `pool_size` stacks of `pool` (best first) and refine them; return how many are kept.
 
     Args:

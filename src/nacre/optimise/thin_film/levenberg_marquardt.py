@@ -133,9 +133,19 @@ def keep_total(d: Any, low: Any, layers: int, total: float) -> None:
 
 @compiled(error_model="numpy", nogil=True)
 def descend(
-    tables: Any, looks: Any, media: Any, d: Any, low: Any, high: Any, layers: int, substrate: int, total: float,
-    iterations: int, p: float, s: Any,
-) -> float:  # fmt: skip
+    tables: Any,
+    looks: Any,
+    media: Any,
+    d: Any,
+    low: Any,
+    high: Any,
+    layers: int,
+    substrate: int,
+    total: float,
+    iterations: int,
+    p: float,
+    s: Any,
+) -> float:
     """Improve the thicknesses `d` `[>= layers]` in place; return the objective of what is left there.
 
     Args:

@@ -24,7 +24,7 @@ RADIANS = math.pi / 180.0
 
 
 class CompiledMerit(NamedTuple):
-    """`MeritFunction` as arrays; terms are those of `MeritFunction.terms`, sorted so that those of one row and lamp follow each other.
+    """`MeritFunction` as arrays; its terms are sorted by row and lamp.
 
     Attributes:
         weights: `[lamp, 3, wavelength]`.

@@ -189,9 +189,19 @@ class _Engine:
         powers = (2.0, WORST_POWER, 3.0 * WORST_POWER) if len(self.fine_looks.kind) > 1 else (2.0,)
         for p in powers:
             score = descend(
-                self.fine_tables, self.fine_looks, media, d, low, high, one.layers, one.substrate,
-                float(self.space.total[0]), FINISH_STEPS, p, self.fine_spaces[worker],
-            )  # fmt: skip
+                self.fine_tables,
+                self.fine_looks,
+                media,
+                d,
+                low,
+                high,
+                one.layers,
+                one.substrate,
+                float(self.space.total[0]),
+                FINISH_STEPS,
+                p,
+                self.fine_spaces[worker],
+            )
         return _Candidate(float(score), media, d, one.layers, one.substrate)
 
     def spectra(self, one: _Candidate) -> Array:
@@ -314,11 +324,21 @@ def _explore(engine: _Engine, seconds: float, seed: int, on_progress: Any, stop:
             seeds = np.random.SeedSequence([seed, rounds]).generate_state(engine.jobs)
             futures = [
                 threads.submit(
-                    evolve, engine.tables, engine.looks, space, pool, size, LITTER, FRESH, target,
-                    int(seeds[k]), engine.spaces[k], outs[k],
+                    evolve,
+                    engine.tables,
+                    engine.looks,
+                    space,
+                    pool,
+                    size,
+                    LITTER,
+                    FRESH,
+                    target,
+                    int(seeds[k]),
+                    engine.spaces[k],
+                    outs[k],
                 )
                 for k in range(engine.jobs)
-            ]  # fmt: skip
+            ]
             counts = [f.result() for f in futures]
             island.take(c for k, n in enumerate(counts) for c in _candidates(outs[k], n))
             rounds += 1
