@@ -33,7 +33,7 @@ ONE = {"geometry": "specular 0", "colour": "#777777"}
 SRGB_WHITE = 0.05
 
 
-def target(**changes: Any) -> dict[str, Any]:
+def task(**changes: Any) -> dict[str, Any]:
     base: dict[str, Any] = {"recipe": FILM, "parameters": {"layers[0].thickness_nm": [50, 300]}, "target": [ONE]}
     return {key: value for key, value in (base | changes).items() if value is not None}
 
@@ -58,7 +58,7 @@ def test_forms_of_one_colour_are_one_want() -> None:
         {"xyy": nacre.light.xyz_to_xyy(xyz).tolist()},
     ]
     for form in forms:
-        want = read_task(target(want=[{"geometry": "specular 0", **form}])).targets[0]
+        want = read_task(task(target=[{"geometry": "specular 0", **form}])).targets[0]
         np.testing.assert_allclose(want.target_lab(white), lab, atol=1e-9)
 
 
@@ -67,7 +67,7 @@ def test_xyz_are_wanted_under_the_first_lamp_only_and_lab_under_every_one() -> N
 
     light = {"illuminants": ["D65", "A"]}
     for form, count in (({"xyz": [0.2, 0.2, 0.2]}, 1), ({"lab": [50, 0, 0]}, 2), ({"chroma": "<=5"}, 2)):
-        read = read_task(target(want=[{"geometry": "specular 0", **form}], light=light))
+        read = read_task(task(target=[{"geometry": "specular 0", **form}], light=light))
         found, _ = judge(read.material, read.targets, read.spec.light)
         assert [r.lamp for r in found] == ["D65", "A"][:count]
 
@@ -128,92 +128,92 @@ def test_the_nearest_colour_of_a_range_is_that_of_a_dense_search(
 
 
 def test_two_numbers_and_a_table_are_the_same_bounds_and_a_star_is_every_index() -> None:
-    plain = read_task(target(free={"layers[*].thickness_nm": [50, 300]})).free
-    table = read_task(target(free={"layers[*].thickness_nm": {"min": 50, "max": 300}})).free
+    plain = read_task(task(parameters={"layers[*].thickness_nm": [50, 300]})).parameters
+    table = read_task(task(parameters={"layers[*].thickness_nm": {"min": 50, "max": 300}})).parameters
     assert plain == table and [f.path for f in plain] == ["layers[0].thickness_nm", "layers[1].thickness_nm"]
 
 
 BAD = {
-    "a path that does not exist": (target(free={"layers[0].thicknes_nm": [5, 10]}), "thickness_nm"),
-    "an index that does not exist": (target(free={"layers[7].thickness_nm": [5, 10]}), "layers[7]"),
-    "a path that is no number": (target(free={"layers[0].material": [5, 10]}), "not a number"),
-    "bounds that cross": (target(free={"layers[0].thickness_nm": [300, 50]}), "cross"),
-    "text for bounds": (target(free={"layers[0].thickness_nm": ["a", "b"]}), "two numbers"),
-    "one number": (target(free={"layers[0].thickness_nm": 5}), "[low, high]"),
-    "an unknown choice": (target(free={"layers[0].material": {"choices": ["SiO3"]}}), "SiO2"),
-    "nothing free": (target(free=None), "nothing is free"),
-    "a file as a palette's name": (target(free=None, layers={"palette": ["own.csv"]}), 'write {file = "own.csv"}'),
-    "an unknown palette name": (target(free=None, layers={"palette": ["TiO3"]}), 'Did you mean "TiO2"'),
-    "an unknown substrate": (target(free=None, layers={"palette": ["TiO2"], "substrate": ["Aq"]}), "substrate"),
+    "a path that does not exist": (task(parameters={"layers[0].thicknes_nm": [5, 10]}), "thickness_nm"),
+    "an index that does not exist": (task(parameters={"layers[7].thickness_nm": [5, 10]}), "layers[7]"),
+    "a path that is no number": (task(parameters={"layers[0].material": [5, 10]}), "not a number"),
+    "bounds that cross": (task(parameters={"layers[0].thickness_nm": [300, 50]}), "cross"),
+    "text for bounds": (task(parameters={"layers[0].thickness_nm": ["a", "b"]}), "two numbers"),
+    "one number": (task(parameters={"layers[0].thickness_nm": 5}), "[low, high]"),
+    "an unknown choice": (task(parameters={"layers[0].material": {"choices": ["SiO3"]}}), "SiO2"),
+    "nothing free": (task(parameters=None), "nothing is free"),
+    "a file as a palette's name": (task(parameters=None, layers={"palette": ["own.csv"]}), 'write {file = "own.csv"}'),
+    "an unknown palette name": (task(parameters=None, layers={"palette": ["TiO3"]}), 'Did you mean "TiO2"'),
+    "an unknown substrate": (task(parameters=None, layers={"palette": ["TiO2"], "substrate": ["Aq"]}), "substrate"),
     "bounds of nothing": (
-        target(free=None, layers={"palette": ["Cr"], "thickness_nm": {"Cx": [3, 20], "other": [1, 2]}}),
+        task(parameters=None, layers={"palette": ["Cr"], "thickness_nm": {"Cx": [3, 20], "other": [1, 2]}}),
         "Cx",
     ),
     "a material without bounds": (
-        target(free=None, layers={"palette": ["Cr", "SiO2"], "thickness_nm": {"Cr": [3, 20]}}),
+        task(parameters=None, layers={"palette": ["Cr", "SiO2"], "thickness_nm": {"Cr": [3, 20]}}),
         "SiO2",
     ),
-    "crossing bounds of layers": (target(free=None, layers={"palette": ["Cr"], "thickness_nm": [20, 3]}), "cross"),
-    "free naming a layer beside layers": (target(layers={"palette": ["TiO2"]}), "keep one"),
+    "crossing bounds of layers": (task(parameters=None, layers={"palette": ["Cr"], "thickness_nm": [20, 3]}), "cross"),
+    "free naming a layer beside layers": (task(layers={"palette": ["TiO2"]}), "keep one"),
     "a want that an opaque base cannot answer": (
-        target(want=[{**ONE, "geometry": "transmitted 0"}]),
+        task(target=[{**ONE, "geometry": "transmitted 0"}]),
         "cannot be answered",
     ),
-    "diffuse light of a mirror": (target(want=[{**ONE, "geometry": "diffuse 0"}]), "cannot be answered"),
-    "aspecular light of a mirror": (target(want=[{**ONE, "geometry": "45as15"}]), "cannot be answered"),
-    "two colours at one place": (target(want=[ONE, {**ONE, "colour": "#ff0000"}]), "no answer has both"),
-    "an unknown geometry": (target(want=[{**ONE, "geometry": "speculr 0"}]), 'Did you mean "specular"'),
-    "light from behind": (target(want=[{**ONE, "geometry": "specular 95"}]), "90"),
-    "a viewer behind the surface": (target(want=[{**ONE, "geometry": "20as115"}]), "behind"),
-    "a colour that is none": (target(want=[{**ONE, "colour": "pinkish"}]), "#rrggbb"),
-    "two forms of a colour": (target(want=[{**ONE, "lab": [1, 2, 3]}]), "exactly one"),
-    "no colour": (target(want=[{"geometry": "specular 0"}]), "exactly one"),
-    "a bound that cannot be read": (target(want=[{"geometry": "specular 0", "chroma": "> 40"}]), ">=40"),
-    "a spectrum that is not there": (target(want=[{"geometry": "specular 0", "spectrum": "no.csv"}]), "does not exist"),
-    "an unknown lamp": (target(light={"illuminants": ["D66"]}), "D65"),
-    "an unknown observer": (target(light={"observer": "3deg"}), "10deg"),
-    "spreads without wants": (target(want=None, spread={"layers[*].thickness_nm": "2%"}), "want is missing"),
-    "a spread of nothing": (target(spread={"layers[9].thickness_nm": "2%"}), "layers[9]"),
-    "a spread that is none": (target(spread={"layers[0].thickness_nm": "much"}), "percentage"),
-    "both forms of target": (target(target={"kind": "uniform"}), "one form"),
-    "a recipe that is wrong": (target(recipe={**FILM, "substrat": "Si"}), "Did you mean"),
+    "diffuse light of a mirror": (task(target=[{**ONE, "geometry": "diffuse 0"}]), "cannot be answered"),
+    "aspecular light of a mirror": (task(target=[{**ONE, "geometry": "45as15"}]), "cannot be answered"),
+    "two colours at one place": (task(target=[ONE, {**ONE, "colour": "#ff0000"}]), "no answer has both"),
+    "an unknown geometry": (task(target=[{**ONE, "geometry": "speculr 0"}]), 'Did you mean "specular"'),
+    "light from behind": (task(target=[{**ONE, "geometry": "specular 95"}]), "90"),
+    "a viewer behind the surface": (task(target=[{**ONE, "geometry": "20as115"}]), "behind"),
+    "a colour that is none": (task(target=[{**ONE, "colour": "pinkish"}]), "#rrggbb"),
+    "two forms of a colour": (task(target=[{**ONE, "lab": [1, 2, 3]}]), "exactly one"),
+    "no colour": (task(target=[{"geometry": "specular 0"}]), "exactly one"),
+    "a bound that cannot be read": (task(target=[{"geometry": "specular 0", "chroma": "> 40"}]), ">=40"),
+    "a spectrum that is not there": (task(target=[{"geometry": "specular 0", "spectrum": "no.csv"}]), "does not exist"),
+    "an unknown lamp": (task(light={"illuminants": ["D66"]}), "D65"),
+    "an unknown observer": (task(light={"observer": "3deg"}), "10deg"),
+    "spreads without wants": (task(target=None, tolerance={"layers[*].thickness_nm": "2%"}), "target is missing"),
+    "a spread of nothing": (task(tolerance={"layers[9].thickness_nm": "2%"}), "layers[9]"),
+    "a spread that is none": (task(tolerance={"layers[0].thickness_nm": "much"}), "percentage"),
+    "both forms of target": (task(target={"kind": "uniform"}), "write [[target]]"),
+    "a recipe that is wrong": (task(recipe={**FILM, "substrat": "Si"}), "Did you mean"),
     "layers of what is no film": (
-        target(recipe={"family": "pearl"}, free=None, layers={"palette": ["TiO2"]}),
+        task(recipe={"family": "pearl"}, parameters=None, layers={"palette": ["TiO2"]}),
         "only the stack of a film",
     ),
-    "a bound that the recipe never allows": (target(free={"layers[0].thickness_nm": [-50, 50]}), "= [-50, 50]: "),
+    "a bound that the recipe never allows": (task(parameters={"layers[0].thickness_nm": [-50, 50]}), "= [-50, 50]: "),
     "a bound that the table of a flake never allows": (
-        target(
+        task(
             recipe=PEARL,
-            free={"strata[0].platelets[0].volume_fraction": [0, 0.5]},
-            want=[{**ONE, "geometry": "45as15"}],
+            parameters={"strata[0].platelets[0].volume_fraction": [0, 0.5]},
+            target=[{**ONE, "geometry": "45as15"}],
         ),
         "= 0.5 is not allowed",
     ),
-    "bounds without an end": (target(free={"layers[0].thickness_nm": {"min": 3}}), "{min = 3}"),
-    "bounds and choices": (target(free={"layers[0].thickness_nm": {"min": 3, "choices": [4]}}), "not both"),
-    "a chroma without a side": (target(want=[{"geometry": "specular 0", "chroma": 40}]), 'write ">=40"'),
-    "the fewest of given layers": (target(limits={"layers": "fewest"}), "add [layers]"),
-    "a total below the least of given layers": (target(limits={"max_total_nm": 60}), "is 90 nm"),
+    "bounds without an end": (task(parameters={"layers[0].thickness_nm": {"min": 3}}), "{min = 3}"),
+    "bounds and choices": (task(parameters={"layers[0].thickness_nm": {"min": 3, "choices": [4]}}), "not both"),
+    "a chroma without a side": (task(target=[{"geometry": "specular 0", "chroma": 40}]), 'write ">=40"'),
+    "the fewest of given layers": (task(limits={"max_layers": "fewest"}), "add [layers]"),
+    "a total below the least of given layers": (task(limits={"max_total_nm": 60}), "is 90 nm"),
     "a total of what has no layers": (
-        target(
+        task(
             recipe=PEARL,
-            free={"base.albedo": [0, 1]},
-            want=[{**ONE, "geometry": "45as15"}],
+            parameters={"base.albedo": [0, 1]},
+            target=[{**ONE, "geometry": "45as15"}],
             limits={"max_total_nm": 60},
         ),
         "has no layers",
     ),
     "a chromaticity outside all colours": (
-        target(want=[{"geometry": "specular 0", "xyy": [0.3, 0, 0.2]}]),
+        task(target=[{"geometry": "specular 0", "xyy": [0.3, 0, 0.2]}]),
         "no colour",
     ),
     "a total below every layer": (
-        target(free=None, layers={"palette": ["SiO2"], "thickness_nm": [50, 90]}, limits={"max_total_nm": 20}),
+        task(parameters=None, layers={"palette": ["SiO2"], "thickness_nm": [50, 90]}, limits={"max_total_nm": 20}),
         "no layer",
     ),
-    "a spread of an index that does not exist": (target(spread={"layers[9].thickness_nm": 3}), "does not exist"),
-    "a key that is not known": (target(wants=3), 'Did you mean "want"'),
+    "a spread of an index that does not exist": (task(tolerance={"layers[9].thickness_nm": 3}), "does not exist"),
+    "a key that is not known": (task(targets=3), 'Did you mean "target"'),
 }
 
 
@@ -274,14 +274,14 @@ def test_the_heading_of_a_wanted_spectrum_tells_its_units(tmp_path, heading, nm,
     part = next(mark for mark in ";\t," if mark in heading)
     rows = [f"{400 * nm}{part}{0.004 * share}", f"{500 * nm}{part}{0.4 * share}", f"{700 * nm}{part}{0.35 * share}"]
     (tmp_path / "r.csv").write_text("\n".join([heading, *rows]), encoding="utf-8")
-    want = TargetEntry(at="specular 0", spectrum="r.csv")
+    want = TargetEntry(geometry="specular 0", spectrum="r.csv")
     (found,) = read_targets([want], LightSpec(), RecipeContext("t.toml", tmp_path))
     np.testing.assert_allclose(found.spectrum, [[400, 500, 700], [0.004, 0.4, 0.35]], rtol=1e-12)
 
 
 def spectrum_of(folder: Path, text: str) -> Any:
     (folder / "r.csv").write_text(text, encoding="utf-8")
-    want = TargetEntry(at="specular 0", spectrum="r.csv")
+    want = TargetEntry(geometry="specular 0", spectrum="r.csv")
     return read_targets([want], LightSpec(), RecipeContext("t.toml", folder))[0].spectrum
 
 
@@ -300,7 +300,7 @@ def test_wavelengths_that_are_no_nm_are_told_with_the_file(tmp_path: Path) -> No
 @pytest.mark.parametrize("colour", [{"xyz": [25, 33, 20]}, {"xyy": [0.33, 0.42, 33]}])
 def test_a_colour_counted_to_100_is_told_that_white_is_1(colour: dict[str, Any]) -> None:
     def read(at: str) -> Any:
-        return read_targets([TargetEntry(at=at, **colour)], LightSpec(), RecipeContext("t.toml"))
+        return read_targets([TargetEntry(geometry=at, **colour)], LightSpec(), RecipeContext("t.toml"))
 
     with pytest.raises(NacreError, match="white has Y = 1, .*divide by 100"):
         read("specular 0")

@@ -33,7 +33,7 @@ def chosen(folder: Path) -> dict[str, Any]:
     recipe = {"family": "film", "substrate": "Al", "layers": [{"material": "SiO2", "thickness_nm": 90}]}
     own = {"choices": [{"file": str(folder / "own.csv")}]}
     free = {"layers[0].material": own, "layers[0].thickness_nm": [5, 300]}
-    return target(folder, recipe=recipe, free=free)
+    return target(folder, recipe=recipe, parameters=free)
 
 
 @pytest.mark.parametrize("asked", [sought, chosen])

@@ -52,7 +52,7 @@ def asked(*angles: float, hidden: dict[str, Any], **more: Any) -> dict[str, Any]
 @pytest.mark.full
 def test_a_hidden_film_is_found_by_the_search_that_knows_nothing_of_films() -> None:
     free = {"layers[0].thickness_nm": [20, 90], "layers[1].material": {"choices": ["SiO2", "MgF2", "TiO2"]}}
-    target = asked(0.0, 45.0, hidden=film(55, 110), recipe=film(30, 110), free=free)
+    target = asked(0.0, 45.0, hidden=film(55, 110), recipe=film(30, 110), parameters=free)
     target["recipe"]["layers"][1]["material"] = "MgF2"
     read = read_task(target)
     search = LeastSquaresSearch(read.material, read.parameters, read.targets, read.spec.light, 0, 2)
@@ -67,7 +67,7 @@ def test_a_design_is_as_good_as_it_says_and_stays_within_its_bounds(tmp_path: Pa
         40.0,
         hidden=film(55, 110, 80),
         recipe=film(30, 30, 30),
-        free={"layers[*].thickness_nm": [20, 130]},
+        parameters={"layers[*].thickness_nm": [20, 130]},
         light={"illuminants": ["D65", "A"]},
     )
     for want in target["target"]:
@@ -177,7 +177,7 @@ def test_an_interrupt_ends_with_the_best_and_a_resumed_run_goes_on_from_it(
 
 def test_a_recipe_of_ones_own_in_the_folder_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "recipe.toml").write_text("# mine\n")
-    wanted = asked(0.0, hidden=film(55, 110), recipe=film(30, 110), free={"layers[0].thickness_nm": [20, 90]})
+    wanted = asked(0.0, hidden=film(55, 110), recipe=film(30, 110), parameters={"layers[0].thickness_nm": [20, 90]})
     with pytest.raises(NacreError, match="no design wrote"):
         nacre.design(wanted, tmp_path)
     assert (tmp_path / "recipe.toml").read_text() == "# mine\n"

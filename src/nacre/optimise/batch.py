@@ -354,7 +354,7 @@ def _read(target: str | Path | Mapping[str, Any]) -> DesignTask:
 
 
 def _aimed(target: DesignTask, row: LabRow) -> DesignTask:
-    return replace(target, wants=tuple(want.with_lab(lab) for want, lab in zip(target.targets, row.lab, strict=True)))
+    return replace(target, targets=tuple(want.with_lab(lab) for want, lab in zip(target.targets, row.lab, strict=True)))
 
 
 def _solve(

@@ -37,7 +37,7 @@ class _Eye:
     """
 
     material: Material
-    wants: Sequence[Target]
+    targets: Sequence[Target]
     grid: Array
     seed: int
     correction: Correction | None = None
@@ -76,7 +76,7 @@ def _likeness(material: Material, rows: Sequence[Geometry], grid: Array) -> tupl
 def yield_of(
     material: Material,
     spreads: Sequence[Tolerance],
-    wants: Sequence[Target],
+    targets: Sequence[Target],
     light: LightSpec,
     seed: int,
     seconds: float,
@@ -91,7 +91,7 @@ def yield_of(
         judged: what the judge saw of the material.
     """
     begun = time.monotonic()
-    eye, goals = _eye(material, wants, light, seed, judged)
+    eye, goals = _eye(material, targets, light, seed, judged)
     within = np.array([goals.goals[index].tolerance for index, _ in goals.terms])
     generator = np.random.default_rng([seed, 3])
     paths = [spread.path for spread in spreads]
@@ -120,15 +120,15 @@ def yield_of(
 
 
 def _eye(
-    material: Material, wants: Sequence[Target], light: LightSpec, seed: int, judged: Measurement | None
+    material: Material, targets: Sequence[Target], light: LightSpec, seed: int, judged: Measurement | None
 ) -> tuple[_Eye, MeritFunction]:
     grid = search_wavelengths(material, light.illuminants)
     correction = None
     if judged is not None and judged.error is not None and np.array_equal(judged.wavelengths_nm, grid):
-        found = _likeness(material, geometries_of(wants), grid)
+        found = _likeness(material, geometries_of(targets), grid)
         if found is not None:
             correction = Correction(judged.factors - found[0], found[1])
-    return _Eye(material, wants, grid, seed, correction), merit_function(wants, geometries_of(wants), light, grid)
+    return _Eye(material, targets, grid, seed, correction), merit_function(targets, geometries_of(targets), light, grid)
 
 
 def _costs(eye: _Eye, goals: MeritFunction, spreads: Sequence[Tolerance]) -> list[dict[str, Any]]:
@@ -148,7 +148,7 @@ def _costs(eye: _Eye, goals: MeritFunction, spreads: Sequence[Tolerance]) -> lis
 def sensitivity(
     material: Material,
     paths: Sequence[str],
-    wants: Sequence[Target],
+    targets: Sequence[Target],
     light: LightSpec,
     seed: int,
     seconds: float,
@@ -163,9 +163,9 @@ def sensitivity(
         judged: what the judge saw of the material.
     """
     begun = time.monotonic()
-    eye, goals = _eye(material, wants, light, seed, judged)
+    eye, goals = _eye(material, targets, light, seed, judged)
     found: list[dict[str, Any]] = []
-    unit = RMS_OF_1_PERCENT if _are_spectra(wants) else "de00_of_1_percent"
+    unit = RMS_OF_1_PERCENT if _are_spectra(targets) else "de00_of_1_percent"
     for path in paths:
         value = float(material.get(path))
         moved = _moved(eye, goals, path, value, STEP_SHARE * abs(value))
@@ -175,8 +175,8 @@ def sensitivity(
     return sorted(found, key=lambda entry: -entry[unit])
 
 
-def _are_spectra(wants: Sequence[Target]) -> bool:
-    return all(want.spectrum is not None for want in wants)
+def _are_spectra(targets: Sequence[Target]) -> bool:
+    return all(want.spectrum is not None for want in targets)
 
 
 def _moved(eye: _Eye, goals: MeritFunction, path: str, value: float, step: float) -> float:

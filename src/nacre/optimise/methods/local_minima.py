@@ -78,7 +78,7 @@ class BasinHopping:
                     self._look,
                     lambda run, numbers=numbers: self._slopes(run, numbers),
                     numbers,
-                    TRIES,  # type: ignore[misc]
+                    TRIES,
                     low=self._low[numbers],
                     settled=SETTLED,
                 )
