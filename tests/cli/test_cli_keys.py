@@ -31,7 +31,7 @@ ANSWERS = {
     "film.substrate": ("{lorentz = {oscillators = [{", "{n = 1.56, k = 0.06}", 'file = "nk.csv"'),
     "film.substrate.lorentz": ("oscillators", "resonance_ev"),
     "pearl.strata.platelets": ("[[strata.platelets]]", "volume_fraction = 0.01", "at most 0.3 or texture"),
-    "target.target.kind": ('"anti-mirror"',),
+    "relief-design.target.kind": ('"anti-mirror"',),
     "sweep.axes": ("start = 100", "sweep.axes"),
     "film.tolerance": ("percent = 2", "deviation"),
     "index": ("cauchy", "sellmeier", "rii"),

@@ -44,7 +44,7 @@ def test_targets_of_which_many_cannot_be_sought_are_told() -> None:
     }
     with pytest.raises(NacreError, match="heights of a relief are sought one look at a time"):
         nacre.design.many(relief, [(50, 0, 0)])
-    with pytest.raises(NacreError, match=r"has no \[\[want\]\]"):
+    with pytest.raises(NacreError, match=r"has no \[\[target\]\]"):
         nacre.design.many({"target": {"kind": "uniform"}}, [(50, 0, 0)])
 
 

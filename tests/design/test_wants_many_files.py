@@ -117,8 +117,8 @@ def test_each_row_is_an_answer_and_second_runs_keep_what_stands(
         )
         assert made.get("layers[0].thickness_nm") == pytest.approx(float(told["layers[0].thickness_nm"]), rel=1e-5)
         seen = nacre.gamut(made, ["layers[0].thickness_nm=60:160"], points=8).lab[0]  # of its own number
-        np.testing.assert_allclose(seen, row["wants"][0]["reached"]["lab"], atol=0.3)  # by another grid
-        assert row["wants"][0]["de00"] == pytest.approx(delta_e_2000(np.array(row["lab"][0]), seen), abs=0.3)
+        np.testing.assert_allclose(seen, row["targets"][0]["reached"]["lab"], atol=0.3)  # by another grid
+        assert row["targets"][0]["de00"] == pytest.approx(delta_e_2000(np.array(row["lab"][0]), seen), abs=0.3)
     # one colour changed, one gone: the others stay as they are
     before = {name: (tmp_path / "o" / name / "recipe.toml").stat().st_mtime_ns for name in ("film-0", "film-1", "far")}
     (tmp_path / "l.csv").write_text("\n".join(["name,L,a,b", *lines[:2], "far,80,60,-60"]))

@@ -59,7 +59,7 @@ def test_an_answer_writes_its_parts_as_files_that_every_command_takes(blend):
 
 
 def test_a_path_that_is_not_in_the_part_is_refused_by_its_name(blend):
-    with pytest.raises(RecipeError, match=r'free."second.layers\[4\].thickness_nm"'):
+    with pytest.raises(RecipeError, match=r'parameters."second.layers\[4\].thickness_nm"'):
         read_task(_target(blend, **{"second.layers[4].thickness_nm": [20, 200]}))
 
 

@@ -186,7 +186,7 @@ def test_the_command_writes_a_recipe_without_the_pigment_and_goes_on_from_it(tmp
         made = nacre.load(out / "recipe.toml")
         assert summary["runs"] == 1 + len(more)
         assert [p["coatings"][0]["material"] for p in made.data["strata"][0]["platelets"]] == ["TiO2"]
-        assert len(summary["solutions"][0]["wants"]) == len(ANGLES)
+        assert len(summary["solutions"][0]["targets"]) == len(ANGLES)
 
 
 def test_what_a_pigment_s_numbers_cost_is_told_without_the_noise_of_walks() -> None:

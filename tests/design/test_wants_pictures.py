@@ -40,7 +40,7 @@ def test_the_choice_is_the_nearest_colour_of_the_whole_sheet() -> None:
     sheet, wanted = bent_sheet(), some_colours(60)
     every = sheet.reshape(-1, 3)
     brute = np.array([delta_e_2000(one, every).min() for one in wanted])
-    found = match(wanted, sheet, tolerance=1.0, keep_hue=False)
+    found = match(wanted, sheet, within=1.0, keep_hue=False)
     assert found.distance == pytest.approx(delta_e_2000(wanted, every[found.points]), abs=1e-9)
     assert np.all(found.distance <= brute + SHEET_STEP)
     assert np.median(found.distance - brute) <= 0.01
@@ -84,7 +84,7 @@ def test_colours_are_brought_into_the_solid_that_the_levels_span() -> None:
     from scipy.spatial import ConvexHull
 
     levels, wanted = corners(), np.concatenate([some_colours(100), [[55.0, 10.0, -5.0]]])
-    found, moved = into_solid(wanted, levels, WHITE, tolerance=1.0)
+    found, moved = into_solid(wanted, levels, WHITE, within=1.0)
     planes = ConvexHull(levels).equations
     assert np.all(lab_to_xyz(found, WHITE) @ planes[:, :3].T + planes[:, 3] <= 1e-6)
     assert np.array_equal(found[-1], wanted[-1]) and not moved[-1]  # inside already
@@ -94,7 +94,7 @@ def test_colours_are_brought_into_the_solid_that_the_levels_span() -> None:
 def test_two_levels_mix_along_their_line_and_say_what_lies_beside_it() -> None:
     levels = np.asarray(lab_to_xyz(np.array([[20.0, 0.0, 0.0], [90.0, 0.0, 0.0]]), WHITE))
     wanted = np.array([[60.0, 0.0, 0.0], [60.0, 40.0, 0.0], [98.0, 0.0, 0.0]])
-    found, moved = into_solid(wanted, levels, WHITE, tolerance=2.0)
+    found, moved = into_solid(wanted, levels, WHITE, within=2.0)
     assert moved.tolist() == [False, True, True]
     assert np.abs(found[:, 1:]).max() < 1e-6 and found[2, 0] == pytest.approx(90.0)
     chosen = dither(np.broadcast_to(lab_to_xyz(found[0], WHITE), (32, 32, 3)), levels, WHITE)
@@ -133,7 +133,7 @@ def designed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_picture_becomes_maps_whose_colours_are_it(designed: Path) -> None:
     tmp_path = designed
     entry = json.loads((tmp_path / "out/design.json").read_text())["solutions"][0]
-    assert entry["wants"][0]["asked"] == {"image": str(tmp_path / "p.png")}
+    assert entry["targets"][0]["asked"] == {"image": str(tmp_path / "p.png")}
     values = np.load(tmp_path / "out/layers-0-thickness_nm.npy")
     grey = np.asarray(Image.open(tmp_path / "out/layers-0-thickness_nm.png"), dtype=float) / 65535.0
     tiff = np.asarray(Image.open(tmp_path / "out/layers-0-thickness_nm.tif"), dtype=float) / 65535.0
@@ -254,11 +254,11 @@ def test_what_a_picture_cannot_be_made_of_is_refused_in_one_line(tmp_path: Path)
         {**good, "target": [*good["target"], {"geometry": "specular 30", "hue_deg": [0, 90]}]}
     )
     assert "one lamp" in refused({**good, "light": {"illuminants": ["D65", "A"]}})
-    assert "spread" in refused({**good, "tolerance": {"layers[0].thickness_nm": "2%"}})
-    stack = {key: value for key, value in good.items() if key != "free"} | {"layers": {"palette": ["SiO2"]}}
+    assert "tolerance" in refused({**good, "tolerance": {"layers[0].thickness_nm": "2%"}})
+    stack = {key: value for key, value in good.items() if key != "parameters"} | {"layers": {"palette": ["SiO2"]}}
     assert "cannot be sought" in refused(stack)
     plain = {**good, "target": [{"geometry": "specular 0", "colour": "#888888"}], "limits": {"height_levels": 4}}
-    assert "levels are of a picture" in refused(plain)
+    assert "only for pictures" in refused(plain)
 
 
 @pytest.mark.parametrize("kind", ["text", "missing", "clear", "moving", "cmyk", "thin", "folder", "cut"])

@@ -84,22 +84,22 @@ def test_only_targets_of_heights_or_pictures_go_to_the_search_of_reliefs():
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"parameters": {"heights": [0.1, 0.8]}}, "free.heights = [0.1, 0.8] should be [0, h]"),
-        ({"parameters": {"heights": [0, "high"]}}, "free.heights"),
-        ({"parameters": {"heights": [0, 0.8], "features": 1}}, "free.features = 1 should be a whole number"),
-        ({"parameters": {"heights": [0, 0.8], "blur_um": [0.1, 0.2]}}, 'free."blur_um" beside heights'),
+        ({"parameters": {"heights": [0.1, 0.8]}}, "parameters.heights = [0.1, 0.8] should be [0, h]"),
+        ({"parameters": {"heights": [0, "high"]}}, "parameters.heights"),
+        ({"parameters": {"heights": [0, 0.8], "features": 1}}, "parameters.features = 1 should be a whole number"),
+        ({"parameters": {"heights": [0, 0.8], "blur_um": [0.1, 0.2]}}, 'parameters."blur_um" beside heights'),
         ({"recipe": {**RELIEF, "family": "film"}}, 'recipe.family = "film"'),
         ({"recipe": {**RELIEF, "featur_um": 1}}, "recipe.featur_um is not known"),
-        ({"target": [{**COLOUR, "geometry": "specular 0"}]}, 'want[0].at = "specular 0" cannot be sought'),
-        ({"target": [{"geometry": "30as15", "chroma": ">=30"}]}, "want[0]: of a relief's heights a colour is sought"),
-        ({"target": [{"directions": {**PICTURE, "image": "none.png"}}]}, "want[0].directions.image"),
+        ({"target": [{**COLOUR, "geometry": "specular 0"}]}, 'target[0].geometry = "specular 0" cannot be met'),
+        ({"target": [{"geometry": "30as15", "chroma": ">=30"}]}, "target[0]: of a relief's heights a colour is sought"),
+        ({"target": [{"directions": {**PICTURE, "image": "none.png"}}]}, "target[0].directions.image"),
         (
             {"target": [{"directions": {**PICTURE, "intensity_scale": "free"}}, COLOUR]},
-            'intensity_scale = "free" beside',
+            'intensity_scale = "free" with',
         ),
-        ({"target": [{"directions": PICTURE, "geometry": "30as15"}]}, "has directions and at; keep one"),
-        ({"target": [{"colour": "#ffffff"}]}, "at is missing"),
-        ({"tolerance": {"heights": "much"}}, 'spread.heights = "much" should be a percentage'),
+        ({"target": [{"directions": PICTURE, "geometry": "30as15"}]}, "has directions and geometry; keep one"),
+        ({"target": [{"colour": "#ffffff"}]}, "geometry is missing"),
+        ({"tolerance": {"heights": "much"}}, 'tolerance.heights = "much" should be a percentage'),
         ({"limits": {"max_total_nm": 3}}, "limits: is not known of a relief"),
     ],
 )
@@ -116,7 +116,7 @@ def test_a_picture_of_another_family_is_refused():
 
 
 def test_a_spread_of_heights_is_the_noise_of_the_process():
-    assert _read(_target({"directions": PICTURE}, spread={"heights": "2%"})).problem.noise == pytest.approx(0.02)
+    assert _read(_target({"directions": PICTURE}, tolerance={"heights": "2%"})).problem.noise == pytest.approx(0.02)
 
 
 @pytest.mark.full
@@ -124,7 +124,7 @@ def test_a_relief_of_a_wanted_colour_shows_it_and_every_file_is_there(tmp_path):
     target = {**_target(COLOUR), "search": {"seconds": 8}, "parameters": {"heights": [0, 0.8], "features": 16}}
     found = nacre.design(target, tmp_path / "out")
     told = json.loads((tmp_path / "out" / "design.json").read_text(encoding="utf-8"))
-    want = told["solutions"][0]["wants"][0]
+    want = told["solutions"][0]["targets"][0]
     assert want["geometry"] == "30as15" and want["de00"] < 10.0
     assert found.summary["solutions"] == told["solutions"]
     assert nacre.load(tmp_path / "out").family == "relief"
@@ -139,7 +139,7 @@ def test_how_far_each_colour_is_missed_is_said_beside_the_loss(capsys):
         {"geometry": "30as20", "lamp": "D65", "de00": 35.4, "tolerance": 8.0, "met": False},
         {"geometry": "45as10", "lamp": "A", "de00": 1.2, "tolerance": 8.0, "met": True},
     ]
-    _tell_relief(SimpleNamespace(summary={**losses, "solutions": [{"wants": wants}]}, folder="out"), "t.toml", False)
+    _tell_relief(SimpleNamespace(summary={**losses, "solutions": [{"targets": wants}]}, folder="out"), "t.toml", False)
     _tell_relief(SimpleNamespace(summary=losses, folder="out"), "t.toml", False)  # a target without wants
     told = capsys.readouterr().out.splitlines()
     assert told[1:3] == [
@@ -171,7 +171,7 @@ def test_the_page_of_a_relief_shows_the_colours_asked_and_reached(tmp_path):
     free, search = {"heights": [0, 0.4], "features": 8}, {"seconds": 1}
     quick = {**_target({**COLOUR, "tolerance": 0.1}), "recipe": ROUGH, "parameters": free, "search": search}
     found = nacre.design(quick, tmp_path / "out")
-    want = found.summary["solutions"][0]["wants"][0]
+    want = found.summary["solutions"][0]["targets"][0]
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "30as15, D65" in page and "background:#3060c0" in page
     assert f"background:{want['reached']['colour']}" in page

@@ -86,8 +86,8 @@ def test_a_design_is_as_good_as_it_says_and_stays_within_its_bounds(tmp_path: Pa
     assert document["status"] == "met" and document["seconds"] > 0
     best = document["solutions"][0]
     assert Path(best["recipe"]) == tmp_path / "out" / "recipe.toml"
-    assert {"at", "lamp", "asked", "reached", "de00"} <= set(best["wants"][0]) and "yield" in best
-    assert len(best["wants"]) == 4  # two angles under two lamps
+    assert {"geometry", "lamp", "asked", "reached", "de00"} <= set(best["targets"][0]) and "yield" in best
+    assert len(best["targets"]) == 4  # two angles under two lamps
 
 
 @pytest.mark.full
@@ -140,7 +140,7 @@ def test_out_of_reach_is_an_answer_that_names_the_want_that_costs_most(
     assert "out of reach" in said and '"specular 0"' in said and "costs most" in said
     document = json.loads((tmp_path / "out" / "design.json").read_text())
     assert document["status"] == "out of reach" and document["costs_most"]["geometry"] == "specular 0"
-    assert document["solutions"][0]["wants"][0]["de00"] > 20
+    assert document["solutions"][0]["targets"][0]["de00"] > 20
 
 
 @pytest.mark.full

@@ -25,7 +25,7 @@ FILES = examples()
 KINDS = [name for name in kind_names() if name not in SHARED]
 QUICK, FULL = 400, 4000
 # tables whose own keys are paths of numbers, and the recipe inside a target, which is checked as one
-BY_PATH = ("fit", "tolerance", "numbers", "free", "spread", "recipe")
+BY_PATH = ("fit", "tolerance", "numbers", "parameters", "recipe")
 _checkers: dict[str, jsonschema.Draft7Validator] = {}
 
 
@@ -74,7 +74,7 @@ def test_every_misspelt_key_of_the_examples_is_refused(path: Path) -> None:
 def test_every_number_of_the_examples_is_refused_as_text_and_as_a_truth_value(path: Path) -> None:
     data = tomllib.loads(path.read_text(encoding="utf-8"))
     for place, number in numbers_of(data).items():
-        if place.split(".")[0] in ("recipe", "free", "spread"):  # a target's: checked with the recipe that they name
+        if place.split(".")[0] in ("recipe", "parameters", "tolerance"):
             continue
         # a percentage is text, and a bare text where a material stands is a name
         for wrong in (f"{number:g}", True):

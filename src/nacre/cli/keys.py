@@ -119,7 +119,7 @@ def _overview() -> Iterator[str]:
     yield "Families of recipes, other files, and forms that stand inside them:"
     yield ""
     for name in kind_names():
-        yield from _hanging(f"  {name:<13}", one_sentence(kind(name).model))
+        yield from _hanging(f"  {name:<14}", one_sentence(kind(name).model))
     yield ""
     yield "nacre keys film                 all keys of a film"
     yield "nacre keys film.layers          one key, and what stands below it"

@@ -343,7 +343,7 @@ def _read(target: str | Path | Mapping[str, Any]) -> DesignTask:
     data, context = read_data(target)
     if is_relief_task(data):
         raise NacreError(f"{context.source}: the heights of a relief are sought one look at a time; take nacre.design")
-    if "target" not in data:
+    if not isinstance(data.get("target"), list):
         raise NacreError(f"{context.source}: has no [[target]]; many colours are wanted where one stands")
     read = read_task(target)
     if read.targets[0].image is not None:

@@ -50,7 +50,7 @@ class Operand:
         xyz: the wanted colour under the first lamp only, Y = 1 for white, instead of `lab`.
         low, high: the ends of a range; None where it is open. A hue needs both, in degrees, and runs upward from the
             first to the second, through 0 if need be; 360 degrees or more ask for nothing.
-        reflectance: the target spectrum on the wavelengths of the `MeritFunction` (kind "spectrum"); NaN if not specified.
+        reflectance: target spectrum on the wavelengths of the function (kind "spectrum"); NaN if not specified.
         tolerance: distance that is good enough: dE00, or the rms in per cent for a spectrum.
         weight: how much the goal counts; 0 leaves it out.
     """

@@ -92,8 +92,8 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
     pictures = [table for _, table in tables]
     if colours and pictures and pictures[0].intensity_scale == "free":
         raise RecipeError(
-            f'{source}: {tables[0][0]}.intensity_scale = "free" with a colour at "{colours[0].geometry}": how bright the '
-            f"picture is must be said; write a number, with {np.pi:.4g} for that of a white of pi f = 1"
+            f'{source}: {tables[0][0]}.intensity_scale = "free" with a colour at "{colours[0].geometry}"; '
+            f"give the brightness as a number, with {np.pi:.4g} for that of a white of pi f = 1"
         )
     made = {
         "family": FAMILY,

@@ -241,8 +241,8 @@ def thin_film_search(target: DesignTask, seed: int) -> ThinFilmSearch | None:
     if target.spec.layers is not None:
         if others:
             raise RecipeError(
-                f'{others[0].key}.geometry = "{others[0].geometry}": with [layers] only specular and transmitted can be '
-                "wanted; free the thicknesses of a stack that is given for the others"
+                f'{others[0].key}.geometry = "{others[0].geometry}": [layers] allows only specular and transmitted '
+                "targets; for others vary the thicknesses of given layers"
             )
         _check_plain(target)
         return ThinFilmSearch(target, seed)
