@@ -136,16 +136,16 @@ class _Screen:
         self._status = self._console.status("designing") if self._console.is_terminal else None
 
     def __enter__(self) -> _Screen:
-        from nacre.core.jit import hearing
+        from nacre.core.jit import on_compile
 
-        self._ear = hearing(self._tell_compiling)
-        self._ear.__enter__()
+        self._compile_listener = on_compile(self._tell_compiling)
+        self._compile_listener.__enter__()
         if self._status:
             self._status.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._ear.__exit__(None, None, None)
+        self._compile_listener.__exit__(None, None, None)
         if self._status:
             self._status.stop()
 

@@ -26,7 +26,7 @@ from nacre.core.arrays import Array, floats, wavelength_grid
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.core.files import DESIGN_RECIPE, named, read_text, short_name
 from nacre.core.memory import check_memory
-from nacre.families.contract import Model
+from nacre.families.contract import ExcessEnergy, ExpensiveMethod, Model, Traits, figure_data, values_at
 from nacre.families.registry import family_source, family_spec
 from nacre.material.cache import solved
 from nacre.material.examples import resolve_recipe_path
@@ -107,12 +107,11 @@ class Material:
         return dataclasses.replace(bsdf, provenance={**bsdf.provenance, **recipe_provenance(self)})
 
     def _solved(self, grid: NDArray[np.float64] | None, keep: bool = True) -> Bsdf:
-        if outside := self.model.outside:
-            _tell_once(self.context.source, outside)
+        for warning in self.model.warnings:
+            _tell_once(self.context.source, warning)
         if grid is not None:
-            check_memory(
-                float(self.model.bytes_a_wavelength) * grid.size, f"a {self.model.noun} at {grid.size} wavelengths"
-            )
+            traits = self.model.traits
+            check_memory(float(traits.bytes_per_wavelength) * grid.size, f"a {traits.noun} at {grid.size} wavelengths")
         if isinstance(self.model, StoredBsdf) or self.context.ambient is not None:
             return self.model.bsdf(grid)  # solved already; or a part of another material, which is kept as a whole
         what = fingerprint(self.fingerprint, {}, wavelengths_nm=grid)
@@ -130,7 +129,7 @@ class Material:
             wavelengths_nm: ascending; default: chosen by the material.
         """
         grid = self.model.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
-        values = self.model.values_at(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float), grid)
+        values = values_at(self.model, np.asarray(wi, dtype=float), np.asarray(wo, dtype=float), grid)
         return None if values is None else (values, np.asarray(grid, dtype=float))
 
     @property
@@ -174,14 +173,15 @@ class Material:
         found = self.model.spectrum(theta, grid, polarisation, seed)
         if found is None:
             if polarisation != "both":
-                raise UnsupportedError(f"{self.context.source}: a {self.model.noun} {self.model.why_unpolarised}")
+                traits = self.model.traits
+                raise UnsupportedError(f"{self.context.source}: a {traits.noun} {traits.unpolarised_reason}")
             found = bsdf_spectrum(self._solved(grid), theta, seed=seed)
         self._tell_excess(found)
         return found
 
     def _tell_excess(self, spectrum: Spectrum) -> None:
         """Warn where more leaves than arrives, of a model or data that may do so."""
-        because = self.model.unbounded_because
+        because = self.model.excess_reason if isinstance(self.model, ExcessEnergy) else ""
         parts = list(spectrum.parts().values())
         if not because or not parts:
             return
@@ -201,7 +201,7 @@ class Material:
             UnsupportedError: the family has no such figure, or a formula of x, y or z.
         """
         refuse_place(self.model, f"{self.context.source}: {kind}")
-        return self.model.figure_data(kind, **options)
+        return figure_data(self.model, kind, **options)
 
     def vary(self, changes: Mapping[str, Any]) -> Material:
         """Return the material with some recipe numbers changed, each named by its path.
@@ -247,15 +247,15 @@ class Material:
     def at_low_fidelity(self, is_reported: bool = False) -> Material:
         """Return the material as one of many that are solved, without the way of minutes that it may take alone.
 
-        Sweeps, searches, fits and drafts ask for it; what is made of it by `vary` is so too. A way that the recipe
-        names itself is kept. What is left out is told, unless it was before.
+        Sweeps, searches, fits and drafts use "search"; `vary` preserves it. A method that the recipe names itself
+        is used at any fidelity. A replaced method is reported as a warning unless `is_reported`.
         """
         if self.context.is_low_fidelity or isinstance(self.model, StoredBsdf):
             return self
-        if self.model.slow_way and not is_reported:
+        if isinstance(self.model, ExpensiveMethod) and self.model.expensive_method and not is_reported:
             logger.warning(
                 "%s: alone it takes %s; among many it takes the quick way, unless the recipe names the slow one",
-                self.context.source, self.model.slow_way,
+                self.context.source, self.model.expensive_method,
             )  # fmt: skip
         return material_from_data(self.data, dataclasses.replace(self.context, is_low_fidelity=True))
 
@@ -282,13 +282,15 @@ class Material:
 
 
 @dataclass(frozen=True)
-class StoredBsdf(Model):
+class StoredBsdf(Model, ExcessEnergy):
     """A compiled `.nacre` file: a material whose optics are already solved."""
 
-    noun = "compiled .nacre file"
-    takes_ambient = False
-    why_unpolarised = "holds unpolarised values; give its recipe for s or p"
-    unbounded_because = "so the file says"
+    traits = Traits(
+        noun="compiled .nacre file",
+        takes_ambient=False,
+        unpolarised_reason="holds unpolarised values; give its recipe for s or p",
+    )
+    excess_reason = "so the file says"
 
     stored: Bsdf
 
@@ -432,8 +434,9 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
                 set_by_path(even, path, value, context.source)
             node = material_from_data(even, dataclasses.replace(context, is_low_fidelity=True))
             context.add_dependencies(node.context.dependencies)
-            if node.model.spared_way and not told and not context.is_low_fidelity:
-                told.append(node.model.spared_way)
+            replaced = node.model.replaced_method if isinstance(node.model, ExpensiveMethod) else ""
+            if replaced and not told and not context.is_low_fidelity:
+                told.append(replaced)
                 logger.warning(
                     "%s: with even numbers it may take %s; with numbers that vary it takes the quick way, unless the "
                     "recipe names the slow one", context.source, told[0],

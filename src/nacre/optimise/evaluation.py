@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
+from nacre.families.contract import is_direct
 from nacre.light import (
     delta_e_2000,
     lab_to_lch,
@@ -105,14 +106,18 @@ def judge(
     rows = geometries_of(wants)
     begun = time.monotonic()
     fine, coarse = (choose(material, light.illuminants) for choose in (evaluation_wavelengths, search_wavelengths))
-    grid = fine if material.model.is_quick else coarse
-    if material.model.is_direct:  # the same physics in the wanted directions, with nothing kept from the search
+    grid = fine if material.model.traits.is_quick else coarse
+    if is_direct(material.model):  # the same physics in the wanted directions, with nothing kept from the search
         seen = simulate_measurement(material, rows, fine, memory={})
         return reached(seen, wants, light), seen
     seen = simulate_measurement(material, rows, grid, seed=seed + JUDGE_SEED)
     if seen.error is None:
         # a random walk stays on the coarse grid of reports; what is not one is looked at on its own
-        seen = seen if material.model.is_quick else simulate_measurement(material, rows, fine, seed=seed + JUDGE_SEED)
+        seen = (
+            seen
+            if material.model.traits.is_quick
+            else simulate_measurement(material, rows, fine, seed=seed + JUDGE_SEED)
+        )
         return reached(seen, wants, light), seen
     draws = [seen.factors]
     while True:

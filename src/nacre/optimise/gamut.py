@@ -204,7 +204,7 @@ def _answered(materials: Sequence[Material], at: str | None, where: str) -> Geom
     Raises:
         RecipeError: the geometry is not known or not answered.
     """
-    usual = materials[0].model.usual_look
+    usual = materials[0].model.traits.default_geometry
     asked = [usual, *(look for look in OTHER_LOOKS if look != usual)] if at is None else [at]
     refused: list[RecipeError] = []
     for text in asked:

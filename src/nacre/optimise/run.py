@@ -15,6 +15,7 @@ import numpy as np
 from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import read_text, write_text
+from nacre.families.contract import method_overrides
 from nacre.material.material import Material
 from nacre.optimise.evaluation import judge, objective, rank
 from nacre.optimise.image.design import design_picture
@@ -100,7 +101,7 @@ def run(
     keeper = _Keeper(folder, read, begun, runs + 1, progress)
     total = read.spec.search.seconds
     closing = CLOSING_SHARE * total
-    if read.material.model.is_quick:
+    if read.material.model.traits.is_quick:
         closing = min(closing, CLOSING_S + CLOSING_OF_EACH_S * read.spec.search.solutions)
     left = total - closing - (time.monotonic() - begun)
     ended = search.run(max(left, LEAST_SEARCH * total), keeper.tell, known)
@@ -306,7 +307,7 @@ def judged(target: DesignTask, changes: dict[str, Any], seconds: float, least: f
     with contextlib.suppress(NacreError):
         paths = [p for p in numbers_of(made.data) if is_chosen(p, changes, target.parameters) and made.get(p)]
         asked = (target.targets, spec.light, spec.search.seed)
-        if 2.0 * took <= max(0.2 * seconds, DEAR_S) or made.model.is_quick:
+        if 2.0 * took <= max(0.2 * seconds, DEAR_S) or made.model.traits.is_quick:
             facts["sensitivity"] = sensitivity(made, paths, *asked, max(0.2 * seconds, least), seen)
         if spec.tolerance:
             spreads = read_tolerances(spec.tolerance, made, target.context.source)
@@ -322,7 +323,7 @@ def with_method_overrides(start: Material, changes: Mapping[str, Any]) -> dict[s
     Args:
         start: the recipe that is changed, as one of many.
     """
-    return {**changes, **start.vary(changes).model.spared_changes}
+    return {**changes, **method_overrides(start.vary(changes).model)}
 
 
 def tolerance_of(target: DesignTask, solution: Solution) -> dict[str, Any]:

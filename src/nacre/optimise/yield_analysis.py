@@ -11,6 +11,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.families.contract import surrogate_radiance
 from nacre.light import delta_e_2000
 from nacre.material.material import Material
 from nacre.optimise.evaluation import geometries_of
@@ -69,7 +70,7 @@ def _likeness(material: Material, rows: Sequence[Geometry], grid: Array) -> tupl
     if any(at.kind != "aspecular" for at in rows):
         return None
     wi, wo = aspecular_pairs(rows)
-    found = material.model.likeness_at(wi, wo, grid, True)
+    found = surrogate_radiance(material.model, wi, wo, grid, True)
     return None if found is None else (np.pi * found[0], np.pi * found[1])
 
 

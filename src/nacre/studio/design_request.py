@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
+from nacre.families.contract import is_direct
 from nacre.material.material import Material
 from nacre.recipe.paths import find_by_path
 from nacre.studio.folder import Opened
@@ -140,7 +141,7 @@ def free_numbers(material: Material) -> dict[str, Any]:
         })  # fmt: skip
     if not found["numbers"]:
         found["refused"] = (
-            f"this {material.model.noun} has no number that may change; the command's [parameters] takes words too"
+            f"this {material.model.traits.noun} has no number that can vary; the command also varies words"
         )
     return found
 
@@ -152,8 +153,8 @@ def _usual_look(material: Material) -> str:
         NacreError: the material cannot be computed.
     """
     model = material.model
-    word = model.usual_look.split()[0]
-    if word not in LOOKS or model.is_quick or model.is_direct:
+    word = model.traits.default_geometry.split()[0]
+    if word not in LOOKS or model.traits.is_quick or is_direct(model):
         return word if word in LOOKS else "aspecular"
     found = model.spectrum(np.array([0.0]), PROBE_NM, "both", 0)  # None: all of it would have to be solved; it scatters
     return word if found is not None and found.specular_reflectance is not None else "aspecular"

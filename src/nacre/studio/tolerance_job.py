@@ -99,14 +99,15 @@ def options_of(material: Material, percent: float) -> tuple[str, ...]:
     spread = [path for path in numbers if THICKNESS.search(path)] or [path for path in numbers if LENGTH.search(path)]
     if not spread and not own:
         raise NacreError(
-            f"this {material.model.noun} gives no thickness or length that spreads; name what does under [tolerance]"
+            f"this {material.model.traits.noun} has no thickness or length that varies; "
+            "name the parameters that do under [tolerance]"
         )
     return tuple(f"{path}={percent:g}%" for path in spread if path not in own)
 
 
 def _fineness(material: Material, lamp: str) -> tuple[Array, Array | None]:
     """Return the angles and wavelengths to draw with: all of what is quick, few of what takes long."""
-    if not material.model.is_quick:
+    if not material.model.traits.is_quick:
         return COARSE_DEG, COARSE_NM
     for _ in range(2):  # the first may compile
         began = time.monotonic()

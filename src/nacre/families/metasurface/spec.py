@@ -11,7 +11,7 @@ import numpy as np
 import pydantic
 
 from nacre.core.errors import MaterialRangeError
-from nacre.families.contract import Figure, Writer
+from nacre.families.contract import Fabricable, Figure, OwnFormats, Writer
 from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings
 from nacre.families.metasurface.exports import layer_sheet, layout, write_particle
 from nacre.families.metasurface.figures import FIGURES
@@ -222,7 +222,7 @@ class ModelSpec(RecipeModel):
 
 
 @dataclass(frozen=True, eq=False)
-class MetasurfaceModel(Metasurface):
+class MetasurfaceModel(Metasurface, Fabricable, OwnFormats):
     """A metasurface as its recipe builds it: with its figures and its drawings."""
 
     @property

@@ -19,6 +19,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.families.contract import is_direct
 from nacre.light import lamp_lines_nm, with_lamp_lines
 from nacre.material.material import Material
 from nacre.optimise.measurement import evaluation_wavelengths, simulate_measurement
@@ -280,7 +281,7 @@ def slow_search(
     material: Material, free: Sequence[Parameter], wants: Sequence[Target], light: LightSpec, seed: int, solutions: int
 ) -> SuccessiveHalvingSearch | None:
     """Return this search for what answers a few directions without noise; None for what is quick, or walked."""
-    if not material.model.is_direct:
+    if not is_direct(material.model):
         return None
     return SuccessiveHalvingSearch(material, free, wants, light, seed, solutions)
 

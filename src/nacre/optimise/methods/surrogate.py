@@ -11,7 +11,8 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.core.parallel import in_threads, one_thread_each
+from nacre.core.parallel import in_threads, single_threaded_blas
+from nacre.families.contract import Surrogate, surrogate_radiance
 from nacre.light import delta_e_2000, lamp_lines_nm, with_lamp_lines
 from nacre.material.material import Material
 from nacre.measure.evaluate import DEFAULT_SAMPLES, evaluate_with_error
@@ -201,14 +202,14 @@ class SurrogateSearch:
         self.noise = np.inf  # of the best, over `within`
         self.evaluations = self.walks = 0
         self._correction: Correction | None = None
-        self._told = Told(self.material.model.likeness_error)
+        self._told = Told(self.material.model.surrogate_error if isinstance(self.material.model, Surrogate) else None)
         self._deadline = np.inf
         self._tell: Callable[[float, dict[str, Any]], None] | None = None
         self._likely = (np.inf, np.zeros(0))  # best by likeness alone, should no walk end there in time
         self._is_fine = False
         self._last_told = -np.inf
 
-    @one_thread_each()  # its candidates would each find out anew how many there are
+    @single_threaded_blas()  # its candidates would each find out anew how many there are
     def run(
         self,
         seconds: float,
@@ -314,7 +315,7 @@ class SurrogateSearch:
         self.evaluations += 1
         try:
             model = self._made(place).model
-            found = model.likeness_at(self.wi, self.wo, self.grid if grid is None else grid, self._is_fine)
+            found = surrogate_radiance(model, self.wi, self.wo, self.grid if grid is None else grid, self._is_fine)
         except (NacreError, ArithmeticError):
             return None
         if found is None:
@@ -356,12 +357,13 @@ class SurrogateSearch:
         try:
             model = self._made(place).model
             seed = self.seed + self._told.count
-            found = model.walked_at(self.wi, self.wo, self.grid, walks, seed)
+            assert isinstance(model, Surrogate)
+            found = model.estimate_radiance(self.wi, self.wo, self.grid, walks, seed)
             if found is None:
                 found = evaluate_with_error(
                     model.bsdf(self.grid), self.wi, self.wo, samples=max(walks // 4, DEFAULT_SAMPLES), seed=seed
                 )  # type: ignore[assignment]  # its error is None only of what is no walk
-            likeness = model.likeness_at(self.wi, self.wo, self.grid, True)
+            likeness = surrogate_radiance(model, self.wi, self.wo, self.grid, True)
         except (NacreError, ArithmeticError):
             return FAR_OFF, 0.0
         assert found is not None and likeness is not None
@@ -615,7 +617,9 @@ def walked_search(target: DesignTask, seed: int) -> SurrogateSearch | None:
         return None
     search = SurrogateSearch(target, seed)
     try:
-        probe = search.material.model.likeness_at(search.wi, search.wo, search.grid[:: max(len(search.grid) // 3, 1)])
+        probe = surrogate_radiance(
+            search.material.model, search.wi, search.wo, search.grid[:: max(len(search.grid) // 3, 1)]
+        )
     except NacreError:
         return None
     return None if probe is None else search

@@ -15,7 +15,7 @@ import numpy as np
 from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import atomic_path, read_text, write_text
-from nacre.core.parallel import available_jobs, one_thread_each
+from nacre.core.parallel import available_jobs, single_threaded_blas
 from nacre.optimise.relief.merit import Array, Evaluator, Measurement, Problem, measure, measure_design
 from nacre.optimise.relief.report import comparison, write_picture, write_report
 from nacre.optimise.relief.search import Candidate, Progress, Search
@@ -133,13 +133,13 @@ def design(
     save_state(search, folder, fingerprint)
     closing = time.monotonic()
     heights_nm = best * problem.height_max_nm
-    with one_thread_each():
+    with single_threaded_blas():
         measured = measure_design(problem, heights_nm, workers)
     search.seconds += time.monotonic() - closing
     summary = keeper.write(best, search.stop_reason or "done", measured)
     if judge is not None:
         summary |= judge(folder, summary)
-    with one_thread_each():
+    with single_threaded_blas():
         summary |= write_report(folder / "report.html", spec, problem, heights_nm, measured, summary)
     write_text(folder / "design.json", json.dumps(summary, indent=2) + "\n")
     return DesignResult(folder, best * (problem.height_max_nm / 1e3), summary)

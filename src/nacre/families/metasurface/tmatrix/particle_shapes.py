@@ -13,7 +13,7 @@ import numpy as np
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.disk_cache import cache_arrays, cached_arrays
 from nacre.core.errors import UnsupportedError
-from nacre.core.parallel import in_threads, one_thread_each
+from nacre.core.parallel import in_threads, single_threaded_blas
 from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, Body, gain, reciprocal, truncated
 from nacre.families.metasurface.tmatrix.bem import Mesh, block_t_matrix
 from nacre.families.metasurface.tmatrix.particle_on_stack import AZIMUTHAL_ORDERS
@@ -295,7 +295,7 @@ class SolvedBody(Body):
         if stored and {"real", "imaginary", "error"} <= stored.keys():
             found, error = stored["real"] + 1j * stored["imaginary"], float(stored["error"])
         else:
-            with one_thread_each():  # the matrices are small, and whoever asks has threads of its own
+            with single_threaded_blas():  # the matrices are small, and whoever asks has threads of its own
                 found, error = self._solve(radius, height, index, mmax, coat, edge)
             cache_arrays(key, {"real": found.real, "imaginary": found.imag, "error": np.array(error)})
         self.errors[wavelength_nm] = max(error, self.errors.get(wavelength_nm, 0.0))
