@@ -44,17 +44,17 @@ from nacre.matter.indices.constant import OpticalConstant
 
 logger = logging.getLogger("nacre")
 
-AUTO, ENSEMBLE = "auto", "ensemble"  # of the corrections
+AUTO, ENSEMBLE = "auto", "ensemble"
 SLOW_WAY = 'an ensemble (model.correction = "ensemble")'
-VALIDATED_COVERAGE = 0.13  # above it what is known against the mean field is told, below it kept with the Bsdf alone
-JUDGED_NM = 550.0  # where a core is called metal or not
-# films up to here keep the error of interpolation at 0.4 % of the L2 norm with 120 angles (0.3 % without any film)
+VALIDATED_COVERAGE = 0.13  # coverage above which a doubtful mean field causes a warning
+JUDGED_NM = 550.0  # wavelength of the core classification
+# thicker films need 180 angles; up to here 120 have an error of 0.4 % of the L2 norm (0.3 % without film)
 THICK_FILM_NM = 1000.0
-LOW_WAVELENGTHS = 1.65  # of films and particles' height, up to which 64 angles resolve the light: 600 nm at 360 nm
-TOLD_EXCESS = 0.01  # of energy: what the default correction is tested to keep
+LOW_WAVELENGTHS = 1.65  # total height over wavelength that 64 angles resolve: 600 nm at 360 nm
+TOLD_EXCESS = 0.01  # energy excess above which a warning is logged
 SAME_INDEX = 1e-3
-FEW_ANGLES, LEAST_COS = 48, 0.05  # that are solved one by one, and off grazing
-FEW_ALIGNED_ANGLES = 24  # the same, each at all azimuths
+FEW_ANGLES, LEAST_COS = 48, 0.05  # direct evaluation: number of angles, and smallest cosine
+FEW_ALIGNED_ANGLES = 24  # the same for aligned particles, at all azimuths
 INSIDE = (
     "the mean field is taken of particles inside a layer, where the ensemble says that it is "
     f"{model_selection.INSIDE_OFF}"
@@ -62,37 +62,37 @@ INSIDE = (
 
 
 class MetasurfaceWarning(UserWarning):
-    """The model is used beyond where it was tested; the message says what is known."""
+    """The model is used beyond its tested range; the message describes it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Metasurface(Model):
-    """Particles over a stack.
+    """Particles on a stack.
 
     Attributes:
         ambient: around the particles; lossless.
         layers: materials and thicknesses in nm, from the light's side inward.
         substrate: below; it transmits if it is clear.
-        core: material of the particles; None where only their T-matrix is known.
+        core: material of the particles; None if only their T-matrix is known.
         sizes: their radii.
-        shell: a coating, or None; the outer radius is the core's plus its thickness.
+        shell: a coating, or None; the outer radius is the core radius plus its thickness.
         gap_nm: between the particles and the stack.
         structure: density, S(q), g(r).
-        correction: one of `nacre.families.metasurface.monolayer.monolayer.CORRECTIONS`, "ensemble" or "auto".
-        ensemble: how large an ensemble is, where one is taken.
-        multipole_order: of the spheres; None: chosen at each wavelength for `multipole_tolerance`.
-        multipole_tolerance: largest change of the far field when the order is doubled; None: 0.001 is aimed at, and
-            up to 0.01 accepted with a warning.
+        correction: one of `monolayer.CORRECTIONS`, "ensemble" or "auto", see `model_selection`.
+        ensemble: ensemble size.
+        multipole_order: of the spheres; None to choose it at each wavelength by `multipole_tolerance`.
+        multipole_tolerance: largest change of the far field when the order is doubled; None: 0.001, and up to 0.01 with
+            a warning.
         interaction_order: of the exchange between neighbours.
         source: name of the recipe, for messages.
-        arrangement: how to make the points, or the points; None where only S(q) is known.
-        memory: multipole orders of candidates near this one, see `among_many`; None: each is chosen anew.
-        sees_neighbours: False leaves the near fields of neighbours out.
-        body: the particles, where they are no spheres; `sizes` then holds their largest distances from the axis.
-        is_spared: whether the mean field stands in, among many, for what "auto" would choose alone.
-        host: the layer that the particles lie in, from 1; 0: they lie above all.
-        depth_nm: of their tops below the top of the layers, there; None above.
-        second: of a mixture the other kind, whose share leaves the rest to the first; None: there is one kind.
+        arrangement: generator of the points, or the points; None if only S(q) is known.
+        memory: cache of multipole orders for similar candidates, or None.
+        sees_neighbours: False ignores the near fields of neighbours.
+        body: non-spherical particles; `sizes` then holds their largest distances from the axis.
+        is_spared: whether the mean field replaces an ensemble in a search.
+        host: number of the layer with the particles, from 1; 0 above all layers.
+        depth_nm: depth of their tops below the top of the layers; None above.
+        second: second species of a mixture; the first has the remaining share.
     """
 
     noun = "metasurface"
@@ -125,14 +125,14 @@ class Metasurface(Model):
 
     @cached_property
     def kinds(self) -> tuple[Kind, ...]:
-        """The particles: one kind, or two."""
+        """The one or two particle species."""
         rest = () if self.second is None else (self.second,)
         share = 1.0 - sum(kind.share for kind in rest)
         first = Kind(self.core, self.sizes, self.shell, self.gap_nm, self.body, share, depth_nm=self.depth_nm)
         return (first, *rest)
 
     def pattern(self, count: int, seed: int | None = None) -> Pattern:
-        """Return about `count` particles on a periodic square; of a list of points, the list itself.
+        """Return about `count` particles on a periodic square, or the given list of points.
 
         Args:
             count: particles.
@@ -140,7 +140,7 @@ class Metasurface(Model):
 
         Raises:
             UnsupportedError: only S(q) is known.
-            NacreError: the packing cannot be made.
+            NacreError: the packing cannot be reached.
         """
         if isinstance(self.arrangement, Pattern):
             return self.arrangement
@@ -154,17 +154,17 @@ class Metasurface(Model):
 
     @property
     def outer_radius_nm(self) -> float:
-        """Mean radius with the shell; of a body its largest distance from its axis; of a mixture its first kind's."""
+        """Mean outer radius of the first species."""
         return self.kinds[0].outer_radius_nm
 
     @property
     def is_aligned(self) -> bool:
-        """Whether the particles are not axisymmetric and all point one way."""
+        """Whether the particles are not axisymmetric and have one orientation."""
         return self.body is not None and self.body.is_aligned
 
     @property
     def varies(self) -> bool:
-        """Whether the particles are of several sizes or kinds."""
+        """Whether the particles have several sizes or species."""
         return len(self.kinds) > 1 or len(self.sizes.shares) > 1
 
     @property
@@ -174,12 +174,12 @@ class Metasurface(Model):
 
     @property
     def wavelengths_nm(self) -> Array:
-        """The default grid: 10 nm steps resolve the resonances of spheres in the visible."""
+        """Default grid with 10 nm steps, which resolves resonances of spheres in the visible."""
         grid = default_wavelengths()
         return grid[(grid >= self.range_nm[0]) & (grid <= self.range_nm[1])]
 
     def surface(self, wavelength_nm: float) -> Substrate:
-        """Return the stack at one wavelength; a clear substrate loses what little absorption it has."""
+        """Return the stack at one wavelength; a clear substrate becomes lossless."""
         media = [self.ambient, *(m for m, _ in self.layers), self.substrate]
         n = np.array([complex(m.n_complex(np.array([wavelength_nm]))[0]) for m in media])
         n[0] = n[0].real
@@ -197,12 +197,12 @@ class Metasurface(Model):
 
     @cached_property
     def chosen_correction(self) -> tuple[str, str]:
-        """The correction that is taken, and why where the material chose it by itself, else ""."""
+        """The correction, and the reason of an automatic choice or ""."""
         return self._choice if self.correction == AUTO else (self.correction, "")
 
     @cached_property
     def _choice(self) -> tuple[str, str]:
-        """What the table of measured systems says."""
+        """The correction from the table of measured systems."""
         if self.is_aligned:
             return "qca-balanced", NO_ENSEMBLE
         if self.arrangement is None:
@@ -212,14 +212,14 @@ class Metasurface(Model):
 
     @property
     def _is_held(self) -> tuple[bool, str]:
-        """Whether the mean field was measured to hold, and why in words."""
+        """Whether the mean field is valid, and the reason in words."""
         if self.host:
             return model_selection.holds_inside(self.coverage)
         return model_selection.mean_field_holds(*self._judged_as, self.coverage)
 
     @cached_property
     def _judged_as(self) -> tuple[list[model_selection.Like], bool]:
-        """What the table of measured systems looks at: the kinds of particle, and whether there is a substrate."""
+        """The classes of the species, and whether there is a substrate."""
         surface = self.surface(float(np.clip(JUDGED_NM, *self.range_nm)))
         below = np.max(np.abs(surface.indices[1:] / surface.ambient_index - 1.0)) > model_selection.SAME_INDEX
         kinds = []
@@ -249,10 +249,10 @@ class Metasurface(Model):
         return {"model.correction": "qca-balanced"} if self.spared_way else {}
 
     def layers_at(self, wavelengths_nm: ArrayLike) -> tuple[Callable[[float], Monolayer], Refinement | None]:
-        """Return the monolayer at each of some wavelengths, with an ensemble's ratio where one is taken.
+        """Return a function of the wavelength that returns the monolayer, with the ratio of an ensemble if one is used.
 
         Raises:
-            UnsupportedError: an ensemble is asked for where no positions are known, or it is too large.
+            UnsupportedError: an ensemble without positions, or a too large one.
         """
         if self.chosen_correction[0] != ENSEMBLE:
             return self.monolayer, None
@@ -286,11 +286,11 @@ class Metasurface(Model):
         return {}
 
     def monolayer(self, wavelength_nm: float) -> Monolayer:
-        """Return the monolayer at one wavelength, by the mean field where an ensemble would judge it.
+        """Return the mean-field monolayer at one wavelength.
 
         Raises:
-            ConvergenceRefusal: the multipole series does not converge, with what to do.
-            MaterialRangeError, UnsupportedError: an index is not known there; the ladder asked for where it is none.
+            MultipoleConvergenceError: the multipole series does not converge; the message names remedies.
+            MaterialRangeError, UnsupportedError: an index is not known; the ladder is not applicable.
         """
         wavelength_nm = float(wavelength_nm)
         if wavelength_nm not in self._solved:
@@ -314,10 +314,10 @@ class Metasurface(Model):
         return {}
 
     def order(self, surface: Substrate) -> int:
-        """Return the multipole order of spheres, the first kind, at the wavelength of `surface`.
+        """Return the multipole order of the first species, if spheres, at the wavelength of `surface`.
 
         Raises:
-            ConvergenceRefusal: no order keeps within the tolerance; it names the remedies.
+            MultipoleConvergenceError: no order is within the tolerance; the message names remedies.
         """
         return self._settling.sphere_order(self.kinds[0], surface)
 
@@ -335,7 +335,7 @@ class Metasurface(Model):
 
     @property
     def eta(self) -> float:
-        """Index of a transparent substrate over the ambient's, as renderers bend light; 1 for an opaque one."""
+        """Relative index of a transparent substrate, for refraction in renderers; 1 for an opaque one."""
         if not self.transmits:
             return 1.0
         surface = self.surface(float(np.clip(570.0, *self.range_nm)))
@@ -347,22 +347,22 @@ class Metasurface(Model):
         return all(self.surface(w).is_transparent for w in self.wavelengths_nm)
 
     def bsdf(self, wavelengths_nm: ArrayLike | None = None) -> Bsdf:
-        """Solve the optics: a specular lobe and a harmonic one, of aligned particles both of another kind.
+        """Solve the optics: a specular and a harmonic lobe, or their aligned counterparts.
 
         Args:
             wavelengths_nm: `[wavelength]`, ascending; default: `self.wavelengths_nm`.
 
         Raises:
-            ConvergenceRefusal, MaterialRangeError: see `monolayer`.
+            MultipoleConvergenceError, MaterialRangeError: see `monolayer`.
         """
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         self._warn()
         eta = self.eta
         thickness = sum(d for _, d in self.layers)
         layer, judged = self.layers_at(lam)
-        # a particle's light and its mirror image's run apart by twice the height of its centre
+        # the path difference of particle and image is twice the centre height
         height = thickness + max(2.0 * kind.gap_nm + kind.height_nm for kind in self.kinds)
-        # a film on a clear substrate may guide light, which draws lines over the angle
+        # a film on a clear substrate may guide light, with sharp features over the angle
         low = height <= LOW_WAVELENGTHS * lam[0] and not (self.transmits and self.layers)
         grids = choose_grids(eta if self.transmits else None, self.varies, thickness > THICK_FILM_NM, low)
         made = partial(aligned_lobes, self.kinds[0]) if self.is_aligned else tabulate
@@ -388,13 +388,13 @@ class Metasurface(Model):
         for line in turns_left_out(self.kinds):
             warnings.warn(line, MetasurfaceWarning, stacklevel=3)
         doubt = self._doubt
-        if doubt and self.coverage > VALIDATED_COVERAGE and not self.is_spared:  # what was spared is told once for all
+        if doubt and self.coverage > VALIDATED_COVERAGE and not self.is_spared:  # searches report replaced ensembles
             instead = "" if self.is_aligned else '; model.correction = "ensemble" solves the particles together'
             warnings.warn(f"{self.source}: {doubt}{instead}", MetasurfaceWarning, stacklevel=3)
 
     @property
     def _doubt(self) -> str:
-        """What is known against the mean field where it is taken; empty where it was measured to hold."""
+        """Known doubt about the mean field; "" if valid."""
         if self.is_aligned:
             return NO_ENSEMBLE
         if self.chosen_correction[0] == ENSEMBLE or self._is_held[0]:
@@ -410,15 +410,15 @@ class Metasurface(Model):
     ) -> Spectrum:
         """Return specular and hemispherical diffuse power, each `[angle, wavelength]`, together at most one.
 
-        A correction of "none" is left as the model gives it.
+        The correction "none" is not limited.
 
         Args:
-            theta_rad: incidence in the ambient; 90 degrees is taken as 89.9.
+            theta_rad: incidence in the ambient; 90 degrees counts as 89.9.
             wavelengths_nm: vacuum wavelengths.
             polarisation: "s", "p" or "both".
 
         Raises:
-            ConvergenceRefusal, MaterialRangeError: see `monolayer`.
+            MultipoleConvergenceError, MaterialRangeError: see `monolayer`.
         """
         theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
         lam = self.wavelengths_nm if wavelengths_nm is None else np.atleast_1d(np.asarray(wavelengths_nm, dtype=float))
@@ -449,10 +449,10 @@ class Metasurface(Model):
         return Spectrum(lam, degrees, r, t, up, down)
 
     def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
-        """Return the diffuse lobe's values at a few pairs, `[pair, wavelength]`, without its tables.
+        """Return the diffuse BRDF at a few pairs, `[pair, wavelength]`, without tables.
 
-        Those of `bsdf` but for the tables' interpolation: 0.5 % of the largest, and near grazing the scaling to what
-        arrives. None for pairs on the other side, of an order beyond reach, or that are not few; of aligned particles.
+        Equal to `bsdf` to 0.5 % of the maximum, except for the energy scaling near grazing. None for pairs on the other
+        side, at grazing, or too many angles.
         """
         arriving, leaving = (np.asarray(v, dtype=float).reshape(-1, 3) for v in (wi, wo))
         angles = np.unique(np.round(np.concatenate([arriving[:, 2], leaving[:, 2]]), 12))
@@ -471,7 +471,7 @@ class Metasurface(Model):
 
     @property
     def unbounded_because(self) -> str:
-        """A correction of "none" counts light twice."""
+        """The correction "none" counts light twice."""
         return 'model.correction = "none" does not keep energy' if self.correction == "none" else ""
 
     def powers(
@@ -482,7 +482,7 @@ class Metasurface(Model):
         Args:
             cosines: `[angle]`, of incidence.
             wavelength_nm: in vacuum.
-            layer: the monolayer at it, if it is known; by default the mean field's.
+            layer: the monolayer there; default the mean field.
         """
         cos = np.maximum(np.atleast_1d(np.asarray(cosines, dtype=float)), np.cos(np.radians(89.9)))
         layer = self.monolayer(wavelength_nm) if layer is None else layer

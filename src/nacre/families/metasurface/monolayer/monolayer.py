@@ -1,8 +1,9 @@
-"""The coherent field in closed form: the monolayer as a thin sheet of independent scatterers over the stack.
+"""A monolayer at one wavelength: coherent reflection and transmission, and the fields of its diffuse light.
 
-Garcia-Valenzuela's model with a substrate: each particle is excited by the incident wave, half of the sheet's own
-radiated waves and their reflections. With the free T-matrix the 2 x 2 matrix form is the closed form to rounding; with
-the dressed one it also includes the near field between particle and stack. It ignores g(r): use it for p = f only.
+Simple corrections use a coherent field in closed form: the monolayer as a thin sheet of independent scatterers
+(Garcia-Valenzuela's model with a substrate). Each particle is excited by the incident wave, half of the waves radiated
+by the sheet and their reflections. With the free T-matrix the 2 x 2 matrix form equals the closed form; with the
+dressed one it includes the near field between particle and stack. It ignores g(r) and is valid for p = f.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from nacre.families.metasurface.tmatrix.substrate import Substrate
 
 @dataclass(frozen=True)
 class SheetField:
-    """Waves at the sheet, `[pol, angle]`: E at the sphere centres, A radiated; `_d` going down, `_u` up."""
+    """Waves at the sheet, `[pol, angle]`: E at the sphere centres, A radiated; `_d` downward, `_u` upward."""
 
     e_d: ComplexArray
     e_u: ComplexArray
@@ -43,14 +44,14 @@ class SheetField:
     phase: ComplexArray
 
     def reflection(self, bare: ComplexArray) -> ComplexArray:
-        """The specular amplitude for light from above, `[pol, angle]`, given that of the bare stack."""
+        """Return the specular amplitude for light from above, `[pol, angle]`, given that of the bare stack."""
         return bare * (1 + self.phase * self.a_d) + self.a_u / self.phase
 
 
 def sheet_field(
     surface: Substrate, centre_nm: float, response: ComplexArray, density_per_nm2: float, directions: Directions
 ) -> SheetField:
-    """Solve the sheet's 2 x 2 system for plane waves from the side of `directions`.
+    """Solve the 2 x 2 system of the sheet for plane waves from the side of `directions`.
 
     Args:
         response: `[m, n, n']`, the free T (diagonal blocks) or the dressed M.
@@ -69,7 +70,7 @@ def sheet_field(
     b = np.exp(1j * k * centre_nm * w)
     r = surface.reflection(w) * b**2
     if directions.below:
-        assert directions.transmission_up is not None  # set for every direction below
+        assert directions.transmission_up is not None  # set for all directions below
         start = np.stack([np.zeros_like(r), directions.transmission_up * b])
     else:
         start = np.stack([np.broadcast_to(1 / b, r.shape), r / b])
@@ -85,7 +86,7 @@ def sheet_field(
 
 
 def sheet_vectors(field: SheetField, directions: Directions, lmax: int, mmax: int) -> tuple[ComplexArray, ComplexArray]:
-    """Excitation and emission vectors with the sheet's mean field in place of the bare waves, `[m, pol, n, angle]`."""
+    """Excitation and emission vectors in the mean field of the sheet, `[m, pol, n, angle]`."""
     up = plane_wave_vectors(directions.inner_cosines, lmax, mmax, directions.transverse.astype(complex))
     down = mirrored(up)
     excitation = 4 * (adjoint(down) * field.e_d[None, :, None] + adjoint(up) * field.e_u[None, :, None])
@@ -93,7 +94,6 @@ def sheet_vectors(field: SheetField, directions: Directions, lmax: int, mmax: in
     return excitation, emission
 
 
-# A monolayer at one wavelength: its coherent reflection and transmission, and its diffuse light.
 
 CORRECTIONS = ("qca-balanced", LADDER, "gv-balanced", "optical-depth", "in-only", "in-out", "none")
 MEAN_FIELDS = ("qca-balanced", LADDER)
@@ -101,14 +101,14 @@ MEAN_FIELDS = ("qca-balanced", LADDER)
 
 @dataclass(frozen=True)
 class Particle:
-    """One kind of particle.
+    """One size of one particle species.
 
     Attributes:
-        share: in number.
-        centre_nm: height of its centre over the stack.
+        share: number fraction.
+        centre_nm: centre height above the stack.
         t_matrix: diagonal, `[n]`, or the blocks of an axisymmetric particle, `[m, n, n']`.
-        cut: in-plane wavenumber over k that ends its coupling with the stack, see `near_stack`; None: nowhere.
-        kind: which of a mixture's kinds it is a size of.
+        cut: in-plane wavenumber over k that truncates the coupling with the stack, or None.
+        kind: number of its species in a mixture.
     """
 
     share: float
@@ -125,12 +125,12 @@ class Particle:
 
 @dataclass(frozen=True)
 class Lit:
-    """Directions of one side with the response to light from there, one entry a particle size.
+    """Directions of one side with the response to light from there, one entry per particle size.
 
     Attributes:
-        directions: excitation and emission vectors, per size (they carry each size's own height).
+        directions: excitation and emission vectors per size (with its own height).
         response: b, `[m, pol, n, angle]`, per size: multipoles of a particle among its neighbours.
-        added: what the neighbours add to its excitation, `[m, pol, n, angle]`; None: there is no mean field.
+        added: excitation by the neighbours, `[m, pol, n, angle]`; None without a mean field.
     """
 
     directions: list[Directions]
@@ -149,13 +149,13 @@ class Monolayer:
 
     Attributes:
         surface: the stack.
-        particles: sizes; one for equal particles.
+        particles: one per size and species.
         structure: density, S(q), g(r).
         correction: one of `CORRECTIONS`.
-        interaction_order: highest multipole that neighbours exchange.
+        interaction_order: highest multipole exchanged by neighbours.
         mmax: highest azimuthal order.
-        ratio: what an ensemble says of the diffuse light over this model's; None: the model as it is.
-        sees_neighbours: False: `light` of a few directions knows the monolayer's plane waves alone, not near fields.
+        ratio: ratio of an ensemble to this model of the diffuse light, or None.
+        sees_neighbours: False ignores the near fields of neighbours for a few directions.
     """
 
     surface: Substrate
@@ -179,7 +179,7 @@ class Monolayer:
 
     @property
     def has_mean_field(self) -> bool:
-        """Whether the particles are excited by the quasi-crystalline mean field."""
+        """Whether the quasi-crystalline mean field excites the particles."""
         return self.correction in MEAN_FIELDS
 
     @cached_property
@@ -191,7 +191,7 @@ class Monolayer:
 
     @cached_property
     def spheres(self) -> tuple[SphereOnStack, ...]:
-        """The particles, each alone on the stack; with the ladder also what neighbours send back to each."""
+        """The particles on the stack; with the ladder including the reflection by neighbours."""
         if self.correction != LADDER:
             return self._alone
         back = self.modes.back
@@ -199,7 +199,7 @@ class Monolayer:
 
     @cached_property
     def modes(self) -> Modes:
-        """What the ladder needs of the layer."""
+        """The modes of the ladder."""
         order = min(LADDER_ORDER, *(s.lmax for s in self._alone))
         alone = np.stack([all_orders(s.dressed, order) for s in self._alone])
         return Modes.build(self.surface, self.mean_centre_nm, self.structure, alone, self.shares)
@@ -211,22 +211,22 @@ class Monolayer:
 
     @cached_property
     def mean_centre_nm(self) -> float:
-        """The mean height of the centres."""
+        """Mean centre height."""
         return float(self.shares @ [p.centre_nm for p in self.particles])
 
     @cached_property
     def neighbours(self) -> NeighbourTable:
-        """The lattice sums."""
+        """The table of neighbour sums."""
         order = min(self.interaction_order, self.spheres[0].lmax)
         return NeighbourTable.build(self.surface, self.mean_centre_nm, self.structure, order, self.has_below)
 
     def light(self, cosines: Array, below: bool = False, sines: Array | None = None, at_once: bool = False) -> Lit:
-        """Return the directions at `cosines` of one side, with the particles' mean-field response.
+        """Return the directions at `cosines` of one side with the response of the particles.
 
-        With `at_once` the neighbours' sums are made at these angles, of which there should be few, and not tabulated.
+        `MEAN_FIELDS` use the quasi-crystalline mean field, other corrections the response without neighbours.
 
-        `MEAN_FIELDS` take the quasi-crystalline mean field, all else the particles alone (their corrections
-        use the closed-form field where they need one).
+        Args:
+            at_once: compute the neighbour sums at these few angles instead of tabulating them.
         """
         directions = [s.directions(cosines, below, sines) for s in self.spheres]
         own = [apply_response(s.dressed, d.excitation) for s, d in zip(self.spheres, directions)]
@@ -243,7 +243,7 @@ class Monolayer:
         return Lit(directions, [o + apply_response(s.dressed, added) for o, s in zip(own, self.spheres)], added)
 
     def coherent_sum(self, leaving: list[Directions], lit: Lit) -> ComplexArray:
-        """Return the mean F towards `leaving`, paired one to one with the directions of `lit`, nm, `[pol, angle]`."""
+        """Return the mean F towards `leaving`, paired with the directions of `lit`, nm, `[pol, angle]`."""
         total = 0
         for share, out, response in zip(self.shares, leaving, lit.response):
             weight = np.full(len(response), 2.0)
@@ -256,7 +256,7 @@ class Monolayer:
 
         Args:
             cosines: of incidence.
-            lit: `light` at these, if it is known.
+            lit: `illuminate` at these, if known.
         """
         k, rho = self.surface.wavenumber, self.structure.density_per_nm2
         if not self.has_mean_field:
@@ -287,13 +287,13 @@ class Monolayer:
         return np.abs(r) ** 2
 
     def refracted(self, cosines: Array) -> tuple[list[Directions], Array, ComplexArray]:
-        """Directions below that go with `cosines` above, n cos there, and the bare stack's t, `[pol, angle]`."""
+        """Directions below refracted from `cosines` above, n cos there, and t of the bare stack, `[pol, angle]`."""
         index = self.surface.index_below
         sines = np.sqrt((1 - cosines) * (1 + cosines)) / index
         inner = np.sqrt((1 - sines) * (1 + sines))
         out = [s.directions(inner, True, sines) for s in self.spheres]
         t_up = out[0].transmission_up
-        assert t_up is not None  # set for every direction below
+        assert t_up is not None  # set for all directions below
         return out, index * inner, t_up * cosines / (index * inner)
 
     def _closed_form(self, cosines: Array) -> tuple[Array, Array]:
