@@ -238,12 +238,14 @@ def test_far_apart_spheres_need_no_ratio():
     assert errors.max() < 0.2
 
 
-@pytest.mark.parametrize("system", model_selection.MEASURED, ids=lambda m: f"{m.system}, f {m.coverage:g}")
+@pytest.mark.parametrize("system", model_selection.MEASURED, ids=lambda m: f"{m.name}, f {m.coverage:g}")
 def test_the_choice_keeps_the_mean_field_where_it_was_measured_to_hold(system):
     """One that fails decides for all like it that are as dense, also at wavelengths where it would do."""
-    holds, _ = model_selection.mean_field_holds(system.kinds, system.on_substrate, system.coverage)
-    alike = [m for m in model_selection.MEASURED if (m.kinds, m.on_substrate) == (system.kinds, system.on_substrate)]
-    assert holds == all(m.error <= model_selection.HOLDS for m in alike if m.coverage <= system.coverage)
+    holds, _ = model_selection.mean_field_holds(system.species, system.on_substrate, system.coverage)
+    alike = [
+        m for m in model_selection.MEASURED if (m.species, m.on_substrate) == (system.species, system.on_substrate)
+    ]
+    assert holds == all(m.error <= model_selection.MAX_ERROR for m in alike if m.coverage <= system.coverage)
 
 
 DISC = {"shape": "cylinder", "material": "Ag", "diameter_nm": 150, "height_nm": 60, "gap_nm": 10}
@@ -273,7 +275,7 @@ def test_discs_and_mixtures_are_judged_by_their_own_kind(particle, substrate, co
 
 def test_a_shape_that_only_a_t_matrix_tells_is_not_taken_for_a_sphere():
     assert not model_selection.mean_field_holds(
-        [model_selection.Like(model_selection.SHAPES[""], model_selection.METAL)], True, 0.01
+        [model_selection.SystemClass(model_selection.SHAPES[""], model_selection.METAL)], True, 0.01
     )[0]
 
 

@@ -69,7 +69,6 @@ def write_particle(material: Metasurface, path: Path, description: str) -> list[
     return lost
 
 
-
 PERIOD_POINTS = 20_000  # the period has the S(q) of an endless pattern for q above some 2 pi / period
 REFERENCE_NM = 550.0
 COLUMNS = ("position", "material", "quantity", "value", "n_550nm", "k_550nm", "source")

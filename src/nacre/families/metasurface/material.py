@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import warnings
+from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -47,17 +48,18 @@ logger = logging.getLogger("nacre")
 AUTO, ENSEMBLE = "auto", "ensemble"
 SLOW_WAY = 'an ensemble (model.correction = "ensemble")'
 VALIDATED_COVERAGE = 0.13  # coverage above which a doubtful mean field causes a warning
-JUDGED_NM = 550.0  # wavelength of the core classification
+CLASSIFICATION_NM = 550.0  # wavelength of the core classification
 # thicker films need 180 angles; up to here 120 have an error of 0.4 % of the L2 norm (0.3 % without film)
 THICK_FILM_NM = 1000.0
 LOW_WAVELENGTHS = 1.65  # total height over wavelength that 64 angles resolve: 600 nm at 360 nm
 TOLD_EXCESS = 0.01  # energy excess above which a warning is logged
 SAME_INDEX = 1e-3
+MAX_CACHED_GRIDS = 4  # wavelength grids with a cached ensemble
 FEW_ANGLES, LEAST_COS = 48, 0.05  # direct evaluation: number of angles, and smallest cosine
 FEW_ALIGNED_ANGLES = 24  # the same for aligned particles, at all azimuths
 INSIDE = (
     "the mean field is taken of particles inside a layer, where the ensemble says that it is "
-    f"{model_selection.INSIDE_OFF}"
+    f"{model_selection.EMBEDDED_ERROR}"
 )
 
 
@@ -145,10 +147,7 @@ class Metasurface(Model):
         if isinstance(self.arrangement, Pattern):
             return self.arrangement
         if self.arrangement is None:
-            raise UnsupportedError(
-                f"{self.source}: monolayer.structure.sq says how particles scatter, not where they lie; "
-                "name an arrangement (hard-disk, rsa, poisson-disk, lattice) or give points"
-            )
+            raise self._no_positions()
         made = self.arrangement if seed is None else dataclasses.replace(self.arrangement, seed=seed)
         return made.pattern(count)
 
@@ -202,50 +201,47 @@ class Metasurface(Model):
 
     @cached_property
     def _choice(self) -> tuple[str, str]:
-        """The correction from the table of measured systems."""
+        """The correction from the table of measured systems, and the reason."""
         if self.is_aligned:
             return "qca-balanced", NO_ENSEMBLE
         if self.arrangement is None:
             return "qca-balanced", "only S(q) is known, so there are no positions for an ensemble"
-        holds, why = self._is_held
-        return ("qca-balanced" if holds else ENSEMBLE), why
+        is_valid, reason = self._mean_field_validity
+        return ("qca-balanced" if is_valid else ENSEMBLE), reason
 
     @property
-    def _is_held(self) -> tuple[bool, str]:
-        """Whether the mean field is valid, and the reason in words."""
+    def _mean_field_validity(self) -> tuple[bool, str]:
+        """Whether the mean field is valid, and the reason."""
         if self.host:
-            return model_selection.holds_inside(self.coverage)
-        return model_selection.mean_field_holds(*self._judged_as, self.coverage)
+            return model_selection.mean_field_holds_inside(self.coverage)
+        return model_selection.mean_field_holds(*self._system_classes, self.coverage)
 
     @cached_property
-    def _judged_as(self) -> tuple[list[model_selection.Like], bool]:
+    def _system_classes(self) -> tuple[list[model_selection.SystemClass], bool]:
         """The classes of the species, and whether there is a substrate."""
-        surface = self.surface(float(np.clip(JUDGED_NM, *self.range_nm)))
+        surface = self.surface(float(np.clip(CLASSIFICATION_NM, *self.range_nm)))
         below = np.max(np.abs(surface.indices[1:] / surface.ambient_index - 1.0)) > model_selection.SAME_INDEX
-        kinds = []
-        for kind in self.kinds:
-            core = model_selection.kind_of(kind.index(surface.wavelength_nm) / surface.inner_index)
-            shape = (
-                model_selection.SPHERE
-                if kind.body is None
-                else model_selection.SHAPES.get(kind.body.shape, model_selection.OTHER)
+        return [
+            model_selection.SystemClass(
+                model_selection.SHAPES.get("sphere" if kind.body is None else kind.body.shape, model_selection.OTHER),
+                model_selection.core_class(kind.index(surface.wavelength_nm) / surface.inner_index),
             )
-            kinds.append(model_selection.Like(shape, core))
-        return kinds, bool(below)
+            for kind in self.kinds
+        ], bool(below)
 
     @property
     def slow_way(self) -> str:
-        """An ensemble, where the material takes one by itself."""
+        """The ensemble, if selected automatically."""
         return SLOW_WAY if self.correction == AUTO and self._choice[0] == ENSEMBLE else ""
 
     @property
     def spared_way(self) -> str:
-        """An ensemble, where the mean field stands in for one."""
+        """The ensemble, if the mean field replaces it in a search."""
         return SLOW_WAY if self.is_spared and self._choice[0] == ENSEMBLE else ""
 
     @property
     def spared_changes(self) -> Mapping[str, Any]:
-        """The mean field by name, where it stood in for an ensemble."""
+        """The explicit mean field, if it replaces an ensemble."""
         return {"model.correction": "qca-balanced"} if self.spared_way else {}
 
     def layers_at(self, wavelengths_nm: ArrayLike) -> tuple[Callable[[float], Monolayer], Refinement | None]:
@@ -256,34 +252,48 @@ class Metasurface(Model):
         """
         if self.chosen_correction[0] != ENSEMBLE:
             return self.monolayer, None
-        if self.arrangement is None:
-            self.pattern(1)  # says why there are no positions
-        order = np.sort(np.atleast_1d(np.asarray(wavelengths_nm, dtype=float)))
-        found = self._judged.get(order.tobytes())
-        if found is None:
-            found = self._judged[order.tobytes()] = self._refinement(order)
+        grid = np.sort(np.atleast_1d(np.asarray(wavelengths_nm, dtype=float)))
+        cache, key = self._ensembles, grid.tobytes()
+        if key in cache:
+            cache.move_to_end(key)
+        else:
+            cache[key] = self._refinement(grid)
+            while len(cache) > MAX_CACHED_GRIDS:
+                cache.popitem(last=False)
+        found = cache[key]
 
         def layer(wavelength_nm: float) -> Monolayer:
             return dataclasses.replace(self.monolayer(wavelength_nm), ratio=found.at(wavelength_nm))
 
         return layer, found
 
+    @cached_property
+    def _ensembles(self) -> OrderedDict[bytes, Refinement]:
+        """Least recently used cache of ensembles by wavelength grid."""
+        return OrderedDict()
+
     def _refinement(self, wavelengths_nm: Array) -> Refinement:
+        if self.arrangement is None:
+            raise self._no_positions()
         seed = self.arrangement.seed if isinstance(self.arrangement, Arrangement) else 0
         is_list = isinstance(self.arrangement, Pattern)
-        why = self.chosen_correction[1]
-        because = f'model.correction = "auto" takes an ensemble: {why}; "qca-balanced" takes seconds; ' if why else ""
-        found = refine(wavelengths_nm, self.monolayer, self.pattern, self.ensemble, seed, self.source, is_list, because)
+        reason = self.chosen_correction[1]
+        because = f'model.correction = "auto" takes an ensemble: {reason}; "qca-balanced" takes seconds; '
+        found = refine(
+            wavelengths_nm, self.monolayer, self.pattern, self.ensemble, seed, self.source, is_list,
+            because if reason else "",
+        )  # fmt: skip
         logger.warning(
             "%s: ensemble of %d patterns of %d particles: standard error %.2g %%, rms over pairs of angles",
             self.source, self.ensemble.realisations, self.ensemble.spheres, 100 * found.standard_error,
         )  # fmt: skip
         return found
 
-    @cached_property
-    def _judged(self) -> dict[bytes, Refinement]:
-        """What ensembles said, by wavelengths."""
-        return {}
+    def _no_positions(self) -> UnsupportedError:
+        return UnsupportedError(
+            f"{self.source}: monolayer.structure.sq says how particles scatter, not where they lie; "
+            "name an arrangement (hard-disk, rsa, poisson-disk, lattice) or give points"
+        )
 
     def monolayer(self, wavelength_nm: float) -> Monolayer:
         """Return the mean-field monolayer at one wavelength.
@@ -322,10 +332,10 @@ class Metasurface(Model):
         return self._settling.sphere_order(self.kinds[0], surface)
 
     def among_many(self, memory: dict[Any, Any], is_rough: bool = False) -> Metasurface:
-        """Return the metasurface with the multipole orders of those of nearly its spheres on the same media.
+        """Return a variant for optimisation that reuses the multipole orders of similar spheres on the same media.
 
-        A rough one knows its neighbours' plane waves, as a sheet does, and nothing of their near fields. One that would
-        take an ensemble by itself takes the mean field; a recipe that names the ensemble gets it.
+        A rough variant ignores the near fields of neighbours. The mean field replaces an automatic ensemble, but not an
+        explicit one.
         """
         spared = self.correction == AUTO
         return dataclasses.replace(
@@ -397,9 +407,9 @@ class Metasurface(Model):
         """Known doubt about the mean field; "" if valid."""
         if self.is_aligned:
             return NO_ENSEMBLE
-        if self.chosen_correction[0] == ENSEMBLE or self._is_held[0]:
+        if self.chosen_correction[0] == ENSEMBLE or self._mean_field_validity[0]:
             return ""
-        return INSIDE if self.host else model_selection.warning(*self._judged_as)
+        return INSIDE if self.host else model_selection.warning(*self._system_classes)
 
     def spectrum(
         self,

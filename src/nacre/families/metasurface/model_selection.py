@@ -57,9 +57,9 @@ def _load_systems() -> tuple[MeasuredSystem, ...]:
 
 MEASURED = _load_systems()
 
-# Inside a layer, errors at coverage 0.1 by the ensemble are: silver r 60 nm in resin on glass 38 to 58 %, on silicon
-# 28 %, in n = 1.7 54 to 74 %; silicon r 75 nm 44 to 78 %; titania r 75 nm 10 to 75 %. The upward share is small there
-# and includes light reflected by the faces. At 550 nm silver is 17 % off at 0.02 and 4.6 % at 0.003, titania 8 and 1.8 %
+# Errors inside a layer at coverage 0.1, by the ensemble: silver r 60 nm in resin on glass 38 to 58 %, on silicon 28 %,
+# in n = 1.7 54 to 74 %; silicon r 75 nm 44 to 78 %; titania r 75 nm 10 to 75 %. The upward share is small there and
+# includes light reflected by the faces. At 550 nm: silver 17 % at coverage 0.02 and 4.6 % at 0.003, titania 8 and 1.8 %
 MAX_EMBEDDED_COVERAGE = 0.003
 EMBEDDED_ERROR = "10 to 78 % off at a coverage of 0.1"
 

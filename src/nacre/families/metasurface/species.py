@@ -148,7 +148,6 @@ def _difference(of: Array, to: Array) -> float:
     return float(np.max(np.sqrt(np.sum((of - to) ** 2, axis=axes) / np.maximum(np.sum(to**2, axis=axes), 1e-300))))
 
 
-
 logger = logging.getLogger("nacre")
 
 LOOSEST_TOLERANCE = 0.02  # largest accepted change when the order is doubled

@@ -178,7 +178,6 @@ def _both(amplitudes: ComplexArray) -> ComplexArray:
     return np.asarray(np.eye(2)[:, :, None] * amplitudes[None])
 
 
-
 AZIMUTHS = 24  # a multiple of four makes rotations by 90 degrees exact
 
 
@@ -325,7 +324,6 @@ def _factors(flow: Array, totals: Array, weights: Array, is_below: NDArray[np.bo
     return out.reshape(size, 2, count, 2)
 
 
-
 SPECULAR_STEPS = 72  # azimuths of the specular tables; interpolation has an error of 0.4 % of the variation
 LEFT_OUT = 5e-4  # relative rms of all omitted Fourier terms of f
 MOST_TERMS = 48
@@ -348,7 +346,7 @@ def aligned_grids(grids: Grids) -> Grids:
 
 @dataclass(frozen=True)
 class AlignedResult:
-    """Table columns of one wavelength; specular tables `[azimuth, node]`, `series` `[pair, term]` of `series_orders`."""
+    """Table columns of one wavelength: specular `[azimuth, node]`, `series` `[pair, term]` of `series_orders`."""
 
     reflectance: Array
     transmittance: Array
@@ -553,7 +551,6 @@ def _sent(layer: AlignedLayer, lit: AlignedLit, wave: float, mu: Array, weights:
     return np.asarray(
         density * leaving.index * step * np.einsum("s,qbspi,sib->pi", weights, power, s) / lit.directions.cosines
     )
-
 
 
 NO_ENSEMBLE = "aligned particles have no ensemble, so the error of their mean field is not measured"

@@ -69,7 +69,7 @@ def _free(grid, wrap, ix, iy, x, y, box):  # type: ignore[no-untyped-def]  # num
 
 @compiled(nogil=True)
 def _add(count, box, cells, seed, start, shrink, tries, xy):  # type: ignore[no-untyped-def]  # numba
-    """Throw darts, relaxing the least distance from `start` to 1 by `shrink` after `tries` failures; return the count."""
+    """Throw darts, with a least distance from `start` to 1 by `shrink` after `tries` failures; return the count."""
     np.random.seed(seed)  # noqa: NPY002  # numba knows the generator of its own thread only
     side = box / cells
     grid = np.full((cells, cells, 2), -1.0)
@@ -336,7 +336,6 @@ def measured_pair_correlation(pattern: Pattern, reach_nm: float, bins: int = 300
     ring = np.pi * (edges[1:] ** 2 - edges[:-1] ** 2)
     density = len(xy) / box**2
     return (edges[1:] + edges[:-1]) / 2, counts / (len(xy) * density * ring)
-
 
 
 logger = logging.getLogger("nacre")

@@ -272,7 +272,6 @@ def pair_powers(
     return PairPowers(coherent, varying, kernel, target)
 
 
-
 NODES = (10, 6, 7)  # nodes above, below within and beyond the critical angle
 
 
@@ -340,7 +339,6 @@ def _lights(parts: list[ComplexArray]) -> ComplexArray:
     """Return `[pol, n, angle]` of each species as `[kind, n, light]`, polarisation before angle."""
     both = np.stack(parts).swapaxes(1, 2)
     return np.asarray(both.reshape(*both.shape[:2], -1))
-
 
 
 NOTHING = 1e-30  # relative power below which opaque layers block light

@@ -161,7 +161,6 @@ def _picked(ways: Ways, rows: NDArray[np.intp]) -> Ways:
     return Ways(ways.real[rows], ways.imaginary[rows], ways.transverse[rows], ways.below[rows])
 
 
-
 PRIOR = 3.0  # prior standard deviation of the coefficients
 # floor of the weights, relative to the mean square over a direction: for weak model light,
 # multiple scattering dominates and is not a smooth factor (0.1 instead raises the ratio by 5 %)

@@ -273,7 +273,6 @@ def tabulate(
     return (Specular(response), harmonic), max(r.excess for r in results)
 
 
-
 ABOVE_NODES, BELOW_NODES = 24, 20  # nodes over the cosine, for totals to 1e-4
 
 

@@ -94,7 +94,6 @@ def sheet_vectors(field: SheetField, directions: Directions, lmax: int, mmax: in
     return excitation, emission
 
 
-
 CORRECTIONS = ("qca-balanced", LADDER, "gv-balanced", "optical-depth", "in-only", "in-out", "none")
 MEAN_FIELDS = ("qca-balanced", LADDER)
 

@@ -159,7 +159,6 @@ def mean_excitation(q: ComplexArray, order: int, dressed: ComplexArray, own: Com
     return out
 
 
-
 LEAST_STEP = 1e-3  # relative index contrast below which there is no critical angle
 Counts = tuple[int, int, int]  # node counts above, below within and beyond the critical angle
 
