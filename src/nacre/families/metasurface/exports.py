@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.errors import UnsupportedError
-from nacre.families.metasurface.ensemble.supercells import dealt
+from nacre.families.metasurface.ensemble.supercells import draw_species
 from nacre.families.metasurface.material import Metasurface
 from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, as_blocks
 from nacre.families.metasurface.tmatrix.tmatrix_file import MAX_BYTES, write_tmatrices
@@ -29,7 +29,7 @@ def particle_t_matrices(material: Metasurface) -> AxialTMatrices:
         MultipoleConvergenceError, MaterialRangeError: see `Metasurface.monolayer`.
     """
     if material.body is not None:
-        return material.body.all_known(material.wavelengths_nm)
+        return material.body.exported_t_matrices(material.wavelengths_nm)
     surfaces = [material.surface(w) for w in material.wavelengths_nm]
     lmax = min(max(material.order(s) for s in surfaces), HIGHEST_EXPORTED)
     radius = float(np.dot(material.sizes.radii_nm, material.sizes.shares))
@@ -57,7 +57,7 @@ def write_particle(material: Metasurface, path: Path, description: str) -> list[
     method = "Mie" if material.body is None else material.body.method
     if material.shell is not None:
         shape = ""  # shapes of the format have one material
-    error = None if material.body is None else material.body.stated_error
+    error = None if material.body is None else material.body.estimated_error
     if error is not None:
         method += f", estimated relative error {error:.1g}"
     write_tmatrices(path, known, shape, method, description)
@@ -111,7 +111,9 @@ def layout(material: Metasurface, request: DrawingRequest) -> Layout:
 
 def _drawn_kinds(material: Metasurface, count: int, seed: int | None) -> tuple[NDArray[np.intp], tuple[float, ...]]:
     """Return the species number of each particle, drawn by the shares, and the radii of the species in um."""
-    which = dealt(count, np.array([kind.share for kind in material.kinds]), np.random.default_rng((seed or 0, count)))
+    which = draw_species(
+        count, np.array([kind.share for kind in material.kinds]), np.random.default_rng((seed or 0, count))
+    )
     return which, tuple(round(kind.outer_radius_nm * 1e-3, 9) for kind in material.kinds)
 
 

@@ -21,7 +21,7 @@ from nacre.core.parallel import in_threads
 from nacre.families.contract import Model
 from nacre.families.metasurface import model_selection
 from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings
-from nacre.families.metasurface.ensemble.interpolation import Refinement, refine
+from nacre.families.metasurface.ensemble.interpolation import EnsembleInterpolation, interpolate_ensemble
 from nacre.families.metasurface.monolayer.aligned import (
     NO_ENSEMBLE,
     aligned_lobes,
@@ -29,13 +29,19 @@ from nacre.families.metasurface.monolayer.aligned import (
     values_of_aligned,
 )
 from nacre.families.metasurface.monolayer.arrangement import Arrangement, Pattern
-from nacre.families.metasurface.monolayer.diffuse import diffuse_term, within_what_arrives
-from nacre.families.metasurface.monolayer.evaluation import choose_grids, few_powers, few_values, tabulate
+from nacre.families.metasurface.monolayer.diffuse import diffuse_term, limit_to_incident_power
+from nacre.families.metasurface.monolayer.evaluation import choose_grids, direct_powers, direct_values, tabulate
 from nacre.families.metasurface.monolayer.ladder import check as check_ladder
 from nacre.families.metasurface.monolayer.monolayer import Monolayer
 from nacre.families.metasurface.monolayer.qca import INTERACTION_ORDER
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.species import Kind, Settling, body_notes, mean_square_radius, turns_left_out
+from nacre.families.metasurface.species import (
+    Kind,
+    MultipoleConvergence,
+    mean_square_radius,
+    non_sphere_notes,
+    rotation_warnings,
+)
 from nacre.families.metasurface.tmatrix.axisymmetric import Body
 from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
 from nacre.families.metasurface.tmatrix.particle_shapes import Shell, Sizes
@@ -89,7 +95,7 @@ class Metasurface(Model):
         source: name of the recipe, for messages.
         arrangement: generator of the points, or the points; None if only S(q) is known.
         memory: cache of multipole orders for similar candidates, or None.
-        sees_neighbours: False ignores the near fields of neighbours.
+        includes_near_fields: False ignores the near fields of neighbours.
         body: non-spherical particles; `sizes` then holds their largest distances from the axis.
         is_spared: whether the mean field replaces an ensemble in a search.
         host: number of the layer with the particles, from 1; 0 above all layers.
@@ -117,7 +123,7 @@ class Metasurface(Model):
     range_nm: tuple[float, float] = (360.0, 830.0)
     arrangement: Arrangement | Pattern | None = None
     memory: dict[Any, Any] | None = None
-    sees_neighbours: bool = True
+    includes_near_fields: bool = True
     ensemble: EnsembleSettings = EnsembleSettings()
     body: Body | None = None
     second: Kind | None = None
@@ -244,7 +250,7 @@ class Metasurface(Model):
         """The explicit mean field, if it replaces an ensemble."""
         return {"model.correction": "qca-balanced"} if self.spared_way else {}
 
-    def layers_at(self, wavelengths_nm: ArrayLike) -> tuple[Callable[[float], Monolayer], Refinement | None]:
+    def layers_at(self, wavelengths_nm: ArrayLike) -> tuple[Callable[[float], Monolayer], EnsembleInterpolation | None]:
         """Return a function of the wavelength that returns the monolayer, with the ratio of an ensemble if one is used.
 
         Raises:
@@ -268,18 +274,18 @@ class Metasurface(Model):
         return layer, found
 
     @cached_property
-    def _ensembles(self) -> OrderedDict[bytes, Refinement]:
+    def _ensembles(self) -> OrderedDict[bytes, EnsembleInterpolation]:
         """Least recently used cache of ensembles by wavelength grid."""
         return OrderedDict()
 
-    def _refinement(self, wavelengths_nm: Array) -> Refinement:
+    def _refinement(self, wavelengths_nm: Array) -> EnsembleInterpolation:
         if self.arrangement is None:
             raise self._no_positions()
         seed = self.arrangement.seed if isinstance(self.arrangement, Arrangement) else 0
         is_list = isinstance(self.arrangement, Pattern)
         reason = self.chosen_correction[1]
         because = f'model.correction = "auto" takes an ensemble: {reason}; "qca-balanced" takes seconds; '
-        found = refine(
+        found = interpolate_ensemble(
             wavelengths_nm, self.monolayer, self.pattern, self.ensemble, seed, self.source, is_list,
             because if reason else "",
         )  # fmt: skip
@@ -310,14 +316,14 @@ class Metasurface(Model):
             mean_field = "qca-balanced" if self.correction in (AUTO, ENSEMBLE) else self.correction
             self._solved[wavelength_nm] = Monolayer(
                 surface, particles, self.structure, mean_field, self.interaction_order,
-                sees_neighbours=self.sees_neighbours,
+                includes_near_fields=self.includes_near_fields,
             )  # fmt: skip
         return self._solved[wavelength_nm]
 
     @cached_property
-    def _settling(self) -> Settling:
+    def _settling(self) -> MultipoleConvergence:
         first = self.layers[0][1] if self.layers else None
-        return Settling(self.multipole_order, self.multipole_tolerance, self.memory, self.source, first)
+        return MultipoleConvergence(self.multipole_order, self.multipole_tolerance, self.memory, self.source, first)
 
     @cached_property
     def _solved(self) -> dict[float, Monolayer]:
@@ -339,7 +345,7 @@ class Metasurface(Model):
         """
         spared = self.correction == AUTO
         return dataclasses.replace(
-            self, memory=memory, sees_neighbours=not is_rough, is_spared=spared or self.is_spared,
+            self, memory=memory, includes_near_fields=not is_rough, is_spared=spared or self.is_spared,
             correction="qca-balanced" if spared else self.correction,
         )  # fmt: skip
 
@@ -390,12 +396,12 @@ class Metasurface(Model):
             notes["correction_doubt"] = self._doubt
         if judged is not None:
             notes["ensemble"] = judged.notes
-        notes |= body_notes(self.kinds) | self._settling.notes
+        notes |= non_sphere_notes(self.kinds) | self._settling.notes
         self._settling.tell(self.body is not None)
         return Bsdf(lobes, notes)
 
     def _warn(self) -> None:
-        for line in turns_left_out(self.kinds):
+        for line in rotation_warnings(self.kinds):
             warnings.warn(line, MetasurfaceWarning, stacklevel=3)
         doubt = self._doubt
         if doubt and self.coverage > VALIDATED_COVERAGE and not self.is_spared:  # searches report replaced ensembles
@@ -447,7 +453,7 @@ class Metasurface(Model):
             self._settling.tell(self.body is not None)
         r, t, up, down = (np.stack([c[i] for c in columns], axis=-1) for i in range(4))
         if self.correction != "none":
-            up, down, excess = within_what_arrives(r + t, up, down)
+            up, down, excess = limit_to_incident_power(r + t, up, down)
             if excess > TOLD_EXCESS:
                 logger.warning(
                     "%s: correction %s sends out %.3g more than arrives; the diffuse part is scaled down to it",
@@ -475,7 +481,7 @@ class Metasurface(Model):
         def column(wavelength_nm: float) -> Array:
             if self.is_aligned:
                 return values_of_aligned(self.kinds[0], layer(wavelength_nm), arriving, leaving)
-            return few_values(layer(wavelength_nm), arriving, leaving)
+            return direct_values(layer(wavelength_nm), arriving, leaving)
 
         return np.stack(in_threads(column, [float(w) for w in wavelengths_nm]), axis=-1)
 
@@ -499,14 +505,14 @@ class Metasurface(Model):
         if self.is_aligned:
             return powers_of_aligned(self.kinds[0], layer, cos)
         if layer.correction == "qca-balanced" and layer.ratio is None:
-            return few_powers(layer, cos)
+            return direct_powers(layer, cos)
         reflected, passed = layer.specular_above(cos)
         mu, weights = hemisphere_rule(24)
         zero = np.zeros(cos.size)
-        sides = [(layer.light(np.concatenate([mu, cos])), np.concatenate([weights, zero]))]
+        sides = [(layer.illuminate(np.concatenate([mu, cos])), np.concatenate([weights, zero]))]
         if self.transmits:
             mu_b, weights_b = hemisphere_rule(20, layer.surface.index_below)
-            sides.append((layer.light(mu_b, True), weights_b))
+            sides.append((layer.illuminate(mu_b, True), weights_b))
         term = diffuse_term(layer, sides, 1)
         at = slice(mu.size, mu.size + cos.size)
         return reflected, passed, term.above[:, at] / cos, term.below[:, at] / cos

@@ -15,8 +15,8 @@ from nacre.families.metasurface.tmatrix.axisymmetric import (
     SPHERE,
     AxialTMatrices,
     Body,
-    KnownBody,
-    KnownSphere,
+    TabulatedBody,
+    TabulatedSphere,
     is_spherical,
 )
 from nacre.families.metasurface.tmatrix.particle_shapes import Shell, Sizes, SolvedBody
@@ -51,7 +51,7 @@ class ShellSpec(RecipeModel):
     )
 
 
-class KindSpec(RecipeModel):
+class SpeciesSpec(RecipeModel):
     """One particle species: keys, validation, and construction."""
 
     table: ClassVar[str] = "particle"  # recipe table
@@ -245,8 +245,8 @@ class KindSpec(RecipeModel):
         source = f'{context.source}: {self.table}.tmatrix = "{self.tmatrix}"'
         shape = known.shape
         if shape in ("", SPHERE) and abs(2 * radius - height) <= SAME_SIZE * height and is_spherical(known):
-            return KnownSphere(known, radius, height, radius, source, hold_ends, shape)
-        return KnownBody(known, radius, height, reach, source, hold_ends, shape, float(np.radians(self.turn_deg)))
+            return TabulatedSphere(known, radius, height, radius, source, hold_ends, shape)
+        return TabulatedBody(known, radius, height, reach, source, hold_ends, shape, float(np.radians(self.turn_deg)))
 
     def _solid(
         self, context: RecipeContext, around: OpticalConstant, hold_ends: bool, shell: Shell | None
@@ -292,7 +292,7 @@ class KindSpec(RecipeModel):
         return found
 
 
-class SecondSpec(KindSpec):
+class SecondSpeciesSpec(SpeciesSpec):
     """The second species of a mixture, with its number fraction; both lie at random on one arrangement."""
 
     table: ClassVar[str] = "particle.second"
@@ -303,15 +303,15 @@ class SecondSpec(KindSpec):
     )
 
 
-class ParticleSpec(KindSpec):
+class ParticleSpec(SpeciesSpec):
     """The particles: spheres, upright cylinders or spheroids, or particles from a file."""
 
     forms: ClassVar[tuple[str, ...]] = (
-        *KindSpec.forms,
+        *SpeciesSpec.forms,
         '{material = "Si", radius_nm = 75, second = {material = "Ag", radius_nm = 50, share = 0.3}}',
     )
 
-    second: SecondSpec | None = pydantic.Field(
+    second: SecondSpeciesSpec | None = pydantic.Field(
         default=None, description="another kind of particle among these: a mixture"
     )
 

@@ -16,18 +16,18 @@ import numpy as np
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.families.metasurface.monolayer.monolayer import Particle
-from nacre.families.metasurface.tmatrix.axisymmetric import Body, KnownSphere, as_blocks, multipole_order, truncated
+from nacre.families.metasurface.tmatrix.axisymmetric import Body, TabulatedSphere, as_blocks, multipole_order, truncated
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     AZIMUTHAL_ORDERS,
     LOWER_CUT,
     ORDER_TOLERANCE,
-    ConvergenceRefusal,
-    SphereOnStack,
+    MultipoleConvergenceError,
+    ParticleOnStack,
     amplitude,
     choose_order,
-    cut_of,
     order_change,
     rounded_up,
+    wavenumber_cutoff,
 )
 from nacre.families.metasurface.tmatrix.particle_shapes import Shell, Sizes, sphere_t_matrix
 from nacre.families.metasurface.tmatrix.substrate import Substrate
@@ -39,7 +39,7 @@ TOUCHES = 1e-9
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedParticle:
     """A particle above a stack at one wavelength, and the remaining change of its far field.
 
     Attributes:
@@ -53,7 +53,7 @@ class Placed:
     is_near: bool
 
 
-def place(body: Body, surface: Substrate, gap_nm: float, order: int | None = None) -> Placed:
+def place(body: Body, surface: Substrate, gap_nm: float, order: int | None = None) -> PlacedParticle:
     """Return the particle with multipoles up to `order`, default all.
 
     Raises:
@@ -66,13 +66,15 @@ def place(body: Body, surface: Substrate, gap_nm: float, order: int | None = Non
     t = t if order is None else truncated(t, order)
     particle = Particle(1.0, body.height_nm / 2 + gap_nm, t)
     if surface.is_absent or particle.centre_nm >= body.circumscribing_nm * (1 - TOUCHES):
-        return Placed(particle, _truncation(surface, particle), False)
-    near = replace(particle, cut=cut_of(particle.lmax, surface.wavenumber, body.circumscribing_nm))
-    less = replace(particle, cut=cut_of(particle.lmax, surface.wavenumber, body.circumscribing_nm, LOWER_CUT))
-    return Placed(near, _difference(_pattern(surface, less), _pattern(surface, near)), True)
+        return PlacedParticle(particle, _truncation(surface, particle), False)
+    near = replace(particle, cut=wavenumber_cutoff(particle.lmax, surface.wavenumber, body.circumscribing_nm))
+    less = replace(
+        particle, cut=wavenumber_cutoff(particle.lmax, surface.wavenumber, body.circumscribing_nm, LOWER_CUT)
+    )
+    return PlacedParticle(near, _difference(_pattern(surface, less), _pattern(surface, near)), True)
 
 
-def least_gap(
+def smallest_converged_gap(
     body: Body, surface: Substrate, gap_nm: float, tolerance: float, order: int | None = None
 ) -> float | None:
     """Return the smallest converged gap, in steps up to a clear circumscribing sphere, or None."""
@@ -88,7 +90,7 @@ def refuse(
     body: Body,
     surface: Substrate,
     gap_nm: float,
-    placed: Placed,
+    placed: PlacedParticle,
     tolerance: float,
     order: int | None,
     key: str = "particle",
@@ -105,7 +107,7 @@ def refuse(
             f"settle over this stack (the far field still changes by {placed.change:.2g}, {tolerance:g} is allowed); "
             f"a T-matrix of higher order or {further} is needed"
         )
-    gap = least_gap(body, surface, gap_nm, tolerance, order)
+    gap = smallest_converged_gap(body, surface, gap_nm, tolerance, order)
     advice = f"the least {key}.gap_nm that works is {gap:g}" if gap is not None else "no gap_nm mends it"
     return UnsupportedError(
         f"{body.source}: at {surface.wavelength_nm:g} nm it lies too close to the stack for multipoles up to l = "
@@ -132,7 +134,7 @@ def _truncation(surface: Substrate, particle: Particle) -> float:
 
 def _pattern(surface: Substrate, particle: Particle) -> Array:
     """d sigma/d Omega at a few directions, `[pol_s, s, pol_i, i, phi]`."""
-    alone = SphereOnStack(
+    alone = ParticleOnStack(
         surface, particle.centre_nm, particle.t_matrix, min(AZIMUTHAL_ORDERS, particle.lmax), particle.cut
     )
     fields: ComplexArray = amplitude(
@@ -211,7 +213,7 @@ class Kind:
     @property
     def is_sphere(self) -> bool:
         """Whether it is a sphere, by its keys or by a file."""
-        return self.body is None or isinstance(self.body, KnownSphere)
+        return self.body is None or isinstance(self.body, TabulatedSphere)
 
     @property
     def noun(self) -> str:
@@ -229,14 +231,14 @@ class Kind:
 
     def t_matrix(self, lmax: int, surface: Substrate, radius_nm: float) -> ComplexArray:
         """Return the diagonal T of one sphere, `[n]`."""
-        if isinstance(self.body, KnownSphere):
+        if isinstance(self.body, TabulatedSphere):
             return self.body.coefficients(lmax, surface)
         assert self.core is not None  # known for spheres
         return sphere_t_matrix(self.core, self.shell, radius_nm, lmax, surface)
 
 
 @dataclass(frozen=True)
-class Settling:
+class MultipoleConvergence:
     """Choice of the multipole orders, and the record of incomplete convergence.
 
     Attributes:
@@ -309,7 +311,7 @@ class Settling:
 
     def _body(self, kind: Kind, radius_nm: float, surface: Substrate) -> Particle:
         assert kind.body is not None
-        body = kind.body if len(kind.sizes.radii_nm) == 1 else kind.body.of_radius(radius_nm)
+        body = kind.body if len(kind.sizes.radii_nm) == 1 else kind.body.with_radius(radius_nm)
         placed = place(body, surface, kind.gap_nm, self.order)
         tolerance = self.tolerance or LOOSEST_TOLERANCE
         if placed.change > tolerance and (placed.is_near or self.order is None):
@@ -332,7 +334,7 @@ class Settling:
             if kind.body is not None:
                 kind.body.check_order(self.order)
             return self.order
-        if isinstance(kind.body, KnownSphere):
+        if isinstance(kind.body, TabulatedSphere):
             return self._known_order(kind, kind.body, surface)
         if self.memory is not None:
             near = self._neighbourhood(kind, surface)
@@ -341,7 +343,7 @@ class Settling:
             return int(self.memory[near])
         return self._chosen_order(kind, surface)
 
-    def _known_order(self, kind: Kind, sphere: KnownSphere, surface: Substrate) -> int:
+    def _known_order(self, kind: Kind, sphere: TabulatedSphere, surface: Substrate) -> int:
         """Return the order of a sphere from a file, limited by the file, and record missing multipoles.
 
         Raises:
@@ -349,7 +351,7 @@ class Settling:
         """
         wanted, held = self._chosen_order(kind, surface), sphere.lmax
         tolerance = self.tolerance or LOOSEST_TOLERANCE
-        if not sphere.goes_on:  # the order was chosen from the multipoles of the file
+        if not sphere.is_extended_by_mie:  # the order was chosen from the multipoles of the file
             placed = place(sphere, surface, kind.gap_nm)
             if 2 * wanted > held and placed.change > tolerance:
                 raise refuse(sphere, surface, kind.gap_nm, placed, tolerance, None, kind.key)
@@ -387,7 +389,7 @@ class Settling:
             return choose_order(
                 surface, centre, lambda lmax: kind.t_matrix(lmax, surface, kind.mean_radius_nm), tolerance
             )
-        except ConvergenceRefusal as refusal:
+        except MultipoleConvergenceError as refusal:
             if self.tolerance is None and refusal.change < UNASKED_TOLERANCE:
                 self.unsettled[surface.wavelength_nm] = refusal.change
                 return refusal.order
@@ -401,7 +403,7 @@ class Settling:
                 where, mend = f"depth_nm = {kind.depth_nm:g}", "leave some nm between it and the faces of its layer"
             if refusal.change < LOOSEST_TOLERANCE:
                 accept = f", or accept model.tolerance = {rounded_up(refusal.change):g}"
-            raise ConvergenceRefusal(
+            raise MultipoleConvergenceError(
                 f"{self.source}: {kind.key}.{where}: at {surface.wavelength_nm:g} nm {refusal}; {mend}{accept}",
                 refusal.change,
                 refusal.order,
@@ -412,7 +414,7 @@ class Settling:
         if self.memory is not None:
             return f"a gap_nm of {USUAL_GAP_NM:g}"
         for gap in (g for g in GAPS_NM if g > kind.gap_nm):
-            with contextlib.suppress(ConvergenceRefusal):
+            with contextlib.suppress(MultipoleConvergenceError):
                 choose_order(
                     surface, kind.outer_radius_nm + gap,
                     lambda lmax: kind.t_matrix(lmax, surface, kind.mean_radius_nm), tolerance,
@@ -433,10 +435,10 @@ def widened(t_matrix: ComplexArray, lmax: int) -> ComplexArray:
     return out
 
 
-def body_notes(kinds: tuple[Kind, ...]) -> dict[str, Any]:
+def non_sphere_notes(kinds: tuple[Kind, ...]) -> dict[str, Any]:
     """Return Bsdf notes of non-spherical particles."""
     bodies = [kind.body for kind in kinds if kind.body is not None]
-    stated = [body.stated_error for body in bodies if body.stated_error is not None]
+    stated = [body.estimated_error for body in bodies if body.estimated_error is not None]
     found: dict[str, Any] = {"t_matrix_error": float(f"{max(stated):.2g}")} if stated else {}
     turned = max((body.turn_loss for body in bodies), default=0.0)
     if turned:
@@ -444,7 +446,7 @@ def body_notes(kinds: tuple[Kind, ...]) -> dict[str, Any]:
     return found
 
 
-def turns_left_out(kinds: tuple[Kind, ...]) -> list[str]:
+def rotation_warnings(kinds: tuple[Kind, ...]) -> list[str]:
     """Return a warning for each species whose rotational average is used."""
     return [
         f"{kind.body.source}: is not axisymmetric: the mean over its turn about the normal is taken, and "

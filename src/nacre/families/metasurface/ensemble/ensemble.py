@@ -16,20 +16,20 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from nacre.core.arrays import Array, ComplexArray
-from nacre.families.metasurface.ensemble.multisphere import Coupling, PlaneWaves, all_kinds
-from nacre.families.metasurface.ensemble.supercells import Cell, Lattice, orders
+from nacre.families.metasurface.ensemble.multisphere import Coupling, PlaneWaves, species_numbers
+from nacre.families.metasurface.ensemble.supercells import PeriodicCoupling, Supercell, orders
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.ensemble_ratio import (
     Block,
     Pairs,
     Ratio,
+    RatioDirections,
     Sums,
-    Ways,
     block_sums,
     blocks,
     fit_ratio,
 )
-from nacre.families.metasurface.monolayer.monolayer import Lit, Monolayer, Particle
+from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer, Particle
 from nacre.families.metasurface.monolayer.qca import node_sines, node_weights
 from nacre.families.metasurface.monolayer.translation_sums import multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix.axisymmetric import truncated
@@ -70,10 +70,10 @@ class Side:
     others: tuple[Directions, ...] = ()
 
     @cached_property
-    def ways(self) -> Ways:
+    def ways(self) -> RatioDirections:
         """The directions as variables of the ratio."""
         d = self.directions
-        return Ways.of(d.transverse, np.full(d.cosines.size, d.index), np.full(d.cosines.size, d.below))
+        return RatioDirections.of(d.transverse, np.full(d.cosines.size, d.index), np.full(d.cosines.size, d.below))
 
 
 @dataclass(frozen=True)
@@ -82,28 +82,28 @@ class Ensemble:
 
     Attributes:
         layer: the mean-field model of the same multipole order, with one particle size per species.
-        cells: the patterns; for a mixture with species numbers.
+        supercells: the patterns; for a mixture with species numbers.
     """
 
     layer: Monolayer
-    cells: list[Cell]
+    supercells: list[Supercell]
 
     @property
     def reach_nm(self) -> float:
         """Distance of the real-space coupling sum."""
-        return REACH * min(cell.period.side_nm for cell in self.cells)
+        return REACH * min(cell.period.side_nm for cell in self.supercells)
 
     @cached_property
     def coupling(self) -> Coupling:
         """The pair coupling tables."""
-        nearest = min(nearest_distance(cell) for cell in self.cells)
+        nearest = min(nearest_distance(cell) for cell in self.supercells)
         first, *others = self.layer.particles
         return Coupling.build(self.layer.surface, first, nearest, self.reach_nm, *others, fades=True)
 
     @cached_property
-    def lattice(self) -> Lattice:
+    def lattice(self) -> PeriodicCoupling:
         """The coupling with all images."""
-        return Lattice.build(self.layer, self.coupling, self.reach_nm)
+        return PeriodicCoupling.build(self.layer, self.coupling, self.reach_nm)
 
     @cached_property
     def angles_rad(self) -> Array:
@@ -124,12 +124,12 @@ class Ensemble:
         for name in ("coupling", "lattice", "model"):
             self.__dict__.pop(name, None)
 
-    def _sides(self, cell: Cell) -> list[tuple[Side, Side]]:
+    def _sides(self, cell: Supercell) -> list[tuple[Side, Side]]:
         """Directions of view and of incidence, above and then below."""
         layer, rng = self.layer, np.random.default_rng(cell.seed)
         k = layer.surface.wavenumber
         out = []
-        for below in (False, True) if layer.has_below else (False,):
+        for below in (False, True) if layer.transmits_below else (False,):
             index = layer.surface.index_below if below else 1.0
             every = orders(cell.period, k * index * np.sin(WIDEST))
             sines = np.hypot(*every.T) / (k * index)
@@ -159,14 +159,14 @@ class Ensemble:
 
     def solve(self, number: int) -> dict[Block, Sums]:
         """Solve one pattern; return the fit sums of its diffuse light."""
-        cell, layer = self.cells[number], self.layer
+        cell, layer = self.supercells[number], self.layer
         sides = self._sides(cell)
         arriving = PlaneWaves.of([self.waves(light, False) for _, light in sides])
         solved = self.lattice.solve(cell, arriving)
         found: dict[Block, Sums] = {}
         counts = [len(light.wavevectors) for _, light in sides]
         edges = np.cumsum([0, *(2 * c for c in counts)])
-        wanted = blocks(layer.has_below)
+        wanted = blocks(layer.transmits_below)
         for view, _ in sides:
             f = self.coupling.far_field(cell.xy_nm, solved, self.waves(view, True), cell.kinds)
             for at, (_, light) in enumerate(sides):
@@ -194,7 +194,7 @@ class Ensemble:
         spread = np.stack(parts)
         return PlaneWaves(spread, spread, np.concatenate([side.wavevectors, side.wavevectors]))
 
-    def _pairs(self, cell: Cell, view: Side, light: Side, powers: Array) -> list[tuple[Block, Pairs]]:
+    def _pairs(self, cell: Supercell, view: Side, light: Side, powers: Array) -> list[tuple[Block, Pairs]]:
         """Return the solved and the model light of all pairs of two sides, by polarisations.
 
         In the control, the S of the pattern replaces the mean one; in a mixture, its species order also replaces pure
@@ -253,14 +253,14 @@ class ModelTable:
     @classmethod
     def build(cls, layer: Monolayer) -> ModelTable:
         """Evaluate the balanced model."""
-        sides: list[tuple[Lit, Array]] = []
+        sides: list[tuple[Illumination, Array]] = []
         place, start = [], 0
-        for below in (False, True) if layer.has_below else (False,):
+        for below in (False, True) if layer.transmits_below else (False,):
             index = layer.surface.index_below if below else 1.0
             mu, w = hemisphere_rule(BALANCE_NODES[below], index) if below else hemisphere_rule(BALANCE_NODES[below])
             sines = np.concatenate([np.sqrt((1 - mu) * (1 + mu)), *(s for s in _nodes(layer, below))])
             cosines = np.sqrt((1 - sines) * (1 + sines))
-            sides.append((layer.light(cosines, below, sines), np.concatenate([w, np.zeros(sines.size - mu.size)])))
+            sides.append((layer.illuminate(cosines, below, sines), np.concatenate([w, np.zeros(sines.size - mu.size)])))
             place.append(start + np.arange(mu.size, sines.size))
             start += sines.size
         at = np.concatenate(place)
@@ -324,7 +324,7 @@ def _solid(layer: Monolayer, below: bool) -> Array:
     return np.concatenate([-np.gradient(np.sqrt((1 - s) * (1 + s))) for s in _nodes(layer, below)])
 
 
-def nearest_distance(cell: Cell) -> float:
+def nearest_distance(cell: Supercell) -> float:
     """Return the smallest particle distance of a pattern, nm."""
     xy = cell.xy_nm
     if len(xy) < 2:
@@ -348,7 +348,7 @@ def middle_sizes(layer: Monolayer) -> tuple[Particle, ...]:
     )
 
 
-def _kind_factor(cell: Cell, shares: Array, leaving: ComplexArray, arriving: ComplexArray) -> Array:
+def _kind_factor(cell: Supercell, shares: Array, leaving: ComplexArray, arriving: ComplexArray) -> Array:
     """Return the interference of the species order of a pattern, `[view, light]`; 1 on average over random orders.
 
     sum_k |sum_j (delta_kj - x_k) e^{-i q r_j}|^2 / (N sum_k x_k (1 - x_k)), x the shares: for two species this factor
@@ -356,6 +356,6 @@ def _kind_factor(cell: Cell, shares: Array, leaving: ComplexArray, arriving: Com
     """
     total = np.zeros((leaving.shape[1], arriving.shape[1]))
     for kind, share in enumerate(shares):
-        amount = (all_kinds(cell.xy_nm, cell.kinds) == kind) - share
+        amount = (species_numbers(cell.xy_nm, cell.kinds) == kind) - share
         total += np.abs((leaving * amount[:, None]).T @ arriving) ** 2
     return np.asarray(total / (len(cell.xy_nm) * np.sum(shares * (1.0 - shares))))

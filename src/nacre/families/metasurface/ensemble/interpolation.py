@@ -17,7 +17,12 @@ from nacre.core.memory import check_memory
 from nacre.core.parallel import available_jobs, in_threads
 from nacre.core.progress import announce, duration
 from nacre.families.metasurface.ensemble.ensemble import REACH, Ensemble, EnsembleSettings, middle_sizes, same_order
-from nacre.families.metasurface.ensemble.supercells import beyond_the_window, carried_order, cells, with_kinds
+from nacre.families.metasurface.ensemble.supercells import (
+    max_far_wavenumber,
+    supercells,
+    translation_order,
+    with_species,
+)
 from nacre.families.metasurface.monolayer.arrangement import Pattern
 from nacre.families.metasurface.monolayer.ensemble_ratio import Block, Ratio, Sums, as_arrays, from_arrays
 from nacre.families.metasurface.monolayer.monolayer import Monolayer
@@ -36,7 +41,7 @@ MOST_UNKNOWNS = 12_000  # 1.2 GB per matrix
 
 
 @dataclass(frozen=True)
-class Refinement:
+class EnsembleInterpolation:
     """Ratios at some wavelengths, and their standard errors.
 
     Attributes:
@@ -96,22 +101,22 @@ def expected_seconds(wavelengths: int, settings: EnsembleSettings, layer: Monola
     """
     n = 2 * settings.multipole_order * (settings.multipole_order + 2)
     share = settings.spheres * n / UNKNOWNS
-    seen = (1.0 if layer.has_below else ONE_SIDE) * (1.0 if layer.shares.size == 1 else OF_MIXTURES)
+    seen = (1.0 if layer.transmits_below else ONE_SIDE) * (1.0 if layer.shares.size == 1 else OF_MIXTURES)
     one = SOLVE_S * (0.3 * share**3 + seen * (0.4 * share**2 + 0.3 * share))  # factorisation, matrix, directions, fit
     tables = TABLES_S
     heights = np.unique([p.centre_nm for p in layer.particles])
     if len(heights) > 1:
         surface, side = layer.surface, float(np.sqrt(settings.spheres / layer.structure.density_per_nm2))
-        top = carried_order(settings.multipole_order, surface.inner_wavenumber * float(np.ptp(heights)))
+        top = translation_order(settings.multipole_order, surface.inner_wavenumber * float(np.ptp(heights)))
         carried = (2 * top * (top + 2)) ** 2
-        largest = beyond_the_window(surface, REACH * side) * surface.inner_wavenumber
+        largest = max_far_wavenumber(surface, REACH * side) * surface.inner_wavenumber
         waves = np.pi * (largest * side / (2 * np.pi)) ** 2
         one += CARRYING_S * waves * n * carried
         tables += CARRIED_TABLES_S * carried
     return wavelengths * (tables + settings.realisations * one / min(available_jobs(), settings.realisations))
 
 
-def refine(
+def interpolate_ensemble(
     wavelengths_nm: Array,
     layer: Callable[[float], Monolayer],
     pattern: Callable[[int, int], Pattern],
@@ -120,7 +125,7 @@ def refine(
     source: str,
     is_list: bool = False,
     because: str = "",
-) -> Refinement:
+) -> EnsembleInterpolation:
     """Return the ratios for a grid of wavelengths, reusing cached results, also of an interrupted run.
 
     Args:
@@ -143,7 +148,7 @@ def refine(
     solved_at = chosen(np.atleast_1d(np.asarray(wavelengths_nm, dtype=float)))
     first = layer(float(solved_at[0]))
     structure = first.structure
-    made = cells(
+    made = supercells(
         pattern,
         structure.density_per_nm2,
         structure.diameter_nm,
@@ -156,8 +161,7 @@ def refine(
     for wavelength in solved_at:
         whole = layer(float(wavelength))
         alone = same_order(whole, settings.multipole_order, *middle_sizes(whole))
-        dealt = with_kinds(made, alone.shares, seed) if len(alone.particles) > 1 else made
-        ensembles.append(Ensemble(alone, dealt))
+        ensembles.append(Ensemble(alone, with_species(made, alone.shares, seed) if len(alone.particles) > 1 else made))
     keys = [_key(one, settings) for one in ensembles]
     found = [_read(key) for key in keys]
     missing = [n for n, one in enumerate(found) if one is None]
@@ -183,7 +187,7 @@ def refine(
             found[n] = solved
     done = [one for one in found if one is not None]
     angles = ensembles[0].angles_rad
-    return Refinement(solved_at, tuple(r for r, _ in done), np.stack([e for _, e in done]), angles, settings)
+    return EnsembleInterpolation(solved_at, tuple(r for r, _ in done), np.stack([e for _, e in done]), angles, settings)
 
 
 def _solve(
@@ -207,7 +211,7 @@ def _solve(
         solved[n].clear()
         ensembles[n].forget()
         _keep(keys[n], ratio, errors)
-        drop_arrays(_of_pattern(keys[n], k) for k in range(len(ensembles[n].cells)))
+        drop_arrays(_of_pattern(keys[n], k) for k in range(len(ensembles[n].supercells)))
         with lock:
             out.append((names[n], (ratio, errors)))
 
@@ -218,15 +222,15 @@ def _solve(
         one = ensembles[n].solve(number)
         with lock:
             solved[n][number] = one
-            is_last = len(solved[n]) == len(ensembles[n].cells)
+            is_last = len(solved[n]) == len(ensembles[n].supercells)
         if is_last:
             fit(n)
         else:
             keep_arrays(_of_pattern(keys[n], number), as_arrays(one))
 
-    items = [(n, k) for n, one in enumerate(ensembles) for k in range(len(one.cells)) if k not in begun[n]]
+    items = [(n, k) for n, one in enumerate(ensembles) for k in range(len(one.supercells)) if k not in begun[n]]
     for n, one in enumerate(ensembles):
-        if len(begun[n]) == len(one.cells):
+        if len(begun[n]) == len(one.supercells):
             fit(n)
     in_threads(work, items)
     return out
@@ -251,16 +255,16 @@ def _key(one: Ensemble, settings: EnsembleSettings) -> str:
     """Return a fingerprint of the optics, the positions and the code."""
     surface, particles, structure = one.layer.surface, one.layer.particles, one.layer.structure
     digest = hashlib.sha256()
-    for array in (
-        surface.indices, surface.thicknesses_nm, *(p.t_matrix for p in particles), structure.q_per_nm, structure.s,
-        structure.r_nm, structure.h, *(cell.xy_nm for cell in one.cells), *(cell.period.bloch for cell in one.cells),
-        *(cell.kinds for cell in one.cells if cell.kinds is not None),
-    ):  # fmt: skip
+    arrays = [surface.indices, surface.thicknesses_nm, *(p.t_matrix for p in particles)]
+    arrays += [structure.q_per_nm, structure.s, structure.r_nm, structure.h]
+    arrays += [cell.xy_nm for cell in one.supercells] + [cell.period.bloch for cell in one.supercells]
+    arrays += [cell.kinds for cell in one.supercells if cell.kinds is not None]
+    for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
     numbers = [
         surface.wavelength_nm, structure.density_per_nm2, structure.diameter_nm,
         *(n for p in particles for n in (p.share, p.centre_nm, p.cut or 0.0)),
-        *(n for cell in one.cells for n in (cell.period.side_nm, float(cell.seed))),
+        *(n for cell in one.supercells for n in (cell.period.side_nm, float(cell.seed))),
         *([float(surface.host)] if isinstance(surface, Embedded) else ()),
     ]  # fmt: skip
     return "ensemble-" + identity(

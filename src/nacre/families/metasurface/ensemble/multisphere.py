@@ -27,7 +27,7 @@ from nacre.families.metasurface.monolayer.translation_sums import (
     translation_coefficients,
     with_negative_orders,
 )
-from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, SphereOnStack
+from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, ParticleOnStack
 from nacre.families.metasurface.tmatrix.special_functions import (
     bessel_j,
     legendre,
@@ -49,7 +49,7 @@ def reflected_coupling(
     """Return W^R(R), the coupling of multipole n' to n by the stack at a horizontal distance, `[n, n', distance]`.
 
     4 int kap dkap/(k kz) i^mu J_mu(kap R) e^(2ikzd) sum_pol Bdag_n(kz/k) R B_n'(-kz/k), mu = |m' - m|; inside a layer
-    with the waves of `Echo`.
+    with the waves of `StackReflection`.
 
     Args:
         centre_nm: mean centre height.
@@ -63,7 +63,7 @@ def reflected_coupling(
     if surface.is_absent:
         return out
     far = float(max(distances.max(), 1.0)) if reach is None else reach
-    heard = far if surface.inner_wavenumber * surface.clear_nm(centre_nm) < LOW else 10.0
+    heard = far if surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm) < LOW else 10.0
     kappa, weight = stack_contour(surface, centre_nm, order, far, min(0.3, GROWTH / far), heard)
     w = np.sqrt((1 - kappa) * (1 + kappa))
     w = np.where(w.imag < 0, -w, w)
@@ -71,7 +71,7 @@ def reflected_coupling(
     measure = 4 * weight * kappa / w
     ways = [
         (with_negative_orders(left, index) * measure, with_negative_orders(right, index))
-        for left, right in surface.echo(centre_nm, w, lift_nm).pairs(b)
+        for left, right in surface.reflection_at(centre_nm, w, lift_nm).pairs(b)
     ]
     radial = bessel_j(np.outer(kappa, distances), 2 * order)
     for m in range(2 * order + 1):
@@ -165,7 +165,7 @@ class Coupling:
         The `others` of a mixture have the same order.
         """
         particles, order = (particle, *others), particle.lmax
-        alone = [SphereOnStack(surface, p.centre_nm, p.t_matrix, order, p.cut) for p in particles]
+        alone = [ParticleOnStack(surface, p.centre_nm, p.t_matrix, order, p.cut) for p in particles]
         dressed = np.stack([all_orders(sphere.dressed, order) for sphere in alone])
         k = surface.inner_wavenumber
         start = max(k * nearest_nm - 2 * STEP, STEP)
@@ -202,16 +202,14 @@ class Coupling:
             far = self.start + self.step * (self.table.shape[2] - 4)
             side, shift = period.side_nm * k, period.bloch * period.side_nm
             images = int(np.ceil(far / side))
-        _fill(
-            xy_nm * k, all_kinds(xy_nm, kinds), self.start, self.step, self.table, index.m, side, shift, far, images,
-            turned,
-        )  # fmt: skip
+        which = species_numbers(xy_nm, kinds)
+        _fill(xy_nm * k, which, self.start, self.step, self.table, index.m, side, shift, far, images, turned)
         return turned.T
 
     def excitations(self, xy_nm: Array, waves: PlaneWaves, kinds: IntArray | None = None) -> SingleComplex:
         """Return M a of plane waves, `[sphere, n, wave]`, polarisation before direction."""
         answered = np.matmul(self.dressed, waves.excitation)
-        return np.asarray(answered[all_kinds(xy_nm, kinds)] * waves.phases(xy_nm)[:, None], dtype=np.complex64)
+        return np.asarray(answered[species_numbers(xy_nm, kinds)] * waves.phases(xy_nm)[:, None], dtype=np.complex64)
 
     def solve(
         self, xy_nm: Array, waves: PlaneWaves, kinds: IntArray | None = None, matrix: SingleComplex | None = None
@@ -234,7 +232,7 @@ class Coupling:
     ) -> SingleComplex:
         """Return F towards the directions of `waves`, `[direction, wave of multipoles]`, nm."""
         phases = waves.phases(xy_nm).conj() / self.surface.inner_wavenumber  # sphere, direction
-        rows = (waves.emission[all_kinds(xy_nm, kinds)] * phases[:, None]).astype(np.complex64)
+        rows = (waves.emission[species_numbers(xy_nm, kinds)] * phases[:, None]).astype(np.complex64)
         return np.asarray(rows.reshape(-1, rows.shape[-1]).T @ multipoles.reshape(-1, multipoles.shape[-1]))
 
 
@@ -283,7 +281,7 @@ class PlaneWaves:
         return np.asarray(np.exp(1j * (xy_nm @ self.wavevectors.T)))
 
 
-def all_kinds(xy_nm: Array, kinds: IntArray | None) -> IntArray:
+def species_numbers(xy_nm: Array, kinds: IntArray | None) -> IntArray:
     """Return `kinds`, or zeros."""
     return np.zeros(len(xy_nm), dtype=np.intp) if kinds is None else kinds
 

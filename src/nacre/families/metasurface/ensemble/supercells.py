@@ -23,10 +23,10 @@ from nacre.families.metasurface.ensemble.multisphere import (
     Period,
     PlaneWaves,
     SingleComplex,
-    all_kinds,
     direct_coupling,
     mean_and_lift,
     reflected_coupling,
+    species_numbers,
     window,
 )
 from nacre.families.metasurface.monolayer.arrangement import Pattern
@@ -49,7 +49,7 @@ QUIET = 3e-5  # share of the response of one particle below which waves of rando
 
 
 @dataclass(frozen=True)
-class Cell:
+class Supercell:
     """One square of a periodic pattern.
 
     Attributes:
@@ -65,7 +65,7 @@ class Cell:
     kinds: IntArray | None = None
 
 
-def cells(
+def supercells(
     pattern: Callable[[int, int], Pattern],
     density_per_nm2: float,
     least_nm: float,
@@ -73,7 +73,7 @@ def cells(
     realisations: int,
     seed: int,
     is_list: bool = False,
-) -> list[Cell]:
+) -> list[Supercell]:
     """Return squares of about `spheres` particles, each with a random Bloch wavevector.
 
     Args:
@@ -94,22 +94,22 @@ def cells(
         close = np.asarray(cKDTree(xy, boxsize=box).query_pairs(least_nm * (1 - 1e-6), output_type="ndarray"))
         xy = np.delete(xy, close[:, 0], axis=0)
         bloch = rng.uniform(-0.5, 0.5, 2) * 2 * np.pi / box
-        out.append(Cell(xy, Period(box, bloch), int(rng.integers(2**31))))
+        out.append(Supercell(xy, Period(box, bloch), int(rng.integers(2**31))))
     return out
 
 
-def with_kinds(patterns: list[Cell], shares: Array, seed: int) -> list[Cell]:
+def with_species(patterns: list[Supercell], shares: Array, seed: int) -> list[Supercell]:
     """Return the patterns of a mixture with randomly placed species in exact total shares.
 
     An excess of a bright species over all patterns would be an error of the mean.
     """
     counts = [len(one.xy_nm) for one in patterns]
-    drawn = dealt(sum(counts), shares, np.random.default_rng((seed, len(counts), 1)))
+    drawn = draw_species(sum(counts), shares, np.random.default_rng((seed, len(counts), 1)))
     parts = np.split(drawn, np.cumsum(counts)[:-1])
     return [dataclasses.replace(one, kinds=part) for one, part in zip(patterns, parts)]
 
 
-def dealt(count: int, shares: Array, rng: np.random.Generator) -> IntArray:
+def draw_species(count: int, shares: Array, rng: np.random.Generator) -> IntArray:
     """Return species numbers in counts nearest to the shares, in random order, `[particle]`."""
     edges = np.round(count * np.cumsum(shares) / np.sum(shares)).astype(np.intp)
     which = np.searchsorted(edges, np.arange(count), side="right")
@@ -126,7 +126,7 @@ def orders(period: Period, largest: float) -> Array:
 
 
 @dataclass(frozen=True)
-class Sheet:
+class DistantSheet:
     """Coupling sums over an endless uncorrelated layer beyond the window, for two heights.
 
     Attributes:
@@ -143,7 +143,7 @@ class Sheet:
     def build(
         cls, surface: Substrate, centre_nm: float, structure: Structure, order: int, reach_nm: float, largest: float,
         lift_nm: float = 0.0,
-    ) -> Sheet:  # fmt: skip
+    ) -> DistantSheet:  # fmt: skip
         """Tabulate; `structure` gives density and least distance, without correlation.
 
         Args:
@@ -178,7 +178,7 @@ class Sheet:
 
 
 @dataclass(frozen=True)
-class Lattice:
+class PeriodicCoupling:
     """Coupling with the images beyond the window, as waves of in-plane wavevectors.
 
     Attributes:
@@ -189,28 +189,29 @@ class Lattice:
     """
 
     coupling: Coupling
-    sheets: dict[tuple[float, float], Sheet]
-    direct: Sheet | None
+    sheets: dict[tuple[float, float], DistantSheet]
+    direct: DistantSheet | None
     largest: float
 
     @classmethod
-    def build(cls, layer: Monolayer, coupling: Coupling, reach_nm: float) -> Lattice:
+    def build(cls, layer: Monolayer, coupling: Coupling, reach_nm: float) -> PeriodicCoupling:
         """Tabulate; `coupling` fades out at `reach_nm`."""
         surface, order, heights = layer.surface, coupling.order, coupling.centres_nm
         k = surface.inner_wavenumber
         alone = dataclasses.replace(layer.structure, h=np.zeros_like(layer.structure.h))
-        largest = beyond_the_window(surface, reach_nm)
+        largest = max_far_wavenumber(surface, reach_nm)
         pairs = {mean_and_lift(surface, float(a), float(b)) for a in heights for b in heights}
         sheets = {
-            (mean, up): Sheet.build(surface, mean, alone, order, reach_nm, largest, up) for mean, up in sorted(pairs)
+            (mean, up): DistantSheet.build(surface, mean, alone, order, reach_nm, largest, up)
+            for mean, up in sorted(pairs)
         }
         direct, step = None, k * float(np.ptp(heights))
         if step > 0.0:
             nothing = Substrate(surface.wavelength_nm, np.full(2, surface.inner_index + 0j), np.zeros(0))
             # shorter distances cancel within the window, and high multipoles are large there
             further = dataclasses.replace(alone, diameter_nm=max(alone.diameter_nm, reach_nm / 2))
-            top = carried_order(order, step)
-            direct = Sheet.build(nothing, float(heights.max()), further, top, reach_nm, largest)
+            top = translation_order(order, step)
+            direct = DistantSheet.build(nothing, float(heights.max()), further, top, reach_nm, largest)
         return cls(coupling, sheets, direct, largest)
 
     def beyond(self, wavevectors: Array) -> ComplexArray:
@@ -245,9 +246,9 @@ class Lattice:
         carried = lift(top, height) - np.eye(len(low))
         return np.asarray(carried[low] @ straight[:, :, low])
 
-    def matrix(self, cell: Cell) -> SingleComplex:
+    def matrix(self, cell: Supercell) -> SingleComplex:
         """Return 1 - M W of a pattern and all its images, `[sphere x n, sphere x n]`, in column order."""
-        xy, period, kinds = cell.xy_nm, cell.period, all_kinds(cell.xy_nm, cell.kinds)
+        xy, period, kinds = cell.xy_nm, cell.period, species_numbers(cell.xy_nm, cell.kinds)
         out = self.coupling.matrix(xy, period, kinds).T  # rows: source and its multipole
         waves = orders(period, self.largest * self.coupling.surface.inner_wavenumber)
         couples = self.beyond(waves) / period.side_nm**2
@@ -266,23 +267,23 @@ class Lattice:
                 blocks[k][:, rows] -= np.moveaxis(added.reshape(len(rows), size, size), 0, 1)
         return out.T
 
-    def solve(self, cell: Cell, waves: PlaneWaves) -> SingleComplex:
+    def solve(self, cell: Supercell, waves: PlaneWaves) -> SingleComplex:
         """Return the multipoles of every particle, `[sphere, n, wave]`."""
         return self.coupling.solve(cell.xy_nm, waves, cell.kinds, self.matrix(cell))
 
 
-def carried_order(order: int, step: float) -> int:
+def translation_order(order: int, step: float) -> int:
     """Return the order of waves translated vertically by `step` / k for results of `order`."""
     return order + 2 + int(np.ceil(1.5 * step))
 
 
-def beyond_the_window(surface: Substrate, reach_nm: float) -> float:
+def max_far_wavenumber(surface: Substrate, reach_nm: float) -> float:
     """Return the largest in-plane wavevector, over k around the particles, of waves from beyond the window."""
     beyond = BEYOND_IN_A_LAYER if surface.inner_nm else BEYOND
-    return steepest(surface) / surface.inner_index + beyond / (reach_nm * surface.inner_wavenumber)
+    return max_guided_index(surface) / surface.inner_index + beyond / (reach_nm * surface.inner_wavenumber)
 
 
-def steepest(surface: Substrate) -> float:
+def max_guided_index(surface: Substrate) -> float:
     """Return the largest index of propagating in-plane wavevectors: outer media and films that guide light."""
     outside = [surface.inner_index, surface.ambient_index]
     if surface.is_transparent:

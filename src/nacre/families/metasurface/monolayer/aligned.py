@@ -46,7 +46,7 @@ from nacre.families.metasurface.monolayer.evaluation import (
     specular_at_nodes,
 )
 from nacre.families.metasurface.monolayer.monolayer import Monolayer
-from nacre.families.metasurface.monolayer.qca import sums_at
+from nacre.families.metasurface.monolayer.qca import neighbour_sums_at
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.monolayer.translation_sums import (
     MultipoleIndex,
@@ -55,13 +55,13 @@ from nacre.families.metasurface.monolayer.translation_sums import (
     with_negative_orders,
 )
 from nacre.families.metasurface.species import Kind
-from nacre.families.metasurface.tmatrix.axisymmetric import KnownBody
-from nacre.families.metasurface.tmatrix.full_tmatrix import kept_index, spread, truncated_whole
+from nacre.families.metasurface.tmatrix.axisymmetric import TabulatedBody
+from nacre.families.metasurface.tmatrix.full_tmatrix import spread, truncated_full, truncated_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, dressed_matrix, hemisphere_rule
 
 
 @dataclass(frozen=True)
-class AlignedLit:
+class AlignedIllumination:
     """Directions of one side with the response of a particle among its neighbours to light from there.
 
     Attributes:
@@ -95,13 +95,13 @@ class AlignedLayer:
     @cached_property
     def _kept(self) -> tuple[MultipoleIndex, NDArray[np.intp]]:
         alone = self.mean.spheres[0]
-        return kept_index(alone.lmax, alone.mmax)
+        return truncated_index(alone.lmax, alone.mmax)
 
     @cached_property
     def dressed(self) -> ComplexArray:
         """M = (T^-1 - W)^-1 of the particle above its stack, `[n, n']`."""
         index, kept = self._kept
-        t = truncated_whole(self.whole, index.order)[kept[:, None], kept]
+        t = truncated_full(self.whole, index.order)[kept[:, None], kept]
         return np.asarray(dressed_matrix(t[None], spread(self.mean.spheres[0].coupling, index)[None])[0])
 
     @cached_property
@@ -112,19 +112,26 @@ class AlignedLayer:
         few = multipole_index(order)
         return order, np.array([places[key] for key in zip(few.m, few.tau, few.l, strict=True)])
 
-    def light(
-        self, cosines: Array, azimuths: Array, below: bool = False, sines: Array | None = None, at_once: bool = False
-    ) -> AlignedLit:
+    def illuminate(
+        self,
+        cosines: Array,
+        azimuths: Array,
+        below: bool = False,
+        sines: Array | None = None,
+        untabulated: bool = False,
+    ) -> AlignedIllumination:
         """Return the directions at `cosines` of one side, and the response to light with wavevectors at `azimuths`.
 
         Args:
-            at_once: compute the neighbour sums at these few angles instead of tabulating them.
+            untabulated: compute the neighbour sums at these few angles instead of tabulating them.
         """
         directions = self.mean.spheres[0].directions(cosines, below, sines)
         order, few = self._exchanged
-        if at_once:
+        if untabulated:
             mean = self.mean
-            folded = sums_at(mean.surface, mean.mean_centre_nm, mean.structure, order, directions, mean.sees_neighbours)
+            folded = neighbour_sums_at(
+                mean.surface, mean.mean_centre_nm, mean.structure, order, directions, mean.includes_near_fields
+            )
         else:
             folded = self.mean.neighbours.at(directions)
         sums = unfolded(folded, order)  # angle, n, n'
@@ -138,24 +145,26 @@ class AlignedLayer:
         met = np.linalg.solve(system, own[:, :, few].transpose(0, 3, 2, 1))
         added = (sums @ met).transpose(0, 3, 2, 1)  # azimuth, pol, n, angle
         passed = self.dressed[:, few] @ (here.conj()[:, None, :, None] * added)
-        return AlignedLit(directions, with_negative_orders(directions.emission, self.index), own + turn * passed)
+        return AlignedIllumination(
+            directions, with_negative_orders(directions.emission, self.index), own + turn * passed
+        )
 
     def leaving(self, cosines: Array, below: bool) -> Directions:
         """Return directions of emission to one side."""
         return self.mean.spheres[0].directions(cosines, below)
 
-    def coherent_sum(self, emission: ComplexArray, lit: AlignedLit) -> ComplexArray:
+    def coherent_sum(self, emission: ComplexArray, lit: AlignedIllumination) -> ComplexArray:
         """Return F towards the reflected or refracted direction of each of `lit`, nm, `[azimuth, q, p, angle]`."""
         return np.asarray(np.einsum("qna,fpna->fqpa", emission, lit.response) / self.mean.surface.inner_wavenumber)
 
-    def specular_above(self, cosines: Array, azimuths: Array, at_once: bool = False) -> tuple[Array, Array]:
+    def specular_above(self, cosines: Array, azimuths: Array, untabulated: bool = False) -> tuple[Array, Array]:
         """Power reflectance and transmittance of coherent light from above, `[azimuth, pol, angle]`."""
         layer = self.mean
         k, rho = layer.surface.wavenumber, layer.structure.density_per_nm2
-        lit = self.light(cosines, azimuths, at_once=at_once)
+        lit = self.illuminate(cosines, azimuths, untabulated=untabulated)
         r = 2 * np.pi * rho / (k * cosines) * self.coherent_sum(lit.emission, lit) + _both(lit.directions.reflection)
         reflected = np.sum(np.abs(r) ** 2, axis=1)
-        if not layer.has_below:
+        if not layer.transmits_below:
             return reflected, np.zeros(reflected.shape)
         out, cos_below, bare = layer.refracted(cosines)
         sent = self.coherent_sum(with_negative_orders(out[0].emission, self.index), lit)
@@ -166,7 +175,7 @@ class AlignedLayer:
         """Power reflectance of the coherent light from below, `[azimuth, pol, angle]`."""
         layer = self.mean
         k, rho = layer.surface.wavenumber, layer.structure.density_per_nm2
-        lit = self.light(cosines, azimuths, below=True)
+        lit = self.illuminate(cosines, azimuths, below=True)
         first = lit.directions
         summed = self.coherent_sum(lit.emission, lit)
         r = 2 * np.pi * rho / (k * cosines * first.index) * summed + _both(first.reflection)
@@ -199,12 +208,12 @@ def azimuth_nodes(count: int) -> Array:
     return np.asarray(np.arange(count) * (2 * np.pi / count), dtype=np.float64)
 
 
-def light_of(layer: AlignedLayer, cosines: Array, below: bool, count: int) -> AlignedLit:
+def light_of(layer: AlignedLayer, cosines: Array, below: bool, count: int) -> AlignedIllumination:
     """Return the response to light from directions at `count` azimuths, whose wavevectors are opposite."""
-    return layer.light(cosines, azimuth_nodes(count) + np.pi, below)
+    return layer.illuminate(cosines, azimuth_nodes(count) + np.pi, below)
 
 
-def aligned_term(layer: AlignedLayer, sides: list[tuple[AlignedLit, Array]]) -> AlignedTerm:
+def aligned_term(layer: AlignedLayer, sides: list[tuple[AlignedIllumination, Array]]) -> AlignedTerm:
     """Return the diffuse term between all directions of `sides` (above first), each with its weights dmu.
 
     Args:
@@ -250,7 +259,7 @@ def aligned_term(layer: AlignedLayer, sides: list[tuple[AlignedLit, Array]]) -> 
 
 
 def _turned(
-    layer: AlignedLayer, sides: list[tuple[AlignedLit, Array]], count: int
+    layer: AlignedLayer, sides: list[tuple[AlignedIllumination, Array]], count: int
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return emission towards and response to light from each direction, `[angle, pol, azimuth, n]`.
 
@@ -275,7 +284,7 @@ def _squared(leaving: ComplexArray, met: ComplexArray, is_reverse: bool = False)
     return np.asarray((found.real**2 + found.imag**2).reshape(*one.shape[:2], *many.shape[:3]))
 
 
-def far_powers(layer: AlignedLayer, leaving: Directions, lit: AlignedLit, count: int) -> Array:
+def far_powers(layer: AlignedLayer, leaving: Directions, lit: AlignedIllumination, count: int) -> Array:
     """Return |F|^2 at `count` azimuths relative to the light, `[q, azimuth, s, p, i]`, nm^2."""
     emission = with_negative_orders(leaving.emission, layer.index)  # q, n, s
     wave = np.exp(1j * np.multiply.outer(azimuth_nodes(count), layer.index.m))
@@ -506,10 +515,10 @@ def aligned_powers(layer: AlignedLayer, cosines: Array, azimuth_rad: float) -> t
         azimuth_rad: of incidence, relative to the x axis of the particles.
     """
     wave = np.array([azimuth_rad + np.pi])
-    reflected, passed = (p[0] for p in layer.specular_above(cosines, wave, at_once=True))
-    lit = layer.light(cosines, wave, at_once=True)
+    reflected, passed = (p[0] for p in layer.specular_above(cosines, wave, untabulated=True))
+    lit = layer.illuminate(cosines, wave, untabulated=True)
     up = _sent(layer, lit, wave[0], *hemisphere_rule(ABOVE_NODES), False)
-    if not layer.mean.has_below:
+    if not layer.mean.transmits_below:
         return reflected, passed, up, np.zeros_like(up)
     rule = hemisphere_rule(BELOW_NODES, layer.mean.surface.index_below)
     return reflected, passed, up, _sent(layer, lit, wave[0], *rule, True)
@@ -539,7 +548,7 @@ def aligned_values(layer: AlignedLayer, wi: Array, wo: Array, turn_rad: float) -
     return np.asarray(np.maximum(smooth, 0.0) * s / (wi[:, 2] * wo[:, 2]))
 
 
-def _sent(layer: AlignedLayer, lit: AlignedLit, wave: float, mu: Array, weights: Array, below: bool) -> Array:
+def _sent(layer: AlignedLayer, lit: AlignedIllumination, wave: float, mu: Array, weights: Array, below: bool) -> Array:
     """Return the diffuse power emitted to one side per incident irradiance, `[pol, angle]`."""
     leaving = layer.leaving(mu, below)
     power = far_powers(layer, leaving, lit, AZIMUTHS)  # q, b, s, p, i
@@ -564,7 +573,7 @@ def aligned_lobes(
     body = _body(kind)
 
     def layer(wavelength_nm: float) -> AlignedLayer:
-        return AlignedLayer(monolayer(wavelength_nm), body.whole_t_matrix(wavelength_nm))
+        return AlignedLayer(monolayer(wavelength_nm), body.full_t_matrix(wavelength_nm))
 
     return tabulate_aligned(wavelengths_nm, layer, structure, aligned_grids(grids), eta, body.turn_rad)
 
@@ -578,17 +587,17 @@ def powers_of_aligned(kind: Kind, layer: Monolayer, cosines: Array) -> tuple[Arr
         cosines: `[angle]`, of incidence, > 0.
     """
     body = _body(kind)
-    whole = AlignedLayer(layer, body.whole_t_matrix(layer.surface.wavelength_nm))
+    whole = AlignedLayer(layer, body.full_t_matrix(layer.surface.wavelength_nm))
     return aligned_powers(whole, cosines, -body.turn_rad)
 
 
 def values_of_aligned(kind: Kind, layer: Monolayer, wi: Array, wo: Array) -> Array:
     """Return the diffuse values of a few pairs of directions above, `[pair]`; see `powers_of_aligned`."""
     body = _body(kind)
-    whole = AlignedLayer(layer, body.whole_t_matrix(layer.surface.wavelength_nm))
+    whole = AlignedLayer(layer, body.full_t_matrix(layer.surface.wavelength_nm))
     return aligned_values(whole, wi, wo, body.turn_rad)
 
 
-def _body(kind: Kind) -> KnownBody:
-    assert isinstance(kind.body, KnownBody)  # only tabulated bodies are aligned
+def _body(kind: Kind) -> TabulatedBody:
+    assert isinstance(kind.body, TabulatedBody)  # only tabulated bodies are aligned
     return kind.body

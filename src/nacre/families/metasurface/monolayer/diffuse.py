@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from nacre.bsdf.reciprocity import balance, balance_across
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.jit import compiled
-from nacre.families.metasurface.monolayer.ensemble_ratio import Ratio, Ways
+from nacre.families.metasurface.monolayer.ensemble_ratio import Ratio, RatioDirections
 from nacre.families.metasurface.monolayer.ladder import NAME as LADDER
-from nacre.families.metasurface.monolayer.ladder import order_of
-from nacre.families.metasurface.monolayer.monolayer import Lit, Monolayer
+from nacre.families.metasurface.monolayer.ladder import full_order
+from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer
 from nacre.families.metasurface.monolayer.qca import node_sines, node_weights
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.monolayer.translation_sums import multipole_index, with_negative_orders
@@ -239,7 +239,7 @@ class PairPowers:
     kernel: Array
     target: Array
 
-    def with_passed_on(self, power: Array) -> PairPowers:
+    def with_ladder(self, power: Array) -> PairPowers:
         """Return the powers with that of the ladder, `[s, i, pol_s, pol_i, k]`, added."""
         varying = self.varying + power if self.varying.size else power
         return dataclasses.replace(
@@ -275,7 +275,7 @@ def pair_powers(
 NODES = (10, 6, 7)  # nodes above, below within and beyond the critical angle
 
 
-def emission_added(added: ComplexArray) -> ComplexArray:
+def neighbour_emission(added: ComplexArray) -> ComplexArray:
     """Return the neighbours' part of the emission, `[m, pol, n, angle]`, from their part of the excitation.
 
     Emission is the reverse of excitation: upward for downward waves, B for its adjoint, and no factor 4.
@@ -284,7 +284,7 @@ def emission_added(added: ComplexArray) -> ComplexArray:
     return np.asarray(added * mirrored(adjoint(ones)) / 4.0)
 
 
-def passed_on(layer: Monolayer, sides: list[tuple[Lit, Array]], count: int) -> Array:
+def ladder_power(layer: Monolayer, sides: list[tuple[Illumination, Array]], count: int) -> Array:
     """Return the power of the ladder per particle, `[s, i, pol_s, pol_i, k]`, nm^2/sr, symmetric.
 
     Args:
@@ -292,19 +292,19 @@ def passed_on(layer: Monolayer, sides: list[tuple[Lit, Array]], count: int) -> A
         count: harmonics over dphi, k < count.
     """
     index, modes = layer.surface.index_below, layer.modes
-    order = order_of(modes.step)
+    order = full_order(modes.step)
     lit, kappa, spread = [], [], []
     for side, _ in sides:
         first = side.directions[0]
         sines = np.concatenate(node_sines(index, first.below, NODES))
-        lit.append(layer.light(np.sqrt((1.0 - sines) * (1.0 + sines)), first.below, sines, at_once=True))
+        lit.append(layer.illuminate(np.sqrt((1.0 - sines) * (1.0 + sines)), first.below, sines, untabulated=True))
         kappa.append(lit[-1].directions[0].inner)
         # it falls as the cosine towards grazing, which is factored out before interpolation
         spread.append(first.cosines[:, None] * node_weights(first, index, NODES) / lit[-1].cosines)
     met = np.concatenate([_lights([_low(b, order) for b in one.response]) for one in lit], axis=2)
     leaving = np.concatenate([_low(_leaving(layer, one), order) for one in lit], axis=-1)
     views = np.concatenate(kappa)
-    found = modes.passed_on(met, np.concatenate([np.tile(part, 2) for part in kappa]), leaving, views, count)
+    found = modes.ladder_power(met, np.concatenate([np.tile(part, 2) for part in kappa]), leaving, views, count)
     # [view, pol, light, k] -> [pol, view, pol, light's view, k]
     start, columns = 0, []
     for part in kappa:
@@ -321,11 +321,11 @@ def passed_on(layer: Monolayer, sides: list[tuple[Lit, Array]], count: int) -> A
     return np.asarray(np.moveaxis(np.tensordot(whole, half, (1, 1)), 0, 1))
 
 
-def _leaving(layer: Monolayer, lit: Lit) -> ComplexArray:
+def _leaving(layer: Monolayer, lit: Illumination) -> ComplexArray:
     """Return u D, averaged over the species, `[m, pol, n, angle]`."""
     assert lit.added is not None  # set with a mean field
     emission = sum(share * d.emission for share, d in zip(layer.shares, lit.directions))
-    return np.asarray(emission + emission_added(lit.added))
+    return np.asarray(emission + neighbour_emission(lit.added))
 
 
 def _low(vectors: ComplexArray, order: int) -> ComplexArray:
@@ -365,7 +365,11 @@ class DiffuseTerm:
 
 
 def diffuse_term(
-    layer: Monolayer, sides: list[tuple[Lit, Array]], kept: int, s_count: int = S_HARMONICS, symmetric: bool = True
+    layer: Monolayer,
+    sides: list[tuple[Illumination, Array]],
+    kept: int,
+    s_count: int = S_HARMONICS,
+    symmetric: bool = True,
 ) -> DiffuseTerm:
     """Return the diffuse term between all directions of `sides` (above first), each with its dmu weights.
 
@@ -386,7 +390,7 @@ def diffuse_term(
     responses = [np.concatenate([lit.response[j] for lit, _ in sides], axis=-1) for j in range(len(layer.particles))]
     one_sided = emissions, responses
     if layer.correction == LADDER:
-        added = np.concatenate([emission_added(lit.added) for lit, _ in sides if lit.added is not None], axis=-1)
+        added = np.concatenate([neighbour_emission(lit.added) for lit, _ in sides if lit.added is not None], axis=-1)
         emissions = [emission + added for emission in emissions]
     if layer.correction in ("in-only", "in-out", "gv-balanced"):
         vectors = [layer.mean_field_vectors(lit) for lit, _ in sides]
@@ -419,7 +423,7 @@ def diffuse_term(
     else:
         factors = _uniform(np.ones((2, joined.cosines.size)))
     if layer.correction == LADDER:
-        powers = powers.with_passed_on(passed_on(layer, sides, max(series, kept)))
+        powers = powers.with_ladder(ladder_power(layer, sides, max(series, kept)))
         kernel = powers.kernel * scale[None, :, None, :]
     # C of a pair: g of s for the side of i, times g of i for the side of s
     pair = factors[:, :, is_below.astype(int)]  # [pol_s, s, i]
@@ -437,7 +441,7 @@ def diffuse_term(
     )
 
 
-def within_what_arrives(specular: Array, up: Array, down: Array) -> tuple[Array, Array, float]:
+def limit_to_incident_power(specular: Array, up: Array, down: Array) -> tuple[Array, Array, float]:
     """Scale the diffuse powers down to at most the incident power, as the lobes do; also return the largest excess.
 
     The default correction exceeds one by less than one per cent, and only near grazing; simpler ones may exceed it by
@@ -454,7 +458,7 @@ def _judged(
     is_below: NDArray[np.bool_], kept: int,
 ) -> DiffuseTerm:  # fmt: skip
     """Return the term multiplied by the ratio of an ensemble, and its totals."""
-    ways = Ways.of(joined.transverse, joined.index, is_below)
+    ways = RatioDirections.of(joined.transverse, joined.index, is_below)
     coherent = ratio.applied(powers.coherent * spread, ways)
     varying = ratio.applied(powers.varying * spread, ways) if powers.varying.size else powers.varying
     count = coherent.shape[-1]
@@ -528,7 +532,7 @@ def balanced_factors(
     out[below, 1] = balance(block(below, below), np.maximum(back + down - consistent, 0.2 * back), w_down)
 
 
-def _depth_factors(layer: Monolayer, sides: list[tuple[Lit, Array]]) -> Array:
+def _depth_factors(layer: Monolayer, sides: list[tuple[Illumination, Array]]) -> Array:
     """(1 - e^-tau)/tau with tau = rho sigma_ext / cos, `[pol, angle]`."""
     out = []
     for lit, _ in sides:

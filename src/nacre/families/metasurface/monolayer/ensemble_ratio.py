@@ -27,7 +27,7 @@ LEAST, MOST = 0.1, 5.0  # accepted range of the ratio; outside the polynomial ex
 
 
 @dataclass(frozen=True)
-class Ways:
+class RatioDirections:
     """Directions on either side, `[direction]`, as variables of the ratio.
 
     Attributes:
@@ -42,7 +42,7 @@ class Ways:
     below: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, transverse: Array, index: Array, below: NDArray[np.bool_]) -> Ways:
+    def of(cls, transverse: Array, index: Array, below: NDArray[np.bool_]) -> RatioDirections:
         """Build them from kappa/k in the ambient and the index of each side over the ambient index."""
         square = 1.0 - transverse**2
         return cls(np.sqrt(np.maximum(square, 0.0)), np.sqrt(np.maximum(-square, 0.0)), transverse / index, below)
@@ -73,7 +73,9 @@ def _terms(left_below: bool, right_below: bool, kind: str) -> tuple[tuple[int, i
     )
 
 
-def _columns(left: Ways, right: Ways, left_below: bool, right_below: bool, kind: str, phi: Array) -> Array:
+def _columns(
+    left: RatioDirections, right: RatioDirections, left_below: bool, right_below: bool, kind: str, phi: Array
+) -> Array:
     """The products at all pairs, `[term, left, right, phi]`."""
     f, g = left.powers(left_below), right.powers(right_below)
     both = left.transverse[:, None] * right.transverse
@@ -96,16 +98,16 @@ BLOCKS_BELOW = (
 )  # fmt: skip
 
 
-def blocks(has_below: bool) -> tuple[Block, ...]:
+def blocks(transmits_below: bool) -> tuple[Block, ...]:
     """Return the blocks, each fitted separately."""
-    return BLOCKS_ABOVE + (BLOCKS_BELOW if has_below else ())
+    return BLOCKS_ABOVE + (BLOCKS_BELOW if transmits_below else ())
 
 
 def _kind(block: Block) -> str:
     return SAME if block[2] == block[3] else CROSS
 
 
-def products(left: Ways, right: Ways, block: Block, phi: Array) -> Array:
+def products(left: RatioDirections, right: RatioDirections, block: Block, phi: Array) -> Array:
     """Return the products of one block, `[term, left, right, phi]`; `phi` is `[phi]` or `[left, right, phi]`."""
     return _columns(left, right, bool(block[0]), bool(block[1]), _kind(block), phi)
 
@@ -126,13 +128,13 @@ class Ratio:
         both = self.coefficients.keys() & other.coefficients.keys()
         return Ratio({b: (1 - share) * self.coefficients[b] + share * other.coefficients[b] for b in sorted(both)})
 
-    def at(self, left: Ways, right: Ways, block: Block, phi: Array) -> Array:
+    def at(self, left: RatioDirections, right: RatioDirections, block: Block, phi: Array) -> Array:
         """Return r of one block, `[left, right, phi]`."""
         found = self.coefficients[block]
         columns = products(left, right, block, phi)
         return np.asarray(np.clip(1.0 + np.tensordot(found.mean(axis=0), columns, 1), LEAST, MOST))
 
-    def applied(self, harmonics: Array, ways: Ways) -> Array:
+    def applied(self, harmonics: Array, ways: RatioDirections) -> Array:
         """Return harmonics over dphi times the ratio, `[s, i, pol_s, pol_i, k]`."""
         kept = harmonics.shape[-1]
         samples = 2 * kept + 4
@@ -157,8 +159,8 @@ class Ratio:
         return out
 
 
-def _picked(ways: Ways, rows: NDArray[np.intp]) -> Ways:
-    return Ways(ways.real[rows], ways.imaginary[rows], ways.transverse[rows], ways.below[rows])
+def _picked(ways: RatioDirections, rows: NDArray[np.intp]) -> RatioDirections:
+    return RatioDirections(ways.real[rows], ways.imaginary[rows], ways.transverse[rows], ways.below[rows])
 
 
 PRIOR = 3.0  # prior standard deviation of the coefficients
@@ -181,8 +183,8 @@ class Pairs:
         left_bins, right_bins: angle bins of s and of i, ascending.
     """
 
-    left: Ways
-    right: Ways
+    left: RatioDirections
+    right: RatioDirections
     phi: Array
     truth: Array
     model: Array

@@ -23,7 +23,7 @@ from nacre.core.arrays import Array, ComplexArray
 from nacre.core.parallel import in_threads
 from nacre.families.metasurface.monolayer.diffuse import HARMONICS as HARMONICS_few
 from nacre.families.metasurface.monolayer.diffuse import DiffuseTerm, diffuse_term
-from nacre.families.metasurface.monolayer.monolayer import Lit, Monolayer
+from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
 
@@ -141,9 +141,9 @@ def solve_wavelength(layer: Monolayer, grids: Grids, eta: float) -> WavelengthRe
             x = np.clip(np.linspace(0.0, 1.0, TOTAL_NODES), 1e-3, 1 - 1e-3)
             beyond = np.cos(np.pi / 2 * x) * np.sqrt(1 - 1 / index**2)
             total = 0.5 * layer.specular_below(beyond).sum(axis=0)
-    sides = [(layer.light(np.cos(grids.above.nodes)), grids.above.weights)]
+    sides = [(layer.illuminate(np.cos(grids.above.nodes)), grids.above.weights)]
     if grids.below is not None:
-        sides.append((layer.light(np.cos(grids.below.nodes), True), grids.below.weights))
+        sides.append((layer.illuminate(np.cos(grids.below.nodes), True), grids.below.weights))
     term = diffuse_term(layer, sides, HARMONICS)
     reflected, passed, inside, total = (np.clip(t, 0.0, 1.0) for t in (reflected, passed, inside, total))
     delta = specular_at_nodes(grids, eta, reflected, passed, inside, total)
@@ -186,7 +186,7 @@ def specular_at_nodes(grids: Grids, eta: float, reflected: Array, passed: Array,
 
 
 def _energy_scale(
-    term: DiffuseTerm, sides: list[tuple[Lit, Array]], specular: Array, index: float
+    term: DiffuseTerm, sides: list[tuple[Illumination, Array]], specular: Array, index: float
 ) -> tuple[Array, float]:
     """Factors c, `[angle]`, that limit diffuse powers c_s c_i to energy conservation, and the raw excess."""
     cosines = np.concatenate([lit.cosines for lit, _ in sides])
@@ -276,24 +276,24 @@ def tabulate(
 ABOVE_NODES, BELOW_NODES = 24, 20  # nodes over the cosine, for totals to 1e-4
 
 
-def few_powers(layer: Monolayer, cosines: Array) -> tuple[Array, Array, Array, Array]:
+def direct_powers(layer: Monolayer, cosines: Array) -> tuple[Array, Array, Array, Array]:
     """Return specular R and T, diffuse R and T for light from above, each `[pol, angle]`, raw (not scaled to 1).
 
     Args:
         layer: with the correction "qca-balanced".
         cosines: `[angle]`, of incidence, > 0.
     """
-    lit = layer.light(cosines, at_once=True)
+    lit = layer.illuminate(cosines, untabulated=True)
     reflected, passed = layer.specular_above(cosines, lit)
     mu, weights = hemisphere_rule(ABOVE_NODES)
     up = _sent(layer, lit, mu, weights, False)
-    if not layer.has_below:
+    if not layer.transmits_below:
         return reflected, passed, up, np.zeros_like(up)
     mu, weights = hemisphere_rule(BELOW_NODES, layer.surface.index_below)
     return reflected, passed, up, _sent(layer, lit, mu, weights, True)
 
 
-def _sent(layer: Monolayer, lit: Lit, mu: Array, weights: Array, below: bool) -> Array:
+def _sent(layer: Monolayer, lit: Illumination, mu: Array, weights: Array, below: bool) -> Array:
     """Return the diffuse power emitted to one side per incident irradiance, `[pol, angle]`.
 
     rho / cos_i times the integral of |F|^2 S / n over the directions, for each incident polarisation.
@@ -357,7 +357,7 @@ def _structure_at(structure: Structure, k: float, kappa_s: Array, kappa_i: Array
     return structure.structure_factor(k * q)
 
 
-def few_values(layer: Monolayer, wi: Array, wo: Array) -> Array:
+def direct_values(layer: Monolayer, wi: Array, wo: Array) -> Array:
     """Return the diffuse BRDF of pairs of directions above the surface, `[pair]`, 1/sr, unpolarised.
 
     The balance uses quadrature nodes instead of the table nodes; values near grazing are not scaled to the incident
@@ -368,7 +368,7 @@ def few_values(layer: Monolayer, wi: Array, wo: Array) -> Array:
     """
     mu, weights = hemisphere_rule(ABOVE_NODES)
     cosines, place = np.unique(np.concatenate([wi[:, 2], wo[:, 2]]), return_inverse=True)
-    lit = layer.light(np.concatenate([mu, cosines]), at_once=True)
+    lit = layer.illuminate(np.concatenate([mu, cosines]), untabulated=True)
     term = diffuse_term(layer, [(lit, np.concatenate([weights, np.zeros(cosines.size)]))], HARMONICS_few)
     i, o = mu.size + place[: len(wi)], mu.size + place[len(wi) :]
     sines = np.sqrt(np.maximum(1.0 - np.stack([wi[:, 2], wo[:, 2]]) ** 2, 0.0))

@@ -79,7 +79,7 @@ class Modes:
             alone: M of each species without its neighbours, over all m, `[kind, n, n']`, of order `ORDER` or less.
         """
         k, rho = surface.inner_wavenumber, structure.density_per_nm2
-        order = order_of(alone)
+        order = full_order(alone)
         reach = structure.diameter_nm * k
         kappa, weights = _nodes(surface, reach)
         weights = weights * k**2 / (4 * np.pi**2 * rho)
@@ -105,7 +105,9 @@ class Modes:
         azimuths = 2 * int(np.ceil(8 + 0.7 * reach))
         return cls(structure, k, kappa, weights, back, step, unlike, shares, azimuths)
 
-    def passed_on(self, met: ComplexArray, kappa_i: Array, leaving: ComplexArray, kappa_s: Array, count: int) -> Array:
+    def ladder_power(
+        self, met: ComplexArray, kappa_i: Array, leaving: ComplexArray, kappa_s: Array, count: int
+    ) -> Array:
         """Return the power of all multiply scattered light per particle, nm^2/sr.
 
         Args:
@@ -125,7 +127,7 @@ class Modes:
         return np.concatenate(parts, axis=2)
 
     def _batch(self, met: ComplexArray, kappa_i: Array, leaving: ComplexArray, kappa_s: Array, count: int) -> Array:
-        m = multipole_index(order_of(self.step)).m
+        m = multipole_index(full_order(self.step)).m
         phi = 2 * np.pi * np.arange(self.azimuths) / self.azimuths
         # rotation of the multipoles to each azimuth: [azimuth, n, light, n']
         turn = np.exp(1j * np.multiply.outer(phi, m[:, None] - m)).astype(np.complex64)[:, None, :, None, :]
@@ -210,7 +212,7 @@ def check(correction: str, surface: Substrate, structure: Structure, source: str
         raise UnsupportedError(f'{source}: model.correction = "{NAME}" {why}; take another correction')
 
 
-def order_of(matrix: ComplexArray) -> int:
+def full_order(matrix: ComplexArray) -> int:
     """Return the multipole order of matrices over all m, `[..., n, n']`, of 2 L (L + 2) multipoles."""
     return int(round(np.sqrt(matrix.shape[-1] / 2 + 1))) - 1
 

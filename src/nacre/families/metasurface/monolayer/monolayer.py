@@ -19,13 +19,18 @@ from nacre.families.metasurface.monolayer.ensemble_ratio import Ratio
 from nacre.families.metasurface.monolayer.ladder import NAME as LADDER
 from nacre.families.metasurface.monolayer.ladder import ORDER as LADDER_ORDER
 from nacre.families.metasurface.monolayer.ladder import Modes
-from nacre.families.metasurface.monolayer.qca import INTERACTION_ORDER, NeighbourTable, mean_excitation, sums_at
+from nacre.families.metasurface.monolayer.qca import (
+    INTERACTION_ORDER,
+    NeighbourTable,
+    mean_excitation,
+    neighbour_sums_at,
+)
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.monolayer.translation_sums import all_orders, azimuthal_blocks
 from nacre.families.metasurface.tmatrix.axisymmetric import multipole_order
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     Directions,
-    SphereOnStack,
+    ParticleOnStack,
     apply_response,
     emission_harmonics,
 )
@@ -123,7 +128,7 @@ class Particle:
 
 
 @dataclass(frozen=True)
-class Lit:
+class Illumination:
     """Directions of one side with the response to light from there, one entry per particle size.
 
     Attributes:
@@ -154,7 +159,7 @@ class Monolayer:
         interaction_order: highest multipole exchanged by neighbours.
         mmax: highest azimuthal order.
         ratio: ratio of an ensemble to this model of the diffuse light, or None.
-        sees_neighbours: False ignores the near fields of neighbours for a few directions.
+        includes_near_fields: False ignores the near fields of neighbours for a few directions.
     """
 
     surface: Substrate
@@ -163,7 +168,7 @@ class Monolayer:
     correction: str = "qca-balanced"
     interaction_order: int = INTERACTION_ORDER
     mmax: int = 4
-    sees_neighbours: bool = True
+    includes_near_fields: bool = True
     ratio: Ratio | None = None
 
     @property
@@ -172,7 +177,7 @@ class Monolayer:
         return np.array([p.share for p in self.particles])
 
     @property
-    def has_below(self) -> bool:
+    def transmits_below(self) -> bool:
         """Whether the substrate transmits."""
         return self.surface.is_transparent
 
@@ -182,14 +187,15 @@ class Monolayer:
         return self.correction in MEAN_FIELDS
 
     @cached_property
-    def _alone(self) -> tuple[SphereOnStack, ...]:
+    def _alone(self) -> tuple[ParticleOnStack, ...]:
         """The particles, each alone on the stack."""
         return tuple(
-            SphereOnStack(self.surface, p.centre_nm, p.t_matrix, min(self.mmax, p.lmax), p.cut) for p in self.particles
+            ParticleOnStack(self.surface, p.centre_nm, p.t_matrix, min(self.mmax, p.lmax), p.cut)
+            for p in self.particles
         )
 
     @cached_property
-    def spheres(self) -> tuple[SphereOnStack, ...]:
+    def spheres(self) -> tuple[ParticleOnStack, ...]:
         """The particles on the stack; with the ladder including the reflection by neighbours."""
         if self.correction != LADDER:
             return self._alone
@@ -217,31 +223,35 @@ class Monolayer:
     def neighbours(self) -> NeighbourTable:
         """The table of neighbour sums."""
         order = min(self.interaction_order, self.spheres[0].lmax)
-        return NeighbourTable.build(self.surface, self.mean_centre_nm, self.structure, order, self.has_below)
+        return NeighbourTable.build(self.surface, self.mean_centre_nm, self.structure, order, self.transmits_below)
 
-    def light(self, cosines: Array, below: bool = False, sines: Array | None = None, at_once: bool = False) -> Lit:
+    def illuminate(
+        self, cosines: Array, below: bool = False, sines: Array | None = None, untabulated: bool = False
+    ) -> Illumination:
         """Return the directions at `cosines` of one side with the response of the particles.
 
         `MEAN_FIELDS` use the quasi-crystalline mean field, other corrections the response without neighbours.
 
         Args:
-            at_once: compute the neighbour sums at these few angles instead of tabulating them.
+            untabulated: compute the neighbour sums at these few angles instead of tabulating them.
         """
         directions = [s.directions(cosines, below, sines) for s in self.spheres]
         own = [apply_response(s.dressed, d.excitation) for s, d in zip(self.spheres, directions)]
         if not self.has_mean_field:
-            return Lit(directions, own)
+            return Illumination(directions, own)
         order = min(self.interaction_order, self.spheres[0].lmax)
-        if at_once:
-            sums = sums_at(
-                self.surface, self.mean_centre_nm, self.structure, order, directions[0], self.sees_neighbours
+        if untabulated:
+            sums = neighbour_sums_at(
+                self.surface, self.mean_centre_nm, self.structure, order, directions[0], self.includes_near_fields
             )
         else:
             sums = self.neighbours.at(directions[0])
         added = mean_excitation(sums, order, self.mean_dressed, sum_over(self.shares, own))
-        return Lit(directions, [o + apply_response(s.dressed, added) for o, s in zip(own, self.spheres)], added)
+        return Illumination(
+            directions, [o + apply_response(s.dressed, added) for o, s in zip(own, self.spheres)], added
+        )
 
-    def coherent_sum(self, leaving: list[Directions], lit: Lit) -> ComplexArray:
+    def coherent_sum(self, leaving: list[Directions], lit: Illumination) -> ComplexArray:
         """Return the mean F towards `leaving`, paired with the directions of `lit`, nm, `[pol, angle]`."""
         total = 0
         for share, out, response in zip(self.shares, leaving, lit.response):
@@ -250,7 +260,7 @@ class Monolayer:
             total = total + share * np.einsum("m,mpna,mpna->pa", weight, out.emission, response)
         return np.asarray(total / self.surface.inner_wavenumber)
 
-    def specular_above(self, cosines: Array, lit: Lit | None = None) -> tuple[Array, Array]:
+    def specular_above(self, cosines: Array, lit: Illumination | None = None) -> tuple[Array, Array]:
         """Power reflectance and transmittance of the coherent light from above, `[pol, angle]`.
 
         Args:
@@ -260,10 +270,10 @@ class Monolayer:
         k, rho = self.surface.wavenumber, self.structure.density_per_nm2
         if not self.has_mean_field:
             return self._closed_form(cosines)
-        lit = self.light(cosines) if lit is None else lit
+        lit = self.illuminate(cosines) if lit is None else lit
         bare = lit.directions[0].reflection
         r = bare + 2 * np.pi * rho / (k * cosines) * self.coherent_sum(lit.directions, lit)
-        if not self.has_below:
+        if not self.transmits_below:
             return np.abs(r) ** 2, np.zeros(r.shape)
         out, cos_below, t = self.refracted(cosines)
         t = t + 2 * np.pi * rho / (k * cos_below) * self.coherent_sum(out, lit)
@@ -271,17 +281,17 @@ class Monolayer:
 
     def specular_below(self, cosines: Array) -> Array:
         """Power reflectance of the coherent light from below, `[pol, angle]`; zero for an opaque substrate."""
-        if not self.has_below:
+        if not self.transmits_below:
             return np.zeros((2, cosines.size))
         k, rho = self.surface.wavenumber, self.structure.density_per_nm2
-        lit = self.light(cosines, below=True)
+        lit = self.illuminate(cosines, below=True)
         first = lit.directions[0]
         if self.has_mean_field:
             summed = self.coherent_sum(lit.directions, lit)
         else:
             field = sheet_field(self.surface, self.mean_centre_nm, self.mean_dressed, rho, first)
             excitation, _ = sheet_vectors(field, first, self.spheres[0].lmax, len(self.mean_dressed) - 1)
-            summed = self.coherent_sum([first], Lit([first], [apply_response(self.mean_dressed, excitation)]))
+            summed = self.coherent_sum([first], Illumination([first], [apply_response(self.mean_dressed, excitation)]))
         r = first.reflection + 2 * np.pi * rho / (k * cosines * first.index) * summed
         return np.abs(r) ** 2
 
@@ -300,7 +310,7 @@ class Monolayer:
         directions = self.spheres[0].directions(cosines)
         field = sheet_field(self.surface, self.mean_centre_nm, self.mean_dressed, rho, directions)
         reflected = np.abs(field.reflection(directions.reflection)) ** 2
-        if not self.has_below:
+        if not self.transmits_below:
             return reflected, np.zeros(reflected.shape)
         _, cos_below, t = self.refracted(cosines)
         passed = t * (1 + field.phase * field.a_d)
@@ -310,7 +320,7 @@ class Monolayer:
         """Return X_m of every pair, `[size, m, pol_s, s, pol_i, i]`, nm."""
         return np.stack([emission_harmonics(u, x, self.surface.inner_wavenumber) for u, x in zip(emissions, responses)])
 
-    def mean_field_vectors(self, lit: Lit) -> tuple[ComplexArray, ComplexArray]:
+    def mean_field_vectors(self, lit: Illumination) -> tuple[ComplexArray, ComplexArray]:
         """Excitation and emission vectors in the closed-form mean field, `[m, pol, n, angle]`."""
         first = lit.directions[0]
         rho = self.structure.density_per_nm2

@@ -119,21 +119,25 @@ class NeighbourTable:
         return out + plane_wave_sums(self.structure, self.surface, self.centre_nm, self.order, w, kappa, self.lift_nm)
 
 
-def sums_at(
+def neighbour_sums_at(
     surface: Substrate,
     centre_nm: float,
     structure: Structure,
     order: int,
     directions: Directions,
-    sees_neighbours: bool = True,
+    includes_near_fields: bool = True,
 ) -> ComplexArray:
     """Return Q at a few directions without tabulation; see `NeighbourTable.at`.
 
-    Without `sees_neighbours` it holds only the plane waves of the monolayer, as of a sheet.
+    Without `includes_near_fields` it holds only the plane waves of the monolayer, as of a sheet.
     """
     kappa = directions.inner
     waves = plane_wave_sums(structure, surface, centre_nm, order, directions.inner_cosines, kappa)
-    return neighbour_sums(surface, centre_nm, structure, order, kappa, quick=True) + waves if sees_neighbours else waves
+    return (
+        neighbour_sums(surface, centre_nm, structure, order, kappa, quick=True) + waves
+        if includes_near_fields
+        else waves
+    )
 
 
 def mean_excitation(q: ComplexArray, order: int, dressed: ComplexArray, own: ComplexArray) -> ComplexArray:

@@ -27,7 +27,7 @@ from nacre.families.metasurface.tmatrix.special_functions import (
     plane_wave_vectors,
     spherical_hankel_scaled,
 )
-from nacre.families.metasurface.tmatrix.substrate import Echo, Substrate
+from nacre.families.metasurface.tmatrix.substrate import StackReflection, Substrate
 
 IntArray = NDArray[np.intp]
 
@@ -270,7 +270,7 @@ def stack_contour(
         quick: two thirds of the nodes; error 2e-5 of the largest sum instead of 1e-6, the maximum over 60 random
             stacks.
     """
-    far = (2 * order + 46) / (2 * surface.inner_wavenumber * surface.clear_nm(centre_nm))
+    far = (2 * order + 46) / (2 * surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm))
     relative = np.abs(surface.indices.real).max() / surface.inner_index
     # a host layer adds interference fringes over the angle
     reach = reach + 2 * surface.inner_wavenumber * surface.inner_nm
@@ -319,7 +319,7 @@ def _stack_sums(
     measured = 4 * weight * kappa / w
     ways = [
         (with_negative_orders(left, index) * measured, with_negative_orders(right, index))
-        for left, right in surface.echo(centre_nm, w, lift_nm).pairs(b)
+        for left, right in surface.reflection_at(centre_nm, w, lift_nm).pairs(b)
     ]
     top = 2 * order if np.any(kappa_i >= ALONG_THE_NORMAL) else 0  # J_mu(0) = delta_{mu 0}
     radial = bessel_j(np.outer(kappa, r), top)  # mu, kappa, R
@@ -370,7 +370,7 @@ def neighbour_sums(
 
 
 def _wave_sums(
-    structure: Structure, surface: Substrate, order: int, w: ComplexArray, kappa: Array, echo: Echo | None
+    structure: Structure, surface: Substrate, order: int, w: ComplexArray, kappa: Array, echo: StackReflection | None
 ) -> ComplexArray:
     """Half of the plane waves of the monolayer in both directions, and their reflection, folded, `[pol, angle, h, h']`.
 
@@ -411,5 +411,5 @@ def plane_wave_sums(
     """
     echo = None
     if not surface.is_absent:
-        echo = surface.echo(centre_nm, w, lift_nm)
+        echo = surface.reflection_at(centre_nm, w, lift_nm)
     return _wave_sums(structure, surface, order, w, kappa, echo)

@@ -170,7 +170,7 @@ class Body(abc.ABC):
     def index(self, wavelength_nm: float) -> complex | None:
         """Return the refractive index of the particle, or None if unknown."""
 
-    def of_radius(self, radius_nm: float) -> Body:
+    def with_radius(self, radius_nm: float) -> Body:
         """Return the same particle with another width and the same height.
 
         Raises:
@@ -179,7 +179,7 @@ class Body(abc.ABC):
         raise UnsupportedError(f"{self.source}: its T-matrix is of one size, so sizes cannot spread")
 
     @property
-    def stated_error(self) -> float | None:
+    def estimated_error(self) -> float | None:
         """Largest estimated relative error of the computed T-matrices; None without an estimate."""
         return None
 
@@ -194,7 +194,7 @@ class Body(abc.ABC):
         return False
 
     @abc.abstractmethod
-    def all_known(self, wavelengths_nm: Array) -> AxialTMatrices:
+    def exported_t_matrices(self, wavelengths_nm: Array) -> AxialTMatrices:
         """Return the T-matrices for export: the tabulated ones, or those at the given wavelengths."""
 
     def check_order(self, asked: int) -> None:
@@ -210,7 +210,7 @@ class Body(abc.ABC):
 
 
 @dataclass(frozen=True)
-class KnownBody(Body):
+class TabulatedBody(Body):
     """A particle whose T-matrices come from a file. See `Body`.
 
     Attributes:
@@ -232,7 +232,7 @@ class KnownBody(Body):
         """Whether the full T-matrix is used instead of its rotational average."""
         return self.known.whole is not None
 
-    def whole_t_matrix(self, wavelength_nm: float) -> ComplexArray:
+    def full_t_matrix(self, wavelength_nm: float) -> ComplexArray:
         """Return the full T at a wavelength, `[n, n']`, of an aligned particle before its rotation.
 
         Raises:
@@ -270,7 +270,7 @@ class KnownBody(Body):
         nearest = int(np.argmin(np.abs(self.known.wavelengths_nm - wavelength_nm)))
         return complex(self.known.material_index[nearest])
 
-    def all_known(self, wavelengths_nm: Array) -> AxialTMatrices:
+    def exported_t_matrices(self, wavelengths_nm: Array) -> AxialTMatrices:
         """Return the tabulated T-matrices with the dimensions of the recipe."""
         return replace(
             self.known, radius_nm=self.radius_nm, height_nm=self.height_nm, circumscribing_nm=self.circumscribing_nm
@@ -291,7 +291,7 @@ def is_spherical(known: AxialTMatrices) -> bool:
 
 
 @dataclass(frozen=True)
-class KnownSphere(KnownBody):
+class TabulatedSphere(TabulatedBody):
     """A sphere whose T-matrices come from a file. See `Body`."""
 
     def coefficients(self, lmax: int, surface: Substrate) -> ComplexArray:
@@ -302,7 +302,7 @@ class KnownSphere(KnownBody):
         """
         held = np.diagonal(self.t_matrix(surface.wavelength_nm)[1])
         out = np.zeros(2 * lmax, dtype=complex)
-        if self.goes_on and lmax > self.lmax:
+        if self.is_extended_by_mie and lmax > self.lmax:
             told, known = self.known.material_index, self.known.wavelengths_nm
             assert told is not None
             index = complex(np.interp(surface.wavelength_nm, known, told))
@@ -313,7 +313,7 @@ class KnownSphere(KnownBody):
         return out
 
     @cached_property
-    def goes_on(self) -> bool:
+    def is_extended_by_mie(self) -> bool:
         """Whether Mie theory extends the file: it states the sphere, and its coefficients agree."""
         known = self.known
         if known.material_index is None:

@@ -16,21 +16,21 @@ from nacre.families.metasurface.monolayer.translation_sums import MultipoleIndex
 
 
 @lru_cache(maxsize=32)
-def kept_index(lmax: int, mmax: int) -> tuple[MultipoleIndex, NDArray[np.intp]]:
+def truncated_index(lmax: int, mmax: int) -> tuple[MultipoleIndex, NDArray[np.intp]]:
     """Return the multipoles up to `lmax` with |m| <= `mmax`, and their places among all up to `lmax`."""
     every = multipole_index(lmax)
     kept = np.nonzero(np.abs(every.m) <= mmax)[0]
     return MultipoleIndex(lmax, every.m[kept], every.tau[kept], every.l[kept]), kept
 
 
-def whole_order(matrix: ComplexArray) -> int:
+def full_order(matrix: ComplexArray) -> int:
     """Return the highest l of matrices over all m, `[..., n, n']`, of 2 L (L + 2) multipoles."""
     return round(np.sqrt(matrix.shape[-1] / 2 + 1)) - 1
 
 
-def truncated_whole(matrix: ComplexArray, lmax: int) -> ComplexArray:
+def truncated_full(matrix: ComplexArray, lmax: int) -> ComplexArray:
     """Return a full T, `[n, n']`, with multipoles up to `lmax`."""
-    kept = np.nonzero(multipole_index(whole_order(matrix)).l <= lmax)[0]
+    kept = np.nonzero(multipole_index(full_order(matrix)).l <= lmax)[0]
     return np.asarray(matrix[kept[:, None], kept])
 
 
@@ -42,36 +42,36 @@ def spread(blocks: ComplexArray, index: MultipoleIndex) -> ComplexArray:
     return np.asarray(np.where(same, blocks[np.abs(index.m)[:, None], rows[:, None], rows] * sign, 0.0))
 
 
-def file_signs(index: MultipoleIndex) -> NDArray[np.float64]:
+def condon_shortley_signs(index: MultipoleIndex) -> NDArray[np.float64]:
     """Return the Condon-Shortley sign of each multipole, `[n]`."""
     return np.where((index.m > 0) & (index.m % 2 == 1), -1.0, 1.0)
 
 
-def reversed_whole(matrix: ComplexArray) -> ComplexArray:
+def reversed_full(matrix: ComplexArray) -> ComplexArray:
     """Return T of reversed light, `[..., n, n']`; equal to T for a reciprocal particle.
 
     T_(m tau l),(m' tau' l') becomes T_(-m' tau' l'),(-m tau l) times the signs of tau and tau': a reversed wave rotates
     the other way about the axis, and B becomes its adjoint.
     """
-    index = multipole_index(whole_order(matrix))
+    index = multipole_index(full_order(matrix))
     places = {key: i for i, key in enumerate(zip(index.m.tolist(), index.tau.tolist(), index.l.tolist(), strict=True))}
     partner = [places[(-m, tau, l)] for (m, tau, l) in places]
     return np.asarray(np.swapaxes(matrix, -1, -2)[..., partner, :][..., :, partner])
 
 
-def turned_whole(matrix: ComplexArray, turn_rad: float) -> ComplexArray:
+def rotated_full(matrix: ComplexArray, turn_rad: float) -> ComplexArray:
     """Return T, `[..., n, n']`, of the particle rotated about the normal, from x towards y."""
-    phase = np.exp(-1j * multipole_index(whole_order(matrix)).m * turn_rad)
+    phase = np.exp(-1j * multipole_index(full_order(matrix)).m * turn_rad)
     return np.asarray(phase[:, None] * matrix * phase.conj())
 
 
-def tilted_whole(matrix: ComplexArray, tilt_rad: float) -> ComplexArray:
+def tilted_full(matrix: ComplexArray, tilt_rad: float) -> ComplexArray:
     """Return T, `[..., n, n']`, of the particle rotated about y, from z towards x.
 
     Multipoles of one l and tau mix by d = exp(-i tilt J_y), in Condon-Shortley phases; J_y has
     (m + 1, m) = sqrt(l (l + 1) - m (m + 1)) / 2i.
     """
-    index = multipole_index(whole_order(matrix))
+    index = multipole_index(full_order(matrix))
     turn = np.zeros((len(index.m), len(index.m)))
     for l in range(1, index.order + 1):
         m = np.arange(-l, l)
@@ -81,6 +81,6 @@ def tilted_whole(matrix: ComplexArray, tilt_rad: float) -> ComplexArray:
         for tau in range(2):
             rows = np.nonzero((index.l == l) & (index.tau == tau))[0]  # ascending m
             turn[rows[:, None], rows] = d
-    sign = file_signs(index)
+    sign = condon_shortley_signs(index)
     turn *= sign[:, None] * sign
     return np.asarray(turn @ matrix @ turn.T)

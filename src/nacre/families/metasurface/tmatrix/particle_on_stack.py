@@ -31,12 +31,12 @@ DETOUR = 0.3  # contour depth below the guided modes, in k
 NODES = 240
 
 
-def cut_of(lmax: int, wavenumber: float, circumscribing_nm: float, share: float = CUT) -> float:
+def wavenumber_cutoff(lmax: int, wavenumber: float, circumscribing_nm: float, share: float = CUT) -> float:
     """Return the in-plane wavenumber over k at which the integral is truncated."""
     return max(share * lmax / (wavenumber * circumscribing_nm), 1.2)
 
 
-def cut_reflection_operator(
+def truncated_reflection_operator(
     surface: Substrate, centre_nm: float, lmax: int, mmax: int, cut: float, nodes: int = NODES
 ) -> ComplexArray:
     """Return W_m, `[m, n, n']`, as `reflection_operator` but from in-plane wavenumbers up to `cut` k.
@@ -53,7 +53,7 @@ def cut_reflection_operator(
     measure = 4 * weight * slope * kappa / w
     shape = (mmax + 1, 2 * lmax, -1)
     out = np.zeros((mmax + 1, 2 * lmax, 2 * lmax), dtype=complex)
-    for left, right in surface.echo(centre_nm, w).pairs(b):
+    for left, right in surface.reflection_at(centre_nm, w).pairs(b):
         rows = (left * measure).transpose(0, 2, 1, 3).reshape(shape)
         out += rows @ right.transpose(0, 2, 1, 3).reshape(shape).transpose(0, 2, 1)
     return out
@@ -66,7 +66,7 @@ LARGEST_LOG = 660.0  # exponents overflow double at 709
 Coefficients = Callable[[int], ComplexArray]
 
 
-class ConvergenceRefusal(UnsupportedError):
+class MultipoleConvergenceError(UnsupportedError):
     """The multipole series of a particle on a stack does not converge.
 
     Attributes:
@@ -108,7 +108,7 @@ def reflection_operator(
         return np.asarray(kept[: mmax + 1, rows[:, None], rows])
     # two mirrors give two distances
     u, weight = _path_rule(nodes or (48 if surface.inner_nm == 0.0 else 96) + 2 * lmax)
-    kd = surface.inner_wavenumber * surface.clear_nm(centre_nm)
+    kd = surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm)
     t_max = (2 * lmax + 46) / (2 * kd)
     t = t_max * u**2
     w = 1.0 + 1j * t
@@ -118,7 +118,7 @@ def reflection_operator(
     measure = -4j * weight * 2 * t_max * u
     shape = (mmax + 1, 2 * lmax, -1)
     found = np.zeros((mmax + 1, 2 * lmax, 2 * lmax), dtype=complex)
-    for left, right in surface.echo(centre_nm, w).pairs(b):
+    for left, right in surface.reflection_at(centre_nm, w).pairs(b):
         rows = (left * measure).transpose(0, 2, 1, 3).reshape(shape)
         found += rows @ right.transpose(0, 2, 1, 3).reshape(shape).transpose(0, 2, 1)
     if nodes is None:
@@ -170,7 +170,7 @@ class CrossSections:
 
 
 @dataclass(frozen=True)
-class SphereOnStack:
+class ParticleOnStack:
     """An axisymmetric particle above a stack at one wavelength.
 
     Attributes:
@@ -198,7 +198,7 @@ class SphereOnStack:
     def coupling(self) -> ComplexArray:
         """The reflection operator W_m, `[m, n, n']`."""
         if self.cut is not None and not self.surface.is_absent:
-            return cut_reflection_operator(self.surface, self.centre_nm, self.lmax, self.mmax, self.cut)
+            return truncated_reflection_operator(self.surface, self.centre_nm, self.lmax, self.mmax, self.cut)
         return reflection_operator(self.surface, self.centre_nm, self.lmax, self.mmax)
 
     @cached_property
@@ -284,7 +284,7 @@ class Directions:
         up = plane_wave_vectors(w, lmax, mmax, inner.astype(complex))
         down = mirrored(up)
         ahead, back = (up, down) if below else (down, up)
-        light = surface.arriving(centre_nm, cosines, w, below)
+        light = surface.incident_waves(centre_nm, cosines, w, below)
         first = light.ahead[None, :, None, :]
         excitation = adjoint(ahead) * first
         emission = back * first  # emission is the reversed excitation
@@ -352,7 +352,7 @@ def beam_extinction(
     return -4 * np.pi / (wavenumber * incident_index) * (beam.conj() * forward).real
 
 
-def _beam_parts(sphere: SphereOnStack, incident: Directions) -> tuple[Array, Array]:
+def _beam_parts(sphere: ParticleOnStack, incident: Directions) -> tuple[Array, Array]:
     """Extinction of the reflected and the transmitted beam, `[pol, angle]`."""
     k, inner, index = sphere.surface.wavenumber, sphere.surface.inner_wavenumber, incident.index
     solved = apply_response(sphere.dressed, incident.excitation)
@@ -376,13 +376,13 @@ def _beam_parts(sphere: SphereOnStack, incident: Directions) -> tuple[Array, Arr
     return reflected, transmitted
 
 
-def extinction(sphere: SphereOnStack, incident: Directions) -> Array:
+def extinction(sphere: ParticleOnStack, incident: Directions) -> Array:
     """Power removed from both coherent beams per incident irradiance, nm^2, `[pol, angle]`."""
     reflected, transmitted = _beam_parts(sphere, incident)
     return reflected + transmitted
 
 
-def cross_sections(sphere: SphereOnStack, cosines: ArrayLike, below: bool = False, nodes: int = 48) -> CrossSections:
+def cross_sections(sphere: ParticleOnStack, cosines: ArrayLike, below: bool = False, nodes: int = 48) -> CrossSections:
     """Return extinction and scattering at `cosines`, each `[pol, angle]`.
 
     The downward parts are zero for an absorbing substrate. Scattering is integrated by `nodes` Gauss points on each
@@ -438,7 +438,7 @@ def choose_order(
     Raises:
         MultipoleConvergenceError: no order up to 40, as for a metal sphere touching a high-index solid.
     """
-    largest = _representable(surface.inner_wavenumber * surface.clear_nm(centre_nm), 2 * ORDER_LADDER[-1])
+    largest = _representable(surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm), 2 * ORDER_LADDER[-1])
     begin = 0  # first untested rung of the ladder
     for top in (12, 24, largest):
         t_top = coefficients(top)
@@ -456,7 +456,7 @@ def choose_order(
             if worst <= tolerance:
                 return order
         begin = len(rungs)
-    raise ConvergenceRefusal(
+    raise MultipoleConvergenceError(
         f"the multipole series does not converge to {tolerance:g} (order {order} still changes by {worst:.2g} when "
         "doubled): a metal sphere that touches a solid squeezes the field into the contact point",
         worst,
@@ -466,7 +466,7 @@ def choose_order(
 
 def order_change(surface: Substrate, centre_nm: float, coefficients: Coefficients, low: int, high: int) -> float:
     """Return the change of the far field of a sphere between two multipole orders; see `choose_order`."""
-    high = _representable(surface.inner_wavenumber * surface.clear_nm(centre_nm), high)
+    high = _representable(surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm), high)
     t_top, blocks = coefficients(high), reflection_operator(surface, centre_nm, high, AZIMUTHAL_ORDERS)
     probes = _probes(surface, centre_nm, high, AZIMUTHAL_ORDERS)
     return _worst(*(_probe_pattern(t_top, blocks, *probes, l) for l in (low, high)))

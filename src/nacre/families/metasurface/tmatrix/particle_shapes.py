@@ -216,7 +216,7 @@ class SolvedBody(Body):
         corner = float(np.hypot(radius - self.edge_nm, height / 2 - self.edge_nm))
         return corner + self.edge_nm + self.radius_nm - radius
 
-    def of_radius(self, radius_nm: float) -> SolvedBody:
+    def with_radius(self, radius_nm: float) -> SolvedBody:
         """Return the same particle with another width and the same height; both share the error estimates."""
         return replace(self, radius_nm=radius_nm)
 
@@ -238,7 +238,7 @@ class SolvedBody(Body):
         return order
 
     @property
-    def stated_error(self) -> float | None:
+    def estimated_error(self) -> float | None:
         """The largest relative difference between two meshes over the computed wavelengths."""
         return max(self.errors.values(), default=None)
 
@@ -377,7 +377,7 @@ class SolvedBody(Body):
         """Return the refractive index of the particle."""
         return complex(self.core.n_complex(np.array([wavelength_nm]))[0])
 
-    def all_known(self, wavelengths_nm: Array) -> AxialTMatrices:
+    def exported_t_matrices(self, wavelengths_nm: Array) -> AxialTMatrices:
         """Return the T-matrices at some wavelengths, with every azimuthal order, up to l = 10."""
 
         def whole(wavelength_nm: float) -> ComplexArray:

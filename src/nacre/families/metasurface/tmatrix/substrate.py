@@ -22,7 +22,7 @@ from nacre.matter.stack import solve as solver
 
 
 @dataclass(frozen=True)
-class Echo:
+class StackReflection:
     """Round-trip amplitudes of plane waves at a particle centre, `[pol, angle]` each.
 
     Attributes:
@@ -41,7 +41,7 @@ class Echo:
     def between(
         cls, below: ComplexArray, above: ComplexArray, risen: ComplexArray | None = None,
         fallen: ComplexArray | None = None,
-    ) -> Echo:  # fmt: skip
+    ) -> StackReflection:  # fmt: skip
         """Combine two mirrors R_b and R_a with multiple reflections.
 
         Args:
@@ -93,7 +93,7 @@ LOSSLESS_K = 1e-4  # a substrate with smaller k counts as transparent
 
 
 @dataclass(frozen=True)
-class Arriving:
+class IncidentWaves:
     """Plane waves from one side at a particle, `[pol, angle]`, phase at its centre.
 
     Attributes:
@@ -148,7 +148,7 @@ class Substrate:
         """Thickness of the layer that holds the particles; 0 above the stack."""
         return 0.0
 
-    def clear_nm(self, centre_nm: float) -> float:
+    def mirror_distance_nm(self, centre_nm: float) -> float:
         """Return the distance from a centre to the nearest mirror."""
         return centre_nm
 
@@ -183,16 +183,16 @@ class Substrate:
         )
         return np.stack([found.r_s[:, 0], found.r_p[:, 0]])
 
-    def echo(self, centre_nm: float, w: NDArray, lift_nm: float = 0.0) -> Echo:
+    def reflection_at(self, centre_nm: float, w: NDArray, lift_nm: float = 0.0) -> StackReflection:
         """Return the round-trip amplitudes at a centre for plane waves at w = kz/k.
 
         Args:
             centre_nm: centre height, or the mean height of source and target.
             lift_nm: height of the target above the source; above a stack only the mean height counts.
         """
-        return Echo(np.exp(2j * self.inner_wavenumber * centre_nm * w) * self.reflection(w))
+        return StackReflection(np.exp(2j * self.inner_wavenumber * centre_nm * w) * self.reflection(w))
 
-    def arriving(self, centre_nm: float, cosines: Array, w: ComplexArray, below: bool) -> Arriving:
+    def incident_waves(self, centre_nm: float, cosines: Array, w: ComplexArray, below: bool) -> IncidentWaves:
         """Return light from one side at a particle centre.
 
         Args:
@@ -204,9 +204,9 @@ class Substrate:
         if below:
             reflection, transmission = self.from_below(cosines)
             # reciprocity, t_down kz_below/kz = t_up: one amplitude serves both directions
-            return Arriving(transmission * b, None, reflection, transmission)
+            return IncidentWaves(transmission * b, None, reflection, transmission)
         reflection = self.reflection(w)
-        return Arriving(np.broadcast_to(1 / b, reflection.shape), reflection * b, reflection, None)
+        return IncidentWaves(np.broadcast_to(1 / b, reflection.shape), reflection * b, reflection, None)
 
     def from_below(self, cos_below: NDArray) -> tuple[ComplexArray, ComplexArray]:
         """Return reflection and transmission amplitudes, `[pol, angle]`, for light from a lossless substrate.
@@ -246,7 +246,7 @@ class Embedded(Substrate):
         """Thickness of the host layer."""
         return float(self.thicknesses_nm[self.host - 1])
 
-    def clear_nm(self, centre_nm: float) -> float:
+    def mirror_distance_nm(self, centre_nm: float) -> float:
         """Return the distance from a centre to the nearer face."""
         return min(centre_nm, self.inner_nm - centre_nm)
 
@@ -268,19 +268,19 @@ class Embedded(Substrate):
             np.exp(2j * k * (self.inner_nm - centre_nm) * w) * self._above.reflection(w),
         )
 
-    def echo(self, centre_nm: float, w: NDArray, lift_nm: float = 0.0) -> Echo:
+    def reflection_at(self, centre_nm: float, w: NDArray, lift_nm: float = 0.0) -> StackReflection:
         """Return the round-trip amplitudes between both faces; see `Substrate.reflection_at`."""
         if lift_nm == 0.0:
-            return Echo.between(*self._mirrors(centre_nm, w))
+            return StackReflection.between(*self._mirrors(centre_nm, w))
         k, (under, over) = self.inner_wavenumber, (self._below.reflection(w), self._above.reflection(w))
         # combined phases: e^{-ikw lift} may overflow
         risen, fallen = (under * over * np.exp(1j * k * (2 * self.inner_nm + way) * w) for way in (lift_nm, -lift_nm))
-        return Echo.between(
+        return StackReflection.between(
             under * np.exp(2j * k * centre_nm * w), over * np.exp(2j * k * (self.inner_nm - centre_nm) * w), risen,
             fallen,
         )  # fmt: skip
 
-    def arriving(self, centre_nm: float, cosines: Array, w: ComplexArray, below: bool) -> Arriving:
+    def incident_waves(self, centre_nm: float, cosines: Array, w: ComplexArray, below: bool) -> IncidentWaves:
         """Return light from one side at a centre between both faces; see `Substrate.incident_waves`."""
         under, over = self._mirrors(centre_nm, w)
         # the transmission into the layer is `from_below` of the near mirror
@@ -289,5 +289,5 @@ class Embedded(Substrate):
         ahead = into * np.exp(1j * self.inner_wavenumber * way_nm * w) / (1.0 - under * over)
         if below:
             reflection, transmission = self.from_below(cosines)
-            return Arriving(ahead, ahead * over, reflection, transmission)
-        return Arriving(ahead, ahead * under, self.reflection(cosines), None)
+            return IncidentWaves(ahead, ahead * over, reflection, transmission)
+        return IncidentWaves(ahead, ahead * under, self.reflection(cosines), None)

@@ -25,7 +25,7 @@ from nacre.core.errors import NacreError
 from nacre.core.files import atomic_path, plain, why_unreadable
 from nacre.families.metasurface.monolayer.translation_sums import multipole_index
 from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, gain, mirror_signs, reciprocal
-from nacre.families.metasurface.tmatrix.full_tmatrix import file_signs, reversed_whole
+from nacre.families.metasurface.tmatrix.full_tmatrix import condon_shortley_signs, reversed_full
 from nacre.recipe.fingerprint import file_digest
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def mean_blocks(blocks: ComplexArray) -> ComplexArray:
     return reciprocal(0.5 * (own + mirror_signs(count // 2) * own[:, ::-1])[:, count // 2 :])
 
 
-def whole_or_none(blocks: ComplexArray) -> ComplexArray | None:
+def full_or_none(blocks: ComplexArray) -> ComplexArray | None:
     """Return the full T, `[wavelength, n, n']`, see `full_tmatrix`; None for an axisymmetric particle.
 
     Raises:
@@ -100,9 +100,9 @@ def whole_or_none(blocks: ComplexArray) -> ComplexArray | None:
     if np.all(np.linalg.norm(coupled.reshape(len(blocks), -1), axis=1) <= AXIS_TOLERANCE * total):
         return None
     index = multipole_index(count // 2)
-    row, place, sign = index.m + count // 2, index.block, file_signs(index)
+    row, place, sign = index.m + count // 2, index.block, condon_shortley_signs(index)
     whole = blocks[:, row[:, None], row, place[:, None], place] * sign[:, None] * sign
-    even = 0.5 * (whole + reversed_whole(whole))
+    even = 0.5 * (whole + reversed_full(whole))
     if np.linalg.norm(whole - even) > AXIS_TOLERANCE * np.linalg.norm(even):
         raise TMatrixFileError("is of a particle that is not reciprocal, or in other waves than the format's")
     _check_passive(even)
@@ -227,7 +227,7 @@ def _read(file: h5py.File, is_aligned: bool) -> AxialTMatrices:
     if np.any(np.diff(wavelengths[order]) <= 0):
         raise TMatrixFileError("gives a wavelength twice")
     parity = _parity_blocks(file, values[order])
-    whole = whole_or_none(parity) if is_aligned else None
+    whole = full_or_none(parity) if is_aligned else None
     blocks, turn_loss = axial(parity) if whole is None else (mean_blocks(parity), 0.0)
     shape, geometry = _geometry(file)
     name = file.attrs.get("name", "")
@@ -493,7 +493,7 @@ def write_tmatrices(
     else:
         index = multipole_index(lmax)
         ours = np.lexsort((1 - index.tau, index.m, index.l))  # sorted by l, then m, electric before magnetic
-        sign = file_signs(index)[ours]
+        sign = condon_shortley_signs(index)[ours]
         whole = known.whole[:, ours[:, None], ours] * sign[:, None] * sign
     with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
         file.attrs.update(
