@@ -35,12 +35,12 @@ from nacre.light import (
 from nacre.material.material import Material
 from nacre.matter.stack.solve import powers
 from nacre.optimise.evaluation import lab_hex
-from nacre.optimise.free import Free, own_place, read_free, values_at
-from nacre.optimise.measurement import At, check_answers, search_wavelengths, see
+from nacre.optimise.measurement import Geometry, check_answers, search_wavelengths, simulate_measurement
+from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, values_at
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import check_light
-from nacre.optimise.task import Target
-from nacre.optimise.thin_film.adapter import StackSearch, film_search
+from nacre.optimise.task import DesignTask
+from nacre.optimise.thin_film.adapter import ThinFilmSearch, thin_film_search
 from nacre.recipe.model import RecipeContext
 
 if TYPE_CHECKING:
@@ -94,13 +94,19 @@ class Gamut:
             for lab, xyy, structure in zip(self.lab, self.xyy, self.structures, strict=True)
         ]
         return {
-            "at": self.at, "illuminant": self.illuminant, "observer": self.observer, "within": self.within,
-            "share_of_srgb": self.share_of_srgb, "share_of_optimal": self.share_of_optimal,
-            "count": len(points), "failed": self.failed, "points": points,
-        }  # fmt: skip
+            "at": self.at,
+            "illuminant": self.illuminant,
+            "observer": self.observer,
+            "within": self.within,
+            "share_of_srgb": self.share_of_srgb,
+            "share_of_optimal": self.share_of_optimal,
+            "count": len(points),
+            "failed": self.failed,
+            "points": points,
+        }
 
 
-def parse_free(options: Iterable[str]) -> dict[str, Any]:
+def parse_parameters(options: Iterable[str]) -> dict[str, Any]:
     """Read `PATH=A:B` (bounds) and `PATH=a,b,c` (choices) into a table as `[free]` has it.
 
     Raises:
@@ -170,18 +176,27 @@ def find_gamut(
     if not within > 0:
         raise NacreError(f"--within = {within:g} must be above 0")
     check_light(LightSpec(illuminants=[illuminant], observer=observer), RecipeContext(source))
-    material = material.for_many().reaching(free)
-    numbers = read_free(dict(free), material, source)
+    material = material.at_low_fidelity().with_parts_loaded(free)
+    numbers = read_parameters(dict(free), material, source)
     if not numbers:
         raise RecipeError(f"{source}: nothing is free; use --free PATH=LOW:HIGH")
     where = _answered([material, *_tried(material, numbers)], at, f"{source}: at")
     return gamut_of_free(
-        material, numbers, where, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
-        within=within, samples=samples, seed=seed, progress=progress,
-    )  # fmt: skip
+        material,
+        numbers,
+        where,
+        points=points,
+        seconds=seconds,
+        illuminant=illuminant,
+        observer=observer,
+        within=within,
+        samples=samples,
+        seed=seed,
+        progress=progress,
+    )
 
 
-def _answered(materials: Sequence[Material], at: str | None, where: str) -> At:
+def _answered(materials: Sequence[Material], at: str | None, where: str) -> Geometry:
     """Return the geometry asked for; of none the family's usual one, or the first other that is answered.
 
     What a family usually shows may be missing in one of its recipes: a blend of two pearls has no mirror.
@@ -189,11 +204,11 @@ def _answered(materials: Sequence[Material], at: str | None, where: str) -> At:
     Raises:
         RecipeError: the geometry is not known or not answered.
     """
-    usual = materials[0].model.usual_look
+    usual = materials[0].model.traits.default_geometry
     asked = [usual, *(look for look in OTHER_LOOKS if look != usual)] if at is None else [at]
     refused: list[RecipeError] = []
     for text in asked:
-        found = At.read(text, where)
+        found = Geometry.read(text, where)
         try:
             check_answers(materials, [found], [where])
         except RecipeError as error:
@@ -204,10 +219,19 @@ def _answered(materials: Sequence[Material], at: str | None, where: str) -> At:
 
 
 def gamut_of_free(
-    material: Material, numbers: Sequence[Free], at: At, *, points: int, seconds: float = np.inf, illuminant: str,
-    observer: str, within: float = 2.0, samples: int | None = None, seed: int = 0,
+    material: Material,
+    numbers: Sequence[Parameter],
+    at: Geometry,
+    *,
+    points: int,
+    seconds: float = np.inf,
+    illuminant: str,
+    observer: str,
+    within: float = 2.0,
+    samples: int | None = None,
+    seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
-) -> Gamut:  # fmt: skip
+) -> Gamut:
     """As `find_gamut`, of numbers and a geometry that are checked already.
 
     Raises:
@@ -218,7 +242,9 @@ def gamut_of_free(
     memory: dict[Any, Any] = {}
 
     def look(values: Mapping[str, Any]) -> Array:
-        return see(material.vary(values), [at], grid, samples=samples, seed=seed, memory=memory).factors[0]
+        return simulate_measurement(
+            material.vary(values), [at], grid, samples=samples, seed=seed, memory=memory
+        ).factors[0]
 
     light = (illuminant, observer)
     places, factors, failed = _draw(numbers, look, material, points, seconds, seed, grid, light, progress)
@@ -230,9 +256,15 @@ def gamut_of_free(
 
 
 def gamut_of(
-    factors: Array, wavelengths_nm: Array, structures: Sequence[Mapping[str, Any]], at: str, illuminant: str,
-    observer: str, within: float = 2.0, failed: int = 0,
-) -> Gamut:  # fmt: skip
+    factors: Array,
+    wavelengths_nm: Array,
+    structures: Sequence[Mapping[str, Any]],
+    at: str,
+    illuminant: str,
+    observer: str,
+    within: float = 2.0,
+    failed: int = 0,
+) -> Gamut:
     """Return the gamut of spectra `[point, wavelength]` that are known already."""
     white = white_xyz(illuminant, observer)
     xyz = np.asarray(spectrum_to_xyz(factors, wavelengths_nm, illuminant, observer))
@@ -253,7 +285,7 @@ def gamut_of(
     )
 
 
-def _tried(material: Material, numbers: Sequence[Free]) -> list[Material]:
+def _tried(material: Material, numbers: Sequence[Parameter]) -> list[Material]:
     found = []
     for share in (0.5, 0.99):
         try:
@@ -264,16 +296,23 @@ def _tried(material: Material, numbers: Sequence[Free]) -> list[Material]:
 
 
 def _draw(
-    numbers: Sequence[Free], look: Callable[[Mapping[str, Any]], Array], material: Material, points: int,
-    seconds: float, seed: int, grid: Array, light: tuple[str, str], progress: Callable[[int, int], None] | None,
-) -> tuple[list[Array], Array, int]:  # fmt: skip
+    numbers: Sequence[Parameter],
+    look: Callable[[Mapping[str, Any]], Array],
+    material: Material,
+    points: int,
+    seconds: float,
+    seed: int,
+    grid: Array,
+    light: tuple[str, str],
+    progress: Callable[[int, int], None] | None,
+) -> tuple[list[Array], Array, int]:
     """Draw places evenly, then around those at the rim; return places, factors and how many failed."""
     from scipy.stats import qmc
 
     begun = time.monotonic()
     even = max(LEAST_POINTS, int(EVEN_SHARE * points)) if len(numbers) > 1 else points
     places = list(qmc.Sobol(len(numbers), scramble=True, rng=np.random.default_rng(seed)).random(_power(even))[:even])
-    own = own_place(numbers, material)
+    own = nominal_point(numbers, material)
     places[:0] = [own] if own is not None else []
     if every := _every_place(numbers, points):
         places, points = every, len(every)
@@ -301,7 +340,7 @@ def _draw(
     return kept, np.array(factors), failed
 
 
-def _every_place(numbers: Sequence[Free], most: int) -> list[Array]:
+def _every_place(numbers: Sequence[Parameter], most: int) -> list[Array]:
     """Return each combination of words and whole numbers once; none where other numbers are free, or of too many."""
     if not all(n.choices or n.is_whole for n in numbers):
         return []
@@ -309,10 +348,14 @@ def _every_place(numbers: Sequence[Free], most: int) -> list[Array]:
     if np.prod(counts, dtype=float) > most:
         return []
     return [
-        np.array([(pick + 0.5) / count if n.choices else pick / max(count - 1, 1)
-                  for n, pick, count in zip(numbers, picks, counts, strict=True)])
+        np.array(
+            [
+                (pick + 0.5) / count if n.choices else pick / max(count - 1, 1)
+                for n, pick, count in zip(numbers, picks, counts, strict=True)
+            ]
+        )
         for picks in np.ndindex(*counts)
-    ]  # fmt: skip
+    ]
 
 
 def _power(count: int) -> int:
@@ -479,7 +522,16 @@ def gamut_page(found: Gamut, name: str) -> str:
     )
 
 
-__all__ = ["Gamut", "find_gamut", "gamut_chart", "gamut_of", "gamut_of_free", "gamut_page", "gamut_svg", "parse_free"]
+__all__ = [
+    "Gamut",
+    "find_gamut",
+    "gamut_chart",
+    "gamut_of",
+    "gamut_of_free",
+    "gamut_page",
+    "gamut_svg",
+    "parse_parameters",
+]
 
 
 # What a design's freedom reaches at its first colour: the gamut behind its report.
@@ -489,7 +541,7 @@ POINTS = 400
 SHORT_SHARE = 0.3  # of thicknesses: drawn near the lower bound, where metals let light through
 
 
-def reach_of(target: Target, seconds: float) -> tuple[Gamut, Array] | None:
+def reach_of(target: DesignTask, seconds: float) -> tuple[Gamut, Array] | None:
     """Return the gamut at the first colour that is wanted, and the colours wanted there `[want, 3]`, CIELAB.
 
     None where only spectra are wanted.
@@ -500,25 +552,31 @@ def reach_of(target: Target, seconds: float) -> tuple[Gamut, Array] | None:
     Raises:
         NacreError: nothing can be computed.
     """
-    colours = [want for want in target.wants if want.spectrum is None]
+    colours = [want for want in target.targets if want.spectrum is None]
     if not colours:
         return None
-    at, light = colours[0].at, target.spec.light
+    at, light = colours[0].geometry, target.spec.light
     white = white_xyz(light.illuminants[0], light.observer)
-    wanted = [want.wanted_lab(white) for want in colours if want.at == at]
+    wanted = [want.target_lab(white) for want in colours if want.geometry == at]
     marks = np.array([lab for lab in wanted if lab is not None]).reshape(-1, 3)
-    search = film_search(target, 0)
+    search = thin_film_search(target, 0)
     if search is not None:
         return _of_stacks(search, target, at), marks
     seed = target.spec.search.seed
     found = gamut_of_free(
-        target.material, target.free, at, points=POINTS, seconds=seconds, illuminant=light.illuminants[0],
-        observer=light.observer, seed=seed,
-    )  # fmt: skip
+        target.material,
+        target.parameters,
+        at,
+        points=POINTS,
+        seconds=seconds,
+        illuminant=light.illuminants[0],
+        observer=light.observer,
+        seed=seed,
+    )
     return found, marks
 
 
-def _of_stacks(search: StackSearch, target: Target, at: At) -> Gamut:
+def _of_stacks(search: ThinFilmSearch, target: DesignTask, at: Geometry) -> Gamut:
     """Draw stacks that the target allows, many at once."""
     problem, light = search.problem, target.spec.light
     generator = np.random.default_rng([target.spec.search.seed, 5])
@@ -543,21 +601,25 @@ def _of_stacks(search: StackSearch, target: Target, at: At) -> Gamut:
                 unit = generator.random() * (SHORT_SHARE if generator.random() < SHORT_SHARE else 1.0)
                 d[k, j] = low + unit * (min(high, 1e5) - low)
             d[k] *= min(1.0, problem.total_nm / max(float(d[k].sum()), 1e-9))
-            structures.append({"layers": [{"material": m, "thickness_nm": float(t)} for m, t in zip(names, d[k])],
-                               "substrate": below.name})  # fmt: skip
+            structures.append(
+                {
+                    "layers": [{"material": m, "thickness_nm": float(t)} for m, t in zip(names, d[k])],
+                    "substrate": below.name,
+                }
+            )
         found = powers(n, d, grid, np.radians([at.theta_deg]))
         part = found.reflectance if at.kind == "specular" else found.transmittance
         factors.append(np.asarray(part[..., 0, :]))
     return gamut_of(np.concatenate(factors), grid, structures, str(at), light.illuminants[0], light.observer)
 
 
-def _pick(search: StackSearch, slot: int, generator: np.random.Generator) -> str:
+def _pick(search: ThinFilmSearch, slot: int, generator: np.random.Generator) -> str:
     slots = search.problem.slots
     names = [m.name for m in search.problem.palette] if slots is None else slots[slot].materials
     return str(names[int(generator.integers(len(names)))])
 
 
-def reach_of_or_none(target: Target, seconds: float) -> tuple[Gamut, Array] | None:
+def reach_of_or_none(target: DesignTask, seconds: float) -> tuple[Gamut, Array] | None:
     """As `reach_of`; None where it cannot be computed: the report then goes without."""
     try:
         return reach_of(target, seconds)

@@ -18,7 +18,7 @@ from nacre.bsdf.bsdf import Bsdf, Spectrum
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.core.parallel import in_threads
-from nacre.families.contract import Model
+from nacre.families.contract import DirectEvaluation, ExcessEnergy, ExpensiveMethod, Model, SearchFidelity, Traits
 from nacre.families.metasurface import model_selection
 from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings
 from nacre.families.metasurface.ensemble.interpolation import EnsembleInterpolation, interpolate_ensemble
@@ -74,7 +74,7 @@ class MetasurfaceWarning(UserWarning):
 
 
 @dataclass(frozen=True, eq=False)
-class Metasurface(Model):
+class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, ExcessEnergy):
     """Particles on a stack.
 
     Attributes:
@@ -103,9 +103,7 @@ class Metasurface(Model):
         second: second species of a mixture; the first has the remaining share.
     """
 
-    noun = "metasurface"
-    is_direct = True
-    bytes_a_wavelength = 200_000
+    traits = Traits(noun="metasurface", bytes_per_wavelength=200_000)
 
     ambient: OpticalConstant
     layers: tuple[tuple[OpticalConstant, float], ...]
@@ -236,19 +234,19 @@ class Metasurface(Model):
         ], bool(below)
 
     @property
-    def slow_way(self) -> str:
+    def expensive_method(self) -> str:
         """The ensemble, if selected automatically."""
         return SLOW_WAY if self.correction == AUTO and self._choice[0] == ENSEMBLE else ""
 
     @property
-    def spared_way(self) -> str:
+    def replaced_method(self) -> str:
         """The ensemble, if the mean field replaces it in a search."""
         return SLOW_WAY if self.is_spared and self._choice[0] == ENSEMBLE else ""
 
     @property
-    def spared_changes(self) -> Mapping[str, Any]:
+    def method_overrides(self) -> Mapping[str, Any]:
         """The explicit mean field, if it replaces an ensemble."""
-        return {"model.correction": "qca-balanced"} if self.spared_way else {}
+        return {"model.correction": "qca-balanced"} if self.replaced_method else {}
 
     def layers_at(self, wavelengths_nm: ArrayLike) -> tuple[Callable[[float], Monolayer], EnsembleInterpolation | None]:
         """Return a function of the wavelength that returns the monolayer, with the ratio of an ensemble if one is used.
@@ -337,7 +335,7 @@ class Metasurface(Model):
         """
         return self._settling.sphere_order(self.kinds[0], surface)
 
-    def among_many(self, memory: dict[Any, Any], is_rough: bool = False) -> Metasurface:
+    def search_model(self, memory: dict[Any, Any], is_rough: bool = False) -> Metasurface:
         """Return a variant for optimisation that reuses the multipole orders of similar spheres on the same media.
 
         A rough variant ignores the near fields of neighbours. The mean field replaces an automatic ensemble, but not an
@@ -486,7 +484,7 @@ class Metasurface(Model):
         return np.stack(in_threads(column, [float(w) for w in wavelengths_nm]), axis=-1)
 
     @property
-    def unbounded_because(self) -> str:
+    def excess_reason(self) -> str:
         """The correction "none" counts light twice."""
         return 'model.correction = "none" does not keep energy' if self.correction == "none" else ""
 
