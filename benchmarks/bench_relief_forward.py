@@ -58,7 +58,7 @@ def median_seconds(function: Any, repeats: int) -> tuple[float, float]:
 
 def bench_slice(repeats: int) -> dict[str, Any]:
     """Time a slice and a part of the direct sum, in the same run."""
-    from nacre.core.parallel import one_thread_each
+    from nacre.core.parallel import single_threaded_blas
     from nacre.families.relief.coherence import Coherence
     from nacre.families.relief.plane_cut import SliceGeometry, plan_slice
     from nacre.families.relief.surface import Tile
@@ -70,7 +70,7 @@ def bench_slice(repeats: int) -> dict[str, Any]:
     surface = tile.surface_nm(UPSAMPLING).astype(np.float32)
     samples = FEATURES * UPSAMPLING
     result: dict[str, Any] = {}
-    with one_thread_each():
+    with single_threaded_blas():
         for workers in (1, 2):
             plan = plan_slice(
                 geometry, samples=samples, period_nm=tile.period_nm, height_range_nm=tile.height_range_nm,
@@ -122,7 +122,7 @@ def bench_cache() -> dict[str, Any]:
 
 def bench_large(features: int = 512) -> dict[str, Any]:
     """Time a large tile's slice, the choice of its sampling included."""
-    from nacre.core.parallel import one_thread_each
+    from nacre.core.parallel import single_threaded_blas
     from nacre.families.relief.coherence import Coherence
     from nacre.families.relief.diffraction_orders import choose_sampling
     from nacre.families.relief.plane_cut import SliceGeometry, plan_slice
@@ -133,7 +133,7 @@ def bench_large(features: int = 512) -> dict[str, Any]:
     coherence = Coherence.from_sigma(2.6)
     axis = ((np.arange(DIRECTIONS) + 0.5) / DIRECTIONS * 2 - 1) * 0.3
     geometry = SliceGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), WAVELENGTHS_NM)
-    with one_thread_each():
+    with single_threaded_blas():
         highest = geometry.highest_line(tile.period_nm, coherence, np.float32)
         sampling = choose_sampling(tile, geometry.kappa_range[1], highest, 1e-2)
         plan = plan_slice(

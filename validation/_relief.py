@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.core.parallel import one_thread_each
+from nacre.core.parallel import single_threaded_blas
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.plane_cut import SliceGeometry, plan_slice
 from nacre.families.relief.prefactor import coating_reflectance
@@ -110,7 +110,7 @@ def short_design(problem: Problem, starts: int = STARTS, seed: int = 1) -> Array
 
 def measured(problem: Problem, heights_nm: Array) -> ConvergedMeasurement:
     """Return losses and picture at a sampling that no longer matters."""
-    with one_thread_each():
+    with single_threaded_blas():
         return measure_design(problem, heights_nm)
 
 

@@ -136,4 +136,7 @@ def test_what_a_recipe_has_no_mirror_for_is_looked_at_elsewhere(tmp_path: Path) 
     """The usual look of blends is that of films, and both reliefs of this one only scatter."""
     relief = _relief(tmp_path)
     blend = nacre.material({"family": "blend", "first": relief, "second": {**relief, "coating": "Cu"}, "mask": 0.5})
-    assert blend.model.usual_look == "specular 0" and str(applicable_geometry([blend], None, "r: at")) == "45as15"
+    assert (
+        blend.model.traits.default_geometry == "specular 0"
+        and str(applicable_geometry([blend], None, "r: at")) == "45as15"
+    )

@@ -104,7 +104,7 @@ def run_tolerance(
         raise NacreError(f"--draws = {draws} must lie in [1, {MAX_DRAWS}]")
     if not limit > 0:
         raise NacreError(f"--limit = {limit} must be above 0")
-    material = material.for_many().reaching(spread.path for spread in spreads)
+    material = material.at_low_fidelity().with_parts_loaded(spread.path for spread in spreads)
     measure = ColourProbe(material, illuminant, observer, samples, seed)
     nominal = measure(material)
     generator = np.random.default_rng(seed)

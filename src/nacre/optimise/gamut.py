@@ -36,12 +36,12 @@ from nacre.light import (
 from nacre.material.material import Material
 from nacre.matter.stack.solve import powers
 from nacre.optimise.evaluation import lab_hex
-from nacre.optimise.measurement import At, check_answers, search_wavelengths, see
+from nacre.optimise.measurement import Geometry, check_answers, search_wavelengths, simulate_measurement
 from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, values_at
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import check_light
-from nacre.optimise.task import Target
-from nacre.optimise.thin_film.adapter import StackSearch, film_search
+from nacre.optimise.task import DesignTask
+from nacre.optimise.thin_film.adapter import ThinFilmSearch, thin_film_search
 from nacre.recipe.model import RecipeContext
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ Light = tuple[str, str]  # illuminant and observer
 
 @dataclass(frozen=True, eq=False)
 class Gamut:
-    """Reached colours.
+    """TargetResult colours.
 
     Attributes:
         geometry: of the measurement.
@@ -174,7 +174,7 @@ def find_gamut(
     if not tolerance > 0:
         raise NacreError(f"--within = {tolerance:g} must be above 0")
     check_light(LightSpec(illuminants=[illuminant], observer=observer), RecipeContext(source))
-    material = material.for_many().reaching(table)
+    material = material.at_low_fidelity().with_parts_loaded(table)
     parameters = read_parameters(dict(table), material, source)
     if not parameters:
         raise RecipeError(f"{source}: nothing is free; use --free PATH=LOW:HIGH")
@@ -183,7 +183,7 @@ def find_gamut(
     return _parameter_gamut(material, parameters, at, (illuminant, observer), draws, tolerance, samples, progress)
 
 
-def applicable_geometry(materials: Sequence[Material], geometry: str | None, where: str) -> At:
+def applicable_geometry(materials: Sequence[Material], geometry: str | None, where: str) -> Geometry:
     """Return the given geometry; default: that of the family, or the first other one that applies.
 
     The default geometry may not apply to a recipe: a blend of two pearls has no specular part.
@@ -191,11 +191,11 @@ def applicable_geometry(materials: Sequence[Material], geometry: str | None, whe
     Raises:
         RecipeError: the geometry is not known or does not apply.
     """
-    usual = materials[0].model.usual_look
+    usual = materials[0].model.traits.default_geometry
     others = [other for other in OTHER_GEOMETRIES if other != usual]
     refused: list[RecipeError] = []
     for text in [usual, *others] if geometry is None else [geometry]:
-        found = At.read(text, where)
+        found = Geometry.read(text, where)
         try:
             check_answers(materials, [found], [where])
         except RecipeError as error:
@@ -205,7 +205,7 @@ def applicable_geometry(materials: Sequence[Material], geometry: str | None, whe
     raise refused[0]
 
 
-def target_gamut(target: Target, seconds: float) -> tuple[Gamut, Array] | None:
+def target_gamut(target: DesignTask, seconds: float) -> tuple[Gamut, Array] | None:
     """Return the gamut at the first target colour, and the target colours there `[target, 3]` (CIELAB), for a report.
 
     None if all targets are spectra, or if no point can be computed.
@@ -213,19 +213,19 @@ def target_gamut(target: Target, seconds: float) -> tuple[Gamut, Array] | None:
     Args:
         seconds: time limit, unless the material is a thin film.
     """
-    colours = [want for want in target.wants if want.spectrum is None]
+    colours = [want for want in target.targets if want.spectrum is None]
     if not colours:
         return None
-    at, light = colours[0].at, (target.spec.light.illuminants[0], target.spec.light.observer)
-    labs = [want.wanted_lab(white_xyz(*light)) for want in colours if want.at == at]
+    at, light = colours[0].geometry, (target.spec.light.illuminants[0], target.spec.light.observer)
+    labs = [want.target_lab(white_xyz(*light)) for want in colours if want.geometry == at]
     marks = np.array([lab for lab in labs if lab is not None]).reshape(-1, 3)
     seed = target.spec.search.seed
     try:
-        search = film_search(target, 0)
+        search = thin_film_search(target, 0)
         if search is not None:
             return _stack_gamut(search, at, light, seed), marks
         draws = (REPORT_POINTS, seconds, seed)
-        return _parameter_gamut(target.material, target.free, at, light, draws), marks
+        return _parameter_gamut(target.material, target.parameters, at, light, draws), marks
     except NacreError:
         return None
 
@@ -233,7 +233,7 @@ def target_gamut(target: Target, seconds: float) -> tuple[Gamut, Array] | None:
 def _parameter_gamut(
     material: Material,
     parameters: Sequence[Parameter],
-    at: At,
+    at: Geometry,
     light: Light,
     draws: tuple[int, float, int],
     tolerance: float = 2.0,
@@ -274,7 +274,7 @@ def _parameter_gamut(
         done += 1
         try:
             variant = material.vary(values_at(parameters, point))
-            factor = see(variant, [at], grid, samples=samples, seed=seed, memory=cache).factors[0]
+            factor = simulate_measurement(variant, [at], grid, samples=samples, seed=seed, memory=cache).factors[0]
             factors.append(factor)
             labs.append(np.asarray(xyz_to_lab(factor @ weights, white)))
             points.append(point)
@@ -324,7 +324,7 @@ def _near_extreme(points: Sequence[Array], labs: Array, turn: int, generator: np
     return np.asarray(np.clip(point + RIM_STEP * generator.standard_normal(len(point)), 0.0, 1.0))
 
 
-def _stack_gamut(search: StackSearch, at: At, light: Light, seed: int) -> Gamut:
+def _stack_gamut(search: ThinFilmSearch, at: Geometry, light: Light, seed: int) -> Gamut:
     """Draw stacks that a target allows, computed in batches."""
     problem = search.problem
     generator = np.random.default_rng([seed, 5])
@@ -362,7 +362,7 @@ def _spectra_gamut(
     factors: Array,
     wavelengths_nm: Array,
     structures: list[dict[str, Any]],
-    at: At,
+    at: Geometry,
     light: Light,
     tolerance: float = 2.0,
 ) -> Gamut:

@@ -43,7 +43,7 @@ def sliders(material: Material) -> list[dict[str, Any]]:
     """Return the first numbers of a recipe that a slider can turn: `path`, `value`, `most`."""
     return [
         {"path": path, "value": value, "most": SPAN * value}
-        for path, value in material.free_numbers.items()
+        for path, value in material.parameters.items()
         if value > 0 and math.isfinite(value) and path.rpartition(".")[2] not in OF_OPTICS
     ][:MOST_SLIDERS]
 
@@ -123,7 +123,7 @@ class Answers:
                 self._waiting = False
                 seq, material = self._seq, self.material
                 told = {"seq": seq, "name": material.name, "given": self._given}
-                told["numbers"] = [{**one, "value": material.free_numbers[one["path"]]} for one in self._sliders]
+                told["numbers"] = [{**one, "value": material.parameters[one["path"]]} for one in self._sliders]
             try:
                 self._answer(seq, material, told)
             except SupersededError:

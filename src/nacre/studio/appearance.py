@@ -20,6 +20,7 @@ from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.families.contract import Draft, fabrications, is_direct, search_model, surrogate_radiance
 from nacre.formats.lobes import is_isotropic
 from nacre.formats.lut.table import lobe_directions, lobe_weight
 from nacre.light import (
@@ -135,7 +136,7 @@ def _values(material: Material, bsdf: Bsdf | None, wi: Array, wo: Array) -> tupl
         return None, LOBE_NM
     if not any(lobe.is_stochastic for lobe in lobes):
         return (spread.evaluate(wi, wo) if is_isotropic(spread) else None), bsdf.wavelengths_nm
-    found = material.model.likeness_at(wi, wo, LOBE_NM)
+    found = surrogate_radiance(material.model, wi, wo, LOBE_NM)
     return None if found is None else found[0] + found[1], LOBE_NM
 
 
@@ -245,8 +246,8 @@ def looks(material: Material, illuminant: str, is_superseded: Callable[[], bool]
         SupersededError: a newer recipe has come.
     """
     refuse_place(material.model, material.context.source)
-    if not material.model.is_quick:
-        material = material.for_many()  # a page waits for no ensemble of minutes
+    if not material.model.traits.is_quick:
+        material = material.at_low_fidelity()  # a page waits for no ensemble of minutes
     if not _is_quick(material):
         family = material.family
         draft = _look(_sketched(material), illuminant, is_superseded, drafts.of(family))
@@ -262,11 +263,10 @@ def looks(material: Material, illuminant: str, is_superseded: Callable[[], bool]
 def _sketched(material: Material) -> Material:
     """Return a material as drafts are solved: its family's sketch, or one that gives spectra without noise where its
     own are walked; itself where there is neither."""
-    sketch = material.model.sketch
-    if sketch is not None:
-        return replace(material, model=sketch)
-    near = material.model.among_many({})
-    if material.model.is_direct or not near.is_direct or near.spectrum(PROBE_RAD, PROBE_NM, "both", 0) is None:
+    if isinstance(material.model, Draft):
+        return replace(material, model=material.model.draft)
+    near = search_model(material.model, {})
+    if is_direct(material.model) or not is_direct(near) or near.spectrum(PROBE_RAD, PROBE_NM, "both", 0) is None:
         return material
     return replace(material, model=near)
 
@@ -277,7 +277,7 @@ def _is_quick(material: Material) -> bool:
     The clock decides: ridges are films too. The second of two trials counts, as the first one may compile. What was
     quick once stays so while only its numbers change: a machine that was busy for a moment makes no draft of a film.
     """
-    if not material.model.is_quick:
+    if not material.model.traits.is_quick:
         return False
     kind = _kind(material.data)
     if kind in _known_quick:
@@ -327,7 +327,7 @@ def _look(material: Material, illuminant: str, is_superseded: Callable[[], bool]
     lobe = None
     if np.any(spread > 0):
         # the page's picture of a lobe holds no azimuth, and to find that out takes most of a minute
-        if grid is None and not material.model.is_quick and not _is_aligned(material):
+        if grid is None and not material.model.traits.is_quick and not _is_aligned(material):
             _go_on(is_superseded)
             lobe = lobe_picture(material, bsdf, functools.partial(spectrum_to_rgb_linear, illuminant=illuminant))
         if lobe is None:
@@ -457,7 +457,7 @@ def _is_free(material: Material) -> bool:
 
 def _profile(material: Material) -> dict[str, Any] | None:
     """Return the heights along a line through the middle, where the material is one that is made from heights."""
-    drawers = material.model.fabrications
+    drawers = fabrications(material.model)
     drawing = drawers[OF_HEIGHTS](DrawingRequest()) if OF_HEIGHTS in drawers else None
     if not isinstance(drawing, HeightMap):
         return None

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
+from nacre.families.contract import is_direct
 from nacre.material.material import Material
 from nacre.recipe.paths import find_by_path
 from nacre.studio.folder import Opened
 from nacre.studio.measured import built, placed, read_lamp
 
 if TYPE_CHECKING:
-    from nacre.optimise.task import Target
+    from nacre.optimise.task import DesignTask
 
 LOOKS = ("specular", "transmitted", "diffuse", "hemispherical", "aspecular")
 OBSERVER = "2deg"  # as all colours of the page
@@ -35,7 +36,7 @@ OF_OPTICS = ("n", "k")
 PROBE_NM = np.array([450.0, 550.0, 650.0])
 UPWARD, DOWNWARD = (2.0, 1.5, 1.2, 1.05), (0.5, 0.7, 0.9, 0.97)  # times a number: bounds, the first that are allowed
 OF_HEIGHTS = (
-    "a relief's heights are sought by the command: nacre design TARGET with heights under [free], "
+    "a relief's heights are sought by the command: nacre design TARGET with heights under [parameters], "
     "or the picture that is wanted under [target]"
 )
 
@@ -79,8 +80,8 @@ def _want(want: Any, look: str, name: str) -> dict[str, Any]:
     if not isinstance(want, dict):
         raise NacreError(f"{name} is not a table")
     angle = number(want.get("at"), f"{name}: angle", *((-40.0, 110.0) if look == "aspecular" else (0.0, 89.0)))
-    made: dict[str, Any] = {"at": f"45as{angle:g}" if look == "aspecular" else f"{look} {angle:g}"}
-    made["within"] = number(want.get("within", 2.0), f"{name}: within", 0.1, 50.0)
+    made: dict[str, Any] = {"geometry": f"45as{angle:g}" if look == "aspecular" else f"{look} {angle:g}"}
+    made["tolerance"] = number(want.get("within", 2.0), f"{name}: within", 0.1, 50.0)
     if "hue" not in want:
         colour = want.get("colour")
         if not isinstance(colour, str) or not re.fullmatch(r"#[0-9a-fA-F]{6}", colour):
@@ -108,7 +109,7 @@ def opened_parts(material: Material) -> Material:
     for key, value in material.data.items():
         if isinstance(value, Mapping) and "recipe" in value:
             with contextlib.suppress(RecipeError):  # a part that may only be named keeps its name
-                material = material.reaching([f"{key}.family"])
+                material = material.with_parts_loaded([f"{key}.family"])
     return material
 
 
@@ -123,7 +124,7 @@ def free_numbers(material: Material) -> dict[str, Any]:
         return {"look": LOOKS[0], "numbers": [], "refused": OF_HEIGHTS}
     found: dict[str, Any] = {"look": _usual_look(material), "numbers": []}
     whole = opened_parts(material)
-    numbers = list(whole.free_numbers.items())[:MOST_LISTED]
+    numbers = list(whole.parameters.items())[:MOST_LISTED]
     by_default = [path for path, _ in numbers if THICKNESS.search(path) and "[" in path]  # of layers
     by_default = by_default or [path for path, _ in numbers if LENGTH.search(path)]
     for path, value in numbers:
@@ -140,7 +141,7 @@ def free_numbers(material: Material) -> dict[str, Any]:
         })  # fmt: skip
     if not found["numbers"]:
         found["refused"] = (
-            f"this {material.model.noun} has no number that may change; the command's [free] takes words too"
+            f"this {material.model.traits.noun} has no number that can vary; the command also varies words"
         )
     return found
 
@@ -152,8 +153,8 @@ def _usual_look(material: Material) -> str:
         NacreError: the material cannot be computed.
     """
     model = material.model
-    word = model.usual_look.split()[0]
-    if word not in LOOKS or model.is_quick or model.is_direct:
+    word = model.traits.default_geometry.split()[0]
+    if word not in LOOKS or model.traits.is_quick or is_direct(model):
         return word if word in LOOKS else "aspecular"
     found = model.spectrum(np.array([0.0]), PROBE_NM, "both", 0)  # None: all of it would have to be solved; it scatters
     return word if found is not None and found.specular_reflectance is not None else "aspecular"
@@ -184,13 +185,13 @@ def _is_allowed(material: Material, path: str, value: float) -> bool:
     return True
 
 
-def target_of(question: Mapping[str, Any]) -> Target:
+def target_of(question: Mapping[str, Any]) -> DesignTask:
     """Return the checked target of a question; the current folder becomes the recipe's.
 
     Raises:
         NacreError: the recipe is wrong or reaches outside its fence, or the material cannot answer.
     """
-    from nacre.optimise.task import read_target
+    from nacre.optimise.task import read_task
 
     material = built(question["recipe"])  # with its fence, before anything is read without one
     if "heights" in material.data:
@@ -198,12 +199,12 @@ def target_of(question: Mapping[str, Any]) -> Target:
     os.chdir(Path(question["recipe"]["path"]).parent)
     data = {
         "recipe": copy.deepcopy(dict(opened_parts(material).data)),
-        "free": question["free"],
-        "want": question["wants"],
+        "parameters": question["free"],
+        "target": question["wants"],
         "light": {"illuminants": [question["lamp"]], "observer": OBSERVER},
         "search": {"seconds": question["seconds"], "solutions": question["solutions"]},
     }
     try:
-        return read_target(data)
+        return read_task(data)
     except NacreError as error:
         raise NacreError(str(error).removeprefix("target: ")) from None

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.core.disk_cache import keep_arrays, kept_arrays
+from nacre.core.disk_cache import cache_arrays, cached_arrays
 from nacre.core.errors import NacreError
 from nacre.light import observer, table_wavelengths_nm, xyz_to_srgb_linear
 from nacre.picture.lights.environments import Environment, directions, studio, unit_spectrum
 from nacre.picture.scenes.catalogue import SWEEP
 from nacre.picture.shapes.backdrop import sweep_length
-from nacre.recipe.fingerprint import identity
+from nacre.recipe.fingerprint import fingerprint
 
 HALF_WIDTH, FRONT, BACK, RADIUS, HEIGHT = SWEEP
 FLOOR = FRONT + BACK
@@ -248,8 +248,8 @@ def blurred_surround(name: str = "studio") -> Surround:
 @functools.cache
 def _blurred_surround(name: str) -> Surround:
     """Return a place as it is kept between runs, or make it: the studio takes a third of a second, another one."""
-    key = identity({"surround": name}, {})
-    kept = kept_arrays(key)
+    key = fingerprint({"surround": name}, {})
+    kept = cached_arrays(key)
     if kept is not None and "layers" in kept:
         lamp = Lamp(kept["towards"], kept["irradiance"], float(kept["radius"])) if "radius" in kept else None
         return Surround(kept["layers"].astype(np.float32), lamp)
@@ -257,7 +257,7 @@ def _blurred_surround(name: str) -> Surround:
     arrays: dict[str, Any] = {"layers": made.layers}
     if made.lamp is not None:
         arrays.update(towards=made.lamp.towards, irradiance=made.lamp.irradiance, radius=np.array(made.lamp.radius_rad))
-    keep_arrays(key, arrays)
+    cache_arrays(key, arrays)
     return made
 
 

@@ -61,7 +61,7 @@ def clouded(question: Mapping[str, Any], tell: Tell) -> None:
     """
     from nacre.analysis.tolerance import recipe_tolerances
 
-    material = opened_parts(built(question["recipe"])).for_many()
+    material = opened_parts(built(question["recipe"])).at_low_fidelity()
     spreads = recipe_tolerances(material, options_of(material, question["percent"]))
     began = time.monotonic()
     angles, grid = _fineness(material, question["lamp"])
@@ -95,18 +95,19 @@ def options_of(material: Material, percent: float) -> tuple[str, ...]:
         NacreError: the recipe gives no length.
     """
     own = material.data.get("tolerance", {})
-    numbers = [path for path, value in material.free_numbers.items() if value != 0.0]
+    numbers = [path for path, value in material.parameters.items() if value != 0.0]
     spread = [path for path in numbers if THICKNESS.search(path)] or [path for path in numbers if LENGTH.search(path)]
     if not spread and not own:
         raise NacreError(
-            f"this {material.model.noun} gives no thickness or length that spreads; name what does under [tolerance]"
+            f"this {material.model.traits.noun} has no thickness or length that varies; "
+            "name the parameters that do under [tolerance]"
         )
     return tuple(f"{path}={percent:g}%" for path in spread if path not in own)
 
 
 def _fineness(material: Material, lamp: str) -> tuple[Array, Array | None]:
     """Return the angles and wavelengths to draw with: all of what is quick, few of what takes long."""
-    if not material.model.is_quick:
+    if not material.model.traits.is_quick:
         return COARSE_DEG, COARSE_NM
     for _ in range(2):  # the first may compile
         began = time.monotonic()

@@ -16,7 +16,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
 from nacre.material.material import Material
-from nacre.optimise.measurement import At, judge_wavelengths, search_wavelengths, see
+from nacre.optimise.measurement import Geometry, evaluation_wavelengths, search_wavelengths, simulate_measurement
 from nacre.optimise.merit import smooth_weights
 from nacre.optimise.parameters import Parameter, values_at
 from nacre.optimise.thin_film.adapter import drawn_factors
@@ -71,14 +71,14 @@ class ColourSampler:
         self,
         material: Material,
         parameters: Sequence[Parameter],
-        at: At,
+        at: Geometry,
         light: tuple[str, str],
         seed: int,
         is_final: bool = False,
     ) -> None:
         self.material, self.parameters, self.at, self.seed = material, parameters, at, seed
         thickest = material.vary(values_at(parameters, np.ones(len(parameters))))
-        self.grid = (judge_wavelengths if is_final else search_wavelengths)(thickest, [light[0]])
+        self.grid = (evaluation_wavelengths if is_final else search_wavelengths)(thickest, [light[0]])
         self.weights = smooth_weights(self.grid, *light)
         self.white = white_xyz(*light)
         self._paths = [parameter.path for parameter in parameters]
@@ -107,7 +107,11 @@ class ColourSampler:
                 if is_over():
                     return None
                 variant = self.material.vary(dict(zip(self._paths, map(float, row), strict=True)))
-                found.append((see(variant, [self.at], self.grid, seed=self.seed).factors[0] @ self.weights)[None])
+                found.append(
+                    (simulate_measurement(variant, [self.at], self.grid, seed=self.seed).factors[0] @ self.weights)[
+                        None
+                    ]
+                )
         return np.concatenate(found)
 
 

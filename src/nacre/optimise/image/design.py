@@ -31,14 +31,14 @@ from nacre.light import (
     xyz_to_srgb_linear,
 )
 from nacre.material.material import load
-from nacre.optimise.evaluation import JUDGE_SEED, Reached
+from nacre.optimise.evaluation import JUDGE_SEED, TargetResult
 from nacre.optimise.gamut import colour_chart
 from nacre.optimise.html_report import PICTURE, REPORT
 from nacre.optimise.image.colour_grid import ColourGrid, ColourSampler, fine_grid, level_grid
 from nacre.optimise.image.files import ParameterMap, write_maps
 from nacre.optimise.image.matching import blurred, dither, has_same_hue, map_into_solid, match_colours
-from nacre.optimise.solutions import SUMMARY, Design, Solution, WantsProgress, clear_answers, write_recipe
-from nacre.optimise.task import Target
+from nacre.optimise.solutions import SUMMARY, Design, DesignProgress, Solution, clear_answers, write_recipe
+from nacre.optimise.task import DesignTask
 from nacre.optimise.thin_film.adapter import interrupt_flag
 from nacre.plot.html import DPI, data_uri
 
@@ -54,7 +54,7 @@ CHART_POINTS, CHART_MARKS = 4000, 400  # colours of the grid and of the picture 
 
 @dataclass(frozen=True, eq=False)
 class PictureDesign:
-    """Target picture and its reproduction.
+    """DesignTask picture and its reproduction.
 
     Attributes:
         asked: `[row, column, 3]`, encoded sRGB of the target.
@@ -77,7 +77,10 @@ class PictureDesign:
 
 
 def make_picture(
-    target: Target, sampler: ColourSampler, seconds: float = np.inf, is_interrupted: Callable[[], bool] = lambda: False
+    target: DesignTask,
+    sampler: ColourSampler,
+    seconds: float = np.inf,
+    is_interrupted: Callable[[], bool] = lambda: False,
 ) -> PictureDesign:
     """Assign a reachable colour to each pixel.
 
@@ -88,7 +91,7 @@ def make_picture(
     Raises:
         NacreError: a material cannot be computed in that time, or at all.
     """
-    want, levels, white = target.wants[0], target.spec.limits.levels, sampler.white
+    want, levels, white = target.targets[0], target.spec.limits.height_levels, sampler.white
     assert want.image is not None
     pixels = np.round(want.image.reshape(-1, 3) * 65535.0).astype(np.int64)
     # equal colours are matched once
@@ -97,19 +100,19 @@ def make_picture(
     asked = srgb_lab(want.image.reshape(-1, 3)[first])
     if levels is None:
         grid = fine_grid(sampler, seconds, is_interrupted)
-        found = match_colours(asked, np.asarray(xyz_to_lab(grid.xyz, white)), want.within)
+        found = match_colours(asked, np.asarray(xyz_to_lab(grid.xyz, white)), want.tolerance)
         points, distance = found.points[inverse], found.distance[inverse]
         is_mapped, keeps_hue = found.is_mapped[inverse], found.keeps_hue[inverse]
     else:
         grid = level_grid(sampler, levels)
-        mapped, moved = map_into_solid(asked, grid.flat_xyz, white, want.within)
+        mapped, moved = map_into_solid(asked, grid.flat_xyz, white, want.tolerance)
         points = dither(np.asarray(lab_to_xyz(mapped, white))[inverse], grid.flat_xyz, white)
         both = np.asarray(lab_to_xyz(asked, white))[inverse], np.asarray(grid.flat_xyz[points])
         distance = np.asarray(delta_e_2000(*(xyz_to_lab(blurred(xyz), white) for xyz in both)))
         is_mapped, keeps_hue = moved[inverse], has_same_hue(asked, mapped)[inverse]
     maps = [
         ParameterMap(p.path, values, p.low, p.high, levels)
-        for p, values in zip(target.free, grid.values(points), strict=True)
+        for p, values in zip(target.parameters, grid.values(points), strict=True)
     ]
     reached = screen_rgb(grid.flat_xyz[points], white)
     return PictureDesign(want.image, reached, distance, is_mapped, keeps_hue, maps, grid, white)
@@ -127,7 +130,7 @@ def screen_rgb(xyz: Array, white: Array) -> Array:
 
 
 def design_picture(
-    target: Target, folder: Path, begun: float, progress: Callable[[WantsProgress], None] | None
+    target: DesignTask, folder: Path, begun: float, progress: Callable[[DesignProgress], None] | None
 ) -> Design:
     """Design a picture.
 
@@ -141,13 +144,13 @@ def design_picture(
         RecipeError: a map would overwrite the picture, or the time limit is too short.
         NacreError: the material cannot be computed, or the folder cannot be written.
     """
-    want, total = target.wants[0], target.spec.search.seconds
+    want, total = target.targets[0], target.spec.search.seconds
     _check_overwriting(target, folder)
 
     def report(worst: float) -> None:
         if progress is not None:
             spent = time.monotonic() - begun
-            progress(WantsProgress(worst, spent, max(total - spent, 0.0)))
+            progress(DesignProgress(worst, spent, max(total - spent, 0.0)))
 
     report(float("inf"))
     sampler = _sampler(target)
@@ -155,12 +158,12 @@ def design_picture(
         left = GRID_SHARE * total - (time.monotonic() - begun)
         picture = make_picture(target, sampler, left, is_interrupted)
         stopped = is_interrupted()
-    report(float(picture.distance.mean()) / want.within)
+    report(float(picture.distance.mean()) / want.tolerance)
     facts = _figures(target, picture)
     solution = _write(target, folder, picture, facts)
     status = "met" if facts["share_out_of_reach"] <= MAX_UNREACHABLE else "out of reach"
     status = "interrupted" if stopped else status
-    message = in_words(facts, want.within, stopped)
+    message = in_words(facts, want.tolerance, stopped)
     summary: dict[str, Any] = {
         "status": status,
         "message": message,
@@ -183,26 +186,26 @@ def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
     write_text(folder / SUMMARY, json.dumps(summary, indent=2, default=str) + "\n")
 
 
-def _sampler(target: Target, is_final: bool = False) -> ColourSampler:
+def _sampler(target: DesignTask, is_final: bool = False) -> ColourSampler:
     light = target.spec.light
     seed = target.spec.search.seed + (JUDGE_SEED if is_final else 0)
     pair = (light.illuminants[0], light.observer)
-    return ColourSampler(target.material, target.free, target.wants[0].at, pair, seed, is_final)
+    return ColourSampler(target.material, target.parameters, target.targets[0].geometry, pair, seed, is_final)
 
 
-def _check_overwriting(target: Target, folder: Path) -> None:
-    name = target.spec.want[0].image
+def _check_overwriting(target: DesignTask, folder: Path) -> None:
+    name = target.spec.target[0].image
     assert name is not None
     path = real(target.context.path(name))
-    stems = [ParameterMap(p.path, np.zeros((1, 1)), 0.0, 1.0, None).stem for p in target.free]
+    stems = [ParameterMap(p.path, np.zeros((1, 1)), 0.0, 1.0, None).stem for p in target.parameters]
     if path in [(folder / other).resolve() for other in (*(f"{stem}.png" for stem in stems), REACHED, PICTURE)]:
         raise RecipeError(
             f"{folder}: contains the picture {path.name}, which would be overwritten; choose another with -o"
         )
 
 
-def _figures(target: Target, picture: PictureDesign) -> dict[str, Any]:
-    distance, mapped, levels = picture.distance, picture.is_mapped, target.spec.limits.levels
+def _figures(target: DesignTask, picture: PictureDesign) -> dict[str, Any]:
+    distance, mapped, levels = picture.distance, picture.is_mapped, target.spec.limits.height_levels
     count = int(mapped.sum())
     return {
         "pixels": list(distance.shape),
@@ -224,13 +227,13 @@ def _figures(target: Target, picture: PictureDesign) -> dict[str, Any]:
     }
 
 
-def _evaluate_pixels(target: Target, picture: PictureDesign) -> dict[str, Any]:
+def _evaluate_pixels(target: DesignTask, picture: PictureDesign) -> dict[str, Any]:
     """Compute some pixels with the accuracy of the final evaluation and another seed; return their differences."""
     sampler = _sampler(target, is_final=True)
     count = CHECKED_PIXELS if sampler.is_batched else CHECKED_SLOW
     values = np.stack([m.values.ravel() for m in picture.maps], axis=-1)
     chosen = values[np.random.default_rng(target.spec.search.seed).integers(len(values), size=count)]
-    low, high = (np.array([getattr(p, end) for p in target.free]) for end in ("low", "high"))
+    low, high = (np.array([getattr(p, end) for p in target.parameters]) for end in ("low", "high"))
     points, inverse = np.unique((chosen - low) / (high - low), axis=0, return_inverse=True)
     xyz = sampler.xyz(points)
     assert xyz is not None
@@ -241,7 +244,7 @@ def _evaluate_pixels(target: Target, picture: PictureDesign) -> dict[str, Any]:
     return {"pixels": count, "de00_mean": float(off.mean()), "de00_largest": float(off.max())}
 
 
-def _write(target: Target, folder: Path, picture: PictureDesign, facts: dict[str, Any]) -> Solution:
+def _write(target: DesignTask, folder: Path, picture: PictureDesign, facts: dict[str, Any]) -> Solution:
     """Write recipe, maps and the reproduced picture; load the recipe as a user would."""
     from PIL import Image
 
@@ -252,19 +255,25 @@ def _write(target: Target, folder: Path, picture: PictureDesign, facts: dict[str
     path, files = write_recipe(folder, target.material, changes, {})
     with atomic_path(folder / REACHED) as temporary:
         Image.fromarray(np.round(255.0 * picture.reached).astype(np.uint8)).save(temporary)
-    want, lamp = target.wants[0], target.spec.light.illuminants[0]
+    want, lamp = target.targets[0], target.spec.light.illuminants[0]
     asked, reached = (srgb_lab(rgb).mean(axis=(0, 1)) for rgb in (picture.asked, picture.reached))
     facts["files"] = [*files, *map_files, REACHED]
-    return Solution(path, load(path), changes, [Reached(want, lamp, reached, asked, facts["de00_mean"])], facts)
+    return Solution(path, load(path), changes, [TargetResult(want, lamp, reached, asked, facts["de00_mean"])], facts)
 
 
-def _document(solution: Solution, target: Target) -> dict[str, Any]:
-    want, worst = target.wants[0], solution.worst
+def _document(solution: Solution, target: DesignTask) -> dict[str, Any]:
+    want, worst = target.targets[0], solution.worst
     keys = ("de00_mean", "de00_median", "de00_99_percent", "de00_largest", "share_out_of_reach", "share_hue_kept")
-    entry = {"at": str(want.at), "lamp": worst.lamp, "asked": want.asked, "within": want.within, "met": worst.is_met}
+    entry = {
+        "geometry": str(want.geometry),
+        "lamp": worst.lamp,
+        "asked": want.asked,
+        "tolerance": want.tolerance,
+        "met": worst.is_met,
+    }
     entry |= {"de00": worst.distance, **{key: solution.facts[key] for key in keys}}
     rest = {key: value for key, value in solution.facts.items() if key not in keys}
-    document = {"recipe": str(solution.recipe), "worst": worst.scaled, "wants": [entry], "changes": solution.changes}
+    document = {"recipe": str(solution.recipe), "worst": worst.scaled, "targets": [entry], "changes": solution.changes}
     return document | rest
 
 
@@ -282,7 +291,7 @@ def in_words(facts: dict[str, Any], tolerance: float, stopped: bool = False) -> 
     )
 
 
-def _write_report(folder: Path, target: Target, design: Design, picture: PictureDesign, begun: float) -> None:
+def _write_report(folder: Path, target: DesignTask, design: Design, picture: PictureDesign, begun: float) -> None:
     """Write report.html and report.png; the summary gets the total time.
 
     Raises:
@@ -292,7 +301,8 @@ def _write_report(folder: Path, target: Target, design: Design, picture: Picture
     from nacre.plot.sheets import PictureSheet, picture_figure
 
     light = (target.spec.light.illuminants[0], target.spec.light.observer)
-    note = f"{light[0]}, {light[1]} observer, {target.wants[0].at}; the first row on top, seen from the light's side"
+    geometry = target.targets[0].geometry
+    note = f"{light[0]}, {light[1]} observer, {geometry}; the first row on top, seen from the light's side"
     maps = [(m.path, m.values) for m in picture.maps]
     title = "\n".join(textwrap.wrap(f"{target.name}: {design.message}", 118))
     sheet = PictureSheet(title, picture.asked, picture.reached, picture.distance, picture.is_mapped, maps, note)

@@ -8,36 +8,36 @@ from typing import Any
 from nacre.core.errors import NacreError, RecipeError
 from nacre.material.material import Material
 from nacre.optimise.parameters import Parameter
-from nacre.optimise.spec import WantsSpec
+from nacre.optimise.spec import DesignSpec
 
 MAX_PARAMETERS = 2
 
 
-def check_picture_target(spec: WantsSpec, base: Material, parameters: Sequence[Parameter], source: str) -> None:
+def check_picture_target(spec: DesignSpec, base: Material, parameters: Sequence[Parameter], source: str) -> None:
     """Refuse targets that a picture design cannot meet.
 
     Raises:
         RecipeError: with the key.
     """
-    for name, reason in (("layers", "the stack is fixed"), ("spread", "tolerances are not evaluated")):
+    for name, reason in (("layers", "the stack is fixed"), ("tolerance", "tolerances are not evaluated")):
         if getattr(spec, name):
             raise RecipeError(f"{source}: {name}: in a picture design {reason}; free one or two numbers that vary")
-    for name, value in (("total_nm", spec.limits.total_nm), ("layers", spec.limits.layers)):
+    for name, value in (("max_total_nm", spec.limits.max_total_nm), ("max_layers", spec.limits.max_layers)):
         if value is not None:
             raise RecipeError(f"{source}: limits.{name} does not apply to a picture; use the bounds of the parameters")
     if len(parameters) > MAX_PARAMETERS:
         paths = ", ".join(parameter.path for parameter in parameters)
-        raise RecipeError(f"{source}: free: {len(parameters)} numbers ({paths}); a picture takes one or two")
+        raise RecipeError(f"{source}: parameters: {len(parameters)} numbers ({paths}); a picture takes one or two")
     textures: dict[str, dict[str, Any]] = {}
     for p in parameters:
-        where = f'{source}: free."{p.path}"'
+        where = f'{source}: parameters."{p.path}"'
         if p.choices:
             raise RecipeError(f"{where}: a picture takes numbers that vary over the surface, not choices")
         if p.is_whole:
             raise RecipeError(f"{where}: only whole numbers are allowed there; a picture takes a continuous one")
         textures[p.path] = {"formula": f"{p.low!r} + {p.high - p.low!r}*u", "min": p.low, "max": p.high}
         _try(base, {p.path: textures[p.path]}, where)
-    _try(base, textures, f"{source}: free")
+    _try(base, textures, f"{source}: parameters")
 
 
 def _try(base: Material, textures: dict[str, dict[str, Any]], where: str) -> None:

@@ -18,12 +18,12 @@ from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import atomic_path, read_text, write_text
-from nacre.core.parallel import available_jobs, one_thread_each
+from nacre.core.parallel import available_jobs, single_threaded_blas
 from nacre.optimise.relief.merit import ConvergedMeasurement, Evaluator, Problem, exact_losses, measure_design
 from nacre.optimise.relief.report import write_preview, write_report
 from nacre.optimise.relief.search import Candidate, Progress, Search
 from nacre.optimise.relief.target import TargetSpec
-from nacre.recipe.fingerprint import identity
+from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.toml import dump_toml, parse_toml
 
@@ -141,13 +141,13 @@ def design(
     save_checkpoint(search, folder, output.fingerprint)
     final_start = time.monotonic()
     heights_nm = best * problem.height_max_nm
-    with one_thread_each():
+    with single_threaded_blas():
         measured = measure_design(problem, heights_nm, workers)
     search.seconds += time.monotonic() - final_start
     summary = output.write(best, search.stop_reason or "done", measured)
     if evaluate is not None:
         summary |= evaluate(folder, summary)
-    with one_thread_each():
+    with single_threaded_blas():
         summary |= write_report(folder / "report.html", spec, problem, heights_nm, measured, summary)
     write_text(folder / "design.json", json.dumps(summary, indent=2) + "\n")
     return DesignResult(folder, best * (problem.height_max_nm / 1e3), summary)
@@ -231,7 +231,7 @@ def _recipe_text(spec: TargetSpec) -> str:
 def target_fingerprint(spec: TargetSpec, problem: Problem, context: RecipeContext) -> str:
     """Return the fingerprint of a search: target, files that it names, and version of nacre."""
     target = hashlib.sha256(np.ascontiguousarray(problem.target).tobytes()).hexdigest()
-    return identity(spec.model_dump(exclude={"search": {"seconds"}}), context.files, target=target)
+    return fingerprint(spec.model_dump(exclude={"search": {"seconds"}}), context.files, target=target)
 
 
 def save_checkpoint(search: Search, folder: Path, fingerprint: str) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from nacre.core.arrays import Array
-from nacre.core.parallel import one_thread_each
+from nacre.core.parallel import single_threaded_blas
 from nacre.optimise.relief.merit import Evaluator, Problem
 
 # height ranges of the random starts, relative to the allowed range, about its middle (section 11.9)
@@ -155,7 +155,7 @@ class Search:
         reserved_s = LEVELS_SHARE * (time_limit_s or 0.0) if self.problem.levels else 0.0
         self._deadline = np.inf if time_limit_s is None else time.monotonic() + time_limit_s - reserved_s
         self._progress = progress
-        with one_thread_each():
+        with single_threaded_blas():
             while self.stage < len(self.plan):
                 self._run_stage(self.plan[self.stage])
                 if self._is_over():
