@@ -23,6 +23,7 @@ coherence = {sigma = 0.9}
 [target]
 """
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples" / "targets").glob("*.toml"))
+EXAMPLES = [path for path in EXAMPLES if "[target]" in path.read_text().splitlines()]
 
 
 def built(folder: Path, target: str, search: str = "", base: str = BASE) -> np.ndarray:

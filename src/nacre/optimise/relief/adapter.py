@@ -91,7 +91,7 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
         _check_colour(want)
     if colours and pictures and pictures[0].intensity_scale == "free":
         raise RecipeError(
-            f'{source}: {places[0]}.intensity_scale = "free" beside a colour at "{colours[0].geometry}"; '
+            f'{source}: {places[0]}.intensity_scale = "free" with a colour at "{colours[0].geometry}"; '
             f"give the brightness as a number, with {np.pi:.4g} for that of a white of pi f = 1"
         )
     data = {
@@ -148,7 +148,7 @@ def _bounds(spec: DesignSpec, source: str) -> tuple[float, int]:
     given, features = free.pop(HEIGHTS), free.pop(FEATURES, 32)
     if free:
         raise RecipeError(
-            f'{source}: parameters."{next(iter(free))}" beside heights: only heights can be free then; fix it in the recipe'
+            f'{source}: parameters."{next(iter(free))}" beside heights: only the heights vary; fix it in the recipe'
         )
     ends = [given.get("min"), given.get("max")] if isinstance(given, Mapping) else given
     low, high = ends if isinstance(ends, list | tuple) and len(ends) == 2 else (None, None)
