@@ -116,7 +116,7 @@ def test_the_nodes_of_passed_on_light_are_enough(substrate, films, monkeypatch):
 def test_a_mixture_of_two_equal_kinds_is_one_kind():
     one = ladder(550.0, 75.0, SILVER, 1.5, 0.1, 0.2, lmax=2)
     particle = one.particles[0]
-    halves = (dataclasses.replace(particle, share=0.5), dataclasses.replace(particle, share=0.5, kind=1))
+    halves = (dataclasses.replace(particle, share=0.5), dataclasses.replace(particle, share=0.5, species=1))
     two = dataclasses.replace(one, particles=halves)
     x = np.cos([0.1, 0.8, 1.3])
     alone, both = (_whole(layer, x)[1].above for layer in (one, two))
@@ -129,7 +129,7 @@ def test_a_mixture_with_a_dark_kind_passes_on_by_chance_of_who_is_who():
     density = 0.02 / np.pi / 75.0**2
     t = t_matrix(2, below.wavenumber * 75.0, SILVER)
     whole, half = (hard_disk_structure(n * density, n * 0.02, 4.5 * below.wavenumber * 1.5) for n in (1.0, 0.5))
-    mixed = Monolayer(below, (Particle(0.5, 75.0, t), Particle(0.5, 75.0, 1e-3 * t, kind=1)), whole, "qca-ladder")
+    mixed = Monolayer(below, (Particle(0.5, 75.0, t), Particle(0.5, 75.0, 1e-3 * t, species=1)), whole, "qca-ladder")
     alone = Monolayer(below, (Particle(1.0, 75.0, t),), half, "qca-ladder")
     mu, w = hemisphere_rule(12)
     passed = []

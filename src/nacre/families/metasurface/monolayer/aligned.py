@@ -54,7 +54,7 @@ from nacre.families.metasurface.monolayer.translation_sums import (
     unfolded,
     with_negative_orders,
 )
-from nacre.families.metasurface.species import Kind
+from nacre.families.metasurface.species import Species
 from nacre.families.metasurface.tmatrix.axisymmetric import TabulatedBody
 from nacre.families.metasurface.tmatrix.full_tmatrix import spread, truncated_full, truncated_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, dressed_matrix, hemisphere_rule
@@ -566,11 +566,11 @@ NO_ENSEMBLE = "aligned particles have no ensemble, so the error of their mean fi
 
 
 def aligned_lobes(
-    kind: Kind, wavelengths_nm: Array, monolayer: Callable[[float], Monolayer], structure: Structure, grids: Grids,
+    species: Species, wavelengths_nm: Array, monolayer: Callable[[float], Monolayer], structure: Structure, grids: Grids,
     eta: float,
 ) -> tuple[tuple[Lobe, ...], float]:  # fmt: skip
     """Solve all wavelengths for aligned particles; see `tabulate`."""
-    body = _body(kind)
+    body = _body(species)
 
     def layer(wavelength_nm: float) -> AlignedLayer:
         return AlignedLayer(monolayer(wavelength_nm), body.full_t_matrix(wavelength_nm))
@@ -578,26 +578,26 @@ def aligned_lobes(
     return tabulate_aligned(wavelengths_nm, layer, structure, aligned_grids(grids), eta, body.turn_rad)
 
 
-def powers_of_aligned(kind: Kind, layer: Monolayer, cosines: Array) -> tuple[Array, Array, Array, Array]:
+def powers_of_aligned(species: Species, layer: Monolayer, cosines: Array) -> tuple[Array, Array, Array, Array]:
     """Return specular R and T, diffuse R and T for light from above in the plane of x and z, each `[pol, angle]`.
 
     Args:
-        kind: the particles.
+        species: the particles.
         layer: of their rotational average.
         cosines: `[angle]`, of incidence, > 0.
     """
-    body = _body(kind)
+    body = _body(species)
     whole = AlignedLayer(layer, body.full_t_matrix(layer.surface.wavelength_nm))
     return aligned_powers(whole, cosines, -body.turn_rad)
 
 
-def values_of_aligned(kind: Kind, layer: Monolayer, wi: Array, wo: Array) -> Array:
+def values_of_aligned(species: Species, layer: Monolayer, wi: Array, wo: Array) -> Array:
     """Return the diffuse values of a few pairs of directions above, `[pair]`; see `powers_of_aligned`."""
-    body = _body(kind)
+    body = _body(species)
     whole = AlignedLayer(layer, body.full_t_matrix(layer.surface.wavelength_nm))
     return aligned_values(whole, wi, wo, body.turn_rad)
 
 
-def _body(kind: Kind) -> TabulatedBody:
-    assert isinstance(kind.body, TabulatedBody)  # only tabulated bodies are aligned
-    return kind.body
+def _body(species: Species) -> TabulatedBody:
+    assert isinstance(species.body, TabulatedBody)  # only tabulated bodies are aligned
+    return species.body

@@ -336,7 +336,7 @@ def _low(vectors: ComplexArray, order: int) -> ComplexArray:
 
 
 def _lights(parts: list[ComplexArray]) -> ComplexArray:
-    """Return `[pol, n, angle]` of each species as `[kind, n, light]`, polarisation before angle."""
+    """Return `[pol, n, angle]` of each species as `[species, n, light]`, polarisation before angle."""
     both = np.stack(parts).swapaxes(1, 2)
     return np.asarray(both.reshape(*both.shape[:2], -1))
 

@@ -53,7 +53,7 @@ class Modes:
         weights: of int d^2kappa / (2 pi)^2 / rho over modes of one azimuth, `[mode]`.
         back: reflection by the neighbours, `[n, n']`, added to that of the stack.
         step: G = D - 1, `[mode, n, n']`.
-        unlike: M_j over the mean M, `[kind, n, n']`; empty for equal particles.
+        unlike: M_j over the mean M, `[species, n, n']`; empty for equal particles.
         shares: number fractions of the species.
         azimuths: number of azimuths.
     """
@@ -76,7 +76,7 @@ class Modes:
 
         Args:
             centre_nm: mean centre height.
-            alone: M of each species without its neighbours, over all m, `[kind, n, n']`, of order `ORDER` or less.
+            alone: M of each species without its neighbours, over all m, `[species, n, n']`, of order `ORDER` or less.
         """
         k, rho = surface.inner_wavenumber, structure.density_per_nm2
         order = full_order(alone)
@@ -111,7 +111,7 @@ class Modes:
         """Return the power of all multiply scattered light per particle, nm^2/sr.
 
         Args:
-            met: b, the response to each incident wave, `[kind, n, light]`.
+            met: b, the response to each incident wave, `[species, n, light]`.
             kappa_i: of the incident waves, over k.
             leaving: u D, `[pol, n, view]`.
             kappa_s: of the views.

@@ -112,14 +112,14 @@ class Particle:
         centre_nm: centre height above the stack.
         t_matrix: diagonal, `[n]`, or the blocks of an axisymmetric particle, `[m, n, n']`.
         cut: in-plane wavenumber over k that truncates the coupling with the stack, or None.
-        kind: number of its species in a mixture.
+        species: number of its species in a mixture.
     """
 
     share: float
     centre_nm: float
     t_matrix: ComplexArray
     cut: float | None = None
-    kind: int = 0
+    species: int = 0
 
     @property
     def lmax(self) -> int:
