@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from helpers_metasurface import surface, t_matrix
+from validation.metasurface_helpers import cross_sections
 
 import nacre
 from nacre.core.errors import NacreError
@@ -15,11 +16,10 @@ from nacre.families.metasurface.monolayer.arrangement import Arrangement
 from nacre.families.metasurface.monolayer.evaluation import direct_powers
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     ParticleOnStack,
     amplitude,
-    cross_sections,
     reflection_operator,
 )
 from nacre.families.metasurface.tmatrix.special_functions import adjoint, mirrored, plane_wave_vectors

@@ -15,7 +15,7 @@ from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.ladder import Modes
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
-from nacre.families.metasurface.monolayer.translation_sums import all_orders, multipole_index
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, spread_blocks
 from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
 
 FAINT = 1e-3  # of M: what is passed on twice is then nothing
@@ -45,7 +45,7 @@ def _whole(layer, x):
 def test_what_neighbours_send_back_is_a_sum_over_pairs_in_space(packing, monkeypatch):
     """To first order 2 pi rho int g^2 W(-R) M W(R) R dR, of equal azimuthal orders; what is left falls as 1/kappa."""
     layer = monolayer(600.0, 75.0, 3.9, 1.5, 0.1, packing, lmax=2)
-    faint = FAINT * all_orders(layer.spheres[0].dressed, 2)
+    faint = FAINT * spread_blocks(layer.spheres[0].dressed, multipole_index(2))
     k, a = layer.surface.wavenumber, layer.structure.diameter_nm
     x, weight = np.polynomial.legendre.leggauss(400)
     edge, end = a * k, 60.0

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from helpers_metasurface import surface, t_matrix
 from validation.metasurface_ensembles import distance, judged, light, of_discs
+from validation.metasurface_helpers import plane_waves
 from validation.metasurface_mixtures import SILICON as DARK_SILICON
 from validation.metasurface_mixtures import SILVER as MIE_SILVER
 from validation.metasurface_mixtures import mixture
@@ -15,13 +16,13 @@ from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings, _kind_factor
 from nacre.families.metasurface.ensemble.interpolation import expected_seconds
-from nacre.families.metasurface.ensemble.multisphere import Coupling, Period, PlaneWaves, direct_coupling
+from nacre.families.metasurface.ensemble.multisphere import Coupling, Period, direct_coupling
 from nacre.families.metasurface.ensemble.supercells import Supercell, lift, with_species
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index
 from nacre.families.metasurface.species import widened
 from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions
 from nacre.material.material import material
 
@@ -116,7 +117,7 @@ def _far(below, order, theta_i, theta_s, azimuths, views):
 
     def waves(theta, around):
         each = [Directions.build(below, p.centre_nm, order, order, np.cos(theta)) for p in particles]
-        return PlaneWaves.build(each[0], np.asarray(around), order, below.wavenumber, each[1])
+        return plane_waves(each[0], np.asarray(around), order, below.wavenumber, each[1])
 
     solved = coupling.solve(PLACES, waves(theta_i, azimuths), KINDS)
     return coupling.far_field(PLACES, solved, waves(theta_s, views), KINDS)

@@ -8,7 +8,7 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,9 +24,11 @@ from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings
 from nacre.families.metasurface.ensemble.interpolation import EnsembleInterpolation, interpolate_ensemble
 from nacre.families.metasurface.monolayer.aligned import (
     NO_ENSEMBLE,
-    aligned_lobes,
-    powers_of_aligned,
-    values_of_aligned,
+    AlignedLayer,
+    aligned_grids,
+    aligned_powers,
+    aligned_values,
+    tabulate_aligned,
 )
 from nacre.families.metasurface.monolayer.arrangement import Arrangement, Pattern
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term, limit_to_incident_power
@@ -42,7 +44,7 @@ from nacre.families.metasurface.species import (
     non_sphere_notes,
     rotation_warnings,
 )
-from nacre.families.metasurface.tmatrix.axisymmetric import Body
+from nacre.families.metasurface.tmatrix.axisymmetric import Body, TabulatedBody
 from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
 from nacre.families.metasurface.tmatrix.particle_shapes import Shell, Sizes
 from nacre.families.metasurface.tmatrix.substrate import LOSSLESS_K, Embedded, Substrate
@@ -164,6 +166,15 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
     def is_aligned(self) -> bool:
         """Whether the particles are not axisymmetric and have one orientation."""
         return self.body is not None and self.body.is_aligned
+
+    @property
+    def _turn_rad(self) -> float:
+        return self.body.turn_rad if isinstance(self.body, TabulatedBody) else 0.0
+
+    def _aligned(self, layer: Monolayer) -> AlignedLayer:
+        """Return the aligned particles whose rotational average `layer` holds."""
+        assert isinstance(self.body, TabulatedBody)  # only tabulated bodies are aligned
+        return AlignedLayer(layer, self.body.full_t_matrix(layer.surface.wavelength_nm))
 
     @property
     def varies(self) -> bool:
@@ -381,8 +392,12 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         # a film on a clear substrate may guide light, with sharp features over the angle
         low = height <= LOW_WAVELENGTHS * lam[0] and not (self.transmits and self.layers)
         grids = choose_grids(eta if self.transmits else None, self.varies, thickness > THICK_FILM_NM, low)
-        made = partial(aligned_lobes, self.all_species[0]) if self.is_aligned else tabulate
-        lobes, excess = made(lam, layer, self.structure, grids, eta)
+        if self.is_aligned:
+            lobes, excess = tabulate_aligned(
+                lam, lambda w: self._aligned(layer(w)), self.structure, aligned_grids(grids), eta, self._turn_rad
+            )
+        else:
+            lobes, excess = tabulate(lam, layer, self.structure, grids, eta)
         notes: dict[str, Any] = {
             "energy_excess": round(excess, 6),
             "coverage": self.coverage,
@@ -480,7 +495,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
 
         def column(wavelength_nm: float) -> Array:
             if self.is_aligned:
-                return values_of_aligned(self.all_species[0], layer(wavelength_nm), arriving, leaving)
+                return aligned_values(self._aligned(layer(wavelength_nm)), arriving, leaving, self._turn_rad)
             return direct_values(layer(wavelength_nm), arriving, leaving)
 
         return np.stack(in_threads(column, [float(w) for w in wavelengths_nm]), axis=-1)
@@ -503,7 +518,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         cos = np.maximum(np.atleast_1d(np.asarray(cosines, dtype=float)), np.cos(np.radians(89.9)))
         layer = self.monolayer(wavelength_nm) if layer is None else layer
         if self.is_aligned:
-            return powers_of_aligned(self.all_species[0], layer, cos)
+            return aligned_powers(self._aligned(layer), cos, -self._turn_rad)
         if layer.correction == "qca-balanced" and layer.ratio is None:
             return direct_powers(layer, cos)
         reflected, passed = layer.specular_above(cos)

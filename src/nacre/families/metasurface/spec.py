@@ -405,7 +405,9 @@ class MetasurfaceSpec(RecipeModel):
         packing = occupied * apart if layer.packing is None else layer.packing
         if packing < occupied * (1 - 1e-9):
             floor = (
-                f"the coverage f = {coverage:.4g}" if len(all_species) == 1 else f"{occupied:.4g}, for the larger species"
+                f"the coverage f = {coverage:.4g}"
+                if len(all_species) == 1
+                else f"{occupied:.4g}, for the larger species"
             )
             raise context.fail(
                 "monolayer.packing",
@@ -519,8 +521,8 @@ def held(context: RecipeContext, all_species: tuple[Species, ...], host: int, la
             needs = "" if not above else f", or the sphere of radius {species.reach_nm:.4g} nm around them"
             raise context.fail(
                 f"{species.key}.depth_nm", species.depth_nm,
-                f"puts particles {species.height_nm:.4g} nm high{' and higher' if largest else ''} across a face of layer "
-                f"{host}, which lies {top:g} to {bottom:g} nm deep; it should hold them whole{needs}",
+                f"puts particles {species.height_nm:.4g} nm high{' and higher' if largest else ''} across a face of "
+                f"layer {host}, which lies {top:g} to {bottom:g} nm deep; it should hold them whole{needs}",
             )  # fmt: skip
         out.append(replace(species, gap_nm=max(gap, 0.0)))
     return tuple(out)

@@ -23,9 +23,11 @@ from nacre.families.metasurface.tmatrix.particle_on_stack import (
     ORDER_TOLERANCE,
     MultipoleConvergenceError,
     ParticleOnStack,
-    amplitude,
     choose_order,
     order_change,
+    pattern_change,
+    probe_pattern,
+    probes,
     rounded_up,
     wavenumber_cutoff,
 )
@@ -33,7 +35,6 @@ from nacre.families.metasurface.tmatrix.particle_shapes import Shell, Sizes, sph
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.indices.constant import OpticalConstant
 
-PROBED_LIGHT, PROBED_VIEWS = np.radians([0.0, 30.0, 60.0, 80.0]), np.radians(np.arange(5.0, 90.0, 12.0))
 GAP_STEPS = 16
 TOUCHES = 1e-9
 
@@ -71,7 +72,7 @@ def place(body: Body, surface: Substrate, gap_nm: float, order: int | None = Non
     less = replace(
         particle, cut=wavenumber_cutoff(particle.lmax, surface.wavenumber, body.circumscribing_nm, LOWER_CUT)
     )
-    return PlacedParticle(near, _difference(_pattern(surface, less), _pattern(surface, near)), True)
+    return PlacedParticle(near, pattern_change(_pattern(surface, less), _pattern(surface, near)), True)
 
 
 def smallest_converged_gap(
@@ -125,29 +126,17 @@ def _truncation(surface: Substrate, particle: Particle) -> float:
         _pattern(surface, replace(particle, t_matrix=truncated(particle.t_matrix, l)))
         for l in range(max(1, top - 2), top + 1)
     ]
-    last = _difference(patterns[-2], patterns[-1])
+    last = pattern_change(patterns[-2], patterns[-1])
     if len(patterns) < 3:
         return last
-    before = _difference(patterns[-3], patterns[-2])
+    before = pattern_change(patterns[-3], patterns[-2])
     return last * min(1.0, last / before) if before > 0 else last
 
 
 def _pattern(surface: Substrate, particle: Particle) -> Array:
-    """d sigma/d Omega at a few directions, `[pol_s, s, pol_i, i, phi]`."""
-    alone = ParticleOnStack(
-        surface, particle.centre_nm, particle.t_matrix, min(AZIMUTHAL_ORDERS, particle.lmax), particle.cut
-    )
-    fields: ComplexArray = amplitude(
-        alone.harmonics(alone.directions(np.cos(PROBED_VIEWS)), alone.directions(np.cos(PROBED_LIGHT))),
-        np.linspace(0.0, np.pi, 9),
-    )
-    return np.asarray(np.abs(fields) ** 2)
-
-
-def _difference(of: Array, to: Array) -> float:
-    """The largest relative L2 difference over the incidences."""
-    axes = (0, 1, 4)
-    return float(np.max(np.sqrt(np.sum((of - to) ** 2, axis=axes) / np.maximum(np.sum(to**2, axis=axes), 1e-300))))
+    mmax = min(AZIMUTHAL_ORDERS, particle.lmax)
+    alone = ParticleOnStack(surface, particle.centre_nm, particle.t_matrix, mmax, particle.cut)
+    return probe_pattern(alone.dressed, *probes(surface, particle.centre_nm, particle.lmax, mmax))
 
 
 logger = logging.getLogger("nacre")

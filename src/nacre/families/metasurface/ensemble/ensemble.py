@@ -31,8 +31,8 @@ from nacre.families.metasurface.monolayer.ensemble_ratio import (
 )
 from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer, Particle
 from nacre.families.metasurface.monolayer.qca import node_sines, node_weights
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix.axisymmetric import truncated
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
 
 WIDEST = np.radians(84.0)  # largest angle of incidence and view; the ratio extrapolates smoothly

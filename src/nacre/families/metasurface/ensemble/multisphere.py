@@ -19,15 +19,13 @@ from nacre.core.arrays import Array, ComplexArray
 from nacre.core.jit import compiled
 from nacre.families.metasurface.monolayer.monolayer import Particle
 from nacre.families.metasurface.monolayer.translation_sums import (
-    all_orders,
     direct_coefficients,
-    multipole_index,
     pair_orders,
     stack_contour,
     translation_coefficients,
-    with_negative_orders,
 )
-from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, ParticleOnStack
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, spread_blocks, with_negative_orders
+from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack
 from nacre.families.metasurface.tmatrix.special_functions import (
     bessel_j,
     legendre,
@@ -166,7 +164,7 @@ class Coupling:
         """
         particles, order = (particle, *others), particle.lmax
         alone = [ParticleOnStack(surface, p.centre_nm, p.t_matrix, order, p.cut) for p in particles]
-        dressed = np.stack([all_orders(sphere.dressed, order) for sphere in alone])
+        dressed = np.stack([spread_blocks(sphere.dressed, multipole_index(order)) for sphere in alone])
         k = surface.inner_wavenumber
         start = max(k * nearest_nm - 2 * STEP, STEP)
         count = int(np.ceil((k * farthest_nm - start) / STEP)) + 4
@@ -249,25 +247,6 @@ class PlaneWaves:
     excitation: ComplexArray
     emission: ComplexArray
     wavevectors: Array
-
-    @classmethod
-    def build(
-        cls, directions: Directions, azimuths: Array, order: int, wavenumber: float, *others: Directions
-    ) -> PlaneWaves:
-        """Rotate the vectors to each azimuth; `others` belong to the other species of a mixture."""
-        species = (directions, *others)
-        index = multipole_index(order)
-        turn = np.exp(1j * index.m[:, None] * azimuths)  # n, azimuth
-        parts = []
-        for name, phase in (("excitation", turn.conj()), ("emission", turn)):
-            spread = np.stack(
-                [with_negative_orders(getattr(one, name), index) for one in species]
-            )  # species, pol, n, angle
-            whole = spread[..., None] * phase[None, None, :, None]
-            parts.append(np.moveaxis(whole, 2, 1).reshape(len(species), len(index.m), -1))
-        along = np.stack([np.cos(azimuths), np.sin(azimuths)], axis=-1)
-        flat = (wavenumber * directions.transverse[:, None, None] * along).reshape(-1, 2)
-        return cls(parts[0], parts[1], np.concatenate([flat, flat]))
 
     @classmethod
     def of(cls, parts: list[PlaneWaves]) -> PlaneWaves:

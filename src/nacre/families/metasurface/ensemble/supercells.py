@@ -35,11 +35,11 @@ from nacre.families.metasurface.monolayer.qca import NeighbourTable, barycentric
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.monolayer.translation_sums import (
     folded,
-    multipole_index,
     pair_orders,
     translation_coefficients,
     unfolded,
 )
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
 from nacre.families.metasurface.tmatrix.special_functions import legendre
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 

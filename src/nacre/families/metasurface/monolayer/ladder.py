@@ -23,12 +23,8 @@ from scipy.fft import fft, ifft, rfft
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.monolayer.translation_sums import (
-    multipole_index,
-    neighbour_sums,
-    plane_wave_sums,
-    unfolded,
-)
+from nacre.families.metasurface.monolayer.translation_sums import neighbour_sums, plane_wave_sums, unfolded
+from nacre.families.metasurface.tmatrix.full_tmatrix import full_order, multipole_index
 from nacre.families.metasurface.tmatrix.substrate import LOSSLESS_K, Substrate
 
 NAME = "qca-ladder"
@@ -210,11 +206,6 @@ def check(correction: str, surface: Substrate, structure: Structure, source: str
         why = f"is not modelled for orders whose S peaks above {HIGHEST_PEAK:g}; here it is {sharpest:.3g}"
     if why:
         raise UnsupportedError(f'{source}: model.correction = "{NAME}" {why}; take another correction')
-
-
-def full_order(matrix: ComplexArray) -> int:
-    """Return the multipole order of matrices over all m, `[..., n, n']`, of 2 L (L + 2) multipoles."""
-    return int(round(np.sqrt(matrix.shape[-1] / 2 + 1))) - 1
 
 
 def _mixed(between: Array, sent: ComplexArray) -> ComplexArray:
