@@ -22,7 +22,7 @@ from common import Row, interleaved, parser, report, timed
 
 import nacre
 from nacre.bsdf import Bsdf
-from nacre.core.parallel import one_thread_each
+from nacre.core.parallel import single_threaded_blas
 from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack
 from nacre.material.material import load, material
 from nacre.matter.mie import mie_coefficients
@@ -74,7 +74,7 @@ def main(arguments: list[str] | None = None) -> int:
     wi, wo = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in np.abs(rng.normal(size=(2, 20_000, 3))))
 
     def alone() -> float:
-        with one_thread_each():  # as the product calls it: BLAS spins beside other work
+        with single_threaded_blas():  # as the product calls it: BLAS spins beside other work
             return harmonic_table(example, wavelengths)
 
     with tempfile.TemporaryDirectory() as folder:

@@ -40,14 +40,14 @@ def _labs(made: Material, wants: list[str]) -> np.ndarray:
 def labs(data: dict[str, Any], changes: dict[str, Any], wants: list[str]) -> list[list[float]] | None:
     """CIELAB of a recipe at mirror and diffuse geometries; None where it cannot be computed."""
     try:
-        return _labs(nacre.material(data).vary(changes).for_many(is_told=True), wants).tolist()
+        return _labs(nacre.material(data).vary(changes).at_low_fidelity(is_reported=True), wants).tolist()
     except NacreError:
         return None
 
 
 def differences(recipe: str, wants: list[str], labs: list[list[float]]) -> list[float]:
     """dE00 of the answer to what was wanted."""
-    found = _labs(nacre.load(recipe).for_many(is_told=True), wants)
+    found = _labs(nacre.load(recipe).at_low_fidelity(is_reported=True), wants)
     return [float(d) for d in colour.delta_E(found, np.array(labs), method="CIE 2000")]
 
 

@@ -82,8 +82,8 @@ def test_the_graph_sees_every_kind_of_import(tmp_path: Path) -> None:
         (package / name).write_text(text)
     graph = ImportGraph(package)
     assert graph.arrows["nacre.top"] == {"nacre.low.inner"}
-    assert graph.arrows["nacre.core.lazy"] == {"nacre.top"}
-    assert graph.arrows["nacre.typed"] == {"nacre.core.lazy"}
+    assert graph.arrows["nacre.lazy"] == {"nacre.top"}
+    assert graph.arrows["nacre.typed"] == {"nacre.lazy"}
     assert graph.arrows["nacre.text"] == {"nacre.typed"}
     assert graph.circles() == [["nacre.back", "nacre.round"]]
 

@@ -298,7 +298,7 @@ def test_fit(both: Both) -> None:
 @families("pearl", "metasurface", "relief")
 @pytest.mark.render
 def test_sweep(both: Both) -> None:
-    numbers = nacre.load(both.recipe).free_numbers
+    numbers = nacre.load(both.recipe).parameters
     path = NUMBERS.get(both.recipe.stem, next(iter(numbers)))
     value = numbers[path]
     (both.recipe.parent / "plan.toml").write_text(
@@ -339,7 +339,7 @@ def test_fabricate(both: Both, to: str) -> None:
 @families("pearl", "metasurface", "relief", "blend")
 @pytest.mark.render
 def test_gamut(both: Both) -> None:
-    number = NUMBERS.get(both.recipe.stem) or next(iter(nacre.load(both.recipe).free_numbers))
+    number = NUMBERS.get(both.recipe.stem) or next(iter(nacre.load(both.recipe).parameters))
     value = nacre.load(both.recipe).get(number)
     free = f"{number}={0.9 * value}:{1.1 * value}"
     arguments = ["gamut", str(both.recipe), "--free", free, "--points", "8", "--samples", str(SAMPLES), "--json"]
@@ -353,7 +353,7 @@ def test_gamut(both: Both) -> None:
 def test_design(both: Both, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every candidate meets the want, so that the clock, which may let one come further, does not matter."""
     monkeypatch.setattr("nacre.optimise.methods.least_squares.MET", 1e9)  # the first answer will do
-    number = NUMBERS.get(both.recipe.stem) or next(iter(nacre.load(both.recipe).free_numbers))
+    number = NUMBERS.get(both.recipe.stem) or next(iter(nacre.load(both.recipe).parameters))
     value = nacre.load(both.recipe).get(number)
     (both.recipe.parent / "asked.toml").write_text(
         f'recipe = "{both.recipe.name}"\n[free]\n"{number}" = [{0.9 * value}, {1.1 * value}]\n'

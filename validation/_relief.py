@@ -14,7 +14,7 @@ from nacre.families.relief.prefactor import coating_reflectance
 from nacre.families.relief.surface import Tile
 from nacre.matter.indices.library import index
 from nacre.optimise.relief.merit import Evaluator, Measurement, Problem, measure_design
-from nacre.optimise.relief.search import Search, one_thread_each
+from nacre.optimise.relief.search import Search, single_threaded_blas
 from nacre.optimise.relief.target import TargetSpec
 from nacre.recipe.model import RecipeContext, validate
 from validation.relief_published_renders import REFERENCE, load
@@ -109,7 +109,7 @@ def short_design(problem: Problem, starts: int = STARTS, seed: int = 1) -> Array
 
 def measured(problem: Problem, heights_nm: Array) -> Measurement:
     """Return losses and picture at a sampling that no longer matters."""
-    with one_thread_each():
+    with single_threaded_blas():
         return measure_design(problem, heights_nm)
 
 

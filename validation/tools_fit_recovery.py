@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib import pyplot
 
 import nacre
-from nacre.analysis.fit import Fit, Measured, read_free, run_fit
+from nacre.analysis.fit import Fit, Measured, fit_parameters, run_fit
 from nacre.bsdf.grids import direction
 from nacre.core.arrays import Array
 from nacre.formats.gonio_csv import GonioData
@@ -104,7 +104,7 @@ def gonio_of(material: nacre.Material, seed: int) -> Measured:
 def fit_one(recipe: dict[str, Any], seed: int) -> tuple[dict[str, float], Fit]:
     """Fit one draw; return the truth beside the fit."""
     truth, material = truth_of(recipe, seed), nacre.material(recipe)
-    real, free = material.vary(truth), read_free(material)
+    real, free = material.vary(truth), fit_parameters(material)
     if recipe is FILM:
         measured = spectrum_of(real, FILM_WAVES, FILM_ANGLES, PARTS[:1], seed)
         return truth, run_fit(material, measured, free, starts=3)

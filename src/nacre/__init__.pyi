@@ -1,4 +1,5 @@
 from . import design as design
+from . import material as material
 from . import plot as plot
 from . import render as render
 from . import studio as studio
@@ -17,4 +18,3 @@ from .bsdf import Bsdf as Bsdf
 from .core.errors import NacreError as NacreError
 from .material.material import Material as Material
 from .material.material import load as load
-from .material.material import material as material

@@ -13,18 +13,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.analysis.fit import Fit, read_free, read_measurement, run_fit
+from nacre.analysis.fit import Fit, fit_parameters, read_measurement, run_fit
 from nacre.analysis.import_export import export_material, import_material
 from nacre.analysis.report import Report, make_report
 from nacre.analysis.sweep import run_sweep
 from nacre.analysis.sweep_plan import load_sweep
-from nacre.analysis.tolerance import Tolerance, read_spreads, run_tolerance
+from nacre.analysis.tolerance import ToleranceResult, recipe_tolerances, run_tolerance
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array, floats
 from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.files import DESIGN_RECIPE, check_writable, short_name
-from nacre.families.contract import Model
+from nacre.families.contract import Model, fabrications
 from nacre.formats.fabrication import SUFFIXES, HeightOptions, write_drawing
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
@@ -33,7 +33,7 @@ from nacre.material.material import Material, MaterialLike, as_material, load, l
 from nacre.material.number_maps import number_maps
 from nacre.matter.drawings import DrawingRequest
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
-from nacre.optimise.gamut import Gamut, find_gamut, parse_free
+from nacre.optimise.gamut import Gamut, find_gamut, parse_parameters
 
 __all__ = ["evaluate", "export", "fabricate", "fit", "gamut", "import_", "report", "spectrum", "sweep", "tolerance"]
 
@@ -115,7 +115,7 @@ def report(
 
 def tolerance(
     thing: MaterialLike, spreads: Iterable[str] = (), *, draws: int = 500, limit: float = 1.0, **options: Any
-) -> Tolerance:
+) -> ToleranceResult:
     """Turn manufacturing spreads into the distribution of colour, yield and ranked sensitivities.
 
     Args:
@@ -128,7 +128,7 @@ def tolerance(
         NacreError: no spread, or one that names no number of the recipe.
     """
     material = as_material(thing)
-    return run_tolerance(material, read_spreads(material, tuple(spreads)), draws=draws, limit=limit, **options)
+    return run_tolerance(material, recipe_tolerances(material, tuple(spreads)), draws=draws, limit=limit, **options)
 
 
 def fit(
@@ -152,7 +152,7 @@ def fit(
             raise NacreError(f"{report}: the suffix must be .html")
         check_writable(report)
     material, measured = as_material(thing), read_measurement(measurement)
-    numbers = read_free(material, tuple(free))
+    numbers = fit_parameters(material, tuple(free))
     found = run_fit(material, measured, numbers, starts=starts, **options)
     if report is not None:
         from nacre.analysis.fit_report import write_fit_page
@@ -193,7 +193,7 @@ def gamut(
 
     Example: `nacre.gamut("oxide.toml", ["layers[0].thickness_nm=0:400"]).share_of_srgb`.
     """
-    table = free if isinstance(free, Mapping) else parse_free(free)
+    table = free if isinstance(free, Mapping) else parse_parameters(free)
     return find_gamut(
         as_material(thing), table, at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
         within=within, samples=samples, seed=seed,
@@ -307,7 +307,7 @@ def fabricate(
         name = short_name(place) if Path(place).name == DESIGN_RECIPE else Path(place).name
     if not isinstance(model, Model):
         raise UnsupportedError(f"{model!r:.60} is no material, no path or name of one and no table of a recipe")
-    drawers = model.fabrications
+    drawers = fabrications(model)
     if to not in drawers:
         maps = number_maps(source) if isinstance(source, Material) else []
         if maps and to in MAP_FORMATS:
@@ -320,7 +320,7 @@ def fabricate(
         formats = [*drawers, *(MAP_FORMATS if maps else ())]
         known = f"Formats: {', '.join(formats)}" if formats else "It has none: nothing of it can be drawn"
         hint = did_you_mean(to, drawers)
-        raise UnsupportedError(f"{place}: --to {to} is not known for a {model.noun}.{hint} {known}")
+        raise UnsupportedError(f"{place}: --to {to} is not known for a {model.traits.noun}.{hint} {known}")
     if isinstance(calibration, Mapping):
         raise UnsupportedError(f"{place}: --calibration PATH=CSV is for maps of numbers; --to {to} takes one curve")
     drawing = drawers[to](DrawingRequest(size_mm, seed))

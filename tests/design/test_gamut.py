@@ -13,7 +13,7 @@ import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.light import lab_to_xyz, spectrum_to_xyz, table_wavelengths_nm, white_xyz, xyz_to_lab
-from nacre.optimise.gamut import _answered, optimal_colours, parse_free, share_within, srgb_colours
+from nacre.optimise.gamut import _answered, optimal_colours, parse_parameters, share_within, srgb_colours
 
 OXIDE = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]}
 FREE = ["layers[0].thickness_nm=0:400"]
@@ -92,7 +92,7 @@ def test_bad_options_are_told_in_one_line(option: str, word: str) -> None:
 
 
 def test_choices_and_bounds_are_told_apart() -> None:
-    table = parse_free(["substrate=Al,Ag", "layers[0].thickness_nm=10:20"])
+    table = parse_parameters(["substrate=Al,Ag", "layers[0].thickness_nm=10:20"])
     assert table == {"substrate": {"choices": ["Al", "Ag"]}, "layers[0].thickness_nm": [10.0, 20.0]}
 
 
@@ -136,4 +136,4 @@ def test_what_a_recipe_has_no_mirror_for_is_looked_at_elsewhere(tmp_path: Path) 
     """The usual look of blends is that of films, and both reliefs of this one only scatter."""
     relief = _relief(tmp_path)
     blend = nacre.material({"family": "blend", "first": relief, "second": {**relief, "coating": "Cu"}, "mask": 0.5})
-    assert blend.model.usual_look == "specular 0" and str(_answered([blend], None, "r: at")) == "45as15"
+    assert blend.model.traits.default_geometry == "specular 0" and str(_answered([blend], None, "r: at")) == "45as15"

@@ -13,7 +13,7 @@ from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000
 from nacre.matter.indices.library import index
 from nacre.matter.stack.solve import powers
-from nacre.matter.stack.thickness_gradient import scratch, spectra_and_slopes, stack_tables
+from nacre.matter.stack.thickness_gradient import scratch, spectra_and_gradients, stack_tables
 from nacre.optimise.merit import Goal, Goals, default_wavelengths_nm
 from nacre.optimise.thin_film.levenberg_marquardt import descend, workspace
 from nacre.optimise.thin_film.merit_kernel import compile_goals, look, share_outside
@@ -40,7 +40,7 @@ def spectra_of(names: list[str], d: list[float], substrate: str, angles: list[fl
     tables = stack_tables(n, GRID, np.radians(angles), sides)
     seen = np.zeros((len(angles), len(GRID)))
     media = np.arange(1, len(names) + 1)
-    spectra_and_slopes(
+    spectra_and_gradients(
         tables, media, np.array(d), len(names), len(names) + 1, False, scratch(len(names)), seen, np.zeros((1, 1, 1))
     )
     return seen
@@ -65,7 +65,7 @@ def test_the_kernel_agrees_with_the_general_solver_beyond_one_block_of_wavelengt
     tables = stack_tables(n, wavelengths, angles, ["reflected", "transmitted"])
     d = np.array([120.0, 30.0, 400.0])
     seen = np.zeros((2, 200))
-    spectra_and_slopes(tables, np.array([1, 2, 3]), d, 3, 4, False, scratch(3), seen, np.zeros((1, 1, 1)))
+    spectra_and_gradients(tables, np.array([1, 2, 3]), d, 3, 4, False, scratch(3), seen, np.zeros((1, 1, 1)))
     general = powers(n, d, wavelengths, angles)
     assert abs(seen[0] - general.reflectance[0]).max() < ROUNDING
     assert abs(seen[1] - general.transmittance[1]).max() < ROUNDING
@@ -85,13 +85,13 @@ def test_slopes_are_finite_differences_also_at_zero_thickness(thickness: float) 
     d, step = np.array([70.0, thickness, 120.0]), 1e-3
     media, w = np.array([1, 2, 3]), scratch(3)
     seen, slopes = np.zeros((3, len(GRID))), np.zeros((3, 3, len(GRID)))
-    spectra_and_slopes(tables, media, d, 3, 4, True, w, seen, slopes)
+    spectra_and_gradients(tables, media, d, 3, 4, True, w, seen, slopes)
     for j in range(3):
         ahead, further = np.zeros_like(seen), np.zeros_like(seen)
         for steps, out in ((1, ahead), (2, further)):
             moved = d.copy()
             moved[j] += steps * step
-            spectra_and_slopes(tables, media, moved, 3, 4, False, w, out, slopes.copy())
+            spectra_and_gradients(tables, media, moved, 3, 4, False, w, out, slopes.copy())
         forward = (4.0 * ahead - further - 3.0 * seen) / (2.0 * step)  # of second order, from one side
         assert abs(forward - slopes[:, j]).max() < 1e-6 * abs(slopes).max()
 
@@ -120,7 +120,7 @@ def test_the_compiled_goals_are_those_of_the_judge() -> None:
     media, d = np.array([2, 5, 3]), np.array([80.0, 10.0, 130.0])
 
     def residuals(thicknesses: np.ndarray, slopes: bool) -> np.ndarray:
-        spectra_and_slopes(tables, media, thicknesses, 3, 6, slopes, s.w, s.spectra, s.slopes)
+        spectra_and_gradients(tables, media, thicknesses, 3, 6, slopes, s.w, s.spectra, s.slopes)
         look(looks, s.spectra, s.slopes, 3, slopes, s.r, s.jacobian, s.u)
         return s.r.copy()
 

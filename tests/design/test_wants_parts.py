@@ -77,10 +77,11 @@ def test_an_answers_file_names_the_quick_way_that_it_was_judged_by(tmp_path: Pat
         "monolayer": {"coverage": 0.1, "packing": 0.3},
     }  # fmt: skip
     start = nacre.material(dense)
-    assert start.model.slow_way
-    many = start.for_many()
+    assert start.model.expensive_method
+    many = start.at_low_fidelity()
     recipe, _ = write_recipe(tmp_path / "dense", many, as_judged(many, {"particle.radius_nm": 60.0}), {})
-    assert not nacre.load(recipe).model.slow_way and nacre.load(recipe).get("model.correction") == "qca-balanced"
+    found = nacre.load(recipe)
+    assert not found.model.expensive_method and found.get("model.correction") == "qca-balanced"
     recipe, _ = write_recipe(tmp_path / "thin", many, as_judged(many, {"monolayer.coverage": 0.02}), {})
     assert "model" not in nacre.load(recipe).data
 

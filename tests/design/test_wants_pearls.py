@@ -49,7 +49,7 @@ def labs_of(recipe: dict[str, Any], walks: int = 1 << 16) -> np.ndarray:
     nm = np.arange(380.0, 781.0, 20.0)
     wi = np.repeat(direction(np.radians([45.0])), len(ANGLES), axis=0)
     wo = np.stack([aspecular_direction(45.0, a) for a in ANGLES])
-    found = nacre.material(recipe).model.walked_at(wi, wo, nm, walks, 991)
+    found = nacre.material(recipe).model.estimate_radiance(wi, wo, nm, walks, 991)
     assert found is not None
     return np.asarray(xyz_to_lab(np.pi * found[0] @ smooth_weights(nm, "D65", "10deg"), white_xyz("D65", "10deg")))
 

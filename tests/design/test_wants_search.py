@@ -17,8 +17,8 @@ from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.optimise.evaluation import judge, rows_of
-from nacre.optimise.free import Free
 from nacre.optimise.methods.least_squares import GeneralSearch
+from nacre.optimise.parameters import Parameter
 from nacre.optimise.run import WantsProgress, search_of
 from nacre.optimise.solutions import are_alike
 from nacre.optimise.task import read_target
@@ -210,7 +210,7 @@ def test_whole_numbers_and_words_alone_are_tried_one_by_one() -> None:
         "want": [{"at": "30as15", "lab": [50, 0, 0]}],
     }  # fmt: skip
     read = read_target(target)
-    assert Free("ridges.count", 1.0, 3.0, (), True) in read.free
+    assert Parameter("ridges.count", 1.0, 3.0, (), True) in read.free
     search = GeneralSearch(read.material, read.free, read.wants, read.spec.light, 0, 1)
     assert search.run(30.0) in ("exhausted", "met")
     assert isinstance(search.answers()[0][1]["ridges.count"], int)

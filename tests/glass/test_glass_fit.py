@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.analysis.fit import CORRECTION_SEEDS, CORRECTIONS, Measured, read_free, run_fit
+from nacre.analysis.fit import CORRECTION_SEEDS, CORRECTIONS, Measured, fit_parameters, run_fit
 from nacre.families.glass import material as glass_material
 from nacre.formats.gonio_csv import GonioData
 from nacre.studio.appearance import appearances
@@ -48,7 +48,7 @@ def test_a_rough_glass_is_fitted_with_a_handful_of_walks(monkeypatch: pytest.Mon
     monkeypatch.setattr(glass_material, "walk", counted)
     monkeypatch.setattr(glass_material, "diffuse_table", never)
     start = truth.vary(START)
-    fit = run_fit(start, measured, read_free(start), starts=0)
+    fit = run_fit(start, measured, fit_parameters(start), starts=0)
     assert 0 < len(walks) <= (CORRECTIONS * CORRECTION_SEEDS + 1) * len(ANGLES)
     for number in fit.numbers:
         assert number.is_determined
@@ -72,7 +72,7 @@ def test_the_fast_form_is_fitted_without_tables_and_walks(monkeypatch: pytest.Mo
     seen = Measured("gonio", WAVES, gonio.values, gonio=gonio)
     looks = Measured("gonio", WAVES, seen.model(truth, None, 0), gonio=gonio)
     for measured in (Measured("spectrum", WAVES, values[None], ("diffuse_reflectance",), ANGLES), looks):
-        fit = run_fit(start, measured, read_free(start), starts=0)
+        fit = run_fit(start, measured, fit_parameters(start), starts=0)
         for number in fit.numbers:
             assert number.value == pytest.approx(TRUTH[number.path], rel=1e-4)
 

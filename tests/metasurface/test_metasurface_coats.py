@@ -8,7 +8,7 @@ import pytest
 import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.core.parallel import one_thread_each
+from nacre.core.parallel import single_threaded_blas
 from nacre.families.metasurface.tmatrix import particle_shapes
 from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks, gain, mirror_signs
 from nacre.families.metasurface.tmatrix.bem import Mesh, block_t_matrix, locate
@@ -30,7 +30,7 @@ SILVER, SILICA, SILICON = 0.06 + 3.4j, 1.46, 4.0 + 0.03j
 @pytest.fixture(autouse=True)
 def small_matrices_on_one_thread():
     """As the product solves them: on a loaded machine threads of linear algebra wait for each other."""
-    with one_thread_each():
+    with single_threaded_blas():
         yield
 
 

@@ -11,7 +11,7 @@ from validation.metasurface_ensembles import light
 
 from nacre.bsdf import Bsdf
 from nacre.core.errors import NacreError
-from nacre.core.progress import heard_by
+from nacre.core.progress import on_progress
 from nacre.families.metasurface import model_selection
 from nacre.families.metasurface.ensemble import interpolation
 from nacre.families.metasurface.ensemble.ensemble import ANGLES, Ensemble, same_order
@@ -280,7 +280,7 @@ def test_a_shape_that_only_a_t_matrix_tells_is_not_taken_for_a_sphere():
 def test_an_ensemble_is_told_stored_and_solved_once(tmp_path, monkeypatch, caplog):
     monkeypatch.setenv("NACRE_CACHE", str(tmp_path))
     heard, grid = [], np.array([480.0, 520.0])
-    with heard_by(lambda what, seconds: heard.append(what)), caplog.at_level(logging.WARNING, "nacre"):
+    with on_progress(lambda what, seconds: heard.append(what)), caplog.at_level(logging.WARNING, "nacre"):
         dark = {"substrate": {"n": 1.5, "k": 0.01}}  # nothing comes from below: a third of the work
         first = material(recipe(**dark)).bsdf(grid[:1])
         both = material(recipe(**dark)).bsdf(grid)
@@ -321,7 +321,7 @@ def test_a_stopped_run_solves_no_pattern_twice_and_comes_to_the_same(tmp_path, m
         first = _stopping(patched, 3)
         with pytest.raises(KeyboardInterrupt):
             material(recipe(**dark)).bsdf(np.array([500.0]))
-    with monkeypatch.context() as patched, heard_by(lambda what, seconds: heard.append(what)):
+    with monkeypatch.context() as patched, on_progress(lambda what, seconds: heard.append(what)):
         rest = _stopping(patched, 99)
         found = material(recipe(**dark)).bsdf(np.array([500.0]))
     assert sorted(first + rest) == list(range(SMALL["realisations"])) and len(first) == 3
@@ -375,15 +375,15 @@ def test_many_materials_take_the_mean_field_unless_the_recipe_names_the_ensemble
     alone = material(recipe({"correction": "auto"}, substrate="air"))
     assert alone.model.chosen_correction[0] == "ensemble"
     with caplog.at_level(logging.WARNING, "nacre"):
-        quick = alone.for_many()
+        quick = alone.at_low_fidelity()
     assert "among many it takes the quick way" in caplog.text
     caplog.clear()
     with caplog.at_level(logging.WARNING, "nacre"):
-        alone.for_many(is_told=True)
+        alone.at_low_fidelity(is_reported=True)
     assert not caplog.text
     assert quick.vary({"monolayer.coverage": 0.2}).model.chosen_correction[0] == "qca-balanced"
-    assert quick.identity != alone.identity
-    assert material(recipe()).for_many().model.chosen_correction[0] == "ensemble"
+    assert quick.fingerprint != alone.fingerprint
+    assert material(recipe()).at_low_fidelity().model.chosen_correction[0] == "ensemble"
 
 
 def test_numbers_that_vary_take_the_mean_field_and_say_so_once(caplog):

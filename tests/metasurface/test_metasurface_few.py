@@ -87,11 +87,11 @@ def test_the_spectrum_is_that_of_the_integrated_bsdf():
 
 def test_a_candidate_with_a_memory_is_the_model_itself_to_a_thousandth():
     memory: dict = {}
-    near = _made(radius_nm=68.0).model.among_many(memory)
+    near = _made(radius_nm=68.0).model.search_model(memory)
     grid, angles = np.array([500.0, 600.0]), np.radians([0.0, 60.0])
     near.spectrum(angles, grid)
     made = _made(radius_nm=70.0).model
-    kept, own = made.among_many(memory).spectrum(angles, grid), made.spectrum(angles, grid)
+    kept, own = made.search_model(memory).spectrum(angles, grid), made.spectrum(angles, grid)
     assert len(memory) == 2
     assert np.abs(kept.diffuse_reflectance - own.diffuse_reflectance).max() <= 1e-3
 
@@ -99,7 +99,7 @@ def test_a_candidate_with_a_memory_is_the_model_itself_to_a_thousandth():
 def test_a_rough_candidate_leaves_the_near_fields_of_neighbours_out():
     made = _made().model
     grid, angles = np.array([500.0]), np.radians([30.0])
-    rough = made.among_many({}, True).spectrum(angles, grid).diffuse_reflectance
+    rough = made.search_model({}, True).spectrum(angles, grid).diffuse_reflectance
     own = made.spectrum(angles, grid).diffuse_reflectance
     # near fields change the light, but not so much that the order of first draws is lost
     assert 1e-4 < abs(rough / own - 1.0).max() < 1.0

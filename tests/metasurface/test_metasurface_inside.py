@@ -256,7 +256,7 @@ def test_depth_counts_from_the_top_of_all_layers_to_the_particles_tops():
 def test_candidates_near_either_face_are_given_orders_of_their_own():
     memory = {}
     for depth in (121, 200):
-        model = nacre.material({**recipe(depth_nm=depth), "model": {}}).model.among_many(memory)
+        model = nacre.material({**recipe(depth_nm=depth), "model": {}}).model.search_model(memory)
         model = dataclasses.replace(model, gap_nm=40.0)  # as if the layer were thinner: the lower face stays as near
         surface = model.surface(550.0)
         thinner = np.array([120.0, 40.0 + 120.0 + (depth - 120.0)])

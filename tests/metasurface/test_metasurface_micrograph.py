@@ -108,9 +108,9 @@ def test_a_recipe_takes_a_picture_as_it_takes_its_points(tmp_path):
     # both guess the period from their own outermost points, which moves the speckle of single modes: means are compared
     s = [m.model.structure.structure_factor(q).reshape(6, 10).mean(axis=1) for m in (seen, listed)]
     assert np.abs(s[0] - s[1]).max() <= 0.1 < 0.5 < np.ptp(s[1])
-    before = seen.identity
+    before = seen.fingerprint
     picture(tmp_path / "sem.png", drawn(pattern.xy_nm + [0.25 * box, 0.0], 66.0, (1.5 * box, box)))
-    assert material(_recipe(points="sem.png", width_um=1.5e-3 * box), tmp_path).identity != before
+    assert material(_recipe(points="sem.png", width_um=1.5e-3 * box), tmp_path).fingerprint != before
 
 
 def test_sixteen_bits_are_read(tmp_path):

@@ -320,4 +320,4 @@ def test_a_mixture_varies_as_other_recipes_do():
     made = material(recipe(two({"material": SILICON, "radius_nm": 75}, {"material": SILVER, "radius_nm": 50}, 0.3)))
     other = made.vary({"particle.second.share": 0.6, "particle.second.radius_nm": 45})
     assert other.model.second.share == 0.6 and other.model.second.mean_radius_nm == 45
-    assert other.identity != made.identity
+    assert other.fingerprint != made.fingerprint

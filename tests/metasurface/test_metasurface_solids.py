@@ -8,7 +8,7 @@ from helpers_metasurface import reference, surface, t_matrix
 
 import nacre
 from nacre.cli import run
-from nacre.core.parallel import one_thread_each
+from nacre.core.parallel import single_threaded_blas
 from nacre.families.metasurface.tmatrix import particle_shapes
 from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks, gain, mirror_signs
 from nacre.families.metasurface.tmatrix.bem import Mesh, block_t_matrix
@@ -36,7 +36,7 @@ correction = "qca-balanced"
 @pytest.fixture(autouse=True)
 def small_matrices_on_one_thread():
     """As the product solves them: on a loaded machine threads of linear algebra wait for each other."""
-    with one_thread_each():
+    with single_threaded_blas():
         yield
 
 

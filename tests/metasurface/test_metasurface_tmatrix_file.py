@@ -488,10 +488,10 @@ def test_a_changed_file_is_another_material(tmp_path):
     write_tmatrices(tmp_path / "a.tmat.h5", _spheres(), "sphere")
     path = _recipe(tmp_path, 'tmatrix = "a.tmat.h5"')
     first = nacre.load(path)
-    before, kept = first.identity, first.model.powers([1.0], 500.0)[2]
+    before, kept = first.fingerprint, first.model.powers([1.0], 500.0)[2]
     write_tmatrices(tmp_path / "a.tmat.h5", _spheres(index=3.0 + 0.05j), "sphere")
     second = nacre.load(path)
-    assert second.identity != before
+    assert second.fingerprint != before
     assert np.abs(second.model.powers([1.0], 500.0)[2] / kept - 1).max() > 0.01
 
 

@@ -36,8 +36,8 @@ def test_a_named_number_stands_in_the_formula() -> None:
     assert _value(film, 0.3, 0.5) == pytest.approx(100 + 500 * 0.25 + 40 * np.sin(0.6), rel=1e-6)
     changed = film.vary({"numbers.drain": 1.0, "numbers.t": 7.0})
     assert _value(changed, 0.3, 0.5) == pytest.approx(107 + 250 + 40 * np.sin(0.3), rel=1e-6)
-    assert film.free_numbers["numbers.drain"] == 2.0
-    assert film.identity != changed.identity
+    assert film.parameters["numbers.drain"] == 2.0
+    assert film.fingerprint != changed.fingerprint
 
 
 def test_names_are_whole_words_and_no_functions() -> None:
@@ -155,16 +155,16 @@ def test_every_example_is_found_by_its_name(tmp_path: Path, monkeypatch: pytest.
     for example in examples():
         assert find_example(example.name) == example.path
         assert example.about and example.family
-    assert nacre.load("bottle1").identity == nacre.load(examples_folder() / "pearl" / "bottle1.toml").identity
+    assert nacre.load("bottle1").fingerprint == nacre.load(examples_folder() / "pearl" / "bottle1.toml").fingerprint
 
 
 def test_a_target_goes_by_its_name_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from nacre.material.examples import or_example
+    from nacre.material.examples import resolve_recipe_path
 
     monkeypatch.chdir(tmp_path)
-    assert or_example("magenta-to-green") == examples_folder() / "wants" / "magenta-to-green.toml"
+    assert resolve_recipe_path("magenta-to-green") == examples_folder() / "wants" / "magenta-to-green.toml"
     (tmp_path / "magenta-to-green").write_text("mine")
-    assert or_example("magenta-to-green") == Path("magenta-to-green")
+    assert resolve_recipe_path("magenta-to-green") == Path("magenta-to-green")
 
 
 def test_all_files_of_the_examples_are_in_the_wheel() -> None:

@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 
 import nacre
-from nacre.analysis.fit import read_free as read_fit
-from nacre.analysis.tolerance import read_spreads
+from nacre.analysis.fit import fit_parameters
+from nacre.analysis.tolerance import recipe_tolerances
 from nacre.core.errors import RecipeError
-from nacre.optimise.gamut import parse_free
-from nacre.optimise.parameters import read_free
-from nacre.optimise.tolerances import spreads_of
+from nacre.optimise.gamut import parse_parameters
+from nacre.optimise.parameters import read_parameters
+from nacre.optimise.tolerances import read_tolerances
 from nacre.recipe.paths import expand_table
 
 EVERY, FIRST, SECOND = "layers[*].thickness_nm", "layers[0].thickness_nm", "layers[1].thickness_nm"
@@ -26,10 +26,10 @@ def film(**tables: Any) -> nacre.Material:
 @pytest.mark.parametrize("order", [(EVERY, FIRST), (FIRST, EVERY)])
 def test_the_path_with_an_index_wins_wherever_it_stands(order: tuple[str, str]) -> None:
     bounds: dict[str, Any] = {EVERY: [5, 300], FIRST: [20, 40]}
-    free = {f.path: (f.low, f.high) for f in read_free({path: bounds[path] for path in order}, film(), "t.toml")}
+    free = {f.path: (f.low, f.high) for f in read_parameters({path: bounds[path] for path in order}, film(), "t.toml")}
     assert free == {FIRST: (20.0, 40.0), SECOND: (5.0, 300.0)}
     sizes = {EVERY: "2%", FIRST: "10%"}
-    spreads = {s.path: s.deviation for s in spreads_of({path: sizes[path] for path in order}, film(), "t.toml")}
+    spreads = {s.path: s.deviation for s in read_tolerances({path: sizes[path] for path in order}, film(), "t.toml")}
     assert spreads == {FIRST: 10.0, SECOND: 2.0}
 
 
@@ -56,7 +56,8 @@ def test_two_paths_that_are_as_strong_are_refused() -> None:
 @pytest.mark.parametrize("path", [FIRST, EVERY])
 def test_an_option_wins_over_the_recipe_and_stands_once(path: str) -> None:
     fitted = film(fit={FIRST: {"min": 50, "max": 150}}, tolerance={FIRST: "2%"})
-    assert (read_fit(fitted, (f"{path}=10:20",))[0].low, read_spreads(fitted, (f"{path}=5%",))[0].deviation) == (10, 5)
-    for read in (lambda o: read_fit(film(), o), lambda o: read_spreads(film(), o), parse_free):
+    assert fit_parameters(fitted, (f"{path}=10:20",))[0].low == 10
+    assert recipe_tolerances(fitted, (f"{path}=5%",))[0].deviation == 5
+    for read in (lambda o: fit_parameters(film(), o), lambda o: recipe_tolerances(film(), o), parse_parameters):
         with pytest.raises(RecipeError, match="is given twice; keep one"):
             read((f"{path}=10:20", f"{path}=10:30"))

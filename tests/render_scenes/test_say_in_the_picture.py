@@ -177,10 +177,10 @@ def test_every_format_tells_how_it_was_made(tmp_path: Path, suffix: str) -> None
 @pytest.mark.parametrize("suffix", [".jpg", ".webp"])
 def test_a_recipe_that_is_too_long_for_a_jpeg_costs_no_picture(tmp_path: Path, suffix: str) -> None:
     """A segment of a JPEG holds 64 kB."""
-    stats = {"seed": 5, "material": {"recipe": "# <batch> & 1\n" * 9000, "identity": "ab"}, "notes": ["é" * 40]}
+    stats = {"seed": 5, "material": {"recipe": "# <batch> & 1\n" * 9000, "fingerprint": "ab"}, "notes": ["é" * 40]}
     write_picture(tmp_path / f"a{suffix}", np.zeros((4, 4, 3), np.uint8), stats)
     said = read_provenance(tmp_path / f"a{suffix}")
-    assert (said["seed"], said["material"]["identity"], said["notes"]) == (5, "ab", stats["notes"])
+    assert (said["seed"], said["material"]["fingerprint"], said["notes"]) == (5, "ab", stats["notes"])
     assert said["material"]["recipe"] == (LEFT_OUT if suffix == ".jpg" else stats["material"]["recipe"])
 
 

@@ -13,7 +13,7 @@ from helpers_studio import PORT, TOKEN
 from starlette.testclient import TestClient
 
 import nacre
-from nacre.analysis.tolerance import read_spreads, run_tolerance
+from nacre.analysis.tolerance import recipe_tolerances, run_tolerance
 from nacre.light import (
     SRGB_WHITE_XYZ,
     delta_e_2000,
@@ -205,7 +205,7 @@ def test_the_cloud_is_that_of_the_tolerance_command(client: TestClient, folder: 
     answer = client.post("/api/tolerance", json={"name": "film.toml", "text": FILM, "percent": 3, "draws": 20})
     cloud = [json.loads(line) for line in answer.text.splitlines() if '"tolerance"' in line][-1]
     material = nacre.load(folder / "film.toml")
-    spreads = read_spreads(material, ("layers[0].thickness_nm=3%", "layers[1].thickness_nm=3%"))
+    spreads = recipe_tolerances(material, ("layers[0].thickness_nm=3%", "layers[1].thickness_nm=3%"))
     own = run_tolerance(material, spreads, draws=20, observer="2deg")
     angles = [angle for angle in own.angles_deg if angle in cloud["angles"]]
     assert len(angles) >= 3

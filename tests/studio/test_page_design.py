@@ -79,7 +79,7 @@ def test_what_cannot_be_designed_is_said_in_the_page(page: Page) -> None:
 def test_a_recipe_without_numbers_is_left_to_the_command(page: Page) -> None:
     page.get_by_role("tab", name="Design").click()
     page.locator("#all-examples").evaluate(OPEN, "morpho")  # its numbers are those of a preset
-    expect(page.locator("#design-refused")).to_contain_text("has no number that may change")
+    expect(page.locator("#design-refused")).to_contain_text("has no variable number")
     expect(page.locator("#design-box")).to_be_hidden()
     page.locator("#all-examples").evaluate(OPEN, "blue-oxide")
     expect(page.locator("#design-box")).to_be_visible()

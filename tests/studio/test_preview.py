@@ -82,7 +82,7 @@ def test_rays_meet_the_floor_the_bend_and_the_wall() -> None:
 
 
 def test_a_picture_of_where_light_goes_holds_the_materials_own_values() -> None:
-    material = nacre.load("metasurface/silver_on_oxide").for_many()
+    material = nacre.load("metasurface/silver_on_oxide").at_low_fidelity()
     same = lambda values, wavelengths: values[:, :3]  # three wavelengths in place of colours
     made = lobe_image(material, None, same)
     assert made is not None and made.shape == (*LOBE_SHAPE, 3)
@@ -100,8 +100,8 @@ def test_a_pearls_picture_is_made_of_the_colours_that_its_walk_sends_there() -> 
         light_rad = np.radians(np.array([-60.0, -eye_deg - 5.0, -eye_deg, 0.5, 50.0]))
         wi = np.stack([np.sin(light_rad), 0.0 * light_rad, np.cos(light_rad)], axis=-1)
         eye = np.broadcast_to(direction(np.radians(eye_deg)), wi.shape).copy()
-        sure, guessed = model.likeness_at(eye, wi, LOBE_NM)
-        walked, _ = model.walked_at(eye, wi, LOBE_NM, 20_000, 1)
+        sure, guessed = model.surrogate_radiance(eye, wi, LOBE_NM)
+        walked, _ = model.estimate_radiance(eye, wi, LOBE_NM, 20_000, 1)
         own, known = (spectrum_to_xyz(values, LOBE_NM) for values in (sure + guessed, walked))
         np.testing.assert_allclose(own, known, rtol=HARDLY_SEEN)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.analysis.fit import Measured, read_free, read_measurement, run_fit
+from nacre.analysis.fit import Measured, fit_parameters, read_measurement, run_fit
 from nacre.core.errors import NacreError
 
 NOISE = 0.01
@@ -36,7 +36,7 @@ def covered(draws: int) -> int:
     count = 0
     for seed in range(draws):
         truth = float(np.random.default_rng(100 + seed).uniform(150, 600))
-        fit = run_fit(material, synthetic(truth, seed), read_free(material), starts=3)
+        fit = run_fit(material, synthetic(truth, seed), fit_parameters(material), starts=3)
         number = fit.numbers[0]
         assert number.is_determined
         assert number.half_width <= THICKNESS_BAR * truth
@@ -62,7 +62,7 @@ def test_a_number_that_the_data_cannot_fix_is_reported_so() -> None:
     assert values is not None
     noisy = values * (1 + NOISE * np.random.default_rng(0).standard_normal(values.shape))
     measured = Measured("spectrum", WAVES, noisy[None], ("specular_reflectance",), ANGLES)
-    fit = run_fit(material, measured, read_free(material), starts=1)
+    fit = run_fit(material, measured, fit_parameters(material), starts=1)
     assert not fit.numbers[0].is_determined
 
 
@@ -105,7 +105,7 @@ def test_a_bad_measurement_is_refused_in_one_line(tmp_path: Path, text: str, wha
 @pytest.mark.parametrize("option", ["x", "layers[0].thickness_nm=5", "layers[0].thickness_nm=9:1", "nowhere[3].x=1:2"])
 def test_a_bad_free_number_is_refused(option: str) -> None:
     with pytest.raises(NacreError):
-        read_free(nacre.material({k: v for k, v in FILM.items() if k != "fit"}), (option,))
+        fit_parameters(nacre.material({k: v for k, v in FILM.items() if k != "fit"}), (option,))
 
 
 def test_files_that_are_swapped_are_told_so(tmp_path: Path) -> None:

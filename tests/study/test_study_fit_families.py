@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.analysis.fit import Measured, read_free, run_fit
+from nacre.analysis.fit import Measured, fit_parameters, run_fit
 from nacre.core.arrays import Array
 
 DRAWS = 3
@@ -73,7 +73,9 @@ def test_an_interval_holds_what_the_seed_of_the_walks_moves() -> None:
     recipe["fit"] = {"base.albedo": {"min": 0.2, "max": 0.8}}
     material = nacre.material(recipe)
     measured = Shaken("spectrum", np.arange(400.0, 701.0, 20.0), np.full((1, 1, 16), 0.5), ("diffuse_reflectance",))
-    fits = [run_fit(material, measured, read_free(material), starts=0, seed=100 * seed).numbers[0] for seed in range(4)]
+    fits = [
+        run_fit(material, measured, fit_parameters(material), starts=0, seed=100 * seed).numbers[0] for seed in range(4)
+    ]
     off = [abs(number.value - 0.5) for number in fits]
     assert max(off) > 0.002  # the walks did err
     assert all(error <= number.half_width for error, number in zip(off, fits, strict=True))

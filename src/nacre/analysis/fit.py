@@ -5,7 +5,7 @@ bounded trust-region least-squares step with finite differences (a stochastic fa
 its noise is the same function every time). Interference makes many local minima: the starts are the
 best of a Sobol sample of the bounds, and a CMA-ES search takes over where least squares stalls on noise.
 
-Where a family has a form without noise that it walks otherwise (`Model.is_direct` of `Model.among_many`), the starts
+If a family has a noise-free form of a random walk (`contract.search_model` is direct), the starts
 are refined on that form. What the walk says beyond it is then found at the best place, added as a constant, and the
 place refined again (space mapping: Bandler et al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)).
 """
@@ -23,12 +23,12 @@ import numpy as np
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
-from nacre.families.contract import Model
+from nacre.families.contract import DirectEvaluation, Model, is_direct, search_model
 from nacre.formats.gonio_csv import COLUMNS, GonioData, read_gonio_csv, read_table
 from nacre.material.material import Material
-from nacre.optimise import parameters as freedom
+from nacre.optimise import parameters
 from nacre.optimise.methods.least_squares import SCOUTS_PER_NUMBER, STEP, STOCHASTIC_STEP, apart, descend, draw
-from nacre.optimise.parameters import Free, own_place, values_at
+from nacre.optimise.parameters import Parameter, nominal_point, values_at
 from nacre.recipe.path_tables import by_path, with_options
 
 PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
@@ -85,14 +85,15 @@ class Measured:
         Raises:
             NacreError: the material cannot be computed.
         """
-        near = model.among_many({})
-        if model.is_direct or not near.is_direct:
+        near = search_model(model, {})
+        if is_direct(model) or not is_direct(near):
             return None
         if self.kind == "spectrum":
             assert self.angles_deg is not None
             found = near.spectrum(np.radians(self.angles_deg), self.wavelengths_nm, "both")
             return None if found is None else self._stacked(found)
         assert self.gonio is not None
+        assert isinstance(near, DirectEvaluation)
         return near.values_at(self.gonio.wi, self.gonio.wo, self.wavelengths_nm)
 
     def _stacked(self, spectrum: Spectrum) -> Array:
@@ -189,7 +190,7 @@ def read_measurement(path: str | Path) -> Measured:
     return Measured("spectrum", waves, values, tuple(measured), angles)
 
 
-def read_free(material: Material, options: tuple[str, ...] = ()) -> tuple[Free, ...]:
+def fit_parameters(material: Material, options: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
     """Collect the free numbers of the recipe's `[fit]` table and of `PATH=LOW:HIGH` options, which win.
 
     Raises:
@@ -207,7 +208,7 @@ def read_free(material: Material, options: tuple[str, ...] = ()) -> tuple[Free, 
     table = with_options(table, given, "--free")
     if not table:
         raise RecipeError(f"{source}: nothing is free; add a [fit] table or use --free PATH=LOW:HIGH")
-    return freedom.read_free(table, material, source, "fit", MAX_FREE, words=False)
+    return parameters.read_parameters(table, material, source, "fit", MAX_FREE, words=False)
 
 
 def _number(text: str) -> float:
@@ -220,7 +221,7 @@ def _number(text: str) -> float:
 def run_fit(
     material: Material,
     measured: Measured,
-    free: tuple[Free, ...],
+    free: tuple[Parameter, ...],
     *,
     starts: int = 4,
     scouts: int = SCOUTS_PER_NUMBER,
@@ -234,7 +235,7 @@ def run_fit(
     Args:
         material: the recipe; its own values are the first start.
         measured: from `read_measurement`.
-        free: from `read_free`.
+        free: from `fit_parameters`.
         starts: refined starts beside the recipe's own values; 0 trusts those to lie near the right minimum.
         scouts: trial materials for each free number, to find the starts; fewer where one takes seconds.
         weights: "equal", where the noise is the same for all values, or "relative", where it is a share of each
@@ -246,7 +247,7 @@ def run_fit(
     """
     if weights not in WEIGHTS:
         raise NacreError(f'weights = "{weights}" is not known; choose one of {", ".join(WEIGHTS)}')
-    material = material.for_many().reaching(number.path for number in free)
+    material = material.at_low_fidelity().with_parts_loaded(number.path for number in free)
     problem = _Problem(material, measured, free, samples, seed, weights)
     candidates = problem.scout(starts, scouts)
     ends: list[tuple[float, Array, Any]] = []
@@ -278,7 +279,7 @@ class _Problem:
         self,
         material: Material,
         measured: Measured,
-        free: tuple[Free, ...],
+        free: tuple[Parameter, ...],
         samples: int | None,
         seed: int,
         weights: str = "equal",
@@ -344,7 +345,7 @@ class _Problem:
 
     def scout(self, starts: int, scouts: int) -> list[Array]:
         """Return the recipe's own place and the best of a Sobol sample, well apart from one another."""
-        own = own_place(self._free, self._material)
+        own = nominal_point(self._free, self._material)
         if own is not None and starts == 0:
             return [own]
         sample = draw(len(self._free), scouts * len(self._free), self._seed)
@@ -426,7 +427,7 @@ class _Problem:
         """Return the variance of each number, in units of its bounds, that comes from the seed of the walks."""
         if self._walked is None:
             material = self.build(unit)
-            if material.model.is_direct or not _is_walked(material, self._measured.wavelengths_nm):
+            if is_direct(material.model) or not _is_walked(material, self._measured.wavelengths_nm):
                 return np.zeros(len(unit))
             self._walks(material)
         assert self._walked is not None

@@ -15,7 +15,7 @@ from nacre.core.errors import NacreError
 from nacre.core.files import write_text
 from nacre.light import delta_e_2000, smooth_weights, spans_colour, swatch_hex, white_xyz, xyz_to_lab
 from nacre.material.material import layers_of
-from nacre.optimise.parameters import Free
+from nacre.optimise.parameters import Parameter
 from nacre.plot.html import DPI, data_uri, framed
 
 if TYPE_CHECKING:
@@ -28,11 +28,11 @@ AT_BOUND = 1e-3  # of the bounds
 WORDS = ("measured", "fitted")
 
 
-def write_fit_page(path: str | Path, fit: Fit, measured: Measured, free: Sequence[Free]) -> None:
+def write_fit_page(path: str | Path, fit: Fit, measured: Measured, free: Sequence[Parameter]) -> None:
     """Write the report of a fit as HTML: the numbers, what was measured beside what the fitted material gives.
 
     Args:
-        fit, measured, free: of `run_fit`, `read_measurement` and `read_free`.
+        fit, measured, free: of `run_fit`, `read_measurement` and `fit_parameters`.
 
     Raises:
         NacreError: the file cannot be written, or the fitted material cannot be computed.
@@ -53,7 +53,7 @@ def write_fit_page(path: str | Path, fit: Fit, measured: Measured, free: Sequenc
     write_text(Path(path), framed(f"{name}, fitted", body))
 
 
-def _verdict(fit: Fit, free: Sequence[Free]) -> str:
+def _verdict(fit: Fit, free: Sequence[Parameter]) -> str:
     open_ends = [n.path for n in fit.numbers if not n.is_determined]
     ends = [n.path for n, f in zip(fit.numbers, free, strict=True) if _is_at_bound(n, f)]
     said = [f"{', '.join(open_ends)}: not determined by these data."] if open_ends else ["All numbers are determined."]
@@ -62,11 +62,11 @@ def _verdict(fit: Fit, free: Sequence[Free]) -> str:
     return " ".join(said)
 
 
-def _is_at_bound(number: FittedNumber, free: Free) -> bool:
+def _is_at_bound(number: FittedNumber, free: Parameter) -> bool:
     return min(number.value - free.low, free.high - number.value) <= AT_BOUND * (free.high - free.low)
 
 
-def _numbers(numbers: Sequence[FittedNumber], free: Sequence[Free]) -> str:
+def _numbers(numbers: Sequence[FittedNumber], free: Sequence[Parameter]) -> str:
     lines = ["<table><tr><th>number</th><th>value</th><th>95 %</th><th>bounds</th><th></th></tr>"]
     for n, f in zip(numbers, free, strict=True):
         half = f"&plusmn; {n.half_width:.3g}" if np.isfinite(n.half_width) else ""
@@ -80,7 +80,7 @@ def _numbers(numbers: Sequence[FittedNumber], free: Sequence[Free]) -> str:
     return "".join([*lines, "</table>"])
 
 
-def _figure(fit: Fit, measured: Measured, free: Sequence[Free]) -> Figure:
+def _figure(fit: Fit, measured: Measured, free: Sequence[Parameter]) -> Figure:
     if measured.kind == "spectrum":
         from nacre.plot import design_figure
 
@@ -94,7 +94,7 @@ def _figure(fit: Fit, measured: Measured, free: Sequence[Free]) -> Figure:
     )
 
 
-def _sheet(fit: Fit, measured: Measured, free: Sequence[Free]) -> DesignSheet:
+def _sheet(fit: Fit, measured: Measured, free: Sequence[Parameter]) -> DesignSheet:
     """Return a spectrum's fit as the sheet of a design: measured for asked, fitted for reached."""
     from nacre.plot import DesignSheet, Swatch
 
@@ -142,7 +142,7 @@ def _ribbon(fit: Fit, measured: Measured) -> tuple[Array, Array, str]:
     part, nm = measured.parts[0], measured.wavelengths_nm
     label = f"Angle of the light, fitted {part.replace('_', ' ')} (degrees)"
     assert measured.angles_deg is not None
-    if fit.material.model.is_quick:
+    if fit.material.model.traits.is_quick:
         try:
             found = fit.material.spectrum(np.radians(RIBBON_DEG), nm).parts().get(part)
         except NacreError:  # an angle that this family does not answer

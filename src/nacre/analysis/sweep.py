@@ -138,7 +138,7 @@ class Store:
         import zarr
 
         self._group = zarr.open_group(str(path), mode="r+")
-        if self._group.attrs.get("identity") != sweep.identity:
+        if self._group.attrs.get("fingerprint") != sweep.fingerprint:
             raise NacreError(
                 f"{path}: holds another sweep, or its recipe, a file that this names, or nacre itself has changed "
                 "since; choose another -o, or remove it to start anew"
@@ -228,7 +228,7 @@ def _create(path: Path, sweep: Sweep) -> None:
         points, measurement = sweep.points, sweep.measurement
         axis_names = [_dimension(axis.path) for axis in points.axes] if points.mode == "grid" else ["point"]
         attributes: dict[str, Any] = {
-            "identity": sweep.identity, "nacre": __version__, "recipe": sweep.material.text,
+            "fingerprint": sweep.fingerprint, "nacre": __version__, "recipe": sweep.material.text,
             "sweep": Path(sweep.source).name, "mode": points.mode, "illuminant": measurement.illuminant,
             "observer": measurement.observer, "axes": {_dimension(a.path): a.path for a in points.axes},
         }  # fmt: skip

@@ -24,7 +24,7 @@ from nacre.core.memory import check_memory
 from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import Material, load
 from nacre.measure.wavelengths import colour_spectrum
-from nacre.recipe.fingerprint import identity
+from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.keys import ByPath
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
 from nacre.recipe.path_tables import by_path
@@ -347,14 +347,14 @@ class Sweep:
     files: Mapping[str, str]  # digests of the files that any of the points reaches, by name
 
     @property
-    def identity(self) -> str:
-        """A hash of everything that decides the results; a store of another identity is refused."""
+    def fingerprint(self) -> str:
+        """A hash of everything that decides the results; a store of another fingerprint is refused."""
         axes = [[a.path, a.values, a.low, a.high, a.is_logarithmic] for a in self.points.axes]
         fractions = (
             None if self.points.fractions is None else hashlib.sha256(self.points.fractions.tobytes()).hexdigest()
         )
-        return identity(
-            self.material.identity, self.files, axes=axes, fractions=fractions, mode=self.points.mode,
+        return fingerprint(
+            self.material.fingerprint, self.files, axes=axes, fractions=fractions, mode=self.points.mode,
             measurement=asdict(self.measurement),
         )  # fmt: skip
 
@@ -369,7 +369,7 @@ def load_sweep(path: str | Path) -> Sweep:
     text = read_text(path, "sweep")
     context = RecipeContext(str(path), path.parent.resolve(), text)
     spec: SweepSpec = validate(SweepSpec, parse_toml(text, str(path)), context)
-    material = load(path.parent / spec.recipe).for_many()
+    material = load(path.parent / spec.recipe).at_low_fidelity()
     points = read_points(spec.axes, spec.mode, spec.count, spec.seed, str(path))
     measurement = _measurement(spec.measure, material, str(path))
     try:
@@ -405,7 +405,7 @@ def _measurement(spec: MeasureSpec, material: Material, source: str) -> Measurem
         raise RecipeError(f"{source}: measure.angles_deg must hold angles in [0, 90]")
     parts = spec.parts
     if parts is None:
-        parts = list(material.model.usual_parts)
+        parts = list(material.model.traits.default_parts)
     for part in parts:
         if part not in PARTS:
             hint = did_you_mean(part, PARTS)

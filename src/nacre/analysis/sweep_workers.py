@@ -94,7 +94,7 @@ def _material(folder: str, data: str) -> Any:
 
     from nacre.material.material import material
 
-    return material(json.loads(data), folder).for_many(is_told=True)  # by who made the sweep
+    return material(json.loads(data), folder).at_low_fidelity(is_reported=True)  # by who made the sweep
 
 
 def _here(sweep: Sweep, job: dict[str, Any], todo: Sequence[int]) -> Iterator[tuple[int, Result]]:

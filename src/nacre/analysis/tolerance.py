@@ -16,7 +16,7 @@ from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import Material
 from nacre.measure import instruments as geometry
 from nacre.measure.wavelengths import colour_spectrum, colour_values
-from nacre.optimise.tolerances import Spread, share_interval, spreads_of
+from nacre.optimise.tolerances import Tolerance, read_tolerances, wilson_interval
 from nacre.recipe.path_tables import by_path, with_options
 
 MAX_DRAWS = 1_000_000
@@ -24,7 +24,7 @@ SENSITIVITY_STEP = 0.5  # of a standard deviation: inside the spread, and far ab
 
 
 @dataclass(frozen=True)
-class Tolerance:
+class ToleranceResult:
     """The outcome of a tolerance study.
 
     Attributes:
@@ -51,7 +51,7 @@ class Tolerance:
     failed: int
 
 
-def read_spreads(material: Material, options: tuple[str, ...] = ()) -> tuple[Spread, ...]:
+def recipe_tolerances(material: Material, options: tuple[str, ...] = ()) -> tuple[Tolerance, ...]:
     """Collect the spreads of the recipe's `[tolerance]` table and of `PATH=SPREAD` options, which win.
 
     A spread is a number (standard deviation), a percentage ("2%"), or in the recipe a table
@@ -71,12 +71,12 @@ def read_spreads(material: Material, options: tuple[str, ...] = ()) -> tuple[Spr
     table = with_options(table, given, "--spread")
     if not table:
         raise RecipeError(f"{source}: no spread is given; add a [tolerance] table or use --spread PATH=VALUE")
-    return spreads_of(table, material, source, "tolerance")
+    return read_tolerances(table, material, source, "tolerance")
 
 
 def run_tolerance(
     material: Material,
-    spreads: tuple[Spread, ...],
+    spreads: tuple[Tolerance, ...],
     *,
     draws: int = 500,
     limit: float = 1.0,
@@ -85,14 +85,14 @@ def run_tolerance(
     observer: str = "10deg",
     samples: int | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> Tolerance:
+) -> ToleranceResult:
     """Draw materials within their spreads and measure their colours.
 
     Random walks use one seed for all draws, so that their noise is not taken for spread.
 
     Args:
         material: the nominal material.
-        spreads: from `read_spreads`.
+        spreads: from `recipe_tolerances`.
         draws: number of materials.
         limit: the dE00 within which a material passes, at every angle.
         progress: called with (done, all): draws, and the two materials of each spread's sensitivity.
@@ -104,7 +104,7 @@ def run_tolerance(
         raise NacreError(f"--draws = {draws} must lie in [1, {MAX_DRAWS}]")
     if not limit > 0:
         raise NacreError(f"--limit = {limit} must be above 0")
-    material = material.for_many().reaching(spread.path for spread in spreads)
+    material = material.at_low_fidelity().with_parts_loaded(spread.path for spread in spreads)
     measure = ColourProbe(material, illuminant, observer, samples, seed)
     nominal = measure(material)
     generator = np.random.default_rng(seed)
@@ -127,9 +127,9 @@ def run_tolerance(
     delta = np.asarray(delta_e_2000(np.broadcast_to(nominal, lab.shape), lab))
     failed = int(np.sum(np.isnan(delta).any(axis=1)))
     good = int(np.sum(np.nan_to_num(delta, nan=np.inf).max(axis=1) <= limit))
-    return Tolerance(
+    return ToleranceResult(
         measure.what, np.asarray(measure.angles_deg), nominal, lab, delta, limit, good / draws,
-        share_interval(good, draws), _sensitivities(material, spreads, measure, nominal, step), failed,
+        wilson_interval(good, draws), _sensitivities(material, spreads, measure, nominal, step), failed,
     )  # fmt: skip
 
 
@@ -165,7 +165,11 @@ class ColourProbe:
 
 
 def _sensitivities(
-    material: Material, spreads: tuple[Spread, ...], measure: ColourProbe, nominal: Array, step_done: Callable[[], None]
+    material: Material,
+    spreads: tuple[Tolerance, ...],
+    measure: ColourProbe,
+    nominal: Array,
+    step_done: Callable[[], None],
 ) -> tuple[tuple[str, float, float], ...]:
     """Rank the spreads by the colour change of one standard deviation, from a central difference."""
     changes = []
@@ -191,7 +195,7 @@ def _sensitivities(
     return tuple((spread.path, change, change**2 / total) for spread, change in ranked)
 
 
-def tolerance_document(result: Tolerance, spreads: tuple[Spread, ...]) -> dict[str, Any]:
+def tolerance_document(result: ToleranceResult, spreads: tuple[Tolerance, ...]) -> dict[str, Any]:
     """Return the outcome as JSON-able data: statistics an angle, yield, sensitivities."""
     lab = result.lab[~np.isnan(result.lab).any(axis=(1, 2))]
     delta = result.delta_e[~np.isnan(result.delta_e).any(axis=1)]
@@ -217,4 +221,4 @@ def tolerance_document(result: Tolerance, spreads: tuple[Spread, ...]) -> dict[s
     }
 
 
-__all__ = ["ColourProbe", "Spread", "Tolerance", "read_spreads", "run_tolerance", "tolerance_document"]
+__all__ = ["ColourProbe", "Tolerance", "ToleranceResult", "recipe_tolerances", "run_tolerance", "tolerance_document"]

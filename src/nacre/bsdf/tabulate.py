@@ -183,7 +183,7 @@ def is_transparent(n: ComplexArray) -> bool:
     return bool(np.max(n.imag) < TRANSPARENT_K)
 
 
-def judged_xyz(spectra: Array, wavelengths_nm: Array) -> Array:
+def comparison_xyz(spectra: Array, wavelengths_nm: Array) -> Array:
     """Return what tables and grids are judged by: the colours of spectra `[..., wavelength]`, `[..., 3]`.
 
     Where the wavelengths do not span the colours, each is judged by itself, as a grey of that power:
@@ -195,8 +195,8 @@ def judged_xyz(spectra: Array, wavelengths_nm: Array) -> Array:
 
 
 def reflected_lab(reflectance: Array, wavelengths_nm: Array) -> Array:
-    """Return Lab under D65 of what `judged_xyz` judges of spectra `[..., wavelength]`."""
-    return np.asarray(xyz_to_lab(judged_xyz(reflectance, wavelengths_nm)))
+    """Return Lab under D65 of what `comparison_xyz` judges of spectra `[..., wavelength]`."""
+    return np.asarray(xyz_to_lab(comparison_xyz(reflectance, wavelengths_nm)))
 
 
 def interpolation_colour_error(spectra: Callable[[Array], Array], values: Array, wavelengths_nm: Array) -> float:

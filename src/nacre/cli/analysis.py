@@ -11,6 +11,7 @@ import numpy as np
 
 from nacre.cli import common
 from nacre.core.errors import NacreError
+from nacre.families.contract import method_overrides
 
 
 def _progress_bar(description: str) -> Any:
@@ -80,7 +81,7 @@ def report(
     from nacre.analysis.html_report import dump_json, report_html, report_text
     from nacre.analysis.report import make_report
     from nacre.core.files import check_writable, write_text
-    from nacre.core.parallel import watching
+    from nacre.core.parallel import on_progress
 
     if len(recipes) > 2:
         raise NacreError(f"report takes one recipe or two, not {len(recipes)}")
@@ -98,7 +99,7 @@ def report(
             def show(done: int, total: int, task: Any = task) -> None:
                 bar.update(task, completed=done, total=total, visible=True)
 
-            with watching(show):
+            with on_progress(show):
                 reports.append(make_report(material, illuminant, observer, samples, seed))
     if output:
         if output.endswith(".html"):
@@ -137,7 +138,7 @@ def tolerance(
     as_json: bool, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Turn the manufacturing spreads of RECIPE into colour spread, yield and ranked sensitivities."""
-    from nacre.analysis.tolerance import read_spreads, run_tolerance, tolerance_document
+    from nacre.analysis.tolerance import recipe_tolerances, run_tolerance, tolerance_document
     from nacre.core.files import check_writable, write_text
 
     if output:
@@ -145,7 +146,7 @@ def tolerance(
             raise NacreError(f"-o {output}: the suffix must be .json")
         check_writable(output)
     material = common.load_material(recipe, changes)
-    found = read_spreads(material, spreads)
+    found = recipe_tolerances(material, spreads)
     with _progress_bar("tolerance") as bar:
         task = bar.add_task("tolerance", total=draws, info="")
         result = run_tolerance(
@@ -208,7 +209,7 @@ def fit(
     as_json: bool, residual: str | None, page: str | None, output: str | None,
 ) -> None:  # fmt: skip
     """Fit the free numbers of RECIPE to MEASUREMENT (spectrum or gonio CSV)."""
-    from nacre.analysis.fit import read_free, read_measurement, run_fit
+    from nacre.analysis.fit import fit_parameters, read_measurement, run_fit
     from nacre.core.files import atomic_path, check_writable, short_name, write_text
     from nacre.recipe.toml import edit_toml
 
@@ -221,13 +222,13 @@ def fit(
             check_writable(target)
     measured = read_measurement(measurement)
     material = common.load_material(recipe)
-    numbers = read_free(material, free)
+    numbers = fit_parameters(material, free)
     result = run_fit(
         material, measured, numbers, starts=starts, weights=weights, samples=samples, seed=seed,
         progress=lambda what, best: common.note(f"{what}: relative rms {best:.4g}"),
     )  # fmt: skip
-    changes = {**{n.path: n.value for n in result.numbers}, **result.material.model.spared_changes}
-    write_text(path, edit_toml(material.reaching(changes).text, changes, recipe))
+    changes = {**{n.path: n.value for n in result.numbers}, **method_overrides(result.material.model)}
+    write_text(path, edit_toml(material.with_parts_loaded(changes).text, changes, recipe))
     if residual:
         with atomic_path(residual) as temporary, open(temporary, "wb") as file:
             np.savez(file, residual=result.residual, wavelengths_nm=measured.wavelengths_nm)

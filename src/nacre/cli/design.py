@@ -64,11 +64,11 @@ def design(target: str, output: str | None, resume: bool, labs: str | None, as_j
 
 def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bool) -> None:
     """Design for each row of a CSV, and tell how it went."""
-    from nacre.material.examples import or_example
+    from nacre.material.examples import resolve_recipe_path
     from nacre.optimise.batch import SUMMARY, TABLE, many_designs
 
     with _Screen() as screen:
-        found = many_designs(or_example(Path(target)), labs, folder, resume=resume, progress=screen.count)
+        found = many_designs(resolve_recipe_path(Path(target)), labs, folder, resume=resume, progress=screen.count)
     if as_json:
         click.echo((folder / SUMMARY).read_text(encoding="utf-8"), nl=False)
     else:
@@ -136,16 +136,16 @@ class _Screen:
         self._status = self._console.status("designing") if self._console.is_terminal else None
 
     def __enter__(self) -> _Screen:
-        from nacre.core.jit import hearing
+        from nacre.core.jit import on_compile
 
-        self._ear = hearing(self._tell_compiling)
-        self._ear.__enter__()
+        self._compile_listener = on_compile(self._tell_compiling)
+        self._compile_listener.__enter__()
         if self._status:
             self._status.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._ear.__exit__(None, None, None)
+        self._compile_listener.__exit__(None, None, None)
         if self._status:
             self._status.stop()
 
@@ -207,7 +207,7 @@ def gamut(
 ) -> None:  # fmt: skip
     """Show the colours that the free numbers of RECIPE can reach, in a*b* and xy, and their share of all colours."""
     from nacre.core.files import check_writable, short_name, write_text
-    from nacre.optimise.gamut import find_gamut, gamut_chart, gamut_page, parse_free
+    from nacre.optimise.gamut import find_gamut, gamut_chart, gamut_page, parse_parameters
 
     path = Path(output) if output else None if as_json else Path(f"{short_name(recipe)}-gamut.png")
     if path is not None:
@@ -216,7 +216,7 @@ def gamut(
         check_writable(path)
     material = common.load_material(recipe, changes)
     found = find_gamut(
-        material, parse_free(free), at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
+        material, parse_parameters(free), at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
         within=within, samples=samples, seed=seed,
     )  # fmt: skip
     if path is not None:

@@ -1,6 +1,6 @@
 """The folder where solved optics are kept between runs: whose it is, what is in it, and what goes first.
 
-Each entry is written whole or not at all under the identity of what it holds, so any number of processes may share the
+Entries are written atomically under the fingerprint of their content, so any number of processes may share the
 folder. `materials.cache` keeps whole materials there (`.nacre`); a family may keep arrays (`.npz`) of a step that took
 long, so that a stopped run goes on where it was.
 """
@@ -92,8 +92,8 @@ def clear(folder: Path) -> int:
     return len(kept)
 
 
-def kept_arrays(key: str) -> dict[str, NDArray[np.float64]] | None:
-    """Return the arrays of numbers that are kept under an identity, or None: there are none, or they are damaged."""
+def cached_arrays(key: str) -> dict[str, NDArray[np.float64]] | None:
+    """Return the arrays of numbers that are kept under an fingerprint, or None: there are none, or they are damaged."""
     import numpy as np
 
     folder = cache_folder()
@@ -118,8 +118,8 @@ def drop_arrays(keys: Iterable[str]) -> None:
             (folder / f"{key}.npz").unlink(missing_ok=True)
 
 
-def keep_arrays(key: str, arrays: Mapping[str, NDArray[np.float64]]) -> None:
-    """Keep arrays under an identity; a folder that cannot be used is passed over."""
+def cache_arrays(key: str, arrays: Mapping[str, NDArray[np.float64]]) -> None:
+    """Keep arrays under an fingerprint; a folder that cannot be used is passed over."""
     import numpy as np
 
     folder = cache_folder()

@@ -136,7 +136,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def told_as_os_error() -> Iterator[None]:
+def reraise_as_oserror() -> Iterator[None]:
     """Turn a foreign writer's RuntimeError into an OSError: OpenEXR says so that a disk is full.
 
     Raises:

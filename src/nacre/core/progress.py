@@ -97,7 +97,7 @@ def announce(what: str, seconds: float) -> None:
 
 
 @contextlib.contextmanager
-def heard_by(listener: Listener) -> Iterator[None]:
+def on_progress(listener: Listener) -> Iterator[None]:
     """Let a function hear of long work: `listener(what, seconds)`."""
     _listeners.append(listener)
     try:
@@ -116,4 +116,4 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} minutes" if seconds < 6000 else f"{seconds / 3600:.1f} hours"
 
 
-__all__ = ["announce", "duration", "heard_by"]
+__all__ = ["announce", "duration", "on_progress"]

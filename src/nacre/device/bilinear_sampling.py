@@ -20,7 +20,7 @@ from nacre.device.plugin import device_array, larger, read4, smaller
 CHANCES = 65535  # of the 16 bits that hold the chance of a column
 
 
-class Tents:
+class BilinearDensity:
     """Densities on the unit squares of some faces, one set for each of some rows; between two rows they are mixed.
 
     Args:

@@ -93,7 +93,7 @@ PLUGINS: dict[str, str] = {
     "aligned-specular": "nacre.device.lobes.specular:AlignedSpecularPlugin",
     "spectrum-map": "nacre.device.lobes.spectrum_map:SpectrumMapPlugin",
     "layered": "nacre.device.lobes.layered:LayeredPlugin",
-    "flaked": "nacre.device.lobes.platelet_layer:FlakedPlugin",
+    "platelet-layer": "nacre.device.lobes.platelet_layer:PlateletLayerPlugin",
     "masked": "nacre.device.lobes.masked:MaskedPlugin",
 }
 

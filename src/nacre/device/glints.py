@@ -9,7 +9,7 @@ import mitsuba as mi
 
 from nacre.bsdf.glints import CELLS_U, CELLS_V, COUNT, COVERAGE, DRAWS, FLAKE_STEP, SEED, WIDTH
 from nacre.bsdf.lobes.layered import Layered
-from nacre.bsdf.lobes.platelet_layer import Flaked
+from nacre.bsdf.lobes.platelet_layer import PlateletLayer
 from nacre.core.arrays import Array
 from nacre.device.plugin import device_array, opaque, opaque_int, read
 
@@ -40,7 +40,7 @@ class DeviceGlints:
         self.kinds = [_Kind(*row) for row in zip(numbers, radii, ratio, strict=True)]
 
     @staticmethod
-    def of(lobe: Flaked | Layered) -> DeviceGlints | None:
+    def of(lobe: PlateletLayer | Layered) -> DeviceGlints | None:
         """Return the glints of a lobe; None if it has none."""
         if lobe.glint_numbers is None:
             return None

@@ -15,7 +15,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.lobes.table import from_half_difference
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.core.files import atomic_path, plain, told_as_os_error, why_unreadable
+from nacre.core.files import atomic_path, plain, reraise_as_oserror, why_unreadable
 from nacre.light import spectrum_to_rgb_linear
 
 SHAPE = (90, 90, 180)
@@ -130,5 +130,5 @@ def write_slice(path: str | Path, bsdf: Bsdf, comment: str = "") -> None:
         "emissiveUnits": "sr^-1", "nacre": comment,
         "slice": "columns: theta_half, rows: theta_diff, both 0 to 90 degrees at cell centres; phi_diff = 90 degrees",
     }  # fmt: skip
-    with atomic_path(path) as temporary, told_as_os_error():
+    with atomic_path(path) as temporary, reraise_as_oserror():
         OpenEXR.File(header, channels).write(str(temporary))

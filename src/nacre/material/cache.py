@@ -1,6 +1,6 @@
 """Solved optics kept on disk, so that the same material is solved once and not for every picture.
 
-Each entry is a `.nacre` file under the identity of what it holds: nothing in it is run, its arrays carry checksums,
+Each entry is a `.nacre` file under the fingerprint of what it holds: nothing in it is run, its arrays carry checksums,
 and it is written whole or not at all, so that any number of processes may share the folder. What was not used for
 longest goes first when the folder grows too large.
 """
@@ -30,7 +30,7 @@ WORTH_S = 0.5  # what is solved faster is not kept: writing and reading cost too
 
 
 def solved(key: str, solve: Callable[[], Bsdf], keep: bool = True) -> Bsdf:
-    """Return what is kept under an identity, or solve it and, where that is wanted, keep it.
+    """Return what is kept under an fingerprint, or solve it and, where that is wanted, keep it.
 
     A damaged entry, or a folder that cannot be used, costs the time to solve and nothing else.
     """

@@ -77,7 +77,7 @@ def find_example(name: str) -> Path | None:
     return next((place / wanted for place in places if (place / wanted).is_file()), None)
 
 
-def or_example(path: str | Path) -> Path:
+def resolve_recipe_path(path: str | Path) -> Path:
     """Return the path of a file of one's own or, where there is none, of the example of that name.
 
     Raises:

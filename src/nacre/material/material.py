@@ -26,13 +26,13 @@ from nacre.core.arrays import Array, floats, wavelength_grid
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.core.files import DESIGN_RECIPE, named, read_text, short_name
 from nacre.core.memory import check_memory
-from nacre.families.contract import Model
+from nacre.families.contract import ExcessEnergy, ExpensiveMethod, Model, Traits, figure_data, values_at
 from nacre.families.registry import family_source, family_spec
 from nacre.material.cache import solved
-from nacre.material.examples import or_example
+from nacre.material.examples import resolve_recipe_path
 from nacre.material.spatial_variation import Varying
 from nacre.measure.spectrum import bsdf_spectrum
-from nacre.recipe.fingerprint import file_digest, identity
+from nacre.recipe.fingerprint import file_digest, fingerprint
 from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.named_numbers import named_numbers, refuse_new_number
 from nacre.recipe.nested_recipes import open_all, open_parts
@@ -84,13 +84,13 @@ class Material:
         return short_name(self.context.source)
 
     @property
-    def identity(self) -> str:
+    def fingerprint(self) -> str:
         """A hash of all that decides the material's answers; see `nacre.recipe.fingerprint`."""
         data = {key: value for key, value in self.data.items() if key not in STUDY_TABLES}
         outside = {"ambient": str(self.context.ambient), "family": family_source(self.data.get("family"))}
-        if self.context.is_one_of_many:
+        if self.context.is_low_fidelity:
             outside["way"] = "quick"
-        return identity(data, self.context.files, **outside)
+        return fingerprint(data, self.context.files, **outside)
 
     def bsdf(self, wavelengths_nm: ArrayLike | None = None, *, keep: bool = True) -> Bsdf:
         """Solve the optics and return the arrays, with their provenance.
@@ -107,15 +107,14 @@ class Material:
         return dataclasses.replace(bsdf, provenance={**bsdf.provenance, **recipe_provenance(self)})
 
     def _solved(self, grid: NDArray[np.float64] | None, keep: bool = True) -> Bsdf:
-        if outside := self.model.outside:
-            _tell_once(self.context.source, outside)
+        for warning in self.model.warnings:
+            _tell_once(self.context.source, warning)
         if grid is not None:
-            check_memory(
-                float(self.model.bytes_a_wavelength) * grid.size, f"a {self.model.noun} at {grid.size} wavelengths"
-            )
+            traits = self.model.traits
+            check_memory(float(traits.bytes_per_wavelength) * grid.size, f"a {traits.noun} at {grid.size} wavelengths")
         if isinstance(self.model, StoredBsdf) or self.context.ambient is not None:
             return self.model.bsdf(grid)  # solved already; or a part of another material, which is kept as a whole
-        what = identity(self.identity, {}, wavelengths_nm=grid)
+        what = fingerprint(self.fingerprint, {}, wavelengths_nm=grid)
         return solved(what, lambda: self.model.bsdf(grid), keep)
 
     def values_at(
@@ -130,7 +129,7 @@ class Material:
             wavelengths_nm: ascending; default: chosen by the material.
         """
         grid = self.model.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
-        values = self.model.values_at(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float), grid)
+        values = values_at(self.model, np.asarray(wi, dtype=float), np.asarray(wo, dtype=float), grid)
         return None if values is None else (values, np.asarray(grid, dtype=float))
 
     @property
@@ -174,14 +173,15 @@ class Material:
         found = self.model.spectrum(theta, grid, polarisation, seed)
         if found is None:
             if polarisation != "both":
-                raise UnsupportedError(f"{self.context.source}: a {self.model.noun} {self.model.why_unpolarised}")
+                traits = self.model.traits
+                raise UnsupportedError(f"{self.context.source}: a {traits.noun} {traits.unpolarised_reason}")
             found = bsdf_spectrum(self._solved(grid), theta, seed=seed)
         self._tell_excess(found)
         return found
 
     def _tell_excess(self, spectrum: Spectrum) -> None:
         """Warn where more leaves than arrives, of a model or data that may do so."""
-        because = self.model.unbounded_because
+        because = self.model.excess_reason if isinstance(self.model, ExcessEnergy) else ""
         parts = list(spectrum.parts().values())
         if not because or not parts:
             return
@@ -201,7 +201,7 @@ class Material:
             UnsupportedError: the family has no such figure, or a formula of x, y or z.
         """
         refuse_place(self.model, f"{self.context.source}: {kind}")
-        return self.model.figure_data(kind, **options)
+        return figure_data(self.model, kind, **options)
 
     def vary(self, changes: Mapping[str, Any]) -> Material:
         """Return the material with some recipe numbers changed, each named by its path.
@@ -220,7 +220,7 @@ class Material:
             set_by_path(data, path, value, self.context.source)
         return material_from_data(data, dataclasses.replace(self.context, text=""))
 
-    def reaching(self, paths: Iterable[str]) -> Material:
+    def with_parts_loaded(self, paths: Iterable[str]) -> Material:
         """Return the material with each recipe inside its own that a path reaches into as a table, not as a file.
 
         `first.layers[0].thickness_nm` names a number of the recipe that `first = {recipe = "film.toml"}` names.
@@ -233,7 +233,7 @@ class Material:
             return self
         return material_from_data(data, dataclasses.replace(self.context, text=""))
 
-    def opened(self) -> Material:
+    def inlined(self) -> Material:
         """Return the material with every recipe inside its own as a table, not as a file.
 
         Raises:
@@ -244,20 +244,20 @@ class Material:
             return self
         return material_from_data(data, dataclasses.replace(self.context, text=""))
 
-    def for_many(self, is_told: bool = False) -> Material:
+    def at_low_fidelity(self, is_reported: bool = False) -> Material:
         """Return the material as one of many that are solved, without the way of minutes that it may take alone.
 
-        Sweeps, searches, fits and drafts ask for it; what is made of it by `vary` is so too. A way that the recipe
-        names itself is kept. What is left out is told, unless it was before.
+        Sweeps, searches, fits and drafts use "search"; `vary` preserves it. A method that the recipe names itself
+        is used at any fidelity. A replaced method is reported as a warning unless `is_reported`.
         """
-        if self.context.is_one_of_many or isinstance(self.model, StoredBsdf):
+        if self.context.is_low_fidelity or isinstance(self.model, StoredBsdf):
             return self
-        if self.model.slow_way and not is_told:
+        if isinstance(self.model, ExpensiveMethod) and self.model.expensive_method and not is_reported:
             logger.warning(
                 "%s: alone it takes %s; among many it takes the quick way, unless the recipe names the slow one",
-                self.context.source, self.model.slow_way,
+                self.context.source, self.model.expensive_method,
             )  # fmt: skip
-        return material_from_data(self.data, dataclasses.replace(self.context, is_one_of_many=True))
+        return material_from_data(self.data, dataclasses.replace(self.context, is_low_fidelity=True))
 
     def get(self, path: str) -> Any:
         """Return the recipe's value at a path such as `strata[0].platelets[0].volume_fraction`.
@@ -270,7 +270,7 @@ class Material:
         return holder[last]
 
     @property
-    def free_numbers(self) -> dict[str, float]:
+    def parameters(self) -> dict[str, float]:
         """Every number that the recipe gives, by its path: what a fit or a search may free."""
         tables = {key: value for key, value in self.data.items() if key not in STUDY_TABLES}
         return numbers_of(tables)
@@ -282,13 +282,15 @@ class Material:
 
 
 @dataclass(frozen=True)
-class StoredBsdf(Model):
+class StoredBsdf(Model, ExcessEnergy):
     """A compiled `.nacre` file: a material whose optics are already solved."""
 
-    noun = "compiled .nacre file"
-    takes_ambient = False
-    why_unpolarised = "holds unpolarised values; give its recipe for s or p"
-    unbounded_because = "so the file says"
+    traits = Traits(
+        noun="compiled .nacre file",
+        takes_ambient=False,
+        unpolarised_reason="holds unpolarised values; give its recipe for s or p",
+    )
+    excess_reason = "so the file says"
 
     stored: Bsdf
 
@@ -327,7 +329,7 @@ def load(path: MaterialLike) -> Material:
         return path
     if isinstance(path, Mapping):
         return material(path)
-    return _load(or_example(named(path)), depth=0)
+    return _load(resolve_recipe_path(named(path)), depth=0)
 
 
 def _load(path: Path, depth: int, ambient: Any = None) -> Material:
@@ -347,7 +349,8 @@ def _load(path: Path, depth: int, ambient: Any = None) -> Material:
         bsdf = Bsdf.load(path)
         text = str(bsdf.provenance.get("recipe", ""))
         reached = {path.resolve(): file_digest(path)}
-        return Material(StoredBsdf(bsdf), {}, RecipeContext(str(path), path.parent.resolve(), text, reached=reached))
+        context = RecipeContext(str(path), path.parent.resolve(), text, dependencies=reached)
+        return Material(StoredBsdf(bsdf), {}, context)
     text = read_text(path, "recipe")
 
     def load_recipe(other: str | Mapping[str, Any], ambient: Any = ambient) -> Material:
@@ -421,7 +424,7 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
     """
     data = plain_data(data, context.source)
     spec_class = family_spec(data.get("family"), context.source)
-    context = dataclasses.replace(context, reached={}, names=named_numbers(data, context.source))
+    context = dataclasses.replace(context, dependencies={}, names=named_numbers(data, context.source))
     if spec_class.varies_by_nodes and (numbers := varying_numbers(data, spec_class.varies_by_nodes)):
         told: list[str] = []
 
@@ -429,10 +432,11 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
             even = copy.deepcopy(dict(data))
             for path, value in values.items():
                 set_by_path(even, path, value, context.source)
-            node = material_from_data(even, dataclasses.replace(context, is_one_of_many=True))
-            context.reach(node.context.reached)
-            if node.model.spared_way and not told and not context.is_one_of_many:
-                told.append(node.model.spared_way)
+            node = material_from_data(even, dataclasses.replace(context, is_low_fidelity=True))
+            context.add_dependencies(node.context.dependencies)
+            replaced = node.model.replaced_method if isinstance(node.model, ExpensiveMethod) else ""
+            if replaced and not told and not context.is_low_fidelity:
+                told.append(replaced)
                 logger.warning(
                     "%s: with even numbers it may take %s; with numbers that vary it takes the quick way, unless the "
                     "recipe names the slow one", context.source, told[0],
@@ -448,7 +452,7 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
 def recipe_provenance(material: Material) -> dict[str, Any]:
     """Return the provenance that a file made from a recipe carries."""
     source = Path(material.context.source).name
-    return {"nacre": __version__, "source": source, "recipe": material.text, "identity": material.identity}
+    return {"nacre": __version__, "source": source, "recipe": material.text, "fingerprint": material.fingerprint}
 
 
 # The layers of a material that is a stack, in words and numbers for sheets and pages.

@@ -21,7 +21,7 @@ CACHE_SIZE = 32
 
 def material_html(material: Any) -> str:
     """Return the HTML of a material: picture, ribbon, name; a part that cannot be made leaves a line saying why."""
-    key = f"{material.context.source}\n{material.text}\n{material.identity}"  # and of the files it reads
+    key = f"{material.context.source}\n{material.text}\n{material.fingerprint}"  # and of the files it reads
     if key not in _cache:
         while len(_cache) >= CACHE_SIZE:
             _cache.pop(next(iter(_cache)))

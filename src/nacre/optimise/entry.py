@@ -8,7 +8,7 @@ from typing import Any
 
 from nacre.core.errors import RecipeError
 from nacre.core.files import check_room, named, read_text
-from nacre.material.examples import or_example
+from nacre.material.examples import resolve_recipe_path
 from nacre.optimise.solutions import NEED_BYTES
 from nacre.optimise.task import is_wants, seeks_heights
 from nacre.recipe.toml import parse_toml
@@ -43,7 +43,7 @@ def run(
     Example: `nacre.design("violet.toml", "violet").best.wants[0].distance`.
     """
     if not isinstance(target, Mapping):
-        target = or_example(named(target))
+        target = resolve_recipe_path(named(target))
     check_room(out if out is not None else DICTIONARY if isinstance(target, Mapping) else target.stem, NEED_BYTES)
     data = target if isinstance(target, Mapping) else parse_toml(read_text(target, "target"), str(target))
     if is_wants(data) and seeks_heights(data):

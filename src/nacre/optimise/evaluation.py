@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
+from nacre.families.contract import is_direct
 from nacre.light import (
     delta_e_2000,
     lab_to_lch,
@@ -99,14 +100,14 @@ def judge(
     rows = rows_of(wants)
     begun = time.monotonic()
     fine, coarse = (choose(material, light.illuminants) for choose in (judge_wavelengths, search_wavelengths))
-    grid = fine if material.model.is_quick else coarse
-    if material.model.is_direct:  # the same physics in the wanted directions, with nothing kept from the search
+    grid = fine if material.model.traits.is_quick else coarse
+    if is_direct(material.model):  # the same physics in the wanted directions, with nothing kept from the search
         seen = see(material, rows, fine, memory={})
         return reached(seen, wants, light), seen
     seen = see(material, rows, grid, seed=seed + JUDGE_SEED)
     if seen.error is None:
         # a random walk stays on the coarse grid of reports; what is not one is looked at on its own
-        seen = seen if material.model.is_quick else see(material, rows, fine, seed=seed + JUDGE_SEED)
+        seen = seen if material.model.traits.is_quick else see(material, rows, fine, seed=seed + JUDGE_SEED)
         return reached(seen, wants, light), seen
     draws = [seen.factors]
     while True:

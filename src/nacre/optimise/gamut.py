@@ -35,8 +35,8 @@ from nacre.light import (
 from nacre.material.material import Material
 from nacre.matter.stack.solve import powers
 from nacre.optimise.evaluation import lab_hex
-from nacre.optimise.free import Free, own_place, read_free, values_at
 from nacre.optimise.measurement import At, check_answers, search_wavelengths, see
+from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, values_at
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import check_light
 from nacre.optimise.task import Target
@@ -100,7 +100,7 @@ class Gamut:
         }  # fmt: skip
 
 
-def parse_free(options: Iterable[str]) -> dict[str, Any]:
+def parse_parameters(options: Iterable[str]) -> dict[str, Any]:
     """Read `PATH=A:B` (bounds) and `PATH=a,b,c` (choices) into a table as `[free]` has it.
 
     Raises:
@@ -170,8 +170,8 @@ def find_gamut(
     if not within > 0:
         raise NacreError(f"--within = {within:g} must be above 0")
     check_light(LightSpec(illuminants=[illuminant], observer=observer), RecipeContext(source))
-    material = material.for_many().reaching(free)
-    numbers = read_free(dict(free), material, source)
+    material = material.at_low_fidelity().with_parts_loaded(free)
+    numbers = read_parameters(dict(free), material, source)
     if not numbers:
         raise RecipeError(f"{source}: nothing is free; use --free PATH=LOW:HIGH")
     where = _answered([material, *_tried(material, numbers)], at, f"{source}: at")
@@ -189,7 +189,7 @@ def _answered(materials: Sequence[Material], at: str | None, where: str) -> At:
     Raises:
         RecipeError: the geometry is not known or not answered.
     """
-    usual = materials[0].model.usual_look
+    usual = materials[0].model.traits.default_geometry
     asked = [usual, *(look for look in OTHER_LOOKS if look != usual)] if at is None else [at]
     refused: list[RecipeError] = []
     for text in asked:
@@ -204,7 +204,7 @@ def _answered(materials: Sequence[Material], at: str | None, where: str) -> At:
 
 
 def gamut_of_free(
-    material: Material, numbers: Sequence[Free], at: At, *, points: int, seconds: float = np.inf, illuminant: str,
+    material: Material, numbers: Sequence[Parameter], at: At, *, points: int, seconds: float = np.inf, illuminant: str,
     observer: str, within: float = 2.0, samples: int | None = None, seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Gamut:  # fmt: skip
@@ -253,7 +253,7 @@ def gamut_of(
     )
 
 
-def _tried(material: Material, numbers: Sequence[Free]) -> list[Material]:
+def _tried(material: Material, numbers: Sequence[Parameter]) -> list[Material]:
     found = []
     for share in (0.5, 0.99):
         try:
@@ -264,7 +264,7 @@ def _tried(material: Material, numbers: Sequence[Free]) -> list[Material]:
 
 
 def _draw(
-    numbers: Sequence[Free], look: Callable[[Mapping[str, Any]], Array], material: Material, points: int,
+    numbers: Sequence[Parameter], look: Callable[[Mapping[str, Any]], Array], material: Material, points: int,
     seconds: float, seed: int, grid: Array, light: tuple[str, str], progress: Callable[[int, int], None] | None,
 ) -> tuple[list[Array], Array, int]:  # fmt: skip
     """Draw places evenly, then around those at the rim; return places, factors and how many failed."""
@@ -273,7 +273,7 @@ def _draw(
     begun = time.monotonic()
     even = max(LEAST_POINTS, int(EVEN_SHARE * points)) if len(numbers) > 1 else points
     places = list(qmc.Sobol(len(numbers), scramble=True, rng=np.random.default_rng(seed)).random(_power(even))[:even])
-    own = own_place(numbers, material)
+    own = nominal_point(numbers, material)
     places[:0] = [own] if own is not None else []
     if every := _every_place(numbers, points):
         places, points = every, len(every)
@@ -301,7 +301,7 @@ def _draw(
     return kept, np.array(factors), failed
 
 
-def _every_place(numbers: Sequence[Free], most: int) -> list[Array]:
+def _every_place(numbers: Sequence[Parameter], most: int) -> list[Array]:
     """Return each combination of words and whole numbers once; none where other numbers are free, or of too many."""
     if not all(n.choices or n.is_whole for n in numbers):
         return []
@@ -479,7 +479,16 @@ def gamut_page(found: Gamut, name: str) -> str:
     )
 
 
-__all__ = ["Gamut", "find_gamut", "gamut_chart", "gamut_of", "gamut_of_free", "gamut_page", "gamut_svg", "parse_free"]
+__all__ = [
+    "Gamut",
+    "find_gamut",
+    "gamut_chart",
+    "gamut_of",
+    "gamut_of_free",
+    "gamut_page",
+    "gamut_svg",
+    "parse_parameters",
+]
 
 
 # What a design's freedom reaches at its first colour: the gamut behind its report.

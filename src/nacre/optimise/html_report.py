@@ -13,6 +13,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.files import write_text
+from nacre.families.contract import is_direct
 from nacre.light import lamp_lines_nm, white_xyz
 from nacre.material.material import Material, layers_of
 from nacre.optimise.evaluation import Reached, rows_of
@@ -129,7 +130,7 @@ def _shown_wavelengths(made: Material, lamps: Sequence[str]) -> Array:
     Where a wavelength takes long (a body that is no sphere), those of the judge, who has solved them: about as many.
     """
     few = search_wavelengths(made, lamps)
-    if not made.model.is_direct:
+    if not is_direct(made.model):
         return few
     known = judge_wavelengths(made, lamps)
     lines = [line for lamp in lamps for line in lamp_lines_nm(lamp)]
@@ -142,7 +143,7 @@ def _ribbon(first: At, material: Material) -> tuple[Array, list[At], str]:
         angles = ASPECULAR_DEG[np.abs(ASPECULAR_DEG - first.theta_deg) < 89.0]
         label = f"Aspecular angle, light from {first.theta_deg:g}\u00b0"
         return angles, [At("aspecular", first.theta_deg, float(a)) for a in angles], label
-    angles = RIBBON_DEG if material.model.is_quick else COARSE_DEG
+    angles = RIBBON_DEG if material.model.traits.is_quick else COARSE_DEG
     return angles, [At(first.kind, float(a)) for a in angles], f"Angle of the light, {first.kind} (degrees)"
 
 
@@ -239,7 +240,7 @@ def _gamut(target: Target, seconds: float, judging_s: float) -> list[str]:
     """
     lamps = target.spec.light.illuminants
     few, every = (len(choose(target.material, lamps)) for choose in (search_wavelengths, judge_wavelengths))
-    if seconds <= 0.0 or (target.material.model.is_direct and LEAST_POINTS * judging_s * few / every > seconds):
+    if seconds <= 0.0 or (is_direct(target.material.model) and LEAST_POINTS * judging_s * few / every > seconds):
         return []
     found = reach_of_or_none(target, seconds)
     if found is None:

@@ -13,6 +13,7 @@ from nacre.bsdf.bsdf import Bsdf, Spectrum
 from nacre.bsdf.grids import direction
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError, UnsupportedError, did_you_mean
+from nacre.families.contract import search_model, values_at
 from nacre.light import default_wavelengths, lamp_lines_nm, spans_colour, with_lamp_lines
 from nacre.material.material import Material
 from nacre.measure.evaluate import evaluate_with_error
@@ -127,14 +128,14 @@ def see(
         NacreError: the material cannot be computed.
     """
     if memory is not None:
-        material = replace(material, model=material.model.among_many(memory, is_rough))
+        material = replace(material, model=search_model(material.model, memory, is_rough))
     model = material.model
     asked = [at for at in ats if at.kind != "aspecular"]
     rows = [row for row, at in enumerate(ats) if at.kind == "aspecular"]
     wi, wo = aspecular_pairs([ats[row] for row in rows])
     few = None
     if rows and memory is not None and wavelengths_nm is not None:
-        few = model.values_at(wi, wo, wavelengths_nm)
+        few = values_at(model, wi, wo, wavelengths_nm)
     bsdf: Bsdf | None = None
     if rows and few is None:
         bsdf = model.bsdf(wavelengths_nm)
@@ -196,7 +197,7 @@ def search_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
     What takes long is compared on the coarse grid of reports, between whose samples goals run a spline.
     """
     grid = material.model.wavelengths_nm
-    if not material.model.is_quick:
+    if not material.model.traits.is_quick:
         coarse = WALK_NM[(WALK_NM >= grid[0]) & (WALK_NM <= grid[-1])]
         grid = coarse if len(coarse) < len(grid) and spans_colour(coarse) else grid
     return _with_lines(grid, lamps)
@@ -205,7 +206,7 @@ def search_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
 def judge_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
     """Return the grid on which answers are judged: 1 nm where that is quick, else the material's own."""
     own = _with_lines(material.model.wavelengths_nm, lamps)
-    return np.union1d(own, default_wavelengths(step_nm=JUDGE_STEP_NM)) if material.model.is_quick else own
+    return np.union1d(own, default_wavelengths(step_nm=JUDGE_STEP_NM)) if material.model.traits.is_quick else own
 
 
 def _with_lines(grid: Array, lamps: Sequence[str]) -> Array:
@@ -217,7 +218,7 @@ def _with_lines(grid: Array, lamps: Sequence[str]) -> Array:
 
 def why_missing(material: Material, at: At) -> str:
     """Return why a material answers nothing at a geometry."""
-    noun = material.model.noun
+    noun = material.model.traits.noun
     return {
         "specular": f"this {noun} has no mirror-like part",
         "transmitted": f"this {noun} lets no light through straight",
@@ -259,7 +260,7 @@ def missing_at(material: Material, ats: Sequence[At]) -> frozenset[At]:
         NacreError: the material cannot be computed.
     """
     probe = _probe(material)
-    if material.model.is_quick:
+    if material.model.traits.is_quick:
         return see(material, ats, probe).missing
     asked = [at for at in ats if at.kind != "aspecular"]
     angles = np.radians([at.theta_deg for at in asked])

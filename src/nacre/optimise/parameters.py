@@ -25,7 +25,7 @@ JUST_INSIDE = 1e-6  # of the bounds
 
 
 @dataclass(frozen=True)
-class Free:
+class Parameter:
     """One number or word that may change.
 
     Attributes:
@@ -58,9 +58,9 @@ class Free:
         return (value - self.low) / (self.high - self.low)
 
 
-def read_free(
+def read_parameters(
     table: Any, material: Material, source: str, name: str = "free", most: int = MOST_FREE, words: bool = True
-) -> tuple[Free, ...]:
+) -> tuple[Parameter, ...]:
     """Read a `[free]` table of a design, or a `[fit]` table of a recipe.
 
     Args:
@@ -74,8 +74,8 @@ def read_free(
         RecipeError: naming the path and what is allowed.
     """
     entries = by_path(table, {"min", "max", "choices"}, source, name)
-    material = material.reaching(entries)
-    found: dict[str, Free] = {}
+    material = material.with_parts_loaded(entries)
+    found: dict[str, Parameter] = {}
     where = f'{source}: {name}: recipe "{material.name}"'
     for each, (path, entry) in expand_table(material.data, entries, where).items():
         found[each] = _free(each, entry, material, f'{source}: {name}."{path}"', words)
@@ -84,7 +84,7 @@ def read_free(
     return tuple(found.values())
 
 
-def _free(path: str, entry: Any, material: Material, where: str, words: bool) -> Free:
+def _free(path: str, entry: Any, material: Material, where: str, words: bool) -> Parameter:
     if isinstance(entry, Mapping):
         known_only(entry, FreeNumberSpec if words else FreeSpec, where)
         if "choices" in entry:
@@ -112,7 +112,7 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _tried(path: str, low: float, high: float, material: Material, where: str) -> Free:
+def _tried(path: str, low: float, high: float, material: Material, where: str) -> Parameter:
     """Try a value between the bounds in the recipe, which tells paths that do not exist and numbers that are whole."""
     try:
         material.vary({path: low + 0.4142 * (high - low)})
@@ -120,7 +120,7 @@ def _tried(path: str, low: float, high: float, material: Material, where: str) -
         said = error
     else:
         _check_ends(path, low, high, material, where)
-        return Free(path, low, high)
+        return Parameter(path, low, high)
     whole = [math.ceil(low), math.floor((low + high) / 2), math.floor(high)]
     for value in whole:
         try:
@@ -129,7 +129,7 @@ def _tried(path: str, low: float, high: float, material: Material, where: str) -
             continue
         ends = math.ceil(low), math.floor(high)
         _check_ends(path, *ends, material, where, True)
-        return Free(path, float(ends[0]), float(ends[1]), (), True)
+        return Parameter(path, float(ends[0]), float(ends[1]), (), True)
     raise RecipeError(f"{where}: {said}")
 
 
@@ -153,7 +153,7 @@ def _check_ends(path: str, low: float, high: float, material: Material, where: s
                 raise RecipeError(f"{where} = {show_value([low, high])}: {said}") from None
 
 
-def _choices(path: str, entry: Mapping[str, Any], material: Material, where: str) -> Free:
+def _choices(path: str, entry: Mapping[str, Any], material: Material, where: str) -> Parameter:
     choices = entry["choices"]
     if "min" in entry or "max" in entry:
         raise RecipeError(f"{where} = {show_value(entry)} should hold choices, or bounds, not both")
@@ -164,7 +164,7 @@ def _choices(path: str, entry: Mapping[str, Any], material: Material, where: str
             material.vary({path: value})
         except NacreError as error:
             raise RecipeError(f"{where}: {error}") from None
-    return Free(path, choices=tuple(choices))
+    return Parameter(path, choices=tuple(choices))
 
 
 def _given(material: Material, path: str) -> Any:
@@ -174,20 +174,20 @@ def _given(material: Material, path: str) -> Any:
         return None
 
 
-def own_place(free: Sequence[Free], material: Material) -> Array | None:
+def nominal_point(free: Sequence[Parameter], material: Material) -> Array | None:
     """Return the recipe's own values as a place in the unit cube, None where one lies out of its bounds."""
-    return place_of(free, {number.path: _given(material, number.path) for number in free})
+    return point_of(free, {number.path: _given(material, number.path) for number in free})
 
 
-def place_of(free: Sequence[Free], values: Mapping[str, Any]) -> Array | None:
+def point_of(free: Sequence[Parameter], values: Mapping[str, Any]) -> Array | None:
     """Return values by path as a place in the unit cube, None where one is missing or lies out of its bounds."""
     units = [number.unit(values.get(number.path)) for number in free]
     return None if any(unit is None for unit in units) else np.array(units, dtype=float)
 
 
-def values_at(free: Sequence[Free], place: Array) -> dict[str, Any]:
+def values_at(free: Sequence[Parameter], place: Array) -> dict[str, Any]:
     """Return the recipe's changes at a place in the unit cube."""
     return {number.path: number.value(unit) for number, unit in zip(free, place, strict=True)}
 
 
-__all__ = ["Free", "own_place", "place_of", "read_free", "values_at"]
+__all__ = ["Parameter", "nominal_point", "point_of", "read_parameters", "values_at"]

@@ -15,9 +15,9 @@ import numpy as np
 from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import read_text, write_text
+from nacre.families.contract import method_overrides
 from nacre.material.material import Material
 from nacre.optimise.evaluation import judge, objective, rank
-from nacre.optimise.free import spreads_of
 from nacre.optimise.image.design import design_picture
 from nacre.optimise.methods.least_squares import GeneralSearch
 from nacre.optimise.methods.successive_halving import slow_search
@@ -34,6 +34,7 @@ from nacre.optimise.solutions import (
 )
 from nacre.optimise.sparsify import is_chosen, tables_kept
 from nacre.optimise.task import Target, read_target, total_nm
+from nacre.optimise.tolerances import read_tolerances
 from nacre.optimise.yield_analysis import sensitivity, yield_of
 from nacre.recipe.paths import numbers_of
 
@@ -100,7 +101,7 @@ def run(
     keeper = _Keeper(folder, read, begun, runs + 1, progress)
     total = read.spec.search.seconds
     closing = CLOSING_SHARE * total
-    if read.material.model.is_quick:
+    if read.material.model.traits.is_quick:
         closing = min(closing, CLOSING_S + CLOSING_OF_EACH_S * read.spec.search.solutions)
     left = total - closing - (time.monotonic() - begun)
     ended = search.run(max(left, LEAST_SEARCH * total), keeper.tell, known)
@@ -302,10 +303,10 @@ def judged(target: Target, changes: dict[str, Any], seconds: float, least: float
     with contextlib.suppress(NacreError):
         paths = [p for p in numbers_of(made.data) if is_chosen(p, changes, target.free) and made.get(p)]
         asked = (target.wants, spec.light, spec.search.seed)
-        if 2.0 * took <= max(0.2 * seconds, DEAR_S) or made.model.is_quick:
+        if 2.0 * took <= max(0.2 * seconds, DEAR_S) or made.model.traits.is_quick:
             facts["sensitivity"] = sensitivity(made, paths, *asked, max(0.2 * seconds, least), seen)
         if spec.spread:
-            spreads = spreads_of(spec.spread, made, target.context.source)
+            spreads = read_tolerances(spec.spread, made, target.context.source)
             facts["yield"] = yield_of(made, spreads, *asked, 0.3 * seconds, seen)
     if total := total_nm(made):
         facts["total_nm"] = total
@@ -318,14 +319,14 @@ def as_judged(start: Material, changes: Mapping[str, Any]) -> dict[str, Any]:
     Args:
         start: the recipe that is changed, as one of many.
     """
-    return {**changes, **start.vary(changes).model.spared_changes}
+    return {**changes, **method_overrides(start.vary(changes).model)}
 
 
 def tolerance_of(target: Target, solution: Solution) -> dict[str, Any]:
     """Return the spreads as a recipe's [tolerance] has them, so that `nacre tolerance` goes on from the answer."""
     if not target.spec.spread:
         return {}
-    spreads = spreads_of(target.spec.spread, solution.material, target.context.source)
+    spreads = read_tolerances(target.spec.spread, solution.material, target.context.source)
     own = dict(solution.material.data.get("tolerance", {}))
     return own | {s.path: {"deviation": s.deviation, "distribution": s.distribution} for s in spreads}
 

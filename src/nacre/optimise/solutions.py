@@ -159,7 +159,7 @@ def write_recipe(
     if tolerance:
         data["tolerance"] = all_changes["tolerance"] = dict(tolerance)
     copied: list[str] = []
-    reached = {*start.context.reached, *(made.context.reached if made is not None else ())}
+    reached = {*start.context.dependencies, *(made.context.dependencies if made is not None else ())}
     moved = _bring(data, start.context.folder, reached, folder, copied)
     for path, name in moved.items():
         set_by_path(data, path, name, start.context.source)
@@ -253,7 +253,7 @@ def check_folder(out: Path, start: Material, solutions: int = 1) -> None:
     """
     if out.exists() and not out.is_dir():
         raise RecipeError(f"{out}: is a file; the answers need a folder, choose another with -o")
-    used = {Path(start.context.source).resolve(), *start.context.reached}
+    used = {Path(start.context.source).resolve(), *start.context.dependencies}
     if start.context.text and (out / RECIPE).resolve() in used:
         raise RecipeError(f"{out}: holds the recipe that the design starts from; choose another folder with -o")
     earlier = _earlier(out)
@@ -261,7 +261,7 @@ def check_folder(out: Path, start: Material, solutions: int = 1) -> None:
     foreign = [name for name in names if (out / name).exists()]
     later = [folder_of(out, number) for number in range(2, solutions + 1)]
     foreign += [folder.name for folder in later if os.path.lexists(folder) and not folder.is_dir()]
-    for file in start.context.reached:
+    for file in start.context.dependencies:
         beside = out / file.name
         is_another = beside.exists() and beside.resolve() != file and file_digest(beside) != file_digest(file)
         if is_another and file.name not in (earlier or ()):

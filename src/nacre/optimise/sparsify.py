@@ -13,7 +13,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.families.registry import family_spec
 from nacre.material.material import Material
-from nacre.optimise.free import Free
+from nacre.optimise.parameters import Parameter
 from nacre.recipe.paths import find_by_path, is_within, set_by_path
 
 KINDS_OF_EACH = 24  # draws of what is in a table that may go; any of them go together
@@ -23,7 +23,7 @@ GONE_SHARE = 0.4
 _INDEX = re.compile(r"\[\d+\]")
 
 
-def droppable(free: Sequence[Free], material: Material) -> dict[int, str]:
+def droppable(free: Sequence[Parameter], material: Material) -> dict[int, str]:
     """Return the free numbers, by their place in `free`, that may be 0, and the path of the table that goes then."""
     spec = family_spec(material.family, material.context.source)
     found = {}
@@ -33,7 +33,7 @@ def droppable(free: Sequence[Free], material: Material) -> dict[int, str]:
     return found
 
 
-def draws(generator: np.random.Generator, free: Sequence[Free], drops: Mapping[int, str]) -> Iterator[Array]:
+def draws(generator: np.random.Generator, free: Sequence[Parameter], drops: Mapping[int, str]) -> Iterator[Array]:
     """Yield places of the unit cube, some without some of the tables that may go.
 
     What is in such a table is drawn a few times only and put together anew each time, with other amounts: a family
@@ -52,7 +52,7 @@ def draws(generator: np.random.Generator, free: Sequence[Free], drops: Mapping[i
         yield place
 
 
-def changes_of(material: Material, free: Sequence[Free], values: Sequence[Any]) -> dict[str, Any]:
+def changes_of(material: Material, free: Sequence[Parameter], values: Sequence[Any]) -> dict[str, Any]:
     """Return the recipe's changes that say the values; where one of `droppable` is 0, without its table.
 
     A list or table out of which something goes is then changed as a whole.
@@ -76,7 +76,7 @@ def changes_of(material: Material, free: Sequence[Free], values: Sequence[Any]) 
     return kept
 
 
-def values_of(material: Material, free: Sequence[Free], changes: Mapping[str, Any]) -> list[Any] | None:
+def values_of(material: Material, free: Sequence[Parameter], changes: Mapping[str, Any]) -> list[Any] | None:
     """Return the values that changes say, the way back from `changes_of`; None where they are of something else."""
     try:
         data = material.vary(changes).data
@@ -103,14 +103,14 @@ def values_of(material: Material, free: Sequence[Free], changes: Mapping[str, An
     return found
 
 
-def tables_kept(material: Material, free: Sequence[Free], changes: Mapping[str, Any]) -> int:
+def tables_kept(material: Material, free: Sequence[Parameter], changes: Mapping[str, Any]) -> int:
     """Return how many of the tables that may go are in the recipe that changes say."""
     drops = droppable(free, material)
     values = values_of(material, free, changes) if drops else []
     return len(drops) if values is None else sum(values[i] != 0 for i in drops)
 
 
-def is_chosen(path: str, changes: Mapping[str, Any], free: Sequence[Free]) -> bool:
+def is_chosen(path: str, changes: Mapping[str, Any], free: Sequence[Parameter]) -> bool:
     """Whether a number of an answer is one that the search chose, not one that stands beside it in a changed list."""
     if path in changes or not free:
         return any(is_within(path, each) for each in changes)

@@ -16,12 +16,13 @@ from nacre.core.files import read_text
 from nacre.material.material import Material, load, material
 from nacre.matter.indices.spec import IndexSpec
 from nacre.optimise.evaluation import rows_of
-from nacre.optimise.free import Free, read_free, spreads_of, values_at
 from nacre.optimise.image.validation import check_free
 from nacre.optimise.measurement import check_answers
+from nacre.optimise.parameters import Parameter, read_parameters, values_at
 from nacre.optimise.spec import LayersSpec, WantsSpec
 from nacre.optimise.targets import Want, read_wants
-from nacre.recipe.fingerprint import identity
+from nacre.optimise.tolerances import read_tolerances
+from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
 from nacre.recipe.path_tables import by_path
 from nacre.recipe.paths import numbers_of
@@ -37,7 +38,7 @@ def total_nm(material: Material) -> float:
     return sum(value * LENGTH_UNITS_NM[match[1]] for match, value in found if match)
 
 
-def check_limits(spec: WantsSpec, base: Material, free: Sequence[Free], source: str) -> None:
+def check_limits(spec: WantsSpec, base: Material, free: Sequence[Parameter], source: str) -> None:
     """Refuse limits that say nothing of this recipe, or that nothing can keep to.
 
     Raises:
@@ -88,7 +89,7 @@ class Target:
     context: RecipeContext
     material: Material
     wants: tuple[Want, ...]
-    free: tuple[Free, ...]
+    free: tuple[Parameter, ...]
 
     @property
     def name(self) -> str:
@@ -105,7 +106,7 @@ class Target:
         """A hash of all that decides what is searched for, but for the time allowed."""
         files = {**self.context.files, **self.material.context.files, **self._choices_files}
         search = {"search": {"seconds"}}
-        return identity(self.spec.model_dump(exclude=search), files, material=self.material.identity)
+        return fingerprint(self.spec.model_dump(exclude=search), files, material=self.material.fingerprint)
 
     @property
     def _choices_files(self) -> dict[str, str]:
@@ -162,7 +163,7 @@ def read_target(target: str | Path | Mapping[str, Any]) -> Target:
         raise RecipeError(f"{context.source}: holds both [[want]] and [target]; a file is of one form")
     spec: WantsSpec = validate(WantsSpec, data, context)
     source = context.source
-    base = _recipe(spec, context).reaching([*spec.free, *spec.spread])
+    base = _recipe(spec, context).with_parts_loaded([*spec.free, *spec.spread])
     refuse_place(base.model, f"{context.source}: recipe")
     wants = read_wants(spec.want, spec.light, context)
     if spec.layers is not None:
@@ -174,7 +175,7 @@ def read_target(target: str | Path | Mapping[str, Any]) -> Target:
             raise RecipeError(
                 f'{source}: free."{free_path}" names a layer, but [layers] seeks the stack itself; keep one'
             )
-    free = read_free(spec.free, base, source)
+    free = read_parameters(spec.free, base, source)
     if not free and spec.layers is None:
         raise RecipeError(f"{source}: nothing is free; add a [free] table, or [layers] to seek a film's stack")
     if spec.layers is not None and free:
@@ -182,7 +183,7 @@ def read_target(target: str | Path | Mapping[str, Any]) -> Target:
             f'{source}: free."{free[0].path}" beside [layers]: the stack is sought alone; fix the number in the recipe'
         )
     if spec.spread and spec.layers is None:
-        spreads_of(spec.spread, base, source)
+        read_tolerances(spec.spread, base, source)
     if spec.limits.trusted:
         raise RecipeError(f"{source}: limits.trusted = true is of a relief whose heights are sought")
     if wants[0].image is not None:
@@ -200,7 +201,7 @@ def _recipe(spec: WantsSpec, context: RecipeContext) -> Material:
         if isinstance(spec.recipe, str):
             loaded = load(context.path(spec.recipe))
             if spec.layers is None:
-                return loaded.for_many()
+                return loaded.at_low_fidelity()
             data, folder = dict(loaded.data), loaded.context.folder
         else:
             data, folder = dict(spec.recipe), context.folder
@@ -209,7 +210,7 @@ def _recipe(spec: WantsSpec, context: RecipeContext) -> Material:
             data["layers"] = []
             if spec.layers.substrate is not None:
                 data["substrate"] = substrates(spec.layers)[0]
-        return material(data, folder).for_many()
+        return material(data, folder).at_low_fidelity()
     except NacreError as error:
         said = str(error).removeprefix("recipe: ").removeprefix(f"{context.source}: ")
         raise RecipeError(

@@ -19,7 +19,7 @@ DISTRIBUTIONS = ("gaussian", "uniform")
 
 
 @dataclass(frozen=True)
-class Spread:
+class Tolerance:
     """The manufacturing spread of one recipe number.
 
     Attributes:
@@ -48,7 +48,7 @@ class Spread:
         return np.maximum(values, 0.0) if self.nominal >= 0 else values
 
 
-def spreads_of(table: Any, material: Material, source: str, name: str = "spread") -> tuple[Spread, ...]:
+def read_tolerances(table: Any, material: Material, source: str, name: str = "spread") -> tuple[Tolerance, ...]:
     """Read a `[spread]` or `[tolerance]` table for one material, whose numbers the percentages are of.
 
     Args:
@@ -59,12 +59,12 @@ def spreads_of(table: Any, material: Material, source: str, name: str = "spread"
         RecipeError: naming the path and what is allowed.
     """
     entries = by_path(table, {"deviation", "percent"}, source, name)
-    material = material.reaching(entries)
+    material = material.with_parts_loaded(entries)
     found = expand_table(material.data, entries, f'{source}: {name}: recipe "{material.name}"')
-    return tuple(read_spread(material, each, entry, f"{source}: {name}") for each, (_, entry) in found.items())
+    return tuple(read_tolerance(material, each, entry, f"{source}: {name}") for each, (_, entry) in found.items())
 
 
-def read_spread(material: Material, path: str, value: Any, where: str) -> Spread:
+def read_tolerance(material: Material, path: str, value: Any, where: str) -> Tolerance:
     """Read one spread: a number (standard deviation), a percentage ("2%"), or a table as `SpreadSpec` has it.
 
     Args:
@@ -94,7 +94,7 @@ def read_spread(material: Material, path: str, value: Any, where: str) -> Spread
     if not (np.isfinite(number) and number >= 0):
         raise RecipeError(f'{where}."{path}" = {show_value(value)} should be a number >= 0 or a percentage')
     deviation = abs(nominal) * number / 100 if text.endswith("%") else number
-    return Spread(path, float(nominal), deviation, str(distribution))
+    return Tolerance(path, float(nominal), deviation, str(distribution))
 
 
 def _has(material: Material, path: str) -> bool:
@@ -105,7 +105,7 @@ def _has(material: Material, path: str) -> bool:
     return True
 
 
-def share_interval(good: int, count: int, z: float = 1.96) -> tuple[float, float]:
+def wilson_interval(good: int, count: int, z: float = 1.96) -> tuple[float, float]:
     """Return Wilson's 95 % interval of a share; it behaves at 0 and 1, where the normal one does not."""
     share = good / count
     centre = (share + z**2 / (2 * count)) / (1 + z**2 / count)
@@ -113,4 +113,4 @@ def share_interval(good: int, count: int, z: float = 1.96) -> tuple[float, float
     return max(0.0, float(centre - half)), min(1.0, float(centre + half))
 
 
-__all__ = ["Spread", "read_spread", "share_interval", "spreads_of"]
+__all__ = ["Tolerance", "read_tolerance", "wilson_interval", "read_tolerances"]

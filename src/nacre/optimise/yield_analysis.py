@@ -11,6 +11,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.families.contract import surrogate_radiance
 from nacre.light import delta_e_2000
 from nacre.material.material import Material
 from nacre.optimise.evaluation import rows_of
@@ -20,7 +21,7 @@ from nacre.optimise.methods.surrogate import Correction
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import Want, goals_of
 from nacre.optimise.thin_film.adapter import drawn_factors
-from nacre.optimise.tolerances import Spread, share_interval
+from nacre.optimise.tolerances import Tolerance, wilson_interval
 
 DRAWS, FEWEST_DRAWS = 256, 16
 RMS_OF_1_PERCENT = "rms_percent_of_1_percent"
@@ -64,13 +65,13 @@ def _likeness(material: Material, rows: Sequence[At], grid: Array) -> tuple[Arra
     if any(at.kind != "aspecular" for at in rows):
         return None
     wi, wo = aspecular_pairs(rows)
-    found = material.model.likeness_at(wi, wo, grid, True)
+    found = surrogate_radiance(material.model, wi, wo, grid, True)
     return None if found is None else (np.pi * found[0], np.pi * found[1])
 
 
 def yield_of(
-    material: Material, spreads: Sequence[Spread], wants: Sequence[Want], light: LightSpec, seed: int, seconds: float,
-    judged: Seen | None = None,
+    material: Material, spreads: Sequence[Tolerance], wants: Sequence[Want], light: LightSpec, seed: int,
+    seconds: float,     judged: Seen | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Return the share of draws that keep every want, its 95 % interval, and what each spread costs alone.
 
@@ -101,7 +102,7 @@ def yield_of(
                 break
     costs = _costs(eye, goals, spreads)
     return {
-        "share": good / done, "interval_95": list(share_interval(good, done)), "draws": done,
+        "share": good / done, "interval_95": list(wilson_interval(good, done)), "draws": done,
         "costs": costs, "costs_most": costs[0]["path"] if costs else None,
     }  # fmt: skip
 
@@ -118,7 +119,7 @@ def _eye(
     return _Eye(material, wants, grid, seed, correction), goals_of(wants, rows_of(wants), light, grid)
 
 
-def _costs(eye: _Eye, goals: Goals, spreads: Sequence[Spread]) -> list[dict[str, Any]]:
+def _costs(eye: _Eye, goals: Goals, spreads: Sequence[Tolerance]) -> list[dict[str, Any]]:
     """Return how far one standard deviation of each number moves the looks, the farthest first."""
     found: list[dict[str, Any]] = []
     for spread in spreads:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.core.files import atomic_path, told_as_os_error
+from nacre.core.files import atomic_path, reraise_as_oserror
 from nacre.light import (
     SRGB_WHITE_XYZ,
     adapt_xyz,
@@ -386,5 +386,5 @@ def write_exr(path: str | Path, result: Linear) -> None:
             channels[spectral_channel(float(wavelength))] = np.ascontiguousarray(
                 result.spectral[..., index], dtype=np.float32
             )
-    with atomic_path(path) as temporary, told_as_os_error():
+    with atomic_path(path) as temporary, reraise_as_oserror():
         OpenEXR.File(header, channels).write(str(temporary))

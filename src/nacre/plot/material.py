@@ -129,7 +129,7 @@ def _over_a_number(
     angles = default if angles_deg is None else angles_deg
     if kind in ("spectrum", "ribbon") and (len(angles) != 1 or np.any(np.diff(steps) <= 0)):
         raise UnsupportedError(f"a {kind} over a number takes one angle and ascending values; over angles, no number")
-    material = material.for_many()
+    material = material.at_low_fidelity()
     made = [material.vary({path: float(step)}) for step in steps]
     spectra = _common_spectra(made, np.radians(angles), wavelengths_nm, illuminant)
     nm = spectra[0].wavelengths_nm

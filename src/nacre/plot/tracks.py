@@ -198,7 +198,7 @@ def material_tracks(
         raise NacreError(f"over {path}: give at least two values")
     if not hasattr(material, "vary"):
         raise UnsupportedError("tracks over a number need a recipe; this material has none")
-    material = material.for_many()
+    material = material.at_low_fidelity()
     made = [material.vary({path: float(step)}) for step in steps]
     grid = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
     found, nm = number_tracks(made, steps, evaluate, grid, illuminant)

@@ -27,7 +27,7 @@ NAMING_SUFFIXES = (".xml", ".gltf")
 MAX_NAMING_BYTES = 64 << 20
 
 
-def identity(data: Any, files: Mapping[str, str], **options: Any) -> str:
+def fingerprint(data: Any, files: Mapping[str, str], **options: Any) -> str:
     """Return a hash that is equal only where the answers are.
 
     Args:
@@ -109,4 +109,4 @@ def file_stamp(path: str | Path | None) -> tuple[tuple[str, int, int], ...]:
     return tuple(found[file] for file in sorted(found))
 
 
-__all__ = ["file_digest", "file_stamp", "identity", "source_digest"]
+__all__ = ["file_digest", "file_stamp", "fingerprint", "source_digest"]

@@ -23,6 +23,7 @@ from nacre.core.files import real
 from nacre.recipe.error_messages import wish
 from nacre.recipe.fingerprint import file_digest
 from nacre.recipe.paths import NUMBERS, TEXTURE_KEYS
+from nacre.recipe.renamed_keys import renamed_hint
 from nacre.recipe.units import LENGTH_UNITS_NM, written_as_number
 
 
@@ -38,10 +39,10 @@ class RecipeContext:
             gets a material with `.bsdf()` and need not know its family. With `ambient = `, the recipe is built in
             that medium.
         ambient: the medium that another recipe puts this one into (an optical constant), or None.
-        is_one_of_many: whether it is solved beside many near it (a sweep, a search), so that a family takes its quick
+        is_low_fidelity: whether it is solved beside many near it (a sweep, a search), so that a family takes its quick
             way where the recipe leaves the choice to it.
         names: numbers that its formulas know by name, the time among them.
-        reached: the digest of every file that was read for the recipe, those of nested recipes among them.
+        dependencies: the digest of every file that was read for the recipe, those of nested recipes among them.
     """
 
     source: str = "recipe"
@@ -49,9 +50,9 @@ class RecipeContext:
     text: str = ""
     load_recipe: Callable[..., Any] | None = None
     ambient: Any = None
-    is_one_of_many: bool = False
+    is_low_fidelity: bool = False
     names: dict[str, float] = field(default_factory=dict, compare=False, repr=False)
-    reached: dict[Path, str] = field(default_factory=dict, compare=False, repr=False)
+    dependencies: dict[Path, str] = field(default_factory=dict, compare=False, repr=False)
 
     def path(self, name: str) -> Path:
         """Resolve a path of the recipe against the recipe's own folder, and note what the file holds.
@@ -62,7 +63,7 @@ class RecipeContext:
         path = Path(name) if Path(name).is_absolute() else self.folder / name
         with contextlib.suppress(OSError, ValueError):  # no name for a file; who reads it says so with its key
             path = path if Path(name).is_absolute() else real(path)
-        self.reach({path: file_digest(path)})
+        self.add_dependencies({path: file_digest(path)})
         return path
 
     def recipe(self, name: str | Mapping[str, Any], **options: Any) -> Any:
@@ -74,29 +75,29 @@ class RecipeContext:
             if is_named and isinstance(own, Mapping):
                 name = {**name, NUMBERS: {**self.names, **own}}  # its own stand above those around it
         made = self.load_recipe(name, **options)
-        if self.is_one_of_many:
-            made = made.for_many()
+        if self.is_low_fidelity:
+            made = made.at_low_fidelity()
         if isinstance(name, Mapping):
-            self.reach(made.context.reached)
+            self.add_dependencies(made.context.dependencies)
             return made
         text = hashlib.sha256(made.context.text.encode()).hexdigest()
-        self.reach({Path(made.context.source).resolve(): text, **made.context.reached})
+        self.add_dependencies({Path(made.context.source).resolve(): text, **made.context.dependencies})
         return made
 
-    def reach(self, digests: Mapping[Path, str]) -> None:
+    def add_dependencies(self, digests: Mapping[Path, str]) -> None:
         """Note files that the recipe reads; what was built from one content is not mixed with another.
 
         Raises:
             RecipeError: a file has changed since the recipe was built.
         """
         for path, digest in digests.items():
-            if self.reached.setdefault(path, digest) != digest:
+            if self.dependencies.setdefault(path, digest) != digest:
                 raise RecipeError(f"{self.source}: {path} has changed since the recipe was read; load it again")
 
     @property
     def files(self) -> dict[str, str]:
         """The digests of all files reached, by their names from the recipe's folder: a folder may be moved."""
-        return {os.path.relpath(path, self.folder): digest for path, digest in self.reached.items()}
+        return {os.path.relpath(path, self.folder): digest for path, digest in self.dependencies.items()}
 
     def fail(self, key: str, got: object, allowed: str) -> RecipeError:
         """Build the one-line error for `key`."""
@@ -281,8 +282,11 @@ def _first_line(
     if problem["type"] == "extra_forbidden":
         places = _known_keys(model)
         word = str(problem["loc"][-1])
-        hint = did_you_mean(word, sorted(places))
         table = re.sub(r"\[\d+\]", "[]", key).rpartition(".")[0]
+        here = [name for name in places if f"{table}.{name}".lstrip(".") in places[name]]
+        if hint := renamed_hint(word, here):
+            return f"{context.source}: key {key} is not known.{hint}"
+        hint = did_you_mean(word, sorted(places))
         meant = next((name for name in places if hint == did_you_mean(name, [name])), None)
         if meant is not None and f"{table}.{meant}".lstrip(".") not in places[meant]:
             hint = f' Did you mean "{places[meant][0]}"?'  # the name in another table is no use without its place

@@ -12,6 +12,7 @@ from nacre.core.errors import RecipeError, did_you_mean
 from nacre.recipe.keys import ByPath
 from nacre.recipe.model import RecipeModel, show_value
 from nacre.recipe.paths import EVERY
+from nacre.recipe.renamed_keys import renamed_hint
 
 
 class FreeSpec(RecipeModel):
@@ -89,7 +90,7 @@ def known_only(entry: Any, model: type[RecipeModel], where: str) -> None:
     for key in entry if isinstance(entry, Mapping) else ():
         if key not in model.model_fields:
             known = ", ".join(model.model_fields)
-            hint = did_you_mean(str(key), model.model_fields)
+            hint = renamed_hint(str(key), model.model_fields) or did_you_mean(str(key), model.model_fields)
             raise RecipeError(f"{where}.{key} is not known.{hint} Keys: {known}")
 
 

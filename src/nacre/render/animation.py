@@ -26,7 +26,7 @@ from nacre.picture.images import read_provenance
 from nacre.picture.lights.light_mixture import read_lamps
 from nacre.picture.options import read_background
 from nacre.picture.picture import render, resolve_material
-from nacre.recipe.fingerprint import file_digest, identity
+from nacre.recipe.fingerprint import file_digest, fingerprint
 from nacre.recipe.named_numbers import TIME, uses_time
 from nacre.recipe.paths import NUMBERS
 
@@ -156,7 +156,7 @@ def animate(
     if read_background(settings.get("background", "scene")).is_clear:
         raise NacreError('background = "transparent": animations know no transparency; give a colour')
     if isinstance(material, Material):
-        material = material.opened()  # a formula of a part may run with the time
+        material = material.inlined()  # a formula of a part may run with the time
     has_time = uses_time(getattr(material, "data", None))
     if motion.name in ("time", TIME_PATH) and not has_time:
         raise NacreError(f'animate = "{asked_motion}": no formula of the material uses the time t')
@@ -232,7 +232,7 @@ def _material_at(material: Any, motion: Motion, has_time: bool, frames: int) -> 
         UnsupportedError: the material is fixed.
     """
     if hasattr(material, "vary"):
-        material = material.for_many()
+        material = material.at_low_fidelity()
 
         def changed(index: int, value: float) -> Any:
             moved = {motion.name: value} if motion.is_parameter else {}
@@ -247,9 +247,9 @@ def _material_at(material: Any, motion: Motion, has_time: bool, frames: int) -> 
 
 
 def _identity(material: Any) -> str:
-    """What a material is: its own identity, or all that Mitsuba tells of a BSDF of its own, pixels included."""
-    if hasattr(material, "identity"):
-        return str(material.identity)
+    """What a material is: its own fingerprint, or all that Mitsuba tells of a BSDF of its own, pixels included."""
+    if hasattr(material, "fingerprint"):
+        return str(material.fingerprint)
     import mitsuba as mi
 
     made, _ = resolve_material(material, None, "sum")
@@ -257,7 +257,7 @@ def _identity(material: Any) -> str:
     for name, value in mi.traverse(made):
         with contextlib.suppress(TypeError, ValueError):
             numbers[name] = hashlib.sha256(np.asarray(value).tobytes()).hexdigest()
-    return identity(str(made), {}, numbers=numbers)
+    return fingerprint(str(made), {}, numbers=numbers)
 
 
 def _frame_key(who: str, motion: Motion, value: float, settings: dict[str, Any]) -> str:
@@ -266,7 +266,7 @@ def _frame_key(who: str, motion: Motion, value: float, settings: dict[str, Any])
     named += [lamp.name for lamp in read_lamps(settings["light"])] if settings.get("light") else []
     files = {str(name): file_digest(name) for name in named if name}
     # a frame made where no denoiser is at hand is not the frame made where one is
-    return identity(who, files, motion=motion.name, value=value, settings=settings, raw=why_not(None))
+    return fingerprint(who, files, motion=motion.name, value=value, settings=settings, raw=why_not(None))
 
 
 def _finished(path: Path) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.families.contract import Draft, fabrications, is_direct, search_model, surrogate_radiance
 from nacre.formats.lobes import is_isotropic
 from nacre.formats.lut.table import lobe_directions, lobe_weight
 from nacre.light import (
@@ -211,8 +212,8 @@ def appearances(material: Material, illuminant: str, is_superseded: Callable[[],
         SupersededError: a newer request has arrived.
     """
     refuse_place(material.model, material.context.source)
-    if not material.model.is_quick:
-        material = material.for_many()  # an interactive page cannot wait minutes for an ensemble
+    if not material.model.traits.is_quick:
+        material = material.at_low_fidelity()  # an interactive page cannot wait minutes for an ensemble
     if not _is_quick(material):
         family = material.family
         draft = _solve(_drafted(material), illuminant, is_superseded, draft_quality.of(family))
@@ -226,11 +227,10 @@ def appearances(material: Material, illuminant: str, is_superseded: Callable[[],
 
 def _drafted(material: Material) -> Material:
     """Return the material with its family's draft model, or with one that has noise-free spectra instead of walks."""
-    sketch = material.model.sketch
-    if sketch is not None:
-        return replace(material, model=sketch)
-    near = material.model.among_many({})
-    if material.model.is_direct or not near.is_direct or near.spectrum(PROBE_RAD, PROBE_NM, "both", 0) is None:
+    if isinstance(material.model, Draft):
+        return replace(material, model=material.model.draft)
+    near = search_model(material.model, {})
+    if is_direct(material.model) or not is_direct(near) or near.spectrum(PROBE_RAD, PROBE_NM, "both", 0) is None:
         return material
     return replace(material, model=near)
 
@@ -244,7 +244,7 @@ def _is_quick(material: Material) -> bool:
     It is measured, because films with ridges are slow. The second of two trials counts, as the first one may compile.
     The result is stored for recipes that differ in numbers only; a busy machine therefore does not draft films.
     """
-    if not material.model.is_quick:
+    if not material.model.traits.is_quick:
         return False
     form = _form(material.data)
     if form in _quick_forms:
@@ -290,7 +290,7 @@ def _solve(material: Material, illuminant: str, is_superseded: Callable[[], bool
     lobe = None
     if np.any(diffuse > 0):
         # a lobe image has no azimuth, and detecting an anisotropic lobe takes most of a minute
-        if grid is None and not material.model.is_quick and not _is_aligned(material):
+        if grid is None and not material.model.traits.is_quick and not _is_aligned(material):
             _check(is_superseded)
             lobe = lobe_image(material, bsdf, functools.partial(spectrum_to_rgb_linear, illuminant=illuminant))
         if lobe is None:
@@ -426,7 +426,7 @@ def _is_free(material: Material) -> bool:
 
 def _profile(material: Material) -> dict[str, Any] | None:
     """Return the heights of a height map along the line with the largest steps."""
-    formats = material.model.fabrications
+    formats = fabrications(material.model)
     drawing = formats[HEIGHT_MAP_FORMAT](DrawingRequest()) if HEIGHT_MAP_FORMAT in formats else None
     if not isinstance(drawing, HeightMap):
         return None
@@ -475,5 +475,5 @@ def _lobe_values(material: Material, bsdf: Bsdf | None, wi: Array, wo: Array) ->
         return None, LOBE_NM
     if not any(lobe.is_stochastic for lobe in lobes):
         return (scattering.evaluate(wi, wo) if is_isotropic(scattering) else None), bsdf.wavelengths_nm
-    found = material.model.likeness_at(wi, wo, LOBE_NM)
+    found = surrogate_radiance(material.model, wi, wo, LOBE_NM)
     return None if found is None else found[0] + found[1], LOBE_NM

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from nacre.analysis.tolerance import read_spreads
+from nacre.analysis.tolerance import recipe_tolerances
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.light import (
@@ -27,9 +27,9 @@ from nacre.light import (
 from nacre.material.material import Material
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.optimise.evaluation import Reached, judge, lab_hex, nearest_in_ranges, reached, rows_of
-from nacre.optimise.free import place_of, values_at
 from nacre.optimise.gamut import find_gamut, optimal_limits, srgb_limits
 from nacre.optimise.measurement import search_wavelengths, see
+from nacre.optimise.parameters import point_of, values_at
 from nacre.optimise.run import in_words, search_of
 from nacre.optimise.solutions import Solution
 from nacre.optimise.targets import Want
@@ -245,7 +245,7 @@ def _local_search(
     nearest = int(np.argmin(distances))
     best = float(distances[nearest])
     found: list[Array] = []
-    place = place_of(target.free, structures[nearest])
+    place = point_of(target.free, structures[nearest])
     generator = np.random.default_rng(0)
     for step in STEPS:
         for _ in range(TRIES):
@@ -271,8 +271,8 @@ def tolerance(request: Mapping[str, Any], emit: Emit) -> None:
     Raises:
         NacreError: the recipe is invalid, has no toleranced value, or cannot be computed.
     """
-    material = inlined(built(request["recipe"])).for_many()
-    tolerances = read_spreads(material, tolerance_options(material, request["percent"]))
+    material = inlined(built(request["recipe"])).at_low_fidelity()
+    tolerances = recipe_tolerances(material, tolerance_options(material, request["percent"]))
     start = time.monotonic()
     lamp, draws = request["lamp"], request["draws"]
     angles, grid = _sampling(material, lamp)
@@ -313,18 +313,18 @@ def tolerance_options(material: Material, percent: float) -> tuple[str, ...]:
         NacreError: the recipe has no length.
     """
     own = material.data.get("tolerance", {})
-    numbers = [path for path, value in material.free_numbers.items() if value != 0.0]
+    numbers = [path for path, value in material.parameters.items() if value != 0.0]
     paths = [path for path in numbers if THICKNESS.search(path)] or [path for path in numbers if LENGTH.search(path)]
     if not paths and not own:
         raise NacreError(
-            f"this {material.model.noun} has no thickness or length to vary; name other numbers under [tolerance]"
+            f"this {material.model.traits.noun} has no thickness or length; name other numbers under [tolerance]"
         )
     return tuple(f"{path}={percent:g}%" for path in paths if path not in own)
 
 
 def _sampling(material: Material, lamp: str) -> tuple[Array, Array | None]:
     """Return angles and wavelengths: all of a quick material, few of a slow one."""
-    if not material.model.is_quick:
+    if not material.model.traits.is_quick:
         return COARSE_DEG, COARSE_NM
     for _ in range(2):  # the first trial may compile
         start = time.monotonic()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
+from nacre.families.contract import is_direct
 from nacre.material.material import Material
 from nacre.recipe.paths import find_by_path
 from nacre.studio.folder import OpenedFolder, built, read_lamp, read_number, read_recipe
@@ -95,7 +96,7 @@ def inlined(material: Material) -> Material:
     for key, value in material.data.items():
         if isinstance(value, Mapping) and "recipe" in value:
             with contextlib.suppress(RecipeError):  # some parts can only be given by name
-                material = material.reaching([f"{key}.family"])
+                material = material.with_parts_loaded([f"{key}.family"])
     return material
 
 
@@ -109,7 +110,7 @@ def list_parameters(material: Material) -> dict[str, Any]:
     if "heights" in material.data:
         return {"geometry": GEOMETRIES[0], "parameters": [], "refused": RELIEF_REFUSED}
     whole = inlined(material)
-    numbers = list(whole.free_numbers.items())[:MAX_LISTED]
+    numbers = list(whole.parameters.items())[:MAX_LISTED]
     selected = [path for path, _ in numbers if THICKNESS.search(path) and "[" in path]  # layers
     selected = selected or [path for path, _ in numbers if LENGTH.search(path)]
     listed = []
@@ -128,7 +129,7 @@ def list_parameters(material: Material) -> dict[str, Any]:
     found: dict[str, Any] = {"geometry": _default_geometry(material), "parameters": listed}
     if not listed:
         found["refused"] = (
-            f"this {material.model.noun} has no number that may change; [parameters] of the command also takes text"
+            f"this {material.model.traits.noun} has no variable number; [parameters] of the command also takes text"
         )
     return found
 
@@ -140,8 +141,8 @@ def _default_geometry(material: Material) -> str:
         NacreError: the material cannot be computed.
     """
     model = material.model
-    geometry = model.usual_look.split()[0]
-    if geometry not in GEOMETRIES or model.is_quick or model.is_direct:
+    geometry = model.traits.default_geometry.split()[0]
+    if geometry not in GEOMETRIES or model.traits.is_quick or is_direct(model):
         return geometry if geometry in GEOMETRIES else "aspecular"
     found = model.spectrum(np.array([0.0]), PROBE_NM, "both", 0)  # None: it scatters and would have to be solved
     return geometry if found is not None and found.specular_reflectance is not None else "aspecular"

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nacre.core.errors import NacreError
+from nacre.families.contract import OwnFormats, fabrications
 from nacre.formats.export_formats import EXPORTS, FOLDER, OF_SOME, said_of
 from nacre.formats.fabrication import SUFFIXES
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
@@ -91,9 +92,10 @@ def formats_of(material: Material) -> dict[str, list[str]]:
     Raises:
         NacreError: an image of the recipe cannot be read.
     """
-    drawn = list(material.model.fabrications)
+    drawn = list(fabrications(material.model))
     maps = [name for name in MAP_FORMATS if name not in drawn] if number_maps(material) else []
-    exports = [name for name in EXPORTS if name not in OF_SOME or name in material.model.own_formats]
+    own = material.model.own_formats if isinstance(material.model, OwnFormats) else {}
+    exports = [name for name in EXPORTS if name not in OF_SOME or name in own]
     return {"export": sorted(exports), "fabricate": [*drawn, *maps], "picture": list(PICTURES)}
 
 

@@ -64,7 +64,7 @@ def sliders(material: Material) -> list[dict[str, Any]]:
     """Return `path`, `value` and `max` of the first numbers of a recipe that a slider can change."""
     return [
         {"path": path, "value": value, "max": SLIDER_FACTOR * value}
-        for path, value in material.free_numbers.items()
+        for path, value in material.parameters.items()
         if value > 0 and math.isfinite(value) and path.rpartition(".")[2] not in OPTICAL_CONSTANTS
     ][:MAX_SLIDERS]
 
@@ -129,7 +129,7 @@ class NotebookView:
     def _solve(self, material: Material) -> None:
         self.material = material
         self._number += 1
-        numbers = [{**one, "value": material.free_numbers[one["path"]]} for one in self._sliders]
+        numbers = [{**one, "value": material.parameters[one["path"]]} for one in self._sliders]
         header = {"seq": self._number, "name": material.name, "shown": self._shown, "numbers": numbers}
         self.worker.submit(_Request(self._number, material, header))
 

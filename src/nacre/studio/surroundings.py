@@ -19,14 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
-from nacre.core.disk_cache import keep_arrays, kept_arrays
+from nacre.core.disk_cache import cache_arrays, cached_arrays
 from nacre.core.errors import NacreError
 from nacre.light import observer, table_wavelengths_nm, xyz_to_srgb_linear
 from nacre.picture.lights import environments
 from nacre.picture.lights.environments import WOOD, Environment, directions, studio, unit_spectrum
 from nacre.picture.scenes.catalogue import SWEEP
 from nacre.picture.shapes.backdrop import sweep_length
-from nacre.recipe.fingerprint import identity
+from nacre.recipe.fingerprint import fingerprint
 from nacre.studio.appearance import pack
 
 ROWS = 128
@@ -111,8 +111,8 @@ def blurred_surroundings(name: str = "studio") -> Surroundings:
 @functools.cache
 def _blurred_surroundings(name: str) -> Surroundings:
     """Read the surroundings from the disk cache or compute them (0.3 s for the studio, 1 s for others)."""
-    key = identity({"surround": name}, {})
-    cached = kept_arrays(key)
+    key = fingerprint({"surround": name}, {})
+    cached = cached_arrays(key)
     if cached is not None and "layers" in cached:
         lamp = Lamp(cached["towards"], cached["irradiance"], float(cached["radius"])) if "radius" in cached else None
         return Surroundings(cached["layers"].astype(np.float32), lamp)
@@ -120,7 +120,7 @@ def _blurred_surroundings(name: str) -> Surroundings:
     arrays: dict[str, Any] = {"layers": made.layers}
     if made.lamp is not None:
         arrays.update(towards=made.lamp.towards, irradiance=made.lamp.irradiance, radius=np.array(made.lamp.radius_rad))
-    keep_arrays(key, arrays)
+    cache_arrays(key, arrays)
     return made
 
 

@@ -146,7 +146,7 @@ class Layered(Lobe):
             raise ValueError('base_lobes belong to the base "lobes", and only to it')
         for inner in self.base_lobes:
             inner.check()
-            if inner.transmits or inner.is_stochastic or inner.kind in ("layered", "flaked"):
+            if inner.transmits or inner.is_stochastic or inner.kind in ("layered", "platelet-layer"):
                 raise ValueError(f'a lobe of kind "{inner.kind}" that transmits or is a pearl cannot be a base')
         if s < 1 or self.index.shape != (s,) or not np.all(self.index >= 1):
             raise ValueError("index needs one number of at least 1 a stratum")

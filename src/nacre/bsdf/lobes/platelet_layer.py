@@ -191,7 +191,7 @@ def surface_values(wi, wo, index, alpha):  # type: ignore[no-untyped-def]  # num
 
 
 @dataclass(frozen=True)
-class Flaked(Lobe):
+class PlateletLayer(Lobe):
     """One stratum of isotropic flakes under a smooth or GGX interface, over a diffuse base.
 
     Attributes:
@@ -211,7 +211,7 @@ class Flaked(Lobe):
             `nacre.bsdf.glints`; None: flakes too small to be seen.
     """
 
-    kind: ClassVar[str] = "flaked"
+    kind: ClassVar[str] = "platelet-layer"
     wavelengths_nm: Array
     index: float
     alpha: float

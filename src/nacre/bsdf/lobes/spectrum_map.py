@@ -21,7 +21,7 @@ from nacre.bsdf.grids import take_uniform
 from nacre.bsdf.lobe import Lobe
 from nacre.core.arrays import Array
 from nacre.core.jit import compiled
-from nacre.core.parallel import share
+from nacre.core.parallel import parallel_for
 
 LEAST_COSINE = 1e-6  # edge-on directions are held this far above the horizon, so that 1/cos is finite
 CHUNK = 1 << 16  # directions handled at once
@@ -183,7 +183,7 @@ def interpolate(power: Any, position: Any) -> Any:
     """
     points, count = len(position), power.shape[-1]
     result = np.zeros((points, count))
-    share(
+    parallel_for(
         lambda first, last, *_: _interpolate(power, position, first, last, result), points, 1,
         work=points * count * WORK_OF_A_VALUE, jobs=None,
     )  # fmt: skip
@@ -244,7 +244,7 @@ def albedo_shares(power: Any, psi_step: float, xi_first: float, xi_step: float, 
     shares = np.zeros((rings * azimuths, cosines * azimuths, power.shape[-1]), dtype=np.float32)
     tasks = rings * (azimuths // 8 + 1)
     one = (power, psi_step, xi_first, xi_step, reflectance, ring_cosines, cosines, azimuths, is_kirchhoff)
-    share(
+    parallel_for(
         lambda begin, end, *_: _shares(*one, begin, end, shares), tasks, 1,
         work=tasks * power.size // power.shape[2] * WORK_OF_A_VALUE, jobs=None,
     )  # fmt: skip

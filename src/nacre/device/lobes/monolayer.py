@@ -20,7 +20,7 @@ from nacre.bsdf.lobes.monolayer import Aligned, Harmonic, MonolayerLobe
 from nacre.bsdf.packed_series import PACKET
 from nacre.core.arrays import Array, SingleArray
 from nacre.core.errors import UnsupportedError
-from nacre.device.bilinear_sampling import Tents
+from nacre.device.bilinear_sampling import BilinearDensity
 from nacre.device.packed_series import PackedSeries
 from nacre.device.plugin import (
     MIN_COS,
@@ -145,7 +145,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         self.exits: Any = None
         if not self.is_broad:
             level = (albedo / math.pi / hemispheres)[:, None, None, None]
-            self.exits = Tents((1.0 - COSINE_SHARE) * means + COSINE_SHARE * level + 1e-9)
+            self.exits = BilinearDensity((1.0 - COSINE_SHARE) * means + COSINE_SHARE * level + 1e-9)
         self.per_depth = opaque((views - 1) / depth)
         self.albedo = device_array(_pairs(albedo))
         self.view_max = opaque(views - 2)

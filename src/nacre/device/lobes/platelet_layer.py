@@ -13,7 +13,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from nacre.bsdf.lobes.platelet_layer import Flaked
+from nacre.bsdf.lobes.platelet_layer import PlateletLayer
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.device.facet_distributions import Ggx
@@ -31,12 +31,12 @@ SMALLEST_ALPHA = 1e-4
 GLINT_SHARE = 0.75
 
 
-class FlakedPlugin(LobePlugin[Flaked]):
+class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
     """One stratum of flakes over a diffuse base, without a walk."""
 
-    kind = "flaked"
+    kind = "platelet-layer"
 
-    def __init__(self, lobe: Flaked) -> None:
+    def __init__(self, lobe: PlateletLayer) -> None:
         self.components = (flag("GlossyReflection", "FrontSide"),)
         self.is_rough = lobe.alpha > 0
         if not self.is_rough:
@@ -49,7 +49,7 @@ class FlakedPlugin(LobePlugin[Flaked]):
         self.glints: DeviceGlints | None = None
         self._set(lobe)
 
-    def _set(self, lobe: Flaked) -> None:
+    def _set(self, lobe: PlateletLayer) -> None:
         self.shape = lobe.flakes.shape
         self.index, self.inverse2 = opaque(lobe.index), opaque(lobe.index**-2.0)
         self.alpha = opaque(max(lobe.alpha, SMALLEST_ALPHA))
@@ -286,7 +286,7 @@ class FlakedPlugin(LobePlugin[Flaked]):
         """Return the mean albedo."""
         return dr.select(si.wi.z > MIN_COS, self.power, mi.Float(0.0))
 
-    def update(self, lobe: Flaked) -> None:
+    def update(self, lobe: PlateletLayer) -> None:
         """Take over the numbers of another material of the same structure.
 
         Raises:
@@ -310,7 +310,7 @@ class FlakedPlugin(LobePlugin[Flaked]):
         self.flakes.repack()
 
 
-def _widths(lobe: Flaked) -> list[float]:
+def _widths(lobe: PlateletLayer) -> list[float]:
     """Return the narrowest and the widest deviation, once where they are alike."""
     if not len(lobe.deviation):
         return [0.5]
@@ -318,7 +318,7 @@ def _widths(lobe: Flaked) -> list[float]:
     return [low] if high <= 1.5 * low else [low, high]
 
 
-def _rows(lobe: Flaked) -> Array:
+def _rows(lobe: PlateletLayer) -> Array:
     """Return M, and with glints its part of one flake, as `[c * phi, q, wavelength, 1 or 2]`: rows run along q."""
     parts = [lobe.flakes] if lobe.single is None else [lobe.flakes, lobe.single]
     values = np.transpose(np.stack(parts, axis=-1).astype(float), (1, 2, 0, 3, 4))

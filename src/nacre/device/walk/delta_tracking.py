@@ -42,7 +42,7 @@ LEAST = 0.1
 SMALLEST_RATE = 1e-9
 
 
-def fly_far(
+def delta_flight(
     strata: Strata, where: Located, connection: Exit | None, light: Walker, rng: Any, alive: Any, seen: Any
 ) -> tuple[Walker, Any, Any, Any, Any, Any]:
     """Move along a free path to a flake that takes light, or to a boundary.

@@ -86,8 +86,8 @@ class Strata:
     """
 
     def __init__(self, lobe: Layered, make_plugin: MakePlugin | None = None) -> None:
-        self.flies_far = flies_far(lobe)
-        self.structure = (*structure(lobe), self.flies_far)
+        self.uses_delta_tracking = uses_delta_tracking(lobe)
+        self.structure = (*structure(lobe), self.uses_delta_tracking)
         self.count = lobe.strata
         self.base = lobe.base
         self.base_rough = lobe.base == "specular" and bool(np.any(lobe.alpha[-1] > 0))
@@ -123,7 +123,7 @@ class Strata:
         Raises:
             UnsupportedError: the structure differs.
         """
-        if (*structure(lobe), flies_far(lobe)) != self.structure:
+        if (*structure(lobe), uses_delta_tracking(lobe)) != self.structure:
             raise UnsupportedError("strata, kinds, interfaces or base changed in kind; build the scene again")
         self.axis.update(lobe.wavelengths_nm)
         if self.lobes is not None:
@@ -346,7 +346,7 @@ def roughness(lobe: Layered) -> NDArray[np.bool_]:
     return np.asarray(rough & contrast)
 
 
-def flies_far(lobe: Layered) -> bool:
+def uses_delta_tracking(lobe: Layered) -> bool:
     """Tell whether free paths through many flakes at once (`far.py`) are the better form of the walk.
 
     They are where most flakes transmit the light, and where the normals that reflect it do so nearly alike, or are

@@ -23,7 +23,7 @@ import drjit as dr
 import mitsuba as mi
 
 from nacre.device.tables import Located
-from nacre.device.walk.delta_tracking import fly_far
+from nacre.device.walk.delta_tracking import delta_flight
 from nacre.device.walk.exit_importance import Exit, exit_importance, inner_interfaces_scatter, rough_one
 from nacre.device.walk.interface import interface_event, interface_value, refract
 from nacre.device.walk.platelet import (
@@ -255,9 +255,9 @@ class Stepper:
         return moved, end[5], end[6], end[7], end[8], end[9]
 
     def _fly(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:
-        """Move along one free path, in the form that suits the material; returns what `fly_far` does."""
-        if self.strata.flies_far:
-            return fly_far(self.strata, self.where, self.exit, light, rng, alive, seen)
+        """Move along one free path, in the form that suits the material; returns what `delta_flight` does."""
+        if self.strata.uses_delta_tracking:
+            return delta_flight(self.strata, self.where, self.exit, light, rng, alive, seen)
         return self._fly_near(light, rng, alive, seen)
 
     def _fly_near(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:

@@ -110,7 +110,7 @@ def layout(material: Metasurface, request: DrawingRequest) -> Layout:
             {"shape": kind.noun, "radius_um": r, "particles": int(np.count_nonzero(which == n)) * repeated}
             for n, (kind, r) in enumerate(zip(material.kinds, radii))
         ]
-    return Layout(pattern.xy_nm * 1e-3, radii[0], box_um, (columns, rows), facts, radii_um=radii, kinds=which)
+    return Layout(pattern.xy_nm * 1e-3, radii[0], box_um, (columns, rows), facts, radii_um=radii, species=which)
 
 
 def _drawn_kinds(material: Metasurface, count: int, seed: int | None) -> tuple[NDArray[np.intp], tuple[float, ...]]:

@@ -17,7 +17,7 @@ from nacre.bsdf.bsdf import Bsdf, Spectrum
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.core.parallel import in_threads
-from nacre.families.contract import Model
+from nacre.families.contract import DirectEvaluation, ExcessEnergy, ExpensiveMethod, Model, SearchFidelity, Traits
 from nacre.families.metasurface import model_selection
 from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings
 from nacre.families.metasurface.ensemble.interpolation import Refinement, refine
@@ -66,7 +66,7 @@ class MetasurfaceWarning(UserWarning):
 
 
 @dataclass(frozen=True, eq=False)
-class Metasurface(Model):
+class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, ExcessEnergy):
     """Particles over a stack.
 
     Attributes:
@@ -86,7 +86,7 @@ class Metasurface(Model):
         interaction_order: of the exchange between neighbours.
         source: name of the recipe, for messages.
         arrangement: how to make the points, or the points; None where only S(q) is known.
-        memory: multipole orders of candidates near this one, see `among_many`; None: each is chosen anew.
+        memory: multipole orders of candidates near this one, see `search_model`; None: each is chosen anew.
         sees_neighbours: False leaves the near fields of neighbours out.
         body: the particles, where they are no spheres; `sizes` then holds their largest distances from the axis.
         is_spared: whether the mean field stands in, among many, for what "auto" would choose alone.
@@ -95,9 +95,7 @@ class Metasurface(Model):
         second: of a mixture the other kind, whose share leaves the rest to the first; None: there is one kind.
     """
 
-    noun = "metasurface"
-    is_direct = True
-    bytes_a_wavelength = 200_000
+    traits = Traits(noun="metasurface", bytes_per_wavelength=200_000)
 
     ambient: OpticalConstant
     layers: tuple[tuple[OpticalConstant, float], ...]
@@ -234,19 +232,19 @@ class Metasurface(Model):
         return kinds, bool(below)
 
     @property
-    def slow_way(self) -> str:
+    def expensive_method(self) -> str:
         """An ensemble, where the material takes one by itself."""
         return SLOW_WAY if self.correction == AUTO and self._choice[0] == ENSEMBLE else ""
 
     @property
-    def spared_way(self) -> str:
+    def replaced_method(self) -> str:
         """An ensemble, where the mean field stands in for one."""
         return SLOW_WAY if self.is_spared and self._choice[0] == ENSEMBLE else ""
 
     @property
-    def spared_changes(self) -> Mapping[str, Any]:
+    def method_overrides(self) -> Mapping[str, Any]:
         """The mean field by name, where it stood in for an ensemble."""
-        return {"model.correction": "qca-balanced"} if self.spared_way else {}
+        return {"model.correction": "qca-balanced"} if self.replaced_method else {}
 
     def layers_at(self, wavelengths_nm: ArrayLike) -> tuple[Callable[[float], Monolayer], Refinement | None]:
         """Return the monolayer at each of some wavelengths, with an ensemble's ratio where one is taken.
@@ -321,7 +319,7 @@ class Metasurface(Model):
         """
         return self._settling.sphere_order(self.kinds[0], surface)
 
-    def among_many(self, memory: dict[Any, Any], is_rough: bool = False) -> Metasurface:
+    def search_model(self, memory: dict[Any, Any], is_rough: bool = False) -> Metasurface:
         """Return the metasurface with the multipole orders of those of nearly its spheres on the same media.
 
         A rough one knows its neighbours' plane waves, as a sheet does, and nothing of their near fields. One that would
@@ -470,7 +468,7 @@ class Metasurface(Model):
         return np.stack(in_threads(column, [float(w) for w in wavelengths_nm]), axis=-1)
 
     @property
-    def unbounded_because(self) -> str:
+    def excess_reason(self) -> str:
         """A correction of "none" counts light twice."""
         return 'model.correction = "none" does not keep energy' if self.correction == "none" else ""
 

@@ -11,7 +11,7 @@ import numpy as np
 import pydantic
 
 from nacre.core.errors import MaterialRangeError
-from nacre.families.contract import Figure, Writer
+from nacre.families.contract import Fabricable, Figure, OwnFormats, Writer
 from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings
 from nacre.families.metasurface.exports import layer_sheet, layout, write_particle
 from nacre.families.metasurface.figures import FIGURES
@@ -222,7 +222,7 @@ class ModelSpec(RecipeModel):
 
 
 @dataclass(frozen=True, eq=False)
-class MetasurfaceModel(Metasurface):
+class MetasurfaceModel(Metasurface, Fabricable, OwnFormats):
     """A metasurface as its recipe builds it: with its figures and its drawings."""
 
     @property
@@ -313,7 +313,7 @@ class MetasurfaceSpec(RecipeModel):
             )
         index = max(1.0, n_substrate.real if n_substrate.imag < 1e-4 else 1.0, n_ambient.real)
         asked = self.model.correction
-        is_spared = context.is_one_of_many and asked == "auto"
+        is_spared = context.is_low_fidelity and asked == "auto"
         layers = tuple((self._index(layer.material), layer.thickness_nm) for layer in self.layers)
         host = host_layer(context, self.particle.depth_nm, layers)
         if host and asked not in ("auto", "ensemble", "qca-balanced"):

@@ -21,7 +21,7 @@ import numpy as np
 from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.core.files import named, remove_leftovers, temporary_prefix, told_as_os_error
+from nacre.core.files import named, remove_leftovers, reraise_as_oserror, temporary_prefix
 from nacre.formats.lut.html_report import page_text
 from nacre.formats.lut.materialx import write_graph
 from nacre.formats.lut.osl import shader_text
@@ -117,7 +117,7 @@ def write_table(folder: str | Path, table: LightTable) -> tuple[Path, ...]:
     path = check_folder(folder)
     with new_folder(path) as made:
         for name, picture in table.pictures.items():
-            with told_as_os_error():
+            with reraise_as_oserror():
                 _write_exr(made / f"{name}.exr", picture, table)
             _write_png16(made / f"{name}.png", png_values(picture), table)
         texts = {

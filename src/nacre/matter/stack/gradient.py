@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.matter.stack.inputs import Case, Powers, power_array, prepare, with_thicknesses
+from nacre.matter.stack.inputs import Powers, StackArrays, power_array, prepare, with_thicknesses
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def value_and_grad(
     return call
 
 
-def _pull_back(case: Case, bars: Any, index: bool) -> StackGradient:
+def _pull_back(case: StackArrays, bars: Any, index: bool) -> StackGradient:
     from nacre.matter.stack.adjoint import pull_back as kernel
 
     if case.batch:

@@ -1,12 +1,12 @@
-"""Stacks with layers too thick to interfere with themselves: a window pane, a plastic foil.
+"""Stacks with incoherent layers, too thick for interference: a window pane, a plastic foil.
 
-Between two incoherent layers stands a coherent group (one bare interface at least). Light inside an incoherent
-layer is followed as intensity only: with reflectance R, R' of a group from above and from below, transmittance T, T'
-and the intensity P = exp(-2 Im x) that one passage leaves,
+Coherent groups (at least one bare interface) separate the incoherent layers, in which only intensities propagate. With
+reflectance R, R' of a group from above and from below, transmittance T, T' and the intensity P = exp(-2 Im x) after
+one passage,
 
     R_total = R + T T' P^2 R_next / (1 - R' P^2 R_next),  T_total = T P T_next / (1 - R' P^2 R_next),
 
-from the bottom upward (Katsidis & Siapkas 2002 and Byrnes, arXiv 1603.02720, section 9, give the same sums).
+from the bottom upward (Katsidis & Siapkas 2002; Byrnes, arXiv 1603.02720, section 9).
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.matter.stack.inputs import Case, Powers, kernel_powers, normal_component, part_of, prepare
+from nacre.matter.stack.inputs import Powers, StackArrays, kernel_powers, normal_component, part_of, prepare
 
 
 @dataclass(frozen=True)
 class _Group:
-    """What stands between two thick media: its response from either side, each `[s or p, batch, angle, wavelength]`.
+    """A coherent group between two thick media; powers are `[s or p, batch, angle, wavelength]`.
 
     Attributes:
-        down, up: the group alone as a case, met from above and from below (None under the lowest group).
+        down, up: the group as a stack, lit from above and from below (unset for the lowest group).
         down_r, down_t, up_r, up_t: its powers.
-        passage: intensity that one passage through the thick medium above leaves (1 in the ambient).
-        first: number of its first medium above, so that its layers are first .. first + count - 1 (from 0).
+        passage: intensity after one passage through the thick medium above (1 in the ambient).
+        first: index of its upper medium; its layers are first .. first + count - 1 (from 0).
     """
 
-    down: Case
-    up: Case | None
+    down: StackArrays
+    up: StackArrays | None
     down_r: Array
     down_t: Array
     up_r: Array
@@ -54,18 +54,18 @@ def incoherent_powers(
     kappa: ArrayLike | None = None,
     jobs: int | None = None,
 ) -> Powers:
-    """R and T of a stack some of whose layers are incoherent.
+    """Return R and T of a stack with incoherent layers.
 
     Args:
         n, thicknesses_nm, wavelengths_nm, theta_rad, cos_i, kappa, jobs: as in `nacre.matter.stack.solve.powers`,
-            batches included.
-        incoherent: `[layer]`, which layers do not interfere.
+            including batches.
+        incoherent: `[layer]`, flags.
 
-    R + T + A = 1 is exact where the incoherent layers absorb over their thickness but little over a wavelength
-    (k << n), the only case in which intensities add.
+        R + T + A = 1 is exact if the incoherent layers absorb little over a wavelength (k << n), the only case in which
+        intensities add.
 
-    Raises:
-        NacreError: as `solve`, or flags that do not fit the layers.
+        Raises:
+            NacreError: as `solve`; a wrong number of flags.
     """
     case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa)
     groups = _groups(case, incoherent, jobs)
@@ -87,11 +87,10 @@ def incoherent_absorption(
     cos_i: ArrayLike | None = None,
     jobs: int | None = None,
 ) -> Array:
-    """Power absorbed in each layer over incident power, `[s or p, layer, ..., angle, wavelength]`.
+    """Return each layer's absorbed power over incident power, `[s or p, layer, ..., angle, wavelength]`.
 
-    Arguments, errors and the limit k << n of the incoherent layers as in `incoherent_powers`. A thick layer absorbs
-    the difference of the net fluxes at its interfaces; a thin one its share of the light that meets its group from
-    above and from below.
+    Arguments, errors and the limit k << n as in `incoherent_powers`. A thick layer absorbs the net flux difference
+    between its interfaces; a thin one absorbs its share of the light incident on its group from above and from below.
     """
     from nacre.matter.stack.field import absorbed_power
 
@@ -108,7 +107,7 @@ def incoherent_absorption(
         if group.up is None:
             break
         below, total = groups[i + 1], totals[i + 1]
-        leaving = arriving * _gain(group, below, total)  # what enters the thick medium under the group
+        leaving = arriving * _gain(group, below, total)  # light entering the thick medium below the group
         returning = below.passage**2 * total * leaving
         if count:
             from_below = absorbed_power(group.up, jobs).reshape(2, count, *case.shape)[:, ::-1]
@@ -119,7 +118,7 @@ def incoherent_absorption(
 
 
 def _reflected(groups: list[_Group]) -> list[Array]:
-    """Reflectance of each group with all that lies under it, from the top downward."""
+    """Return each group's reflectance including the stack below it, from the top downward."""
     totals = [groups[-1].down_r]
     for group, below in zip(groups[-2::-1], groups[:0:-1]):
         echoes = _gain(group, below, totals[0]) * group.up_t * below.passage**2 * totals[0]
@@ -128,14 +127,14 @@ def _reflected(groups: list[_Group]) -> list[Array]:
 
 
 def _gain(group: _Group, below: _Group, total_r: Array) -> Array:
-    """Light that goes down under a group over light that arrives on it, all reflections included."""
+    """Return the downward light below a group over the light incident on it, with all reflections."""
     bounce = group.up_r * below.passage**2 * total_r
-    # 1 - bounce vanishes only for light that is trapped for good, and none of that gets in: down_t is 0 there
+    # 1 - bounce vanishes only for trapped light, which cannot enter: down_t is 0
     return np.where(group.down_t > 0, group.down_t / np.where(bounce < 1, 1 - bounce, 1.0), 0.0)
 
 
-def _groups(case: Case, incoherent: Sequence[bool], jobs: int | None) -> list[_Group]:
-    """The coherent groups from the top downward."""
+def _groups(case: StackArrays, incoherent: Sequence[bool], jobs: int | None) -> list[_Group]:
+    """Return the coherent groups from the top downward."""
     layers = case.n.shape[1] - 2
     if len(incoherent) != layers:
         raise NacreError(f"incoherent must hold one flag for each of the {layers} layers, not {len(incoherent)}")

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
-from nacre.core.parallel import share
+from nacre.core.parallel import parallel_for
 
 # 1/n^4 loses a layer's phase beside 1 in double precision below some 1e-7; no medium is near it
 MIN_INDEX = 1e-6
@@ -80,17 +80,17 @@ class Response(Amplitudes, Powers):
         return 0.5 * (self.A_s + self.A_p).sum(axis=0)
 
 
-def powers_of(case: Case, jobs: int | None = None) -> Powers:
+def powers_of(case: StackArrays, jobs: int | None = None) -> Powers:
     """R and T of a case that `prepare` made."""
     return Powers(*power_array(case, jobs))
 
 
-def power_array(case: Case, jobs: int | None = None) -> Array:
+def power_array(case: StackArrays, jobs: int | None = None) -> Array:
     """R_s, R_p, T_s and T_p of a case in one array, `[4, ..., angle, wavelength]`."""
     return run_kernel(case, False, True, jobs)[1]
 
 
-def with_thicknesses(case: Case, thicknesses_nm: ArrayLike) -> Case:
+def with_thicknesses(case: StackArrays, thicknesses_nm: ArrayLike) -> StackArrays:
     """The same case with other thicknesses `[layer]`, for loops that change nothing else; errors as `prepare`."""
     d = _owned(np.atleast_1d(np.asarray(thicknesses_nm, dtype=np.float64))[None], np.float64)
     if case.batch or d.shape != (1, case.n.shape[1] - 2):
@@ -100,7 +100,7 @@ def with_thicknesses(case: Case, thicknesses_nm: ArrayLike) -> Case:
 
 
 @dataclass(frozen=True)
-class Case:
+class StackArrays:
     """Checked arrays as the kernels take them, and the shape that the answer shall have."""
 
     n: ComplexArray  # [batch or 1, medium, wavelength]
@@ -127,7 +127,7 @@ def prepare(
     kappa: ArrayLike | None = None,
     kz: ArrayLike | None = None,
     waves_only: bool = False,
-) -> Case:
+) -> StackArrays:
     """Check the arguments of `solve` or `amplitudes` and lay them out for a kernel; errors as there."""
     lam = _owned(wavelengths_nm, np.float64)
     if lam.ndim != 1 or lam.size == 0 or not np.all(np.isfinite(lam)) or np.any(lam <= 0):
@@ -151,7 +151,7 @@ def prepare(
         flat_n[:, 0] = clear_ambient(flat_n[:, 0])
     flat_d = _owned(_flat(d, batch, 1), np.float64)
     normal, times_n0, angle_shape = _normal(flat_n, lam.size, theta_rad, cos_i, kappa, kz, waves_only)
-    return Case(flat_n, flat_d, lam, normal, times_n0, batch, angle_shape)
+    return StackArrays(flat_n, flat_d, lam, normal, times_n0, batch, angle_shape)
 
 
 def _normal(
@@ -273,7 +273,9 @@ def _owned(array: ArrayLike, dtype: Any) -> NDArray[Any]:
     return result if result.flags.writeable else result.copy()
 
 
-def run_kernel(case: Case, wants_amplitudes: bool, wants_powers: bool, jobs: int | None) -> tuple[ComplexArray, Array]:
+def run_kernel(
+    case: StackArrays, wants_amplitudes: bool, wants_powers: bool, jobs: int | None
+) -> tuple[ComplexArray, Array]:
     from nacre.matter.stack.kernel import solve_range
 
     shape = case.shape
@@ -297,7 +299,7 @@ def run_kernel(case: Case, wants_amplitudes: bool, wants_powers: bool, jobs: int
             power,
         )
 
-    share(task, batch, angles, batch * angles * count * (joined.n.shape[1] - 1), jobs)
+    parallel_for(task, batch, angles, batch * angles * count * (joined.n.shape[1] - 1), jobs)
     full = (4, *case.batch, *case.angle_shape, shape[2])
     if wants_amplitudes:
         # the kernel's t_p is of the H field; E = H k / (w eps): a factor n_0 / n_s
@@ -309,9 +311,9 @@ def run_kernel(case: Case, wants_amplitudes: bool, wants_powers: bool, jobs: int
     return amplitude, power
 
 
-def part_of(case: Case, n: ComplexArray, thicknesses_nm: Array, normal: ComplexArray) -> Case:
+def part_of(case: StackArrays, n: ComplexArray, thicknesses_nm: Array, normal: ComplexArray) -> StackArrays:
     """A part of a case, as a case of its own that is met with `normal` = kz / k0."""
-    return Case(
+    return StackArrays(
         _owned(n, np.complex128),
         _owned(thicknesses_nm, np.float64),
         case.wavelengths_nm,
@@ -322,13 +324,13 @@ def part_of(case: Case, n: ComplexArray, thicknesses_nm: Array, normal: ComplexA
     )
 
 
-def kernel_powers(part: Case, jobs: int | None) -> tuple[Array, Array]:
+def kernel_powers(part: StackArrays, jobs: int | None) -> tuple[Array, Array]:
     """R and T of a part of a case, each `[s or p, batch, angle, wavelength]`."""
     power = run_kernel(part, False, True, jobs)[1]
     return power[:2], power[2:]
 
 
-def _join_axes(case: Case) -> Case:
+def _join_axes(case: StackArrays) -> StackArrays:
     """Make one long axis of angles and few wavelengths, so that the kernel's vectors are full."""
     _, angles, count = case.shape
     points = angles * count
@@ -336,7 +338,7 @@ def _join_axes(case: Case) -> Case:
         return case
     n = np.broadcast_to(case.n[:, :, None, :], (*case.n.shape[:2], angles, count))
     normal = np.broadcast_to(case.normal, (case.normal.shape[0], angles, count))
-    return Case(
+    return StackArrays(
         _owned(n.reshape(*case.n.shape[:2], points), np.complex128),
         case.thicknesses_nm,
         np.tile(case.wavelengths_nm, angles),

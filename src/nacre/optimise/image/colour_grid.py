@@ -17,9 +17,9 @@ from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
 from nacre.material.material import Material
-from nacre.optimise.free import Free, values_at
 from nacre.optimise.measurement import At, judge_wavelengths, search_wavelengths, see
 from nacre.optimise.merit import smooth_weights
+from nacre.optimise.parameters import Parameter, values_at
 from nacre.optimise.thin_film.adapter import drawn_factors
 
 FIRST_NODES = {1: 17, 2: 9}  # along a number
@@ -69,7 +69,7 @@ class Eye:
     """
 
     def __init__(
-        self, material: Material, numbers: Sequence[Free], at: At, lamp: str, observer: str, seed: int,
+        self, material: Material, numbers: Sequence[Parameter], at: At, lamp: str, observer: str, seed: int,
         is_judge: bool = False,
     ) -> None:  # fmt: skip
         self.material, self.numbers, self.at, self.seed = material, numbers, at, seed
@@ -178,7 +178,7 @@ def _places(axes: Sequence[Array]) -> Array:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
-def _axes(numbers: Sequence[Free], units: Array) -> tuple[Array, ...]:
+def _axes(numbers: Sequence[Parameter], units: Array) -> tuple[Array, ...]:
     return tuple(number.low + (number.high - number.low) * units for number in numbers)
 
 

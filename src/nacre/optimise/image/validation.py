@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 from nacre.core.errors import NacreError, RecipeError
 from nacre.material.material import Material
-from nacre.optimise.free import Free
+from nacre.optimise.parameters import Parameter
 from nacre.optimise.spec import WantsSpec
 
 MOST_NUMBERS = 2
 
 
-def check_free(spec: WantsSpec, base: Material, free: Sequence[Free], source: str) -> None:
+def check_free(spec: WantsSpec, base: Material, free: Sequence[Parameter], source: str) -> None:
     """Refuse what a picture cannot be made of.
 
     Raises:

@@ -19,9 +19,9 @@ from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000
 from nacre.material.material import Material
 from nacre.measure.evaluate import DEFAULT_SAMPLES
-from nacre.optimise.free import Free, own_place, place_of, values_at
 from nacre.optimise.measurement import At, search_wavelengths, see
 from nacre.optimise.merit import Goals
+from nacre.optimise.parameters import Parameter, nominal_point, point_of, values_at
 from nacre.optimise.solutions import are_alike
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import Want, goals_of
@@ -141,7 +141,7 @@ class GeneralSearch:
     """
 
     def __init__(
-        self, material: Material, free: Sequence[Free], wants: Sequence[Want], light: LightSpec, seed: int,
+        self, material: Material, free: Sequence[Parameter], wants: Sequence[Want], light: LightSpec, seed: int,
         solutions: int,
     ) -> None:  # fmt: skip
         self.material, self.free, self.wants, self.seed = material, tuple(free), tuple(wants), seed
@@ -263,7 +263,7 @@ class GeneralSearch:
 
     def _settle_samples(self, seconds: float) -> None:
         """Find how many walks make the noise small beside `within`, as far as the time allows."""
-        place = own_place(self.free, self.material)
+        place = nominal_point(self.free, self.material)
         place = np.full(len(self.free), 0.5) if place is None else place
         try:
             made = self.material.vary(values_at(self.free, place))
@@ -288,8 +288,8 @@ class GeneralSearch:
 
     def _scout(self, until: float, known: Sequence[Mapping[str, Any]]) -> list[tuple[float, Array]]:
         """Judge known answers, the recipe's own place and an even draw; return (objective, place), best first."""
-        places = [place for values in known if (place := place_of(self.free, values)) is not None]
-        own = own_place(self.free, self.material)
+        places = [place for values in known if (place := point_of(self.free, values)) is not None]
+        own = nominal_point(self.free, self.material)
         if own is not None:
             places.append(own)
         count = int(np.clip(SCOUTS_PER_NUMBER * len(self.free), LEAST_SCOUTS, MOST_SCOUTS))

@@ -19,13 +19,14 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.families.contract import is_direct
 from nacre.light import lamp_lines_nm, with_lamp_lines
 from nacre.material.material import Material
-from nacre.optimise.free import Free, own_place, place_of, values_at
 from nacre.optimise.measurement import judge_wavelengths, see
 from nacre.optimise.merit import Goals
 from nacre.optimise.methods.broyden import Descent, go_down
 from nacre.optimise.methods.least_squares import LAST_TRIES, MET, GeneralSearch, TimeIsUp
+from nacre.optimise.parameters import Parameter, nominal_point, point_of, values_at
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import Want, goals_of
 
@@ -60,7 +61,7 @@ class SlowSearch(GeneralSearch):
     """The search of one problem whose candidates take long; arguments as of `GeneralSearch`."""
 
     def __init__(
-        self, material: Material, free: Sequence[Free], wants: Sequence[Want], light: LightSpec, seed: int,
+        self, material: Material, free: Sequence[Parameter], wants: Sequence[Want], light: LightSpec, seed: int,
         solutions: int,
     ) -> None:  # fmt: skip
         super().__init__(material, free, wants, light, seed, solutions)
@@ -154,8 +155,8 @@ class SlowSearch(GeneralSearch):
         from scipy.stats import qmc
 
         begun = time.monotonic()
-        places = [place for values in known if (place := place_of(self.free, values)) is not None]
-        own = own_place(self.free, self.material)
+        places = [place for values in known if (place := point_of(self.free, values)) is not None]
+        own = nominal_point(self.free, self.material)
         if turn == 1 and own is not None:
             places.append(own)
         generator = np.random.default_rng([self.seed, turn])
@@ -263,10 +264,10 @@ class SlowSearch(GeneralSearch):
         return np.stack(columns, axis=1)
 
 
-def slow_search(material: Material, free: Sequence[Free], wants: Sequence[Want], light: LightSpec, seed: int,
+def slow_search(material: Material, free: Sequence[Parameter], wants: Sequence[Want], light: LightSpec, seed: int,
                 solutions: int) -> SlowSearch | None:  # fmt: skip
     """Return this search for what answers a few directions without noise; None for what is quick, or walked."""
-    if not material.model.is_direct:
+    if not is_direct(material.model):
         return None
     return SlowSearch(material, free, wants, light, seed, solutions)
 

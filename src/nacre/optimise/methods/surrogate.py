@@ -11,7 +11,8 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.core.parallel import in_threads, one_thread_each
+from nacre.core.parallel import in_threads, single_threaded_blas
+from nacre.families.contract import Surrogate, surrogate_radiance
 from nacre.light import delta_e_2000, lamp_lines_nm, with_lamp_lines
 from nacre.material.material import Material
 from nacre.measure.evaluate import DEFAULT_SAMPLES, evaluate_with_error
@@ -20,7 +21,7 @@ from nacre.optimise.measurement import At, aspecular_pairs, search_wavelengths
 from nacre.optimise.merit import Goals
 from nacre.optimise.methods.least_squares import APART, FAR_OFF, MET, QUIET_SHARE, Pool, TimeIsUp, apart, descend
 from nacre.optimise.methods.local_minima import Valleys
-from nacre.optimise.parameters import place_of
+from nacre.optimise.parameters import point_of
 from nacre.optimise.sparsify import changes_of, draws, droppable, tables_kept, values_of
 from nacre.optimise.targets import goals_of
 from nacre.optimise.task import Target
@@ -198,14 +199,14 @@ class WalkedSearch:
         self.noise = np.inf  # of the best, over `within`
         self.evaluations = self.walks = 0
         self._correction: Correction | None = None
-        self._told = Told(self.material.model.likeness_error)
+        self._told = Told(self.material.model.surrogate_error if isinstance(self.material.model, Surrogate) else None)
         self._deadline = np.inf
         self._tell: Callable[[float, dict[str, Any]], None] | None = None
         self._likely = (np.inf, np.zeros(0))  # best by likeness alone, should no walk end there in time
         self._is_fine = False
         self._last_told = -np.inf
 
-    @one_thread_each()  # its candidates would each find out anew how many there are
+    @single_threaded_blas()  # its candidates would each find out anew how many there are
     def run(
         self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None = None,
         known: Sequence[Mapping[str, Any]] = (),
@@ -278,7 +279,7 @@ class WalkedSearch:
         values = values_of(self.material, self.free, changes)
         if values is None:
             return None
-        return place_of(self.free, {number.path: value for number, value in zip(self.free, values, strict=True)})
+        return point_of(self.free, {number.path: value for number, value in zip(self.free, values, strict=True)})
 
     def _allowed(self, place: Array) -> Array:
         """Return a place where what may be 0 is 0 or well above it."""
@@ -305,7 +306,7 @@ class WalkedSearch:
         self.evaluations += 1
         try:
             model = self._made(place).model
-            found = model.likeness_at(self.wi, self.wo, self.grid if grid is None else grid, self._is_fine)
+            found = surrogate_radiance(model, self.wi, self.wo, self.grid if grid is None else grid, self._is_fine)
         except (NacreError, ArithmeticError):
             return None
         if found is None:
@@ -347,12 +348,13 @@ class WalkedSearch:
         try:
             model = self._made(place).model
             seed = self.seed + self._told.count
-            found = model.walked_at(self.wi, self.wo, self.grid, walks, seed)
+            assert isinstance(model, Surrogate)
+            found = model.estimate_radiance(self.wi, self.wo, self.grid, walks, seed)
             if found is None:
                 found = evaluate_with_error(
                     model.bsdf(self.grid), self.wi, self.wo, samples=max(walks // 4, DEFAULT_SAMPLES), seed=seed
                 )  # type: ignore[assignment]  # its error is None only of what is no walk
-            likeness = model.likeness_at(self.wi, self.wo, self.grid, True)
+            likeness = surrogate_radiance(model, self.wi, self.wo, self.grid, True)
         except (NacreError, ArithmeticError):
             return FAR_OFF, 0.0
         assert found is not None and likeness is not None
@@ -600,7 +602,9 @@ def walked_search(target: Target, seed: int) -> WalkedSearch | None:
         return None
     search = WalkedSearch(target, seed)
     try:
-        probe = search.material.model.likeness_at(search.wi, search.wo, search.grid[:: max(len(search.grid) // 3, 1)])
+        probe = surrogate_radiance(
+            search.material.model, search.wi, search.wo, search.grid[:: max(len(search.grid) // 3, 1)]
+        )
     except NacreError:
         return None
     return None if probe is None else search

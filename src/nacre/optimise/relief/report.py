@@ -33,7 +33,7 @@ LIT_SHARE = 0.1  # colour differences count where the target is above this part 
 
 
 @dataclass(frozen=True)
-class Spread:
+class Distribution:
     """One quantity over the draws."""
 
     nominal: float
@@ -52,9 +52,9 @@ class Robustness:
         draws: number of draws.
     """
 
-    loss_fixed: Spread
-    loss_free: Spread
-    delta_e: Spread
+    loss_fixed: Distribution
+    loss_free: Distribution
+    delta_e: Distribution
     draws: int
 
 
@@ -98,7 +98,7 @@ def robustness(
         rows[k] = losses.fixed, losses.free, float(np.mean(difference))
     means, tops = rows.mean(axis=0), np.percentile(rows, 95, axis=0)
     nominals = (nominal.fixed, nominal.free, 0.0)
-    fixed, free, delta = (Spread(n, float(m), float(t)) for n, m, t in zip(nominals, means, tops))
+    fixed, free, delta = (Distribution(n, float(m), float(t)) for n, m, t in zip(nominals, means, tops))
     return Robustness(fixed, free, delta, draws)
 
 

@@ -15,12 +15,12 @@ import numpy as np
 from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import atomic_path, read_text, write_text
-from nacre.core.parallel import available_jobs, one_thread_each
+from nacre.core.parallel import available_jobs, single_threaded_blas
 from nacre.optimise.relief.merit import Array, Evaluator, Measurement, Problem, measure, measure_design
 from nacre.optimise.relief.report import comparison, write_picture, write_report
 from nacre.optimise.relief.search import Candidate, Progress, Search
 from nacre.optimise.relief.target import TargetSpec
-from nacre.recipe.fingerprint import identity
+from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.toml import dump_toml, parse_toml
 
@@ -133,13 +133,13 @@ def design(
     save_state(search, folder, fingerprint)
     closing = time.monotonic()
     heights_nm = best * problem.height_max_nm
-    with one_thread_each():
+    with single_threaded_blas():
         measured = measure_design(problem, heights_nm, workers)
     search.seconds += time.monotonic() - closing
     summary = keeper.write(best, search.stop_reason or "done", measured)
     if judge is not None:
         summary |= judge(folder, summary)
-    with one_thread_each():
+    with single_threaded_blas():
         summary |= write_report(folder / "report.html", spec, problem, heights_nm, measured, summary)
     write_text(folder / "design.json", json.dumps(summary, indent=2) + "\n")
     return DesignResult(folder, best * (problem.height_max_nm / 1e3), summary)
@@ -236,7 +236,7 @@ def recipe_text(spec: TargetSpec) -> str:
 def target_fingerprint(spec: TargetSpec, problem: Problem, context: RecipeContext) -> str:
     """Return a hash of everything that a search's state depends on: files that the target names, and nacre."""
     target = hashlib.sha256(np.ascontiguousarray(problem.target).tobytes()).hexdigest()
-    return identity(spec.model_dump(exclude={"search": {"time_limit_s"}}), context.files, target=target)
+    return fingerprint(spec.model_dump(exclude={"search": {"time_limit_s"}}), context.files, target=target)
 
 
 def save_state(search: Search, folder: Path, fingerprint: str) -> None:

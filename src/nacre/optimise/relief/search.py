@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from nacre.core.parallel import one_thread_each
+from nacre.core.parallel import single_threaded_blas
 from nacre.optimise.relief.merit import Array, Evaluator, Problem
 
 # weight of the pull towards the levels, raised in turn; the objective is a logarithm of order 1
@@ -220,7 +220,7 @@ class Search:
         self._deadline = np.inf if time_limit_s is None else time.monotonic() + time_limit_s - settling
         self._begun = begun
         self._progress = progress
-        with one_thread_each():
+        with single_threaded_blas():
             while self.stage < len(self.plan):
                 self._run_stage(self.plan[self.stage])
                 if self._stop.is_set() or time.monotonic() > self._deadline:

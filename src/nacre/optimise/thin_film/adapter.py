@@ -19,9 +19,9 @@ from nacre.families.film.material import Film
 from nacre.material.material import Material
 from nacre.matter.stack.solve import powers
 from nacre.optimise.evaluation import rows_of
-from nacre.optimise.free import Free
 from nacre.optimise.measurement import At
 from nacre.optimise.merit import Goals, default_wavelengths_nm
+from nacre.optimise.parameters import Parameter
 from nacre.optimise.solutions import are_alike
 from nacre.optimise.spec import LayersSpec
 from nacre.optimise.targets import Want, goals_of
@@ -300,7 +300,7 @@ def _film(material: Material) -> Film:
     return material.model
 
 
-def _is_of_stack(number: Free) -> bool:
+def _is_of_stack(number: Parameter) -> bool:
     if number.path == "substrate" or number.path.endswith(".material"):
         return bool(number.choices)
     return bool(_LAYER.match(number.path)) and not number.choices

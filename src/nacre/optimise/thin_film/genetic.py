@@ -16,7 +16,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.jit import compiled
-from nacre.matter.stack.thickness_gradient import spectra_and_slopes
+from nacre.matter.stack.thickness_gradient import spectra_and_gradients
 from nacre.optimise.thin_film.levenberg_marquardt import descend, keep_total
 from nacre.optimise.thin_film.merit_kernel import lab_of, share_outside
 
@@ -360,7 +360,7 @@ def draw_many(tables: Any, looks: Any, space: Any, seed: int, s: Any, out: Any, 
         bounds_of(space, media, layers, low, high)
         keep_total(d, low, layers, space.total[0])
         wants_slopes = layers < 0  # a literal False would be another type, and all of it compiled once more
-        spectra_and_slopes(tables, media, d, layers, substrate, wants_slopes, s.w, s.spectra, s.slopes)
+        spectra_and_gradients(tables, media, d, layers, substrate, wants_slopes, s.w, s.spectra, s.slopes)
         for t in range(looks.kind.shape[0]):
             l, a, b = lab_of(looks, s.spectra[looks.row[t]], looks.lamp[t])
             labs[k, t, 0], labs[k, t, 1], labs[k, t, 2] = l, a, b

@@ -13,7 +13,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.jit import compiled
-from nacre.matter.stack.thickness_gradient import StackTables, scratch, spectra_and_slopes
+from nacre.matter.stack.thickness_gradient import StackTables, scratch, spectra_and_gradients
 from nacre.optimise.thin_film.merit_kernel import Looks, look, score
 
 FIRST_DAMPING = 1e-2
@@ -167,7 +167,7 @@ def descend(
                 moved = max(moved, abs(s.trial[j] - d[j]))
             if moved < SMALLEST_STEP_NM:
                 break
-        spectra_and_slopes(tables, media, s.trial, layers, substrate, iterations != 0, s.w, s.spectra, s.slopes)
+        spectra_and_gradients(tables, media, s.trial, layers, substrate, iterations != 0, s.w, s.spectra, s.slopes)
         look(looks, s.spectra, s.slopes, layers, iterations != 0, s.r, s.jacobian, s.u)
         found = 0.0
         for t in range(s.u.shape[0]):

@@ -20,7 +20,7 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.parallel import available_jobs
-from nacre.matter.stack.thickness_gradient import scratch, spectra_and_slopes
+from nacre.matter.stack.thickness_gradient import scratch, spectra_and_gradients
 from nacre.optimise.merit import Goals, difference_components
 from nacre.optimise.thin_film.genetic import WORST_POWER, Brood, Space, breed, draw_many, empty_brood, nearest
 from nacre.optimise.thin_film.levenberg_marquardt import descend, keep_total, workspace
@@ -190,7 +190,7 @@ class _Engine:
         """Return `[row, wavelength]` on all wavelengths."""
         rows, _, samples = self.fine_tables.turns_r.shape
         seen, none = np.zeros((rows, samples)), np.zeros((rows, 1, samples))
-        spectra_and_slopes(
+        spectra_and_gradients(
             self.fine_tables, one.media, one.d, one.layers, one.substrate, False, scratch(one.layers), seen, none
         )
         return seen
@@ -240,7 +240,7 @@ class _Engine:
         seen, none, w = np.zeros((YIELD_DRAWS, rows, samples)), np.zeros((rows, 1, samples)), scratch(layers)
         for out, z in zip(seen, rng.normal(size=(YIELD_DRAWS, self.slots))):
             d = np.maximum(one.d[:layers] + sigma * z[:layers], 0.0)
-            spectra_and_slopes(self.tables, one.media, d, layers, one.substrate, False, w, out, none)
+            spectra_and_gradients(self.tables, one.media, d, layers, one.substrate, False, w, out, none)
         within = np.array([self.goals.goals[g].within for g, _ in self.goals.terms])
         return float(np.mean(np.all(self.coarse_goals.distances(seen) <= within, axis=-1)))
 

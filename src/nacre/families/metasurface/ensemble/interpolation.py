@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.core.disk_cache import drop_arrays, keep_arrays, kept_arrays
+from nacre.core.disk_cache import cache_arrays, cached_arrays, drop_arrays
 from nacre.core.memory import check_memory
 from nacre.core.parallel import available_jobs, in_threads
 from nacre.core.progress import announce, duration
@@ -22,7 +22,7 @@ from nacre.families.metasurface.monolayer.arrangement import Pattern
 from nacre.families.metasurface.monolayer.ensemble_ratio import Block, Ratio, Sums, as_arrays, from_arrays
 from nacre.families.metasurface.monolayer.monolayer import Monolayer
 from nacre.families.metasurface.tmatrix.substrate import Embedded
-from nacre.recipe.fingerprint import identity
+from nacre.recipe.fingerprint import fingerprint
 
 MOST_WAVELENGTHS = 16  # that are solved; the ratio is smooth where no resonance is sharper than 30 nm
 SOLVE_S = 0.9  # of one pattern of `UNKNOWNS` on one core
@@ -222,7 +222,7 @@ def _solve(
         if is_last:
             fit(n)
         else:
-            keep_arrays(_of_pattern(keys[n], number), as_arrays(one))
+            cache_arrays(_of_pattern(keys[n], number), as_arrays(one))
 
     items = [(n, k) for n, one in enumerate(ensembles) for k in range(len(one.cells)) if k not in begun[n]]
     for n, one in enumerate(ensembles):
@@ -240,7 +240,7 @@ def _begun(key: str, patterns: int) -> dict[int, dict[Block, Sums]]:
     """Return what a run that was stopped has solved of a wavelength, by the number of the pattern."""
     out = {}
     for number in range(patterns):
-        stored = kept_arrays(_of_pattern(key, number))
+        stored = cached_arrays(_of_pattern(key, number))
         with contextlib.suppress(KeyError, ValueError):  # what is damaged is solved anew
             if stored:
                 out[number] = from_arrays(stored)
@@ -263,18 +263,18 @@ def _key(one: Ensemble, settings: EnsembleSettings) -> str:
         *(n for cell in one.cells for n in (cell.period.side_nm, float(cell.seed))),
         *([float(surface.host)] if isinstance(surface, Embedded) else ()),
     ]  # fmt: skip
-    return "ensemble-" + identity(
+    return "ensemble-" + fingerprint(
         {"arrays": digest.hexdigest(), "numbers": [float(n).hex() for n in numbers]}, {}, settings=str(settings)
     )
 
 
 def _keep(key: str, ratio: Ratio, errors: Array) -> None:
     names = {"-".join(map(str, block)): values for block, values in ratio.coefficients.items()}
-    keep_arrays(key, {**names, "errors": errors})
+    cache_arrays(key, {**names, "errors": errors})
 
 
 def _read(key: str) -> tuple[Ratio, Array] | None:
-    stored = kept_arrays(key)
+    stored = cached_arrays(key)
     if not stored or "errors" not in stored:
         return None
     errors = stored.pop("errors")

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.reciprocity import balance, balance_across
+from nacre.bsdf.reciprocity import reciprocal_scaling, reciprocal_scaling_across
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.jit import compiled
 from nacre.families.metasurface.monolayer.ensemble_ratio import Ratio, Ways
@@ -511,7 +511,7 @@ def balanced_factors(
         above, below: which directions these are.
     """
     w_up, w_down = weights[above], weights[below]
-    out[above, 0] = balance(block(above, above), total(above, above), w_up)
+    out[above, 0] = reciprocal_scaling(block(above, above), total(above, above), w_up)
     if not below.size:
         return
     up, down = total(below, above), total(above, below)
@@ -522,8 +522,8 @@ def balanced_factors(
     consistent = down
     if passed > NOTHING * (w_down @ back):  # layers that let nothing through leave nothing to balance
         consistent = down * ((w_up @ up) / passed)
-        out[above, 1], out[below, 0] = balance_across(block(below, above), up, consistent, w_up, w_down)
-    out[below, 1] = balance(block(below, below), np.maximum(back + down - consistent, 0.2 * back), w_down)
+        out[above, 1], out[below, 0] = reciprocal_scaling_across(block(below, above), up, consistent, w_up, w_down)
+    out[below, 1] = reciprocal_scaling(block(below, below), np.maximum(back + down - consistent, 0.2 * back), w_down)
 
 
 def _depth_factors(layer: Monolayer, sides: list[tuple[Lit, Array]]) -> Array:

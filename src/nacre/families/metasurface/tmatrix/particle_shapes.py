@@ -11,16 +11,16 @@ from typing import ClassVar
 import numpy as np
 
 from nacre.core.arrays import Array, ComplexArray
-from nacre.core.disk_cache import keep_arrays, kept_arrays
+from nacre.core.disk_cache import cache_arrays, cached_arrays
 from nacre.core.errors import UnsupportedError
-from nacre.core.parallel import in_threads, one_thread_each
+from nacre.core.parallel import in_threads, single_threaded_blas
 from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, Body, gain, reciprocal, truncated
 from nacre.families.metasurface.tmatrix.bem import Mesh, block_t_matrix
 from nacre.families.metasurface.tmatrix.particle_on_stack import AZIMUTHAL_ORDERS
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.mie import mie_coefficients
-from nacre.recipe.fingerprint import identity
+from nacre.recipe.fingerprint import fingerprint
 
 SIZE_NODES = 5
 
@@ -290,14 +290,14 @@ class SolvedBody(Body):
         parts = (radius, height, index.real, index.imag, thickness, outside.real, outside.imag)
         edge = self._around(wavelength_nm)[0] * self.edge_nm
         numbers = [float(v).hex() for v in (*parts, *([edge] if edge else []))]
-        key = "tmatrix-" + identity({"shape": self.shape, "numbers": numbers}, {}, lmax=self.lmax, mmax=mmax)
-        stored = kept_arrays(key)
+        key = "tmatrix-" + fingerprint({"shape": self.shape, "numbers": numbers}, {}, lmax=self.lmax, mmax=mmax)
+        stored = cached_arrays(key)
         if stored and {"real", "imaginary", "error"} <= stored.keys():
             found, error = stored["real"] + 1j * stored["imaginary"], float(stored["error"])
         else:
-            with one_thread_each():  # the matrices are small, and whoever asks has threads of its own
+            with single_threaded_blas():  # the matrices are small, and whoever asks has threads of its own
                 found, error = self._solve(radius, height, index, mmax, coat, edge)
-            keep_arrays(key, {"real": found.real, "imaginary": found.imag, "error": np.array(error)})
+            cache_arrays(key, {"real": found.real, "imaginary": found.imag, "error": np.array(error)})
         self.errors[wavelength_nm] = max(error, self.errors.get(wavelength_nm, 0.0))
         if error > REFUSED:
             raise UnsupportedError(

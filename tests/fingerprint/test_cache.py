@@ -41,7 +41,7 @@ def count_solves(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def numbers(material: Material) -> str:
-    return material.bsdf(GRID).identity
+    return material.bsdf(GRID).fingerprint
 
 
 def test_a_material_is_solved_once_and_comes_back_to_the_bit(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,7 +120,7 @@ def test_eight_processes_share_a_cache(folder: Path) -> None:
         f"cache.MAX_BYTES = 40_000\nrecipe = {CACHED!r}\n"
         "for turn in range(12):\n"
         "    layers = [{'material': 'SiO2', 'thickness_nm': 100 + turn % 4}]\n"
-        f"    print(nacre.material(dict(recipe, layers=layers)).bsdf({GRID}).identity)\n"
+        f"    print(nacre.material(dict(recipe, layers=layers)).bsdf({GRID}).fingerprint)\n"
     )
     command = [sys.executable, "-c", code]
     processes = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(8)]
@@ -148,11 +148,11 @@ def test_the_command_counts_parts_of_materials_apart(folder: Path, capsys: pytes
     import json
 
     from nacre.cli import run
-    from nacre.core.disk_cache import keep_arrays
+    from nacre.core.disk_cache import cache_arrays
 
     numbers(nacre.material(CACHED))
     for number in range(3):  # as the patterns of an ensemble are
-        keep_arrays(f"ensemble-{number}", {"a": np.ones(2)})
+        cache_arrays(f"ensemble-{number}", {"a": np.ones(2)})
     assert run(["cache", "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
     assert (shown["materials"], shown["parts"], shown["entries"]) == (1, 3, 4)

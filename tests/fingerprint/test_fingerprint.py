@@ -1,4 +1,4 @@
-"""What is kept is used again only where it would come out the same: one identity, of recipe, files and code."""
+"""What is kept is used again only where it would come out the same: one fingerprint, of recipe, files and code."""
 
 from __future__ import annotations
 
@@ -108,20 +108,20 @@ CASES: dict[str, tuple[Callable[[Path], Path], Callable[[Path], object]]] = {
 def test_a_changed_file_makes_another_material(tmp_path: Path, case: str) -> None:
     make, change = CASES[case]
     path = make(tmp_path)
-    before = nacre.load(path).identity
-    assert nacre.load(path).identity == before
+    before = nacre.load(path).fingerprint
+    assert nacre.load(path).fingerprint == before
     stamps = {p: p.stat().st_mtime_ns for p in tmp_path.iterdir()}
     change(tmp_path)
     for file, stamp in stamps.items():  # the content counts, not the time
         os.utime(file, ns=(stamp, stamp))
-    assert nacre.load(path).identity != before
+    assert nacre.load(path).fingerprint != before
 
 
 def test_a_moved_folder_holds_the_same_materials(tmp_path: Path) -> None:
     (tmp_path / "here").mkdir()
-    before = nacre.load(blend(tmp_path / "here")).identity
+    before = nacre.load(blend(tmp_path / "here")).fingerprint
     (tmp_path / "here").rename(tmp_path / "there")
-    assert nacre.load(tmp_path / "there" / "blend.toml").identity == before
+    assert nacre.load(tmp_path / "there" / "blend.toml").fingerprint == before
 
 
 def test_changed_code_is_another_source(tmp_path: Path) -> None:
@@ -157,8 +157,8 @@ def test_a_scene_is_also_the_files_that_it_names(tmp_path: Path, name: str, text
 
 def test_every_output_of_a_material_carries_its_identity(tmp_path: Path) -> None:
     material = nacre.load(film(tmp_path))
-    assert material.bsdf().provenance["identity"] == material.identity
-    assert material.vary({"layers[0].thickness_nm": 301}).identity != material.identity
+    assert material.bsdf().provenance["fingerprint"] == material.fingerprint
+    assert material.vary({"layers[0].thickness_nm": 301}).fingerprint != material.fingerprint
 
 
 def test_a_material_whose_nodes_are_solved_later_refuses_another_file(tmp_path: Path) -> None:
