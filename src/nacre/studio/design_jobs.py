@@ -26,18 +26,18 @@ from nacre.light import (
 )
 from nacre.material.material import Material
 from nacre.measure.spectrum import bsdf_spectrum
-from nacre.optimise.evaluation import Reached, judge, lab_hex, nearest_in_ranges, reached, rows_of
+from nacre.optimise.evaluation import TargetResult, geometries_of, judge, lab_hex, nearest_in_ranges, reached
 from nacre.optimise.gamut import find_gamut, optimal_limits, srgb_limits
-from nacre.optimise.measurement import search_wavelengths, see
+from nacre.optimise.measurement import search_wavelengths, simulate_measurement
 from nacre.optimise.parameters import point_of, values_at
-from nacre.optimise.run import in_words, search_of
+from nacre.optimise.run import choose_search, in_words
 from nacre.optimise.solutions import Solution
-from nacre.optimise.targets import Want
-from nacre.optimise.task import Target
-from nacre.optimise.thin_film.adapter import StackSearch
+from nacre.optimise.targets import Target
+from nacre.optimise.task import DesignTask
+from nacre.optimise.thin_film.adapter import ThinFilmSearch
 from nacre.recipe.paths import find_by_path
 from nacre.recipe.toml import dump_toml, parse_toml
-from nacre.studio.design_request import LENGTH, OBSERVER, THICKNESS, inlined, rounded, target_of
+from nacre.studio.design_request import LENGTH, OBSERVER, THICKNESS, inlined, rounded, task_of
 from nacre.studio.edit import edited
 from nacre.studio.folder import built
 from nacre.studio.subprocess_jobs import Emit
@@ -67,21 +67,21 @@ def design(request: Mapping[str, Any], emit: Emit) -> None:
     Raises:
         NacreError: the recipe, a bound or a target is invalid, or the material has no such measurement.
     """
-    target = target_of(request)
-    search_spec = target.spec.search
-    search = search_of(target, search_spec.seed)
-    if isinstance(search, StackSearch):
+    task = task_of(request)
+    search_spec = task.spec.search
+    search = choose_search(task, search_spec.seed)
+    if isinstance(search, ThinFilmSearch):
         search.run(WARM_UP_S, None, ())  # compiles before the time starts
     emit({"kind": "begun", "seconds": search_spec.seconds})
-    reason = search.run(search_spec.seconds, _Progress(target, request, emit).update, ())
+    reason = search.run(search_spec.seconds, _Progress(task, request, emit).update, ())
     found = search.answers()[: search_spec.solutions]
     solutions = []
     for _, changes in found:
         values = {path: rounded(value) for path, value in changes.items()}
         try:
-            material = target.material.vary(values)
+            material = task.material.vary(values)
             seconds = FINAL_SHARE * search_spec.seconds / len(found)
-            results, _ = judge(material, target.wants, target.spec.light, seed=search_spec.seed, seconds=seconds)
+            results, _ = judge(material, task.targets, task.spec.light, seed=search_spec.seed, seconds=seconds)
         except NacreError:
             continue
         solutions.append(Solution(None, material, values, results))
@@ -89,7 +89,7 @@ def design(request: Mapping[str, Any], emit: Emit) -> None:
         raise NacreError("the recipe cannot be computed anywhere within its bounds")
     solutions.sort(key=lambda one: one.worst.scaled)
     for solution in solutions:
-        emit({"kind": "final", **_document(solution.changes, solution.wants, target, request)})
+        emit({"kind": "final", **_document(solution.changes, solution.targets, task, request)})
     status = "interrupted" if reason == "interrupted" else "met" if solutions[0].is_met else "out of reach"
     emit({"kind": "ended", "status": status, "message": in_words(solutions, status)})
 
@@ -97,9 +97,9 @@ def design(request: Mapping[str, Any], emit: Emit) -> None:
 class _Progress:
     """Emits the progress of a search and its current best solution."""
 
-    def __init__(self, target: Target, request: Mapping[str, Any], emit: Emit) -> None:
-        self._target, self._request, self._emit = target, request, emit
-        self._rows = rows_of(target.wants)
+    def __init__(self, task: DesignTask, request: Mapping[str, Any], emit: Emit) -> None:
+        self._task, self._request, self._emit = task, request, emit
+        self._rows = geometries_of(task.targets)
         self._start = time.monotonic()
         self._last_event = self._last_solution = -np.inf
         self._best = np.inf
@@ -114,20 +114,20 @@ class _Progress:
             self._best, self._last_solution, self._last_event = worst, now, now
             values = {path: rounded(value) for path, value in values.items()}
             results = self._evaluate(values) if self._evaluation_s < MAX_EVALUATION_S else []
-            document = _document(values, results, self._target, self._request)
+            document = _document(values, results, self._task, self._request)
             self._emit({"kind": "solution", "seconds": now, **document})
         elif now - self._last_event > PROGRESS_S:
             self._last_event = now
             self._emit({"kind": "progress", "seconds": now, "worst": worst if np.isfinite(worst) else None})
 
-    def _evaluate(self, values: Mapping[str, Any]) -> list[Reached]:
+    def _evaluate(self, values: Mapping[str, Any]) -> list[TargetResult]:
         start = time.monotonic()
-        spec = self._target.spec
+        spec = self._task.spec
         try:
-            material = self._target.material.vary(values)
+            material = self._task.material.vary(values)
             grid = search_wavelengths(material, spec.light.illuminants)
-            seen = see(material, self._rows, grid, seed=spec.search.seed, memory=self._cache)
-            return reached(seen, self._target.wants, spec.light)
+            seen = simulate_measurement(material, self._rows, grid, seed=spec.search.seed, memory=self._cache)
+            return reached(seen, self._task.targets, spec.light)
         except NacreError:
             return []
         finally:
@@ -135,12 +135,12 @@ class _Progress:
 
 
 def _document(
-    changes: Mapping[str, Any], results: list[Reached], target: Target, request: Mapping[str, Any]
+    changes: Mapping[str, Any], results: list[TargetResult], task: DesignTask, request: Mapping[str, Any]
 ) -> dict[str, Any]:
-    documents = [one.document(target.spec.light.observer) for one in results]
+    documents = [one.document(task.spec.light.observer) for one in results]
     targets = [
         {
-            "geometry": each["at"], "target": each["asked_colour"], "reached": each["reached"]["colour"],
+            "geometry": each["geometry"], "target": each["asked_colour"], "reached": each["reached"]["colour"],
             "de00": round(each["de00"], 2), "met": each["met"],
         }
         for each in documents
@@ -149,7 +149,7 @@ def _document(
         "changes": dict(changes),
         "targets": targets,
         "worst": max((each["de00"] for each in targets), default=None),
-        "text": text_with(request["recipe"]["text"], target.material, changes),
+        "text": text_with(request["recipe"]["text"], task.material, changes),
     }
 
 
@@ -175,29 +175,29 @@ def gamut(request: Mapping[str, Any], emit: Emit) -> None:
     Raises:
         NacreError: the recipe, a bound or a target is invalid, or nothing can be computed.
     """
-    target, lamp = target_of(request), request["lamp"]
+    task, lamp = task_of(request), request["lamp"]
     white = white_xyz(lamp, OBSERVER)
     optimal = np.asarray(xyz_to_lab(optimal_limits(lamp, OBSERVER), white))
     emit({"kind": "limits", "srgb": _outline(srgb_limits(lamp, OBSERVER)), "optimal": _outline(optimal)})
-    rows = rows_of(target.wants)
+    rows = geometries_of(task.targets)
     seconds = min(GAMUT_S, request["seconds"]) / len(rows)
     for row in rows:
-        wants = [want for want in target.wants if want.at == row]
+        targets = [target for target in task.targets if target.geometry == row]
         start = time.monotonic()
         found = find_gamut(
-            target.material, request["parameters"], str(row), points=GAMUT_POINTS,
+            task.material, request["parameters"], str(row), points=GAMUT_POINTS,
             seconds=(1.0 - LOCAL_SHARE) * seconds, illuminant=lamp, observer=OBSERVER,
         )  # fmt: skip
-        colour = _colour_function(target, row, lamp, white)
+        colour = _colour_function(task, row, lamp, white)
         labs = list(found.lab)
         results: list[dict[str, Any]] = []
-        for want in wants:
-            until = start + seconds * (1.0 - LOCAL_SHARE + LOCAL_SHARE * (len(results) + 1) / len(wants))
-            new, distance = _local_search(target, want, found.lab, found.structures, colour, until)
+        for target in targets:
+            until = start + seconds * (1.0 - LOCAL_SHARE + LOCAL_SHARE * (len(results) + 1) / len(targets))
+            new, distance = _local_search(task, target, found.lab, found.structures, colour, until)
             labs += new
             results.append({
-                "lab": None if want.lab is None else np.round(want.lab, 2).tolist(), "target": want.asked,
-                "distance": round(distance, 2), "inside": distance <= want.within, "tolerance": want.within,
+                "lab": None if target.lab is None else np.round(target.lab, 2).tolist(), "target": target.asked,
+                "distance": round(distance, 2), "inside": distance <= target.tolerance, "tolerance": target.tolerance,
             })  # fmt: skip
         points = [[*np.round(lab, 1).tolist(), lab_hex(lab, white)] for lab in labs]
         emit({
@@ -212,15 +212,15 @@ def _outline(solid: Array) -> list[list[float]]:
     return [[round(float(a), 1), round(float(b), 1)] for a, b in solid[outermost, 1:]]
 
 
-def _colour_function(target: Target, row: Any, lamp: str, white: Array) -> Callable[[Array], Array | None]:
+def _colour_function(task: DesignTask, row: Any, lamp: str, white: Array) -> Callable[[Array], Array | None]:
     """Return a function from normalised parameters to Lab; None if the material cannot be computed."""
-    grid = search_wavelengths(target.material, [lamp])
+    grid = search_wavelengths(task.material, [lamp])
     cache: dict[Any, Any] = {}
 
     def colour(place: Array) -> Array | None:
         try:
-            material = target.material.vary(values_at(target.free, place))
-            seen = see(material, [row], grid, memory=cache)
+            material = task.material.vary(values_at(task.parameters, place))
+            seen = simulate_measurement(material, [row], grid, memory=cache)
         except NacreError:
             return None
         return np.asarray(xyz_to_lab(spectrum_to_xyz(seen.factors[0], seen.wavelengths_nm, lamp, OBSERVER), white))
@@ -228,34 +228,34 @@ def _colour_function(target: Target, row: Any, lamp: str, white: Array) -> Calla
     return colour
 
 
-def distance_to(want: Want, labs: Array) -> Array:
+def distance_to(target: Target, labs: Array) -> Array:
     """Return CIEDE2000 of colours `[n, 3]` to a target; for ranges to the nearest colour within them."""
-    if want.lab is not None:
-        return np.asarray(delta_e_2000(labs, want.lab))
-    ranges = want.ranges or {}
+    if target.lab is not None:
+        return np.asarray(delta_e_2000(labs, target.lab))
+    ranges = target.ranges or {}
     return np.asarray(delta_e_2000(labs, np.array([nearest_in_ranges(lab, ranges) for lab in labs])))
 
 
 def _local_search(
-    target: Target, want: Want, labs: Array, structures: list[dict[str, Any]],
+    task: DesignTask, target: Target, labs: Array, structures: list[dict[str, Any]],
     colour: Callable[[Array], Array | None], until: float,
 ) -> tuple[list[Array], float]:  # fmt: skip
     """Random local search from the nearest sample with decreasing steps; return the new colours and the distance."""
-    distances = distance_to(want, labs)
+    distances = distance_to(target, labs)
     nearest = int(np.argmin(distances))
     best = float(distances[nearest])
     found: list[Array] = []
-    place = point_of(target.free, structures[nearest])
+    place = point_of(task.parameters, structures[nearest])
     generator = np.random.default_rng(0)
     for step in STEPS:
         for _ in range(TRIES):
-            if place is None or best <= 0.5 * want.within or time.monotonic() > until:
+            if place is None or best <= 0.5 * target.tolerance or time.monotonic() > until:
                 return found, best
             tried = np.clip(place + step * generator.standard_normal(len(place)), 0.0, 1.0)
             lab = colour(tried)
             if lab is None:
                 continue
-            distance = float(distance_to(want, lab[None])[0])
+            distance = float(distance_to(target, lab[None])[0])
             if distance < best:
                 best, place = distance, tried
                 found.append(lab)

@@ -20,7 +20,7 @@ from nacre.recipe.paths import find_by_path
 from nacre.studio.folder import OpenedFolder, built, read_lamp, read_number, read_recipe
 
 if TYPE_CHECKING:
-    from nacre.optimise.task import Target
+    from nacre.optimise.task import DesignTask
 
 GEOMETRIES = ("specular", "transmitted", "diffuse", "hemispherical", "aspecular")
 OBSERVER = "2deg"  # of all colours of the page
@@ -173,13 +173,13 @@ def _is_allowed(material: Material, path: str, value: float) -> bool:
     return True
 
 
-def target_of(request: Mapping[str, Any]) -> Target:
-    """Return the validated target of a request; changes the current folder to the recipe's.
+def task_of(request: Mapping[str, Any]) -> DesignTask:
+    """Return the validated task of a request; changes the current folder to the recipe's.
 
     Raises:
         NacreError: the recipe is invalid or reads a file outside its fence, or cannot be designed for these targets.
     """
-    from nacre.optimise.task import read_target
+    from nacre.optimise.task import read_task
 
     material = built(request["recipe"])  # applies the fence before any file is read
     if "heights" in material.data:
@@ -187,14 +187,12 @@ def target_of(request: Mapping[str, Any]) -> Target:
     os.chdir(Path(request["recipe"]["path"]).parent)
     data = {
         "recipe": copy.deepcopy(dict(inlined(material).data)),
-        "free": request["parameters"],
-        "want": [
-            {{"geometry": "at", "tolerance": "within"}.get(k, k): v for k, v in t.items()} for t in request["targets"]
-        ],
+        "parameters": request["parameters"],
+        "target": request["targets"],
         "light": {"illuminants": [request["lamp"]], "observer": OBSERVER},
         "search": {"seconds": request["seconds"], "solutions": request["solutions"]},
     }
     try:
-        return read_target(data)
+        return read_task(data)
     except NacreError as error:
         raise NacreError(str(error).removeprefix("target: ")) from None
