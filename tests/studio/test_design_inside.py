@@ -23,8 +23,8 @@ from nacre.light import (
     white_xyz,
     xyz_to_lab,
 )
-from nacre.optimise.measurement import At
-from nacre.optimise.targets import Want
+from nacre.optimise.measurement import Geometry
+from nacre.optimise.targets import Target
 from nacre.recipe.toml import parse_toml
 from nacre.studio.folder import Opened
 from nacre.studio.gamut_job import distance_to
@@ -103,7 +103,7 @@ def test_heights_of_a_relief_are_left_to_the_command(client: TestClient, folder:
 
 
 def test_a_range_of_hues_may_cross_0_and_asks_for_chroma() -> None:
-    want = Want(At("specular", 0.0), {}, 2.0, 1.0, "", ranges={"hue": (350.0, 10.0), "chroma": (20.0, None)})
+    want = Target(Geometry("specular", 0.0), {}, 2.0, 1.0, "", ranges={"hue": (350.0, 10.0), "chroma": (20.0, None)})
     labs = [
         [50.0, c * np.cos(np.radians(h)), c * np.sin(np.radians(h))] for c, h in ((30, 5), (30, 355), (15, 0), (30, 40))
     ]
@@ -116,7 +116,9 @@ def test_a_range_of_hues_may_cross_0_and_asks_for_chroma() -> None:
 
 
 def test_a_lightness_that_is_asked_for_counts_on_the_chart_too() -> None:
-    want = Want(At("specular", 0.0), {}, 2.0, 1.0, "", ranges={"lightness": (70.0, None), "chroma": (10.0, None)})
+    want = Target(
+        Geometry("specular", 0.0), {}, 2.0, 1.0, "", ranges={"lightness": (70.0, None), "chroma": (10.0, None)}
+    )
     dark, light = distance_to(want, np.array([[40.0, 20.0, 0.0], [75.0, 20.0, 0.0]]))
     assert dark == pytest.approx(float(delta_e_2000([70.0, 20.0, 0.0], [40.0, 20.0, 0.0]))) and light == 0.0
 

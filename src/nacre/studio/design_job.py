@@ -13,12 +13,12 @@ import numpy as np
 
 from nacre.core.errors import NacreError
 from nacre.material.material import Material
-from nacre.optimise.evaluation import Reached, judge, reached, rows_of
-from nacre.optimise.measurement import search_wavelengths, see
-from nacre.optimise.run import in_words, search_of
+from nacre.optimise.evaluation import TargetResult, geometries_of, judge, reached
+from nacre.optimise.measurement import search_wavelengths, simulate_measurement
+from nacre.optimise.run import choose_search, in_words
 from nacre.optimise.solutions import Solution
-from nacre.optimise.task import Target
-from nacre.optimise.thin_film.adapter import StackSearch
+from nacre.optimise.task import DesignTask
+from nacre.optimise.thin_film.adapter import ThinFilmSearch
 from nacre.recipe.paths import find_by_path
 from nacre.recipe.toml import dump_toml
 from nacre.studio.design_request import short, target_of
@@ -40,8 +40,8 @@ def designed(question: Mapping[str, Any], tell: Tell) -> None:
     """
     target = target_of(question)
     seconds = target.spec.search.seconds
-    search = search_of(target, target.spec.search.seed)
-    if isinstance(search, StackSearch):
+    search = choose_search(target, target.spec.search.seed)
+    if isinstance(search, ThinFilmSearch):
         search.run(WARMING_S, None, ())  # compiles, where that was not yet done, out of the time for searching
     tell({"kind": "begun", "seconds": seconds})
     watch = _Watch(target, question, tell)
@@ -53,7 +53,7 @@ def designed(question: Mapping[str, Any], tell: Tell) -> None:
         try:
             made = target.material.vary(values)
             allowed = JUDGING_SHARE * seconds / len(found)
-            wants, _ = judge(made, target.wants, target.spec.light, seed=target.spec.search.seed, seconds=allowed)
+            wants, _ = judge(made, target.targets, target.spec.light, seed=target.spec.search.seed, seconds=allowed)
         except NacreError:
             continue
         solutions.append(Solution(None, made, values, wants))
@@ -61,7 +61,7 @@ def designed(question: Mapping[str, Any], tell: Tell) -> None:
         raise NacreError("the recipe cannot be computed anywhere in its bounds")
     solutions.sort(key=lambda one: one.worst.scaled)
     for solution in solutions:
-        tell({"kind": "final", **_shown(solution.changes, solution.wants, target, question)})
+        tell({"kind": "final", **_shown(solution.changes, solution.targets, target, question)})
     status = "interrupted" if why == "interrupted" else "met" if solutions[0].is_met else "out of reach"
     tell({"kind": "ended", "status": status, "message": in_words(solutions, status)})
 
@@ -73,9 +73,9 @@ def _shortened(value: Any) -> Any:
 class _Watch:
     """Tells how far a search is, and its best answers so far."""
 
-    def __init__(self, target: Target, question: Mapping[str, Any], tell: Tell) -> None:
+    def __init__(self, target: DesignTask, question: Mapping[str, Any], tell: Tell) -> None:
         self._target, self._question, self._tell = target, question, tell
-        self._rows = rows_of(target.wants)
+        self._rows = geometries_of(target.targets)
         self._begun = time.monotonic()
         self._told = self._shown = -np.inf
         self._best = np.inf
@@ -95,14 +95,14 @@ class _Watch:
             self._told = now
             self._tell({"kind": "progress", "seconds": now, "worst": worst if np.isfinite(worst) else None})
 
-    def _look(self, values: Mapping[str, Any]) -> list[Reached]:
+    def _look(self, values: Mapping[str, Any]) -> list[TargetResult]:
         began = time.monotonic()
         target = self._target
         try:
             made = target.material.vary(values)
             grid = search_wavelengths(made, target.spec.light.illuminants)
-            seen = see(made, self._rows, grid, seed=target.spec.search.seed, memory=self._memory)
-            return reached(seen, target.wants, target.spec.light)
+            seen = simulate_measurement(made, self._rows, grid, seed=target.spec.search.seed, memory=self._memory)
+            return reached(seen, target.targets, target.spec.light)
         except NacreError:
             return []
         finally:
@@ -110,12 +110,12 @@ class _Watch:
 
 
 def _shown(
-    changes: Mapping[str, Any], wants: list[Reached], target: Target, question: Mapping[str, Any]
+    changes: Mapping[str, Any], wants: list[TargetResult], target: DesignTask, question: Mapping[str, Any]
 ) -> dict[str, Any]:
     documents = [one.document(target.spec.light.observer) for one in wants]
     told = [
         {
-            "at": each["at"], "asked": each["asked_colour"], "got": each["reached"]["colour"],
+            "at": each["geometry"], "asked": each["asked_colour"], "got": each["reached"]["colour"],
             "de00": round(each["de00"], 2), "met": each["met"],
         }
         for each in documents

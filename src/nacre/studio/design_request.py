@@ -21,7 +21,7 @@ from nacre.studio.folder import Opened
 from nacre.studio.measured import built, placed, read_lamp
 
 if TYPE_CHECKING:
-    from nacre.optimise.task import Target
+    from nacre.optimise.task import DesignTask
 
 LOOKS = ("specular", "transmitted", "diffuse", "hemispherical", "aspecular")
 OBSERVER = "2deg"  # as all colours of the page
@@ -36,7 +36,7 @@ OF_OPTICS = ("n", "k")
 PROBE_NM = np.array([450.0, 550.0, 650.0])
 UPWARD, DOWNWARD = (2.0, 1.5, 1.2, 1.05), (0.5, 0.7, 0.9, 0.97)  # times a number: bounds, the first that are allowed
 OF_HEIGHTS = (
-    "a relief's heights are sought by the command: nacre design TARGET with heights under [free], "
+    "a relief's heights are sought by the command: nacre design TARGET with heights under [parameters], "
     "or the picture that is wanted under [target]"
 )
 
@@ -80,8 +80,8 @@ def _want(want: Any, look: str, name: str) -> dict[str, Any]:
     if not isinstance(want, dict):
         raise NacreError(f"{name} is not a table")
     angle = number(want.get("at"), f"{name}: angle", *((-40.0, 110.0) if look == "aspecular" else (0.0, 89.0)))
-    made: dict[str, Any] = {"at": f"45as{angle:g}" if look == "aspecular" else f"{look} {angle:g}"}
-    made["within"] = number(want.get("within", 2.0), f"{name}: within", 0.1, 50.0)
+    made: dict[str, Any] = {"geometry": f"45as{angle:g}" if look == "aspecular" else f"{look} {angle:g}"}
+    made["tolerance"] = number(want.get("within", 2.0), f"{name}: within", 0.1, 50.0)
     if "hue" not in want:
         colour = want.get("colour")
         if not isinstance(colour, str) or not re.fullmatch(r"#[0-9a-fA-F]{6}", colour):
@@ -141,7 +141,7 @@ def free_numbers(material: Material) -> dict[str, Any]:
         })  # fmt: skip
     if not found["numbers"]:
         found["refused"] = (
-            f"this {material.model.traits.noun} has no number that may change; the command's [free] takes words too"
+            f"this {material.model.traits.noun} has no number that can vary; the command also varies words"
         )
     return found
 
@@ -185,13 +185,13 @@ def _is_allowed(material: Material, path: str, value: float) -> bool:
     return True
 
 
-def target_of(question: Mapping[str, Any]) -> Target:
+def target_of(question: Mapping[str, Any]) -> DesignTask:
     """Return the checked target of a question; the current folder becomes the recipe's.
 
     Raises:
         NacreError: the recipe is wrong or reaches outside its fence, or the material cannot answer.
     """
-    from nacre.optimise.task import read_target
+    from nacre.optimise.task import read_task
 
     material = built(question["recipe"])  # with its fence, before anything is read without one
     if "heights" in material.data:
@@ -199,12 +199,12 @@ def target_of(question: Mapping[str, Any]) -> Target:
     os.chdir(Path(question["recipe"]["path"]).parent)
     data = {
         "recipe": copy.deepcopy(dict(opened_parts(material).data)),
-        "free": question["free"],
-        "want": question["wants"],
+        "parameters": question["free"],
+        "target": question["wants"],
         "light": {"illuminants": [question["lamp"]], "observer": OBSERVER},
         "search": {"seconds": question["seconds"], "solutions": question["solutions"]},
     }
     try:
-        return read_target(data)
+        return read_task(data)
     except NacreError as error:
         raise NacreError(str(error).removeprefix("target: ")) from None

@@ -135,17 +135,19 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
         return Bsdf((found,), {"notes": notes} if notes else {})
 
     def energy_defect(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
-        """Return the light that flakes of the "published" counting lose, `[angle, wavelength]`; see `lost`.
+        """Return the light that is lost by the "published" energy balance, `[angle, wavelength]`; see `energy_defect`.
 
         None: no flake is counted so, or the walk that tells it does not know this pearl's parts (a warning says why).
         """
-        published = np.array([f.platelet.counting == PUBLISHED for s in self.strata for f in s.flakes], dtype=bool)
+        published = np.array(
+            [f.platelet.energy_balance == PUBLISHED for s in self.strata for f in s.flakes], dtype=bool
+        )
         if not published.any():
             return None
         lobe = self._layered(np.asarray(wavelengths_nm, dtype=float))
         reason = why_not_lost(lobe)
         if reason is not None:
-            logger.warning("what the published counting loses is not known for this pearl, since %s", reason)
+            logger.warning("the loss of the published energy balance is not known for this pearl, since %s", reason)
             return None
         rows = [lost_light(lobe, published, direction(float(theta)), seed=seed) for theta in theta_rad]
         return np.stack(rows)

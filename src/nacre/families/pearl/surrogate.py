@@ -174,7 +174,7 @@ def _pigment(
     platelet = flakes.platelet
     layers = [(platelet.substrate, platelet.thickness)]
     layers += [(c.material, c.thickness) for c in (*platelet.upper, *(platelet.lower or ()))]
-    shape = (platelet.counting, len(platelet.upper), platelet.lower is None, nodes, deviation, grid, n.tobytes())
+    shape = (platelet.energy_balance, len(platelet.upper), platelet.lower is None, nodes, deviation, grid, n.tobytes())
     key = (*shape, *((material.n_complex(wavelengths).tobytes(), _told(thickness)) for material, thickness in layers))
     found = _tables.get(key)
     if found is None:
