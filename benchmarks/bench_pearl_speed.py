@@ -45,14 +45,14 @@ NOISE_RATIO, KNOB_S = 10.0, 600.0
 KNOB_SIZE, KNOB_SPP, KNOB_REFERENCE_SPP = 512, 8, 4096
 
 
-def physical(name: str) -> nacre.Material:
+def conserving(name: str) -> nacre.Material:
     """An example whose light is counted physically: its walks are longer, and the numbers here are of them."""
-    return nacre.load(EXAMPLES / f"{name}.toml").vary({"strata[0].platelets[0].counting": "physical"})
+    return nacre.load(EXAMPLES / f"{name}.toml").vary({"strata[0].platelets[0].energy_balance": "conserving"})
 
 
 def bake(name: str, rows: list[Row]) -> nacre.Bsdf:
     """Bake a bottle, store it, and note how long each took; return what the file gives."""
-    material = physical(name).vary({"quality": "fast"})
+    material = conserving(name).vary({"quality": "fast"})
     start, clock = time.process_time(), time.perf_counter()
     bsdf = material.bsdf()
     spent, clock = time.process_time() - start, time.perf_counter() - clock
@@ -68,7 +68,7 @@ def bake(name: str, rows: list[Row]) -> nacre.Bsdf:
 
 def noise(name: str, fast: nacre.Bsdf) -> list[Row]:
     """Compare luminance variance and time of both routes on the knob."""
-    reference = physical(name).bsdf()
+    reference = conserving(name).bsdf()
     mask = object_pixels()
     found = {}
     for route, bsdf in (("reference", reference), ("fast", fast)):
@@ -116,7 +116,7 @@ def main(arguments: list[str] | None = None) -> int:
     contestants = {"roughconductor": {"type": "roughconductor", "material": "Al", "alpha": ALPHA}}
     rows = []
     for name in bottles:
-        material = physical(name)
+        material = conserving(name)
         material.bsdf()  # compiles the kernels of the optics, once a machine
         start = time.process_time()
         bsdf = material.bsdf()

@@ -45,7 +45,7 @@ def target_data(designs: Any, i: int, time_limit_s: float | None) -> dict[str, A
     }
     if str(designs["image"][i]):
         target["image"] = str(designs["image"][i])
-    search: dict[str, Any] = {} if time_limit_s is None else {"time_limit_s": time_limit_s}
+    search: dict[str, Any] = {} if time_limit_s is None else {"seconds": time_limit_s}
     return {
         "family": "relief",
         "features": 32,
@@ -112,8 +112,8 @@ def main(arguments: list[str] | None = None) -> int:
 
     options = parser.parse_args(arguments)
     limit_s = options.time_limit_s or (MINUTE_S if options.all else 10.0)
+    from nacre.core.parallel import single_threaded_blas
     from nacre.optimise.relief.merit import measure_design
-    from nacre.optimise.relief.search import one_thread_each
 
     with np.load(REFERENCE / "published_designs.npz") as data:
         designs = {name: data[name] for name in data.files}
@@ -121,7 +121,7 @@ def main(arguments: list[str] | None = None) -> int:
     for i in options.designs or (range(len(designs["pixel_um"])) if options.all else SOME):
         spec, context = checked(designs, i, limit_s)
         problem = spec.build(context)
-        with one_thread_each():
+        with single_threaded_blas():
             published = measure_design(problem, 1e3 * designs["feature_height"][i].astype(float)).losses
         seconds, ours = time_to_beat(spec, context, published)
         rows.append(

@@ -58,10 +58,10 @@ def median_seconds(function: Any, repeats: int) -> tuple[float, float]:
 
 def bench_slice(repeats: int) -> dict[str, Any]:
     """Time a slice and a part of the direct sum, in the same run."""
+    from nacre.core.parallel import single_threaded_blas
     from nacre.families.relief.coherence import Coherence
     from nacre.families.relief.plane_cut import SliceGeometry, plan_slice
     from nacre.families.relief.surface import Tile
-    from nacre.optimise.relief.search import one_thread_each
 
     tile = Tile(800.0 * np.random.default_rng(1).random((FEATURES, FEATURES)), 800.0, 200.0)
     coherence = Coherence.from_sigma(2.6)
@@ -70,7 +70,7 @@ def bench_slice(repeats: int) -> dict[str, Any]:
     surface = tile.surface_nm(UPSAMPLING).astype(np.float32)
     samples = FEATURES * UPSAMPLING
     result: dict[str, Any] = {}
-    with one_thread_each():
+    with single_threaded_blas():
         for workers in (1, 2):
             plan = plan_slice(
                 geometry, samples=samples, period_nm=tile.period_nm, height_range_nm=tile.height_range_nm,
@@ -122,18 +122,18 @@ def bench_cache() -> dict[str, Any]:
 
 def bench_large(features: int = 512) -> dict[str, Any]:
     """Time a large tile's slice, the choice of its sampling included."""
+    from nacre.core.parallel import single_threaded_blas
     from nacre.families.relief.coherence import Coherence
     from nacre.families.relief.diffraction_orders import choose_sampling
     from nacre.families.relief.plane_cut import SliceGeometry, plan_slice
     from nacre.families.relief.surface import Tile
-    from nacre.optimise.relief.search import one_thread_each
 
     t, c = time.perf_counter(), time.process_time()
     tile = Tile(600.0 * np.random.default_rng(1).random((features, features)), 1600.0, 500.0)
     coherence = Coherence.from_sigma(2.6)
     axis = ((np.arange(DIRECTIONS) + 0.5) / DIRECTIONS * 2 - 1) * 0.3
     geometry = SliceGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), WAVELENGTHS_NM)
-    with one_thread_each():
+    with single_threaded_blas():
         highest = geometry.highest_line(tile.period_nm, coherence, np.float32)
         sampling = choose_sampling(tile, geometry.kappa_range[1], highest, 1e-2)
         plan = plan_slice(

@@ -140,7 +140,7 @@ def write_report(results: dict[str, tuple[list[dict[str, Any]], float]]) -> None
     lines = [
         "# Validation", "",
         "Claims of the published sources, and of physics, against what nacre computes. *Hold only as printed*: in the "
-        "source's own counting of light, which is not physical (`counting = \"published\"` of a platelet). *False*: "
+        "source's own energy balance, which loses light (`energy_balance = \"published\"` of a platelet). *False*: "
         "shown so by a calculation here. *Undecided*: the source gives nothing to decide it by. *Miss*: ours differs. "
         "Made by `make validate`; each figure is made by the same run. Of limits, *bar* marks a number asked before "
         "the work and not derived, *word* a measure of ours for a source's word.", "",
@@ -181,7 +181,7 @@ def _whole_time(results: dict[str, tuple[list[dict[str, Any]], float]]) -> str:
 
 
 def _table(rows: list[dict[str, Any]]) -> list[str]:
-    """A table; where a row was asked in two countings, one column for each."""
+    """A table; where a row was asked with two balances, one column for each."""
     keys = {"claim": "claim", "claimed": "claimed", "ours": "ours", "verdict": "verdict"}
     if any("printed" in row for row in rows):
         keys = {

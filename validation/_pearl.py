@@ -19,54 +19,54 @@ from nacre.light import spectrum_to_xyz, xyz_to_lab, xyz_to_xyy
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "pearl"
 SRGB = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06], [0.64, 0.33]])
 GRID_NM = np.arange(360.0, 831.0, 10.0)
-COUNTINGS = ("physical", "published")
-_counting = ["physical"]  # how flakes are counted now; see `counted`
+ENERGY_BALANCES = ("conserving", "published")
+_energy_balance = ["conserving"]  # in effect; see `with_balance`
 MIDDLE_GREY = 0.1842  # luminance of L* = 50: chroma is compared there, so that brightness does not pass for it
 
 
 @contextmanager
-def counted(how: str) -> Iterator[None]:
-    """Count the flakes of all that is made within as "physical" or as "published", whatever the recipes say."""
-    before, _counting[0] = _counting[0], how
+def with_balance(how: str) -> Iterator[None]:
+    """Use "conserving" or "published" flakes in the block, whatever the recipes say."""
+    before, _energy_balance[0] = _energy_balance[0], how
     try:
         yield
     finally:
-        _counting[0] = before
+        _energy_balance[0] = before
 
 
-def counting() -> str:
-    """How flakes are counted now."""
-    return _counting[0]
+def energy_balance() -> str:
+    """The energy balance in effect."""
+    return _energy_balance[0]
 
 
 def material_of(recipe: Any) -> nacre.Material:
-    """The material of a file or a dictionary, its flakes counted as they are now."""
+    """The material of a file or a dictionary, with the energy balance in effect."""
     material = nacre.load(recipe) if isinstance(recipe, str | Path) else nacre.material(recipe)
     return material.vary({
-        f"strata[{i}].platelets[{j}].counting": counting()
+        f"strata[{i}].platelets[{j}].energy_balance": energy_balance()
         for i, stratum in enumerate(material.data["strata"]) for j in range(len(stratum.get("platelets", ())))
     })  # fmt: skip
 
 
-def in_both_countings(
+def in_both_balances(
     judge: Callable[[], list[dict[str, Any]]], why: dict[str, str] | None = None
 ) -> list[dict[str, Any]]:
-    """Ask the same of both countings: one row a claim with the columns "physical" and "as printed", and who is right.
+    """Check each claim with both energy balances: columns "conserving" and "as printed", and a verdict.
 
     Args:
-        judge: returns the rows of `row`, in the same order whatever the counting.
-        why: claim -> what the verdict on a claim that holds in neither counting says; default: "false".
+        judge: returns the rows of `row`, in the same order whatever the balance.
+        why: claim -> what the verdict on a claim that holds in neither balance says; default: "false".
     """
     found = {}
-    for how in COUNTINGS:
-        with counted(how):
+    for how in ENERGY_BALANCES:
+        with with_balance(how):
             found[how] = judge()
     rows = []
-    for physical, printed in zip(*(found[how] for how in COUNTINGS), strict=True):
+    for physical, printed in zip(*(found[how] for how in ENERGY_BALANCES), strict=True):
         good, well = (one["verdict"] == "holds" for one in (physical, printed))
         verdict = "holds" if good else "holds only as printed, not physical"
         if not (good or well):
-            verdict = (why or {}).get(physical["claim"], "false: in neither counting")
+            verdict = (why or {}).get(physical["claim"], "false: in neither balance")
         rows.append({**physical, "ours": f"{physical['ours']}{'' if good else ' (no)'}",
                      "printed": f"{printed['ours']}{'' if well else ' (no)'}", "verdict": verdict})  # fmt: skip
     return rows

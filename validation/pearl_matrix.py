@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from nacre.bsdf import Bsdf
-from validation._pearl import Array, baked, hue_distance, in_both_countings, lab_at_50, material_of, seen
+from validation._pearl import Array, baked, hue_distance, in_both_balances, lab_at_50, material_of, seen
 from validation._pearl_pictures import (
     EFFORT,
     KNOB,
@@ -37,7 +37,7 @@ INCOHERENT_NM = 2000.0  # a deviation that no fringe survives
 HALF = 0.5  # fringes that fall below half of what they were are attenuated, not merely not stronger
 
 
-WHY: dict[str, str] = {}  # claim -> verdict, where neither counting holds and "false" says too little
+WHY: dict[str, str] = {}  # claim -> verdict, where neither balance holds and "false" says too little
 
 
 def body_colour(shot: Any, on: Any) -> Array:
@@ -128,8 +128,8 @@ def main(out_dir: str | Path) -> list[dict[str, Any]]:
 
     matplotlib.use("Agg")
     out = Path(out_dir)
-    # the figures left are of the second counting, the source's
-    return in_both_countings(lambda: [*matrix(out), *spread(out)], WHY)
+    # the figures left are of the second energy_balance, the source's
+    return in_both_balances(lambda: [*matrix(out), *spread(out)], WHY)
 
 
 if __name__ == "__main__":

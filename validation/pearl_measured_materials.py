@@ -3,7 +3,7 @@
 Guillen et al. 2020 (table A2, figures 6 and 7) fit both models to measurements of Ferrero et al. 2014. These are not
 available to us, and the source's table of errors contradicts itself (MSE and PSNR give six different peaks), so no
 error of a fit is claimed. What it says in words is asked of the colours that the parameters give in our transport, in
-both countings: the two models run through the same transport here, so that they differ by the parameters alone. Of the
+both balances: the two models run through the same transport here, so that they differ by the parameters alone. Of the
 first two pigments the source gives no more than trade names; their words are read as quarters of the hue circle about
 CIELAB's red, yellow, green and blue (0, 90, 180, 270 degrees).
 
@@ -22,17 +22,17 @@ from matplotlib import pyplot
 
 from nacre.light import xyz_to_xyy
 from validation._pearl import (
-    COUNTINGS,
+    ENERGY_BALANCES,
     EXAMPLES,
     Array,
     baked,
     chroma,
-    counted,
-    counting,
+    energy_balance,
     hue_deg,
-    in_both_countings,
+    in_both_balances,
     seen,
     track,
+    with_balance,
 )
 from validation._rows import row
 
@@ -51,7 +51,7 @@ TRAVEL_DEG = 60.0  # of hue: a sixth of the circle, from one colour word to the 
 SIGNIFICANT_XY = 0.02  # mean distance in xy; about ten just noticeable steps
 FITS = "the source's fits lie within the limits of its search (sec. 6.1, table A2)"
 WHY = {
-    FITS: "false: table A2's own density of 0.132 is above the 13 % of sec. 6.1, in any counting",
+    FITS: "false: table A2's own density of 0.132 is above the 13 % of sec. 6.1, in any balance",
     'MCS2: the hues of its trade name "Arctic Fire" (sec. 6.1)': "cannot be decided: a trade name is no measurement",
     'MCS1: the hues of its trade name "Lapis Sunlight" (sec. 6.1)': "cannot be decided: a trade name is no measurement",
 }
@@ -160,12 +160,12 @@ def main(out_dir: Path) -> list[dict[str, Any]]:
     out_dir.mkdir(parents=True, exist_ok=True)
     figure = out_dir / "pearl_measured_materials.png"
     tracks = {}
-    for how in COUNTINGS:
-        with counted(how):
+    for how in ENERGY_BALANCES:
+        with with_balance(how):
             tracks[how] = {name: {model: looks(key + suffix) for model, suffix in MODELS.items()}
                            for name, key in MATERIALS.items()}  # fmt: skip
     draw(tracks["published"], figure)
-    return in_both_countings(lambda: judge(tracks[counting()], figure.name), WHY)
+    return in_both_balances(lambda: judge(tracks[energy_balance()], figure.name), WHY)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from matplotlib import pyplot
 from scipy.spatial import ConvexHull
 
 from nacre.light import xyz_to_xyy
-from validation._pearl import SRGB, Array, chroma, counted, in_both_countings, lab_at_50, seen, track
+from validation._pearl import SRGB, Array, chroma, in_both_balances, lab_at_50, seen, track, with_balance
 from validation._rows import finish, row
 from validation.pearl_trends import COATINGS_NM, DENSITIES, DEVIATIONS, FLAT, diffuse, falling, gloss, pearl
 
@@ -148,8 +148,8 @@ def draw(out: Path, figure: str) -> None:
 def main(out_dir: str | Path) -> list[dict[str, Any]]:
     """Test the statements, draw, return the rows."""
     figure = "pearl_parameter_panels.png"
-    rows = in_both_countings(lambda: judge(figure))
-    with counted("published"):  # the source's figures are in its counting
+    rows = in_both_balances(lambda: judge(figure))
+    with with_balance("published"):  # the source's figures use its balance
         draw(Path(out_dir), figure)
     return rows
 

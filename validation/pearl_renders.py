@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from validation._pearl import EXAMPLES, in_both_countings
+from validation._pearl import EXAMPLES, in_both_balances
 from validation._pearl_pictures import BOTTLE, LARGE, WALK_SPP, difference, picture, sheet, still, walked, where
 from validation._rows import finish, row
 
@@ -44,8 +44,8 @@ def main(out_dir: str | Path) -> list[dict[str, Any]]:
     import matplotlib
 
     matplotlib.use("Agg")
-    # the sheet left is of the second counting, the source's
-    return in_both_countings(lambda: contact_sheet(Path(out_dir)))
+    # the sheet left is of the second energy_balance, the source's
+    return in_both_balances(lambda: contact_sheet(Path(out_dir)))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,17 @@ import numpy as np
 from matplotlib import pyplot
 
 from nacre.light import xyz_to_xyy
-from validation._pearl import Array, baked, chroma, counted, counting, hue_distance, in_both_countings, seen, track
+from validation._pearl import (
+    Array,
+    baked,
+    chroma,
+    energy_balance,
+    hue_distance,
+    in_both_balances,
+    seen,
+    track,
+    with_balance,
+)
 from validation._rows import row
 
 EFFORT = 0.12
@@ -34,19 +44,19 @@ COMPLEMENTARY_DEG = 60.0  # within which of 180 degrees two hues count as comple
 
 WHY = {
     "diffuse: saturation rises with density at deviation 0.01, 60 nm (10e)": "false: the body is most saturated at the "
-    "lowest density in both countings, and 60 nm is nearly neutral beyond",
+    "lowest density in both balances, and 60 nm is nearly neutral beyond",
     "the deviation has little effect on diffuse luminance, up to 0.1 (10f, 10g)": "false: at 0.1 the flakes' own lobe "
-    "reaches the diffuse direction, in either counting by more than twice the 15 %",
+    "reaches the diffuse direction, in either balance by more than twice the 15 %",
 }
 
 
 def pearl(kind: str, coating_nm: float, density: float, deviation: float) -> Any:
     """The baked lobe of a material, its flakes counted as they are now."""
-    return _pearl(kind, coating_nm, density, deviation, counting())
+    return _pearl(kind, coating_nm, density, deviation, energy_balance())
 
 
 @functools.cache
-def _pearl(kind: str, coating_nm: float, density: float, deviation: float, _counting: str) -> Any:
+def _pearl(kind: str, coating_nm: float, density: float, deviation: float, _balance: str) -> Any:
     flake = {
         "volume_fraction": density,
         "substrate": SUBSTRATES[kind],
@@ -198,8 +208,8 @@ def main(out_dir: Path) -> list[dict[str, Any]]:
     out_dir = Path(out_dir)
     out_dir.mkdir(parents=True, exist_ok=True)
     figure = out_dir / "pearl_trends.png"
-    rows = in_both_countings(lambda: trends(figure.name), WHY)
-    with counted("published"):  # the source's figures are in its counting
+    rows = in_both_balances(lambda: trends(figure.name), WHY)
+    with with_balance("published"):  # the source's figures use its balance
         draw(figure)
     return rows
 

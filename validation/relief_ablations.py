@@ -31,15 +31,16 @@ begun = time.monotonic()
 from benchmarks import bench_relief_design as tool
 import numpy as np
 from nacre.optimise.relief.merit import measure_design
-from nacre.optimise.relief.search import Search, one_thread_each
+from nacre.core.parallel import single_threaded_blas
+from nacre.optimise.relief.search import Search
 with np.load(tool.REFERENCE / "published_designs.npz") as data:
     designs = {name: data[name] for name in data.files}
 problem = tool.checked(designs, int(sys.argv[1]), None)[0].build(tool.checked(designs, 0, None)[1])
 heights = Search(problem, 8, 1, workers=2).run(None) * problem.height_max_nm
-with one_thread_each():
+with single_threaded_blas():
     ours = measure_design(problem, heights).losses
 seconds = time.monotonic() - begun
-with one_thread_each():
+with single_threaded_blas():
     theirs = measure_design(problem, 1e3 * designs["feature_height"][int(sys.argv[1])].astype(float)).losses
 # a child's ru_maxrss begins at its parent's: the kernel's own high-water mark is of this program alone
 peak = int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())[1]) / 2**20

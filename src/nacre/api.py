@@ -24,7 +24,7 @@ from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array, floats
 from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.files import DESIGN_RECIPE, check_writable, short_name
-from nacre.families.contract import Model
+from nacre.families.contract import Model, fabrications
 from nacre.formats.fabrication import SUFFIXES, HeightOptions, write_drawing
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
@@ -178,7 +178,7 @@ def gamut(
 
     Args:
         thing: a material or a path.
-        free: such as "layers[0].thickness_nm=50:400" or "substrate=Al,Ag"; or a mapping as a design's `[free]`.
+        free: such as "layers[0].thickness_nm=50:400" or "substrate=Al,Ag"; or a mapping as a design's `[parameters]`.
         at: "specular 0", "transmitted 0", "diffuse 0", "hemispherical 0" or "45as15", as in a design's wants; None:
             what shows a family's colour: "45as15" for a pearl, "45as45" for a photonic glass, "specular 0" for the
             others.
@@ -196,7 +196,7 @@ def gamut(
     table = free if isinstance(free, Mapping) else parse_parameters(free)
     return find_gamut(
         as_material(thing), table, at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
-        within=within, samples=samples, seed=seed,
+        tolerance=within, samples=samples, seed=seed,
     )  # fmt: skip
 
 
@@ -307,7 +307,7 @@ def fabricate(
         name = short_name(place) if Path(place).name == DESIGN_RECIPE else Path(place).name
     if not isinstance(model, Model):
         raise UnsupportedError(f"{model!r:.60} is no material, no path or name of one and no table of a recipe")
-    drawers = model.fabrications
+    drawers = fabrications(model)
     if to not in drawers:
         maps = number_maps(source) if isinstance(source, Material) else []
         if maps and to in MAP_FORMATS:
@@ -320,7 +320,7 @@ def fabricate(
         formats = [*drawers, *(MAP_FORMATS if maps else ())]
         known = f"Formats: {', '.join(formats)}" if formats else "It has none: nothing of it can be drawn"
         hint = did_you_mean(to, drawers)
-        raise UnsupportedError(f"{place}: --to {to} is not known for a {model.noun}.{hint} {known}")
+        raise UnsupportedError(f"{place}: --to {to} is not known for a {model.traits.noun}.{hint} {known}")
     if isinstance(calibration, Mapping):
         raise UnsupportedError(f"{place}: --calibration PATH=CSV is for maps of numbers; --to {to} takes one curve")
     drawing = drawers[to](DrawingRequest(size_mm, seed))

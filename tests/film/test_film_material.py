@@ -12,6 +12,7 @@ from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.specular import Specular
 from nacre.core.errors import UnsupportedError
+from nacre.families.contract import figure_data
 from nacre.light import delta_e_2000, spectrum_to_xyz, xyz_to_lab
 from nacre.material.material import material
 from nacre.measure.spectrum import directional_hemispherical
@@ -238,11 +239,11 @@ def test_an_incoherent_pane_shows_no_fringes() -> None:
 
 def test_figures_of_films() -> None:
     one = film(**GLASS)
-    field = one.figure_data("field", theta_deg=20.0, wavelengths_nm=LAM)
+    field = figure_data(one, "field", theta_deg=20.0, wavelengths_nm=LAM)
     assert field["s"].shape == (len(field["z_nm"]), 3) and np.all(field["s"] >= 0)
-    colours = one.figure_data("colour-map", thicknesses_nm=[0, 100, 200], angles_deg=[0, 45], wavelengths_nm=LAM)
+    colours = figure_data(one, "colour-map", thicknesses_nm=[0, 100, 200], angles_deg=[0, 45], wavelengths_nm=LAM)
     assert colours["reflectance"].shape == (3, 2, 3)
     np.testing.assert_allclose(colours["reflectance"] + colours["transmittance"], 1.0, atol=1e-12)
-    assert list(one.figure_data("structure")["thicknesses_nm"]) == [400.0]
+    assert list(figure_data(one, "structure")["thicknesses_nm"]) == [400.0]
     with pytest.raises(UnsupportedError, match="field"):
-        one.figure_data("feild")
+        figure_data(one, "feild")

@@ -179,7 +179,7 @@ def test_a_second_picture_of_a_metasurface_solves_nothing(tmp_path: Path, monkey
     from nacre.cli import run
 
     monkeypatch.setenv("NACRE_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("nacre.material.cache.MIN_SOLVE_S", 0.0)  # a quick machine solves it in less
+    monkeypatch.setattr("nacre.core.disk_cache.MIN_SOLVE_S", 0.0)  # a quick machine solves it in less
     silver = Path(__file__).resolve().parents[2] / "examples" / "metasurface" / "silver_on_oxide.toml"
     words = ["render", str(silver), "--size", "32x32", "--spp", "2", "--no-denoise", "-o"]
     assert run([*words, str(tmp_path / "a.png")]) == 0

@@ -154,7 +154,7 @@ def test_the_walk_of_the_renderer_agrees_with_transfer() -> None:
 
     material = nacre.material(paint(0.3))
     wi, wo = direction(np.radians([10.0, 50.0])), direction(np.radians([40.0, 20.0]), np.radians([0.0, 120.0]))
-    known = material.model.likeness_at(wi, wo, LAM)
+    known = material.model.surrogate_radiance(wi, wo, LAM)
     values, error = evaluate_with_error(material.bsdf(LAM), wi, wo, samples=20_000, seed=3)
     assert known is not None and error is not None
     assert np.max(np.abs(values - known[0]) / error) < 3.6

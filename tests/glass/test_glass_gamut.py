@@ -46,12 +46,12 @@ def test_a_film_is_still_asked_for_its_mirror() -> None:
 def test_candidates_of_balls_are_walked_through_by_fewer_and_look_alike() -> None:
     """Fewer walkers cost 0.4 dE00: less than a search wants to be within, and the judge takes all of them."""
     model = nacre.material(PAINT).model
-    tried = model.among_many({})
+    tried = model.search_model({})
     assert isinstance(tried.composite, Balls) and isinstance(model.composite, Balls)
     assert tried.composite.walkers < model.composite.walkers
     lam = np.linspace(400.0, 700.0, 16)
     wi, wo = np.array([[np.sqrt(0.5), 0.0, np.sqrt(0.5)]]), np.array([[0.0, 0.0, 1.0]])
-    seen = tried.values_at(wi, wo, lam), model.likeness_at(wi, wo, lam)
+    seen = tried.values_at(wi, wo, lam), model.surrogate_radiance(wi, wo, lam)
     assert seen[0] is not None and seen[1] is not None
     white = white_xyz("D65", "10deg")
     labs = [

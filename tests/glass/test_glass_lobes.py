@@ -12,6 +12,7 @@ import nacre
 from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.layered import Layered
 from nacre.core.arrays import Array
+from nacre.families.contract import is_direct
 from nacre.families.glass.medium import solve_medium
 from nacre.families.glass.radiative_transfer import AZIMUTHS, Slab, brdf_table
 from nacre.families.glass.tables import balanced, table_weights
@@ -43,7 +44,7 @@ def test_the_walk_brings_what_transfer_brings(base: dict[str, Any]) -> None:
     material = nacre.material({**GLASS, "base": base})
     wi, wo = pairs(8, 1)
     values, error = evaluate_with_error(material.bsdf(LAM), wi, wo, samples=30_000, seed=3)
-    expected = material.model.likeness_at(wi, wo, LAM)
+    expected = material.model.surrogate_radiance(wi, wo, LAM)
     assert error is not None and expected is not None
     assert np.max(np.abs(values - expected[0]) / error) < Z
     assert np.median(error / values) < 0.02
@@ -92,7 +93,7 @@ def test_the_fast_form_is_transfer_tabulated() -> None:
     assert [lobe.kind for lobe in bsdf.lobes] == ["specular", "table"]
     wi, wo = pairs(200, 4)
     expected = material.model.values_at(wi, wo, LAM)
-    assert expected is not None and material.model.is_direct
+    assert expected is not None and is_direct(material.model)
     found = bsdf.evaluate(wi, wo)
     light = wo[:, 2:]
     error = np.linalg.norm((found - expected) * light, axis=0) / np.linalg.norm(expected * light, axis=0)
@@ -143,13 +144,13 @@ def test_the_fast_form_of_a_rough_face_keeps_what_the_walk_keeps(compensate: boo
 
 def test_a_search_looks_at_the_noise_free_form() -> None:
     walked = nacre.material({**GLASS, "base": {"albedo": 0.2}}).model
-    tried = walked.among_many({})
+    tried = walked.search_model({})
     wi, wo = pairs(5, 8)
-    likeness, values = walked.likeness_at(wi, wo, LAM), tried.values_at(wi, wo, LAM)
-    assert likeness is not None and values is not None and walked.values_at(wi, wo, LAM) is None
+    likeness, values = walked.surrogate_radiance(wi, wo, LAM), tried.values_at(wi, wo, LAM)
+    assert likeness is not None and values is not None and not is_direct(walked)
     np.testing.assert_allclose(likeness[0] + likeness[1], values, rtol=1e-12)
     opened = nacre.material({**GLASS, "base": {"none": True}}).model
-    assert opened.among_many({}) is opened
+    assert opened.search_model({}) is opened
 
 
 def test_a_table_that_lost_light_gets_it_back_and_stays_reciprocal() -> None:

@@ -34,7 +34,7 @@ def walked(strata: list[dict[str, Any]], seed: int = 1) -> tuple[Any, Any]:
 
 @pytest.mark.render
 def test_a_layer_is_the_same_in_two_halves() -> None:
-    one = nacre.material({**ONE, "base": {"albedo": 0.3}}).model.likeness_at(WI, WO, LAM)
+    one = nacre.material({**ONE, "base": {"albedo": 0.3}}).model.surrogate_radiance(WI, WO, LAM)
     values, error = walked([HALF, HALF])
     assert one is not None and np.max(np.abs(values - one[0]) / error) < 3.6
 
@@ -43,7 +43,8 @@ def test_a_layer_is_the_same_in_two_halves() -> None:
 def test_what_lies_above_is_seen_first() -> None:
     """A thick upper stratum hides the lower one; the two orders differ."""
     above, error = walked([{**OTHER, "thickness_um": 40}, HALF])
-    alone = nacre.material({**ONE, **OTHER, "thickness_um": 46, "base": {"albedo": 0.3}}).model.likeness_at(WI, WO, LAM)
+    model = nacre.material({**ONE, **OTHER, "thickness_um": 46, "base": {"albedo": 0.3}}).model
+    alone = model.surrogate_radiance(WI, WO, LAM)
     assert alone is not None and np.max(np.abs(above - alone[0]) / np.maximum(error, 0.02 * alone[0])) < 4.0
     below, _ = walked([HALF, {**OTHER, "thickness_um": 40}])
     assert np.max(np.abs(above / below - 1)) > 0.1
@@ -89,7 +90,7 @@ FLAKES = {
 
 @pytest.mark.render
 def test_a_glass_that_goes_on_below_as_another_recipe_is_one_glass() -> None:
-    one = nacre.material({**ONE, "base": {"albedo": 0.3}}).model.likeness_at(WI, WO, LAM)
+    one = nacre.material({**ONE, "base": {"albedo": 0.3}}).model.surrogate_radiance(WI, WO, LAM)
     below = {"recipe": {"family": "glass", **HALF, "base": {"albedo": 0.3}}}
     two = nacre.material({"family": "glass", **HALF, "base": below})
     values, error = evaluate_with_error(two.bsdf(LAM), WI, WO, samples=20_000, seed=1)
@@ -120,7 +121,7 @@ def test_a_tinted_stratum_of_the_other_family_dims_the_glass_below_it() -> None:
         {"family": "pearl", "strata": [tinted, {"family": "glass", **HALF}], "base": {"albedo": 0.3}}
     )
     values, error = evaluate_with_error(mixed.bsdf(LAM), WI, WO, samples=20_000, seed=5)
-    bare = nacre.material({"family": "glass", **HALF, "base": {"albedo": 0.3}}).model.likeness_at(WI, WO, LAM)
+    bare = nacre.material({"family": "glass", **HALF, "base": {"albedo": 0.3}}).model.surrogate_radiance(WI, WO, LAM)
     assert bare is not None and error is not None
     paths = (1 / WI[:, 2] + 1 / WO[:, 2])[:, None]
     dimmed = bare[0] * np.exp(-4 * np.pi * k * thickness_um * 1e3 / LAM * paths)

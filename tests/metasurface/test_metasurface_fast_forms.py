@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import hankel1e, hankel2e, jv
 
-from nacre.core.parallel import in_threads, one_thread_each
+from nacre.core.parallel import in_threads, single_threaded_blas
 from nacre.families.metasurface.monolayer import translation_sums
 from nacre.families.metasurface.monolayer.diffuse import pair_powers
 from nacre.families.metasurface.monolayer.qca import chebyshev, mean_excitation
@@ -122,7 +122,7 @@ def test_linear_algebra_has_its_threads_back_after_nested_and_failed_work():
         return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
 
     before = threads()
-    with one_thread_each():
+    with single_threaded_blas():
         assert in_threads(lambda x: 2 * x, [1, 2, 3], 2) == [2, 4, 6]
         assert set(threads()) == {1}
     with pytest.raises(ZeroDivisionError):

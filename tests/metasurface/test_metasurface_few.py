@@ -8,7 +8,7 @@ import pytest
 from nacre.bsdf.grids import direction
 from nacre.families.metasurface.material import MetasurfaceWarning
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
-from nacre.families.metasurface.monolayer.evaluation import few_powers, few_values
+from nacre.families.metasurface.monolayer.evaluation import direct_powers, direct_values
 from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
 from nacre.material.material import material
 
@@ -38,13 +38,13 @@ def test_a_few_directions_send_what_the_balanced_term_sends(substrate, particle)
     layer = model.monolayer(520.0)
     cos = np.cos(np.radians([0.0, 30.0, 60.0]))
     mu, weights = hemisphere_rule(24)
-    sides = [(layer.light(np.concatenate([mu, cos])), np.concatenate([weights, np.zeros(3)]))]
+    sides = [(layer.illuminate(np.concatenate([mu, cos])), np.concatenate([weights, np.zeros(3)]))]
     if model.transmits:
         below, below_weights = hemisphere_rule(20, layer.surface.index_below)
-        sides.append((layer.light(below, True), below_weights))
+        sides.append((layer.illuminate(below, True), below_weights))
     term = diffuse_term(layer, sides, 1)
     whole = (*layer.specular_above(cos), term.above[:, 24:27] / cos, term.below[:, 24:27] / cos)
-    for ours, theirs in zip(few_powers(layer, cos), whole, strict=True):
+    for ours, theirs in zip(direct_powers(layer, cos), whole, strict=True):
         assert np.max(np.abs(ours - theirs)) <= INTERPOLATION
 
 
@@ -69,7 +69,7 @@ def test_pairs_near_grazing_or_of_many_angles_are_left_to_the_tables():
 def test_values_are_reciprocal():
     layer = _made().model.monolayer(500.0)
     one, other = direction(np.radians([25.0])), direction(np.radians([55.0]))
-    forth, back = few_values(layer, one, other), few_values(layer, other, one)
+    forth, back = direct_values(layer, one, other), direct_values(layer, other, one)
     assert abs(forth / back - 1.0).max() <= 1e-9
 
 
@@ -87,11 +87,11 @@ def test_the_spectrum_is_that_of_the_integrated_bsdf():
 
 def test_a_candidate_with_a_memory_is_the_model_itself_to_a_thousandth():
     memory: dict = {}
-    near = _made(radius_nm=68.0).model.among_many(memory)
+    near = _made(radius_nm=68.0).model.search_model(memory)
     grid, angles = np.array([500.0, 600.0]), np.radians([0.0, 60.0])
     near.spectrum(angles, grid)
     made = _made(radius_nm=70.0).model
-    kept, own = made.among_many(memory).spectrum(angles, grid), made.spectrum(angles, grid)
+    kept, own = made.search_model(memory).spectrum(angles, grid), made.spectrum(angles, grid)
     assert len(memory) == 2
     assert np.abs(kept.diffuse_reflectance - own.diffuse_reflectance).max() <= 1e-3
 
@@ -99,7 +99,7 @@ def test_a_candidate_with_a_memory_is_the_model_itself_to_a_thousandth():
 def test_a_rough_candidate_leaves_the_near_fields_of_neighbours_out():
     made = _made().model
     grid, angles = np.array([500.0]), np.radians([30.0])
-    rough = made.among_many({}, True).spectrum(angles, grid).diffuse_reflectance
+    rough = made.search_model({}, True).spectrum(angles, grid).diffuse_reflectance
     own = made.spectrum(angles, grid).diffuse_reflectance
     # near fields change the light, but not so much that the order of first draws is lost
     assert 1e-4 < abs(rough / own - 1.0).max() < 1.0

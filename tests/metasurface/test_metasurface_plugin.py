@@ -254,11 +254,11 @@ def test_what_was_rounded_for_its_words_is_rounded_no_more():
 def test_a_density_of_tents_is_linear_between_its_nodes_and_its_draws_follow_it(trials):
     import mitsuba as mi
 
-    from nacre.device.bilinear_sampling import Tents
+    from nacre.device.bilinear_sampling import BilinearDensity
 
     generator = np.random.default_rng(4)
     weights = generator.uniform(0.2, 2.0, (2, 2, 4, 5))
-    tents, part, count = Tents(weights), 0.3, 400_000
+    tents, part, count = BilinearDensity(weights), 0.3, 400_000
     u = [mi.Float(generator.random(count).astype(np.float32)) for _ in range(3)]
     row = mi.UInt32(np.zeros(count, dtype=np.uint32))
     face, x, y, rest = (np.array(v) for v in tents.sample(row, mi.Float(part), u[0], mi.Point2f(u[1], u[2]), True))

@@ -38,13 +38,13 @@ def pearl(roughness: float, albedo: float, *amounts: float) -> Any:
 @pytest.mark.parametrize(("roughness", "amounts"), [(0.0, (0.01,)), (0.02, (0.03, 0.04)), (0.1, (0.01, 0.02))])
 def test_it_is_what_the_walk_finds_for_thin_and_dense_paints(roughness: float, amounts: tuple[float, ...]) -> None:
     model = pearl(roughness, 0.4, *amounts)
-    known, guess = model.likeness_at(WI, WO, NM, True)
-    found, error = model.walked_at(WI, WO, NM, WALKS, 3)
-    allowed = model.likeness_error * guess + 0.01 * known + SIGMAS * error
+    known, guess = model.surrogate_radiance(WI, WO, NM, True)
+    found, error = model.estimate_radiance(WI, WO, NM, WALKS, 3)
+    allowed = model.surrogate_error * guess + 0.01 * known + SIGMAS * error
     assert np.all(np.abs(known + guess - found) < allowed)
     # and it is this that does it: the two streams of the coarse form are far off where many flakes are met
     if sum(amounts) > 0.05:
-        coarse = model.likeness_at(WI, WO, NM)[1]
+        coarse = model.surrogate_radiance(WI, WO, NM)[1]
         assert np.max(np.abs(known + coarse - found) / allowed) > 3.0
 
 
@@ -54,7 +54,7 @@ def test_without_flakes_the_ground_shines_through_as_saunderson_says() -> None:
     outside = float(np.average(1.0 - fresnel(cos, n), weights=cos))
     t = (1 - fresnel(WI[:, 2], n)) * (1 - fresnel(WO[:, 2], n))
     expected = t * albedo / (np.pi * n**2 * (1 - albedo * (1.0 - outside / n**2)))
-    known, guess = pearl(0.0, albedo).likeness_at(WI, WO, NM, True)
+    known, guess = pearl(0.0, albedo).surrogate_radiance(WI, WO, NM, True)
     assert np.all(known == 0.0)
     np.testing.assert_allclose(guess, expected[:, None] * np.ones(len(NM)), rtol=2e-3)
 
@@ -63,7 +63,7 @@ def test_without_flakes_the_ground_shines_through_as_saunderson_says() -> None:
 def test_both_ways_of_the_light_are_alike(roughness: float) -> None:
     wi, wo = direction(np.radians([20.0, 60.0])), direction(np.radians([-50.0, -35.0]))
     model = pearl(roughness, 0.3, 0.02, 0.01)
-    there, back = (model.likeness_at(a, b, NM, True)[1] for a, b in ((wi, wo), (wo, wi)))
+    there, back = (model.surrogate_radiance(a, b, NM, True)[1] for a, b in ((wi, wo), (wo, wi)))
     np.testing.assert_allclose(there, back, rtol=ROUNDING)
 
 
@@ -138,16 +138,16 @@ def test_a_layer_that_absorbs_nothing_sends_on_all_light() -> None:
 
 def test_finer_steps_change_little(monkeypatch: pytest.MonkeyPatch) -> None:
     model = pearl(0.02, 0.2, 0.04, 0.05)
-    own = sum(model.likeness_at(WI, WO, NM, True))
+    own = sum(model.surrogate_radiance(WI, WO, NM, True))
     for name, value in (("NODES", 32), ("AZIMUTHS", 28), ("TERMS", 18), ("DOUBLINGS", 12)):
         monkeypatch.setattr(doubling, name, value)
     caches = (doubling._directions, doubling._pairs, doubling._cosines, doubling._rough_mirror)
     for cache in caches:
         cache.cache_clear()
-    fine = sum(model.likeness_at(WI, WO, NM, True))
+    fine = sum(model.surrogate_radiance(WI, WO, NM, True))
     for cache in caches:
         cache.cache_clear()
-    assert np.max(np.abs(own / fine - 1.0)) < model.likeness_error
+    assert np.max(np.abs(own / fine - 1.0)) < model.surrogate_error
 
 
 def test_it_is_smooth_in_thickness_and_amount() -> None:
@@ -161,7 +161,7 @@ def test_it_is_smooth_in_thickness_and_amount() -> None:
             thicker = replace(coating, thickness=replace(coating.thickness, mean_nm=110.0 + change))
             flakes = replace(flakes, platelet=replace(flakes.platelet, upper=(thicker,)))
             model = replace(model, strata=(replace(stratum, flakes=(flakes,)),))
-        return np.asarray(model.likeness_at(WI, WO, NM, True)[1])
+        return np.asarray(model.surrogate_radiance(WI, WO, NM, True)[1])
 
     for name, step in (("f", 2e-4), ("c", 0.2)):
         whole = (at(step, name) - at(-step, name)) / (2 * step)

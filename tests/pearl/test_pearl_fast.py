@@ -284,7 +284,7 @@ def test_the_recipe_states_the_error_or_falls_back_to_the_walk(caplog, monkeypat
     ], "base": {"albedo": 0.6}}  # fmt: skip
     grid = np.array([450.0, 550.0, 650.0])
     bsdf = material(recipe).bsdf(grid)
-    assert bsdf.lobes[0].kind == "flaked" and "error" in bsdf.provenance["notes"][0]
+    assert bsdf.lobes[0].kind == "platelet-layer" and "error" in bsdf.provenance["notes"][0]
     assert np.all(bsdf.lobes[0].error > 0) and not bsdf.lobes[0].is_stochastic
     recipe["strata"][0]["platelets"] = [{**MICA, "rotation_deg": [10, 0, 0]}]
     with caplog.at_level(logging.WARNING, logger="nacre"):

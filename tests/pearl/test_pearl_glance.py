@@ -48,7 +48,7 @@ def bare(albedo: float) -> Any:
 
 
 def compare_with_the_plugin(model: Any, samples: int) -> None:
-    found, error = model.walked_at(WI, WO, NM, samples, 3)
+    found, error = model.estimate_radiance(WI, WO, NM, samples, 3)
     other, its = evaluate_with_error(model.bsdf(NM), WI, WO, samples=samples, seed=8)
     assert its is not None
     off = (found - other) / np.hypot(error, its)
@@ -82,21 +82,21 @@ def test_without_flakes_the_ground_shines_through_as_saunderson_says() -> None:
     inside = 1.0 - outside / n**2
     t = (1 - fresnel(WI[:, 2], n)) * (1 - fresnel(WO[:, 2], n))
     expected = t * albedo / (np.pi * n**2 * (1 - albedo * inside))
-    known, guess = bare(albedo).likeness_at(WI, WO, NM)
+    known, guess = bare(albedo).surrogate_radiance(WI, WO, NM)
     assert np.all(known == 0.0)
     np.testing.assert_allclose(guess, expected[:, None] * np.ones(len(NM)), rtol=1e-3)
-    found, error = bare(albedo).walked_at(WI, WO, NM, WALKS, 1)
+    found, error = bare(albedo).estimate_radiance(WI, WO, NM, WALKS, 1)
     assert np.max(np.abs(found - expected[:, None]) / error) < SIGMAS
 
 
 def test_both_ways_of_the_light_are_alike() -> None:
     wi, wo = direction(np.radians([20.0, 60.0])), direction(np.radians([-50.0, -35.0]))
     for model in (pearl(), pearl(0.1)):
-        known, guess = model.likeness_at(wi, wo, NM)
-        back_known, back_guess = model.likeness_at(wo, wi, NM)
+        known, guess = model.surrogate_radiance(wi, wo, NM)
+        back_known, back_guess = model.surrogate_radiance(wo, wi, NM)
         np.testing.assert_allclose(known, back_known, rtol=ONE_FLAKE_ERROR if model.strata[0].surface.alpha_x else 1e-6)
         np.testing.assert_allclose(guess, back_guess, rtol=1e-6)
-        (one, its), (two, theirs) = (model.walked_at(a, b, NM, WALKS, 5) for a, b in ((wi, wo), (wo, wi)))
+        (one, its), (two, theirs) = (model.estimate_radiance(a, b, NM, WALKS, 5) for a, b in ((wi, wo), (wo, wi)))
         assert np.max(np.abs(one - two) / np.hypot(its, theirs)) < SIGMAS
 
 
@@ -106,8 +106,8 @@ def test_what_the_likeness_knows_is_the_light_of_one_flake() -> None:
         "volume_fraction": 1e-5, "substrate": {"material": "SiO2", "thickness_nm": 250, "deviation_nm": 20},
         "coatings": [{"material": "TiO2", "thickness_nm": 90}], "normal_deviation": 0.15,
     })  # fmt: skip
-    known, _ = thin.likeness_at(WI, WO, NM)
-    found, error = thin.walked_at(WI, WO, NM, WALKS, 1)
+    known, _ = thin.surrogate_radiance(WI, WO, NM)
+    found, error = thin.estimate_radiance(WI, WO, NM, WALKS, 1)
     near = np.array(ASPECULAR_DEG) < 60  # further off even so little light turns at the interface first
     assert np.all(np.abs(found - known)[near] <= TABLE_ERROR * found[near] + SIGMAS * error[near])
 
@@ -117,7 +117,7 @@ def test_the_likeness_has_no_noise_and_is_smooth_in_thickness_and_amount() -> No
         flake = {"volume_fraction": changes.get("f", 0.02),
                  "substrate": {"material": "SiO2", "thickness_nm": changes.get("s", 250.0), "deviation_nm": 20},
                  "coatings": [{"material": "TiO2", "thickness_nm": changes.get("c", 90.0)}]}  # fmt: skip
-        return sum(pearl(0.05, 0.4, flake).likeness_at(WI, WO, NM))
+        return sum(pearl(0.05, 0.4, flake).surrogate_radiance(WI, WO, NM))
 
     for name, value, step in (("f", 0.02, 1e-4), ("s", 250.0, 0.1), ("c", 90.0, 0.05)):
         whole = (at(**{name: value + step}) - at(**{name: value - step})) / (2 * step)
@@ -126,11 +126,11 @@ def test_the_likeness_has_no_noise_and_is_smooth_in_thickness_and_amount() -> No
 
 
 def test_what_has_no_likeness_says_so() -> None:
-    assert nacre.load("two_strata").model.likeness_at(WI, WO, NM) is None
-    assert nacre.load("car_middle").model.likeness_at(WI, WO, NM) is None  # rotated, anisotropic flakes
+    assert nacre.load("two_strata").model.surrogate_radiance(WI, WO, NM) is None
+    assert nacre.load("car_middle").model.surrogate_radiance(WI, WO, NM) is None  # rotated, anisotropic flakes
     metal = nacre.material({"family": "pearl", "strata": [{"resin": {"n": 1.5}, "thickness_um": 20}],
                             "base": {"material": "Al"}}).model  # fmt: skip
-    assert metal.likeness_at(WI, WO, NM) is not None and metal.walked_at(WI, WO, NM, 64, 0) is None
+    assert metal.surrogate_radiance(WI, WO, NM) is not None and metal.estimate_radiance(WI, WO, NM, 64, 0) is None
 
 
 class Slow(dict[Any, Any]):

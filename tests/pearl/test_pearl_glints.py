@@ -10,9 +10,9 @@ import pytest
 
 import nacre
 from nacre.bsdf import Bsdf
-from nacre.bsdf.glints import COVERAGE, WIDTH, factors, kind_of_flake, mean_ratio
+from nacre.bsdf.glints import COVERAGE, WIDTH, factors, glint_species, mean_ratio
 from nacre.bsdf.lobes.layered import Layered
-from nacre.bsdf.lobes.platelet_layer import Flaked
+from nacre.bsdf.lobes.platelet_layer import PlateletLayer
 from nacre.core.errors import RecipeError
 from nacre.material.material import material
 
@@ -40,9 +40,9 @@ def pair(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def fast() -> Flaked:
+def fast() -> PlateletLayer:
     found = material({**PAINT, "quality": "fast"}).bsdf(LAM).lobes[0]
-    assert isinstance(found, Flaked)
+    assert isinstance(found, PlateletLayer)
     return found
 
 
@@ -63,7 +63,7 @@ def test_the_mean_over_the_surface_is_one(width: float, slope: tuple[float, floa
     points = int(8_000 / width)
     means = []
     for seed in range(10):
-        made = kind_of_flake((100.0, 100.0), 40.0, 0.3, 1.2, width, seed)
+        made = glint_species((100.0, 100.0), 40.0, 0.3, 1.2, width, seed)
         uv = np.random.default_rng(seed).random((points, 2))
         means.append(factors(*made, uv, np.tile(slope, (points, 1))).mean())
     error = np.std(means, ddof=1) / np.sqrt(len(means))
@@ -74,7 +74,7 @@ def test_the_mean_over_the_surface_is_one(width: float, slope: tuple[float, floa
 def test_the_variance_is_that_of_the_flakes_that_answer() -> None:
     """Place and slope are independent, flakes at a point about Poisson: var g = E[k^2] / (E[k]^2 seen)."""
     points, width, seen = 2_000_000, 0.3, 0.8
-    numbers, radii, ratio = kind_of_flake((300.0, 300.0), 40.0, 0.0, seen, width, 5)
+    numbers, radii, ratio = glint_species((300.0, 300.0), 40.0, 0.0, seen, width, 5)
     g = factors(numbers, radii, ratio, np.random.default_rng(1).random((points, 2)), np.zeros((points, 2)))
     # moments of the kernel over the flakes' slopes, by quadrature over the share u = t^2 / (1 + t^2)
     t2 = (np.arange(200_000) + 0.5) / 200_000
@@ -88,7 +88,7 @@ def test_the_grain_falls_with_the_footprint_and_grows_with_the_flakes() -> None:
     rng = np.random.default_rng(2)
 
     def grain(diameter_um: float, footprint_mm: float) -> float:
-        made = kind_of_flake((100.0, 100.0), diameter_um, 0.2, 1.0, 0.2, 3)
+        made = glint_species((100.0, 100.0), diameter_um, 0.2, 1.0, 0.2, 3)
         grid = np.stack(np.meshgrid(*[np.arange(40) / 40] * 2), axis=-1).reshape(-1, 2)
         uv = rng.random((800, 1, 2)) + grid * footprint_mm / 100.0
         g = factors(*made, uv.reshape(-1, 2), np.zeros((uv.shape[0] * uv.shape[1], 2))).reshape(800, -1)
@@ -109,7 +109,7 @@ def test_the_mean_of_a_narrow_kernel_is_the_density_and_of_a_wide_one_is_flatter
 # -- in a material -------------------------------------------------------------------------------------------
 
 
-def test_without_a_place_the_answer_is_the_mean(fast: Flaked) -> None:
+def test_without_a_place_the_answer_is_the_mean(fast: PlateletLayer) -> None:
     smooth = dataclasses.replace(fast, glint_numbers=None)
     np.testing.assert_array_equal(fast.evaluate(WI, WO), smooth.evaluate(WI, WO, uv=np.array([0.3, 0.3])))
     uv = np.random.default_rng(4).random((200_000, 2))
@@ -119,7 +119,7 @@ def test_without_a_place_the_answer_is_the_mean(fast: Flaked) -> None:
     assert np.all(values.std(axis=0) > 0.5 * values.mean(axis=0))
 
 
-def test_glints_are_reciprocal_and_leave_no_value_below_zero(fast: Flaked) -> None:
+def test_glints_are_reciprocal_and_leave_no_value_below_zero(fast: PlateletLayer) -> None:
     rng = np.random.default_rng(6)
     directions = rng.normal(size=(2, 4000, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
@@ -132,7 +132,7 @@ def test_glints_are_reciprocal_and_leave_no_value_below_zero(fast: Flaked) -> No
 
 def test_a_flake_is_the_same_from_whichever_cell_it_is_looked_for() -> None:
     """Cells are looked up four at a time; where the four change, no flake appears or goes."""
-    numbers, radii, ratio = kind_of_flake((10.0, 10.0), 40.0, 0.3, 2.5, 0.4, 7)
+    numbers, radii, ratio = glint_species((10.0, 10.0), 40.0, 0.3, 2.5, 0.4, 7)
     rng = np.random.default_rng(11)
     cells = numbers[:2]
     for axis in (0, 1):
@@ -144,7 +144,7 @@ def test_a_flake_is_the_same_from_whichever_cell_it_is_looked_for() -> None:
         assert np.mean(np.abs(seen[0] - seen[1]) > 1e-9) < 1e-3
 
 
-def test_seed_and_place_alone_decide(fast: Flaked) -> None:
+def test_seed_and_place_alone_decide(fast: PlateletLayer) -> None:
     uv = np.random.default_rng(7).random((500, 2))
     other = material({**PAINT, "glints": {**PAINT["glints"], "seed": 9}}).bsdf(LAM).lobes[0]
     again = dataclasses.replace(fast, glint_numbers=other.glint_numbers)
@@ -164,7 +164,7 @@ def test_more_of_a_thin_layer_is_seen_and_roughness_widens_a_flake() -> None:
     assert numbers(roughness=0.2)[WIDTH] > 1.5 * numbers()[WIDTH]
 
 
-def test_a_stored_material_keeps_its_glints(fast: Flaked, tmp_path: Path) -> None:
+def test_a_stored_material_keeps_its_glints(fast: PlateletLayer, tmp_path: Path) -> None:
     Bsdf((fast,)).save(tmp_path / "paint.nacre")
     stored = Bsdf.load(tmp_path / "paint.nacre").lobes[0]
     uv = np.random.default_rng(8).random((50, 2))
@@ -189,7 +189,7 @@ def test_what_cannot_be_is_refused_in_one_line(change: dict[str, object], messag
     assert "\n" not in str(caught.value)
 
 
-def test_a_lobe_of_glints_whose_tables_do_not_fit_is_refused(fast: Flaked) -> None:
+def test_a_lobe_of_glints_whose_tables_do_not_fit_is_refused(fast: PlateletLayer) -> None:
     fast.check()
     for single in (None, np.zeros((2, 2, 2, len(LAM)))):
         with pytest.raises(ValueError, match="single does not fit"):
@@ -200,7 +200,7 @@ def test_a_lobe_of_glints_whose_tables_do_not_fit_is_refused(fast: Flaked) -> No
         dataclasses.replace(fast, base=few[:1]).check()
 
 
-def test_a_flakes_own_lobe_is_told_as_a_slope_over_the_deviation_of_all_flakes(fast: Flaked) -> None:
+def test_a_flakes_own_lobe_is_told_as_a_slope_over_the_deviation_of_all_flakes(fast: PlateletLayer) -> None:
     """Flatness of 2 degrees and diffraction at a disc of 40 um in a resin of 1.5, over a deviation of 0.12."""
     # half of the half width, 0.51 lambda / diameter, of a disc's diffraction, as a deviation of a Gaussian
     diffraction = 0.51 / 2 / np.sqrt(2 * np.log(2)) * 0.55 / (1.5 * 40.0)
@@ -220,7 +220,7 @@ def test_a_flake_without_a_diameter_is_named() -> None:
 
 
 @pytest.mark.render
-def test_the_device_lays_the_same_flakes(fast: Flaked, mi) -> None:  # type: ignore[no-untyped-def]
+def test_the_device_lays_the_same_flakes(fast: PlateletLayer, mi) -> None:  # type: ignore[no-untyped-def]
     import drjit as dr
 
     from nacre.device.bsdf import make_plugin
@@ -241,7 +241,7 @@ def test_the_device_lays_the_same_flakes(fast: Flaked, mi) -> None:  # type: ign
 
 
 @pytest.mark.render
-def test_where_flakes_are_not_seen_apart_a_lobe_is_the_one_without_glints(fast: Flaked, mi) -> None:  # type: ignore[no-untyped-def]
+def test_where_flakes_are_not_seen_apart_a_lobe_is_the_one_without_glints(fast: PlateletLayer, mi) -> None:  # type: ignore[no-untyped-def]
     """Values, densities and draws of what falls by way of a matt ground, beside those of a lobe that has no glints."""
     import drjit as dr
 
@@ -267,7 +267,7 @@ def test_where_flakes_are_not_seen_apart_a_lobe_is_the_one_without_glints(fast: 
 
 
 @pytest.mark.render
-def test_the_walk_sees_the_same_flakes_as_the_fast_route(fast: Flaked, walk: Layered) -> None:
+def test_the_walk_sees_the_same_flakes_as_the_fast_route(fast: PlateletLayer, walk: Layered) -> None:
     from nacre.device.walk.arrays import evaluate_layered
 
     uv = np.random.default_rng(10).random((600, 2))
@@ -281,7 +281,7 @@ def test_the_walk_sees_the_same_flakes_as_the_fast_route(fast: Flaked, walk: Lay
 
 
 @pytest.mark.render
-def test_the_walk_samples_what_it_evaluates(walk: Layered, fast: Flaked) -> None:
+def test_the_walk_samples_what_it_evaluates(walk: Layered, fast: PlateletLayer) -> None:
     """Power of all samples at a place against the integral of the values there."""
     from nacre.device.walk.arrays import hemispherical_layered
 
@@ -312,7 +312,7 @@ def test_the_fast_route_draws_by_the_density_that_it_states(roughness: float, mi
     kinds = [FLAKE, {**FLAKE, "diameter_um": 60, "normal_deviation": 0.3}]
     stratum = {**PAINT["strata"][0], "roughness": roughness, "platelets": kinds}
     lobe = material({**PAINT, "strata": [stratum], "quality": "fast"}).bsdf(LAM).lobes[0]
-    assert isinstance(lobe, Flaked)
+    assert isinstance(lobe, PlateletLayer)
     plugin = make_plugin(lobe)
     side, cells, draws = 800, 8, 400_000
     edge = (np.arange(side) + 0.5) / side * 2.0 - 1.0
@@ -371,7 +371,7 @@ def test_two_seeds_of_a_default_picture_show_the_same_glints() -> None:
 
 
 @pytest.mark.render
-def test_a_picture_keeps_its_mean_and_gains_grain(fast: Flaked) -> None:
+def test_a_picture_keeps_its_mean_and_gains_grain(fast: PlateletLayer) -> None:
     assert fast.glint_numbers is not None
     large = fast.glint_numbers * np.array([0.1, 0.1, 1.0, 1.0, 1.0, 1.0])  # flakes of 0.4 mm on the same ball
     pictures = [

@@ -109,7 +109,7 @@ def fly(monkeypatch, far):
     """Make all walks of flakes without dye take the far or the near form."""
     from nacre.device.walk import strata as layered_device
 
-    monkeypatch.setattr(layered_device, "flies_far", lambda lobe: far and lobe.kinds > 0 and lobe.dye is None)
+    monkeypatch.setattr(layered_device, "uses_delta_tracking", lambda lobe: far and lobe.kinds > 0 and lobe.dye is None)
 
 
 @pytest.mark.parametrize(
@@ -124,19 +124,19 @@ def test_sample_and_eval_agree(mi, monkeypatch, name, far):
 @pytest.mark.parametrize("bottle", ["bottle1", "bottle9"])
 def test_far_flights_bring_what_the_walk_from_flake_to_flake_brings(mi, monkeypatch, bottle):
     """Coloured flakes of the source: values at six exits, power and its second moment, at four wavelengths."""
-    from nacre.device.walk.strata import Strata, flies_far
+    from nacre.device.walk.strata import Strata, uses_delta_tracking
     from nacre.device.walk.walk import eval_walk, sample_walk
 
     material = nacre.load(EXAMPLES / f"{bottle}.toml").vary({"quality": "reference"})
     (lobe,) = material.bsdf(np.arange(400.0, 701.0, 20.0)).lobes
-    assert flies_far(lobe)
+    assert uses_delta_tracking(lobe)
     count, yes = 200_000, mi.Bool(True)
     exits = [(20, 180), (35, 180), (35, 170), (10, 40), (60, 250), (75, 0)]
     found = []
     for far in (False, True):
         fly(monkeypatch, far)
         strata = Strata(lobe)
-        assert strata.flies_far == far
+        assert strata.uses_delta_tracking == far
         where = strata.axis.locate(mi.Spectrum(440.0, 510.0, 580.0, 670.0))  # two on nodes, two between
         wi = mi.Vector3f(*direction(35).tolist())
         parts = []
@@ -161,12 +161,12 @@ def weight_sums(weight):
 
 def test_wide_flakes_and_dye_are_met_one_by_one(mi):
     """Where normals reflect unlike, weights of far flights would rise over many flakes."""
-    from nacre.device.walk.strata import flies_far
+    from nacre.device.walk.strata import uses_delta_tracking
 
-    assert not flies_far(layered_lobe(number=2.0, dye=dissolved_dye()))
-    assert not flies_far(layered_lobe(number=0.0))
+    assert not uses_delta_tracking(layered_lobe(number=2.0, dye=dissolved_dye()))
+    assert not uses_delta_tracking(layered_lobe(number=0.0))
     (lobe,) = nacre.load(EXAMPLES / "mcs2.toml").vary({"quality": "reference"}).bsdf().lobes
-    assert not flies_far(lobe)
+    assert not uses_delta_tracking(lobe)
 
 
 @pytest.mark.full

@@ -69,7 +69,8 @@ def test_all_paths_at_once_and_numpy_numbers() -> None:
     same(make(values), material.vary(values))
     same(make({}), material.vary({}))
     assert np.array_equal(
-        make(values).spectrum([0.0], GRID).reflectance, material.vary(values).spectrum([0.0], GRID).reflectance
+        make(values).spectrum([0.0], GRID).specular_reflectance,
+        material.vary(values).spectrum([0.0], GRID).specular_reflectance,
     )
 
 

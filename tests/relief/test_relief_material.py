@@ -170,7 +170,7 @@ def test_mean_of_the_local_response_is_the_slice() -> None:
 def test_the_microscope_sees_the_mean_over_its_aperture() -> None:
     """The middle and six exits round it, on the ring that halves the aperture's area, times the coating's Fresnel."""
     relief = Relief(tile(features=4), Coherence.from_sigma(0.8), index("Al"))
-    seen = relief.figure_data("microscope", aperture_deg=6.0, wavelengths_nm=WAVELENGTHS)["brdf"]
+    seen = relief.figures["microscope"](aperture_deg=6.0, wavelengths_nm=WAVELENGTHS)["brdf"]
     turn = np.arange(6) * np.pi / 3
     ring = np.radians(6.0) / np.sqrt(2) * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     lateral = np.concatenate([np.zeros((1, 2)), ring])
@@ -294,6 +294,6 @@ def test_a_sketch_is_the_relief_within_its_coarser_accuracy_where_the_bound_is_i
     polar, azimuth = np.random.default_rng(3).uniform(0.0, [[0.6], [2.0 * np.pi]], (2, 60))
     wi = direction(polar, azimuth)
     wo = direction(polar[::-1], azimuth)
-    own, sketched = (one.values_at(wi, wo, WAVELENGTHS) for one in (model, model.sketch))
+    own, sketched = (one.values_at(wi, wo, WAVELENGTHS) for one in (model, model.draft))
     assert np.linalg.norm(sketched - own) < SKETCH_ERROR * np.linalg.norm(own)
-    assert not model.sketch.bounded and model.sketch.tile is model.tile
+    assert not model.draft.bounded and model.draft.tile is model.tile

@@ -114,7 +114,7 @@ def outcome(act: Callable[[], object]) -> str:
 
 def check_answers(material: nacre.Material) -> None:
     """Check sign, finiteness, reciprocity and energy of what a material answers."""
-    bounded = not material.model.unbounded_because
+    bounded = not material.model.excess_reason
     parts = material.spectrum(ANGLES_RAD, GRID_NM).parts().values()
     for part in parts:
         assert np.isfinite(part).all(), "spectrum is not finite"

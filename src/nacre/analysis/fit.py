@@ -5,7 +5,7 @@ bounded trust-region least-squares step with finite differences (a stochastic fa
 its noise is the same function every time). Interference makes many local minima: the starts are the
 best of a Sobol sample of the bounds, and a CMA-ES search takes over where least squares stalls on noise.
 
-Where a family has a form without noise that it walks otherwise (`Model.is_direct` of `Model.among_many`), the starts
+If a family has a noise-free form of a random walk (`contract.search_model` is direct), the starts
 are refined on that form. What the walk says beyond it is then found at the best place, added as a constant, and the
 place refined again (space mapping: Bandler et al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)).
 """
@@ -23,7 +23,7 @@ import numpy as np
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
-from nacre.families.contract import Model
+from nacre.families.contract import DirectEvaluation, Model, is_direct, search_model
 from nacre.formats.gonio_csv import COLUMNS, GonioData, read_gonio_csv, read_table
 from nacre.material.material import Material
 from nacre.optimise import parameters
@@ -85,14 +85,15 @@ class Measured:
         Raises:
             NacreError: the material cannot be computed.
         """
-        near = model.among_many({})
-        if model.is_direct or not near.is_direct:
+        near = search_model(model, {})
+        if is_direct(model) or not is_direct(near):
             return None
         if self.kind == "spectrum":
             assert self.angles_deg is not None
             found = near.spectrum(np.radians(self.angles_deg), self.wavelengths_nm, "both")
             return None if found is None else self._stacked(found)
         assert self.gonio is not None
+        assert isinstance(near, DirectEvaluation)
         return near.values_at(self.gonio.wi, self.gonio.wo, self.wavelengths_nm)
 
     def _stacked(self, spectrum: Spectrum) -> Array:
@@ -426,7 +427,7 @@ class _Problem:
         """Return the variance of each number, in units of its bounds, that comes from the seed of the walks."""
         if self._walked is None:
             material = self.build(unit)
-            if material.model.is_direct or not _is_walked(material, self._measured.wavelengths_nm):
+            if is_direct(material.model) or not _is_walked(material, self._measured.wavelengths_nm):
                 return np.zeros(len(unit))
             self._walks(material)
         assert self._walked is not None

@@ -141,7 +141,7 @@ def _ribbon(fit: Fit, measured: Measured) -> tuple[Array, Array, str]:
     part, nm = measured.parts[0], measured.wavelengths_nm
     label = f"Angle of the light, fitted {part.replace('_', ' ')} (degrees)"
     assert measured.angles_deg is not None
-    if fit.material.model.is_quick:
+    if fit.material.model.traits.is_quick:
         try:
             found = fit.material.spectrum(np.radians(RIBBON_DEG), nm).parts().get(part)
         except NacreError:  # an angle that this family does not answer

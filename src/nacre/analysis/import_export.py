@@ -15,6 +15,7 @@ from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.bsdf.texture import refuse_place
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import plain, why_unreadable, write_text
+from nacre.families.contract import OwnFormats
 from nacre.formats.gonio_csv import LARGEST_VALUE, read_gonio_csv, write_gonio_csv
 from nacre.formats.half_angle_tables import merl_table, read_merl, write_merl
 from nacre.formats.lobes import delta_lost, gonio_grid, gonio_table, is_isotropic, lost_parts, merl_lobe
@@ -62,10 +63,11 @@ def export_material(
     comment = f"nacre {__version__}, {material.name}\n{material.text}"
     facts: dict[str, Any] = {"format": target, "file": str(path), "lost": []}
     if target == "tmat":
-        writer = material.model.own_formats.get(target)
+        model = material.model
+        writer = model.own_formats.get(target) if isinstance(model, OwnFormats) else None
         if writer is None:
             raise UnsupportedError(
-                f"{material.context.source}: a {material.model.noun} has no T-matrix; tmat is for the particles of "
+                f"{material.context.source}: a {model.traits.noun} has no T-matrix; tmat is for the particles of "
                 "metasurfaces"
             )
         return facts | {"lost": writer(path, comment)}

@@ -17,6 +17,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.grids import direction
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array
+from nacre.families.contract import energy_defect
 from nacre.light import (
     delta_e_2000,
     lab_to_lch,
@@ -71,7 +72,7 @@ class Report:
             45 is 0.
         gloss: gloss units at 20, 60 and 85 degrees, under illuminant C with the 2 degree observer as all haze.
         reflection_haze: ASTM E430 at 30 degrees, as a percentage of the specular flux; None for no specular flux.
-        hemispherical: `name -> luminous value` at normal incidence and 45 degrees; `lost_by_counting` where a recipe
+        hemispherical: `name -> luminous value` at normal incidence and 45 degrees; `energy_defect` where a recipe
             counts as its source does and loses light that nothing absorbs.
         transmission_haze: ASTM D1003 percentage, None for an opaque material.
         noise: largest standard error of a reflectance factor, 0 where nothing is stochastic.
@@ -114,9 +115,9 @@ def make_report(
     mirror = bsdf.specular(np.radians(SPECULAR_ANGLES_DEG)).reflectance
     spectrum = material.spectrum(np.radians([0.0, 45.0]), bsdf.wavelengths_nm)
     parts = {name: _luminous(value, spectrum.wavelengths_nm, *light) for name, value in spectrum.parts().items()}
-    lost = material.model.lost_at(np.radians([0.0, 45.0]), spectrum.wavelengths_nm, seed)
+    lost = energy_defect(material.model, np.radians([0.0, 45.0]), spectrum.wavelengths_nm, seed)
     if lost is not None:
-        parts["lost_by_counting"] = _luminous(lost, spectrum.wavelengths_nm, *light)
+        parts["energy_defect"] = _luminous(lost, spectrum.wavelengths_nm, *light)
     totals = {}
     for name, values in parts.items():
         for angle, value in zip((0, 45), values, strict=True):

@@ -405,7 +405,7 @@ def _measurement(spec: MeasureSpec, material: Material, source: str) -> Measurem
         raise RecipeError(f"{source}: measure.angles_deg must hold angles in [0, 90]")
     parts = spec.parts
     if parts is None:
-        parts = list(material.model.usual_parts)
+        parts = list(material.model.traits.default_parts)
     for part in parts:
         if part not in PARTS:
             hint = did_you_mean(part, PARTS)

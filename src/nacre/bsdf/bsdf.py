@@ -1,4 +1,4 @@
-"""A material's answer to light: a sum of lobes on one wavelength grid."""
+"""The `Bsdf` (a sum of lobes on one wavelength grid) and the `Spectrum` of a spectrophotometer."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Bsdf:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        """Say what it is in a line: its lobes hold whole tables."""
+        """Return a short description without the lobes' tables."""
         waves = self.wavelengths_nm
         kinds = ", ".join(lobe.kind for lobe in self.lobes)
         return f"<Bsdf of {kinds} at {len(waves)} wavelengths, {waves[0]:g} to {waves[-1]:g} nm>"
@@ -47,18 +47,18 @@ class Bsdf:
 
     @property
     def fingerprint(self) -> str:
-        """A hash of the lobes' numbers, whatever they come from; see `nacre.recipe.fingerprint`."""
+        """A hash of the lobes' numbers; see `nacre.recipe.fingerprint`."""
         trees, arrays, _ = describe_lobes(self.lobes, "Bsdf")
         return fingerprint(
             trees, {}, arrays={name: sha256(array.tobytes()).hexdigest() for name, array in arrays.items()}
         )
 
     def save(self, path: str | Path, *, is_packed: bool = True) -> None:
-        """Write one `.nacre` file, whole or not at all.
+        """Write one `.nacre` file atomically.
 
         Args:
-            path: of the file.
-            is_packed: deflated, for a file that is sent; else larger by a tenth or more, written and read quickly.
+            path: file path.
+            is_packed: deflate, for transfer; otherwise the file is 10 % or more larger, but quick to write and read.
 
         Raises:
             NacreError: the file cannot be written.
@@ -70,12 +70,12 @@ class Bsdf:
         """Read a `.nacre` file.
 
         Raises:
-            NacreError: in one line, if it is missing, damaged, too large or of a newer format.
+            NacreError: the file is missing, damaged, too large, or has a newer format.
         """
         return cls(*read_lobes(path))
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
-        """Sum the lobes' non-delta values: `[..., wavelength]`, 1/sr, without the cosine, never NaN."""
+        """Return the sum of the lobes' non-delta values: `[..., wavelength]`, 1/sr, without the cosine, never NaN."""
         wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
         total = self.lobes[0].evaluate(wi, wo, uv)
         for lobe in self.lobes[1:]:
@@ -85,7 +85,7 @@ class Bsdf:
     def specular(
         self, theta_rad: Array | float, uv: Array | None = None, phi_rad: Array | float = 0.0
     ) -> SpecularResponse:
-        """Sum the lobes' delta parts at incidence `theta_rad` (beyond pi/2: light from behind), azimuth `phi_rad`."""
+        """Return the sum of the delta parts at incidence `theta_rad` (> pi/2: from behind), azimuth `phi_rad`."""
         cos_i, phi = np.broadcast_arrays(np.cos(np.asarray(theta_rad, dtype=float)), np.asarray(phi_rad, dtype=float))
         parts = [specular_at(lobe, cos_i, phi, uv) for lobe in self.lobes]
         return SpecularResponse(
@@ -93,18 +93,15 @@ class Bsdf:
         )
 
 
-# What a spectrophotometer would report of a material: the arrays behind `nacre spectrum`.
-
-
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Power ratios `[angle, wavelength]` at angles in the ambient medium; None where a part does not apply.
+    """Power ratios `[angle, wavelength]` at angles in the ambient medium; inapplicable parts are unset.
 
     Attributes:
         wavelengths_nm: `[wavelength]`.
         angles_deg: `[angle]`, incidence in the ambient medium.
-        specular_reflectance, specular_transmittance: the delta part (a rough film: the values of its stack).
-        diffuse_reflectance, diffuse_transmittance: directional-hemispherical, everything else.
+        specular_reflectance, specular_transmittance: the delta part (for a rough film: its stack's values).
+        diffuse_reflectance, diffuse_transmittance: directional-hemispherical, without the specular part.
     """
 
     wavelengths_nm: NDArray[np.float64]
@@ -115,12 +112,12 @@ class Spectrum:
     diffuse_transmittance: NDArray[np.float64] | None = None
 
     def parts(self) -> dict[str, NDArray[np.float64]]:
-        """Return the parts that apply, by name, in the order of the fields."""
+        """Return the applicable parts by name, in field order."""
         names = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     def __eq__(self, other: object) -> bool:
-        """Whether all arrays are alike, number by number."""
+        """Whether all arrays are equal."""
         if not isinstance(other, Spectrum):
             return NotImplemented
         pairs = [(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)]

@@ -1,9 +1,9 @@
-"""Multiple-scattering compensation of a rough interface that keeps reciprocity.
+"""Reciprocal multiple-scattering compensation of a rough interface, and the loss of single scattering.
 
 Single scattering on the facets loses the light that the masking blocks. Kulla and Conty (2017) restore it as a
-product of what each of the two directions loses. Here that form is carried over to interfaces that transmit: light lost
-on side a returns to side b in proportion `exchange[a, b]`, chosen so that energy is exact without absorption
-and f(wi, wo)/n_o^2 is symmetric; absorption follows the spectrum of the facets' mean reflectance.
+product of the losses in the two directions. This module extends their form to transmitting interfaces: light lost
+on side a returns to side b in proportion `exchange[a, b]`. Energy is exact without absorption and f(wi, wo)/n_o^2 is
+symmetric; absorption follows the mean reflectance spectrum of the facets.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 
 LOSS_NODES = 41  # over sqrt(cos): 3e-4 of energy at alpha 0.1 ... 1
-MOST_AZIMUTH_NODES = 49  # over cos^2 of the azimuth: 4 alpha_x/alpha_y + 1, for the loss changes faster with it
-FACET_NODES = 64  # of the facets' quadrature: 6e-4 of energy
-FACET_NODES_ANISOTROPIC = 50  # 1e-3; there are many more directions
+MOST_AZIMUTH_NODES = 49  # over cos^2 of the azimuth: 4 alpha_x/alpha_y + 1, since the loss varies faster with it
+FACET_NODES = 64  # facet quadrature: 6e-4 of energy
+FACET_NODES_ANISOTROPIC = 50  # 1e-3; anisotropic roughness needs many more directions
 SMALLEST_COSINE = 1e-4
 
 
 def compensate(lobe: Microfacet) -> Microfacet:
-    """Return the rough lobe with the light scattered between its facets added.
+    """Return the rough lobe plus the light scattered between its facets.
 
     Raises:
-        UnsupportedError: the roughness varies over the surface, or a thickness does on a transmitting film.
+        UnsupportedError: the roughness varies over the surface, or the thickness of a transmitting film.
     """
     if lobe.alpha_texture is not None:
         raise UnsupportedError(
@@ -51,7 +51,7 @@ def compensate(lobe: Microfacet) -> Microfacet:
 
 
 def _reflecting(lobe: Microfacet) -> Microfacet:
-    """Opaque, or transmitting undeviated: the loss is that of masking alone, the colour that of further bounces."""
+    """Compensate an opaque or undeviating interface: the loss comes from masking, the colour from further bounces."""
     response = lobe.response
     is_lit_inside = bool(np.any(response.reflectance_inside > 0))
     directions, shape = _loss_directions(lobe)
@@ -81,10 +81,10 @@ def _two_sides(lobe: Microfacet) -> Microfacet:
     mean_outside, mean_inside = np.maximum(_mean(loss), 1e-12)
     r_out, t_out, r_in, t_in = response.hemispherical
     kept_out, kept_in = r_out + t_out, r_in + t_in
-    # how freely light changes sides: 0 between perfect mirrors, 1 where nothing reflects
+    # crossing rate between the sides: 1 - ratio is 0 for perfect mirrors, 1 without reflection
     ratio = np.sqrt(r_out * r_in / np.maximum(kept_out * kept_in, 1e-12))
     crossing = (1.0 - ratio) / (np.pi * (mean_outside + eta**2 * mean_inside))
-    # light lost on a side comes back in full: the sum over sides b of exchange[a, b] pi mean[b] is 1
+    # lost light returns completely: the sum over sides b of exchange[a, b] pi mean[b] is 1
     exchange = np.empty((2, 2, count))
     exchange[0, 1] = eta**2 * crossing
     exchange[1, 0] = crossing
@@ -99,10 +99,10 @@ def _two_sides(lobe: Microfacet) -> Microfacet:
 def facet_transmittance(
     response: InterfaceResponse, distribution: str, alpha_x: float, alpha_y: float, nodes: int = 33
 ) -> Array:
-    """Return the transmittance averaged over the facets that a direction sees, `[*params, cos, wavelength]`.
+    """Return the transmittance averaged over a direction's visible facets, `[*params, cos, wavelength]`.
 
-    Nodes are uniform in the cosine outside, 0 to 1. Where the roughness is anisotropic, the azimuth of least
-    transmittance counts: what is left to reflect then never makes the sum exceed one.
+    Nodes are uniform in the outside cosine, 0 to 1. For anisotropic roughness the azimuth with the smallest
+    transmittance is used, which keeps the sum with the reflection below one.
     """
     azimuths = [0.0] if alpha_x == alpha_y else list(np.linspace(0.0, np.pi / 2, 7))
     cosines = np.maximum(np.linspace(0.0, 1.0, nodes), SMALLEST_COSINE)
@@ -113,7 +113,7 @@ def facet_transmittance(
             sin = np.sqrt(1.0 - cos * cos)
             w = np.array([sin * np.cos(phi), sin * np.sin(phi), cos])
             m, weight = visible_normals(distribution, w, alpha_x, alpha_y, FACET_NODES)
-            # the fit of Beckmann's masking is 0.3 % off one either way
+            # Beckmann's masking fit deviates by up to 0.3 % from one
             weight = weight / max(weight.sum(), 1.0)
             spread[i, j] = _histogram(np.clip(m @ w, 0.0, 1.0), weight, size)
     values = np.einsum("ajk,...kl->a...jl", spread, response.transmittance)
@@ -132,7 +132,7 @@ def _loss_directions(lobe: Microfacet) -> tuple[Array, tuple[int, int]]:
 
 
 def _lossless(response: InterfaceResponse) -> tuple[Array, Array, Array, Array]:
-    """Return the four tables scaled to R + T = 1, so that what is missing is the geometry's doing."""
+    """Return the four tables scaled to R + T = 1: the remaining loss is geometric."""
     from_outside = np.maximum(response.reflectance + response.transmittance, 1e-12)
     from_inside = np.maximum(response.reflectance_inside + response.transmittance, 1e-12)
     return (
@@ -146,10 +146,10 @@ def _lossless(response: InterfaceResponse) -> tuple[Array, Array, Array, Array]:
 def _albedo(
     lobe: Microfacet, directions: Array, tables: tuple[Array, Array, Array, Array] | None, inside: bool
 ) -> Array:
-    """Return the directional albedo `[direction, 1 or wavelength]` of one bounce, from one side.
+    """Return the single-bounce directional albedo `[direction, 1 or wavelength]` from one side.
 
     Args:
-        tables: R, T outside and R, T inside `[cos, wavelength]`; None: facets that reflect everything.
+        tables: R, T outside and R, T inside `[cos, wavelength]`; default: perfectly reflecting facets.
     """
     response = lobe.response
     nodes = FACET_NODES if lobe.alpha_x == lobe.alpha_y else FACET_NODES_ANISOTROPIC
@@ -170,7 +170,7 @@ def _albedo(
             continue
         passed = weight * masking(lobe.distribution, ways, through, facets, lobe.alpha_x, lobe.alpha_y)
         outer = response.outside_cosine(w_m) if inside else w_m
-        # beyond the critical angle everything returns, whatever the table's first node says
+        # total reflection beyond the critical angle, independent of the table's first node
         beyond = (w_m <= response.cos_critical) if inside else np.zeros(w_m.shape, dtype=bool)
         row = _histogram(outer, np.where(beyond, 0.0, returned), size) @ tables[2 if inside else 0]
         row = row + _histogram(outer, np.where(beyond, 0.0, passed), size) @ tables[3 if inside else 1]
@@ -179,7 +179,7 @@ def _albedo(
 
 
 def _histogram(unit: Array, weight: Array, size: int) -> Array:
-    """Return the weights gathered on `size` uniform nodes of [0, 1] as linear interpolation would share them."""
+    """Return the weights distributed over `size` uniform nodes on [0, 1] by linear interpolation."""
     low, fraction = cell(np.clip(unit, 0.0, 1.0) * (size - 1), size)
     counts = np.bincount(low, weight * (1 - fraction), size) + np.bincount(low + 1, weight * fraction, size)
     return np.asarray(counts)
@@ -188,7 +188,7 @@ def _histogram(unit: Array, weight: Array, size: int) -> Array:
 def _mean(loss: Array) -> Array:
     """Return the cosine-weighted hemispherical mean `[side, wavelength]` of tables `[side, s, t, wavelength]`.
 
-    Integrates the linear interpolant itself, so that what the lobe loses and returns cancels to rounding.
+    Integrates the linear interpolant itself: the lobe's loss and return then cancel to rounding.
     """
     x, weight = np.polynomial.legendre.leggauss(256)
     s, weight = 0.5 * (x + 1.0), 0.5 * weight
@@ -201,20 +201,18 @@ def _mean(loss: Array) -> Array:
     return np.asarray(np.mean(take_uniform(along, np.square(np.cos(phi)), 1), axis=1))
 
 
-# Light that single scattering loses between the facets of a rough interface.
-
 NODES = 65  # uniform in sqrt(cos)
 FACETS = 48
-REFINED, QUANTILES = 16, 257  # of the directions in which lost light comes back
+REFINED, QUANTILES = 16, 257  # for the directions of returning light
 
 
 def interface_losses(faces: list[Roughness], index: Array, is_open: bool) -> Array | None:
-    """Return the loss of all interfaces of strata in air, `[interface, side, cos]`; None: none is compensated.
+    """Return the interface losses of strata in air, `[interface, side, cos]`, or None without compensation.
 
     Args:
-        faces: upper interfaces of the strata, and what lies below the last.
+        faces: the strata's upper interfaces, and the lowest interface.
         index: `[stratum]`.
-        is_open: whether the last one is an interface to the ambient, not a base.
+        is_open: whether the lowest interface borders the ambient, not a base.
     """
     wanted = [face.compensate and face.alpha_x > 0 and (i < len(index) or is_open) for i, face in enumerate(faces)]
     if not any(wanted):
@@ -228,15 +226,15 @@ def interface_losses(faces: list[Roughness], index: Array, is_open: bool) -> Arr
 
 
 def returns(loss: Array) -> tuple[Array, Array]:
-    """Return how lost light comes back: its cosine-weighted mean `[..., side]` and quantiles `[..., side, node]`.
+    """Return the cosine-weighted mean loss `[..., side]` and quantiles of the returning light `[..., side, node]`.
 
-    The quantiles are of the square root of the cosine, of a density loss(cos) cos: so it comes back reciprocally.
+    The quantiles refer to sqrt(cos) with density loss(cos) cos, which makes the return reciprocal.
 
     Args:
-        loss: `[..., side, cos]`, of `interface_losses`.
+        loss: `[..., side, cos]`, from `interface_losses`.
     """
     nodes = loss.shape[-1]
-    fine = np.linspace(0.0, 1.0, REFINED * (nodes - 1) + 1)  # of sqrt(cos); dcos = 2 s ds, cos = s^2
+    fine = np.linspace(0.0, 1.0, REFINED * (nodes - 1) + 1)  # s = sqrt(cos); dcos = 2 s ds
     rows = loss.reshape(-1, nodes)
     density = np.stack([np.interp(fine, np.linspace(0, 1, nodes), row) for row in rows]) * 4 * fine**3
     cumulative = np.concatenate(
@@ -250,23 +248,23 @@ def returns(loss: Array) -> tuple[Array, Array]:
 
 
 def interface_loss(face: Roughness, n_above: float, n_below: float) -> Array:
-    """Share of the light that is neither reflected nor refracted to where it can leave, `[side, cos]`.
+    """Return the light fraction that single scattering loses, `[side, cos]`.
 
-    Side 0 is above. Averaged over the azimuth where the roughness is anisotropic.
+    Side 0 is above. Anisotropic roughness is averaged over the azimuth.
     """
     sides = (n_below / n_above, n_above / n_below)
     return np.stack([np.maximum(1.0 - sum(once(face, eta)), 0.0) for eta in sides])
 
 
 def once(face: Roughness, eta: float) -> tuple[Array, Array]:
-    """Share of the light that the facets of an interface reflect and refract at their first encounter, each `[cos]`.
+    """Return the fractions that an interface's facets reflect and refract at the first encounter, each `[cos]`.
 
     Args:
-        face: the interface, rough.
-        eta: index beyond it over that of the light's own side.
+        face: the rough interface.
+        eta: index beyond it over the index on the light's side.
 
     Returns:
-        both at cosines uniform in their square root, averaged over the azimuth where the roughness is anisotropic.
+        both at cosines uniform in their square root; anisotropic roughness is averaged over the azimuth.
     """
     cosines = np.maximum(np.linspace(0.0, 1.0, NODES) ** 2, SMALLEST_COSINE)
     azimuths = [0.0] if face.alpha_x == face.alpha_y else list(np.linspace(0, np.pi / 2, 5))

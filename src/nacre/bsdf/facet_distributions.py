@@ -1,8 +1,8 @@
-"""Distributions of microfacet normals and their masking: GGX, Beckmann, Blinn, Ashikhmin-Shirley.
+"""Microfacet normal distributions with masking (GGX, Beckmann, Blinn, Ashikhmin-Shirley), and interface roughness.
 
-Widths are alpha_x, alpha_y for all four; the exponents of Blinn and Ashikhmin-Shirley follow as
-e = 2/alpha^2 - 2. Directions are in a frame whose x axis is that of alpha_x. Sources: Walter et al. 2007
-(GGX, Beckmann, refraction), Blinn 1977 with Torrance-Sparrow V-cavities, Ashikhmin & Shirley 2000, Heitz 2014.
+All four have widths alpha_x, alpha_y; the exponents of Blinn and Ashikhmin-Shirley are e = 2/alpha^2 - 2. Directions
+are in a frame with alpha_x along x. Sources: Walter et al. 2007 (GGX, Beckmann, refraction), Blinn 1977 with
+Torrance-Sparrow V-cavities, Ashikhmin & Shirley 2000, Heitz 2014.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ TINY = 1e-30
 
 
 def exponent_from_alpha(alpha: Array | float) -> Array | float:
-    """Return the exponent e = 2/alpha^2 - 2 of a cosine lobe as wide as a Beckmann one of `alpha`."""
+    """Return the exponent e = 2/alpha^2 - 2 of a cosine lobe as wide as a Beckmann lobe with `alpha`."""
     return 2.0 / np.square(alpha) - 2.0
 
 
@@ -30,10 +30,10 @@ def alpha_from_exponent(exponent: float) -> float:
 
 
 def normal_density(distribution: str, m: Array, alpha_x: Array | float, alpha_y: Array | float) -> Array:
-    """Return D(m), `[...]`, for unit normals `m` of shape `[..., 3]`; zero for m_z <= 0.
+    """Return D(m), `[...]`, for unit normals `m` with shape `[..., 3]`; zero for m_z <= 0.
 
-    GGX, Beckmann and Blinn are normalised so that the integral of D m_z is 1; Ashikhmin-Shirley, as in its
-    source, so that the integral of D is 1: constant sqrt((ex+1)(ey+1))/2pi in place of sqrt((ex+2)(ey+2))/2pi.
+    For GGX, Beckmann and Blinn the integral of D m_z is 1. For Ashikhmin-Shirley, as in its source, the integral of
+    D is 1: constant sqrt((ex+1)(ey+1))/2pi instead of sqrt((ex+2)(ey+2))/2pi.
     """
     z = np.maximum(m[..., 2], 1e-12)
     slope2 = np.square(m[..., 0] / alpha_x) + np.square(m[..., 1] / alpha_y)
@@ -52,7 +52,7 @@ def normal_density(distribution: str, m: Array, alpha_x: Array | float, alpha_y:
 
 
 def smith_masking(distribution: str, w: Array, alpha_x: Array | float, alpha_y: Array | float) -> Array:
-    """Return Smith's G1 of GGX (exact) or Beckmann (rational fit of Walter et al., error under 0.35 %), `[...]`."""
+    """Return Smith's G1 for GGX (exact) or Beckmann (rational fit of Walter et al., error below 0.35 %), `[...]`."""
     flat2 = np.square(alpha_x * w[..., 0]) + np.square(alpha_y * w[..., 1])
     tan2 = flat2 / np.maximum(np.square(w[..., 2]), TINY)
     if distribution == "ggx":
@@ -63,11 +63,11 @@ def smith_masking(distribution: str, w: Array, alpha_x: Array | float, alpha_y: 
 
 
 def masking(distribution: str, wi: Array, wo: Array, m: Array, alpha_x: Array | float, alpha_y: Array | float) -> Array:
-    """Return G(wi, wo, m), `[...]`, symmetric in `wi` and `wo`; zero where a direction sees the back of `m`.
+    """Return G(wi, wo, m), `[...]`, symmetric in `wi` and `wo`; zero if a direction is on the back of `m`.
 
     GGX, Beckmann: Smith, separable, G1(wi) G1(wo). Blinn: V-cavities, min(1, 2 m_z |cos_i|/|wi.m|,
-    2 m_z |cos_o|/|wo.m|). Ashikhmin-Shirley: min(|cos_i|/|wi.m|, |cos_o|/|wo.m|), which for reflection is the
-    1/max(cos_i, cos_o) of the source and carries over to refraction without gaining energy.
+    2 m_z |cos_o|/|wo.m|). Ashikhmin-Shirley: min(|cos_i|/|wi.m|, |cos_o|/|wo.m|), which for reflection is the source's
+    1/max(cos_i, cos_o) and conserves energy in refraction.
     """
     i_m, o_m = np.sum(wi * m, axis=-1), np.sum(wo * m, axis=-1)
     cos_i, cos_o = wi[..., 2], wo[..., 2]
@@ -83,16 +83,16 @@ def masking(distribution: str, wi: Array, wo: Array, m: Array, alpha_x: Array | 
 
 
 def exits(w: Array, m: Array, eta: float) -> tuple[Array, Array]:
-    """Return the mirrored and the refracted direction of light along `w` at each facet `m`.
+    """Return the reflected and the refracted direction for light along `w` at each facet `m`.
 
     Args:
         w: `[3]`, z > 0.
         m: `[facet, 3]` with w.m > 0.
-        eta: index of the other side over that of this side.
+        eta: index on the other side over the index on this side.
 
     Returns:
-        `(back, through)`, `[facet, 3]` each, pointing away; beyond the critical angle `through` points
-        sideways into the surface's own side (z = 0), which every masking turns into zero.
+        `(back, through)`, `[facet, 3]` each, pointing away; beyond the critical angle `through` is (1, 0, 0), for
+        which the masking is zero.
     """
     w_m = np.sum(w * m, axis=-1, keepdims=True)
     back = 2.0 * w_m * m - w
@@ -103,19 +103,19 @@ def exits(w: Array, m: Array, eta: float) -> tuple[Array, Array]:
 
 
 def normal_quadrature(distribution: str, alpha_x: float, alpha_y: float, nodes: int = 64) -> tuple[Array, Array]:
-    """Return normals and their weights D(m) dm, `[count, 3]` and `[count]`, dense where D is; count ~ nodes^2.
+    """Return normals and weights D(m) dm, `[count, 3]` and `[count]`, dense at large D; count ~ nodes^2.
 
-    A Fibonacci lattice over the quantiles of D m_z and the azimuth: at normal incidence every point has another
-    polar angle, so that the kink of total reflection is met finely (a product rule of as many points errs by 1 %).
+    A Fibonacci lattice over the quantiles of D m_z and the azimuth: at normal incidence all points have different
+    polar angles, which resolves the kink at total reflection (a product rule with as many points errs by 1 %).
     """
     before, count = 1, 1
     while count < nodes * nodes:
         before, count = count, before + count
     lattice = np.arange(count, dtype=np.float64)
     unit = (lattice + 0.5) / count
-    # clustered at both ends, where the weight vanishes: the lattice wants a periodic integrand
+    # clustered at both ends with vanishing weights, since the lattice requires a periodic integrand
     xi, dxi = unit * unit * (3 - 2 * unit), 6 * unit * (1 - unit) / count
-    # an azimuth stretched by the anisotropy: uniform points in phi' are exact for an elliptic distribution
+    # stretch the azimuth by the anisotropy: uniform points in phi' are exact for an elliptic distribution
     turned: Array = 2.0 * np.pi * np.mod(lattice * before / count, 1.0)
     x, y = alpha_x * np.cos(turned), alpha_y * np.sin(turned)
     phi = np.arctan2(y, x)
@@ -130,7 +130,7 @@ def normal_quadrature(distribution: str, alpha_x: float, alpha_y: float, nodes: 
         cos = np.power(np.maximum(1.0 - xi, TINY), 1.0 / (exponent + 2.0))
     sin = np.sqrt(np.maximum(0.0, 1.0 - cos * cos))
     m = np.stack([np.cos(phi) * sin, np.sin(phi) * sin, cos], axis=-1)
-    # at one azimuth xi is the cumulative distribution of D m_z, up to the share of the azimuth
+    # at one azimuth xi is the cumulative distribution of D m_z, up to the azimuth's density
     share = _azimuth_share(distribution, phi, alpha_x, alpha_y) * stretch
     measure = share * dxi * 2.0 * np.pi
     if distribution == "ashikhmin-shirley":
@@ -142,15 +142,14 @@ def normal_quadrature(distribution: str, alpha_x: float, alpha_y: float, nodes: 
 def visible_normals(
     distribution: str, w: Array, alpha_x: float, alpha_y: float, nodes: int = 64
 ) -> tuple[Array, Array]:
-    """Return a quadrature over the facets that one direction sees.
+    """Return a quadrature over the facets visible from one direction.
 
-    A facet seen from `w` counts D(m) g(w, m) |w.m| / |w_z| with g the distribution's one-sided masking, so the
-    weights sum to 1 (Smith, V-cavities), or to the visible part of it (Ashikhmin-Shirley, whose facets are
-    drawn from D alone).
+    A facet visible from `w` has weight D(m) g(w, m) |w.m| / |w_z| with the one-sided masking g. The weights sum to 1
+    (Smith, V-cavities), or to the visible part of 1 (Ashikhmin-Shirley, whose facets are drawn from D).
 
     Args:
-        w: one unit direction `[3]`, z > 0.
-        nodes: points along each of two coordinates.
+        w: unit direction `[3]`, z > 0.
+        nodes: points along each coordinate.
 
     Returns:
         `(m, weight)`: `[count, 3]`, `[count]`; see `normal_quadrature`.
@@ -168,7 +167,7 @@ def visible_normals(
 
 
 def _azimuth_share(distribution: str, phi: Array, alpha_x: float, alpha_y: float) -> Array:
-    """Return the density over azimuth of normals weighted by D m_z."""
+    """Return the azimuthal density of normals weighted by D m_z."""
     if distribution in ("ggx", "beckmann"):
         alpha2 = 1.0 / (np.square(np.cos(phi) / alpha_x) + np.square(np.sin(phi) / alpha_y))
         return np.asarray(alpha2 / (2.0 * np.pi * alpha_x * alpha_y))
@@ -178,7 +177,7 @@ def _azimuth_share(distribution: str, phi: Array, alpha_x: float, alpha_y: float
 
 
 def fresnel(cos_i: Array, eta: float) -> Array:
-    """Unpolarised reflectance of a bare interface of relative index `eta`, met at `cos_i` in (0, 1]."""
+    """Return the unpolarised reflectance of a bare interface with relative index `eta` at `cos_i` in (0, 1]."""
     cos_i = np.asarray(cos_i, dtype=float)
     cos_t = np.sqrt(np.maximum(0.0, 1 - (1 - cos_i**2) / eta**2))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -188,21 +187,19 @@ def fresnel(cos_i: Array, eta: float) -> Array:
     return np.asarray(np.nan_to_num(value, nan=1.0))
 
 
-# Roughness of an interface: a distribution of facet normals and its widths, which may vary over the surface.
-
-SMOOTH_BELOW = 1e-3  # alpha; such a surface spreads light by less than a tenth of a degree
+SMOOTH_BELOW = 1e-3  # alpha; spreads light by less than 0.1 degree
 
 
 @dataclass(frozen=True)
 class Roughness:
-    """How rough an interface is; all layers of a film follow it.
+    """Interface roughness; all layers of a film follow it.
 
     Attributes:
         distribution: "ggx", "beckmann", "blinn" or "ashikhmin-shirley".
         alpha_x, alpha_y: widths; smooth if both are below 0.001.
-        alpha_texture: multiplies both, or None.
-        rotation: of the x axis of the roughness in rad, or None.
-        compensate: return the light lost between facets.
+        alpha_texture: optional factor on both.
+        rotation: optional angle of the roughness x axis, rad.
+        compensate: restore the light lost between facets.
     """
 
     distribution: str = "ggx"
@@ -214,20 +211,20 @@ class Roughness:
 
     @property
     def is_smooth(self) -> bool:
-        """Whether the interface is a mirror."""
+        """Whether the interface is specular."""
         return max(self.alpha_x, self.alpha_y) < SMOOTH_BELOW
 
 
 def check_widths(value: object, forms: str, shown: str) -> None:
-    """Check one or two widths as a recipe gives them.
+    """Check one or two widths from a recipe.
 
     Args:
-        value: what the recipe gives.
-        forms: how a roughness may be written, for the message.
-        shown: the value, for the message.
+        value: the recipe's value.
+        forms: valid forms, for the message.
+        shown: the value as text, for the message.
 
     Raises:
-        ValueError: not one or two numbers, or one outside [0, 1]; the message goes on behind the key.
+        ValueError: not one or two numbers, or a number outside [0, 1]; the message continues the key.
     """
     numbers: Any = value if isinstance(value, list | tuple) else [value]
     if len(numbers) not in (1, 2) or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):

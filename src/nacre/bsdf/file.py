@@ -1,7 +1,7 @@
-"""One `.nacre` file: a zip of .npy arrays (never pickles) and a JSON header.
+"""The `.nacre` file: a zip of .npy arrays (never pickles) and a JSON header.
 
-The header names format and version, the tree of lobes, each array's shape, type, axes and checksum, the units
-and the provenance. What a file declares is checked before memory is taken for it, and nothing in it is run.
+The header contains format and version, the tree of lobes, each array's shape, type, axes and checksum, the units
+and the provenance. Declared sizes are checked before memory is allocated, and file content is never executed.
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ _PARTS: dict[str, type] = {
 def write_lobes(
     path: str | Path, lobes: tuple[Lobe, ...], provenance: Mapping[str, Any], is_packed: bool = True
 ) -> None:
-    """Write the lobes of a Bsdf and where they come from, whole or not at all.
+    """Write a Bsdf's lobes and provenance atomically.
 
     Args:
-        is_packed: deflated, which makes tables smaller by a tenth or more and takes ten times as long.
+        is_packed: deflate, which makes tables 10 % or more smaller and takes ten times as long.
 
     Raises:
-        NacreError: the folder cannot be written, or a lobe holds something that has no place in the format.
+        NacreError: the folder is not writable, or a lobe contains an unsupported value.
     """
     trees, arrays, axes = describe_lobes(lobes, str(path))
     described = {
@@ -98,10 +98,10 @@ def write_lobes(
 
 
 def describe_lobes(lobes: tuple[Lobe, ...], where: str) -> tuple[list[Any], dict[str, NDArray[Any]], dict[str, str]]:
-    """Return the lobes as a tree that JSON can hold, the arrays that it names, and the meaning of their axes.
+    """Return the lobes as a JSON tree, the arrays that it names, and the arrays' axes.
 
     Raises:
-        NacreError: a lobe holds something that has no place in a file; `where` begins the line.
+        NacreError: a lobe contains an unsupported value; the message starts with `where`.
     """
     arrays: dict[str, NDArray[Any]] = {}
     axes: dict[str, str] = {}
@@ -153,7 +153,7 @@ def _encode(value: Any, where: str, arrays: dict[str, NDArray[Any]], axes: dict[
             fields[field.name] = None if inner is None else inner.text
             continue
         if isinstance(value, Texture) and field.name == "is_stepped" and not inner:
-            continue  # files without such a texture are as they were, and older versions read them
+            continue  # keeps files without such a texture readable for older versions
         fields[field.name] = _encode(inner, at, arrays, axes, path)
         if at in arrays and field.name in named:
             axes[at] = named[field.name]
@@ -161,7 +161,7 @@ def _encode(value: Any, where: str, arrays: dict[str, NDArray[Any]], axes: dict[
 
 
 def _plain(value: Any) -> Any:
-    """Turn provenance into what JSON can hold."""
+    """Return provenance as JSON data."""
     if isinstance(value, dict) or hasattr(value, "items"):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -176,10 +176,10 @@ def _plain(value: Any) -> Any:
 
 
 def read_lobes(path: str | Path) -> tuple[tuple[Lobe, ...], Mapping[str, Any]]:
-    """Read the lobes of a Bsdf and where they come from.
+    """Read a Bsdf's lobes and provenance.
 
     Raises:
-        NacreError: in one line, if the file is missing, broken, too large, not of this format or too new.
+        NacreError: the file is missing, damaged, too large, of another format or too new.
     """
     path = Path(path)
     try:
@@ -187,7 +187,7 @@ def read_lobes(path: str | Path) -> tuple[tuple[Lobe, ...], Mapping[str, Any]]:
             return _read(zipped, path)
     except NacreError:
         raise
-    # zipfile tells a damaged file in many ways: of its names, its numbers, its packing
+    # zipfile has many exceptions for damaged files
     except (zipfile.BadZipFile, zlib.error, struct.error, EOFError, NotImplementedError, RuntimeError, ValueError):
         raise NacreError(f"{path}: is not a .nacre file, or it is damaged or cut short") from None
     except OSError as error:
@@ -199,7 +199,7 @@ def _read(zipped: zipfile.ZipFile, path: Path) -> tuple[tuple[Lobe, ...], Mappin
     if HEADER not in entries:
         raise NacreError(f"{path}: is not a .nacre file: it has no {HEADER}")
     if any(entry.compress_type not in PACKINGS for entry in entries.values()):
-        raise NacreError(f"{path}: is packed in a way that no .nacre file is; nacre writes deflate")
+        raise NacreError(f"{path}: has an unsupported compression; .nacre files are stored or deflated")
     if entries[HEADER].file_size > MAX_HEADER_BYTES or len(entries) > MAX_ARRAYS:
         raise NacreError(f"{path}: its header or its number of arrays is larger than any .nacre file needs")
     try:
@@ -234,7 +234,7 @@ def _read(zipped: zipfile.ZipFile, path: Path) -> tuple[tuple[Lobe, ...], Mappin
 
 
 def _no_constant(word: str) -> float:
-    raise ValueError(f"{word} is no JSON")
+    raise ValueError(f"{word} is not valid JSON")
 
 
 def _read_arrays(
@@ -244,13 +244,13 @@ def _read_arrays(
     for name, info in described.items():
         shape, dtype = info["shape"], info["dtype"]
         if dtype not in DTYPES or not all(isinstance(n, int) and 0 <= n < 2**31 for n in shape) or len(shape) > 8:
-            raise ValueError(f"array {name[:60]} has no allowed shape and type")
+            raise ValueError(f"array {name[:60]} has an invalid shape or type")
         size = math.prod(shape) * np.dtype(dtype).itemsize
         total += size
         entry = entries.get(f"{name}.npy")
         if entry is None:
             raise NacreError(f"{path}: array {name[:60]} is missing; the file is damaged")
-        if not 0 <= entry.file_size - size <= 4096:  # what remains is the .npy header
+        if not 0 <= entry.file_size - size <= 4096:  # the .npy header
             raise NacreError(f"{path}: array {name[:60]} is not as large as the header says; the file is damaged")
         expected[name] = (tuple(shape), dtype, info["sha256"])
     check_memory(total, f"{path}: unpacked, it")
@@ -259,7 +259,7 @@ def _read_arrays(
         with zipped.open(f"{name}.npy") as stream:
             try:
                 array = np.lib.format.read_array(stream, allow_pickle=False, max_header_size=4096)
-            except Exception:  # numpy's header parser fails in many ways: token, syntax, value, type errors
+            except Exception:  # numpy's header parser has many exceptions: token, syntax, value, type errors
                 raise NacreError(f"{path}: array {name[:60]} is damaged") from None
         if array.shape != shape or array.dtype.str != dtype:
             raise NacreError(f"{path}: array {name[:60]} is not as the header says; the file is damaged")
@@ -277,7 +277,7 @@ def _decode(node: Any, arrays: dict[str, NDArray[Any]], path: Path, depth: int) 
         raise ValueError("its lobes are nested too deep")
     if not isinstance(node, dict):
         if isinstance(node, list):
-            raise ValueError("a bare list stands where a value should")
+            raise ValueError("a bare list is not a value")
         return node
     if "array" in node:
         return arrays[node["array"]]

@@ -1,13 +1,13 @@
-"""Glints: flakes large enough to be resolved, as a factor on the light that one flake reflects.
+"""Glints: resolved flakes, as a factor on the light reflected once by a flake.
 
-The surface is a grid of cells with K flakes each, discs of random centre, radius and normal, all by an integer
-hash of the cell. With t the slope of the wanted normal over the flakes' deviation, the factor at a point is
+The surface is a grid of cells with K flakes each: discs with random centre, radius and normal from an integer hash of
+the cell. With t the slope of the half vector over the flakes' deviation, the factor at a point is
 
-    g(point, t) = sum over discs that hold the point of exp(-|t - t_j|^2 / 2 w^2)  /  (coverage M(|t|)),
+    g(point, t) = sum over discs around the point of exp(-|t - t_j|^2 / 2 w^2)  /  (coverage M(|t|)),
 
-where M is the mean of that kernel over the flakes' own slopes. Over positions g has the mean 1 at every t, so a
-material with glints is the smooth one in the mean; samples spread over a pixel average over the flakes in it.
-Slopes follow p(t) = 1 / (pi (1 + t^2)^2), which is SGGX seen along its axis (and GGX).
+with M the mean of that kernel over the flake slopes. The mean of g over positions is 1 at every t, so a material with
+glints equals the smooth one on average, and samples spread over a pixel average over its flakes.
+Slopes follow p(t) = 1 / (pi (1 + t^2)^2): SGGX along its axis (and GGX).
 """
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.jit import compiled
 
-# numbers of a row, one row a kind of flake
+# columns of `numbers`, one row for each flake species
 CELLS_U, CELLS_V, COUNT, COVERAGE, WIDTH, SEED = range(6)
-NODES = 65  # of both tables
-CUT = 2.0  # sizes beyond so many standard deviations of the logarithm do not occur
-# steps of the hash between a flake's numbers: x, y, two of the slope, radius
+NODES = 65  # both tables
+CUT = 2.0  # largest deviation of log size, in standard deviations
+# hash increments of a flake's numbers: x, y, two for the slope, radius
 DRAWS = tuple((0x9E3779B9 * (i + 1)) & 0xFFFFFFFF for i in range(5))
 FLAKE_STEP = 0x85EBCA6B
 
 
-def kind_of_flake(
+def glint_species(
     uv_mm: tuple[float, float], diameter_um: float, spread: float, seen: float, width: float, seed: int
 ) -> tuple[Array, Array, Array]:
-    """Return what `factor` needs of one kind: numbers `[6]`, radii by quantile `[65]`, ratio of means `[65]`.
+    """Return `factor`'s tables for one species: numbers `[6]`, radii by quantile `[65]`, ratio of means `[65]`.
 
     Args:
-        uv_mm: length on the surface of one unit of u and v.
-        diameter_um: median of the discs.
-        spread: standard deviation of the logarithm of the diameter.
-        seen: visible flakes that overlap at one point, on average: sum of their areas over that of the surface.
-        width: of a flake's own lobe, as a slope over the flakes' deviation.
-        seed: of the hash, below 2^24.
+        uv_mm: surface length of one unit of u and v.
+        diameter_um: median disc diameter.
+        spread: standard deviation of the log diameter.
+        seen: mean number of visible flakes at a point (flake area over surface area).
+        width: width of a single flake's lobe, as a slope over the flakes' deviation.
+        seed: hash seed, below 2^24.
     """
     from scipy.special import ndtr, ndtri  # slow to import, and most materials have no flakes
 
     low = float(ndtr(-CUT))
     radii_mm = 0.5e-3 * diameter_um * np.exp(spread * ndtri(np.linspace(low, 1.0 - low, NODES)))
-    # the mean square of what is linear between nodes
+    # mean square of the piecewise linear radius
     square = float(np.mean(radii_mm[:-1] ** 2 + radii_mm[:-1] * radii_mm[1:] + radii_mm[1:] ** 2)) / 3.0
-    # discs reach into the neighbouring cells at most: a cell is as wide as the widest of them
+    # discs reach only the neighbouring cells: a cell is as wide as the widest disc
     count = max(1, math.ceil(seen * (2.0 * radii_mm[-1]) ** 2 / (math.pi * square) - 1e-9))
     cell_mm = math.sqrt(count * math.pi * square / seen)
     numbers = np.array([uv_mm[0] / cell_mm, uv_mm[1] / cell_mm, count, seen, width, seed])
@@ -55,10 +55,10 @@ def kind_of_flake(
 
 
 def check_glints(numbers: Array, radii: Array | None, ratio: Array | None, kinds: int) -> None:
-    """Check the arrays of a lobe's glints.
+    """Check a lobe's glint arrays.
 
     Raises:
-        ValueError: saying what does not fit.
+        ValueError: names the inconsistent array.
     """
     if numbers.shape != (kinds, SEED + 1) or np.any(numbers[:, :SEED] <= 0):
         raise ValueError(f"glint_numbers has the shape {numbers.shape} or a number that is not above 0")
@@ -68,10 +68,10 @@ def check_glints(numbers: Array, radii: Array | None, ratio: Array | None, kinds
 
 
 def mean_ratio(width: float) -> Array:
-    """Return M over its limit 2 pi w^2 p(t) for narrow kernels, `[node]`, over uniform nodes of t / (1 + t)."""
+    """Return M over its narrow-kernel limit 2 pi w^2 p(t), `[node]`, on uniform nodes in t / (1 + t)."""
     share = np.linspace(0.0, 1.0, NODES)[:-1]
     t = share / (1.0 - share)
-    # Gauss nodes of the other slope within ten widths, and the whole range where the kernel is wide
+    # Gauss nodes of the other slope within ten widths
     x, weight = np.polynomial.legendre.leggauss(400)
     low, high = np.maximum(t - 10.0 * width, 0.0), t + 10.0 * width
     other = low[:, None] + 0.5 * (high - low)[:, None] * (x + 1.0)
@@ -86,7 +86,7 @@ def mean_ratio(width: float) -> Array:
 
 @compiled(nogil=True)
 def mix(x):  # type: ignore[no-untyped-def]  # numba
-    """Scatter the bits of a 32-bit number (held in 64 bits)."""
+    """Hash a 32-bit number (stored in 64 bits)."""
     x = (x ^ (x >> 16)) * 0x7FEB352D & 0xFFFFFFFF
     x = (x ^ (x >> 15)) * 0x846CA68B & 0xFFFFFFFF
     return x ^ (x >> 16)
@@ -106,7 +106,7 @@ def _read(table, share):  # type: ignore[no-untyped-def]  # numba
 
 @compiled(nogil=True)
 def factor(numbers, radii, ratio, u, v, tx, ty):  # type: ignore[no-untyped-def]  # numba
-    """Return g at a point of the surface for the slope (tx, ty) over the flakes' deviation."""
+    """Return g at a surface point for the slope (tx, ty) over the flakes' deviation."""
     x, y = u * numbers[CELLS_U], v * numbers[CELLS_V]
     column, line = int(math.floor(x - 0.5)), int(math.floor(y - 0.5))
     count, width = int(numbers[COUNT]), numbers[WIDTH]

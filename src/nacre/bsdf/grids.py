@@ -1,4 +1,4 @@
-"""Integrals over the hemispheres: total reflectance and transmittance, and how reciprocal a BSDF is."""
+"""Hemispherical quadrature, and linear interpolation on uniform nodes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def direction(theta_rad: Array | float, phi_rad: Array | float = 0.0) -> Array:
 
 
 def hemisphere_nodes(nodes: int = 64) -> tuple[Array, Array]:
-    """Return exits of the upper hemisphere and their weights cos(theta) d(omega): `[nodes*nodes, 3]`, `[nodes*nodes]`.
+    """Return upper-hemisphere directions and weights cos(theta) d(omega): `[nodes*nodes, 3]`, `[nodes*nodes]`.
 
     Gauss-Legendre in sin^2(theta), where the cosine-weighted measure is uniform; the weights sum to pi.
     """
@@ -42,13 +42,10 @@ def product_rule(value: Callable[[Array], Array], wi: Array, nodes: int, transmi
     return same, other
 
 
-# Tables over uniform nodes: linear interpolation, written once.
-
-
 def cell(position: ArrayLike, nodes: int) -> tuple[NDArray[np.intp], Array]:
-    """Return the lower node and the share of the upper one, at positions counted in nodes and clamped to the axis.
+    """Return the lower node and the upper node's weight, at positions in node units, clamped to the axis.
 
-    The last node belongs to the last cell; an axis of one node has the share 0 of a node that is not there.
+    The last node belongs to the last cell; an axis with one node gives weight 0 for the missing upper node.
     """
     clamped = np.clip(np.asarray(position, dtype=float), 0.0, nodes - 1.0)
     low = np.minimum(clamped.astype(np.intp), max(nodes - 2, 0))
@@ -56,7 +53,7 @@ def cell(position: ArrayLike, nodes: int) -> tuple[NDArray[np.intp], Array]:
 
 
 def take_uniform(table: Array, unit: Array, axis: int) -> Array:
-    """Interpolate along one axis whose nodes are uniform on [0, 1], at positions `[n]`; the others stay."""
+    """Interpolate along one axis with uniform nodes on [0, 1], at positions `[n]`."""
     size = table.shape[axis]
     low, share = cell(np.clip(unit, 0.0, 1.0) * (size - 1), size)
     shape = [1] * table.ndim
@@ -69,7 +66,7 @@ def take_uniform(table: Array, unit: Array, axis: int) -> Array:
 def interpolate(table: NDArray[np.floating], coordinates: tuple[ArrayLike, ...]) -> Array:
     """Interpolate multilinearly over the leading axes of `table`, at node coordinates of equal shape `[...]`.
 
-    Coordinates are clamped to the axis; the trailing axes (wavelength) are kept: `[..., wavelength]`.
+    Coordinates are clamped to the axis; the result has the trailing axes: `[..., wavelength]`.
     """
     sizes = table.shape[: len(coordinates)]
     cells = [cell(coordinate, size) for coordinate, size in zip(coordinates, sizes, strict=True)]

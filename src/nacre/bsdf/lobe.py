@@ -1,8 +1,7 @@
-"""The interface between the optics and everything that shows, stores or renders a material.
+"""The lobe interface between optics and everything that plots, stores or renders a material.
 
-A `Bsdf` is a sum of lobes. A lobe is a frozen bundle of arrays with named axes and holds no physics left to
-do: `evaluate` interpolates on NumPy arrays; the lobe's Mitsuba plugin in `nacre.device` does the same ("on the
-device").
+A `Bsdf` is a sum of lobes. A lobe is a frozen set of arrays with named axes: `evaluate` interpolates them with NumPy,
+the lobe's Mitsuba plugin in `nacre.device` does the same with Dr.Jit ("on the device").
 
 Local frame: z is the surface normal, `wi` points to the light, `wo` to the viewer, both away from the surface.
 Values are unpolarised, in 1/sr, without the cosine; wavelength is the last axis.
@@ -22,7 +21,7 @@ from nacre.core.arrays import Array
 
 @dataclass(frozen=True)
 class SpecularResponse:
-    """The delta part: reflectance and transmittance, each `[..., wavelength]`, power ratios."""
+    """The delta part: reflectance and transmittance as power ratios, each `[..., wavelength]`."""
 
     reflectance: Array
     transmittance: Array
@@ -31,8 +30,8 @@ class SpecularResponse:
 class Lobe(abc.ABC):
     """One term of a Bsdf: a frozen dataclass of arrays, strings and numbers.
 
-    Subclasses are frozen dataclasses with a line in `nacre.bsdf.registry`; every field is an ndarray, a number, a
-    bool, a string, None, a `Texture`, a tuple of `ParameterAxis` or an `InterfaceResponse`, so that one generic writer
+    Subclasses are listed in `nacre.bsdf.registry`. Every field is an ndarray, a number, a bool, a string, a
+    `Texture`, a tuple of `ParameterAxis` or an `InterfaceResponse`, or is unset; one generic writer
     (`nacre.bsdf.file`) stores them all.
     """
 
@@ -41,7 +40,7 @@ class Lobe(abc.ABC):
 
     @property
     def is_delta(self) -> bool:
-        """Whether the lobe is a delta distribution only (then `evaluate` is zero)."""
+        """Whether the lobe is a pure delta distribution (then `evaluate` is zero)."""
         return False
 
     @property
@@ -51,12 +50,12 @@ class Lobe(abc.ABC):
 
     @property
     def is_stochastic(self) -> bool:
-        """Whether values come from a random walk that Mitsuba runs (the layered lobe)."""
+        """Whether values come from a Mitsuba random walk (the layered lobe)."""
         return False
 
     @property
     def varying(self) -> tuple[str, ...]:
-        """Names of the numbers a texture drives."""
+        """Names of the texture-driven numbers."""
         return tuple(axis.name for axis in getattr(self, "parameters", ()))
 
     @abc.abstractmethod
@@ -64,18 +63,18 @@ class Lobe(abc.ABC):
         """Return the non-delta part, `[..., wavelength]`, for unit vectors `wi`, `wo` of shape `[..., 3]`."""
 
     def check(self) -> None:
-        """Check that the arrays fit together; a stored file may hold anything.
+        """Check that the arrays are consistent, since a stored file may contain anything.
 
         Raises:
-            ValueError: saying which array does not fit.
+            ValueError: names the inconsistent array.
         """
         if self.wavelengths_nm.ndim != 1 or np.any(np.diff(self.wavelengths_nm) <= 0):
             raise ValueError("wavelengths_nm must ascend along one axis")
 
     def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
-        """Integrate the non-delta part over all exits, for light along one `wi[3]`.
+        """Integrate the non-delta part over all exit directions, for light along one `wi[3]`.
 
-        A product rule by default; a lobe that is narrow or has many peaks brings its own.
+        The default is a product rule; narrow or many-peaked lobes override it.
 
         Returns:
             power `(to the side of wi, to the other side)`, each `[wavelength]`.
@@ -91,18 +90,18 @@ class Lobe(abc.ABC):
 
 @runtime_checkable
 class FollowsAzimuth(Protocol):
-    """A lobe whose delta part may depend on the azimuth of the light, as that of aligned particles does."""
+    """A lobe whose delta part may depend on the light's azimuth, as for aligned particles."""
 
     def specular_at(self, cos_i: Array, phi_rad: Array | float, uv: Array | None = None) -> SpecularResponse:
-        """Return the delta part for light from an azimuth; `specular` is for light from 0."""
+        """Return the delta part for light from an azimuth; `specular` assumes azimuth 0."""
         ...
 
 
 def specular_at(lobe: Lobe, cos_i: Array, phi_rad: Array, uv: Array | None = None) -> SpecularResponse:
-    """Return the delta part of any lobe for light from an azimuth, which most of them do not ask for.
+    """Return any lobe's delta part for light from an azimuth.
 
     Args:
-        cos_i, phi_rad: of one shape `[...]`.
+        cos_i, phi_rad: equal shapes `[...]`.
     """
     if isinstance(lobe, FollowsAzimuth):
         return lobe.specular_at(cos_i, phi_rad, uv)

@@ -1,11 +1,11 @@
-"""Short cosine series in two or four words each, for tables that are read at random.
+"""Short cosine series packed in two or four 32-bit words, for random access.
 
-A look-up is bound by the memory that it touches, and then by what it takes to unpack it. So the numbers of a series
-share 32-bit words, the larger ones with more bits, and the first word ends with a power of two by which all of them
-are smaller than the largest series of their wavelength: what is dark is kept as finely as what is bright. A field is
-read by shifting it to the top of its word and taking the whole word as one signed number: what lies below it is then a
-fraction of its last bit, known when it was written, and the field was chosen so that both together come nearest to the
-number. No mask is needed, and no bit is lost.
+Look-up time is bound by memory traffic, then by unpacking. The numbers of a series therefore share 32-bit words;
+larger numbers get more bits. The first word ends with a power of two, the series' scale relative to the largest
+series at its wavelength, so dark and bright series have the same relative precision. A field is read by shifting it
+to the top of its word and interpreting the word as a signed integer. The bits below are a known fraction of the
+field's last bit; the encoder chooses the field so that both together approximate the number best. Masks are therefore
+unnecessary.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 
-PACKET = 8  # numbers of a series in one load
+PACKET = 8  # numbers per load
 WORD = 32
 LEAST_BITS = 3
 POWER_BITS = 4
-DARKEST = 2**POWER_BITS - 1  # the smallest power of two that is kept
-# numbers that share a word, where two or four words hold a packet: a large one beside small ones
+DARKEST = 2**POWER_BITS - 1  # the smallest stored power of two
+# numbers that share a word, for packets of two or four words: a large one beside small ones
 SHARED = {2: ((0, 3, 5, 7), (1, 2, 4, 6)), 4: ((0, 7), (1, 6), (2, 5), (3, 4))}
-DARKEST_SIZE = 1e-7  # of a number over the largest of its series: below, it is left out
-RUNGS = 8  # sizes in a factor of two
-ROUNDING = 3e-3  # root mean square error over that of the series, at any wavelength: up to here two words do
+DARKEST_SIZE = 1e-7  # relative size below which a number is dropped
+RUNGS = 8  # size steps per factor of two
+ROUNDING = 3e-3  # largest relative RMS error at any wavelength for two words
 
 
 @dataclass(frozen=True)
-class SeriesWords:
-    """Tables of series as words.
+class EncodedSeries:
+    """Encoded tables of series.
 
     Attributes:
         words: `[row, wavelength, packet, word]`.
-        units: of each number of a series of the power 0; those of the higher ones are small.
-        fields: of each number of a series: its word within the packet, lowest bit and bits.
-        rounding: largest root mean square error of a wavelength, over that of its series.
+        units: unit of each number at power 0.
+        fields: for each number: its word within the packet, lowest bit and bit count.
+        rounding: largest relative RMS error over the wavelengths.
     """
 
     words: NDArray[np.uint32]
@@ -46,18 +46,18 @@ class SeriesWords:
     rounding: float
 
     def numbers(self) -> Array:
-        """Return the numbers that the words stand for, `[row, number, wavelength]`."""
+        """Return the decoded numbers, `[row, number, wavelength]`."""
         return _decoded(self.words, self.units, self.fields)
 
 
-def encode(rows: NDArray, packets: int | None = None) -> SeriesWords:
-    """Put series `[row, number, wavelength]` into two words a packet where these are exact enough, else into four."""
+def encode(rows: NDArray, packets: int | None = None) -> EncodedSeries:
+    """Encode series `[row, number, wavelength]` with two words per packet if precise enough, else with four."""
     packets = -(-rows.shape[1] // PACKET) if packets is None else packets
     made = _encoded(rows, packets, 2)
     return made if made.rounding <= ROUNDING else _encoded(rows, packets, 4)
 
 
-def _encoded(rows: NDArray, packets: int, words: int) -> SeriesWords:
+def _encoded(rows: NDArray, packets: int, words: int) -> EncodedSeries:
     count, kept, wavelengths = rows.shape
     full = np.zeros((count, packets * PACKET, wavelengths))
     full[:, :kept] = rows
@@ -88,7 +88,7 @@ def _encoded(rows: NDArray, packets: int, words: int) -> SeriesWords:
     error = _decoded(packed, np.array(units), fields) - wanted
     wrong, whole = (np.sqrt(np.sum(x**2, axis=(0, 1))) for x in (error, wanted))
     rounding = float(np.max(wrong / np.maximum(whole, 1e-30)))
-    return SeriesWords(packed, np.array(units) * largest, fields, rounding)
+    return EncodedSeries(packed, np.array(units) * largest, fields, rounding)
 
 
 def _decoded(words: NDArray[np.uint32], units: Array, fields: list[tuple[int, int, int]]) -> Array:
@@ -101,29 +101,29 @@ def _decoded(words: NDArray[np.uint32], units: Array, fields: list[tuple[int, in
 
 
 def _rung(sizes: Array) -> Array:
-    """Return sizes, rounded up to the next of a ladder: so they are still the same once their numbers are rounded."""
+    """Return sizes rounded up to a geometric ladder, which makes them stable under rounding of the numbers."""
     rungs = 2.0 ** (np.ceil(RUNGS * np.log2(np.maximum(sizes, 1e-30)) - 1e-6) / RUNGS)
     return np.where(sizes > DARKEST_SIZE, rungs, 0.0)
 
 
 def _top(bits: int) -> float:
-    """The largest whole number of a field."""
+    """Return a field's largest integer."""
     return 2.0 ** (bits - 1) - 1.0
 
 
 def _shared_bits(sizes: Array, room: int) -> list[int]:
-    """Return bits for numbers of these sizes in one word, one more for each factor of two."""
+    """Return the bit counts of numbers in one word: one more bit for each factor of two in size."""
     wish = np.log2(np.maximum(sizes, 1e-9))
     bits = np.full(len(sizes), LEAST_BITS)
     for _ in range(room - LEAST_BITS * len(sizes)):
-        bits[int(np.argmax(wish - bits))] += 1  # to the one that rounds coarsest
+        bits[int(np.argmax(wish - bits))] += 1  # to the coarsest field
     return [int(b) for b in bits]
 
 
 def _write(word: NDArray[np.uint32], wanted: Array, low: int, bits: int) -> None:
-    """Put a field above those that a word holds already, so that it and they together come nearest to `wanted`.
+    """Add a field above the existing ones in a word; the field and the bits below together approximate `wanted`.
 
-    Together they stay within the field's largest number, so that what was rounded is not larger than before.
+    The sum is limited to the field's largest integer: rounding never increases the size.
     """
     below = word.astype(np.float64) / 2.0**low if low else np.zeros(word.shape)
     top = _top(bits)

@@ -1,6 +1,6 @@
-"""Energy balance of a reciprocal BSDF: factors of the two directions that give every sum the value it should have.
+"""Energy-conserving scaling of a reciprocal BSDF by one factor for each direction.
 
-A symmetric Sinkhorn iteration (Sinkhorn, Ann. Math. Statist. 35, 876 (1964)): what it scales stays reciprocal.
+A symmetric Sinkhorn iteration (Sinkhorn, Ann. Math. Statist. 35, 876 (1964)), which preserves reciprocity.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ BALANCE_TOLERANCE = 1e-13
 BALANCE_STEPS = 500
 
 
-def balance(kernel: Array, target: Array, weights: Array) -> Array:
+def reciprocal_scaling(kernel: Array, target: Array, weights: Array) -> Array:
     """Find g > 0 with g_i sum_s w_s K[s, i] g_s = t_i: a symmetric Sinkhorn iteration.
 
     Args:
         kernel: `[direction, direction]`, symmetric, >= 0.
-        target: `[direction]`, >= 0; g is 0 where it is.
+        target: `[direction]`, >= 0; a zero target gives g = 0.
         weights: `[direction]`; directions of weight 0 follow from the others.
 
     Returns: g, `[direction]`.
@@ -34,12 +34,12 @@ def balance(kernel: Array, target: Array, weights: Array) -> Array:
     return np.asarray(target / np.maximum(weighted @ g, 1e-300))
 
 
-def balance_across(kernel: Array, up: Array, down: Array, w_up: Array, w_down: Array) -> tuple[Array, Array]:
-    """The same between two sides: g_u, g_d with g_u sum_d w K g_d = t_u for each direction above.
+def reciprocal_scaling_across(kernel: Array, up: Array, down: Array, w_up: Array, w_down: Array) -> tuple[Array, Array]:
+    """Find g_u, g_d between two sides with g_u sum_d w K g_d = t_u for each direction above.
 
     Args:
         kernel: `[below, above]`.
-        up, down: targets t_u, t_d; sum w t must be the same on both sides.
+        up, down: targets t_u, t_d, with equal sums of w t.
         w_up, w_down: weights.
     """
     g_up, g_down = np.ones(len(up)), np.ones(len(down))

@@ -1,7 +1,7 @@
-"""Which class is which kind of lobe: the only list of lobes.
+"""The registry of lobe classes.
 
-A new lobe joins with one line here and one in `nacre.device.bsdf`, or from another package by an entry point of
-the group `nacre.lobes`. No lobe and no Mitsuba plugin imports this file.
+A new lobe needs one line here and one in `nacre.device.bsdf`, or an entry point in the group `nacre.lobes` of another
+package. Lobes and Mitsuba plugins do not import this file.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from nacre.core.lazy import entry_points
 
 GROUP = "nacre.lobes"
 LOBES: dict[str, str] = {
-    # kind -> "module:class", imported when first needed
+    # kind -> "module:class", imported on first use
     "specular": "nacre.bsdf.lobes.specular:Specular",
     "microfacet": "nacre.bsdf.lobes.microfacet:Microfacet",
     "diffuse": "nacre.bsdf.lobes.diffuse:Diffuse",
@@ -28,19 +28,19 @@ LOBES: dict[str, str] = {
     "aligned-specular": "nacre.bsdf.lobes.specular:AlignedSpecular",
     "spectrum-map": "nacre.bsdf.lobes.spectrum_map:SpectrumMap",
     "layered": "nacre.bsdf.lobes.layered:Layered",
-    "flaked": "nacre.bsdf.lobes.platelet_layer:Flaked",
+    "platelet-layer": "nacre.bsdf.lobes.platelet_layer:PlateletLayer",
     "masked": "nacre.bsdf.lobes.masked:MaskedLobe",
 }
 
 
 @dataclass(frozen=True)
 class LobeEntry:
-    """What an entry point of `nacre.lobes` leads to; the entry point's name is the lobe's kind.
+    """The object behind an entry point in `nacre.lobes`, whose name is the lobe's kind.
 
     Attributes:
-        lobe: the class of its arrays.
+        lobe: the lobe class.
         twin: returns the `LobePlugin` class of its Mitsuba plugin; imports Mitsuba, so it is called late.
-        sample: returns a small lobe of this kind, for the tests that every lobe has to pass.
+        sample: returns a small lobe of this kind for the common lobe tests.
     """
 
     lobe: type[Lobe]
@@ -49,7 +49,7 @@ class LobeEntry:
 
 
 def lobe_kinds() -> tuple[str, ...]:
-    """Return all kinds, those of other packages last."""
+    """Return all kinds, with other packages last."""
     return (*LOBES, *entry_points(GROUP, LOBES))
 
 
@@ -57,8 +57,8 @@ def lobe_class(kind: str) -> type[Lobe]:
     """Return the class of a lobe kind, importing its module.
 
     Raises:
-        KeyError: no such kind.
-        NacreError: two packages register a lobe of this kind, or one registers something else.
+        KeyError: unknown kind.
+        NacreError: two packages register this kind, or one registers an invalid object.
     """
     if kind in LOBES:
         module, name = LOBES[kind].split(":")
@@ -68,11 +68,11 @@ def lobe_class(kind: str) -> type[Lobe]:
 
 
 def outside_lobe(kind: str) -> LobeEntry:
-    """Return what another package says of its lobe.
+    """Return another package's entry for a lobe kind.
 
     Raises:
-        KeyError: no package registers this kind.
-        NacreError: its entry point cannot be loaded, or is no `LobeEntry`.
+        KeyError: unregistered kind.
+        NacreError: the entry point cannot be loaded, or is not a `LobeEntry`.
     """
     found = entry_points(GROUP, LOBES)[kind].load()
     if not isinstance(found, LobeEntry) or found.lobe.kind != kind:

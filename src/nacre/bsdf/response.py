@@ -1,8 +1,8 @@
-"""Reflectance and transmittance of an interface as smooth tables over angle, from both sides.
+"""Interface reflectance and transmittance as smooth tables over angle, from both sides.
 
-Both sides are tabulated over the cosine in the RARER medium, called outside: by the cosine in the denser one
-the square-root kink at the critical angle costs up to 655 %. Beyond the critical angle no real outside cosine
-exists; there `x = (2/pi) acos(cos_inside / cos_critical)` in [0, 1] takes over, smooth at both of its ends.
+Both sides are tabulated over the cosine in the RARER medium, called outside: over the cosine in the denser medium the
+square-root kink at the critical angle costs up to 655 %. Beyond the critical angle the coordinate is
+`x = (2/pi) acos(cos_inside / cos_critical)` in [0, 1], smooth at both ends.
 """
 
 from __future__ import annotations
@@ -18,31 +18,30 @@ from nacre.bsdf.grids import interpolate, take_uniform
 from nacre.bsdf.texture import ParameterAxis
 from nacre.core.arrays import Array
 
-ROUNDING = 1e-9  # of what a table of shares may fall below 0
+ROUNDING = 1e-9  # largest rounding below 0
 
 
 @dataclass(frozen=True)
 class InterfaceResponse:
     """Power tables of one interface; leading axes are the parameter axes, if any.
 
-    All axes have uniform nodes that include both ends, and are interpolated linearly.
+    All axes have uniform nodes including both ends, with linear interpolation.
 
     Attributes:
         wavelengths_nm: `[wavelength]`, ascending.
         cos_outside: `[cos]`, ascending uniform nodes from 0 to 1.
         reflectance: `[*params, cos, wavelength]`, light from outside, unpolarised power.
-        transmittance: same shape, power to the other side (the same from either side at conjugate angles);
+        transmittance: same shape, power to the other side (equal from either side at conjugate angles);
             zeros for an opaque interface.
-        reflectance_inside: same shape, light from inside at the conjugate angle; zeros if nothing comes from there.
+        reflectance_inside: same shape, light from inside at the conjugate angle; zeros for an opaque interface.
         total: `[*params, x, wavelength]`, reflectance from inside beyond the critical angle, uniform nodes of
-            `x = (2/pi) acos(cos_inside / cos_critical)` from 0 (critical) to 1 (grazing); its `x` axis is empty
-            where eta = 1.
-        eta: n_inside/n_outside >= 1, one number for the refraction of all wavelengths (its dispersion is left
-            out: it would split rays); 1 for a free film.
+            `x = (2/pi) acos(cos_inside / cos_critical)` from 0 (critical) to 1 (grazing); empty `x` axis for eta = 1.
+        eta: n_inside/n_outside >= 1, one number for the refraction of all wavelengths (dispersion would split
+            rays); 1 for a free film.
         transmits: whether light is transmitted to the other side.
-        flipped: False: outside is the side of +z (the ambient); True: the ambient is the denser medium, so
-            outside is the side of -z. A user of the tables negates the z of all directions first if True.
-        parameters: the axes that textures drive, in the order of the leading axes.
+        flipped: False: outside is on the +z side (the ambient); True: the ambient is the denser medium and outside
+            is on the -z side. Users of the tables then negate the z of all directions first.
+        parameters: the texture-driven axes, in the order of the leading axes.
     """
 
     wavelengths_nm: Array
@@ -66,10 +65,10 @@ class InterfaceResponse:
     }
 
     def check(self) -> None:
-        """Check that the tables fit together.
+        """Check that the tables are consistent.
 
         Raises:
-            ValueError: saying which table does not fit.
+            ValueError: names the inconsistent table.
         """
         check_wavelengths(self.wavelengths_nm)
         leading = check_parameters(self.parameters)
@@ -91,7 +90,7 @@ class InterfaceResponse:
 
     @property
     def size(self) -> int:
-        """The number of wavelengths."""
+        """Number of wavelengths."""
         return len(self.wavelengths_nm)
 
     @property
@@ -107,9 +106,9 @@ class InterfaceResponse:
         """Interpolate reflectance and transmittance for light at `cos` (> 0) in its own medium.
 
         Args:
-            cos: `[...]` cosine between the light and the (micro-)normal, in the medium where the light is.
-            inside: `[...]` whether that is the inside.
-            uv: `[..., 2]`, needed only where a texture drives a parameter.
+            cos: `[...]` cosine between the light and the (micro-)normal, in the light's medium.
+            inside: `[...]` whether that medium is the inside.
+            uv: `[..., 2]`, only for texture-driven parameters.
 
         Returns:
             `(R, T)`, each `[..., wavelength]`.
@@ -118,7 +117,7 @@ class InterfaceResponse:
         return self.lookup_at(cos, inside, parameter_coordinates(self.parameters, uv, shape))
 
     def lookup_at(self, cos: Array, inside: NDArray[np.bool_], coords: tuple[Array, ...]) -> tuple[Array, Array]:
-        """Return what `lookup` does, at node coordinates of the leading axes, each of the shape of `cos`."""
+        """As `lookup`, at node coordinates of the leading axes, each with the shape of `cos`."""
         cos, inside = np.broadcast_arrays(np.clip(np.abs(cos), 0.0, 1.0), inside)
         outer = np.where(inside, self.outside_cosine(cos), cos)
         at = (*coords, outer * (len(self.cos_outside) - 1))
@@ -160,7 +159,7 @@ def check_wavelengths(wavelengths_nm: Array) -> None:
     """Check a wavelength grid: one axis, positive, ascending.
 
     Raises:
-        ValueError: if it is not.
+        ValueError: an invalid grid.
     """
     if wavelengths_nm.ndim != 1 or not len(wavelengths_nm) or wavelengths_nm[0] <= 0:
         raise ValueError("wavelengths_nm must be a list of positive wavelengths")
@@ -172,7 +171,7 @@ def check_parameters(parameters: tuple[ParameterAxis, ...]) -> tuple[int, ...]:
     """Check the parameter axes and return their lengths.
 
     Raises:
-        ValueError: there are more than two, or the nodes of one do not ascend.
+        ValueError: more than two axes, or nodes that do not ascend.
     """
     if len(parameters) > 2:
         raise ValueError("at most two numbers may vary over the surface")
@@ -185,9 +184,9 @@ def check_parameters(parameters: tuple[ParameterAxis, ...]) -> tuple[int, ...]:
 def parameter_coordinates(
     parameters: tuple[ParameterAxis, ...], uv: Array | None, shape: tuple[int, ...]
 ) -> tuple[Array, ...]:
-    """Return, for each parameter, the node coordinate (0 at the first value) at `uv`, broadcast to `shape`.
+    """Return each parameter's node coordinate (0 at the first value) at `uv`, broadcast to `shape`.
 
-    Without `uv` the texture is read at the middle of the surface, (0.5, 0.5).
+    The default `uv` is the middle of the surface, (0.5, 0.5).
     """
     if not parameters:
         return ()

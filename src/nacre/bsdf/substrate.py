@@ -1,11 +1,12 @@
-"""Strata on strata: the walks of two materials, of whatever families, as one.
+"""The substrate below strata, and strata of one material on strata of another.
 
-Depths are counted in units of each stratum and indices in those of the ambient, so lists are put one below the other;
-tables that the two hold on different nodes are carried over to the finer ones.
+Depths are in units of each stratum and indices are relative to the ambient, so strata are concatenated; tables on
+different nodes are resampled to the finer nodes.
 """
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,18 +25,26 @@ from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.stack.solve import powers
 
 
+class Strata(abc.ABC):
+    """A material solved by random walks in strata, on which strata of any family can lie."""
+
+    @abc.abstractmethod
+    def strata_at(self, wavelengths_nm: Array) -> Layered:
+        """Return the strata and the base, also if the material's Bsdf has a noise-free form."""
+
+
 def join_strata(upper: Layered, lower: Layered) -> Layered:
-    """Lay strata on others: the face between is the lower ones' own upper face.
+    """Place strata on other strata; the interface between them is the lower strata's upper interface.
 
     Args:
-        upper: whatever lies below it is taken away.
-        lower: on the same wavelengths; with its base.
+        upper: its own substrate is discarded.
+        lower: on the same wavelengths, with its substrate.
 
     Raises:
-        UnsupportedError: the lower ones hold flakes that are seen one by one.
+        UnsupportedError: the lower strata have glints.
     """
     if lower.glint_numbers is not None:
-        raise UnsupportedError("has glints; only flakes of the uppermost stratum are seen one by one: leave them out")
+        raise UnsupportedError("has glints; only the uppermost stratum may have glints: leave them out")
     index = np.concatenate([upper.index, lower.index])
     alpha = np.concatenate([upper.alpha[:-1], lower.alpha])
     beckmann = np.concatenate([upper.is_beckmann[:-1], lower.is_beckmann])
@@ -67,7 +76,7 @@ def join_strata(upper: Layered, lower: Layered) -> Layered:
 
 
 def _faces(upper: Layered, lower: Layered, alpha: Array, beckmann: NDArray[np.int64]) -> list[Roughness]:
-    """Return the faces as they were asked for: a loss is known only of what is compensated."""
+    """Return the interfaces with their compensation flags; only compensated interfaces have a loss."""
     flags: list[bool] = []
     for lobe in (upper, lower):
         known = np.zeros(lobe.strata + 1, dtype=bool) if lobe.loss is None else np.any(lobe.loss > 0, axis=(1, 2))
@@ -79,7 +88,7 @@ def _faces(upper: Layered, lower: Layered, alpha: Array, beckmann: NDArray[np.in
 
 
 def _joined(first: Array, second: Array, axes: tuple[int, ...]) -> Array:
-    """Put tables of kinds one below the other, on the finer nodes of both."""
+    """Concatenate flake tables on the finer nodes of the two."""
     if not len(first) or not len(second):
         return second if not len(first) else first
     for axis in axes:
@@ -89,7 +98,7 @@ def _joined(first: Array, second: Array, axes: tuple[int, ...]) -> Array:
 
 
 def _resampled(table: Array, axis: int, count: int) -> Array:
-    """Carry an axis of uniform nodes over to more of them."""
+    """Resample an axis of uniform nodes to `count` nodes."""
     have = table.shape[axis]
     if have == count:
         return table
@@ -107,7 +116,7 @@ def _zeros_unless(lobe: Layered) -> Array:
 
 
 def _dye_tables(upper: Layered, lower: Layered) -> tuple[Array | None, Array | None]:
-    """Return phase functions and quantiles of all strata; isotropic ones, never used, where nothing scatters."""
+    """Return phase functions and quantiles for all strata; a stratum without scattering gets isotropic, unused ones."""
     known = [lobe for lobe in (upper, lower) if lobe.dye_phase is not None and lobe.dye_quantile is not None]
     if not known:
         return None, None
@@ -122,31 +131,29 @@ def _dye_tables(upper: Layered, lower: Layered) -> tuple[Array | None, Array | N
             quantiles.append(np.broadcast_to(flat, (lobe.strata, draws, count)))
             continue
         phase = _resampled(lobe.dye_phase, 1, nodes)
-        # as the walk reads it: linear between nodes, of integral one
+        # normalised as the random walk reads it: linear between nodes
         total = (phase.sum(axis=1) - 0.5 * (phase[:, 0] + phase[:, -1])) * 4 * np.pi / (nodes - 1)
         phases.append(phase / np.maximum(total, 1e-300)[:, None])
         quantiles.append(_resampled(lobe.dye_quantile, 1, draws))
     return np.concatenate(phases), np.concatenate(quantiles)
 
 
-# What lies below strata that are walked through: a diffuse or a specular ground, other lobes, or nothing.
-
 BASE_NODES = 129
 
 
 @dataclass(frozen=True)
-class Base:
-    """What lies below.
+class Substrate:
+    """The substrate below strata: diffuse, specular, lobes of another material, further strata, or open.
 
     Attributes:
         kind: "none", "diffuse", "specular", "lobes" or "strata".
-        albedo: of a diffuse base: a number, or (wavelengths_nm, albedo) of a coloured one.
-        metal: material of a specular base.
-        film: a solved opaque film as base: (wavelengths_nm, cos, reflectance[cos, wavelength]).
-        surface: roughness of a specular base, or of the lower interface of an open stack.
-        other: of "lobes", an opaque material of any family, built with the last resin as its ambient; of "strata", a
-            material whose own strata, and base, go on below these ones.
-        refuse: makes the error of an `other` that cannot be a base, from the reason.
+        albedo: for "diffuse": a number, or (wavelengths_nm, albedo).
+        metal: material for "specular".
+        film: a solved opaque film for "specular": (wavelengths_nm, cos, reflectance[cos, wavelength]).
+        surface: roughness of a specular substrate, or of the lower interface of an open stack.
+        other: for "lobes", an opaque material of any family, built with the last resin as its ambient; for "strata", a
+            material whose strata and substrate continue below.
+        refuse: converts the reason why `other` is unusable to an error.
     """
 
     kind: str = "diffuse"
@@ -159,11 +166,11 @@ class Base:
 
     @cached_property
     def default_lobes(self) -> tuple[Lobe, ...]:
-        """The other material's lobes on wavelengths of its own choice."""
+        """The other material's lobes on its own wavelengths."""
         return self.lobes(None)
 
     def known_in(self, grid: Array) -> Array:
-        """Return a grid of wavelengths with its ends set by another material that is known in less, as measured."""
+        """Return a wavelength grid clipped to the other material's range."""
         if self.other is None:
             return grid
         known = self.other.model.wavelengths_nm if self.kind == "strata" else self.default_lobes[0].wavelengths_nm
@@ -171,11 +178,11 @@ class Base:
         return np.concatenate([[low], grid[(grid > low + 1e-6) & (grid < high - 1e-6)], [high]])
 
     def reflectance(self, wavelengths_nm: Array, medium: Callable[[Array], ComplexArray]) -> Array:
-        """Return what a walk takes for `base_reflectance`, `[cos, wavelength]`: one row of a diffuse albedo, or R.
+        """Return `Layered.base_reflectance`, `[cos, wavelength]`: one row of a diffuse albedo, or R.
 
         Args:
             wavelengths_nm: ascending.
-            medium: index of what lies on the base, by the wavelength; its absorption does not count.
+            medium: index of the medium above as a function of wavelength; its absorption is ignored.
         """
         lam = wavelengths_nm
         if self.kind in ("none", "lobes", "strata"):
@@ -195,14 +202,14 @@ class Base:
 
     @property
     def walk_kind(self) -> str:
-        """What a walk is told of it: strata that go on are open until `continued` has laid them on."""
+        """The `Layered.base` value; strata count as open until `continued` adds them."""
         return "none" if self.kind == "strata" else self.kind
 
     def continued(self, strata: Layered) -> Layered:
-        """Return the strata with those of another material below them, if that is what the base is.
+        """Return the strata, followed by the other material's strata if the substrate is "strata".
 
         Raises:
-            NacreError: the other ones cannot go on below others.
+            NacreError: the other strata are unusable below these.
         """
         if self.kind != "strata":
             return strata
@@ -216,14 +223,14 @@ class Base:
         """Return the other material's lobes at given wavelengths.
 
         Raises:
-            NacreError: it transmits, or is a random walk itself.
+            NacreError: it transmits, or is itself a random walk.
         """
         if self.other is None or self.kind == "strata":
             return ()
         lobes: tuple[Lobe, ...] = self.other.bsdf(wavelengths_nm).lobes
         if any(is_strata(lobe) for lobe in lobes):
             raise self.refuse(
-                "holds a pearl or another walk; that cannot be a base: write its strata below these ones instead"
+                "contains a pearl or another walk, which cannot be a base: write its strata below these instead"
             )
         if any(lobe.transmits for lobe in lobes):
             raise self.refuse("lets light through; a base should be opaque, on a metal or with a base of its own")
@@ -231,6 +238,6 @@ class Base:
 
 
 def is_strata(lobe: Lobe) -> bool:
-    """Tell whether a lobe is one of strata (a pearl, a photonic glass), masked or not."""
+    """Whether a lobe, masked or not, consists of strata (a pearl, a photonic glass)."""
     inner = getattr(lobe, "inner", None)
-    return lobe.kind in ("layered", "flaked") or (inner is not None and is_strata(inner))
+    return lobe.kind in ("layered", "platelet-layer") or (inner is not None and is_strata(inner))

@@ -1,4 +1,4 @@
-"""The keys of a base below strata, and of the roughness of an interface."""
+"""Recipe keys of a base below strata, and of interface roughness."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pydantic
 
 from nacre.bsdf.facet_distributions import SMOOTH_BELOW, Roughness, check_widths
-from nacre.bsdf.substrate import Base
+from nacre.bsdf.substrate import Strata, Substrate
 from nacre.core.errors import RecipeError
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
@@ -39,12 +39,12 @@ Widths = Annotated[
 
 
 class AlbedoSpec(RecipeModel):
-    """A coloured base: a file of two columns, wavelength in nm and albedo."""
+    """A coloured base: a file with two columns, wavelength in nm and albedo."""
 
     forms: ClassVar[tuple[str, ...]] = ('{file = "albedo.csv"}',)
 
     file: str = pydantic.Field(
-        description="a file of two columns: wavelength in nm and albedo", examples=["albedo.csv"]
+        description="a file with two columns: wavelength in nm and albedo", examples=["albedo.csv"]
     )
 
 
@@ -52,8 +52,8 @@ def _albedo_may_name_a_recipe(schema: dict[str, Any]) -> None:
     schema["properties"]["albedo"]["anyOf"].append({"type": "object", "required": ["recipe"]})
 
 
-class BaseSpec(RecipeModel):
-    """What lies below: a diffuse albedo, a metal, another recipe of any family, or nothing."""
+class SubstrateSpec(RecipeModel):
+    """The base: a diffuse albedo, a metal, another recipe of any family, or an open lower side."""
 
     forms: ClassVar[tuple[str, ...]] = (
         "{albedo = 0.05}",
@@ -67,17 +67,17 @@ class BaseSpec(RecipeModel):
 
     albedo: Share | AlbedoSpec | None = pydantic.Field(
         default=None,
-        description="share of the light that a diffuse ground sends back, or a file of it over the wavelength",
+        description="albedo of a diffuse base, or a file with the albedo over wavelength",
         examples=[0.05, {"file": "albedo.csv"}],
     )
-    material: IndexSpec | None = pydantic.Field(default=None, description="a metal ground, in place of a diffuse one")
+    material: IndexSpec | None = pydantic.Field(default=None, description="a metal base instead of a diffuse one")
     recipe: str | dict[str, Any] | None = pydantic.Field(
         default=None,
-        description="another opaque recipe of any family as the ground, by its file or as a table; without an ambient "
-        "of its own it is built in the resin. Strata (pearl, glass) go on below these ones, with a base of their own",
+        description="another opaque recipe of any family as the base, by its file or as a table; without an ambient "
+        "of its own it is built in the resin. Its strata (pearl, glass) continue below these, with their own base",
         examples=["film.toml"],
     )
-    none: bool = pydantic.Field(default=False, description="nothing lies below: light passes", examples=[True])
+    none: bool = pydantic.Field(default=False, description="open lower side: light passes", examples=[True])
     roughness: Widths = pydantic.Field(
         default=0.0, description="alpha of the metal, or [alpha_x, alpha_y]; 0 is smooth", examples=[0.2, [0.05, 0.2]]
     )
@@ -86,41 +86,41 @@ class BaseSpec(RecipeModel):
     )
     compensate: bool = pydantic.Field(
         default=False,
-        description="give back the light that facets of the metal scatter among each other",
+        description="restore the light scattered between the metal's facets",
         examples=[True],
     )
 
     @pydantic.model_validator(mode="before")
     @classmethod
     def _accept_nested(cls, data: Any) -> Any:
-        # the recipe may be written as albedo = {recipe = "..."} too
+        # also accept albedo = {recipe = "..."}
         albedo = data.get("albedo") if isinstance(data, Mapping) else None
         if isinstance(albedo, Mapping) and "recipe" in albedo:
             data = {**{k: v for k, v in data.items() if k != "albedo"}, **albedo}
         return data
 
     @pydantic.model_validator(mode="after")
-    def _one_kind(self) -> BaseSpec:
+    def _one_kind(self) -> SubstrateSpec:
         given = [k for k in ("albedo", "material", "recipe") if getattr(self, k) is not None] + ["none"] * self.none
         if len(given) > 1:
-            raise ValueError(f"gives {' and '.join(given)}; keep one of albedo, material, recipe, none = true")
+            raise ValueError(f"gives {' and '.join(given)}; give one of albedo, material, recipe, none = true")
         if isinstance(self.recipe, Mapping) and "family" not in self.recipe:
             raise ValueError("recipe has no family; it should be a file's name, or a table with the keys of a recipe")
         if self.recipe is not None and self.roughness != 0.0:
-            raise ValueError("roughness of a base recipe stands in that recipe")
+            raise ValueError("roughness of a base recipe belongs in that recipe")
         return self
 
-    def build(self, context: RecipeContext, medium: OpticalConstant) -> Base:
-        """Return the base, which lies in a medium: the last resin, or what counts as one.
+    def build(self, context: RecipeContext, medium: OpticalConstant) -> Substrate:
+        """Return the substrate below a medium, the last resin.
 
         Raises:
-            RecipeError: the albedo file or the base's recipe cannot serve.
+            RecipeError: an unusable albedo file or base recipe.
         """
         surface = interface_roughness(self.roughness, self.distribution, self.compensate)
         if self.none:
-            return Base("none", surface=surface)
+            return Substrate("none", surface=surface)
         if self.material is not None:
-            return Base("specular", metal=self.material.build(context), surface=surface)
+            return Substrate("specular", metal=self.material.build(context), surface=surface)
         if self.recipe is not None:
             return _recipe_base(self.recipe, medium, context)
         if isinstance(self.albedo, AlbedoSpec):
@@ -128,12 +128,12 @@ class BaseSpec(RecipeModel):
             if not (np.all(np.diff(table[:, 0]) > 0) and np.all((table[:, 1] >= 0) & (table[:, 1] <= 1))):
                 rule = "must hold ascending nm and albedos in [0, 1]; head a column in per cent '%'"
                 raise context.fail("base.albedo.file", self.albedo.file, rule)
-            return Base("diffuse", (table[:, 0], table[:, 1]))
-        return Base("diffuse", 0.0 if self.albedo is None else self.albedo)
+            return Substrate("diffuse", (table[:, 0], table[:, 1]))
+        return Substrate("diffuse", 0.0 if self.albedo is None else self.albedo)
 
 
 def interface_roughness(roughness: float | tuple[float, ...], distribution: str, compensate: bool) -> Roughness:
-    """Return the roughness of an interface from one width or two; both are kept off zero if one is."""
+    """Return an interface's roughness from one or two widths; both are positive if one is."""
     widths = roughness if isinstance(roughness, tuple) else (roughness,)
     x, y = (0.0 if w < SMOOTH_BELOW else float(w) for w in (widths[0], widths[-1]))
     if (x == 0) != (y == 0):
@@ -142,24 +142,24 @@ def interface_roughness(roughness: float | tuple[float, ...], distribution: str,
 
 
 class Below(list[Any]):
-    """Strata that stand in one list below those of another family.
+    """Strata listed below strata of another family.
 
     Attributes:
-        first: the uppermost one's number among those of the recipe that the list stands in.
+        first: index of the uppermost one in the recipe's list.
     """
 
     first: int = 0
 
 
 def nested_strata(data: Any, family: str) -> Any:
-    """Rewrite a recipe in which strata of other families stand among its own: from the first on they are the base.
+    """Rewrite a recipe that lists strata of several families: from the first foreign stratum on they become the base.
 
     Args:
-        data: of the recipe.
-        family: of the recipe, and of every stratum that names none.
+        data: the recipe's data.
+        family: the recipe's family, and the default family of its strata.
 
     Raises:
-        ValueError: the uppermost stratum is of another family.
+        ValueError: the uppermost stratum belongs to another family.
     """
     strata = data.get("strata") if isinstance(data, Mapping) else None
     if not isinstance(strata, list | tuple) or not any(isinstance(s, Mapping) and "family" in s for s in strata):
@@ -172,7 +172,7 @@ def nested_strata(data: Any, family: str) -> Any:
     if other == 0:
         raise ValueError(
             f"strata[0].family = {show_value(families[0])} is not allowed; write that family at the top of the recipe, "
-            f'and family = "{family}" into the strata that are of this one'
+            f'and family = "{family}" into the strata of this family'
         )
     below = Below({**stratum, "family": name} for stratum, name in zip(plain[other:], families[other:], strict=True))
     below.first = other
@@ -181,13 +181,13 @@ def nested_strata(data: Any, family: str) -> Any:
 
 
 def _placed(message: str, table: Mapping[str, Any], first: int | None, source: str) -> str:
-    """Return a message of a recipe that stands in another one with the place that it has there.
+    """Return a nested recipe's error message with its position in the outer recipe.
 
     Args:
-        message: of the inner recipe, which counts its strata from 0.
+        message: the inner recipe's message, with strata counted from 0.
         table: the inner recipe.
-        first: the number of its uppermost stratum in the outer one's list; None: it is the base's own table.
-        source: the outer recipe's name, with which the message begins.
+        first: index of its uppermost stratum in the outer list; unset for a base table.
+        source: the outer recipe's name, the start of the message.
     """
     said = message.removeprefix(f"{source}: ")
     if first is None:
@@ -201,8 +201,8 @@ def _placed(message: str, table: Mapping[str, Any], first: int | None, source: s
     return f"{source}: {moved}"
 
 
-def _recipe_base(name: str | dict[str, Any], medium: OpticalConstant, context: RecipeContext) -> Base:
-    """Take another recipe as the base, built in the last medium: an even film as its reflectance, all else as lobes."""
+def _recipe_base(name: str | dict[str, Any], medium: OpticalConstant, context: RecipeContext) -> Substrate:
+    """Return another recipe as substrate in the last medium: a uniform film by its reflectance, others by lobes."""
     if context.load_recipe is None:
         raise context.fail("base.recipe", name, "cannot be loaded here; load the recipe from its file")
     strata = name.get("strata") if isinstance(name, dict) else None
@@ -213,24 +213,24 @@ def _recipe_base(name: str | dict[str, Any], medium: OpticalConstant, context: R
         if isinstance(name, str):
             raise
         raise RecipeError(_placed(str(error), name, number, context.source)) from None
-    if other.model.has_strata:
+    if isinstance(other.model, Strata):
         if number is not None:
-            return Base(
+            return Substrate(
                 "strata", other=other, refuse=lambda why: RecipeError(f"{context.source}: strata[{number}] {why}")
             )
-        return Base("strata", other=other, refuse=lambda why: context.fail("base.recipe", name, why))
-    if not other.model.takes_ambient:
-        raise context.fail("base.recipe", name, "is compiled, and does not tell in which medium; give its recipe")
-    base = Base("lobes", other=other, refuse=lambda why: context.fail("base.recipe", name, why))
-    if not other.model.is_quick:  # what may take seconds is solved when asked
+        return Substrate("strata", other=other, refuse=lambda why: context.fail("base.recipe", name, why))
+    if not other.model.traits.takes_ambient:
+        raise context.fail("base.recipe", name, "is compiled for an unknown medium; give its recipe")
+    base = Substrate("lobes", other=other, refuse=lambda why: context.fail("base.recipe", name, why))
+    if not other.model.traits.is_quick:  # slow models are solved on demand
         return base
     first: Any = base.default_lobes[0]
     if len(base.default_lobes) > 1 or first.kind not in ("specular", "microfacet") or first.varying:
         return base
     film = (first.wavelengths_nm, first.response.cos_outside, first.response.reflectance)
     if first.kind == "specular":
-        return Base("specular", film=film)
+        return Substrate("specular", film=film)
     is_plain = first.alpha_texture is None and first.rotation is None and first.loss is None
     if not is_plain or first.distribution not in ("ggx", "beckmann"):
         return base
-    return Base("specular", film=film, surface=Roughness(first.distribution, first.alpha_x, first.alpha_y))
+    return Substrate("specular", film=film, surface=Roughness(first.distribution, first.alpha_x, first.alpha_y))

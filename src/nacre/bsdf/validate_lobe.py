@@ -1,6 +1,6 @@
-"""Whether a lobe from a file can be what it says: its fields' types, its own check, and a trial of what it answers.
+"""Validate lobes loaded from a file: field types, invariants, and a trial evaluation.
 
-A file may be written by anybody. What it says wrongly is found when it is loaded, not in the middle of a picture.
+Invalid files are detected on loading, not during a rendering.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from nacre.bsdf.texture import at_the_middle
 
 TRIAL_COS = np.array([1.0, 0.7, 0.05])
 TRIAL_AZIMUTHS = (0.0, 2.0)
-LARGEST = 1e15  # no index, height in nm, density or BSDF is near it
-ROUNDING = 1e-6  # of the largest value: interpolation of a table may go below 0 by its rounding
+LARGEST = 1e15  # far above any index, height in nm, density or BSDF value
+ROUNDING = 1e-6  # relative undershoot below 0 that interpolation may cause
 
 
 def check_lobe(lobe: Lobe) -> None:
     """Check one lobe.
 
     Raises:
-        ValueError: saying what cannot be.
+        ValueError: names the invalid part.
     """
     check_fields(lobe)
     lobe.check()
     try:
         with np.errstate(all="ignore"):
             answers = list(_trial(at_the_middle(lobe)))
-    except Exception as error:  # whatever numpy makes of tables that do not fit
+    except Exception as error:  # inconsistent tables cause various numpy errors
         raise ValueError(f"its {lobe.kind} lobe cannot be evaluated: {type(error).__name__}") from None
     for answer in answers:
         if answer.shape[-1:] != (len(lobe.wavelengths_nm),):
@@ -43,7 +43,7 @@ def check_lobe(lobe: Lobe) -> None:
 
 
 def _trial(lobe: Lobe) -> typing.Iterator[Any]:
-    """Yield what the lobe answers at some directions; a random walk is left to the renderer."""
+    """Yield the lobe's values at some directions; random walks are left to the renderer."""
     sides = (1.0, -1.0) if lobe.transmits else (1.0,)
     yield from (part for side in sides for part in dataclasses.astuple(lobe.specular(side * TRIAL_COS)))
     if lobe.is_stochastic:
@@ -57,15 +57,15 @@ def _trial(lobe: Lobe) -> typing.Iterator[Any]:
 
 
 def check_fields(part: Any) -> None:
-    """Check that the fields of a lobe or of a part of one have the types that their class declares.
+    """Check the field types of a lobe, or of a part, against the class annotations.
 
     Raises:
-        ValueError: naming the field.
+        ValueError: names the field.
     """
     for name, declared in _declared(part.__class__).items():
         value = getattr(part, name)
         if isinstance(value, np.ndarray) and value.size and np.abs(value).max() > LARGEST:
-            raise ValueError(f"{name} of its {type(part).__name__} holds {np.abs(value).max():.3g}, which cannot be")
+            raise ValueError(f"{name} of its {type(part).__name__} has the value {np.abs(value).max():.3g}: too large")
         if not _fits(value, declared):
             raise ValueError(
                 f"{name} of its {type(part).__name__} is a {type(value).__name__}, which cannot stand there"
@@ -87,7 +87,7 @@ def _fits(value: Any, declared: Any) -> bool:
         return any(_fits(value, argument) for argument in arguments)
     if origin is np.ndarray:
         kind = np.dtype(typing.get_args(arguments[1])[0] if typing.get_args(arguments[1]) else arguments[1]).kind
-        # a table of bytes or of whole numbers serves as one of floats; text and complex numbers do not
+        # bytes and integers are accepted as floats; text and complex numbers are not
         return isinstance(value, np.ndarray) and value.dtype.kind in {"f": "fiub", "c": "cfiub"}.get(kind, "iub")
     if origin is tuple:
         return isinstance(value, tuple) and (

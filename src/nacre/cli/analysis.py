@@ -11,6 +11,7 @@ import numpy as np
 
 from nacre.cli import common
 from nacre.core.errors import NacreError
+from nacre.families.contract import method_overrides
 
 
 def _progress_bar(description: str) -> Any:
@@ -80,7 +81,7 @@ def report(
     from nacre.analysis.html_report import dump_json, report_html, report_text
     from nacre.analysis.report import make_report
     from nacre.core.files import check_writable, write_text
-    from nacre.core.parallel import watching
+    from nacre.core.parallel import on_progress
 
     if len(recipes) > 2:
         raise NacreError(f"report takes one recipe or two, not {len(recipes)}")
@@ -98,7 +99,7 @@ def report(
             def show(done: int, total: int, task: Any = task) -> None:
                 bar.update(task, completed=done, total=total, visible=True)
 
-            with watching(show):
+            with on_progress(show):
                 reports.append(make_report(material, illuminant, observer, samples, seed))
     if output:
         if output.endswith(".html"):
@@ -226,7 +227,7 @@ def fit(
         material, measured, numbers, starts=starts, weights=weights, samples=samples, seed=seed,
         progress=lambda what, best: common.note(f"{what}: relative rms {best:.4g}"),
     )  # fmt: skip
-    changes = {**{n.path: n.value for n in result.numbers}, **result.material.model.spared_changes}
+    changes = {**{n.path: n.value for n in result.numbers}, **method_overrides(result.material.model)}
     write_text(path, edit_toml(material.with_parts_loaded(changes).text, changes, recipe))
     if residual:
         with atomic_path(residual) as temporary, open(temporary, "wb") as file:

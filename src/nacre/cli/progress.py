@@ -55,7 +55,7 @@ def _report() -> None:
         nonlocal said
         now = time.monotonic()
         if done == total:
-            parallel.unwatch(tell)
+            parallel.remove_progress_listener(tell)
             say(f"{total} of {total} patterns, after {duration(now - begun)}")
         elif now - said >= PACE_S:
             said = now
@@ -66,7 +66,7 @@ def _report() -> None:
                 left = f"about {duration(free)} left on free cores, {duration(by_clock)} as busy as it is"
             say(f"{done} of {total} patterns, {left}")
 
-    parallel.watch(tell)
+    parallel.add_progress_listener(tell)
 
 
 def _follow() -> None:
@@ -76,6 +76,6 @@ def _follow() -> None:
     def tell(done: int, total: int) -> None:
         click.echo(f"\r{one_line(f'{done} of {total} patterns')} ", nl=done == total, err=True)
         if done == total:
-            parallel.unwatch(tell)
+            parallel.remove_progress_listener(tell)
 
-    parallel.watch(tell)
+    parallel.add_progress_listener(tell)

@@ -1,7 +1,7 @@
-"""Compile with numba, with a disk cache where a folder for it can be written and without one elsewhere.
+"""Numba compilation on the first call, with numba's disk cache if its folder is writable.
 
-Numba takes a third of a second to import, which a picture of a material that is known already does not need. So a
-function is handed to it at its first call.
+Importing numba takes a third of a second, which many commands do not need. `compiled` therefore wraps a function and
+passes it to numba on the first call.
 """
 
 from __future__ import annotations
@@ -17,14 +17,21 @@ from typing import Any, TypeVar
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _lock = threading.RLock()
+_compile_listeners: list[Callable[[float], None]] = []
+_seconds_compiled = 0.0
 
 
-class Deferred:
-    """A function that numba gets at its first call, together with those of its kind that it calls by name.
+def compiled(**options: Any) -> Callable[[Function], Any]:
+    """Decorate a function with `numba.njit(cache=True, **options)` on its first call."""
+    return lambda function: LazyKernel(function, options)
+
+
+class LazyKernel:
+    """A function that numba compiles on its first call, together with the lazy kernels that it calls.
 
     Attributes:
-        function: as written.
-        options: of `numba.njit`.
+        function: the Python function.
+        options: arguments of `numba.njit`.
     """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
@@ -36,87 +43,73 @@ class Deferred:
         return (self._dispatcher or self.dispatcher())(*args, **kwargs)
 
     def __getattr__(self, name: str) -> Any:
-        # what a dispatcher of numba has besides: `py_func`, `signatures`, ...
+        # the attributes of numba's dispatcher: `py_func`, `signatures`, ...
         if name.startswith("__"):
             raise AttributeError(name)
         return getattr(self.dispatcher(), name)
 
     def dispatcher(self) -> Any:
-        """Return numba's own object, made at the first call.
+        """Return numba's dispatcher, created on the first call.
 
-        Numba looks up what a function calls in the function's module: there the objects take our place.
+        Numba resolves called functions in the module's globals; dispatchers replace the lazy kernels there.
         """
         with _lock:
             if self._dispatcher is None:
-                self._dispatcher = _jitted(self.function, self.options)
-                names = self.function.__globals__
-                for name in {self.function.__name__, *_names(self.function.__code__)}:
-                    if isinstance(names.get(name), Deferred):
-                        names[name] = names[name].dispatcher()
+                self._dispatcher = _dispatcher(self.function, self.options)
+                variables = self.function.__globals__
+                for name in {self.function.__name__, *_global_names(self.function.__code__)}:
+                    if isinstance(variables.get(name), LazyKernel):
+                        variables[name] = variables[name].dispatcher()
             return self._dispatcher
 
 
 @contextlib.contextmanager
-def hearing(tell: Callable[[float], None]) -> Iterator[None]:
-    """Call `tell(seconds)` while numba compiles what no earlier run left in its cache, with the seconds so far.
-
-    For a line that says what a first run waits for; called from whichever thread compiles.
-    """
-    _ears.append(tell)
+def on_compile(listener: Callable[[float], None]) -> Iterator[None]:
+    """Call `listener(total_seconds)` after each numba compilation, from the compiling thread."""
+    _compile_listeners.append(listener)
     try:
         yield
     finally:
-        _ears.remove(tell)
+        _compile_listeners.remove(listener)
 
 
 def seconds_compiled() -> float:
-    """Return the seconds, by the clock, for which this process has compiled what no earlier run left in the cache."""
-    return _spent["seconds"]
-
-
-_ears: list[Callable[[float], None]] = []
-_spent = {"seconds": 0.0}
+    """Return the wall-clock seconds that this process has spent in numba compilation."""
+    return _seconds_compiled
 
 
 @functools.cache
-def _listen() -> None:
+def _register_listener() -> None:
     from numba.core import event
 
-    class Ear(event.Listener):
-        """Adds up the time of compiling; a function's includes that of those that it calls."""
+    class Timer(event.Listener):
+        """Adds up the compilation time; an outer compilation contains the nested ones."""
 
         def __init__(self) -> None:
-            self.depth, self.begun = 0, 0.0
+            self.depth, self.start_time = 0, 0.0
 
         def on_start(self, event: Any) -> None:
             if self.depth == 0:
-                self.begun = time.monotonic()
+                self.start_time = time.monotonic()
             self.depth += 1
 
         def on_end(self, event: Any) -> None:
+            global _seconds_compiled
             self.depth -= 1
-            spent = _spent["seconds"] + time.monotonic() - self.begun
+            total = _seconds_compiled + time.monotonic() - self.start_time
             if self.depth == 0:
-                _spent["seconds"] = spent
-            for tell in list(_ears):
-                tell(spent)
+                _seconds_compiled = total
+            for listener in list(_compile_listeners):
+                listener(total)
 
-    event.register("numba:compile", Ear())
-
-
-def compiled(**options: Any) -> Callable[[Function], Any]:
-    """Decorator: `numba.njit(cache=True, **options)` at the first call, falling back to no cache.
-
-    numba refuses to build a cached function when neither the module's folder nor the user's cache folder is
-    writable (a read-only install, a container without a home). Compiling anew is then slower, not wrong.
-    """
-    return lambda function: Deferred(function, options)
+    event.register("numba:compile", Timer())
 
 
-def _jitted(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+def _dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    """Return `numba.njit` of a function, without the cache if its folder is read-only (a container without a home)."""
     import numba
 
-    _listen()
+    _register_listener()
     try:
         return numba.njit(cache=True, **options)(function)
     except RuntimeError as error:
@@ -125,9 +118,9 @@ def _jitted(function: Callable[..., Any], options: dict[str, Any]) -> Any:
         return numba.njit(**options)(function)
 
 
-def _names(code: CodeType) -> Iterator[str]:
-    """Names that a function and those within it look up."""
+def _global_names(code: CodeType) -> Iterator[str]:
+    """Yield the global names that a function and its nested functions use."""
     yield from code.co_names
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
-            yield from _names(constant)
+            yield from _global_names(constant)

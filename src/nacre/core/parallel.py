@@ -1,4 +1,4 @@
-"""How many threads a computation may take, and how its work is shared among them."""
+"""Threads: their number, parallel loops, and the BLAS thread limit."""
 
 from __future__ import annotations
 
@@ -13,66 +13,68 @@ import numpy as np
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-SMALL_WORK = 500_000  # layers x points, some 4 ms, below which threads cost as much as they give
+SMALL_WORK = 500_000  # layers x points, about 4 ms; below, threads do not pay off
 
 
 def available_jobs() -> int:
-    """Threads to use when none are named: NUMBA_NUM_THREADS if set, else the cores this process may run on."""
-    wanted = os.environ.get("NUMBA_NUM_THREADS", "")
-    if wanted.isdigit() and int(wanted) > 0:
-        return int(wanted)
+    """Return the default thread count: NUMBA_NUM_THREADS if set, else the cores available to this process."""
+    given = os.environ.get("NUMBA_NUM_THREADS", "")
+    if given.isdigit() and int(given) > 0:
+        return int(given)
     try:
         return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on this system
+    except AttributeError:  # unavailable on this system
         return os.cpu_count() or 1
 
 
 def in_threads(work: Callable[[Item], Result], items: Iterable[Item], jobs: int | None = None) -> list[Result]:
-    """Return `work` of every item, in their order, from threads that each keep linear algebra to themselves.
+    """Return `work(item)` for all items, in order, computed in threads with single-threaded BLAS.
 
     Args:
-        work: must let go of the interpreter's lock for most of its time.
-        jobs: threads; as many as this process may use by default.
+        work: releases the interpreter lock for most of its time.
+        jobs: threads; default: `available_jobs()`.
     """
     every = list(items)
-    with one_thread_each(), ThreadPoolExecutor(jobs or available_jobs()) as pool:
-        found = []
+    with single_threaded_blas(), ThreadPoolExecutor(jobs or available_jobs()) as pool:
+        results = []
         for result in pool.map(work, every):
-            found.append(result)
-            for tell in list(_watchers):
-                tell(len(found), len(every))
-    return found
+            results.append(result)
+            for listener in list(_progress_listeners):
+                listener(len(results), len(every))
+    return results
 
 
-_watchers: list[Callable[[int, int], None]] = []
+_progress_listeners: list[Callable[[int, int], None]] = []
 
 
 @contextlib.contextmanager
-def watching(tell: Callable[[int, int], None]) -> Iterator[None]:
-    """Call `tell(done, all)` as the items of `in_threads` come back, whoever asked for them: for a progress bar."""
-    watch(tell)
+def on_progress(listener: Callable[[int, int], None]) -> Iterator[None]:
+    """Call `listener(done, total)` after each item of any `in_threads` call, for a progress bar."""
+    add_progress_listener(listener)
     try:
         yield
     finally:
-        unwatch(tell)
+        remove_progress_listener(listener)
 
 
-def watch(tell: Callable[[int, int], None]) -> None:
-    """Call `tell(done, all)` from now on, until `unwatch`."""
-    _watchers.append(tell)
+def add_progress_listener(listener: Callable[[int, int], None]) -> None:
+    """Call `listener(done, total)` after each item until `remove_progress_listener`."""
+    _progress_listeners.append(listener)
 
 
-def unwatch(tell: Callable[[int, int], None]) -> None:
-    """Call it no more."""
-    if tell in _watchers:
-        _watchers.remove(tell)
+def remove_progress_listener(listener: Callable[[int, int], None]) -> None:
+    """Remove a listener, if it is registered."""
+    if listener in _progress_listeners:
+        _progress_listeners.remove(listener)
 
 
-def share(task: Callable[[int, int, int, int], None], batch: int, angles: int, work: int, jobs: int | None) -> None:
-    """Run `task(start, stop, angle_start, angle_stop)` over batch and angles, in threads where it pays.
+def parallel_for(
+    task: Callable[[int, int, int, int], None], batch: int, angles: int, work: int, jobs: int | None
+) -> None:
+    """Run `task(start, stop, angle_start, angle_stop)` over batch and angles, in threads if the work is large.
 
-    The kernels release the interpreter lock; plain threads need none of numba's own parallel back ends, two of
-    which must not be entered from two threads at once.
+    The kernels release the interpreter lock. Plain threads avoid numba's parallel back ends, two of which are not
+    thread-safe.
     """
     if batch == 0 or angles == 0:
         return
@@ -85,7 +87,7 @@ def share(task: Callable[[int, int, int, int], None], batch: int, angles: int, w
     if workers == 1:
         task(0, batch, 0, angles)
         return
-    pieces = min(length, 4 * workers)  # more pieces than workers: a slow core does not hold up the rest
+    pieces = min(length, 4 * workers)  # more pieces than workers, to balance the load
     edges = np.linspace(0, length, pieces + 1).astype(int)
     with ThreadPoolExecutor(workers) as pool:
         futures = [
@@ -101,17 +103,14 @@ _blas: dict[str, Any] = {"users": 0, "limit": None}
 
 
 @contextlib.contextmanager
-def one_thread_each() -> Iterator[None]:
-    """Keep linear algebra to one thread while several threads share the cores, or its products are small.
+def single_threaded_blas() -> Iterator[None]:
+    """Limit BLAS to one thread, for parallel threads or small products.
 
-    OpenBLAS's own threads wait for each other by spinning: small products from two threads cost three times their
-    work. The limit holds for the whole process, so it is set by the first who asks and lifted by the last.
+    OpenBLAS threads wait by spinning: small products from two threads cost three times their work. The limit is
+    process-wide; the first user sets it and the last one lifts it.
     """
-    try:
-        from threadpoolctl import threadpool_limits
-    except ImportError:  # only speed is lost
-        yield
-        return
+    from threadpoolctl import threadpool_limits
+
     with _blas_lock:
         if _blas["users"] == 0:
             _blas["limit"] = threadpool_limits(limits=1, user_api="blas")

@@ -15,7 +15,7 @@ from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.texture import Texture
 from nacre.bsdf.texture_spec import NumberOrTexture, TextureSpec
 from nacre.core.arrays import Array
-from nacre.families.contract import Model
+from nacre.families.contract import EnergyDefect, Model, Traits, energy_defect
 from nacre.recipe.model import RecipeContext, RecipeModel
 
 
@@ -89,10 +89,10 @@ class BlendSpec(RecipeModel):
 
 
 @dataclass(frozen=True)
-class Blend(Model):
+class Blend(Model, EnergyDefect):
     """Two materials and the share of the first over the surface."""
 
-    noun = "blend"
+    traits = Traits(noun="blend")
 
     first: Any
     second: Any
@@ -136,10 +136,10 @@ class Blend(Model):
         mixed = {n: share * one.parts().get(n, zero) + (1 - share) * other.parts().get(n, zero) for n in names}
         return replace(one, **mixed)
 
-    def lost_at(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
+    def energy_defect(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
         """Return what both lose, weighed as their spectra are."""
         weights = (self._share, 1.0 - self._share)
-        parts = [part.model.lost_at(theta_rad, wavelengths_nm, seed) for part in (self.first, self.second)]
+        parts = [energy_defect(part.model, theta_rad, wavelengths_nm, seed) for part in (self.first, self.second)]
         known = [weight * lost for weight, lost in zip(weights, parts, strict=True) if lost is not None]
         return np.sum(known, axis=0) if known else None
 

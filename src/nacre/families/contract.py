@@ -1,15 +1,14 @@
-"""The interface of a family: the base class of every model that a recipe builds.
+"""The interface of a family: `Model`, which every recipe builds, and one small class for each optional capability.
 
-A family must compute its `bsdf`, and may give more: spectra of its own where integrating the Bsdf would lose
-something (polarisation, a closed form), arrays for figures that only it has, data for fabrication files. What it does
-not give has a default here, so no code elsewhere depends on the family of a model.
+A family computes a `bsdf`. It gives more by deriving from the classes below (`Surrogate`, `Strata`, `Fabricable`, ...);
+callers find them by `isinstance`, so that no code elsewhere depends on the family of a model.
 
                     light          viewer
-                  wi  \\        / wo            z: the normal, towards the light's side
+                  wi  \\        / wo            z: the normal, towards the light
                        \\      /
-      ambient           \\    /                 x, y: along the surface; u, v run along them
-      ==================================       interface 0, its upper face turned to the ambient
-      layer 0 / stratum 0 / particles          lists run from the light's side inward
+      ambient           \\    /                 x, y: along the surface, parallel to u and v
+      ==================================       interface 0, its upper face in contact with the ambient
+      layer 0 / stratum 0 / particles          lists are ordered from the light inward
       ==================================       interface 1
       layer 1 / stratum 1
       ==================================
@@ -22,6 +21,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -29,48 +29,56 @@ from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
-from nacre.bsdf.lobes.layered import Layered
+from nacre.bsdf.substrate import Strata
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError, did_you_mean
 from nacre.light import default_wavelengths
 from nacre.matter.drawings import Drawer
 
 Figure = Callable[..., dict[str, NDArray[Any]]]
-Writer = Callable[[Path, str], list[str]]  # (path, a comment for the file) -> in words what the file does not hold
+Writer = Callable[[Path, str], list[str]]  # (path, a comment for the file) -> in words, the losses of the format
+
+
+@dataclass(frozen=True)
+class Traits:
+    """Fixed facts about a family.
+
+    Attributes:
+        noun: name in messages, as in "a film".
+        unpolarised_reason: end of the message that refuses s and p if `Model.spectrum` returns None.
+        default_geometry: measurement geometry of its colour in targets and sweeps.
+        default_parts: parts of the spectrum that a sweep stores.
+        is_quick: `bsdf` takes milliseconds and may be called while a recipe is read.
+        takes_ambient: it can be built in the medium of another recipe.
+        bytes_per_wavelength: memory of a solution, from which too many wavelengths are refused.
+    """
+
+    noun: str = "material"
+    unpolarised_reason: str = "is known for unpolarised light only"
+    default_geometry: str = "specular 0"
+    default_parts: tuple[str, ...] = ("specular_reflectance", "diffuse_reflectance")
+    is_quick: bool = False
+    takes_ambient: bool = True
+    bytes_per_wavelength: int = 50_000
 
 
 class Model(abc.ABC):
-    """The frozen physics of one material.
+    """The frozen physical parameters of one material.
 
     Attributes:
-        noun: what a message calls it: "a film".
-        why_unpolarised: the end of the sentence that refuses s and p where `spectrum` is left to the Bsdf.
-        usual_parts: what a sweep stores of its spectrum unless told.
-        usual_look: the geometry at which its colour is asked for unless told, as a want's `at`.
-        is_quick: whether `bsdf` is solved in milliseconds, so that it may be asked for while a recipe is read.
-        is_direct: whether a few directions cost a small part of the `bsdf`, without noise: see `values_at`.
-        takes_ambient: whether it is built in the medium that another recipe puts it into.
-        has_strata: whether it is walked through, so that strata of any family may lie on it: see `strata_at`.
-        bytes_a_wavelength: memory that solving it takes, so that too many wavelengths are refused before.
+        traits: fixed facts about the family.
+        version: raised when the family's numbers change, which invalidates stored results.
     """
 
-    version: ClassVar[int] = 1  # raise when the numbers of this model change; part of every fingerprint
-    noun: ClassVar[str] = "material"
-    why_unpolarised: ClassVar[str] = "is known for unpolarised light only"
-    usual_parts: ClassVar[tuple[str, ...]] = ("specular_reflectance", "diffuse_reflectance")
-    usual_look: ClassVar[str] = "specular 0"
-    is_quick: ClassVar[bool] = False
-    is_direct: ClassVar[bool] = False
-    takes_ambient: ClassVar[bool] = True
-    has_strata: ClassVar[bool] = False
-    bytes_a_wavelength: ClassVar[int] = 50_000
+    traits: ClassVar[Traits] = Traits()
+    version: ClassVar[int] = 1
 
     @abc.abstractmethod
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
         """Solve the optics and return the lobes.
 
         Args:
-            wavelengths_nm: `[wavelength]`, ascending; None: the model's own choice.
+            wavelengths_nm: `[wavelength]`, ascending; default: `self.wavelengths_nm`.
 
         Raises:
             MaterialRangeError: an optical constant is not known at a wavelength.
@@ -78,151 +86,243 @@ class Model(abc.ABC):
 
     @property
     def wavelengths_nm(self) -> Array:
-        """The grid of the model's own choice, ascending."""
+        """Default wavelength grid, ascending."""
         return default_wavelengths()
 
     def spectrum(
         self, theta_rad: Array, wavelengths_nm: Array | None, polarisation: str, seed: int = 0
     ) -> Spectrum | None:
-        """Return reflectance and transmittance `[angle, wavelength]`, or None: then the Bsdf is integrated.
+        """Return reflectance and transmittance `[angle, wavelength]`; None: the Bsdf is integrated instead.
 
         Args:
             theta_rad: `[angle]` in the ambient, in [0, pi/2].
-            wavelengths_nm: `[wavelength]`, or None: the model's own choice.
+            wavelengths_nm: `[wavelength]`; default: `self.wavelengths_nm`.
             polarisation: "s", "p" or "both".
-            seed: of a random walk.
+            seed: of random walks.
 
         Raises:
-            UnsupportedError: a polarisation is asked of a part that has none.
+            UnsupportedError: the polarisation is not known for a part of the spectrum.
         """
         return None
-
-    def strata_at(self, wavelengths_nm: Array) -> Layered:
-        """Return the strata that it is walked through by, with its base, whatever form its `bsdf` has.
-
-        Raises:
-            UnsupportedError: it has none.
-        """
-        raise UnsupportedError(f"a {self.noun} is not made of strata that light walks through")
-
-    def lost_at(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
-        """Return the light that a recipe's way of counting loses, `[angle, wavelength]`; None: it loses none.
-
-        What is neither reflected nor transmitted, and absorbed by nothing: energy that the model's source does not
-        account for, where a recipe asks to count as the source does.
-        """
-        return None
-
-    def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
-        """Return what `bsdf` gives at a few pairs `[pair, 3]`, `[pair, wavelength]`, where that costs less than it.
-
-        None: it does not, and the Bsdf is solved. A family that overrides it scatters, and has no lobe that is random;
-        what its mirror-like lobes send into one direction alone is left out, as by `Bsdf.evaluate`.
-        """
-        return None
-
-    def among_many(self, memory: dict[Any, Any], is_rough: bool = False) -> Model:
-        """Return the model as one of the many near each other that a search tries.
-
-        What hardly changes between them is looked up in `memory`, or kept there for the next one; an answer is judged
-        by the model itself. A rough one may leave out what costs most, if it still ranks first draws.
-        """
-        return self
-
-    @property
-    def sketch(self) -> Model | None:
-        """The model without what costs most and changes its colours least, for drafts; None: it has no such form.
-
-        Nothing that is kept is made of it: what is told is a draft until the model itself has answered.
-        """
-        return None
-
-    def likeness_at(
-        self, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False
-    ) -> tuple[Array, Array] | None:
-        """Return what a random walk would give at a few pairs `[pair, 3]`, without its noise: known, and guessed.
-
-        For searches, which steer by it: cheap, and smooth in every number of the recipe. The value is about the sum of
-        the two, each `[pair, wavelength]`, 1/sr; the second is the part that a walk may correct. None: there is none.
-
-        Args:
-            wi, wo: `[pair, 3]`, above the surface.
-            wavelengths_nm: `[wavelength]`.
-            is_fine: the better guess of two where there are two, at some hundred times the time.
-        """
-        return None
-
-    @property
-    def likeness_error(self) -> float | None:
-        """The share of its fine guess by which `likeness_at` is off, as a standard deviation; None: not known."""
-        return None
-
-    def walked_at(
-        self, wi: Array, wo: Array, wavelengths_nm: Array, walks: int, seed: int
-    ) -> tuple[Array, Array] | None:
-        """Return the values that belong to `likeness_at` and their standard errors, by a quick walk to a few viewers.
-
-        None: there is none, and the Bsdf is walked.
-
-        Args:
-            wi, wo: `[pair, 3]`, above the surface.
-            wavelengths_nm: `[wavelength]`.
-            walks: for each light.
-            seed: another one gives independent noise.
-        """
-        return None
-
-    @property
-    def slow_way(self) -> str:
-        """The way that it takes by itself though it takes minutes, and how to name it; empty: there is none.
-
-        Work that solves it many times builds it without that way, see `RecipeContext.is_low_fidelity`, and says so.
-        """
-        return ""
-
-    @property
-    def spared_way(self) -> str:
-        """The way of minutes that a quick one stands in for because it is one of many; empty: nothing was spared."""
-        return ""
-
-    @property
-    def spared_changes(self) -> Mapping[str, Any]:
-        """Changes of the recipe, by path, that name the quick way where it stood in; an answer's file has them."""
-        return {}
-
-    @property
-    def unbounded_because(self) -> str:
-        """Why its spectra may sum to more than one: the data or the model chosen say so; empty: they never do."""
-        return ""
-
-    @property
-    def outside(self) -> str:
-        """Why its colours may be off, after the recipe's name: it lies where the model is not good; else empty."""
-        return ""
 
     @property
     def figures(self) -> Mapping[str, Figure]:
-        """The figures that only this family has: kind -> function of its options that returns arrays."""
+        """Figures of this family: name -> function of its options that returns arrays."""
         return {}
 
     @property
-    def fabrications(self) -> Mapping[str, Drawer]:
-        """The fabrication files: format -> function of a request that returns the drawing."""
-        return {}
+    def warnings(self) -> tuple[str, ...]:
+        """Limits of validity that this material exceeds, to be shown after the recipe's name."""
+        return ()
 
-    @property
-    def own_formats(self) -> Mapping[str, Writer]:
-        """The formats of other programs that hold what only this family has: format -> what writes the file."""
-        return {}
 
-    def figure_data(self, kind: str, **options: Any) -> dict[str, NDArray[Any]]:
-        """Return the arrays of one of `figures`.
+class EnergyDefect(abc.ABC):
+    """A material whose published model does not conserve energy."""
 
-        Raises:
-            UnsupportedError: there is no such figure.
+    @abc.abstractmethod
+    def energy_defect(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
+        """Return the share of light that is neither reflected, transmitted nor absorbed, `[angle, wavelength]`.
+
+        None: the recipe asks for the energy-conserving model, or the defect cannot be computed.
         """
-        figures = self.figures
-        if kind in figures:
-            return figures[kind](**options)
-        known = f"it has {', '.join(figures)}" if figures else "it has none of its own"
-        raise UnsupportedError(f'a {self.noun} has no figure of kind "{kind}".{did_you_mean(kind, figures)} ({known})')
+
+
+class ExcessEnergy(abc.ABC):
+    """A material whose spectra may sum to more than one."""
+
+    @property
+    @abc.abstractmethod
+    def excess_reason(self) -> str:
+        """Why its spectra may exceed one, or empty if they cannot."""
+
+
+class DirectEvaluation(abc.ABC):
+    """A material that can be evaluated at single pairs of directions without a whole Bsdf.
+
+    Attributes:
+        is_direct: a few directions take a small fraction of the time of `bsdf`, and searches evaluate only these.
+    """
+
+    is_direct: ClassVar[bool] = True
+
+    @abc.abstractmethod
+    def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
+        """Return the value of `bsdf` at pairs `[pair, 3]`, `[pair, wavelength]`, without delta lobes.
+
+        None: the pairs need the whole Bsdf.
+        """
+
+
+class Surrogate(abc.ABC):
+    """A material solved by random walks for which a smooth, noise-free approximation steers searches."""
+
+    @abc.abstractmethod
+    def surrogate_radiance(
+        self, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False
+    ) -> tuple[Array, Array] | None:
+        """Return the exact and the approximate part of the BRDF at pairs, each `[pair, wavelength]`, 1/sr.
+
+        Their sum approximates the Bsdf; a random walk may correct the second part. None: there is no surrogate for
+        these parameters.
+
+        Args:
+            wi, wo: `[pair, 3]`, above the surface.
+            wavelengths_nm: `[wavelength]`.
+            is_fine: use the more accurate of two approximations, at about a hundred times the cost.
+        """
+
+    @property
+    def surrogate_error(self) -> float | None:
+        """Relative standard error of the approximate part of the fine surrogate; None: unknown."""
+        return None
+
+    def estimate_radiance(
+        self, wi: Array, wo: Array, wavelengths_nm: Array, walks: int, seed: int
+    ) -> tuple[Array, Array] | None:
+        """Return a Monte Carlo estimate of the BRDF at pairs and its standard error; None: use the walk of the Bsdf.
+
+        Args:
+            wi, wo: `[pair, 3]`, above the surface.
+            wavelengths_nm: `[wavelength]`.
+            walks: for each direction of light.
+            seed: another seed gives independent noise.
+        """
+        return None
+
+
+class Draft(abc.ABC):
+    """A material with a cheaper form for drafts."""
+
+    @property
+    @abc.abstractmethod
+    def draft(self) -> Model:
+        """The model without its most expensive part; nothing that is stored is computed with it."""
+
+
+class SearchFidelity(abc.ABC):
+    """A material with a cheaper form for the candidates of a search."""
+
+    @abc.abstractmethod
+    def search_model(self, memory: dict[Any, Any], is_rough: bool = False) -> Model:
+        """Return the model for a search among similar candidates.
+
+        Args:
+            memory: shared by the candidates; caches quantities that hardly change between them.
+            is_rough: leave out the most expensive part where the ranking of first draws survives.
+        """
+
+
+class ExpensiveMethod(abc.ABC):
+    """A material that may choose a method of minutes, which searches replace by a quick one."""
+
+    @property
+    @abc.abstractmethod
+    def expensive_method(self) -> str:
+        """Name of the expensive method that this model would use, or empty."""
+
+    @property
+    @abc.abstractmethod
+    def replaced_method(self) -> str:
+        """Name of the expensive method that was replaced in this model, or empty."""
+
+    @property
+    @abc.abstractmethod
+    def method_overrides(self) -> Mapping[str, Any]:
+        """Recipe changes, by path, that select the replacement explicitly; solution files contain them."""
+
+
+class Fabricable(abc.ABC):
+    """A material that can be drawn for fabrication."""
+
+    @property
+    @abc.abstractmethod
+    def fabrications(self) -> Mapping[str, Drawer]:
+        """File formats: name -> function of a request that returns the drawing."""
+
+
+class OwnFormats(abc.ABC):
+    """A material with data that only its own formats of other programs hold."""
+
+    @property
+    @abc.abstractmethod
+    def own_formats(self) -> Mapping[str, Writer]:
+        """Formats: name -> function that writes the file."""
+
+
+def figure_data(model: Model, name: str, **options: Any) -> dict[str, NDArray[Any]]:
+    """Return the arrays of one of `model.figures`.
+
+    Raises:
+        UnsupportedError: the family has no such figure.
+    """
+    figures = model.figures
+    if name in figures:
+        return figures[name](**options)
+    known = f"it has {', '.join(figures)}" if figures else "it has none of its own"
+    hint = did_you_mean(name, figures)
+    raise UnsupportedError(f'a {model.traits.noun} has no figure of kind "{name}".{hint} ({known})')
+
+
+def is_direct(model: Model) -> bool:
+    """Whether a few directions take a small fraction of the time of the Bsdf, without noise."""
+    return isinstance(model, DirectEvaluation) and model.is_direct
+
+
+def values_at(model: Model, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
+    """Return `DirectEvaluation.values_at`, or None for a model without it."""
+    return model.values_at(wi, wo, wavelengths_nm) if isinstance(model, DirectEvaluation) else None
+
+
+def search_model(model: Model, memory: dict[Any, Any], is_rough: bool = False) -> Model:
+    """Return `SearchFidelity.search_model`, or the model itself if it has no cheaper form."""
+    return model.search_model(memory, is_rough) if isinstance(model, SearchFidelity) else model
+
+
+def surrogate_radiance(
+    model: Model, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False
+) -> tuple[Array, Array] | None:
+    """Return `Surrogate.surrogate_radiance`; None for a model without it or with exact direct evaluation."""
+    if not isinstance(model, Surrogate) or is_direct(model):
+        return None
+    return model.surrogate_radiance(wi, wo, wavelengths_nm, is_fine)
+
+
+def fabrications(model: Model) -> Mapping[str, Drawer]:
+    """Return `Fabricable.fabrications`, or none."""
+    return model.fabrications if isinstance(model, Fabricable) else {}
+
+
+def method_overrides(model: Model) -> Mapping[str, Any]:
+    """Return `ExpensiveMethod.method_overrides`, or none."""
+    return model.method_overrides if isinstance(model, ExpensiveMethod) else {}
+
+
+def energy_defect(model: Model, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
+    """Return `EnergyDefect.energy_defect`; None for a model that conserves energy."""
+    return model.energy_defect(theta_rad, wavelengths_nm, seed) if isinstance(model, EnergyDefect) else None
+
+
+__all__ = [
+    "DirectEvaluation",
+    "Draft",
+    "EnergyDefect",
+    "ExcessEnergy",
+    "ExpensiveMethod",
+    "Fabricable",
+    "Figure",
+    "Model",
+    "OwnFormats",
+    "SearchFidelity",
+    "Strata",
+    "Surrogate",
+    "Traits",
+    "Writer",
+    "energy_defect",
+    "fabrications",
+    "figure_data",
+    "is_direct",
+    "method_overrides",
+    "search_model",
+    "surrogate_radiance",
+    "values_at",
+]

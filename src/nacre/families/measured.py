@@ -14,7 +14,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.lobes.table import TableLobe
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
-from nacre.families.contract import Model
+from nacre.families.contract import ExcessEnergy, Model, Traits
 from nacre.recipe.model import RecipeContext, RecipeModel
 
 
@@ -45,12 +45,11 @@ class MeasuredSpec(RecipeModel):
 
 
 @dataclass(frozen=True)
-class Measured(Model):
+class Measured(Model, ExcessEnergy):
     """A measured material: its stored Bsdf, multiplied by a scale."""
 
-    noun = "measured material"
-    why_unpolarised = "was measured with unpolarised light"
-    unbounded_because = "so the file says"
+    traits = Traits(noun="measured material", unpolarised_reason="was measured with unpolarised light")
+    excess_reason = "so the file says"
 
     path: Path
     stored: Bsdf

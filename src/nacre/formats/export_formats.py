@@ -11,7 +11,7 @@ EXPORTS = {
     "exr": ".exr", "nacre": ".nacre", "lut": "-lut", "tmat": ".tmat.h5",
 }  # fmt: skip
 FOLDER = "lut"  # the one that is a folder of files
-OF_SOME = ("tmat",)  # that only models with such a format of their own can write (`Model.own_formats`)
+OF_SOME = ("tmat",)  # that only models with such a format of their own can write (`OwnFormats`)
 
 
 def said_of(facts: Mapping[str, Any]) -> list[str]:

@@ -132,12 +132,12 @@ def _write_layout(drawing: Layout, to: str, path: Path, facts: dict[str, Any]) -
         xy_um = (drawing.xy_um + offsets * drawing.period_um).reshape(-1, 2)
         radii = None
         if drawing.is_mixed:
-            radii = np.tile(np.array(drawing.radii_um)[drawing.kinds], columns * rows)
+            radii = np.tile(np.array(drawing.radii_um)[drawing.species], columns * rows)
         write_points_csv(path, xy_um, radii)
     else:
         if path.suffix.lower() != SUFFIXES[to]:
             raise UnsupportedError(f"{path}: --to {to} needs a name that ends in {SUFFIXES[to]}")
-        several = (drawing.radii_um, drawing.kinds) if drawing.is_mixed else None
+        several = (drawing.radii_um, drawing.species) if drawing.is_mixed else None
         write_layout(
             path, drawing.xy_um, drawing.radius_um, drawing.period_um, periods=drawing.periods, several=several
         )

@@ -1,8 +1,8 @@
 """Light: wavelengths, illuminants, and the conversion of spectra to colours.
 
 Colours are `[..., 3]` arrays. XYZ has Y = 1 for a perfect white under the illuminant; defaults are D65 and
-the CIE 1931 2 degree observer. sRGB outputs of other illuminants are adapted to sRGB's white by Bradford's
-transform unless asked otherwise, so a white sheet stays white under every illuminant.
+the CIE 1931 2 degree observer. By default sRGB outputs are adapted to sRGB's white by Bradford's transform, so a
+white sheet stays white under every illuminant.
 """
 
 from nacre.light.adaptation import (

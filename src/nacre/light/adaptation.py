@@ -1,4 +1,4 @@
-"""Chromatic adaptation: from a colour under one illuminant to the colour that looks alike under another."""
+"""Chromatic adaptation, colour inconstancy between illuminants, and metamerism."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ BRADFORD: Array = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367]
 
 
 def adaptation_matrix(white_from: ArrayLike, white_to: ArrayLike, method: Adaptation = "bradford") -> Array:
-    """Return the `[3, 3]` matrix that takes XYZ seen under one white to XYZ seen alike under another.
+    """Return the `[3, 3]` matrix from XYZ under one white to the corresponding XYZ under another.
 
-    Bradford's transform: each sharpened cone response is scaled by the ratio of the whites' responses; for a
-    complete adaptation. "none" is the identity.
+    Bradford's transform for complete adaptation: each sharpened cone response is scaled by the ratio of the whites'
+    responses. "none" is the identity.
 
     Raises:
-        NacreError: no such method.
+        NacreError: unknown method.
     """
     if method == "none":
         return np.eye(3)
@@ -54,12 +54,9 @@ def adapt_xyz(xyz: ArrayLike, white_from: ArrayLike, white_to: ArrayLike, method
     return np.asarray(xyz, dtype=float) @ adaptation_matrix(white_from, white_to, method).T
 
 
-# What a change of illuminant does to a colour: inconstancy between two illuminants, and metamerism.
-
-
 @dataclass(frozen=True)
 class IlluminantShift:
-    """How a colour changes from one light to another, for an observer adapted to each.
+    """Colour change between two lights, for an observer adapted to each.
 
     Attributes:
         lab_from, lab_to: `[..., 3]`, CIELAB under each light, both after adaptation to D65.
@@ -83,11 +80,11 @@ def illuminant_shift(
     illuminant_to: str | Illuminant = "A",
     observer: str = "2deg",
 ) -> IlluminantShift:
-    """Return the shift of the colour of reflectances `[..., wavelength]` when the light changes.
+    """Return the colour shift of reflectances `[..., wavelength]` when the light changes.
 
-    Both colours are adapted to D65 by Bradford's transform before they are compared in CIELAB, so that a grey
-    does not shift at all and what remains is the material's own inconstancy (as CIE 15's colour inconstancy
-    index compares corresponding colours; there with another adaptation).
+    Both colours are adapted to D65 by Bradford's transform and compared in CIELAB. A grey therefore does not shift,
+    and the result is the material's own inconstancy. CIE 15's colour inconstancy index also compares corresponding
+    colours, with another adaptation.
 
     Raises:
         NacreError: unusable wavelengths, unknown illuminant or observer.
@@ -116,10 +113,10 @@ def metamerism(
     illuminant_to: str | Illuminant = "A",
     observer: str = "2deg",
 ) -> Array:
-    """Return the special metamerism index: dE00 under the second light of two spectra that match under the first.
+    """Return the special metamerism index: dE00 under the second light for spectra that match under the first.
 
-    A residual mismatch under the first light is taken out by the multiplicative correction of CIE 15:2018,
-    9.2.2: the second spectrum's XYZ under the second light are scaled by the ratios of the XYZ under the first.
+    The multiplicative correction of CIE 15:2018, 9.2.2, removes a residual mismatch under the first light: the second
+    spectrum's XYZ under the second light are scaled by the ratios of the XYZ under the first.
 
     Raises:
         NacreError: unusable wavelengths, unknown illuminant or observer.

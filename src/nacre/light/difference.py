@@ -1,4 +1,4 @@
-"""Colour differences in CIELAB: the plain distance of 1976 and CIEDE2000."""
+"""Colour differences in CIELAB: the Euclidean distance (1976) and CIEDE2000."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from nacre.core.arrays import Array
 
 
 def delta_e_76(lab: ArrayLike, other: ArrayLike) -> Array:
-    """Return the Euclidean distance in CIELAB, `[...]` of two `[..., 3]` that broadcast (CIE 15:2018, 8.2.1)."""
+    """Return the Euclidean CIELAB distance `[...]` between two broadcast `[..., 3]` arrays (CIE 15:2018, 8.2.1)."""
     return np.linalg.norm(np.asarray(lab, dtype=float) - np.asarray(other, dtype=float), axis=-1)
 
 
 def delta_e_2000(lab: ArrayLike, other: ArrayLike) -> Array:
-    """Return CIEDE2000, `[...]` of two `[..., 3]` CIELAB colours that broadcast; all weights k are 1.
+    """Return CIEDE2000, `[...]`, between CIELAB colours `[..., 3]` that broadcast; all weights k are 1.
 
-    Source: ISO/CIE 11664-6, in the form of Sharma, Wu and Dalal 2005 (their rules for hues of greys and for
-    mean hues across 0 degrees). About 1 is just visible side by side; meant for differences below 5. It jumps
-    where the hues stand exactly 180 degrees apart: a fault of the formula, not of the code.
+    Source: ISO/CIE 11664-6, as formulated by Sharma, Wu and Dalal 2005 (including their rules for grey hues and for
+    mean hues across 0 degrees). A difference of 1 is just visible side by side; the formula is meant for differences
+    below 5. It is discontinuous at hues exactly 180 degrees apart, by definition.
 
     Example: (50, 2.6772, -79.7751) and (50, 0, -82.7485) differ by 2.0425.
     """

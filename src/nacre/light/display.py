@@ -1,4 +1,7 @@
-"""From spectra to what a display shows: linear and encoded sRGB of reflectances, white adapted."""
+"""Display colours: linear and encoded sRGB from spectra, white adaptation, and gamut mapping into sRGB.
+
+Gamut mapping preserves hue and lightness and lowers the chroma.
+"""
 
 from __future__ import annotations
 
@@ -33,12 +36,12 @@ def spectrum_to_rgb_matrix(
 ) -> Array:
     """Return `[wavelength, 3]` with `linear_srgb = values @ matrix`, unclipped.
 
-    The white balance of every sRGB output of nacre is here: an illuminant other than D65 (or the 10 degree
-    observer) is adapted to sRGB's white by Bradford's transform, so a perfect white is (1, 1, 1) under every
-    light, as for an observer adapted to it. `adaptation="none"` leaves the light's colour cast in.
-    D65 with the 2 degree observer is sRGB's own white and is never changed.
+    This function white-balances every sRGB output: an illuminant other than D65 (or the 10 degree observer) is adapted
+    to sRGB's white by Bradford's transform. A perfect white is therefore (1, 1, 1) under every light, as for an adapted
+    observer. `adaptation="none"` leaves the light's colour cast in. D65 with the 2 degree observer is sRGB's own white
+    and is never changed.
 
-    Example: each column of the matrix for "A" sums to 1; with `adaptation="none"` they sum to 1.85, 0.83, 0.23.
+    Example: each column for "A" sums to 1; with `adaptation="none"` the sums are 1.85, 0.83, 0.23.
     """
     weights = xyz_weights(wavelengths_nm, illuminant, observer)
     name = illuminant if isinstance(illuminant, str) else illuminant.name
@@ -55,7 +58,7 @@ def spectrum_to_rgb_linear(
     observer: str = "2deg",
     adaptation: Adaptation = "bradford",
 ) -> Array:
-    """Return linear sRGB `[..., 3]` of reflectances or transmittances, unclipped; see `spectrum_to_rgb_matrix`."""
+    """Return unclipped linear sRGB `[..., 3]` for reflectances or transmittances; see `spectrum_to_rgb_matrix`."""
     return weighted_sum(values, spectrum_to_rgb_matrix(wavelengths_nm, illuminant, observer, adaptation))
 
 
@@ -66,10 +69,10 @@ def spectrum_to_srgb(
     observer: str = "2deg",
     adaptation: Adaptation = "bradford",
 ) -> Array:
-    """Return the displayable, encoded sRGB `[..., 3]` in [0, 1] of reflectances or transmittances.
+    """Return displayable, encoded sRGB `[..., 3]` in [0, 1] for reflectances or transmittances.
 
-    Colours outside the gamut are clipped at constant hue and lightness; where their number matters, take
-    `clip_to_srgb(spectrum_to_rgb_linear(...))`, which reports it.
+    Colours outside the gamut are clipped at constant hue and lightness; `clip_to_srgb(spectrum_to_rgb_linear(...))`
+    also reports their number.
 
     Example: a constant 0.5 gives (0.735, 0.735, 0.735).
     """
@@ -79,32 +82,30 @@ def spectrum_to_srgb(
 
 
 def swatch_hex(xyz: ArrayLike, white: ArrayLike) -> str:
-    """Return the screen colour #rrggbb of a colour for an eye adapted to the light's white.
+    """Return the screen colour #rrggbb for an eye adapted to the light's white.
 
     Args:
-        xyz: `[3]`, Y = 1 for the white; what sRGB cannot show is clipped at constant hue.
-        white: `[3]`, XYZ of the light's white.
+        xyz: `[3]`, Y = 1 for the white; colours outside sRGB are clipped at constant hue.
+        white: `[3]`, the light's white XYZ.
 
-    Example: the white of any light is #ffffff.
+    Example: any light's white is #ffffff.
     """
     adapted = np.clip(adapt_xyz(np.clip(xyz, 0.0, None), white, SRGB_WHITE_XYZ), 0.0, None)
     return srgb_to_hex(srgb_encode(clip_to_srgb(xyz_to_srgb_linear(adapted)).rgb))
 
 
-# Gamut mapping into sRGB: hue and lightness stay, chroma is lowered.
-
-# Half an 8-bit step at the dark end, where the steps of linear light are finest: less than this outside the
-# gamut cannot be seen in a file and is rounding (of the sRGB matrix, of single precision), not a colour.
+# Half an 8-bit step at the dark end, the finest step of linear light: a smaller excess over the gamut is invisible
+# in a file and results from rounding (the sRGB matrix, single precision).
 CLIP_TOLERANCE = 0.5 / 255 / 12.92
-HALVINGS = 22  # chroma to 2.4e-7 of itself
-# of few colours numpy's calls cost more than its numbers: their range is cut in so many parts at once
+HALVINGS = 22  # relative chroma error 2.4e-7
+# For few colours numpy's call overhead dominates: their interval is then divided into `PARTS` at once.
 PARTS, FEW = 64, 64
-BLOCK = 1 << 14  # colours at a time: the temporaries stay in cache
+BLOCK = 1 << 14  # colours at a time; temporaries then fit the cache
 
 
 @dataclass(frozen=True)
 class Clipped:
-    """Displayable linear sRGB, and which colours had to move.
+    """Displayable linear sRGB, and a mask of the colours that were moved.
 
     Attributes:
         rgb: `[..., 3]`, linear, in [0, 1].
@@ -116,22 +117,22 @@ class Clipped:
 
     @property
     def count(self) -> int:
-        """The number of clipped colours (pixels of an image)."""
+        """Number of clipped colours (image pixels)."""
         return int(np.count_nonzero(self.is_clipped))
 
 
 def clip_to_srgb(rgb_linear: ArrayLike) -> Clipped:
     """Bring linear sRGB `[..., 3]` into [0, 1] at constant CIELAB hue and lightness, by lowering the chroma.
 
-    Along the line from the grey of the same L* the colour is taken back to where the line leaves the gamut (one
-    line in some thousand leaves it twice; then it is one of the two).
-    L* >= 100 (brighter than the display's white) has only white left, L* <= 0 only black. Colours within the
-    gamut are returned unchanged, to rounding. About 0.5 s for a million colours outside; most images have few.
+    The colour moves towards the grey with the same L*, up to the gamut boundary (one line in a few thousand crosses
+    the boundary twice; the result is then one crossing). L* >= 100 (brighter than the display's white) becomes white,
+    L* <= 0 black. Colours inside the gamut are returned unchanged, to rounding. A million colours outside take about
+    0.5 s; most images have few.
 
     Raises:
         NacreError: a value is not finite.
 
-    Example: (0, 1.1, -0.2) keeps its L* and hue and becomes (0.617, 0.896, 0.000).
+    Example: (0, 1.1, -0.2) becomes (0.617, 0.896, 0.000), with the same L* and hue.
     """
     rgb = np.array(rgb_linear, dtype=float)
     if rgb.ndim == 0 or rgb.shape[-1] != 3:
@@ -147,7 +148,7 @@ def clip_to_srgb(rgb_linear: ArrayLike) -> Clipped:
 
 
 def outside_srgb(rgb: Array) -> NDArray[np.bool_]:
-    """Return which linear sRGB colours `[..., 3]` lie outside [0, 1] and would be clipped: `[...]`.
+    """Return a mask `[...]`: linear sRGB colours `[..., 3]` outside [0, 1], which would be clipped.
 
     Raises:
         NacreError: a value is not finite.
@@ -160,7 +161,7 @@ def outside_srgb(rgb: Array) -> NDArray[np.bool_]:
 
 
 def _lower_chroma(rgb: Array) -> Array:
-    """Clip colours `[n, 3]` that are known to be outside."""
+    """Clip colours `[n, 3]` outside the gamut."""
     f = lab_f(rgb @ RGB_TO_XYZ.T / SRGB_WHITE_XYZ)
     fy = f[:, 1]
     grey = lab_f_inverse(fy)

@@ -1,7 +1,6 @@
 """Colour spaces: XYZ, xyY, CIELAB, LCh and sRGB, each `[..., 3]` to `[..., 3]`.
 
-XYZ has Y = 1 for a perfect white. L* runs from 0 to 100; hue angles are in degrees, as usual in
-colorimetry.
+XYZ has Y = 1 for a perfect white. L* runs from 0 to 100; hue angles are in degrees, as usual in colorimetry.
 """
 
 from __future__ import annotations
@@ -12,8 +11,8 @@ from numpy.typing import ArrayLike
 from nacre.core.arrays import Array
 from nacre.light.tristimulus import white_xyz
 
-# IEC 61966-2-1:1999, the four-digit matrix of the standard itself; its inverse is taken numerically, so that
-# going there and back changes nothing (the standard's own inverse is rounded as well, and does).
+# IEC 61966-2-1:1999, the standard's own four-digit matrix. Its inverse is computed numerically, which makes the
+# conversion reversible; the standard's own inverse is rounded.
 XYZ_TO_RGB: Array = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 RGB_TO_XYZ: Array = np.asarray(np.linalg.inv(XYZ_TO_RGB), dtype=np.float64)
 # The XYZ that the sRGB matrix takes to exactly (1, 1, 1); D65 to within the matrix' four digits.
@@ -37,14 +36,14 @@ def xyz_to_xyy(xyz: ArrayLike) -> Array:
 
 
 def xyy_to_xyz(xyy: ArrayLike) -> Array:
-    """Return XYZ of (x, y, Y); y = 0 is black."""
+    """Return XYZ from (x, y, Y); y = 0 is black."""
     x, y, luminance = np.moveaxis(np.asarray(xyy, dtype=float), -1, 0)
     scale = np.where(y == 0.0, 0.0, luminance / np.where(y == 0.0, 1.0, y))
     return np.stack([x * scale, np.where(y == 0.0, 0.0, luminance), (1.0 - x - y) * scale], axis=-1)
 
 
 def lab_f(ratio: Array) -> Array:
-    """Return CIELAB's compression of XYZ / white: a cube root with a straight foot."""
+    """Return CIELAB's compression of XYZ / white: a cube root with a linear part near 0."""
     return np.where(ratio > LAB_EPSILON, np.cbrt(ratio), (LAB_KAPPA * ratio + 16.0) / 116.0)
 
 
@@ -56,9 +55,9 @@ def lab_f_inverse(f: Array) -> Array:
 def xyz_to_lab(xyz: ArrayLike, white: ArrayLike | None = None) -> Array:
     """Return CIELAB (L*, a*, b*) of XYZ, relative to `white` `[3]` with Y = 1 (default: D65, 2 degrees).
 
-    Source: CIE 15:2018, 8.2.1. Give `white_xyz(illuminant, observer)` of the light the XYZ were made with.
+    Source: CIE 15:2018, 8.2.1. Pass `white_xyz(illuminant, observer)` for the light that the XYZ refer to.
 
-    Example: a grey of reflectance 0.184 has L* = 49.98.
+    Example: a grey with reflectance 0.184 has L* = 49.98.
     """
     f = lab_f(np.asarray(xyz, dtype=float) / _white(white))
     return np.stack(
@@ -67,7 +66,7 @@ def xyz_to_lab(xyz: ArrayLike, white: ArrayLike | None = None) -> Array:
 
 
 def lab_to_xyz(lab: ArrayLike, white: ArrayLike | None = None) -> Array:
-    """Return XYZ of CIELAB; the inverse of `xyz_to_lab`."""
+    """Return XYZ from CIELAB; the inverse of `xyz_to_lab`."""
     lightness, a, b = np.moveaxis(np.asarray(lab, dtype=float), -1, 0)
     fy = (lightness + 16.0) / 116.0
     return lab_f_inverse(np.stack([fy + a / 500.0, fy, fy - b / 200.0], axis=-1)) * _white(white)
@@ -80,21 +79,21 @@ def _white(white: ArrayLike | None) -> Array:
 
 
 def lab_to_lch(lab: ArrayLike) -> Array:
-    """Return (L*, C*, h in degrees, 0 <= h < 360) of CIELAB; the hue of a grey is 0."""
+    """Return (L*, C*, h in degrees, 0 <= h < 360) from CIELAB; the hue of a grey is 0."""
     lightness, a, b = np.moveaxis(np.asarray(lab, dtype=float), -1, 0)
     hue = np.degrees(np.arctan2(b, a)) % 360.0
     return np.stack([lightness, np.hypot(a, b), np.where(hue == 360.0, 0.0, hue)], axis=-1)
 
 
 def lch_to_lab(lch: ArrayLike) -> Array:
-    """Return CIELAB of (L*, C*, h in degrees)."""
+    """Return CIELAB from (L*, C*, h in degrees)."""
     lightness, chroma, hue_deg = np.moveaxis(np.asarray(lch, dtype=float), -1, 0)
     hue = np.radians(hue_deg)
     return np.stack([lightness, chroma * np.cos(hue), chroma * np.sin(hue)], axis=-1)
 
 
 def xyz_to_srgb_linear(xyz: ArrayLike) -> Array:
-    """Return linear sRGB, unclipped, of XYZ relative to D65 (2 degrees).
+    """Return unclipped linear sRGB from XYZ relative to D65 (2 degrees).
 
     Source: IEC 61966-2-1. XYZ made under another light must be adapted first: `adapt_xyz`.
     """
@@ -102,12 +101,12 @@ def xyz_to_srgb_linear(xyz: ArrayLike) -> Array:
 
 
 def srgb_linear_to_xyz(rgb_linear: ArrayLike) -> Array:
-    """Return XYZ of linear sRGB; the inverse of `xyz_to_srgb_linear`."""
+    """Return XYZ from linear sRGB; the inverse of `xyz_to_srgb_linear`."""
     return np.asarray(rgb_linear, dtype=float) @ RGB_TO_XYZ.T
 
 
 def srgb_encode(rgb_linear: ArrayLike) -> Array:
-    """Return encoded sRGB of linear values (IEC 61966-2-1); values below 0 continue on the straight foot.
+    """Return encoded sRGB from linear values (IEC 61966-2-1); values below 0 continue the linear part.
 
     Example: 0.5 gives 0.7354.
     """
@@ -116,12 +115,12 @@ def srgb_encode(rgb_linear: ArrayLike) -> Array:
 
 
 def srgb_decode(rgb: ArrayLike) -> Array:
-    """Return linear values of encoded sRGB; the inverse of `srgb_encode`."""
+    """Return linear values from encoded sRGB; the inverse of `srgb_encode`."""
     encoded = np.asarray(rgb, dtype=float)
     return np.where(encoded <= 12.92 * 0.0031308, encoded / 12.92, ((np.maximum(encoded, 0.0) + 0.055) / 1.055) ** 2.4)
 
 
 def srgb_to_hex(rgb: ArrayLike) -> str:
-    """Return '#rrggbb' of one encoded sRGB colour `[3]`; values outside [0, 1] are held at the ends."""
+    """Return '#rrggbb' for one encoded sRGB colour `[3]`; values are clamped to [0, 1]."""
     red, green, blue = (int(round(255 * min(max(float(c), 0.0), 1.0))) for c in np.asarray(rgb, dtype=float))
     return f"#{red:02x}{green:02x}{blue:02x}"

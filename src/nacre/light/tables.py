@@ -1,4 +1,4 @@
-"""Illuminants and observers: the 1 nm tables from which every colour of nacre is computed.
+"""Illuminants and observers: the 1 nm tables behind every colour computation.
 
 The tables ship with the package (`tools/make_light_tables.py` writes them from colour-science) and are read on
 first use.
@@ -26,8 +26,8 @@ class Illuminant:
 
     Attributes:
         wavelengths_nm: `[wavelength]`, ascending.
-        power: `[wavelength]`, relative power per nanometre, never negative; its scale cancels in every colour.
-        name: how outputs state it.
+        power: `[wavelength]`, relative power per nanometre, >= 0; its scale cancels in every colour.
+        name: label in outputs.
     """
 
     wavelengths_nm: Array
@@ -45,7 +45,7 @@ class Illuminant:
         if not (np.isfinite(wavelengths).all() and (np.diff(wavelengths) > 0).all()):
             raise NacreError(f"illuminant {self.name}: wavelengths_nm must ascend")
         if not (np.isfinite(power).all() and (power >= 0).all() and power.max() > 0):
-            raise NacreError(f"illuminant {self.name}: power must be finite, nowhere negative and somewhere positive")
+            raise NacreError(f"illuminant {self.name}: power must be finite, never negative and somewhere positive")
         object.__setattr__(self, "wavelengths_nm", wavelengths)
         object.__setattr__(self, "power", power)
 
@@ -53,7 +53,7 @@ class Illuminant:
         return iter((self.wavelengths_nm, self.power))
 
     def at(self, wavelengths_nm: Array) -> Array:
-        """Return the power at any wavelengths, linear between samples and held beyond the ends."""
+        """Return the power at any wavelengths: linear between samples, constant beyond the ends."""
         return np.interp(wavelengths_nm, self.wavelengths_nm, self.power)
 
 
@@ -80,10 +80,10 @@ def illuminant(name: str | Illuminant = "D65") -> Illuminant:
     """Return a standard illuminant on 360-830 nm in steps of 1 nm; an `Illuminant` passes through.
 
     Source: CIE 15:2018 (A, C, D50, D65, E, the fluorescent F2 and F11, the white LED-B3); interpolated to 1 nm
-    with Sprague's formula, the last published value held up to 830 nm.
+    with Sprague's formula, the last published value continued to 830 nm.
 
     Raises:
-        NacreError: no such illuminant.
+        NacreError: unknown illuminant.
 
     Example: `illuminant("D65").at(560.0)` is 100.
     """
@@ -105,7 +105,7 @@ def observer(name: str = "2deg") -> Array:
     Source: CIE 1931 standard observer ("2deg") and CIE 1964 standard observer ("10deg"), CIE 15:2018.
 
     Raises:
-        NacreError: no such observer.
+        NacreError: unknown observer.
 
     Example: the y column of "2deg" is 1.0 at 555 nm.
     """

@@ -1,8 +1,8 @@
-"""From spectra to tristimulus values, on any wavelength samples.
+"""Tristimulus values of spectra on any wavelength samples.
 
-A spectrum is taken as piecewise linear between its samples and constant beyond them, and integrated against
-the 1 nm tables. As that is linear in the samples, it is done once per grid: a weight per sample and
-tristimulus value, so a million spectra cost one matrix product. `smooth_weights` does the same of cubic splines.
+A spectrum is piecewise linear between its samples and constant beyond them, and is integrated against the 1 nm
+tables. The integral is linear in the samples, so it reduces to one weight for each sample and tristimulus value, and
+a million spectra cost one matrix product. `smooth_weights` does the same for cubic splines.
 """
 
 from __future__ import annotations
@@ -16,21 +16,20 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.light.tables import Illuminant, illuminant, observer, table_wavelengths_nm
 
-# Samples that end inside the visible say nothing about the rest; beyond 400-700 nm less than 1 % of any
-# tristimulus value of a white is left, so holding the end values there is no guess.
+# Beyond 400-700 nm less than 1 % of any tristimulus value of a white remains: constant continuation is safe there.
 NEEDED_RANGE_NM = (400.0, 700.0)
 GRID_TOLERANCE_NM = 1e-9
-MOST_NODES = 1000  # of a spline: more samples than that are fine enough for straight lines
+MOST_NODES = 1000  # spline nodes; denser samples are fine enough for linear interpolation
 FINE_STEP_NM = 1.0
 LINE_PROMINENCE = 1.2
-LINE_FLANK_NM = 3.0  # lamps are tabulated every 5 nm: a line is a triangle of that half width
+LINE_FLANK_NM = 3.0  # half width of a lamp line, a triangle in tables with a 5 nm step
 
 
 def check_wavelengths(wavelengths_nm: ArrayLike) -> Array:
-    """Return the wavelengths as an array, or say what is wrong with them.
+    """Return the wavelengths as a checked array.
 
     Raises:
-        NacreError: not an ascending list of finite, positive numbers that spans 400-700 nm.
+        NacreError: the wavelengths are not ascending, finite and positive, or do not span 400-700 nm.
     """
     wavelengths = np.asarray(wavelengths_nm, dtype=float)
     if wavelengths.ndim != 1 or len(wavelengths) < 2 or not np.isfinite(wavelengths).all():
@@ -46,16 +45,16 @@ def check_wavelengths(wavelengths_nm: ArrayLike) -> Array:
 
 
 def spans_colour(wavelengths_nm: ArrayLike) -> bool:
-    """Whether samples reach over 400-700 nm, so that a colour can be computed of them."""
+    """Whether samples span 400-700 nm, as a colour computation requires."""
     wavelengths = np.asarray(wavelengths_nm, dtype=float)
     return len(wavelengths) > 1 and wavelengths[0] <= NEEDED_RANGE_NM[0] and wavelengths[-1] >= NEEDED_RANGE_NM[1]
 
 
 def _quadrature(wavelengths: Array) -> tuple[Array, Array]:
-    """Return nodes and widths: the table's own 1 nm points, and the samples too where those are finer.
+    """Return quadrature nodes and widths: the table's own 1 nm points, and the samples too if they are finer.
 
-    Samples 1 nm apart or wider add no nodes, so the sum is the CIE's 1 nm summation exactly. Finer samples
-    (thick films) would be skipped by it; with their nodes added the trapezoid sees them all.
+    Samples 1 nm apart or wider add no nodes, so the sum equals the CIE's 1 nm summation. Finer samples (thick films)
+    become nodes of a trapezoidal rule.
     """
     table = table_wavelengths_nm()
     if np.diff(wavelengths).min() >= 1.0 - GRID_TOLERANCE_NM:
@@ -63,17 +62,17 @@ def _quadrature(wavelengths: Array) -> tuple[Array, Array]:
     inside = wavelengths[(wavelengths > table[0]) & (wavelengths < table[-1])]
     nodes = np.union1d(table, inside)
     gaps = np.diff(nodes)
-    # half a nanometre beyond each end, as the 1 nm summation has it
+    # half a nanometre beyond each end, as in the 1 nm summation
     widths = 0.5 * (np.concatenate([[1.0], gaps]) + np.concatenate([gaps, [1.0]]))
     return nodes, widths
 
 
 def lamp_lines_nm(light: str | Illuminant) -> Array:
-    """Return the wavelengths where a lamp's power stands out in narrow bands: none of daylight, six to eight of F11.
+    """Return the wavelengths of a lamp's narrow lines: daylight has none, F11 six to eight.
 
-    A line is a local maximum of more than `LINE_PROMINENCE` times the mean over 40 nm about it.
+    A line is a local maximum above `LINE_PROMINENCE` times the mean over the surrounding 40 nm.
 
-    Example: `lamp_lines_nm("F2")` is 405, 435 and 545 nm, the lines of mercury in steps of 5 nm.
+    Example: `lamp_lines_nm("F2")` is 405, 435 and 545 nm, mercury lines on a 5 nm grid.
     """
     lamp = illuminant(light)
     table = table_wavelengths_nm()
@@ -85,11 +84,10 @@ def lamp_lines_nm(light: str | Illuminant) -> Array:
 
 
 def with_lamp_lines(wavelengths_nm: ArrayLike, light: str | Illuminant) -> Array:
-    """Return a grid that also samples a narrow-band lamp's lines, on both flanks, within the grid's ends.
+    """Return a grid that also samples a narrow-band lamp's lines and both flanks, within the grid's ends.
 
-    Between samples 10 nm apart a spectrum is a straight line, and a lamp whose power comes in lines does not average
-    over what is wrong with that as daylight does: 0.61 dE00 under F11 for films whose grid keeps 0.2 under D65, 0.31
-    with its lines' flanks.
+    Daylight averages over the interpolation error of samples 10 nm apart; a line lamp does not. Films with an error
+    of 0.2 dE00 under D65 have 0.61 dE00 under F11, and 0.31 with the lines' flanks added.
     """
     wavelengths = np.asarray(wavelengths_nm, dtype=float)
     lines = lamp_lines_nm(light)
@@ -99,7 +97,7 @@ def with_lamp_lines(wavelengths_nm: ArrayLike, light: str | Illuminant) -> Array
 
 
 def _interpolation_sum(nodes: Array, weights: Array, wavelengths: Array) -> Array:
-    """Spread weights `[node, 3]` onto the samples: the transpose of linear interpolation, ends held."""
+    """Distribute weights `[node, 3]` over the samples: the transpose of linear interpolation with constant ends."""
     right = np.clip(np.searchsorted(wavelengths, nodes, side="right"), 1, len(wavelengths) - 1)
     left = right - 1
     share = np.clip((nodes - wavelengths[left]) / (wavelengths[right] - wavelengths[left]), 0.0, 1.0)
@@ -134,13 +132,13 @@ def _weights(wavelengths: Array, light: Illuminant, observer_name: str) -> Array
 def xyz_weights(wavelengths_nm: ArrayLike, illuminant: str | Illuminant = "D65", observer: str = "2deg") -> Array:
     """Return `[wavelength, 3]` weights with `xyz = values @ weights`; Y is 1 for a perfect white.
 
-    Integrates the linear interpolation of the samples against the 1 nm products of illuminant and colour
-    matching functions over 360-830 nm. With samples 1 nm apart this is the CIE's own summation; samples beyond
-    360-830 nm have no weight; where the samples end earlier, the end value is held (CIE 15:2018, 7.2.3).
+    Integrates the linearly interpolated samples against the 1 nm products of illuminant and colour matching functions
+    over 360-830 nm. With samples 1 nm apart this is the CIE's own summation. Samples beyond 360-830 nm have zero
+    weight; if the samples end earlier, the end value continues (CIE 15:2018, 7.2.3).
 
     Args:
         wavelengths_nm: `[wavelength]`, ascending, any spacing, spanning 400-700 nm at least.
-        illuminant: a name of `nacre.light.ILLUMINANTS` or an `Illuminant`.
+        illuminant: a name in `nacre.light.ILLUMINANTS` or an `Illuminant`.
         observer: "2deg" or "10deg".
 
     Raises:
@@ -155,15 +153,14 @@ def xyz_weights(wavelengths_nm: ArrayLike, illuminant: str | Illuminant = "D65",
 
 
 def smooth_weights(wavelengths_nm: ArrayLike, illuminant: str, observer: str) -> Array:
-    """Return `[wavelength, 3]` weights for XYZ of spectra that are cubic splines between their samples.
+    """Return `[wavelength, 3]` weights for the XYZ of spectra that are cubic splines between their samples.
 
-    `xyz_weights` takes straight lines between samples, which needs steps of a few nanometres for films of a
-    micrometre; the spline comes to the same 1 nm sum, and leaves the error of 10 nm steps a hundredth as large. It is
-    for what is smooth, as computed spectra are. Grids of 1 nm and finer, or of more than 1,000 samples, are summed as
-    they are.
+    With the linear interpolation of `xyz_weights`, micrometre-thick films need steps of a few nanometres. The spline
+    reaches the same 1 nm sum and reduces the error of 10 nm steps by a factor of 100, for smooth, computed spectra.
+    Grids of 1 nm and finer, or with more than 1,000 samples, use `xyz_weights`.
 
     Raises:
-        NacreError: as of `xyz_weights`.
+        NacreError: as `xyz_weights`.
     """
     grid = check_wavelengths(wavelengths_nm)
     if not 4 <= len(grid) <= MOST_NODES or np.diff(grid).max() <= FINE_STEP_NM:
@@ -179,7 +176,7 @@ def _smooth_weights(samples: bytes, name: str, observer_name: str) -> Array:
 
 
 def white_xyz(illuminant: str | Illuminant = "D65", observer: str = "2deg") -> Array:
-    """Return the tristimulus values `[3]` of a perfect white under an illuminant, with Y = 1.
+    """Return a perfect white's tristimulus values `[3]` under an illuminant, with Y = 1.
 
     Example: `white_xyz("A")` is (1.0985, 1, 0.3559).
     """
@@ -189,13 +186,13 @@ def white_xyz(illuminant: str | Illuminant = "D65", observer: str = "2deg") -> A
 def spectrum_to_xyz(
     values: ArrayLike, wavelengths_nm: ArrayLike, illuminant: str | Illuminant = "D65", observer: str = "2deg"
 ) -> Array:
-    """Return the tristimulus values `[..., 3]` of reflectances or transmittances `[..., wavelength]`.
+    """Return the tristimulus values `[..., 3]` for reflectances or transmittances `[..., wavelength]`.
 
-    Y is 1 for a perfect white. For a radiance that already holds its light's spectrum, take illuminant "E".
-    Linear in `values`; see `xyz_weights` for the integration.
+    Y is 1 for a perfect white. A radiance already contains its light's spectrum: use illuminant "E" for it.
+    Linear in `values`; `xyz_weights` describes the integration.
 
     Raises:
-        NacreError: unusable wavelengths, unknown illuminant or observer, or lengths that do not match.
+        NacreError: unusable wavelengths, unknown illuminant or observer, or different lengths.
 
     Example: a constant 0.5 gives (0.4752, 0.5, 0.5444) under D65.
     """
@@ -216,14 +213,11 @@ def weighted_sum(values: ArrayLike, matrix: Array) -> Array:
     return spectra @ matrix
 
 
-# Weights for colours of spectra that are smooth curves between samples, not straight lines.
-
-
 def spline_matrix(nodes: Array, points: Array) -> Array:
-    """Return `[point, node]`: values at points inside the nodes of the natural cubic spline through values there."""
+    """Return the matrix `[point, node]` of natural cubic spline interpolation, for points between the nodes."""
     count = len(nodes)
     h = np.diff(nodes)
-    second = np.zeros((count, count))  # of the second derivatives: left side
+    second = np.zeros((count, count))  # left side of the equations for the second derivatives
     rhs = np.zeros((count, count))
     second[0, 0] = second[-1, -1] = 1.0
     for i in range(1, count - 1):

@@ -1,4 +1,4 @@
-"""The wavelength grid: 360-830 nm, as fine as the structure's colours need and no finer."""
+"""The wavelength grid: 360-830 nm, with the step that a structure's colour requires."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 
 WAVELENGTH_RANGE_NM = (360.0, 830.0)
-# 470 nm is a whole number of each of these, so both ends are always on the grid
+# all of these divide 470 nm, so both ends are always on the grid
 STEPS_NM = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
 REFERENCE_NM = 550.0
 
 
 def colour_step_nm(optical_thickness_nm: float = 0.0, finesse: float = 1.0) -> float:
-    """Return the wavelength step that keeps a stack's colour within 0.5 dE00 of a 1 nm (or finer) grid.
+    """Return the wavelength step at which a stack's colour is within 0.5 dE00 of a grid of 1 nm or finer.
 
-    Fringes of a film repeat every lambda^2 / (2 n d): the step gives each 20 samples at 550 nm, and twice as
-    many where high finesse sharpens them.
+    Film fringes repeat every lambda^2 / (2 n d). The step samples each fringe 20 times at 550 nm, or 40 times if high
+    finesse sharpens it.
 
     Args:
-        optical_thickness_nm: sum of n d of the layers that interfere.
+        optical_thickness_nm: sum of n d over the interfering layers.
         finesse: fringe spacing over fringe width; 1 for a plain film, above 2 for metal cavities and mirrors.
 
     Raises:
-        NacreError: a negative or non-finite thickness, or one so thick that it has no fringes left to resolve.
+        NacreError: a negative or non-finite thickness, or one that needs a step below 0.01 nm.
 
     Example: 10 nm for a 300 nm soap film, 2 nm for 2 um of glass.
     """
@@ -46,10 +46,10 @@ def colour_step_nm(optical_thickness_nm: float = 0.0, finesse: float = 1.0) -> f
 
 
 def default_wavelengths(optical_thickness_nm: float = 0.0, finesse: float = 1.0, step_nm: float | None = None) -> Array:
-    """Return ascending wavelengths from 360 to 830 nm, both included, in the step of `colour_step_nm` or a given one.
+    """Return ascending wavelengths from 360 to 830 nm, both included, with a given step or that of `colour_step_nm`.
 
     Raises:
-        NacreError: an unusable thickness, or a step that is not in (0, 10].
+        NacreError: an unusable thickness, or a step outside (0, 10].
 
     Example: `default_wavelengths()` has 48 samples, `default_wavelengths(3000)` has 236.
     """

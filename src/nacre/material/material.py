@@ -27,7 +27,7 @@ from nacre.core.disk_cache import cached
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.core.files import DESIGN_RECIPE, named, read_text, short_name
 from nacre.core.memory import check_memory
-from nacre.families.contract import Model
+from nacre.families.contract import ExcessEnergy, ExpensiveMethod, Model, Traits, figure_data, values_at
 from nacre.families.registry import family_spec
 from nacre.material.examples import resolve_recipe_path
 from nacre.material.parametrise import Parametrisation
@@ -109,12 +109,11 @@ class Material:
         return dataclasses.replace(bsdf, provenance={**bsdf.provenance, **recipe_provenance(self)})
 
     def _solved(self, grid: NDArray[np.float64] | None, keep: bool = True) -> Bsdf:
-        if outside := self.model.outside:
-            _warn_once(self.context.source, outside)
+        for warning in self.model.warnings:
+            _warn_once(self.context.source, warning)
         if grid is not None:
-            check_memory(
-                float(self.model.bytes_a_wavelength) * grid.size, f"a {self.model.noun} at {grid.size} wavelengths"
-            )
+            traits = self.model.traits
+            check_memory(float(traits.bytes_per_wavelength) * grid.size, f"a {traits.noun} at {grid.size} wavelengths")
         if isinstance(self.model, StoredBsdf) or self.context.ambient is not None:
             return self.model.bsdf(grid)  # solved already, or part of another material, which is cached as a whole
         key = fingerprint(self.fingerprint, {}, wavelengths_nm=grid)
@@ -132,7 +131,7 @@ class Material:
             wavelengths_nm: ascending; default: chosen by the material.
         """
         grid = self.model.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
-        values = self.model.values_at(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float), grid)
+        values = values_at(self.model, np.asarray(wi, dtype=float), np.asarray(wo, dtype=float), grid)
         return None if values is None else (values, np.asarray(grid, dtype=float))
 
     @property
@@ -176,14 +175,15 @@ class Material:
         found = self.model.spectrum(theta, grid, polarisation, seed)
         if found is None:
             if polarisation != "both":
-                raise UnsupportedError(f"{self.context.source}: a {self.model.noun} {self.model.why_unpolarised}")
+                traits = self.model.traits
+                raise UnsupportedError(f"{self.context.source}: a {traits.noun} {traits.unpolarised_reason}")
             found = bsdf_spectrum(self._solved(grid), theta, seed=seed)
         self._warn_of_excess(found)
         return found
 
     def _warn_of_excess(self, spectrum: Spectrum) -> None:
         """Log a warning if a model or data that permit it give more light than arrives."""
-        because = self.model.unbounded_because
+        because = self.model.excess_reason if isinstance(self.model, ExcessEnergy) else ""
         parts = list(spectrum.parts().values())
         if not because or not parts:
             return
@@ -203,7 +203,7 @@ class Material:
             UnsupportedError: the family has no such figure, or a formula uses x, y or z.
         """
         refuse_place(self.model, f"{self.context.source}: {kind}")
-        return self.model.figure_data(kind, **options)
+        return figure_data(self.model, kind, **options)
 
     def vary(self, changes: Mapping[str, Any]) -> Material:
         """Return the material with some recipe values changed, each named by its path.
@@ -268,10 +268,10 @@ class Material:
         """
         if self.context.is_low_fidelity or isinstance(self.model, StoredBsdf):
             return self
-        if self.model.slow_way and not is_reported:
+        if isinstance(self.model, ExpensiveMethod) and self.model.expensive_method and not is_reported:
             logger.warning(
                 "%s: alone it takes %s; among many it takes the quick way, unless the recipe names the slow one",
-                self.context.source, self.model.slow_way,
+                self.context.source, self.model.expensive_method,
             )  # fmt: skip
         return material_from_data(self.data, dataclasses.replace(self.context, is_low_fidelity=True))
 
@@ -317,13 +317,15 @@ def _discard(bsdf: Bsdf, path: Path) -> None:
 
 
 @dataclass(frozen=True)
-class StoredBsdf(Model):
+class StoredBsdf(Model, ExcessEnergy):
     """A compiled `.nacre` file: a material with solved optics."""
 
-    noun = "compiled .nacre file"
-    takes_ambient = False
-    why_unpolarised = "holds unpolarised values; give its recipe for s or p"
-    unbounded_because = "so the file says"
+    traits = Traits(
+        noun="compiled .nacre file",
+        takes_ambient=False,
+        unpolarised_reason="holds unpolarised values; give its recipe for s or p",
+    )
+    excess_reason = "so the file says"
 
     stored: Bsdf
 
@@ -479,8 +481,9 @@ def _uniform_variants(data: Mapping[str, Any], context: RecipeContext) -> Callab
         node = material_from_data(uniform, dataclasses.replace(context, is_low_fidelity=True))
         context.add_dependencies(node.context.dependencies)
         context.versions.update(node.context.versions, **{node.family: node.model.version})
-        if node.model.spared_way and not reported and not context.is_low_fidelity:
-            reported.append(node.model.spared_way)
+        replaced = node.model.replaced_method if isinstance(node.model, ExpensiveMethod) else ""
+        if replaced and not reported and not context.is_low_fidelity:
+            reported.append(replaced)
             logger.warning(
                 "%s: with even numbers it may take %s; with numbers that vary it takes the quick way, unless the "
                 "recipe names the slow one", context.source, reported[0],

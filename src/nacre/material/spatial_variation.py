@@ -18,12 +18,12 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.masked import MaskedLobe, hat
-from nacre.bsdf.tabulate import judged_xyz
+from nacre.bsdf.tabulate import comparison_xyz
 from nacre.bsdf.texture import Texture
 from nacre.bsdf.texture_spec import TextureSpec
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
-from nacre.families.contract import Figure, Model
+from nacre.families.contract import Figure, Model, Traits
 from nacre.light import delta_e_2000, spans_colour, xyz_to_lab
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.instruments import aspecular_direction
@@ -55,7 +55,7 @@ class Varying(Model):
         fixed: builds the plain material of given values.
     """
 
-    noun = "material with a varying number"
+    traits = Traits(noun="material with a varying number")
 
     numbers: tuple[Number, ...]
     fixed: Callable[[Mapping[str, float]], Any]
@@ -174,7 +174,7 @@ class Varying(Model):
 def judged_colours(material: Any) -> Array:
     """Return XYZ `[geometry, 3]` of a material at the geometries where interpolation is tested.
 
-    Of a material that is known in a part of the colours only, each wavelength is taken as a grey, see `judged_xyz`.
+    Of a material that is known in a part of the colours only, each wavelength is taken as a grey, see `comparison_xyz`.
     """
     low, high, count = JUDGED_NM
     own = np.asarray(material.model.wavelengths_nm)
@@ -188,7 +188,7 @@ def judged_colours(material: Any) -> Array:
         parts.append(np.pi * evaluate_with_error(bsdf, wi, wo * [1.0, 1.0, -1.0], samples=WALK_SAMPLES)[0])
     mirror = bsdf.specular(np.radians(JUDGED_ANGLES_DEG))
     parts += [mirror.reflectance, mirror.transmittance]
-    return judged_xyz(np.concatenate(parts), grid).reshape(-1, 3)
+    return comparison_xyz(np.concatenate(parts), grid).reshape(-1, 3)
 
 
 def choose_nodes(colours: Callable[[float], Array], low: float, high: float, path: str) -> tuple[Array, float]:

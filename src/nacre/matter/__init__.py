@@ -1,4 +1,4 @@
-"""Matter: optical constants and what layered media do to a plane wave.
+"""Matter: optical constants, layered media and spheres.
 
 Everything is loaded on first use: the numba and JAX kernels are not needed to read a recipe.
 """

@@ -1,9 +1,8 @@
-"""The data for fabricating a material: layers, particles in the plane, heights.
+"""Fabrication data of a material: layer tables, particle layouts, height maps.
 
-A family says which of these it can give; `nacre.formats.fabrication` writes them in the usual file formats and knows
-no family.
+Families provide these objects; `nacre.formats.drawings` writes them to the usual file formats.
 
-Seen from the light's side: x to the right, y up, heights towards the light.
+View from the light's side: x to the right, y up, heights towards the light.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ class DrawingRequest:
     """Options of a drawing.
 
     Attributes:
-        size_mm: area (x, y) to cover, or None: one period.
-        seed: of what is drawn at random, or None: the recipe's.
+        size_mm: area (x, y) to cover; default: one period.
+        seed: random seed; default: the recipe's.
     """
 
     size_mm: tuple[float, float] | None = None
@@ -36,11 +35,11 @@ class LayerSheet:
     """A table from the light's side inward.
 
     Attributes:
-        columns: their names.
-        rows: values by column; a missing one stays empty.
-        remarks: lines above the table, after that of the sheet's origin.
-        title: what the table is, in that first line.
-        stem: of the file, where none is named.
+        columns: column names.
+        rows: values by column; missing values stay empty.
+        remarks: lines above the table, below the line with the sheet's origin.
+        title: title in that first line.
+        stem: default file stem.
     """
 
     columns: tuple[str, ...]
@@ -52,17 +51,17 @@ class LayerSheet:
 
 @dataclass(frozen=True)
 class Layout:
-    """One period of round outlines in the plane, repeated.
+    """One period of a periodic layout of circles.
 
     Attributes:
-        xy_um: `[particle, 2]` of one period.
-        radius_um: of the outline.
-        period_um: side of the square period.
-        periods: how many along x and y.
-        facts: what else is known of it, for the file beside it.
-        stem: of the file, where none is named.
-        radii_um: of the outlines of each kind, where there are several.
-        kinds: `[particle]`, which of these it is; None: all are of `radius_um`.
+        xy_um: `[particle, 2]`, centres in one period.
+        radius_um: circle radius.
+        period_um: side length of the square period.
+        periods: number of periods along x and y.
+        facts: further data for the file beside it.
+        stem: default file stem.
+        radii_um: circle radius for each species of a mixture.
+        species: `[particle]`, index into `radii_um`; default: `radius_um` for all.
     """
 
     xy_um: Array
@@ -72,12 +71,12 @@ class Layout:
     facts: Mapping[str, Any] = field(default_factory=dict)
     stem: str = "pattern"
     radii_um: tuple[float, ...] = ()
-    kinds: NDArray[np.intp] | None = None
+    species: NDArray[np.intp] | None = None
 
     @property
     def is_mixed(self) -> bool:
-        """Whether there are several kinds."""
-        return len(self.radii_um) > 1 and self.kinds is not None
+        """Whether there are several species."""
+        return len(self.radii_um) > 1 and self.species is not None
 
 
 @dataclass(frozen=True)
@@ -86,8 +85,8 @@ class HeightMap:
 
     Attributes:
         heights_um: `[x, y]` above the lowest feature.
-        feature_um: a feature's side.
-        stem: of the file, where none is named.
+        feature_um: side length of a feature.
+        stem: default file stem.
     """
 
     heights_um: Array

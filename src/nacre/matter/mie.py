@@ -1,8 +1,8 @@
-"""Free spheres: Mie coefficients of homogeneous, core-shell and multi-coated spheres.
+"""Mie theory: coefficients and efficiencies of homogeneous, core-shell and multi-coated spheres.
 
-Sign convention exp(-i w t), so absorbing indices are n + ik with k >= 0. The coefficients are those of
-Bohren & Huffman, "Absorption and Scattering of Light by Small Particles" (1983), eqs. 4.88 and 8.2; coated
-spheres follow the stable ratio recurrence of W. Yang, Appl. Opt. 42, 1710 (2003).
+Time factor exp(-i w t): absorbing indices are n + ik with k >= 0. Coefficients as in Bohren & Huffman, "Absorption
+and Scattering of Light by Small Particles" (1983), eqs. 4.88 and 8.2; coated spheres by the stable ratio recurrence
+of W. Yang, Appl. Opt. 42, 1710 (2003).
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from nacre.core.arrays import Array, ComplexArray
 
 
 def default_order(size_parameter: float) -> int:
-    """Number of multipoles at which the Mie series of a free sphere has converged (Wiscombe's criterion)."""
+    """Return the multipole order at which a free sphere's Mie series has converged (Wiscombe's criterion)."""
     x = float(size_parameter)
     return int(x + 4.05 * x ** (1.0 / 3.0) + 2.0)
 
 
 def _regular_log_derivatives(z: ComplexArray, lmax: int) -> ComplexArray:
-    """psi_l'(z)/psi_l(z) for l = 0..lmax, `[l, ...]`, by the stable downward recurrence."""
+    """Return psi_l'(z)/psi_l(z) for l = 0..lmax, `[l, ...]`, by the stable downward recurrence."""
     start = int(max(lmax, np.max(np.abs(z)))) + 30
     d = np.zeros((start + 1, *z.shape), dtype=complex)
     for l in range(start, 0, -1):
@@ -32,7 +32,7 @@ def _regular_log_derivatives(z: ComplexArray, lmax: int) -> ComplexArray:
 
 
 def _outgoing_log_derivatives(z: ComplexArray, lmax: int) -> ComplexArray:
-    """xi_l'(z)/xi_l(z) for l = 0..lmax, `[l, ...]`, by the stable upward recurrence."""
+    """Return xi_l'(z)/xi_l(z) for l = 0..lmax, `[l, ...]`, by the stable upward recurrence."""
     d = np.empty((lmax + 1, *z.shape), dtype=complex)
     d[0] = 1j
     ratio = 1.0 / z - 1j  # xi_1 / xi_0
@@ -45,12 +45,12 @@ def _outgoing_log_derivatives(z: ComplexArray, lmax: int) -> ComplexArray:
 def mie_coefficients(
     lmax: int, size_parameters: ArrayLike, relative_indices: ArrayLike
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return the Mie coefficients a_l and b_l of a sphere of concentric layers.
+    """Return the Mie coefficients a_l and b_l of a multi-layer sphere.
 
     Args:
         lmax: highest multipole order.
-        size_parameters: `[layer, ...]`, 2 pi n_ambient radius / wavelength of each interface, core first; a
-            homogeneous sphere has one layer; complex in an ambient that absorbs a little (imaginary part well below 1).
+        size_parameters: `[layer, ...]`, 2 pi n_ambient radius / wavelength for each interface, core first; a
+            homogeneous sphere has one layer; complex in a slightly absorbing ambient (imaginary part well below 1).
         relative_indices: `[layer, ...]`, complex index over the ambient's, core first.
 
     Returns:
@@ -68,14 +68,14 @@ def mie_coefficients(
         inner, outer = np.asarray(m[j] * x[j - 1]), np.asarray(m[j] * x[j])
         d1_in, d1_out = _regular_log_derivatives(inner, lmax), _regular_log_derivatives(outer, lmax)
         d3_in, d3_out = _outgoing_log_derivatives(inner, lmax), _outgoing_log_derivatives(outer, lmax)
-        # q = psi(inner) xi(outer) / (xi(inner) psi(outer)): only its ratios from order to order are formed,
-        # so that thick absorbing shells neither overflow nor cancel
+        # q = psi(inner) xi(outer) / (xi(inner) psi(outer)), formed from its ratios between orders: thick absorbing
+        # shells then neither overflow nor cancel
         q = np.empty_like(d1_in)
         q[0] = np.exp(2j * (outer - inner)) * np.expm1(2j * inner) / np.expm1(2j * outer)
         n_in, n_out = order[1:] / inner, order[1:] / outer
         step = (d1_out[1:] + n_out) * (d3_in[1:] + n_in) / ((d1_in[1:] + n_in) * (d3_out[1:] + n_out))
         q[1:] = q[0] * np.cumprod(step, axis=0)
-        # a layer of no thickness would give 0/0 only where psi(inner) = 0, which real layers never meet
+
         contrast = m[j] / m[j - 1]
         h_a = _through_layer(h_a * contrast, q, d1_in, d3_in, d1_out, d3_out)
         h_b = _through_layer(h_b / contrast, q, d1_in, d3_in, d1_out, d3_out)
@@ -105,7 +105,7 @@ def _coefficient(g: ComplexArray, psi: NDArray[Any], xi: ComplexArray) -> Comple
 
 
 def _riccati_bessel(x: NDArray[Any], lmax: int) -> tuple[NDArray[Any], ComplexArray]:
-    """psi_l(x) and xi_l(x) = psi - i chi, `[l, ...]`, l = 0..lmax, for real x, or complex x near the real axis."""
+    """Return psi_l(x) and xi_l(x) = psi - i chi, `[l, ...]`, l = 0..lmax, for x on or near the real axis."""
     is_real = not np.iscomplexobj(x)
     found = _regular_log_derivatives(x.astype(complex), lmax)
     log_derivatives: NDArray[Any] = found.real if is_real else found
@@ -114,14 +114,14 @@ def _riccati_bessel(x: NDArray[Any], lmax: int) -> tuple[NDArray[Any], ComplexAr
     chi_before, chi[0], psi[0] = -np.sin(x), np.cos(x), np.sin(x)
     for l in range(1, lmax + 1):
         chi[l] = (2 * l - 1) / x * chi[l - 1] - (chi_before if l == 1 else chi[l - 2])
-        # from the Wronskian psi' chi - psi chi' = 1: no small difference of large numbers at any order
+        # from the Wronskian psi' chi - psi chi' = 1: free of cancellation at any order
         psi[l] = 1.0 / (chi[l] * (log_derivatives[l] + l / x) - chi[l - 1])
     return psi, psi - 1j * chi
 
 
 @dataclass(frozen=True)
 class MieEfficiencies:
-    """Cross-sections of a free sphere over its geometric one, and the asymmetry parameter g."""
+    """Cross-sections of a free sphere over its geometric cross-section, and the asymmetry parameter g."""
 
     extinction: Array
     scattering: Array
@@ -130,12 +130,12 @@ class MieEfficiencies:
 
     @property
     def absorption(self) -> Array:
-        """Extinction less scattering."""
+        """Extinction minus scattering."""
         return self.extinction - self.scattering
 
 
 def mie_efficiencies(a: ComplexArray, b: ComplexArray, size_parameter: ArrayLike) -> MieEfficiencies:
-    """Return the efficiencies of a free sphere from its coefficients `[l, ...]` (Bohren & Huffman, sec. 4.4)."""
+    """Return a free sphere's efficiencies from its coefficients `[l, ...]` (Bohren & Huffman, sec. 4.4)."""
     x = np.asarray(size_parameter, dtype=float)
     l: Array = np.arange(1.0, a.shape[0] + 1).reshape(-1, *([1] * (a.ndim - 1)))
     scale: Array = 2.0 / x**2
@@ -149,7 +149,7 @@ def mie_efficiencies(a: ComplexArray, b: ComplexArray, size_parameter: ArrayLike
 
 
 def mie_amplitudes(a: ComplexArray, b: ComplexArray, mu: ArrayLike) -> tuple[ComplexArray, ComplexArray]:
-    """Return S1 and S2, `[..., mu]`, the far-field amplitudes of a free sphere at mu = cos(theta)."""
+    """Return a free sphere's far-field amplitudes S1 and S2, `[..., mu]`, at mu = cos(theta)."""
     mu = np.asarray(mu, dtype=float)
     lmax = a.shape[0]
     pi = np.zeros((lmax + 1, *mu.shape))
@@ -160,7 +160,7 @@ def mie_amplitudes(a: ComplexArray, b: ComplexArray, mu: ArrayLike) -> tuple[Com
         tau[l] = l * mu * pi[l] - (l + 1) * pi[l - 1]
     order = np.arange(1, lmax + 1)
     weight = (2 * order + 1) / (order * (order + 1))
-    # real rows in one block each: linear algebra takes complex ones, or those with strides, element by element
+    # contiguous real rows: BLAS processes complex or strided rows element by element
     rows = [np.ascontiguousarray(np.moveaxis(c, 0, -1) * weight).reshape(-1, lmax) for c in (a, b)]
     block = np.concatenate([part for row in rows for part in (row.real, row.imag)])
     by_pi, by_tau = ((block @ angular[1:]).reshape(4, *a.shape[1:], *mu.shape) for angular in (pi, tau))

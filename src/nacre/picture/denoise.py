@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.core.parallel import available_jobs, one_thread_each
+from nacre.core.parallel import available_jobs, single_threaded_blas
 from nacre.picture.filters import Real, smooth
 
 # of the guides, which only need the first hit: of those with grain and of what an EXR holds of them, and of guides
@@ -109,7 +109,7 @@ def denoised(
     found = np.empty_like(xyz)
     parts = bands(*xyz.shape[:2])
     scale = None if len(parts) == 1 else exposure(xyz[..., 1])
-    with one_thread_each():  # its products are small, and some are made in threads
+    with single_threaded_blas():  # its products are small, and some are made in threads
         for seen, kept, inner in parts:
             found[kept] = _band(xyz[seen], albedo[seen], normal[seen], scale, None if doubt is None else doubt[seen])[
                 inner

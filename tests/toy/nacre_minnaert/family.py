@@ -10,7 +10,7 @@ import pydantic
 
 from nacre.bsdf import Bsdf
 from nacre.core.arrays import Array
-from nacre.families.contract import Model
+from nacre.families.contract import Model, Traits
 from nacre.recipe.model import RecipeContext, RecipeModel
 from nacre_minnaert.lobe import Minnaert
 
@@ -19,7 +19,7 @@ from nacre_minnaert.lobe import Minnaert
 class Dusty(Model):
     """A dusty surface after Minnaert."""
 
-    noun = "dusty surface"
+    traits = Traits(noun="dusty surface")
 
     albedo: float
     k: float

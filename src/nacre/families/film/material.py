@@ -32,7 +32,7 @@ from nacre.bsdf.texture import ParameterAxis, Texture
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.core.memory import check_memory
-from nacre.families.contract import Model
+from nacre.families.contract import Model, Traits
 from nacre.families.film.ridges import Ridges, remainder
 from nacre.light import default_wavelengths, delta_e_2000
 from nacre.light.wavelengths import STEPS_NM
@@ -72,9 +72,7 @@ class Film(Model):
         range_nm, step_nm: the wavelength grid; step None: chosen so that colours stay within 0.5 dE00.
     """
 
-    noun = "film"
-    usual_parts = ("specular_reflectance",)
-    is_quick = True
+    traits = Traits(noun="film", default_parts=("specular_reflectance",), is_quick=True)
 
     ambient: OpticalConstant
     layers: tuple[FilmLayer, ...]

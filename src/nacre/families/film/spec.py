@@ -13,7 +13,7 @@ import pydantic
 from nacre.bsdf.facet_distributions import Roughness, alpha_from_exponent, check_widths
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.bsdf.texture_spec import NumberOrTexture, TextureSpec, texture_or_number
-from nacre.families.contract import Figure
+from nacre.families.contract import Fabricable, Figure
 from nacre.families.film.figures import FIGURES
 from nacre.families.film.layer_table import layer_sheet
 from nacre.families.film.material import Film, FilmLayer
@@ -219,7 +219,7 @@ class RidgesSpec(RecipeModel):
         )
 
 
-class BaseSpec(RecipeModel):
+class SubstrateSpec(RecipeModel):
     """A diffuse ground inside the substrate, under the film (under the ridges: what they leave lights it)."""
 
     forms: ClassVar[tuple[str, ...]] = ("{albedo = 0.05}",)
@@ -254,7 +254,7 @@ class WavelengthsSpec(RecipeModel):
 
 
 @dataclass(frozen=True)
-class FilmModel(Film):
+class FilmModel(Film, Fabricable):
     """A film as its recipe builds it: with its figures and its layer sheet."""
 
     @property
@@ -299,7 +299,7 @@ class FilmSpec(RecipeModel):
     )
     surface: SurfaceSpec = pydantic.Field(default=SurfaceSpec(), description="roughness, which all layers follow")
     ridges: RidgesSpec | None = pydantic.Field(default=None, description="ridges of lamellae, in place of roughness")
-    base: BaseSpec = pydantic.Field(default=BaseSpec(), description="a diffuse ground under the film")
+    base: SubstrateSpec = pydantic.Field(default=SubstrateSpec(), description="a diffuse ground under the film")
     wavelengths: WavelengthsSpec = pydantic.Field(
         default=WavelengthsSpec(), description="the grid of wavelengths, where the film's own choice is not wanted"
     )

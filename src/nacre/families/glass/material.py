@@ -15,10 +15,10 @@ from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.compensation import interface_losses
 from nacre.bsdf.facet_distributions import Roughness
 from nacre.bsdf.lobes.layered import Layered
-from nacre.bsdf.substrate import Base
+from nacre.bsdf.substrate import Substrate
 from nacre.core.arrays import Array
 from nacre.core.parallel import in_threads
-from nacre.families.contract import Figure, Model
+from nacre.families.contract import DirectEvaluation, Figure, Model, SearchFidelity, Strata, Surrogate, Traits
 from nacre.families.glass.balls import Balls
 from nacre.families.glass.composite import Composite, EffectiveDispersion
 from nacre.families.glass.figures import colour_map, scattering, structure
@@ -47,7 +47,7 @@ class Layer:
 
 
 @dataclass(frozen=True)
-class Glass(Model):
+class Glass(Model, Strata, Surrogate, SearchFidelity):
     """Photonic glass in air, of one stratum or several.
 
     Attributes:
@@ -60,16 +60,17 @@ class Glass(Model):
         below: further strata, from the light's side inward.
     """
 
-    noun = "photonic glass"
-    usual_look = "45as45"  # as paints are measured; its mirror is that of its upper face and has no colour
-    has_strata = True
-    why_unpolarised = "scatters light many times and is known for unpolarised light only"
-    takes_ambient = False
+    traits = Traits(
+        noun="photonic glass",
+        unpolarised_reason="scatters light many times and is known for unpolarised light only",
+        default_geometry="45as45",  # the specular reflection of the upper interface has no colour
+        takes_ambient=False,
+    )
 
     composite: Composite | Balls
     thickness_nm: float
     surface: Roughness = Roughness()
-    base: Base = Base()
+    base: Substrate = Substrate()
     quality: str = "reference"
     is_checked: bool = True
     below: tuple[Layer, ...] = ()
@@ -190,7 +191,7 @@ class Glass(Model):
             back, through = (np.clip(spread @ part, 0.0, 1.0) for part in (back, through))
         return Spectrum(lam, np.degrees(theta), None, None, back, through if is_open else None)
 
-    def among_many(self, memory: dict[Any, Any], is_rough: bool = False) -> Model:
+    def search_model(self, memory: dict[Any, Any], is_rough: bool = False) -> Model:
         """Return its noise-free form where it has one, without the walks that would state its error."""
         if self.why_not_fast() is not None:
             return self
@@ -199,7 +200,7 @@ class Glass(Model):
             composite = replace(composite, walkers=FEW_WALKERS)
         return FastGlass(composite, self.thickness_nm, self.surface, self.base, "fast", is_checked=False)
 
-    def likeness_at(
+    def surrogate_radiance(
         self, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False
     ) -> tuple[Array, Array] | None:
         """Return the light at pairs as transfer in modes of the azimuth gives it; see `radiance`.
@@ -305,20 +306,12 @@ class Glass(Model):
 
 
 @dataclass(frozen=True)
-class FastGlass(Glass):
+class FastGlass(Glass, DirectEvaluation):
     """A photonic glass whose light is known without noise: searches look at it in the wanted directions alone."""
-
-    is_direct = True
 
     def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
         """Return what transfer gives at a few pairs, and a rough face."""
         return self._scattered(wi, wo, np.asarray(wavelengths_nm, dtype=float))
-
-    def likeness_at(
-        self, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False
-    ) -> tuple[Array, Array] | None:
-        """Return None: `values_at` is no likeness."""
-        return None
 
 
 @lru_cache(maxsize=32)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 import pydantic
 
-from nacre.bsdf.substrate_spec import OF_OTHER_FAMILY, BaseSpec, Widths, interface_roughness, nested_strata
+from nacre.bsdf.substrate_spec import OF_OTHER_FAMILY, SubstrateSpec, Widths, interface_roughness, nested_strata
 from nacre.core.arrays import Array
 from nacre.core.errors import MaterialRangeError, NacreError
 from nacre.families.glass.balls import Balls
@@ -367,7 +367,7 @@ class GlassSpec(RecipeModel):
         max_length=MAX_STRATA,
         description="in place of the keys of one layer: several of them, from the light's side inward",
     )
-    base: BaseSpec = pydantic.Field(default=BaseSpec(), description="what lies below the layer")
+    base: SubstrateSpec = pydantic.Field(default=SubstrateSpec(), description="what lies below the layer")
     model: ModelSpec = pydantic.Field(
         default=ModelSpec(), description="details of the computation, where its own choice is not wanted"
     )

@@ -12,7 +12,7 @@ from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.lobes.table import TableLobe
-from nacre.bsdf.reciprocity import balance
+from nacre.bsdf.reciprocity import reciprocal_scaling
 from nacre.bsdf.response import InterfaceResponse
 from nacre.core.arrays import Array
 from nacre.core.parallel import in_threads
@@ -47,7 +47,7 @@ def balanced(values: Array, theta: Array, albedo: Array) -> Array:
     """
     ends = 0.5 * (values[..., 0] + values[..., -1])
     mean = (values.sum(axis=2) - ends) / (values.shape[2] - 1)
-    scale = balance(mean, albedo, table_weights(theta))
+    scale = reciprocal_scaling(mean, albedo, table_weights(theta))
     return np.asarray(values * scale[:, None, None] * scale[None, :, None])
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.facet_distributions import fresnel
 from nacre.core.arrays import Array
-from nacre.core.parallel import one_thread_each
+from nacre.core.parallel import single_threaded_blas
 from nacre.families.pearl.tables import Medium
 
 NODES, AZIMUTHS, TERMS = 22, 18, 12
@@ -44,7 +44,7 @@ def between(medium: Medium, wi: Array, wo: Array, albedo: Array) -> Array:
         wi, wo: `[pair, 3]`, above the surface.
         albedo: `[wavelength]` of the ground.
     """
-    with one_thread_each():  # of linear algebra: its matrices are small
+    with single_threaded_blas():  # of linear algebra: its matrices are small
         return _between(medium, wi, wo, albedo)
 
 

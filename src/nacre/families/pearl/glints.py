@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nacre.bsdf.glints import kind_of_flake
+from nacre.bsdf.glints import glint_species
 from nacre.core.arrays import Array
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def glint_arrays(
         deviation = float(np.sqrt(flakes.normals.axes[0] * flakes.normals.axes[1]))
         seed = (glints.seed + SEED_STEP * k) % (1 << 24)
         found.append(
-            kind_of_flake(
+            glint_species(
                 glints.surface_mm, flakes.diameter_um, glints.diameter_spread, float(number[k]) * reach,
                 own / deviation, seed,
             )

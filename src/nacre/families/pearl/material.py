@@ -15,10 +15,10 @@ from nacre.bsdf.compensation import interface_losses
 from nacre.bsdf.grids import direction
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.layered import Layered
-from nacre.bsdf.substrate import Base
+from nacre.bsdf.substrate import Substrate
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.families.contract import Figure, Model
+from nacre.families.contract import EnergyDefect, Figure, Model, Strata, Surrogate, Traits
 from nacre.families.pearl.doubling import OFF
 from nacre.families.pearl.flake_normals import (
     COS_NODES,
@@ -48,7 +48,7 @@ NO_SPREAD = 1e-3  # a smaller deviation would be a mirror; the narrowest pigment
 
 
 @dataclass(frozen=True)
-class Pearl(Model):
+class Pearl(Model, Strata, Surrogate, EnergyDefect):
     """Strata from the light's side inward, and the base.
 
     Attributes:
@@ -57,13 +57,14 @@ class Pearl(Model):
         glints: flakes of the uppermost stratum resolved one by one, or None.
     """
 
-    noun = "pearl"
-    usual_look = "45as15"  # where its flakes show; its mirror is that of its upper face and has no colour
-    has_strata = True
-    why_unpolarised = "scatters light many times and is known for unpolarised light only"
+    traits = Traits(
+        noun="pearl",
+        unpolarised_reason="scatters light many times and is known for unpolarised light only",
+        default_geometry="45as15",  # the specular reflection of the upper interface has no colour
+    )
 
     strata: tuple[Stratum, ...]
-    base: Base
+    base: Substrate
     quality: str = "reference"
     glints: Glints | None = None
 
@@ -133,18 +134,20 @@ class Pearl(Model):
                 logger.warning('quality = "fast" is not possible, since %s; "reference" is used', reason)
         return Bsdf((found,), {"notes": notes} if notes else {})
 
-    def lost_at(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
-        """Return the light that flakes of the "published" counting lose, `[angle, wavelength]`; see `lost`.
+    def energy_defect(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
+        """Return the light that is lost by the "published" energy balance, `[angle, wavelength]`; see `energy_defect`.
 
         None: no flake is counted so, or the walk that tells it does not know this pearl's parts (a warning says why).
         """
-        published = np.array([f.platelet.counting == PUBLISHED for s in self.strata for f in s.flakes], dtype=bool)
+        published = np.array(
+            [f.platelet.energy_balance == PUBLISHED for s in self.strata for f in s.flakes], dtype=bool
+        )
         if not published.any():
             return None
         lobe = self._layered(np.asarray(wavelengths_nm, dtype=float))
         reason = why_not_lost(lobe)
         if reason is not None:
-            logger.warning("what the published counting loses is not known for this pearl, since %s", reason)
+            logger.warning("the loss of the published energy balance is not known for this pearl, since %s", reason)
             return None
         rows = [lost_light(lobe, published, direction(float(theta)), seed=seed) for theta in theta_rad]
         return np.stack(rows)
@@ -193,7 +196,7 @@ class Pearl(Model):
         """Return the arrays of the walk."""
         return self._layered(wavelengths_nm)
 
-    def likeness_at(
+    def surrogate_radiance(
         self, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False
     ) -> tuple[Array, Array] | None:
         """Return light of the interface and one flake, and the rest by two streams (`glance`) or by `doubling`."""
@@ -202,11 +205,11 @@ class Pearl(Model):
         return likeness(self._glance(wavelengths_nm), wi, wo, is_fine)
 
     @property
-    def likeness_error(self) -> float | None:
+    def surrogate_error(self) -> float | None:
         """Off by what a rough interface spreads, and by steps of directions; see `doubling`."""
         return None if (why_not(self.strata) or why_not_walked(self.strata, self.base)) is not None else OFF
 
-    def walked_at(
+    def estimate_radiance(
         self, wi: Array, wo: Array, wavelengths_nm: Array, walks: int, seed: int
     ) -> tuple[Array, Array] | None:
         """Return values and errors by walks that send their light to all pairs of a light at once; see `connect`."""

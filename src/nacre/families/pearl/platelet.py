@@ -17,7 +17,7 @@ import numpy as np
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
-from nacre.core.parallel import share
+from nacre.core.parallel import parallel_for
 from nacre.families.pearl import thickness as average
 from nacre.families.pearl.thickness import Thickness
 from nacre.matter.stack.inputs import Amplitudes
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger("nacre")
 
-PHYSICAL, PUBLISHED = "physical", "published"
+CONSERVING, PUBLISHED = "conserving", "published"
 LADDER = tuple(8 * 2**i for i in range(7))  # panels of 16 points: 128 ... 8192 nodes
 GRAZING = 1e-9  # cosine below which R = 1, T = 0 is the limit
 MAX_COATING_SETS = 4096  # combinations of coating thicknesses that are worth averaging
@@ -54,7 +54,7 @@ class Platelet:
         thickness: its thickness over the flakes.
         upper: coatings of one side, outermost first.
         lower: coatings of the other side, outermost first; None mirrors `upper`.
-        counting: "physical", or "published": R (1 - T) in place of R, as Guillen et al. 2020 count when their
+        energy_balance: "conserving", or "published": R (1 - T) in place of R, as in Guillen et al. 2020 when their
             eqs. 17 and 18 are read to the letter; R T is lost at each flake, though none absorbs it.
     """
 
@@ -62,7 +62,7 @@ class Platelet:
     thickness: Thickness
     upper: tuple[Coating, ...] = ()
     lower: tuple[Coating, ...] | None = None
-    counting: str = PHYSICAL
+    energy_balance: str = CONSERVING
 
     @property
     def is_symmetric(self) -> bool:
@@ -106,7 +106,7 @@ def platelet_response(
     """Reflectance and transmittance of a flake in its resin, averaged over its thickness distributions.
 
     The two sides of an asymmetric flake face up equally often, and their mean is returned. This is the one place where
-    a platelet's `counting` is heeded: walk, tables and likeness all ask here.
+    `energy_balance` has an effect.
 
     Args:
         platelet: the layers.
@@ -135,15 +135,15 @@ def platelet_response(
                 total.reflectance[...] += scale * part.reflectance
                 total.transmittance[...] += scale * part.transmittance
     assert total is not None
-    if platelet.counting == PUBLISHED:
-        _warn_of_published_counting()
+    if platelet.energy_balance == PUBLISHED:
+        _warn_of_published_balance()
         # the source scatters unpolarised light: its extinction is 1 - T of both polarisations together
         total.reflectance[...] *= 1.0 - total.transmittance.mean(axis=0)
     return total
 
 
 def lost_share(reflectance: Array, transmittance: Array) -> Array:
-    """Return the share of the light on a flake that the "published" counting loses, from its R (1 - T) and its T.
+    """Return the share of light lost at a flake by the "published" energy balance, from its R (1 - T) and its T.
 
     R T: what is neither reflected, transmitted nor absorbed by the flake's layers.
     """
@@ -152,11 +152,11 @@ def lost_share(reflectance: Array, transmittance: Array) -> Array:
 
 
 @lru_cache(maxsize=1)
-def _warn_of_published_counting() -> None:
+def _warn_of_published_balance() -> None:
     """Warn, once in a process."""
     logger.warning(
-        'counting = "published" makes a flake reflect R (1 - T) in place of R, as the source of its tables does: light '
-        'is lost that nothing absorbs (nacre report tells how much); "physical" keeps it'
+        'energy_balance = "published" makes a flake reflect R (1 - T) instead of R, as in the source of its tables: '
+        'light is lost without absorption (nacre report states how much); "conserving" loses none'
     )
 
 
@@ -249,7 +249,7 @@ def _one_face(
         )  # fmt: skip
 
     # an absorbing point costs some hundred nodes of the quadrature, any other a few terms of a series
-    share(task, 1, p.size, p.size * (1000 if nodes.size > 1 else 50), None)
+    parallel_for(task, 1, p.size, p.size * (1000 if nodes.size > 1 else 50), None)
     full = (2, *kz_s.shape)
     result_r, result_t = big_r.reshape(full), big_t.reshape(full)
     lossless = ~absorbs

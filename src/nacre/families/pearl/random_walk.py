@@ -459,7 +459,7 @@ def rest(  # type: ignore[no-untyped-def]  # numba
                 order += 1
 
 
-# The light that the "published" counting of a platelet loses: R T of what meets a flake, summed over random walks.
+# Light lost by the "published" energy balance of a platelet: R T of what meets a flake, summed over random walks.
 
 # ruff: noqa: NPY002  # numba compiles the legacy generator only; its state is one for each thread
 

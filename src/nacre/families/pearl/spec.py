@@ -9,7 +9,7 @@ import numpy as np
 import pydantic
 from numpy.typing import NDArray
 
-from nacre.bsdf.substrate_spec import OF_OTHER_FAMILY, BaseSpec, Widths, interface_roughness, nested_strata
+from nacre.bsdf.substrate_spec import OF_OTHER_FAMILY, SubstrateSpec, Widths, interface_roughness, nested_strata
 from nacre.core.errors import NacreError, RecipeError
 from nacre.families.pearl.flake_normals import FlakeNormals, rotation_matrix
 from nacre.families.pearl.glints import Glints
@@ -213,7 +213,7 @@ class PearlSpec(RecipeModel):
     strata: tuple[StratumSpec, ...] = pydantic.Field(
         min_length=1, max_length=MAX_STRATA, description="layers of resin, from the light's side inward"
     )
-    base: BaseSpec = pydantic.Field(default=BaseSpec(), description="what lies below the last stratum")
+    base: SubstrateSpec = pydantic.Field(default=SubstrateSpec(), description="what lies below the last stratum")
     glints: GlintsSpec | None = pydantic.Field(
         default=None, description="single flakes of the uppermost stratum, seen one by one"
     )
@@ -370,10 +370,10 @@ class PlateletSpec(RecipeModel):
     diameter_um: Positive | None = pydantic.Field(
         default=None, description="median diameter of a flake's face; glints need it", examples=[20]
     )
-    counting: Literal["physical", "published"] = pydantic.Field(
-        default="physical",
-        description="how much a flake reflects: physical is R; published is R (1 - T), which gives the looks of tables "
-        "fitted that way (Guillen et al. 2020) and loses light",
+    energy_balance: Literal["conserving", "published"] = pydantic.Field(
+        default="conserving",
+        description="reflectance of a flake: conserving is R; published is R (1 - T), which reproduces the colours of "
+        "tables fitted that way (Guillen et al. 2020) and loses light",
     )
 
     @pydantic.model_validator(mode="after")
@@ -394,7 +394,7 @@ class PlateletSpec(RecipeModel):
             platelet = Platelet(
                 only.material.build(context),
                 only.thickness(context, f"{key}.coatings[0]"),
-                counting=self.counting,
+                energy_balance=self.energy_balance,
             )
         else:
             platelet = Platelet(
@@ -404,7 +404,7 @@ class PlateletSpec(RecipeModel):
                 None
                 if self.lower_coatings is None
                 else _coatings(self.lower_coatings, context, f"{key}.lower_coatings"),
-                self.counting,
+                self.energy_balance,
             )
         if platelet.height_nm <= 0:
             raise context.fail(key, 0.0, "is a flake without thickness; give one of its layers some")

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.facet_distributions import fresnel
 from nacre.bsdf.lobes.platelet_layer import flake_lobe, surface_values
-from nacre.bsdf.substrate import Base
+from nacre.bsdf.substrate import Substrate
 from nacre.core.arrays import Array
 from nacre.core.parallel import in_threads
 from nacre.families.pearl import random_walk
@@ -78,7 +78,7 @@ def why_not(strata: tuple[Stratum, ...]) -> str | None:
     return None
 
 
-def why_not_walked(strata: tuple[Stratum, ...], base: Base) -> str | None:
+def why_not_walked(strata: tuple[Stratum, ...], base: Substrate) -> str | None:
     """Return why `walked` cannot serve where `likeness` can, or None if it can."""
     if base.kind != "diffuse":
         return "its base is not a diffuse one"
@@ -174,7 +174,7 @@ def _pigment(
     platelet = flakes.platelet
     layers = [(platelet.substrate, platelet.thickness)]
     layers += [(c.material, c.thickness) for c in (*platelet.upper, *(platelet.lower or ()))]
-    shape = (platelet.counting, len(platelet.upper), platelet.lower is None, nodes, deviation, grid, n.tobytes())
+    shape = (platelet.energy_balance, len(platelet.upper), platelet.lower is None, nodes, deviation, grid, n.tobytes())
     key = (*shape, *((material.n_complex(wavelengths).tobytes(), _told(thickness)) for material, thickness in layers))
     found = _tables.get(key)
     if found is None:

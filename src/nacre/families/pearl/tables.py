@@ -1,4 +1,4 @@
-"""`quality = "fast"` of a pearl: tabulate a layered lobe, which is a random walk, as a noise-free `Flaked` one.
+"""`quality = "fast"` of a pearl: tabulate a layered lobe, which is a random walk, as a noise-free `PlateletLayer` one.
 
 The light from a diffuse base is solved exactly: with A(cos) the share of light that arrives at the base and r the
 share of diffuse light that the flakes and the interface return to it, the base adds
@@ -26,7 +26,7 @@ from nacre.bsdf.facet_distributions import exits as facet_exits
 from nacre.bsdf.facet_distributions import fresnel, smith_masking, visible_normals
 from nacre.bsdf.grids import cell, interpolate, take_uniform
 from nacre.bsdf.lobes.layered import Layered
-from nacre.bsdf.lobes.platelet_layer import Flaked, surface_values
+from nacre.bsdf.lobes.platelet_layer import PlateletLayer, surface_values
 from nacre.core.arrays import Array
 from nacre.core.parallel import available_jobs
 from nacre.families.pearl import random_walk
@@ -100,7 +100,7 @@ class Medium:
         )  # fmt: skip
 
 
-def bake(lobe: Layered, effort: float = 1.0, seed: int = 1) -> Flaked:
+def bake(lobe: Layered, effort: float = 1.0, seed: int = 1) -> PlateletLayer:
     """Return the noise-free form of a layered lobe that has no `obstacle`, with its stated error.
 
     Args:
@@ -115,7 +115,7 @@ def bake(lobe: Layered, effort: float = 1.0, seed: int = 1) -> Flaked:
     return dataclasses.replace(table, error=np.sqrt(error**2 + (DOUBT * noise) ** 2))
 
 
-def tables(lobe: Layered, effort: float = 1.0, seed: int = 1) -> Flaked:
+def tables(lobe: Layered, effort: float = 1.0, seed: int = 1) -> PlateletLayer:
     """Make the tables without a check; the error is left at 0."""
     medium = Medium.of(lobe)
     entry, surface = _interface(medium)
@@ -123,7 +123,7 @@ def tables(lobe: Layered, effort: float = 1.0, seed: int = 1) -> Flaked:
     arrived, returned, flakes, single = _solve(medium, entry, spread, effort, seed)
     albedo = lobe.base_reflectance[0]
     base = arrived / medium.index * np.sqrt(albedo / (np.pi * (1.0 - albedo * returned)))
-    made = Flaked(
+    made = PlateletLayer(
         lobe.wavelengths_nm, medium.index, medium.alpha, medium.number, medium.sigma, spread, entry,
         flakes.astype(np.float32), base, np.zeros((2, 3)), np.zeros(len(lobe.wavelengths_nm)),
     )  # fmt: skip
@@ -135,7 +135,7 @@ def tables(lobe: Layered, effort: float = 1.0, seed: int = 1) -> Flaked:
     return dataclasses.replace(made, albedo=_powers(made, surface))
 
 
-def _powers(table: Flaked, surface: Array) -> Array:
+def _powers(table: PlateletLayer, surface: Array) -> Array:
     """Power of the interface, the flakes and the base, averaged over wavelengths, `[cos, 3]` on nodes of sqrt(cos)."""
     root = np.linspace(0.0, 1.0, SHARE_NODES)
     cos = np.maximum(root**2, 1e-3)
@@ -148,7 +148,7 @@ def _powers(table: Flaked, surface: Array) -> Array:
     return np.stack([facets, np.maximum(rest - base, 0.0).mean(axis=1), base.mean(axis=1)], axis=1)
 
 
-def _entering(table: Flaked, cos: Array) -> Array:
+def _entering(table: PlateletLayer, cos: Array) -> Array:
     return np.interp(np.sqrt(cos), np.linspace(0.0, 1.0, len(table.entry)), table.entry)
 
 
@@ -216,7 +216,7 @@ def _solve(medium: Medium, entry: Array, spread: float, effort: float, seed: int
     return arrived, back, np.maximum(table + alone, 0.0), alone
 
 
-def check(lobe: Layered, table: Flaked, effort: float = 1.0, seed: int = 77) -> tuple[Array, Array]:
+def check(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 77) -> tuple[Array, Array]:
     """Compare with independent random walks.
 
     Returns:
@@ -259,7 +259,7 @@ def check(lobe: Layered, table: Flaked, effort: float = 1.0, seed: int = 77) -> 
     return np.sqrt(np.maximum(error, 0.0) / size), np.sqrt(noise / size)
 
 
-def _bins(table: Flaked, theta: float, spread: float) -> tuple[Array, Array, Array]:
+def _bins(table: PlateletLayer, theta: float, spread: float) -> tuple[Array, Array, Array]:
     """Power of flakes and base, that of the surface, and solid angle of the check's bins, by midpoints.
 
     In the plane of q a solid angle times its cosine is an area: no density is needed.

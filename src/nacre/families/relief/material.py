@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.grids import direction
-from nacre.families.contract import Figure, Model
+from nacre.families.contract import DirectEvaluation, Draft, ExcessEnergy, Fabricable, Figure, Model, Traits
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.diffraction_orders import choose_sampling
 from nacre.families.relief.plane_cut import Reflectance, local_response
@@ -30,7 +30,7 @@ INDEX_NM = 550.0  # where the medium's index is taken for the window, one for al
 
 
 @dataclass(frozen=True)
-class Relief(Model):
+class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
     """A periodic height map with an opaque coating, in light of finite coherence.
 
     Attributes:
@@ -43,9 +43,12 @@ class Relief(Model):
         ambient: what lies above, with directions as they are inside it; None: vacuum.
     """
 
-    noun = "relief"
-    why_unpolarised = "is computed by scalar diffraction, which has no polarisation; ask for both"
-    usual_look = "45as15"  # its mirror is a lobe like all else, and has no part of its own
+    traits = Traits(
+        noun="relief",
+        unpolarised_reason="is computed by scalar diffraction, which has no polarisation; ask for both",
+        default_geometry="45as15",  # its specular reflection is a lobe of finite width
+    )
+    is_direct = False
 
     tile: Tile
     coherence: Coherence
@@ -91,7 +94,7 @@ class Relief(Model):
         return replace(lobe, wavelengths_nm=grid), report
 
     @property
-    def sketch(self) -> Relief:
+    def draft(self) -> Relief:
         """The relief on coarser nodes, and not bounded: the sums over all exits that the bound needs cost the most.
 
         What the bound takes away it takes near grazing light; see `spectrum_map.energy_guard`.
@@ -114,17 +117,17 @@ class Relief(Model):
         return report_summary(self._map(tuple(grid.tolist()))[1])
 
     @property
-    def unbounded_because(self) -> str:
+    def excess_reason(self) -> str:
         """The published prefactor, or a bound switched off, sends out what the formula says."""
         if self.prefactor == "published":
             return 'prefactor = "published" does not keep energy'
         return "" if self.bounded else "bounded = false keeps what scalar diffraction sends out"
 
     @property
-    def outside(self) -> str:
+    def warnings(self) -> tuple[str, ...]:
         """Slopes too steep, or features too small, for scalar diffraction."""
         found = self.trust
-        return found.line() if found.is_outside else ""
+        return (found.line(),) if found.is_outside else ()
 
     @functools.cached_property
     def trust(self) -> Trust:

@@ -1,1 +1,1 @@
-"""Optical constants: models, tables, the database, and their library of names."""
+"""Optical constants: dispersion models, tables, the database, and material names."""

@@ -1,7 +1,10 @@
 """Optical constants: n + ik of a material by name, database entry, formula or table.
 
-`index("Ag").n_complex(wavelengths_nm)` is all that the optics needs. Outside the published range the answer is
-an error, never a guess, unless `extrapolate="edge"` asks for the end values to be held.
+`index("Ag").n_complex(wavelengths_nm)` is the interface to the optics. Outside the published range it raises an error,
+unless `extrapolate="edge"` asks for the end values.
+
+Every named material covers 360-830 nm. Most names are one entry of the refractiveindex.info database. If no entry
+covers the range, `splice` describes the substitute, and `nacre indices show` prints it.
 """
 
 from __future__ import annotations
@@ -34,10 +37,10 @@ from nacre.recipe.units import written_as_number
 Extrapolation = Literal["error", "edge"]
 
 RANGE_TOLERANCE = 1e-9  # relative: 0.360 um in a file is 360 nm up to rounding
-MIN_INDEX = 1e-6  # as the stack solver takes; no published one is below 0.01
-MOST_REMEMBERED = 1000  # wavelengths of a call whose answer is kept for the next one
-FILE_ENDS = (".csv", ".txt", ".dat", ".tsv", ".nk", ".yml", ".yaml")  # of tables, which a recipe names otherwise
-MAX_INDEX = 100.0  # far above any material of optics: more is a formula in the wrong unit
+MIN_INDEX = 1e-6  # as in the stack solver; published indices are above 0.01
+MAX_CACHED_WAVELENGTHS = 1000  # longer arrays are not cached
+FILE_ENDS = (".csv", ".txt", ".dat", ".tsv", ".nk", ".yml", ".yaml")  # suffixes of tables, not material names
+MAX_INDEX = 100.0  # far above any optical material: a larger value indicates a wrong unit
 
 
 @dataclass(frozen=True)
@@ -45,12 +48,12 @@ class OpticalConstant:
     """The complex refractive index n + ik of one material, k >= 0.
 
     Attributes:
-        name: as the user wrote it; errors and plots show it.
-        model: n + ik over wavelength.
+        name: the user's spelling, for errors and plots.
+        model: n + ik as a function of wavelength.
         source: database entry, publication or recipe.
-        splice: what was joined or continued beyond the published data; empty if nothing was.
-        title: what the material is.
-        extrapolate: "error", or "edge" to hold the end values outside the range.
+        splice: data joined or continued beyond the published range; may be empty.
+        title: description.
+        extrapolate: "error", or "edge" for the end values outside the range.
     """
 
     name: str
@@ -62,7 +65,7 @@ class OpticalConstant:
 
     @property
     def range_nm(self) -> tuple[float, float]:
-        """The wavelengths in which the constant is known (0 and infinity for a formula without a range)."""
+        """Valid wavelength range (0 to infinity for a formula without a range)."""
         return self.model.range_nm
 
     def n_complex(self, wavelengths_nm: ArrayLike) -> ComplexArray:
@@ -75,9 +78,9 @@ class OpticalConstant:
         Example: `index("SiO2").n_complex([587.6])` is 1.4585.
         """
         wavelengths = floats(wavelengths_nm, "wavelengths_nm")
-        if wavelengths.size > MOST_REMEMBERED:
+        if wavelengths.size > MAX_CACHED_WAVELENGTHS:
             return self._computed(wavelengths)
-        return _remembered(self, wavelengths.tobytes()).reshape(wavelengths.shape).copy()
+        return _cached_index(self, wavelengths.tobytes()).reshape(wavelengths.shape).copy()
 
     def _computed(self, wavelengths: Array) -> ComplexArray:
         if not (np.isfinite(wavelengths).all() and (wavelengths > 0.0).all()):
@@ -88,13 +91,13 @@ class OpticalConstant:
         ):
             if self.extrapolate == "error":
                 raise MaterialRangeError(self._range_message(wavelengths))
-        with np.errstate(all="ignore"):  # absurd coefficients overflow; the check below tells it in words
+        with np.errstate(all="ignore"):  # absurd coefficients overflow; the check below reports them
             values = np.asarray(self.model(np.clip(wavelengths, low, high)), dtype=np.complex128)
         self._check(values, wavelengths)
         return values
 
     def with_extrapolation(self, extrapolate: Extrapolation) -> OpticalConstant:
-        """Return the same constant with another rule outside its range."""
+        """Return the same constant with another extrapolation rule."""
         return self if extrapolate == self.extrapolate else replace(self, extrapolate=extrapolate)
 
     def without_absorption(self) -> OpticalConstant:
@@ -111,8 +114,8 @@ class OpticalConstant:
         where = self.source.removeprefix(f"{self.name}: ")
         source = f" ({where})" if where and where != self.name else ""
         return (
-            f'"{self.name}" is known from {low:g} to {high:g} nm{source}, but {"-".join(asked)} nm was asked for. '
-            'Choose another entry, fewer wavelengths, or extrapolate = "edge" to hold the end values'
+            f'"{self.name}" is known from {low:g} to {high:g} nm{source}, but {"-".join(asked)} nm was requested. '
+            'Choose another entry, fewer wavelengths, or extrapolate = "edge" to use the end values'
         )
 
     def _check(self, values: ComplexArray, wavelengths: Array) -> None:
@@ -133,13 +136,13 @@ class OpticalConstant:
 
 
 @functools.lru_cache(maxsize=256)
-def _remembered(constant: OpticalConstant, samples: bytes) -> ComplexArray:
-    """Return n + ik at wavelengths given as bytes: one look at a film asks for the same ones a dozen times."""
+def _cached_index(constant: OpticalConstant, samples: bytes) -> ComplexArray:
+    """Return n + ik at wavelengths given as bytes; one evaluation of a film repeats the same request many times."""
     return constant._computed(np.frombuffer(samples))
 
 
 def constant(value: complex, name: str | None = None) -> OpticalConstant:
-    """Return the optical constant with one n + ik everywhere.
+    """Return an optical constant without dispersion.
 
     Raises:
         NacreError: n < 0, k < 0, both zero, or not finite.
@@ -165,7 +168,7 @@ def named_constant(name: str) -> OpticalConstant:
         return OpticalConstant(default.name, default.build(), default.source, default.splice, default.title)
     if name.count("/") >= 2:
         return database_index(name)
-    from nacre.recipe.model import show_value  # pydantic comes with it: only on the way to an error
+    from nacre.recipe.model import show_value  # imports pydantic: only for an error message
 
     raise UnknownMaterialError(f"material {show_value(name)} {unknown_material(name)}")
 
@@ -173,25 +176,25 @@ def named_constant(name: str) -> OpticalConstant:
 def database_index(key: str) -> OpticalConstant:
     """Return the optical constant of one refractiveindex.info entry, "shelf/book/page".
 
-    Where the entry tabulates n alone (or k for other wavelengths), k is 0; else the range is that of both.
+    If the entry tabulates only n (or k for other wavelengths), k is 0; otherwise the range is the overlap.
 
     Raises:
-        UnknownMaterialError: no such entry, or one without n.
+        UnknownMaterialError: unknown entry, or one without n.
     """
     page = find_page(key)
     entry = load_entry(page.key)
     source = f"{page.key}: {entry.reference}" if entry.reference else page.key
-    splice = "" if entry.has_k else "the entry has no k where it has n; 0 is taken"
+    splice = "" if entry.has_k else "the entry lacks k in the range of n; k = 0 is used"
     return OpticalConstant(page.key, entry.model, source, splice, f"{page.book_title}; {page.title}")
 
 
 def names_file(name: str) -> bool:
-    """Whether the name of a material is that of somebody's table: it ends as such files do."""
+    """Whether a material name has the suffix of a table file."""
     return name.lower().endswith(FILE_ENDS)
 
 
 def unknown_material(name: str) -> str:
-    """Return the end of the message for an unknown name: what is near, and where to look."""
+    """Return the end of the message for an unknown name: the nearest names and the search command."""
     if number := written_as_number("n", name):
         return f"is text; a constant index stands without quotes: {number.rpartition(' ')[2]}"
     if names_file(name):
@@ -210,12 +213,12 @@ class IndexDescription:
     """A line of `nacre indices search` and the head of `nacre indices show`.
 
     Attributes:
-        name: what a recipe writes: a name, or the key after `rii =`.
-        title: what it is.
-        source: where it comes from.
-        range_nm: where it is known; None where the entry was not opened (search reads the catalogue only).
-        splice: what was joined or continued beyond the published data.
-        is_default: whether `name` is a bare name.
+        name: a material name, or the key after `rii =`.
+        title: description.
+        source: database entry, publication or recipe.
+        range_nm: valid wavelength range; unset in search results, which read only the catalogue.
+        splice: data joined or continued beyond the published range.
+        is_default: whether `name` is a material name.
     """
 
     name: str
@@ -226,8 +229,6 @@ class IndexDescription:
     is_default: bool = False
 
 
-# The named materials: which source a bare name in a recipe stands for.
-
 COLOUR_RANGE_NM = (360.0, 830.0)
 
 
@@ -236,11 +237,11 @@ class Default:
     """One named material.
 
     Attributes:
-        name: as recipes write it.
-        title: what it is.
-        build: makes the dispersion.
+        name: name in recipes.
+        title: description.
+        build: returns the dispersion model.
         source: database keys or literature.
-        splice: what was joined or continued beyond the published data, empty if nothing was.
+        splice: data joined or continued beyond the published range; may be empty.
         aliases: other spellings.
     """
 
@@ -284,7 +285,7 @@ def _pet() -> Dispersion:
 
 
 _WATER_SOURCE = "main/H2O/Daimon-20.0C (n) and main/H2O/Hale (k)"
-_WATER_SPLICE = "n and k come from two entries, as the one with the better n has no k"
+_WATER_SPLICE = "n and k come from two entries, since the entry with the better n lacks k"
 
 DEFAULTS: tuple[Default, ...] = (
     # metals
@@ -362,5 +363,5 @@ BY_ANY_NAME: dict[str, Default] = {
 
 
 def find_default(name: str) -> Default | None:
-    """Return the named material, whatever the capitals, or None."""
+    """Return the named material, ignoring case, or None."""
     return BY_NAME.get(name) or BY_ANY_NAME.get(name.strip().lower())

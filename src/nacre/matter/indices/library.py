@@ -1,4 +1,4 @@
-"""The library of optical constants: by name, from the database, searched and described."""
+"""Look up, search and describe optical constants."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def index(material: str | complex | OpticalConstant | Mapping[str, Any] | IndexS
     """Return the optical constant of a material.
 
     Args:
-        material: a default name ("Ag", "mica"; capitals do not matter), a database key ("main/Ag/Johnson"), a
+        material: a material name ("Ag", "mica"; case is ignored), a database key ("main/Ag/Johnson"), a
             number n or n + ik, a recipe table such as `{"cauchy": [1.5, 0.005]}`, or an `OpticalConstant`.
 
     Raises:
-        UnknownMaterialError: no such name or entry, with the nearest one.
-        RecipeError: a recipe table that is not allowed.
+        UnknownMaterialError: unknown name or entry; names the nearest one.
+        RecipeError: an invalid recipe table.
 
     Example: `index("TiO2").n_complex([587.6])` is 2.6142.
     """
@@ -44,15 +44,15 @@ def index(material: str | complex | OpticalConstant | Mapping[str, Any] | IndexS
 
 
 def material_names() -> list[str]:
-    """Return the default names, as the documentation lists them."""
+    """Return the material names, in the order of the documentation."""
     return [d.name for d in DEFAULTS]
 
 
 def search(text: str) -> list[IndexDescription]:
-    """Return the defaults and the database entries in which every word of `text` occurs, defaults first.
+    """Return the named materials and the database entries that contain every word in `text`, names first.
 
-    A chemical word with a capital is matched with its capitals at the start of a symbol ("Ti" finds TiO2, not
-    Nitride); other words anywhere, whatever the capitals.
+    A chemical symbol matches case-sensitively at the start of a formula ("Ti" finds TiO2, not Nitride); other words
+    match anywhere, ignoring case.
     """
     words = [_matcher(word) for word in text.split()]
     found = [
@@ -77,10 +77,10 @@ def _matcher(word: str) -> Any:
 
 
 def describe(name: str) -> IndexDescription:
-    """Return what is known about a default name or a database key.
+    """Return the description of a material name or database key.
 
     Raises:
-        UnknownMaterialError: no such name or entry.
+        UnknownMaterialError: unknown name or entry.
     """
     found = index(name).describe()
     return replace(found, is_default=isinstance(find_default(name), Default))

@@ -1,7 +1,7 @@
-"""Dispersion models: n + ik as a function of wavelength, each a frozen object with the range it is known in.
+"""Dispersion models: n + ik as a function of wavelength, each with its valid range.
 
-Every model is called with wavelengths in nm, `[wavelength]`, and returns complex128 `[wavelength]`. Published
-coefficients are in powers of um, as all tables print them. Time factor exp(-i w t): absorption is k > 0.
+Models are called with wavelengths in nm, `[wavelength]`, and return complex128 `[wavelength]`. Published
+coefficients use um, as in all tables. Time factor exp(-i w t): absorption is k > 0.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ LINE_D_NM, LINE_F_NM, LINE_C_NM = 587.5618, 486.1327, 656.2725  # helium d, hydr
 
 
 class Dispersion(Protocol):
-    """What every model offers."""
+    """Interface of a dispersion model."""
 
     @property
     def range_nm(self) -> tuple[float, float]:
-        """The wavelengths in which the model is known."""
+        """Valid wavelength range."""
         ...
 
     def __call__(self, wavelengths_nm: Array) -> ComplexArray:
-        """Return n + ik; the caller keeps to the range."""
+        """Return n + ik for wavelengths within the range."""
         ...
 
 
@@ -48,13 +48,13 @@ class Constant:
 
 @dataclass(frozen=True, eq=False)
 class Clear:
-    """Another model without its absorption: the medium above a surface that lies in an absorbing resin."""
+    """Another model without its absorption, for the medium above a surface in an absorbing resin."""
 
     model: Dispersion
 
     @property
     def range_nm(self) -> tuple[float, float]:
-        """The wavelengths in which the other model is known."""
+        """The other model's range."""
         return self.model.range_nm
 
     def __call__(self, wavelengths_nm: Array) -> ComplexArray:
@@ -64,7 +64,7 @@ class Clear:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Tabulated n and k, linear in wavelength between the points as the database's own plots are."""
+    """Tabulated n and k, linearly interpolated in wavelength as in the database's own plots."""
 
     wavelengths_nm: Array
     n: Array
@@ -109,7 +109,7 @@ class Sellmeier:
     range_nm: tuple[float, float] = EVERYWHERE_NM
 
     def __call__(self, wavelengths_nm: Array) -> ComplexArray:
-        """Sum the resonances; NaN where n^2 is negative, which the caller reports."""
+        """Sum the resonances; a negative n^2 gives NaN, which the caller reports."""
         square = (np.asarray(wavelengths_nm, dtype=float) / 1000.0) ** 2
         with np.errstate(all="ignore"):
             return np.sqrt(1.0 + sum(b * square / (square - c) for b, c in self.pairs)) + 0j
@@ -117,7 +117,7 @@ class Sellmeier:
 
 @dataclass(frozen=True)
 class Oscillators:
-    """Permittivity of free carriers and bound oscillators (Drude and Lorentz), energies in eV.
+    """Drude-Lorentz permittivity (free carriers and bound oscillators), energies in eV.
 
     eps(E) = eps_inf - Ep^2 / (E^2 + i E g) + sum of f E0^2 / (E0^2 - E^2 - i E g), and n + ik = sqrt(eps).
     """
@@ -143,25 +143,25 @@ class Oscillators:
 
 @dataclass(frozen=True)
 class Joined:
-    """n of one model and k of another; known where both are."""
+    """n from one model and k from another, in their common range."""
 
     n_model: Dispersion
     k_model: Dispersion
 
     @property
     def range_nm(self) -> tuple[float, float]:
-        """The wavelengths that both models know."""
+        """The common range."""
         (n_low, n_high), (k_low, k_high) = self.n_model.range_nm, self.k_model.range_nm
         return max(n_low, k_low), min(n_high, k_high)
 
     def __call__(self, wavelengths_nm: Array) -> ComplexArray:
-        """Take the real part here and the imaginary part there."""
+        """Combine n and k."""
         return self.n_model(wavelengths_nm).real + 1j * self.k_model(wavelengths_nm).imag
 
 
 @dataclass(frozen=True)
 class Spliced:
-    """One model below a wavelength and another from there on; made continuous by the choice of the two."""
+    """One model below a wavelength and another above; continuous by the choice of the two."""
 
     below: Dispersion
     above: Dispersion
@@ -185,7 +185,7 @@ class Spliced:
 
 @dataclass(frozen=True)
 class Continued:
-    """A formula used beyond the range it was fitted in, down to `low_nm` or up to `high_nm`."""
+    """A formula used beyond its fitted range, down to `low_nm` or up to `high_nm`."""
 
     model: Dispersion
     low_nm: float
@@ -197,7 +197,7 @@ class Continued:
         return min(self.low_nm, self.model.range_nm[0]), max(self.high_nm, self.model.range_nm[1])
 
     def __call__(self, wavelengths_nm: Array) -> ComplexArray:
-        """Evaluate the formula as it stands."""
+        """Evaluate the formula."""
         return self.model(wavelengths_nm)
 
 
@@ -214,7 +214,7 @@ def abbe_cauchy(n_d: float, abbe: float) -> Cauchy:
 
 
 def cauchy_tail(table: Dispersion, knots_nm: tuple[float, float, float], low_nm: float) -> Cauchy:
-    """Return the three-term Cauchy formula through three points of a table, a smooth way out of it to `low_nm`."""
+    """Return the three-term Cauchy formula through three table points, a smooth continuation to `low_nm`."""
     knots = np.asarray(knots_nm, dtype=float)
     powers = np.vander((1000.0 / knots) ** 2, 3, increasing=True)
     coefficients = tuple(float(c) for c in np.linalg.solve(powers, table(knots).real))

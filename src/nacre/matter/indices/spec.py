@@ -1,4 +1,4 @@
-"""The ways a recipe may name a material, checked: a name, a number, a formula, a file, a database entry."""
+"""Recipe form of a material: a name, a number, a formula, a file, or a database entry."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ EXAMPLES = (
 )
 PAGE_SUFFIXES = (".yml", ".yaml")
 PROBE_NM = (360.0, 550.0, 830.0)
-JUDGED_NM = (450.0, 550.0, 650.0)
-SAME_INDEX = 2e-3  # media closer than this reflect less than 1e-6 of the light between them
+AMBIENT_CHECK_NM = (450.0, 550.0, 650.0)
+SAME_INDEX = 2e-3  # an interface with a smaller index difference reflects less than 1e-6 of the light
 
 NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
@@ -54,14 +54,14 @@ class OscillatorSpec(RecipeModel):
     forms: ClassVar[tuple[str, ...]] = ("{strength = 0.05, resonance_ev = 2.2, damping_ev = 0.3}",)
 
     strength: NotNegative = pydantic.Field(
-        description="strength of the oscillator: what it adds to the static permittivity", examples=[0.05]
+        description="oscillator strength: its contribution to the static permittivity", examples=[0.05]
     )
     resonance_ev: Positive = pydantic.Field(description="energy of the resonance, in eV", examples=[2.2])
     damping_ev: NotNegative = pydantic.Field(default=0.0, description="width of the resonance, in eV", examples=[0.3])
 
 
 class LorentzSpec(RecipeModel):
-    """Bound oscillators on a constant background `eps_inf`; with `drude` beside it, leave the one there at 1."""
+    """Bound oscillators on a constant background `eps_inf`; if `drude` is also given, leave its `eps_inf` at 1."""
 
     forms: ClassVar[tuple[str, ...]] = (
         "{eps_inf = 2.2, oscillators = [{strength = 0.05, resonance_ev = 2.2, damping_ev = 0.3}]}",
@@ -74,12 +74,12 @@ class LorentzSpec(RecipeModel):
 
 
 class IndexSpec(RecipeModel):
-    """How a recipe names a material: a name, a number, a formula, a file, a database entry.
+    """Recipe form of a material: a name, a number, a formula, a file, or a database entry.
 
-    A bare string is a name, a bare number an index. In a table exactly one of these stands: `name`; `n` (with
+    A bare string is a name, a bare number an index. A table gives exactly one of these: `name`; `n` (with
     `k`); `cauchy = [c0, c1, ...]`, n = c0 + c1/l^2 + c2/l^4...; `sellmeier = [b1, c1, b2, c2, ...]`,
     n^2 = 1 + sum b l^2/(l^2 - c); `n_d` with `abbe`; `drude` and/or `lorentz`; `file`, a text table; `rii`, a
-    refractiveindex.info entry. Wavelengths l in um. `extrapolate = "edge"` holds the end values outside the
+    refractiveindex.info entry. Wavelengths l in um. `extrapolate = "edge"` continues the end values outside the
     published range.
     """
 
@@ -152,7 +152,7 @@ class IndexSpec(RecipeModel):
         examples=["main/Ag/Johnson"],
     )
     extrapolate: Literal["error", "edge"] = pydantic.Field(
-        default="error", description="outside the tabulated range: refuse, or hold the end values"
+        default="error", description="outside the tabulated range: an error, or the end values"
     )
 
     _built: OpticalConstant = pydantic.PrivateAttr()
@@ -170,7 +170,7 @@ class IndexSpec(RecipeModel):
 
     @pydantic.model_validator(mode="after")
     def _build_now(self, info: pydantic.ValidationInfo) -> IndexSpec:
-        """Build while the recipe's own folder is known, so that every fault is told with its key."""
+        """Build during validation: the recipe's folder is known and errors carry the key."""
         context = (info.context or {}).get("recipe") or RecipeContext()
         self._check_form()
         try:
@@ -181,7 +181,7 @@ class IndexSpec(RecipeModel):
         return self
 
     def build(self, context: RecipeContext | None = None) -> OpticalConstant:
-        """Return the optical constant; it was built, and its file read, when the recipe was checked."""
+        """Return the optical constant built during validation."""
         return self._built
 
     def _check_form(self) -> None:
@@ -203,7 +203,7 @@ class IndexSpec(RecipeModel):
             and self.lorentz is not None
             and 1.0 not in (self.drude.eps_inf, self.lorentz.eps_inf)
         ):
-            raise ValueError("gives eps_inf twice, in drude and in lorentz; keep one")
+            raise ValueError("gives eps_inf twice, in drude and in lorentz; delete one")
 
     def _make(self, context: RecipeContext) -> OpticalConstant:
         if self.name is not None:
@@ -244,14 +244,14 @@ class IndexSpec(RecipeModel):
         )
 
     def _probe(self) -> None:
-        """Look at a formula where it will be used: a coefficient in the wrong unit shows at once."""
+        """Evaluate the constant at visible wavelengths: this detects coefficients in the wrong unit."""
         low, high = self._built.range_nm
         inside = [w for w in PROBE_NM if low <= w <= high]
         self._built.n_complex(inside)
 
 
 def _after_key(error: NacreError, spec: IndexSpec) -> str:
-    """Put a fault behind the key it belongs to."""
+    """Return an error message that starts with its key."""
     text = str(error)
     if text.startswith("= "):
         return text
@@ -263,44 +263,44 @@ def _after_key(error: NacreError, spec: IndexSpec) -> str:
 
 
 def ambient_in(spec: IndexSpec, is_named: bool, context: RecipeContext) -> OpticalConstant:
-    """Return a recipe's ambient: its own, or the medium that another recipe puts it into.
+    """Return a recipe's ambient: its own, or the enclosing recipe's medium.
 
     Args:
         spec: the recipe's key `ambient`, or its default.
         is_named: whether the recipe gives it.
-        context: knows the medium.
+        context: holds the enclosing medium.
 
     Raises:
-        RecipeError: the recipe names an ambient that is not the medium it lies in, or one that absorbs.
+        RecipeError: the ambient differs from the enclosing medium, or absorbs.
     """
     own, medium = spec.build(context), context.ambient
     low, high = own.range_nm
-    k = max((abs(own.n_complex([w])[0].imag) for w in JUDGED_NM if low <= w <= high), default=0.0)
+    k = max((abs(own.n_complex([w])[0].imag) for w in AMBIENT_CHECK_NM if low <= w <= high), default=0.0)
     if medium is None and k >= CLEAR_K:
         raise context.fail(
-            "ambient", own.name, f"absorbs (k = {k:.3g}): R and T have no meaning in a medium in which the incoming "
-            "and the returning light exchange power; take a clear ambient, and the absorbing medium as a layer",
+            "ambient", own.name, f"absorbs (k = {k:.3g}): R and T are undefined in a medium in which the incoming "
+            "and the returning light exchange power; use a clear ambient, and the absorbing medium as a layer",
         )  # fmt: skip
     if medium is None:
         return own
     found: OpticalConstant = medium
     if is_named:
-        here, there = (constant.n_complex(JUDGED_NM).real for constant in (own, found))
+        here, there = (constant.n_complex(AMBIENT_CHECK_NM).real for constant in (own, found))
         if max(abs(here - there)) > SAME_INDEX:
             raise context.fail(
                 "ambient",
                 own.name,
-                f'has n = {here[1]:.4g}, but lies in "{found.name}" with n = {there[1]:.4g}; leave ambient out, and '
-                "it is what lies above",
+                f'has n = {here[1]:.4g}, but lies in "{found.name}" with n = {there[1]:.4g}; leave ambient out '
+                "to use that medium",
             )
     return found
 
 
 def index_spec(data: Any, context: RecipeContext | None = None) -> IndexSpec:
-    """Check one material on its own; `nacre.matter.index` uses it for recipe tables.
+    """Validate one material table for `nacre.matter.index`.
 
     Raises:
-        RecipeError: the first fault in one line.
+        RecipeError: the first error, in one line.
     """
     context = context or RecipeContext(source="material")
     if isinstance(data, str):

@@ -1,8 +1,8 @@
-"""What happens inside a stack: absorption of each layer, and the field |E(z)|^2.
+"""Absorption in each layer, and the field |E(z)|^2.
 
-Both read the fields that the recursion of `stack_kernel` carries upward. At the top of layer j the tangential
-fields are f = F u_j and g = F v_j with one factor F per stack, so the Poynting flux through that plane is
-Re(g f*) / Re(q_0). A layer absorbs the difference of the fluxes at its two interfaces.
+Both use the fields of the recursion in `nacre.matter.stack.kernel`. At the top of layer j the tangential fields are
+f = F u_j and g = F v_j with one factor F per stack, so the Poynting flux through that plane is Re(g f*) / Re(q_0).
+A layer absorbs the flux difference between its two interfaces.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from numpy.typing import ArrayLike
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.jit import compiled
-from nacre.core.parallel import share
-from nacre.matter.stack.inputs import Case, prepare
+from nacre.core.parallel import parallel_for
+from nacre.matter.stack.inputs import StackArrays, prepare
 from nacre.matter.stack.kernel import TWO_PI, kz_squared, robust_factors, sqrt_decaying
 
 
 @compiled(error_model="numpy")
 def _carry_up(n: Any, d: Any, k0: float, q0: complex, kz0sq: complex, is_p: bool, u: Any, v: Any, log: Any) -> None:
-    """Fill u, v at the top of layers 1..L+1 (L+1 the substrate), each pair of size 1, and the log of its factor.
+    """Fill u, v at the top of layers 1..L+1 (L+1 the substrate), each pair normalised, and the log of its factor.
 
     `log[j]` is such that the true (u, v), with u = 1 in the substrate, is (u[j], v[j]) exp(log[j]).
     """
@@ -47,7 +47,7 @@ def _carry_up(n: Any, d: Any, k0: float, q0: complex, kz0sq: complex, is_p: bool
 
 @compiled(error_model="numpy")
 def _decay(n: Any, d: Any, k0: float, kz0sq: complex, sums: Any, turns: Any) -> None:
-    """Fill the sums over the layers above j of Im x and Re x, for j = 1..L+1."""
+    """Fill the sums of Im x and Re x over the layers above j, for j = 1..L+1."""
     sums[1], turns[1] = 0.0, 0.0
     for j in range(1, d.shape[0] + 1):
         x = sqrt_decaying(kz_squared(n[j] * n[j], n[0] * n[0], kz0sq)) * (k0 * d[j - 1])
@@ -86,7 +86,7 @@ def _absorbed_range(
                 _decay(index, d, k0, kz0 * kz0, sums, turns)
                 for pol in range(2):
                     q0 = kz0 / (index[0] * index[0]) if pol == 1 else kz0
-                    if q0.real <= 0.0:  # 90 degrees: nothing enters
+                    if q0.real <= 0.0:  # 90 degrees: zero power enters
                         for j in range(layers):
                             out[pol, j, b, angle, l] = 0.0
                         continue
@@ -95,26 +95,26 @@ def _absorbed_range(
                     factor = 4.0 * abs(q0) ** 2 / (abs(below) ** 2 * q0.real)
                     flux = factor * (v[1] * u[1].conjugate()).real
                     for j in range(1, layers + 1):
-                        # the flux at the bottom of the layer, which is that at the top of the next
+                        # flux at the bottom of the layer = flux at the top of the next
                         size = math.exp(2.0 * max(log[j + 1] - log[1] - sums[j + 1], -370.0))
                         below_flux = factor * size * (v[j + 1] * u[j + 1].conjugate()).real
                         out[pol, j - 1, b, angle, l] = flux - below_flux
                         flux = below_flux
 
 
-def absorbed_power(case: Case, jobs: int | None = None) -> Array:
-    """Absorption of each layer, `[s or p, layer, *batch, angle, wavelength]`, over incident power."""
-    batch, angles, count = case.shape
-    layers = case.n.shape[1] - 2
+def absorbed_power(stack: StackArrays, jobs: int | None = None) -> Array:
+    """Return each layer's absorption, `[s or p, layer, *batch, angle, wavelength]`, over incident power."""
+    batch, angles, count = stack.shape
+    layers = stack.n.shape[1] - 2
     out = np.empty((2, layers, batch, angles, count))
 
     def task(start: int, stop: int, first: int, last: int) -> None:
         _absorbed_range(
-            case.n,
-            case.thicknesses_nm,
-            case.wavelengths_nm,
-            case.normal,
-            case.times_n0,
+            stack.n,
+            stack.thicknesses_nm,
+            stack.wavelengths_nm,
+            stack.normal,
+            stack.times_n0,
             start,
             stop,
             first,
@@ -122,14 +122,14 @@ def absorbed_power(case: Case, jobs: int | None = None) -> Array:
             out,
         )
 
-    # a scalar layer step costs some ten times a vectorised one: threads pay earlier
-    share(task, batch, angles, 10 * batch * angles * count * (layers + 1), jobs)
-    return out.reshape(2, layers, *case.batch, *case.angle_shape, count)
+    # a scalar layer step costs ten times a vectorised one: threads pay off earlier
+    parallel_for(task, batch, angles, 10 * batch * angles * count * (layers + 1), jobs)
+    return out.reshape(2, layers, *stack.batch, *stack.angle_shape, count)
 
 
 @dataclass(frozen=True)
 class FieldProfile:
-    """|E|^2 over that of the incident wave, each `[z, angle, wavelength]` (no angle axis for a scalar angle).
+    """|E|^2 over the incident wave's |E|^2, each `[z, angle, wavelength]` (without the angle axis for a scalar angle).
 
     Attributes:
         z_nm: depths, 0 at the first interface, negative in the ambient.
@@ -171,7 +171,7 @@ def _field_at(
                 q0 = kz0 / n02 if is_p else kz0
                 _carry_up(index, d, k0, q0, kz0 * kz0, is_p, u, v, log)
                 denominator = q0 * u[1] + v[1]
-                # at 90 degrees through a matched stack the wave goes straight on with f = 1
+                # at 90 degrees the wave passes a matched stack with f = 1
                 first = 2.0 * q0 / denominator if abs(denominator) > 0.0 else 1.0 / u[1]
                 for i in range(z.shape[0]):
                     j = medium[i]
@@ -210,32 +210,32 @@ def field_profile(
     theta_rad: ArrayLike,
     z_nm: ArrayLike,
 ) -> FieldProfile:
-    """Squared modulus of E along z in one stack, over that of the incident wave.
+    """Return |E|^2 along z in one stack, relative to the incident wave.
 
     Args:
         n: `[medium, wavelength]`, thicknesses_nm: `[layer]`, wavelengths_nm, theta_rad: as in
             `nacre.matter.stack.solve.solve`, without a batch.
-        z_nm: depths `[z]` from the first interface, negative in the ambient. A depth on an interface counts to
-            the medium below it; E jumps there in p.
+        z_nm: depths `[z]` from the first interface, negative in the ambient. A depth on an interface belongs to
+            the medium below it; E is discontinuous there in p.
 
     Raises:
-        NacreError: as `solve`, and for a batch of stacks or depths that are not finite.
+        NacreError: as `solve`; a batch of stacks, or non-finite depths.
 
     Example: in front of a perfect mirror |E|^2 rises to 4 a quarter wave away.
     """
-    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, waves_only=True)
-    if case.batch:
+    stack = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, waves_only=True)
+    if stack.batch:
         raise NacreError("field_profile takes one stack at a time, not a batch")
     z = np.atleast_1d(np.asarray(z_nm, dtype=float))
     if z.ndim != 1 or not np.all(np.isfinite(z)):
         raise NacreError("z_nm must be a list of finite depths")
-    d = case.thicknesses_nm[0]
-    tops = np.concatenate([[0.0], np.cumsum(d)])  # of layers 1..L and of the substrate
+    d = stack.thicknesses_nm[0]
+    tops = np.concatenate([[0.0], np.cumsum(d)])  # layers 1..L and the substrate
     medium = np.searchsorted(tops, z, side="right")
-    bottoms = np.append(tops, tops[-1])  # bottom of medium j is the top of j + 1; of the substrate: its own top
+    bottoms = np.append(tops, tops[-1])  # the bottom of medium j is the top of j + 1; the substrate has its own top
     below = bottoms[medium] - z
-    _, angles, count = case.shape
+    _, angles, count = stack.shape
     out = np.empty((2, len(z), angles, count))
-    _field_at(case.n[0], d, case.wavelengths_nm, case.normal[0], case.times_n0, z, medium, below, out)
-    s, p = out.reshape(2, len(z), *case.angle_shape, count)
+    _field_at(stack.n[0], d, stack.wavelengths_nm, stack.normal[0], stack.times_n0, z, medium, below, out)
+    s, p = out.reshape(2, len(z), *stack.angle_shape, count)
     return FieldProfile(z, s, p)

@@ -1,12 +1,12 @@
-"""Stacks with layers too thick to interfere with themselves: a window pane, a plastic foil.
+"""Stacks with incoherent layers, too thick for interference: a window pane, a plastic foil.
 
-Between two incoherent layers stands a coherent group (one bare interface at least). Light inside an incoherent
-layer is followed as intensity only: with reflectance R, R' of a group from above and from below, transmittance T, T'
-and the intensity P = exp(-2 Im x) that one passage leaves,
+Coherent groups (at least one bare interface) separate the incoherent layers, in which only intensities propagate. With
+reflectance R, R' of a group from above and from below, transmittance T, T' and the intensity P = exp(-2 Im x) after
+one passage,
 
     R_total = R + T T' P^2 R_next / (1 - R' P^2 R_next),  T_total = T P T_next / (1 - R' P^2 R_next),
 
-from the bottom upward (Katsidis & Siapkas 2002 and Byrnes, arXiv 1603.02720, section 9, give the same sums).
+from the bottom upward (Katsidis & Siapkas 2002; Byrnes, arXiv 1603.02720, section 9).
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.matter.stack.inputs import Case, Powers, kernel_powers, normal_component, part_of, prepare
+from nacre.matter.stack.inputs import Powers, StackArrays, kernel_powers, normal_component, part_of, prepare
 
 
 @dataclass(frozen=True)
 class _Group:
-    """What stands between two thick media: its response from either side, each `[s or p, batch, angle, wavelength]`.
+    """A coherent group between two thick media; powers are `[s or p, batch, angle, wavelength]`.
 
     Attributes:
-        down, up: the group alone as a case, met from above and from below (None under the lowest group).
+        down, up: the group as a stack, lit from above and from below (unset for the lowest group).
         down_r, down_t, up_r, up_t: its powers.
-        passage: intensity that one passage through the thick medium above leaves (1 in the ambient).
-        first: number of its first medium above, so that its layers are first .. first + count - 1 (from 0).
+        passage: intensity after one passage through the thick medium above (1 in the ambient).
+        first: index of its upper medium; its layers are first .. first + count - 1 (from 0).
     """
 
-    down: Case
-    up: Case | None
+    down: StackArrays
+    up: StackArrays | None
     down_r: Array
     down_t: Array
     up_r: Array
@@ -54,26 +54,26 @@ def incoherent_powers(
     kappa: ArrayLike | None = None,
     jobs: int | None = None,
 ) -> Powers:
-    """R and T of a stack some of whose layers are incoherent.
+    """Return R and T of a stack with incoherent layers.
 
     Args:
         n, thicknesses_nm, wavelengths_nm, theta_rad, cos_i, kappa, jobs: as in `nacre.matter.stack.solve.powers`,
-            batches included.
-        incoherent: `[layer]`, which layers do not interfere.
+            including batches.
+        incoherent: `[layer]`, flags.
 
-    R + T + A = 1 is exact where the incoherent layers absorb over their thickness but little over a wavelength
-    (k << n), the only case in which intensities add.
+    R + T + A = 1 is exact if the incoherent layers absorb little over a wavelength (k << n), the condition under which
+    intensities add.
 
     Raises:
-        NacreError: as `solve`, or flags that do not fit the layers.
+        NacreError: as `solve`; a wrong number of flags.
     """
-    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa)
-    groups = _groups(case, incoherent, jobs)
+    stack = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa)
+    groups = _groups(stack, incoherent, jobs)
     totals = _reflected(groups)
     total_r, total_t = totals[0], groups[-1].down_t
     for group, below, reflected in zip(groups[:-1], groups[1:], totals[1:]):
         total_t = total_t * _gain(group, below, reflected) * below.passage
-    shape = (*case.batch, *case.angle_shape, case.shape[2])
+    shape = (*stack.batch, *stack.angle_shape, stack.shape[2])
     return Powers(*(part.reshape(shape) for part in (*total_r, *total_t)))
 
 
@@ -87,39 +87,38 @@ def incoherent_absorption(
     cos_i: ArrayLike | None = None,
     jobs: int | None = None,
 ) -> Array:
-    """Power absorbed in each layer over incident power, `[s or p, layer, ..., angle, wavelength]`.
+    """Return each layer's absorbed power over incident power, `[s or p, layer, ..., angle, wavelength]`.
 
-    Arguments, errors and the limit k << n of the incoherent layers as in `incoherent_powers`. A thick layer absorbs
-    the difference of the net fluxes at its interfaces; a thin one its share of the light that meets its group from
-    above and from below.
+    Arguments, errors and the limit k << n as in `incoherent_powers`. A thick layer absorbs the net flux difference
+    between its interfaces; a thin one absorbs its share of the light incident on its group from above and from below.
     """
     from nacre.matter.stack.field import absorbed_power
 
-    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
-    groups = _groups(case, incoherent, jobs)
+    stack = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
+    groups = _groups(stack, incoherent, jobs)
     totals = _reflected(groups)
-    absorbed = np.zeros((2, case.n.shape[1] - 2, *case.shape))
-    arriving: Array = np.ones((2, *case.shape))  # on the group from above
+    absorbed = np.zeros((2, stack.n.shape[1] - 2, *stack.shape))
+    arriving: Array = np.ones((2, *stack.shape))  # on the group from above
     for i, group in enumerate(groups):
         count = group.down.n.shape[1] - 2
         own = slice(group.first, group.first + count)
         if count:
-            absorbed[:, own] += absorbed_power(group.down, jobs).reshape(2, count, *case.shape) * arriving[:, None]
+            absorbed[:, own] += absorbed_power(group.down, jobs).reshape(2, count, *stack.shape) * arriving[:, None]
         if group.up is None:
             break
         below, total = groups[i + 1], totals[i + 1]
-        leaving = arriving * _gain(group, below, total)  # what enters the thick medium under the group
+        leaving = arriving * _gain(group, below, total)  # light entering the thick medium below the group
         returning = below.passage**2 * total * leaving
         if count:
-            from_below = absorbed_power(group.up, jobs).reshape(2, count, *case.shape)[:, ::-1]
+            from_below = absorbed_power(group.up, jobs).reshape(2, count, *stack.shape)[:, ::-1]
             absorbed[:, own] += from_below * returning[:, None]
         arriving = below.passage * leaving
         absorbed[:, group.first + count] = leaving - returning - arriving * (1.0 - total)
-    return absorbed.reshape(2, -1, *case.batch, *case.angle_shape, case.shape[2])
+    return absorbed.reshape(2, -1, *stack.batch, *stack.angle_shape, stack.shape[2])
 
 
 def _reflected(groups: list[_Group]) -> list[Array]:
-    """Reflectance of each group with all that lies under it, from the top downward."""
+    """Return each group's reflectance including the stack below it, from the top downward."""
     totals = [groups[-1].down_r]
     for group, below in zip(groups[-2::-1], groups[:0:-1]):
         echoes = _gain(group, below, totals[0]) * group.up_t * below.passage**2 * totals[0]
@@ -128,32 +127,32 @@ def _reflected(groups: list[_Group]) -> list[Array]:
 
 
 def _gain(group: _Group, below: _Group, total_r: Array) -> Array:
-    """Light that goes down under a group over light that arrives on it, all reflections included."""
+    """Return the downward light below a group over the light incident on it, with all reflections."""
     bounce = group.up_r * below.passage**2 * total_r
-    # 1 - bounce vanishes only for light that is trapped for good, and none of that gets in: down_t is 0 there
+    # 1 - bounce vanishes only for trapped light, which cannot enter: down_t is 0
     return np.where(group.down_t > 0, group.down_t / np.where(bounce < 1, 1 - bounce, 1.0), 0.0)
 
 
-def _groups(case: Case, incoherent: Sequence[bool], jobs: int | None) -> list[_Group]:
-    """The coherent groups from the top downward."""
-    layers = case.n.shape[1] - 2
+def _groups(stack: StackArrays, incoherent: Sequence[bool], jobs: int | None) -> list[_Group]:
+    """Return the coherent groups from the top downward."""
+    layers = stack.n.shape[1] - 2
     if len(incoherent) != layers:
         raise NacreError(f"incoherent must hold one flag for each of the {layers} layers, not {len(incoherent)}")
-    n02 = case.n[:, 0][:, None, :] ** 2
-    kz0sq = (case.normal * case.n[:, :1] if case.times_n0 else case.normal) ** 2  # [batch or 1, angle, wavelength]
+    n02 = stack.n[:, 0][:, None, :] ** 2
+    kz0sq = (stack.normal * stack.n[:, :1] if stack.times_n0 else stack.normal) ** 2  # [batch or 1, angle, wavelength]
     edges = [0, *(j + 1 for j in range(layers) if incoherent[j]), layers + 1]
     groups = []
     for top, bottom in zip(edges[:-1], edges[1:]):
-        media, d = case.n[:, top : bottom + 1], case.thicknesses_nm[:, top : bottom - 1]
-        normal = normal_component(case.n[:, top, None, :] ** 2, n02, kz0sq)
-        thickness = 0.0 if top == 0 else case.thicknesses_nm[:, top - 1][:, None, None]
-        passage = np.exp(-4 * np.pi * normal.imag * thickness / case.wavelengths_nm)
-        down = part_of(case, media, d, normal)
+        media, d = stack.n[:, top : bottom + 1], stack.thicknesses_nm[:, top : bottom - 1]
+        normal = normal_component(stack.n[:, top, None, :] ** 2, n02, kz0sq)
+        thickness = 0.0 if top == 0 else stack.thicknesses_nm[:, top - 1][:, None, None]
+        passage = np.exp(-4 * np.pi * normal.imag * thickness / stack.wavelengths_nm)
+        down = part_of(stack, media, d, normal)
         down_r, down_t = kernel_powers(down, jobs)
         up, up_r, up_t = None, down_r, down_t
         if bottom <= layers:
-            back = normal_component(case.n[:, bottom, None, :] ** 2, n02, kz0sq)
-            up = part_of(case, media[:, ::-1], d[:, ::-1], back)
+            back = normal_component(stack.n[:, bottom, None, :] ** 2, n02, kz0sq)
+            up = part_of(stack, media[:, ::-1], d[:, ::-1], back)
             up_r, up_t = kernel_powers(up, jobs)
         groups.append(_Group(down, up, down_r, down_t, up_r, up_t, passage, top))
     return groups

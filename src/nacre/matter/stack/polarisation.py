@@ -1,6 +1,6 @@
-"""Jones and Mueller matrices and ellipsometric angles of what `nacre.matter` computes.
+"""Jones and Mueller matrices and ellipsometric angles of stacks.
 
-Jones vectors are (E_p, E_s), each in the wave's own frame with s the same direction for all waves; Stokes vectors
+Jones vectors are (E_p, E_s), each in the wave's own frame, with s the same direction for all waves; Stokes vectors
 are (I, Q, U, V) with Q = I_p - I_s, U = I_45 - I_135. Layered media do not mix s and p, so the matrices follow
 from two numbers.
 
@@ -19,21 +19,21 @@ from nacre.matter.stack.inputs import Response
 
 
 def jones_reflection(response: Response) -> ComplexArray:
-    """Jones matrix of reflection, `[..., angle, wavelength, 2, 2]` over (E_p, E_s)."""
+    """Return the reflection Jones matrix, `[..., angle, wavelength, 2, 2]` over (E_p, E_s)."""
     return _diagonal(response.r_p, response.r_s)
 
 
 def jones_transmission(response: Response) -> ComplexArray:
-    """Jones matrix of transmission in power units, `[..., angle, wavelength, 2, 2]`.
+    """Return the transmission Jones matrix in power units, `[..., angle, wavelength, 2, 2]`.
 
-    The amplitudes t carry the factor sqrt(Re q_s / Re q_0) here, so that squared moduli are transmittances and
-    `mueller` of the matrix conserves energy together with that of reflection.
+    The amplitudes t carry the factor sqrt(Re q_s / Re q_0): squared moduli are transmittances, and the Mueller
+    matrices of reflection and transmission together conserve energy.
     """
     return _diagonal(_in_power_units(response.t_p, response.T_p), _in_power_units(response.t_s, response.T_s))
 
 
 def mueller(jones: ComplexArray) -> Array:
-    """Mueller matrix `[..., 4, 4]` of a Jones matrix `[..., 2, 2]` over (E_p, E_s); any matrix, not only diagonal.
+    """Return the Mueller matrix `[..., 4, 4]` of any Jones matrix `[..., 2, 2]` over (E_p, E_s).
 
     Example: a mirror with r_s = -1, r_p = 1 gives diag(1, 1, -1, -1).
     """
@@ -51,11 +51,11 @@ class Ellipsometry:
 
 
 def ellipsometry(response: Response) -> Ellipsometry:
-    """Psi and Delta of reflection: tan(psi) = |r_p / r_s|, Delta as instruments print it, in [0, 2 pi).
+    """Return Psi and Delta of reflection: tan(psi) = |r_p / r_s|, Delta as instruments print it, in [0, 2 pi).
 
-    Instruments write rho = r_p / r_s = tan(psi) exp(i Delta) for fields exp(+i w t) (the Nebraska convention);
-    ours run as exp(-i w t), so Delta = -arg(r_p / r_s): pi at normal incidence, pi/2 at a metal's principal angle.
-    `tmm` gives Delta_tmm = arg(-r_p / r_s) = pi - Delta. Where r_s vanishes too, psi is pi/4.
+    Instruments write rho = r_p / r_s = tan(psi) exp(i Delta) for fields exp(+i w t) (the Nebraska convention).
+    Here fields are exp(-i w t), so Delta = -arg(r_p / r_s): pi at normal incidence, pi/2 at a metal's principal angle.
+    `tmm` gives Delta_tmm = arg(-r_p / r_s) = pi - Delta. If r_s vanishes too, psi is pi/4.
     """
     psi = np.arctan2(np.abs(response.r_p), np.abs(response.r_s))
     both_zero = (response.r_p == 0) & (response.r_s == 0)
@@ -76,6 +76,6 @@ def _diagonal(p: ComplexArray, s: ComplexArray) -> ComplexArray:
 
 
 def _in_power_units(t: ComplexArray, power: Array) -> ComplexArray:
-    """Give t the modulus sqrt(power), keeping its phase; zero where nothing passes."""
+    """Return t with the modulus sqrt(power) and its own phase; 0 for t = 0."""
     size = np.abs(t)
     return np.where(size > 0, t / np.where(size > 0, size, 1.0), 0.0) * np.sqrt(power)

@@ -17,36 +17,36 @@ def solve(
     absorption: bool = False,
     jobs: int | None = None,
 ) -> Response:
-    """Amplitudes and powers of layered media at real angles of incidence.
+    """Return amplitudes and powers of layered media at real angles of incidence.
 
     Args:
-        n: complex refractive indices `[..., medium, wavelength]` (or `[..., medium, 1]`), from the ambient
-            through the layers to the substrate; leading axes are a batch.
+        n: complex refractive indices `[..., medium, wavelength]` (or `[..., medium, 1]`), ordered from ambient to
+            substrate; leading axes are a batch.
         thicknesses_nm: `[..., layer]`, two shorter than the medium axis; leading axes broadcast with those of `n`.
         wavelengths_nm: `[wavelength]`, in vacuum.
         theta_rad: angles of incidence in the ambient, 0 to pi/2, `[angle]` or a number.
         cos_i: their cosines instead.
-        absorption: compute the absorption of each layer too, as the difference of the Poynting flux at its
-            two interfaces (slower: a second, scalar pass).
-        jobs: threads; by default as many as this process may use, one for small work.
+        absorption: also compute each layer's absorption, from the Poynting flux difference between its interfaces
+            (slower: a second, scalar pass).
+        jobs: threads; by default all that this process may use, one for small inputs.
 
-    Beyond the critical angle T is 0 and R is what absorption leaves. At 90 degrees R = 1 and T = 0, except for a
-    stack whose media all have the index of the ambient (R = 0, T = 1). An ambient with k below 1e-4 is taken as
-    clear.
+        Beyond the critical angle T is 0 and R is 1 minus absorption. At 90 degrees R = 1 and T = 0, except for a
+        matched stack, whose media all have the ambient's index (R = 0, T = 1). An ambient with k below 1e-4 counts as
+        clear.
 
-    Raises:
-        NacreError: an absorbing ambient, in which R and T have no meaning (ask for `amplitudes`); k < 0, a negative
-            thickness, shapes that do not fit, an angle outside 0..pi/2.
+        Raises:
+            NacreError: an absorbing ambient, for which R and T are undefined (use `amplitudes`); k < 0, a negative
+                thickness, inconsistent shapes, an angle outside 0..pi/2.
 
     Example: 300 nm of n = 1.33 between air at 550 nm and normal incidence reflect 0.0754.
     """
-    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
-    (r_s, r_p, t_s, t_p), (R_s, R_p, T_s, T_p) = run_kernel(case, True, True, jobs)
+    stack = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
+    (r_s, r_p, t_s, t_p), (R_s, R_p, T_s, T_p) = run_kernel(stack, True, True, jobs)
     A_s = A_p = None
     if absorption:
         from nacre.matter.stack.field import absorbed_power
 
-        A_s, A_p = absorbed_power(case, jobs)
+        A_s, A_p = absorbed_power(stack, jobs)
     return Response(r_s=r_s, r_p=r_p, t_s=t_s, t_p=t_p, R_s=R_s, R_p=R_p, T_s=T_s, T_p=T_p, A_s=A_s, A_p=A_p)
 
 
@@ -60,11 +60,11 @@ def powers(
     kappa: ArrayLike | None = None,
     jobs: int | None = None,
 ) -> Powers:
-    """R and T alone: `solve` without the amplitudes, faster and in a third of the memory.
+    """Return R and T: `solve` without the amplitudes, faster and with a third of the memory.
 
     Args:
         kappa: in-plane wavevectors kx / k0 instead of angles, real, `[angle]` or `[angle, wavelength]`, up to the
-            index of the ambient: one direction outside a dispersive medium is another angle inside at each wavelength.
+            ambient's index. One direction outside a dispersive medium has a different angle inside at each wavelength.
 
     Other arguments and errors as in `solve`.
     """
@@ -82,23 +82,23 @@ def amplitudes(
     cos_i: ArrayLike | None = None,
     jobs: int | None = None,
 ) -> Amplitudes:
-    """Amplitudes at any complex in-plane wavevector.
+    """Return amplitudes at any complex in-plane wavevector.
 
     Give one of:
         kappa: in-plane wavevector kx / k0, complex, `[angle]` or `[angle, wavelength]`; the ambient's normal
-            component is the root with Im kz >= 0 (Re kz >= 0 where it is real).
-        kz: normal component kz / k0 in the ambient, taken as it is, same shapes. With n_0 = 1 this is the
-            variable w = cos of the metasurface's path w = 1 + it. Every layer's and the substrate's own
-            kz_j = sqrt(n_j^2 - n_0^2 + kz^2) has Im kz_j >= 0. Layers are even in kz_j, so only the branch of the
-            substrate matters.
+            component is the root with Im kz >= 0 (Re kz >= 0 if it is real).
+        kz: normal component kz / k0 in the ambient, same shapes. With n_0 = 1 this is the variable w = cos on the
+            metasurface's integration path w = 1 + it. In each layer and the substrate
+            kz_j = sqrt(n_j^2 - n_0^2 + kz^2) has Im kz_j >= 0. Layers are even in kz_j, so only the substrate's
+            branch matters.
         theta_rad, cos_i: real angles, as in `solve`.
 
-    The other arguments, the shapes and the errors are those of `solve`. No power is defined here: beyond the
-    light line a single wave carries none.
+        Other arguments, shapes and errors as in `solve`. Power is undefined here: beyond the light line a single wave
+        does not carry power.
 
     Example: glass (n = 1.5) at kz = 1 + 2i: r_s = 0.0340 + 0.0578i.
     """
-    case = prepare(
+    stack = prepare(
         n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa, kz=kz, waves_only=True
     )
-    return Amplitudes(*run_kernel(case, True, False, jobs)[0])
+    return Amplitudes(*run_kernel(stack, True, False, jobs)[0])

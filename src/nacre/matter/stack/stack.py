@@ -1,4 +1,4 @@
-"""A stack of layers made of named or given materials: the object interface to `nacre.matter.stack.inputs`."""
+"""A stack of named or given materials: the object interface to `nacre.matter.stack.solve`."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from nacre.matter.stack.inputs import Amplitudes, Powers, Response, check_thickn
 
 
 class HasIndex(Protocol):
-    """What a stack needs of an optical constant."""
+    """The part of an optical constant that a stack uses."""
 
     def n_complex(self, wavelengths_nm: Array) -> ComplexArray:
         """Complex index n + ik, `[wavelength]`."""
         ...
 
 
-Medium = HasIndex | complex | ComplexArray  # an optical constant, a number, or values on the wavelengths of the call
+Medium = HasIndex | complex | ComplexArray  # an optical constant, a number, or values for the call's wavelengths
 
 
 def index_of(medium: Medium, wavelengths_nm: Array) -> ComplexArray:
-    """Return n + ik of a medium, `[wavelength]`.
+    """Return a medium's n + ik, `[wavelength]`.
 
     Raises:
-        NacreError: an array of another length than the wavelengths.
-        MaterialRangeError: the optical constant is not known at a wavelength.
+        NacreError: an index array whose length differs from the wavelengths.
+        MaterialRangeError: a wavelength outside the optical constant's range.
     """
     if hasattr(medium, "n_complex"):
         return np.asarray(medium.n_complex(wavelengths_nm), dtype=np.complex128)
@@ -42,7 +42,7 @@ def index_of(medium: Medium, wavelengths_nm: Array) -> ComplexArray:
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """One layer: its material, its thickness and whether it is too thick to interfere with itself."""
+    """One layer: material, thickness, and whether it is too thick for interference."""
 
     material: Medium
     thickness_nm: float
@@ -54,10 +54,10 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """Layers between an ambient, where the light comes from, and a substrate.
+    """Layers between the ambient, which contains the incident light, and a substrate.
 
     Attributes:
-        ambient, substrate: half-spaces; any optical constant, number, or array on the wavelengths asked for.
+        ambient, substrate: half-spaces; an optical constant, a number, or an array for the requested wavelengths.
         layers: from the ambient inward.
 
     Example: `Stack(1.0, [Layer(index("SiO2"), 400)], index("Si")).solve([0.0], wavelengths_nm).reflectance`.
@@ -74,33 +74,33 @@ class Stack:
 
     @property
     def thicknesses_nm(self) -> Array:
-        """Thicknesses of the layers, `[layer]`."""
+        """Layer thicknesses, `[layer]`."""
         return np.array([layer.thickness_nm for layer in self.layers], dtype=float)
 
     @property
     def is_coherent(self) -> bool:
-        """Whether no layer is marked incoherent."""
+        """Whether all layers are coherent."""
         return not any(layer.incoherent for layer in self.layers)
 
     def indices(self, wavelengths_nm: ArrayLike) -> ComplexArray:
-        """Complex indices `[medium, wavelength]` from ambient to substrate."""
+        """Return complex indices `[medium, wavelength]` from ambient to substrate."""
         lam = np.asarray(wavelengths_nm, dtype=float)
         media = (self.ambient, *(layer.material for layer in self.layers), self.substrate)
-        # a medium that comes again is looked up once
+        # look up each distinct medium once
         known = {id(medium): index_of(medium, lam) for medium in {id(medium): medium for medium in media}.values()}
         return np.stack([known[id(medium)] for medium in media])
 
     def reversed(self) -> Stack:
-        """The same stack lit from the substrate's side."""
+        """Return the stack as lit from the substrate's side."""
         return Stack(self.substrate, self.layers[::-1], self.ambient)
 
     def solve(
         self, theta_rad: ArrayLike, wavelengths_nm: ArrayLike, *, absorption: bool = False, jobs: int | None = None
     ) -> Response:
-        """Amplitudes, powers and, on request, absorption per layer: see `nacre.matter.stack.solve.solve`.
+        """Return amplitudes, powers and, on request, absorption per layer: see `nacre.matter.stack.solve.solve`.
 
         Raises:
-            NacreError: a layer is incoherent (a stack with one has no amplitudes: use `powers`).
+            NacreError: an incoherent layer, for which amplitudes are undefined (use `powers`).
         """
         if not self.is_coherent:
             raise NacreError("a stack with an incoherent layer has no amplitudes; ask for powers(...)")
@@ -114,7 +114,7 @@ class Stack:
         )
 
     def powers(self, theta_rad: ArrayLike, wavelengths_nm: ArrayLike, *, jobs: int | None = None) -> Powers:
-        """R and T, `[angle, wavelength]`, with incoherent layers where they are marked."""
+        """Return R and T, `[angle, wavelength]`, with incoherent layers as marked."""
         n = self.indices(wavelengths_nm)
         if self.is_coherent:
             return solver.powers(n, self.thicknesses_nm, wavelengths_nm, theta_rad, jobs=jobs)
@@ -126,9 +126,9 @@ class Stack:
     def absorption(
         self, theta_rad: ArrayLike, wavelengths_nm: ArrayLike, *, jobs: int | None = None
     ) -> tuple[Array, Array]:
-        """Power absorbed in each layer over incident power, for s and for p, each `[layer, angle, wavelength]`.
+        """Return each layer's absorbed power over incident power, for s and for p, each `[layer, angle, wavelength]`.
 
-        Incoherent layers included; there R + T + A = 1 holds as far as they absorb little over a wavelength.
+        With incoherent layers R + T + A = 1 holds if they absorb little over a wavelength.
         """
         n = self.indices(wavelengths_nm)
         if self.is_coherent:
@@ -149,7 +149,7 @@ class Stack:
         kz: ArrayLike | None = None,
         jobs: int | None = None,
     ) -> Amplitudes:
-        """Amplitudes at complex in-plane wavevectors: see `nacre.matter.stack.solve.amplitudes`."""
+        """Return amplitudes at complex in-plane wavevectors: see `nacre.matter.stack.solve.amplitudes`."""
         if not self.is_coherent:
             raise NacreError("a stack with an incoherent layer has no amplitudes; ask for powers(...)")
         return solver.amplitudes(

@@ -1,17 +1,18 @@
-"""R or T of one stack and their slopes by every thickness, from tables made once for a palette.
+"""R or T of one stack and its gradient in the thicknesses, from tables made once for a set of materials.
 
-A search of designs asks for the same few materials, directions and wavelengths millions of times: the wavevectors
-and admittances of every medium are therefore tabulated (`StackTables`), and a layer costs one sine, one cosine and one
-exponential for both polarisations. The recursion is that of reflection coefficients,
+An optimisation evaluates the same few materials, directions and wavelengths millions of times. The wavevectors and
+admittances of all media are therefore tabulated (`StackTables`), and a layer costs one sine, one cosine and one
+exponential for both polarisations. The recursion uses reflection coefficients,
 
     G_j = (t + s X) / (s + t X),   s = q_j + q_{j+1},   t = q_j - q_{j+1},   X = G_{j+1} e^{2 i x},
 
 upward from G = (q_last - q_substrate) / (q_last + q_substrate); only decaying exponentials occur. G_0 is analytic in
-each X, with dG_j / dX = 4 q_j q_{j+1} / (s + t X)^2, so one walk downward gives all slopes at the cost of the walk up.
+each X, with dG_j / dX = 4 q_j q_{j+1} / (s + t X)^2, so one downward pass gives all derivatives at the cost of the
+upward pass.
 T is the product of |2 q_j / (s + t X)|^2 and |e^{2 i x}|, times Re q_substrate / Re q_0.
 
-`nacre.matter.stack.solve` is the general solver (any angle, grazing, evanescent media, amplitudes); a test ties the
-two. Here a media pair with s + t X = 0, a guided wave, has no answer; light from a clear ambient meets none.
+`nacre.matter.stack.solve` is the general solver (any angle, grazing, evanescent media, amplitudes); a test compares
+the two. A guided wave (s + t X = 0) has no solution here; light from a clear ambient does not excite one.
 """
 
 from __future__ import annotations
@@ -34,22 +35,22 @@ from nacre.matter.stack.kernel import (
     sin_half_turn,
 )
 
-SAMPLES = 88  # wavelengths a block: rows of 704 bytes, no power of two, do not fight for the same cache lines
-_ROWS = 8  # of the scratch a layer: e^{2ix}, X, dG/dX and, for transmission, t / (s + t X)
+SAMPLES = 88  # wavelengths per block: rows of 704 bytes, not a power of two, avoid cache-line conflicts
+_ROWS = 8  # scratch rows per layer: e^{2ix}, X, dG/dX and, for transmission, t / (s + t X)
 NORMAL_COS = 1.0 - 1e-12
 
 
 class StackTables(NamedTuple):
-    """Media at some wavelengths and directions; medium 0 is the ambient. Made by `stack_tables`.
+    """Tabulated media for some wavelengths and directions; medium 0 is the ambient. Made by `stack_tables`.
 
     Attributes:
         turns_r, turns_i: `[row, medium, wavelength]`, 2 kz / wavelength, per nm: phase e^{2 i x} = e^{2 pi i turns d}.
         q_r, q_i: `[channel, medium, wavelength]`, admittances.
-        row: `[channel]`, the row that a channel (a polarisation) belongs to.
-        share: `[channel]`, 1 at normal incidence, where s and p are one, else 1/2.
-        first: `[row + 1]`, the first channel of each row.
+        row: `[channel]`, the row of a channel (a polarisation).
+        share: `[channel]`, 1 at normal incidence (s and p coincide), else 1/2.
+        first: `[row + 1]`, each row's first channel.
         is_transmitted: `[row]`.
-        is_clear: `[medium]`, whether it nowhere absorbs.
+        is_clear: `[medium]`, whether k = 0 at all wavelengths.
     """
 
     turns_r: Array
@@ -69,10 +70,10 @@ def stack_tables(
     angles_rad: ArrayLike,
     sides: Sequence[str],
 ) -> StackTables:
-    """Tabulate media for `spectra_and_slopes`.
+    """Tabulate media for `spectra_and_gradients`.
 
     Args:
-        n: complex `[medium, wavelength]`, k >= 0; medium 0 is the ambient, which must be clear.
+        n: complex `[medium, wavelength]`, k >= 0; medium 0 is the clear ambient.
         wavelengths_nm: `[wavelength]`.
         angles_rad: `[row]`, in the ambient, below pi/2.
         sides: `[row]`, "reflected" or "transmitted" (into the substrate); both unpolarised.
@@ -84,7 +85,7 @@ def stack_tables(
     wavelengths = np.asarray(wavelengths_nm, dtype=float)
     angles = np.atleast_1d(np.asarray(angles_rad, dtype=float))
     if (np.abs(indices[0].imag) > 0.0).any():
-        raise NacreError("light must come from a medium that does not absorb")
+        raise NacreError("the ambient must not absorb")
     if not ((angles >= 0.0) & (angles < 0.5 * np.pi)).all():
         raise NacreError("angles must be from 0 to below 90 degrees")
     if len(sides) != len(angles) or any(side not in ("reflected", "transmitted") for side in sides):
@@ -123,13 +124,13 @@ def _decaying_roots(kz2: ComplexArray) -> ComplexArray:
 
 
 def scratch(layers: int) -> Array:
-    """Return working memory for stacks of up to so many layers."""
+    """Return working memory for stacks with up to `layers` layers."""
     return np.zeros((layers + 3) * _ROWS * SAMPLES)
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _phase(b: Any, turns_r: Any, turns_i: Any, d: float, clear: bool, count: int) -> None:
-    """Put e^{2ix} of a layer into the first two rows of its block `b`."""
+    """Write a layer's e^{2ix} to the first two rows of its block `b`."""
     if clear:
         for i in range(count):
             turns = turns_r[i] * d
@@ -151,7 +152,7 @@ def _phase(b: Any, turns_r: Any, turns_i: Any, d: float, clear: bool, count: int
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _up(b: Any, g: Any, upper_r: Any, upper_i: Any, lower_r: Any, lower_i: Any, count: int) -> None:
-    """Carry G (rows `g`) through a layer and the interface above it; keep what the way down needs (block `b`)."""
+    """Carry G (rows `g`) through a layer and the interface above it; store data for the downward pass in block `b`."""
     for i in range(count):
         ar, ai = upper_r[i], upper_i[i]
         br, bi = lower_r[i], lower_i[i]
@@ -180,8 +181,8 @@ def _up(b: Any, g: Any, upper_r: Any, upper_i: Any, lower_r: Any, lower_i: Any, 
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
-def _down(b: Any, a: Any, turns_r: Any, turns_i: Any, share: float, slopes: Any, count: int) -> None:
-    """Carry the slope of R by G (rows `a`) down through an interface and a layer; add the layer's own slope."""
+def _down(b: Any, a: Any, turns_r: Any, turns_i: Any, share: float, gradients: Any, count: int) -> None:
+    """Carry dR/dG (rows `a`) down through an interface and a layer; add the layer's derivative."""
     factor = -TWO_PI * share
     for i in range(count):
         ar, ai = a[i], a[SAMPLES + i]
@@ -190,15 +191,15 @@ def _down(b: Any, a: Any, turns_r: Any, turns_i: Any, share: float, slopes: Any,
         xr, xi = b[2 * SAMPLES + i], b[3 * SAMPLES + i]
         cr, ci = br * xr - bi * xi, br * xi + bi * xr
         kr, ki = turns_r[i], turns_i[i]
-        slopes[i] += factor * (cr * ki + ci * kr)
+        gradients[i] += factor * (cr * ki + ci * kr)
         er, ei = b[i], b[SAMPLES + i]
         a[i] = br * er - bi * ei
         a[SAMPLES + i] = br * ei + bi * er
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
-def _down_transmitted(b: Any, a: Any, turns_r: Any, turns_i: Any, share: float, slopes: Any, count: int) -> None:
-    """The same for T, whose value stands in the row after `a`'s two."""
+def _down_transmitted(b: Any, a: Any, turns_r: Any, turns_i: Any, share: float, gradients: Any, count: int) -> None:
+    """As `_down`, for T, whose value is in the row after `a`'s two."""
     for i in range(count):
         ar, ai = a[i], a[SAMPLES + i]
         dr, di = b[4 * SAMPLES + i], b[5 * SAMPLES + i]
@@ -208,7 +209,7 @@ def _down_transmitted(b: Any, a: Any, turns_r: Any, turns_i: Any, share: float, 
         xr, xi = b[2 * SAMPLES + i], b[3 * SAMPLES + i]
         cr, ci = br * xr - bi * xi, br * xi + bi * xr
         kr, ki = turns_r[i], turns_i[i]
-        slopes[i] -= TWO_PI * share * (cr * ki + ci * kr + passed * ki)
+        gradients[i] -= TWO_PI * share * (cr * ki + ci * kr + passed * ki)
         er, ei = b[i], b[SAMPLES + i]
         a[i] = br * er - bi * ei
         a[SAMPLES + i] = br * ei + bi * er
@@ -216,7 +217,7 @@ def _down_transmitted(b: Any, a: Any, turns_r: Any, turns_i: Any, share: float, 
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _bottom(g: Any, upper_r: Any, upper_i: Any, lower_r: Any, lower_i: Any, q_0: Any, count: int) -> None:
-    """Start in the substrate: G of the last interface, and the first factors of T."""
+    """Start in the substrate: G at the last interface, and the first factors of T."""
     for i in range(count):
         ar, ai = upper_r[i], upper_i[i]
         br, bi = lower_r[i], lower_i[i]
@@ -230,7 +231,7 @@ def _bottom(g: Any, upper_r: Any, upper_i: Any, lower_r: Any, lower_i: Any, q_0:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _top(a: Any, g: Any, seen: Any, share: float, is_transmitted: bool, count: int) -> None:
-    """Add R or T of a channel to a spectrum, and start the way down: the slope of R by G, or none and T."""
+    """Add a channel's R or T to a spectrum, and start the downward pass."""
     if is_transmitted:
         for i in range(count):
             passed = g[2 * SAMPLES + i]
@@ -246,27 +247,27 @@ def _top(a: Any, g: Any, seen: Any, share: float, is_transmitted: bool, count: i
 
 
 @compiled(error_model="numpy", fastmath={"contract"}, nogil=True)
-def spectra_and_slopes(
-    tables: Any, media: Any, thicknesses: Any, layers: int, substrate: int, wants_slopes: bool, w: Any, spectra: Any,
-    slopes: Any,
+def spectra_and_gradients(
+    tables: Any, media: Any, thicknesses: Any, layers: int, substrate: int, with_gradients: bool, w: Any, spectra: Any,
+    gradients: Any,
 ) -> None:  # fmt: skip
-    """Fill R or T of one stack, and their slopes by the thicknesses.
+    """Fill R or T of one stack, and the derivatives in the thicknesses.
 
     Args:
         tables: `StackTables`.
-        media: numbers of the layers' media in the tables, from the top, `[>= layers]`.
+        media: indices of the layers' media in the tables, from the top, `[>= layers]`.
         thicknesses: `[>= layers]`, nm.
-        layers: how many of them there are; 0 is a bare substrate.
-        substrate: number of its medium.
-        wants_slopes: whether `slopes` is filled.
-        w: memory of `scratch(layers or more)`.
+        layers: number of layers; 0 is a bare substrate.
+        substrate: index of its medium.
+        with_gradients: whether `gradients` is filled.
+        w: memory from `scratch(layers or more)`.
         spectra: output `[row, wavelength]`.
-        slopes: output `[row, >= layers, wavelength]`, per nm.
+        gradients: output `[row, >= layers, wavelength]`, per nm.
     """
     turns_r, turns_i, q_r, q_i = tables.turns_r, tables.turns_i, tables.q_r, tables.q_i
     rows, _, total = turns_r.shape
     size = _ROWS * SAMPLES
-    # slices, not offsets into one array: numba then knows that no index is negative, and the loops become vectors
+    # slices instead of offsets: numba then excludes negative indices, and the loops vectorise
     g, a = w[layers * size : (layers + 1) * size], w[(layers + 1) * size : (layers + 2) * size]
     for start in range(0, total, SAMPLES):
         stop = min(start + SAMPLES, total)
@@ -278,8 +279,8 @@ def spectra_and_slopes(
                 b = w[j * size : (j + 1) * size]
                 kr, ki = turns_r[row, m, start:stop], turns_i[row, m, start:stop]
                 _phase(b, kr, ki, thicknesses[j], tables.is_clear[m], count)
-                if wants_slopes:
-                    slopes[row, j, start:stop] = 0.0
+                if with_gradients:
+                    gradients[row, j, start:stop] = 0.0
             seen[:] = 0.0
             for channel in range(tables.first[row], tables.first[row + 1]):
                 share = tables.share[channel]
@@ -296,12 +297,12 @@ def spectra_and_slopes(
                         qr[m, start:stop], qi[m, start:stop], count,
                     )  # fmt: skip
                 _top(a, g, seen, share, tables.is_transmitted[row], count)
-                if wants_slopes:
+                if with_gradients:
                     for j in range(layers):
                         m = media[j]
                         b = w[j * size : (j + 1) * size]
                         kr, ki = turns_r[row, m, start:stop], turns_i[row, m, start:stop]
                         if tables.is_transmitted[row]:
-                            _down_transmitted(b, a, kr, ki, share, slopes[row, j, start:stop], count)
+                            _down_transmitted(b, a, kr, ki, share, gradients[row, j, start:stop], count)
                         else:
-                            _down(b, a, kr, ki, share, slopes[row, j, start:stop], count)
+                            _down(b, a, kr, ki, share, gradients[row, j, start:stop], count)

@@ -16,7 +16,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.jit import compiled
-from nacre.matter.stack.thickness_gradient import spectra_and_slopes
+from nacre.matter.stack.thickness_gradient import spectra_and_gradients
 from nacre.optimise.thin_film.levenberg_marquardt import descend, keep_total
 from nacre.optimise.thin_film.merit_kernel import lab_of, share_outside
 
@@ -59,7 +59,7 @@ class Space(NamedTuple):
     draws: Array
 
 
-class Brood(NamedTuple):
+class Population(NamedTuple):
     """Stacks in arrays: `media[k, slot]`, `d[k, slot]` in nm, `layers[k]`, `substrate[k]`, `score[k]`."""
 
     media: Any
@@ -69,10 +69,10 @@ class Brood(NamedTuple):
     score: Array
 
 
-def empty_brood(size: int, slots: int) -> Brood:
+def empty_population(size: int, slots: int) -> Population:
     """Return room for so many stacks."""
     n = max(slots, 1)
-    return Brood(
+    return Population(
         np.zeros((size, n), dtype=np.int64),
         np.zeros((size, n)),
         np.zeros(size, dtype=np.int64),
@@ -152,8 +152,9 @@ def bounds_of(space: Any, media: Any, layers: int, low: Any, high: Any) -> None:
 
 
 @compiled(error_model="numpy")
-def _change(space: Any, media: Any, d: Any, layers: int, substrate: int, mate_media: Any, mate_d: Any,
-            mate_layers: int) -> tuple[int, int]:  # fmt: skip
+def _change(
+    space: Any, media: Any, d: Any, layers: int, substrate: int, mate_media: Any, mate_d: Any, mate_layers: int
+) -> tuple[int, int]:
     """Change a stack in one way; `media` and `d` have two slots more than the space."""
     slots = space.choices.shape[0]
     is_open = space.is_open[0]
@@ -238,10 +239,19 @@ def _with_yield(nominal: float, missed: float) -> float:
 
 
 @compiled(error_model="numpy", nogil=True)
-def breed(
-    tables: Any, looks: Any, space: Any, pool: Any, pool_size: int, children: int, fresh: float, target: float,
-    seed: int, s: Any, out: Any,
-) -> int:  # fmt: skip
+def evolve(
+    tables: Any,
+    looks: Any,
+    space: Any,
+    pool: Any,
+    pool_size: int,
+    children: int,
+    fresh: float,
+    target: float,
+    seed: int,
+    s: Any,
+    out: Any,
+) -> int:
     """Make children of the first `pool_size` stacks of `pool` (best first) and refine them; return how many are kept.
 
     Args:
@@ -360,7 +370,7 @@ def draw_many(tables: Any, looks: Any, space: Any, seed: int, s: Any, out: Any, 
         bounds_of(space, media, layers, low, high)
         keep_total(d, low, layers, space.total[0])
         wants_slopes = layers < 0  # a literal False would be another type, and all of it compiled once more
-        spectra_and_slopes(tables, media, d, layers, substrate, wants_slopes, s.w, s.spectra, s.slopes)
+        spectra_and_gradients(tables, media, d, layers, substrate, wants_slopes, s.w, s.spectra, s.slopes)
         for t in range(looks.kind.shape[0]):
             l, a, b = lab_of(looks, s.spectra[looks.row[t]], looks.lamp[t])
             labs[k, t, 0], labs[k, t, 1], labs[k, t, 2] = l, a, b

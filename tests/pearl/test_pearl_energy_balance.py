@@ -1,4 +1,4 @@
-"""`counting = "published"`: R (1 - T) wherever a platelet is asked, and the light that it loses, told by the report."""
+"""`energy_balance = "published"`: R (1 - T) in tables, surrogate and walk, and the energy defect in the report."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ DATA = {
                     "substrate": {"material": {"n": SUBSTRATE}, "thickness_nm": SUBSTRATE_NM},
                     "coatings": [{"material": {"n": 2.6, "k": 0.02}, "thickness_nm": COATING_NM}],
                     "normal_deviation": SIGMA,
-                    "counting": "published",
+                    "energy_balance": "published",
                 }
             ],
         }
@@ -124,8 +124,8 @@ def slab_loses(theta_deg: float, lam: float, rng: np.random.Generator) -> float:
 
 
 @pytest.mark.parametrize("theta_deg", [pytest.param(0.0, marks=pytest.mark.full), 45.0])
-def test_the_light_that_the_counting_loses_is_that_of_an_independent_slab_walk(theta_deg):
-    lost = nacre.material(DATA).model.lost_at(np.radians([theta_deg]), LAM)[0]
+def test_the_published_balance_loses_what_an_independent_slab_walk_loses(theta_deg):
+    lost = nacre.material(DATA).model.energy_defect(np.radians([theta_deg]), LAM)[0]
     own = slab_loses(theta_deg, LAM[1], np.random.default_rng(3))
     assert abs(lost[1] - own) < LOST_BAR
     assert own > 0.2  # much is lost, or the claim would be empty
@@ -133,65 +133,67 @@ def test_the_light_that_the_counting_loses_is_that_of_an_independent_slab_walk(t
 
 def test_every_form_of_a_platelet_reflects_r_times_one_minus_t():
     """The walk's tables, the likeness of searches and the figure; extinction, which is of T alone, stays."""
-    made = {counting: nacre.material(recipe(counting=counting)).model for counting in ("physical", "published")}
+    made = {name: nacre.material(recipe(energy_balance=name)).model for name in ("conserving", "published")}
     tables = {name: model.platelet_tables(LAM)[0] for name, model in made.items()}
-    r, t = np.moveaxis(tables["physical"], -1, 0)
+    r, t = np.moveaxis(tables["conserving"], -1, 0)
     assert np.abs(tables["published"] - np.stack([r * (1 - t), t], axis=-1)).max() < 1e-12
     figures = {name: model.figures["platelet"](LAM, np.array([0.0, 60.0])) for name, model in made.items()}
-    before, after = figures["physical"], figures["published"]
+    before, after = figures["conserving"], figures["published"]
     assert np.abs(after["reflectance"] - before["reflectance"] * (1 - before["transmittance"])).max() < 1e-12
     assert np.array_equal(after["transmittance"], before["transmittance"])
     lobes = {name: model.bsdf(LAM).lobes[0] for name, model in made.items()}
-    assert np.array_equal(lobes["physical"].flake_extinction, lobes["published"].flake_extinction)
+    assert np.array_equal(lobes["conserving"].flake_extinction, lobes["published"].flake_extinction)
     # off the mirror direction inside, one flake tilted by some 10 degrees turns the light: the likeness knows it surely
     wi, wo = np.array([[0.0, 0.0, 1.0]]), np.array([[0.3, 0.0, np.sqrt(0.91)]])
-    sure = {name: model.likeness_at(wi, wo, LAM)[0][0] for name, model in made.items()}
+    sure = {name: model.surrogate_radiance(wi, wo, LAM)[0][0] for name, model in made.items()}
     inner = np.sqrt(0.5 * (1 + np.sqrt(1 - 0.09 / INDEX**2)))
     kept = 1 - np.array([np.interp(inner, cos_nodes(len(t)), t[:, i]) for i in range(len(LAM))])
-    assert np.abs(sure["published"] / sure["physical"] - kept).max() < 2e-3  # 65 nodes instead of 257
+    assert np.abs(sure["published"] / sure["conserving"] - kept).max() < 2e-3  # 65 nodes instead of 257
 
 
 def test_platelets_are_counted_physically_unless_told():
     plain = recipe()
-    del plain["strata"][0]["platelets"][0]["counting"]
+    del plain["strata"][0]["platelets"][0]["energy_balance"]
     model = nacre.material(plain).model
-    assert model.strata[0].flakes[0].platelet.counting == "physical"
-    assert model.lost_at(np.array([0.0]), LAM) is None
+    assert model.strata[0].flakes[0].platelet.energy_balance == "conserving"
+    assert model.energy_defect(np.array([0.0]), LAM) is None
 
 
 def test_one_kind_of_two_may_be_counted_so():
     data = recipe()
-    physical = {**data["strata"][0]["platelets"][0], "counting": "physical"}
+    physical = {**data["strata"][0]["platelets"][0], "energy_balance": "conserving"}
     data["strata"][0]["platelets"].append(physical)
     model = nacre.material(data).model
     first, second = model.platelet_tables(LAM)
     assert np.all(first[..., 0] <= second[..., 0]) and first[-1, 0, 0] < second[-1, 0, 0]
-    both = model.lost_at(np.array([0.0]), LAM)[0]
-    data["strata"][0]["platelets"][1]["counting"] = "published"
-    assert np.all(both < nacre.material(data).model.lost_at(np.array([0.0]), LAM)[0])
+    both = model.energy_defect(np.array([0.0]), LAM)[0]
+    data["strata"][0]["platelets"][1]["energy_balance"] = "published"
+    assert np.all(both < nacre.material(data).model.energy_defect(np.array([0.0]), LAM)[0])
 
 
-def test_the_counting_warns_once(caplog):
-    platelet_module._warn_of_published_counting.cache_clear()
+def test_the_published_balance_warns_once(caplog):
+    platelet_module._warn_of_published_balance.cache_clear()
     with caplog.at_level(logging.WARNING, logger="nacre"):
         for _ in range(3):
             nacre.material(DATA).model.platelet_tables(LAM)
     assert caplog.text.count("R (1 - T)") == 1
 
 
-def test_a_bad_counting_is_one_clear_line():
-    with pytest.raises(nacre.NacreError, match=r'platelets\[0\]\.counting = "printed".*physical.*published') as caught:
-        nacre.material(recipe(counting="printed"))
+def test_a_bad_energy_balance_is_one_clear_line():
+    with pytest.raises(
+        nacre.NacreError, match=r'platelets\[0\]\.energy_balance = "printed".*conserving.*published'
+    ) as caught:
+        nacre.material(recipe(energy_balance="printed"))
     assert "\n" not in str(caught.value)
 
 
-def hue_path(name: str, counting: str):
+def hue_path(name: str, balance: str):
     """Hue in degrees and chroma at L* 50 of a source's pigment near the mirror direction, 5 to 70 degrees."""
     lam = np.arange(400.0, 701.0, 20.0)
     angles = np.radians([5.0, 20.0, 35.0, 50.0, 60.0, 70.0])
     wi, wo = from_half_difference(np.full(6, np.radians(4.0)), angles, np.full(6, np.pi / 2))
-    model = nacre.load(f"pearl/{name}").vary({"strata[0].platelets[0].counting": counting}).model
-    xyz = spectrum_to_xyz(np.pi * model.walked_at(wi, wo, lam, 400, 1)[0], lam)
+    model = nacre.load(f"pearl/{name}").vary({"strata[0].platelets[0].energy_balance": balance}).model
+    xyz = spectrum_to_xyz(np.pi * model.estimate_radiance(wi, wo, lam, 400, 1)[0], lam)
     lab = xyz_to_lab(0.1842 * xyz / xyz[:, 1:2])
     return np.degrees(np.arctan2(lab[:, 2], lab[:, 1])) % 360, np.hypot(lab[:, 1], lab[:, 2])
 
@@ -211,14 +213,18 @@ def test_the_sources_pigments_travel_in_colour_as_it_counts_them(name):
 @pytest.mark.parametrize("name", ["mcs1", "mcs2", "bfs1"])
 def test_the_same_pigments_are_pale_where_no_light_is_lost(name):
     """A deep stack of flakes that absorb nothing tends to white, whatever colour one flake has."""
-    assert hue_path(name, "physical")[1].max() < COLOURED
+    assert hue_path(name, "conserving")[1].max() < COLOURED
 
 
 @pytest.mark.full
 @pytest.mark.render
 def test_the_report_states_what_is_lost_and_only_then():
-    """R + T and the lost light leave to base and flakes what they absorb; without the counting there is no such row."""
+    """R + T and the lost light leave to base and flakes what they absorb; a conserving recipe has no such row."""
     found = nacre.report(nacre.material(DATA)).hemispherical
     for angle in (0, 45):
-        assert 0.2 < found[f"lost_by_counting_{angle}"] < 1.0 - found[f"diffuse_reflectance_{angle}"]
-    assert not [key for key in nacre.report(nacre.material(recipe(counting="physical"))).hemispherical if "lost" in key]
+        assert 0.2 < found[f"energy_defect_{angle}"] < 1.0 - found[f"diffuse_reflectance_{angle}"]
+    assert not [
+        key
+        for key in nacre.report(nacre.material(recipe(energy_balance="conserving"))).hemispherical
+        if "defect" in key
+    ]
