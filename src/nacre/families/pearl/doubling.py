@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from nacre.bsdf.facet_distributions import fresnel
 from nacre.core.arrays import Array
 from nacre.core.parallel import single_threaded_blas
-from nacre.families.pearl.tables import Medium
+from nacre.families.pearl.random_walk import Medium
 
 NODES, AZIMUTHS, TERMS = 22, 18, 12
 DOUBLINGS = 10  # layers of a 70th of a flake at 14 flakes deep; 7 were off by 3 % there, and each costs 2 ms
-OFF = 0.03  # how far off the walk it is, as a share: 1 % where the interface is smooth, 3 % at alpha = 0.1
+RELATIVE_ERROR = 0.03  # against random walks: 1 % under a smooth interface, 3 % at alpha = 0.1
 LEAST_ROUGH = 0.04  # GGX alpha, below which the interface mirrors into less than what the nodes tell apart
 SMALL = 1e-6
 KINDS_KEPT = 24  # of flakes, 1 MB each
@@ -36,19 +36,19 @@ ONE = 1e-6  # square of the difference of two directions that count as one
 Single = NDArray[Any]  # of float32: half the memory, twice as quick. A stack is [wavelength, term, out, in]
 
 
-def between(medium: Medium, wi: Array, wo: Array, albedo: Array) -> Array:
-    """Return all light but the interface's own and that of one flake, `[pair, wavelength]`, 1/sr.
+def multiple_scattering(medium: Medium, wi: Array, wo: Array, albedo: Array) -> Array:
+    """Return all light except the reflection by the interface or by one platelet, `[pair, wavelength]`, 1/sr.
 
     Args:
-        medium: one stratum of flakes, of any wavelengths.
+        medium: one stratum of platelets.
         wi, wo: `[pair, 3]`, above the surface.
-        albedo: `[wavelength]` of the ground.
+        albedo: `[wavelength]`, of a diffuse base.
     """
-    with single_threaded_blas():  # of linear algebra: its matrices are small
-        return _between(medium, wi, wo, albedo)
+    with single_threaded_blas():  # the matrices are small
+        return _multiple_scattering(medium, wi, wo, albedo)
 
 
-def _between(medium: Medium, wi: Array, wo: Array, albedo: Array) -> Array:
+def _multiple_scattering(medium: Medium, wi: Array, wo: Array, albedo: Array) -> Array:
     n = medium.index
     ends = np.concatenate([wi, wo])
     inner = np.sqrt(1.0 - (1.0 - ends[:, 2] ** 2) / (n * n))
@@ -312,4 +312,4 @@ def _returned(
     return np.asarray(np.einsum("i,lij->l", weight * mu, back) / np.sum(weight * mu * 2.0))
 
 
-__all__ = ["between"]
+__all__ = ["RELATIVE_ERROR", "multiple_scattering"]

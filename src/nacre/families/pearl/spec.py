@@ -13,7 +13,7 @@ from nacre.bsdf.substrate_spec import OF_OTHER_FAMILY, SubstrateSpec, Widths, in
 from nacre.core.errors import NacreError, RecipeError
 from nacre.families.pearl.flake_normals import FlakeNormals, rotation_matrix
 from nacre.families.pearl.glints import Glints
-from nacre.families.pearl.material import NO_SPREAD, Pearl
+from nacre.families.pearl.material import MIN_DEVIATION, Pearl
 from nacre.families.pearl.platelet import Coating, Platelet
 from nacre.families.pearl.strata import Dye, Flakes, Stratum
 from nacre.families.pearl.thickness import Thickness
@@ -247,12 +247,12 @@ def _deviation(value: Any) -> Any:
     numbers = value if isinstance(value, list | tuple) else [value]
     if len(numbers) not in (1, 2) or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
         raise ValueError(f"= {show_value(value)} is not a deviation; write one number or [x, y]")
-    if not all(NO_SPREAD <= v <= 1.0 for v in numbers):
-        raise ValueError(f"= {show_value(value)} is not allowed; it should be in [{NO_SPREAD:g}, 1]")
+    if not all(MIN_DEVIATION <= v <= 1.0 for v in numbers):
+        raise ValueError(f"= {show_value(value)} is not allowed; it should be in [{MIN_DEVIATION:g}, 1]")
     return value
 
 
-Spread = Annotated[float, pydantic.Field(ge=NO_SPREAD, le=1.0)]
+Spread = Annotated[float, pydantic.Field(ge=MIN_DEVIATION, le=1.0)]
 Deviation = Annotated[
     Spread | Annotated[tuple[Spread, ...], pydantic.Field(min_length=1, max_length=2)],
     pydantic.BeforeValidator(_deviation),

@@ -93,6 +93,11 @@ class Thickness:
         return cls(mean, 0.0, "histogram", edges_nm=edges, fractions=weights)
 
     @property
+    def key(self) -> tuple[object, ...]:
+        """Hashable values of all fields."""
+        return tuple(v.tobytes() if isinstance(v, np.ndarray) else v for v in vars(self).values())
+
+    @property
     def is_fixed(self) -> bool:
         """Whether every flake has the same thickness."""
         return self.distribution != "histogram" and self.deviation_nm == 0
