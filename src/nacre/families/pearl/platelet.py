@@ -18,8 +18,14 @@ import numpy as np
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.core.parallel import parallel_for
-from nacre.families.pearl import thickness as average
-from nacre.families.pearl.thickness import Thickness
+from nacre.families.pearl.thickness import (
+    GAUSSIAN,
+    SHORT_PHASE,
+    TABULATED,
+    Distribution,
+    Thickness,
+    average_platelet,
+)
 from nacre.matter.stack.inputs import Amplitudes
 from nacre.matter.stack.solve import amplitudes
 
@@ -101,7 +107,7 @@ class PlateletResponse:
 
 
 def platelet_response(
-    platelet: Platelet, container_n: Array, cos_i: Array, wavelengths_nm: Array, uncut: float = 0.0
+    platelet: Platelet, container_n: Array, cos_i: Array, wavelengths_nm: Array, truncation: float = 0.0
 ) -> PlateletResponse:
     """Reflectance and transmittance of a flake in its resin, averaged over its thickness distributions.
 
@@ -113,8 +119,8 @@ def platelet_response(
         container_n: `[wavelength]`, real index of the resin (1 for a powder in air).
         cos_i: `[cos]`, cosines between ray and flake normal in the resin, in [0, 1].
         wavelengths_nm: `[wavelength]`, vacuum.
-        uncut: a Gaussian of thicknesses of which the bounds cut off less than this share counts as a whole one, which
-            takes a fifth of the time; R and T are off by no more than about the share.
+        truncation: a Gaussian that bounds cut by less than this share is taken as uncut, in a fifth of the time; the
+            error of R and T is about that share at most.
 
     Raises:
         MaterialRangeError: an index is not tabulated at a wavelength.
@@ -127,7 +133,7 @@ def platelet_response(
         lower = upper if platelet.lower is None else (platelet.lower, lower_nm)
         faces = [(upper, lower)] if platelet.is_symmetric else [(upper, lower), (lower, upper)]
         for top, bottom in faces:
-            part = _one_face(platelet, top, bottom, container_n, cos_i, wavelengths_nm, uncut)
+            part = _one_face(platelet, top, bottom, container_n, cos_i, wavelengths_nm, truncation)
             scale = weight / len(faces)
             if total is None:
                 total = PlateletResponse(scale * part.reflectance, scale * part.transmittance)
@@ -205,7 +211,13 @@ Face = tuple[tuple[Coating, ...], Array]  # coatings, outermost first, and their
 
 
 def _one_face(
-    platelet: Platelet, upper: Face, lower: Face, container_n: Array, cos_i: Array, wavelengths_nm: Array, uncut: float
+    platelet: Platelet,
+    upper: Face,
+    lower: Face,
+    container_n: Array,
+    cos_i: Array,
+    wavelengths_nm: Array,
+    truncation: float,
 ) -> PlateletResponse:
     cos_i = np.asarray(cos_i, dtype=float)
     n_c = np.asarray(container_n, dtype=float)
@@ -224,32 +236,16 @@ def _one_face(
     shape = (2, kz_s.size)
     p = (4 * np.pi / wavelengths_nm * kz_s).ravel()
     big_r, big_t = np.empty(shape), np.empty(shape)
-    thickness = platelet.thickness
-    kind, centre = average.GAUSSIAN, thickness.mean_nm
-    table, step = np.zeros(1, dtype=complex), 1.0
-    nodes, weights, starts = np.zeros(1), np.ones(1), np.array([0, 1])
-    if not thickness.is_fixed:
-        if not (thickness.is_uncut or (thickness.is_gaussian and thickness.cut_share < uncut)):
-            kind = average.TABULATED
-            x_max = float(np.max(np.abs(p.real))) * SERIES_REACH
-            table, step, centre = _characteristic(thickness, x_max)
-        low, high = thickness.support
-        if np.any((p.imag != 0.0) | (p.real * (high - low) <= average.SHORT_PHASE)):
-            ladder = [thickness.nodes(panels) for panels in LADDER]
-            nodes, weights = (np.concatenate([level[i] for level in ladder]) for i in (0, 1))
-            starts = np.concatenate([[0], np.cumsum([len(level[0]) for level in ladder])])
-    low, high = thickness.support
-    factors = r_a.reshape(shape), (t_a * back * r_b).reshape(shape), (into * r_b).reshape(shape)
-    transfer = (np.abs(t_a * t_b) ** 2).reshape(shape)
+    flakes = _distribution(platelet.thickness, p, truncation)
+    r_into = into * r_b
+    factors = r_a.reshape(shape), (t_a * back * r_b).reshape(shape), r_into.reshape(shape)
+    amplitudes_of = (*factors, (np.abs(t_a * t_b) ** 2).reshape(shape))
 
     def task(_: int, __: int, first: int, last: int) -> None:
-        average.average_platelet(
-            p, *factors, transfer, thickness.is_fixed, kind, float(centre), float(thickness.deviation_nm), table,
-            float(step), float(low), float(high), nodes, weights, starts, big_r, big_t, first, last,
-        )  # fmt: skip
+        average_platelet(p, amplitudes_of, flakes, big_r, big_t, first, last)
 
     # an absorbing point costs some hundred nodes of the quadrature, any other a few terms of a series
-    parallel_for(task, 1, p.size, p.size * (1000 if nodes.size > 1 else 50), None)
+    parallel_for(task, 1, p.size, p.size * (1000 if flakes.nodes.size > 1 else 50), None)
     full = (2, *kz_s.shape)
     result_r, result_t = big_r.reshape(full), big_t.reshape(full)
     lossless = ~absorbs
@@ -265,6 +261,26 @@ def _one_face(
         result_r[:, grazing] = np.where(invisible, 0.0, 1.0)
         result_t[:, grazing] = np.where(invisible, 1.0, 0.0)
     return PlateletResponse(result_r, result_t)
+
+
+def _distribution(thickness: Thickness, p: ComplexArray, truncation: float) -> Distribution:
+    """Return the thickness distribution as the kernels take it, with a quadrature if a point of phase `p` needs it."""
+    kind, centre = GAUSSIAN, thickness.mean_nm
+    table, step = np.zeros(1, dtype=complex), 1.0
+    nodes, weights, starts = np.zeros(1), np.ones(1), np.array([0, 1])
+    low, high = thickness.support
+    if not thickness.is_fixed:
+        if not (thickness.is_uncut or (thickness.is_gaussian and thickness.cut_share < truncation)):
+            kind = TABULATED
+            table, step, centre = _characteristic(thickness, float(np.max(np.abs(p.real))) * SERIES_REACH)
+        if np.any((p.imag != 0.0) | (p.real * (high - low) <= SHORT_PHASE)):
+            ladder = [thickness.nodes(panels) for panels in LADDER]
+            nodes, weights = (np.concatenate([level[i] for level in ladder]) for i in (0, 1))
+            starts = np.concatenate([[0], np.cumsum([len(level[0]) for level in ladder])])
+    numbers = float(centre), float(thickness.deviation_nm)
+    return Distribution(
+        thickness.is_fixed, kind, *numbers, table, float(step), float(low), float(high), nodes, weights, starts
+    )
 
 
 def _coating_amplitudes(

@@ -272,21 +272,22 @@ def walk(seed, count, light, medium, albedo, tally, viewers, out):  # type: igno
         the number of entries in the tally.
     """
     np.random.seed(seed)
-    bands, entries = medium.reflect.shape[2], 0
+    index, alpha, number, sigma, reflect, transmit, _, absorb = medium
+    bands, entries = reflect.shape[2], 0
     f, r, t = np.empty(bands, np.float32), np.empty(bands, np.float32), np.empty(bands, np.float32)
-    areas, found = np.zeros(medium.number.size), (np.empty(8, np.int64), np.empty(8), np.empty(3))
+    areas, found = np.zeros(number.size), (np.empty(8, np.int64), np.empty(8), np.empty(3))
     many = viewers.shape[0]
     view = (np.empty((many, 3)), np.empty(many), np.empty((many, bands), np.float32))
     for path in range(count):
-        wx, wz, dx, dy, dz, depth, start = _start(light, path, count, medium.index, medium.alpha)
+        wx, wz, dx, dy, dz, depth, start = _start(light, path, count, index, alpha)
         if start == 0.0:
             continue
         _aim(viewers, start / count, medium, view, r)
         f[:] = 1.0
         order = 0
         for _event in range(MAX_EVENTS):
-            total = collision_rates(dx, dy, dz, medium.number, medium.sigma, areas)
-            depth = fly(depth, dz, total, medium.absorb, f)
+            total = collision_rates(dx, dy, dz, number, sigma, areas)
+            depth = fly(depth, dz, total, absorb, f)
             if depth >= 1.0:
                 if albedo.size == 0:
                     _arrive(wz, start, f, tally.base)
@@ -298,25 +299,20 @@ def walk(seed, count, light, medium, albedo, tally, viewers, out):  # type: igno
                 depth, order = 1.0, order + 2
                 dx, dy, dz = sample_diffuse()
             elif depth <= 0.0:
-                facet = sample_inner_facet(dx, dy, dz, medium.index, medium.alpha)
+                facet = sample_inner_facet(dx, dy, dz, index, alpha)
                 if facet[4] < 1.0 and order > 1 and tally.table.shape[0] > 0:
                     entries += _tally_exit(wx, dx, dy, dz, facet, start, medium, tally, f, found)
-                dx, dy, dz = reflect_inside(
-                    dx, dy, dz, facet[0], facet[1], facet[2], facet[3], facet[4], medium.alpha
-                )  # fmt: skip
+                mx, my, mz, cos, share, _ = facet
+                dx, dy, dz = reflect_inside(dx, dy, dz, mx, my, mz, cos, share, alpha)
                 if dz == 0.0:
                     break
                 depth, order = 0.0, order + 1
             else:
                 k = choose_kind(areas, total)
                 if order > 0 and many > 0:
-                    reach = medium.number[k] / (4.0 * areas[k])
-                    _connect_platelet(
-                        dx, dy, dz, depth, reach, medium.sigma[k], medium.reflect[k], f, r, view, out
-                    )  # fmt: skip
-                event, dx, dy, dz = scatter(
-                    dx, dy, dz, medium.sigma[k], medium.reflect[k], medium.transmit[k], f, r, t
-                )  # fmt: skip
+                    reach = number[k] / (4.0 * areas[k])
+                    _connect_platelet(dx, dy, dz, depth, reach, sigma[k], reflect[k], f, r, view, out)
+                event, dx, dy, dz = scatter(dx, dy, dz, sigma[k], reflect[k], transmit[k], f, r, t)
                 if event == ABSORBED:
                     break
                 if event == REFLECTED:

@@ -118,9 +118,7 @@ class PearlSurrogate:
         )  # fmt: skip
 
 
-def _by_light(
-    wi: Array, wo: Array, shape: tuple[int, int], values: Callable[[int, Array, Array], Array]
-) -> Array:  # fmt: skip
+def _by_light(wi: Array, wo: Array, shape: tuple[int, int], values: Callable[[int, Array, Array], Array]) -> Array:
     """Return `values(number, light, viewers)` `[quantity, viewer, wavelength]`, evaluated once for each light."""
     lights, which = np.unique(np.round(wi, 12), axis=0, return_inverse=True)
     found = np.zeros((shape[0], len(wi), shape[1]))
@@ -135,9 +133,7 @@ _tables: dict[tuple[object, ...], tuple[SingleArray, SingleArray, SingleArray]] 
 _tables_lock = Lock()  # searches use several threads
 
 
-def _pigment(
-    stratum: Stratum, flakes: Flakes, nodes: int, grid: bytes
-) -> tuple[SingleArray, SingleArray, SingleArray]:  # fmt: skip
+def _pigment(stratum: Stratum, flakes: Flakes, nodes: int, grid: bytes) -> tuple[SingleArray, SingleArray, SingleArray]:
     """Return R, T `[cos, wavelength]` and the mean of 1 - T `[z, wavelength]` of a pigment, float32."""
     wavelengths = np.frombuffer(grid)
     n = stratum.resin.n_complex(wavelengths).real

@@ -13,16 +13,24 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from math import erfc, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.core.jit import compiled
 
 DISTRIBUTIONS = ("gaussian", "truncated", "lognormal", "histogram")
-SPREAD = 8.3  # half-widths, in deviations, beyond which a Gaussian has less than 1e-16 of its weight
+SPREAD = 8.3  # half-width of a Gaussian in deviations; less than 1e-16 of its weight lies beyond
+MAX_TERMS = 4000
+GAUSSIAN, TABULATED = 0, 1
+RHO_FLOOR = 1e-15
+SHORT_PHASE = 0.7  # rad over the support: near the critical angle the series dies too slowly, the integrand is smooth
+POINTS_PER_PANEL = 16
+SAME_WIDTH = 1e-12
+PANEL_PER_DISTANCE = 2.4  # 16 Gauss points on a panel 2.4 pole distances wide leave about 1e-11
 
 
 @dataclass(frozen=True)
@@ -255,15 +263,27 @@ def _check_histogram(edges: Array | None, fractions: Array | None) -> None:
         raise NacreError(f"the fractions of a thickness histogram sum to {total:.6g}; they should sum to 1")
 
 
-# The numba kernels that average a platelet's R and T over its substrate thickness.
+class Distribution(NamedTuple):
+    """A thickness distribution as the averaging kernels take it.
 
-MAX_TERMS = 4000
-GAUSSIAN, TABULATED = 0, 1
-RHO_FLOOR = 1e-15
-SHORT_PHASE = 0.7  # rad over the support: near the critical angle the series dies too slowly, the integrand is smooth
-POINTS_PER_PANEL = 16
-SAME_WIDTH = 1e-12
-PANEL_PER_DISTANCE = 2.4  # 16 Gauss points on a panel 2.4 pole distances wide leave about 1e-11
+    Attributes:
+        is_fixed: all flakes have the thickness `mean`.
+        kind: GAUSSIAN (closed form in `mean`, `deviation`) or TABULATED (`table` about `mean`, of step `step`).
+        low, high: support, nm.
+        nodes, weights, starts: ladder of quadratures; number i is starts[i]:starts[i + 1], each twice as long.
+    """
+
+    is_fixed: bool
+    kind: int
+    mean: float
+    deviation: float
+    table: ComplexArray
+    step: float
+    low: float
+    high: float
+    nodes: Array
+    weights: Array
+    starts: NDArray[np.int64]
 
 
 @compiled(error_model="numpy")
@@ -356,59 +376,63 @@ def _pole_distance(rho: complex, p: complex, low: float, high: float) -> float:
 
 
 @compiled(error_model="numpy", nogil=True)
-def average_platelet(
-    p: Any, r_a: Any, big_c: Any, rho: Any, transfer: Any, is_fixed: bool, kind: int, mean: float, deviation: float,
-    table: Any, step: float, low: float, high: float, nodes: Any, weights: Any, starts: Any, out_r: Any, out_t: Any,
-    first_point: int, last_point: int,
-) -> None:  # fmt: skip
-    """Fill <R> and <T> of the points first_point..last_point, so that threads can share the work.
+def _by_series(p: float, amplitudes: Any, i: int, pol: int, flakes: Any) -> Any:
+    """R and T of a lossless substrate by the series over its round trips."""
+    r_a, big_c, rho, transfer = amplitudes
+    s1, s2 = _series(rho[pol, i], p, flakes.kind, flakes.mean, flakes.deviation, flakes.table, flakes.step)
+    size = min(abs(rho[pol, i]), 1.0 - RHO_FLOOR)
+    r0, c0 = r_a[pol, i], big_c[pol, i]
+    airy = (1.0 + 2.0 * s1.real) / (1.0 - size * size)
+    cross = (r0.conjugate() * c0 * s2).real
+    bare, added = r0.real * r0.real + r0.imag * r0.imag, (c0.real * c0.real + c0.imag * c0.imag) * airy
+    return bare + 2.0 * cross + added, transfer[pol, i] * airy
+
+
+@compiled(error_model="numpy", nogil=True)
+def _by_quadrature(p: complex, amplitudes: Any, i: int, pol: int, flakes: Any, inside: Any) -> Any:
+    """R and T by a quadrature over the thickness, as fine as the nearest pole demands; `inside` is scratch."""
+    r_a, big_c, rho, transfer = amplitudes
+    nodes, weights, starts = flakes.nodes, flakes.weights, flakes.starts
+    distance = _pole_distance(rho[pol, i], p, flakes.low, flakes.high)
+    panels = (flakes.high - flakes.low) / (PANEL_PER_DISTANCE * distance) + 8.0
+    level = 0
+    while level < starts.shape[0] - 2 and starts[level + 1] - starts[level] < POINTS_PER_PANEL * panels:
+        level += 1
+    total_r, total_t, shared_width = 0.0, 0.0, 0.0
+    for panel in range(starts[level], starts[level + 1], POINTS_PER_PANEL):
+        # panels of equal width share exp(ip (tau - tau_first)), so that a node costs a product
+        width = nodes[panel + POINTS_PER_PANEL - 1] - nodes[panel]
+        if panel == starts[level] or abs(width - shared_width) > SAME_WIDTH * width:
+            shared_width = width
+            for k in range(POINTS_PER_PANEL):
+                inside[k] = _wave(p, nodes[panel + k] - nodes[panel])
+        first = _wave(p, nodes[panel])
+        for k in range(POINTS_PER_PANEL):
+            r, t = _point(big_c[pol, i], r_a[pol, i], transfer[pol, i], rho[pol, i], first * inside[k])
+            total_r += weights[panel + k] * r
+            total_t += weights[panel + k] * t
+    return total_r, total_t
+
+
+@compiled(error_model="numpy", nogil=True)
+def average_platelet(p: Any, amplitudes: Any, flakes: Any, out_r: Any, out_t: Any, begin: int, end: int) -> None:
+    """Write <R> and <T> of the points begin..end.
 
     Args:
         p: complex `[point]`, 2 k0 kz of the substrate, 1/nm; shared by both polarisations.
-        r_a, big_c, rho: complex `[polarisation, point]`: r_A, t_A t_A' r_B and r_A' r_B.
-        transfer: `[polarisation, point]`, |t_A t_B|^2.
-        is_fixed: one thickness `mean` for all.
-        kind: GAUSSIAN (closed form in `mean`, `deviation`) or TABULATED (`table` about `mean`, step `step`).
-        low, high: support of the distribution, nm.
-        nodes, weights, starts: quadrature ladder, set i in starts[i]:starts[i + 1], ascending in size by two.
-        out_r, out_t: output `[polarisation, point]`.
+        amplitudes: r_A, t_A t_A' r_B and r_A' r_B, complex, and |t_A t_B|^2, each `[polarisation, point]`.
+        flakes: a `Distribution`.
+        out_r, out_t: `[polarisation, point]`.
     """
-    levels = starts.shape[0] - 1
-    inside, shared_width = np.empty(POINTS_PER_PANEL, np.complex128), 0.0
-    for i in range(first_point, last_point):
+    r_a, big_c, rho, transfer = amplitudes
+    inside = np.empty(POINTS_PER_PANEL, np.complex128)
+    for i in range(begin, end):
         for pol in range(r_a.shape[0]):
-            reflection = rho[pol, i]
-            if is_fixed:
-                y = _wave(p[i], mean)
-                out_r[pol, i], out_t[pol, i] = _point(big_c[pol, i], r_a[pol, i], transfer[pol, i], reflection, y)
-                continue
-            size = min(abs(reflection), 1.0 - RHO_FLOOR)
-            if p[i].imag == 0.0 and p[i].real * (high - low) > SHORT_PHASE:
-                s1, s2 = _series(reflection, p[i].real, kind, mean, deviation, table, step)
-                r0, c0 = r_a[pol, i], big_c[pol, i]
-                airy = (1.0 + 2.0 * s1.real) / (1.0 - size * size)
-                cross = (r0.conjugate() * c0 * s2).real
-                out_r[pol, i] = (
-                    r0.real * r0.real + r0.imag * r0.imag + 2.0 * cross + (c0.real * c0.real + c0.imag * c0.imag) * airy
-                )
-                out_t[pol, i] = transfer[pol, i] * airy
-                continue
-            panels = (high - low) / (PANEL_PER_DISTANCE * _pole_distance(reflection, p[i], low, high)) + 8.0
-            level = 0
-            while level < levels - 1 and starts[level + 1] - starts[level] < POINTS_PER_PANEL * panels:
-                level += 1
-            total_r, total_t = 0.0, 0.0
-            for panel in range(starts[level], starts[level + 1], POINTS_PER_PANEL):
-                # panels of equal width share exp(ip (tau - tau_first)), so that a node costs a product
-                width = nodes[panel + POINTS_PER_PANEL - 1] - nodes[panel]
-                if panel == starts[level] or abs(width - shared_width) > SAME_WIDTH * width:
-                    shared_width = width
-                    for k in range(POINTS_PER_PANEL):
-                        inside[k] = _wave(p[i], nodes[panel + k] - nodes[panel])
-                first = _wave(p[i], nodes[panel])
-                for k in range(POINTS_PER_PANEL):
-                    r, t = _point(big_c[pol, i], r_a[pol, i], transfer[pol, i], reflection, first * inside[k])
-                    total_r += weights[panel + k] * r
-                    total_t += weights[panel + k] * t
-            out_r[pol, i] = total_r
-            out_t[pol, i] = total_t
+            if flakes.is_fixed:
+                y = _wave(p[i], flakes.mean)
+                r, t = _point(big_c[pol, i], r_a[pol, i], transfer[pol, i], rho[pol, i], y)
+            elif p[i].imag == 0.0 and p[i].real * (flakes.high - flakes.low) > SHORT_PHASE:
+                r, t = _by_series(p[i].real, amplitudes, i, pol, flakes)
+            else:
+                r, t = _by_quadrature(p[i], amplitudes, i, pol, flakes, inside)
+            out_r[pol, i], out_t[pol, i] = r, t
