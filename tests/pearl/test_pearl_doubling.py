@@ -79,7 +79,7 @@ def test_flakes_that_absorb_nothing_lose_no_light() -> None:
     strata = [{"resin": {"n": 1.5}, "thickness_um": 60, "platelets": [platelet]}]
     model = nacre.material({"family": "pearl", "strata": strata, "base": {"albedo": 0.5}}).model
     medium = model._surrogate(lam).medium(surrogate.COS_NODES)
-    n = medium.index
+    n = medium.n
     theta = (np.arange(24) + 0.5) * np.pi / 48
     wi = direction(theta)
     # T(w) of each direction out of f at two albedos: f = T T a / (pi n^2 (1 - a r)) + what never is at the ground

@@ -49,7 +49,7 @@ def multiple_scattering(medium: Medium, wi: Array, wo: Array, albedo: Array) -> 
 
 
 def _multiple_scattering(medium: Medium, wi: Array, wo: Array, albedo: Array) -> Array:
-    n = medium.index
+    n = medium.n
     ends = np.concatenate([wi, wo])
     inner = np.sqrt(1.0 - (1.0 - ends[:, 2] ** 2) / (n * n))
     asked, which = np.unique(np.round(inner, 9), return_inverse=True)
@@ -278,8 +278,8 @@ def _echoed(once: Single, light: Single) -> Single:
 def _mirror(medium: Medium, mu: Single, weight: Single) -> Single:
     """Return what the interface sends back down, as matrices of intensities, `[term or 1, out, in]`."""
     if medium.alpha < LEAST_ROUGH:
-        return np.diag(_inner_fresnel(mu.astype(float), medium.index)).astype(np.float32)[None]
-    return _rough_mirror(mu.tobytes(), weight.tobytes(), medium.index, medium.alpha)
+        return np.diag(_inner_fresnel(mu.astype(float), medium.n)).astype(np.float32)[None]
+    return _rough_mirror(mu.tobytes(), weight.tobytes(), medium.n, medium.alpha)
 
 
 @lru_cache(maxsize=8)

@@ -234,7 +234,7 @@ def _one_face(
     if lower is not upper:
         r_b, t_b = _coating_amplitudes(lower, n_c, n_s, kz_c, kz_s, wavelengths_nm)[1]
     shape = (2, kz_s.size)
-    p = (4 * np.pi / wavelengths_nm * kz_s).ravel()
+    p: ComplexArray = (4 * np.pi / wavelengths_nm * kz_s).ravel()
     big_r, big_t = np.empty(shape), np.empty(shape)
     flakes = _distribution(platelet.thickness, p, truncation)
     r_into = into * r_b

@@ -62,7 +62,7 @@ class Medium(NamedTuple):
     """One stratum of isotropic platelets as the compiled loops take it.
 
     Attributes:
-        index: of the resin.
+        n: index of the resin.
         alpha: GGX roughness of the upper interface.
         number: `[kind]`, platelets met along the normal.
         sigma: `[kind]`, semi-axis of the SGGX distribution of their normals.
@@ -71,7 +71,7 @@ class Medium(NamedTuple):
         absorb: `[wavelength]`, optical thickness of the resin itself; empty if it is clear.
     """
 
-    index: float
+    n: float
     alpha: float
     number: Array
     sigma: Array
@@ -188,11 +188,11 @@ def _aim(viewers, carried, medium, view, e):  # type: ignore[no-untyped-def]  # 
     exits, shares, tau = view
     for v in range(viewers.shape[0]):
         x, y, z, leaves = refract(
-            viewers[v, 0], viewers[v, 1], viewers[v, 2], medium.index, medium.alpha, np.random.random(),
+            viewers[v, 0], viewers[v, 1], viewers[v, 2], medium.n, medium.alpha, np.random.random(),
             np.random.random(),
         )  # fmt: skip
         exits[v, 0], exits[v, 1], exits[v, 2] = -x, -y, -z
-        shares[v] = carried * leaves / (medium.index * medium.index)
+        shares[v] = carried * leaves / (medium.n * medium.n)
         if leaves > 0.0:
             _depths(-z, medium, e, tau[v])
 
@@ -231,8 +231,8 @@ def _connect_platelet(dx, dy, dz, depth, reach, sigma, reflect, f, r, view, out)
 def _tally_exit(wx, dx, dy, dz, facet, start, medium, tally, f, found):  # type: ignore[no-untyped-def]  # numba
     """Tally the light refracted out by a facet of `sample_inner_facet`; return the number of entries, 0 or 1."""
     mx, my, mz, cos, share, cos_t = facet
-    a = cos * medium.index - cos_t
-    ox, oy, oz = a * mx + dx * medium.index, a * my + dy * medium.index, dz * medium.index - a * mz
+    a = cos * medium.n - cos_t
+    ox, oy, oz = a * mx + dx * medium.n, a * my + dy * medium.n, dz * medium.n - a * mz
     if oz <= 1e-6:
         return 0
     worth = start * (1.0 - share)
@@ -340,7 +340,7 @@ def single_scattering_at(wi, wo, points, shift, medium, out):  # type: ignore[no
     bands = out.shape[1]
     r, e = np.empty(bands, np.float32), np.empty(bands, np.float32)
     down, up = np.empty(bands, np.float32), np.empty(bands, np.float32)
-    index, alpha = medium.index, medium.alpha
+    index, alpha = medium.n, medium.alpha
     u = np.empty(4)
     for point in range(points):
         lattice_point(point, shift, u)
@@ -388,7 +388,7 @@ def tally_single_scattering(first, count, shift, light, medium, spread, shape, t
         spread, shape, table: see `Tally`.
     """
     bands = medium.reflect.shape[2]
-    index, alpha = medium.index, medium.alpha
+    index, alpha = medium.n, medium.alpha
     value, r, e = np.empty(bands, np.float32), np.empty(bands, np.float32), np.empty(bands, np.float32)
     down, up = np.empty(bands, np.float32), np.empty(bands, np.float32)
     areas, u = np.zeros(medium.number.size), np.empty(7)
@@ -425,7 +425,7 @@ def tally_single_scattering(first, count, shift, light, medium, spread, shape, t
 @compiled(nogil=True)
 def _lobe_widths(cos, medium, out):  # type: ignore[no-untyped-def]  # numba
     """Write the two GGX widths, narrow and wide, that match the platelets' lobes about the outer half vector."""
-    inner = medium.index * math.sqrt(1.0 - (1.0 - cos * cos) / (medium.index * medium.index))
+    inner = medium.n * math.sqrt(1.0 - (1.0 - cos * cos) / (medium.n * medium.n))
     bend = ((inner - cos) * medium.alpha) ** 2 / (2.0 * inner * inner)
     out[0] = min(inner / cos * math.sqrt(medium.sigma.min() ** 2 + bend), 2.0)
     out[1] = min(inner / cos * math.sqrt(medium.sigma.max() ** 2 + bend), 2.0)
@@ -486,7 +486,7 @@ def hat_products(first, count, shift, medium, spread, entry, shape, table):  # t
             at = math.sqrt(min(cos, 1.0)) * (entry.size - 1)
             i = min(int(at), entry.size - 2)
             passes *= entry[i] + (at - i) * (entry[i + 1] - entry[i])
-        lobe = flake_lobe(wx, 0.0, wz, ox, oy, oz, medium.index, medium.alpha, medium.number, medium.sigma)
+        lobe = flake_lobe(wx, 0.0, wz, ox, oy, oz, medium.n, medium.alpha, medium.number, medium.sigma)
         place(wx, 0.0, ox, oy, spread, point)
         _corners(point, shape, cells, weights)
         _add_products(passes * lobe / density, cells, weights, table)

@@ -164,7 +164,7 @@ def _weights(deviation: float, nodes: int) -> Array:
 
 def _two_streams(medium: Medium, wi: Array, wo: Array, albedo: Array) -> Array:
     """Return multiple scattering and light from the base, `[pair, wavelength]`."""
-    n = medium.index
+    n = medium.n
     cos_i, cos_o = np.maximum(wi[:, 2], 1e-3), np.maximum(wo[:, 2], 1e-3)
     passed = (1.0 - fresnel(cos_i, n)) * (1.0 - fresnel(cos_o, n))
     inner_i, inner_o = (np.sqrt(1.0 - (1.0 - c * c) / (n * n)) for c in (cos_i, cos_o))

@@ -76,9 +76,9 @@ def tables(lobe: Layered, effort: float = 1.0, seed: int = 1) -> PlateletLayer:
     spread = _spread(medium)
     arrived, returned, flakes, single = _solve(medium, entry, spread, effort, seed)
     albedo = lobe.base_reflectance[0]
-    base = arrived / medium.index * np.sqrt(albedo / (np.pi * (1.0 - albedo * returned)))
+    base = arrived / medium.n * np.sqrt(albedo / (np.pi * (1.0 - albedo * returned)))
     made = PlateletLayer(
-        lobe.wavelengths_nm, medium.index, medium.alpha, medium.number, medium.sigma, spread, entry,
+        lobe.wavelengths_nm, medium.n, medium.alpha, medium.number, medium.sigma, spread, entry,
         flakes.astype(np.float32), base, np.zeros((2, 3)), np.zeros(len(lobe.wavelengths_nm)),
     )  # fmt: skip
     if lobe.glint_numbers is not None:
@@ -109,22 +109,22 @@ def _entering(table: PlateletLayer, cos: Array) -> Array:
 def _spread(medium: Medium) -> float:
     if not len(medium.number):
         return 1.0
-    return float(2.0 * medium.index * np.hypot(medium.sigma.min(), interface_bend(medium.alpha, medium.index)))
+    return float(2.0 * medium.n * np.hypot(medium.sigma.min(), interface_bend(medium.alpha, medium.n)))
 
 
 def _interface(medium: Medium) -> tuple[Array, Array]:
     """Share of light that enters, and that is reflected, over uniform nodes of sqrt(cos)."""
     cos = np.maximum(np.linspace(0.0, 1.0, ENTRY_NODES) ** 2, 1e-7)
     if medium.alpha == 0:
-        bare = fresnel(cos, medium.index)
+        bare = fresnel(cos, medium.n)
         return 1.0 - bare, bare
     entry, surface = np.zeros(ENTRY_NODES), np.zeros(ENTRY_NODES)
     for i, c in enumerate(cos):
         w = np.array([np.sqrt(1.0 - c * c), 0.0, c])
         m, weight = visible_normals("ggx", w, medium.alpha, medium.alpha, 64)
         weight = weight / weight.sum()
-        bare = fresnel(np.clip(m @ w, 1e-9, 1.0), medium.index)
-        back, through = facet_exits(w, m, medium.index)
+        bare = fresnel(np.clip(m @ w, 1e-9, 1.0), medium.n)
+        back, through = facet_exits(w, m, medium.n)
         up = np.where(back[:, 2] > 0, smith_masking("ggx", back, medium.alpha, medium.alpha), 0.0)
         down = np.where(through[:, 2] < 0, smith_masking("ggx", through, medium.alpha, medium.alpha), 0.0)
         entry[i], surface[i] = np.sum(weight * (1 - bare) * down), np.sum(weight * bare * up)
@@ -247,7 +247,7 @@ def _single(medium: Medium, spread: float) -> Array:
     q = spread * np.sinh(u * np.arcsinh(2.0 / spread))
     sine, cosine = np.sin(0.5 * np.pi * w), np.cos(0.5 * np.pi * w)
     c = np.sin(0.5 * np.pi * v) * (np.sqrt(np.maximum(1.0 - (0.5 * q * sine) ** 2, 0.0)) - 0.5 * q * cosine)
-    n = medium.index
+    n = medium.n
     # sines of both directions from q along x and c at phi
     sin2 = [(0.5 * q + sign * c * cosine) ** 2 + (c * sine) ** 2 for sign in (1, -1)]
     inner = [np.sqrt(1.0 - np.minimum(s, 1.0) / n**2) for s in sin2]
