@@ -1,9 +1,14 @@
-"""How thick the layers of the flakes are: one number, or a distribution over the flakes of a pigment.
+"""Thickness distributions of flakes, and the averages of a platelet's R and T over its substrate thickness.
 
-Natural mica is split, not grown, and varies by a third of its thickness; synthetic silica by a few nm. A
-distribution enters the optics only through the average of exp(i x tau) (its characteristic function) where
-the layer is lossless, and through a quadrature where it is not. Both are served from here, so that both
-methods of `platelet.py` use the same distribution.
+Natural mica varies by a third of its thickness, synthetic silica by a few nm. With the substrate separated,
+r = r_A + C y/(1 - rho y) and |t|^2 = |t_A t_B|^2 |y| / |1 - rho y|^2, y = exp(i p tau) and p = 2 k0 kz_s. For a lossless
+substrate below its critical angle (p real) the geometric series turns the average over tau into sums of Y_m = <y^m>,
+the characteristic function of the thickness:
+
+    S1 = sum rho^m Y_m,  S2 = sum rho^(m-1) Y_m,  A = (1 + 2 Re S1) / (1 - |rho|^2)
+    <R> = |r_A|^2 + 2 Re(conj(r_A) C S2) + |C|^2 A,   <T> = |t_A t_B|^2 A
+
+For complex p the integrand is damped, and a quadrature over tau converges.
 """
 
 from __future__ import annotations
@@ -27,10 +32,10 @@ SPREAD = 8.3  # half-width of a Gaussian in deviations; less than 1e-16 of its w
 MAX_TERMS = 4000
 GAUSSIAN, TABULATED = 0, 1
 RHO_FLOOR = 1e-15
-SHORT_PHASE = 0.7  # rad over the support: near the critical angle the series dies too slowly, the integrand is smooth
+SHORT_PHASE = 0.7  # rad over the support, near the critical angle: the series converges slowly, the quadrature fast
 POINTS_PER_PANEL = 16
 SAME_WIDTH = 1e-12
-PANEL_PER_DISTANCE = 2.4  # 16 Gauss points on a panel 2.4 pole distances wide leave about 1e-11
+PANEL_PER_DISTANCE = 2.4  # 16 Gauss points on a panel of 2.4 pole distances have an error of 1e-11
 
 
 @dataclass(frozen=True)
@@ -38,9 +43,9 @@ class Thickness:
     """Distribution of one layer's thickness over the flakes.
 
     Attributes:
-        mean_nm: the mean; of the untruncated Gaussian where bounds cut it.
+        mean_nm: the mean, before truncation.
         deviation_nm: standard deviation; 0 is one thickness for all flakes. Ignored for a histogram.
-        distribution: "gaussian" (cut at zero: a flake cannot be thinner than nothing), "truncated" (cut at
+        distribution: "gaussian" (cut at zero), "truncated" (cut at
             `low_nm` and `high_nm`), "lognormal" or "histogram".
         low_nm, high_nm: bounds of "truncated".
         edges_nm, fractions: bins of "histogram": ascending edges `[bin + 1]`, weights `[bin]` that sum to 1;
@@ -117,7 +122,7 @@ class Thickness:
 
     @property
     def is_uncut(self) -> bool:
-        """Whether the bounds cut less than rounding error from a Gaussian."""
+        """Whether bounds cut a Gaussian by less than rounding error."""
         reach = SPREAD * self.deviation_nm
         return self.is_gaussian and self.mean_nm - reach >= self.low_nm and self.mean_nm + reach <= self.high_nm
 
@@ -143,7 +148,7 @@ class Thickness:
 
     @property
     def average_nm(self) -> float:
-        """Mean over the flakes, cut included."""
+        """Mean over the flakes, after truncation."""
         if self.is_fixed or self.is_uncut or self.distribution == "lognormal":
             return self.mean_nm
         nodes, weights = self.nodes(32)
@@ -185,8 +190,8 @@ class Thickness:
     def characteristic(self, x_max: float) -> tuple[ComplexArray, float, float]:
         """Tabulate <exp(i x (tau - centre))> on a uniform grid of x >= 0, for six-point interpolation.
 
-        The centre is the middle of the support: what is left oscillates at most with half the support, and
-        the samples per such oscillation (more where bounds cut) interpolate to 1e-9.
+        The centre is the middle of the support. The rest oscillates at most with half the support, and the samples per
+        oscillation (more for truncated distributions) interpolate to 1e-9.
 
         Returns:
             values `[x]` (complex), the step in 1/nm, the centre in nm. Beyond the table the average is zero to
@@ -195,7 +200,7 @@ class Thickness:
         low, high = self.support
         centre, half = (low + high) / 2, (high - low) / 2
         if self.distribution == "lognormal":
-            # the far tail widens the support but carries no weight: the oscillation that counts is the bulk's
+            # the far tail widens the support but carries no weight; the bulk sets the oscillation
             location, scale = self._lognormal
             centre, half = self.mean_nm, float(np.exp(location + 6.5 * scale)) - self.mean_nm
         step = np.pi / half / (8 if self.is_uncut else 24)
@@ -358,9 +363,9 @@ def _point(big_c: complex, r_a: complex, transfer: float, rho: complex, y: compl
 
 @compiled(error_model="numpy")
 def _pole_distance(rho: complex, p: complex, low: float, high: float) -> float:
-    """Distance from [low, high] to the nearest complex thickness at which rho exp(i p tau) = 1.
+    """Return the distance from [low, high] to the nearest complex thickness with rho exp(i p tau) = 1.
 
-    A Gauss rule on a panel converges as fast as the panel is short against this distance.
+    A Gauss rule on a panel converges with the ratio of its width to this distance.
     """
     if abs(rho) < 1e-6:
         return high - low
@@ -390,7 +395,7 @@ def _by_series(p: float, amplitudes: Any, i: int, pol: int, flakes: Any) -> Any:
 
 @compiled(error_model="numpy", nogil=True)
 def _by_quadrature(p: complex, amplitudes: Any, i: int, pol: int, flakes: Any, inside: Any) -> Any:
-    """R and T by a quadrature over the thickness, as fine as the nearest pole demands; `inside` is scratch."""
+    """R and T by a quadrature over the thickness, as fine as the nearest pole requires; `inside` is scratch."""
     r_a, big_c, rho, transfer = amplitudes
     nodes, weights, starts = flakes.nodes, flakes.weights, flakes.starts
     distance = _pole_distance(rho[pol, i], p, flakes.low, flakes.high)
