@@ -329,7 +329,7 @@ class LayerSpec(ThicknessKeys):
 
 
 class PlateletSpec(RecipeModel):
-    """One pigment. A free platelet is a single layer: a substrate without `coatings`, or one coating without `substrate`."""
+    """One pigment. A free platelet has a single layer: `substrate` without `coatings`, or one coating alone."""
 
     forms: ClassVar[tuple[str, ...]] = (
         '{volume_fraction = 0.01, substrate = {material = "mica", thickness_nm = 400, deviation_nm = 80}, '

@@ -1,9 +1,9 @@
 """Thickness distributions of flakes, and the averages of a platelet's R and T over its substrate thickness.
 
 Natural mica varies by a third of its thickness, synthetic silica by a few nm. With the substrate separated,
-r = r_A + C y/(1 - rho y) and |t|^2 = |t_A t_B|^2 |y| / |1 - rho y|^2, y = exp(i p tau) and p = 2 k0 kz_s. For a lossless
-substrate below its critical angle (p real) the geometric series turns the average over tau into sums of Y_m = <y^m>,
-the characteristic function of the thickness:
+r = r_A + C y/(1 - rho y) and |t|^2 = |t_A t_B|^2 |y| / |1 - rho y|^2, y = exp(i p tau) and p = 2 k0 kz_s. For a
+lossless substrate below its critical angle (p real) the geometric series turns the average over tau into sums of
+Y_m = <y^m>, the characteristic function of the thickness:
 
     S1 = sum rho^m Y_m,  S2 = sum rho^(m-1) Y_m,  A = (1 + 2 Re S1) / (1 - |rho|^2)
     <R> = |r_A|^2 + 2 Re(conj(r_A) C S2) + |C|^2 A,   <T> = |t_A t_B|^2 A
