@@ -23,7 +23,7 @@ from common import Row, interleaved, parser, report, timed
 import nacre
 from nacre.bsdf import Bsdf
 from nacre.core.parallel import single_threaded_blas
-from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack
+from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack
 from nacre.material.material import load, material
 from nacre.matter.mie import mie_coefficients
 
@@ -48,7 +48,7 @@ def harmonic_table(made: object, wavelengths_nm: np.ndarray) -> float:
         surface = made.surface(wavelength)  # type: ignore[attr-defined]  # a Metasurface
         n = complex(made.core.n_complex(np.array([wavelength]))[0])  # type: ignore[attr-defined]
         a, b = mie_coefficients(15, [surface.wavenumber * 90.0], [n])
-        sphere = SphereOnStack(surface, 90.0, np.concatenate([-b, -a]))
+        sphere = ParticleOnStack(surface, 90.0, np.concatenate([-b, -a]))
         directions = sphere.directions(cosines)
         total += float(np.abs(sphere.harmonics(directions, directions)[0, 0, 0, 0, 0]))
     return total

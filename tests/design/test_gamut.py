@@ -120,8 +120,15 @@ def test_words_alone_are_tried_once_each(capsys: pytest.CaptureFixture[str], tmp
 
 def _relief(folder: Path) -> dict[str, Any]:
     np.save(folder / "h.npy", np.random.default_rng(3).uniform(0.0, 0.2, (8, 8)))
-    return {"family": "relief", "heights": str(folder / "h.npy"), "feature_um": 1, "blur_um": 0.3,
-            "coherence": {"sigma": 0.8}, "bounded": False, "accuracy": 0.1}  # fmt: skip
+    return {
+        "family": "relief",
+        "heights": str(folder / "h.npy"),
+        "feature_um": 1,
+        "blur_um": 0.3,
+        "coherence": {"sigma": 0.8},
+        "bounded": False,
+        "accuracy": 0.1,
+    }
 
 
 def test_a_relief_is_looked_at_beside_its_mirror(tmp_path: Path) -> None:

@@ -28,13 +28,13 @@ from nacre.families.metasurface.monolayer.aligned import (
     tabulate_aligned,
 )
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
-from nacre.families.metasurface.monolayer.evaluation import Grids, few_powers, few_values, tabulate
+from nacre.families.metasurface.monolayer.evaluation import Grids, direct_powers, direct_values, tabulate
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
 from nacre.families.metasurface.monolayer.translation_sums import multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix import tmatrix_file
 from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks
-from nacre.families.metasurface.tmatrix.full_tmatrix import reversed_whole, spread, tilted_whole, turned_whole
+from nacre.families.metasurface.tmatrix.full_tmatrix import reversed_full, rotated_full, spread, tilted_full
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
 from nacre.families.metasurface.tmatrix.substrate import Embedded
 from nacre.families.metasurface.tmatrix.tmatrix_file import TMatrixFileError, read_tmatrices, write_tmatrices
@@ -110,10 +110,10 @@ def test_axisymmetric_particles_send_what_they_always_did(substrate):
         assert np.abs(power - known_power).max() <= SAME
     count = 36  # azimuths: as many as today's sums over the azimuth have points
     rules = [(*hemisphere_rule(6), False)]
-    if today.has_below:
+    if today.transmits_below:
         rules.append((*hemisphere_rule(4, 1.5), True))
         assert np.abs(here.specular_below(cosines, turns) - today.specular_below(cosines)).max() <= SAME
-    wanted = diffuse_term(today, [(today.light(mu, below), w) for mu, w, below in rules], 8)
+    wanted = diffuse_term(today, [(today.illuminate(mu, below), w) for mu, w, below in rules], 8)
     found = aligned_term(here, [(light_of(here, mu, below, count), w) for mu, w, below in rules])
     # from wavevector to wavevector: that of the light runs the other way than its direction
     waves = np.cos(np.multiply.outer(azimuth_nodes(count) - np.pi, np.arange(8)))
@@ -143,7 +143,7 @@ def test_their_lobes_are_the_same_too(below, monkeypatch):
 def test_and_their_few_powers():
     today, here = spheres(1.5)
     cosines = np.array([0.2, 0.8])
-    for expected, found in zip(few_powers(today, cosines), aligned_powers(here, cosines, 0.3), strict=True):
+    for expected, found in zip(direct_powers(today, cosines), aligned_powers(here, cosines, 0.3), strict=True):
         assert np.abs(found - expected).max() <= 1e-6  # another rule over the azimuth
 
 
@@ -153,7 +153,7 @@ def test_and_their_values_at_a_few_pairs(substrate):
     wi, wo = vectors(5, 12), vectors(5, 13)
     wi[:, 2], wo[:, 2] = np.maximum(wi[:, 2], 0.2), np.maximum(wo[:, 2], 0.2)
     wi, wo = (w / np.linalg.norm(w, axis=1)[:, None] for w in (wi, wo))
-    expected = few_values(today, wi, wo)
+    expected = direct_values(today, wi, wo)
     assert (
         np.abs(aligned_values(here, wi, wo, 0.3) - expected).max() <= 1e-4 * expected.max()
     )  # other sums over the azimuth
@@ -180,7 +180,7 @@ def test_values_at_a_few_pairs_are_those_of_the_lobe_between_its_angles(turn):
 def test_a_tilted_particle_is_light_and_view_tilted_back(tilt_deg):
     """In free space, of the lopsided particle of the file: all |F|^2 over both polarisations stay."""
     tilt, layer = np.radians(tilt_deg), dimers(1.0, mmax=5)
-    tilted = AlignedLayer(layer.mean, tilted_whole(layer.whole, tilt))
+    tilted = AlignedLayer(layer.mean, tilted_full(layer.whole, tilt))
     a = vectors(6, 8)
     b = about_y(a, tilt)
     keep = b[:, 2] > 0.05
@@ -205,7 +205,7 @@ def test_a_turned_particle_is_the_material_turned(turn_deg, monkeypatch):
     turn = np.radians(turn_deg)
     films = ((1.46, 120.0),)
     straight, turned = dimers(4.3 + 0.07j, films=films), dimers(4.3 + 0.07j, films=films)
-    turned = AlignedLayer(turned.mean, turned_whole(turned.whole, turn))
+    turned = AlignedLayer(turned.mean, rotated_full(turned.whole, turn))
     mirror, diffuse = lobes(straight, 10)
     mirror_turned, diffuse_turned = lobes(turned, 10)
     a, b = vectors(1000, 2), vectors(1000, 3)
@@ -405,7 +405,7 @@ def _lossless():
 def test_where_nothing_absorbs_all_light_comes_back(substrate, coverage, packing):
     """At each azimuth, though R, T and what is scattered change with it: the mean field's own balance of energy."""
     layer = dimers(substrate, coverage, packing, whole=_lossless())
-    assert np.abs(reversed_whole(layer.whole) - layer.whole).max() <= SAME
+    assert np.abs(reversed_full(layer.whole) - layer.whole).max() <= SAME
     cosines = np.cos(np.radians([0.0, 30.0, 55.0]))
     parts = np.stack([np.stack(aligned_powers(layer, cosines, a)) for a in (0.0, 0.5, np.pi / 2)])
     assert np.abs(parts.sum(axis=1) - 1.0).max() <= QCA_ENERGY
@@ -476,4 +476,4 @@ def test_the_example_s_file_is_what_its_tool_writes_and_a_turned_upright_rod():
     at = int(np.argmin(np.abs(held.wavelengths_nm - 640.0)))
     assert np.abs(held.whole[at] - again.whole[0]).max() <= 2 * tool.KEPT * np.abs(held.whole).max()
     upright = spread(again.blocks[0], multipole_index(tool.ORDER))
-    assert np.abs(tilted_whole(again.whole[0], -np.pi / 2) - upright).max() <= 1e-7 * np.abs(upright).max()
+    assert np.abs(tilted_full(again.whole[0], -np.pi / 2) - upright).max() <= 1e-7 * np.abs(upright).max()

@@ -11,7 +11,7 @@ from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, reci
 from nacre.families.metasurface.tmatrix.bem import Mesh, block_t_matrix
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     Directions,
-    SphereOnStack,
+    ParticleOnStack,
     amplitude,
     hemisphere_rule,
     reflection_operator,
@@ -42,7 +42,7 @@ def test_one_sphere_alone_is_the_sphere_on_the_stack(name):
     coupling = _coupled(below, 90.0, 0.05 + 3.1j, 3, PLACES[:1])
     light, view = _waves(below, 90.0, 3, theta, [0.4]), _waves(below, 90.0, 3, theta, AROUND)
     found = coupling.far_field(PLACES[:1], coupling.solve(PLACES[:1], light), view).reshape(2, 2, 12, 2, 2)
-    alone = SphereOnStack(below, 90.0, t_matrix(3, below.wavenumber * 90.0, 0.05 + 3.1j), 3)
+    alone = ParticleOnStack(below, 90.0, t_matrix(3, below.wavenumber * 90.0, 0.05 + 3.1j), 3)
     directions = alone.directions(np.cos(theta))
     plain = np.moveaxis(amplitude(alone.harmonics(directions, directions), AROUND - 0.4), 4, 2)
     assert np.abs(found - plain).max() <= SINGLE * np.abs(plain).max()

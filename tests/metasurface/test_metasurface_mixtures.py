@@ -16,7 +16,7 @@ from nacre.core.errors import NacreError
 from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings, _kind_factor
 from nacre.families.metasurface.ensemble.interpolation import expected_seconds
 from nacre.families.metasurface.ensemble.multisphere import Coupling, Period, PlaneWaves, direct_coupling
-from nacre.families.metasurface.ensemble.supercells import Cell, lift, with_kinds
+from nacre.families.metasurface.ensemble.supercells import Supercell, lift, with_species
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
 from nacre.families.metasurface.monolayer.translation_sums import multipole_index
@@ -200,8 +200,8 @@ def test_a_mixture_s_ensemble_is_told_to_take_longer_where_its_kinds_lie_at_unli
 
 
 def test_each_kind_has_its_share_of_all_patterns():
-    made = [Cell(np.zeros((n, 2)), Period(1.0, np.zeros(2)), 0) for n in (31, 24, 45)]
-    kinds, others = ([one.kinds for one in with_kinds(made, np.array([0.7, 0.3]), seed)] for seed in (3, 4))
+    made = [Supercell(np.zeros((n, 2)), Period(1.0, np.zeros(2)), 0) for n in (31, 24, 45)]
+    kinds, others = ([one.kinds for one in with_species(made, np.array([0.7, 0.3]), seed)] for seed in (3, 4))
     assert [len(k) for k in kinds] == [31, 24, 45] and sum(int(k.sum()) for k in kinds) == 30
     assert not np.array_equal(np.concatenate(kinds), np.concatenate(others))
 
@@ -211,7 +211,7 @@ def test_how_a_pattern_s_kinds_lie_adds_nothing_on_average():
     g = np.random.default_rng(5)
     xy, shares, q = g.uniform(0, 2000, (40, 2)), np.array([0.7, 0.3]), g.uniform(0.003, 0.01, (6, 2))
     waves = np.exp(-1j * xy @ q.T), np.ones((40, 1))
-    cells_of_it = with_kinds([Cell(xy, Period(2000.0, np.zeros(2)), 0)] * 400, shares, 1)
+    cells_of_it = with_species([Supercell(xy, Period(2000.0, np.zeros(2)), 0)] * 400, shares, 1)
     found = np.stack([_kind_factor(one, shares, *waves) for one in cells_of_it])
     assert np.all(np.abs(found.mean(axis=0) - 1) <= 4 * found.std(axis=0) / 20) and found.std() > 0.5
     pair = dataclasses.replace(cells_of_it[0], xy_nm=xy[:2], kinds=np.array([0, 1]))

@@ -46,7 +46,7 @@ CLOSED: dict[str, Callable[[], Mesh]] = {
 @functools.cache
 def _car_hull() -> Mesh:
     built = car(CAR_SPACING)
-    return merge([built.paint, built.glass, built.trim, built.lamps])
+    return merge([built[name] for name in ("paint", "glass", "trim", "lamps")])
 
 
 OPEN: dict[str, Callable[[], Mesh]] = {

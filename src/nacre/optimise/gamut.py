@@ -35,12 +35,12 @@ from nacre.light import (
 from nacre.material.material import Material
 from nacre.matter.stack.solve import powers
 from nacre.optimise.evaluation import lab_hex
-from nacre.optimise.measurement import At, check_answers, search_wavelengths, see
+from nacre.optimise.measurement import Geometry, check_answers, search_wavelengths, simulate_measurement
 from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, values_at
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import check_light
-from nacre.optimise.task import Target
-from nacre.optimise.thin_film.adapter import StackSearch, film_search
+from nacre.optimise.task import DesignTask
+from nacre.optimise.thin_film.adapter import ThinFilmSearch, thin_film_search
 from nacre.recipe.model import RecipeContext
 
 if TYPE_CHECKING:
@@ -94,10 +94,16 @@ class Gamut:
             for lab, xyy, structure in zip(self.lab, self.xyy, self.structures, strict=True)
         ]
         return {
-            "at": self.at, "illuminant": self.illuminant, "observer": self.observer, "within": self.within,
-            "share_of_srgb": self.share_of_srgb, "share_of_optimal": self.share_of_optimal,
-            "count": len(points), "failed": self.failed, "points": points,
-        }  # fmt: skip
+            "at": self.at,
+            "illuminant": self.illuminant,
+            "observer": self.observer,
+            "within": self.within,
+            "share_of_srgb": self.share_of_srgb,
+            "share_of_optimal": self.share_of_optimal,
+            "count": len(points),
+            "failed": self.failed,
+            "points": points,
+        }
 
 
 def parse_parameters(options: Iterable[str]) -> dict[str, Any]:
@@ -176,12 +182,21 @@ def find_gamut(
         raise RecipeError(f"{source}: nothing is free; use --free PATH=LOW:HIGH")
     where = _answered([material, *_tried(material, numbers)], at, f"{source}: at")
     return gamut_of_free(
-        material, numbers, where, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
-        within=within, samples=samples, seed=seed, progress=progress,
-    )  # fmt: skip
+        material,
+        numbers,
+        where,
+        points=points,
+        seconds=seconds,
+        illuminant=illuminant,
+        observer=observer,
+        within=within,
+        samples=samples,
+        seed=seed,
+        progress=progress,
+    )
 
 
-def _answered(materials: Sequence[Material], at: str | None, where: str) -> At:
+def _answered(materials: Sequence[Material], at: str | None, where: str) -> Geometry:
     """Return the geometry asked for; of none the family's usual one, or the first other that is answered.
 
     What a family usually shows may be missing in one of its recipes: a blend of two pearls has no mirror.
@@ -193,7 +208,7 @@ def _answered(materials: Sequence[Material], at: str | None, where: str) -> At:
     asked = [usual, *(look for look in OTHER_LOOKS if look != usual)] if at is None else [at]
     refused: list[RecipeError] = []
     for text in asked:
-        found = At.read(text, where)
+        found = Geometry.read(text, where)
         try:
             check_answers(materials, [found], [where])
         except RecipeError as error:
@@ -204,10 +219,19 @@ def _answered(materials: Sequence[Material], at: str | None, where: str) -> At:
 
 
 def gamut_of_free(
-    material: Material, numbers: Sequence[Parameter], at: At, *, points: int, seconds: float = np.inf, illuminant: str,
-    observer: str, within: float = 2.0, samples: int | None = None, seed: int = 0,
+    material: Material,
+    numbers: Sequence[Parameter],
+    at: Geometry,
+    *,
+    points: int,
+    seconds: float = np.inf,
+    illuminant: str,
+    observer: str,
+    within: float = 2.0,
+    samples: int | None = None,
+    seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
-) -> Gamut:  # fmt: skip
+) -> Gamut:
     """As `find_gamut`, of numbers and a geometry that are checked already.
 
     Raises:
@@ -218,7 +242,9 @@ def gamut_of_free(
     memory: dict[Any, Any] = {}
 
     def look(values: Mapping[str, Any]) -> Array:
-        return see(material.vary(values), [at], grid, samples=samples, seed=seed, memory=memory).factors[0]
+        return simulate_measurement(
+            material.vary(values), [at], grid, samples=samples, seed=seed, memory=memory
+        ).factors[0]
 
     light = (illuminant, observer)
     places, factors, failed = _draw(numbers, look, material, points, seconds, seed, grid, light, progress)
@@ -230,9 +256,15 @@ def gamut_of_free(
 
 
 def gamut_of(
-    factors: Array, wavelengths_nm: Array, structures: Sequence[Mapping[str, Any]], at: str, illuminant: str,
-    observer: str, within: float = 2.0, failed: int = 0,
-) -> Gamut:  # fmt: skip
+    factors: Array,
+    wavelengths_nm: Array,
+    structures: Sequence[Mapping[str, Any]],
+    at: str,
+    illuminant: str,
+    observer: str,
+    within: float = 2.0,
+    failed: int = 0,
+) -> Gamut:
     """Return the gamut of spectra `[point, wavelength]` that are known already."""
     white = white_xyz(illuminant, observer)
     xyz = np.asarray(spectrum_to_xyz(factors, wavelengths_nm, illuminant, observer))
@@ -264,9 +296,16 @@ def _tried(material: Material, numbers: Sequence[Parameter]) -> list[Material]:
 
 
 def _draw(
-    numbers: Sequence[Parameter], look: Callable[[Mapping[str, Any]], Array], material: Material, points: int,
-    seconds: float, seed: int, grid: Array, light: tuple[str, str], progress: Callable[[int, int], None] | None,
-) -> tuple[list[Array], Array, int]:  # fmt: skip
+    numbers: Sequence[Parameter],
+    look: Callable[[Mapping[str, Any]], Array],
+    material: Material,
+    points: int,
+    seconds: float,
+    seed: int,
+    grid: Array,
+    light: tuple[str, str],
+    progress: Callable[[int, int], None] | None,
+) -> tuple[list[Array], Array, int]:
     """Draw places evenly, then around those at the rim; return places, factors and how many failed."""
     from scipy.stats import qmc
 
@@ -309,10 +348,14 @@ def _every_place(numbers: Sequence[Parameter], most: int) -> list[Array]:
     if np.prod(counts, dtype=float) > most:
         return []
     return [
-        np.array([(pick + 0.5) / count if n.choices else pick / max(count - 1, 1)
-                  for n, pick, count in zip(numbers, picks, counts, strict=True)])
+        np.array(
+            [
+                (pick + 0.5) / count if n.choices else pick / max(count - 1, 1)
+                for n, pick, count in zip(numbers, picks, counts, strict=True)
+            ]
+        )
         for picks in np.ndindex(*counts)
-    ]  # fmt: skip
+    ]
 
 
 def _power(count: int) -> int:
@@ -498,7 +541,7 @@ POINTS = 400
 SHORT_SHARE = 0.3  # of thicknesses: drawn near the lower bound, where metals let light through
 
 
-def reach_of(target: Target, seconds: float) -> tuple[Gamut, Array] | None:
+def reach_of(target: DesignTask, seconds: float) -> tuple[Gamut, Array] | None:
     """Return the gamut at the first colour that is wanted, and the colours wanted there `[want, 3]`, CIELAB.
 
     None where only spectra are wanted.
@@ -509,25 +552,31 @@ def reach_of(target: Target, seconds: float) -> tuple[Gamut, Array] | None:
     Raises:
         NacreError: nothing can be computed.
     """
-    colours = [want for want in target.wants if want.spectrum is None]
+    colours = [want for want in target.targets if want.spectrum is None]
     if not colours:
         return None
-    at, light = colours[0].at, target.spec.light
+    at, light = colours[0].geometry, target.spec.light
     white = white_xyz(light.illuminants[0], light.observer)
-    wanted = [want.wanted_lab(white) for want in colours if want.at == at]
+    wanted = [want.target_lab(white) for want in colours if want.geometry == at]
     marks = np.array([lab for lab in wanted if lab is not None]).reshape(-1, 3)
-    search = film_search(target, 0)
+    search = thin_film_search(target, 0)
     if search is not None:
         return _of_stacks(search, target, at), marks
     seed = target.spec.search.seed
     found = gamut_of_free(
-        target.material, target.free, at, points=POINTS, seconds=seconds, illuminant=light.illuminants[0],
-        observer=light.observer, seed=seed,
-    )  # fmt: skip
+        target.material,
+        target.parameters,
+        at,
+        points=POINTS,
+        seconds=seconds,
+        illuminant=light.illuminants[0],
+        observer=light.observer,
+        seed=seed,
+    )
     return found, marks
 
 
-def _of_stacks(search: StackSearch, target: Target, at: At) -> Gamut:
+def _of_stacks(search: ThinFilmSearch, target: DesignTask, at: Geometry) -> Gamut:
     """Draw stacks that the target allows, many at once."""
     problem, light = search.problem, target.spec.light
     generator = np.random.default_rng([target.spec.search.seed, 5])
@@ -552,21 +601,25 @@ def _of_stacks(search: StackSearch, target: Target, at: At) -> Gamut:
                 unit = generator.random() * (SHORT_SHARE if generator.random() < SHORT_SHARE else 1.0)
                 d[k, j] = low + unit * (min(high, 1e5) - low)
             d[k] *= min(1.0, problem.total_nm / max(float(d[k].sum()), 1e-9))
-            structures.append({"layers": [{"material": m, "thickness_nm": float(t)} for m, t in zip(names, d[k])],
-                               "substrate": below.name})  # fmt: skip
+            structures.append(
+                {
+                    "layers": [{"material": m, "thickness_nm": float(t)} for m, t in zip(names, d[k])],
+                    "substrate": below.name,
+                }
+            )
         found = powers(n, d, grid, np.radians([at.theta_deg]))
         part = found.reflectance if at.kind == "specular" else found.transmittance
         factors.append(np.asarray(part[..., 0, :]))
     return gamut_of(np.concatenate(factors), grid, structures, str(at), light.illuminants[0], light.observer)
 
 
-def _pick(search: StackSearch, slot: int, generator: np.random.Generator) -> str:
+def _pick(search: ThinFilmSearch, slot: int, generator: np.random.Generator) -> str:
     slots = search.problem.slots
     names = [m.name for m in search.problem.palette] if slots is None else slots[slot].materials
     return str(names[int(generator.integers(len(names)))])
 
 
-def reach_of_or_none(target: Target, seconds: float) -> tuple[Gamut, Array] | None:
+def reach_of_or_none(target: DesignTask, seconds: float) -> tuple[Gamut, Array] | None:
     """As `reach_of`; None where it cannot be computed: the report then goes without."""
     try:
         return reach_of(target, seconds)

@@ -64,7 +64,7 @@ def stream_dense(
         dphi_rad: `[dphi]`.
 
     Raises:
-        ConvergenceRefusal, MaterialRangeError: see `Metasurface.monolayer`.
+        MultipoleConvergenceError, MaterialRangeError: see `Metasurface.monolayer`.
     """
     theta = np.asarray(theta_rad, dtype=float)
     phi = np.asarray(dphi_rad, dtype=float)
@@ -79,7 +79,7 @@ def stream_dense(
     layers, _ = material.layers_at(wavelengths)
     for wavelength in wavelengths:
         layer = layers(float(wavelength))
-        term = diffuse_term(layer, [(layer.light(cos), weights)], HARMONICS)
+        term = diffuse_term(layer, [(layer.illuminate(cos), weights)], HARMONICS)
         scale = 1.0 / (cos[:, None] * cos)
         _fill(term.coherent, term.varying, cosines, scale, np.sin(theta), s, layer.surface.wavenumber / step, out)
         yield float(wavelength), out

@@ -1,4 +1,4 @@
-"""The recipe of a metasurface: its keys, what they allow, and the material that they build."""
+"""Recipe of a metasurface: keys, validation, and construction of the material."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from nacre.matter.indices.spec import IndexSpec, ambient_in
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 LEAST_COVERAGE = 1e-4
-LARGEST_REACH_UM = 4.0  # beyond ten wavelengths S(q) has more rings than light can tell apart, and takes minutes
+LARGEST_REACH_UM = 4.0  # beyond ten wavelengths S(q) has more rings than light resolves, and takes minutes
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 MAX_THICKNESS_NM = 1e4
 
@@ -55,7 +55,7 @@ class LayerSpec(RecipeModel):
 
 
 class StructureSpec(RecipeModel):
-    """How the particles are arranged: a bare name, or a table with the name and its numbers."""
+    """Arrangement of the particles: a name, or a table with the name and its parameters."""
 
     one_of: ClassVar[tuple[str, ...]] = ("name", "points", "sq")
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ({"enum": list(ARRANGEMENTS)},)
@@ -177,7 +177,7 @@ class MonolayerSpec(RecipeModel):
 
 
 class EnsembleSpec(RecipeModel):
-    """How large an ensemble is, of correction = "ensemble" or where "auto" takes one."""
+    """Ensemble size, for correction = "ensemble" or if "auto" selects one."""
 
     forms: ClassVar[tuple[str, ...]] = ("{spheres = 260, realisations = 24}",)
 
@@ -193,7 +193,7 @@ class EnsembleSpec(RecipeModel):
 
 
 class ModelSpec(RecipeModel):
-    """The model, where its own choice is not wanted."""
+    """Details of the model."""
 
     forms: ClassVar[tuple[str, ...]] = ("{tolerance = 0.005}", '{multipole_order = 6, correction = "optical-depth"}')
 
@@ -223,16 +223,16 @@ class ModelSpec(RecipeModel):
 
 @dataclass(frozen=True, eq=False)
 class MetasurfaceModel(Metasurface, Fabricable, OwnFormats):
-    """A metasurface as its recipe builds it: with its figures and its drawings."""
+    """A metasurface from a recipe, with figures and drawings."""
 
     @property
     def figures(self) -> Mapping[str, Figure]:
-        """One particle's scattering, the arrangement and its S(q), colour over density and angle."""
+        """Scattering of one particle, arrangement and S(q), colour over density and angle."""
         return {kind: partial(maker, self) for kind, maker in FIGURES.items()}
 
     @property
     def fabrications(self) -> Mapping[str, Drawer]:
-        """Layouts of the particles, their list, and the sheet of what to make."""
+        """Particle layouts and list, and the layer sheet."""
         draw = partial(layout, self)
         return {"gds": draw, "oas": draw, "csv": draw, "sheet": lambda request: layer_sheet(self)}
 
@@ -298,7 +298,7 @@ class MetasurfaceSpec(RecipeModel):
         """Return the material.
 
         Raises:
-            RecipeError: density and packing contradict each other, or a file of points or of S(q) is not usable.
+            RecipeError: contradicting density and packing, or an unusable file of points or S(q).
         """
         ambient = self._edge(ambient_in(self.ambient, "ambient" in self.model_fields_set, context))
         substrate = self._index(self.substrate)
@@ -350,7 +350,7 @@ class MetasurfaceSpec(RecipeModel):
         )
 
     def _check_aligned(self, context: RecipeContext, kinds: tuple[Kind, ...]) -> None:
-        """Refuse what aligned particles are not modelled with.
+        """Refuse unsupported combinations with aligned particles.
 
         Raises:
             RecipeError: a mixture, or a correction other than the mean field.
@@ -375,10 +375,10 @@ class MetasurfaceSpec(RecipeModel):
     def _structure(
         self, context: RecipeContext, kinds: tuple[Kind, ...], q_max: float
     ) -> tuple[Structure, Arrangement | Pattern | None]:
-        """Return how the particles lie: of a mixture any two may be neighbours, so the larger kind keeps all apart."""
-        mean_nm = mean_square_radius(kinds)  # coverage counts by it
-        outer_nm = max(kind.outer_radius_nm for kind in kinds)  # overlaps go by it
-        # circumscribing spheres must not meet: multipoles diverge inside
+        """Return the arrangement; in a mixture the larger species sets the least distance."""
+        mean_nm = mean_square_radius(kinds)  # defines the coverage
+        outer_nm = max(kind.outer_radius_nm for kind in kinds)  # defines overlaps
+        # circumscribing spheres must not overlap: multipoles diverge inside
         reach_nm = max(kind.reach_nm for kind in kinds)
         layer, kind = self.monolayer, self.monolayer.structure
         if kind.points is not None:
@@ -389,7 +389,7 @@ class MetasurfaceSpec(RecipeModel):
         if layer.coverage is not None:
             density = layer.coverage / (np.pi * mean_nm**2)
         else:
-            assert layer.density_per_um2 is not None  # one of the two is given, see MonolayerSpec
+            assert layer.density_per_um2 is not None  # one of both is given, see MonolayerSpec
             density = layer.density_per_um2 * 1e-6
         coverage = float(density * np.pi * mean_nm**2)
         occupied = float(density * np.pi * outer_nm**2)
@@ -430,7 +430,7 @@ class MetasurfaceSpec(RecipeModel):
             )
         if kind.sq is not None:
             return sq_structure(context, kind.sq, float(density), packing, q_max), None
-        assert kind.name is not None  # StructureSpec takes one of name, points, sq
+        assert kind.name is not None  # StructureSpec requires one of name, points, sq
         made = Arrangement(kind.name, float(density), packing, kind.seed, kind.lattice, kind.jitter)
         if kind.name == "hard-disk":
             return hard_disk_structure(float(density), packing, q_max), made
@@ -442,10 +442,10 @@ class MetasurfaceSpec(RecipeModel):
 
     @staticmethod
     def _clear(context: RecipeContext, key: str, got: object, least_nm: float, reach_nm: float) -> None:
-        """Refuse particles whose circumscribing spheres meet.
+        """Refuse overlapping circumscribing spheres.
 
         Raises:
-            RecipeError: they do.
+            RecipeError: they overlap.
         """
         if least_nm < 2 * reach_nm * (1 - 1e-6):
             raise context.fail(
@@ -458,15 +458,15 @@ class MetasurfaceSpec(RecipeModel):
 
 # Particles inside a layer of the stack: which layer that is, and whether it holds them.
 
-ROOM = 1e-6  # nm, of rounding
+ROOM = 1e-6  # rounding tolerance in nm
 Layers = Sequence[tuple[OpticalConstant, float]]
 
 
 def host_layer(context: RecipeContext, depth_nm: float | None, layers: Layers) -> int:
-    """Return the number of the layer, from 1, that a depth below the top of the stack lies in; 0 without a depth.
+    """Return the number of the layer, from 1, at a depth below the top of the stack; 0 without a depth.
 
     Raises:
-        RecipeError: no layer reaches so deep, or the one that does absorbs.
+        RecipeError: no layer is so deep, or it absorbs.
     """
     if depth_nm is None:
         return 0
@@ -487,7 +487,7 @@ def _check_clear(context: RecipeContext, medium: OpticalConstant, number: int) -
     try:
         loss = medium.n_complex(grid[(grid >= low) & (grid <= high)]).imag
     except MaterialRangeError:
-        return  # where it is not known nothing is computed
+        return  # not computed at unknown wavelengths
     if loss.size and loss.max() >= LOSSLESS_K:
         at = grid[(grid >= low) & (grid <= high)][int(np.argmax(loss))]
         raise context.fail(
@@ -497,16 +497,16 @@ def _check_clear(context: RecipeContext, medium: OpticalConstant, number: int) -
 
 
 def held(context: RecipeContext, kinds: tuple[Kind, ...], host: int, layers: Layers) -> tuple[Kind, ...]:
-    """Return the kinds with their gaps over the lower face of the layer, where their bottoms are level.
+    """Return the species with their gaps above the lower face of the layer.
 
     Raises:
-        RecipeError: the layer does not hold them, or the spheres around them.
+        RecipeError: the layer does not contain them, or their circumscribing spheres.
     """
     top = sum(thickness for _, thickness in layers[: host - 1])
     bottom = top + layers[host - 1][1]
     out = []
     for kind in kinds:
-        assert kind.depth_nm is not None  # of all kinds or of none
+        assert kind.depth_nm is not None  # given for all species
         gap = bottom - kind.depth_nm - kind.height_nm
         largest = max(kind.sizes.radii_nm) - kind.mean_radius_nm
         above = 0.0 if kind.body is None else kind.reach_nm - kind.height_nm / 2  # multipoles diverge inside

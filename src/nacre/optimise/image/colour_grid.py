@@ -17,7 +17,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
 from nacre.material.material import Material
-from nacre.optimise.measurement import At, judge_wavelengths, search_wavelengths, see
+from nacre.optimise.measurement import Geometry, evaluation_wavelengths, search_wavelengths, simulate_measurement
 from nacre.optimise.merit import smooth_weights
 from nacre.optimise.parameters import Parameter, values_at
 from nacre.optimise.thin_film.adapter import drawn_factors
@@ -69,12 +69,12 @@ class Eye:
     """
 
     def __init__(
-        self, material: Material, numbers: Sequence[Parameter], at: At, lamp: str, observer: str, seed: int,
+        self, material: Material, numbers: Sequence[Parameter], at: Geometry, lamp: str, observer: str, seed: int,
         is_judge: bool = False,
     ) -> None:  # fmt: skip
         self.material, self.numbers, self.at, self.seed = material, numbers, at, seed
         thickest = material.vary(values_at(numbers, np.ones(len(numbers))))
-        self.grid = (judge_wavelengths if is_judge else search_wavelengths)(thickest, [lamp])
+        self.grid = (evaluation_wavelengths if is_judge else search_wavelengths)(thickest, [lamp])
         self.weights = smooth_weights(self.grid, lamp, observer)
         self.white = white_xyz(lamp, observer)
 
@@ -104,7 +104,9 @@ class Eye:
                 if is_over():
                     return None
                 made = self.material.vary(dict(zip(paths, map(float, row), strict=True)))
-                found.append((see(made, [self.at], self.grid, seed=self.seed).factors[0] @ self.weights)[None])
+                found.append(
+                    (simulate_measurement(made, [self.at], self.grid, seed=self.seed).factors[0] @ self.weights)[None]
+                )
         return np.concatenate(found)
 
 

@@ -31,13 +31,13 @@ from nacre.light import (
     xyz_to_srgb_linear,
 )
 from nacre.material.material import load
-from nacre.optimise.evaluation import JUDGE_SEED, Reached
+from nacre.optimise.evaluation import JUDGE_SEED, TargetResult
 from nacre.optimise.html_report import PICTURE, REPORT
 from nacre.optimise.image.colour_grid import Eye, Sheet, fine_sheet, level_sheet
 from nacre.optimise.image.files import FoundMap, map_files, write_maps
 from nacre.optimise.image.matching import dither, has_same_hue, into_solid, match, seen_from_afar
-from nacre.optimise.solutions import SUMMARY, Design, Solution, WantsProgress, clear_answers, write_recipe
-from nacre.optimise.task import Target
+from nacre.optimise.solutions import SUMMARY, Design, DesignProgress, Solution, clear_answers, write_recipe
+from nacre.optimise.task import DesignTask
 from nacre.optimise.thin_film.adapter import interrupt_flag
 from nacre.plot.html import DPI, data_uri, framed, png_uri
 
@@ -70,7 +70,7 @@ class Picture:
 
 
 def make_picture(
-    target: Target, eye: Eye, seconds: float = np.inf, is_interrupted: Callable[[], bool] = lambda: False
+    target: DesignTask, eye: Eye, seconds: float = np.inf, is_interrupted: Callable[[], bool] = lambda: False
 ) -> Picture:
     """Choose what stands for each pixel; nothing is written.
 
@@ -81,7 +81,7 @@ def make_picture(
     Raises:
         NacreError: a material cannot be computed in that time, or at all.
     """
-    want, levels = target.wants[0], target.spec.limits.levels
+    want, levels = target.targets[0], target.spec.limits.height_levels
     assert want.image is not None
     shape = want.image.shape[:2]
     pixels = np.round(want.image.reshape(-1, 3) * 65535.0).astype(np.int64)
@@ -92,12 +92,12 @@ def make_picture(
     if levels is None:
         sheet = fine_sheet(eye, seconds, is_interrupted)
         lab = np.asarray(xyz_to_lab(sheet.xyz, eye.white))
-        found = match(asked, lab, want.within)
+        found = match(asked, lab, want.tolerance)
         points = found.points[inverse]
         distance, is_mapped, keeps_hue = found.distance[inverse], found.is_mapped[inverse], found.keeps_hue[inverse]
     else:
         sheet = level_sheet(eye, levels)
-        mapped, moved = into_solid(asked, sheet.flat_xyz, eye.white, want.within)
+        mapped, moved = into_solid(asked, sheet.flat_xyz, eye.white, want.tolerance)
         aim = np.asarray(lab_to_xyz(mapped, eye.white))[inverse]
         points = dither(aim, sheet.flat_xyz, eye.white)
         wanted = np.asarray(lab_to_xyz(asked, eye.white))[inverse]
@@ -106,7 +106,7 @@ def make_picture(
         is_mapped, keeps_hue = moved[inverse], has_same_hue(asked, mapped)[inverse]
     maps = [
         FoundMap(number.path, values, number.low, number.high, levels)
-        for number, values in zip(target.free, sheet.values(points), strict=True)
+        for number, values in zip(target.parameters, sheet.values(points), strict=True)
     ]
     shown = screen(sheet.flat_xyz[points], eye.white)
     return Picture(want.image, shown, distance, is_mapped, keeps_hue, maps, sheet, eye.white)
@@ -135,7 +135,7 @@ POINTS = 4000  # of what can be reached, in the chart
 MARKS = 400  # of the picture's colours
 
 
-def write_page(folder: Path, target: Target, design: Design, picture: Picture, begun: float) -> None:
+def write_page(folder: Path, target: DesignTask, design: Design, picture: Picture, begun: float) -> None:
     """Write report.html and report.png.
 
     Args:
@@ -148,7 +148,9 @@ def write_page(folder: Path, target: Target, design: Design, picture: Picture, b
     from nacre.plot.sheets import PictureSheet, picture_figure
 
     lamp, observer = target.spec.light.illuminants[0], target.spec.light.observer
-    note = f"{lamp}, {observer} observer, {target.wants[0].at}; the first row on top, seen from the light's side"
+    note = (
+        f"{lamp}, {observer} observer, {target.targets[0].geometry}; the first row on top, seen from the light's side"
+    )
     maps = [(m.path, m.values) for m in picture.maps]
     title = _wrapped(f"{target.name}: {design.message}")
     sheet = PictureSheet(title, picture.asked, picture.reached, picture.distance, picture.is_mapped, maps, note)
@@ -216,7 +218,7 @@ OUT_OF_REACH = 0.01  # share of pixels up to which a picture is met
 
 
 def design_picture(
-    target: Target, folder: Path, begun: float, progress: Callable[[WantsProgress], None] | None
+    target: DesignTask, folder: Path, begun: float, progress: Callable[[DesignProgress], None] | None
 ) -> Design:
     """Design what a target with a picture asks for.
 
@@ -230,14 +232,14 @@ def design_picture(
         RecipeError: the picture lies where a map would be written, or the time is too short for what varies.
         NacreError: the material cannot be computed, or the folder not be written.
     """
-    want, total = target.wants[0], target.spec.search.seconds
+    want, total = target.targets[0], target.spec.search.seconds
     assert want.image is not None
     _check_places(target, folder)
 
     def tell(worst: float) -> None:
         if progress is not None:
             spent = time.monotonic() - begun
-            progress(WantsProgress(worst, spent, max(total - spent, 0.0)))
+            progress(DesignProgress(worst, spent, max(total - spent, 0.0)))
 
     tell(float("inf"))
     eye = eye_of(target)
@@ -246,13 +248,13 @@ def design_picture(
         picture = make_picture(target, eye, left, is_interrupted)
         stopped = is_interrupted()
     mean = float(picture.distance.mean())
-    tell(mean / want.within)
+    tell(mean / want.tolerance)
     facts = _facts(target, picture)
     facts["checked"] = _checked(target, picture)
     solution = _write(target, folder, picture, facts, mean)
     status = "met" if facts["share_out_of_reach"] <= OUT_OF_REACH else "out of reach"
     status = "interrupted" if stopped else status
-    message = in_words(facts, want.within, stopped)
+    message = in_words(facts, want.tolerance, stopped)
     summary: dict[str, Any] = {
         "status": status, "message": message, "seconds": round(time.monotonic() - begun, 3),
         "solutions": [_document(solution, target)], "light": target.spec.light.model_dump(),
@@ -270,26 +272,26 @@ def _summarise(folder: Path, summary: dict[str, Any]) -> None:
     write_text(folder / SUMMARY, json.dumps(summary, indent=2, default=str) + "\n")
 
 
-def eye_of(target: Target, is_judge: bool = False) -> Eye:
+def eye_of(target: DesignTask, is_judge: bool = False) -> Eye:
     light = target.spec.light
     seed = target.spec.search.seed + (JUDGE_SEED if is_judge else 0)
-    at = target.wants[0].at
-    return Eye(target.material, target.free, at, light.illuminants[0], light.observer, seed, is_judge)
+    at = target.targets[0].geometry
+    return Eye(target.material, target.parameters, at, light.illuminants[0], light.observer, seed, is_judge)
 
 
-def _check_places(target: Target, folder: Path) -> None:
+def _check_places(target: DesignTask, folder: Path) -> None:
     """Refuse a folder in which the picture itself would be overwritten."""
-    name = target.spec.want[0].image
+    name = target.spec.target[0].image
     assert name is not None
     path = real(target.context.path(name))
-    written = [f"{FoundMap(n.path, np.zeros((1, 1)), 0.0, 1.0, None).stem}.png" for n in target.free]
+    written = [f"{FoundMap(n.path, np.zeros((1, 1)), 0.0, 1.0, None).stem}.png" for n in target.parameters]
     if path in [(folder / other).resolve() for other in (*written, REACHED, "report.png")]:
         raise RecipeError(
             f"{folder}: holds the picture {path.name}, which would be overwritten; choose another with -o"
         )
 
 
-def _facts(target: Target, picture: Picture) -> dict[str, Any]:
+def _facts(target: DesignTask, picture: Picture) -> dict[str, Any]:
     off, mapped = picture.distance, picture.is_mapped
     count = int(mapped.sum())
     return {
@@ -298,7 +300,7 @@ def _facts(target: Target, picture: Picture) -> dict[str, Any]:
         "de00_99_percent": float(np.percentile(off, 99.0)), "de00_largest": float(off.max()),
         "share_out_of_reach": count / mapped.size,
         "share_hue_kept": float(picture.keeps_hue[mapped].mean()) if count else 1.0,
-        "levels": target.spec.limits.levels, "seen_from_afar": target.spec.limits.levels is not None,
+        "levels": target.spec.limits.height_levels, "seen_from_afar": target.spec.limits.height_levels is not None,
         "nodes": picture.sheet.nodes, "de00_of_spline": picture.sheet.error,
         "maps": [
             {"path": m.path, "file": f"{m.stem}.png", "min": m.low, "max": m.high, "levels": m.levels}
@@ -307,13 +309,13 @@ def _facts(target: Target, picture: Picture) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _checked(target: Target, picture: Picture) -> dict[str, Any]:
+def _checked(target: DesignTask, picture: Picture) -> dict[str, Any]:
     """Solve some of the pixels anew, as closely as answers are judged, with another seed."""
     judge = eye_of(target, is_judge=True)
     count = CHECKED_PIXELS if judge.is_batched else CHECKED_SLOW
     values = np.stack([m.values.ravel() for m in picture.maps], axis=-1)
     chosen = np.random.default_rng(target.spec.search.seed).integers(len(values), size=count)
-    low, high = (np.array([getattr(n, end) for n in target.free]) for end in ("low", "high"))
+    low, high = (np.array([getattr(n, end) for n in target.parameters]) for end in ("low", "high"))
     places, where = np.unique((values[chosen] - low) / (high - low), axis=0, return_inverse=True)
     xyz = judge.xyz(places)
     assert xyz is not None
@@ -331,7 +333,7 @@ def _xyz_of(picture: Picture, pixels: NDArray[np.int64]) -> Array:
     return np.asarray(picture.sheet.xyz[places])
 
 
-def _write(target: Target, folder: Path, picture: Picture, facts: dict[str, Any], mean: float) -> Solution:
+def _write(target: DesignTask, folder: Path, picture: Picture, facts: dict[str, Any], mean: float) -> Solution:
     """Write recipe, maps and the picture as it will look; read the recipe again, as every command will."""
     from PIL import Image
 
@@ -344,22 +346,28 @@ def _write(target: Target, folder: Path, picture: Picture, facts: dict[str, Any]
     path, files = write_recipe(folder, target.material, changes, {})
     with atomic_path(folder / REACHED) as temporary:
         Image.fromarray(np.round(255.0 * picture.reached).astype(np.uint8)).save(temporary)
-    want, lamp = target.wants[0], target.spec.light.illuminants[0]
+    want, lamp = target.targets[0], target.spec.light.illuminants[0]
     asked, reached = (srgb_lab(rgb).mean(axis=(0, 1)) for rgb in (picture.asked, picture.reached))
     facts["files"] = [*files, *map_files(picture.maps), REACHED]
-    return Solution(path, load(path), changes, [Reached(want, lamp, reached, asked, mean)], facts)
+    return Solution(path, load(path), changes, [TargetResult(want, lamp, reached, asked, mean)], facts)
 
 
-def _document(solution: Solution, target: Target) -> dict[str, Any]:
-    want, worst = target.wants[0], solution.worst
+def _document(solution: Solution, target: DesignTask) -> dict[str, Any]:
+    want, worst = target.targets[0], solution.worst
     keys = ("de00_mean", "de00_median", "de00_99_percent", "de00_largest", "share_out_of_reach", "share_hue_kept")
-    entry = {"at": str(want.at), "lamp": worst.lamp, "asked": want.asked, "within": want.within, "met": worst.is_met}
+    entry = {
+        "geometry": str(want.geometry),
+        "lamp": worst.lamp,
+        "asked": want.asked,
+        "tolerance": want.tolerance,
+        "met": worst.is_met,
+    }
     entry |= {"de00": worst.distance, **{key: solution.facts[key] for key in keys}}
     rest = {key: value for key, value in solution.facts.items() if key not in keys}
     return {
         "recipe": str(solution.recipe),
         "worst": worst.scaled,
-        "wants": [entry],
+        "targets": [entry],
         "changes": solution.changes,
         **rest,
     }

@@ -7,21 +7,21 @@ from collections.abc import Sequence
 from nacre.core.errors import NacreError, RecipeError
 from nacre.material.material import Material
 from nacre.optimise.parameters import Parameter
-from nacre.optimise.spec import WantsSpec
+from nacre.optimise.spec import DesignSpec
 
 MOST_NUMBERS = 2
 
 
-def check_free(spec: WantsSpec, base: Material, free: Sequence[Parameter], source: str) -> None:
+def check_free(spec: DesignSpec, base: Material, free: Sequence[Parameter], source: str) -> None:
     """Refuse what a picture cannot be made of.
 
     Raises:
         RecipeError: naming the key.
     """
-    for name, what in (("layers", "the stack itself cannot be sought"), ("spread", "spreads are not counted")):
+    for name, what in (("layers", "the stack itself cannot be sought"), ("tolerance", "spreads are not counted")):
         if getattr(spec, name):
             raise RecipeError(f"{source}: {name}: of a picture {what}; free one or two numbers that vary over it")
-    for name, value in (("total_nm", spec.limits.total_nm), ("layers", spec.limits.layers)):
+    for name, value in (("max_total_nm", spec.limits.max_total_nm), ("max_layers", spec.limits.max_layers)):
         if value is not None:
             raise RecipeError(f"{source}: limits.{name} does not hold for a picture; use bounds of what is free")
     if len(free) > MOST_NUMBERS:
@@ -29,7 +29,7 @@ def check_free(spec: WantsSpec, base: Material, free: Sequence[Parameter], sourc
         raise RecipeError(f"{source}: free: {len(free)} numbers ({paths}); a picture is made of one or two")
     textures = {}
     for number in free:
-        where = f'{source}: free."{number.path}"'
+        where = f'{source}: parameters."{number.path}"'
         if number.choices:
             raise RecipeError(f"{where}: a picture is made of numbers that vary over it; choices do not")
         textures[number.path] = {

@@ -279,9 +279,9 @@ def write_report(
 
 def _colours(summary: dict[str, Any]) -> str:
     """Return a table of the colours that were wanted at directions, asked beside reached; nothing where none was."""
-    wants = [want for solution in summary.get("solutions", []) for want in solution["wants"] if want.get("asked_lab")]
+    wants = [want for solution in summary.get("solutions", []) for want in solution["targets"] if want.get("asked_lab")]
     rows = [
-        f"<tr><td>{html.escape(want['at'])}, {html.escape(want['lamp'])}</td>"
+        f"<tr><td>{html.escape(want['geometry'])}, {html.escape(want['lamp'])}</td>"
         + "".join(
             f'<td><i style="background:{colour}"></i> Lab {", ".join(f"{v:.1f}" for v in lab)}</td>'
             for colour, lab in (
@@ -289,7 +289,7 @@ def _colours(summary: dict[str, Any]) -> str:
                 (want["reached"]["colour"], want["reached"]["lab"]),
             )
         )
-        + f"<td>dE00 {want['de00']:.2f} (within {want['within']:g}){'' if want['met'] else ' (missed)'}</td></tr>"
+        + f"<td>dE00 {want['de00']:.2f} (within {want['tolerance']:g}){'' if want['met'] else ' (missed)'}</td></tr>"
         for want in wants
     ]
     head = "<tr><th>want</th><th>asked</th><th>reached</th><th>distance</th></tr>"

@@ -1,27 +1,39 @@
-"""The body: a small coupé of our own drawing, closed and smooth, with glass, wheels and rims.
+"""A small coupé, closed and smooth, with glass, wheels, rims and details.
 
-The hull is an implicit body between drawn silhouettes: plan, deck line, roof line, each a B-spline, with
-superelliptic sections; wheel arches are cut softly; panes are cut out of the hull along exact lines.
-x runs from tail to nose, lengths in metres.
+The hull is an implicit body between drawn silhouettes (plan, deck line, roof line: B-splines) with superelliptic
+sections. Wheel arches are subtracted with rounded edges; panes are cut along exact lines. x runs from tail to nose;
+lengths are in metres.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 
-from nacre.picture.shapes.implicit import Implicit, smooth_max, smooth_min, superellipse, surface_net
-from nacre.picture.shapes.insects import tube
-from nacre.picture.shapes.mesh import Array, Mesh, bspline, curve, merge, parametric, revolve, rotation, split
+from nacre.core.arrays import Array
+from nacre.picture.shapes.implicit import smooth_max, smooth_min, superellipse, surface_net
+from nacre.picture.shapes.mesh import (
+    Mesh,
+    bspline,
+    curve,
+    merge,
+    on_sphere,
+    parametric,
+    revolve,
+    rotation,
+    split,
+    tube,
+)
+from nacre.picture.shapes.printed import text_mask
 
 FRONT_AXLE, REAR_AXLE = 1.32, -1.30
 WHEEL_RADIUS, WHEEL_WIDTH, TRACK = 0.33, 0.23, 0.80
 _ARCH = 0.362
 _SILL = 0.17
+_SHUT_LINE = 0.0048  # half width
 
-# silhouettes (x, value); the ends are closed by the caps of `_hull`
+# silhouettes (x, value); `_hull` closes the ends
 _DECK = [(-2.3, 0.80), (-2.1, 0.885), (-1.8, 0.915), (-1.3, 0.925), (-0.6, 0.875), (0.1, 0.85), (0.7, 0.845),
          (1.2, 0.845), (1.6, 0.785), (1.95, 0.675), (2.2, 0.585), (2.35, 0.53)]  # fmt: skip
 _PLAN = [(-2.3, 0.76), (-2.1, 0.82), (-1.7, 0.905), (-1.3, 0.945), (-0.8, 0.92), (-0.1, 0.885), (0.6, 0.885),
@@ -29,26 +41,20 @@ _PLAN = [(-2.3, 0.76), (-2.1, 0.82), (-1.7, 0.905), (-1.3, 0.945), (-0.8, 0.92),
 _ROOF = [(-2.7, 0.2), (-2.3, 0.66), (-2.0, 0.86), (-1.6, 1.00), (-1.1, 1.15), (-0.65, 1.245), (-0.2, 1.275),
          (0.15, 1.25), (0.5, 1.12), (0.85, 0.96), (1.2, 0.81), (1.5, 0.68), (1.95, 0.2)]  # fmt: skip
 _CABIN = [(-2.1, 0.42), (-1.7, 0.58), (-1.2, 0.70), (-0.6, 0.765), (0.0, 0.775), (0.5, 0.745), (0.9, 0.68), (1.3, 0.56)]
-
-
-@dataclass(frozen=True)
-class Car:
-    """The parts of the car; `paint` and `mirrors` are what a material goes on."""
-
-    paint: Mesh
-    glass: Mesh
-    trim: Mesh
-    lamps: Mesh
-    tyres: Mesh
-    rims: Mesh
-    mirrors: Mesh
-    seams: Mesh
-    handles: Mesh
-    plate: Mesh
+# shut lines as (x, z) on the flank
+_DOOR = [
+    (0.70, 0.93), (0.73, 0.82), (0.75, 0.62), (0.72, 0.36), (0.68, 0.27), (0.6, 0.25), (0.2, 0.245), (-0.3, 0.25),
+    (-0.52, 0.27), (-0.6, 0.36), (-0.64, 0.55), (-0.66, 0.75), (-0.7, 0.96),
+]  # fmt: skip
+_FLAP = [(-1.06, 0.80), (-1.06, 0.86), (-1.16, 0.86), (-1.26, 0.86), (-1.26, 0.80), (-1.26, 0.74),
+                 (-1.16, 0.74), (-1.06, 0.74), (-1.06, 0.80)]  # fmt: skip
+# shut lines as (x, y) seen from above, right half
+_BONNET = [(0.98, 0.66), (1.2, 0.685), (1.55, 0.66), (1.85, 0.58), (2.02, 0.44), (2.1, 0.24), (2.12, 0.0)]
+_BOOT = [(-1.72, 0.0), (-1.72, 0.3), (-1.73, 0.55), (-1.78, 0.66), (-1.9, 0.71), (-2.08, 0.72)]
 
 
 def _cabin(x: Array, y: Array, z: Array) -> Array:
-    """The greenhouse: walls lean in by 0.42 of their height, the roof bows across."""
+    """Greenhouse: walls lean inward by 0.42 of their height; the roof is cambered."""
     roof = curve(_ROOF, x) - 0.10 * (y / 0.7) ** 2
     wall = curve(_CABIN, x) - 0.42 * (z - 0.85)
     top = 0.92 * (z - roof)
@@ -61,14 +67,12 @@ def _hull(x: Array, y: Array, z: Array) -> Array:
     middle, half = 0.5 * (deck + _SILL), 0.5 * (deck - _SILL)
     section = superellipse(y / plan, (z - middle) / half, 4.0)
     shell = (section - 1) * np.minimum(plan, half)
-    # bonnet and deck bow across; flanks tuck in towards the sill
-    tuck = 0.05 * np.clip((0.55 - z) / 0.4, 0, 1) ** 2
-    shell = shell + tuck
-    # nose and tail: bowed in plan, raked in side view
+    shell = shell + 0.05 * np.clip((0.55 - z) / 0.4, 0, 1) ** 2  # flanks taper towards the sill
+    # nose and tail: curved in plan, raked in side view
     nose = 0.9 * (x + 0.34 * np.abs(y) ** 2.2 + 0.22 * (z - 0.42) ** 2 / 0.2 - 2.24)
     tail = 0.95 * (-x + 0.16 * np.abs(y) ** 2.2 + 0.18 * (z - 0.80) - 2.12)
     shell = smooth_max(smooth_max(shell, nose, 0.30), tail, 0.13)
-    # fenders swell over the wheels
+    # fenders
     for axle, swell in ((FRONT_AXLE, 0.04), (REAR_AXLE, 0.045)):
         over = np.exp(-(((x - axle) / 0.45) ** 2))
         shell = shell - swell * over * np.exp(-(((z - 0.55) / 0.28) ** 2))
@@ -82,56 +86,46 @@ def _hull(x: Array, y: Array, z: Array) -> Array:
 
 
 def _uv(points: Array) -> Array:
-    """u along the car, v by the height unrolled over the section, so that tangents run along the body."""
+    """u along the car, v by the azimuth in its section, therefore tangents run along the body."""
     return np.stack(
         [(points[:, 0] + 2.3) / 4.6, 0.5 + np.arctan2(points[:, 1], points[:, 2] - 0.1) / np.pi * 0.5], axis=1
     )
 
 
-def car(spacing: float = 0.0225) -> Car:
-    """Build the car, standing on z = 0."""
+def car(spacing: float = 0.0225) -> dict[str, Mesh]:
+    """Build the parts, standing on z = 0; the material goes on `paint` and `mirrors`."""
     hull = surface_net(_hull, np.array([-2.5, -1.08, 0.05]), np.array([2.5, 1.08, 1.42]), spacing, _uv)
-    hull, glass = _cut(hull, _panes)
-    hull, lamps = _cut(hull, _lamp_field)
-    paint, trim = _cut(hull, _trim_field)
-    wheels = [(FRONT_AXLE, 1), (FRONT_AXLE, -1), (REAR_AXLE, 1), (REAR_AXLE, -1)]
-    tyre, rim = _tyre(), _rim()
-
-    def place(part: Mesh, axle: float, side: int) -> Mesh:
-        turned = part.moved(rotation("x", -90.0 * side))  # wheel axis z -> outward along y
-        return turned.moved(np.eye(3), (axle, side * TRACK, WHEEL_RADIUS))
-
-    mirror = mirrors(_hull)
-    painted = Mesh(mirror.vertices, mirror.normals, _uv(mirror.vertices), mirror.faces)
-    return Car(
-        paint,
-        glass,
-        trim,
-        lamps,
-        merge([place(tyre, *w) for w in wheels]),
-        merge([place(rim, *w) for w in wheels]),
-        painted,
-        shut_lines(_hull),
-        handles(_hull),
-        plate(_hull),
-    )
+    cut = {}
+    for name, field in (("glass", _panes), ("lamps", _lamp_field), ("trim", _trim_field)):
+        cut[name], hull = split(hull, field(hull.vertices, hull.normals))
+    mirrors = _mirrors()
+    return {
+        "paint": hull,
+        **cut,
+        "tyres": _at_wheels(_tyre()),
+        "rims": _at_wheels(_rim()),
+        "mirrors": mirrors.with_uv(_uv(mirrors.vertices)),
+        "seams": _shut_lines(),
+        "handles": _handles(),
+        "plate": _plate(),
+    }
 
 
-def _cut(surface: Mesh, field: Callable[[Array, Array], Array]) -> tuple[Mesh, Mesh]:
-    """Return the part outside (field < 0) and inside the lines of a field of the vertices."""
-    inside, outside = split(surface, field(surface.vertices, surface.normals))
-    return outside, inside
+def _at_wheels(part: Mesh) -> Mesh:
+    """Copy a part, whose wheel axis is z, to the four wheels."""
+    places = [(axle, side) for axle in (FRONT_AXLE, REAR_AXLE) for side in (1, -1)]
+    return merge([part.moved(rotation("x", -90.0 * s)).shifted(axle, s * TRACK, WHEEL_RADIUS) for axle, s in places])
 
 
 def _panes(p: Array, n: Array) -> Array:
-    """Positive on the panes: side windows, windscreen, rear window; pillars and roof stay painted."""
+    """Positive on side windows, windscreen and rear window."""
     x, y, z = p.T
     wide = np.abs(y)
     belt = curve([(-2.0, 0.985), (-1.2, 0.985), (-0.4, 0.955), (0.4, 0.925), (1.2, 0.89)], x)
     rail = curve(_ROOF, x) - 0.075
     side = -smooth_max(belt - z, z - rail, 0.03)
-    side = -smooth_max(-side, _leaning(x, z, 0.64, -1.15), 0.05)  # in front: the A pillar
-    side = -smooth_max(-side, -_leaning(x, z, -1.22, 0.75), 0.10)  # behind: the C pillar
+    side = -smooth_max(-side, _leaning(x, z, 0.64, -1.15), 0.05)  # A pillar
+    side = -smooth_max(-side, -_leaning(x, z, -1.22, 0.75), 0.10)  # C pillar
     side = -smooth_max(-side, 0.45 - wide, 0.02)
     screen = -smooth_max(wide - (curve(_CABIN, x) - 0.42 * (z - 0.85) - 0.075), 0.885 - z, 0.05)
     screen = -smooth_max(-screen, 0.22 + 0.10 * wide**2 - x, 0.05)
@@ -142,11 +136,12 @@ def _panes(p: Array, n: Array) -> Array:
 
 
 def _leaning(x: Array, z: Array, foot: float, lean: float) -> Array:
-    """x beyond a line that starts at `foot` on the belt and moves by `lean` for each metre up."""
+    """Signed distance in x from a line that starts at `foot` on the belt and shifts by `lean` per metre of height."""
     return (x - foot - lean * (z - 0.9)) * 0.7
 
 
 def _lamp_field(p: Array, n: Array) -> Array:
+    """Positive on head lamps and rear lamps."""
     x, y, z = p.T
     wide = np.abs(y)
     front = 0.026 - np.abs(z - 0.60 - 0.10 * (wide - 0.55)) - 1.2 * np.maximum(np.abs(wide - 0.58) - 0.11, 0) ** 1.5
@@ -156,7 +151,7 @@ def _lamp_field(p: Array, n: Array) -> Array:
 
 
 def _trim_field(p: Array, n: Array) -> Array:
-    """Positive where dark trim replaces paint: underbody, wheel wells, air intake, rear apron."""
+    """Positive on dark trim: underbody, wheel wells, air intake, rear apron."""
     x, y, z = p.T
     wide = np.abs(y)
     under = 0.215 - z
@@ -170,7 +165,7 @@ def _trim_field(p: Array, n: Array) -> Array:
 
 
 def _tyre() -> Mesh:
-    """A tyre about the z axis, its outer face up."""
+    """A tyre about the z axis, outer face up."""
     w, r = 0.5 * WHEEL_WIDTH, WHEEL_RADIUS
     profile = [
         (0.0, -w), (0.1, -w), (0.235, -w), (0.25, -w), (0.29, -w - 0.008), (r - 0.015, -w + 0.01), (r, -w + 0.04),
@@ -187,10 +182,7 @@ def _rim() -> Mesh:
     lip = revolve([(0.248 + 0.011 * np.cos(a), top - 0.004 + 0.011 * np.sin(a)) for a in lip_angle - np.pi], 128, 32)
     hub = revolve([(0.0, top - 0.09), (0.05, top - 0.09), (0.062, top - 0.06), (0.058, top - 0.03), (0.04, top - 0.02),
                    (0.0, top - 0.018)], 48, 32)  # fmt: skip
-    spokes = []
-    for k in range(5):
-        for lean in (-1, 1):
-            spokes.append(_spoke(lean).moved(rotation("z", 72.0 * k)))
+    spokes = [_spoke(lean).moved(rotation("z", 72.0 * k)) for k in range(5) for lean in (-1, 1)]
     return merge([lip, hub, *spokes])
 
 
@@ -210,109 +202,76 @@ def _spoke(lean: int) -> Mesh:
     return parametric(position, 32, 40)
 
 
-# What makes the body a car that could be bought: shut lines, door handles, mirrors, a number plate, wipers.
-
-_GAP = 0.0048  # half width of a shut line
-_HALVINGS = 30
-Points = Sequence[tuple[float, float]]
-
-# shut lines as (x, z) on the flank; a doubled point bends tighter
-_DOOR: Points = [
-    (0.70, 0.93), (0.73, 0.82), (0.75, 0.62), (0.72, 0.36), (0.68, 0.27), (0.6, 0.25), (0.2, 0.245), (-0.3, 0.25),
-    (-0.52, 0.27), (-0.6, 0.36), (-0.64, 0.55), (-0.66, 0.75), (-0.7, 0.96),
-]  # fmt: skip
-_FLAP: Points = [(-1.06, 0.80), (-1.06, 0.86), (-1.16, 0.86), (-1.26, 0.86), (-1.26, 0.80), (-1.26, 0.74),
-                 (-1.16, 0.74), (-1.06, 0.74), (-1.06, 0.80)]  # fmt: skip
-# and as (x, y) from above, on the right half
-_BONNET: Points = [(0.98, 0.66), (1.2, 0.685), (1.55, 0.66), (1.85, 0.58), (2.02, 0.44), (2.1, 0.24), (2.12, 0.0)]
-_BOOT: Points = [(-1.72, 0.0), (-1.72, 0.3), (-1.73, 0.55), (-1.78, 0.66), (-1.9, 0.71), (-2.08, 0.72)]
-
-
-def shut_lines(hull: Implicit) -> Mesh:
-    """Gaps between doors, bonnet, boot lid and body, as dark threads half sunk into the hull."""
+def _shut_lines() -> Mesh:
+    """Gaps between doors, bonnet, boot lid and body: dark threads half sunk into the hull."""
     t = np.linspace(0.0, 1.0, 90)
     lines = []
-    for points in (_DOOR, _FLAP):
-        x, z = np.moveaxis(bspline(points, t), -1, 0)
-        right = _on_flank(hull, x, z)
-        lines += [right, right * [1.0, -1.0, 1.0]] if points is _DOOR else [right]
-    for points in (_BONNET, _BOOT):
-        x, y = np.moveaxis(bspline(points, t), -1, 0)
-        right = _on_top(hull, x, y)
-        lines += [right, right * [1.0, -1.0, 1.0]]
-    return merge([tube(path, np.full(len(path), _GAP), 10) for path in lines])
+    for points, on_hull in ((_DOOR, _on_flank), (_FLAP, _on_flank), (_BONNET, _on_top), (_BOOT, _on_top)):
+        right = on_hull(*np.moveaxis(bspline(points, t), -1, 0))
+        lines += [right] if points is _FLAP else [right, right * [1.0, -1.0, 1.0]]
+    return merge([tube(path, np.full(len(path), _SHUT_LINE), 10) for path in lines])
 
 
-def mirrors(hull: Implicit) -> Mesh:
+def _both_sides(right: Mesh) -> Mesh:
+    return merge([right, right.moved(np.diag([1.0, -1.0, 1.0]))])
+
+
+def _mirrors() -> Mesh:
     """Housings of the two mirrors with their arms."""
-    place = _on_flank(hull, np.array([0.60]), np.array([0.86]))[0]
+    place = _on_flank(np.array([0.60]), np.array([0.86]))[0]
 
     def position(u: Array, v: Array) -> Array:
-        phi, theta = 2 * np.pi * u, np.pi * (1 - v)
-        ball = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+        ball = on_sphere(u, v)
         soft = np.sign(ball) * np.abs(ball) ** 0.72
         size = np.array([0.075, 0.12, 0.072])
         back = np.where(soft[..., 0] < 0, 0.45, 1.0)[..., None] * np.array([1.0, 0, 0]) + np.array([0, 1.0, 1.0])
         swept = np.array([-0.25, 0.0, 0.0]) * soft[..., 1:2] * 0.12
         return place + np.array([0.0, 0.15, 0.1]) + size * soft * back + swept
 
-    housing = parametric(position, 72, 48)
     joints = place + np.array([[0.02, -0.03, -0.02], [0.02, 0.05, 0.03], [0.01, 0.12, 0.06]])
     arm = tube(bspline(joints, np.linspace(0, 1, 8)), np.linspace(0.028, 0.02, 8), 16)
-    one = merge([housing, arm])
-    return merge([one, one.moved(np.diag([1.0, -1.0, 1.0]))])
+    return _both_sides(merge([parametric(position, 72, 48), arm]))
 
 
-def handles(hull: Implicit) -> Mesh:
-    """A bar to pull on each door."""
+def _handles() -> Mesh:
+    """Door handles."""
     x = np.linspace(-0.3, -0.5, 12)
-    path = _on_flank(hull, x, np.full_like(x, 0.775)) + np.array([0.0, 0.016, 0.0])
+    path = _on_flank(x, np.full_like(x, 0.775)) + np.array([0.0, 0.016, 0.0])
     ends = np.clip(6 * np.sin(np.pi * np.linspace(0.0, 1.0, 12)), 0.25, 1.0)
-    one = tube(path, 0.013 * ends, 16)
-    return merge([one, one.moved(np.diag([1.0, -1.0, 1.0]))])
+    return _both_sides(tube(path, 0.013 * ends, 16))
 
 
-def plate(hull: Implicit) -> Mesh:
-    """The number plate in front, bowed as the nose is; u to the right as one reads it, v upward."""
+def _plate() -> Mesh:
+    """Front number plate, curved like the nose; u to the right for the reader, v upward."""
 
     def position(u: Array, v: Array) -> Array:
         y, z = 0.25 * (2 * u - 1), 0.42 + 0.055 * (2 * v - 1)
-        return np.stack([2.268 - 0.12 * y**2 + 0.02 * (2 * v - 1) * 0, y, z], axis=-1)
+        return np.stack([2.268 - 0.12 * y**2, y, z], axis=-1)
 
     return parametric(position, 12, 2)
 
 
 def plate_print(rows: int = 128) -> Array:
-    """Reflectance `[row, column]` of the plate, first row on top."""
-    from PIL import Image, ImageDraw, ImageFont
-
+    """Reflectance `[row, column]` of the number plate, first row at the top."""
     columns = int(rows * 0.25 / 0.055)
-    image = Image.new("L", (columns, rows), 255)
-    draw = ImageDraw.Draw(image)
-    draw.rectangle((3, 3, columns - 4, rows - 4), outline=0, width=3)
-    font = ImageFont.load_default(0.8 * rows)
-    width = draw.textlength("NACRE 550", font=font)
-    draw.text((0.5 * (columns - width), 0.06 * rows), "NACRE 550", fill=0, font=font)
-    return np.asarray(0.03 + 0.62 * np.asarray(image, dtype=float) / 255.0)
+    frame = [((3, 3, columns - 4, rows - 4), 3)]
+    return 0.03 + 0.62 * text_mask((rows, columns), [("NACRE 550", (None, 0.06 * rows), 0.8 * rows)], frame, paper=255)
 
 
-def _on_flank(hull: Implicit, x: Array, z: Array) -> Array:
-    """Points `[N, 3]` of the left flank (y > 0) at these places of the side view."""
-    y = _root(lambda y: hull(x, y, z), np.full_like(x, 0.25), np.full_like(x, 1.2))
+def _on_flank(x: Array, z: Array) -> Array:
+    """Points `[N, 3]` on the left flank (y > 0) at places in the side view."""
+    y = _bisect(lambda y: _hull(x, y, z), np.full_like(x, 0.25), np.full_like(x, 1.2))
     return np.stack([x, y, z], axis=-1)
 
 
-def _on_top(hull: Implicit, x: Array, y: Array) -> Array:
-    z = _root(lambda z: hull(x, y, z), np.full_like(x, 0.45), np.full_like(x, 1.6))
+def _on_top(x: Array, y: Array) -> Array:
+    z = _bisect(lambda z: _hull(x, y, z), np.full_like(x, 0.45), np.full_like(x, 1.6))
     return np.stack([x, y, z], axis=-1)
 
 
-def _root(f: Callable[[Array], Array], inside: Array, outside: Array) -> Array:
-    for _ in range(_HALVINGS):
+def _bisect(f: Callable[[Array], Array], inside: Array, outside: Array) -> Array:
+    for _ in range(30):
         middle = 0.5 * (inside + outside)
         is_out = f(middle) > 0
         inside, outside = np.where(is_out, inside, middle), np.where(is_out, middle, outside)
     return np.asarray(0.5 * (inside + outside))
-
-
-__all__ = ["handles", "mirrors", "plate", "plate_print", "shut_lines"]

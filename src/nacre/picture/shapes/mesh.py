@@ -1,22 +1,23 @@
-"""Triangle surfaces with exact normals and uv: the raw material of every shape.
+"""Triangle meshes with analytic normals and uv coordinates, and builders for surfaces.
 
-Axes: z up, the camera looks along +y. uv runs along the surface's own parameters, so that the tangents of an
-anisotropic material follow its form.
+z points up and the camera looks along +y. uv follows the parameters of the surface, therefore the tangents of an
+anisotropic material follow the shape.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from nacre.core.arrays import Array
 
-# steps of the differences that give the normals, in units of the parameter: far below the mesh, far above rounding
-_STEP = 1e-4
+_STEP = 1e-4  # step of the finite differences for normals, in units of the parameter
+BALL_SLACK = 1e-9  # rounding tolerance of the bounding ball, relative to its radius
+Position = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Mesh:
 
     Attributes:
         vertices: `[N, 3]`.
-        normals: unit vertex normals `[N, 3]`, outward where the surface is closed.
+        normals: unit vertex normals `[N, 3]`, outward on a closed surface.
         uv: `[N, 2]`.
         faces: vertex indices `[M, 3]`, counter-clockwise seen from outside.
     """
@@ -35,17 +36,29 @@ class Mesh:
     uv: Array
     faces: NDArray[np.int64]
 
-    def moved(self, matrix: Array, offset: Sequence[float] = (0.0, 0.0, 0.0)) -> Mesh:
-        """Apply `matrix` `[3, 3]` and then a shift; a mirroring matrix keeps normals outward."""
+    def moved(self, matrix: Array, offset: ArrayLike = (0.0, 0.0, 0.0)) -> Mesh:
+        """Apply `matrix` `[3, 3]`, then a shift; normals stay outward under a reflection."""
         matrix = np.asarray(matrix, dtype=float)
         normals = self.normals @ np.linalg.inv(matrix)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         faces = self.faces[:, ::-1] if np.linalg.det(matrix) < 0 else self.faces
         return Mesh(self.vertices @ matrix.T + np.asarray(offset, dtype=float), normals, self.uv, faces)
 
+    def shifted(self, x: float, y: float, z: float) -> Mesh:
+        """Translate the mesh."""
+        return replace(self, vertices=self.vertices + np.array([x, y, z]))
+
     def turned(self) -> Mesh:
-        """The same surface seen from its other side."""
-        return Mesh(self.vertices, -self.normals, self.uv, self.faces[:, ::-1])
+        """Exchange inside and outside."""
+        return replace(self, normals=-self.normals, faces=self.faces[:, ::-1])
+
+    def facing_up(self) -> Mesh:
+        """Return the mesh with its mean normal upward."""
+        return self if self.normals[:, 2].mean() > 0 else self.turned()
+
+    def with_uv(self, uv: Array) -> Mesh:
+        """Replace the uv coordinates."""
+        return replace(self, uv=uv)
 
     @property
     def bounds(self) -> tuple[Array, Array]:
@@ -54,7 +67,7 @@ class Mesh:
 
 
 def rotation(axis: str, angle_deg: float) -> Array:
-    """Matrix `[3, 3]` of a right-handed turn about the axis "x", "y" or "z"."""
+    """Right-handed rotation matrix `[3, 3]` about the axis "x", "y" or "z"."""
     cos, sin = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
     first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
     matrix = np.eye(3)
@@ -64,7 +77,7 @@ def rotation(axis: str, angle_deg: float) -> Array:
 
 
 def open_seam(surface: Mesh) -> Mesh:
-    """Give faces that straddle the jump of u from 1 to 0 their own vertices beyond 1, so that tangents stay true."""
+    """Duplicate vertices of faces that straddle the jump of u from 1 to 0, with u above 1; tangents stay correct."""
     u = surface.uv[:, 0]
     corner = u[surface.faces]
     low = (np.ptp(corner, axis=1) > 0.5)[:, None] & (corner < 0.5)
@@ -77,26 +90,27 @@ def open_seam(surface: Mesh) -> Mesh:
 
 
 def outward(surface: Mesh) -> Mesh:
-    """Turn the faces and normals of a closed surface that look inward; an open one stays as it is.
+    """Orient a closed surface outward; an open one is returned unchanged.
 
-    Glass would be the air about it. Hollow bodies are judged as a whole, since their inner faces look inward rightly.
+    Inside-out glass would exchange glass and air. The decision is made once for the whole mesh, because inner faces of
+    a hollow body point inward correctly.
     """
     corners = (surface.vertices - surface.vertices.mean(axis=0))[surface.faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across = face_normals(corners)
     is_inward = float(np.einsum("ij,ij->", across, corners.mean(axis=1))) < 0.0
     agrees = float(np.einsum("ij,ij->", across, surface.normals[surface.faces].sum(axis=1))) >= 0.0
     if not is_inward and agrees or not _is_closed(surface):
         return surface
     normals = surface.normals if agrees != is_inward else -surface.normals
-    return Mesh(surface.vertices, normals, surface.uv, surface.faces[:, ::-1] if is_inward else surface.faces)
+    return replace(surface, normals=normals, faces=surface.faces[:, ::-1] if is_inward else surface.faces)
 
 
 def _is_closed(surface: Mesh) -> bool:
-    """Whether each edge is followed once to and once fro, where corners at one place count as one."""
+    """Return whether each edge occurs once in each direction; vertices at one place count as one."""
     grain = 1e-6 * float(np.ptp(surface.vertices, axis=0).max())
     _, place = np.unique(np.round(surface.vertices / grain).astype(np.int64), axis=0, return_inverse=True)
     faces = place.reshape(-1)[surface.faces]
-    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]  # those of no area, as at a pole
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]  # without degenerate faces, as at a pole
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     count = len(surface.vertices)
     return np.array_equal(np.sort(start * count + end), np.sort(end * count + start))
@@ -113,52 +127,75 @@ def merge(surfaces: Sequence[Mesh]) -> Mesh:
     )
 
 
-def parametric(position: Callable[[Array, Array], Array], cells_u: int, cells_v: int) -> Mesh:
-    """Mesh a map (u, v) in the unit square -> point, its normal along d/du x d/dv.
+def face_normals(corners: Array) -> Array:
+    """Normals `[M, 3]`, twice as long as the area, of triangles given by their corners `[M, 3, 3]`."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
-    `position` takes arrays of one shape and returns `[..., 3]`; it must be smooth a little beyond the square.
-    Where a side shrinks to a point (a pole), the normal is taken a little beside it, where it is defined, and
-    the zero triangles are left out.
+
+def two_triangles(a: NDArray[np.int64], b: NDArray[np.int64], c: NDArray[np.int64], d: NDArray[np.int64]) -> Array:
+    """Split quadrilaterals, given by the indices of their corners, into faces `[M, 3]`."""
+    return np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+
+
+def quad(corners: ArrayLike) -> Mesh:
+    """A flat quadrilateral of four corners `[4, 3]`; its uv is 0."""
+    place = np.asarray(corners, dtype=float)
+    normal = np.cross(place[1] - place[0], place[2] - place[0])
+    normal /= np.linalg.norm(normal)
+    return Mesh(place, np.tile(normal, (4, 1)), np.zeros((4, 2)), np.array([[0, 1, 2], [0, 2, 3]]))
+
+
+def on_circle(radius: Array | float, u: Array, z: Array | float) -> Array:
+    """Points `[..., 3]` on circles about the z axis; u is one revolution."""
+    phi = 2 * np.pi * u
+    return np.stack(np.broadcast_arrays(radius * np.cos(phi), radius * np.sin(phi), z), axis=-1)
+
+
+def on_sphere(u: Array, v: Array) -> Array:
+    """Points `[..., 3]` on the unit sphere: u is the azimuth, v runs from the lower pole to the upper one."""
+    phi, theta = 2 * np.pi * u, np.pi * (1 - v)
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def parametric(position: Position, cells_u: int, cells_v: int) -> Mesh:
+    """Mesh a map from the unit square (u, v) to points, with normals along d/du x d/dv.
+
+    `position` takes arrays of one shape and returns `[..., 3]`; it must be smooth slightly beyond the square. At a
+    pole, where a side shrinks to a point, the normal is taken beside it and degenerate triangles are dropped.
     """
     u, v = np.meshgrid(np.linspace(0, 1, cells_u + 1), np.linspace(0, 1, cells_v + 1), indexing="ij")
     points = position(u, v)
     normals = _normals(position, u, v)
     bad = np.asarray(~np.isfinite(normals).all(axis=-1))
     if bad.any():
-        inside_v = np.clip(v, 0.2 / cells_v, 1 - 0.2 / cells_v)
-        inside_u = np.clip(u, 0.2 / cells_u, 1 - 0.2 / cells_u)
-        beside = _normals(position, inside_u, inside_v)
-        normals = np.where(bad[..., None], beside, normals)
-        for axis, end in ((0, 0), (0, -1), (1, 0), (1, -1)):  # one normal for a whole pole
+        beside = [np.clip(x, 0.2 / cells, 1 - 0.2 / cells) for x, cells in ((u, cells_u), (v, cells_v))]
+        normals = np.where(bad[..., None], _normals(position, beside[0], beside[1]), normals)
+        for axis, end in itertools.product((0, 1), (0, -1)):  # one normal for the whole pole
             row = (slice(None), end) if axis else (end, slice(None))
             if bad[row].all():
                 mean = normals[row].mean(axis=0)
                 normals[row] = mean / np.linalg.norm(mean)
     index = np.arange(u.size).reshape(u.shape)
-    a, b, c, d = (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
-    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    faces = two_triangles(index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
     vertices = points.reshape(-1, 3)
-    edges = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
-    scale = np.ptp(vertices, axis=0).max()
-    faces = faces[np.linalg.norm(edges, axis=1) > 1e-14 * scale**2]
+    areas = np.linalg.norm(face_normals(vertices[faces]), axis=1)
+    faces = faces[areas > 1e-14 * np.ptp(vertices, axis=0).max() ** 2]
     return Mesh(vertices, normals.reshape(-1, 3), np.stack([u, v], -1).reshape(-1, 2), faces)
 
 
-def _normals(position: Callable[[Array, Array], Array], u: Array, v: Array) -> Array:
+def _normals(position: Position, u: Array, v: Array) -> Array:
     du = position(u + _STEP, v) - position(u - _STEP, v)
     dv = position(u, v + _STEP) - position(u, v - _STEP)
     normal = np.cross(du, dv)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    typical = length.mean()
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(length > 1e-6 * typical, normal / length, np.nan)
+        return np.where(length > 1e-6 * length.mean(), normal / length, np.nan)
 
 
 def bspline(points: Sequence[Sequence[float]] | Array, t: Array) -> Array:
-    """Uniform cubic B-spline that starts and ends at its end points; `t` in [0, 1], result `[..., dimension]`.
+    """Uniform cubic B-spline between its end points; `t` in [0, 1], result `[..., dimension]`.
 
-    Twice continuously differentiable; a doubled point tightens the bend, a tripled one makes a corner.
-    Beyond [0, 1] the curve goes on straight.
+    A doubled point tightens the bend, a tripled one makes a corner. Beyond [0, 1] the curve is straight.
     """
     control = np.asarray(points, dtype=float)
     control = np.concatenate([2 * control[:1] - control[1:2], control, 2 * control[-1:] - control[-2:-1]])
@@ -172,20 +209,15 @@ def bspline(points: Sequence[Sequence[float]] | Array, t: Array) -> Array:
 
 
 def curve(points: Sequence[tuple[float, float]], x: Array) -> Array:
-    """A smooth function y(x) through or near the given (x, y): the B-spline of the points, read at `x`.
-
-    Used for silhouettes; flat beyond the ends. Solves x(t) by a fine table, since x rises along the curve.
-    """
-    t = np.linspace(0.0, 1.0, 2001)
-    table = bspline(points, t)
+    """Evaluate a silhouette y(x): the tabulated B-spline of the given (x, y), constant beyond the ends."""
+    table = bspline(points, np.linspace(0.0, 1.0, 2001))
     return np.interp(x, table[:, 0], table[:, 1])
 
 
 def revolve(profile: Sequence[tuple[float, float]] | Array, cells_around: int = 256, cells_along: int = 256) -> Mesh:
-    """Turn a B-spline profile of (radius, z), bottom to top, about the z axis; u runs round, v along the profile.
+    """Surface of revolution of a B-spline profile of (radius, z), bottom to top; u runs round, v along the profile.
 
-    v is the arc length, so that flakes and brush strokes keep their scale. Normals point outward for a
-    profile that runs from the bottom to the top.
+    v is the arc length, therefore textures keep their scale. Normals point outward.
     """
     t = np.linspace(0.0, 1.0, 4001)
     table = bspline(profile, t)
@@ -195,96 +227,98 @@ def revolve(profile: Sequence[tuple[float, float]] | Array, cells_around: int = 
     def position(u: Array, v: Array) -> Array:
         inside = np.clip(v, 0.0, 1.0)
         rz = bspline(profile, np.interp(inside, length, t) + (v - inside))
-        phi = 2 * np.pi * u
-        return np.stack([rz[..., 0] * np.cos(phi), rz[..., 0] * np.sin(phi), rz[..., 1]], axis=-1)
+        return on_circle(rz[..., 0], u, rz[..., 1])
 
     return parametric(position, cells_around, cells_along)
+
+
+def tube(path: Array, radius: Array, around: int = 24) -> Mesh:
+    """A round tube along a B-spline through `path` `[N, 3]`, with `radius` `[N]` at its points."""
+    control = np.concatenate([path, np.asarray(radius)[:, None]], axis=1)
+
+    def position(u: Array, v: Array) -> Array:
+        here = bspline(control, v)
+        ahead = bspline(control, v + 1e-3)[..., :3] - bspline(control, v - 1e-3)[..., :3]
+        ahead = ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
+        side = np.cross(ahead, np.array([0.0, 0.0, 1.0]))
+        side = side / np.linalg.norm(side, axis=-1, keepdims=True)
+        up = np.cross(side, ahead)
+        angle = 2 * np.pi * u[..., None]
+        return here[..., :3] + here[..., 3:] * (np.cos(angle) * side - np.sin(angle) * up) * -1
+
+    return parametric(position, around, 2 * len(path))
 
 
 def split(surface: Mesh, field: Array) -> tuple[Mesh, Mesh]:
     """Cut a surface along the zero line of a value per vertex; return the parts above and below zero.
 
-    Triangles that straddle the line are cut exactly on it, so that both parts share a clean edge.
+    Triangles that straddle the line are cut exactly on it; both parts share the edge.
     """
     above = np.asarray(field) > 0
     count = above[surface.faces].sum(axis=1)
-    whole_above, whole_below = surface.faces[count == 3], surface.faces[count == 0]
     mixed = surface.faces[(count == 1) | (count == 2)]
-    # turn each mixed triangle so that its lone corner comes first
+    # rotate each mixed triangle until its single corner comes first
     lone_is_above = above[mixed].sum(axis=1) == 1
     lone = np.argmax(above[mixed] == lone_is_above[:, None], axis=1)
     rows = np.arange(len(mixed))
     a, b, c = (mixed[rows, (lone + i) % 3] for i in range(3))
-
-    low, high = (
-        np.concatenate([np.minimum(a, b), np.minimum(a, c)]),
-        np.concatenate([np.maximum(a, b), np.maximum(a, c)]),
-    )
-    pairs, inverse = np.unique(np.stack([low, high], 1), axis=0, return_inverse=True)
-    inverse = inverse.reshape(-1)
+    edges = np.sort(np.concatenate([np.stack([a, b], 1), np.stack([a, c], 1)]), axis=1)
+    pairs, inverse = np.unique(edges, axis=0, return_inverse=True)
     weight = (field[pairs[:, 0]] / (field[pairs[:, 0]] - field[pairs[:, 1]]))[:, None]
 
-    def between(values: Array) -> Array:
-        return values[pairs[:, 0]] * (1 - weight) + values[pairs[:, 1]] * weight
+    def with_cuts(values: Array, is_unit: bool = False) -> Array:
+        between = values[pairs[:, 0]] * (1 - weight) + values[pairs[:, 1]] * weight
+        between = between / np.linalg.norm(between, axis=1, keepdims=True) if is_unit else between
+        return np.concatenate([values, between])
 
-    normals = between(surface.normals)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    vertices = np.concatenate([surface.vertices, between(surface.vertices)])
-    all_normals = np.concatenate([surface.normals, normals])
-    uv = np.concatenate([surface.uv, between(surface.uv)])
-    start = len(surface.vertices)
-    ab, ac = start + inverse[: len(mixed)], start + inverse[len(mixed) :]
+    vertices, normals = with_cuts(surface.vertices), with_cuts(surface.normals, is_unit=True)
+    uv = with_cuts(surface.uv)
+    ab, ac = len(surface.vertices) + inverse.reshape(2, -1)
     tip = np.stack([a, ab, ac], 1)
     rest = np.concatenate([np.stack([ab, b, c], 1), np.stack([ab, c, ac], 1)])
-    rest_is_above = np.concatenate([~lone_is_above] * 2)
+    rest_is_above = np.tile(~lone_is_above, 2)
 
-    def part(faces: NDArray[np.int64]) -> Mesh:
-        used, compact = np.unique(faces, return_inverse=True)
-        return Mesh(vertices[used], all_normals[used], uv[used], compact.reshape(-1, 3).astype(np.int64))
+    def part(whole: NDArray[np.int64], tips: NDArray[np.bool_], rests: NDArray[np.bool_]) -> Mesh:
+        used, compact = np.unique(np.concatenate([whole, tip[tips], rest[rests]]), return_inverse=True)
+        return Mesh(vertices[used], normals[used], uv[used], compact.reshape(-1, 3).astype(np.int64))
 
     return (
-        part(np.concatenate([whole_above, tip[lone_is_above], rest[rest_is_above]])),
-        part(np.concatenate([whole_below, tip[~lone_is_above], rest[~rest_is_above]])),
+        part(surface.faces[count == 3], lone_is_above, rest_is_above),
+        part(surface.faces[count == 0], ~lone_is_above, ~rest_is_above),
     )
-
-
-# The smallest ball about points: where an object's own space begins, and its unit.
-
-SLACK = 1e-9  # of the radius: rounding
 
 
 def bounding_ball(points: Array) -> tuple[Array, float]:
-    """Return centre `[3]` and radius of the smallest ball about points `[N, 3]`.
+    """Return centre `[3]` and radius of the smallest ball that contains points `[N, 3]`.
 
-    The ball of a few points grows by the farthest point outside until none is; each step keeps the points on the
-    ball's surface, at most four of them, so that its exact ball is found by trying all (an LP-type problem: Sharir and
-    Welzl 1992). The radius rises at each step, so there is an end.
+    Solves the LP-type problem (Sharir and Welzl 1992): the farthest outside point joins the at most four points that
+    span the current ball, whose exact ball is found by enumeration. The radius increases in each step.
     """
     held = points[:1]
     while True:
         centre, radius, held = _ball_of_few(held)
-        away = np.linalg.norm(points - centre, axis=1)
-        farthest = int(np.argmax(away))
-        if away[farthest] <= radius * (1 + SLACK) or (held == points[farthest]).all(axis=1).any():
+        distance = np.linalg.norm(points - centre, axis=1)
+        farthest = int(np.argmax(distance))
+        if distance[farthest] <= radius * (1 + BALL_SLACK) or (held == points[farthest]).all(axis=1).any():
             return centre, radius
         held = np.concatenate([held, points[farthest : farthest + 1]])
 
 
 def _ball_of_few(points: Array) -> tuple[Array, float, Array]:
-    """The smallest ball about at most five points, and those of them that span it."""
+    """The smallest ball that contains at most five points, and the points that span it."""
     best: tuple[Array, float, Array] | None = None
     for count in range(1, min(len(points), 4) + 1):
         for chosen in itertools.combinations(range(len(points)), count):
             span = points[list(chosen)]
-            # the point of their plane (line, space) that is as far from all of them
+            # the point of their line, plane or space that is equally far from all
             sides = span[1:] - span[0]
             weights = np.linalg.lstsq(2 * sides @ sides.T, (sides**2).sum(axis=1), rcond=None)[0]
             centre = span[0] + weights @ sides
             radius = float(np.linalg.norm(span[0] - centre))
-            holds_all = np.linalg.norm(points - centre, axis=1).max() <= radius * (1 + SLACK) + 1e-300
+            holds_all = np.linalg.norm(points - centre, axis=1).max() <= radius * (1 + BALL_SLACK) + 1e-300
             if holds_all and (best is None or radius < best[1]):
                 best = centre, radius, span
-    if best is None:  # points so close to one plane that rounding decides: a ball that holds them
+    if best is None:  # nearly coplanar points, for which rounding decides
         centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
         return centre, float(np.linalg.norm(points - centre, axis=1).max()), points[:4]
     return best

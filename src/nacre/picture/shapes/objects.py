@@ -1,7 +1,4 @@
-"""The speedshape: one smooth, doubly curved body with bulging and hollow regions and no sharp edge.
-
-Paint manufacturers judge effect colours on such bodies, since all angles occur on them and change slowly.
-"""
+"""Manufactured objects: speedshape, knob, bottle, film in a ring, cuff, strip of balls, camera lens."""
 
 from __future__ import annotations
 
@@ -11,31 +8,46 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
+from nacre.core.arrays import Array
 from nacre.picture.shapes.implicit import smooth_max, surface_net
-from nacre.picture.shapes.mesh import Array, Mesh, bspline, merge, open_seam, parametric, revolve, rotation
+from nacre.picture.shapes.mesh import (
+    Mesh,
+    bspline,
+    merge,
+    on_circle,
+    on_sphere,
+    open_seam,
+    parametric,
+    revolve,
+    rotation,
+)
 
-# along the body, tail to nose: half width, half height, spine height, spine sideways
-_WIDTH = [0.7, 0.8, 0.94, 1.02, 1.06, 1.06, 1.0, 0.92]
-_HEIGHT = [0.34, 0.42, 0.54, 0.66, 0.74, 0.76, 0.72, 0.64]
-_SPINE_Z = [0.5, 0.34, 0.16, 0.04, 0.0, -0.02, -0.08, -0.16]
+# speedshape, tail to nose: half width, half height, height of the spine
+_SECTIONS = [
+    (0.7, 0.34, 0.5), (0.8, 0.42, 0.34), (0.94, 0.54, 0.16), (1.02, 0.66, 0.04), (1.06, 0.74, 0.0), (1.06, 0.76, -0.02),
+    (1.0, 0.72, -0.08), (0.92, 0.64, -0.16),
+]  # fmt: skip
 _HALF_LENGTH = 1.9
 
 
 def speedshape() -> Mesh:
-    """The body, resting on z = 0, its nose towards +x; u runs from tail to nose, v around."""
+    """A smooth, doubly curved body with convex and concave regions and no sharp edge, on z = 0, nose towards +x.
+
+    Paint manufacturers evaluate effect colours on such bodies, which show all angles. u runs from tail to nose, v
+    around.
+    """
 
     def position(u: Array, v: Array) -> Array:
         phi = -2 * np.pi * v
-        along = -np.cos(np.pi * u)  # crowds the ends, so that they close round
+        along = -np.cos(np.pi * u)  # denser at the ends, which are round
         swell = np.sin(np.pi * u)
-        swell = np.sign(swell) * np.abs(swell) ** 0.8  # blunter ends than an ellipsoid's
-        table = bspline(np.stack([_WIDTH, _HEIGHT, _SPINE_Z], axis=1), 0.5 + 0.5 * along)
-        width, height, spine = table[..., 0], table[..., 1], table[..., 2]
+        swell = np.sign(swell) * np.abs(swell) ** 0.8  # blunter ends than those of an ellipsoid
+        width, height, spine = np.moveaxis(bspline(_SECTIONS, 0.5 + 0.5 * along), -1, 0)
         c, s = np.cos(phi), np.sin(phi)
-        # a hollow flank just above the waist, fading to nothing towards both ends
+        # a concave flank just above the waist, fading towards the ends
         middle = np.exp(-(((along + 0.12) / 0.55) ** 2))
         waist = 1 - 0.36 * middle * np.exp(-(((s - 0.22) / 0.34) ** 2))
-        # a soft crest runs along the back and sweeps sideways towards the tail
+        # a soft crest along the back that turns sideways towards the tail
         off_crest = np.angle(np.exp(1j * (phi - np.pi / 2 - 0.35 * along)))
         crest = 1 + 0.16 * np.exp(-((off_crest / 0.5) ** 2)) * middle
         flatness = 0.81 + 0.19 * np.tanh(2.2 * s)  # the belly is flatter than the back
@@ -44,15 +56,12 @@ def speedshape() -> Mesh:
         )
 
     body = parametric(position, 420, 320)
-    low, _ = body.bounds
-    return body.moved(np.eye(3), (0.0, 0.0, -low[2]))
+    return body.shifted(0.0, 0.0, -body.bounds[0][2])
 
 
-# The knob: a ball with a dished window and a groove on a turned foot, with convex and concave regions and edges.
-
-_CENTRE_Z = 1.42
-_AXIS = np.array([0.42, -0.72, 0.55]) / np.linalg.norm([0.42, -0.72, 0.55])  # the window looks up to the camera
-_FOOT = [
+_KNOB_Z = 1.42
+_WINDOW = np.array([0.42, -0.72, 0.55]) / np.linalg.norm([0.42, -0.72, 0.55])  # axis of the dish, towards the camera
+_KNOB_FOOT = [
     (0.0, 0.0), (0.5, 0.0), (0.86, 0.0), (0.92, 0.0), (0.955, 0.01), (0.96, 0.05), (0.945, 0.1), (0.9, 0.12),
     (0.78, 0.145), (0.64, 0.19), (0.52, 0.27), (0.47, 0.36), (0.46, 0.44), (0.5, 0.5), (0.53, 0.53), (0.54, 0.56),
     (0.5, 0.6), (0.3, 0.62), (0.0, 0.62),
@@ -60,44 +69,39 @@ _FOOT = [
 
 
 def knob() -> Mesh:
-    """The ball: a sphere of radius 1 with a dish facing the camera and a groove round its waist."""
+    """A ball of radius 1 with a dish facing the camera and a groove round the dish."""
 
     def body(x: Array, y: Array, z: Array) -> Array:
-        z = z - _CENTRE_Z
+        z = z - _KNOB_Z
         radius = np.sqrt(x * x + y * y + z * z)
-        ball = radius - 1.0
-        along = x * _AXIS[0] + y * _AXIS[1] + z * _AXIS[2]
+        along = x * _WINDOW[0] + y * _WINDOW[1] + z * _WINDOW[2]
         across = np.sqrt(np.maximum(radius**2 - along**2, 0.0))
-        # the dish: a shallow larger sphere carved from outside along the axis
         dish = np.sqrt(across**2 + (along - 1.42) ** 2 + 1e-12) - 0.74
-        # a groove round the dish, as a collar between the dish and the ball
         groove = np.hypot(across - 0.9, along - 0.36) - 0.06
-        return smooth_max(smooth_max(ball, -dish, 0.07), -groove, 0.05)
+        return smooth_max(smooth_max(radius - 1.0, -dish, 0.07), -groove, 0.05)
 
     def uv(points: Array) -> Array:
-        d = points - np.array([0.0, 0.0, _CENTRE_Z])
+        d = points - np.array([0.0, 0.0, _KNOB_Z])
         return np.stack([0.5 + np.arctan2(d[:, 1], d[:, 0]) / (2 * np.pi), 0.5 + 0.45 * d[:, 2]], axis=1)
 
     edge = 1.06
-    low = np.array([-edge, -edge, _CENTRE_Z - edge])
+    low = np.array([-edge, -edge, _KNOB_Z - edge])
     return open_seam(surface_net(body, low, low + 2 * edge, 0.0175, uv))
 
 
 def knob_core() -> Mesh:
-    """The bead that rests in the dish: it shows interreflection with the carved face."""
+    """A bead in the dish that shows interreflection."""
     profile = [(0.2 * np.sin(a), -0.2 * np.cos(a)) for a in np.linspace(0, np.pi, 25)]
-    return revolve(profile, 96, 64).moved(np.eye(3), _AXIS * 0.86 + np.array([0.0, 0.0, _CENTRE_Z]))
+    return revolve(profile, 96, 64).shifted(*(_WINDOW * 0.86 + np.array([0.0, 0.0, _KNOB_Z])))
 
 
 def knob_foot() -> Mesh:
     """The turned foot."""
-    return revolve(_FOOT, 256, 200)
+    return revolve(_KNOB_FOOT, 256, 200)
 
 
-# A bottle with shoulder, neck and cap: a surface of revolution, as nail lacquer and perfume are sold in.
-
-# (radius, z) in units of the bottle's greatest half width; doubled points tighten an edge to a small radius
-_GLASS = [
+# (radius, z) in units of the largest half width
+_BOTTLE = [
     (0.0, 0.05), (0.3, 0.05), (0.62, 0.02), (0.76, 0.0), (0.86, 0.03), (0.93, 0.12), (0.98, 0.36), (1.0, 0.7),
     (0.99, 1.05), (0.94, 1.36), (0.8, 1.6), (0.56, 1.76), (0.4, 1.84), (0.34, 1.93), (0.335, 2.02), (0.335, 2.1),
     (0.33, 2.13), (0.2, 2.14), (0.0, 2.14),
@@ -109,249 +113,191 @@ _CAP = [
 
 
 def bottle() -> Mesh:
-    """The bottle's body, standing on z = 0, closed at the neck."""
-    return revolve(_GLASS, 320, 320)
+    """A bottle with shoulder and neck, standing on z = 0, closed at the neck."""
+    return revolve(_BOTTLE, 320, 320)
 
 
 def bottle_cap() -> Mesh:
-    """The cap that sits on the neck."""
+    """The cap on the neck of the bottle."""
     return revolve(_CAP, 200, 200)
 
 
-# A film in a ring of wire on a stand, as soap films are shown: u to the right and v upward over the whole ring.
-
-_RADIUS, _WIRE, _LOW = 1.25, 0.03, 0.62  # the ring stands on its rod at this height
-_LEAN_DEG = 23.0  # backward, so that the film mirrors what is above the camera
-_COS = float(np.cos(np.radians(_LEAN_DEG)))
-_BULGE = 0.05  # of the radius: a breath of air
+_RING, _WIRE, _RING_LOW = 1.25, 0.03, 0.62  # radii of ring and wire; height of the lowest point
+_RING_LEAN_DEG, _RING_TURN_DEG = 23.0, -24.0  # pose in which the film mirrors the large soft box
+_FILM_BULGE = 0.05  # relative to the radius
+_RING_FOOT = [(0.0, 0.0), (0.3, 0.0), (0.5, 0.0), (0.52, 0.0), (0.53, 0.03), (0.5, 0.06), (0.3, 0.08), (0.1, 0.1),
+              (0.05, 0.16), (0.0, 0.2)]  # fmt: skip
 
 
 def _leaning(surface: Mesh) -> Mesh:
-    """A surface about the ring's middle, leant back, standing on its lowest point."""
-    return surface.moved(rotation("x", -_LEAN_DEG)).moved(np.eye(3), (0.0, 0.0, _LOW + _RADIUS * _COS))
+    """Lean a surface about the centre of the ring backward and stand it on its lowest point."""
+    lift = _RING_LOW + _RING * float(np.cos(np.radians(_RING_LEAN_DEG)))
+    return surface.moved(rotation("x", -_RING_LEAN_DEG)).moved(rotation("z", _RING_TURN_DEG), (0.0, 0.0, lift))
 
 
 def film_in_ring() -> Mesh:
-    """The film: a disc that faces the camera, a little bulged."""
+    """A slightly bulged film, as soap films are shown; u to the right and v upward over the whole ring."""
 
     def position(u: Array, v: Array) -> Array:
-        radius, phi = _RADIUS * v, 2 * np.pi * u
-        bulge = -_BULGE * _RADIUS * (1.0 - v * v)
-        return np.stack([radius * np.cos(phi), bulge, radius * np.sin(phi)], axis=-1)
+        return on_circle(_RING * v, u, _FILM_BULGE * _RING * (1.0 - v * v))[..., [0, 2, 1]] * [1.0, -1.0, 1.0]
 
     disc = parametric(position, 192, 64)
-    uv = 0.5 + 0.5 * disc.vertices[:, [0, 2]] / _RADIUS
-    return _leaning(Mesh(disc.vertices, disc.normals, uv, disc.faces).turned())  # its normals to the camera
+    return _leaning(disc.with_uv(0.5 + 0.5 * disc.vertices[:, [0, 2]] / _RING).turned())  # normals towards the camera
 
 
 def ring_wire() -> Mesh:
     """The wire round the film."""
 
     def position(u: Array, v: Array) -> Array:
-        phi, turn = 2 * np.pi * u, 2 * np.pi * v
-        radius = _RADIUS + _WIRE * np.cos(turn)
-        return np.stack([radius * np.cos(phi), _WIRE * np.sin(turn), radius * np.sin(phi)], axis=-1)
+        turn = 2 * np.pi * v
+        return on_circle(_RING + _WIRE * np.cos(turn), u, _WIRE * np.sin(turn))[..., [0, 2, 1]]
 
-    return _leaning(parametric(position, 256, 24).turned())  # its normals outward
+    return _leaning(parametric(position, 256, 24).turned())
 
 
 def ring_stand() -> Mesh:
-    """The rod that the ring stands on, and its foot."""
-    back = _RADIUS * np.sin(np.radians(_LEAN_DEG))
-    rod = revolve([(0.9 * _WIRE, z) for z in np.linspace(0.05, _LOW, 6)], 32, 8).moved(np.eye(3), (0.0, -back, 0.0))
-    foot = revolve([(0.0, 0.0), (0.3, 0.0), (0.5, 0.0), (0.52, 0.0), (0.53, 0.03), (0.5, 0.06), (0.3, 0.08),
-                    (0.1, 0.1), (0.05, 0.16), (0.0, 0.2)], 96, 64)  # fmt: skip
-    return merge([rod, foot.moved(np.eye(3), (0.0, -back, 0.0))])
+    """Rod and foot below the ring."""
+    rod = revolve([(0.9 * _WIRE, z) for z in np.linspace(0.05, _RING_LOW, 6)], 32, 8)
+    both = merge([rod, revolve(_RING_FOOT, 96, 64)]).shifted(0.0, -_RING * np.sin(np.radians(_RING_LEAN_DEG)), 0.0)
+    return both.moved(rotation("z", _RING_TURN_DEG))
 
 
-__all__ = ["film_in_ring", "ring_stand", "ring_wire"]
-
-
-# A hammered cuff, as jewellers anodise them: a wide open band, its outside beaten into facets.
-
-_RADIUS_cuff, _HALF_HEIGHT, _THICKNESS = 1.3, 0.62, 0.07
-_GAP_DEG = 38.0  # open at the back
-_BLOWS, _DEPTH, _BOWL, _SEED = 300, 0.022, 0.18, 7
-_NEAREST, _EDGE = 6, 22.0  # bowls that matter at a place, and how sharp the ridges between them are
+_CUFF, _CUFF_HALF_HEIGHT, _CUFF_THICKNESS, _CUFF_GAP_DEG = 1.3, 0.62, 0.07, 38.0  # gap at the back
+_BLOWS, _BLOW_DEPTH, _BLOW_RADIUS, _BLOW_SEED = 300, 0.022, 0.18, 7
+_BLOW_SHARPNESS = 22.0  # of the ridges between blows
 
 
 @functools.cache
 def _blows() -> cKDTree:
-    """Where the hammer fell, on the unrolled band: evenly but not regularly, and once more beyond either end."""
-    places = qmc.Sobol(2, rng=np.random.default_rng(_SEED)).random(512)[:_BLOWS]
-    along, height = 2 * np.pi * _RADIUS_cuff * places[:, 0], (2 * places[:, 1] - 1) * _HALF_HEIGHT
-    turns = [np.stack([along + 2 * np.pi * _RADIUS_cuff * turn, height], axis=1) for turn in (-1, 0, 1)]
+    """Centres of the hammer blows on the unrolled band (Sobol points), repeated beyond both ends."""
+    places = qmc.Sobol(2, rng=np.random.default_rng(_BLOW_SEED)).random(512)[:_BLOWS]
+    along, height = 2 * np.pi * _CUFF * places[:, 0], (2 * places[:, 1] - 1) * _CUFF_HALF_HEIGHT
+    turns = [np.stack([along + 2 * np.pi * _CUFF * turn, height], axis=1) for turn in (-1, 0, 1)]
     return cKDTree(np.concatenate(turns))
 
 
 def _hammered(phi: Array, z: Array) -> Array:
-    """How far the surface is beaten in: of the shallow bowls about it the deepest, with soft ridges between."""
-    along = np.mod(phi, 2 * np.pi) * _RADIUS_cuff
-    away, _ = _blows().query(np.stack([along, z], axis=-1), k=_NEAREST)
-    bowls = np.maximum(1.0 - (away / _BOWL) ** 2, -1.0)
-    return np.asarray(_DEPTH * np.logaddexp.reduce(_EDGE * bowls, axis=-1) / _EDGE)
+    """Depth of the hammered surface: soft maximum of the nearest shallow bowls."""
+    distance, _ = _blows().query(np.stack([np.mod(phi, 2 * np.pi) * _CUFF, z], axis=-1), k=6)
+    bowls = np.maximum(1.0 - (distance / _BLOW_RADIUS) ** 2, -1.0)
+    return np.asarray(_BLOW_DEPTH * np.logaddexp.reduce(_BLOW_SHARPNESS * bowls, axis=-1) / _BLOW_SHARPNESS)
 
 
 def cuff() -> Mesh:
-    """The band, standing on z = 0."""
-    half = np.pi - 0.5 * np.radians(_GAP_DEG)
+    """A hammered open band, standing on z = 0; u to the right and v upward on outside (front) and inside (back)."""
+    half = np.pi - 0.5 * np.radians(_CUFF_GAP_DEG)
 
     def place(u: Array, across: Array, is_outside: bool) -> Array:
-        # the front lies at phi = -90 degrees; the band's section is an oval, its edges round
+        # the front is at phi = -90 degrees; the section of the band is an oval with round edges
         phi = -0.5 * np.pi + (2 * u - 1) * half
         angle = 0.5 * np.pi * np.clip(across, -1.2, 1.2)
-        z = _HALF_HEIGHT * np.sin(angle)
-        out = _THICKNESS * np.sign(np.cos(angle)) * np.abs(np.cos(angle)) ** 0.35
-        radius = _RADIUS_cuff + (0.5 * out if is_outside else -0.5 * out)
+        z = _CUFF_HALF_HEIGHT * np.sin(angle)
+        out = _CUFF_THICKNESS * np.sign(np.cos(angle)) * np.abs(np.cos(angle)) ** 0.35
+        radius = _CUFF + (0.5 * out if is_outside else -0.5 * out)
         if is_outside:
             radius = radius - _hammered(phi, z) * np.clip(4.0 * (1.0 - np.abs(across)), 0.0, 1.0)
         oval = 1.0 + 0.06 * np.cos(2 * phi)
-        return np.stack([oval * radius * np.cos(phi), radius * np.sin(phi), _HALF_HEIGHT + z], axis=-1)
+        return np.stack([oval * radius * np.cos(phi), radius * np.sin(phi), _CUFF_HALF_HEIGHT + z], axis=-1)
 
     outside = parametric(lambda u, v: place(u, 2 * v - 1, True), 720, 180)
     inside = parametric(lambda u, v: place(1 - u, 2 * v - 1, False), 400, 60)
     return merge([outside, inside])
 
 
-__all__ = ["cuff"]
+BALLS, _BALL, _BALL_DISTANCE, _HOLDER_RIM = 7, 0.42, 0.98, 0.09
+_HOLDER = [(0.0, 0.0), (0.24, 0.0), (0.26, 0.0), (0.27, 0.01), (0.26, 0.03), (0.19, 0.05), (0.17, 0.08), (0.175, 0.12),
+           (0.165, 0.13), (0.12, 0.12), (0.0, 0.12)]  # fmt: skip
 
 
-# A strip of balls in a tray, as makers of pigments and coatings show a series side by side.
-
-BALLS, _RADIUS_strip, _APART = 7, 0.42, 0.98
-_RIM = 0.09  # height of the tray's holders
-
-
-def _middle(number: int) -> float:
-    return (number - 0.5 * (BALLS - 1)) * _APART
+def _in_row(one: Mesh, z: float) -> Mesh:
+    middles = [(number - 0.5 * (BALLS - 1)) * _BALL_DISTANCE for number in range(BALLS)]
+    return merge([one.shifted(x, 0.0, z) for x in middles])
 
 
 def balls() -> Mesh:
-    """What takes the material."""
-
-    def position(u: Array, v: Array) -> Array:
-        phi, theta = 2 * np.pi * (u + 0.25), np.pi * (1 - v)
-        ball = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
-        return np.asarray(_RADIUS_strip * ball)
-
-    one = parametric(position, 160, 80)
-    low = _RIM + 0.94 * _RADIUS_strip
-    half = 0.5 * (BALLS - 1) * _APART + _RADIUS_strip
-    whole = merge([one.moved(np.eye(3), (_middle(number), 0.0, low)) for number in range(BALLS)])
-    uv = np.stack(
-        [0.5 + 0.5 * whole.vertices[:, 0] / half, 0.5 + 0.5 * (whole.vertices[:, 2] - low) / _RADIUS_strip], axis=1
-    )
-    return Mesh(whole.vertices, whole.normals, uv, whole.faces)
+    """A strip of balls; u runs over the whole strip and v over each ball, therefore a formula of u is a series."""
+    low = _HOLDER_RIM + 0.94 * _BALL
+    half = 0.5 * (BALLS - 1) * _BALL_DISTANCE + _BALL
+    whole = _in_row(parametric(lambda u, v: _BALL * on_sphere(u + 0.25, v), 160, 80), low)
+    uv = [0.5 + 0.5 * whole.vertices[:, 0] / half, 0.5 + 0.5 * (whole.vertices[:, 2] - low) / _BALL]
+    return whole.with_uv(np.stack(uv, axis=1))
 
 
 def holders() -> Mesh:
     """A turned foot below each ball."""
-    profile = [(0.0, 0.0), (0.24, 0.0), (0.26, 0.0), (0.27, 0.01), (0.26, 0.03), (0.19, 0.05), (0.17, 0.08),
-               (0.175, 0.12), (0.165, 0.13), (0.12, 0.12), (0.0, 0.12)]  # fmt: skip
-    foot = revolve(profile, 96, 80)
-    return merge([foot.moved(np.eye(3), (_middle(number), 0.0, 0.0)) for number in range(BALLS)])
+    return _in_row(revolve(_HOLDER, 96, 80), 0.0)
 
 
-__all__ = ["balls", "holders"]
-
-
-# A camera's lens, its front up: two elements of coated glass in a black barrel with a grip, a name ring and blades.
-
-_TOP = 1.72  # of the barrel
-_OUTER, _INNER = 1.02, 0.80  # radii of the barrel and of its mouth
-_BLADES = 7
+_BARREL_TOP = 1.72
+_BARREL = [
+    (0.0, 0.0), (0.86, 0.0), (0.92, 0.0), (0.94, 0.02), (0.94, 0.3), (0.95, 0.34), (1.06, 0.38), (1.06, 0.4),
+    (1.06, 0.7), (1.06, 1.0), (1.06, 1.02), (1.0, 1.06), (1.0, 1.1), (1.0, 1.5), (1.02, 1.56), (1.02, 1.66),
+    (1.02, _BARREL_TOP), (1.02, _BARREL_TOP), (0.985, _BARREL_TOP + 0.01), (0.94, _BARREL_TOP),
+    (0.93, _BARREL_TOP - 0.03),
+]  # fmt: skip
+_MOUTH = [(0.5, 0.6), (0.52, 0.62), (0.6, 0.8), (0.66, 1.1), (0.74, 1.25), (0.78, 1.4), (0.8, 1.5), (0.81, 1.54)]
+_GRIP_RIBS, _APERTURE_BLADES = 60, 7
 
 
 def _element(radius: float, low: float, front: float, back: float) -> Mesh:
-    """A lens about the z axis, its rim at height `low`: sagittas of its faces, upward."""
+    """A lens about the z axis, its rim at height `low`, with sagittas of the front and the back face."""
     edge = 0.05
 
-    def face(sag: float, height: float, is_front: bool) -> Mesh:
-        def position(u: Array, v: Array) -> Array:
-            r, phi = radius * v, 2 * np.pi * u
-            return np.stack([r * np.cos(phi), r * np.sin(phi), height + sag * (1 - v * v)], axis=-1)
+    def face(sag: float, height: float) -> Mesh:
+        return parametric(lambda u, v: on_circle(radius * v, u, height + sag * (1 - v * v)), 160, 48).facing_up()
 
-        made = parametric(position, 160, 48)
-        return made if (made.normals[:, 2].mean() > 0) == is_front else made.turned()
-
-    def rim(u: Array, v: Array) -> Array:
-        phi = 2 * np.pi * u
-        return np.stack([radius * np.cos(phi), radius * np.sin(phi), low + edge * (v - 1)], axis=-1)
-
-    whole = merge([face(front, low, True), face(back, low - edge, False), parametric(rim, 160, 2)])
-    uv = 0.5 + 0.5 * whole.vertices[:, :2] / radius
-    return Mesh(whole.vertices, whole.normals, uv, whole.faces)
+    rim = parametric(lambda u, v: on_circle(radius, u, low + edge * (v - 1)), 160, 2)
+    whole = merge([face(front, low), face(back, low - edge).turned(), rim])
+    return whole.with_uv(0.5 + 0.5 * whole.vertices[:, :2] / radius)
 
 
 def elements() -> Mesh:
-    """The glass: what takes the material."""
+    """Glass elements of the camera lens; u to the right and v upward over each element."""
     return merge([_element(0.79, 1.52, 0.30, 0.06), _element(0.62, 1.16, 0.10, -0.14), _element(0.5, 0.55, 0.16, -0.1)])
 
 
 def barrel() -> Mesh:
-    """The outside with its grip, and the mouth down to the blades."""
-    outside = revolve(
-        [(0.0, 0.0), (0.86, 0.0), (0.92, 0.0), (0.94, 0.02), (0.94, 0.3), (0.95, 0.34), (1.06, 0.38), (1.06, 0.4),
-         (1.06, 0.7), (1.06, 1.0), (1.06, 1.02), (1.0, 1.06), (1.0, 1.1), (1.0, 1.5), (1.02, 1.56), (1.02, 1.66),
-         (_OUTER, _TOP), (_OUTER, _TOP), (0.985, _TOP + 0.01), (0.94, _TOP), (0.93, _TOP - 0.03)], 256, 320,
-    )  # fmt: skip
-    inside = revolve([(0.5, 0.6), (0.52, 0.62), (0.6, 0.8), (0.66, 1.1), (0.74, 1.25), (0.78, 1.4), (0.8, 1.5),
-                      (0.81, 1.54)], 192, 160).turned()  # fmt: skip
-    ribs = []
-    for number in range(60):
-        angle = 2 * np.pi * number / 60
-        rib = revolve([(0.026, 0.0), (0.026, 0.1), (0.026, 0.5), (0.026, 0.56), (0.0, 0.58)], 12, 12)
-        ribs.append(rib.moved(np.eye(3), (1.06 * np.cos(angle), 1.06 * np.sin(angle), 0.41)))
+    """Outside with its grip, mouth and floor of the camera lens."""
+    rib = revolve([(0.026, 0.0), (0.026, 0.1), (0.026, 0.5), (0.026, 0.56), (0.0, 0.58)], 12, 12)
+    angles = [2 * np.pi * number / _GRIP_RIBS for number in range(_GRIP_RIBS)]
+    ribs = [rib.shifted(1.06 * np.cos(angle), 1.06 * np.sin(angle), 0.41) for angle in angles]
     floor = revolve([(0.0, 0.3), (0.3, 0.3), (0.55, 0.3), (0.56, 0.35)], 64, 24)
-    return merge([outside, inside, floor, *ribs])
+    return merge([revolve(_BARREL, 256, 320), revolve(_MOUTH, 192, 160).turned(), floor, *ribs])
 
 
 def name_ring() -> Mesh:
     """The ring round the front element, sloping inward; u to the right and v upward over it."""
-
-    def position(u: Array, v: Array) -> Array:
-        r, phi = 0.81 + 0.125 * v, 2 * np.pi * u
-        return np.stack([r * np.cos(phi), r * np.sin(phi), 1.55 + 0.14 * v], axis=-1)
-
-    ring = parametric(position, 192, 8)
-    ring = ring if ring.normals[:, 2].mean() > 0 else ring.turned()
-    return Mesh(ring.vertices, ring.normals, 0.5 + 0.5 * ring.vertices[:, :2] / 0.94, ring.faces)
+    ring = parametric(lambda u, v: on_circle(0.81 + 0.125 * v, u, 1.55 + 0.14 * v), 192, 8).facing_up()
+    return ring.with_uv(0.5 + 0.5 * ring.vertices[:, :2] / 0.94)
 
 
 def ring_print(rows: int = 1200) -> Array:
-    """Reflectance `[row, column]` of the name ring, first row on top: words along the circle."""
+    """Reflectance `[row, column]` of the name ring, first row at the top: words along the circle."""
     from PIL import Image, ImageDraw, ImageFont
 
     image = Image.new("L", (rows, rows), 0)
     size = int(0.052 * rows)
     font = ImageFont.load_default(size)
-    words, radius = "NACRE OPTICS   NACRINON  1:1.4 / 50 mm   \u00d8 55     ", 0.5 * rows * 0.871 / 0.94
-    letters = words + words
-    step = 2 * np.pi / len(letters)
+    letters = 2 * "NACRE OPTICS   NACRINON  1:1.4 / 50 mm   \u00d8 55     "
+    radius = 0.5 * rows * 0.871 / 0.94
     for number, letter in enumerate(letters):
         stamp = Image.new("L", (2 * size, 2 * size), 0)
         draw = ImageDraw.Draw(stamp)
         draw.text((size - 0.5 * draw.textlength(letter, font=font), 0.45 * size), letter, fill=255, font=font)
-        angle = number * step + np.pi  # clockwise from below
+        angle = number * (2 * np.pi / len(letters)) + np.pi  # clockwise from below
         turned = stamp.rotate(-np.degrees(angle), resample=Image.Resampling.BICUBIC)
-        x, y = 0.5 * rows + radius * np.sin(angle), 0.5 * rows - radius * np.cos(angle)
-        box = (int(x) - size, int(y) - size)
-        image.paste(255, (*box, box[0] + 2 * size, box[1] + 2 * size), turned)
+        left, top = int(0.5 * rows + radius * np.sin(angle)) - size, int(0.5 * rows - radius * np.cos(angle)) - size
+        image.paste(255, (left, top, left + 2 * size, top + 2 * size), turned)
     return np.asarray(0.012 + 0.6 * np.asarray(image, dtype=float) / 255.0)
 
 
 def blades() -> Mesh:
-    """The iris, stopped down: a dark disc with an opening of seven sides."""
+    """The stopped-down iris: a dark disc with a seven-sided opening."""
 
     def position(u: Array, v: Array) -> Array:
-        phi = 2 * np.pi * u
-        side = 2 * np.pi / _BLADES
-        inner = 0.24 / np.cos(np.mod(phi, side) - 0.5 * side)
-        r = inner + (0.56 - inner) * v
-        return np.stack([r * np.cos(phi), r * np.sin(phi), 0.74 + 0.02 * np.mod(phi, side) / side * v], axis=-1)
+        side = 2 * np.pi / _APERTURE_BLADES
+        along = np.mod(2 * np.pi * u, side)
+        inner = 0.24 / np.cos(along - 0.5 * side)
+        return on_circle(inner + (0.56 - inner) * v, u, 0.74 + 0.02 * along / side * v)
 
-    disc = parametric(position, 280, 6)
-    return disc if disc.normals[:, 2].mean() > 0 else disc.turned()
-
-
-__all__ = ["barrel", "blades", "elements", "name_ring", "ring_print"]
+    return parametric(position, 280, 6).facing_up()

@@ -1,7 +1,7 @@
-"""T-matrices that couple azimuthal orders: particles that look otherwise when they are turned about the normal.
+"""Full T-matrices, which couple azimuthal orders: particles without rotational symmetry about the normal.
 
-Multipoles are n = (m, tau, l) with m from -L to L, in the order of `neighbours.multipole_index` and in the phases of
-`angular`: those of the community's files but for the sign of Condon and Shortley, (-1)^m for m > 0.
+Multipoles are n = (m, tau, l) with m from -L to L, in the order of `multipole_index` and the phases of
+`special_functions`: those of tmat.h5 files without the Condon-Shortley sign, (-1)^m for m > 0.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from nacre.families.metasurface.monolayer.translation_sums import MultipoleIndex
 
 
 @lru_cache(maxsize=32)
-def kept_index(lmax: int, mmax: int) -> tuple[MultipoleIndex, NDArray[np.intp]]:
+def truncated_index(lmax: int, mmax: int) -> tuple[MultipoleIndex, NDArray[np.intp]]:
     """Return the multipoles up to `lmax` with |m| <= `mmax`, and their places among all up to `lmax`."""
     every = multipole_index(lmax)
     kept = np.nonzero(np.abs(every.m) <= mmax)[0]
     return MultipoleIndex(lmax, every.m[kept], every.tau[kept], every.l[kept]), kept
 
 
-def whole_order(matrix: ComplexArray) -> int:
-    """Return the highest l of T over all m, `[..., n, n']`: there are 2 L (L + 2) multipoles."""
+def full_order(matrix: ComplexArray) -> int:
+    """Return the highest l of matrices over all m, `[..., n, n']`, of 2 L (L + 2) multipoles."""
     return round(np.sqrt(matrix.shape[-1] / 2 + 1)) - 1
 
 
-def truncated_whole(matrix: ComplexArray, lmax: int) -> ComplexArray:
-    """Return T over all m, `[n, n']`, with the multipoles up to `lmax` alone."""
-    kept = np.nonzero(multipole_index(whole_order(matrix)).l <= lmax)[0]
+def truncated_full(matrix: ComplexArray, lmax: int) -> ComplexArray:
+    """Return a full T, `[n, n']`, with multipoles up to `lmax`."""
+    kept = np.nonzero(multipole_index(full_order(matrix)).l <= lmax)[0]
     return np.asarray(matrix[kept[:, None], kept])
 
 
@@ -42,36 +42,36 @@ def spread(blocks: ComplexArray, index: MultipoleIndex) -> ComplexArray:
     return np.asarray(np.where(same, blocks[np.abs(index.m)[:, None], rows[:, None], rows] * sign, 0.0))
 
 
-def file_signs(index: MultipoleIndex) -> NDArray[np.float64]:
-    """Return the sign of Condon and Shortley of each multipole, `[n]`."""
+def condon_shortley_signs(index: MultipoleIndex) -> NDArray[np.float64]:
+    """Return the Condon-Shortley sign of each multipole, `[n]`."""
     return np.where((index.m > 0) & (index.m % 2 == 1), -1.0, 1.0)
 
 
-def reversed_whole(matrix: ComplexArray) -> ComplexArray:
-    """Return T of light that runs backwards, `[..., n, n']`; a reciprocal particle's is the same.
+def reversed_full(matrix: ComplexArray) -> ComplexArray:
+    """Return T of reversed light, `[..., n, n']`; equal to T for a reciprocal particle.
 
-    T_(m tau l),(m' tau' l') becomes T_(-m' tau' l'),(-m tau l) times the sign of tau and tau': a wave that runs
-    backwards turns the other way about the axis, and B goes to its adjoint.
+    T_(m tau l),(m' tau' l') becomes T_(-m' tau' l'),(-m tau l) times the signs of tau and tau': a reversed wave rotates
+    the other way about the axis, and B becomes its adjoint.
     """
-    index = multipole_index(whole_order(matrix))
+    index = multipole_index(full_order(matrix))
     places = {key: i for i, key in enumerate(zip(index.m.tolist(), index.tau.tolist(), index.l.tolist(), strict=True))}
     partner = [places[(-m, tau, l)] for (m, tau, l) in places]
     return np.asarray(np.swapaxes(matrix, -1, -2)[..., partner, :][..., :, partner])
 
 
-def turned_whole(matrix: ComplexArray, turn_rad: float) -> ComplexArray:
-    """Return T, `[..., n, n']`, of the particle turned about the normal, from x towards y."""
-    phase = np.exp(-1j * multipole_index(whole_order(matrix)).m * turn_rad)
+def rotated_full(matrix: ComplexArray, turn_rad: float) -> ComplexArray:
+    """Return T, `[..., n, n']`, of the particle rotated about the normal, from x towards y."""
+    phase = np.exp(-1j * multipole_index(full_order(matrix)).m * turn_rad)
     return np.asarray(phase[:, None] * matrix * phase.conj())
 
 
-def tilted_whole(matrix: ComplexArray, tilt_rad: float) -> ComplexArray:
-    """Return T, `[..., n, n']`, of the particle turned about y, from z towards x: by a right angle an upright rod lies.
+def tilted_full(matrix: ComplexArray, tilt_rad: float) -> ComplexArray:
+    """Return T, `[..., n, n']`, of the particle rotated about y, from z towards x.
 
-    Multipoles of one l and kind turn among themselves by d = exp(-i tilt J_y), in the phases of Condon and Shortley;
-    J_y has (m + 1, m) = sqrt(l (l + 1) - m (m + 1)) / 2i.
+    Multipoles of one l and tau mix by d = exp(-i tilt J_y), in Condon-Shortley phases; J_y has
+    (m + 1, m) = sqrt(l (l + 1) - m (m + 1)) / 2i.
     """
-    index = multipole_index(whole_order(matrix))
+    index = multipole_index(full_order(matrix))
     turn = np.zeros((len(index.m), len(index.m)))
     for l in range(1, index.order + 1):
         m = np.arange(-l, l)
@@ -79,8 +79,8 @@ def tilted_whole(matrix: ComplexArray, tilt_rad: float) -> ComplexArray:
         values, vectors = np.linalg.eigh((raised - raised.T) / 1j)
         d = ((vectors * np.exp(-1j * tilt_rad * values)) @ vectors.conj().T).real
         for tau in range(2):
-            rows = np.nonzero((index.l == l) & (index.tau == tau))[0]  # m ascends
+            rows = np.nonzero((index.l == l) & (index.tau == tau))[0]  # ascending m
             turn[rows[:, None], rows] = d
-    sign = file_signs(index)
+    sign = condon_shortley_signs(index)
     turn *= sign[:, None] * sign
     return np.asarray(turn @ matrix @ turn.T)
