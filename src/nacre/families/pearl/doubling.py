@@ -208,7 +208,7 @@ def _turned(medium: Medium, mu: Single) -> tuple[Single, Single]:
 
 @lru_cache(maxsize=CACHED_KINDS)
 def _turned_by_one(reflect: bytes, nodes: int, sigma: float, mu_bytes: bytes) -> Single:
-    """Return one platelet's scattering, `[hemisphere, term, pair, wavelength]`; cached, as searches vary one pigment."""
+    """Return one platelet's scattering, `[hemisphere, term, pair, wavelength]`; cached for searches."""
     mu = np.frombuffer(mu_bytes, dtype=np.float32)
     table = np.frombuffer(reflect, dtype=np.float32).reshape(nodes, -1)
     rows, halves = _pairs(mu_bytes)
@@ -235,7 +235,7 @@ def _once(up: Single, down: Single, depth: Any) -> Single:
 
 
 def _doubled(back: Single, on: Single, x: Single, mu: Single, weight: Single) -> tuple[Single, Single, Single]:
-    """Return the stratum's reflection and diffuse transmission, `[wavelength, term, out, in]`, and direct transmission."""
+    """Return reflection, diffuse, `[wavelength, term, out, in]` and direct transmission."""
     depth = np.float32(2.0**-DOUBLINGS)
     direct: Single = np.exp(-x * depth)
     unlike = x[:, :, None] - x[:, None, :]
@@ -265,7 +265,7 @@ def _doubled(back: Single, on: Single, x: Single, mu: Single, weight: Single) ->
 
 
 def _echoed(once: Single, light: Single) -> Single:
-    """Return (1 - once)^-1 light by a Neumann series summed by squaring, 10 times faster than LAPACK for thin layers."""
+    """Return (1 - once)^-1 light by a Neumann series with squaring, 10 times faster than LAPACK for thin layers."""
     size = once.shape[-1]
     for _ in range(MAX_SQUARES):
         light = light + once @ light
