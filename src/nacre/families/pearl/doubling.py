@@ -235,7 +235,7 @@ def _once(up: Single, down: Single, depth: Any) -> Single:
 
 
 def _doubled(back: Single, on: Single, x: Single, mu: Single, weight: Single) -> tuple[Single, Single, Single]:
-    """Return reflection, diffuse, `[wavelength, term, out, in]` and direct transmission."""
+    """Return reflection and transmission, `[wavelength, term, out, in]`, and the direct transmission."""
     depth = np.float32(2.0**-DOUBLINGS)
     direct: Single = np.exp(-x * depth)
     unlike = x[:, :, None] - x[:, None, :]
