@@ -26,11 +26,10 @@ from nacre.core.arrays import Array, ComplexArray
 from nacre.core.jit import compiled
 from nacre.families.metasurface.monolayer.ensemble_ratio import Ratio, RatioDirections
 from nacre.families.metasurface.monolayer.ladder import NAME as LADDER
-from nacre.families.metasurface.monolayer.ladder import full_order
 from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer
 from nacre.families.metasurface.monolayer.qca import node_sines, node_weights
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index, with_negative_orders
+from nacre.families.metasurface.tmatrix.full_tmatrix import full_order, multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, extinction
 from nacre.families.metasurface.tmatrix.special_functions import adjoint, mirrored
 
@@ -336,7 +335,7 @@ def _low(vectors: ComplexArray, order: int) -> ComplexArray:
 
 
 def _lights(parts: list[ComplexArray]) -> ComplexArray:
-    """Return `[pol, n, angle]` of each species as `[kind, n, light]`, polarisation before angle."""
+    """Return `[pol, n, angle]` of each species as `[species, n, light]`, polarisation before angle."""
     both = np.stack(parts).swapaxes(1, 2)
     return np.asarray(both.reshape(*both.shape[:2], -1))
 
