@@ -1,9 +1,89 @@
-"""Announcements of work that takes minutes: a front end may ask the user, show progress, or stop the work."""
+"""Progress of long work: a bar on a terminal or in a notebook, and announcements of work that takes minutes.
+
+A front end may ask the user before announced work, show its progress, or stop it.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import html
+import sys
+import time
 from collections.abc import Callable, Iterator
+
+# done passes, all passes, seconds left
+ProgressCallback = Callable[[int, int, float], None]
+
+
+class Clock:
+    """Estimates the time left from the passes done; the first pass, which compiles, counts only until the second."""
+
+    def __init__(self) -> None:
+        self._start = time.perf_counter()
+        self._after_first: float | None = None
+
+    def left(self, done: int, total: int) -> float:
+        """Return the seconds left after `done` of `total` passes."""
+        now = time.perf_counter()
+        if done <= 1 or self._after_first is None:
+            self._after_first = now
+            return (now - self._start) * (total - done) / max(done, 1)
+        return (now - self._after_first) / (done - 1) * (total - done)
+
+
+def silent(done: int, total: int, seconds_left: float) -> None:
+    """Report nothing."""
+
+
+@contextlib.contextmanager
+def progress_bar(title: str, wanted: bool | ProgressCallback | None) -> Iterator[ProgressCallback]:
+    """Yield a callback; True shows a bar, None does so in a notebook and where stderr is a terminal."""
+    if callable(wanted):
+        yield wanted
+        return
+    if wanted is not False and _is_notebook():
+        yield from _notebook_bar(title)
+        return
+    if wanted is False or (wanted is None and not sys.stderr.isatty()):
+        yield silent
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+    columns = (TextColumn(title), BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[left]}"))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=1, left="")
+
+        def show(done: int, total: int, seconds_left: float) -> None:
+            bar.update(task, total=total, completed=done, left=f"{seconds_left:.0f} s left")
+
+        yield show
+
+
+def _is_notebook() -> bool:
+    """Whether this process is the kernel of a notebook, without importing anything of its."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    return type(shell).__name__ == "ZMQInteractiveShell"
+
+
+def _notebook_bar(title: str) -> Iterator[ProgressCallback]:
+    """Yield a callback that redraws one bar in the cell's output, which is empty again at the end."""
+    from IPython.display import HTML, display
+
+    def bar(done: int, total: int, words: str) -> HTML:
+        return HTML(f'<progress value="{done}" max="{max(total, 1)}"></progress> <small>{html.escape(words)}</small>')
+
+    handle = display(bar(0, 1, title), display_id=True)
+
+    def show(done: int, total: int, seconds_left: float) -> None:
+        handle.update(bar(done, total, f"{title}, {seconds_left:.0f} s left"))
+
+    try:
+        yield show
+    finally:
+        handle.update(HTML(""))
+
 
 Listener = Callable[[str, float], None]
 
@@ -36,4 +116,4 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} minutes" if seconds < 6000 else f"{seconds / 3600:.1f} hours"
 
 
-__all__ = ["announce", "duration", "on_progress"]
+__all__ = ["Clock", "ProgressCallback", "announce", "duration", "on_progress", "progress_bar", "silent"]
