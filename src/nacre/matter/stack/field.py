@@ -109,18 +109,7 @@ def absorbed_power(stack: StackArrays, jobs: int | None = None) -> Array:
     out = np.empty((2, layers, batch, angles, count))
 
     def task(start: int, stop: int, first: int, last: int) -> None:
-        _absorbed_range(
-            stack.n,
-            stack.thicknesses_nm,
-            stack.wavelengths_nm,
-            stack.normal,
-            stack.times_n0,
-            start,
-            stop,
-            first,
-            last,
-            out,
-        )
+        _absorbed_range(*stack.kernel_arrays, start, stop, first, last, out)
 
     # a scalar layer step costs ten times a vectorised one: threads pay off earlier
     parallel_for(task, batch, angles, 10 * batch * angles * count * (layers + 1), jobs)
