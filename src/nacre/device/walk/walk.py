@@ -63,14 +63,20 @@ def sample_walk(strata: Strata, rng: Any, wi: Any, where: Located, active: Any) 
     """
     where = where.on_nodes(rng.next_float32())
     entry = dr.select(wi.z > 0, mi.UInt32(0), mi.UInt32(strata.count))
+    light, inside, active = _enter(strata, rng, wi, entry, active)
+    nothing, seen = mi.Spectrum(0.0), rough_one(strata, entry)
+    d, weight, mirror, _, turn = _follow(strata, Stepper(strata, where), rng, light, inside, seen, nothing)
+    return d, _with_glint(strata, turn, weight, where, active), mirror
+
+
+def _enter(strata: Strata, rng: Any, wi: Any, entry: Any, active: Any) -> tuple[Walker, Any, Any]:
+    """Reflect or refract light at the entry; return its state, whether it is inside, and the mask of valid lanes."""
     active = mi.Bool(active) & (mi.Bool(strata.base == "none") | (wi.z > 0))
     w, alive = interface_event(strata, rng, wi, entry, active)
     alive &= active
     light = first_light(strata, w, dr.select(alive, mi.Spectrum(1.0), 0.0))
     inside = alive & ((w.z > 0) != (wi.z > 0))
-    nothing, seen = mi.Spectrum(0.0), rough_one(strata, entry)
-    d, weight, mirror, _, turn = _follow(strata, Stepper(strata, where), rng, light, inside, seen, nothing)
-    return d, _with_glint(strata, turn, weight, where, active), mirror
+    return light, inside, active
 
 
 def _with_glint(strata: Strata, turn: tuple[Any, ...], weight: Any, where: Located, active: Any) -> Any:
@@ -108,11 +114,7 @@ def joint_walk(strata: Strata, rng: Any, wi: Any, wo: Any, where: Located, activ
     entry = dr.select(wi.z > 0, mi.UInt32(0), mi.UInt32(strata.count))
     wanted = _connectable(strata, wi, wo, wanted)
     stepper, total = _connected(strata, rng, wi, wo, entry, where, wanted)
-    active = mi.Bool(active) & (mi.Bool(strata.base == "none") | (wi.z > 0))
-    w, alive = interface_event(strata, rng, wi, entry, active)
-    alive &= active
-    light = first_light(strata, w, dr.select(alive, mi.Spectrum(1.0), 0.0))
-    inside = alive & ((w.z > 0) != (wi.z > 0))
+    light, inside, active = _enter(strata, rng, wi, entry, active)
     d, weight, mirror, got, turn = _follow(strata, stepper, rng, light, inside, rough_one(strata, entry), total)
     weight = _with_glint(strata, turn, weight, where, active)
     return dr.select(wanted & dr.isfinite(got), got, 0.0), d, weight, mirror

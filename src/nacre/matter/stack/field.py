@@ -193,11 +193,7 @@ def _field_at(
 
 
 def field_profile(
-    n: ArrayLike,
-    thicknesses_nm: ArrayLike,
-    wavelengths_nm: ArrayLike,
-    theta_rad: ArrayLike,
-    z_nm: ArrayLike,
+    n: ArrayLike, thicknesses_nm: ArrayLike, wavelengths_nm: ArrayLike, theta_rad: ArrayLike, z_nm: ArrayLike
 ) -> FieldProfile:
     """Return |E|^2 along z in one stack, relative to the incident wave.
 
