@@ -73,7 +73,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         if lobe.transmits:
             self.components += (flag("GlossyTransmission", *sides),)
         self.axis = WavelengthAxis(lobe.wavelengths_nm)
-        self.keeps_index = _keeps_index(lobe)
+        self.has_constant_index = _has_constant_index(lobe)
         self._set(lobe)
 
     @abc.abstractmethod
@@ -141,7 +141,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         self.eta = opaque(lobe.eta)
         # wavenumber over the table's step, and the index below, at both ends of each wavelength interval
         self.per_step = None
-        if _keeps_index(lobe):
+        if _has_constant_index(lobe):
             self.steps_nm = opaque(lobe.wavenumbers[0] * lobe.wavelengths_nm[0] / lobe.q_step)
             self.shortest, self.longest = opaque(lobe.wavelengths_nm[0]), opaque(lobe.wavelengths_nm[-1])
         else:
@@ -191,7 +191,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
             value, pdf = self.eval_pdf(ctx, si, wo, active, enabled)
         else:
             wo, place = self._drawn(si, sample1, sample2, active)
-            active = active & self._wanted(si, wo, enabled)
+            active = active & self._enabled_exit(si, wo, enabled)
             value = self._value(ctx, si, wo, active) & active
             pdf = self._density(si, wo, *place, active)
         bs = dr.zeros(mi.BSDFSample3f)
@@ -219,7 +219,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return `(f |cos wo|, pdf)`."""
-        active = active & self._visible(si.wi) & self._wanted(si, wo, enabled)
+        active = active & self._visible(si.wi) & self._enabled_exit(si, wo, enabled)
         value = self._value(ctx, si, wo, active) & active
         if self.is_broad:
             return value, dr.select(active, wo.z * dr.inv_pi, 0.0)
@@ -240,7 +240,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         # unit square -> sin^2 theta, dphi in [-pi, pi] -> solid angle
         return dr.select(active, density * dr.abs(wo.z) * dr.inv_pi, 0.0)
 
-    def _wanted(self, si: Any, wo: Any, enabled: tuple[bool, ...]) -> Any:
+    def _enabled_exit(self, si: Any, wo: Any, enabled: tuple[bool, ...]) -> Any:
         """Whether an exit direction is visible and its component enabled."""
         if not self.transmits:
             return self._visible(wo) & enabled[0]
@@ -333,7 +333,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         Raises:
             UnsupportedError: the shapes of the tables differ.
         """
-        if _keeps_index(lobe) != self.keeps_index:
+        if _has_constant_index(lobe) != self.has_constant_index:
             raise UnsupportedError("only one of the ambients is dispersive; build the scene again")
         if self._shape(lobe) != self.shape:
             raise UnsupportedError("the harmonic tables changed their shape; build the scene again")
@@ -421,7 +421,7 @@ def interpolated(source: PackedSeries, corners: list[tuple[Any, Any]], harmonics
     return larger(total, 0.0)
 
 
-def _keeps_index(lobe: Any) -> bool:
+def _has_constant_index(lobe: Any) -> bool:
     """Whether the ambient is dispersionless: the wavenumber is then a constant over the wavelength."""
     product = lobe.wavenumbers * lobe.wavelengths_nm
     return bool(np.allclose(product, product[0], rtol=1e-7, atol=0.0))

@@ -67,8 +67,8 @@ class RidgePlugin(LobePlugin[Ridge]):
             lambda t: np.square(np.sinc(t / np.pi)), 2.0 * math.pi * lobe.width_nm / shortest, ENVELOPE_CELLS
         )
         # a power of two: similar counts share a kernel
-        wanted = np.clip(COMB_CELLS_PER_RIDGE * lobe.count, MIN_COMB_CELLS, MAX_COMB_CELLS)
-        cells = 1 << int(np.ceil(np.log2(wanted)))
+        cell_count = np.clip(COMB_CELLS_PER_RIDGE * lobe.count, MIN_COMB_CELLS, MAX_COMB_CELLS)
+        cells = 1 << int(np.ceil(np.log2(cell_count)))
         self.comb = StepDensity(
             lambda x: np.square(lobe.count * np.sinc(lobe.count * x) / np.sinc(x)) / lobe.count, 0.5, cells
         )
@@ -90,7 +90,7 @@ class RidgePlugin(LobePlugin[Ridge]):
         wavelength = si.wavelengths[0]
         for i in range(1, lines):
             wavelength = dr.select(pick == i, si.wavelengths[i], wavelength)
-        wavelength = self._sane(wavelength)
+        wavelength = self._limited(wavelength)
         share = self._comb_share(wi, wavelength)
         scale = math.pi * self.width / wavelength  # t per sine
         low, high = self.envelope.cdf((wi.x - limit) * scale), self.envelope.cdf((wi.x + limit) * scale)
@@ -125,7 +125,7 @@ class RidgePlugin(LobePlugin[Ridge]):
         spread, across_pdf = mi.Spectrum(0.0), mi.Float(0.0)
         lines = dr.size_v(mi.Spectrum)
         for i in range(lines):
-            wavelength = self._sane(si.wavelengths[i])
+            wavelength = self._limited(si.wavelengths[i])
             spread[i] = self._interference(psi, wavelength)
             across_pdf = across_pdf + self._across_pdf(wi, psi.x, limit, wavelength, active) / lines
         value = reflected * spread * inverse_norm * (self.fill * gauss * wo.z)
@@ -161,7 +161,7 @@ class RidgePlugin(LobePlugin[Ridge]):
         chi2 = dr.exp(-dr.square(2.0 * math.pi / wavelength * wi.z * self.deviation))
         return dr.minimum(chi2, MAX_COMB_SHARE)
 
-    def _sane(self, wavelength: Any) -> Any:
+    def _limited(self, wavelength: Any) -> Any:
         """Limit the wavelength from below, since test harnesses pass 0."""
         return dr.maximum(wavelength, 200.0)
 
