@@ -79,11 +79,11 @@ def diffuse_table(medium: Medium, slabs: list[Slab]) -> TableLobe:
 
 def behind_rough(table: TableLobe, medium: Medium, slabs: list[Slab], surface: Roughness) -> TableLobe:
     """Put the light of `diffuse_table` behind a rough face; see `Passing`."""
-    passing = Passing.behind(surface, medium)
-    if passing is None:
+    interface = Passing.behind(surface, medium)
+    if interface is None:
         return table
-    share = passing.over_smooth(np.cos(np.linspace(0, np.pi / 2, THETA_NODES)))
-    kept = np.array([passing.kept(slab) for slab in slabs])
+    share = interface.over_smooth(np.cos(np.linspace(0, np.pi / 2, THETA_NODES)))
+    kept = np.array([interface.kept(slab) for slab in slabs])
     return replace(table, values=table.values * kept * share[:, None, None, None] * share[:, None, None])
 
 
@@ -97,11 +97,11 @@ def face_lobe(medium: Medium, surface: Roughness) -> Lobe:
     if surface.is_smooth:
         return Specular(response)
     rough = Microfacet(response, surface.distribution, surface.alpha_x, surface.alpha_y)
-    passing = Passing.behind(surface, medium)
-    if passing is None or not surface.compensate:
+    interface = Passing.behind(surface, medium)
+    if interface is None or not surface.compensate:
         return rough
-    exchange = np.full((1, 1, reflect.shape[1]), passing.outward / (np.pi * passing.hidden))
-    return replace(rough, loss=passing.loss[None, :, None, None], exchange=exchange)
+    exchange = np.full((1, 1, reflect.shape[1]), interface.outward / (np.pi * interface.hidden))
+    return replace(rough, loss=interface.loss[None, :, None, None], exchange=exchange)
 
 
 def interpolation_error(table: TableLobe, medium: Medium, slabs: list[Slab]) -> Array:
