@@ -35,6 +35,7 @@ from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hem
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.mie import mie_coefficients
 from validation._rows import finish, row
+from validation.metasurface_helpers import plane_waves
 
 REFERENCE = Path(__file__).resolve().parents[2] / "shared" / "reference" / "metasurface"
 NAMES = "BCDEF"
@@ -184,7 +185,7 @@ def disc_by_disc(layer: Monolayer, theta_s: Array, theta_i: Array, discs: int, s
 
     def waves(theta: Array, around: Array) -> PlaneWaves:
         seen, *more = (Directions.build(layer.surface, p.centre_nm, 2, 2, np.cos(theta)) for p in layer.particles)
-        return PlaneWaves.build(seen, around, 2, k, *more)
+        return plane_waves(seen, around, 2, k, *more)
 
     arriving, leaving = waves(theta_i, few), waves(theta_s, azimuths)
 

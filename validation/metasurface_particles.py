@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     ParticleOnStack,
     amplitude,
-    cross_sections,
     wavenumber_cutoff,
 )
 from nacre.families.metasurface.tmatrix.particle_shapes import SolvedBody
@@ -24,6 +23,7 @@ from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.indices.spec import IndexSpec
 from validation._film import canvas
 from validation._rows import finish, row
+from validation.metasurface_helpers import cross_sections
 
 REFERENCE = Path(__file__).resolve().parents[1] / ".." / "shared" / "reference" / "metasurface" / "particles_open.npz"
 FIGURE = "metasurface_particles.png"

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers_metasurface import monolayer, surface, t_matrix
+from validation.metasurface_helpers import plane_waves
 
 import nacre
 from nacre.bsdf.bsdf import Bsdf
@@ -16,7 +17,7 @@ from nacre.bsdf.lobe import SpecularResponse
 from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.lobes.monolayer import PolarGrid
 from nacre.bsdf.texture import Texture
-from nacre.families.metasurface.ensemble.multisphere import Coupling, PlaneWaves
+from nacre.families.metasurface.ensemble.multisphere import Coupling
 from nacre.families.metasurface.monolayer import aligned as aligned_compile
 from nacre.families.metasurface.monolayer.aligned import (
     AlignedLayer,
@@ -31,10 +32,16 @@ from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.evaluation import Grids, direct_powers, direct_values, tabulate
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix import tmatrix_file
 from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks
-from nacre.families.metasurface.tmatrix.full_tmatrix import reversed_full, rotated_full, spread, tilted_full
+from nacre.families.metasurface.tmatrix.full_tmatrix import (
+    multipole_index,
+    reversed_full,
+    rotated_full,
+    spread_blocks,
+    tilted_full,
+    with_negative_orders,
+)
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
 from nacre.families.metasurface.tmatrix.substrate import Embedded
 from nacre.families.metasurface.tmatrix.tmatrix_file import TMatrixFileError, read_tmatrices, write_tmatrices
@@ -71,7 +78,7 @@ def dimers(substrate, coverage=0.1, packing=0.4, films=(), gap=60.0, whole=None,
 def spheres(substrate, lmax=4):
     """Return a monolayer of spheres by today's way, and by this one."""
     layer = monolayer(520.0, 75.0, 4 + 0.05j, substrate, 0.1, 0.3, lmax=lmax)
-    return layer, AlignedLayer(layer, spread(as_blocks(layer.particles[0].t_matrix), multipole_index(lmax)))
+    return layer, AlignedLayer(layer, spread_blocks(as_blocks(layer.particles[0].t_matrix), multipole_index(lmax)))
 
 
 def lobes(layer, above=24, below=None, turn=0.0):
@@ -257,7 +264,7 @@ def _alone(layer, light, views, wave, away, is_lit_from_below=False):
 def test_the_mean_over_turns_is_the_averaged_particle(monkeypatch):
     """Its field exactly, alone in space; the power that it leaves out is what the file's reader says."""
     layer = dimers(1.0, mmax=5)
-    averaged = AlignedLayer(layer.mean, spread(known().blocks[0], multipole_index(known().lmax)))
+    averaged = AlignedLayer(layer.mean, spread_blocks(known().blocks[0], multipole_index(known().lmax)))
     views, away = np.array([0.3, 0.9]), np.array([0.5, 2.0])
     turns = azimuth_nodes(16)
     fields = np.stack([_alone(layer, 0.6, views, 0.2 - t, away - t) for t in turns])
@@ -319,7 +326,7 @@ def _two_spheres(below, centre, theta_i, wave, theta_s, away, is_lit_from_below=
 
     def waves(theta, azimuths, is_below=False):
         made = Directions.build(below, centre, order, order, np.cos(theta), is_below)
-        return PlaneWaves.build(made, np.asarray(azimuths), order, below.wavenumber, made)
+        return plane_waves(made, np.asarray(azimuths), order, below.wavenumber, made)
 
     light, views = waves(np.array([theta_i]), [wave], is_lit_from_below), waves(theta_s, away)
     found = coupling.far_field(places, coupling.solve(places, light, kinds), views, kinds)
@@ -475,5 +482,5 @@ def test_the_example_s_file_is_what_its_tool_writes_and_a_turned_upright_rod():
     held = read_tmatrices(EXAMPLE.with_name("silver_rods.tmat.h5"), is_aligned=True)
     at = int(np.argmin(np.abs(held.wavelengths_nm - 640.0)))
     assert np.abs(held.whole[at] - again.whole[0]).max() <= 2 * tool.KEPT * np.abs(held.whole).max()
-    upright = spread(again.blocks[0], multipole_index(tool.ORDER))
+    upright = spread_blocks(again.blocks[0], multipole_index(tool.ORDER))
     assert np.abs(tilted_full(again.whole[0], -np.pi / 2) - upright).max() <= 1e-7 * np.abs(upright).max()

@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 from helpers_metasurface import REFERENCE, reference, surface
+from validation.metasurface_helpers import cross_sections, plane_waves
 
 import nacre
 from nacre.families.metasurface.ensemble.ensemble import same_order
-from nacre.families.metasurface.ensemble.multisphere import Coupling, PlaneWaves
+from nacre.families.metasurface.ensemble.multisphere import Coupling
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
@@ -19,7 +20,6 @@ from nacre.families.metasurface.tmatrix.particle_on_stack import (
     Directions,
     ParticleOnStack,
     amplitude,
-    cross_sections,
     hemisphere_rule,
     reflection_operator,
     truncated_reflection_operator,
@@ -198,8 +198,8 @@ def test_one_disc_of_an_ensemble_is_the_disc_on_the_stack(gap):
     coupling = Coupling.build(below, particle, 200.0, 400.0)
     light = Directions.build(below, particle.centre_nm, 2, 2, np.cos([0.3, 0.9]))
     azimuths = 2 * np.pi * np.arange(8) / 8
-    waves = PlaneWaves.build(light, np.array([0.0]), 2, below.wavenumber)
-    views = PlaneWaves.build(light, azimuths, 2, below.wavenumber)
+    waves = plane_waves(light, np.array([0.0]), 2, below.wavenumber)
+    views = plane_waves(light, azimuths, 2, below.wavenumber)
     place_nm = np.array([[0.0, 0.0]])
     f = coupling.far_field(place_nm, coupling.solve(place_nm, waves), views).reshape(2, 2, 8, 2, 2)
     alone = ParticleOnStack(below, particle.centre_nm, particle.t_matrix, 2, particle.cut)

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 from helpers_metasurface import surface, t_matrix
+from validation.metasurface_helpers import plane_waves
 
-from nacre.families.metasurface.ensemble.multisphere import Coupling, PlaneWaves, direct_coupling, reflected_coupling
+from nacre.families.metasurface.ensemble.multisphere import Coupling, direct_coupling, reflected_coupling
 from nacre.families.metasurface.monolayer.monolayer import Particle
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index
 from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, reciprocal
 from nacre.families.metasurface.tmatrix.bem import Mesh, block_t_matrix
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     Directions,
     ParticleOnStack,
@@ -27,7 +28,7 @@ PLACES = np.array([[0.0, 0.0], [190.0, 30.0], [-120.0, 260.0], [900.0, -640.0], 
 
 def _waves(below, centre, order, theta, azimuths, under=False):
     directions = Directions.build(below, centre, order, order, np.cos(theta), under)
-    return PlaneWaves.build(directions, np.asarray(azimuths), order, below.wavenumber)
+    return plane_waves(directions, np.asarray(azimuths), order, below.wavenumber)
 
 
 def _coupled(below, radius, m, order, places=PLACES):

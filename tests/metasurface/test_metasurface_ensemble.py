@@ -471,7 +471,7 @@ def test_each_endless_pattern_of_lossless_spheres_sends_out_what_arrives(substra
     particles = [Particle(1.0, height, t_matrix(2, below.inner_wavenumber * radius, 3.9 / below.inner_index))]
     if is_mixture:  # of unlike heights
         small = Particle(
-            0.4, height - 35.0, t_matrix(2, below.inner_wavenumber * 60.0, 3.0 / below.inner_index), kind=1
+            0.4, height - 35.0, t_matrix(2, below.inner_wavenumber * 60.0, 3.0 / below.inner_index), species=1
         )
         particles = [dataclasses.replace(particles[0], share=0.6), small]
     layer = Monolayer(below, tuple(particles), hard_disk_structure(density, 0.2, 7 * below.wavenumber))
@@ -486,7 +486,7 @@ def test_each_endless_pattern_of_lossless_spheres_sends_out_what_arrives(substra
             index = low if under else 1.0
             every = orders(cell.period, index * k * (1 - 1e-9))
             side = one.side(every, under)
-            f = one.coupling.far_field(cell.xy_nm, solved, one.waves(side, True), cell.kinds)
+            f = one.coupling.far_field(cell.xy_nm, solved, one.waves(side, True), cell.species)
             f = f.reshape(2, len(every), 2, -1)
             cos = side.directions.cosines
             amplitude = (
@@ -532,7 +532,7 @@ def test_where_the_window_ends_changes_no_coupling(second, place):
     density = 0.1 / np.pi / radius**2
     particles = [Particle(1.0, height, t_matrix(2, below.inner_wavenumber * radius, 0.05 + 3.1j))]
     if second is not None:
-        small = Particle(0.5, height - 40.0, t_matrix(2, below.inner_wavenumber * 80.0, second), kind=1)
+        small = Particle(0.5, height - 40.0, t_matrix(2, below.inner_wavenumber * 80.0, second), species=1)
         particles = [dataclasses.replace(particles[0], share=0.5), small]
     layer = Monolayer(below, tuple(particles), hard_disk_structure(density, 0.1, 7 * below.wavenumber))
     one = _patterns(layer, density, 0.1, 20, 1)

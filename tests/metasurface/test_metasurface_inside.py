@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from helpers_metasurface import surface, t_matrix
+from validation.metasurface_helpers import cross_sections
 
 import nacre
 from nacre.core.errors import NacreError
@@ -15,11 +16,10 @@ from nacre.families.metasurface.monolayer.arrangement import Arrangement
 from nacre.families.metasurface.monolayer.evaluation import direct_powers
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     ParticleOnStack,
     amplitude,
-    cross_sections,
     reflection_operator,
 )
 from nacre.families.metasurface.tmatrix.special_functions import adjoint, mirrored, plane_wave_vectors
@@ -222,7 +222,7 @@ def test_an_ensemble_in_a_layer_of_the_ambient_s_index_is_that_of_a_gap(is_mixtu
         kinds = [Particle(1.0, 150.0, t_matrix(2, below.inner_wavenumber * RADIUS, 3.5))]
         if is_mixture:
             half = dataclasses.replace(kinds[0], share=0.5)
-            kinds = [half, dataclasses.replace(half, centre_nm=210.0, kind=1)]
+            kinds = [half, dataclasses.replace(half, centre_nm=210.0, species=1)]
         layer_of = Monolayer(below, tuple(kinds), hard_disk_structure(density, 0.1, 7 * below.wavenumber))
         patterns = with_species(patterns, layer_of.shares, 0) if is_mixture else patterns
         one = Ensemble(layer_of, patterns)
@@ -230,7 +230,7 @@ def test_an_ensemble_in_a_layer_of_the_ambient_s_index_is_that_of_a_gap(is_mixtu
         solved = one.lattice.solve(patterns[0], one.waves(one.side(every[::5], False), False))
         for under in (False, True):
             view = one.waves(one.side(every, under), True)
-            found.append(one.coupling.far_field(patterns[0].xy_nm, solved, view, patterns[0].kinds))
+            found.append(one.coupling.far_field(patterns[0].xy_nm, solved, view, patterns[0].species))
     for a, b in zip(found[:2], found[2:]):
         assert np.linalg.norm(np.abs(a) - np.abs(b)) <= SINGLE * np.linalg.norm(a)
 
@@ -272,7 +272,7 @@ def test_a_mixture_lies_in_a_layer_level_by_its_own_depths():
     given["monolayer"] = {"coverage": 0.05, "packing": 0.3}
     given["model"]["correction"] = "qca-balanced"
     mixed = nacre.material(given).model
-    assert [kind.gap_nm for kind in mixed.kinds] == [pytest.approx(100), pytest.approx(80)]
+    assert [kind.gap_nm for kind in mixed.all_species] == [pytest.approx(100), pytest.approx(80)]
     assert sum(mixed.powers([0.9], 550.0)).max() <= 1.0
     assert nacre.material({**given, "model": {}}).model.chosen_correction[0] == "ensemble"
 

@@ -15,7 +15,7 @@ from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.ladder import Modes
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
-from nacre.families.metasurface.monolayer.translation_sums import all_orders, multipole_index
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, spread_blocks
 from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
 
 FAINT = 1e-3  # of M: what is passed on twice is then nothing
@@ -45,7 +45,7 @@ def _whole(layer, x):
 def test_what_neighbours_send_back_is_a_sum_over_pairs_in_space(packing, monkeypatch):
     """To first order 2 pi rho int g^2 W(-R) M W(R) R dR, of equal azimuthal orders; what is left falls as 1/kappa."""
     layer = monolayer(600.0, 75.0, 3.9, 1.5, 0.1, packing, lmax=2)
-    faint = FAINT * all_orders(layer.spheres[0].dressed, 2)
+    faint = FAINT * spread_blocks(layer.spheres[0].dressed, multipole_index(2))
     k, a = layer.surface.wavenumber, layer.structure.diameter_nm
     x, weight = np.polynomial.legendre.leggauss(400)
     edge, end = a * k, 60.0
@@ -116,7 +116,7 @@ def test_the_nodes_of_passed_on_light_are_enough(substrate, films, monkeypatch):
 def test_a_mixture_of_two_equal_kinds_is_one_kind():
     one = ladder(550.0, 75.0, SILVER, 1.5, 0.1, 0.2, lmax=2)
     particle = one.particles[0]
-    halves = (dataclasses.replace(particle, share=0.5), dataclasses.replace(particle, share=0.5, kind=1))
+    halves = (dataclasses.replace(particle, share=0.5), dataclasses.replace(particle, share=0.5, species=1))
     two = dataclasses.replace(one, particles=halves)
     x = np.cos([0.1, 0.8, 1.3])
     alone, both = (_whole(layer, x)[1].above for layer in (one, two))
@@ -129,7 +129,7 @@ def test_a_mixture_with_a_dark_kind_passes_on_by_chance_of_who_is_who():
     density = 0.02 / np.pi / 75.0**2
     t = t_matrix(2, below.wavenumber * 75.0, SILVER)
     whole, half = (hard_disk_structure(n * density, n * 0.02, 4.5 * below.wavenumber * 1.5) for n in (1.0, 0.5))
-    mixed = Monolayer(below, (Particle(0.5, 75.0, t), Particle(0.5, 75.0, 1e-3 * t, kind=1)), whole, "qca-ladder")
+    mixed = Monolayer(below, (Particle(0.5, 75.0, t), Particle(0.5, 75.0, 1e-3 * t, species=1)), whole, "qca-ladder")
     alone = Monolayer(below, (Particle(1.0, 75.0, t),), half, "qca-ladder")
     mu, w = hemisphere_rule(12)
     passed = []

@@ -332,7 +332,7 @@ def test_the_examples_converge_over_the_whole_default_range(path):
     made = load(path).model
     if not hasattr(made, "order"):
         return
-    if made.kinds[0].is_sphere:
+    if made.all_species[0].is_sphere:
         assert all(made.order(made.surface(w)) <= 40 for w in made.wavelengths_nm[::2])
     else:  # others are refused where they do not converge
         layer, _ = made.layers_at(made.wavelengths_nm)
@@ -398,40 +398,6 @@ def test_points_csv_comes_back(tmp_path):
     xy = np.random.default_rng(1).uniform(0, 20, (50, 2))
     write_points_csv(tmp_path / "p.csv", xy)
     assert np.abs(read_points_csv(tmp_path / "p.csv") - xy).max() < 1e-4
-
-
-@pytest.mark.parametrize("deviation_nm", [0.0, 6.0])
-def test_the_dense_grid_averages_to_the_bsdf(deviation_nm, monkeypatch):
-    from nacre.bsdf.lobes.monolayer import PolarGrid
-    from nacre.families.metasurface.dense import stream_dense
-    from nacre.families.metasurface.monolayer import evaluation as tables
-
-    monkeypatch.setattr(tables, "fit_linear", lambda table, grids: table)  # the nodes as solved, not as lines like them
-    made = material(
-        {
-            "family": "metasurface",
-            "substrate": "Si",
-            "particle": {"material": {"n": 2.0}, "radius_nm": 60, "deviation_nm": deviation_nm},
-            "monolayer": {"coverage": 0.05, "packing": 0.4},
-            "model": {"multipole_order": 4},
-        }
-    )
-    lobe = made.bsdf(np.array([500.0])).lobes[1]
-    theta, dphi = PolarGrid(lobe.count_above).nodes, np.radians(np.arange(0.0, 181.0, 30.0))
-    ((_, dense),) = stream_dense(made.model, [500.0], theta, dphi)
-    i, o = 28, np.array([3, 16, 36])
-    wi = np.array([-np.sin(theta[i]), 0.0, np.cos(theta[i])])
-    wo = np.stack(
-        np.broadcast_arrays(
-            np.sin(theta[o])[:, None] * np.cos(dphi),
-            np.sin(theta[o])[:, None] * np.sin(dphi),
-            np.cos(theta[o])[:, None],
-        ),
-        axis=-1,
-    )
-    expected = lobe.evaluate(np.broadcast_to(wi, wo.shape), wo)[..., 0]
-    got = 0.5 * dense.sum(axis=(0, 1))[o][:, i]
-    assert np.max(np.abs(got - expected)) <= 1e-4 * expected.max()
 
 
 @pytest.mark.parametrize("eta", [None, 1.0, 1.5, 2.4])

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from helpers_metasurface import reference, surface, t_matrix
+from validation.metasurface_helpers import cross_sections
 
 import nacre
 from nacre.cli import run
@@ -15,7 +16,6 @@ from nacre.families.metasurface.tmatrix.bem import Mesh, block_t_matrix
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     ParticleOnStack,
     amplitude,
-    cross_sections,
     wavenumber_cutoff,
 )
 from nacre.families.metasurface.tmatrix.particle_shapes import SolvedBody, cylinder_panels, spheroid_panels

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from helpers_metasurface import reference, sphere, surface, t_matrix
+from validation.metasurface_helpers import cross_sections
 
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     MultipoleConvergenceError,
     amplitude,
     choose_order,
-    cross_sections,
     reflection_operator,
 )
 from nacre.matter.mie import mie_coefficients, mie_efficiencies

@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 import pytest
 from helpers_metasurface import REFERENCE, reference, t_matrix
+from validation.metasurface_helpers import cross_sections
 
 import nacre
 from nacre.cli import run
@@ -115,7 +116,7 @@ def test_scattering_of_a_disc_is_that_of_treams(tmp_path):
     """Far fields of a lone disc at slanted light: phases between m, l and polarisations all count."""
     treams = pytest.importorskip("treams.io").treams
 
-    from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack, amplitude, cross_sections
+    from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack, amplitude
     from nacre.families.metasurface.tmatrix.substrate import Substrate
 
     known = read_tmatrices(_disc())
@@ -516,7 +517,7 @@ def _saved(treams, matrix, path):
 def test_a_particle_with_corners_is_taken_as_the_mean_over_its_turns(tmp_path, capsys):
     """Against the code that made it: extinction at slanted light, averaged over turns about the normal."""
     treams = pytest.importorskip("treams.io").treams
-    from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack, cross_sections
+    from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack
     from nacre.families.metasurface.tmatrix.substrate import Substrate
 
     matrix = _cluster(treams, 4)

@@ -65,7 +65,7 @@ def write_particle(material: Metasurface, path: Path, description: str) -> list[
     if len(material.sizes.radii_nm) > 1:
         lost.append("the spread of sizes: the mean one was taken")
     if material.second is not None:
-        lost.append("the second kind of the mixture: the first was taken")
+        lost.append("the second species of the mixture: the first was taken")
     return lost
 
 
@@ -90,21 +90,22 @@ def layout(material: Metasurface, request: DrawingRequest) -> Layout:
     box_um = pattern.box_nm * 1e-3
     if request.size_mm is not None:
         columns, rows = (max(1, math.ceil(1e3 * side / box_um - 1e-9)) for side in request.size_mm)
+    nouns = " and ".join(species.noun for species in material.all_species)
     seed = request.seed if request.seed is not None else getattr(material.arrangement, "seed", None)
     which, radii = _drawn_kinds(material, len(pattern.xy_nm), seed)
     facts: dict[str, Any] = {
-        "radii_spread": any(len(kind.sizes.radii_nm) > 1 for kind in material.kinds),
+        "radii_spread": any(len(species.sizes.radii_nm) > 1 for species in material.all_species),
         "arrangement": material.structure.name,
         "density_per_um2": density_per_um2,
         "packing": material.structure.packing,
         "seed": seed,
-        "shape": f"circles are the outlines of {' and '.join(kind.noun for kind in material.kinds)}, seen from above",
+        "shape": f"circles are the outlines of {nouns}, seen from above",
     }
     if len(radii) > 1:
         repeated = columns * rows
         facts["kinds"] = [
-            {"shape": kind.noun, "radius_um": r, "particles": int(np.count_nonzero(which == n)) * repeated}
-            for n, (kind, r) in enumerate(zip(material.kinds, radii))
+            {"shape": species.noun, "radius_um": r, "particles": int(np.count_nonzero(which == n)) * repeated}
+            for n, (species, r) in enumerate(zip(material.all_species, radii))
         ]
     return Layout(pattern.xy_nm * 1e-3, radii[0], box_um, (columns, rows), facts, radii_um=radii, species=which)
 
@@ -112,45 +113,45 @@ def layout(material: Metasurface, request: DrawingRequest) -> Layout:
 def _drawn_kinds(material: Metasurface, count: int, seed: int | None) -> tuple[NDArray[np.intp], tuple[float, ...]]:
     """Return the species number of each particle, drawn by the shares, and the radii of the species in um."""
     which = draw_species(
-        count, np.array([kind.share for kind in material.kinds]), np.random.default_rng((seed or 0, count))
+        count, np.array([species.share for species in material.all_species]), np.random.default_rng((seed or 0, count))
     )
-    return which, tuple(round(kind.outer_radius_nm * 1e-3, 9) for kind in material.kinds)
+    return which, tuple(round(species.outer_radius_nm * 1e-3, 9) for species in material.all_species)
 
 
 def layer_sheet(material: Metasurface) -> LayerSheet:
     """Return the table of materials and thicknesses, from the light's side inward."""
     entries: list[tuple[str, OpticalConstant, str, float | str]] = [("ambient", material.ambient, "", "")]
-    for kind, name in zip(material.kinds, ("", "second ")):
-        if kind.shell is not None:
-            entries.append((f"{name}shell", kind.shell.material, "thickness_nm", kind.shell.thickness_nm))
-        if kind.core is not None:
-            entries.append((f"{name}core", kind.core, "radius_nm", kind.core_radius_nm))
-        if kind.gap_nm and not material.host:
-            entries.append((f"{name}gap", material.ambient, "thickness_nm", kind.gap_nm))
+    for species, name in zip(material.all_species, ("", "second ")):
+        if species.shell is not None:
+            entries.append((f"{name}shell", species.shell.material, "thickness_nm", species.shell.thickness_nm))
+        if species.core is not None:
+            entries.append((f"{name}core", species.core, "radius_nm", species.core_radius_nm))
+        if species.gap_nm and not material.host:
+            entries.append((f"{name}gap", material.ambient, "thickness_nm", species.gap_nm))
     entries += [(str(k), m, "thickness_nm", d) for k, (m, d) in enumerate(material.layers, start=1)]
     entries.append(("substrate", material.substrate, "", ""))
     remarks = [
         f"{material.structure.density_per_nm2 * 1e6:.6g} particles a um^2, packing {material.structure.packing:.4g}, "
         f"{material.structure.name}"
     ]
-    for kind, name in zip(material.kinds, ("particles", "second particles")):
-        if len(material.kinds) > 1:
-            remarks.append(f"{name}: {100 * kind.share:.4g} % of them, {kind.noun}")
-        if kind.body is not None:
-            place = "" if material.host else f", {kind.gap_nm:g} nm above the layers"
-            with_coat = "" if kind.shell is None else " with the shell"
+    for species, name in zip(material.all_species, ("particles", "second particles")):
+        if len(material.all_species) > 1:
+            remarks.append(f"{name}: {100 * species.share:.4g} % of them, {species.noun}")
+        if species.body is not None:
+            place = "" if material.host else f", {species.gap_nm:g} nm above the layers"
+            with_coat = "" if species.shell is None else " with the shell"
             remarks.append(
-                f"{name}: {kind.body.name}, {2 * kind.body.radius_nm:.6g} nm wide, "
-                f"{kind.body.height_nm:.6g} nm high{with_coat}{place}"
+                f"{name}: {species.body.name}, {2 * species.body.radius_nm:.6g} nm wide, "
+                f"{species.body.height_nm:.6g} nm high{with_coat}{place}"
             )
         if material.host:
             remarks.append(
-                f"{name}: inside layer {material.host}, their tops {kind.depth_nm:g} nm below the top of the layers, "
-                f"{kind.gap_nm:g} nm over its lower face"
+                f"{name}: inside layer {material.host}, their tops {species.depth_nm:g} nm below the top of the layers"
+                f", {species.gap_nm:g} nm over its lower face"
             )
-        if len(kind.sizes.radii_nm) > 1:
-            shares, radii = np.array(kind.sizes.shares), np.array(kind.sizes.radii_nm)
-            spread = float(np.sqrt(shares @ (radii - kind.mean_radius_nm) ** 2))
+        if len(species.sizes.radii_nm) > 1:
+            shares, radii = np.array(species.sizes.shares), np.array(species.sizes.radii_nm)
+            spread = float(np.sqrt(shares @ (radii - species.mean_radius_nm) ** 2))
             remarks.append(f"{name}: the radii spread by {spread:.4g} nm about their mean")
     rows = []
     for position, medium, quantity, value in entries:

@@ -79,7 +79,7 @@ def colour_map(
     if part not in ("diffuse", "specular"):
         raise UnsupportedError(f'part = "{part}" is not known; use diffuse or specular')
     own = material.structure.density_per_nm2
-    widest = max(kind.reach_nm for kind in material.kinds)  # circumscribing spheres must not overlap
+    widest = max(species.reach_nm for species in material.all_species)  # circumscribing spheres must not overlap
     if densities_per_um2 is None:
         most = min(3 * own, 0.99 * PACKING_LIMIT / (np.pi * widest**2))
         densities = np.linspace(0.1 * own, most, MAP_DENSITIES)

@@ -8,7 +8,7 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,9 +24,11 @@ from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings
 from nacre.families.metasurface.ensemble.interpolation import EnsembleInterpolation, interpolate_ensemble
 from nacre.families.metasurface.monolayer.aligned import (
     NO_ENSEMBLE,
-    aligned_lobes,
-    powers_of_aligned,
-    values_of_aligned,
+    AlignedLayer,
+    aligned_grids,
+    aligned_powers,
+    aligned_values,
+    tabulate_aligned,
 )
 from nacre.families.metasurface.monolayer.arrangement import Arrangement, Pattern
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term, limit_to_incident_power
@@ -36,13 +38,13 @@ from nacre.families.metasurface.monolayer.monolayer import Monolayer
 from nacre.families.metasurface.monolayer.qca import INTERACTION_ORDER
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.species import (
-    Kind,
     MultipoleConvergence,
+    Species,
     mean_square_radius,
     non_sphere_notes,
     rotation_warnings,
 )
-from nacre.families.metasurface.tmatrix.axisymmetric import Body
+from nacre.families.metasurface.tmatrix.axisymmetric import Body, TabulatedBody
 from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
 from nacre.families.metasurface.tmatrix.particle_shapes import Shell, Sizes
 from nacre.families.metasurface.tmatrix.substrate import LOSSLESS_K, Embedded, Substrate
@@ -124,17 +126,17 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
     includes_near_fields: bool = True
     ensemble: EnsembleSettings = EnsembleSettings()
     body: Body | None = None
-    second: Kind | None = None
+    second: Species | None = None
     is_spared: bool = False
     host: int = 0
     depth_nm: float | None = None
 
     @cached_property
-    def kinds(self) -> tuple[Kind, ...]:
+    def all_species(self) -> tuple[Species, ...]:
         """The one or two particle species."""
         rest = () if self.second is None else (self.second,)
-        share = 1.0 - sum(kind.share for kind in rest)
-        first = Kind(self.core, self.sizes, self.shell, self.gap_nm, self.body, share, depth_nm=self.depth_nm)
+        share = 1.0 - sum(species.share for species in rest)
+        first = Species(self.core, self.sizes, self.shell, self.gap_nm, self.body, share, depth_nm=self.depth_nm)
         return (first, *rest)
 
     def pattern(self, count: int, seed: int | None = None) -> Pattern:
@@ -158,7 +160,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
     @property
     def outer_radius_nm(self) -> float:
         """Mean outer radius of the first species."""
-        return self.kinds[0].outer_radius_nm
+        return self.all_species[0].outer_radius_nm
 
     @property
     def is_aligned(self) -> bool:
@@ -166,14 +168,23 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         return self.body is not None and self.body.is_aligned
 
     @property
+    def _turn_rad(self) -> float:
+        return self.body.turn_rad if isinstance(self.body, TabulatedBody) else 0.0
+
+    def _aligned(self, layer: Monolayer) -> AlignedLayer:
+        """Return the aligned particles whose rotational average `layer` holds."""
+        assert isinstance(self.body, TabulatedBody)  # only tabulated bodies are aligned
+        return AlignedLayer(layer, self.body.full_t_matrix(layer.surface.wavelength_nm))
+
+    @property
     def varies(self) -> bool:
         """Whether the particles have several sizes or species."""
-        return len(self.kinds) > 1 or len(self.sizes.shares) > 1
+        return len(self.all_species) > 1 or len(self.sizes.shares) > 1
 
     @property
     def coverage(self) -> float:
         """f = density pi r^2, in a mixture with the mean of r^2."""
-        return float(self.structure.density_per_nm2 * np.pi * mean_square_radius(self.kinds) ** 2)
+        return float(self.structure.density_per_nm2 * np.pi * mean_square_radius(self.all_species) ** 2)
 
     @property
     def wavelengths_nm(self) -> Array:
@@ -196,7 +207,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
 
     def t_matrix(self, lmax: int, surface: Substrate, radius_nm: float) -> ComplexArray:
         """Return the diagonal T of one sphere, `[n]`."""
-        return self.kinds[0].t_matrix(lmax, surface, radius_nm)
+        return self.all_species[0].t_matrix(lmax, surface, radius_nm)
 
     @cached_property
     def chosen_correction(self) -> tuple[str, str]:
@@ -227,10 +238,12 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         below = np.max(np.abs(surface.indices[1:] / surface.ambient_index - 1.0)) > model_selection.SAME_INDEX
         return [
             model_selection.SystemClass(
-                model_selection.SHAPES.get("sphere" if kind.body is None else kind.body.shape, model_selection.OTHER),
-                model_selection.core_class(kind.index(surface.wavelength_nm) / surface.inner_index),
+                model_selection.SHAPES.get(
+                    "sphere" if species.body is None else species.body.shape, model_selection.OTHER
+                ),
+                model_selection.core_class(species.index(surface.wavelength_nm) / surface.inner_index),
             )
-            for kind in self.kinds
+            for species in self.all_species
         ], bool(below)
 
     @property
@@ -310,7 +323,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         if wavelength_nm not in self._solved:
             surface = self.surface(wavelength_nm)
             check_ladder(self.correction, surface, self.structure, self.source)
-            particles = self._settling.particles(self.kinds, surface)
+            particles = self._settling.particles(self.all_species, surface)
             mean_field = "qca-balanced" if self.correction in (AUTO, ENSEMBLE) else self.correction
             self._solved[wavelength_nm] = Monolayer(
                 surface, particles, self.structure, mean_field, self.interaction_order,
@@ -333,7 +346,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         Raises:
             MultipoleConvergenceError: no order is within the tolerance; the message names remedies.
         """
-        return self._settling.sphere_order(self.kinds[0], surface)
+        return self._settling.sphere_order(self.all_species[0], surface)
 
     def search_model(self, memory: dict[Any, Any], is_rough: bool = False) -> Metasurface:
         """Return a variant for optimisation that reuses the multipole orders of similar spheres on the same media.
@@ -375,12 +388,16 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         thickness = sum(d for _, d in self.layers)
         layer, judged = self.layers_at(lam)
         # the path difference of particle and image is twice the centre height
-        height = thickness + max(2.0 * kind.gap_nm + kind.height_nm for kind in self.kinds)
+        height = thickness + max(2.0 * species.gap_nm + species.height_nm for species in self.all_species)
         # a film on a clear substrate may guide light, with sharp features over the angle
         low = height <= LOW_WAVELENGTHS * lam[0] and not (self.transmits and self.layers)
         grids = choose_grids(eta if self.transmits else None, self.varies, thickness > THICK_FILM_NM, low)
-        made = partial(aligned_lobes, self.kinds[0]) if self.is_aligned else tabulate
-        lobes, excess = made(lam, layer, self.structure, grids, eta)
+        if self.is_aligned:
+            lobes, excess = tabulate_aligned(
+                lam, lambda w: self._aligned(layer(w)), self.structure, aligned_grids(grids), eta, self._turn_rad
+            )
+        else:
+            lobes, excess = tabulate(lam, layer, self.structure, grids, eta)
         notes: dict[str, Any] = {
             "energy_excess": round(excess, 6),
             "coverage": self.coverage,
@@ -394,12 +411,12 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
             notes["correction_doubt"] = self._doubt
         if judged is not None:
             notes["ensemble"] = judged.notes
-        notes |= non_sphere_notes(self.kinds) | self._settling.notes
+        notes |= non_sphere_notes(self.all_species) | self._settling.notes
         self._settling.tell(self.body is not None)
         return Bsdf(lobes, notes)
 
     def _warn(self) -> None:
-        for line in rotation_warnings(self.kinds):
+        for line in rotation_warnings(self.all_species):
             warnings.warn(line, MetasurfaceWarning, stacklevel=3)
         doubt = self._doubt
         if doubt and self.coverage > VALIDATED_COVERAGE and not self.is_spared:  # searches report replaced ensembles
@@ -478,7 +495,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
 
         def column(wavelength_nm: float) -> Array:
             if self.is_aligned:
-                return values_of_aligned(self.kinds[0], layer(wavelength_nm), arriving, leaving)
+                return aligned_values(self._aligned(layer(wavelength_nm)), arriving, leaving, self._turn_rad)
             return direct_values(layer(wavelength_nm), arriving, leaving)
 
         return np.stack(in_threads(column, [float(w) for w in wavelengths_nm]), axis=-1)
@@ -501,7 +518,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         cos = np.maximum(np.atleast_1d(np.asarray(cosines, dtype=float)), np.cos(np.radians(89.9)))
         layer = self.monolayer(wavelength_nm) if layer is None else layer
         if self.is_aligned:
-            return powers_of_aligned(self.kinds[0], layer, cos)
+            return aligned_powers(self._aligned(layer), cos, -self._turn_rad)
         if layer.correction == "qca-balanced" and layer.ratio is None:
             return direct_powers(layer, cos)
         reflected, passed = layer.specular_above(cos)

@@ -9,7 +9,7 @@ import numpy as np
 import pydantic
 
 from nacre.core.errors import MaterialRangeError
-from nacre.families.metasurface.species import Kind
+from nacre.families.metasurface.species import Species
 from nacre.families.metasurface.tmatrix.axisymmetric import (
     SAME_SIZE,
     SPHERE,
@@ -195,7 +195,7 @@ class SpeciesSpec(RecipeModel):
             )
         return self
 
-    def kind(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool, share: float = 1.0) -> Kind:
+    def species(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool, share: float = 1.0) -> Species:
         """Return the species with number fraction `share`; see `body`."""
 
         def built(spec: IndexSpec) -> OpticalConstant:
@@ -216,7 +216,7 @@ class SpeciesSpec(RecipeModel):
                 f"{self.height_nm:.4g} nm high; it should be at most half of its radius and a quarter of its height",
             )  # fmt: skip
         core = None if self.material is None else built(self.material)
-        return Kind(core, sizes, shell, self.gap_nm, body, share, self.table, self.depth_nm)
+        return Species(core, sizes, shell, self.gap_nm, body, share, self.table, self.depth_nm)
 
     def body(
         self, context: RecipeContext, around: OpticalConstant, hold_ends: bool, shell: Shell | None = None
@@ -312,24 +312,23 @@ class ParticleSpec(SpeciesSpec):
     )
 
     second: SecondSpeciesSpec | None = pydantic.Field(
-        default=None, description="another kind of particle among these: a mixture"
+        default=None, description="second species of particles in a mixture"
     )
 
     @pydantic.model_validator(mode="after")
     def _all_inside_or_none(self) -> Self:
         if self.second is not None and (self.depth_nm is None) != (self.second.depth_nm is None):
-            raise ValueError("and second: one gives depth_nm; both kinds lie inside one layer, or both above all")
+            raise ValueError("and second: one gives depth_nm; both species lie inside one layer, or both above all")
         return self
 
-    def kinds(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool) -> tuple[Kind, ...]:
+    def all_species(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool) -> tuple[Species, ...]:
         """Return the one or two species, in the medium `around` them.
 
         Raises:
             RecipeError: see `body`.
         """
         if self.second is None:
-            return (self.kind(context, around, hold_ends),)
+            return (self.species(context, around, hold_ends),)
         share = self.second.share
-        return (
-            self.kind(context, around, hold_ends, 1.0 - share), self.second.kind(context, around, hold_ends, share),
-        )  # fmt: skip
+        second = self.second.species(context, around, hold_ends, share)
+        return self.species(context, around, hold_ends, 1.0 - share), second

@@ -29,7 +29,7 @@ from nacre.families.metasurface.monolayer.arrangement import (
 from nacre.families.metasurface.monolayer.micrograph import SUFFIXES, is_picture
 from nacre.families.metasurface.monolayer.structure import PACKING_LIMIT, Structure, hard_disk_structure
 from nacre.families.metasurface.particle_spec import ParticleSpec
-from nacre.families.metasurface.species import LOOSEST_TOLERANCE, Kind, mean_square_radius
+from nacre.families.metasurface.species import LOOSEST_TOLERANCE, Species, mean_square_radius
 from nacre.families.metasurface.tmatrix.substrate import LOSSLESS_K
 from nacre.light import default_wavelengths
 from nacre.matter.drawings import Drawer
@@ -68,7 +68,7 @@ class StructureSpec(RecipeModel):
     )
 
     name: Literal["hard-disk", "rsa", "poisson-disk", "lattice"] | None = pydantic.Field(
-        default=None, description="kind of order; written alone it needs no table", examples=["lattice"]
+        default=None, description="type of order; a bare name needs no table", examples=["lattice"]
     )
     points: str | None = pydantic.Field(
         default=None,
@@ -228,7 +228,7 @@ class MetasurfaceModel(Metasurface, Fabricable, OwnFormats):
     @property
     def figures(self) -> Mapping[str, Figure]:
         """Scattering of one particle, arrangement and S(q), colour over density and angle."""
-        return {kind: partial(maker, self) for kind, maker in FIGURES.items()}
+        return {name: partial(maker, self) for name, maker in FIGURES.items()}
 
     @property
     def fabrications(self) -> Mapping[str, Drawer]:
@@ -320,12 +320,12 @@ class MetasurfaceSpec(RecipeModel):
             why = 'is not modelled for particles inside a layer; "ensemble" and the mean field, "qca-balanced", are'
             raise context.fail("model.correction", asked, why)
         around = layers[host - 1][0] if host else ambient
-        kinds = self.particle.kinds(context, around, self.extrapolate == "edge")
+        all_species = self.particle.all_species(context, around, self.extrapolate == "edge")
         if host:
-            kinds = held(context, kinds, host, layers)
-        self._check_aligned(context, kinds)
-        structure, arrangement = self._structure(context, kinds, 4.2 * np.pi * index / 360.0)
-        first = kinds[0]
+            all_species = held(context, all_species, host, layers)
+        self._check_aligned(context, all_species)
+        structure, arrangement = self._structure(context, all_species, 4.2 * np.pi * index / 360.0)
+        first = all_species[0]
         return MetasurfaceModel(
             ambient=ambient,
             layers=layers,
@@ -344,21 +344,23 @@ class MetasurfaceSpec(RecipeModel):
             source=context.source,
             arrangement=arrangement,
             body=first.body,
-            second=kinds[1] if len(kinds) > 1 else None,
+            second=all_species[1] if len(all_species) > 1 else None,
             host=host,
             depth_nm=first.depth_nm,
         )
 
-    def _check_aligned(self, context: RecipeContext, kinds: tuple[Kind, ...]) -> None:
+    def _check_aligned(self, context: RecipeContext, all_species: tuple[Species, ...]) -> None:
         """Refuse unsupported combinations with aligned particles.
 
         Raises:
             RecipeError: a mixture, or a correction other than the mean field.
         """
-        if not any(kind.body is not None and kind.body.is_aligned for kind in kinds):
+        if not any(species.body is not None and species.body.is_aligned for species in all_species):
             return
-        if len(kinds) > 1:
-            key = "particle" if kinds[0].body is not None and kinds[0].body.is_aligned else "particle.second"
+        if len(all_species) > 1:
+            key = (
+                "particle" if all_species[0].body is not None and all_species[0].body.is_aligned else "particle.second"
+            )
             why = 'is not modelled in a mixture; write "averaged", or leave particle.second out'
             raise context.fail(f"{key}.orientation", "aligned", why)
         asked = self.model.correction
@@ -373,18 +375,18 @@ class MetasurfaceSpec(RecipeModel):
         return made.with_extrapolation("edge") if self.extrapolate == "edge" else made
 
     def _structure(
-        self, context: RecipeContext, kinds: tuple[Kind, ...], q_max: float
+        self, context: RecipeContext, all_species: tuple[Species, ...], q_max: float
     ) -> tuple[Structure, Arrangement | Pattern | None]:
         """Return the arrangement; in a mixture the larger species sets the least distance."""
-        mean_nm = mean_square_radius(kinds)  # defines the coverage
-        outer_nm = max(kind.outer_radius_nm for kind in kinds)  # defines overlaps
+        mean_nm = mean_square_radius(all_species)  # defines the coverage
+        outer_nm = max(species.outer_radius_nm for species in all_species)  # defines overlaps
         # circumscribing spheres must not overlap: multipoles diverge inside
-        reach_nm = max(kind.reach_nm for kind in kinds)
-        layer, kind = self.monolayer, self.monolayer.structure
-        if kind.points is not None:
-            pattern = points_pattern(context, kind.points, 2 * outer_nm, kind.width_um)
+        reach_nm = max(species.reach_nm for species in all_species)
+        layer, spec = self.monolayer, self.monolayer.structure
+        if spec.points is not None:
+            pattern = points_pattern(context, spec.points, 2 * outer_nm, spec.width_um)
             measured = points_structure(pattern, q_max)
-            self._clear(context, "monolayer.structure.points", kind.points, measured.diameter_nm, reach_nm)
+            self._clear(context, "monolayer.structure.points", spec.points, measured.diameter_nm, reach_nm)
             return measured, pattern
         if layer.coverage is not None:
             density = layer.coverage / (np.pi * mean_nm**2)
@@ -399,15 +401,19 @@ class MetasurfaceSpec(RecipeModel):
                 layer.density_per_um2 if layer.coverage is None else layer.coverage,
                 f"covers {coverage:.3g} of the area; it should be from {LEAST_COVERAGE:g} to {PACKING_LIMIT:g}",
             )
-        apart = 1.0 if kind.name == "lattice" else (reach_nm / outer_nm) ** 2
+        apart = 1.0 if spec.name == "lattice" else (reach_nm / outer_nm) ** 2
         packing = occupied * apart if layer.packing is None else layer.packing
         if packing < occupied * (1 - 1e-9):
-            floor = f"the coverage f = {coverage:.4g}" if len(kinds) == 1 else f"{occupied:.4g}, for the larger kind"
+            floor = (
+                f"the coverage f = {coverage:.4g}"
+                if len(all_species) == 1
+                else f"{occupied:.4g}, for the larger species"
+            )
             raise context.fail(
                 "monolayer.packing",
                 packing,
                 f"is below {floor}: the particles would overlap; it should be from "
-                f"{'f' if len(kinds) == 1 else f'{occupied:.4g}'} to {PACKING_LIMIT:g}",
+                f"{'f' if len(all_species) == 1 else f'{occupied:.4g}'} to {PACKING_LIMIT:g}",
             )
         if packing > PACKING_LIMIT:
             key = "monolayer.density_per_um2" if layer.coverage is None else "monolayer.coverage"
@@ -417,7 +423,7 @@ class MetasurfaceSpec(RecipeModel):
                 f"keeps the circumscribing spheres, {2 * reach_nm:.4g} nm wide, apart only at a packing of "
                 f"{packing:.3g}; at most {PACKING_LIMIT:g} can be made",
             )
-        if kind.name != "lattice":
+        if spec.name != "lattice":
             least = float(np.sqrt(4.0 * packing / (np.pi * density)))
             self._clear(context, "monolayer.packing", packing, least, reach_nm)
         reach_um = 1e-3 * float(np.sqrt(4.0 * packing / (np.pi * density)))
@@ -428,15 +434,15 @@ class MetasurfaceSpec(RecipeModel):
                 f"keeps particles {reach_um:.3g} um apart at this density; it should be at most "
                 f"{packing * (LARGEST_REACH_UM / reach_um) ** 2:.3g}, for {LARGEST_REACH_UM:g} um",
             )
-        if kind.sq is not None:
-            return sq_structure(context, kind.sq, float(density), packing, q_max), None
-        assert kind.name is not None  # StructureSpec requires one of name, points, sq
-        made = Arrangement(kind.name, float(density), packing, kind.seed, kind.lattice, kind.jitter)
-        if kind.name == "hard-disk":
+        if spec.sq is not None:
+            return sq_structure(context, spec.sq, float(density), packing, q_max), None
+        assert spec.name is not None  # StructureSpec requires one of name, points, sq
+        made = Arrangement(spec.name, float(density), packing, spec.seed, spec.lattice, spec.jitter)
+        if spec.name == "hard-disk":
             return hard_disk_structure(float(density), packing, q_max), made
-        if kind.name == "lattice":
+        if spec.name == "lattice":
             jittered = jittered_structure(context, made, 2 * outer_nm, q_max)
-            self._clear(context, "monolayer.structure.jitter", kind.jitter, jittered.diameter_nm, reach_nm)
+            self._clear(context, "monolayer.structure.jitter", spec.jitter, jittered.diameter_nm, reach_nm)
             return jittered, made
         return pattern_structure(context, made, q_max), made
 
@@ -496,7 +502,7 @@ def _check_clear(context: RecipeContext, medium: OpticalConstant, number: int) -
         )  # fmt: skip
 
 
-def held(context: RecipeContext, kinds: tuple[Kind, ...], host: int, layers: Layers) -> tuple[Kind, ...]:
+def held(context: RecipeContext, all_species: tuple[Species, ...], host: int, layers: Layers) -> tuple[Species, ...]:
     """Return the species with their gaps above the lower face of the layer.
 
     Raises:
@@ -505,18 +511,18 @@ def held(context: RecipeContext, kinds: tuple[Kind, ...], host: int, layers: Lay
     top = sum(thickness for _, thickness in layers[: host - 1])
     bottom = top + layers[host - 1][1]
     out = []
-    for kind in kinds:
-        assert kind.depth_nm is not None  # given for all species
-        gap = bottom - kind.depth_nm - kind.height_nm
-        largest = max(kind.sizes.radii_nm) - kind.mean_radius_nm
-        above = 0.0 if kind.body is None else kind.reach_nm - kind.height_nm / 2  # multipoles diverge inside
-        over = kind.depth_nm - top - above - (2 * largest if kind.body is None else 0.0)
-        if kind.depth_nm >= bottom - ROOM or min(over, gap - above) < -ROOM:
-            needs = "" if not above else f", or the sphere of radius {kind.reach_nm:.4g} nm around them"
+    for species in all_species:
+        assert species.depth_nm is not None  # given for all species
+        gap = bottom - species.depth_nm - species.height_nm
+        largest = max(species.sizes.radii_nm) - species.mean_radius_nm
+        above = 0.0 if species.body is None else species.reach_nm - species.height_nm / 2  # multipoles diverge inside
+        over = species.depth_nm - top - above - (2 * largest if species.body is None else 0.0)
+        if species.depth_nm >= bottom - ROOM or min(over, gap - above) < -ROOM:
+            needs = "" if not above else f", or the sphere of radius {species.reach_nm:.4g} nm around them"
             raise context.fail(
-                f"{kind.key}.depth_nm", kind.depth_nm,
-                f"puts particles {kind.height_nm:.4g} nm high{' and higher' if largest else ''} across a face of layer "
-                f"{host}, which lies {top:g} to {bottom:g} nm deep; it should hold them whole{needs}",
+                f"{species.key}.depth_nm", species.depth_nm,
+                f"puts particles {species.height_nm:.4g} nm high{' and higher' if largest else ''} across a face of "
+                f"layer {host}, which lies {top:g} to {bottom:g} nm deep; it should hold them whole{needs}",
             )  # fmt: skip
-        out.append(replace(kind, gap_nm=max(gap, 0.0)))
+        out.append(replace(species, gap_nm=max(gap, 0.0)))
     return tuple(out)

@@ -23,9 +23,11 @@ from nacre.families.metasurface.tmatrix.particle_on_stack import (
     ORDER_TOLERANCE,
     MultipoleConvergenceError,
     ParticleOnStack,
-    amplitude,
     choose_order,
     order_change,
+    pattern_change,
+    probe_pattern,
+    probes,
     rounded_up,
     wavenumber_cutoff,
 )
@@ -33,7 +35,6 @@ from nacre.families.metasurface.tmatrix.particle_shapes import Shell, Sizes, sph
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.indices.constant import OpticalConstant
 
-PROBED_LIGHT, PROBED_VIEWS = np.radians([0.0, 30.0, 60.0, 80.0]), np.radians(np.arange(5.0, 90.0, 12.0))
 GAP_STEPS = 16
 TOUCHES = 1e-9
 
@@ -71,7 +72,7 @@ def place(body: Body, surface: Substrate, gap_nm: float, order: int | None = Non
     less = replace(
         particle, cut=wavenumber_cutoff(particle.lmax, surface.wavenumber, body.circumscribing_nm, LOWER_CUT)
     )
-    return PlacedParticle(near, _difference(_pattern(surface, less), _pattern(surface, near)), True)
+    return PlacedParticle(near, pattern_change(_pattern(surface, less), _pattern(surface, near)), True)
 
 
 def smallest_converged_gap(
@@ -125,29 +126,17 @@ def _truncation(surface: Substrate, particle: Particle) -> float:
         _pattern(surface, replace(particle, t_matrix=truncated(particle.t_matrix, l)))
         for l in range(max(1, top - 2), top + 1)
     ]
-    last = _difference(patterns[-2], patterns[-1])
+    last = pattern_change(patterns[-2], patterns[-1])
     if len(patterns) < 3:
         return last
-    before = _difference(patterns[-3], patterns[-2])
+    before = pattern_change(patterns[-3], patterns[-2])
     return last * min(1.0, last / before) if before > 0 else last
 
 
 def _pattern(surface: Substrate, particle: Particle) -> Array:
-    """d sigma/d Omega at a few directions, `[pol_s, s, pol_i, i, phi]`."""
-    alone = ParticleOnStack(
-        surface, particle.centre_nm, particle.t_matrix, min(AZIMUTHAL_ORDERS, particle.lmax), particle.cut
-    )
-    fields: ComplexArray = amplitude(
-        alone.harmonics(alone.directions(np.cos(PROBED_VIEWS)), alone.directions(np.cos(PROBED_LIGHT))),
-        np.linspace(0.0, np.pi, 9),
-    )
-    return np.asarray(np.abs(fields) ** 2)
-
-
-def _difference(of: Array, to: Array) -> float:
-    """The largest relative L2 difference over the incidences."""
-    axes = (0, 1, 4)
-    return float(np.max(np.sqrt(np.sum((of - to) ** 2, axis=axes) / np.maximum(np.sum(to**2, axis=axes), 1e-300))))
+    mmax = min(AZIMUTHAL_ORDERS, particle.lmax)
+    alone = ParticleOnStack(surface, particle.centre_nm, particle.t_matrix, mmax, particle.cut)
+    return probe_pattern(alone.dressed, *probes(surface, particle.centre_nm, particle.lmax, mmax))
 
 
 logger = logging.getLogger("nacre")
@@ -162,7 +151,7 @@ NEAR = 0.1  # step of the logarithm of a length within which spheres share one m
 
 
 @dataclass(frozen=True, eq=False)
-class Kind:
+class Species:
     """One particle species.
 
     Attributes:
@@ -259,7 +248,7 @@ class MultipoleConvergence:
     unsettled: dict[float, float] = field(default_factory=dict)
     missing: dict[str, tuple[int, int, float]] = field(default_factory=dict)
 
-    def particles(self, kinds: tuple[Kind, ...], surface: Substrate) -> tuple[Particle, ...]:
+    def particles(self, all_species: tuple[Species, ...], surface: Substrate) -> tuple[Particle, ...]:
         """Return the particles above a stack, all with one multipole order.
 
         Raises:
@@ -267,20 +256,22 @@ class MultipoleConvergence:
             MaterialRangeError: an index is not known.
         """
         bodies = [
-            [] if kind.is_sphere else [self._body(kind, r, surface) for r in kind.sizes.radii_nm] for kind in kinds
+            [] if species.is_sphere else [self._body(species, r, surface) for r in species.sizes.radii_nm]
+            for species in all_species
         ]
-        orders = [self.sphere_order(kind, surface) for kind in kinds if kind.is_sphere]
+        orders = [self.sphere_order(species, surface) for species in all_species if species.is_sphere]
         top = max([p.lmax for row in bodies for p in row] + orders)
         out = []
-        for number, (kind, row) in enumerate(zip(kinds, bodies)):
-            above = kind.outer_radius_nm - kind.mean_radius_nm + kind.gap_nm
-            held = top if kind.body is None else min(top, kind.body.lmax)
+        for number, (species, row) in enumerate(zip(all_species, bodies)):
+            above = species.outer_radius_nm - species.mean_radius_nm + species.gap_nm
+            held = top if species.body is None else min(top, species.body.lmax)
             alone = row or [
-                Particle(1.0, radius + above, kind.t_matrix(held, surface, radius)) for radius in kind.sizes.radii_nm
+                Particle(1.0, radius + above, species.t_matrix(held, surface, radius))
+                for radius in species.sizes.radii_nm
             ]
             out += [
-                replace(p, share=kind.share * share, t_matrix=widened(p.t_matrix, top), kind=number)
-                for p, share in zip(alone, kind.sizes.shares)
+                replace(p, share=species.share * share, t_matrix=widened(p.t_matrix, top), species=number)
+                for p, share in zip(alone, species.sizes.shares)
             ]
         return tuple(out)
 
@@ -309,13 +300,13 @@ class MultipoleConvergence:
             found["multipoles"] = [{"held": h, "taken": t, "change": c} for h, t, c in self.missing.values()]
         return found
 
-    def _body(self, kind: Kind, radius_nm: float, surface: Substrate) -> Particle:
-        assert kind.body is not None
-        body = kind.body if len(kind.sizes.radii_nm) == 1 else kind.body.with_radius(radius_nm)
-        placed = place(body, surface, kind.gap_nm, self.order)
+    def _body(self, species: Species, radius_nm: float, surface: Substrate) -> Particle:
+        assert species.body is not None
+        body = species.body if len(species.sizes.radii_nm) == 1 else species.body.with_radius(radius_nm)
+        placed = place(body, surface, species.gap_nm, self.order)
         tolerance = self.tolerance or LOOSEST_TOLERANCE
         if placed.change > tolerance and (placed.is_near or self.order is None):
-            raise refuse(body, surface, kind.gap_nm, placed, tolerance, self.order, kind.key)
+            raise refuse(body, surface, species.gap_nm, placed, tolerance, self.order, species.key)
         self._note(surface, placed.change)
         return placed.particle
 
@@ -324,39 +315,39 @@ class MultipoleConvergence:
             at = surface.wavelength_nm
             self.unsettled[at] = max(change, self.unsettled.get(at, 0.0))
 
-    def sphere_order(self, kind: Kind, surface: Substrate) -> int:
+    def sphere_order(self, species: Species, surface: Substrate) -> int:
         """Return the multipole order of spheres at the wavelength of `surface`.
 
         Raises:
             MultipoleConvergenceError: no order is within the tolerance; the message names remedies.
         """
         if self.order is not None:
-            if kind.body is not None:
-                kind.body.check_order(self.order)
+            if species.body is not None:
+                species.body.check_order(self.order)
             return self.order
-        if isinstance(kind.body, TabulatedSphere):
-            return self._known_order(kind, kind.body, surface)
+        if isinstance(species.body, TabulatedSphere):
+            return self._known_order(species, species.body, surface)
         if self.memory is not None:
-            near = self._neighbourhood(kind, surface)
+            near = self._neighbourhood(species, surface)
             if near not in self.memory:
-                self.memory[near] = self._chosen_order(kind, surface)
+                self.memory[near] = self._chosen_order(species, surface)
             return int(self.memory[near])
-        return self._chosen_order(kind, surface)
+        return self._chosen_order(species, surface)
 
-    def _known_order(self, kind: Kind, sphere: TabulatedSphere, surface: Substrate) -> int:
+    def _known_order(self, species: Species, sphere: TabulatedSphere, surface: Substrate) -> int:
         """Return the order of a sphere from a file, limited by the file, and record missing multipoles.
 
         Raises:
             MultipoleConvergenceError, UnsupportedError: the file has too few, or no order converges.
         """
-        wanted, held = self._chosen_order(kind, surface), sphere.lmax
+        wanted, held = self._chosen_order(species, surface), sphere.lmax
         tolerance = self.tolerance or LOOSEST_TOLERANCE
         if not sphere.is_extended_by_mie:  # the order was chosen from the multipoles of the file
-            placed = place(sphere, surface, kind.gap_nm)
+            placed = place(sphere, surface, species.gap_nm)
             if 2 * wanted > held and placed.change > tolerance:
-                raise refuse(sphere, surface, kind.gap_nm, placed, tolerance, None, kind.key)
+                raise refuse(sphere, surface, species.gap_nm, placed, tolerance, None, species.key)
         elif wanted > held:
-            centre = kind.outer_radius_nm + kind.gap_nm
+            centre = species.outer_radius_nm + species.gap_nm
             change = order_change(surface, centre, lambda l: sphere.coefficients(l, surface), held, 2 * wanted)
             if change > tolerance:
                 raise UnsupportedError(
@@ -368,26 +359,26 @@ class MultipoleConvergence:
             self.missing[sphere.source] = held, max(wanted, most), max(change, worst)
         return min(wanted, held)
 
-    def _neighbourhood(self, kind: Kind, surface: Substrate) -> tuple[Any, ...]:
+    def _neighbourhood(self, species: Species, surface: Substrate) -> tuple[Any, ...]:
         """Return the cache key of the order: particle, media and first film thickness, to within a tenth."""
-        assert kind.core is not None  # known for spheres
+        assert species.core is not None  # known for spheres
         lam = np.array([surface.wavelength_nm])
-        inside = [kind.core, *([] if kind.shell is None else [kind.shell.material])]
-        near = 0.0 if self.first_film_nm is None else min(self.first_film_nm, kind.outer_radius_nm)
-        over = max(surface.inner_nm - kind.gap_nm - kind.height_nm, 0.0)  # to the upper face of the host layer
-        lengths = (*kind.sizes.radii_nm, kind.outer_radius_nm, 1.0 + kind.gap_nm + near, 1.0 + over)
+        inside = [species.core, *([] if species.shell is None else [species.shell.material])]
+        near = 0.0 if self.first_film_nm is None else min(self.first_film_nm, species.outer_radius_nm)
+        over = max(surface.inner_nm - species.gap_nm - species.height_nm, 0.0)  # to the upper face of the host layer
+        lengths = (*species.sizes.radii_nm, species.outer_radius_nm, 1.0 + species.gap_nm + near, 1.0 + over)
         steps = tuple(int(np.floor(np.log(length) / NEAR)) for length in lengths)
         return (
             surface.wavelength_nm, tuple(complex(m.n_complex(lam)[0]) for m in inside), tuple(surface.indices.tolist()),
             steps,
         )  # fmt: skip
 
-    def _chosen_order(self, kind: Kind, surface: Substrate) -> int:
-        centre = kind.outer_radius_nm + kind.gap_nm
+    def _chosen_order(self, species: Species, surface: Substrate) -> int:
+        centre = species.outer_radius_nm + species.gap_nm
         tolerance = ORDER_TOLERANCE if self.tolerance is None else self.tolerance
         try:
             return choose_order(
-                surface, centre, lambda lmax: kind.t_matrix(lmax, surface, kind.mean_radius_nm), tolerance
+                surface, centre, lambda lmax: species.t_matrix(lmax, surface, species.mean_radius_nm), tolerance
             )
         except MultipoleConvergenceError as refusal:
             if self.tolerance is None and refusal.change < UNASKED_TOLERANCE:
@@ -396,28 +387,28 @@ class MultipoleConvergence:
             accept = ""
             mend = (
                 'put 2 nm of native oxide (layers = [{material = "SiO2", thickness_nm = 2}]) and a gap_nm = 1 '
-                f"under it, or {self._remedy(kind, surface, tolerance)}"
+                f"under it, or {self._remedy(species, surface, tolerance)}"
             )
-            where = f"gap_nm = {kind.gap_nm:g}"
-            if kind.depth_nm is not None:
-                where, mend = f"depth_nm = {kind.depth_nm:g}", "leave some nm between it and the faces of its layer"
+            where = f"gap_nm = {species.gap_nm:g}"
+            if species.depth_nm is not None:
+                where, mend = f"depth_nm = {species.depth_nm:g}", "leave some nm between it and the faces of its layer"
             if refusal.change < LOOSEST_TOLERANCE:
                 accept = f", or accept model.tolerance = {rounded_up(refusal.change):g}"
             raise MultipoleConvergenceError(
-                f"{self.source}: {kind.key}.{where}: at {surface.wavelength_nm:g} nm {refusal}; {mend}{accept}",
+                f"{self.source}: {species.key}.{where}: at {surface.wavelength_nm:g} nm {refusal}; {mend}{accept}",
                 refusal.change,
                 refusal.order,
             ) from None
 
-    def _remedy(self, kind: Kind, surface: Substrate, tolerance: float) -> str:
+    def _remedy(self, species: Species, surface: Substrate, tolerance: float) -> str:
         """Return the smallest of some gaps that converges, in words; a typical one for many candidates."""
         if self.memory is not None:
             return f"a gap_nm of {USUAL_GAP_NM:g}"
-        for gap in (g for g in GAPS_NM if g > kind.gap_nm):
+        for gap in (g for g in GAPS_NM if g > species.gap_nm):
             with contextlib.suppress(MultipoleConvergenceError):
                 choose_order(
-                    surface, kind.outer_radius_nm + gap,
-                    lambda lmax: kind.t_matrix(lmax, surface, kind.mean_radius_nm), tolerance,
+                    surface, species.outer_radius_nm + gap,
+                    lambda lmax: species.t_matrix(lmax, surface, species.mean_radius_nm), tolerance,
                 )  # fmt: skip
                 return f"a gap_nm of {gap:g}"
         return f"a gap_nm of more than {GAPS_NM[-1]:g}"
@@ -435,9 +426,9 @@ def widened(t_matrix: ComplexArray, lmax: int) -> ComplexArray:
     return out
 
 
-def non_sphere_notes(kinds: tuple[Kind, ...]) -> dict[str, Any]:
+def non_sphere_notes(all_species: tuple[Species, ...]) -> dict[str, Any]:
     """Return Bsdf notes of non-spherical particles."""
-    bodies = [kind.body for kind in kinds if kind.body is not None]
+    bodies = [species.body for species in all_species if species.body is not None]
     stated = [body.estimated_error for body in bodies if body.estimated_error is not None]
     found: dict[str, Any] = {"t_matrix_error": float(f"{max(stated):.2g}")} if stated else {}
     turned = max((body.turn_loss for body in bodies), default=0.0)
@@ -446,18 +437,18 @@ def non_sphere_notes(kinds: tuple[Kind, ...]) -> dict[str, Any]:
     return found
 
 
-def rotation_warnings(kinds: tuple[Kind, ...]) -> list[str]:
+def rotation_warnings(all_species: tuple[Species, ...]) -> list[str]:
     """Return a warning for each species whose rotational average is used."""
     return [
-        f"{kind.body.source}: is not axisymmetric: the mean over its turn about the normal is taken, and "
-        f"{100 * kind.body.turn_loss:.2g} % of what it scatters, which depends on the turn, is left out; "
+        f"{species.body.source}: is not axisymmetric: the mean over its turn about the normal is taken, and "
+        f"{100 * species.body.turn_loss:.2g} % of what it scatters, which depends on the turn, is left out; "
         'orientation = "aligned" takes all of it, of particles that point one way'
-        for kind in kinds
-        if kind.body is not None and kind.body.turn_loss
+        for species in all_species
+        if species.body is not None and species.body.turn_loss
     ]
 
 
-def mean_square_radius(kinds: tuple[Kind, ...]) -> float:
+def mean_square_radius(all_species: tuple[Species, ...]) -> float:
     """Return the rms radius of all species in nm, which defines the coverage."""
-    squares: Array = np.array([kind.share * kind.outer_radius_nm**2 for kind in kinds])
+    squares: Array = np.array([species.share * species.outer_radius_nm**2 for species in all_species])
     return float(np.sqrt(squares.sum()))

@@ -31,8 +31,8 @@ from nacre.families.metasurface.monolayer.ensemble_ratio import (
 )
 from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer, Particle
 from nacre.families.metasurface.monolayer.qca import node_sines, node_weights
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix.axisymmetric import truncated
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
 
 WIDEST = np.radians(84.0)  # largest angle of incidence and view; the ratio extrapolates smoothly
@@ -168,7 +168,7 @@ class Ensemble:
         edges = np.cumsum([0, *(2 * c for c in counts)])
         wanted = blocks(layer.transmits_below)
         for view, _ in sides:
-            f = self.coupling.far_field(cell.xy_nm, solved, self.waves(view, True), cell.kinds)
+            f = self.coupling.far_field(cell.xy_nm, solved, self.waves(view, True), cell.species)
             for at, (_, light) in enumerate(sides):
                 part = f[:, edges[at] : edges[at + 1]].reshape(2, -1, 2, counts[at])
                 powers = np.abs(part).astype(float) ** 2
@@ -342,9 +342,11 @@ def same_order(layer: Monolayer, order: int, *particles: Particle) -> Monolayer:
 
 def middle_sizes(layer: Monolayer) -> tuple[Particle, ...]:
     """Return the middle particle size of each species, with the share of the species."""
-    kinds = [[p for p in layer.particles if p.kind == kind] for kind in sorted({p.kind for p in layer.particles})]
+    by_species = [
+        [p for p in layer.particles if p.species == number] for number in sorted({p.species for p in layer.particles})
+    ]
     return tuple(
-        dataclasses.replace(sizes[len(sizes) // 2], share=float(sum(p.share for p in sizes))) for sizes in kinds
+        dataclasses.replace(sizes[len(sizes) // 2], share=float(sum(p.share for p in sizes))) for sizes in by_species
     )
 
 
@@ -355,7 +357,7 @@ def _kind_factor(cell: Supercell, shares: Array, leaving: ComplexArray, arriving
     multiplies the mean square of their difference.
     """
     total = np.zeros((leaving.shape[1], arriving.shape[1]))
-    for kind, share in enumerate(shares):
-        amount = (species_numbers(cell.xy_nm, cell.kinds) == kind) - share
+    for number, share in enumerate(shares):
+        amount = (species_numbers(cell.xy_nm, cell.species) == number) - share
         total += np.abs((leaving * amount[:, None]).T @ arriving) ** 2
     return np.asarray(total / (len(cell.xy_nm) * np.sum(shares * (1.0 - shares))))

@@ -258,7 +258,7 @@ def _key(one: Ensemble, settings: EnsembleSettings) -> str:
     arrays = [surface.indices, surface.thicknesses_nm, *(p.t_matrix for p in particles)]
     arrays += [structure.q_per_nm, structure.s, structure.r_nm, structure.h]
     arrays += [cell.xy_nm for cell in one.supercells] + [cell.period.bloch for cell in one.supercells]
-    arrays += [cell.kinds for cell in one.supercells if cell.kinds is not None]
+    arrays += [cell.species for cell in one.supercells if cell.species is not None]
     for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
     numbers = [

@@ -19,15 +19,13 @@ from nacre.core.arrays import Array, ComplexArray
 from nacre.core.jit import compiled
 from nacre.families.metasurface.monolayer.monolayer import Particle
 from nacre.families.metasurface.monolayer.translation_sums import (
-    all_orders,
     direct_coefficients,
-    multipole_index,
     pair_orders,
     stack_contour,
     translation_coefficients,
-    with_negative_orders,
 )
-from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, ParticleOnStack
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, spread_blocks, with_negative_orders
+from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack
 from nacre.families.metasurface.tmatrix.special_functions import (
     bessel_j,
     legendre,
@@ -166,14 +164,14 @@ class Coupling:
         """
         particles, order = (particle, *others), particle.lmax
         alone = [ParticleOnStack(surface, p.centre_nm, p.t_matrix, order, p.cut) for p in particles]
-        dressed = np.stack([all_orders(sphere.dressed, order) for sphere in alone])
+        dressed = np.stack([spread_blocks(sphere.dressed, multipole_index(order)) for sphere in alone])
         k = surface.inner_wavenumber
         start = max(k * nearest_nm - 2 * STEP, STEP)
         count = int(np.ceil((k * farthest_nm - start) / STEP)) + 4
         distances = np.asarray(start + STEP * np.arange(count), dtype=np.float64)
         share = window(distances / (k * farthest_nm)) if fades else np.ones(count)
-        kinds, size = len(particles), dressed.shape[-1]
-        table = np.empty((kinds, kinds, count, size, size), dtype=np.complex64)
+        species, size = len(particles), dressed.shape[-1]
+        table = np.empty((species, species, count, size, size), dtype=np.complex64)
         by_heights: dict[tuple[float, float], ComplexArray] = {}
         for i, target in enumerate(particles):
             for j, source in enumerate(particles):
@@ -186,12 +184,12 @@ class Coupling:
         centres_nm = np.array([particle.centre_nm for particle in particles])
         return cls(surface, order, centres_nm, start, STEP, table, dressed)
 
-    def matrix(self, xy_nm: Array, period: Period | None = None, kinds: IntArray | None = None) -> SingleComplex:
+    def matrix(self, xy_nm: Array, period: Period | None = None, species: IntArray | None = None) -> SingleComplex:
         """Return 1 - M W of a pattern, `[sphere x n, sphere x n]`, in column order for LAPACK.
 
         Args:
             period: of a periodic pattern; includes every image within the table.
-            kinds: species number of each particle; default 0.
+            species: species number of each particle; default 0.
         """
         index = multipole_index(self.order)
         size = len(xy_nm) * len(index.m)
@@ -202,37 +200,37 @@ class Coupling:
             far = self.start + self.step * (self.table.shape[2] - 4)
             side, shift = period.side_nm * k, period.bloch * period.side_nm
             images = int(np.ceil(far / side))
-        which = species_numbers(xy_nm, kinds)
+        which = species_numbers(xy_nm, species)
         _fill(xy_nm * k, which, self.start, self.step, self.table, index.m, side, shift, far, images, turned)
         return turned.T
 
-    def excitations(self, xy_nm: Array, waves: PlaneWaves, kinds: IntArray | None = None) -> SingleComplex:
+    def excitations(self, xy_nm: Array, waves: PlaneWaves, species: IntArray | None = None) -> SingleComplex:
         """Return M a of plane waves, `[sphere, n, wave]`, polarisation before direction."""
         answered = np.matmul(self.dressed, waves.excitation)
-        return np.asarray(answered[species_numbers(xy_nm, kinds)] * waves.phases(xy_nm)[:, None], dtype=np.complex64)
+        return np.asarray(answered[species_numbers(xy_nm, species)] * waves.phases(xy_nm)[:, None], dtype=np.complex64)
 
     def solve(
-        self, xy_nm: Array, waves: PlaneWaves, kinds: IntArray | None = None, matrix: SingleComplex | None = None
+        self, xy_nm: Array, waves: PlaneWaves, species: IntArray | None = None, matrix: SingleComplex | None = None
     ) -> SingleComplex:
         """Return the multipoles of every particle, `[sphere, n, wave]`.
 
         Args:
-            kinds: species number of each particle; default 0.
+            species: species number of each particle; default 0.
             matrix: coupling matrix, overwritten; default `matrix` of the pattern.
         """
-        right = self.excitations(xy_nm, waves, kinds)
+        right = self.excitations(xy_nm, waves, species)
         if matrix is None:
-            matrix = self.matrix(xy_nm, None, kinds)
+            matrix = self.matrix(xy_nm, None, species)
         factors, pivots, _ = cgetrf(matrix, overwrite_a=True)
         found, _ = cgetrs(factors, pivots, right.reshape(-1, right.shape[-1]))
         return np.asarray(found.reshape(right.shape))
 
     def far_field(
-        self, xy_nm: Array, multipoles: SingleComplex, waves: PlaneWaves, kinds: IntArray | None = None
+        self, xy_nm: Array, multipoles: SingleComplex, waves: PlaneWaves, species: IntArray | None = None
     ) -> SingleComplex:
         """Return F towards the directions of `waves`, `[direction, wave of multipoles]`, nm."""
         phases = waves.phases(xy_nm).conj() / self.surface.inner_wavenumber  # sphere, direction
-        rows = (waves.emission[species_numbers(xy_nm, kinds)] * phases[:, None]).astype(np.complex64)
+        rows = (waves.emission[species_numbers(xy_nm, species)] * phases[:, None]).astype(np.complex64)
         return np.asarray(rows.reshape(-1, rows.shape[-1]).T @ multipoles.reshape(-1, multipoles.shape[-1]))
 
 
@@ -251,23 +249,6 @@ class PlaneWaves:
     wavevectors: Array
 
     @classmethod
-    def build(
-        cls, directions: Directions, azimuths: Array, order: int, wavenumber: float, *others: Directions
-    ) -> PlaneWaves:
-        """Rotate the vectors to each azimuth; `others` belong to the other species of a mixture."""
-        kinds = (directions, *others)
-        index = multipole_index(order)
-        turn = np.exp(1j * index.m[:, None] * azimuths)  # n, azimuth
-        parts = []
-        for name, phase in (("excitation", turn.conj()), ("emission", turn)):
-            spread = np.stack([with_negative_orders(getattr(one, name), index) for one in kinds])  # kind, pol, n, angle
-            whole = spread[..., None] * phase[None, None, :, None]
-            parts.append(np.moveaxis(whole, 2, 1).reshape(len(kinds), len(index.m), -1))
-        along = np.stack([np.cos(azimuths), np.sin(azimuths)], axis=-1)
-        flat = (wavenumber * directions.transverse[:, None, None] * along).reshape(-1, 2)
-        return cls(parts[0], parts[1], np.concatenate([flat, flat]))
-
-    @classmethod
     def of(cls, parts: list[PlaneWaves]) -> PlaneWaves:
         """Concatenate waves."""
         return cls(
@@ -281,13 +262,13 @@ class PlaneWaves:
         return np.asarray(np.exp(1j * (xy_nm @ self.wavevectors.T)))
 
 
-def species_numbers(xy_nm: Array, kinds: IntArray | None) -> IntArray:
-    """Return `kinds`, or zeros."""
-    return np.zeros(len(xy_nm), dtype=np.intp) if kinds is None else kinds
+def species_numbers(xy_nm: Array, species: IntArray | None) -> IntArray:
+    """Return `species`, or zeros."""
+    return np.zeros(len(xy_nm), dtype=np.intp) if species is None else species
 
 
 @compiled(nogil=True, fastmath=True)
-def _fill(xy, kinds, start, step, tables, m, side, shift, far, images, turned):  # type: ignore[no-untyped-def]  # numba
+def _fill(xy, species, start, step, tables, m, side, shift, far, images, turned):  # type: ignore[no-untyped-def]  # numba
     count, size = xy.shape[0], m.size
     top = 0
     for a in range(size):
@@ -297,7 +278,7 @@ def _fill(xy, kinds, start, step, tables, m, side, shift, far, images, turned): 
         for a in range(size):
             turned[j * size + a, j * size + a] = 1.0
         for k in range(count):
-            table = tables[kinds[j], kinds[k]]
+            table = tables[species[j], species[k]]
             for nx in range(-images, images + 1):
                 for ny in range(-images, images + 1):
                     if j == k and nx == 0 and ny == 0:

@@ -35,11 +35,11 @@ from nacre.families.metasurface.monolayer.qca import NeighbourTable, barycentric
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.monolayer.translation_sums import (
     folded,
-    multipole_index,
     pair_orders,
     translation_coefficients,
     unfolded,
 )
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
 from nacre.families.metasurface.tmatrix.special_functions import legendre
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 
@@ -56,13 +56,13 @@ class Supercell:
         xy_nm: positions, `[sphere, 2]`.
         period: its period.
         seed: for random choices in it.
-        kinds: species number of each particle, `[sphere]`; None for one species.
+        species: species number of each particle, `[sphere]`; None for one species.
     """
 
     xy_nm: Array
     period: Period
     seed: int
-    kinds: IntArray | None = None
+    species: IntArray | None = None
 
 
 def supercells(
@@ -106,7 +106,7 @@ def with_species(patterns: list[Supercell], shares: Array, seed: int) -> list[Su
     counts = [len(one.xy_nm) for one in patterns]
     drawn = draw_species(sum(counts), shares, np.random.default_rng((seed, len(counts), 1)))
     parts = np.split(drawn, np.cumsum(counts)[:-1])
-    return [dataclasses.replace(one, kinds=part) for one, part in zip(patterns, parts)]
+    return [dataclasses.replace(one, species=part) for one, part in zip(patterns, parts)]
 
 
 def draw_species(count: int, shares: Array, rng: np.random.Generator) -> IntArray:
@@ -248,8 +248,8 @@ class PeriodicCoupling:
 
     def matrix(self, cell: Supercell) -> SingleComplex:
         """Return 1 - M W of a pattern and all its images, `[sphere x n, sphere x n]`, in column order."""
-        xy, period, kinds = cell.xy_nm, cell.period, species_numbers(cell.xy_nm, cell.kinds)
-        out = self.coupling.matrix(xy, period, kinds).T  # rows: source and its multipole
+        xy, period, species = cell.xy_nm, cell.period, species_numbers(cell.xy_nm, cell.species)
+        out = self.coupling.matrix(xy, period, species).T  # rows: source and its multipole
         waves = orders(period, self.largest * self.coupling.surface.inner_wavenumber)
         couples = self.beyond(waves) / period.side_nm**2
         heard = np.abs(couples).max(axis=(0, 1, 3, 4)) > QUIET
@@ -260,16 +260,16 @@ class PeriodicCoupling:
         )
         phases = np.exp(1j * (xy @ waves.T)).astype(np.complex64)
         blocks = out.reshape(len(xy), size, len(xy), size)
-        members = [(kind, np.nonzero(kinds == kind)[0]) for kind in np.unique(kinds)]
+        members = [(number, np.nonzero(species == number)[0]) for number in np.unique(species)]
         for k in range(len(xy)):
-            for kind, rows in members:
-                added = (phases[rows] * phases[k].conj()) @ flat[kind, kinds[k]]  # target, (source n, target n)
+            for number, rows in members:
+                added = (phases[rows] * phases[k].conj()) @ flat[number, species[k]]  # target, (source n, target n)
                 blocks[k][:, rows] -= np.moveaxis(added.reshape(len(rows), size, size), 0, 1)
         return out.T
 
     def solve(self, cell: Supercell, waves: PlaneWaves) -> SingleComplex:
         """Return the multipoles of every particle, `[sphere, n, wave]`."""
-        return self.coupling.solve(cell.xy_nm, waves, cell.kinds, self.matrix(cell))
+        return self.coupling.solve(cell.xy_nm, waves, cell.species, self.matrix(cell))
 
 
 def translation_order(order: int, step: float) -> int:

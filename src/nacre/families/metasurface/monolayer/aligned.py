@@ -48,15 +48,15 @@ from nacre.families.metasurface.monolayer.evaluation import (
 from nacre.families.metasurface.monolayer.monolayer import Monolayer
 from nacre.families.metasurface.monolayer.qca import neighbour_sums_at
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.monolayer.translation_sums import (
+from nacre.families.metasurface.monolayer.translation_sums import unfolded
+from nacre.families.metasurface.tmatrix.full_tmatrix import (
     MultipoleIndex,
     multipole_index,
-    unfolded,
+    spread_blocks,
+    truncated_full,
+    truncated_index,
     with_negative_orders,
 )
-from nacre.families.metasurface.species import Kind
-from nacre.families.metasurface.tmatrix.axisymmetric import TabulatedBody
-from nacre.families.metasurface.tmatrix.full_tmatrix import spread, truncated_full, truncated_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, dressed_matrix, hemisphere_rule
 
 
@@ -102,7 +102,7 @@ class AlignedLayer:
         """M = (T^-1 - W)^-1 of the particle above its stack, `[n, n']`."""
         index, kept = self._kept
         t = truncated_full(self.whole, index.order)[kept[:, None], kept]
-        return np.asarray(dressed_matrix(t[None], spread(self.mean.spheres[0].coupling, index)[None])[0])
+        return np.asarray(dressed_matrix(t[None], spread_blocks(self.mean.spheres[0].coupling, index)[None])[0])
 
     @cached_property
     def _exchanged(self) -> tuple[int, NDArray[np.intp]]:
@@ -333,6 +333,7 @@ def _factors(flow: Array, totals: Array, weights: Array, is_below: NDArray[np.bo
     return out.reshape(size, 2, count, 2)
 
 
+NO_ENSEMBLE = "aligned particles have no ensemble, so the error of their mean field is not measured"
 SPECULAR_STEPS = 72  # azimuths of the specular tables; interpolation has an error of 0.4 % of the variation
 LEFT_OUT = 5e-4  # relative rms of all omitted Fourier terms of f
 MOST_TERMS = 48
@@ -560,44 +561,3 @@ def _sent(layer: AlignedLayer, lit: AlignedIllumination, wave: float, mu: Array,
     return np.asarray(
         density * leaving.index * step * np.einsum("s,qbspi,sib->pi", weights, power, s) / lit.directions.cosines
     )
-
-
-NO_ENSEMBLE = "aligned particles have no ensemble, so the error of their mean field is not measured"
-
-
-def aligned_lobes(
-    kind: Kind, wavelengths_nm: Array, monolayer: Callable[[float], Monolayer], structure: Structure, grids: Grids,
-    eta: float,
-) -> tuple[tuple[Lobe, ...], float]:  # fmt: skip
-    """Solve all wavelengths for aligned particles; see `tabulate`."""
-    body = _body(kind)
-
-    def layer(wavelength_nm: float) -> AlignedLayer:
-        return AlignedLayer(monolayer(wavelength_nm), body.full_t_matrix(wavelength_nm))
-
-    return tabulate_aligned(wavelengths_nm, layer, structure, aligned_grids(grids), eta, body.turn_rad)
-
-
-def powers_of_aligned(kind: Kind, layer: Monolayer, cosines: Array) -> tuple[Array, Array, Array, Array]:
-    """Return specular R and T, diffuse R and T for light from above in the plane of x and z, each `[pol, angle]`.
-
-    Args:
-        kind: the particles.
-        layer: of their rotational average.
-        cosines: `[angle]`, of incidence, > 0.
-    """
-    body = _body(kind)
-    whole = AlignedLayer(layer, body.full_t_matrix(layer.surface.wavelength_nm))
-    return aligned_powers(whole, cosines, -body.turn_rad)
-
-
-def values_of_aligned(kind: Kind, layer: Monolayer, wi: Array, wo: Array) -> Array:
-    """Return the diffuse values of a few pairs of directions above, `[pair]`; see `powers_of_aligned`."""
-    body = _body(kind)
-    whole = AlignedLayer(layer, body.full_t_matrix(layer.surface.wavelength_nm))
-    return aligned_values(whole, wi, wo, body.turn_rad)
-
-
-def _body(kind: Kind) -> TabulatedBody:
-    assert isinstance(kind.body, TabulatedBody)  # only tabulated bodies are aligned
-    return kind.body

@@ -19,13 +19,13 @@ from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.monolayer import Harmonic, PolarGrid, pack_triangle
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.response import InterfaceResponse
-from nacre.core.arrays import Array, ComplexArray
+from nacre.core.arrays import Array
 from nacre.core.parallel import in_threads
 from nacre.families.metasurface.monolayer.diffuse import HARMONICS as HARMONICS_few
 from nacre.families.metasurface.monolayer.diffuse import DiffuseTerm, diffuse_term
 from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
+from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, amplitude, hemisphere_rule
 
 HARMONICS = 8  # harmonics in the tables; higher ones are below 0.3 % of the largest value
 LOW_OPAQUE = 48  # angles above a thin opaque structure
@@ -302,7 +302,7 @@ def _sent(layer: Monolayer, lit: Illumination, mu: Array, weights: Array, below:
     fields = layer.fields([d.emission for d in leaving], lit.response)  # size, m, q, s, p, i
     phi, step = _azimuths(fields.shape[1])
     s_weights = _structure_weights(layer, leaving[0], lit.directions[0], phi, step)
-    far = np.stack([_far_field(one, phi) for one in fields])  # size, q, s, p, i, phi
+    far = np.stack([amplitude(one, phi) for one in fields])  # size, q, s, p, i, phi
     shares = layer.shares.reshape(-1, *([1] * 5))
     mean = np.abs((shares * far).sum(axis=0)) ** 2
     power = np.einsum("qspij,sij->spi", mean, s_weights)
@@ -321,17 +321,6 @@ def _azimuths(orders: int) -> tuple[Array, Array]:
     weights = np.full(count + 1, 2.0 * np.pi / count)
     weights[[0, -1]] *= 0.5
     return phi, weights
-
-
-def _far_field(harmonics: ComplexArray, phi: Array) -> ComplexArray:
-    """Return F up to the phase i of the crossed parts, `[q, s, p, i, phi]`, from harmonics `[m, q, s, p, i]`."""
-    m = np.arange(len(harmonics))[:, None]
-    moved = np.moveaxis(harmonics, 0, -1)
-    out = np.empty((*moved.shape[:-1], phi.size), dtype=complex)
-    for q in range(2):
-        for p in range(2):
-            out[q, :, p] = moved[q, :, p] @ (np.cos(m * phi) if q == p else np.sin(m * phi))
-    return out
 
 
 def _structure_weights(layer: Monolayer, out: Directions, into: Directions, phi: Array, step: Array) -> Array:

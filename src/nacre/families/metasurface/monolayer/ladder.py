@@ -23,12 +23,8 @@ from scipy.fft import fft, ifft, rfft
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.monolayer.translation_sums import (
-    multipole_index,
-    neighbour_sums,
-    plane_wave_sums,
-    unfolded,
-)
+from nacre.families.metasurface.monolayer.translation_sums import neighbour_sums, plane_wave_sums, unfolded
+from nacre.families.metasurface.tmatrix.full_tmatrix import full_order, multipole_index
 from nacre.families.metasurface.tmatrix.substrate import LOSSLESS_K, Substrate
 
 NAME = "qca-ladder"
@@ -53,7 +49,7 @@ class Modes:
         weights: of int d^2kappa / (2 pi)^2 / rho over modes of one azimuth, `[mode]`.
         back: reflection by the neighbours, `[n, n']`, added to that of the stack.
         step: G = D - 1, `[mode, n, n']`.
-        unlike: M_j over the mean M, `[kind, n, n']`; empty for equal particles.
+        unlike: M_j over the mean M, `[species, n, n']`; empty for equal particles.
         shares: number fractions of the species.
         azimuths: number of azimuths.
     """
@@ -76,7 +72,7 @@ class Modes:
 
         Args:
             centre_nm: mean centre height.
-            alone: M of each species without its neighbours, over all m, `[kind, n, n']`, of order `ORDER` or less.
+            alone: M of each species without its neighbours, over all m, `[species, n, n']`, of order `ORDER` or less.
         """
         k, rho = surface.inner_wavenumber, structure.density_per_nm2
         order = full_order(alone)
@@ -111,7 +107,7 @@ class Modes:
         """Return the power of all multiply scattered light per particle, nm^2/sr.
 
         Args:
-            met: b, the response to each incident wave, `[kind, n, light]`.
+            met: b, the response to each incident wave, `[species, n, light]`.
             kappa_i: of the incident waves, over k.
             leaving: u D, `[pol, n, view]`.
             kappa_s: of the views.
@@ -210,11 +206,6 @@ def check(correction: str, surface: Substrate, structure: Structure, source: str
         why = f"is not modelled for orders whose S peaks above {HIGHEST_PEAK:g}; here it is {sharpest:.3g}"
     if why:
         raise UnsupportedError(f'{source}: model.correction = "{NAME}" {why}; take another correction')
-
-
-def full_order(matrix: ComplexArray) -> int:
-    """Return the multipole order of matrices over all m, `[..., n, n']`, of 2 L (L + 2) multipoles."""
-    return int(round(np.sqrt(matrix.shape[-1] / 2 + 1))) - 1
 
 
 def _mixed(between: Array, sent: ComplexArray) -> ComplexArray:

@@ -26,8 +26,8 @@ from nacre.families.metasurface.monolayer.qca import (
     neighbour_sums_at,
 )
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.monolayer.translation_sums import all_orders, azimuthal_blocks
 from nacre.families.metasurface.tmatrix.axisymmetric import multipole_order
+from nacre.families.metasurface.tmatrix.full_tmatrix import azimuthal_blocks, multipole_index, spread_blocks
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     Directions,
     ParticleOnStack,
@@ -112,14 +112,14 @@ class Particle:
         centre_nm: centre height above the stack.
         t_matrix: diagonal, `[n]`, or the blocks of an axisymmetric particle, `[m, n, n']`.
         cut: in-plane wavenumber over k that truncates the coupling with the stack, or None.
-        kind: number of its species in a mixture.
+        species: number of its species in a mixture.
     """
 
     share: float
     centre_nm: float
     t_matrix: ComplexArray
     cut: float | None = None
-    kind: int = 0
+    species: int = 0
 
     @property
     def lmax(self) -> int:
@@ -206,7 +206,7 @@ class Monolayer:
     def modes(self) -> Modes:
         """The modes of the ladder."""
         order = min(LADDER_ORDER, *(s.lmax for s in self._alone))
-        alone = np.stack([all_orders(s.dressed, order) for s in self._alone])
+        alone = np.stack([spread_blocks(s.dressed, multipole_index(order)) for s in self._alone])
         return Modes.build(self.surface, self.mean_centre_nm, self.structure, alone, self.shares)
 
     @cached_property

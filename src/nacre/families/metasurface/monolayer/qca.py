@@ -12,12 +12,8 @@ import numpy as np
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.monolayer.translation_sums import (
-    half_index,
-    multipole_index,
-    neighbour_sums,
-    plane_wave_sums,
-)
+from nacre.families.metasurface.monolayer.translation_sums import half_index, neighbour_sums, plane_wave_sums
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 

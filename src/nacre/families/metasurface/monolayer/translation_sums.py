@@ -18,6 +18,7 @@ from scipy.special import jv
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.families.metasurface.monolayer.structure import Structure
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix.special_functions import (
     adjoint,
     bessel_j,
@@ -35,64 +36,6 @@ CONTOUR_DEPTH = 0.3  # contour depth below guided modes, in k; the growth e^{0.3
 SILENT, NEAR_START = 46.0, 1e-19  # exponent and ray distance below which terms are lost to rounding
 ALONG_THE_NORMAL = 1e-9  # in-plane wavevectors below this, over k, count as 0
 EXCESS_FLOOR = 2e-3  # |g - 1| below which distances count as uncorrelated
-
-
-@dataclass(frozen=True)
-class MultipoleIndex:
-    """Flat index of multipoles up to order L: arrays `[n]` of m, tau and l."""
-
-    order: int
-    m: IntArray
-    tau: IntArray
-    l: IntArray
-
-    @property
-    def block(self) -> IntArray:
-        """Position on the (tau, l) axis of `plane_wave_vectors`."""
-        return self.tau * self.order + self.l - 1
-
-
-@lru_cache(maxsize=8)
-def multipole_index(order: int) -> MultipoleIndex:
-    """Return the index of all (m, tau, l) with |m| <= l <= order."""
-    rows = [(m, tau, l) for m in range(-order, order + 1) for tau in range(2) for l in range(max(1, abs(m)), order + 1)]
-    m, tau, l = np.array(rows, dtype=np.intp).T
-    return MultipoleIndex(order, m, tau, l)
-
-
-def with_negative_orders(vectors: ComplexArray, index: MultipoleIndex) -> ComplexArray:
-    """Expand `[m >= 0, pol, (tau, l), ...]` to all m: `[pol, n, ...]`.
-
-    m -> -m changes the sign of the m pi functions, those with tau != pol.
-    """
-    picked = vectors[np.abs(index.m), :, index.block]  # advanced indices lead: [n, pol, ...]
-    flips = (index.m[:, None] < 0) & (index.tau[:, None] != np.arange(2))
-    sign = np.where(flips, -1.0, 1.0).reshape(len(index.m), 2, *([1] * (vectors.ndim - 3)))
-    return np.moveaxis(picked * sign, 0, 1)
-
-
-def all_orders(blocks: ComplexArray, order: int) -> ComplexArray:
-    """Expand blocks `[m >= 0, (tau, l), (tau, l)']` of any order to all m up to `order`: `[n, n']`.
-
-    m -> -m changes the sign of couplings between both tau.
-    """
-    index = multipole_index(order)
-    rows = index.tau * (blocks.shape[1] // 2) + index.l - 1
-    sign = np.where((index.m[:, None] < 0) & (index.tau[:, None] != index.tau), -1.0, 1.0)
-    same = index.m[:, None] == index.m
-    return np.asarray(np.where(same, blocks[np.abs(index.m)[:, None], rows[:, None], rows] * sign, 0.0))
-
-
-def azimuthal_blocks(matrix: ComplexArray, lmax: int, mmax: int) -> ComplexArray:
-    """Return the blocks `[m, (tau, l), (tau, l)']` of an `[n, n']` of any order, zero beyond it; see `all_orders`."""
-    order = round(np.sqrt(matrix.shape[-1] / 2 + 1)) - 1
-    index = multipole_index(order)
-    rows = index.tau * lmax + index.l - 1
-    out = np.zeros((mmax + 1, 2 * lmax, 2 * lmax), dtype=complex)
-    for m in range(min(order, mmax) + 1):
-        here = index.m == m
-        out[m, rows[here][:, None], rows[here]] = matrix[here][:, here]
-    return out
 
 
 @dataclass(frozen=True)

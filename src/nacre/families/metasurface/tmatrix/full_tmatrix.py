@@ -6,17 +6,65 @@ Multipoles are n = (m, tau, l) with m from -L to L, in the order of `multipole_i
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.arrays import ComplexArray
-from nacre.families.metasurface.monolayer.translation_sums import MultipoleIndex, multipole_index
+
+IntArray = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class MultipoleIndex:
+    """Flat index of multipoles up to order L: arrays `[n]` of m, tau and l."""
+
+    order: int
+    m: IntArray
+    tau: IntArray
+    l: IntArray
+
+    @property
+    def block(self) -> IntArray:
+        """Position on the (tau, l) axis of `plane_wave_vectors`."""
+        return self.tau * self.order + self.l - 1
+
+
+@lru_cache(maxsize=8)
+def multipole_index(order: int) -> MultipoleIndex:
+    """Return the index of all (m, tau, l) with |m| <= l <= order."""
+    rows = [(m, tau, l) for m in range(-order, order + 1) for tau in range(2) for l in range(max(1, abs(m)), order + 1)]
+    m, tau, l = np.array(rows, dtype=np.intp).T
+    return MultipoleIndex(order, m, tau, l)
+
+
+def with_negative_orders(vectors: ComplexArray, index: MultipoleIndex) -> ComplexArray:
+    """Expand `[m >= 0, pol, (tau, l), ...]` to all m: `[pol, n, ...]`.
+
+    m -> -m changes the sign of the m pi functions, those with tau != pol.
+    """
+    picked = vectors[np.abs(index.m), :, index.block]  # advanced indices lead: [n, pol, ...]
+    flips = (index.m[:, None] < 0) & (index.tau[:, None] != np.arange(2))
+    sign = np.where(flips, -1.0, 1.0).reshape(len(index.m), 2, *([1] * (vectors.ndim - 3)))
+    return np.moveaxis(picked * sign, 0, 1)
+
+
+def azimuthal_blocks(matrix: ComplexArray, lmax: int, mmax: int) -> ComplexArray:
+    """Return the blocks `[m, (tau, l), (tau, l)']` of an `[n, n']`, zero beyond its order; see `spread_blocks`."""
+    order = full_order(matrix)
+    index = multipole_index(order)
+    rows = index.tau * lmax + index.l - 1
+    out = np.zeros((mmax + 1, 2 * lmax, 2 * lmax), dtype=complex)
+    for m in range(min(order, mmax) + 1):
+        here = index.m == m
+        out[m, rows[here][:, None], rows[here]] = matrix[here][:, here]
+    return out
 
 
 @lru_cache(maxsize=32)
-def truncated_index(lmax: int, mmax: int) -> tuple[MultipoleIndex, NDArray[np.intp]]:
+def truncated_index(lmax: int, mmax: int) -> tuple[MultipoleIndex, IntArray]:
     """Return the multipoles up to `lmax` with |m| <= `mmax`, and their places among all up to `lmax`."""
     every = multipole_index(lmax)
     kept = np.nonzero(np.abs(every.m) <= mmax)[0]
@@ -34,7 +82,7 @@ def truncated_full(matrix: ComplexArray, lmax: int) -> ComplexArray:
     return np.asarray(matrix[kept[:, None], kept])
 
 
-def spread(blocks: ComplexArray, index: MultipoleIndex) -> ComplexArray:
+def spread_blocks(blocks: ComplexArray, index: MultipoleIndex) -> ComplexArray:
     """Return blocks `[m >= 0, (tau, l), (tau, l)']` of an axisymmetric operator over the multipoles of `index`."""
     rows = index.tau * (blocks.shape[1] // 2) + index.l - 1
     sign = np.where((index.m[:, None] < 0) & (index.tau[:, None] != index.tau), -1.0, 1.0)

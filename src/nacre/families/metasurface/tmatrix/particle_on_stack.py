@@ -146,30 +146,6 @@ def dressed_matrix(t_matrix: ComplexArray, w_blocks: ComplexArray) -> ComplexArr
 
 
 @dataclass(frozen=True)
-class CrossSections:
-    """Cross-sections in nm^2 for one incidence, `[pol, ...]`.
-
-    `extinction_reflected` and `extinction_transmitted` are the powers removed from the reflected and the transmitted
-    beam per incident irradiance; their sum is the scattered and absorbed power.
-    """
-
-    extinction_reflected: Array
-    extinction_transmitted: Array
-    scattered_up: Array
-    scattered_down: Array
-
-    @property
-    def extinction(self) -> Array:
-        """Power removed from both beams."""
-        return self.extinction_reflected + self.extinction_transmitted
-
-    @property
-    def absorption(self) -> Array:
-        """Extinction minus scattering; includes the power entering an absorbing or guiding stack."""
-        return self.extinction - self.scattered_up - self.scattered_down
-
-
-@dataclass(frozen=True)
 class ParticleOnStack:
     """An axisymmetric particle above a stack at one wavelength.
 
@@ -329,13 +305,6 @@ def amplitude(harmonics: ComplexArray, dphi_rad: ArrayLike) -> ComplexArray:
     return out
 
 
-def _azimuth_integral(harmonics: ComplexArray) -> Array:
-    """int_0^2pi |F|^2 dphi from harmonics, `[pol_s, scattered, pol_i, incident]`."""
-    power = np.abs(harmonics) ** 2
-    same = np.eye(2)[:, None, :, None]
-    return 2 * np.pi * power[0] * same + np.pi * np.sum(power[1:], axis=0)
-
-
 def beam_extinction(
     harmonics: ComplexArray, beam: ComplexArray, wavenumber: float, incident_index: float = 1.0
 ) -> Array:
@@ -352,7 +321,7 @@ def beam_extinction(
     return -4 * np.pi / (wavenumber * incident_index) * (beam.conj() * forward).real
 
 
-def _beam_parts(sphere: ParticleOnStack, incident: Directions) -> tuple[Array, Array]:
+def beam_extinctions(sphere: ParticleOnStack, incident: Directions) -> tuple[Array, Array]:
     """Extinction of the reflected and the transmitted beam, `[pol, angle]`."""
     k, inner, index = sphere.surface.wavenumber, sphere.surface.inner_wavenumber, incident.index
     solved = apply_response(sphere.dressed, incident.excitation)
@@ -378,30 +347,8 @@ def _beam_parts(sphere: ParticleOnStack, incident: Directions) -> tuple[Array, A
 
 def extinction(sphere: ParticleOnStack, incident: Directions) -> Array:
     """Power removed from both coherent beams per incident irradiance, nm^2, `[pol, angle]`."""
-    reflected, transmitted = _beam_parts(sphere, incident)
+    reflected, transmitted = beam_extinctions(sphere, incident)
     return reflected + transmitted
-
-
-def cross_sections(sphere: ParticleOnStack, cosines: ArrayLike, below: bool = False, nodes: int = 48) -> CrossSections:
-    """Return extinction and scattering at `cosines`, each `[pol, angle]`.
-
-    The downward parts are zero for an absorbing substrate. Scattering is integrated by `nodes` Gauss points on each
-    side (and on each side of the critical angle).
-    """
-    incident = sphere.directions(cosines, below)
-    k = sphere.surface.inner_wavenumber
-    solved = apply_response(sphere.dressed, incident.excitation)
-    reflected, transmitted = _beam_parts(sphere, incident)
-    mu, weight = _path_rule(nodes)
-    up = _azimuth_integral(emission_harmonics(sphere.directions(mu).emission, solved, k))
-    scattered_up = np.einsum("s,qspi->pi", weight, up) / incident.index
-    if not sphere.surface.is_transparent:
-        return CrossSections(reflected, transmitted, scattered_up, np.zeros_like(scattered_up))
-    index = sphere.surface.index_below
-    mu, weight = hemisphere_rule(nodes, index)
-    down = _azimuth_integral(emission_harmonics(sphere.directions(mu, below=True).emission, solved, k))
-    scattered_down = np.einsum("s,qspi->pi", weight, down) * index / incident.index
-    return CrossSections(reflected, transmitted, scattered_up, scattered_down)
 
 
 def hemisphere_rule(count: int, index: float = 1.0) -> tuple[Array, Array]:
@@ -443,7 +390,7 @@ def choose_order(
     for top in (12, 24, largest):
         t_top = coefficients(top)
         blocks = reflection_operator(surface, centre_nm, top, mmax)
-        incident, scattered = _probes(surface, centre_nm, top, mmax)
+        directions = probes(surface, centre_nm, top, mmax)
         solved: dict[int, Array] = {}
         worst = np.inf
         rungs = [o for o in ORDER_LADDER if 2 * o <= top]
@@ -451,8 +398,8 @@ def choose_order(
         for order in rungs[min(begin, len(rungs) - 1) :]:
             for l in (order, 2 * order):
                 if l not in solved:
-                    solved[l] = _probe_pattern(t_top, blocks, incident, scattered, l)
-            worst = _worst(solved[order], solved[2 * order])
+                    solved[l] = _truncated_pattern(t_top, blocks, directions, l)
+            worst = pattern_change(solved[order], solved[2 * order])
             if worst <= tolerance:
                 return order
         begin = len(rungs)
@@ -468,21 +415,21 @@ def order_change(surface: Substrate, centre_nm: float, coefficients: Coefficient
     """Return the change of the far field of a sphere between two multipole orders; see `choose_order`."""
     high = _representable(surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm), high)
     t_top, blocks = coefficients(high), reflection_operator(surface, centre_nm, high, AZIMUTHAL_ORDERS)
-    probes = _probes(surface, centre_nm, high, AZIMUTHAL_ORDERS)
-    return _worst(*(_probe_pattern(t_top, blocks, *probes, l) for l in (low, high)))
+    directions = probes(surface, centre_nm, high, AZIMUTHAL_ORDERS)
+    return pattern_change(*(_truncated_pattern(t_top, blocks, directions, l) for l in (low, high)))
 
 
-def _probes(surface: Substrate, centre_nm: float, lmax: int, mmax: int) -> tuple[Directions, Directions]:
+def probes(surface: Substrate, centre_nm: float, lmax: int, mmax: int) -> tuple[Directions, Directions]:
     """Return incident and scattered directions for the comparison of orders."""
     angles = np.array([0.0, 30.0, 60.0, 80.0]), np.arange(5.0, 90.0, 12.0)
     light, views = (Directions.build(surface, centre_nm, lmax, mmax, np.cos(np.radians(each))) for each in angles)
     return light, views
 
 
-def _worst(of: Array, to: Array) -> float:
-    """Return the largest relative L2 difference of two patterns over incidences and polarisations."""
-    change = np.sqrt(np.sum((of - to) ** 2, axis=(0, 1, 2)))
-    return float(np.max(change / np.sqrt(np.sum(to**2, axis=(0, 1, 2)))))
+def pattern_change(of: Array, to: Array) -> float:
+    """Return the largest relative L2 difference of two `probe_pattern` over incidences and polarisations."""
+    axes = (0, 1, 4)
+    return float(np.max(np.sqrt(np.sum((of - to) ** 2, axis=axes) / np.maximum(np.sum(to**2, axis=axes), 1e-300))))
 
 
 def _representable(kd: float, top: int) -> int:
@@ -492,25 +439,23 @@ def _representable(kd: float, top: int) -> int:
     return top
 
 
-def _probe_pattern(
-    t_top: ComplexArray, blocks: ComplexArray, incident: Directions, scattered: Directions, l: int
+def probe_pattern(dressed: ComplexArray, incident: Directions, scattered: Directions) -> Array:
+    """Return k^2 d sigma/d Omega at the directions of `probes`, `[pol_s, s, pol_i, i, phi]`, from M_m.
+
+    `incident` and `scattered` may have more multipoles than `dressed`.
+    """
+    l, top = dressed.shape[-1] // 2, incident.excitation.shape[2] // 2
+    rows = np.concatenate([np.arange(l), top + np.arange(l)])
+    response = apply_response(dressed, incident.excitation[: len(dressed), :, rows])
+    fields = emission_harmonics(scattered.emission[: len(dressed), :, rows], response, 1.0)
+    return np.asarray(np.abs(amplitude(fields, np.linspace(0.0, np.pi, 9))) ** 2)
+
+
+def _truncated_pattern(
+    t_top: ComplexArray, blocks: ComplexArray, directions: tuple[Directions, Directions], l: int
 ) -> Array:
-    top = len(t_top) // 2
-    keep = np.concatenate([np.arange(l), top + np.arange(l)])
-    dressed = dressed_matrix(t_top[keep], blocks[:, keep][:, :, keep])
-    response = np.matmul(dressed[:, None], incident.excitation[:, :, keep])
-    left = scattered.emission[:, :, keep].transpose(0, 1, 3, 2)
-    fields = np.matmul(left[:, :, None], response[:, None])  # m, q, p, s, i
-    fields[1:] *= 2.0
-    co, cross = np.cos, np.sin
-    phi = np.linspace(0.0, np.pi, 9)
-    orders = np.arange(len(blocks))[:, None] * phi
-    pattern = [
-        np.abs(np.tensordot(fields[:, q, p], (co if q == p else cross)(orders), (0, 0))) ** 2
-        for q in range(2)
-        for p in range(2)
-    ]
-    return np.stack(pattern).reshape(2, 2, *pattern[0].shape).transpose(0, 2, 4, 1, 3)
+    rows = np.concatenate([np.arange(l), len(t_top) // 2 + np.arange(l)])
+    return probe_pattern(dressed_matrix(t_top[rows], blocks[:, rows][:, :, rows]), *directions)
 
 
 def rounded_up(value: float) -> float:

@@ -23,9 +23,8 @@ from nacre._version import __version__
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.core.files import atomic_path, plain, why_unreadable
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index
 from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, gain, mirror_signs, reciprocal
-from nacre.families.metasurface.tmatrix.full_tmatrix import condon_shortley_signs, reversed_full
+from nacre.families.metasurface.tmatrix.full_tmatrix import condon_shortley_signs, multipole_index, reversed_full
 from nacre.recipe.fingerprint import file_digest
 
 if TYPE_CHECKING:
