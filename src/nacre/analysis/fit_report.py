@@ -14,7 +14,6 @@ from nacre.core.errors import NacreError
 from nacre.core.files import write_text
 from nacre.core.html import render_page
 from nacre.light import delta_e_2000, smooth_weights, spans_colour, swatch_hex, white_xyz, xyz_to_lab
-from nacre.material.material import layers_of
 from nacre.optimise.parameters import Parameter
 from nacre.plot.html import DPI, data_uri
 
@@ -92,7 +91,7 @@ def _sheet(fit: Fit, measured: Measured, free: Sequence[Parameter]) -> DesignShe
         for n, f in zip(fit.numbers, free, strict=True)
         if np.isfinite(n.half_width)
     ]
-    media, thicknesses = layers_of(fit.material)
+    media, thicknesses = fit.material.layers()
     angles, ribbon, label = _ribbon(fit, measured)
     return DesignSheet(
         f"{fit.material.name}: relative rms {fit.relative_rms:.3g}", swatches, nm, curves, wanted, angles, ribbon,

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nacre.bsdf.lobes.platelet_layer import reflected
+from nacre.bsdf.random_walk import roulette, sample_quantile
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.jit import compiled
 from nacre.core.parallel import in_threads
@@ -34,7 +35,6 @@ from nacre.matter.indices.constant import OpticalConstant
 
 TURN_NODES = 61  # of sin(theta/2), uniform, on which light from a ball is gathered
 WALKERS = 40_000  # a wavelength; all wavelengths draw the same numbers, so that noise makes no false colour
-FAINT_WEIGHT = 1e-3
 SEED = 20
 
 
@@ -78,10 +78,10 @@ def ball_light(medium: Medium, ratio: Array, radius_nm: float, walkers: int = WA
 
     def solve(band: int) -> tuple[Array, float, float, float]:
         found = np.zeros(TURN_NODES)
+        depths = float(medium.scattering[band]) * radius_nm, float(medium.absorption[band]) * radius_nm
         passed, absorbed, carried = _walk_ball(
-            seed, walkers, float(ratio[band]), float(medium.scattering[band]) * radius_nm,
-            float(medium.absorption[band]) * radius_nm, quantiles[band], PASSED_COS, found,
-        )  # fmt: skip
+            seed, walkers, float(ratio[band]), depths, quantiles[band], PASSED_COS, found
+        )
         leaves = passed + float(found.sum())
         return found / (walkers * share), passed / walkers, absorbed / walkers, carried / max(leaves, 1e-9)
 
@@ -91,88 +91,91 @@ def ball_light(medium: Medium, ratio: Array, radius_nm: float, walkers: int = WA
 
 
 @compiled(nogil=True, fastmath=True)
-def _walk_ball(seed, count, ratio, scatter, absorb, quantile, forward, out):  # type: ignore[no-untyped-def]  # numba
-    """Walk through a ball of radius 1; `out[turn]` gets light; return what passed, was absorbed, was carried on."""
+def _add(out, cos, carried):  # type: ignore[no-untyped-def]  # numba
+    """Add light deflected to a cosine to the two nodes of sin(theta/2) around it."""
+    at = math.sqrt(0.5 * (1.0 - cos)) * (out.size - 1)
+    low = min(int(at), out.size - 2)
+    out[low] += carried * (1.0 - at + low)
+    out[low + 1] += carried * (at - low)
+
+
+@compiled(nogil=True, fastmath=True)
+def _deflect(dx, dy, dz, quantile):  # type: ignore[no-untyped-def]  # numba
+    """Draw the direction after a scattering event from the quantiles of the phase function's cosine."""
+    mu = sample_quantile(quantile)
+    side = math.sqrt(max(1.0 - mu * mu, 0.0))
+    phi = 2.0 * math.pi * np.random.random()
+    u, v = side * math.cos(phi), side * math.sin(phi)
+    # a frame of the old direction (Duff et al., JCGT 6, 1 (2017))
+    sign = 1.0 if dz >= 0.0 else -1.0
+    p = -1.0 / (sign + dz)
+    q = dx * dy * p
+    ex = u * (1.0 + sign * dx * dx * p) + v * q + mu * dx
+    ey = u * sign * q + v * (sign + dy * dy * p) + mu * dy
+    ez = -u * sign * dx - v * dy + mu * dz
+    length = math.sqrt(ex * ex + ey * ey + ez * ez)
+    return ex / length, ey / length, ez / length
+
+
+@compiled(nogil=True, fastmath=True)
+def _follow(b, c, ratio, depths, quantile):  # type: ignore[no-untyped-def]  # numba
+    """Follow light from its entry at impact `b` until it leaves: weight, cosine, height of the exit, absorbed share."""
+    scatter, absorb = depths
+    share, cos_t = reflected(c, ratio)
+    carried, absorbed = 1.0 - share, 0.0
+    x, y, z = b, 0.0, -c
+    a = c / ratio - cos_t
+    dx, dy, dz = a * b, 0.0, 1.0 / ratio - a * c  # refracted: d/ratio + (c/ratio - cos_t) n
+    while carried > 0.0:
+        path = -math.log(1.0 - np.random.random()) / scatter if scatter > 0.0 else 1e300
+        along = x * dx + y * dy + z * dz
+        reach = -along + math.sqrt(max(along * along + 1.0 - x * x - y * y - z * z, 0.0))
+        step = min(path, reach)
+        passed = math.exp(-absorb * step)
+        absorbed += carried * (1.0 - passed)
+        x, y, z = x + step * dx, y + step * dy, z + step * dz
+        carried = roulette(carried * passed)
+        if carried == 0.0:
+            break
+        if path < reach:
+            dx, dy, dz = _deflect(dx, dy, dz, quantile)
+            continue
+        length = math.sqrt(x * x + y * y + z * z)
+        x, y, z = x / length, y / length, z / length
+        cos = min(max(x * dx + y * dy + z * dz, 0.0), 1.0)
+        share, cos_t = reflected(cos, 1.0 / ratio)
+        if np.random.random() >= share:
+            return carried, max(-1.0, min(1.0, dz * ratio + (cos_t - cos * ratio) * z)), z, absorbed
+        dx, dy, dz = dx - 2.0 * cos * x, dy - 2.0 * cos * y, dz - 2.0 * cos * z
+    return 0.0, 1.0, 0.0, absorbed
+
+
+@compiled(nogil=True, fastmath=True)
+def _walk_ball(seed, count, ratio, depths, quantile, forward, out):  # type: ignore[no-untyped-def]  # numba
+    """Walk through a ball of radius 1; `out[turn]` gets light; return the sums passed, absorbed and carried on.
+
+    Light comes along +z onto the shadow, stratified over its area: at impact b the normal is (b, 0, -c). The reflection
+    by the face is exact, and is not carried on.
+    """
     np.random.seed(seed)
-    top, last = quantile.size - 1, out.size - 1
-    passed, absorbed, carried = 0.0, 0.0, 0.0
+    passed, absorbed, carried_on = 0.0, 0.0, 0.0
     for walker in range(count):
-        # along +z onto the shadow: at impact b, the normal there is (b, 0, -c); impacts are strata of the shadow
         b2 = (walker + np.random.random()) / count
         b, c = math.sqrt(b2), math.sqrt(1.0 - b2)
-        share, cos_t = reflected(c, ratio)
-        # the face's own reflection is not left to chance
+        share, _ = reflected(c, ratio)
         mirrored = 1.0 - 2.0 * c * c
         if mirrored > forward:
             passed += share
         else:
-            at = math.sqrt(0.5 * (1.0 - mirrored)) * last
-            low = min(int(at), last - 1)
-            out[low] += share * (1.0 - at + low)
-            out[low + 1] += share * (at - low)
-        # where light that is mirrored in the face leaves: it is carried nowhere
-        weight = 1.0 - share
-        if weight > 0.0:
-            x, y, z = b, 0.0, -c  # place
-            # refracted: d/ratio + (c/ratio - cos_t) n
-            a = c / ratio - cos_t
-            dx, dy, dz = a * b, 0.0, 1.0 / ratio - a * c
-            while True:
-                if scatter > 0.0:
-                    path = -math.log(1.0 - np.random.random()) / scatter
-                else:
-                    path = 1e300
-                along = x * dx + y * dy + z * dz
-                reach = -along + math.sqrt(max(along * along + 1.0 - x * x - y * y - z * z, 0.0))
-                step = min(path, reach)
-                if absorb > 0.0:
-                    kept = math.exp(-absorb * step)
-                    absorbed += weight * (1.0 - kept)
-                    weight *= kept
-                x, y, z = x + step * dx, y + step * dy, z + step * dz
-                if weight < FAINT_WEIGHT:
-                    if np.random.random() < 0.5:
-                        weight = 0.0
-                        break
-                    weight *= 2.0
-                if path < reach:
-                    at = np.random.random() * top
-                    low = min(int(at), top - 1)
-                    mu = quantile[low] + (at - low) * (quantile[low + 1] - quantile[low])
-                    side = math.sqrt(max(1.0 - mu * mu, 0.0))
-                    phi = 2.0 * math.pi * np.random.random()
-                    u, v = side * math.cos(phi), side * math.sin(phi)
-                    # a frame of the old direction (Duff et al., JCGT 6, 1 (2017))
-                    sign = 1.0 if dz >= 0.0 else -1.0
-                    p = -1.0 / (sign + dz)
-                    q = dx * dy * p
-                    ex = u * (1.0 + sign * dx * dx * p) + v * q + mu * dx
-                    ey = u * sign * q + v * (sign + dy * dy * p) + mu * dy
-                    ez = -u * sign * dx - v * dy + mu * dz
-                    length = math.sqrt(ex * ex + ey * ey + ez * ez)
-                    dx, dy, dz = ex / length, ey / length, ez / length
-                    continue
-                length = math.sqrt(x * x + y * y + z * z)
-                x, y, z = x / length, y / length, z / length
-                cos = min(max(x * dx + y * dy + z * dz, 0.0), 1.0)
-                share, cos_t = reflected(cos, 1.0 / ratio)
-                if np.random.random() < share:
-                    dx, dy, dz = dx - 2.0 * cos * x, dy - 2.0 * cos * y, dz - 2.0 * cos * z
-                    continue
-                carried += weight * (z + c)
-                z = dz * ratio + (cos_t - cos * ratio) * z
-                break
-        if weight == 0.0:
-            continue
-        z = max(-1.0, min(1.0, z))
-        if z > forward:
-            passed += weight
-            continue
-        at = math.sqrt(0.5 * (1.0 - z)) * last
-        low = min(int(at), last - 1)
-        out[low] += weight * (1.0 - at + low)
-        out[low + 1] += weight * (at - low)
-    return passed, absorbed, carried
+            _add(out, mirrored, share)
+        carried, cos, height, lost = _follow(b, c, ratio, depths, quantile)
+        absorbed += lost
+        carried_on += carried * (height + c)
+        if cos > forward:
+            passed += carried
+        else:
+            _add(out, cos, carried)
+    return passed, absorbed, carried_on
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from nacre.families.glass.composite import Composite, EffectiveDispersion
 from nacre.families.glass.figures import colour_map, scattering, structure
 from nacre.families.glass.medium import Medium
 from nacre.families.glass.radiative_transfer import AZIMUTHS, Slab, brdf_pairs, with_one_index
-from nacre.families.glass.random_walk import Lost, walk
+from nacre.families.glass.random_walk import Face, walk
 from nacre.families.glass.rough_interface import Passing
 from nacre.families.glass.tables import behind_rough, diffuse_table, face_lobe, interpolation_error, walk_error
 from nacre.light import default_wavelengths
@@ -99,7 +99,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
             "colour-map": partial(colour_map, self.composite, self.thickness_nm, of_thickness),
         }
 
-    def why_not_fast(self) -> str | None:
+    def inapplicable_reason(self) -> str | None:
         """Return why there are no noise-free tables of it, or None."""
         if self.below:
             return "it has several strata"
@@ -119,7 +119,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         """
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         if self.quality == "fast":
-            reason = self.why_not_fast()
+            reason = self.inapplicable_reason()
             if reason is None:
                 return self._fast(lam)
             note = f'quality = "fast" is not possible, since {reason}; "reference" is used'
@@ -151,7 +151,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
 
     def _estimated(self, theta: Array, lam: Array) -> Spectrum | None:
         """Return the spectrum behind a rough face as the fast form has it, without noise; None: there is none."""
-        if self.surface.is_smooth or self.why_not_fast() is not None:
+        if self.surface.is_smooth or self.inapplicable_reason() is not None:
             return None
         passing = Passing.behind(self.surface, self._medium(lam))
         if passing is None:
@@ -167,7 +167,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         """Whether the compiled walk of one slab knows its faces; the fast form is integrated as it is."""
         rough = [self.surface, self.base.surface] if self.base.kind == "none" else [self.surface]
         known = all(each.is_smooth or (each.distribution == "ggx" and each.alpha_x == each.alpha_y) for each in rough)
-        return known and (self.quality != "fast" or self.why_not_fast() is not None)
+        return known and (self.quality != "fast" or self.inapplicable_reason() is not None)
 
     def _walked(self, theta: Array, lam: Array, seed: int) -> Spectrum:
         """Return the spectrum of rough faces: nothing of it is a mirror's. Many angles are walked at a few of them."""
@@ -178,9 +178,8 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         found = [
             walk(
                 self._medium(lam), self.thickness_nm, None if is_open else self._albedo(lam),
-                float(np.cos(min(angle, last))), walkers=SPECTRUM_WALKERS, alpha=self.surface.alpha_x,
-                alpha_below=self.base.surface.alpha_x, seed=seed * WALKED_ANGLES + i,
-                lost=Lost.of(self.surface, index), lost_below=Lost.of(self.base.surface, index),
+                float(np.cos(min(angle, last))), walkers=SPECTRUM_WALKERS, upper=Face.of(self.surface, index),
+                lower=Face.of(self.base.surface, index), seed=seed * WALKED_ANGLES + i,
             )
             for i, angle in enumerate(walked)
         ]  # fmt: skip
@@ -193,7 +192,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
 
     def search_model(self, memory: dict[Any, Any], is_rough: bool = False) -> Model:
         """Return its noise-free form where it has one, without the walks that would state its error."""
-        if self.why_not_fast() is not None:
+        if self.inapplicable_reason() is not None:
             return self
         composite = self.composite
         if isinstance(composite, Balls):

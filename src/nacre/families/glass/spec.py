@@ -412,6 +412,6 @@ class GlassSpec(RecipeModel):
         )
         base = self.base.build(context, inside)
         made = Glass(first.composite, first.thickness_nm, first.surface, base, self.quality, below=below)
-        if self.quality != "fast" or made.why_not_fast() is not None:
+        if self.quality != "fast" or made.inapplicable_reason() is not None:
             return made
         return FastGlass(first.composite, first.thickness_nm, first.surface, base, self.quality)

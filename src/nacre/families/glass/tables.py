@@ -18,7 +18,7 @@ from nacre.core.arrays import Array
 from nacre.core.parallel import in_threads
 from nacre.families.glass.medium import Medium, gauss_rule
 from nacre.families.glass.radiative_transfer import Slab, brdf_pairs, brdf_table, face
-from nacre.families.glass.random_walk import Lost, walk
+from nacre.families.glass.random_walk import Face, walk
 from nacre.families.glass.rough_interface import Passing
 
 CELL_NODES = 6
@@ -140,7 +140,7 @@ def walk_error(
     """
     bands = _checked(medium)
     few = medium.at(bands)
-    lost = Lost.of(surface, float(np.median(medium.index)))
+    upper = Face.of(surface, float(np.median(medium.index)))
     error, size = np.zeros(len(bands)), np.zeros(len(bands))
     fine = (np.arange(CHECK_BINS * MIDPOINTS[0]) + 0.5) / (CHECK_BINS * MIDPOINTS[0])
     azimuth = (np.arange(MIDPOINTS[1]) + 0.5) * np.pi / MIDPOINTS[1]
@@ -154,7 +154,7 @@ def walk_error(
         walks = [
             walk(
                 few, thickness_nm, albedo[bands], float(np.cos(theta)), walkers=CHECK_WALKERS,
-                alpha=surface.alpha_x, bins=CHECK_BINS, seed=seed + 2 * turn + i, lost=lost,
+                upper=upper, bins=CHECK_BINS, seed=seed + 2 * turn + i,
             ).reflected
             for i in range(2)
         ]  # fmt: skip

@@ -26,7 +26,7 @@ from nacre.core.arrays import Array, ComplexArray
 from nacre.core.jit import compiled
 from nacre.families.metasurface.monolayer.ensemble_ratio import Ratio, RatioDirections
 from nacre.families.metasurface.monolayer.ladder import NAME as LADDER
-from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer
+from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer, sum_over
 from nacre.families.metasurface.monolayer.qca import node_sines, node_weights
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.tmatrix.full_tmatrix import full_order, multipole_index, with_negative_orders
@@ -110,116 +110,123 @@ def structure_harmonics(directions: DirectionSet, structure: Structure, wavenumb
 
 
 @compiled(nogil=True, fastmath=True)
+def _projection(total, samples):  # type: ignore[no-untyped-def]  # numba
+    """Weights `[k, point]` of the cosine series of an even function sampled on [0, pi]."""
+    out = np.empty((total, samples + 1))
+    for k in range(total):
+        for j in range(samples + 1):
+            end = 0.5 if (j == 0 or j == samples) else 1.0
+            out[k, j] = end * np.cos(np.pi * k * j / samples) * (1.0 if k == 0 else 2.0) / samples
+    return out
+
+
+@compiled(nogil=True, fastmath=True, forceinline=True)
+def _far_fields(a, b, basis, xr, xi, yr, yi):  # type: ignore[no-untyped-def]  # numba
+    """Fill the real and imaginary parts of X and Y at each point from their harmonics `[m]`."""
+    for j in range(xr.size):
+        xr[j], xi[j], yr[j], yi[j] = 0.0, 0.0, 0.0, 0.0
+    for m in range(a.size):
+        ar, ai, br, bi = a[m].real, a[m].imag, b[m].real, b[m].imag
+        for j in range(xr.size):  # innermost, for vector instructions
+            c = basis[m, j]
+            xr[j] += c * ar
+            xi[j] += c * ai
+            yr[j] += c * br
+            yi[j] += c * bi
+
+
+@compiled(nogil=True, fastmath=True, forceinline=True)
+def _add_powers(share, xr, xi, yr, yi, power_x, power_y):  # type: ignore[no-untyped-def]  # numba
+    for j in range(xr.size):
+        power_x[j] += share * (xr[j] * xr[j] + xi[j] * xi[j])
+        power_y[j] += share * (yr[j] * yr[j] + yi[j] * yi[j])
+
+
+@compiled(nogil=True, fastmath=True, forceinline=True)
+def _subtract(mean, square):  # type: ignore[no-untyped-def]  # numba
+    """Replace <|F|^2> by the variance <|F|^2> - |<F>|^2."""
+    for j in range(mean.size):
+        square[j] = max(square[j] - mean[j], 0.0)
+
+
+@compiled(nogil=True, fastmath=True, forceinline=True)
+def _project(values, by_point, there, back):  # type: ignore[no-untyped-def]  # numba
+    """Fill the series `[k]` of `values`, `[point]`, into both arrays."""
+    for k in range(there.size):
+        there[k] = 0.0
+    for j in range(values.size):
+        for k in range(there.size):
+            there[k] += values[j] * by_point[j, k]
+    for k in range(there.size):
+        back[k] = there[k]
+
+
+@compiled(nogil=True, fastmath=True, forceinline=True)
+def _geometric_mean(a, b, out):  # type: ignore[no-untyped-def]  # numba
+    for j in range(out.size):
+        out[j] = np.sqrt(a[j] * b[j])
+
+
+@compiled(nogil=True, fastmath=True, forceinline=True)
+def _dots(weights, a, b, c):  # type: ignore[no-untyped-def]  # numba
+    sum_a, sum_b, sum_c = 0.0, 0.0, 0.0
+    for j in range(weights.size):
+        sum_a += weights[j] * a[j]
+        sum_b += weights[j] * b[j]
+        sum_c += weights[j] * c[j]
+    return sum_a, sum_b, sum_c
+
+
+@compiled(nogil=True, fastmath=True)
 def _pair_powers(  # type: ignore[no-untyped-def]  # numba
-    x, shares, two_sided, s_harmonics, samples, coherent, varying, kernel, target
+    x, mean, shares, two_sided, s_harmonics, samples, coherent, varying, kernel, target
 ):
     """Fill, for all pairs, the harmonics of the pair power and its sums with S; see `pair_powers`."""
     _, count, _, _, sizes, orders = x.shape
-    kept = coherent.shape[-1]
-    total = s_harmonics.shape[-1]
     points = samples + 1
-    cosm, sinm = np.empty((orders, points)), np.empty((orders, points))
+    basis = np.empty((2, orders, points))  # cosine and sine
     for m in range(orders):
         for j in range(points):
-            cosm[m, j], sinm[m, j] = np.cos(np.pi * m * j / samples), np.sin(np.pi * m * j / samples)
-    project = np.empty((total, points))
-    for k in range(total):
-        for j in range(points):
-            end = 0.5 if (j == 0 or j == samples) else 1.0
-            project[k, j] = end * np.cos(np.pi * k * j / samples) * (1.0 if k == 0 else 2.0) / samples
-    mean_a, mean_b = np.empty(points), np.empty(points)
-    var_a, var_b = np.empty(points), np.empty(points)
-    mean_both, var_both = np.empty(points), np.zeros(points)
+            basis[0, m, j], basis[1, m, j] = np.cos(np.pi * m * j / samples), np.sin(np.pi * m * j / samples)
+    project = _projection(s_harmonics.shape[-1], samples)
+    by_point = np.ascontiguousarray(project[: coherent.shape[-1]].T)
+    uncorrelated, weights = project[0] * (2.0 * np.pi), np.empty(points)
     xr, xi, yr, yi = np.empty(points), np.empty(points), np.empty(points), np.empty(points)
-    ra, ia, rb, ib = np.empty(points), np.empty(points), np.empty(points), np.empty(points)
-    by_point = np.ascontiguousarray(project[:kept].T)
-    sums = np.empty(kept)
-    averaged = project[0] * (2.0 * np.pi)
-    weighted = np.empty(points)
+    mean_x, mean_y, mean_both = np.empty(points), np.empty(points), np.empty(points)
+    var_x, var_y, var_both = np.empty(points), np.empty(points), np.empty(points)
     for s in range(count):
         for i in range(s + 1):
-            # sum_k S_k (projection on k) is one weight a point, the same for all polarisations
-            for j in range(points):
-                weighted[j] = 0.0
-            for k in range(total):
-                weight = s_harmonics[s, i, k]
+            weights[:] = 0.0  # int S f dphi as a sum over points
+            for k in range(s_harmonics.shape[-1]):
                 for j in range(points):
-                    weighted[j] += weight * project[k, j]
+                    weights[j] += s_harmonics[s, i, k] * project[k, j]
             for q in range(2):
                 for p in range(2):
-                    basis = cosm if q == p else sinm
-                    for j in range(points):
-                        ra[j], ia[j], rb[j], ib[j], var_a[j], var_b[j] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-                    for size in range(sizes):
-                        w = shares[size]
-                        for j in range(points):
-                            xr[j], xi[j], yr[j], yi[j] = 0.0, 0.0, 0.0, 0.0
-                        for m in range(orders):
-                            a, b = x[q, s, p, i, size, m], x[p, i, q, s, size, m]
-                            ar, ai, br, bi = a.real, a.imag, b.real, b.imag
-                            for j in range(points):  # innermost, so that the points go through vector registers
-                                c = basis[m, j]
-                                xr[j] += c * ar
-                                xi[j] += c * ai
-                                yr[j] += c * br
-                                yi[j] += c * bi
-                        for j in range(points):
-                            ra[j] += w * xr[j]
-                            ia[j] += w * xi[j]
-                            rb[j] += w * yr[j]
-                            ib[j] += w * yi[j]
-                        if sizes > 1:
-                            for j in range(points):
-                                var_a[j] += w * (xr[j] * xr[j] + xi[j] * xi[j])
-                                var_b[j] += w * (yr[j] * yr[j] + yi[j] * yi[j])
-                    for j in range(points):
-                        mean_a[j] = ra[j] * ra[j] + ia[j] * ia[j]
-                        mean_b[j] = rb[j] * rb[j] + ib[j] * ib[j]
-                        mean_both[j] = np.sqrt(mean_a[j] * mean_b[j])
-                    if sizes > 1:
-                        for j in range(points):
-                            var_a[j] = max(var_a[j] - mean_a[j], 0.0)
-                            var_b[j] = max(var_b[j] - mean_b[j], 0.0)
-                            var_both[j] = np.sqrt(var_a[j] * var_b[j])
-                    sum_k, sum_a, sum_b = 0.0, 0.0, 0.0
-                    for j in range(points):
-                        sum_k += weighted[j] * (mean_both[j] if two_sided else mean_a[j])
-                        sum_a += weighted[j] * mean_a[j]
-                        sum_b += weighted[j] * mean_b[j]
-                    if sizes > 1:
-                        for j in range(points):
-                            sum_k += averaged[j] * var_both[j]
-                            sum_a += averaged[j] * var_a[j]
-                            sum_b += averaged[j] * var_b[j]
-                    forth = mean_both if two_sided else mean_a
-                    for k in range(kept):
-                        sums[k] = 0.0
-                    for j in range(points):
-                        for k in range(kept):
-                            sums[k] += forth[j] * by_point[j, k]
-                    for k in range(kept):
-                        coherent[s, i, q, p, k] = sums[k]
+                    wave = basis[0 if q == p else 1]
+                    _far_fields(mean[q, s, p, i], mean[p, i, q, s], wave, xr, xi, yr, yi)
+                    mean_x[:], mean_y[:] = 0.0, 0.0
+                    _add_powers(1.0, xr, xi, yr, yi, mean_x, mean_y)
+                    forth = mean_x
+                    if two_sided:
+                        _geometric_mean(mean_x, mean_y, mean_both)
+                        forth = mean_both
+                    sum_x, sum_y, sum_both = _dots(weights, mean_x, mean_y, forth)
+                    _project(forth, by_point, coherent[s, i, q, p], coherent[i, s, p, q])
                     if not two_sided:
-                        for k in range(kept):
-                            sums[k] = 0.0
-                        for j in range(points):
-                            for k in range(kept):
-                                sums[k] += mean_b[j] * by_point[j, k]
-                    for k in range(kept):
-                        coherent[i, s, p, q, k] = sums[k]
+                        _project(mean_y, by_point, coherent[i, s, p, q], coherent[i, s, p, q])
                     if sizes > 1:
-                        for k in range(kept):
-                            sums[k] = 0.0
-                        for j in range(points):
-                            for k in range(kept):
-                                sums[k] += var_both[j] * by_point[j, k]
-                        for k in range(kept):
-                            varying[s, i, q, p, k] = sums[k]
-                            varying[i, s, p, q, k] = sums[k]
-                    kernel[q, s, p, i] = sum_k
-                    kernel[p, i, q, s] = sum_k if two_sided else sum_b
-                    target[q, s, p, i] = sum_a
-                    target[p, i, q, s] = sum_b
+                        var_x[:], var_y[:] = 0.0, 0.0
+                        for size in range(sizes):
+                            _far_fields(x[q, s, p, i, size], x[p, i, q, s, size], wave, xr, xi, yr, yi)
+                            _add_powers(shares[size], xr, xi, yr, yi, var_x, var_y)
+                        _subtract(mean_x, var_x)
+                        _subtract(mean_y, var_y)
+                        _geometric_mean(var_x, var_y, var_both)
+                        _project(var_both, by_point, varying[s, i, q, p], varying[i, s, p, q])
+                        more_x, more_y, more_both = _dots(uncorrelated, var_x, var_y, var_both)
+                        sum_x, sum_y, sum_both = sum_x + more_x, sum_y + more_y, sum_both + more_both
+                    target[q, s, p, i], kernel[q, s, p, i] = sum_x, sum_both
+                    target[p, i, q, s], kernel[p, i, q, s] = sum_y, sum_both if two_sided else sum_y
 
 
 @dataclass(frozen=True)
@@ -259,15 +266,17 @@ def pair_powers(
         kept: number of harmonics.
     """
     sizes, orders, _, count, _, _ = fields.shape
-    fields = fields.transpose(2, 3, 4, 5, 0, 1)
     shares = np.ones(1) if shares is None else np.asarray(shares, dtype=float)
     samples = max(s_harmonics.shape[-1] + 4, 2 * orders + 8)
     coherent = np.empty((count, count, 2, 2, kept))
     varying = np.empty((count, count, 2, 2, kept) if sizes > 1 else (0, 0, 2, 2, kept))
     kernel, target = np.empty((2, count, 2, count)), np.empty((2, count, 2, count))
-    _pair_powers(
-        np.ascontiguousarray(fields), shares, two_sided, s_harmonics, samples, coherent, varying, kernel, target
+    mean = fields[0] if sizes == 1 else sum_over(shares, list(fields))
+    by_pair, mean = (
+        np.ascontiguousarray(np.moveaxis(fields, (0, 1), (-2, -1))),
+        np.ascontiguousarray(np.moveaxis(mean, 0, -1)),
     )
+    _pair_powers(by_pair, mean, shares, two_sided, s_harmonics, samples, coherent, varying, kernel, target)
     return PairPowers(coherent, varying, kernel, target)
 
 

@@ -140,7 +140,7 @@ def _modes(rho, rho_s, plane, waves, nodes, weights, modal):  # type: ignore[no-
 
 
 @compiled(nogil=True, error_model="numpy")
-def _add(target, panel, s, step, weight, sign, waves, degree, nodes, weights, modal, work, row):  # type: ignore[no-untyped-def]  # numba
+def _add(target, panel, s, step, weight, sign, waves, degree, rules, modal, work, row):  # type: ignore[no-untyped-def]  # numba
     """Add one source point to `row`, `[kernel, m, shape]`; `sign` = -1 takes its mirror image.
 
     `step` is the distance from the target along its own panel; 0 on other panels.
@@ -152,7 +152,7 @@ def _add(target, panel, s, step, weight, sign, waves, degree, nodes, weights, mo
     if step != 0.0:  # the normal distance is quadratic in the step, so every digit counts
         dr, dz = _apart(panel, target[4], step)
         dr, dz = -dr, -dz
-    _modes(rho, rho_s, dr * dr + dz * dz, waves, nodes, weights, modal)
+    _modes(rho, rho_s, dr * dr + dz * dz, waves, rules[0], rules[1], modal)
     shapes(s, degree, work[0], work[1], work[2])
     eps_in, eps_out = waves[0] * waves[0], waves[-1] * waves[-1]
     k_tt = rho * u_rho * t_z - rho_s * u_z * t_rho - dz * t_rho * u_rho
@@ -222,12 +222,13 @@ def _nearest(panel, rho, z, sign):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, error_model="numpy")
-def fill_rows(panels, targets, homes, waves, degree, far, self_count, nodes, weights, rows):  # type: ignore[no-untyped-def]  # numba
+def fill_rows(panels, targets, homes, waves, degree, far, self_count, rules, rows):  # type: ignore[no-untyped-def]  # numba
     """Fill `[target, mirror, panel, kernel, m, shape]` for targets (rho, z, t_rho, t_z, s) on their home panels.
 
     `waves` holds the wavenumbers, over the ambient one, inside and outside the panels, whose kernels are summed; or
     that of the one medium between the panels and targets on another surface, whose home is -1.
     """
+    nodes, weights = rules  # Gauss tables
     orders = rows.shape[4]
     modal = np.zeros((6, 2, orders), dtype=np.complex128)
     work = np.empty((3, degree + 1))
@@ -245,13 +246,13 @@ def fill_rows(panels, targets, homes, waves, degree, far, self_count, nodes, wei
                             step = (2 * side - 1) * span * x**CROWDING
                             w = weights[self_count, n] * span * CROWDING * x ** (CROWDING - 1)
                             s = target[4] + step
-                            _add(target, panel, s, step, w, sign, waves, degree, nodes, weights, modal, work, row)
+                            _add(target, panel, s, step, w, sign, waves, degree, rules, modal, work, row)
                     continue
                 where, distance, length = _nearest(panel, target[0], target[1], sign)
                 if length <= NEAR * distance:
                     for n in range(far):
                         s, w = 2.0 * nodes[far, n] - 1.0, 2.0 * weights[far, n]
-                        _add(target, panel, s, 0.0, w, sign, waves, degree, nodes, weights, modal, work, row)
+                        _add(target, panel, s, 0.0, w, sign, waves, degree, rules, modal, work, row)
                     continue
                 # bisect towards the nearest point
                 least = 2.0 * distance / length
@@ -268,7 +269,7 @@ def fill_rows(panels, targets, homes, waves, degree, far, self_count, nodes, wei
                             step = inner + (outer - inner) * nodes[far, n]
                             s = where - step if side == 0 else where + step
                             w = (outer - inner) * weights[far, n]
-                            _add(target, panel, s, 0.0, w, sign, waves, degree, nodes, weights, modal, work, row)
+                            _add(target, panel, s, 0.0, w, sign, waves, degree, rules, modal, work, row)
                         outer = inner
 
 
@@ -384,7 +385,7 @@ def _rows(mesh: Mesh, at: _Surface, of: _Surface, waves: list[complex], top: int
     homes = np.repeat(np.arange(at.count), len(at.targets) // at.count) if at is of else np.full(len(at.targets), -1)
     rows = np.zeros((len(at.targets), 2, of.count, 16, top + 1, of.size), dtype=complex)
     numbers = np.array(waves, dtype=complex)
-    fill_rows(of.panels, at.targets, homes, numbers, mesh.degree, mesh.far, mesh.on_itself, *gauss_table(), rows)
+    fill_rows(of.panels, at.targets, homes, numbers, mesh.degree, mesh.far, mesh.on_itself, gauss_table(), rows)
     return rows
 
 
