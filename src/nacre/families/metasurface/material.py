@@ -297,13 +297,22 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         reason = self.chosen_correction[1]
         because = f'model.correction = "auto" takes an ensemble: {reason}; "qca-balanced" takes seconds; '
         found = interpolate_ensemble(
-            wavelengths_nm, self.monolayer, self.pattern, self.ensemble, seed, self.source, is_list,
+            wavelengths_nm,
+            self.monolayer,
+            self.pattern,
+            self.ensemble,
+            seed,
+            self.source,
+            is_list,
             because if reason else "",
-        )  # fmt: skip
+        )
         logger.warning(
             "%s: ensemble of %d patterns of %d particles: standard error %.2g %%, rms over pairs of angles",
-            self.source, self.ensemble.realisations, self.ensemble.spheres, 100 * found.standard_error,
-        )  # fmt: skip
+            self.source,
+            self.ensemble.realisations,
+            self.ensemble.spheres,
+            100 * found.standard_error,
+        )
         return found
 
     def _no_positions(self) -> UnsupportedError:
@@ -326,9 +335,13 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
             particles = self._settling.particles(self.all_species, surface)
             mean_field = "qca-balanced" if self.correction in (AUTO, ENSEMBLE) else self.correction
             self._solved[wavelength_nm] = Monolayer(
-                surface, particles, self.structure, mean_field, self.interaction_order,
+                surface,
+                particles,
+                self.structure,
+                mean_field,
+                self.interaction_order,
                 includes_near_fields=self.includes_near_fields,
-            )  # fmt: skip
+            )
         return self._solved[wavelength_nm]
 
     @cached_property
@@ -356,9 +369,12 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         """
         spared = self.correction == AUTO
         return dataclasses.replace(
-            self, memory=memory, includes_near_fields=not is_rough, is_spared=spared or self.is_spared,
+            self,
+            memory=memory,
+            includes_near_fields=not is_rough,
+            is_spared=spared or self.is_spared,
             correction="qca-balanced" if spared else self.correction,
-        )  # fmt: skip
+        )
 
     @property
     def eta(self) -> float:
@@ -433,11 +449,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         return INSIDE if self.host else model_selection.warning(*self._system_classes)
 
     def spectrum(
-        self,
-        theta_rad: ArrayLike,
-        wavelengths_nm: ArrayLike | None = None,
-        polarisation: str = "both",
-        seed: int = 0,
+        self, theta_rad: ArrayLike, wavelengths_nm: ArrayLike | None = None, polarisation: str = "both", seed: int = 0
     ) -> Spectrum:
         """Return specular and hemispherical diffuse power, each `[angle, wavelength]`, together at most one.
 
@@ -472,8 +484,10 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
             if excess > TOLD_EXCESS:
                 logger.warning(
                     "%s: correction %s sends out %.3g more than arrives; the diffuse part is scaled down to it",
-                    self.source, self.chosen_correction[0], excess,
-                )  # fmt: skip
+                    self.source,
+                    self.chosen_correction[0],
+                    excess,
+                )
         degrees = np.degrees(theta)
         if not self.transmits:
             return Spectrum(lam, degrees, specular_reflectance=r, diffuse_reflectance=up)

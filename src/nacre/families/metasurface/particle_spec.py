@@ -211,10 +211,11 @@ class SpeciesSpec(RecipeModel):
         thinnest = min(sizes.radii_nm) - coat
         if self.edge_radius_nm > min(thinnest, (self.height_nm or 0.0) / 2) / 2:
             raise context.fail(
-                f"{self.table}.edge_radius_nm", self.edge_radius_nm,
+                f"{self.table}.edge_radius_nm",
+                self.edge_radius_nm,
                 f"is too large for a cylinder {2 * thinnest:.4g} nm wide, the narrowest of the spread, and "
                 f"{self.height_nm:.4g} nm high; it should be at most half of its radius and a quarter of its height",
-            )  # fmt: skip
+            )
         core = None if self.material is None else built(self.material)
         return Species(core, sizes, shell, self.gap_nm, body, share, self.table, self.depth_nm)
 
@@ -257,9 +258,15 @@ class SpeciesSpec(RecipeModel):
         source = f'{context.source}: {self.table}.shape = "{self.shape}"'
         coat = 0.0 if shell is None else shell.thickness_nm
         return SolvedBody(
-            self.shape, self.diameter_nm / 2 + coat, self.height_nm + 2 * coat, core, around, source, shell=shell,
+            self.shape,
+            self.diameter_nm / 2 + coat,
+            self.height_nm + 2 * coat,
+            core,
+            around,
+            source,
+            shell=shell,
             edge_nm=self.edge_radius_nm,
-        )  # fmt: skip
+        )
 
     def _check_medium(self, context: RecipeContext, known: AxialTMatrices, medium: OpticalConstant) -> None:
         for wavelength, index in zip(known.wavelengths_nm, known.ambient_index):

@@ -497,9 +497,10 @@ def _check_clear(context: RecipeContext, medium: OpticalConstant, number: int) -
     if loss.size and loss.max() >= LOSSLESS_K:
         at = grid[(grid >= low) & (grid <= high)][int(np.argmax(loss))]
         raise context.fail(
-            f"layers[{number - 1}].material", medium.name,
+            f"layers[{number - 1}].material",
+            medium.name,
             f"absorbs (k = {loss.max():.2g} at {at:g} nm), and particles lie in it; k should be below {LOSSLESS_K:g}",
-        )  # fmt: skip
+        )
 
 
 def held(context: RecipeContext, all_species: tuple[Species, ...], host: int, layers: Layers) -> tuple[Species, ...]:
@@ -520,9 +521,10 @@ def held(context: RecipeContext, all_species: tuple[Species, ...], host: int, la
         if species.depth_nm >= bottom - ROOM or min(over, gap - above) < -ROOM:
             needs = "" if not above else f", or the sphere of radius {species.reach_nm:.4g} nm around them"
             raise context.fail(
-                f"{species.key}.depth_nm", species.depth_nm,
+                f"{species.key}.depth_nm",
+                species.depth_nm,
                 f"puts particles {species.height_nm:.4g} nm high{' and higher' if largest else ''} across a face of "
                 f"layer {host}, which lies {top:g} to {bottom:g} nm deep; it should hold them whole{needs}",
-            )  # fmt: skip
+            )
         out.append(replace(species, gap_nm=max(gap, 0.0)))
     return tuple(out)

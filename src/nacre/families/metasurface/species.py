@@ -280,15 +280,22 @@ class MultipoleConvergence:
         if self.unsettled:
             logger.warning(
                 "%s: at %s nm the far field is converged to %.2g only (%s); model.tolerance sets what is accepted",
-                self.source, " and ".join(f"{w:g}" for w in sorted(self.unsettled)), max(self.unsettled.values()),
-                "the particle lies close to the solid" if is_body
+                self.source,
+                " and ".join(f"{w:g}" for w in sorted(self.unsettled)),
+                max(self.unsettled.values()),
+                "the particle lies close to the solid"
+                if is_body
                 else "a metal sphere touches the solid; with a gap_nm of 2 it converges",
-            )  # fmt: skip
+            )
         for source, (held, wanted, change) in self.missing.items():
             logger.warning(
                 "%s: holds multipoles up to l = %d, and this sphere takes up to %d over this stack: without them the "
-                "far field changes by up to %.2g", source, held, wanted, change,
-            )  # fmt: skip
+                "far field changes by up to %.2g",
+                source,
+                held,
+                wanted,
+                change,
+            )
 
     @property
     def notes(self) -> dict[str, Any]:
@@ -369,9 +376,11 @@ class MultipoleConvergence:
         lengths = (*species.sizes.radii_nm, species.outer_radius_nm, 1.0 + species.gap_nm + near, 1.0 + over)
         steps = tuple(int(np.floor(np.log(length) / NEAR)) for length in lengths)
         return (
-            surface.wavelength_nm, tuple(complex(m.n_complex(lam)[0]) for m in inside), tuple(surface.indices.tolist()),
+            surface.wavelength_nm,
+            tuple(complex(m.n_complex(lam)[0]) for m in inside),
+            tuple(surface.indices.tolist()),
             steps,
-        )  # fmt: skip
+        )
 
     def _chosen_order(self, species: Species, surface: Substrate) -> int:
         centre = species.outer_radius_nm + species.gap_nm
@@ -407,9 +416,11 @@ class MultipoleConvergence:
         for gap in (g for g in GAPS_NM if g > species.gap_nm):
             with contextlib.suppress(MultipoleConvergenceError):
                 choose_order(
-                    surface, species.outer_radius_nm + gap,
-                    lambda lmax: species.t_matrix(lmax, surface, species.mean_radius_nm), tolerance,
-                )  # fmt: skip
+                    surface,
+                    species.outer_radius_nm + gap,
+                    lambda lmax: species.t_matrix(lmax, surface, species.mean_radius_nm),
+                    tolerance,
+                )
                 return f"a gap_nm of {gap:g}"
         return f"a gap_nm of more than {GAPS_NM[-1]:g}"
 

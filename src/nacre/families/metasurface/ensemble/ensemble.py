@@ -218,9 +218,16 @@ class Ensemble:
                 model, control = model + varying, control + varying * odd
             block = (int(view.directions.below), int(light.directions.below), pol, p)
             pairs = Pairs(
-                view.ways, light.ways, phi, powers[pol, :, p] * diffuse, model, control,
-                self.model.level(view, light, pol, p), self._bin(view), self._bin(light),
-            )  # fmt: skip
+                view.ways,
+                light.ways,
+                phi,
+                powers[pol, :, p] * diffuse,
+                model,
+                control,
+                self.model.level(view, light, pol, p),
+                self._bin(view),
+                self._bin(light),
+            )
             out.append((block, pairs))
         return out
 

@@ -262,11 +262,13 @@ def _key(one: Ensemble, settings: EnsembleSettings) -> str:
     for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
     numbers = [
-        surface.wavelength_nm, structure.density_per_nm2, structure.diameter_nm,
+        surface.wavelength_nm,
+        structure.density_per_nm2,
+        structure.diameter_nm,
         *(n for p in particles for n in (p.share, p.centre_nm, p.cut or 0.0)),
         *(n for cell in one.supercells for n in (cell.period.side_nm, float(cell.seed))),
         *([float(surface.host)] if isinstance(surface, Embedded) else ()),
-    ]  # fmt: skip
+    ]
     return "ensemble-" + fingerprint(
         {"arrays": digest.hexdigest(), "numbers": [float(n).hex() for n in numbers]}, {}, settings=str(settings)
     )

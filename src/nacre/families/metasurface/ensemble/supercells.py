@@ -141,9 +141,15 @@ class DistantSheet:
 
     @classmethod
     def build(
-        cls, surface: Substrate, centre_nm: float, structure: Structure, order: int, reach_nm: float, largest: float,
+        cls,
+        surface: Substrate,
+        centre_nm: float,
+        structure: Structure,
+        order: int,
+        reach_nm: float,
+        largest: float,
         lift_nm: float = 0.0,
-    ) -> DistantSheet:  # fmt: skip
+    ) -> DistantSheet:
         """Tabulate; `structure` gives density and least distance, without correlation.
 
         Args:

@@ -474,18 +474,32 @@ def tabulate_aligned(
 
     transmits = grids.below is not None
     response = InterfaceResponse(
-        wavelengths_nm, np.linspace(0.0, 1.0, SPECULAR_NODES), column("reflectance"), column("transmittance"),
-        column("reflectance_inside"), column("total"), eta, transmits,
-    )  # fmt: skip
+        wavelengths_nm,
+        np.linspace(0.0, 1.0, SPECULAR_NODES),
+        column("reflectance"),
+        column("transmittance"),
+        column("reflectance_inside"),
+        column("total"),
+        eta,
+        transmits,
+    )
     series = np.stack([r.series for r in results], axis=-1)
     chosen = _chosen(series)
     below = grids.below or PolarGrid(0)
     lobe = Aligned(
-        wavelengths_nm, np.ascontiguousarray(series[:, chosen]), series_orders()[chosen].astype(float),
-        grids.above.count, below.count, below.beyond, eta, turn_rad, np.array([k for _, k, _ in solved]),
+        wavelengths_nm,
+        np.ascontiguousarray(series[:, chosen]),
+        series_orders()[chosen].astype(float),
+        grids.above.count,
+        below.count,
+        below.beyond,
+        eta,
+        turn_rad,
+        np.array([k for _, k, _ in solved]),
         np.array([n if transmits else 1.0 for _, _, n in solved]),
-        float(structure.q_per_nm[1] - structure.q_per_nm[0]), structure.s,
-    )  # fmt: skip
+        float(structure.q_per_nm[1] - structure.q_per_nm[0]),
+        structure.s,
+    )
     return (AlignedSpecular(response, turn_rad), lobe), max(r.excess for r in results)
 
 

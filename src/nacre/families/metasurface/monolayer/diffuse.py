@@ -462,9 +462,15 @@ def limit_to_incident_power(specular: Array, up: Array, down: Array) -> tuple[Ar
 
 
 def _judged(
-    ratio: Ratio, joined: DirectionSet, powers: PairPowers, spread: Array, s_harmonics: Array, weights: Array,
-    is_below: NDArray[np.bool_], kept: int,
-) -> DiffuseTerm:  # fmt: skip
+    ratio: Ratio,
+    joined: DirectionSet,
+    powers: PairPowers,
+    spread: Array,
+    s_harmonics: Array,
+    weights: Array,
+    is_below: NDArray[np.bool_],
+    kept: int,
+) -> DiffuseTerm:
     """Return the term multiplied by the ratio of an ensemble, and its totals."""
     ways = RatioDirections.of(joined.transverse, joined.index, is_below)
     coherent = ratio.applied(powers.coherent * spread, ways)
@@ -500,8 +506,10 @@ def _balanced(kernel: Array, target: Array, weights: Array, is_below: NDArray[np
         out,
         lambda seen, lit: matrix[seen[:, None], lit],
         lambda seen, lit: both[seen] @ sums[seen[:, None], lit],
-        both, above, below,
-    )  # fmt: skip
+        both,
+        above,
+        below,
+    )
     return out.reshape(2, size, 2)
 
 
@@ -509,9 +517,13 @@ Rows = NDArray[np.intp]
 
 
 def balanced_factors(
-    out: Array, block: Callable[[Rows, Rows], Array], total: Callable[[Rows, Rows], Array], weights: Array,
-    above: Rows, below: Rows,
-) -> None:  # fmt: skip
+    out: Array,
+    block: Callable[[Rows, Rows], Array],
+    total: Callable[[Rows, Rows], Array],
+    weights: Array,
+    above: Rows,
+    below: Rows,
+) -> None:
     """Balance the three blocks (above-above, below-below, across) separately, into `[direction, side of the other]`.
 
     A common balance would let errors of the transmitted light change the reflected light: on silicon resonances that

@@ -92,10 +92,7 @@ def _columns(
 
 # (side of s, side of i, pol of s, pol of i); the others follow by exchange
 BLOCKS_ABOVE = ((0, 0, 0, 0), (0, 0, 1, 1), (0, 0, 0, 1))
-BLOCKS_BELOW = (
-    (1, 1, 0, 0), (1, 1, 1, 1), (1, 1, 0, 1),
-    (1, 0, 0, 0), (1, 0, 1, 1), (1, 0, 0, 1), (1, 0, 1, 0),
-)  # fmt: skip
+BLOCKS_BELOW = ((1, 1, 0, 0), (1, 1, 1, 1), (1, 1, 0, 1), (1, 0, 0, 0), (1, 0, 1, 1), (1, 0, 0, 1), (1, 0, 1, 0))
 
 
 def blocks(transmits_below: bool) -> tuple[Block, ...]:
@@ -196,9 +193,16 @@ class Pairs:
     def exchanged(self) -> Pairs:
         """Exchange both directions."""
         return Pairs(
-            self.right, self.left, self.phi.T, self.truth.T, self.model.T, self.control.T, self.level.T,
-            self.right_bins, self.left_bins,
-        )  # fmt: skip
+            self.right,
+            self.left,
+            self.phi.T,
+            self.truth.T,
+            self.model.T,
+            self.control.T,
+            self.level.T,
+            self.right_bins,
+            self.left_bins,
+        )
 
 
 @dataclass(frozen=True)
@@ -224,10 +228,14 @@ class Sums:
 
     def __add__(self, other: Sums) -> Sums:
         return Sums(
-            self.normal + other.normal, self.rest + other.rest, self.controls + other.controls,
-            self.follows + other.follows, self.totals + other.totals, self.shapes + other.shapes,
+            self.normal + other.normal,
+            self.rest + other.rest,
+            self.controls + other.controls,
+            self.follows + other.follows,
+            self.totals + other.totals,
+            self.shapes + other.shapes,
             0.5 * (self.noise + other.noise),
-        )  # fmt: skip
+        )
 
 
 def as_arrays(pattern: Mapping[Block, Sums]) -> dict[str, Array]:

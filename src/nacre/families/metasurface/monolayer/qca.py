@@ -69,9 +69,15 @@ class NeighbourTable:
 
     @classmethod
     def build(
-        cls, surface: Substrate, centre_nm: float, structure: Structure, order: int, from_below: bool = False,
-        largest: float = 1.0, lift_nm: float = 0.0,
-    ) -> NeighbourTable:  # fmt: skip
+        cls,
+        surface: Substrate,
+        centre_nm: float,
+        structure: Structure,
+        order: int,
+        from_below: bool = False,
+        largest: float = 1.0,
+        lift_nm: float = 0.0,
+    ) -> NeighbourTable:
         """Tabulate; `from_below` adds the angles beyond the critical angle of a denser substrate.
 
         Args:

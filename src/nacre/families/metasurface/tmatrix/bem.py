@@ -375,9 +375,13 @@ class _Surface:
             along[:, n], slope[:, n], around[:, n] = a, b, c
         rho, t_rho, speed = (points[:, k].reshape(count, 1, -1) for k in (0, 2, 4))
         return cls(
-            panels, targets, rho * along * speed * w, (t_rho * speed * along + rho * slope) * w,
-            rho * around * speed * w, np.broadcast_to(around * w, (count, *around.shape)) * speed,
-        )  # fmt: skip
+            panels,
+            targets,
+            rho * along * speed * w,
+            (t_rho * speed * along + rho * slope) * w,
+            rho * around * speed * w,
+            np.broadcast_to(around * w, (count, *around.shape)) * speed,
+        )
 
 
 def _rows(mesh: Mesh, at: _Surface, of: _Surface, waves: list[complex], top: int) -> ComplexArray:
@@ -408,9 +412,11 @@ def _block(with_images: tuple[ComplexArray, ...], at: _Surface, of: _Surface, m:
 
     def crossed(image: int) -> tuple[ComplexArray, ...]:
         return (
-            tested(image, K_TT, at.t), tested(image, K_TP, at.t), tested(image, K_PT, at.p),
+            tested(image, K_TT, at.t),
+            tested(image, K_TP, at.t),
+            tested(image, K_PT, at.p),
             tested(image, K_PP, at.p),
-        )  # fmt: skip
+        )
 
     def square(parts: tuple[ComplexArray, ...], rows: float, columns: float) -> ComplexArray:
         left, right = _joined(at, rows), _joined(of, columns)
@@ -480,13 +486,16 @@ def _excitations(
         n_t, n_p = waves["n_t"][m] + 0j, i * waves["n_p"][m]
         e_t, e_p = np.concatenate([m_t[magnetic], n_t[electric]]), np.concatenate([m_p[magnetic], n_p[electric]])
         h_t, h_p = (
-            -1j * np.concatenate([n_t[magnetic], m_t[electric]]), -1j * np.concatenate([n_p[magnetic], m_p[electric]]),
-        )  # fmt: skip
+            -1j * np.concatenate([n_t[magnetic], m_t[electric]]),
+            -1j * np.concatenate([n_p[magnetic], m_p[electric]]),
+        )
         return np.concatenate(
             [
-                -_joined(surface, parity).T @ tested(e_t, surface.t), -tested(e_p, surface.p),
-                _joined(surface, -parity).T @ tested(h_t, surface.t), tested(h_p, surface.p),
+                -_joined(surface, parity).T @ tested(e_t, surface.t),
+                -tested(e_p, surface.p),
+                _joined(surface, -parity).T @ tested(h_t, surface.t),
+                tested(h_p, surface.p),
             ]
-        )  # fmt: skip
+        )
 
     return side(1.0), side(-1.0), np.concatenate([magnetic, lmax + electric])

@@ -386,6 +386,12 @@ class SolvedBody(Body):
         blocks = in_threads(whole, [float(w) for w in wavelengths_nm])
         around = self.ambient.n_complex(wavelengths_nm).real
         return AxialTMatrices(
-            wavelengths_nm, np.stack(blocks), around, self.name, self.radius_nm, self.height_nm, self.circumscribing_nm,
+            wavelengths_nm,
+            np.stack(blocks),
+            around,
+            self.name,
+            self.radius_nm,
+            self.height_nm,
+            self.circumscribing_nm,
             None if self.shell is not None else self.core.n_complex(wavelengths_nm),
-        )  # fmt: skip
+        )

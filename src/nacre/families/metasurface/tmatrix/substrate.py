@@ -39,9 +39,12 @@ class StackReflection:
 
     @classmethod
     def between(
-        cls, below: ComplexArray, above: ComplexArray, risen: ComplexArray | None = None,
+        cls,
+        below: ComplexArray,
+        above: ComplexArray,
+        risen: ComplexArray | None = None,
         fallen: ComplexArray | None = None,
-    ) -> StackReflection:  # fmt: skip
+    ) -> StackReflection:
         """Combine two mirrors R_b and R_a with multiple reflections.
 
         Args:
@@ -50,9 +53,11 @@ class StackReflection:
         both = below * above
         left = 1.0 - both
         return cls(
-            below / left, above / left, (both if risen is None else risen) / left,
+            below / left,
+            above / left,
+            (both if risen is None else risen) / left,
             (both if fallen is None else fallen) / left,
-        )  # fmt: skip
+        )
 
     def pairs(self, b: ComplexArray) -> list[tuple[ComplexArray, ComplexArray]]:
         """Return left and right factors, `[m, pol, n, angle]`, whose summed products carry multipole n' to n.
@@ -276,9 +281,11 @@ class Embedded(Substrate):
         # combined phases: e^{-ikw lift} may overflow
         risen, fallen = (under * over * np.exp(1j * k * (2 * self.inner_nm + way) * w) for way in (lift_nm, -lift_nm))
         return StackReflection.between(
-            under * np.exp(2j * k * centre_nm * w), over * np.exp(2j * k * (self.inner_nm - centre_nm) * w), risen,
+            under * np.exp(2j * k * centre_nm * w),
+            over * np.exp(2j * k * (self.inner_nm - centre_nm) * w),
+            risen,
             fallen,
-        )  # fmt: skip
+        )
 
     def incident_waves(self, centre_nm: float, cosines: Array, w: ComplexArray, below: bool) -> IncidentWaves:
         """Return light from one side at a centre between both faces; see `Substrate.incident_waves`."""

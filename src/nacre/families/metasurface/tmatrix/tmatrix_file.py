@@ -134,10 +134,30 @@ except Exception:
     pass
 """
 PREFIXES = {
-    "y": 1e-24, "z": 1e-21, "a": 1e-18, "f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3,
-    "c": 1e-2, "d": 1e-1, "": 1.0, "da": 1e1, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12, "P": 1e15, "E": 1e18,
-    "Z": 1e21, "Y": 1e24,
-}  # fmt: skip
+    "y": 1e-24,
+    "z": 1e-21,
+    "a": 1e-18,
+    "f": 1e-15,
+    "p": 1e-12,
+    "n": 1e-9,
+    "u": 1e-6,
+    "µ": 1e-6,
+    "μ": 1e-6,
+    "m": 1e-3,
+    "c": 1e-2,
+    "d": 1e-1,
+    "": 1.0,
+    "da": 1e1,
+    "h": 1e2,
+    "k": 1e3,
+    "M": 1e6,
+    "G": 1e9,
+    "T": 1e12,
+    "P": 1e15,
+    "E": 1e18,
+    "Z": 1e21,
+    "Y": 1e24,
+}
 UNITS = {  # units of the format, for messages; 1/ forms are read too
     "length": "m with an SI prefix, as nm",
     "inverse length": "m^{-1} with an SI prefix, as nm^{-1} or cm^{-1}",
@@ -232,10 +252,18 @@ def _read(file: h5py.File, is_aligned: bool) -> AxialTMatrices:
     name = file.attrs.get("name", "")
     name = _shown(name.decode("utf-8", "replace") if isinstance(name, bytes) else str(name), 60)
     return AxialTMatrices(
-        wavelengths[order], blocks, index[order], name or Path(file.filename).name,
-        geometry.get("radius"), geometry.get("height"), geometry.get("circumscribing"),
-        _material(file, len(values), order), turn_loss, shape, whole,
-    )  # fmt: skip
+        wavelengths[order],
+        blocks,
+        index[order],
+        name or Path(file.filename).name,
+        geometry.get("radius"),
+        geometry.get("height"),
+        geometry.get("circumscribing"),
+        _material(file, len(values), order),
+        turn_loss,
+        shape,
+        whole,
+    )
 
 
 def _dataset(file: h5py.Group, name: str) -> Any:
@@ -497,10 +525,12 @@ def write_tmatrices(
     with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
         file.attrs.update(
             {
-                "name": known.name, "description": description, "storage_format_version": "v1",
+                "name": known.name,
+                "description": description,
+                "storage_format_version": "v1",
                 "keywords": "passive, reciprocal" if known.whole is not None else "czinfinity, passive, reciprocal",
             }
-        )  # fmt: skip
+        )
         file.create_dataset("tmatrix", data=whole, compression="gzip")
         file["vacuum_wavelength"] = known.wavelengths_nm
         file["vacuum_wavelength"].attrs["unit"] = "nm"
