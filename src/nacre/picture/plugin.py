@@ -20,7 +20,7 @@ class Plugin:
     mi: Any
     is_scalar: bool
 
-    def set_up(self, *arguments: Any) -> None:
+    def set_up(self, *arguments: Any, **options: Any) -> None:
         """Initialise the plugin."""
 
 

@@ -11,9 +11,9 @@ from nacre.device.variant import report, use_variant
 from nacre.material.material import loaded
 from nacre.picture import picture
 from nacre.picture.images import RenderResult
-from nacre.picture.picture import forget_stages
+from nacre.picture.picture import forget_scenes
 
-__all__ = ["RenderResult", "forget_stages", "make_bsdf", "render", "report", "scene_dict", "use_variant"]
+__all__ = ["RenderResult", "forget_scenes", "make_bsdf", "render", "report", "scene_dict", "use_variant"]
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")

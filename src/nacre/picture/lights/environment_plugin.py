@@ -46,7 +46,7 @@ class DistantEmitter(Plugin):
     eval: Any
     sample_direction: Any
 
-    def set_up(self, *arguments: Any) -> None:
+    def set_up(self, *arguments: Any, **options: Any) -> None:
         mi = self.mi
         self.m_flags = int(mi.EmitterFlags.Infinite | mi.EmitterFlags.SpatiallyVarying)
         self.m_needs_sample_3 = False
@@ -93,7 +93,7 @@ class DistantEmitter(Plugin):
 class NacreEnvironment(DistantEmitter):
     """Radiance over directions as weights times spectra; z is up."""
 
-    def set_up(self, environment: Environment) -> None:  # type: ignore[override]  # each plugin has its own arguments
+    def set_up(self, environment: Environment) -> None:
         import drjit as dr
 
         mi = self.mi

@@ -78,7 +78,7 @@ def sum_of_environments(parts: Sequence[tuple[Any, float]]) -> Any:
 class NacreEnvironments(DistantEmitter):
     """The sum of several environments."""
 
-    def set_up(self, parts: Sequence[tuple[Any, float]]) -> None:  # type: ignore[override]  # own arguments
+    def set_up(self, parts: Sequence[tuple[Any, float]]) -> None:
         DistantEmitter.set_up(self)
         self.parts, self.strengths = [part for part, _ in parts], [float(strength) for _, strength in parts]
         self.share = 1.0 / len(self.parts)  # equal shares, because a strong part must not starve the others
