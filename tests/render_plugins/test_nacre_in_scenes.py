@@ -60,7 +60,7 @@ def scene(mi: Any, bsdf: Any, size: int = 16) -> Any:
 
 def test_scene_entries_take_recipes_files_and_objects(mi: Any, tmp_path: Path) -> None:
     """{"type": "nacre", ...} by recipe, by compiled file, by an object handed over."""
-    from nacre.render.scene_plugin import hand_over
+    from nacre.render.scene_plugin import register_bsdf
 
     (tmp_path / "soap.toml").write_text(SOAP)
     bsdf = nacre.load(tmp_path / "soap.toml").bsdf()
@@ -68,7 +68,7 @@ def test_scene_entries_take_recipes_files_and_objects(mi: Any, tmp_path: Path) -
     entries = (
         {"recipe": str(tmp_path / "soap.toml")},
         {"file": str(tmp_path / "soap.nacre")},
-        {"bsdf": hand_over(bsdf), "two_sided": True},
+        {"bsdf": register_bsdf(bsdf), "two_sided": True},
     )
     pictures = [np.array(mi.render(scene(mi, {"type": "nacre", **entry}), spp=4, seed=1)) for entry in entries]
     assert np.isfinite(pictures[0]).all() and pictures[0].max() > 0

@@ -215,7 +215,7 @@ def test_the_sphere_is_seen_in_a_cell_and_follows_the_material_and_its_slider(br
     page.evaluate(STUB, [room.bundle("widget.js"), style])
     asked, told = answers()
 
-    def hand_over() -> None:
+    def register_bsdf() -> None:
         for content in page.evaluate("window.sent.splice(0)"):
             asked.hear(content)
         while told:
@@ -223,7 +223,7 @@ def test_the_sphere_is_seen_in_a_cell_and_follows_the_material_and_its_slider(br
             page.evaluate("([c, b]) => window.tell(c, b)", [content, [base64.b64encode(packed).decode()]])
 
     def settles(seq: int) -> bool:
-        hand_over()
+        register_bsdf()
         return bool(
             page.locator(".nacre-studio").get_attribute("data-seq") == str(seq)
             and page.locator("#view").get_attribute("data-seq") == str(seq)
@@ -264,7 +264,7 @@ def test_the_sphere_is_seen_in_a_cell_and_follows_the_material_and_its_slider(br
     assert np.abs(ball(picture(page)) - seen).max() > SEEN
     assert page.locator(".sliders label").count() == 6
     asked.hear({"kind": "vary", "path": page.locator(".sliders input").first.get_attribute("data-path"), "value": -1})
-    until(page, lambda: not hand_over() and page.locator(".nacre-studio").get_attribute("data-state") == "error")
+    until(page, lambda: not register_bsdf() and page.locator(".nacre-studio").get_attribute("data-state") == "error")
     page.evaluate("window.end()")
     page.close()
     assert troubles == []

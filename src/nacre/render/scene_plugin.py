@@ -72,7 +72,7 @@ def load_bsdf(path: str) -> Bsdf:
     return Bsdf.load(path) if path.endswith(".nacre") else load(path).bsdf()
 
 
-def hand_over(bsdf: Bsdf) -> str:
+def register_bsdf(bsdf: Bsdf) -> str:
     """Return a key under which a scene dictionary may name a Bsdf object: `{"type": "nacre", "bsdf": key}`.
 
     The table holds the object weakly: it lives as long as the caller keeps it.
