@@ -32,7 +32,7 @@ from common import Kept, Row, Worker, report, run_clock_by_cpu, searcher, within
 
 from nacre.light import SRGB_WHITE_XYZ, srgb_decode, srgb_linear_to_xyz, xyz_to_lab
 from nacre.matter.indices.library import index
-from nacre.optimise.merit import Goal, Goals, default_wavelengths_nm
+from nacre.optimise.merit import MeritFunction, Operand, default_wavelengths_nm
 from nacre.optimise.thin_film.problem import Medium, StackProblem
 from nacre.optimise.thin_film.search import StackSolution, many, search
 
@@ -60,29 +60,35 @@ def random_labs(seed: int, count: int) -> np.ndarray:
     return xyz_to_lab(srgb_linear_to_xyz(srgb_decode(rgb)), SRGB_WHITE_XYZ)
 
 
-def oxides(goals: Goals) -> StackProblem:
+def oxides(goals: MeritFunction) -> StackProblem:
     """Up to 10 layers of TiO2 and SiO2 on N-BK7."""
     bounds = {"TiO2": PLAIN_NM, "SiO2": PLAIN_NM}
-    return StackProblem(goals, (medium("TiO2"), medium("SiO2")), (medium("BK7"),), most=10, bounds_nm=bounds)
+    return StackProblem(goals, (medium("TiO2"), medium("SiO2")), (medium("BK7"),), max_layers=10, bounds_nm=bounds)
 
 
-def metals(goals: Goals, angles_deg: list[float], spread: float = 0.0) -> StackProblem:
+def metals(goals: MeritFunction, angles_deg: list[float], spread: float = 0.0) -> StackProblem:
     """Up to 6 layers of eight materials on seven substrates."""
     return StackProblem(
-        goals, tuple(map(medium, COATINGS)), tuple(map(medium, BASES)), tuple(np.radians(angles_deg)),
-        ("reflected",) * len(angles_deg), most=6, bounds_nm=dict.fromkeys(COATINGS, HELD_NM), spread_relative=spread,
-    )  # fmt: skip
+        goals,
+        tuple(map(medium, COATINGS)),
+        tuple(map(medium, BASES)),
+        tuple(np.radians(angles_deg)),
+        ("reflected",) * len(angles_deg),
+        max_layers=6,
+        bounds_nm=dict.fromkeys(COATINGS, HELD_NM),
+        spread_relative=spread,
+    )
 
 
-def wanted(lab: Iterable[float], rows: int, lamps: tuple[str, ...] = ("D65",), within: float = 1.0) -> Goals:
+def wanted(lab: Iterable[float], rows: int, lamps: tuple[str, ...] = ("D65",), tolerance: float = 1.0) -> MeritFunction:
     """One colour in every row."""
     l, a, b = (float(v) for v in lab)
-    return Goals([Goal(row, "colour", lab=(l, a, b), within=within) for row in range(rows)], lamps)
+    return MeritFunction([Operand(row, "colour", lab=(l, a, b), tolerance=tolerance) for row in range(rows)], lamps)
 
 
 def stack_of(found: StackSolution, problem: StackProblem) -> dict[str, Any]:
     """An answer as the judge takes it; materials, bounds and count are checked first."""
-    assert len(found.materials) <= problem.most and found.substrate in [m.name for m in problem.substrates]
+    assert len(found.materials) <= problem.max_layers and found.substrate in [m.name for m in problem.substrates]
     for name, d in zip(found.materials, found.thicknesses_nm):
         low, high = problem.bounds_of(name)  # raises for a material that is not of the palette
         assert low <= d <= high, (name, d)
@@ -103,7 +109,7 @@ def timed_search(problem: StackProblem, seconds: float, seed: int) -> tuple[Stac
 def held(i: int, seed: int, is_all: bool, judge: Worker) -> dict[str, Any]:
     """One colour at five angles."""
     lab = random_labs(seed + 1, i + 1)[i]
-    problem = metals(wanted(lab, len(HELD_DEG), within=within_of(TOLERANCE, is_all)), HELD_DEG)
+    problem = metals(wanted(lab, len(HELD_DEG), tolerance=within_of(TOLERANCE, is_all)), HELD_DEG)
     best, wall, cpu = timed_search(problem, SECONDS["held"], seed)
     d = judge.ask("differences", stack=stack_of(best, problem), angles_deg=HELD_DEG, lamps=["D65"], lab=lab.tolist())
     return {"worst": max(d), "own": float(best.d.max()), "wall": wall, "cpu": cpu}
@@ -112,9 +118,11 @@ def held(i: int, seed: int, is_all: bool, judge: Worker) -> dict[str, Any]:
 def flop(i: int, seed: int, is_all: bool, judge: Worker) -> dict[str, Any]:
     """Two hues at two angles."""
     hues = np.random.default_rng(seed + 2).uniform(0.0, 360.0, (i + 1, 2))[i]
-    goals = [Goal(r, "hue", low=float(h) - HUE_DEG, high=float(h) + HUE_DEG, within=1.0) for r, h in enumerate(hues)]
-    goals += [Goal(r, "chroma", low=c, within=1.0) for r, c in enumerate(CHROMA)]
-    problem = metals(Goals(goals), FLOP_DEG)
+    goals = [
+        Operand(r, "hue", low=float(h) - HUE_DEG, high=float(h) + HUE_DEG, tolerance=1.0) for r, h in enumerate(hues)
+    ]
+    goals += [Operand(r, "chroma", low=c, tolerance=1.0) for r, c in enumerate(CHROMA)]
+    problem = metals(MeritFunction(goals), FLOP_DEG)
     best, wall, cpu = timed_search(problem, SECONDS["flop"], seed)
     labs = judge.ask("labs", stack=stack_of(best, problem), angles_deg=FLOP_DEG, lamps=["D65"])
     off = [
@@ -145,15 +153,21 @@ def yields(i: int, seed: int, is_all: bool, judge: Worker) -> dict[str, Any]:
     plain, _, _ = timed_search(plain_problem, seconds, seed)
     if plain.d.max() >= 1.0:
         return {"skipped": float(plain.d.max())}
-    robust_problem = metals(wanted(lab, len(HELD_DEG), within=TOLERANCE), HELD_DEG, SPREAD)
+    robust_problem = metals(wanted(lab, len(HELD_DEG), tolerance=TOLERANCE), HELD_DEG, SPREAD)
     robust, wall, cpu = timed_search(robust_problem, seconds, seed)
     shares = [
         judge.ask(
-            "made", stack=stack_of(one, plain_problem), angles_deg=HELD_DEG, lab=lab.tolist(), relative=SPREAD,
-            within=TOLERANCE, draws=MADE_DRAWS, seed=seed,
+            "made",
+            stack=stack_of(one, plain_problem),
+            angles_deg=HELD_DEG,
+            lab=lab.tolist(),
+            relative=SPREAD,
+            tolerance=TOLERANCE,
+            draws=MADE_DRAWS,
+            seed=seed,
         )
         for one in (plain, robust)
-    ]  # fmt: skip
+    ]
     return {"plain": shares[0], "robust": shares[1], "own": robust.yield_share, "wall": wall, "cpu": cpu}
 
 
@@ -223,11 +237,16 @@ def rows_of(kind: str, results: list[dict[str, Any]]) -> list[Row]:
         ]
     if kind == "held":
         return [
-            Row(f"held at five angles: share below 2, of {n}", float(np.mean(worst < 2.0)), "", 0.8,
-                note=f"median {np.median(worst):.2f}, largest {worst.max():.2f}; {by_judge}"),
+            Row(
+                f"held at five angles: share below 2, of {n}",
+                float(np.mean(worst < 2.0)),
+                "",
+                0.8,
+                note=f"median {np.median(worst):.2f}, largest {worst.max():.2f}; {by_judge}",
+            ),
             Row("held at five angles: share below 4", float(np.mean(worst < 4.0)), "", 0.92),
             Row("held at five angles: longest", wall, "s", 60.0, higher_is_better=False, note=f"{cpu:.0f} s of CPU"),
-        ]  # fmt: skip
+        ]
     if kind == "flop":
         return [
             Row(f"flop: share of {n} pairs met", float(np.mean([r["met"] for r in done])), "", 0.98),
@@ -238,13 +257,22 @@ def rows_of(kind: str, results: list[dict[str, Any]]) -> list[Row]:
         shown, met = float(np.mean([r["is_possible"] for r in done])), worst < 1.0
         median = float(np.median(worst[is_possible])) if is_possible.any() else np.nan
         return [
-            Row(f"D65 and A: share of {n} below 1 under both", float(np.mean(met)), "", 0.6,
+            Row(
+                f"D65 and A: share of {n} below 1 under both",
+                float(np.mean(met)),
+                "",
+                0.6,
                 note=f"of no more than {np.mean(is_possible):.2f} that any reflectance has, by a linear program; "
-                f"{shown:.2f} are shown to be had"),
-            Row(f"D65 and A: share of the {is_possible.sum()} that a reflectance has",
-                float(np.mean(met[is_possible])) if is_possible.any() else np.nan, "", 0.6,
-                note=f"median of the worse {median:.2f}; {by_judge}; {clock}"),
-        ]  # fmt: skip
+                f"{shown:.2f} are shown to be had",
+            ),
+            Row(
+                f"D65 and A: share of the {is_possible.sum()} that a reflectance has",
+                float(np.mean(met[is_possible])) if is_possible.any() else np.nan,
+                "",
+                0.6,
+                note=f"median of the worse {median:.2f}; {by_judge}; {clock}",
+            ),
+        ]
     plain, robust = (np.median([r[key] for r in done]) for key in ("plain", "robust"))
     gain = 1.5 if robust >= 0.95 else float(robust / max(plain, 1e-3))
     note = f"medians {plain:.3f} and {robust:.3f}; {len(results) - n} targets out of reach; {clock}"

@@ -31,9 +31,9 @@ from common import PEER_PYTHON, Kept, Row, Worker, parser, report
 os.environ["NACRE_JOBS"] = "1"
 
 from nacre.matter.indices.library import index
-from nacre.optimise.run import search_of
-from nacre.optimise.task import read_target
-from nacre.optimise.thin_film.adapter import StackSearch
+from nacre.optimise.run import choose_search
+from nacre.optimise.task import read_task
+from nacre.optimise.thin_film.adapter import ThinFilmSearch
 from nacre.optimise.thin_film.search import search
 
 LEAST_NM, MOST_NM = 5.0, 400.0
@@ -87,19 +87,37 @@ FILTERS = (
     Filter("V-coat, 520-560 nm", ((520, 560, 0.0),), FLUORIDE, BK7, (("MgF2", 110.0), ("TiO2", 25.0)), 1, step_nm=4.0),
     Filter("antireflection, 400-700 nm", ((400, 700, 0.0),), THREE, BK7, QUARTER_HALF_QUARTER, 2),
     Filter("antireflection at 45 degrees, 450-650 nm", ((450, 650, 0.0),), THREE, BK7, QUARTER_HALF_QUARTER, 1, 45.0),
-    Filter("antireflection on silicon, 450-800 nm", ((450, 800, 0.0),), OXIDES, "Si",
-           (("SiO2", 90.0), ("TiO2", 60.0)), 2),
+    Filter(
+        "antireflection on silicon, 450-800 nm", ((450, 800, 0.0),), OXIDES, "Si", (("SiO2", 90.0), ("TiO2", 60.0)), 2
+    ),
     Filter("50:50 beam splitter at 45 degrees", ((450, 650, 0.5),), OXIDES, BK7, quarters(550.0, 1), 2, 45.0),
-    Filter("long-pass edge, 550 nm", ((430, 530, 1.0), (570, 750, 0.0)), OXIDES, BK7, quarters(480.0, 4), 1,
-           step_nm=12.0),
-    Filter("short-pass edge, 580 nm", ((430, 560, 0.0), (600, 720, 1.0)), OXIDES, BK7, quarters(660.0, 4), 1,
-           step_nm=12.0),
-    Filter("minus filter, 550 nm", ((430, 500, 0.0), (535, 565, 1.0), (600, 700, 0.0)), OXIDES, BK7,
-           quarters(550.0, 4), 1, step_nm=12.0),
+    Filter(
+        "long-pass edge, 550 nm", ((430, 530, 1.0), (570, 750, 0.0)), OXIDES, BK7, quarters(480.0, 4), 1, step_nm=12.0
+    ),
+    Filter(
+        "short-pass edge, 580 nm", ((430, 560, 0.0), (600, 720, 1.0)), OXIDES, BK7, quarters(660.0, 4), 1, step_nm=12.0
+    ),
+    Filter(
+        "minus filter, 550 nm",
+        ((430, 500, 0.0), (535, 565, 1.0), (600, 700, 0.0)),
+        OXIDES,
+        BK7,
+        quarters(550.0, 4),
+        1,
+        step_nm=12.0,
+    ),
     Filter("cold mirror", ((420, 660, 1.0), (720, 820, 0.0)), OXIDES, BK7, quarters(540.0, 4), 1, step_nm=14.0),
-    Filter("dichroic at 45 degrees, 500 nm", ((430, 480, 1.0), (520, 680, 0.0)), OXIDES, BK7, quarters(480.0, 4), 1,
-           45.0, step_nm=12.0),
-)  # fmt: skip
+    Filter(
+        "dichroic at 45 degrees, 500 nm",
+        ((430, 480, 1.0), (520, 680, 0.0)),
+        OXIDES,
+        BK7,
+        quarters(480.0, 4),
+        1,
+        45.0,
+        step_nm=12.0,
+    ),
+)
 
 
 def by_optiland(one: Filter, peer: Worker) -> dict[str, Any]:
@@ -112,10 +130,19 @@ def by_optiland(one: Filter, peer: Worker) -> dict[str, Any]:
     }
     nm, wanted = one.wanted(one.step_nm)
     found = peer.ask(
-        "needle", media=media, nm=grid.tolist(), ambient="air", palette=list(one.palette), substrate=one.substrate,
-        start=one.start, wanted_nm=nm.tolist(), wanted=wanted.tolist(), angle_deg=one.angle_deg, needles=one.needles,
+        "needle",
+        media=media,
+        nm=grid.tolist(),
+        ambient="air",
+        palette=list(one.palette),
+        substrate=one.substrate,
+        start=one.start,
+        wanted_nm=nm.tolist(),
+        wanted=wanted.tolist(),
+        angle_deg=one.angle_deg,
+        needles=one.needles,
         least_nm=LEAST_NM,
-    )  # fmt: skip
+    )
     return {"layers": found["layers"], "cpu": found["cpu"]}
 
 
@@ -125,15 +152,17 @@ def by_nacre(one: Filter, most: int, seconds: float, seed: int) -> dict[str, Any
     with tempfile.TemporaryDirectory() as folder:
         csv = Path(folder) / "wanted.csv"
         csv.write_text("nm,R\n" + "".join(f"{a:g},{b:g}\n" for a, b in zip(nm, wanted)), encoding="utf-8")
-        target = read_target({
-            "recipe": {"family": "film", "substrate": one.substrate, "layers": []},
-            "layers": {"palette": list(one.palette), "most": most, "thickness_nm": [LEAST_NM, MOST_NM]},
-            "want": [{"at": f"specular {one.angle_deg:g}", "spectrum": str(csv), "within": 0.01}],
-            "search": {"seconds": seconds, "solutions": 1, "seed": seed},
-        })  # fmt: skip
+        target = read_task(
+            {
+                "recipe": {"family": "film", "substrate": one.substrate, "layers": []},
+                "layers": {"palette": list(one.palette), "max_layers": most, "thickness_nm": [LEAST_NM, MOST_NM]},
+                "target": [{"geometry": f"specular {one.angle_deg:g}", "spectrum": str(csv), "tolerance": 0.01}],
+                "search": {"seconds": seconds, "solutions": 1, "seed": seed},
+            }
+        )
     wall, cpu = time.monotonic(), time.process_time()
-    engine = search_of(target, seed)
-    assert isinstance(engine, StackSearch)
+    engine = choose_search(target, seed)
+    assert isinstance(engine, ThinFilmSearch)
     # by CPU, not by the clock: other work on the machine shall count for neither
     found = search(engine.problem, CLOCK * seconds, 1, seed, stop=lambda: time.process_time() - cpu > seconds, jobs=1)
     changes = engine.changes(found[0])
@@ -150,8 +179,11 @@ def measure(number: int, seed: int, peer: Worker, judge: Worker) -> dict[str, An
     for found in (theirs, ours):
         for name, d in found["layers"]:
             assert name in one.palette and (found is theirs or LEAST_NM <= d <= MOST_NM), (name, d)
-        stack = {"materials": [m for m, _ in found["layers"]], "substrate": one.substrate,
-                 "thicknesses_nm": [d for _, d in found["layers"]]}  # fmt: skip
+        stack = {
+            "materials": [m for m, _ in found["layers"]],
+            "substrate": one.substrate,
+            "thicknesses_nm": [d for _, d in found["layers"]],
+        }
         found["rms"] = judge.ask(
             "rms", stack=stack, angle_deg=one.angle_deg, wavelengths_nm=nm.tolist(), wanted=wanted.tolist()
         )

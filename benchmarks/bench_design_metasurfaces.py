@@ -32,7 +32,7 @@ from common import Kept, Row, Worker, report, run_clock_by_cpu, searcher, within
 
 import nacre
 from nacre.core.errors import NacreError
-from nacre.optimise.measurement import At, see
+from nacre.optimise.measurement import Geometry, simulate_measurement
 
 WANTS = [f"{kind} {angle}" for kind in ("specular", "diffuse") for angle in (0, 30, 60)]
 FREE = {
@@ -69,8 +69,11 @@ def one(number: int, seed: int, seconds: float, within: float, judge: Worker) ->
         return {"skipped": "a sphere whose series does not converge"}
     target = {
         "recipe": start,
-        "free": {**{path: list(bounds) for path, bounds in FREE.items()}, "particle.material": {"choices": MATERIALS}},
-        "want": [{"at": at, "lab": lab, "within": within} for at, lab in zip(WANTS, labs)],
+        "parameters": {
+            **{path: list(bounds) for path, bounds in FREE.items()},
+            "particle.material": {"choices": MATERIALS},
+        },
+        "target": [{"geometry": at, "lab": lab, "tolerance": within} for at, lab in zip(WANTS, labs)],
         "search": {"seconds": seconds, "solutions": 1, "seed": seed},
     }
     with tempfile.TemporaryDirectory() as folder:
@@ -81,7 +84,7 @@ def one(number: int, seed: int, seconds: float, within: float, judge: Worker) ->
             assert low <= found.best.material.get(path) <= high, path
         assert found.best.material.get("particle.material") in MATERIALS
         d = judge.ask("differences", recipe=str(Path(folder) / "recipe.toml"), wants=WANTS, labs=labs)
-    own = max(reached.distance for reached in found.best.wants)
+    own = max(reached.distance for reached in found.best.targets)
     right = found.best.material.get("particle.material") == values["particle.material"]
     return {"worst": max(d), "own": own, "wall": wall, "cpu": cpu, "same_material": right}
 
@@ -94,7 +97,7 @@ def candidate_seconds(seed: int, count: int = 20) -> float:
         made = nacre.material(start).vary(values)
         begun = time.process_time()
         try:
-            see(made, [At.read(at, "want") for at in WANTS], grid, memory=memory)
+            simulate_measurement(made, [Geometry.read(at, "want") for at in WANTS], grid, memory=memory)
         except NacreError:
             continue
         spent.append(time.process_time() - begun)
@@ -131,12 +134,17 @@ def main(arguments: list[str] | None = None) -> int:
     right = sum(r["same_material"] for r in done)
     wall, cpu = (float(np.max([r[key] for r in done])) for key in ("wall", "cpu"))
     rows = [
-        Row(f"hidden metasurfaces: share with dE00 <= 1.5 at all six, of {len(done)}", share, "", 0.9,
+        Row(
+            f"hidden metasurfaces: share with dE00 <= 1.5 at all six, of {len(done)}",
+            share,
+            "",
+            0.9,
             note=f"median of the worst {np.median(worst):.2f}, largest {worst.max():.2f}; judge and search differ by "
-            f"{off:.2f} at most; the same material in {right}"),
+            f"{off:.2f} at most; the same material in {right}",
+        ),
         Row("hidden metasurfaces: longest", wall, "s", 180.0, higher_is_better=False, note=f"{cpu:.0f} s of CPU"),
         Row("candidate at 16 wavelengths and 6 directions, CPU", spent, "s", 0.25, higher_is_better=False),
-    ]  # fmt: skip
+    ]
     notes = {**clock, "seed": chosen.seed, "load": f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores at the end"}
     return report("design_metasurfaces: metasurfaces from wanted colours", rows, chosen.json, notes)
 

@@ -59,11 +59,13 @@ def platelet(kind: int, amount: float, coating_nm: float, substrate_nm: float) -
     return {
         "volume_fraction": amount,
         "substrate": {
-            "material": substrate, "thickness_nm": substrate_nm, "deviation_nm": spread * sum(bounds) / 2,
+            "material": substrate,
+            "thickness_nm": substrate_nm,
+            "deviation_nm": spread * sum(bounds) / 2,
         },
         "coatings": [{"material": coating, "thickness_nm": coating_nm}],
         "normal_deviation": flatness,
-    }  # fmt: skip
+    }
 
 
 def hidden(number: int, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -75,8 +77,12 @@ def hidden(number: int, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
         "thickness_um": float(np.round(rng.uniform(30.0, 120.0))),
         "roughness": float(np.round(rng.choice([0.0, 0.02, 0.1]), 3)),
     }
-    inside = [platelet(int(k), float(np.exp(rng.uniform(*np.log(AMOUNT)))), *(float(rng.uniform(*SHOP[k][i]))
-              for i in (3, 4))) for k in pigments]  # fmt: skip
+    inside = [
+        platelet(
+            int(k), float(np.exp(rng.uniform(*np.log(AMOUNT)))), *(float(rng.uniform(*SHOP[k][i])) for i in (3, 4))
+        )
+        for k in pigments
+    ]
     shop = [platelet(k, 0.01, sum(SHOP[k][3]) / 2, sum(SHOP[k][4]) / 2) for k in range(len(SHOP))]
     ground = float(rng.uniform(*GROUND))
     return (
@@ -96,9 +102,9 @@ def target(start: dict[str, Any], labs: list[list[float]], seconds: float, seed:
         free[f"{head}.volume_fraction"] = [0.0, 0.08]
         free[f"{head}.coatings[0].thickness_nm"] = list(coating)
         free[f"{head}.substrate.thickness_nm"] = list(substrate)
-    wants = [{"at": at, "lab": lab, "within": BAR_DE00} for at, lab in zip(GEOMETRIES, labs, strict=True)]
+    wants = [{"geometry": at, "lab": lab, "tolerance": BAR_DE00} for at, lab in zip(GEOMETRIES, labs, strict=True)]
     search = {"seconds": seconds, "solutions": 1, "seed": seed}
-    return {"recipe": start, "free": free, "want": wants, "search": search}
+    return {"recipe": start, "parameters": free, "target": wants, "search": search}
 
 
 def one(number: int, seed: int, seconds: float, judge: Worker) -> dict[str, Any]:
@@ -116,10 +122,15 @@ def one(number: int, seed: int, seconds: float, judge: Worker) -> dict[str, Any]
         )
         left = nacre.load(folder / "out" / "recipe.toml").data["strata"][0].get("platelets", [])
     return {
-        "mean": float(np.mean(judged["de00"])), "worst": float(np.max(judged["de00"])), "de00": judged["de00"],
-        "own": [r.distance for r in found.best.wants], "error": float(np.max([*wanted["error"], *judged["error"]])),
-        "wall": wall, "cpu": cpu, "pigments": [len(recipe["strata"][0]["platelets"]), len(left)],
-    }  # fmt: skip
+        "mean": float(np.mean(judged["de00"])),
+        "worst": float(np.max(judged["de00"])),
+        "de00": judged["de00"],
+        "own": [r.distance for r in found.best.targets],
+        "error": float(np.max([*wanted["error"], *judged["error"]])),
+        "wall": wall,
+        "cpu": cpu,
+        "pigments": [len(recipe["strata"][0]["platelets"]), len(left)],
+    }
 
 
 def measure(
@@ -150,13 +161,28 @@ def main(arguments: list[str] | None = None) -> int:
     noise = f"noise of the judge at most {max(r['error'] for r in found):.2f} dE00"
     apart = max(float(np.max(np.abs(np.subtract(r["de00"], r["own"])))) for r in found)
     rows = [
-        Row(f"six angles: share of {len(found)}{of_all} with a mean of 1 or less", float(np.mean(mean <= BAR_DE00)),
-            "", SHARE, note=f"median {np.median(mean):.2f}, largest {mean.max():.2f}; {noise}"),
-        Row("six angles: largest mean dE00", float(mean.max()), "",
-            note=f"worst angle {max(r['worst'] for r in found):.2f}; judge and design differ by {apart:.2f} at most"),
-        Row("six angles: longest, CPU", max(r["cpu"] for r in found), "s", CORES * SECONDS, higher_is_better=False,
-            note=f"{max(r['wall'] for r in found):.0f} s by the clock"),
-    ]  # fmt: skip
+        Row(
+            f"six angles: share of {len(found)}{of_all} with a mean of 1 or less",
+            float(np.mean(mean <= BAR_DE00)),
+            "",
+            SHARE,
+            note=f"median {np.median(mean):.2f}, largest {mean.max():.2f}; {noise}",
+        ),
+        Row(
+            "six angles: largest mean dE00",
+            float(mean.max()),
+            "",
+            note=f"worst angle {max(r['worst'] for r in found):.2f}; judge and design differ by {apart:.2f} at most",
+        ),
+        Row(
+            "six angles: longest, CPU",
+            max(r["cpu"] for r in found),
+            "s",
+            CORES * SECONDS,
+            higher_is_better=False,
+            note=f"{max(r['wall'] for r in found):.0f} s by the clock",
+        ),
+    ]
     notes = {**clock, "seed": chosen.seed, "load": f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores at the end"}
     return report("design_pearls: pearls from their colours at six angles", rows, chosen.json, notes)
 

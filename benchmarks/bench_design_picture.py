@@ -42,10 +42,10 @@ TARGET = """
 family = "film"
 substrate = "Al"
 layers = [{material = "TiO2", thickness_nm = 100}, {material = "SiO2", thickness_nm = 100}]
-[free]
+[parameters]
 "layers[*].thickness_nm" = [0, 300]
-[[want]]
-at = "specular 0"
+[[target]]
+geometry = "specular 0"
 image = "picture.png"
 """
 

@@ -72,7 +72,7 @@ def made(
     angles_deg: list[float],
     lab: list[float],
     relative: float,
-    within: float,
+    tolerance: float,
     draws: int,
     seed: int,
 ) -> float:
@@ -83,7 +83,7 @@ def made(
     for _ in range(draws):
         sample = {**stack, "thicknesses_nm": list(d * (1.0 + relative * rng.normal(size=len(d))))}
         good += all(
-            colour.delta_E(lab_of(reflectance(sample, a, 10), "D65", 10), np.array(lab), method="CIE 2000") <= within
+            colour.delta_E(lab_of(reflectance(sample, a, 10), "D65", 10), np.array(lab), method="CIE 2000") <= tolerance
             for a in angles_deg
         )
     return good / draws

@@ -356,8 +356,8 @@ def test_design(both: Both, monkeypatch: pytest.MonkeyPatch) -> None:
     number = NUMBERS.get(both.recipe.stem) or next(iter(nacre.load(both.recipe).parameters))
     value = nacre.load(both.recipe).get(number)
     (both.recipe.parent / "asked.toml").write_text(
-        f'recipe = "{both.recipe.name}"\n[free]\n"{number}" = [{0.9 * value}, {1.1 * value}]\n'
-        '[[want]]\nat = "hemispherical 0"\nlightness = "<=100"\n[search]\nseconds = 6\nsolutions = 1\n'
+        f'recipe = "{both.recipe.name}"\n[parameters]\n"{number}" = [{0.9 * value}, {1.1 * value}]\n'
+        '[[target]]\ngeometry = "hemispherical 0"\nlightness = "<=100"\n[search]\nseconds = 6\nsolutions = 1\n'
     )
     found = both.ask(
         lambda: nacre.design("asked.toml", both.python / "x"),

@@ -178,7 +178,7 @@ def gamut(
 
     Args:
         thing: a material or a path.
-        free: such as "layers[0].thickness_nm=50:400" or "substrate=Al,Ag"; or a mapping as a design's `[free]`.
+        free: such as "layers[0].thickness_nm=50:400" or "substrate=Al,Ag"; or a mapping as a design's `[parameters]`.
         at: "specular 0", "transmitted 0", "diffuse 0", "hemispherical 0" or "45as15", as in a design's wants; None:
             what shows a family's colour: "45as15" for a pearl, "45as45" for a photonic glass, "specular 0" for the
             others.
@@ -196,7 +196,7 @@ def gamut(
     table = free if isinstance(free, Mapping) else parse_parameters(free)
     return find_gamut(
         as_material(thing), table, at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
-        within=within, samples=samples, seed=seed,
+        tolerance=within, samples=samples, seed=seed,
     )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ from nacre.cli.gallery import (
 from nacre.material.examples import examples_folder
 from nacre.material.material import load
 from nacre.optimise.relief.run import load_target
-from nacre.optimise.task import is_wants, read_target
+from nacre.optimise.task import is_design_task, read_task
 from nacre.picture.scenes.catalogue import SCENE_NAMES
 
 FAMILIES = ("film", "pearl", "metasurface", "relief")
@@ -44,7 +44,7 @@ def test_every_entry_of_the_gallery_can_be_made() -> None:
         assert all(load(folder / recipe) for recipe in row.recipes)
     for design in gallery.design:
         path = folder / design.target
-        read_target(path) if is_wants(tomllib.loads(path.read_text())) else load_target(path)
+        read_task(path) if is_design_task(tomllib.loads(path.read_text())) else load_target(path)
 
 
 @pytest.mark.parametrize("is_quick", [True, False])

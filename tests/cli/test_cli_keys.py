@@ -31,7 +31,7 @@ ANSWERS = {
     "film.substrate": ("{lorentz = {oscillators = [{", "{n = 1.56, k = 0.06}", 'file = "nk.csv"'),
     "film.substrate.lorentz": ("oscillators", "resonance_ev"),
     "pearl.strata.platelets": ("[[strata.platelets]]", "volume_fraction = 0.01", "at most 0.3 or texture"),
-    "target.target.kind": ('"anti-mirror"',),
+    "relief-design.target.kind": ('"anti-mirror"',),
     "sweep.axes": ("start = 100", "sweep.axes"),
     "film.tolerance": ("percent = 2", "deviation"),
     "index": ("cauchy", "sellmeier", "rii"),
@@ -101,7 +101,7 @@ def test_a_path_shows_unit_range_default_and_snippet(path: str, capsys: pytest.C
 
 def test_without_a_path_all_kinds_are_listed_those_of_other_packages_too(capsys: pytest.CaptureFixture[str]) -> None:
     text = shown(capsys)
-    for name in (*family_names(), "target", "wants", "sweep", "index", "texture"):
+    for name in (*family_names(), "relief-design", "design", "sweep", "index", "texture"):
         assert f"  {name} " in text
     assert json.loads(shown(capsys, "--json")) == list(kind_names())
 
@@ -173,7 +173,7 @@ def test_the_example_of_a_family_is_a_recipe(name: str, tmp_path: Path) -> None:
 
 
 def test_the_example_of_a_target_and_of_a_sweep_are_such_files(tmp_path: Path) -> None:
-    for name in ("target", "wants", "sweep"):
+    for name in ("relief-design", "design", "sweep"):
         validate(kind(name).model, kind(name).model.example, RecipeContext("here", tmp_path))
 
 

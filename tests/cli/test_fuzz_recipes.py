@@ -29,7 +29,7 @@ def is_recipe(path: Path) -> bool:
 
 
 def targets() -> list[Path]:
-    return sorted(p for p in EXAMPLES.rglob("*.toml") if "target" in tomllib.loads(p.read_text()))
+    return sorted(p for p in EXAMPLES.rglob("*.toml") if isinstance(tomllib.loads(p.read_text()).get("target"), dict))
 
 
 def examples_from_outside() -> list[dict[str, Any]]:

@@ -86,9 +86,7 @@ def test_errors_of_the_process_cost_more_the_larger_they_are() -> None:
     geometry = SliceGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), spectrum.wavelengths_nm)
     heights = 400.0 * np.random.default_rng(2).random((8, 8))
     view = View(geometry, np.ones((1, 12, 12, 3)), spectrum.rgb_weights)
-    problem = Problem(
-        8, 1500.0, 500.0, 400.0, Coherence.from_sigma(0.8), (view,), 0.1
-    )  # fmt: skip
+    problem = Problem(8, 1500.0, 500.0, 400.0, Coherence.from_sigma(0.8), (view,), 0.1)
     none = robustness(problem, heights, height_error=0.0, blur_error=0.0, noise=0.0, draws=3)
     assert none.delta_e.percentile_95 < 0.05 and none.loss_fixed.mean == pytest.approx(
         none.loss_fixed.nominal, rel=1e-4

@@ -8,7 +8,7 @@ import pytest
 
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, lch_to_lab, xyz_weights
-from nacre.optimise.merit import Goal, Goals, default_wavelengths_nm, difference_components, smooth_weights
+from nacre.optimise.merit import MeritFunction, Operand, default_wavelengths_nm, difference_components, smooth_weights
 
 ROUNDING = 1e-9
 # colour-science cuts off at 380 and 780 nm, where nacre's tables go on to 360 and 830 nm
@@ -24,7 +24,7 @@ def test_the_distance_is_that_of_colour_science_under_two_lamps() -> None:
     fine = np.arange(380.0, 781.0)
     coarse = default_wavelengths_nm()
     wanted = (45.0, 30.0, -12.0)
-    found = Goals([Goal(0, "colour", lab=wanted)], ("D65", "A")).distances(fringes(coarse, 900.0)[None])
+    found = MeritFunction([Operand(0, "colour", lab=wanted)], ("D65", "A")).distances(fringes(coarse, 900.0)[None])
     for lamp, ours in zip(("D65", "A"), found):
         cmfs = colour.MSDS_CMFS["CIE 1964 10 Degree Standard Observer"]
         sd = colour.SpectralDistribution(fringes(fine, 900.0), fine)
@@ -56,11 +56,11 @@ def test_the_components_of_a_difference_have_the_length_of_its_dE00() -> None:
 
 def test_the_length_of_the_residuals_is_that_of_the_scaled_distances_of_colours_and_spectra() -> None:
     grid = default_wavelengths_nm()
-    goals = Goals(
+    goals = MeritFunction(
         [
-            Goal(0, "colour", lab=(40, 30, -20), within=0.5),
-            Goal(1, "colour", xyz=(0.3, 0.2, 0.1), weight=2.0),
-            Goal(1, "spectrum", reflectance=fringes(grid, 300.0), within=3.0),
+            Operand(0, "colour", lab=(40, 30, -20), tolerance=0.5),
+            Operand(1, "colour", xyz=(0.3, 0.2, 0.1), weight=2.0),
+            Operand(1, "spectrum", reflectance=fringes(grid, 300.0), tolerance=3.0),
         ],
         ("D65", "F11"),
     )
@@ -73,13 +73,13 @@ def test_the_length_of_the_residuals_is_that_of_the_scaled_distances_of_colours_
 
 def test_the_jacobian_is_the_finite_difference() -> None:
     grid = default_wavelengths_nm()
-    goals = Goals(
+    goals = MeritFunction(
         [
-            Goal(0, "colour", lab=(40, 30, -20)),
-            Goal(1, "hue", low=200, high=220),
-            Goal(0, "chroma", low=80),
-            Goal(1, "lightness", high=20),
-            Goal(1, "spectrum", reflectance=fringes(grid, 300.0)),
+            Operand(0, "colour", lab=(40, 30, -20)),
+            Operand(1, "hue", low=200, high=220),
+            Operand(0, "chroma", low=80),
+            Operand(1, "lightness", high=20),
+            Operand(1, "spectrum", reflectance=fringes(grid, 300.0)),
         ],
         ("D65", "A"),
     )
@@ -93,16 +93,16 @@ def test_the_jacobian_is_the_finite_difference() -> None:
 @pytest.mark.parametrize(
     ("goal", "inside", "outside"),
     [
-        (Goal(0, "hue", low=350, high=10), (50, 30, 2), (50, 20, 25)),
-        (Goal(0, "hue", low=10, high=350), (50, -30, 2), (50, 40, 2)),
-        (Goal(0, "chroma", low=40), (50, 30, 30), (40, 5, -20)),
-        (Goal(0, "chroma", low=10, high=20), (50, 10, 10), (40, 5, -60)),
-        (Goal(0, "lightness", high=20), (15, 30, 30), (40, 5, -20)),
+        (Operand(0, "hue", low=350, high=10), (50, 30, 2), (50, 20, 25)),
+        (Operand(0, "hue", low=10, high=350), (50, -30, 2), (50, 40, 2)),
+        (Operand(0, "chroma", low=40), (50, 30, 30), (40, 5, -20)),
+        (Operand(0, "chroma", low=10, high=20), (50, 10, 10), (40, 5, -60)),
+        (Operand(0, "lightness", high=20), (15, 30, 30), (40, 5, -20)),
     ],
 )
-def test_a_range_is_as_far_as_its_nearest_colour(goal: Goal, inside: tuple, outside: tuple) -> None:
+def test_a_range_is_as_far_as_its_nearest_colour(goal: Operand, inside: tuple, outside: tuple) -> None:
     """The nearest of a dense sample of the colours that satisfy the range."""
-    goals = Goals([goal])
+    goals = MeritFunction([goal])
     near = goals._distance(np.zeros((1, 201)), np.array([inside], dtype=float)[None], 0)
     far = goals._distance(np.zeros((1, 201)), np.array([outside], dtype=float)[None], 0)
     lightness, chroma, hue = (
@@ -124,14 +124,14 @@ def test_a_range_is_as_far_as_its_nearest_colour(goal: Goal, inside: tuple, outs
 @pytest.mark.parametrize(
     ("goal", "words"),
     [
-        (Goal(0, "colour"), "lab or xyz"),
-        (Goal(0, "hue", low=3), "both ends"),
-        (Goal(0, "chroma"), "lower or an upper"),
-        (Goal(0, "lightness", low=30, high=20), "cross"),
-        (Goal(0, "spectrum", reflectance=np.ones(3)), "201 values"),
-        (Goal(0, "colour", lab=(1, 2, 3), within=0.0), "within > 0"),
+        (Operand(0, "colour"), "lab or xyz"),
+        (Operand(0, "hue", low=3), "both ends"),
+        (Operand(0, "chroma"), "lower or an upper"),
+        (Operand(0, "lightness", low=30, high=20), "cross"),
+        (Operand(0, "spectrum", reflectance=np.ones(3)), "201 values"),
+        (Operand(0, "colour", lab=(1, 2, 3), tolerance=0.0), "within > 0"),
     ],
 )
-def test_a_goal_that_does_not_hold_together_is_told_in_words(goal: Goal, words: str) -> None:
+def test_a_goal_that_does_not_hold_together_is_told_in_words(goal: Operand, words: str) -> None:
     with pytest.raises(NacreError, match=words):
-        Goals([goal])
+        MeritFunction([goal])

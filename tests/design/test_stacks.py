@@ -14,9 +14,9 @@ from nacre.light import delta_e_2000
 from nacre.matter.indices.library import index
 from nacre.matter.stack.solve import powers
 from nacre.matter.stack.thickness_gradient import scratch, spectra_and_gradients, stack_tables
-from nacre.optimise.merit import Goal, Goals, default_wavelengths_nm
+from nacre.optimise.merit import MeritFunction, Operand, default_wavelengths_nm
 from nacre.optimise.thin_film.levenberg_marquardt import descend, workspace
-from nacre.optimise.thin_film.merit_kernel import compile_goals, look, share_outside
+from nacre.optimise.thin_film.merit_kernel import compile_merit, look, share_outside
 from nacre.optimise.thin_film.problem import Medium, Slot, StackProblem
 from nacre.optimise.thin_film.search import StackSolution, _Candidate, _Engine, is_alike, many, search
 
@@ -96,14 +96,14 @@ def test_slopes_are_finite_differences_also_at_zero_thickness(thickness: float) 
         assert abs(forward - slopes[:, j]).max() < 1e-6 * abs(slopes).max()
 
 
-def mixed_goals() -> Goals:
-    return Goals(
+def mixed_goals() -> MeritFunction:
+    return MeritFunction(
         [
-            Goal(0, "colour", lab=(40, 30, -20)),
-            Goal(1, "hue", low=200, high=220, within=0.5),
-            Goal(0, "chroma", low=80),
-            Goal(1, "lightness", high=20, weight=2.0),
-            Goal(1, "spectrum", reflectance=np.linspace(0.2, 0.4, len(GRID))),
+            Operand(0, "colour", lab=(40, 30, -20)),
+            Operand(1, "hue", low=200, high=220, tolerance=0.5),
+            Operand(0, "chroma", low=80),
+            Operand(1, "lightness", high=20, weight=2.0),
+            Operand(1, "spectrum", reflectance=np.linspace(0.2, 0.4, len(GRID))),
         ],
         ("D65", "A"),
     )
@@ -113,9 +113,15 @@ def test_the_compiled_goals_are_those_of_the_judge() -> None:
     """The residuals are the same numbers in another order, and their slopes finite differences."""
     goals = mixed_goals()
     problem = StackProblem(
-        goals, PALETTE, (medium("Al"),), tuple(np.radians([0.0, 40.0])), ("reflected",) * 2, most=3, bounds_nm=BOUNDS
+        goals,
+        PALETTE,
+        (medium("Al"),),
+        tuple(np.radians([0.0, 40.0])),
+        ("reflected",) * 2,
+        max_layers=3,
+        bounds_nm=BOUNDS,
     )
-    tables, looks = problem.tables(), compile_goals(goals)
+    tables, looks = problem.tables(), compile_merit(goals)
     s = workspace(tables, looks, 3)
     media, d = np.array([2, 5, 3]), np.array([80.0, 10.0, 130.0])
 
@@ -136,8 +142,14 @@ def test_the_compiled_goals_are_those_of_the_judge() -> None:
 
 
 def test_narrowed_ranges_lie_inside_the_wanted_ones() -> None:
-    looks = compile_goals(
-        Goals([Goal(0, "hue", low=355, high=5), Goal(0, "chroma", low=40), Goal(0, "lightness", low=20, high=20.1)]),
+    looks = compile_merit(
+        MeritFunction(
+            [
+                Operand(0, "hue", low=355, high=5),
+                Operand(0, "chroma", low=40),
+                Operand(0, "lightness", low=20, high=20.1),
+            ]
+        ),
         0.15,
     )
     ends = {kind: (low, high) for kind, low, high in zip(looks.kind, looks.low, looks.high)}
@@ -147,32 +159,32 @@ def test_narrowed_ranges_lie_inside_the_wanted_ones() -> None:
 
 
 def test_a_descent_keeps_bounds_and_the_total() -> None:
-    goals = Goals([Goal(0, "colour", lab=(60, 60, -60))])
-    problem = StackProblem(goals, PALETTE, (medium("Al"),), most=3, bounds_nm=BOUNDS)
-    tables, looks = problem.tables(), compile_goals(goals)
+    goals = MeritFunction([Operand(0, "colour", lab=(60, 60, -60))])
+    problem = StackProblem(goals, PALETTE, (medium("Al"),), max_layers=3, bounds_nm=BOUNDS)
+    tables, looks = problem.tables(), compile_merit(goals)
     d, low, high = np.array([100.0, 30.0, 100.0]), np.array([60.0, 2.0, 60.0]), np.array([120.0, 60.0, 110.0])
     descend(tables, looks, np.array([1, 5, 3]), d, low, high, 3, 6, 190.0, 30, 2.0, workspace(tables, looks, 3))
     assert (d >= low).all() and (d <= high).all()
     assert d.sum() <= 190.0
 
 
-def wanted_of(names: list[str], d: list[float], substrate: str, angles: list[float]) -> list[Goal]:
+def wanted_of(names: list[str], d: list[float], substrate: str, angles: list[float]) -> list[Operand]:
     seen = spectra_of(names, d, substrate, angles, ["reflected"] * len(angles))
-    labs = Goals([Goal(len(angles) - 1, "lightness", low=0)]).labs(seen)
-    return [Goal(row, "colour", lab=tuple(labs[row, 0]), within=1.0) for row in range(len(angles))]
+    labs = MeritFunction([Operand(len(angles) - 1, "lightness", low=0)]).labs(seen)
+    return [Operand(row, "colour", lab=tuple(labs[row, 0]), tolerance=1.0) for row in range(len(angles))]
 
 
 def test_a_search_reaches_the_colours_of_a_hidden_stack() -> None:
     """Colours at two angles of a stack that the palette can make; another stack will do."""
     angles = [0.0, 50.0]
-    goals = Goals(wanted_of(["MgF2", "Si", "TiO2"], [95.0, 22.0, 60.0], "Al", angles))
+    goals = MeritFunction(wanted_of(["MgF2", "Si", "TiO2"], [95.0, 22.0, 60.0], "Al", angles))
     problem = StackProblem(
         goals,
         PALETTE,
         (medium("Al"), medium("Si")),
         tuple(np.radians(angles)),
         ("reflected",) * 2,
-        most=4,
+        max_layers=4,
         bounds_nm=BOUNDS,
     )
     found = search(problem, seconds=100.0, solutions=3, seed=1, jobs=1)
@@ -187,7 +199,7 @@ def test_a_search_reaches_the_colours_of_a_hidden_stack() -> None:
 
 
 def test_given_layers_keep_their_places_and_materials() -> None:
-    goals = Goals(wanted_of(["TiO2", "SiO2", "Cr"], [60.0, 150.0, 30.0], "Al", [0.0]))
+    goals = MeritFunction(wanted_of(["TiO2", "SiO2", "Cr"], [60.0, 150.0, 30.0], "Al", [0.0]))
     slots = (Slot(("TiO2",), 20.0, 120.0), Slot(("SiO2", "MgF2"), 50.0, 250.0), Slot(("Cr",), 30.0, 30.0))
     problem = StackProblem(goals, PALETTE, (medium("Al"),), slots=slots)
     best = search(problem, seconds=100.0, solutions=1, seed=1, jobs=1)[0]
@@ -198,17 +210,21 @@ def test_given_layers_keep_their_places_and_materials() -> None:
 
 def test_many_designs_of_one_seed_are_the_same_on_any_number_of_threads() -> None:
     rng = np.random.default_rng(3)
-    wanted = [Goals([Goal(0, "colour", lab=(50, *rng.uniform(-30, 30, 2)), within=1.0)]) for _ in range(6)]
+    wanted = [
+        MeritFunction([Operand(0, "colour", lab=(50, *rng.uniform(-30, 30, 2)), tolerance=1.0)]) for _ in range(6)
+    ]
     bounds = {"TiO2": (5.0, 300.0), "SiO2": (5.0, 300.0)}
-    problem = StackProblem(wanted[0], (medium("TiO2"), medium("SiO2")), (medium("BK7"),), most=8, bounds_nm=bounds)
+    problem = StackProblem(
+        wanted[0], (medium("TiO2"), medium("SiO2")), (medium("BK7"),), max_layers=8, bounds_nm=bounds
+    )
     one, two = many(problem, wanted, seed=4, jobs=1), many(problem, wanted, seed=4, jobs=2)
     assert all(s.objective < REACHED for s in one)
     assert all((a.thicknesses_nm == b.thicknesses_nm).all() for a, b in zip(one, two))
 
 
 def test_fewer_layers_are_preferred_where_that_is_wished() -> None:
-    goals = Goals(wanted_of(["SiO2"], [180.0], "Si", [0.0]))
-    problem = StackProblem(goals, PALETTE, (medium("Si"),), most=5, bounds_nm=BOUNDS, fewest=True)
+    goals = MeritFunction(wanted_of(["SiO2"], [180.0], "Si", [0.0]))
+    problem = StackProblem(goals, PALETTE, (medium("Si"),), max_layers=5, bounds_nm=BOUNDS, fewest=True)
     best = search(problem, seconds=100.0, solutions=1, seed=1, jobs=1)[0]
     assert best.objective < 1.05 * REACHED
     assert len(best.materials) == 1
@@ -217,15 +233,15 @@ def test_fewer_layers_are_preferred_where_that_is_wished() -> None:
 def test_short_stacks_leave_time_for_longer_ones_where_few_layers_are_preferred(monkeypatch) -> None:
     """On a loaded machine the stacks of one layer had the whole time, and what two can do was called out of reach."""
     monkeypatch.setattr("nacre.optimise.thin_film.search.STILL_LITTERS", 10**9)  # a search that never stands still
-    goals = Goals(wanted_of(["Cr", "SiO2"], [8.0, 180.0], "Al", [0.0]))
-    problem = StackProblem(goals, PALETTE, (medium("Al"),), most=2, bounds_nm=BOUNDS, fewest=True)
+    goals = MeritFunction(wanted_of(["Cr", "SiO2"], [8.0, 180.0], "Al", [0.0]))
+    problem = StackProblem(goals, PALETTE, (medium("Al"),), max_layers=2, bounds_nm=BOUNDS, fewest=True)
     best = search(problem, seconds=2.0, solutions=1, seed=1, jobs=1)[0]
     assert len(best.materials) == 2
 
 
 def test_a_search_stops_when_told_and_ends_with_the_best() -> None:
-    goals = Goals([Goal(0, "colour", lab=(20, 80, 60), within=0.01)])
-    problem = StackProblem(goals, PALETTE, (medium("Al"),), most=2, bounds_nm=BOUNDS)
+    goals = MeritFunction([Operand(0, "colour", lab=(20, 80, 60), tolerance=0.01)])
+    problem = StackProblem(goals, PALETTE, (medium("Al"),), max_layers=2, bounds_nm=BOUNDS)
     seen: list[float] = []
     found = search(
         problem, 200.0, 2, 0, on_progress=lambda p: seen.append(p.objective), stop=lambda: len(seen) >= 3, jobs=1
@@ -254,17 +270,23 @@ def test_alike_means_the_same_materials_and_thicknesses_within_a_fifth() -> None
 def test_a_problem_that_does_not_hold_together_is_told_in_words(changes: dict, words: str) -> None:
     values = {"palette": PALETTE, "substrates": (medium("Al"),), "bounds_nm": BOUNDS, **changes}
     with pytest.raises(NacreError, match=words):
-        StackProblem(Goals([Goal(0, "colour", lab=(1, 2, 3))]), **values)
+        StackProblem(MeritFunction([Operand(0, "colour", lab=(1, 2, 3))]), **values)
 
 
 def spread_problem(within: float, spread: float) -> StackProblem:
     angles = [0.0, 45.0]
     wanted = wanted_of(["MgF2", "Si", "TiO2"], [95.0, 22.0, 60.0], "Al", angles)
-    goals = Goals([Goal(g.row, g.kind, g.lab, within=within) for g in wanted])
+    goals = MeritFunction([Operand(g.row, g.kind, g.lab, tolerance=within) for g in wanted])
     return StackProblem(
-        goals, PALETTE, (medium("Al"),), tuple(np.radians(angles)), ("reflected",) * 2, most=4, bounds_nm=BOUNDS,
+        goals,
+        PALETTE,
+        (medium("Al"),),
+        tuple(np.radians(angles)),
+        ("reflected",) * 2,
+        max_layers=4,
+        bounds_nm=BOUNDS,
         spread_relative=spread,
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.full
@@ -273,9 +295,14 @@ def test_the_yield_of_a_search_for_it_is_higher_and_is_that_of_its_draws() -> No
     rounds: list[float] = []
     robust_problem = spread_problem(2.0, 0.05)
     robust = search(
-        robust_problem, 100.0, 1, 2, on_progress=lambda p: rounds.append(p.objective),
-        stop=lambda: len(rounds) >= 25, jobs=1,
-    )[0]  # fmt: skip
+        robust_problem,
+        100.0,
+        1,
+        2,
+        on_progress=lambda p: rounds.append(p.objective),
+        stop=lambda: len(rounds) >= 25,
+        jobs=1,
+    )[0]
 
     def share_within(one: StackSolution) -> float:
         rng = np.random.default_rng(99)
@@ -307,7 +334,7 @@ def test_a_stack_settles_where_more_of_its_samples_are_good() -> None:
 
 def test_the_linear_yield_is_near_that_of_draws() -> None:
     problem = spread_problem(2.0, 0.03)
-    tables, looks, space = problem.tables(), compile_goals(problem.goals), problem.space()
+    tables, looks, space = problem.tables(), compile_merit(problem.goals), problem.space()
     s = workspace(tables, looks, 4)
     media, d, n = np.array([2, 4, 3]), np.array([95.0, 22.0, 60.0]), 3
     low, high = np.full(3, 2.0), np.full(3, 300.0)
@@ -331,7 +358,7 @@ def test_a_stack_of_high_finesse_is_judged_on_enough_wavelengths() -> None:
     for _ in range(50):
         d = rng.uniform(100.0, 300.0, 10)
         seen = powers([np.ones(401), *(n["TiO2"], n["SiO2"]) * 5, n["BK7"]], d, fine, 0.0, jobs=1).reflectance
-        exact = Goals([Goal(0, "lightness", low=0)], wavelengths_nm=fine).labs(seen[None])[0, 0]
-        own = Goals([Goal(0, "lightness", low=0)]).labs(seen[None, ::2])[0, 0]
+        exact = MeritFunction([Operand(0, "lightness", low=0)], wavelengths_nm=fine).labs(seen[None])[0, 0]
+        own = MeritFunction([Operand(0, "lightness", low=0)]).labs(seen[None, ::2])[0, 0]
         worst = max(worst, float(delta_e_2000(exact, own)))
     assert worst < 0.05

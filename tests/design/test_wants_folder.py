@@ -18,8 +18,8 @@ from nacre.recipe.toml import dump_toml
 
 TARGET: dict[str, Any] = {
     "recipe": {"family": "film", "substrate": "Ti", "layers": [{"material": "SiO2", "thickness_nm": 100.0}]},
-    "free": {"layers[0].thickness_nm": [5, 300]},
-    "want": [{"at": "specular 0", "lab": [50, 5, 20], "within": 30.0}],
+    "parameters": {"layers[0].thickness_nm": [5, 300]},
+    "target": [{"geometry": "specular 0", "lab": [50, 5, 20], "tolerance": 30.0}],
     "search": {"seconds": 1, "solutions": 3},
 }
 
@@ -66,7 +66,7 @@ def _must_not_search(*_: Any) -> None:
 def test_what_cannot_be_written_is_told_before_the_search(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(runs, "search_of", _must_not_search)
+    monkeypatch.setattr(runs, "choose_search", _must_not_search)
     (tmp_path / "note.txt").write_text("mine")
     with pytest.raises(NacreError, match=r"note.txt is a file; the answers need a folder$"):
         nacre.design(TARGET, tmp_path / "note.txt" / "deeper" / "out")
@@ -94,7 +94,7 @@ class _Interrupted:
 def test_an_interrupt_before_the_first_answer_is_no_fault_of_the_recipe(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(runs, "search_of", lambda *_: _Interrupted())
+    monkeypatch.setattr(runs, "choose_search", lambda *_: _Interrupted())
     (tmp_path / "t.toml").write_text(dump_toml(TARGET))
     assert command(["design", str(tmp_path / "t.toml"), "-o", str(tmp_path / "out")]) == 130
     assert "cannot be computed" not in capsys.readouterr().err
@@ -109,7 +109,7 @@ def test_a_file_where_a_second_answer_goes_is_not_overwritten(tmp_path: Path) ->
 
 def test_a_recipe_given_as_a_target_is_told_so(tmp_path: Path) -> None:
     (tmp_path / "film.toml").write_text('family = "film"\nsubstrate = "Si"\nlayers = []\n')
-    with pytest.raises(RecipeError, match='is a recipe, not a target; write one with recipe = "film.toml"'):
+    with pytest.raises(RecipeError, match='is a recipe; write a target with recipe = "film.toml"'):
         nacre.design(tmp_path / "film.toml", tmp_path / "out")
 
 
@@ -127,7 +127,11 @@ def test_a_resumed_search_tells_nothing_worse_than_what_stood(
 ) -> None:
     """A search compares by its own route: here one that takes another answer for the best than the judge does."""
     target: dict[str, Any] = {key: value for key, value in TARGET.items() if key != "free"}
-    target |= {"layers": {"palette": ["SiO2"], "most": 1}, "limits": limits, "search": {"seconds": 1, "solutions": 1}}
+    target |= {
+        "layers": {"palette": ["SiO2"], "max_layers": 1},
+        "limits": limits,
+        "search": {"seconds": 1, "solutions": 1},
+    }
     first = nacre.design(target, tmp_path / "out")
 
     class Misled:
@@ -137,7 +141,7 @@ def test_a_resumed_search_tells_nothing_worse_than_what_stood(
         def answers(self) -> list[tuple[float, dict[str, Any]]]:
             return [(0.0, {"layers": [{"material": "SiO2", "thickness_nm": 5.0}]})]
 
-    monkeypatch.setattr(runs, "search_of", lambda target, seed: Misled())
+    monkeypatch.setattr(runs, "choose_search", lambda target, seed: Misled())
     again = nacre.design(target, tmp_path / "out", resume=True)
     assert again.best.worst.distance == first.best.worst.distance
     assert nacre.design(target, tmp_path / "other").best.worst.distance > first.best.worst.distance

@@ -14,11 +14,11 @@ from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, lab_to_lch, lch_to_lab, white_xyz, xyz_to_lab
 from nacre.optimise.evaluation import nearest_in_ranges
-from nacre.optimise.measurement import At, see
+from nacre.optimise.measurement import Geometry, simulate_measurement
 from nacre.optimise.merit import hue_excess
-from nacre.optimise.spec import LightSpec, WantSpec
-from nacre.optimise.targets import read_wants, srgb_to_lab
-from nacre.optimise.task import read_target
+from nacre.optimise.spec import LightSpec, TargetEntry
+from nacre.optimise.targets import read_targets, srgb_to_lab
+from nacre.optimise.task import read_task
 from nacre.recipe.model import RecipeContext
 
 FILM: dict[str, Any] = {
@@ -28,13 +28,13 @@ FILM: dict[str, Any] = {
 }
 FLAKE = {"volume_fraction": 0.01, "substrate": {"material": "mica", "thickness_nm": 400}}
 PEARL = {"family": "pearl", "strata": [{"resin": {"n": 1.5}, "thickness_um": 20, "platelets": [FLAKE]}]}
-ONE = {"at": "specular 0", "colour": "#777777"}
+ONE = {"geometry": "specular 0", "colour": "#777777"}
 # nacre's white is that of the sRGB matrix, colour-science's that of the four digits of xy: 2e-2 in a blue
 SRGB_WHITE = 0.05
 
 
-def target(**changes: Any) -> dict[str, Any]:
-    base: dict[str, Any] = {"recipe": FILM, "free": {"layers[0].thickness_nm": [50, 300]}, "want": [ONE]}
+def task(**changes: Any) -> dict[str, Any]:
+    base: dict[str, Any] = {"recipe": FILM, "parameters": {"layers[0].thickness_nm": [50, 300]}, "target": [ONE]}
     return {key: value for key, value in (base | changes).items() if value is not None}
 
 
@@ -58,8 +58,8 @@ def test_forms_of_one_colour_are_one_want() -> None:
         {"xyy": nacre.light.xyz_to_xyy(xyz).tolist()},
     ]
     for form in forms:
-        want = read_target(target(want=[{"at": "specular 0", **form}])).wants[0]
-        np.testing.assert_allclose(want.wanted_lab(white), lab, atol=1e-9)
+        want = read_task(task(target=[{"geometry": "specular 0", **form}])).targets[0]
+        np.testing.assert_allclose(want.target_lab(white), lab, atol=1e-9)
 
 
 def test_xyz_are_wanted_under_the_first_lamp_only_and_lab_under_every_one() -> None:
@@ -67,16 +67,16 @@ def test_xyz_are_wanted_under_the_first_lamp_only_and_lab_under_every_one() -> N
 
     light = {"illuminants": ["D65", "A"]}
     for form, count in (({"xyz": [0.2, 0.2, 0.2]}, 1), ({"lab": [50, 0, 0]}, 2), ({"chroma": "<=5"}, 2)):
-        read = read_target(target(want=[{"at": "specular 0", **form}], light=light))
-        found, _ = judge(read.material, read.wants, read.spec.light)
+        read = read_task(task(target=[{"geometry": "specular 0", **form}], light=light))
+        found, _ = judge(read.material, read.targets, read.spec.light)
         assert [r.lamp for r in found] == ["D65", "A"][:count]
 
 
 def test_geometries_mean_what_spectrum_and_report_say() -> None:
     rough = nacre.material({**FILM, "surface": {"roughness": 0.3}})
     grid = rough.bsdf().wavelengths_nm
-    ats = [At.read(text, "x") for text in ("specular 30", "45as15", "45as-15", "45as110")]
-    seen = see(rough, ats, grid)
+    ats = [Geometry.read(text, "x") for text in ("specular 30", "45as15", "45as-15", "45as110")]
+    seen = simulate_measurement(rough, ats, grid)
     np.testing.assert_array_equal(seen.factors[0], rough.spectrum(np.radians([30.0]), grid).specular_reflectance[0])
     report = nacre.report(rough)
     table = dict(zip(report.aspecular.angles_deg, report.aspecular.lab))
@@ -88,11 +88,11 @@ def test_geometries_mean_what_spectrum_and_report_say() -> None:
 
 def test_hemispherical_is_specular_and_diffuse_and_transmitted_is_that_of_nacre_spectrum() -> None:
     ground = nacre.material({**FILM, "substrate": "glass", "base": {"albedo": 0.4}})
-    ats = [At(kind, 20.0) for kind in ("specular", "diffuse", "hemispherical")]
-    mirror, diffuse, both = see(ground, ats).factors
+    ats = [Geometry(kind, 20.0) for kind in ("specular", "diffuse", "hemispherical")]
+    mirror, diffuse, both = simulate_measurement(ground, ats).factors
     np.testing.assert_allclose(mirror + diffuse, both, atol=1e-15)
     clear = nacre.material({**FILM, "substrate": "glass"})
-    seen = see(clear, [At("transmitted", 20.0)])
+    seen = simulate_measurement(clear, [Geometry("transmitted", 20.0)])
     spectrum = clear.spectrum(np.radians([20.0]), seen.wavelengths_nm)
     np.testing.assert_array_equal(seen.factors[0], spectrum.specular_transmittance[0])
 
@@ -128,88 +128,107 @@ def test_the_nearest_colour_of_a_range_is_that_of_a_dense_search(
 
 
 def test_two_numbers_and_a_table_are_the_same_bounds_and_a_star_is_every_index() -> None:
-    plain = read_target(target(free={"layers[*].thickness_nm": [50, 300]})).free
-    table = read_target(target(free={"layers[*].thickness_nm": {"min": 50, "max": 300}})).free
+    plain = read_task(task(parameters={"layers[*].thickness_nm": [50, 300]})).parameters
+    table = read_task(task(parameters={"layers[*].thickness_nm": {"min": 50, "max": 300}})).parameters
     assert plain == table and [f.path for f in plain] == ["layers[0].thickness_nm", "layers[1].thickness_nm"]
 
 
 BAD = {
-    "a path that does not exist": (target(free={"layers[0].thicknes_nm": [5, 10]}), "thickness_nm"),
-    "an index that does not exist": (target(free={"layers[7].thickness_nm": [5, 10]}), "layers[7]"),
-    "a path that is no number": (target(free={"layers[0].material": [5, 10]}), "not a number"),
-    "bounds that cross": (target(free={"layers[0].thickness_nm": [300, 50]}), "cross"),
-    "text for bounds": (target(free={"layers[0].thickness_nm": ["a", "b"]}), "two numbers"),
-    "one number": (target(free={"layers[0].thickness_nm": 5}), "[low, high]"),
-    "an unknown choice": (target(free={"layers[0].material": {"choices": ["SiO3"]}}), "SiO2"),
-    "nothing free": (target(free=None), "nothing is free"),
-    "a file as a palette's name": (target(free=None, layers={"palette": ["own.csv"]}), 'write {file = "own.csv"}'),
-    "an unknown palette name": (target(free=None, layers={"palette": ["TiO3"]}), 'Did you mean "TiO2"'),
-    "an unknown substrate": (target(free=None, layers={"palette": ["TiO2"], "substrate": ["Aq"]}), "substrate"),
+    "a path that does not exist": (task(parameters={"layers[0].thicknes_nm": [5, 10]}), "thickness_nm"),
+    "an index that does not exist": (task(parameters={"layers[7].thickness_nm": [5, 10]}), "layers[7]"),
+    "a path that is no number": (task(parameters={"layers[0].material": [5, 10]}), "not a number"),
+    "bounds that cross": (task(parameters={"layers[0].thickness_nm": [300, 50]}), "cross"),
+    "text for bounds": (task(parameters={"layers[0].thickness_nm": ["a", "b"]}), "two numbers"),
+    "one number": (task(parameters={"layers[0].thickness_nm": 5}), "[low, high]"),
+    "an unknown choice": (task(parameters={"layers[0].material": {"choices": ["SiO3"]}}), "SiO2"),
+    "nothing free": (task(parameters=None), "nothing is free"),
+    "a file as a palette's name": (task(parameters=None, layers={"palette": ["own.csv"]}), 'write {file = "own.csv"}'),
+    "an unknown palette name": (task(parameters=None, layers={"palette": ["TiO3"]}), 'Did you mean "TiO2"'),
+    "an unknown substrate": (task(parameters=None, layers={"palette": ["TiO2"], "substrate": ["Aq"]}), "substrate"),
     "bounds of nothing": (
-        target(free=None, layers={"palette": ["Cr"], "thickness_nm": {"Cx": [3, 20], "other": [1, 2]}}), "Cx",
+        task(parameters=None, layers={"palette": ["Cr"], "thickness_nm": {"Cx": [3, 20], "other": [1, 2]}}),
+        "Cx",
     ),
     "a material without bounds": (
-        target(free=None, layers={"palette": ["Cr", "SiO2"], "thickness_nm": {"Cr": [3, 20]}}), "SiO2",
+        task(parameters=None, layers={"palette": ["Cr", "SiO2"], "thickness_nm": {"Cr": [3, 20]}}),
+        "SiO2",
     ),
-    "crossing bounds of layers": (target(free=None, layers={"palette": ["Cr"], "thickness_nm": [20, 3]}), "cross"),
-    "free naming a layer beside layers": (target(layers={"palette": ["TiO2"]}), "keep one"),
-    "a want that an opaque base cannot answer": (target(want=[{**ONE, "at": "transmitted 0"}]), "cannot be answered"),
-    "diffuse light of a mirror": (target(want=[{**ONE, "at": "diffuse 0"}]), "cannot be answered"),
-    "aspecular light of a mirror": (target(want=[{**ONE, "at": "45as15"}]), "cannot be answered"),
-    "two colours at one place": (target(want=[ONE, {**ONE, "colour": "#ff0000"}]), "no answer has both"),
-    "an unknown geometry": (target(want=[{**ONE, "at": "speculr 0"}]), 'Did you mean "specular"'),
-    "light from behind": (target(want=[{**ONE, "at": "specular 95"}]), "90"),
-    "a viewer behind the surface": (target(want=[{**ONE, "at": "20as115"}]), "behind"),
-    "a colour that is none": (target(want=[{**ONE, "colour": "pinkish"}]), "#rrggbb"),
-    "two forms of a colour": (target(want=[{**ONE, "lab": [1, 2, 3]}]), "exactly one"),
-    "no colour": (target(want=[{"at": "specular 0"}]), "exactly one"),
-    "a bound that cannot be read": (target(want=[{"at": "specular 0", "chroma": "> 40"}]), ">=40"),
-    "a spectrum that is not there": (target(want=[{"at": "specular 0", "spectrum": "no.csv"}]), "does not exist"),
-    "an unknown lamp": (target(light={"illuminants": ["D66"]}), "D65"),
-    "an unknown observer": (target(light={"observer": "3deg"}), "10deg"),
-    "spreads without wants": (target(want=None, spread={"layers[*].thickness_nm": "2%"}), "want is missing"),
-    "a spread of nothing": (target(spread={"layers[9].thickness_nm": "2%"}), "layers[9]"),
-    "a spread that is none": (target(spread={"layers[0].thickness_nm": "much"}), "percentage"),
-    "both forms of target": (target(target={"kind": "uniform"}), "one form"),
-    "a recipe that is wrong": (target(recipe={**FILM, "substrat": "Si"}), "Did you mean"),
+    "crossing bounds of layers": (task(parameters=None, layers={"palette": ["Cr"], "thickness_nm": [20, 3]}), "cross"),
+    "free naming a layer beside layers": (task(layers={"palette": ["TiO2"]}), "keep one"),
+    "a want that an opaque base cannot answer": (
+        task(target=[{**ONE, "geometry": "transmitted 0"}]),
+        "cannot be answered",
+    ),
+    "diffuse light of a mirror": (task(target=[{**ONE, "geometry": "diffuse 0"}]), "cannot be answered"),
+    "aspecular light of a mirror": (task(target=[{**ONE, "geometry": "45as15"}]), "cannot be answered"),
+    "two colours at one place": (task(target=[ONE, {**ONE, "colour": "#ff0000"}]), "no answer has both"),
+    "an unknown geometry": (task(target=[{**ONE, "geometry": "speculr 0"}]), 'Did you mean "specular"'),
+    "light from behind": (task(target=[{**ONE, "geometry": "specular 95"}]), "90"),
+    "a viewer behind the surface": (task(target=[{**ONE, "geometry": "20as115"}]), "behind"),
+    "a colour that is none": (task(target=[{**ONE, "colour": "pinkish"}]), "#rrggbb"),
+    "two forms of a colour": (task(target=[{**ONE, "lab": [1, 2, 3]}]), "exactly one"),
+    "no colour": (task(target=[{"geometry": "specular 0"}]), "exactly one"),
+    "a bound that cannot be read": (task(target=[{"geometry": "specular 0", "chroma": "> 40"}]), ">=40"),
+    "a spectrum that is not there": (task(target=[{"geometry": "specular 0", "spectrum": "no.csv"}]), "does not exist"),
+    "an unknown lamp": (task(light={"illuminants": ["D66"]}), "D65"),
+    "an unknown observer": (task(light={"observer": "3deg"}), "10deg"),
+    "spreads without wants": (task(target=None, tolerance={"layers[*].thickness_nm": "2%"}), "target is missing"),
+    "a spread of nothing": (task(tolerance={"layers[9].thickness_nm": "2%"}), "layers[9]"),
+    "a spread that is none": (task(tolerance={"layers[0].thickness_nm": "much"}), "percentage"),
+    "both forms of target": (task(target={"kind": "uniform"}), "write [[target]]"),
+    "a recipe that is wrong": (task(recipe={**FILM, "substrat": "Si"}), "Did you mean"),
     "layers of what is no film": (
-        target(recipe={"family": "pearl"}, free=None, layers={"palette": ["TiO2"]}), "only the stack of a film",
+        task(recipe={"family": "pearl"}, parameters=None, layers={"palette": ["TiO2"]}),
+        "only the stack of a film",
     ),
-    "a bound that the recipe never allows": (target(free={"layers[0].thickness_nm": [-50, 50]}), "= [-50, 50]: "),
+    "a bound that the recipe never allows": (task(parameters={"layers[0].thickness_nm": [-50, 50]}), "= [-50, 50]: "),
     "a bound that the table of a flake never allows": (
-        target(recipe=PEARL, free={"strata[0].platelets[0].volume_fraction": [0, 0.5]}, want=[{**ONE, "at": "45as15"}]),
+        task(
+            recipe=PEARL,
+            parameters={"strata[0].platelets[0].volume_fraction": [0, 0.5]},
+            target=[{**ONE, "geometry": "45as15"}],
+        ),
         "= 0.5 is not allowed",
     ),
-    "bounds without an end": (target(free={"layers[0].thickness_nm": {"min": 3}}), "{min = 3}"),
-    "bounds and choices": (target(free={"layers[0].thickness_nm": {"min": 3, "choices": [4]}}), "not both"),
-    "a chroma without a side": (target(want=[{"at": "specular 0", "chroma": 40}]), 'write ">=40"'),
-    "the fewest of given layers": (target(limits={"layers": "fewest"}), "add [layers]"),
-    "a total below the least of given layers": (target(limits={"total_nm": 60}), "is 90 nm"),
+    "bounds without an end": (task(parameters={"layers[0].thickness_nm": {"min": 3}}), "{min = 3}"),
+    "bounds and choices": (task(parameters={"layers[0].thickness_nm": {"min": 3, "choices": [4]}}), "not both"),
+    "a chroma without a side": (task(target=[{"geometry": "specular 0", "chroma": 40}]), 'write ">=40"'),
+    "the fewest of given layers": (task(limits={"max_layers": "fewest"}), "add [layers]"),
+    "a total below the least of given layers": (task(limits={"max_total_nm": 60}), "is 90 nm"),
     "a total of what has no layers": (
-        target(recipe=PEARL, free={"base.albedo": [0, 1]}, want=[{**ONE, "at": "45as15"}], limits={"total_nm": 60}),
+        task(
+            recipe=PEARL,
+            parameters={"base.albedo": [0, 1]},
+            target=[{**ONE, "geometry": "45as15"}],
+            limits={"max_total_nm": 60},
+        ),
         "has no layers",
     ),
-    "a chromaticity outside all colours": (target(want=[{"at": "specular 0", "xyy": [0.3, 0, 0.2]}]), "no colour"),
-    "a total below every layer": (
-        target(free=None, layers={"palette": ["SiO2"], "thickness_nm": [50, 90]}, limits={"total_nm": 20}), "no layer",
+    "a chromaticity outside all colours": (
+        task(target=[{"geometry": "specular 0", "xyy": [0.3, 0, 0.2]}]),
+        "no colour",
     ),
-    "a spread of an index that does not exist": (target(spread={"layers[9].thickness_nm": 3}), "does not exist"),
-    "a key that is not known": (target(wants=3), 'Did you mean "want"'),
-}  # fmt: skip
+    "a total below every layer": (
+        task(parameters=None, layers={"palette": ["SiO2"], "thickness_nm": [50, 90]}, limits={"max_total_nm": 20}),
+        "no layer",
+    ),
+    "a spread of an index that does not exist": (task(tolerance={"layers[9].thickness_nm": 3}), "does not exist"),
+    "a key that is not known": (task(targets=3), 'Did you mean "target"'),
+}
 
 
 @pytest.mark.parametrize("name", BAD)
 def test_everything_wrong_is_told_in_one_line(name: str) -> None:
     data, word = BAD[name]
     with pytest.raises(NacreError) as caught:
-        read_target(data)
+        read_task(data)
     message = str(caught.value)
     assert word in message and "\n" not in message and message.startswith("target: "), message
 
 
 def test_the_command_tells_it_with_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "wrong.toml"
-    path.write_text('recipe = "no.toml"\n[[want]]\nat = "specular 0"\ncolour = "#777777"\n')
+    path.write_text('recipe = "no.toml"\n[[target]]\ngeometry = "specular 0"\ncolour = "#777777"\n')
     assert run(["design", str(path), "-o", str(tmp_path / "out")]) == 2
     err = capsys.readouterr().err
     assert "no.toml" in err and len(err.strip().splitlines()) == 1
@@ -220,10 +239,14 @@ def test_the_command_tells_it_with_status_2(tmp_path: Path, capsys: pytest.Captu
     ("text", "word"),
     [
         ("", "says no look"),
-        ('recipe = {family = "film", substrate = "Si", layers = [{material = "SiO2", thickness_nm = 50}]}\n[free]\n'
-         '"layers[0].thickness_nm" = [5, 90]\n[[want]]\nat = "specular 0"\nspectrum = "uv.csv"\n', "is known from"),
+        (
+            'recipe = {family = "film", substrate = "Si", layers = [{material = "SiO2", thickness_nm = 50}]}\n'
+            "[parameters]\n"
+            '"layers[0].thickness_nm" = [5, 90]\n[[target]]\ngeometry = "specular 0"\nspectrum = "uv.csv"\n',
+            "is known from",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_searched_leaves_nothing_behind(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, word: str
 ) -> None:
@@ -238,25 +261,28 @@ def test_what_cannot_be_searched_leaves_nothing_behind(
 @pytest.mark.parametrize(
     ("heading", "nm", "share"),
     [
-        ("nm,R", 1.0, 1.0), ("Wavelength (nm),%R", 1.0, 100.0), ("wavelength / nm;Reflectance (%)", 1.0, 100.0),
-        ("wavelength_um,R [%]", 1e-3, 100.0), ("lambda (angstrom)\tR", 10.0, 1.0),
+        ("nm,R", 1.0, 1.0),
+        ("Wavelength (nm),%R", 1.0, 100.0),
+        ("wavelength / nm;Reflectance (%)", 1.0, 100.0),
+        ("wavelength_um,R [%]", 1e-3, 100.0),
+        ("lambda (angstrom)\tR", 10.0, 1.0),
         ("nm,percent", 1.0, 100.0),
     ],
-)  # fmt: skip
+)
 def test_the_heading_of_a_wanted_spectrum_tells_its_units(tmp_path, heading, nm, share) -> None:
     """0.4 under "R (%)" is 0.4 per cent, not 40; and what an instrument exports in per cent can be wanted as it is."""
     part = next(mark for mark in ";\t," if mark in heading)
     rows = [f"{400 * nm}{part}{0.004 * share}", f"{500 * nm}{part}{0.4 * share}", f"{700 * nm}{part}{0.35 * share}"]
     (tmp_path / "r.csv").write_text("\n".join([heading, *rows]), encoding="utf-8")
-    want = WantSpec(at="specular 0", spectrum="r.csv")
-    (found,) = read_wants([want], LightSpec(), RecipeContext("t.toml", tmp_path))
+    want = TargetEntry(geometry="specular 0", spectrum="r.csv")
+    (found,) = read_targets([want], LightSpec(), RecipeContext("t.toml", tmp_path))
     np.testing.assert_allclose(found.spectrum, [[400, 500, 700], [0.004, 0.4, 0.35]], rtol=1e-12)
 
 
 def spectrum_of(folder: Path, text: str) -> Any:
     (folder / "r.csv").write_text(text, encoding="utf-8")
-    want = WantSpec(at="specular 0", spectrum="r.csv")
-    return read_wants([want], LightSpec(), RecipeContext("t.toml", folder))[0].spectrum
+    want = TargetEntry(geometry="specular 0", spectrum="r.csv")
+    return read_targets([want], LightSpec(), RecipeContext("t.toml", folder))[0].spectrum
 
 
 def test_a_wanted_spectrum_may_descend_as_instruments_write_it(tmp_path: Path) -> None:
@@ -274,7 +300,7 @@ def test_wavelengths_that_are_no_nm_are_told_with_the_file(tmp_path: Path) -> No
 @pytest.mark.parametrize("colour", [{"xyz": [25, 33, 20]}, {"xyy": [0.33, 0.42, 33]}])
 def test_a_colour_counted_to_100_is_told_that_white_is_1(colour: dict[str, Any]) -> None:
     def read(at: str) -> Any:
-        return read_wants([WantSpec(at=at, **colour)], LightSpec(), RecipeContext("t.toml"))
+        return read_targets([TargetEntry(geometry=at, **colour)], LightSpec(), RecipeContext("t.toml"))
 
     with pytest.raises(NacreError, match="white has Y = 1, .*divide by 100"):
         read("specular 0")

@@ -8,28 +8,33 @@ import numpy as np
 import pytest
 
 from nacre.core.errors import NacreError
-from nacre.optimise.methods.least_squares import GeneralSearch
-from nacre.optimise.methods.successive_halving import SlowSearch
-from nacre.optimise.run import search_of
-from nacre.optimise.task import read_target, total_nm
+from nacre.optimise.methods.least_squares import LeastSquaresSearch
+from nacre.optimise.methods.successive_halving import SuccessiveHalvingSearch
+from nacre.optimise.run import choose_search
+from nacre.optimise.task import read_task, total_nm
 
 LAYERS = [{"material": "SiO2", "thickness_um": 0.2}, {"material": "TiO2", "thickness_nm": 40}]
 ROUGH = {"family": "film", "substrate": "Si", "layers": LAYERS, "surface": {"roughness": 0.1}}
 DISCS = {
-    "family": "metasurface", "substrate": "Si", "layers": LAYERS,
-    "particle": {"material": "Ag", "radius_nm": 50}, "monolayer": {"coverage": 0.1, "packing": 0.3},
-}  # fmt: skip
+    "family": "metasurface",
+    "substrate": "Si",
+    "layers": LAYERS,
+    "particle": {"material": "Ag", "radius_nm": 50},
+    "monolayer": {"coverage": 0.1, "packing": 0.3},
+}
 
 
-@pytest.mark.parametrize(("recipe", "at", "kind"), [(ROUGH, "45as15", GeneralSearch), (DISCS, "diffuse 0", SlowSearch)])
+@pytest.mark.parametrize(
+    ("recipe", "at", "kind"), [(ROUGH, "45as15", LeastSquaresSearch), (DISCS, "diffuse 0", SuccessiveHalvingSearch)]
+)
 def test_a_search_of_any_family_makes_no_candidate_above_the_total(
-    recipe: dict[str, Any], at: str, kind: type[GeneralSearch]
+    recipe: dict[str, Any], at: str, kind: type[LeastSquaresSearch]
 ) -> None:
     free = {"layers[0].thickness_um": [0.1, 0.5], "layers[1].thickness_nm": [20, 90]}
-    want = [{"at": at, "colour": "#446688"}]
-    read = read_target({"recipe": recipe, "free": free, "want": want, "limits": {"total_nm": 300}})
+    want = [{"geometry": at, "colour": "#446688"}]
+    read = read_task({"recipe": recipe, "parameters": free, "target": want, "limits": {"max_total_nm": 300}})
     assert total_nm(read.material) == pytest.approx(240.0)
-    search = search_of(read, 0)
+    search = choose_search(read, 0)
     assert isinstance(search, kind)
     thin, thick = ({"layers[0].thickness_um": um, "layers[1].thickness_nm": 40.0} for um in (0.25, 0.27))
     assert total_nm(search.made(thin)) == pytest.approx(290.0)

@@ -12,8 +12,8 @@ from nacre.core.errors import NacreError
 
 TARGET: dict[str, Any] = {
     "recipe": {"family": "film", "substrate": "BK7", "layers": []},
-    "layers": {"palette": ["TiO2", "SiO2"], "most": 5, "thickness_nm": [5, 300]},
-    "want": [{"at": "specular 0", "lab": [50, 20, -30], "within": 4.0}],
+    "layers": {"palette": ["TiO2", "SiO2"], "max_layers": 5, "thickness_nm": [5, 300]},
+    "target": [{"geometry": "specular 0", "lab": [50, 20, -30], "tolerance": 4.0}],
     "search": {"seconds": 2, "solutions": 1},
 }
 
@@ -37,10 +37,14 @@ def test_bad_colours_are_named(labs: Any, says: str) -> None:
 
 
 def test_targets_of_which_many_cannot_be_sought_are_told() -> None:
-    relief = {"recipe": {"family": "relief", "feature_um": 1}, "free": {"heights": [0, 1]}, "want": TARGET["want"]}
+    relief = {
+        "recipe": {"family": "relief", "feature_um": 1},
+        "parameters": {"heights": [0, 1]},
+        "target": TARGET["target"],
+    }
     with pytest.raises(NacreError, match="heights of a relief are sought one look at a time"):
         nacre.design.many(relief, [(50, 0, 0)])
-    with pytest.raises(NacreError, match=r"has no \[\[want\]\]"):
+    with pytest.raises(NacreError, match=r"has no \[\[target\]\]"):
         nacre.design.many({"target": {"kind": "uniform"}}, [(50, 0, 0)])
 
 
@@ -48,7 +52,7 @@ def test_targets_of_which_many_cannot_be_sought_are_told() -> None:
 def test_many_keep_to_the_fewest_layers_and_tell_the_yield() -> None:
     labs = [(58, 2, 8)]  # of some 100 nm of titania on glass, a little off
     plain = nacre.design.many(TARGET, labs)[0]
-    fewest = nacre.design.many({**TARGET, "limits": {"layers": "fewest"}}, labs)[0]
+    fewest = nacre.design.many({**TARGET, "limits": {"max_layers": "fewest"}}, labs)[0]
     assert fewest.is_met and len(fewest.changes["layers"]) < len(plain.changes["layers"])
-    spread = nacre.design.many({**TARGET, "spread": {"layers[*].thickness_nm": "2%"}}, labs)[0]
+    spread = nacre.design.many({**TARGET, "tolerance": {"layers[*].thickness_nm": "2%"}}, labs)[0]
     assert plain.yield_share is None and spread.yield_share is not None

@@ -20,8 +20,8 @@ from nacre.recipe.toml import dump_toml
 
 TARGET: dict[str, Any] = {
     "recipe": {"family": "film", "substrate": "Ti", "layers": [{"material": "SiO2", "thickness_nm": 100.0}]},
-    "free": {"layers[0].thickness_nm": [0, 300]},
-    "want": [{"at": "specular 0", "lab": [50, 0, 0], "within": 2.0}],
+    "parameters": {"layers[0].thickness_nm": [0, 300]},
+    "target": [{"geometry": "specular 0", "lab": [50, 0, 0], "tolerance": 2.0}],
     "search": {"seconds": 2, "solutions": 1},
 }
 LABS = [[50.0, 20.0, -3.5], [40.0, -1.0, 2.0]]
@@ -31,14 +31,17 @@ LABS = [[50.0, 20.0, -3.5], [40.0, -1.0, 2.0]]
     ("text", "names"),
     [
         ("50,20,-3.5\n40,-1,2\n", ["", ""]),
-        ("red,50,20,-3.5\n\n# remark\n\"grey, dark\",40,-1,2\n", ["red", "grey, dark"]),
+        ('red,50,20,-3.5\n\n# remark\n"grey, dark",40,-1,2\n', ["red", "grey, dark"]),
         ("L,a,b\n50,20,-3.5\n40,-1,2\n", ["", ""]),
-        ("Sample;L* (D65/10\u00b0);a* (D65/10\u00b0);b* (D65/10\u00b0);gloss\nred;50,0;20,0;-3,5;80\nno 2;40;-1;2;9\n",
-         ["red", "no 2"]),
+        (
+            "Sample;L* (D65/10\u00b0);a* (D65/10\u00b0);b* (D65/10\u00b0);gloss\nred;50,0;20,0;-3,5;80\n"
+            "no 2;40;-1;2;9\n",
+            ["red", "no 2"],
+        ),
         ("Farbe\tb*\ta*\tL*\nred\t-3,5\t20\t50\ngrau\t2\t-1\t40\n", ["red", "grau"]),
         ("dark red 50 20 -3.5\ngrey 40 -1 2\n", ["dark red", "grey"]),
     ],
-)  # fmt: skip
+)
 def test_lists_are_read_as_people_write_them(tmp_path: Path, text: str, names: list[str]) -> None:
     for encoding in ("utf-8", "utf-16"):
         (tmp_path / "l.csv").write_bytes(text.encode(encoding))
@@ -114,8 +117,8 @@ def test_each_row_is_an_answer_and_second_runs_keep_what_stands(
         )
         assert made.get("layers[0].thickness_nm") == pytest.approx(float(told["layers[0].thickness_nm"]), rel=1e-5)
         seen = nacre.gamut(made, ["layers[0].thickness_nm=60:160"], points=8).lab[0]  # of its own number
-        np.testing.assert_allclose(seen, row["wants"][0]["reached"]["lab"], atol=0.3)  # by another grid
-        assert row["wants"][0]["de00"] == pytest.approx(delta_e_2000(np.array(row["lab"][0]), seen), abs=0.3)
+        np.testing.assert_allclose(seen, row["targets"][0]["reached"]["lab"], atol=0.3)  # by another grid
+        assert row["targets"][0]["de00"] == pytest.approx(delta_e_2000(np.array(row["lab"][0]), seen), abs=0.3)
     # one colour changed, one gone: the others stay as they are
     before = {name: (tmp_path / "o" / name / "recipe.toml").stat().st_mtime_ns for name in ("film-0", "film-1", "far")}
     (tmp_path / "l.csv").write_text("\n".join(["name,L,a,b", *lines[:2], "far,80,60,-60"]))
@@ -127,7 +130,7 @@ def test_each_row_is_an_answer_and_second_runs_keep_what_stands(
     kept = nacre.design.many(TARGET | {"search": {"seconds": 2, "solutions": 1}}, wanted[:1])[0]
     assert kept.worst.distance < 0.1
     # another target's answers are not mixed with these
-    (tmp_path / "t.toml").write_text(dump_toml({**TARGET, "free": {"layers[0].thickness_nm": [0, 250]}}))
+    (tmp_path / "t.toml").write_text(dump_toml({**TARGET, "parameters": {"layers[0].thickness_nm": [0, 250]}}))
     assert _run(tmp_path, "--resume") == 2
     assert "belongs to another target" in capsys.readouterr().err
 

@@ -10,7 +10,7 @@ import pytest
 
 import nacre
 from nacre.core.errors import RecipeError
-from nacre.optimise.task import read_target
+from nacre.optimise.task import read_task
 
 CONSTANT = "".join(f"{nm},2.0,0.001\n" for nm in range(300, 901, 50))
 
@@ -19,21 +19,21 @@ def target(folder: Path, **tables: Any) -> dict[str, Any]:
     (folder / "own.csv").write_text("nm,n,k\n" + CONSTANT)
     return {
         "recipe": {"family": "film", "substrate": "Al", "layers": []},
-        "want": [{"at": "specular 0", "lab": [60, 0, 20], "within": 30.0}],
+        "target": [{"geometry": "specular 0", "lab": [60, 0, 20], "tolerance": 30.0}],
         "search": {"seconds": 1, "solutions": 1},
         **tables,
     }
 
 
 def sought(folder: Path) -> dict[str, Any]:
-    return target(folder, layers={"palette": [{"file": str(folder / "own.csv")}], "most": 2})
+    return target(folder, layers={"palette": [{"file": str(folder / "own.csv")}], "max_layers": 2})
 
 
 def chosen(folder: Path) -> dict[str, Any]:
     recipe = {"family": "film", "substrate": "Al", "layers": [{"material": "SiO2", "thickness_nm": 90}]}
     own = {"choices": [{"file": str(folder / "own.csv")}]}
     free = {"layers[0].material": own, "layers[0].thickness_nm": [5, 300]}
-    return target(folder, recipe=recipe, free=free)
+    return target(folder, recipe=recipe, parameters=free)
 
 
 @pytest.mark.parametrize("asked", [sought, chosen])
@@ -49,10 +49,10 @@ def test_an_answer_has_the_constants_that_it_chose_beside_it(tmp_path: Path, ask
 @pytest.mark.parametrize("asked", [sought, chosen])
 def test_a_search_goes_not_on_when_a_constant_to_choose_from_has_changed(tmp_path: Path, asked: Any) -> None:
     wanted = asked(tmp_path)
-    before = read_target(wanted).fingerprint
+    before = read_task(wanted).fingerprint
     nacre.design(wanted, tmp_path / "out")
     (tmp_path / "own.csv").write_text(CONSTANT.replace("2.0", "1.9"))
-    assert read_target(wanted).fingerprint != before
+    assert read_task(wanted).fingerprint != before
     with pytest.raises(RecipeError, match="a file that it names"):
         nacre.design(wanted, tmp_path / "out", resume=True)
 
@@ -60,16 +60,21 @@ def test_a_search_goes_not_on_when_a_constant_to_choose_from_has_changed(tmp_pat
 def test_the_sensitivity_of_spectra_is_told_in_their_own_unit(tmp_path: Path) -> None:
     (tmp_path / "s.csv").write_text("\n".join(f"{nm},{0.3 + 0.2 * (nm > 550)}" for nm in range(400, 701, 10)))
     film = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100.0}]}
-    want = {"at": "specular 0", "spectrum": str(tmp_path / "s.csv"), "within": 50.0}
-    target = {"recipe": film, "free": {"layers[0].thickness_nm": [50, 300]}, "want": [want],
-              "search": {"seconds": 1, "solutions": 1}}  # fmt: skip
+    want = {"geometry": "specular 0", "spectrum": str(tmp_path / "s.csv"), "tolerance": 50.0}
+    target = {
+        "recipe": film,
+        "parameters": {"layers[0].thickness_nm": [50, 300]},
+        "target": [want],
+        "search": {"seconds": 1, "solutions": 1},
+    }
     design = nacre.design(target, tmp_path / "out")
     told = design.best.facts["sensitivity"][0]
     thickness = design.best.changes["layers[0].thickness_nm"]
     ends = [
         design.best.material.vary({"layers[0].thickness_nm": thickness * (1 + step)})
-        .spectrum([0.0], np.arange(400.0, 701.0, 10.0)).specular_reflectance
+        .spectrum([0.0], np.arange(400.0, 701.0, 10.0))
+        .specular_reflectance
         for step in (-0.01, 0.01)
-    ]  # fmt: skip
+    ]
     rms = 0.5 * 100.0 * np.sqrt(np.mean((ends[1] - ends[0]) ** 2))
     assert "de00_of_1_percent" not in told and told["rms_percent_of_1_percent"] == pytest.approx(rms, rel=0.3)

@@ -9,9 +9,9 @@ from PIL import Image
 import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError, RecipeError
-from nacre.optimise.run import as_judged
+from nacre.optimise.run import with_method_overrides
 from nacre.optimise.solutions import write_recipe
-from nacre.optimise.task import read_target
+from nacre.optimise.task import read_task
 
 GOLD = 'family = "film"\nsubstrate = "BK7"\nlayers = [{material = "Au", thickness_nm = 400}]\n'
 OXIDE = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = {file = "own.csv"}, thickness_nm = 100}]\n'
@@ -31,8 +31,8 @@ def blend(tmp_path):
 def _target(folder, **free):
     return {
         "recipe": str(folder / "blend.toml"),
-        "free": free,
-        "want": [{"at": "specular 0", "colour": "#605040", "within": 5}],
+        "parameters": free,
+        "target": [{"geometry": "specular 0", "colour": "#605040", "tolerance": 5}],
         "search": {"seconds": 2, "solutions": 1},
     }
 
@@ -46,7 +46,7 @@ def test_a_part_given_as_a_table_is_the_part_of_its_file(blend):
 
 
 def test_an_answer_writes_its_parts_as_files_that_every_command_takes(blend):
-    target = read_target(_target(blend, **{"second.layers[0].thickness_nm": [20, 200]}))
+    target = read_task(_target(blend, **{"second.layers[0].thickness_nm": [20, 200]}))
     changes = {"second.layers[0].thickness_nm": 150.0}
     recipe, files = write_recipe(blend / "out", target.material, changes, {})
     assert sorted(files) == ["gold.toml", "own.csv", "recipe.toml", "second.toml"]
@@ -59,8 +59,8 @@ def test_an_answer_writes_its_parts_as_files_that_every_command_takes(blend):
 
 
 def test_a_path_that_is_not_in_the_part_is_refused_by_its_name(blend):
-    with pytest.raises(RecipeError, match=r'free."second.layers\[4\].thickness_nm"'):
-        read_target(_target(blend, **{"second.layers[4].thickness_nm": [20, 200]}))
+    with pytest.raises(RecipeError, match=r'parameters."second.layers\[4\].thickness_nm"'):
+        read_task(_target(blend, **{"second.layers[4].thickness_nm": [20, 200]}))
 
 
 @pytest.mark.full
@@ -73,16 +73,19 @@ def test_a_design_of_a_blend_moves_the_part_that_is_free(blend):
 def test_an_answers_file_names_the_quick_way_that_it_was_judged_by(tmp_path: Path) -> None:
     """Loaded alone it would otherwise take an ensemble of minutes, and show other colours than its report."""
     dense = {
-        "family": "metasurface", "substrate": "glass", "particle": {"material": "Si", "radius_nm": 70.0, "gap_nm": 3.0},
+        "family": "metasurface",
+        "substrate": "glass",
+        "particle": {"material": "Si", "radius_nm": 70.0, "gap_nm": 3.0},
         "monolayer": {"coverage": 0.1, "packing": 0.3},
-    }  # fmt: skip
+    }
     start = nacre.material(dense)
     assert start.model.expensive_method
     many = start.at_low_fidelity()
-    recipe, _ = write_recipe(tmp_path / "dense", many, as_judged(many, {"particle.radius_nm": 60.0}), {})
-    found = nacre.load(recipe)
-    assert not found.model.expensive_method and found.get("model.correction") == "qca-balanced"
-    recipe, _ = write_recipe(tmp_path / "thin", many, as_judged(many, {"monolayer.coverage": 0.02}), {})
+    recipe, _ = write_recipe(tmp_path / "dense", many, with_method_overrides(many, {"particle.radius_nm": 60.0}), {})
+    assert (
+        not nacre.load(recipe).model.expensive_method and nacre.load(recipe).get("model.correction") == "qca-balanced"
+    )
+    recipe, _ = write_recipe(tmp_path / "thin", many, with_method_overrides(many, {"monolayer.coverage": 0.02}), {})
     assert "model" not in nacre.load(recipe).data
 
 
@@ -129,9 +132,11 @@ def test_the_time_of_an_animation_runs_in_the_parts_of_a_blend(blend):
 def test_a_named_number_that_is_not_there_is_no_new_one():
     """`--set numbers.drian=2` changed nothing, and said nothing."""
     moving = {
-        "family": "film", "substrate": "Si", "numbers": {"drain": 100.0},
+        "family": "film",
+        "substrate": "Si",
+        "numbers": {"drain": 100.0},
         "layers": [{"material": "SiO2", "thickness_nm": {"formula": "drain*(1 + u)", "min": 1, "max": 300}}],
-    }  # fmt: skip
+    }
     material = nacre.material(moving)
     material.vary({"numbers.drain": 90.0, "numbers.t": 1.0})
     with pytest.raises(RecipeError, match=r'"numbers.drian" does not exist in the recipe. Did you mean "drain"\?'):
@@ -144,7 +149,10 @@ def test_a_named_number_that_is_not_there_is_no_new_one():
 )
 def test_many_colours_that_are_none_are_refused(labs, words):
     one = {"recipe": {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 90}]}}
-    one |= {"free": {"layers[0].thickness_nm": [20, 200]}, "want": [{"at": "specular 0", "colour": "#605040"}]}
+    one |= {
+        "parameters": {"layers[0].thickness_nm": [20, 200]},
+        "target": [{"geometry": "specular 0", "colour": "#605040"}],
+    }
     with pytest.raises(NacreError, match=words):
         nacre.design.many(one, labs)
 

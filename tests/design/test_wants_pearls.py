@@ -18,10 +18,10 @@ from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
 from nacre.measure.instruments import aspecular_direction
 from nacre.optimise.evaluation import judge
 from nacre.optimise.merit import smooth_weights
-from nacre.optimise.methods.surrogate import WalkedSearch
-from nacre.optimise.run import search_of
-from nacre.optimise.sparsify import changes_of, droppable, is_chosen, values_of
-from nacre.optimise.task import read_target
+from nacre.optimise.methods.surrogate import SurrogateSearch
+from nacre.optimise.run import choose_search
+from nacre.optimise.sparsify import changes_of, is_chosen, removable_tables, values_of
+from nacre.optimise.task import read_task
 from nacre.optimise.yield_analysis import sensitivity
 from nacre.recipe.paths import numbers_of
 from nacre.recipe.toml import dump_toml
@@ -55,8 +55,10 @@ def labs_of(recipe: dict[str, Any], walks: int = 1 << 16) -> np.ndarray:
 
 
 def target(start: dict[str, Any], free: dict[str, Any], labs: Any, seconds: float = 10.0) -> dict[str, Any]:
-    wants = [{"at": f"45as{a}", "lab": list(map(float, lab)), "within": WITHIN} for a, lab in zip(ANGLES, labs)]
-    return {"recipe": start, "free": free, "want": wants, "search": {"seconds": seconds, "solutions": 1}}
+    wants = [
+        {"geometry": f"45as{a}", "lab": list(map(float, lab)), "tolerance": WITHIN} for a, lab in zip(ANGLES, labs)
+    ]
+    return {"recipe": start, "parameters": free, "target": wants, "search": {"seconds": seconds, "solutions": 1}}
 
 
 def shop(count: int) -> dict[str, Any]:
@@ -79,33 +81,33 @@ def test_an_amount_of_zero_takes_the_pigment_out_of_the_recipe_and_back_again() 
         "strata[0].dye.volume_fraction": [0, 0.1],
         "strata[0].thickness_um": [9, 99],
     }
-    read = read_target(target(THREE, free, GREY))
-    assert len(droppable(read.free, read.material)) == 4
-    paths = [n.path for n in read.free]
+    read = read_task(target(THREE, free, GREY))
+    assert len(removable_tables(read.parameters, read.material)) == 4
+    paths = [n.path for n in read.parameters]
     values = [0.02, 100.0, 0.0, 70.0, 0.03, 140.0, 0.5, 0.02, 50.0]
     for gone in ([2], [0, 2], [0, 2, 4], [7], [0, 7], []):
         asked = [0.0 if i in gone else 0.01 if paths[i].endswith("fraction") else v for i, v in enumerate(values)]
-        changes = changes_of(read.material, read.free, asked)
+        changes = changes_of(read.material, read.parameters, asked)
         made = read.material.vary(changes)
         left = made.data["strata"][0]
         kept = [i for i in (0, 2, 4) if i not in gone]
         assert [p["coatings"][0]["thickness_nm"] for p in left["platelets"]] == [values[i + 1] for i in kept]
         assert ("dye" in left) == (7 not in gone)
         assert made.get("base.albedo") == 0.5 and left["thickness_um"] == 50.0
-        back = values_of(read.material, read.free, changes)
+        back = values_of(read.material, read.parameters, changes)
         assert back is not None and [back[i] for i in (0, 2, 4, 7)] == [asked[i] for i in (0, 2, 4, 7)]
         assert [back[i + 1] for i in kept] == [values[i + 1] for i in kept]
 
 
 def test_an_amount_that_may_not_be_zero_is_none_that_drops() -> None:
-    read = read_target(target(paint(pigment()), {"strata[0].platelets[0].volume_fraction": [0.001, 0.06]}, GREY))
-    assert droppable(read.free, read.material) == {}
+    read = read_task(target(paint(pigment()), {"strata[0].platelets[0].volume_fraction": [0.001, 0.06]}, GREY))
+    assert removable_tables(read.parameters, read.material) == {}
 
 
 def test_the_likeness_is_the_walk_where_that_was_walked() -> None:
-    read = read_target(target(paint(pigment()), shop(1), GREY))
-    search = search_of(read, 0)
-    assert isinstance(search, WalkedSearch)
+    read = read_task(target(paint(pigment()), shop(1), GREY))
+    search = choose_search(read, 0)
+    assert isinstance(search, SurrogateSearch)
     place = np.array([0.3, 0.5])
     objective, _ = search._walk(place, 2048)
     assert search._likeness(place) == pytest.approx(objective, rel=1e-9)
@@ -113,15 +115,15 @@ def test_the_likeness_is_the_walk_where_that_was_walked() -> None:
 
 def test_what_has_no_likeness_is_searched_as_any_recipe() -> None:
     data = copy.deepcopy(dict(nacre.load("two_strata").data))
-    read = read_target(target(data, {"strata[0].thickness_um": [20, 60]}, GREY))
-    assert not isinstance(search_of(read, 0), WalkedSearch)
+    read = read_task(target(data, {"strata[0].thickness_um": [20, 60]}, GREY))
+    assert not isinstance(choose_search(read, 0), SurrogateSearch)
     mirror = target(paint(pigment()), shop(1), GREY)
-    mirror["want"] = [{"at": "diffuse 0", "lab": [50, 0, 0]}]
-    assert not isinstance(search_of(read_target(mirror), 0), WalkedSearch)
+    mirror["target"] = [{"geometry": "diffuse 0", "lab": [50, 0, 0]}]
+    assert not isinstance(choose_search(read_task(mirror), 0), SurrogateSearch)
 
 
 def test_an_interrupt_keeps_the_best_so_far() -> None:
-    search = search_of(read_target(target(paint(pigment()), shop(1), GREY)), 0)
+    search = choose_search(read_task(target(paint(pigment()), shop(1), GREY)), 0)
     calls = []
 
     def stop(worst: float, changes: dict[str, Any]) -> None:
@@ -140,16 +142,16 @@ def test_a_pigment_too_much_is_refused_in_one_line() -> None:
         ("strata[0].platelets[0].colour", [0, 1], "colour"),
     ):
         with pytest.raises(NacreError, match="free") as caught:
-            read_target(target(THREE, {key: bounds}, GREY))
+            read_task(target(THREE, {key: bounds}, GREY))
         assert said in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_of_equal_looks_the_fewest_pigments_come_first() -> None:
-    read = read_target(target(THREE, shop(3), GREY))
-    two = changes_of(read.material, read.free, [0.02, 100.0, 0.01, 70.0, 0.0, 140.0])
-    one = changes_of(read.material, read.free, [0.02, 100.0, 0.0, 70.0, 0.0, 140.0])
-    search = search_of(read, 0)
-    assert isinstance(search, WalkedSearch)
+    read = read_task(target(THREE, shop(3), GREY))
+    two = changes_of(read.material, read.parameters, [0.02, 100.0, 0.01, 70.0, 0.0, 140.0])
+    one = changes_of(read.material, read.parameters, [0.02, 100.0, 0.0, 70.0, 0.0, 140.0])
+    search = choose_search(read, 0)
+    assert isinstance(search, SurrogateSearch)
     for near, far, first in ((0.1, 0.4, one), (0.1, 0.9, two), (0.6, 0.9, two)):
         search.pool.answers = [(near, two), (far, one)]
         assert search.answers()[0][1] == first
@@ -159,8 +161,8 @@ def test_of_equal_looks_the_fewest_pigments_come_first() -> None:
 def test_a_hidden_pigment_is_found_out_of_two_and_the_other_one_left_out(tmp_path: Path) -> None:
     hidden = paint(pigment(nm=HIDDEN_NM, amount=HIDDEN_AMOUNT))
     wanted = labs_of(hidden)
-    read = read_target(target(paint(pigment(), pigment("Fe2O3", 80.0)), shop(2), wanted, 40.0))
-    search = search_of(read, 0)
+    read = read_task(target(paint(pigment(), pigment("Fe2O3", 80.0)), shop(2), wanted, 40.0))
+    search = choose_search(read, 0)
     search.run(40.0, None, [])
     made = read.material.vary(search.answers()[0][1])
     assert np.all(delta_e_2000(wanted, labs_of(dict(made.data))) <= WITHIN)
@@ -184,21 +186,23 @@ def test_the_command_writes_a_recipe_without_the_pigment_and_goes_on_from_it(tmp
         made = nacre.load(out / "recipe.toml")
         assert summary["runs"] == 1 + len(more)
         assert [p["coatings"][0]["material"] for p in made.data["strata"][0]["platelets"]] == ["TiO2"]
-        assert len(summary["solutions"][0]["wants"]) == len(ANGLES)
+        assert len(summary["solutions"][0]["targets"]) == len(ANGLES)
 
 
 def test_what_a_pigment_s_numbers_cost_is_told_without_the_noise_of_walks() -> None:
     free = shop(2) | {"base.albedo": [0.1, 0.6]}
-    read = read_target(target(paint(pigment(), pigment("Fe2O3", 60.0)), free, GREY))
+    read = read_task(target(paint(pigment(), pigment("Fe2O3", 60.0)), free, GREY))
     # the second is left out: what is left of the first stands under its own path, beside what was never free
-    changes = changes_of(read.material, read.free, [0.02, 95.0, 0.0, 60.0, 0.3])
+    changes = changes_of(read.material, read.parameters, [0.02, 95.0, 0.0, 60.0, 0.3])
     made = read.material.vary(changes)
-    chosen = [path for path in numbers_of(made.data) if is_chosen(path, changes, read.free)]
+    chosen = [path for path in numbers_of(made.data) if is_chosen(path, changes, read.parameters)]
     assert chosen == [
-        "strata[0].platelets[0].volume_fraction", "strata[0].platelets[0].coatings[0].thickness_nm", "base.albedo",
-    ]  # fmt: skip
-    _, seen = judge(made, read.wants, read.spec.light, seed=1, seconds=0.1)
-    told = [sensitivity(made, chosen, read.wants, read.spec.light, seed, 10.0, seen) for seed in (0, 1)]
+        "strata[0].platelets[0].volume_fraction",
+        "strata[0].platelets[0].coatings[0].thickness_nm",
+        "base.albedo",
+    ]
+    _, seen = judge(made, read.targets, read.spec.light, seed=1, seconds=0.1)
+    told = [sensitivity(made, chosen, read.targets, read.spec.light, seed, 10.0, seen) for seed in (0, 1)]
     assert told[0] == told[1] and told[0][0]["path"].endswith("thickness_nm")
     # far more walks than a design has time for agree
     ends = [labs_of(made.vary({chosen[1]: nm}).data, 1 << 18) for nm in (95.0 * 0.99, 95.0 * 1.01)]

@@ -15,20 +15,27 @@ from nacre.families.relief.material import Relief
 from nacre.optimise.relief.adapter import read_relief
 from nacre.optimise.relief.run import load_target
 from nacre.optimise.relief.search import Search
-from nacre.optimise.task import seeks_heights
+from nacre.optimise.task import is_relief_task
 from nacre.recipe.model import RecipeContext
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "targets"
 RELIEF = {"family": "relief", "feature_um": 0.8, "blur_um": 0.13, "coating": "Al", "coherence": {"sigma": 2.6}}
-PICTURE = {"kind": "image", "image": "star.png", "image_scale": 1.5, "colour": "white", "range": 0.3,
-           "resolution": 64, "intensity_scale": 0.02}  # fmt: skip
+PICTURE = {
+    "kind": "image",
+    "image": "star.png",
+    "image_scale": 1.5,
+    "colour": "white",
+    "range": 0.3,
+    "resolution": 64,
+    "intensity_scale": 0.02,
+}
 ROUGH = {**RELIEF, "coherence": {"sigma": 1.0}}  # whose window fits a tile of 8 features
-COLOUR = {"at": "30as15", "colour": "#3060c0", "within": 5}
+COLOUR = {"geometry": "30as15", "colour": "#3060c0", "tolerance": 5}
 
 
 def _target(*wants, **more):
     free = {"heights": [0, 0.8], "features": 32}
-    return {"recipe": RELIEF, "free": free, "want": list(wants), "search": {"seconds": 60, "seed": 1}, **more}
+    return {"recipe": RELIEF, "parameters": free, "target": list(wants), "search": {"seconds": 60, "seed": 1}, **more}
 
 
 def _read(data):
@@ -42,8 +49,18 @@ def test_a_picture_is_the_problem_that_a_target_of_the_older_form_is(tmp_path):
     older, context = load_target(tmp_path / "star.toml")
     problem, ours = older.build(context), _read(_target({"directions": PICTURE})).problem
     assert np.array_equal(problem.target, ours.target)
-    for name in ("features", "feature_nm", "blur_nm", "height_max_nm", "coherence", "intensity_scale", "prefactor",
-                 "brightness_floor", "noise", "levels"):  # fmt: skip
+    for name in (
+        "features",
+        "feature_nm",
+        "blur_nm",
+        "height_max_nm",
+        "coherence",
+        "intensity_scale",
+        "prefactor",
+        "brightness_floor",
+        "noise",
+        "levels",
+    ):
         assert getattr(problem, name) == getattr(ours, name), name
     assert np.array_equal(problem.views[0].geometry.wi, ours.views[0].geometry.wi)
 
@@ -60,27 +77,30 @@ def test_a_colour_is_a_view_round_its_own_pair_of_directions():
 
 
 def test_only_targets_of_heights_or_pictures_go_to_the_search_of_reliefs():
-    assert seeks_heights(_target(COLOUR)) and seeks_heights({"want": [{"directions": PICTURE}]})
-    assert not seeks_heights({"recipe": RELIEF, "free": {"blur_um": [0.1, 0.2]}, "want": [COLOUR]})
+    assert is_relief_task(_target(COLOUR)) and is_relief_task({"target": [{"directions": PICTURE}]})
+    assert not is_relief_task({"recipe": RELIEF, "parameters": {"blur_um": [0.1, 0.2]}, "target": [COLOUR]})
 
 
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"free": {"heights": [0.1, 0.8]}}, "free.heights = [0.1, 0.8] should be [0, h]"),
-        ({"free": {"heights": [0, "high"]}}, "free.heights"),
-        ({"free": {"heights": [0, 0.8], "features": 1}}, "free.features = 1 should be a whole number"),
-        ({"free": {"heights": [0, 0.8], "blur_um": [0.1, 0.2]}}, 'free."blur_um" beside heights'),
+        ({"parameters": {"heights": [0.1, 0.8]}}, "parameters.heights = [0.1, 0.8] should be [0, h]"),
+        ({"parameters": {"heights": [0, "high"]}}, "parameters.heights"),
+        ({"parameters": {"heights": [0, 0.8], "features": 1}}, "parameters.features = 1 should be a whole number"),
+        ({"parameters": {"heights": [0, 0.8], "blur_um": [0.1, 0.2]}}, 'parameters."blur_um" beside heights'),
         ({"recipe": {**RELIEF, "family": "film"}}, 'recipe.family = "film"'),
         ({"recipe": {**RELIEF, "featur_um": 1}}, "recipe.featur_um is not known"),
-        ({"want": [{**COLOUR, "at": "specular 0"}]}, 'want[0].at = "specular 0" cannot be sought'),
-        ({"want": [{"at": "30as15", "chroma": ">=30"}]}, "want[0]: of a relief's heights a colour is sought"),
-        ({"want": [{"directions": {**PICTURE, "image": "none.png"}}]}, "want[0].directions.image"),
-        ({"want": [{"directions": {**PICTURE, "intensity_scale": "free"}}, COLOUR]}, 'intensity_scale = "free" beside'),
-        ({"want": [{"directions": PICTURE, "at": "30as15"}]}, "has directions and at; keep one"),
-        ({"want": [{"colour": "#ffffff"}]}, "at is missing"),
-        ({"spread": {"heights": "much"}}, 'spread.heights = "much" should be a percentage'),
-        ({"limits": {"total_nm": 3}}, "limits: is not known of a relief"),
+        ({"target": [{**COLOUR, "geometry": "specular 0"}]}, 'target[0].geometry = "specular 0" cannot be met'),
+        ({"target": [{"geometry": "30as15", "chroma": ">=30"}]}, "target[0]: of a relief's heights a colour is sought"),
+        ({"target": [{"directions": {**PICTURE, "image": "none.png"}}]}, "target[0].directions.image"),
+        (
+            {"target": [{"directions": {**PICTURE, "intensity_scale": "free"}}, COLOUR]},
+            'intensity_scale = "free" with',
+        ),
+        ({"target": [{"directions": PICTURE, "geometry": "30as15"}]}, "has directions and geometry; keep one"),
+        ({"target": [{"colour": "#ffffff"}]}, "geometry is missing"),
+        ({"tolerance": {"heights": "much"}}, 'tolerance.heights = "much" should be a percentage'),
+        ({"limits": {"max_total_nm": 3}}, "limits: is not known of a relief"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(changes, said):
@@ -92,20 +112,20 @@ def test_what_is_wrong_is_said_in_one_line(changes, said):
 def test_a_picture_of_another_family_is_refused():
     film = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]}
     with pytest.raises(RecipeError, match="are sought of a relief"):
-        nacre.design({"recipe": film, "free": {}, "want": [{"directions": PICTURE}]})
+        nacre.design({"recipe": film, "parameters": {}, "target": [{"directions": PICTURE}]})
 
 
 def test_a_spread_of_heights_is_the_noise_of_the_process():
-    assert _read(_target({"directions": PICTURE}, spread={"heights": "2%"})).problem.noise == pytest.approx(0.02)
+    assert _read(_target({"directions": PICTURE}, tolerance={"heights": "2%"})).problem.noise == pytest.approx(0.02)
 
 
 @pytest.mark.full
 def test_a_relief_of_a_wanted_colour_shows_it_and_every_file_is_there(tmp_path):
-    target = {**_target(COLOUR), "search": {"seconds": 8}, "free": {"heights": [0, 0.8], "features": 16}}
+    target = {**_target(COLOUR), "search": {"seconds": 8}, "parameters": {"heights": [0, 0.8], "features": 16}}
     found = nacre.design(target, tmp_path / "out")
     told = json.loads((tmp_path / "out" / "design.json").read_text(encoding="utf-8"))
-    want = told["solutions"][0]["wants"][0]
-    assert want["at"] == "30as15" and want["de00"] < 10.0
+    want = told["solutions"][0]["targets"][0]
+    assert want["geometry"] == "30as15" and want["de00"] < 10.0
     assert found.summary["solutions"] == told["solutions"]
     assert nacre.load(tmp_path / "out").family == "relief"
     nacre.design(target, tmp_path / "out", resume=True)
@@ -115,16 +135,17 @@ def test_how_far_each_colour_is_missed_is_said_beside_the_loss(capsys):
     """A colour missed by dE00 35 stood in design.json alone; the command told a loss."""
     losses = {"loss_fixed": 0.5, "loss_free": 0.1, "scale_free": 1.0, "evaluations": 3, "seconds": 1.0}
     wants = [
-        {"at": "directions", "lamp": None, **losses},
-        {"at": "30as20", "lamp": "D65", "de00": 35.4, "within": 8.0, "met": False},
-        {"at": "45as10", "lamp": "A", "de00": 1.2, "within": 8.0, "met": True},
+        {"geometry": "directions", "lamp": None, **losses},
+        {"geometry": "30as20", "lamp": "D65", "de00": 35.4, "tolerance": 8.0, "met": False},
+        {"geometry": "45as10", "lamp": "A", "de00": 1.2, "tolerance": 8.0, "met": True},
     ]
-    _tell_relief(SimpleNamespace(summary={**losses, "solutions": [{"wants": wants}]}, folder="out"), "t.toml", False)
+    _tell_relief(SimpleNamespace(summary={**losses, "solutions": [{"targets": wants}]}, folder="out"), "t.toml", False)
     _tell_relief(SimpleNamespace(summary=losses, folder="out"), "t.toml", False)  # a target without wants
     told = capsys.readouterr().out.splitlines()
     assert told[1:3] == [
-        "  dE00 35.40 at 30as20 under D65, out of reach so far (within 8 was asked)", "  dE00 1.20 at 45as10 under A"
-    ]  # fmt: skip
+        "  dE00 35.40 at 30as20 under D65, out of reach so far (within 8 was asked)",
+        "  dE00 1.20 at 45as10 under A",
+    ]
 
 
 def test_what_judging_takes_is_kept_back_from_the_search(tmp_path, monkeypatch):
@@ -148,9 +169,9 @@ def test_what_judging_takes_is_kept_back_from_the_search(tmp_path, monkeypatch):
 
 def test_the_page_of_a_relief_shows_the_colours_asked_and_reached(tmp_path):
     free, search = {"heights": [0, 0.4], "features": 8}, {"seconds": 1}
-    quick = {**_target({**COLOUR, "within": 0.1}), "recipe": ROUGH, "free": free, "search": search}
+    quick = {**_target({**COLOUR, "tolerance": 0.1}), "recipe": ROUGH, "parameters": free, "search": search}
     found = nacre.design(quick, tmp_path / "out")
-    want = found.summary["solutions"][0]["wants"][0]
+    want = found.summary["solutions"][0]["targets"][0]
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "30as15, D65" in page and "background:#3060c0" in page
     assert f"background:{want['reached']['colour']}" in page

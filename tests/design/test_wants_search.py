@@ -16,13 +16,13 @@ import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
-from nacre.optimise.evaluation import judge, rows_of
-from nacre.optimise.methods.least_squares import GeneralSearch
+from nacre.optimise.evaluation import geometries_of, judge
+from nacre.optimise.methods.least_squares import LeastSquaresSearch
 from nacre.optimise.parameters import Parameter
-from nacre.optimise.run import WantsProgress, search_of
+from nacre.optimise.run import DesignProgress, choose_search
 from nacre.optimise.solutions import are_alike
-from nacre.optimise.task import read_target
-from nacre.optimise.thin_film.adapter import StackSearch, stack_factors
+from nacre.optimise.task import read_task
+from nacre.optimise.thin_film.adapter import ThinFilmSearch, stack_factors
 
 ROOT = Path(__file__).resolve().parents[2]
 JUDGES_AGREE = 0.02  # dE00 of two quadratures of the same spectrum
@@ -45,17 +45,17 @@ def film(*thicknesses: float, **more: Any) -> dict[str, Any]:
 def asked(*angles: float, hidden: dict[str, Any], **more: Any) -> dict[str, Any]:
     """A target of the colours that a hidden recipe has."""
     made = nacre.material(hidden)
-    wants = [{"at": f"specular {a:g}", "lab": lab_of(made, a).tolist(), "within": 1.0} for a in angles]
-    return {"want": wants, "search": {"seconds": 8, "solutions": 2}, **more}
+    wants = [{"geometry": f"specular {a:g}", "lab": lab_of(made, a).tolist(), "tolerance": 1.0} for a in angles]
+    return {"target": wants, "search": {"seconds": 8, "solutions": 2}, **more}
 
 
 @pytest.mark.full
 def test_a_hidden_film_is_found_by_the_search_that_knows_nothing_of_films() -> None:
     free = {"layers[0].thickness_nm": [20, 90], "layers[1].material": {"choices": ["SiO2", "MgF2", "TiO2"]}}
-    target = asked(0.0, 45.0, hidden=film(55, 110), recipe=film(30, 110), free=free)
+    target = asked(0.0, 45.0, hidden=film(55, 110), recipe=film(30, 110), parameters=free)
     target["recipe"]["layers"][1]["material"] = "MgF2"
-    read = read_target(target)
-    search = GeneralSearch(read.material, read.free, read.wants, read.spec.light, 0, 2)
+    read = read_task(target)
+    search = LeastSquaresSearch(read.material, read.parameters, read.targets, read.spec.light, 0, 2)
     assert search.run(20.0) == "met"
     _, changes = search.answers()[0]
     assert changes["layers[1].material"] == "SiO2" and changes["layers[0].thickness_nm"] == pytest.approx(55, abs=0.3)
@@ -63,40 +63,48 @@ def test_a_hidden_film_is_found_by_the_search_that_knows_nothing_of_films() -> N
 
 def test_a_design_is_as_good_as_it_says_and_stays_within_its_bounds(tmp_path: Path) -> None:
     target = asked(
-        0.0, 40.0, hidden=film(55, 110, 80), recipe=film(30, 30, 30), free={"layers[*].thickness_nm": [20, 130]},
+        0.0,
+        40.0,
+        hidden=film(55, 110, 80),
+        recipe=film(30, 30, 30),
+        parameters={"layers[*].thickness_nm": [20, 130]},
         light={"illuminants": ["D65", "A"]},
-    )  # fmt: skip
-    for want in target["want"]:
-        want["within"] = 8.0  # the hidden film has these colours under D65, and others under A
+    )
+    for want in target["target"]:
+        want["tolerance"] = 8.0  # the hidden film has these colours under D65, and others under A
     design = nacre.design(target, tmp_path / "out")
     assert design.status == "met" and (tmp_path / "out" / "recipe.toml").is_file()
     for number, solution in enumerate(design.solutions, start=1):
         folder = tmp_path / "out" / (str(number) if number > 1 else "")
         made = nacre.load(folder)
         assert all(20 <= made.get(f"layers[{i}].thickness_nm") <= 130 for i in range(3))
-        for r in solution.wants:
-            assert r.lamp is not None and r.want.lab is not None
-            own = delta_e_2000(r.want.lab, lab_of(made, r.want.at.theta_deg, r.lamp))
+        for r in solution.targets:
+            assert r.lamp is not None and r.target.lab is not None
+            own = delta_e_2000(r.target.lab, lab_of(made, r.target.geometry.theta_deg, r.lamp))
             assert r.distance == pytest.approx(float(own), abs=JUDGES_AGREE)
     document = json.loads((tmp_path / "out" / "design.json").read_text())
     assert document["status"] == "met" and document["seconds"] > 0
     best = document["solutions"][0]
     assert Path(best["recipe"]) == tmp_path / "out" / "recipe.toml"
-    assert {"at", "lamp", "asked", "reached", "de00"} <= set(best["wants"][0]) and "yield" in best
-    assert len(best["wants"]) == 4  # two angles under two lamps
+    assert {"geometry", "lamp", "asked", "reached", "de00"} <= set(best["targets"][0]) and "yield" in best
+    assert len(best["targets"]) == 4  # two angles under two lamps
 
 
 @pytest.mark.full
 def test_a_stack_is_sought_of_its_palette_and_the_report_needs_no_network(tmp_path: Path) -> None:
     target = {
         "recipe": {"family": "film", "substrate": "Al", "layers": []},
-        "layers": {"palette": ["SiO2", "Cr"], "most": 4, "thickness_nm": {"Cr": [3, 20], "other": [20, 300]},
-                   "substrate": ["Al", "Ag"]},
-        "want": [{"at": "specular 0", "lab": [45, 30, -20], "within": 2.0}],
-        "spread": {"layers[*].thickness_nm": "1%"},
-        "limits": {"total_nm": 700},
+        "layers": {
+            "palette": ["SiO2", "Cr"],
+            "max_layers": 4,
+            "thickness_nm": {"Cr": [3, 20], "other": [20, 300]},
+            "substrate": ["Al", "Ag"],
+        },
+        "target": [{"geometry": "specular 0", "lab": [45, 30, -20], "tolerance": 2.0}],
+        "tolerance": {"layers[*].thickness_nm": "1%"},
+        "limits": {"max_total_nm": 700},
         "search": {"seconds": 8, "solutions": 3},
-    }  # fmt: skip
+    }
     design = nacre.design(target, tmp_path / "out")
     assert design.status == "met"
     for solution in design.solutions:
@@ -124,15 +132,15 @@ def test_out_of_reach_is_an_answer_that_names_the_want_that_costs_most(
     path = tmp_path / "far.toml"
     path.write_text(
         '[recipe]\nfamily = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 100}]\n'
-        '[free]\n"layers[0].thickness_nm" = [80, 120]\n[[want]]\nat = "specular 0"\ncolour = "#ff0000"\n'
-        '[[want]]\nat = "specular 60"\nchroma = "<=60"\n[search]\nseconds = 2\nsolutions = 1\n'
+        '[parameters]\n"layers[0].thickness_nm" = [80, 120]\n[[target]]\ngeometry = "specular 0"\ncolour = "#ff0000"\n'
+        '[[target]]\ngeometry = "specular 60"\nchroma = "<=60"\n[search]\nseconds = 2\nsolutions = 1\n'
     )
     assert run(["design", str(path), "-o", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     assert "out of reach" in said and '"specular 0"' in said and "costs most" in said
     document = json.loads((tmp_path / "out" / "design.json").read_text())
-    assert document["status"] == "out of reach" and document["costs_most"]["at"] == "specular 0"
-    assert document["solutions"][0]["wants"][0]["de00"] > 20
+    assert document["status"] == "out of reach" and document["costs_most"]["geometry"] == "specular 0"
+    assert document["solutions"][0]["targets"][0]["de00"] > 20
 
 
 @pytest.mark.full
@@ -143,13 +151,13 @@ def test_an_interrupt_ends_with_the_best_and_a_resumed_run_goes_on_from_it(
     path.write_text(
         '[recipe]\nfamily = "film"\nsubstrate = "Si"\nsurface = {roughness = 0.3}\n'
         'layers = [{material = "SiO2", thickness_nm = 100}]\n'
-        '[free]\n"layers[0].thickness_nm" = [80, 300]\n"surface.roughness" = [0.2, 0.5]\n'
-        '[[want]]\nat = "45as15"\ncolour = "#ff0000"\nwithin = 0.1\n[search]\nseconds = 60\nsolutions = 1\n'
+        '[parameters]\n"layers[0].thickness_nm" = [80, 300]\n"surface.roughness" = [0.2, 0.5]\n'
+        '[[target]]\ngeometry = "45as15"\ncolour = "#ff0000"\ntolerance = 0.1\n[search]\nseconds = 60\nsolutions = 1\n'
     )
     out = tmp_path / "out"
     seen = []
 
-    def interrupt(progress: WantsProgress) -> None:
+    def interrupt(progress: DesignProgress) -> None:
         seen.append(progress.worst)
         if len(seen) == 12:
             raise KeyboardInterrupt
@@ -169,7 +177,7 @@ def test_an_interrupt_ends_with_the_best_and_a_resumed_run_goes_on_from_it(
 
 def test_a_recipe_of_ones_own_in_the_folder_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "recipe.toml").write_text("# mine\n")
-    wanted = asked(0.0, hidden=film(55, 110), recipe=film(30, 110), free={"layers[0].thickness_nm": [20, 90]})
+    wanted = asked(0.0, hidden=film(55, 110), recipe=film(30, 110), parameters={"layers[0].thickness_nm": [20, 90]})
     with pytest.raises(NacreError, match="no design wrote"):
         nacre.design(wanted, tmp_path)
     assert (tmp_path / "recipe.toml").read_text() == "# mine\n"
@@ -183,9 +191,11 @@ def test_a_folder_can_be_moved_with_the_files_that_its_recipe_names(tmp_path: Pa
         'layers = [{material = {file = "tables/nk.csv"}, thickness_nm = 100}]\n'
     )
     target = {
-        "recipe": str(tmp_path / "start.toml"), "free": {"layers[0].thickness_nm": [80, 120]},
-        "want": [{"at": "specular 0", "lab": [40, 0, 0]}], "search": {"seconds": 1, "solutions": 1},
-    }  # fmt: skip
+        "recipe": str(tmp_path / "start.toml"),
+        "parameters": {"layers[0].thickness_nm": [80, 120]},
+        "target": [{"geometry": "specular 0", "lab": [40, 0, 0]}],
+        "search": {"seconds": 1, "solutions": 1},
+    }
     nacre.design(target, tmp_path / "out")
     shutil.move(tmp_path / "out", tmp_path / "moved")
     shutil.rmtree(tmp_path / "tables")
@@ -197,8 +207,11 @@ def test_the_recipe_that_a_design_starts_from_is_not_overwritten(tmp_path: Path)
     (tmp_path / "recipe.toml").write_text(
         'family = "film"\nsubstrate = "Si"\nlayers = [{material = 1.5, thickness_nm = 9}]\n'
     )
-    target = {"recipe": str(tmp_path / "recipe.toml"), "free": {"layers[0].thickness_nm": [1, 90]},
-              "want": [{"at": "specular 0", "lab": [40, 0, 0]}]}  # fmt: skip
+    target = {
+        "recipe": str(tmp_path / "recipe.toml"),
+        "parameters": {"layers[0].thickness_nm": [1, 90]},
+        "target": [{"geometry": "specular 0", "lab": [40, 0, 0]}],
+    }
     with pytest.raises(NacreError, match="starts from"):
         nacre.design(target, tmp_path)
 
@@ -206,12 +219,13 @@ def test_the_recipe_that_a_design_starts_from_is_not_overwritten(tmp_path: Path)
 def test_whole_numbers_and_words_alone_are_tried_one_by_one() -> None:
     recipe = film(60, substrate="Al", ridges={"pitch_nm": 700, "width_nm": 300, "height_deviation_nm": 120})
     target = {
-        "recipe": recipe, "free": {"ridges.count": [1, 3], "layers[0].material": {"choices": ["SiO2", "TiO2"]}},
-        "want": [{"at": "30as15", "lab": [50, 0, 0]}],
-    }  # fmt: skip
-    read = read_target(target)
-    assert Parameter("ridges.count", 1.0, 3.0, (), True) in read.free
-    search = GeneralSearch(read.material, read.free, read.wants, read.spec.light, 0, 1)
+        "recipe": recipe,
+        "parameters": {"ridges.count": [1, 3], "layers[0].material": {"choices": ["SiO2", "TiO2"]}},
+        "target": [{"geometry": "30as15", "lab": [50, 0, 0]}],
+    }
+    read = read_task(target)
+    assert Parameter("ridges.count", 1.0, 3.0, (), True) in read.parameters
+    search = LeastSquaresSearch(read.material, read.parameters, read.targets, read.spec.light, 0, 1)
     assert search.run(30.0) in ("exhausted", "met")
     assert isinstance(search.answers()[0][1]["ridges.count"], int)
 
@@ -221,8 +235,8 @@ def test_many_colours_of_one_target_keep_their_order() -> None:
     labs = [lab_of(nacre.material(h), 0.0) for h in hidden]
     target = {
         "recipe": {"family": "film", "substrate": "Si", "layers": []},
-        "layers": {"palette": ["TiO2", "SiO2"], "most": 4, "thickness_nm": [10, 250]},
-        "want": [{"at": "specular 0", "lab": [50, 0, 0]}],
+        "layers": {"palette": ["TiO2", "SiO2"], "max_layers": 4, "thickness_nm": [10, 250]},
+        "target": [{"geometry": "specular 0", "lab": [50, 0, 0]}],
     }
     found = nacre.design.many(target, labs)
     assert len(found) == 3
@@ -231,8 +245,11 @@ def test_many_colours_of_one_target_keep_their_order() -> None:
 
 
 def test_many_refuses_colours_of_another_shape() -> None:
-    target = {"recipe": film(40), "free": {"layers[0].thickness_nm": [10, 90]},
-              "want": [{"at": "specular 0", "lab": [50, 0, 0]}]}  # fmt: skip
+    target = {
+        "recipe": film(40),
+        "parameters": {"layers[0].thickness_nm": [10, 90]},
+        "target": [{"geometry": "specular 0", "lab": [50, 0, 0]}],
+    }
     with pytest.raises(NacreError, match=r"\[n, 3\]"):
         nacre.design.many(target, [50, 0, 0])
 
@@ -243,19 +260,24 @@ def test_a_search_compares_a_spectrum_as_the_judge_does(tmp_path: Path, has_colo
     nm = np.r_[430.0:561.0:4.0, 600.0:721.0:4.0]
     csv = tmp_path / "edge.csv"
     csv.write_text("".join(f"{x:g},{float(x > 580.0):g}\n" for x in nm))
-    wants = [{"at": "specular 0", "spectrum": str(csv)}, {"at": "specular 30", "colour": "#305080"}]
-    target = read_target({
-        "recipe": {"family": "film", "substrate": "BK7", "layers": [
-            {"material": ("TiO2", "SiO2")[i % 2], "thickness_nm": (75, 115)[i % 2]} for i in range(9)]},
-        "free": {"layers[*].thickness_nm": [5, 300]},
-        "want": wants[: 1 + has_colour],
-    })  # fmt: skip
-    engine = search_of(target, 0)
-    assert isinstance(engine, StackSearch)
-    goals, rows = engine.problem.goals, rows_of(target.wants)
+    wants = [{"geometry": "specular 0", "spectrum": str(csv)}, {"geometry": "specular 30", "colour": "#305080"}]
+    target = read_task(
+        {
+            "recipe": {
+                "family": "film",
+                "substrate": "BK7",
+                "layers": [{"material": ("TiO2", "SiO2")[i % 2], "thickness_nm": (75, 115)[i % 2]} for i in range(9)],
+            },
+            "parameters": {"layers[*].thickness_nm": [5, 300]},
+            "target": wants[: 1 + has_colour],
+        }
+    )
+    engine = choose_search(target, 0)
+    assert isinstance(engine, ThinFilmSearch)
+    goals, rows = engine.problem.goals, geometries_of(target.targets)
     seen = stack_factors(target.material, rows, goals.wavelengths_nm)
     assert seen is not None
-    judged, _ = judge(target.material, target.wants, target.spec.light)
+    judged, _ = judge(target.material, target.targets, target.spec.light)
     # to the other quadrature's steps of 1 and 4 nm; with the band between it is 30 % more
     assert goals.distances(seen)[0] == pytest.approx(judged[0].distance, rel=0.02)
 
@@ -266,11 +288,13 @@ def test_a_spectrum_over_a_part_of_the_wavelengths_is_met_there_beside_a_colour(
     (tmp_path / "ar.csv").write_text("nm,R\n" + "".join(f"{nm},0.0\n" for nm in range(480, 621, 10)))
     target = {
         "recipe": {"family": "film", "substrate": "BK7", "layers": []},
-        "layers": {"palette": ["MgF2", "TiO2", "SiO2"], "most": 4, "thickness_nm": [5, 200]},
-        "want": [{"at": "specular 0", "spectrum": str(tmp_path / "ar.csv"), "within": 0.3},
-                 {"at": "specular 0", "lightness": "<=20", "within": 2.0}],
+        "layers": {"palette": ["MgF2", "TiO2", "SiO2"], "max_layers": 4, "thickness_nm": [5, 200]},
+        "target": [
+            {"geometry": "specular 0", "spectrum": str(tmp_path / "ar.csv"), "tolerance": 0.3},
+            {"geometry": "specular 0", "lightness": "<=20", "tolerance": 2.0},
+        ],
         "search": {"seconds": 10, "solutions": 1},
-    }  # fmt: skip
+    }
     design = nacre.design(target, tmp_path / "out")
     nm = np.arange(480.0, 621.0, 10.0)
     seen = nacre.load(tmp_path / "out").spectrum([0.0], nm).specular_reflectance
@@ -278,4 +302,4 @@ def test_a_spectrum_over_a_part_of_the_wavelengths_is_met_there_beside_a_colour(
     rms = 100.0 * float(np.sqrt(np.mean(seen[0] ** 2)))
     # bare glass has 4.3 %, one quarter wave of MgF2 1.3 %
     assert design.status == "met" and rms < 0.3
-    assert design.best.wants[0].lamp is None and design.best.wants[0].distance == pytest.approx(rms, abs=0.02)
+    assert design.best.targets[0].lamp is None and design.best.targets[0].distance == pytest.approx(rms, abs=0.02)

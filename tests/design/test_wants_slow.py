@@ -8,12 +8,12 @@ import pytest
 import nacre
 from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.optimise.evaluation import judge
-from nacre.optimise.measurement import At, see
+from nacre.optimise.measurement import Geometry, simulate_measurement
 from nacre.optimise.methods import successive_halving
 from nacre.optimise.methods.broyden import Descent, step_of
-from nacre.optimise.methods.successive_halving import SlowSearch
-from nacre.optimise.run import search_of
-from nacre.optimise.task import read_target
+from nacre.optimise.methods.successive_halving import SuccessiveHalvingSearch
+from nacre.optimise.run import choose_search
+from nacre.optimise.task import read_task
 
 START = {
     "family": "metasurface",
@@ -26,10 +26,12 @@ LOOKS = ["specular 0", "specular 60", "diffuse 0", "diffuse 60"]
 
 
 def _target(hidden, free, seconds):
-    seen = see(hidden, [At.read(at, "") for at in LOOKS])
+    seen = simulate_measurement(hidden, [Geometry.read(at, "") for at in LOOKS])
     labs = xyz_to_lab(spectrum_to_xyz(seen.factors, seen.wavelengths_nm, "D65", "10deg"), white_xyz("D65", "10deg"))
-    wants = [{"at": at, "lab": lab.tolist(), "within": 1.5} for at, lab in zip(LOOKS, labs)]
-    return read_target({"recipe": START, "free": free, "want": wants, "search": {"seconds": seconds, "solutions": 1}})
+    wants = [{"geometry": at, "lab": lab.tolist(), "tolerance": 1.5} for at, lab in zip(LOOKS, labs)]
+    return read_task(
+        {"recipe": START, "parameters": free, "target": wants, "search": {"seconds": seconds, "solutions": 1}}
+    )
 
 
 def test_a_step_of_a_linear_problem_ends_at_its_solution():
@@ -56,8 +58,8 @@ def test_a_search_leaves_the_time_to_judge_what_takes_long(of_one_s, monkeypatch
         return SimpleNamespace(factors=np.full((len(rows), len(grid)), 0.1 + 1e-3 * made.get("particle.radius_nm")))
 
     target = _target(nacre.material(START), {"particle.radius_nm": [58, 62]}, 60)
-    search = search_of(target, 0)
-    assert isinstance(search, SlowSearch) and search.kept_s == pytest.approx(18.0)
+    search = choose_search(target, 0)
+    assert isinstance(search, SuccessiveHalvingSearch) and search.kept_s == pytest.approx(18.0)
     search.kept_s = 3.0
     monkeypatch.setattr(successive_halving, "see", seen)
     monkeypatch.setattr(successive_halving, "time", SimpleNamespace(monotonic=lambda: clock[0]))
@@ -72,8 +74,8 @@ def test_a_search_leaves_the_time_to_judge_what_takes_long(of_one_s, monkeypatch
 def test_a_search_that_is_over_before_it_began_still_has_an_answer():
     hidden = nacre.material(START)
     target = _target(hidden, {"particle.radius_nm": [58, 62]}, 60)
-    search = search_of(target, 0)
-    assert isinstance(search, SlowSearch)
+    search = choose_search(target, 0)
+    assert isinstance(search, SuccessiveHalvingSearch)
     search.run(0.05, None, [])
     assert 58 <= search.answers()[0][1]["particle.radius_nm"] <= 62
 
@@ -82,7 +84,7 @@ def test_a_search_that_is_over_before_it_began_still_has_an_answer():
 def test_a_hidden_metasurface_is_found_from_mirror_and_diffuse_colours():
     hidden = nacre.material(START).vary({"particle.radius_nm": 71.0, "layers[0].thickness_nm": 160.0})
     target = _target(hidden, {"particle.radius_nm": [50, 90], "layers[0].thickness_nm": [50, 250]}, 50)
-    search = search_of(target, 3)
+    search = choose_search(target, 3)
     assert search.run(50.0, None, []) == "met"
-    reached, _ = judge(target.material.vary(search.answers()[0][1]), target.wants, target.spec.light)
+    reached, _ = judge(target.material.vary(search.answers()[0][1]), target.targets, target.spec.light)
     assert max(r.distance for r in reached) <= 1.5

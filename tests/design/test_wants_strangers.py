@@ -55,17 +55,17 @@ def test_a_stranger_sees_what_the_design_says(tmp_path: Path, lamps: list[str]) 
     angles = (0.0, 45.0)
     target: dict[str, Any] = {
         "recipe": {"family": "film", "substrate": "Al", "layers": []},
-        "layers": {"palette": ["SiO2", "TiO2", "Si", "Cr"], "most": 5, "substrate": ["Al", "Ag"]},
-        "want": [{"at": f"specular {a:g}", "lab": [50, -20, 10], "within": 2.0} for a in angles],
+        "layers": {"palette": ["SiO2", "TiO2", "Si", "Cr"], "max_layers": 5, "substrate": ["Al", "Ag"]},
+        "target": [{"geometry": f"specular {a:g}", "lab": [50, -20, 10], "tolerance": 2.0} for a in angles],
         "light": {"illuminants": lamps},
         "search": {"seconds": 20, "solutions": 2},
-    }  # fmt: skip
+    }
     design = nacre.design(target, tmp_path / "out")
     assert len(design.solutions) == 2
     for solution in design.solutions:
         assert solution.recipe is not None
-        for r in solution.wants:
+        for r in solution.targets:
             assert r.lamp is not None
-            seen = stranger(solution.recipe, r.want.at.theta_deg, r.lamp)
+            seen = stranger(solution.recipe, r.target.geometry.theta_deg, r.lamp)
             own = float(colour.delta_E(np.array([50.0, -20.0, 10.0]), seen, method="CIE 2000"))
             assert r.distance == pytest.approx(own, abs=CUT_OFF)

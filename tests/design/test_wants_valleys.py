@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from nacre.optimise.evaluation import rows_of
-from nacre.optimise.methods.local_minima import Valleys
-from nacre.optimise.methods.surrogate import FEW_NM, fewer_wavelengths
-from nacre.optimise.targets import goals_of
-from nacre.optimise.task import read_target
+from nacre.optimise.evaluation import geometries_of
+from nacre.optimise.methods.local_minima import BasinHopping
+from nacre.optimise.methods.surrogate import FEW_NM, wavelength_subset
+from nacre.optimise.targets import merit_function
+from nacre.optimise.task import read_task
 
 WAVES, HIDDEN = 3.0, np.array([0.8, 0.3])  # orders over the bounds of a length; an order and an amount
 
@@ -22,13 +22,13 @@ def _seen(place: np.ndarray) -> np.ndarray:
 
 def _valleys(
     low: Any = (0.0, 0.0), others: Any = lambda place: [], lengths: Any = (0,), unmet: float = 0.0
-) -> Valleys:  # fmt: skip
+) -> BasinHopping:
     wanted = _seen(HIDDEN)
 
     def look(place: np.ndarray) -> np.ndarray:
         return np.append(_seen(place) - wanted, unmet)
 
-    return Valleys(look, lambda place: [0, 1], np.array(low), list(lengths), others, lambda place: 0)
+    return BasinHopping(look, lambda place: [0, 1], np.array(low), list(lengths), others, lambda place: 0)
 
 
 def test_from_a_wrong_order_of_interference_the_right_one_is_found() -> None:
@@ -68,26 +68,33 @@ def test_a_number_keeps_above_its_least() -> None:
 
 
 def test_few_wavelengths_serve_smooth_spectra_and_no_others() -> None:
-    data = {"recipe": {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]},
-            "free": {"layers[0].thickness_nm": [50, 200]}, "want": [{"at": "specular 0", "lab": 3 * [50]}]}  # fmt: skip
+    data = {
+        "recipe": {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]},
+        "parameters": {"layers[0].thickness_nm": [50, 200]},
+        "target": [{"geometry": "specular 0", "lab": 3 * [50]}],
+    }
     for lamp, waves, is_few in (("D65", 1.0, True), ("D65", 9.0, False), ("F11", 1.0, True)):
-        target = read_target({**data, "light": {"illuminants": [lamp]}})
-        rows, grid = rows_of(target.wants), np.arange(380.0, 781.0, 4.0)
-        whole = grid, goals_of(target.wants, rows, target.spec.light, grid)
+        target = read_task({**data, "light": {"illuminants": [lamp]}})
+        rows, grid = geometries_of(target.targets), np.arange(380.0, 781.0, 4.0)
+        whole = grid, merit_function(target.targets, rows, target.spec.light, grid)
 
         def spectra(place: np.ndarray, nm: np.ndarray, waves: float = waves) -> np.ndarray:
             return 0.5 + 0.4 * np.sin(2.0 * np.pi * waves * (nm[None] - 380.0) / 400.0 + place[0])
 
-        found, _ = fewer_wavelengths(target, rows, whole, [np.array([0.2])], spectra)
+        found, _ = wavelength_subset(target, rows, whole, [np.array([0.2])], spectra)
         assert (len(found) < len(grid)) == is_few, (lamp, waves)
         assert set(FEW_NM) <= set(found) or not is_few
 
 
 def test_a_place_where_nothing_may_move_is_an_end() -> None:
-    valleys = Valleys(
-        lambda place: place - HIDDEN, lambda place: [0] if place[0] > 0.0 else [], np.zeros(2), [],
-        lambda place: [], lambda place: 0,
-    )  # fmt: skip
+    valleys = BasinHopping(
+        lambda place: place - HIDDEN,
+        lambda place: [0] if place[0] > 0.0 else [],
+        np.zeros(2),
+        [],
+        lambda place: [],
+        lambda place: 0,
+    )
     valleys.begin([np.zeros(2), np.array([0.5, 0.3])])
     ends = list(valleys.run(time.monotonic() + 30.0))
     assert sorted(round(float(end.place[0]), 3) for end in ends) == [0.0, 0.8]

@@ -19,9 +19,9 @@ def examples() -> list[Path]:
 
 def kind_of(data: dict[str, Any]) -> str:
     """Return which kind of file some data is: a family, a target of either form, or a sweep."""
-    if "want" in data:
-        return "wants"
-    return "target" if "target" in data else "sweep" if "axes" in data else str(data.get("family", "film"))
+    if isinstance(data.get("target"), list):
+        return "design"
+    return "relief-design" if "target" in data else "sweep" if "axes" in data else str(data.get("family", "film"))
 
 
 def write_companions(folder: Path) -> None:

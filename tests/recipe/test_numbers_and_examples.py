@@ -162,7 +162,7 @@ def test_a_target_goes_by_its_name_too(tmp_path: Path, monkeypatch: pytest.Monke
     from nacre.material.examples import resolve_recipe_path
 
     monkeypatch.chdir(tmp_path)
-    assert resolve_recipe_path("magenta-to-green") == examples_folder() / "wants" / "magenta-to-green.toml"
+    assert resolve_recipe_path("magenta-to-green") == examples_folder() / "targets" / "magenta-to-green.toml"
     (tmp_path / "magenta-to-green").write_text("mine")
     assert resolve_recipe_path("magenta-to-green") == Path("magenta-to-green")
 

@@ -28,8 +28,8 @@ def model_of(data: dict[str, Any]) -> type[RecipeModel]:
     from nacre.cli.keys import kind
     from nacre.optimise.relief.target import TargetSpec
 
-    if "want" in data:
-        return kind("wants").model
+    if isinstance(data.get("target"), list):
+        return kind("design").model
     return TargetSpec if "target" in data else family_spec(data["family"], "here")
 
 

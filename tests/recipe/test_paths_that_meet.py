@@ -35,15 +35,17 @@ def test_the_path_with_an_index_wins_wherever_it_stands(order: tuple[str, str]) 
 
 @pytest.mark.parametrize("order", [(EVERY, FIRST), (FIRST, EVERY)])
 def test_a_stack_is_designed_for_the_spread_of_the_path_with_an_index(order: tuple[str, str]) -> None:
-    from nacre.optimise.task import read_target
-    from nacre.optimise.thin_film.adapter import film_search
+    from nacre.optimise.task import read_task
+    from nacre.optimise.thin_film.adapter import thin_film_search
 
     sizes = {EVERY: "2%", FIRST: "10%"}
     target = {
-        "recipe": dict(film().data), "free": {EVERY: [5, 300]}, "want": [{"at": "specular 0", "lab": [50, 0, 0]}],
-        "spread": {path: sizes[path] for path in order},
-    }  # fmt: skip
-    search = film_search(read_target(target), 0)
+        "recipe": dict(film().data),
+        "parameters": {EVERY: [5, 300]},
+        "target": [{"geometry": "specular 0", "lab": [50, 0, 0]}],
+        "tolerance": {path: sizes[path] for path in order},
+    }
+    search = thin_film_search(read_task(target), 0)
     assert search is not None and search.problem.spread_relative == (0.1, 0.02)
 
 

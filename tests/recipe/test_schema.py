@@ -25,7 +25,7 @@ FILES = examples()
 KINDS = [name for name in kind_names() if name not in SHARED]
 QUICK, FULL = 400, 4000
 # tables whose own keys are paths of numbers, and the recipe inside a target, which is checked as one
-BY_PATH = ("fit", "tolerance", "numbers", "free", "spread", "recipe")
+BY_PATH = ("fit", "tolerance", "numbers", "parameters", "recipe")
 _checkers: dict[str, jsonschema.Draft7Validator] = {}
 
 
@@ -74,7 +74,7 @@ def test_every_misspelt_key_of_the_examples_is_refused(path: Path) -> None:
 def test_every_number_of_the_examples_is_refused_as_text_and_as_a_truth_value(path: Path) -> None:
     data = tomllib.loads(path.read_text(encoding="utf-8"))
     for place, number in numbers_of(data).items():
-        if place.split(".")[0] in ("recipe", "free", "spread"):  # a target's: checked with the recipe that they name
+        if place.split(".")[0] in ("recipe", "parameters", "tolerance"):
             continue
         # a percentage is text, and a bare text where a material stands is a name
         for wrong in (f"{number:g}", True):
@@ -143,7 +143,7 @@ def tables_of(schema: Any) -> list[dict[str, Any]]:
 def model_takes(data: dict[str, Any], folder: Path) -> bool:
     """Whether nacre takes a recipe, target or sweep; paths of `varies_by_nodes` are its own business."""
     try:
-        if kind_of(data) in ("target", "wants"):
+        if kind_of(data) in ("relief-design", "design"):
             validate(kind(kind_of(data)).model, data, RecipeContext("here", folder))
         else:
             nacre.material(data, folder)
@@ -191,7 +191,7 @@ def compare(count: int, folder: Path, seed: int) -> tuple[int, int]:
     sources = [
         dict(kind(name).model.example) for name in KINDS if kind(name).is_recipe and name not in ("blend", "measured")
     ]
-    sources += [dict(kind(name).model.example) for name in ("target", "wants")]
+    sources += [dict(kind(name).model.example) for name in ("relief-design", "design")]
     sources += [
         tomllib.loads((EXAMPLES / name).read_text()) for name in ("soap.toml", "morpho.toml", "blue-oxide.toml")
     ]

@@ -81,8 +81,8 @@ def test_a_steep_relief_warns_once_and_a_flat_one_does_not(tmp_path: Path, caplo
 def wants(**more: Any) -> dict[str, Any]:
     return {
         "recipe": {key: value for key, value in RECIPE.items() if key != "heights"},
-        "free": {"heights": [0, 5.0], "features": 16},
-        "want": [{"directions": {"kind": "uniform", "range": 0.2}}],
+        "parameters": {"heights": [0, 5.0], "features": 16},
+        "target": [{"directions": {"kind": "uniform", "range": 0.2}}],
         **more,
     }
 
@@ -90,14 +90,14 @@ def wants(**more: Any) -> dict[str, Any]:
 def test_a_trusted_design_stays_as_flat_as_its_features_ask(tmp_path: Path) -> None:
     context = RecipeContext("t.toml", tmp_path)
     free = read_relief(wants(), context)
-    kept = read_relief(wants(limits={"trusted": True}), context)
+    kept = read_relief(wants(limits={"within_validity": True}), context)
     assert free.problem.height_max_nm == pytest.approx(5000.0)
     assert kept.problem.height_max_nm == pytest.approx(largest_depth_nm(1000.0))
     random = np.random.default_rng(2)
     tile = Tile(random.uniform(0.0, kept.problem.height_max_nm, (16, 16)), 1000.0, 200.0)
     assert not trust(tile).is_outside
     with pytest.raises(NacreError, match="limits"):
-        read_relief(wants(limits={"total_nm": 100}), context)
+        read_relief(wants(limits={"max_total_nm": 100}), context)
 
 
 def test_only_a_relief_can_be_trusted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -105,7 +105,7 @@ def test_only_a_relief_can_be_trusted(tmp_path: Path, capsys: pytest.CaptureFixt
     target.write_text(
         'recipe = {family = "film", substrate = "Si", layers = [{material = "SiO2", thickness_nm = 100}]}\n'
         'free = {"layers[0].thickness_nm" = [5, 300]}\nlimits = {trusted = true}\n'
-        '[[want]]\nat = "specular 0"\ncolour = "#336699"\n'
+        '[[target]]\ngeometry = "specular 0"\ncolour = "#336699"\n'
     )
     assert run(["design", str(target), "-o", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err

@@ -34,7 +34,7 @@ TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "npy", "sheet")
 def design(target: str, output: str | None, resume: bool, labs: str | None, as_json: bool) -> None:
     """Find the structure with the look that TARGET asks for; the best so far is always on disk.
 
-    TARGET holds [[want]] tables, for a film, pearl, metasurface or any other recipe, or a [target] table, for a
+    TARGET holds [[target]] tables, for a film, pearl, metasurface or any other recipe, or a [target] table, for a
     relief. Ctrl-C ends the search with the best answer so far.
     """
     import os
@@ -80,8 +80,8 @@ def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bo
             click.echo(f"the {MOST_TOLD} farthest; all are in {folder / TABLE}")
         for row, solution in pairs:
             worst = solution.worst
-            missed = "" if solution.is_met else f", out of reach (within {worst.want.within:g} was asked)"
-            click.echo(f"  {row['name'] or row['folder']}: dE00 {worst.distance:.2f} at {worst.want.at} under "
+            missed = "" if solution.is_met else f", out of reach (within {worst.target.tolerance:g} was asked)"
+            click.echo(f"  {row['name'] or row['folder']}: dE00 {worst.distance:.2f} at {worst.target.geometry} under "
                        f"{worst.lamp}{missed}   {solution.recipe.parent if solution.recipe else ''}")  # fmt: skip
     common.note(f"{folder}: {TABLE}; nacre render {folder / found.rows[0]['folder']}")
 
@@ -96,10 +96,10 @@ def _tell_relief(result: Any, target: str, as_json: bool) -> None:
             f"loss {s['loss_fixed']:.5f} at the fixed scale, {s['loss_free']:.5f} at the best one "
             f"(scale {s['scale_free']:.4g}); {s['evaluations']} evaluations in {s['seconds']:.1f} s"
         )
-        for want in result.summary.get("solutions", [{"wants": []}])[0]["wants"]:
+        for want in result.summary.get("solutions", [{"targets": []}])[0]["targets"]:
             if want.get("de00") is not None:
-                missed = "" if want["met"] else f", out of reach so far (within {want['within']:g} was asked)"
-                click.echo(f"  dE00 {want['de00']:.2f} at {want['at']} under {want['lamp']}{missed}")
+                missed = "" if want["met"] else f", out of reach so far (within {want['tolerance']:g} was asked)"
+                click.echo(f"  dE00 {want['de00']:.2f} at {want['geometry']} under {want['lamp']}{missed}")
     if result.summary.get("outside"):
         common.note(f"{result.folder}: {result.summary['outside']}")
     curve = result.summary.get("calibration")
@@ -120,7 +120,7 @@ def _tell_wants(result: Any, as_json: bool) -> None:
             total = solution.facts.get("total_nm")
             thick = "" if total is None else f", {total:.0f} nm in all"
             distance = f"{worst.distance:.2f}" + (" % rms" if worst.lamp is None else "")
-            click.echo(f"  {number}  {'dE00 ' if worst.lamp else ''}{distance} at {worst.want.at}{thick}{made}"
+            click.echo(f"  {number}  {'dE00 ' if worst.lamp else ''}{distance} at {worst.target.geometry}{thick}{made}"
                        f"   {solution.recipe.parent}")  # fmt: skip
     common.note(f"{result.folder}: report.html; nacre render {result.folder}; nacre report {result.folder}")
 
@@ -217,7 +217,7 @@ def gamut(
     material = common.load_material(recipe, changes)
     found = find_gamut(
         material, parse_parameters(free), at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
-        within=within, samples=samples, seed=seed,
+        tolerance=within, samples=samples, seed=seed,
     )  # fmt: skip
     if path is not None:
         if path.suffix == ".json":
@@ -227,12 +227,12 @@ def gamut(
         else:
             from nacre.plot import save_figure
 
-            save_figure(gamut_chart(found, title=f"{material.name}, {found.at}"), path, {"recipe": material.text})
+            save_figure(gamut_chart(found, title=f"{material.name}, {found.geometry}"), path, {"recipe": material.text})
     if as_json:
         click.echo(json.dumps(found.document()))
     else:
         low, high = found.lab.min(axis=0), found.lab.max(axis=0)
-        click.echo(f"{material.name}: {found.at}, {illuminant}, {observer} observer, {len(found.lab)} points")
+        click.echo(f"{material.name}: {found.geometry}, {illuminant}, {observer} observer, {len(found.lab)} points")
         click.echo("  " + ", ".join(f"{n} {a:.0f} to {b:.0f}" for n, a, b in zip(("L*", "a*", "b*"), low, high)))
         click.echo(f"  within dE00 {within:g}: {100 * found.share_of_srgb:.1f} % of the colours of sRGB, "
                    f"{100 * found.share_of_optimal:.1f} % of the optimal colours")  # fmt: skip

@@ -297,15 +297,15 @@ def _plot(folder: Path, out: Path, spec: PlotSpec) -> Item:
 def _design(folder: Path, out: Path, spec: DesignSpec, is_quick: bool) -> Item:
     path = out / Path(spec.target).stem
     seconds = spec.seconds / (3 if is_quick else 1)
-    from nacre.optimise.task import is_wants
+    from nacre.optimise.task import is_design_task
 
-    if is_wants(parse_toml(read_text(folder / spec.target, "target"), spec.target)):
+    if is_design_task(parse_toml(read_text(folder / spec.target, "target"), spec.target)):
 
         def make_wants() -> None:
             from nacre.optimise.run import run
-            from nacre.optimise.task import read_target
+            from nacre.optimise.task import read_task
 
-            run(read_target(folder / spec.target).within_seconds(seconds), path)
+            run(read_task(folder / spec.target).within_seconds(seconds), path)
 
         return Item(spec.title, path / "report.png", seconds + 3, make_wants)
 
@@ -313,7 +313,7 @@ def _design(folder: Path, out: Path, spec: DesignSpec, is_quick: bool) -> Item:
         from nacre.optimise.relief.run import design, load_target
 
         target, context = load_target(folder / spec.target)
-        search = target.search.model_copy(update={"time_limit_s": seconds})
+        search = target.search.model_copy(update={"seconds": seconds})
         design(target.model_copy(update={"search": search}), context, path)
 
     return Item(spec.title, path, seconds + 3, make)

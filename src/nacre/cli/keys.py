@@ -24,8 +24,8 @@ WIDTH = 79
 MUST = "must be given"
 # kinds of files beside recipes -> what reads them
 OTHER_FILES = {
-    "target": "nacre.optimise.relief.target:TargetSpec",
-    "wants": "nacre.optimise.spec:WantsSpec",
+    "relief-design": "nacre.optimise.relief.target:TargetSpec",
+    "design": "nacre.optimise.spec:DesignSpec",
     "sweep": "nacre.analysis.sweep_plan:SweepSpec",
     "gallery": "nacre.cli.gallery:GallerySpec",
 }
@@ -87,7 +87,7 @@ def editor_schema(name: str | None = None) -> dict[str, Any]:
     if name is not None:
         found = kind(name)
         return json_schema(found.models, TextureSpec, is_recipe=found.is_recipe)
-    files = [kind(other) for other in (*family_names(), "target", "wants", "sweep")]
+    files = [kind(other) for other in (*family_names(), "relief-design", "design", "sweep")]
     return one_of_files({found.name: editor_schema(found.name) for found in files})
 
 
@@ -119,7 +119,7 @@ def _overview() -> Iterator[str]:
     yield "Families of recipes, other files, and forms that stand inside them:"
     yield ""
     for name in kind_names():
-        yield from _hanging(f"  {name:<13}", one_sentence(kind(name).model))
+        yield from _hanging(f"  {name:<14}", one_sentence(kind(name).model))
     yield ""
     yield "nacre keys film                 all keys of a film"
     yield "nacre keys film.layers          one key, and what stands below it"

@@ -21,16 +21,30 @@ from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import check_room, read_text, write_text
 from nacre.optimise.colour_list import LabRow, lab_rows
-from nacre.optimise.evaluation import Reached, judge
-from nacre.optimise.run import CLOSING_SHARE, as_judged, document_of, judged, search_of, tolerance_of
+from nacre.optimise.evaluation import TargetResult, judge
+from nacre.optimise.run import CLOSING_SHARE, choose_search, document_of, judged, tolerance_of, with_method_overrides
 from nacre.optimise.solutions import NEED_BYTES, RECIPE, Solution, write_recipe
-from nacre.optimise.task import Target, palette_name, read_data, read_target, seeks_heights, total_nm
-from nacre.optimise.thin_film.adapter import film_search_many
+from nacre.optimise.task import DesignTask, is_relief_task, palette_name, read_data, read_task, total_nm
+from nacre.optimise.thin_film.adapter import thin_film_search_many
 
 TABLE, SUMMARY = "many.csv", "many.json"
 WRITE_EVERY_S = 2.0
 LONGEST_NAME = 60
-HEAD = ("name", "folder", "L", "a", "b", "reached_L", "reached_a", "reached_b", "de00", "at", "lamp", "met", "total_nm")
+HEAD = (
+    "name",
+    "folder",
+    "L",
+    "a",
+    "b",
+    "reached_L",
+    "reached_a",
+    "reached_b",
+    "de00",
+    "geometry",
+    "lamp",
+    "met",
+    "total_nm",
+)
 
 
 class ManyFolder:
@@ -47,7 +61,7 @@ class ManyFolder:
         NacreError: nothing can be written there.
     """
 
-    def __init__(self, folder: Path, target: Target, rows: Sequence[LabRow], resume: bool) -> None:
+    def __init__(self, folder: Path, target: DesignTask, rows: Sequence[LabRow], resume: bool) -> None:
         if not rows:
             raise RecipeError(f"{folder}: no colours are wanted, so that there is nothing to write")
         self.folder, self.target, self.wanted = folder, target, rows
@@ -71,36 +85,39 @@ class ManyFolder:
         """What is told of each row that has an answer."""
         return [self._documents[number] for number in self.done]
 
-    def take(self, number: int, target: Target, solution: Solution) -> Solution:
+    def take(self, number: int, target: DesignTask, solution: Solution) -> Solution:
         """Write an answer; return it with its file.
 
         Raises:
             NacreError: the folder cannot be written.
         """
         start = self.target.material
-        changes = as_judged(start, solution.changes)
+        changes = with_method_overrides(start, solution.changes)
         place = self.folder / self.names[number]
         path, files = write_recipe(place, start, changes, tolerance_of(target, solution), solution.material)
         written = replace(solution, recipe=path, facts={**solution.facts, "files": files})
         row = self.wanted[number]
         self._documents[number] = {
-            "name": row.name, "folder": self.names[number], "lab": row.lab.tolist(), "met": solution.is_met,
+            "name": row.name,
+            "folder": self.names[number],
+            "lab": row.lab.tolist(),
+            "met": solution.is_met,
             **document_of(written, target),
-        }  # fmt: skip
+        }
         if time.monotonic() - self._last > WRITE_EVERY_S:
             self.write("running")
         return written
 
-    def kept(self, number: int, target: Target) -> Solution:
+    def kept(self, number: int, target: DesignTask) -> Solution:
         """Return an answer that stands, as it was judged when it was found."""
         told = self._documents[number]
-        pairs = [(want, lamp) for want in target.wants for lamp in target.spec.light.illuminants]
+        pairs = [(want, lamp) for want in target.targets for lamp in target.spec.light.illuminants]
         wants = [
-            Reached(
+            TargetResult(
                 want, lamp, np.array(one["reached"]["lab"]), np.array(one["asked_lab"]), one["de00"], one["noise"]
             )
-            for (want, lamp), one in zip(pairs, told["wants"], strict=True)
-        ]  # fmt: skip
+            for (want, lamp), one in zip(pairs, told["targets"], strict=True)
+        ]
         facts = {key: told[key] for key in ("sensitivity", "total_nm", "files") if told.get(key)}
         facts |= {"yield": told["yield_details"]} if told.get("yield_details") else {}
         made = self.target.material.vary(told["changes"])
@@ -200,13 +217,22 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([*HEAD, *paths])
     for row in rows:
-        worst = max(row["wants"], key=lambda want: want["de00"] / want["within"])
+        worst = max(row["targets"], key=lambda want: want["de00"] / want["tolerance"])
         total = "" if row.get("total_nm") is None else f"{row['total_nm']:.2f}"
         colours = [f"{value:.3f}" for value in (*worst["asked_lab"], *worst["reached"]["lab"])]
-        writer.writerow([
-            row["name"], row["folder"], *colours, f"{worst['de00']:.4f}", worst["at"], worst["lamp"],
-            "yes" if row["met"] else "no", total, *(_cell(row["changes"].get(path, "")) for path in paths),
-        ])  # fmt: skip
+        writer.writerow(
+            [
+                row["name"],
+                row["folder"],
+                *colours,
+                f"{worst['de00']:.4f}",
+                worst["geometry"],
+                worst["lamp"],
+                "yes" if row["met"] else "no",
+                total,
+                *(_cell(row["changes"].get(path, "")) for path in paths),
+            ]
+        )
     return stream.getvalue()
 
 
@@ -261,7 +287,7 @@ def many(
 
     Args:
         target: as of `nacre.design`; the colours in it are replaced, everything else holds for each design. Its
-            `search.seconds` are of each design; a stack without `[spread]` and `layers = "fewest"` asks no clock and
+            `search.seconds` are per design; a stack without `[tolerance]` and `max_layers = "fewest"` asks no clock and
             takes some hundredths of a second.
         labs: `[n, 3]`, CIELAB wanted at every want of the target, or `[n, want, 3]`, one for each want; or a CSV file
             of L, a, b or name, L, a, b (see `nacre.optimise.colour_list`).
@@ -273,7 +299,7 @@ def many(
         NacreError: the target is not usable, or seeks the heights of a relief, or the colours have another shape, or
             the folder cannot be written.
 
-    Example: `nacre.design.many("paint.toml", [(50, 20, 10), (60, -30, 5)])[0].wants[0].distance`.
+    Example: `nacre.design.many("paint.toml", [(50, 20, 10), (60, -30, 5)])[0].targets[0].distance`.
     """
     return many_designs(target, labs, out, resume=resume, progress=progress).solutions
 
@@ -288,7 +314,7 @@ def many_designs(
 ) -> ManyDesigns:
     """As `many`, and tell what was written; an interrupt leaves what was finished."""
     read = _read(target)
-    rows = lab_rows(labs, len(read.wants))
+    rows = lab_rows(labs, len(read.targets))
     folder = None if out is None else ManyFolder(Path(out), read, rows, resume)
     targets = [_aimed(read, row) for row in rows]
     found: dict[int, Solution] = {}
@@ -313,24 +339,26 @@ def many_designs(
     return ManyDesigns(solutions, folder.rows if folder is not None else [], folder.folder if folder else None)
 
 
-def _read(target: str | Path | Mapping[str, Any]) -> Target:
+def _read(target: str | Path | Mapping[str, Any]) -> DesignTask:
     data, context = read_data(target)
-    if seeks_heights(data):
+    if is_relief_task(data):
         raise NacreError(f"{context.source}: the heights of a relief are sought one look at a time; take nacre.design")
-    if "want" not in data:
-        raise NacreError(f"{context.source}: has no [[want]]; many colours are wanted where one stands")
-    read = read_target(target)
-    if read.wants[0].image is not None:
-        raise NacreError(f"{read.context.source}: want[0].image: a picture is many colours already; take nacre.design")
+    if not isinstance(data.get("target"), list):
+        raise NacreError(f"{context.source}: has no [[target]]; many colours are wanted where one stands")
+    read = read_task(target)
+    if read.targets[0].image is not None:
+        raise NacreError(
+            f"{read.context.source}: target[0].image: a picture is many colours already; take nacre.design"
+        )
     return read
 
 
-def _aimed(target: Target, row: LabRow) -> Target:
-    return replace(target, wants=tuple(want.with_lab(lab) for want, lab in zip(target.wants, row.lab, strict=True)))
+def _aimed(target: DesignTask, row: LabRow) -> DesignTask:
+    return replace(target, targets=tuple(want.with_lab(lab) for want, lab in zip(target.targets, row.lab, strict=True)))
 
 
 def _solve(
-    target: Target, targets: Sequence[Target], which: Sequence[int], take: Callable[[int, Solution], None]
+    target: DesignTask, targets: Sequence[DesignTask], which: Sequence[int], take: Callable[[int, Solution], None]
 ) -> None:
     """Search for some of the targets and hand each answer on, one at a time.
 
@@ -343,16 +371,16 @@ def _solve(
         with lock:
             one = targets[number]
             made = one.material.vary(changes)
-            wants, _ = judge(made, one.wants, one.spec.light, seed=one.spec.search.seed)
+            wants, _ = judge(made, one.targets, one.spec.light, seed=one.spec.search.seed)
             total = total_nm(made)
             take(number, Solution(None, made, changes, wants, {"total_nm": total} if total else {}))
 
-    is_plain = not target.spec.spread and target.spec.limits.layers is None  # else a search that knows of them
-    if is_plain and film_search_many(target, targets, which, judge_stack):
+    is_plain = not target.spec.tolerance and target.spec.limits.max_layers is None  # else a search that knows of them
+    if is_plain and thin_film_search_many(target, targets, which, judge_stack):
         return
     for number in which:
         one = targets[number]
-        search = search_of(one, one.spec.search.seed)
+        search = choose_search(one, one.spec.search.seed)
         seconds = one.spec.search.seconds
         if search.run((1.0 - CLOSING_SHARE) * seconds, None, []) == "interrupted":
             raise KeyboardInterrupt

@@ -22,9 +22,15 @@ from nacre.light import (
     xyz_to_lab,
 )
 from nacre.material.material import Material
-from nacre.optimise.measurement import At, Seen, judge_wavelengths, search_wavelengths, see
+from nacre.optimise.measurement import (
+    Geometry,
+    Measurement,
+    evaluation_wavelengths,
+    search_wavelengths,
+    simulate_measurement,
+)
 from nacre.optimise.spec import LightSpec
-from nacre.optimise.targets import Want
+from nacre.optimise.targets import Target
 
 JUDGE_SEED = 0x5EED  # walks of the judge are not those of the search
 QUIET_SHARE = 0.1  # of `within`: the noise that a judgement may have
@@ -35,11 +41,11 @@ FREE_HUE_DEG = 60.0  # a colour of another chroma is not sought further round
 
 
 @dataclass(frozen=True)
-class Reached:
+class TargetResult:
     """One want under one lamp, and what an answer has of it.
 
     Attributes:
-        want: what is wanted.
+        target: what is wanted.
         lamp: under which; None for a spectrum.
         lab: `[3]`, the colour reached; None for a spectrum.
         asked_lab: `[3]`, the colour wanted, or the nearest one of a range; None for a spectrum.
@@ -47,38 +53,38 @@ class Reached:
         noise: standard error of it, 0 where nothing is drawn at random.
     """
 
-    want: Want
+    target: Target
     lamp: str | None
     lab: Array | None
-    asked_lab: Array | None
+    target_lab: Array | None
     distance: float
     noise: float = 0.0
 
     @property
     def scaled(self) -> float:
         """Weight times distance over `within`: what the search makes small."""
-        return self.want.weight * self.distance / self.want.within
+        return self.target.weight * self.distance / self.target.tolerance
 
     @property
     def is_met(self) -> bool:
         """Whether the distance is within what was asked for."""
-        return self.distance <= self.want.within
+        return self.distance <= self.target.tolerance
 
     def document(self, observer: str) -> dict[str, Any]:
         """Return it as JSON can hold it."""
-        found: dict[str, Any] = {"at": str(self.want.at), "lamp": self.lamp, "asked": self.want.asked}
+        found: dict[str, Any] = {"geometry": str(self.target.geometry), "lamp": self.lamp, "asked": self.target.asked}
         if self.lab is None or self.lamp is None:
             found |= {"reached": None, "de00": None, "rms_percent": self.distance}
         else:
             white = white_xyz(self.lamp, observer)
-            assert self.asked_lab is not None
+            assert self.target_lab is not None
             found |= {
-                "asked_lab": self.asked_lab.tolist(),
-                "asked_colour": self.want.asked.get("colour") or lab_hex(self.asked_lab, white),
+                "asked_lab": self.target_lab.tolist(),
+                "asked_colour": self.target.asked.get("colour") or lab_hex(self.target_lab, white),
                 "reached": {"lab": self.lab.tolist(), "colour": lab_hex(self.lab, white)},
                 "de00": self.distance,
             }
-        return found | {"within": self.want.within, "met": self.is_met, "noise": self.noise}
+        return found | {"tolerance": self.target.tolerance, "met": self.is_met, "noise": self.noise}
 
 
 def lab_hex(lab: Array, white: Array) -> str:
@@ -87,8 +93,8 @@ def lab_hex(lab: Array, white: Array) -> str:
 
 
 def judge(
-    material: Material, wants: Sequence[Want], light: LightSpec, *, seed: int = 0, seconds: float = np.inf
-) -> tuple[list[Reached], Seen]:
+    material: Material, wants: Sequence[Target], light: LightSpec, *, seed: int = 0, seconds: float = np.inf
+) -> tuple[list[TargetResult], Measurement]:
     """Return what a material reaches of every want under every lamp, and its factors at `rows_of(wants)`.
 
     A random walk is repeated under other seeds until the noise of every distance is a tenth of its `within`, or the
@@ -97,17 +103,21 @@ def judge(
     Raises:
         NacreError: the material cannot be computed.
     """
-    rows = rows_of(wants)
+    rows = geometries_of(wants)
     begun = time.monotonic()
-    fine, coarse = (choose(material, light.illuminants) for choose in (judge_wavelengths, search_wavelengths))
+    fine, coarse = (choose(material, light.illuminants) for choose in (evaluation_wavelengths, search_wavelengths))
     grid = fine if material.model.traits.is_quick else coarse
     if is_direct(material.model):  # the same physics in the wanted directions, with nothing kept from the search
-        seen = see(material, rows, fine, memory={})
+        seen = simulate_measurement(material, rows, fine, memory={})
         return reached(seen, wants, light), seen
-    seen = see(material, rows, grid, seed=seed + JUDGE_SEED)
+    seen = simulate_measurement(material, rows, grid, seed=seed + JUDGE_SEED)
     if seen.error is None:
         # a random walk stays on the coarse grid of reports; what is not one is looked at on its own
-        seen = seen if material.model.traits.is_quick else see(material, rows, fine, seed=seed + JUDGE_SEED)
+        seen = (
+            seen
+            if material.model.traits.is_quick
+            else simulate_measurement(material, rows, fine, seed=seed + JUDGE_SEED)
+        )
         return reached(seen, wants, light), seen
     draws = [seen.factors]
     while True:
@@ -116,20 +126,20 @@ def judge(
         if len(draws) >= FEWEST_WALKS:
             noise = _noise(draws, seen, wants, light)
             found = [replace(r, noise=float(n)) for r, n in zip(found, noise, strict=True)]
-            if all(r.noise <= QUIET_SHARE * r.want.within for r in found) or len(draws) >= MOST_WALKS:
+            if all(r.noise <= QUIET_SHARE * r.target.tolerance for r in found) or len(draws) >= MOST_WALKS:
                 return found, mean
             if time.monotonic() - begun > seconds:
                 return found, mean
         for _ in range(max(1, len(draws) // 2)):
-            draws.append(see(material, rows, grid, seed=seed + JUDGE_SEED + len(draws)).factors)
+            draws.append(simulate_measurement(material, rows, grid, seed=seed + JUDGE_SEED + len(draws)).factors)
 
 
-def rows_of(wants: Sequence[Want]) -> list[At]:
+def geometries_of(wants: Sequence[Target]) -> list[Geometry]:
     """Return the geometries of the wants, each once."""
-    return list(dict.fromkeys(want.at for want in wants))
+    return list(dict.fromkeys(want.geometry for want in wants))
 
 
-def _noise(draws: Sequence[Array], seen: Seen, wants: Sequence[Want], light: LightSpec) -> Array:
+def _noise(draws: Sequence[Array], seen: Measurement, wants: Sequence[Target], light: LightSpec) -> Array:
     """Return the standard error of each distance: of the colour in its mean, as a colour difference."""
     labs = [[r.lab for r in reached(replace(seen, factors=d), wants, light)] for d in draws]
     noise = []
@@ -144,14 +154,14 @@ def _noise(draws: Sequence[Array], seen: Seen, wants: Sequence[Want], light: Lig
     return np.array(noise)
 
 
-def reached(seen: Seen, wants: Sequence[Want], light: LightSpec) -> list[Reached]:
+def reached(seen: Measurement, wants: Sequence[Target], light: LightSpec) -> list[TargetResult]:
     """Return what factors `[row, wavelength]` at `rows_of(wants)` reach, want by want and lamp by lamp."""
-    rows = rows_of(wants)
+    rows = geometries_of(wants)
     found = []
     for want in wants:
-        factors = seen.factors[rows.index(want.at)]
+        factors = seen.factors[rows.index(want.geometry)]
         if want.spectrum is not None:
-            found.append(Reached(want, None, None, None, _rms(seen.wavelengths_nm, factors, want.spectrum)))
+            found.append(TargetResult(want, None, None, None, _rms(seen.wavelengths_nm, factors, want.spectrum)))
             continue
         lamps = light.illuminants[:1] if want.xyz is not None else light.illuminants
         for lamp in lamps:
@@ -159,11 +169,11 @@ def reached(seen: Seen, wants: Sequence[Want], light: LightSpec) -> list[Reached
             # between the coarse samples of a walk a spectrum is a spline: straight lines are a dE00 off
             xyz = factors @ smooth_weights(seen.wavelengths_nm, lamp, light.observer)
             lab = np.asarray(xyz_to_lab(xyz, white))
-            asked = want.wanted_lab(white)
+            asked = want.target_lab(white)
             if asked is None:
                 assert want.ranges is not None
                 asked = nearest_in_ranges(lab, want.ranges)
-            found.append(Reached(want, lamp, lab, asked, float(delta_e_2000(asked, lab))))
+            found.append(TargetResult(want, lamp, lab, asked, float(delta_e_2000(asked, lab))))
     return found
 
 
@@ -211,7 +221,7 @@ def _ends(bounds: tuple[float | None, float | None] | None) -> tuple[float, floa
     return (-np.inf if low is None else low), (np.inf if high is None else high)
 
 
-def objective(found: Sequence[Reached]) -> float:
+def objective(found: Sequence[TargetResult]) -> float:
     """Return the worst of weight x distance / within, and a thousandth of the mean."""
     scaled = [r.scaled for r in found]
     return max(scaled) + 1e-3 * float(np.mean(scaled))
@@ -222,4 +232,4 @@ def rank(objective: float, tables: int) -> tuple[float, int, float]:
     return (0.0, tables, objective) if objective <= SAME_LOOKS else (1.0, 0, objective)
 
 
-__all__ = ["Reached", "judge", "lab_hex", "nearest_in_ranges", "objective", "rank", "reached", "rows_of"]
+__all__ = ["TargetResult", "geometries_of", "judge", "lab_hex", "nearest_in_ranges", "objective", "rank", "reached"]

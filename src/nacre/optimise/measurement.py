@@ -30,7 +30,7 @@ _ASPECULAR = re.compile(r"([\d.]+)as([-+]?[\d.]+)$")
 
 
 @dataclass(frozen=True)
-class At:
+class Geometry:
     """One geometry.
 
     Attributes:
@@ -44,7 +44,7 @@ class At:
     aspecular_deg: float = 0.0
 
     @classmethod
-    def read(cls, text: str, where: str) -> At:
+    def read(cls, text: str, where: str) -> Geometry:
         """Read `specular T`, `transmitted T`, `diffuse T`, `hemispherical T` or `IasA`.
 
         Raises:
@@ -80,7 +80,7 @@ class At:
 
 
 @dataclass(frozen=True)
-class Seen:
+class Measurement:
     """What a material shows at geometries.
 
     Attributes:
@@ -93,26 +93,26 @@ class Seen:
     wavelengths_nm: Array
     factors: Array
     error: Array | None
-    missing: frozenset[At]
+    missing: frozenset[Geometry]
 
 
-def aspecular_pairs(ats: Sequence[At]) -> tuple[Array, Array]:
+def aspecular_pairs(ats: Sequence[Geometry]) -> tuple[Array, Array]:
     """Return to the light and to the eye, `[at, 3]` each, of places of the kind `IasA`."""
     wi = direction(np.radians([at.theta_deg for at in ats]))
     wo = np.array([aspecular_direction(at.theta_deg, at.aspecular_deg) for at in ats]).reshape(-1, 3)
     return wi, wo
 
 
-def see(
+def simulate_measurement(
     material: Material,
-    ats: Sequence[At],
+    ats: Sequence[Geometry],
     wavelengths_nm: Array | None = None,
     *,
     samples: int | None = None,
     seed: int = 0,
     memory: dict[Any, Any] | None = None,
     is_rough: bool = False,
-) -> Seen:
+) -> Measurement:
     """Return what a material shows at geometries.
 
     Specular and transmitted light as `nacre spectrum` has it, aspecular colours as `nacre report`.
@@ -165,11 +165,11 @@ def see(
         if deviation is not None:
             error = np.zeros_like(factors)
             error[rows] = np.pi * deviation
-    return Seen(grid, factors, error, frozenset(missing))
+    return Measurement(grid, factors, error, frozenset(missing))
 
 
 def _spectrum(
-    material: Material, ats: Sequence[At], wavelengths_nm: Array | None, bsdf: Bsdf | None, seed: int
+    material: Material, ats: Sequence[Geometry], wavelengths_nm: Array | None, bsdf: Bsdf | None, seed: int
 ) -> tuple[Spectrum, Bsdf | None]:
     """Return the spectrum at the angles asked for; what is diffuse is integrated only where it is asked for."""
     angles = np.unique([at.theta_deg for at in ats])
@@ -181,7 +181,7 @@ def _spectrum(
     return bsdf_spectrum(bsdf, np.radians(angles), seed=seed, diffuse=wants_diffuse), bsdf
 
 
-def _part(spectrum: Spectrum, at: At) -> Array | None:
+def _part(spectrum: Spectrum, at: Geometry) -> Array | None:
     row = int(np.argmin(np.abs(spectrum.angles_deg - at.theta_deg)))
     mirror, diffuse = spectrum.specular_reflectance, spectrum.diffuse_reflectance
     if at.kind == "hemispherical":
@@ -203,7 +203,7 @@ def search_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
     return _with_lines(grid, lamps)
 
 
-def judge_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
+def evaluation_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
     """Return the grid on which answers are judged: 1 nm where that is quick, else the material's own."""
     own = _with_lines(material.model.wavelengths_nm, lamps)
     return np.union1d(own, default_wavelengths(step_nm=JUDGE_STEP_NM)) if material.model.traits.is_quick else own
@@ -216,7 +216,7 @@ def _with_lines(grid: Array, lamps: Sequence[str]) -> Array:
     return np.asarray(grid)
 
 
-def why_missing(material: Material, at: At) -> str:
+def why_missing(material: Material, at: Geometry) -> str:
     """Return why a material answers nothing at a geometry."""
     noun = material.model.traits.noun
     return {
@@ -228,7 +228,7 @@ def why_missing(material: Material, at: At) -> str:
     }[at.kind]
 
 
-def check_answers(materials: Sequence[Material], ats: Sequence[At], where: Sequence[str]) -> None:
+def check_answers(materials: Sequence[Material], ats: Sequence[Geometry], where: Sequence[str]) -> None:
     """Refuse a geometry at which none of some materials shows anything.
 
     Args:
@@ -239,10 +239,10 @@ def check_answers(materials: Sequence[Material], ats: Sequence[At], where: Seque
         RecipeError: naming the want.
         NacreError: the first material cannot be computed.
     """
-    open_: set[At] = set(ats)
+    open_: set[Geometry] = set(ats)
     for number, material in enumerate(materials):
         try:
-            open_ &= missing_at(material, ats)
+            open_ &= missing_geometries(material, ats)
         except UnsupportedError as error:
             if number == 0:
                 raise RecipeError(f"{where[0]}: {error}") from None
@@ -253,7 +253,7 @@ def check_answers(materials: Sequence[Material], ats: Sequence[At], where: Seque
             raise RecipeError(f'{place} = "{at}" cannot be answered: {why_missing(materials[0], at)}')
 
 
-def missing_at(material: Material, ats: Sequence[At]) -> frozenset[At]:
+def missing_geometries(material: Material, ats: Sequence[Geometry]) -> frozenset[Geometry]:
     """Return the geometries at which a material shows nothing by its nature; nothing is walked for it.
 
     Raises:
@@ -261,7 +261,7 @@ def missing_at(material: Material, ats: Sequence[At]) -> frozenset[At]:
     """
     probe = _probe(material)
     if material.model.traits.is_quick:
-        return see(material, ats, probe).missing
+        return simulate_measurement(material, ats, probe).missing
     asked = [at for at in ats if at.kind != "aspecular"]
     angles = np.radians([at.theta_deg for at in asked])
     found = material.model.spectrum(angles, probe, "both", 0) if asked else None
@@ -281,4 +281,12 @@ def _probe(material: Material) -> Any:
     return grid[:: max(1, len(grid) // 3)]
 
 
-__all__ = ["At", "Seen", "aspecular_pairs", "check_answers", "judge_wavelengths", "search_wavelengths", "see"]
+__all__ = [
+    "Geometry",
+    "Measurement",
+    "aspecular_pairs",
+    "check_answers",
+    "evaluation_wavelengths",
+    "search_wavelengths",
+    "simulate_measurement",
+]

@@ -1,11 +1,11 @@
 """Wanted looks as numbers: how far spectra are from them, and which way is nearer.
 
-`Goals` is what every search of structures steers by. It knows spectra and colours and nothing of what made them: the
+`MeritFunction` ranks candidates for every search. It knows only spectra and colours: the
 spectra of a candidate come as rows (a direction, or a way through the sample), each on one grid of wavelengths, and
 1 is white. `distances` judges, `objective` ranks, `residuals` and `residual_jacobian` are for Levenberg-Marquardt.
 
-A goal under a lamp is a term. Colours under several lamps have a term for each; `Goals.terms` lists them in the order
-in which `distances` does.
+An operand under a lamp is a term. Colours under several lamps have a term for each; `MeritFunction.terms` lists
+them in the order in which `distances` does.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ def default_wavelengths_nm() -> Array:
     """Return 380, 382, ... 780 nm: 201 samples.
 
     Coatings of two micrometres of high finesse are off by up to 0.5 dE00 on 5 nm, even between splines, and by 0.01 on
-    2 nm. A search need not use them all: see `Goals.on`.
+    2 nm. A search need not use them all: see `MeritFunction.on`.
     """
     return np.linspace(380.0, 780.0, 201)
 
 
 @dataclass(frozen=True, eq=False)
-class Goal:
+class Operand:
     """One wanted property of one measured spectrum.
 
     Attributes:
@@ -50,9 +50,8 @@ class Goal:
         xyz: the wanted colour under the first lamp only, Y = 1 for white, instead of `lab`.
         low, high: the ends of a range; None where it is open. A hue needs both, in degrees, and runs upward from the
             first to the second, through 0 if need be; 360 degrees or more ask for nothing.
-        reflectance: the wanted spectrum on the wavelengths of the `Goals` (kind "spectrum"); NaN where nothing is
-            wanted.
-        within: the distance that is good enough: dE00, or the rms in per cent for a spectrum.
+        reflectance: target spectrum on the wavelengths of the function (kind "spectrum"); NaN if not specified.
+        tolerance: distance that is good enough: dE00, or the rms in per cent for a spectrum.
         weight: how much the goal counts; 0 leaves it out.
     """
 
@@ -63,11 +62,11 @@ class Goal:
     low: float | None = None
     high: float | None = None
     reflectance: Array | None = None
-    within: float = 2.0
+    tolerance: float = 2.0
     weight: float = 1.0
 
 
-class Goals:
+class MeritFunction:
     """What is wanted of the spectra of a candidate.
 
     Args:
@@ -89,12 +88,12 @@ class Goals:
         NacreError: no goals, a goal that lacks what its kind needs, an unknown lamp or observer, wavelengths that do
             not span 400-700 nm where a colour is wanted.
 
-    Example: `Goals([Goal(0, "colour", lab=(50, 0, 0))]).distances(np.full((1, 201), 0.184))` is 0.02.
+    Example: `MeritFunction([Goal(0, "colour", lab=(50, 0, 0))]).distances(np.full((1, 201), 0.184))` is 0.02.
     """
 
     def __init__(
         self,
-        goals: Sequence[Goal],
+        goals: Sequence[Operand],
         lamps: Sequence[str] = ("D65",),
         observer: str = "10deg",
         wavelengths_nm: ArrayLike | None = None,
@@ -119,15 +118,15 @@ class Goals:
             for number, goal in enumerate(self.goals)
             for lamp in range(1 if goal.kind == "spectrum" or goal.xyz is not None else len(self.lamps))
         ]
-        self.scale = np.array([self.goals[g].weight / self.goals[g].within for g, _ in self.terms])
+        self.scale = np.array([self.goals[g].weight / self.goals[g].tolerance for g, _ in self.terms])
         self.lab = np.array([self._wanted(self.goals[g], lamp) for g, lamp in self.terms])
 
-    def _wanted(self, goal: Goal, lamp: int) -> Array:
+    def _wanted(self, goal: Operand, lamp: int) -> Array:
         if goal.xyz is not None:
             return xyz_to_lab(goal.xyz, self.whites[lamp])
         return np.zeros(3) if goal.lab is None else np.asarray(goal.lab, dtype=float)
 
-    def on(self, samples: ArrayLike) -> Goals:
+    def on(self, samples: ArrayLike) -> MeritFunction:
         """Return the same goals on some of the wavelengths, given by their numbers: a cheaper, coarser judge."""
         chosen = np.asarray(samples)
         fewer = []
@@ -135,8 +134,8 @@ class Goals:
             values = {name: getattr(goal, name) for name in goal.__dataclass_fields__}
             if goal.reflectance is not None:
                 values["reflectance"] = goal.reflectance[chosen]
-            fewer.append(Goal(**values))
-        return Goals(fewer, self.lamps, self.observer, self.wavelengths_nm[chosen])
+            fewer.append(Operand(**values))
+        return MeritFunction(fewer, self.lamps, self.observer, self.wavelengths_nm[chosen])
 
     def labs(self, spectra: ArrayLike) -> Array:
         """Return CIELAB `[..., row, lamp, 3]` of spectra `[..., row, wavelength]`, each against its lamp's white."""
@@ -276,7 +275,7 @@ def difference_components(wanted: ArrayLike, lab: ArrayLike) -> Array:
     return np.stack([x, y + 0.5 * blue * z, z * np.sqrt(1.0 - 0.25 * blue * blue)], axis=-1)
 
 
-def _off(goal: Goal, seen: Array) -> Array:
+def _off(goal: Operand, seen: Array) -> Array:
     """Return what spectra are off from a wanted one, 0 where nothing is wanted; their rms is that of the rest."""
     wanted = np.asarray(goal.reflectance, dtype=float)
     known = np.isfinite(wanted)
@@ -284,13 +283,13 @@ def _off(goal: Goal, seen: Array) -> Array:
     return np.asarray(off * np.sqrt(len(known) / known.sum()))
 
 
-def _check(goal: Goal, samples: int) -> None:
+def _check(goal: Operand, samples: int) -> None:
     """Raise a NacreError for a goal that does not hold together."""
     if goal.kind not in KINDS:
         raise NacreError(f'a want of the kind "{goal.kind}" is not known; choose from {", ".join(KINDS)}')
-    if goal.row < 0 or not goal.within > 0.0 or not goal.weight >= 0.0:
+    if goal.row < 0 or not goal.tolerance > 0.0 or not goal.weight >= 0.0:
         raise NacreError(
-            f"a want needs row >= 0, within > 0 and weight >= 0; got {goal.row}, {goal.within:g}, {goal.weight:g}"
+            f"a want needs row >= 0, within > 0 and weight >= 0; got {goal.row}, {goal.tolerance:g}, {goal.weight:g}"
         )
     if goal.kind == "colour" and (goal.lab is None) == (goal.xyz is None):
         raise NacreError("a wanted colour is either lab or xyz")
@@ -318,7 +317,7 @@ def hue_excess(low_deg: float, high_deg: float, hue_deg: Array) -> tuple[Array, 
     return np.where(is_inside, 0.0, np.where(is_over, over, under)), np.where(is_over, high_deg, low_deg)
 
 
-def _smooth_violation(goal: Goal, lab: Array) -> Array:
+def _smooth_violation(goal: Operand, lab: Array) -> Array:
     """Return a distance to a range, `[...]`, cheap and without the dead ends of the true one."""
     lightness, chroma, hue = np.moveaxis(lab_to_lch(lab), -1, 0)
     if goal.kind == "hue":
@@ -334,7 +333,7 @@ def _smooth_violation(goal: Goal, lab: Array) -> Array:
     return np.where(held == value, 0.0, delta_e_2000(lch_to_lab(near), lab))
 
 
-def _to_range(goal: Goal, lab: Array) -> Array:
+def _to_range(goal: Operand, lab: Array) -> Array:
     """Return the dE00 from colours `[..., 3]` to the nearest colour of a range."""
     lightness, chroma, hue = np.moveaxis(lab_to_lch(lab), -1, 0)
     if goal.kind == "lightness":

@@ -59,9 +59,9 @@ class Parameter:
 
 
 def read_parameters(
-    table: Any, material: Material, source: str, name: str = "free", most: int = MOST_FREE, words: bool = True
+    table: Any, material: Material, source: str, name: str = "parameters", most: int = MOST_FREE, words: bool = True
 ) -> tuple[Parameter, ...]:
-    """Read a `[free]` table of a design, or a `[fit]` table of a recipe.
+    """Read a `[parameters]` table of a design, or a `[fit]` table of a recipe.
 
     Args:
         table: path -> bounds or choices; `[*]` in a path stands for every index that no other path names.

@@ -19,13 +19,13 @@ from nacre.families.contract import method_overrides
 from nacre.material.material import Material
 from nacre.optimise.evaluation import judge, objective, rank
 from nacre.optimise.image.design import design_picture
-from nacre.optimise.methods.least_squares import GeneralSearch
+from nacre.optimise.methods.least_squares import LeastSquaresSearch
 from nacre.optimise.methods.successive_halving import slow_search
 from nacre.optimise.solutions import (
     SUMMARY,
     Design,
+    DesignProgress,
     Solution,
-    WantsProgress,
     are_alike,
     check_folder,
     clear_answers,
@@ -33,7 +33,7 @@ from nacre.optimise.solutions import (
     write_recipe,
 )
 from nacre.optimise.sparsify import is_chosen, tables_kept
-from nacre.optimise.task import Target, read_target, total_nm
+from nacre.optimise.task import DesignTask, read_task, total_nm
 from nacre.optimise.tolerances import read_tolerances
 from nacre.optimise.yield_analysis import sensitivity, yield_of
 from nacre.recipe.paths import numbers_of
@@ -63,11 +63,11 @@ class Search(Protocol):
 
 
 def run(
-    target: str | Path | Mapping[str, Any] | Target,
+    target: str | Path | Mapping[str, Any] | DesignTask,
     out: str | Path | None = None,
     *,
     resume: bool = False,
-    progress: Callable[[WantsProgress], None] | None = None,
+    progress: Callable[[DesignProgress], None] | None = None,
 ) -> Design:
     """Design what a target of wants asks for.
 
@@ -75,7 +75,7 @@ def run(
     search with the best answer so far.
 
     Args:
-        target: a TOML file with `[[want]]`, a dictionary with the same keys, or such a one as `read_target` gives.
+        target: a TOML file with `[[target]]`, a dictionary with the same keys, or such a one as `read_task` gives.
         out: made if it does not exist; default: the target's name.
         resume: go on from the answers of a stopped run of the same target.
         progress: called after better answers and now and then.
@@ -85,13 +85,13 @@ def run(
         NacreError: the folder cannot be written, or holds the search of another target.
     """
     begun = time.monotonic()
-    read = target if isinstance(target, Target) else read_target(target)
+    read = target if isinstance(target, DesignTask) else read_task(target)
     folder = Path(out) if out is not None else Path(read.name)
     check_folder(folder, read.material, read.spec.search.solutions)
     known, runs = _known(folder, read) if resume else ([], 0)
     stood = _stood(folder) if known else None
-    is_picture = read.wants[0].image is not None
-    search = None if is_picture else search_of(read, read.spec.search.seed + RESUMED_SEED * runs)
+    is_picture = read.targets[0].image is not None
+    search = None if is_picture else choose_search(read, read.spec.search.seed + RESUMED_SEED * runs)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -114,30 +114,30 @@ def run(
     return _finish(read, folder, found, stood, ended, begun, keeper)
 
 
-def search_of(target: Target, seed: int) -> Search:
+def choose_search(target: DesignTask, seed: int) -> Search:
     """Return the search that a target needs.
 
     Raises:
         RecipeError: what is wanted cannot be computed of the recipe.
     """
     from nacre.optimise.methods.surrogate import walked_search
-    from nacre.optimise.thin_film.adapter import film_search
+    from nacre.optimise.thin_film.adapter import thin_film_search
 
     try:
-        return film_search(target, seed) or walked_search(target, seed) or _general(target, seed)
+        return thin_film_search(target, seed) or walked_search(target, seed) or _general(target, seed)
     except RecipeError:
         raise
     except NacreError as error:
         raise RecipeError(f"{target.context.source}: {error}") from None
 
 
-def _general(target: Target, seed: int) -> Search:
-    asked = (target.material, target.free, target.wants, target.spec.light, seed, target.spec.search.solutions)
+def _general(target: DesignTask, seed: int) -> Search:
+    asked = (target.material, target.parameters, target.targets, target.spec.light, seed, target.spec.search.solutions)
     slow = slow_search(*asked)
     if slow is not None:
         slow.kept_s = CLOSING_SHARE * target.spec.search.seconds
-    search = slow or GeneralSearch(*asked)
-    search.most_nm = target.spec.limits.total_nm
+    search = slow or LeastSquaresSearch(*asked)
+    search.most_nm = target.spec.limits.max_total_nm
     return search
 
 
@@ -145,9 +145,13 @@ class _Keeper:
     """Keeps the folder up to date while the search runs."""
 
     def __init__(
-        self, folder: Path, target: Target, begun: float, runs: int,
-        progress: Callable[[WantsProgress], None] | None,
-    ) -> None:  # fmt: skip
+        self,
+        folder: Path,
+        target: DesignTask,
+        begun: float,
+        runs: int,
+        progress: Callable[[DesignProgress], None] | None,
+    ) -> None:
         self.folder, self.target, self.begun, self.runs, self.progress = folder, target, begun, runs, progress
         self.last, self.best = -np.inf, np.inf
 
@@ -157,12 +161,12 @@ class _Keeper:
         if worst < self.best and values and spent - self.last > WRITE_EVERY_S:
             self.best, self.last = worst, spent
             start = self.target.material
-            path, files = write_recipe(self.folder, start, as_judged(start, values), {}, start.vary(values))
+            path, files = write_recipe(self.folder, start, with_method_overrides(start, values), {}, start.vary(values))
             solution = {"recipe": str(path), "files": files, "changes": values, "worst": worst}
             self.write({"status": "running", "seconds": round(spent, 3), "solutions": [solution]})
             self.save([values])
         if self.progress is not None:
-            self.progress(WantsProgress(worst, spent, max(self.target.spec.search.seconds - spent, 0.0)))
+            self.progress(DesignProgress(worst, spent, max(self.target.spec.search.seconds - spent, 0.0)))
 
     def save(self, answers: Sequence[Mapping[str, Any]]) -> None:
         """Write what a resumed run needs."""
@@ -175,7 +179,7 @@ class _Keeper:
         write_text(self.folder / SUMMARY, json.dumps(summary, indent=2, default=str) + "\n")
 
 
-def _known(folder: Path, target: Target) -> tuple[list[dict[str, Any]], int]:
+def _known(folder: Path, target: DesignTask) -> tuple[list[dict[str, Any]], int]:
     """Return the answers of a stopped run and how often it ran.
 
     Raises:
@@ -209,7 +213,7 @@ def _stood(folder: Path) -> dict[str, Any] | None:
 
 
 def _finish(
-    target: Target,
+    target: DesignTask,
     folder: Path,
     found: Sequence[tuple[float, dict[str, Any]]],
     stood: dict[str, Any] | None,
@@ -245,14 +249,14 @@ def _finish(
     written = []
     for number, solution in enumerate(solutions, start=1):
         tolerance = tolerance_of(target, solution)
-        changes = as_judged(target.material, solution.changes)
+        changes = with_method_overrides(target.material, solution.changes)
         path, files = write_recipe(folder_of(folder, number), target.material, changes, tolerance, solution.material)
         facts = {**solution.facts, "files": files}
         written.append(replace(solution, recipe=path, facts=facts))
     return _report(target, folder, written, ended, begun, keeper)
 
 
-def _take(solutions: list[Solution], new: Solution, target: Target) -> None:
+def _take(solutions: list[Solution], new: Solution, target: DesignTask) -> None:
     """Add an answer; of two that are alike the better one stays, in the place of the first."""
     for place, other in enumerate(solutions):
         if are_alike(other.changes, new.changes):
@@ -261,21 +265,21 @@ def _take(solutions: list[Solution], new: Solution, target: Target) -> None:
     solutions.append(new)
 
 
-def _worth(solution: Solution, target: Target) -> Any:
+def _worth(solution: Solution, target: DesignTask) -> Any:
     """Return what answers are ordered by, the least first: the largest yield, or the nearest."""
-    if target.spec.spread:
-        return -(solution.yield_share or 0.0), objective(solution.wants)
-    return rank(objective(solution.wants), tables_kept(target.material, target.free, solution.changes))
+    if target.spec.tolerance:
+        return -(solution.yield_share or 0.0), objective(solution.targets)
+    return rank(objective(solution.targets), tables_kept(target.material, target.parameters, solution.changes))
 
 
-def _order(solutions: list[Solution], target: Target, stood: dict[str, Any] | None) -> None:
+def _order(solutions: list[Solution], target: DesignTask, stood: dict[str, Any] | None) -> None:
     """Put the best first; a search for the fewest layers has its own order, which what stood before may only lead."""
-    if target.spec.spread or target.spec.limits.layers != "fewest":
+    if target.spec.tolerance or target.spec.limits.max_layers != "fewest":
         solutions.sort(key=lambda s: _worth(s, target))
         return
     for place, solution in enumerate(solutions):
         if solution.changes == stood and _layers(solution) <= _layers(solutions[0]):
-            if objective(solution.wants) < objective(solutions[0].wants):
+            if objective(solution.targets) < objective(solutions[0].targets):
                 solutions.insert(0, solutions.pop(place))
             return
 
@@ -284,7 +288,7 @@ def _layers(solution: Solution) -> int:
     return len(solution.material.data.get("layers", ()))
 
 
-def judged(target: Target, changes: dict[str, Any], seconds: float, least: float) -> Solution | None:
+def judged(target: DesignTask, changes: dict[str, Any], seconds: float, least: float) -> Solution | None:
     """Return an answer as its recipe shows it, with its yield and sensitivity; None where it cannot be computed.
 
     Args:
@@ -295,25 +299,25 @@ def judged(target: Target, changes: dict[str, Any], seconds: float, least: float
     begun = time.monotonic()
     try:
         made = target.material.vary(changes)
-        wants, seen = judge(made, target.wants, spec.light, seed=spec.search.seed, seconds=0.5 * seconds)
+        wants, seen = judge(made, target.targets, spec.light, seed=spec.search.seed, seconds=0.5 * seconds)
     except NacreError:
         return None
     took = time.monotonic() - begun
     facts: dict[str, Any] = {"judging_s": took}
     with contextlib.suppress(NacreError):
-        paths = [p for p in numbers_of(made.data) if is_chosen(p, changes, target.free) and made.get(p)]
-        asked = (target.wants, spec.light, spec.search.seed)
+        paths = [p for p in numbers_of(made.data) if is_chosen(p, changes, target.parameters) and made.get(p)]
+        asked = (target.targets, spec.light, spec.search.seed)
         if 2.0 * took <= max(0.2 * seconds, DEAR_S) or made.model.traits.is_quick:
             facts["sensitivity"] = sensitivity(made, paths, *asked, max(0.2 * seconds, least), seen)
-        if spec.spread:
-            spreads = read_tolerances(spec.spread, made, target.context.source)
+        if spec.tolerance:
+            spreads = read_tolerances(spec.tolerance, made, target.context.source)
             facts["yield"] = yield_of(made, spreads, *asked, 0.3 * seconds, seen)
     if total := total_nm(made):
         facts["total_nm"] = total
     return Solution(None, made, changes, wants, facts)
 
 
-def as_judged(start: Material, changes: Mapping[str, Any]) -> dict[str, Any]:
+def with_method_overrides(start: Material, changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return changes that name the quick way too where it stood in for one of minutes: the file shows what was judged.
 
     Args:
@@ -322,11 +326,11 @@ def as_judged(start: Material, changes: Mapping[str, Any]) -> dict[str, Any]:
     return {**changes, **method_overrides(start.vary(changes).model)}
 
 
-def tolerance_of(target: Target, solution: Solution) -> dict[str, Any]:
+def tolerance_of(target: DesignTask, solution: Solution) -> dict[str, Any]:
     """Return the spreads as a recipe's [tolerance] has them, so that `nacre tolerance` goes on from the answer."""
-    if not target.spec.spread:
+    if not target.spec.tolerance:
         return {}
-    spreads = read_tolerances(target.spec.spread, solution.material, target.context.source)
+    spreads = read_tolerances(target.spec.tolerance, solution.material, target.context.source)
     own = dict(solution.material.data.get("tolerance", {}))
     return own | {s.path: {"deviation": s.deviation, "distribution": s.distribution} for s in spreads}
 
@@ -342,9 +346,9 @@ def in_words(solutions: Sequence[Solution], status: str, seconds: float | None =
     unit = " % rms" if worst.lamp is None else ""
     distance = f"{worst.distance:.2g}{unit}" if worst.lamp is None else f"dE00 {worst.distance:.2f}"
     under = f" under {worst.lamp}" if worst.lamp is not None else ""
-    where = f'"{worst.want.at}"{under}'
+    where = f'"{worst.target.geometry}"{under}'
     if status == "met":
-        return f"every want is met; the farthest is {where}: {distance}, within {worst.want.within:g}"
+        return f"every want is met; the farthest is {where}: {distance}, within {worst.target.tolerance:g}"
     head = "stopped; " if status == "interrupted" else ""
     if best.is_met:
         return f"{head}every want is met so far; the farthest is {where}: {distance}"
@@ -352,12 +356,12 @@ def in_words(solutions: Sequence[Solution], status: str, seconds: float | None =
     again = "" if seconds is None else "; --resume searches on"
     return (
         f"{head}{far} with what is free: the nearest answer misses {where} by {distance} "
-        f"(within {worst.want.within:g} was asked); that want costs most{again}"
+        f"(within {worst.target.tolerance:g} was asked); that want costs most{again}"
     )
 
 
 def _report(
-    target: Target, folder: Path, solutions: list[Solution], ended: str, begun: float, keeper: _Keeper
+    target: DesignTask, folder: Path, solutions: list[Solution], ended: str, begun: float, keeper: _Keeper
 ) -> Design:
     """Write design.json and the report."""
     is_met = solutions[0].is_met
@@ -369,7 +373,7 @@ def _report(
         "seconds": round(time.monotonic() - begun, 3),
         "solutions": [document_of(s, target) for s in solutions],
         "light": target.spec.light.model_dump(),
-        "costs_most": {"at": str(solutions[0].worst.want.at), "lamp": solutions[0].worst.lamp},
+        "costs_most": {"geometry": str(solutions[0].worst.target.geometry), "lamp": solutions[0].worst.lamp},
         "seed": target.spec.search.seed,
         "runs": keeper.runs,
         "target": target.fingerprint,
@@ -388,12 +392,12 @@ def _report(
     return replace(design, seconds=summary["seconds"])
 
 
-def document_of(solution: Solution, target: Target) -> dict[str, Any]:
+def document_of(solution: Solution, target: DesignTask) -> dict[str, Any]:
     """Return an answer as JSON can hold it."""
     return {
         "recipe": str(solution.recipe),
         "worst": solution.worst.scaled,
-        "wants": [r.document(target.spec.light.observer) for r in solution.wants],
+        "targets": [r.document(target.spec.light.observer) for r in solution.targets],
         "changes": solution.changes,
         "yield": solution.yield_share,
         "yield_details": solution.facts.get("yield"),
@@ -403,4 +407,4 @@ def document_of(solution: Solution, target: Target) -> dict[str, Any]:
     }
 
 
-__all__ = ["Design", "Solution", "WantsProgress", "document_of", "judged", "run", "search_of", "tolerance_of"]
+__all__ = ["Design", "DesignProgress", "Solution", "choose_search", "document_of", "judged", "run", "tolerance_of"]

@@ -15,7 +15,7 @@ from typing import Any
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import read_text, write_text
 from nacre.material.material import Material
-from nacre.optimise.evaluation import Reached
+from nacre.optimise.evaluation import TargetResult
 from nacre.recipe.fingerprint import file_digest
 from nacre.recipe.paths import set_by_path
 from nacre.recipe.toml import dump_toml, edit_toml, parse_toml
@@ -62,25 +62,25 @@ class Solution:
         recipe: the file that holds it; None where nothing was written.
         material: the material that it is.
         changes: what is different from the recipe that the search started from, by path.
-        wants: what it reaches of every want under every lamp.
+        targets: what it reaches of every want under every lamp.
         facts: what else is known of it, as JSON can hold it: yield, sensitivity, thickness.
     """
 
     recipe: Path | None
     material: Material
     changes: dict[str, Any]
-    wants: list[Reached]
+    targets: list[TargetResult]
     facts: dict[str, Any] = field(default_factory=dict)
 
     @property
-    def worst(self) -> Reached:
+    def worst(self) -> TargetResult:
         """The want that costs most: of the largest weight x distance / within."""
-        return max(self.wants, key=lambda r: r.scaled)
+        return max(self.targets, key=lambda r: r.scaled)
 
     @property
     def is_met(self) -> bool:
         """Whether every want is within what was asked for."""
-        return all(r.is_met for r in self.wants)
+        return all(r.is_met for r in self.targets)
 
     @property
     def yield_share(self) -> float | None:
@@ -90,7 +90,7 @@ class Solution:
 
 
 @dataclass(frozen=True)
-class WantsProgress:
+class DesignProgress:
     """What a caller is told while a design is searched.
 
     Attributes:
@@ -130,9 +130,12 @@ class Design:
 
 
 def write_recipe(
-    folder: Path, start: Material, changes: Mapping[str, Any], tolerance: Mapping[str, Any],
+    folder: Path,
+    start: Material,
+    changes: Mapping[str, Any],
+    tolerance: Mapping[str, Any],
     made: Material | None = None,
-) -> tuple[Path, list[str]]:  # fmt: skip
+) -> tuple[Path, list[str]]:
     """Write an answer's recipe, with comments where the start has some, and copy beside it what it reaches.
 
     Args:
@@ -281,7 +284,7 @@ def _earlier(out: Path) -> set[str] | None:
         return None
 
 
-__all__ = ["Design", "Solution", "WantsProgress", "clear_answers", "check_folder", "folder_of", "write_recipe"]
+__all__ = ["Design", "DesignProgress", "Solution", "check_folder", "clear_answers", "folder_of", "write_recipe"]
 
 
 # When two answers are one: same materials, order and count, and no number off by more than a fifth.

@@ -23,7 +23,7 @@ GONE_SHARE = 0.4
 _INDEX = re.compile(r"\[\d+\]")
 
 
-def droppable(free: Sequence[Parameter], material: Material) -> dict[int, str]:
+def removable_tables(free: Sequence[Parameter], material: Material) -> dict[int, str]:
     """Return the free numbers, by their place in `free`, that may be 0, and the path of the table that goes then."""
     spec = family_spec(material.family, material.context.source)
     found = {}
@@ -57,7 +57,7 @@ def changes_of(material: Material, free: Sequence[Parameter], values: Sequence[A
 
     A list or table out of which something goes is then changed as a whole.
     """
-    gone = [holder for i, holder in droppable(free, material).items() if values[i] == 0]
+    gone = [holder for i, holder in removable_tables(free, material).items() if values[i] == 0]
     changes = {number.path: value for number, value in zip(free, values, strict=True)}
     if not gone:
         return changes
@@ -82,7 +82,7 @@ def values_of(material: Material, free: Sequence[Parameter], changes: Mapping[st
         data = material.vary(changes).data
     except NacreError:
         return None
-    drops = droppable(free, material)
+    drops = removable_tables(free, material)
     moved: dict[str, str | None] = {}
     for holder in drops.values():
         moved.update(_moved(material, data, holder, [n.path for n in free]))
@@ -105,7 +105,7 @@ def values_of(material: Material, free: Sequence[Parameter], changes: Mapping[st
 
 def tables_kept(material: Material, free: Sequence[Parameter], changes: Mapping[str, Any]) -> int:
     """Return how many of the tables that may go are in the recipe that changes say."""
-    drops = droppable(free, material)
+    drops = removable_tables(free, material)
     values = values_of(material, free, changes) if drops else []
     return len(drops) if values is None else sum(values[i] != 0 for i in drops)
 
@@ -149,4 +149,4 @@ def _numbers(path: str) -> list[int]:
     return [int(n[1:-1]) for n in _INDEX.findall(path)]
 
 
-__all__ = ["changes_of", "draws", "droppable", "is_chosen", "tables_kept", "values_of"]
+__all__ = ["changes_of", "draws", "is_chosen", "removable_tables", "tables_kept", "values_of"]

@@ -24,20 +24,20 @@ RANGES = ("hue_deg", "chroma", "lightness")
 PAIR = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
 
 
-class WantSpec(RecipeModel):
+class TargetEntry(RecipeModel):
     """One look that is wanted: where it is seen, which colour or spectrum, how exactly."""
 
     one_of: ClassVar[tuple[str, ...]] = (*COLOURS, "|".join(RANGES), "directions")
     forms: ClassVar[tuple[str, ...]] = (
-        '{at = "specular 0", colour = "#c2185b", within = 2.0}',
-        '{at = "45as15", lab = [62, 30, -12]}',
-        '{at = "specular 60", hue_deg = [350, 10], chroma = ">=30"}',
-        '{at = "transmitted 0", spectrum = "filter.csv", within = 1.0}',
+        '{geometry = "specular 0", colour = "#c2185b", tolerance = 2.0}',
+        '{geometry = "45as15", lab = [62, 30, -12]}',
+        '{geometry = "specular 60", hue_deg = [350, 10], chroma = ">=30"}',
+        '{geometry = "transmitted 0", spectrum = "filter.csv", tolerance = 1.0}',
         '{directions = {kind = "image", image = "grey.png", range = 0.4}}',
-        '{at = "specular 0", image = "photo.png"}',
+        '{geometry = "specular 0", image = "photo.png"}',
     )
 
-    at: str | None = pydantic.Field(
+    geometry: str | None = pydantic.Field(
         default=None,
         description="where it is seen: specular T, transmitted T (into the substrate), diffuse T, hemispherical T "
         "with T the angle of the light in degrees, or IasA: light from I, seen A degrees from the mirror direction "
@@ -84,10 +84,10 @@ class WantSpec(RecipeModel):
     )
     directions: TargetTable | None = pydantic.Field(
         default=None,
-        description="in place of at and a colour: the picture that a relief of free heights shows over the directions",
+        description="instead of geometry and colour: the picture that a relief shows over the directions",
         examples=[{"kind": "anti-mirror", "range": 0.5}],
     )
-    within: Positive = pydantic.Field(
+    tolerance: Positive = pydantic.Field(
         default=1.0, description="distance that is good enough: dE00; of a spectrum the rms in per cent"
     )
     weight: Positive = pydantic.Field(default=1.0, description="how much the want counts beside the others")
@@ -100,7 +100,7 @@ class WantSpec(RecipeModel):
         return value
 
     @pydantic.model_validator(mode="after")
-    def _one_colour(self) -> WantSpec:
+    def _one_colour(self) -> TargetEntry:
         given = [name for name in (*COLOURS, "directions") if getattr(self, name) is not None]
         ranges = [name for name in RANGES if getattr(self, name) is not None]
         if len(given) + bool(ranges) != 1:
@@ -108,8 +108,10 @@ class WantSpec(RecipeModel):
             raise ValueError(
                 f"gives {got}; a want has exactly one of {', '.join(COLOURS)}, or some of {', '.join(RANGES)}"
             )
-        if (self.at is None) == (self.directions is None):
-            raise ValueError("has directions and at; keep one" if self.at else "at is missing: where it is seen")
+        if (self.geometry is None) == (self.directions is None):
+            raise ValueError(
+                "has directions and geometry; keep one" if self.geometry else "geometry is missing: where it is seen"
+            )
         return self
 
 
@@ -129,28 +131,32 @@ class LightSpec(RecipeModel):
 class LimitsSpec(RecipeModel):
     """What the answer must keep to."""
 
-    forms: ClassVar[tuple[str, ...]] = ('{total_nm = 800, layers = "fewest"}', "{levels = 8}", "{trusted = true}")
+    forms: ClassVar[tuple[str, ...]] = (
+        '{max_total_nm = 800, max_layers = "fewest"}',
+        "{height_levels = 8}",
+        "{within_validity = true}",
+    )
 
-    total_nm: Positive | None = pydantic.Field(
+    max_total_nm: Positive | None = pydantic.Field(
         default=None, description="largest thickness of all layers together", examples=[800]
     )
-    layers: Literal["fewest"] | None = pydantic.Field(
+    max_layers: Literal["fewest"] | None = pydantic.Field(
         default=None, description="fewest: of equal looks the one with fewer layers", examples=["fewest"]
     )
-    levels: Annotated[int, pydantic.Field(ge=2, le=256)] | None = pydantic.Field(
+    height_levels: Annotated[int, pydantic.Field(ge=2, le=256)] | None = pydantic.Field(
         default=None,
         description="of a picture: how many values, evenly spaced over its bounds, the process gives each free number; "
         "colours between them are dithered",
         examples=[8],
     )
-    trusted: bool = pydantic.Field(
+    within_validity: bool = pydantic.Field(
         default=False,
         description="of a relief: no higher than its finest features allow scalar diffraction to be trusted",
         examples=[True],
     )
 
 
-class WantsSearchSpec(RecipeModel):
+class SearchSpec(RecipeModel):
     """How long to search, and for how many answers."""
 
     forms: ClassVar[tuple[str, ...]] = ("{seconds = 60, solutions = 5, seed = 0}",)
@@ -166,14 +172,14 @@ class LayersSpec(RecipeModel):
     """The stack itself is sought: of which materials, how many layers, how thick, on which substrates."""
 
     forms: ClassVar[tuple[str, ...]] = (
-        '{palette = ["SiO2", "TiO2"], most = 6, thickness_nm = [5, 250]}',
+        '{palette = ["SiO2", "TiO2"], max_layers = 6, thickness_nm = [5, 250]}',
         '{palette = ["Cr", "MgF2"], thickness_nm = {Cr = [3, 20], other = [20, 600]}, substrate = ["Al", "Ag"]}',
     )
 
     palette: Annotated[list[Any], pydantic.Field(min_length=1, max_length=64)] = pydantic.Field(
         description="optical constants that a layer may be of", examples=[["SiO2", "TiO2", "Cr"]]
     )
-    most: Annotated[int, pydantic.Field(ge=1, le=200)] = pydantic.Field(
+    max_layers: Annotated[int, pydantic.Field(ge=1, le=200)] = pydantic.Field(
         default=6, description="largest number of layers"
     )
     thickness_nm: Bounds | dict[str, Bounds] = pydantic.Field(
@@ -186,15 +192,15 @@ class LayersSpec(RecipeModel):
     )
 
 
-class WantsSpec(RecipeModel):
+class DesignSpec(RecipeModel):
     """Looks that `nacre design` finds the free numbers of a material for, or a whole stack of layers."""
 
     example: ClassVar[Mapping[str, Any]] = {
         "recipe": {"family": "film", "substrate": "Al", "layers": []},
-        "layers": {"palette": ["Cr", "MgF2"], "most": 3, "thickness_nm": {"Cr": [3, 20], "other": [50, 600]}},
-        "want": [
-            {"at": "specular 0", "hue_deg": [320, 350], "chroma": ">=40"},
-            {"at": "specular 60", "hue_deg": [140, 180], "chroma": ">=20"},
+        "layers": {"palette": ["Cr", "MgF2"], "max_layers": 3, "thickness_nm": {"Cr": [3, 20], "other": [50, 600]}},
+        "target": [
+            {"geometry": "specular 0", "hue_deg": [320, 350], "chroma": ">=40"},
+            {"geometry": "specular 60", "hue_deg": [140, 180], "chroma": ">=20"},
         ],
         "search": {"seconds": 30},
     }
@@ -203,7 +209,7 @@ class WantsSpec(RecipeModel):
         description="the material to start from: file of its recipe, or the recipe itself as a table",
         examples=["start.toml", {"family": "film", "substrate": "Al", "layers": []}],
     )
-    free: Annotated[dict[str, Any], ByPath(FreeNumberSpec, (PAIR,))] = pydantic.Field(
+    parameters: Annotated[dict[str, Any], ByPath(FreeNumberSpec, (PAIR,))] = pydantic.Field(
         default={},
         description="what may change: path of a number or word of the recipe, with [*] for any index -> two numbers "
         "as bounds, or a table",
@@ -212,11 +218,11 @@ class WantsSpec(RecipeModel):
     layers: LayersSpec | None = pydantic.Field(
         default=None, description="in place of free layers: the stack itself is sought"
     )
-    want: Annotated[list[WantSpec], pydantic.Field(min_length=1, max_length=200)] = pydantic.Field(
+    target: Annotated[list[TargetEntry], pydantic.Field(min_length=1, max_length=200)] = pydantic.Field(
         description="the looks that are wanted, a list of tables"
     )
     light: LightSpec = pydantic.Field(default=LightSpec(), description="lamps and observer")
-    spread: Annotated[
+    tolerance: Annotated[
         dict[str, Any], ByPath(SpreadSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}))
     ] = pydantic.Field(
         default={},
@@ -225,4 +231,4 @@ class WantsSpec(RecipeModel):
         examples=[{"layers[*].thickness_nm": {"percent": 2}}, {"layers[0].thickness_nm": 5}],
     )
     limits: LimitsSpec = pydantic.Field(default=LimitsSpec(), description="what the answer must keep to")
-    search: WantsSearchSpec = pydantic.Field(default=WantsSearchSpec(), description="how long, and for how many")
+    search: SearchSpec = pydantic.Field(default=SearchSpec(), description="how long, and for how many")

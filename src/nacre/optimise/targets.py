@@ -24,9 +24,9 @@ from nacre.light import (
     xyz_to_lab,
 )
 from nacre.optimise.image.files import read_picture
-from nacre.optimise.measurement import At
-from nacre.optimise.merit import Goal, Goals
-from nacre.optimise.spec import COLOURS, RANGES, LightSpec, WantSpec
+from nacre.optimise.measurement import Geometry
+from nacre.optimise.merit import MeritFunction, Operand
+from nacre.optimise.spec import COLOURS, RANGES, LightSpec, TargetEntry
 from nacre.recipe.delimited_text import decoded, rows, shares_over_nm
 from nacre.recipe.model import RecipeContext, show_value
 
@@ -40,25 +40,25 @@ _BOUND = re.compile(r"\s*(>=|<=)\s*([-+]?[\d.]+)\s*$")
 
 
 @dataclass(frozen=True, eq=False)
-class Want:
+class Target:
     """One want, ready to be compared with.
 
     Attributes:
-        at: where it is seen.
+        geometry: where it is seen.
         asked: what the file says, as JSON can hold it: {"colour": "#c2185b"}.
         lab: `[3]`, wanted under every lamp, or None.
         xyz: `[3]`, wanted under the first lamp, or None.
         ranges: "hue", "chroma", "lightness" -> (low, high), None where open.
         spectrum: wavelengths and factors wanted, `[2, wavelength]`, or None.
         image: a picture's colours `[row, column, 3]`, encoded sRGB in [0, 1], the first row on top, or None.
-        within: distance that is good enough.
+        tolerance: distance that is good enough.
         weight: beside the others.
         key: its place in the file, for messages.
     """
 
-    at: At
+    geometry: Geometry
     asked: dict[str, Any]
-    within: float
+    tolerance: float
     weight: float
     key: str
     lab: Array | None = None
@@ -67,36 +67,36 @@ class Want:
     spectrum: Array | None = None
     image: Array | None = None
 
-    def with_lab(self, lab: Array) -> Want:
+    def with_lab(self, lab: Array) -> Target:
         """Return the want of another colour."""
         asked = {"lab": [float(v) for v in lab]}
         return replace(self, asked=asked, lab=np.asarray(lab, float), xyz=None, ranges=None, spectrum=None)
 
-    def wanted_lab(self, white: Array) -> Array | None:
+    def target_lab(self, white: Array) -> Array | None:
         """Return the colour wanted, against a lamp's white; None of a range or a spectrum."""
         if self.xyz is not None:
             return np.asarray(xyz_to_lab(self.xyz, white))
         return self.lab
 
-    def goals(self, row: int, wavelengths_nm: Array) -> list[Goal]:
+    def goals(self, row: int, wavelengths_nm: Array) -> list[Operand]:
         """Return the goals that a search steers by.
 
         Args:
             row: of the want's geometry among the spectra.
             wavelengths_nm: of those spectra.
         """
-        often: dict[str, Any] = {"within": self.within, "weight": self.weight}
+        often: dict[str, Any] = {"tolerance": self.tolerance, "weight": self.weight}
         if self.spectrum is not None:
             nm, values = self.spectrum
             wanted = np.interp(wavelengths_nm, nm, values, left=np.nan, right=np.nan)
             wanted[_in_gaps(nm, wavelengths_nm)] = np.nan
-            return [Goal(row, "spectrum", reflectance=wanted, **often)]
+            return [Operand(row, "spectrum", reflectance=wanted, **often)]
         if self.ranges is not None:
-            return [Goal(row, kind, low=low, high=high, **often) for kind, (low, high) in self.ranges.items()]  # type: ignore[arg-type]  # the kinds are those of `_ranges`
+            return [Operand(row, kind, low=low, high=high, **often) for kind, (low, high) in self.ranges.items()]  # type: ignore[arg-type]  # the kinds are those of `_ranges`
         if self.xyz is not None:
-            return [Goal(row, "colour", xyz=tuple(map(float, self.xyz)), **often)]  # type: ignore[arg-type]  # three numbers
+            return [Operand(row, "colour", xyz=tuple(map(float, self.xyz)), **often)]  # type: ignore[arg-type]  # three numbers
         assert self.lab is not None
-        return [Goal(row, "colour", lab=tuple(map(float, self.lab)), **often)]  # type: ignore[arg-type]  # three numbers
+        return [Operand(row, "colour", lab=tuple(map(float, self.lab)), **often)]  # type: ignore[arg-type]  # three numbers
 
 
 def _in_gaps(nm: Array, wavelengths_nm: Array) -> Array:
@@ -123,14 +123,14 @@ def srgb_to_lab(text: str, where: str) -> Array:
     return np.asarray(xyz_to_lab(srgb_linear_to_xyz(srgb_decode(rgb)), srgb_linear_to_xyz(np.ones(3))))
 
 
-def read_wants(specs: Sequence[WantSpec], light: LightSpec, context: RecipeContext) -> tuple[Want, ...]:
+def read_targets(specs: Sequence[TargetEntry], light: LightSpec, context: RecipeContext) -> tuple[Target, ...]:
     """Resolve the wants of a file.
 
     Raises:
         RecipeError: naming the want and what is allowed; or two colours for one geometry that no answer can have.
     """
     check_light(light, context)
-    wants = tuple(_want(spec, f"{context.source}: want[{i}]", context) for i, spec in enumerate(specs))
+    wants = tuple(_want(spec, f"{context.source}: target[{i}]", context) for i, spec in enumerate(specs))
     _check_agreement(wants, light)
     _check_picture(wants, light, context)
     return wants
@@ -154,10 +154,10 @@ def check_light(light: LightSpec, context: RecipeContext) -> None:
         )
 
 
-def _want(spec: WantSpec, key: str, context: RecipeContext) -> Want:
-    if spec.at is None:
-        raise RecipeError(f"{key}.directions: a picture is sought of a relief's heights; write heights in [free]")
-    at = At.read(spec.at, f"{key}.at")
+def _want(spec: TargetEntry, key: str, context: RecipeContext) -> Target:
+    if spec.geometry is None:
+        raise RecipeError(f"{key}.directions: a picture is sought of a relief's heights; write heights in [parameters]")
+    at = Geometry.read(spec.geometry, f"{key}.geometry")
     asked = {name: getattr(spec, name) for name in (*COLOURS, *RANGES) if getattr(spec, name) is not None}
     asked = {name: list(value) if isinstance(value, tuple) else value for name, value in asked.items()}
     found: dict[str, Any] = {}
@@ -185,7 +185,7 @@ def _want(spec: WantSpec, key: str, context: RecipeContext) -> Want:
         found["spectrum"] = _spectrum(spec.spectrum, f"{key}.spectrum", context)
     else:
         found["ranges"] = _ranges(spec, key)
-    return Want(at, asked, spec.within, spec.weight, key, **found)
+    return Target(at, asked, spec.tolerance, spec.weight, key, **found)
 
 
 def plausible(lab: Array, where: str, given: Any) -> Array:
@@ -199,7 +199,7 @@ def plausible(lab: Array, where: str, given: Any) -> Array:
     return lab
 
 
-def _ranges(spec: WantSpec, key: str) -> dict[str, tuple[float | None, float | None]]:
+def _ranges(spec: TargetEntry, key: str) -> dict[str, tuple[float | None, float | None]]:
     found: dict[str, tuple[float | None, float | None]] = {}
     if spec.hue_deg is not None:
         if not all(-360.0 <= h <= 720.0 for h in spec.hue_deg):
@@ -261,23 +261,23 @@ def _read_table(path: Any) -> Array:
     return shares_over_nm(heading, np.array([[float(word) for word in cells] for cells in lines], dtype=float))
 
 
-def _check_agreement(wants: Sequence[Want], light: LightSpec) -> None:
+def _check_agreement(wants: Sequence[Target], light: LightSpec) -> None:
     """Refuse two colours for one geometry further apart than both `within`: no answer can have both."""
     white = white_xyz(light.illuminants[0], light.observer)
     for i, want in enumerate(wants):
         for other in wants[:i]:
-            mine, theirs = want.wanted_lab(white), other.wanted_lab(white)
-            if want.at != other.at or mine is None or theirs is None:
+            mine, theirs = want.target_lab(white), other.target_lab(white)
+            if want.geometry != other.geometry or mine is None or theirs is None:
                 continue
             apart = float(delta_e_2000(theirs, mine))
-            if apart > want.within + other.within:
+            if apart > want.tolerance + other.tolerance:
                 raise RecipeError(
-                    f'{want.key} and {other.key.rpartition(" ")[2]} want two colours at "{want.at}" that are dE00 '
-                    f"{apart:.1f} apart; within {want.within:g} and {other.within:g} no answer has both"
+                    f'{want.key} and {other.key.rpartition(" ")[2]} give two colours at "{want.geometry}", dE00 '
+                    f"{apart:.1f} apart; within {want.tolerance:g} and {other.tolerance:g} no answer has both"
                 )
 
 
-def _check_picture(wants: Sequence[Want], light: LightSpec, context: RecipeContext) -> None:
+def _check_picture(wants: Sequence[Target], light: LightSpec, context: RecipeContext) -> None:
     """Refuse what cannot stand beside a picture: another want, another lamp."""
     for want in wants:
         if want.image is None:
@@ -289,10 +289,12 @@ def _check_picture(wants: Sequence[Want], light: LightSpec, context: RecipeConte
             raise RecipeError(f"{context.source}: light.illuminants = {lamps}: a picture is wanted under one lamp")
 
 
-def goals_of(wants: Sequence[Want], rows: Sequence[At], light: LightSpec, wavelengths_nm: Array) -> Goals:
+def merit_function(
+    wants: Sequence[Target], rows: Sequence[Geometry], light: LightSpec, wavelengths_nm: Array
+) -> MeritFunction:
     """Return the goals of all wants, for spectra `[..., row, wavelength]`."""
-    goals = [goal for want in wants for goal in want.goals(rows.index(want.at), wavelengths_nm)]
-    return Goals(goals, tuple(light.illuminants), light.observer, wavelengths_nm)
+    goals = [goal for want in wants for goal in want.goals(rows.index(want.geometry), wavelengths_nm)]
+    return MeritFunction(goals, tuple(light.illuminants), light.observer, wavelengths_nm)
 
 
-__all__ = ["Want", "goals_of", "plausible", "read_wants", "srgb_to_lab"]
+__all__ = ["Target", "merit_function", "plausible", "read_targets", "srgb_to_lab"]

@@ -1,4 +1,4 @@
-"""What an answer must keep to, checked against what is free."""
+"""What an answer must keep to, checked against what is parameters."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from nacre.core.errors import NacreError, RecipeError, did_you_mean
 from nacre.core.files import read_text
 from nacre.material.material import Material, load, material
 from nacre.matter.indices.spec import IndexSpec
-from nacre.optimise.evaluation import rows_of
-from nacre.optimise.image.validation import check_free
+from nacre.optimise.evaluation import geometries_of
+from nacre.optimise.image.validation import check_picture_target
 from nacre.optimise.measurement import check_answers
 from nacre.optimise.parameters import Parameter, read_parameters, values_at
-from nacre.optimise.spec import LayersSpec, WantsSpec
-from nacre.optimise.targets import Want, read_wants
+from nacre.optimise.spec import DesignSpec, LayersSpec
+from nacre.optimise.targets import Target, read_targets
 from nacre.optimise.tolerances import read_tolerances
 from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
@@ -38,30 +38,34 @@ def total_nm(material: Material) -> float:
     return sum(value * LENGTH_UNITS_NM[match[1]] for match, value in found if match)
 
 
-def check_limits(spec: WantsSpec, base: Material, free: Sequence[Parameter], source: str) -> None:
+def check_limits(spec: DesignSpec, base: Material, free: Sequence[Parameter], source: str) -> None:
     """Refuse limits that say nothing of this recipe, or that nothing can keep to.
 
     Raises:
         RecipeError: naming the key.
     """
-    if spec.limits.levels is not None:
+    if spec.limits.height_levels is not None:
         raise RecipeError(
-            f"{source}: limits.levels = {spec.limits.levels}: levels are of a picture; no want is an image"
+            f"{source}: limits.height_levels = {spec.limits.height_levels}: only for pictures; no target is an image"
         )
     if spec.layers is not None:
         return
-    if spec.limits.layers is not None:
-        raise RecipeError(f'{source}: limits.layers = "fewest" is of a stack that is sought; add [layers]')
-    most = spec.limits.total_nm
+    if spec.limits.max_layers is not None:
+        raise RecipeError(f'{source}: limits.max_layers = "fewest" is of a stack that is sought; add [layers]')
+    most = spec.limits.max_total_nm
     if most is None:
         return
     if not base.data.get("layers"):
-        raise RecipeError(f"{source}: limits.total_nm = {most:g}: the recipe has no layers; bound what is in [free]")
+        raise RecipeError(
+            f"{source}: limits.max_total_nm = {most:g}: the recipe has no layers; bound what is in [parameters]"
+        )
     least = 0.0
     with contextlib.suppress(NacreError):  # other numbers may make room for the lowest of all
         least = total_nm(base.vary({number.path: number.low for number in free if not number.choices}))
     if least > most:
-        raise RecipeError(f"{source}: limits.total_nm = {most:g}: the least that [free] allows is {least:g} nm")
+        raise RecipeError(
+            f"{source}: limits.max_total_nm = {most:g}: the least that [parameters] allows is {least:g} nm"
+        )
 
 
 __all__ = ["check_limits", "total_nm"]
@@ -74,29 +78,29 @@ OTHER = "other"  # in bounds by material: all that are not named
 
 
 @dataclass(frozen=True)
-class Target:
+class DesignTask:
     """A checked target.
 
     Attributes:
         spec: as the file has it.
         context: where the file stands.
         material: the recipe that the search starts from; with [layers], without its layers.
-        wants: what is wanted.
-        free: what may change; empty where the stack itself is sought.
+        targets: what is wanted.
+        parameters: what may change; empty where the stack itself is sought.
     """
 
-    spec: WantsSpec
+    spec: DesignSpec
     context: RecipeContext
     material: Material
-    wants: tuple[Want, ...]
-    free: tuple[Parameter, ...]
+    targets: tuple[Target, ...]
+    parameters: tuple[Parameter, ...]
 
     @property
     def name(self) -> str:
         """A short name."""
         return Path(self.context.source).stem
 
-    def within_seconds(self, seconds: float) -> Target:
+    def within_seconds(self, seconds: float) -> DesignTask:
         """Return the target with another time for its search."""
         search = self.spec.search.model_copy(update={"seconds": seconds})
         return replace(self, spec=self.spec.model_copy(update={"search": search}))
@@ -111,7 +115,7 @@ class Target:
     @property
     def _choices_files(self) -> dict[str, str]:
         """The digests of files that a choice names, by their names: optical constants of a palette, say."""
-        tried: list[dict[str, Any]] = [{n.path: choice} for n in self.free for choice in n.choices]
+        tried: list[dict[str, Any]] = [{n.path: choice} for n in self.parameters for choice in n.choices]
         if self.spec.layers is not None:
             tried += [{"layers": [{"material": e, "thickness_nm": 1.0}]} for e in self.spec.layers.palette]
             tried += [{"substrate": entry} for entry in substrates(self.spec.layers)]
@@ -121,16 +125,18 @@ class Target:
         return found
 
 
-def is_wants(data: Mapping[str, Any]) -> bool:
-    """Whether a target's dictionary is of this form, and not of the older one of reliefs."""
-    if "want" in data or "target" in data or "family" in data:  # the last is of a recipe
+def is_design_task(data: Mapping[str, Any]) -> bool:
+    """Whether the dictionary of a target file has a list of targets, not the single `[target]` of a relief."""
+    if "target" in data:
+        return not isinstance(data["target"], Mapping)
+    if "family" in data:  # a recipe
         return "want" in data
-    return bool(set(data) & {"free", "layers", "recipe", "spread"})
+    return bool(set(data) & {"parameters", "layers", "recipe", "tolerance", "want"})
 
 
-def seeks_heights(data: Mapping[str, Any]) -> bool:
+def is_relief_task(data: Mapping[str, Any]) -> bool:
     """Whether a target's dictionary asks for a relief's heights, or for a picture over directions."""
-    free, wants = data.get("free"), data.get("want")
+    free, wants = data.get("parameters"), data.get("target")
     pictures = isinstance(wants, list) and any(isinstance(want, Mapping) and "directions" in want for want in wants)
     return pictures or (isinstance(free, Mapping) and "heights" in free)
 
@@ -148,7 +154,7 @@ def read_data(target: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], R
     return parse_toml(text, str(path)), RecipeContext(str(path), path.parent.resolve(), text)
 
 
-def read_target(target: str | Path | Mapping[str, Any]) -> Target:
+def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
     """Read and check a target.
 
     Args:
@@ -159,43 +165,43 @@ def read_target(target: str | Path | Mapping[str, Any]) -> Target:
         NacreError: the recipe cannot be computed.
     """
     data, context = read_data(target)
-    if "target" in data:
-        raise RecipeError(f"{context.source}: holds both [[want]] and [target]; a file is of one form")
-    spec: WantsSpec = validate(WantsSpec, data, context)
+    if isinstance(data.get("target"), Mapping):
+        raise RecipeError(f"{context.source}: [target] is of a relief; write [[target]]")
+    spec: DesignSpec = validate(DesignSpec, data, context)
     source = context.source
-    base = _recipe(spec, context).with_parts_loaded([*spec.free, *spec.spread])
+    base = _recipe(spec, context).with_parts_loaded([*spec.parameters, *spec.tolerance])
     refuse_place(base.model, f"{context.source}: recipe")
-    wants = read_wants(spec.want, spec.light, context)
+    wants = read_targets(spec.target, spec.light, context)
     if spec.layers is not None:
         check_layers(spec.layers, base, source)
         _check_total(spec, source)
-    for free_path in by_path(spec.free, {"min", "max", "choices"}, source, "free"):
+    for free_path in by_path(spec.parameters, {"min", "max", "choices"}, source, "parameters"):
         word = free_path.partition("[")[0].partition(".")[0]
         if spec.layers is not None and word == "layers":
             raise RecipeError(
-                f'{source}: free."{free_path}" names a layer, but [layers] seeks the stack itself; keep one'
+                f'{source}: parameters."{free_path}" names a layer, but [layers] seeks the stack itself; keep one'
             )
-    free = read_parameters(spec.free, base, source)
+    free = read_parameters(spec.parameters, base, source)
     if not free and spec.layers is None:
-        raise RecipeError(f"{source}: nothing is free; add a [free] table, or [layers] to seek a film's stack")
+        raise RecipeError(f"{source}: nothing is free; add a [parameters] table, or [layers] to seek a film's stack")
     if spec.layers is not None and free:
         raise RecipeError(
-            f'{source}: free."{free[0].path}" beside [layers]: the stack is sought alone; fix the number in the recipe'
+            f'{source}: parameters."{free[0].path}" beside [layers]: only the stack varies; fix it in the recipe'
         )
-    if spec.spread and spec.layers is None:
-        read_tolerances(spec.spread, base, source)
-    if spec.limits.trusted:
-        raise RecipeError(f"{source}: limits.trusted = true is of a relief whose heights are sought")
+    if spec.tolerance and spec.layers is None:
+        read_tolerances(spec.tolerance, base, source)
+    if spec.limits.within_validity:
+        raise RecipeError(f"{source}: limits.within_validity = true is of a relief whose heights are sought")
     if wants[0].image is not None:
-        check_free(spec, base, free, source)
+        check_picture_target(spec, base, free, source)
     else:
         check_limits(spec, base, free, source)
-    found = Target(spec, context, base, wants, free)
+    found = DesignTask(spec, context, base, wants, free)
     _check_wants(found)
     return found
 
 
-def _recipe(spec: WantsSpec, context: RecipeContext) -> Material:
+def _recipe(spec: DesignSpec, context: RecipeContext) -> Material:
     """Load the recipe, without layers where those are sought."""
     try:
         if isinstance(spec.recipe, str):
@@ -260,12 +266,12 @@ def check_layers(layers: LayersSpec, base: Material, source: str) -> None:
             )
 
 
-def _check_total(spec: WantsSpec, source: str) -> None:
+def _check_total(spec: DesignSpec, source: str) -> None:
     """Refuse a total below the thinnest layer: only the bare substrate would be left."""
     assert spec.layers is not None
     least = min(bounds_of(spec.layers, entry)[0] for entry in spec.layers.palette)
-    if spec.limits.total_nm is not None and spec.limits.total_nm < least:
-        total = f"{source}: limits.total_nm = {spec.limits.total_nm:g}"
+    if spec.limits.max_total_nm is not None and spec.limits.max_total_nm < least:
+        total = f"{source}: limits.max_total_nm = {spec.limits.max_total_nm:g}"
         raise RecipeError(f"{total}: no layer is so thin; layers.thickness_nm begins at {least:g}")
 
 
@@ -302,21 +308,30 @@ def check_index(value: Any, where: str, context: RecipeContext) -> IndexSpec:
     return found
 
 
-def _check_wants(target: Target) -> None:
-    """Refuse a want that the material cannot answer, whatever is free."""
+def _check_wants(target: DesignTask) -> None:
+    """Refuse a want that the material cannot answer, whatever is parameters."""
     tried = [target.material]
-    if target.free:
+    if target.parameters:
         for share in (0.5, 0.99):
-            values = values_at(target.free, [share] * len(target.free))  # type: ignore[arg-type]  # any sequence will do
+            values = values_at(target.parameters, [share] * len(target.parameters))  # type: ignore[arg-type]  # any sequence will do
             try:
                 tried.append(target.material.vary(values))
             except NacreError:
                 continue
     for other in substrates(target.spec.layers)[1:] if target.spec.layers else ():
         tried.append(target.material.vary({"substrate": other}))
-    rows = rows_of(target.wants)
-    keys = [next(want.key for want in target.wants if want.at == at) + ".at" for at in rows]
+    rows = geometries_of(target.targets)
+    keys = [next(want.key for want in target.targets if want.geometry == at) + ".geometry" for at in rows]
     check_answers(tried, rows, keys)
 
 
-__all__ = ["Target", "bounds_of", "is_wants", "palette_name", "read_data", "read_target", "seeks_heights", "substrates"]
+__all__ = [
+    "DesignTask",
+    "bounds_of",
+    "is_design_task",
+    "is_relief_task",
+    "palette_name",
+    "read_data",
+    "read_task",
+    "substrates",
+]

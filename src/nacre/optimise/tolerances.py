@@ -48,8 +48,8 @@ class Tolerance:
         return np.maximum(values, 0.0) if self.nominal >= 0 else values
 
 
-def read_tolerances(table: Any, material: Material, source: str, name: str = "spread") -> tuple[Tolerance, ...]:
-    """Read a `[spread]` or `[tolerance]` table for one material, whose numbers the percentages are of.
+def read_tolerances(table: Any, material: Material, source: str, name: str = "tolerance") -> tuple[Tolerance, ...]:
+    """Read a `[tolerance]` table for one material, whose numbers the percentages are of.
 
     Args:
         table: path -> spread; `[*]` in a path stands for every index that no other path names.
@@ -113,4 +113,4 @@ def wilson_interval(good: int, count: int, z: float = 1.96) -> tuple[float, floa
     return max(0.0, float(centre - half)), min(1.0, float(centre + half))
 
 
-__all__ = ["Tolerance", "read_tolerance", "wilson_interval", "read_tolerances"]
+__all__ = ["Tolerance", "read_tolerance", "read_tolerances", "wilson_interval"]

@@ -14,12 +14,12 @@ from nacre.core.errors import NacreError
 from nacre.families.contract import surrogate_radiance
 from nacre.light import delta_e_2000
 from nacre.material.material import Material
-from nacre.optimise.evaluation import rows_of
-from nacre.optimise.measurement import At, Seen, aspecular_pairs, search_wavelengths, see
-from nacre.optimise.merit import Goals
+from nacre.optimise.evaluation import geometries_of
+from nacre.optimise.measurement import Geometry, Measurement, aspecular_pairs, search_wavelengths, simulate_measurement
+from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.surrogate import Correction
 from nacre.optimise.spec import LightSpec
-from nacre.optimise.targets import Want, goals_of
+from nacre.optimise.targets import Target, merit_function
 from nacre.optimise.thin_film.adapter import drawn_factors
 from nacre.optimise.tolerances import Tolerance, wilson_interval
 
@@ -38,7 +38,7 @@ class _Eye:
     """
 
     material: Material
-    wants: Sequence[Want]
+    targets: Sequence[Target]
     grid: Array
     seed: int
     correction: Correction | None = None
@@ -46,7 +46,7 @@ class _Eye:
 
     def at_once(self, paths: Sequence[str], values: Array) -> Array | None:
         """Return factors `[variant, row, wavelength]` of `values[variant, path]`; None where it takes one by one."""
-        return drawn_factors(self.material, paths, values, rows_of(self.wants), self.grid)
+        return drawn_factors(self.material, paths, values, geometries_of(self.targets), self.grid)
 
     def one(self, paths: Sequence[str], row: Array) -> Array:
         """Return factors `[row, wavelength]` of one variant.
@@ -55,12 +55,17 @@ class _Eye:
             NacreError: it cannot be computed.
         """
         made = self.material.vary({path: float(v) for path, v in zip(paths, row, strict=True)})
-        if self.correction is not None and (found := _likeness(made, rows_of(self.wants), self.grid)) is not None:
+        if (
+            self.correction is not None
+            and (found := _likeness(made, geometries_of(self.targets), self.grid)) is not None
+        ):
             return self.correction.of(*found)
-        return see(made, rows_of(self.wants), self.grid, seed=self.seed, memory=self.memory).factors
+        return simulate_measurement(
+            made, geometries_of(self.targets), self.grid, seed=self.seed, memory=self.memory
+        ).factors
 
 
-def _likeness(material: Material, rows: Sequence[At], grid: Array) -> tuple[Array, Array] | None:
+def _likeness(material: Material, rows: Sequence[Geometry], grid: Array) -> tuple[Array, Array] | None:
     """Return what a random walk would give, known and guessed factors `[row, wavelength]`; None: it cannot be told."""
     if any(at.kind != "aspecular" for at in rows):
         return None
@@ -70,9 +75,14 @@ def _likeness(material: Material, rows: Sequence[At], grid: Array) -> tuple[Arra
 
 
 def yield_of(
-    material: Material, spreads: Sequence[Tolerance], wants: Sequence[Want], light: LightSpec, seed: int,
-    seconds: float,     judged: Seen | None = None,
-) -> dict[str, Any]:  # fmt: skip
+    material: Material,
+    spreads: Sequence[Tolerance],
+    targets: Sequence[Target],
+    light: LightSpec,
+    seed: int,
+    seconds: float,
+    judged: Measurement | None = None,
+) -> dict[str, Any]:
     """Return the share of draws that keep every want, its 95 % interval, and what each spread costs alone.
 
     Fewer materials are drawn where one takes long.
@@ -82,8 +92,8 @@ def yield_of(
         judged: what the judge saw of the material.
     """
     begun = time.monotonic()
-    eye, goals = _eye(material, wants, light, seed, judged)
-    within = np.array([goals.goals[index].within for index, _ in goals.terms])
+    eye, goals = _eye(material, targets, light, seed, judged)
+    within = np.array([goals.goals[index].tolerance for index, _ in goals.terms])
     generator = np.random.default_rng([seed, 3])
     paths = [spread.path for spread in spreads]
     values = np.stack([spread.draw(generator, DRAWS) for spread in spreads], axis=1)
@@ -102,24 +112,27 @@ def yield_of(
                 break
     costs = _costs(eye, goals, spreads)
     return {
-        "share": good / done, "interval_95": list(wilson_interval(good, done)), "draws": done,
-        "costs": costs, "costs_most": costs[0]["path"] if costs else None,
-    }  # fmt: skip
+        "share": good / done,
+        "interval_95": list(wilson_interval(good, done)),
+        "draws": done,
+        "costs": costs,
+        "costs_most": costs[0]["path"] if costs else None,
+    }
 
 
 def _eye(
-    material: Material, wants: Sequence[Want], light: LightSpec, seed: int, judged: Seen | None
-) -> tuple[_Eye, Goals]:
+    material: Material, targets: Sequence[Target], light: LightSpec, seed: int, judged: Measurement | None
+) -> tuple[_Eye, MeritFunction]:
     grid = search_wavelengths(material, light.illuminants)
     correction = None
     if judged is not None and judged.error is not None and np.array_equal(judged.wavelengths_nm, grid):
-        found = _likeness(material, rows_of(wants), grid)
+        found = _likeness(material, geometries_of(targets), grid)
         if found is not None:
             correction = Correction(judged.factors - found[0], found[1])
-    return _Eye(material, wants, grid, seed, correction), goals_of(wants, rows_of(wants), light, grid)
+    return _Eye(material, targets, grid, seed, correction), merit_function(targets, geometries_of(targets), light, grid)
 
 
-def _costs(eye: _Eye, goals: Goals, spreads: Sequence[Tolerance]) -> list[dict[str, Any]]:
+def _costs(eye: _Eye, goals: MeritFunction, spreads: Sequence[Tolerance]) -> list[dict[str, Any]]:
     """Return how far one standard deviation of each number moves the looks, the farthest first."""
     found: list[dict[str, Any]] = []
     for spread in spreads:
@@ -134,9 +147,14 @@ def _costs(eye: _Eye, goals: Goals, spreads: Sequence[Tolerance]) -> list[dict[s
 
 
 def sensitivity(
-    material: Material, paths: Sequence[str], wants: Sequence[Want], light: LightSpec, seed: int, seconds: float,
-    judged: Seen | None = None,
-) -> list[dict[str, Any]]:  # fmt: skip
+    material: Material,
+    paths: Sequence[str],
+    targets: Sequence[Target],
+    light: LightSpec,
+    seed: int,
+    seconds: float,
+    judged: Measurement | None = None,
+) -> list[dict[str, Any]]:
     """Return how far a change of 1 % of each number moves the looks at worst, the farthest first.
 
     In dE00, `de00_of_1_percent`; where spectra alone are wanted by their rms in per cent, `rms_percent_of_1_percent`.
@@ -146,9 +164,9 @@ def sensitivity(
         judged: what the judge saw of the material.
     """
     begun = time.monotonic()
-    eye, goals = _eye(material, wants, light, seed, judged)
+    eye, goals = _eye(material, targets, light, seed, judged)
     found: list[dict[str, Any]] = []
-    unit = RMS_OF_1_PERCENT if _are_spectra(wants) else "de00_of_1_percent"
+    unit = RMS_OF_1_PERCENT if _are_spectra(targets) else "de00_of_1_percent"
     for path in paths:
         value = float(material.get(path))
         moved = _moved(eye, goals, path, value, STEP_SHARE * abs(value))
@@ -158,11 +176,11 @@ def sensitivity(
     return sorted(found, key=lambda entry: -entry[unit])
 
 
-def _are_spectra(wants: Sequence[Want]) -> bool:
-    return all(want.spectrum is not None for want in wants)
+def _are_spectra(targets: Sequence[Target]) -> bool:
+    return all(want.spectrum is not None for want in targets)
 
 
-def _moved(eye: _Eye, goals: Goals, path: str, value: float, step: float) -> float:
+def _moved(eye: _Eye, goals: MeritFunction, path: str, value: float, step: float) -> float:
     """Return the largest change of a look over a change of one number, up and down, halved."""
     if step <= 0.0:
         return 0.0
@@ -173,7 +191,7 @@ def _moved(eye: _Eye, goals: Goals, path: str, value: float, step: float) -> flo
             seen = np.stack([eye.one([path], row) for row in ends])
         except NacreError:
             return 0.0
-    if _are_spectra(eye.wants):
+    if _are_spectra(eye.targets):
         return float(0.5 * 100.0 * np.sqrt(np.mean((seen[1] - seen[0]) ** 2, axis=-1)).max())
     return float(0.5 * np.max(delta_e_2000(goals.labs(seen[0]), goals.labs(seen[1]))))
 

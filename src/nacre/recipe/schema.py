@@ -56,7 +56,7 @@ def one_of_files(schemas: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Return a schema for a folder of mixed files: each file is judged by its family, or by the keys that mark it.
 
     Args:
-        schemas: name of a family, "target", "wants" or "sweep" -> its schema.
+        schemas: name of a family, "relief-design", "design" or "sweep" -> its schema.
     """
     definitions: dict[str, Any] = {}
     choices: list[dict[str, Any]] = []
@@ -64,13 +64,13 @@ def one_of_files(schemas: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         parts = copy.deepcopy({key: value for key, value in schema.items() if key != "$schema"})
         definitions |= parts.pop("definitions", {})
         definitions[f"file-{name}"] = parts
-    is_target: dict[str, Any] = {"required": ["target"]}
-    is_wants: dict[str, Any] = {"required": ["want"]}
+    is_relief: dict[str, Any] = {"required": ["target"], "properties": {"target": {"type": "object"}}}
+    is_design: dict[str, Any] = {"required": ["target"], "properties": {"target": {"type": "array"}}}
     is_sweep: dict[str, Any] = {"required": ["recipe", "axes"]}
     marks: dict[str, Any] = {
         name: {"properties": {"family": {"const": name}}, "required": ["family"]} for name in schemas
     }
-    others = {"target": is_target, "wants": is_wants, "sweep": is_sweep}
+    others = {"relief-design": is_relief, "design": is_design, "sweep": is_sweep}
     marks |= others
     for name in schemas:
         mark = marks[name]

@@ -36,9 +36,16 @@ class Descent:
 
 
 def go_down(
-    run: Descent, look: Callable[[Array], Array | None], slopes: Callable[[Descent], Array], numbers: Sequence[int],
-    tries: int, *, low: Array | float = 0.0, settled: float = SETTLED, is_enough: Callable[[], bool] = lambda: False,
-) -> None:  # fmt: skip
+    run: Descent,
+    look: Callable[[Array], Array | None],
+    slopes: Callable[[Descent], Array],
+    numbers: Sequence[int],
+    tries: int,
+    *,
+    low: Array | float = 0.0,
+    settled: float = SETTLED,
+    is_enough: Callable[[], bool] = lambda: False,
+) -> None:
     """Go down by some damped steps, inside the bounds 0 and 1.
 
     Args:

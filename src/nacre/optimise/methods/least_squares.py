@@ -19,12 +19,12 @@ from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000
 from nacre.material.material import Material
 from nacre.measure.evaluate import DEFAULT_SAMPLES
-from nacre.optimise.measurement import At, search_wavelengths, see
-from nacre.optimise.merit import Goals
+from nacre.optimise.measurement import Geometry, search_wavelengths, simulate_measurement
+from nacre.optimise.merit import MeritFunction
 from nacre.optimise.parameters import Parameter, nominal_point, point_of, values_at
 from nacre.optimise.solutions import are_alike
 from nacre.optimise.spec import LightSpec
-from nacre.optimise.targets import Want, goals_of
+from nacre.optimise.targets import Target, merit_function
 from nacre.optimise.task import total_nm
 
 SCOUTS_PER_NUMBER = 24
@@ -62,9 +62,16 @@ def apart(place: Array, others: Sequence[Array], least: float) -> bool:
 
 
 def descend(
-    residuals: Callable[[Array], Array], start: Array, *, step: float = STEP, most: int = 60, low: ArrayLike = 0.0,
-    high: ArrayLike = 1.0, slopes: Callable[[Array], Array] | None = None, tolerance: float = 1e-8,
-) -> End:  # fmt: skip
+    residuals: Callable[[Array], Array],
+    start: Array,
+    *,
+    step: float = STEP,
+    most: int = 60,
+    low: ArrayLike = 0.0,
+    high: ArrayLike = 1.0,
+    slopes: Callable[[Array], Array] | None = None,
+    tolerance: float = 1e-8,
+) -> End:
     """Refine one start by bounded least squares, a trust region of finite differences.
 
     Args:
@@ -81,9 +88,16 @@ def descend(
     begin = np.clip(start, np.asarray(low) + INSIDE, np.asarray(high) - INSIDE)
     derivative = {"diff_step": np.full(len(begin), step)} if slopes is None else {"jac": slopes}
     found = least_squares(
-        residuals, begin, bounds=(low, high), x_scale=1.0, xtol=tolerance, ftol=tolerance, gtol=1e-2 * tolerance,
-        max_nfev=most, **derivative,
-    )  # fmt: skip
+        residuals,
+        begin,
+        bounds=(low, high),
+        x_scale=1.0,
+        xtol=tolerance,
+        ftol=tolerance,
+        gtol=1e-2 * tolerance,
+        max_nfev=most,
+        **derivative,
+    )
     return End(np.asarray(found.x), float(2.0 * found.cost), np.asarray(found.jac))
 
 
@@ -128,7 +142,7 @@ class Pool:
         self.answers = sorted([*kept, (objective, values)], key=lambda a: a[0])[: self.most]
 
 
-class GeneralSearch:
+class LeastSquaresSearch:
     """The search of one problem.
 
     Args:
@@ -141,14 +155,19 @@ class GeneralSearch:
     """
 
     def __init__(
-        self, material: Material, free: Sequence[Parameter], wants: Sequence[Want], light: LightSpec, seed: int,
+        self,
+        material: Material,
+        free: Sequence[Parameter],
+        wants: Sequence[Target],
+        light: LightSpec,
+        seed: int,
         solutions: int,
-    ) -> None:  # fmt: skip
-        self.material, self.free, self.wants, self.seed = material, tuple(free), tuple(wants), seed
-        self.rows: list[At] = list(dict.fromkeys(want.at for want in wants))
+    ) -> None:
+        self.material, self.parameters, self.targets, self.seed = material, tuple(free), tuple(wants), seed
+        self.rows: list[Geometry] = list(dict.fromkeys(want.geometry for want in wants))
         widest = material.vary({n.path: n.high for n in free if not n.choices}) if self._widest_works() else material
         self.grid = search_wavelengths(widest, light.illuminants)
-        self.goals: Goals = goals_of(self.wants, self.rows, light, self.grid)
+        self.goals: MeritFunction = merit_function(self.targets, self.rows, light, self.grid)
         self.pool = Pool(POOL * solutions)
         self.samples: int | None = None
         self.wanted_samples = 0  # with which the noise is small
@@ -159,19 +178,21 @@ class GeneralSearch:
         self._deadline = np.inf
         self._tell: Callable[[float, dict[str, Any]], None] | None = None
         self.most_nm: float | None = None  # of all layers together
-        self._numbers = [i for i, number in enumerate(self.free) if not number.choices and not number.is_whole]
+        self._numbers = [i for i, number in enumerate(self.parameters) if not number.choices and not number.is_whole]
 
     def _widest_works(self) -> bool:
         try:
-            self.material.vary({n.path: n.high for n in self.free if not n.choices})
+            self.material.vary({n.path: n.high for n in self.parameters if not n.choices})
         except NacreError:
             return False
         return True
 
     def run(
-        self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None = None,
+        self,
+        seconds: float,
+        tell: Callable[[float, dict[str, Any]], None] | None = None,
         known: Sequence[Mapping[str, Any]] = (),
-    ) -> str:  # fmt: skip
+    ) -> str:
         """Search; return why it ended: "met", "time" or "interrupted".
 
         Args:
@@ -209,10 +230,10 @@ class GeneralSearch:
             return False
         self.samples = min(4 * self.samples, MOST_SAMPLES)
         kept = [values for _, values in self.pool.answers]
-        units = [number.unit(self.best_values[number.path]) for number in self.free]
+        units = [number.unit(self.best_values[number.path]) for number in self.parameters]
         self.best, self.pool.answers = np.inf, []
         for values in kept[1:]:
-            place = np.array([number.unit(values[number.path]) for number in self.free], dtype=float)
+            place = np.array([number.unit(values[number.path]) for number in self.parameters], dtype=float)
             self.pool.offer(self._judge(place)[0], values)
         self._refine(np.array(units, dtype=float))
         return True
@@ -239,8 +260,8 @@ class GeneralSearch:
         Raises:
             NacreError: it cannot be computed.
         """
-        made = self.made(values_at(self.free, place))
-        return see(made, self.rows, self.grid, samples=self.samples, seed=self.seed).factors
+        made = self.made(values_at(self.parameters, place))
+        return simulate_measurement(made, self.rows, self.grid, samples=self.samples, seed=self.seed).factors
 
     def _judge(self, place: Array) -> tuple[float, Array | None]:
         """Return the objective of a place and its spectra, and note it where it is the best."""
@@ -256,29 +277,29 @@ class GeneralSearch:
         if not np.isfinite(objective):
             return FAR_OFF, None
         if objective < self.best:
-            self.best, self.best_values = objective, values_at(self.free, place)
+            self.best, self.best_values = objective, values_at(self.parameters, place)
         if self._tell is not None:
             self._tell(self.best, self.best_values)
         return objective, spectra
 
     def _settle_samples(self, seconds: float) -> None:
         """Find how many walks make the noise small beside `within`, as far as the time allows."""
-        place = nominal_point(self.free, self.material)
-        place = np.full(len(self.free), 0.5) if place is None else place
+        place = nominal_point(self.parameters, self.material)
+        place = np.full(len(self.parameters), 0.5) if place is None else place
         try:
-            made = self.material.vary(values_at(self.free, place))
-            seen = see(made, self.rows, self.grid, seed=self.seed)
+            made = self.material.vary(values_at(self.parameters, place))
+            seen = simulate_measurement(made, self.rows, self.grid, seed=self.seed)
             if seen.error is None:
                 return
             begun = time.monotonic()
-            see(made, self.rows, self.grid, seed=self.seed)
+            simulate_measurement(made, self.rows, self.grid, seed=self.seed)
             cost = time.monotonic() - begun
         except NacreError:
             return
         self.is_stochastic = True
         noisy = self.goals.labs(seen.factors + seen.error)
         noise = np.max(delta_e_2000(self.goals.labs(seen.factors), noisy), axis=-1)
-        within = np.array([min(w.within / w.weight for w in self.wants if w.at == at) for at in self.rows])
+        within = np.array([min(w.tolerance / w.weight for w in self.targets if w.geometry == at) for at in self.rows])
         wanted = float(np.max(noise / (QUIET_SHARE * within))) ** 2
         affordable = max(1.0, SLOWEST_SHARE * seconds / max(cost, 1e-6))
         # in steps of four: another number of walks is another kernel, which takes seconds to compile
@@ -288,29 +309,33 @@ class GeneralSearch:
 
     def _scout(self, until: float, known: Sequence[Mapping[str, Any]]) -> list[tuple[float, Array]]:
         """Judge known answers, the recipe's own place and an even draw; return (objective, place), best first."""
-        places = [place for values in known if (place := point_of(self.free, values)) is not None]
-        own = nominal_point(self.free, self.material)
+        places = [place for values in known if (place := point_of(self.parameters, values)) is not None]
+        own = nominal_point(self.parameters, self.material)
         if own is not None:
             places.append(own)
-        count = int(np.clip(SCOUTS_PER_NUMBER * len(self.free), LEAST_SCOUTS, MOST_SCOUTS))
-        places += list(draw(len(self.free), count, [self.seed, 1]))
+        count = int(np.clip(SCOUTS_PER_NUMBER * len(self.parameters), LEAST_SCOUTS, MOST_SCOUTS))
+        places += list(draw(len(self.parameters), count, [self.seed, 1]))
         judged = []
         for place in places:
             judged.append((self._judge(place)[0], place))
-            self.pool.offer(judged[-1][0], values_at(self.free, place))
+            self.pool.offer(judged[-1][0], values_at(self.parameters, place))
             if time.monotonic() > until:
                 break
         return sorted(judged, key=lambda pair: pair[0])
 
     def _rest_of_choices(self) -> None:
         """Try every combination where only words and whole numbers are free and the combinations are few."""
-        counts = [len(n.choices) if n.choices else int(n.high - n.low) + 1 for n in self.free]
+        counts = [len(n.choices) if n.choices else int(n.high - n.low) + 1 for n in self.parameters]
         total = int(np.prod(counts, dtype=float))
         for index in range(min(total, 1 << 16)):
             picks = np.unravel_index(index, counts)
-            place = np.array([(pick + 0.5) / count if n.choices else pick / max(count - 1, 1)
-                              for n, pick, count in zip(self.free, picks, counts, strict=True)])  # fmt: skip
-            self.pool.offer(self._judge(place)[0], values_at(self.free, place))
+            place = np.array(
+                [
+                    (pick + 0.5) / count if n.choices else pick / max(count - 1, 1)
+                    for n, pick, count in zip(self.parameters, picks, counts, strict=True)
+                ]
+            )
+            self.pool.offer(self._judge(place)[0], values_at(self.parameters, place))
 
     def _starts(self, places: list[tuple[float, Array]]) -> Iterator[Array]:
         """Yield where to refine from: the best draws, disturbed answers, and new draws, in turn without end."""
@@ -328,12 +353,12 @@ class GeneralSearch:
                     continue
             elif self.pool.answers and turn % 2:
                 values = self.pool.answers[int(generator.integers(min(len(self.pool.answers), 3)))][1]
-                units = [number.unit(values[number.path]) for number in self.free]
+                units = [number.unit(values[number.path]) for number in self.parameters]
                 place = np.array([0.5 if unit is None else unit for unit in units])
                 size = DISTURBANCES[turn % len(DISTURBANCES)]
                 place = np.clip(place + size * generator.standard_normal(len(place)), 0.0, 1.0)
             else:
-                draws = generator.random((8, len(self.free)))
+                draws = generator.random((8, len(self.parameters)))
                 place = min(draws, key=lambda draw: self._judge(draw)[0])
             begun.append(place)
             yield place
@@ -356,16 +381,19 @@ class GeneralSearch:
                 return np.asarray(self.goals.residuals(spectra)) * spread
 
             found = descend(
-                residuals, place[self._numbers], step=STOCHASTIC_STEP if self.is_stochastic else STEP,
-                most=STEPS_OF_A_START, tolerance=1e-7,
-            )  # fmt: skip
+                residuals,
+                place[self._numbers],
+                step=STOCHASTIC_STEP if self.is_stochastic else STEP,
+                most=STEPS_OF_A_START,
+                tolerance=1e-7,
+            )
             trial = place.copy()
             trial[self._numbers] = found.place
             objective, spectra = self._judge(trial)
             if spectra is None or objective >= last * 0.999:
                 break
             place, last = trial, objective
-            self.pool.offer(objective, values_at(self.free, place))
+            self.pool.offer(objective, values_at(self.parameters, place))
             distances = np.asarray(self.goals.distances(spectra)) * self.goals.scale
             if objective <= MET or distances.max() <= 1.05 * distances.mean():
                 break
@@ -378,4 +406,4 @@ class GeneralSearch:
         return np.array([sizes[self.goals.goals[index].kind] for index, _ in self.goals.terms])
 
 
-__all__ = ["GeneralSearch", "Pool"]
+__all__ = ["LeastSquaresSearch", "Pool"]

@@ -28,7 +28,7 @@ BESIDE = 0.1  # of the bounds: what is nearer is the same minimum
 STEP = 1e-3  # of the bounds, for slopes
 
 
-class Valleys:
+class BasinHopping:
     """All descents of one question.
 
     Args:
@@ -41,9 +41,14 @@ class Valleys:
     """
 
     def __init__(
-        self, look: Callable[[Array], Array | None], numbers: Callable[[Array], Sequence[int]], low: Array,
-        lengths: Sequence[int], others: Callable[[Array], Sequence[Array]], kind: Callable[[Array], Hashable],
-    ) -> None:  # fmt: skip
+        self,
+        look: Callable[[Array], Array | None],
+        numbers: Callable[[Array], Sequence[int]],
+        low: Array,
+        lengths: Sequence[int],
+        others: Callable[[Array], Sequence[Array]],
+        kind: Callable[[Array], Hashable],
+    ) -> None:
         self._look, self._numbers, self._low, self._lengths = look, numbers, low, set(lengths)
         self._others, self._kind = others, kind
         self._begun: Counter[Hashable] = Counter()
@@ -69,9 +74,14 @@ class Valleys:
             before, numbers = run.cost, self._numbers(run.place)
             if numbers:
                 go_down(
-                    run, self._look, lambda run, numbers=numbers: self._slopes(run, numbers), numbers, TRIES,  # type: ignore[misc]
-                    low=self._low[numbers], settled=SETTLED,
-                )  # fmt: skip
+                    run,
+                    self._look,
+                    lambda run, numbers=numbers: self._slopes(run, numbers),
+                    numbers,
+                    TRIES,
+                    low=self._low[numbers],
+                    settled=SETTLED,
+                )
             else:
                 run.is_settled = True  # all that was free is left out
             if not self._is_new(run):
@@ -133,4 +143,4 @@ class Valleys:
         return np.stack(in_threads(column, numbers), axis=1)
 
 
-__all__ = ["Valleys"]
+__all__ = ["BasinHopping"]

@@ -22,13 +22,13 @@ from nacre.core.errors import NacreError
 from nacre.families.contract import is_direct
 from nacre.light import lamp_lines_nm, with_lamp_lines
 from nacre.material.material import Material
-from nacre.optimise.measurement import judge_wavelengths, see
-from nacre.optimise.merit import Goals
+from nacre.optimise.measurement import evaluation_wavelengths, simulate_measurement
+from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.broyden import Descent, go_down
-from nacre.optimise.methods.least_squares import LAST_TRIES, MET, GeneralSearch, TimeIsUp
+from nacre.optimise.methods.least_squares import LAST_TRIES, MET, LeastSquaresSearch, TimeIsUp
 from nacre.optimise.parameters import Parameter, nominal_point, point_of, values_at
 from nacre.optimise.spec import LightSpec
-from nacre.optimise.targets import Want, goals_of
+from nacre.optimise.targets import Target, merit_function
 
 FEW_NM = np.linspace(400.0, 700.0, 11)  # the colours of smooth spectra between them are right to some tenths of dE00
 ROUGH_NM = np.linspace(400.0, 700.0, 9)
@@ -51,31 +51,36 @@ class _Eye:
     """Wavelengths, and the goals on them; `took_s`: how long the last looks lasted."""
 
     grid: Array
-    goals: Goals
+    goals: MeritFunction
     is_rough: bool = False
     memory: dict[Any, Any] = field(default_factory=dict)
     took_s: deque[float] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
 
 
-class SlowSearch(GeneralSearch):
-    """The search of one problem whose candidates take long; arguments as of `GeneralSearch`."""
+class SuccessiveHalvingSearch(LeastSquaresSearch):
+    """The search of one problem whose candidates take long; arguments as of `LeastSquaresSearch`."""
 
     def __init__(
-        self, material: Material, free: Sequence[Parameter], wants: Sequence[Want], light: LightSpec, seed: int,
+        self,
+        material: Material,
+        free: Sequence[Parameter],
+        wants: Sequence[Target],
+        light: LightSpec,
+        seed: int,
         solutions: int,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(material, free, wants, light, seed, solutions)
         own = np.asarray(material.model.wavelengths_nm)
         # a wanted spectrum is compared on all of its wavelengths
         is_coarse = bool(own[0] <= FEW_NM[0] and own[-1] >= FEW_NM[-1])
-        is_coarse = is_coarse and all(want.spectrum is None for want in self.wants)
-        fine = np.asarray(judge_wavelengths(material, light.illuminants))
+        is_coarse = is_coarse and all(want.spectrum is None for want in self.targets)
+        fine = np.asarray(evaluation_wavelengths(material, light.illuminants))
 
         def eye(grid: Array, is_rough: bool = False) -> _Eye:
             for lamp in light.illuminants:
                 if len(lamp_lines_nm(lamp)):
                     grid = with_lamp_lines(grid, lamp)
-            return _Eye(grid, goals_of(self.wants, self.rows, light, grid), is_rough)
+            return _Eye(grid, merit_function(self.targets, self.rows, light, grid), is_rough)
 
         self.fine = eye(fine)
         self.few = eye(FEW_NM) if is_coarse else self.fine
@@ -84,10 +89,12 @@ class SlowSearch(GeneralSearch):
         self.kept_s = 0.0  # that whoever judges the answers has of its own
 
     def run(
-        self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None = None,
+        self,
+        seconds: float,
+        tell: Callable[[float, dict[str, Any]], None] | None = None,
         known: Sequence[Mapping[str, Any]] = (),
-    ) -> str:  # fmt: skip
-        """Search; return why it ended; see `GeneralSearch.run`."""
+    ) -> str:
+        """Search; return why it ended; see `LeastSquaresSearch.run`."""
         if not self._numbers:
             return super().run(seconds, tell, known)
         begun = time.monotonic()
@@ -112,11 +119,13 @@ class SlowSearch(GeneralSearch):
         if self._is_late(eye) and (np.isfinite(self.best) or self.evaluations >= LAST_TRIES):
             raise TimeIsUp
         self.evaluations += not eye.is_rough
-        values = values_at(self.free, place)
+        values = values_at(self.parameters, place)
         begun = time.monotonic()
         try:
             made = self.made(values)
-            seen = see(made, self.rows, eye.grid, seed=self.seed, memory=eye.memory, is_rough=eye.is_rough)
+            seen = simulate_measurement(
+                made, self.rows, eye.grid, seed=self.seed, memory=eye.memory, is_rough=eye.is_rough
+            )
             spectra = seen.factors
             objective = float(eye.goals.objective(eye.goals.distances(spectra)))
             residuals = np.asarray(eye.goals.residuals(spectra))
@@ -155,17 +164,17 @@ class SlowSearch(GeneralSearch):
         from scipy.stats import qmc
 
         begun = time.monotonic()
-        places = [place for values in known if (place := point_of(self.free, values)) is not None]
-        own = nominal_point(self.free, self.material)
+        places = [place for values in known if (place := point_of(self.parameters, values)) is not None]
+        own = nominal_point(self.parameters, self.material)
         if turn == 1 and own is not None:
             places.append(own)
         generator = np.random.default_rng([self.seed, turn])
         if turn > 1:  # near what was found, and anew
             for _, values in self.pool.answers[:4]:
-                near = np.array([number.unit(values[number.path]) for number in self.free], dtype=float)
+                near = np.array([number.unit(values[number.path]) for number in self.parameters], dtype=float)
                 places += [near + DISTURBANCE * generator.standard_normal(len(near)) for _ in range(4)]
         rough = []
-        for place in qmc.Sobol(len(self.free), scramble=True, rng=generator).random(DRAWS):
+        for place in qmc.Sobol(len(self.parameters), scramble=True, rng=generator).random(DRAWS):
             seen = self._look(place, self.rough)
             if seen is not None:
                 rough.append(Descent(place, seen))
@@ -192,7 +201,7 @@ class SlowSearch(GeneralSearch):
         runs = sorted(runs, key=lambda run: run.cost)
         words: dict[Any, list[Descent]] = {}
         for run in runs:
-            chosen = tuple(str(n.value(u)) for n, u in zip(self.free, run.place, strict=True) if n.choices)
+            chosen = tuple(str(n.value(u)) for n, u in zip(self.parameters, run.place, strict=True) if n.choices)
             words.setdefault(chosen, []).append(run)
         turns = [run for group in itertools.zip_longest(*words.values()) for run in group if run is not None]
         first = turns[: count // FAIR_SHARE] if len(words) > 1 else []
@@ -244,9 +253,13 @@ class SlowSearch(GeneralSearch):
     def _descend(self, run: Descent, eye: _Eye, tries: int) -> None:
         """Go down by damped Gauss-Newton steps, inside the bounds."""
         go_down(
-            run, lambda place: self._look(place, eye), lambda here: self._slopes(here, eye), self._numbers, tries,
+            run,
+            lambda place: self._look(place, eye),
+            lambda here: self._slopes(here, eye),
+            self._numbers,
+            tries,
             is_enough=lambda: self.best <= ENOUGH * MET,
-        )  # fmt: skip
+        )
 
     def _slopes(self, run: Descent, eye: _Eye) -> Array:
         """Return d residual / d place by differences, `[residual, number]`, always on the few wavelengths."""
@@ -264,12 +277,13 @@ class SlowSearch(GeneralSearch):
         return np.stack(columns, axis=1)
 
 
-def slow_search(material: Material, free: Sequence[Parameter], wants: Sequence[Want], light: LightSpec, seed: int,
-                solutions: int) -> SlowSearch | None:  # fmt: skip
+def slow_search(
+    material: Material, free: Sequence[Parameter], wants: Sequence[Target], light: LightSpec, seed: int, solutions: int
+) -> SuccessiveHalvingSearch | None:
     """Return this search for what answers a few directions without noise; None for what is quick, or walked."""
     if not is_direct(material.model):
         return None
-    return SlowSearch(material, free, wants, light, seed, solutions)
+    return SuccessiveHalvingSearch(material, free, wants, light, seed, solutions)
 
 
-__all__ = ["SlowSearch", "slow_search"]
+__all__ = ["SuccessiveHalvingSearch", "slow_search"]

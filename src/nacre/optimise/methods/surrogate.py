@@ -16,15 +16,15 @@ from nacre.families.contract import Surrogate, surrogate_radiance
 from nacre.light import delta_e_2000, lamp_lines_nm, with_lamp_lines
 from nacre.material.material import Material
 from nacre.measure.evaluate import DEFAULT_SAMPLES, evaluate_with_error
-from nacre.optimise.evaluation import rank, rows_of
-from nacre.optimise.measurement import At, aspecular_pairs, search_wavelengths
-from nacre.optimise.merit import Goals
+from nacre.optimise.evaluation import geometries_of, rank
+from nacre.optimise.measurement import Geometry, aspecular_pairs, search_wavelengths
+from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.least_squares import APART, FAR_OFF, MET, QUIET_SHARE, Pool, TimeIsUp, apart, descend
-from nacre.optimise.methods.local_minima import Valleys
+from nacre.optimise.methods.local_minima import BasinHopping
 from nacre.optimise.parameters import point_of
-from nacre.optimise.sparsify import changes_of, draws, droppable, tables_kept, values_of
-from nacre.optimise.targets import goals_of
-from nacre.optimise.task import Target
+from nacre.optimise.sparsify import changes_of, draws, removable_tables, tables_kept, values_of
+from nacre.optimise.targets import merit_function
+from nacre.optimise.task import DesignTask
 from nacre.recipe.paths import is_within
 
 ALIKE = 0.1  # mean difference of the logarithms of two guesses, within which the walks at their places tell the same
@@ -109,15 +109,18 @@ FEW_NM = np.linspace(400.0, 700.0, 14)  # enough for the colours of flakes of sp
 CHECKED, OFF = 3, 1.0  # places where they are compared with all wavelengths; of `within`: what they may be off
 
 
-def within_of(target: Target, rows: Sequence[At]) -> Array:
+def tolerances_of(target: DesignTask, rows: Sequence[Geometry]) -> Array:
     """Return `[row]`, the least `within` over weight of the wants at each geometry."""
-    return np.array([min(w.within / w.weight for w in target.wants if w.at == at) for at in rows])
+    return np.array([min(w.tolerance / w.weight for w in target.targets if w.geometry == at) for at in rows])
 
 
-def fewer_wavelengths(
-    target: Target, rows: Sequence[At], whole: tuple[Array, Goals], places: Sequence[Array],
+def wavelength_subset(
+    target: DesignTask,
+    rows: Sequence[Geometry],
+    whole: tuple[Array, MeritFunction],
+    places: Sequence[Array],
     spectra: Callable[[Array, Array], Array | None],
-) -> tuple[Array, Goals]:  # fmt: skip
+) -> tuple[Array, MeritFunction]:
     """Return wavelengths and the goals on them: few where their colours are near those of all.
 
     Args:
@@ -128,24 +131,24 @@ def fewer_wavelengths(
         spectra: of a place on wavelengths, `[row, wavelength]`; None where it cannot be computed.
     """
     grid, goals = whole
-    if FEW_NM[0] < grid[0] or FEW_NM[-1] > grid[-1] or any(want.spectrum is not None for want in target.wants):
+    if FEW_NM[0] < grid[0] or FEW_NM[-1] > grid[-1] or any(want.spectrum is not None for want in target.targets):
         return whole  # a wanted spectrum is compared on all of its wavelengths
     few, light = FEW_NM, target.spec.light
     for lamp in light.illuminants:
         few = with_lamp_lines(few, lamp) if len(lamp_lines_nm(lamp)) else few
     if len(few) >= len(grid):
         return whole
-    of_few = goals_of(target.wants, rows, light, few)
+    of_few = merit_function(target.targets, rows, light, few)
     for place in places[:CHECKED]:
         here, there = spectra(place, few), spectra(place, grid)
         if here is None or there is None:
             return whole
-        if np.any(delta_e_2000(of_few.labs(here), goals.labs(there)).max(axis=-1) > OFF * within_of(target, rows)):
+        if np.any(delta_e_2000(of_few.labs(here), goals.labs(there)).max(axis=-1) > OFF * tolerances_of(target, rows)):
             return whole
     return few, of_few
 
 
-__all__ = ["fewer_wavelengths", "within_of"]
+__all__ = ["tolerances_of", "wavelength_subset"]
 
 
 # The search of what is a random walk but has a smooth likeness: pearls, in the geometries of the trade.
@@ -176,7 +179,7 @@ WITHOUT = 0.05  # of `within`: what that may cost
 ROUNDS_WITHOUT_GAIN = 6
 
 
-class WalkedSearch:
+class SurrogateSearch:
     """The search of one target.
 
     Args:
@@ -184,15 +187,15 @@ class WalkedSearch:
         seed: of draws and walks.
     """
 
-    def __init__(self, target: Target, seed: int) -> None:
-        self.target, self.free, self.seed = target, target.free, seed
+    def __init__(self, target: DesignTask, seed: int) -> None:
+        self.target, self.parameters, self.seed = target, target.parameters, seed
         self.material = target.material
         light = target.spec.light
-        self.rows = rows_of(target.wants)
+        self.rows = geometries_of(target.targets)
         self.grid = np.asarray(search_wavelengths(self.material, light.illuminants), dtype=float)
-        self.goals: Goals = goals_of(target.wants, self.rows, light, self.grid)
+        self.goals: MeritFunction = merit_function(target.targets, self.rows, light, self.grid)
         self.wi, self.wo = aspecular_pairs(self.rows)
-        self.drops = droppable(self.free, self.material)
+        self.drops = removable_tables(self.parameters, self.material)
         self.pool = Pool(4 * target.spec.search.solutions)
         self.best, self.best_changes = np.inf, dict[str, Any]()
         self._best_rank = (np.inf, 0, np.inf)
@@ -208,9 +211,11 @@ class WalkedSearch:
 
     @single_threaded_blas()  # its candidates would each find out anew how many there are
     def run(
-        self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None = None,
+        self,
+        seconds: float,
+        tell: Callable[[float, dict[str, Any]], None] | None = None,
         known: Sequence[Mapping[str, Any]] = (),
-    ) -> str:  # fmt: skip
+    ) -> str:
         """Search; return why it ended: "met", "time" or "interrupted".
 
         Args:
@@ -263,11 +268,11 @@ class WalkedSearch:
         self.pool.offer(self.best, self.best_changes)
         if self._likely[0] < UNSEEN * self.best and self.best > POOR:
             self.pool.offer(self._likely[0], self._changes(self._likely[1]))
-        return sorted(self.pool.answers, key=lambda a: rank(a[0], tables_kept(self.material, self.free, a[1])))
+        return sorted(self.pool.answers, key=lambda a: rank(a[0], tables_kept(self.material, self.parameters, a[1])))
 
     def _own(self) -> Array:
         units = []
-        for number in self.free:
+        for number in self.parameters:
             try:
                 unit = number.unit(self.material.get(number.path))
             except (NacreError, KeyError, IndexError):
@@ -276,10 +281,12 @@ class WalkedSearch:
         return self._allowed(np.array(units, dtype=float))
 
     def _place_of(self, changes: Mapping[str, Any]) -> Array | None:
-        values = values_of(self.material, self.free, changes)
+        values = values_of(self.material, self.parameters, changes)
         if values is None:
             return None
-        return point_of(self.free, {number.path: value for number, value in zip(self.free, values, strict=True)})
+        return point_of(
+            self.parameters, {number.path: value for number, value in zip(self.parameters, values, strict=True)}
+        )
 
     def _allowed(self, place: Array) -> Array:
         """Return a place where what may be 0 is 0 or well above it."""
@@ -287,11 +294,13 @@ class WalkedSearch:
         for i, holder in self.drops.items():
             found[i] = 0.0 if found[i] < LEAST else found[i]
             if found[i] == 0.0:  # what is in a table that is gone makes no difference between places
-                found[[j for j, n in enumerate(self.free) if j != i and is_within(n.path, holder)]] = 0.5
+                found[[j for j, n in enumerate(self.parameters) if j != i and is_within(n.path, holder)]] = 0.5
         return found
 
     def _changes(self, place: Array) -> dict[str, Any]:
-        return changes_of(self.material, self.free, [n.value(u) for n, u in zip(self.free, place, strict=True)])
+        return changes_of(
+            self.material, self.parameters, [n.value(u) for n, u in zip(self.parameters, place, strict=True)]
+        )
 
     def _made(self, place: Array) -> Material:
         return self.material.vary(self._changes(place))
@@ -378,13 +387,13 @@ class WalkedSearch:
     def _noise(self, factors: Array, error: Array) -> float:
         """Return the noise of the colours as dE00, over `within` of their wants, at worst."""
         moved = delta_e_2000(self.goals.labs(factors), self.goals.labs(factors + error)).max(axis=-1)
-        return float(np.max(moved / within_of(self.target, self.rows)))
+        return float(np.max(moved / tolerances_of(self.target, self.rows)))
 
     def _scout(self, generator: np.random.Generator, known: Sequence[Array], until: float) -> list[Array]:
         """Return places, the best first, by the likeness."""
         self._correction, self._is_fine = None, False  # what was told of one place is not true of them all
         judged = [(self._mean(place), place) for place in known]
-        for place in draws(generator, self.free, self.drops):
+        for place in draws(generator, self.parameters, self.drops):
             place = self._allowed(place)
             judged.append((self._mean(place), place))
             if time.monotonic() > until:
@@ -419,20 +428,25 @@ class WalkedSearch:
             if len(begun) >= STARTS or time.monotonic() > until:
                 break
         found.sort(key=lambda pair: pair[0])
-        return [pair for k, pair in enumerate(found)
-                if all(np.max(np.abs(pair[1] - other)) >= APART for _, other in found[:k])][:KEPT_STARTS]  # fmt: skip
+        return [
+            pair
+            for k, pair in enumerate(found)
+            if all(np.max(np.abs(pair[1] - other)) >= APART for _, other in found[:k])
+        ][:KEPT_STARTS]
 
     def _descend_finely(self, places: Sequence[Array], until: float) -> list[tuple[float, Array]]:
         """As `_explore`, by a likeness that needs no walk; a good valley is settled before the next one is tried."""
-        lengths = [j for j, n in enumerate(self.free) if n.path.endswith("_nm") and not n.choices and not n.is_whole]
-        low = np.array([LEAST if j in self.drops else 0.0 for j in range(len(self.free))])
-        valleys = Valleys(self._residuals, self._numbers, low, lengths, self._with_less, self._kept)
+        lengths = [
+            j for j, n in enumerate(self.parameters) if n.path.endswith("_nm") and not n.choices and not n.is_whole
+        ]
+        low = np.array([LEAST if j in self.drops else 0.0 for j in range(len(self.parameters))])
+        valleys = BasinHopping(self._residuals, self._numbers, low, lengths, self._with_less, self._kept)
         self._correction = None
         whole = self.grid, self.goals
         best = np.inf
         found: list[tuple[float, Array]] = []
         try:
-            self.grid, self.goals = fewer_wavelengths(self.target, self.rows, whole, places, self.spectra)
+            self.grid, self.goals = wavelength_subset(self.target, self.rows, whole, places, self.spectra)
             valleys.begin(places[:RANKED])
             for run in valleys.run(until):
                 rms = self._mean(run.place)
@@ -480,9 +494,10 @@ class WalkedSearch:
         """Return which numbers may be refined: none of a table that is gone."""
         gone = [holder for i, holder in self.drops.items() if place[i] == 0.0]
         return [
-            j for j, n in enumerate(self.free)
+            j
+            for j, n in enumerate(self.parameters)
             if not n.choices and not n.is_whole and not any(is_within(n.path, h) for h in gone)
-        ]  # fmt: skip
+        ]
 
     def _refine(self, start: Array, weightings: int = 1, reach: float = 1.0, most: int = STEPS) -> tuple[float, Array]:
         """Refine the numbers of a place by the likeness; the last steps weigh what is worst."""
@@ -596,11 +611,11 @@ class WalkedSearch:
             place, objective, noise, told = moved, found, loud, self._correction
 
 
-def walked_search(target: Target, seed: int) -> WalkedSearch | None:
+def walked_search(target: DesignTask, seed: int) -> SurrogateSearch | None:
     """Return the search for a target that has a likeness everywhere it is asked, or None."""
-    if target.spec.layers is not None or any(at.kind != "aspecular" for at in rows_of(target.wants)):
+    if target.spec.layers is not None or any(at.kind != "aspecular" for at in geometries_of(target.targets)):
         return None
-    search = WalkedSearch(target, seed)
+    search = SurrogateSearch(target, seed)
     try:
         probe = surrogate_radiance(
             search.material.model, search.wi, search.wo, search.grid[:: max(len(search.grid) // 3, 1)]
@@ -610,4 +625,4 @@ def walked_search(target: Target, seed: int) -> WalkedSearch | None:
     return None if probe is None else search
 
 
-__all__ = ["WalkedSearch", "walked_search"]
+__all__ = ["SurrogateSearch", "walked_search"]

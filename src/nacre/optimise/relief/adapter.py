@@ -1,7 +1,7 @@
-"""Reliefs whose heights are sought go to the search of reliefs, which follows the gradient of every height.
+"""Targets with free relief heights: translated to the gradient search over all heights.
 
-A picture over directions is a view of that search, and a colour at one pair of directions a small even one. What it
-steers by are display values under D65; the colours that an answer reaches are measured anew as for every other family.
+A target picture over directions is a view of that search; a target colour at one pair of directions is a small uniform
+view. The search works with display values under D65; the colours of the solution are then evaluated as for any family.
 """
 
 from __future__ import annotations
@@ -26,101 +26,100 @@ from nacre.families.relief.prefactor import coating_reflectance
 from nacre.families.relief.surface import Tile
 from nacre.families.relief.validity import largest_depth_nm
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, lab_to_xyz, white_xyz, xyz_to_srgb_linear
-from nacre.material.material import Material, load
+from nacre.material.material import load
 from nacre.measure.instruments import aspecular_direction
-from nacre.optimise.evaluation import Reached, reached, rows_of
-from nacre.optimise.measurement import aspecular_pairs, judge_wavelengths, see
+from nacre.optimise.evaluation import geometries_of, reached
+from nacre.optimise.measurement import aspecular_pairs, evaluation_wavelengths, simulate_measurement
 from nacre.optimise.relief.merit import GAMMA, Problem, View, default_weights
 from nacre.optimise.relief.run import DesignResult, design
 from nacre.optimise.relief.target import LARGEST_TILE_FEATURES, TargetSpec
-from nacre.optimise.spec import WantsSpec
-from nacre.optimise.targets import Want, read_wants
+from nacre.optimise.spec import DesignSpec
+from nacre.optimise.targets import Target, read_targets
 from nacre.optimise.task import read_data
 from nacre.recipe.model import RecipeContext, show_value, validate
 from nacre.recipe.toml import parse_toml
 
 HEIGHTS, FEATURES = "heights", "features"
-KNOWN_IN = {"spread": {HEIGHTS}, "limits": {"trusted"}}  # keys of these tables that a relief knows
-PATCH_SINE, PATCH_COUNT = 0.01, 8  # half the side of the even patch round a direction, and its samples along a side
-PICTURE_SHARE = 4  # a patch beside a picture has a fourth of its samples along a side, so that it is heard
+KNOWN_IN = {"tolerance": {HEIGHTS}, "limits": {"within_validity"}}  # keys of these tables that apply to relief heights
+PATCH_SINE, PATCH_COUNT = 0.01, 8  # half the side of the uniform view of a colour, and its samples along a side
+PICTURE_SHARE = 4  # a picture has this many times the samples of a colour along a side
 RECIPE_KEYS = ("feature_um", "blur_um", "coating", "prefactor", "coherence")
 FAMILY = "relief"
 
 
 @dataclass(frozen=True)
 class ReliefTarget:
-    """A checked target of a relief.
+    """Validated target of a relief.
 
     Attributes:
-        spec: as the search of reliefs takes it.
-        context: where the file stands.
-        problem: what the search minimises.
+        spec: target of the gradient search.
+        context: of the target file.
+        problem: design problem of the search.
         asked: the whole target.
-        colours: the colours wanted at directions.
+        colours: target colours at directions.
     """
 
     spec: TargetSpec
     context: RecipeContext
     problem: Problem
-    asked: WantsSpec
-    colours: tuple[Want, ...]
+    asked: DesignSpec
+    colours: tuple[Target, ...]
 
 
 def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget:
-    """Check a target that seeks heights.
+    """Validate a target with free heights.
 
     Raises:
-        RecipeError: naming file, key, value and what is allowed.
+        RecipeError: with file, key, value and allowed values.
     """
-    spec: WantsSpec = validate(WantsSpec, copy.deepcopy(dict(data)), context)
+    spec: DesignSpec = validate(DesignSpec, copy.deepcopy(dict(data)), context)
     source = context.source
     recipe = _recipe(spec, context)
-    height_um, features = _free(spec, source)
-    for name in ("layers", "spread", "limits"):
+    height_um, features = _bounds(spec, source)
+    for name in ("layers", "tolerance", "limits"):
         given = data.get(name)
         if given and not (name in KNOWN_IN and set(given) <= KNOWN_IN[name]):
             raise RecipeError(f"{source}: {name}: is not known of a relief whose heights are sought")
-    tables = [(f"want[{i}].directions", want.directions) for i, want in enumerate(spec.want) if want.directions]
-    # a want keeps its place in the file, which messages name
+    places = [f"target[{i}].directions" for i, want in enumerate(spec.target) if want.directions]
+    pictures = [want.directions for want in spec.target if want.directions]
     colours = tuple(
-        replace(read_wants([want], spec.light, context)[0], key=f"{source}: want[{i}]")
-        for i, want in enumerate(spec.want)
+        replace(read_targets([want], spec.light, context)[0], key=f"{source}: target[{i}]")
+        for i, want in enumerate(spec.target)
         if want.directions is None
     )
     for want in colours:
         _check_colour(want)
-    pictures = [table for _, table in tables]
     if colours and pictures and pictures[0].intensity_scale == "free":
         raise RecipeError(
-            f'{source}: {tables[0][0]}.intensity_scale = "free" beside a colour at "{colours[0].at}": how bright the '
-            f"picture is must be said; write a number, with {np.pi:.4g} for that of a white of pi f = 1"
+            f'{source}: {places[0]}.intensity_scale = "free" with a colour at "{colours[0].geometry}"; '
+            f"give the brightness as a number, with {np.pi:.4g} for that of a white of pi f = 1"
         )
-    made = {
+    data = {
         "family": FAMILY,
         "features": features,
         "height_max_um": height_um,
         **{key: recipe[key] for key in RECIPE_KEYS if key in recipe},
-        # without a picture a table is needed all the same, and looked at by nobody
+        # the table is required; without a picture its view is not used
         "target": pictures[0] if pictures else {"kind": "uniform", "range": PATCH_SINE},
         "targets": tuple(pictures[1:]),
-        "search": {"time_limit_s": spec.search.seconds, "seed": spec.search.seed, "noise": _noise(spec, source)},
+        "search": {"seconds": spec.search.seconds, "seed": spec.search.seed, "noise": _noise(spec, source)},
     }
-    relief: TargetSpec = validate(TargetSpec, made, context)
-    if spec.limits.trusted:
+    relief: TargetSpec = validate(TargetSpec, data, context)
+    if spec.limits.within_validity:
         highest_um = largest_depth_nm(1e3 * relief.feature_um) / 1e3
         relief = relief.model_copy(update={"height_max_um": min(relief.height_max_um, highest_um)})
     try:
         problem = relief.build(context)
     except RecipeError as error:
-        place = tables[0][0] if len(tables) == 1 else "want[...].directions"
+        place = places[0] if len(places) == 1 else "target[...].directions"
         raise RecipeError(str(error).replace(f"{source}: target.", f"{source}: {place}.")) from None
     if colours:
         problem = _with_colours(problem, relief, colours, spec, bool(pictures))
     return ReliefTarget(relief, context, problem, spec, colours)
 
 
-def _recipe(spec: WantsSpec, context: RecipeContext) -> dict[str, Any]:
-    """Return the recipe's table: feature_um, blur_um, coherence, and what else a relief has beside its heights."""
+def _recipe(spec: DesignSpec, context: RecipeContext) -> dict[str, Any]:
+    """Return the recipe's table: feature_um, blur_um, coherence and the other keys of a relief beside its heights."""
     if isinstance(spec.recipe, str):
         path = context.path(spec.recipe)
         recipe = parse_toml(read_text(path, "recipe"), str(path))
@@ -139,37 +138,36 @@ def _recipe(spec: WantsSpec, context: RecipeContext) -> dict[str, Any]:
     return recipe
 
 
-def _free(spec: WantsSpec, source: str) -> tuple[float, int]:
+def _bounds(spec: DesignSpec, source: str) -> tuple[float, int]:
     """Return the largest height in um and the number of features along a side."""
-    free = dict(spec.free)
+    free = dict(spec.parameters)
     if HEIGHTS not in free:
-        raise RecipeError(f"{source}: a picture over directions needs free heights: write heights = [0, 0.8] in [free]")
+        raise RecipeError(
+            f"{source}: a picture over directions needs free heights: write heights = [0, 0.8] in [parameters]"
+        )
     given, features = free.pop(HEIGHTS), free.pop(FEATURES, 32)
     if free:
         raise RecipeError(
-            f'{source}: free."{next(iter(free))}" beside heights: the heights are sought alone; fix it in the recipe'
+            f'{source}: parameters."{next(iter(free))}" beside heights: only the heights vary; fix it in the recipe'
         )
-    low, high = (given.get("min"), given.get("max")) if isinstance(given, Mapping) else _pair(given)
+    ends = [given.get("min"), given.get("max")] if isinstance(given, Mapping) else given
+    low, high = ends if isinstance(ends, list | tuple) and len(ends) == 2 else (None, None)
     if low != 0 or isinstance(high, bool) or not isinstance(high, int | float) or not high > 0:
         raise RecipeError(
-            f"{source}: free.heights = {show_value(given)} should be [0, h], h um above the relief's lowest point"
+            f"{source}: parameters.heights = {show_value(given)} should be [0, h], h um above the relief's lowest point"
         )
     is_count = isinstance(features, int) and not isinstance(features, bool)
     if not is_count or not 2 <= features <= LARGEST_TILE_FEATURES:
         raise RecipeError(
-            f"{source}: free.features = {show_value(features)} should be a whole number from 2 to "
+            f"{source}: parameters.features = {show_value(features)} should be a whole number from 2 to "
             f"{LARGEST_TILE_FEATURES}, the features along a side of the tile"
         )
     return float(high), features
 
 
-def _pair(given: Any) -> tuple[Any, Any]:
-    return (given[0], given[1]) if isinstance(given, list | tuple) and len(given) == 2 else (None, None)
-
-
-def _noise(spec: WantsSpec, source: str) -> float:
-    """Return the relative noise of each height, from `[spread] heights = "2%"`."""
-    given = spec.spread.get(HEIGHTS)
+def _noise(spec: DesignSpec, source: str) -> float:
+    """Return the relative noise of each height, from `[tolerance] heights = "2%"`."""
+    given = spec.tolerance.get(HEIGHTS)
     if given is None:
         return 0.0
     text = f"{given.get('percent')}%" if isinstance(given, Mapping) else str(given)
@@ -178,23 +176,23 @@ def _noise(spec: WantsSpec, source: str) -> float:
     except ValueError:
         value = np.nan
     if not 0.0 <= value <= 1.0:
-        raise RecipeError(f'{source}: spread.heights = {show_value(given)} should be a percentage, such as "2%"')
+        raise RecipeError(f'{source}: tolerance.heights = {show_value(given)} should be a percentage, such as "2%"')
     return value
 
 
-def _check_colour(want: Want) -> None:
-    if want.at.kind != "aspecular":
+def _check_colour(want: Target) -> None:
+    if want.geometry.kind != "aspecular":
         raise RecipeError(
-            f'{want.key}.at = "{want.at}" cannot be sought of a relief\'s heights; write a pair of directions, "45as15"'
+            f'{want.key}.geometry = "{want.geometry}" cannot be met by heights; write a pair of directions, "45as15"'
         )
     if want.lab is None and want.xyz is None:
         raise RecipeError(f"{want.key}: of a relief's heights a colour is sought; give colour, lab, lch, xyz or xyy")
 
 
 def _with_colours(
-    problem: Problem, relief: TargetSpec, colours: tuple[Want, ...], spec: WantsSpec, has_pictures: bool
+    problem: Problem, relief: TargetSpec, colours: tuple[Target, ...], spec: DesignSpec, has_pictures: bool
 ) -> Problem:
-    """Return the problem with an even view round the directions of each colour."""
+    """Return the problem with a uniform view about the directions of each colour."""
     scale = problem.intensity_scale if has_pictures else np.pi  # display = (scale f)^(1/2.2); pi f = 1 is white
     assert scale is not None
     count = max(max(v.target.shape[1] for v in problem.views) // PICTURE_SHARE, 4) if has_pictures else PATCH_COUNT
@@ -202,19 +200,17 @@ def _with_colours(
     reflectance = coating_reflectance(relief.coating.build().n_complex(weights.wavelengths_nm))
     offsets = np.linspace(-PATCH_SINE, PATCH_SINE, count)
     white = white_xyz(spec.light.illuminants[0], spec.light.observer)
-    views = []
+    views = list(problem.views) if has_pictures else []
     for want in colours:
-        wi = direction(np.radians(want.at.theta_deg))
-        wo = aspecular_direction(want.at.theta_deg, want.at.aspecular_deg)
+        wi = direction(np.radians(want.geometry.theta_deg))
+        wo = aspecular_direction(want.geometry.theta_deg, want.geometry.aspecular_deg)
         geometry = SliceGeometry(wi[0] + wo[0] + offsets, wi[1] + wo[1] + offsets, wi[None], weights.wavelengths_nm)
-        lab = want.wanted_lab(white)
-        assert lab is not None  # `_check_colour` took none other
-        linear = _linear_rgb(lab, white)
-        shown = (scale / np.pi * linear) ** (1.0 / GAMMA)
+        lab = want.target_lab(white)
+        assert lab is not None  # by `_check_colour`
+        shown = (scale / np.pi * _linear_rgb(lab, white)) ** (1.0 / GAMMA)
         target = np.broadcast_to(shown, (1, count, count, 3)).copy()
         views.append(View(geometry, target, weights.rgb_weights, reflectance))
-    pictures = problem.views if has_pictures else ()
-    return replace(problem, views=(*pictures, *views), intensity_scale=float(scale), brightness_floor=0.0)
+    return replace(problem, views=tuple(views), intensity_scale=float(scale), brightness_floor=0.0)
 
 
 def _linear_rgb(lab: Array, white: Array) -> Array:
@@ -230,64 +226,61 @@ def run_relief(
     progress: Callable[[Any], None] | None = None,
     jobs: int | None = None,
 ) -> DesignResult:
-    """Design the relief that a target of wants asks for; the folder is that of every relief's design.
+    """Design a relief for a target with free heights; the folder is that of every relief design.
 
-    `design.json` also says, under `solutions`, what is reached of every colour.
+    `solutions` in `design.json` contains the colours reached.
 
     Raises:
         RecipeError: the target is not usable.
-        NacreError: the folder cannot be written, or holds the search of another target.
+        NacreError: the folder cannot be written, or contains the search of another target.
     """
-    begun = time.monotonic()
+    start_time = time.monotonic()
     data, context = read_data(target)
     read = read_relief(data, context)
-    folder = Path(out) if out is not None else Path(Path(context.source).stem)
     return design(
-        read.spec, read.context, folder, resume=resume, progress=progress, jobs=jobs, problem=read.problem, begun=begun,
-        closing_s=_rehearsed(read), judge=lambda folder, found: {"solutions": [_solution(read, folder, found)]},
-    )  # fmt: skip
+        read.spec,
+        context,
+        Path(context.source).stem if out is None else out,
+        resume=resume,
+        progress=progress,
+        jobs=jobs,
+        problem=read.problem,
+        start_time=start_time,
+        evaluation_s=_evaluation_seconds(read),
+        evaluate=lambda folder, summary: {"solutions": [_solution(read, folder, summary)]},
+    )
 
 
-def _rehearsed(read: ReliefTarget) -> float:
-    """Return the seconds that judging an answer takes on this machine as it is, by judging some relief of its kind.
-
-    What a first run has to compile is compiled by that, before the search is given its time.
-    """
+def _evaluation_seconds(read: ReliefTarget) -> float:
+    """Return the duration of a final evaluation, measured with random heights; also compiles the kernels."""
     if not read.colours:
         return 0.0
     spec = read.spec
     heights_nm = 1e3 * spec.height_max_um * np.random.default_rng(0).random((spec.features, spec.features))
     tile = Tile(heights_nm, 1e3 * spec.feature_um, 1e3 * spec.blur_um)
-    some = Relief(tile, spec.coherence.build(), spec.coating.build(read.context), spec.chosen_prefactor)
-    wi, wo = aspecular_pairs(rows_of(read.colours))
-    begun, compiled = time.monotonic(), seconds_compiled()
-    some.values_at(wi, wo, some.wavelengths_nm)
-    return time.monotonic() - begun - (seconds_compiled() - compiled)
+    relief = Relief(tile, spec.coherence.build(), spec.coating.build(read.context), spec.chosen_prefactor)
+    start, compiled = time.monotonic(), seconds_compiled()
+    relief.values_at(*aspecular_pairs(geometries_of(read.colours)), relief.wavelengths_nm)
+    return time.monotonic() - start - (seconds_compiled() - compiled)
 
 
-def _judged(read: ReliefTarget, made: Material) -> list[Reached]:
-    """Return what a relief reaches of the colours, looked at in their directions alone, by its own physics."""
-    if not read.colours:
-        return []
-    grid = judge_wavelengths(made, read.asked.light.illuminants)
-    return reached(see(made, rows_of(read.colours), grid, memory={}), read.colours, read.asked.light)
-
-
-def _solution(read: ReliefTarget, folder: Path, found: Mapping[str, Any]) -> dict[str, Any]:
-    light = read.asked.light
-    losses = {name: found[name] for name in ("loss_fixed", "loss_free")}
-    tables = [want.directions for want in read.asked.want if want.directions is not None]
-    pictures = [
+def _solution(read: ReliefTarget, folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Evaluate the finished relief at the directions of the target colours."""
+    light, recipe = read.asked.light, folder / "recipe.toml"
+    losses = {name: summary[name] for name in ("loss_fixed", "loss_free")}
+    wants = [
         {
             "at": "directions",
             "lamp": None,
             "asked": table.model_dump(exclude_none=True, exclude_defaults=True),
             **losses,
         }
-        for table in tables
+        for table in (want.directions for want in read.asked.target)
+        if table is not None
     ]
-    wants = [*pictures, *(r.document(light.observer) for r in _judged(read, load(folder / "recipe.toml")))]
-    return {"recipe": str(folder / "recipe.toml"), "wants": wants, "yield": None}
-
-
-__all__ = ["ReliefTarget", "read_relief", "run_relief"]
+    if read.colours:
+        relief = load(recipe)
+        grid = evaluation_wavelengths(relief, light.illuminants)
+        seen = simulate_measurement(relief, geometries_of(read.colours), grid, memory={})
+        wants += [r.document(light.observer) for r in reached(seen, read.colours, light)]
+    return {"recipe": str(recipe), "targets": wants, "yield": None}

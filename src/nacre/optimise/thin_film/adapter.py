@@ -18,14 +18,14 @@ from nacre.core.errors import RecipeError
 from nacre.families.film.material import Film
 from nacre.material.material import Material
 from nacre.matter.stack.solve import powers
-from nacre.optimise.evaluation import rows_of
-from nacre.optimise.measurement import At
-from nacre.optimise.merit import Goals, default_wavelengths_nm
+from nacre.optimise.evaluation import geometries_of
+from nacre.optimise.measurement import Geometry
+from nacre.optimise.merit import MeritFunction, default_wavelengths_nm
 from nacre.optimise.parameters import Parameter
 from nacre.optimise.solutions import are_alike
 from nacre.optimise.spec import LayersSpec
-from nacre.optimise.targets import Want, goals_of
-from nacre.optimise.task import Target, bounds_of, palette_name, substrates
+from nacre.optimise.targets import Target, merit_function
+from nacre.optimise.task import DesignTask, bounds_of, palette_name, substrates
 from nacre.optimise.thin_film.problem import Medium, Slot, StackProblem
 from nacre.optimise.thin_film.search import StackSolution, search
 from nacre.optimise.thin_film.search import many as many_stacks
@@ -42,7 +42,7 @@ _LAYER = re.compile(r"layers\[(\d+)\]\.(material|thickness_(?:nm|um|mm))$")
 _SPREAD = re.compile(r"layers\[(\d+|\*)\]\.thickness_(nm|um|mm)$")
 
 
-class StackSearch:
+class ThinFilmSearch:
     """The search of one film's stack.
 
     Args:
@@ -50,7 +50,7 @@ class StackSearch:
         seed: of the search.
     """
 
-    def __init__(self, target: Target, seed: int) -> None:
+    def __init__(self, target: DesignTask, seed: int) -> None:
         self.target, self.seed = target, seed
         self.entries: dict[str, Any] = {}  # name of a medium -> as a recipe writes it
         self.problem = self._problem()
@@ -107,7 +107,7 @@ class StackSearch:
             ]
             return {"layers": layers, **below}
         found: dict[str, Any] = {}
-        for number in self.target.free:
+        for number in self.target.parameters:
             match = _LAYER.match(number.path)
             if match is None:
                 continue
@@ -119,37 +119,39 @@ class StackSearch:
                 found[number.path] = min(max(value, number.low), number.high)
         return {**found, **below}
 
-    def goals(self, wants: Sequence[Want]) -> Goals:
+    def goals(self, wants: Sequence[Target]) -> MeritFunction:
         """Return goals of other wants at the same geometries."""
-        return goals_of(wants, rows_of(self.target.wants), self.target.spec.light, self.problem.goals.wavelengths_nm)
+        return merit_function(
+            wants, geometries_of(self.target.targets), self.target.spec.light, self.problem.goals.wavelengths_nm
+        )
 
     def _objective(self, changes: Mapping[str, Any]) -> float:
         made = self.target.material.vary(changes)
-        seen = stack_factors(made, rows_of(self.target.wants), self.problem.goals.wavelengths_nm)
+        seen = stack_factors(made, geometries_of(self.target.targets), self.problem.goals.wavelengths_nm)
         return np.inf if seen is None else float(self.problem.goals.objective(self.problem.goals.distances(seen)))
 
     def _problem(self) -> StackProblem:
         target = self.target
-        spec, rows = target.spec, rows_of(target.wants)
-        grid = engine_wavelengths(target.wants)
+        spec, rows = target.spec, geometries_of(target.targets)
+        grid = engine_wavelengths(target.targets)
         slots, names, below = self._given_layers() if spec.layers is None else self._open_stack(spec.layers)
         media = self._media([*names, *below], grid)
         film = _film(target.material)
         relative, absolute = self._spreads(len(slots) if slots is not None else None)
         return StackProblem(
-            goals=goals_of(target.wants, rows, spec.light, grid),
+            goals=merit_function(target.targets, rows, spec.light, grid),
             palette=tuple(media[: len(names)]),
             substrates=tuple(media[len(names) :]),
             angles_rad=tuple(float(np.radians(at.theta_deg)) for at in rows),
             sides=tuple(SIDES[at.kind] for at in rows),
             ambient=film.ambient.n_complex(grid).real,
-            most=spec.layers.most if spec.layers is not None else len(slots or ()),
+            max_layers=spec.layers.max_layers if spec.layers is not None else len(slots or ()),
             bounds_nm=None
             if spec.layers is None
             else {palette_name(e): bounds_of(spec.layers, e) for e in spec.layers.palette},
             slots=slots,
-            total_nm=spec.limits.total_nm if spec.limits.total_nm is not None else np.inf,
-            fewest=spec.limits.layers == "fewest",
+            total_nm=spec.limits.max_total_nm if spec.limits.max_total_nm is not None else np.inf,
+            fewest=spec.limits.max_layers == "fewest",
             spread_relative=relative,
             spread_nm=absolute,
         )
@@ -168,7 +170,7 @@ class StackSearch:
     def _given_layers(self) -> tuple[tuple[Slot, ...], list[str], list[str]]:
         """Return the recipe's layers as slots, with what is free in them."""
         film, layers = _film(self.target.material), self.target.material.data.get("layers", [])
-        free = {number.path: number for number in self.target.free}
+        free = {number.path: number for number in self.target.parameters}
         names: dict[str, None] = {}
         slots = []
         for i, layer in enumerate(layers):
@@ -200,14 +202,14 @@ class StackSearch:
         Raises:
             RecipeError: a spread of something else than the layers' thicknesses.
         """
-        table = by_path(self.target.spec.spread, {"deviation", "percent"}, self.target.context.source, "spread")
+        table = by_path(self.target.spec.tolerance, {"deviation", "percent"}, self.target.context.source, "tolerance")
         relative, absolute = np.zeros(max(slots or 1, 1)), np.zeros(max(slots or 1, 1))
         # of an index last: it wins over every one
         for path, entry in sorted(table.items(), key=lambda pair: -pair[0].count(EVERY)):
             match = _SPREAD.match(path)
             if match is None or (slots is None and match[1] != "*"):
                 raise RecipeError(
-                    f'{self.target.context.source}: spread."{path}" is not of the layers that are sought; '
+                    f'{self.target.context.source}: tolerance."{path}" is not of the layers that are sought; '
                     'write "layers[*].thickness_nm"'
                 )
             share, size = _deviation(entry, LENGTH_UNITS_NM[match[2]])
@@ -229,28 +231,28 @@ def _deviation(entry: Any, factor_nm: float) -> tuple[float, float]:
     return (number / 100.0, 0.0) if text.endswith("%") else (0.0, number * factor_nm)
 
 
-def film_search(target: Target, seed: int) -> StackSearch | None:
+def thin_film_search(target: DesignTask, seed: int) -> ThinFilmSearch | None:
     """Return the search of stacks for a target, or None where its numbers are not those of a stack.
 
     Raises:
         RecipeError: the stack is sought for looks that it does not decide alone.
     """
-    others = [want for want in target.wants if want.at.kind not in ENGINE_KINDS]
+    others = [want for want in target.targets if want.geometry.kind not in ENGINE_KINDS]
     if target.spec.layers is not None:
         if others:
             raise RecipeError(
-                f'{others[0].key}.at = "{others[0].at}": with [layers] only specular and transmitted looks can be '
-                "wanted; free the thicknesses of a stack that is given for the others"
+                f'{others[0].key}.geometry = "{others[0].geometry}": [layers] allows only specular and transmitted '
+                "targets; for others vary the thicknesses of given layers"
             )
         _check_plain(target)
-        return StackSearch(target, seed)
-    is_stack = not others and is_plain(target.material) and all(_is_of_stack(number) for number in target.free)
-    spreads = by_path(target.spec.spread, {"deviation", "percent"}, target.context.source, "spread")
-    return StackSearch(target, seed) if is_stack and all(_SPREAD.match(path) for path in spreads) else None
+        return ThinFilmSearch(target, seed)
+    is_stack = not others and is_plain(target.material) and all(_is_of_stack(number) for number in target.parameters)
+    spreads = by_path(target.spec.tolerance, {"deviation", "percent"}, target.context.source, "tolerance")
+    return ThinFilmSearch(target, seed) if is_stack and all(_SPREAD.match(path) for path in spreads) else None
 
 
-def film_search_many(
-    target: Target, targets: Sequence[Target], which: Sequence[int], take: Callable[[int, dict[str, Any]], None]
+def thin_film_search_many(
+    target: DesignTask, targets: Sequence[DesignTask], which: Sequence[int], take: Callable[[int, dict[str, Any]], None]
 ) -> bool:
     """Find the best changes for some of many targets that differ in their colours only.
 
@@ -265,19 +267,22 @@ def film_search_many(
     Raises:
         RecipeError: as of `film_search`.
     """
-    one = film_search(targets[0] if targets else target, target.spec.search.seed)
+    one = thin_film_search(targets[0] if targets else target, target.spec.search.seed)
     if one is None:
         return False
     if which:
-        goals = [one.goals(other.wants) for other in targets]
+        goals = [one.goals(other.targets) for other in targets]
         many_stacks(
-            one.problem, goals, target.spec.search.seed, which=which,
+            one.problem,
+            goals,
+            target.spec.search.seed,
+            which=which,
             on_progress=lambda number, solution: take(number, one.changes(solution)),
-        )  # fmt: skip
+        )
     return True
 
 
-def _check_plain(target: Target) -> None:
+def _check_plain(target: DesignTask) -> None:
     if not is_plain(target.material):
         raise RecipeError(
             f"{target.context.source}: layers: the stack of a film with ridges or a preset cannot be sought"
@@ -306,7 +311,7 @@ def _is_of_stack(number: Parameter) -> bool:
     return bool(_LAYER.match(number.path)) and not number.choices
 
 
-def engine_wavelengths(wants: Sequence[Want]) -> Array:
+def engine_wavelengths(wants: Sequence[Target]) -> Array:
     """Return the grid on which stacks are compared: that of colours, or of the spectra where only those are wanted.
 
     A spectrum is judged on its own wavelengths (`judge._rms`), so they are the grid where it has enough of them.
@@ -329,7 +334,7 @@ def engine_wavelengths(wants: Sequence[Want]) -> Array:
 
 
 def stack_factors(
-    material: Material, rows: Sequence[At], wavelengths_nm: Array, thicknesses_nm: Array | None = None
+    material: Material, rows: Sequence[Geometry], wavelengths_nm: Array, thicknesses_nm: Array | None = None
 ) -> Array | None:
     """Return the factors of a stack `[..., row, wavelength]` at once, or None where the material is no plain one.
 
@@ -348,7 +353,7 @@ def stack_factors(
 
 
 def drawn_factors(
-    material: Material, paths: Sequence[str], values: Array, rows: Sequence[At], wavelengths_nm: Array
+    material: Material, paths: Sequence[str], values: Array, rows: Sequence[Geometry], wavelengths_nm: Array
 ) -> Array | None:
     """Return the factors `[draw, row, wavelength]` of draws of thicknesses, or None where the paths are of others.
 
@@ -388,4 +393,4 @@ def interrupt_flag() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, before)
 
 
-__all__ = ["StackSearch", "drawn_factors", "film_search", "film_search_many", "is_plain", "stack_factors"]
+__all__ = ["ThinFilmSearch", "drawn_factors", "is_plain", "stack_factors", "thin_film_search", "thin_film_search_many"]

@@ -59,7 +59,7 @@ class Space(NamedTuple):
     draws: Array
 
 
-class Brood(NamedTuple):
+class Population(NamedTuple):
     """Stacks in arrays: `media[k, slot]`, `d[k, slot]` in nm, `layers[k]`, `substrate[k]`, `score[k]`."""
 
     media: Any
@@ -69,10 +69,10 @@ class Brood(NamedTuple):
     score: Array
 
 
-def empty_brood(size: int, slots: int) -> Brood:
+def empty_population(size: int, slots: int) -> Population:
     """Return room for so many stacks."""
     n = max(slots, 1)
-    return Brood(
+    return Population(
         np.zeros((size, n), dtype=np.int64),
         np.zeros((size, n)),
         np.zeros(size, dtype=np.int64),
@@ -152,8 +152,9 @@ def bounds_of(space: Any, media: Any, layers: int, low: Any, high: Any) -> None:
 
 
 @compiled(error_model="numpy")
-def _change(space: Any, media: Any, d: Any, layers: int, substrate: int, mate_media: Any, mate_d: Any,
-            mate_layers: int) -> tuple[int, int]:  # fmt: skip
+def _change(
+    space: Any, media: Any, d: Any, layers: int, substrate: int, mate_media: Any, mate_d: Any, mate_layers: int
+) -> tuple[int, int]:
     """Change a stack in one way; `media` and `d` have two slots more than the space."""
     slots = space.choices.shape[0]
     is_open = space.is_open[0]
@@ -238,10 +239,19 @@ def _with_yield(nominal: float, missed: float) -> float:
 
 
 @compiled(error_model="numpy", nogil=True)
-def breed(
-    tables: Any, looks: Any, space: Any, pool: Any, pool_size: int, children: int, fresh: float, target: float,
-    seed: int, s: Any, out: Any,
-) -> int:  # fmt: skip
+def evolve(
+    tables: Any,
+    looks: Any,
+    space: Any,
+    pool: Any,
+    pool_size: int,
+    children: int,
+    fresh: float,
+    target: float,
+    seed: int,
+    s: Any,
+    out: Any,
+) -> int:
     """Make children of the first `pool_size` stacks of `pool` (best first) and refine them; return how many are kept.
 
     Args:

@@ -14,7 +14,7 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.jit import compiled
 from nacre.matter.stack.thickness_gradient import StackTables, scratch, spectra_and_gradients
-from nacre.optimise.thin_film.merit_kernel import Looks, look, score
+from nacre.optimise.thin_film.merit_kernel import CompiledMerit, look, score
 
 FIRST_DAMPING = 1e-2
 MOST_DAMPING = 1e7
@@ -42,7 +42,7 @@ class Workspace(NamedTuple):
     best_u: Array
 
 
-def workspace(tables: StackTables, looks: Looks, layers: int) -> Workspace:
+def workspace(tables: StackTables, looks: CompiledMerit, layers: int) -> Workspace:
     """Return working memory for stacks of up to so many layers."""
     n = max(layers, 1)
     rows, _, samples = tables.turns_r.shape
@@ -133,9 +133,19 @@ def keep_total(d: Any, low: Any, layers: int, total: float) -> None:
 
 @compiled(error_model="numpy", nogil=True)
 def descend(
-    tables: Any, looks: Any, media: Any, d: Any, low: Any, high: Any, layers: int, substrate: int, total: float,
-    iterations: int, p: float, s: Any,
-) -> float:  # fmt: skip
+    tables: Any,
+    looks: Any,
+    media: Any,
+    d: Any,
+    low: Any,
+    high: Any,
+    layers: int,
+    substrate: int,
+    total: float,
+    iterations: int,
+    p: float,
+    s: Any,
+) -> float:
     """Improve the thicknesses `d` `[>= layers]` in place; return the objective of what is left there.
 
     Args:

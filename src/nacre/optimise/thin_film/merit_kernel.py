@@ -13,7 +13,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.jit import compiled
-from nacre.optimise.merit import KINDS, MEAN_SHARE, Goal, Goals
+from nacre.optimise.merit import KINDS, MEAN_SHARE, MeritFunction, Operand
 
 COLOUR, HUE, CHROMA, LIGHTNESS, SPECTRUM = range(len(KINDS))
 NOTHING = -1.0
@@ -23,8 +23,8 @@ SOFT = 0.08  # of `within`: the width over which a miss is smoothed
 RADIANS = math.pi / 180.0
 
 
-class Looks(NamedTuple):
-    """`Goals` as arrays; terms are those of `Goals.terms`, sorted so that those of one row and lamp follow each other.
+class CompiledMerit(NamedTuple):
+    """`MeritFunction` as arrays; its terms are sorted by row and lamp.
 
     Attributes:
         weights: `[lamp, 3, wavelength]`.
@@ -51,7 +51,7 @@ class Looks(NamedTuple):
     residuals: Any
 
 
-def compile_goals(goals: Goals, margin: float = 0.0) -> Looks:
+def compile_merit(goals: MeritFunction, margin: float = 0.0) -> CompiledMerit:
     """Return the goals as arrays for `look`.
 
     Args:
@@ -71,7 +71,7 @@ def compile_goals(goals: Goals, margin: float = 0.0) -> Looks:
             known = np.isfinite(goal.reflectance)
             wanted[i] = np.where(known, goal.reflectance, NOTHING)
             shares[i] = np.sqrt(samples / known.sum())
-    return Looks(
+    return CompiledMerit(
         np.ascontiguousarray(np.swapaxes(goals.colour_weights, 1, 2)),
         goals.whites,
         np.array([KINDS.index(goal.kind) for goal, _, _ in chosen]),
@@ -87,10 +87,10 @@ def compile_goals(goals: Goals, margin: float = 0.0) -> Looks:
     )
 
 
-def _narrowed(goal: Goal, margin: float) -> tuple[float, float]:
+def _narrowed(goal: Operand, margin: float) -> tuple[float, float]:
     low = -np.inf if goal.low is None else float(goal.low)
     high = np.inf if goal.high is None else float(goal.high)
-    by = margin * goal.within
+    by = margin * goal.tolerance
     if goal.kind == "hue":
         width = high - low if high - low >= 360.0 else (high - low) % 360.0
         by = min(HUE_MARGIN * by, 0.1 * width)

@@ -10,7 +10,7 @@ import numpy as np
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.matter.stack.thickness_gradient import StackTables, stack_tables
-from nacre.optimise.merit import Goals
+from nacre.optimise.merit import MeritFunction
 from nacre.optimise.thin_film.genetic import Space
 
 YIELD_DRAWS = 64  # in the search; common to all stacks, so that they differ by what they are
@@ -52,25 +52,25 @@ class StackProblem:
         angles_rad: `[row]`, in the ambient.
         sides: `[row]`, "reflected" or "transmitted" (into the substrate), unpolarised.
         ambient: index of the medium above, clear, a number or `[wavelength]`.
-        most: how many layers there may be (open stack).
+        max_layers: how many layers there may be (open stack).
         bounds_nm: name -> (low, high), of the palette (open stack).
         slots: the layers from the top, where they are given; then `most` and `bounds_nm` are not asked.
         total_nm: bound of the sum of thicknesses.
         fewest: whether fewer layers are preferred at equal looks.
         spread_relative, spread_nm: standard deviation of a layer's thickness, as a share of it and in nm, one number
-            or one a slot; both 0 without `[spread]`.
+            or one a slot; both 0 without `[tolerance]`.
 
     Raises:
         NacreError: where these do not fit together.
     """
 
-    goals: Goals
+    goals: MeritFunction
     palette: tuple[Medium, ...]
     substrates: tuple[Medium, ...]
     angles_rad: tuple[float, ...] = (0.0,)
     sides: tuple[str, ...] = ("reflected",)
     ambient: complex | Array = 1.0
-    most: int = 6
+    max_layers: int = 6
     bounds_nm: dict[str, tuple[float, float]] | None = None
     slots: tuple[Slot, ...] | None = None
     total_nm: float = float("inf")
@@ -94,7 +94,7 @@ class StackProblem:
             low, high = self.bounds_of(name)
             if not 0.0 <= low <= high:
                 raise NacreError(f'the bounds of "{name}" cross: {low:g} and {high:g} nm')
-        if self.slots is None and (self.most < 1 or not names):
+        if self.slots is None and (self.max_layers < 1 or not names):
             raise NacreError("an open stack needs a palette and most >= 1")
         for slot in self.slots or ():
             if not slot.materials or not 0.0 <= slot.low_nm <= slot.high_nm:
@@ -114,7 +114,7 @@ class StackProblem:
     @property
     def layers(self) -> int:
         """How many layers there are at most."""
-        return self.most if self.slots is None else len(self.slots)
+        return self.max_layers if self.slots is None else len(self.slots)
 
     @property
     def has_spread(self) -> bool:

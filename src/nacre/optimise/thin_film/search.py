@@ -2,7 +2,7 @@
 
 An island starts from draws and breeds until it stands still; then another starts, and every third is peopled by the
 best of all before. Materials, order and count change by breeding, thicknesses by descent (`stack_breed`,
-`stack_descent`). What counts in the end is `Goals` on the full grid.
+`stack_descent`). What counts in the end is `MeritFunction` on the full grid.
 """
 
 from __future__ import annotations
@@ -21,10 +21,18 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.parallel import available_jobs
 from nacre.matter.stack.thickness_gradient import scratch, spectra_and_gradients
-from nacre.optimise.merit import Goals, difference_components
-from nacre.optimise.thin_film.genetic import WORST_POWER, Brood, Space, breed, draw_many, empty_brood, nearest
+from nacre.optimise.merit import MeritFunction, difference_components
+from nacre.optimise.thin_film.genetic import (
+    WORST_POWER,
+    Population,
+    Space,
+    draw_many,
+    empty_population,
+    evolve,
+    nearest,
+)
 from nacre.optimise.thin_film.levenberg_marquardt import descend, keep_total, workspace
-from nacre.optimise.thin_film.merit_kernel import compile_goals
+from nacre.optimise.thin_film.merit_kernel import compile_merit
 from nacre.optimise.thin_film.problem import StackProblem
 
 POOL = 48
@@ -61,8 +69,8 @@ class StackSolution:
         materials: names of the layers from the top.
         thicknesses_nm: `[layer]`.
         substrate: name of what lies below.
-        d: `[term]`, distances of the goals' terms on all wavelengths (`Goals.distances`).
-        objective: `Goals.objective` of them.
+        d: `[term]`, distances of the goals' terms on all wavelengths (`MeritFunction.distances`).
+        objective: `MeritFunction.objective` of them.
         yield_share: share of made samples that meet all wants, or None without spreads.
     """
 
@@ -124,20 +132,20 @@ class _Island:
         """Return the candidates, best first."""
         return sorted(self.items.values(), key=lambda c: c.score)
 
-    def brood(self) -> tuple[Brood, int]:
+    def brood(self) -> tuple[Population, int]:
         """Return them as arrays, best first, and how many."""
         return _as_brood(self.ordered(), self.slots)
 
 
-def _as_brood(candidates: Sequence[_Candidate], slots: int) -> tuple[Brood, int]:
-    pool = empty_brood(max(len(candidates), 1), slots + 3)
+def _as_brood(candidates: Sequence[_Candidate], slots: int) -> tuple[Population, int]:
+    pool = empty_population(max(len(candidates), 1), slots + 3)
     for i, c in enumerate(candidates):
         pool.score[i], pool.layers[i], pool.substrate[i] = c.score, c.layers, c.substrate
         pool.media[i, : c.layers], pool.d[i, : c.layers] = c.media[: c.layers], c.d[: c.layers]
     return pool, len(candidates)
 
 
-def _candidates(brood: Brood, count: int) -> list[_Candidate]:
+def _candidates(brood: Population, count: int) -> list[_Candidate]:
     return [
         _Candidate(
             float(brood.score[i]),
@@ -162,11 +170,11 @@ class _Engine:
         self.jobs = available_jobs() if jobs is None else max(1, jobs)
         self.aim(problem.goals)
 
-    def aim(self, goals: Goals) -> None:
+    def aim(self, goals: MeritFunction) -> None:
         """Take other goals of the same rows."""
         self.goals = goals
         self.coarse_goals = goals.on(self.samples)
-        self.looks, self.fine_looks = compile_goals(self.coarse_goals, MARGIN), compile_goals(goals, MARGIN)
+        self.looks, self.fine_looks = compile_merit(self.coarse_goals, MARGIN), compile_merit(goals, MARGIN)
         n = self.slots + 3
         self.spaces = [workspace(self.tables, self.looks, n) for _ in range(self.jobs)]
         self.fine_spaces = [workspace(self.fine_tables, self.fine_looks, n) for _ in range(self.jobs)]
@@ -181,9 +189,19 @@ class _Engine:
         powers = (2.0, WORST_POWER, 3.0 * WORST_POWER) if len(self.fine_looks.kind) > 1 else (2.0,)
         for p in powers:
             score = descend(
-                self.fine_tables, self.fine_looks, media, d, low, high, one.layers, one.substrate,
-                float(self.space.total[0]), FINISH_STEPS, p, self.fine_spaces[worker],
-            )  # fmt: skip
+                self.fine_tables,
+                self.fine_looks,
+                media,
+                d,
+                low,
+                high,
+                one.layers,
+                one.substrate,
+                float(self.space.total[0]),
+                FINISH_STEPS,
+                p,
+                self.fine_spaces[worker],
+            )
         return _Candidate(float(score), media, d, one.layers, one.substrate)
 
     def spectra(self, one: _Candidate) -> Array:
@@ -241,7 +259,7 @@ class _Engine:
         for out, z in zip(seen, rng.normal(size=(YIELD_DRAWS, self.slots))):
             d = np.maximum(one.d[:layers] + sigma * z[:layers], 0.0)
             spectra_and_gradients(self.tables, one.media, d, layers, one.substrate, False, w, out, none)
-        within = np.array([self.goals.goals[g].within for g, _ in self.goals.terms])
+        within = np.array([self.goals.goals[g].tolerance for g, _ in self.goals.terms])
         return float(np.mean(np.all(self.coarse_goals.distances(seen) <= within, axis=-1)))
 
 
@@ -287,14 +305,14 @@ def search(
 
 def _explore(engine: _Engine, seconds: float, seed: int, on_progress: Any, stop: Any, begun: float) -> list[_Candidate]:
     """Breed until the goals are reached or the time is over; return all islands' best."""
-    outs = [empty_brood(LITTER, engine.slots + 3) for _ in range(engine.jobs)]
+    outs = [empty_population(LITTER, engine.slots + 3) for _ in range(engine.jobs)]
     done: list[_Candidate] = []
     island, islands, rounds, children = _Island(engine.slots), 1, 0, 0
     robust = engine.problem.has_spread
     end, target = (MADE, 0.0) if robust else (REACHED, 0.9 * REACHED)
     pool, size = island.brood()
     # no children: what is not compiled yet is compiled here, and the search keeps half of its time all the same
-    breed(engine.tables, engine.looks, engine.space, pool, size, 0, FRESH, target, 0, engine.spaces[0], outs[0])
+    evolve(engine.tables, engine.looks, engine.space, pool, size, 0, FRESH, target, 0, engine.spaces[0], outs[0])
     begun = max(begun, time.monotonic() - (1.0 - COMPILED_SHARE) * seconds)
     # where few layers are preferred, the first island has one, the next two, and so on
     fewest = engine.problem.fewest and engine.problem.slots is None
@@ -306,11 +324,21 @@ def _explore(engine: _Engine, seconds: float, seed: int, on_progress: Any, stop:
             seeds = np.random.SeedSequence([seed, rounds]).generate_state(engine.jobs)
             futures = [
                 threads.submit(
-                    breed, engine.tables, engine.looks, space, pool, size, LITTER, FRESH, target,
-                    int(seeds[k]), engine.spaces[k], outs[k],
+                    evolve,
+                    engine.tables,
+                    engine.looks,
+                    space,
+                    pool,
+                    size,
+                    LITTER,
+                    FRESH,
+                    target,
+                    int(seeds[k]),
+                    engine.spaces[k],
+                    outs[k],
                 )
                 for k in range(engine.jobs)
-            ]  # fmt: skip
+            ]
             counts = [f.result() for f in futures]
             island.take(c for k, n in enumerate(counts) for c in _candidates(outs[k], n))
             rounds += 1
@@ -379,7 +407,7 @@ def choose(engine: _Engine, hall: Sequence[_Candidate], solutions: int, until: f
 
 def many(
     problem: StackProblem,
-    goals_list: Sequence[Goals],
+    goals_list: Sequence[MeritFunction],
     seed: int = 0,
     jobs: int | None = None,
     on_progress: Callable[[int, StackSolution], None] | None = None,
@@ -404,7 +432,7 @@ def many(
     for goals in goals_list:
         if any(goal.kind != "colour" for goal in goals.goals) or len(goals.terms) != terms:
             raise NacreError("many designs share one set of draws: each needs the same wants, of colours")
-    draws = empty_brood(SHARED_DRAWS, engine.slots + 3)
+    draws = empty_population(SHARED_DRAWS, engine.slots + 3)
     labs = np.zeros((SHARED_DRAWS, terms, 3))
     first = int(np.random.SeedSequence([seed, 0]).generate_state(1)[0])
     draw_many(engine.tables, engine.looks, engine.space, first, engine.spaces[0], draws, labs)
@@ -438,7 +466,7 @@ def local_metric(lab: Array) -> Array:
     return np.stack(columns, axis=-1)
 
 
-def _from_draws(engine: _Engine, draws: Brood, labs: Array, seed: int, number: int) -> _Candidate:
+def _from_draws(engine: _Engine, draws: Population, labs: Array, seed: int, number: int) -> _Candidate:
     looks, s = engine.looks, engine.spaces[0]
     best, at = np.empty(MANY_STARTS), np.zeros(MANY_STARTS, dtype=np.int64)
     nearest(labs, looks.lab, local_metric(looks.lab), looks.scale, best, at)
@@ -455,11 +483,11 @@ def _from_draws(engine: _Engine, draws: Brood, labs: Array, seed: int, number: i
         island.take([_Candidate(float(score), media, d, layers, substrate)])
         if score < target and (done := engine.finish(island.ordered()[0])).score < target:
             return done
-    out = empty_brood(MANY_LITTER, engine.slots + 3)
+    out = empty_population(MANY_LITTER, engine.slots + 3)
     for turn in range(MANY_ROUNDS):
         pool, size = island.brood()
         own = int(np.random.SeedSequence([seed, 1 + number, turn]).generate_state(1)[0])
-        n = breed(engine.tables, looks, engine.space, pool, size, MANY_LITTER, FRESH, target, own, s, out)
+        n = evolve(engine.tables, looks, engine.space, pool, size, MANY_LITTER, FRESH, target, own, s, out)
         island.take(_candidates(out, n))
         if island.best < target and (done := engine.finish(island.ordered()[0])).score < target:
             return done
