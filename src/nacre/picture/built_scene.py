@@ -16,10 +16,10 @@ from nacre.bsdf import Bsdf
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import plain, why_unreadable
 from nacre.device.texture import ObjectFrame
-from nacre.device.variant import use_variant
 from nacre.picture.camera import Framing, View
 from nacre.picture.infinite_backdrop import infinite_backdrop
 from nacre.picture.lights.named import Light
+from nacre.picture.plugin import mi
 from nacre.picture.scenes.catalogue import SUBJECT, Part, Parts, Scene, backdrop_parts, plain_material
 from nacre.picture.shapes.mesh import Mesh, bounding_ball, rotation
 
@@ -39,7 +39,6 @@ FARTHEST = 1e30  # the square of larger distances overflows in single precision
 
 def make_mesh(surface: Mesh, bsdf: Any, name: str = "mesh") -> Any:
     """Return a `mi.Mesh` with vertex normals and uv."""
-    mi = use_variant()
     properties = mi.Properties()
     properties["bsdf"] = bsdf
     sizes = len(surface.vertices), len(surface.faces)
@@ -73,7 +72,6 @@ class BuiltScene:
         backdrop_deg: float = 0.0,
         is_plain: bool = False,
     ) -> None:
-        mi = use_variant()
         self.scene, self.light = scene, light
         self.depth = max(scene.max_depth, SEE_THROUGH_DEPTH) if see_through else scene.max_depth
         made: dict[str, Any] = {}
@@ -155,7 +153,6 @@ class BuiltScene:
         rows: int | None = None,
     ) -> Any:
         """Return a camera with its film; default sampler and response are Mitsuba's; `rows`: central rows only."""
-        mi = use_variant()
         # wider pictures preserve the height of the scene, narrower ones its width
         half = np.tan(np.radians(0.5 * view.fov_deg))
         is_wider = size[0] / size[1] > self.scene.size[0] / self.scene.size[1]
@@ -202,7 +199,6 @@ class UserScene:
             plain(path)
         except OSError as error:
             raise NacreError(f"scene {path}: {why_unreadable(error)}") from None
-        mi = use_variant()
         logger = mi.logger()
         level = logger.log_level()
         logger.set_log_level(mi.LogLevel.Error)  # relevant warnings are errors below
@@ -216,7 +212,7 @@ class UserScene:
             raise NacreError(f"scene {path}: holds no scene")
         if not scene.sensors():
             raise NacreError(f"scene {path}: has no camera (sensor)")
-        nodes = _subject_nodes(mi, path)
+        nodes = _subject_nodes(path)
         # one v direction for all, because Mitsuba merges meshes
         self.v_up = not nodes or not all(map(_runs_down, nodes))
         self.path, self.mitsuba_scene, self.depth = path, scene, DEFAULT_DEPTH
@@ -252,7 +248,6 @@ class UserScene:
         Raises:
             NacreError: not a perspective camera.
         """
-        mi = use_variant()
         camera = self.mitsuba_scene.sensors()[0]
         values = mi.traverse(camera)
         try:
@@ -274,7 +269,7 @@ class UserScene:
         return mi.load_dict(settings)
 
 
-def _subject_nodes(mi: Any, path: Path) -> list[Any]:
+def _subject_nodes(path: Path) -> list[Any]:
     """Return the nodes of the shapes whose BSDF is to be exchanged.
 
     Raises:

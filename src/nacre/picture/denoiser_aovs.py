@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.device.variant import use_variant
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, white_xyz, xyz_to_srgb_linear
-from nacre.picture.plugin import Plugin, make_plugin
+from nacre.picture.plugin import Plugin, dr, make_plugin, mi
 
 MAX_SHARP = 3  # specular events per path; 5 take half as long again without benefit
 MAX_SPLITS = 3  # events at which both paths are followed
@@ -56,7 +55,7 @@ def aov_sampling(scene: Any, is_ours: bool) -> AovSampling:
         scene: Mitsuba scene.
         is_ours: whether the scene is ours; BSDFs of user scenes, such as `mask` and `blendbsdf`, may ignore type masks.
     """
-    flags = use_variant().BSDFFlags
+    flags = mi.BSDFFlags
     sharp = int(flags.Delta | flags.Null)
     bsdfs = [shape.bsdf() for shape in scene.shapes() if shape.bsdf() is not None]
     # (is specular in part, has several components) of Mitsuba's BSDFs, such as rough plastic with coat and base
@@ -70,7 +69,7 @@ def aov_sampling(scene: Any, is_ours: bool) -> AovSampling:
 
 def _scattering_lobes(bsdf: Any) -> tuple[str, ...]:
     """Return the lobe type of each non-specular component."""
-    smooth = int(use_variant().BSDFFlags.Smooth)
+    smooth = int(mi.BSDFFlags.Smooth)
     return tuple(plugin.kind for plugin in bsdf.plugins for word in plugin.components if int(word) & smooth)
 
 
@@ -118,7 +117,7 @@ class AovIntegrator(Plugin):
     """Follows specular paths to the first surface that scatters."""
 
     def set_up(self, flags: int, sampling: AovSampling) -> None:
-        kinds = self.mi.BSDFFlags
+        kinds = mi.BSDFFlags
         self.flags, self.sampling = flags, sampling
         self.sharp = int(kinds.Delta | kinds.Null)
         self.spread, self.mirrored = int(kinds.Smooth), int(kinds.DeltaReflection)
@@ -129,9 +128,6 @@ class AovIntegrator(Plugin):
 
     def _random(self, si: Any, sampler: Any, active: Any) -> tuple[Any, Any, Any]:
         """Sample one path: scattered share, direction, and weight if the event is specular."""
-        import drjit as dr
-
-        mi = self.mi
         if active is False:  # a scalar variant without a hit
             return mi.Spectrum(0.0), mi.Vector3f(0.0, 0.0, 1.0), mi.Spectrum(0.0)
         bs, share = si.bsdf().sample(mi.BSDFContext(), si, sampler.next_1d(active), sampler.next_2d(active), active)
@@ -141,9 +137,6 @@ class AovIntegrator(Plugin):
 
     def _of_kind(self, kind: int, si: Any, first: Any, second: Any, active: Any) -> tuple[Any, Any]:
         """Sample interactions of one type: direction and weight, 0 if there are none."""
-        import drjit as dr
-
-        mi = self.mi
         if not self.flags & kind or active is False:  # a scalar variant without a hit
             return mi.Vector3f(0.0, 0.0, 1.0), mi.Spectrum(0.0)
         context = mi.BSDFContext()
@@ -155,8 +148,6 @@ class AovIntegrator(Plugin):
 
     def _split(self, path: _Path, si: Any, sampler: Any) -> tuple[Any, Any, Any]:
         """Follow reflection and transmission; return scattered share, direction and weight of the current path."""
-        import drjit as dr
-
         active = path.active
         one, two = sampler.next_1d(active), sampler.next_2d(active)
         own = (one, two)
@@ -174,9 +165,6 @@ class AovIntegrator(Plugin):
         return matt, dr.select(goes_on, on, way), dr.select(goes_on, passed, share)
 
     def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
-        import drjit as dr
-
-        mi = self.mi
         first = scene.ray_intersect(ray, mi.RayFlags.All, True, active)
         hit = active & first.is_valid()
         normal = dr.select(hit, first.sh_frame.n, 0.0)

@@ -9,8 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from nacre.device.variant import use_variant
-from nacre.picture.plugin import WrappedIntegrator, make_plugin
+from nacre.picture.plugin import WrappedIntegrator, dr, make_plugin, mi
 from nacre.picture.scenes.catalogue import BOWL, BOWL_SQUARE, SQUARE, SWEEPS, Backdrop
 from nacre.picture.shapes.backdrop import sweep_length
 
@@ -51,8 +50,6 @@ def with_infinite_backdrop(integrator: Any, backdrop: InfiniteBackdrop) -> Any:
 
 def fold(value: Any, low: Any, high: Any, width: Any) -> Any:
     """Reflect values outside [low, high] back and forth within the outermost `width`."""
-    import drjit as dr
-
     beyond = dr.maximum(dr.maximum(value - high, low - value), 0.0)
     period = beyond - 2.0 * width * dr.floor(beyond / (2.0 * width))
     inward = width - dr.abs(period - width)
@@ -71,17 +68,15 @@ class WithInfiniteBackdrop(WrappedIntegrator):
 
     def set_up(self, inner: Any, backdrop: InfiniteBackdrop) -> None:
         self.inner, self.backdrop = inner, backdrop
-        turn = self.mi.ScalarTransform4f().rotate([0, 0, 1], backdrop.turn_deg)
-        self.turn, self.back = self.mi.Transform4f(turn.matrix), self.mi.Transform4f(turn.inverse().matrix)
+        turn = mi.ScalarTransform4f().rotate([0, 0, 1], backdrop.turn_deg)
+        self.turn, self.back = mi.Transform4f(turn.matrix), mi.Transform4f(turn.inverse().matrix)
 
     def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
-        import drjit as dr
-
         missed = (scene.ray_intersect_preliminary(ray, True, active).is_valid() ^ True) & active
         meet = _on_bowl if self.backdrop.kind == "bowl" else _on_sweep
         place, normal = meet(self.backdrop, self.back @ ray.o, self.back @ ray.d)
         place, normal = self.turn @ place, self.turn @ dr.normalize(normal)
-        redirected = self.mi.RayDifferential3f(ray)
+        redirected = mi.RayDifferential3f(ray)
         redirected.o = dr.select(missed, place + START * normal, ray.o)
         redirected.d = dr.select(missed, -normal, ray.d)
         return self.inner.sample(scene, sampler, redirected, medium, active)
@@ -89,9 +84,6 @@ class WithInfiniteBackdrop(WrappedIntegrator):
 
 def _on_sweep(backdrop: InfiniteBackdrop, o: Any, d: Any) -> Any:
     """Intersect a ray with an infinite floor, cove and wall, folded into `sweep`; return place and normal."""
-    import drjit as dr
-
-    mi = use_variant()
     half_width, front, back, radius, _ = SWEEPS[backdrop.kind]
     flat, bent = front + back, 0.5 * dr.pi * radius
     t_floor = dr.select(d.z < 0.0, -o.z / dr.minimum(d.z, -1e-9), FAR)
@@ -118,9 +110,6 @@ def _on_sweep(backdrop: InfiniteBackdrop, o: Any, d: Any) -> Any:
 
 def _on_bowl(backdrop: InfiniteBackdrop, o: Any, d: Any) -> Any:
     """Intersect a ray with an infinite bowl, folded into `bowl`; return place and normal."""
-    import drjit as dr
-
-    mi = use_variant()
     flat, reach, rise = BOWL
 
     def height(x: Any, y: Any) -> Any:

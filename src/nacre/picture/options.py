@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -14,14 +14,7 @@ import numpy as np
 from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.progress import ProgressCallback
 from nacre.picture.camera import Framing, is_number, read_framing
-from nacre.picture.images import (
-    OPAQUE_SUFFIXES,
-    STILL_SUFFIXES,
-    Exposure,
-    RenderResult,
-    spoken_suffixes,
-    toned,
-)
+from nacre.picture.images import OPAQUE_SUFFIXES, STILL_SUFFIXES, Exposure, RenderResult, spoken_suffixes, toned
 from nacre.picture.lights.light_mixture import Lamp, read_lamps
 from nacre.picture.passes import Until
 
@@ -183,32 +176,34 @@ _GROUPS = {
 }
 # the keywords of `nacre.render`: group and field
 KEYWORDS = {each.name: (group, each) for group, options in _GROUPS.items() for each in fields(options) if each.init}
+SCENE_KEYWORDS = ("shape", "up", "turn", "view", "fov", "zoom", "size", "light", "illuminant", "spp")  # of `scene_dict`
 
 
-def read_options(keywords: Mapping[str, Any]) -> RenderOptions:
-    """Return the options given as keywords of `nacre.render`.
+def read_options(keywords: Mapping[str, Any], allowed: Collection[str] = tuple(KEYWORDS)) -> RenderOptions:
+    """Return the options given as keywords.
 
     Raises:
         TypeError: unknown keyword.
         NacreError: a value that is not allowed.
     """
-    for name in keywords:
-        if name not in KEYWORDS:
-            raise TypeError(f"render() got an unexpected keyword argument {name!r}.{did_you_mean(name, KEYWORDS)}")
     given: dict[str, dict[str, Any]] = {group: {} for group in _GROUPS}
     for name, value in keywords.items():
+        if name not in allowed:
+            raise TypeError(f"got an unexpected keyword argument {name!r}.{did_you_mean(name, allowed)}")
         given[KEYWORDS[name][0]][name] = value
     return RenderOptions(**{group: options(**given[group]) for group, options in _GROUPS.items()})
 
 
-def signature(positional: inspect.Signature) -> inspect.Signature:
+def signature(function: Callable[..., Any], allowed: Collection[str] = tuple(KEYWORDS)) -> inspect.Signature:
     """Replace `**options` in a signature by the keywords, for `help` and completion."""
-    own = [p for p in positional.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+    own = inspect.signature(function)
     names = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=each.default, annotation=each.type)
         for name, (_, each) in KEYWORDS.items()
+        if name in allowed
     ]
-    return positional.replace(parameters=[*own, *names])
+    positional = [each for each in own.parameters.values() if each.kind is not inspect.Parameter.VAR_KEYWORD]
+    return own.replace(parameters=[*positional, *names])
 
 
 def check_choice(key: str, value: str, choices: Sequence[str]) -> None:
@@ -281,17 +276,6 @@ def check_size(size: tuple[int, int] | str | None) -> tuple[int, int] | None:
     return width, height
 
 
-def check_spp(spp: int) -> int:
-    """Return the samples per pixel.
-
-    Raises:
-        NacreError: not a whole number from 1 to `MAX_SPP`.
-    """
-    if isinstance(spp, bool) or int(spp) != spp or not 1 <= spp <= MAX_SPP:
-        raise NacreError(f"spp = {spp!r} is not allowed; give a whole number from 1 to {MAX_SPP}")
-    return int(spp)
-
-
 def read_until(spp: int | None, noise: float | None, seconds: float | None) -> Until:
     """Return the stopping rule; by default a noise of 2 %, or `DEFAULT_SPP`.
 
@@ -309,4 +293,8 @@ def read_until(spp: int | None, noise: float | None, seconds: float | None) -> U
         if not 0 < seconds <= MAX_SECONDS:
             raise NacreError(f"seconds = {seconds!r} is not allowed; give a number above 0, up to {MAX_SECONDS}")
         return Until(MAX_SPP, seconds=float(seconds))
-    return Until(DEFAULT_SPP, noise=DEFAULT_NOISE) if spp is None else Until(check_spp(spp))
+    if spp is None:
+        return Until(DEFAULT_SPP, noise=DEFAULT_NOISE)
+    if isinstance(spp, bool) or int(spp) != spp or not 1 <= spp <= MAX_SPP:
+        raise NacreError(f"spp = {spp!r} is not allowed; give a whole number from 1 to {MAX_SPP}")
+    return Until(int(spp))

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array
 from nacre.core.memory import check_memory
 from nacre.core.progress import Clock, ProgressCallback
-from nacre.device.variant import use_variant
 from nacre.picture import interrupt
 from nacre.picture.camera import View
 from nacre.picture.denoise import AOV_SPP, EVEN_AOV_SPP
 from nacre.picture.denoiser_aovs import AovSampling, aov_integrator, aov_sampling, first_hits, has_random_walks
 from nacre.picture.infinite_backdrop import with_infinite_backdrop
 from nacre.picture.paths import DRAWS, can_split, cut_out, make_paths, sees_objects
+from nacre.picture.plugin import mi
 from nacre.picture.samples import continued_sampler
 from nacre.picture.spectral import band_centres, band_film, bands_to_xyz, divided, wavelength_density
 from nacre.picture.tiling import Pass, TiledCamera
@@ -132,10 +132,7 @@ class Frame:
 
 
 def render_passes(
-    scene: Any,
-    settings: RenderSettings,
-    report: ProgressCallback,
-    on_better: Callable[[Frame], None] | None = None,
+    scene: Any, settings: RenderSettings, report: ProgressCallback, on_better: Callable[[Frame], None] | None = None
 ) -> Frame:
     """Render pass by pass.
 
@@ -197,7 +194,8 @@ class _Passes:
         self.sampling = aov_sampling(self.scene, is_ours=getattr(scene, "light", None) is not None)
         self.total: NDArray[np.float64] | None = None
         self.half, self.in_half = np.zeros(0, dtype=np.float32), 0
-        self.done, self.noise, self.stopped = 0, None, False
+        self.done, self.stopped = 0, False
+        self.noise: float | None = None
         self.aovs: dict[str, NDArray[np.float32]] = {}
         self.layers: dict[str, NDArray[np.float32]] = {}
 
@@ -378,14 +376,13 @@ def path_tracer(scene: Any) -> dict[str, Any]:
 
 def _response(scene: Any) -> Any:
     """Return the wavelength density; None: Mitsuba's own, as in user scenes."""
-    if getattr(scene, "light", None) is None or use_variant().variant().startswith("scalar"):
+    if getattr(scene, "light", None) is None or mi.variant().startswith("scalar"):
         return None
     return wavelength_density()
 
 
 def _tracer(scene: Any) -> Any:
     """Return our own integrator, or Mitsuba's for scalar variants and user scenes."""
-    mi = use_variant()
     light = getattr(scene, "light", None)  # user scenes have their own lights, and perhaps media
     clear = lets_through(scene.mitsuba_scene)
     if light is None or mi.variant().startswith("scalar"):
@@ -421,7 +418,7 @@ def _glitters(scene: Any) -> bool:
 
 def _mirrors(subjects: Sequence[Any]) -> bool:
     """Return whether the subject is purely specular; its noise depends on samples per pixel, not per lamp."""
-    flags = use_variant().BSDFFlags
+    flags = mi.BSDFFlags
     shows_more = int(flags.Smooth | flags.Null)  # the background of a clear subject is matt
     return bool(subjects) and not any(int(shape.bsdf().flags()) & shows_more for shape in subjects)
 
@@ -431,7 +428,7 @@ def lets_through(scene: Any) -> bool:
 
     `path` treats every surface as opaque for shadow rays; a clear film would cast a black shadow.
     """
-    null = int(use_variant().BSDFFlags.Null)
+    null = int(mi.BSDFFlags.Null)
     return any(shape.bsdf() is not None and int(shape.bsdf().flags()) & null for shape in scene.shapes())
 
 

@@ -27,8 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.device.variant import use_variant
-from nacre.picture.plugin import Plugin, WrappedIntegrator, make_plugin
+from nacre.picture.plugin import Plugin, WrappedIntegrator, dr, make_plugin, mi
 
 SOFT_LAMP_DEG = 10.0
 WITHIN_LAMP_DEG = 40.0
@@ -79,7 +78,6 @@ def can_split(bsdf: Any) -> bool:
 
     Mitsuba's `mask` samples it regardless of the type mask, therefore only our own BSDFs qualify.
     """
-    mi = use_variant()
     null, everything = int(mi.BSDFFlags.Null), int(mi.BSDFFlags.All)
     if int(bsdf.flags()) & null and not hasattr(bsdf, "plugins"):
         return False
@@ -126,7 +124,7 @@ class Paths(Plugin):
         glitters: bool,
         objects: Sequence[Any],
     ) -> None:
-        flags = self.mi.BSDFFlags
+        flags = mi.BSDFFlags
         self.max_depth, self.rr_depth = max_depth, rr_depth
         self.passes_through, self.soft, self.splits = passes_through, soft, splits
         self.spread_by, self.draws, self.glitters = list(spread_by), draws, glitters
@@ -134,9 +132,6 @@ class Paths(Plugin):
         self.shiny = int(flags.Glossy | flags.Delta | flags.Null)
 
     def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
-        import drjit as dr
-
-        mi = self.mi
         context = mi.BSDFContext()
         if self.splits:  # null interactions are followed separately
             context.type_mask = int(mi.BSDFFlags.All) & ~int(mi.BSDFFlags.Null)
@@ -171,11 +166,9 @@ class Paths(Plugin):
         return dr.select(path.is_seen, path.light, 0.0), path.is_seen, []
 
     def _add_met_emitter(self, path: _Path, scene: Any, si: Any) -> None:
-        import drjit as dr
-
-        before = dr.zeros(self.mi.Interaction3f)
+        before = dr.zeros(mi.Interaction3f)
         before.p, before.time, before.wavelengths = path.last, path.ray.time, path.ray.wavelengths
-        ds = self.mi.DirectionSample3f(scene, si, before)
+        ds = mi.DirectionSample3f(scene, si, before)
         by_lamp = path.lamp_weight * scene.pdf_emitter_direction(before, ds, path.active & (path.is_delta ^ True))
         share = dr.select(path.is_delta, 1.0, _power_heuristic(path.pdf, by_lamp))
         shine = ds.emitter.eval(si, path.active)
@@ -190,8 +183,6 @@ class Paths(Plugin):
 
         Shiny surfaces may throw a lamp onto matt ones and keep all paths: a Bragg mirror had 45 % more error without.
         """
-        import drjit as dr
-
         worth = dr.sqrt(dr.minimum(dr.max(path.weight) / dr.maximum(path.base, 1e-20), 1.0))
         applies = path.active & (path.base > 0.0) & ((bsdf.flags() & self.shiny) == 0)
         lives = sampler.next_1d(path.active) < worth
@@ -200,9 +191,6 @@ class Paths(Plugin):
 
     def _add_light_samples(self, path: _Path, scene: Any, si: Any, bsdf: Any, context: Any, sampler: Any) -> Any:
         """Next-event estimation; return the MIS weight of light samples."""
-        import drjit as dr
-
-        mi = self.mi
         is_broad = path.active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         is_first = path.base == 0.0
         if self.splits:
@@ -237,9 +225,6 @@ class Paths(Plugin):
 
     def _pass_straight(self, path: _Path, si: Any, bsdf: Any, sampler: Any) -> Any:
         """Split the camera ray at a clear surface, or choose transmission at random; return the latter."""
-        import drjit as dr
-
-        mi = self.mi
         straight = bsdf.eval_null_transmission(si, path.active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null))
         share = dr.clip(dr.mean(straight), 0.0, 1.0)
         is_both = path.active & (share > 0.0) & (path.depth == 0) & (path.splits > 0)
@@ -257,9 +242,6 @@ class Paths(Plugin):
     def _scatter(
         self, path: _Path, si: Any, bsdf: Any, context: Any, sampler: Any, goes_on: Any, lamp_weight: Any, most: Any
     ) -> None:
-        import drjit as dr
-
-        mi = self.mi
         bs, scattered = bsdf.sample(
             context, si, sampler.next_1d(path.active), sampler.next_2d(path.active), path.active & (goes_on ^ True)
         )
@@ -285,8 +267,6 @@ class Paths(Plugin):
         path.ray = si.spawn_ray(dr.select(goes_on, path.ray.d, si.to_world(bs.wo)))
 
     def _roulette(self, path: _Path, sampler: Any) -> None:
-        import drjit as dr
-
         most = dr.max(path.weight)
         path.active = path.active & (most != 0.0)
         survival = dr.minimum(most * dr.square(path.eta), 0.95)
@@ -297,8 +277,6 @@ class Paths(Plugin):
 
     def _resume(self, path: _Path) -> None:
         """Continue with the transmitted ray of the last split once a path has ended."""
-        import drjit as dr
-
         turns = path.is_kept & (path.active ^ True)
         path.ray, path.weight = dr.select(turns, path.kept, path.ray), dr.select(turns, path.kept_weight, path.weight)
         path.eta, path.pdf = dr.select(turns, 1.0, path.eta), dr.select(turns, 1.0, path.pdf)
@@ -313,17 +291,12 @@ class Paths(Plugin):
 
 
 def _power_heuristic(chosen: Any, other: Any) -> Any:
-    import drjit as dr
-
     a, b = chosen * chosen, other * other
     return dr.select(a > 0.0, a / (a + b), 0.0)
 
 
 def _transmittance(scene: Any, si: Any, ds: Any, active: Any) -> Any:
     """Transmittance of clear surfaces between `si` and a light sample."""
-    import drjit as dr
-
-    mi = use_variant()
     straight = si.spawn_ray_to(ds.p)
     # most rays meet no surface, which the cheaper occlusion test finds
     state = (straight, mi.Spectrum(1.0), mi.UInt32(0), active & scene.ray_test(straight, active))
@@ -342,9 +315,6 @@ def _transmittance(scene: Any, si: Any, ds: Any, active: Any) -> Any:
 
 def _light_sample_points(sampler: Any, draws: Any, active: Any) -> Callable[[Any], Any]:
     """Return a function from a number below `draws` to a point in the unit square."""
-    import drjit as dr
-
-    mi = use_variant()
     if hasattr(sampler, "several_2d"):
         points: Callable[[Any], Any] = sampler.several_2d(draws)
         return points
@@ -373,8 +343,6 @@ class CutOut(WrappedIntegrator):
         self.inner, self.shapes = inner, list(shapes)
 
     def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
-        import drjit as dr
-
         is_seen = is_one_of(scene.ray_intersect_preliminary(ray, True, active), self.shapes)
         light, is_valid, rest = self.inner.sample(scene, sampler, ray, medium, active & is_seen)
         is_seen = is_seen & is_valid & active
@@ -392,9 +360,6 @@ def sees_objects(
         size: width and height.
         at_once: rays per batch.
     """
-    import drjit as dr
-
-    mi = use_variant()
     width, height = size
     found = np.zeros(width * height, dtype=bool)
     step = 1 if mi.variant().startswith("scalar") else at_once
@@ -410,7 +375,6 @@ def sees_objects(
 
 def is_one_of(met: Any, shapes: Sequence[Any]) -> Any:
     """Return whether the shape of an interaction is one of the given shapes."""
-    mi = use_variant()
     is_scalar = mi.variant().startswith("scalar")
     is_seen = mi.Bool(False)
     for shape in shapes:

@@ -7,11 +7,10 @@ Built scenes are cached; fifty pictures use the memory of one.
 from __future__ import annotations
 
 import functools
-import inspect
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -32,16 +31,16 @@ from nacre.picture.lights.named import TURNING_LIGHTS, check_light, make_lights
 from nacre.picture.options import (
     COMPONENTS,
     QUALITIES,
-    Camera,
+    SCENE_KEYWORDS,
     RenderOptions,
     Subject,
     check_choice,
     check_size,
-    check_spp,
     read_options,
     signature,
 )
 from nacre.picture.passes import FIRST_HIT, Frame, RenderSettings, Until, pass_seed, path_tracer, render_passes
+from nacre.picture.plugin import mi
 from nacre.picture.scenes.catalogue import scene as find_scene
 from nacre.recipe.fingerprint import file_stamp
 
@@ -116,7 +115,7 @@ def render(material: Any, scene: str = "sphere", **options: Any) -> RenderResult
     return render_picture(material, str(scene), read_options(options))
 
 
-render.__signature__ = signature(inspect.signature(render))  # type: ignore[attr-defined]
+render.__signature__ = signature(render)  # type: ignore[attr-defined]
 
 
 @_one_at_a_time
@@ -290,7 +289,7 @@ class _Picture:
             **({"noise": frame.noise} if frame.noise is not None else {}),
             "seed": self.settings.seed,
             "components": options.sampling.components,
-            "variant": use_variant().variant(),
+            "variant": mi.variant(),
             "not_finite_pixels": frame.not_finite,
             "interrupted": frame.is_interrupted,
             "denoised": is_denoised,
@@ -307,21 +306,7 @@ class _Picture:
         }
 
 
-def scene_dict(
-    material: Any = None,
-    scene: str = "sphere",
-    *,
-    shape: str | Path | None = None,
-    up: str | None = None,
-    turn: float = 0.0,
-    view: str | Sequence[float] | None = None,
-    fov: float | None = None,
-    zoom: float | None = None,
-    light: str | Sequence[str] | None = None,
-    illuminant: str = "D65",
-    size: tuple[int, int] | str | None = None,
-    spp: int = 64,
-) -> dict[str, Any]:
+def scene_dict(material: Any = None, scene: str = "sphere", **options: Any) -> dict[str, Any]:
     """Return one of our scenes as a dict for `mi.load_dict`, to be modified.
 
     Its values are dicts and Mitsuba objects of the current variant: `integrator`, `sensor`, the object (`part0`, ...),
@@ -329,28 +314,34 @@ def scene_dict(
 
     Args:
         material: as for `render`; None: white and matt.
-        spp: samples per pixel of the sampler.
-        others: as for `render`.
+        scene: as for `render`.
+        spp: samples per pixel of the sampler, default 64.
+        shape, up, turn, view, fov, zoom, light, illuminant, size: as for `render`.
 
     Raises:
         NacreError: as `render`.
     """
-    subject, camera = Subject(shape, up, turn), Camera(view, fov, zoom, size)
+    given = read_options({"spp": 64, **options}, SCENE_KEYWORDS)
     if scene == "screen":
         raise UnsupportedError("scene screen: is what a tile projects, no scene of objects; render makes its picture")
     chosen = find_scene(scene)
-    lamps = read_lamps(light or chosen.light)
+    lamps = given.lighting.lamps or read_lamps(chosen.light)
     for lamp in lamps:
         check_light(lamp.name)
     use_variant()
     bsdf = None if material is None else resolve_material(material, None, "sum")[0]
     clear = bool(getattr(bsdf, "transmits", False))
-    built = _SetUp(scene, subject, camera.framing.azimuth_deg, illuminant, 0.0, clear, is_plain=False).build(lamps)
+    framing, illuminant = given.camera.framing, given.lighting.illuminant
+    built = _SetUp(scene, given.subject, framing.azimuth_deg, illuminant, 0.0, clear, is_plain=False).build(lamps)
     if bsdf is not None:
         built.set_material(bsdf)
     film = {"type": "hdrfilm", "rfilter": {"type": "gaussian"}}
-    sensor = built.sensor(built.view(camera.framing), check_size(size) or chosen.size, film, check_spp(spp))
+    size = check_size(given.camera.size) or chosen.size
+    sensor = built.sensor(built.view(framing), size, film, given.sampling.until.spp)
     return {**built.content, "integrator": path_tracer(built), "sensor": sensor}
+
+
+scene_dict.__signature__ = signature(scene_dict, SCENE_KEYWORDS)  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)
@@ -401,7 +392,7 @@ class _SetUp:
 
 def _cached(key: tuple[Any, ...], build: Callable[[], Any]) -> Any:
     """Return the built scene with this key; the least recently used is dropped."""
-    key = (*key, use_variant().variant())
+    key = (*key, mi.variant())
     if key in _scenes:
         _scenes.move_to_end(key)
         return _scenes[key]
@@ -439,7 +430,6 @@ def resolve_material(material: Any, quality: str | None, components: str) -> tup
         return _component(material, components), notes
     if components != "sum":
         raise UnsupportedError("components: only a nacre material can be split into specular and diffuse")
-    mi = use_variant()
     if isinstance(material, Mapping):
         material = mi.load_dict(dict(material))
     if not isinstance(material, mi.BSDF):

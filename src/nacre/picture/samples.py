@@ -12,8 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from nacre.device.variant import use_variant
-from nacre.picture.plugin import Plugin, make_plugin
+from nacre.picture.plugin import Plugin, dr, make_plugin, mi
 
 LAINE_KARRAS = (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6)
 GOLDEN, OFFSET = 0x9E3779B1, 0x7F4A7C15
@@ -24,8 +23,8 @@ TILE = 16  # side in pixels of tiles that share a sequence
 
 def continued_sampler() -> Any:
     """Return a sampler for the sensors of a picture; `begin` prepares the next call of `mi.render`."""
-    if use_variant().variant().startswith("scalar"):  # a sampler in Python would be too slow there
-        return use_variant().load_dict({"type": "multijitter"})
+    if mi.variant().startswith("scalar"):  # a sampler in Python would be too slow there
+        return mi.load_dict({"type": "multijitter"})
     return make_plugin(ContinuedSampler)
 
 
@@ -55,7 +54,7 @@ class ContinuedSampler(Plugin):
     STATE = ("start", "key_seed", "spp", "block", "width", "first_pixel", "alike")
 
     def set_up(self) -> None:
-        whole = self.mi.UInt32
+        whole = mi.UInt32
         self.start, self.key_seed, self.spp = 0, 0, 1
         self.block, self.width, self.first_pixel, self.alike = 0, 1, 0, False
         self.index, self.key, self.dimension = whole(0), whole(0), whole(0)
@@ -70,10 +69,8 @@ class ContinuedSampler(Plugin):
     clone = fork
 
     def seed(self, seed: Any, wavefront_size: int = 0xFFFFFFFF) -> None:
-        import drjit as dr
-
-        whole = self.mi.UInt32
-        self.mi.Sampler.seed(self, seed, wavefront_size)
+        whole = mi.UInt32
+        mi.Sampler.seed(self, seed, wavefront_size)
         lane = dr.arange(whole, wavefront_size)
         pixel = lane // dr.opaque(whole, self.spp)
         self.index = dr.opaque(whole, self.start) + (lane - pixel * dr.opaque(whole, self.spp))
@@ -92,8 +89,6 @@ class ContinuedSampler(Plugin):
         self.dimension = dr.zeros(whole, wavefront_size)
 
     def schedule_state(self) -> None:
-        import drjit as dr
-
         dr.schedule(self.index, self.key, self.dimension, self.own_key)
 
     def advance(self) -> None:
@@ -101,8 +96,6 @@ class ContinuedSampler(Plugin):
 
     def _next(self, of_pixel: bool = False) -> tuple[Any, Any]:
         """Return key and shuffled index of the next dimension."""
-        import drjit as dr
-
         key = _hashed(self.own_key if of_pixel else self.key, self.dimension)
         self.dimension = self.dimension + 1
         return key, _scrambled(dr.brev(self.index), key)
@@ -110,7 +103,7 @@ class ContinuedSampler(Plugin):
     def next_1d(self, active: Any = True, of_pixel: bool = False) -> Any:
         """Return a number; with `of_pixel` an individual one for each pixel, also if `alike`."""
         key, index = self._next(of_pixel)
-        return _unit(_scrambled(index, _hashed(key, self.mi.UInt32(1))))
+        return _unit(_scrambled(index, _hashed(key, mi.UInt32(1))))
 
     def next_2d(self, active: Any = True, of_pixel: bool = False) -> Any:
         """Return a point in the unit square; see `next_1d`."""
@@ -121,8 +114,6 @@ class ContinuedSampler(Plugin):
 
         The points of all samples of a pixel are one run of Sobol points.
         """
-        import drjit as dr
-
         key = _hashed(_hashed(self.key, self.dimension), many)
         self.dimension = self.dimension + 1
         first = self.index * many
@@ -130,7 +121,7 @@ class ContinuedSampler(Plugin):
 
 
 def _hashed(a: Any, b: Any) -> Any:
-    whole = use_variant().UInt32
+    whole = mi.UInt32
     h = a ^ (b * whole(GOLDEN) + whole(OFFSET))
     for shift, factor in AVALANCHE:
         h = (h ^ (h >> shift)) * whole(factor)
@@ -139,11 +130,9 @@ def _hashed(a: Any, b: Any) -> Any:
 
 def _scrambled(digits: Any, seed: Any) -> Any:
     """Owen scrambling: a hash of the preceding digits flips each binary digit; digits come in reversed order."""
-    import drjit as dr
-
     x = digits + seed
     for factor in LAINE_KARRAS:
-        x = x ^ (x * use_variant().UInt32(factor))
+        x = x ^ (x * mi.UInt32(factor))
     return dr.brev(x)
 
 
@@ -153,23 +142,22 @@ def _second(index: Any) -> Any:
     Its entry for bits b and j is odd if j is a subset of b; five sums over supersets give it.
     """
     for bit, kept in enumerate(PARTS):
-        index = index ^ ((index >> (1 << bit)) & use_variant().UInt32(kept))
+        index = index ^ ((index >> (1 << bit)) & mi.UInt32(kept))
     return index
 
 
 def _z_order(column: Any, row: Any) -> Any:
     """Place of a pixel in its sampling tile along a Z curve."""
-    found = use_variant().UInt32(0)
+    found = mi.UInt32(0)
     for bit in range(TILE.bit_length() - 1):
         found |= (((column >> bit) & 1) << (2 * bit)) | (((row >> bit) & 1) << (2 * bit + 1))
     return found
 
 
 def _unit(x: Any) -> Any:
-    return use_variant().Float(x >> 8) * (1.0 / (1 << 24))
+    return mi.Float(x >> 8) * (1.0 / (1 << 24))
 
 
 def _point(key: Any, index: Any) -> Any:
-    mi = use_variant()
     x, y = (_scrambled(digits, _hashed(key, mi.UInt32(n))) for n, digits in ((1, index), (2, _second(index))))
     return mi.Point2f(_unit(x), _unit(y))

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.device.variant import use_variant
 from nacre.light import xyz_weights
 from nacre.light.tables import observer, table_wavelengths_nm
-from nacre.picture.plugin import WrappedIntegrator, make_plugin
+from nacre.picture.plugin import WrappedIntegrator, dr, make_plugin, mi
 
 FIRST_NM, LAST_NM = 360.0, 830.0
 SHARE = 0.25  # of the colour-matching functions in the density
@@ -36,7 +35,6 @@ def band_film(centres: NDArray[np.float64], step_nm: float) -> dict[str, Any]:
     A channel is the mean radiance over its band: each response is a box of area 1. The film sorts channels by name,
     hence the padded numbers.
     """
-    mi = use_variant()
     film: dict[str, Any] = {"type": "specfilm", "rfilter": {"type": "gaussian"}, "component_format": "float32"}
     edge = 1e-3 * step_nm  # width of the flanks, because tables are continuous
     for index, centre in enumerate(centres):
@@ -55,7 +53,7 @@ def bands_to_xyz(bands: NDArray[np.float64], centres: NDArray[np.float64]) -> ND
 def wavelength_density() -> Any:
     """Return the density of wavelengths, up to a factor, as a sensor response; requires `divided` around
     integrators."""
-    return use_variant().load_dict({"type": "regular", **_density()})
+    return mi.load_dict({"type": "regular", **_density()})
 
 
 @functools.cache
@@ -78,10 +76,8 @@ class Divided(WrappedIntegrator):
         self.inner, self.response = inner, response
 
     def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
-        import drjit as dr
-
         light, is_valid, rest = self.inner.sample(scene, sampler, ray, medium, active)
-        si = dr.zeros(self.mi.SurfaceInteraction3f)
+        si = dr.zeros(mi.SurfaceInteraction3f)
         si.wavelengths = ray.wavelengths
         response = self.response.eval(si, active)
         # rounding may put a wavelength beyond the last one

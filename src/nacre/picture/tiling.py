@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.device.variant import use_variant
+from nacre.picture.plugin import dr, mi
 from nacre.picture.samples import begin
 
 TILE_PIXELS = 1 << 20  # per tile; a picture with up to twice as many is rendered whole
@@ -76,7 +76,7 @@ class TiledCamera:
         margin = 0 if is_boxed else MARGIN
         self.rows, self.tiles = divide(size, pixels if can_divide else whole, margin)
         self.sensor = make_sensor((size[0], self.rows))
-        values = use_variant().traverse(self.sensor)
+        values = mi.traverse(self.sensor)
         if len(self.tiles) > 1 and OFFSET not in values:  # a camera with a lens has no offset
             self.rows, self.tiles = divide(size, whole, margin)
             self.sensor = make_sensor(size)
@@ -86,7 +86,6 @@ class TiledCamera:
         """Direct camera and random numbers to a tile."""
         if len(self.tiles) == 1:
             return
-        mi = use_variant()
         values = mi.traverse(self.sensor)
         below = (tile.first - 0.5 * self.size[1]) / self.rows + 0.5  # in heights of the tile, below the centre
         values[OFFSET] = mi.Float(below + self.own_offset)
@@ -119,14 +118,12 @@ class TiledCamera:
         """Return a pass `[row, column, channel]` of one tile with its margins; see `render`."""
         self.look_at(tile)
         seed = begin(self.sampler, samples.seed, samples.first, samples.spp, samples.total, self.size[0], samples.alike)
-        made = use_variant().render(scene, sensor=self.sensor, integrator=integrator, spp=samples.spp, seed=seed)
+        made = mi.render(scene, sensor=self.sensor, integrator=integrator, spp=samples.spp, seed=seed)
         return np.asarray(made, dtype=np.float32)
 
     def free_memory(self) -> None:
         """Return the renderer's memory of a tiled picture to the system."""
         if len(self.tiles) > 1:
-            import drjit as dr
-
             dr.flush_malloc_cache()
 
 

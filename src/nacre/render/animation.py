@@ -180,7 +180,7 @@ def animate(
                 kept += 1
                 stops = float(old["exposure_stops"])
             else:
-                turn = {f"{motion.name}_turn_deg": value} if motion.name in TURNS else {}
+                turn: dict[str, Any] = {f"{motion.name}_turn_deg": value} if motion.name in TURNS else {}
                 try:
                     result = render(subject, **settings, exposure=exposure, progress=False, **turn)
                 except KeyboardInterrupt:

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nacre.device.variant import use_variant
-from nacre.picture.plugin import Plugin, make_plugin
+from nacre.picture.plugin import Plugin, dr, make_plugin, mi
 
 if TYPE_CHECKING:
     from nacre.picture.lights.environments import Environment
@@ -36,7 +35,7 @@ def spectrum_texture(wavelengths_nm: Any, power: Any) -> Any:
     """Return a Mitsuba spectrum from a table on ascending wavelengths, resampled to 1 nm over 360-830."""
     values = np.interp(np.arange(360.0, 831.0), wavelengths_nm, power)
     limits = {"wavelength_min": 360.0, "wavelength_max": 830.0}
-    return use_variant().load_dict({"type": "regular", **limits, "values": ",".join(f"{v:.7g}" for v in values)})
+    return mi.load_dict({"type": "regular", **limits, "values": ",".join(f"{v:.7g}" for v in values)})
 
 
 class DistantEmitter(Plugin):
@@ -47,7 +46,6 @@ class DistantEmitter(Plugin):
     sample_direction: Any
 
     def set_up(self, *arguments: Any, **options: Any) -> None:
-        mi = self.mi
         self.m_flags = int(mi.EmitterFlags.Infinite | mi.EmitterFlags.SpatiallyVarying)
         self.m_needs_sample_3 = False
         self.centre, self.radius = mi.Point3f(0.0), mi.Float(FAR)
@@ -57,9 +55,6 @@ class DistantEmitter(Plugin):
 
     def sample_ray(self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True) -> Any:
         """Sample a ray into the scene, for light tracers, from a disc as wide as the bounding sphere."""
-        import drjit as dr
-
-        mi = self.mi
         it, si = dr.zeros(mi.Interaction3f), dr.zeros(mi.SurfaceInteraction3f)
         it.p = self.centre
         ds, _ = self.sample_direction(it, sample3, active)
@@ -73,30 +68,25 @@ class DistantEmitter(Plugin):
 
     def sample_position(self, time: Any, sample: Any, active: Any = True) -> Any:
         # never used, but recorded for every emitter alive, also those of other scenes
-        import drjit as dr
-
-        position = self.mi.PositionSample3f
-        return position() if self.is_scalar else dr.zeros(position), self.mi.Float(0.0)
+        position = mi.PositionSample3f
+        return position() if self.is_scalar else dr.zeros(position), mi.Float(0.0)
 
     def sample_wavelengths(self, si: Any, sample: Any, active: Any = True) -> Any:
-        wavelengths, weight = self.mi.sample_rgb_spectrum(self.mi.sample_shifted(sample))
+        wavelengths, weight = mi.sample_rgb_spectrum(mi.sample_shifted(sample))
         si.wavelengths = wavelengths
         return wavelengths, self.eval(si, active) * weight
 
     def bbox(self) -> Any:
-        return self.mi.ScalarBoundingBox3f()
+        return mi.ScalarBoundingBox3f()
 
     def emitter_pointer(self) -> Any:
-        return self if self.is_scalar else self.mi.EmitterPtr(self)
+        return self if self.is_scalar else mi.EmitterPtr(self)
 
 
 class NacreEnvironment(DistantEmitter):
     """Radiance over directions as weights times spectra; z is up."""
 
     def set_up(self, environment: Environment) -> None:
-        import drjit as dr
-
-        mi = self.mi
         DistantEmitter.set_up(self)
         weights = np.ascontiguousarray(np.moveaxis(environment.weights, 0, -1), dtype=np.float32)
         self.rows, self.columns, self.count = weights.shape
@@ -109,14 +99,12 @@ class NacreEnvironment(DistantEmitter):
 
     def set_state(self, scale: float, turn_deg: float) -> None:
         """Change brightness and turn without a new kernel."""
-        import drjit as dr
-
-        self.scale = dr.opaque(self.mi.Float, scale)
-        self.turn = dr.opaque(self.mi.Float, turn_deg / 360.0)
+        self.scale = dr.opaque(mi.Float, scale)
+        self.turn = dr.opaque(mi.Float, turn_deg / 360.0)
 
     def traverse(self, callback: Any) -> None:
-        callback.put("scale", self.scale, self.mi.ParamFlags.Differentiable)
-        callback.put("turn", self.turn, self.mi.ParamFlags.NonDifferentiable)
+        callback.put("scale", self.scale, mi.ParamFlags.Differentiable)
+        callback.put("turn", self.turn, mi.ParamFlags.NonDifferentiable)
 
     def parameters_changed(self, keys: Any = ()) -> None:
         """No value is derived from the parameters."""
@@ -125,16 +113,13 @@ class NacreEnvironment(DistantEmitter):
         box = scene.bbox()
         if box.valid():
             sphere = box.bounding_sphere()
-            self.centre = self.mi.Point3f(sphere.center)
-            self.radius = self.mi.Float(max(1e-3, float(np.asarray(sphere.radius).reshape(-1)[0]) * 1.01))
+            self.centre = mi.Point3f(sphere.center)
+            self.radius = mi.Float(max(1e-3, float(np.asarray(sphere.radius).reshape(-1)[0]) * 1.01))
 
     def eval(self, si: Any, active: Any = True) -> Any:
         return self._shine(self._uv(-si.wi)[0], si.wavelengths, active)
 
     def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
-        import drjit as dr
-
-        mi = self.mi
         uv, density = self.density.sample(sample, active=active)
         phi, theta = 2.0 * dr.pi * (uv.x + self.turn), dr.pi * uv.y
         sin_theta = dr.sin(theta)
@@ -150,8 +135,6 @@ class NacreEnvironment(DistantEmitter):
         return ds, weight & active
 
     def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
-        import drjit as dr
-
         uv, sin_theta = self._uv(ds.d)
         return dr.select(active, _per_solid_angle(self.density.eval(uv, active=active), sin_theta), 0.0)
 
@@ -163,17 +146,12 @@ class NacreEnvironment(DistantEmitter):
 
     def _uv(self, d: Any) -> tuple[Any, Any]:
         """Place in the map, and the sine of the polar angle."""
-        import drjit as dr
-
         u = dr.atan2(d.y, d.x) / (2.0 * dr.pi) - self.turn
         v = dr.safe_acos(d.z) / dr.pi
-        return self.mi.Point2f(u - dr.floor(u), v), dr.safe_sqrt(1.0 - dr.square(d.z))
+        return mi.Point2f(u - dr.floor(u), v), dr.safe_sqrt(1.0 - dr.square(d.z))
 
     def _shine(self, uv: Any, wavelengths: Any, active: Any) -> Any:
         """Radiance at a place of the map."""
-        import drjit as dr
-
-        mi = self.mi
         # half a texel away from the poles, because the map repeats sideways only
         half = 0.5 / self.rows
         weights = self.texture.eval(mi.Point2f(uv.x, dr.clip(uv.y, half, 1.0 - half)), active)
@@ -186,8 +164,6 @@ class NacreEnvironment(DistantEmitter):
 
 
 def _per_solid_angle(density: Any, sin_theta: Any) -> Any:
-    import drjit as dr
-
     return density / (2.0 * dr.square(dr.pi) * dr.maximum(sin_theta, 1e-6))
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from nacre.core.errors import NacreError
 from nacre.picture.lights.environment_plugin import FAR, DistantEmitter
-from nacre.picture.plugin import make_plugin
+from nacre.picture.plugin import dr, make_plugin, mi
 
 MAX_STRENGTH = 1e4
 MAX_TURN_DEG = 36_000.0
@@ -88,7 +88,7 @@ class NacreEnvironments(DistantEmitter):
             part.set_scene(scene)
 
     def _sum(self, values: Sequence[Any], active: Any) -> Any:
-        total = self.mi.Spectrum(0.0)
+        total = mi.Spectrum(0.0)
         for value, strength in zip(values, self.strengths, strict=True):
             total = total + strength * value
         return total & active
@@ -97,9 +97,6 @@ class NacreEnvironments(DistantEmitter):
         return self._sum([part.eval(si, active) for part in self.parts], active)
 
     def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
-        import drjit as dr
-
-        mi = self.mi
         # the first number selects the part and is then stretched to [0, 1)
         slot = sample.x / self.share
         chosen = dr.minimum(mi.UInt32(slot), len(self.parts) - 1)
@@ -118,9 +115,7 @@ class NacreEnvironments(DistantEmitter):
         return ds, weight & is_drawn & (ds.pdf > 0.0)
 
     def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
-        import drjit as dr
-
-        total = self.mi.Float(0.0)
+        total = mi.Float(0.0)
         for part in self.parts:
             total = total + self.share * part.pdf_direction(it, ds, active)
         return dr.select(active, total, 0.0)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import plain, why_unreadable
-from nacre.device.variant import use_variant
 from nacre.light import illuminant as light_illuminant
 from nacre.picture.lights.environment_plugin import make_environment, spectrum_texture
 from nacre.picture.lights.environments import (
@@ -31,6 +30,7 @@ from nacre.picture.lights.environments import (
 )
 from nacre.picture.lights.light_mixture import Lamp, sum_of_environments
 from nacre.picture.paths import SOFT_LAMP_DEG, WITHIN_LAMP_DEG
+from nacre.picture.plugin import mi
 
 LIGHTS = ("studio", "line", "sun", "sky", "directional", "interior", "street", "garden")
 TURNING_LIGHTS = ("studio", "interior", "street", "garden", "directional")
@@ -151,7 +151,6 @@ def make_lights(lamps: Sequence[Lamp], illuminant: str = "D65", turn_deg: float 
 
 def _environment_of(light: Light) -> Any:
     """Return the environment emitter of a light, or None."""
-    mi = use_variant()
     found = (each for each in light.emitters.values() if isinstance(each, mi.Emitter) and each.is_environment())
     return next(found, None)
 
@@ -179,7 +178,6 @@ def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0, streng
         return replace(light, turning=(*light.turning, (within, 0.0)), soft_within=within)
     if name in ("sun", "sky"):
         note = f"{name}, Mitsuba sunsky, turbidity 3"
-        mi = use_variant()
         sky = mi.load_dict(_sunsky(SUN_DEG if name == "sun" else 0.0, turn_deg))
         soft = mi.load_dict(_sunsky(SOFT_LAMP_DEG, turn_deg)) if name == "sun" else None
         return Light({"sky": sky}, "D65", True, note, "plain", soft=soft)
@@ -213,7 +211,7 @@ def _surrounding(
 
 
 def _turn(turn_deg: float) -> Any:
-    return use_variant().ScalarTransform4f().rotate([0, 0, 1], turn_deg)
+    return mi.ScalarTransform4f().rotate([0, 0, 1], turn_deg)
 
 
 def _emission(white: str, level: float) -> Any:
@@ -223,7 +221,6 @@ def _emission(white: str, level: float) -> Any:
 
 def _tubes(white: str, turn_deg: float, strength: float) -> dict[str, Any]:
     """Seven broad tubes above and behind the object, parallel to x, and a weak fill light."""
-    mi = use_variant()
     parts: dict[str, Any] = {}
     for k in range(7):
         y = -4.2 + 1.6 * k
@@ -240,7 +237,7 @@ def _tubes(white: str, turn_deg: float, strength: float) -> dict[str, Any]:
 def _sunsky(sun_deg: float, turn_deg: float) -> dict[str, Any]:
     """A clear sky and a sun with this width and constant power; 0: no sun."""
     # in world coordinates: Mitsuba does not apply `to_world` to it
-    sun = np.array(_turn(turn_deg) @ use_variant().ScalarVector3f(-0.55, -0.55, 0.75))
+    sun = np.array(_turn(turn_deg) @ mi.ScalarVector3f(-0.55, -0.55, 0.75))
     sky: dict[str, Any] = {
         "type": "sunsky",
         "turbidity": 3.0,
@@ -256,7 +253,6 @@ def _sunsky(sun_deg: float, turn_deg: float) -> dict[str, Any]:
 
 
 def _map(path: Path, turn_deg: float) -> Any:
-    mi = use_variant()
     # Mitsuba's maps have y up
     upright = _turn(turn_deg) @ mi.ScalarTransform4f().rotate([1, 0, 0], 90.0)
     try:

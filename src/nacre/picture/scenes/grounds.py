@@ -15,6 +15,7 @@ from nacre.light import table_wavelengths_nm
 from nacre.picture.filters import noise
 from nacre.picture.lights.environment_plugin import spectrum_texture
 from nacre.picture.lights.environments import WOOD, edge, peak
+from nacre.picture.plugin import mi
 
 PLANK = 1.5  # width of a plank of the desk
 _TILE = (12.0, 6.0)  # period of the desk along and across the grain, in scene units
@@ -28,8 +29,6 @@ def _diffuse(reflectance: dict[str, Any]) -> dict[str, Any]:
 
 def _per_length(x: float, y: float) -> dict[str, Any]:
     """Texture scale for uv in lengths: one period over x by y."""
-    import mitsuba as mi
-
     return {"to_uv": mi.ScalarTransform4f().scale([1 / x, 1 / y, 1.0])}
 
 
@@ -41,8 +40,6 @@ def chessboard(square: float, dark: float = 0.035, bright: float = 0.6) -> dict[
 
 def grey_bitmap(values: Array, **options: Any) -> dict[str, Any]:
     """A spectrally flat texture of numbers `[row, column]`; `options` are those of Mitsuba's bitmap."""
-    import mitsuba as mi
-
     data = np.ascontiguousarray(values[..., None], dtype=np.float32)
     return {"type": "bitmap", "data": mi.TensorXf(data), "raw": True, "wrap_mode": "clamp", **options}
 
