@@ -143,9 +143,9 @@ class Paths(Plugin):
             path.active = path.active & si.is_valid() & (path.depth + 1 < self.max_depth)
             bsdf = si.bsdf()
             if self.glitters:
-                from nacre.device.glints import blurred
+                from nacre.device.glints import without_glints
 
-                si = blurred(si, path.base > 0.0)
+                si = without_glints(si, path.base > 0.0)
             self._thin_out(path, bsdf, sampler)
             lamp_weight = self._add_light_samples(path, scene, si, bsdf, context, sampler)
             most = dr.max(path.weight)
