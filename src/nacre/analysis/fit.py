@@ -27,7 +27,14 @@ from nacre.families.contract import DirectEvaluation, Model, is_direct, search_m
 from nacre.formats.gonio_csv import COLUMNS, GonioData, read_gonio_csv, read_table
 from nacre.material.material import Material
 from nacre.optimise import parameters
-from nacre.optimise.methods.least_squares import SCOUTS_PER_NUMBER, STEP, STOCHASTIC_STEP, apart, descend, draw
+from nacre.optimise.methods.least_squares import (
+    SCOUTS_PER_PARAMETER,
+    STEP,
+    STOCHASTIC_STEP,
+    is_distinct,
+    minimise_residuals,
+    sobol_points,
+)
 from nacre.optimise.parameters import Parameter, nominal_point, values_at
 from nacre.recipe.path_tables import by_path, with_options
 
@@ -224,7 +231,7 @@ def run_fit(
     free: tuple[Parameter, ...],
     *,
     starts: int = 4,
-    scouts: int = SCOUTS_PER_NUMBER,
+    scouts: int = SCOUTS_PER_PARAMETER,
     weights: str = "equal",
     samples: int | None = None,
     seed: int = 0,
@@ -348,13 +355,13 @@ class _Problem:
         own = nominal_point(self._free, self._material)
         if own is not None and starts == 0:
             return [own]
-        sample = draw(len(self._free), scouts * len(self._free), self._seed)
+        sample = sobol_points(len(self._free), scouts * len(self._free), self._seed)
         losses = np.array([np.sum(self.residual(unit) ** 2) for unit in sample])
         chosen = [] if own is None else [own]
         for index in np.argsort(losses):
             if len(chosen) >= starts + (own is not None):
                 break
-            if apart(sample[index], chosen, APART):
+            if is_distinct(sample[index], chosen, APART):
                 chosen.append(sample[index])
         return chosen
 
@@ -362,8 +369,8 @@ class _Problem:
         """Refine one start; CMA-ES goes on where finite differences see only noise."""
         step = STOCHASTIC_STEP if self._samples is not None else STEP
         begin = float(np.sum(self.residual(start) ** 2))
-        end = descend(self.residual, start, step=step)
-        unit, loss, jacobian = end.place, end.loss, end.slopes
+        end = minimise_residuals(self.residual, start, step=step)
+        unit, loss, jacobian = end.point, end.loss, end.jacobian
         if loss > 0.999 * begin and self.relative(loss) > 0.02:
             unit, loss = self._cma(unit, loss)
             jacobian = self._jacobian(unit, step)

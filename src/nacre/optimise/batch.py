@@ -21,10 +21,17 @@ from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import check_room, read_text, write_text
 from nacre.optimise.colour_list import LabRow, lab_rows
-from nacre.optimise.evaluation import TargetResult, judge
-from nacre.optimise.run import CLOSING_SHARE, choose_search, document_of, judged, tolerance_of, with_method_overrides
+from nacre.optimise.evaluation import TargetResult, evaluate
+from nacre.optimise.run import (
+    budget_of,
+    choose_search,
+    document_of,
+    evaluate_solution,
+    tolerance_of,
+    with_method_overrides,
+)
 from nacre.optimise.solutions import NEED_BYTES, RECIPE, Solution, write_recipe
-from nacre.optimise.task import DesignTask, is_relief_task, palette_name, read_data, read_task, total_nm
+from nacre.optimise.task import DesignTask, is_relief_task, palette_name, read_data, read_task, total_thickness_nm
 from nacre.optimise.thin_film.adapter import thin_film_search_many
 
 TABLE, SUMMARY = "many.csv", "many.json"
@@ -371,8 +378,8 @@ def _solve(
         with lock:
             one = targets[number]
             made = one.material.vary(changes)
-            wants, _ = judge(made, one.targets, one.spec.light, seed=one.spec.search.seed)
-            total = total_nm(made)
+            wants, _ = evaluate(made, one.targets, one.spec.light, seed=one.spec.search.seed)
+            total = total_thickness_nm(made)
             take(number, Solution(None, made, changes, wants, {"total_nm": total} if total else {}))
 
     is_plain = not target.spec.tolerance and target.spec.limits.max_layers is None  # else a search that knows of them
@@ -381,11 +388,12 @@ def _solve(
     for number in which:
         one = targets[number]
         search = choose_search(one, one.spec.search.seed)
-        seconds = one.spec.search.seconds
-        if search.run((1.0 - CLOSING_SHARE) * seconds, None, []) == "interrupted":
+        budget = budget_of(one, search)
+        result = search.run(budget)
+        if result.status == "interrupted":
             raise KeyboardInterrupt
-        answers = search.answers()
-        made = judged(one, answers[0][1], CLOSING_SHARE * seconds, 0.0) if answers else None
+        found = result.solutions
+        made = evaluate_solution(one, found[0][1], budget.reserved_s, 0.0) if found else None
         if made is None:
             raise RecipeError(f"{target.context.source}: the recipe cannot be computed anywhere in its bounds")
         take(number, made)

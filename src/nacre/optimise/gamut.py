@@ -580,7 +580,7 @@ def _of_stacks(search: ThinFilmSearch, target: DesignTask, at: Geometry) -> Gamu
     """Draw stacks that the target allows, many at once."""
     problem, light = search.problem, target.spec.light
     generator = np.random.default_rng([target.spec.search.seed, 5])
-    grid = problem.goals.wavelengths_nm
+    grid = problem.merit.wavelengths_nm
     media = {m.name: m.n for m in problem.palette}
     factors: list[Array] = []
     structures: list[dict[str, Any]] = []
@@ -600,7 +600,7 @@ def _of_stacks(search: ThinFilmSearch, target: DesignTask, at: Geometry) -> Gamu
                 low, high = problem.bounds_of(name) if slot is None else (slot.low_nm, slot.high_nm)
                 unit = generator.random() * (SHORT_SHARE if generator.random() < SHORT_SHARE else 1.0)
                 d[k, j] = low + unit * (min(high, 1e5) - low)
-            d[k] *= min(1.0, problem.total_nm / max(float(d[k].sum()), 1e-9))
+            d[k] *= min(1.0, problem.max_total_nm / max(float(d[k].sum()), 1e-9))
             structures.append(
                 {
                     "layers": [{"material": m, "thickness_nm": float(t)} for m, t in zip(names, d[k])],

@@ -13,9 +13,10 @@ import numpy as np
 
 from nacre.core.errors import NacreError
 from nacre.material.material import Material
-from nacre.optimise.evaluation import TargetResult, geometries_of, judge, reached
+from nacre.optimise.evaluation import TargetResult, evaluate, geometries_of, reached
 from nacre.optimise.measurement import search_wavelengths, simulate_measurement
-from nacre.optimise.run import choose_search, in_words
+from nacre.optimise.problem import Budget
+from nacre.optimise.run import choose_search, outcome
 from nacre.optimise.solutions import Solution
 from nacre.optimise.task import DesignTask
 from nacre.optimise.thin_film.adapter import ThinFilmSearch
@@ -42,18 +43,18 @@ def designed(question: Mapping[str, Any], tell: Tell) -> None:
     seconds = target.spec.search.seconds
     search = choose_search(target, target.spec.search.seed)
     if isinstance(search, ThinFilmSearch):
-        search.run(WARMING_S, None, ())  # compiles, where that was not yet done, out of the time for searching
+        search.run(Budget(seconds=WARMING_S))  # compiles, where that was not yet done, out of the time for searching
     tell({"kind": "begun", "seconds": seconds})
     watch = _Watch(target, question, tell)
-    why = search.run(seconds, watch.hear, ())
-    found = search.answers()[: target.spec.search.solutions]
+    result = search.run(Budget(search.default_evaluations, seconds), watch.hear)
+    found = result.solutions[: target.spec.search.solutions]
     solutions = []
     for _, changes in found:
         values = {path: _shortened(value) for path, value in changes.items()}
         try:
             made = target.material.vary(values)
             allowed = JUDGING_SHARE * seconds / len(found)
-            wants, _ = judge(made, target.targets, target.spec.light, seed=target.spec.search.seed, seconds=allowed)
+            wants, _ = evaluate(made, target.targets, target.spec.light, seed=target.spec.search.seed, seconds=allowed)
         except NacreError:
             continue
         solutions.append(Solution(None, made, values, wants))
@@ -62,8 +63,8 @@ def designed(question: Mapping[str, Any], tell: Tell) -> None:
     solutions.sort(key=lambda one: one.worst.scaled)
     for solution in solutions:
         tell({"kind": "final", **_shown(solution.changes, solution.targets, target, question)})
-    status = "interrupted" if why == "interrupted" else "met" if solutions[0].is_met else "out of reach"
-    tell({"kind": "ended", "status": status, "message": in_words(solutions, status)})
+    status = "interrupted" if result.status == "interrupted" else "met" if solutions[0].is_met else "out of reach"
+    tell({"kind": "ended", "status": status, "message": outcome(solutions, status)})
 
 
 def _shortened(value: Any) -> Any:
